@@ -51,7 +51,7 @@ fn an_edge_keeps_nearly_its_designed_contrast_with_and_without_position_control(
     assert!((without / designed - 1.0).abs() < 0.1, "{designed} {without}");
     // The estimator knows no end stops: it reports a little too much travel for bursts that meet one.
     let options = StrokeOptions::lasting(MOST_OBSERVED_S);
-    let play = Play { pattern: &edge, options, onset: open.2, observed_s: MOST_OBSERVED_S };
+    let play = Play { pattern: &edge, options, onset: open.2, observed_s: MOST_OBSERVED_S, by_class: false };
     let truth = contrast(
         predict_response(&play, by_simulated_motors(motors, &play, u16::MAX)).unwrap().played_hz.contrast,
     );
@@ -69,6 +69,11 @@ fn ideal_motors_give_the_designed_response() {
     let [designed, played] = [found.designed_hz, found.played_hz].map(|rates| rates.contrast.unwrap());
     // Telemetry has a quantum of 0.01 um.
     assert!((designed - played).abs() < 0.1, "{designed} {played}");
+    let classes: Vec<_> = found.afferents.iter().map(|of| of.class.name()).collect();
+    assert_eq!(classes, ["SA1", "RA", "PC"]);
+    let [designed, played] = [found.afferents[1].designed_hz, found.afferents[1].played_hz];
+    let [designed, played] = [designed, played].map(|rates| rates.contrast.unwrap());
+    assert!(designed > 5.0 && (designed - played).abs() < 0.1, "{designed} {played}");
 }
 
 #[test]

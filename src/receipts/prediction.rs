@@ -10,12 +10,13 @@
 use firmware_protocol::limits::MAX_DOWN_PULSES;
 use firmware_protocol::stroke::Direction;
 use firmware_protocol::tick::Tick;
-use meissner_api::{PlayState, PredictedResponse, Rates, Receipt};
+use meissner_api::{AfferentClass, ClassResponse, PlayState, PredictedResponse, Rates, Receipt};
 use meissner_array::motor::{Ramp, WINDOW_TICKS};
 use meissner_array::pattern::Pattern;
 use meissner_array::strokes::{StrokeOptions, Strokes, StrokesError, Surplus};
 use meissner_array::units::{UM_PER_PULSE, seconds_to_ticks, ticks_to_seconds};
 use meissner_design::{MOST_OBSERVED_S, PredictionError};
+use meissner_skin::fingertip::Class;
 use meissner_stream::queues::MeasuredBurst;
 use std::collections::{HashMap, HashSet};
 
@@ -100,7 +101,7 @@ impl<'p> PlayedPattern<'p> {
         self.onset + seconds_to_ticks(MOST_OBSERVED_S)
     }
 
-    /// Predicts the response from these bursts; bursts of other plays are ignored. Computes for about a second per minute of a
+    /// Predicts the response from these bursts; bursts of other plays are ignored. Computes for some seconds per minute of a
     /// shipped pattern.
     ///
     /// # Errors
@@ -152,24 +153,33 @@ impl<'p> PlayedPattern<'p> {
         // As designed there is no surplus.
         let options = StrokeOptions { surplus: Surplus::None, ..self.options.clone() };
         let predicted = meissner_design::predict_response(
-            &meissner_design::Play { pattern, options, onset, observed_s },
+            &meissner_design::Play { pattern, options, onset, observed_s, by_class: true },
             ramps,
         )?;
-        let meissner_design::PredictedResponse { seconds, target, population_seed, designed_hz, played_hz } =
-            predicted;
-        let [designed_hz, played_hz] = [designed_hz, played_hz].map(|rates| {
-            let meissner_design::Rates { all, on, off, contrast } = rates;
-            Rates { all, on, off, contrast }
-        });
         Ok(PredictedResponse {
-            seconds,
-            target,
-            population_seed,
-            designed_hz,
-            played_hz,
+            seconds: predicted.seconds,
+            target: predicted.target,
+            population_seed: predicted.population_seed,
+            designed_hz: rates(predicted.designed_hz),
+            played_hz: rates(predicted.played_hz),
+            afferents: predicted.classes.into_iter().map(class_response).collect(),
             unmeasured: missing,
         })
     }
+}
+
+fn class_response(of: meissner_design::ClassResponse) -> ClassResponse {
+    let class = match of.class {
+        Class::Sa1 => AfferentClass::Sa1,
+        Class::Ra => AfferentClass::Ra,
+        Class::Pc => AfferentClass::Pc,
+    };
+    ClassResponse { class, designed_hz: rates(of.designed_hz), played_hz: rates(of.played_hz) }
+}
+
+const fn rates(of: meissner_design::Rates) -> Rates {
+    let meissner_design::Rates { all, on, off, contrast } = of;
+    Rates { all, on, off, contrast }
 }
 
 /// The pulses that a motor takes for this travel: then the lower stop ends it, and it slips for the rest of the burst.

@@ -53,9 +53,10 @@ pub use pattern::{
 };
 pub use problem::{Code, MAX_DETAIL, Problem, REFERENCE};
 pub use receipt::{
-    BurstCounts, DurationRecord, LateCause, LateCounts, LateStroke, LatenessRecord, LinkTraffic,
-    MAX_DRIVES_LISTED, MAX_LISTED, MAX_WARNINGS_LISTED, MotorRestError, OffsetRecord, OnsetRecord,
-    OrderedCounts, PlayState, PredictedResponse, Prediction, PulseCounts, Rates, Receipt, RefusedStroke,
+    AfferentClass, BurstCounts, ClassResponse, DurationRecord, LateCause, LateCounts, LateStroke,
+    LatenessRecord, LinkTraffic, MAX_DRIVES_LISTED, MAX_LISTED, MAX_WARNINGS_LISTED, MotorRestError,
+    OffsetRecord, OnsetRecord, OrderedCounts, PlayState, PredictedResponse, Prediction, PulseCounts, Rates,
+    Receipt, RefusedStroke,
 };
 pub use request::{
     ArmRequest, CalibrateRequest, Fit, LatePolicy, MAX_AT_MS, MAX_BODY, MAX_WAIT_S, PlayRequest,

@@ -219,7 +219,7 @@ pub struct LatenessRecord {
     pub strokes: Vec<LateStroke>,
 }
 
-/// The response of the RA afferents predicted for a play, from its bursts as telemetry measured them.
+/// The response of the afferents predicted for a play, from its bursts as telemetry measured them.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct PredictedResponse {
     /// The part of the play that the prediction covers, from the onset on, s.
@@ -230,12 +230,53 @@ pub struct PredictedResponse {
     pub target: Option<String>,
     /// Seed of the population of afferents and of their noise.
     pub population_seed: u64,
+    /// Rates of the RA afferents predicted by the first model, `membrane`, for the pattern as designed, impulses/s.
+    pub designed_hz: Rates,
+    /// The same for the bursts as measured.
+    pub played_hz: Rates,
+    /// Rates predicted by the second model, `afferents`, for each class: SA1, RA, PC. Empty from an older daemon.
+    #[serde(default)]
+    #[schema(required, max_items = 3)]
+    pub afferents: Vec<ClassResponse>,
+    /// Number of bursts without a measurement; the prediction takes them as not played.
+    pub unmeasured: u64,
+}
+
+/// The predicted response of a class of afferents.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct ClassResponse {
+    /// The class.
+    pub class: AfferentClass,
     /// Rates predicted for the pattern as designed, impulses/s.
     pub designed_hz: Rates,
     /// Rates predicted for the bursts as measured, impulses/s.
     pub played_hz: Rates,
-    /// Number of bursts without a measurement; the prediction takes them as not played.
-    pub unmeasured: u64,
+}
+
+/// A class of afferents.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+pub enum AfferentClass {
+    /// Slowly adapting, type 1: Merkel cells.
+    #[serde(rename = "SA1")]
+    Sa1,
+    /// Rapidly adapting: Meissner corpuscles.
+    #[serde(rename = "RA")]
+    Ra,
+    /// Pacinian corpuscles.
+    #[serde(rename = "PC")]
+    Pc,
+}
+
+impl AfferentClass {
+    /// Its name.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Sa1 => "SA1",
+            Self::Ra => "RA",
+            Self::Pc => "PC",
+        }
+    }
 }
 
 /// What is known of a play's predicted response: nothing yet, the response, or why there is none.
@@ -301,7 +342,8 @@ impl From<Prediction> for PredictionKeys {
     }
 }
 
-/// Mean impulse rates. Null: the pattern has no target, or no frame of the target's motion was observed.
+/// Mean impulse rates. Null: the pattern has no target, no frame of the target's motion was observed, or no afferent of the
+/// class is on the target.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct Rates {
     /// Mean rate of all afferents, impulses/s.
@@ -377,6 +419,14 @@ impl LinkTraffic {
         "seconds": 2.0, "target": "edge-45", "population_seed": 0,
         "designed_hz": {"all": 40.1, "on": 200.0, "off": 9.5, "contrast": 190.5},
         "played_hz": {"all": 39.8, "on": 197.5, "off": 10.0, "contrast": 187.5},
+        "afferents": [
+            {"class": "SA1", "designed_hz": {"all": 3.1, "on": 16.2, "off": 0.8, "contrast": 15.4},
+             "played_hz": {"all": 3.1, "on": 15.9, "off": 0.8, "contrast": 15.1}},
+            {"class": "RA", "designed_hz": {"all": 4.0, "on": 19.1, "off": 1.2, "contrast": 17.9},
+             "played_hz": {"all": 3.9, "on": 18.7, "off": 1.3, "contrast": 17.4}},
+            {"class": "PC", "designed_hz": {"all": 24.5, "on": 30.2, "off": 23.3, "contrast": 6.9},
+             "played_hz": {"all": 24.1, "on": 29.8, "off": 22.9, "contrast": 6.9}}
+        ],
         "unmeasured": 0
     },
     "predicted_response_unknown": null,
@@ -384,6 +434,14 @@ impl LinkTraffic {
         "seconds": 2.0, "target": "edge-45", "population_seed": 0,
         "designed_hz": {"all": 40.1, "on": 200.0, "off": 9.5, "contrast": 190.5},
         "played_hz": {"all": 39.8, "on": 197.5, "off": 10.0, "contrast": 187.5},
+        "afferents": [
+            {"class": "SA1", "designed_hz": {"all": 3.1, "on": 16.2, "off": 0.8, "contrast": 15.4},
+             "played_hz": {"all": 3.1, "on": 15.9, "off": 0.8, "contrast": 15.1}},
+            {"class": "RA", "designed_hz": {"all": 4.0, "on": 19.1, "off": 1.2, "contrast": 17.9},
+             "played_hz": {"all": 3.9, "on": 18.7, "off": 1.3, "contrast": 17.4}},
+            {"class": "PC", "designed_hz": {"all": 24.5, "on": 30.2, "off": 23.3, "contrast": 6.9},
+             "played_hz": {"all": 24.1, "on": 29.8, "off": 22.9, "contrast": 6.9}}
+        ],
         "unmeasured": 0
     },
     "felt_unknown": null

@@ -73,7 +73,9 @@ pub use naive::Rule;
 pub use objective::{Fidelity, Incumbent, Objective, Score, Tried};
 pub use partition::{Partition, Verdict};
 pub use point::{Point, Setting, Space, Vibration, Window};
-pub use prediction::{MOST_OBSERVED_S, Play, PredictedResponse, PredictionError, Rates, predict_response};
+pub use prediction::{
+    ClassResponse, MOST_OBSERVED_S, Play, PredictedResponse, PredictionError, Rates, predict_response,
+};
 pub use quality::{Named, OfClass, Quality, name_targets, quality, skin_model};
 pub use search::{Brief, Ended, Found, Limit, Spent, Step, resume, search};
 pub use shape::Shape;

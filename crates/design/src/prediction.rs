@@ -2,7 +2,8 @@
 //!
 //! A pattern says how each pin should move; measured bursts say how it moved. Both are simulated exactly, on the
 //! population of the pattern's target and with the same noise, so the rates differ only by what the motors did. For a
-//! pattern without a target only the mean rate of all afferents is known.
+//! pattern without a target only the mean rate of all afferents is known. [`Play::by_class`] asks the second model, too: it
+//! has rates for each class of afferents.
 //!
 //! Rates are those of [`judge`](crate::judge()). A target at rest counts for the observed time. Each frame of a moving
 //! target counts in every repeat in which it was observed whole.
@@ -17,8 +18,9 @@ use meissner_array::motor::Ramp;
 use meissner_array::pattern::Pattern;
 use meissner_array::strokes::{StrokeOptions, Strokes, StrokesError};
 use meissner_array::units::{seconds_in_ticks, seconds_to_ticks, ticks_to_seconds};
-use meissner_skin::afferent::{AfferentModel, POPULATION_NOISE_SD, Rectify, population};
-use meissner_skin::{MethodError, Ramps, RampsError, Scene, simulate_ramps};
+use meissner_skin::afferent::{AfferentModel, POPULATION_NOISE_SD, Position, Rectify};
+use meissner_skin::fingertip::Class;
+use meissner_skin::{Finger, FingerError, Ramps, RampsError, SkinModel, Trial};
 use serde::{Deserialize, Serialize};
 
 /// The longest observed time, s; later bursts do not count.
@@ -35,6 +37,8 @@ pub struct Play<'p> {
     pub onset: Tick,
     /// The time from the onset for which its bursts are known, s. At most the requested duration counts.
     pub observed_s: f64,
+    /// Whether to predict the rates under the second model, too.
+    pub by_class: bool,
 }
 
 /// The predicted response to a play.
@@ -46,13 +50,27 @@ pub struct PredictedResponse {
     pub target: Option<String>,
     /// Seed of the population and its noise: the target's, or 0.
     pub population_seed: u64,
+    /// Rates as designed, under the first model.
+    pub designed_hz: Rates,
+    /// Rates as played, under the first model.
+    pub played_hz: Rates,
+    /// Rates under the second model, if they were asked for: SA1, RA, PC.
+    pub classes: Vec<ClassResponse>,
+}
+
+/// The predicted response of one class of afferents, under the second model.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct ClassResponse {
+    /// The class.
+    pub class: Class,
     /// Rates as designed.
     pub designed_hz: Rates,
     /// Rates as played.
     pub played_hz: Rates,
 }
 
-/// Mean rates, impulses/s. Only `all` is known without a target, or if no frame was observed whole.
+/// Mean rates, impulses/s. Only `all` is known without a target, if no frame was observed whole, or if all afferents of the
+/// class are on one side.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Rates {
     /// Of all afferents, over the observed time.
@@ -82,7 +100,7 @@ pub enum PredictionError {
     Ramps(#[from] RampsError),
     /// Too many spikes.
     #[error(transparent)]
-    Method(#[from] MethodError),
+    Finger(#[from] FingerError),
 }
 
 /// Predicts the response to a play, as designed and as played. `bursts` are the bursts played, with their motors, in order
@@ -97,7 +115,7 @@ pub fn predict_response(
     play: &Play<'_>,
     bursts: impl IntoIterator<Item = (u8, Ramp)>,
 ) -> Result<PredictedResponse, PredictionError> {
-    let Play { pattern, options, onset, observed_s } = play;
+    let Play { pattern, options, onset, observed_s, by_class } = play;
     let (&onset, &observed_s) = (onset, observed_s);
     let strokes = Strokes::new(pattern, options)?;
     let lasts_s = strokes.end().map_or(f64::INFINITY, ticks_to_seconds);
@@ -107,14 +125,6 @@ pub fn predict_response(
         return Err(PredictionError::Nothing { observed_s: play.observed_s });
     }
     let end = seconds_in_ticks(observed_s);
-    let target = Target::made_for(pattern);
-    let seed = target.as_ref().map_or(0, Target::population_seed);
-    let default = AfferentModel::default_for(Rectify::default(), POPULATION_NOISE_SD);
-    let model = target.as_ref().map_or(default, |target| *target.model());
-    let scene = Scene::new(observed_s, seed, Vec::new(), population(seed), model);
-    let scene = scene.expect("a population and a target's model make a scene");
-    let frames = ObservedFrames::new(target.as_ref(), pattern, &scene);
-
     let mut failed = None;
     let strokes = strokes
         .map_while(|stroke| stroke.map_err(|error| failed = Some(error)).ok())
@@ -127,20 +137,60 @@ pub fn predict_response(
     if let Some(error) = failed {
         return Err(error.into());
     }
-    let designed_hz = frames.rates(&scene, &designed)?;
-    drop(designed);
     let played = bursts.into_iter().filter_map(|(motor, ramp)| {
         let start = ramp.start.0.checked_sub(onset.0).filter(|&start| (start as f64) < end)?;
         Some((motor, Ramp { start: Tick(start), ..ramp }))
     });
-    let played_hz = frames.rates(&scene, &Ramps::new(played)?)?;
+    let played = Ramps::new(played)?;
+
+    let target = Target::made_for(pattern);
+    let seed = target.as_ref().map_or(0, Target::population_seed);
+    let answer = |finger: &Finger| -> Result<Vec<[Rates; 2]>, FingerError> {
+        let classes = finger.model().classes();
+        let of_class =
+            |class: &Class| ObservedFrames::new(target.as_ref(), pattern, observed_s, finger, *class);
+        let frames: Vec<_> = classes.iter().map(of_class).collect();
+        let rates = |ramps: &Ramps| -> Result<Vec<Rates>, FingerError> {
+            let spikes_s = finger.spikes_s(&Trial::of_ramps(ramps, observed_s, seed))?;
+            Ok(frames.iter().map(|frames| frames.rates(&spikes_s)).collect())
+        };
+        Ok(rates(&designed)?
+            .into_iter()
+            .zip(rates(&played)?)
+            .map(|(designed, played)| [designed, played])
+            .collect())
+    };
+    let default = AfferentModel::default_for(Rectify::default(), POPULATION_NOISE_SD);
+    let membrane = target.as_ref().map_or(default, |target| *target.model());
+    let first = answer(&Finger::new(SkinModel::Membrane(membrane), seed))?;
+    let &[[designed_hz, played_hz]] = first.as_slice() else { unreachable!("the first model has one class") };
+    let classes = if *by_class {
+        let rates = answer(&Finger::new(SkinModel::AFFERENTS, seed))?.into_iter();
+        let response = |(&class, [designed_hz, played_hz]): (&Class, [Rates; 2])| ClassResponse {
+            class,
+            designed_hz,
+            played_hz,
+        };
+        Class::ALL.iter().zip(rates).map(response).collect()
+    } else {
+        Vec::new()
+    };
     let target = target.map(|target| target.name().to_owned());
-    Ok(PredictedResponse { seconds: observed_s, target, population_seed: seed, designed_hz, played_hz })
+    Ok(PredictedResponse {
+        seconds: observed_s,
+        target,
+        population_seed: seed,
+        designed_hz,
+        played_hz,
+        classes,
+    })
 }
 
-/// The frames that count.
+/// The frames that count, and the afferents of a class.
 struct ObservedFrames {
     frames: Vec<Observed>,
+    /// Their numbers in the finger.
+    afferents: Vec<usize>,
     observed_s: f64,
     /// The time after which the frames repeat, if they do.
     repeat_s: Option<f64>,
@@ -155,19 +205,27 @@ struct Observed {
 }
 
 impl ObservedFrames {
-    fn new(target: Option<&Target>, pattern: &Pattern, scene: &Scene) -> Self {
-        let observed_s = scene.duration_s();
+    fn new(
+        target: Option<&Target>,
+        pattern: &Pattern,
+        observed_s: f64,
+        finger: &Finger,
+        class: Class,
+    ) -> Self {
+        let afferents: Vec<usize> = finger.of_class(class).collect();
+        let places: Vec<Position> = afferents.iter().map(|&number| finger.afferents()[number].at).collect();
         let repeat_s = pattern.duration_s();
         let frames = target.map_or(&[][..], Target::frames);
         let moves = target.is_some_and(Target::moves);
-        let mut found = Self { frames: Vec::new(), observed_s, repeat_s: repeat_s.filter(|_| moves) };
+        let repeat_s = repeat_s.filter(|_| moves);
+        let mut found = Self { frames: Vec::new(), afferents, observed_s, repeat_s };
         let observed = |frame: &Frame| {
             let (start_s, stop_s) = (frame.start_s.unwrap_or(0.0), frame.stop_s.unwrap_or(observed_s));
             let whole = |&repeat: &u64| found.begin_s(repeat) + stop_s <= observed_s;
             let repeats = if found.repeat_s.is_some() { u64::MAX } else { 1 };
             let times = (0..repeats).take_while(whole).count() as u64;
             let reach_mm = target.map_or(0.0, Target::reach_mm);
-            let partition = Partition::of(&frame.shape, reach_mm, scene.afferents());
+            let partition = Partition::of(&frame.shape, reach_mm, &places);
             Observed { partition, start_s, stop_s, times }
         };
         // A pattern that was shortened by hand may end before its target does.
@@ -191,14 +249,13 @@ impl ObservedFrames {
         (about.saturating_sub(1)..=about + 1).rev().find(|&repeat| self.begin_s(repeat) <= at_s).unwrap_or(0)
     }
 
-    /// The mean rates for some ramps.
-    fn rates(&self, scene: &Scene, ramps: &Ramps) -> Result<Rates, MethodError> {
-        let afferents = scene.afferents().len();
-        let mut counts = vec![vec![0_u64; afferents]; self.frames.len()];
+    /// The mean rates, from the spikes of each of the finger's afferents.
+    fn rates(&self, spikes_s: &[Vec<f64>]) -> Rates {
+        let mut counts = vec![vec![0_u64; self.afferents.len()]; self.frames.len()];
         let mut all = 0;
-        simulate_ramps(scene, ramps, &mut |afferent, spikes_s| {
-            all += spikes_s.len();
-            for at_s in spikes_s {
+        for (place, &number) in self.afferents.iter().enumerate() {
+            all += spikes_s[number].len();
+            for &at_s in &spikes_s[number] {
                 let begin_s = self.begin_s(self.repeat(at_s));
                 let within_s = at_s - begin_s;
                 let index = self.frames.partition_point(|frame| frame.start_s <= within_s);
@@ -206,23 +263,24 @@ impl ObservedFrames {
                     && within_s < self.frames[index].stop_s
                     && begin_s + self.frames[index].stop_s <= self.observed_s
                 {
-                    counts[index][afferent as usize] += 1;
+                    counts[index][place] += 1;
                 }
             }
-        })?;
-        let (mut on, mut off) = (0.0, 0.0);
+        }
+        let (mut on, mut off, mut frames) = (0.0, 0.0, 0.0);
         for (frame, counts) in self.frames.iter().zip(&counts) {
             let seconds = (frame.stop_s - frame.start_s) * frame.times as f64;
             let rates_hz: Vec<f64> = counts.iter().map(|&count| count as f64 / seconds).collect();
-            let verdict = frame.partition.verdict(&rates_hz);
-            let verdict = verdict.expect("a checked target has ON and OFF afferents");
-            on += verdict.on_hz;
-            off += verdict.off_hz;
+            // A small shape may have no afferent of a sparse class.
+            if let Some(verdict) = frame.partition.verdict(&rates_hz) {
+                on += verdict.on_hz;
+                off += verdict.off_hz;
+                frames += 1.0;
+            }
         }
-        let frames = self.frames.len() as f64;
         let mean = |sum: f64| (frames > 0.0).then(|| sum / frames);
         let (on, off) = (mean(on), mean(off));
         let contrast = on.zip(off).map(|(on, off)| on - off);
-        Ok(Rates { all: all as f64 / afferents as f64 / self.observed_s, on, off, contrast })
+        Rates { all: all as f64 / self.afferents.len() as f64 / self.observed_s, on, off, contrast }
     }
 }

@@ -5,8 +5,8 @@
 use super::{counters, pairs};
 use crate::receipts::end_text;
 use meissner_api::{
-    BoardRecord, BurstCounts, DurationRecord, ErrorSource, ItemState, MotorRestError, OrderedCounts,
-    PlayAccepted, PredictedResponse, Prediction, PulseCounts, ReachedDrive, Receipt,
+    BoardRecord, BurstCounts, ClassResponse, DurationRecord, ErrorSource, ItemState, MotorRestError,
+    OrderedCounts, PlayAccepted, PredictedResponse, Prediction, PulseCounts, Rates, ReachedDrive, Receipt,
 };
 
 pub(in crate::cli) fn receipt(receipt: &Receipt) -> String {
@@ -142,22 +142,37 @@ pub(in crate::cli) fn pulse_counts(ordered: Option<&OrderedCounts>, pulses: &Pul
 }
 
 /// The predicted response, if there is one or a reason why there is none: the contrast of a pattern with a target, else the
-/// mean rate.
+/// mean rate; by the first model, and by the second for each class.
 pub(in crate::cli) fn predicted(prediction: &Prediction) -> Option<String> {
-    let Some(PredictedResponse { seconds, played_hz, designed_hz, unmeasured, .. }) = &prediction.response
+    let Some(PredictedResponse { seconds, played_hz, designed_hz, afferents, unmeasured, .. }) =
+        &prediction.response
     else {
         return prediction.unknown.as_ref().map(|why| format!("not known: {why}"));
     };
-    let (what, played, designed) = match (played_hz.contrast, designed_hz.contrast) {
+    let figures = |played: &Rates, designed: &Rates| match (played.contrast, designed.contrast) {
         (Some(played), Some(designed)) => ("on-target minus off-target", played, designed),
-        _ => ("mean rate", played_hz.all, designed_hz.all),
+        _ => ("mean rate", played.all, designed.all),
+    };
+    let (what, played, designed) = figures(played_hz, designed_hz);
+    let classes: Vec<String> = afferents
+        .iter()
+        .map(|ClassResponse { class, designed_hz, played_hz }| {
+            let (_, played, designed) = figures(played_hz, designed_hz);
+            format!("{} {played:.1} ({designed:.1})", class.name())
+        })
+        .collect();
+    let second = match classes.as_slice() {
+        [] => String::new(),
+        classes => format!("; second model: {}", classes.join(", ")),
     };
     let missing = match unmeasured {
         0 => String::new(),
         count => format!("; {count} bursts not measured"),
     };
     let seconds = (seconds * 1000.0).round() / 1000.0;
-    Some(format!("{what} {played:.1} impulses/s (designed: {designed:.1}), over {seconds} s{missing}"))
+    Some(format!(
+        "{what} {played:.1} impulses/s (designed: {designed:.1}), over {seconds} s{second}{missing}"
+    ))
 }
 
 /// A play that was queued, and what whole strokes make of its duration.
@@ -172,7 +187,7 @@ pub(in crate::cli) fn accepted(accepted: &PlayAccepted, pattern: &str) -> String
 #[cfg(test)]
 mod tests {
     use super::*;
-    use meissner_api::{LateCounts, LinkTraffic, OffsetRecord, OnsetRecord, PlayState, Rates};
+    use meissner_api::{AfferentClass, LateCounts, LinkTraffic, OffsetRecord, OnsetRecord, PlayState};
     use serde_json::Value;
 
     #[test]
@@ -233,6 +248,18 @@ mod tests {
             population_seed: 0,
             designed_hz: rates(190.52),
             played_hz: rates(187.43),
+            afferents: vec![
+                ClassResponse {
+                    class: AfferentClass::Ra,
+                    designed_hz: rates(17.92),
+                    played_hz: rates(17.38),
+                },
+                ClassResponse {
+                    class: AfferentClass::Pc,
+                    designed_hz: Rates { contrast: None, ..rates(0.0) },
+                    played_hz: Rates { contrast: None, ..rates(0.0) },
+                },
+            ],
             unmeasured: 7,
         });
         receipt.warnings = vec!["drive 3 (motor 9) reaches 61.8 of 80 um".to_owned()];
@@ -302,6 +329,8 @@ mod tests {
             ("/predicted_response/seconds", 2),
             ("/predicted_response/played_hz/contrast", 1),
             ("/predicted_response/designed_hz/contrast", 1),
+            ("/predicted_response/afferents/0/played_hz/contrast", 1),
+            ("/predicted_response/afferents/1/designed_hz/all", 1),
             ("/predicted_response/unmeasured", 0),
         ] {
             let value = json.pointer(figure).and_then(Value::as_f64).unwrap();

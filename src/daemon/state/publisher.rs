@@ -61,10 +61,10 @@ impl Publisher {
 mod tests {
     use super::*;
     use meissner_api::{
-        BurstCounts, DurationRecord, ErrorSource, LateCause, LateCounts, LateStroke, LatenessRecord,
-        LinkTraffic, MAX_DRIVES_LISTED, MAX_LISTED, MAX_WARNINGS_LISTED, MotorRestError, OffsetRecord,
-        OnsetRecord, OrderedCounts, PlayState, PredictedResponse, Prediction, PulseCounts, Rates,
-        ReachedDrive, Receipt, RefusedStroke,
+        AfferentClass, BurstCounts, ClassResponse, DurationRecord, ErrorSource, LateCause, LateCounts,
+        LateStroke, LatenessRecord, LinkTraffic, MAX_DRIVES_LISTED, MAX_LISTED, MAX_WARNINGS_LISTED,
+        MotorRestError, OffsetRecord, OnsetRecord, OrderedCounts, PlayState, PredictedResponse, Prediction,
+        PulseCounts, Rates, ReachedDrive, Receipt, RefusedStroke,
     };
 
     #[test]
@@ -87,6 +87,9 @@ mod tests {
             population_seed: most,
             designed_hz: rates,
             played_hz: rates,
+            afferents: [AfferentClass::Sa1; 3]
+                .map(|class| ClassResponse { class, designed_hz: rates, played_hz: rates })
+                .into(),
             unmeasured: most,
         };
         let late = LateStroke { motor: 23, tick: most, late_ms: number, cause: LateCause::Device };

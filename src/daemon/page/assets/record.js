@@ -20,16 +20,21 @@ export function showReceipt(receipt) {
     + (lost ? `${lost} of ${bursts.planned} bursts were not played.` : `All ${bursts.planned} bursts were played.`);
   const rest = receipt.rest_error_um?.length ? Math.max(...receipt.rest_error_um.map(Math.abs)) : null;
   const worst = lateness.worst_ms ?? 0;
-  const hz = (value) => `${value.toFixed(1)} impulses/s`;
+  const hz = ({ contrast, all }) => `${(contrast ?? all).toFixed(1)} impulses/s`;
+  const classes = response?.afferents ?? [];
+  const what = response?.played_hz?.contrast === null ? "mean rate" : "on-target minus off-target";
   facts($("receipt-facts"), [
     ["Bursts played, late, dropped, refused", `${bursts.played}, ${bursts.late}, ${bursts.dropped}, ${bursts.refused}`],
     ["Corrected by feedback", bursts.amended],
     ["Largest lateness", `${worst.toFixed(2)} ms`],
     ["Duration played, ordered", `${ms.played?.toFixed(1) ?? "-"} ms, ${ms.ordered?.toFixed(1) ?? "without end"} ms`],
     ["Largest offset from rest at the end", rest === null ? "not known" : `${rest.toFixed(1)} µm`],
-    ["Predicted RA response, on-target minus off-target", response?.played_hz
-      ? `${hz(response.played_hz.contrast)} (designed: ${hz(response.designed_hz.contrast)})`
+    [`Predicted RA response, ${what}`, response
+      ? `${hz(response.played_hz)} (designed: ${hz(response.designed_hz)})`
       : receipt.predicted_response_unknown ?? "not ready"],
+    ...classes.map((of) => [
+      `Second model, ${of.class}, ${what}`, `${hz(of.played_hz)} (designed: ${hz(of.designed_hz)})`,
+    ]),
   ]);
   $("receipt-more").hidden = false;
   $("receipt-json").textContent = JSON.stringify(receipt, null, 1);
