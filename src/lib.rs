@@ -42,7 +42,7 @@
 //!
 //! `docs/explanation/architecture.md` says which file to open for which change.
 //! The modules of this crate use one another in this order: [`log`](mod@log), `file`, [`exposure`], [`session_record`],
-//! [`receipts`], [`store`], [`config`], [`daemon`], [`cli`]. Tests run streamer, link, controller and simulated motors in virtual time
+//! [`receipts`], [`store`], [`search`], [`config`], [`daemon`], [`cli`]. Tests run streamer, link, controller and simulated motors in virtual time
 //! ([`meissner_stream::Simulation`]): the same code without a clock.
 //!
 //! # Example
@@ -64,5 +64,6 @@ pub mod exposure;
 mod file;
 pub mod log;
 pub mod receipts;
+pub mod search;
 pub mod session_record;
 pub mod store;

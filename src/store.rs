@@ -1,5 +1,6 @@
 //! The pattern store: the library that is part of the program, and a directory of the site's own patterns. The library has the patterns of
-//! `patterns`, and those of the paper's setting in `patterns/paper`.
+//! `patterns`, and those of the paper's setting in `patterns/paper`. `targets` keeps the site's targets in a folder of the
+//! directory.
 //!
 //! The store reads the directory at every request, so it finds a file that was put there by hand at once. [`Store::get`]
 //! reads one file, [`Store::list`] at most [`MAX_FILES`]. Callers that hold the same file share one pattern. Patterns of the library cannot be overwritten or shadowed.
@@ -9,6 +10,9 @@
 //! the file's name.
 
 mod in_use;
+mod targets;
+
+pub use targets::{StoredTarget, TargetStoreError, target_json};
 
 use crate::file::{self, open_regular};
 use crate::receipts::Order;

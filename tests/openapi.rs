@@ -11,8 +11,9 @@ use crate::harness::{Daemon, assert_up_to_date, next, problem};
 use meissner_api::route::{Answer, Body};
 use meissner_api::{
     ArmRequest, CalibrateRequest, CalibrationReport, Code, Event, ImportedPattern, Method, PatternDetails,
-    PatternList, PlayAccepted, PlayRequest, Problem, REFERENCE, Receipt, RemovedPattern, ResetRequest, Route,
-    SequenceRequest, Session, SessionList, SessionPlays, SessionRequest, SessionStarted, Status,
+    PatternList, PlayAccepted, PlayRequest, Problem, REFERENCE, Receipt, RemovedPattern, RemovedTarget,
+    ResetRequest, Route, Search, SearchRequest, SearchState, SequenceRequest, Session, SessionList,
+    SessionPlays, SessionRequest, SessionStarted, Status, StoredTarget, TargetDetails, TargetList,
     TokenCreated, TokenInfo, TokenList, TokenRequest, openapi,
 };
 use schema::check;
@@ -44,7 +45,8 @@ fn walk(schema: &Value, way: &str, see: &mut dyn FnMut(&Value, &str)) {
 #[test]
 fn every_key_has_a_description_and_every_number_its_unit_and_range() {
     // Offsets and differences may be negative; a lead that is reached may be.
-    const SIGNED: [&str; 6] = ["rest_error_um", "onset_um", "offset_um", "contrast", "lead_ms", "items"];
+    const SIGNED: [&str; 7] =
+        ["rest_error_um", "onset_um", "offset_um", "contrast", "lead_ms", "items", "value"];
     const UNITS: [(&str, &str); 9] = [
         ("_s", ", s"),
         ("_ms", ", ms"),
@@ -75,7 +77,7 @@ fn every_key_has_a_description_and_every_number_its_unit_and_range() {
             }
             numbers += 1;
             assert!(SIGNED.contains(&key.as_str()) || below["minimum"].is_number(), "{place} has no minimum");
-            let rate = key == "um_per_pulse";
+            let rate = ["um_per_pulse", "pulses_per_s", "speed_mm_s", "turn_deg_s"].contains(&key.as_str());
             let unit = UNITS.iter().rev().find(|(end, _)| key.ends_with(end) && !rate);
             if let Some((_, unit)) = unit {
                 assert!(text.contains(unit), "{place} has no unit `{unit}`: {text}");
@@ -146,6 +148,12 @@ fn every_route_has_examples_that_parse() {
         "PatternDetails" => parses::<PatternDetails>(example),
         "ImportedPattern" => parses::<ImportedPattern>(example),
         "RemovedPattern" => parses::<RemovedPattern>(example),
+        "TargetList" => parses::<TargetList>(example),
+        "TargetDetails" => parses::<TargetDetails>(example),
+        "StoredTarget" => parses::<StoredTarget>(example),
+        "RemovedTarget" => parses::<RemovedTarget>(example),
+        "SearchRequest" => drop(SearchRequest::parse(example.to_string().as_bytes()).unwrap()),
+        "Search" => parses::<Search>(example),
         "CalibrationReport" => parses::<CalibrationReport>(example),
         "SessionRequest" => drop(SessionRequest::parse(example.to_string().as_bytes()).unwrap()),
         "SessionStarted" => parses::<SessionStarted>(example),
@@ -192,7 +200,7 @@ fn every_route_has_examples_that_parse() {
         assert_eq!(event.name(), name);
         names.insert(name);
     }
-    assert_eq!(names.len(), 19);
+    assert_eq!(names.len(), 20);
 }
 
 #[test]
@@ -309,6 +317,31 @@ fn a_daemon_s_answers_fit_the_document() {
     fits(Route::Import, &client.put("/v1/patterns/mine?replace=true", mine.to_owned()).unwrap());
     fits(Route::Remove, &client.delete("/v1/patterns/mine").unwrap());
     let mut events = client.events().unwrap();
+    refused(Route::Target, client.get("/v1/targets/none"));
+    refused(Route::SearchShow, client.get("/v1/searches/last"));
+    refused(Route::SearchStart, client.post("/v1/searches", &json!({"target": "none"})));
+    refused(Route::SearchStart, client.post("/v1/searches", &json!({"target": {"name": "a"}})));
+    let list: TargetList = client.get("/v1/targets").unwrap();
+    fits(Route::Targets, &serde_json::to_value(&list).unwrap());
+    for target in list.targets {
+        fits(Route::Target, &client.get(&format!("/v1/targets/{}", target.name)).unwrap());
+    }
+    let mine = "name = \"mine\"\nshape = \"dots\"\npoints = [[0, 0]]\n";
+    fits(Route::StoreTarget, &client.put("/v1/targets/mine", mine.to_owned()).unwrap());
+    refused(Route::StoreTarget, client.put("/v1/targets/mine", mine.to_owned()));
+    fits(Route::RemoveTarget, &client.delete("/v1/targets/mine").unwrap());
+    refused(Route::RemoveTarget, client.delete("/v1/targets/mine"));
+    let search = json!({"target": "moving-edge", "evaluations": 1, "model": "membrane"});
+    fits(Route::SearchStart, &client.post("/v1/searches", &search).unwrap());
+    fits(Route::SearchShow, &client.get("/v1/searches/1").unwrap());
+    next(&mut events, |next| {
+        event(&next);
+        matches!(next, Event::Search { state: SearchState::Done, .. }).then_some(())
+    });
+    fits(Route::SearchShow, &client.get("/v1/searches/last").unwrap());
+    fits(Route::Pattern, &client.get("/v1/patterns/search:1").unwrap());
+    fits(Route::SearchCancel, &client.delete("/v1/searches/1").unwrap());
+    refused(Route::SearchCancel, client.delete("/v1/searches/2"));
     let started: Value =
         client.post("/v1/sessions", &json!({"participant": "P07", "exclusive": true})).unwrap();
     fits(Route::SessionStart, &started);

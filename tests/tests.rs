@@ -57,6 +57,8 @@ mod replay;
 mod report;
 /// The command `report`: its files, the same bytes again, places that cannot be written to.
 mod report_command;
+/// Targets and searches: a process of its own, its result and its end, what is refused.
+mod searches;
 /// Sequences: all or nothing, one receipt, scale and triggers; the command.
 mod sequences;
 /// The daemon as a service: notifications, watchdog, socket activation, reload, and a newer program.

@@ -33,12 +33,13 @@ mod watch;
 
 use crate::config::Source;
 use crate::daemon::{self, Daemon, DaemonError, Exit, Signals};
-use crate::log;
+use crate::{log, search};
 use anyhow::{Result, anyhow};
 use arguments::{ClientOptions, Output, hours, measured, positive};
 use clap::{CommandFactory, Parser, Subcommand};
 use meissner_stream::device::Spec;
 use output::{is_broken_pipe, say};
+use std::env;
 use std::io::{self, Write};
 use std::net::SocketAddr;
 use std::path::PathBuf;
@@ -227,6 +228,10 @@ pub fn command() -> clap::Command {
 /// Runs the program.
 #[must_use]
 pub fn main() -> ExitCode {
+    if search::is_asked(env::args_os().next().as_deref()) {
+        return search::work();
+    }
+    search::is_program();
     let cli = Cli::parse();
     let level = if matches!(cli.command, Command::Daemon { .. }) { Level::INFO } else { Level::WARN };
     log::start(level);

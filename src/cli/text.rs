@@ -253,6 +253,15 @@ pub(super) fn event(event: &Event) -> String {
                 "drifted: pins may be {um:.0} um off; `meissner home` between plays, or level them by hand"
             )
         }
+        Event::Search { id, state, target, progress, problem } => {
+            let state = serde_json::to_value(state).unwrap_or_default();
+            let problem = problem.as_ref().map_or_else(String::new, |problem| format!(": {problem}"));
+            let (state, count) = (state.as_str().unwrap_or_default(), progress.evaluations);
+            format!(
+                "search: {id} for {target}, {state} after {count} evaluations, {:.1} s{problem}",
+                progress.seconds
+            )
+        }
         Event::SessionStarted { session } => format!("session: {} began", session_name(session)),
         Event::SessionReleased { session } => {
             format!("session: {session} is open to others, its owner was silent")

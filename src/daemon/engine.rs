@@ -10,7 +10,7 @@ use super::estop::{EStops, Origin};
 use super::names::Names;
 use super::network::{Gate, TokenStore};
 use super::state::{
-    Calibration, Commands, Connection, Exposure, Plays, Publisher, Reply, Sessions, State, frame,
+    Calibration, Commands, Connection, Exposure, Plays, Publisher, Reply, Searches, Sessions, State, frame,
 };
 use crate::receipts::refusal;
 use crate::session_record::{Peer, SessionRecord};
@@ -76,6 +76,7 @@ impl Engine {
             publisher: Publisher::new(SessionRecord::none()),
             exposure: Exposure::default(),
             sessions: Sessions::default(),
+            searches: Searches::default(),
             settings,
         };
         Self {

@@ -17,9 +17,11 @@ use super::page;
 use super::patterns::{self, SharedStore, find, import_place};
 use super::request_log::LoggedRequest;
 use super::runtime::computing;
+use super::search;
 use super::server::Ordered;
 use super::sessions;
 use super::state::frame;
+use super::targets;
 use crate::receipts::{KEPT, calibration_plan};
 use crate::session_record::Peer;
 use axum::body::{Body, Bytes};
@@ -148,6 +150,13 @@ fn handler(route: Route) -> MethodRouter<App> {
         Route::Pattern => on(method, patterns::show),
         Route::Import => on(method, patterns::import),
         Route::Remove => on(method, patterns::remove),
+        Route::Targets => on(method, targets::list),
+        Route::Target => on(method, targets::show),
+        Route::StoreTarget => on(method, targets::store),
+        Route::RemoveTarget => on(method, targets::remove),
+        Route::SearchStart => on(method, search::start),
+        Route::SearchShow => on(method, search::show),
+        Route::SearchCancel => on(method, search::cancel),
         Route::Calibrate => on(method, calibrate),
         Route::Calibration => on(method, calibration),
         Route::StoreCalibration => on(method, store_calibration),

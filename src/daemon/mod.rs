@@ -2,7 +2,7 @@
 //!
 //! [`Daemon::start`] acquires everything that the system may refuse (socket, patterns, threads); [`Daemon::run`] works until a signal
 //! or a request ends it. Threads: `streamer` and `acceptor` (real time; an emergency stop needs no other), `connector` (opens
-//! devices), `predictor` (skin model), `session record` (disk), and the runtime's one thread for clients and events. An idle daemon runs no timer but a service manager's watchdog.
+//! devices), `predictor` (skin model), `search` (follows the process of a search), `session record` (disk), and the runtime's one thread for clients and events. An idle daemon runs no timer but a service manager's watchdog.
 //!
 //! The modules; each uses only those before it:
 //! - `socket`, `error`, `signals`, `runtime`, `check`, `names`, `metrics`: the system around the daemon.
@@ -14,7 +14,7 @@
 //! - `play`, `sequence`, `calibrate`, `connector`: begin plays, calibrate, open devices.
 //! - `service`, `event_loop`: the service manager; the streamer's events.
 //! - `page`: the page in the browser.
-//! - `body`, `connection`, `http`, `patterns`, `sessions`, `reload`, `server`, `hosted`: clients, configuration, and daemons inside this process.
+//! - `body`, `connection`, `http`, `patterns`, `targets`, `search`, `sessions`, `reload`, `server`, `hosted`: clients, configuration, and daemons inside this process.
 //!
 //! Invariant: before the daemon ends, it returns the pins, switches the motors off and removes its socket.
 
@@ -42,6 +42,7 @@ mod predictor;
 mod reload;
 mod request_log;
 mod runtime;
+mod search;
 mod sequence;
 mod server;
 mod service;
@@ -51,6 +52,7 @@ mod socket;
 mod state;
 mod status;
 mod stream;
+mod targets;
 
 pub(crate) use calibration::utc_now;
 pub use check::check;
@@ -241,6 +243,7 @@ impl Daemon {
         watchdog.abort();
         {
             let mut state = engine.lock();
+            state.cancel_running_search();
             state.close_session("daemon-ended");
             state.publisher.close();
         }

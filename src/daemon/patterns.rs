@@ -17,7 +17,7 @@ use axum::extract::{Extension, Path, State};
 use axum::http::header::CONTENT_TYPE;
 use axum::http::{StatusCode, Uri};
 use axum::response::{IntoResponse, Response};
-use meissner_api::{Code, ImportedPattern, MAX_BODY, Problem, RemovedPattern};
+use meissner_api::{Code, FOUND_PREFIX, ImportedPattern, MAX_BODY, Problem, RemovedPattern};
 use serde_json::json;
 use std::io;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -29,7 +29,7 @@ static IMPORTS: Semaphore = Semaphore::const_new(4);
 /// How long an import waits for the others.
 const IMPORT_TIMEOUT: Duration = Duration::from_secs(10);
 /// Patterns of the directory that requests hold, until a play has begun or the answer is made; further requests wait.
-static PATTERNS: Semaphore = Semaphore::const_new(4);
+pub(super) static PATTERNS: Semaphore = Semaphore::const_new(4);
 /// The pattern store in use; a reload may replace it.
 #[derive(Clone, Debug)]
 pub(super) struct SharedStore(Arc<Mutex<Arc<Store>>>);
@@ -61,7 +61,8 @@ impl From<StoreError> for ErrorResponse {
     }
 }
 
-/// A pattern, and its place among [`PATTERNS`]: those of the library need none, they are in memory anyway. With `sha256` it is the
+/// A pattern, and its place among [`PATTERNS`]: those of the library and those that a search has found need none, they are in memory
+/// anyway. With `sha256` it is the
 /// pattern of that text: the stored one, or the one that the session record keeps.
 pub(super) async fn find(
     app: &App,
@@ -72,6 +73,12 @@ pub(super) async fn find(
     let is_it = |stored: &&Stored| sha256.is_none_or(|sha256| sha256 == stored.sha256);
     if let Some(stored) = store.library(name).filter(is_it) {
         return Ok((stored.clone(), None));
+    }
+    if let Some(id) = name.strip_prefix(FOUND_PREFIX) {
+        let stored = app.engine.lock().searches.found(id)?;
+        let other =
+            || StoreError::OtherText { name: name.to_owned(), sha256: sha256.unwrap_or_default().to_owned() };
+        return Ok((Some(stored).filter(|stored| is_it(&stored)).ok_or_else(other)?, None));
     }
     let place = PATTERNS.acquire().await.ok();
     let (name, sha256) = (name.to_owned(), sha256.map(str::to_owned));
@@ -148,7 +155,7 @@ pub(super) async fn import_place() -> Result<SemaphorePermit<'static>, Problem> 
 }
 
 /// Whether an import may replace a pattern, by its query.
-fn replaces(uri: &Uri) -> Result<bool, Problem> {
+pub(super) fn replaces(uri: &Uri) -> Result<bool, Problem> {
     match uri.query().unwrap_or_default() {
         "" | "replace=false" => Ok(false),
         "replace=true" => Ok(true),

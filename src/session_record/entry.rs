@@ -244,7 +244,11 @@ impl Entry {
     #[must_use]
     pub fn of(event: &Event, client: Option<Peer>) -> Option<Self> {
         match event {
-            Event::State { .. } | Event::Late { .. } | Event::Refused { .. } | Event::Lagged { .. } => None,
+            Event::State { .. }
+            | Event::Late { .. }
+            | Event::Refused { .. }
+            | Event::Lagged { .. }
+            | Event::Search { .. } => None,
             event => Some(Self::Event {
                 event: Box::new(event.clone()),
                 uid: client.map(|client| client.uid),

@@ -6,6 +6,7 @@
 //! Invariant: [`Event::name`] is the `event` key of its JSON.
 
 use crate::receipt::{LateStroke, OnsetRecord, Prediction, PredictionKeys, Receipt, RefusedStroke};
+use crate::search::{SearchProgress, SearchState};
 use crate::sequence::ItemRecord;
 use crate::session::Session;
 use crate::status::{DeviceInfo, RunningPlay};
@@ -239,6 +240,24 @@ pub enum Event {
         /// The session.
         session: Box<Session>,
     },
+    /// How a search stands: at its start, at most five times a second meanwhile, and at its end.
+    #[schema(examples(json!({
+        "event": "search", "id": 3, "state": "running", "target": "my-edge",
+        "progress": {"seconds": 0.4, "frame": 1, "frames": 1, "evaluations": 120, "value": 0.02}, "problem": null
+    })))]
+    Search {
+        /// The search's id.
+        id: u64,
+        /// How it stands.
+        state: SearchState,
+        /// The target's name.
+        target: String,
+        /// How far it is.
+        progress: SearchProgress,
+        /// Why it failed, in one line; null if it did not.
+        #[schema(required)]
+        problem: Option<String>,
+    },
     /// The daemon was too slow for its streamer: events are missing. The receipts' counts are right.
     #[schema(examples(json!({"event": "lost", "notices": 3})))]
     Lost {
@@ -279,6 +298,7 @@ impl Event {
             Self::SessionStarted { .. } => "session-started",
             Self::SessionReleased { .. } => "session-released",
             Self::SessionEnded { .. } => "session-ended",
+            Self::Search { .. } => "search",
             Self::Lost { .. } => "lost",
             Self::Lagged { .. } => "lagged",
         }

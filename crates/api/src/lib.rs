@@ -8,6 +8,7 @@
 //! - [`session`]: whose plays are recorded together, and who owns the display meanwhile.
 //! - [`sequence`], [`trigger`]: sequences of patterns, and the trigger output, in requests and in receipts.
 //! - [`status`], [`receipt`], [`pattern`], [`calibration`]: what the daemon answers; [`board`]: the device's counters in the first two.
+//! - [`target`], [`search`]: shapes on the skin, and searches for patterns for them.
 //! - [`token`]: access tokens of clients that come over the network.
 //! - [`event`]: what the daemon reports as it happens.
 //! - [`problem`]: errors, as `application/problem+json`.
@@ -39,9 +40,11 @@ pub mod problem;
 pub mod receipt;
 pub mod request;
 pub mod route;
+pub mod search;
 pub mod sequence;
 pub mod session;
 pub mod status;
+pub mod target;
 pub mod token;
 pub mod trigger;
 
@@ -63,6 +66,11 @@ pub use request::{
     ResetRequest, parse_empty,
 };
 pub use route::{Method, Route};
+pub use search::{
+    FOUND_PREFIX, KEPT_SEARCHES, MAX_EVALUATIONS, SEARCH_S, Search, SearchModel, SearchObjective,
+    SearchProgress, SearchRequest, SearchResponse, SearchResult, SearchSetting, SearchState, SearchVerdict,
+    SearchVerdicts,
+};
 pub use sequence::{InstantRecord, ItemRecord, ItemState, MAX_SEQUENCE_ITEMS, SequenceItem, SequenceRequest};
 pub use session::{
     Labels, MAX_ROWS, RecordedPlay, Session, SessionList, SessionPlays, SessionRequest, SessionStarted,
@@ -70,6 +78,10 @@ pub use session::{
 pub use status::{
     ClockSample, DeviceInfo, ErrorSource, MotorStatus, NO_DEVICE, ParticipantStatus, PlayAccepted,
     QueuedPlay, Realtime, RunningPlay, Status,
+};
+pub use target::{
+    RemovedTarget, StoredTarget, TargetDetails, TargetFile, TargetList, TargetMotion, TargetPopulation,
+    TargetSummary,
 };
 pub use token::{
     MAX_TOKENS, NetworkStatus, PREFIX as TOKEN_PREFIX, Role, SESSION_HEADER, TokenCreated, TokenInfo,

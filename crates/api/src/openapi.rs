@@ -7,8 +7,9 @@ use crate::problem::{Code, Problem};
 use crate::route::{Answer, Body, Method, Operation, Query, Route};
 use crate::{
     ArmRequest, CalibrateRequest, CalibrationReport, Event, ImportedPattern, PatternDetails, PatternList,
-    PlayAccepted, PlayRequest, Receipt, RemovedPattern, ResetRequest, SequenceRequest, Session, SessionList,
-    SessionPlays, SessionRequest, SessionStarted, Status, TokenCreated, TokenInfo, TokenList, TokenRequest,
+    PlayAccepted, PlayRequest, Receipt, RemovedPattern, RemovedTarget, ResetRequest, Search, SearchRequest,
+    SequenceRequest, Session, SessionList, SessionPlays, SessionRequest, SessionStarted, Status,
+    StoredTarget, TargetDetails, TargetList, TokenCreated, TokenInfo, TokenList, TokenRequest,
 };
 use serde_json::{Map, Value, json};
 use std::collections::BTreeMap;
@@ -30,6 +31,9 @@ use utoipa::OpenApi;
     Problem,
     Receipt,
     RemovedPattern,
+    RemovedTarget,
+    Search,
+    SearchRequest,
     Session,
     SessionList,
     SessionPlays,
@@ -37,6 +41,9 @@ use utoipa::OpenApi;
     SessionStarted,
     SequenceRequest,
     Status,
+    StoredTarget,
+    TargetDetails,
+    TargetList,
     TokenCreated,
     TokenInfo,
     TokenList,
@@ -47,6 +54,9 @@ struct Schemas;
 /// A pattern file, as the example of a body.
 const PATTERN: &str = "format = 1\nname = \"two-pins\"\nduration_s = 1.0\n\n[[drive]]\nmotor = 9\nfrequency_hz = 60.0\n\
                        amplitude_um = 40.0\nstop_s = 0.5\n";
+
+/// A target file.
+const TARGET: &str = "name = \"my-edge\"\nshape = \"segment\"\npoints = [[-4.0, 0.0], [4.0, 0.0]]\n";
 
 /// A calibration file.
 const CALIBRATION: &str = "format = 1\n\n[[motor]]\nmotor = 3\nup = { gain = 1.05, slope_um_per_pulse = 0.1425, \
@@ -148,6 +158,9 @@ fn described(route: Route, operation: &Operation, example: &dyn Fn(&str) -> Valu
         Body::OptionalJson(schema) => Some((json_of(schema), false)),
         Body::Toml => {
             Some((json!({"application/toml": {"schema": {"type": "string"}, "example": PATTERN}}), true))
+        }
+        Body::Target => {
+            Some((json!({"application/toml": {"schema": {"type": "string"}, "example": TARGET}}), true))
         }
         Body::Calibration => {
             Some((json!({"application/toml": {"schema": {"type": "string"}, "example": CALIBRATION}}), true))

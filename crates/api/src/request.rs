@@ -23,7 +23,7 @@ pub const MAX_BODY: usize = 1 << 20;
 #[serde(deny_unknown_fields)]
 #[schema(examples(json!({"pattern": "edge-45", "seconds": 2.0, "at_ms": 500.0, "late": "abort"})))]
 pub struct PlayRequest {
-    /// The pattern's name.
+    /// The pattern's name; `search:ID` for the pattern that a search has found.
     pub pattern: String,
     /// Play the text with this SHA-256 (hexadecimal): the stored pattern, or else the text that the session record keeps. Without
     /// either the daemon refuses. Without the key: the stored pattern.
@@ -267,6 +267,7 @@ pub(crate) fn read<T: DeserializeOwned>(body: &[u8]) -> Result<T, Problem> {
     const WANTED: Wanted = |key| match key {
         "pattern" => "the name of a pattern",
         "participant" => "a pseudonym",
+        "target" => "the name of a target, or a target",
         _ => "it",
     };
     let text =

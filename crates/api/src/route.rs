@@ -25,6 +25,13 @@ pub enum Route {
     Pattern,
     Import,
     Remove,
+    Targets,
+    Target,
+    StoreTarget,
+    RemoveTarget,
+    SearchStart,
+    SearchShow,
+    SearchCancel,
     Calibrate,
     Calibration,
     StoreCalibration,
@@ -63,6 +70,8 @@ pub enum Body {
     OptionalJson(&'static str),
     /// A pattern file.
     Toml,
+    /// A target file.
+    Target,
     /// A calibration file.
     Calibration,
 }
@@ -136,6 +145,8 @@ impl Operation {
 const ANY: &[Code] = &[Code::Unauthorized, Code::Forbidden, Code::TooManyClients];
 /// Every body may be malformed, too large or too slow, or come from a client that may not act during an exclusive session.
 const BODY: &[Code] = &[Code::BadRequest, Code::TooLarge, Code::Slow, Code::SessionExclusive];
+/// A change without a body, which a client that may not act during an exclusive session cannot make.
+const CHANGE: &[Code] = &[Code::BadRequest, Code::SessionExclusive];
 /// Every command goes through the daemon's command queue to the device.
 const COMMAND: &[Code] = &[Code::NoDevice, Code::Timeout, Code::Busy, Code::ShuttingDown];
 /// Plays and sequences are patterns with an onset.
@@ -170,7 +181,7 @@ const STATUS: Answer = Answer::Json("Status");
 
 impl Route {
     /// Every route.
-    pub const ALL: [Self; 28] = [
+    pub const ALL: [Self; 35] = [
         Self::Play,
         Self::Sequence,
         Self::Stop,
@@ -186,6 +197,13 @@ impl Route {
         Self::Pattern,
         Self::Import,
         Self::Remove,
+        Self::Targets,
+        Self::Target,
+        Self::StoreTarget,
+        Self::RemoveTarget,
+        Self::SearchStart,
+        Self::SearchShow,
+        Self::SearchCancel,
         Self::Calibrate,
         Self::Calibration,
         Self::StoreCalibration,
@@ -226,6 +244,10 @@ impl Route {
             Self::Disarm => "disarm",
             Self::Home => "home",
             Self::Import => "import",
+            Self::StoreTarget => "store-target",
+            Self::RemoveTarget => "remove-target",
+            Self::SearchStart => "search",
+            Self::SearchCancel => "search-cancel",
             Self::Calibrate => "calibrate",
             Self::StoreCalibration => "store-calibration",
             Self::SessionStart => "session-start",
@@ -378,7 +400,7 @@ impl Route {
             Self::Pattern => Operation {
                 summary: "Show a pattern",
                 description: "The pattern has the keys of its file.",
-                parameter: Some("The pattern's name"),
+                parameter: Some("The pattern's name, or `search:ID` for the pattern that a search has found"),
                 answer: Answer::Json("PatternDetails"),
                 errors: &[&[Code::BadRequest, Code::NotFound, Code::BadPattern, Code::Store], ANY],
                 ..Operation::get("/v1/patterns/{name}")
@@ -408,8 +430,81 @@ impl Route {
                               that is queued or runs goes on.",
                 parameter: Some("The pattern's name"),
                 answer: Answer::Json("RemovedPattern"),
-                errors: &[&[Code::BadRequest, Code::NotFound, Code::Exists, Code::Store, Code::Busy], ANY],
+                errors: &[CHANGE, &[Code::NotFound, Code::Exists, Code::Store, Code::Busy], ANY],
                 ..Operation::get("/v1/patterns/{name}")
+            },
+            Self::Targets => Operation {
+                summary: "List the targets",
+                description: "The built-in ones and those in the folder `targets` of the pattern directory, which the daemon reads anew.",
+                answer: Answer::Json("TargetList"),
+                errors: &[&[Code::Store], ANY],
+                ..Operation::get("/v1/targets")
+            },
+            Self::Target => Operation {
+                summary: "Show a target",
+                description: "The target has the keys of its file.",
+                parameter: Some("The target's name"),
+                answer: Answer::Json("TargetDetails"),
+                errors: &[&[Code::BadRequest, Code::NotFound, Code::BadTarget, Code::Store], ANY],
+                ..Operation::get("/v1/targets/{name}")
+            },
+            Self::StoreTarget => Operation {
+                method: Method::Put,
+                summary: "Store a target",
+                description: "The daemon checks the file and writes it to the folder `targets` of its pattern directory. With \
+                              `?replace=true` it replaces an older one of that name, and tells its SHA-256; without, it refuses \
+                              (`exists`). The file must bear the name of the address, and have at most 64 KiB.",
+                parameter: Some("The target's name"),
+                query: Some(Query::Flag {
+                    name: "replace",
+                    about: "Whether to replace a target of that name; without it the daemon does not",
+                }),
+                body: Body::Target,
+                statuses: &[(201, "Stored under a new name"), (200, "Stored in place of an older target")],
+                answer: Answer::Json("StoredTarget"),
+                errors: &[BODY, &[Code::BadTarget, Code::Exists, Code::Store, Code::Busy], ANY],
+                ..Operation::get("/v1/targets/{name}")
+            },
+            Self::RemoveTarget => Operation {
+                method: Method::Delete,
+                summary: "Remove a target",
+                description: "The daemon removes the file. Built-in targets stay, and so do patterns that were found for the target.",
+                parameter: Some("The target's name"),
+                answer: Answer::Json("RemovedTarget"),
+                errors: &[CHANGE, &[Code::NotFound, Code::Exists, Code::Store, Code::Busy], ANY],
+                ..Operation::get("/v1/targets/{name}")
+            },
+            Self::SearchStart => Operation {
+                summary: "Search for a pattern for a target",
+                description: "One search runs at a time, in a process of its own with low priority and at most 256 MiB. The event \
+                              `search` reports how far it is and its end. The found pattern plays as `search:ID`; \
+                              `PUT /v1/patterns/{name}` stores its text.",
+                body: Body::Json("SearchRequest"),
+                statuses: &[(202, "Started")],
+                answer: Answer::Json("Search"),
+                errors: &[
+                    BODY,
+                    &[Code::NotFound, Code::BadTarget, Code::SearchRunning, Code::ShuttingDown, Code::Store],
+                    ANY,
+                ],
+                ..Operation::post("/v1/searches")
+            },
+            Self::SearchShow => Operation {
+                summary: "Show a search",
+                description: "The daemon keeps the one that runs and the last 4 that have ended.",
+                parameter: Some("The search's id, or `last`"),
+                answer: Answer::Json("Search"),
+                errors: &[&[Code::BadRequest, Code::NotFound, Code::Store], ANY],
+                ..Operation::get("/v1/searches/{id}")
+            },
+            Self::SearchCancel => Operation {
+                method: Method::Delete,
+                summary: "Cancel a search",
+                description: "Its process ends at once, without a result. A search that is over stays as it is.",
+                parameter: Some("The search's id, or `last`"),
+                answer: Answer::Json("Search"),
+                errors: &[CHANGE, &[Code::NotFound, Code::Store], ANY],
+                ..Operation::get("/v1/searches/{id}")
             },
             Self::Calibrate => Operation {
                 summary: "Measure the gains of the motors",

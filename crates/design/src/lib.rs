@@ -16,8 +16,9 @@
 //! 7. `search`: [`search()`] goes from a start to better points.
 //! 8. `judge`: [`judge()`] simulates a pattern exactly; [`robustness()`] does so in other conditions.
 //! 9. `make`: [`make()`] searches frame by frame, judges the result and writes the pattern.
-//! 10. `prediction`: [`predict_response()`] compares the bursts of a play with those of its pattern.
-//! 11. `discriminate`: [`discriminate()`] says how well an ideal observer of the spikes tells two patterns apart, [`confusion()`] which
+//! 10. `response`: [`response()`] gives the rate of each afferent, for a map.
+//! 11. `prediction`: [`predict_response()`] compares the bursts of a play with those of its pattern.
+//! 12. `discriminate`: [`discriminate()`] says how well an ideal observer of the spikes tells two patterns apart, [`confusion()`] which
 //!     of a set it names.
 //!
 //! Invariant: results depend on the request alone, bit for bit on every machine. Only a search that a clock or its
@@ -53,6 +54,7 @@ mod partition;
 mod point;
 mod prediction;
 mod quality;
+mod response;
 mod search;
 mod shape;
 mod shipped;
@@ -77,6 +79,7 @@ pub use prediction::{
     ClassResponse, MOST_OBSERVED_S, Play, PredictedResponse, PredictionError, Rates, predict_response,
 };
 pub use quality::{Named, OfClass, Quality, name_targets, quality, skin_model};
+pub use response::{Response, response};
 pub use search::{Brief, Ended, Found, Limit, Spent, Step, resume, search};
 pub use shape::Shape;
 pub use shipped::{YARDSTICK, shipped, shipped_names};

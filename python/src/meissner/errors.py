@@ -151,6 +151,10 @@ class SessionRunning(ApiError, code="session-running", advice="end the running s
     """Another session runs, or none."""
 
 
+class SearchRunning(ApiError, code="search-running", advice="wait for its end, or cancel it"):
+    """A search runs already."""
+
+
 class BehindEndless(ApiError, code="behind-endless", advice="call `stop()`, or pass `replace=True`"):
     """The play in front has no end."""
 
@@ -209,6 +213,10 @@ class TooLarge(ApiError, code="too-large", advice="split the request"):
 
 class BadPattern(ApiError, code="bad-pattern", advice="correct the line that the message names"):
     """The text is not a valid pattern."""
+
+
+class BadTarget(ApiError, code="bad-target", advice="correct the line that the message names"):
+    """The text is not a valid target, or not one of this name."""
 
 
 class Empty(ApiError, code="empty", advice="give more `seconds` or amplitude: no stroke fits"):

@@ -1,4 +1,4 @@
-//! The daemon's state: seven parts with one job each, behind the engine's one lock.
+//! The daemon's state: eight parts with one job each, behind the engine's one lock.
 //!
 //! - [`Commands`]: commands to the streamer, and the calls that wait for their answers.
 //! - [`Plays`]: receipts, the clients of plays, and measured bursts.
@@ -7,6 +7,7 @@
 //! - [`Publisher`]: events to listeners and to the session record.
 //! - [`Exposure`]: the participant's vibration, and the limits for it.
 //! - [`Sessions`]: the running session, and who may act meanwhile.
+//! - [`Searches`]: the search that runs, and what others have found.
 //!
 //! A part uses no other part; a rule that concerns several is a method of [`State`]. There is one lock because such rules hold
 //! across parts: a play is in the receipts before the streamer reports anything about it, and events are published in the order of the
@@ -20,6 +21,7 @@ mod connection;
 mod exposure;
 mod plays;
 mod publisher;
+mod searches;
 mod session;
 
 pub(super) use calibration::Calibration;
@@ -28,6 +30,7 @@ pub(super) use connection::{Connection, ConnectorMessage};
 pub(super) use exposure::Exposure;
 pub(super) use plays::{NewPlay, NewSequence, Plays, Trial, Way};
 pub(super) use publisher::{Publisher, frame};
+pub(super) use searches::{Found, Searches};
 pub(super) use session::{Sessions, asked_by, no_session};
 
 use crate::receipts::{NoPrediction, refusal, state_name};
@@ -51,6 +54,7 @@ pub(super) struct State {
     pub(super) settings: Settings,
     pub(super) exposure: Exposure,
     pub(super) sessions: Sessions,
+    pub(super) searches: Searches,
 }
 
 impl State {
@@ -171,6 +175,7 @@ impl State {
         off && !self.sessions.is_running()
             && self.plays.receipts.is_idle()
             && self.calibration.running.is_none()
+            && !self.searches.is_running()
             && self.commands.is_idle()
     }
 }

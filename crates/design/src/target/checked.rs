@@ -53,6 +53,12 @@ impl Target {
         &self.name
     }
 
+    /// The shape; that of a moving target is as in the middle of the motion.
+    #[must_use]
+    pub const fn shape(&self) -> &Shape {
+        &self.shape
+    }
+
     /// The distance from the shape within which an afferent is ON, mm.
     #[must_use]
     pub const fn reach_mm(&self) -> f64 {

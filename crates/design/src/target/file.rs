@@ -12,7 +12,7 @@ use crate::target::error::{KeyError, Problem, TargetError, within};
 use crate::target::limits::{FINEST_MM, MAX_BYTES, MAX_FRAMES, MAX_POINTS};
 use crate::target::motion::{Frame, Motion};
 use meissner_array::pattern::Pattern;
-use meissner_input::document::{CommonProblem, Table, from_toml, in_range, line_of};
+use meissner_input::document::{CommonProblem, Table, from_json, from_toml, in_range, line_of};
 use meissner_input::message::quote;
 use meissner_skin::afferent;
 use meissner_skin::{RawAfferent, as_written, one_name};
@@ -37,6 +37,19 @@ impl Target {
     /// The first thing that is wrong with it, in one line.
     pub fn read(text: &str, file: &str) -> Result<Self, TargetError> {
         read(text).map_err(|fault| fault.in_file(Some(file)))
+    }
+
+    /// Reads a target in JSON, with the keys of a target file.
+    ///
+    /// # Errors
+    /// The first thing that is wrong with it, in one line.
+    pub fn read_json(text: &str) -> Result<Self, TargetError> {
+        let read = || {
+            check_length(text)?;
+            let Table(raw): Table<RawTarget> = from_json(text, wanted)?;
+            raw.target()
+        };
+        read().map_err(|fault: KeyError| fault.in_file(None))
     }
 
     /// The target that a pattern was made for, if its provenance holds one that can be read.
@@ -104,10 +117,13 @@ fn shape_keys(shape: &Shape) -> Vec<(&'static str, Value)> {
     keys
 }
 
+fn check_length(text: &str) -> Result<(), KeyError> {
+    let bytes = text.len();
+    if bytes > MAX_BYTES { Err(KeyError::whole(None, Problem::TooLarge { bytes })) } else { Ok(()) }
+}
+
 fn read(text: &str) -> Result<Target, KeyError> {
-    if text.len() > MAX_BYTES {
-        return Err(KeyError::whole(None, Problem::TooLarge { bytes: text.len() }));
-    }
+    check_length(text)?;
     let text = text.strip_prefix('\u{feff}').unwrap_or(text);
     let Table(raw): Table<RawTarget> = from_toml(text, wanted)?;
     // A missing key has no line: the error then names the line of the shape.

@@ -1,0 +1,167 @@
+//! Searches over HTTP, and the thread that follows a search's process.
+//!
+//! The thread starts the process ([`crate::search`]), writes its job, reads its reports and waits for its end. No handler waits for it.
+//!
+//! Invariant: a process that was started is killed and waited for.
+
+use super::body;
+use super::engine::Engine;
+use super::http::{Answer, App, ErrorResponse, path};
+use super::request_log::LoggedRequest;
+use super::runtime::{blocking, computing};
+use super::state::Found;
+use crate::search::{self, Job, MAX_LINE, MEMORY, Report};
+use crate::session_record::Peer;
+use crate::store::Stored;
+use axum::Json;
+use axum::body::Body;
+use axum::extract::rejection::PathRejection;
+use axum::extract::{Extension, Path, State};
+use axum::http::StatusCode;
+use axum::http::header::CONTENT_TYPE;
+use axum::response::{IntoResponse, Response};
+use meissner_api::{Code, Problem, Search, SearchRequest};
+use meissner_array::pattern::Pattern;
+use meissner_design::Target;
+use meissner_input::message::cut;
+use rustix::process::Pid;
+use serde_json::{Value, json};
+use std::io::{self, BufRead, BufReader, Read, Write};
+use std::process::{Child, Command};
+use std::sync::Arc;
+use std::thread;
+
+/// Characters of a failed search's problem, at most.
+const MAX_PROBLEM: usize = 300;
+
+pub(super) async fn start(
+    State(app): State<App>,
+    Extension(peer): Extension<Peer>,
+    body: Body,
+) -> Answer<(StatusCode, Json<Search>)> {
+    let mut logged = LoggedRequest::new(&app.engine, "search", peer);
+    let result = async {
+        let request = SearchRequest::parse(&body::read_command(body).await?)?;
+        logged.set_arguments(&request);
+        let target = find(&app, &request.target).await?;
+        logged.set_title(format!("search {:?}", target.name()));
+        Ok((StatusCode::ACCEPTED, Json(app.engine.start_search(request, &target)?)))
+    }
+    .await;
+    logged.result(result)
+}
+
+/// The target of a request: that of a name, or the one that the request holds.
+async fn find(app: &App, target: &Value) -> Answer<Target> {
+    if let Some(name) = target.as_str() {
+        let (store, name) = (app.store.get(), name.to_owned());
+        return Ok(blocking(move || store.target(&name)).await??.target);
+    }
+    let text = target.to_string();
+    let bad = |error| Problem::new(Code::BadTarget, format!("the target is refused: {error}"));
+    Ok(computing(move || Target::read_json(&text)).await?.map_err(bad)?)
+}
+
+pub(super) async fn show(
+    State(app): State<App>,
+    id: Result<Path<String>, PathRejection>,
+) -> Answer<Response> {
+    let id = path(id)?;
+    let search = app.engine.lock().searches.show(&id)?;
+    answer(search).await
+}
+
+pub(super) async fn cancel(
+    State(app): State<App>,
+    Extension(peer): Extension<Peer>,
+    id: Result<Path<String>, PathRejection>,
+) -> Answer<Response> {
+    let mut logged = LoggedRequest::new(&app.engine, "search-cancel", peer);
+    let result = async {
+        let id: String = path(id)?.chars().take(100).collect();
+        logged.set_arguments(&json!({"id": id}));
+        let search = app.engine.lock().cancel_search(&id)?;
+        // A newer program may wait for the end.
+        app.engine.changed.notify_one();
+        Ok::<_, ErrorResponse>(search)
+    }
+    .await;
+    answer(logged.result(result)?).await
+}
+
+/// A result has hundreds of kilobytes: it is written on another thread.
+async fn answer(search: Arc<Search>) -> Answer<Response> {
+    let json = computing(move || serde_json::to_vec(&*search).unwrap_or_default()).await?;
+    Ok(([(CONTENT_TYPE, "application/json")], json).into_response())
+}
+
+impl Engine {
+    /// Starts a search on a thread of its own.
+    fn start_search(self: &Arc<Self>, request: SearchRequest, target: &Target) -> Result<Search, Problem> {
+        let failed = |detail: String| Problem::new(Code::Store, detail);
+        let command = search::command().ok_or_else(|| {
+            failed("this program is not meissner and cannot search: start `meissner daemon`".to_owned())
+        })?;
+        let search = self.lock().begin_search(&request, target.name())?;
+        let (engine, job, id) = (Arc::clone(self), Job::new(request, target), search.id);
+        let work = move || {
+            engine.run_search(id, command, &job);
+            engine.changed.notify_one();
+        };
+        if let Err(error) = thread::Builder::new().name("search".into()).spawn(work) {
+            let detail = format!("the search's thread cannot start: {error}");
+            self.lock().end_search(id, Err(detail.clone()));
+            return Err(failed(detail));
+        }
+        Ok(search)
+    }
+
+    fn run_search(&self, id: u64, mut command: Command, job: &Job) {
+        let mut child = match command.spawn() {
+            Ok(child) => child,
+            Err(error) => {
+                return self
+                    .lock()
+                    .end_search(id, Err(format!("the search's process cannot start: {error}")));
+            }
+        };
+        if self.lock().set_search_process(id, Pid::from_child(&child)) {
+            let outcome = self.follow_search(id, &mut child, job);
+            self.lock().end_search(id, outcome);
+        }
+        // Whatever it still does is of no use. An error means that it has ended.
+        let _ = child.kill();
+        let _ = child.wait();
+    }
+
+    /// Gives the process its job and follows it to its result.
+    fn follow_search(&self, id: u64, child: &mut Child, job: &Job) -> Result<Found, String> {
+        let ended = || {
+            let mib = MEMORY >> 20;
+            format!(
+                "the search's process has ended without a result: it was killed, or needed more than {mib} MiB"
+            )
+        };
+        let (Some(mut stdin), Some(stdout)) = (child.stdin.take(), child.stdout.take()) else {
+            return Err(ended());
+        };
+        let mut line = serde_json::to_vec(job).map_err(|error| error.to_string())?;
+        line.push(b'\n');
+        stdin.write_all(&line).map_err(|_: io::Error| ended())?;
+        let mut reports = BufReader::new(stdout);
+        loop {
+            line.clear();
+            // An error is an end without a result.
+            let _ = (&mut reports).take(MAX_LINE).read_until(b'\n', &mut line);
+            match serde_json::from_slice(&line).map_err(|_| ended())? {
+                Report::Progress(progress) => self.lock().set_search_progress(id, progress),
+                Report::Failed(problem) => return Err(cut(&problem, MAX_PROBLEM)),
+                Report::Done(result) => {
+                    let pattern = Pattern::parse(&result.pattern, "the found pattern");
+                    let pattern = pattern.map_err(|error| error.to_string())?;
+                    return Ok((result, Stored::made(pattern)));
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,196 @@
+//! The search that runs, and those that have ended.
+//!
+//! A search begins without a process, so that its place is taken at once; [`State::set_search_process`] adds it. Whoever ends the search
+//! first decides how it ended: the process, or a client that cancels it.
+//!
+//! Invariants: at most one search runs, and [`KEPT_SEARCHES`] that have ended are kept; the process of a running search was not waited
+//! for, so its id is its own.
+
+use super::State;
+use crate::store::Stored;
+use meissner_api::{
+    Code, Event, KEPT_SEARCHES, Problem, Search, SearchProgress, SearchRequest, SearchResult, SearchState,
+};
+use rustix::process::{Pid, Signal, kill_process};
+use std::collections::VecDeque;
+use std::sync::Arc;
+use std::time::Instant;
+
+/// See the module.
+#[derive(Debug, Default)]
+pub(in crate::daemon) struct Searches {
+    last_id: u64,
+    running: Option<Running>,
+    ended: VecDeque<Ended>,
+}
+
+#[derive(Debug)]
+struct Running {
+    search: Search,
+    begun: Instant,
+    process: Option<Pid>,
+}
+
+#[derive(Debug)]
+struct Ended {
+    search: Arc<Search>,
+    found: Option<Stored>,
+}
+
+/// What a search has found: how the API shows it, and the pattern.
+pub(in crate::daemon) type Found = (Box<SearchResult>, Stored);
+
+impl Searches {
+    pub(in crate::daemon) const fn is_running(&self) -> bool {
+        self.running.is_some()
+    }
+
+    /// The search with this id, or the `last` one.
+    pub(in crate::daemon) fn show(&self, id: &str) -> Result<Arc<Search>, Problem> {
+        let id = self.id(id)?;
+        if let Some(Running { search, begun, .. }) = self.running.as_ref().filter(|it| it.search.id == id) {
+            let mut search = search.clone();
+            search.progress.seconds = begun.elapsed().as_secs_f64();
+            return Ok(Arc::new(search));
+        }
+        Ok(Arc::clone(&self.ended(id)?.search))
+    }
+
+    /// The pattern that the search with this id has found.
+    pub(in crate::daemon) fn found(&self, id: &str) -> Result<Stored, Problem> {
+        let id = self.id(id)?;
+        let none = || {
+            let detail =
+                format!("search {id} has found no pattern: `GET /v1/searches/{id}` says how it stands");
+            Problem::new(Code::NotFound, detail)
+        };
+        if self.running.as_ref().is_some_and(|it| it.search.id == id) {
+            return Err(none());
+        }
+        self.ended(id)?.found.clone().ok_or_else(none)
+    }
+
+    fn ended(&self, id: u64) -> Result<&Ended, Problem> {
+        let none = || {
+            let detail = format!("there is no search {id}: the last {KEPT_SEARCHES} that ended are kept");
+            Problem::new(Code::NotFound, detail)
+        };
+        self.ended.iter().find(|ended| ended.search.id == id).ok_or_else(none)
+    }
+
+    fn id(&self, id: &str) -> Result<u64, Problem> {
+        if id == "last" {
+            let none = || Problem::new(Code::NotFound, "there is no search yet: start one");
+            return Some(self.last_id).filter(|id| *id > 0).ok_or_else(none);
+        }
+        let bad = |_| Problem::new(Code::BadRequest, "a search's id is a number, or `last`");
+        id.parse().map_err(bad)
+    }
+}
+
+impl State {
+    /// Begins a search, if none runs.
+    pub(in crate::daemon) fn begin_search(
+        &mut self,
+        request: &SearchRequest,
+        target: &str,
+    ) -> Result<Search, Problem> {
+        self.check_asker()?;
+        if self.commands.is_closing() {
+            return Err(Problem::new(Code::ShuttingDown, "the daemon is ending: start it again"));
+        }
+        if let Some(Running { search: Search { id, target, .. }, .. }) = &self.searches.running {
+            let detail = format!(
+                "search {id} for `{target}` runs: wait for its end, or cancel it (`DELETE /v1/searches/{id}`)"
+            );
+            return Err(Problem::new(Code::SearchRunning, detail));
+        }
+        self.searches.last_id += 1;
+        let SearchRequest { objective, model, setting, seed, robust, .. } = *request;
+        let search = Search {
+            id: self.searches.last_id,
+            state: SearchState::Running,
+            target: target.to_owned(),
+            objective,
+            model,
+            setting,
+            seed,
+            robust,
+            progress: SearchProgress::default(),
+            problem: None,
+            result: None,
+        };
+        self.searches.running =
+            Some(Running { search: search.clone(), begun: Instant::now(), process: None });
+        self.publish_search(&search);
+        Ok(search)
+    }
+
+    /// The search has this process from now on; false if it was cancelled meanwhile.
+    pub(in crate::daemon) fn set_search_process(&mut self, id: u64, process: Pid) -> bool {
+        let running = self.searches.running.as_mut().filter(|it| it.search.id == id);
+        running.is_some_and(|running| {
+            running.process = Some(process);
+            true
+        })
+    }
+
+    /// The search has come this far.
+    pub(in crate::daemon) fn set_search_progress(&mut self, id: u64, progress: SearchProgress) {
+        let Some(running) = self.searches.running.as_mut().filter(|it| it.search.id == id) else { return };
+        let seconds = running.begun.elapsed().as_secs_f64();
+        running.search.progress = SearchProgress { seconds, ..progress };
+        let search = running.search.clone();
+        self.publish_search(&search);
+    }
+
+    /// The search's process has answered, or ended; nothing happens if the search was cancelled before.
+    pub(in crate::daemon) fn end_search(&mut self, id: u64, outcome: Result<Found, String>) {
+        if self.searches.running.as_ref().is_none_or(|it| it.search.id != id) {
+            return;
+        }
+        match outcome {
+            Ok((result, found)) => self.settle_search(SearchState::Done, Some((result, found)), None),
+            Err(problem) => self.settle_search(SearchState::Failed, None, Some(problem)),
+        }
+    }
+
+    /// Ends the search with this id, or the `last` one, if it runs.
+    pub(in crate::daemon) fn cancel_search(&mut self, id: &str) -> Result<Arc<Search>, Problem> {
+        self.check_asker()?;
+        let shown = self.searches.show(id)?;
+        if shown.state == SearchState::Running {
+            self.cancel_running_search();
+        }
+        self.searches.show(&shown.id.to_string())
+    }
+
+    /// Ends the search that runs, if there is one.
+    pub(in crate::daemon) fn cancel_running_search(&mut self) {
+        let Some(running) = &self.searches.running else { return };
+        if let Some(process) = running.process {
+            // An error means that it has just ended.
+            let _ = kill_process(process, Signal::KILL);
+        }
+        self.settle_search(SearchState::Cancelled, None, None);
+    }
+
+    fn settle_search(&mut self, state: SearchState, found: Option<Found>, problem: Option<String>) {
+        let Some(Running { mut search, begun, .. }) = self.searches.running.take() else { return };
+        search.progress.seconds = begun.elapsed().as_secs_f64();
+        (search.state, search.problem) = (state, problem);
+        self.publish_search(&search);
+        let (result, found) = found.unzip();
+        search.result = result;
+        self.searches.ended.push_back(Ended { search: Arc::new(search), found });
+        if self.searches.ended.len() > KEPT_SEARCHES {
+            self.searches.ended.pop_front();
+        }
+    }
+
+    fn publish_search(&mut self, search: &Search) {
+        let Search { id, state, target, progress, problem, .. } = search;
+        let (target, problem) = (target.clone(), problem.clone());
+        self.publish(&Event::Search { id: *id, state: *state, target, progress: *progress, problem });
+    }
+}

@@ -1,0 +1,378 @@
+//! The targets beside the patterns: those that are built in, and the site's own in the folder `targets` of the pattern directory.
+//!
+//! As with patterns, the folder is read at every request, and built-in targets cannot be overwritten or shadowed. Calls block for as long
+//! as the disk takes.
+//!
+//! Invariant: a file is replaced whole or not at all, and only by one that is a target of the file's name.
+
+use crate::file::{READABLE_BY_ALL, open_regular, replace};
+use crate::store::{MAX_FILES, Store, StoreError, first, hash, offer, present};
+use meissner_api::{TargetDetails, TargetList, TargetSummary};
+use meissner_array::pattern::is_name;
+use meissner_design::{MAX_BYTES, Shape, Target, TargetError, shipped, shipped_names};
+use meissner_input::message::{nearest, quote};
+use serde_json::Value;
+use std::fs::{self, File};
+use std::io::{self, Read};
+use std::path::{Path, PathBuf};
+use std::sync::PoisonError;
+
+/// The folder of the pattern directory.
+const FOLDER: &str = "targets";
+
+/// Why a target is refused.
+#[derive(Debug, thiserror::Error)]
+pub enum TargetStoreError {
+    /// No target of that name.
+    #[error("no target is called {}{} `GET /v1/targets` shows all", quote(.name), offer(.nearest))]
+    Unknown {
+        /// The requested name.
+        name: String,
+        /// The nearest name there is.
+        nearest: Vec<String>,
+    },
+    /// A file that is no target.
+    #[error(transparent)]
+    Target(#[from] TargetError),
+    /// The file's name and the name in it differ.
+    #[error("{}: `name` is `{inside}`: must be the name it is stored under; change one of them", quote(.name))]
+    Name {
+        /// The name it was to be stored under.
+        name: String,
+        /// The name in the text.
+        inside: String,
+    },
+    /// Built-in targets are read-only.
+    #[error("`{name}` is built in and cannot be {change}: choose another name")]
+    BuiltIn {
+        /// Its name.
+        name: String,
+        /// What was to be done with it.
+        change: &'static str,
+    },
+    /// A target of that name is stored.
+    #[error(
+        "the target `{name}` is stored already (sha256 {sha256}): `?replace=true` stores the new one in its place"
+    )]
+    Exists {
+        /// Its name.
+        name: String,
+        /// SHA-256 of its file.
+        sha256: String,
+    },
+    /// A file that is not UTF-8 text.
+    #[error("{}: not UTF-8 text: write targets as TOML in UTF-8", .path.display())]
+    NotText {
+        /// The file.
+        path: PathBuf,
+    },
+    /// No directory to write to.
+    #[error("there is no pattern directory: set patterns_dir in the daemon's configuration")]
+    NoDirectory,
+    /// The disk or the permissions.
+    #[error("{}: {source}; check that it exists, that the disk has space and that the daemon may use it", .path.display())]
+    Io {
+        /// Where.
+        path: PathBuf,
+        /// The system's error.
+        source: io::Error,
+    },
+}
+
+/// A target of the store.
+#[derive(Clone, Debug)]
+pub struct StoredTarget {
+    /// The target.
+    pub target: Target,
+    /// SHA-256 of its file; of a built-in one, of its definition.
+    pub sha256: String,
+    /// Whether it is built in.
+    pub library: bool,
+}
+
+impl StoredTarget {
+    /// As the API shows it.
+    #[must_use]
+    pub fn details(&self) -> TargetDetails {
+        let Self { target, sha256, library } = self;
+        TargetDetails {
+            target: target_json(target),
+            sha256: sha256.clone(),
+            library: *library,
+            outline: target.shape().outline(),
+            warnings: target.warnings(),
+        }
+    }
+
+    fn entry(&self) -> TargetSummary {
+        let Self { target, sha256, library } = self;
+        let shape = match target.shape() {
+            Shape::Polyline(points) if points.len() == 2 => "segment",
+            Shape::Polyline(_) => "polyline",
+            Shape::Disc { .. } => "disc",
+            Shape::Dots(_) => "dots",
+            Shape::Grating { .. } => "grating",
+        };
+        let (name, shape) = (target.name().to_owned(), shape.to_owned());
+        TargetSummary { name, library: *library, shape, moves: target.moves(), sha256: sha256.clone() }
+    }
+}
+
+/// A target with all keys of its file, as JSON.
+#[must_use]
+pub fn target_json(target: &Target) -> Value {
+    let mut keys = target.definition();
+    // The files of the library keep the old name; the API never had it.
+    if let Some(afferent) = keys.remove("receptor") {
+        keys.insert("afferent".to_owned(), afferent);
+    }
+    // Strings, numbers and tables of them.
+    serde_json::to_value(keys).unwrap_or_default()
+}
+
+impl Store {
+    /// The target of that name.
+    ///
+    /// # Errors
+    /// If there is none, or its file holds no target of that name.
+    pub fn target(&self, name: &str) -> Result<StoredTarget, TargetStoreError> {
+        if let Some(built_in) = built_in(name) {
+            return Ok(built_in);
+        }
+        let path = self.target_path(name).ok_or_else(|| self.unknown_target(name))?;
+        match read(&path) {
+            Err(TargetStoreError::Io { source, .. }) if source.kind() == io::ErrorKind::NotFound => {
+                Err(self.unknown_target(name))
+            }
+            Err(other) => Err(other),
+            Ok(bytes) => parse(name, &bytes, &path),
+        }
+    }
+
+    /// All targets, and a line for each file that cannot be read as one.
+    #[must_use]
+    pub fn targets(&self) -> TargetList {
+        let names = shipped_names();
+        let mut targets: Vec<_> = names.iter().filter_map(|name| Some(built_in(name)?.entry())).collect();
+        let mut errors = Vec::new();
+        for name in self.target_names() {
+            if names.contains(&name.as_str()) {
+                errors.push(format!("{FOLDER}/{name}.toml: `{name}` is built in: rename the file's target"));
+                continue;
+            }
+            match self.target(&name) {
+                Ok(stored) => targets.push(stored.entry()),
+                Err(TargetStoreError::Unknown { .. }) => {
+                    errors.push(format!("{}: not a target's name: use a-z, 0-9 and - only", quote(&name)));
+                }
+                Err(error) => errors.push(error.to_string()),
+            }
+        }
+        targets.sort_by(|a, b| a.name.cmp(&b.name));
+        TargetList { targets, errors: first(errors, "files cannot be read as targets") }
+    }
+
+    /// Stores a target under its name; in place of an older one of that name only with `replace`. Returns it, and the SHA-256 of the file
+    /// that it replaced.
+    ///
+    /// # Errors
+    /// If the text is no target of that name, the name is that of a built-in one or is taken, or the file cannot be written.
+    pub fn put_target(
+        &self,
+        name: &str,
+        text: &str,
+        replace: bool,
+    ) -> Result<(StoredTarget, Option<String>), TargetStoreError> {
+        if built_in(name).is_some() {
+            return Err(TargetStoreError::BuiltIn { name: name.to_owned(), change: "overwritten" });
+        }
+        let stored = parse(name, text.as_bytes(), Path::new(&format!("{name}.toml")))?;
+        let Some(path) = self.target_path(name) else { return Err(TargetStoreError::NoDirectory) };
+        let _writing = self.writing.lock().unwrap_or_else(PoisonError::into_inner);
+        let io = |path: &Path| {
+            let path = path.to_owned();
+            move |source| TargetStoreError::Io { path, source }
+        };
+        let folder = path.parent().ok_or(TargetStoreError::NoDirectory)?;
+        // A configured directory must be there; only the folder in it is made.
+        let made = if self.make_dir { fs::create_dir_all(folder) } else { make_folder(folder) };
+        made.map_err(io(folder))?;
+        let replaced = present(&path).map_err(of_disk).map_err(io(&path))?;
+        if let Some(sha256) = replaced.clone().filter(|_| !replace) {
+            return Err(TargetStoreError::Exists { name: name.to_owned(), sha256 });
+        }
+        self::replace(&path, text.as_bytes(), READABLE_BY_ALL).map_err(io(&path))?;
+        Ok((stored, replaced))
+    }
+
+    /// Removes a target of the folder; returns the SHA-256 of its file.
+    ///
+    /// # Errors
+    /// If there is none, it is built in, or the file cannot be removed.
+    pub fn remove_target(&self, name: &str) -> Result<String, TargetStoreError> {
+        if built_in(name).is_some() {
+            return Err(TargetStoreError::BuiltIn { name: name.to_owned(), change: "removed" });
+        }
+        let path = self.target_path(name).ok_or_else(|| self.unknown_target(name))?;
+        let _writing = self.writing.lock().unwrap_or_else(PoisonError::into_inner);
+        let failed = |source| TargetStoreError::Io { path: path.clone(), source };
+        let sha256 = present(&path).map_err(of_disk).map_err(failed)?;
+        let sha256 = sha256.ok_or_else(|| self.unknown_target(name))?;
+        let folder = path.parent().unwrap_or(&path);
+        fs::remove_file(&path).and_then(|()| File::open(folder)?.sync_all()).map_err(failed)?;
+        Ok(sha256)
+    }
+
+    /// The file of a target; `None` if the name is not valid, so that no path leads out of the folder.
+    fn target_path(&self, name: &str) -> Option<PathBuf> {
+        is_name(name).then_some(())?;
+        Some(self.dir.as_ref()?.join(FOLDER).join(format!("{name}.toml")))
+    }
+
+    fn target_names(&self) -> Vec<String> {
+        let entries = self.dir.iter().flat_map(|dir| fs::read_dir(dir.join(FOLDER))).flatten();
+        let mut names: Vec<String> = entries
+            .filter_map(|entry| entry.ok()?.file_name().to_str()?.strip_suffix(".toml").map(str::to_owned))
+            .filter(|name| !name.starts_with('.'))
+            .take(MAX_FILES)
+            .collect();
+        names.sort_unstable();
+        names
+    }
+
+    fn unknown_target(&self, name: &str) -> TargetStoreError {
+        let own = self.target_names();
+        let known: Vec<&str> = shipped_names().into_iter().chain(own.iter().map(String::as_str)).collect();
+        TargetStoreError::Unknown { name: name.to_owned(), nearest: vec![nearest(&known, name).to_owned()] }
+    }
+}
+
+/// What the system said.
+fn of_disk(error: StoreError) -> io::Error {
+    match error {
+        StoreError::Io { source, .. } => source,
+        other => io::Error::other(other.to_string()),
+    }
+}
+
+fn make_folder(folder: &Path) -> io::Result<()> {
+    match fs::create_dir(folder) {
+        Err(error) if error.kind() == io::ErrorKind::AlreadyExists => Ok(()),
+        made => made,
+    }
+}
+
+fn built_in(name: &str) -> Option<StoredTarget> {
+    let target = shipped(name)?;
+    let sha256 = hash(target_json(&target).to_string().as_bytes());
+    Some(StoredTarget { target, sha256, library: true })
+}
+
+fn parse(name: &str, bytes: &[u8], path: &Path) -> Result<StoredTarget, TargetStoreError> {
+    let not_text = |_| TargetStoreError::NotText { path: path.to_owned() };
+    let text = std::str::from_utf8(bytes).map_err(not_text)?;
+    let target = Target::read(text, &path.display().to_string())?;
+    if target.name() != name {
+        return Err(TargetStoreError::Name { name: name.to_owned(), inside: target.name().to_owned() });
+    }
+    Ok(StoredTarget { target, sha256: hash(bytes), library: false })
+}
+
+/// The file's bytes, cut at one more than a target may have, which the parser refuses.
+fn read(path: &Path) -> Result<Vec<u8>, TargetStoreError> {
+    let read = || {
+        let mut bytes = Vec::new();
+        open_regular(path)?.take(MAX_BYTES as u64 + 1).read_to_end(&mut bytes)?;
+        Ok(bytes)
+    };
+    read().map_err(|source| TargetStoreError::Io { path: path.to_owned(), source })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const TEXT: &str = "name = \"my-edge\"\nshape = \"segment\"\npoints = [[-4, 0], [4, 0]]\n";
+
+    fn store() -> (tempfile::TempDir, Store) {
+        let dir = tempfile::tempdir().unwrap();
+        let store = Store::new(Some(dir.path().to_owned()), false).unwrap();
+        (dir, store)
+    }
+
+    #[test]
+    fn what_is_put_is_there_can_be_replaced_and_removed() {
+        let (dir, store) = store();
+        let (stored, replaced) = store.put_target("my-edge", TEXT, false).unwrap();
+        assert!(replaced.is_none() && store.target("my-edge").unwrap().sha256 == stored.sha256);
+        assert!(store.put_target("my-edge", TEXT, false).unwrap_err().to_string().contains(&stored.sha256));
+        let other = store.put_target("my-edge", &format!("# new\n{TEXT}"), true).unwrap();
+        assert!(other.1 == Some(stored.sha256.clone()) && other.0.sha256 != stored.sha256);
+        assert_eq!(store.targets().targets.iter().filter(|target| !target.library).count(), 1);
+        // Targets are no patterns, and their folder is none.
+        assert!(
+            store.list().patterns.iter().all(|pattern| pattern.library) && store.list().errors.is_empty()
+        );
+        assert_eq!(store.remove_target("my-edge").unwrap(), other.0.sha256);
+        assert!(matches!(store.target("my-edge"), Err(TargetStoreError::Unknown { .. })));
+        assert_eq!(fs::read_dir(dir.path().join(FOLDER)).unwrap().count(), 0, "no temporary file is left");
+    }
+
+    #[test]
+    fn no_name_leads_out_of_the_folder() {
+        let (dir, store) = store();
+        fs::write(dir.path().join("secret.toml"), TEXT.replace("my-edge", "secret")).unwrap();
+        store.put_target("my-edge", TEXT, false).unwrap();
+        for name in ["../secret", "..", "", "a/b", "A", "x\n", &"x".repeat(65)] {
+            let line = store.target(name).unwrap_err().to_string();
+            assert!(line.starts_with("no target is called ") && !line.contains('\n'), "{line}");
+            assert!(matches!(store.remove_target(name), Err(TargetStoreError::Unknown { .. })), "{name}");
+            assert!(store.put_target(name, TEXT, true).is_err(), "{name}");
+        }
+        let names: Vec<_> =
+            fs::read_dir(dir.path()).unwrap().map(|entry| entry.unwrap().file_name()).collect();
+        assert!(names.len() == 2, "{names:?}");
+    }
+
+    #[test]
+    fn bad_files_are_lines_and_built_in_ones_stay() {
+        let (dir, store) = store();
+        store.put_target("my-edge", TEXT, false).unwrap();
+        fs::write(dir.path().join("targets/bad.toml"), "nane = 1").unwrap();
+        fs::write(dir.path().join("targets/edge-45.toml"), TEXT).unwrap();
+        fs::write(dir.path().join("targets/other.toml"), TEXT).unwrap();
+        let list = store.targets();
+        assert_eq!((list.targets.len(), list.errors.len()), (shipped_names().len() + 1, 3), "{list:?}");
+        for change in
+            [store.put_target("edge-45", TEXT, true).map(drop), store.remove_target("edge-45").map(drop)]
+        {
+            assert!(matches!(change, Err(TargetStoreError::BuiltIn { .. })));
+        }
+        let line = store.put_target("other", TEXT, true).unwrap_err().to_string();
+        assert_eq!(
+            line,
+            "`other`: `name` is `my-edge`: must be the name it is stored under; change one of them"
+        );
+        let line = store.put_target("my-edge", &TEXT.replace("-4", "-40"), true).unwrap_err().to_string();
+        assert!(
+            line.starts_with("my-edge.toml:3: `points[0]` is at [-40, 0] mm: must be on the pad"),
+            "{line}"
+        );
+        assert!(Store::new(None, false).unwrap().put_target("a", TEXT, false).is_err());
+    }
+
+    /// The API's target can be sent back as it is.
+    #[test]
+    fn every_built_in_target_reads_back_from_json() {
+        for name in shipped_names() {
+            let stored = built_in(name).unwrap();
+            let json = target_json(&stored.target).to_string();
+            assert!(!json.contains("receptor"));
+            assert_eq!(Target::read_json(&json), Ok(stored.target));
+        }
+        let line = Target::read_json(r#"{"name": "a", "shape": "dots", "ponts": [[0, 0]]}"#).unwrap_err();
+        assert_eq!(line.to_string(), "unknown key `ponts`: did you mean `points`?");
+        let line = Target::read_json(r#"{"name": "a", "shape": "dots", "points": [[0, 20]]}"#).unwrap_err();
+        assert!(line.to_string().starts_with("`points[0]` is at [0, 20] mm: must be on the pad"), "{line}");
+    }
+}
