@@ -169,6 +169,130 @@ test("an emergency stop that the daemon does not confirm says so", async () => {
   assert.equal(await page.$eval("#alert", (alert) => alert.hidden), true);
 });
 
+// Clicks where the bar of the emergency stop does not cover it.
+async function press(page, selector) {
+  await page.$eval(selector, (element) => element.scrollIntoView({ block: "center" }));
+  await page.click(selector);
+}
+
+// Draws a line on the pad from one place to another, in mm, and lifts the pen.
+async function draw(page, from, to) {
+  await page.$eval("#pad .pad", (pad) => pad.scrollIntoView({ block: "center" }));
+  const places = await page.$eval("#pad .pad", (pad, places) => {
+    const matrix = pad.getScreenCTM();
+    return places.map(([x, y]) => new DOMPoint(x, -y).matrixTransform(matrix)).map(({ x, y }) => [x, y]);
+  }, [from, to]);
+  await page.mouse.move(...places[0]);
+  await page.mouse.down();
+  await page.mouse.move(...places[1], { steps: 5 });
+  await page.mouse.up();
+}
+
+const get = async (daemon, path) => (await fetch(`${daemon.url}${path}`)).json();
+
+test("a person draws an edge, finds its pattern, feels it and saves it", async () => {
+  const daemon = await new Daemon().start();
+  const page = await open(daemon);
+  await arm(page);
+  await draw(page, [-3, -3], [3, 3]);
+  await page.$eval("#budget", (input) => (input.value = "0.3"));
+  await press(page, "#find");
+  await shows(page, "search-note", "Found a pattern for drawn");
+  await page.waitForSelector("#maps figure");
+  const { result, target } = await get(daemon, "/v1/searches/last");
+  assert.equal(target, "drawn");
+  const [[x, y], [u, v]] = result.definition.points;
+  assert.ok(Math.hypot(x + 3, y + 3) < 0.3 && Math.hypot(u - 3, v - 3) < 0.3, JSON.stringify(result.definition.points));
+  const titles = await page.$$eval("#maps figcaption strong", (all) => all.map((title) => title.textContent));
+  assert.deepEqual(titles, ["Target", "Found pattern", "Rule of thumb, within reach", "Rule of thumb, within one pitch"]);
+  const afferents = await page.$$eval("#maps figure", (figures) => figures.map((figure) => figure.querySelectorAll("circle:not(.pin-place)").length));
+  assert.deepEqual(afferents, [306, 306, 306, 306]);
+  assert.equal(await page.$$eval("#figures tbody tr", (rows) => rows.length), 6);
+  assert.ok((await text(page, "figures")).includes(result.models[0].naive_reach.contrast.toFixed(1)));
+  await press(page, "#feel");
+  await shows(page, "receipt-summary", "drawn: done");
+  assert.equal((await get(daemon, "/v1/plays/last")).pattern_sha256, result.sha256);
+  await page.$eval("#save-name", (input) => (input.value = "my-edge"));
+  await press(page, "#save");
+  await shows(page, "search-note", "Saved pattern and target my-edge.");
+  const pattern = (await get(daemon, "/v1/patterns/my-edge")).pattern;
+  assert.deepEqual([pattern.name, pattern.provenance.target, pattern.provenance.definition.name], ["my-edge", "my-edge", "my-edge"]);
+  assert.deepEqual((await get(daemon, "/v1/targets/my-edge")).target, { ...result.definition, name: "my-edge" });
+  await page.waitForSelector('li[data-name="my-edge"]');
+  // A second time it is refused until the person says so.
+  await press(page, "#save");
+  await shows(page, "alert", "is stored already");
+  await press(page, "#replace");
+  await press(page, "#save");
+  await page.waitForFunction(() => document.getElementById("alert").hidden, WAIT);
+  assert.deepEqual(page.complaints.filter((line) => !line.includes("409") && !line.includes("404")), []);
+});
+
+test("a pattern plays as soon as the pen lifts, if a person wants that", async () => {
+  const daemon = await new Daemon().start();
+  const page = await open(daemon);
+  await arm(page);
+  await page.$eval("#budget", (input) => (input.value = "0.2"));
+  await press(page, "#at-once");
+  await draw(page, [0, -4], [0, 4]);
+  await shows(page, "receipt-summary", "drawn: done");
+  assert.equal((await get(daemon, "/v1/searches/last")).id, 1);
+});
+
+test("an emergency stop works while a play and a search run, and the search can be cancelled", async () => {
+  const daemon = await new Daemon().start();
+  const page = await open(daemon);
+  await arm(page);
+  await shows(page, "load", "rotating-edge");
+  await page.select("#load", "rotating-edge");
+  await page.waitForSelector("#find:not([disabled])");
+  await page.$eval("#budget", (input) => (input.value = "600"));
+  await press(page, "#find");
+  await shows(page, "search-progress", "evaluations");
+  await page.$eval("#seconds", (input) => (input.value = "600"));
+  await page.type("#search", "edge-45");
+  await page.click('li[data-name="edge-45"] button');
+  await shows(page, "state-text", "Playing edge-45");
+  await page.click("#estop");
+  await shows(page, "estop-note", "All lines are off.");
+  const status = await daemon.status();
+  assert.deepEqual([status.state, status.estops, status.play], ["faulted", 1, null]);
+  assert.equal((await get(daemon, "/v1/searches/last")).state, "running");
+  await press(page, "#cancel");
+  await shows(page, "search-note", "Cancelled.");
+  assert.equal((await get(daemon, "/v1/searches/last")).state, "cancelled");
+  assert.equal(await page.$eval("#find", (button) => button.disabled), false);
+});
+
+test("the keyboard alone designs a target", async () => {
+  const daemon = await new Daemon().start();
+  const page = await open(daemon);
+  await shows(page, "state-text", "Disarmed");
+  await page.focus("#shape");
+  const pressed = async (...keys) => {
+    for (const key of keys) await page.keyboard.press(key);
+  };
+  // Letter, target, pad: each is a stop of the Tab key.
+  await pressed("Tab", "Tab");
+  assert.equal(await page.evaluate(() => document.activeElement.getAttribute("role")), "application");
+  await pressed("ArrowLeft", "ArrowLeft", "Enter", "ArrowRight", "ArrowRight", "ArrowRight", "ArrowRight", "ArrowUp", "Enter", "Backspace", "Enter");
+  assert.equal(await page.$eval("#points", (input) => input.value), "-1 0; 1 0.5");
+  await shows(page, "pad-say", "2 points, the last at 1, 0.5 mm.");
+  await page.focus("#find");
+  await pressed("Enter");
+  await shows(page, "search-note", "Found a pattern for drawn");
+  // A letter is drawn as its dots.
+  await page.select("#shape", "braille");
+  assert.equal(await page.$$eval("#pad .shape-dot", (dots) => dots.length), 3);
+  await page.$eval("#points", (input) => ((input.value = "0 0; 20 0"), input.dispatchEvent(new Event("change"))));
+  await page.select("#shape", "dots");
+  assert.equal(await page.$eval("#points", (input) => input.value), "0 0; 9 0");
+  // What the daemon refuses is told in its words.
+  await page.$eval("#reach", (input) => (input.value = "24"));
+  await press(page, "#find");
+  await shows(page, "alert", "`reach_mm` is 24: all 306 afferents are within reach");
+});
+
 test("two windows see the same, and each may stop", async () => {
   const daemon = await new Daemon().start();
   const [one, other] = [await open(daemon), await open(daemon, 390, 844)];
@@ -207,6 +331,9 @@ for (const scheme of ["light", "dark"]) {
     await page.waitForSelector("#pattern-list li");
     await page.$eval("#pattern-list li", (item) => item.scrollIntoView());
     await page.waitForSelector(".thumbnail");
+    await page.select("#shape", "braille");
+    await press(page, "#find");
+    await page.waitForSelector("#maps figure");
     for (const width of [360, 768, 1400, 3840]) {
       await page.setViewport({ width, height: 800 });
       const [scroll, client] = await page.evaluate(() => [document.documentElement.scrollWidth, document.documentElement.clientWidth]);

@@ -17,7 +17,7 @@ const POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; i
 const SCRIPT: &str = "text/javascript; charset=utf-8";
 
 /// Address, media type and text of every file.
-const FILES: [(&str, &str, &str); 10] = [
+const FILES: [(&str, &str, &str); 13] = [
     ("/", "text/html; charset=utf-8", include_str!("assets/index.html")),
     ("/page/page.css", "text/css; charset=utf-8", include_str!("assets/page.css")),
     ("/page/icon.svg", "image/svg+xml", include_str!("assets/icon.svg")),
@@ -26,6 +26,9 @@ const FILES: [(&str, &str, &str); 10] = [
     ("/page/app.js", SCRIPT, include_str!("assets/app.js")),
     ("/page/control.js", SCRIPT, include_str!("assets/control.js")),
     ("/page/finger.js", SCRIPT, include_str!("assets/finger.js")),
+    ("/page/designer.js", SCRIPT, include_str!("assets/designer.js")),
+    ("/page/maps.js", SCRIPT, include_str!("assets/maps.js")),
+    ("/page/pad.js", SCRIPT, include_str!("assets/pad.js")),
     ("/page/patterns.js", SCRIPT, include_str!("assets/patterns.js")),
     ("/page/record.js", SCRIPT, include_str!("assets/record.js")),
 ];

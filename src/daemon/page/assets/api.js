@@ -22,10 +22,9 @@ export function headers() {
   return value ? { authorization: `Bearer ${value}` } : {};
 }
 
-async function request(method, path, body, signal) {
-  const json = body === undefined ? {} : { "content-type": "application/json" };
-  const init = { method, headers: { ...headers(), ...json }, signal, cache: "no-store" };
-  if (body !== undefined) init.body = JSON.stringify(body);
+async function request(method, path, body, signal, kind = "application/json") {
+  const type = body === undefined ? {} : { "content-type": kind };
+  const init = { method, headers: { ...headers(), ...type }, signal, cache: "no-store", body };
   let response;
   try {
     response = await fetch(path, init);
@@ -39,8 +38,13 @@ async function request(method, path, body, signal) {
 
 // The JSON answer of a request. `ms`: how long it may take.
 export async function call(method, path, body, ms = ANSWER_MS) {
-  const response = await request(method, path, body, AbortSignal.timeout(ms));
+  const response = await request(method, path, body === undefined ? undefined : JSON.stringify(body), AbortSignal.timeout(ms));
   return response.json();
+}
+
+// Stores a TOML file.
+export async function put(path, text) {
+  return (await request("PUT", path, text, AbortSignal.timeout(ANSWER_MS), "application/toml")).json();
 }
 
 // Calls `each` for every event, and `linked(true)` or `linked(false, problem)` when the stream begins or ends. It connects again by itself.

@@ -3,6 +3,7 @@
 import { Problem, call, listen, token } from "./api.js";
 import { Finger, drivesAt } from "./finger.js";
 import { bindControls, show as showStatus } from "./control.js";
+import { Designer } from "./designer.js";
 import { Patterns } from "./patterns.js";
 import { loadCalibration, loadSessions, showReceipt } from "./record.js";
 
@@ -13,6 +14,7 @@ const FRAME_MS = 1000 / 30;
 const now = { linked: false, status: null, play: null, details: null, onset: 0, doubted: new Set() };
 const finger = new Finger($("finger"));
 const patterns = new Patterns(report);
+const designer = new Designer(report, () => patterns.load());
 
 // Shows an error in one line; none clears it.
 function report(error) {
@@ -48,7 +50,8 @@ async function setPlay(play) {
   }
   [now.play, now.onset, now.details] = [play, onset, null];
   try {
-    const [receipt, details] = await Promise.all([call("GET", `/v1/plays/${play.id}`), patterns.details(play.pattern)]);
+    const receipt = await call("GET", `/v1/plays/${play.id}`);
+    const details = designer.details(receipt.pattern_sha256) ?? (await patterns.details(play.pattern));
     if (now.play?.id === play.id) now.details = receipt.drives.length ? { ...details, drives: receipt.drives } : details;
   } catch {
     // A sequence, or a pattern that is gone: the play goes on, and its pins are not known here.
@@ -81,6 +84,9 @@ function handle(event) {
       loadSessions().catch(report);
       poll();
       break;
+    case "search":
+      designer.handle(event);
+      break;
     case "calibrated":
       loadCalibration().catch(report);
       break;
@@ -102,7 +108,7 @@ async function linked(is, problem) {
   report(null);
   $("sign-in").hidden = true;
   await poll();
-  const loads = [patterns.load(), loadSessions(), loadCalibration(), call("GET", "/v1/plays/last").then(showReceipt, () => {})];
+  const loads = [patterns.load(), designer.start(), loadSessions(), loadCalibration(), call("GET", "/v1/plays/last").then(showReceipt, () => {})];
   await Promise.all(loads).catch(report);
 }
 

@@ -11,7 +11,7 @@ const FULL_UM = 100;
 // Stops of a colour map that rises in lightness, so that it is readable without colours.
 const COLOURS = [[68, 1, 84], [59, 82, 139], [33, 145, 140], [94, 201, 98], [253, 231, 37]];
 
-function make(name, attributes = {}, text = "") {
+export function make(name, attributes = {}, text = "") {
   const element = document.createElementNS("http://www.w3.org/2000/svg", name);
   for (const [key, value] of Object.entries(attributes)) element.setAttribute(key, value);
   if (text) element.textContent = text;

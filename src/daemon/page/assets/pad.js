@@ -1,0 +1,140 @@
+// The pad on which a target is drawn: with a pen, a mouse, or the keys. Places are in mm from the array's middle, y towards the fingertip.
+
+import { make } from "./finger.js";
+
+// The pad is an ellipse; the daemon refuses points outside of it.
+const [HALF_WIDTH, HALF_LENGTH] = [9, 12];
+const MOST_POINTS = 64;
+// A line that is drawn freely gets a point at each of these steps; a click this near to a dot takes it away.
+const STEP = 1;
+const KEY_STEP = 0.5;
+const FINE_STEP = 0.1;
+const KEYS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] };
+const MOST = { segment: 2, polyline: MOST_POINTS, dots: MOST_POINTS };
+
+const round = (mm) => Math.round(mm * 100) / 100;
+const apart = (a, b) => Math.hypot(a[0] - b[0], a[1] - b[1]);
+
+// The nearest place on the pad in the direction of the middle.
+export function onPad([x, y]) {
+  const far = Math.max(1, Math.hypot(x / HALF_WIDTH, y / HALF_LENGTH) * 1.0001);
+  return [round(x / far), round(y / far)];
+}
+
+// The line of a shape through some places; a single place is a dot.
+export function line(places) {
+  return places.length === 1
+    ? make("circle", { cx: places[0][0], cy: -places[0][1], r: 0.55, class: "shape-dot" })
+    : make("polyline", { points: places.map(([x, y]) => `${x},${-y}`).join(" "), class: "shape-line" });
+}
+
+// The pad with its pins, without a shape.
+export function drawing(label) {
+  const svg = make("svg", { viewBox: "-10 -13 20 26", role: "img", "aria-label": label, class: "pad" });
+  svg.append(make("ellipse", { rx: HALF_WIDTH, ry: HALF_LENGTH, class: "skin" }));
+  for (let motor = 0; motor < 24; motor++) {
+    svg.append(make("circle", { cx: -4.35 + 2.9 * (motor % 4), cy: -7.25 + 2.9 * Math.floor(motor / 4), r: 0.3, class: "pin-place" }));
+  }
+  return svg;
+}
+
+export class Pad {
+  points = [];
+  mode = "segment";
+  #cursor = [0, 0];
+  #pressed = false;
+  #changed;
+  #lifted;
+  #say;
+  #shape = make("g");
+  #cross = make("path", { class: "cursor", d: "M-1 0H1M0 -1V1" });
+
+  // `changed`: the points are others. `lifted`: the pen has left the pad. `say`: reads a line to people who do not see the pad.
+  constructor(place, changed, lifted, say) {
+    [this.#changed, this.#lifted, this.#say] = [changed, lifted, say];
+    this.svg = drawing("");
+    this.svg.append(this.#shape, this.#cross);
+    for (const [name, value] of [["role", "application"], ["tabindex", "0"], ["aria-label", "Pad to draw on"], ["aria-describedby", "pad-help"]]) this.svg.setAttribute(name, value);
+    this.svg.addEventListener("pointerdown", (event) => this.#press(event));
+    this.svg.addEventListener("pointermove", (event) => this.#pressed && this.#move(this.#at(event)));
+    this.svg.addEventListener("pointerup", (event) => this.#lift(event));
+    this.svg.addEventListener("pointercancel", () => (this.#pressed = false));
+    this.svg.addEventListener("keydown", (event) => this.#key(event));
+    place.append(this.svg);
+  }
+
+  // Shows these lines, which cannot be drawn on, or the drawn points.
+  show(outline) {
+    const drawn = this.mode === "dots" ? this.points.map((point) => [point]) : [this.points, ...this.points.map((point) => [point])];
+    const lines = outline ?? drawn.filter((places) => places.length);
+    this.#shape.replaceChildren(...lines.map(line));
+    this.#cross.setAttribute("transform", `translate(${this.#cursor[0]} ${-this.#cursor[1]})`);
+  }
+
+  set(points) {
+    this.points = points.slice(0, MOST[this.mode] ?? MOST_POINTS).map(onPad);
+    this.#changed();
+  }
+
+  undo() {
+    this.set(this.points.slice(0, -1));
+    this.#say(`${this.points.length} points are left.`);
+  }
+
+  #at(event) {
+    const at = new DOMPoint(event.clientX, event.clientY).matrixTransform(this.svg.getScreenCTM().inverse());
+    return onPad([at.x, -at.y]);
+  }
+
+  #press(event) {
+    if (!(this.mode in MOST) || event.button > 0) return;
+    event.preventDefault();
+    this.svg.focus({ focusVisible: false });
+    this.svg.setPointerCapture(event.pointerId);
+    this.#pressed = true;
+    this.#add(this.#at(event));
+  }
+
+  // A point of the pen or of the keys: an edge that is complete begins again, and a dot that is there goes.
+  #add(at) {
+    this.#cursor = at;
+    if (this.mode === "dots") {
+      const rest = this.points.filter((point) => apart(point, at) >= STEP);
+      this.set(rest.length < this.points.length ? rest : [...this.points, at]);
+    } else {
+      this.set([...(this.mode === "segment" && this.points.length > 1 ? [] : this.points), at]);
+    }
+  }
+
+  #move(at) {
+    const first = this.points[0];
+    if (this.mode === "segment" && first && apart(first, at) >= STEP) this.set([first, at]);
+    else if (this.mode === "polyline" && this.points.length && apart(this.points.at(-1), at) >= STEP) this.set([...this.points, at]);
+  }
+
+  #lift(event) {
+    if (!this.#pressed) return;
+    this.#move(this.#at(event));
+    this.#pressed = false;
+    this.#lifted();
+  }
+
+  #key(event) {
+    if (!(this.mode in MOST) || event.ctrlKey || event.metaKey || event.altKey) return;
+    const step = KEYS[event.key];
+    if (step) {
+      const mm = event.shiftKey ? FINE_STEP : KEY_STEP;
+      this.#cursor = onPad([this.#cursor[0] + mm * step[0], this.#cursor[1] + mm * step[1]]);
+      this.show();
+      this.#say(`${this.#cursor[0]}, ${this.#cursor[1]} mm`);
+    } else if (event.key === "Enter" || event.key === " ") {
+      this.#add(this.#cursor);
+      this.#say(`${this.points.length} points, the last at ${this.#cursor[0]}, ${this.#cursor[1]} mm.`);
+    } else if (event.key === "Backspace" || event.key === "Delete") {
+      this.undo();
+    } else {
+      return;
+    }
+    event.preventDefault();
+  }
+}
