@@ -14,6 +14,8 @@ import puppeteer from "puppeteer-core";
 const PROGRAM = process.env.MEISSNER_PROGRAM;
 const AXE = readFileSync(createRequire(import.meta.url).resolve("axe-core/axe.min.js"), "utf8");
 const WAIT = { timeout: 20000, polling: 50 };
+// A search has a low priority: beside a build it may take a minute.
+const SEARCHED = { ...WAIT, timeout: 200000 };
 
 let browser;
 const daemons = [];
@@ -82,8 +84,8 @@ async function open(daemon, width = 1400, height = 1000) {
 }
 
 const text = (page, id) => page.$eval(`#${id}`, (element) => element.textContent);
-const shows = (page, id, part) =>
-  page.waitForFunction((id, part) => document.getElementById(id).textContent.includes(part), WAIT, id, part);
+const shows = (page, id, part, wait = WAIT) =>
+  page.waitForFunction((id, part) => document.getElementById(id).textContent.includes(part), wait, id, part);
 
 async function arm(page) {
   await shows(page, "state-text", "Disarmed");
@@ -197,7 +199,7 @@ test("a person draws an edge, finds its pattern, feels it and saves it", async (
   await draw(page, [-3, -3], [3, 3]);
   await page.$eval("#budget", (input) => (input.value = "0.3"));
   await press(page, "#find");
-  await shows(page, "search-note", "Found a pattern for drawn");
+  await shows(page, "search-note", "Found a pattern for drawn", SEARCHED);
   await page.waitForSelector("#maps figure");
   const { result, target } = await get(daemon, "/v1/searches/last");
   assert.equal(target, "drawn");
@@ -235,7 +237,7 @@ test("a pattern plays as soon as the pen lifts, if a person wants that", async (
   await page.$eval("#budget", (input) => (input.value = "0.2"));
   await press(page, "#at-once");
   await draw(page, [0, -4], [0, 4]);
-  await shows(page, "receipt-summary", "drawn: done");
+  await shows(page, "receipt-summary", "drawn: done", SEARCHED);
   assert.equal((await get(daemon, "/v1/searches/last")).id, 1);
 });
 
@@ -280,7 +282,7 @@ test("the keyboard alone designs a target", async () => {
   await shows(page, "pad-say", "2 points, the last at 1, 0.5 mm.");
   await page.focus("#find");
   await pressed("Enter");
-  await shows(page, "search-note", "Found a pattern for drawn");
+  await shows(page, "search-note", "Found a pattern for drawn", SEARCHED);
   // A letter is drawn as its dots.
   await page.select("#shape", "braille");
   assert.equal(await page.$$eval("#pad .shape-dot", (dots) => dots.length), 3);
@@ -333,7 +335,7 @@ for (const scheme of ["light", "dark"]) {
     await page.waitForSelector(".thumbnail");
     await page.select("#shape", "braille");
     await press(page, "#find");
-    await page.waitForSelector("#maps figure");
+    await page.waitForSelector("#maps figure", SEARCHED);
     for (const width of [360, 768, 1400, 3840]) {
       await page.setViewport({ width, height: 800 });
       const [scroll, client] = await page.evaluate(() => [document.documentElement.scrollWidth, document.documentElement.clientWidth]);
