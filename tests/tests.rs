@@ -21,6 +21,8 @@ mod client_limits;
 mod control_tradeoff;
 /// `discriminate` and `validate`: documents, files, mistakes; verdicts that follow from numbers.
 mod discriminate;
+/// `displacement`: samples of the pins as table and as document; patterns of files and stdin.
+mod displacement;
 /// Drift without telemetry: plays at the limit, and the level check of `assume_rest`.
 mod drift;
 /// `session export`: a row for each play and each item of a sequence; a damaged record.

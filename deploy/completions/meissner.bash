@@ -34,6 +34,9 @@ _meissner() {
             meissner,discriminate)
                 cmd="meissner__subcmd__discriminate"
                 ;;
+            meissner,displacement)
+                cmd="meissner__subcmd__displacement"
+                ;;
             meissner,doctor)
                 cmd="meissner__subcmd__doctor"
                 ;;
@@ -120,6 +123,9 @@ _meissner() {
                 ;;
             meissner__subcmd__help,discriminate)
                 cmd="meissner__subcmd__help__subcmd__discriminate"
+                ;;
+            meissner__subcmd__help,displacement)
+                cmd="meissner__subcmd__help__subcmd__displacement"
                 ;;
             meissner__subcmd__help,doctor)
                 cmd="meissner__subcmd__help__subcmd__doctor"
@@ -290,7 +296,7 @@ _meissner() {
 
     case "${cmd}" in
         meissner)
-            opts="-h -V --help --version demo daemon play sequence stop estop reset arm disarm home calibrate list show import remove status events receipt session token motor simulate optimise tradeoff discriminate validate report doctor help"
+            opts="-h -V --help --version demo daemon play sequence stop estop reset arm disarm home calibrate list show import remove status events receipt session token motor displacement simulate optimise tradeoff discriminate validate report doctor help"
             if [[ ${cur} == -* || ${COMP_CWORD} -eq 1 ]] ; then
                 COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
                 return 0
@@ -507,6 +513,40 @@ _meissner() {
             COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
             return 0
             ;;
+        meissner__subcmd__displacement)
+            opts="-h --seconds --fit --scale --rate-hz --first-s --json --help"
+            if [[ ${cur} == -* || ${COMP_CWORD} -eq 2 ]] ; then
+                COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
+                return 0
+            fi
+            case "${prev}" in
+                --seconds)
+                    COMPREPLY=($(compgen -f "${cur}"))
+                    return 0
+                    ;;
+                --fit)
+                    COMPREPLY=($(compgen -W "whole cover" -- "${cur}"))
+                    return 0
+                    ;;
+                --scale)
+                    COMPREPLY=($(compgen -f "${cur}"))
+                    return 0
+                    ;;
+                --rate-hz)
+                    COMPREPLY=($(compgen -f "${cur}"))
+                    return 0
+                    ;;
+                --first-s)
+                    COMPREPLY=($(compgen -f "${cur}"))
+                    return 0
+                    ;;
+                *)
+                    COMPREPLY=()
+                    ;;
+            esac
+            COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
+            return 0
+            ;;
         meissner__subcmd__doctor)
             opts="-h --device --board --seconds --socket --json --help"
             if [[ ${cur} == -* || ${COMP_CWORD} -eq 2 ]] ; then
@@ -570,7 +610,7 @@ _meissner() {
             return 0
             ;;
         meissner__subcmd__help)
-            opts="demo daemon play sequence stop estop reset arm disarm home calibrate list show import remove status events receipt session token motor simulate optimise tradeoff discriminate validate report doctor help"
+            opts="demo daemon play sequence stop estop reset arm disarm home calibrate list show import remove status events receipt session token motor displacement simulate optimise tradeoff discriminate validate report doctor help"
             if [[ ${cur} == -* || ${COMP_CWORD} -eq 2 ]] ; then
                 COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
                 return 0
@@ -654,6 +694,20 @@ _meissner() {
             return 0
             ;;
         meissner__subcmd__help__subcmd__discriminate)
+            opts=""
+            if [[ ${cur} == -* || ${COMP_CWORD} -eq 3 ]] ; then
+                COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
+                return 0
+            fi
+            case "${prev}" in
+                *)
+                    COMPREPLY=()
+                    ;;
+            esac
+            COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
+            return 0
+            ;;
+        meissner__subcmd__help__subcmd__displacement)
             opts=""
             if [[ ${cur} == -* || ${COMP_CWORD} -eq 3 ]] ; then
                 COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )

@@ -50,6 +50,13 @@ def test_design_loop(tmp_path: Path) -> None:
     assert run("design_loop.py", tmp_path).splitlines()[-1] == "done"
 
 
+def test_export(tmp_path: Path) -> None:
+    lines = run("export.py", tmp_path).splitlines()
+    files = [tmp_path / line for line in lines if line.endswith((".tsv", ".tsv.gz", ".nwb"))]
+    assert len(files) == 2 + bool(importlib.util.find_spec("pynwb"))
+    assert all(file.stat().st_size > 0 for file in files)
+
+
 def test_eeg_markers(tmp_path: Path) -> None:
     pytest.importorskip("pylsl", reason="pylsl is not installed")
     texts = [line.split(" at ")[0] for line in run("eeg_markers.py", tmp_path).splitlines()]
@@ -138,7 +145,7 @@ def test_the_readme_begins_with_a_play_in_five_lines(tmp_path: Path) -> None:
 
 
 @pytest.mark.skipif(not BOOK.exists(), reason="the book is in the repository only")
-@pytest.mark.parametrize("page", ["python.md", "lsl.md"])
+@pytest.mark.parametrize("page", ["python.md", "publish.md", "lsl.md"])
 def test_a_page_of_the_book_runs(page: str, tmp_path: Path) -> None:
     if page in NEEDS:
         pytest.importorskip(NEEDS[page], reason=f"{NEEDS[page]} is not installed")

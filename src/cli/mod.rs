@@ -11,6 +11,7 @@ mod calibrate;
 mod control;
 mod demo;
 mod discriminate;
+mod displacement;
 mod doctor;
 mod export;
 mod files;
@@ -190,6 +191,8 @@ enum Command {
         #[command(flatten)]
         output: Output,
     },
+    /// Sample how far a pattern moves each pin, by the motor model, as CSV
+    Displacement(displacement::Displacement),
     /// Simulate afferent spikes for a scene
     Simulate(simulate::Simulate),
     /// Find a pattern for a target shape
@@ -280,6 +283,7 @@ fn run(command: Command) -> Result<ExitCode> {
         Command::Motor { frequency_hz, amplitude_um, hours, output } => {
             library::motor(frequency_hz, amplitude_um, hours, output.json)
         }
+        Command::Displacement(asked) => displacement::run(&asked),
         Command::Simulate(asked) => simulate::run(&asked),
         Command::Optimise(asked) => optimise::run(&asked),
         Command::MethodTradeoff(asked) => tradeoff::run(&asked),

@@ -7,7 +7,8 @@
 //! 3. [`reflected_walk`]: theory of the rest error of a pin above a lower stop, and the surplus that keeps it small.
 //! 4. [`strokes`]: compiles a pattern to strokes at exact ticks. The streamer, the simulated motors and the skin model all use it.
 //! 5. [`motor`]: the model of an ideal motor: a square wave becomes bursts of pulses, bursts become displacement.
-//! 6. [`simulated`]: 24 simulated motors with scatter, asymmetry, end stops and telemetry.
+//! 6. [`displacement`]: samples of the pins' displacement in a play, by ideal motors.
+//! 7. [`simulated`]: 24 simulated motors with scatter, asymmetry, end stops and telemetry.
 //!
 //! [`units`] converts seconds, ticks and micrometres. [`random`] makes random numbers that depend on a key alone.
 //!
@@ -41,6 +42,7 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
+pub mod displacement;
 pub mod geometry;
 pub mod motor;
 pub mod pattern;

@@ -9,7 +9,7 @@
 
 - `connect`, `connect_async`: a client of a daemon, on this machine or over the network.
 - `demo`: a daemon with the simulated array, and a client of it. `Daemon` is the daemon alone.
-- `simulate`, `design`: predicted spikes, and a search for patterns, by the installed program.
+- `simulate`, `design`, `displacement`: predicted spikes, a search for patterns, and how far pins move, by the installed program.
 - `experiment`: trial lists, staircases, QUEST+, and a log that survives a crash.
 - `errors`: one class for each code of the API.
 """
@@ -28,6 +28,7 @@ from .clocks import ClientClock, Instant
 from .errors import ApiError, MeissnerError, PlayStopped, Unreachable
 from .program import Daemon, Design, Simulation, design, simulate
 from .results import Item, Receipt, Status
+from .traces import Displacement, displacement
 
 if TYPE_CHECKING:
     from .aio import AsyncClient
@@ -37,6 +38,7 @@ __all__ = [
     "Client",
     "Daemon",
     "Design",
+    "Displacement",
     "Event",
     "Instant",
     "Item",
@@ -53,6 +55,7 @@ __all__ = [
     "connect_async",
     "demo",
     "design",
+    "displacement",
     "simulate",
 ]
 __version__ = "0.1.0"

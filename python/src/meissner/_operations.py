@@ -13,11 +13,10 @@ import functools
 import os
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, ParamSpec, TypeVar
 from urllib.parse import quote
 
-from . import _http, bids
+from . import _http
 from ._bodies import At, Fit, Labels, Late, SequenceItem, Trigger, sequence_items, texts, trigger_of
 from ._endpoint import Endpoint
 from ._http import Answer, Op, Pause, Request
@@ -423,42 +422,6 @@ def session_plays(core: Core, session_id: str) -> Op[dict[str, Any]]:
         plays += page["plays"]
         if not page["more"]:
             return {**page, "plays": plays}
-
-
-def export_bids(
-    core: Core,
-    session_id: str,
-    root: str | os.PathLike[str],
-    *,
-    task: str | None = None,
-    zero: float | Instant | None = None,
-) -> Op[bids.Export]:
-    """Write a recorded session into a BIDS dataset: events, their sidecar, the patterns as stimuli.
-
-    `task` names the task, else the session's experiment does. `zero` is the instant from which onsets count, such as the
-    start of an EEG recording: of this process's `time.monotonic()`, or an `Instant`. Without it the first onset counts.
-    """
-    recorded = yield from session_plays(core, session_id)
-    stored_patterns = {}
-    for name in {row["pattern"] for row in bids.stimulus_rows(recorded["plays"])}:
-        try:
-            stored = yield from pattern(core, name)
-        except ApiError:
-            continue
-        stored_patterns[str(stored["sha256"])] = stored["pattern"]
-    used = {row["pattern_sha256"] for row in recorded["plays"]}
-    if isinstance(zero, Instant):
-        zero_host_ns: int | None = zero.host_ns
-    else:
-        zero_host_ns = None if zero is None else core.clock.to_host(round(zero * NS))[0]
-    return bids.write(
-        Path(root),
-        recorded,
-        {sha256: keys for sha256, keys in stored_patterns.items() if sha256 in used},
-        task=task,
-        zero_host_ns=zero_host_ns,
-        software=core.daemon,
-    )
 
 
 def leave(core: Core) -> Op[None]:

@@ -13,8 +13,8 @@ from collections.abc import AsyncGenerator, Awaitable, Callable, Generator
 from types import TracebackType
 from typing import Any, Concatenate, ParamSpec, TypeVar
 
+from . import _exports, program
 from . import _operations as ops
-from . import program
 from ._http import Answer, Op, Pause, Step
 from ._operations import Accepted, Core
 from ._plays import KnownPlay
@@ -195,7 +195,8 @@ class AsyncClient:
     remove_pattern = _awaiting(ops.remove_pattern)
     sessions = _awaiting(ops.sessions)
     session_plays = _awaiting(ops.session_plays)
-    export_bids = _awaiting(ops.export_bids)
+    export_bids = _awaiting(_exports.export_bids)
+    export_nwb = _awaiting(_exports.export_nwb)
 
     async def events(self, *, reconnect: bool = True) -> AsyncGenerator[Event]:
         """The daemon's events, from now on and without end. After a gap the event `reconnected` comes first."""

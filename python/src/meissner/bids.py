@@ -1,4 +1,5 @@
-"""BIDS: writes a recorded session as `events.tsv` with its sidecar, the stimuli, and what a dataset needs around them.
+"""BIDS: writes a recorded session as `events.tsv` with its sidecar, the stimuli, the pins' displacement (`stim.tsv.gz`), and what
+a dataset needs around them.
 
 `Client.export_bids` uses it. The files follow BIDS 1.10 for behavioural data (`beh`): onsets in seconds, sorted, and every
 column described. Files of the dataset that are there already (description, README) stay as they are; the participant is added.
@@ -8,6 +9,7 @@ Invariant: an export writes the same files for the same session, so that it may 
 
 from __future__ import annotations
 
+import gzip
 import json
 import platform
 import re
@@ -16,7 +18,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from .errors import MeissnerError
+from .errors import MeissnerError, ProgramError
+from .program import find_program
+from .traces import PINS, Grid
 
 VERSION = "1.10.0"
 _HED = "Sensory-event, Tactile-presentation, Experimental-stimulus"
@@ -58,6 +62,8 @@ class Export:
     """The file of events."""
     stimuli: dict[str, str]
     """The patterns by SHA-256, and their files below `stimuli`."""
+    displacement: Path | None
+    """The file of the pins' displacement."""
     left_out: tuple[str, ...]
     """What could not be exported, one line each."""
 
@@ -86,6 +92,7 @@ def write(
     task: str | None,
     zero_host_ns: int | None,
     software: tuple[int, str] | None,
+    displacement_hz: float | None = None,
 ) -> Export:
     """Writes a session. `recorded` is as of `session_plays`, `patterns` holds the patterns' keys by SHA-256."""
     session = recorded["session"]
@@ -102,16 +109,59 @@ def write(
     zero = zero_host_ns if zero_host_ns is not None else (rows[0]["onset_monotonic_ns"] if rows else 0)
     events = folder / f"{'_'.join(names)}_task-{task}_events.tsv"
     _tsv(events, [_event(row, zero, stimuli) for row in rows])
-    _json(events.with_suffix(".json"), _sidecar(rows, software))
+    _json(events.with_suffix(".json"), {"TaskName": task, **_sidecar(rows, software)})
     _dataset(root, names[0])
-    left_out = [*recorded["problems"]]
-    if recorded["lost"]:
-        left_out.append(f"the session record lost {recorded['lost']} entries during the session")
+    left_out = losses(recorded)
     for row in rows:
         line = f"the pattern {row['pattern']} has changed since: its stim_file is n/a"
         if row["pattern_sha256"] not in stimuli and line not in left_out:
             left_out.append(line)
-    return Export(events, stimuli, tuple(left_out))
+    displacement = None
+    if displacement_hz is not None and rows:
+        texts = {sha256: pattern_toml(keys) for sha256, keys in patterns.items()}
+        grid = Grid(rows, texts, zero_ns=zero, rate_hz=displacement_hz)
+        try:
+            find_program()
+        except ProgramError as error:
+            left_out.append(f"no displacement of the pins: {error}")
+        else:
+            displacement = events.with_name(events.name.replace("_events.tsv", "_stim.tsv.gz"))
+            _displacement(displacement, grid, task)
+            left_out += grid.problems
+    return Export(events, stimuli, displacement, tuple(left_out))
+
+
+def losses(recorded: Mapping[str, Any]) -> list[str]:
+    """What the session record itself has lost, one line each."""
+    lost = recorded["lost"]
+    return [*recorded["problems"], *([f"the session record lost {lost} entries during the session"] if lost else [])]
+
+
+_ZEROS = ("\t".join(["0"] * PINS) + "\n").encode()
+_UNKNOWN = ("\t".join(["n/a"] * PINS) + "\n").encode()
+_AT_ONCE = 10_000
+
+
+def _displacement(file: Path, grid: Grid, task: str) -> None:
+    """The samples and their sidecar. The same samples make the same bytes: no name and no time in the file."""
+    with file.open("wb") as opened, gzip.GzipFile("", "wb", 6, opened, mtime=0) as packed:
+        due = grid.first
+        for index, row in grid:
+            while due < index:
+                rest = min(index - due, _AT_ONCE)
+                packed.write(_ZEROS * rest)
+                due += rest
+            packed.write(_UNKNOWN if row is None else ("\t".join(map(_um, row)) + "\n").encode())
+            due += 1
+    names = [f"pin_{pin}" for pin in range(PINS)]
+    about = "displacement from rest towards the finger, by the motor model from what was ordered: not measured"
+    columns = {name: {"Description": f"Pin {name[4:]}: {about}", "Units": "um"} for name in names}
+    sampling = {"SamplingFrequency": grid.rate_hz, "StartTime": grid.first / grid.rate_hz, "Columns": names}
+    _json(file.with_name(file.name.replace(".tsv.gz", ".json")), {"TaskName": task, **sampling, **columns})
+
+
+def _um(value: float) -> str:
+    return f"{value:.3f}" if value else "0"
 
 
 def _event(row: Mapping[str, Any], zero: int, stimuli: Mapping[str, str]) -> dict[str, Any]:

@@ -12,8 +12,8 @@ from collections.abc import Callable, Generator
 from types import TracebackType
 from typing import Any, Concatenate, ParamSpec, TypeVar
 
+from . import _exports, program
 from . import _operations as ops
-from . import program
 from ._http import Answer, Op, Pause, Step
 from ._operations import Accepted, Core
 from ._plays import KnownPlay
@@ -203,7 +203,8 @@ class Client:
     remove_pattern = _blocking(ops.remove_pattern)
     sessions = _blocking(ops.sessions)
     session_plays = _blocking(ops.session_plays)
-    export_bids = _blocking(ops.export_bids)
+    export_bids = _blocking(_exports.export_bids)
+    export_nwb = _blocking(_exports.export_nwb)
 
     def events(self, *, reconnect: bool = True) -> Generator[Event]:
         """The daemon's events, from now on and without end. After a gap the event `reconnected` comes first."""

@@ -77,7 +77,7 @@ def _run(arguments: Sequence[str], stdin: str | None = None) -> Any:
     return json.loads(ended.stdout)
 
 
-def _array(values: Any) -> Any:
+def as_array(values: Any) -> Any:
     """A NumPy array, if NumPy is installed; else the list."""
     try:
         import numpy
@@ -116,8 +116,8 @@ def simulate(scene: Scene, *, model: str | None = None, rates_only: bool = False
     if rates_only:
         arguments.append("--rates-only")
     raw = _run(arguments, text)
-    spikes = [_array(times) for times in raw.get("spikes_s") or []]
-    return Simulation(spikes, _array(raw["rates_hz"]), raw)
+    spikes = [as_array(times) for times in raw.get("spikes_s") or []]
+    return Simulation(spikes, as_array(raw["rates_hz"]), raw)
 
 
 def _plain(value: Any) -> Any:

@@ -1,0 +1,161 @@
+//! Samples the displacement of the pins that a play moves, by ideal motors.
+//!
+//! Pins move as strokes say: full travel, no scatter, and no surplus, which a lower stop takes. The samples begin where the caller asks
+//! and go on until every pin rests again, 4.3 ms after the last pulse. They are made one after the other, so that a play may be long.
+//!
+//! Invariant: equal strokes give equal samples, and the samples of plays that touch add up.
+
+use crate::motor::{HalfTick, Ramp, Shaft, WINDOW_HALF_TICKS};
+use crate::strokes::{Strokes, StrokesError};
+use crate::units::{HALF_TICKS_PER_S, TICKS_PER_S};
+use firmware_protocol::stroke::{Direction, Stroke};
+use std::collections::VecDeque;
+use std::iter::Peekable;
+use std::ops::RangeInclusive;
+
+/// Rates at which displacement can be sampled, Hz.
+pub const RATE_HZ: RangeInclusive<f64> = 1.0..=TICKS_PER_S as f64;
+
+/// The samples of a play: for each the displacement of [`Self::motors`], µm.
+#[derive(Debug)]
+pub struct Displacement {
+    strokes: Peekable<Strokes>,
+    motors: Vec<u8>,
+    pins: Vec<Pin>,
+    first_s: f64,
+    rate_hz: f64,
+    number: u64,
+    rest_from: HalfTick,
+}
+
+/// A pin, and the ramps that it has not begun.
+#[derive(Debug, Default)]
+struct Pin {
+    shaft: Shaft,
+    ahead: VecDeque<Ramp>,
+}
+
+impl Displacement {
+    /// Samples these strokes `rate_hz` times a second, the first time `first_s` after pattern time 0. The rate must be in [`RATE_HZ`] and
+    /// the first instant not negative.
+    #[must_use]
+    pub fn new(strokes: Strokes, rate_hz: f64, first_s: f64) -> Self {
+        let motors: Vec<u8> = strokes.motors().collect();
+        let pins = motors.iter().map(|_| Pin::default()).collect();
+        let rest_from = HalfTick(0);
+        Self { strokes: strokes.peekable(), motors, pins, first_s, rate_hz, number: 0, rest_from }
+    }
+
+    /// The motors of the pins, in order.
+    #[must_use]
+    pub fn motors(&self) -> &[u8] {
+        &self.motors
+    }
+
+    /// When the next sample is taken.
+    #[expect(
+        clippy::cast_possible_truncation,
+        clippy::cast_sign_loss,
+        clippy::cast_precision_loss,
+        reason = "the cast is the floor, and saturates; 2^53 samples last 3 000 years"
+    )]
+    fn at(&self) -> HalfTick {
+        let seconds = self.first_s + self.number as f64 / self.rate_hz;
+        HalfTick((seconds * HALF_TICKS_PER_S + 0.5) as u64)
+    }
+
+    fn take(&mut self, stroke: &Stroke) {
+        self.rest_from = self.rest_from.max(HalfTick(2 * stroke.end().0 + WINDOW_HALF_TICKS));
+        let place = self.motors.binary_search(&stroke.motor).expect("only these motors have strokes");
+        // The stop takes the surplus, so both bursts count as long as the one up.
+        let pulses = stroke.up_pulses.into();
+        let ramps = [(stroke.up, Direction::Up), (stroke.down, Direction::Down)];
+        self.pins[place].ahead.extend(ramps.map(|(start, way)| Ramp::new(start, pulses, way, 1.0)));
+    }
+}
+
+impl Iterator for Displacement {
+    type Item = Result<Vec<f64>, StrokesError>;
+
+    fn next(&mut self) -> Option<Self::Item> {
+        let at = self.at();
+        while let Some(stroke) =
+            self.strokes.next_if(|stroke| stroke.as_ref().map_or(true, |of| HalfTick::from(of.up) <= at))
+        {
+            match stroke {
+                Ok(stroke) => self.take(&stroke),
+                Err(error) => return Some(Err(error)),
+            }
+        }
+        if self.strokes.peek().is_none() && at >= self.rest_from {
+            return None;
+        }
+        self.number += 1;
+        let sample = |pin: &mut Pin| {
+            while let Some(ramp) = pin.ahead.pop_front_if(|ramp| HalfTick::from(ramp.start) <= at) {
+                pin.shaft.push(ramp);
+            }
+            pin.shaft.displacement_um(at)
+        };
+        Some(Ok(self.pins.iter_mut().map(sample).collect()))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::motor::SteadyState;
+    use crate::pattern::{Drive, Pattern};
+    use crate::strokes::{StrokeOptions, Surplus};
+
+    fn two_pins() -> Pattern {
+        let drive = |motor, phase, start_s, stop_s| Drive {
+            motor,
+            frequency_hz: 60.0,
+            amplitude_um: 80.0,
+            phase,
+            start_s,
+            stop_s,
+        };
+        let drives = vec![drive(9, 0.0, None, Some(0.1)), drive(4, 0.5, Some(0.2), Some(0.3))];
+        Pattern::new("two", Some(0.3), drives, toml::Table::new()).unwrap()
+    }
+
+    fn sampled(options: &StrokeOptions, rate_hz: f64, first_s: f64) -> Vec<Vec<f64>> {
+        let samples = Displacement::new(Strokes::new(&two_pins(), options).unwrap(), rate_hz, first_s);
+        assert_eq!(samples.motors(), [4, 9]);
+        samples.collect::<Result<_, _>>().unwrap()
+    }
+
+    #[test]
+    fn pins_move_by_their_amplitude_at_their_time_and_rest_at_the_end() {
+        let rows = sampled(&StrokeOptions::default(), 10_000.0, 0.0);
+        let highest = |pin: usize, from: usize, to: usize| {
+            rows[from..to].iter().map(|row| row[pin]).fold(0.0, f64::max)
+        };
+        let reached = SteadyState::of(60.0, 80.0).unwrap().played_peak_to_peak_um;
+        assert!((highest(1, 0, 1_050) - reached).abs() < 0.5, "{}", highest(1, 0, 1_050));
+        assert!((highest(0, 2_000, rows.len()) - reached).abs() < 0.5);
+        assert_eq!((highest(0, 0, 2_000), highest(1, 1_050, rows.len())), (0.0, 0.0));
+        // Until the window of the last burst is over, and no longer.
+        assert!(rows.len() > 2_950 && rows.len() < 3_050, "{}", rows.len());
+        assert!(rows.last().unwrap()[0].abs() < 0.5);
+    }
+
+    #[test]
+    fn samples_at_other_instants_lie_on_the_same_curve_whatever_the_surplus() {
+        let fine = sampled(&StrokeOptions::default(), 10_000.0, 0.0);
+        let surplus = StrokeOptions { surplus: Surplus::Fixed(5.0), ..StrokeOptions::default() };
+        let coarse = sampled(&surplus, 1_000.0, 0.000_3);
+        for (number, row) in coarse.iter().enumerate().take(fine.len() / 10 - 1) {
+            assert_eq!(*row, fine[10 * number + 3]);
+        }
+        let late = sampled(&StrokeOptions::default(), 1_000.0, 0.25);
+        assert_eq!(late[0], fine[2_500]);
+    }
+
+    #[test]
+    fn what_does_not_move_has_no_samples() {
+        assert!(sampled(&StrokeOptions::lasting(0.001), 1_000.0, 0.0).is_empty());
+    }
+}

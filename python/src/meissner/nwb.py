@@ -1,0 +1,206 @@
+"""NWB: writes a recorded session as a file with a table of stimuli, the pins' displacement, and the device.
+
+`Client.export_nwb` uses it; it needs `pynwb`: `pip install 'meissner[nwb]'`. Times count from the session's start on the
+recording PC's clock. The displacement has samples during stimuli alone: in between all pins rest.
+
+Invariant: a file that is there is replaced whole, and only once everything was written.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from array import array
+from collections.abc import Mapping
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+from .bids import losses, pattern_toml, stimulus_rows
+from .clocks import NS
+from .errors import MeissnerError, ProgramError
+from .program import find_program
+from .results import Status
+from .traces import PINS, TICK_HZ, Grid
+
+_COLUMNS = {
+    "pattern": "Name of the vibration pattern",
+    "pattern_sha256": "SHA-256 of the pattern's file; empty: not known",
+    "trial": "Number of the trial, as the experiment gave it; NaN: none",
+    "labels": "Labels of the trial, as the experiment gave them: key=value, separated by semicolons",
+    "scale": "Factor of the amplitudes",
+    "amplitude_um": "Largest amplitude that a drive reaches, peak to peak, um",
+    "state": "What became of the stimulus, as the daemon reports it: done, played: played to its end",
+    "late_strokes": "Number of strokes that came late and were left out",
+    "trigger_code": "Code of the trigger output; NaN: one pulse, or nothing",
+    "onset_tick": "Onset on the device's clock, ticks of 1/85000 s",
+    "onset_uncertainty": "Uncertainty of the onset against the recording PC's clock, s",
+    "play": "Number of the play in the session record",
+    "item": "Number of the item in its sequence, from 0; NaN: a play of one pattern",
+}
+
+
+@dataclass(frozen=True)
+class Export:
+    """What an export has written."""
+
+    file: Path
+    left_out: tuple[str, ...]
+    """What could not be exported, one line each."""
+
+
+def needs_pynwb() -> Any:
+    """The package pynwb."""
+    try:
+        import pynwb
+    except ImportError as error:
+        raise ImportError(f"NWB needs the package pynwb: pip install 'meissner[nwb]' ({error})") from error
+    return pynwb
+
+
+def write(
+    file: Path,
+    recorded: Mapping[str, Any],
+    patterns: Mapping[str, dict[str, Any]],
+    *,
+    status: Status,
+    subject: Mapping[str, Any] | None = None,
+    metadata: Mapping[str, Any] | None = None,
+    displacement_hz: float | None = 1000.0,
+) -> Export:
+    """Writes a session. `recorded` is as of `session_plays`, `patterns` holds the patterns' keys by SHA-256."""
+    pynwb = needs_pynwb()
+    session, rows = recorded["session"], stimulus_rows(recorded["plays"])
+    if not rows:
+        raise MeissnerError(f"session {session['id']} has no stimuli: there is nothing to export")
+    texts = {sha256: pattern_toml(keys) for sha256, keys in patterns.items()}
+    started = datetime.fromisoformat(session["started"])
+    zero_ns = _zero_ns(rows, started)
+    about = {
+        "session_description": f"Tactile stimulation in the experiment {session['experiment'] or 'without a name'}",
+        "identifier": session["id"],
+        "session_id": session["id"],
+        "session_start_time": started,
+        "stimulus_notes": "Vibration patterns by SHA-256, frequencies in Hz, amplitudes in um peak to peak.\n\n"
+        + "\n".join(f"# {sha256}\n{text}" for sha256, text in texts.items()),
+        "was_generated_by": [["meissner", status.raw["version"]]],
+        **(metadata or {}),
+    }
+    nwb = pynwb.NWBFile(**about)
+    person = {"subject_id": session["participant"], "species": "Homo sapiens", "sex": "U", **(subject or {})}
+    nwb.subject = pynwb.file.Subject(**person)
+    nwb.add_device(_device(pynwb, status))
+    nwb.add_events_table(_table(pynwb, rows, zero_ns))
+    left_out = losses(recorded)
+    if "age" not in person and "date_of_birth" not in person:
+        left_out.append("the participant's age, which archives ask for: export with subject={'age': 'P30Y'}")
+    if displacement_hz is not None:
+        left_out += _add_displacement(pynwb, nwb, Grid(rows, texts, zero_ns=zero_ns, rate_hz=displacement_hz))
+    beside = file.with_name(f".{file.stem}.{os.getpid()}.nwb")
+    try:
+        with pynwb.NWBHDF5IO(str(beside), "w") as io:
+            io.write(nwb)
+        beside.replace(file)
+    finally:
+        beside.unlink(missing_ok=True)
+    return Export(file, tuple(left_out))
+
+
+def _zero_ns(rows: list[dict[str, Any]], started: datetime) -> int:
+    """The session's start on the recording PC's `CLOCK_MONOTONIC`, ns: by the wall clock at the first onset."""
+    after_s: float = rows[0]["onset_wall_ns"] / NS - started.timestamp()
+    onset_ns: int = rows[0]["onset_monotonic_ns"]
+    return onset_ns - round(after_s * NS)
+
+
+def _device(pynwb: Any, status: Status) -> Any:
+    raw, about = status.raw["device"], "Piezo pin array of 24 pins for a fingertip"
+    if raw is not None:
+        kind = "simulated motors" if raw["simulated"] else raw["kind"]
+        about += f"; at the export {kind}, firmware {raw['firmware']}, build {raw['build']}"
+    return pynwb.device.Device(name="tactile_display", description=about)
+
+
+def _number(value: Any) -> float:
+    return math.nan if value is None else float(value)
+
+
+def _table(pynwb: Any, rows: list[dict[str, Any]], zero_ns: int) -> Any:
+    """A row per stimulus."""
+    numbers = {"trial", "scale", "amplitude_um", "late_strokes", "trigger_code", "onset_uncertainty", "item"}
+    columns: dict[str, list[Any]] = {name: [] for name in ("timestamp", "duration", *_COLUMNS)}
+    for row in rows:
+        uncertainty_ns = row["onset_uncertainty_ns"]
+        cells = {
+            **{name: row.get(name) for name in _COLUMNS},
+            "timestamp": (row["onset_monotonic_ns"] - zero_ns) / NS,
+            "duration": math.nan if row["played_ms"] is None else row["played_ms"] / 1000,
+            "pattern_sha256": row["pattern_sha256"] or "",
+            "labels": ";".join(f"{key}={value}" for key, value in sorted(row["labels"].items())),
+            "amplitude_um": row["reached_um"],
+            "trigger_code": row["trigger"] and row["trigger"]["code"],
+            "onset_uncertainty": None if uncertainty_ns is None else uncertainty_ns / NS,
+        }
+        for name, cell in cells.items():
+            columns[name].append(_number(cell) if name in numbers else cell)
+    event = pynwb.event
+    made = [
+        event.TimestampVectorData(
+            name="timestamp",
+            description="Onset, by the recording PC's clock",
+            data=columns["timestamp"],
+            resolution=1 / TICK_HZ,
+        ),
+        event.DurationVectorData(
+            name="duration",
+            description="From the onset to the end of the last pulse; NaN: not known",
+            data=columns["duration"],
+            resolution=1 / TICK_HZ,
+        ),
+    ]
+    made += [
+        pynwb.core.VectorData(name=name, description=about, data=columns[name]) for name, about in _COLUMNS.items()
+    ]
+    return event.EventsTable(
+        name="stimuli",
+        description="Vibration stimuli. The device schedules onsets by its ticks; the daemon maps them to the PC's clock.",
+        source_description="Session record of the daemon meissner",
+        columns=made,
+        colnames=list(columns),
+    )
+
+
+def _add_displacement(pynwb: Any, nwb: Any, grid: Grid) -> list[str]:
+    """Adds the samples of all stimuli. Returns what is missing."""
+    import numpy
+
+    try:
+        find_program()
+    except ProgramError as error:
+        return [f"no displacement of the pins: {error}"]
+    indices, values = array("q"), array("f")
+    unknown = [math.nan] * PINS
+    for index, row in grid:
+        indices.append(index)
+        values.extend(unknown if row is None else row)
+    if not indices:
+        return grid.problems
+    data = numpy.frombuffer(values, dtype=numpy.float32).reshape(-1, PINS)
+    is_even = indices[-1] - indices[0] == len(indices) - 1
+    times: dict[str, Any] = {"timestamps": numpy.frombuffer(indices, dtype=numpy.int64) / grid.rate_hz}
+    if is_even:
+        times = {"rate": float(grid.rate_hz), "starting_time": indices[0] / grid.rate_hz}
+    nwb.add_stimulus(
+        pynwb.TimeSeries(
+            name="pin_displacement",
+            description="Displacement of pins 0 to 23 from rest towards the finger, by the motor model from what was ordered: not "
+            "measured. Between stimuli, where there are no samples, all pins rest. NaN: not known.",
+            data=pynwb.H5DataIO(data, compression="gzip"),
+            unit="meters",
+            conversion=1e-6,
+            resolution=1e-9,
+            **times,
+        )
+    )
+    return grid.problems

@@ -1,0 +1,101 @@
+"""A recorded session as an NWB file."""
+
+from __future__ import annotations
+
+import datetime
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import meissner
+from test_bids import record
+
+pynwb = pytest.importorskip("pynwb", reason="pynwb is not installed")
+
+
+def problems(file: Path) -> list[str]:
+    """What the official validators find, but for suggestions."""
+    from nwbinspector import Importance, inspect_nwbfile
+
+    found = [str(error) for error in pynwb.validate(path=str(file))]
+    for message in inspect_nwbfile(nwbfile_path=str(file)):
+        if message.importance.value > Importance.BEST_PRACTICE_SUGGESTION.value:
+            found.append(f"{message.importance.name}: {message.check_function_name}: {message.message}")
+    return found
+
+
+def test_a_session_becomes_a_file_without_errors(m: meissner.Client, tmp_path: Path) -> None:
+    session, play, pair = record(m)
+    file = tmp_path / "P07.nwb"
+    file.write_text("replaced whole")
+    export = m.export_nwb(session, file, subject={"age": "P30Y", "sex": "F"}, metadata={"keywords": ["touch"]})
+    m.remove_pattern("mine")
+    assert export.file == file
+    assert [line for line in export.left_out if "late strokes" not in line] == [
+        f"play {pair.id}, item 0: its pattern has changed since, so its displacement is n/a"
+    ]
+    assert list(tmp_path.iterdir()) == [file]
+    assert problems(file) == []
+    with pynwb.NWBHDF5IO(str(file), "r") as io:
+        check(io.read(), play, pair)
+
+
+def check(nwb: Any, play: meissner.Play, pair: meissner.Play) -> None:
+    """The table of stimuli has the true times, and the samples are where the stimuli are."""
+    assert (nwb.subject.subject_id, nwb.subject.sex, list(nwb.keywords)) == ("P-07", "F", ["touch"])
+    assert "simulated motors" in nwb.devices["tactile_display"].description
+    assert "frequency_hz = 60.0" in nwb.stimulus_notes
+    table = nwb.get_events_table("stimuli")
+    assert list(table["pattern"][:3]) == ["pin-60", "mine", "pin-60"]
+    assert (table["timestamp"].resolution, table["duration"].resolution) == (1 / 85_000, 1 / 85_000)
+    times, ticks = table["timestamp"][:], table["onset_tick"][:]
+    assert [int(tick) for tick in ticks[:3]] == [
+        instant.tick for instant in (play.onset, *(item.onset for item in pair.items)) if instant
+    ]
+    assert times[2] - times[1] == pytest.approx(0.2, abs=1e-4)
+    onset = nwb.session_start_time + datetime.timedelta(seconds=float(times[0]))
+    assert onset.timestamp() == pytest.approx(play.onset.wall, abs=0.1)
+    assert table["duration"][0] == pytest.approx((play.offset.tick - play.onset.tick) / 85_000, abs=1e-6)
+    assert (table["trial"][0], table["labels"][0], table["trigger_code"][0]) == (1, "block=a b", 5)
+    trace = nwb.stimulus["pin_displacement"]
+    assert (trace.unit, trace.conversion) == ("meters", 1e-6)
+    moved = [time for time, row in zip(trace.timestamps[:], trace.data[:], strict=True) if row[9] > 1]
+    # Not of the pattern that has changed since.
+    assert min(moved) == pytest.approx(times[0], abs=0.01)
+    assert not [time for time in moved if times[0] + 0.12 < time < times[2]]
+    assert [time for time in moved if times[2] < time < times[2] + 0.05]
+
+
+def test_one_stimulus_is_sampled_evenly_and_what_is_missing_is_told(
+    m: meissner.Client, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with m.session("P07") as session:
+        m.play("pin-60", 0.1).wait()
+    export = m.export_nwb(session.id, tmp_path / "one.nwb")
+    assert "the participant's age, which archives ask for: export with subject={'age': 'P30Y'}" in export.left_out
+    with pynwb.NWBHDF5IO(str(export.file), "r") as io:
+        nwb = io.read()
+        trace = nwb.stimulus["pin_displacement"]
+        assert (trace.rate, trace.timestamps) == (1000.0, None)
+        onset = nwb.get_events_table("stimuli")["timestamp"][0]
+        assert 0 <= trace.starting_time - onset < 0.001
+    m.export_nwb(session.id, tmp_path / "none.nwb", displacement_hz=None)
+    monkeypatch.setenv("MEISSNER_PROGRAM", str(tmp_path / "missing"))
+    export = m.export_nwb(session.id, tmp_path / "without.nwb")
+    assert "no displacement of the pins" in export.left_out[-1]
+    for name in ("none", "without"):
+        with pynwb.NWBHDF5IO(str(tmp_path / f"{name}.nwb"), "r") as io:
+            assert not io.read().stimulus
+    with m.session("P07") as session:
+        pass
+    with pytest.raises(meissner.MeissnerError, match="no stimuli"):
+        m.export_nwb(session.id, tmp_path / "empty.nwb")
+
+
+def test_without_pynwb_the_remedy_is_told() -> None:
+    code = "import sys; sys.modules['pynwb'] = None; from meissner import nwb; nwb.needs_pynwb()"
+    ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert "pip install 'meissner[nwb]'" in ended.stderr

@@ -1,0 +1,116 @@
+//! `displacement`: samples how far a pattern moves each pin, by the motor model. It needs no daemon.
+//!
+//! Rows are printed as they are made, so that a play may be long.
+
+use super::arguments::{Output, choice, positive};
+use super::{files, library};
+use crate::receipts::fit;
+use crate::store::Store;
+use anyhow::{Result, anyhow, bail};
+use clap::Args;
+use meissner_api::Fit;
+use meissner_array::displacement::{Displacement as Samples, RATE_HZ};
+use meissner_array::pattern::{MAX_FILE_BYTES, Pattern};
+use meissner_array::strokes::{StrokeOptions, Strokes};
+use std::io::{self, BufWriter, Read, Write};
+use std::path::Path;
+use std::process::ExitCode;
+use std::sync::Arc;
+
+#[derive(Debug, Args)]
+pub(super) struct Displacement {
+    /// Sample this pattern: a name of the library, a file (TOML), or - for stdin
+    pattern: String,
+    /// Play for S seconds: truncate or loop the pattern
+    #[arg(long, value_name = "S", allow_negative_numbers = true, value_parser = positive)]
+    seconds: Option<f64>,
+    /// Choose which strokes are played at the end
+    #[arg(long, default_value = "whole", value_parser = choice::<Fit>(&[("whole", "Those that have ended by then: a little shorter than asked for"), ("cover", "Those that begin before: a little longer")]))]
+    fit: Fit,
+    /// Multiply the amplitude of every drive by X, 0 to 1
+    #[arg(long, value_name = "X", default_value_t = 1.0, allow_negative_numbers = true, value_parser = positive)]
+    scale: f64,
+    /// Take F samples a second, 1 to 85000
+    #[arg(long, value_name = "F", default_value_t = 1000.0, allow_negative_numbers = true, value_parser = rate)]
+    rate_hz: f64,
+    /// Take the first sample S seconds after the onset
+    #[arg(long, value_name = "S", default_value_t = 0.0, allow_negative_numbers = true, value_parser = positive)]
+    first_s: f64,
+    #[command(flatten)]
+    output: Output,
+}
+
+fn rate(text: &str) -> Result<f64, &'static str> {
+    let number = text.parse().ok().filter(|number| RATE_HZ.contains(number));
+    number.ok_or("must be a number, 1 to 85000")
+}
+
+pub(super) fn run(asked: &Displacement) -> Result<ExitCode> {
+    let pattern = read(&asked.pattern)?;
+    let options = StrokeOptions {
+        seconds: asked.seconds,
+        scale: asked.scale,
+        fit: fit(asked.fit),
+        ..StrokeOptions::default()
+    };
+    let strokes = Strokes::new(&pattern, &options)?;
+    if strokes.end().is_none() {
+        bail!("`{}` has no end: say for how long with --seconds", pattern.name());
+    }
+    let samples = Samples::new(strokes, asked.rate_hz, asked.first_s);
+    let mut out = BufWriter::new(io::stdout().lock());
+    if asked.output.json {
+        document(samples, asked, &mut out)?;
+    } else {
+        table(samples, asked, &mut out)?;
+    }
+    out.flush()?;
+    Ok(ExitCode::SUCCESS)
+}
+
+fn read(argument: &str) -> Result<Pattern> {
+    if argument == "-" {
+        let mut text = String::new();
+        let read = io::stdin().lock().take(MAX_FILE_BYTES as u64 + 1).read_to_string(&mut text);
+        read.map_err(|error| anyhow!("stdin: cannot be read; pipe a pattern in UTF-8 ({error})"))?;
+        return Ok(Pattern::parse(&text, "stdin")?);
+    }
+    if files::is_file(argument) {
+        return Ok(library::read(Path::new(argument))?.0);
+    }
+    Ok(Arc::unwrap_or_clone(Store::new(None, false)?.get(argument)?.pattern))
+}
+
+/// A row per sample, a column per pin that moves.
+fn table(samples: Samples, asked: &Displacement, out: &mut impl Write) -> Result<()> {
+    write!(out, "time_s")?;
+    for motor in samples.motors() {
+        write!(out, ",motor_{motor}_um")?;
+    }
+    writeln!(out)?;
+    for (number, row) in samples.enumerate() {
+        write!(out, "{:.9}", asked.first_s + number as f64 / asked.rate_hz)?;
+        for um in row? {
+            write!(out, ",{}", rounded(um))?;
+        }
+        writeln!(out)?;
+    }
+    Ok(())
+}
+
+fn document(samples: Samples, asked: &Displacement, out: &mut impl Write) -> Result<()> {
+    let motors = serde_json::to_string(samples.motors())?;
+    let Displacement { rate_hz, first_s, .. } = asked;
+    write!(out, r#"{{"rate_hz":{rate_hz},"first_s":{first_s},"motors":{motors},"displacement_um":["#)?;
+    for (number, row) in samples.enumerate() {
+        let row: Vec<_> = row?.into_iter().map(rounded).collect();
+        write!(out, "{}{}", if number == 0 { "" } else { "," }, serde_json::to_string(&row)?)?;
+    }
+    writeln!(out, "]}}")?;
+    Ok(())
+}
+
+/// To a nanometre, and never as a negative zero.
+fn rounded(um: f64) -> f64 {
+    (um * 1000.0).round() / 1000.0 + 0.0
+}

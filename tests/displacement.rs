@@ -1,0 +1,55 @@
+use crate::harness::{complaint, document, meissner, printed};
+use std::fs;
+use tempfile::tempdir;
+
+const BLIP: &str =
+    "format = 1\nname = \"blip\"\n[[drive]]\nmotor = 4\nfrequency_hz = 60.0\namplitude_um = 80.0\n";
+
+#[test]
+fn a_pattern_becomes_a_row_per_sample_as_table_and_as_document() {
+    let asked = ["displacement", "pin-60", "--seconds", "0.1", "--scale", "0.5", "--rate-hz", "500"];
+    let table = printed(meissner().args(asked));
+    let mut lines = table.lines();
+    assert_eq!(lines.next(), Some("time_s,motor_9_um"));
+    let rows: Vec<Vec<f64>> =
+        lines.map(|line| line.split(',').map(|cell| cell.parse().unwrap()).collect()).collect();
+    let found = document(meissner().args(asked).arg("--json"));
+    assert_eq!((&found["rate_hz"], &found["first_s"]), (&500.into(), &0.into()));
+    assert_eq!(found["motors"], serde_json::json!([9]));
+    let listed = found["displacement_um"].as_array().unwrap();
+    assert_eq!(listed.len(), rows.len());
+    for (number, (row, listed)) in rows.iter().zip(listed).enumerate() {
+        assert_eq!(row[0], (number as f64 / 500.0 * 1e9).round() / 1e9);
+        assert_eq!(Some(row[1]), listed[0].as_f64());
+    }
+    let highest = rows.iter().map(|row| row[1]).fold(0.0, f64::max);
+    assert!((38.0..42.0).contains(&highest), "half of 80 um: {highest}");
+    let whole = printed(meissner().args(["displacement", "pin-60", "--seconds", "0.1", "--rate-hz", "500"]));
+    let later = printed(meissner().args([
+        "displacement",
+        "pin-60",
+        "--seconds",
+        "0.1",
+        "--rate-hz",
+        "500",
+        "--first-s",
+        "0.01",
+    ]));
+    assert_eq!(later.lines().skip(1).collect::<Vec<_>>(), whole.lines().skip(6).collect::<Vec<_>>());
+}
+
+#[test]
+fn a_pattern_comes_from_a_file_or_stdin_and_needs_an_end() {
+    let dir = tempdir().unwrap();
+    let file = dir.path().join("blip.toml");
+    fs::write(&file, BLIP).unwrap();
+    let from_file = printed(meissner().arg("displacement").arg(&file).args(["--seconds", "0.1"]));
+    let from_stdin = printed(meissner().args(["displacement", "-", "--seconds", "0.1"]).write_stdin(BLIP));
+    assert!(from_file == from_stdin && from_file.starts_with("time_s,motor_4_um\n"), "{from_file}");
+    let endless = complaint(meissner().arg("displacement").arg(&file));
+    assert!(endless.contains("`blip` has no end: say for how long with --seconds"), "{endless}");
+    let nothing = complaint(meissner().args(["displacement", "nothing"]));
+    assert!(nothing.contains("nothing"), "{nothing}");
+    let scale = complaint(meissner().args(["displacement", "pin-60", "--scale", "2"]));
+    assert!(scale.contains("scale 2: must be at least 0 and at most 1"), "{scale}");
+}
