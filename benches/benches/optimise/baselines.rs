@@ -12,7 +12,7 @@ use meissner_design::{Brief, Fidelity, Limit, Objective, Point, Score, Space, Vi
 use std::ops::ControlFlow;
 
 /// A subgradient method's look; ours ends with the same.
-const LOOK: Fidelity = Fidelity { duration_s: 1.0, step_us: Some(500), min_weight: 1e-3 };
+const LOOK: Fidelity = Fidelity { duration_s: 1.0, step_us: Some(500), min_weight: 1e-3, min_share: None };
 /// A random search's and CMA-ES's: what is seen in it is worse, but they do better with four times as many points.
 const SHORT_LOOK: Fidelity = Fidelity { duration_s: 0.25, ..LOOK };
 /// The coordinate search's, as it is specified.

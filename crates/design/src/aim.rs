@@ -143,6 +143,12 @@ pub(crate) struct Step {
     pub(crate) afferents: usize,
 }
 
+impl Step {
+    pub(crate) const fn point(&self) -> Point {
+        self.first.point
+    }
+}
+
 impl<'o> Standing<'o> {
     pub(crate) const fn point(&self) -> &Point {
         self.first.point()
@@ -193,7 +199,8 @@ mod tests {
     use crate::shipped::shipped;
     use crate::target::Target;
 
-    const SHORT: Fidelity = Fidelity { duration_s: 0.25, step_us: Some(500), min_weight: 1e-2 };
+    const SHORT: Fidelity =
+        Fidelity { duration_s: 0.25, step_us: Some(500), min_weight: 1e-2, min_share: None };
 
     fn aim(models: Models, target: &Target) -> Aim {
         let (goal, frame) = (Goal::OffRmsTwice, &target.frames()[0]);

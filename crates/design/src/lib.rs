@@ -72,7 +72,7 @@ pub use make::{
     populations,
 };
 pub use naive::Rule;
-pub use objective::{Fidelity, Incumbent, Objective, Score, Tried};
+pub use objective::{Fidelity, Incumbent, Objective, Score, Task, Tried};
 pub use partition::{Partition, Verdict};
 pub use point::{Point, Setting, Space, Vibration, Window};
 pub use prediction::{

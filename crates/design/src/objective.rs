@@ -4,7 +4,8 @@
 //! Every point meets the same afferents and the same noise: two values differ only by what the motors do. Spikes are
 //! counted in whole numbers and summed first.
 //!
-//! Under the second model the afferents are its RA afferents, at the same places as those of the first.
+//! Under the second model the afferents are its RA afferents, at the same places as those of the first. A fidelity with a `min_share`
+//! simulates them nearly ([`NearEvaluator`]), for a search; its scores do not compare with those of the model as it is.
 //!
 //! Invariant: the score of an [`Incumbent`] is that of its point, however it was reached.
 
@@ -13,7 +14,7 @@ use crate::point::Point;
 use crate::target::{Frame, Target};
 use meissner_array::pattern::Drive;
 use meissner_skin::afferent::{self, MIN_WEIGHT, Position};
-use meissner_skin::fingertip::{self, Class};
+use meissner_skin::fingertip::{self, Class, NearCandidate, NearEvaluator};
 use meissner_skin::{
     Candidate, Evaluator, Integrator, Keep, Method, MethodError, ModelName, Options, Precision, Scene,
     Stepping,
@@ -29,13 +30,16 @@ pub struct Fidelity {
     pub duration_s: f64,
     /// The step of the propagator; none simulates exactly. The second model has its own step.
     pub step_us: Option<u32>,
-    /// Weights below this count as 0. In the second model all count.
+    /// Weights below this count as 0. It is the first model's.
     pub min_weight: f64,
+    /// The second model simulates nearly, and a motor's influence below this share of the largest counts as 0; none simulates it as it is,
+    /// and so does an amplitude that may lift pins off the skin.
+    pub min_share: Option<f64>,
 }
 
 impl Fidelity {
     /// One second, exactly.
-    pub const FULL: Self = Self { duration_s: 1.0, step_us: None, min_weight: MIN_WEIGHT };
+    pub const FULL: Self = Self { duration_s: 1.0, step_us: None, min_weight: MIN_WEIGHT, min_share: None };
 
     fn options(self) -> Options {
         let stepping =
@@ -71,6 +75,8 @@ enum Afferents {
     Membrane(Box<Scene>, Options),
     /// A scene of the second model, without drives.
     Second(Box<fingertip::Scene>),
+    /// The same, answered nearly.
+    Near(Box<NearEvaluator>),
 }
 
 /// The value of a goal for a frame under one model, as a function of the point.
@@ -88,12 +94,17 @@ pub struct Objective {
 
 /// A goal for a frame, over the populations of some seeds. `noise_seed` seeds the threshold noise.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Task<'t> {
-    pub(crate) goal: Goal,
-    pub(crate) target: &'t Target,
-    pub(crate) frame: &'t Frame,
-    pub(crate) populations: &'t [u64],
-    pub(crate) noise_seed: u64,
+pub struct Task<'t> {
+    /// What is maximised.
+    pub goal: Goal,
+    /// The target: its reach, amplitude and afferent model.
+    pub target: &'t Target,
+    /// One of its frames.
+    pub frame: &'t Frame,
+    /// Seeds of the populations over which the value is the mean.
+    pub populations: &'t [u64],
+    /// Seed of the threshold noise.
+    pub noise_seed: u64,
 }
 
 impl Objective {
@@ -120,7 +131,8 @@ impl Objective {
     ///
     /// # Panics
     /// If no scene can have the fidelity's duration.
-    pub(crate) fn under(model: ModelName, task: Task<'_>, fidelity: Fidelity) -> Self {
+    #[must_use]
+    pub fn under(model: ModelName, task: Task<'_>, fidelity: Fidelity) -> Self {
         let Task { goal, target, frame, populations, noise_seed } = task;
         let (mut seeds, mut kept) = (Vec::new(), Vec::new());
         for &seed in populations {
@@ -146,7 +158,14 @@ impl Objective {
                 let scene = motors.and_then(|motors| {
                     fingertip::Scene::of_motors(&motors, fingertip::PREINDENT_MM, rapid, true)
                 });
-                Afferents::Second(Box::new(scene.expect("populations make a scene")))
+                let scene = scene.expect("populations make a scene");
+                let near = fidelity
+                    .min_share
+                    .and_then(|min_share| NearEvaluator::new(&scene, target.amplitude_um(), min_share));
+                near.map_or_else(
+                    || Afferents::Second(Box::new(scene)),
+                    |near| Afferents::Near(Box::new(near)),
+                )
             }
         };
         let times = match frame.start_s.zip(frame.stop_s) {
@@ -173,6 +192,11 @@ impl Objective {
                 (self.score(evaluator.counts()), Simulated::Membrane(Box::new(evaluator)))
             }
             Afferents::Second(scene) => (self.score(&counts(scene, drives)), Simulated::Second(scene)),
+            Afferents::Near(at_rest) => {
+                let mut evaluator = at_rest.clone();
+                evaluator.accept(evaluator.evaluate(&drives).expect(EVERY_DRIVE));
+                (self.score(evaluator.counts()), Simulated::Near(evaluator))
+            }
         };
         Ok(Incumbent { objective: self, point, score, simulated })
     }
@@ -183,6 +207,7 @@ impl Objective {
         match &self.afferents {
             Afferents::Membrane(scene, _) => scene.afferents().len(),
             Afferents::Second(scene) => scene.afferents().len(),
+            Afferents::Near(evaluator) => evaluator.counts().len(),
         }
     }
 
@@ -233,6 +258,17 @@ enum Simulated<'o> {
     Membrane(Box<Evaluator>),
     /// Each anew: every pin moves the skin under all others, so nothing of an answer holds for another point.
     Second(&'o fingertip::Scene),
+    /// As in the first model; small influences count as none.
+    Near(Box<NearEvaluator>),
+}
+
+/// The part of an answer that differs from the incumbent's.
+#[derive(Clone, Debug)]
+enum Differing {
+    Membrane(Box<Candidate>),
+    /// Nothing is kept.
+    Second,
+    Near(Box<NearCandidate>),
 }
 
 /// A point with its score, from which nearby points are simulated for less work.
@@ -253,8 +289,7 @@ pub struct Tried {
     pub score: Score,
     /// The number of afferents that were simulated for it.
     pub afferents: usize,
-    /// None in the second model.
-    candidate: Option<Box<Candidate>>,
+    differing: Differing,
 }
 
 impl Incumbent<'_> {
@@ -275,18 +310,20 @@ impl Incumbent<'_> {
     pub fn try_all(&self, points: Vec<Point>) -> Vec<Tried> {
         let tried = |point: Point| {
             let drives = self.objective.drives(&point);
-            match &self.simulated {
+            let (counts, afferents, differing) = match &self.simulated {
                 Simulated::Membrane(evaluator) => {
                     let candidate = evaluator.evaluate(&drives).expect(EVERY_DRIVE);
-                    let score = self.objective.score(&candidate.counts());
-                    let afferents = candidate.simulated();
-                    Tried { point, score, afferents, candidate: Some(Box::new(candidate)) }
+                    (candidate.counts(), candidate.simulated(), Differing::Membrane(Box::new(candidate)))
                 }
                 Simulated::Second(scene) => {
-                    let score = self.objective.score(&counts(scene, drives));
-                    Tried { point, score, afferents: scene.afferents().len(), candidate: None }
+                    (counts(scene, drives), scene.afferents().len(), Differing::Second)
                 }
-            }
+                Simulated::Near(evaluator) => {
+                    let candidate = evaluator.evaluate(&drives).expect(EVERY_DRIVE);
+                    (candidate.counts(), candidate.simulated(), Differing::Near(Box::new(candidate)))
+                }
+            };
+            Tried { point, score: self.objective.score(&counts), afferents, differing }
         };
         points.into_par_iter().map(tried).collect()
     }
@@ -294,8 +331,11 @@ impl Incumbent<'_> {
     /// Makes a tried point the incumbent.
     pub fn move_to(&mut self, tried: Tried) {
         (self.point, self.score) = (tried.point, tried.score);
-        if let (Simulated::Membrane(evaluator), Some(candidate)) = (&mut self.simulated, tried.candidate) {
-            evaluator.accept(*candidate);
+        match (&mut self.simulated, tried.differing) {
+            (Simulated::Membrane(evaluator), Differing::Membrane(candidate)) => evaluator.accept(*candidate),
+            (Simulated::Near(evaluator), Differing::Near(candidate)) => evaluator.accept(*candidate),
+            (Simulated::Second(_), Differing::Second) => {}
+            _ => unreachable!("a point is tried as its incumbent is simulated"),
         }
     }
 }

@@ -18,6 +18,10 @@
 //! A move simulates only the afferents that a changed motor reaches. The first rounds simulate a quarter of a second and
 //! leave out small weights; the last simulate a second. Only scores of one fidelity are compared.
 //!
+//! Under the second model alone the rounds simulate nearly ([`Fidelity::min_share`]). The start and the best points that the search
+//! went to are then simulated as the model is, and the best of them is the result. So it is no worse than the start, and what was
+//! simulated nearly decides nothing but which points these are.
+//!
 //! Invariant: the result depends on the brief, the start and the number of evaluations, not on threads or clocks.
 
 use crate::aim::{self, Aim, Models, Standing};
@@ -31,6 +35,7 @@ use meissner_array::random;
 use meissner_skin::{MethodError, SEARCH_MIN_WEIGHT};
 use std::collections::HashSet;
 use std::ops::ControlFlow;
+use std::sync::Arc;
 use std::time::Instant;
 
 /// The task of a search.
@@ -55,9 +60,12 @@ pub struct Brief<'b> {
 }
 
 impl Brief<'_> {
-    /// What the search maximises, at a fidelity.
+    /// What the search maximises, at a fidelity. Under both models every value is that of the models as they are: so few points are asked of the
+    /// second that it takes no longer.
     pub(crate) fn aim(&self, fidelity: Fidelity) -> Result<Aim, MethodError> {
         let Self { models, goal, target, frame, populations, noise_seed, .. } = *self;
+        let min_share = fidelity.min_share.filter(|_| models != Models::Both);
+        let fidelity = Fidelity { min_share, ..fidelity };
         Aim::new(models, Task { goal, target, frame, populations, noise_seed }, fidelity)
     }
 
@@ -147,8 +155,10 @@ struct Stage {
 }
 
 const STEP_US: Option<u32> = Some(500);
-const COARSE: Fidelity = Fidelity { duration_s: 0.25, step_us: STEP_US, min_weight: 1e-2 };
-const MIDDLE: Fidelity = Fidelity { duration_s: 0.5, step_us: STEP_US, min_weight: SEARCH_MIN_WEIGHT };
+const COARSE: Fidelity =
+    Fidelity { duration_s: 0.25, step_us: STEP_US, min_weight: 1e-2, min_share: Some(0.02) };
+const MIDDLE: Fidelity =
+    Fidelity { duration_s: 0.5, step_us: STEP_US, min_weight: SEARCH_MIN_WEIGHT, min_share: Some(0.01) };
 const FINE: Fidelity = Fidelity { duration_s: 1.0, ..MIDDLE };
 
 /// From a start to the neighbourhood of a maximum.
@@ -163,6 +173,9 @@ const POLISH: Stage = Stage { fidelity: FINE, rounds: &[Far, Near { radius: 0.05
 const HOPELESS: f64 = 0.1;
 /// The number of starts besides the first, under one model.
 const RESTARTS: u8 = 4;
+
+/// The number of points that are simulated as the model is, besides the start, after a search that simulates nearly.
+const CONFIRMED: usize = 24;
 
 /// Separates the search's random numbers from others of the same seed.
 const SEARCH_WORD: u64 = 5;
@@ -202,7 +215,18 @@ fn begin(
     descent: &[Stage],
 ) -> Result<Found, MethodError> {
     let (spent, trace) = (Spent::default(), Vec::new());
-    let mut run = Run { brief, limit, watch, spent, trace, ended: None, drawn: 0, pass: 0, best: None };
+    let mut run = Run {
+        brief,
+        limit,
+        watch,
+        spent,
+        trace,
+        ended: None,
+        drawn: 0,
+        pass: 0,
+        best: None,
+        aims: Vec::new(),
+    };
     let first = run.pass(start, descent, f64::NEG_INFINITY)?;
     let (mut point, mut score) = first.unwrap_or((start, Score::default()));
     for pass in 1..=brief.restarts() {
@@ -215,6 +239,9 @@ fn begin(
         if let Some(better) = run.pass(start, &DESCENT, score.value)? {
             (point, score) = better;
         }
+    }
+    if brief.models == Models::Afferents {
+        point = run.confirm(start, point)?;
     }
     Ok(Found { point, spent: run.spent, trace: run.trace, ended: run.ended.unwrap_or(Ended::Converged) })
 }
@@ -231,6 +258,8 @@ struct Run<'r> {
     pass: u8,
     /// The best score of the passes before.
     best: Option<Score>,
+    /// By fidelity: stages come back, and what a model knows of its afferents stays.
+    aims: Vec<(Fidelity, Arc<Aim>)>,
 }
 
 /// The state of a stage. No point is tried twice.
@@ -268,7 +297,7 @@ impl Run<'_> {
     }
 
     fn stage(&mut self, stage: &Stage, point: Point) -> Result<(Point, Score), MethodError> {
-        let aim = self.brief.aim(stage.fidelity)?;
+        let aim = self.aim(stage.fidelity)?;
         let mut state = StageState { standing: aim.at(point)?, seen: HashSet::from([point]) };
         self.spend(aim.afferents(), &aim);
         self.record(&state);
@@ -280,6 +309,40 @@ impl Run<'_> {
             }
         }
         Ok((*state.standing.point(), state.standing.score()))
+    }
+
+    fn aim(&mut self, fidelity: Fidelity) -> Result<Arc<Aim>, MethodError> {
+        if let Some((_, aim)) = self.aims.iter().find(|(of, _)| *of == fidelity) {
+            return Ok(Arc::clone(aim));
+        }
+        let aim = Arc::new(self.brief.aim(fidelity)?);
+        self.aims.push((fidelity, Arc::clone(&aim)));
+        Ok(aim)
+    }
+
+    /// The best point of the model as it is: of the start, the result, and the best points that the search went to; the first of equals.
+    fn confirm(&mut self, start: Point, found: Point) -> Result<Point, MethodError> {
+        let finest_s = self.trace.iter().map(|step| step.duration_s).fold(0.0, f64::max);
+        let mut steps: Vec<&Step> = self.trace.iter().filter(|step| step.duration_s == finest_s).collect();
+        steps.sort_by(|one, other| other.score.value.total_cmp(&one.score.value));
+        let mut points = vec![found];
+        for step in steps {
+            if points.len() < CONFIRMED && !points.contains(&step.point) {
+                points.push(step.point);
+            }
+        }
+        points.retain(|point| *point != start);
+        if points.is_empty() {
+            return Ok(start);
+        }
+        let aim = self.brief.aim(Fidelity::FULL)?;
+        let standing = aim.at(start)?;
+        self.spent.afferent_s += (points.len() + 1) as f64 * aim.afferents() as f64 * aim.duration_s();
+        let (_, best) =
+            standing.try_all(points).into_iter().fold((standing.score().value, start), |best, step| {
+                if step.score.value > best.0 { (step.score.value, step.point()) } else { best }
+            });
+        Ok(best)
     }
 
     /// Every motor once, in random order.

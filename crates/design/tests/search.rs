@@ -15,9 +15,9 @@ use std::ops::ControlFlow;
 use std::time::Instant;
 
 /// The fidelity with which a search begins.
-const COARSE: Fidelity = Fidelity { duration_s: 0.25, step_us: Some(500), min_weight: 1e-2 };
+const COARSE: Fidelity = Fidelity { duration_s: 0.25, step_us: Some(500), min_weight: 1e-2, min_share: None };
 /// The fidelity with which a search ends.
-const FINE: Fidelity = Fidelity { duration_s: 1.0, step_us: Some(500), min_weight: 1e-3 };
+const FINE: Fidelity = Fidelity { duration_s: 1.0, step_us: Some(500), min_weight: 1e-3, min_share: None };
 /// A fifth of the work of three sweeps of a coordinate search; asserted below.
 const FIFTH: Limit = Limit::AfferentSeconds(14_000.0);
 /// Every search converges before so many evaluations: four times those of the yardstick.
@@ -98,7 +98,7 @@ fn motors_near_the_edge_come_to_the_afferents_best_frequency() {
 
 /// Three sweeps over the motors with 24 frequencies each, and their work in afferent-seconds.
 fn by_coordinates(target: &Target, seed: u64, start: Point, space: &Space) -> (Point, f64) {
-    let fidelity = Fidelity { duration_s: 1.0, step_us: Some(100), min_weight: 1e-3 };
+    let fidelity = Fidelity { duration_s: 1.0, step_us: Some(100), min_weight: 1e-3, min_share: None };
     let objective = Objective::new(Goal::Contrast, target, &target.frames()[0], &[seed], 0, fidelity);
     let mut incumbent = objective.at(start).unwrap();
     let mut afferent_s = objective.afferents() as f64;

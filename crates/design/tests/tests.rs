@@ -5,6 +5,8 @@
 mod frames;
 /// The library's patterns: made again byte for byte, with the figures that they state.
 mod library;
+/// Searches under the second model: the ranking of nearly simulated points, and a result of the model as it is.
+mod near;
 /// What a search maximises: dots that stay apart, the naive rules, targets told apart.
 mod objectives;
 /// The predicted response to bursts that do not travel as designed.

@@ -42,6 +42,7 @@ pub(crate) trait Number: Copy + Default + Send + Sync + 'static {
     fn store<S: Simd>(lanes: &mut [Self], vector: Self::Vector<S>);
     fn add<S: Simd>(simd: S, a: Self::Vector<S>, b: Self::Vector<S>) -> Self::Vector<S>;
     fn sub<S: Simd>(simd: S, a: Self::Vector<S>, b: Self::Vector<S>) -> Self::Vector<S>;
+    fn mul<S: Simd>(simd: S, a: Self::Vector<S>, b: Self::Vector<S>) -> Self::Vector<S>;
     fn mul_add<S: Simd>(
         simd: S,
         a: Self::Vector<S>,
@@ -83,7 +84,7 @@ pub(crate) fn bits<M: bytemuck::NoUninit>(mask: M, lanes: usize) -> u32 {
 
 macro_rules! number {
     ($number:ident, $vector:ident, $mask:ident, $lanes:ident, $load:ident, $store:ident, $splat:ident, $add:ident,
-     $sub:ident, $mul_add:ident, $max:ident, $min:ident, $div:ident, $abs:ident, $at_least:ident, $and:ident, $or:ident,
+     $sub:ident, $mul:ident, $mul_add:ident, $max:ident, $min:ident, $div:ident, $abs:ident, $at_least:ident, $and:ident, $or:ident,
      $select:ident, $of:expr) => {
         impl Number for $number {
             type Vector<S: Simd> = S::$vector;
@@ -120,6 +121,10 @@ macro_rules! number {
             #[inline(always)]
             fn sub<S: Simd>(simd: S, a: S::$vector, b: S::$vector) -> S::$vector {
                 simd.$sub(a, b)
+            }
+            #[inline(always)]
+            fn mul<S: Simd>(simd: S, a: S::$vector, b: S::$vector) -> S::$vector {
+                simd.$mul(a, b)
             }
             #[inline(always)]
             fn mul_add<S: Simd>(simd: S, a: S::$vector, b: S::$vector, c: S::$vector) -> S::$vector {
@@ -175,6 +180,7 @@ number!(
     splat_f64s,
     add_f64s,
     sub_f64s,
+    mul_f64s,
     mul_add_f64s,
     max_f64s,
     min_f64s,
@@ -196,6 +202,7 @@ number!(
     splat_f32s,
     add_f32s,
     sub_f32s,
+    mul_f32s,
     mul_add_f32s,
     max_f32s,
     min_f32s,

@@ -15,6 +15,8 @@ mod fingertip;
 mod gains;
 /// The same bits with any threads, order of afferents, blocks, and with and without skipping.
 mod independence;
+/// The second model's near evaluator against the model as it is.
+mod near;
 /// Scene files: accepted keys, and the messages of refused files.
 mod scenes;
 /// Simulated spikes against another program's and the oracle's.

@@ -56,6 +56,11 @@ impl Contact {
         self.places.len()
     }
 
+    /// By how much a pin's load grows per indentation by a pin while all touch, N/mm².
+    pub(super) fn stiffness(&self, pin: usize, of: usize) -> f64 {
+        self.whole[pin * self.pins() + of]
+    }
+
     /// For each pin, the number of samples at which it had lost contact.
     pub(super) fn lost(&self) -> &[u64] {
         &self.lost

@@ -1,8 +1,13 @@
 //! The low-pass filter of a neuron's stimuli: Butterworth, third order, by the bilinear transform.
 //!
-//! It is a first-order section and a second-order one, each in transposed direct form II.
+//! It is a first-order section and a second-order one, each in transposed direct form II. [`Sections`] runs the filters of
+//! several afferents side by side.
+//!
+//! Invariant: no operation mixes lanes.
 
 use super::SAMPLES_PER_S;
+use crate::simd::Number;
+use pulp::Simd;
 
 /// The coefficients: of the first section b and a, of the second b0 (b1 = 2 b0, b2 = b0), a1 and a2.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -36,6 +41,31 @@ impl LowPass {
             input - self.second_b * input,
             self.second_b * input - self.second_a2 * input,
         ]
+    }
+}
+
+/// The coefficients of a vector of filters.
+pub(super) struct Sections<S: Simd, N: Number> {
+    pub(super) first_b: N::Vector<S>,
+    pub(super) first_minus_a: N::Vector<S>,
+    pub(super) second_b: N::Vector<S>,
+    pub(super) second_minus_a1: N::Vector<S>,
+    pub(super) second_minus_a2: N::Vector<S>,
+}
+
+impl<S: Simd, N: Number> Sections<S, N> {
+    /// The next output.
+    #[inline(always)]
+    pub(super) fn next(&self, simd: S, state: &mut [N::Vector<S>; 3], input: N::Vector<S>) -> N::Vector<S> {
+        let scaled = N::mul(simd, self.first_b, input);
+        let between = N::add(simd, scaled, state[0]);
+        state[0] = N::mul_add(simd, self.first_minus_a, between, scaled);
+        let scaled = N::mul(simd, self.second_b, between);
+        let output = N::add(simd, scaled, state[1]);
+        let twice = N::add(simd, N::add(simd, scaled, scaled), state[2]);
+        state[1] = N::mul_add(simd, self.second_minus_a1, output, twice);
+        state[2] = N::mul_add(simd, self.second_minus_a2, output, scaled);
+        output
     }
 }
 

@@ -12,6 +12,10 @@
 //!    `rows` holds the parameters of recorded afferents.
 //! 6. `simulation`: [`simulate`] goes through a scene block by block; groups of eight afferents share the threads.
 //!
+//! A search asks for thousands of answers that differ in a few drives. A [`NearEvaluator`] (`near`) gives them nearly, for RA
+//! afferents, in a small part of the time: `influence` says how much each motor moves each afferent while all pins touch,
+//! `waveform` keeps the filtered stimulus of each motion, and `near_group` makes spikes of both.
+//!
 //! The step of 0.2 ms is part of the model: its noise and its differences are per sample. So there is no exact method, and
 //! a finer step would be another model.
 //!
@@ -31,7 +35,11 @@ mod afferent;
 mod contact;
 mod file;
 mod filter;
+mod influence;
 mod motion;
+mod near;
+mod near_group;
+mod near_row;
 mod neuron;
 mod noise;
 mod population;
@@ -41,8 +49,10 @@ mod simulation;
 mod stimulus;
 #[cfg(test)]
 mod tests;
+mod waveform;
 
 pub use afferent::{Afferent, Class};
+pub use near::{NearCandidate, NearEvaluator};
 pub use population::{LOWER_PER_CM2, UPPER_PER_CM2, population};
 pub use scene::{MAX_PINS, PREINDENT_MM, Scene, SinePin};
 pub use simulation::{Answer, simulate};

@@ -9,6 +9,7 @@ use super::scene::{Pins, Scene, SinePin};
 use super::{SAMPLE_US, SAMPLES_PER_S};
 use crate::method::{Integrator, Method, Precision, Stepping};
 use crate::sampler::Sampler;
+use crate::scene::Scene as MembraneScene;
 use crate::track::{Track, Tracks, of_scene};
 use firmware_protocol::stroke::MOTORS;
 use meissner_array::motor::WINDOW_HALF_TICKS;
@@ -53,6 +54,23 @@ pub(super) fn tracks(scene: &Scene) -> Tracks {
         Pins::Motors(motors) => of_scene(motors, MEANS),
         Pins::Ramps(ramps) => ramps.tracks(&ramps.gains(), scene.duration_s()),
     }
+}
+
+/// A motor's displacement above its rest at each sample of a scene, mm at a gain of 1. Empty if it never moves.
+pub(super) fn displacements_mm(motors: &MembraneScene, motor: u8, samples: usize) -> Vec<f64> {
+    let track = Track::new(motors, MEANS, motor);
+    let Some(mut sampler) = track.as_ref().and_then(|track| Sampler::new(track.breakpoints(), MEANS)) else {
+        return Vec::new();
+    };
+    let mut means: Vec<f64> = Vec::new();
+    sampler.fill(0, samples, &mut means);
+    let mut at_mm = 0.0;
+    let mut found = Vec::with_capacity(samples);
+    for mean in &means[..samples] {
+        found.push(at_mm);
+        at_mm += mean * MM_PER_MEAN;
+    }
+    found
 }
 
 impl<'s> Motion<'s> {

@@ -12,7 +12,7 @@
 //! Invariant: no operation mixes lanes, and tiles begin at the same samples however a scene is cut into blocks.
 
 use super::afferent::{Afferent, Class, Parameters};
-use super::filter::LowPass;
+use super::filter::{LowPass, Sections};
 use super::noise::Noise;
 use super::stimulus::{Field, TILE, mix, mix_together};
 use super::{LANES, scene::Place};
@@ -21,13 +21,13 @@ use pulp::{Arch, Simd, WithSimd};
 use std::sync::OnceLock;
 
 /// Samples in which a spike drives a current.
-const AFTER_SPIKE: usize = 190;
+pub(super) const AFTER_SPIKE: usize = 190;
 /// A spike comes no sooner after a spike, samples.
-const REFRACTORY: i64 = 6;
+pub(super) const REFRACTORY: i64 = 6;
 /// The membrane spikes above this.
-const THRESHOLD: f64 = 1.0;
+pub(super) const THRESHOLD: f64 = 1.0;
 /// A sample at which there has been no spike for long.
-const NEVER: i64 = -1_000_000;
+pub(super) const NEVER: i64 = -1_000_000;
 /// A state below this becomes 0 at the end of a tile: processors are slow with denormal numbers.
 const NEGLIGIBLE: f64 = 1e-200;
 
@@ -39,7 +39,7 @@ type Tile = Aligned<[[f64; LANES]; TILE]>;
 const ZERO: Row = Aligned([0.0; LANES]);
 
 /// The current that follows a spike, by samples since.
-fn after_spike(weights: [f64; 2]) -> [f64; AFTER_SPIKE] {
+pub(super) fn after_spike(weights: [f64; 2]) -> [f64; AFTER_SPIKE] {
     let width = 2.0 / 3.0 * libm::log(9.0);
     let bump = |sample: usize, centre: f64| {
         let turns = (libm::log((sample as f64 + 5.0) / centre) / width).clamp(-1.0, 1.0);
@@ -329,7 +329,7 @@ impl Group {
     ) {
         let load = |row: &[f64; LANES]| S::as_simd_f64s(&row[lane..lane + S::F64_LANES]).0[0];
         let of = &self.constants;
-        let low_pass = Coefficients::<S> {
+        let low_pass = Sections::<S, f64> {
             first_b: load(&of.first_b),
             first_minus_a: load(&of.first_minus_a),
             second_b: load(&of.second_b),
@@ -430,30 +430,5 @@ impl Lane {
             self.spikes.push(number as u32);
         }
         true
-    }
-}
-
-/// The coefficients of a vector of filters.
-struct Coefficients<S: Simd> {
-    first_b: S::f64s,
-    first_minus_a: S::f64s,
-    second_b: S::f64s,
-    second_minus_a1: S::f64s,
-    second_minus_a2: S::f64s,
-}
-
-impl<S: Simd> Coefficients<S> {
-    /// The next output.
-    #[inline(always)]
-    fn next(&self, simd: S, state: &mut [S::f64s; 3], input: S::f64s) -> S::f64s {
-        let scaled = simd.mul_f64s(self.first_b, input);
-        let between = simd.add_f64s(scaled, state[0]);
-        state[0] = simd.mul_add_f64s(self.first_minus_a, between, scaled);
-        let scaled = simd.mul_f64s(self.second_b, between);
-        let output = simd.add_f64s(scaled, state[1]);
-        let twice = simd.add_f64s(simd.add_f64s(scaled, scaled), state[2]);
-        state[1] = simd.mul_add_f64s(self.second_minus_a1, output, twice);
-        state[2] = simd.mul_add_f64s(self.second_minus_a2, output, scaled);
-        output
     }
 }

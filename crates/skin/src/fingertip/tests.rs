@@ -2,7 +2,7 @@
 
 use super::scene::Scene;
 use super::simulation::simulate_on;
-use super::{motion, population};
+use super::{Class, NearEvaluator, motion, population};
 use crate::method::Keep;
 use crate::scene::Scene as MembraneScene;
 use meissner_array::motor::{HalfTick, Shaft};
@@ -44,6 +44,27 @@ fn every_width_of_vectors_and_number_of_threads_gives_the_same_spikes() {
         let pool = ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
         assert!(pool.install(|| run(Arch::new())) == scalar, "{threads}");
     }
+}
+
+#[test]
+fn every_width_of_vectors_gives_the_same_near_counts() {
+    let near = |duration_s, drives: &[Drive]| {
+        let model = crate::afferent::AfferentModel::default_for(crate::afferent::Rectify::Half, 0.0);
+        let motors = MembraneScene::new(duration_s, 5, Vec::new(), Vec::new(), model).unwrap();
+        let rapid = population(2).into_iter().filter(|afferent| afferent.class == Class::Ra).collect();
+        let scene = Scene::of_motors(&motors, 0.5, rapid, true).unwrap();
+        let evaluator = NearEvaluator::new(&scene, 100.0, 0.02).unwrap();
+        let counts = |arch| evaluator.evaluate_on(arch, drives).unwrap().counts();
+        let scalar = counts(Arch::Scalar);
+        for arch in crate::tests::widths() {
+            assert!(counts(arch) == scalar, "{arch:?}");
+        }
+        scalar.iter().sum::<u64>()
+    };
+    // Not a whole number of tiles.
+    let fired = near(0.3, &[drive(9, 61.0, 80.0), drive(14, 61.0, 80.0), drive(3, 110.0, 80.0)]);
+    assert!(fired > 20, "{fired}");
+    assert_eq!(near(0.0, &[drive(9, 61.0, 80.0)]), 0);
 }
 
 #[test]

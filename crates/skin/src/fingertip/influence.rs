@@ -1,0 +1,77 @@
+//! How much each motor moves an afferent's dynamic stimulus, while all pins touch the skin.
+//!
+//! A motor that moves one pin changes the loads of all pins, and each load reaches the afferent with a weight and a delay
+//! (`stimulus`). Without loss of contact the sum is linear: the stimulus is a weighted sum of the motors' own velocities, each
+//! delayed by zero to some samples. [`Influence`] takes the first two terms of each delayed velocity, v(t - d) = v(t) - d·(v(t) -
+//! v(t - 1)). Velocities are filtered to about 100 Hz, where the rest is below 1 % for the pins that matter.
+//!
+//! A pin that rests holds the skin in place: a motor's influence fades within two or three pitches. Below a share of the largest
+//! one it counts as 0.
+
+use super::afferent::Afferent;
+use super::contact::Contact;
+use super::scene::Place;
+use super::stimulus::Field;
+use super::{ELASTICITY, POISSON};
+use firmware_protocol::stroke::MOTORS;
+
+/// A motor may move its pin this much further than asked: strokes are whole pulses.
+const ROUNDING: f64 = 1.02;
+
+/// What an afferent gets of the velocity of each motor, N/mm⁴ per mm/s.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Influence {
+    /// Of the velocity at a sample.
+    pub(super) now: [f32; MOTORS],
+    /// Of the velocity a sample before.
+    pub(super) before: [f32; MOTORS],
+    /// The motors whose influence counts, one bit each.
+    pub(super) motors: u32,
+}
+
+impl Influence {
+    /// The influence of motors with these gains. One below `min_share` of a pin's influence at its own place counts as 0.
+    pub(super) fn new(
+        afferent: &Afferent,
+        pins: &[Place],
+        contact: &Contact,
+        gains: &[f64; MOTORS],
+        min_share: f64,
+    ) -> Self {
+        let field = Field::new(afferent, pins);
+        let depth_mm = afferent.class.depth_mm();
+        let largest = ELASTICITY / ((1.0 - POISSON * POISSON) * depth_mm * depth_mm);
+        let mut influence = Self { now: [0.0; MOTORS], before: [0.0; MOTORS], motors: 0 };
+        for (motor, gain) in gains.iter().enumerate() {
+            let (mut sum, mut delayed) = (0.0, 0.0);
+            for (pin, (weight, &delay)) in field.moving.iter().zip(&field.delays).enumerate() {
+                let share = weight * contact.stiffness(pin, motor);
+                sum += share;
+                delayed += share * f64::from(delay);
+            }
+            if gain * sum.abs() >= min_share * largest {
+                influence.now[motor] = (gain * (sum - delayed)) as f32;
+                influence.before[motor] = (gain * delayed) as f32;
+                influence.motors |= 1 << motor;
+            }
+        }
+        influence
+    }
+}
+
+/// Whether all pins touch the skin, whatever motors with these gains do with strokes of an amplitude.
+pub(super) fn all_touch(
+    contact: &Contact,
+    gains: &[f64; MOTORS],
+    preindent_mm: f64,
+    amplitude_um: f64,
+) -> bool {
+    let highest_mm = 1e-3 * amplitude_um * ROUNDING;
+    (0..MOTORS).all(|pin| {
+        let rest: f64 = (0..MOTORS).map(|of| preindent_mm * contact.stiffness(pin, of)).sum();
+        // Every motor that relieves the pin is up, every other is down.
+        let relief: f64 =
+            (0..MOTORS).map(|of| (gains[of] * highest_mm * contact.stiffness(pin, of)).min(0.0)).sum();
+        rest + relief > 0.0
+    })
+}
