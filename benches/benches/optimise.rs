@@ -2,12 +2,15 @@
 //!
 //! Before criterion's times it prints what each method has found by several budgets, on several targets, and, on the
 //! yardstick, how it compares with a coordinate search on ten populations; how soon it is within 1 % of what it finds in the
-//! end; and where subgradient methods stop. What was found is scored anew, exactly, with noise that no search has met.
+//! end; and where subgradient methods stop. What was found is scored anew, exactly, with noise that no search has met. Then it
+//! prints the time of a search under each model; `-- models` prints and measures that alone.
 //!
 //! Invariant: but for the times, two runs print the same.
 
 #[path = "optimise/baselines.rs"]
 mod baselines;
+#[path = "optimise/models.rs"]
+mod models;
 
 use baselines::{METHODS, Method};
 use criterion::{Criterion, criterion_group, criterion_main};
@@ -227,7 +230,25 @@ fn stuck() {
     }
 }
 
+/// Searches under the first and the second model, and under both, side by side.
+fn by_model(criterion: &mut Criterion) {
+    models::table(&TARGETS.map(target));
+    let target = target(YARDSTICK);
+    let mut group = criterion.benchmark_group("models");
+    group.sample_size(10).measurement_time(Duration::from_secs(10));
+    let pool = ThreadPoolBuilder::new().num_threads(1).build().expect("threads can be started");
+    for of in [Models::Membrane, Models::Afferents, Models::Both] {
+        let climb = models::Climb::new(&target, of);
+        group.bench_function(of.name(), |bencher| pool.install(|| bencher.iter(|| climb.run())));
+    }
+    group.finish();
+}
+
 fn to_convergence(criterion: &mut Criterion) {
+    // A filter chooses criterion's times alone; the tables before them take minutes.
+    if std::env::args().any(|argument| argument == "models") {
+        return;
+    }
     let begun = Instant::now();
     table();
     against_coordinates();
@@ -247,5 +268,5 @@ fn to_convergence(criterion: &mut Criterion) {
     group.finish();
 }
 
-criterion_group!(benches, to_convergence);
+criterion_group!(benches, by_model, to_convergence);
 criterion_main!(benches);
