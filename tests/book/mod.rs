@@ -79,7 +79,7 @@ fn every_toml_and_json_snippet_is_good() {
                 "toml" => {
                     kinds.insert(read_toml(block.text, &place).unwrap_or_else(|line| panic!("{line}")));
                 }
-                "json" if block.text.contains("\"afferents\"") => {
+                "json" if block.text.contains("\"afferents\"") && block.text.contains("\"duration_s\"") => {
                     Scene::read(block.text, &place).unwrap();
                 }
                 "json" => {
