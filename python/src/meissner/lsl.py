@@ -107,6 +107,7 @@ class Bridge:
             self._telemetry = self._outlet("Telemetry", "telemetry", 0.0, "float32", pins, "microns", status)
         self._listens = threading.Event()
         self._over = threading.Event()
+        self._ended = threading.Event()
         self._thread = threading.Thread(target=self._run, name="meissner-lsl", daemon=True)
 
     def _outlet(
@@ -154,7 +155,9 @@ class Bridge:
 
     def wait(self) -> None:
         """Wait until the bridge ends, which it does by itself only after an error."""
-        self._thread.join()
+        # Python 3.11 takes a thread for ended whose `join` Ctrl-C has interrupted, and Windows does not interrupt a wait without end.
+        while not self._ended.wait(0.5):
+            pass
         if self.failure is not None:
             raise self.failure
 
@@ -171,6 +174,7 @@ class Bridge:
             self.failure = error
         finally:
             self._listens.set()
+            self._ended.set()
 
     async def _work(self) -> None:
         from .aio import AsyncClient
