@@ -105,7 +105,7 @@ pub enum PredictionError {
 
 /// Predicts the response to a play, as designed and as played. `bursts` are the bursts played, with their motors, in order
 /// for each motor. Bursts that begin before the onset or after the observed time are left out. A burst that met an end
-/// stop counts as a slower burst ([`simulate_ramps`]).
+/// stop counts as a slower burst (`meissner_skin::simulate_ramps`).
 ///
 /// The afferents and shafts are at rest at the onset.
 ///
