@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import signal
 import subprocess
 import sys
@@ -157,7 +158,9 @@ def test_a_bridge_says_why_it_cannot_begin(daemon: meissner.Daemon) -> None:
 
 def test_the_command_bridges_until_ctrl_c(daemon: meissner.Daemon) -> None:
     command = [sys.executable, "-m", "meissner._lsl_command", "--address", daemon.socket, "--name", f"{NAME}-command"]
-    bridge = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    # A shell's background job, as which tests may run, ignores Ctrl-C, and so do its children.
+    heeds = functools.partial(signal.signal, signal.SIGINT, signal.SIG_DFL)
+    bridge = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, preexec_fn=heeds)
     try:
         assert bridge.stdout is not None
         assert f"`{NAME}-command-markers`" in bridge.stdout.readline()
