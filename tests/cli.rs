@@ -362,6 +362,8 @@ tradeoff x.toml --loop
 tradeoff --loop --trace x.txt
 tradeoff --loop --stream --trace x.txt
 tradeoff --loop --loop
+tradeoff --loop --model afferents
+tradeoff --stream --model membrane
 ";
 
 #[test]

@@ -130,8 +130,13 @@ fn the_second_model_answers_with_spikes_classes_and_contact() {
     let refused = meissner().arg("simulate").arg(&file).args(["--step-us", "100"]).output().unwrap();
     assert_eq!(refused.status.code(), Some(2));
     assert!(String::from_utf8(refused.stderr).unwrap().contains("has steps of 200 us and no other method"));
-    let line = complaint(meissner().arg("tradeoff").arg(&file));
-    assert!(line.contains("`model` is afferents: this command knows the model membrane alone"), "{line}");
+    // Pins that move by a formula are no motors: there is nothing near to compare.
+    let found = document(meissner().arg("tradeoff").arg(&file).arg("--json"));
+    let methods: Vec<_> = found["rows"].as_array().unwrap().iter().map(|row| &row["method"]).collect();
+    assert_eq!(methods, ["all classes"]);
+    let refused = meissner().arg("tradeoff").arg(&file).args(["--plot", "x.svg"]).output().unwrap();
+    assert_eq!(refused.status.code(), Some(2));
+    assert!(String::from_utf8(refused.stderr).unwrap().contains("there is nothing to draw"));
 }
 
 #[test]
@@ -286,6 +291,49 @@ fn the_tradeoff_has_a_row_for_every_method_and_step() {
         "{text}"
     );
     assert!(text.trim_end().ends_with(&format!("\nplot  {}", svg.display())), "{text}");
+}
+
+#[test]
+fn the_second_model_is_compared_with_its_near_answers_and_at_its_extremes() {
+    let found = document(meissner().args(["tradeoff", "--model", "afferents", "--json"]));
+    let rows = found["rows"].as_array().unwrap();
+    let of = |method: &str| rows.iter().find(|row| row["method"] == method).unwrap();
+    assert_eq!([&of("all classes")["afferents"], &of("RA alone")["afferents"]], [566, 306]);
+    let rms = |method: &str| of(method)["rate_rms_hz"].as_f64().unwrap();
+    let noise = rms("RA alone, noise of another seed");
+    let [all, most, few] =
+        ["0", "0.5", "10"].map(|share| rms(&format!("RA nearly, influences from {share} %")));
+    assert!(all < noise / 2.0 && all < most && most < few, "{noise} {all} {most} {few}");
+    for row in rows {
+        assert!(row["wall_s"].as_f64().unwrap() > 0.0, "{row}");
+        let near = row["method"].as_str().unwrap().contains("nearly");
+        assert_eq!(row["one_motor_wall_s"].is_number(), near, "{row}");
+    }
+    let extremes = found["extremes"].as_array().unwrap();
+    let of =
+        |scene: &str| extremes.iter().find(|row| row["scene"].as_str().unwrap().starts_with(scene)).unwrap();
+    for row in extremes {
+        assert_eq!(row["nudged"], 0, "rounding moves spikes: {row}");
+    }
+    let [sa1, ra, pc] = [0, 1, 2].map(|class| of("400 um")["mean_hz"][class].as_f64().unwrap());
+    assert!(sa1 > 5.0 && ra > 20.0 && pc > 80.0, "{sa1} {ra} {pc}");
+    assert_eq!(of("80 um, all pins 1 mm below")["lost_contact"], 1.0);
+    assert_eq!(
+        (&of("80 um, all pins 1 mm below")["spikes"], &of("80 um")["lost_contact"]),
+        (&json!(0), &json!(0.0))
+    );
+    assert!(of("400 um, pins just touch")["lost_contact"].as_f64().unwrap() > 0.4);
+    // So weak a vibration reaches no RA afferent.
+    assert_eq!(of("0.01 um")["mean_hz"][1], 0.0);
+    assert_eq!(of("80 um, one afferent")["afferents"], 3);
+    assert_eq!(of("80 um, 100 000")["afferents"], 100_000);
+
+    let text = printed(meissner().args(["tradeoff", "--model", "afferents"]));
+    for part in
+        ["RA nearly, influences from 2 %", "off the skin %", "The step of 200 us is part of the model"]
+    {
+        assert!(text.contains(part), "{part}: {text}");
+    }
 }
 
 /// A membrane and times for which `f32` cannot count the steps, and no step is too long for Euler.

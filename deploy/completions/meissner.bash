@@ -1960,12 +1960,16 @@ _meissner() {
             return 0
             ;;
         meissner__subcmd__tradeoff)
-            opts="-h --stream --loop --stop --objectives --trace --plot --json --help"
+            opts="-h --model --stream --loop --stop --objectives --trace --plot --json --help"
             if [[ ${cur} == -* || ${COMP_CWORD} -eq 2 ]] ; then
                 COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
                 return 0
             fi
             case "${prev}" in
+                --model)
+                    COMPREPLY=($(compgen -W "membrane afferents" -- "${cur}"))
+                    return 0
+                    ;;
                 --trace)
                     COMPREPLY=($(compgen -f "${cur}"))
                     return 0

@@ -261,6 +261,8 @@ complete -c meissner -n "__fish_meissner_using_subcommand optimise" -l resume -d
 complete -c meissner -n "__fish_meissner_using_subcommand optimise" -l robust -d 'Maximise the mean over eight populations of afferents, not one population'
 complete -c meissner -n "__fish_meissner_using_subcommand optimise" -l json -d 'Print one JSON document on stdout and nothing else'
 complete -c meissner -n "__fish_meissner_using_subcommand optimise" -s h -l help -d 'Print help (see more with \'--help\')'
+complete -c meissner -n "__fish_meissner_using_subcommand tradeoff" -l model -d 'Choose the model of skin and afferents [default: the scene\'s key `model`, else membrane]' -r -f -a "membrane\t'RA afferents with a leaky membrane, Gaussian receptive fields'
+afferents\t'Skin under flat pins, and SA1, RA and PC afferents fitted to recordings; steps of 200 us'"
 complete -c meissner -n "__fish_meissner_using_subcommand tradeoff" -l trace -d 'Use the stalls in FILE, recorded with the example `record_stalls` (with --stream)' -r -F
 complete -c meissner -n "__fish_meissner_using_subcommand tradeoff" -l plot -d 'Draw the comparison into FILE (SVG)' -r -F
 complete -c meissner -n "__fish_meissner_using_subcommand tradeoff" -l stream -d 'Compare leads of the streamer, not methods: late bursts, onsets and bytes, in virtual time under recorded stalls'
@@ -268,7 +270,7 @@ complete -c meissner -n "__fish_meissner_using_subcommand tradeoff" -l loop -d '
 complete -c meissner -n "__fish_meissner_using_subcommand tradeoff" -l stop -d 'Compare surpluses of down bursts above a lower stop, not methods: rest errors with their theory (half a minute)'
 complete -c meissner -n "__fish_meissner_using_subcommand tradeoff" -l objectives -d 'Compare what a search maximises, not methods: patterns by each objective and by naive rules (minutes)'
 complete -c meissner -n "__fish_meissner_using_subcommand tradeoff" -l json -d 'Print one JSON document on stdout and nothing else'
-complete -c meissner -n "__fish_meissner_using_subcommand tradeoff" -s h -l help -d 'Print help'
+complete -c meissner -n "__fish_meissner_using_subcommand tradeoff" -s h -l help -d 'Print help (see more with \'--help\')'
 complete -c meissner -n "__fish_meissner_using_subcommand discriminate" -l model -d 'Choose the model of skin and afferents' -r -f -a "membrane\t'RA afferents with a leaky membrane, Gaussian receptive fields'
 afferents\t'Skin under flat pins, and SA1, RA and PC afferents fitted to recordings'"
 complete -c meissner -n "__fish_meissner_using_subcommand discriminate" -l trials -d 'Simulate N trials of each pattern on each finger, 8 to 1000' -r

@@ -1,16 +1,19 @@
 //! `tradeoff`: compares methods and settings by measurement. It needs no daemon.
 //!
-//! Without a flag it compares simulation methods on a scene, time against error; with `--stream`, leads of the streamer
+//! Without a flag it compares simulation methods on a scene, time against error, and with the second model what its answers cost
+//! ([`afferents`]); with `--stream`, leads of the streamer
 //! under recorded stalls; with `--loop`, rest errors of position control with their bound; with `--stop`, rest errors above a
 //! lower stop with their theory ([`stop`]); with `--objectives`, what a search maximises ([`objectives`]). `meissner_report` measures and recommends; this module prints. Each comparison is a member of the argument group `what` and a variant of [`What`].
 
+mod afferents;
 mod objectives;
 mod stop;
 
-use super::arguments::Output;
+use super::arguments::{Output, choice};
 use super::output::give;
+use super::simulate::{self, MODELS};
 use super::text::number;
-use super::{files, progress, simulate, text};
+use super::{files, progress, text};
 use crate::store::Store;
 use anyhow::Result;
 use clap::Args;
@@ -19,7 +22,7 @@ use meissner_report::{
     self, Bias, ControlGrid, ControlRow, ControlTradeoff, LEADS_MS, LeadRow, LeadTradeoff, MAX_TRACE_BYTES,
     STALLS, StopGrid, Trace, Verdict, WireRow, Worst,
 };
-use meissner_skin::Scene;
+use meissner_skin::{AnyScene, ModelName};
 use meissner_stream::queues::End;
 use serde::Serialize;
 use std::path::{Path, PathBuf};
@@ -30,6 +33,9 @@ pub(super) struct MethodTradeoff {
     /// Compare methods on this scene: a TOML or JSON file, or - for stdin [default: 24 motors at 60 Hz, 306 afferents, 1 s]
     #[arg(group = "what")]
     scene: Option<PathBuf>,
+    /// Choose the model of skin and afferents [default: the scene's key `model`, else membrane]
+    #[arg(long, value_parser = choice::<ModelName>(MODELS), conflicts_with_all = ["stream", "closed_loop", "stop", "objectives"])]
+    model: Option<ModelName>,
     /// Compare leads of the streamer, not methods: late bursts, onsets and bytes, in virtual time under recorded stalls
     #[arg(long, group = "what")]
     stream: bool,
@@ -86,11 +92,16 @@ pub(super) fn run(asked: &MethodTradeoff) -> Result<ExitCode> {
     match asked.what() {
         What::Methods(scene) => {
             let scene = match scene {
-                Some(file) => simulate::read(file)?,
-                None => Scene::read(meissner_report::SIXTY_HERTZ, "sixty-hertz.toml")?,
+                Some(file) => simulate::read(file, asked.model)?,
+                None => AnyScene::read(meissner_report::SIXTY_HERTZ, "sixty-hertz.toml", asked.model)?,
             };
-            let measure = || Ok(progress::metered(|at| meissner_report::tradeoff(&scene, at))?);
-            answer(asked, measure, meissner_report::plot, methods_table)
+            match scene {
+                AnyScene::Membrane(scene) => {
+                    let measure = || Ok(progress::metered(|at| meissner_report::tradeoff(&scene, at))?);
+                    answer(asked, measure, meissner_report::plot, methods_table)
+                }
+                AnyScene::Afferents(scene) => afferents::compare(asked, &scene),
+            }
         }
         What::Leads(trace) => {
             let trace = match trace {

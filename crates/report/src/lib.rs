@@ -4,7 +4,7 @@
 //!
 //! - [`figures`]: [`report`](figures::report) makes an HTML page with the paper's figures and a section per pattern.
 //! - `methods`: [`tradeoff`] compares the simulation methods on a scene, time against error; [`plot`] draws it, and
-//!   [`reasons`] says why skipped work does not change an answer.
+//!   [`reasons`] says why skipped work does not change an answer. [`afferents_tradeoff`] does the same for the second model.
 //! - `lead`: [`lead_tradeoff`] compares leads of the streamer under recorded stalls; [`plot_lead`] draws it.
 //! - `control`: [`control_tradeoff`] measures rest errors under position control against the least possible;
 //!   [`plot_control`] draws it.
@@ -52,8 +52,8 @@ pub use lead::{
     plot_lead,
 };
 pub use methods::{
-    Count, Difference, LeftOut, MATCH_S, MOST_STEPS, MethodLabel, MethodTradeoff, Reason, Row, STEPS_US,
-    matching, plot, reasons, tradeoff,
+    AfferentsRow, AfferentsTradeoff, Count, Difference, Extreme, LeftOut, MATCH_S, MOST_STEPS, MethodLabel,
+    MethodTradeoff, Reason, Row, STEPS_US, afferents_tradeoff, matching, plot, reasons, tradeoff,
 };
 pub use objectives::{
     BelowNaive, CellOfClass, ClassRow, ObjectiveCell, ObjectiveMeans, ObjectiveRow, ObjectiveTradeoff,

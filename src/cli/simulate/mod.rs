@@ -24,6 +24,11 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::time::Instant;
 
+/// The models of skin and afferents.
+pub(super) const MODELS: &[(&str, &str)] = &[
+    ("membrane", "RA afferents with a leaky membrane, Gaussian receptive fields"),
+    ("afferents", "Skin under flat pins, and SA1, RA and PC afferents fitted to recordings; steps of 200 us"),
+];
 /// The default step, µs.
 const STEP_US: u32 = 200;
 
@@ -32,7 +37,7 @@ pub(super) struct Simulate {
     /// Simulate this scene: a TOML or JSON file, or - for stdin
     scene: PathBuf,
     /// Choose the model of skin and afferents [default: the scene's key `model`, else membrane]
-    #[arg(long, value_parser = choice::<ModelName>(&[("membrane", "RA afferents with a leaky membrane, Gaussian receptive fields"), ("afferents", "Skin under flat pins, and SA1, RA and PC afferents fitted to recordings; steps of 200 us")]))]
+    #[arg(long, value_parser = choice::<ModelName>(MODELS))]
     model: Option<ModelName>,
     /// Choose the method [default: stepped if a step, integrator or precision is given, else exact]
     #[arg(long, value_enum)]
@@ -96,7 +101,7 @@ struct Chosen {
 
 pub(super) fn run(asked: &Simulate) -> Result<ExitCode> {
     let stepping = stepping(asked)?;
-    let scene = match read_any(&asked.scene, asked.model)? {
+    let scene = match read(&asked.scene, asked.model)? {
         AnyScene::Membrane(scene) => scene,
         AnyScene::Afferents(scene) => return afferents::run(asked, &scene),
     };
@@ -154,14 +159,8 @@ fn stepping(asked: &Simulate) -> Result<Option<Stepping>, clap::Error> {
     Ok(stepped.then_some(Stepping { step_us, integrator, precision }))
 }
 
-/// Reads a scene of the first model from a file, or from stdin.
-pub(super) fn read(file: &Path) -> Result<Scene> {
-    let (text, name) = text_of(file)?;
-    Ok(Scene::read(&text, &name)?)
-}
-
-/// Reads a scene of either model.
-fn read_any(file: &Path, model: Option<ModelName>) -> Result<AnyScene> {
+/// Reads a scene of either model from a file, or from stdin.
+pub(super) fn read(file: &Path, model: Option<ModelName>) -> Result<AnyScene> {
     let (text, name) = text_of(file)?;
     Ok(AnyScene::read(&text, &name, model)?)
 }

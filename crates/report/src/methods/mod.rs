@@ -1,15 +1,17 @@
 //! The simulation methods compared: time against error on one scene, measured on this machine.
 //!
-//! [`tradeoff()`] runs a scene by every method and step, and compares each with the exact one (`compare`): by spikes, by
+//! The first model has methods and steps; the second has neither (`afferents`). [`tradeoff()`] runs a scene by every method and step, and compares each with the exact one (`compare`): by spikes, by
 //! rates and by the contrast on the target [`YARDSTICK`](meissner_design::YARDSTICK). `label` names a method, [`plot()`]
 //! draws the result, and [`reasons()`] says why work that was skipped does not change the answer.
 
+mod afferents;
 mod compare;
 mod label;
 mod plot;
 mod reasons;
 mod tradeoff;
 
+pub use afferents::{AfferentsRow, AfferentsTradeoff, Extreme, tradeoff as afferents_tradeoff};
 pub use compare::{Difference, MATCH_S, matching};
 pub use label::MethodLabel;
 pub use plot::plot;

@@ -5,7 +5,7 @@
 
 use crate::methods::compare::{Difference, Reference};
 use crate::methods::label::MethodLabel;
-use meissner_skin::{Answer, Integrator, Method, MethodError, Options, Precision, Scene, Stepping, simulate};
+use meissner_skin::{Integrator, Method, MethodError, Options, Precision, Scene, Stepping, simulate};
 use serde::Serialize;
 use std::time::{Duration, Instant};
 
@@ -90,18 +90,15 @@ pub fn tradeoff(scene: &Scene, progress: &(dyn Fn(f64) + Sync)) -> Result<Method
     let all = methods.len() as f64 + 1.0;
 
     let afferent_s = afferents as f64 * scene.duration_s();
-    let (exact, exact_wall_s) = timed(scene, Method::Exact, &|part| progress(part / all))?;
+    let run = |method, done: &(dyn Fn(f64) + Sync)| timed(|| simulate(scene, &Options::spikes(method), done));
+    let (exact, exact_wall_s) = run(Method::Exact, &|part| progress(part / all))?;
     let reference = Reference::new(scene, exact);
     let itself = reference.difference(reference.answer());
     let mut rows = vec![row(Method::Exact, afferent_s, Ok((exact_wall_s, itself)))];
     for (index, method) in methods.into_iter().enumerate() {
         let done = |part: f64| progress((index as f64 + 1.0 + part) / all);
-        let run = timed(scene, method, &done);
-        rows.push(row(
-            method,
-            afferent_s,
-            run.map(|(answer, wall_s)| (wall_s, reference.difference(&answer))),
-        ));
+        let found = run(method, &done).map(|(answer, wall_s)| (wall_s, reference.difference(&answer)));
+        rows.push(row(method, afferent_s, found));
     }
     mark_front(&mut rows);
     Ok(MethodTradeoff {
@@ -132,17 +129,13 @@ fn stepped(steps: &[u32]) -> Vec<Method> {
     methods
 }
 
-/// The answer, and the median wall time in seconds.
-fn timed(
-    scene: &Scene,
-    method: Method,
-    progress: &(dyn Fn(f64) + Sync),
-) -> Result<(Answer, f64), MethodError> {
+/// The answer of a run, and the median wall time of some runs in seconds.
+pub(super) fn timed<A, E>(run: impl Fn() -> Result<A, E>) -> Result<(A, f64), E> {
     let begun = Instant::now();
     let mut walls = Vec::new();
     loop {
         let started = Instant::now();
-        let answer = simulate(scene, &Options::spikes(method), progress)?;
+        let answer = run()?;
         walls.push(started.elapsed().as_secs_f64());
         if walls.len() == RUNS || begun.elapsed() > ENOUGH {
             walls.sort_by(f64::total_cmp);
@@ -211,7 +204,7 @@ fn recommendation(rows: &[Row]) -> String {
 
 /// A non-negative number with two significant digits.
 #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "clamped")]
-fn short(number: f64) -> String {
+pub(super) fn short(number: f64) -> String {
     if number == 0.0 {
         return "0".to_owned();
     }

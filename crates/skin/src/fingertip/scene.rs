@@ -118,6 +118,45 @@ impl Scene {
         Ok(Self { pins: Pins::Motors(Box::new(motors.with_drives(drives)?)), ..self.clone() })
     }
 
+    /// The scene with other afferents. Its noise goes by their numbers.
+    ///
+    /// # Errors
+    /// The first thing that is wrong with them, by the key it would have in a file.
+    pub fn with_afferents(&self, afferents: Vec<Afferent>) -> Result<Self, document::DocumentError<Problem>> {
+        Self { afferents: Arc::new(afferents), population: false, ..self.clone() }
+            .checked()
+            .map_err(|fault| fault.in_file(None))
+    }
+
+    /// The scene with pins at rest that press the skin in by so much, mm.
+    ///
+    /// # Errors
+    /// If it is out of range.
+    pub fn with_preindent_mm(&self, preindent_mm: f64) -> Result<Self, document::DocumentError<Problem>> {
+        Self { preindent_mm, ..self.clone() }.checked().map_err(|fault| fault.in_file(None))
+    }
+
+    /// The seed of the noise.
+    #[must_use]
+    pub const fn seed(&self) -> u64 {
+        self.seed
+    }
+
+    /// The scene with noise of another seed.
+    #[must_use]
+    pub fn with_seed(&self, seed: u64) -> Self {
+        Self { seed, ..self.clone() }
+    }
+
+    /// The drives of the motors; none if something else moves the pins.
+    #[must_use]
+    pub fn drives(&self) -> Option<&[Drive]> {
+        match &self.pins {
+            Pins::Motors(motors) => Some(motors.drives()),
+            Pins::Sines { .. } | Pins::Ramps(_) => None,
+        }
+    }
+
     /// A scene of the bursts that motors really made, for their first `duration_s`. `seed` is that of the noise.
     ///
     /// # Errors
