@@ -6,22 +6,16 @@
 
 use meissner::daemon::MEMORY_BOUND;
 use meissner_api::Status;
-use meissner_client::{Client, Events};
+use meissner_benches::daemon::Daemon;
+use meissner_client::Events;
 use serde_json::{Value, json};
 use std::env;
 use std::error::Error;
 use std::fmt::Write as _;
-use std::fs;
 use std::io::{ErrorKind, Write};
 use std::os::unix::net::UnixStream;
-use std::path::PathBuf;
-use std::process::{Child, Command, Stdio};
 use std::thread;
 use std::time::{Duration, Instant};
-use tempfile::TempDir;
-
-/// Plays fill the queue for hours: no participant feels them.
-const NOBODY: &str = "[participant]\nmax_continuous_s = 86400\nmax_day_s = 86400\n";
 
 /// A load: returns what must stay open while the memory is read.
 type Load = fn(&Daemon) -> Result<Kept, Box<dyn Error>>;
@@ -68,7 +62,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         if !words.is_empty() && !words.iter().any(|word| name.contains(word)) {
             continue;
         }
-        let daemon = Daemon::start()?;
+        let daemon = Daemon::start("")?;
         let kept = load(&daemon)?;
         let [resident, peak] = daemon.memory_mb()?;
         // A full daemon has places for emergency stops only.
@@ -79,68 +73,6 @@ fn main() -> Result<(), Box<dyn Error>> {
         println!("{name:<38} {resident:>6} MB {peak:>6} MB {after:>15} MB");
     }
     Ok(())
-}
-
-/// A daemon, ended when it is dropped.
-struct Daemon {
-    child: Child,
-    dir: TempDir,
-}
-
-impl Daemon {
-    fn start() -> Result<Self, Box<dyn Error>> {
-        let beside = || Ok::<PathBuf, std::io::Error>(env::current_exe()?.with_file_name("../meissner"));
-        let program = env::var_os("MEISSNER_PROGRAM").map_or_else(beside, |path| Ok(path.into()))?;
-        let dir = tempfile::tempdir()?;
-        let patterns = dir.path().join("patterns");
-        fs::create_dir(&patterns)?;
-        let config = dir.path().join("meissner.toml");
-        fs::write(&config, format!("patterns_dir = {patterns:?}\nlease_ms = 5000\n{NOBODY}"))?;
-        let child = Command::new(&program)
-            .args(["daemon", "--no-record", "--device", "mock", "--config"])
-            .arg(config)
-            .arg("--socket")
-            .arg(dir.path().join("m.sock"))
-            .stderr(Stdio::null())
-            .spawn()
-            .map_err(|error| {
-                format!("{}: {error}; set MEISSNER_PROGRAM, or `cargo build --release`", program.display())
-            })?;
-        let daemon = Self { child, dir };
-        let begun = Instant::now();
-        while !daemon.client()?.get::<Status>("/v1/status").is_ok_and(|status| status.is_connected()) {
-            if begun.elapsed() > Duration::from_secs(10) {
-                return Err("the daemon does not answer".into());
-            }
-            thread::sleep(Duration::from_millis(20));
-        }
-        Ok(daemon)
-    }
-
-    fn socket(&self) -> PathBuf {
-        self.dir.path().join("m.sock")
-    }
-
-    fn client(&self) -> Result<Client, Box<dyn Error>> {
-        Ok(Client::new(&self.socket())?)
-    }
-
-    /// Resident memory and its peak, MB.
-    fn memory_mb(&self) -> Result<[u64; 2], Box<dyn Error>> {
-        let status = fs::read_to_string(format!("/proc/{}/status", self.child.id()))?;
-        let kb = |key: &str| {
-            let line = status.lines().find_map(|line| line.strip_prefix(key)).ok_or("no such figure")?;
-            Ok::<u64, Box<dyn Error>>(line.trim_matches([':', ' ', '\t', 'k', 'B']).parse()?)
-        };
-        Ok([kb("VmRSS")? * 1024 / 1_000_000, kb("VmHWM")? * 1024 / 1_000_000])
-    }
-}
-
-impl Drop for Daemon {
-    fn drop(&mut self) {
-        let _ = self.child.kill();
-        let _ = self.child.wait();
-    }
 }
 
 fn head(name: &str) -> String {

@@ -1,0 +1,229 @@
+//! What windows of the page cost the daemon, and how soon a drawn edge is felt: `cargo bench -p meissner-benches --bench watch`.
+//!
+//! All 64 clients watch while all pins vibrate for `WATCHED` seconds [30]: 24 windows over TCP, which hold a stream of events and ask for
+//! the status every second, and streams of events on the socket. It prints the daemon's processor time with and without them, its memory, late bursts, and bytes. Then it
+//! searches for a pattern for an edge, as the page does when the pen is lifted, and plays it; then it orders emergency stops while such
+//! a search runs. It asserts nothing.
+
+use meissner_api::{Event, PlayAccepted, Receipt, Search, SearchState, Status};
+use meissner_benches::daemon::Daemon;
+use meissner_client::{Client, ClientError, Events};
+use serde_json::{Value, json};
+use std::error::Error;
+use std::io::{Read, Write};
+use std::net::{SocketAddr, TcpListener, TcpStream};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::thread;
+use std::time::{Duration, Instant};
+
+/// Each takes two of the 48 places of network clients.
+const WINDOWS: usize = 24;
+/// The socket's clients; this benchmark's own two make it 64.
+const ON_SOCKET: usize = 14;
+/// A window asks so often for the status.
+const POLLED: Duration = Duration::from_secs(1);
+/// Searches for the edge with each budget.
+const SEARCHES: u64 = 5;
+const STOPS: usize = 1000;
+
+type Done<T = ()> = Result<T, Box<dyn Error>>;
+
+fn main() -> Done {
+    // The daemon takes the port that this finds free.
+    let tcp = TcpListener::bind("127.0.0.1:0")?.local_addr()?;
+    let daemon = Daemon::start(&format!("listen = \"{tcp}\"\n"))?;
+    let mut client = daemon.client()?;
+    client.post::<Status>("/v1/arm", &json!({"assume_rest": true}))?;
+    let seconds = std::env::var("WATCHED").ok().map_or(Ok(30.0), |seconds| seconds.parse())?;
+    put_all_pins(&mut client)?;
+    for watched in [false, true] {
+        watch(&daemon, &mut client, tcp, watched, seconds)?;
+    }
+    for budget_s in [0.5, 1.0] {
+        feel(&daemon, &mut client, budget_s)?;
+    }
+    stops(&daemon, &mut client)
+}
+
+fn put_all_pins(client: &mut Client) -> Done {
+    let drive = |motor: u32| {
+        format!(
+            "[[drive]]\nmotor = {motor}\nfrequency_hz = 60.0\namplitude_um = 80.0\nphase = {:.3}\n",
+            f64::from(motor) / 24.0
+        )
+    };
+    let drives: String = (0..24).map(drive).collect();
+    client.put::<Value>("/v1/patterns/all-pins", format!("format = 1\nname = \"all-pins\"\n{drives}"))?;
+    Ok(())
+}
+
+/// Plays while windows watch.
+fn watch(daemon: &Daemon, client: &mut Client, tcp: SocketAddr, watched: bool, seconds: f64) -> Done {
+    let (windows, on_socket) = if watched { (WINDOWS, ON_SOCKET) } else { (0, 0) };
+    let (over, bytes) = (AtomicBool::new(false), AtomicU64::new(0));
+    thread::scope(|scope| {
+        for _ in 0..windows {
+            for polls in [false, true] {
+                let (over, bytes) = (&over, &bytes);
+                scope.spawn(move || {
+                    if let Err(error) = window(tcp, polls, over, bytes) {
+                        println!("a window has ended: {error}");
+                    }
+                });
+            }
+        }
+        for _ in 0..on_socket {
+            scope.spawn(|| {
+                let listened = daemon.client().and_then(|client| listen(&mut client.events()?, &over));
+                if let Err(error) = listened {
+                    println!("a client has ended: {error}");
+                }
+            });
+        }
+        let measured = (|| {
+            let mut events = daemon.client()?.events()?;
+            // Windows and simulated array settle.
+            thread::sleep(Duration::from_secs(2));
+            let [before_mb, _] = daemon.memory_mb()?;
+            let (used_s, begun, sent) =
+                (daemon.processor_s()?, Instant::now(), bytes.load(Ordering::Relaxed));
+            let play: PlayAccepted =
+                client.post("/v1/play", &json!({"pattern": "all-pins", "seconds": seconds}))?;
+            let bursts = receipt(&mut events, play.id)?.bursts.ok_or("the play has no account")?;
+            let wall_s = begun.elapsed().as_secs_f64();
+            let share = 100.0 * (daemon.processor_s()? - used_s) / wall_s;
+            let [after_mb, peak_mb] = daemon.memory_mb()?;
+            let kb_s = (bytes.load(Ordering::Relaxed) - sent) as f64 / wall_s / 1e3;
+            println!(
+                "{windows} windows and {on_socket} clients on the socket, all pins at 60 Hz for {seconds} s: {share:.1} % of a core, {} of {} bursts late, memory {before_mb} MB, then \
+                 {after_mb} MB (peak {peak_mb}), {kb_s:.0} kB/s to all windows",
+                bursts.late, bursts.planned
+            );
+            Done::Ok(())
+        })();
+        over.store(true, Ordering::Relaxed);
+        measured
+    })
+}
+
+/// A client on the socket, until the end.
+fn listen(events: &mut Events, over: &AtomicBool) -> Done {
+    while !over.load(Ordering::Relaxed) {
+        match events.next(Some(Duration::from_millis(100))) {
+            Ok(Some(_)) | Err(ClientError::Timeout { .. }) => {}
+            Ok(None) => return Err("the daemon has closed the events".into()),
+            Err(error) => return Err(error.into()),
+        }
+    }
+    Ok(())
+}
+
+/// One of a window's two connections, until the end.
+fn window(tcp: SocketAddr, polls: bool, over: &AtomicBool, bytes: &AtomicU64) -> std::io::Result<()> {
+    let path = if polls { "/v1/status" } else { "/v1/events" };
+    let request = format!("GET {path} HTTP/1.1\r\nhost: {tcp}\r\n\r\n");
+    let mut stream = TcpStream::connect(tcp)?;
+    stream.set_read_timeout(Some(Duration::from_millis(100)))?;
+    let mut asked: Option<Instant> = None;
+    let mut buffer = vec![0; 1 << 16];
+    while !over.load(Ordering::Relaxed) {
+        if asked.is_none_or(|asked| polls && asked.elapsed() >= POLLED) {
+            stream.write_all(request.as_bytes())?;
+            asked = Some(Instant::now());
+        }
+        match stream.read(&mut buffer) {
+            Ok(0) => return Err(std::io::ErrorKind::UnexpectedEof.into()),
+            Ok(read) => _ = bytes.fetch_add(read as u64, Ordering::Relaxed),
+            Err(error)
+                if matches!(error.kind(), std::io::ErrorKind::WouldBlock | std::io::ErrorKind::TimedOut) => {}
+            Err(error) => return Err(error),
+        }
+    }
+    Ok(())
+}
+
+fn receipt(events: &mut Events, play: u64) -> Done<Receipt> {
+    match wait_for(events, |event| matches!(event, Event::Ended { receipt } if receipt.id == play))? {
+        Event::Ended { receipt } => Ok(*receipt),
+        _ => unreachable!("it has ended"),
+    }
+}
+
+fn wait_for(events: &mut Events, is_it: impl Fn(&Event) -> bool) -> Done<Event> {
+    loop {
+        let event = events.next(None)?.ok_or("the daemon has closed the events")?;
+        if is_it(&event) {
+            return Ok(event);
+        }
+    }
+}
+
+/// From the order to search until the first pulse.
+fn feel(daemon: &Daemon, client: &mut Client, budget_s: f64) -> Done {
+    for model in ["both", "membrane"] {
+        let mut taken = Vec::new();
+        for number in 0..SEARCHES {
+            let mut events = daemon.client()?.events()?;
+            let begun = Instant::now();
+            let search = begin_search(client, budget_s, model, number)?;
+            wait_for(
+                &mut events,
+                |event| matches!(event, Event::Search { id, state: SearchState::Done, .. } if *id == search),
+            )?;
+            let found_s = begun.elapsed().as_secs_f64();
+            let play: PlayAccepted = client.post(
+                "/v1/play",
+                &json!({"pattern": format!("search:{search}"), "seconds": 0.1, "replace": true}),
+            )?;
+            wait_for(&mut events, |event| matches!(event, Event::Began { id, .. } if *id == play.id))?;
+            taken.push((begun.elapsed().as_secs_f64(), found_s));
+            receipt(&mut events, play.id)?;
+        }
+        taken.sort_by(|a, b| a.0.total_cmp(&b.0));
+        let (least, most) = (taken[0], taken[taken.len() - 1]);
+        println!(
+            "an edge, {budget_s} s of search, models {model}: first pulse {:.2} to {:.2} s after the order, of which the search takes {:.2} to {:.2} s",
+            least.0, most.0, least.1, most.1
+        );
+    }
+    Ok(())
+}
+
+/// A search for an edge that nobody has drawn before.
+fn begin_search(client: &mut Client, seconds: f64, model: &str, number: u64) -> Done<u64> {
+    let x = 3.0 + 0.1 * number as f64;
+    let target = json!({"name": "drawn", "shape": "segment", "points": [[-x, -2.0], [x, 2.0]]});
+    let search: Search =
+        client.post("/v1/searches", &json!({"target": target, "seconds": seconds, "model": model}))?;
+    Ok(search.id)
+}
+
+/// Emergency stops, each of a play, while a search runs.
+fn stops(daemon: &Daemon, client: &mut Client) -> Done {
+    for searching in [false, true] {
+        let search = if searching { Some(begin_search(client, 120.0, "both", 0)?) } else { None };
+        thread::sleep(Duration::from_secs(u64::from(searching)));
+        let mut times_ms = Vec::with_capacity(STOPS);
+        for _ in 0..STOPS {
+            client.post::<PlayAccepted>("/v1/play", &json!({"pattern": "all-pins", "seconds": 5.0}))?;
+            let begun = Instant::now();
+            meissner_client::estop(&daemon.socket())?;
+            times_ms.push(1e3 * begun.elapsed().as_secs_f64());
+            client.post::<Status>("/v1/reset", &json!({}))?;
+            client.post::<Status>("/v1/arm", &json!({"assume_rest": true, "checked": "a benchmark"}))?;
+        }
+        times_ms.sort_by(f64::total_cmp);
+        let at = |share: f64| times_ms[((times_ms.len() - 1) as f64 * share) as usize];
+        println!(
+            "{STOPS} emergency stops of a play {}: answered p50 {:.2} ms, p99 {:.2} ms, at most {:.2} ms",
+            if searching { "beside a search" } else { "alone" },
+            at(0.5),
+            at(0.99),
+            at(1.0)
+        );
+        if let Some(id) = search {
+            client.delete::<Search>(&format!("/v1/searches/{id}"))?;
+        }
+    }
+    Ok(())
+}
