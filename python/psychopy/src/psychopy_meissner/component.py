@@ -67,11 +67,12 @@ class MeissnerComponent(BaseComponent):
         self.params["pattern"] = Param(
             "edge-45", valType="str", label="Pattern", hint="Name of a pattern of the daemon", **stimulus, **repeats
         )
+        # `code`, not `num`: it takes `$duration` as well as `duration`, and a blank one calls the setter without argument.
         self.params["seconds"] = Param(
-            0.3, valType="num", label="Seconds", hint="Duration, s. Blank: that of the pattern", **stimulus, **repeats
+            0.3, valType="code", label="Seconds", hint="Duration, s. Blank: that of the pattern", **stimulus, **repeats
         )
         self.params["scale"] = Param(
-            1.0, valType="num", label="Scale", hint="Factor of the amplitudes, 0 to 1", **stimulus, **repeats
+            1.0, valType="code", label="Scale", hint="Factor of the amplitudes, 0 to 1. Blank: 1", **stimulus, **repeats
         )
         self.params["ahead"] = Param(
             0.2,

@@ -49,11 +49,11 @@ class TactilePlay:
         """The pattern's name."""
         self.pattern = pattern
 
-    def setSeconds(self, seconds: float | None) -> None:
+    def setSeconds(self, seconds: float | None = None) -> None:
         """Duration, s; None: the pattern's."""
         self.seconds = seconds
 
-    def setScale(self, scale: float | None) -> None:
+    def setScale(self, scale: float | None = None) -> None:
         """Factor of the amplitudes, 0 to 1; None: 1."""
         self.scale = 1.0 if scale is None else scale
 
