@@ -20,7 +20,7 @@ from typing import Any
 import pytest
 
 import meissner
-from conftest import has_psychopy
+from environment import has_psychopy
 
 if not has_psychopy():
     pytest.skip("PsychoPy is not installed", allow_module_level=True)
@@ -81,9 +81,9 @@ def experiment(folder: Path, conditions: list[dict[str, object]], **parameters: 
     exp.saveToXML(str(folder / "edges.psyexp"))
     again = Experiment()
     again.loadFromXML(str(folder / "edges.psyexp"))
-    file = folder / "edges.py"
-    file.write_text(again.writeScript(str(file)), encoding="utf-8")
-    return file
+    exported = folder / "edges.py"
+    exported.write_text(again.writeScript(str(exported)), encoding="utf-8")
+    return exported
 
 
 CONDITIONS: list[dict[str, object]] = [{"angle": "edge-45", "level": 0.5}, {"angle": "edge-135", "level": 1.0}]

@@ -16,6 +16,7 @@ from typing import Any
 
 import pytest
 
+import environment
 import meissner
 from psychopy_meissner import script
 from psychopy_meissner.device import MeissnerDevice, experiment_time, shared
@@ -23,6 +24,26 @@ from psychopy_meissner.routine import TactilePlay
 
 PERIOD = 1 / 60
 NOT_STARTED, STARTED, FINISHED = 0, 1, -1
+ENVIRONMENT = Path(environment.__file__).parent
+
+
+@pytest.fixture(scope="session")
+def shared_daemon() -> Iterator[meissner.Daemon]:
+    with meissner.Daemon("session_silence_s = 5\n") as daemon:
+        yield daemon
+
+
+@pytest.fixture
+def daemon(shared_daemon: meissner.Daemon) -> Iterator[meissner.Daemon]:
+    """A daemon that a test leaves without plays, session and armed motors."""
+    yield shared_daemon
+    with meissner.connect(shared_daemon.socket) as m:
+        state = m.status()
+        assert state.raw["session"] is None, "a test has left its session"
+        if state.state == "faulted":
+            m.reset(force=True)
+        m.wait_until_idle()
+        assert m.status().state == "disarmed", "a test has left the motors armed"
 
 
 @pytest.fixture
@@ -75,7 +96,12 @@ def routine(play: TactilePlay, start: str, end: float, sync: bool = True) -> dic
 
 @pytest.mark.parametrize(
     ("start", "sync", "expected"),
-    [("0.4", True, 24 * PERIOD), ("0.395", True, 24 * PERIOD), ("0.395", False, 0.395), ("tThisFlip + (29 - frameN) * PERIOD", True, 0.5)],
+    [
+        ("0.4", True, 24 * PERIOD),
+        ("0.395", True, 24 * PERIOD),
+        ("0.395", False, 0.395),
+        ("tThisFlip + (29 - frameN) * PERIOD", True, 0.5),
+    ],
 )
 def test_a_play_that_is_ordered_ahead_begins_when_planned(
     device: MeissnerDevice, start: str, sync: bool, expected: float
@@ -86,7 +112,9 @@ def test_a_play_that_is_ordered_ahead_begins_when_planned(
     assert saved["planned"] - saved["zero"] == pytest.approx(expected, abs=1e-6)
     assert saved["onset_uncertainty"] < 0.005
     assert abs(saved["onset"] - saved["planned"]) <= saved["onset_uncertainty"] + 1e-4
-    assert saved["offset"] - saved["onset"] == pytest.approx((saved["offset_tick"] - saved["onset_tick"]) / 85_000, abs=1e-3)
+    assert saved["offset"] - saved["onset"] == pytest.approx(
+        (saved["offset_tick"] - saved["onset_tick"]) / 85_000, abs=1e-3
+    )
     assert saved["offset_tick"] - saved["onset_tick"] <= 0.2 * 85_000
     receipt = device.client.receipt(saved["play_id"])
     assert receipt.onset is not None
@@ -202,7 +230,7 @@ def test_a_disarm_that_fails_becomes_an_emergency_stop(
 @pytest.mark.parametrize("end", ["SIGTERM", "error", "end"])
 def test_the_motors_are_off_however_the_script_ends(daemon: meissner.Daemon, end: str) -> None:
     code = f"""
-import conftest, sys, time
+import environment, sys, time
 from psychopy_meissner.device import MeissnerDevice
 from psychopy_meissner.routine import TactilePlay
 play = TactilePlay(MeissnerDevice({daemon.socket!r}, checked="a test"))
@@ -219,7 +247,7 @@ if {end!r} == "SIGTERM":
 """
     child = subprocess.Popen(
         [sys.executable, "-c", code],
-        env={**os.environ, "PYTHONPATH": os.pathsep.join([str(Path(__file__).parent), *sys.path])},
+        env={**os.environ, "PYTHONPATH": os.pathsep.join([str(ENVIRONMENT), *sys.path])},
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,

@@ -59,9 +59,9 @@ class MeissnerComponent(BaseComponent):
         for what, module, alias in script.IMPORTS:
             exp.requireImport(importName=what, importFrom=module, importAs=alias)
         self.params["stopVal"].hint = "When does the play end? Blank: when the pattern, or its seconds, are over"
-        self.params["syncScreenRefresh"].hint = (
-            "Plan the onset for the refresh of the screen at which a stimulus with this start appears"
-        )
+        self.params[
+            "syncScreenRefresh"
+        ].hint = "Plan the onset for the refresh of the screen at which a stimulus with this start appears"
         stimulus, device = {"categ": "Basic", "allowedTypes": []}, {"categ": "Device", "allowedTypes": []}
         repeats = {"updates": "set every repeat", "allowedUpdates": REPEATS}
         self.params["pattern"] = Param(
@@ -111,7 +111,7 @@ class MeissnerComponent(BaseComponent):
     def _fill(self, text: str) -> str:
         """The lines with this component's parameters."""
         sync = bool(self.params["syncScreenRefresh"].val)
-        start = "%(startVal)s" % self.params
+        start = str(self.params["startVal"])
         if self.params["startType"].val == "frame N":
             start = f"tThisFlip + ({start} - frameN) * win.monitorFramePeriod"
         return text % {

@@ -12,10 +12,11 @@ import sys
 import threading
 from typing import Any
 
-import meissner
-from meissner.errors import Faulted, MeissnerError, NoDevice
 from psychopy import logging
 from psychopy.hardware.base import BaseDevice
+
+import meissner
+from meissner.errors import Faulted, MeissnerError, NoDevice
 
 CLASS = "psychopy_meissner.device.MeissnerDevice"
 NS = 1_000_000_000
@@ -33,7 +34,7 @@ def _exit_at_sigterm() -> None:
         signal.signal(signal.SIGTERM, lambda number, frame: sys.exit(128 + number))
 
 
-class MeissnerDevice(BaseDevice, aliases=["meissner"]):
+class MeissnerDevice(BaseDevice):
     """A tactile display, armed."""
 
     def __init__(
