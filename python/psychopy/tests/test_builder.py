@@ -8,6 +8,7 @@ from __future__ import annotations
 import csv
 import importlib.metadata
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -84,6 +85,21 @@ def experiment(folder: Path, conditions: list[dict[str, object]], **parameters: 
     exported = folder / "edges.py"
     exported.write_text(again.writeScript(str(exported)), encoding="utf-8")
     return exported
+
+
+BOOK = Path(__file__).parents[3] / "docs" / "how-to"
+
+
+@pytest.mark.skipif(not BOOK.exists(), reason="the book is in the repository only")
+def test_the_page_of_the_book_runs(tmp_path: Path) -> None:
+    found = re.findall(r"```py\n(.*?)```", (BOOK / "psychopy.md").read_text(encoding="utf-8"), re.DOTALL)
+    assert found
+    for block in found:
+        ended = subprocess.run([sys.executable, "-c", block], cwd=tmp_path, capture_output=True, text=True, check=False)
+        assert ended.returncode == 0, block + ended.stderr
+        onset, uncertainty = (float(number) for number in ended.stdout.split())
+        assert 0.5 < onset < 10
+        assert uncertainty < 0.01
 
 
 CONDITIONS: list[dict[str, object]] = [{"angle": "edge-45", "level": 0.5}, {"angle": "edge-135", "level": 1.0}]

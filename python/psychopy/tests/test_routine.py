@@ -7,7 +7,6 @@ import os
 import signal
 import subprocess
 import sys
-import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -195,13 +194,13 @@ def test_a_refused_play_ends_the_experiment_with_the_daemons_line(device: Meissn
 
 def test_an_emergency_stop_by_somebody_is_in_the_data(device: MeissnerDevice) -> None:
     play = TactilePlay(device)
-    timer = threading.Timer(0.3, device.estop)
-    timer.start()
     play.setPattern("edge-45")
     play.setSeconds(5.0)
     play.start(None)
+    while device.client.status().playing is None:
+        time.sleep(0.01)
+    device.estop()
     saved = played(play)
-    timer.join()
     assert (saved["state"], saved["cause"]) == ("stopped", "estop")
 
 
