@@ -17,6 +17,7 @@ import pytest
 
 import environment
 import meissner
+from psychopy_meissner import routine as routine_module
 from psychopy_meissner import script
 from psychopy_meissner.device import MeissnerDevice, experiment_time, shared
 from psychopy_meissner.routine import TactilePlay
@@ -223,6 +224,31 @@ def test_closing_disarms_and_ends_the_session(daemon: meissner.Daemon) -> None:
         device.close()
         state = other.status()
         assert (state.state, state.playing, state.raw["session"]) == ("disarmed", None, None)
+
+
+def test_a_stop_that_fails_becomes_an_emergency_stop(device: MeissnerDevice, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail() -> None:
+        raise meissner.errors.ConnectionLost("the connection was lost")
+
+    play = TactilePlay(device)
+    play.setPattern("edge-45")
+    play.setSeconds(30.0)
+    play.start(None)
+    with monkeypatch.context() as patch:
+        patch.setattr(device.client, "stop", fail)
+        with pytest.raises(meissner.errors.ConnectionLost):
+            play.finish()
+    assert device.client.status().state == "faulted"
+    device.client.reset(force=True)
+    device.client.arm(assume_rest=True, checked="a test")
+    # A stop that seems to work, but the play goes on.
+    play.reset()
+    play.start(None)
+    monkeypatch.setattr(routine_module, "PATIENCE", 0.2)
+    monkeypatch.setattr(device.client, "stop", lambda: None)
+    with pytest.raises(meissner.MeissnerError, match="has no end after"):
+        play.finish()
+    assert device.client.status().state == "faulted"
 
 
 def test_a_disarm_that_fails_becomes_an_emergency_stop(
