@@ -55,8 +55,13 @@ def load_plugin() -> type:
     return component
 
 
-def experiment(folder: Path, conditions: list[dict[str, object]], **parameters: object) -> Path:
-    """Exports an experiment with a word and a touch at 0.5 s. It is saved and loaded first, as Builder does."""
+def experiment(
+    folder: Path, conditions: list[dict[str, object]], parameters: dict[str, object], twice: bool = False
+) -> Path:
+    """Exports an experiment with a word and a touch at 0.5 s. It is saved and loaded first, as Builder does.
+
+    `twice` adds a second touch at 0.9 s, with a stop.
+    """
     from psychopy.experiment import Experiment
     from psychopy.experiment.components.text import TextComponent
     from psychopy.experiment.loops import TrialHandler
@@ -66,10 +71,13 @@ def experiment(folder: Path, conditions: list[dict[str, object]], **parameters: 
     exp.addRoutine("trial")
     trial = exp.routines["trial"]
     trial.addComponent(TextComponent(exp, "trial", name="word", startVal=0.5, stopVal=0.2))
-    component = touch(exp, "trial")
-    for key, value in parameters.items():
-        component.params[key].val = value
-    trial.addComponent(component)
+    for name in ["touch", "again"][: 1 + twice]:
+        component = touch(exp, "trial", name=name)
+        for key, value in parameters.items():
+            component.params[key].val = value
+        if name == "again":
+            component.params["startVal"].val, component.params["stopVal"].val = "0.9", "0.2"
+        trial.addComponent(component)
     exp.flow.addRoutine(trial, 0)
     with (folder / "conditions.csv").open("w", newline="", encoding="utf-8") as file:
         rows = csv.DictWriter(file, list(conditions[0]))
@@ -80,10 +88,10 @@ def experiment(folder: Path, conditions: list[dict[str, object]], **parameters: 
     for key, value in {"Show info dlg": False, "Full-screen window": False, "Window size (pixels)": [200, 150]}.items():
         exp.settings.params[key].val = value
     exp.saveToXML(str(folder / "edges.psyexp"))
-    again = Experiment()
-    again.loadFromXML(str(folder / "edges.psyexp"))
+    loaded = Experiment()
+    loaded.loadFromXML(str(folder / "edges.psyexp"))
     exported = folder / "edges.py"
-    exported.write_text(again.writeScript(str(exported)), encoding="utf-8")
+    exported.write_text(loaded.writeScript(str(exported)), encoding="utf-8")
     return exported
 
 
@@ -111,7 +119,7 @@ PARAMETERS: dict[str, object] = {"pattern": "$angle", "scale": "$level", "second
 @pytest.mark.parametrize("sync", [True, False])
 def test_an_exported_script_compiles(tmp_path: Path, start: tuple[str, str], stop: str, sync: bool) -> None:
     parameters = {"startType": start[0], "startVal": start[1], "stopVal": stop, "syncScreenRefresh": sync}
-    file = experiment(tmp_path, CONDITIONS, **PARAMETERS, **parameters)
+    file = experiment(tmp_path, CONDITIONS, {**PARAMETERS, **parameters})
     text = file.read_text(encoding="utf-8")
     compile(text, str(file), "exec")
     assert ("touch.plan(" in text) == (start[0] != "condition")
@@ -120,7 +128,7 @@ def test_an_exported_script_compiles(tmp_path: Path, start: tuple[str, str], sto
 
 
 def test_what_is_constant_is_set_once_and_builder_has_a_template(tmp_path: Path) -> None:
-    file = experiment(tmp_path, CONDITIONS, **PARAMETERS)
+    file = experiment(tmp_path, CONDITIONS, PARAMETERS)
     touch: Any = load_plugin()
     from psychopy.experiment import Experiment
 
@@ -171,7 +179,7 @@ def data(folder: Path) -> list[dict[str, str]]:
 
 @needs_screen
 def test_an_exported_script_runs_and_its_data_has_the_true_times(tmp_path: Path, screen: str) -> None:
-    running = start(experiment(tmp_path, CONDITIONS, **PARAMETERS), screen)
+    running = start(experiment(tmp_path, CONDITIONS, PARAMETERS, twice=True), screen)
     output, _ = running.communicate(timeout=120)
     assert running.returncode == 0, output
     rows = data(tmp_path)
@@ -187,7 +195,11 @@ def test_an_exported_script_runs_and_its_data_has_the_true_times(tmp_path: Path,
         assert 0.15 < offset - onset <= 0.2 + 1e-3
         assert -0.1 < onset - float(row["word.started"]) < 0.1
         assert int(row["touch.offset_tick"]) > int(row["touch.onset_tick"])
-    assert int(rows[1]["touch.play_id"]) == int(rows[0]["touch.play_id"]) + 1
+        assert row["again.state"] == "done"
+        # Both are planned for a refresh, so up to one refresh more or less than 0.4 s lies between them.
+        assert float(row["again.onset"]) - onset == pytest.approx(0.4, abs=0.05)
+    plays = [int(row[f"{name}.play_id"]) for row in rows for name in ("touch", "again")]
+    assert plays == [1, 2, 3, 4]
 
 
 @needs_screen
@@ -197,7 +209,7 @@ def test_the_motors_are_off_however_the_experiment_ends(tmp_path: Path, screen: 
         parameters = {"simulated": "no", "address": daemon.socket, "checked": "a test", "seconds": "60"}
         conditions = [*CONDITIONS[:1], {"angle": "no-such", "level": 1.0}]
         stop = {"refused": "0.3"}.get(end, "")
-        file = experiment(tmp_path, conditions, **{**PARAMETERS, **parameters, "stopVal": stop})
+        file = experiment(tmp_path, conditions, {**PARAMETERS, **parameters, "stopVal": stop})
         if end == "escape":
             # The test cannot press the key: what the script does then begins with this flag.
             text = file.read_text(encoding="utf-8")
