@@ -165,6 +165,11 @@ def test_a_routine_that_ends_early_stops_the_play(device: MeissnerDevice) -> Non
     play.start(None)
     play.stop()
     assert play.finish()["state"] == "stopped"
+    # It cannot keep its onset, and is stopped already.
+    play.reset()
+    play.stop()
+    play.start(experiment_time() - 1.0)
+    assert play.finish() == {"state": "not-played"}
     assert device.client.status().state == "armed"
 
 

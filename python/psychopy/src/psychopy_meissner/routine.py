@@ -89,6 +89,8 @@ class TactilePlay:
             try:
                 play = client.play(self.pattern, self.seconds, at=at, scale=self.scale)
             except TooSoon:
+                if self._is_stopping:
+                    return
                 at = None
                 play = client.play(self.pattern, self.seconds, scale=self.scale)
             self._end = (client.now() if at is None else at) + (play.ordered_s or 0.0)
@@ -135,7 +137,8 @@ class TactilePlay:
                 "see `meissner receipt`"
             )
         self.check()
-        assert self._play is not None
+        if self._play is None:
+            return {"state": "not-played"}
         receipt = self._play.receipt
         columns: dict[str, Any] = {
             "play_id": receipt.id,
