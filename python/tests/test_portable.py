@@ -63,9 +63,10 @@ def test_the_import_is_light() -> None:
 
 
 @pytest.mark.parametrize("name", ["LICENSE-APACHE", "LICENSE-MIT"])
-def test_the_package_has_the_licences_of_the_repository(name: str) -> None:
-    own = Path(__file__).parents[1] / name
-    repository = own.parents[1] / name
+@pytest.mark.parametrize("folder", ["", "psychopy"])
+def test_each_package_has_the_licences_of_the_repository(folder: str, name: str) -> None:
+    package = Path(__file__).parents[1]
+    own, repository = package / folder / name, package.parent / name
     if not repository.exists():
         pytest.skip("the package is not in the repository")
     assert own.read_bytes() == repository.read_bytes()

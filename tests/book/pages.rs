@@ -64,6 +64,7 @@ pub(super) fn documents() -> impl Iterator<Item = Page> {
         "CHANGELOG.md",
         "deploy/README.md",
         "python/README.md",
+        "python/psychopy/README.md",
         "tests/install/README.md",
         "tests/realtime/README.md",
         "tests/usb/README.md",

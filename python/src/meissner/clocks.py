@@ -185,6 +185,12 @@ class ClientClock:
                 best = (there - (before + after) // 2, width)
         return best[0], (best[1] + 1) // 2
 
+    def on_other(self, read_ns: Callable[[], int], monotonic_ns: int, uncertainty: float) -> tuple[float, float]:
+        """An instant of the client's clock, known to `uncertainty` s, on another clock of this machine, and its uncertainty, s."""
+        offset, width = self.other(read_ns)
+        drift = abs(self.now_ns() - monotonic_ns) * MAX_SKEW
+        return (monotonic_ns + offset) / NS, uncertainty + (width + drift) / NS
+
     def instant(self, *, tick: int, boot: int | None, tick_hz: int, host_ns: int, host_uncertainty_ns: int) -> Instant:
         """An event that the daemon reported, on every clock."""
         monotonic_ns, uncertainty = self.to_client(host_ns)

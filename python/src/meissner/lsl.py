@@ -22,7 +22,7 @@ from types import TracebackType
 from typing import TYPE_CHECKING, Any
 
 from ._operations import Core
-from .clocks import MAX_SKEW, NS, Instant
+from .clocks import NS, Instant
 from .errors import MeissnerError
 from .results import Receipt, Status
 
@@ -213,9 +213,7 @@ class Bridge:
 
     def lsl_time(self, core: Core, instant_ns: int, uncertainty_s: float) -> tuple[float, float]:
         """An instant of this process's clock on LSL's clock, and its uncertainty, s."""
-        offset, width = core.clock.other(lambda: round(self._lsl.local_clock() * NS))
-        drift = abs(core.clock.now_ns() - instant_ns) * MAX_SKEW
-        return (instant_ns + offset) / NS, uncertainty_s + (width + drift) / NS
+        return core.clock.on_other(lambda: round(self._lsl.local_clock() * NS), instant_ns, uncertainty_s)
 
     def _mark(self, core: Core, what: str, pattern: str, at: Instant | None, receipt: Receipt) -> None:
         if at is None:

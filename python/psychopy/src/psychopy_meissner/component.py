@@ -1,0 +1,152 @@
+"""The component `Meissner` of PsychoPy Builder: plays a pattern in a routine.
+
+Builder shows the parameters, and asks for the code at each part of the exported script. The lines are in `script`; PsychoPy itself writes
+the tests for start and stop.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from psychopy.experiment.components import BaseComponent, Param
+
+from . import script
+
+REPEATS = ["constant", "set every repeat"]
+SIMULATED = {"no": "False", "when piloting": "PILOTING", "always": "True"}
+
+
+class MeissnerComponent(BaseComponent):
+    """Play a pattern on a tactile display."""
+
+    categories = ["Stimuli", "I/O"]
+    targets = ["PsychoPy"]
+    plugin = "psychopy-meissner"
+    iconSVG = Path(__file__).parent / "component.svg"
+    tooltip = "Tactile display: play a pattern on the finger"
+    version = "2026.1.0"
+
+    def __init__(
+        self,
+        exp: Any,
+        parentName: str,
+        name: str = "touch",
+        startType: str = "time (s)",
+        startVal: Any = 0.5,
+        stopType: str = "duration (s)",
+        stopVal: Any = "",
+        startEstim: Any = "",
+        durationEstim: Any = "",
+        saveStartStop: bool = True,
+        syncScreenRefresh: bool = True,
+        disabled: bool = False,
+    ) -> None:
+        super().__init__(
+            exp,
+            parentName,
+            name=name,
+            startType=startType,
+            startVal=startVal,
+            stopType=stopType,
+            stopVal=stopVal,
+            startEstim=startEstim,
+            durationEstim=durationEstim,
+            saveStartStop=saveStartStop,
+            syncScreenRefresh=syncScreenRefresh,
+            disabled=disabled,
+        )
+        for what, module, alias in script.IMPORTS:
+            exp.requireImport(importName=what, importFrom=module, importAs=alias)
+        self.params["stopVal"].hint = "When does the play end? Blank: when the pattern, or its seconds, are over"
+        self.params[
+            "syncScreenRefresh"
+        ].hint = "Plan the onset for the refresh of the screen at which a stimulus with this start appears"
+        stimulus, device = {"categ": "Basic", "allowedTypes": []}, {"categ": "Device", "allowedTypes": []}
+        repeats = {"updates": "set every repeat", "allowedUpdates": REPEATS}
+        self.params["pattern"] = Param(
+            "edge-45", valType="str", label="Pattern", hint="Name of a pattern of the daemon", **stimulus, **repeats
+        )
+        # `code`, not `num`: it takes `$duration` as well as `duration`, and a blank one calls the setter without argument.
+        self.params["seconds"] = Param(
+            0.3, valType="code", label="Seconds", hint="Duration, s. Blank: that of the pattern", **stimulus, **repeats
+        )
+        self.params["scale"] = Param(
+            1.0, valType="code", label="Scale", hint="Factor of the amplitudes, 0 to 1. Blank: 1", **stimulus, **repeats
+        )
+        self.params["ahead"] = Param(
+            0.2,
+            valType="num",
+            label="Order ahead (s)",
+            hint="How long before its start the play is ordered, s: the daemon keeps an onset that it learns in time",
+            **stimulus,
+        )
+        self.params["deviceName"] = Param(
+            "display", valType="str", label="Device name", hint="Components with one name share a display", **device
+        )
+        self.params["simulated"] = Param(
+            "when piloting",
+            valType="str",
+            inputType="choice",
+            allowedVals=list(SIMULATED),
+            label="Simulated array",
+            hint="Play on a simulated array: no hardware is needed, and nothing moves",
+            **device,
+        )
+        for key, label, hint in (
+            ("address", "Address", "URL or Unix socket of the daemon. Blank: $MEISSNER_URL, or the daemon of this PC"),
+            ("token", "Access token", "Blank: $MEISSNER_TOKEN. Better blank: experiment and script would contain it"),
+            (
+                "checked",
+                "Pins checked by",
+                "Who has looked at the pins and seen all at rest. Blank: the daemon must know",
+            ),
+            ("participant", "Participant", "Pseudonym: starts an exclusive session. Blank: no session"),
+        ):
+            self.params[key] = Param("", valType="str", label=label, hint=hint, **device)
+        for key in ("address", "token"):
+            self.params[key].canBePath = False
+        self.order += ["pattern", "seconds", "scale", "ahead", "deviceName", "simulated", "address", "token", "checked"]
+
+    def _fill(self, text: str) -> str:
+        """The lines with this component's parameters."""
+        sync = bool(self.params["syncScreenRefresh"].val)
+        start = str(self.params["startVal"])
+        if self.params["startType"].val == "frame N":
+            start = f"tThisFlip + ({start} - frameN) * win.monitorFramePeriod"
+        return text % {
+            **self.params,
+            "simulatedCode": SIMULATED[self.params["simulated"].val],
+            "startCode": start,
+            "periodCode": "win.monitorFramePeriod" if sync else "None",
+            "onsetCode": "tThisFlipGlobal" if sync else "None",
+        }
+
+    def writeInitCode(self, buff: Any) -> None:
+        """Connect, and set what is constant."""
+        buff.writeIndentedLines(self._fill(script.INIT))
+        self.writeParamUpdates(buff, "constant", ["pattern", "seconds", "scale"])
+
+    def writeRoutineStartCode(self, buff: Any) -> None:
+        """Forget the play before, and set what changes."""
+        buff.writeIndentedLines(self._fill(script.ROUTINE_START))
+        super().writeRoutineStartCode(buff)
+
+    def writeFrameCode(self, buff: Any) -> None:
+        """Order ahead, start, stop."""
+        if self.params["startType"].val != "condition" and self.params["startVal"].val not in ("", None):
+            buff.writeIndentedLines(self._fill(script.PLAN))
+        indented = self.writeStartTestCode(buff)
+        if indented:
+            buff.writeIndentedLines(self._fill(script.START))
+            buff.setIndentLevel(-indented, relative=True)
+        is_blank = self.params["stopVal"].val in ("", None, -1, "None")
+        indented = self.writeStopTestCode(buff, extra=script.IS_OVER if is_blank else "")
+        if indented:
+            buff.writeIndentedLines(self._fill(script.STOP))
+            buff.setIndentLevel(-indented, relative=True)
+
+    def writeRoutineEndCode(self, buff: Any) -> None:
+        """End the play, and save its times."""
+        buff.writeIndentedLines(self._fill(script.ROUTINE_END))
+        super().writeRoutineEndCode(buff)

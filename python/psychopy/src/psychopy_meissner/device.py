@@ -1,0 +1,160 @@
+"""The display as a device of PsychoPy's device manager: it connects, arms, converts times, and leaves the motors off.
+
+`shared` gives all components of an experiment the same device. `MeissnerDevice.client` is the client of the package `meissner`.
+
+Invariant: after `close`, and at the end of Python, the motors that this device has armed are off.
+"""
+
+from __future__ import annotations
+
+import signal
+import sys
+import threading
+from typing import Any
+
+from psychopy import logging
+from psychopy.hardware.base import BaseDevice
+
+import meissner
+from meissner.errors import Faulted, MeissnerError, NoDevice
+
+CLASS = "psychopy_meissner.device.MeissnerDevice"
+NS = 1_000_000_000
+
+
+def experiment_time() -> float:
+    """PsychoPy's clock of the experiment, s: the clock of `tThisFlipGlobal` and of the columns `.started` and `.stopped`."""
+    return float(logging.defaultClock.getTime())
+
+
+def _exit_at_sigterm() -> None:
+    """Lets SIGTERM end Python as `sys.exit` does. By default it kills the program at once, with the motors armed."""
+    is_main = threading.current_thread() is threading.main_thread()
+    if is_main and signal.getsignal(signal.SIGTERM) is signal.SIG_DFL:
+        signal.signal(signal.SIGTERM, lambda number, frame: sys.exit(128 + number))
+
+
+class MeissnerDevice(BaseDevice):
+    """A tactile display, armed."""
+
+    def __init__(
+        self, address: str = "", token: str = "", simulated: bool = False, checked: str = "", participant: str = ""
+    ) -> None:
+        """Connect to the daemon and enable the motors.
+
+        `address` is a Unix socket or a URL, with its access `token`; empty: as `meissner.connect()`. `simulated` starts a
+        daemon with the simulated array instead. `checked`: who has looked at the pins and seen all at rest; empty: the
+        daemon must know where the pins are. `participant` starts an exclusive session with this pseudonym.
+
+        Raises `meissner.MeissnerError`; the device manager turns it into a `ManagedDeviceError` with the same line.
+        """
+        self.address, self.simulated = address, simulated
+        self.settings: dict[str, Any] = {}
+        """The settings with which `shared` has added it."""
+        self._session: meissner.Session | None = None
+        self._is_closed = False
+        _exit_at_sigterm()
+        self.client = meissner.demo() if simulated else meissner.connect(address or None, token=token or None)
+        try:
+            if participant:
+                self._session = self.client.session(participant, exclusive=True)
+            if not simulated:
+                self.client.arm(assume_rest=bool(checked), checked=checked or None)
+        except BaseException:
+            self.close()
+            raise
+
+    @property
+    def isClosed(self) -> bool:
+        """Whether `close` has been called."""
+        return self._is_closed
+
+    def onExperimentClock(self, instant: meissner.Instant) -> tuple[float, float]:
+        """An instant on PsychoPy's clock of the experiment, and its uncertainty, s."""
+        clock = self.client.core.clock
+        return clock.on_other(
+            lambda: round(experiment_time() * NS), instant.monotonic_ns, instant.monotonic_uncertainty
+        )
+
+    def fromExperimentClock(self, seconds: float) -> float:
+        """A time of PsychoPy's clock of the experiment as the `at` of a play, s."""
+        offset_ns, _ = self.client.core.clock.other(lambda: round(experiment_time() * NS))
+        return seconds - offset_ns / NS
+
+    def stop(self) -> None:
+        """Stop the running play and clear the queue. If that fails, order an emergency stop, and raise the error."""
+        try:
+            self.client.stop()
+        except Faulted:
+            pass  # The lines are off.
+        except MeissnerError:
+            self.client.estop()
+            raise
+
+    def estop(self) -> None:
+        """Switch all lines off at once and latch the fault: plays are refused until somebody calls `reset`."""
+        self.client.estop()
+
+    def close(self) -> None:
+        """Stop, return the pins to rest, switch the motors off, end the session, and close. If it fails: emergency stop."""
+        if self._is_closed:
+            return
+        self._is_closed = True
+        try:
+            if self.client.core.has_armed:
+                self._disarm()
+            if self._session is not None:
+                self._session.end()
+        finally:
+            self.client.close()
+
+    def _disarm(self) -> None:
+        try:
+            self.client.disarm()
+        except (Faulted, NoDevice):
+            pass  # The lines are off.
+        except MeissnerError:
+            self.client.estop()
+            raise
+        finally:
+            # So that closing the client does not try it again.
+            self.client.core.has_armed = False
+
+    def isSameDevice(self, other: object) -> bool:
+        """Whether this device, or the dict of settings, is the same display."""
+
+        def of(name: str, default: object) -> object:
+            return other.get(name, default) if isinstance(other, dict) else getattr(other, name, default)
+
+        return (of("simulated", False), of("address", "")) == (self.simulated, self.address)
+
+    @staticmethod
+    def getAvailableDevices() -> list[dict[str, Any]]:
+        """The daemon that `meissner.connect()` finds, if one answers, and the simulated array."""
+        found: list[dict[str, Any]] = []
+        try:
+            with meissner.connect() as client:
+                client.status()
+                found.append({"deviceName": "Tactile display", "address": "", "simulated": False})
+        except MeissnerError:
+            pass
+        return [*found, {"deviceName": "Tactile display (simulated)", "address": "", "simulated": True}]
+
+
+def shared(manager: Any, name: str, **settings: Any) -> MeissnerDevice:
+    """The device of this name, added to PsychoPy's device manager if it is not there or closed.
+
+    Raises `ValueError` if the components of an experiment give one name different settings.
+    """
+    device = manager.getDevice(name)
+    if device is None or device.isClosed:
+        device = manager.addDevice(CLASS, name, **settings)
+        device.settings = settings
+    elif device.settings != settings:
+        different = [key for key in settings if settings[key] != device.settings.get(key)]
+        raise ValueError(
+            f"the device `{name}` has two values of {', '.join(different)}: give the components the same, "
+            "or another device name"
+        )
+    found: MeissnerDevice = device
+    return found

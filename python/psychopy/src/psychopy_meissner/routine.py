@@ -1,0 +1,156 @@
+"""A play within a routine of Builder: ordered ahead of its start, and saved with the times at which it really was.
+
+An exported script calls `plan` in each frame until the start, `start` in the frame of the start, and `finish` at the routine's end.
+A thread orders the play and waits for its receipt, so that no frame waits for the daemon. Nothing here imports PsychoPy.
+
+Invariant: after `finish` the play is over.
+"""
+
+from __future__ import annotations
+
+import math
+import threading
+from typing import TYPE_CHECKING, Any
+
+import meissner
+from meissner.errors import MeissnerError, TooSoon
+
+if TYPE_CHECKING:
+    from .device import MeissnerDevice
+
+GRACE = 0.05
+"""A play that ends by itself within this time is not stopped, s: its last strokes would be lost to the length of a frame."""
+PATIENCE = 15.0
+"""How long the receipt of a play that is over may take, s: longer than a client looks for a daemon that was there before."""
+
+
+class TactilePlay:
+    """What the component is in the script: PsychoPy sets `status` and the times of frames, the rest is the play."""
+
+    def __init__(self, device: MeissnerDevice, ahead: float = 0.2) -> None:
+        """`ahead`: how long before its start the play is ordered, s."""
+        self.device, self.ahead = device, ahead
+        self.status: Any = None
+        self.pattern, self.scale = "", 1.0
+        self.seconds: float | None = None
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the play of the routine before."""
+        self.planned: float | None = None
+        """The planned onset on PsychoPy's clock, s; None: as soon as possible."""
+        self._thread: threading.Thread | None = None
+        self._accepted, self._over, self._is_stopping = False, threading.Event(), False
+        self._play: meissner.Play | None = None
+        self._end = 0.0
+        self._error: BaseException | None = None
+
+    def setPattern(self, pattern: str) -> None:
+        """The pattern's name."""
+        self.pattern = pattern
+
+    def setSeconds(self, seconds: float | None = None) -> None:
+        """Duration, s; None: the pattern's."""
+        self.seconds = seconds
+
+    def setScale(self, scale: float | None = None) -> None:
+        """Factor of the amplitudes, 0 to 1; None: 1."""
+        self.scale = 1.0 if scale is None else scale
+
+    def plan(self, start: float, flip: float, flip_global: float, period: float | None = None) -> None:
+        """Order the play if its start is near enough.
+
+        `start` and `flip`, the next refresh of the screen, are on the routine's clock, `flip_global` is that refresh on the
+        experiment's, s. With the `period` of refreshes, s, the onset is planned for the refresh at which a visual stimulus
+        with this start appears; without it for `start` itself.
+        """
+        if self._thread is None and start - flip <= self.ahead:
+            wait = start - flip
+            if period is not None:
+                # As Builder does: a stimulus appears at the first refresh that is less than 1 ms before its start.
+                wait = period * max(0, math.ceil((wait - 0.001) / period))
+            self._order(flip_global + wait)
+
+    def start(self, onset: float | None) -> None:
+        """Order the play now, unless it was ordered ahead. `onset`: on PsychoPy's clock, s; None: as soon as possible."""
+        if self._thread is None:
+            self._order(onset)
+        self.check()
+
+    def _order(self, onset: float | None) -> None:
+        self.planned = onset
+        at = None if onset is None else self.device.fromExperimentClock(onset)
+        self._thread = threading.Thread(target=self._run, args=(at,), name="meissner-play", daemon=True)
+        self._thread.start()
+
+    def _run(self, at: float | None) -> None:
+        client = self.device.client
+        try:
+            try:
+                play = client.play(self.pattern, self.seconds, at=at, scale=self.scale)
+            except TooSoon:
+                if self._is_stopping:
+                    return
+                at = None
+                play = client.play(self.pattern, self.seconds, scale=self.scale)
+            self._end = (client.now() if at is None else at) + (play.ordered_s or 0.0)
+            self._play, self._accepted = play, True
+            if self._is_stopping:
+                self._stop_unless_ending()
+            play.wait(check=False)
+        except BaseException as error:
+            self._error = error
+        finally:
+            self._over.set()
+
+    def check(self) -> None:
+        """Raise the error with which the daemon has refused the play, if it has."""
+        if self._error is not None:
+            raise self._error
+
+    @property
+    def isOver(self) -> bool:
+        """Whether the play has ended. Raises the error with which the daemon has refused it."""
+        self.check()
+        return self._over.is_set()
+
+    def stop(self) -> None:
+        """Stop the play, and with it all plays that wait, unless it ends by itself within 50 ms."""
+        # If the daemon has not accepted the play yet, the thread stops it: no frame waits.
+        self._is_stopping = True
+        if self._accepted:
+            self._stop_unless_ending()
+
+    def _stop_unless_ending(self) -> None:
+        if not self._over.is_set() and self._end - self.device.client.now() > GRACE:
+            self.device.stop()
+
+    def finish(self) -> dict[str, Any]:
+        """End the play, and return the columns of the experiment's data. Without a play `state` is `not-played`."""
+        if self._thread is None:
+            return {"state": "not-played"}
+        self.stop()
+        if not self._over.wait(PATIENCE):
+            self.device.estop()
+            raise MeissnerError(
+                f"the play of `{self.pattern}` has no end after {PATIENCE:.0f} s, so all lines were switched off: "
+                "see `meissner receipt`"
+            )
+        self.check()
+        if self._play is None:
+            return {"state": "not-played"}
+        receipt = self._play.receipt
+        columns: dict[str, Any] = {
+            "play_id": receipt.id,
+            "pattern": receipt.pattern,
+            "scale": self.scale,
+            "state": receipt.state,
+            "cause": receipt.cause,
+            "late_strokes": receipt.late,
+            "planned": self.planned,
+        }
+        for name, instant in (("onset", receipt.onset), ("offset", receipt.offset)):
+            if instant is not None:
+                columns[name], columns[f"{name}_uncertainty"] = self.device.onExperimentClock(instant)
+                columns[f"{name}_tick"] = instant.tick
+        return columns

@@ -1,0 +1,347 @@
+"""The lines that the component writes, in a frame loop like that of an exported script, on the simulated array."""
+
+from __future__ import annotations
+
+import math
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+import environment
+import meissner
+from psychopy_meissner import routine as routine_module
+from psychopy_meissner import script
+from psychopy_meissner.device import MeissnerDevice, experiment_time, shared
+from psychopy_meissner.routine import TactilePlay
+
+PERIOD = 1 / 60
+NOT_STARTED, STARTED, FINISHED = 0, 1, -1
+ENVIRONMENT = Path(environment.__file__).parent
+
+
+@pytest.fixture(scope="session")
+def shared_daemon() -> Iterator[meissner.Daemon]:
+    with meissner.Daemon("session_silence_s = 5\n") as daemon:
+        yield daemon
+
+
+@pytest.fixture
+def daemon(shared_daemon: meissner.Daemon) -> Iterator[meissner.Daemon]:
+    """A daemon that a test leaves without plays, session and armed motors."""
+    yield shared_daemon
+    with meissner.connect(shared_daemon.socket) as m:
+        state = m.status()
+        assert state.raw["session"] is None, "a test has left its session"
+        if state.state == "faulted":
+            m.reset(force=True)
+        m.wait_until_idle()
+        assert m.status().state == "disarmed", "a test has left the motors armed"
+
+
+@pytest.fixture
+def device(daemon: meissner.Daemon) -> Iterator[MeissnerDevice]:
+    device = MeissnerDevice(daemon.socket, checked="a test")
+    yield device
+    device.close()
+
+
+def routine(
+    play: TactilePlay, start: str, end: float, sync: bool = True, stop: float | None = None, seconds: float = 0.2
+) -> dict[str, Any]:
+    """Runs the component's lines as a script does, and returns what they add to the data.
+
+    `end` cuts the routine, s. `stop`, s, is the component's; None: the play's own end.
+    """
+    data: dict[str, Any] = {}
+    parameters = {
+        "name": "touch",
+        "startCode": start,
+        "periodCode": "win.monitorFramePeriod" if sync else "None",
+        "onsetCode": "tThisFlipGlobal" if sync else "None",
+    }
+    names: dict[str, Any] = {
+        "touch": play,
+        "NOT_STARTED": NOT_STARTED,
+        "win": SimpleNamespace(monitorFramePeriod=PERIOD),
+        "thisExp": SimpleNamespace(addData=data.__setitem__),
+    }
+
+    def run(lines: str) -> None:
+        exec(lines % parameters, names)
+
+    run(script.ROUTINE_START)
+    play.setPattern("edge-45")
+    play.setSeconds(seconds)
+    play.setScale(0.5)
+    play.status = NOT_STARTED
+    zero = experiment_time()
+    for frame in range(round(end / PERIOD)):
+        flip = (frame + 1) * PERIOD
+        names.update(tThisFlip=flip, tThisFlipGlobal=zero + flip, frameN=frame)
+        run(script.PLAN)
+        if play.status == NOT_STARTED and flip >= eval(start, names) - 0.001:
+            play.status = STARTED
+            run(script.START)
+        is_over = flip > stop if stop is not None else eval("False " + script.IS_OVER % parameters, names)
+        if play.status == STARTED and is_over:
+            play.status = FINISHED
+            run(script.STOP)
+            if stop is None:
+                break
+        time.sleep(max(0.0, zero + flip - experiment_time()))
+    run(script.ROUTINE_END)
+    return {**{key.removeprefix("touch."): value for key, value in data.items()}, "zero": zero}
+
+
+@pytest.mark.parametrize(
+    ("start", "sync", "expected"),
+    [
+        ("0.4", True, 24 * PERIOD),
+        ("0.395", True, 24 * PERIOD),
+        ("0.395", False, 0.395),
+        ("tThisFlip + (29 - frameN) * PERIOD", True, 0.5),
+    ],
+)
+def test_a_play_that_is_ordered_ahead_begins_when_planned(
+    device: MeissnerDevice, start: str, sync: bool, expected: float
+) -> None:
+    # As early as the routine allows, so that a stall of the machine makes no order late.
+    play = TactilePlay(device, ahead=1.0)
+    saved = routine(play, start.replace("PERIOD", str(PERIOD)), 2.0, sync)
+    assert (saved["state"], saved["pattern"], saved["scale"], saved["cause"]) == ("done", "edge-45", 0.5, None)
+    assert saved["planned"] - saved["zero"] == pytest.approx(expected, abs=1e-6)
+    assert saved["onset_uncertainty"] < 0.02
+    assert abs(saved["onset"] - saved["planned"]) <= saved["onset_uncertainty"] + 1e-4
+    assert saved["offset"] - saved["onset"] == pytest.approx(
+        (saved["offset_tick"] - saved["onset_tick"]) / 85_000, abs=1e-3
+    )
+    assert saved["offset_tick"] - saved["onset_tick"] <= 0.2 * 85_000
+    receipt = device.client.receipt(saved["play_id"])
+    assert receipt.onset is not None
+    assert (receipt.onset.tick, receipt.raw["scale"]) == (saved["onset_tick"], 0.5)
+
+
+def played(play: TactilePlay) -> dict[str, Any]:
+    """What a play adds to the data after its own end."""
+    while not play.isOver:
+        time.sleep(0.01)
+    return play.finish()
+
+
+def test_a_start_without_notice_is_played_as_soon_as_possible(device: MeissnerDevice) -> None:
+    play = TactilePlay(device)
+    play.setPattern("edge-45")
+    play.setSeconds(0.1)
+    play.start(experiment_time() - 1.0)
+    saved = played(play)
+    assert saved["state"] == "done"
+    assert saved["onset"] > saved["planned"] + 1.0
+    play.reset()
+    play.start(None)
+    assert played(play)["planned"] is None
+
+
+def test_a_routine_that_ends_early_stops_the_play(device: MeissnerDevice) -> None:
+    saved = routine(TactilePlay(device), "0.05", 0.15, seconds=5.0)
+    assert (saved["state"], saved["cause"]) == ("stopped", "stop")
+    assert saved["offset"] - saved["onset"] < 2.5
+    # Ordered ahead, but the routine ended first.
+    play = TactilePlay(device, ahead=5.0)
+    saved = routine(play, "2.5", 0.2)
+    assert saved["state"] == "stopped"
+    assert "onset" not in saved
+    assert routine(play, "9.0", 0.1)["state"] == "not-played"
+    # The daemon has not accepted it yet.
+    play.reset()
+    play.setSeconds(5.0)
+    play.start(None)
+    play.stop()
+    assert play.finish()["state"] == "stopped"
+    # It cannot keep its onset, and is stopped already.
+    play.reset()
+    play.stop()
+    play.start(experiment_time() - 1.0)
+    assert play.finish() == {"state": "not-played"}
+    assert device.client.status().state == "armed"
+
+
+def test_the_stop_of_the_component_stops_the_play(device: MeissnerDevice) -> None:
+    saved = routine(TactilePlay(device), "0.1", 1.5, stop=0.3, seconds=5.0)
+    assert (saved["state"], saved["cause"]) == ("stopped", "stop")
+    assert 0.2 < saved["offset"] - saved["zero"] < 1.2
+
+
+def test_a_play_that_is_nearly_over_is_not_cut(device: MeissnerDevice) -> None:
+    saved = routine(TactilePlay(device), "0.1", 0.1 + 0.2 - PERIOD)
+    assert saved["state"] == "done"
+
+
+def test_a_refused_play_ends_the_experiment_with_the_daemons_line(device: MeissnerDevice) -> None:
+    play = TactilePlay(device)
+    play.setPattern("no-such")
+    play.start(None)
+    with pytest.raises(meissner.errors.NotFound, match="no-such"):
+        play.finish()
+    device.estop()
+    play.reset()
+    play.setPattern("edge-45")
+    play.start(None)
+    with pytest.raises(meissner.errors.Faulted):
+        play.finish()
+
+
+def test_an_emergency_stop_by_somebody_is_in_the_data(device: MeissnerDevice) -> None:
+    play = TactilePlay(device)
+    play.setPattern("edge-45")
+    play.setSeconds(5.0)
+    play.start(None)
+    while device.client.status().playing is None:
+        time.sleep(0.01)
+    device.estop()
+    saved = played(play)
+    assert (saved["state"], saved["cause"]) == ("stopped", "estop")
+
+
+def test_the_time_on_the_experiments_clock_is_right(device: MeissnerDevice) -> None:
+    before = experiment_time()
+    play = device.client.play("edge-45", 0.1)
+    play.wait()
+    onset, uncertainty = device.onExperimentClock(play.onset)
+    assert before - uncertainty < onset < experiment_time()
+    assert device.fromExperimentClock(onset) == pytest.approx(play.onset.monotonic, abs=1e-4)
+
+
+def test_closing_disarms_and_ends_the_session(daemon: meissner.Daemon) -> None:
+    device = MeissnerDevice(daemon.socket, checked="a test", participant="P07")
+    with meissner.connect(daemon.socket) as other:
+        session = other.status().raw["session"]
+        assert (session["participant"], session["exclusive"]) == ("P07", True)
+        device.client.play("edge-45", 5.0)
+        device.close()
+        device.close()
+        state = other.status()
+        assert (state.state, state.playing, state.raw["session"]) == ("disarmed", None, None)
+
+
+def test_a_stop_that_fails_becomes_an_emergency_stop(device: MeissnerDevice, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail() -> None:
+        raise meissner.errors.ConnectionLost("the connection was lost")
+
+    play = TactilePlay(device)
+    play.setPattern("edge-45")
+    play.setSeconds(30.0)
+    play.start(None)
+    with monkeypatch.context() as patch:
+        patch.setattr(device.client, "stop", fail)
+        with pytest.raises(meissner.errors.ConnectionLost):
+            play.finish()
+    assert device.client.status().state == "faulted"
+    device.client.reset(force=True)
+    device.client.arm(assume_rest=True, checked="a test")
+    # A stop that seems to work, but the play goes on.
+    play.reset()
+    play.start(None)
+    monkeypatch.setattr(routine_module, "PATIENCE", 0.2)
+    monkeypatch.setattr(device.client, "stop", lambda: None)
+    with pytest.raises(meissner.MeissnerError, match="has no end after"):
+        play.finish()
+    assert device.client.status().state == "faulted"
+
+
+def test_a_disarm_that_fails_becomes_an_emergency_stop(
+    daemon: meissner.Daemon, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    device = MeissnerDevice(daemon.socket, checked="a test")
+
+    def fail() -> None:
+        raise meissner.errors.ConnectionLost("the connection was lost")
+
+    monkeypatch.setattr(device.client, "disarm", fail)
+    with pytest.raises(meissner.errors.ConnectionLost):
+        device.close()
+    with meissner.connect(daemon.socket) as other:
+        assert other.status().state == "faulted"
+
+
+@pytest.mark.parametrize("end", ["SIGTERM", "error", "end"])
+def test_the_motors_are_off_however_the_script_ends(daemon: meissner.Daemon, end: str) -> None:
+    code = f"""
+import environment, sys, time
+from psychopy_meissner.device import MeissnerDevice
+from psychopy_meissner.routine import TactilePlay
+play = TactilePlay(MeissnerDevice({daemon.socket!r}, checked="a test"))
+play.setPattern("edge-45")
+play.setSeconds(60.0)
+play.start(None)
+while not play._accepted:
+    time.sleep(0.01)
+print("playing", flush=True)
+if {end!r} == "error":
+    raise RuntimeError("an error of the experiment")
+if {end!r} == "SIGTERM":
+    time.sleep(60)
+"""
+    child = subprocess.Popen(
+        [sys.executable, "-c", code],
+        env={**os.environ, "PYTHONPATH": os.pathsep.join([str(ENVIRONMENT), *sys.path])},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    assert child.stdout is not None
+    first = child.stdout.readline()
+    if end == "SIGTERM":
+        os.kill(child.pid, signal.SIGTERM)
+    _, errors = child.communicate(timeout=30)
+    assert first == "playing\n", errors
+    assert child.returncode == {"SIGTERM": 143, "error": 1, "end": 0}[end]
+    with meissner.connect(daemon.socket) as other:
+        assert other.status().state in ("disarmed", "returning")
+        assert other.receipt().state == "stopped"
+
+
+class Manager:
+    """The two methods of PsychoPy's device manager that `shared` calls."""
+
+    def __init__(self) -> None:
+        self.devices: dict[str, MeissnerDevice] = {}
+
+    def getDevice(self, name: str) -> MeissnerDevice | None:
+        return self.devices.get(name)
+
+    def addDevice(self, deviceClass: str, deviceName: str, **settings: Any) -> MeissnerDevice:
+        assert deviceClass == f"{MeissnerDevice.__module__}.MeissnerDevice"
+        self.devices[deviceName] = MeissnerDevice(**settings)
+        return self.devices[deviceName]
+
+
+def test_components_share_a_device(daemon: meissner.Daemon) -> None:
+    manager, settings = Manager(), {"address": daemon.socket, "checked": "a test"}
+    first = shared(manager, "display", **settings)
+    assert shared(manager, "display", **settings) is first
+    assert first.isSameDevice({"address": daemon.socket})
+    assert not first.isSameDevice({"simulated": True})
+    with pytest.raises(ValueError, match=r"the device `display` has two values of address: .*same"):
+        shared(manager, "display", **{**settings, "address": "elsewhere"})
+    first.close()
+    second = shared(manager, "display", **settings)
+    assert second is not first
+    second.close()
+
+
+def test_without_hardware_it_plays_on_a_simulated_array() -> None:
+    assert MeissnerDevice.getAvailableDevices()[-1]["simulated"]
+    device = MeissnerDevice(simulated=True)
+    try:
+        assert device.client.status().simulated
+        assert math.isclose(routine(TactilePlay(device), "0.1", 1.0)["scale"], 0.5)
+    finally:
+        device.close()
