@@ -235,14 +235,27 @@ ok "forbidden: the socket works; $(line why.log)"
 install -D -m 644 /usr/share/meissner/network.conf /etc/systemd/system/meissner.service.d/network.conf
 systemctl daemon-reload
 systemctl restart meissner.service || fail "allowed: restart: $(since "${from%.*}" | tail -n 3)"
-answer() {
+# ask METHOD PATH [BODY]: the answer over TCP
+ask() {
     exec 3<>/dev/tcp/127.0.0.1/8765 || return 1
-    printf 'GET /v1/status HTTP/1.1\r\nhost: localhost\r\nconnection: close\r\n\r\n' >&3
-    head -n 1 <&3
+    printf '%s %s HTTP/1.1\r\nhost: localhost\r\nconnection: close\r\ncontent-length: %s\r\n\r\n%s' "$1" "$2" "${#3}" "$3" >&3
+    cat <&3
     exec 3>&-
 }
-answer >out.log 2>&1 && grep -q ' 200 OK' out.log || fail "allowed: $(line out.log)"
-ok "allowed: GET /v1/status over TCP: $(tr -d '\r' <out.log)"
+ask GET /v1/status '' >out.log 2>&1 && head -n 1 out.log | grep -q ' 200 OK' || fail "allowed: $(line out.log)"
+ok "allowed: GET /v1/status over TCP: $(head -n 1 out.log | tr -d '\r')"
+
+part=search
+# The daemon starts a process of its own for it, within the unit's limits.
+ask POST /v1/searches '{"target": "edge-45", "seconds": 0.5}' >out.log 2>&1 && head -n 1 out.log | grep -q ' 20[0-9] ' ||
+    fail "order: $(tail -n 1 out.log)"
+from=$(now)
+found() { ask GET /v1/searches/last '' | grep -q '"state":"done"'; }
+within 60 found || fail "result: $(ask GET /v1/searches/last '' | tail -n 1 | cut -c 1-300)"
+ok "a search of 0.5 s under the unit: done after $(ms "$from" "$(now)")"
+arm search
+alice play search:1 --seconds 0.2 --wait >out.log 2>&1 || fail "play: $(line out.log)"
+disarm search
 rm -r /etc/systemd/system/meissner.service.d
 cp -p kept.toml $conf
 systemctl daemon-reload && systemctl restart meissner.service || fail "off again"
