@@ -236,7 +236,7 @@ impl Store {
         let other = || StoreError::OtherText { name: name.to_owned(), sha256: sha256.to_owned() };
         let text = kept().map_err(|_| other())?;
         let stored = self.parse(&text, Path::new(&format!("{sha256}.toml")))?;
-        if stored.sha256 == sha256 { named(name, stored) } else { Err(other()) }
+        if stored.sha256 == sha256 { named(name, stored).map_err(|_| other()) } else { Err(other()) }
     }
 
     /// The pattern in a file of the directory.

@@ -227,6 +227,42 @@ fn patterns_are_listed_shown_and_stored() {
 }
 
 #[test]
+fn a_pattern_is_shown_as_it_was_played() {
+    let daemon = Daemon::start();
+    let mut client = daemon.armed();
+    let mut events = daemon.client().events().unwrap();
+    let text = |amplitude_um: u32| {
+        format!(
+            "format = 1\nname = \"mine\"\n[[drive]]\nmotor = 3\nfrequency_hz = 60.0\namplitude_um = {amplitude_um}\n"
+        )
+    };
+    let stored = |client: &mut Client, amplitude_um| {
+        let stored: Value = client.put("/v1/patterns/mine?replace=true", text(amplitude_um)).unwrap();
+        stored["sha256"].as_str().unwrap().to_owned()
+    };
+    let played = stored(&mut client, 40);
+    play(&mut client, &json!({"pattern": "mine", "seconds": 0.05}));
+    ended(&mut events);
+    let unplayed = stored(&mut client, 50);
+    let now = stored(&mut client, 60);
+    let mut shown =
+        |name: &str, sha256: &str| client.get::<Value>(&format!("/v1/patterns/{name}?sha256={sha256}"));
+    for (sha256, amplitude_um) in [(&played, 40.0), (&now, 60.0)] {
+        let pattern = shown("mine", sha256).unwrap();
+        assert_eq!(
+            (&pattern["sha256"], &pattern["pattern"]["drive"][0]["amplitude_um"]),
+            (&json!(sha256), &json!(amplitude_um))
+        );
+    }
+    // Never played, and of another name.
+    assert_eq!(refusal(shown("mine", &unplayed)), ("not-found".into(), 404));
+    assert_eq!(refusal(shown("edge-45", &played)), ("not-found".into(), 404));
+    for bad in ["", "9F", "../../meissner", &"g".repeat(64), &format!("{played}&x=1")] {
+        assert_eq!(refusal(shown("mine", bad)), ("bad-request".into(), 400), "{bad}");
+    }
+}
+
+#[test]
 fn every_error_is_a_problem() {
     let daemon = Daemon::start();
     let mut client = daemon.client();

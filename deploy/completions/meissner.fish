@@ -261,7 +261,7 @@ complete -c meissner -n "__fish_meissner_using_subcommand optimise" -l resume -d
 complete -c meissner -n "__fish_meissner_using_subcommand optimise" -l robust -d 'Maximise the mean over eight populations of afferents, not one population'
 complete -c meissner -n "__fish_meissner_using_subcommand optimise" -l json -d 'Print one JSON document on stdout and nothing else'
 complete -c meissner -n "__fish_meissner_using_subcommand optimise" -s h -l help -d 'Print help (see more with \'--help\')'
-complete -c meissner -n "__fish_meissner_using_subcommand tradeoff" -l model -d 'Choose the model of skin and afferents [default: the scene\'s key `model`, else membrane]' -r -f -a "membrane\t'RA afferents with a leaky membrane, Gaussian receptive fields'
+complete -c meissner -n "__fish_meissner_using_subcommand tradeoff" -l model -d 'Choose the model of skin and afferents; with --objectives, that of the searches [default: the scene\'s key `model`, else membrane]' -r -f -a "membrane\t'RA afferents with a leaky membrane, Gaussian receptive fields'
 afferents\t'Skin under flat pins, and SA1, RA and PC afferents fitted to recordings; steps of 200 us'"
 complete -c meissner -n "__fish_meissner_using_subcommand tradeoff" -l trace -d 'Use the stalls in FILE, recorded with the example `record_stalls` (with --stream)' -r -F
 complete -c meissner -n "__fish_meissner_using_subcommand tradeoff" -l plot -d 'Draw the comparison into FILE (SVG)' -r -F

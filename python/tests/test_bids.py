@@ -7,6 +7,7 @@ import gzip
 import json
 import shutil
 import subprocess
+import time
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +21,8 @@ PATTERN = 'format = 1\nname = "{}"\nduration_s = 0.1\n[[drive]]\nmotor = 9\nfreq
 
 def record(m: meissner.Client) -> tuple[str, meissner.Play, meissner.Play]:
     """A session with a play, a sequence, a play that was stopped, and a pattern that changes afterwards."""
-    m.store_pattern("mine", PATTERN.format("mine", 40.0), replace=True)
+    # The session record keeps a text once: `forget` removes this one, and no test has it again.
+    m.store_pattern("mine", PATTERN.format("mine", 40.0) + f"# {time.time_ns()}\n", replace=True)
     with m.session("P-07", experiment="edge detection") as session:
         play = m.play("pin-60", 0.1, trial=1, labels={"block": "a b"}, trigger=5)
         play.wait()
@@ -30,6 +32,13 @@ def record(m: meissner.Client) -> tuple[str, meissner.Play, meissner.Play]:
         m.stop()
     m.store_pattern("mine", PATTERN.format("mine", 50.0), replace=True)
     return session.id, play, pair
+
+
+def forget(m: meissner.Client) -> None:
+    """Removes the text of `mine` as it was played from the session record."""
+    for file in (Path(m.core.endpoint.name).parent / "record" / "patterns").glob("*.toml"):
+        if 'name = "mine"' in file.read_text():
+            file.unlink()
 
 
 def read(file: Path) -> list[dict[str, str]]:
@@ -58,7 +67,8 @@ def check_displacement(export: bids.Export, events: list[dict[str, str]]) -> Non
     # The first stroke, from rest, is larger than the amplitude of a vibration that goes on.
     settled = [row[0] for row in meissner.displacement("pin-60", 0.1, rate_hz=20_000.0).um][600:1800]
     assert max(settled) - min(settled) == pytest.approx(float(events[0]["amplitude"]), rel=0.01)
-    reached = max(row[0] for row in plain.um)
+    mine = meissner.displacement(PATTERN.format("mine", 40.0), 0.05)
+    reached = {name: max(row[0] for row in of.um) for name, of in [("pin-60", plain), ("mine", mine)]}
     # The first onset is a sample. The daemon knows the device's rate as well as it knows the device's clock.
     assert [float(row[9]) for row in table[: len(plain.um)]] == pytest.approx([row[0] for row in plain.um], abs=0.5)
     assert all(set(row[:9] + row[10:]) <= {"0", "n/a"} for row in table)
@@ -72,7 +82,7 @@ def check_displacement(export: bids.Export, events: list[dict[str, str]]) -> Non
             assert set(during) == {"n/a"}
         elif float(event["duration"]) > 0.04:
             scale = float(event["scale"])
-            assert max(map(float, during)) == pytest.approx(scale * reached, rel=0.1)
+            assert max(map(float, during)) == pytest.approx(scale * reached[event["trial_type"]], rel=0.1)
     assert {row[9] for row, at_rest in zip(table, still, strict=True) if at_rest} == {"0"}
 
 
@@ -95,12 +105,20 @@ def test_a_session_becomes_a_dataset(m: meissner.Client, tmp_path: Path) -> None
         "n/a",
     )
     assert [row["item"] for row in rows[1:3]] == ["0", "1"]
-    # The pattern that has changed is not passed off as the one that was played.
-    assert rows[1]["stim_file"] == "n/a"
+    # The pattern has changed since; the file has what was played.
+    assert "amplitude_um = 40.0" in (tmp_path / "stimuli" / rows[1]["stim_file"]).read_text()
+    assert [line for line in export.left_out if "late strokes" not in line] == []
+    forget(m)
+    export = m.export_bids(session, tmp_path / "lost")
+    lost = read(export.events)
+    assert lost[1]["stim_file"] == "n/a"
     assert [line for line in export.left_out if "late strokes" not in line] == [
-        "the pattern mine has changed since: its stim_file is n/a",
-        f"play {pair.id}, item 0: its pattern has changed since, so its displacement is n/a",
+        "the text of mine as played is not kept: its stim_file is n/a",
+        f"play {pair.id}, item 0: its pattern as played is not kept, so its displacement is n/a",
     ]
+    check_displacement(export, lost)
+    shutil.rmtree(tmp_path / "lost")
+    export = m.export_bids(session, tmp_path)
     stimulus = tmp_path / "stimuli" / rows[0]["stim_file"]
     sidecar = json.loads(export.events.with_suffix(".json").read_text())
     assert set(rows[0]) <= set(sidecar)
@@ -190,7 +208,7 @@ def test_displacement_of_stimuli_that_were_cut_lost_or_late() -> None:
     assert unknown == {2000: None} | {3000 + index: None for index in range(100)}
     assert problems == [
         "play 2: its end is missing from the record, so its displacement is n/a",
-        "play 3: its pattern has changed since, so its displacement is n/a",
+        "play 3: its pattern as played is not kept, so its displacement is n/a",
     ]
     with pytest.raises(errors.ProgramError, match=r"displacement` failed: .*has no end"):
         meissner.displacement(

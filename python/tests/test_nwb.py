@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 import meissner
-from test_bids import record
+from test_bids import forget, record
 
 pynwb = pytest.importorskip("pynwb", reason="pynwb is not installed")
 
@@ -29,13 +29,14 @@ def problems(file: Path) -> list[str]:
 
 def test_a_session_becomes_a_file_without_errors(m: meissner.Client, tmp_path: Path) -> None:
     session, play, pair = record(m)
+    forget(m)
     file = tmp_path / "P07.nwb"
     file.write_text("replaced whole")
     export = m.export_nwb(session, file, subject={"age": "P30Y", "sex": "F"}, metadata={"keywords": ["touch"]})
     m.remove_pattern("mine")
     assert export.file == file
     assert [line for line in export.left_out if "late strokes" not in line] == [
-        f"play {pair.id}, item 0: its pattern has changed since, so its displacement is n/a"
+        f"play {pair.id}, item 0: its pattern as played is not kept, so its displacement is n/a"
     ]
     assert list(tmp_path.iterdir()) == [file]
     assert problems(file) == []
@@ -63,7 +64,7 @@ def check(nwb: Any, play: meissner.Play, pair: meissner.Play) -> None:
     trace = nwb.stimulus["pin_displacement"]
     assert (trace.unit, trace.conversion) == ("meters", 1e-6)
     moved = [time for time, row in zip(trace.timestamps[:], trace.data[:], strict=True) if row[9] > 1]
-    # Not of the pattern that has changed since.
+    # Not of the pattern whose text is lost.
     assert min(moved) == pytest.approx(times[0], abs=0.01)
     assert not [time for time in moved if times[0] + 0.12 < time < times[2]]
     assert [time for time in moved if times[2] < time < times[2] + 0.05]

@@ -33,8 +33,8 @@ pub(super) struct MethodTradeoff {
     /// Compare methods on this scene: a TOML or JSON file, or - for stdin [default: 24 motors at 60 Hz, 306 afferents, 1 s]
     #[arg(group = "what")]
     scene: Option<PathBuf>,
-    /// Choose the model of skin and afferents [default: the scene's key `model`, else membrane]
-    #[arg(long, value_parser = choice::<ModelName>(MODELS), conflicts_with_all = ["stream", "closed_loop", "stop", "objectives"])]
+    /// Choose the model of skin and afferents; with --objectives, that of the searches [default: the scene's key `model`, else membrane]
+    #[arg(long, value_parser = choice::<ModelName>(MODELS), conflicts_with_all = ["stream", "closed_loop", "stop"])]
     model: Option<ModelName>,
     /// Compare leads of the streamer, not methods: late bursts, onsets and bytes, in virtual time under recorded stalls
     #[arg(long, group = "what")]
@@ -128,9 +128,11 @@ pub(super) fn run(asked: &MethodTradeoff) -> Result<ExitCode> {
         }
         What::Objectives => {
             let store = Store::new(None, false)?;
+            let model = asked.model.unwrap_or_default();
             let library = |name: &str| store.library(name).map(|stored| stored.pattern.drives().to_vec());
-            let found =
-                progress::metered(|at| meissner_report::objective_tradeoff(EVALUATIONS, &library, at))?;
+            let found = progress::metered(|at| {
+                meissner_report::objective_tradeoff(EVALUATIONS, model, &library, at)
+            })?;
             give(asked.output.json, &found, || objectives::table(&found).join("\n"))
         }
     }

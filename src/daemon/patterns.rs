@@ -17,7 +17,7 @@ use axum::extract::{Extension, Path, State};
 use axum::http::header::CONTENT_TYPE;
 use axum::http::{StatusCode, Uri};
 use axum::response::{IntoResponse, Response};
-use meissner_api::{Code, FOUND_PREFIX, ImportedPattern, MAX_BODY, Problem, RemovedPattern};
+use meissner_api::{Code, FOUND_PREFIX, ImportedPattern, MAX_BODY, Problem, RemovedPattern, is_sha256};
 use serde_json::json;
 use std::io;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -62,8 +62,7 @@ impl From<StoreError> for ErrorResponse {
 }
 
 /// A pattern, and its place among [`PATTERNS`]: those of the library and those that a search has found need none, they are in memory
-/// anyway. With `sha256` it is the
-/// pattern of that text: the stored one, or the one that the session record keeps.
+/// anyway. With `sha256` it is the pattern of that text: the stored one, or the one that the session record keeps.
 pub(super) async fn find(
     app: &App,
     name: &str,
@@ -102,8 +101,9 @@ pub(super) async fn list(State(app): State<App>) -> Answer<Response> {
 pub(super) async fn show(
     State(app): State<App>,
     name: Result<Path<String>, PathRejection>,
+    uri: Uri,
 ) -> Answer<Response> {
-    let (stored, _place) = find(&app, &path(name)?, None).await?;
+    let (stored, _place) = find(&app, &path(name)?, asked_text(&uri)?).await?;
     let json = match stored.made_json() {
         Some(made) => made,
         None => computing(move || stored.json()).await?,
@@ -152,6 +152,18 @@ pub(super) async fn import_place() -> Result<SemaphorePermit<'static>, Problem> 
     let busy = || Problem::new(Code::Busy, "too many files are in work: try again in a moment");
     let place = tokio::time::timeout(IMPORT_TIMEOUT, IMPORTS.acquire()).await;
     place.ok().and_then(Result::ok).ok_or_else(busy)
+}
+
+/// The SHA-256 of the text that is asked for, by the query.
+fn asked_text(uri: &Uri) -> Result<Option<&str>, Problem> {
+    let Some(query) = uri.query().filter(|query| !query.is_empty()) else { return Ok(None) };
+    match query.strip_prefix("sha256=").filter(|sha256| is_sha256(sha256)) {
+        Some(sha256) => Ok(Some(sha256)),
+        None => {
+            let detail = format!("the query `{query}`: must be `sha256=` and 64 of 0-9 and a-f");
+            Err(Problem::new(Code::BadRequest, detail))
+        }
+    }
 }
 
 /// Whether an import may replace a pattern, by its query.

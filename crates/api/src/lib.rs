@@ -71,7 +71,9 @@ pub use search::{
     SearchProgress, SearchRequest, SearchResponse, SearchResult, SearchSetting, SearchState, SearchVerdict,
     SearchVerdicts,
 };
-pub use sequence::{InstantRecord, ItemRecord, ItemState, MAX_SEQUENCE_ITEMS, SequenceItem, SequenceRequest};
+pub use sequence::{
+    InstantRecord, ItemRecord, ItemState, MAX_SEQUENCE_ITEMS, SequenceItem, SequenceRequest, is_sha256,
+};
 pub use session::{
     Labels, MAX_ROWS, RecordedPlay, Session, SessionList, SessionPlays, SessionRequest, SessionStarted,
 };

@@ -139,6 +139,9 @@ fn described(route: Route, operation: &Operation, example: &dyn Fn(&str) -> Valu
             Query::Number { name, most, about } => {
                 (name, about, json!({"type": "number", "minimum": 0, "maximum": most}))
             }
+            Query::Sha256 { name, about } => {
+                (name, about, json!({"type": "string", "pattern": "^[0-9a-f]{64}$"}))
+            }
             Query::Flag { name, about } => (name, about, json!({"type": "boolean", "default": false})),
         };
         let parameter =

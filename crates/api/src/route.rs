@@ -101,6 +101,13 @@ pub enum Query {
         /// What it means.
         about: &'static str,
     },
+    /// A SHA-256 in hexadecimal.
+    Sha256 {
+        /// The parameter's name.
+        name: &'static str,
+        /// What it means.
+        about: &'static str,
+    },
     /// `true`, or by default `false`.
     Flag {
         /// The parameter's name.
@@ -401,6 +408,11 @@ impl Route {
                 summary: "Show a pattern",
                 description: "The pattern has the keys of its file.",
                 parameter: Some("The pattern's name, or `search:ID` for the pattern that a search has found"),
+                query: Some(Query::Sha256 {
+                    name: "sha256",
+                    about: "Which text of that name: the stored one's SHA-256, or that of a text that was played and is in the session \
+                            record; without it the stored one",
+                }),
                 answer: Answer::Json("PatternDetails"),
                 errors: &[&[Code::BadRequest, Code::NotFound, Code::BadPattern, Code::Store], ANY],
                 ..Operation::get("/v1/patterns/{name}")

@@ -161,10 +161,15 @@ impl SequenceItem {
     }
 }
 
+/// Whether this is a SHA-256 in hexadecimal.
+#[must_use]
+pub fn is_sha256(text: &str) -> bool {
+    text.len() == 64 && text.bytes().all(|byte| matches!(byte, b'0'..=b'9' | b'a'..=b'f'))
+}
+
 /// Refuses what is no SHA-256.
 pub(crate) fn check_sha256(sha256: Option<&str>) -> Result<(), &'static str> {
-    let digit = |b: u8| matches!(b, b'0'..=b'9' | b'a'..=b'f');
-    let good = sha256.is_none_or(|sha256| sha256.len() == 64 && sha256.bytes().all(digit));
+    let good = sha256.is_none_or(is_sha256);
     if good { Ok(()) } else { Err("`pattern_sha256` must be 64 of 0-9 and a-f") }
 }
 

@@ -30,9 +30,11 @@ const SHIPPED: [(&str, &str); 2] = [("default", ""), ("paper", "-paper")];
 pub struct ObjectiveTradeoff {
     /// Evaluations of each search, about.
     pub evaluations: u64,
+    /// The model under which the searches score points.
+    pub model: ModelName,
     /// Seeds of the fingers.
     pub fingers: Vec<u64>,
-    /// Two naive rules, the shipped patterns of the default objective and of the paper's, and the objectives under the first model.
+    /// Two naive rules, the shipped patterns of the default objective and of the paper's, and the objectives under `model`.
     pub rows: Vec<ObjectiveRow>,
 }
 
@@ -118,13 +120,14 @@ pub struct CellOfClass {
     pub named: usize,
 }
 
-/// Measures all objectives with searches of about `evaluations`, each over eight populations. `library` gives the drives of a
+/// Measures all objectives with searches of about `evaluations` under a model, each over eight populations. `library` gives the drives of a
 /// shipped pattern. `progress` gets the share that is done, 0 to 1, on any thread.
 ///
 /// # Errors
 /// If a target cannot be simulated.
 pub fn objective_tradeoff(
     evaluations: u64,
+    model: ModelName,
     library: &dyn Fn(&str) -> Option<Vec<Drive>>,
     progress: &(dyn Fn(f64) + Sync),
 ) -> Result<ObjectiveTradeoff, MakeError> {
@@ -143,13 +146,13 @@ pub fn objective_tradeoff(
     for goal in GOALS {
         let begun = Instant::now();
         let searched: Result<Vec<_>, _> =
-            targets.iter().map(|target| search(goal, target, evaluations, &parts)).collect();
+            targets.iter().map(|target| search(goal, target, evaluations, model, &parts)).collect();
         let each_s = begun.elapsed().as_secs_f64() / targets.len() as f64;
         sets.push(Set { name: goal.name(), drives: searched?, search_s: Some(each_s) });
     }
     let naive = row(&targets, &sets[0], None)?;
     let rows: Result<_, _> = sets.par_iter().map(|set| row(&targets, set, Some(&naive))).collect();
-    Ok(ObjectiveTradeoff { evaluations, fingers: FINGERS.to_vec(), rows: rows? })
+    Ok(ObjectiveTradeoff { evaluations, model, fingers: FINGERS.to_vec(), rows: rows? })
 }
 
 /// Patterns for all targets, in order.
@@ -160,9 +163,19 @@ struct Set {
     search_s: Option<f64>,
 }
 
-fn search(goal: Goal, target: &Target, evaluations: u64, parts: &Parts<'_>) -> Result<Vec<Drive>, MakeError> {
+fn search(
+    goal: Goal,
+    target: &Target,
+    evaluations: u64,
+    model: ModelName,
+    parts: &Parts<'_>,
+) -> Result<Vec<Drive>, MakeError> {
     let budget = Budget::Evaluations(vec![evaluations]);
-    let request = Request { models: Models::Membrane, goal, robust: true, budget, ..Request::default() };
+    let models = match model {
+        ModelName::Membrane => Models::Membrane,
+        ModelName::Afferents => Models::Afferents,
+    };
+    let request = Request { models, goal, robust: true, budget, ..Request::default() };
     let made = make(target, target.name(), &request, &mut |_| ControlFlow::Continue(()))?;
     parts.done();
     Ok(made.pattern.drives().to_vec())

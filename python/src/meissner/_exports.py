@@ -11,21 +11,20 @@ from . import bids, nwb
 from ._http import Op
 from ._operations import Core, pattern, session_plays, status
 from .clocks import NS, Instant
-from .errors import ApiError
+from .errors import NotFound
 
 
 def _stimuli(core: Core, session_id: str) -> Op[tuple[dict[str, Any], dict[str, dict[str, Any]]]]:
-    """The rows of a session, and the patterns that were played, by SHA-256: without those that have changed since."""
+    """The rows of a session, and the patterns as they were played, by SHA-256: without those that nobody has kept."""
     recorded = yield from session_plays(core, session_id)
-    used = {row["pattern_sha256"] for row in recorded["plays"]}
+    rows = bids.stimulus_rows(recorded["plays"])
     found = {}
-    for name in sorted({row["pattern"] for row in bids.stimulus_rows(recorded["plays"])}):
+    for name, sha256 in sorted({(row["pattern"], row["pattern_sha256"]) for row in rows if row["pattern_sha256"]}):
         try:
-            stored = yield from pattern(core, name)
-        except ApiError:
+            stored = yield from pattern(core, name, sha256=sha256)
+        except NotFound:
             continue
-        if stored["sha256"] in used:
-            found[str(stored["sha256"])] = stored["pattern"]
+        found[sha256] = stored["pattern"]
     return recorded, found
 
 

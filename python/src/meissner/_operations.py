@@ -345,9 +345,10 @@ def patterns(core: Core) -> Op[list[dict[str, Any]]]:
     return listed
 
 
-def pattern(core: Core, name: str) -> Op[dict[str, Any]]:
-    """Show one pattern with its drives."""
-    raw: dict[str, Any] = yield from _document(core, _http.get(f"/v1/patterns/{quote(name, safe='')}"))
+def pattern(core: Core, name: str, *, sha256: str | None = None) -> Op[dict[str, Any]]:
+    """Show one pattern with its drives. `sha256` asks for another text of that name, as it was played: the session record keeps it."""
+    path = f"/v1/patterns/{quote(name, safe='')}" + ("" if sha256 is None else f"?sha256={sha256}")
+    raw: dict[str, Any] = yield from _document(core, _http.get(path))
     return raw
 
 

@@ -28,7 +28,7 @@ _COLUMNS: dict[str, dict[str, Any]] = {
     "onset": {"Description": "Onset of the stimulus, from the session's first onset or as asked for", "Units": "s"},
     "duration": {"Description": "From the onset to the end of the last pulse", "Units": "s"},
     "trial_type": {"Description": "Name of the vibration pattern"},
-    "stim_file": {"Description": "The pattern, below /stimuli; n/a if it has changed since"},
+    "stim_file": {"Description": "The pattern, below /stimuli; n/a if its text as played is not kept"},
     "trial": {"Description": "Number of the trial, as the experiment gave it"},
     "labels": {"Description": "Labels of the trial, as the experiment gave them, key=value"},
     "scale": {"Description": "Factor of the amplitudes"},
@@ -113,7 +113,7 @@ def write(
     _dataset(root, names[0])
     left_out = losses(recorded)
     for row in rows:
-        line = f"the pattern {row['pattern']} has changed since: its stim_file is n/a"
+        line = f"the text of {row['pattern']} as played is not kept: its stim_file is n/a"
         if row["pattern_sha256"] not in stimuli and line not in left_out:
             left_out.append(line)
     displacement = None

@@ -141,7 +141,7 @@ class Grid:
         text, ordered = texts.get(row["pattern_sha256"] or ""), _as_played(row)
         if text is None or ordered is None:
             what = f"play {row['play']}" + ("" if row["item"] is None else f", item {row['item']}")
-            why = "its pattern has changed since" if text is None else "its end is missing from the record"
+            why = "its pattern as played is not kept" if text is None else "its end is missing from the record"
             self.problems.append(f"{what}: {why}, so its displacement is n/a")
             return _Stimulus(first, end, None)
         first_s = max(0.0, first / self.rate_hz - after_s) * device_s

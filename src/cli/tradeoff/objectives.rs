@@ -17,11 +17,12 @@ pub(super) fn table(tradeoff: &ObjectiveTradeoff) -> Vec<String> {
     vec![
         format!(
             "Patterns for {targets} shipped targets at rest, on {} fingers that no pattern is made for: means over targets. Each search \
-             makes about {} evaluations over eight populations. Contrast: ON minus OFF, impulses/s; normalised: that over ON plus \
+             makes about {} evaluations under the model {} over eight populations. Contrast: ON minus OFF, impulses/s; normalised: that over ON plus \
              OFF. Gap: rate half-way between neighbouring dots over that at the dots. Named: the pattern looks most like its own \
              target. Below naive: targets with less contrast than the rule `naive-reach`.",
             tradeoff.fingers.len(),
-            tradeoff.evaluations
+            tradeoff.evaluations,
+            tradeoff.model.name()
         ),
         columns(&head, tradeoff.rows.iter().map(row)),
         "Under both models, class by class. Below naive: targets at which the rule `naive-reach` has more contrast, or is better by \
