@@ -58,10 +58,14 @@ class Network:
             writer.close()
 
     def cut(self) -> None:
-        """Closes all connections, as a daemon does with idle ones."""
+        """Closes all connections, as a daemon does with idle ones. Then both ends have been told."""
 
         async def cut() -> None:
             self._cut()
+            for writer in list(self._writers):
+                with contextlib.suppress(OSError):
+                    await writer.wait_closed()
+            self._writers.clear()
 
         self._run(cut())
 

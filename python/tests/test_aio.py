@@ -96,7 +96,6 @@ def test_a_session_survives_a_break() -> None:
 def test_connections_are_made_again_and_commands_sent_once(network: Network) -> None:
     async def work(m: AsyncClient) -> None:
         network.cut()
-        await asyncio.sleep(0.05)
         play = await m.play("pin-60", 0.05)
         await play.wait()
         network.requests.clear()

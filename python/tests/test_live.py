@@ -229,7 +229,6 @@ def test_a_connection_that_has_died_in_a_break_is_made_again(network: Network) -
     with meissner.connect(network.url) as m:
         m.arm(assume_rest=True, checked="a test")
         network.cut()
-        time.sleep(0.05)
         assert m.play("pin-60", 0.05).wait().state == "done"
         events = m.events()
         assert next(events).name == "state"
