@@ -289,9 +289,11 @@ if {end!r} == "error":
 if {end!r} == "SIGTERM":
     time.sleep(60)
 """
+    # Coverage would handle SIGTERM itself.
+    variables = {key: value for key, value in os.environ.items() if not key.startswith("COVERAGE")}
     child = subprocess.Popen(
         [sys.executable, "-c", code],
-        env={**os.environ, "PYTHONPATH": os.pathsep.join([str(ENVIRONMENT), *sys.path])},
+        env={**variables, "PYTHONPATH": os.pathsep.join([str(ENVIRONMENT), *sys.path])},
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
