@@ -8,8 +8,11 @@
 use super::runtime::blocking;
 use meissner_api::{DoctorReport, Problem};
 use std::sync::Arc;
-use std::time::Instant;
+use std::time::{Duration, Instant};
 use tokio::sync::Mutex;
+
+/// From one check to the next, at least: a client that asks without a pause must not keep a processor busy with `systemctl`.
+const PERIOD: Duration = Duration::from_millis(250);
 
 /// The last report, and when its check began. The one who holds the lock checks.
 type Last = Arc<Mutex<Option<(Instant, DoctorReport)>>>;
@@ -26,10 +29,11 @@ impl Doctor {
     ) -> Result<DoctorReport, Problem> {
         let asked = Instant::now();
         let mut last = Arc::clone(&self.0).lock_owned().await;
-        if let Some((begun, report)) = &*last
-            && *begun >= asked
-        {
-            return Ok(report.clone());
+        if let Some((begun, report)) = &*last {
+            if *begun >= asked {
+                return Ok(report.clone());
+            }
+            tokio::time::sleep(PERIOD.saturating_sub(begun.elapsed())).await;
         }
         // The lock goes with the work, which goes on if its client hangs up.
         blocking(move || {

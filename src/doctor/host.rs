@@ -9,7 +9,15 @@ const FAST: &str = "performance";
 
 /// Whether processors slow down when they are idle: then every wake-up begins slowly.
 pub(super) fn governor(root: &Path) -> Finding {
-    let cpus = fs::read_dir(root.join(CPUS)).into_iter().flatten().flatten();
+    let Ok(cpus) = fs::read_dir(root.join(CPUS)) else {
+        let found = format!("/{CPUS} cannot be read from here");
+        return Finding::warn(
+            "governor",
+            found,
+            "run `meissner doctor` on the machine itself, not in a container",
+        );
+    };
+    let cpus = cpus.flatten();
     let is_cpu = |name: &str| {
         name.strip_prefix("cpu")
             .is_some_and(|number| !number.is_empty() && number.bytes().all(|c| c.is_ascii_digit()))
@@ -42,6 +50,10 @@ mod tests {
     fn processors_that_slow_down_are_reported() {
         let dir = tempfile::tempdir().unwrap();
         let governor = || fake::line(&governor(dir.path()));
+        assert!(
+            governor().starts_with("Warn governor: /sys/devices/system/cpu cannot be read from here -> ")
+        );
+        fake::write(dir.path(), &format!("{CPUS}/cpu0/online"), "1\n");
         assert_eq!(governor(), "Ok governor: this machine does not scale its frequency -> ");
         let set = |cpu, text| {
             fake::write(dir.path(), &format!("{CPUS}/{cpu}/cpufreq/scaling_governor"), text);

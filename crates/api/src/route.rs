@@ -372,7 +372,7 @@ impl Route {
                 summary: "Check what could keep the machine or its device from playing",
                 description: "The findings of `meissner doctor` that the daemon can make from where it runs: about its machine, \
                               itself and its device. It measures, moves and changes nothing. A check takes up to 4 s; one \
-                              runs at a time, and requests that come meanwhile share the next one. The command on the \
+                              runs at a time, at most four in a second, and requests that come meanwhile share the next one. The command on the \
                               daemon's machine also measures timers, checks its user's rights, and can have a board test itself.",
                 answer: Answer::Json("DoctorReport"),
                 errors: &[&[Code::Store], ANY],
