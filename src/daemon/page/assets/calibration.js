@@ -23,8 +23,8 @@ function element(name, text = "", more = {}) {
 }
 
 // How long ago an instant was, in words.
-export function age(date, now = Date.now()) {
-  const seconds = (now - Date.parse(date)) / 1000;
+function age(date) {
+  const seconds = (Date.now() - Date.parse(date)) / 1000;
   if (!(seconds >= 0)) return "";
   const [size, unit] = [[86400, "day"], [3600, "hour"], [60, "minute"], [0, ""]].find(([size]) => seconds >= size);
   const count = Math.floor(seconds / size);
