@@ -42,7 +42,7 @@
 //!
 //! `docs/explanation/architecture.md` says which file to open for which change.
 //! The modules of this crate use one another in this order: [`log`](mod@log), `file`, [`exposure`], [`session_record`],
-//! [`receipts`], [`store`], [`search`], [`config`], [`daemon`], [`cli`]. Tests run streamer, link, controller and simulated motors in virtual time
+//! [`receipts`], [`store`], [`search`], [`config`], `doctor`, [`daemon`], [`cli`]. Tests run streamer, link, controller and simulated motors in virtual time
 //! ([`meissner_stream::Simulation`]): the same code without a clock.
 //!
 //! # Example
@@ -60,6 +60,7 @@
 pub mod cli;
 pub mod config;
 pub mod daemon;
+mod doctor;
 pub mod exposure;
 mod file;
 pub mod log;

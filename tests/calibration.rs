@@ -44,6 +44,22 @@ fn a_calibration_is_played_fitted_stored_and_used() {
     let (up, se) = (&report["motors"][0]["gain_up"], &report["motors"][0]["gain_up_se"]);
     let off = up.as_f64().unwrap() - 1.0 - asymmetry / 2.0;
     assert!(off.abs() < 5.0 * se.as_f64().unwrap(), "{report}");
+    // What was measured lies near the line that was fitted to it.
+    for way in ["up", "down"] {
+        let line = &report["motors"][0][way];
+        let number = |value: &Value| value.as_f64().unwrap();
+        let points = line["points"].as_array().unwrap();
+        assert_eq!(points.iter().map(|at| &at["pulses"]).collect::<Vec<_>>(), [14, 140]);
+        assert_eq!(
+            points.iter().map(|at| at["bursts"].as_u64()).sum::<Option<u64>>(),
+            line["bursts"].as_u64()
+        );
+        for at in points {
+            let fitted =
+                number(&line["offset_um"]) + number(&line["slope_um_per_pulse"]) * number(&at["pulses"]);
+            assert!((number(&at["travel_um"]) / fitted - 1.0).abs() < 0.02, "{line}");
+        }
+    }
     let status: Value = client.get("/v1/status").unwrap();
     assert_eq!(
         (&status["motors"][3]["calibrated"], &status["motors"][4]["calibrated"]),

@@ -176,6 +176,10 @@ fn a_token_is_needed_where_the_configuration_says_so() {
     let query = format!("GET /v1/status?token={}", operate.token);
     assert_answers(&ask(&address, &query, ""), 401, "unauthorized");
     assert_answers(&ask(&address, "GET /v1/status", &bearer(&observe)), 200, "");
+    assert_answers(&ask(&address, "GET /v1/doctor", ""), 401, "unauthorized");
+    let doctor = ask(&address, "GET /v1/doctor", &bearer(&observe));
+    assert_answers(&doctor, 200, "");
+    assert!(doctor.contains("1 tokens to operate and 1 to observe") && !doctor.contains("mst_"), "{doctor}");
     assert_answers(&ask(&address, "POST /v1/estop", &bearer(&observe)), 403, "forbidden");
     assert_answers(&ask(&address, "POST /v1/tokens", &bearer(&operate)), 403, "forbidden");
     assert_eq!(state(&daemon), "armed");

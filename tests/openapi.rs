@@ -10,11 +10,11 @@ mod schema;
 use crate::harness::{Daemon, assert_up_to_date, next, problem};
 use meissner_api::route::{Answer, Body};
 use meissner_api::{
-    ArmRequest, CalibrateRequest, CalibrationReport, Code, Event, ImportedPattern, Method, PatternDetails,
-    PatternList, PlayAccepted, PlayRequest, Problem, REFERENCE, Receipt, RemovedPattern, RemovedTarget,
-    ResetRequest, Route, Search, SearchRequest, SearchState, SequenceRequest, Session, SessionList,
-    SessionPlays, SessionRequest, SessionStarted, Status, StoredTarget, TargetDetails, TargetList,
-    TokenCreated, TokenInfo, TokenList, TokenRequest, openapi,
+    ArmRequest, CalibrateRequest, CalibrationReport, Code, DoctorReport, Event, ImportedPattern, Method,
+    PatternDetails, PatternList, PlayAccepted, PlayRequest, Problem, REFERENCE, Receipt, RemovedPattern,
+    RemovedTarget, ResetRequest, Route, Search, SearchRequest, SearchState, SequenceRequest, Session,
+    SessionList, SessionPlays, SessionRequest, SessionStarted, Status, StoredTarget, TargetDetails,
+    TargetList, TokenCreated, TokenInfo, TokenList, TokenRequest, openapi,
 };
 use schema::check;
 use serde::de::DeserializeOwned;
@@ -45,8 +45,8 @@ fn walk(schema: &Value, way: &str, see: &mut dyn FnMut(&Value, &str)) {
 #[test]
 fn every_key_has_a_description_and_every_number_its_unit_and_range() {
     // Offsets and differences may be negative; a lead that is reached may be.
-    const SIGNED: [&str; 7] =
-        ["rest_error_um", "onset_um", "offset_um", "contrast", "lead_ms", "items", "value"];
+    const SIGNED: [&str; 8] =
+        ["rest_error_um", "onset_um", "offset_um", "contrast", "lead_ms", "items", "value", "travel_um"];
     const UNITS: [(&str, &str); 9] = [
         ("_s", ", s"),
         ("_ms", ", ms"),
@@ -154,6 +154,7 @@ fn every_route_has_examples_that_parse() {
         "RemovedTarget" => parses::<RemovedTarget>(example),
         "SearchRequest" => drop(SearchRequest::parse(example.to_string().as_bytes()).unwrap()),
         "Search" => parses::<Search>(example),
+        "DoctorReport" => parses::<DoctorReport>(example),
         "CalibrationReport" => parses::<CalibrationReport>(example),
         "SessionRequest" => drop(SessionRequest::parse(example.to_string().as_bytes()).unwrap()),
         "SessionStarted" => parses::<SessionStarted>(example),
@@ -301,7 +302,7 @@ fn a_daemon_s_answers_fit_the_document() {
     refused(Route::Pattern, client.get("/v1/patterns/none"));
     refused(Route::Remove, client.delete("/v1/patterns/none"));
     refused(Route::Remove, client.delete("/v1/patterns/edge-45"));
-    for route in [Route::Status, Route::Patterns] {
+    for route in [Route::Status, Route::Doctor, Route::Patterns] {
         assert_eq!(route.method(), Method::Get);
         fits(route, &client.get(route.path()).unwrap());
     }

@@ -23,6 +23,8 @@ mod control_tradeoff;
 mod discriminate;
 /// `displacement`: samples of the pins as table and as document; patterns of files and stdin.
 mod displacement;
+/// `GET /v1/doctor`: the same findings as the command's, each verdict, many clients at once.
+mod doctor;
 /// Drift without telemetry: plays at the limit, and the level check of `assume_rest`.
 mod drift;
 /// `session export`: a row for each play and each item of a sequence; a damaged record.

@@ -120,6 +120,13 @@ def test_an_emergency_stop_latches(m: meissner.Client) -> None:
     assert m.arm(assume_rest=True, checked="a test").state == "armed"
 
 
+def test_the_doctor_says_what_to_do(m: meissner.Client) -> None:
+    report = m.doctor()
+    device = next(finding for finding in report["findings"] if finding["what"] == "device")
+    assert report["ok"]
+    assert (device["level"], device["found"].startswith("mock")) == ("warn", True)
+
+
 def test_patterns_are_stored_and_removed(m: meissner.Client, tmp_path: Path) -> None:
     assert "edge-45" in [pattern["name"] for pattern in m.patterns()]
     file = tmp_path / "two-pins.toml"

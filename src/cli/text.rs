@@ -8,6 +8,7 @@ pub(super) use receipt::{
     LARGEST_OFFSET, PREDICTED, accepted, burst_counts, duration, pulse_counts, receipt,
 };
 
+use crate::doctor::device::{NO_TELEMETRY, SHORT_PLAYS};
 use crate::receipts::{HOST_TIMEOUT, end_text};
 use comfy_table::presets::{NOTHING, UTF8_FULL};
 use comfy_table::{CellAlignment, Table};
@@ -45,10 +46,6 @@ pub(super) fn columns(head: &[&str], rows: impl IntoIterator<Item = Vec<String>>
 pub(super) fn number(number: Option<f64>, digits: usize) -> String {
     number.map_or_else(|| "-".to_owned(), |number| format!("{number:.digits$}"))
 }
-
-/// What the lack of telemetry means, and what to do.
-pub(super) const NO_TELEMETRY: &str = "none: bursts are not corrected, pins drift";
-pub(super) const SHORT_PLAYS: &str = "keep plays short";
 
 /// State and cause.
 pub(super) fn state(status: &Status) -> String {

@@ -231,7 +231,8 @@ mod tests {
                 relative_sd: 0.05,
                 bursts: 70,
             };
-            Calibration::new(vec![MotorFit { motor, up: fit, down: fit }], provenance).unwrap()
+            let fit = MotorFit { motor, up: fit, down: fit, up_points: vec![], down_points: vec![] };
+            Calibration::new(vec![fit], provenance).unwrap()
         };
         thread::scope(|scope| {
             for motor in 0..MOTORS {

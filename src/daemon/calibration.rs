@@ -9,8 +9,13 @@ use crate::file::{self, read_regular};
 use firmware_protocol::stroke::Direction;
 use firmware_protocol::tick::Tick;
 use jiff::Timestamp;
-use meissner_api::{CalibratedMotor, CalibrationReport, Code, DeviceInfo, PlayState, Problem, Receipt};
-use meissner_stream::calibrate::{Calibration, Fit, MAX_BYTES, MotorFit, Plan, fit, travels_by_telemetry};
+use meissner_api::{
+    CalibratedMotor, CalibrationReport, Code, DeviceInfo, FittedLine, MeasuredPoint, PlayState, Problem,
+    Receipt,
+};
+use meissner_stream::calibrate::{
+    Calibration, Fit, FitPoint, MAX_BYTES, MotorFit, Plan, fit, travels_by_telemetry,
+};
 use meissner_stream::queues::MeasuredBurst;
 use std::fs;
 use std::io;
@@ -141,6 +146,18 @@ pub(super) fn report(
 ) -> Result<CalibrationReport, Problem> {
     let StoredCalibration { calibration, unused } =
         stored.as_ref().map_err(|detail| Problem::new(Code::NotFound, detail.clone()))?;
+    let point = |&FitPoint { pulses, travel_um, sd_um, bursts }: &FitPoint| MeasuredPoint {
+        pulses,
+        travel_um,
+        sd_um,
+        bursts: bursts as u64,
+    };
+    let line = |fit: &Fit, points: &[FitPoint]| FittedLine {
+        slope_um_per_pulse: fit.slope_um_per_pulse,
+        offset_um: fit.offset_um,
+        bursts: fit.bursts as u64,
+        points: points.iter().map(point).collect(),
+    };
     let motor = |fit: &MotorFit| {
         let both = [Direction::Up, Direction::Down].map(|direction| fit.of(direction));
         let [gain_up, gain_down] = both.map(Fit::gain);
@@ -155,6 +172,8 @@ pub(super) fn report(
             gain_down_se,
             relative_sd_up,
             relative_sd_down,
+            up: line(&fit.up, &fit.up_points),
+            down: line(&fit.down, &fit.down_points),
         }
     };
     Ok(CalibrationReport {

@@ -6,6 +6,7 @@
 //!
 //! Invariant: the lock is never held across a wait.
 
+use super::doctor::Doctor;
 use super::estop::{EStops, Origin};
 use super::names::Names;
 use super::network::{Gate, TokenStore};
@@ -55,6 +56,7 @@ pub(super) struct Engine {
     pub(super) gate: Arc<Gate>,
     pub(super) names: Names,
     pub(super) estops: Arc<EStops>,
+    pub(super) doctor: Doctor,
     /// Held while the file of the calibration and the calibration in use change.
     pub(super) calibration_file: Mutex<()>,
     state: Mutex<State>,
@@ -90,6 +92,7 @@ impl Engine {
             gate: Arc::new(Gate::new(None, None, TokenStore::open(None))),
             names: Names::default(),
             estops,
+            doctor: Doctor::default(),
             calibration_file: Mutex::default(),
             state: Mutex::new(state),
         }

@@ -22,6 +22,7 @@ use super::server::Ordered;
 use super::sessions;
 use super::state::frame;
 use super::targets;
+use crate::doctor::check;
 use crate::receipts::{KEPT, calibration_plan};
 use crate::session_record::Peer;
 use axum::body::{Body, Bytes};
@@ -35,8 +36,9 @@ use axum::routing::{MethodFilter, MethodRouter, on};
 use axum::{Json, Router};
 use futures_util::stream::{self, StreamExt};
 use meissner_api::{
-    ArmRequest, CalibrateRequest, CalibrationReport, Code, Event, MAX_BODY, MAX_WAIT_S, PlayAccepted,
-    PlayRequest, Problem, REFERENCE, Receipt, ResetRequest, Route, SequenceRequest, Status, parse_empty,
+    ArmRequest, CalibrateRequest, CalibrationReport, Code, DoctorReport, Event, MAX_BODY, MAX_WAIT_S,
+    PlayAccepted, PlayRequest, Problem, REFERENCE, Receipt, ResetRequest, Route, SequenceRequest, Status,
+    parse_empty,
 };
 use meissner_stream::calibrate::{Calibration, MAX_BYTES as MAX_CALIBRATION};
 use meissner_stream::queues::Command;
@@ -144,6 +146,7 @@ fn handler(route: Route) -> MethodRouter<App> {
         Route::Disarm => on(method, disarm),
         Route::Home => on(method, home),
         Route::Status => on(method, status),
+        Route::Doctor => on(method, doctor),
         Route::Receipt => on(method, receipt),
         Route::Events => on(method, events),
         Route::Patterns => on(method, patterns::list),
@@ -398,6 +401,12 @@ async fn home(State(app): State<App>, Extension(peer): Extension<Peer>, body: Bo
 
 async fn status(State(app): State<App>) -> Json<Status> {
     Json(app.engine.status())
+}
+
+async fn doctor(State(app): State<App>) -> Answer<Json<DoctorReport>> {
+    let engine = Arc::clone(&app.engine);
+    let checks = move || check(std::path::Path::new("/"), &engine.status());
+    Ok(Json(app.engine.doctor.report(checks).await?))
 }
 
 async fn receipt(

@@ -6,7 +6,7 @@
 //!
 //! The modules; each uses only those before it:
 //! - `socket`, `error`, `signals`, `runtime`, `check`, `names`, `metrics`: the system around the daemon.
-//! - `calibration`, `predictor`: calibrations as files and fits; predicted responses.
+//! - `calibration`, `predictor`, `doctor`: calibrations as files and fits; predicted responses; the doctor's checks, one at a time.
 //! - `estop`, `state`, `engine`: emergency stops; the daemon's state behind one lock, and commands to the streamer.
 //! - `stream`, `network`: a connection's socket; clients that come over the network, and their tokens.
 //! - `acceptor`: connections up to their first bytes, on a thread of its own.
@@ -25,6 +25,7 @@ mod calibration;
 mod check;
 mod connection;
 mod connector;
+mod doctor;
 mod engine;
 mod error;
 mod estop;

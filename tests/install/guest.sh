@@ -148,6 +148,18 @@ one_line out.log && grep -q haptics out.log && ok "outsider: $(line out.log)" ||
 mkdir -p /run/user/1000 && chown alice /run/user/1000
 runuser -u alice -- env XDG_RUNTIME_DIR=/run/user/1000 meissner status >out.log 2>&1 &&
     ok "login: found beside an XDG_RUNTIME_DIR" || wrong "login: $(line out.log)"
+# shellcheck disable=SC2016 # Perl's
+perl -MIO::Socket::UNIX -e '$s = IO::Socket::UNIX->new(Peer => "/run/meissner/meissner.sock") or die;
+    print $s "GET /v1/doctor HTTP/1.1\r\nHost: m\r\nConnection: close\r\n\r\n"; print <$s>' | tail -n 1 >inside.json
+meissner doctor --json --seconds 0.1 >outside.json
+for what in service 'socket unit' configuration 'udev rules' 'daemon rights' governor; do
+    for side in inside outside; do
+        # shellcheck disable=SC2016 # jq's variable
+        jq -c --arg what "$what" '.findings[] | select(.what == $what)' $side.json >$side.txt
+    done
+    [ -s inside.txt ] && cmp -s inside.txt outside.txt || fail "doctor: $what: $(line inside.txt) $(line outside.txt)"
+done
+ok "doctor: the daemon finds in its unit what the command finds outside, $(jq '.findings | length' inside.json) findings"
 disarm socket
 systemctl stop meissner.service 2>/dev/null
 systemctl is-active --quiet meissner.service && fail "socket: not stopped"

@@ -71,6 +71,16 @@ class Daemon {
   }
 }
 
+// A calibration of another array: 23 motors, each with its points.
+const UM = 0.95 / 7;
+const CALIBRATION = `format = 1\n${[...Array(23).keys()].map((motor) => {
+  const fit = (gain) => {
+    const points = [14, 28, 42, 56, 70, 84, 98, 112, 126, 140].map((pulses) => `[${pulses}, ${(pulses * gain * UM * (1 + 0.02 * Math.sin(motor + pulses))).toFixed(3)}, ${(0.1 * pulses * UM).toFixed(3)}, 18]`);
+    return `gain = ${gain.toFixed(9)}\nslope_um_per_pulse = ${(gain * UM).toFixed(9)}\nslope_se_um_per_pulse = 0.0012\noffset_um = 0.01\nrelative_sd = 0.1\nblocks = 180\npoints = [${points.join(", ")}]\n`;
+  };
+  return `[[motor]]\nmotor = ${motor}\n[motor.up]\n${fit(1 + 0.05 * Math.sin(2 * motor))}[motor.down]\n${fit(1 + 0.05 * Math.cos(3 * motor))}`;
+}).join("")}[provenance]\ndevice = "mock"\nfirmware = "0.1.0 (6d656973)"\nidentity = "another"\ntelemetry = "plant"\npulses = [14, 28, 42, 56, 70, 84, 98, 112, 126, 140]\nrepetitions = 2\ngroups = 20\num_per_pulse = ${UM}\ndate = "2026-11-20T10:00:00Z"\n`;
+
 // A window of the page, and what its console complains about.
 async function open(daemon, width = 1400, height = 1000) {
   const context = await browser.createBrowserContext();
@@ -295,6 +305,91 @@ test("the keyboard alone designs a target", async () => {
   await shows(page, "alert", "`reach_mm` is 24: all 306 afferents are within reach");
 });
 
+test("the doctor's findings come with verdicts and remedies", async () => {
+  const daemon = await new Daemon().start();
+  const page = await open(daemon);
+  await shows(page, "doctor-note", "without fault");
+  const listed = () => page.$$eval("#findings li", (items) => items.map((item) => [item.dataset.level, item.querySelector(".verdict").textContent, item.textContent]));
+  const { findings } = await get(daemon, "/v1/doctor");
+  const shown = await listed();
+  assert.equal(shown.length, findings.length);
+  const words = { ok: "OK", warn: "Warning", fail: "Failure" };
+  // The clock's estimate goes on.
+  for (const { what, level, found, advice } of findings.filter(({ what }) => what !== "clock")) {
+    const item = shown.find(([, , text]) => text.startsWith(`${what} ${words[level]}`));
+    assert.deepEqual(item.slice(0, 2), [level, words[level]]);
+    assert.ok(item[2].includes(found.replaceAll("`", "")), `${item[2]}: ${found}`);
+    assert.ok(item[2].endsWith(advice.replaceAll("`", "")) && item[2].includes("Remedy: ") === (level !== "ok"), item[2]);
+  }
+  assert.deepEqual(shown.map(([level]) => level), shown.map(([level]) => level).sort((a, b) => "fwo".indexOf(a[0]) - "fwo".indexOf(b[0])));
+  // After a stop a new check finds it; the worst comes first.
+  await page.click("#estop");
+  await shows(page, "state-text", "Stopped: estop");
+  await press(page, "#doctor-again");
+  await shows(page, "doctor-note", "1 failure");
+  const [level, verdict, state] = (await listed())[0];
+  assert.deepEqual([level, verdict], ["fail", "Failure"]);
+  assert.ok(state.startsWith("state ") && state.includes("meissner reset"), state);
+});
+
+test("calibration plots show what the API says, and a person can calibrate", async () => {
+  const daemon = await new Daemon("[mock]\ngain_sd = 0.01\nasymmetry_sd = 0.05\n").start();
+  const page = await open(daemon);
+  await shows(page, "calibration-note", "Nothing was calibrated yet");
+  await shows(page, "calibrate-note", "Arm first");
+  await arm(page);
+  const plan = { pulses: [14, 70, 140], repetitions: 1 };
+  await fetch(`${daemon.url}/v1/calibrate`, { method: "POST", headers: { "content-type": "application/json" }, body: JSON.stringify(plan) });
+  await shows(page, "calibrate-note", "Calibrating: ");
+  await shows(page, "calibrate-result", "Stored: 24 motors.", SEARCHED);
+  await shows(page, "calibration-note", "The daemon uses these gains.");
+  await shows(page, "calibration-facts", "just now");
+  const { motors } = await get(daemon, "/v1/calibration");
+  assert.equal(await page.$$eval("#fit-grid .fit", (cells) => cells.length), 24);
+  const drawn = (plot) => page.$$eval(plot, ([svg]) => ["up", "down"].map((way) => ({
+    points: [...svg.querySelectorAll(`.${way} .point`)].map((point) => point.getAttribute("transform").match(/[\d.]+/g).slice(0, 2).map(Number)),
+    ends: svg.querySelector(`.${way} .fit-line`).getAttribute("d").match(/[\d.]+ [\d.]+/g).map((at) => at.split(" ").map(Number)),
+  })));
+  // The plot's scale follows from two points of one motor; every other place must agree with it.
+  const agree = (places, values, what) => {
+    const [[x0, y0], [x1, y1]] = [places[0], places.at(-1)];
+    const [[u0, v0], [u1, v1]] = [values[0], values.at(-1)];
+    const at = ([u, v]) => [x0 + ((u - u0) / (u1 - u0)) * (x1 - x0), y0 + ((v - v0) / (v1 - v0)) * (y1 - y0)];
+    return (more, points) => points.forEach((point, i) => at(point).forEach((to, axis) => assert.ok(Math.abs(to - more[i][axis]) < 0.5, `${what}: ${to} ${more[i]}`)));
+  };
+  for (const motor of [3, 17]) {
+    await press(page, `#fit-grid .fit[data-motor="${motor}"]`);
+    await shows(page, "fit-title", `Motor ${motor}`);
+    const fit = motors.find((of) => of.motor === motor);
+    assert.ok((await text(page, "fit-facts")).includes(fit.gain_up.toFixed(3)));
+    const [up, down] = await drawn("#fit-plots .plot");
+    const points = (way) => fit[way].points.map((point) => [point.pulses, point.travel_um]);
+    const check = agree(up.points, points("up"), `motor ${motor}`);
+    check(up.points, points("up"));
+    check(down.points, points("down"));
+    for (const [way, { ends }] of [["up", up], ["down", down]]) {
+      const { offset_um: offset, slope_um_per_pulse: slope } = fit[way];
+      check([ends[0], ends.at(-1)], [[0, Math.max(0, offset)], [147, offset + 147 * slope]]);
+    }
+    const small = await drawn(`#fit-grid .fit[data-motor="${motor}"] .plot`);
+    assert.deepEqual(small.map((of) => of.points.length), [3, 3]);
+  }
+  const row = await page.$eval("#fit-table tbody tr:nth-child(4)", (row) => row.textContent);
+  assert.ok(row.startsWith(`3${motors[3].gain_up.toFixed(3)} ± `), row);
+  // From the page: with a warning, and it can be stopped.
+  await page.waitForSelector("#calibrate:not([disabled])");
+  await press(page, "#calibrate");
+  await page.click("#calibrate-yes");
+  assert.equal(await page.$eval("#calibrate-dialog", (dialog) => dialog.open), true, "nothing touches the pins must be ticked");
+  await page.click("#calibrate-clear");
+  await page.click("#calibrate-yes");
+  await shows(page, "state-text", "Playing calibration");
+  await page.waitForSelector("#stop:not([disabled])");
+  await press(page, "#stop");
+  await shows(page, "calibrate-result", "Nothing was stored: the calibration was cut (stop)");
+  assert.deepEqual((await get(daemon, "/v1/calibration")).motors, motors);
+});
+
 test("two windows see the same, and each may stop", async () => {
   const daemon = await new Daemon().start();
   const [one, other] = [await open(daemon), await open(daemon, 390, 844)];
@@ -326,13 +421,18 @@ test("a token is asked for, kept for the window, and sent in no address", async 
 
 for (const scheme of ["light", "dark"]) {
   test(`the ${scheme} page has no fault that axe finds, and fits from 360 to 3840 px`, async () => {
-    const daemon = await new Daemon().start();
+    const daemon = new Daemon();
+    writeFileSync(join(daemon.dir, "calibration.toml"), CALIBRATION);
+    await daemon.start();
     const page = await open(daemon, 360, 640);
     await page.emulateMediaFeatures([{ name: "prefers-color-scheme", value: scheme }, { name: "prefers-reduced-motion", value: "reduce" }]);
     await shows(page, "state-text", "Disarmed");
     await page.waitForSelector("#pattern-list li");
     await page.$eval("#pattern-list li", (item) => item.scrollIntoView());
     await page.waitForSelector(".thumbnail");
+    await page.waitForSelector("#fit-grid .plot");
+    await page.waitForSelector("#findings li");
+    await page.$eval("#fit-values details", (details) => (details.open = true));
     await page.select("#shape", "braille");
     await press(page, "#find");
     await page.waitForSelector("#maps figure", SEARCHED);

@@ -33,8 +33,40 @@ pub struct Provenance {
     pub date: Option<String>,
 }
 
-/// What a calibration measured of one motor. A gain is the measured travel per pulse over the motor model's.
+/// The bursts of one motor, direction and length that a calibration measured.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct MeasuredPoint {
+    /// Pulses of each burst.
+    #[schema(minimum = 7, maximum = 200)]
+    pub pulses: u16,
+    /// Their mean travel in their direction, µm.
+    pub travel_um: f64,
+    /// Standard deviation of their travels, µm; 0 for one burst.
+    #[schema(minimum = 0.0)]
+    pub sd_um: f64,
+    /// Number of bursts.
+    #[schema(minimum = 1)]
+    pub bursts: u64,
+}
+
+/// The straight line through the travels of a motor's bursts in one direction: travel = `offset_um` + `slope_um_per_pulse` × pulses.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct FittedLine {
+    /// Travel per pulse, µm per pulse.
+    #[schema(minimum = 0.0)]
+    pub slope_um_per_pulse: f64,
+    /// The line at 0 pulses, µm.
+    pub offset_um: f64,
+    /// Bursts that the line goes through.
+    #[schema(minimum = 0)]
+    pub bursts: u64,
+    /// What was measured, by length; empty if the file holds none, as files of older versions.
+    #[schema(max_items = 100)]
+    pub points: Vec<MeasuredPoint>,
+}
+
+/// What a calibration measured of one motor. A gain is the measured travel per pulse over the motor model's.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct CalibratedMotor {
     /// The motor's number, 4 × row + column.
     #[schema(minimum = 0, maximum = 23)]
@@ -57,6 +89,14 @@ pub struct CalibratedMotor {
     /// Standard deviation of single bursts downwards, as a share of their travel.
     #[schema(minimum = 0.0)]
     pub relative_sd_down: f64,
+    /// The line upwards, and the points that it goes through.
+    #[serde(default)]
+    #[schema(required)]
+    pub up: FittedLine,
+    /// The line downwards, and the points that it goes through.
+    #[serde(default)]
+    #[schema(required)]
+    pub down: FittedLine,
 }
 
 /// The stored calibration, and whether the daemon uses it.
@@ -67,7 +107,15 @@ pub struct CalibratedMotor {
     "unused": null,
     "motors": [{
         "motor": 3, "gain_up": 0.94, "gain_up_se": 0.006, "gain_down": 0.95, "gain_down_se": 0.006,
-        "relative_sd_up": 0.05, "relative_sd_down": 0.05
+        "relative_sd_up": 0.05, "relative_sd_down": 0.05,
+        "up": {
+            "slope_um_per_pulse": 0.1276, "offset_um": 0.02, "bursts": 54,
+            "points": [{"pulses": 14, "travel_um": 1.81, "sd_um": 0.09, "bursts": 18}]
+        },
+        "down": {
+            "slope_um_per_pulse": 0.1289, "offset_um": 0.01, "bursts": 54,
+            "points": [{"pulses": 14, "travel_um": 1.82, "sd_um": 0.1, "bursts": 18}]
+        }
     }],
     "provenance": {
         "device": "mock", "firmware": "0.1.0 (6d656973)", "identity": "mock seed 0", "telemetry": "plant",

@@ -8,6 +8,7 @@
 //! - [`session`]: whose plays are recorded together, and who owns the display meanwhile.
 //! - [`sequence`], [`trigger`]: sequences of patterns, and the trigger output, in requests and in receipts.
 //! - [`status`], [`receipt`], [`pattern`], [`calibration`]: what the daemon answers; [`board`]: the device's counters in the first two.
+//! - [`doctor`]: what the daemon finds on its machine, and what to do.
 //! - [`target`], [`search`]: shapes on the skin, and searches for patterns for them.
 //! - [`token`]: access tokens of clients that come over the network.
 //! - [`event`]: what the daemon reports as it happens.
@@ -33,6 +34,7 @@
 
 pub mod board;
 pub mod calibration;
+pub mod doctor;
 pub mod event;
 pub mod openapi;
 pub mod pattern;
@@ -49,7 +51,8 @@ pub mod token;
 pub mod trigger;
 
 pub use board::{BoardRecord, BoardStatus};
-pub use calibration::{CalibratedMotor, CalibrationReport, Provenance};
+pub use calibration::{CalibratedMotor, CalibrationReport, FittedLine, MeasuredPoint, Provenance};
+pub use doctor::{DoctorReport, Finding, Level};
 pub use event::{Event, MAX_ITEMS_LISTED, SensorFault};
 pub use pattern::{
     ImportedPattern, PatternDetails, PatternList, PatternSummary, ReachedDrive, RemovedPattern,

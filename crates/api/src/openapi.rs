@@ -6,10 +6,10 @@
 use crate::problem::{Code, Problem};
 use crate::route::{Answer, Body, Method, Operation, Query, Route};
 use crate::{
-    ArmRequest, CalibrateRequest, CalibrationReport, Event, ImportedPattern, PatternDetails, PatternList,
-    PlayAccepted, PlayRequest, Receipt, RemovedPattern, RemovedTarget, ResetRequest, Search, SearchRequest,
-    SequenceRequest, Session, SessionList, SessionPlays, SessionRequest, SessionStarted, Status,
-    StoredTarget, TargetDetails, TargetList, TokenCreated, TokenInfo, TokenList, TokenRequest,
+    ArmRequest, CalibrateRequest, CalibrationReport, DoctorReport, Event, ImportedPattern, PatternDetails,
+    PatternList, PlayAccepted, PlayRequest, Receipt, RemovedPattern, RemovedTarget, ResetRequest, Search,
+    SearchRequest, SequenceRequest, Session, SessionList, SessionPlays, SessionRequest, SessionStarted,
+    Status, StoredTarget, TargetDetails, TargetList, TokenCreated, TokenInfo, TokenList, TokenRequest,
 };
 use serde_json::{Map, Value, json};
 use std::collections::BTreeMap;
@@ -22,6 +22,7 @@ use utoipa::OpenApi;
     ResetRequest,
     CalibrateRequest,
     CalibrationReport,
+    DoctorReport,
     Event,
     ImportedPattern,
     PatternDetails,

@@ -19,6 +19,7 @@ pub enum Route {
     Disarm,
     Home,
     Status,
+    Doctor,
     Receipt,
     Events,
     Patterns,
@@ -188,7 +189,7 @@ const STATUS: Answer = Answer::Json("Status");
 
 impl Route {
     /// Every route.
-    pub const ALL: [Self; 35] = [
+    pub const ALL: [Self; 36] = [
         Self::Play,
         Self::Sequence,
         Self::Stop,
@@ -198,6 +199,7 @@ impl Route {
         Self::Disarm,
         Self::Home,
         Self::Status,
+        Self::Doctor,
         Self::Receipt,
         Self::Events,
         Self::Patterns,
@@ -373,6 +375,16 @@ impl Route {
                 answer: STATUS,
                 ..Operation::get("/v1/status")
             },
+            Self::Doctor => Operation {
+                summary: "Check what could keep the machine or its device from playing",
+                description: "The findings of `meissner doctor` that the daemon can make from where it runs: about its machine, \
+                              itself and its device. It measures, moves and changes nothing. A check takes up to 4 s; one \
+                              runs at a time, at most four in a second, and requests that come meanwhile share the next one. The command on the \
+                              daemon's machine also measures timers, checks its user's rights, and can have a board test itself.",
+                answer: Answer::Json("DoctorReport"),
+                errors: &[&[Code::Store], ANY],
+                ..Operation::get("/v1/doctor")
+            },
             Self::Receipt => Operation {
                 summary: "Show the result of a play",
                 description: "The daemon keeps every play that waits or runs, and the last 1000 that have ended. With `wait` it \
@@ -539,7 +551,7 @@ impl Route {
             Self::StoreCalibration => Operation {
                 method: Method::Put,
                 summary: "Store gains that were measured elsewhere, as with a laser",
-                description: "The body is a calibration file of the connected device, of at most 64 KiB. The daemon replaces the \
+                description: "The body is a calibration file of the connected device, of at most 160 KiB. The daemon replaces the \
                               motors in it, keeps the others, and uses the gains at once. No play may be queued.",
                 body: Body::Calibration,
                 answer: Answer::Json("CalibrationReport"),

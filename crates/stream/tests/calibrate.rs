@@ -8,8 +8,8 @@ use meissner_array::simulated::{SimulatedMotors, SimulatedMotorsConfig};
 use meissner_array::strokes::{StrokeOptions, Strokes};
 use meissner_array::units::UM_PER_PULSE;
 use meissner_stream::calibrate::{
-    BurstTravel, Calibration, Fit, MAX_BYTES, MotorFit, PULSES_RANGE, Plan, PlannedBurst, STROKES_PER_GROUP,
-    fit, travels_by_sensor, travels_by_telemetry,
+    BurstTravel, Calibration, Fit, FitPoint, MAX_BYTES, MotorFit, PULSES_RANGE, Plan, PlannedBurst,
+    STROKES_PER_GROUP, fit, travels_by_sensor, travels_by_telemetry,
 };
 use meissner_stream::queues::{Command, CommandError};
 use meissner_stream::{Gains, Settings, simulate_play};
@@ -163,7 +163,7 @@ fn one_motor_is_calibrated_alone() {
     let config = SimulatedMotorsConfig::default();
     let plan = Plan::new(Some(7), &[20, 100, 180], 2).unwrap();
     let fits = fit(&measured(&plan, config)).unwrap();
-    let [found] = fits[..] else { panic!("{fits:?}") };
+    let [found] = &fits[..] else { panic!("{fits:?}") };
     assert_eq!((found.motor, found.up.bursts, found.down.bursts), (7, 54, 54));
 }
 
@@ -256,12 +256,28 @@ fn a_file_is_read_back_as_the_same_calibration() {
 
     // Of some motors, in any order; the others follow the model.
     let undated = Provenance { date: None, ..provenance() };
-    let some = Calibration::new(vec![fits[20], fits[3]], undated).unwrap();
+    let some = Calibration::new(vec![fits[20].clone(), fits[3].clone()], undated).unwrap();
     assert_eq!(Calibration::parse(&some.to_toml(), "c.toml").as_ref(), Ok(&some));
-    assert_eq!(some.motors(), [fits[3], fits[20]]);
+    assert_eq!(some.motors(), [fits[3].clone(), fits[20].clone()]);
     assert!(!some.to_toml().contains("date"));
     assert_eq!(some.gain(20, Direction::Up), fits[20].up.gain());
     assert_eq!((some.gain(4, Direction::Up), some.motor(4)), (1.0, None));
+}
+
+#[test]
+fn a_file_keeps_the_measured_points_of_the_longest_plan() {
+    let point = |pulses| FitPoint { pulses, travel_um: 27.143, sd_um: 12.714, bursts: 18 };
+    let points: Vec<_> = (101..=200).map(point).collect();
+    let good = Calibration::parse(FILE, "good.toml").unwrap().motors()[0].clone();
+    assert!(good.up_points.is_empty(), "files of older versions have none");
+    let motor =
+        |motor| MotorFit { motor, up_points: points.clone(), down_points: points.clone(), ..good.clone() };
+    let words = "µ".repeat(200);
+    let made = Provenance { device: words.clone(), firmware: words.clone(), identity: words, ..provenance() };
+    let all = Calibration::new((0..24).map(motor).collect(), made).unwrap();
+    let text = all.to_toml();
+    assert!(text.len() < MAX_BYTES && text.contains("[101, 27.143, 12.714, 18]"), "{}", text.len());
+    assert_eq!(Calibration::parse(&text, "c.toml"), Ok(all));
 }
 
 const FILE: &str = r#"format = 1
@@ -317,6 +333,9 @@ slope_se_um_per_pulse = 0.001⏎offset_um = 0.01 => slope_se_um_per_pulse = 0.01
 offset_um = -0.01 => offset_um = -inf => 16: `motor[0].down.offset_um` is -inf: must be -100 to 100 um
 relative_sd = 0.1⏎ => relative_sd = -0.1⏎ => 10: `motor[0].up.relative_sd` is -0.1: must be 0 to 1
 blocks = 180⏎⏎ => blocks = 9⏎⏎ => 18: `motor[0].down.blocks` is 9: must be 10 or more
+blocks = 180⏎⏎ => blocks = 180⏎points = [[6, 1.0, 0.1, 9]]⏎⏎ => 19: `motor[0].down.points[0][0]` is 6: must be 7 to 200
+blocks = 180⏎⏎ => blocks = 180⏎points = [[7, nan, 0.1, 9]]⏎⏎ => 19: `motor[0].down.points[0][1]` is NaN: must be…
+blocks = 180⏎⏎ => blocks = 180⏎points = [[7, 1.0, 0.1]]⏎⏎ => 19: `motor[0].down.points[0]`: invalid length 3, expected a tuple of size 4
 [provenance] => [provenence] => 20: unknown key `provenence`: did you mean `provenance`?
 device = "mock"⏎ =>  => 20: `provenance.device` is missing: add its description, in quotes
 device = "mock" => device = ["mock"] => 21: `provenance.device` is…
@@ -350,7 +369,7 @@ fn a_mistake_is_refused_in_one_line_with_place_and_remedy() {
             format!("{FILE}date = {:?}", "x".repeat(201)),
             ":29: `provenance.date` is 201 characters long: must be at most 200",
         ),
-        (" ".repeat(MAX_BYTES + 1), ": 65537 bytes are too many: a calibration file has at most 65536"),
+        (" ".repeat(MAX_BYTES + 1), ": 163841 bytes are too many: a calibration file has at most 163840"),
     ] {
         let line = in_one_line(Calibration::parse(&document, "bad.toml")).unwrap_err();
         assert_eq!(line, format!("bad.toml{says}"));
@@ -359,13 +378,16 @@ fn a_mistake_is_refused_in_one_line_with_place_and_remedy() {
 
 #[test]
 fn a_built_calibration_is_checked_like_a_read_one() {
-    let good = Calibration::parse(FILE, "good.toml").unwrap().motors()[0];
+    let good = Calibration::parse(FILE, "good.toml").unwrap().motors()[0].clone();
     let line = |motors: Vec<MotorFit>, made| Calibration::new(motors, made).unwrap_err().to_string();
     assert_eq!(line(vec![], provenance()), "`motor` is empty: calibrate at least one motor");
-    assert_eq!(line(vec![good, good], provenance()), "`motor[1].motor` is 3, as is motor[0]: leave one out");
-    let beyond = MotorFit { motor: 24, ..good };
+    assert_eq!(
+        line(vec![good.clone(), good.clone()], provenance()),
+        "`motor[1].motor` is 3, as is motor[0]: leave one out"
+    );
+    let beyond = MotorFit { motor: 24, ..good.clone() };
     assert_eq!(line(vec![beyond], provenance()), "`motor[0].motor` is 24: must be 0 to 23");
-    let wild = MotorFit { up: Fit { offset_um: f64::NAN, ..good.up }, ..good };
+    let wild = MotorFit { up: Fit { offset_um: f64::NAN, ..good.up }, ..good.clone() };
     assert_eq!(line(vec![wild], provenance()), "`motor[0].up.offset_um` is NaN: must be -100 to 100 um");
     let made = Provenance { identity: "x".repeat(201), ..provenance() };
     assert!(line(vec![good], made).starts_with("`provenance.identity` is 201 characters long"));

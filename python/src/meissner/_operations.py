@@ -338,6 +338,12 @@ def wait_until_idle(core: Core) -> Op[None]:
         yield Pause(0.02)
 
 
+def doctor(core: Core) -> Op[dict[str, Any]]:
+    """Check what could keep the daemon's machine or its device from playing: keys `ok` and `findings`, each with its remedy."""
+    raw: dict[str, Any] = yield from _document(core, _http.get("/v1/doctor", timeout=20.0))
+    return raw
+
+
 def patterns(core: Core) -> Op[list[dict[str, Any]]]:
     """List the patterns."""
     raw = yield from _document(core, _http.get("/v1/patterns"))

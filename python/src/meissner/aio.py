@@ -189,6 +189,7 @@ class AsyncClient:
     session = _opening(ops.session)
     receipt = _awaiting(ops.receipt)
     wait_until_idle = _awaiting(ops.wait_until_idle)
+    doctor = _awaiting(ops.doctor)
     patterns = _awaiting(ops.patterns)
     pattern = _awaiting(ops.pattern)
     store_pattern = _awaiting(ops.store_pattern)

@@ -197,6 +197,7 @@ class Client:
     session = _opening(ops.session)
     receipt = _blocking(ops.receipt)
     wait_until_idle = _blocking(ops.wait_until_idle)
+    doctor = _blocking(ops.doctor)
     patterns = _blocking(ops.patterns)
     pattern = _blocking(ops.pattern)
     store_pattern = _blocking(ops.store_pattern)

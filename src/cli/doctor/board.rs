@@ -1,14 +1,13 @@
 //! Checks a device: opens it, measures its link, and judges what it found.
 //!
-//! The limits of what is good stand here, each with its reason; [`daemon`](super::daemon) uses the same checks for the
-//! device of a daemon. The device is closed again before the doctor prints anything.
+//! The limits of what is good stand here, each with its reason; what a daemon's device is checked for, too, stands in
+//! [`crate::doctor::device`]. The device is closed again before the doctor prints anything.
 
-use super::finding::{Finding, Level};
 use super::{port, self_test};
-use crate::cli::text;
+use crate::doctor::device::{line, simulated, telemetry};
 use crate::receipts::{board_status, device_info};
 use firmware_protocol::frame::PROTOCOL;
-use meissner_api::{BoardStatus, DeviceInfo};
+use meissner_api::{BoardStatus, DeviceInfo, Finding, Level};
 use meissner_array::simulated::SimulatedMotorsConfig;
 use meissner_stream::Settings;
 use meissner_stream::device::{self, DeviceError, Spec};
@@ -16,10 +15,6 @@ use meissner_stream::diagnostics::{self, Drift, LinkReport, RoundTripStats};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 
-/// On a line that carries less, the daemon refuses some of the shipped patterns with their corrections.
-const ALL_BYTES_PER_S: u32 = 60_000;
-/// Below this not even a few pins can be driven.
-const ANY_BYTES_PER_S: u32 = 2_000;
 /// A correction leaves the host this long before its burst, us: slower round trips make it late.
 const CORRECTION_US: f64 = 3_000.0;
 /// A crystal is within 50 ppm, two of them within 100; a larger drift is no crystal's.
@@ -127,7 +122,7 @@ fn judged(at: &Examined) -> Vec<Finding> {
         "{}{serial}, firmware {} ({}), protocol {}, boot {}, {} slots, horizon {} ticks",
         at.kind, at.firmware, at.build, at.protocol, at.boot, at.pool, at.horizon_ticks
     );
-    let who = device(at.simulated, who, "name a board with --device");
+    let who = simulated(at.simulated, who, "name a board with --device");
 
     let trip = at.round_trip;
     let found = format!(
@@ -172,25 +167,4 @@ fn judged(at: &Examined) -> Vec<Finding> {
     let mut findings = vec![who, trip, line, drift];
     findings.extend(telemetry(at.telemetry));
     findings
-}
-
-/// Whether the device is simulated; `instead`: how to use a board.
-pub(super) fn device(simulated: bool, found: String, instead: &str) -> Finding {
-    Finding::check("device", !simulated, found, format!("it is simulated, no real pin moves: {instead}"))
-}
-
-/// A finding if the device sends no telemetry.
-pub(super) fn telemetry(there: bool) -> Option<Finding> {
-    (!there).then(|| Finding::warn("telemetry", text::NO_TELEMETRY, text::SHORT_PLAYS))
-}
-
-/// Whether the line carries enough.
-pub(super) fn line(bytes_per_s: u32) -> Finding {
-    let level = match bytes_per_s {
-        rate if rate < ANY_BYTES_PER_S => Level::Fail,
-        rate if rate < ALL_BYTES_PER_S => Level::Warn,
-        _ => Level::Ok,
-    };
-    let found = format!("carries {:.1} kB/s", f64::from(bytes_per_s) / 1000.0);
-    Finding::new("line", level, found, "the daemon refuses plays that need more: use USB, or a faster UART")
 }

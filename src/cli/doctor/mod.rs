@@ -1,27 +1,27 @@
 //! `doctor`: checks what could keep this machine, its service, its daemon or its device from playing patterns in time.
 //!
-//! It first measures how late timers wake a thread, with nothing beside it. Then it checks [`host`], [`rights`], what is
-//! installed ([`service`]), the [`daemon`], [`port`]s, and the [`board`], unless a daemon has the board. On request the board tests
-//! itself ([`self_test`]). The doctor arms nothing, moves nothing and repairs nothing.
+//! It first measures how late [`timers`] wake a thread, with nothing beside it. Then it makes the checks that the daemon makes, too
+//! ([`crate::doctor`]), and those that belong to its user and to a device without a daemon: [`rights`], [`group`],
+//! [`unreachable`] daemons, [`port`]s, and the [`board`], unless a daemon has the board. On request the board tests itself
+//! ([`self_test`]). The doctor arms nothing, moves nothing and repairs nothing.
 //!
 //! Invariant: every finding that is not `ok` says what to do; the verdict is `go` only if no finding says `FAIL`.
 
 mod board;
-mod daemon;
-mod finding;
-mod host;
+mod group;
 mod port;
 mod rights;
 mod self_test;
-mod service;
+mod timers;
+mod unreachable;
 
 use super::arguments::ClientOptions;
 use super::output::give;
 use super::text;
+use crate::doctor::{daemon, device, machine, service};
 use anyhow::Result;
 use board::Examined;
-use finding::{Finding, Level};
-use meissner_api::Status;
+use meissner_api::{DoctorReport, Finding, Level, Status};
 use meissner_client::ClientError;
 use meissner_client::access::CurrentUser;
 use meissner_stream::device::Spec;
@@ -32,12 +32,12 @@ use std::time::Duration;
 
 #[derive(Debug, Serialize)]
 struct Report {
-    /// Whether the verdict is go.
-    ok: bool,
-    wake_up: host::WakeUp,
+    /// With `ok`: whether the verdict is go.
+    #[serde(flatten)]
+    report: DoctorReport,
+    wake_up: timers::WakeUp,
     /// Null if a daemon has the device, or there is none.
     device: Option<Examined>,
-    findings: Vec<Finding>,
 }
 
 /// `asked`: which device; without it, the daemon's, else the first board. `self_test`: have the board test itself. `time`: how long to
@@ -49,22 +49,31 @@ pub(super) fn run(
     options: &ClientOptions,
 ) -> Result<ExitCode> {
     let root = Path::new("/");
-    let (realtime, wake_up) = host::measure(time);
+    let (realtime, wake_up) = timers::measure(time);
     let status: Result<Status, ClientError> = options.client()?.get("/v1/status");
     let granted = status.as_ref().ok().and_then(|status| status.realtime);
     let units = service::units(root);
     let mut findings = Vec::from(rights::of_user(realtime, granted, units.is_installed()));
-    findings.push(host::timers(&wake_up));
-    findings.push(host::governor(root));
-    findings.extend(service::findings(root, &units));
-    let denied = daemon::is_denied(&status);
+    findings.push(timers::finding(&wake_up));
+    findings.extend(machine(root, &units));
     // A refusal by the daemon already explains the groups.
+    let denied = matches!(status, Err(ClientError::Denied { .. }));
     if !denied && let Some(me) = CurrentUser::look_up() {
-        findings.extend(service::group(root, &units, &me));
+        findings.extend(group::finding(root, &units, &me));
     }
-    let daemons = daemon::findings(root, &mut findings, asked.is_none(), status, &units);
-    findings.extend(port::autosuspend(root));
-    findings.extend(port::modem_manager(root));
+    let daemons = match status {
+        Ok(status) => {
+            findings.extend(daemon::findings(root, &status, &units));
+            Some(status).filter(|_| asked.is_none())
+        }
+        Err(error) => {
+            findings.push(unreachable::finding(error));
+            None
+        }
+    };
+    if let Some(status) = &daemons {
+        findings.extend(device::findings(status));
+    }
     let device = match asked {
         None if daemons.is_some() => {
             if self_test {
@@ -80,14 +89,14 @@ pub(super) fn run(
         Some(examined) => examined.simulated,
         None => daemons.and_then(|status| status.device).is_some_and(|device| device.simulated),
     };
-    let ok = findings.iter().all(|finding| finding.level != Level::Fail);
-    let report = Report { ok, wake_up, device, findings };
+    let report = Report { report: findings.into(), wake_up, device };
+    let ok = report.report.ok;
     let verdict = match (ok, simulated) {
         (true, false) => "go",
         (true, true) => "go, on a simulated device",
         (false, _) => "no go: see the lines marked FAIL",
     };
-    give(options.output.json, &report, || format!("{}\n{verdict}", lines(&report.findings)))?;
+    give(options.output.json, &report, || format!("{}\n{verdict}", lines(&report.report.findings)))?;
     Ok(if ok { ExitCode::SUCCESS } else { ExitCode::FAILURE })
 }
 
@@ -100,7 +109,7 @@ fn lines(findings: &[Finding]) -> String {
         };
         let advice =
             if finding.advice.is_empty() { String::new() } else { format!(" -> {}", finding.advice) };
-        vec![mark.to_owned(), finding.what.to_owned(), format!("{}{advice}", finding.found)]
+        vec![mark.to_owned(), finding.what.clone(), format!("{}{advice}", finding.found)]
     };
     text::columns(&[], findings.iter().map(line))
 }

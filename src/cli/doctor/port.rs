@@ -1,37 +1,13 @@
-//! Checks the boards' ports: which programs have one open, and what the system does to boards by itself.
+//! Checks which other programs have a port open.
 //!
-//! It reads `/proc` and `/sys`, as far as this user may, and opens no port. It does not check hubs: a hub sleeps only when
-//! all devices behind it sleep, so a board that stays awake keeps its hubs awake.
+//! It reads `/proc`, as far as this user may, and opens no port.
 //!
 //! Invariant: a port is called free only if every process could be checked.
 
-use super::finding::Finding;
-use super::service;
-use meissner_stream::device::find::BoardQuery;
+use crate::doctor::port::{MODEM_MANAGER, Process, processes};
+use meissner_api::Finding;
 use std::fs;
-use std::path::{Path, PathBuf};
-
-const USB: &str = "sys/bus/usb/devices";
-const MODEM_MANAGER: &str = "ModemManager";
-
-/// A process by number and name.
-#[derive(Debug, PartialEq, Eq, PartialOrd, Ord)]
-struct Process {
-    pid: u32,
-    name: String,
-}
-
-fn processes(root: &Path) -> Vec<Process> {
-    let entries = fs::read_dir(root.join("proc")).into_iter().flatten().flatten();
-    let process = |entry: fs::DirEntry| {
-        let pid = entry.file_name().to_str()?.parse().ok()?;
-        let name = fs::read_to_string(entry.path().join("comm")).ok()?;
-        Some(Process { pid, name: name.trim_end().to_owned() })
-    };
-    let mut found: Vec<_> = entries.filter_map(process).collect();
-    found.sort();
-    found
-}
+use std::path::Path;
 
 /// Whether a process has the port open; `None` if this user may not see.
 fn has_open(root: &Path, pid: u32, port: &Path) -> Option<bool> {
@@ -70,49 +46,10 @@ pub(super) fn holders(root: &Path, path: &Path, known: bool) -> Option<Finding> 
     Some(Finding::warn("port", found, advice))
 }
 
-/// Whether ModemManager, which looks for a modem at every serial port, runs without a rule to leave boards alone.
-pub(super) fn modem_manager(root: &Path) -> Option<Finding> {
-    let runs = processes(root).into_iter().any(|process| process.name == MODEM_MANAGER);
-    let ignored = service::rules_text(root).is_some_and(|rules| rules.contains("ID_MM_DEVICE_IGNORE"));
-    (runs && !ignored).then(|| {
-        let advice = format!(
-            "`sudo cp deploy/70-meissner.rules /etc/udev/rules.d/ && {}`, or, on a machine without a modem, `sudo \
-             systemctl disable --now ModemManager`",
-            service::RELOAD
-        );
-        Finding::warn("ModemManager", "it runs, and no udev rule keeps it from writing to boards", advice)
-    })
-}
-
-/// Boards that the kernel may put to sleep when they are silent: waking one takes longer than a stroke may wait.
-pub(super) fn autosuspend(root: &Path) -> Vec<Finding> {
-    let entries = fs::read_dir(root.join(USB)).into_iter().flatten().flatten();
-    let mut sleepy: Vec<PathBuf> = entries.map(|entry| entry.path()).filter(|path| may_sleep(path)).collect();
-    sleepy.sort();
-    let finding = |path: PathBuf| {
-        let path = Path::new("/").join(path.strip_prefix(root).unwrap_or(&path));
-        let found = format!("the kernel may put the board at {} to sleep", path.display());
-        let advice = format!(
-            "`echo on | sudo tee {}/power/control` (until it is plugged in again); the udev rules do it for good",
-            path.display()
-        );
-        Finding::warn("autosuspend", found, advice)
-    };
-    sleepy.into_iter().map(finding).collect()
-}
-
-fn may_sleep(device: &Path) -> bool {
-    let of = |name: &str| fs::read_to_string(device.join(name)).ok().map(|text| text.trim().to_owned());
-    let id = |name| u16::from_str_radix(&of(name)?, 16).ok();
-    let (Some(vendor), Some(product)) = (id("idVendor"), id("idProduct")) else { return false };
-    let is_board = BoardQuery::default().matches((vendor, product), of("product").as_deref(), None);
-    is_board && of("power/control").as_deref() == Some("auto")
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::cli::doctor::finding::fake;
+    use crate::doctor::fake;
     use std::os::unix::fs::symlink;
     use tempfile::TempDir;
 
@@ -161,39 +98,5 @@ mod tests {
              /dev/no-such-port`"
         );
         assert!(holders(dir.path(), port, false).is_none(), "it could be opened");
-    }
-
-    #[test]
-    fn modem_manager_needs_a_udev_rule() {
-        let dir = machine(&[(5, "ModemManager", "/dev/null")]);
-        let line = fake::line(&modem_manager(dir.path()).unwrap());
-        assert!(line.starts_with("Warn ModemManager: it runs") && line.contains("sudo cp deploy/"), "{line}");
-        let rules = include_str!("../../../deploy/70-meissner.rules");
-        fake::write(dir.path(), "etc/udev/rules.d/70-meissner.rules", rules);
-        assert!(modem_manager(dir.path()).is_none());
-        assert!(modem_manager(machine(&[(5, "bash", "/dev/null")]).path()).is_none());
-    }
-
-    #[test]
-    fn a_board_that_may_sleep_is_reported() {
-        let dir = tempfile::tempdir().unwrap();
-        let device = |at: &str, product: &str, control: &str| {
-            for (name, text) in [("idVendor", "1209"), ("idProduct", "0001"), ("product", product)] {
-                fake::write(dir.path(), &format!("{USB}/{at}/{name}"), &format!("{text}\n"));
-            }
-            fake::write(dir.path(), &format!("{USB}/{at}/power/control"), &format!("{control}\n"));
-        };
-        device("1-1", "meissner", "on");
-        device("1-2", "blinky", "auto");
-        fake::write(dir.path(), &format!("{USB}/1-1:1.0/power/control"), "auto\n");
-        assert!(autosuspend(dir.path()).is_empty());
-        device("1-4.2", "meissner", "auto");
-        assert_eq!(
-            fake::all(&autosuspend(dir.path())),
-            [
-                "Warn autosuspend: the kernel may put the board at /sys/bus/usb/devices/1-4.2 to sleep -> `echo on | sudo tee \
-              /sys/bus/usb/devices/1-4.2/power/control` (until it is plugged in again); the udev rules do it for good"
-            ]
-        );
     }
 }

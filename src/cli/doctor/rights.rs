@@ -1,16 +1,7 @@
-//! Checks real-time rights (SCHED_FIFO, locked memory): those of this user, and those of a daemon.
-//!
-//! A daemon's limits come from the kernel; whether they were enough comes from the daemon itself.
+//! Checks the real-time rights of the user who runs the doctor: SCHED_FIFO and locked memory.
 
-use super::finding::Finding;
-use meissner_api::Realtime;
-use meissner_stream::device::priority::FIFO_PRIORITY;
-use std::fs;
-use std::path::Path;
-
-/// What gives a user real-time rights where no service manager does.
-const LIMITS: &str = "`printf '%s - rtprio 60\\n%s - memlock unlimited\\n' $USER $USER | sudo tee \
-                                 /etc/security/limits.d/90-meissner.conf`, then log in again";
+use crate::doctor::rights::LIMITS;
+use meissner_api::{Finding, Realtime};
 
 /// The rights of this user. They matter for a daemon that this user starts, not where one runs or is `installed`.
 pub(super) fn of_user(ours: Realtime, daemons: Option<Realtime>, installed: bool) -> [Finding; 2] {
@@ -31,79 +22,10 @@ pub(super) fn of_user(ours: Realtime, daemons: Option<Realtime>, installed: bool
     ]
 }
 
-/// What the kernel allows a process: soft limits, as the kernel writes them.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub(super) struct Limits {
-    rtprio: String,
-    memlock: String,
-}
-
-impl Limits {
-    /// The limits of this process, if this user may read them.
-    pub(super) fn of(root: &Path, pid: u32) -> Option<Self> {
-        let text = fs::read_to_string(root.join(format!("proc/{pid}/limits"))).ok()?;
-        let soft = |name| {
-            let line = text.lines().find_map(|line| line.strip_prefix(name))?;
-            Some(line.split_whitespace().next()?.to_owned())
-        };
-        Some(Self { rtprio: soft("Max realtime priority")?, memlock: soft("Max locked memory")? })
-    }
-
-    fn fifo(&self) -> bool {
-        self.rtprio == "unlimited"
-            || self.rtprio.parse().is_ok_and(|limit: u32| limit >= FIFO_PRIORITY.into())
-    }
-
-    /// Less suffices only for a while: memory grows.
-    fn mlock(&self) -> bool {
-        self.memlock == "unlimited"
-    }
-}
-
-/// The rights of a daemon; `None` if neither the daemon nor the kernel reports them.
-pub(super) fn of_daemon(
-    realtime: Option<Realtime>,
-    limits: Option<Limits>,
-    service: bool,
-) -> Option<Finding> {
-    const WHAT: &str = "daemon rights";
-    let may = limits.as_ref().map(|limits| Realtime { fifo: limits.fifo(), mlock: limits.mlock() });
-    let has = realtime.or(may)?;
-    if has.fifo && has.mlock {
-        return Some(Finding::ok(WHAT, "the daemon has SCHED_FIFO and locked memory"));
-    }
-    let missing: Vec<&str> = [(has.fifo, "SCHED_FIFO"), (has.mlock, "locked memory")]
-        .into_iter()
-        .filter_map(|(has, name)| (!has).then_some(name))
-        .collect();
-    let allowed = limits.as_ref().map_or_else(String::new, |limits| {
-        format!(" (its limits: rtprio {}, memlock {})", limits.rtprio, limits.memlock)
-    });
-    let found = format!("the daemon lacks {}{allowed}: strokes may come late", missing.join(" and "));
-    // Rights that the limits allow and the daemon lacks are refused by something else.
-    let refused = may.is_some_and(|may| (may.fifo || has.fifo) && (may.mlock || has.mlock));
-    let advice = match (service, refused) {
-        (true, false) => {
-            "run `systemctl show meissner -p LimitRTPRIO,LimitMEMLOCK`: if it shows 60 and infinity, this system does not \
-             grant them (a container?); else run `sudo systemctl edit meissner`, write [Service], LimitRTPRIO=60 and \
-             LimitMEMLOCK=infinity on lines of their own, then `sudo systemctl restart meissner`"
-                .to_owned()
-        }
-        (true, true) => {
-            "its limits would allow it: check `systemctl show meissner -p RestrictRealtime,SystemCallFilter`, and whether \
-             this is a container"
-                .to_owned()
-        }
-        (false, false) => format!("{LIMITS}, and start the daemon again"),
-        (false, true) => "its limits would allow it: start the daemon again, unless this is a container".to_owned(),
-    };
-    Some(Finding::warn(WHAT, found, advice))
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::cli::doctor::finding::fake;
+    use crate::doctor::fake;
 
     #[test]
     fn a_users_rights_matter_for_a_daemon_of_their_own() {
@@ -123,52 +45,5 @@ mod tests {
                 line.starts_with("Warn ") && line.contains("rtprio 60\\n") && line.contains("log in again")
             );
         }
-    }
-
-    const ALL: Realtime = Realtime { fifo: true, mlock: true };
-    const NONE: Realtime = Realtime { fifo: false, mlock: false };
-
-    fn limits(rtprio: &str, memlock: &str) -> Option<Limits> {
-        let dir = tempfile::tempdir().unwrap();
-        let text = format!(
-            "Limit                     Soft Limit           Hard Limit           Units     \n\
-             Max open files            1024                 524288               files     \n\
-             Max locked memory         {memlock:<20} unlimited            bytes     \n\
-             Max realtime priority     {rtprio:<20} 99                              \n"
-        );
-        fake::write(dir.path(), "proc/812/limits", &text);
-        assert_eq!(Limits::of(dir.path(), 813), None);
-        Limits::of(dir.path(), 812)
-    }
-
-    #[test]
-    fn a_daemon_without_rights_gets_advice() {
-        let line = |has, limits, service| of_daemon(has, limits, service).map(|finding| fake::line(&finding));
-        let good = Some("Ok daemon rights: the daemon has SCHED_FIFO and locked memory -> ".to_owned());
-        assert_eq!(line(Some(ALL), None, true), good);
-        assert_eq!(line(None, limits("60", "unlimited"), true), good, "an older daemon, by its limits");
-        assert_eq!(line(None, None, true), None);
-        let bad = line(Some(NONE), limits("0", "8388608"), true).unwrap();
-        assert!(
-            bad.starts_with(
-                "Warn daemon rights: the daemon lacks SCHED_FIFO and locked memory (its limits: rtprio 0, memlock \
-                 8388608): strokes may come late -> "
-            ) && bad.contains("`sudo systemctl edit meissner`"),
-            "{bad}"
-        );
-        let half = line(Some(Realtime { fifo: true, mlock: false }), limits("60", "8388608"), true).unwrap();
-        assert!(
-            half.contains("the daemon lacks locked memory (") && half.contains("LimitMEMLOCK=infinity"),
-            "{half}"
-        );
-        let own = line(Some(NONE), limits("0", "8388608"), false).unwrap();
-        assert!(own.contains("limits.d") && !own.contains("systemctl"), "{own}");
-        let refused = line(Some(NONE), limits("60", "unlimited"), true).unwrap();
-        assert!(refused.contains("-p RestrictRealtime"), "{refused}");
-        assert!(
-            line(Some(NONE), limits("60", "unlimited"), false)
-                .unwrap()
-                .contains("start the daemon again, unless")
-        );
     }
 }

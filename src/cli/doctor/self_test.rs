@@ -2,13 +2,13 @@
 //!
 //! The limits of what is good stand here, each with its reason.
 
-use super::finding::{Finding, Level};
 use crate::cli::text;
 use crate::receipts::{board_status, outputs};
 use firmware_protocol::board::{
     Board, ENABLE, LineTest, RamTest, Reset, SelfTest, SelfTestState, TRIGGER, WaveTest,
 };
 use firmware_protocol::tick::TICK_HZ;
+use meissner_api::{Finding, Level};
 use serde::Serialize;
 
 /// Words of the waveform in a tick.

@@ -17,7 +17,7 @@ const POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; i
 const SCRIPT: &str = "text/javascript; charset=utf-8";
 
 /// Address, media type and text of every file.
-const FILES: [(&str, &str, &str); 13] = [
+const FILES: [(&str, &str, &str); 16] = [
     ("/", "text/html; charset=utf-8", include_str!("assets/index.html")),
     ("/page/page.css", "text/css; charset=utf-8", include_str!("assets/page.css")),
     ("/page/icon.svg", "image/svg+xml", include_str!("assets/icon.svg")),
@@ -30,6 +30,9 @@ const FILES: [(&str, &str, &str); 13] = [
     ("/page/maps.js", SCRIPT, include_str!("assets/maps.js")),
     ("/page/pad.js", SCRIPT, include_str!("assets/pad.js")),
     ("/page/patterns.js", SCRIPT, include_str!("assets/patterns.js")),
+    ("/page/doctor.js", SCRIPT, include_str!("assets/doctor.js")),
+    ("/page/calibration.js", SCRIPT, include_str!("assets/calibration.js")),
+    ("/page/plot.js", SCRIPT, include_str!("assets/plot.js")),
     ("/page/record.js", SCRIPT, include_str!("assets/record.js")),
 ];
 

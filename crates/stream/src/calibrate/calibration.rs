@@ -4,8 +4,8 @@
 //!
 //! Invariant: a [`Calibration`] passed every check here, so each of its gains lies within [`GAIN_RANGE`].
 
-use crate::calibrate::fit::{Fit, GAIN_RANGE, MAX_SLOPE_SE, MIN_BURSTS, MotorFit};
-use crate::calibrate::plan::{Plan, PlanError};
+use crate::calibrate::fit::{Fit, FitPoint, GAIN_RANGE, MAX_SLOPE_SE, MIN_BURSTS, MotorFit};
+use crate::calibrate::plan::{MAX_GROUPS, PULSES_RANGE, Plan, PlanError};
 use crate::control::Gains;
 use firmware_protocol::stroke::{Direction, MOTORS};
 use meissner_api::Provenance;
@@ -16,10 +16,10 @@ use meissner_input::message::short_number;
 /// The version of the file format that this program reads and writes.
 pub const FORMAT: u8 = 1;
 /// Bytes of a calibration file at most; all motors with the longest texts take less.
-pub const MAX_BYTES: usize = 64 << 10;
+pub const MAX_BYTES: usize = 160 << 10;
 /// Characters of each text of the provenance.
 const MAX_WORDS: usize = 200;
-/// The largest plausible offset, µm: a burst of the fewest pulses moves a pin by one.
+/// The largest plausible offset or travel, µm: a burst of the fewest pulses moves a pin by one, the longest by 41 at most.
 const OFFSET_UM: f64 = 100.0;
 /// How far a gain may lie from its slope, and the model's constant from ours: another program may write fewer digits.
 pub(super) const ROUNDING: f64 = 1e-6;
@@ -51,6 +51,8 @@ pub enum Problem {
     Plan(#[source] PlanError),
     #[error("is {found}, but pulses and repetitions give {groups}")]
     Groups { found: u64, groups: usize },
+    #[error("has {count} points: must be at most {MAX_GROUPS}, one for each number of pulses")]
+    Points { count: usize },
     #[error("is {count} characters long: must be at most {MAX_WORDS}")]
     Words { count: usize },
 }
@@ -132,7 +134,7 @@ impl Calibration {
             return self;
         }
         let others = old.motors.iter().filter(|fit| self.motor(fit.motor).is_none());
-        let mut motors: Vec<MotorFit> = self.motors.iter().chain(others).copied().collect();
+        let mut motors: Vec<MotorFit> = self.motors.iter().chain(others).cloned().collect();
         motors.sort_by_key(|fit| fit.motor);
         Self { motors, provenance: self.provenance }
     }
@@ -164,12 +166,28 @@ impl Calibration {
             if let Some(other) = self.motors[..index].iter().position(|other| other.motor == motor) {
                 return Err(KeyError::key("motor", Problem::Twice { motor, other }).within(&of));
             }
-            for (direction, fit) in [("up", &fit.up), ("down", &fit.down)] {
-                fit.check().map_err(|fault| fault.within(direction).within(&of))?;
+            let directions = [("up", &fit.up, &fit.up_points), ("down", &fit.down, &fit.down_points)];
+            for (direction, fit, points) in directions {
+                let checked = fit.check().and_then(|()| check_points(points));
+                checked.map_err(|fault| fault.within(direction).within(&of))?;
             }
         }
         check_provenance(&self.provenance).map_err(|fault| fault.within("provenance"))
     }
+}
+
+fn check_points(points: &[FitPoint]) -> Result<(), KeyError> {
+    if points.len() > MAX_GROUPS {
+        return Err(KeyError::key("points", Problem::Points { count: points.len() }));
+    }
+    for (index, &FitPoint { pulses, travel_um, sd_um, bursts }) in points.iter().enumerate() {
+        let key = |place| format!("points[{index}][{place}]");
+        in_range(&key(0), pulses.into(), PULSES_RANGE.contains(&pulses), "7 to 200")?;
+        in_range(&key(1), travel_um, travel_um.abs() <= OFFSET_UM, "-100 to 100 um")?;
+        in_range(&key(2), sd_um, (0.0..=OFFSET_UM).contains(&sd_um), "0 to 100 um")?;
+        in_range(&key(3), bursts as f64, bursts > 0, "1 or more")?;
+    }
+    Ok(())
 }
 
 fn check_provenance(provenance: &Provenance) -> Result<(), KeyError> {

@@ -9,7 +9,7 @@
 use crate::calibrate::calibration::{
     Calibration, CalibrationError, FORMAT, KeyError, MAX_BYTES, Problem, ROUNDING,
 };
-use crate::calibrate::fit::{Fit, MotorFit};
+use crate::calibrate::fit::{Fit, FitPoint, MotorFit};
 use firmware_protocol::stroke::MOTORS;
 use meissner_api::Provenance;
 use meissner_input::document::{Table, from_toml, in_range, line_of};
@@ -28,10 +28,10 @@ impl Calibration {
     #[must_use]
     #[expect(clippy::missing_panics_doc, reason = "it does not happen")]
     pub fn to_toml(&self) -> String {
-        let motor = self.motors().iter().map(|&MotorFit { motor, up, down }| RawMotor {
-            motor: motor.into(),
-            up: Table(up.into()),
-            down: Table(down.into()),
+        let motor = self.motors().iter().map(|fit| RawMotor {
+            motor: fit.motor.into(),
+            up: Table(RawFit::of(fit.up, &fit.up_points)),
+            down: Table(RawFit::of(fit.down, &fit.down_points)),
         });
         let file = RawFile {
             format: FORMAT.into(),
@@ -67,6 +67,9 @@ struct RawFit {
     offset_um: f64,
     relative_sd: f64,
     blocks: u64,
+    /// Pulses, mean travel, its standard deviation, number of bursts. Files of older versions have none.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    points: Vec<(u16, f64, f64, u64)>,
 }
 
 /// Read first, because another format may have other keys.
@@ -117,28 +120,34 @@ impl RawMotor {
     fn fit(self) -> Result<MotorFit, KeyError> {
         let motor = u8::try_from(self.motor).unwrap_or(u8::MAX);
         in_range("motor", self.motor as f64, usize::from(motor) < MOTORS, "0 to 23")?;
-        let fit = |Table(raw): Table<RawFit>, direction| raw.fit().map_err(|fault| fault.within(direction));
-        Ok(MotorFit { motor, up: fit(self.up, "up")?, down: fit(self.down, "down")? })
+        let fit = |Table(raw): Table<RawFit>, direction| raw.parts().map_err(|fault| fault.within(direction));
+        let (up, up_points) = fit(self.up, "up")?;
+        let (down, down_points) = fit(self.down, "down")?;
+        Ok(MotorFit { motor, up, down, up_points, down_points })
     }
 }
 
 impl RawFit {
-    fn fit(self) -> Result<Fit, KeyError> {
-        let Self { gain, slope_um_per_pulse, slope_se_um_per_pulse, offset_um, relative_sd, blocks } = self;
-        let bursts = usize::try_from(blocks).unwrap_or(usize::MAX);
-        let fit = Fit { slope_um_per_pulse, slope_se_um_per_pulse, offset_um, relative_sd, bursts };
-        let slope = fit.gain();
-        if (gain - slope).abs() <= ROUNDING || !slope.is_finite() {
-            return Ok(fit);
-        }
-        Err(KeyError::key("gain", Problem::Gain { found: gain, slope }))
-    }
-}
-
-impl From<Fit> for RawFit {
-    fn from(fit: Fit) -> Self {
+    fn of(fit: Fit, points: &[FitPoint]) -> Self {
         let Fit { slope_um_per_pulse, slope_se_um_per_pulse, offset_um, relative_sd, bursts } = fit;
         let (gain, blocks) = (fit.gain(), bursts as u64);
-        Self { gain, slope_um_per_pulse, slope_se_um_per_pulse, offset_um, relative_sd, blocks }
+        let point = |at: &FitPoint| (at.pulses, at.travel_um, at.sd_um, at.bursts as u64);
+        let points = points.iter().map(point).collect();
+        Self { gain, slope_um_per_pulse, slope_se_um_per_pulse, offset_um, relative_sd, blocks, points }
+    }
+
+    fn parts(self) -> Result<(Fit, Vec<FitPoint>), KeyError> {
+        let Self { gain, slope_um_per_pulse, slope_se_um_per_pulse, offset_um, relative_sd, blocks, points } =
+            self;
+        let count = |bursts| usize::try_from(bursts).unwrap_or(usize::MAX);
+        let point =
+            |(pulses, travel_um, sd_um, bursts)| FitPoint { pulses, travel_um, sd_um, bursts: count(bursts) };
+        let fit =
+            Fit { slope_um_per_pulse, slope_se_um_per_pulse, offset_um, relative_sd, bursts: count(blocks) };
+        let slope = fit.gain();
+        if (gain - slope).abs() <= ROUNDING || !slope.is_finite() {
+            return Ok((fit, points.into_iter().map(point).collect()));
+        }
+        Err(KeyError::key("gain", Problem::Gain { found: gain, slope }))
     }
 }

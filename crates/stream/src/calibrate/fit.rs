@@ -4,6 +4,8 @@
 //! Fig. 2: about 10 %), so a travel weighs 1/pulses². With these weights the line is an ordinary one through travel/pulses
 //! against 1/pulses: its intercept is the slope, and its residuals over the slope are the relative scatter.
 //!
+//! A [`FitPoint`] is the mean travel of the bursts of one length: what a plot of the fit shows.
+//!
 //! Invariant: the gain of a [`Fit`] made here lies within [`GAIN_RANGE`], and its slope is known to [`MAX_SLOPE_SE`].
 
 use crate::calibrate::travel::BurstTravel;
@@ -11,6 +13,7 @@ use firmware_protocol::stroke::{Direction, MOTORS};
 use meissner_array::units::UM_PER_PULSE;
 use meissner_input::message::short_number;
 use serde::Serialize;
+use std::collections::BTreeMap;
 use std::ops::RangeInclusive;
 
 /// Bursts of a motor and direction at least.
@@ -37,8 +40,21 @@ pub struct Fit {
     pub bursts: usize,
 }
 
-/// How a motor moves its pin.
+/// The measured bursts of one motor, direction and length.
 #[derive(Clone, Copy, Debug, PartialEq)]
+pub struct FitPoint {
+    /// Pulses of each burst.
+    pub pulses: u16,
+    /// Their mean travel, µm, to a thousandth.
+    pub travel_um: f64,
+    /// Standard deviation of their travels, µm, to a thousandth; 0 for one burst.
+    pub sd_um: f64,
+    /// Number of bursts.
+    pub bursts: usize,
+}
+
+/// How a motor moves its pin.
+#[derive(Clone, Debug, PartialEq)]
 pub struct MotorFit {
     /// 0..24.
     pub motor: u8,
@@ -46,6 +62,10 @@ pub struct MotorFit {
     pub up: Fit,
     /// Downwards.
     pub down: Fit,
+    /// What was measured upwards, by length; empty if it was not kept.
+    pub up_points: Vec<FitPoint>,
+    /// What was measured downwards, by length; empty if it was not kept.
+    pub down_points: Vec<FitPoint>,
 }
 
 /// A motor that cannot be calibrated.
@@ -108,9 +128,39 @@ pub fn fit(travels: &[BurstTravel]) -> Result<Vec<MotorFit>, FitError> {
             let of = travels.iter().filter(|travel| travel.motor == motor && travel.direction == direction);
             Fit::of(of).map_err(|problem| FitError { motor, direction, problem })
         };
-        Some(fit(Direction::Up).and_then(|up| Ok(MotorFit { motor, up, down: fit(Direction::Down)? })))
+        let points = |direction| {
+            let of = travels.iter().filter(|travel| travel.motor == motor && travel.direction == direction);
+            points(of.filter(|travel| !travel.warm_up))
+        };
+        Some(fit(Direction::Up).and_then(|up| {
+            let down = fit(Direction::Down)?;
+            Ok(MotorFit {
+                motor,
+                up,
+                down,
+                up_points: points(Direction::Up),
+                down_points: points(Direction::Down),
+            })
+        }))
     };
     (0..MOTORS as u8).filter_map(of_motor).collect()
+}
+
+/// The means of these travels by length.
+fn points<'b>(travels: impl Iterator<Item = &'b BurstTravel>) -> Vec<FitPoint> {
+    let mut by_length: BTreeMap<u16, Vec<f64>> = BTreeMap::new();
+    for travel in travels {
+        by_length.entry(travel.pulses).or_default().push(travel.travel_um);
+    }
+    let thousandth = |um: f64| (um * 1e3).round() / 1e3;
+    let point = |(pulses, travels): (u16, Vec<f64>)| {
+        let bursts = travels.len();
+        let mean = travels.iter().sum::<f64>() / bursts as f64;
+        let squares: f64 = travels.iter().map(|um| (um - mean).powi(2)).sum();
+        let sd_um = (squares / (bursts - 1).max(1) as f64).sqrt();
+        FitPoint { pulses, travel_um: thousandth(mean), sd_um: thousandth(sd_um), bursts }
+    };
+    by_length.into_iter().map(point).collect()
 }
 
 impl Fit {
@@ -213,6 +263,23 @@ mod tests {
         // Its own standard error is the scatter over sqrt(sum((1/p - mean)²)): 0.0116 um.
         assert!(found.offset_um.abs() < 4.0 * 0.013 / (2000.0_f64 * 0.000_625).sqrt(), "{found:?}");
         assert!((found.relative_sd - 0.1).abs() < 4.0 * 0.1 / 4000_f64.sqrt(), "{found:?}");
+    }
+
+    #[test]
+    fn points_are_the_means_of_each_length() {
+        let mut all = travels(&PULSES, 5, 0.13, 0.25, 0.0);
+        all.extend(travels(&[70], 5, 0.13, 1.25, 0.0));
+        all.extend(travels(&[7], 1, 0.13, 0.0, 0.0));
+        let found: Vec<_> =
+            points(all.iter()).into_iter().map(|at| (at.pulses, at.travel_um, at.sd_um, at.bursts)).collect();
+        let wanted = [
+            (7, 0.91, 0.0, 1),
+            (14, 2.07, 0.0, 5),
+            (28, 3.89, 0.0, 5),
+            (70, 9.85, 0.527, 10),
+            (140, 18.45, 0.0, 5),
+        ];
+        assert_eq!(found, wanted);
     }
 
     /// If large and small travels weighed the same, or as 1/pulses, the error would exceed the stated one.

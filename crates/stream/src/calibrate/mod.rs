@@ -21,7 +21,7 @@ mod plan;
 mod travel;
 
 pub use calibration::{Calibration, CalibrationError, FORMAT, MAX_BYTES, Problem};
-pub use fit::{Fit, FitError, FitProblem, GAIN_RANGE, MAX_SLOPE_SE, MIN_BURSTS, MotorFit, fit};
+pub use fit::{Fit, FitError, FitPoint, FitProblem, GAIN_RANGE, MAX_SLOPE_SE, MIN_BURSTS, MotorFit, fit};
 pub use laser::{
     Figure, LASER, LASER_PULSES, LASER_REPETITIONS, LaserError, LaserFit, LengthUnit, MAX_CLOCK_PPM,
     MAX_PLAN_BYTES, MAX_RECORDING_BYTES, MAX_SAMPLES, MAX_SECONDS, PlanFileError, PlayedBurst, PlayedOn,

@@ -1,11 +1,13 @@
 // The page: joins the daemon's events and status with the parts that show them.
 
 import { Problem, call, listen, token } from "./api.js";
-import { Finger, drivesAt } from "./finger.js";
-import { bindControls, show as showStatus } from "./control.js";
+import { bindCalibration, handleCalibrated, loadCalibration, showCalibrating } from "./calibration.js";
+import { bindControls, show as showControl } from "./control.js";
 import { Designer } from "./designer.js";
+import { bindDoctor, loadDoctor } from "./doctor.js";
+import { Finger, drivesAt } from "./finger.js";
 import { Patterns } from "./patterns.js";
-import { loadCalibration, loadSessions, showReceipt } from "./record.js";
+import { loadSessions, showReceipt } from "./record.js";
 
 const $ = (id) => document.getElementById(id);
 const STATUS_MS = 1000;
@@ -23,6 +25,11 @@ function report(error) {
   if (error?.code === "unauthorized") $("sign-in").hidden = false;
 }
 
+function showStatus() {
+  showControl(now);
+  showCalibrating(now.status);
+}
+
 async function poll() {
   if (document.hidden || !now.linked) return;
   try {
@@ -33,7 +40,7 @@ async function poll() {
     if (!(error instanceof Problem)) throw error;
     now.status = null;
   }
-  showStatus(now);
+  showStatus();
 }
 
 // A play's pins as the daemon compiled it: its receipt has the amplitudes, the pattern the times.
@@ -63,7 +70,7 @@ function handle(event) {
     case "state":
       if (now.status) Object.assign(now.status, { state: event.state, cause: event.cause, position: event.position, play: event.play });
       setPlay(event.play);
-      showStatus(now);
+      showStatus();
       break;
     case "ended":
       showReceipt(event.receipt);
@@ -77,6 +84,7 @@ function handle(event) {
       break;
     case "connected":
       now.doubted.clear();
+      loadCalibration().catch(report);
       poll();
       break;
     case "session-started":
@@ -88,7 +96,7 @@ function handle(event) {
       designer.handle(event);
       break;
     case "calibrated":
-      loadCalibration().catch(report);
+      handleCalibrated(event).catch(report);
       break;
     case "queued":
     case "disconnected":
@@ -101,14 +109,14 @@ async function linked(is, problem) {
   now.linked = is;
   if (!is) {
     now.status = null;
-    showStatus(now);
+    showStatus();
     report(problem);
     return;
   }
   report(null);
   $("sign-in").hidden = true;
   await poll();
-  const loads = [patterns.load(), designer.start(), loadSessions(), loadCalibration(), call("GET", "/v1/plays/last").then(showReceipt, () => {})];
+  const loads = [patterns.load(), designer.start(), loadSessions(), loadCalibration(), loadDoctor(), call("GET", "/v1/plays/last").then(showReceipt, () => {})];
   await Promise.all(loads).catch(report);
 }
 
@@ -144,6 +152,8 @@ function frame(at) {
 }
 
 bindControls(now, report, poll);
+bindCalibration(report, poll);
+bindDoctor(report);
 const start = listen(handle, linked);
 $("sign-in-form").addEventListener("submit", (event) => {
   event.preventDefault();
@@ -151,6 +161,6 @@ $("sign-in-form").addEventListener("submit", (event) => {
   $("token").value = "";
   start();
 });
-showStatus(now);
+showStatus();
 setInterval(poll, STATUS_MS);
 requestAnimationFrame(frame);

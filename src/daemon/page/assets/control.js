@@ -68,12 +68,12 @@ export function facts(list, rows) {
 }
 
 // Opens a dialog that leaves the emergency stop within reach: a modal one would not.
-function open(dialog) {
+export function open(dialog) {
   dialog.show();
   dialog.querySelector("input:not([hidden]), button").focus();
 }
 
-function closeWithEscape(dialog) {
+export function closeWithEscape(dialog) {
   dialog.addEventListener("keydown", (event) => event.key === "Escape" && dialog.close("cancel"));
 }
 

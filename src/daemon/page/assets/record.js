@@ -1,4 +1,4 @@
-// What was played: the last receipt, the recorded sessions, the calibration.
+// What was played: the last receipt and the recorded sessions.
 
 import { call } from "./api.js";
 import { facts } from "./control.js";
@@ -74,36 +74,6 @@ async function download(session) {
   const url = URL.createObjectURL(new Blob([text], { type: "application/json" }));
   element("a", "", { href: url, download: `session-${session.id}.json` }).click();
   setTimeout(() => URL.revokeObjectURL(url), 10000);
-}
-
-export async function loadCalibration() {
-  let report;
-  try {
-    report = await call("GET", "/v1/calibration");
-  } catch (error) {
-    if (error.code !== "not-found") throw error;
-    $("calibration-note").textContent = "Nothing was calibrated yet: `meissner calibrate` measures the gains of the motors.";
-    $("calibration-plot").replaceChildren();
-    return;
-  }
-  const when = report.provenance.date ?? "without a date";
-  $("calibration-note").textContent = `Gains of ${report.motors.length} motors, ${when}; ${report.used ? "in use" : `not in use: ${report.unused}`}. Bars: up and down, 1 is the model's motor.`;
-  const rows = report.motors.map((motor) => {
-    const row = element("tr");
-    row.append(element("th", String(motor.motor), { scope: "row" }), bar(motor.gain_up, motor.gain_up_se), bar(motor.gain_down, motor.gain_down_se));
-    return row;
-  });
-  const head = element("tr");
-  head.append(...["Motor", "Gain up", "Gain down"].map((text) => element("th", text, { scope: "col" })));
-  const table = element("table");
-  table.append(head, ...rows);
-  $("calibration-plot").replaceChildren(table);
-}
-
-function bar(gain, error) {
-  const cell = element("td");
-  cell.append(element("meter", "", { min: 0, max: 2, value: gain }), element("span", ` ${gain.toFixed(3)} ± ${error.toFixed(3)}`));
-  return cell;
 }
 
 $("record-filter").addEventListener("input", listSessions);

@@ -169,7 +169,7 @@ impl LaserFit {
     /// # Errors
     /// If a text of the plan is too long for the file.
     pub fn calibration(&self, played: &PlayedPlan) -> Result<Calibration, CalibrationError> {
-        Calibration::new(vec![self.fit], played.provenance())
+        Calibration::new(vec![self.fit.clone()], played.provenance())
     }
 }
 
@@ -193,8 +193,7 @@ pub fn fit_recording(played: &PlayedPlan, recording: &Recording) -> Result<Laser
     if (covered as f64) < LEAST_COVERED * planned as f64 {
         return Err(LaserError::TooFew { covered, planned });
     }
-    let fits = fit(&measured.travels)?;
-    let [mut found] = fits[..] else { return Err(LaserError::Nothing) };
+    let mut found = fit(&measured.travels)?.pop().ok_or(LaserError::Nothing)?;
     let without_noise = |direction: Direction| {
         let fit = found.of(direction);
         let noise = measured.relative_variance(direction);

@@ -3,7 +3,7 @@
 //! Nothing here depends on what is installed on the machine that runs it.
 
 use super::*;
-use crate::cli::doctor::finding::fake;
+use crate::doctor::fake;
 use tempfile::TempDir;
 
 /// A machine with systemd and our service.
@@ -37,8 +37,7 @@ fn nothing_is_wrong_where_nothing_is_installed() {
         fake::all(&findings(dir.path(), &units)),
         ["Ok service: no service is installed: start `meissner daemon` by hand -> "]
     );
-    let me = CurrentUser { name: "anna".into(), uid: 1000, login_gid: 1000, gids: vec![1000] };
-    assert!(group(dir.path(), &units, &me).is_none() && !units.runs(812));
+    assert!(!units.runs(812));
 }
 
 #[test]
@@ -152,38 +151,6 @@ fn missing_or_hidden_rules_are_reported() {
     assert_eq!(rules_text(dir.path()).as_deref(), Some("old"));
     fake::write(dir.path(), RULES[0], "new");
     assert!(line().starts_with("Ok"), "two equal files do no harm");
-}
-
-#[test]
-fn a_user_outside_the_group_learns_how_to_join() {
-    let me =
-        |uid, gids: &[u32]| CurrentUser { name: "anna".into(), uid, login_gid: 1000, gids: gids.to_vec() };
-    let members = |group: &str, gid, names: &[&str]| UserGroup {
-        group: group.to_owned(),
-        gid,
-        names: names.iter().map(|&name| name.to_owned()).collect(),
-    };
-    let (empty, hers) = (members("haptics", 991, &[]), members("haptics", 991, &["anna"]));
-    let line = |me: &CurrentUser, group, owner| fake::line(&judged(me, group, owner));
-    let anna = me(1000, &[1000]);
-    assert_eq!(
-        line(&anna, Some(&empty), None),
-        "Warn group: you (anna) are not in `haptics`: the service refuses you -> `sudo usermod -aG haptics \
-         anna`, then log in again"
-    );
-    assert!(line(&anna, Some(&hers), Some(&hers)).ends_with("not yet in this session -> log in again"));
-    assert_eq!(
-        line(&me(1000, &[991]), Some(&hers), Some(&hers)),
-        "Ok group: you (anna) are in `haptics` -> "
-    );
-    assert!(line(&me(0, &[0]), Some(&empty), None).starts_with("Ok group: root needs no group"));
-    assert!(line(&anna, None, None).contains("-> `sudo groupadd --system haptics && "));
-    let (site, root) = (members("touch", 1200, &[]), members("root", 0, &[]));
-    let another = line(&anna, Some(&hers), Some(&site));
-    assert!(another.contains("not in `touch`") && another.contains("usermod -aG touch anna"), "{another}");
-    let line = line(&anna, Some(&hers), Some(&root));
-    assert!(line.starts_with("Warn group: the socket belongs to the group `root`"), "{line}");
-    assert!(line.contains("-> `sudo systemctl restart meissner.socket"), "{line}");
 }
 
 #[test]

@@ -1,19 +1,16 @@
-//! Checks what is installed: systemd's units, the configuration, udev's rules, and the group of users.
+//! Checks what is installed: systemd's units, the configuration and udev's rules.
 //!
-//! `systemctl show` reports the units; it needs no rights, and the doctor waits at most [`TIMEOUT`] for it. Where nothing is
+//! `systemctl show` reports the units; it needs no rights, and a check waits at most [`TIMEOUT`] for it. Where nothing is
 //! installed, one finding says so: a daemon may be started by hand.
 //!
 //! Invariant: on a machine with nothing installed every finding here is `ok`.
 
-use super::finding::Finding;
 use crate::config::{Config, ConfigError};
-use meissner_client::SERVICE_SOCKET;
-use meissner_client::access::{CurrentUser, Membership, UserGroup, join_command};
+use meissner_api::Finding;
 use meissner_client::is_installed;
 use std::collections::HashMap;
 use std::fs;
 use std::io::{self, Read};
-use std::os::unix::fs::MetadataExt;
 use std::path::Path;
 use std::process::{Command, Stdio};
 use std::thread;
@@ -23,9 +20,8 @@ use std::time::{Duration, Instant};
 const TIMEOUT: Duration = Duration::from_secs(3);
 const ASKED: &str =
     "Id,LoadState,ActiveState,SubState,UnitFileState,NRestarts,Result,MainPID,NeedDaemonReload";
-const SERVICE: &str = "meissner.service";
-const SOCKET: &str = "meissner.socket";
-const GROUP: &str = "haptics";
+pub(crate) const SERVICE: &str = "meissner.service";
+pub(crate) const SOCKET: &str = "meissner.socket";
 const CONFIG: &str = "etc/meissner/meissner.toml";
 /// Where rules may stand; an earlier file hides the later ones.
 const RULES: [&str; 4] = [
@@ -39,18 +35,18 @@ const JOURNAL: &str = "`journalctl -u meissner -e` shows why";
 
 /// What systemd reports about our units; nothing where none is installed.
 #[derive(Debug, Default)]
-pub(super) struct Units {
+pub(crate) struct Units {
     installed: bool,
     reported: HashMap<String, HashMap<String, String>>,
 }
 
 impl Units {
-    fn new(root: &Path, reported: Option<String>) -> Self {
+    pub(crate) fn new(root: &Path, reported: Option<String>) -> Self {
         let reported = reported.as_deref().map(parse).unwrap_or_default();
         Self { installed: is_installed(root), reported }
     }
 
-    pub(super) const fn is_installed(&self) -> bool {
+    pub(crate) const fn is_installed(&self) -> bool {
         self.installed
     }
 
@@ -65,7 +61,7 @@ impl Units {
 }
 
 /// Asks systemd, if our units are installed.
-pub(super) fn units(root: &Path) -> Units {
+pub(crate) fn units(root: &Path) -> Units {
     let mut show = Command::new("systemctl");
     show.args(["show", SERVICE, SOCKET, "--no-pager", "-p", ASKED]);
     let reported =
@@ -101,7 +97,7 @@ fn parse(text: &str) -> HashMap<String, HashMap<String, String>> {
     text.split("\n\n").filter_map(block).collect()
 }
 
-/// All checks but the group.
+/// All of these checks.
 pub(super) fn findings(root: &Path, units: &Units) -> Vec<Finding> {
     let mut findings = state(units);
     findings.extend(config(root));
@@ -189,7 +185,7 @@ fn config(root: &Path) -> Option<Finding> {
         Ok(_) => Finding::ok("configuration", format!("/{CONFIG} is valid")),
         Err(ConfigError::Read { source, .. }) if source.kind() == io::ErrorKind::PermissionDenied => {
             let advice = "run `sudo meissner doctor`, which checks it";
-            Finding::warn("configuration", format!("you may not read /{CONFIG}"), advice)
+            Finding::warn("configuration", format!("the doctor may not read /{CONFIG} here"), advice)
         }
         Err(error) => {
             let advice = format!("correct that line, then `sudo systemctl restart {SERVICE}`");
@@ -226,42 +222,6 @@ fn rules(root: &Path, units: &Units) -> Option<Finding> {
         }
         [(used, _), ..] => Finding::ok("udev rules", format!("/{used}")),
     })
-}
-
-/// Whether this user may use the service's socket.
-pub(super) fn group(root: &Path, units: &Units, me: &CurrentUser) -> Option<Finding> {
-    let socket = fs::metadata(root.join(SERVICE_SOCKET.trim_start_matches('/'))).ok();
-    if !units.installed && socket.is_none() {
-        return None;
-    }
-    let owner = socket.and_then(|socket| UserGroup::of(socket.gid()));
-    Some(judged(me, UserGroup::named(GROUP).as_ref(), owner.as_ref()))
-}
-
-/// A site may have given the socket to another group; that group counts.
-fn judged(me: &CurrentUser, haptics: Option<&UserGroup>, owner: Option<&UserGroup>) -> Finding {
-    if owner.is_some_and(|owner| owner.gid == 0) {
-        let found = format!("the socket belongs to the group `root`, not to `{GROUP}`");
-        return Finding::warn("group", found, format!("`sudo systemctl restart {SOCKET} {SERVICE}`"));
-    }
-    let Some(members) = owner.or(haptics) else {
-        let found = format!("there is no group `{GROUP}`, so no user may use the service's socket");
-        let advice = format!("`sudo groupadd --system {GROUP} && sudo systemctl restart {SOCKET}`");
-        return Finding::warn("group", found, advice);
-    };
-    let (CurrentUser { name, .. }, UserGroup { group, .. }) = (me, members);
-    match me.membership(members) {
-        _ if me.uid == 0 => Finding::ok("group", format!("root needs no group; other users need `{group}`")),
-        Membership::Member => Finding::ok("group", format!("you ({name}) are in `{group}`")),
-        Membership::MemberAfterLogin => {
-            let found = format!("you ({name}) are in `{group}`, but not yet in this session");
-            Finding::warn("group", found, "log in again")
-        }
-        Membership::NotMember => {
-            let found = format!("you ({name}) are not in `{group}`: the service refuses you");
-            Finding::warn("group", found, join_command(me, members))
-        }
-    }
 }
 
 #[cfg(test)]

@@ -1,16 +1,13 @@
-//! Checks this machine: how late timers wake a thread, and whether processors slow down.
+//! Checks this machine's timers: how late they wake a thread.
 //!
 //! [`measure`] runs first and alone: no other check of the doctor runs beside it.
 //!
 //! Invariant: the real-time rights that [`measure`] requests end with its thread.
 
-use super::finding::Finding;
-use meissner_api::Realtime;
+use meissner_api::{Finding, Realtime};
 use meissner_stream::diagnostics::quantile;
 use meissner_stream::time::HostInstant;
 use serde::Serialize;
-use std::fs;
-use std::path::Path;
 use std::thread;
 use std::time::Duration;
 
@@ -18,8 +15,6 @@ use std::time::Duration;
 const PERIOD: Duration = Duration::from_millis(1);
 /// Half the default lead: beyond it a second stall in a row makes strokes late.
 const LATE_US: f64 = 50_000.0;
-const CPUS: &str = "sys/devices/system/cpu";
-const FAST: &str = "performance";
 
 /// How late timers woke a thread.
 #[derive(Clone, Copy, Debug, Serialize)]
@@ -64,7 +59,7 @@ impl WakeUp {
     }
 }
 
-pub(super) fn timers(wake_up: &WakeUp) -> Finding {
+pub(super) fn finding(wake_up: &WakeUp) -> Finding {
     let WakeUp { p50_us, p99_us, p999_us, max_us, count, fifo } = wake_up;
     let with = if *fifo { "with" } else { "without" };
     let found = format!(
@@ -83,65 +78,19 @@ pub(super) fn timers(wake_up: &WakeUp) -> Finding {
     Finding::warn("timers", found, advice)
 }
 
-/// Whether processors slow down when they are idle: then every wake-up begins slowly.
-pub(super) fn governor(root: &Path) -> Finding {
-    let cpus = fs::read_dir(root.join(CPUS)).into_iter().flatten().flatten();
-    let is_cpu = |name: &str| {
-        name.strip_prefix("cpu")
-            .is_some_and(|number| !number.is_empty() && number.bytes().all(|c| c.is_ascii_digit()))
-    };
-    let governors = cpus.filter(|cpu| cpu.file_name().to_str().is_some_and(is_cpu));
-    let governors =
-        governors.filter_map(|cpu| fs::read_to_string(cpu.path().join("cpufreq/scaling_governor")).ok());
-    let governors: Vec<String> = governors.map(|governor| governor.trim().to_owned()).collect();
-    let slow: Vec<&String> = governors.iter().filter(|governor| *governor != FAST).collect();
-    match slow.iter().min() {
-        None if governors.is_empty() => Finding::ok("governor", "this machine does not scale its frequency"),
-        None => Finding::ok("governor", FAST),
-        Some(name) => {
-            let found =
-                format!("`{name}` slows {} of {} processors down when idle", slow.len(), governors.len());
-            let advice = format!(
-                "`echo {FAST} | sudo tee /{CPUS}/cpu*/cpufreq/scaling_governor` (until the next boot)"
-            );
-            Finding::warn("governor", found, advice)
-        }
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::cli::doctor::finding::fake;
-
-    #[test]
-    fn processors_that_slow_down_are_reported() {
-        let dir = tempfile::tempdir().unwrap();
-        let governor = || fake::line(&governor(dir.path()));
-        assert_eq!(governor(), "Ok governor: this machine does not scale its frequency -> ");
-        let set = |cpu, text| {
-            fake::write(dir.path(), &format!("{CPUS}/{cpu}/cpufreq/scaling_governor"), text);
-        };
-        set("cpu0", "performance\n");
-        set("cpu11", "performance\n");
-        set("cpufreq", "powersave\n");
-        assert_eq!(governor(), "Ok governor: performance -> ");
-        set("cpu11", "schedutil\n");
-        assert_eq!(
-            governor(),
-            "Warn governor: `schedutil` slows 1 of 2 processors down when idle -> `echo performance | sudo tee \
-             /sys/devices/system/cpu/cpu*/cpufreq/scaling_governor` (until the next boot)"
-        );
-    }
+    use crate::doctor::fake;
 
     #[test]
     fn late_timers_are_reported_with_the_scheduler_they_ran_under() {
         let wake_up = WakeUp::of((1..=5000).map(f64::from).collect(), true);
         assert_eq!(
-            fake::line(&timers(&wake_up)),
+            fake::line(&finding(&wake_up)),
             "Ok timers: wake-ups came late by 2501 us (p50), 4951 (p99), 4996 (p99.9), 5000 (max) of 5000, with SCHED_FIFO -> "
         );
-        let line = |fifo| fake::line(&timers(&WakeUp::of(vec![10.0, 60_000.0], fifo)));
+        let line = |fifo| fake::line(&finding(&WakeUp::of(vec![10.0, 60_000.0], fifo)));
         assert!(line(true).starts_with("Warn timers") && line(true).contains("-> raise lead_ms"));
         assert!(line(false).contains("without SCHED_FIFO -> run `sudo meissner doctor`"));
         let (_, measured) = measure(Duration::from_millis(20));
