@@ -329,8 +329,7 @@ fn the_second_model_is_compared_with_its_near_answers_and_at_its_extremes() {
     assert_eq!(of("80 um, 100 000")["afferents"], 100_000);
 
     let text = printed(meissner().args(["tradeoff", "--model", "afferents"]));
-    for part in
-        ["RA nearly, influences from 2 %", "off the skin %", "The step of 200 us is part of the model"]
+    for part in ["RA nearly, influences from 2 %", "no contact %", "The step of 200 us is part of the model"]
     {
         assert!(text.contains(part), "{part}: {text}");
     }

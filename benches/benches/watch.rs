@@ -1,4 +1,4 @@
-//! What windows of the page cost the daemon, and how soon a drawn edge is felt: `cargo bench -p meissner-benches --bench watch`.
+//! What windows of the page cost the daemon, and how soon the first pulse of a drawn edge comes: `cargo bench -p meissner-benches --bench watch`.
 //!
 //! All 64 clients watch while all pins vibrate for `WATCHED` seconds [30]: 24 windows over TCP, which hold a stream of events and ask for
 //! the status every second, and streams of events on the socket. It prints the daemon's processor time with and without them, its memory, late bursts, and bytes. Then it
@@ -40,7 +40,7 @@ fn main() -> Done {
         watch(&daemon, &mut client, tcp, watched, seconds)?;
     }
     for budget_s in [0.5, 1.0] {
-        feel(&daemon, &mut client, budget_s)?;
+        first_pulse(&daemon, &mut client, budget_s)?;
     }
     stops(&daemon, &mut client)
 }
@@ -159,7 +159,7 @@ fn wait_for(events: &mut Events, is_it: impl Fn(&Event) -> bool) -> Done<Event> 
 }
 
 /// From the order to search until the first pulse.
-fn feel(daemon: &Daemon, client: &mut Client, budget_s: f64) -> Done {
+fn first_pulse(daemon: &Daemon, client: &mut Client, budget_s: f64) -> Done {
     for model in ["both", "membrane"] {
         let mut taken = Vec::new();
         for number in 0..SEARCHES {

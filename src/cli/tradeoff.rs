@@ -1,9 +1,10 @@
 //! `tradeoff`: compares methods and settings by measurement. It needs no daemon.
 //!
-//! Without a flag it compares simulation methods on a scene, time against error, and with the second model what its answers cost
-//! ([`afferents`]); with `--stream`, leads of the streamer
-//! under recorded stalls; with `--loop`, rest errors of position control with their bound; with `--stop`, rest errors above a
-//! lower stop with their theory ([`stop`]); with `--objectives`, what a search maximises ([`objectives`]). `meissner_report` measures and recommends; this module prints. Each comparison is a member of the argument group `what` and a variant of [`What`].
+//! Without a flag it compares simulation methods on a scene, time against error, and with the second model what its answers
+//! cost ([`afferents`]); with `--stream`, leads of the streamer under recorded stalls; with `--loop`, rest errors of position
+//! control with their bound; with `--stop`, rest errors above a lower stop with their theory ([`stop`]); with `--objectives`,
+//! what a search maximises ([`objectives`]). `meissner_report` measures and recommends; this module prints. Each comparison is
+//! a member of the argument group `what` and a variant of [`What`].
 
 mod afferents;
 mod objectives;
@@ -30,7 +31,7 @@ use std::process::ExitCode;
 
 #[derive(Debug, Args)]
 pub(super) struct MethodTradeoff {
-    /// Compare methods on this scene: a TOML or JSON file, or - for stdin [default: 24 motors at 60 Hz, 306 afferents, 1 s]
+    /// Compare methods on this scene: a TOML or JSON file, or - for stdin [default: 24 motors at 60 Hz, 1 s]
     #[arg(group = "what")]
     scene: Option<PathBuf>,
     /// Choose the model of skin and afferents; with --objectives, that of the searches [default: the scene's key `model`, else membrane]

@@ -71,6 +71,9 @@ fn operation(out: &mut String, document: &Value, route: Route) {
             Some("query") if parameter["schema"]["type"] == "boolean" => {
                 put!(out, "\n`?{name}=true`: {about}.");
             }
+            Some("query") if parameter["schema"]["type"] == "string" => {
+                put!(out, "\n`?{name}=`, 64 of 0-9 and a-f: {about}.");
+            }
             Some("query") => put!(
                 out,
                 "\n`?{name}=`, {} to {}: {about}.",

@@ -80,7 +80,7 @@ pub use prediction::{
 };
 pub use quality::{Named, OfClass, Quality, name_targets, quality, skin_model};
 pub use response::{Response, response};
-pub use search::{Brief, Ended, Found, Limit, Spent, Step, resume, search};
+pub use search::{Brief, Ended, Found, Limit, SEARCH_MIN_SHARES, Spent, Step, resume, search};
 pub use shape::Shape;
 pub use shipped::{YARDSTICK, shipped, shipped_names};
 pub use target::{Frame, MAX_BYTES, MAX_FRAMES, MAX_POINTS, Problem, Target, TargetError};

@@ -154,11 +154,18 @@ struct Stage {
     rounds: &'static [Round],
 }
 
+/// The shares of the largest influence below which a search under the second model leaves motors out, at its beginning and at
+/// its end.
+pub const SEARCH_MIN_SHARES: [f64; 2] = [0.02, 0.01];
 const STEP_US: Option<u32> = Some(500);
 const COARSE: Fidelity =
-    Fidelity { duration_s: 0.25, step_us: STEP_US, min_weight: 1e-2, min_share: Some(0.02) };
-const MIDDLE: Fidelity =
-    Fidelity { duration_s: 0.5, step_us: STEP_US, min_weight: SEARCH_MIN_WEIGHT, min_share: Some(0.01) };
+    Fidelity { duration_s: 0.25, step_us: STEP_US, min_weight: 1e-2, min_share: Some(SEARCH_MIN_SHARES[0]) };
+const MIDDLE: Fidelity = Fidelity {
+    duration_s: 0.5,
+    step_us: STEP_US,
+    min_weight: SEARCH_MIN_WEIGHT,
+    min_share: Some(SEARCH_MIN_SHARES[1]),
+};
 const FINE: Fidelity = Fidelity { duration_s: 1.0, ..MIDDLE };
 
 /// From a start to the neighbourhood of a maximum.

@@ -11,20 +11,22 @@ from . import bids, nwb
 from ._http import Op
 from ._operations import Core, pattern, session_plays, status
 from .clocks import NS, Instant
-from .errors import NotFound
+from .errors import BadPattern, NotFound
 
 
 def _stimuli(core: Core, session_id: str) -> Op[tuple[dict[str, Any], dict[str, dict[str, Any]]]]:
-    """The rows of a session, and the patterns as they were played, by SHA-256: without those that nobody has kept."""
+    """The rows of a session, and the patterns as they were played, by SHA-256: without those whose text is not kept."""
     recorded = yield from session_plays(core, session_id)
     rows = bids.stimulus_rows(recorded["plays"])
     found = {}
     for name, sha256 in sorted({(row["pattern"], row["pattern_sha256"]) for row in rows if row["pattern_sha256"]}):
         try:
             stored = yield from pattern(core, name, sha256=sha256)
-        except NotFound:
+        except (NotFound, BadPattern):
             continue
-        found[sha256] = stored["pattern"]
+        # An older daemon knows today's text only.
+        if stored["sha256"] == sha256:
+            found[sha256] = stored["pattern"]
     return recorded, found
 
 

@@ -28,11 +28,11 @@ fn table(found: &AfferentsTradeoff) -> String {
             ms(Some(row.wall_s)),
             ms(row.one_motor_wall_s),
             number(row.rate_rms_hz, 3),
-            number(row.rate_bias, 5),
+            number(row.rate_bias.map(|share| 100.0 * share), 1),
         ]
     };
     let rows = columns(
-        &["answer", "afferents", "ms", "one motor changed, ms", "rate RMS", "rate bias"],
+        &["answer", "afferents", "time, ms", "one motor changed, ms", "rate RMS, impulses/s", "bias %"],
         found.rows.iter().map(row),
     );
     let row = |row: &Extreme| {
@@ -50,7 +50,7 @@ fn table(found: &AfferentsTradeoff) -> String {
         ]
     };
     let extremes = columns(
-        &["scene", "afferents", "us/afferent/s", "SA1", "RA", "PC", "off the skin %", "spikes", "nudged"],
+        &["scene", "afferents", "us/afferent/s", "SA1", "RA", "PC", "no contact %", "spikes", "nudged"],
         found.extremes.iter().map(row),
     );
     let steps = format!(
@@ -59,7 +59,7 @@ fn table(found: &AfferentsTradeoff) -> String {
          spikes come at whole steps, and no vibration may be faster than 2500 Hz."
     );
     [
-        format!("A scene of {} s by the model afferents, on all cores; rates in impulses/s, compared for RA afferents", found.duration_s),
+        format!("A scene of {} s under the model afferents, on all cores. The rates of RA afferents are compared with the model's.", found.duration_s),
         rows,
         "Nearly: the search's evaluation, for RA afferents while all pins touch the skin; a motor whose influence on an afferent is \
          below the given share of the largest is left out.".to_owned(),

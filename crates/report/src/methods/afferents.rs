@@ -3,12 +3,13 @@
 //! The model has one step, so there are no methods to choose from. A caller saves time by the classes it asks for; a search,
 //! which asks for RA afferents thousands of times, by [`NearEvaluator`]. How much the answer to a noise of another seed differs
 //! says which error matters. Some scenes are hard to compute: each runs twice, the second time with the skin pressed in by a
-//! picometre more. Spikes that move by that are at the mercy of rounding.
+//! picometre more. Spikes that move by that depend on rounding errors.
 //!
 //! Invariant: all but times depends on the scene alone.
 
 use super::tradeoff::timed;
 use meissner_array::geometry::position_mm;
+use meissner_design::SEARCH_MIN_SHARES;
 use meissner_skin::fingertip::{
     Afferent, Answer, Class, NearEvaluator, PREINDENT_MM, Scene, population, simulate,
 };
@@ -16,8 +17,8 @@ use meissner_skin::{AnyScene, Keep, MethodError, ModelName};
 use serde::Serialize;
 use serde_json::json;
 
-/// Shares of the largest influence below which [`NearEvaluator`] leaves a motor out: 0.02 and 0.01 are the search's.
-const MIN_SHARES: [f64; 5] = [0.0, 0.005, 0.01, 0.02, 0.1];
+/// Shares of the largest influence below which [`NearEvaluator`] leaves a motor out: the search's, and others around them.
+const MIN_SHARES: [f64; 5] = [0.0, 0.005, SEARCH_MIN_SHARES[1], SEARCH_MIN_SHARES[0], 0.1];
 /// By how much the skin is pressed in further, mm.
 const NUDGE_MM: f64 = 1e-9;
 const MANY: usize = 100_000;
@@ -27,7 +28,7 @@ const MANY: usize = 100_000;
 pub struct AfferentsTradeoff {
     /// The duration of the scene, s.
     pub duration_s: f64,
-    /// The ways to ask. The first two are the model as it is.
+    /// The ways to ask. The first is the model for all afferents; the others are for RA afferents, the second the model, too.
     pub rows: Vec<AfferentsRow>,
     /// Scenes at the model's extremes.
     pub extremes: Vec<Extreme>,
@@ -94,8 +95,8 @@ fn rows(scene: &Scene) -> Result<Vec<AfferentsRow>, MethodError> {
         rate_rms_hz: None,
         rate_bias: None,
     };
-    let as_it_is = |scene: &Scene| timed(|| simulate(scene, Keep::Rates, &|_| ()));
-    let (_, wall_s) = as_it_is(scene)?;
+    let simulated = |scene: &Scene| timed(|| simulate(scene, Keep::Rates, &|_| ()));
+    let (_, wall_s) = simulated(scene)?;
     let mut rows = vec![row("all classes".to_owned(), scene.afferents().len(), wall_s)];
     let rapid: Vec<Afferent> = scene.afferents().iter().copied().filter(|of| of.class == Class::Ra).collect();
     if rapid.is_empty() {
@@ -103,14 +104,14 @@ fn rows(scene: &Scene) -> Result<Vec<AfferentsRow>, MethodError> {
     }
     let scene = scene.with_afferents(rapid).expect("some afferents of a scene are a scene");
     let afferents = scene.afferents().len();
-    let (model, wall_s) = as_it_is(&scene)?;
+    let (model, wall_s) = simulated(&scene)?;
     rows.push(row("RA alone".to_owned(), afferents, wall_s));
     let compared = |row: AfferentsRow, counts: &[u64]| {
         let [rate_rms_hz, rate_bias] = difference(&scene, &model.counts, counts);
         AfferentsRow { rate_rms_hz, rate_bias, ..row }
     };
     if scene.noise() {
-        let (other, wall_s) = as_it_is(&scene.with_seed(scene.seed() ^ 1))?;
+        let (other, wall_s) = simulated(&scene.with_seed(scene.seed() ^ 1))?;
         rows.push(compared(
             row("RA alone, noise of another seed".to_owned(), afferents, wall_s),
             &other.counts,
@@ -130,8 +131,8 @@ fn rows(scene: &Scene) -> Result<Vec<AfferentsRow>, MethodError> {
         near.accept(all);
         let (_, one_motor_s) = timed(|| Ok::<_, MethodError>(evaluate(&near, &others)))?;
         let method = format!("RA nearly, influences from {} %", 100.0 * min_share);
-        let row = AfferentsRow { one_motor_wall_s: Some(one_motor_s), ..row(method, afferents, wall_s) };
-        rows.push(compared(row, near.counts()));
+        let near_row = AfferentsRow { one_motor_wall_s: Some(one_motor_s), ..row(method, afferents, wall_s) };
+        rows.push(compared(near_row, near.counts()));
     }
     Ok(rows)
 }

@@ -1,8 +1,9 @@
 //! The simulation methods compared: time against error on one scene, measured on this machine.
 //!
-//! The first model has methods and steps; the second has neither (`afferents`). [`tradeoff()`] runs a scene by every method and step, and compares each with the exact one (`compare`): by spikes, by
-//! rates and by the contrast on the target [`YARDSTICK`](meissner_design::YARDSTICK). `label` names a method, [`plot()`]
-//! draws the result, and [`reasons()`] says why work that was skipped does not change the answer.
+//! The first model has methods and steps. [`tradeoff()`] runs a scene by each of them, and compares it with the exact one
+//! (`compare`): by spikes, by rates and by the contrast on the target [`YARDSTICK`](meissner_design::YARDSTICK). `label` names
+//! a method, [`plot()`] draws the result, and [`reasons()`] says why work that was skipped does not change the answer. The
+//! second model has one method with one step; `afferents` says what it costs.
 
 mod afferents;
 mod compare;

@@ -204,7 +204,7 @@ fn recommendation(rows: &[Row]) -> String {
 
 /// A non-negative number with two significant digits.
 #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "clamped")]
-pub(super) fn short(number: f64) -> String {
+fn short(number: f64) -> String {
     if number == 0.0 {
         return "0".to_owned();
     }
