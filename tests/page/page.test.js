@@ -1,75 +1,18 @@
 // The daemon's page in a real browser, against a real daemon with the simulated array. `run` installs what it needs.
 //
-// MEISSNER_PROGRAM: the program. CHROMIUM: the browser. No test asserts on real time; the time limits only end a test that hangs.
+// No test asserts on real time; the time limits only end a test that hangs.
 
 import assert from "node:assert/strict";
-import { spawn } from "node:child_process";
-import { mkdtempSync, mkdirSync, readFileSync, rmSync, writeFileSync } from "node:fs";
+import { readFileSync, writeFileSync } from "node:fs";
 import { createRequire } from "node:module";
-import { tmpdir } from "node:os";
 import { join } from "node:path";
 import { after, before, test } from "node:test";
-import puppeteer from "puppeteer-core";
+import { arm, Daemon, endAll, launch, open as openIn, SEARCHED, shows, text, WAIT } from "./daemon.js";
 
-const PROGRAM = process.env.MEISSNER_PROGRAM;
 const AXE = readFileSync(createRequire(import.meta.url).resolve("axe-core/axe.min.js"), "utf8");
-const WAIT = { timeout: 20000, polling: 50 };
-// A search has a low priority: beside a build it may take a minute.
-const SEARCHED = { ...WAIT, timeout: 200000 };
 
 let browser;
-const daemons = [];
-
-class Daemon {
-  constructor(config = "") {
-    this.dir = mkdtempSync(join(tmpdir(), "meissner-page-"));
-    mkdirSync(join(this.dir, "patterns"));
-    this.config = config;
-    this.port = 0;
-    daemons.push(this);
-  }
-
-  async start() {
-    const socket = join(this.dir, "m.sock");
-    const text = `lease_ms = 9000\nsocket = "${socket}"\npatterns_dir = "${this.dir}/patterns"\nlisten = "127.0.0.1:${this.port}"\n${this.config}`;
-    writeFileSync(join(this.dir, "m.toml"), text);
-    const env = { ...process.env, XDG_STATE_HOME: this.dir, MEISSNER_SOCKET: socket };
-    this.child = spawn(PROGRAM, ["daemon", "--device", "mock", "--config", join(this.dir, "m.toml")], { env, stdio: ["ignore", "ignore", "pipe"] });
-    this.log = "";
-    this.env = env;
-    await new Promise((done, fail) => {
-      this.child.once("exit", () => fail(new Error(this.log)));
-      this.child.stderr.on("data", (data) => {
-        this.log += data;
-        const found = /listening on (http:\/\/127\.0\.0\.1:(\d+))/.exec(this.log);
-        if (found && this.log.includes("device connected")) {
-          [, this.url, this.port] = found;
-          done();
-        }
-      });
-    });
-    return this;
-  }
-
-  async end() {
-    if (this.child?.exitCode !== null) return;
-    const ended = new Promise((done) => this.child.once("exit", done));
-    this.child.kill("SIGTERM");
-    await ended;
-  }
-
-  async status() {
-    return (await fetch(`${this.url}/v1/status`)).json();
-  }
-
-  async run(...args) {
-    const child = spawn(PROGRAM, args, { env: this.env, stdio: ["ignore", "pipe", "inherit"] });
-    let out = "";
-    child.stdout.on("data", (data) => (out += data));
-    assert.equal(await new Promise((done) => child.once("exit", done)), 0);
-    return out.trim();
-  }
-}
+const open = (daemon, width, height) => openIn(browser, daemon, width, height);
 
 // A calibration of another array: 23 motors, each with its points.
 const UM = 0.95 / 7;
@@ -81,43 +24,12 @@ const CALIBRATION = `format = 1\n${[...Array(23).keys()].map((motor) => {
   return `[[motor]]\nmotor = ${motor}\n[motor.up]\n${fit(1 + 0.05 * Math.sin(2 * motor))}[motor.down]\n${fit(1 + 0.05 * Math.cos(3 * motor))}`;
 }).join("")}[provenance]\ndevice = "mock"\nfirmware = "0.1.0 (6d656973)"\nidentity = "another"\ntelemetry = "plant"\npulses = [14, 28, 42, 56, 70, 84, 98, 112, 126, 140]\nrepetitions = 2\ngroups = 20\num_per_pulse = ${UM}\ndate = "2026-11-20T10:00:00Z"\n`;
 
-// A window of the page, and what its console complains about.
-async function open(daemon, width = 1400, height = 1000) {
-  const context = await browser.createBrowserContext();
-  const page = await context.newPage();
-  page.complaints = [];
-  page.on("console", (message) => message.type() === "error" && page.complaints.push(message.text()));
-  page.on("pageerror", (error) => page.complaints.push(String(error)));
-  await page.setViewport({ width, height });
-  await page.goto(daemon.url);
-  return page;
-}
-
-const text = (page, id) => page.$eval(`#${id}`, (element) => element.textContent);
-const shows = (page, id, part, wait = WAIT) =>
-  page.waitForFunction((id, part) => document.getElementById(id).textContent.includes(part), wait, id, part);
-
-async function arm(page) {
-  await shows(page, "state-text", "Disarmed");
-  await page.waitForSelector("#arm:not([disabled])");
-  await page.click("#arm");
-  if (await page.$eval("#arm-rest", (label) => !label.hidden)) {
-    await page.click("#arm-checked");
-    await page.type("#arm-name", "a test");
-  }
-  await page.click("#arm-yes");
-  await shows(page, "state-text", "Armed");
-}
-
 before(async () => {
-  browser = await puppeteer.launch({ executablePath: process.env.CHROMIUM, args: ["--no-sandbox", "--disable-gpu"] });
+  browser = await launch();
 });
 after(async () => {
   await browser?.close();
-  for (const daemon of daemons) {
-    await daemon.end();
-    rmSync(daemon.dir, { recursive: true, force: true });
-  }
+  await endAll();
 });
 
 test("a person arms, plays, stops in an emergency, and resets", async () => {

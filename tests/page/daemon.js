@@ -1,0 +1,104 @@
+// A real daemon with the simulated array, and windows of its page. MEISSNER_PROGRAM: the program. CHROMIUM: the browser.
+
+import assert from "node:assert/strict";
+import { spawn } from "node:child_process";
+import { mkdtempSync, mkdirSync, rmSync, writeFileSync } from "node:fs";
+import { tmpdir } from "node:os";
+import { join } from "node:path";
+import puppeteer from "puppeteer-core";
+
+const PROGRAM = process.env.MEISSNER_PROGRAM;
+export const WAIT = { timeout: 20000, polling: 50 };
+// A search has a low priority: beside a build it may take a minute.
+export const SEARCHED = { ...WAIT, timeout: 200000 };
+
+const daemons = [];
+
+export const launch = () => puppeteer.launch({ executablePath: process.env.CHROMIUM, args: ["--no-sandbox", "--disable-gpu"] });
+
+// Ends all daemons that were started, and removes their files.
+export async function endAll() {
+  for (const daemon of daemons) {
+    await daemon.end();
+    rmSync(daemon.dir, { recursive: true, force: true });
+  }
+}
+
+export class Daemon {
+  constructor(config = "") {
+    this.dir = mkdtempSync(join(tmpdir(), "meissner-page-"));
+    mkdirSync(join(this.dir, "patterns"));
+    this.config = config;
+    this.port = 0;
+    daemons.push(this);
+  }
+
+  async start() {
+    const socket = join(this.dir, "m.sock");
+    const text = `lease_ms = 9000\nsocket = "${socket}"\npatterns_dir = "${this.dir}/patterns"\nlisten = "127.0.0.1:${this.port}"\n${this.config}`;
+    writeFileSync(join(this.dir, "m.toml"), text);
+    const env = { ...process.env, XDG_STATE_HOME: this.dir, MEISSNER_SOCKET: socket };
+    this.child = spawn(PROGRAM, ["daemon", "--device", "mock", "--config", join(this.dir, "m.toml")], { env, stdio: ["ignore", "ignore", "pipe"] });
+    this.log = "";
+    this.env = env;
+    await new Promise((done, fail) => {
+      this.child.once("exit", () => fail(new Error(this.log)));
+      this.child.stderr.on("data", (data) => {
+        this.log += data;
+        const found = /listening on (http:\/\/127\.0\.0\.1:(\d+))/.exec(this.log);
+        if (found && this.log.includes("device connected")) {
+          [, this.url, this.port] = found;
+          done();
+        }
+      });
+    });
+    return this;
+  }
+
+  async end() {
+    if (this.child?.exitCode !== null) return;
+    const ended = new Promise((done) => this.child.once("exit", done));
+    this.child.kill("SIGTERM");
+    await ended;
+  }
+
+  async status() {
+    return (await fetch(`${this.url}/v1/status`)).json();
+  }
+
+  async run(...args) {
+    const child = spawn(PROGRAM, args, { env: this.env, stdio: ["ignore", "pipe", "inherit"] });
+    let out = "";
+    child.stdout.on("data", (data) => (out += data));
+    assert.equal(await new Promise((done) => child.once("exit", done)), 0);
+    return out.trim();
+  }
+}
+
+// A window of the page, and what its console complains about.
+export async function open(browser, daemon, width = 1400, height = 1000) {
+  const context = await browser.createBrowserContext();
+  const page = await context.newPage();
+  page.complaints = [];
+  page.on("console", (message) => message.type() === "error" && page.complaints.push(message.text()));
+  page.on("pageerror", (error) => page.complaints.push(String(error)));
+  await page.setViewport({ width, height });
+  await page.goto(daemon.url);
+  return page;
+}
+
+export const text = (page, id) => page.$eval(`#${id}`, (element) => element.textContent);
+export const shows = (page, id, part, wait = WAIT) =>
+  page.waitForFunction((id, part) => document.getElementById(id).textContent.includes(part), wait, id, part);
+
+export async function arm(page) {
+  await shows(page, "state-text", "Disarmed");
+  await page.waitForSelector("#arm:not([disabled])");
+  await page.click("#arm");
+  if (await page.$eval("#arm-rest", (label) => !label.hidden)) {
+    await page.click("#arm-checked");
+    await page.type("#arm-name", "a test");
+  }
+  await page.click("#arm-yes");
+  await shows(page, "state-text", "Armed");
+}
