@@ -4,6 +4,7 @@
 
 import assert from "node:assert/strict";
 import { readFileSync, writeFileSync } from "node:fs";
+import { createServer, request as httpRequest } from "node:http";
 import { createRequire } from "node:module";
 import { join } from "node:path";
 import { after, before, test } from "node:test";
@@ -300,6 +301,42 @@ test("calibration plots show what the API says, and a person can calibrate", asy
   await press(page, "#stop");
   await shows(page, "calibrate-result", "Nothing was stored: the calibration was cut (stop)");
   assert.deepEqual((await get(daemon, "/v1/calibration")).motors, motors);
+});
+
+// The simulated array keeps its times: a proxy adds the events.
+test("late strokes are counted while a play runs", async () => {
+  const daemon = await new Daemon().start();
+  const streams = [];
+  const proxy = createServer((request, response) => {
+    const headers = { ...request.headers, host: new URL(daemon.url).host };
+    if (headers.origin) headers.origin = daemon.url;
+    const onward = httpRequest(daemon.url + request.url, { method: request.method, headers }, (answer) => {
+      response.writeHead(answer.statusCode, answer.headers);
+      if (request.url === "/v1/events") streams.push(response);
+      answer.pipe(response);
+    });
+    onward.on("error", () => response.destroy());
+    request.pipe(onward);
+  });
+  await new Promise((done) => proxy.listen(0, "127.0.0.1", done));
+  try {
+    const page = await open({ url: `http://127.0.0.1:${proxy.address().port}` });
+    await arm(page);
+    await daemon.run("play", "pin-60", "--seconds", "600");
+    await shows(page, "facts", "Late strokes of this playnone");
+    const { id } = (await daemon.status()).play;
+    for (const play of [id, id + 1, id]) {
+      const data = { event: "late", id: play, motor: 9, tick: 1, late_ms: 1.8, cause: "host" };
+      streams.at(-1).write(`event: late\ndata: ${JSON.stringify(data)}\n\n`);
+    }
+    await shows(page, "facts", "Late strokes of this play2");
+    await page.click("#stop");
+    await page.waitForFunction(() => !document.getElementById("facts").textContent.includes("Late"), WAIT);
+    assert.deepEqual(page.complaints.filter((line) => !line.includes("404")), []);
+  } finally {
+    proxy.closeAllConnections();
+    proxy.close();
+  }
 });
 
 test("two windows see the same, and each may stop", async () => {

@@ -13,7 +13,7 @@ const $ = (id) => document.getElementById(id);
 const STATUS_MS = 1000;
 const FRAME_MS = 1000 / 30;
 
-const now = { linked: false, status: null, play: null, details: null, onset: 0, doubted: new Set() };
+const now = { linked: false, status: null, play: null, details: null, onset: 0, late: 0, doubted: new Set() };
 const finger = new Finger($("finger"));
 const patterns = new Patterns(report);
 const designer = new Designer(report, () => patterns.load());
@@ -55,7 +55,7 @@ async function setPlay(play) {
     now.onset = Math.min(now.onset, onset);
     return;
   }
-  [now.play, now.onset, now.details] = [play, onset, null];
+  [now.play, now.onset, now.details, now.late] = [play, onset, null, 0];
   try {
     const receipt = await call("GET", `/v1/plays/${play.id}`);
     const details = designer.details(receipt.pattern_sha256) ?? (await patterns.details(play.pattern));
@@ -78,6 +78,9 @@ function handle(event) {
       break;
     case "felt":
       call("GET", `/v1/plays/${event.id}`).then(showReceipt, () => {});
+      break;
+    case "late":
+      if (event.id === now.play?.id) now.late += 1;
       break;
     case "doubted":
       now.doubted.add(event.motor);

@@ -31,11 +31,11 @@ export function show(now) {
   $("home").disabled = !(status && name === "armed" && !status.play);
   $("stop").disabled = !(status && (status.play || status.queued.length));
   $("reset").disabled = !(status && name === "faulted");
-  facts($("facts"), status ? describe(status) : []);
+  facts($("facts"), status ? describe(status, now.late) : []);
   write($("about"), status ? `meissner ${status.version}, pid ${status.pid}` : "");
 }
 
-function describe(status) {
+function describe(status, late) {
   const offsets = status.motors.map((motor) => Math.abs(motor.rest_error_um));
   const worst = Math.max(0, ...offsets);
   const { fifo, mlock } = status.realtime ?? {};
@@ -45,6 +45,7 @@ function describe(status) {
     ["Position", status.position],
     ["Clock", status.clock_uncertainty_us === null ? "not synchronised" : `synchronised to ±${status.clock_uncertainty_us.toFixed(1)} µs`],
     ["Real time", fifo && mlock ? "granted" : `missing: ${[fifo ? "" : "SCHED_FIFO", mlock ? "" : "locked memory"].filter(Boolean).join(" and ")}; strokes may come late`],
+    ...(status.play ? [["Late strokes of this play", late || "none"]] : []),
     ["Emergency stops since the start", status.estops],
     ["Session", status.session ? `${status.session.participant}, ${status.session.plays} plays` : "none"],
     ["Vibration left", limit ? `${limit.continuous_left_s.toFixed(0)} s without a pause, ${limit.day_left_s.toFixed(0)} s today` : "not counted"],
