@@ -8,7 +8,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -129,10 +129,17 @@ def test_a_play_that_is_ordered_ahead_begins_when_planned(
     assert (receipt.onset.tick, receipt.raw["scale"]) == (saved["onset_tick"], 0.5)
 
 
+def until(is_so: Callable[[], bool]) -> None:
+    """Waits, at most 30 s."""
+    deadline = time.monotonic() + 30
+    while not is_so():
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+
+
 def played(play: TactilePlay) -> dict[str, Any]:
     """What a play adds to the data after its own end."""
-    while not play.isOver:
-        time.sleep(0.01)
+    until(lambda: play.isOver)
     return play.finish()
 
 
@@ -150,7 +157,7 @@ def test_a_start_without_notice_is_played_as_soon_as_possible(device: MeissnerDe
 
 
 def test_a_routine_that_ends_early_stops_the_play(device: MeissnerDevice) -> None:
-    saved = routine(TactilePlay(device), "0.05", 0.15, seconds=5.0)
+    saved = routine(TactilePlay(device, ahead=1.0), "0.5", 0.8, seconds=5.0)
     assert (saved["state"], saved["cause"]) == ("stopped", "stop")
     assert saved["offset"] - saved["onset"] < 2.5
     # Ordered ahead, but the routine ended first.
@@ -180,8 +187,34 @@ def test_the_stop_of_the_component_stops_the_play(device: MeissnerDevice) -> Non
 
 
 def test_a_play_that_is_nearly_over_is_not_cut(device: MeissnerDevice) -> None:
-    saved = routine(TactilePlay(device), "0.1", 0.1 + 0.2 - PERIOD)
+    saved = routine(TactilePlay(device, ahead=1.0), "0.5", 0.5 + 0.2 - PERIOD)
     assert saved["state"] == "done"
+
+
+def test_a_play_that_waits_behind_another_is_stopped(device: MeissnerDevice) -> None:
+    device.client.play("edge-45", 10.0)
+    play = TactilePlay(device)
+    play.setPattern("edge-45")
+    play.setSeconds(0.1)
+    play.start(None)
+    until(lambda: play._accepted)
+    time.sleep(0.2)
+    begun = time.monotonic()
+    assert play.finish()["state"] == "stopped"
+    assert time.monotonic() - begun < 5.0
+
+
+def test_a_play_without_an_ordered_onset_is_not_cut_when_it_is_nearly_over(device: MeissnerDevice) -> None:
+    play = TactilePlay(device)
+    play.setPattern("edge-45")
+    play.setSeconds(1.0)
+    play.start(None)
+    until(lambda: play._end < math.inf)
+    time.sleep(max(0.0, play._end - 0.03 - device.client.now()))
+    saved = play.finish()
+    assert saved["state"] == "done"
+    assert play._play is not None
+    assert play._play.onset.monotonic + 1.0 == pytest.approx(play._end, abs=0.01)
 
 
 def test_a_refused_play_ends_the_experiment_with_the_daemons_line(device: MeissnerDevice) -> None:
@@ -203,8 +236,7 @@ def test_an_emergency_stop_by_somebody_is_in_the_data(device: MeissnerDevice) ->
     play.setPattern("edge-45")
     play.setSeconds(5.0)
     play.start(None)
-    while device.client.status().playing is None:
-        time.sleep(0.01)
+    until(lambda: device.client.status().playing is not None)
     device.estop()
     saved = played(play)
     assert (saved["state"], saved["cause"]) == ("stopped", "estop")
@@ -256,37 +288,58 @@ def test_a_stop_that_fails_becomes_an_emergency_stop(device: MeissnerDevice, mon
     assert device.client.status().state == "faulted"
 
 
+@pytest.mark.parametrize("error", [meissner.errors.ConnectionLost("the connection was lost"), KeyboardInterrupt()])
 def test_a_disarm_that_fails_becomes_an_emergency_stop(
-    daemon: meissner.Daemon, monkeypatch: pytest.MonkeyPatch
+    daemon: meissner.Daemon, monkeypatch: pytest.MonkeyPatch, error: BaseException
 ) -> None:
-    device = MeissnerDevice(daemon.socket, checked="a test")
-
     def fail() -> None:
-        raise meissner.errors.ConnectionLost("the connection was lost")
+        raise error
 
+    device = MeissnerDevice(daemon.socket, checked="a test", participant="P07")
     monkeypatch.setattr(device.client, "disarm", fail)
-    with pytest.raises(meissner.errors.ConnectionLost):
+    with pytest.raises(type(error)):
         device.close()
     with meissner.connect(daemon.socket) as other:
-        assert other.status().state == "faulted"
+        state = other.status()
+        assert (state.state, state.raw["session"]) == ("faulted", None)
+        other.reset(force=True)
+    # The emergency stop fails, too: the client tries again to disarm.
+    device = MeissnerDevice(daemon.socket, checked="a test")
+    monkeypatch.setattr(device.client, "disarm", fail)
+    monkeypatch.setattr(device.client, "estop", fail)
+    with pytest.raises(type(error)):
+        device.close()
+    with meissner.connect(daemon.socket) as other:
+        assert other.status().state in ("disarmed", "returning")
 
 
-@pytest.mark.parametrize("end", ["SIGTERM", "error", "end"])
+@pytest.mark.parametrize("end", ["SIGTERM", "SIGHUP", "twice", "error", "end", "fails"])
 def test_the_motors_are_off_however_the_script_ends(daemon: meissner.Daemon, end: str) -> None:
     code = f"""
-import environment, sys, time
+import environment, os, signal, sys, time
 from psychopy_meissner.device import MeissnerDevice
 from psychopy_meissner.routine import TactilePlay
+signal.signal(signal.SIGHUP, signal.SIG_DFL)  # `nohup` has it ignored.
 play = TactilePlay(MeissnerDevice({daemon.socket!r}, checked="a test"))
+client = play.device.client
+disarm = client.disarm
+def interrupted():
+    if {end!r} == "fails":
+        raise RuntimeError("the disarm has failed")
+    if {end!r} == "twice":
+        os.kill(os.getpid(), signal.SIGTERM)
+    disarm()
+client.disarm = interrupted
 play.setPattern("edge-45")
 play.setSeconds(60.0)
 play.start(None)
-while not play._accepted:
+deadline = time.monotonic() + 30
+while not play._accepted and time.monotonic() < deadline:
     time.sleep(0.01)
 print("playing", flush=True)
 if {end!r} == "error":
     raise RuntimeError("an error of the experiment")
-if {end!r} == "SIGTERM":
+if {end!r} in ("SIGTERM", "SIGHUP", "twice"):
     time.sleep(60)
 """
     # Coverage would handle SIGTERM itself.
@@ -300,13 +353,15 @@ if {end!r} == "SIGTERM":
     )
     assert child.stdout is not None
     first = child.stdout.readline()
-    if end == "SIGTERM":
-        os.kill(child.pid, signal.SIGTERM)
+    number = {"SIGTERM": signal.SIGTERM, "SIGHUP": signal.SIGHUP, "twice": signal.SIGTERM}.get(end)
+    if number is not None:
+        os.kill(child.pid, number)
     _, errors = child.communicate(timeout=30)
     assert first == "playing\n", errors
-    assert child.returncode == {"SIGTERM": 143, "error": 1, "end": 0}[end]
+    assert child.returncode == (128 + number if number is not None else int(end == "error")), errors
     with meissner.connect(daemon.socket) as other:
-        assert other.status().state in ("disarmed", "returning")
+        # Only a disarm that fails becomes an emergency stop.
+        assert other.status().state in (["faulted"] if end == "fails" else ["disarmed", "returning"]), errors
         assert other.receipt().state == "stopped"
 
 

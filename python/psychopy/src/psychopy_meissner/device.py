@@ -2,11 +2,13 @@
 
 `shared` gives all components of an experiment the same device. `MeissnerDevice.client` is the client of the package `meissner`.
 
-Invariant: after `close`, and at the end of Python, the motors that this device has armed are off.
+Invariant: after `close`, and at the end of Python, the motors that this device has armed are off. If disarming fails, it orders
+an emergency stop.
 """
 
 from __future__ import annotations
 
+import atexit
 import signal
 import sys
 import threading
@@ -20,6 +22,8 @@ from meissner.errors import Faulted, MeissnerError, NoDevice
 
 CLASS = "psychopy_meissner.device.MeissnerDevice"
 NS = 1_000_000_000
+ENDINGS = [getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]
+"""Signals that end a program. Windows has no SIGHUP."""
 
 
 def experiment_time() -> float:
@@ -27,11 +31,22 @@ def experiment_time() -> float:
     return float(logging.defaultClock.getTime())
 
 
-def _exit_at_sigterm() -> None:
-    """Lets SIGTERM end Python as `sys.exit` does. By default it kills the program at once, with the motors armed."""
-    is_main = threading.current_thread() is threading.main_thread()
-    if is_main and signal.getsignal(signal.SIGTERM) is signal.SIG_DFL:
-        signal.signal(signal.SIGTERM, lambda number, frame: sys.exit(128 + number))
+def _exit(number: int, frame: object) -> None:
+    # Another signal would interrupt the disarming.
+    for ending in ENDINGS:
+        signal.signal(ending, signal.SIG_IGN)
+    sys.exit(128 + number)
+
+
+def _exit_at_signals() -> None:
+    """Lets SIGTERM, and SIGHUP of a closed terminal, end Python as `sys.exit` does.
+
+    By default they kill the program at once, with the motors armed.
+    """
+    if threading.current_thread() is threading.main_thread():
+        for number in ENDINGS:
+            if signal.getsignal(number) is signal.SIG_DFL:
+                signal.signal(number, _exit)
 
 
 class MeissnerDevice(BaseDevice):
@@ -53,8 +68,10 @@ class MeissnerDevice(BaseDevice):
         """The settings with which `shared` has added it."""
         self._session: meissner.Session | None = None
         self._is_closed = False
-        _exit_at_sigterm()
+        _exit_at_signals()
         self.client = meissner.demo() if simulated else meissner.connect(address or None, token=token or None)
+        # It runs before the client's own exit handler, which disarms without an emergency stop.
+        atexit.register(self.close)
         try:
             if participant:
                 self._session = self.client.session(participant, exclusive=True)
@@ -100,11 +117,14 @@ class MeissnerDevice(BaseDevice):
         if self._is_closed:
             return
         self._is_closed = True
+        atexit.unregister(self.close)
         try:
-            if self.client.core.has_armed:
-                self._disarm()
-            if self._session is not None:
-                self._session.end()
+            try:
+                if self.client.core.has_armed:
+                    self._disarm()
+            finally:
+                if self._session is not None:
+                    self._session.end()
         finally:
             self.client.close()
 
@@ -113,12 +133,12 @@ class MeissnerDevice(BaseDevice):
             self.client.disarm()
         except (Faulted, NoDevice):
             pass  # The lines are off.
-        except MeissnerError:
+        except BaseException:  # Ctrl-C, too.
             self.client.estop()
-            raise
-        finally:
-            # So that closing the client does not try it again.
             self.client.core.has_armed = False
+            raise
+        # So that closing the client does not try it again. If the emergency stop fails, too, it does.
+        self.client.core.has_armed = False
 
     def isSameDevice(self, other: object) -> bool:
         """Whether this device, or the dict of settings, is the same display."""

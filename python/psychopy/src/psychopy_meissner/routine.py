@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 import threading
+import time
 from typing import TYPE_CHECKING, Any
 
 import meissner
@@ -42,7 +43,7 @@ class TactilePlay:
         self._thread: threading.Thread | None = None
         self._accepted, self._over, self._is_stopping = False, threading.Event(), False
         self._play: meissner.Play | None = None
-        self._end = 0.0
+        self._end = math.inf
         self._error: BaseException | None = None
 
     def setPattern(self, pattern: str) -> None:
@@ -93,10 +94,18 @@ class TactilePlay:
                     return
                 at = None
                 play = client.play(self.pattern, self.seconds, scale=self.scale)
-            self._end = (client.now() if at is None else at) + (play.ordered_s or 0.0)
+            duration = math.inf if play.ordered_s is None else play.ordered_s
+            if at is not None:
+                self._end = at + duration
             self._play, self._accepted = play, True
             if self._is_stopping:
                 self._stop_unless_ending()
+            # Without an ordered onset the play may wait behind another: only the receipt tells when it begins.
+            while at is None and not (receipt := play.refresh()).is_over:
+                if receipt.onset is not None:
+                    self._end = receipt.onset.monotonic + duration
+                    break
+                time.sleep(0.02)
             play.wait(check=False)
         except BaseException as error:
             self._error = error
