@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -17,6 +18,7 @@ import pytest
 
 import environment
 import meissner
+from psychopy_meissner import device as device_module
 from psychopy_meissner import routine as routine_module
 from psychopy_meissner import script
 from psychopy_meissner.device import MeissnerDevice, experiment_time, shared
@@ -251,6 +253,40 @@ def test_the_time_on_the_experiments_clock_is_right(device: MeissnerDevice) -> N
     assert device.fromExperimentClock(onset) == pytest.approx(play.onset.monotonic, abs=1e-4)
 
 
+def test_a_pause_after_the_order_does_not_shift_the_times(
+    device: MeissnerDevice, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    play = TactilePlay(device)
+    play.setPattern("edge-45")
+    play.setSeconds(0.1)
+    play.start(experiment_time() + 1.0)
+    before = device.readClock()
+    # PsychoPy sets its clock back by the pause.
+    monkeypatch.setattr(device_module, "experiment_time", lambda: time.monotonic() + before.offset - 60.0)
+    saved = played(play)
+    assert saved["onset"] == pytest.approx(saved["planned"], abs=saved["onset_uncertainty"] + 1e-4)
+
+
+def test_numbers_of_a_conditions_file_are_played(device: MeissnerDevice) -> None:
+    numpy = pytest.importorskip("numpy", reason="numpy is not installed")
+    play = TactilePlay(device)
+    play.setPattern("edge-45")
+    for seconds, scale in [(1, 1), (numpy.int64(1), numpy.int64(1)), (numpy.float32(0.5), numpy.float64(0.5))]:
+        play.reset()
+        play.setSeconds(seconds)
+        play.setScale(scale)
+        play.start(None)
+        until(lambda: play._accepted or play.isOver)
+        assert play.finish()["scale"] == scale
+
+
+def test_blank_parameters_are_the_defaults(device: MeissnerDevice) -> None:
+    play = TactilePlay(device)
+    play.setSeconds()
+    play.setScale()
+    assert (play.ahead, play.seconds, play.scale) == (0.2, None, 1.0)
+
+
 def test_closing_disarms_and_ends_the_session(daemon: meissner.Daemon) -> None:
     device = MeissnerDevice(daemon.socket, checked="a test", participant="P07")
     with meissner.connect(daemon.socket) as other:
@@ -365,19 +401,42 @@ if {end!r} in ("SIGTERM", "SIGHUP", "twice"):
         assert other.receipt().state == "stopped"
 
 
+BOOK = Path(__file__).parents[3] / "docs" / "how-to"
+
+
+@pytest.mark.skipif(not BOOK.exists(), reason="the book is in the repository only")
+def test_the_page_of_the_book_runs(tmp_path: Path) -> None:
+    found = re.findall(r"```py\n(.*?)```", (BOOK / "psychopy.md").read_text(encoding="utf-8"), re.DOTALL)
+    assert found
+    for block in found:
+        ended = subprocess.run(
+            [sys.executable, "-c", f"import environment\n{block}"],
+            cwd=tmp_path,
+            env={**os.environ, "PYTHONPATH": os.pathsep.join([str(ENVIRONMENT), *sys.path])},
+            capture_output=True,
+            text=True,
+            check=False,
+            timeout=120,
+        )
+        assert ended.returncode == 0, block + ended.stderr
+        onset, uncertainty = (float(number) for number in ended.stdout.split())
+        assert 0.5 < onset < 60
+        assert uncertainty < 0.1
+
+
 class Manager:
     """The two methods of PsychoPy's device manager that `shared` calls."""
 
     def __init__(self) -> None:
-        self.devices: dict[str, MeissnerDevice] = {}
+        self.devices: dict[str, Any] = {}
 
-    def getDevice(self, name: str) -> MeissnerDevice | None:
+    def getDevice(self, name: str) -> Any:
         return self.devices.get(name)
 
     def addDevice(self, deviceClass: str, deviceName: str, **settings: Any) -> MeissnerDevice:
         assert deviceClass == f"{MeissnerDevice.__module__}.MeissnerDevice"
-        self.devices[deviceName] = MeissnerDevice(**settings)
-        return self.devices[deviceName]
+        device = self.devices[deviceName] = MeissnerDevice(**settings)
+        return device
 
 
 def test_components_share_a_device(daemon: meissner.Daemon) -> None:
@@ -392,6 +451,15 @@ def test_components_share_a_device(daemon: meissner.Daemon) -> None:
     second = shared(manager, "display", **settings)
     assert second is not first
     second.close()
+    # An experiment's own code may have added a device of that name.
+    added = manager.addDevice(device_module.CLASS, "display", **settings)
+    assert shared(manager, "display", **settings, simulated=False) is added
+    with pytest.raises(ValueError, match="two values of participant"):
+        shared(manager, "display", **settings, participant="P07")
+    added.close()
+    manager.devices["keys"] = SimpleNamespace()
+    with pytest.raises(ValueError, match="`keys` is a SimpleNamespace: give the component another device name"):
+        shared(manager, "keys", **settings)
 
 
 def test_without_hardware_it_plays_on_a_simulated_array() -> None:

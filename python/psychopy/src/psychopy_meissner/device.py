@@ -12,12 +12,13 @@ import atexit
 import signal
 import sys
 import threading
-from typing import Any
+from typing import Any, NamedTuple
 
 from psychopy import logging
 from psychopy.hardware.base import BaseDevice
 
 import meissner
+from meissner.clocks import MAX_SKEW
 from meissner.errors import Faulted, MeissnerError, NoDevice
 
 CLASS = "psychopy_meissner.device.MeissnerDevice"
@@ -29,6 +30,14 @@ ENDINGS = [getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(si
 def experiment_time() -> float:
     """PsychoPy's clock of the experiment, s: the clock of `tThisFlipGlobal` and of the columns `.started` and `.stopped`."""
     return float(logging.defaultClock.getTime())
+
+
+class ClockReading(NamedTuple):
+    """PsychoPy's clock of the experiment minus `time.monotonic()`, how well that is known, and when it was read, s."""
+
+    offset: float
+    uncertainty: float
+    monotonic: float
 
 
 def _exit(number: int, frame: object) -> None:
@@ -64,8 +73,13 @@ class MeissnerDevice(BaseDevice):
         Raises `meissner.MeissnerError`; the device manager turns it into a `ManagedDeviceError` with the same line.
         """
         self.address, self.simulated = address, simulated
-        self.settings: dict[str, Any] = {}
-        """The settings with which `shared` has added it."""
+        self.settings = {
+            "address": address,
+            "token": token,
+            "simulated": simulated,
+            "checked": checked,
+            "participant": participant,
+        }
         self._session: meissner.Session | None = None
         self._is_closed = False
         _exit_at_signals()
@@ -86,17 +100,21 @@ class MeissnerDevice(BaseDevice):
         """Whether `close` has been called."""
         return self._is_closed
 
-    def onExperimentClock(self, instant: meissner.Instant) -> tuple[float, float]:
-        """An instant on PsychoPy's clock of the experiment, and its uncertainty, s."""
+    def readClock(self) -> ClockReading:
+        """Compare PsychoPy's clock of the experiment with `time.monotonic()`. A pause of PsychoPy sets its clock back."""
         clock = self.client.core.clock
-        return clock.on_other(
-            lambda: round(experiment_time() * NS), instant.monotonic_ns, instant.monotonic_uncertainty
-        )
+        offset_ns, uncertainty_ns = clock.other(lambda: round(experiment_time() * NS))
+        return ClockReading(offset_ns / NS, uncertainty_ns / NS, self.client.now())
 
-    def fromExperimentClock(self, seconds: float) -> float:
-        """A time of PsychoPy's clock of the experiment as the `at` of a play, s."""
-        offset_ns, _ = self.client.core.clock.other(lambda: round(experiment_time() * NS))
-        return seconds - offset_ns / NS
+    def onExperimentClock(self, instant: meissner.Instant, clock: ClockReading | None = None) -> tuple[float, float]:
+        """An instant on PsychoPy's clock of the experiment, and its uncertainty, s. `clock`: as it was then; None: as it is now."""
+        clock = clock or self.readClock()
+        drift = abs(clock.monotonic - instant.monotonic) * MAX_SKEW
+        return instant.monotonic + clock.offset, instant.monotonic_uncertainty + clock.uncertainty + drift
+
+    def fromExperimentClock(self, seconds: float, clock: ClockReading | None = None) -> float:
+        """A time of PsychoPy's clock of the experiment as the `at` of a play, s. `clock`: as above."""
+        return seconds - (clock or self.readClock()).offset
 
     def stop(self) -> None:
         """Stop the running play and clear the queue. If that fails, order an emergency stop, and raise the error."""
@@ -164,14 +182,15 @@ class MeissnerDevice(BaseDevice):
 def shared(manager: Any, name: str, **settings: Any) -> MeissnerDevice:
     """The device of this name, added to PsychoPy's device manager if it is not there or closed.
 
-    Raises `ValueError` if the components of an experiment give one name different settings.
+    Raises `ValueError` if the device of this name has other settings, or is no tactile display.
     """
     device = manager.getDevice(name)
+    if device is not None and not isinstance(device, MeissnerDevice):
+        raise ValueError(f"the device `{name}` is a {type(device).__name__}: give the component another device name")
     if device is None or device.isClosed:
         device = manager.addDevice(CLASS, name, **settings)
-        device.settings = settings
-    elif device.settings != settings:
-        different = [key for key in settings if settings[key] != device.settings.get(key)]
+    different = [key for key, value in settings.items() if device.settings[key] != value]
+    if different:
         raise ValueError(
             f"the device `{name}` has two values of {', '.join(different)}: give the components the same, "
             "or another device name"

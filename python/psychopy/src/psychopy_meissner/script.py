@@ -14,7 +14,7 @@ INIT = """
         address=%(address)s, token=%(token)s, simulated=%(simulatedCode)s,
         checked=%(checked)s, participant=%(participant)s,
     ),
-    ahead=%(ahead)s,
+    %(ahead)s
 )
 runAtExit.insert(0, %(name)s.device.close)
 """
