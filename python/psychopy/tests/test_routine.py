@@ -222,14 +222,14 @@ def test_a_play_without_an_ordered_onset_is_not_cut_when_it_is_nearly_over(devic
 def test_a_refused_play_ends_the_experiment_with_the_daemons_line(device: MeissnerDevice) -> None:
     play = TactilePlay(device)
     play.setPattern("no-such")
-    play.start(None)
     with pytest.raises(meissner.errors.NotFound, match="no-such"):
+        play.start(None)
         play.finish()
     device.estop()
     play.reset()
     play.setPattern("edge-45")
-    play.start(None)
     with pytest.raises(meissner.errors.Faulted):
+        play.start(None)
         play.finish()
 
 
@@ -339,14 +339,19 @@ def test_a_disarm_that_fails_becomes_an_emergency_stop(
         state = other.status()
         assert (state.state, state.raw["session"]) == ("faulted", None)
         other.reset(force=True)
-    # The emergency stop fails, too: the client tries again to disarm.
-    device = MeissnerDevice(daemon.socket, checked="a test")
+    # The emergency stop fails, too: the session's end stops the play, and the client tries again to disarm.
+    device = MeissnerDevice(daemon.socket, checked="a test", participant="P07")
+    device.client.play("edge-45", 60.0)
     monkeypatch.setattr(device.client, "disarm", fail)
     monkeypatch.setattr(device.client, "estop", fail)
+    begun = time.monotonic()
     with pytest.raises(type(error)):
         device.close()
+    assert time.monotonic() - begun < 30
     with meissner.connect(daemon.socket) as other:
-        assert other.status().state in ("disarmed", "returning")
+        state = other.status()
+        assert state.state in ("disarmed", "returning")
+        assert state.raw["session"] is None
 
 
 @pytest.mark.parametrize("end", ["SIGTERM", "SIGHUP", "twice", "error", "end", "fails"])

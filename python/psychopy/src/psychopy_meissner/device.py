@@ -9,6 +9,7 @@ an emergency stop.
 from __future__ import annotations
 
 import atexit
+import contextlib
 import signal
 import sys
 import threading
@@ -136,15 +137,13 @@ class MeissnerDevice(BaseDevice):
             return
         self._is_closed = True
         atexit.unregister(self.close)
-        try:
-            try:
-                if self.client.core.has_armed:
-                    self._disarm()
-            finally:
-                if self._session is not None:
-                    self._session.end()
-        finally:
-            self.client.close()
+        with contextlib.ExitStack() as stack:
+            stack.callback(self.client.close)
+            if self._session is not None:
+                # If disarming fails, the session's end stops the play first, so that it does not wait for its end.
+                stack.push(self._session)
+            if self.client.core.has_armed:
+                self._disarm()
 
     def _disarm(self) -> None:
         try:
