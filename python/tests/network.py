@@ -58,7 +58,7 @@ class Network:
             writer.close()
 
     def cut(self) -> None:
-        """Closes all connections, as a daemon does with idle ones. Then both ends have been told."""
+        """Closes all connections, as a daemon does with idle ones. It returns when both ends are closed."""
 
         async def cut() -> None:
             self._cut()

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 import os
+import re
 import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -17,6 +18,7 @@ import pytest
 
 import environment
 import meissner
+from psychopy_meissner import device as device_module
 from psychopy_meissner import routine as routine_module
 from psychopy_meissner import script
 from psychopy_meissner.device import MeissnerDevice, experiment_time, shared
@@ -129,10 +131,17 @@ def test_a_play_that_is_ordered_ahead_begins_when_planned(
     assert (receipt.onset.tick, receipt.raw["scale"]) == (saved["onset_tick"], 0.5)
 
 
+def until(is_so: Callable[[], bool]) -> None:
+    """Waits, at most 30 s."""
+    deadline = time.monotonic() + 30
+    while not is_so():
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+
+
 def played(play: TactilePlay) -> dict[str, Any]:
     """What a play adds to the data after its own end."""
-    while not play.isOver:
-        time.sleep(0.01)
+    until(lambda: play.isOver)
     return play.finish()
 
 
@@ -150,7 +159,7 @@ def test_a_start_without_notice_is_played_as_soon_as_possible(device: MeissnerDe
 
 
 def test_a_routine_that_ends_early_stops_the_play(device: MeissnerDevice) -> None:
-    saved = routine(TactilePlay(device), "0.05", 0.15, seconds=5.0)
+    saved = routine(TactilePlay(device, ahead=1.0), "0.5", 0.8, seconds=5.0)
     assert (saved["state"], saved["cause"]) == ("stopped", "stop")
     assert saved["offset"] - saved["onset"] < 2.5
     # Ordered ahead, but the routine ended first.
@@ -180,21 +189,47 @@ def test_the_stop_of_the_component_stops_the_play(device: MeissnerDevice) -> Non
 
 
 def test_a_play_that_is_nearly_over_is_not_cut(device: MeissnerDevice) -> None:
-    saved = routine(TactilePlay(device), "0.1", 0.1 + 0.2 - PERIOD)
+    saved = routine(TactilePlay(device, ahead=1.0), "0.5", 0.5 + 0.2 - PERIOD)
     assert saved["state"] == "done"
+
+
+def test_a_play_that_waits_behind_another_is_stopped(device: MeissnerDevice) -> None:
+    device.client.play("edge-45", 10.0)
+    play = TactilePlay(device)
+    play.setPattern("edge-45")
+    play.setSeconds(0.1)
+    play.start(None)
+    until(lambda: play._accepted)
+    time.sleep(0.2)
+    begun = time.monotonic()
+    assert play.finish()["state"] == "stopped"
+    assert time.monotonic() - begun < 5.0
+
+
+def test_a_play_without_an_ordered_onset_is_not_cut_when_it_is_nearly_over(device: MeissnerDevice) -> None:
+    play = TactilePlay(device)
+    play.setPattern("edge-45")
+    play.setSeconds(1.0)
+    play.start(None)
+    until(lambda: play._end < math.inf)
+    time.sleep(max(0.0, play._end - 0.03 - device.client.now()))
+    saved = play.finish()
+    assert saved["state"] == "done"
+    assert play._play is not None
+    assert play._play.onset.monotonic + 1.0 == pytest.approx(play._end, abs=0.01)
 
 
 def test_a_refused_play_ends_the_experiment_with_the_daemons_line(device: MeissnerDevice) -> None:
     play = TactilePlay(device)
     play.setPattern("no-such")
-    play.start(None)
     with pytest.raises(meissner.errors.NotFound, match="no-such"):
+        play.start(None)
         play.finish()
     device.estop()
     play.reset()
     play.setPattern("edge-45")
-    play.start(None)
     with pytest.raises(meissner.errors.Faulted):
+        play.start(None)
         play.finish()
 
 
@@ -203,8 +238,7 @@ def test_an_emergency_stop_by_somebody_is_in_the_data(device: MeissnerDevice) ->
     play.setPattern("edge-45")
     play.setSeconds(5.0)
     play.start(None)
-    while device.client.status().playing is None:
-        time.sleep(0.01)
+    until(lambda: device.client.status().playing is not None)
     device.estop()
     saved = played(play)
     assert (saved["state"], saved["cause"]) == ("stopped", "estop")
@@ -217,6 +251,40 @@ def test_the_time_on_the_experiments_clock_is_right(device: MeissnerDevice) -> N
     onset, uncertainty = device.onExperimentClock(play.onset)
     assert before - uncertainty < onset < experiment_time()
     assert device.fromExperimentClock(onset) == pytest.approx(play.onset.monotonic, abs=1e-4)
+
+
+def test_a_pause_after_the_order_does_not_shift_the_times(
+    device: MeissnerDevice, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    play = TactilePlay(device)
+    play.setPattern("edge-45")
+    play.setSeconds(0.1)
+    play.start(experiment_time() + 1.0)
+    before = device.readClock()
+    # PsychoPy sets its clock back by the pause.
+    monkeypatch.setattr(device_module, "experiment_time", lambda: time.monotonic() + before.offset - 60.0)
+    saved = played(play)
+    assert saved["onset"] == pytest.approx(saved["planned"], abs=saved["onset_uncertainty"] + 1e-4)
+
+
+def test_numbers_of_a_conditions_file_are_played(device: MeissnerDevice) -> None:
+    numpy = pytest.importorskip("numpy", reason="numpy is not installed")
+    play = TactilePlay(device)
+    play.setPattern("edge-45")
+    for seconds, scale in [(1, 1), (numpy.int64(1), numpy.int64(1)), (numpy.float32(0.5), numpy.float64(0.5))]:
+        play.reset()
+        play.setSeconds(seconds)
+        play.setScale(scale)
+        play.start(None)
+        until(lambda: play._accepted or play.isOver)
+        assert play.finish()["scale"] == scale
+
+
+def test_blank_parameters_are_the_defaults(device: MeissnerDevice) -> None:
+    play = TactilePlay(device)
+    play.setSeconds()
+    play.setScale()
+    assert (play.ahead, play.seconds, play.scale) == (0.2, None, 1.0)
 
 
 def test_closing_disarms_and_ends_the_session(daemon: meissner.Daemon) -> None:
@@ -256,37 +324,63 @@ def test_a_stop_that_fails_becomes_an_emergency_stop(device: MeissnerDevice, mon
     assert device.client.status().state == "faulted"
 
 
+@pytest.mark.parametrize("error", [meissner.errors.ConnectionLost("the connection was lost"), KeyboardInterrupt()])
 def test_a_disarm_that_fails_becomes_an_emergency_stop(
-    daemon: meissner.Daemon, monkeypatch: pytest.MonkeyPatch
+    daemon: meissner.Daemon, monkeypatch: pytest.MonkeyPatch, error: BaseException
 ) -> None:
-    device = MeissnerDevice(daemon.socket, checked="a test")
-
     def fail() -> None:
-        raise meissner.errors.ConnectionLost("the connection was lost")
+        raise error
 
+    device = MeissnerDevice(daemon.socket, checked="a test", participant="P07")
     monkeypatch.setattr(device.client, "disarm", fail)
-    with pytest.raises(meissner.errors.ConnectionLost):
+    with pytest.raises(type(error)):
         device.close()
     with meissner.connect(daemon.socket) as other:
-        assert other.status().state == "faulted"
+        state = other.status()
+        assert (state.state, state.raw["session"]) == ("faulted", None)
+        other.reset(force=True)
+    # The emergency stop fails, too: the session's end stops the play, and the client tries again to disarm.
+    device = MeissnerDevice(daemon.socket, checked="a test", participant="P07")
+    device.client.play("edge-45", 60.0)
+    monkeypatch.setattr(device.client, "disarm", fail)
+    monkeypatch.setattr(device.client, "estop", fail)
+    begun = time.monotonic()
+    with pytest.raises(type(error)):
+        device.close()
+    assert time.monotonic() - begun < 30
+    with meissner.connect(daemon.socket) as other:
+        state = other.status()
+        assert state.state in ("disarmed", "returning")
+        assert state.raw["session"] is None
 
 
-@pytest.mark.parametrize("end", ["SIGTERM", "error", "end"])
+@pytest.mark.parametrize("end", ["SIGTERM", "SIGHUP", "twice", "error", "end", "fails"])
 def test_the_motors_are_off_however_the_script_ends(daemon: meissner.Daemon, end: str) -> None:
     code = f"""
-import environment, sys, time
+import environment, os, signal, sys, time
 from psychopy_meissner.device import MeissnerDevice
 from psychopy_meissner.routine import TactilePlay
+signal.signal(signal.SIGHUP, signal.SIG_DFL)  # `nohup` has it ignored.
 play = TactilePlay(MeissnerDevice({daemon.socket!r}, checked="a test"))
+client = play.device.client
+disarm = client.disarm
+def interrupted():
+    if {end!r} == "fails":
+        raise RuntimeError("the disarm has failed")
+    if {end!r} == "twice":
+        os.kill(os.getpid(), signal.SIGTERM)
+    disarm()
+client.disarm = interrupted
 play.setPattern("edge-45")
 play.setSeconds(60.0)
 play.start(None)
-while not play._accepted:
+deadline = time.monotonic() + 30
+while not play._accepted and time.monotonic() < deadline:
     time.sleep(0.01)
 print("playing", flush=True)
 if {end!r} == "error":
     raise RuntimeError("an error of the experiment")
-if {end!r} == "SIGTERM":
+if {end!r} in ("SIGTERM", "SIGHUP", "twice"):
     time.sleep(60)
 """
     # Coverage would handle SIGTERM itself.
@@ -300,29 +394,54 @@ if {end!r} == "SIGTERM":
     )
     assert child.stdout is not None
     first = child.stdout.readline()
-    if end == "SIGTERM":
-        os.kill(child.pid, signal.SIGTERM)
+    number = {"SIGTERM": signal.SIGTERM, "SIGHUP": signal.SIGHUP, "twice": signal.SIGTERM}.get(end)
+    if number is not None:
+        os.kill(child.pid, number)
     _, errors = child.communicate(timeout=30)
     assert first == "playing\n", errors
-    assert child.returncode == {"SIGTERM": 143, "error": 1, "end": 0}[end]
+    assert child.returncode == (128 + number if number is not None else int(end == "error")), errors
     with meissner.connect(daemon.socket) as other:
-        assert other.status().state in ("disarmed", "returning")
+        # Only a disarm that fails becomes an emergency stop.
+        assert other.status().state in (["faulted"] if end == "fails" else ["disarmed", "returning"]), errors
         assert other.receipt().state == "stopped"
+
+
+BOOK = Path(__file__).parents[3] / "docs" / "how-to"
+
+
+@pytest.mark.skipif(not BOOK.exists(), reason="the book is in the repository only")
+def test_the_page_of_the_book_runs(tmp_path: Path) -> None:
+    found = re.findall(r"```py\n(.*?)```", (BOOK / "psychopy.md").read_text(encoding="utf-8"), re.DOTALL)
+    assert found
+    for block in found:
+        ended = subprocess.run(
+            [sys.executable, "-c", f"import environment\n{block}"],
+            cwd=tmp_path,
+            env={**os.environ, "PYTHONPATH": os.pathsep.join([str(ENVIRONMENT), *sys.path])},
+            capture_output=True,
+            text=True,
+            check=False,
+            timeout=120,
+        )
+        assert ended.returncode == 0, block + ended.stderr
+        onset, uncertainty = (float(number) for number in ended.stdout.split())
+        assert 0.5 < onset < 60
+        assert uncertainty < 0.1
 
 
 class Manager:
     """The two methods of PsychoPy's device manager that `shared` calls."""
 
     def __init__(self) -> None:
-        self.devices: dict[str, MeissnerDevice] = {}
+        self.devices: dict[str, Any] = {}
 
-    def getDevice(self, name: str) -> MeissnerDevice | None:
+    def getDevice(self, name: str) -> Any:
         return self.devices.get(name)
 
     def addDevice(self, deviceClass: str, deviceName: str, **settings: Any) -> MeissnerDevice:
         assert deviceClass == f"{MeissnerDevice.__module__}.MeissnerDevice"
-        self.devices[deviceName] = MeissnerDevice(**settings)
-        return self.devices[deviceName]
+        device = self.devices[deviceName] = MeissnerDevice(**settings)
+        return device
 
 
 def test_components_share_a_device(daemon: meissner.Daemon) -> None:
@@ -337,6 +456,15 @@ def test_components_share_a_device(daemon: meissner.Daemon) -> None:
     second = shared(manager, "display", **settings)
     assert second is not first
     second.close()
+    # An experiment's own code may have added a device of that name.
+    added = manager.addDevice(device_module.CLASS, "display", **settings)
+    assert shared(manager, "display", **settings, simulated=False) is added
+    with pytest.raises(ValueError, match="two values of participant"):
+        shared(manager, "display", **settings, participant="P07")
+    added.close()
+    manager.devices["keys"] = SimpleNamespace()
+    with pytest.raises(ValueError, match="`keys` is a SimpleNamespace: give the component another device name"):
+        shared(manager, "keys", **settings)
 
 
 def test_without_hardware_it_plays_on_a_simulated_array() -> None:

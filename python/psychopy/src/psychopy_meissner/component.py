@@ -67,7 +67,7 @@ class MeissnerComponent(BaseComponent):
         self.params["pattern"] = Param(
             "edge-45", valType="str", label="Pattern", hint="Name of a pattern of the daemon", **stimulus, **repeats
         )
-        # `code`, not `num`: it takes `$duration` as well as `duration`, and a blank one calls the setter without argument.
+        # `code`, not `num`: it takes `$duration` as well as `duration`, and a blank one means no argument.
         self.params["seconds"] = Param(
             0.3, valType="code", label="Seconds", hint="Duration, s. Blank: that of the pattern", **stimulus, **repeats
         )
@@ -76,9 +76,9 @@ class MeissnerComponent(BaseComponent):
         )
         self.params["ahead"] = Param(
             0.2,
-            valType="num",
+            valType="code",
             label="Order ahead (s)",
-            hint="How long before its start the play is ordered, s: the daemon keeps an onset that it learns in time",
+            hint="Order this long before the start, so that the onset can be kept. Blank: 0.2",
             **stimulus,
         )
         self.params["deviceName"] = Param(
@@ -111,12 +111,16 @@ class MeissnerComponent(BaseComponent):
     def _fill(self, text: str) -> str:
         """The lines with this component's parameters."""
         sync = bool(self.params["syncScreenRefresh"].val)
-        start = str(self.params["startVal"])
+        start, simulated = str(self.params["startVal"]), self.params["simulated"].val
+        if simulated not in SIMULATED:
+            raise ValueError(
+                f"`Simulated array` of the component `{self.params['name']}` is `{simulated}`: choose {', '.join(SIMULATED)}"
+            )
         if self.params["startType"].val == "frame N":
             start = f"tThisFlip + ({start} - frameN) * win.monitorFramePeriod"
         return text % {
             **self.params,
-            "simulatedCode": SIMULATED[self.params["simulated"].val],
+            "simulatedCode": SIMULATED[simulated],
             "startCode": start,
             "periodCode": "win.monitorFramePeriod" if sync else "None",
             "onsetCode": "tThisFlipGlobal" if sync else "None",

@@ -2,24 +2,30 @@
 
 `shared` gives all components of an experiment the same device. `MeissnerDevice.client` is the client of the package `meissner`.
 
-Invariant: after `close`, and at the end of Python, the motors that this device has armed are off.
+Invariant: after `close`, and at the end of Python, the motors that this device has armed are off. If disarming fails, it orders
+an emergency stop.
 """
 
 from __future__ import annotations
 
+import atexit
+import contextlib
 import signal
 import sys
 import threading
-from typing import Any
+from typing import Any, NamedTuple
 
 from psychopy import logging
 from psychopy.hardware.base import BaseDevice
 
 import meissner
+from meissner.clocks import MAX_SKEW
 from meissner.errors import Faulted, MeissnerError, NoDevice
 
 CLASS = "psychopy_meissner.device.MeissnerDevice"
 NS = 1_000_000_000
+ENDINGS = [getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]
+"""Signals that end a program. Windows has no SIGHUP."""
 
 
 def experiment_time() -> float:
@@ -27,11 +33,30 @@ def experiment_time() -> float:
     return float(logging.defaultClock.getTime())
 
 
-def _exit_at_sigterm() -> None:
-    """Lets SIGTERM end Python as `sys.exit` does. By default it kills the program at once, with the motors armed."""
-    is_main = threading.current_thread() is threading.main_thread()
-    if is_main and signal.getsignal(signal.SIGTERM) is signal.SIG_DFL:
-        signal.signal(signal.SIGTERM, lambda number, frame: sys.exit(128 + number))
+class ClockReading(NamedTuple):
+    """PsychoPy's clock of the experiment minus `time.monotonic()`, how well that is known, and when it was read, s."""
+
+    offset: float
+    uncertainty: float
+    monotonic: float
+
+
+def _exit(number: int, frame: object) -> None:
+    # Another signal would interrupt the disarming.
+    for ending in ENDINGS:
+        signal.signal(ending, signal.SIG_IGN)
+    sys.exit(128 + number)
+
+
+def _exit_at_signals() -> None:
+    """Lets SIGTERM, and SIGHUP of a closed terminal, end Python as `sys.exit` does.
+
+    By default they kill the program at once, with the motors armed.
+    """
+    if threading.current_thread() is threading.main_thread():
+        for number in ENDINGS:
+            if signal.getsignal(number) is signal.SIG_DFL:
+                signal.signal(number, _exit)
 
 
 class MeissnerDevice(BaseDevice):
@@ -49,12 +74,19 @@ class MeissnerDevice(BaseDevice):
         Raises `meissner.MeissnerError`; the device manager turns it into a `ManagedDeviceError` with the same line.
         """
         self.address, self.simulated = address, simulated
-        self.settings: dict[str, Any] = {}
-        """The settings with which `shared` has added it."""
+        self.settings = {
+            "address": address,
+            "token": token,
+            "simulated": simulated,
+            "checked": checked,
+            "participant": participant,
+        }
         self._session: meissner.Session | None = None
         self._is_closed = False
-        _exit_at_sigterm()
+        _exit_at_signals()
         self.client = meissner.demo() if simulated else meissner.connect(address or None, token=token or None)
+        # It runs before the client's own exit handler, which disarms without an emergency stop.
+        atexit.register(self.close)
         try:
             if participant:
                 self._session = self.client.session(participant, exclusive=True)
@@ -69,17 +101,21 @@ class MeissnerDevice(BaseDevice):
         """Whether `close` has been called."""
         return self._is_closed
 
-    def onExperimentClock(self, instant: meissner.Instant) -> tuple[float, float]:
-        """An instant on PsychoPy's clock of the experiment, and its uncertainty, s."""
+    def readClock(self) -> ClockReading:
+        """Compare PsychoPy's clock of the experiment with `time.monotonic()`. A pause of PsychoPy sets its clock back."""
         clock = self.client.core.clock
-        return clock.on_other(
-            lambda: round(experiment_time() * NS), instant.monotonic_ns, instant.monotonic_uncertainty
-        )
+        offset_ns, uncertainty_ns = clock.other(lambda: round(experiment_time() * NS))
+        return ClockReading(offset_ns / NS, uncertainty_ns / NS, self.client.now())
 
-    def fromExperimentClock(self, seconds: float) -> float:
-        """A time of PsychoPy's clock of the experiment as the `at` of a play, s."""
-        offset_ns, _ = self.client.core.clock.other(lambda: round(experiment_time() * NS))
-        return seconds - offset_ns / NS
+    def onExperimentClock(self, instant: meissner.Instant, clock: ClockReading | None = None) -> tuple[float, float]:
+        """An instant on PsychoPy's clock of the experiment, and its uncertainty, s. `clock`: as it was then; None: as it is now."""
+        clock = clock or self.readClock()
+        drift = abs(clock.monotonic - instant.monotonic) * MAX_SKEW
+        return instant.monotonic + clock.offset, instant.monotonic_uncertainty + clock.uncertainty + drift
+
+    def fromExperimentClock(self, seconds: float, clock: ClockReading | None = None) -> float:
+        """A time of PsychoPy's clock of the experiment as the `at` of a play, s. `clock`: as above."""
+        return seconds - (clock or self.readClock()).offset
 
     def stop(self) -> None:
         """Stop the running play and clear the queue. If that fails, order an emergency stop, and raise the error."""
@@ -100,25 +136,26 @@ class MeissnerDevice(BaseDevice):
         if self._is_closed:
             return
         self._is_closed = True
-        try:
+        atexit.unregister(self.close)
+        with contextlib.ExitStack() as stack:
+            stack.callback(self.client.close)
+            if self._session is not None:
+                # If disarming fails, the session's end stops the play first, so that it does not wait for its end.
+                stack.push(self._session)
             if self.client.core.has_armed:
                 self._disarm()
-            if self._session is not None:
-                self._session.end()
-        finally:
-            self.client.close()
 
     def _disarm(self) -> None:
         try:
             self.client.disarm()
         except (Faulted, NoDevice):
             pass  # The lines are off.
-        except MeissnerError:
+        except BaseException:  # Ctrl-C, too.
             self.client.estop()
-            raise
-        finally:
-            # So that closing the client does not try it again.
             self.client.core.has_armed = False
+            raise
+        # So that closing the client does not try it again. If the emergency stop fails, too, it does.
+        self.client.core.has_armed = False
 
     def isSameDevice(self, other: object) -> bool:
         """Whether this device, or the dict of settings, is the same display."""
@@ -144,14 +181,15 @@ class MeissnerDevice(BaseDevice):
 def shared(manager: Any, name: str, **settings: Any) -> MeissnerDevice:
     """The device of this name, added to PsychoPy's device manager if it is not there or closed.
 
-    Raises `ValueError` if the components of an experiment give one name different settings.
+    Raises `ValueError` if the device of this name has other settings, or is no tactile display.
     """
     device = manager.getDevice(name)
+    if device is not None and not isinstance(device, MeissnerDevice):
+        raise ValueError(f"the device `{name}` is a {type(device).__name__}: give the component another device name")
     if device is None or device.isClosed:
         device = manager.addDevice(CLASS, name, **settings)
-        device.settings = settings
-    elif device.settings != settings:
-        different = [key for key in settings if settings[key] != device.settings.get(key)]
+    different = [key for key, value in settings.items() if device.settings[key] != value]
+    if different:
         raise ValueError(
             f"the device `{name}` has two values of {', '.join(different)}: give the components the same, "
             "or another device name"

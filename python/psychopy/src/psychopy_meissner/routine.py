@@ -10,13 +10,14 @@ from __future__ import annotations
 
 import math
 import threading
+import time
 from typing import TYPE_CHECKING, Any
 
 import meissner
 from meissner.errors import MeissnerError, TooSoon
 
 if TYPE_CHECKING:
-    from .device import MeissnerDevice
+    from .device import ClockReading, MeissnerDevice
 
 GRACE = 0.05
 """A play that ends by itself within this time is not stopped, s: its last strokes would be lost to the length of a frame."""
@@ -27,9 +28,9 @@ PATIENCE = 15.0
 class TactilePlay:
     """What the component is in the script: PsychoPy sets `status` and the times of frames, the rest is the play."""
 
-    def __init__(self, device: MeissnerDevice, ahead: float = 0.2) -> None:
-        """`ahead`: how long before its start the play is ordered, s."""
-        self.device, self.ahead = device, ahead
+    def __init__(self, device: MeissnerDevice, ahead: float | None = None) -> None:
+        """`ahead`: how long before its start the play is ordered, s; None: 0.2."""
+        self.device, self.ahead = device, 0.2 if ahead is None else ahead
         self.status: Any = None
         self.pattern, self.scale = "", 1.0
         self.seconds: float | None = None
@@ -39,10 +40,12 @@ class TactilePlay:
         """Forget the play of the routine before."""
         self.planned: float | None = None
         """The planned onset on PsychoPy's clock, s; None: as soon as possible."""
+        self._clock: ClockReading | None = None
+        """PsychoPy's clock when the play was ordered: a pause sets that clock back later."""
         self._thread: threading.Thread | None = None
         self._accepted, self._over, self._is_stopping = False, threading.Event(), False
         self._play: meissner.Play | None = None
-        self._end = 0.0
+        self._end = math.inf
         self._error: BaseException | None = None
 
     def setPattern(self, pattern: str) -> None:
@@ -51,11 +54,12 @@ class TactilePlay:
 
     def setSeconds(self, seconds: float | None = None) -> None:
         """Duration, s; None: the pattern's."""
-        self.seconds = seconds
+        # A conditions file gives numbers of NumPy, which JSON does not take.
+        self.seconds = None if seconds is None else float(seconds)
 
     def setScale(self, scale: float | None = None) -> None:
         """Factor of the amplitudes, 0 to 1; None: 1."""
-        self.scale = 1.0 if scale is None else scale
+        self.scale = 1.0 if scale is None else float(scale)
 
     def plan(self, start: float, flip: float, flip_global: float, period: float | None = None) -> None:
         """Order the play if its start is near enough.
@@ -79,7 +83,8 @@ class TactilePlay:
 
     def _order(self, onset: float | None) -> None:
         self.planned = onset
-        at = None if onset is None else self.device.fromExperimentClock(onset)
+        self._clock = self.device.readClock()
+        at = None if onset is None else self.device.fromExperimentClock(onset, self._clock)
         self._thread = threading.Thread(target=self._run, args=(at,), name="meissner-play", daemon=True)
         self._thread.start()
 
@@ -93,10 +98,18 @@ class TactilePlay:
                     return
                 at = None
                 play = client.play(self.pattern, self.seconds, scale=self.scale)
-            self._end = (client.now() if at is None else at) + (play.ordered_s or 0.0)
+            duration = math.inf if play.ordered_s is None else play.ordered_s
+            if at is not None:
+                self._end = at + duration
             self._play, self._accepted = play, True
             if self._is_stopping:
                 self._stop_unless_ending()
+            # Without an ordered onset the play may wait behind another: only the receipt tells when it begins.
+            while at is None and not (receipt := play.refresh()).is_over:
+                if receipt.onset is not None:
+                    self._end = receipt.onset.monotonic + duration
+                    break
+                time.sleep(0.02)
             play.wait(check=False)
         except BaseException as error:
             self._error = error
@@ -151,6 +164,6 @@ class TactilePlay:
         }
         for name, instant in (("onset", receipt.onset), ("offset", receipt.offset)):
             if instant is not None:
-                columns[name], columns[f"{name}_uncertainty"] = self.device.onExperimentClock(instant)
+                columns[name], columns[f"{name}_uncertainty"] = self.device.onExperimentClock(instant, self._clock)
                 columns[f"{name}_tick"] = instant.tick
         return columns

@@ -7,16 +7,16 @@ IMPORTS = (("shared", "psychopy_meissner.device", "meissnerDevice"), ("TactilePl
 """Name, module, and the name in the script, if another."""
 
 INIT = """
-# connect %(name)s to the display; the motors are switched off at the end
+# connect %(name)s to the display; at the end the motors are switched off first
 %(name)s = TactilePlay(
     meissnerDevice(
         deviceManager, %(deviceName)s,
         address=%(address)s, token=%(token)s, simulated=%(simulatedCode)s,
         checked=%(checked)s, participant=%(participant)s,
     ),
-    ahead=%(ahead)s,
+    %(ahead)s
 )
-runAtExit.append(%(name)s.device.close)
+runAtExit.insert(0, %(name)s.device.close)
 """
 
 ROUTINE_START = "%(name)s.reset()\n"
