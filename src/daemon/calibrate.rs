@@ -13,7 +13,7 @@ use super::state::State;
 use crate::receipts::refusal;
 use crate::session_record::Peer;
 use crate::store::Stored;
-use meissner_api::{CalibrationReport, Code, Event, PlayAccepted, PlayRequest, Problem};
+use meissner_api::{Code, Event, PlayAccepted, PlayRequest, Problem};
 use meissner_array::strokes::Surplus;
 use meissner_input::message::quote;
 use meissner_stream::calibrate::{Calibration, Plan};
@@ -103,11 +103,8 @@ impl Engine {
         answer(reply, TIMEOUT).await.map(|()| accepted)
     }
 
-    /// Stores a calibration that was measured elsewhere, and uses it.
-    pub(super) async fn import_calibration(
-        self: &Arc<Self>,
-        new: Calibration,
-    ) -> Result<CalibrationReport, Problem> {
+    /// Stores a calibration that was measured elsewhere, and uses it. Returns the document of `GET /v1/calibration`.
+    pub(super) async fn import_calibration(self: &Arc<Self>, new: Calibration) -> Result<Vec<u8>, Problem> {
         self.lock().check_asker()?;
         let engine = Arc::clone(self);
         let used = blocking(move || {
@@ -119,11 +116,12 @@ impl Engine {
                     return Err(refusal(CommandError::Playing));
                 }
                 Ok(())
-            })
+            })?;
+            engine.calibration_json()
         });
         let used = used.await?;
         self.changed.notify_one();
-        used.and_then(|()| self.calibration())
+        used
     }
 
     /// Adds a calibration of the connected device to the stored one, in the file and in use. One at a time: each keeps the motors of
@@ -163,10 +161,13 @@ impl Engine {
         sent.map_err(|_| Problem::new(Code::Busy, busy))
     }
 
-    /// `GET /v1/calibration`.
-    pub(super) fn calibration(&self) -> Result<CalibrationReport, Problem> {
-        let state = self.lock();
-        report(state.calibration.file.as_ref(), &state.calibration.stored)
+    /// The document of `GET /v1/calibration`. It takes milliseconds for a long file.
+    pub(super) fn calibration_json(&self) -> Result<Vec<u8>, Problem> {
+        let (file, stored) = {
+            let state = self.lock();
+            (state.calibration.file.clone(), state.calibration.stored.clone())
+        };
+        Ok(serde_json::to_vec(&report(file.as_ref(), &stored)?).unwrap_or_default())
     }
 
     /// Fits and stores the calibration that this play measured, if it was one and is over.

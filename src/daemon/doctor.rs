@@ -1,12 +1,12 @@
 //! Runs the doctor's checks ([`crate::doctor`]) inside of the daemon.
 //!
-//! They read files and wait for systemd, so they run on a thread for disks.
+//! They read files and wait for systemd, so they run on a blocking thread.
 //!
 //! Invariant: one check runs at a time, also when its client has hung up. Requests that come meanwhile share the next one, so a
-//! request waits for two at most.
+//! request waits for at most two checks, and for [`TIMEOUT`] at most.
 
 use super::runtime::blocking;
-use meissner_api::{DoctorReport, Problem};
+use meissner_api::{Code, DoctorReport, Problem};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 use tokio::sync::Mutex;
@@ -14,7 +14,10 @@ use tokio::sync::Mutex;
 /// From one check to the next, at least: a client that asks without a pause must not keep a processor busy with `systemctl`.
 const PERIOD: Duration = Duration::from_millis(250);
 
-/// The last report, and when its check began. The one who holds the lock checks.
+/// How long a request waits for its report: two checks wait for systemd for 3 s each, then something else hangs.
+const TIMEOUT: Duration = Duration::from_secs(10);
+
+/// The last report, and when its check began. The holder of the lock runs the check.
 type Last = Arc<Mutex<Option<(Instant, DoctorReport)>>>;
 
 /// See the module.
@@ -24,6 +27,15 @@ pub(super) struct Doctor(Last);
 impl Doctor {
     /// A report of checks that begin from now on.
     pub(super) async fn report(
+        &self,
+        checks: impl FnOnce() -> DoctorReport + Send + 'static,
+    ) -> Result<DoctorReport, Problem> {
+        let late =
+            |_| Problem::new(Code::Timeout, "the checks hang: run `meissner doctor` on the daemon's machine");
+        tokio::time::timeout(TIMEOUT, self.checked(checks)).await.map_err(late)?
+    }
+
+    async fn checked(
         &self,
         checks: impl FnOnce() -> DoctorReport + Send + 'static,
     ) -> Result<DoctorReport, Problem> {
@@ -87,8 +99,11 @@ mod tests {
             let (answers, ()) = tokio::join!(asked, freed);
             assert!(answers.iter().all(Result::is_ok));
             assert_eq!(begun.load(Ordering::SeqCst), 1);
+            let last = Instant::now();
             ask().await.unwrap();
             assert_eq!(begun.load(Ordering::SeqCst), 2, "a report is not older than its request");
+            ask().await.unwrap();
+            assert!(last.elapsed() >= PERIOD, "a client that asks without a pause waits between two checks");
         });
     }
 }

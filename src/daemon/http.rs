@@ -14,7 +14,7 @@ use super::estop::Origin;
 use super::metrics;
 use super::network;
 use super::page;
-use super::patterns::{self, SharedStore, find, import_place};
+use super::patterns::{self, SharedStore, find, import_place, json_response};
 use super::request_log::LoggedRequest;
 use super::runtime::computing;
 use super::search;
@@ -36,9 +36,8 @@ use axum::routing::{MethodFilter, MethodRouter, on};
 use axum::{Json, Router};
 use futures_util::stream::{self, StreamExt};
 use meissner_api::{
-    ArmRequest, CalibrateRequest, CalibrationReport, Code, DoctorReport, Event, MAX_BODY, MAX_WAIT_S,
-    PlayAccepted, PlayRequest, Problem, REFERENCE, Receipt, ResetRequest, Route, SequenceRequest, Status,
-    parse_empty,
+    ArmRequest, CalibrateRequest, Code, DoctorReport, Event, MAX_BODY, MAX_WAIT_S, PlayAccepted, PlayRequest,
+    Problem, REFERENCE, Receipt, ResetRequest, Route, SequenceRequest, Status, parse_empty,
 };
 use meissner_stream::calibrate::{Calibration, MAX_BYTES as MAX_CALIBRATION};
 use meissner_stream::queues::Command;
@@ -270,15 +269,17 @@ async fn calibrate(
     logged.result(result)
 }
 
-async fn calibration(State(app): State<App>) -> Answer<Json<CalibrationReport>> {
-    Ok(Json(app.engine.calibration()?))
+async fn calibration(State(app): State<App>) -> Answer<Response> {
+    // The document of a long file takes milliseconds, in which an emergency stop must not wait.
+    let json = computing(move || app.engine.calibration_json()).await??;
+    Ok(json_response(json.into()))
 }
 
 async fn store_calibration(
     State(app): State<App>,
     Extension(peer): Extension<Peer>,
     body: Body,
-) -> Answer<Json<CalibrationReport>> {
+) -> Answer<Response> {
     let mut logged = LoggedRequest::new(&app.engine, "store-calibration", peer);
     let result = async {
         let bad = |detail: String| Problem::new(Code::BadRequest, detail);
@@ -288,7 +289,7 @@ async fn store_calibration(
         let new = new.map_err(|error| bad(error.to_string()))?;
         let motors: Vec<u8> = new.motors().iter().map(|fit| fit.motor).collect();
         logged.set_arguments(&json!({"motors": motors, "telemetry": new.provenance().telemetry}));
-        Ok::<_, ErrorResponse>(Json(app.engine.import_calibration(new).await?))
+        Ok::<_, ErrorResponse>(json_response(app.engine.import_calibration(new).await?.into()))
     }
     .await;
     logged.result(result)
@@ -403,7 +404,8 @@ async fn status(State(app): State<App>) -> Json<Status> {
     Json(app.engine.status())
 }
 
-async fn doctor(State(app): State<App>) -> Answer<Json<DoctorReport>> {
+async fn doctor(State(app): State<App>, Extension(peer): Extension<Peer>) -> Answer<Json<DoctorReport>> {
+    let _place = app.waiting_place(peer)?;
     let engine = Arc::clone(&app.engine);
     let checks = move || check(std::path::Path::new("/"), &engine.status());
     Ok(Json(app.engine.doctor.report(checks).await?))

@@ -111,7 +111,7 @@ pub(super) async fn show(
     Ok(json_response(Bytes::from_owner(json)))
 }
 
-fn json_response(json: Bytes) -> Response {
+pub(super) fn json_response(json: Bytes) -> Response {
     ([(CONTENT_TYPE, "application/json")], json).into_response()
 }
 

@@ -1,7 +1,7 @@
 //! The doctor's checks that command and daemon share: of the machine, of a daemon, and of its device.
 //!
 //! `meissner doctor` makes them for the machine it runs on and the daemon it reaches; `GET /v1/doctor` makes them inside of the
-//! daemon ([`check`]). Checks of one's own rights, of timers and of a device without a daemon belong to the command (`cli/doctor`).
+//! daemon ([`check`]). Checks of the user's rights, of timers and of a device without a daemon belong to the command (`cli/doctor`).
 //!
 //! - [`host`], [`service`], [`port`]: the machine. - [`rights`], [`daemon`]: a daemon, by its status. - [`device`]: its device.
 //!
@@ -18,7 +18,7 @@ use meissner_api::{DoctorReport, Finding, Status};
 use service::Units;
 use std::path::Path;
 
-/// All of them, for a daemon that runs on this machine. Waits for the disk, and up to 3 s for systemd.
+/// Runs every check for a daemon that runs on this machine. Waits for the disk, and up to 3 s for systemd.
 pub(crate) fn check(root: &Path, status: &Status) -> DoctorReport {
     let units = service::units(root);
     let mut findings = machine(root, &units);

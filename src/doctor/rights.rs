@@ -7,9 +7,13 @@ use meissner_stream::device::priority::FIFO_PRIORITY;
 use std::fs;
 use std::path::Path;
 
-/// What gives a user real-time rights where no service manager does.
-pub(crate) const LIMITS: &str = "`printf '%s - rtprio 60\\n%s - memlock unlimited\\n' $USER $USER | sudo tee \
-                                 /etc/security/limits.d/90-meissner.conf`, then log in again";
+/// What gives a user real-time rights where no service manager does. `user`: a name, or what the shell puts in its place.
+pub(crate) fn limits(user: &str) -> String {
+    format!(
+        "`printf '%s - rtprio 60\\n%s - memlock unlimited\\n' {user} {user} | sudo tee \
+         /etc/security/limits.d/90-meissner.conf`, then log in again"
+    )
+}
 
 /// What the kernel allows a process: soft limits, as the kernel writes them.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -74,7 +78,10 @@ pub(super) fn of_daemon(
              this is a container"
                 .to_owned()
         }
-        (false, false) => format!("{LIMITS}, and start the daemon again"),
+        (false, false) => {
+            let limits = self::limits("USER");
+            format!("with the daemon's user for USER: {limits}, and start the daemon again")
+        }
         (false, true) => "its limits would allow it: start the daemon again, unless this is a container".to_owned(),
     };
     Some(Finding::warn(WHAT, found, advice))

@@ -248,7 +248,7 @@ fn a_file_is_read_back_as_the_same_calibration() {
     let fits = fit(&measured(&Plan::default(), SimulatedMotorsConfig::default())).unwrap();
     let all = Calibration::new(fits.clone(), provenance()).unwrap();
     let text = all.to_toml();
-    assert!(text.starts_with("format = 1\n") && text.len() < MAX_BYTES, "{text}");
+    assert!(text.starts_with("format = 2\n") && text.len() < MAX_BYTES, "{text}");
     assert_eq!(Calibration::parse(&text, "c.toml").as_ref(), Ok(&all), "{text}");
     assert_eq!(Calibration::parse(&format!("\u{feff}{text}"), "c.toml").as_ref(), Ok(&all));
     assert_eq!((all.motors(), all.provenance()), (&fits[..], &provenance()));
@@ -265,19 +265,39 @@ fn a_file_is_read_back_as_the_same_calibration() {
 }
 
 #[test]
-fn a_file_keeps_the_measured_points_of_the_longest_plan() {
-    let point = |pulses| FitPoint { pulses, travel_um: 27.143, sd_um: 12.714, bursts: 18 };
+fn the_longest_calibration_is_written_and_read_again() {
+    let point = |pulses| FitPoint { pulses, travel_um: -99.999, sd_um: 99.999, bursts: 10_000 };
     let points: Vec<_> = (101..=200).map(point).collect();
-    let good = Calibration::parse(FILE, "good.toml").unwrap().motors()[0].clone();
-    assert!(good.up_points.is_empty(), "files of older versions have none");
+    let mut good = Calibration::parse(FILE, "good.toml").unwrap().motors()[0].clone();
+    assert!(good.up_points.is_empty(), "files of format 1 have none");
+    for fit in [&mut good.up, &mut good.down] {
+        fit.bursts = 1_000_000;
+        (fit.slope_um_per_pulse, fit.slope_se_um_per_pulse) =
+            (0.140_123_456_789_012_3, 1.234_567_890_123_456_7e-12);
+        (fit.offset_um, fit.relative_sd) = (-1.234_567_890_123_456_7e-12, 1.234_567_890_123_456_7e-12);
+    }
     let motor =
         |motor| MotorFit { motor, up_points: points.clone(), down_points: points.clone(), ..good.clone() };
-    let words = "µ".repeat(200);
-    let made = Provenance { device: words.clone(), firmware: words.clone(), identity: words, ..provenance() };
+    let words = "\u{1}".repeat(200);
+    let of = |words: &String| words.clone();
+    let (device, firmware, identity, telemetry) = (of(&words), of(&words), of(&words), of(&words));
+    let made = Provenance { device, firmware, identity, telemetry, date: Some(words), ..provenance() };
     let all = Calibration::new((0..24).map(motor).collect(), made).unwrap();
     let text = all.to_toml();
-    assert!(text.len() < MAX_BYTES && text.contains("[101, 27.143, 12.714, 18]"), "{}", text.len());
+    assert!(text.len() < MAX_BYTES && text.contains("[101, -99.999, 99.999, 10000]"), "{}", text.len());
     assert_eq!(Calibration::parse(&text, "c.toml"), Ok(all));
+
+    // Digits that no measurement has would make the file too long to be read again.
+    let digits = |um: f64| {
+        FILE.replace("blocks = 180\n", &format!("blocks = 180\npoints = [[7, {um:.300}, {um:.300}, 180]]\n"))
+    };
+    let read = Calibration::parse(&digits(1e-280), "c.toml").unwrap();
+    assert_eq!(
+        (read.motors()[0].up_points[0].travel_um, read.to_toml().len() < 1200),
+        (0.0, true),
+        "{}",
+        read.to_toml()
+    );
 }
 
 const FILE: &str = r#"format = 1
@@ -311,8 +331,8 @@ um_per_pulse = 0.13571428571428570
 "#;
 
 const MISTAKES: &str = r#"
-format = 1 =>  => 1: `format` is missing: add format = 1
-format = 1 => format = 2⏎new = 1 => 1: `format` is 2: this version reads format = 1
+format = 1 =>  => 1: `format` is missing: add format = 2
+format = 1 => format = 3⏎new = 1 => 1: `format` is 3: this version reads format = 1 and 2
 format = 1 => format = "1" => 1: `format` is string "1": must be a whole number, 0 or more
 format = 1 => format = 1⏎motors = 1 => 2: unknown key `motors`: did you mean `motor`?
 motor = 3 => motr = 3 => 4: `motor[0]`: unknown key `motr`: did you mean `motor`?
@@ -332,8 +352,10 @@ gain = 1.05⏎slope_um_per_pulse = 0.1425 => gain = nan⏎slope_um_per_pulse = n
 slope_se_um_per_pulse = 0.001⏎offset_um = 0.01 => slope_se_um_per_pulse = 0.01⏎offset_um = 0.01 => 8: `motor[0].up.slope_se_um_per_pulse` is 0.01: must be 0 to 5 % of the slope
 offset_um = -0.01 => offset_um = -inf => 16: `motor[0].down.offset_um` is -inf: must be -100 to 100 um
 relative_sd = 0.1⏎ => relative_sd = -0.1⏎ => 10: `motor[0].up.relative_sd` is -0.1: must be 0 to 1
-blocks = 180⏎⏎ => blocks = 9⏎⏎ => 18: `motor[0].down.blocks` is 9: must be 10 or more
+blocks = 180⏎⏎ => blocks = 9⏎⏎ => 18: `motor[0].down.blocks` is 9: must be 10 to 1000000
 blocks = 180⏎⏎ => blocks = 180⏎points = [[6, 1.0, 0.1, 9]]⏎⏎ => 19: `motor[0].down.points[0][0]` is 6: must be 7 to 200
+blocks = 180⏎⏎ => blocks = 180⏎points = [[7, 1.0, 0.1, 9], [7, 1.0, 0.1, 171]]⏎⏎ => 19: `motor[0].down.points[1][0]` is 7, after 7: list the numbers of pulses in rising order, each once
+blocks = 180⏎⏎ => blocks = 180⏎points = [[7, 1.0, 0.1, 9], [14, 2.0, 0.1, 9]]⏎⏎ => 19: `motor[0].down.points`: 18 bursts in all, but `blocks` is 180: edit neither by hand, calibrate again
 blocks = 180⏎⏎ => blocks = 180⏎points = [[7, nan, 0.1, 9]]⏎⏎ => 19: `motor[0].down.points[0][1]` is NaN: must be…
 blocks = 180⏎⏎ => blocks = 180⏎points = [[7, 1.0, 0.1]]⏎⏎ => 19: `motor[0].down.points[0]`: invalid length 3, expected a tuple of size 4
 [provenance] => [provenence] => 20: unknown key `provenence`: did you mean `provenance`?

@@ -1,6 +1,6 @@
 //! Checks the real-time rights of the user who runs the doctor: SCHED_FIFO and locked memory.
 
-use crate::doctor::rights::LIMITS;
+use crate::doctor::rights::limits;
 use meissner_api::{Finding, Realtime};
 
 /// The rights of this user. They matter for a daemon that this user starts, not where one runs or is `installed`.
@@ -13,7 +13,7 @@ pub(super) fn of_user(ours: Realtime, daemons: Option<Realtime>, installed: bool
             Finding::ok(what, "not granted to you; only the service's rights count")
         }
         (false, None) => {
-            Finding::warn(what, "not granted: a daemon that you start may send strokes late", LIMITS)
+            Finding::warn(what, "not granted: a daemon that you start may send strokes late", limits("$USER"))
         }
     };
     [

@@ -97,7 +97,7 @@ fn parse(text: &str) -> HashMap<String, HashMap<String, String>> {
     text.split("\n\n").filter_map(block).collect()
 }
 
-/// All of these checks.
+/// Runs every check of this module.
 pub(super) fn findings(root: &Path, units: &Units) -> Vec<Finding> {
     let mut findings = state(units);
     findings.extend(config(root));
@@ -178,7 +178,8 @@ fn state(units: &Units) -> Vec<Finding> {
 
 fn config(root: &Path) -> Option<Finding> {
     let file = root.join(CONFIG);
-    if !file.exists() {
+    // A file that cannot be looked for is told of by its reader.
+    if matches!(file.try_exists(), Ok(false)) {
         return None;
     }
     Some(match Config::read(&file) {

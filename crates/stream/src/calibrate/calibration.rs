@@ -13,10 +13,14 @@ use meissner_array::units::UM_PER_PULSE;
 use meissner_input::document::{self, in_range};
 use meissner_input::message::short_number;
 
-/// The version of the file format that this program reads and writes.
-pub const FORMAT: u8 = 1;
-/// Bytes of a calibration file at most; all motors with the longest texts take less.
-pub const MAX_BYTES: usize = 160 << 10;
+/// The newest version of the file format: its fits may have points. This program reads older ones, too.
+pub const FORMAT: u8 = 2;
+/// Bytes of a calibration file at most; all motors with the longest numbers and texts take less.
+pub const MAX_BYTES: usize = 256 << 10;
+/// Bursts of a fit at most.
+const MAX_BURSTS: usize = 1_000_000;
+/// A smaller number, µm or none, counts as 0: it would have hundreds of digits in the file.
+const LEAST: f64 = 1e-12;
 /// Characters of each text of the provenance.
 const MAX_WORDS: usize = 200;
 /// The largest plausible offset or travel, µm: a burst of the fewest pulses moves a pin by one, the longest by 41 at most.
@@ -37,7 +41,7 @@ pub type CalibrationError = document::DocumentError<Problem>;
 pub enum Problem {
     #[error("{bytes} bytes are too many: a calibration file has at most {MAX_BYTES}")]
     TooLarge { bytes: usize },
-    #[error("is {found}: this version reads format = {FORMAT}")]
+    #[error("is {found}: this version reads format = 1 and {FORMAT}")]
     Format { found: u64 },
     #[error("is empty: calibrate at least one motor")]
     NoMotor,
@@ -51,8 +55,12 @@ pub enum Problem {
     Plan(#[source] PlanError),
     #[error("is {found}, but pulses and repetitions give {groups}")]
     Groups { found: u64, groups: usize },
-    #[error("has {count} points: must be at most {MAX_GROUPS}, one for each number of pulses")]
+    #[error("{count} points: must be at most {MAX_GROUPS}")]
     Points { count: usize },
+    #[error("is {found}, after {before}: list the numbers of pulses in rising order, each once")]
+    Order { found: u16, before: u16 },
+    #[error("{found} bursts in all, but `blocks` is {blocks}: edit neither by hand, calibrate again")]
+    Bursts { found: usize, blocks: usize },
     #[error("is {count} characters long: must be at most {MAX_WORDS}")]
     Words { count: usize },
 }
@@ -98,6 +106,7 @@ impl Calibration {
     /// Like [`Self::new`], but a fault counts motors in the order given.
     pub(super) fn checked(motors: Vec<MotorFit>, provenance: Provenance) -> Result<Self, KeyError> {
         let mut calibration = Self { motors, provenance };
+        calibration.motors.iter_mut().for_each(shorten);
         calibration.check()?;
         calibration.motors.sort_by_key(|fit| fit.motor);
         Ok(calibration)
@@ -168,7 +177,7 @@ impl Calibration {
             }
             let directions = [("up", &fit.up, &fit.up_points), ("down", &fit.down, &fit.down_points)];
             for (direction, fit, points) in directions {
-                let checked = fit.check().and_then(|()| check_points(points));
+                let checked = fit.check().and_then(|()| check_points(points, fit.bursts));
                 checked.map_err(|fault| fault.within(direction).within(&of))?;
             }
         }
@@ -176,7 +185,24 @@ impl Calibration {
     }
 }
 
-fn check_points(points: &[FitPoint]) -> Result<(), KeyError> {
+/// Leaves out digits that no measurement has, so that the file stays short.
+fn shorten(motor: &mut MotorFit) {
+    let thousandth = |um: &mut f64| *um = (*um * 1e3).round() / 1e3;
+    for point in motor.up_points.iter_mut().chain(&mut motor.down_points) {
+        thousandth(&mut point.travel_um);
+        thousandth(&mut point.sd_um);
+    }
+    for fit in [&mut motor.up, &mut motor.down] {
+        for number in [&mut fit.slope_se_um_per_pulse, &mut fit.offset_um, &mut fit.relative_sd] {
+            if number.abs() < LEAST {
+                *number = 0.0;
+            }
+        }
+    }
+}
+
+/// `blocks`: the bursts of the fit.
+fn check_points(points: &[FitPoint], blocks: usize) -> Result<(), KeyError> {
     if points.len() > MAX_GROUPS {
         return Err(KeyError::key("points", Problem::Points { count: points.len() }));
     }
@@ -185,9 +211,18 @@ fn check_points(points: &[FitPoint]) -> Result<(), KeyError> {
         in_range(&key(0), pulses.into(), PULSES_RANGE.contains(&pulses), "7 to 200")?;
         in_range(&key(1), travel_um, travel_um.abs() <= OFFSET_UM, "-100 to 100 um")?;
         in_range(&key(2), sd_um, (0.0..=OFFSET_UM).contains(&sd_um), "0 to 100 um")?;
-        in_range(&key(3), bursts as f64, bursts > 0, "1 or more")?;
+        in_range(&key(3), bursts as f64, (1..=MAX_BURSTS).contains(&bursts), "1 to 1000000")?;
+        if let Some(before) =
+            index.checked_sub(1).map(|before| points[before].pulses).filter(|&of| of >= pulses)
+        {
+            return Err(KeyError::key(&key(0), Problem::Order { found: pulses, before }));
+        }
     }
-    Ok(())
+    let found = points.iter().map(|point| point.bursts).sum();
+    if points.is_empty() || found == blocks {
+        return Ok(());
+    }
+    Err(KeyError::key("points", Problem::Bursts { found, blocks }))
 }
 
 fn check_provenance(provenance: &Provenance) -> Result<(), KeyError> {
@@ -227,7 +262,7 @@ impl Fit {
         in_range("slope_se_um_per_pulse", slope_se_um_per_pulse, good, "0 to 5 % of the slope")?;
         in_range("offset_um", offset_um, offset_um.abs() <= OFFSET_UM, "-100 to 100 um")?;
         in_range("relative_sd", relative_sd, (0.0..=1.0).contains(&relative_sd), "0 to 1")?;
-        in_range("blocks", bursts as f64, bursts >= MIN_BURSTS, "10 or more")?;
+        in_range("blocks", bursts as f64, (MIN_BURSTS..=MAX_BURSTS).contains(&bursts), "10 to 1000000")?;
         Ok(())
     }
 }

@@ -1,8 +1,10 @@
-//! The calibration's file: TOML with `format = 1`, a `[[motor]]` with `up` and `down` for each motor, and `[provenance]`.
+//! The calibration's file: TOML with `format`, a `[[motor]]` with `up` and `down` for each motor, and `[provenance]`.
 //!
 //! [`Calibration::parse`] reads it, [`Calibration::to_toml`] writes it. The file has the slopes, and beside them the gains
 //! that follow from them, for people and other programs; `parse` checks that they agree. It has no date but the text that the
 //! caller put into the provenance.
+//!
+//! `format = 2` has the measured points, which `format = 1` has not: an older program says that it cannot read it.
 //!
 //! Invariant: a written calibration reads back as the same calibration, bit for bit; no key is ignored.
 
@@ -28,13 +30,15 @@ impl Calibration {
     #[must_use]
     #[expect(clippy::missing_panics_doc, reason = "it does not happen")]
     pub fn to_toml(&self) -> String {
+        let has_points =
+            self.motors().iter().any(|fit| !fit.up_points.is_empty() || !fit.down_points.is_empty());
         let motor = self.motors().iter().map(|fit| RawMotor {
             motor: fit.motor.into(),
             up: Table(RawFit::of(fit.up, &fit.up_points)),
             down: Table(RawFit::of(fit.down, &fit.down_points)),
         });
         let file = RawFile {
-            format: FORMAT.into(),
+            format: if has_points { FORMAT.into() } else { 1 },
             motor: motor.map(Table).collect(),
             provenance: Table(self.provenance().clone()),
         };
@@ -67,7 +71,7 @@ struct RawFit {
     offset_um: f64,
     relative_sd: f64,
     blocks: u64,
-    /// Pulses, mean travel, its standard deviation, number of bursts. Files of older versions have none.
+    /// Pulses, mean travel, its standard deviation, number of bursts. Files of format 1 have none.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     points: Vec<(u16, f64, f64, u64)>,
 }
@@ -80,7 +84,7 @@ struct Version {
 
 fn wanted(key: &str) -> &'static str {
     match key {
-        "format" => "format = 1",
+        "format" => "format = 2",
         "motor" => "a motor's number, 0 to 23, below each [[motor]]",
         "up" | "down" => "[motor.up] and [motor.down], the fits of both directions",
         "provenance" => "[provenance], how it was made",
@@ -100,7 +104,7 @@ fn read(text: &str) -> Result<Calibration, KeyError> {
     let placed =
         |fault: KeyError| KeyError { line: fault.line.or_else(|| line_of(text, &fault.path)), ..fault };
     let Table(Version { format: found }) = from_toml(text, wanted)?;
-    if found != u64::from(FORMAT) {
+    if !(1..=u64::from(FORMAT)).contains(&found) {
         return Err(placed(KeyError::key("format", Problem::Format { found })));
     }
     let Table(raw): Table<RawFile> = from_toml(text, wanted)?;

@@ -193,7 +193,7 @@ pub fn fit_recording(played: &PlayedPlan, recording: &Recording) -> Result<Laser
     if (covered as f64) < LEAST_COVERED * planned as f64 {
         return Err(LaserError::TooFew { covered, planned });
     }
-    let mut found = fit(&measured.travels)?.pop().ok_or(LaserError::Nothing)?;
+    let [mut found]: [MotorFit; 1] = fit(&measured.travels)?.try_into().map_err(|_| LaserError::Nothing)?;
     let without_noise = |direction: Direction| {
         let fit = found.of(direction);
         let noise = measured.relative_variance(direction);
