@@ -391,7 +391,7 @@ fn a_mistake_is_refused_in_one_line_with_place_and_remedy() {
             format!("{FILE}date = {:?}", "x".repeat(201)),
             ":29: `provenance.date` is 201 characters long: must be at most 200",
         ),
-        (" ".repeat(MAX_BYTES + 1), ": 163841 bytes are too many: a calibration file has at most 163840"),
+        (" ".repeat(MAX_BYTES + 1), ": 262145 bytes are too many: a calibration file has at most 262144"),
     ] {
         let line = in_one_line(Calibration::parse(&document, "bad.toml")).unwrap_err();
         assert_eq!(line, format!("bad.toml{says}"));
