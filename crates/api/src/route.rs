@@ -551,7 +551,7 @@ impl Route {
             Self::StoreCalibration => Operation {
                 method: Method::Put,
                 summary: "Store gains that were measured elsewhere, as with a laser",
-                description: "The body is a calibration file of the connected device, of at most 160 KiB. The daemon replaces the \
+                description: "The body is a calibration file of the connected device, of at most 256 KiB. The daemon replaces the \
                               motors in it, keeps the others, and uses the gains at once. No play may be queued.",
                 body: Body::Calibration,
                 answer: Answer::Json("CalibrationReport"),
