@@ -148,17 +148,22 @@ one_line out.log && grep -q haptics out.log && ok "outsider: $(line out.log)" ||
 mkdir -p /run/user/1000 && chown alice /run/user/1000
 runuser -u alice -- env XDG_RUNTIME_DIR=/run/user/1000 meissner status >out.log 2>&1 &&
     ok "login: found beside an XDG_RUNTIME_DIR" || wrong "login: $(line out.log)"
-# shellcheck disable=SC2016 # Perl's
-perl -MIO::Socket::UNIX -e '$s = IO::Socket::UNIX->new(Peer => "/run/meissner/meissner.sock") or die;
-    print $s "GET /v1/doctor HTTP/1.1\r\nHost: m\r\nConnection: close\r\n\r\n"; print <$s>' | tail -n 1 >inside.json
-meissner doctor --json --seconds 0.1 >outside.json
-for what in service 'socket unit' configuration 'udev rules' 'daemon rights' governor; do
-    for side in inside outside; do
-        # shellcheck disable=SC2016 # jq's variable
-        jq -c --arg what "$what" '.findings[] | select(.what == $what)' $side.json >$side.txt
+# Whether the doctor finds the same in the unit and outside.
+alike() {
+    # shellcheck disable=SC2016 # Perl's
+    perl -MIO::Socket::UNIX -e '$s = IO::Socket::UNIX->new(Peer => "/run/meissner/meissner.sock") or die;
+        print $s "GET /v1/doctor HTTP/1.1\r\nHost: m\r\nConnection: close\r\n\r\n"; print <$s>' | tail -n 1 >inside.json
+    meissner doctor --json --seconds 0.1 >outside.json
+    for what in service 'socket unit' configuration 'udev rules' 'daemon rights' governor; do
+        for side in inside outside; do
+            # shellcheck disable=SC2016 # jq's variable
+            jq -c --arg what "$what" '.findings[] | select(.what == $what)' $side.json >$side.txt
+        done
+        [ -s inside.txt ] && cmp -s inside.txt outside.txt || return 1
     done
-    [ -s inside.txt ] && cmp -s inside.txt outside.txt || fail "doctor: $what: $(line inside.txt) $(line outside.txt)"
-done
+}
+# On a busy machine systemd may answer later than the doctor waits.
+within 20 alike || fail "doctor: $what: $(line inside.txt) $(line outside.txt)"
 ok "doctor: the daemon finds in its unit what the command finds outside, $(jq '.findings | length' inside.json) findings"
 disarm socket
 systemctl stop meissner.service 2>/dev/null
@@ -264,7 +269,7 @@ ask POST /v1/searches '{"target": "edge-45", "seconds": 0.5}' >out.log 2>&1 && h
 from=$(now)
 found() { ask GET /v1/searches/last '' | grep -q '"state":"done"'; }
 within 60 found || fail "result: $(ask GET /v1/searches/last '' | tail -n 1 | cut -c 1-300)"
-ok "a search of 0.5 s under the unit: done after $(ms "$from" "$(now)")"
+ok "found: a search of 0.5 s within the unit's limits took $(ms "$from" "$(now)")"
 arm search
 alice play search:1 --seconds 0.2 --wait >out.log 2>&1 || fail "play: $(line out.log)"
 disarm search
