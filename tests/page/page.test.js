@@ -278,6 +278,7 @@ test("calibration plots show what the API says, and a person can calibrate", asy
   for (const motor of [3, 17]) {
     await press(page, `#fit-grid .fit[value="${motor}"]`);
     await shows(page, "fit-title", `Motor ${motor}`);
+    assert.equal(await page.evaluate(() => document.activeElement.value), String(motor), "the button keeps the focus");
     const fit = motors.find((of) => of.motor === motor);
     assert.ok((await text(page, "fit-facts")).includes(fit.gain_up.toFixed(3)));
     const plots = [["#fit-plots .plot:nth-child(1)", 0, () => 1], ["#fit-plots .plot:nth-child(2)", 14, (pulses) => pulses * UM], [`#fit-grid .fit[value="${motor}"] .plot`, 14, (pulses) => pulses * UM]];
@@ -305,11 +306,51 @@ test("calibration plots show what the API says, and a person can calibrate", asy
   await page.click("#calibrate-yes");
   await shows(page, "state-text", "Playing calibration");
   await shows(page, "touch", "Calibration: do not touch the pins.");
-  await page.focus('#fit-grid .fit[value="3"]');
   await page.waitForSelector("#stop:not([disabled])");
   await press(page, "#stop");
   await shows(page, "calibrate-result", "Calibration failed: the calibration was cut (stop)");
   assert.deepEqual((await get(daemon, "/v1/calibration")).motors, motors);
+});
+
+test("a calibration that is damaged, refused or cut says so beside its button", async () => {
+  const daemon = new Daemon();
+  writeFileSync(join(daemon.dir, "calibration.toml"), "format = 7\n");
+  await daemon.start();
+  const page = await open(daemon);
+  await shows(page, "calibration-note", "No calibration is in use: ");
+  await arm(page);
+  const start = async (before) => {
+    await page.waitForSelector("#calibrate:not([disabled])");
+    await press(page, "#calibrate");
+    await page.click("#calibrate-clear");
+    await before?.();
+    await page.click("#calibrate-yes");
+  };
+  await start(() => daemon.run("disarm"));
+  await page.waitForFunction(() => document.getElementById("calibrate-result").textContent, WAIT);
+  assert.equal(await text(page, "calibrate-result"), await text(page, "alert"));
+  await shows(page, "calibrate-note", "Arm first");
+  await arm(page);
+  const asks = () => page.evaluate(() => {
+    const event = new Event("beforeunload", { cancelable: true });
+    dispatchEvent(event);
+    return event.defaultPrevented;
+  });
+  assert.equal(await asks(), false);
+  await start();
+  await shows(page, "touch", "Calibration: do not touch the pins.");
+  assert.equal(await asks(), true, "nobody would be at E-STOP");
+  // The stop ends the event stream, too.
+  await page.click("#estop");
+  await shows(page, "calibrate-result", "The calibration ended, and nothing was stored.");
+  assert.equal(await asks(), false);
+  await shows(page, "calibrate-note", "Reset first.");
+  // A check keeps the focus, and is read aloud when a person asked for it.
+  assert.equal(await text(page, "doctor-say"), "");
+  await page.focus("#doctor-again");
+  await page.keyboard.press("Enter");
+  await shows(page, "doctor-say", "passed, at");
+  assert.equal(await page.evaluate(() => document.activeElement.id), "doctor-again");
 });
 
 // A proxy before a daemon. `through(request, response, forward)` sees every request.

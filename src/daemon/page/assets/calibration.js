@@ -73,7 +73,7 @@ export async function loadCalibration() {
     if (error.code !== "not-found") throw error;
     report = null;
     const none = error.message.startsWith("nothing was calibrated yet");
-    worded($("calibration-note"), none ? "Nothing was calibrated yet: every motor has gain 1." : `The calibration cannot be used: ${error.message}.`);
+    worded($("calibration-note"), none ? "Nothing was calibrated yet: every motor has gain 1." : `No calibration is in use: ${error.message}.`);
   }
   $("fits").hidden = $("fit-values").hidden = !report;
   if (!report) {

@@ -37,6 +37,8 @@ function item({ what, level, found, advice }) {
 }
 
 let checking = false;
+// Whether a person waits for the check.
+let asked = false;
 let checked = "";
 let due = null;
 let begun = -PAUSE_MS;
@@ -64,6 +66,8 @@ async function check() {
   } finally {
     checking = false;
     $("doctor-again").ariaDisabled = null;
+    if (asked) $("doctor-say").textContent = $("doctor-note").textContent;
+    asked = false;
   }
 }
 
@@ -77,10 +81,9 @@ export function checkSoon() {
 }
 
 export function bindDoctor() {
-  $("doctor-again").addEventListener("click", async () => {
-    if (checking) return;
+  $("doctor-again").addEventListener("click", () => {
+    asked = true;
     $("doctor-say").textContent = "";
-    await check();
-    $("doctor-say").textContent = $("doctor-note").textContent;
+    check();
   });
 }
