@@ -79,6 +79,8 @@ export function facts(list, rows) {
 export function open(dialog) {
   dialog.show();
   dialog.querySelector("input:not([hidden]), button").focus();
+  // The focus may have scrolled past the warning.
+  dialog.scrollTop = 0;
 }
 
 export function closeWithEscape(dialog) {
