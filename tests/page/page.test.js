@@ -221,7 +221,7 @@ test("the keyboard alone designs a target", async () => {
 test("the doctor's findings come with verdicts and remedies", async () => {
   const daemon = await new Daemon().start();
   const page = await open(daemon);
-  await shows(page, "doctor-note", "without fault");
+  await shows(page, "doctor-note", "passed, at");
   const listed = () => page.$$eval("#findings li", (items) => items.map((item) => [item.dataset.level, item.querySelector(".verdict").textContent, item.textContent]));
   const { findings } = await get(daemon, "/v1/doctor");
   const shown = await listed();
@@ -238,8 +238,9 @@ test("the doctor's findings come with verdicts and remedies", async () => {
   // After a stop a new check finds it; the worst comes first.
   await page.click("#estop");
   await shows(page, "state-text", "Stopped: estop");
-  await press(page, "#doctor-again");
-  await shows(page, "doctor-note", "1 failure");
+  const stopped = (await get(daemon, "/v1/doctor")).findings;
+  const failures = stopped.filter(({ level }) => level === "fail").length;
+  await shows(page, "doctor-note", `${failures} failure${failures === 1 ? "" : "s"}, `);
   const [level, verdict, state] = (await listed())[0];
   assert.deepEqual([level, verdict], ["fail", "Failure"]);
   assert.ok(state.startsWith("state ") && state.includes("meissner reset"), state);
@@ -253,74 +254,137 @@ test("calibration plots show what the API says, and a person can calibrate", asy
   await arm(page);
   const plan = { pulses: [14, 70, 140], repetitions: 1 };
   await fetch(`${daemon.url}/v1/calibrate`, { method: "POST", headers: { "content-type": "application/json" }, body: JSON.stringify(plan) });
-  await shows(page, "calibrate-note", "Calibrating: ");
+  await shows(page, "calibrate-note", "Calibrating for ");
   await shows(page, "calibrate-result", "Stored: 24 motors.", SEARCHED);
   await shows(page, "calibration-note", "The daemon uses these gains.");
   await shows(page, "calibration-facts", "just now");
   const { motors } = await get(daemon, "/v1/calibration");
   assert.equal(await page.$$eval("#fit-grid .fit", (cells) => cells.length), 24);
-  const drawn = (plot) => page.$$eval(plot, ([svg]) => ["up", "down"].map((way) => ({
-    points: [...svg.querySelectorAll(`.${way} .point`)].map((point) => point.getAttribute("transform").match(/[\d.]+/g).slice(0, 2).map(Number)),
-    ends: svg.querySelector(`.${way} .fit-line`).getAttribute("d").match(/[\d.]+ [\d.]+/g).map((at) => at.split(" ").map(Number)),
-  })));
-  // The plot's scale follows from two points of one motor; every other place must agree with it.
-  const agree = (places, values, what) => {
-    const [[x0, y0], [x1, y1]] = [places[0], places.at(-1)];
-    const [[u0, v0], [u1, v1]] = [values[0], values.at(-1)];
-    const at = ([u, v]) => [x0 + ((u - u0) / (u1 - u0)) * (x1 - x0), y0 + ((v - v0) / (v1 - v0)) * (y1 - y0)];
-    return (more, points) => points.forEach((point, i) => at(point).forEach((to, axis) => assert.ok(Math.abs(to - more[i][axis]) < 0.5, `${what}: ${to} ${more[i]}`)));
-  };
+  // The places of a plot's points and of its lines' ends.
+  const drawn = (plot) => page.$eval(plot, (svg) => Object.fromEntries(["up", "down"].map((direction) => [direction, {
+    points: [...svg.querySelectorAll(`.${direction} .point`)].map((point) => point.getAttribute("transform").match(/-?[\d.]+/g).slice(0, 2).map(Number)),
+    ends: svg.querySelector(`.${direction} .fit-line`).getAttribute("d").match(/-?[\d.]+ -?[\d.]+/g).map((at) => at.split(" ").map(Number)).filter((_, i, all) => i === 0 || i === all.length - 1),
+  }])));
+  // The scale of an axis follows from the lowest and the highest value; all others must agree with it.
+  const agree = (shown, values, what) => [0, 1].forEach((axis) => {
+    const pairs = values.map((value, i) => [value[axis], shown[i][axis]]).sort(([a], [b]) => a - b);
+    const [[low, from], [high, to]] = [pairs[0], pairs.at(-1)];
+    assert.ok(axis ? to < from : to > from, `${what}: the axis points the right way`);
+    for (const [value, at] of pairs) {
+      const expected = from + ((value - low) / (high - low)) * (to - from);
+      assert.ok(Math.abs(at - expected) < 0.3, `${what}, axis ${axis}: ${value} at ${at}, not ${expected}`);
+    }
+  });
   for (const motor of [3, 17]) {
-    await press(page, `#fit-grid .fit[data-motor="${motor}"]`);
+    await press(page, `#fit-grid .fit[value="${motor}"]`);
     await shows(page, "fit-title", `Motor ${motor}`);
+    assert.equal(await page.evaluate(() => document.activeElement.value), String(motor), "the button keeps the focus");
     const fit = motors.find((of) => of.motor === motor);
     assert.ok((await text(page, "fit-facts")).includes(fit.gain_up.toFixed(3)));
-    const [up, down] = await drawn("#fit-plots .plot");
-    const points = (way) => fit[way].points.map((point) => [point.pulses, point.travel_um]);
-    const check = agree(up.points, points("up"), `motor ${motor}`);
-    check(up.points, points("up"));
-    check(down.points, points("down"));
-    for (const [way, { ends }] of [["up", up], ["down", down]]) {
-      const { offset_um: offset, slope_um_per_pulse: slope } = fit[way];
-      check([ends[0], ends.at(-1)], [[0, Math.max(0, offset)], [147, offset + 147 * slope]]);
+    const plots = [["#fit-plots .plot:nth-child(1)", 0, () => 1], ["#fit-plots .plot:nth-child(2)", 14, (pulses) => pulses * UM], [`#fit-grid .fit[value="${motor}"] .plot`, 14, (pulses) => pulses * UM]];
+    for (const [plot, first, unit] of plots) {
+      const places = await drawn(plot);
+      const of = (direction) => {
+        const { points, offset_um: offset, slope_um_per_pulse: slope } = fit[direction];
+        const ends = [first, 147].map((pulses) => [pulses, (offset + pulses * slope) / unit(pulses)]);
+        return [...points.map(({ pulses, travel_um }) => [pulses, travel_um / unit(pulses)]), ...ends];
+      };
+      agree(["up", "down"].flatMap((direction) => [...places[direction].points, ...places[direction].ends]), [...of("up"), ...of("down")], `motor ${motor}, ${plot}`);
     }
-    const small = await drawn(`#fit-grid .fit[data-motor="${motor}"] .plot`);
-    assert.deepEqual(small.map((of) => of.points.length), [3, 3]);
   }
   const row = await page.$eval("#fit-table tbody tr:nth-child(4)", (row) => row.textContent);
   assert.ok(row.startsWith(`3${motors[3].gain_up.toFixed(3)} ± `), row);
   // From the page: with a warning, and it can be stopped.
   await page.waitForSelector("#calibrate:not([disabled])");
+  await page.select("#calibrate-motor", "7");
   await press(page, "#calibrate");
+  await shows(page, "calibrate-what", "Motor 7 is measured.");
+  await page.select("#calibrate-motor", "");
   await page.click("#calibrate-yes");
   assert.equal(await page.$eval("#calibrate-dialog", (dialog) => dialog.open), true, "nothing touches the pins must be ticked");
   await page.click("#calibrate-clear");
   await page.click("#calibrate-yes");
   await shows(page, "state-text", "Playing calibration");
+  await shows(page, "touch", "Calibration: do not touch the pins.");
   await page.waitForSelector("#stop:not([disabled])");
   await press(page, "#stop");
-  await shows(page, "calibrate-result", "Nothing was stored: the calibration was cut (stop)");
+  await shows(page, "calibrate-result", "Calibration failed: the calibration was cut (stop)");
   assert.deepEqual((await get(daemon, "/v1/calibration")).motors, motors);
 });
+
+test("a calibration that is damaged, refused or cut says so beside its button", async () => {
+  const daemon = new Daemon();
+  writeFileSync(join(daemon.dir, "calibration.toml"), "format = 7\n");
+  await daemon.start();
+  const page = await open(daemon);
+  await shows(page, "calibration-note", "No calibration is in use: ");
+  await arm(page);
+  const start = async (before) => {
+    await page.waitForSelector("#calibrate:not([disabled])");
+    await press(page, "#calibrate");
+    await page.click("#calibrate-clear");
+    await before?.();
+    await page.click("#calibrate-yes");
+  };
+  await start(() => daemon.run("disarm"));
+  await page.waitForFunction(() => document.getElementById("calibrate-result").textContent, WAIT);
+  assert.equal(await text(page, "calibrate-result"), await text(page, "alert"));
+  await shows(page, "calibrate-note", "Arm first");
+  await arm(page);
+  const asks = () => page.evaluate(() => {
+    const event = new Event("beforeunload", { cancelable: true });
+    dispatchEvent(event);
+    return event.defaultPrevented;
+  });
+  assert.equal(await asks(), false);
+  await start();
+  await shows(page, "touch", "Calibration: do not touch the pins.");
+  assert.equal(await asks(), true, "nobody would be at E-STOP");
+  // The stop ends the event stream, too.
+  await page.click("#estop");
+  await shows(page, "calibrate-result", "The calibration ended, and nothing was stored.");
+  assert.equal(await asks(), false);
+  await shows(page, "calibrate-note", "Reset first.");
+  // A check keeps the focus, and is read aloud when a person asked for it.
+  assert.equal(await text(page, "doctor-say"), "");
+  await page.focus("#doctor-again");
+  await page.keyboard.press("Enter");
+  await shows(page, "doctor-say", "passed, at");
+  assert.equal(await page.evaluate(() => document.activeElement.id), "doctor-again");
+});
+
+// A proxy before a daemon. `through(request, response, forward)` sees every request.
+async function proxied(daemon, through, run) {
+  const proxy = createServer((request, response) => through(request, response, () => {
+    const headers = { ...request.headers, host: new URL(daemon.url).host };
+    if (headers.origin) headers.origin = daemon.url;
+    const onward = httpRequest(daemon.url + request.url, { method: request.method, headers }, (answer) => {
+      response.writeHead(answer.statusCode, answer.headers);
+      answer.pipe(response);
+    });
+    onward.on("error", () => response.destroy());
+    response.on("close", () => onward.destroy());
+    request.pipe(onward);
+  }));
+  await new Promise((done) => proxy.listen(0, "127.0.0.1", done));
+  try {
+    await run(`http://127.0.0.1:${proxy.address().port}`);
+  } finally {
+    proxy.closeAllConnections();
+    proxy.close();
+  }
+}
 
 // The simulated array keeps its times: a proxy adds the events.
 test("late strokes are counted while a play runs", async () => {
   const daemon = await new Daemon().start();
   const streams = [];
-  const proxy = createServer((request, response) => {
-    const headers = { ...request.headers, host: new URL(daemon.url).host };
-    if (headers.origin) headers.origin = daemon.url;
-    const onward = httpRequest(daemon.url + request.url, { method: request.method, headers }, (answer) => {
-      response.writeHead(answer.statusCode, answer.headers);
-      if (request.url === "/v1/events") streams.push(response);
-      answer.pipe(response);
-    });
-    onward.on("error", () => response.destroy());
-    request.pipe(onward);
-  });
-  await new Promise((done) => proxy.listen(0, "127.0.0.1", done));
-  try {
-    const page = await open({ url: `http://127.0.0.1:${proxy.address().port}` });
+  const through = (request, response, forward) => {
+    if (request.url === "/v1/events") streams.push(response);
+    forward();
+  };
+  await proxied(daemon, through, async (url) => {
+    const page = await open({ url });
     await arm(page);
     await daemon.run("play", "pin-60", "--seconds", "600");
     await shows(page, "facts", "Late strokes of this playnone");
@@ -333,11 +397,71 @@ test("late strokes are counted while a play runs", async () => {
     await page.click("#stop");
     await page.waitForFunction(() => !document.getElementById("facts").textContent.includes("Late"), WAIT);
     assert.deepEqual(page.complaints.filter((line) => !line.includes("404")), []);
-  } finally {
-    proxy.closeAllConnections();
-    proxy.close();
-  }
+  });
 });
+
+test("an emergency stop waits for no other request of the browser's windows", async () => {
+  const daemon = await new Daemon().start();
+  // The proxy passes on neither a status nor a check. A stream and such a request of each of three windows take all connections of a browser.
+  let holds = false;
+  let stops = 0;
+  const [held, streams] = [new Set(), new Set()];
+  const through = (request, response, forward) => {
+    if (request.url === "/v1/estop") stops += 1;
+    const slow = /^\/v1\/(doctor|status)$/.test(request.url);
+    const group = request.url === "/v1/events" ? streams : slow && holds ? held : null;
+    group?.add(response);
+    response.on("close", () => group?.delete(response));
+    if (group !== held) forward();
+  };
+  await proxied(daemon, through, async (url) => {
+    const first = await open({ url });
+    const pages = [first];
+    const session = await first.createCDPSession();
+    const { targetInfo } = await session.send("Target.getTargetInfo");
+    for (const _ of [1, 2]) {
+      // A window of its own is not hidden; it shares the connections of the first.
+      const { targetId } = await session.send("Target.createTarget", { url, newWindow: true, browserContextId: targetInfo.browserContextId });
+      const target = await first.browserContext().waitForTarget((target) => target._targetId === targetId);
+      pages.push(await target.page());
+    }
+    for (const page of pages) await shows(page, "state-text", "Disarmed");
+    for (const page of pages) await shows(page, "doctor-note", "passed, at");
+    assert.deepEqual(await Promise.all(pages.map((page) => page.evaluate(() => document.hidden))), [false, false, false]);
+    holds = true;
+    // All connections are taken.
+    await Promise.all(pages.map((page) => page.evaluate(() => document.getElementById("doctor-again").click())));
+    const until = Date.now() + WAIT.timeout;
+    while (held.size + streams.size < 6) {
+      assert.ok(Date.now() < until, `${held.size} requests and ${streams.size} streams`);
+      await new Promise((done) => setTimeout(done, 5));
+    }
+    await pages[2].evaluate(() => document.getElementById("estop").dispatchEvent(new PointerEvent("pointerdown")));
+    await shows(pages[2], "estop-note", "All lines are off.");
+    assert.equal(stops, 1);
+    assert.equal((await daemon.status()).estops, 1);
+    holds = false;
+    for (const page of pages) await shows(page, "state-text", "Stopped: estop");
+  });
+});
+
+for (const [width, height] of [[640, 360], [360, 640]]) {
+  test(`dialogs leave their buttons and the emergency stop within reach at ${width} x ${height} px`, async () => {
+    const daemon = await new Daemon().start();
+    const page = await open(daemon, width, height);
+    await shows(page, "state-text", "Disarmed");
+    for (const id of ["arm-dialog", "calibrate-dialog", "reset-dialog"]) {
+      await page.$eval(`#${id}`, (dialog) => dialog.show());
+      const hit = (selector) => page.$eval(selector, (element) => {
+        element.scrollIntoView({ block: "nearest" });
+        const { x, y, width, height } = element.getBoundingClientRect();
+        return document.elementFromPoint(x + width / 2, y + height / 2) === element;
+      });
+      for (const button of [`#${id} button:first-child`, `#${id} button:last-child`, "#estop"]) assert.ok(await hit(button), button);
+      await page.$eval(`#${id}`, (dialog) => dialog.close("cancel"));
+    }
+  });
+}
 
 test("two windows see the same, and each may stop", async () => {
   const daemon = await new Daemon().start();

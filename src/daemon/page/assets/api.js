@@ -9,7 +9,7 @@ export const token = {
   set: (value) => sessionStorage.setItem(KEY, value),
 };
 
-// An error of the daemon (`code` as in the API reference), or of the way to it (`unreachable`).
+// An error of the daemon (`code` as in the API reference), or of the way to it (`unreachable`, `slow`, `stopped`).
 export class Problem extends Error {
   constructor(code, detail) {
     super(detail);
@@ -22,42 +22,70 @@ export function headers() {
   return value ? { authorization: `Bearer ${value}` } : {};
 }
 
+// Every request but the emergency stop. A browser has six connections to a host for all its windows: the stop needs one of them.
+let pending = new AbortController();
+const windows = new BroadcastChannel("estop");
+windows.onmessage = abortRequests;
+
+function abortRequests() {
+  pending.abort(new Problem("stopped", "An emergency stop ended this request."));
+  pending = new AbortController();
+}
+
+// Ends the requests and event streams of all windows of the page in this browser. The streams begin again by themselves.
+export function freeConnections() {
+  windows.postMessage("");
+  abortRequests();
+}
+
+// Waits for a part of a request, and says why it failed.
+async function part(promise, signal) {
+  try {
+    return await promise;
+  } catch {
+    if (signal.reason instanceof Problem) throw signal.reason;
+    if (signal.reason?.name === "TimeoutError") throw new Problem("slow", "The daemon took too long to answer.");
+    throw new Problem("unreachable", "The daemon does not answer.");
+  }
+}
+
 async function request(method, path, body, signal, kind = "application/json") {
   const type = body === undefined ? {} : { "content-type": kind };
   const init = { method, headers: { ...headers(), ...type }, signal, cache: "no-store", body };
-  let response;
-  try {
-    response = await fetch(path, init);
-  } catch (error) {
-    throw new Problem("unreachable", "The daemon does not answer.");
-  }
+  const response = await part(fetch(path, init), signal);
   if (response.ok) return response;
   const problem = await response.json().catch(() => ({}));
   throw new Problem(problem.code ?? String(response.status), problem.detail ?? response.statusText);
 }
 
+async function answer(method, path, body, ms, kind) {
+  const signal = AbortSignal.any([pending.signal, AbortSignal.timeout(ms)]);
+  const response = await request(method, path, body, signal, kind);
+  return part(response.json(), signal);
+}
+
 // The JSON answer of a request. `ms`: how long it may take.
-export async function call(method, path, body, ms = ANSWER_MS) {
-  const response = await request(method, path, body === undefined ? undefined : JSON.stringify(body), AbortSignal.timeout(ms));
-  return response.json();
+export function call(method, path, body, ms = ANSWER_MS) {
+  return answer(method, path, body === undefined ? undefined : JSON.stringify(body), ms);
 }
 
 // Stores a TOML file.
-export async function put(path, text) {
-  return (await request("PUT", path, text, AbortSignal.timeout(ANSWER_MS), "application/toml")).json();
+export function put(path, text) {
+  return answer("PUT", path, text, ANSWER_MS, "application/toml");
 }
 
 // Calls `each` for every event, and `linked(true)` or `linked(false, problem)` when the stream begins or ends. It connects again by itself.
-// A hidden window does not listen: a browser has six connections to a host for all its windows, and an emergency stop needs one.
+// A hidden window does not listen, so that its connection is free.
 export function listen(each, linked) {
   let stop = null;
   let pause = 250;
   const run = async () => {
     const control = new AbortController();
     stop = () => control.abort();
+    const stopped = pending.signal;
     let problem = new Problem("unreachable", "The daemon does not answer.");
     try {
-      const response = await request("GET", "/v1/events", undefined, control.signal);
+      const response = await request("GET", "/v1/events", undefined, AbortSignal.any([control.signal, stopped]));
       linked(true);
       pause = 250;
       await read(response.body, each);
@@ -66,8 +94,10 @@ export function listen(each, linked) {
     }
     stop = null;
     if (document.hidden) return;
-    linked(false, problem);
-    if (problem.code === "unauthorized") return;
+    if (!stopped.aborted) {
+      linked(false, problem);
+      if (problem.code === "unauthorized") return;
+    }
     setTimeout(start, pause);
     pause = Math.min(2 * pause, 4000);
   };

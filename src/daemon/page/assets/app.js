@@ -1,10 +1,10 @@
 // The page: joins the daemon's events and status with the parts that show them.
 
 import { Problem, call, listen, token } from "./api.js";
-import { bindCalibration, handleCalibrated, loadCalibration, showCalibrating } from "./calibration.js";
+import { bindCalibration, handleCalibrated, loadAfterGap, loadCalibration, showCalibrating } from "./calibration.js";
 import { bindControls, show as showControl } from "./control.js";
 import { Designer } from "./designer.js";
-import { bindDoctor, loadDoctor } from "./doctor.js";
+import { bindDoctor, checkSoon } from "./doctor.js";
 import { Finger, drivesAt } from "./finger.js";
 import { Patterns } from "./patterns.js";
 import { loadSessions, showReceipt } from "./record.js";
@@ -13,7 +13,7 @@ const $ = (id) => document.getElementById(id);
 const STATUS_MS = 1000;
 const FRAME_MS = 1000 / 30;
 
-const now = { linked: false, status: null, play: null, details: null, onset: 0, late: 0, doubted: new Set() };
+const now = { linked: false, state: null, status: null, play: null, details: null, onset: 0, late: 0, doubted: new Set() };
 const finger = new Finger($("finger"));
 const patterns = new Patterns(report);
 const designer = new Designer(report, () => patterns.load());
@@ -38,6 +38,7 @@ async function poll() {
     patterns.showQueue(now.status);
   } catch (error) {
     if (!(error instanceof Problem)) throw error;
+    if (error.code === "stopped") return;
     now.status = null;
   }
   showStatus();
@@ -68,6 +69,8 @@ async function setPlay(play) {
 function handle(event) {
   switch (event.event) {
     case "state":
+      if (event.state !== now.state) checkSoon();
+      now.state = event.state;
       if (now.status) Object.assign(now.status, { state: event.state, cause: event.cause, position: event.position, play: event.play });
       setPlay(event.play);
       showStatus();
@@ -88,6 +91,7 @@ function handle(event) {
     case "connected":
       now.doubted.clear();
       loadCalibration().catch(report);
+      checkSoon();
       poll();
       break;
     case "session-started":
@@ -101,25 +105,30 @@ function handle(event) {
     case "calibrated":
       handleCalibrated(event).catch(report);
       break;
-    case "queued":
     case "disconnected":
+      checkSoon();
+      poll();
+      break;
+    case "queued":
       poll();
       break;
   }
 }
 
 async function linked(is, problem) {
-  now.linked = is;
+  const again = now.linked;
+  [now.linked, now.state] = [is, null];
   if (!is) {
     now.status = null;
     showStatus();
     report(problem);
     return;
   }
-  report(null);
+  // After an emergency stop the stream begins again: what the daemon has refused since stays.
+  if (!again) report(null);
   $("sign-in").hidden = true;
   await poll();
-  const loads = [patterns.load(), designer.start(), loadSessions(), loadCalibration(), loadDoctor(), call("GET", "/v1/plays/last").then(showReceipt, () => {})];
+  const loads = [patterns.load(), designer.start(), loadSessions(), loadAfterGap(now.status), call("GET", "/v1/plays/last").then(showReceipt, () => {})];
   await Promise.all(loads).catch(report);
 }
 
@@ -156,7 +165,7 @@ function frame(at) {
 
 bindControls(now, report, poll);
 bindCalibration(report, poll);
-bindDoctor(report);
+bindDoctor();
 const start = listen(handle, linked);
 $("sign-in-form").addEventListener("submit", (event) => {
   event.preventDefault();

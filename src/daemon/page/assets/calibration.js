@@ -1,26 +1,25 @@
 // The calibration: where it comes from, the measured points and fitted lines of each motor, and how to measure anew.
 //
-// The small plots stand where the motors stand in the array. They show travel over the model's travel, so a motor like the model's lies at 1,
-// and what a line misses is its residual. The large plot shows the chosen motor, by travel too.
+// The small plots stand where the motors stand in the array. They show the measured travel divided by the motor model's, so a motor like the
+// model's lies at 1. The distance of a point from the line is the residual. The large plots show the chosen motor, by travel too.
 
 import { call } from "./api.js";
-import { closeWithEscape, facts, open } from "./control.js";
+import { CALIBRATION, closeWithEscape, element, facts, open } from "./control.js";
 import { worded } from "./doctor.js";
+import { MOTORS } from "./finger.js";
 import { plot } from "./plot.js";
 
 const $ = (id) => document.getElementById(id);
-const MOTORS = 24;
-// The default plan: 10 lengths, twice, 3 s each.
-const PLAN_S = 60;
 const SOURCES = { plant: "the simulated motors themselves", device: "the device's telemetry", laser: "a laser" };
 const DIRECTIONS = ["up", "down"];
 
 let report = null;
 let chosen = 0;
-
-function element(name, text = "", more = {}) {
-  return Object.assign(document.createElement(name), { textContent: text, ...more });
-}
+// The calibration whose end this window waits for (0: none), and the last one whose end it knows: play ids.
+let awaited = 0;
+let ended = 0;
+// Whether this window started it.
+let mine = false;
 
 // How long ago an instant was, in words.
 function age(date) {
@@ -31,19 +30,19 @@ function age(date) {
   return unit ? `${count} ${unit}${count === 1 ? "" : "s"} ago` : "just now";
 }
 
-const gain = (motor, way) => `${motor[`gain_${way}`].toFixed(3)} ± ${motor[`gain_${way}_se`].toFixed(3)}`;
+const gain = (motor, direction) => `${motor[`gain_${direction}`].toFixed(3)} ± ${motor[`gain_${direction}_se`].toFixed(3)}`;
 // One standard error of the mean of a point, µm.
 const error = (point) => point.sd_um / Math.sqrt(point.bursts);
 
-// The series of a motor: travel in µm, or over the model's.
+// The series of a motor: travel in µm, or divided by the model's.
 function series(motor, over) {
-  return DIRECTIONS.map((way) => {
-    const { slope_um_per_pulse: slope, offset_um: offset, points } = motor[way];
+  return DIRECTIONS.map((direction) => {
+    const { slope_um_per_pulse: slope, offset_um: offset, points } = motor[direction];
     const share = (pulses) => (over ? pulses * report.provenance.um_per_pulse : 1);
     // Near 0 pulses the offset is all that is left of the line.
     const from = over ? Math.min(...report.provenance.pulses, ...points.map((point) => point.pulses)) : 0;
     return {
-      name: way,
+      name: direction,
       from,
       line: (pulses) => (offset + slope * pulses) / share(pulses),
       points: points.map((point) => [point.pulses, point.travel_um / share(point.pulses), error(point) / share(point.pulses)]),
@@ -51,17 +50,18 @@ function series(motor, over) {
   });
 }
 
-// The ranges that hold all motors, so that their plots can be compared.
+// The ranges that hold the lines and points of all motors, so that their plots can be compared.
 function ranges(motors) {
-  const all = motors.flatMap((motor) => DIRECTIONS.map((way) => motor[way]));
-  const longest = Math.max(...report.provenance.pulses, ...all.flatMap((of) => of.points.map((point) => point.pulses)));
-  const shares = motors.flatMap((motor) => series(motor, true)).flatMap(({ line, points }) => [line(longest), ...points.flatMap(([, share, error]) => [share - error, share + error])]);
-  const most = Math.max(...all.map((of) => of.offset_um + of.slope_um_per_pulse * longest), ...all.flatMap((of) => of.points.map((point) => point.travel_um + error(point))));
+  const lengths = motors.flatMap((motor) => DIRECTIONS.flatMap((direction) => motor[direction].points.map((point) => point.pulses)));
+  const longest = Math.max(...report.provenance.pulses, ...lengths);
+  const x = [0, longest * 1.05];
+  const values = (over) => motors.flatMap((motor) => series(motor, over)).flatMap(({ from, line, points }) => [line(from), line(x[1]), ...points.flatMap(([, value, error]) => [value - error, value + error])]);
+  const [shares, um] = [values(true), values(false)];
   const step = 0.05;
   return {
-    x: [0, longest * 1.05],
+    x,
     share: [Math.min(0.95, Math.floor(Math.min(...shares) / step) * step), Math.max(1.05, Math.ceil(Math.max(...shares) / step) * step)],
-    um: [0, most * 1.05],
+    um: [Math.min(0, ...um), Math.max(...um) * 1.05],
     longest,
   };
 }
@@ -72,7 +72,8 @@ export async function loadCalibration() {
   } catch (error) {
     if (error.code !== "not-found") throw error;
     report = null;
-    $("calibration-note").textContent = "Nothing was calibrated yet: every motor counts as the model's, with a gain of 1.";
+    const none = error.message.startsWith("nothing was calibrated yet");
+    worded($("calibration-note"), none ? "Nothing was calibrated yet: every motor has gain 1." : `No calibration is in use: ${error.message}.`);
   }
   $("fits").hidden = $("fit-values").hidden = !report;
   if (!report) {
@@ -81,7 +82,7 @@ export async function loadCalibration() {
   }
   const { provenance, motors, used, unused, file } = report;
   worded($("calibration-note"), `${motors.length} of ${MOTORS} motors are calibrated. ${used ? "The daemon uses these gains." : `Not in use: ${unused}.`}`);
-  const date = provenance.date ? `${provenance.date.replace("T", " ").replace("Z", " UTC")}, ${age(provenance.date)}` : "without a date";
+  const date = provenance.date ? [provenance.date.replace("T", " ").replace("Z", " UTC"), age(provenance.date)].filter(Boolean).join(", ") : "without a date";
   facts($("calibration-facts"), [
     ["Measured (the last motor)", date],
     ["Measured by", SOURCES[provenance.telemetry] ?? provenance.telemetry],
@@ -97,7 +98,7 @@ export async function loadCalibration() {
 
 function row(motor) {
   const row = element("tr");
-  const cells = DIRECTIONS.flatMap((way) => [gain(motor, way), motor[way].slope_um_per_pulse.toFixed(4), motor[way].offset_um.toFixed(3), `${(100 * motor[`relative_sd_${way}`]).toFixed(1)}`, String(motor[way].bursts)]);
+  const cells = DIRECTIONS.flatMap((direction) => [gain(motor, direction), motor[direction].slope_um_per_pulse.toFixed(4), motor[direction].offset_um.toFixed(3), `${(100 * motor[`relative_sd_${direction}`]).toFixed(1)}`, String(motor[direction].bursts)]);
   row.append(element("th", String(motor.motor), { scope: "row" }), ...cells.map((text) => element("td", text)));
   return row;
 }
@@ -105,31 +106,24 @@ function row(motor) {
 function draw() {
   const { motors } = report;
   const range = ranges(motors);
-  $("fit-grid").replaceChildren(...Array.from({ length: MOTORS }, (_, number) => cell(number, motors.find((motor) => motor.motor === number), range)));
+  for (const [number, button] of [...$("fit-grid").children].entries()) fill(button, number, motors.find((motor) => motor.motor === number), range);
   const [low, high] = range.share;
   const points = motors.some((motor) => motor.up.points.length) ? "Markers: mean travel of the bursts of one length, with its standard error. " : "This file holds no measured points: calibrate again to see them. ";
-  $("fit-note").textContent = `${points}Lines: the fit. Filled triangles and full lines: up; open triangles and dashed lines: down. Small plots: travel over the model's, ${low.toFixed(2)} to ${high.toFixed(2)}, against 0 to ${range.longest} pulses, the thin line at 1; they stand as the motors in the array.`;
+  $("fit-note").textContent = `${points}Lines: the fit. Filled triangles and full lines: up; open triangles and dashed lines: down. Small plots: measured / model travel, ${low.toFixed(2)} to ${high.toFixed(2)}, against 0 to ${range.longest} pulses, the thin line at 1; they stand as the motors in the array.`;
   show(motors.find((motor) => motor.motor === chosen), range);
 }
 
-function cell(number, motor, range) {
-  const button = element("button", "", { type: "button", className: "fit" });
-  button.dataset.motor = number;
-  button.append(element("span", String(number)));
-  if (!motor) {
-    button.disabled = true;
-    button.append(element("span", "not calibrated", { className: "none" }));
-    return button;
-  }
-  button.setAttribute("aria-label", `Motor ${number}: gain up ${gain(motor, "up")}, down ${gain(motor, "down")}`);
-  button.setAttribute("aria-pressed", String(number === chosen));
-  button.append(plot({ width: 80, height: 60, x: range.x, y: range.share, level: 1, series: series(motor, true) }));
-  button.addEventListener("click", () => {
-    chosen = number;
-    for (const other of $("fit-grid").children) if (!other.disabled) other.setAttribute("aria-pressed", String(other === button));
-    show(motor, range);
-  });
-  return button;
+// A motor's button. It stays when its motor is measured again, and keeps the focus.
+function fill(button, number, motor, range) {
+  button.disabled = !motor;
+  button.ariaLabel = motor ? `Motor ${number}: gain up ${gain(motor, "up")}, down ${gain(motor, "down")}` : null;
+  button.ariaPressed = motor ? String(number === chosen) : null;
+  button.replaceChildren(
+    element("span", String(number)),
+    motor
+      ? plot({ width: 80, height: 60, x: range.x, y: range.share, level: 1, series: series(motor, true) })
+      : element("span", "not calibrated", { className: "none" }),
+  );
 }
 
 function show(motor, range) {
@@ -137,7 +131,7 @@ function show(motor, range) {
   const wide = { width: 420, height: 230, x: range.x };
   $("fit-plots").replaceChildren(
     plot({ ...wide, title: `Motor ${motor.motor}, travel against pulses`, y: range.um, labels: ["Pulses of a burst", "Travel, µm"], series: series(motor, false) }),
-    plot({ ...wide, title: `Motor ${motor.motor}, travel over the model's against pulses`, y: range.share, level: 1, labels: ["Pulses of a burst", "Travel over the model's"], series: series(motor, true) }),
+    plot({ ...wide, title: `Motor ${motor.motor}, measured / model travel against pulses`, y: range.share, level: 1, labels: ["Pulses of a burst", "Measured / model travel"], series: series(motor, true) }),
   );
   facts($("fit-facts"), [
     ["Gain up, down", `${gain(motor, "up")}, ${gain(motor, "down")}`],
@@ -148,15 +142,20 @@ function show(motor, range) {
   ]);
 }
 
+// Why motors cannot be calibrated in a state.
+const STATES = { disarmed: "Arm first: the pins move.", faulted: "Reset first.", returning: "Pins move to rest: wait.", "no-device": "No device is connected." };
+
 // Whether motors can be calibrated now, and if not, why.
 export function showCalibrating(status) {
-  const { play, device } = status ?? {};
-  const runs = play?.pattern === "calibration";
+  const { play, device, session } = status ?? {};
+  const runs = play?.pattern === CALIBRATION;
+  if (runs && play.id !== ended) awaited = play.id;
   const why = !status ? "The page does not reach the daemon."
-    : runs ? `Calibrating: ${play.played_s.toFixed(0)} s of about ${PLAN_S} s. Keep the finger off.`
-    : !device ? "No device is connected."
+    : runs ? `Calibrating for ${play.played_s.toFixed(0)} s. Keep the finger off.`
+    : !device ? STATES["no-device"]
     : !device.telemetry ? "This device has no telemetry. A laser measures one motor after the other: `meissner calibrate --plan --motor N` on the daemon's machine."
-    : status.state !== "armed" ? "Arm first: the pins move."
+    : session?.exclusive && !session.released ? `The exclusive session with ${session.participant} runs: only its owner may calibrate.`
+    : status.state !== "armed" ? STATES[status.state] ?? `The state is ${status.state}.`
     : play || status.queued.length ? "A play runs or waits."
     : "";
   $("calibrate").disabled = why !== "";
@@ -164,26 +163,60 @@ export function showCalibrating(status) {
   if ($("calibrate-note").textContent !== text.replaceAll("`", "")) worded($("calibrate-note"), text);
 }
 
+function tell(text) {
+  [ended, awaited, mine] = [awaited, 0, false];
+  $("calibrate-result").textContent = text;
+}
+
 // The event `calibrated`.
 export function handleCalibrated({ motors, problem }) {
-  $("calibrate-result").textContent = problem ? `Nothing was stored: ${problem}.` : `Stored: ${motors.length} ${motors.length === 1 ? "motor" : "motors"}. Home brings the pins back to rest.`;
+  tell(problem ? `Calibration failed: ${problem}.` : `Stored: ${motors.length} ${motors.length === 1 ? "motor" : "motors"}. Home brings the pins back to rest.`);
   return loadCalibration();
+}
+
+// Loads the calibration when events may have been missed, and tells how a calibration ended that ran before.
+export async function loadAfterGap(status) {
+  const before = report?.provenance.date;
+  await loadCalibration();
+  if (!awaited || !status || status.play?.pattern === CALIBRATION) return;
+  tell(report?.provenance.date === before ? "The calibration ended, and nothing was stored." : "The calibration ended, and was stored.");
 }
 
 export function bindCalibration(complain, poll) {
   const numbers = Array.from({ length: MOTORS }, (_, motor) => element("option", `Motor ${motor}`, { value: String(motor) }));
   $("calibrate-motor").append(...numbers);
+  const buttons = numbers.map((_, motor) => element("button", "", { type: "button", className: "fit", value: String(motor) }));
+  $("fit-grid").append(...buttons);
+  $("fit-grid").addEventListener("click", (event) => {
+    const button = event.target.closest("button:enabled");
+    if (!button) return;
+    chosen = Number(button.value);
+    draw();
+  });
+  // Nobody would be at E-STOP.
+  addEventListener("beforeunload", (event) => mine && event.preventDefault());
   const dialog = $("calibrate-dialog");
+  let motor = "";
   closeWithEscape(dialog);
   $("calibrate").addEventListener("click", () => {
+    motor = $("calibrate-motor").value;
+    $("calibrate-what").textContent = motor ? `Motor ${motor} is measured.` : "All motors are measured.";
     dialog.returnValue = "";
     $("calibrate-clear").checked = false;
     open(dialog);
   });
-  dialog.addEventListener("close", () => {
+  dialog.addEventListener("close", async () => {
     if (dialog.returnValue !== "calibrate") return;
-    const motor = $("calibrate-motor").value;
     $("calibrate-result").textContent = "";
-    call("POST", "/v1/calibrate", motor ? { motor: Number(motor) } : {}).then(() => (complain(null), poll()), complain);
+    try {
+      mine = true;
+      await call("POST", "/v1/calibrate", motor ? { motor: Number(motor) } : {});
+      complain(null);
+      poll();
+    } catch (error) {
+      mine = false;
+      $("calibrate-result").textContent = error.message;
+      complain(error);
+    }
   });
 }

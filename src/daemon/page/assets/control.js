@@ -4,6 +4,8 @@ import { call } from "./api.js";
 
 const $ = (id) => document.getElementById(id);
 const HOME_MS = 30000;
+// The name of the play that calibrates.
+export const CALIBRATION = "calibration";
 
 // What a state means to a person with a finger on the pins.
 const STATES = {
@@ -23,7 +25,7 @@ export function show(now) {
   $("state").dataset.state = shown;
   const text = status?.play ? `Playing ${status.play.pattern}, ${status.play.played_s.toFixed(1)} s` : name === "faulted" ? `Stopped: ${status.cause}` : word;
   write($("state-text"), text);
-  write($("touch"), status?.play ? "Pins vibrate." : touch);
+  write($("touch"), !status?.play ? touch : status.play.pattern === CALIBRATION ? "Calibration: do not touch the pins." : "Pins vibrate.");
   const device = status?.device;
   write($("link"), device ? `${device.kind}${device.simulated ? ", simulated" : ""}` : "");
   $("arm").disabled = !(status && name === "disarmed");
@@ -54,6 +56,11 @@ function describe(status, late) {
   ];
 }
 
+// An element of HTML.
+export function element(name, text = "", more = {}) {
+  return Object.assign(document.createElement(name), { textContent: text, ...more });
+}
+
 function write(element, text) {
   if (element.textContent !== text) element.textContent = text;
 }
@@ -72,6 +79,8 @@ export function facts(list, rows) {
 export function open(dialog) {
   dialog.show();
   dialog.querySelector("input:not([hidden]), button").focus();
+  // The focus may have scrolled past the warning.
+  dialog.scrollTop = 0;
 }
 
 export function closeWithEscape(dialog) {

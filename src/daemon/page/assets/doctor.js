@@ -3,8 +3,10 @@
 import { call } from "./api.js";
 
 const $ = (id) => document.getElementById(id);
-// A check waits up to 3 s for systemd, and another one may run before it.
-const ANSWER_MS = 12000;
+// A check holds one of the browser's connections to the daemon.
+const ANSWER_MS = 2000;
+// From one check to the next that nobody asked for, at least.
+const PAUSE_MS = 2000;
 // Verdicts, the worst first.
 const VERDICTS = { fail: "Failure", warn: "Warning", ok: "OK" };
 
@@ -34,8 +36,18 @@ function item({ what, level, found, advice }) {
   return item;
 }
 
-export async function loadDoctor() {
-  $("doctor-again").disabled = true;
+let checking = false;
+// Whether a person waits for the check.
+let asked = false;
+let checked = "";
+let due = null;
+let begun = -PAUSE_MS;
+
+async function check() {
+  if (checking || document.hidden) return;
+  checking = true;
+  begun = performance.now();
+  $("doctor-again").ariaDisabled = "true";
   $("doctor-note").textContent = "Checking …";
   try {
     const { findings } = await call("GET", "/v1/doctor", undefined, ANSWER_MS);
@@ -46,15 +58,32 @@ export async function loadDoctor() {
       const number = findings.filter((finding) => finding.level === level).length;
       return `${number} ${number === 1 ? one : more}`;
     };
-    $("doctor-note").textContent = `${count("fail", "failure", "failures")}, ${count("warn", "warning", "warnings")}, ${count("ok", "check", "checks")} without fault, at ${new Date().toLocaleTimeString("en-GB")}.`;
+    checked = new Date().toLocaleTimeString("en-GB");
+    $("doctor-note").textContent = `${count("fail", "failure", "failures")}, ${count("warn", "warning", "warnings")}, ${count("ok", "check", "checks")} passed, at ${checked}.`;
   } catch (error) {
-    $("doctor-note").textContent = "Not checked.";
-    throw error;
+    const why = error.code === "slow" ? `The checks took more than ${ANSWER_MS / 1000} s.` : error.message;
+    $("doctor-note").textContent = `Not checked: ${why}${checked ? ` The list is of ${checked}.` : ""}`;
   } finally {
-    $("doctor-again").disabled = false;
+    checking = false;
+    $("doctor-again").ariaDisabled = null;
+    if (asked) $("doctor-say").textContent = $("doctor-note").textContent;
+    asked = false;
   }
 }
 
-export function bindDoctor(report) {
-  $("doctor-again").addEventListener("click", () => loadDoctor().then(() => report(null), report));
+// Checks soon, as the daemon's state has changed.
+export function checkSoon() {
+  due ??= setTimeout(() => {
+    due = null;
+    if (checking) checkSoon();
+    else check();
+  }, Math.max(0, begun + PAUSE_MS - performance.now()));
+}
+
+export function bindDoctor() {
+  $("doctor-again").addEventListener("click", () => {
+    asked = true;
+    $("doctor-say").textContent = "";
+    check();
+  });
 }

@@ -3,6 +3,7 @@
 
 const ROWS = 6;
 const COLUMNS = 4;
+export const MOTORS = ROWS * COLUMNS;
 const SLOWER = 20;
 // Drawing units: one is a tenth of a millimetre. The pitch is 2.9 mm.
 const PITCH = 29;
@@ -41,7 +42,7 @@ export function drivesAt(details, seconds) {
 // A small map of the amplitudes that a pattern reaches, over its whole length.
 export function thumbnail(details) {
   const svg = make("svg", { viewBox: "0 0 40 60", class: "thumbnail", role: "img" });
-  const most = new Array(ROWS * COLUMNS).fill(0);
+  const most = new Array(MOTORS).fill(0);
   for (const of of details.drives) most[of.motor] = Math.max(most[of.motor], of.reached_um);
   const moving = most.map((um, motor) => [motor, um]).filter(([, um]) => um > 0);
   svg.setAttribute("aria-label", `Pins that move: ${moving.map(([motor]) => motor).join(", ") || "none"}`);
@@ -60,7 +61,7 @@ export class Finger {
     const [width, height] = [2 * EDGE + (COLUMNS - 1) * PITCH, 2 * EDGE + (ROWS - 1) * PITCH];
     this.svg = make("svg", { viewBox: `0 0 ${width} ${height}`, role: "img", class: "finger" });
     this.svg.append(make("path", { class: "skin", d: outline(width, height) }));
-    for (let motor = 0; motor < ROWS * COLUMNS; motor++) {
+    for (let motor = 0; motor < MOTORS; motor++) {
       // Row 0 is at the top, as in all maps of the project.
       const [x, y] = [EDGE + PITCH * (motor % COLUMNS), EDGE + PITCH * Math.floor(motor / COLUMNS)];
       const group = make("g", { transform: `translate(${x} ${y})` });
@@ -85,7 +86,7 @@ export class Finger {
     const moving = [...drives.values()];
     const most = Math.max(0, ...rest_um.map(Math.abs));
     this.svg.setAttribute("aria-label", moving.length
-      ? `${moving.length} of 24 pins vibrate, up to ${Math.max(...moving.map((drive) => drive.reached_um)).toFixed(0)} µm`
+      ? `${moving.length} of ${MOTORS} pins vibrate, up to ${Math.max(...moving.map((drive) => drive.reached_um)).toFixed(0)} µm`
       : `No pin vibrates. Largest offset from rest ${most.toFixed(0)} µm`);
     this.#pins.forEach((pin, motor) => {
       const drive = drives.get(motor);

@@ -16,6 +16,9 @@ function ticks([low, high], count) {
 // Upwards a filled triangle, downwards an open one that stands on its tip.
 const MARKERS = { up: "M0 -1 L1 0.8 L-1 0.8 Z", down: "M0 1 L1 -0.8 L-1 -0.8 Z" };
 
+// Numbers the plots of the page: each has a clipping path.
+let plots = 0;
+
 // `series`: each with a class `name`, `line` (from x to y) and `points` [x, y, error]. `x` and `y`: ranges. `labels`: of both axes; without
 // them the plot has no axes. `level`: a value of y with a line of its own.
 export function plot({ title, width, height, x, y, series, labels, level }) {
@@ -38,14 +41,17 @@ export function plot({ title, width, height, x, y, series, labels, level }) {
     svg.append(make("text", { x: 13, y: middle, "text-anchor": "middle", transform: `rotate(-90 13 ${middle})` }, labels[1]));
   }
   if (level !== undefined) rule("level", across(x[0]), upward(level), across(x[1]), upward(level));
-  const clamp = (value) => Math.min(Math.max(value, y[0]), y[1]);
+  const clip = `plot-${++plots}`;
+  const frame = make("clipPath", { id: clip });
+  frame.append(make("rect", { x: left, y: top, width: width - left - right, height: height - bottom - top }));
+  svg.append(frame);
   for (const { name, line, points, from } of series) {
     const group = make("g", { class: name });
     const steps = Array.from({ length: 41 }, (_, i) => from + ((x[1] - from) * i) / 40);
-    group.append(make("path", { class: "fit-line", d: steps.map((at, i) => `${i ? "L" : "M"}${across(at).toFixed(1)} ${upward(clamp(line(at))).toFixed(1)}`).join(" ") }));
+    group.append(make("path", { class: "fit-line", "clip-path": `url(#${clip})`, d: steps.map((at, i) => `${i ? "L" : "M"}${across(at).toFixed(1)} ${upward(line(at)).toFixed(1)}`).join(" ") }));
     for (const [at, value, error] of points) {
-      if (error > 0) group.append(make("line", { class: "error", x1: across(at), x2: across(at), y1: upward(clamp(value - error)), y2: upward(clamp(value + error)) }));
-      group.append(make("path", { class: "point", d: MARKERS[name], transform: `translate(${across(at).toFixed(1)} ${upward(clamp(value)).toFixed(1)}) scale(${size})` }));
+      if (error > 0) group.append(make("line", { class: "error", x1: across(at), x2: across(at), y1: upward(value - error), y2: upward(value + error) }));
+      group.append(make("path", { class: "point", d: MARKERS[name], transform: `translate(${across(at).toFixed(1)} ${upward(value).toFixed(1)}) scale(${size})` }));
     }
     svg.append(group);
   }

@@ -1,15 +1,11 @@
 // What was played: the last receipt and the recorded sessions.
 
 import { call } from "./api.js";
-import { facts } from "./control.js";
+import { element, facts } from "./control.js";
 
 const $ = (id) => document.getElementById(id);
 // Plays that an answer of the daemon has, at most.
 const ROWS = 2000;
-
-function element(name, text = "", more = {}) {
-  return Object.assign(document.createElement(name), { textContent: text, ...more });
-}
 
 export function showReceipt(receipt) {
   // Of a play that runs there is nothing to count yet.
