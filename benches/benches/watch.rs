@@ -1,17 +1,18 @@
-//! What windows of the page cost the daemon, and how soon the first pulse of a drawn edge comes: `cargo bench -p meissner-benches --bench watch`.
+//! What windows of the page cost the daemon, and how soon the first pulse of a drawn edge comes:
+//! `cargo bench -p meissner-benches --bench watch`.
 //!
-//! All 64 clients watch while all pins vibrate for `WATCHED` seconds [30]: 24 windows over TCP, which hold a stream of events and ask for
-//! the status every second, and streams of events on the socket. It prints the daemon's processor time with and without them, its memory, late bursts, and bytes. Then it
-//! searches for a pattern for an edge, as the page does when the pen is lifted, and plays it; then it orders emergency stops while such
-//! a search runs. It asserts nothing.
+//! All 64 clients watch while all pins vibrate for `WATCHED` seconds [30]: 24 windows over TCP, which hold a stream of events and
+//! ask for the status every second, and streams of events on the socket. The benchmark prints the daemon's processor time with
+//! and without them, its memory, late bursts, and bytes. Then it searches for a pattern for an edge, as the page does when the pen
+//! is lifted, and plays it. At last it orders emergency stops while such a search runs. It asserts nothing.
 
 use meissner_api::{Event, PlayAccepted, Receipt, Search, SearchState, Status};
 use meissner_benches::daemon::Daemon;
+use meissner_benches::loads::window;
 use meissner_client::{Client, ClientError, Events};
 use serde_json::{Value, json};
 use std::error::Error;
-use std::io::{Read, Write};
-use std::net::{SocketAddr, TcpListener, TcpStream};
+use std::net::{SocketAddr, TcpListener};
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::thread;
 use std::time::{Duration, Instant};
@@ -20,8 +21,6 @@ use std::time::{Duration, Instant};
 const WINDOWS: usize = 24;
 /// The socket's clients; this benchmark's own two make it 64.
 const ON_SOCKET: usize = 14;
-/// A window asks so often for the status.
-const POLLED: Duration = Duration::from_secs(1);
 /// Searches for the edge with each budget.
 const SEARCHES: u64 = 5;
 const STOPS: usize = 1000;
@@ -118,30 +117,6 @@ fn listen(events: &mut Events, over: &AtomicBool) -> Done {
     Ok(())
 }
 
-/// One of a window's two connections, until the end.
-fn window(tcp: SocketAddr, polls: bool, over: &AtomicBool, bytes: &AtomicU64) -> std::io::Result<()> {
-    let path = if polls { "/v1/status" } else { "/v1/events" };
-    let request = format!("GET {path} HTTP/1.1\r\nhost: {tcp}\r\n\r\n");
-    let mut stream = TcpStream::connect(tcp)?;
-    stream.set_read_timeout(Some(Duration::from_millis(100)))?;
-    let mut asked: Option<Instant> = None;
-    let mut buffer = vec![0; 1 << 16];
-    while !over.load(Ordering::Relaxed) {
-        if asked.is_none_or(|asked| polls && asked.elapsed() >= POLLED) {
-            stream.write_all(request.as_bytes())?;
-            asked = Some(Instant::now());
-        }
-        match stream.read(&mut buffer) {
-            Ok(0) => return Err(std::io::ErrorKind::UnexpectedEof.into()),
-            Ok(read) => _ = bytes.fetch_add(read as u64, Ordering::Relaxed),
-            Err(error)
-                if matches!(error.kind(), std::io::ErrorKind::WouldBlock | std::io::ErrorKind::TimedOut) => {}
-            Err(error) => return Err(error),
-        }
-    }
-    Ok(())
-}
-
 fn receipt(events: &mut Events, play: u64) -> Done<Receipt> {
     match wait_for(events, |event| matches!(event, Event::Ended { receipt } if receipt.id == play))? {
         Event::Ended { receipt } => Ok(*receipt),
@@ -189,7 +164,7 @@ fn first_pulse(daemon: &Daemon, client: &mut Client, budget_s: f64) -> Done {
     Ok(())
 }
 
-/// A search for an edge that nobody has drawn before.
+/// Begins a search for an edge. Every number gives another edge.
 fn begin_search(client: &mut Client, seconds: f64, model: &str, number: u64) -> Done<u64> {
     let x = 3.0 + 0.1 * number as f64;
     let target = json!({"name": "drawn", "shape": "segment", "points": [[-x, -2.0], [x, 2.0]]});

@@ -16,7 +16,7 @@ pub type Load = fn(&Place, &AtomicBool);
 
 /// Set for the child that is the daemon, or another command.
 pub const CHILD: &str = "MEISSNER_BENCH_CHILD";
-/// A page asks so often for the status.
+/// A window of the page asks so often for the status.
 const POLLED: Duration = Duration::from_secs(1);
 /// How long a client waits for an answer.
 const ANSWER_WITHIN: Duration = Duration::from_secs(10);
@@ -323,36 +323,40 @@ fn tcp_hostile(place: &Place, over: &AtomicBool) {
     println!("{:.0} refusals/s", count.into_inner() as f64 / begun.elapsed().as_secs_f64());
 }
 
-/// As the page in the browser: a stream of events, and the status every [`POLLED`].
+/// 30 windows of the page, and plays.
 fn tcp_pages(place: &Place, over: &AtomicBool) {
-    let count = AtomicU64::new(0);
+    let bytes = AtomicU64::new(0);
     let begun = Instant::now();
-    let get = |path: &str| format!("GET {path} HTTP/1.1\r\nhost: {}\r\n\r\n", place.tcp);
-    let (events, status) = (get("/v1/events"), get("/v1/status"));
     thread::scope(|scope| {
-        scope.spawn(|| {
-            threads(60, over, |number| {
-                let mut stream = TcpStream::connect_timeout(&place.tcp, Duration::from_millis(100))?;
-                let mut bytes = vec![0; 1 << 16];
-                let polls = number % 2 == 0;
-                stream.set_read_timeout(Some(Duration::from_secs(5)))?;
-                if !polls {
-                    stream.write_all(events.as_bytes())?;
-                }
-                while !over.load(Ordering::Relaxed) {
-                    if polls {
-                        thread::sleep(POLLED);
-                        stream.write_all(status.as_bytes())?;
-                    }
-                    match stream.read(&mut bytes)? {
-                        0 => break,
-                        read => count.fetch_add(read as u64, Ordering::Relaxed),
-                    };
-                }
-                Ok(())
-            });
-        });
+        scope.spawn(|| threads(60, over, |number| window(place.tcp, number % 2 == 0, over, &bytes)));
         plays(place, over);
     });
-    println!("{:.0} kB/s to all", count.into_inner() as f64 / begun.elapsed().as_secs_f64() / 1e3);
+    println!("{:.0} kB/s to all", bytes.into_inner() as f64 / begun.elapsed().as_secs_f64() / 1e3);
+}
+
+/// One of the two connections of a window of the page, until the end: a stream of events, or the status every second. Counts the bytes
+/// that it gets.
+///
+/// # Errors
+/// If the daemon cannot be reached, or closes the connection.
+pub fn window(tcp: SocketAddr, polls: bool, over: &AtomicBool, bytes: &AtomicU64) -> io::Result<()> {
+    let path = if polls { "/v1/status" } else { "/v1/events" };
+    let request = format!("GET {path} HTTP/1.1\r\nhost: {tcp}\r\n\r\n");
+    let mut stream = TcpStream::connect(tcp)?;
+    stream.set_read_timeout(Some(Duration::from_millis(100)))?;
+    let mut asked: Option<Instant> = None;
+    let mut buffer = vec![0; 1 << 16];
+    while !over.load(Ordering::Relaxed) {
+        if asked.is_none_or(|asked| polls && asked.elapsed() >= POLLED) {
+            stream.write_all(request.as_bytes())?;
+            asked = Some(Instant::now());
+        }
+        match stream.read(&mut buffer) {
+            Ok(0) => return Err(io::ErrorKind::UnexpectedEof.into()),
+            Ok(read) => _ = bytes.fetch_add(read as u64, Ordering::Relaxed),
+            Err(error) if matches!(error.kind(), io::ErrorKind::WouldBlock | io::ErrorKind::TimedOut) => {}
+            Err(error) => return Err(error),
+        }
+    }
+    Ok(())
 }

@@ -380,7 +380,8 @@ impl Route {
                 description: "The findings of `meissner doctor` that the daemon can make from where it runs: about its machine, \
                               itself and its device. It measures, moves and changes nothing. A check takes up to 3 s, an \
                               answer up to 10 s: one check runs at a time, at most four in a second, and requests that come \
-                              meanwhile share the next one. The command on the daemon's machine also measures timers, checks its user's rights, and can have a board test itself.",
+                              meanwhile share the next one. The command on the daemon's machine also measures timers, checks its \
+                              user's rights, and can have a board test itself.",
                 answer: Answer::Json("DoctorReport"),
                 errors: &[&[Code::Store, Code::Timeout], ANY],
                 ..Operation::get("/v1/doctor")

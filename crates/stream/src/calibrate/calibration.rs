@@ -19,7 +19,7 @@ pub const FORMAT: u8 = 2;
 pub const MAX_BYTES: usize = 256 << 10;
 /// Bursts of a fit at most.
 const MAX_BURSTS: usize = 1_000_000;
-/// A smaller number, µm or none, counts as 0: it would have hundreds of digits in the file.
+/// The file has 0 in place of a smaller number, which may have hundreds of digits.
 const LEAST: f64 = 1e-12;
 /// Characters of each text of the provenance.
 const MAX_WORDS: usize = 200;
@@ -187,11 +187,7 @@ impl Calibration {
 
 /// Leaves out digits that no measurement has, so that the file stays short.
 fn shorten(motor: &mut MotorFit) {
-    let thousandth = |um: &mut f64| *um = (*um * 1e3).round() / 1e3;
-    for point in motor.up_points.iter_mut().chain(&mut motor.down_points) {
-        thousandth(&mut point.travel_um);
-        thousandth(&mut point.sd_um);
-    }
+    motor.up_points.iter_mut().chain(&mut motor.down_points).for_each(|point| *point = point.rounded());
     for fit in [&mut motor.up, &mut motor.down] {
         for number in [&mut fit.slope_se_um_per_pulse, &mut fit.offset_um, &mut fit.relative_sd] {
             if number.abs() < LEAST {

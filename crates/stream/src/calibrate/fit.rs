@@ -53,6 +53,14 @@ pub struct FitPoint {
     pub bursts: usize,
 }
 
+impl FitPoint {
+    /// With as many digits as the file has.
+    pub(super) fn rounded(self) -> Self {
+        let thousandth = |um: f64| (um * 1e3).round() / 1e3;
+        Self { travel_um: thousandth(self.travel_um), sd_um: thousandth(self.sd_um), ..self }
+    }
+}
+
 /// How a motor moves its pin.
 #[derive(Clone, Debug, PartialEq)]
 pub struct MotorFit {
@@ -152,13 +160,12 @@ fn points<'b>(travels: impl Iterator<Item = &'b BurstTravel>) -> Vec<FitPoint> {
     for travel in travels {
         by_length.entry(travel.pulses).or_default().push(travel.travel_um);
     }
-    let thousandth = |um: f64| (um * 1e3).round() / 1e3;
     let point = |(pulses, travels): (u16, Vec<f64>)| {
         let bursts = travels.len();
         let mean = travels.iter().sum::<f64>() / bursts as f64;
         let squares: f64 = travels.iter().map(|um| (um - mean).powi(2)).sum();
         let sd_um = (squares / (bursts - 1).max(1) as f64).sqrt();
-        FitPoint { pulses, travel_um: thousandth(mean), sd_um: thousandth(sd_um), bursts }
+        FitPoint { pulses, travel_um: mean, sd_um, bursts }.rounded()
     };
     by_length.into_iter().map(point).collect()
 }

@@ -1,6 +1,7 @@
 // The doctor's findings: each with its verdict as shape, word and colour, what was found, and what to do.
 
 import { call } from "./api.js";
+import { element } from "./control.js";
 
 const $ = (id) => document.getElementById(id);
 // A check holds one of the browser's connections to the daemon.
@@ -11,28 +12,24 @@ const PAUSE_MS = 2000;
 const VERDICTS = { fail: "Failure", warn: "Warning", ok: "OK" };
 
 // Fills an element with a text whose commands, between backticks, are shown as code.
-export function worded(element, text) {
-  const parts = text.split("`").map((part, i) => (i % 2 ? Object.assign(document.createElement("code"), { textContent: part }) : part));
-  element.replaceChildren(...parts);
-  return element;
+export function worded(place, text) {
+  place.replaceChildren(...text.split("`").map((part, i) => (i % 2 ? element("code", part) : part)));
+  return place;
 }
 
 function item({ what, level, found, advice }) {
-  const item = document.createElement("li");
+  const item = element("li");
   item.dataset.level = level;
-  const mark = Object.assign(document.createElement("span"), { className: "mark", ariaHidden: "true" });
-  const head = document.createElement("p");
-  const verdict = Object.assign(document.createElement("span"), { className: "verdict", textContent: VERDICTS[level] ?? level });
-  head.append(Object.assign(document.createElement("strong"), { textContent: what }), " ", verdict);
-  const text = document.createElement("div");
-  text.append(head, worded(document.createElement("p"), found));
+  const head = element("p");
+  head.append(element("strong", what), " ", element("span", VERDICTS[level] ?? level, { className: "verdict" }));
+  const text = element("div");
+  text.append(head, worded(element("p"), found));
   if (advice) {
-    const remedy = worded(document.createElement("p"), advice);
-    remedy.className = "remedy";
-    remedy.prepend(Object.assign(document.createElement("strong"), { textContent: "Remedy: " }));
+    const remedy = worded(element("p", "", { className: "remedy" }), advice);
+    remedy.prepend(element("strong", "Remedy: "));
     text.append(remedy);
   }
-  item.append(mark, text);
+  item.append(element("span", "", { className: "mark", ariaHidden: "true" }), text);
   return item;
 }
 
