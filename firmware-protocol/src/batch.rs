@@ -23,7 +23,7 @@ pub const MAX_BATCH: usize = 32;
 /// The strokes of a frame.
 pub(crate) type Batch = heapless::Vec<Stroke, MAX_BATCH>;
 /// Most bytes of packed items in a message: what its longest header leaves.
-pub const BATCH_BYTES: usize = 226;
+pub const BATCH_BYTES: usize = 217;
 
 const MOTOR: u8 = 0x1f;
 const SAME_PULSES: u8 = 0x20;

@@ -154,6 +154,9 @@ pub fn longest_frame(out: &mut [u8; MAX_FRAME]) -> usize {
         at += 1;
     }
     let (base, batch) = (strokes.base().wire(), strokes.bytes());
-    frame::encode(&HostMessage::Strokes { epoch: 0, seq: 0, seen: 0, mark: None, base, batch }, out)
-        .unwrap_or(0)
+    frame::encode(
+        &HostMessage::Strokes { epoch: 0, seq: 0, seen: 0, mark: None, withdraw: None, base, batch },
+        out,
+    )
+    .unwrap_or(0)
 }

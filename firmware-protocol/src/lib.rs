@@ -82,6 +82,21 @@
 //! A code is a serial frame (one start bit, eight data bits, one stop bit) of 85 000 / `width` baud with inverted levels. A
 //! later mark with a trigger ends the one before.
 //!
+//! # Replacing strokes
+//! A frame with a `withdraw` replaces queued strokes, each motor's as a whole or not at all. Of each motor named there, the device
+//! returns to the pool all strokes that begin at `base` or later, in the moment in which it queues the first stroke of that motor in
+//! the same frame; of a motor without a stroke in the frame, after its strokes. These strokes count as *replaced*: every
+//! stroke accepted is played, dropped, refused as it begins, or replaced. A stroke that has begun is never touched. So the host names
+//! a `base` far enough ahead, lets the motor's last stroke that begins before it be, and sends what follows that one.
+//! If a stroke from `base` on has begun, or the first one to take its place is late, breaks a limit or overlaps one before, then the motor's queue *is
+//! kept*: a `Verdict` names the motor, and its strokes in this and later frames are late until a frame withdraws again from it, a
+//! play begins, or a command begins an epoch. The old strokes are played meanwhile. The host needs credits for the new strokes
+//! before the old ones are withdrawn. The first frame of a play withdraws nothing.
+//!
+//! An amendment may be overtaken by the frame that withdraws its stroke, and the new stroke may begin at the same tick. So
+//! `withdraw` has the `generation` of the last amendment that concerns old strokes, and a stroke takes only amendments newer
+//! than all that the device knew of when it queued the stroke.
+//!
 //! # Reports
 //! `Verdict`, `OnsetRefused`, `Onset`, `Cut` and `Refused` must reach the host. The device numbers them and repeats them
 //! every 10 ms while it hears the host, until the host's `seen` includes their number. At most 32 are sent and not seen.
@@ -136,7 +151,7 @@
 //! | `Status`: `outstanding` | at most 24 · 65 535 | contradiction `state` |
 //! | counters of statuses and onsets | do not shrink; at most 2^62; `played` and `pulses` grow by at most a pulse per tick and line, and a stroke | contradiction `counters` |
 //! | `Report`: `number` | the next one | ignored: the device repeats what is missing |
-//! | `Verdict`, `OnsetRefused` | a frame sent and not judged; strokes of that frame, each late or refused; a frame with a mark whose base is before `rendered` | contradiction `report` |
+//! | `Verdict`, `OnsetRefused` | a frame sent and not judged; strokes of that frame, each late or refused; motors it withdraws from; a frame with a mark whose base is before `rendered` | contradiction `report` |
 //! | `Onset`: `tick` | a mark sent and not reported | contradiction `report` |
 //! | `Cut`: `flushed`, `outstanding` | at most `pool`; as in `Status` | contradiction `report` |
 //! | `Refused`: `motor`, `reason` | 0 to 23; an on-time limit or the limit on pushing | contradiction `report` |
@@ -164,7 +179,7 @@
 //! pause of all lines that is longer than both. They are *ready* once they have been on for the lead. So while they are off, a
 //! stroke is late unless it begins a lead after the rendered end, and a return begins by as much later. `horizon` in the
 //! handshake is the sum of both. A stroke that a limit refuses when it is to begin has had its lead: then the drivers are on
-//! without a pulse, for longer if more such strokes follow.
+//! without a pulse, for longer if more such strokes follow. So they are for a stroke that is withdrawn less than a lead before it.
 //!
 //! A firmware looks for e-stops in the bytes as they arrive ([`urgent`]), before it reads the bytes that came earlier, and in
 //! SETUP packets of USB ([`urgent::e_stop_request`]). An e-stop that was new when it was found latches, even if the link is lost

@@ -44,7 +44,9 @@ pub enum HostMessage<'a> {
         seen: u16,
         /// The mark at `base`, if the frame begins a play or a later item of it.
         mark: Option<Mark>,
-        /// The tick from which `batch` counts.
+        /// What the frame withdraws before its strokes are queued, if it replaces strokes.
+        withdraw: Option<Withdraw>,
+        /// The tick from which `batch` counts, and from which strokes are withdrawn.
         base: WireTick,
         /// Packed strokes (see [`crate::batch`]).
         batch: &'a [u8],
@@ -79,6 +81,15 @@ pub struct Mark {
     pub kind: MarkKind,
     /// What the trigger output does from this tick on.
     pub trigger: Option<Trigger>,
+}
+
+/// The motors whose queued strokes a frame replaces.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Withdraw {
+    /// Bit i: motor i.
+    pub motors: u32,
+    /// The generation of the host's last amendment. Amendments up to it do not concern strokes queued from now on.
+    pub generation: u16,
 }
 
 /// Whose onset a [`Mark`] is.
@@ -316,6 +327,8 @@ pub struct Counters {
     pub late: u64,
     /// Bursts of refused strokes.
     pub refused: u64,
+    /// Bursts of accepted strokes that were withdrawn before they began.
+    pub replaced: u64,
     /// Played bursts whose count an amendment changed.
     pub amended: u64,
     /// Amendments ignored: too late, without a stroke, or out of limits.
@@ -334,6 +347,7 @@ impl Counters {
         dropped: 0,
         late: 0,
         refused: 0,
+        replaced: 0,
         amended: 0,
         amendments_ignored: 0,
         bad_frames: 0,
@@ -344,7 +358,7 @@ impl Counters {
 /// An event that must reach the host.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Report {
-    /// Some strokes of a frame were not accepted.
+    /// Some strokes of a frame were not accepted, or some of a motor's not withdrawn.
     Verdict {
         /// The frame's number.
         seq: u16,
@@ -352,9 +366,11 @@ pub enum Report {
         late: u64,
         /// Bit i: stroke i was refused.
         refused: u64,
-        /// Why the first of those was refused.
+        /// Bit i: nothing of motor i was withdrawn. Its queued strokes stay, and those of the frame are late.
+        kept: u32,
+        /// Why the first of the refused strokes was refused.
         reason: Option<Refusal>,
-        /// The earliest possible start when the device judged the first late stroke. Strokes of a long frame are judged one after the
+        /// The earliest possible start when the device judged the first late stroke or kept the first motor. Strokes of a long frame are judged one after the
         /// other, so a later one may begin after this tick and be late.
         rendered: WireTick,
     },

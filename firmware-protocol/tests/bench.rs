@@ -11,6 +11,7 @@ use firmware_protocol::frame::{Decoder, MAX_FRAME, encode};
 use firmware_protocol::limits::{MAX_PUSHES_PER_S, OnTimeLimits};
 use firmware_protocol::message::{
     Cause, DeviceMessage, HostMessage, LowerStop, Mark, MarkKind, Op, Report, State, Status, Trigger,
+    Withdraw,
 };
 use firmware_protocol::stroke::{Burst, Direction, Line, Lines, MOTORS, Stroke};
 use firmware_protocol::tick::{TICK_HZ, Tick};
@@ -51,8 +52,10 @@ pub(crate) struct Bench {
     shell: Shell,
     /// As the firmware: a piece of a frame in each block, and lines rendered in between.
     pub(crate) in_pieces: bool,
-    /// Runs of one tick, and whether a limit refused a stroke that was to begin in it.
+    /// Runs of one tick, and whether a stroke that was to begin then or soon was refused by a limit or withdrawn.
     ahead: VecDeque<(Run, bool)>,
+    /// Bursts refused as they began, or withdrawn, until the last tick was rendered.
+    taken_back: u64,
     log: Vec<(u64, Lines)>,
     /// Ticks in which the trigger was high.
     pub(crate) triggered: Vec<u64>,
@@ -108,6 +111,7 @@ impl Bench {
             shell,
             in_pieces: false,
             ahead: VecDeque::new(),
+            taken_back: 0,
             log: Vec::new(),
             triggered: Vec::new(),
             enabled: 0,
@@ -155,9 +159,10 @@ impl Bench {
 
     fn fill(&mut self, to: u64) {
         while self.device.rendered().0 < to {
-            let refused = self.device.counters().refused;
             let run = self.device.render((to - self.device.rendered().0) as u32);
-            let refuses = self.device.counters().refused > refused;
+            let counters = self.device.counters();
+            let taken_back = counters.refused + counters.replaced;
+            let refuses = taken_back > std::mem::replace(&mut self.taken_back, taken_back);
             assert!(run.ticks > 0, "rendering makes progress");
             self.ahead.extend((0..run.ticks).map(|_| (Run { ticks: 1, ..run }, refuses)));
         }
@@ -182,7 +187,7 @@ impl Bench {
     }
 
     /// No pulse comes before the drivers' lead, and they are not enabled for longer than lead and tail without one,
-    /// except where a limit refuses a stroke in the tick in which it was to begin.
+    /// except where a limit refuses a stroke in the tick in which it was to begin, or a frame withdraws it shortly before.
     fn check_drivers(&mut self, pulse: bool, enabled: bool, refuses: bool) {
         let at = self.now;
         if !enabled {
@@ -321,8 +326,30 @@ impl Bench {
     /// Sends the next frame of the stream.
     pub(crate) fn frame(&mut self, mark: Option<Mark>, base: u64, batch: &[u8]) {
         let (epoch, seq, seen) = (self.epoch, self.seq, self.seen());
-        self.send(&HostMessage::Strokes { epoch, seq, seen, mark, base: Tick(base).wire(), batch });
+        let withdraw = None;
+        self.send(&HostMessage::Strokes { epoch, seq, seen, mark, withdraw, base: Tick(base).wire(), batch });
         self.seq = self.status().next_seq;
+    }
+
+    /// Sends a frame that withdraws from `base` on what these motors have queued, and queues these strokes.
+    pub(crate) fn replace(&mut self, motors: u32, generation: u16, base: u64, strokes: &[Stroke]) {
+        let bytes = self.replacement(None, Withdraw { motors, generation }, base, strokes);
+        self.bytes(&bytes);
+        self.seq = self.status().next_seq;
+    }
+
+    /// The same as bytes, perhaps with a mark.
+    pub(crate) fn replacement(
+        &self,
+        mark: Option<Mark>,
+        withdraw: Withdraw,
+        base: u64,
+        strokes: &[Stroke],
+    ) -> Vec<u8> {
+        let (epoch, seq, seen) = (self.epoch, self.seq, self.seen());
+        let batch = pack(base, strokes);
+        let (withdraw, base, batch) = (Some(withdraw), Tick(base).wire(), batch.bytes());
+        frame(&HostMessage::Strokes { epoch, seq, seen, mark, withdraw, base, batch })
     }
 
     pub(crate) fn strokes(&mut self, strokes: &[Stroke]) {

@@ -1,4 +1,4 @@
-//! The bytes of version 3 on the wire. Never edit them: a changed byte is a new version.
+//! The bytes of version 4 on the wire. Never edit them: a changed byte is a new version.
 
 use crate::bench::{ONSET, frame, pack, stroke};
 use firmware_protocol::batch::{Amendment, BATCH_BYTES, Packer};
@@ -7,7 +7,7 @@ use firmware_protocol::frame::{Decoder, FRAME_OVERHEAD, MAX_FRAME, PROTOCOL};
 use firmware_protocol::limits::{OnTimeLimits, Refusal};
 use firmware_protocol::message::{
     Cause, Counters, Cut, DeviceHello, DeviceMessage, HostMessage, LowerStop, Mark, MarkKind, Op, Report,
-    State, Status, Trigger,
+    State, Status, Trigger, Withdraw,
 };
 use firmware_protocol::stroke::{Direction, MOTORS};
 use firmware_protocol::tick::{Tick, WireTick};
@@ -21,6 +21,7 @@ const COUNTERS: Counters = Counters {
     dropped: 3,
     late: 4,
     refused: 5,
+    replaced: 10,
     amended: 6,
     amendments_ignored: 7,
     bad_frames: 8,
@@ -121,25 +122,32 @@ fn from_the_host() {
     let control = |op| HostMessage::Control { epoch: 7, seen: 400, op };
     let coded = Mark { kind: MarkKind::Item, trigger: Some(Trigger { width: 85, code: 200 }) };
     let silent = Mark { kind: MarkKind::Play, trigger: None };
-    let marked =
-        |mark| HostMessage::Strokes { epoch: 7, seq: 1, seen: 1, mark: Some(mark), base, batch: &[] };
+    let marked = |mark| HostMessage::Strokes {
+        epoch: 7,
+        seq: 1,
+        seen: 1,
+        mark: Some(mark),
+        withdraw: None,
+        base,
+        batch: &[],
+    };
     let cases = [
-        (HostMessage::Hello { session: 0xdead_beef }, "02030aeffdb6f50d70b0a5a400"),
-        (HostMessage::Ping { token: 513, seen: 0 }, "0503018104051b5ea5bd00"),
-        (control(arm(None)), "0603020790030b019cc701a09c0190bf0505926690ca00"),
+        (HostMessage::Hello { session: 0xdead_beef }, "02040aeffdb6f50dfe8e026100"),
+        (HostMessage::Ping { token: 513, seen: 0 }, "0504018104050b82850f00"),
+        (control(arm(None)), "0604020790030b019cc701a09c0190bf0505d91a02ea00"),
         (
             control(arm(Some(LowerStop { pulses_per_s: 17_000, seek: 7_400 }))),
-            "06030207900315019cc701a09c0190bf0501e88401e8398a490cc600",
+            "06040207900315019cc701a09c0190bf0501e88401e839ca77d5a300",
         ),
-        (control(Op::Seek { pulses: 7_400 }), "0d030207900306e839bbfcab6f00"),
-        (control(Op::Disarm(Cause::Shutdown)), "0c03020790030103fe87786c00"),
-        (control(Op::Disarm(Cause::Abort)), "0c030207900301045d121cf200"),
-        (control(Op::Stop), "0b030207900302cb3271e800"),
-        (control(Op::EStop), "0b0302079003035d02769f00"),
-        (control(Op::Reset), "0b030207900304fe97120100"),
+        (control(Op::Seek { pulses: 7_400 }), "0d040207900306e839a2f56e6500"),
+        (control(Op::Disarm(Cause::Shutdown)), "0c0402079003010370b9dfa900"),
+        (control(Op::Disarm(Cause::Abort)), "0c04020790030104d32cbb3700"),
+        (control(Op::Stop), "0b040207900302730274f500"),
+        (control(Op::EStop), "0b040207900303e532738200"),
+        (control(Op::Reset), "0b04020790030446a7171c00"),
         (
             control(Op::Move { motor: 5, direction: Direction::Down, pulses: 1_000 }),
-            "0f0302079003050501e8074a0fedb300",
+            "0f0402079003050501e8073314315100",
         ),
         (
             HostMessage::Strokes {
@@ -147,23 +155,44 @@ fn from_the_host() {
                 seq: 0,
                 seen: 1,
                 mark: Some(ONSET),
+                withdraw: None,
                 base,
                 batch: strokes.bytes(),
             },
-            "040303070301010401d206070df0edfe1340109301b104373bb1040604e58c06b8170601a15af7d300",
+            "040403070301010401d20601070df0edfe1340109301b104373bb1040604e58c06b8170601bb97fea600",
         ),
-        (marked(coded), "0f030307010101010155c80df0edfe054ea1217000"),
-        (marked(silent), "0703030701010101050df0edfe050acffb8d00"),
+        (marked(coded), "0b040307010101010155c8050df0edfe05a483f98400"),
+        (marked(silent), "070403070101010101050df0edfe05f68e816d00"),
         (
-            HostMessage::Strokes { epoch: 7, seq: 65_535, seen: 1, mark: None, base, batch: &[] },
-            "08030307ffff0301050df0edfe05e167183900",
+            HostMessage::Strokes {
+                epoch: 7,
+                seq: 2,
+                seen: 1,
+                mark: None,
+                withdraw: Some(Withdraw { motors: 0x0080_0001, generation: 300 }),
+                base,
+                batch: &[],
+            },
+            "0604030702010c0181808004ac020df0edfe051e0fb94600",
+        ),
+        (
+            HostMessage::Strokes {
+                epoch: 7,
+                seq: 65_535,
+                seen: 1,
+                mark: None,
+                withdraw: None,
+                base,
+                batch: &[],
+            },
+            "08040307ffff030101050df0edfe05ae56ed5a00",
         ),
         (
             HostMessage::Amend { epoch: 7, generation: 1_000, base, items: items.bytes() },
-            "18030407e8070df0edfe09099216970137218f0176a350e400",
+            "18040407e8070df0edfe09099216970137218f013d286eae00",
         ),
-        (HostMessage::Board { window: 300 }, "090305ac02d02086d900"),
-        (HostMessage::SelfTest { run: 65_535 }, "0a0306ffff03344a5c1000"),
+        (HostMessage::Board { window: 300 }, "090405ac026918514400"),
+        (HostMessage::SelfTest { run: 65_535 }, "0a0406ffff0324967ca200"),
     ];
     for (message, hex) in cases {
         golden(&message, hex, &mut Vec::new());
@@ -182,80 +211,81 @@ fn from_the_device() {
     let cases = [
         (
             DeviceMessage::Hello(HELLO),
-            "02030beffdb6f50d010203cafe19016318889805800840b817889805b0901f03b0b4e4fe0f010f01060102030401ac024dc2c88eea00",
+            "02040beffdb6f50d010203cafe19016318889805800840b817889805b0901f03b0b4e4fe0f010f01060102030401ac024dd64e9b5a00",
         ),
         (
             DeviceMessage::Hello(DeviceHello { last_cut: None, ..HELLO }),
-            "02030beffdb6f50d010203cafe19016318889805800840b817889805b0901f03b0b4e4fe0f010105de38af2600",
+            "02040beffdb6f50d010203cafe19016318889805800840b817889805b0901f03b0b4e4fe0f010105c00c611400",
         ),
-        (DeviceMessage::NoSession, "070301aa71f31d00"),
+        (DeviceMessage::NoSession, "0704016de7b25200"),
         (
             DeviceMessage::Status(STATUS),
-            "0603028104ff04fe7f020aac02058008050101010f01a60203040506070809912d870a00",
+            "0604028104ff04fe7f020aac02058008050101011001a6020304050a06070809f915606b00",
         ),
         (
             status(State::Disarmed, Cause::Boot, Some(Refusal::PositionUnknown)),
-            "0603028104ff0cfe7f02010aac02058008050102010f01a60203040506070809e2b1361800",
+            "0604028104ff0cfe7f02010aac02058008050102011001a6020304050a06070809410c5c3200",
         ),
         (
             status(State::Returning, Cause::LinkLost, Some(Refusal::State)),
-            "0603028104ff0ffe7f02010bac02058008050207010f01a6020304050607080989f0f11b00",
+            "0604028104ff0ffe7f02010bac02058008050207011001a6020304050a06070809d0733fe800",
         ),
         (
             status(State::Returning, Cause::NewHost, Some(Refusal::Travel)),
-            "0603028104ff0ffe7f02010cac02058008050208010f01a60203040506070809e4a3665500",
+            "0604028104ff0ffe7f02010cac02058008050208011001a6020304050a0607080966f972db00",
         ),
         (
             status(State::Faulted, Cause::EStop, None),
-            "0603028104ff04fe7f020aac02058008050305010f01a60203040506070809aa83502b00",
+            "0604028104ff04fe7f020aac02058008050305011001a6020304050a06070809732b4ada00",
         ),
         (
             status(State::Faulted, Cause::Starved, None),
-            "0603028104ff04fe7f020aac02058008050309010f01a60203040506070809513aeab100",
+            "0604028104ff04fe7f020aac02058008050309011001a6020304050a060708095ebabff000",
         ),
         (
             status(State::Faulted, Cause::Output, None),
-            "0603028104ff04fe7f020aac0205800805030c010f01a602030405060708094289c5ac00",
+            "0604028104ff04fe7f020aac0205800805030c011001a6020304050a0607080933d41c7400",
         ),
         (
             status(State::Faulted, Cause::Panic, Some(Refusal::Malformed)),
-            "0603028104ff0ffe7f02010dac0205800805030a010f01a602030405060708094774ef3700",
+            "0604028104ff0ffe7f02010dac0205800805030a011001a6020304050a06070809e382cf9400",
         ),
         (
             report(Report::Verdict {
+                kept: 0x0080_0001,
                 seq: 300,
                 late: 1,
                 refused: 1 << 63,
                 reason: Some(Refusal::NotArmed),
                 rendered,
             }),
-            "050303c8010fac02018080808080808080800101094df0edfe8afb440500",
+            "050403c80113ac0201808080808080808080018180800401094df0edfe824968f000",
         ),
-        (report(Report::OnsetRefused { seq: 1, rendered }), "0f0303c80101014df0edfe19e357a500"),
+        (report(Report::OnsetRefused { seq: 1, rendered }), "0f0403c80101014df0edfe60f88b4700"),
         (
             report(Report::Onset { tick: rendered, counters: COUNTERS }),
-            "180303c801024df0edfe01a6020304050607080958f85fbc00",
+            "190403c801024df0edfe01a6020304050a060708099c8b9d4000",
         ),
-        (report(Report::Cut(CUT)), "130303c80103060102030401ac024d62dabf6500"),
+        (report(Report::Cut(CUT)), "120403c80103060102030401ac024da270720100"),
         (
             report(Report::Cut(Cut { cause: Cause::Stop, returns: false, ..CUT })),
-            "0b0303c80103020102030408ac024d0becef8000",
+            "0b0403c80103020102030408ac024dcb4622e500",
         ),
-        (refused(Refusal::Motor), "100303c80104110df0edfe014d55d6c800"),
-        (refused(Refusal::UpPulses), "100303c80104110df0edfe02f704df5100"),
-        (refused(Refusal::Bursts), "100303c80104110df0edfe036134d82600"),
-        (refused(Refusal::Unbalanced), "100303c80104110df0edfe04c2a1bcb800"),
-        (refused(Refusal::Overlap), "100303c80104110df0edfe055491bbcf00"),
-        (refused(Refusal::TooFar), "100303c80104110df0edfe06eec0b25600"),
-        (refused(Refusal::PoolFull), "100303c80104110df0edfe0778f0b52100"),
-        (refused(Refusal::MotorOnTime), "100303c80104110df0edfe08e9ed0ab100"),
-        (refused(Refusal::Pushing), "100303c80104110df0edfe0edc48695800"),
-        (refused(Refusal::RailOnTime), "100303c80104110df0edfe097fdd0dc600"),
+        (refused(Refusal::Motor), "100403c80104110df0edfe01ce40ede100"),
+        (refused(Refusal::UpPulses), "100403c80104110df0edfe027411e47800"),
+        (refused(Refusal::Bursts), "100403c80104110df0edfe03e221e30f00"),
+        (refused(Refusal::Unbalanced), "100403c80104110df0edfe0441b4879100"),
+        (refused(Refusal::Overlap), "100403c80104110df0edfe05d78480e600"),
+        (refused(Refusal::TooFar), "100403c80104110df0edfe066dd5897f00"),
+        (refused(Refusal::PoolFull), "100403c80104110df0edfe07fbe58e0800"),
+        (refused(Refusal::MotorOnTime), "100403c80104110df0edfe086af8319800"),
+        (refused(Refusal::Pushing), "100403c80104110df0edfe0e5f5d527100"),
+        (refused(Refusal::RailOnTime), "100403c80104110df0edfe09fcc836ef00"),
         (
             DeviceMessage::Telemetry { tick: rendered, y },
-            "0903044df0edfe0201010101010101010101010101010101010101010c807dffffffff0f90fea7f400",
+            "0904044df0edfe0201010101010101010101010101010101010101010c807dffffffff0f2b93eef700",
         ),
-        (DeviceMessage::Board(BOARD), "1b0305ac020480a305011a0119010101020301808080104db73d4500"),
+        (DeviceMessage::Board(BOARD), "1b0405ac020480a305011a0119010101020301808080100d89e42000"),
         (
             DeviceMessage::Board(Board {
                 reset: Reset::Program,
@@ -266,16 +296,16 @@ fn from_the_device() {
                 high_at_boot: None,
                 ..BOARD
             }),
-            "090305ac020680a3050101010203055443f9a300",
+            "090405ac020680a30501010102030594e934c600",
         ),
-        (test(SelfTestState::Refused), "050306ac02059714bd4600"),
-        (test(SelfTestState::Running), "0a0306ac02010124ba3100"),
-        (test(SelfTestState::Ended), "0a0306ac0202bb75b3a800"),
+        (test(SelfTestState::Refused), "050406ac020587c89df400"),
+        (test(SelfTestState::Running), "0a0406ac020111f89a8300"),
+        (test(SelfTestState::Ended), "0a0406ac0202aba9931a00"),
         (
             test(SelfTestState::Done(TESTED)),
-            "270306ac02030101020c01020301a08d06b442d08902018080040180808c8002019e01d9ffc84f00",
+            "270406ac02030101020c01020301a08d06b442d08902018080040180808c8002019e015b4847b000",
         ),
-        (test(SelfTestState::Done(SelfTest::default())), "060306ac0203010101052d43889300"),
+        (test(SelfTestState::Done(SelfTest::default())), "060406ac020301010105e42ee9f700"),
     ];
     for (message, hex) in cases {
         golden(&message, hex, &mut Vec::new());
@@ -292,6 +322,7 @@ fn messages_fit() {
         dropped: ALL,
         late: ALL,
         refused: ALL,
+        replaced: ALL,
         amended: ALL,
         amendments_ignored: ALL,
         bad_frames: ALL,
@@ -333,6 +364,7 @@ fn messages_fit() {
         DeviceMessage::NoSession,
         DeviceMessage::Status(status),
         report(Report::Verdict {
+            kept: u32::MAX,
             seq: u16::MAX,
             late: ALL,
             refused: ALL,
@@ -359,7 +391,8 @@ fn messages_fit() {
     let list = [0xff; BATCH_BYTES];
     let trigger = Some(Trigger { width: u16::MAX, code: u8::MAX });
     let mark = Some(Mark { kind: MarkKind::Item, trigger });
-    let strokes = HostMessage::Strokes { epoch, seq, seen, mark, base: tick, batch: &list };
+    let withdraw = Some(Withdraw { motors: u32::MAX, generation });
+    let strokes = HostMessage::Strokes { epoch, seq, seen, mark, withdraw, base: tick, batch: &list };
     // The longest header and batch exactly fill a frame.
     assert_eq!(frame(&strokes).len(), MAX_FRAME);
     let amend = HostMessage::Amend { epoch, generation, base: tick, items: &list };
@@ -383,9 +416,10 @@ fn a_steady_play_takes_less_than_six_bytes_per_burst() {
         seq: u16::MAX,
         seen: u16::MAX,
         mark: Some(ONSET),
+        withdraw: None,
         base,
         batch: packer.bytes(),
     });
     assert!(frame.len() > FRAME_OVERHEAD && frame.len() as u64 <= 6 * 2 * k, "{} for {k}", frame.len());
-    assert_eq!(PROTOCOL, 3);
+    assert_eq!(PROTOCOL, 4);
 }

@@ -16,7 +16,7 @@ fn strokes(bench: &Bench, epoch: u16, seq: u16, strokes: &[Stroke]) -> Vec<u8> {
     let base = strokes.first().map_or(bench.now, |stroke| stroke.up.0);
     let batch = pack(base, strokes);
     let (seen, base) = (bench.seen(), Tick(base).wire());
-    frame(&HostMessage::Strokes { epoch, seq, seen, mark: None, base, batch: batch.bytes() })
+    frame(&HostMessage::Strokes { epoch, seq, seen, mark: None, withdraw: None, base, batch: batch.bytes() })
 }
 
 fn control(epoch: u16, op: Op) -> Vec<u8> {
@@ -366,7 +366,15 @@ fn bad_frames_are_counted_and_change_nothing() {
     }
     let in_a_frame = |batch: &[u8]| {
         let (epoch, base) = (bench.epoch, Tick(bench.now).wire());
-        frame(&HostMessage::Strokes { epoch, seq: 0, seen: 0, mark: Some(ONSET), base, batch })
+        frame(&HostMessage::Strokes {
+            epoch,
+            seq: 0,
+            seen: 0,
+            mark: Some(ONSET),
+            withdraw: None,
+            base,
+            batch,
+        })
     };
     let (crowd, half) = (in_a_frame(&crowd), in_a_frame(&[0x40, 1]));
     bench.inbox.clear();

@@ -155,7 +155,7 @@ fn a_late_mark_of_an_item_is_refused_alone() {
             bench.reports(),
             [
                 Report::OnsetRefused { seq: 0, rendered },
-                Report::Verdict { seq: 0, late: 1, refused: 0, reason: None, rendered }
+                Report::Verdict { seq: 0, late: 1, refused: 0, kept: 0, reason: None, rendered }
             ]
         );
         assert_eq!((bench.bursts(1), bench.bursts(2)), (vec![], strokes[1].bursts().into()));

@@ -32,7 +32,15 @@ fn message(bench: &Bench, mark: Option<Mark>, strokes: &[Stroke]) -> Vec<u8> {
     let base = strokes[0].up;
     let batch = pack(base.0, strokes);
     let (epoch, seq, seen) = (bench.epoch, bench.seq, bench.seen());
-    frame(&HostMessage::Strokes { epoch, seq, seen, mark, base: base.wire(), batch: batch.bytes() })
+    frame(&HostMessage::Strokes {
+        epoch,
+        seq,
+        seen,
+        mark,
+        withdraw: None,
+        base: base.wire(),
+        batch: batch.bytes(),
+    })
 }
 
 /// Reads a frame whose strokes begin `ahead` ticks from now, and takes it for so many blocks.

@@ -4,7 +4,7 @@ use crate::bench::{Bench, FIRMWARE, HOST_TIMEOUT, MOCK, STOP, Shell, TIGHT, arm,
 use firmware_protocol::controller::POOL;
 use firmware_protocol::limits::{MAX_DOWN_PULSES, MAX_TRAVEL, OnTimeLimits, WHOLE_TRAVEL};
 use firmware_protocol::message::{
-    Cause, DeviceMessage, HostMessage, LowerStop, Mark, MarkKind, Op as Command, State, Trigger,
+    Cause, DeviceMessage, HostMessage, LowerStop, Mark, MarkKind, Op as Command, State, Trigger, Withdraw,
 };
 use firmware_protocol::stroke::{Direction, MOTORS, Stroke};
 use firmware_protocol::tick::{Tick, WireTick};
@@ -50,6 +50,7 @@ enum Op {
     /// From this many ticks after the rendered end, or before it.
     Strokes {
         mark: Option<Mark>,
+        withdraw: Option<Withdraw>,
         from: i16,
         strokes: Vec<Sent>,
     },
@@ -70,6 +71,7 @@ enum Op {
         seq: u16,
         seen: u16,
         mark: Option<Mark>,
+        withdraw: Option<Withdraw>,
         base: [u8; 4],
         batch: Vec<u8>,
     },
@@ -98,9 +100,15 @@ fn mark() -> impl Strategy<Value = Option<Mark>> {
     prop::option::of((kind, trigger).prop_map(|(kind, trigger)| Mark { kind, trigger }))
 }
 
+fn withdraw() -> impl Strategy<Value = Option<Withdraw>> {
+    let motors = prop_oneof![any::<u32>(), Just(u32::MAX), (0..26).prop_map(|motor| 1_u32 << motor)];
+    prop::option::of((motors, 0u16..6).prop_map(|(motors, generation)| Withdraw { motors, generation }))
+}
+
 fn strokes(surplus: bool) -> impl Strategy<Value = Op> {
-    (mark(), prop_oneof![4 => 0i16..300, 1 => -40i16..0], prop::collection::vec(sent(surplus), 0..12))
-        .prop_map(|(mark, from, strokes)| Op::Strokes { mark, from, strokes })
+    let strokes = prop::collection::vec(sent(surplus), 0..12);
+    (mark(), withdraw(), prop_oneof![4 => 0i16..300, 1 => -40i16..0], strokes)
+        .prop_map(|(mark, withdraw, from, strokes)| Op::Strokes { mark, withdraw, from, strokes })
 }
 
 /// Requests that keep strokes balanced and pins at their rest position.
@@ -133,8 +141,8 @@ fn wild() -> impl Strategy<Value = Op> {
         2 => (0u8..26, direction, pulses).prop_map(|(motor, direction, pulses)| Op::Move { motor, direction, pulses }),
         8 => (any::<prop::sample::Index>(), 0u16..6, any::<bool>(), -9i16..10)
             .prop_map(|(pick, generation, down, change)| Op::Amend { pick, generation, down, change }),
-        2 => (0u16..4, 0u16..4, any::<u16>(), mark(), any::<[u8; 4]>(), bytes())
-            .prop_map(|(epoch, seq, seen, mark, base, batch)| Op::WildStrokes { epoch, seq, seen, mark, base, batch }),
+        2 => (0u16..4, 0u16..4, any::<u16>(), mark(), withdraw(), any::<[u8; 4]>(), bytes())
+            .prop_map(|(epoch, seq, seen, mark, withdraw, base, batch)| Op::WildStrokes { epoch, seq, seen, mark, withdraw, base, batch }),
         1 => (any::<u16>(), any::<[u8; 4]>(), bytes())
             .prop_map(|(generation, base, items)| Op::WildAmend { generation, base, items }),
         1 => (any::<u16>(), any::<u32>()).prop_map(|(epoch, host_timeout)| Op::WildControl { epoch, host_timeout }),
@@ -192,11 +200,13 @@ impl World {
     }
 
     fn send(&mut self, bytes: Vec<u8>) {
-        let (before, refused) = (self.credits(), self.bench.device.counters().refused);
+        let (before, counted) = (self.credits(), self.bench.device.counters());
         self.bench.bytes(&bytes);
         if let (Some(before), Some(after)) = (before, self.credits()) {
-            self.accepted += u64::from(before - after);
-            self.refused_in_frames += self.bench.device.counters().refused - refused;
+            let counters = self.bench.device.counters();
+            let replaced = (counters.replaced - counted.replaced) / 2;
+            self.accepted += u64::from(before) + replaced - u64::from(after);
+            self.refused_in_frames += counters.refused - counted.refused;
         }
         self.bench.seq = self.bench.inbox.iter().rev().find_map(next_seq).unwrap_or(0);
         self.last_frame = bytes;
@@ -254,7 +264,7 @@ impl World {
                     }
                 }
             }
-            Op::Strokes { mark, from, strokes } => {
+            Op::Strokes { mark, withdraw, from, strokes } => {
                 let base = bench.device.rendered().0.wrapping_add_signed(from.into());
                 let mut up = base;
                 let strokes: Vec<Stroke> = strokes
@@ -268,7 +278,7 @@ impl World {
                 let batch = pack(base, &strokes);
                 let (epoch, seq, seen) = (bench.epoch, bench.seq, bench.seen());
                 let (base, batch) = (Tick(base).wire(), batch.bytes());
-                let bytes = frame(&HostMessage::Strokes { epoch, seq, seen, mark, base, batch });
+                let bytes = frame(&HostMessage::Strokes { epoch, seq, seen, mark, withdraw, base, batch });
                 self.strokes.extend(&strokes);
                 self.send(bytes);
             }
@@ -284,10 +294,11 @@ impl World {
             Op::Again => self.send(self.last_frame.clone()),
             Op::LinkLost => bench.device.link_lost(Tick(bench.now)),
             Op::Noise(bytes) => bench.bytes(&bytes),
-            Op::WildStrokes { epoch, seq, seen, mark, base, batch } => {
+            Op::WildStrokes { epoch, seq, seen, mark, withdraw, base, batch } => {
                 let (epoch, seq) = (bench.epoch.wrapping_sub(epoch), bench.seq.wrapping_add(seq));
                 let base = WireTick(base);
-                self.send(frame(&HostMessage::Strokes { epoch, seq, seen, mark, base, batch: &batch }));
+                let batch = &batch;
+                self.send(frame(&HostMessage::Strokes { epoch, seq, seen, mark, withdraw, base, batch }));
             }
             Op::WildAmend { generation, base, items } => {
                 let epoch = bench.epoch;
@@ -320,7 +331,8 @@ impl World {
         assert_eq!(self.credits(), Some(POOL as u16));
         let counters = self.bench.device.counters();
         let refused = counters.refused - self.refused_in_frames;
-        assert_eq!(2 * self.accepted, counters.played + counters.dropped + refused);
+        let replaced = counters.replaced;
+        assert_eq!(2 * self.accepted, counters.played + counters.dropped + refused + replaced);
         if moves {
             assert!(counters.pulses <= total);
         } else {

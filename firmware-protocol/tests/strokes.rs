@@ -27,7 +27,14 @@ fn a_stroke_is_late_one_tick_before_the_drivers_are_ready_and_then_dropped_whole
             assert_eq!((bench.bursts(1), bench.bursts(2)), (vec![], just.bursts().to_vec()));
             assert_eq!(
                 bench.reports(),
-                [Report::Verdict { seq: 0, late: 1, refused: 0, reason: None, rendered: ready.wire() }]
+                [Report::Verdict {
+                    seq: 0,
+                    late: 1,
+                    refused: 0,
+                    kept: 0,
+                    reason: None,
+                    rendered: ready.wire()
+                }]
             );
             assert_eq!((bench.device.counters().late, bench.device.counters().played), (2, 2));
         }

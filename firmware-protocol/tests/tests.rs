@@ -5,7 +5,7 @@ mod amendments;
 mod bench;
 /// Board reports and self-tests.
 mod board;
-/// The bytes of version 3.
+/// The bytes of version 4.
 mod golden;
 mod interruptions;
 /// Sequence numbers, epochs, sessions and reports on a bad line.
@@ -17,5 +17,6 @@ mod onsets;
 mod pieces;
 /// Random requests and faults in any order.
 mod properties;
+mod replacement;
 mod states;
 mod strokes;

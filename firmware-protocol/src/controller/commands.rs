@@ -3,6 +3,7 @@
 //! Invariant: a command is carried out once, in the epoch that it begins; strokes and amendments of another epoch change nothing.
 
 use crate::batch::unpack;
+use crate::controller::taking::Next;
 use crate::controller::{Controller, newer};
 use crate::limits::Refusal;
 use crate::message::{Cause, HostMessage, Op, State};
@@ -40,10 +41,10 @@ impl Controller {
                 self.reports.seen(seen, self.now);
                 self.control(epoch, op);
             }
-            HostMessage::Strokes { epoch, seq, seen, mark, base, batch } => {
+            HostMessage::Strokes { epoch, seq, seen, mark, withdraw, base, batch } => {
                 self.reports.seen(seen, self.now);
                 if epoch == self.epoch {
-                    self.stream(seq, mark, base.near(self.now), batch);
+                    self.stream(Next { seq, mark, withdraw, base: base.near(self.now) }, batch);
                 }
             }
             HostMessage::Amend { epoch, generation, base, items } => {
@@ -63,9 +64,7 @@ impl Controller {
         }
         self.disarm(Cause::NewHost);
         self.session = Some(session);
-        self.epoch = self.epoch.wrapping_add(1);
-        self.next_seq = 0;
-        self.reorder.clear();
+        self.begin_epoch(self.epoch.wrapping_add(1));
         self.refusal = None;
         self.reports.clear();
         self.reporting.forget_requests();
@@ -75,12 +74,16 @@ impl Controller {
     /// Carries out a command if its epoch is new.
     pub(super) fn control(&mut self, epoch: u16, op: Op) {
         if newer(epoch, self.epoch) {
-            self.epoch = epoch;
+            self.begin_epoch(epoch);
             self.reporting.end_test();
-            self.next_seq = 0;
-            self.reorder.clear();
             self.refusal = self.perform(op).err();
         }
+    }
+
+    fn begin_epoch(&mut self, epoch: u16) {
+        (self.epoch, self.next_seq) = (epoch, 0);
+        self.reorder.clear();
+        (self.kept, self.generation) = (0, None);
     }
 
     fn perform(&mut self, op: Op) -> Result<(), Refusal> {

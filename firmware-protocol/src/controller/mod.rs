@@ -99,6 +99,10 @@ pub struct Controller {
     epoch: u16,
     refusal: Option<Refusal>,
     next_seq: u16,
+    /// Motors whose strokes are late until a frame withdraws again from them, because it came too late the last time.
+    kept: u32,
+    /// The newest amendment of this epoch that the device knows of.
+    generation: Option<u16>,
     reorder: ReorderBuffer,
     taking: Taking,
     pending: Pending,
@@ -169,6 +173,8 @@ impl Controller {
             epoch: 0,
             refusal: None,
             next_seq: 0,
+            kept: 0,
+            generation: None,
             reorder: ReorderBuffer::new(),
             taking: Taking::NOTHING,
             pending: Pending::NONE,

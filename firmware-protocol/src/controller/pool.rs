@@ -272,11 +272,36 @@ impl Pool {
     /// Returns to the pool what `motor` has not begun: all slots behind the cursor, and the cursor's own unless
     /// `keep_current`. Returns the number of strokes of plays among them. Takes as long for many as for few.
     pub(super) fn flush(&mut self, motor: usize, keep_current: bool) -> u16 {
-        let Queue { head, cursor, tail, len, plays } = self.queues[motor];
+        let cursor = self.queues[motor].cursor;
         let first = if keep_current { self.current(motor).map_or(NONE, |slot| slot.next) } else { cursor };
+        self.drop_from(motor, first)
+    }
+
+    /// Returns to the pool the strokes of `motor` that begin at `from` or later; returns their number. `None`: one of them lies before
+    /// `rendered` or is not of a play, or one before them ends after `next`. Then all stay.
+    pub(super) fn withdraw(&mut self, motor: usize, from: Tick, next: Tick, rendered: Tick) -> Option<u16> {
+        let mut first = self.queues.get(motor)?.cursor;
+        let mut end = Tick(0);
+        while let Some(slot) = self.get(first).filter(|slot| slot.stroke.up < from) {
+            (first, end) = (slot.next, slot.stroke.end());
+        }
+        if end > next {
+            return None;
+        }
+        let stays = |slot: &Slot| slot.stroke.up < rendered || slot.kind != Kind::Play;
+        if self.get(first).is_some_and(stays) {
+            return None;
+        }
+        Some(self.drop_from(motor, first))
+    }
+
+    /// Returns to the pool the slots of `motor` from the one of index `first` on, the cursor's or a later one. Returns the number of
+    /// strokes of plays among them.
+    fn drop_from(&mut self, motor: usize, first: u16) -> u16 {
         if first == NONE {
             return 0;
         }
+        let Queue { head, cursor, tail, len, plays } = self.queues[motor];
         let (mut kept, mut kept_plays, mut last, mut at) = (0, 0, NONE, head);
         while at != first {
             let Some(slot) = self.get(at) else { break };
@@ -292,7 +317,7 @@ impl Pool {
         if last == NONE {
             queue.head = NONE;
         }
-        if !keep_current {
+        if cursor == first {
             queue.cursor = NONE;
         }
         self.release(first, tail, len - kept);

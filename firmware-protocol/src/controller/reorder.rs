@@ -3,8 +3,7 @@
 //! The controller takes a buffered frame when all frames before it have arrived. At most [`REORDER_WINDOW`] are buffered.
 
 use crate::batch::BATCH_BYTES;
-use crate::message::Mark;
-use crate::tick::Tick;
+use crate::controller::taking::Next;
 
 /// Most frames buffered: those that follow the next in order.
 pub const REORDER_WINDOW: usize = 8;
@@ -12,9 +11,7 @@ pub const REORDER_WINDOW: usize = 8;
 /// A frame of strokes as received.
 #[derive(Debug)]
 pub(super) struct Frame {
-    pub(super) seq: u16,
-    pub(super) mark: Option<Mark>,
-    pub(super) base: Tick,
+    pub(super) head: Next,
     pub(super) batch: heapless::Vec<u8, BATCH_BYTES>,
 }
 
@@ -27,26 +24,26 @@ impl ReorderBuffer {
     }
 
     /// Buffers a frame if it is one of the [`REORDER_WINDOW`] frames after `next` and not buffered yet.
-    pub(super) fn insert(&mut self, next: u16, seq: u16, mark: Option<Mark>, base: Tick, batch: &[u8]) {
-        let ahead = usize::from(seq.wrapping_sub(next));
-        if !(1..=REORDER_WINDOW).contains(&ahead) || self.0.iter().any(|frame| frame.seq == seq) {
+    pub(super) fn insert(&mut self, next: u16, head: Next, batch: &[u8]) {
+        let ahead = usize::from(head.seq.wrapping_sub(next));
+        if !(1..=REORDER_WINDOW).contains(&ahead) || self.0.iter().any(|frame| frame.head.seq == head.seq) {
             return;
         }
         if let Ok(batch) = heapless::Vec::from_slice(batch) {
             // There is room: each of the `REORDER_WINDOW` numbers is buffered at most once.
-            let _ = self.0.push(Frame { seq, mark, base, batch });
+            let _ = self.0.push(Frame { head, batch });
         }
     }
 
     pub(super) fn take(&mut self, seq: u16) -> Option<Frame> {
-        let at = self.0.iter().position(|frame| frame.seq == seq)?;
+        let at = self.0.iter().position(|frame| frame.head.seq == seq)?;
         Some(self.0.swap_remove(at))
     }
 
     /// Bit i: frame `next + 1 + i` is buffered.
     pub(super) fn mask(&self, next: u16) -> u8 {
         // Frame `next` itself may be among them for a moment.
-        let ahead = self.0.iter().map(|frame| frame.seq.wrapping_sub(next)).filter(|&ahead| ahead > 0);
+        let ahead = self.0.iter().map(|frame| frame.head.seq.wrapping_sub(next)).filter(|&ahead| ahead > 0);
         ahead.fold(0, |mask, ahead| mask | 1 << ((ahead - 1) % 8))
     }
 

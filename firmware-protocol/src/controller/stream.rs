@@ -1,26 +1,25 @@
-//! Accepts the ordered stream of strokes, and amendments of queued strokes.
+//! Accepts the ordered stream of strokes, withdraws queued ones that it replaces, and amends queued strokes.
 //!
 //! [`Controller::stream`] prepares frames in order and buffers the others; [`Controller::take`] takes them.
 
 use crate::batch::{Amendment, unpack};
 use crate::controller::pool::{Kind, Slot, charge};
-use crate::controller::reorder::Frame;
 use crate::controller::reports::RESERVE;
 use crate::controller::taking::Next;
 use crate::controller::{Controller, FARTHEST, NEVER, newer};
 use crate::limits::{self, Refusal};
-use crate::message::{Mark, State};
+use crate::message::State;
 use crate::stroke::{Direction, Stroke};
 use crate::tick::Tick;
 
 impl Controller {
     /// Prepares a frame of the ordered stream, whose strokes are unpacked, if it is next in order. Else buffers it for
     /// [`Self::follow`].
-    pub(super) fn stream(&mut self, seq: u16, mark: Option<Mark>, base: Tick, batch: &[u8]) {
-        if seq != self.next_seq {
-            self.reorder.insert(self.next_seq, seq, mark, base, batch);
-        } else if self.has_room(mark) {
-            self.taking.next = Some(Next { seq, mark, base });
+    pub(super) fn stream(&mut self, head: Next, batch: &[u8]) {
+        if head.seq != self.next_seq {
+            self.reorder.insert(self.next_seq, head, batch);
+        } else if self.has_room(&head) {
+            self.taking.next = Some(head);
         }
     }
 
@@ -28,9 +27,8 @@ impl Controller {
     pub(super) fn follow(&mut self) -> bool {
         let Some(frame) = self.reorder.take(self.next_seq) else { return false };
         // Without room the frame is forgotten; the host sends it again.
-        if self.has_room(frame.mark) && unpack(frame.base, &frame.batch, &mut self.taking.strokes) {
-            let Frame { seq, mark, base, .. } = frame;
-            self.taking.next = Some(Next { seq, mark, base });
+        if self.has_room(&frame.head) && unpack(frame.head.base, &frame.batch, &mut self.taking.strokes) {
+            self.taking.next = Some(frame.head);
             self.taking.epoch = self.epoch;
             self.pending.status = true;
         }
@@ -38,13 +36,13 @@ impl Controller {
     }
 
     /// Whether there is room for a frame's reports and its mark.
-    fn has_room(&self, mark: Option<Mark>) -> bool {
-        let reports = RESERVE + usize::from(mark.is_some());
-        self.reports.free() > reports && (mark.is_none() || !self.marks.is_full())
+    fn has_room(&self, head: &Next) -> bool {
+        let reports = RESERVE + usize::from(head.mark.is_some());
+        self.reports.free() > reports && (head.mark.is_none() || !self.marks.is_full())
     }
 
-    /// Queues a stroke. `Ok(false)` if it is late.
-    pub(super) fn accept(&mut self, stroke: &Stroke) -> Result<bool, Refusal> {
+    /// Judges a stroke by itself. `Ok(false)` if it is late.
+    fn judge(&self, stroke: &Stroke) -> Result<bool, Refusal> {
         if self.state != State::Armed {
             return Err(Refusal::NotArmed);
         }
@@ -52,17 +50,51 @@ impl Controller {
         if stroke.down_pulses > stroke.up_pulses && !self.pushing.is_allowed() {
             return Err(Refusal::Pushing);
         }
-        if stroke.up < self.ready() {
-            return Ok(false);
-        }
-        if stroke.down.since(self.now) > FARTHEST {
+        if stroke.up >= self.ready() && stroke.down.since(self.now) > FARTHEST {
             return Err(Refusal::TooFar);
+        }
+        Ok(stroke.up >= self.ready())
+    }
+
+    /// Queues a stroke. `Ok(false)` if it is late.
+    pub(super) fn accept(&mut self, stroke: &Stroke) -> Result<bool, Refusal> {
+        if !self.judge(stroke)? || self.kept >> stroke.motor & 1 == 1 {
+            return Ok(false);
         }
         if self.pool.end(stroke.motor.into()).is_some_and(|end| stroke.up < end) {
             return Err(Refusal::Overlap);
         }
         let room = self.credits() > 0;
-        if room && self.queue(Slot::new(*stroke, Kind::Play)) { Ok(true) } else { Err(Refusal::PoolFull) }
+        let slot = Slot { generation: [self.generation; 2], ..Slot::new(*stroke, Kind::Play) };
+        if room && self.queue(slot) { Ok(true) } else { Err(Refusal::PoolFull) }
+    }
+
+    /// Withdraws the strokes of `motor` from `from` on, if none of them has begun and `first`, the stroke that takes their place, can be
+    /// queued. Else all of them stay, and the motor's strokes are late until it is withdrawn from again. Returns whether it did.
+    pub(super) fn withdraw(&mut self, motor: u8, from: Tick, first: Option<&Stroke>) -> bool {
+        let bit = 1 << motor;
+        let usable = first.map_or(self.state == State::Armed, |first| self.judge(first) == Ok(true));
+        let next = first.map_or(NEVER, |first| first.up);
+        let withdrawn =
+            if usable { self.pool.withdraw(motor.into(), from, next, self.rendered) } else { None };
+        let Some(strokes) = withdrawn else {
+            self.kept |= bit;
+            return false;
+        };
+        self.kept &= !bit;
+        self.counters.replaced += 2 * u64::from(strokes);
+        if self.pool.current(motor.into()).is_none() {
+            // The line is off, and waits for the withdrawn stroke no longer: nor do the drivers.
+            self.waiting &= !bit;
+        }
+        true
+    }
+
+    /// The host has made an amendment of this generation.
+    pub(super) fn note_generation(&mut self, generation: u16) {
+        if self.generation.is_none_or(|old| newer(generation, old)) {
+            self.generation = Some(generation);
+        }
     }
 
     /// Changes the pulse count of a burst that is not rendered yet. `None` if the amendment is ignored.

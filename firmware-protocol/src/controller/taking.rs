@@ -9,19 +9,26 @@ use crate::batch::{Amendments, BATCH_BYTES, Batch, MAX_BATCH};
 use crate::controller::Controller;
 use crate::frame::{self, MAX_FRAME};
 use crate::limits::Refusal;
-use crate::message::{Mark, MarkKind, Report, State};
+use crate::message::{Mark, MarkKind, Report, State, Withdraw};
+use crate::stroke::{MOTORS, Stroke};
 use crate::tick::Tick;
 
 /// Most strokes taken at a time.
 const STROKES: usize = 8;
+/// The same of a frame that withdraws: for each stroke it may search the queue of a motor.
+const REPLACING: usize = 4;
 /// Most amendments taken at a time: each searches the queue of its motor.
 const AMENDMENTS: usize = 4;
+
+/// A bit for each motor.
+const ALL_MOTORS: u32 = (1 << MOTORS) - 1;
 
 /// The head of the next frame of the ordered stream.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Next {
     pub(super) seq: u16,
     pub(super) mark: Option<Mark>,
+    pub(super) withdraw: Option<Withdraw>,
     pub(super) base: Tick,
 }
 
@@ -47,6 +54,10 @@ pub(super) struct Taking {
     refused: u64,
     /// Why the first of those was refused.
     reason: Option<Refusal>,
+    /// The motors that are still to be withdrawn from, from which tick on, and those of which nothing was withdrawn.
+    withdraw: u32,
+    from: Tick,
+    kept: u32,
     generation: u16,
     amendments: heapless::Vec<u8, BATCH_BYTES>,
     /// Bytes of them that are taken, and the tick from which the next one counts.
@@ -67,6 +78,9 @@ impl Taking {
         missed: None,
         refused: 0,
         reason: None,
+        withdraw: 0,
+        from: Tick(0),
+        kept: 0,
         generation: 0,
         amendments: heapless::Vec::new(),
         amended: 0,
@@ -102,11 +116,12 @@ impl Controller {
             self.taking.amendments.clear();
         }
         if let Some(next) = self.taking.next.take() {
-            self.take_mark(next);
+            self.take_head(next);
             return true;
         }
         if let Some(seq) = self.taking.seq {
-            self.take_strokes(seq, STROKES);
+            let replaces = self.taking.withdraw != 0;
+            self.take_strokes(seq, if replaces { REPLACING } else { STROKES });
             return true;
         }
         self.take_amendments()
@@ -122,7 +137,7 @@ impl Controller {
     }
 
     /// Takes the head of the next frame of the ordered stream.
-    fn take_mark(&mut self, Next { seq, mark, base }: Next) {
+    fn take_head(&mut self, Next { seq, mark, withdraw, base }: Next) {
         self.next_seq = seq.wrapping_add(1);
         // The frame may have been repeated before its buffered copy was taken.
         let _ = self.reorder.take(seq);
@@ -140,23 +155,44 @@ impl Controller {
                     return;
                 }
             }
+            if mark.kind == MarkKind::Play {
+                self.kept = 0;
+            }
         }
         let taking = &mut self.taking;
         (taking.seq, taking.taken) = (Some(seq), 0);
         (taking.late, taking.missed, taking.refused, taking.reason) = (0, None, 0, None);
+        (taking.withdraw, taking.from, taking.kept) = (0, base, 0);
         // Between pieces lines are rendered, and a stroke that was in time may become late.
         let begins_play = mark.is_some_and(|mark| mark.kind == MarkKind::Play);
+        if let Some(withdraw) = withdraw
+            && !begins_play
+        {
+            taking.withdraw = withdraw.motors & ALL_MOTORS;
+            self.note_generation(withdraw.generation);
+        }
         let is_short = self.taking.strokes.len() <= STROKES || self.pool.is_empty();
-        if begins_play || is_short {
+        if begins_play || (is_short && self.taking.withdraw == 0) {
             self.take_strokes(seq, MAX_BATCH);
         }
     }
 
-    /// Takes at most `most` strokes. Each is counted at once, because an e-stop may end the frame between two pieces.
+    /// Takes at most `most` strokes. Each is counted at once, because an e-stop may end the frame between two pieces. A motor's
+    /// strokes are withdrawn in the moment in which the first stroke that replaces them is queued.
     fn take_strokes(&mut self, seq: u16, most: usize) {
         for _ in 0..most {
             let at = self.taking.taken;
-            let Some(&stroke) = self.taking.strokes.get(at) else { break };
+            let Some(&stroke) = self.taking.strokes.get(at) else {
+                // What is left to withdraw is replaced by nothing.
+                if self.taking.withdraw == 0 {
+                    break;
+                }
+                self.take_withdrawal(self.taking.withdraw.trailing_zeros() as u8, None);
+                continue;
+            };
+            if self.taking.withdraw >> stroke.motor & 1 == 1 {
+                self.take_withdrawal(stroke.motor, Some(&stroke));
+            }
             match self.accept(&stroke) {
                 Ok(true) => {}
                 Ok(false) => {
@@ -173,14 +209,24 @@ impl Controller {
             }
             self.taking.taken += 1;
         }
-        if self.taking.taken < self.taking.strokes.len() {
+        if self.taking.taken < self.taking.strokes.len() || self.taking.withdraw != 0 {
             return;
         }
-        let &Taking { late, missed, refused, reason, .. } = &self.taking;
+        let &Taking { late, missed, refused, reason, kept, .. } = &self.taking;
         self.taking.seq = None;
-        if late | refused != 0 {
+        if late | refused != 0 || kept != 0 {
             let rendered = missed.unwrap_or(self.rendered).wire();
-            self.report(Report::Verdict { seq, late, refused, reason, rendered });
+            self.report(Report::Verdict { seq, late, refused, kept, reason, rendered });
+        }
+    }
+
+    /// Withdraws from one motor what `first` replaces.
+    fn take_withdrawal(&mut self, motor: u8, first: Option<&Stroke>) {
+        self.taking.withdraw &= !(1 << motor);
+        if !self.withdraw(motor, self.taking.from, first) {
+            self.taking.kept |= 1 << motor;
+            let ready = self.ready();
+            self.taking.missed.get_or_insert(ready);
         }
     }
 
@@ -191,6 +237,7 @@ impl Controller {
             let Some(item) = items.next() else { return taken > 0 };
             (*amended, *at) = (amendments.len() - items.rest().len(), items.at());
             let generation = *generation;
+            self.note_generation(generation);
             if item.ok().and_then(|item| self.amend(generation, &item)).is_none() {
                 self.counters.amendments_ignored += 1;
             }
