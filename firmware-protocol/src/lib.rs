@@ -86,11 +86,11 @@
 //! A frame with a `withdraw` replaces queued strokes, each motor's as a whole or not at all. Of each motor named there, the device
 //! returns to the pool all strokes that begin at `base` or later, in the moment in which it queues the first stroke of that motor in
 //! the same frame; of a motor without a stroke in the frame, after its strokes. These strokes count as *replaced*: every
-//! stroke accepted is played, dropped, refused as it begins, or replaced. A stroke that has begun is never touched. So the host names
+//! stroke sent is played, late, dropped, refused or replaced. A stroke that has begun is never touched. So the host names
 //! a `base` far enough ahead, lets the motor's last stroke that begins before it be, and sends what follows that one.
-//! If a stroke from `base` on has begun, or the first one to take its place is late, breaks a limit or overlaps one before, then the motor's queue *is
-//! kept*: a `Verdict` names the motor, and its strokes in this and later frames are late until a frame withdraws again from it, a
-//! play begins, or a command begins an epoch. The old strokes are played meanwhile. The host needs credits for the new strokes
+//! If `base` lies before the rendered end, or the first stroke to take their place is late, breaks a limit or overlaps one before, then the motor's queue *is
+//! kept*: a `Verdict` names the motor, and the device takes no strokes of it, in this and later frames, until a frame withdraws again
+//! from it, a play begins, or a command begins an epoch. The old strokes are played instead; those not taken count as replaced. The host needs credits for the new strokes
 //! before the old ones are withdrawn. The first frame of a play withdraws nothing.
 //!
 //! An amendment may be overtaken by the frame that withdraws its stroke, and the new stroke may begin at the same tick. So

@@ -327,7 +327,7 @@ pub struct Counters {
     pub late: u64,
     /// Bursts of refused strokes.
     pub refused: u64,
-    /// Bursts of accepted strokes that were withdrawn before they began.
+    /// Bursts of accepted strokes that were withdrawn before they began, and of strokes not taken because a motor's old ones stay.
     pub replaced: u64,
     /// Played bursts whose count an amendment changed.
     pub amended: u64,
@@ -362,11 +362,11 @@ pub enum Report {
     Verdict {
         /// The frame's number.
         seq: u16,
-        /// Bit i: stroke i was late and dropped.
+        /// Bit i: stroke i was late and dropped, or not taken because its motor is kept.
         late: u64,
         /// Bit i: stroke i was refused.
         refused: u64,
-        /// Bit i: nothing of motor i was withdrawn. Its queued strokes stay, and those of the frame are late.
+        /// Bit i: nothing of motor i was withdrawn. Its queued strokes stay, and those of the frame are not taken (bits of `late`).
         kept: u32,
         /// Why the first of the refused strokes was refused.
         reason: Option<Refusal>,

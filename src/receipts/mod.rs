@@ -343,8 +343,7 @@ fn complete(receipt: &mut Receipt, outcome: &Outcome) {
     let (onset, end) = (&outcome.rest_at_onset, &outcome.rest_at_end);
     receipt.rest_error_um = Some(end.um.to_vec());
     let driven = (0..).zip(end.um).zip(end.source);
-    let driven =
-        driven.filter(|((motor, _), _)| outcome.play.strokes.motors().any(|driven| driven == *motor));
+    let driven = driven.filter(|((motor, _), _)| outcome.play.strokes.drives(*motor));
     let rest_errors = driven.map(|((motor, offset_um), offset_source)| MotorRestError {
         motor,
         onset_um: onset.map(|onset| onset.um[usize::from(motor)]),

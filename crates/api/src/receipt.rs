@@ -155,7 +155,8 @@ pub struct RefusedStroke {
     pub reason: String,
 }
 
-/// What happened to the bursts of a play; a stroke has two. At the end `planned = played + late + dropped + refused`.
+/// What happened to the bursts of a play; a stroke has two. At the end `planned = played + late + dropped + refused
+/// + replaced`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 pub struct BurstCounts {
     /// Number of bursts handed to the link, or late before they could be.
@@ -168,6 +169,9 @@ pub struct BurstCounts {
     pub dropped: u64,
     /// Number of bursts the device refused, because of a limit.
     pub refused: u64,
+    /// Number of bursts of which an update of a live play took the place before they began.
+    #[serde(default)]
+    pub replaced: u64,
     /// Number of bursts played with a pulse count that feedback corrected.
     pub amended: u64,
 }

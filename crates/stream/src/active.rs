@@ -2,7 +2,7 @@
 //!
 //! The streamer counts strokes planned, late and refused in [`Active`]; [`Active::close`] makes the [`Outcome`].
 //!
-//! Invariant: `planned = played + late + dropped + refused`. The device reports each late and each refused stroke, and counts
+//! Invariant: `planned = played + late + dropped + refused + replaced`. The device reports each late and each refused stroke, and counts
 //! the bursts played between the play's onset and its end. The rest was dropped. An item has ended only once the device has accepted
 //! or rejected all its strokes and is known to have come to the end of the last.
 
@@ -319,8 +319,9 @@ impl Active {
         };
         let planned = 2 * self.planned_strokes;
         let (late, refused) = (2 * self.late_strokes, 2 * self.refused_strokes);
-        let played = since(|counters| counters.played).min(planned.saturating_sub(late + refused));
-        let dropped = planned.saturating_sub(late + refused + played);
+        let replaced = since(|counters| counters.replaced).min(planned.saturating_sub(late + refused));
+        let played = since(|counters| counters.played).min(planned.saturating_sub(late + refused + replaced));
+        let dropped = planned.saturating_sub(late + refused + replaced + played);
         let (end, cause) = self.cut.map_or((End::Done, None), |(end, cause)| (end, Some(cause)));
         let bursts = BurstCounts {
             planned,
@@ -328,6 +329,7 @@ impl Active {
             late,
             dropped,
             refused,
+            replaced,
             amended: since(|counters| counters.amended).min(played),
         };
         let outcome = Outcome {

@@ -3,6 +3,7 @@
 //! # The data path
 //! 1. A client puts a [`queues::Request`] into the [`queues::CommandQueue`]; a play has its compiled strokes and the
 //!    [`Bandwidth`] it requires (`bandwidth`).
+//!    `source` ([`Source`]) is where a play's strokes come from: a pattern, a sequence, or the drives of a live play.
 //! 2. `thread` ([`spawn`]) runs the streamer in real time: it takes requests, moves bytes and sleeps until something is due.
 //! 3. `streamer` ([`Streamer`]) decides: it executes commands, chooses onsets and sends strokes ahead of time. `active` holds
 //!    the state and the account of one play; `board` holds what the device's board reports say of it.
@@ -56,6 +57,7 @@ mod pushing;
 pub mod queues;
 mod settings;
 mod simulation;
+mod source;
 mod streamer;
 mod thread;
 pub mod time;
@@ -67,5 +69,6 @@ pub use motor_run::{MotorRun, Period};
 pub use pushing::{Overpush, find_overpush};
 pub use settings::{LowerStopSettings, Settings};
 pub use simulation::{Line, SimulatedPlay, Simulation, SimulationError, simulate_play};
+pub use source::Source;
 pub use streamer::{ANOTHER_DEVICE, DRIFT_LIMIT, Streamer, cause_text};
 pub use thread::{request_realtime, spawn};

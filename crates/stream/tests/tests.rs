@@ -13,6 +13,8 @@ mod endings;
 mod laser;
 /// A device that lies: undamaged messages that cannot be true.
 mod lies;
+/// Live plays: updates replace strokes on the device.
+mod live;
 mod lower_stop;
 /// A line that loses bytes.
 mod noise;

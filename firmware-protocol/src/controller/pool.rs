@@ -277,19 +277,15 @@ impl Pool {
         self.drop_from(motor, first)
     }
 
-    /// Returns to the pool the strokes of `motor` that begin at `from` or later; returns their number. `None`: one of them lies before
-    /// `rendered` or is not of a play, or one before them ends after `next`. Then all stay.
-    pub(super) fn withdraw(&mut self, motor: usize, from: Tick, next: Tick, rendered: Tick) -> Option<u16> {
+    /// Returns to the pool the strokes of `motor` that begin at `from` or later, which is not rendered; returns their number. `None`:
+    /// the first of them is not of a play, or the one before it ends after `next`. Then all stay.
+    pub(super) fn withdraw(&mut self, motor: usize, from: Tick, next: Tick) -> Option<u16> {
         let mut first = self.queues.get(motor)?.cursor;
         let mut end = Tick(0);
         while let Some(slot) = self.get(first).filter(|slot| slot.stroke.up < from) {
             (first, end) = (slot.next, slot.stroke.end());
         }
-        if end > next {
-            return None;
-        }
-        let stays = |slot: &Slot| slot.stroke.up < rendered || slot.kind != Kind::Play;
-        if self.get(first).is_some_and(stays) {
+        if end > next || self.get(first).is_some_and(|slot| slot.kind != Kind::Play) {
             return None;
         }
         Some(self.drop_from(motor, first))

@@ -69,22 +69,23 @@ impl Controller {
         if room && self.queue(slot) { Ok(true) } else { Err(Refusal::PoolFull) }
     }
 
-    /// Withdraws the strokes of `motor` from `from` on, if none of them has begun and `first`, the stroke that takes their place, can be
+    /// Withdraws the strokes of `motor` from `from` on, if that is not rendered and `first`, the stroke that takes their place, can be
     /// queued. Else all of them stay, and the motor's strokes are late until it is withdrawn from again. Returns whether it did.
     pub(super) fn withdraw(&mut self, motor: u8, from: Tick, first: Option<&Stroke>) -> bool {
         let bit = 1 << motor;
         let usable = first.map_or(self.state == State::Armed, |first| self.judge(first) == Ok(true));
         let next = first.map_or(NEVER, |first| first.up);
-        let withdrawn =
-            if usable { self.pool.withdraw(motor.into(), from, next, self.rendered) } else { None };
+        let in_time = from >= self.rendered;
+        let withdrawn = if usable && in_time { self.pool.withdraw(motor.into(), from, next) } else { None };
         let Some(strokes) = withdrawn else {
             self.kept |= bit;
             return false;
         };
         self.kept &= !bit;
         self.counters.replaced += 2 * u64::from(strokes);
-        if self.pool.current(motor.into()).is_none() {
-            // The line is off, and waits for the withdrawn stroke no longer: nor do the drivers.
+        let is_high = (self.lines.up | self.lines.down) & bit != 0;
+        if self.pool.current(motor.into()).is_none() && !is_high {
+            // The line waits for the withdrawn stroke no longer, nor do the drivers.
             self.waiting &= !bit;
         }
         true

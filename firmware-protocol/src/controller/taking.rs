@@ -196,7 +196,9 @@ impl Controller {
             match self.accept(&stroke) {
                 Ok(true) => {}
                 Ok(false) => {
-                    self.counters.late += 2;
+                    let is_kept = self.kept >> stroke.motor & 1 == 1;
+                    // The old strokes are played in its place.
+                    *(if is_kept { &mut self.counters.replaced } else { &mut self.counters.late }) += 2;
                     self.taking.late |= 1 << at;
                     let ready = self.ready();
                     self.taking.missed.get_or_insert(ready);

@@ -6,11 +6,12 @@ use crate::statistics::rms;
 use firmware_protocol::controller::Run;
 use firmware_protocol::stroke::{Burst, Direction, Line as Pulse, Lines, MOTORS, Stroke};
 use firmware_protocol::tick::Tick;
+use meissner_array::motor::SquareWave;
 use meissner_array::pattern::Pattern;
 use meissner_array::simulated::SimulatedMotorsConfig;
-use meissner_array::strokes::{StrokeOptions, Strokes, Surplus};
+use meissner_array::strokes::{LiveStrokes, StrokeOptions, Strokes, Surplus};
 use meissner_stream::queues::{Command, CommandError, Outcome, Play, Snapshot, StreamEvent};
-use meissner_stream::{Bandwidth, Gains, Line, Settings, Simulation};
+use meissner_stream::{Bandwidth, Gains, Line, Settings, Simulation, Source};
 
 use std::ops::{Deref, DerefMut};
 use std::time::Duration;
@@ -76,7 +77,8 @@ pub fn last_snapshot(events: &[StreamEvent]) -> Snapshot {
 /// Every planned burst has exactly one fate.
 pub fn assert_closed(outcome: &Outcome) {
     let bursts = outcome.bursts;
-    assert_eq!(bursts.planned, bursts.played + bursts.late + bursts.dropped + bursts.refused, "{outcome:?}");
+    let sum = bursts.played + bursts.late + bursts.dropped + bursts.refused + bursts.replaced;
+    assert_eq!(bursts.planned, sum, "{outcome:?}");
 }
 
 /// The pulses on the lines.
@@ -229,6 +231,15 @@ impl Rig {
         self.plays += 1;
         let options = StrokeOptions { surplus: self.surplus.clone(), ..StrokeOptions::lasting(seconds) };
         play_of(self.plays, Strokes::new(pattern, &options).unwrap())
+    }
+
+    /// Starts a live play of these drives in open loop; returns its id.
+    pub fn start_live(&mut self, waves: [SquareWave; MOTORS], timeout: Duration) -> u64 {
+        self.plays += 1;
+        let strokes = Source::Live(Box::new(LiveStrokes::new(waves)));
+        let play = Play { open_loop: true, live: Some(timeout), ..Play::new(self.plays, strokes) };
+        self.send(Command::Play(Box::new(play)));
+        self.plays
     }
 
     /// Plays open loop to the end and compares every tick of every line with the compiled strokes.

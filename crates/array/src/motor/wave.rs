@@ -116,6 +116,18 @@ impl SquareWave {
         if self.surplus == 0 { 0 } else { self.surplus.min(most_surplus(pulses)) }
     }
 
+    /// Its frequency, Hz.
+    #[must_use]
+    pub const fn frequency_hz(&self) -> f64 {
+        self.frequency_hz
+    }
+
+    /// Its phase, cycles.
+    #[must_use]
+    pub const fn phase(&self) -> f64 {
+        self.phase
+    }
+
     /// Pulses that the amplitude asks for, whether or not they fit into half a period.
     #[must_use]
     pub const fn wanted_pulses(&self) -> u32 {

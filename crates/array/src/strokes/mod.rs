@@ -6,6 +6,7 @@
 //! month as in the first second. Nothing is allocated after [`Strokes::new`]. A stroke exists only if its down burst has ended by
 //! the `stop_s` of its drive, by the end of the repeat, and by the end of the play ([`Fit`] says what a play may do at its end).
 //! A [`Sequence`] makes strokes of many items, each a pattern at an exact tick after the onset, with pauses between them.
+//! [`LiveStrokes`] are those of a play whose drives change while it runs.
 //! [`reached`] says what each drive of a pattern reaches, without walking its strokes.
 //!
 //! Invariant: strokes of a motor do not overlap, each returns its pin to rest, or by its surplus against the lower stop, and
@@ -14,6 +15,7 @@
 mod drive;
 mod error;
 mod lane;
+mod live;
 mod options;
 mod reached;
 mod repeat;
@@ -23,6 +25,7 @@ mod shortfall;
 
 pub use drive::DriveStrokes;
 pub use error::StrokesError;
+pub use live::LiveStrokes;
 pub use options::{AutoSurplus, Fit, StrokeOptions, Surplus};
 pub use reached::{Ordered, Reached, ordered, reached};
 pub use sequence::{

@@ -2,7 +2,8 @@
 //!
 //! The streamer reports strokes and telemetry to [`PositionControl`] and asks it for corrections. Per motor, `estimator`
 //! tracks the shaft from delayed, quantised, averaged telemetry with gaps; `telemetry_monitor` detects sensor faults;
-//! `burst_controller` decides the count of each burst as late as the link allows. A motor with a sensor fault plays on
+//! `burst_controller` decides the count of each burst as late as the link allows. `replacement` keeps the strokes that the device has been
+//! asked to withdraw, until it answers. A motor with a sensor fault plays on
 //! in open loop. Without telemetry the loop reckons: it corrects what the gains of a calibrated motor predict, and the
 //! estimated error of the rest position grows, up to the end stops. `bound` says how good any such loop can be.
 //!
@@ -13,6 +14,7 @@ mod bound;
 mod burst_controller;
 mod estimator;
 mod queued;
+mod replacement;
 mod telemetry_monitor;
 
 pub(crate) use burst_controller::ASYMMETRY;
@@ -30,6 +32,7 @@ use meissner_api::ErrorSource;
 use meissner_api::SensorFault;
 use meissner_array::motor::WINDOW_TICKS;
 use meissner_array::units::TICKS_PER_S;
+use replacement::Replacement;
 
 /// Without telemetry a stroke counts as played so long after it begins, ticks: the device's verdict has come by then.
 const REPORTED: u64 = TICKS_PER_S / 20;
@@ -60,6 +63,8 @@ pub(super) struct PositionControl {
     telemetry: bool,
     /// Strokes played and removed.
     account: Account,
+    /// Strokes that the device has been asked to withdraw.
+    replacement: Replacement,
     /// Earlier samples still show motion from before the last cut; `None`: pins are not at rest yet.
     valid_from: Option<Tick>,
 }
@@ -71,6 +76,7 @@ impl PositionControl {
             end_stop_um: settings.end_stop_um,
             telemetry: true,
             account: Account::default(),
+            replacement: Replacement::new(),
             motors: std::array::from_fn(|_| BurstController::new(&Gains::default())),
             last_sample: None,
             advanced_to: Tick(0),
@@ -98,6 +104,7 @@ impl PositionControl {
         }
         self.account.over = over;
         self.motors.iter_mut().for_each(BurstController::cut);
+        self.replacement.clear();
         (self.last_sample, self.advanced_to) = (None, Tick(0));
         self.valid_from = None;
     }
@@ -245,8 +252,31 @@ impl PositionControl {
         })
     }
 
+    /// The device has been asked to withdraw the strokes of these motors that begin at `from` or later. Until it answers,
+    /// [`Self::replaced`], they count neither as queued nor as gone. Those that take their place are [`sent`](Self::sent) next.
+    pub(super) fn replace(&mut self, motors: u32, from: Tick) {
+        self.replacement.begin(motors, from);
+        for motor in self.motors.iter_mut().zip(0..).filter(|(_, index)| motors >> index & 1 == 1) {
+            motor.0.take_from(from, |queued| self.replacement.keep(queued));
+        }
+    }
+
+    /// The device has withdrawn these strokes of the motors `motors`, and none of the motors `kept`: theirs are queued again in place of
+    /// those sent since.
+    pub(super) fn replaced(&mut self, motors: u32, kept: u32) {
+        let from = self.replacement.from();
+        for (motor, index) in self.motors.iter_mut().zip(0..).filter(|(_, index)| kept >> index & 1 == 1) {
+            motor.take_from(from, |_| ());
+            self.replacement.of(index).for_each(|queued| motor.put_back(queued));
+        }
+        self.replacement.end(motors | kept);
+    }
+
     /// The device has accepted a stroke.
     pub(super) fn accepted(&mut self, motor: u8, up: Tick) {
+        if self.replacement.accepted(motor, up) {
+            return;
+        }
         if let Some(motor) = self.motor(motor) {
             motor.accepted(up);
         }
@@ -254,6 +284,9 @@ impl PositionControl {
 
     /// The device will not play a stroke.
     pub(super) fn withdrawn(&mut self, motor: u8, up: Tick) {
+        if self.replacement.withdrawn(motor, up) {
+            return;
+        }
         if let Some(motor) = self.motor(motor) {
             motor.withdrawn(up);
         }

@@ -4,6 +4,7 @@ use crate::control::{Gains, MeasuredBurst};
 use crate::device::Device;
 use crate::link::Contradiction;
 use crate::queues::error::CommandError;
+use crate::queues::live::LiveUpdate;
 use crate::queues::outcome::{Onset, Outcome, Snapshot};
 use crate::queues::play::Play;
 use crate::settings::Settings;
@@ -32,6 +33,10 @@ pub enum Command {
     Connect(Box<Device>),
     /// Play a pattern.
     Play(Box<Play>),
+    /// Change the drives of a live play, or show that its client is there.
+    UpdateLive(Box<LiveUpdate>),
+    /// End this live play, if it runs, and clear the queue; stay armed.
+    EndLive(u64),
     /// End the running play and clear the queue; stay armed.
     Stop,
     /// Switch all lines off and latch; works without a device too.
@@ -86,6 +91,8 @@ pub enum StreamEvent {
         /// When.
         onset: Onset,
     },
+    /// What became of an update: to be dropped outside the thread.
+    LiveUpdated(Box<LiveUpdate>),
     /// A stroke was late and dropped whole.
     StrokeLate {
         /// Its play.

@@ -10,6 +10,7 @@
 
 mod error;
 mod estop;
+mod live;
 mod message;
 mod outcome;
 mod play;
@@ -25,6 +26,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 pub use crate::control::MeasuredBurst;
 pub use error::{CommandError, MAX_QUEUED_PLAYS, refusal_text};
 pub use estop::{ESTOP_TICKETS, EStopSwitch};
+pub use live::{Applied, LiveResult, LiveUpdate};
 pub use message::{Command, Emit, Request, StreamEvent};
 pub use outcome::{End, Offset, Onset, Outcome, RestErrors, Snapshot};
 pub use play::{At, Item, Play, Stamp};

@@ -4,11 +4,12 @@
 
 use crate::bandwidth::Bandwidth;
 use crate::link::ClockEstimate;
+use crate::source::Source;
 use crate::time::HostInstant;
 use firmware_protocol::message::Trigger;
 use firmware_protocol::tick::Tick;
 use meissner_api::LatePolicy;
-use meissner_array::strokes::Strokes;
+use std::time::Duration;
 
 /// When a play begins.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -98,7 +99,7 @@ pub struct Play {
     /// Identifies the play in events.
     pub id: u64,
     /// Its strokes.
-    pub strokes: Strokes,
+    pub strokes: Source,
     /// Its items.
     pub items: Vec<Item>,
     /// When it begins.
@@ -109,6 +110,8 @@ pub struct Play {
     pub replace: bool,
     /// Do not correct from telemetry.
     pub open_loop: bool,
+    /// Of a live play: it ends when its client is silent for so long.
+    pub live: Option<Duration>,
     /// The bandwidth it requires; [`Bandwidth::default`] requires none.
     pub bandwidth: Bandwidth,
 }
@@ -117,15 +120,16 @@ impl Play {
     /// A play of one item as soon as possible, with corrections: late strokes are dropped, the trigger output gives a pulse, and the
     /// line is not asked whether it carries the play.
     #[must_use]
-    pub fn new(id: u64, strokes: Strokes) -> Self {
+    pub fn new(id: u64, strokes: impl Into<Source>) -> Self {
         Self {
             id,
-            strokes,
+            strokes: strokes.into(),
             items: vec![Item::default()],
             at: At::Next,
             late: LatePolicy::Drop,
             replace: false,
             open_loop: false,
+            live: None,
             bandwidth: Bandwidth::default(),
         }
     }

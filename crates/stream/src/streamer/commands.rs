@@ -42,6 +42,11 @@ impl Streamer {
                     return;
                 }
             },
+            Command::UpdateLive(update) => {
+                self.update_live(given, update, emit);
+                return;
+            }
+            Command::EndLive(id) => self.end_live(id),
             Command::Stop => self.stop(),
             Command::EStop => {
                 self.emergency_stop(now, ticket, emit);

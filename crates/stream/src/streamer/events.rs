@@ -85,6 +85,7 @@ impl Streamer {
             }
             Event::Status { status, tick } => self.status(now, status, tick, emit),
             Event::Stroke(stroke, verdict) => self.verdict(now, &stroke, verdict, emit),
+            Event::Replaced { motors, kept } => self.replaced(motors, kept, emit),
             Event::OnsetRefused { rendered } => self.onset_refused(now, rendered),
             Event::OnsetAccepted => {
                 if let Some(active) = self.plays.iter_mut().find(|active| active.phase == Phase::Offered) {
@@ -210,12 +211,14 @@ impl Streamer {
         match verdict {
             Verdict::Accepted => self.control.accepted(motor, up),
             Verdict::Refused(_) | Verdict::Late { .. } => self.control.withdrawn(motor, up),
+            // Position control has forgotten it with the replacement that failed.
+            Verdict::Superseded => {}
         }
         let Some(active) = owner(&mut self.plays, up) else { return };
         active.decided(stroke, verdict == Verdict::Accepted);
         let id = active.play.id;
         match verdict {
-            Verdict::Accepted => {}
+            Verdict::Accepted | Verdict::Superseded => {}
             Verdict::Refused(reason) => {
                 active.refused(up);
                 emit.event(StreamEvent::StrokeRefused { id, motor, up, reason });

@@ -161,6 +161,11 @@ impl Streamer {
             }
             if active.next.is_none() {
                 active.next = match active.play.strokes.next() {
+                    // All motors of a live play are silent.
+                    None if active.play.live.is_some() => {
+                        (self.fed_until, self.short_of_credits) = (horizon, false);
+                        return Fed::Horizon;
+                    }
                     None => {
                         self.fed_until = self.fed_until.max(horizon);
                         return Fed::Exhausted;
@@ -170,6 +175,15 @@ impl Streamer {
                 };
             }
             let Some(stroke) = active.next else { continue };
+            if self.live.is_kept(stroke.motor) {
+                // The device plays old strokes, and takes no others until it is asked to replace them.
+                active.next = None;
+                if stroke.up >= horizon {
+                    (self.fed_until, self.short_of_credits) = (horizon, false);
+                    return Fed::Horizon;
+                }
+                continue;
+            }
             if stroke.up >= horizon {
                 self.fed_until = horizon;
                 self.short_of_credits = false;

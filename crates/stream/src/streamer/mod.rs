@@ -1,7 +1,7 @@
 //! The streamer's decisions: executes commands, sends strokes, handles the device's reports and ends plays.
 //!
 //! Its owner calls [`Streamer::execute`] with requests and [`Streamer::receive`] with bytes, then [`Streamer::step`] and
-//! [`Streamer::transmit`]. `commands` executes, `feed` sends strokes, `events` handles reports, `homing` moves pins back
+//! [`Streamer::transmit`]. `commands` executes, `feed` sends strokes, `live` replaces those of live plays, `events` handles reports, `homing` moves pins back
 //! to rest, and `ends` ends plays.
 //!
 //! Invariant: each play taken ends with exactly one [`StreamEvent::PlayEnded`], and each request with a ticket gets exactly
@@ -12,6 +12,7 @@ mod ends;
 mod events;
 mod feed;
 mod homing;
+mod live;
 
 use crate::active::{Active, Phase};
 use crate::control::PositionControl;
@@ -25,6 +26,7 @@ use firmware_protocol::message::{Cause, Counters, Op, State, Status};
 use firmware_protocol::stroke::MOTORS;
 use firmware_protocol::tick::Tick;
 use homing::Seek;
+use live::Live;
 use meissner_array::units::{ticks_to_ms, ticks_to_seconds};
 use std::collections::VecDeque;
 use std::time::Duration;
@@ -118,6 +120,7 @@ pub struct Streamer {
     /// Motors whose sensor fault is reported.
     reported_faults: [bool; MOTORS],
     reported_drift: bool,
+    live: Live,
     closing: Option<(u64, HostInstant)>,
     closed: bool,
     snapshot_due: HostInstant,
@@ -157,6 +160,7 @@ impl Streamer {
             last_move: None,
             reported_faults: [false; MOTORS],
             reported_drift: false,
+            live: Live::default(),
             closing: None,
             closed: false,
             snapshot_due: HostInstant::default(),
@@ -245,6 +249,7 @@ impl Streamer {
         self.expire(now, emit);
         if let Some(tick) = self.tick_at(now) {
             self.step_homing(now, tick, emit);
+            self.step_live(now, tick, emit);
             self.feed(now, tick, emit);
             self.correct(tick);
             self.end_drifted(now, tick, emit);

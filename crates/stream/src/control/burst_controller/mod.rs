@@ -182,6 +182,25 @@ impl BurstController {
         }
     }
 
+    /// Takes the strokes with an up tick from `from` on that the estimator does not know as begun, and passes each to `taken`, the last
+    /// first.
+    pub(in crate::control) fn take_from(&mut self, from: Tick, mut taken: impl FnMut(Queued)) {
+        while let Some(last) = self.queue.back().copied().filter(|last| last.stroke.up >= from) {
+            let at = self.queue.len() - 1;
+            if self.begun > 2 * at {
+                break;
+            }
+            self.remove(at);
+            taken(Queued { counted: [0; 2], corrections: [None; 2], ..last });
+        }
+    }
+
+    /// Queues a stroke again that [`Self::take_from`] has taken.
+    pub(in crate::control) fn put_back(&mut self, queued: Queued) {
+        // There is room: as many were taken, and the newer ones are gone.
+        self.queue.push_back(queued);
+    }
+
     /// Remembers the last strokes that have begun by `tick`, when the device has cut them or shortly after.
     pub(crate) fn remember(&mut self, tick: Tick) {
         if self.queue.is_empty() {

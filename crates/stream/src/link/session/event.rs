@@ -24,6 +24,8 @@ pub enum Verdict {
     },
     /// Refused for this reason.
     Refused(Refusal),
+    /// Not taken, because the device keeps the strokes that it should have replaced.
+    Superseded,
 }
 
 /// Why a session ended.
@@ -164,6 +166,13 @@ pub enum Event {
     },
     /// The device decided about a stroke.
     Stroke(Stroke, Verdict),
+    /// The device has taken a frame that replaces strokes. Reported before the strokes of the frame.
+    Replaced {
+        /// The motors whose old strokes are withdrawn.
+        motors: u32,
+        /// The motors whose old strokes stay, because the frame came too late for them.
+        kept: u32,
+    },
     /// The device refused the first frame of a play, because a stroke in it would have been late. It took nothing.
     OnsetRefused {
         /// The device's first free tick.

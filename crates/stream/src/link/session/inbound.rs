@@ -254,9 +254,15 @@ impl Session {
                 continue;
             }
             if batch.is_onset() {
+                self.kept = 0;
                 emit(Event::OnsetAccepted);
             }
-            verdicts(&batch, report, tick, now)
+            if let Some(motors) = batch.withdraws {
+                let kept = kept_motors(report);
+                self.kept = (self.kept & !motors) | kept;
+                emit(Event::Replaced { motors: motors & !kept, kept });
+            }
+            verdicts(&batch, report, self.kept, tick, now)
                 .for_each(|(stroke, verdict)| emit(Event::Stroke(stroke, verdict)));
         }
     }
@@ -267,8 +273,15 @@ impl Session {
         while let Some(report) = self.retired.verdicts.pop_front() {
             let Report::Verdict { seq, .. } = report else { continue };
             let found = self.retired.frames.iter().position(|batch| batch.seq == seq);
-            let Some(batch) = found.and_then(|at| self.retired.frames.remove(at)) else { continue };
-            let decided = verdicts(&batch, Some(report), tick, now);
+            let Some(found) = found else { continue };
+            // Frames before it without a report were taken as sent.
+            for before in self.retired.frames.iter().take(found) {
+                self.retired.kept &= !before.withdraws.unwrap_or(0);
+            }
+            let Some(batch) = self.retired.frames.remove(found) else { continue };
+            self.retired.kept =
+                (self.retired.kept & !batch.withdraws.unwrap_or(0)) | kept_motors(Some(report));
+            let decided = verdicts(&batch, Some(report), self.retired.kept, tick, now);
             decided
                 .filter(|(_, verdict)| *verdict != Verdict::Accepted)
                 .for_each(|(stroke, verdict)| emit(Event::Stroke(stroke, verdict)));
@@ -276,10 +289,19 @@ impl Session {
     }
 }
 
-/// The strokes of a frame with their verdicts, by the device's report if there is one.
+/// The motors of which the device withdrew nothing, by its report if there is one.
+fn kept_motors(report: Option<Report>) -> u32 {
+    match report {
+        Some(Report::Verdict { kept, .. }) => kept,
+        _ => 0,
+    }
+}
+
+/// The strokes of a frame with their verdicts, by the device's report if there is one. It takes none of the motors `kept`.
 fn verdicts(
     batch: &Batch,
     report: Option<Report>,
+    kept: u32,
     tick: Tick,
     now: HostInstant,
 ) -> impl Iterator<Item = (Stroke, Verdict)> {
@@ -292,7 +314,9 @@ fn verdicts(
     let sent = batch.first_sent.unwrap_or(now);
     let strokes = Strokes::new(batch.strokes.base(), batch.strokes.bytes()).flatten();
     strokes.enumerate().map(move |(i, stroke)| {
-        let verdict = if late >> i & 1 == 1 {
+        let verdict = if late >> i & 1 == 1 && kept >> stroke.motor & 1 == 1 {
+            Verdict::Superseded
+        } else if late >> i & 1 == 1 {
             Verdict::Late { rendered: free, sent, retransmitted: batch.retransmitted }
         } else if refused >> i & 1 == 1 {
             Verdict::Refused(why)

@@ -7,7 +7,7 @@ use crate::link::session::state::{FIRST_PINGS, Phase, Session};
 use crate::time::HostInstant;
 use firmware_protocol::batch::{BATCH_BYTES, Packer};
 use firmware_protocol::frame::{self, MAX_FRAME};
-use firmware_protocol::message::{HostMessage, Op};
+use firmware_protocol::message::{HostMessage, Op, Withdraw};
 use firmware_protocol::stroke::Stroke;
 use firmware_protocol::tick::Tick;
 use std::time::Duration;
@@ -173,8 +173,10 @@ impl Session {
             return None;
         }
         let (seq, mark, base) = (next.seq, next.mark, next.strokes.base().wire());
+        // No amendment of a stroke of this frame is sent before its verdict, so those up to now concern old ones.
+        let withdraw = next.withdraws.map(|motors| Withdraw { motors, generation: self.generation });
         let batch = next.strokes.bytes();
-        let len = encoded(&HostMessage::Strokes { epoch, seq, seen, mark, base, batch }, out);
+        let len = encoded(&HostMessage::Strokes { epoch, seq, seen, mark, withdraw, base, batch }, out);
         self.traffic.retransmitted += u64::from(next.retransmitted);
         next.due = false;
         next.len = len;
@@ -225,7 +227,10 @@ impl Session {
         }
         let (epoch, batch) = (self.first_epoch.wrapping_sub(1), strokes.bytes());
         let base = Tick(0).wire();
-        encoded(&HostMessage::Strokes { epoch, seq: 0, seen: self.seen, mark: None, withdraw: None, base, batch }, out)
+        encoded(
+            &HostMessage::Strokes { epoch, seq: 0, seen: self.seen, mark: None, withdraw: None, base, batch },
+            out,
+        )
     }
 
     /// Ends the session if the device has not answered for too long, or withholds an answer or a report.

@@ -35,6 +35,8 @@ const STATUS_EVERY: Duration = Duration::from_millis(1);
 pub(super) struct Batch {
     pub(super) seq: u16,
     pub(super) mark: Option<Mark>,
+    /// The motors from which it withdraws what begins at its base or later.
+    pub(super) withdraws: Option<u32>,
     pub(super) strokes: Packer<BATCH_BYTES>,
     /// Its bytes on the wire, once sent.
     pub(super) len: usize,
@@ -65,6 +67,8 @@ impl Batch {
 #[derive(Debug)]
 pub(super) struct Retired {
     pub(super) frames: VecDeque<Batch>,
+    /// The motors whose old strokes the device had kept before the first of them.
+    pub(super) kept: u32,
     /// Their verdicts that are read and not emitted. There is at most one for a frame.
     pub(super) verdicts: VecDeque<Report>,
     /// Reports up to this one are about earlier epochs.
@@ -136,6 +140,10 @@ pub struct Session {
     pub(super) new_e_stop: Option<u16>,
     pub(super) window: VecDeque<Batch>,
     open_batch: Option<Batch>,
+    /// A replacement that is not in frames yet: from which tick on, and the motors.
+    replacing: Option<(Tick, u32)>,
+    /// The motors whose old strokes the device keeps: it takes no others until it is asked to withdraw again.
+    pub(super) kept: u32,
     pub(super) next_seq: u16,
     /// The device acknowledged all frames before this one.
     pub(super) acked: u16,
@@ -207,6 +215,8 @@ impl Session {
             new_e_stop: None,
             window: VecDeque::with_capacity(WINDOW + 1),
             open_batch: None,
+            replacing: None,
+            kept: 0,
             next_seq: 0,
             acked: 0,
             credits: 0,
@@ -223,6 +233,7 @@ impl Session {
             verdicts: VecDeque::with_capacity(REPORTS),
             retired: Retired {
                 frames: VecDeque::with_capacity(WINDOW + 1),
+                kept: 0,
                 verdicts: VecDeque::with_capacity(REPORTS),
                 after: 0,
             },
@@ -297,6 +308,14 @@ impl Session {
         Some((f64::from(self.line?.rate.0) * self.quality.share * (1.0 - waiting)) as u32)
     }
 
+    /// How long a frame that is sent now takes to the device, with those that are not acknowledged before it.
+    #[must_use]
+    pub fn delivery(&self) -> Duration {
+        let waits: usize = self.window.iter().filter(|batch| !batch.kept).map(|batch| batch.len).sum();
+        let bytes = self.line.map_or(Duration::ZERO, |line| line.rate.time(waits + MAX_FRAME));
+        bytes + self.shortest_trip.min(RETRY.1) / 2
+    }
+
     /// How long a frame waits, besides its bytes' time, until the device has acknowledged the frames before it.
     #[must_use]
     pub fn ack_wait(&self) -> Option<Duration> {
@@ -358,7 +377,7 @@ impl Session {
                 // Its frame may wait behind bytes that the device does not take.
                 self.new_e_stop = Some(self.last_epoch(1));
                 self.window.clear();
-                self.open_batch = None;
+                (self.open_batch, self.replacing) = (None, None);
                 self.last_sent = None;
             }
             Phase::Closing(_) | Phase::Over => {}
@@ -391,11 +410,12 @@ impl Session {
             std::mem::swap(&mut self.window, &mut self.retired.frames);
             std::mem::swap(&mut self.verdicts, &mut self.retired.verdicts);
             self.retired.after = self.stale;
+            self.retired.kept = self.kept;
         }
         self.control = Some(Control { op, first_sent: None, sent: None });
         self.new_e_stop = (op == Op::EStop).then_some(self.epoch);
         self.window.clear();
-        self.open_batch = None;
+        (self.open_batch, self.replacing, self.kept) = (None, None, 0);
         self.verdicts.clear();
         (self.next_seq, self.acked, self.generation) = (0, 0, 0);
         let marks = [Some(&mut self.concluded), self.waiting.as_mut(), Some(&mut self.latest)];
@@ -427,11 +447,29 @@ impl Session {
         self.open_batch = Some(self.batch(onset, Some(Mark { kind: MarkKind::Item, trigger })));
     }
 
+    /// Withdraws what these motors have queued from `from` on. The strokes pushed next take their place, each motor's from its first
+    /// on; of the `silent` ones none follows. They go into frames of their own. Not before [`Self::is_replacing`] is false.
+    pub fn replace(&mut self, from: Tick, motors: u32, silent: u32) {
+        self.seal();
+        self.open_batch = Some(Batch { withdraws: Some(motors & silent), ..self.batch(from, None) });
+        self.replacing = Some((from, motors & !silent)).filter(|&(_, motors)| motors != 0);
+    }
+
+    /// Whether strokes of a replacement are not in frames yet, or the device has not answered a frame of it.
+    #[must_use]
+    pub fn is_replacing(&self) -> bool {
+        let withdraws = |batch: &Batch| batch.withdraws.is_some();
+        self.replacing.is_some()
+            || self.open_batch.as_ref().is_some_and(withdraws)
+            || self.window.iter().any(withdraws)
+    }
+
     fn batch(&self, base: Tick, mark: Option<Mark>) -> Batch {
         let strokes = Packer::new(base);
         Batch {
             seq: self.next_seq,
             mark,
+            withdraws: None,
             strokes,
             len: 0,
             first_sent: None,
@@ -466,11 +504,21 @@ impl Session {
             return false;
         }
         let longest = self.quality.frame_bytes;
+        let bit = 1 << stroke.motor;
         if let Some(batch) = &mut self.open_batch {
             if batch.has_space(longest) && batch.strokes.stroke(stroke).is_ok() {
+                // The first stroke of a motor takes the place of its old ones.
+                if let (Some(withdraws), Some((from, motors))) = (&mut batch.withdraws, self.replacing) {
+                    *withdraws |= bit & motors;
+                    self.replacing = Some((from, motors & !bit)).filter(|&(_, motors)| motors != 0);
+                }
                 return true;
             }
             self.seal();
+            return self.push(stroke);
+        }
+        if let Some((from, _)) = self.replacing {
+            self.open_batch = Some(Batch { withdraws: Some(0), ..self.batch(from, None) });
             return self.push(stroke);
         }
         // A frame that waits takes more strokes: on a link with slow answers frames get longer, not more.

@@ -1,0 +1,60 @@
+//! An update of a live play, on its way to the streamer and back.
+//!
+//! Invariant: each update taken comes back in exactly one [`super::StreamEvent::LiveUpdated`], to be dropped outside the thread.
+
+use crate::time::HostInstant;
+use firmware_protocol::stroke::MOTORS;
+use firmware_protocol::tick::Tick;
+use meissner_array::motor::SquareWave;
+
+/// New drives for a live play.
+#[derive(Debug)]
+pub struct LiveUpdate {
+    /// The play.
+    pub id: u64,
+    /// The client's number of the update.
+    pub number: u64,
+    /// When the client's message had come.
+    pub received_at: HostInstant,
+    /// The new drive of each motor; `None`: as before. Without any the update only shows that the client is there.
+    pub waves: [Option<SquareWave>; MOTORS],
+    /// What became of it.
+    pub result: LiveResult,
+}
+
+/// What became of an update.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum LiveResult {
+    /// It is not decided.
+    Waiting,
+    /// It is on the device.
+    Applied(Applied),
+    /// A newer update took its place before it was sent.
+    Merged {
+        /// The newer one's number.
+        into: u64,
+    },
+    /// The play is over, or has no such id.
+    Over,
+}
+
+/// When an update is on the pins.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Applied {
+    /// The device's tick when the client's message had come.
+    pub received: Tick,
+    /// The tick from which strokes were replaced, each motor's from its next period on.
+    pub replaced: Tick,
+    /// The tick from which each motor has its new drive; `None`: it had it before, or gets it with a newer update.
+    pub motors: [Option<Tick>; MOTORS],
+    /// How often a frame came too late for some motor, and was sent again.
+    pub repeats: u32,
+}
+
+impl LiveUpdate {
+    /// An update that changes nothing.
+    #[must_use]
+    pub const fn new(id: u64, number: u64, received_at: HostInstant) -> Self {
+        Self { id, number, received_at, waves: [None; MOTORS], result: LiveResult::Waiting }
+    }
+}

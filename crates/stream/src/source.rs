@@ -1,0 +1,112 @@
+//! Where the strokes of a play come from: a compiled pattern or sequence, or drives that change while it runs.
+
+use firmware_protocol::stroke::{MOTORS, Stroke};
+use firmware_protocol::tick::Tick;
+use meissner_array::strokes::{LiveStrokes, Strokes, StrokesError};
+
+/// The strokes of a play.
+#[derive(Clone, Debug)]
+pub enum Source {
+    /// Compiled from a pattern or a sequence.
+    Compiled(Strokes),
+    /// Of a live play, which has one item and no end.
+    Live(Box<LiveStrokes>),
+}
+
+impl From<Strokes> for Source {
+    fn from(strokes: Strokes) -> Self {
+        Self::Compiled(strokes)
+    }
+}
+
+impl Source {
+    /// Begins, or begins again, at `onset`.
+    pub fn begin(&mut self, onset: Tick) {
+        match self {
+            Self::Compiled(strokes) => strokes.begin(onset),
+            Self::Live(strokes) => strokes.begin(onset),
+        }
+    }
+
+    /// When each item begins.
+    pub fn onsets(&self) -> impl Iterator<Item = Tick> {
+        let (compiled, live) = match self {
+            Self::Compiled(strokes) => (Some(strokes.onsets()), None),
+            Self::Live(strokes) => (None, Some(strokes.onset())),
+        };
+        compiled.into_iter().flatten().chain(live)
+    }
+
+    /// Ticks from the onset to the end; `None`: without end.
+    #[must_use]
+    pub const fn end(&self) -> Option<u64> {
+        match self {
+            Self::Compiled(strokes) => strokes.end(),
+            Self::Live(_) => None,
+        }
+    }
+
+    /// A tick before which no stroke of `motor` that was not returned goes up.
+    pub(crate) fn next_up(&self, motor: u8) -> Option<Tick> {
+        match self {
+            Self::Compiled(strokes) => strokes.next_up(motor),
+            Self::Live(strokes) => strokes.next_up(motor),
+        }
+    }
+
+    /// When the next item begins, if only items follow.
+    pub(crate) fn next_onset(&self) -> Option<Tick> {
+        match self {
+            Self::Compiled(strokes) => strokes.next_onset(),
+            Self::Live(_) => None,
+        }
+    }
+
+    /// Goes on to the next item.
+    pub(crate) fn next_item(&mut self) {
+        if let Self::Compiled(strokes) = self {
+            strokes.next_item();
+        }
+    }
+
+    /// The number of the present item.
+    pub(crate) fn item(&self) -> usize {
+        match self {
+            Self::Compiled(strokes) => strokes.item(),
+            Self::Live(_) => 0,
+        }
+    }
+
+    /// Whether this motor may be driven. The drives of a live play may come to any.
+    #[must_use]
+    pub fn drives(&self, motor: u8) -> bool {
+        match self {
+            Self::Compiled(strokes) => strokes.motors().any(|driven| driven == motor),
+            Self::Live(_) => true,
+        }
+    }
+
+    /// The motors that they may drive, in order.
+    pub fn motors(&self) -> impl Iterator<Item = u8> {
+        (0..MOTORS as u8).filter(|&motor| self.drives(motor))
+    }
+
+    /// The drives that may change, if these are of a live play.
+    pub(crate) fn live(&mut self) -> Option<&mut LiveStrokes> {
+        match self {
+            Self::Compiled(_) => None,
+            Self::Live(strokes) => Some(strokes),
+        }
+    }
+}
+
+impl Iterator for Source {
+    type Item = Result<Stroke, StrokesError>;
+
+    fn next(&mut self) -> Option<Self::Item> {
+        match self {
+            Self::Compiled(strokes) => strokes.next(),
+            Self::Live(strokes) => strokes.next(),
+        }
+    }
+}

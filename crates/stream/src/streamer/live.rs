@@ -1,0 +1,246 @@
+//! Live plays: replaces strokes on the device by those of the newest update.
+//!
+//! One update is under way at a time; those that come meanwhile are merged into one that waits, the newest drive of each motor wins.
+//! The device withdraws a motor's strokes from a tick a few milliseconds ahead and queues the new ones, or, if the frame comes
+//! too late, keeps the old ones; then the motor's update is sent again, farther ahead.
+//!
+//! Invariant: an update that is taken comes back in one [`StreamEvent::LiveUpdated`].
+
+use crate::active::{Active, Phase};
+use crate::queues::{Applied, CommandError, Emit, End, LiveResult, LiveUpdate, StreamEvent};
+use crate::settings::batch_ticks;
+use crate::streamer::Streamer;
+use crate::time::HostInstant;
+use firmware_protocol::controller::{BLOCK, DRIVER_LEAD, HORIZON};
+use firmware_protocol::message::{Op, State};
+use firmware_protocol::stroke::{MOTORS, Stroke};
+use firmware_protocol::tick::Tick;
+use meissner_array::units::{TICKS_PER_MS, duration_to_ticks, ms_in_ticks};
+use std::time::Duration;
+
+/// Strokes are replaced this far ahead of the frame's arrival, ticks: what the device has rendered, its drivers, and a wake-up.
+const AHEAD: u64 = (HORIZON + BLOCK + DRIVER_LEAD) as u64 + TICKS_PER_MS / 4;
+/// How much farther at most, after frames that came too late.
+const MOST_SPARE: u64 = 50 * TICKS_PER_MS;
+const LEAST_SPARE: u64 = TICKS_PER_MS / 4;
+/// A client has so long to send its first update.
+const CONNECTS_WITHIN: Duration = Duration::from_secs(2);
+/// The cause of a live play's end when its client is silent.
+const CLIENT_SILENT: &str = "client-silent";
+
+/// The updates of the live play that is playing.
+#[derive(Debug, Default)]
+pub(super) struct Live {
+    /// The update that waits, and the one under way.
+    waiting: Option<Box<LiveUpdate>>,
+    sent: Option<Box<LiveUpdate>>,
+    /// The motors for which the device has not answered, and those whose old strokes it kept.
+    unanswered: u32,
+    kept: u32,
+    /// Room for delays besides [`AHEAD`], ticks: grows when a frame came too late.
+    spare: u64,
+    /// The play ends if its client is silent until then.
+    deadline: Option<(u64, HostInstant)>,
+}
+
+impl Live {
+    /// Whether the device keeps strokes of this motor that should have been replaced.
+    pub(super) const fn is_kept(&self, motor: u8) -> bool {
+        self.kept >> motor & 1 == 1
+    }
+}
+
+/// The bits of a mask.
+fn motors(mask: u32) -> impl Iterator<Item = u8> {
+    (0..MOTORS as u8).filter(move |motor| mask >> motor & 1 == 1)
+}
+
+fn is_live(active: &Active, id: u64) -> bool {
+    active.play.id == id && active.cut.is_none() && active.play.live.is_some()
+}
+
+impl Streamer {
+    /// Takes an update of a live play.
+    pub(super) fn update_live(&mut self, now: HostInstant, update: Box<LiveUpdate>, emit: &mut dyn Emit) {
+        let Some(active) = self.plays.iter().find(|active| is_live(active, update.id)) else {
+            give_back(update, LiveResult::Over, emit);
+            return;
+        };
+        let timeout = active.play.live.unwrap_or_default();
+        self.live.deadline = Some((update.id, now + timeout));
+        let mut update = update;
+        if let Some(mut old) = self.live.waiting.take() {
+            for (new, old) in update.waves.iter_mut().zip(&mut old.waves) {
+                *new = new.or(old.take());
+            }
+            let into = update.number;
+            give_back(old, LiveResult::Merged { into }, emit);
+        }
+        self.live.waiting = Some(update);
+    }
+
+    /// Ends a live play for its client.
+    pub(super) fn end_live(&mut self, id: u64) -> Result<Option<Op>, CommandError> {
+        if !self.plays.iter().any(|active| is_live(active, id)) {
+            return Ok(None);
+        }
+        self.cut_all(End::Stopped, "stop");
+        Ok(Some(Op::Stop))
+    }
+
+    /// Ends the live play whose client is silent, and sends the update that waits.
+    pub(super) fn step_live(&mut self, now: HostInstant, tick: Tick, emit: &mut dyn Emit) {
+        let Some(at) =
+            self.plays.iter().position(|active| active.play.live.is_some() && active.cut.is_none())
+        else {
+            self.forget_live(emit);
+            return;
+        };
+        let active = &self.plays[at];
+        let (id, timeout) = (active.play.id, active.play.live.unwrap_or_default());
+        let first = now + timeout.max(CONNECTS_WITHIN);
+        let (of, deadline) = *self.live.deadline.get_or_insert((id, first));
+        if of != id {
+            self.live.deadline = Some((id, first));
+        } else if now >= deadline && self.no_op_pending() {
+            self.cut_all(End::Stopped, CLIENT_SILENT);
+            self.queue_op(now, 0, Op::Stop, emit);
+            return;
+        }
+        let streams = active.phase == Phase::Streaming && self.state() == State::Armed;
+        if streams && self.no_op_pending() && self.live.sent.is_none() {
+            self.send_update(at, tick, emit);
+        }
+    }
+
+    /// Gives back the updates of a play that is over.
+    fn forget_live(&mut self, emit: &mut dyn Emit) {
+        let Live { waiting, sent, .. } = std::mem::take(&mut self.live);
+        for update in [sent, waiting].into_iter().flatten() {
+            give_back(update, LiveResult::Over, emit);
+        }
+    }
+
+    /// Sends the update that waits, and again the drives of motors whose old strokes the device kept.
+    fn send_update(&mut self, at: usize, tick: Tick, emit: &mut dyn Emit) {
+        let Some(session) = self.session.as_mut().filter(|session| session.has_room()) else { return };
+        let delivery = duration_to_ticks(session.delivery());
+        let from = tick + AHEAD + delivery + self.live.spare.max(LEAST_SPARE);
+        // On a slow line the strokes of the update before come first: what is not sent could not be replaced.
+        if self.fed_until < from {
+            return;
+        }
+        let Some(mut update) = self.live.waiting.take() else { return };
+        let active = &mut self.plays[at];
+        let Some(strokes) = active.play.strokes.live() else { return };
+        let from = from.max(strokes.onset());
+        // What the device does not hold must be sent, even if it is as before.
+        let changes =
+            |motor: u8| update.waves[usize::from(motor)].is_some_and(|wave| wave != strokes.wave(motor));
+        let changed = motors(u32::MAX)
+            .filter(|&motor| changes(motor))
+            .fold(self.live.kept, |mask, motor| mask | 1 << motor);
+        let mut applied = match update.result {
+            LiveResult::Applied(applied) => {
+                Applied { repeats: applied.repeats + 1, replaced: from, ..applied }
+            }
+            _ => {
+                let received = session.clock().tick_at(update.received_at).unwrap_or(tick);
+                Applied { received, replaced: from, motors: [None; MOTORS], repeats: 0 }
+            }
+        };
+        if changed == 0 {
+            give_back(update, LiveResult::Applied(applied), emit);
+            return;
+        }
+        if let Some(next) = active.next.take() {
+            strokes.put_back(&next);
+        }
+        let horizon = tick + ms_in_ticks(self.settings.lead_ms) as u64 + batch_ticks(&self.settings);
+        let mut silent = 0;
+        for motor in motors(changed) {
+            let wave = update.waves[usize::from(motor)].unwrap_or_else(|| strokes.wave(motor));
+            applied.motors[usize::from(motor)] = Some(strokes.replace(motor, wave, from));
+            if strokes.next_up(motor).is_none_or(|up| up >= horizon) {
+                silent |= 1 << motor;
+            }
+        }
+        session.replace(from, changed, silent);
+        self.control.replace(changed, from);
+        // First the first stroke of each motor, in one frame or two: with it the device withdraws the motor's old ones.
+        let ups = motors(changed & !silent).filter_map(|motor| Some((strokes.next_up(motor)?, motor)));
+        let mut firsts: heapless::Vec<(Tick, u8), MOTORS> = ups.collect();
+        firsts.sort_unstable();
+        let mut pushed = heapless::Vec::<Stroke, MOTORS>::new();
+        for (_, motor) in firsts {
+            // A stroke that breaks a limit is found again by the feed, which ends the play.
+            let Some(Ok(stroke)) = strokes.next_of(motor) else { continue };
+            if !session.push(&stroke) {
+                strokes.put_back(&stroke);
+                break;
+            }
+            let _ = pushed.push(stroke);
+        }
+        for stroke in pushed {
+            self.control.sent(&stroke, !active.play.open_loop, active.until());
+            active.plan(&stroke, true);
+        }
+        self.fed_until = from;
+        update.result = LiveResult::Applied(applied);
+        self.live.sent = Some(update);
+        (self.live.unanswered, self.live.kept) = (changed, 0);
+    }
+
+    /// The device has answered a frame of the update under way.
+    pub(super) fn replaced(&mut self, motors_done: u32, kept: u32, emit: &mut dyn Emit) {
+        self.control.replaced(motors_done, kept);
+        let Some(active) =
+            self.plays.iter_mut().find(|active| active.play.live.is_some() && active.cut.is_none())
+        else {
+            return;
+        };
+        if let Some(strokes) = active.play.strokes.live() {
+            if let Some(next) = active.next.take() {
+                strokes.put_back(&next);
+            }
+            motors(kept).for_each(|motor| strokes.revert(motor));
+        }
+        let live = &mut self.live;
+        live.unanswered &= !(motors_done | kept);
+        live.kept |= kept;
+        if live.unanswered != 0 {
+            return;
+        }
+        let Some(mut update) = live.sent.take() else { return };
+        if live.kept == 0 {
+            live.spare = (live.spare / 2).max(LEAST_SPARE);
+            let result = update.result;
+            give_back(update, result, emit);
+            return;
+        }
+        live.spare = (2 * live.spare).clamp(LEAST_SPARE, MOST_SPARE);
+        match &mut live.waiting {
+            // The newer one has the motors' drives, or takes over these.
+            Some(newer) => {
+                let LiveResult::Applied(mut applied) = update.result else { return };
+                for motor in motors(live.kept).map(usize::from) {
+                    newer.waves[motor] = newer.waves[motor].or(update.waves[motor]);
+                    applied.motors[motor] = None;
+                }
+                give_back(update, LiveResult::Applied(applied), emit);
+            }
+            None => {
+                // Of the others the result is known.
+                for motor in motors(!live.kept) {
+                    update.waves[usize::from(motor)] = None;
+                }
+                live.waiting = Some(update);
+            }
+        }
+    }
+}
+
+fn give_back(mut update: Box<LiveUpdate>, result: LiveResult, emit: &mut dyn Emit) {
+    update.result = result;
+    emit.event(StreamEvent::LiveUpdated(update));
+}

@@ -1,0 +1,299 @@
+//! Live plays in virtual time: what the streamer acknowledges is what the lines carry, tick for tick.
+
+use firmware_protocol::stroke::{MOTORS, Stroke};
+use firmware_protocol::tick::Tick;
+use meissner_array::motor::SquareWave;
+use meissner_array::strokes::LiveStrokes;
+use meissner_array::units::ticks_to_ms;
+use meissner_stream::Line;
+use meissner_stream::queues::{Applied, Command, End, LiveResult, LiveUpdate, Outcome, StreamEvent};
+use meissner_test_support::random::Random;
+use meissner_test_support::rig::{
+    Rig, assert_closed, assert_lines, bad_line, bursts_on_the_lines, into_outcomes,
+};
+use std::collections::HashSet;
+use std::time::Duration;
+
+const MS: Duration = Duration::from_millis(1);
+const TIMEOUT: Duration = Duration::from_millis(500);
+
+fn wave(frequency_hz: f64, amplitude_um: f64, phase: f64) -> SquareWave {
+    SquareWave::new(frequency_hz, amplitude_um, phase).unwrap()
+}
+
+fn steady() -> [SquareWave; MOTORS] {
+    [wave(60.0, 80.0, 0.0); MOTORS]
+}
+
+/// A live play, and what is known of it.
+struct LivePlay {
+    rig: Rig,
+    id: u64,
+    number: u64,
+    initial: [SquareWave; MOTORS],
+    sent: Vec<[Option<SquareWave>; MOTORS]>,
+    events: Vec<StreamEvent>,
+}
+
+impl LivePlay {
+    fn start(line: Line, seed: u64, initial: [SquareWave; MOTORS]) -> Self {
+        let mut rig = Rig::armed(Line::default(), seed);
+        rig.set_line(line);
+        rig.mock.take_trace();
+        let id = rig.start_live(initial, TIMEOUT);
+        rig.run_ms(50);
+        Self { rig, id, number: 0, initial, sent: vec![[None; MOTORS]], events: vec![] }
+    }
+
+    fn update(&mut self, waves: [Option<SquareWave>; MOTORS]) {
+        self.number += 1;
+        self.sent.push(waves);
+        let update = LiveUpdate { waves, ..LiveUpdate::new(self.id, self.number, self.rig.now()) };
+        self.rig.send(Command::UpdateLive(Box::new(update)));
+    }
+
+    fn run(&mut self, time: Duration) {
+        self.rig.run(time);
+        let events = self.rig.take_events();
+        self.events.extend(events);
+    }
+
+    /// What became of each update, by its number.
+    fn results(&self) -> Vec<(u64, LiveResult)> {
+        let of = |event: &StreamEvent| match event {
+            StreamEvent::LiveUpdated(update) => Some((update.number, update.result)),
+            _ => None,
+        };
+        self.events.iter().filter_map(of).collect()
+    }
+
+    fn applied(&self) -> Vec<(u64, Applied)> {
+        let of = |(number, result)| match result {
+            LiveResult::Applied(applied) => Some((number, applied)),
+            _ => None,
+        };
+        self.results().into_iter().filter_map(of).collect()
+    }
+
+    /// Ends the play, when all motors have been silent for longer than the lead, and compares every line with what was
+    /// acknowledged; strokes reported as late are missing.
+    fn check(mut self) -> (Outcome, Vec<(u64, Applied)>) {
+        self.update([Some(wave(60.0, 0.0, 0.0)); MOTORS]);
+        self.run(400 * MS);
+        self.rig.send(Command::EndLive(self.id));
+        self.run(400 * MS);
+        let applied = self.applied();
+        assert_eq!(self.results().len() as u64, self.number, "each update comes back once");
+        let late: HashSet<(u8, Tick)> = self
+            .events
+            .iter()
+            .filter_map(|event| match event {
+                StreamEvent::StrokeLate { motor, up, .. } => Some((*motor, *up)),
+                _ => None,
+            })
+            .collect();
+        let outcome = into_outcomes(self.events).pop().expect("it ended");
+        assert_closed(&outcome);
+        assert_eq!((outcome.end, outcome.bursts.dropped, outcome.bursts.refused), (End::Stopped, 0, 0));
+        let mut live = LiveStrokes::new(self.initial);
+        live.begin(outcome.onset.expect("it began").actual);
+        // One for each motor, because the others' strokes are returned, too.
+        let mut lives = vec![live; MOTORS];
+        let mut strokes: Vec<Stroke> = Vec::new();
+        // Updates that were merged into this one may have brought it.
+        let waves = |number: u64, motor: usize| {
+            self.sent[..=number as usize].iter().rev().find_map(|sent| sent[motor])
+        };
+        for (number, applied) in &applied {
+            for (motor, from) in applied.motors.iter().enumerate() {
+                let Some(from) = *from else { continue };
+                let motor = motor as u8;
+                let live = &mut lives[usize::from(motor)];
+                let wave = waves(*number, usize::from(motor)).expect("it was sent");
+                let begin = boundary(live, motor, wave, applied.received, from)
+                    .unwrap_or_else(|| panic!("update {number}, motor {motor}: {from:?} is on no grid"));
+                while live.next_up(motor).is_some_and(|up| up < begin) {
+                    strokes.extend(live.map(Result::unwrap).find(|stroke| stroke.motor == motor));
+                }
+                live.replace(motor, wave, begin);
+            }
+        }
+        strokes.retain(|stroke| !late.contains(&(stroke.motor, stroke.up)));
+        strokes.sort_by_key(|stroke| stroke.up);
+        assert_lines(&self.rig.mock.take_trace(), &strokes);
+        assert_eq!(outcome.bursts.played, 2 * strokes.len() as u64);
+        assert_eq!(outcome.bursts.late, 2 * late.len() as u64);
+        (outcome, applied)
+    }
+}
+
+/// The beginning of the motor's period, after `received`, from which its new drive has its first stroke at `from`.
+fn boundary(live: &LiveStrokes, motor: u8, wave: SquareWave, received: Tick, from: Tick) -> Option<Tick> {
+    let mut begin = received;
+    loop {
+        begin = live.clone().replace(motor, live.wave(motor), begin);
+        if live.clone().replace(motor, wave, begin) == from {
+            return Some(begin);
+        }
+        if begin > from {
+            return None;
+        }
+        begin = begin + 1;
+    }
+}
+
+/// Some motors' random drives.
+fn random_waves(random: &mut Random) -> [Option<SquareWave>; MOTORS] {
+    let share = random.between(0.0, 1.0);
+    std::array::from_fn(|_| {
+        random.chance(share).then(|| {
+            let hz = if random.chance(0.5) { 60.0 } else { random.between(5.0, 300.0) };
+            let um = if random.chance(0.2) { 0.0 } else { random.between(5.0, 150.0) };
+            wave(hz, um, if random.chance(0.7) { 0.0 } else { random.between(0.0, 1.0) })
+        })
+    })
+}
+
+#[test]
+fn what_is_acknowledged_is_on_the_lines_tick_for_tick() {
+    for seed in 0..4 {
+        let mut random = Random::new(seed);
+        let mut live = LivePlay::start(Line::default(), seed, steady());
+        for _ in 0..1_000 {
+            let waves = random_waves(&mut random);
+            live.update(waves);
+            live.run(Duration::from_secs_f64(random.between(0.001, 0.02)));
+        }
+        let (outcome, applied) = live.check();
+        assert_eq!(outcome.bursts.late, 0);
+        assert!(applied.len() > 900 && outcome.bursts.replaced > 10_000, "{} {outcome:?}", applied.len());
+        assert_eq!(applied.iter().map(|(_, applied)| applied.repeats).sum::<u32>(), 0);
+    }
+}
+
+#[test]
+fn a_lossy_line_delays_updates_and_loses_no_count() {
+    for seed in 0..6 {
+        let mut random = Random::new(seed);
+        let mut live = LivePlay::start(bad_line(), seed, steady());
+        for _ in 0..1_000 {
+            let waves = random_waves(&mut random);
+            live.update(waves);
+            live.run(Duration::from_secs_f64(random.between(0.001, 0.03)));
+        }
+        let (outcome, applied) = live.check();
+        let repeats: u32 = applied.iter().map(|(_, applied)| applied.repeats).sum();
+        println!("seed {seed}: {} applied, {repeats} repeats, {:?}", applied.len(), outcome.bursts);
+        assert!(repeats > 0 && applied.len() > 300);
+    }
+}
+
+/// The rest of a running stroke is at most a period; what comes before it is the way to the device.
+#[test]
+fn on_a_good_line_an_update_is_decided_within_three_milliseconds() {
+    let mut random = Random::new(5);
+    let mut live = LivePlay::start(Line::default(), 5, steady());
+    for _ in 0..2_000 {
+        let um = random.between(20.0, 100.0);
+        live.update(std::array::from_fn(|_| Some(wave(60.0, um, 0.0))));
+        live.run(10 * MS);
+    }
+    let (outcome, applied) = live.check();
+    assert_eq!((outcome.bursts.late, applied.len()), (0, 2_001));
+    for (number, Applied { received, replaced, motors, .. }) in &applied {
+        let decided = ticks_to_ms(*replaced - *received);
+        assert!(decided <= 3.0, "update {number}: {decided} ms");
+        assert!(motors.iter().flatten().all(|from| *from - *replaced <= 1_417));
+    }
+}
+
+#[test]
+fn updates_that_come_too_fast_are_merged() {
+    let mut live = LivePlay::start(Line { delay: 5 * MS, ..Line::default() }, 6, steady());
+    for number in 0..200 {
+        let mut waves = [None; MOTORS];
+        waves[number % MOTORS] = Some(wave(60.0, number as f64 / 2.0, 0.0));
+        live.update(waves);
+        live.run(MS);
+    }
+    let merged =
+        live.results().iter().filter(|(_, result)| matches!(result, LiveResult::Merged { .. })).count();
+    assert!(merged > 100, "{merged}");
+    live.check();
+}
+
+#[test]
+fn a_silent_client_ends_the_play_and_an_update_without_drives_keeps_it() {
+    let mut live = LivePlay::start(Line::default(), 7, steady());
+    for _ in 0..10 {
+        live.update([None; MOTORS]);
+        live.run(400 * MS);
+    }
+    assert!(live.applied().iter().all(|(_, applied)| applied.motors == [None; MOTORS]));
+    assert!(into_outcomes(std::mem::take(&mut live.events)).is_empty());
+    live.run(400 * MS);
+    live.update([None; MOTORS]);
+    let outcome = into_outcomes(live.events).pop().expect("it ended");
+    assert_eq!((outcome.end, outcome.cause), (End::Stopped, Some("client-silent")));
+    assert_closed(&outcome);
+    let late = live.rig.take_events();
+    assert!(
+        late.iter().any(
+            |event| matches!(event, StreamEvent::LiveUpdated(update) if update.result == LiveResult::Over)
+        )
+    );
+    assert_eq!(bursts_on_the_lines(&live.rig.mock.take_trace()).net, [0; MOTORS]);
+}
+
+#[test]
+fn a_stop_or_an_e_stop_in_the_middle_of_an_update_ends_it_at_once() {
+    for command in [|| Command::Stop, || Command::EStop, || Command::Disarm] {
+        for wait in 0..12 {
+            let mut live = LivePlay::start(Line { delay: 2 * MS, ..Line::default() }, wait, steady());
+            live.update([Some(wave(150.0, 40.0, 0.0)); MOTORS]);
+            live.run(Duration::from_micros(500) * wait as u32);
+            live.rig.send(command());
+            live.run(800 * MS);
+            assert_eq!(live.results().len(), 1, "each update comes back once");
+            let outcome = into_outcomes(live.events).pop().expect("it ended");
+            assert_closed(&outcome);
+            let counters = live.rig.mock.controller().counters();
+            let (played, replaced) = (outcome.bursts.played, outcome.bursts.replaced);
+            assert_eq!((counters.played, counters.replaced), (played, replaced), "{wait}");
+        }
+    }
+}
+
+/// An hour of device time with 200 random updates a second.
+#[test]
+fn an_hour_of_updates_loses_no_count_and_no_memory() {
+    let seconds = 3_600;
+    let mut random = Random::new(9);
+    let mut live = LivePlay::start(Line::default(), 9, steady());
+    let (mut applied, mut merged) = (0_u64, 0_u64);
+    for _ in 0..seconds * 200 {
+        let mut waves = [None; MOTORS];
+        waves[random.below(MOTORS)] = Some(wave(60.0, random.between(0.0, 100.0), 0.0));
+        live.update(waves);
+        live.sent.clear();
+        live.rig.run(5 * MS);
+        for event in live.rig.take_events() {
+            if let StreamEvent::LiveUpdated(update) = event {
+                match update.result {
+                    LiveResult::Applied(_) => applied += 1,
+                    LiveResult::Merged { .. } => merged += 1,
+                    other => panic!("{other:?}"),
+                }
+            }
+        }
+        live.rig.mock.take_trace();
+    }
+    live.rig.send(Command::EndLive(live.id));
+    live.run(500 * MS);
+    assert_eq!(applied + merged, seconds * 200);
+    let outcome = into_outcomes(live.events).pop().expect("it ended");
+    assert_closed(&outcome);
+    let counters = live.rig.mock.controller().counters();
+    assert_eq!((counters.late, counters.refused, outcome.bursts.late), (0, 0, 0));
+    assert_eq!((counters.played, counters.replaced), (outcome.bursts.played, outcome.bursts.replaced));
+}
