@@ -37,6 +37,8 @@ pub(super) struct Live {
     /// The motors for which the device has not answered, and those whose old strokes it kept.
     unanswered: u32,
     kept: u32,
+    /// From which tick on the last update replaced strokes.
+    replaced: Tick,
     /// Room for delays besides [`AHEAD`], ticks: grows when a frame came too late.
     spare: u64,
     /// The play ends if its client is silent until then.
@@ -126,6 +128,8 @@ impl Streamer {
         let Some(session) = self.session.as_mut().filter(|session| session.has_room()) else { return };
         let delivery = duration_to_ticks(session.delivery());
         let from = tick + AHEAD + delivery + self.live.spare.max(LEAST_SPARE);
+        // A stroke before the last update's tick may belong to the drive before that one: it stays.
+        let from = from.max(self.live.replaced);
         // On a slow line the strokes of the update before come first: what is not sent could not be replaced.
         if self.fed_until < from {
             return;
@@ -188,6 +192,7 @@ impl Streamer {
         self.fed_until = from;
         update.result = LiveResult::Applied(applied);
         self.live.sent = Some(update);
+        self.live.replaced = from;
         (self.live.unanswered, self.live.kept) = (changed, 0);
     }
 
