@@ -35,6 +35,8 @@ mod figures;
 mod harness;
 /// `tradeoff --stream`: the lead under recorded stalls, traces that are refused, its document and plot.
 mod lead;
+/// Live plays: updates over both sockets, vanishing clients, mistakes.
+mod live;
 /// Arrays with a lower stop: arming seeks it, and plays stay within the limit on pushing.
 mod lower_stop;
 /// The manual pages and completions in `deploy` are up to date.

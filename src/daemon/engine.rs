@@ -11,7 +11,8 @@ use super::estop::{EStops, Origin};
 use super::names::Names;
 use super::network::{Gate, TokenStore};
 use super::state::{
-    Calibration, Commands, Connection, Exposure, Plays, Publisher, Reply, Searches, Sessions, State, frame,
+    Calibration, Commands, Connection, Exposure, LivePlays, Plays, Publisher, Reply, Searches, Sessions,
+    State, frame,
 };
 use crate::receipts::refusal;
 use crate::session_record::{Peer, SessionRecord};
@@ -79,6 +80,7 @@ impl Engine {
             exposure: Exposure::default(),
             sessions: Sessions::default(),
             searches: Searches::default(),
+            live: LivePlays::default(),
             settings,
         };
         Self {

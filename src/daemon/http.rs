@@ -11,6 +11,7 @@ use super::body;
 use super::connection::Activity;
 use super::engine::{Engine, TIMEOUT};
 use super::estop::Origin;
+use super::live;
 use super::metrics;
 use super::network;
 use super::page;
@@ -95,7 +96,7 @@ pub(super) struct App {
 }
 
 /// The permits of a client that waits.
-type Waiting = (OwnedSemaphorePermit, Option<OwnedSemaphorePermit>);
+pub(super) type Waiting = (OwnedSemaphorePermit, Option<OwnedSemaphorePermit>);
 
 impl App {
     pub(super) fn new(engine: Arc<Engine>, store: SharedStore, bounds: &Bounds, counts: Arc<Counts>) -> Self {
@@ -105,7 +106,7 @@ impl App {
     }
 
     /// Takes a place for a client that waits.
-    fn waiting_place(&self, peer: Peer) -> Result<Waiting, Problem> {
+    pub(super) fn waiting_place(&self, peer: Peer) -> Result<Waiting, Problem> {
         let take = |places: &Arc<Semaphore>| Arc::clone(places).try_acquire_owned().map_err(many_waiting);
         let network = peer.network.map(|_| take(&self.waiting_network)).transpose()?;
         Ok((take(&self.waiting)?, network))
@@ -138,6 +139,8 @@ fn handler(route: Route) -> MethodRouter<App> {
     match route {
         Route::Play => on(method, play),
         Route::Sequence => on(method, sequence),
+        Route::Live => on(method, live::start),
+        Route::LiveConnection => on(method, live::connect),
         Route::Stop => on(method, stop),
         Route::EStop => on(method, estop),
         Route::Reset => on(method, reset),

@@ -32,6 +32,7 @@ mod estop;
 mod event_loop;
 mod hosted;
 mod http;
+mod live;
 mod log_lines;
 mod metrics;
 mod names;

@@ -72,7 +72,8 @@ impl PreparedPlay {
         let at = onset(request.at_tick, request.at_ms, request.at_monotonic_ns);
         let PlayRequest { late, replace, open_loop, .. } = *request;
         let items = vec![Item::new(trigger(request.trigger))];
-        let play = Play { id: 0, strokes, items, at, late, replace, open_loop, bandwidth };
+        let strokes = strokes.into();
+        let play = Play { id: 0, strokes, items, at, late, replace, open_loop, live: None, bandwidth };
         let trial =
             Trial { session: request.session.clone(), number: request.trial, labels: request.labels.clone() };
         Ok(Self { play, settings, stored, options, order, counts, vibration, trial })

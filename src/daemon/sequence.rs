@@ -155,7 +155,8 @@ impl PreparedSequence {
         let vibration = Vibration::of_spans(spans);
         let at = onset(request.at_tick, request.at_ms, request.at_monotonic_ns);
         let SequenceRequest { late, replace, open_loop, .. } = *request;
-        let play = Play { id: 0, strokes, items, at, late, replace, open_loop, bandwidth };
+        let strokes = strokes.into();
+        let play = Play { id: 0, strokes, items, at, late, replace, open_loop, live: None, bandwidth };
         let new = NewSequence {
             name: request.name.clone().unwrap_or_else(|| NAME.to_owned()),
             sha256: sha256(&request.items),

@@ -202,7 +202,7 @@ async fn serve_client(
     let mut http = http1::Builder::new();
     // A client that has sent its request may close its half of the connection.
     http.half_close(true).max_buf_size(BUFFER).timer(TokioTimer::new()).header_read_timeout(KEPT_IDLE);
-    let mut connection = pin!(http.serve_connection(TokioIo::new(connection), service));
+    let mut connection = pin!(http.serve_connection(TokioIo::new(connection), service).with_upgrades());
     let ended = tokio::select! {
         ended = connection.as_mut() => ended,
         () = closed(&mut closing) => {

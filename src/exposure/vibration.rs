@@ -34,6 +34,12 @@ impl Vibration {
         Self { spans, repeat_s: pattern.duration_s(), end_s }
     }
 
+    /// Vibration from the onset on, without end.
+    #[must_use]
+    pub fn without_end() -> Self {
+        Self { spans: vec![(0.0, f64::INFINITY)], repeat_s: None, end_s: None }
+    }
+
     /// The vibration of a sequence: an item counts from its onset to its end, which are in order, s.
     #[must_use]
     pub fn of_spans(items: impl IntoIterator<Item = (f64, f64)>) -> Self {

@@ -11,6 +11,7 @@
 
 mod convert;
 mod items;
+mod live;
 mod measured_bursts;
 mod order;
 mod prediction;
@@ -26,6 +27,7 @@ pub use prediction::{NoPrediction, PlayedPattern};
 
 use firmware_protocol::message::{DeviceHello, State};
 use firmware_protocol::tick::Tick;
+use live::LiveAccount;
 use meissner_api::{
     BurstCounts, DeviceInfo, Event, LateCounts, LateStroke, LinkTraffic, MAX_LISTED, MotorRestError,
     NO_DEVICE, OrderedCounts, PlayState, PredictedResponse, Prediction, PulseCounts, Receipt, RefusedStroke,
@@ -88,6 +90,8 @@ pub struct Receipts {
     finished: VecDeque<Receipt>,
     /// What was planned of the items of sequences that are not over.
     planned: HashMap<u64, Arc<[PlannedItem]>>,
+    /// The updates of live plays that are not over.
+    updates: HashMap<u64, LiveAccount>,
     totals: Totals,
 }
 
@@ -175,6 +179,10 @@ impl Receipts {
                 }
                 Some(Event::Refused { id: *id, stroke })
             }
+            StreamEvent::LiveUpdated(update) => {
+                self.updates.entry(update.id).or_default().add(update);
+                None
+            }
             StreamEvent::PlayEnded { id, outcome } => self.ended(*id, outcome),
             StreamEvent::EventsLost(events) => {
                 self.totals.lost += events;
@@ -191,6 +199,9 @@ impl Receipts {
         let at = self.live.iter().position(|receipt| receipt.id == id)?;
         let mut receipt = self.live.remove(at);
         complete(&mut receipt, outcome);
+        if let (Some(live), Some(account)) = (&mut receipt.live, self.updates.remove(&id)) {
+            *live = account.record();
+        }
         self.totals.add(outcome);
         let event = Event::Ended { receipt: Box::new(receipt.clone()) };
         // An event is short: the receipt alone has the items.
@@ -363,6 +374,7 @@ impl Totals {
         sum.late += bursts.late;
         sum.dropped += bursts.dropped;
         sum.refused += bursts.refused;
+        sum.replaced += bursts.replaced;
         sum.amended += bursts.amended;
         self.pulses.planned += outcome.pulses.planned;
         self.pulses.played += outcome.pulses.played;

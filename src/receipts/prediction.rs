@@ -51,6 +51,9 @@ pub enum NoPrediction {
     /// A sequence has many patterns, and a prediction is about one.
     #[error("a sequence has many patterns, and a prediction is about one")]
     Sequence,
+    /// A live play has no pattern.
+    #[error("a live play has no pattern")]
+    Live,
     /// Too many plays ended at once.
     #[error("too many plays waited for their prediction")]
     Busy,

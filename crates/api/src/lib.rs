@@ -36,6 +36,7 @@ pub mod board;
 pub mod calibration;
 pub mod doctor;
 pub mod event;
+pub mod live;
 pub mod openapi;
 pub mod pattern;
 pub mod problem;
@@ -54,15 +55,19 @@ pub use board::{BoardRecord, BoardStatus};
 pub use calibration::{CalibratedMotor, CalibrationReport, FittedLine, MeasuredPoint, Provenance};
 pub use doctor::{DoctorReport, Finding, Level};
 pub use event::{Event, MAX_ITEMS_LISTED, SensorFault};
+pub use live::{
+    LIVE_TIMEOUT_MS, LIVE_UPGRADE, LiveAccepted, LiveAnswer, LiveApplied, LiveDrive, LiveMessage,
+    LiveRequest, MAX_LIVE_MESSAGE,
+};
 pub use pattern::{
     ImportedPattern, PatternDetails, PatternList, PatternSummary, ReachedDrive, RemovedPattern,
 };
 pub use problem::{Code, MAX_DETAIL, Problem, REFERENCE};
 pub use receipt::{
     AfferentClass, BurstCounts, ClassResponse, DurationRecord, LateCause, LateCounts, LateStroke,
-    LatenessRecord, LinkTraffic, MAX_DRIVES_LISTED, MAX_LISTED, MAX_WARNINGS_LISTED, MotorRestError,
-    OffsetRecord, OnsetRecord, OrderedCounts, PlayState, PredictedResponse, Prediction, PulseCounts, Rates,
-    Receipt, RefusedStroke,
+    LatenessRecord, LinkTraffic, LiveRecord, MAX_DRIVES_LISTED, MAX_LISTED, MAX_WARNINGS_LISTED,
+    MotorRestError, OffsetRecord, OnsetRecord, OrderedCounts, PlayState, PredictedResponse, Prediction,
+    PulseCounts, Rates, Receipt, RefusedStroke, UpdateTimes,
 };
 pub use request::{
     ArmRequest, CalibrateRequest, Fit, LatePolicy, MAX_AT_MS, MAX_BODY, MAX_WAIT_S, PlayRequest,

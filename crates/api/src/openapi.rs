@@ -6,10 +6,11 @@
 use crate::problem::{Code, Problem};
 use crate::route::{Answer, Body, Method, Operation, Query, Route};
 use crate::{
-    ArmRequest, CalibrateRequest, CalibrationReport, DoctorReport, Event, ImportedPattern, PatternDetails,
-    PatternList, PlayAccepted, PlayRequest, Receipt, RemovedPattern, RemovedTarget, ResetRequest, Search,
-    SearchRequest, SequenceRequest, Session, SessionList, SessionPlays, SessionRequest, SessionStarted,
-    Status, StoredTarget, TargetDetails, TargetList, TokenCreated, TokenInfo, TokenList, TokenRequest,
+    ArmRequest, CalibrateRequest, CalibrationReport, DoctorReport, Event, ImportedPattern, LiveAccepted,
+    LiveAnswer, LiveMessage, LiveRequest, PatternDetails, PatternList, PlayAccepted, PlayRequest, Receipt,
+    RemovedPattern, RemovedTarget, ResetRequest, Search, SearchRequest, SequenceRequest, Session,
+    SessionList, SessionPlays, SessionRequest, SessionStarted, Status, StoredTarget, TargetDetails,
+    TargetList, TokenCreated, TokenInfo, TokenList, TokenRequest,
 };
 use serde_json::{Map, Value, json};
 use std::collections::BTreeMap;
@@ -25,6 +26,10 @@ use utoipa::OpenApi;
     DoctorReport,
     Event,
     ImportedPattern,
+    LiveAccepted,
+    LiveAnswer,
+    LiveMessage,
+    LiveRequest,
     PatternDetails,
     PatternList,
     PlayAccepted,

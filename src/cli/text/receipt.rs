@@ -5,8 +5,9 @@
 use super::{counters, pairs};
 use crate::receipts::end_text;
 use meissner_api::{
-    BoardRecord, BurstCounts, ClassResponse, DurationRecord, ErrorSource, ItemState, MotorRestError,
-    OrderedCounts, PlayAccepted, PredictedResponse, Prediction, PulseCounts, Rates, ReachedDrive, Receipt,
+    BoardRecord, BurstCounts, ClassResponse, DurationRecord, ErrorSource, ItemState, LiveRecord,
+    MotorRestError, OrderedCounts, PlayAccepted, PredictedResponse, Prediction, PulseCounts, Rates,
+    ReachedDrive, Receipt, UpdateTimes,
 };
 
 pub(in crate::cli) fn receipt(receipt: &Receipt) -> String {
@@ -39,6 +40,9 @@ pub(in crate::cli) fn receipt(receipt: &Receipt) -> String {
             late.host, late.link, late.device, late.worst_ms
         );
         lines.push(("late strokes", text));
+    }
+    if let Some(live) = &receipt.live {
+        lines.push(("updates", updates(live)));
     }
     if let Some(items) = &receipt.items {
         let count = |state| items.iter().filter(|item| item.state == state).count();
@@ -78,6 +82,21 @@ pub(in crate::cli) fn receipt(receipt: &Receipt) -> String {
 fn board(board: BoardRecord) -> Option<String> {
     let text = counters(board).collect::<Vec<_>>().join(", ");
     (!text.is_empty()).then_some(text)
+}
+
+/// What became of a live play's updates.
+fn updates(live: &LiveRecord) -> String {
+    let LiveRecord { updates, applied, merged, repeats, decided, first_motor, .. } = live;
+    let times = |times: &Option<UpdateTimes>, what: &str| {
+        times.map_or_else(String::new, |UpdateTimes { p50_ms, p99_ms, .. }| {
+            format!("; {what} p50 {p50_ms:.1} ms, p99 {p99_ms:.1} ms")
+        })
+    };
+    format!(
+        "{updates}: {applied} applied, {merged} merged, {repeats} sent again{}{}",
+        times(decided, "decided"),
+        times(first_motor, "first new stroke")
+    )
 }
 
 /// The largest rest errors of driven pins, at onset and end, and where each comes from.
@@ -127,10 +146,11 @@ pub(in crate::cli) const PREDICTED: &str = "predicted RA response";
 pub(in crate::cli) const LARGEST_OFFSET: &str = "largest offset from rest, driven pins:";
 
 pub(in crate::cli) fn burst_counts(ordered: Option<&OrderedCounts>, bursts: &BurstCounts) -> String {
-    let BurstCounts { planned, played, late, dropped, refused, amended } = bursts;
+    let BurstCounts { planned, played, late, dropped, refused, replaced, amended } = bursts;
+    let replaced = if *replaced > 0 { format!(", {replaced} replaced") } else { String::new() };
     let ordered = ordered.map_or_else(String::new, |ordered| format!("{} ordered, ", ordered.bursts));
     format!(
-        "{ordered}{planned} planned: {played} played, {late} late, {dropped} dropped, {refused} refused; {amended} \
+        "{ordered}{planned} planned: {played} played, {late} late, {dropped} dropped, {refused} refused{replaced}; {amended} \
          corrected by feedback"
     )
 }
@@ -217,8 +237,15 @@ mod tests {
         receipt.duration_ms =
             DurationRecord { ordered: Some(2300.0), compiled: Some(2298.71), played: Some(1203.52) };
         receipt.ordered = Some(OrderedCounts { bursts: 1380, pulses: Some(96_600) });
-        receipt.bursts =
-            Some(BurstCounts { planned: 720, played: 715, late: 2, dropped: 1, refused: 3, amended: 688 });
+        receipt.bursts = Some(BurstCounts {
+            planned: 720,
+            played: 715,
+            late: 2,
+            dropped: 1,
+            refused: 3,
+            replaced: 9,
+            amended: 688,
+        });
         receipt.pulses = Some(PulseCounts { planned: 50_410, played: 49_800 });
         let counts = LateCounts { host: 4, link: 5, device: 6, worst_ms: 1.84 };
         receipt.lateness.counts = counts;

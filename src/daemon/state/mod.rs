@@ -1,4 +1,4 @@
-//! The daemon's state: eight parts with one job each, behind the engine's one lock.
+//! The daemon's state: nine parts with one job each, behind the engine's one lock.
 //!
 //! - [`Commands`]: commands to the streamer, and the calls that wait for their answers.
 //! - [`Plays`]: receipts, the clients of plays, and measured bursts.
@@ -8,6 +8,7 @@
 //! - [`Exposure`]: the participant's vibration, and the limits for it.
 //! - [`Sessions`]: the running session, and who may act meanwhile.
 //! - [`Searches`]: the search that runs, and what others have found.
+//! - [`LivePlays`]: live plays, and the ways to their clients.
 //!
 //! A part uses no other part; a rule that concerns several is a method of [`State`]. There is one lock because such rules hold
 //! across parts: a play is in the receipts before the streamer reports anything about it, and events are published in the order of the
@@ -19,6 +20,7 @@ mod calibration;
 mod commands;
 mod connection;
 mod exposure;
+mod live;
 mod plays;
 mod publisher;
 mod searches;
@@ -28,7 +30,8 @@ pub(super) use calibration::Calibration;
 pub(super) use commands::{Commands, Reply};
 pub(super) use connection::{Connection, ConnectorMessage};
 pub(super) use exposure::Exposure;
-pub(super) use plays::{NewPlay, NewSequence, Plays, Trial, Way};
+pub(super) use live::{LivePlay, LivePlays};
+pub(super) use plays::{NewLive, NewPlay, NewSequence, Plays, Trial, Way};
 pub(super) use publisher::{Publisher, frame};
 pub(super) use searches::{Found, Searches};
 pub(super) use session::{Sessions, asked_by, no_session};
@@ -55,6 +58,7 @@ pub(super) struct State {
     pub(super) exposure: Exposure,
     pub(super) sessions: Sessions,
     pub(super) searches: Searches,
+    pub(super) live: LivePlays,
 }
 
 impl State {
@@ -75,6 +79,7 @@ impl State {
             self.settings = snapshot.settings;
         }
         self.follow_exposure(&mut streamed);
+        self.live.follow(&streamed);
         let event = match &streamed {
             StreamEvent::Answer { ticket, result } => {
                 let play = self.commands.answer(*ticket, *result);
@@ -138,6 +143,7 @@ impl State {
         if !accepted {
             self.calibration.cancel(id);
             self.exposure.forget(id);
+            self.live.forget(id);
         }
         let event = self.plays.settle(id, accepted);
         if accepted {
@@ -153,6 +159,7 @@ impl State {
         for id in self.commands.forget_unanswered(HostInstant::now()) {
             self.calibration.cancel(id);
             self.exposure.forget(id);
+            self.live.forget(id);
             self.plays.forget(id);
         }
     }

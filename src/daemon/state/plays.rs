@@ -6,12 +6,15 @@
 use crate::daemon::predictor::MeasuredPlay;
 use crate::receipts::{MeasuredBursts, NoPrediction, Order, PlannedItem, PlayedPattern, Receipts, fit_name};
 use crate::session_record::Peer;
-use crate::store::Stored;
-use meissner_api::{Event, Fit, Labels, LatePolicy, OrderedCounts, Receipt};
+use crate::store::{Stored, hash};
+use meissner_api::{Event, Fit, Labels, LatePolicy, LiveRecord, LiveRequest, OrderedCounts, Receipt};
 use meissner_array::pattern::Pattern;
 use meissner_array::strokes::StrokeOptions;
 use std::collections::HashMap;
 use std::sync::Arc;
+
+/// The pattern of a live play in its receipt.
+const LIVE: &str = "live";
 
 /// A play that is about to be sent to the streamer.
 #[derive(Debug)]
@@ -50,6 +53,15 @@ pub(in crate::daemon) struct NewSequence {
     pub(in crate::daemon) order: Order,
     pub(in crate::daemon) counts: Option<OrderedCounts>,
     pub(in crate::daemon) items: Arc<[PlannedItem]>,
+    pub(in crate::daemon) way: Way,
+    pub(in crate::daemon) trial: Trial,
+    pub(in crate::daemon) client: Peer,
+}
+
+/// A live play that is about to be sent to the streamer.
+#[derive(Debug)]
+pub(in crate::daemon) struct NewLive<'r> {
+    pub(in crate::daemon) request: &'r LiveRequest,
     pub(in crate::daemon) way: Way,
     pub(in crate::daemon) trial: Trial,
     pub(in crate::daemon) client: Peer,
@@ -111,6 +123,31 @@ impl Plays {
         receipt.prediction.unknown = Some(NoPrediction::Sequence.to_string());
         self.receipts.add(receipt);
         self.receipts.plan(id, items);
+        self.clients.insert(id, client);
+        id
+    }
+
+    /// Gives a live play an id and a receipt.
+    pub(in crate::daemon) fn add_live(&mut self, live: NewLive<'_>) -> u64 {
+        let NewLive { request, way, trial: Trial { session, number, labels }, client } = live;
+        self.last_id += 1;
+        let id = self.last_id;
+        // Plain data can be written.
+        let sha256 = hash(&serde_json::to_vec(request).unwrap_or_default());
+        let receipt = Receipt::new(id, LIVE, &sha256, None);
+        let Way { late: late_policy, open_loop } = way;
+        let mut receipt = Receipt {
+            session,
+            trial: number,
+            labels,
+            scale: request.scale,
+            late_policy,
+            open_loop,
+            ..receipt
+        };
+        receipt.prediction.unknown = Some(NoPrediction::Live.to_string());
+        receipt.live = Some(LiveRecord::default());
+        self.receipts.add(receipt);
         self.clients.insert(id, client);
         id
     }

@@ -245,7 +245,7 @@ pub(in crate::daemon) fn no_session(id: &str) -> Problem {
 }
 
 /// Random bytes in hexadecimal.
-fn random_hex<const BYTES: usize>() -> Option<String> {
+pub(super) fn random_hex<const BYTES: usize>() -> Option<String> {
     let mut bytes = [0; BYTES];
     let got = getrandom(&mut bytes, GetRandomFlags::empty()).ok()?;
     (got == BYTES).then(|| hexadecimal(&bytes))

@@ -62,6 +62,12 @@ impl DriveStrokes {
         }
     }
 
+    /// Their wave, in ticks of the drive's own time.
+    #[must_use]
+    pub const fn wave(&self) -> &SquareWave {
+        self.excursions.wave()
+    }
+
     /// When the drive begins.
     pub(super) const fn start(&self) -> u64 {
         self.start

@@ -72,6 +72,8 @@ pub struct LiveStrokes {
     motors: [Oscillator; MOTORS],
     /// The motors' drives before the last change, until it is confirmed.
     before: [Oscillator; MOTORS],
+    /// Motors that pause, bit by bit.
+    paused: u32,
 }
 
 impl LiveStrokes {
@@ -79,14 +81,14 @@ impl LiveStrokes {
     #[must_use]
     pub fn new(waves: [SquareWave; MOTORS]) -> Self {
         let motors = waves.map(|wave| Oscillator { wave, zero: Tick(0), begin: Tick(0), next: 0 });
-        Self { onset: Tick(0), initial: waves, motors, before: motors }
+        Self { onset: Tick(0), initial: waves, motors, before: motors, paused: 0 }
     }
 
     /// Begins at `onset` with the first drives.
     pub fn begin(&mut self, onset: Tick) {
         self.onset = onset;
         self.motors = self.initial.map(|wave| Oscillator { wave, zero: onset, begin: onset, next: 0 });
-        self.before = self.motors;
+        (self.before, self.paused) = (self.motors, 0);
     }
 
     /// The onset.
@@ -110,6 +112,7 @@ impl LiveStrokes {
     /// # Panics
     /// If there is no such motor.
     pub fn replace(&mut self, motor: u8, wave: SquareWave, from: Tick) -> Tick {
+        self.paused &= !(1 << motor);
         let motor = usize::from(motor);
         self.before[motor] = self.motors[motor];
         self.motors[motor] = self.before[motor].changed(wave, from);
@@ -117,13 +120,14 @@ impl LiveStrokes {
         changed.up(changed.next)
     }
 
-    /// The device has kept the strokes before the last [`Self::replace`] of this motor: its drive is the one before. The next stroke
-    /// is undefined until the motor is replaced again.
+    /// The device has kept the strokes before the last [`Self::replace`] of this motor: its drive is the one before, and its next stroke
+    /// the one that was next then. It pauses until it is replaced again: only [`Self::next_of`] returns its strokes.
     ///
     /// # Panics
     /// If there is no such motor.
     pub fn revert(&mut self, motor: u8) {
         self.motors[usize::from(motor)] = self.before[usize::from(motor)];
+        self.paused |= 1 << motor;
     }
 
     /// The stroke that was returned last was not sent: it is the next one again.
@@ -155,8 +159,8 @@ impl Iterator for LiveStrokes {
     type Item = Result<Stroke, StrokesError>;
 
     fn next(&mut self) -> Option<Self::Item> {
-        let ups =
-            (0..).zip(&self.motors).filter_map(|(motor, oscillator)| Some((oscillator.next_up()?, motor)));
+        let plays = |motor: &u8| self.paused >> motor & 1 == 0;
+        let ups = (0..MOTORS as u8).filter(plays).filter_map(|motor| Some((self.next_up(motor)?, motor)));
         let (_, motor) = ups.min()?;
         self.next_of(motor)
     }

@@ -175,15 +175,6 @@ impl Streamer {
                 };
             }
             let Some(stroke) = active.next else { continue };
-            if self.live.is_kept(stroke.motor) {
-                // The device plays old strokes, and takes no others until it is asked to replace them.
-                active.next = None;
-                if stroke.up >= horizon {
-                    (self.fed_until, self.short_of_credits) = (horizon, false);
-                    return Fed::Horizon;
-                }
-                continue;
-            }
             if stroke.up >= horizon {
                 self.fed_until = horizon;
                 self.short_of_credits = false;

@@ -15,6 +15,7 @@ use firmware_protocol::controller::{BLOCK, DRIVER_LEAD, HORIZON};
 use firmware_protocol::message::{Op, State};
 use firmware_protocol::stroke::{MOTORS, Stroke};
 use firmware_protocol::tick::Tick;
+use meissner_api::LateCause;
 use meissner_array::units::{TICKS_PER_MS, duration_to_ticks, ms_in_ticks};
 use std::time::Duration;
 
@@ -43,13 +44,6 @@ pub(super) struct Live {
     spare: u64,
     /// The play ends if its client is silent until then.
     deadline: Option<(u64, HostInstant)>,
-}
-
-impl Live {
-    /// Whether the device keeps strokes of this motor that should have been replaced.
-    pub(super) const fn is_kept(&self, motor: u8) -> bool {
-        self.kept >> motor & 1 == 1
-    }
 }
 
 /// The bits of a mask.
@@ -111,7 +105,7 @@ impl Streamer {
         }
         let streams = active.phase == Phase::Streaming && self.state() == State::Armed;
         if streams && self.no_op_pending() && self.live.sent.is_none() {
-            self.send_update(at, tick, emit);
+            self.send_update(now, at, tick, emit);
         }
     }
 
@@ -124,8 +118,8 @@ impl Streamer {
     }
 
     /// Sends the update that waits, and again the drives of motors whose old strokes the device kept.
-    fn send_update(&mut self, at: usize, tick: Tick, emit: &mut dyn Emit) {
-        let Some(session) = self.session.as_mut().filter(|session| session.has_room()) else { return };
+    fn send_update(&mut self, now: HostInstant, at: usize, tick: Tick, emit: &mut dyn Emit) {
+        let Some(session) = self.session.as_ref().filter(|session| session.has_room()) else { return };
         let delivery = duration_to_ticks(session.delivery());
         let from = tick + AHEAD + delivery + self.live.spare.max(LEAST_SPARE);
         // A stroke before the last update's tick may belong to the drive before that one: it stays.
@@ -135,7 +129,12 @@ impl Streamer {
             return;
         }
         let Some(mut update) = self.live.waiting.take() else { return };
-        let active = &mut self.plays[at];
+        self.miss_strokes(now, at, from, emit);
+        let (Some(session), active) = (&mut self.session, &mut self.plays[at]) else { return };
+        if active.cut.is_some() {
+            self.live.waiting = Some(update);
+            return;
+        }
         let Some(strokes) = active.play.strokes.live() else { return };
         let from = from.max(strokes.onset());
         // What the device does not hold must be sent, even if it is as before.
@@ -194,6 +193,21 @@ impl Streamer {
         self.live.sent = Some(update);
         self.live.replaced = from;
         (self.live.unanswered, self.live.kept) = (changed, 0);
+    }
+
+    /// Counts the old strokes before `from` of motors that the device kept as late, if they were not sent before it was asked to
+    /// replace them: since then the device takes none.
+    fn miss_strokes(&mut self, now: HostInstant, at: usize, from: Tick, emit: &mut dyn Emit) {
+        for motor in motors(self.live.kept) {
+            loop {
+                let active = &mut self.plays[at];
+                let Some(strokes) = active.play.strokes.live() else { return };
+                let missed = strokes.next_up(motor).filter(|&up| up < from);
+                let Some(Ok(stroke)) = missed.and_then(|_| strokes.next_of(motor)) else { break };
+                active.plan(&stroke, false);
+                self.late(now, &stroke, from, LateCause::Link, emit);
+            }
+        }
     }
 
     /// The device has answered a frame of the update under way.

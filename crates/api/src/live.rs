@@ -1,0 +1,263 @@
+//! Live plays: the request that starts one, and the messages of its connection in both directions.
+//!
+//! [`LiveRequest::parse`] reads a body, [`LiveMessage::parse`] a line or a WebSocket's text. The daemon answers each message with one
+//! [`LiveAnswer`], not always in their order.
+
+use crate::problem::Problem;
+use crate::request::{LatePolicy, bad, null_as_default, problem, read};
+use crate::sequence::{check_scale, check_trigger};
+use crate::session::check_labels;
+use crate::trigger::{self, TriggerRequest};
+use meissner_input::document;
+use serde::{Deserialize, Serialize};
+use std::collections::{BTreeMap, BTreeSet};
+use utoipa::ToSchema;
+
+/// What an `Upgrade` of the connection must name to speak in lines of JSON.
+pub const LIVE_UPGRADE: &str = "meissner-live";
+/// How long a client of a live play may be silent, ms, without `timeout_ms`.
+pub const LIVE_TIMEOUT_MS: f64 = 500.0;
+/// Bytes of a message, at most.
+pub const MAX_LIVE_MESSAGE: usize = 1 << 16;
+
+/// A motor's drive in a live play.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct LiveDrive {
+    /// The motor's number, 4 × row + column.
+    #[schema(minimum = 0, maximum = 23)]
+    pub motor: u8,
+    /// Frequency, Hz. Another one begins where the motor's next period would have begun.
+    #[schema(minimum = 0.1, maximum = 300.0)]
+    pub frequency_hz: f64,
+    /// Amplitude, µm, peak to peak; 0: the motor is silent.
+    #[schema(minimum = 0.0, maximum = 400.0)]
+    pub amplitude_um: f64,
+    /// Phase, cycles; without it 0. Another one shifts the motor's strokes forwards by the difference.
+    #[serde(default)]
+    #[schema(minimum = 0.0, exclusive_maximum = 1.0)]
+    pub phase: f64,
+}
+
+/// A live play: its drives at the onset, and what its client may change.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+#[schema(examples(json!({"drives": [{"motor": 9, "frequency_hz": 60.0, "amplitude_um": 80.0}], "updates_hz": 100.0})))]
+pub struct LiveRequest {
+    /// The drives at the onset, one for each motor at most; the other motors are silent.
+    #[serde(default, deserialize_with = "null_as_default")]
+    pub drives: Vec<LiveDrive>,
+    /// Multiplies the amplitude of every drive; without it 1. An update may change it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schema(minimum = 0.0, maximum = 1.0)]
+    pub scale: Option<f64>,
+    /// The play ends when its client is silent for so long, ms; without it 500. Then the pins return.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schema(minimum = 50.0, maximum = 60_000.0)]
+    pub timeout_ms: Option<f64>,
+    /// The highest frequency of any update, Hz; without it the highest of `drives`, at least 60. The line must carry it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schema(minimum = 0.1, maximum = 300.0)]
+    pub max_frequency_hz: Option<f64>,
+    /// Updates per second that the line must carry; without it 50. More are taken as far as the line carries them.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schema(minimum = 1.0, maximum = 1000.0)]
+    pub updates_hz: Option<f64>,
+    /// What to do when strokes come late: `drop` them (the default) or `abort` the play.
+    #[serde(default, deserialize_with = "null_as_default")]
+    pub late: LatePolicy,
+    /// Whether to stop the running play and clear the queue first.
+    #[serde(default, deserialize_with = "null_as_default")]
+    pub replace: bool,
+    /// Whether to play without corrections from telemetry.
+    #[serde(default, deserialize_with = "null_as_default")]
+    pub open_loop: bool,
+    /// The session that the play belongs to. Without it the running one, if any; the daemon refuses another one.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub session: Option<String>,
+    /// The trial's number.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schema(minimum = 0)]
+    pub trial: Option<u64>,
+    /// Up to 16 labels of the trial, of 1 to 100 characters.
+    #[serde(default, deserialize_with = "null_as_default", skip_serializing_if = "BTreeMap::is_empty")]
+    pub labels: BTreeMap<String, String>,
+    /// What the trigger output gives at the onset; without it one pulse of 10 ms.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schema(schema_with = trigger::schema)]
+    pub trigger: Option<TriggerRequest>,
+}
+
+/// A live play was accepted.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct LiveAccepted {
+    /// The play's id, as in events and receipts.
+    pub id: u64,
+    /// Where its connection is opened, once: the address has a key that only this answer names.
+    pub path: String,
+}
+
+/// A message from the client of a live play. Without `drives`, `scale` and `end` it only shows that the client is there.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+#[schema(examples(json!({"seq": 7, "drives": [{"motor": 9, "frequency_hz": 60.0, "amplitude_um": 40.0}]})))]
+pub struct LiveMessage {
+    /// The client's number of the message, above that of the one before.
+    pub seq: u64,
+    /// New drives, one for each motor at most; the other motors' stay.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub drives: Option<Vec<LiveDrive>>,
+    /// A new scale of all amplitudes.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schema(minimum = 0.0, maximum = 1.0)]
+    pub scale: Option<f64>,
+    /// Whether to end the play. The pins return.
+    #[serde(default, deserialize_with = "null_as_default", skip_serializing_if = "std::ops::Not::not")]
+    pub end: bool,
+}
+
+/// When an update is on the pins.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct LiveApplied {
+    /// The device's tick when the message had come.
+    pub received_tick: u64,
+    /// The tick from which strokes were replaced, each motor's from its next period on.
+    pub from_tick: u64,
+    /// Per motor: the tick from which it has its new drive; null: it had it before, or gets it with a later update.
+    pub ticks: Vec<Option<u64>>,
+    /// How often the device got it too late for some motor, so that it was sent again.
+    pub repeats: u32,
+}
+
+/// The daemon's answer to a message: exactly one of the keys besides `seq`.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct LiveAnswer {
+    /// The message's number; null: the answer is about the play.
+    #[schema(required)]
+    pub seq: Option<u64>,
+    /// It is on the device.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub applied: Option<LiveApplied>,
+    /// A later message took its place before it was sent: what both change, the later one decides.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub merged_into: Option<u64>,
+    /// It was refused, and changed nothing.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub problem: Option<Problem>,
+    /// The play is over. The daemon closes the connection.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub ended: Option<String>,
+}
+
+fn check_drives(drives: &[LiveDrive]) -> Result<(), Problem> {
+    let mut seen = BTreeSet::new();
+    for (at, LiveDrive { motor, frequency_hz, amplitude_um, phase }) in drives.iter().enumerate() {
+        let key = |key: &str| format!("drives[{at}].{key}");
+        let range = |name: &str, value: f64, good: bool, wanted: &'static str| {
+            document::in_range(&key(name), value, good, wanted).map_err(problem)
+        };
+        range("motor", f64::from(*motor), *motor < 24, "0 to 23")?;
+        range("frequency_hz", *frequency_hz, (0.1..=300.0).contains(frequency_hz), "0.1 to 300 Hz")?;
+        range("amplitude_um", *amplitude_um, (0.0..=400.0).contains(amplitude_um), "0 to 400 um")?;
+        range("phase", *phase, (0.0..1.0).contains(phase), "at least 0 and below 1")?;
+        if !seen.insert(*motor) {
+            return Err(bad(format!("`drives` has motor {motor} twice: leave one out")));
+        }
+    }
+    Ok(())
+}
+
+impl LiveRequest {
+    /// Reads a body.
+    ///
+    /// # Errors
+    /// A `bad-request` that names the key.
+    pub fn parse(body: &[u8]) -> Result<Self, Problem> {
+        let request: Self = read(body)?;
+        check_drives(&request.drives)?;
+        check_labels(&request.labels)?;
+        check_scale(request.scale).and_then(|()| check_trigger(request.trigger)).map_err(bad)?;
+        let ranges = [
+            ("timeout_ms", request.timeout_ms, 50.0, 60_000.0, "50 to 60000 ms"),
+            ("max_frequency_hz", request.max_frequency_hz, 0.1, 300.0, "0.1 to 300 Hz"),
+            ("updates_hz", request.updates_hz, 1.0, 1000.0, "1 to 1000 Hz"),
+        ];
+        for (key, value, least, most, wanted) in ranges {
+            let Some(value) = value else { continue };
+            document::in_range(key, value, (least..=most).contains(&value), wanted).map_err(problem)?;
+        }
+        Ok(request)
+    }
+
+    /// The highest frequency of any update, Hz.
+    #[must_use]
+    pub fn most_hz(&self) -> f64 {
+        let initial = self.drives.iter().map(|drive| drive.frequency_hz).fold(60.0, f64::max);
+        self.max_frequency_hz.unwrap_or(initial)
+    }
+}
+
+impl LiveMessage {
+    /// Reads a message.
+    ///
+    /// # Errors
+    /// A `bad-request` that names the key.
+    pub fn parse(text: &[u8]) -> Result<Self, Problem> {
+        let message: Self = read(text)?;
+        check_drives(message.drives.as_deref().unwrap_or_default())?;
+        check_scale(message.scale).map_err(bad)?;
+        Ok(message)
+    }
+}
+
+impl LiveAnswer {
+    /// A message was refused.
+    #[must_use]
+    pub fn refused(seq: Option<u64>, problem: Problem) -> Self {
+        Self { seq, problem: Some(problem), ..Self::default() }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn errors_name_the_key() {
+        let message = LiveMessage::parse(
+            br#"{"seq":1,"drives":[{"motor":2,"frequency_hz":60,"amplitude_um":80}],"scale":0.5}"#,
+        )
+        .unwrap();
+        assert_eq!(message.drives.as_ref().unwrap()[0].phase, 0.0);
+        assert_eq!(LiveMessage::parse(&serde_json::to_vec(&message).unwrap()).unwrap(), message);
+        let drive = |keys: &str| {
+            format!(r#"{{"seq":1,"drives":[{{"motor":1,"frequency_hz":60,"amplitude_um":80{keys}}}]}}"#)
+        };
+        for (text, says) in [
+            (r#"{"drives":[]}"#.to_owned(), "`seq` is missing"),
+            (r#"{"seq":-1}"#.to_owned(), "`seq` is integer `-1`"),
+            (r#"{"seq":1,"scale":1.5}"#.to_owned(), "`scale`"),
+            (r#"{"seq":1,"drvies":[]}"#.to_owned(), "did you mean `drives`?"),
+            (drive(r#","phase":1.0"#), "`drives[0].phase` is 1: must be at least 0 and below 1"),
+            (drive(r#","start_s":1.0"#), "unknown key `start_s`"),
+            (drive("").replace("\"motor\":1", "\"motor\":24"), "`drives[0].motor` is 24: must be 0 to 23"),
+            (drive("").replace(":80", ":401"), "`drives[0].amplitude_um` is 401: must be 0 to 400 um"),
+            (
+                drive("").replace("[{", "[{\"motor\":1,\"frequency_hz\":1,\"amplitude_um\":1},{"),
+                "motor 1 twice",
+            ),
+        ] {
+            let refused = LiveMessage::parse(text.as_bytes()).unwrap_err();
+            assert!(refused.detail.contains(says), "{text}: {}", refused.detail);
+        }
+        for (text, says) in [
+            (r#"{"timeout_ms":10}"#, "`timeout_ms` is 10: must be 50 to 60000 ms"),
+            (r#"{"updates_hz":0}"#, "`updates_hz` is 0: must be 1 to 1000 Hz"),
+            (r#"{"max_frequency_hz":301}"#, "`max_frequency_hz` is 301"),
+        ] {
+            let refused = LiveRequest::parse(text.as_bytes()).unwrap_err();
+            assert!(refused.detail.contains(says), "{text}: {}", refused.detail);
+        }
+        assert_eq!(LiveRequest::parse(b"{}").unwrap().most_hz(), 60.0);
+    }
+}

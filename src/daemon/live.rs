@@ -1,0 +1,247 @@
+//! Live plays over HTTP: starts one, and carries its connection, a WebSocket or lines of JSON.
+//!
+//! A message goes under the engine's lock to the streamer ([`State::live_message`](super::state::State)); what became of it comes back as an
+//! event, and through a channel to the connection's task.
+//!
+//! Bounds: a connection takes a place among the clients that wait. Invariant: when the connection ends, the play ends.
+
+use super::body;
+use super::engine::{Engine, TIMEOUT, answer};
+use super::http::{Answer, App, ErrorResponse, path};
+use super::play::trigger;
+use super::request_log::LoggedRequest;
+use super::state::{LivePlay, NewLive, Trial, Way};
+use crate::exposure::Vibration;
+use crate::session_record::Peer;
+use axum::Json;
+use axum::body::Body;
+use axum::extract::rejection::PathRejection;
+use axum::extract::ws::{Message, WebSocket, WebSocketUpgrade, rejection::WebSocketUpgradeRejection};
+use axum::extract::{Extension, Path, Request, State};
+use axum::http::header::{CONNECTION, UPGRADE};
+use axum::http::{HeaderMap, HeaderValue, StatusCode};
+use axum::response::{IntoResponse, Response};
+use hyper_util::rt::TokioIo;
+use meissner_api::{
+    Code, LIVE_TIMEOUT_MS, LIVE_UPGRADE, LiveAccepted, LiveAnswer, LiveMessage, LiveRequest,
+    MAX_LIVE_MESSAGE, Problem,
+};
+use meissner_array::strokes::{LiveStrokes, StrokeOptions};
+use meissner_stream::queues::{At, Command, Item, Play};
+use meissner_stream::time::HostInstant;
+use meissner_stream::{Bandwidth, Source};
+use std::io;
+use std::pin::pin;
+use std::sync::Arc;
+use std::time::Duration;
+use tokio::io::{AsyncRead, AsyncReadExt, AsyncWrite, AsyncWriteExt};
+use tokio::sync::mpsc;
+
+/// Starts a live play.
+pub(super) async fn start(
+    State(app): State<App>,
+    Extension(peer): Extension<Peer>,
+    body: Body,
+) -> Answer<(StatusCode, Json<LiveAccepted>)> {
+    let mut logged = LoggedRequest::new(&app.engine, "live", peer);
+    let result = async {
+        let mut request = LiveRequest::parse(&body::read_command(body).await?)?;
+        request.session = app.engine.lock().session_of_play(request.session.as_deref())?;
+        logged.set_arguments(&request);
+        let accepted = app.engine.start_live(&request, peer).await?;
+        logged.set_play(accepted.id);
+        Ok((StatusCode::ACCEPTED, Json(accepted)))
+    }
+    .await;
+    logged.result(result)
+}
+
+impl Engine {
+    async fn start_live(&self, request: &LiveRequest, client: Peer) -> Result<LiveAccepted, Problem> {
+        let (settings, surplus) = {
+            let state = self.lock();
+            (state.settings, state.surplus())
+        };
+        let options =
+            StrokeOptions { scale: request.scale.unwrap_or(1.0), surplus, ..StrokeOptions::default() };
+        let most_hz = request.most_hz();
+        let live = LivePlay::new(&request.drives, options, most_hz)?;
+        let waves = live.waves()?;
+        let bandwidth = Bandwidth::of_live(most_hz, request.updates_hz.unwrap_or(50.0), &settings)
+            .map_err(|error| Problem::new(Code::BadRequest, error.to_string()))?;
+        let timeout = Duration::from_secs_f64(request.timeout_ms.unwrap_or(LIVE_TIMEOUT_MS) / 1000.0);
+        let LiveRequest { late, replace, open_loop, .. } = *request;
+        let play = Play {
+            id: 0,
+            strokes: Source::Live(Box::new(LiveStrokes::new(waves))),
+            items: vec![Item::new(trigger(request.trigger))],
+            at: At::Next,
+            late,
+            replace,
+            open_loop,
+            live: Some(timeout),
+            bandwidth,
+        };
+        let trial =
+            Trial { session: request.session.clone(), number: request.trial, labels: request.labels.clone() };
+        let new = NewLive { request, way: Way { late, open_loop }, trial, client };
+        let path = format!("/v1/live/{}", live.key());
+        let (id, reply) = {
+            let mut state = self.lock();
+            state.check_before_play(request.session.as_deref())?;
+            state.check_amplitude("the live play", live.largest_um())?;
+            let vibration = Vibration::without_end();
+            state.check_vibration(&vibration, replace, false)?;
+            let (id, reply) = state.send_play(play, &settings, |plays| plays.add_live(new))?;
+            state.exposure.add(id, vibration);
+            state.live.add(id, live);
+            (id, reply)
+        };
+        answer(reply, TIMEOUT).await?;
+        Ok(LiveAccepted { id, path })
+    }
+
+    /// Carries out a message; returns the answer if there is one at once.
+    fn live_message(&self, id: u64, text: &[u8], received_at: HostInstant) -> Option<LiveAnswer> {
+        let message = match LiveMessage::parse(text) {
+            Ok(message) => message,
+            Err(problem) => return Some(LiveAnswer::refused(None, problem)),
+        };
+        if message.end {
+            self.end_live(id);
+            return None;
+        }
+        let result = self.lock().live_message(id, &message, received_at);
+        result.err().map(|problem| LiveAnswer::refused(Some(message.seq), problem))
+    }
+
+    /// Ends a live play. If too many commands wait, its client counts as silent soon.
+    fn end_live(&self, id: u64) {
+        let _ = self.lock().commands.send_unanswered(Command::EndLive(id));
+    }
+}
+
+/// Opens the connection of a live play.
+pub(super) async fn connect(
+    State(app): State<App>,
+    Extension(peer): Extension<Peer>,
+    key: Result<Path<String>, PathRejection>,
+    headers: HeaderMap,
+    websocket: Result<WebSocketUpgrade, WebSocketUpgradeRejection>,
+    request: Request,
+) -> Answer<Response> {
+    let key = path(key)?;
+    let speaks_lines =
+        headers.get(UPGRADE).is_some_and(|upgrade| upgrade.as_bytes() == LIVE_UPGRADE.as_bytes());
+    let engine = Arc::clone(&app.engine);
+    if !speaks_lines && websocket.is_err() {
+        let detail = "the connection of a live play must be upgraded: send `Upgrade: websocket` or `Upgrade: meissner-live`";
+        return Err(ErrorResponse(Problem::new(Code::BadRequest, detail)));
+    }
+    let place = app.waiting_place(peer)?;
+    let (id, answers) = engine.lock().live.connect(&key)?;
+    match websocket {
+        Ok(upgrade) if !speaks_lines => {
+            let upgrade = upgrade.max_message_size(MAX_LIVE_MESSAGE);
+            Ok(upgrade.on_upgrade(move |socket| async move {
+                speak_websocket(&engine, id, socket, answers).await;
+                engine.end_live(id);
+                drop(place);
+            }))
+        }
+        _ => {
+            tokio::spawn(async move {
+                if let Ok(upgraded) = hyper::upgrade::on(request).await {
+                    let _ = speak_lines(&engine, id, TokioIo::new(upgraded), answers).await;
+                }
+                engine.end_live(id);
+                drop(place);
+            });
+            let mut response = StatusCode::SWITCHING_PROTOCOLS.into_response();
+            response.headers_mut().insert(CONNECTION, HeaderValue::from_static("upgrade"));
+            response.headers_mut().insert(UPGRADE, HeaderValue::from_static(LIVE_UPGRADE));
+            Ok(response)
+        }
+    }
+}
+
+/// Carries messages and answers until the client closes the connection or the play is over.
+async fn speak_websocket(
+    engine: &Engine,
+    id: u64,
+    mut socket: WebSocket,
+    mut answers: mpsc::Receiver<LiveAnswer>,
+) {
+    loop {
+        let answer = tokio::select! {
+            message = socket.recv() => match message {
+                Some(Ok(Message::Text(text))) => engine.live_message(id, text.as_bytes(), HostInstant::now()),
+                Some(Ok(Message::Binary(bytes))) => engine.live_message(id, &bytes, HostInstant::now()),
+                Some(Ok(Message::Ping(_) | Message::Pong(_))) => None,
+                Some(Ok(Message::Close(_)) | Err(_)) | None => return,
+            },
+            answer = answers.recv() => match answer {
+                Some(answer) => Some(answer),
+                None => return,
+            },
+        };
+        let Some(answer) = answer else { continue };
+        let is_over = answer.ended.is_some();
+        // Plain data can be written.
+        let text = serde_json::to_string(&answer).unwrap_or_default();
+        if socket.send(Message::text(text)).await.is_err() || is_over {
+            return;
+        }
+    }
+}
+
+/// The same in lines of JSON.
+async fn speak_lines(
+    engine: &Engine,
+    id: u64,
+    connection: impl AsyncRead + AsyncWrite,
+    mut answers: mpsc::Receiver<LiveAnswer>,
+) -> io::Result<()> {
+    let connection = pin!(connection);
+    let (mut from, mut to) = tokio::io::split(connection);
+    let mut bytes = Vec::new();
+    loop {
+        let mut out = Vec::new();
+        let mut is_over = false;
+        tokio::select! {
+            read = from.read_buf(&mut bytes) => {
+                let received_at = HostInstant::now();
+                if read? == 0 {
+                    return Ok(());
+                }
+                while let Some(end) = bytes.iter().position(|&byte| byte == b'\n') {
+                    let line: Vec<u8> = bytes.drain(..=end).collect();
+                    let answer = engine.live_message(id, line.trim_ascii(), received_at);
+                    answer.iter().for_each(|answer| write_line(answer, &mut out));
+                }
+                if bytes.len() > MAX_LIVE_MESSAGE {
+                    let problem = Problem::new(Code::TooLarge, "a message has more than 65536 bytes: send less");
+                    write_line(&LiveAnswer::refused(None, problem), &mut out);
+                    is_over = true;
+                }
+            }
+            answer = answers.recv() => match answer {
+                Some(answer) => {
+                    is_over = answer.ended.is_some();
+                    write_line(&answer, &mut out);
+                }
+                None => return Ok(()),
+            },
+        }
+        to.write_all(&out).await?;
+        if is_over {
+            return to.shutdown().await;
+        }
+    }
+}
+
+fn write_line(answer: &LiveAnswer, out: &mut Vec<u8>) {
+    // Plain data can be written.
+    out.extend(serde_json::to_vec(answer).unwrap_or_default());
+    out.push(b'\n');
+}

@@ -1,0 +1,199 @@
+//! Live plays: their drives as their clients have set them, and the ways to their clients.
+//!
+//! Bounds: one for each play that is accepted and not over. Invariant: a play takes one connection, by a key that nobody can guess.
+
+use super::State;
+use super::session::random_hex;
+use firmware_protocol::stroke::MOTORS;
+use meissner_api::{Code, LiveAnswer, LiveApplied, LiveDrive, LiveMessage, Problem};
+use meissner_array::motor::SquareWave;
+use meissner_array::pattern::Drive;
+use meissner_array::strokes::{DriveStrokes, StrokeOptions};
+use meissner_stream::queues::{Applied, Command, LiveResult, LiveUpdate, StreamEvent};
+use meissner_stream::time::HostInstant;
+use std::collections::HashMap;
+use tokio::sync::mpsc;
+
+/// Answers that wait for a client at most; one that reads none loses those beyond.
+const ANSWERS: usize = 256;
+
+/// A live play that is not over.
+#[derive(Debug)]
+pub(in crate::daemon) struct LivePlay {
+    key: String,
+    drives: [LiveDrive; MOTORS],
+    /// Scale and surplus of its strokes.
+    options: StrokeOptions,
+    most_hz: f64,
+    seq: Option<u64>,
+    answers: Option<mpsc::Sender<LiveAnswer>>,
+}
+
+/// See the module.
+#[derive(Debug, Default)]
+pub(in crate::daemon) struct LivePlays(HashMap<u64, LivePlay>);
+
+impl LivePlay {
+    /// A play of these drives; the other motors are silent.
+    ///
+    /// # Errors
+    /// If a drive is too fast, or the system gives no random numbers.
+    pub(in crate::daemon) fn new(
+        drives: &[LiveDrive],
+        options: StrokeOptions,
+        most_hz: f64,
+    ) -> Result<Self, Problem> {
+        let no_numbers =
+            || Problem::new(Code::Store, "the system gives no random numbers for the key: try again");
+        let key = random_hex::<16>().ok_or_else(no_numbers)?;
+        let silent = |motor| LiveDrive {
+            motor: motor as u8,
+            frequency_hz: most_hz.min(60.0),
+            amplitude_um: 0.0,
+            phase: 0.0,
+        };
+        let silent = std::array::from_fn(silent);
+        let mut new = Self { key, drives: silent, options, most_hz, seq: None, answers: None };
+        new.set(drives)?;
+        Ok(new)
+    }
+
+    pub(in crate::daemon) fn key(&self) -> &str {
+        &self.key
+    }
+
+    fn set(&mut self, drives: &[LiveDrive]) -> Result<(), Problem> {
+        if let Some(fast) = drives.iter().find(|drive| drive.frequency_hz > self.most_hz) {
+            let (motor, hz, most_hz) = (fast.motor, fast.frequency_hz, self.most_hz);
+            let detail = format!(
+                "motor {motor} at {hz} Hz: the play was started for at most {most_hz} Hz: start it with a higher `max_frequency_hz`"
+            );
+            return Err(Problem::new(Code::BadRequest, detail));
+        }
+        for drive in drives {
+            self.drives[usize::from(drive.motor)] = *drive;
+        }
+        Ok(())
+    }
+
+    /// The largest amplitude, µm.
+    pub(in crate::daemon) fn largest_um(&self) -> f64 {
+        let largest = self.drives.iter().map(|drive| drive.amplitude_um).fold(0.0, f64::max);
+        largest * self.options.scale
+    }
+
+    /// The waves of all motors.
+    ///
+    /// # Errors
+    /// If a drive is out of the motor's range, which a checked one is not.
+    pub(in crate::daemon) fn waves(&self) -> Result<[SquareWave; MOTORS], Problem> {
+        let mut waves = Vec::with_capacity(MOTORS);
+        for &LiveDrive { motor, frequency_hz, amplitude_um, phase } in &self.drives {
+            let drive = Drive { motor, frequency_hz, amplitude_um, phase, start_s: None, stop_s: None };
+            let strokes = DriveStrokes::with(&drive, &self.options);
+            waves.push(*strokes.map_err(|error| Problem::new(Code::BadRequest, error.to_string()))?.wave());
+        }
+        waves.try_into().map_err(|_| Problem::new(Code::BadRequest, "not 24 drives"))
+    }
+}
+
+impl LivePlays {
+    pub(in crate::daemon) fn add(&mut self, id: u64, play: LivePlay) {
+        self.0.insert(id, play);
+    }
+
+    pub(super) fn forget(&mut self, id: u64) {
+        self.0.remove(&id);
+    }
+
+    /// Opens the connection of the play with this key, once. Returns the play and where its answers arrive.
+    pub(in crate::daemon) fn connect(
+        &mut self,
+        key: &str,
+    ) -> Result<(u64, mpsc::Receiver<LiveAnswer>), Problem> {
+        let unknown = || {
+            let detail = "no live play has this key, or it is over: start one with POST /v1/live, and open the connection within 2 s";
+            Problem::new(Code::NotFound, detail)
+        };
+        let found = self.0.iter_mut().find(|(_, play)| play.key == key);
+        let (&id, play) = found.ok_or_else(unknown)?;
+        if play.answers.is_some() {
+            return Err(Problem::new(Code::BadRequest, "the live play has its connection: it takes one"));
+        }
+        let (answers, receiver) = mpsc::channel(ANSWERS);
+        play.answers = Some(answers);
+        Ok((id, receiver))
+    }
+
+    /// Passes on what became of an update, or that a play is over.
+    pub(super) fn follow(&mut self, event: &StreamEvent) {
+        match event {
+            StreamEvent::LiveUpdated(update) => {
+                let Some(answers) = self.0.get(&update.id).and_then(|play| play.answers.as_ref()) else {
+                    return;
+                };
+                // A client that does not read its answers loses them.
+                let _ = answers.try_send(answer(update));
+            }
+            StreamEvent::PlayEnded { id, outcome } => {
+                if let Some(answers) = self.0.remove(id).and_then(|play| play.answers) {
+                    let ended = Some(outcome.cause.unwrap_or("done").to_owned());
+                    let _ = answers.try_send(LiveAnswer { ended, ..LiveAnswer::default() });
+                }
+            }
+            _ => {}
+        }
+    }
+}
+
+fn answer(update: &LiveUpdate) -> LiveAnswer {
+    let seq = Some(update.number);
+    match update.result {
+        LiveResult::Applied(Applied { received, replaced, motors, repeats }) => {
+            let ticks = motors.map(|tick| tick.map(|tick| tick.0)).to_vec();
+            let applied = LiveApplied { received_tick: received.0, from_tick: replaced.0, ticks, repeats };
+            LiveAnswer { seq, applied: Some(applied), ..LiveAnswer::default() }
+        }
+        LiveResult::Merged { into } => LiveAnswer { seq, merged_into: Some(into), ..LiveAnswer::default() },
+        LiveResult::Waiting | LiveResult::Over => LiveAnswer::refused(
+            seq,
+            Problem::new(Code::NotFound, "the live play is over: the update changed nothing"),
+        ),
+    }
+}
+
+impl State {
+    /// Carries out a message of a live play's client. Returns the answer if there is one at once.
+    pub(in crate::daemon) fn live_message(
+        &mut self,
+        id: u64,
+        message: &LiveMessage,
+        received_at: HostInstant,
+    ) -> Result<(), Problem> {
+        let over = || Problem::new(Code::NotFound, "the live play is over: the message changed nothing");
+        let play = self.live.0.get_mut(&id).ok_or_else(over)?;
+        if play.seq.is_some_and(|last| message.seq <= last) {
+            let detail = format!(
+                "`seq` is {}: must be above that of the message before, {}",
+                message.seq,
+                play.seq.unwrap_or(0)
+            );
+            return Err(Problem::new(Code::BadRequest, detail));
+        }
+        let before = (play.drives, play.options.scale);
+        play.set(message.drives.as_deref().unwrap_or_default())?;
+        play.options.scale = message.scale.unwrap_or(play.options.scale);
+        let (largest_um, changes) = (play.largest_um(), message.drives.is_some() || message.scale.is_some());
+        let waves = play.waves();
+        let checked = self.check_amplitude("the live play", largest_um).and(waves);
+        let Some(play) = self.live.0.get_mut(&id) else { return Ok(()) };
+        let waves = checked.inspect_err(|_| (play.drives, play.options.scale) = before)?;
+        play.seq = Some(message.seq);
+        let mut update = LiveUpdate::new(id, message.seq, received_at);
+        if changes {
+            update.waves = waves.map(Some);
+        }
+        let busy = |_| Problem::new(Code::Busy, "too many commands wait: send fewer updates");
+        self.commands.send_unanswered(Command::UpdateLive(Box::new(update))).map_err(busy)
+    }
+}

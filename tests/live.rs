@@ -1,0 +1,215 @@
+//! Live plays on a real daemon: lines of JSON over the Unix socket, a WebSocket over TCP, and clients that vanish.
+
+use crate::harness::{Daemon, PATIENT, TIMEOUT, assert_accounts, ended, problem};
+use meissner_api::{LiveAccepted, LiveAnswer, LiveApplied, Status};
+use serde_json::{Value, json};
+use std::io::{BufRead, BufReader, Write};
+use std::net::TcpStream;
+use std::os::unix::net::UnixStream;
+use std::thread;
+use std::time::Duration;
+use tungstenite::{Message, WebSocket};
+
+/// A client that a stall of a busy machine must not end.
+const PATIENT_MS: u64 = 20_000;
+
+fn start(daemon: &Daemon, request: Value) -> LiveAccepted {
+    let mut request = request;
+    request["timeout_ms"] = request.get("timeout_ms").cloned().unwrap_or(json!(PATIENT_MS));
+    daemon.client().post("/v1/live", &request).unwrap()
+}
+
+/// A connection in lines of JSON.
+struct Lines(BufReader<UnixStream>);
+
+impl Lines {
+    fn open(daemon: &Daemon, path: &str) -> Self {
+        let mut stream = UnixStream::connect(daemon.socket()).unwrap();
+        stream.set_read_timeout(Some(TIMEOUT)).unwrap();
+        let head = format!(
+            "GET {path} HTTP/1.1\r\nhost: meissner\r\nconnection: upgrade\r\nupgrade: meissner-live\r\n\r\n"
+        );
+        stream.write_all(head.as_bytes()).unwrap();
+        let mut lines = Self(BufReader::new(stream));
+        assert!(lines.line().starts_with("HTTP/1.1 101 "));
+        while !lines.line().trim().is_empty() {}
+        lines
+    }
+
+    fn line(&mut self) -> String {
+        let mut line = String::new();
+        self.0.read_line(&mut line).unwrap();
+        line
+    }
+
+    fn send(&mut self, message: &Value) {
+        self.0.get_mut().write_all(format!("{message}\n").as_bytes()).unwrap();
+    }
+
+    fn answer(&mut self) -> LiveAnswer {
+        serde_json::from_str(&self.line()).unwrap()
+    }
+
+    fn applied(&mut self, seq: u64) -> LiveApplied {
+        let answer = self.answer();
+        assert_eq!(answer.seq, Some(seq), "{answer:?}");
+        answer.applied.unwrap()
+    }
+}
+
+fn drive(motor: u8, amplitude_um: f64) -> Value {
+    json!({"motor": motor, "frequency_hz": 60.0, "amplitude_um": amplitude_um})
+}
+
+#[test]
+fn updates_over_the_socket_are_applied_and_counted() {
+    let daemon = Daemon::start();
+    let mut client = daemon.armed();
+    let mut events = daemon.client().events().unwrap();
+    let accepted = start(&daemon, json!({"drives": [drive(9, 80.0)], "labels": {"what": "knob"}}));
+    let mut lines = Lines::open(&daemon, &accepted.path);
+    let mut last = 0;
+    for seq in 1..=50 {
+        lines.send(&json!({"seq": seq, "drives": [drive(9, seq as f64), drive(10, 40.0)]}));
+        let applied = lines.applied(seq);
+        assert!(applied.received_tick > last && applied.from_tick > applied.received_tick);
+        let ticks = &applied.ticks;
+        assert!(ticks[9].is_some_and(|tick| (0..=1_417).contains(&(tick - applied.from_tick))));
+        assert_eq!((ticks.len(), ticks[10].is_some(), ticks[11]), (24, seq == 1, None));
+        last = applied.received_tick;
+    }
+    lines.send(&json!({"seq": 51, "scale": 0.5}));
+    let scaled = lines.applied(51);
+    assert_eq!(scaled.ticks.iter().flatten().count(), 2);
+    lines.send(&json!({"seq": 52}));
+    assert_eq!(lines.applied(52).ticks, vec![None; 24]);
+    lines.send(&json!({"seq": 53, "end": true}));
+    assert_eq!(lines.answer().ended.as_deref(), Some("stop"));
+    assert_eq!(lines.line(), "", "the daemon closes the connection");
+    let receipt = ended(&mut events);
+    let live = receipt.live.unwrap();
+    assert_eq!((receipt.id, live.updates, live.applied, live.merged), (accepted.id, 52, 52, 0));
+    assert!(live.first_motor.unwrap().longest_ms >= live.decided.unwrap().longest_ms);
+    assert_eq!(receipt.labels["what"], "knob");
+    assert_eq!((receipt.pattern.as_str(), receipt.bursts.unwrap().late), ("live", 0));
+    let receipt: Value = client.get(&format!("/v1/plays/{}", accepted.id)).unwrap();
+    assert_accounts(&receipt);
+    assert!(receipt["bursts"]["replaced"].as_u64().unwrap() > 100);
+    assert_eq!(client.get::<Status>("/v1/status").unwrap().state, "armed");
+}
+
+#[test]
+fn a_client_that_vanishes_ends_the_play() {
+    let daemon = Daemon::start();
+    daemon.armed();
+    let mut events = daemon.client().events().unwrap();
+    let request = || json!({"drives": [drive(9, 80.0)], "timeout_ms": 300});
+    // It closes the connection.
+    let accepted = start(&daemon, json!({"drives": [drive(9, 80.0)]}));
+    drop(Lines::open(&daemon, &accepted.path));
+    assert_eq!(ended(&mut events).cause.as_deref(), Some("stop"));
+    // It says nothing more.
+    let accepted = start(&daemon, request());
+    let mut lines = Lines::open(&daemon, &accepted.path);
+    lines.send(&json!({"seq": 1}));
+    lines.applied(1);
+    assert_eq!(ended(&mut events).cause.as_deref(), Some("client-silent"));
+    assert_eq!(lines.answer().ended.as_deref(), Some("client-silent"));
+    // It never comes.
+    let accepted = start(&daemon, request());
+    let receipt = ended(&mut events);
+    assert_eq!((receipt.id, receipt.cause.as_deref()), (accepted.id, Some("client-silent")));
+    assert_eq!(receipt.live.unwrap().updates, 0);
+}
+
+#[test]
+fn bad_messages_change_nothing_and_say_why() {
+    let daemon = Daemon::with("mock", &format!("{PATIENT}[participant]\nmax_amplitude_um = 100\n"));
+    let mut client = daemon.armed();
+    let refused =
+        |client: &mut meissner_client::Client, request: Value| problem(client.post("/v1/live", &request));
+    assert_eq!(refused(&mut client, json!({"drives": [drive(9, 120.0)]})).code, "participant-limit");
+    assert_eq!(refused(&mut client, json!({"drives": [drive(24, 20.0)]})).code, "bad-request");
+    let accepted = start(&daemon, json!({"drives": [drive(9, 80.0)]}));
+    let get = |path: &str, headers: &str| {
+        daemon.raw(format!("GET {path} HTTP/1.1\r\nhost: x\r\n{headers}connection: close\r\n\r\n").as_bytes())
+    };
+    assert!(get(&accepted.path, "").contains("must be upgraded"));
+    let upgrade = "upgrade: meissner-live\r\n";
+    assert!(get("/v1/live/0123", upgrade).contains("no live play has this key"));
+    let mut lines = Lines::open(&daemon, &accepted.path);
+    assert!(get(&accepted.path, upgrade).contains("it takes one"));
+    for (message, says) in [
+        (json!({"seq": 1, "drives": [drive(9, 120.0)]}), "`participant.max_amplitude_um` is 100 um"),
+        (json!({"seq": 1, "drives": [drive(9, -1.0)]}), "`drives[0].amplitude_um` is -1"),
+        (
+            json!({"seq": 1, "drives": [{"motor": 9, "frequency_hz": 100, "amplitude_um": 1}]}),
+            "at most 60 Hz",
+        ),
+        (json!({"seq": 1, "sclae": 1}), "did you mean `scale`?"),
+        (json!([1]), "not a JSON object"),
+    ] {
+        lines.send(&message);
+        let answer = lines.answer();
+        assert!(answer.problem.as_ref().unwrap().detail.contains(says), "{answer:?}");
+    }
+    lines.send(&json!({"seq": 5, "drives": [drive(9, 80.0)]}));
+    assert_eq!(lines.applied(5).ticks, vec![None; 24], "the refused messages have changed nothing");
+    lines.send(&json!({"seq": 5, "scale": 0.2}));
+    assert!(lines.answer().problem.unwrap().detail.contains("must be above that of the message before"));
+    // Others wait behind it, or stop it.
+    let play = json!({"pattern": "edge-45", "seconds": 1.0});
+    assert_eq!(problem(client.post("/v1/play", &play)).code, "behind-endless");
+    let _: Status = client.post("/v1/stop", &json!({})).unwrap();
+    assert_eq!(lines.answer().ended.as_deref(), Some("stop"));
+}
+
+#[test]
+fn updates_over_tcp_come_through_a_websocket() {
+    let daemon = Daemon::with("mock", &format!("{PATIENT}listen = \"127.0.0.1:0\"\n"));
+    daemon.armed();
+    let mut events = daemon.client().events().unwrap();
+    let address = daemon.client().get::<Status>("/v1/status").unwrap().network.unwrap().address;
+    let accepted = start(&daemon, json!({"drives": [drive(9, 80.0)]}));
+    let stream = TcpStream::connect(&address).unwrap();
+    stream.set_read_timeout(Some(TIMEOUT)).unwrap();
+    let (mut socket, _) = tungstenite::client(format!("ws://{address}{}", accepted.path), stream).unwrap();
+    let answer = |socket: &mut WebSocket<TcpStream>| -> LiveAnswer {
+        serde_json::from_str(socket.read().unwrap().to_text().unwrap()).unwrap()
+    };
+    for seq in 1..=20 {
+        socket
+            .send(Message::text(json!({"seq": seq, "drives": [drive(9, seq as f64)]}).to_string()))
+            .unwrap();
+        let answer = answer(&mut socket);
+        assert!(answer.applied.is_some() && answer.seq == Some(seq), "{answer:?}");
+    }
+    socket.send(Message::text("{")).unwrap();
+    assert_eq!(answer(&mut socket).problem.unwrap().code, "bad-request");
+    socket.close(None).unwrap();
+    while socket.read().is_ok() {}
+    let receipt = ended(&mut events);
+    assert_eq!((receipt.cause.as_deref(), receipt.live.unwrap().applied), (Some("stop"), 20));
+}
+
+#[test]
+fn an_emergency_stop_and_the_end_of_the_daemon_end_it() {
+    let mut daemon = Daemon::start();
+    daemon.armed();
+    let accepted = start(&daemon, json!({"drives": [drive(9, 80.0)]}));
+    let mut lines = Lines::open(&daemon, &accepted.path);
+    lines.send(&json!({"seq": 1}));
+    lines.applied(1);
+    let _: Status = daemon.client().post("/v1/estop", &json!({})).unwrap();
+    assert_eq!(lines.answer().ended.as_deref(), Some("estop"));
+    let _: Status = daemon.client().post("/v1/reset", &json!({})).unwrap();
+    daemon.armed();
+    let accepted = start(&daemon, json!({"drives": [drive(9, 80.0)]}));
+    let mut lines = Lines::open(&daemon, &accepted.path);
+    lines.send(&json!({"seq": 1}));
+    lines.applied(1);
+    let reader = thread::spawn(move || lines.answer());
+    thread::sleep(Duration::from_millis(20));
+    assert!(daemon.end().success());
+    assert_eq!(reader.join().unwrap().ended.as_deref(), Some("shutdown"));
+}
