@@ -363,11 +363,13 @@ impl Session {
             Report::Verdict { rendered, .. } | Report::OnsetRefused { rendered, .. } if stale => {
                 self.tick_within(now, rendered, self.known.horizon)
             }
-            Report::Verdict { seq, late, refused, reason, rendered } => {
+            Report::Verdict { seq, late, refused, kept, reason, rendered } => {
                 let strokes = self.sent_frame(seq)?.strokes.items();
                 let listed = late | refused;
                 let fits = late & refused == 0
                     && listed != 0
+                    // The host withdraws nothing.
+                    && kept == 0
                     && listed.checked_shr(strokes as u32).unwrap_or(0) == 0
                     && reason.is_some() == (refused != 0);
                 if fits {
@@ -421,19 +423,20 @@ impl Session {
     }
 }
 
-fn fields(counters: &Counters) -> [u64; 9] {
+fn fields(counters: &Counters) -> [u64; 10] {
     let Counters {
         played,
         pulses,
         dropped,
         late,
         refused,
+        replaced,
         amended,
         amendments_ignored,
         bad_frames,
         reports_lost,
     } = *counters;
-    [played, pulses, dropped, late, refused, amended, amendments_ignored, bad_frames, reports_lost]
+    [played, pulses, dropped, late, refused, replaced, amended, amendments_ignored, bad_frames, reports_lost]
 }
 
 /// Whether no count of `later` is below that of `earlier`, or beyond all that a device can count.

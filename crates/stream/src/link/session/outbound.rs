@@ -174,7 +174,7 @@ impl Session {
         }
         let (seq, mark, base) = (next.seq, next.mark, next.strokes.base().wire());
         let batch = next.strokes.bytes();
-        let len = encoded(&HostMessage::Strokes { epoch, seq, seen, mark, base, batch }, out);
+        let len = encoded(&HostMessage::Strokes { epoch, seq, seen, mark, withdraw: None, base, batch }, out);
         self.traffic.retransmitted += u64::from(next.retransmitted);
         next.due = false;
         next.len = len;
