@@ -71,6 +71,30 @@ fn in_every_phase_a_replacement_is_whole_or_not_at_all() {
     }
 }
 
+/// A base so long ago that strokes from it on were played whole is as late as one in a running stroke: the host counts those
+/// strokes as withdrawn unless the device says that it kept them.
+#[test]
+fn what_was_played_since_the_base_keeps_the_rest() {
+    for shell in SHELLS {
+        for (played, new) in [(0, false), (0, true), (1, false), (1, true), (3, true)] {
+            let mut bench = Bench::armed(shell);
+            let old = train(1, bench.soon(), 6, PULSES);
+            bench.strokes(&old);
+            // In a pause: of the strokes from the base on, `played` have ended.
+            bench.run_to(old[3].end().0 + 1);
+            let base = old[3 - played].end().0;
+            let new = if new { train(1, old[5].up.0, 1, 9) } else { Vec::new() };
+            bench.replace(0b10, 0, base, &new);
+            let is_kept = played > 0 || bench.device.rendered() > old[4].up;
+            assert_eq!(kept(&bench), vec![0b10; usize::from(is_kept)], "{played} played, {shell:?}");
+            bench.run(1_000);
+            let expected = if is_kept { old.clone() } else { [&old[..4], &new].concat() };
+            assert_eq!(bench.bursts(1), bursts(&expected), "{played} played, {shell:?}");
+            assert_eq!(counted(bench.device.counters()), 2 * (6 + new.len() as u64));
+        }
+    }
+}
+
 /// After a replacement that came too late, frames behind it on the line do not mix with the old strokes.
 #[test]
 fn a_kept_motor_plays_its_old_strokes_until_it_is_replaced_again() {

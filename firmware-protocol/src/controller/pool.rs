@@ -153,6 +153,8 @@ pub(super) struct Queue {
     len: u16,
     /// Number of slots that are strokes of plays.
     plays: u16,
+    /// When the newest stroke before the cursor began, also if it is no longer in the list.
+    passed: Tick,
 }
 
 /// All slots, and the motors' queues.
@@ -173,7 +175,7 @@ impl Pool {
             slots[next - 1].next = next as u16;
             next += 1;
         }
-        let queue = Queue { head: NONE, cursor: NONE, tail: NONE, len: 0, plays: 0 };
+        let queue = Queue { head: NONE, cursor: NONE, tail: NONE, len: 0, plays: 0, passed: Tick(0) };
         Self { slots, free: 0, used: 0, queues: [queue; MOTORS] }
     }
 
@@ -241,25 +243,29 @@ impl Pool {
 
     /// Moves the cursor of `motor` to the next slot.
     pub(super) fn advance(&mut self, motor: usize) {
-        let next = self.current(motor).map_or(NONE, |slot| slot.next);
-        self.queues[motor].cursor = next;
+        let Some(&Slot { next, stroke: Stroke { up, .. }, .. }) = self.current(motor) else { return };
+        let queue = &mut self.queues[motor];
+        (queue.cursor, queue.passed) = (next, up);
     }
 
     /// Returns the oldest slot of `motor` to the pool.
     pub(super) fn pop(&mut self, motor: usize) -> Option<Slot> {
         let slot = *self.head(motor)?;
+        let passed = self.queues[motor].passed;
         self.drop_head(motor);
+        // It may not have begun.
+        self.queues[motor].passed = passed;
         Some(slot)
     }
 
-    /// Like [`Self::pop`], without a copy of the slot.
+    /// Like [`Self::pop`], for a stroke that has ended.
     pub(super) fn drop_head(&mut self, motor: usize) {
         let index = self.queues[motor].head;
-        let Some(&Slot { next, kind, .. }) = self.get(index) else { return };
+        let Some(&Slot { next, kind, stroke: Stroke { up, .. }, .. }) = self.get(index) else { return };
         let queue = &mut self.queues[motor];
         queue.head = next;
         if queue.cursor == index {
-            queue.cursor = next;
+            (queue.cursor, queue.passed) = (next, up);
         }
         if queue.tail == index {
             queue.tail = NONE;
@@ -277,10 +283,13 @@ impl Pool {
         self.drop_from(motor, first)
     }
 
-    /// Returns to the pool the strokes of `motor` that begin at `from` or later; returns their number. `None`: one of them lies before
-    /// `rendered` or is not of a play, or one before them ends after `next`. Then all stay.
+    /// Returns to the pool the strokes of `motor` that begin at `from` or later; returns their number. `None`: one of them has begun
+    /// before `rendered` or is not of a play, or one before them ends after `next`. Then all stay.
     pub(super) fn withdraw(&mut self, motor: usize, from: Tick, next: Tick, rendered: Tick) -> Option<u16> {
-        let mut first = self.queues.get(motor)?.cursor;
+        let &Queue { cursor: mut first, passed, .. } = self.queues.get(motor)?;
+        if passed >= from {
+            return None;
+        }
         let mut end = Tick(0);
         while let Some(slot) = self.get(first).filter(|slot| slot.stroke.up < from) {
             (first, end) = (slot.next, slot.stroke.end());
@@ -301,7 +310,7 @@ impl Pool {
         if first == NONE {
             return 0;
         }
-        let Queue { head, cursor, tail, len, plays } = self.queues[motor];
+        let Queue { head, cursor, tail, len, plays, .. } = self.queues[motor];
         let (mut kept, mut kept_plays, mut last, mut at) = (0, 0, NONE, head);
         while at != first {
             let Some(slot) = self.get(at) else { break };
