@@ -278,59 +278,68 @@ impl Pool {
     /// Returns to the pool what `motor` has not begun: all slots behind the cursor, and the cursor's own unless
     /// `keep_current`. Returns the number of strokes of plays among them. Takes as long for many as for few.
     pub(super) fn flush(&mut self, motor: usize, keep_current: bool) -> u16 {
-        let cursor = self.queues[motor].cursor;
+        let Queue { head, cursor, len, plays, .. } = self.queues[motor];
         let first = if keep_current { self.current(motor).map_or(NONE, |slot| slot.next) } else { cursor };
-        self.drop_from(motor, first)
+        if first == NONE {
+            return 0;
+        }
+        let (mut stay, mut stay_plays, mut last, mut at) = (0, 0, NONE, head);
+        while at != first {
+            let Some(slot) = self.get(at) else { break };
+            stay += 1;
+            stay_plays += u16::from(slot.kind.is_of_play());
+            (last, at) = (at, slot.next);
+        }
+        self.drop_from(motor, first, last, len - stay, plays - stay_plays);
+        plays - stay_plays
     }
 
     /// Returns to the pool the strokes of `motor` that begin at `from` or later; returns their number. `None`: one of them has begun
     /// before `rendered` or is not of a play, or one before them ends after `next`. Then all stay.
     pub(super) fn withdraw(&mut self, motor: usize, from: Tick, next: Tick, rendered: Tick) -> Option<u16> {
-        let &Queue { cursor: mut first, passed, .. } = self.queues.get(motor)?;
+        let &Queue { head, passed, .. } = self.queues.get(motor)?;
         if passed >= from {
             return None;
         }
-        let mut end = Tick(0);
-        while let Some(slot) = self.get(first).filter(|slot| slot.stroke.up < from) {
-            (first, end) = (slot.next, slot.stroke.end());
+        // Those before the cursor began before `from`, too. It looks at each once: a queue may be long.
+        let (mut last, mut first, mut stay) = (NONE, head, 0);
+        while let Some(slot) = self.get(first) {
+            if slot.stroke.up >= from {
+                break;
+            }
+            (last, first) = (first, slot.next);
+            stay += 1;
         }
-        if end > next {
+        if self.get(last).is_some_and(|last| last.stroke.end() > next) {
             return None;
         }
-        let stays = |slot: &Slot| slot.stroke.up < rendered || slot.kind != Kind::Play;
-        if self.get(first).is_some_and(stays) {
+        let Some(slot) = self.get(first) else { return Some(0) };
+        if slot.stroke.up < rendered || slot.kind != Kind::Play {
             return None;
         }
-        Some(self.drop_from(motor, first))
+        // A motion that belongs to no play is queued alone, so what follows a stroke of a play is of a play, too.
+        let dropped = self.queues[motor].len - stay;
+        self.drop_from(motor, first, last, dropped, dropped);
+        Some(dropped)
     }
 
-    /// Returns to the pool the slots of `motor` from the one of index `first` on, the cursor's or a later one. Returns the number of
-    /// strokes of plays among them.
-    fn drop_from(&mut self, motor: usize, first: u16) -> u16 {
-        if first == NONE {
-            return 0;
-        }
-        let Queue { head, cursor, tail, len, plays, .. } = self.queues[motor];
-        let (mut kept, mut kept_plays, mut last, mut at) = (0, 0, NONE, head);
-        while at != first {
-            let Some(slot) = self.get(at) else { break };
-            kept += 1;
-            kept_plays += u16::from(slot.kind.is_of_play());
-            (last, at) = (at, slot.next);
-        }
+    /// Returns to the pool the slots of `motor` from `first` on, the cursor or a later one: so many, so many of them strokes of
+    /// plays. `last` is the one before them.
+    fn drop_from(&mut self, motor: usize, first: u16, last: u16, slots: u16, plays: u16) {
         if let Some(slot) = self.get_mut(last) {
             slot.next = NONE;
         }
         let queue = &mut self.queues[motor];
-        (queue.tail, queue.len, queue.plays) = (last, kept, kept_plays);
+        let tail = core::mem::replace(&mut queue.tail, last);
+        queue.len -= slots;
+        queue.plays -= plays;
         if last == NONE {
             queue.head = NONE;
         }
-        if cursor == first {
+        if queue.cursor == first {
             queue.cursor = NONE;
         }
-        self.release(first, tail, len - kept);
-        plays - kept_plays
+        self.release(first, tail, slots);
     }
 
     /// Returns to the pool the `count` linked slots from `first` to `last`.
