@@ -44,8 +44,15 @@ fn strokes(criterion: &mut Criterion) {
                 let stroke = stroke.expect("within limits");
                 if batch.stroke(&stroke).is_err() {
                     let (base, packed) = (batch.base().wire(), batch.bytes());
-                    let frame =
-                        HostMessage::Strokes { epoch: 1, seq, seen: 0, mark: None, withdraw: None, base, batch: packed };
+                    let frame = HostMessage::Strokes {
+                        epoch: 1,
+                        seq,
+                        seen: 0,
+                        mark: None,
+                        withdraw: None,
+                        base,
+                        batch: packed,
+                    };
                     bytes += encode(&frame, &mut out).expect("it fits");
                     black_box(&out);
                     seq = seq.wrapping_add(1);

@@ -225,7 +225,10 @@ impl Session {
         }
         let (epoch, batch) = (self.first_epoch.wrapping_sub(1), strokes.bytes());
         let base = Tick(0).wire();
-        encoded(&HostMessage::Strokes { epoch, seq: 0, seen: self.seen, mark: None, withdraw: None, base, batch }, out)
+        encoded(
+            &HostMessage::Strokes { epoch, seq: 0, seen: self.seen, mark: None, withdraw: None, base, batch },
+            out,
+        )
     }
 
     /// Ends the session if the device has not answered for too long, or withholds an answer or a report.
