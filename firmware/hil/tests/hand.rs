@@ -1,7 +1,6 @@
 //! A host made by hand: it sends what a test says, where the streamer decides by itself what to send.
 //!
-//! It uses the bench and the tap as the rig does, so the judge works on what it has sent. The line loses nothing, so no frame is
-//! sent twice. Between frames it pings, so that the device's statuses and reports arrive.
+//! It uses the bench and the tap as the rig does, so the judge works on what it has sent. The line loses nothing. Between frames it pings, so that the device's statuses and reports arrive.
 
 use firmware_protocol::batch::{BATCH_BYTES, Packer};
 use firmware_protocol::controller::POOL;
@@ -33,6 +32,10 @@ pub(crate) struct Hand {
     pinged: u64,
     /// Whether it pings.
     pub(crate) speaks: bool,
+    /// Whether the line swaps each two frames of strokes and repeats one, as after losses.
+    pub(crate) swaps: bool,
+    /// Frames of strokes that are not on the line yet.
+    outgoing: Vec<Vec<u8>>,
     grid: Option<Grid>,
     /// Strokes sent.
     pub(crate) sent: u64,
@@ -58,6 +61,8 @@ impl Hand {
             window: 0,
             pinged: 0,
             speaks: false,
+            swaps: false,
+            outgoing: Vec::new(),
             grid: None,
             sent: 0,
             host_timeout,
@@ -117,10 +122,30 @@ impl Hand {
     }
 
     pub(crate) fn send(&mut self, message: &HostMessage<'_>) {
+        let frame = self.encoded(message);
+        self.write(&frame);
+    }
+
+    fn encoded(&mut self, message: &HostMessage<'_>) -> Vec<u8> {
         let mut frame = [0; MAX_FRAME];
         let len = encode(message, &mut frame).unwrap();
         self.tap.from_host(self.now, &frame[..len]);
-        self.bench.write(Function::Cdc, &frame[..len]).unwrap();
+        frame[..len].to_vec()
+    }
+
+    fn write(&mut self, bytes: &[u8]) {
+        self.bench.write(Function::Cdc, bytes).unwrap();
+    }
+
+    /// Puts the frames of strokes on the line.
+    fn flush(&mut self) {
+        for pair in std::mem::take(&mut self.outgoing).chunks(2) {
+            if let ([first, second], true) = (pair, self.swaps) {
+                [second, first, second].iter().for_each(|frame| self.write(frame));
+            } else {
+                pair.iter().for_each(|frame| self.write(frame));
+            }
+        }
     }
 
     /// Begins an epoch with this command.
@@ -143,7 +168,9 @@ impl Hand {
         let (epoch, seq, seen) = (self.epoch, self.seq, self.tap.reports_read());
         let withdraw = withdraw.map(|motors| Withdraw { motors, generation: 0 });
         let (base, batch) = (base.wire(), packer.bytes());
-        self.send(&HostMessage::Strokes { epoch, seq, seen, mark: None, withdraw, base, batch });
+        let frame =
+            self.encoded(&HostMessage::Strokes { epoch, seq, seen, mark: None, withdraw, base, batch });
+        self.outgoing.push(frame);
         self.seq = self.seq.wrapping_add(1);
         self.sent += fits as u64;
         fits
@@ -156,6 +183,7 @@ impl Hand {
         while let Some(first) = rest.first() {
             rest = &rest[self.frame(None, first.up, rest)..];
         }
+        self.flush();
     }
 
     /// Replaces what these motors have queued from `base` on. Each motor is withdrawn from in the frame of its first new stroke; a
@@ -174,6 +202,7 @@ impl Hand {
             rest = &rest[self.frame(withdraw, base, rest)..];
             (left, due) = (left & !due, 0);
         }
+        self.flush();
     }
 
     /// Waits until the device has taken all frames and the host has read all reports.

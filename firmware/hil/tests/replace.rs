@@ -135,11 +135,14 @@ impl Play {
 
 /// Replaces so many times, at moments that spread over the period of a running stroke, for each distance of the base.
 fn sweep(which: &Which, motors: u32, pause: u64, replaced: impl Fn(&mut ChaCha8Rng) -> u32, rounds: u64) {
-    let mut play = Play::new(which, 25_500, motors, pause);
+    sweep_with(Play::new(which, 25_500, motors, pause), replaced, rounds);
+}
+
+fn sweep_with(mut play: Play, replaced: impl Fn(&mut ChaCha8Rng) -> u32, rounds: u64) {
     let (mut phases, mut done, mut kept) = ([0; 4], 0, 0);
     for round in 0..rounds {
         play.extend();
-        let mask = replaced(&mut play.random) & motors;
+        let mask = replaced(&mut play.random) & play.motors;
         let phase = (round as f64 * GOLDEN).fract();
         phases[play.run_to_phase(mask.trailing_zeros() as u8, phase)] += 1;
         let ahead = AHEAD[(round % AHEAD.len() as u64) as usize];
@@ -202,6 +205,14 @@ fn some_motors_are_replaced_in_every_phase() {
 #[test]
 fn all_motors_are_replaced_in_every_phase() {
     sweep(&chip(), ALL, 130, |_| ALL, 170);
+}
+
+/// Of each two frames the second comes first, so the device buffers it.
+#[test]
+fn frames_that_replace_may_come_out_of_order() {
+    let mut play = Play::new(&chip(), 25_500, ALL, 130);
+    play.hand.swaps = true;
+    sweep_with(play, |_| ALL, 170);
 }
 
 /// With the drivers off between the strokes.
