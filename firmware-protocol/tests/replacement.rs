@@ -227,6 +227,27 @@ fn an_e_stop_between_the_pieces_of_a_replacement_loses_no_count() {
     }
 }
 
+/// The search of a long queue takes as long as many short ones: between two of them lines are rendered.
+#[test]
+fn long_queues_are_searched_one_at_a_time() {
+    let mut bench = Bench::armed(FIRMWARE);
+    let old: Vec<Vec<Stroke>> = (1..4).map(|motor| train(motor, bench.soon(), 140, PULSES)).collect();
+    for strokes in old.iter().flat_map(|old| old.chunks(32)) {
+        bench.strokes(strokes);
+    }
+    bench.in_pieces = true;
+    let last = old[0][139].up.0;
+    bench.bytes(&bench.replacement(None, Withdraw { motors: 0b1110, generation: 0 }, last, &[]));
+    let mut replaced: Vec<u64> = (0..8)
+        .map(|_| {
+            bench.run(BLOCK.into());
+            bench.device.counters().replaced
+        })
+        .collect();
+    replaced.dedup();
+    assert_eq!(replaced, [0, 2, 4, 6]);
+}
+
 #[test]
 fn a_full_device_takes_a_replacement_frame_by_frame() {
     let mut bench = Bench::armed(FIRMWARE);

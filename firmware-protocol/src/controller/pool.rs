@@ -211,6 +211,11 @@ impl Pool {
         queue.head == queue.cursor
     }
 
+    /// Number of slots of `motor`.
+    pub(super) fn len(&self, motor: usize) -> u16 {
+        self.queues.get(motor).map_or(0, |queue| queue.len)
+    }
+
     /// End of the last stroke of `motor`.
     pub(super) fn end(&self, motor: usize) -> Option<Tick> {
         self.get(self.queues[motor].tail).map(|slot| slot.stroke.end())
@@ -301,15 +306,8 @@ impl Pool {
         if passed >= from {
             return None;
         }
-        // Those before the cursor began before `from`, too. It looks at each once: a queue may be long.
-        let (mut last, mut first, mut stay) = (NONE, head, 0);
-        while let Some(slot) = self.get(first) {
-            if slot.stroke.up >= from {
-                break;
-            }
-            (last, first) = (first, slot.next);
-            stay += 1;
-        }
+        // Those before the cursor began before `from`, too.
+        let [last, first, stay] = self.first_from(head, from);
         if self.get(last).is_some_and(|last| last.stroke.end() > next) {
             return None;
         }
@@ -321,6 +319,21 @@ impl Pool {
         let dropped = self.queues[motor].len - stay;
         self.drop_from(motor, first, last, dropped, dropped);
         Some(dropped)
+    }
+
+    /// The slot before the first stroke of the list `head` that begins at `from` or later, that stroke's slot, and the number of
+    /// slots before it. A call of its own, so that the loop over a long queue needs no memory besides the slots.
+    #[inline(never)]
+    fn first_from(&self, head: u16, from: Tick) -> [u16; 3] {
+        let (mut last, mut first, mut before) = (NONE, head, 0);
+        while let Some(slot) = self.get(first) {
+            if slot.stroke.up >= from {
+                break;
+            }
+            (last, first) = (first, slot.next);
+            before += 1;
+        }
+        [last, first, before]
     }
 
     /// Returns to the pool the slots of `motor` from `first` on, the cursor or a later one: so many, so many of them strokes of

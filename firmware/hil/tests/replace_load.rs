@@ -32,6 +32,8 @@ pub(crate) enum Replaced {
     Tails,
     /// The same, in a frame that has no strokes.
     TailsByNothing,
+    /// The end of what three motors have queued, if these alone play with a lead that fills the pool, 1.1 s.
+    ThreeTails,
     /// All that each motor has queued, with a lead of so many ms instead of 100.
     All(u64),
     /// All that each motor has queued, as soon as the device has taken the replacement before.
@@ -42,7 +44,7 @@ pub(crate) enum Replaced {
 pub(crate) type Condition = (f64, Replaced, bool);
 
 /// The conditions whose time left is measured. A core a tenth slower has no time to do more besides the play.
-pub(crate) const CONDITIONS: [Condition; 12] = [
+pub(crate) const CONDITIONS: [Condition; 13] = [
     (1.0, Replaced::Nothing, true),
     (1.1, Replaced::Nothing, true),
     (1.1, Replaced::Motor, true),
@@ -51,6 +53,7 @@ pub(crate) const CONDITIONS: [Condition; 12] = [
     (1.1, Replaced::Tails, false),
     (1.1, Replaced::TailsByNothing, true),
     (1.0, Replaced::TailsByNothing, false),
+    (1.1, Replaced::ThreeTails, true),
     (1.1, Replaced::All(20), true),
     (1.0, Replaced::All(20), false),
     (1.1, Replaced::Always, true),
@@ -58,12 +61,18 @@ pub(crate) const CONDITIONS: [Condition; 12] = [
 ];
 
 impl Replaced {
+    /// The motors that play: the first ones.
+    const fn motors(self) -> usize {
+        if matches!(self, Self::ThreeTails) { 3 } else { MOTORS }
+    }
+
     /// Ticks for which strokes are queued.
     const fn lead(self) -> u64 {
         TICKS
             * match self {
                 Self::All(ms) => ms,
                 Self::Tails | Self::TailsByNothing => 135,
+                Self::ThreeTails => 1_100,
                 Self::Nothing | Self::Motor => 100,
                 // Twice as many strokes fit the pool.
                 Self::Always => 60,
@@ -94,7 +103,7 @@ impl Load {
     /// Appends strokes to each motor up to `until`.
     fn extend(&mut self, until: Tick) {
         let mut new = Vec::new();
-        for (motor, strokes) in self.queued.iter_mut().enumerate() {
+        for (motor, strokes) in self.queued.iter_mut().enumerate().take(self.replaced.motors()) {
             let up = strokes.last().map_or(self.first[motor], |last| last.up + PERIOD);
             let more = train(motor as u8, up, until, PULSES);
             strokes.extend(&more);
@@ -110,6 +119,7 @@ impl Load {
             Replaced::Nothing => (0, now),
             Replaced::Motor => (1 << (round % MOTORS as u64), now + 10 * TICKS),
             Replaced::Tails | Replaced::TailsByNothing => (ALL, now + 125 * TICKS),
+            Replaced::ThreeTails => (0b111, now + 1_090 * TICKS),
             Replaced::All(_) | Replaced::Always => (ALL, now + 5 * TICKS),
         };
         let until = now + self.replaced.lead();
@@ -151,6 +161,9 @@ pub(crate) fn load((slow, replaced, in_phase): Condition) -> bool {
     }
     load.hand.slack();
     let (from, busy) = (load.hand.now(), load.busy());
+    if let Bench::Chip(chip) = &mut load.hand.bench {
+        chip.profile(true).unwrap();
+    }
     let mut rounds = 0;
     while load.hand.now() < from + PLAY * MS {
         load.replace(rounds);
@@ -162,6 +175,12 @@ pub(crate) fn load((slow, replaced, in_phase): Condition) -> bool {
         }
     }
     let elapsed = load.hand.now() - from;
+    let longest = if let Bench::Chip(chip) = &mut load.hand.bench {
+        let longest = chip.profile(false).unwrap().longest.into_iter();
+        longest.filter(|(function, _)| function.contains("take_strokes")).map(|(_, cycles)| cycles).max()
+    } else {
+        None
+    };
     let share = (load.busy() - busy) as f64 / elapsed as f64;
     load.hand.settle();
     let slack = u64::from(load.hand.slack().unwrap());
@@ -169,14 +188,16 @@ pub(crate) fn load((slow, replaced, in_phase): Condition) -> bool {
     assert_eq!((verdicts.kept, verdicts.late), (0, 0), "{replaced:?}");
     let (_, counters) = load.hand.finish(false);
     println!(
-        "core at {:.0} %, 24 motors at 300 Hz{}, replaced at {:.0} Hz: {replaced:?}: of {TIME} ticks, {slack} are left at least; load \
-         {:.0} %; {} of {} bursts replaced",
+        "core at {:.0} %, {} motors at 300 Hz{}, replaced at {:.0} Hz: {replaced:?}: of {TIME} ticks, {slack} are left at least; load \
+         {:.0} %; {} of {} bursts replaced; strokes of a frame are taken in at most {} cycles at a time",
         100.0 / slow,
+        replaced.motors(),
         if in_phase { " in phase" } else { "" },
         (rounds * 1_000 * MS) as f64 / elapsed as f64,
         100.0 * share,
         counters.replaced,
         counters.replaced + counters.played,
+        longest.unwrap_or(0),
     );
     2 * slack >= TIME
 }
