@@ -44,11 +44,12 @@ pub(crate) enum Replaced {
 pub(crate) type Condition = (f64, Replaced, bool);
 
 /// The conditions whose time left is measured. A core a tenth slower has no time to do more besides the play.
-pub(crate) const CONDITIONS: [Condition; 13] = [
+pub(crate) const CONDITIONS: [Condition; 14] = [
     (1.0, Replaced::Nothing, true),
     (1.1, Replaced::Nothing, true),
     (1.1, Replaced::Motor, true),
     (1.1, Replaced::Motor, false),
+    (1.0, Replaced::Tails, true),
     (1.1, Replaced::Tails, true),
     (1.1, Replaced::Tails, false),
     (1.1, Replaced::TailsByNothing, true),
@@ -160,7 +161,7 @@ pub(crate) fn load((slow, replaced, in_phase): Condition) -> bool {
         load.hand.settle();
     }
     load.hand.slack();
-    let (from, busy) = (load.hand.now(), load.busy());
+    let (from, busy, sent) = (load.hand.now(), load.busy(), load.hand.sent);
     if let Bench::Chip(chip) = &mut load.hand.bench {
         chip.profile(true).unwrap();
     }
@@ -175,6 +176,7 @@ pub(crate) fn load((slow, replaced, in_phase): Condition) -> bool {
         }
     }
     let elapsed = load.hand.now() - from;
+    let sent = load.hand.sent - sent;
     let longest = if let Bench::Chip(chip) = &mut load.hand.bench {
         let longest = chip.profile(false).unwrap().longest.into_iter();
         longest.filter(|(function, _)| function.contains("take_strokes")).map(|(_, cycles)| cycles).max()
@@ -187,17 +189,19 @@ pub(crate) fn load((slow, replaced, in_phase): Condition) -> bool {
     let verdicts = load.hand.verdicts(0);
     assert_eq!((verdicts.kept, verdicts.late), (0, 0), "{replaced:?}");
     let (_, counters) = load.hand.finish(false);
+    let per_s = |count: u64| (count * 1_000 * MS) as f64 / elapsed as f64;
     println!(
-        "core at {:.0} %, {} motors at 300 Hz{}, replaced at {:.0} Hz: {replaced:?}: of {TIME} ticks, {slack} are left at least; load \
-         {:.0} %; {} of {} bursts replaced; strokes of a frame are taken in at most {} cycles at a time",
+        "core at {:.0} %, {} motors at 300 Hz{}, {replaced:?} replaced at {:.0} Hz: of {TIME} ticks, {slack} are left at least; {:.0} strokes/s \
+         sent, {:.0} % busy, at most {} cycles to take a piece of a frame; {} of {} bursts replaced",
         100.0 / slow,
         replaced.motors(),
         if in_phase { " in phase" } else { "" },
-        (rounds * 1_000 * MS) as f64 / elapsed as f64,
+        per_s(rounds),
+        per_s(sent),
         100.0 * share,
+        longest.unwrap_or(0),
         counters.replaced,
         counters.replaced + counters.played,
-        longest.unwrap_or(0),
     );
     2 * slack >= TIME
 }
