@@ -88,10 +88,11 @@
 //! the same frame; of a motor without a stroke in the frame, after its strokes. These strokes count as *replaced*: every
 //! stroke sent is played, late, dropped, refused or replaced. A stroke that has begun is never touched. So the host names
 //! a `base` far enough ahead, lets the motor's last stroke that begins before it be, and sends what follows that one.
-//! If `base` lies before the rendered end, or the first stroke to take their place is late, breaks a limit or overlaps one before, then the motor's queue *is
-//! kept*: a `Verdict` names the motor, and the device takes no strokes of it, in this and later frames, until a frame withdraws again
-//! from it, a play begins, or a command begins an epoch. The old strokes are played instead; those not taken count as replaced. The host needs credits for the new strokes
-//! before the old ones are withdrawn. The first frame of a play withdraws nothing.
+//! If a stroke from `base` on has begun, even one that has ended since, or the first one to take its place is late, breaks a limit or
+//! overlaps one before, then the motor's queue *is kept*: a `Verdict` names the motor, and the device takes no strokes of it, in
+//! this and later frames, until a frame withdraws again from it, a play begins, or a command begins an epoch. The old strokes are
+//! played instead; those not taken count as replaced. The host needs credits for the new strokes before the old ones are withdrawn.
+//! The first frame of a play withdraws nothing.
 //!
 //! An amendment may be overtaken by the frame that withdraws its stroke, and the new stroke may begin at the same tick. So
 //! `withdraw` has the `generation` of the last amendment that concerns old strokes, and a stroke takes only amendments newer

@@ -71,6 +71,30 @@ fn in_every_phase_a_replacement_is_whole_or_not_at_all() {
     }
 }
 
+/// A base so long ago that strokes from it on were played whole is as late as one in a running stroke: the host counts those
+/// strokes as withdrawn unless the device says that it kept them.
+#[test]
+fn what_was_played_since_the_base_keeps_the_rest() {
+    for shell in SHELLS {
+        for (played, new) in [(0, false), (0, true), (1, false), (1, true), (3, true)] {
+            let mut bench = Bench::armed(shell);
+            let old = train(1, bench.soon(), 6, PULSES);
+            bench.strokes(&old);
+            // In a pause: of the strokes from the base on, `played` have ended.
+            bench.run_to(old[3].end().0 + 1);
+            let base = old[3 - played].end().0;
+            let new = if new { train(1, old[5].up.0, 1, 9) } else { Vec::new() };
+            bench.replace(0b10, 0, base, &new);
+            let is_kept = played > 0 || bench.device.rendered() > old[4].up;
+            assert_eq!(kept(&bench), vec![0b10; usize::from(is_kept)], "{played} played, {shell:?}");
+            bench.run(1_000);
+            let expected = if is_kept { old.clone() } else { [&old[..4], &new].concat() };
+            assert_eq!(bench.bursts(1), bursts(&expected), "{played} played, {shell:?}");
+            assert_eq!(counted(bench.device.counters()), 2 * (6 + new.len() as u64));
+        }
+    }
+}
+
 /// After a replacement that came too late, frames behind it on the line do not mix with the old strokes.
 #[test]
 fn a_kept_motor_plays_its_old_strokes_until_it_is_replaced_again() {
@@ -201,6 +225,27 @@ fn an_e_stop_between_the_pieces_of_a_replacement_loses_no_count() {
         assert_eq!(counters.replaced, 2 * withdrawn * taken, "{blocks} blocks");
         assert_eq!(counters.pulses, bench.total());
     }
+}
+
+/// The search of a long queue takes as long as many short ones: between two of them lines are rendered.
+#[test]
+fn long_queues_are_searched_one_at_a_time() {
+    let mut bench = Bench::armed(FIRMWARE);
+    let old: Vec<Vec<Stroke>> = (1..4).map(|motor| train(motor, bench.soon(), 140, PULSES)).collect();
+    for strokes in old.iter().flat_map(|old| old.chunks(32)) {
+        bench.strokes(strokes);
+    }
+    bench.in_pieces = true;
+    let last = old[0][139].up.0;
+    bench.bytes(&bench.replacement(None, Withdraw { motors: 0b1110, generation: 0 }, last, &[]));
+    let mut replaced: Vec<u64> = (0..8)
+        .map(|_| {
+            bench.run(BLOCK.into());
+            bench.device.counters().replaced
+        })
+        .collect();
+    replaced.dedup();
+    assert_eq!(replaced, [0, 2, 4, 6]);
 }
 
 #[test]

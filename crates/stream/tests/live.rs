@@ -11,7 +11,7 @@ use meissner_stream::queues::{
 use meissner_stream::{Bandwidth, Line, Settings, Source};
 use meissner_test_support::random::Random;
 use meissner_test_support::rig::{
-    Rig, assert_closed, assert_lines, bad_line, bursts_on_the_lines, into_outcomes,
+    Rig, answer, assert_closed, assert_lines, bad_line, bursts_on_the_lines, into_outcomes,
 };
 use std::collections::HashSet;
 use std::time::Duration;

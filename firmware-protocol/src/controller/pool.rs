@@ -153,6 +153,8 @@ pub(super) struct Queue {
     len: u16,
     /// Number of slots that are strokes of plays.
     plays: u16,
+    /// When the newest stroke before the cursor began, also if it is no longer in the list.
+    passed: Tick,
 }
 
 /// All slots, and the motors' queues.
@@ -173,7 +175,7 @@ impl Pool {
             slots[next - 1].next = next as u16;
             next += 1;
         }
-        let queue = Queue { head: NONE, cursor: NONE, tail: NONE, len: 0, plays: 0 };
+        let queue = Queue { head: NONE, cursor: NONE, tail: NONE, len: 0, plays: 0, passed: Tick(0) };
         Self { slots, free: 0, used: 0, queues: [queue; MOTORS] }
     }
 
@@ -209,6 +211,11 @@ impl Pool {
         queue.head == queue.cursor
     }
 
+    /// Number of slots of `motor`.
+    pub(super) fn len(&self, motor: usize) -> u16 {
+        self.queues.get(motor).map_or(0, |queue| queue.len)
+    }
+
     /// End of the last stroke of `motor`.
     pub(super) fn end(&self, motor: usize) -> Option<Tick> {
         self.get(self.queues[motor].tail).map(|slot| slot.stroke.end())
@@ -241,25 +248,29 @@ impl Pool {
 
     /// Moves the cursor of `motor` to the next slot.
     pub(super) fn advance(&mut self, motor: usize) {
-        let next = self.current(motor).map_or(NONE, |slot| slot.next);
-        self.queues[motor].cursor = next;
+        let Some(&Slot { next, stroke: Stroke { up, .. }, .. }) = self.current(motor) else { return };
+        let queue = &mut self.queues[motor];
+        (queue.cursor, queue.passed) = (next, up);
     }
 
     /// Returns the oldest slot of `motor` to the pool.
     pub(super) fn pop(&mut self, motor: usize) -> Option<Slot> {
         let slot = *self.head(motor)?;
+        let passed = self.queues[motor].passed;
         self.drop_head(motor);
+        // It may not have begun.
+        self.queues[motor].passed = passed;
         Some(slot)
     }
 
-    /// Like [`Self::pop`], without a copy of the slot.
+    /// Like [`Self::pop`], for a stroke that has ended.
     pub(super) fn drop_head(&mut self, motor: usize) {
         let index = self.queues[motor].head;
-        let Some(&Slot { next, kind, .. }) = self.get(index) else { return };
+        let Some(&Slot { next, kind, stroke: Stroke { up, .. }, .. }) = self.get(index) else { return };
         let queue = &mut self.queues[motor];
         queue.head = next;
         if queue.cursor == index {
-            queue.cursor = next;
+            (queue.cursor, queue.passed) = (next, up);
         }
         if queue.tail == index {
             queue.tail = NONE;
@@ -272,52 +283,76 @@ impl Pool {
     /// Returns to the pool what `motor` has not begun: all slots behind the cursor, and the cursor's own unless
     /// `keep_current`. Returns the number of strokes of plays among them. Takes as long for many as for few.
     pub(super) fn flush(&mut self, motor: usize, keep_current: bool) -> u16 {
-        let cursor = self.queues[motor].cursor;
+        let Queue { head, cursor, len, plays, .. } = self.queues[motor];
         let first = if keep_current { self.current(motor).map_or(NONE, |slot| slot.next) } else { cursor };
-        self.drop_from(motor, first)
-    }
-
-    /// Returns to the pool the strokes of `motor` that begin at `from` or later, which is not rendered; returns their number. `None`:
-    /// the first of them is not of a play, or the one before it ends after `next`. Then all stay.
-    pub(super) fn withdraw(&mut self, motor: usize, from: Tick, next: Tick) -> Option<u16> {
-        let mut first = self.queues.get(motor)?.cursor;
-        let mut end = Tick(0);
-        while let Some(slot) = self.get(first).filter(|slot| slot.stroke.up < from) {
-            (first, end) = (slot.next, slot.stroke.end());
-        }
-        if end > next || self.get(first).is_some_and(|slot| slot.kind != Kind::Play) {
-            return None;
-        }
-        Some(self.drop_from(motor, first))
-    }
-
-    /// Returns to the pool the slots of `motor` from the one of index `first` on, the cursor's or a later one. Returns the number of
-    /// strokes of plays among them.
-    fn drop_from(&mut self, motor: usize, first: u16) -> u16 {
         if first == NONE {
             return 0;
         }
-        let Queue { head, cursor, tail, len, plays } = self.queues[motor];
-        let (mut kept, mut kept_plays, mut last, mut at) = (0, 0, NONE, head);
+        let (mut stay, mut stay_plays, mut last, mut at) = (0, 0, NONE, head);
         while at != first {
             let Some(slot) = self.get(at) else { break };
-            kept += 1;
-            kept_plays += u16::from(slot.kind.is_of_play());
+            stay += 1;
+            stay_plays += u16::from(slot.kind.is_of_play());
             (last, at) = (at, slot.next);
         }
+        self.drop_from(motor, first, last, len - stay, plays - stay_plays);
+        plays - stay_plays
+    }
+
+    /// Returns to the pool the strokes of `motor` that begin at `from` or later; returns their number. `None`: one of them has begun
+    /// before `rendered` or is not of a play, or one before them ends after `next`. Then all stay.
+    pub(super) fn withdraw(&mut self, motor: usize, from: Tick, next: Tick, rendered: Tick) -> Option<u16> {
+        let &Queue { head, passed, .. } = self.queues.get(motor)?;
+        if passed >= from {
+            return None;
+        }
+        // Those before the cursor began before `from`, too.
+        let [last, first, stay] = self.first_from(head, from);
+        if self.get(last).is_some_and(|last| last.stroke.end() > next) {
+            return None;
+        }
+        let Some(slot) = self.get(first) else { return Some(0) };
+        if slot.stroke.up < rendered || slot.kind != Kind::Play {
+            return None;
+        }
+        // A motion that belongs to no play is queued alone, so what follows a stroke of a play is of a play, too.
+        let dropped = self.queues[motor].len - stay;
+        self.drop_from(motor, first, last, dropped, dropped);
+        Some(dropped)
+    }
+
+    /// The slot before the first stroke of the list `head` that begins at `from` or later, that stroke's slot, and the number of
+    /// slots before it. A call of its own, so that the loop over a long queue needs no memory besides the slots.
+    #[inline(never)]
+    fn first_from(&self, head: u16, from: Tick) -> [u16; 3] {
+        let (mut last, mut first, mut before) = (NONE, head, 0);
+        while let Some(slot) = self.get(first) {
+            if slot.stroke.up >= from {
+                break;
+            }
+            (last, first) = (first, slot.next);
+            before += 1;
+        }
+        [last, first, before]
+    }
+
+    /// Returns to the pool the slots of `motor` from `first` on, the cursor or a later one: so many, so many of them strokes of
+    /// plays. `last` is the one before them.
+    fn drop_from(&mut self, motor: usize, first: u16, last: u16, slots: u16, plays: u16) {
         if let Some(slot) = self.get_mut(last) {
             slot.next = NONE;
         }
         let queue = &mut self.queues[motor];
-        (queue.tail, queue.len, queue.plays) = (last, kept, kept_plays);
+        let tail = core::mem::replace(&mut queue.tail, last);
+        queue.len -= slots;
+        queue.plays -= plays;
         if last == NONE {
             queue.head = NONE;
         }
-        if cursor == first {
+        if queue.cursor == first {
             queue.cursor = NONE;
         }
-        self.release(first, tail, len - kept);
-        plays - kept_plays
+        self.release(first, tail, slots);
     }
 
     /// Returns to the pool the `count` linked slots from `first` to `last`.

@@ -69,14 +69,14 @@ impl Controller {
         if room && self.queue(slot) { Ok(true) } else { Err(Refusal::PoolFull) }
     }
 
-    /// Withdraws the strokes of `motor` from `from` on, if that is not rendered and `first`, the stroke that takes their place, can be
+    /// Withdraws the strokes of `motor` from `from` on, if none of them has begun and `first`, the stroke that takes their place, can be
     /// queued. Else all of them stay, and the motor's strokes are late until it is withdrawn from again. Returns whether it did.
     pub(super) fn withdraw(&mut self, motor: u8, from: Tick, first: Option<&Stroke>) -> bool {
         let bit = 1 << motor;
         let usable = first.map_or(self.state == State::Armed, |first| self.judge(first) == Ok(true));
         let next = first.map_or(NEVER, |first| first.up);
-        let in_time = from >= self.rendered;
-        let withdrawn = if usable && in_time { self.pool.withdraw(motor.into(), from, next) } else { None };
+        let withdrawn =
+            if usable { self.pool.withdraw(motor.into(), from, next, self.rendered) } else { None };
         let Some(strokes) = withdrawn else {
             self.kept |= bit;
             return false;

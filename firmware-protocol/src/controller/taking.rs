@@ -15,8 +15,10 @@ use crate::tick::Tick;
 
 /// Most strokes taken at a time.
 const STROKES: usize = 8;
-/// The same of a frame that withdraws: for each stroke it may search the queue of a motor.
+/// The same of a frame that withdraws: for each stroke it may search the queue of a motor. It ends sooner once the queues
+/// searched have so many strokes.
 const REPLACING: usize = 4;
+const SEARCHED: u16 = 128;
 /// Most amendments taken at a time: each searches the queue of its motor.
 const AMENDMENTS: usize = 4;
 
@@ -180,18 +182,22 @@ impl Controller {
     /// Takes at most `most` strokes. Each is counted at once, because an e-stop may end the frame between two pieces. A motor's
     /// strokes are withdrawn in the moment in which the first stroke that replaces them is queued.
     fn take_strokes(&mut self, seq: u16, most: usize) {
+        let mut searched = 0;
         for _ in 0..most {
+            if searched >= SEARCHED {
+                break;
+            }
             let at = self.taking.taken;
             let Some(&stroke) = self.taking.strokes.get(at) else {
                 // What is left to withdraw is replaced by nothing.
                 if self.taking.withdraw == 0 {
                     break;
                 }
-                self.take_withdrawal(self.taking.withdraw.trailing_zeros() as u8, None);
+                searched += self.take_withdrawal(self.taking.withdraw.trailing_zeros() as u8, None);
                 continue;
             };
             if self.taking.withdraw >> stroke.motor & 1 == 1 {
-                self.take_withdrawal(stroke.motor, Some(&stroke));
+                searched += self.take_withdrawal(stroke.motor, Some(&stroke));
             }
             match self.accept(&stroke) {
                 Ok(true) => {}
@@ -222,14 +228,16 @@ impl Controller {
         }
     }
 
-    /// Withdraws from one motor what `first` replaces.
-    fn take_withdrawal(&mut self, motor: u8, first: Option<&Stroke>) {
+    /// Withdraws from one motor what `first` replaces. Returns the length of its queue.
+    fn take_withdrawal(&mut self, motor: u8, first: Option<&Stroke>) -> u16 {
+        let len = self.pool.len(motor.into());
         self.taking.withdraw &= !(1 << motor);
         if !self.withdraw(motor, self.taking.from, first) {
             self.taking.kept |= 1 << motor;
             let ready = self.ready();
             self.taking.missed.get_or_insert(ready);
         }
+        len
     }
 
     fn take_amendments(&mut self) -> bool {

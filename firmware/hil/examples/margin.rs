@@ -1,9 +1,13 @@
-//! `margin [PATTERNS]`: the time that rendering has left over so many random patterns (200), in each condition.
+//! `margin [PATTERNS]`: the time that rendering has left over so many random patterns (200), in each condition; then while strokes
+//! are replaced at full load. `margin 0` does the latter alone.
 //!
 //! Exit 0 if at least half of the time is left in all of them. Takes minutes.
 
 #![expect(clippy::unwrap_used, reason = "what cannot go on has failed")]
 
+#[path = "../tests/hand.rs"]
+#[expect(dead_code, reason = "it is the tests', which use the rest of it")]
+mod hand;
 #[path = "../tests/margin.rs"]
 mod margin;
 #[path = "../tests/play.rs"]
@@ -11,10 +15,16 @@ mod margin;
 mod play;
 #[path = "../tests/random.rs"]
 mod random;
+#[path = "../tests/replace_load.rs"]
+mod replace_load;
 
 use margin::{Beside, sweep};
+use replace_load::{CONDITIONS, load};
 use std::process::ExitCode;
 use std::thread;
+
+/// Returns whether half of the time is left.
+type Run = Box<dyn FnOnce() -> bool + Send>;
 
 fn main() -> ExitCode {
     let patterns = std::env::args().nth(1).map_or(200, |number| number.parse().unwrap());
@@ -26,12 +36,16 @@ fn main() -> ExitCode {
         (1.1, Beside::Pings),
         (1.1, Beside::EStops),
     ];
+    let conditions = conditions.iter().filter(|_| patterns > 0);
+    let plays =
+        conditions.map(|&(slow, beside)| -> Run { Box::new(move || sweep(slow, beside, 0..patterns)) });
+    let replaced = CONDITIONS.iter().map(|&condition| -> Run { Box::new(move || load(condition)) });
+    let mut runs: Vec<_> = plays.chain(replaced).collect();
     // Two at a time.
     let mut whole = true;
-    for pair in conditions.chunks(2) {
-        let runs = pair.iter().map(|&(slow, beside)| thread::spawn(move || sweep(slow, beside, 0..patterns)));
-        let runs: Vec<_> = runs.collect();
-        for run in runs {
+    while !runs.is_empty() {
+        let pair: Vec<_> = runs.drain(..runs.len().min(2)).map(thread::spawn).collect();
+        for run in pair {
             whole &= run.join().is_ok_and(|half| half);
         }
     }

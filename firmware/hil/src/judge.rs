@@ -168,7 +168,7 @@ impl Boot {
                 (log, expected, grid)
             }
         };
-        self.judge_drivers(&log, grid, &mut findings);
+        self.judge_drivers(&log, &expected, grid, &mut findings);
         compare(&log, &expected, &mut findings);
         self.judge_quiet(&log, &expected.onsets, grid, &mut findings);
         findings.extend(expected.contradictions.iter().cloned().map(Finding::Contradiction));

@@ -1,15 +1,15 @@
 //! Computes what the lines have to do from what went over the link: the strokes sent and amended, without those that the
-//! device reports as not accepted, and cut where the device reports a cut.
+//! device reports as not accepted, without those that later frames replace, and cut where the device reports a cut.
 //!
 //! It implements the rules a second time, from the specification. At the edge of an e-stop or a failure a pulse cannot be
 //! predicted: there a [`Soft`] interval allows it to be missing.
 
 use crate::log::{Log, Train};
-use crate::tap::{Event, Tap};
+use crate::tap::{Batch, Event, Tap};
 use firmware_protocol::batch::Amendment;
 use firmware_protocol::controller::{DRIVER_LEAD, DRIVER_TAIL};
 use firmware_protocol::limits::{WHOLE_TRAVEL, least_seek, within_correction};
-use firmware_protocol::message::{Cause, Cut, LowerStop, Op, Report, State, Trigger};
+use firmware_protocol::message::{Cause, Cut, LowerStop, MarkKind, Op, Report, State, Trigger};
 use firmware_protocol::stroke::{Direction, MOTORS, Stroke};
 use firmware_protocol::tick::Tick;
 
@@ -58,9 +58,13 @@ pub struct Expected {
     pub cuts: Vec<CutAt>,
     /// Contradictions between the device's reports.
     pub contradictions: Vec<String>,
+    /// The strokes behind `log`, in the order in which they were sent.
+    pub strokes: Vec<Stroke>,
+    /// The accepted strokes that were replaced: when each was to begin, and the cycle at which its replacement was sent.
+    pub replaced: Vec<(Tick, u64)>,
 }
 
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Debug)]
 struct Live {
     stroke: Stroke,
     planned: [u16; 2],
@@ -69,10 +73,18 @@ struct Live {
     frame: (u16, u16),
     /// It seeks the lower stop.
     seeks: bool,
+    /// It was accepted, as far as is known, and no cut has flushed it.
     alive: bool,
+    /// The frames that withdraw it, with the cycle at which each was sent. A verdict may say that a frame kept it.
+    withdrawn: Vec<((u16, u16), u64)>,
 }
 
 impl Live {
+    /// Whether it is played.
+    fn plays(&self) -> bool {
+        self.alive && self.withdrawn.is_empty()
+    }
+
     /// Outstanding return pulses after `up` up pulses and `down` down pulses.
     fn outstanding(&self, up: u16, down: u16) -> u16 {
         if up < self.stroke.up_pulses {
@@ -97,6 +109,8 @@ struct Oracle {
     epoch: u16,
     asked: u16,
     opened: usize,
+    /// Frames that came too late for these motors.
+    kept: Vec<((u16, u16), u32)>,
     /// The last command and its event.
     controls: Vec<(usize, Op)>,
     out: Expected,
@@ -106,10 +120,16 @@ struct Oracle {
 #[must_use]
 pub fn expect(tap: &Tap, death: Option<Tick>) -> Expected {
     let mut oracle = Oracle::default();
-    for (order, (_, event)) in tap.events.iter().enumerate() {
-        oracle.take(tap, order, event);
+    for (order, (cycle, event)) in tap.events.iter().enumerate() {
+        oracle.take(tap, order, *cycle, event);
     }
     let mut log = oracle.log();
+    oracle.out.contradictions.extend(oracle.mixed(tap));
+    let replaced = oracle.live.iter().filter(|live| live.alive);
+    let replaced =
+        replaced.filter_map(|live| live.withdrawn.first().map(|&(_, cycle)| (live.stroke.up, cycle)));
+    oracle.out.replaced = replaced.collect();
+    oracle.out.strokes = oracle.live.iter().filter(|live| live.plays()).map(|live| live.stroke).collect();
     if let Some(death) = death {
         // The tick of the failure may be cut short.
         let (from, to) = (Tick(death.0 - 1), death + HORIZON);
@@ -121,7 +141,7 @@ pub fn expect(tap: &Tap, death: Option<Tick>) -> Expected {
 }
 
 impl Oracle {
-    fn take(&mut self, tap: &Tap, order: usize, event: &Event) {
+    fn take(&mut self, tap: &Tap, order: usize, cycle: u64, event: &Event) {
         match event {
             Event::Opened(_) => self.opened = order,
             Event::Control(epoch, op) => {
@@ -139,14 +159,18 @@ impl Oracle {
                     self.outstanding = [0; MOTORS];
                 }
             }
-            Event::Batch(batch) => self.live.extend(batch.strokes.iter().map(|&stroke| Live {
-                stroke,
-                planned: [stroke.up_pulses, stroke.down_pulses],
-                order,
-                frame: (batch.epoch, batch.seq),
-                seeks: false,
-                alive: true,
-            })),
+            Event::Batch(batch) => {
+                self.withdraw(cycle, batch);
+                self.live.extend(batch.strokes.iter().map(|&stroke| Live {
+                    stroke,
+                    planned: [stroke.up_pulses, stroke.down_pulses],
+                    order,
+                    frame: (batch.epoch, batch.seq),
+                    seeks: false,
+                    alive: true,
+                    withdrawn: Vec::new(),
+                }));
+            }
             Event::Amend(items) => items.iter().for_each(|item| self.amend(item)),
             Event::Greeted(hello) => {
                 if let Some(cut) = hello.last_cut {
@@ -168,10 +192,54 @@ impl Oracle {
         }
     }
 
+    /// The frame withdraws what begins at its base or later, unless a verdict says that a motor's strokes were kept.
+    fn withdraw(&mut self, cycle: u64, batch: &Batch) {
+        let begins_play = batch.mark.is_some_and(|mark| mark.kind == MarkKind::Play);
+        let Some(withdraw) = batch.withdraw.filter(|_| !begins_play) else { return };
+        let named = |live: &&mut Live| withdraw.motors >> live.stroke.motor & 1 == 1;
+        let from = |live: &&mut Live| live.frame.0 == batch.epoch && live.stroke.up >= batch.base;
+        for live in self.live.iter_mut().filter(named).filter(from) {
+            live.withdrawn.push(((batch.epoch, batch.seq), cycle));
+        }
+    }
+
+    /// Strokes that the device has accepted although it keeps an older queue of their motor.
+    fn mixed(&self, tap: &Tap) -> Vec<String> {
+        let mut mixed = Vec::new();
+        for &(frame, motors) in self.kept.iter().filter(|(_, motors)| *motors != 0) {
+            let mut left = motors;
+            let batches = tap.events.iter().filter_map(|(_, event)| match event {
+                Event::Batch(batch) => Some(batch),
+                _ => None,
+            });
+            for batch in batches.skip_while(|batch| (batch.epoch, batch.seq) != frame) {
+                let of = (batch.epoch, batch.seq);
+                if of != frame {
+                    let ends = batch.mark.is_some_and(|mark| mark.kind == MarkKind::Play);
+                    let withdrawn = batch.withdraw.map_or(0, |withdraw| withdraw.motors);
+                    left &= if ends { 0 } else { !withdrawn };
+                }
+                if left == 0 || batch.epoch != frame.0 {
+                    break;
+                }
+                let accepted = self.live.iter().filter(|live| live.frame == of && live.alive);
+                mixed.extend(accepted.filter(|live| left >> live.stroke.motor & 1 == 1).map(|live| {
+                    let (seq, motor) = (frame.1, live.stroke.motor);
+                    format!("frame {seq} keeps what motor {motor} has queued, and frame {} adds to it", of.1)
+                }));
+            }
+        }
+        mixed
+    }
+
     fn report(&mut self, tap: &Tap, order: usize, report: &Report) {
         match *report {
-            Report::Verdict { seq, late, refused, .. } => {
+            Report::Verdict { seq, late, refused, kept, .. } => {
                 let frame = (self.epoch, seq);
+                self.kept.push((frame, kept));
+                for live in self.live.iter_mut().filter(|live| kept >> live.stroke.motor & 1 == 1) {
+                    live.withdrawn.retain(|&(by, _)| by != frame);
+                }
                 let strokes = self.live.iter_mut().filter(|live| live.frame == frame);
                 for (i, live) in strokes.enumerate() {
                     live.alive &= (late | refused) >> i & 1 == 0;
@@ -190,7 +258,8 @@ impl Oracle {
             }
             Report::Refused { motor, up, .. } => {
                 let up = tap.tick(up);
-                let same = |live: &&mut Live| live.stroke.motor == motor && live.stroke.up == up;
+                let same =
+                    |live: &&mut Live| live.plays() && live.stroke.motor == motor && live.stroke.up == up;
                 self.live.iter_mut().filter(same).for_each(|live| live.alive = false);
             }
             Report::Cut(cut) => {
@@ -212,7 +281,7 @@ impl Oracle {
 
     /// Applies an amendment by the rules that can be checked from outside. The scenario makes sure that it is in time.
     fn amend(&mut self, item: &Amendment) {
-        let same = |live: &Live| live.alive && live.stroke.motor == item.motor;
+        let same = |live: &Live| live.plays() && live.stroke.motor == item.motor;
         let after = self.live.iter().filter(|live| same(live) && live.stroke.up > item.up);
         let room_after = after.map(|live| live.stroke.up).min().unwrap_or(Tick(u64::MAX));
         let Some(live) = self.live.iter_mut().find(|live| same(live) && live.stroke.up == item.up) else {
@@ -252,7 +321,7 @@ impl Oracle {
     fn cut_and_return(&mut self, at: Tick, limit: usize) -> u32 {
         let ready = self.ready(at);
         let mut outstanding = 0;
-        for live in self.live.iter_mut().filter(|live| live.alive && live.order < limit) {
+        for live in self.live.iter_mut().filter(|live| live.plays() && live.order < limit) {
             let returns = live.outstanding((at - live.stroke.up).min(u16::MAX.into()) as u16, 0);
             let stroke = &mut live.stroke;
             if stroke.up >= at {
@@ -285,7 +354,8 @@ impl Oracle {
                     Stroke { motor: motor as u8, up: ready, up_pulses: 0, down: ready, down_pulses: pulses };
                 let planned = [0, pulses];
                 let (frame, seeks) = ((0, u16::MAX), seek > 0);
-                self.live.push(Live { stroke, planned, order: 0, frame, seeks, alive: true });
+                let withdrawn = Vec::new();
+                self.live.push(Live { stroke, planned, order: 0, frame, seeks, alive: true, withdrawn });
                 outstanding += u32::from(pulses);
             }
         }
@@ -295,7 +365,7 @@ impl Oracle {
     /// The first tick, from `at` on, in which the drivers have been enabled for their lead: they are on from the lead before a
     /// burst to the tail after it.
     fn ready(&self, at: Tick) -> Tick {
-        let strokes = self.live.iter().filter(|live| live.alive).map(|live| live.stroke);
+        let strokes = self.live.iter().filter(|live| live.plays()).map(|live| live.stroke);
         let bursts = strokes.flat_map(|stroke| stroke.bursts()).filter(|burst| burst.pulses > 0);
         let lead = u64::from(DRIVER_LEAD);
         let mut on: Vec<_> = bursts
@@ -319,7 +389,7 @@ impl Oracle {
     fn force(&mut self, at: Tick, limit: usize) -> u32 {
         let (from, to) = (Tick(at.0 - FORCE.0), at + FORCE.1);
         self.out.soft.push(Soft { from, to, planned: self.log().within(from, to) });
-        for live in self.live.iter_mut().filter(|live| live.alive && live.order < limit) {
+        for live in self.live.iter_mut().filter(|live| live.plays() && live.order < limit) {
             let stroke = &mut live.stroke;
             if stroke.end() <= at {
                 continue;
@@ -339,7 +409,7 @@ impl Oracle {
     }
 
     fn log(&self) -> Log {
-        let strokes = self.live.iter().filter(|live| live.alive).map(|live| live.stroke);
+        let strokes = self.live.iter().filter(|live| live.plays()).map(|live| live.stroke);
         let trains = strokes.flat_map(|stroke| {
             stroke.bursts().map(|burst| {
                 let train =
@@ -355,6 +425,7 @@ impl Oracle {
 mod tests {
     use super::*;
     use firmware_protocol::limits::OnTimeLimits;
+    use firmware_protocol::message::Withdraw;
 
     /// A device that pushes more than was planned differs from what is expected.
     #[test]
@@ -366,12 +437,44 @@ mod tests {
             let mut oracle = Oracle::default();
             let arm =
                 Op::Arm { assume_rest: true, host_timeout: 25_500, limits: OnTimeLimits::NONE, lower_stop };
-            oracle.take(&Tap::default(), 0, &Event::Control(1, arm));
+            oracle.take(&Tap::default(), 0, 0, &Event::Control(1, arm));
             let planned = [stroke.up_pulses, stroke.down_pulses];
-            oracle.live.push(Live { stroke, planned, order: 1, frame: (1, 0), seeks: false, alive: true });
+            let (frame, withdrawn) = ((1, 0), Vec::new());
+            oracle.live.push(Live { stroke, planned, order: 1, frame, seeks: false, alive: true, withdrawn });
             oracle.amend(&Amendment { motor: 3, up: stroke.up, direction: Direction::Down, pulses: 26 });
             assert_eq!(oracle.live[0].stroke, Stroke { down_pulses, ..stroke });
         }
+    }
+
+    /// A verdict that comes after a second replacement brings back what the first one withdrew, and the second one did not.
+    #[test]
+    fn what_a_verdict_keeps_is_played() {
+        let stroke = |up: u64, up_pulses| {
+            let up = Tick::BOOT + up;
+            Stroke { motor: 3, up, up_pulses, down: up + 50, down_pulses: up_pulses }
+        };
+        let batch = |seq, from: Option<u64>, strokes: &[Stroke]| {
+            let withdraw = from.map(|_| Withdraw { motors: 1 << 3, generation: 0 });
+            let base = Tick::BOOT + from.unwrap_or(500);
+            Event::Batch(Batch { epoch: 0, seq, mark: None, withdraw, base, strokes: strokes.to_vec() })
+        };
+        let rendered = Tick::BOOT.wire();
+        let verdict = Report::Verdict { seq: 1, late: 1, refused: 0, kept: 1 << 3, reason: None, rendered };
+        let old = [500, 600, 700, 800].map(|up| stroke(up, 20));
+        let new = [stroke(650, 30), stroke(800, 40)];
+        let mut tap = Tap::default();
+        tap.events = vec![
+            (0, batch(0, None, &old)),
+            (7, batch(1, Some(600), &new[..1])),
+            (9, batch(2, Some(750), &new[1..])),
+        ];
+        let expected = expect(&tap, None);
+        assert_eq!(expected.strokes, [old[0], new[0], new[1]]);
+        assert_eq!(expected.replaced, [(old[1].up, 7), (old[2].up, 7), (old[3].up, 7)]);
+        tap.events.push((20, Event::Report(verdict)));
+        let expected = expect(&tap, None);
+        assert_eq!(expected.strokes, [old[0], old[1], old[2], new[1]]);
+        assert_eq!(expected.replaced, [(old[3].up, 9)]);
     }
 
     /// A device that carries out a seek which it must refuse is found out.

@@ -7,7 +7,7 @@ use firmware_protocol::batch::{Amendment, Amendments, Strokes};
 use firmware_protocol::board::{Board, SelfTestState};
 use firmware_protocol::frame::{self, Decoder};
 use firmware_protocol::message::{
-    DeviceHello, DeviceMessage, HostMessage, Mark, Op, Report, Status, Trigger,
+    DeviceHello, DeviceMessage, HostMessage, Mark, Op, Report, Status, Trigger, Withdraw,
 };
 use firmware_protocol::stroke::Stroke;
 use firmware_protocol::tick::{Tick, WireTick};
@@ -21,6 +21,8 @@ pub struct Batch {
     pub seq: u16,
     /// Whether it begins a play at `base`.
     pub mark: Option<Mark>,
+    /// Whose queued strokes it replaces, from `base` on.
+    pub withdraw: Option<Withdraw>,
     /// The tick from which its strokes count.
     pub base: Tick,
     /// Its strokes.
@@ -106,6 +108,12 @@ impl Tap {
         self.epoch.unwrap_or(0)
     }
 
+    /// Number of the last report that the host has read.
+    #[must_use]
+    pub fn reports_read(&self) -> u16 {
+        self.reported.last().copied().or_else(|| self.hello().map(|hello| hello.reports)).unwrap_or(0)
+    }
+
     /// What the host wanted of the trigger output at this onset.
     #[must_use]
     pub fn trigger_at(&self, onset: Tick) -> Option<Trigger> {
@@ -157,7 +165,7 @@ impl Tap {
             HostMessage::Strokes { epoch, .. } if self.epoch.is_some_and(|present| present != epoch) => {
                 return;
             }
-            HostMessage::Strokes { epoch, seq, mark, base, batch, .. } => {
+            HostMessage::Strokes { epoch, seq, mark, withdraw, base, batch, .. } => {
                 // Numbers repeat after 65 536 frames.
                 if self.seen.len() > 64 {
                     self.seen.remove(0);
@@ -169,6 +177,7 @@ impl Tap {
                     epoch,
                     seq,
                     mark,
+                    withdraw,
                     base,
                     strokes: Strokes::new(base, batch).flatten().collect(),
                 })

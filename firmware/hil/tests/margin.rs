@@ -18,7 +18,7 @@ const PATTERNS: u64 = 8;
 /// Seconds of each.
 const SECONDS: f64 = 0.12;
 /// Ticks from the moment at which a block can be rendered to the fetch of its first word.
-const TIME: u64 = (HORIZON - BLOCK - 3) as u64;
+pub(crate) const TIME: u64 = (HORIZON - BLOCK - 3) as u64;
 
 /// What goes on besides the play.
 #[derive(Clone, Copy, Debug, PartialEq)]

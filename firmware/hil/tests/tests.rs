@@ -4,6 +4,7 @@
 
 mod estop;
 mod estop_races;
+mod hand;
 mod hangs;
 mod load;
 mod lower_stop;
@@ -11,6 +12,8 @@ mod margin;
 mod patterns;
 mod play;
 mod random;
+mod replace;
+mod replace_load;
 mod scenarios;
 mod self_test;
 mod sequence;

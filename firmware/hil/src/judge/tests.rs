@@ -43,7 +43,7 @@ fn tap() -> Tap {
     let op =
         Op::Arm { assume_rest: true, host_timeout: 25_500, limits: OnTimeLimits::NONE, lower_stop: None };
     let mark = Mark { kind: MarkKind::Play, trigger: Some(Trigger::PULSE) };
-    let batch = Batch { epoch: 2, seq: 0, mark: Some(mark), base: onset, strokes: strokes() };
+    let batch = Batch { epoch: 2, seq: 0, mark: Some(mark), withdraw: None, base: onset, strokes: strokes() };
     let mut tap = Tap::default();
     // Widens the report's tick.
     tap.events.push((1, Event::Opened(1)));
