@@ -77,7 +77,7 @@ fn ended(id: u64, end: End) -> StreamEvent {
         end,
         cause: (end != End::Done).then_some("stop"),
         onset: Some(onset()),
-        bursts: BurstCounts { planned: 10, played: 6, late: 2, dropped: 2, refused: 0, amended: 1 },
+        bursts: BurstCounts { planned: 10, played: 6, late: 2, dropped: 2, refused: 0, replaced: 0, amended: 1 },
         pulses: PulseCounts { planned: 100, played: 60 },
         lateness: LateCounts { host: 1, ..LateCounts::default() },
         board: Some(PlayBoard { slack: Some(29), stalls: Some(1), usb_recoveries: None, output_faults: 0 }),

@@ -8,14 +8,14 @@ use meissner_array::strokes::{LiveStrokes, Strokes, StrokesError};
 #[derive(Clone, Debug)]
 pub enum Source {
     /// Compiled from a pattern or a sequence.
-    Compiled(Strokes),
+    Compiled(Box<Strokes>),
     /// Of a live play, which has one item and no end.
     Live(Box<LiveStrokes>),
 }
 
 impl From<Strokes> for Source {
     fn from(strokes: Strokes) -> Self {
-        Self::Compiled(strokes)
+        Self::Compiled(Box::new(strokes))
     }
 }
 

@@ -111,6 +111,7 @@ mod tests {
                 late: most,
                 dropped: most,
                 refused: most,
+                replaced: u64::MAX,
                 amended: most,
             }),
             pulses: Some(PulseCounts { planned: most, played: most }),

@@ -23,6 +23,7 @@ pub struct LiveUpdate {
 }
 
 /// What became of an update.
+#[expect(clippy::large_enum_variant, reason = "an update is boxed with it")]
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum LiveResult {
     /// It is not decided.
