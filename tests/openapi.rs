@@ -10,11 +10,11 @@ mod schema;
 use crate::harness::{Daemon, assert_up_to_date, next, problem};
 use meissner_api::route::{Answer, Body};
 use meissner_api::{
-    ArmRequest, CalibrateRequest, CalibrationReport, Code, DoctorReport, Event, ImportedPattern, Method,
-    PatternDetails, PatternList, PlayAccepted, PlayRequest, Problem, REFERENCE, Receipt, RemovedPattern,
-    RemovedTarget, ResetRequest, Route, Search, SearchRequest, SearchState, SequenceRequest, Session,
-    SessionList, SessionPlays, SessionRequest, SessionStarted, Status, StoredTarget, TargetDetails,
-    TargetList, TokenCreated, TokenInfo, TokenList, TokenRequest, openapi,
+    ArmRequest, CalibrateRequest, CalibrationReport, Code, DoctorReport, Event, ImportedPattern,
+    LiveAccepted, LiveAnswer, LiveRequest, Method, PatternDetails, PatternList, PlayAccepted, PlayRequest,
+    Problem, REFERENCE, Receipt, RemovedPattern, RemovedTarget, ResetRequest, Route, Search, SearchRequest,
+    SearchState, SequenceRequest, Session, SessionList, SessionPlays, SessionRequest, SessionStarted, Status,
+    StoredTarget, TargetDetails, TargetList, TokenCreated, TokenInfo, TokenList, TokenRequest, openapi,
 };
 use schema::check;
 use serde::de::DeserializeOwned;
@@ -137,6 +137,9 @@ fn every_route_has_examples_that_parse() {
         "ArmRequest" => drop(ArmRequest::parse(example.to_string().as_bytes()).unwrap()),
         "SequenceRequest" => drop(SequenceRequest::parse(example.to_string().as_bytes()).unwrap()),
         "PlayRequest" => drop(PlayRequest::parse(example.to_string().as_bytes()).unwrap()),
+        "LiveRequest" => drop(LiveRequest::parse(example.to_string().as_bytes()).unwrap()),
+        "LiveAccepted" => parses::<LiveAccepted>(example),
+        "LiveAnswer" => parses::<LiveAnswer>(example),
         "CalibrateRequest" => {
             let request = CalibrateRequest::parse(example.to_string().as_bytes()).unwrap();
             meissner::receipts::calibration_plan(&request).unwrap();

@@ -59,7 +59,7 @@ pub struct LiveRequest {
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schema(minimum = 0.1, maximum = 300.0)]
     pub max_frequency_hz: Option<f64>,
-    /// Updates per second that the line must carry; without it 50. More are taken as far as the line carries them.
+    /// The rate of updates that the line must carry, Hz; without it 50. More are taken as far as the line carries them.
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schema(minimum = 1.0, maximum = 1000.0)]
     pub updates_hz: Option<f64>,
@@ -90,8 +90,10 @@ pub struct LiveRequest {
 
 /// A live play was accepted.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
+#[schema(examples(json!({"id": 17, "path": "/v1/live/4d0f21c6a8e3b75940d1e2f3a4b5c6d7"})))]
 pub struct LiveAccepted {
     /// The play's id, as in events and receipts.
+    #[schema(minimum = 1)]
     pub id: u64,
     /// Where its connection is opened, once: the address has a key that only this answer names.
     pub path: String,
@@ -119,11 +121,11 @@ pub struct LiveMessage {
 /// When an update is on the pins.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct LiveApplied {
-    /// The device's tick when the message had come.
+    /// The device's clock when the message had come, ticks of 1/85000 s.
     pub received_tick: u64,
-    /// The tick from which strokes were replaced, each motor's from its next period on.
+    /// From when strokes were replaced, each motor's from its next period on, ticks of 1/85000 s.
     pub from_tick: u64,
-    /// Per motor: the tick from which it has its new drive; null: it had it before, or gets it with a later update.
+    /// Per motor: from when it has its new drive, ticks of 1/85000 s; null: it had it before, or gets it with a later update.
     pub ticks: Vec<Option<u64>>,
     /// How often the device got it too late for some motor, so that it was sent again.
     pub repeats: u32,
@@ -131,6 +133,7 @@ pub struct LiveApplied {
 
 /// The daemon's answer to a message: exactly one of the keys besides `seq`.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, ToSchema)]
+#[schema(examples(json!({"seq": 5, "merged_into": 7})))]
 pub struct LiveAnswer {
     /// The message's number; null: the answer is about the play.
     #[schema(required)]

@@ -434,13 +434,14 @@ impl LinkTraffic {
     "onset_latency_ms": 106.3,
     "offset": {"tick": 6442629900_u64, "monotonic_ns": 75795645882352_u64, "uncertainty_ns": 9600},
     "cut_after_ms": null,
+    "live": null,
     "duration_ms": {"ordered": 2000.0, "compiled": 1998.8, "played": 1998.8},
     "ordered": {"bursts": 1240, "pulses": 86800},
     "drives": [
         {"drive": 1, "motor": 9, "ordered_um": 80.0, "reached_um": 69.2, "surplus_um": 0.0, "strokes": 119}
     ],
     "warnings": [],
-    "bursts": {"planned": 1240, "played": 1238, "late": 2, "dropped": 0, "refused": 0, "amended": 1221},
+    "bursts": {"planned": 1240, "played": 1238, "late": 2, "dropped": 0, "refused": 0, "replaced": 0, "amended": 1221},
     "pulses": {"planned": 86800, "played": 86660},
     "lateness": {
         "host": 1, "link": 0, "device": 0, "worst_ms": 1.8,
