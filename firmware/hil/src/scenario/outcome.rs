@@ -4,13 +4,13 @@ use crate::judge::{Judged, differences};
 use crate::log::{Log, Train};
 use crate::scenario::{Scenario, Share};
 use firmware_protocol::tick::Tick;
-use meissner_array::strokes::Strokes;
+use meissner_stream::Source;
 use meissner_stream::cause_text;
 use meissner_stream::queues::{End, Outcome, StreamEvent};
 
 /// What the lines have to do if all strokes are played from `onset` on.
 #[must_use]
-pub fn compiled(strokes: &Strokes, onset: Tick) -> Log {
+pub fn compiled(strokes: &Source, onset: Tick) -> Log {
     let mut strokes = strokes.clone();
     strokes.begin(onset);
     let trains = strokes.flatten().flat_map(|stroke| {
