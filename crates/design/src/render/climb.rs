@@ -166,13 +166,14 @@ impl Climb<'_, '_> {
     fn batch(&mut self, points: Vec<Point>) -> Option<bool> {
         let new: Vec<Point> = points.into_iter().filter(|point| self.seen.insert(*point)).collect();
         let mut best: Option<Step> = None;
-        let mut all = true;
-        for batch in new.chunks(BATCH) {
-            let batch = &batch[..batch.len().min(self.meter.affordable())];
+        let (mut rest, mut all) = (&new[..], true);
+        while !rest.is_empty() {
+            let (batch, after) = rest.split_at(rest.len().min(BATCH).min(self.meter.affordable()));
             if batch.is_empty() {
                 all = false;
                 break;
             }
+            rest = after;
             let tried = self.meter.timed(batch.len(), || self.standing.try_all(batch.to_vec()));
             let duration_s = self.standing.aim().duration_s();
             tried.iter().for_each(|step| self.meter.spend(step.afferents, duration_s));

@@ -138,6 +138,19 @@ pub struct Rendered {
 }
 
 /// The renderer of a live target. It takes a few ms to make.
+///
+/// ```
+/// use meissner_design::{Limit, LiveBrief, Pose, Renderer, shipped};
+/// use std::time::{Duration, Instant};
+///
+/// let mut renderer = Renderer::new(&shipped("edge-45").unwrap(), LiveBrief::default())?;
+/// for number in 0..3 {
+///     let pose = Pose { x_mm: 0.6 * f64::from(number), y_mm: 0.0, angle_deg: 1.8 * f64::from(number) };
+///     let rendered = renderer.render(pose, Limit::Until(Instant::now() + Duration::from_millis(15)))?;
+///     assert!(rendered.reached.unwrap().value >= rendered.rule.unwrap().value);
+/// }
+/// # Ok::<(), meissner_design::RenderError>(())
+/// ```
 #[derive(Clone, Debug)]
 pub struct Renderer {
     target: Target,
