@@ -11,6 +11,7 @@
 
 use crate::goal::{Goal, Population};
 use crate::point::Point;
+use crate::shape::Shape;
 use crate::target::{Frame, Target};
 use meissner_array::pattern::Drive;
 use meissner_skin::afferent::{self, MIN_WEIGHT, Position};
@@ -20,6 +21,7 @@ use meissner_skin::{
     Stepping,
 };
 use rayon::prelude::*;
+use std::sync::Arc;
 
 const EVERY_DRIVE: &str = "a scene can have every drive of a space";
 
@@ -74,7 +76,7 @@ enum Afferents {
     /// A scene without drives.
     Membrane(Box<Scene>, Options),
     /// A scene of the second model, without drives.
-    Second(Box<fingertip::Scene>),
+    Second(Arc<fingertip::Scene>),
     /// The same, answered nearly.
     Near(Box<NearEvaluator>),
 }
@@ -82,14 +84,31 @@ enum Afferents {
 /// The value of a goal for a frame under one model, as a function of the point.
 #[derive(Clone, Debug)]
 pub struct Objective {
-    afferents: Afferents,
+    afferents: Arc<Afferents>,
     duration_s: f64,
     amplitude_um: f64,
     /// The times at which a point is played: once without end, or again and again for the frame's duration.
     times: Vec<(Option<f64>, Option<f64>)>,
     goal: Goal,
-    /// One after the other, in the order of the scene's afferents.
-    populations: Vec<Population>,
+    populations: Arc<Populations>,
+}
+
+/// The populations of a scene, one after the other in the order of its afferents: each with its number of afferents, and what the goal
+/// knows of it. None if it has no ON or no OFF afferents: it then does not count.
+#[derive(Clone, Debug)]
+pub(crate) struct Populations(Vec<(usize, Option<Population>)>);
+
+impl Populations {
+    /// The populations at these places, for a shape.
+    pub(crate) fn new(goal: Goal, shape: &Shape, reach_mm: f64, places: &[Vec<Position>]) -> Self {
+        let of = |places: &Vec<Position>| (places.len(), Population::new(goal, shape, reach_mm, places));
+        Self(places.iter().map(of).collect())
+    }
+
+    /// Those that have ON and OFF afferents.
+    pub(crate) fn counting(&self) -> impl Iterator<Item = &Population> {
+        self.0.iter().filter_map(|(_, population)| population.as_ref())
+    }
 }
 
 /// A goal for a frame, over the populations of some seeds. `noise_seed` seeds the threshold noise.
@@ -133,15 +152,31 @@ impl Objective {
     /// If no scene can have the fidelity's duration.
     #[must_use]
     pub fn under(model: ModelName, task: Task<'_>, fidelity: Fidelity) -> Self {
-        let Task { goal, target, frame, populations, noise_seed } = task;
-        let (mut seeds, mut kept) = (Vec::new(), Vec::new());
-        for &seed in populations {
-            let positions = afferent::population(seed);
-            if let Some(population) = Population::new(goal, &frame.shape, target.reach_mm(), &positions) {
-                kept.push(population);
-                seeds.push(seed);
-            }
-        }
+        let places: Vec<_> = task.populations.iter().map(|&seed| afferent::population(seed)).collect();
+        let Populations(of) = Populations::new(task.goal, &task.frame.shape, task.target.reach_mm(), &places);
+        let kept = task.populations.iter().zip(of).filter(|(_, (_, population))| population.is_some());
+        let (seeds, kept): (Vec<u64>, _) = kept.unzip();
+        Self::over(model, Task { populations: &seeds, ..task }, Populations(kept), fidelity)
+    }
+
+    /// The same over all populations, also those that have no ON or no OFF afferents in this frame: for [`Self::with_populations`].
+    pub(crate) fn anywhere(
+        model: ModelName,
+        task: Task<'_>,
+        places: &[Vec<Position>],
+        fidelity: Fidelity,
+    ) -> Self {
+        let populations = Populations::new(task.goal, &task.frame.shape, task.target.reach_mm(), places);
+        Self::over(model, task, populations, fidelity)
+    }
+
+    /// The same afferents with another shape. Nothing is simulated.
+    pub(crate) fn with_populations(&self, populations: Arc<Populations>) -> Self {
+        Self { populations, ..self.clone() }
+    }
+
+    fn over(model: ModelName, task: Task<'_>, kept: Populations, fidelity: Fidelity) -> Self {
+        let Task { goal, target, frame, populations: seeds, noise_seed } = task;
         let duration_s = fidelity.duration_s;
         let afferents = match model {
             ModelName::Membrane => {
@@ -163,7 +198,7 @@ impl Objective {
                     .min_share
                     .and_then(|min_share| NearEvaluator::new(&scene, target.amplitude_um(), min_share));
                 near.map_or_else(
-                    || Afferents::Second(Box::new(scene)),
+                    || Afferents::Second(Arc::new(scene)),
                     |near| Afferents::Near(Box::new(near)),
                 )
             }
@@ -177,7 +212,8 @@ impl Objective {
             }
         };
         let amplitude_um = target.amplitude_um();
-        Self { afferents, duration_s, amplitude_um, times, goal, populations: kept }
+        let (afferents, populations) = (Arc::new(afferents), Arc::new(kept));
+        Self { afferents, duration_s, amplitude_um, times, goal, populations }
     }
 
     /// Simulates a point with all afferents.
@@ -186,25 +222,31 @@ impl Objective {
     /// If the method cannot simulate the target's afferents.
     pub fn at(&self, point: Point) -> Result<Incumbent<'_>, MethodError> {
         let drives = self.drives(&point);
-        let (score, simulated) = match &self.afferents {
+        let simulated = match &*self.afferents {
             Afferents::Membrane(scene, options) => {
                 let evaluator = Evaluator::new(scene.with_drives(drives).expect(EVERY_DRIVE), *options)?;
-                (self.score(evaluator.counts()), Simulated::Membrane(Box::new(evaluator)))
+                Simulated::Membrane(Box::new(evaluator))
             }
-            Afferents::Second(scene) => (self.score(&counts(scene, drives)), Simulated::Second(scene)),
+            Afferents::Second(scene) => Simulated::Second(Arc::clone(scene), counts(scene, drives)),
             Afferents::Near(at_rest) => {
                 let mut evaluator = at_rest.clone();
                 evaluator.accept(evaluator.evaluate(&drives).expect(EVERY_DRIVE));
-                (self.score(evaluator.counts()), Simulated::Near(evaluator))
+                Simulated::Near(evaluator)
             }
         };
-        Ok(Incumbent { objective: self, point, score, simulated })
+        Ok(self.answered(Answered { point, simulated }))
+    }
+
+    /// An answer of the same afferents, as the incumbent. Nothing is simulated: counts do not depend on the shape.
+    pub(crate) fn answered(&self, answered: Answered) -> Incumbent<'_> {
+        let Answered { point, simulated } = answered;
+        Incumbent { objective: self, point, score: self.score(simulated.counts()), simulated }
     }
 
     /// The number of afferents in all populations.
     #[must_use]
     pub fn afferents(&self) -> usize {
-        match &self.afferents {
+        match &*self.afferents {
             Afferents::Membrane(scene, _) => scene.afferents().len(),
             Afferents::Second(scene) => scene.afferents().len(),
             Afferents::Near(evaluator) => evaluator.counts().len(),
@@ -222,13 +264,16 @@ impl Objective {
         self.times.iter().flat_map(played).collect()
     }
 
-    fn score(&self, mut counts: &[u64]) -> Score {
-        let mut sum = Score::default();
+    /// The score of counts, one for each afferent.
+    pub(crate) fn score(&self, mut counts: &[u64]) -> Score {
+        let (mut sum, mut counting) = (Score::default(), 0_u32);
         let duration_s = self.duration_s();
-        for population in &self.populations {
-            let partition = population.partition();
-            let (own, rest) = counts.split_at(partition.on().len());
+        for (afferents, population) in &self.populations.0 {
+            let (own, rest) = counts.split_at(*afferents);
             counts = rest;
+            let Some(population) = population else { continue };
+            counting += 1;
+            let partition = population.partition();
             let [off, on] = population.sums(own);
             sum.on_hz += on as f64 / partition.on_count() as f64;
             sum.off_hz += off as f64 / partition.off_count() as f64;
@@ -236,7 +281,7 @@ impl Objective {
                 sum.value += population.value(self.goal, own, duration_s);
             }
         }
-        let count = self.populations.len().max(1) as f64;
+        let count = f64::from(counting.max(1));
         let (on_hz, off_hz) = (sum.on_hz / (count * duration_s), sum.off_hz / (count * duration_s));
         // The contrast of the means: a mean of contrasts would differ by rounding.
         let value = if self.goal == Goal::Contrast { on_hz - off_hz } else { sum.value / count };
@@ -253,21 +298,39 @@ fn counts(scene: &fingertip::Scene, drives: Vec<Drive>) -> Vec<u64> {
 
 /// How points near an incumbent are simulated.
 #[derive(Clone, Debug)]
-enum Simulated<'o> {
+enum Simulated {
     /// What the incumbent's answer has in common with theirs is kept.
     Membrane(Box<Evaluator>),
-    /// Each anew: every pin moves the skin under all others, so nothing of an answer holds for another point.
-    Second(&'o fingertip::Scene),
+    /// Each anew: every pin moves the skin under all others, so nothing of an answer holds for another point. The counts are the
+    /// incumbent's.
+    Second(Arc<fingertip::Scene>, Vec<u64>),
     /// As in the first model; small influences count as none.
     Near(Box<NearEvaluator>),
+}
+
+impl Simulated {
+    fn counts(&self) -> &[u64] {
+        match self {
+            Self::Membrane(evaluator) => evaluator.counts(),
+            Self::Second(_, counts) => counts,
+            Self::Near(evaluator) => evaluator.counts(),
+        }
+    }
+}
+
+/// A point, and how points near it are simulated: an [`Incumbent`] without its shape.
+#[derive(Clone, Debug)]
+pub(crate) struct Answered {
+    point: Point,
+    simulated: Simulated,
 }
 
 /// The part of an answer that differs from the incumbent's.
 #[derive(Clone, Debug)]
 enum Differing {
     Membrane(Box<Candidate>),
-    /// Nothing is kept.
-    Second,
+    /// All counts.
+    Second(Vec<u64>),
     Near(Box<NearCandidate>),
 }
 
@@ -277,7 +340,7 @@ pub struct Incumbent<'o> {
     objective: &'o Objective,
     point: Point,
     score: Score,
-    simulated: Simulated<'o>,
+    simulated: Simulated,
 }
 
 /// Another point, with its score.
@@ -293,6 +356,16 @@ pub struct Tried {
 }
 
 impl Incumbent<'_> {
+    /// The number of spikes of each afferent.
+    pub(crate) fn counts(&self) -> &[u64] {
+        self.simulated.counts()
+    }
+
+    /// The point and its answer, for an objective with the same afferents and another shape.
+    pub(crate) fn into_answered(self) -> Answered {
+        Answered { point: self.point, simulated: self.simulated }
+    }
+
     /// The point.
     #[must_use]
     pub const fn point(&self) -> &Point {
@@ -315,8 +388,9 @@ impl Incumbent<'_> {
                     let candidate = evaluator.evaluate(&drives).expect(EVERY_DRIVE);
                     (candidate.counts(), candidate.simulated(), Differing::Membrane(Box::new(candidate)))
                 }
-                Simulated::Second(scene) => {
-                    (counts(scene, drives), scene.afferents().len(), Differing::Second)
+                Simulated::Second(scene, _) => {
+                    let counts = counts(scene, drives);
+                    (counts.clone(), scene.afferents().len(), Differing::Second(counts))
                 }
                 Simulated::Near(evaluator) => {
                     let candidate = evaluator.evaluate(&drives).expect(EVERY_DRIVE);
@@ -334,7 +408,7 @@ impl Incumbent<'_> {
         match (&mut self.simulated, tried.differing) {
             (Simulated::Membrane(evaluator), Differing::Membrane(candidate)) => evaluator.accept(*candidate),
             (Simulated::Near(evaluator), Differing::Near(candidate)) => evaluator.accept(*candidate),
-            (Simulated::Second(_), Differing::Second) => {}
+            (Simulated::Second(_, own), Differing::Second(counts)) => *own = counts,
             _ => unreachable!("a point is tried as its incumbent is simulated"),
         }
     }
