@@ -157,9 +157,10 @@ fn bad_messages_change_nothing_and_say_why() {
     assert_eq!(lines.applied(5).ticks, vec![None; 24], "the refused messages have changed nothing");
     lines.send(&json!({"seq": 5, "scale": 0.2}));
     assert!(lines.answer().problem.unwrap().detail.contains("must be above that of the message before"));
-    // Others wait behind it, or stop it.
+    // It is alone: nothing is queued behind it, nor is another one.
     let play = json!({"pattern": "edge-45", "seconds": 1.0});
     assert_eq!(problem(client.post("/v1/play", &play)).code, "behind-endless");
+    assert_eq!(refused(&mut client, json!({"drives": [drive(9, 20.0)]})).code, "playing");
     let _: Status = client.post("/v1/stop", &json!({})).unwrap();
     assert_eq!(lines.answer().ended.as_deref(), Some("stop"));
 }
@@ -190,6 +191,44 @@ fn updates_over_tcp_come_through_a_websocket() {
     while socket.read().is_ok() {}
     let receipt = ended(&mut events);
     assert_eq!((receipt.cause.as_deref(), receipt.live.unwrap().applied), (Some("stop"), 20));
+}
+
+/// Thousands of lines in one write: each is answered or the connection ends, and others have their turn meanwhile.
+#[test]
+fn a_flood_of_lines_keeps_nobody_waiting() {
+    let daemon = Daemon::start();
+    daemon.armed();
+    let mut events = daemon.client().events().unwrap();
+    let accepted = start(&daemon, json!({"drives": [drive(9, 80.0)]}));
+    let mut lines = Lines::open(&daemon, &accepted.path);
+    let flood: String =
+        (1..=5_000).map(|seq| format!("{}\n", json!({"seq": seq, "drives": [drive(9, 40.0)]}))).collect();
+    let mut writer = lines.0.get_ref().try_clone().unwrap();
+    let writing = thread::spawn(move || writer.write_all(flood.as_bytes()));
+    let (mut applied, mut merged, mut busy, mut last) = (0, 0, 0, 0);
+    while last < 5_000 {
+        let answer = lines.answer();
+        match (answer.applied, answer.merged_into, answer.problem) {
+            (Some(_), None, None) => applied += 1,
+            (None, Some(into), None) => {
+                assert!(answer.seq.unwrap() < into);
+                merged += 1;
+            }
+            (None, None, Some(problem)) => {
+                assert_eq!(problem.code, "busy");
+                busy += 1;
+            }
+            other => panic!("{other:?}"),
+        }
+        last = last.max(answer.seq.unwrap());
+        assert_eq!(daemon.client().get::<Status>("/v1/status").unwrap().state, "armed");
+    }
+    writing.join().unwrap().unwrap();
+    lines.send(&json!({"seq": 6_000, "end": true}));
+    while lines.answer().ended.is_none() {}
+    let receipt = ended(&mut events);
+    assert!(applied > 0 && applied + merged + busy <= 5_000, "{applied} {merged} {busy}");
+    assert_eq!(receipt.bursts.unwrap().late, 0);
 }
 
 #[test]

@@ -10,6 +10,8 @@ use super::engine::{Engine, TIMEOUT, answer};
 use super::http::{Answer, App, ErrorResponse, path};
 use super::play::trigger;
 use super::request_log::LoggedRequest;
+use super::runtime::computing;
+use super::sessions::token;
 use super::state::{LivePlay, NewLive, Trial, Way};
 use crate::exposure::Vibration;
 use crate::session_record::Peer;
@@ -36,11 +38,18 @@ use std::sync::Arc;
 use std::time::Duration;
 use tokio::io::{AsyncRead, AsyncReadExt, AsyncWrite, AsyncWriteExt};
 use tokio::sync::mpsc;
+use tokio::time::timeout;
+
+/// How long a client may leave its answers unread.
+const UNREAD: Duration = Duration::from_secs(1);
+/// Lines of JSON carried out before others have their turn.
+const LINES: usize = 16;
 
 /// Starts a live play.
 pub(super) async fn start(
     State(app): State<App>,
     Extension(peer): Extension<Peer>,
+    headers: HeaderMap,
     body: Body,
 ) -> Answer<(StatusCode, Json<LiveAccepted>)> {
     let mut logged = LoggedRequest::new(&app.engine, "live", peer);
@@ -48,7 +57,8 @@ pub(super) async fn start(
         let mut request = LiveRequest::parse(&body::read_command(body).await?)?;
         request.session = app.engine.lock().session_of_play(request.session.as_deref())?;
         logged.set_arguments(&request);
-        let accepted = app.engine.start_live(&request, peer).await?;
+        let token = token(&headers).map(str::to_owned);
+        let accepted = app.engine.start_live(&request, token, peer).await?;
         logged.set_play(accepted.id);
         Ok((StatusCode::ACCEPTED, Json(accepted)))
     }
@@ -57,7 +67,12 @@ pub(super) async fn start(
 }
 
 impl Engine {
-    async fn start_live(&self, request: &LiveRequest, client: Peer) -> Result<LiveAccepted, Problem> {
+    async fn start_live(
+        &self,
+        request: &LiveRequest,
+        token: Option<String>,
+        client: Peer,
+    ) -> Result<LiveAccepted, Problem> {
         let (settings, surplus) = {
             let state = self.lock();
             (state.settings, state.surplus())
@@ -65,9 +80,12 @@ impl Engine {
         let options =
             StrokeOptions { scale: request.scale.unwrap_or(1.0), surplus, ..StrokeOptions::default() };
         let most_hz = request.most_hz();
-        let live = LivePlay::new(&request.drives, options, most_hz)?;
+        let live = LivePlay::new(&request.drives, options, most_hz, token)?;
         let waves = live.waves()?;
-        let bandwidth = Bandwidth::of_live(most_hz, request.updates_hz.unwrap_or(50.0), &settings)
+        let updates_hz = request.updates_hz.unwrap_or(50.0);
+        // It walks a minute of strokes.
+        let bandwidth = computing(move || Bandwidth::of_live(most_hz, updates_hz, &settings))
+            .await?
             .map_err(|error| Problem::new(Code::BadRequest, error.to_string()))?;
         let timeout = Duration::from_secs_f64(request.timeout_ms.unwrap_or(LIVE_TIMEOUT_MS) / 1000.0);
         let LiveRequest { late, replace, open_loop, .. } = *request;
@@ -142,7 +160,7 @@ pub(super) async fn connect(
     let (id, answers) = engine.lock().live.connect(&key)?;
     match websocket {
         Ok(upgrade) if !speaks_lines => {
-            let upgrade = upgrade.max_message_size(MAX_LIVE_MESSAGE);
+            let upgrade = upgrade.max_message_size(MAX_LIVE_MESSAGE).max_frame_size(MAX_LIVE_MESSAGE);
             Ok(upgrade.on_upgrade(move |socket| async move {
                 speak_websocket(&engine, id, socket, answers).await;
                 engine.end_live(id);
@@ -189,7 +207,8 @@ async fn speak_websocket(
         let is_over = answer.ended.is_some();
         // Plain data can be written.
         let text = serde_json::to_string(&answer).unwrap_or_default();
-        if socket.send(Message::text(text)).await.is_err() || is_over {
+        let sent = timeout(UNREAD, socket.send(Message::text(text))).await;
+        if !matches!(sent, Ok(Ok(()))) || is_over {
             return;
         }
     }
@@ -204,25 +223,37 @@ async fn speak_lines(
 ) -> io::Result<()> {
     let connection = pin!(connection);
     let (mut from, mut to) = tokio::io::split(connection);
-    let mut bytes = Vec::new();
+    // What was read, and how much of it is carried out.
+    let (mut bytes, mut done) = (Vec::new(), 0);
     loop {
         let mut out = Vec::new();
         let mut is_over = false;
+        // Other clients wait meanwhile: a few lines at a time.
+        for _ in 0..LINES {
+            let Some(length) = bytes[done..].iter().position(|&byte| byte == b'\n') else { break };
+            let line = bytes[done..done + length].trim_ascii();
+            let answer = engine.live_message(id, line, HostInstant::now());
+            answer.iter().for_each(|answer| write_line(answer, &mut out));
+            done += length + 1;
+        }
+        if bytes[done..].contains(&b'\n') {
+            write(&mut to, &out).await?;
+            tokio::task::yield_now().await;
+            continue;
+        }
+        bytes.drain(..std::mem::take(&mut done));
+        if bytes.len() > MAX_LIVE_MESSAGE {
+            let problem = Problem::new(Code::TooLarge, "a message has more than 65536 bytes: send less");
+            write_line(&LiveAnswer::refused(None, problem), &mut out);
+            write(&mut to, &out).await?;
+            return to.shutdown().await;
+        }
+        write(&mut to, &out).await?;
+        out.clear();
         tokio::select! {
             read = from.read_buf(&mut bytes) => {
-                let received_at = HostInstant::now();
                 if read? == 0 {
                     return Ok(());
-                }
-                while let Some(end) = bytes.iter().position(|&byte| byte == b'\n') {
-                    let line: Vec<u8> = bytes.drain(..=end).collect();
-                    let answer = engine.live_message(id, line.trim_ascii(), received_at);
-                    answer.iter().for_each(|answer| write_line(answer, &mut out));
-                }
-                if bytes.len() > MAX_LIVE_MESSAGE {
-                    let problem = Problem::new(Code::TooLarge, "a message has more than 65536 bytes: send less");
-                    write_line(&LiveAnswer::refused(None, problem), &mut out);
-                    is_over = true;
                 }
             }
             answer = answers.recv() => match answer {
@@ -233,11 +264,16 @@ async fn speak_lines(
                 None => return Ok(()),
             },
         }
-        to.write_all(&out).await?;
+        write(&mut to, &out).await?;
         if is_over {
             return to.shutdown().await;
         }
     }
+}
+
+/// Writes to a client that reads.
+async fn write(to: &mut (impl AsyncWrite + Unpin), bytes: &[u8]) -> io::Result<()> {
+    timeout(UNREAD, to.write_all(bytes)).await?
 }
 
 fn write_line(answer: &LiveAnswer, out: &mut Vec<u8>) {

@@ -79,11 +79,12 @@ pub(super) fn text(receipts: &Receipts, clients: &Counts) -> String {
         [("{end=\"done\"}", done), ("{end=\"stopped\"}", stopped), ("{end=\"aborted\"}", aborted)];
     text.family("plays_total", "counter", "Plays that ended.", plays);
     let bursts = &totals.bursts;
-    let fates: [(_, &dyn Display); 4] = [
+    let fates: [(_, &dyn Display); 5] = [
         ("{fate=\"played\"}", &bursts.played),
         ("{fate=\"late\"}", &bursts.late),
         ("{fate=\"dropped\"}", &bursts.dropped),
         ("{fate=\"refused\"}", &bursts.refused),
+        ("{fate=\"replaced\"}", &bursts.replaced),
     ];
     text.family("bursts_total", "counter", "Planned bursts of ended plays, by their fate.", fates);
     text.counter("bursts_amended_total", "Bursts played with a corrected pulse count.", &bursts.amended);

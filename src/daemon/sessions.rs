@@ -34,7 +34,7 @@ use std::time::Duration;
 /// How long a reader of the record waits until the newest entries are written.
 const WRITTEN: Duration = Duration::from_secs(1);
 
-fn token(headers: &HeaderMap) -> Option<&str> {
+pub(super) fn token(headers: &HeaderMap) -> Option<&str> {
     if let Some(token) = headers.get(SESSION_HEADER) {
         return token.to_str().ok();
     }

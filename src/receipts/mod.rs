@@ -98,6 +98,9 @@ pub struct Receipts {
 impl Receipts {
     /// Adds a play that is about to be sent to the streamer.
     pub fn add(&mut self, receipt: Receipt) {
+        if receipt.live.is_some() {
+            self.updates.insert(receipt.id, LiveAccount::default());
+        }
         self.sent.push(receipt);
     }
 
@@ -180,7 +183,9 @@ impl Receipts {
                 Some(Event::Refused { id: *id, stroke })
             }
             StreamEvent::LiveUpdated(update) => {
-                self.updates.entry(update.id).or_default().add(update);
+                if let Some(account) = self.updates.get_mut(&update.id) {
+                    account.add(update);
+                }
                 None
             }
             StreamEvent::PlayEnded { id, outcome } => self.ended(*id, outcome),

@@ -301,9 +301,9 @@ impl Route {
             },
             Self::Live => Operation {
                 summary: "Start a live play, whose drives change while it runs",
-                description: "The daemon answers when the streamer has taken the play. Its client then opens the connection at `path`, \
-                              within 2 s, and sends updates. The play ends when the client ends it, closes the connection \
-                              or is silent for `timeout_ms`: the pins return. No play can be queued behind it.",
+                description: "The daemon answers when the streamer has taken the play. Its client then opens the connection at `path` \
+                              and sends updates, the first within 2 s. The play ends when the client ends it, closes the connection \
+                              or is silent for `timeout_ms`: the pins return. It cannot be queued, nor another play behind it.",
                 body: Body::Json("LiveRequest"),
                 statuses: ACCEPTED,
                 answer: Answer::Json("LiveAccepted"),

@@ -31,8 +31,8 @@ const FRAME_BYTES: usize = 24;
 const MARK_BYTES: usize = 6;
 /// Most bytes that a withdrawal adds to its frame.
 const WITHDRAW_BYTES: usize = 8;
-/// Amplitude of the drives of a live play that count, µm: two bytes for the pulses of a stroke.
-const LIVE_UM: f64 = 100.0;
+/// Least amplitude of the drives of a live play that count, µm: two bytes for the pulses of a stroke.
+const LEAST_UM: f64 = 40.0;
 /// Most bytes of an amendment message without items (header, first up tick), and of an item: up tick within 12 s, count.
 const AMEND_FRAME_BYTES: usize = 21;
 const AMEND_BYTES: usize = 6;
@@ -85,8 +85,14 @@ impl Bandwidth {
     /// # Errors
     /// If the frequency is out of a motor's range.
     pub fn of_live(most_hz: f64, updates_hz: f64, settings: &Settings) -> Result<Self, MotorError> {
-        let wave = SquareWave::new(most_hz, LIVE_UM, 0.0)?;
-        let mut strokes = LiveStrokes::new([wave; MOTORS]);
+        let silent = SquareWave::new(most_hz, 0.0, 0.0)?;
+        let mut waves = [silent; MOTORS];
+        // Neighbouring strokes differ, so that the packer cannot shorten them.
+        for (motor, wave) in waves.iter_mut().enumerate() {
+            let motor = motor as f64;
+            *wave = SquareWave::new(most_hz, LEAST_UM + motor, motor / MOTORS as f64)?;
+        }
+        let mut strokes = LiveStrokes::new(waves);
         let mut whole = Self::of_source(Source::Live(Box::new(strokes.clone())), settings);
         strokes.begin(Tick(0));
         let ahead = Tick(ms_in_ticks(settings.lead_ms) as u64 + batch_ticks(settings));

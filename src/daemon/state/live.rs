@@ -14,8 +14,10 @@ use meissner_stream::time::HostInstant;
 use std::collections::HashMap;
 use tokio::sync::mpsc;
 
+/// Updates that are under way to the streamer at most: its event queue must never fill.
+const UNDER_WAY: usize = 32;
 /// Answers that wait for a client at most; one that reads none loses those beyond.
-const ANSWERS: usize = 256;
+const ANSWERS: usize = 4 * UNDER_WAY;
 
 /// A live play that is not over.
 #[derive(Debug)]
@@ -26,6 +28,9 @@ pub(in crate::daemon) struct LivePlay {
     options: StrokeOptions,
     most_hz: f64,
     seq: Option<u64>,
+    under_way: usize,
+    /// The token of the session's owner, if its client has shown one: each message shows that the owner is there.
+    token: Option<String>,
     answers: Option<mpsc::Sender<LiveAnswer>>,
 }
 
@@ -42,6 +47,7 @@ impl LivePlay {
         drives: &[LiveDrive],
         options: StrokeOptions,
         most_hz: f64,
+        token: Option<String>,
     ) -> Result<Self, Problem> {
         let no_numbers =
             || Problem::new(Code::Store, "the system gives no random numbers for the key: try again");
@@ -53,7 +59,8 @@ impl LivePlay {
             phase: 0.0,
         };
         let silent = std::array::from_fn(silent);
-        let mut new = Self { key, drives: silent, options, most_hz, seq: None, answers: None };
+        let mut new =
+            Self { key, drives: silent, options, most_hz, seq: None, under_way: 0, token, answers: None };
         new.set(drives)?;
         Ok(new)
     }
@@ -74,6 +81,14 @@ impl LivePlay {
             self.drives[usize::from(drive.motor)] = *drive;
         }
         Ok(())
+    }
+
+    /// Takes over what a message changes; returns the waves of all motors.
+    fn change(&mut self, message: &LiveMessage) -> Result<[SquareWave; MOTORS], Problem> {
+        self.set(message.drives.as_deref().unwrap_or_default())?;
+        self.options.scale = message.scale.unwrap_or(self.options.scale);
+        self.seq = Some(message.seq);
+        self.waves()
     }
 
     /// The largest amplitude, µm.
@@ -129,11 +144,12 @@ impl LivePlays {
     pub(super) fn follow(&mut self, event: &StreamEvent) {
         match event {
             StreamEvent::LiveUpdated(update) => {
-                let Some(answers) = self.0.get(&update.id).and_then(|play| play.answers.as_ref()) else {
-                    return;
-                };
+                let Some(play) = self.0.get_mut(&update.id) else { return };
+                play.under_way = play.under_way.saturating_sub(1);
                 // A client that does not read its answers loses them.
-                let _ = answers.try_send(answer(update));
+                if let Some(answers) = &play.answers {
+                    let _ = answers.try_send(answer(update));
+                }
             }
             StreamEvent::PlayEnded { id, outcome } => {
                 if let Some(answers) = self.0.remove(id).and_then(|play| play.answers) {
@@ -163,7 +179,10 @@ fn answer(update: &LiveUpdate) -> LiveAnswer {
 }
 
 impl State {
-    /// Carries out a message of a live play's client. Returns the answer if there is one at once.
+    /// Carries out a message of a live play's client, whose answer comes later.
+    ///
+    /// # Errors
+    /// Why it changes nothing.
     pub(in crate::daemon) fn live_message(
         &mut self,
         id: u64,
@@ -172,28 +191,33 @@ impl State {
     ) -> Result<(), Problem> {
         let over = || Problem::new(Code::NotFound, "the live play is over: the message changed nothing");
         let play = self.live.0.get_mut(&id).ok_or_else(over)?;
+        self.sessions.hear(play.token.as_deref());
         if play.seq.is_some_and(|last| message.seq <= last) {
-            let detail = format!(
-                "`seq` is {}: must be above that of the message before, {}",
-                message.seq,
-                play.seq.unwrap_or(0)
-            );
+            let last = play.seq.unwrap_or(0);
+            let detail =
+                format!("`seq` is {}: must be above that of the message before, {last}", message.seq);
             return Err(Problem::new(Code::BadRequest, detail));
         }
-        let before = (play.drives, play.options.scale);
-        play.set(message.drives.as_deref().unwrap_or_default())?;
-        play.options.scale = message.scale.unwrap_or(play.options.scale);
-        let (largest_um, changes) = (play.largest_um(), message.drives.is_some() || message.scale.is_some());
-        let waves = play.waves();
-        let checked = self.check_amplitude("the live play", largest_um).and(waves);
-        let Some(play) = self.live.0.get_mut(&id) else { return Ok(()) };
-        let waves = checked.inspect_err(|_| (play.drives, play.options.scale) = before)?;
-        play.seq = Some(message.seq);
-        let mut update = LiveUpdate::new(id, message.seq, received_at);
-        if changes {
-            update.waves = waves.map(Some);
+        let before = (play.drives, play.options.scale, play.seq);
+        let changed = play.change(message);
+        let (largest_um, full) = (play.largest_um(), play.under_way >= UNDER_WAY);
+        let busy = || Problem::new(Code::Busy, "too many updates are under way: wait for their answers");
+        let sent = changed.and_then(|waves| {
+            self.check_amplitude("the live play", largest_um)?;
+            let mut update = LiveUpdate::new(id, message.seq, received_at);
+            if message.drives.is_some() || message.scale.is_some() {
+                update.waves = waves.map(Some);
+            }
+            let command = Command::UpdateLive(Box::new(update));
+            if full { Err(busy()) } else { self.commands.send_unanswered(command).map_err(|_| busy()) }
+        });
+        if let Some(play) = self.live.0.get_mut(&id) {
+            match &sent {
+                Ok(()) => play.under_way += 1,
+                // A message that is refused changes nothing.
+                Err(_) => (play.drives, play.options.scale, play.seq) = before,
+            }
         }
-        let busy = |_| Problem::new(Code::Busy, "too many commands wait: send fewer updates");
-        self.commands.send_unanswered(Command::UpdateLive(Box::new(update))).map_err(busy)
+        sent
     }
 }

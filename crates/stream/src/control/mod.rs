@@ -257,7 +257,7 @@ impl PositionControl {
     pub(super) fn replace(&mut self, motors: u32, from: Tick) {
         self.replacement.begin(motors, from);
         for motor in self.motors.iter_mut().zip(0..).filter(|(_, index)| motors >> index & 1 == 1) {
-            motor.0.take_from(from, |queued| self.replacement.keep(queued));
+            motor.0.take_from(from, |queued| self.replacement.hold(queued));
         }
     }
 
@@ -287,6 +287,15 @@ impl PositionControl {
         if self.replacement.withdrawn(motor, up) {
             return;
         }
+        if let Some(motor) = self.motor(motor) {
+            motor.withdrawn(up);
+        }
+    }
+
+    /// The device has refused a stroke as it began.
+    pub(super) fn refused_as_begun(&mut self, motor: u8, up: Tick) {
+        // The one that it replaced may have begun at the same tick: neither is played.
+        self.replacement.withdrawn(motor, up);
         if let Some(motor) = self.motor(motor) {
             motor.withdrawn(up);
         }

@@ -3,8 +3,7 @@
 //! A frame that comes too late withdraws nothing: then the old strokes are played, and position control must know them again. At most
 //! one replacement per motor is under way.
 //!
-//! Invariant: verdicts come in the order of the frames, so until the answer every verdict on a stroke of such a motor from the
-//! replacement's first tick on concerns one that is kept here.
+//! Invariant: frames are judged in order. So until the answer, verdicts of frames on strokes of such a motor concern old strokes.
 
 use super::queued::Queued;
 use firmware_protocol::controller::POOL;
@@ -49,8 +48,8 @@ impl Replacement {
         self.from
     }
 
-    /// Keeps a stroke. Beyond the bound, which no device reaches, it is forgotten, as if the device had withdrawn it.
-    pub(super) fn keep(&mut self, queued: Queued) {
+    /// Holds a stroke. Beyond the bound, which no device reaches, it is forgotten, as if the device had withdrawn it.
+    pub(super) fn hold(&mut self, queued: Queued) {
         if self.strokes.len() < self.strokes.capacity() {
             self.strokes.push(queued);
         }

@@ -1,6 +1,7 @@
 //! An update of a live play, on its way to the streamer and back.
 //!
-//! Invariant: each update taken comes back in exactly one [`super::StreamEvent::LiveUpdated`], to be dropped outside the thread.
+//! Invariant: each update taken comes back in one [`super::StreamEvent::LiveUpdated`], to be dropped outside the thread, unless the
+//! event queue is full. Who sends updates bounds how many are under way.
 
 use crate::time::HostInstant;
 use firmware_protocol::stroke::MOTORS;
@@ -50,6 +51,17 @@ pub struct Applied {
     pub motors: [Option<Tick>; MOTORS],
     /// How often a frame came too late for some motor, and was sent again.
     pub repeats: u32,
+}
+
+impl Applied {
+    /// The same for all motors but these (bit by bit), which get their drives later.
+    #[must_use]
+    pub(crate) fn without(mut self, motors: u32) -> Self {
+        for (motor, from) in self.motors.iter_mut().enumerate() {
+            *from = from.filter(|_| motors >> motor & 1 == 0);
+        }
+        self
+    }
 }
 
 impl LiveUpdate {

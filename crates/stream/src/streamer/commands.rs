@@ -168,6 +168,10 @@ impl Streamer {
         if queued().count() > MAX_QUEUED_PLAYS || held {
             return Err(CommandError::QueueFull);
         }
+        // Its client must see at once what it does.
+        if play.live.is_some() && queued().next().is_some() {
+            return Err(CommandError::Playing);
+        }
         let last = queued().next_back();
         if last.is_some_and(|last| last.play.strokes.end().is_none()) {
             return Err(CommandError::BehindEndless);

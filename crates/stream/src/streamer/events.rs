@@ -110,7 +110,7 @@ impl Streamer {
                 self.snapshot_due = now;
             }
             Event::StrokeRefused { motor, up, reason } => {
-                self.control.withdrawn(motor, up);
+                self.control.refused_as_begun(motor, up);
                 let Self { plays, control, .. } = self;
                 if let Some(active) = owner(plays, up) {
                     active.refused_as_begun(up, |span| control.span(span));

@@ -4,7 +4,9 @@
 //! The device withdraws a motor's strokes from a tick a few milliseconds ahead and queues the new ones, or, if the frame comes
 //! too late, keeps the old ones; then the motor's update is sent again, farther ahead.
 //!
-//! Invariant: an update that is taken comes back in one [`StreamEvent::LiveUpdated`].
+//! A live play is always alone: it is not queued, and nothing is queued behind it.
+//!
+//! Invariant: an update that is taken comes back in one [`StreamEvent::LiveUpdated`], at the latest when its play ends.
 
 use crate::active::{Active, Phase};
 use crate::queues::{Applied, CommandError, Emit, End, LiveResult, LiveUpdate, StreamEvent};
@@ -32,6 +34,8 @@ const CLIENT_SILENT: &str = "client-silent";
 /// The updates of the live play that is playing.
 #[derive(Debug, Default)]
 pub(super) struct Live {
+    /// The play that the rest is about.
+    of: Option<u64>,
     /// The update that waits, and the one under way.
     waiting: Option<Box<LiveUpdate>>,
     sent: Option<Box<LiveUpdate>>,
@@ -43,7 +47,7 @@ pub(super) struct Live {
     /// Room for delays besides [`AHEAD`], ticks: grows when a frame came too late.
     spare: u64,
     /// The play ends if its client is silent until then.
-    deadline: Option<(u64, HostInstant)>,
+    deadline: HostInstant,
 }
 
 /// The bits of a mask.
@@ -63,14 +67,19 @@ impl Streamer {
             return;
         };
         let timeout = active.play.live.unwrap_or_default();
-        self.live.deadline = Some((update.id, now + timeout));
+        self.follow(update.id, now, timeout, emit);
+        self.live.deadline = now + timeout;
         let mut update = update;
-        if let Some(mut old) = self.live.waiting.take() {
-            for (new, old) in update.waves.iter_mut().zip(&mut old.waves) {
-                *new = new.or(old.take());
+        if let Some(old) = self.live.waiting.take() {
+            for (new, old) in update.waves.iter_mut().zip(&old.waves) {
+                *new = new.or(*old);
             }
-            let into = update.number;
-            give_back(old, LiveResult::Merged { into }, emit);
+            let result = match old.result {
+                // Some motors have it: the others get it with the newer one.
+                LiveResult::Applied(applied) => LiveResult::Applied(applied.without(self.live.kept)),
+                _ => LiveResult::Merged { into: update.number },
+            };
+            give_back(old, result, emit);
         }
         self.live.waiting = Some(update);
     }
@@ -92,25 +101,33 @@ impl Streamer {
             self.forget_live(emit);
             return;
         };
-        let active = &self.plays[at];
-        let (id, timeout) = (active.play.id, active.play.live.unwrap_or_default());
-        let first = now + timeout.max(CONNECTS_WITHIN);
-        let (of, deadline) = *self.live.deadline.get_or_insert((id, first));
-        if of != id {
-            self.live.deadline = Some((id, first));
-        } else if now >= deadline && self.no_op_pending() {
+        let (id, timeout) = (self.plays[at].play.id, self.plays[at].play.live.unwrap_or_default());
+        self.follow(id, now, timeout, emit);
+        if now >= self.live.deadline && self.no_op_pending() {
             self.cut_all(End::Stopped, CLIENT_SILENT);
             self.queue_op(now, 0, Op::Stop, emit);
             return;
         }
-        let streams = active.phase == Phase::Streaming && self.state() == State::Armed;
+        // Not before the device has reported its counters at the onset: what is replaced until then would count as before it.
+        let active = &self.plays[at];
+        let begun = active.phase == Phase::Streaming && active.counters_at_onset.is_some();
+        let streams = begun && self.state() == State::Armed;
         if streams && self.no_op_pending() && self.live.sent.is_none() {
             self.send_update(now, at, tick, emit);
         }
     }
 
+    /// From here on it is about this play. What is left of another one is given back.
+    fn follow(&mut self, id: u64, now: HostInstant, timeout: Duration, emit: &mut dyn Emit) {
+        if self.live.of != Some(id) {
+            self.forget_live(emit);
+            self.live.of = Some(id);
+            self.live.deadline = now + timeout.max(CONNECTS_WITHIN);
+        }
+    }
+
     /// Gives back the updates of a play that is over.
-    fn forget_live(&mut self, emit: &mut dyn Emit) {
+    pub(super) fn forget_live(&mut self, emit: &mut dyn Emit) {
         let Live { waiting, sent, .. } = std::mem::take(&mut self.live);
         for update in [sent, waiting].into_iter().flatten() {
             give_back(update, LiveResult::Over, emit);
@@ -122,12 +139,9 @@ impl Streamer {
         let Some(session) = self.session.as_ref().filter(|session| session.has_room()) else { return };
         let delivery = duration_to_ticks(session.delivery());
         let from = tick + AHEAD + delivery + self.live.spare.max(LEAST_SPARE);
-        // A stroke before the last update's tick may belong to the drive before that one: it stays.
-        let from = from.max(self.live.replaced);
-        // On a slow line the strokes of the update before come first: what is not sent could not be replaced.
-        if self.fed_until < from {
-            return;
-        }
+        // A stroke before the last update's tick may belong to the drive before that one: it stays. Beyond what is sent there is
+        // nothing to replace: the new strokes follow.
+        let from = from.max(self.live.replaced).min(self.fed_until);
         let Some(mut update) = self.live.waiting.take() else { return };
         self.miss_strokes(now, at, from, emit);
         let (Some(session), active) = (&mut self.session, &mut self.plays[at]) else { return };
@@ -213,8 +227,8 @@ impl Streamer {
     /// The device has answered a frame of the update under way.
     pub(super) fn replaced(&mut self, motors_done: u32, kept: u32, emit: &mut dyn Emit) {
         self.control.replaced(motors_done, kept);
-        let Some(active) =
-            self.plays.iter_mut().find(|active| active.play.live.is_some() && active.cut.is_none())
+        let of = self.live.of;
+        let Some(active) = self.plays.iter_mut().find(|active| of.is_some_and(|id| is_live(active, id)))
         else {
             return;
         };
@@ -241,12 +255,11 @@ impl Streamer {
         match &mut live.waiting {
             // The newer one has the motors' drives, or takes over these.
             Some(newer) => {
-                let LiveResult::Applied(mut applied) = update.result else { return };
+                let LiveResult::Applied(applied) = update.result else { return };
                 for motor in motors(live.kept).map(usize::from) {
                     newer.waves[motor] = newer.waves[motor].or(update.waves[motor]);
-                    applied.motors[motor] = None;
                 }
-                give_back(update, LiveResult::Applied(applied), emit);
+                give_back(update, LiveResult::Applied(applied.without(live.kept)), emit);
             }
             None => {
                 // Of the others the result is known.

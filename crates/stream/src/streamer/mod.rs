@@ -182,6 +182,7 @@ impl Streamer {
         self.disconnect_reason = Some(cause);
         self.wants_armed = false;
         self.cut_all(End::Stopped, cause);
+        self.forget_live(emit);
         let counters = self.status.map(|(status, tick)| {
             let lost = lost.unwrap_or(tick);
             let (bursts, pulses) = self.control.played_since_counters(tick, lost);

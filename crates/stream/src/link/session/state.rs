@@ -448,20 +448,12 @@ impl Session {
     }
 
     /// Withdraws what these motors have queued from `from` on. The strokes pushed next take their place, each motor's from its first
-    /// on; of the `silent` ones none follows. They go into frames of their own. Not before [`Self::is_replacing`] is false.
+    /// on; of the `silent` ones none follows. They go into frames of their own. Call it again only after the answer to the last such
+    /// frame.
     pub fn replace(&mut self, from: Tick, motors: u32, silent: u32) {
         self.seal();
         self.open_batch = Some(Batch { withdraws: Some(motors & silent), ..self.batch(from, None) });
         self.replacing = Some((from, motors & !silent)).filter(|&(_, motors)| motors != 0);
-    }
-
-    /// Whether strokes of a replacement are not in frames yet, or the device has not answered a frame of it.
-    #[must_use]
-    pub fn is_replacing(&self) -> bool {
-        let withdraws = |batch: &Batch| batch.withdraws.is_some();
-        self.replacing.is_some()
-            || self.open_batch.as_ref().is_some_and(withdraws)
-            || self.window.iter().any(withdraws)
     }
 
     fn batch(&self, base: Tick, mark: Option<Mark>) -> Batch {
