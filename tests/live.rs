@@ -193,6 +193,61 @@ fn updates_over_tcp_come_through_a_websocket() {
     assert_eq!((receipt.cause.as_deref(), receipt.live.unwrap().applied), (Some("stop"), 20));
 }
 
+/// An edge that moves and turns: each pose becomes drives, or gives way to a newer one.
+#[test]
+fn a_target_follows_its_poses() {
+    let daemon = Daemon::start();
+    let mut client = daemon.armed();
+    let mut events = daemon.client().events().unwrap();
+    let accepted = start(&daemon, json!({"target": "edge-45", "model": "membrane", "pose": {"x_mm": -6}}));
+    let mut lines = Lines::open(&daemon, &accepted.path);
+    let (mut applied, mut changed, mut merged) = (0, 0, 0);
+    for seq in 1..=40_u32 {
+        let along = f64::from(seq);
+        lines.send(&json!({"seq": seq, "pose": {"x_mm": 0.3 * along - 6.0, "angle_deg": 1.8 * along}}));
+        thread::sleep(Duration::from_millis(20));
+    }
+    lines.send(&json!({"seq": 41, "scale": 0.5}));
+    let mut last = 0;
+    while last < 41 {
+        let answer = lines.answer();
+        assert_eq!(answer.problem, None);
+        last = last.max(answer.seq.unwrap());
+        match (answer.applied, answer.merged_into) {
+            (Some(LiveApplied { ticks, .. }), None) => {
+                applied += 1;
+                changed += u32::from(ticks.iter().any(Option::is_some));
+            }
+            (None, Some(_)) => merged += 1,
+            other => panic!("{other:?}"),
+        }
+    }
+    assert!(changed > 5 && applied > 5, "{applied} applied, {changed} changed motors, {merged} merged");
+    for (message, says) in [
+        (json!({"seq": 50, "pose": {"x_mm": 30}}), "`pose.x_mm` is 30: must be -24 to 24 mm"),
+        (json!({"seq": 51, "drives": [drive(9, 10.0)]}), "whose poses decide"),
+    ] {
+        lines.send(&message);
+        let problem = loop {
+            if let Some(problem) = lines.answer().problem {
+                break problem;
+            }
+        };
+        assert!(problem.detail.contains(says), "{problem:?}");
+    }
+    lines.send(&json!({"seq": 60, "end": true}));
+    while lines.answer().ended.is_none() {}
+    let receipt = ended(&mut events);
+    let live = receipt.live.unwrap();
+    assert!(live.applied > 5 && live.updates >= 41 && receipt.bursts.unwrap().late == 0, "{live:?}");
+    // Mistakes in the target are refused before anything moves.
+    let refused = |client: &mut meissner_client::Client, request: Value| problem(client.post("/v1/live", &request));
+    assert_eq!(refused(&mut client, json!({"target": "no-such-target"})).code, "not-found");
+    assert_eq!(refused(&mut client, json!({"target": "moving-bar", "drives": [drive(9, 10.0)]})).code, "bad-request");
+    assert_eq!(refused(&mut client, json!({"pose": {"x_mm": 1}})).code, "bad-request");
+    assert_eq!(client.get::<Status>("/v1/status").unwrap().state, "armed");
+}
+
 /// Thousands of lines in one write: each is answered or the connection ends, and others have their turn meanwhile.
 #[test]
 fn a_flood_of_lines_keeps_nobody_waiting() {

@@ -9,11 +9,14 @@ use super::body;
 use super::engine::{Engine, TIMEOUT, answer};
 use super::http::{Answer, App, ErrorResponse, path};
 use super::play::trigger;
+use super::renderer::{Poses, PrepareError, Prepared, pose};
 use super::request_log::LoggedRequest;
 use super::runtime::computing;
+use super::search::find;
 use super::sessions::token;
 use super::state::{LivePlay, NewLive, Trial, Way};
 use crate::exposure::Vibration;
+use crate::search::convert;
 use crate::session_record::Peer;
 use axum::Json;
 use axum::body::Body;
@@ -28,7 +31,9 @@ use meissner_api::{
     Code, LIVE_TIMEOUT_MS, LIVE_UPGRADE, LiveAccepted, LiveAnswer, LiveMessage, LiveRequest,
     MAX_LIVE_MESSAGE, Problem,
 };
+use meissner_array::pattern::Drive;
 use meissner_array::strokes::{LiveStrokes, StrokeOptions};
+use meissner_design::{LiveBrief, Target};
 use meissner_stream::queues::{At, Command, Item, Play};
 use meissner_stream::time::HostInstant;
 use meissner_stream::{Bandwidth, Source};
@@ -40,6 +45,8 @@ use tokio::io::{AsyncRead, AsyncReadExt, AsyncWrite, AsyncWriteExt};
 use tokio::sync::mpsc;
 use tokio::time::timeout;
 
+/// How long the search for the drives of a pose may take, ms, without `budget_ms`.
+const BUDGET_MS: f64 = 15.0;
 /// How long a client may leave its answers unread.
 const UNREAD: Duration = Duration::from_secs(1);
 /// Lines of JSON carried out before others have their turn.
@@ -58,7 +65,11 @@ pub(super) async fn start(
         request.session = app.engine.lock().session_of_play(request.session.as_deref())?;
         logged.set_arguments(&request);
         let token = token(&headers).map(str::to_owned);
-        let accepted = app.engine.start_live(&request, token, peer).await?;
+        let target = match &request.target {
+            Some(target) => Some(find(&app, target).await?),
+            None => None,
+        };
+        let accepted = app.engine.start_live(&request, target, token, peer).await?;
         logged.set_play(accepted.id);
         Ok((StatusCode::ACCEPTED, Json(accepted)))
     }
@@ -68,8 +79,9 @@ pub(super) async fn start(
 
 impl Engine {
     async fn start_live(
-        &self,
+        self: &Arc<Self>,
         request: &LiveRequest,
+        target: Option<Target>,
         token: Option<String>,
         client: Peer,
     ) -> Result<LiveAccepted, Problem> {
@@ -80,7 +92,19 @@ impl Engine {
         let options =
             StrokeOptions { scale: request.scale.unwrap_or(1.0), surplus, ..StrokeOptions::default() };
         let most_hz = request.most_hz();
-        let live = LivePlay::new(&request.drives, options, most_hz, token)?;
+        let mut live = LivePlay::new(&request.drives, options, most_hz, token)?;
+        let prepared = match target {
+            Some(target) => {
+                let (prepared, drives) = prepare(request, target).await?;
+                live.set_pattern(&drives)?;
+                Some(prepared)
+            }
+            None => None,
+        };
+        let poses = Arc::new(Poses::default());
+        if prepared.is_some() {
+            live = live.with_poses(Arc::clone(&poses));
+        }
         let waves = live.waves()?;
         let updates_hz = request.updates_hz.unwrap_or(50.0);
         // It walks a minute of strokes.
@@ -116,6 +140,12 @@ impl Engine {
             (id, reply)
         };
         answer(reply, TIMEOUT).await?;
+        if let Some(prepared) = prepared
+            && let Err(error) = prepared.start(Arc::clone(self), id, poses)
+        {
+            self.end_live(id);
+            return Err(Problem::new(Code::Store, format!("the renderer's thread cannot start: {error}")));
+        }
         Ok(LiveAccepted { id, path })
     }
 
@@ -137,6 +167,24 @@ impl Engine {
     fn end_live(&self, id: u64) {
         let _ = self.lock().commands.send_unanswered(Command::EndLive(id));
     }
+}
+
+/// Makes the renderer of a target, and the drives of its first pose.
+async fn prepare(request: &LiveRequest, target: Target) -> Result<(Prepared, Vec<Drive>), Problem> {
+    let brief = LiveBrief {
+        models: convert::models(request.model),
+        goal: convert::goal(request.objective),
+        setting: convert::setting(request.setting),
+        ..LiveBrief::default()
+    };
+    let budget = Duration::from_secs_f64(request.budget_ms.unwrap_or(BUDGET_MS) / 1000.0);
+    let first = pose(request.pose.unwrap_or_default());
+    let made = computing(move || {
+        let mut prepared = Prepared::new(&target, brief, budget)?;
+        let drives = prepared.first(first)?;
+        Ok::<_, PrepareError>((prepared, drives))
+    });
+    made.await?.map_err(|error| Problem::new(Code::BadTarget, error.to_string()))
 }
 
 /// Opens the connection of a live play.

@@ -42,6 +42,7 @@ mod patterns;
 mod play;
 mod predictor;
 mod reload;
+mod renderer;
 mod request_log;
 mod runtime;
 mod search;

@@ -1,6 +1,7 @@
 //! Predicts the afferent response to plays from their measured bursts: one play at a time, on a thread of its own.
 //!
-//! This is the only place where the daemon runs the skin model (crates/skin and crates/design) in the process that streams.
+//! This and the [renderer](super::renderer) are the only places where the daemon runs the skin model (crates/skin and crates/design) in the
+//! process that streams.
 //! That is safe:
 //! - The thread has nice [`NICE`]; the streamer has real-time priority or nice 0, and its own memory and queues. They share no lock.
 //! - The work is bounded: a play counts for its first minute, at most [`WAITING`] plays wait with at most [`WAITING_BURSTS`] bursts,

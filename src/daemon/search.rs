@@ -52,7 +52,7 @@ pub(super) async fn start(
 }
 
 /// The target of a request: that of a name, or the one that the request holds.
-async fn find(app: &App, target: &Value) -> Answer<Target> {
+pub(super) async fn find(app: &App, target: &Value) -> Answer<Target> {
     if let Some(name) = target.as_str() {
         let (store, name) = (app.store.get(), name.to_owned());
         return Ok(blocking(move || store.target(&name)).await??.target);

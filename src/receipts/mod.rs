@@ -228,6 +228,13 @@ impl Receipts {
         }
     }
 
+    /// A pose of a live play's target gave way to a newer one before it was rendered.
+    pub fn live_merged(&mut self, id: u64) {
+        if let Some(account) = self.updates.get_mut(&id) {
+            account.merged();
+        }
+    }
+
     /// Puts a predicted response, or why there is none, into its play's receipt.
     pub fn set_prediction(
         &mut self,

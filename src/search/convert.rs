@@ -3,7 +3,7 @@
 use meissner_api::{SearchModel, SearchObjective, SearchSetting, SearchVerdict};
 use meissner_design::{Goal, Models, Setting, Verdict};
 
-pub(super) const fn goal(of: SearchObjective) -> Goal {
+pub(crate) const fn goal(of: SearchObjective) -> Goal {
     match of {
         SearchObjective::Contrast => Goal::Contrast,
         SearchObjective::OffRms => Goal::OffRms,
@@ -15,7 +15,7 @@ pub(super) const fn goal(of: SearchObjective) -> Goal {
     }
 }
 
-pub(super) const fn models(of: SearchModel) -> Models {
+pub(crate) const fn models(of: SearchModel) -> Models {
     match of {
         SearchModel::Both => Models::Both,
         SearchModel::Membrane => Models::Membrane,
@@ -23,7 +23,7 @@ pub(super) const fn models(of: SearchModel) -> Models {
     }
 }
 
-pub(super) const fn setting(of: SearchSetting) -> Setting {
+pub(crate) const fn setting(of: SearchSetting) -> Setting {
     match of {
         SearchSetting::Default => Setting::Default,
         SearchSetting::AlwaysOn => Setting::AlwaysOn,

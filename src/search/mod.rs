@@ -6,7 +6,7 @@
 //!
 //! Invariant: the process ends when the other end of its stdin closes, however the daemon ends.
 
-mod convert;
+pub(crate) mod convert;
 mod worker;
 
 pub use worker::work;

@@ -56,7 +56,7 @@ pub use calibration::{CalibratedMotor, CalibrationReport, FittedLine, MeasuredPo
 pub use doctor::{DoctorReport, Finding, Level};
 pub use event::{Event, MAX_ITEMS_LISTED, SensorFault};
 pub use live::{
-    LIVE_TIMEOUT_MS, LIVE_UPGRADE, LiveAccepted, LiveAnswer, LiveApplied, LiveDrive, LiveMessage,
+    LIVE_TIMEOUT_MS, LIVE_UPGRADE, LiveAccepted, LiveAnswer, LiveApplied, LiveDrive, LiveMessage, LivePose,
     LiveRequest, MAX_LIVE_MESSAGE,
 };
 pub use pattern::{

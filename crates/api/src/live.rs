@@ -9,7 +9,9 @@ use crate::sequence::{check_scale, check_trigger};
 use crate::session::check_labels;
 use crate::trigger::{self, TriggerRequest};
 use meissner_input::document;
+use crate::search::{SearchModel, SearchObjective, SearchSetting, target_schema};
 use serde::{Deserialize, Serialize};
+use serde_json::Value;
 use std::collections::{BTreeMap, BTreeSet};
 use utoipa::ToSchema;
 
@@ -39,6 +41,24 @@ pub struct LiveDrive {
     pub phase: f64,
 }
 
+/// Where a live target's shape is: turned anticlockwise about the array's middle, then shifted.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct LivePose {
+    /// The shift across the finger, mm; without it 0.
+    #[serde(default)]
+    #[schema(minimum = -24.0, maximum = 24.0)]
+    pub x_mm: f64,
+    /// The shift along the finger, towards the fingertip, mm; without it 0.
+    #[serde(default)]
+    #[schema(minimum = -24.0, maximum = 24.0)]
+    pub y_mm: f64,
+    /// The turn, degrees; without it 0.
+    #[serde(default)]
+    #[schema(minimum = -1e6, maximum = 1e6)]
+    pub angle_deg: f64,
+}
+
 /// A live play: its drives at the onset, and what its client may change.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
@@ -47,6 +67,26 @@ pub struct LiveRequest {
     /// The drives at the onset, one for each motor at most; the other motors are silent.
     #[serde(default, deserialize_with = "null_as_default")]
     pub drives: Vec<LiveDrive>,
+    /// A target whose shape the client moves, instead of `drives`: its name, or the target itself. Its shape must be at rest.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schema(schema_with = target_schema)]
+    pub target: Option<Value>,
+    /// Where the target's shape is at the onset; without it where the target has it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub pose: Option<LivePose>,
+    /// What the drives of a target maximise; without it `off-rms-twice`.
+    #[serde(default, deserialize_with = "null_as_default")]
+    pub objective: SearchObjective,
+    /// Under which models; without it `both`.
+    #[serde(default, deserialize_with = "null_as_default")]
+    pub model: SearchModel,
+    /// What the drives of a target may be; without it `default`.
+    #[serde(default, deserialize_with = "null_as_default")]
+    pub setting: SearchSetting,
+    /// How long the search for the drives of a pose may take, ms; without it 15.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schema(minimum = 5.0, maximum = 200.0)]
+    pub budget_ms: Option<f64>,
     /// Multiplies the amplitude of every drive; without it 1. An update may change it.
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schema(minimum = 0.0, maximum = 1.0)]
@@ -55,7 +95,8 @@ pub struct LiveRequest {
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schema(minimum = 50.0, maximum = 60_000.0)]
     pub timeout_ms: Option<f64>,
-    /// The highest frequency of any update, Hz; without it the highest of `drives`, at least 60. The line must carry it.
+    /// The highest frequency of any update, Hz; without it the highest of `drives`, at least 60, or the highest of `setting` for a target.
+    /// The line must carry it.
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schema(minimum = 0.1, maximum = 300.0)]
     pub max_frequency_hz: Option<f64>,
@@ -109,6 +150,9 @@ pub struct LiveMessage {
     /// New drives, one for each motor at most; the other motors' stay.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub drives: Option<Vec<LiveDrive>>,
+    /// Where the target's shape is now.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub pose: Option<LivePose>,
     /// A new scale of all amplitudes.
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schema(minimum = 0.0, maximum = 1.0)]
@@ -170,6 +214,18 @@ fn check_drives(drives: &[LiveDrive]) -> Result<(), Problem> {
     Ok(())
 }
 
+fn check_pose(pose: Option<LivePose>) -> Result<(), Problem> {
+    let Some(LivePose { x_mm, y_mm, angle_deg }) = pose else { return Ok(()) };
+    for (key, value, most, wanted) in [
+        ("pose.x_mm", x_mm, 24.0, "-24 to 24 mm"),
+        ("pose.y_mm", y_mm, 24.0, "-24 to 24 mm"),
+        ("pose.angle_deg", angle_deg, 1e6, "-1000000 to 1000000 degrees"),
+    ] {
+        document::in_range(key, value, (-most..=most).contains(&value), wanted).map_err(problem)?;
+    }
+    Ok(())
+}
+
 impl LiveRequest {
     /// Reads a body.
     ///
@@ -178,11 +234,25 @@ impl LiveRequest {
     pub fn parse(body: &[u8]) -> Result<Self, Problem> {
         let request: Self = read(body)?;
         check_drives(&request.drives)?;
+        check_pose(request.pose)?;
+        match &request.target {
+            None if request.pose.is_some() => return Err(bad("`pose` is that of a `target`: add one, or leave it out")),
+            Some(_) if !request.drives.is_empty() => {
+                return Err(bad("`target` and `drives` exclude each other: leave one out"));
+            }
+            Some(target) if !target.is_string() && !target.is_object() => {
+                return Err(bad(
+                    "`target` must be the name of a target, or an object with the keys of a target file",
+                ));
+            }
+            _ => {}
+        }
         check_labels(&request.labels)?;
         check_scale(request.scale).and_then(|()| check_trigger(request.trigger)).map_err(bad)?;
         let ranges = [
             ("timeout_ms", request.timeout_ms, 50.0, 60_000.0, "50 to 60000 ms"),
             ("max_frequency_hz", request.max_frequency_hz, 0.1, 300.0, "0.1 to 300 Hz"),
+            ("budget_ms", request.budget_ms, 5.0, 200.0, "5 to 200 ms"),
             ("updates_hz", request.updates_hz, 1.0, 1000.0, "1 to 1000 Hz"),
         ];
         for (key, value, least, most, wanted) in ranges {
@@ -195,6 +265,13 @@ impl LiveRequest {
     /// The highest frequency of any update, Hz.
     #[must_use]
     pub fn most_hz(&self) -> f64 {
+        if self.target.is_some() {
+            let most_hz = match self.setting {
+                SearchSetting::Default => 150.0,
+                SearchSetting::AlwaysOn => 300.0,
+            };
+            return self.max_frequency_hz.unwrap_or(most_hz);
+        }
         let initial = self.drives.iter().map(|drive| drive.frequency_hz).fold(60.0, f64::max);
         self.max_frequency_hz.unwrap_or(initial)
     }
@@ -208,6 +285,7 @@ impl LiveMessage {
     pub fn parse(text: &[u8]) -> Result<Self, Problem> {
         let message: Self = read(text)?;
         check_drives(message.drives.as_deref().unwrap_or_default())?;
+        check_pose(message.pose)?;
         check_scale(message.scale).map_err(bad)?;
         Ok(message)
     }

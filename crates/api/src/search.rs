@@ -100,7 +100,7 @@ pub struct SearchRequest {
     pub evaluations: Option<u64>,
 }
 
-fn target_schema() -> Schema {
+pub(crate) fn target_schema() -> Schema {
     let name = ObjectBuilder::new().schema_type(Type::String).description(Some("The name of a target."));
     OneOfBuilder::new().item(name).item(Ref::from_schema_name("TargetFile")).into()
 }

@@ -4,6 +4,7 @@
 
 use super::State;
 use super::session::random_hex;
+use crate::daemon::renderer::{Job, Poses, pose};
 use firmware_protocol::stroke::MOTORS;
 use meissner_api::{Code, LiveAnswer, LiveApplied, LiveDrive, LiveMessage, Problem};
 use meissner_array::motor::SquareWave;
@@ -12,6 +13,7 @@ use meissner_array::strokes::{DriveStrokes, StrokeOptions};
 use meissner_stream::queues::{Applied, Command, LiveResult, LiveUpdate, StreamEvent};
 use meissner_stream::time::HostInstant;
 use std::collections::HashMap;
+use std::sync::Arc;
 use tokio::sync::mpsc;
 
 /// Updates that are under way to the streamer at most: its event queue must never fill.
@@ -29,6 +31,8 @@ pub(in crate::daemon) struct LivePlay {
     most_hz: f64,
     seq: Option<u64>,
     under_way: usize,
+    /// Where poses of its target wait to be rendered; none for a play of drives.
+    poses: Option<Arc<Poses>>,
     /// The token of the session's owner, if its client has shown one: each message shows that the owner is there.
     token: Option<String>,
     answers: Option<mpsc::Sender<LiveAnswer>>,
@@ -60,9 +64,14 @@ impl LivePlay {
         };
         let silent = std::array::from_fn(silent);
         let mut new =
-            Self { key, drives: silent, options, most_hz, seq: None, under_way: 0, token, answers: None };
+            Self { key, drives: silent, options, most_hz, seq: None, under_way: 0, poses: None, token, answers: None };
         new.set(drives)?;
         Ok(new)
+    }
+
+    /// The same play with a target, whose poses wait there.
+    pub(in crate::daemon) fn with_poses(self, poses: Arc<Poses>) -> Self {
+        Self { poses: Some(poses), ..self }
     }
 
     pub(in crate::daemon) fn key(&self) -> &str {
@@ -83,12 +92,16 @@ impl LivePlay {
         Ok(())
     }
 
-    /// Takes over what a message changes; returns the waves of all motors.
-    fn change(&mut self, message: &LiveMessage) -> Result<[SquareWave; MOTORS], Problem> {
-        self.set(message.drives.as_deref().unwrap_or_default())?;
-        self.options.scale = message.scale.unwrap_or(self.options.scale);
-        self.seq = Some(message.seq);
-        self.waves()
+    /// Takes over the drives of a pattern. A motor without one falls silent, and keeps its frequency.
+    pub(in crate::daemon) fn set_pattern(&mut self, drives: &[Drive]) -> Result<(), Problem> {
+        let mut all = self.drives;
+        all.iter_mut().for_each(|drive| drive.amplitude_um = 0.0);
+        for &Drive { motor, frequency_hz, amplitude_um, phase, .. } in drives {
+            if let Some(drive) = all.get_mut(usize::from(motor)) {
+                *drive = LiveDrive { motor, frequency_hz, amplitude_um, phase };
+            }
+        }
+        self.set(&all)
     }
 
     /// The largest amplitude, µm.
@@ -118,7 +131,9 @@ impl LivePlays {
     }
 
     pub(super) fn forget(&mut self, id: u64) {
-        self.0.remove(&id);
+        if let Some(poses) = self.0.remove(&id).and_then(|play| play.poses) {
+            poses.close();
+        }
     }
 
     /// Opens the connection of the play with this key, once. Returns the play and where its answers arrive.
@@ -152,7 +167,11 @@ impl LivePlays {
                 }
             }
             StreamEvent::PlayEnded { id, outcome } => {
-                if let Some(answers) = self.0.remove(id).and_then(|play| play.answers) {
+                let Some(play) = self.0.remove(id) else { return };
+                if let Some(poses) = play.poses {
+                    poses.close();
+                }
+                if let Some(answers) = play.answers {
                     let ended = Some(outcome.cause.unwrap_or("done").to_owned());
                     let _ = answers.try_send(LiveAnswer { ended, ..LiveAnswer::default() });
                 }
@@ -198,14 +217,77 @@ impl State {
                 format!("`seq` is {}: must be above that of the message before, {last}", message.seq);
             return Err(Problem::new(Code::BadRequest, detail));
         }
+        match (&message.pose, &play.poses) {
+            (Some(_), None) => {
+                let detail = "`pose` is that of a target: this live play was started with drives";
+                return Err(Problem::new(Code::BadRequest, detail));
+            }
+            (_, Some(_)) if message.drives.is_some() => {
+                let detail = "`drives`: this live play has a target, whose poses decide: send `pose`";
+                return Err(Problem::new(Code::BadRequest, detail));
+            }
+            (Some(at), Some(poses)) => {
+                // The drives of the pose bring the scale along.
+                play.options.scale = message.scale.unwrap_or(play.options.scale);
+                play.seq = Some(message.seq);
+                let before = poses.put(Job { seq: message.seq, received_at, pose: pose(*at) });
+                let merged = before.map(|job| LiveAnswer {
+                    seq: Some(job.seq),
+                    merged_into: Some(message.seq),
+                    ..LiveAnswer::default()
+                });
+                // The renderer may take longer than a client may be silent.
+                let _ = self.commands.send_unanswered(Command::KeepLive(id));
+                if let Some(merged) = merged {
+                    play.answers.iter().for_each(|answers| drop(answers.try_send(merged.clone())));
+                    self.plays.receipts.live_merged(id);
+                }
+                return Ok(());
+            }
+            (None, _) => {}
+        }
+        let changes = message.drives.is_some() || message.scale.is_some();
+        self.change_live(id, message.seq, received_at, changes, |play| {
+            play.options.scale = message.scale.unwrap_or(play.options.scale);
+            play.seq = Some(message.seq);
+            play.set(message.drives.as_deref().unwrap_or_default())
+        })
+    }
+
+    /// The renderer has found the drives of a pose.
+    pub(in crate::daemon) fn live_rendered(
+        &mut self,
+        id: u64,
+        seq: u64,
+        received_at: HostInstant,
+        drives: &[Drive],
+    ) {
+        let sent = self.change_live(id, seq, received_at, true, |play| play.set_pattern(drives));
+        let answers = self.live.0.get(&id).and_then(|play| play.answers.as_ref());
+        if let (Err(problem), Some(answers)) = (sent, answers) {
+            let _ = answers.try_send(LiveAnswer::refused(Some(seq), problem));
+        }
+    }
+
+    /// Changes a live play and sends its drives to the streamer. A change that is refused changes nothing.
+    fn change_live(
+        &mut self,
+        id: u64,
+        number: u64,
+        received_at: HostInstant,
+        changes: bool,
+        change: impl FnOnce(&mut LivePlay) -> Result<(), Problem>,
+    ) -> Result<(), Problem> {
+        let over = || Problem::new(Code::NotFound, "the live play is over: the message changed nothing");
+        let play = self.live.0.get_mut(&id).ok_or_else(over)?;
         let before = (play.drives, play.options.scale, play.seq);
-        let changed = play.change(message);
+        let changed = change(play).and_then(|()| play.waves());
         let (largest_um, full) = (play.largest_um(), play.under_way >= UNDER_WAY);
         let busy = || Problem::new(Code::Busy, "too many updates are under way: wait for their answers");
         let sent = changed.and_then(|waves| {
             self.check_amplitude("the live play", largest_um)?;
-            let mut update = LiveUpdate::new(id, message.seq, received_at);
-            if message.drives.is_some() || message.scale.is_some() {
+            let mut update = LiveUpdate::new(id, number, received_at);
+            if changes {
                 update.waves = waves.map(Some);
             }
             let command = Command::UpdateLive(Box::new(update));
@@ -214,7 +296,6 @@ impl State {
         if let Some(play) = self.live.0.get_mut(&id) {
             match &sent {
                 Ok(()) => play.under_way += 1,
-                // A message that is refused changes nothing.
                 Err(_) => (play.drives, play.options.scale, play.seq) = before,
             }
         }

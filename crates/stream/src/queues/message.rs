@@ -35,6 +35,8 @@ pub enum Command {
     Play(Box<Play>),
     /// Change the drives of a live play, or show that its client is there.
     UpdateLive(Box<LiveUpdate>),
+    /// The client of this live play is there.
+    KeepLive(u64),
     /// End this live play, if it runs, and clear the queue; stay armed.
     EndLive(u64),
     /// End the running play and clear the queue; stay armed.

@@ -46,6 +46,10 @@ impl Streamer {
                 self.update_live(given, update, emit);
                 return;
             }
+            Command::KeepLive(id) => {
+                self.keep_live(given, id, emit);
+                return;
+            }
             Command::EndLive(id) => self.end_live(id),
             Command::Stop => self.stop(),
             Command::EStop => {

@@ -62,13 +62,10 @@ fn is_live(active: &Active, id: u64) -> bool {
 impl Streamer {
     /// Takes an update of a live play.
     pub(super) fn update_live(&mut self, now: HostInstant, update: Box<LiveUpdate>, emit: &mut dyn Emit) {
-        let Some(active) = self.plays.iter().find(|active| is_live(active, update.id)) else {
+        if !self.keep_live(now, update.id, emit) {
             give_back(update, LiveResult::Over, emit);
             return;
-        };
-        let timeout = active.play.live.unwrap_or_default();
-        self.follow(update.id, now, timeout, emit);
-        self.live.deadline = now + timeout;
+        }
         let mut update = update;
         if let Some(old) = self.live.waiting.take() {
             for (new, old) in update.waves.iter_mut().zip(&old.waves) {
@@ -82,6 +79,15 @@ impl Streamer {
             give_back(old, result, emit);
         }
         self.live.waiting = Some(update);
+    }
+
+    /// The client of a live play is there. Returns whether the play is.
+    pub(super) fn keep_live(&mut self, now: HostInstant, id: u64, emit: &mut dyn Emit) -> bool {
+        let Some(active) = self.plays.iter().find(|active| is_live(active, id)) else { return false };
+        let timeout = active.play.live.unwrap_or_default();
+        self.follow(id, now, timeout, emit);
+        self.live.deadline = now + timeout;
+        true
     }
 
     /// Ends a live play for its client.
