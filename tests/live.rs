@@ -241,9 +241,13 @@ fn a_target_follows_its_poses() {
     let live = receipt.live.unwrap();
     assert!(live.applied > 5 && live.updates >= 41 && receipt.bursts.unwrap().late == 0, "{live:?}");
     // Mistakes in the target are refused before anything moves.
-    let refused = |client: &mut meissner_client::Client, request: Value| problem(client.post("/v1/live", &request));
+    let refused =
+        |client: &mut meissner_client::Client, request: Value| problem(client.post("/v1/live", &request));
     assert_eq!(refused(&mut client, json!({"target": "no-such-target"})).code, "not-found");
-    assert_eq!(refused(&mut client, json!({"target": "moving-bar", "drives": [drive(9, 10.0)]})).code, "bad-request");
+    assert_eq!(
+        refused(&mut client, json!({"target": "moving-bar", "drives": [drive(9, 10.0)]})).code,
+        "bad-request"
+    );
     assert_eq!(refused(&mut client, json!({"pose": {"x_mm": 1}})).code, "bad-request");
     assert_eq!(client.get::<Status>("/v1/status").unwrap().state, "armed");
 }

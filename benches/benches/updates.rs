@@ -41,7 +41,9 @@ fn main() -> Done {
             .collect();
         let drives = |number: u64| -> Vec<Value> {
             let um = |motor: u64| 40.0 + ((number * 7 + motor * 13) % 400) as f64 / 10.0;
-            (0..24).map(|motor| json!({"motor": motor, "frequency_hz": 60, "amplitude_um": um(motor)})).collect()
+            (0..24)
+                .map(|motor| json!({"motor": motor, "frequency_hz": 60, "amplitude_um": um(motor)}))
+                .collect()
         };
         let start = json!({"drives": drives(0), "updates_hz": 100, "timeout_ms": 5000});
         let message = |number: u64| json!({"seq": number, "drives": drives(number)});

@@ -102,7 +102,10 @@ impl Prepared {
             // If the system refuses, they have nice 0, still below the streamer.
             let _ = rustix::process::nice(NICE);
         };
-        let pool = ThreadPoolBuilder::new().num_threads(threads).thread_name(|_| "render".into()).start_handler(start);
+        let pool = ThreadPoolBuilder::new()
+            .num_threads(threads)
+            .thread_name(|_| "render".into())
+            .start_handler(start);
         let pool = pool.build().map_err(io::Error::other)?;
         let renderer = pool.install(|| Renderer::new(target, brief))?;
         Ok(Self { renderer, pool, budget })

@@ -5,11 +5,11 @@
 
 use crate::problem::Problem;
 use crate::request::{LatePolicy, bad, null_as_default, problem, read};
+use crate::search::{SearchModel, SearchObjective, SearchSetting, target_schema};
 use crate::sequence::{check_scale, check_trigger};
 use crate::session::check_labels;
 use crate::trigger::{self, TriggerRequest};
 use meissner_input::document;
-use crate::search::{SearchModel, SearchObjective, SearchSetting, target_schema};
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use std::collections::{BTreeMap, BTreeSet};
@@ -236,7 +236,9 @@ impl LiveRequest {
         check_drives(&request.drives)?;
         check_pose(request.pose)?;
         match &request.target {
-            None if request.pose.is_some() => return Err(bad("`pose` is that of a `target`: add one, or leave it out")),
+            None if request.pose.is_some() => {
+                return Err(bad("`pose` is that of a `target`: add one, or leave it out"));
+            }
             Some(_) if !request.drives.is_empty() => {
                 return Err(bad("`target` and `drives` exclude each other: leave one out"));
             }

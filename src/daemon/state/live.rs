@@ -63,8 +63,17 @@ impl LivePlay {
             phase: 0.0,
         };
         let silent = std::array::from_fn(silent);
-        let mut new =
-            Self { key, drives: silent, options, most_hz, seq: None, under_way: 0, poses: None, token, answers: None };
+        let mut new = Self {
+            key,
+            drives: silent,
+            options,
+            most_hz,
+            seq: None,
+            under_way: 0,
+            poses: None,
+            token,
+            answers: None,
+        };
         new.set(drives)?;
         Ok(new)
     }
