@@ -34,7 +34,9 @@ fn main() -> Done {
                 let over = Arc::clone(&over);
                 thread::spawn(move || {
                     while !over.load(Ordering::Relaxed) {
-                        (0..10_000_u64).for_each(|number| drop(black_box(number)));
+                        for number in 0..10_000_u64 {
+                            black_box(number);
+                        }
                     }
                 })
             })
