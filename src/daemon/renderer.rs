@@ -29,6 +29,8 @@ pub(super) struct Job {
     pub(super) seq: u64,
     pub(super) received_at: HostInstant,
     pub(super) pose: Pose,
+    /// A new scale, and the number of the message that had it.
+    pub(super) scale: Option<(u64, f64)>,
 }
 
 #[derive(Debug, Default)]
@@ -55,9 +57,13 @@ impl Poses {
         self.slot.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Puts a pose in the place of the one that waits, and returns that one.
-    pub(super) fn put(&self, job: Job) -> Option<Job> {
-        let before = self.lock().job.replace(job);
+    /// Puts a pose in the place of the one that waits, and returns that one. Its scale stays.
+    pub(super) fn put(&self, mut job: Job) -> Option<Job> {
+        let mut slot = self.lock();
+        let before = slot.job.take();
+        job.scale = job.scale.or(before.as_ref().and_then(|before| before.scale));
+        slot.job = Some(job);
+        drop(slot);
         self.changed.notify_one();
         before
     }
@@ -129,11 +135,11 @@ impl Prepared {
         let Self { mut renderer, pool, budget } = self;
         let work = move || {
             let _ = rustix::process::nice(NICE);
-            while let Some(Job { seq, received_at, pose }) = poses.take() {
+            while let Some(job) = poses.take() {
                 let limit = Limit::Until(Instant::now() + budget.saturating_sub(SPARE));
                 // Poses are checked when they come.
-                if let Ok(rendered) = pool.install(|| renderer.render(pose, limit)) {
-                    engine.lock().live_rendered(id, seq, received_at, &rendered.drives);
+                if let Ok(rendered) = pool.install(|| renderer.render(job.pose, limit)) {
+                    engine.lock().live_rendered(id, &job, &rendered.drives);
                 }
             }
         };
@@ -157,10 +163,16 @@ mod tests {
     #[test]
     fn the_newest_pose_wins_and_the_end_wakes() {
         let poses = Arc::new(Poses::default());
-        let job = |seq| Job { seq, received_at: HostInstant::default(), pose: Pose::default() };
+        let job = |seq| Job {
+            seq,
+            received_at: HostInstant::default(),
+            pose: Pose::default(),
+            scale: (seq == 1).then_some((1, 0.5)),
+        };
         assert!(poses.put(job(1)).is_none());
         assert_eq!(poses.put(job(2)).unwrap().seq, 1);
-        assert_eq!(poses.take().unwrap().seq, 2);
+        let taken = poses.take().unwrap();
+        assert_eq!((taken.seq, taken.scale), (2, Some((1, 0.5))));
         let waiting = Arc::clone(&poses);
         let waits = thread::spawn(move || waiting.take().is_none());
         poses.close();

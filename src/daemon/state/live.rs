@@ -30,6 +30,8 @@ pub(in crate::daemon) struct LivePlay {
     options: StrokeOptions,
     most_hz: f64,
     seq: Option<u64>,
+    /// The number of the message that set the scale.
+    scaled_by: u64,
     under_way: usize,
     /// Where poses of its target wait to be rendered; none for a play of drives.
     poses: Option<Arc<Poses>>,
@@ -69,6 +71,7 @@ impl LivePlay {
             options,
             most_hz,
             seq: None,
+            scaled_by: 0,
             under_way: 0,
             poses: None,
             token,
@@ -99,6 +102,13 @@ impl LivePlay {
             self.drives[usize::from(drive.motor)] = *drive;
         }
         Ok(())
+    }
+
+    /// Sets the scale, unless a later message has set it.
+    fn scale(&mut self, scale: Option<(u64, f64)>) {
+        if let Some((by, scale)) = scale.filter(|(by, _)| *by >= self.scaled_by) {
+            (self.options.scale, self.scaled_by) = (scale, by);
+        }
     }
 
     /// Takes over the drives of a pattern. A motor without one falls silent, and keeps its frequency.
@@ -236,10 +246,10 @@ impl State {
                 return Err(Problem::new(Code::BadRequest, detail));
             }
             (Some(at), Some(poses)) => {
-                // The drives of the pose bring the scale along.
-                play.options.scale = message.scale.unwrap_or(play.options.scale);
                 play.seq = Some(message.seq);
-                let before = poses.put(Job { seq: message.seq, received_at, pose: pose(*at) });
+                // The drives of the pose bring the scale along.
+                let scale = message.scale.map(|scale| (message.seq, scale));
+                let before = poses.put(Job { seq: message.seq, received_at, pose: pose(*at), scale });
                 let merged = before.map(|job| LiveAnswer {
                     seq: Some(job.seq),
                     merged_into: Some(message.seq),
@@ -257,21 +267,19 @@ impl State {
         }
         let changes = message.drives.is_some() || message.scale.is_some();
         self.change_live(id, message.seq, received_at, changes, |play| {
-            play.options.scale = message.scale.unwrap_or(play.options.scale);
+            play.scale(message.scale.map(|scale| (message.seq, scale)));
             play.seq = Some(message.seq);
             play.set(message.drives.as_deref().unwrap_or_default())
         })
     }
 
     /// The renderer has found the drives of a pose.
-    pub(in crate::daemon) fn live_rendered(
-        &mut self,
-        id: u64,
-        seq: u64,
-        received_at: HostInstant,
-        drives: &[Drive],
-    ) {
-        let sent = self.change_live(id, seq, received_at, true, |play| play.set_pattern(drives));
+    pub(in crate::daemon) fn live_rendered(&mut self, id: u64, job: &Job, drives: &[Drive]) {
+        let &Job { seq, received_at, scale, .. } = job;
+        let sent = self.change_live(id, seq, received_at, true, |play| {
+            play.scale(scale);
+            play.set_pattern(drives)
+        });
         let answers = self.live.0.get(&id).and_then(|play| play.answers.as_ref());
         if let (Err(problem), Some(answers)) = (sent, answers) {
             let _ = answers.try_send(LiveAnswer::refused(Some(seq), problem));
@@ -289,7 +297,7 @@ impl State {
     ) -> Result<(), Problem> {
         let over = || Problem::new(Code::NotFound, "the live play is over: the message changed nothing");
         let play = self.live.0.get_mut(&id).ok_or_else(over)?;
-        let before = (play.drives, play.options.scale, play.seq);
+        let before = (play.drives, play.options.scale, play.scaled_by, play.seq);
         let changed = change(play).and_then(|()| play.waves());
         let (largest_um, full) = (play.largest_um(), play.under_way >= UNDER_WAY);
         let busy = || Problem::new(Code::Busy, "too many updates are under way: wait for their answers");
@@ -305,7 +313,7 @@ impl State {
         if let Some(play) = self.live.0.get_mut(&id) {
             match &sent {
                 Ok(()) => play.under_way += 1,
-                Err(_) => (play.drives, play.options.scale, play.seq) = before,
+                Err(_) => (play.drives, play.options.scale, play.scaled_by, play.seq) = before,
             }
         }
         sent
