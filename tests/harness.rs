@@ -17,7 +17,7 @@ use std::time::{Duration, Instant};
 use tempfile::TempDir;
 
 /// Longest wait for an event that must happen: far longer than it takes on a slow machine.
-pub(crate) const TIMEOUT: Duration = Duration::from_secs(20);
+pub(crate) const TIMEOUT: Duration = Duration::from_secs(60);
 
 /// The configuration of a daemon that a stall of a busy machine must not disarm.
 pub(crate) const PATIENT: &str = "lease_ms = 5000\n";

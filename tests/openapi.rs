@@ -45,8 +45,19 @@ fn walk(schema: &Value, way: &str, see: &mut dyn FnMut(&Value, &str)) {
 #[test]
 fn every_key_has_a_description_and_every_number_its_unit_and_range() {
     // Offsets and differences may be negative; a lead that is reached may be.
-    const SIGNED: [&str; 8] =
-        ["rest_error_um", "onset_um", "offset_um", "contrast", "lead_ms", "items", "value", "travel_um"];
+    const SIGNED: [&str; 11] = [
+        "rest_error_um",
+        "onset_um",
+        "offset_um",
+        "contrast",
+        "reached",
+        "searched",
+        "rule",
+        "lead_ms",
+        "items",
+        "value",
+        "travel_um",
+    ];
     const UNITS: [(&str, &str); 9] = [
         ("_s", ", s"),
         ("_ms", ", ms"),
@@ -204,7 +215,7 @@ fn every_route_has_examples_that_parse() {
         assert_eq!(event.name(), name);
         names.insert(name);
     }
-    assert_eq!(names.len(), 20);
+    assert_eq!(names.len(), 21);
 }
 
 #[test]

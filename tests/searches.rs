@@ -41,7 +41,7 @@ fn works(events: &mut Events) {
 }
 
 /// The processes that a daemon has started and that have not ended.
-fn children(daemon: &Daemon) -> Vec<i32> {
+pub(crate) fn children(daemon: &Daemon) -> Vec<i32> {
     let status: Status = daemon.client().get("/v1/status").unwrap();
     let threads = fs::read_dir(format!("/proc/{}/task", status.pid)).unwrap();
     let of =

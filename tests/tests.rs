@@ -37,6 +37,8 @@ mod harness;
 mod lead;
 /// Live plays: updates over both sockets, vanishing clients, mistakes.
 mod live;
+/// The command `live`: lines of files and pipes, signals, and plays that the daemon ends.
+mod live_command;
 /// Arrays with a lower stop: arming seeks it, and plays stay within the limit on pushing.
 mod lower_stop;
 /// The manual pages and completions in `deploy` are up to date.

@@ -105,7 +105,7 @@ fn play(
     reader.join().map_err(|_| "the reader panicked")??;
     let receipt: Receipt = client.get(&format!("/v1/plays/{id}?wait=10"))?;
     let (Some(live), Some(bursts)) = (receipt.live, receipt.bursts) else { return Err("no receipt".into()) };
-    let LiveRecord { updates, applied, merged, repeats, decided, first_motor, last_motor } = live;
+    let LiveRecord { updates, applied, merged, repeats, decided, first_motor, last_motor, .. } = live;
     let times = |times: Option<UpdateTimes>| {
         times.map_or_else(String::new, |UpdateTimes { p50_ms, p99_ms, longest_ms }| {
             format!("p50 {p50_ms:.1}, p99 {p99_ms:.1}, longest {longest_ms:.1} ms")

@@ -8,6 +8,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import random
+import ssl
 import threading
 from collections.abc import Coroutine
 from typing import Any
@@ -16,8 +17,10 @@ from typing import Any
 class Network:
     """Runs in a thread of its own."""
 
-    def __init__(self, socket: str) -> None:
+    def __init__(self, socket: str, tls: ssl.SSLContext | None = None) -> None:
+        """`tls`: it takes connections by TLS, with this certificate."""
         self.socket = socket
+        self._tls = tls
         self.jitter_s = 0.0
         """Each piece of data is late by up to this long, in each direction."""
         self.lose_answers = 0
@@ -32,8 +35,8 @@ class Network:
 
     def __enter__(self) -> Network:
         self._thread.start()
-        self._server = self._run(asyncio.start_server(self._serve, "127.0.0.1", 0))
-        self.url = f"http://127.0.0.1:{self._server.sockets[0].getsockname()[1]}"
+        self._server = self._run(asyncio.start_server(self._serve, "127.0.0.1", 0, ssl=self._tls))
+        self.url = f"{'https' if self._tls else 'http'}://127.0.0.1:{self._server.sockets[0].getsockname()[1]}"
         return self
 
     def __exit__(self, *_: object) -> None:

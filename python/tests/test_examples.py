@@ -48,6 +48,18 @@ def test_events(tmp_path: Path) -> None:
     assert run("events.py", tmp_path).split() == ["state", "queued", "began", "ended"]
 
 
+def test_live_edge(tmp_path: Path) -> None:
+    poses = r"the last pose was applied\n(\d+) poses reached the daemon, (\d+) the device\n"
+    found = re.fullmatch(poses, run("live_edge.py", tmp_path))
+    assert found
+    assert 0 < int(found[2]) <= int(found[1]) <= 101
+    command = [sys.executable, str(EXAMPLES / "live_edge.py"), "-"]
+    hand = "-3,0,0\n0.5,1.0,10\n3,0,20\n"
+    ended = subprocess.run(command, cwd=tmp_path, input=hand, capture_output=True, text=True, check=False)
+    assert ended.returncode == 0, ended.stderr
+    assert re.fullmatch(poses, ended.stdout)
+
+
 def test_design_loop(tmp_path: Path) -> None:
     assert run("design_loop.py", tmp_path).splitlines()[-1] == "done"
 

@@ -4,8 +4,10 @@ use super::session_token;
 use anyhow::Result;
 use clap::Args;
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
+use meissner_api::{LatePolicy, TriggerRequest, TriggerShape};
 use meissner_client::{Client, Endpoint};
 use serde::de::DeserializeOwned;
+use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::str::FromStr;
 
@@ -39,6 +41,85 @@ impl ClientOptions {
         self.socket.as_deref().map_or_else(Endpoint::find, Endpoint::at)
     }
 }
+
+/// The options of every command that starts a play.
+#[derive(Debug, Args)]
+pub(super) struct PlayOptions {
+    /// Choose what happens to late strokes
+    #[arg(long, default_value = "drop", value_parser = choice::<LatePolicy>(&[("drop", "Drop them whole and go on"), ("abort", "End the play")]))]
+    pub(super) late: LatePolicy,
+    /// Stop the running play and clear the queue first
+    #[arg(long)]
+    pub(super) replace: bool,
+    /// Play without corrections from telemetry
+    #[arg(long)]
+    pub(super) open_loop: bool,
+    /// Refuse the play unless the session with this id runs
+    #[arg(long, value_name = "ID")]
+    pub(super) session: Option<String>,
+    /// Record the play as trial N
+    #[arg(long, value_name = "N")]
+    pub(super) trial: Option<u64>,
+    /// Record the play with a label; up to 16 of them
+    #[arg(long = "label", value_name = "KEY=VALUE", value_parser = label)]
+    labels: Vec<(String, String)>,
+    /// Multiply the amplitude of every drive by X, 0 to 1
+    #[arg(long, value_name = "X", allow_negative_numbers = true, value_parser = positive)]
+    pub(super) scale: Option<f64>,
+    #[command(flatten)]
+    pub(super) trigger: TriggerOptions,
+}
+
+impl PlayOptions {
+    pub(super) fn labels(&self) -> BTreeMap<String, String> {
+        self.labels.iter().cloned().collect()
+    }
+}
+
+/// What the trigger output gives at the onset; without an option one pulse of 10 ms.
+#[derive(Debug, Args)]
+pub(super) struct TriggerOptions {
+    /// Give the code N, 1 to 255, on the trigger output instead of one pulse
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u8).range(1..))]
+    code: Option<u8>,
+    /// Make the trigger's pulse, or each of a code's ten cells, MS milliseconds wide
+    #[arg(long, value_name = "MS", allow_negative_numbers = true, value_parser = positive)]
+    trigger_ms: Option<f64>,
+    /// Give nothing on the trigger output
+    #[arg(long, conflicts_with_all = ["code", "trigger_ms"])]
+    no_trigger: bool,
+}
+
+impl TriggerOptions {
+    pub(super) fn request(&self) -> Option<TriggerRequest> {
+        let Self { code, trigger_ms: width_ms, no_trigger } = *self;
+        let shape = TriggerShape { width_ms, code };
+        let asked = shape != TriggerShape::default();
+        if no_trigger { Some(TriggerRequest::Off) } else { asked.then_some(TriggerRequest::On(shape)) }
+    }
+}
+
+/// What a search maximises, by `--objective`.
+pub(super) const OBJECTIVES: &[(&str, &str)] = &[
+    ("contrast", "Mean rate of ON minus mean rate of OFF, as in the paper"),
+    ("off-rms", "Mean of ON minus RMS of OFF: keeps dots apart, with `optimise --robust`"),
+    ("off-rms-twice", "Mean of ON minus twice the RMS of OFF: stricter"),
+    ("near-off", "As contrast; OFF afferents near the target weigh more"),
+    ("auc", "Chance that an ON afferent fires faster than an OFF one"),
+    ("correlation", "Correlation of the rates with the ON set"),
+    ("rivals", "Distance from the most similar shape, in SD of the counts"),
+];
+/// Under which models a search works, by `--model`.
+pub(super) const MODELS: &[(&str, &str)] = &[
+    ("both", "The gain over the rule naive-reach, under the model in which it is less"),
+    ("membrane", "RA afferents with a leaky membrane, as in the paper"),
+    ("afferents", "Skin mechanics, and RA afferents fitted to recordings"),
+];
+/// What a search may choose, by `--setting`.
+pub(super) const SETTINGS: &[(&str, &str)] = &[
+    ("default", "Motors may be off; 5 to 150 Hz"),
+    ("always_on", "All motors vibrate, as in the paper; 5 to 300 Hz"),
+];
 
 /// A finite number, 0 or more. The daemon checks the upper bound.
 pub(super) fn positive(text: &str) -> Result<f64, &'static str> {

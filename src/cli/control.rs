@@ -5,17 +5,14 @@
 //!
 //! Invariant: no request is sent twice, except an e-stop.
 
-use super::arguments::{ClientOptions, Onset, choice, label, positive};
+use super::arguments::{ClientOptions, Onset, PlayOptions, choice, positive};
 use super::output::{give, say};
 use super::progress::Progress;
 use super::text;
 use crate::daemon;
 use anyhow::{Result, bail};
 use clap::Args;
-use meissner_api::{
-    ArmRequest, Code, Event, Fit, LatePolicy, PlayAccepted, PlayRequest, Receipt, ResetRequest, Status,
-    TriggerRequest, TriggerShape,
-};
+use meissner_api::{ArmRequest, Code, Event, Fit, PlayAccepted, PlayRequest, Receipt, ResetRequest, Status};
 use meissner_client::{Client, ClientError, Events, HOME_TIMEOUT, escape};
 use serde_json::{Value, json};
 use std::io::{self, BufRead, IsTerminal, Read, Write};
@@ -47,57 +44,13 @@ pub(super) struct Play {
     /// Choose which strokes are played at the end
     #[arg(long, default_value = "whole", value_parser = choice::<Fit>(&[("whole", "Those that have ended by then: a little shorter than asked for"), ("cover", "Those that begin before: a little longer")]))]
     fit: Fit,
-    /// Choose what happens to late strokes
-    #[arg(long, default_value = "drop", value_parser = choice::<LatePolicy>(&[("drop", "Drop them whole and go on"), ("abort", "End the play")]))]
-    late: LatePolicy,
-    /// Stop the running play and clear the queue first
-    #[arg(long)]
-    replace: bool,
-    /// Play without corrections from telemetry
-    #[arg(long)]
-    open_loop: bool,
-    /// Refuse the play unless the session with this id runs
-    #[arg(long, value_name = "ID")]
-    session: Option<String>,
-    /// Record the play as trial N
-    #[arg(long, value_name = "N")]
-    trial: Option<u64>,
-    /// Record the play with a label; up to 16 of them
-    #[arg(long = "label", value_name = "KEY=VALUE", value_parser = label)]
-    labels: Vec<(String, String)>,
-    /// Multiply the amplitude of every drive by X, 0 to 1
-    #[arg(long, value_name = "X", allow_negative_numbers = true, value_parser = positive)]
-    scale: Option<f64>,
     #[command(flatten)]
-    trigger: TriggerOptions,
+    play: PlayOptions,
     /// Wait for the end and print the receipt; exit 1 if not all was played. Ctrl-C ends the waiting (exit 130), not the play
     #[arg(long)]
     wait: bool,
     #[command(flatten)]
     options: ClientOptions,
-}
-
-/// What the trigger output gives at the onset; without an option one pulse of 10 ms.
-#[derive(Debug, Args)]
-struct TriggerOptions {
-    /// Give the code N, 1 to 255, on the trigger output instead of one pulse
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u8).range(1..))]
-    code: Option<u8>,
-    /// Make the trigger's pulse, or each of a code's ten cells, MS milliseconds wide
-    #[arg(long, value_name = "MS", allow_negative_numbers = true, value_parser = positive)]
-    trigger_ms: Option<f64>,
-    /// Give nothing on the trigger output
-    #[arg(long, conflicts_with_all = ["code", "trigger_ms"])]
-    no_trigger: bool,
-}
-
-impl TriggerOptions {
-    fn request(&self) -> Option<TriggerRequest> {
-        let Self { code, trigger_ms: width_ms, no_trigger } = *self;
-        let shape = TriggerShape { width_ms, code };
-        let asked = shape != TriggerShape::default();
-        if no_trigger { Some(TriggerRequest::Off) } else { asked.then_some(TriggerRequest::On(shape)) }
-    }
 }
 
 pub(super) fn command(options: &ClientOptions, name: &str) -> Result<ExitCode> {
@@ -255,14 +208,14 @@ pub(super) fn play(play: &Play) -> Result<ExitCode> {
         boot: None,
         endless: play.endless,
         fit: play.fit,
-        late: play.late,
-        replace: play.replace,
-        open_loop: play.open_loop,
-        session: play.session.clone(),
-        trial: play.trial,
-        labels: play.labels.iter().cloned().collect(),
-        scale: play.scale,
-        trigger: play.trigger.request(),
+        late: play.play.late,
+        replace: play.play.replace,
+        open_loop: play.play.open_loop,
+        session: play.play.session.clone(),
+        trial: play.play.trial,
+        labels: play.play.labels(),
+        scale: play.play.scale,
+        trigger: play.play.trigger.request(),
     };
     let json = play.options.output.json;
     if !play.wait {

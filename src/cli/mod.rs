@@ -17,6 +17,7 @@ mod export;
 mod files;
 mod laser;
 mod library;
+mod live;
 mod optimise;
 mod output;
 mod progress;
@@ -99,6 +100,8 @@ enum Command {
     Play(control::Play),
     /// Play a sequence of patterns with exact times, as one play
     Sequence(sequence::Sequence),
+    /// Play a stimulus that follows a mouse, a knob, a touchpad or the lines of stdin, until its source ends or Ctrl-C
+    Live(live::Live),
     /// End the running play and clear the queue; the motors stay armed
     Stop(ClientOptions),
     /// Turn all lines off at once; they stay off until `reset`
@@ -264,6 +267,7 @@ fn run(command: Command) -> Result<ExitCode> {
         }
         Command::Play(play) => control::play(&play),
         Command::Sequence(asked) => sequence::run(&asked),
+        Command::Live(asked) => live::run(&asked),
         Command::Stop(options) => control::command(&options, "stop"),
         Command::Estop(options) => control::estop(&options),
         Command::Reset { force, options } => control::reset(&options, force),

@@ -6,7 +6,7 @@
 //!
 //! Invariant: an existing file is replaced only by a whole pattern.
 
-use super::arguments::{Output, choice, positive};
+use super::arguments::{MODELS, OBJECTIVES, Output, SETTINGS, choice, positive};
 use super::control::on_interrupt;
 use super::output::{is_broken_pipe, say, say_json};
 use super::progress::Search;
@@ -42,13 +42,13 @@ pub(super) struct Optimise {
     #[arg(long, value_name = "N", default_value_t = 0, value_parser = clap::value_parser!(u64).range(..=i64::MAX as u64))]
     seed: u64,
     /// Choose the search space
-    #[arg(long, default_value = "default", value_parser = choice::<Setting>(&[("default", "Motors may be off; 5 to 150 Hz"), ("always_on", "All motors vibrate, as in the paper; 5 to 300 Hz")]))]
+    #[arg(long, default_value = "default", value_parser = choice::<Setting>(SETTINGS))]
     setting: Setting,
     /// Choose what to maximise: ON afferents lie within reach of the target, OFF are all others
-    #[arg(long, value_name = "NAME", default_value = "off-rms-twice", value_parser = choice::<Goal>(&[("contrast", "Mean rate of ON minus mean rate of OFF, as in the paper"), ("off-rms", "Mean of ON minus RMS of OFF: keeps dots apart, with --robust"), ("off-rms-twice", "Mean of ON minus twice the RMS of OFF: stricter"), ("near-off", "As contrast; OFF afferents near the target weigh more"), ("auc", "Chance that an ON afferent fires faster than an OFF one"), ("correlation", "Correlation of the rates with the ON set"), ("rivals", "Distance from the most similar shape, in SD of the counts")]))]
+    #[arg(long, value_name = "NAME", default_value = "off-rms-twice", value_parser = choice::<Goal>(OBJECTIVES))]
     objective: Goal,
     /// Choose the models whose RA afferents are ON or OFF [default: both; with --objective contrast membrane, as in the paper]
-    #[arg(long, value_name = "MODEL", value_parser = choice::<Models>(&[("both", "The gain over the rule naive-reach, under the model in which it is less"), ("membrane", "RA afferents with a leaky membrane, as in the paper"), ("afferents", "Skin mechanics, and RA afferents fitted to recordings")]))]
+    #[arg(long, value_name = "MODEL", value_parser = choice::<Models>(MODELS))]
     model: Option<Models>,
     /// Stop after about N evaluations (per frame of a moving target; or N,N,... for each), or N seconds in all (Ns)
     /// [default: until nothing improves]

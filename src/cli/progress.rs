@@ -105,6 +105,43 @@ impl Drop for Meter {
     }
 }
 
+/// The updates of a live play: on a terminal one line on stderr, removed at the end.
+#[derive(Debug)]
+pub(super) struct Updates {
+    meter: Meter,
+    shown: Option<Instant>,
+}
+
+impl Updates {
+    pub(super) fn new() -> Self {
+        Self { meter: Meter::new(ProgressBar::new_spinner), shown: None }
+    }
+
+    /// Shows the line, ten times a second at most.
+    pub(super) fn show(&mut self, now: Instant, line: impl FnOnce() -> String) {
+        if self.shown.is_some_and(|shown| now.duration_since(shown) < TURN) {
+            return;
+        }
+        self.shown = Some(now);
+        if let Some(bar) = &self.meter.0 {
+            bar.set_message(line());
+            bar.tick();
+        }
+    }
+
+    /// Prints a line that stays.
+    pub(super) fn say(&self, line: &str) {
+        let say = || {
+            // If stderr is closed, there is no one to tell.
+            let _ = writeln!(io::stderr(), "{line}");
+        };
+        match &self.meter.0 {
+            Some(bar) => bar.suspend(say),
+            None => say(),
+        }
+    }
+}
+
 /// Late and refused strokes that get a line.
 const LINES: u32 = 10;
 

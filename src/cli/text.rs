@@ -235,6 +235,9 @@ pub(super) fn event(event: &Event) -> String {
         Event::PredictedResponse { id, prediction } => {
             format!("{PREDICTED}: {id}, {}", receipt::predicted(prediction).unwrap_or_default())
         }
+        Event::LiveContrast { id, contrast } => {
+            format!("live contrast: {id}, {}", receipt::contrast(contrast))
+        }
         Event::Calibrated { id, motors, problem: None } => {
             format!("calibrated: {} motors by play {id}", motors.len())
         }

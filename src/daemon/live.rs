@@ -16,7 +16,6 @@ use super::search::find;
 use super::sessions::token;
 use super::state::{LivePlay, NewLive, Trial, Way};
 use crate::exposure::Vibration;
-use crate::search::convert;
 use crate::session_record::Peer;
 use axum::Json;
 use axum::body::Body;
@@ -28,12 +27,12 @@ use axum::http::{HeaderMap, HeaderValue, StatusCode};
 use axum::response::{IntoResponse, Response};
 use hyper_util::rt::TokioIo;
 use meissner_api::{
-    Code, LIVE_TIMEOUT_MS, LIVE_UPGRADE, LiveAccepted, LiveAnswer, LiveMessage, LiveRequest,
+    Code, LIVE_TIMEOUT_MS, LIVE_UPDATES_HZ, LIVE_UPGRADE, LiveAccepted, LiveAnswer, LiveMessage, LiveRequest,
     MAX_LIVE_MESSAGE, Problem,
 };
 use meissner_array::pattern::Drive;
 use meissner_array::strokes::{LiveStrokes, StrokeOptions};
-use meissner_design::{LiveBrief, Target};
+use meissner_design::Target;
 use meissner_stream::queues::{At, Command, Item, Play};
 use meissner_stream::time::HostInstant;
 use meissner_stream::{Bandwidth, Source};
@@ -45,8 +44,6 @@ use tokio::io::{AsyncRead, AsyncReadExt, AsyncWrite, AsyncWriteExt};
 use tokio::sync::mpsc;
 use tokio::time::timeout;
 
-/// How long the search for the drives of a pose may take, ms, without `budget_ms`.
-const BUDGET_MS: f64 = 15.0;
 /// How long a client may leave its answers unread.
 const UNREAD: Duration = Duration::from_secs(1);
 /// Lines of JSON carried out before others have their turn.
@@ -106,7 +103,7 @@ impl Engine {
             live = live.with_poses(Arc::clone(&poses));
         }
         let waves = live.waves()?;
-        let updates_hz = request.updates_hz.unwrap_or(50.0);
+        let updates_hz = request.updates_hz.unwrap_or(LIVE_UPDATES_HZ);
         // It walks a minute of strokes.
         let bandwidth = computing(move || Bandwidth::of_live(most_hz, updates_hz, &settings))
             .await?
@@ -153,7 +150,7 @@ impl Engine {
     fn live_message(&self, id: u64, text: &[u8], received_at: HostInstant) -> Option<LiveAnswer> {
         let message = match LiveMessage::parse(text) {
             Ok(message) => message,
-            Err(problem) => return Some(LiveAnswer::refused(None, problem)),
+            Err(problem) => return Some(LiveAnswer::refused(LiveMessage::seq(text), problem)),
         };
         if message.end {
             self.end_live(id);
@@ -164,23 +161,16 @@ impl Engine {
     }
 
     /// Ends a live play. If too many commands wait, its client counts as silent soon.
-    fn end_live(&self, id: u64) {
+    pub(super) fn end_live(&self, id: u64) {
         let _ = self.lock().commands.send_unanswered(Command::EndLive(id));
     }
 }
 
 /// Makes the renderer of a target, and the drives of its first pose.
 async fn prepare(request: &LiveRequest, target: Target) -> Result<(Prepared, Vec<Drive>), Problem> {
-    let brief = LiveBrief {
-        models: convert::models(request.model),
-        goal: convert::goal(request.objective),
-        setting: convert::setting(request.setting),
-        ..LiveBrief::default()
-    };
-    let budget = Duration::from_secs_f64(request.budget_ms.unwrap_or(BUDGET_MS) / 1000.0);
-    let first = pose(request.pose.unwrap_or_default());
+    let (first, request) = (pose(request.pose.unwrap_or_default()), request.clone());
     let made = computing(move || {
-        let mut prepared = Prepared::new(&target, brief, budget)?;
+        let mut prepared = Prepared::new(&target, &request)?;
         let drives = prepared.first(first)?;
         Ok::<_, PrepareError>((prepared, drives))
     });

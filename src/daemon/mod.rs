@@ -2,7 +2,9 @@
 //!
 //! [`Daemon::start`] acquires everything that the system may refuse (socket, patterns, threads); [`Daemon::run`] works until a signal
 //! or a request ends it. Threads: `streamer` and `acceptor` (real time; an emergency stop needs no other), `connector` (opens
-//! devices), `predictor` (skin model), `search` (follows the process of a search), `session record` (disk), and the runtime's one thread for clients and events. An idle daemon runs no timer but a service manager's watchdog.
+//! devices), `predictor` (skin model), `search` (follows the process of a search),
+//! `renderer` (one for each live target), `session record` (disk), and the runtime's one thread for clients and events. An idle daemon
+//! runs no timer but a service manager's watchdog.
 //!
 //! The modules; each uses only those before it:
 //! - `socket`, `error`, `signals`, `runtime`, `check`, `names`, `metrics`: the system around the daemon.
@@ -14,7 +16,9 @@
 //! - `play`, `sequence`, `calibrate`, `connector`: begin plays, calibrate, open devices.
 //! - `service`, `event_loop`: the service manager; the streamer's events.
 //! - `page`: the page in the browser.
-//! - `body`, `connection`, `http`, `patterns`, `targets`, `search`, `sessions`, `reload`, `server`, `hosted`: clients, configuration, and daemons inside this process.
+//! - `search_process`, `live_contrast`, `renderer`, `live`: processes that search; live plays, whose targets a thread renders.
+//! - `body`, `connection`, `http`, `patterns`, `targets`, `search`, `sessions`, `reload`, `server`, `hosted`: clients, configuration, and
+//!   daemons inside this process.
 //!
 //! Invariant: before the daemon ends, it returns the pins, switches the motors off and removes its socket.
 
@@ -33,6 +37,7 @@ mod event_loop;
 mod hosted;
 mod http;
 mod live;
+mod live_contrast;
 mod log_lines;
 mod metrics;
 mod names;
@@ -46,6 +51,7 @@ mod renderer;
 mod request_log;
 mod runtime;
 mod search;
+mod search_process;
 mod sequence;
 mod server;
 mod service;

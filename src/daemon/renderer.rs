@@ -1,12 +1,16 @@
 //! Renders live targets: a thread for each turns the newest pose of its shape into drives, within a time.
 //!
 //! The thread has [`NICE`], and so have the threads that it searches with: the streamer has real-time priority or nice 0, and waits for
-//! none of them. While it renders, the pins play on; of the poses that come meanwhile the newest wins.
+//! none of them. While it renders, the pins play on; of the poses that come meanwhile the newest wins. When the play is over, some of its
+//! poses are [compared](super::live_contrast) with searches that take their time.
 //!
-//! Bounds: one pose waits. Invariant: the thread ends with its play.
+//! Bounds: one pose waits. Invariant: the thread renders until the end of its play.
 
 use super::engine::Engine;
-use meissner_api::LivePose;
+use super::live_contrast::PlayedPoses;
+use crate::search::{Compare, Job as SearchJob, live_brief};
+use meissner_api::{LivePose, LiveRequest};
+use meissner_array::pattern::Drive;
 use meissner_design::{Limit, LiveBrief, Pose, RenderError, Renderer, Target};
 use meissner_stream::time::HostInstant;
 use rayon::{ThreadPool, ThreadPoolBuilder};
@@ -19,6 +23,8 @@ use std::time::{Duration, Instant};
 const NICE: i32 = 5;
 /// Threads that search, at most.
 const THREADS: usize = 4;
+/// How long the search for the drives of a pose may take, ms, without `budget_ms`.
+const BUDGET_MS: f64 = 15.0;
 /// What is left of an update's time for the rest of its way.
 const SPARE: Duration = Duration::from_millis(1);
 
@@ -95,6 +101,8 @@ pub(super) struct Prepared {
     renderer: Renderer,
     pool: ThreadPool,
     budget: Duration,
+    request: LiveRequest,
+    played: PlayedPoses,
 }
 
 impl Prepared {
@@ -102,7 +110,7 @@ impl Prepared {
     ///
     /// # Errors
     /// If the target cannot be rendered, or the system gives no threads.
-    pub(super) fn new(target: &Target, brief: LiveBrief, budget: Duration) -> Result<Self, PrepareError> {
+    pub(super) fn new(target: &Target, request: &LiveRequest) -> Result<Self, PrepareError> {
         let threads = thread::available_parallelism().map_or(1, usize::from).min(THREADS);
         let start = |_| {
             // If the system refuses, they have nice 0, still below the streamer.
@@ -113,18 +121,25 @@ impl Prepared {
             .thread_name(|_| "render".into())
             .start_handler(start);
         let pool = pool.build().map_err(io::Error::other)?;
+        // The API's bound is 300 Hz.
+        let most_decihertz = Some((request.most_hz() * 10.0).floor() as u16);
+        let brief =
+            LiveBrief { most_decihertz, ..live_brief(request.objective, request.model, request.setting) };
         let renderer = pool.install(|| Renderer::new(target, brief))?;
-        Ok(Self { renderer, pool, budget })
+        let budget = Duration::from_secs_f64(request.budget_ms.unwrap_or(BUDGET_MS) / 1000.0);
+        Ok(Self { renderer, pool, budget, request: request.clone(), played: PlayedPoses::new() })
     }
 
     /// The drives at a pose, searched for ten times as long as an update takes.
     ///
     /// # Errors
     /// If the pose is out of its range.
-    pub(super) fn first(&mut self, pose: Pose) -> Result<Vec<meissner_array::pattern::Drive>, RenderError> {
-        let Self { renderer, pool, budget } = self;
+    pub(super) fn first(&mut self, pose: Pose) -> Result<Vec<Drive>, RenderError> {
+        let Self { renderer, pool, budget, played, .. } = self;
         let limit = Limit::Until(Instant::now() + 10 * *budget);
-        pool.install(|| renderer.render(pose, limit)).map(|rendered| rendered.drives)
+        let drives = pool.install(|| renderer.render(pose, limit))?.drives;
+        played.add(pose, &drives);
+        Ok(drives)
     }
 
     /// Starts the thread for the play of this id.
@@ -132,18 +147,37 @@ impl Prepared {
     /// # Errors
     /// If the system gives no thread.
     pub(super) fn start(self, engine: Arc<Engine>, id: u64, poses: Arc<Poses>) -> io::Result<()> {
-        let Self { mut renderer, pool, budget } = self;
+        let Self { mut renderer, pool, budget, request, mut played } = self;
         let work = move || {
             let _ = rustix::process::nice(NICE);
+            let ends_play = EndsPlay { engine: Arc::clone(&engine), id };
             while let Some(job) = poses.take() {
                 let limit = Limit::Until(Instant::now() + budget.saturating_sub(SPARE));
-                // Poses are checked when they come.
-                if let Ok(rendered) = pool.install(|| renderer.render(job.pose, limit)) {
-                    engine.lock().live_rendered(id, &job, &rendered.drives);
+                let rendered =
+                    pool.install(|| renderer.render(job.pose, limit)).map(|rendered| rendered.drives);
+                let is_sent = engine.lock().live_rendered(id, &job, rendered.as_deref());
+                if let (Ok(drives), true) = (&rendered, is_sent) {
+                    played.add(job.pose, drives);
                 }
             }
+            drop(ends_play);
+            let compare = SearchJob::compare(Compare::new(&request, played.into_kept()), renderer.target());
+            drop((renderer, pool));
+            engine.compare_live(id, &compare);
         };
         thread::Builder::new().name("renderer".into()).spawn(work).map(|_| ())
+    }
+}
+
+/// Ends the play when it is dropped: also if the thread panics, while its client shows that it is there.
+struct EndsPlay {
+    engine: Arc<Engine>,
+    id: u64,
+}
+
+impl Drop for EndsPlay {
+    fn drop(&mut self) {
+        self.engine.end_live(self.id);
     }
 }
 
@@ -159,6 +193,13 @@ pub(super) enum PrepareError {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use meissner_api::LIVE_TARGET_LEAST_HZ;
+    use meissner_design::LIVE_LEAST_DECIHERTZ;
+
+    #[test]
+    fn the_lowest_frequency_is_that_of_the_api() {
+        assert_eq!(f64::from(LIVE_LEAST_DECIHERTZ) / 10.0, LIVE_TARGET_LEAST_HZ);
+    }
 
     #[test]
     fn the_newest_pose_wins_and_the_end_wakes() {

@@ -1,16 +1,15 @@
 //! Searches over HTTP, and the thread that follows a search's process.
 //!
-//! The thread starts the process ([`crate::search`]), writes its job, reads its reports and waits for its end. No handler waits for it.
-//!
-//! Invariant: a process that was started is killed and waited for.
+//! The thread starts the process ([`crate::search`]), gives it its job and follows it to its end. No handler waits for it.
 
 use super::body;
 use super::engine::Engine;
 use super::http::{Answer, App, ErrorResponse, path};
 use super::request_log::LoggedRequest;
 use super::runtime::{blocking, computing};
+use super::search_process::SearchProcess;
 use super::state::Found;
-use crate::search::{self, Job, MAX_LINE, MEMORY, Report};
+use crate::search::{self, Job, MEMORY, Report};
 use crate::session_record::Peer;
 use crate::store::Stored;
 use axum::Json;
@@ -24,10 +23,8 @@ use meissner_api::{Code, Problem, Search, SearchRequest};
 use meissner_array::pattern::Pattern;
 use meissner_design::Target;
 use meissner_input::message::cut;
-use rustix::process::Pid;
 use serde_json::{Value, json};
-use std::io::{self, BufRead, BufReader, Read, Write};
-use std::process::{Child, Command};
+use std::process::Command;
 use std::sync::Arc;
 use std::thread;
 
@@ -103,7 +100,7 @@ impl Engine {
             failed("this program is not meissner and cannot search: start `meissner daemon`".to_owned())
         })?;
         let search = self.lock().begin_search(&request, target.name())?;
-        let (engine, job, id) = (Arc::clone(self), Job::new(request, target), search.id);
+        let (engine, job, id) = (Arc::clone(self), Job::search(request, target), search.id);
         let work = move || {
             engine.run_search(id, command, &job);
             engine.changed.notify_one();
@@ -116,45 +113,34 @@ impl Engine {
         Ok(search)
     }
 
-    fn run_search(&self, id: u64, mut command: Command, job: &Job) {
-        let mut child = match command.spawn() {
-            Ok(child) => child,
+    fn run_search(&self, id: u64, command: Command, job: &Job) {
+        let mut process = match SearchProcess::start(command) {
+            Ok(process) => process,
             Err(error) => {
                 return self
                     .lock()
                     .end_search(id, Err(format!("the search's process cannot start: {error}")));
             }
         };
-        if self.lock().set_search_process(id, Pid::from_child(&child)) {
-            let outcome = self.follow_search(id, &mut child, job);
+        if self.lock().set_search_process(id, process.pid()) {
+            process.give(job);
+            let outcome = self.follow_search(id, &mut process);
             self.lock().end_search(id, outcome);
         }
-        // Whatever it still does is of no use. An error means that it has ended.
-        let _ = child.kill();
-        let _ = child.wait();
     }
 
-    /// Gives the process its job and follows it to its result.
-    fn follow_search(&self, id: u64, child: &mut Child, job: &Job) -> Result<Found, String> {
+    /// Follows the process to its result.
+    fn follow_search(&self, id: u64, process: &mut SearchProcess) -> Result<Found, String> {
         let ended = || {
             let mib = MEMORY >> 20;
             format!(
                 "the search's process has ended without a result: it was killed, or needed more than {mib} MiB"
             )
         };
-        let (Some(mut stdin), Some(stdout)) = (child.stdin.take(), child.stdout.take()) else {
-            return Err(ended());
-        };
-        let mut line = serde_json::to_vec(job).map_err(|error| error.to_string())?;
-        line.push(b'\n');
-        stdin.write_all(&line).map_err(|_: io::Error| ended())?;
-        let mut reports = BufReader::new(stdout);
         loop {
-            line.clear();
-            // An error is an end without a result.
-            let _ = (&mut reports).take(MAX_LINE).read_until(b'\n', &mut line);
-            match serde_json::from_slice(&line).map_err(|_| ended())? {
+            match process.report().ok_or_else(ended)? {
                 Report::Progress(progress) => self.lock().set_search_progress(id, progress),
+                Report::Contrast(_) => return Err(ended()),
                 Report::Failed(problem) => return Err(cut(&problem, MAX_PROBLEM)),
                 Report::Done(result) => {
                     let pattern = Pattern::parse(&result.pattern, "the found pattern");

@@ -29,9 +29,9 @@ use firmware_protocol::message::{DeviceHello, State};
 use firmware_protocol::tick::Tick;
 use live::LiveAccount;
 use meissner_api::{
-    BurstCounts, DeviceInfo, Event, LateCounts, LateStroke, LinkTraffic, MAX_LISTED, MotorRestError,
-    NO_DEVICE, OrderedCounts, PlayState, PredictedResponse, Prediction, PulseCounts, Receipt, RefusedStroke,
-    RunningPlay,
+    BurstCounts, DeviceInfo, Event, LateCounts, LateStroke, LinkTraffic, LiveContrast, MAX_LISTED,
+    MotorRestError, NO_DEVICE, OrderedCounts, PlayState, PredictedResponse, Prediction, PulseCounts, Receipt,
+    RefusedStroke, RunningPlay,
 };
 use meissner_array::units::{ns_to_ms, ticks_to_ms};
 use meissner_stream::cause_text;
@@ -247,6 +247,13 @@ impl Receipts {
             Err(why) => Prediction { response: None, unknown: Some(why.to_string()) },
         };
         Some(Event::PredictedResponse { id, prediction: receipt.prediction.clone() })
+    }
+
+    /// Puts what a live target has reached into its play's receipt.
+    pub fn set_live_contrast(&mut self, id: u64, contrast: LiveContrast) -> Option<Event> {
+        let receipt = self.finished.iter_mut().find(|receipt| receipt.id == id)?;
+        receipt.live.as_mut()?.contrast = Some(contrast);
+        Some(Event::LiveContrast { id, contrast })
     }
 
     /// The receipt of a play.

@@ -1,18 +1,21 @@
-//! A search for a pattern in a process of its own: what it is told, what it answers, and its work.
+//! Searches in a process of their own: what it is told, what it answers, and its work.
 //!
 //! The daemon starts this program again ([`command`]) and writes a [`Job`] to its stdin; [`work`] answers on stdout with [`Report`]s, one
-//! line of JSON each. A process keeps the search's memory, threads and faults out of the one that streams: its memory is bounded
+//! line of JSON each. A job is a search for a pattern, or searches to compare a live target's drives with (`compare`). A process keeps the search's memory, threads and faults out of the one that streams: its memory is bounded
 //! ([`MEMORY`]) and not locked, it has low priority, and the daemon can kill it at any time.
 //!
 //! Invariant: the process ends when the other end of its stdin closes, however the daemon ends.
 
+mod compare;
 pub(crate) mod convert;
 mod worker;
 
 pub use worker::work;
 
+pub use compare::{Compare, live_brief};
+
 use convert::{goal, models, setting};
-use meissner_api::{SEARCH_S, SearchProgress, SearchRequest, SearchResult};
+use meissner_api::{LiveContrast, SEARCH_S, SearchProgress, SearchRequest, SearchResult};
 use meissner_design::{Budget, Request, Target};
 use serde::{Deserialize, Serialize};
 use std::ffi::OsStr;
@@ -32,13 +35,18 @@ const NICE: i32 = 10;
 /// Whether this executable is the program, which can search, and not another one that has a daemon in it.
 static IS_PROGRAM: AtomicBool = AtomicBool::new(false);
 
-/// What to search for.
+/// What to do.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Job {
     /// The target's file.
     target: String,
-    /// How to search.
-    request: SearchRequest,
+    task: Task,
+}
+
+#[derive(Clone, Debug, Serialize, Deserialize)]
+enum Task {
+    Search(SearchRequest),
+    Compare(Compare),
 }
 
 /// What a search tells.
@@ -47,6 +55,8 @@ pub struct Job {
 pub enum Report {
     /// How far it is.
     Progress(SearchProgress),
+    /// What was reached at the poses so far. After the last pose the process ends.
+    Contrast(LiveContrast),
     /// What it has found; the last line.
     Done(Box<SearchResult>),
     /// Why it has found nothing; the last line.
@@ -54,31 +64,39 @@ pub enum Report {
 }
 
 impl Job {
-    /// The job of a request whose target was found.
+    /// A search for a pattern, whose target was found.
     #[must_use]
-    pub fn new(request: SearchRequest, target: &Target) -> Self {
-        // The target goes along as its file. Strings, numbers and tables of them can be written.
-        let file = toml::to_string(&target.definition()).unwrap_or_default();
-        Self { target: file, request: SearchRequest { target: serde_json::Value::Null, ..request } }
+    pub fn search(request: SearchRequest, target: &Target) -> Self {
+        Self::new(Task::Search(SearchRequest { target: serde_json::Value::Null, ..request }), target)
     }
 
-    /// The request as the search takes it.
-    fn design(&self) -> Request {
-        let SearchRequest { seconds, evaluations, seed, robust, objective, model, setting: space, .. } =
-            self.request;
-        let budget = match evaluations {
-            Some(evaluations) => Budget::Evaluations(vec![evaluations]),
-            None => Budget::Seconds(seconds.unwrap_or(SEARCH_S.0)),
-        };
-        Request {
-            models: models(model),
-            goal: goal(objective),
-            setting: setting(space),
-            seed,
-            robust,
-            budget,
-            start: None,
-        }
+    /// Searches to compare the drives of a live target with.
+    #[must_use]
+    pub fn compare(compare: Compare, target: &Target) -> Self {
+        Self::new(Task::Compare(compare), target)
+    }
+
+    fn new(task: Task, target: &Target) -> Self {
+        // The target goes along as its file. Strings, numbers and tables of them can be written.
+        Self { target: toml::to_string(&target.definition()).unwrap_or_default(), task }
+    }
+}
+
+/// The request as the search takes it.
+fn design(request: &SearchRequest) -> Request {
+    let SearchRequest { seconds, evaluations, seed, robust, objective, model, setting: space, .. } = *request;
+    let budget = match evaluations {
+        Some(evaluations) => Budget::Evaluations(vec![evaluations]),
+        None => Budget::Seconds(seconds.unwrap_or(SEARCH_S.0)),
+    };
+    Request {
+        models: models(model),
+        goal: goal(objective),
+        setting: setting(space),
+        seed,
+        robust,
+        budget,
+        start: None,
     }
 }
 

@@ -1,13 +1,13 @@
 //! The process that searches.
 
 use super::convert::verdict;
-use super::{Job, MAX_LINE, MEMORY, NICE, Report};
+use super::{Job, MAX_LINE, MEMORY, NICE, Report, Task, design};
 use crate::store::{Stored, target_json};
-use meissner_api::{SearchProgress, SearchResponse, SearchResult, SearchVerdicts};
+use meissner_api::{SearchProgress, SearchRequest, SearchResponse, SearchResult, SearchVerdicts};
 use meissner_design::{ByModel, Ended, Made, Models, Progress, Rule, Target, make, response};
 use meissner_skin::ModelName;
 use rayon::ThreadPoolBuilder;
-use rustix::process::{Resource, Rlimit, nice, setrlimit};
+use rustix::process::{Resource, Rlimit, setpriority_process, setrlimit};
 use std::io::{self, BufRead, BufReader, Read, Write};
 use std::ops::ControlFlow;
 use std::process::{self, ExitCode};
@@ -34,15 +34,29 @@ pub fn work() -> ExitCode {
         process::exit(1);
     });
     let report = match watch {
-        Ok(_) => search(&job).map_or_else(Report::Failed, |found| Report::Done(Box::new(found))),
+        Ok(_) => carry_out(&job),
         Err(error) => Report::Failed(format!("the system gives no thread: {error}")),
     };
     if say(&report).is_ok() { ExitCode::SUCCESS } else { ExitCode::FAILURE }
 }
 
+/// Does a job; returns its last report.
+fn carry_out(job: &Job) -> Report {
+    let target = Target::read(&job.target, "target").map_err(|error| error.to_string());
+    let done = target.and_then(|target| match &job.task {
+        Task::Search(request) => search(&target, request).map(|found| Report::Done(Box::new(found))),
+        Task::Compare(compare) => {
+            let tell = |contrast| say(&Report::Contrast(contrast)).is_ok();
+            compare.carry_out(&target, tell).map(Report::Contrast)
+        }
+    });
+    done.unwrap_or_else(Report::Failed)
+}
+
 /// Takes as little of the machine as it can. Each step helps, and the search works without it: the service's unit may forbid some.
 fn lower() {
-    let _ = nice(NICE);
+    // The thread that starts it may have a niceness of its own, to which `nice` would add.
+    let _ = setpriority_process(None, NICE);
     // When memory runs out this process is the first to go.
     let _ = fs::write("/proc/self/oom_score_adj", "1000");
     let _ = setrlimit(Resource::Data, Rlimit { current: Some(MEMORY), maximum: Some(MEMORY) });
@@ -66,12 +80,11 @@ fn say(report: &Report) -> io::Result<()> {
 }
 
 /// Searches; an error is one line.
-fn search(job: &Job) -> Result<SearchResult, String> {
-    let target = Target::read(&job.target, "target").map_err(|error| error.to_string())?;
-    let request = job.design();
+fn search(target: &Target, request: &SearchRequest) -> Result<SearchResult, String> {
+    let request = design(request);
     let begun = Instant::now();
     let mut next = begun;
-    let made = make(&target, target.name(), &request, &mut |Progress { frame, frames, spent, score }| {
+    let made = make(target, target.name(), &request, &mut |Progress { frame, frames, spent, score }| {
         let now = Instant::now();
         if now >= next {
             next = now + REPORT_EVERY;
@@ -85,7 +98,7 @@ fn search(job: &Job) -> Result<SearchResult, String> {
         }
         ControlFlow::Continue(())
     });
-    result(&target, request.models, &made.map_err(|error| error.to_string())?)
+    result(target, request.models, &made.map_err(|error| error.to_string())?)
 }
 
 fn result(target: &Target, models: Models, made: &Made) -> Result<SearchResult, String> {

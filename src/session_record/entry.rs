@@ -295,6 +295,7 @@ impl Entry {
                 | Event::Items { .. }
                 | Event::Ended { .. }
                 | Event::PredictedResponse { .. }
+                | Event::LiveContrast { .. }
                 | Event::SessionStarted { .. }
                 | Event::SessionReleased { .. }
                 | Event::SessionEnded { .. }

@@ -18,6 +18,7 @@ use std::thread;
 
 /// A page must work on a busy machine:
 /// - `demo` and `play --wait` may exit with 1: a stall of the machine made strokes late, which is no fault of a page.
+/// - `live` may be silent for 20 s. With that lead the line carries 40 updates a second.
 /// - Each daemon has the settings of [`PATIENT`].
 /// - `status` fails until the device has answered and the line is measured: then it takes commands at once.
 const HEAD: &str = r#"
@@ -28,6 +29,7 @@ meissner() {
     case "$*" in
         demo) command meissner demo --seconds 1 || [ $? = 1 ] ;;
         *--wait*) command meissner "$@" || [ $? = 1 ] ;;
+        live*) command meissner "$@" --timeout-ms 20000 --updates-hz 40 ;;
         status)
             ((++asked < 400)) || exit 1
             command meissner status && [[ $(command meissner status --json) == *'"line_bytes_per_s":'[0-9]* ]] ;;

@@ -218,6 +218,44 @@ test("the keyboard alone designs a target", async () => {
   await shows(page, "alert", "`reach_mm` is 24: all 306 afferents are within reach");
 });
 
+test("a shape that is dragged plays live, and a window out of sight ends it", async () => {
+  const daemon = await new Daemon("lead_ms = 100\n").start();
+  const page = await open(daemon);
+  await arm(page);
+  await page.select("#shape", "dots");
+  assert.equal(await page.$eval("#live-start", (button) => button.disabled), true);
+  await page.$eval("#points", (input) => ((input.value = "0 0"), input.dispatchEvent(new Event("change"))));
+  const live = async () => {
+    await press(page, "#live-start");
+    await page.waitForSelector("#live-pad:not([hidden])");
+    await shows(page, "live-note", "At 0.0, 0.0 mm");
+    await shows(page, "state-text", "Playing live");
+  };
+  await live();
+  assert.deepEqual(await page.$$eval("#live-pad .shape-dot", (dots) => dots.length), 1);
+  await page.$eval("#live-pad svg", (pad) => pad.scrollIntoView({ block: "center" }));
+  const box = await (await page.$("#live-pad svg")).boundingBox();
+  const [x, y] = [box.x + box.width / 2, box.y + box.height / 2];
+  await page.mouse.move(x, y);
+  await page.mouse.down();
+  await page.mouse.move(x + 40, y - 60, { steps: 8 });
+  await page.mouse.up();
+  const note = await text(page, "live-note");
+  const [, right, up] = /At ([\d.]+), ([\d.]+) mm, turned by 0°/.exec(note);
+  assert.ok(Number(right) > 0.5 && Number(up) > Number(right), note);
+  for (const key of ["ArrowLeft", "q", "q"]) await page.keyboard.press(key);
+  await shows(page, "live-note", "turned by 10°");
+  await page.waitForFunction(() => /; [1-9]\d* changes on the pins/.test(document.getElementById("live-note").textContent), WAIT);
+  await press(page, "#live-end");
+  await shows(page, "live-note", "Ended.");
+  const { live: updates, bursts } = await get(daemon, "/v1/plays/last");
+  assert.ok(updates.applied > 1 && bursts.replaced > 0, JSON.stringify(updates));
+  await live();
+  await page.evaluate(() => (Object.defineProperty(document, "hidden", { get: () => true }), document.dispatchEvent(new Event("visibilitychange"))));
+  await shows(page, "live-note", "Ended.");
+  assert.deepEqual(page.complaints.filter((line) => !line.includes("404")), []);
+});
+
 test("the doctor's findings come with verdicts and remedies", async () => {
   const daemon = await new Daemon().start();
   const page = await open(daemon);

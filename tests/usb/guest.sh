@@ -53,10 +53,10 @@ detach() { usbip detach -p 0 >usbip.log 2>&1 || fail "usbip detach: $(tail -n 1 
 
 # The last play's state and burst counts, which must add up
 accounts() {
-    json receipt '.bursts as $b | select($b.planned > 0 and $b.planned == $b.played + $b.late + $b.dropped + $b.refused)
+    json receipt '.bursts as $b | select($b.planned > 0 and $b.planned == $b.played + $b.late + $b.dropped + $b.refused + $b.replaced)
         | "\(.state), \($b.planned) bursts: \($b.played) played, \($b.late) late, \($b.dropped) dropped, \($b.refused) refused"'
 }
-arm() { state_is armed || meissner arm --assume-rest >out.log 2>&1 || fail "$1: arm: $(cat out.log)"; }
+arm() { state_is armed || meissner arm --assume-rest --checked usb-test >out.log 2>&1 || fail "$1: arm: $(cat out.log)"; }
 # Arms and plays. Tries once more if a stall of the machine aborted the play, or made the line seem too slow for it
 less=()
 play() {
@@ -149,6 +149,58 @@ over() {
     ok "end: $(said ending)"
 }
 
+# A live play on the simulated array follows a mouse of the kernel
+mouse() {
+    local line code moved pid live
+    modprobe -a uinput evdev || fail "mouse: no modules"
+    meissner live edge-45 --follow mouse >out.log 2>&1
+    line=$(<out.log)
+    [[ $line == *'no mouse in /dev/input'* ]] || fail "mouse: without one: $line"
+    mkfifo moves
+    virtual-mouse <moves >mouse.log 2>&1 &
+    pid=$!
+    # Whoever inherits it keeps the mouse plugged in.
+    exec 3>moves
+    within 5 grep -q 'plugged in' mouse.log || fail "mouse: $(<mouse.log)"
+    udevadm settle --timeout 10
+    setpriv --reuid nobody --regid nogroup --clear-groups meissner live edge-45 --follow mouse >out.log 2>&1
+    line=$(<out.log)
+    [[ $line == *'no mouse that you may read'*input* ]] || fail "mouse: as a user who may not: $line"
+    meissner daemon --config meissner.toml --device mock 2>daemon.log 3>&- &
+    daemon=$!
+    within 20 state_is disarmed || fail "mouse: no daemon"
+    arm mouse
+    # With this lead an update is large: fewer fit.
+    meissner live edge-45 --follow mouse --updates-hz 10 --timeout-ms 5000 --json >live.json 2>live.log 3>&- &
+    live=$!
+    within 20 json status .play || fail "mouse: $(<live.log)"
+    for ((moved = 0; moved < 20; moved++)); do
+        echo '10 -20 0' >&3
+        sleep 0.1
+    done
+    echo '0 0 1' >&3
+    sleep 1
+    kill -TERM $live
+    wait $live
+    code=$?
+    [ $code = 143 ] || fail "mouse: exit $code: $(<live.log)"
+    line=$(jq -er '.live | select(.applied > 3 and .applied + .merged == .updates) | "\(.updates) updates, \(.applied) applied"' live.json) ||
+        fail "mouse: $(jq -c .live live.json)"
+    ok "mouse: $line"
+    meissner live edge-45 --follow mouse --updates-hz 10 --timeout-ms 5000 >out.log 2>live.log 3>&- &
+    live=$!
+    within 20 json status .play || fail "mouse: again: $(<live.log)"
+    exec 3>&-
+    wait $pid || fail "mouse: $(<mouse.log)"
+    wait $live
+    code=$?
+    [ $code = 1 ] && grep -q 'the device is gone' live.log || fail "mouse: unplugged: exit $code: $(<live.log)"
+    state_is armed || state_is returning || fail "mouse: unplugged: $(json status .state)"
+    ok "unmouse: exit 1: $(tail -n 1 live.log)"
+    kill $daemon
+    wait $daemon || fail "mouse: the daemon ended with $?"
+}
+
 echo
 ok "guest: Debian $(cat /etc/debian_version), Linux $(uname -r), $(nproc) processors"
 modprobe -a vhci_hcd cdc_acm || fail "no modules"
@@ -175,11 +227,12 @@ over id serial:1209:0001
 over usb usb
 
 way=all
+mouse
 detach
 within 5 grep -q unplugged board.log
 kill $board
 wait $board || fail "the board ended with $?"
 within 5 modprobe -r cdc_acm vhci_hcd || fail "the kernel still holds the board"
-left=$(pgrep -l 'meissner|virtual-board') && fail "left running: $left"
+left=$(pgrep -l 'meissner|virtual-') && fail "left running: $left"
 ok "left: no process, no port; $(grep -c 'plugged in, boot' board.log) boots of the board"
 echo 'DONE'

@@ -5,6 +5,7 @@
 //!
 //! Invariant: [`Event::name`] is the `event` key of its JSON.
 
+use crate::live_record::LiveContrast;
 use crate::receipt::{LateStroke, OnsetRecord, Prediction, PredictionKeys, Receipt, RefusedStroke};
 use crate::search::{SearchProgress, SearchState};
 use crate::sequence::ItemRecord;
@@ -173,6 +174,20 @@ pub enum Event {
         #[schema(value_type = PredictionKeys)]
         prediction: Prediction,
     },
+    /// What the drives of a live target reached, compared with a search: a minute or two after the play's end. The receipt has it as
+    /// `live.contrast`.
+    #[schema(examples(json!({
+        "event": "live-contrast", "id": 7, "poses": 6, "converged": 6,
+        "membrane": {"reached": 20.9, "searched": 21.1, "rule": 15.8, "least_share": 0.97},
+        "afferents": null
+    })))]
+    LiveContrast {
+        /// The play's id.
+        id: u64,
+        /// As in the receipt.
+        #[serde(flatten)]
+        contrast: LiveContrast,
+    },
     /// A calibration has ended: the daemon has stored and uses it, or says why not.
     #[schema(examples(json!({"event": "calibrated", "id": 7, "motors": [3], "problem": null})))]
     Calibrated {
@@ -294,6 +309,7 @@ impl Event {
             Self::Items { .. } => "items",
             Self::Ended { .. } => "ended",
             Self::PredictedResponse { .. } => "felt",
+            Self::LiveContrast { .. } => "live-contrast",
             Self::Calibrated { .. } => "calibrated",
             Self::SessionStarted { .. } => "session-started",
             Self::SessionReleased { .. } => "session-released",

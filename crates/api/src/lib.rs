@@ -8,6 +8,7 @@
 //! - [`session`]: whose plays are recorded together, and who owns the display meanwhile.
 //! - [`sequence`], [`trigger`]: sequences of patterns, and the trigger output, in requests and in receipts.
 //! - [`status`], [`receipt`], [`pattern`], [`calibration`]: what the daemon answers; [`board`]: the device's counters in the first two.
+//! - [`live`], [`live_record`]: live plays and the messages of their connections, and what receipts say of them.
 //! - [`doctor`]: what the daemon finds on its machine, and what to do.
 //! - [`target`], [`search`]: shapes on the skin, and searches for patterns for them.
 //! - [`token`]: access tokens of clients that come over the network.
@@ -37,6 +38,7 @@ pub mod calibration;
 pub mod doctor;
 pub mod event;
 pub mod live;
+pub mod live_record;
 pub mod openapi;
 pub mod pattern;
 pub mod problem;
@@ -56,18 +58,19 @@ pub use calibration::{CalibratedMotor, CalibrationReport, FittedLine, MeasuredPo
 pub use doctor::{DoctorReport, Finding, Level};
 pub use event::{Event, MAX_ITEMS_LISTED, SensorFault};
 pub use live::{
-    LIVE_TIMEOUT_MS, LIVE_UPGRADE, LiveAccepted, LiveAnswer, LiveApplied, LiveDrive, LiveMessage, LivePose,
-    LiveRequest, MAX_LIVE_MESSAGE,
+    LIVE_TARGET_LEAST_HZ, LIVE_TIMEOUT_MS, LIVE_UPDATES_HZ, LIVE_UPGRADE, LiveAccepted, LiveAnswer,
+    LiveApplied, LiveDrive, LiveMessage, LivePose, LiveRequest, MAX_LIVE_MESSAGE,
 };
+pub use live_record::{LiveContrast, LiveRecord, ReachedContrast, UpdateTimes};
 pub use pattern::{
     ImportedPattern, PatternDetails, PatternList, PatternSummary, ReachedDrive, RemovedPattern,
 };
 pub use problem::{Code, MAX_DETAIL, Problem, REFERENCE};
 pub use receipt::{
     AfferentClass, BurstCounts, ClassResponse, DurationRecord, LateCause, LateCounts, LateStroke,
-    LatenessRecord, LinkTraffic, LiveRecord, MAX_DRIVES_LISTED, MAX_LISTED, MAX_WARNINGS_LISTED,
-    MotorRestError, OffsetRecord, OnsetRecord, OrderedCounts, PlayState, PredictedResponse, Prediction,
-    PulseCounts, Rates, Receipt, RefusedStroke, UpdateTimes,
+    LatenessRecord, LinkTraffic, MAX_DRIVES_LISTED, MAX_LISTED, MAX_WARNINGS_LISTED, MotorRestError,
+    OffsetRecord, OnsetRecord, OrderedCounts, PlayState, PredictedResponse, Prediction, PulseCounts, Rates,
+    Receipt, RefusedStroke,
 };
 pub use request::{
     ArmRequest, CalibrateRequest, Fit, LatePolicy, MAX_AT_MS, MAX_BODY, MAX_WAIT_S, PlayRequest,

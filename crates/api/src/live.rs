@@ -19,6 +19,10 @@ use utoipa::ToSchema;
 pub const LIVE_UPGRADE: &str = "meissner-live";
 /// How long a client of a live play may be silent, ms, without `timeout_ms`.
 pub const LIVE_TIMEOUT_MS: f64 = 500.0;
+/// The rate of updates that the line must carry, Hz, without `updates_hz`.
+pub const LIVE_UPDATES_HZ: f64 = 50.0;
+/// The lowest frequency of a live target's drives, Hz: a motor changes where its next period begins.
+pub const LIVE_TARGET_LEAST_HZ: f64 = 40.0;
 /// Bytes of a message, at most.
 pub const MAX_LIVE_MESSAGE: usize = 1 << 16;
 
@@ -95,8 +99,8 @@ pub struct LiveRequest {
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schema(minimum = 50.0, maximum = 60_000.0)]
     pub timeout_ms: Option<f64>,
-    /// The highest frequency of any update, Hz; without it the highest of `drives`, at least 60, or the highest of `setting` for a target.
-    /// The line must carry it.
+    /// The highest frequency of any update, Hz; without it the highest of `drives`, at least 60, or the highest of `setting` for a target,
+    /// whose drives have at least 40. The line must carry it.
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schema(minimum = 0.1, maximum = 300.0)]
     pub max_frequency_hz: Option<f64>,
@@ -179,7 +183,7 @@ pub struct LiveApplied {
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, ToSchema)]
 #[schema(examples(json!({"seq": 5, "merged_into": 7})))]
 pub struct LiveAnswer {
-    /// The message's number; null: the answer is about the play.
+    /// The message's number; null: the answer is about the play, or the number cannot be read.
     #[schema(required)]
     pub seq: Option<u64>,
     /// It is on the device.
@@ -261,6 +265,12 @@ impl LiveRequest {
             let Some(value) = value else { continue };
             document::in_range(key, value, (least..=most).contains(&value), wanted).map_err(problem)?;
         }
+        if request.target.is_some() && request.most_hz() < LIVE_TARGET_LEAST_HZ {
+            return Err(bad(format!(
+                "`max_frequency_hz` is {}: the drives of a target have at least {LIVE_TARGET_LEAST_HZ} Hz",
+                request.most_hz()
+            )));
+        }
         Ok(request)
     }
 
@@ -290,6 +300,12 @@ impl LiveMessage {
         check_pose(message.pose)?;
         check_scale(message.scale).map_err(bad)?;
         Ok(message)
+    }
+
+    /// The number of a message, also of a bad one if its number is good: the answer names it.
+    #[must_use]
+    pub fn seq(text: &[u8]) -> Option<u64> {
+        serde_json::from_slice::<BTreeMap<String, Value>>(text).ok()?.get("seq")?.as_u64()
     }
 }
 
@@ -335,6 +351,7 @@ mod tests {
         }
         for (text, says) in [
             (r#"{"timeout_ms":10}"#, "`timeout_ms` is 10: must be 50 to 60000 ms"),
+            (r#"{"target":"dot","max_frequency_hz":30}"#, "of a target have at least 40 Hz"),
             (r#"{"updates_hz":0}"#, "`updates_hz` is 0: must be 1 to 1000 Hz"),
             (r#"{"max_frequency_hz":301}"#, "`max_frequency_hz` is 301"),
         ] {

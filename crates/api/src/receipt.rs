@@ -6,6 +6,7 @@
 //! Invariant: in the receipt of an ended play, `planned = played + late + dropped + refused + replaced`, as the streamer counted.
 
 use crate::board::BoardRecord;
+use crate::live_record::LiveRecord;
 use crate::pattern::ReachedDrive;
 use crate::request::{Fit, LatePolicy};
 use crate::sequence::ItemRecord;
@@ -210,42 +211,6 @@ pub struct LateCounts {
     /// The largest delay, ms; 0 without late strokes.
     #[schema(minimum = 0.0)]
     pub worst_ms: f64,
-}
-
-/// How long updates of a live play took from the message to the pins, ms by the device's clock.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, ToSchema)]
-pub struct UpdateTimes {
-    /// Half of them took at most so long, ms.
-    #[schema(minimum = 0.0)]
-    pub p50_ms: f64,
-    /// 99 % of them took at most so long, ms.
-    #[schema(minimum = 0.0)]
-    pub p99_ms: f64,
-    /// The longest took so long, ms.
-    #[schema(minimum = 0.0)]
-    pub longest_ms: f64,
-}
-
-/// What became of the updates of a live play. A message that changes nothing counts, too.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, ToSchema)]
-pub struct LiveRecord {
-    /// Number of updates.
-    pub updates: u64,
-    /// Number of updates that the device has taken.
-    pub applied: u64,
-    /// Number of updates that a newer one took the place of before they were sent.
-    pub merged: u64,
-    /// How often an update came too late for some motor, and was sent again.
-    pub repeats: u64,
-    /// To the tick from which strokes are replaced; null without updates. The rest is the period that runs.
-    #[schema(required)]
-    pub decided: Option<UpdateTimes>,
-    /// To the first motor's first new stroke; null without updates.
-    #[schema(required)]
-    pub first_motor: Option<UpdateTimes>,
-    /// To the last motor's first new stroke; null without updates.
-    #[schema(required)]
-    pub last_motor: Option<UpdateTimes>,
 }
 
 /// The late strokes of a play: counts by cause, the largest delay, and the first 100 strokes.

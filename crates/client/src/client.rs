@@ -1,12 +1,13 @@
 //! Calls that wait for their answer: [`Client`].
 
-use crate::connection::{Connection, connect, hung_up, read_all, request};
+use crate::connection::{Connection, connect, hung_up, read_all, refused, request};
 use crate::endpoint::Endpoint;
 use crate::error::ClientError;
 use crate::events::Events;
+use crate::live::LivePlay;
 use hyper::Method;
 use hyper::body::Bytes;
-use meissner_api::Problem;
+use meissner_api::{LiveRequest, Problem};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 use std::path::Path;
@@ -17,6 +18,8 @@ use tokio::runtime::{Builder, Runtime};
 pub const ANSWER_TIMEOUT: Duration = Duration::from_secs(5);
 /// How long to wait for `POST /v1/home`. The daemon waits for the pins for 25 s.
 pub const HOME_TIMEOUT: Duration = Duration::from_secs(30);
+/// How long to wait for `POST /v1/live`: the daemon finds the drives of a target's first pose.
+const LIVE_TIMEOUT: Duration = Duration::from_secs(30);
 
 /// A client of one daemon.
 #[derive(Debug)]
@@ -173,6 +176,15 @@ impl Client {
         ClientError::BadAnswer { socket: self.endpoint.socket.clone(), what: error.to_string() }
     }
 
+    /// Starts a live play and opens its connection. The play waits 2 s for its first message.
+    ///
+    /// # Errors
+    /// See [`ClientError`].
+    pub fn live(&mut self, request: &LiveRequest) -> Result<LivePlay, ClientError> {
+        let accepted = self.post_within(LIVE_TIMEOUT, "/v1/live", request)?;
+        LivePlay::open(&self.endpoint, &accepted, self.token.as_deref())
+    }
+
     /// Listens to events on a connection of its own. Events that happen after the return are not missed.
     ///
     /// # Errors
@@ -189,12 +201,7 @@ impl Client {
                 if response.status().is_success() {
                     return Ok(response);
                 }
-                let (_, bytes) = read_all(&socket, response).await?;
-                let problem = serde_json::from_slice::<Problem>(&bytes);
-                Err(problem.map_or_else(
-                    |error| ClientError::BadAnswer { socket: socket.clone(), what: error.to_string() },
-                    Into::into,
-                ))
+                Err(refused(&socket, response).await)
             };
             let response = tokio::time::timeout(ANSWER_TIMEOUT, response).await.unwrap_or_else(slow)?;
             Ok::<_, ClientError>((socket, response))

@@ -10,6 +10,7 @@ use hyper::client::conn::http1::{SendRequest, handshake};
 use hyper::header::{AUTHORIZATION, CONTENT_TYPE, HOST, HeaderValue};
 use hyper::{Method, Request, Response};
 use hyper_util::rt::TokioIo;
+use meissner_api::Problem;
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use std::io;
 use std::os::fd::{AsFd, OwnedFd};
@@ -69,7 +70,7 @@ pub(crate) async fn connect(endpoint: &Endpoint) -> Result<(Connection, PathBuf)
     let (sender, connection) =
         handshake(TokioIo::new(stream)).await.map_err(|source| hung_up(socket, Some(source)))?;
     // The requests report its errors.
-    tokio::spawn(connection);
+    tokio::spawn(connection.with_upgrades());
     Ok((Connection { sender, stream: descriptor }, socket.clone()))
 }
 
@@ -117,6 +118,17 @@ pub(crate) async fn read_all(
         Err(error) => ClientError::BadAnswer { socket: socket.to_owned(), what: error.to_string() },
     })?;
     Ok((good, body.to_bytes()))
+}
+
+/// The error of an answer that is no success.
+pub(crate) async fn refused(socket: &Path, response: Response<Incoming>) -> ClientError {
+    match read_all(socket, response).await {
+        Ok((_, bytes)) => serde_json::from_slice::<Problem>(&bytes).map_or_else(
+            |error| ClientError::BadAnswer { socket: socket.to_owned(), what: error.to_string() },
+            Into::into,
+        ),
+        Err(error) => error,
+    }
 }
 
 /// Escapes a part of an address: everything but letters, digits and `-`.

@@ -6,6 +6,7 @@
 //! - [`Endpoint`]: which socket to connect to.
 //! - [`Client`]: calls that wait for their answer, by default for [`ANSWER_TIMEOUT`]. Each client has a small runtime of its own.
 //! - [`Events`]: the daemon's events, on a connection of their own.
+//! - [`LivePlay`]: the connection of a live play, made by [`Client::live`]: messages that change it, and the daemon's answers.
 //! - [`estop`]: an emergency stop, on a socket of its own.
 //! - [`ClientError`]: what can fail, each in one line that says what to do; [`access`] explains denied sockets.
 //!
@@ -38,6 +39,7 @@ mod endpoint;
 mod error;
 mod estop;
 mod events;
+mod live;
 
 pub use client::{ANSWER_TIMEOUT, Client, HOME_TIMEOUT};
 pub use connection::escape;
@@ -46,6 +48,7 @@ pub use endpoint::{Endpoint, MAX_SOCKET_PATH, SERVICE_SOCKET, default_socket, es
 pub use error::ClientError;
 pub use estop::{STOPPED, estop};
 pub use events::Events;
+pub use live::LivePlay;
 
 #[cfg(test)]
 mod tests;

@@ -83,8 +83,8 @@ pub use prediction::{
 };
 pub use quality::{Named, OfClass, Quality, name_targets, quality, skin_model};
 pub use render::{
-    Compared, LIVE_FIDELITY, LiveBrief, LiveComparison, LiveSample, Pose, RenderError, Rendered, Renderer,
-    Start, compare_live,
+    Compared, LIVE_FIDELITY, LIVE_LEAST_DECIHERTZ, LiveBrief, LiveComparison, LiveSample, Pose, RenderError,
+    Rendered, Renderer, Start, compare_live,
 };
 pub use response::{Response, response};
 pub use search::{Brief, Ended, Found, Limit, SEARCH_MIN_SHARES, Spent, Step, resume, search};

@@ -81,7 +81,7 @@ impl Source {
     #[must_use]
     pub fn drives(&self, motor: u8) -> bool {
         match self {
-            Self::Compiled(strokes) => strokes.motors().any(|driven| driven == motor),
+            Self::Compiled(strokes) => strokes.drives(motor),
             Self::Live(_) => true,
         }
     }

@@ -6,6 +6,7 @@ mod estop;
 mod estop_races;
 mod hand;
 mod hangs;
+mod live;
 mod load;
 mod lower_stop;
 mod margin;

@@ -26,8 +26,9 @@ from ._sse import Event
 from .client import Client, Play, Session
 from .clocks import ClientClock, Instant
 from .errors import ApiError, MeissnerError, PlayStopped, Unreachable
+from .live import Live, Update
 from .program import Daemon, Design, Simulation, design, simulate
-from .results import Item, Receipt, Status
+from .results import Item, LiveResult, Receipt, Status
 from .traces import Displacement, displacement
 
 if TYPE_CHECKING:
@@ -42,6 +43,8 @@ __all__ = [
     "Event",
     "Instant",
     "Item",
+    "Live",
+    "LiveResult",
     "MeissnerError",
     "Play",
     "PlayStopped",
@@ -51,6 +54,7 @@ __all__ = [
     "Simulation",
     "Status",
     "Unreachable",
+    "Update",
     "connect",
     "connect_async",
     "demo",

@@ -20,7 +20,7 @@ from . import _http
 from ._bodies import At, Fit, Labels, Late, SequenceItem, Trigger, sequence_items, texts, trigger_of
 from ._endpoint import Endpoint
 from ._http import Answer, Op, Pause, Request
-from .clocks import NS, ClientClock, Instant
+from .clocks import MAX_SKEW, NS, ClientClock, Instant
 from .errors import (
     ApiError,
     ConnectionLost,
@@ -29,6 +29,7 @@ from .errors import (
     Faulted,
     MeissnerError,
     NoDevice,
+    NotKnownYet,
     PlayStopped,
     UnexpectedAnswer,
     Unreachable,
@@ -60,6 +61,8 @@ class Core:
     """Whether this client has armed, so that it disarms at its end."""
     synced_ns: int = -(1 << 62)
     """When the clock got its last sample."""
+    device_clock: dict[str, Any] | None = None
+    """The device's clock at that sample, as the status has it, with the device's `boot`."""
 
     @property
     def headers(self) -> dict[str, str]:
@@ -121,6 +124,7 @@ def _take_status(core: Core, answer: Answer) -> Status:
     if raw["clock"] is not None:
         core.clock.add(answer.sent_ns, answer.received_ns, raw["clock"]["monotonic_ns"])
         core.tick_hz = raw["clock"]["tick_hz"]
+        core.device_clock = {**raw["clock"], "boot": raw["device"]["boot"] if raw["device"] else None}
         core.synced_ns = answer.received_ns
     return Status.of(raw)
 
@@ -204,6 +208,23 @@ def _onset(core: Core, at: At) -> Op[dict[str, Any]]:
     if not core.clock.is_shared and core.clock.now_ns() - core.synced_ns > _SYNC_AGE_NS:
         yield from status(core)
     return {"at_monotonic_ns": core.clock.to_host(round(at * NS))[0]}
+
+
+def instant(core: Core, tick: int) -> Op[Instant]:
+    """A tick near the present, on every clock. The device's clock is compared anew if that was more than a second ago."""
+    if core.device_clock is None or core.clock.now_ns() - core.synced_ns > _SYNC_AGE_NS:
+        yield from status(core)
+    sample = core.device_clock
+    if sample is None:
+        raise NotKnownYet("no device is connected, so its ticks have no times: connect one")
+    distance_ns = round((tick - sample["tick"]) * NS / sample["tick_hz"])
+    return core.clock.instant(
+        tick=tick,
+        boot=sample["boot"],
+        tick_hz=sample["tick_hz"],
+        host_ns=sample["monotonic_ns"] + distance_ns,
+        host_uncertainty_ns=round(sample["uncertainty_us"] * 1000 + abs(distance_ns) * MAX_SKEW),
+    )
 
 
 def _accepted(core: Core, request: Request, pattern: str) -> Op[Accepted]:

@@ -1,10 +1,14 @@
-"""What blocking and asynchronous plays have in common: the receipt that is known so far."""
+"""What blocking and asynchronous plays have in common: the receipt that is known so far, and ends that hide no error."""
 
 from __future__ import annotations
 
+import contextlib
+import warnings
+from collections.abc import Generator
+
 from ._operations import Accepted
 from .clocks import Instant
-from .errors import NotKnownYet
+from .errors import MeissnerError, NotKnownYet
 from .results import Item, Receipt
 
 
@@ -59,3 +63,14 @@ class KnownPlay:
     def __repr__(self) -> str:
         state = self._receipt.state if self._receipt else "accepted"
         return f"<play {self.id}: {self.pattern}, {state}>"
+
+
+@contextlib.contextmanager
+def quietly(what: str, failed: bool) -> Generator[None]:
+    """Turns an error into a warning if another error is on its way, so that it does not hide that one."""
+    try:
+        yield
+    except MeissnerError as error:
+        if not failed:
+            raise
+        warnings.warn(f"{what}: {error}", stacklevel=4)

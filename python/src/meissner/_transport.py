@@ -15,6 +15,8 @@ from ._http import Answer, Request
 from .errors import ConnectionLost, MeissnerError, Unreachable
 
 if TYPE_CHECKING:
+    import ssl
+
     import httpx
 
 Headers = Callable[[], dict[str, str]]
@@ -160,3 +162,12 @@ class AsyncTransport:
     async def close(self) -> None:
         """Closes all connections."""
         await self._client.aclose()
+
+
+def tls() -> ssl.SSLContext:
+    """What other connections of this package trust, for one that httpx does not make."""
+    import httpx
+
+    context = httpx.create_ssl_context(trust_env=False)
+    context.set_alpn_protocols(["http/1.1"])
+    return context

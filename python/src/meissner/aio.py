@@ -13,14 +13,14 @@ from collections.abc import AsyncGenerator, Awaitable, Callable, Generator
 from types import TracebackType
 from typing import Any, Concatenate, ParamSpec, TypeVar
 
-from . import _exports, program
+from . import _exports, _live, program
 from . import _operations as ops
+from ._aio_live import AsyncLive
 from ._http import Answer, Op, Pause, Step
 from ._operations import Accepted, Core
-from ._plays import KnownPlay
+from ._plays import KnownPlay, quietly
 from ._sse import Event, EventParser
 from ._transport import AsyncTransport
-from .client import quietly
 from .clocks import NS
 from .errors import ConnectionLost, MeissnerError, Unreachable
 from .results import Receipt
@@ -47,6 +47,17 @@ def _playing(
 
     async def method(client: AsyncClient, /, *args: P.args, **kwargs: P.kwargs) -> AsyncPlay:
         return AsyncPlay(client, await client.run(operation(client.core, *args, **kwargs)))
+
+    return ops.named_after(operation, method)
+
+
+def _living(
+    operation: Callable[Concatenate[Core, P], Op[_live.Started]],
+) -> Callable[Concatenate[AsyncClient, P], AsyncLive]:
+    """A method that returns a live play, which starts with `async with` or `await`."""
+
+    def method(client: AsyncClient, /, *args: P.args, **kwargs: P.kwargs) -> AsyncLive:
+        return AsyncLive(client, operation(client.core, *args, **kwargs))
 
     return ops.named_after(operation, method)
 
@@ -186,6 +197,7 @@ class AsyncClient:
     home = _awaiting(ops.home)
     play = _playing(ops.play)
     sequence = _playing(ops.sequence)
+    live = _living(_live.start)
     session = _opening(ops.session)
     receipt = _awaiting(ops.receipt)
     wait_until_idle = _awaiting(ops.wait_until_idle)

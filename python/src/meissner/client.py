@@ -5,22 +5,21 @@
 
 from __future__ import annotations
 
-import contextlib
 import threading
-import warnings
 from collections.abc import Callable, Generator
 from types import TracebackType
 from typing import Any, Concatenate, ParamSpec, TypeVar
 
-from . import _exports, program
+from . import _exports, _live, program
 from . import _operations as ops
 from ._http import Answer, Op, Pause, Step
 from ._operations import Accepted, Core
-from ._plays import KnownPlay
+from ._plays import KnownPlay, quietly
 from ._sse import Event, EventParser
 from ._transport import BlockingTransport
 from .clocks import NS
 from .errors import ConnectionLost, MeissnerError, Unreachable
+from .live import Live
 from .results import Receipt
 
 P = ParamSpec("P")
@@ -41,6 +40,15 @@ def _playing(operation: Callable[Concatenate[Core, P], Op[Accepted]]) -> Callabl
 
     def method(client: Client, /, *args: P.args, **kwargs: P.kwargs) -> Play:
         return Play(client, client.run(operation(client.core, *args, **kwargs)))
+
+    return ops.named_after(operation, method)
+
+
+def _living(operation: Callable[Concatenate[Core, P], Op[_live.Started]]) -> Callable[Concatenate[Client, P], Live]:
+    """A method that starts a live play and returns it."""
+
+    def method(client: Client, /, *args: P.args, **kwargs: P.kwargs) -> Live:
+        return Live(client, client.run(operation(client.core, *args, **kwargs)))
 
     return ops.named_after(operation, method)
 
@@ -129,17 +137,6 @@ class Session:
             self._leave(failed=kind is not None)
 
 
-@contextlib.contextmanager
-def quietly(what: str, failed: bool) -> Generator[None]:
-    """Turns an error into a warning if another error is on its way, so that it does not hide that one."""
-    try:
-        yield
-    except MeissnerError as error:
-        if not failed:
-            raise
-        warnings.warn(f"{what}: {error}", stacklevel=4)
-
-
 class Client:
     """A connection to a daemon. As a context manager it disarms, if it has armed, and closes.
 
@@ -194,6 +191,7 @@ class Client:
     home = _blocking(ops.home)
     play = _playing(ops.play)
     sequence = _playing(ops.sequence)
+    live = _living(_live.start)
     session = _opening(ops.session)
     receipt = _blocking(ops.receipt)
     wait_until_idle = _blocking(ops.wait_until_idle)

@@ -169,8 +169,11 @@ def design(
         return Design(name, file.read_text(encoding="utf-8"), summary)
 
 
-_PATIENT = {"lead_ms": 1000, "lease_ms": 5000}
-"""A long lead and host watchdog timeout: a simulated array on a busy machine should outlast its stalls."""
+_PATIENT = {"lead_ms": 500, "lease_ms": 5000}
+"""A long lead and host watchdog timeout: a simulated array on a busy machine should outlast its stalls.
+
+With a lead of 1 s the line would not carry the 50 updates per second of a live target.
+"""
 
 
 class Daemon:

@@ -53,6 +53,23 @@ class Item:
 
 
 @dataclass(frozen=True)
+class LiveResult:
+    """What became of an update of a live play."""
+
+    state: str
+    """`applied`: the device has it; `merged`: a newer update took its place before it was sent."""
+    merged_into: int | None
+    """The number of the newer update."""
+    ticks: tuple[int | None, ...]
+    """For each motor the tick from which it has its new drive; None: it had it before, or gets it with a later update."""
+    onset: Instant | None
+    """When the first motor has its new drive, on every clock; None: this update changed no motor."""
+    repeats: int
+    """How often the device got it too late for some motor, so that the daemon sent it again."""
+    raw: dict[str, Any] = field(repr=False)
+
+
+@dataclass(frozen=True)
 class Receipt:
     """What became of a play."""
 

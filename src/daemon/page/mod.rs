@@ -17,7 +17,7 @@ const POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; i
 const SCRIPT: &str = "text/javascript; charset=utf-8";
 
 /// Address, media type and text of every file.
-const FILES: [(&str, &str, &str); 16] = [
+const FILES: [(&str, &str, &str); 17] = [
     ("/", "text/html; charset=utf-8", include_str!("assets/index.html")),
     ("/page/page.css", "text/css; charset=utf-8", include_str!("assets/page.css")),
     ("/page/icon.svg", "image/svg+xml", include_str!("assets/icon.svg")),
@@ -27,6 +27,7 @@ const FILES: [(&str, &str, &str); 16] = [
     ("/page/control.js", SCRIPT, include_str!("assets/control.js")),
     ("/page/finger.js", SCRIPT, include_str!("assets/finger.js")),
     ("/page/designer.js", SCRIPT, include_str!("assets/designer.js")),
+    ("/page/live.js", SCRIPT, include_str!("assets/live.js")),
     ("/page/maps.js", SCRIPT, include_str!("assets/maps.js")),
     ("/page/pad.js", SCRIPT, include_str!("assets/pad.js")),
     ("/page/patterns.js", SCRIPT, include_str!("assets/patterns.js")),

@@ -6,12 +6,14 @@ use super::State;
 use super::session::random_hex;
 use crate::daemon::renderer::{Job, Poses, pose};
 use firmware_protocol::stroke::MOTORS;
-use meissner_api::{Code, LiveAnswer, LiveApplied, LiveDrive, LiveMessage, Problem};
+use meissner_api::{Code, LiveAnswer, LiveApplied, LiveContrast, LiveDrive, LiveMessage, Problem};
 use meissner_array::motor::SquareWave;
 use meissner_array::pattern::Drive;
 use meissner_array::strokes::{DriveStrokes, StrokeOptions};
+use meissner_design::RenderError;
 use meissner_stream::queues::{Applied, Command, LiveResult, LiveUpdate, StreamEvent};
 use meissner_stream::time::HostInstant;
+use rustix::process::{Pid, Signal, kill_process};
 use std::collections::HashMap;
 use std::sync::Arc;
 use tokio::sync::mpsc;
@@ -42,7 +44,11 @@ pub(in crate::daemon) struct LivePlay {
 
 /// See the module.
 #[derive(Debug, Default)]
-pub(in crate::daemon) struct LivePlays(HashMap<u64, LivePlay>);
+pub(in crate::daemon) struct LivePlays {
+    plays: HashMap<u64, LivePlay>,
+    /// The play that is compared with searches, and the process that does it, which nobody has waited for.
+    comparison: Option<(u64, Pid)>,
+}
 
 impl LivePlay {
     /// A play of these drives; the other motors are silent.
@@ -123,6 +129,13 @@ impl LivePlay {
         self.set(&all)
     }
 
+    /// Answers its client. One that does not read its answers loses them.
+    fn answer(&self, answer: LiveAnswer) {
+        if let Some(answers) = &self.answers {
+            let _ = answers.try_send(answer);
+        }
+    }
+
     /// The largest amplitude, µm.
     pub(in crate::daemon) fn largest_um(&self) -> f64 {
         let largest = self.drives.iter().map(|drive| drive.amplitude_um).fold(0.0, f64::max);
@@ -134,23 +147,39 @@ impl LivePlay {
     /// # Errors
     /// If a drive is out of the motor's range, which a checked one is not.
     pub(in crate::daemon) fn waves(&self) -> Result<[SquareWave; MOTORS], Problem> {
-        let mut waves = Vec::with_capacity(MOTORS);
-        for &LiveDrive { motor, frequency_hz, amplitude_um, phase } in &self.drives {
+        let wave = |&LiveDrive { motor, frequency_hz, amplitude_um, phase }: &LiveDrive| {
             let drive = Drive { motor, frequency_hz, amplitude_um, phase, start_s: None, stop_s: None };
             let strokes = DriveStrokes::with(&drive, &self.options);
-            waves.push(*strokes.map_err(|error| Problem::new(Code::BadRequest, error.to_string()))?.wave());
+            strokes
+                .map(|strokes| *strokes.wave())
+                .map_err(|error| Problem::new(Code::BadRequest, error.to_string()))
+        };
+        let mut waves = [wave(&self.drives[0])?; MOTORS];
+        for (own, drive) in waves.iter_mut().zip(&self.drives) {
+            *own = wave(drive)?;
         }
-        waves.try_into().map_err(|_| Problem::new(Code::BadRequest, "not 24 drives"))
+        Ok(waves)
     }
 }
 
 impl LivePlays {
     pub(in crate::daemon) fn add(&mut self, id: u64, play: LivePlay) {
-        self.0.insert(id, play);
+        if play.poses.is_some() {
+            self.end_comparison();
+        }
+        self.plays.insert(id, play);
+    }
+
+    /// Ends the process that compares a play, which takes processor time from a renderer.
+    fn end_comparison(&mut self) {
+        if let Some((_, process)) = self.comparison.take() {
+            // An error means that it has just ended.
+            let _ = kill_process(process, Signal::KILL);
+        }
     }
 
     pub(super) fn forget(&mut self, id: u64) {
-        if let Some(poses) = self.0.remove(&id).and_then(|play| play.poses) {
+        if let Some(poses) = self.plays.remove(&id).and_then(|play| play.poses) {
             poses.close();
         }
     }
@@ -164,7 +193,7 @@ impl LivePlays {
             let detail = "no live play has this key, or it is over: start one with POST /v1/live, and open the connection within 2 s";
             Problem::new(Code::NotFound, detail)
         };
-        let found = self.0.iter_mut().find(|(_, play)| play.key == key);
+        let found = self.plays.iter_mut().find(|(_, play)| play.key == key);
         let (&id, play) = found.ok_or_else(unknown)?;
         if play.answers.is_some() {
             return Err(Problem::new(Code::BadRequest, "the live play has its connection: it takes one"));
@@ -178,26 +207,25 @@ impl LivePlays {
     pub(super) fn follow(&mut self, event: &StreamEvent) {
         match event {
             StreamEvent::LiveUpdated(update) => {
-                let Some(play) = self.0.get_mut(&update.id) else { return };
+                let Some(play) = self.plays.get_mut(&update.id) else { return };
                 play.under_way = play.under_way.saturating_sub(1);
-                // A client that does not read its answers loses them.
-                if let Some(answers) = &play.answers {
-                    let _ = answers.try_send(answer(update));
-                }
+                play.answer(answer(update));
             }
             StreamEvent::PlayEnded { id, outcome } => {
-                let Some(play) = self.0.remove(id) else { return };
-                if let Some(poses) = play.poses {
+                let Some(play) = self.plays.remove(id) else { return };
+                if let Some(poses) = &play.poses {
                     poses.close();
                 }
-                if let Some(answers) = play.answers {
-                    let ended = Some(outcome.cause.unwrap_or("done").to_owned());
-                    let _ = answers.try_send(LiveAnswer { ended, ..LiveAnswer::default() });
-                }
+                let ended = Some(outcome.cause.unwrap_or("done").to_owned());
+                play.answer(LiveAnswer { ended, ..LiveAnswer::default() });
             }
             _ => {}
         }
     }
+}
+
+fn over() -> Problem {
+    Problem::new(Code::NotFound, "the live play is over: the message changed nothing")
 }
 
 fn answer(update: &LiveUpdate) -> LiveAnswer {
@@ -217,6 +245,29 @@ fn answer(update: &LiveUpdate) -> LiveAnswer {
 }
 
 impl State {
+    /// A process compares a play from now on, until [`Self::end_comparison`]. False if a live target plays, or the daemon ends.
+    pub(in crate::daemon) fn begin_comparison(&mut self, id: u64, process: Pid) -> bool {
+        let renders = self.live.plays.values().any(|play| play.poses.is_some());
+        if renders || self.commands.is_closing() {
+            return false;
+        }
+        self.live.end_comparison();
+        self.live.comparison = Some((id, process));
+        true
+    }
+
+    /// The process of this play's comparison is about to be waited for.
+    pub(in crate::daemon) fn end_comparison(&mut self, id: u64) {
+        self.live.comparison.take_if(|(of, _)| *of == id);
+    }
+
+    /// Puts what a live target has reached into its play's receipt.
+    pub(in crate::daemon) fn set_live_contrast(&mut self, id: u64, contrast: LiveContrast) {
+        if let Some(event) = self.plays.receipts.set_live_contrast(id, contrast) {
+            self.publish(&event);
+        }
+    }
+
     /// Carries out a message of a live play's client, whose answer comes later.
     ///
     /// # Errors
@@ -227,8 +278,7 @@ impl State {
         message: &LiveMessage,
         received_at: HostInstant,
     ) -> Result<(), Problem> {
-        let over = || Problem::new(Code::NotFound, "the live play is over: the message changed nothing");
-        let play = self.live.0.get_mut(&id).ok_or_else(over)?;
+        let play = self.live.plays.get_mut(&id).ok_or_else(over)?;
         self.sessions.hear(play.token.as_deref());
         if play.seq.is_some_and(|last| message.seq <= last) {
             let last = play.seq.unwrap_or(0);
@@ -249,17 +299,16 @@ impl State {
                 play.seq = Some(message.seq);
                 // The drives of the pose bring the scale along.
                 let scale = message.scale.map(|scale| (message.seq, scale));
-                let before = poses.put(Job { seq: message.seq, received_at, pose: pose(*at), scale });
-                let merged = before.map(|job| LiveAnswer {
-                    seq: Some(job.seq),
-                    merged_into: Some(message.seq),
-                    ..LiveAnswer::default()
-                });
+                let merged = poses.put(Job { seq: message.seq, received_at, pose: pose(*at), scale });
                 // The renderer may take longer than a client may be silent.
                 let _ = self.commands.send_unanswered(Command::KeepLive(id));
-                if let Some(merged) = merged {
-                    play.answers.iter().for_each(|answers| drop(answers.try_send(merged.clone())));
+                if let Some(job) = merged {
                     self.plays.receipts.live_merged(id);
+                    play.answer(LiveAnswer {
+                        seq: Some(job.seq),
+                        merged_into: Some(message.seq),
+                        ..LiveAnswer::default()
+                    });
                 }
                 return Ok(());
             }
@@ -273,17 +322,26 @@ impl State {
         })
     }
 
-    /// The renderer has found the drives of a pose.
-    pub(in crate::daemon) fn live_rendered(&mut self, id: u64, job: &Job, drives: &[Drive]) {
+    /// The renderer has found the drives of a pose, or not. Returns whether they are on their way.
+    pub(in crate::daemon) fn live_rendered(
+        &mut self,
+        id: u64,
+        job: &Job,
+        rendered: Result<&[Drive], &RenderError>,
+    ) -> bool {
         let &Job { seq, received_at, scale, .. } = job;
-        let sent = self.change_live(id, seq, received_at, true, |play| {
-            play.scale(scale);
-            play.set_pattern(drives)
+        let drives = rendered.map_err(|error| Problem::new(Code::BadRequest, error.to_string()));
+        let sent = drives.and_then(|drives| {
+            self.change_live(id, seq, received_at, true, |play| {
+                play.scale(scale);
+                play.set_pattern(drives)
+            })
         });
-        let answers = self.live.0.get(&id).and_then(|play| play.answers.as_ref());
-        if let (Err(problem), Some(answers)) = (sent, answers) {
-            let _ = answers.try_send(LiveAnswer::refused(Some(seq), problem));
+        let is_sent = sent.is_ok();
+        if let (Err(problem), Some(play)) = (sent, self.live.plays.get(&id)) {
+            play.answer(LiveAnswer::refused(Some(seq), problem));
         }
+        is_sent
     }
 
     /// Changes a live play and sends its drives to the streamer. A change that is refused changes nothing.
@@ -295,8 +353,7 @@ impl State {
         changes: bool,
         change: impl FnOnce(&mut LivePlay) -> Result<(), Problem>,
     ) -> Result<(), Problem> {
-        let over = || Problem::new(Code::NotFound, "the live play is over: the message changed nothing");
-        let play = self.live.0.get_mut(&id).ok_or_else(over)?;
+        let play = self.live.plays.get_mut(&id).ok_or_else(over)?;
         let before = (play.drives, play.options.scale, play.scaled_by, play.seq);
         let changed = change(play).and_then(|()| play.waves());
         let (largest_um, full) = (play.largest_um(), play.under_way >= UNDER_WAY);
@@ -310,7 +367,7 @@ impl State {
             let command = Command::UpdateLive(Box::new(update));
             if full { Err(busy()) } else { self.commands.send_unanswered(command).map_err(|_| busy()) }
         });
-        if let Some(play) = self.live.0.get_mut(&id) {
+        if let Some(play) = self.live.plays.get_mut(&id) {
             match &sent {
                 Ok(()) => play.under_way += 1,
                 Err(_) => (play.drives, play.options.scale, play.scaled_by, play.seq) = before,

@@ -62,9 +62,10 @@ mod tests {
     use super::*;
     use meissner_api::{
         AfferentClass, BurstCounts, ClassResponse, DurationRecord, ErrorSource, LateCause, LateCounts,
-        LateStroke, LatenessRecord, LinkTraffic, MAX_DRIVES_LISTED, MAX_LISTED, MAX_WARNINGS_LISTED,
-        MotorRestError, OffsetRecord, OnsetRecord, OrderedCounts, PlayState, PredictedResponse, Prediction,
-        PulseCounts, Rates, ReachedDrive, Receipt, RefusedStroke,
+        LateStroke, LatenessRecord, LinkTraffic, LiveContrast, LiveRecord, MAX_DRIVES_LISTED, MAX_LISTED,
+        MAX_WARNINGS_LISTED, MotorRestError, OffsetRecord, OnsetRecord, OrderedCounts, PlayState,
+        PredictedResponse, Prediction, PulseCounts, Rates, ReachedContrast, ReachedDrive, Receipt,
+        RefusedStroke, UpdateTimes,
     };
 
     #[test]
@@ -92,6 +93,9 @@ mod tests {
                 .into(),
             unmeasured: most,
         };
+        let times = UpdateTimes { p50_ms: number, p99_ms: number, longest_ms: number };
+        let reached =
+            ReachedContrast { reached: number, searched: number, rule: number, least_share: Some(number) };
         let late = LateStroke { motor: 23, tick: most, late_ms: number, cause: LateCause::Device };
         let reason = "the motor's on-time limit: fewer pulses per second, please".to_owned();
         let refused = RefusedStroke { motor: 23, tick: most, reason };
@@ -115,6 +119,21 @@ mod tests {
                 amended: most,
             }),
             pulses: Some(PulseCounts { planned: most, played: most }),
+            live: Some(LiveRecord {
+                updates: most,
+                applied: most,
+                merged: most,
+                repeats: most,
+                decided: Some(times),
+                first_motor: Some(times),
+                last_motor: Some(times),
+                contrast: Some(LiveContrast {
+                    poses: 8,
+                    converged: 8,
+                    membrane: Some(reached),
+                    afferents: Some(reached),
+                }),
+            }),
             lateness: LatenessRecord {
                 counts: LateCounts { host: most, link: most, device: most, worst_ms: number },
                 strokes: vec![late; MAX_LISTED],

@@ -8,11 +8,11 @@ use crate::motor::{MotorError, SquareWave};
 use crate::units::UM_PER_PULSE;
 use firmware_protocol::stroke::MOTORS;
 use meissner_input::document::in_range;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 use std::fmt;
 
 /// A square wave on one motor.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Drive {
     /// 0..24, `4 * row + column`.
     pub motor: u8,

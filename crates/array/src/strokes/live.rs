@@ -3,9 +3,8 @@
 //! [`LiveStrokes::replace`] gives a motor another drive from its next period on. The oscillator of a motor runs on when the amplitude
 //! is 0, so that motors of one frequency stay in phase however often they fall silent.
 //!
-//! Invariant: the strokes of a motor do not overlap, and are on the grid of its drive: `replace` begins at a stroke's own
-//! beginning. Strokes come in order of time, except that `replace` goes back to the new
-//! beginning, and `next_of` takes one ahead of the others.
+//! Invariant: the strokes of a motor do not overlap, and are on the grid of its drive: `replace` begins at a stroke's own beginning.
+//! Strokes come in order of time, except that `replace` goes back to the new beginning, and `next_of` takes one ahead of the others.
 
 use super::error::StrokesError;
 use crate::motor::SquareWave;

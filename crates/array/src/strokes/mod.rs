@@ -160,6 +160,12 @@ impl Strokes {
         (0..).zip(&self.driven).filter(|(_, driven)| **driven).map(|(motor, _)| motor)
     }
 
+    /// Whether they drive this motor.
+    #[must_use]
+    pub fn drives(&self, motor: u8) -> bool {
+        self.driven.get(usize::from(motor)).is_some_and(|driven| *driven)
+    }
+
     /// A tick before which no stroke of `motor` that was not returned goes up: that of its next stroke, or the onset of the next
     /// item; `None` if there is none.
     #[must_use]

@@ -12,12 +12,12 @@ use crate::search::{Brief, Ended, Limit, resume};
 use crate::target::{Frame, Target};
 use meissner_array::pattern::Drive;
 use meissner_skin::{MethodError, ModelName, afferent};
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 use std::ops::ControlFlow;
 use std::time::Instant;
 
 /// A pose, and the drives that were played at it.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct LiveSample {
     /// The pose.
     pub pose: Pose,

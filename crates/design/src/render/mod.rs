@@ -24,7 +24,7 @@ use crate::goal::Goal;
 use crate::make::populations;
 use crate::naive::Rule;
 use crate::objective::{Fidelity, Populations, Score, Task};
-use crate::point::{Point, Setting, Space};
+use crate::point::{Point, Setting, Space, Vibration};
 use crate::search::{Ended, Limit, SEARCH_MIN_SHARES, Spent};
 use crate::shape::Shape;
 use crate::target::{Frame, Target};
@@ -44,6 +44,10 @@ pub use compare::{Compared, LiveComparison, LiveSample, compare_live};
 pub const LIVE_FIDELITY: Fidelity =
     Fidelity { duration_s: 1.0, step_us: Some(500), min_weight: 1e-2, min_share: Some(SEARCH_MIN_SHARES[0]) };
 
+/// The lowest frequency of a live target's drives, tenths of a hertz. A motor changes where its next period begins: at 40 Hz within
+/// 25 ms, at 5 Hz the shape would be elsewhere by then. The contrast that searches reach is the same without slower drives
+/// (docs/explanation/search.md).
+pub const LIVE_LEAST_DECIHERTZ: u16 = 400;
 /// The largest turn of a pose, degrees: three hours at 90 degrees/s.
 const MOST_DEG: f64 = 1e6;
 /// The number of rules whose counts are kept: a shape comes back to the same pins.
@@ -71,12 +75,14 @@ pub struct LiveBrief {
     pub models: Models,
     /// What is maximised.
     pub goal: Goal,
-    /// The search space.
+    /// The search space; live drives have at least 40 Hz.
     pub setting: Setting,
     /// Seed of the search's random numbers.
     pub seed: u64,
     /// Whether the value is the mean over [`ROBUST_POPULATIONS`](crate::ROBUST_POPULATIONS): an evaluation takes eight times as long.
     pub robust: bool,
+    /// The highest frequency of live drives, tenths of a hertz, at least 400; none: that of the setting.
+    pub most_decihertz: Option<u16>,
 }
 
 /// Why there is nothing to render.
@@ -173,6 +179,14 @@ struct Placed {
     populations: Arc<Populations>,
 }
 
+impl LiveBrief {
+    fn space(&self) -> Space {
+        let space = self.setting.space();
+        let most = self.most_decihertz.unwrap_or(u16::MAX).min(*space.decihertz.end());
+        Space { decihertz: LIVE_LEAST_DECIHERTZ..=most.max(LIVE_LEAST_DECIHERTZ), ..space }
+    }
+}
+
 impl Pose {
     /// Checks the range.
     ///
@@ -213,7 +227,7 @@ impl Renderer {
         let noise_seed = target.population_seed();
         let task = Task { goal: brief.goal, target, frame, populations: &seeds, noise_seed };
         let aim = Aim::anywhere(brief.models, task, &places, LIVE_FIDELITY);
-        let space = brief.setting.space();
+        let space = brief.space();
         let stood = aim.at(space.nearest(&Point([None; MOTORS])))?.into_stood();
         let (target, rules) = (target.clone(), Vec::new());
         Ok(Self { target, brief, space, places, aim, stood, rules, renders: 0, pace_s: 0.0 })
@@ -244,7 +258,11 @@ impl Renderer {
 
     /// The rule's point, for a pose without ON or OFF afferents.
     fn by_rule(&self, placed: &Placed) -> Rendered {
-        let point = Rule::Reach.point(&self.target, &placed.frame);
+        let most = *self.space.decihertz.end();
+        let Point(rule) = Rule::Reach.point(&self.target, &placed.frame);
+        let slower =
+            |vibration: Vibration| Vibration { decihertz: vibration.decihertz.min(most), ..vibration };
+        let point = Point(rule.map(|vibration| vibration.map(slower)));
         Rendered {
             point,
             drives: point.drives(self.target.amplitude_um(), None, None),

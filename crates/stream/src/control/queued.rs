@@ -43,6 +43,17 @@ pub(crate) struct Cutting {
 pub(crate) struct Forgotten;
 
 impl Queued {
+    /// Fills memory before there are strokes.
+    pub(super) const NOTHING: Self = Self {
+        stroke: Stroke { motor: 0, up: Tick(0), up_pulses: 0, down: Tick(0), down_pulses: 0 },
+        planned: [0; 2],
+        counted: [0; 2],
+        accepted: false,
+        closed_loop: false,
+        corrections: [None; 2],
+        until: Tick(0),
+    };
+
     /// When its last pulse is over, if the device cut it after it had begun. A return takes the pulses that an up burst has
     /// played, and its surplus, or the rest of the down burst.
     pub(super) fn over_at(&self, cut: Cutting) -> Tick {

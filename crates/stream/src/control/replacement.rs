@@ -7,7 +7,7 @@
 
 use super::queued::Queued;
 use firmware_protocol::controller::POOL;
-use firmware_protocol::stroke::{MOTORS, Stroke};
+use firmware_protocol::stroke::MOTORS;
 use firmware_protocol::tick::Tick;
 
 /// The replacement under way.
@@ -22,18 +22,8 @@ pub(super) struct Replacement {
 
 impl Replacement {
     pub(super) fn new() -> Self {
-        let nothing = Stroke { motor: 0, up: Tick(0), up_pulses: 0, down: Tick(0), down_pulses: 0 };
-        let empty = Queued {
-            stroke: nothing,
-            planned: [0; 2],
-            counted: [0; 2],
-            accepted: false,
-            closed_loop: false,
-            corrections: [None; 2],
-            until: Tick(0),
-        };
         // Touch every page now, as the queues do.
-        let mut strokes = vec![empty; POOL + MOTORS];
+        let mut strokes = vec![Queued::NOTHING; POOL + MOTORS];
         strokes.clear();
         Self { from: Tick(0), motors: 0, strokes }
     }

@@ -190,8 +190,19 @@ impl Streamer {
         }
         session.replace(from, changed, silent);
         self.control.replace(changed, from);
-        // First the first stroke of each motor, in one frame or two: with it the device withdraws the motor's old ones.
-        let ups = motors(changed & !silent).filter_map(|motor| Some((strokes.next_up(motor)?, motor)));
+        self.push_firsts(at, changed & !silent);
+        self.fed_until = from;
+        update.result = LiveResult::Applied(applied);
+        self.live.sent = Some(update);
+        self.live.replaced = from;
+        (self.live.unanswered, self.live.kept) = (changed, 0);
+    }
+
+    /// Sends the first stroke of each of these motors, in one frame or two: with it the device withdraws the motor's old ones.
+    fn push_firsts(&mut self, at: usize, of: u32) {
+        let (Some(session), active) = (&mut self.session, &mut self.plays[at]) else { return };
+        let Some(strokes) = active.play.strokes.live() else { return };
+        let ups = motors(of).filter_map(|motor| Some((strokes.next_up(motor)?, motor)));
         let mut firsts: heapless::Vec<(Tick, u8), MOTORS> = ups.collect();
         firsts.sort_unstable();
         let mut pushed = heapless::Vec::<Stroke, MOTORS>::new();
@@ -208,11 +219,6 @@ impl Streamer {
             self.control.sent(&stroke, !active.play.open_loop, active.until());
             active.plan(&stroke, true);
         }
-        self.fed_until = from;
-        update.result = LiveResult::Applied(applied);
-        self.live.sent = Some(update);
-        self.live.replaced = from;
-        (self.live.unanswered, self.live.kept) = (changed, 0);
     }
 
     /// Counts the old strokes before `from` of motors that the device kept as late, if they were not sent before it was asked to

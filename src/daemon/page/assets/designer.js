@@ -1,6 +1,7 @@
 // The designer: a target is drawn or loaded, the daemon searches for a pattern, and the page shows, plays and saves what it has found.
 
 import { call, put } from "./api.js";
+import { Live } from "./live.js";
 import { figures, maps } from "./maps.js";
 import { Pad } from "./pad.js";
 
@@ -30,6 +31,7 @@ export class Designer {
   #report;
   #saved;
   #pad;
+  #live;
   // The target that was loaded, in full: its keys that the page does not show stay.
   #loaded = null;
   #search = null;
@@ -41,6 +43,7 @@ export class Designer {
   constructor(report, saved) {
     [this.#report, this.#saved] = [report, saved];
     this.#pad = new Pad($("pad"), () => this.#drawn(), () => this.#lifted(), (text) => ($("pad-say").textContent = text));
+    this.#live = new Live(report, () => this.#liveRequest(), () => this.#outline());
     const on = (id, event, run) => $(id).addEventListener(event, run);
     on("shape", "change", () => this.#choose());
     on("letter", "input", () => this.#drawn());
@@ -126,11 +129,22 @@ export class Designer {
 
   // What is on the pad has changed.
   #drawn() {
-    const mode = $("shape").value;
     $("points").value = this.#pad.points.map((point) => point.join(" ")).join("; ");
-    const outline = { braille: dots($("letter").value || " "), loaded: this.#loaded?.outline ?? [] };
-    this.#pad.show(DRAWN.includes(mode) ? undefined : outline[mode]);
+    this.#pad.show(DRAWN.includes($("shape").value) ? undefined : this.#outline());
     this.#buttons();
+  }
+
+  // The lines of the shape.
+  #outline() {
+    const mode = $("shape").value;
+    const { points } = this.#pad;
+    return { braille: dots($("letter").value || " "), loaded: this.#loaded?.outline ?? [], dots: points.map((point) => [point]) }[mode] ?? [points];
+  }
+
+  // A live play of the target; null without one, and for a target that moves by itself.
+  #liveRequest() {
+    const target = this.#target();
+    return target && !target.motion ? { target, objective: $("objective").value, model: $("model").value } : null;
   }
 
   #lifted() {
@@ -233,6 +247,7 @@ export class Designer {
     $("feel").disabled = !done;
     $("save").disabled = !this.#search?.result;
     $("undo").disabled = $("clear").disabled = !this.#pad.points.length;
+    this.#live.buttons();
   }
 }
 

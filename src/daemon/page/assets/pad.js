@@ -3,12 +3,12 @@
 import { make } from "./finger.js";
 
 // The pad is an ellipse; the daemon refuses points outside of it.
-const [HALF_WIDTH, HALF_LENGTH] = [9, 12];
+export const [HALF_WIDTH, HALF_LENGTH] = [9, 12];
 const MOST_POINTS = 64;
 // A line that is drawn freely gets a point at each of these steps; a click this near to a dot takes it away.
 const STEP = 1;
-const KEY_STEP = 0.5;
-const FINE_STEP = 0.1;
+export const KEY_STEP = 0.5;
+export const FINE_STEP = 0.1;
 const KEYS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] };
 const MOST = { segment: 2, polyline: MOST_POINTS, dots: MOST_POINTS };
 
@@ -19,6 +19,12 @@ const apart = (a, b) => Math.hypot(a[0] - b[0], a[1] - b[1]);
 export function onPad([x, y]) {
   const far = Math.max(1, Math.hypot(x / HALF_WIDTH, y / HALF_LENGTH) * 1.0001);
   return [round(x / far), round(y / far)];
+}
+
+// Where the pen is on a drawing of the pad, also beyond its border.
+export function penAt(svg, event) {
+  const at = new DOMPoint(event.clientX, event.clientY).matrixTransform(svg.getScreenCTM().inverse());
+  return [at.x, -at.y];
 }
 
 // The line of a shape through some places; a single place is a dot.
@@ -56,7 +62,7 @@ export class Pad {
     this.svg.append(this.#shape, this.#cross);
     for (const [name, value] of [["role", "application"], ["tabindex", "0"], ["aria-label", "Pad to draw on"], ["aria-describedby", "pad-help"]]) this.svg.setAttribute(name, value);
     this.svg.addEventListener("pointerdown", (event) => this.#press(event));
-    this.svg.addEventListener("pointermove", (event) => this.#pressed && this.#move(this.#at(event)));
+    this.svg.addEventListener("pointermove", (event) => this.#pressed && this.#move(onPad(penAt(this.svg, event))));
     this.svg.addEventListener("pointerup", (event) => this.#lift(event));
     this.svg.addEventListener("pointercancel", () => (this.#pressed = false));
     this.svg.addEventListener("keydown", (event) => this.#key(event));
@@ -81,18 +87,13 @@ export class Pad {
     this.#say(`${this.points.length} points are left.`);
   }
 
-  #at(event) {
-    const at = new DOMPoint(event.clientX, event.clientY).matrixTransform(this.svg.getScreenCTM().inverse());
-    return onPad([at.x, -at.y]);
-  }
-
   #press(event) {
     if (!(this.mode in MOST) || event.button > 0) return;
     event.preventDefault();
     this.svg.focus({ focusVisible: false });
     this.svg.setPointerCapture(event.pointerId);
     this.#pressed = true;
-    this.#add(this.#at(event));
+    this.#add(onPad(penAt(this.svg, event)));
   }
 
   // A point of the pen or of the keys: an edge that is complete begins again, and a dot that is there goes.
@@ -114,7 +115,7 @@ export class Pad {
 
   #lift(event) {
     if (!this.#pressed) return;
-    this.#move(this.#at(event));
+    this.#move(onPad(penAt(this.svg, event)));
     this.#pressed = false;
     this.#lifted();
   }

@@ -79,19 +79,9 @@ pub(crate) struct BurstController {
 
 impl BurstController {
     pub(crate) fn new(gains: &Gains) -> Self {
-        let nothing = Stroke { motor: 0, up: Tick(0), up_pulses: 0, down: Tick(0), down_pulses: 0 };
-        let empty = Queued {
-            stroke: nothing,
-            planned: [0; 2],
-            counted: [0; 2],
-            accepted: false,
-            closed_loop: false,
-            corrections: [None; 2],
-            until: Tick(0),
-        };
         let mut queue = VecDeque::with_capacity(POOL + PAST);
         // Touch every page now: pages are locked at their first touch, which must not fall into a play.
-        queue.resize(queue.capacity(), empty);
+        queue.resize(queue.capacity(), Queued::NOTHING);
         queue.clear();
         Self {
             queue,

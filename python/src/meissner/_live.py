@@ -1,0 +1,431 @@
+"""Live plays without input or output: the request, the messages, and which of them have no answer yet.
+
+`live.py` sends and reads with a thread, `_aio_live.py` with a task; both use what is here. `start` is an operation as in
+`_operations.py`, and `Updates` numbers the messages of one play and gives each its answer.
+
+Bounds: `WINDOW` messages without an answer; of what is sent meanwhile, one message is kept, into which newer ones merge. An
+answered update is the caller's alone. Invariant: every method of `Updates` is called by one thread at a time.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any, Generic, Protocol, TypeVar
+from urllib.parse import urlsplit
+
+from . import _http
+from . import _operations as ops
+from ._bodies import Labels, Late, Trigger, texts, trigger_of
+from ._http import Answer, Op
+from ._operations import Accepted, Core
+from ._plays import KnownPlay
+from .errors import ApiError, ConnectionLost, MeissnerError, PlayStopped, UnexpectedAnswer
+from .results import LiveResult, Receipt
+
+Drives = Iterable[Mapping[str, Any]]
+Pose = Mapping[str, float]
+WINDOW = 24
+"""Messages without an answer, at most. The daemon takes 32, refuses more, and keeps 128 answers for who does not read."""
+END_TIMEOUT = 20.0
+"""How long the daemon may take to end a live play, s. The stroke that runs ends first."""
+_LONGEST_HEAD = 1 << 16
+_LONGEST_LINE = 1 << 20
+
+
+@dataclass(frozen=True)
+class Started:
+    """A live play that the daemon has taken, and where its connection is opened."""
+
+    accepted: Accepted
+    path: str
+
+
+def start(
+    core: Core,
+    target: str | Mapping[str, Any] | None = None,
+    *,
+    drives: Drives | None = None,
+    pose: Pose | None = None,
+    scale: float | None = None,
+    timeout: float | None = None,
+    budget: float | None = None,
+    objective: str | None = None,
+    model: str | None = None,
+    setting: str | None = None,
+    updates_hz: float | None = None,
+    max_frequency_hz: float | None = None,
+    trigger: Trigger = None,
+    trial: int | None = None,
+    labels: Labels = None,
+    late: Late = None,
+    replace: bool = False,
+    open_loop: bool = False,
+) -> Op[Started]:
+    """Start a live play, whose drives change while it runs: use it in a `with` block, which ends it.
+
+    `target` is the name of a shape that your poses move, or a dict with the keys of a target file; `pose` is where it
+    begins, with any of `x_mm`, `y_mm` and `angle_deg`. Without a target, `drives` are those at the onset: dicts with `motor`,
+    `frequency_hz`, `amplitude_um` and perhaps `phase`. `budget`: how long the search for a pose's drives may take, s.
+
+    The play ends when the program sends nothing for `timeout` s (0.5; the first message may take 2 s), and the pins return.
+    No thread keeps it alive: a program that hangs must not leave pins moving. A loop without a change calls `keep()`.
+    """
+    body = {
+        "target": target,
+        "drives": None if drives is None else plain_drives(drives),
+        "pose": None if pose is None else plain_pose(pose),
+        "scale": scale,
+        "timeout_ms": None if timeout is None else timeout * 1000,
+        "budget_ms": None if budget is None else budget * 1000,
+        "objective": objective,
+        "model": model,
+        "setting": setting,
+        "updates_hz": updates_hz,
+        "max_frequency_hz": max_frequency_hz,
+        "trigger": trigger_of(trigger),
+        "trial": trial,
+        "labels": texts(labels),
+        "late": late,
+        "replace": replace or None,
+        "open_loop": open_loop or None,
+    }
+    answer = yield from ops.send(core, _http.post("/v1/live", body, timeout=20.0))
+    raw = answer.json()
+    return Started(Accepted(raw["id"], "live", None, core.daemon), raw["path"])
+
+
+def plain_drives(drives: Drives) -> list[dict[str, Any]]:
+    """Drives as JSON has them; NumPy's numbers become Python's."""
+    return [
+        {key: value.tolist() if hasattr(value, "tolist") else value for key, value in drive.items()} for drive in drives
+    ]
+
+
+def plain_pose(pose: Pose) -> dict[str, float]:
+    return {key: float(value) for key, value in pose.items()}
+
+
+def upgrade(core: Core, path: str) -> bytes:
+    """The request that opens a live play's connection."""
+    address = urlsplit(core.endpoint.url)
+    lines = [
+        f"GET {address.path}{path} HTTP/1.1",
+        f"Host: {address.netloc.rpartition('@')[2]}",
+        "Connection: Upgrade",
+        "Upgrade: meissner-live",
+        *(f"{name}: {value}" for name, value in core.headers.items()),
+    ]
+    return "".join(f"{line}\r\n" for line in [*lines, ""]).encode()
+
+
+def upgraded(received: bytes) -> bytes | None:
+    """What follows the head of the answer 101; None: the answer is not complete yet. Raises what the daemon refused."""
+    head, end, rest = received.partition(b"\r\n\r\n")
+    if not end:
+        if len(received) > _LONGEST_HEAD:
+            raise UnexpectedAnswer("the answer to the upgrade has no end: is this a meissner daemon?")
+        return None
+    first, *fields = head.decode("latin-1").split("\r\n")
+    words = first.split()
+    if len(words) < 2 or not words[0].startswith("HTTP/1.") or not words[1].isdigit():
+        raise UnexpectedAnswer(f"the answer to the upgrade is not HTTP: {first[:60]!r}; is this a meissner daemon?")
+    if words[1] == "101":
+        return rest
+    lengths = [
+        value for name, _, value in (field.partition(":") for field in fields) if name.lower() == "content-length"
+    ]
+    if lengths and len(rest) < min(int(lengths[0]), _LONGEST_HEAD):
+        return None
+    Answer(int(words[1]), rest).json()
+    raise UnexpectedAnswer(
+        f"HTTP status {words[1]} instead of an upgrade: does a proxy between here and the daemon allow it?"
+    )
+
+
+class Signal(Protocol):
+    """A `threading.Event` or an `asyncio.Event`."""
+
+    def set(self) -> None: ...
+
+
+class KnownUpdate:
+    """A message of a live play, and the daemon's answer to it once that is known."""
+
+    def __init__(self, seq: int, signal: Signal) -> None:
+        self.seq = seq
+        """The message's number."""
+        self._signal = signal
+        self._raw: dict[str, Any] | None = None
+        self._error: MeissnerError | None = None
+        self._over: ApiError | None = None
+        """It came too late for the play. Why the play was over follows."""
+        self._waiting = 0
+
+    @property
+    def is_answered(self) -> bool:
+        """Whether `wait()` would return at once."""
+        return self._raw is not None or self._error is not None
+
+    def _settle(self, raw: dict[str, Any] | None, error: MeissnerError | None) -> None:
+        self._raw, self._error = raw, error
+        self._signal.set()
+
+    def __repr__(self) -> str:
+        if self._error is not None:
+            state = "failed"
+        elif self._raw is not None:
+            state = "applied" if "applied" in self._raw else "merged"
+        else:
+            state = "under way"
+        return f"<update {self.seq}: {state}>"
+
+
+U = TypeVar("U", bound=KnownUpdate)
+
+
+class Updates(Generic[U]):
+    """The messages of one live play."""
+
+    def __init__(self, play_id: int, make: Callable[[int], U]) -> None:
+        self.play_id = play_id
+        self.under_way: dict[int, U] = {}
+        """The messages that were sent and have no answer, the oldest first."""
+        self.cause: str | None = None
+        """Why the daemon ended the play; None: it has not said so."""
+        self.failure: MeissnerError | None = None
+        """Why the play is over, if its client has not ended it."""
+        self.is_over = False
+        self.is_ending = False
+        """Whether `end` was sent."""
+        self._make = make
+        self._seq = 0
+        self._held: tuple[U, dict[str, Any]] | None = None
+        """The message that waits for an answer to those under way."""
+        self._problem: tuple[U, MeissnerError] | None = None
+        """The newest refusal that nobody has waited for."""
+        self._received = b""
+
+    @property
+    def ended_as_asked(self) -> bool:
+        """Whether the play is over because its client has ended it."""
+        return self.is_over and self.failure is None
+
+    def message(self, drives: Drives | None, pose: Pose | None, scale: float | None) -> tuple[U, bytes]:
+        """A message, and what to send now. Raises why the play is over, or an earlier refusal, once."""
+        self.check_open()
+        self.raise_problem()
+        body: dict[str, Any] = {}
+        if drives is not None:
+            body["drives"] = plain_drives(drives)
+        if pose is not None:
+            body["pose"] = plain_pose(pose)
+        if scale is not None:
+            body["scale"] = float(scale)
+        # What is no JSON is refused here.
+        json.dumps(body, allow_nan=False)
+        if self._held is not None:
+            body = _merged(self._held[1], body)
+        self._seq += 1
+        update = self._make(self._seq)
+        if self._held is not None:
+            older, _ = self._held
+            older._settle({"seq": older.seq, "merged_into": self._seq}, None)
+        self._held = update, body
+        return update, self._next()
+
+    def _next(self) -> bytes:
+        """The line of the message that waits, if it is its turn."""
+        if len(self.under_way) >= WINDOW or self.is_ending:
+            return b""
+        return self._release()
+
+    def _release(self) -> bytes:
+        if self._held is None:
+            return b""
+        (update, body), self._held = self._held, None
+        self.under_way[update.seq] = update
+        return json.dumps({"seq": update.seq, **body}).encode() + b"\n"
+
+    def check_open(self) -> None:
+        """Raises why the play takes no message."""
+        self.raise_failure()
+        if self.is_ending:
+            raise ValueError(f"live play {self.play_id} has ended: start another one with `live(...)`")
+
+    def end(self) -> bytes:
+        """The lines that end the play: first the message that waits."""
+        self.is_ending = True
+        last = self._release()
+        self._seq += 1
+        return last + json.dumps({"seq": self._seq, "end": True}).encode() + b"\n"
+
+    def raise_failure(self) -> None:
+        """Raises why the play is over, unless its client has ended it."""
+        if self.failure is not None:
+            raise self.failure.with_traceback(None)
+
+    def raise_problem(self) -> None:
+        """Raises the newest refusal that nobody has waited for, once."""
+        problem, self._problem = self._problem, None
+        if problem is not None:
+            raise problem[1]
+
+    def take(self, data: bytes) -> bytes:
+        """Takes what the daemon has sent. Returns what to send now."""
+        *lines, self._received = (self._received + data).split(b"\n")
+        if len(self._received) > _LONGEST_LINE:
+            raise UnexpectedAnswer("an answer of the live play has no end")
+        for line in lines:
+            try:
+                self._answered(json.loads(line))
+            except (ValueError, KeyError, TypeError, AttributeError) as error:
+                raise UnexpectedAnswer(f"an answer of the live play cannot be read: {line[:60]!r}") from error
+        return self._next()
+
+    def _answered(self, answer: dict[str, Any]) -> None:
+        seq: int | None = answer["seq"]
+        problem = answer.get("problem")
+        if answer.get("ended") is not None:
+            self.cause = str(answer["ended"])
+        elif problem is None:
+            update = self.under_way.pop(seq or 0, None)
+            if update is not None:
+                update._settle(answer, None)
+        else:
+            error = ApiError.of(problem, problem["status"])
+            if seq is None:
+                # The daemon cannot read a message without end, and closes the connection.
+                raise error
+            if seq not in self.under_way:
+                return
+            if error.code == "not-found":
+                # The play was over. Why so follows, and says more.
+                self.under_way[seq]._over = error
+            else:
+                self._refused(seq, error)
+
+    def _refused(self, seq: int, error: MeissnerError) -> None:
+        update = self.under_way.pop(seq)
+        update._settle(None, error)
+        if not update._waiting:
+            self._problem = update, error
+
+    def over(self, failure: MeissnerError | None) -> None:
+        """The play is over: why, unless its client has ended it. No update gets an answer any more."""
+        self.failure, self.is_over = failure, True
+        held = [] if self._held is None else [self._held[0]]
+        for update in [*self.under_way.values(), *held]:
+            lost = ConnectionLost(f"live play {self.play_id} ended before update {update.seq} was answered")
+            update._settle(None, failure or update._over or lost)
+        self.under_way.clear()
+        self._held = None
+
+    def wait_begins(self, update: U) -> None:
+        """Somebody waits for this update from now on, so its refusal is not raised elsewhere."""
+        update._waiting += 1
+        if self._problem is not None and self._problem[0] is update:
+            self._problem = None
+
+    def wait_ends(self, update: U) -> None:
+        """That wait is over."""
+        update._waiting -= 1
+
+    def answer(self, update: U) -> dict[str, Any]:
+        """The daemon's answer to an update that was waited for. Raises the refusal."""
+        if update._raw is not None:
+            return update._raw
+        if update._error is not None:
+            raise update._error.with_traceback(None)
+        raise TimeoutError(f"the daemon has not answered update {update.seq} yet: wait longer")
+
+    def lost(self, reason: object) -> ConnectionLost:
+        """The connection ended without a word about the play."""
+        return ConnectionLost(
+            f"the connection of live play {self.play_id} ended ({reason}): the daemon ends the play, and its pins return"
+        )
+
+
+def _merged(older: dict[str, Any], newer: dict[str, Any]) -> dict[str, Any]:
+    """Both changes as one message. What both change, the newer one decides."""
+    merged = {**older, **newer}
+    if "drives" in older and "drives" in newer:
+        changed = {drive.get("motor") for drive in newer["drives"]}
+        merged["drives"] = [drive for drive in older["drives"] if drive.get("motor") not in changed] + newer["drives"]
+    return merged
+
+
+def result(core: Core, raw: dict[str, Any]) -> Op[LiveResult]:
+    """What the daemon's answer says, with the onset on every clock."""
+    applied = raw.get("applied")
+    if applied is None:
+        return LiveResult("merged", raw["merged_into"], (), None, 0, raw)
+    ticks = tuple(applied["ticks"])
+    changed = [tick for tick in ticks if tick is not None]
+    onset = (yield from ops.instant(core, min(changed))) if changed else None
+    return LiveResult("applied", None, ticks, onset, applied["repeats"], raw)
+
+
+def outcome(
+    core: Core, updates: Updates[Any], lost: MeissnerError | None
+) -> Op[tuple[Receipt | None, MeissnerError | None]]:
+    """The receipt of a play that is over, and why it is over, unless its client has ended it.
+
+    `lost`: the connection ended without the daemon's last word, which a lost connection may take along. The request is
+    sent once: the client's next call must not wait for a daemon that shuts down.
+    """
+    receipt, cause = None, updates.cause
+    try:
+        answer = yield _http.get(f"/v1/plays/{updates.play_id}?wait=1.000", timeout=3.0)
+        receipt = core.receipt(answer.json())
+    except MeissnerError as error:
+        detail = f"the daemon has ended live play {updates.play_id} ({cause}), and gives no receipt: {error}"
+        lost = lost or ConnectionLost(detail)
+    if receipt is not None and receipt.is_over:
+        cause = receipt.cause
+    if updates.is_ending and cause == "stop":
+        return receipt, None
+    if receipt is None or (lost is not None and not receipt.is_over):
+        return receipt, lost
+    stopped = PlayStopped(receipt)
+    stopped.__cause__ = lost
+    return receipt, stopped
+
+
+class LivePlay(KnownPlay, Generic[U]):
+    """What blocking and asynchronous live plays have in common: the kinds of messages."""
+
+    def send(self, *, drives: Drives | None = None, pose: Pose | None = None, scale: float | None = None) -> U:
+        """Send several changes as one message, without waiting for the answer.
+
+        An update that was refused, and that nobody waits for, raises its error at the next call, whose own message is not
+        sent then. Raises `PlayStopped` once the daemon has ended the play, and `ConnectionLost` if the connection has ended.
+
+        While the daemon has not answered 24 messages, newer ones wait and merge into the newest.
+        """
+        return self._send(drives, pose, scale)
+
+    def _send(self, drives: Drives | None, pose: Pose | None, scale: float | None) -> U:
+        raise NotImplementedError
+
+    def pose(self, x_mm: float = 0.0, y_mm: float = 0.0, angle_deg: float = 0.0) -> U:
+        """Move the target: it turns anticlockwise about the array's middle, then shifts. As `send`."""
+        return self.send(pose={"x_mm": x_mm, "y_mm": y_mm, "angle_deg": angle_deg})
+
+    def drives(self, drives: Drives) -> U:
+        """Change these motors; the others stay as they are. As `send`."""
+        return self.send(drives=drives)
+
+    def set(self, motor: int, *, frequency_hz: float, amplitude_um: float, phase: float = 0.0) -> U:
+        """Change one motor. As `send`."""
+        drive = {"motor": motor, "frequency_hz": frequency_hz, "amplitude_um": amplitude_um, "phase": phase}
+        return self.send(drives=[drive])
+
+    def scale(self, scale: float) -> U:
+        """Multiply all amplitudes, 0 to 1. As `send`."""
+        return self.send(scale=scale)
+
+    def keep(self) -> U:
+        """Show that the program is alive, and change nothing. As `send`."""
+        return self.send()

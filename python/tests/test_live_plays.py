@@ -1,0 +1,707 @@
+"""Live plays of both clients against a real daemon, and against one that does not read or answer."""
+
+from __future__ import annotations
+
+import asyncio
+import gc
+import json
+import math
+import os
+import shutil
+import socket
+import ssl
+import subprocess
+import threading
+import time
+import weakref
+from collections.abc import Awaitable, Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import meissner
+from meissner import _aio_live, _live, errors, live
+from meissner._endpoint import Endpoint
+from meissner._live import WINDOW, KnownUpdate, Started, Updates
+from meissner._operations import Accepted
+from meissner.aio import AsyncClient
+from meissner.program import find_program
+from network import Network
+
+HZ = 85_000
+PATIENT = 20.0
+"""A stall of a busy machine must not end a play, s."""
+
+
+def drive(amplitude_um: float, motor: int = 9) -> dict[str, Any]:
+    return {"motor": motor, "frequency_hz": 60.0, "amplitude_um": amplitude_um}
+
+
+DRIVES = [drive(40.0)]
+
+
+def until_refused(call: Callable[[], object]) -> None:
+    """Calls until that raises. The daemon's word comes by another thread."""
+    deadline = time.monotonic() + PATIENT
+    while time.monotonic() < deadline:
+        call()
+        time.sleep(0.005)
+
+
+def test_drives_follow_and_say_when(m: meissner.Client) -> None:
+    with m.live(drives=DRIVES, timeout=PATIENT, trial=4, labels={"what": "knob"}) as play:
+        assert (play.pattern, play.ordered_s) == ("live", None)
+        update = play.set(9, frequency_hz=60, amplitude_um=60)
+        first = update.wait(PATIENT)
+        assert (first.state, first.merged_into, update.is_answered) == ("applied", None, True)
+        assert repr(update) == "<update 1: applied>"
+        assert first.onset is not None
+        assert first.ticks == (None,) * 9 + (first.onset.tick,) + (None,) * 14
+        assert abs(first.onset.monotonic - m.now()) < PATIENT
+        second = play.send(drives=[drive(30), drive(20, motor=10)], scale=0.5).wait(PATIENT)
+        assert [motor for motor, tick in enumerate(second.ticks) if tick] == [9, 10]
+        assert play.scale(0.4).wait(PATIENT).onset is not None
+        assert play.drives([drive(25.0)]).wait(PATIENT).onset is not None
+        kept = play.keep().wait(PATIENT)
+        assert (kept.state, kept.onset, any(kept.ticks)) == ("applied", None, False)
+        assert play.refresh().state == "running"
+    receipt = play.receipt
+    assert (receipt.state, receipt.cause, receipt.late) == ("stopped", "stop", 0)
+    assert (receipt.raw["live"]["updates"], receipt.raw["live"]["applied"]) == (5, 5)
+    assert (receipt.raw["trial"], receipt.raw["labels"]) == (4, {"what": "knob"})
+    assert play.wait() == receipt
+    # The tick of an update and that of the onset become times by different ways.
+    apart = (first.onset.tick - play.onset.tick) / HZ
+    uncertainty = first.onset.monotonic_uncertainty + play.onset.monotonic_uncertainty
+    assert abs(first.onset.monotonic - play.onset.monotonic - apart) <= uncertainty + apart * 200e-6 + 200e-6
+    assert first.onset.boot == play.onset.boot
+    assert m.status().state == "armed"
+
+
+def test_a_target_follows_its_poses_and_newer_ones_replace_older_ones(m: meissner.Client) -> None:
+    with m.live("edge-45", pose={"x_mm": -3}, model="membrane", budget=0.02, timeout=PATIENT) as play:
+        updates = [play.pose(-3 + step * 0.1, angle_deg=step) for step in range(40)]
+        results = [update.wait(PATIENT) for update in updates]
+        merged = [result for result in results if result.state == "merged"]
+        # Each pose is searched for 20 ms; forty in a row are sent in less.
+        assert merged
+        assert all(result.merged_into is not None and result.onset is None for result in merged)
+        assert results[-1].state == "applied"
+        assert play.send(pose={"y_mm": 1.0}, scale=0.5).wait(PATIENT).state == "applied"
+    figures = play.receipt.raw["live"]
+    # Some have merged before they were sent.
+    assert 0 < figures["merged"] <= len(merged)
+    assert figures["updates"] == figures["merged"] + figures["applied"] <= 41
+
+
+def test_a_refusal_reaches_who_waits_else_the_next_call(m: meissner.Client) -> None:
+    with m.live(drives=DRIVES, timeout=PATIENT) as play:
+        update = play.set(9, frequency_hz=100, amplitude_um=40)
+        with pytest.raises(errors.BadRequest, match="at most 60 Hz"):
+            update.wait(PATIENT)
+        with pytest.raises(errors.BadRequest):
+            update.wait()
+        assert repr(update) == "<update 1: failed>"
+        # Waited for: no call repeats it.
+        with pytest.raises(errors.BadRequest, match="500"):
+            play.set(9, frequency_hz=60, amplitude_um=500).wait(PATIENT)
+        assert play.keep().wait(PATIENT).state == "applied"
+        # Not waited for: a later call raises it, once.
+        play.pose(1.0)
+        with pytest.raises(errors.BadRequest, match="`pose` is that of a target"):
+            until_refused(play.keep)
+        assert play.keep().wait(PATIENT).state == "applied"
+        # What is no JSON is not sent.
+        with pytest.raises(ValueError, match="JSON"):
+            play.scale(math.nan)
+        with pytest.raises(TypeError):
+            play.drives([{"motor": object()}])
+        assert play.scale(0.5).wait(PATIENT).state == "applied"
+    with pytest.raises(errors.BadRequest, match="target"):
+        with m.live(drives=DRIVES, timeout=PATIENT) as play:
+            play.pose(1.0)
+    assert play.receipt.cause == "stop"
+
+
+def test_starts_that_are_refused(m: meissner.Client) -> None:
+    for arguments, kind in [
+        ({"target": "no-such"}, errors.NotFound),
+        ({"target": "edge-45", "drives": DRIVES}, errors.BadRequest),
+        ({"timeout": 0.01}, errors.BadRequest),
+        ({"drives": [drive(500)]}, errors.BadRequest),
+    ]:
+        with pytest.raises(kind):
+            m.live(**arguments)  # type: ignore[arg-type]
+    accepted = Accepted(1, "live", None, None)
+    with pytest.raises(errors.NotFound, match="no live play has this key"):
+        live.Live(m, Started(accepted, "/v1/live/0123"))
+    m.disarm()
+    with pytest.raises(errors.Disarmed):
+        m.live(drives=DRIVES)
+
+
+def test_silence_ends_it(m: meissner.Client) -> None:
+    """No thread shows that the program is alive: only its own calls do."""
+    with pytest.raises(meissner.PlayStopped, match="client-silent"):
+        with m.live(drives=DRIVES, timeout=0.2) as play:
+            play.keep()
+            with pytest.raises(meissner.PlayStopped) as stopped:
+                play.wait(PATIENT)
+            assert stopped.value.receipt.cause == "client-silent"
+            assert play.wait(check=False).cause == "client-silent"
+            for _ in range(2):
+                with pytest.raises(meissner.PlayStopped, match="client-silent"):
+                    play.keep()
+    # It has begun nothing: nobody called.
+    with pytest.raises(meissner.PlayStopped):
+        m.live(drives=DRIVES, timeout=0.1).wait(PATIENT)
+
+
+def test_calls_keep_it_alive(m: meissner.Client) -> None:
+    with m.live(drives=DRIVES, timeout=2.0) as play:
+        with pytest.raises(TimeoutError, match="call `end"):
+            play.wait(0.01)
+        until = time.monotonic() + 4.0
+        while time.monotonic() < until:
+            play.keep()
+            time.sleep(0.05)
+    assert play.receipt.cause == "stop"
+
+
+def test_an_emergency_stop_in_mid_play(m: meissner.Client, daemon: meissner.Daemon) -> None:
+    with meissner.connect(daemon.socket) as other, pytest.raises(meissner.PlayStopped, match="estop") as stopped:
+        with m.live(drives=DRIVES, timeout=PATIENT) as play:
+            play.keep().wait(PATIENT)
+            other.estop()
+            until_refused(lambda: play.scale(0.5))
+    assert stopped.value.receipt.cause == "estop"
+    assert play.receipt.cause == "estop"
+    with pytest.raises(meissner.PlayStopped):
+        play.end()
+    assert m.status().state == "faulted"
+
+
+def test_a_stop_from_elsewhere_is_raised_at_the_end_at_the_latest(m: meissner.Client, daemon: meissner.Daemon) -> None:
+    with meissner.connect(daemon.socket) as other, pytest.raises(meissner.PlayStopped):
+        with m.live(drives=DRIVES, timeout=PATIENT) as play:
+            other.stop()
+            play.wait(PATIENT, check=False)
+    with pytest.raises(meissner.PlayStopped):
+        play.wait()
+
+
+def test_an_exception_in_the_block_ends_it_and_is_not_hidden(m: meissner.Client) -> None:
+    with pytest.raises(ZeroDivisionError):
+        with m.live(drives=DRIVES, timeout=PATIENT) as play:
+            play.pose(1.0)
+            _ = 1 / 0
+    assert (play.receipt.state, play.receipt.cause) == ("stopped", "stop")
+    m.wait_until_idle()
+
+
+def test_one_live_play_at_a_time_and_each_once(m: meissner.Client) -> None:
+    with m.live(drives=DRIVES, timeout=PATIENT) as play:
+        with pytest.raises(errors.Playing):
+            m.live(drives=DRIVES)
+        assert play.keep().wait(PATIENT).state == "applied"
+        play.end()
+        play.end()
+        with pytest.raises(ValueError, match="start another one"):
+            play.keep()
+    with pytest.raises(ValueError, match="start another one"), play:
+        pass
+    with pytest.raises(meissner.PlayStopped, match="stop"):
+        with (
+            m.live(drives=DRIVES, timeout=PATIENT) as first,
+            m.live(drives=DRIVES, timeout=PATIENT, replace=True) as second,
+        ):
+            assert second.keep().wait(PATIENT).state == "applied"
+            assert first.wait(PATIENT, check=False).state == "stopped"
+    assert second.receipt.cause == "stop"
+
+
+def test_nothing_stays_when_nobody_waits(m: meissner.Client) -> None:
+    with m.live(drives=DRIVES, timeout=PATIENT) as play:
+        refs, most = [], 0
+        for number in range(1500):
+            refs.append(weakref.ref(play.set(9, frequency_hz=60, amplitude_um=number % 80)))
+            most = max(most, len(play._updates.under_way))
+            if number % 10 == 0:
+                play.keep().wait(PATIENT)
+        play.keep().wait(PATIENT)
+        deadline = time.monotonic() + PATIENT
+        while play._updates.under_way and time.monotonic() < deadline:
+            time.sleep(0.01)
+        gc.collect()
+        assert [ref for ref in refs if ref() is not None] == []
+        assert most <= WINDOW
+    assert play._updates.under_way == {}
+
+
+def test_threads_may_share_it(m: meissner.Client) -> None:
+    with m.live(drives=DRIVES, timeout=PATIENT) as play:
+        states: list[str] = []
+
+        def move(motor: int) -> None:
+            for step in range(20):
+                states.append(play.drives([drive(step, motor)]).wait(PATIENT).state)
+
+        threads = [threading.Thread(target=move, args=(motor,)) for motor in range(4)]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join(4 * PATIENT)
+    assert len(states) == 80
+    assert set(states) <= {"applied", "merged"}
+
+
+def test_in_a_session(m: meissner.Client) -> None:
+    with m.session("P07", exclusive=True) as session:
+        with m.live(drives=DRIVES, timeout=PATIENT) as play:
+            assert play.keep().wait(PATIENT).state == "applied"
+    assert play.receipt.raw["session"] == session.id
+
+
+def token_of(daemon: meissner.Daemon) -> str:
+    command = [
+        find_program(),
+        "token",
+        "create",
+        "--role",
+        "operate",
+        "--name",
+        "live",
+        "--json",
+        "--socket",
+        daemon.socket,
+    ]
+    return str(json.loads(subprocess.run(command, capture_output=True, check=True).stdout)["token"])
+
+
+@pytest.fixture(scope="module")
+def networked() -> Iterator[tuple[str, str]]:
+    """The URL of a daemon that wants a token, and the token."""
+    with meissner.Daemon('listen = "127.0.0.1:0"\nlisten_token = "always"\n') as daemon:
+        with meissner.connect(daemon.socket) as watcher:
+            address = watcher.status().raw["network"]["address"]
+        yield f"http://{address}", token_of(daemon)
+
+
+def test_over_tcp_with_a_token(networked: tuple[str, str]) -> None:
+    url, token = networked
+    with meissner.connect(url, token=token) as m:
+        m.arm(assume_rest=True, checked="a test")
+        with m.live("edge-45", timeout=PATIENT) as play:
+            assert play.pose(1.0).wait(PATIENT).state == "applied"
+        assert play.receipt.cause == "stop"
+        m.core.token = None
+        with pytest.raises(errors.Unauthorized):
+            live.Live(m, Started(play._accepted, "/v1/live/0123"))
+        m.core.token = token
+
+
+def certificate(folder: Path) -> tuple[ssl.SSLContext, ssl.SSLContext]:
+    """What a server shows, and what its client trusts."""
+    if shutil.which("openssl") is None:
+        pytest.skip("openssl is not installed")
+    key, made = folder / "key.pem", folder / "certificate.pem"
+    options = "req -x509 -newkey rsa:2048 -nodes -days 2 -subj /CN=localhost -addext subjectAltName=IP:127.0.0.1"
+    command = ["openssl", *options.split(), "-keyout", str(key), "-out", str(made)]
+    subprocess.run(command, check=True, capture_output=True)
+    server = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+    server.load_cert_chain(made, key)
+    return server, ssl.create_default_context(cafile=str(made))
+
+
+def test_over_tls(m: meissner.Client, daemon: meissner.Daemon, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The daemon's PC may have a proxy with TLS. The request goes by the socket here, the live play's connection by TLS."""
+    server, trusted = certificate(tmp_path)
+    with Network(daemon.socket, tls=server) as network:
+        m.core.endpoint = Endpoint(network.url)
+        with pytest.raises(errors.Unreachable, match="certificate"):
+            m.live(drives=DRIVES, timeout=PATIENT)
+        m.stop()
+        m.wait_until_idle()
+        monkeypatch.setattr(live, "tls", lambda: trusted)
+        with m.live(drives=DRIVES, timeout=PATIENT) as play:
+            updates = [play.set(9, frequency_hz=60, amplitude_um=number % 80) for number in range(200)]
+            assert {update.wait(PATIENT).state for update in updates} <= {"applied", "merged"}
+        assert play.receipt.cause == "stop"
+        monkeypatch.setattr(_aio_live, "tls", lambda: trusted)
+
+        async def work(m: AsyncClient) -> None:
+            m.core.endpoint = Endpoint(network.url)
+            async with m.live(drives=DRIVES, timeout=PATIENT) as play:
+                assert (await play.keep().wait(PATIENT)).state == "applied"
+
+        run(daemon.socket, work)
+
+
+def is_lost(error: BaseException) -> bool:
+    """Whether the connection is why: the daemon may have had time to say what became of the play, or not."""
+    return isinstance(error, errors.ConnectionLost) or isinstance(error.__cause__, errors.ConnectionLost)
+
+
+def test_a_lost_connection_ends_it(network: Network) -> None:
+    with meissner.connect(network.url) as m:
+        m.arm(assume_rest=True, checked="a test")
+        with pytest.raises((meissner.PlayStopped, errors.ConnectionLost)) as stopped:
+            with m.live(drives=DRIVES, timeout=PATIENT) as play:
+                play.keep().wait(PATIENT)
+                network.cut()
+                until_refused(play.keep)
+        assert is_lost(stopped.value)
+        assert play.wait(PATIENT, check=False).cause == "stop"
+
+
+def test_a_daemon_that_shuts_down(tmp_path: Path) -> None:
+    daemon = meissner.Daemon()
+    with pytest.raises(errors.MeissnerError), pytest.warns(UserWarning, match="may be armed still"):
+        with meissner.connect(daemon.socket, reconnect=0.1) as m:
+            m.arm(assume_rest=True, checked="a test")
+            with m.live(drives=DRIVES, timeout=PATIENT) as play:
+                play.keep().wait(PATIENT)
+                daemon.close()
+                until_refused(play.keep)
+
+
+def test_a_client_that_is_closed_first(daemon: meissner.Daemon) -> None:
+    m = meissner.connect(daemon.socket)
+    m.arm(assume_rest=True, checked="a test")
+    play = m.live(drives=DRIVES, timeout=PATIENT)
+    m.close()
+    with pytest.raises(errors.MeissnerError):
+        until_refused(play.keep)
+
+
+class Deaf:
+    """A daemon that takes a live play's connection, and then reads and answers only when it is told to."""
+
+    def __init__(self, folder: Path, head: bytes = b"HTTP/1.1 101 Switching Protocols\r\n\r\n") -> None:
+        self.path = str(folder / "deaf.sock")
+        self._server = socket.socket(socket.AF_UNIX)
+        self._server.bind(self.path)
+        self._server.listen()
+        self._head = head
+        self._thread = threading.Thread(target=self._take, daemon=True)
+        self._thread.start()
+
+    def _take(self) -> None:
+        self.connection, _ = self._server.accept()
+        self.connection.settimeout(PATIENT)
+        while not self.connection.recv(65536).endswith(b"\r\n\r\n"):
+            pass
+        self.connection.sendall(self._head)
+        self.lines = self.connection.makefile("r")
+
+    def read(self) -> Any:
+        return json.loads(self.lines.readline())
+
+    def say(self, **answer: Any) -> None:
+        self.connection.sendall(json.dumps(answer).encode() + b"\n")
+
+    def live(self, m: meissner.Client) -> live.Live:
+        own, m.core.endpoint = m.core.endpoint, Endpoint("http://meissner", self.path)
+        try:
+            return live.Live(m, Started(Accepted(999_999, "live", None, None), "/v1/live/0123"))
+        finally:
+            m.core.endpoint = own
+            self._thread.join(PATIENT)
+
+    def close(self) -> None:
+        self.lines.close()
+        self.connection.close()
+        self._server.close()
+
+
+APPLIED = {"received_tick": 1, "from_tick": 2, "ticks": [None] * 24, "repeats": 0}
+
+
+def test_a_daemon_that_does_not_read_keeps_nobody_waiting(m: meissner.Client, tmp_path: Path) -> None:
+    deaf = Deaf(tmp_path)
+    play = deaf.live(m)
+    play._socket.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 4096)
+    drives = [drive(79.123456789, motor) for motor in range(24)]
+    for _ in range(WINDOW):
+        update = play.drives(drives)
+    # More than the connection holds: the rest goes out once the daemon reads.
+    assert play._outgoing
+    with pytest.raises(TimeoutError, match="wait longer"):
+        update.wait(0.01)
+    # Newer ones merge.
+    older = [play.drives([drive(amplitude_um, motor=3)]) for amplitude_um in range(1000)]
+    newest = play.send(drives=[drive(7, motor=4)], pose={"x_mm": 1}, scale=0.5)
+    assert older[998].wait(PATIENT).merged_into == older[999].seq
+    assert older[999].wait(PATIENT).merged_into == newest.seq
+    assert len(play._updates.under_way) == WINDOW
+    for number in range(WINDOW):
+        message = deaf.read()
+        assert (message["seq"], len(message["drives"])) == (number + 1, 24)
+    deaf.say(seq=2, applied=APPLIED)
+    merged = [drive(999, motor=3), drive(7, motor=4)]
+    assert deaf.read() == {"seq": newest.seq, "drives": merged, "pose": {"x_mm": 1.0}, "scale": 0.5}
+    deaf.say(seq=WINDOW, merged_into=newest.seq)
+    assert update.wait(PATIENT).state == "merged"
+    sent = [play.keep() for _ in range(3)]
+    deaf.close()
+    with pytest.raises(errors.ConnectionLost):
+        until_refused(lambda: sent.append(play.keep()))
+    for unanswered in (newest, sent[-1]):
+        with pytest.raises(errors.ConnectionLost):
+            unanswered.wait(PATIENT)
+
+
+def test_a_daemon_that_does_not_end_it(m: meissner.Client, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(live, "END_TIMEOUT", 0.1)
+    deaf = Deaf(tmp_path)
+    with pytest.raises(errors.ConnectionLost, match="has not ended live play 999999"), deaf.live(m):
+        pass
+    assert deaf.read() == {"seq": 1, "end": True}
+    deaf.close()
+
+
+@pytest.mark.parametrize("said", [b"nonsense\n", b'{"seq": 1, "problem": {}}\n', b"[]\n"])
+def test_answers_that_cannot_be_read_end_it(m: meissner.Client, tmp_path: Path, said: bytes) -> None:
+    deaf = Deaf(tmp_path)
+    play = deaf.live(m)
+    deaf.connection.sendall(said)
+    with pytest.raises(errors.ConnectionLost, match="cannot be read"):
+        until_refused(play.keep)
+    deaf.close()
+
+
+@pytest.mark.parametrize(
+    ("head", "kind"),
+    [
+        (b"HTTP/1.1 404 Not Found\r\ncontent-length: 21\r\n\r\n" + b'{"code": "not-found"}', errors.NotFound),
+        (b"HTTP/1.1 502 Bad Gateway\r\n\r\n", errors.ApiError),
+        (b"HTTP/1.1 200 OK\r\nContent-Length: 2\r\n\r\n{}", errors.UnexpectedAnswer),
+        (b"SSH-2.0-OpenSSH\r\n\r\n", errors.UnexpectedAnswer),
+        (b"x" * 70_000, errors.UnexpectedAnswer),
+    ],
+)
+def test_a_connection_that_is_not_upgraded(
+    m: meissner.Client, tmp_path: Path, head: bytes, kind: type[Exception]
+) -> None:
+    with pytest.raises(kind):
+        Deaf(tmp_path, head).live(m)
+
+
+def test_where_no_daemon_is(m: meissner.Client, tmp_path: Path) -> None:
+    started = Started(Accepted(999_999, "live", None, None), "/v1/live/0123")
+    own = m.core.endpoint
+    for endpoint in (Endpoint("http://meissner", str(tmp_path / "none.sock")), Endpoint("http://127.0.0.1:9")):
+        m.core.endpoint = endpoint
+        with pytest.raises(errors.Unreachable, match="start one"):
+            live.Live(m, started)
+    m.core.endpoint = own
+
+
+def test_the_head_names_host_path_and_tokens() -> None:
+    core = meissner._core(Endpoint("https://user@lab-pc:8765/display"), "secret", 0.0)
+    head = _live.upgrade(core, "/v1/live/0123").decode()
+    assert head.startswith("GET /display/v1/live/0123 HTTP/1.1\r\nHost: lab-pc:8765\r\n")
+    assert "\r\nAuthorization: Bearer secret\r\n" in head
+    assert head.endswith("\r\n\r\n")
+
+
+def test_a_refusal_belongs_to_its_message() -> None:
+    updates = Updates(7, lambda seq: KnownUpdate(seq, threading.Event()))
+
+    def take(**answer: Any) -> bytes:
+        return updates.take(json.dumps(answer).encode() + b"\n")
+
+    def refusal(detail: str) -> dict[str, Any]:
+        return {"code": "bad-request", "status": 400, "detail": detail}
+
+    one, first, second = (updates.message(None, None, scale)[0] for scale in (0.5, 4.0, 5.0))
+    updates.wait_begins(first)
+    take(seq=2, problem=refusal("4 is too much"))
+    take(seq=3, problem=refusal("5 is too much"))
+    take(seq=1, applied=APPLIED)
+    assert updates.answer(one)["applied"] == APPLIED
+    with pytest.raises(errors.BadRequest, match="4 is too much"):
+        updates.answer(first)
+    # Nobody waited for the other one: the next message raises it, once.
+    with pytest.raises(errors.BadRequest, match="5 is too much"):
+        updates.message(None, None, None)
+    with pytest.raises(errors.BadRequest, match="5 is too much"):
+        updates.answer(second)
+    late, line = updates.message(None, None, None)
+    assert line == b'{"seq": 4}\n'
+    # What came too late for the play is no problem of its own.
+    take(seq=4, problem={"code": "not-found", "status": 404, "detail": "the live play is over"})
+    take(seq=None, ended="stop")
+    updates.raise_problem()
+    assert not late.is_answered
+    updates.over(None)
+    with pytest.raises(errors.NotFound, match="is over"):
+        updates.answer(late)
+    # The daemon has given up on the connection.
+    with pytest.raises(errors.ApiError, match="too long"):
+        take(seq=None, problem={"code": "too-large", "status": 413, "detail": "too long"})
+
+
+def run(address: str, work: Callable[[AsyncClient], Awaitable[None]], token: str | None = None) -> None:
+    """Runs this with an armed client for asyncio."""
+
+    async def main() -> None:
+        async with await meissner.connect_async(address, token=token) as m:
+            await m.arm(assume_rest=True, checked="a test")
+            await work(m)
+
+    asyncio.run(main())
+
+
+async def until_refused_async(call: Callable[[], object]) -> None:
+    deadline = time.monotonic() + PATIENT
+    while time.monotonic() < deadline:
+        call()
+        await asyncio.sleep(0.005)
+
+
+def test_aio_updates(daemon: meissner.Daemon) -> None:
+    async def work(m: AsyncClient) -> None:
+        with pytest.raises(ValueError, match="async with"):
+            m.live(drives=DRIVES).keep()
+        async with m.live(drives=DRIVES, timeout=PATIENT) as play:
+            updates = [play.set(9, frequency_hz=60, amplitude_um=step) for step in range(30)]
+            results = [await update.wait(PATIENT) for update in updates]
+            assert {result.state for result in results} <= {"applied", "merged"}
+            assert results[-1].onset is not None
+            with pytest.raises(errors.BadRequest, match="Hz"):
+                await play.set(9, frequency_hz=100, amplitude_um=1).wait(PATIENT)
+            play.pose(1.0)
+            with pytest.raises(errors.BadRequest, match="target"):
+                await until_refused_async(play.keep)
+            with pytest.raises(TimeoutError):
+                await play.wait(0.01)
+            assert (await play.refresh()).state == "running"
+            await play.keep().wait(PATIENT)
+            assert play._updates.under_way == {}
+        assert (await play.wait()).cause == "stop"
+        assert play.receipt.raw["live"]["updates"] >= WINDOW
+        with pytest.raises(ValueError, match="start another one"):
+            async with play:
+                pass
+        play = await m.live("edge-45", timeout=PATIENT)
+        async with play:
+            assert (await play.pose(0.5, angle_deg=3).wait(PATIENT)).state == "applied"
+        await play.end()
+        with pytest.raises(errors.BadRequest):
+            async with m.live(timeout=0.01):
+                pass
+
+    run(daemon.socket, work)
+
+
+def test_aio_over_tcp_with_a_token(networked: tuple[str, str]) -> None:
+    async def work(m: AsyncClient) -> None:
+        async with m.live(drives=DRIVES, timeout=PATIENT) as play:
+            assert (await play.scale(0.5).wait(PATIENT)).state == "applied"
+
+    run(networked[0], work, networked[1])
+
+
+def test_aio_ends(daemon: meissner.Daemon) -> None:
+    async def work(m: AsyncClient) -> None:
+        with pytest.raises(ZeroDivisionError):
+            async with m.live(drives=DRIVES, timeout=PATIENT) as play:
+                play.pose(1.0)
+                _ = 1 / 0
+        assert play.receipt.cause == "stop"
+        with pytest.raises(meissner.PlayStopped, match="client-silent"):
+            async with m.live(drives=DRIVES, timeout=0.2) as play:
+                play.keep()
+                await play.wait(PATIENT)
+        with pytest.raises(meissner.PlayStopped, match="stopped: stop"):
+            async with m.live(drives=DRIVES, timeout=PATIENT) as play:
+                await m.stop()
+                await until_refused_async(play.keep)
+        began = asyncio.Event()
+        task = asyncio.create_task(endless(m, began))
+        await began.wait()
+        task.cancel()
+        with pytest.raises(asyncio.CancelledError):
+            await task
+        await m.wait_until_idle()
+        assert (await m.receipt()).cause == "stop"
+        with pytest.raises(meissner.PlayStopped, match="estop"):
+            async with m.live(drives=DRIVES, timeout=PATIENT) as play:
+                under_way = play.keep()
+                await under_way.wait(PATIENT)
+                await m.estop()
+                await until_refused_async(play.keep)
+
+    async def endless(m: AsyncClient, began: asyncio.Event) -> None:
+        async with m.live(drives=DRIVES, timeout=PATIENT) as play:
+            began.set()
+            while True:
+                play.keep()
+                await asyncio.sleep(0.01)
+
+    run(daemon.socket, work)
+
+
+def test_aio_no_cancellation_is_lost() -> None:
+    """Whether it comes before, while or after the work ends."""
+
+    async def main() -> None:
+        for rounds in range(8):
+            ended = asyncio.Event()
+            task = asyncio.create_task(_aio_live._within(ended.wait(), PATIENT))
+            for _ in range(3):
+                await asyncio.sleep(0)
+            ended.set()
+            for _ in range(rounds):
+                await asyncio.sleep(0)
+            if task.cancel():
+                with pytest.raises(asyncio.CancelledError):
+                    await task
+            else:
+                assert task.result()
+        with pytest.raises(asyncio.TimeoutError):
+            await _aio_live._within(asyncio.sleep(PATIENT), 0.01)
+
+    asyncio.run(main())
+
+
+def test_aio_connections_that_fail(network: Network, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(_aio_live, "END_TIMEOUT", 0.1)
+
+    async def work(m: AsyncClient) -> None:
+        own = m.core.endpoint
+        with pytest.raises((meissner.PlayStopped, errors.ConnectionLost)) as stopped:
+            async with m.live(drives=DRIVES, timeout=PATIENT) as play:
+                await play.keep().wait(PATIENT)
+                network.cut()
+                await until_refused_async(play.keep)
+        assert is_lost(stopped.value)
+        await m.wait_until_idle()
+        accepted = Accepted(999_999, "live", None, None)
+
+        def started() -> Any:
+            return Started(accepted, "/v1/live/0123")
+            yield
+
+        for endpoint, kind in [
+            (Endpoint("http://meissner", str(tmp_path / "none.sock")), errors.Unreachable),
+            (Endpoint("http://127.0.0.1:9"), errors.Unreachable),
+            (own, errors.NotFound),
+        ]:
+            m.core.endpoint = endpoint
+            with pytest.raises(kind):
+                await _aio_live.AsyncLive(m, started())
+        deaf = Deaf(tmp_path)
+        m.core.endpoint = Endpoint("http://meissner", deaf.path)
+        with pytest.raises(errors.ConnectionLost, match="has not ended"):
+            async with _aio_live.AsyncLive(m, started()) as play:
+                updates = [play.keep() for _ in range(WINDOW + 2)]
+                assert [update.is_answered for update in updates] == [False] * WINDOW + [True, False]
+        m.core.endpoint = own
+        await asyncio.sleep(0)
+        deaf.close()
+        os.unlink(deaf.path)
+
+    run(network.url, work)

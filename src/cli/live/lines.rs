@@ -1,0 +1,228 @@
+//! Lines of stdin, each a message: `X_MM Y_MM [DEGREES]`, or a JSON object with the keys of a live play's message.
+//!
+//! A regular file waits for its reader: its lines are taken one by one. Anything else gives its lines as they come.
+//!
+//! Bounds: a line has 64 KiB at most. Invariant: a line that cannot be read is an error with its number; none is left out.
+
+use anyhow::{Context, Result, anyhow, bail};
+use meissner_api::{LiveMessage, MAX_LIVE_MESSAGE};
+use serde_json::{Map, Value, json};
+use std::fs::File;
+use std::io::{self, Read};
+use std::os::fd::{AsFd, BorrowedFd};
+
+/// Bytes that are read at a time: answers and signals have their turn in between.
+const PIECE: usize = 1 << 14;
+/// Characters of a bad line that its message quotes.
+const QUOTED: usize = 60;
+
+/// The lines of an open file.
+#[derive(Debug)]
+pub(super) struct Lines {
+    input: File,
+    is_file: bool,
+    has_target: bool,
+    bytes: Vec<u8>,
+    /// How much of `bytes` was taken.
+    taken: usize,
+    count: u64,
+    at_end: bool,
+}
+
+impl Lines {
+    pub(super) fn stdin(has_target: bool) -> Result<Self> {
+        let input = io::stdin().as_fd().try_clone_to_owned().context("stdin cannot be read")?;
+        Self::of(input.into(), has_target)
+    }
+
+    fn of(input: File, has_target: bool) -> Result<Self> {
+        let is_file = input.metadata().context("stdin cannot be read")?.is_file();
+        Ok(Self { input, is_file, has_target, bytes: Vec::new(), taken: 0, count: 0, at_end: false })
+    }
+
+    /// Whether it is a regular file, which is never late.
+    pub(super) const fn is_file(&self) -> bool {
+        self.is_file
+    }
+
+    /// Reads a piece; waits if there is none.
+    pub(super) fn read(&mut self) -> Result<()> {
+        self.bytes.drain(..std::mem::take(&mut self.taken));
+        let mut piece = [0; PIECE];
+        match self.input.read(&mut piece) {
+            Ok(0) => self.at_end = true,
+            Ok(read) => self.bytes.extend(&piece[..read]),
+            Err(error) if matches!(error.kind(), io::ErrorKind::Interrupted | io::ErrorKind::WouldBlock) => {}
+            Err(error) => bail!("stdin: cannot be read after line {} ({error})", self.count),
+        }
+        Ok(())
+    }
+
+    /// The message of the next line that was read, if there is one.
+    pub(super) fn next(&mut self) -> Result<Option<LiveMessage>> {
+        let rest = &self.bytes[self.taken..];
+        let line = match rest.iter().position(|&byte| byte == b'\n') {
+            Some(length) => &rest[..length],
+            // The last line may lack its end.
+            None if self.at_end && !rest.is_empty() => rest,
+            None if rest.len() > MAX_LIVE_MESSAGE => rest,
+            None => return Ok(None),
+        };
+        self.count += 1;
+        let message =
+            message(line, self.has_target).map_err(|what| anyhow!("stdin: line {}: {what}", self.count))?;
+        self.taken = (self.taken + line.len() + 1).min(self.bytes.len());
+        Ok(Some(message))
+    }
+
+    /// Whether the input has ended and its last line was taken.
+    pub(super) const fn is_over(&self) -> bool {
+        self.at_end && self.taken == self.bytes.len()
+    }
+}
+
+impl AsFd for Lines {
+    fn as_fd(&self) -> BorrowedFd<'_> {
+        self.input.as_fd()
+    }
+}
+
+/// Reads a line; an empty one is the message that changes nothing. An error says what is wrong and what to do.
+fn message(line: &[u8], has_target: bool) -> Result<LiveMessage, String> {
+    const WANTED: &str = "write X_MM Y_MM [DEGREES], or a JSON object";
+    if line.len() > MAX_LIVE_MESSAGE {
+        return Err("a line has more than 65536 bytes: write less".to_owned());
+    }
+    let text = std::str::from_utf8(line).map_err(|_| format!("not UTF-8 text: {WANTED}"))?;
+    // Some programs put a byte order mark before the first line.
+    let text = text.trim_start_matches('\u{feff}').trim();
+    if text.is_empty() {
+        return Ok(LiveMessage::default());
+    }
+    let quoted = || text.chars().take(QUOTED).collect::<String>().escape_debug().to_string();
+    let keys = if text.starts_with('{') {
+        let keys: Map<String, Value> = serde_json::from_str(text)
+            .map_err(|error| format!("`{}` is not JSON ({error}): {WANTED}", quoted()))?;
+        if keys.contains_key("seq") {
+            return Err("leave `seq` out: the command numbers its messages".to_owned());
+        }
+        keys
+    } else {
+        let numbers = numbers(text).ok_or_else(|| format!("`{}` is not a pose: {WANTED}", quoted()))?;
+        let pose = ["x_mm", "y_mm", "angle_deg"].into_iter().zip(numbers);
+        let pose: Map<String, Value> = pose.map(|(key, value)| (key.to_owned(), json!(value))).collect();
+        Map::from_iter([("pose".to_owned(), pose.into())])
+    };
+    let mut numbered = keys;
+    numbered.insert("seq".to_owned(), json!(0));
+    let message =
+        LiveMessage::parse(Value::from(numbered).to_string().as_bytes()).map_err(|problem| problem.detail)?;
+    match (&message, has_target) {
+        (LiveMessage { pose: Some(_), .. }, false) => {
+            Err("a pose moves the shape of a target: name a TARGET, or send `drives`".to_owned())
+        }
+        (LiveMessage { drives: Some(_), .. }, true) => {
+            Err("the poses of TARGET decide its drives: send a pose, or leave TARGET out".to_owned())
+        }
+        _ => Ok(message),
+    }
+}
+
+/// Two or three finite numbers, all separated by blanks or all by commas: a column that is missing must not shift the others.
+fn numbers(text: &str) -> Option<Vec<f64>> {
+    let parts: Vec<&str> = if text.contains(',') {
+        text.split(',').map(str::trim).collect()
+    } else {
+        text.split_whitespace().collect()
+    };
+    let number = |part: &str| part.parse().ok().filter(|number: &f64| number.is_finite());
+    let numbers: Option<Vec<f64>> = parts.into_iter().map(number).collect();
+    numbers.filter(|numbers| matches!(numbers.len(), 2 | 3))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use meissner_api::LivePose;
+    use std::io::{Seek, Write};
+
+    #[test]
+    fn a_line_is_numbers_or_json() {
+        let read = |line: &str| message(line.as_bytes(), true).unwrap();
+        let pose = |x_mm, y_mm, angle_deg| {
+            let pose = Some(LivePose { x_mm, y_mm, angle_deg });
+            LiveMessage { pose, ..LiveMessage::default() }
+        };
+        for line in [
+            "1 -2.5 30",
+            " 1\t-2.5  30\r",
+            "1,-2.5,30",
+            "1, -2.5 , 30",
+            "{\"pose\":{\"x_mm\":1,\"y_mm\":-2.5,\"angle_deg\":30}}",
+        ] {
+            assert_eq!(read(line), pose(1.0, -2.5, 30.0), "{line}");
+        }
+        assert_eq!(read("0.5 1e-3"), pose(0.5, 0.001, 0.0));
+        assert_eq!(read("{\"scale\":0.5}").scale, Some(0.5));
+        assert!(read(" {\"end\": true} ").end);
+        assert_eq!((read(""), read("{}")), Default::default());
+    }
+
+    #[test]
+    fn a_bad_line_says_what_to_do() {
+        for (line, says) in [
+            ("1", "`1` is not a pose: write X_MM Y_MM [DEGREES], or a JSON object"),
+            ("1 2 3 4", "`1 2 3 4` is not a pose"),
+            ("1,,2", "`1,,2` is not a pose"),
+            ("1 2, 3", "is not a pose"),
+            ("x y", "`x y` is not a pose"),
+            ("nan 1", "is not a pose"),
+            ("1 inf", "is not a pose"),
+            ("25 0", "`pose.x_mm` is 25: must be -24 to 24 mm"),
+            ("{\"pose\":", "is not JSON"),
+            ("{\"seq\":3}", "leave `seq` out"),
+            ("{\"psoe\":{}}", "did you mean `pose`?"),
+            ("{\"scale\":2}", "`scale`"),
+            ("{\"drives\":[]}", "leave TARGET out"),
+        ] {
+            let error = message(line.as_bytes(), true).unwrap_err();
+            assert!(error.contains(says) && !error.contains('\n'), "{line}: {error}");
+        }
+        assert!(message(b"1 2", false).unwrap_err().contains("name a TARGET"));
+        assert!(message(b"\xff", true).unwrap_err().contains("UTF-8"));
+        assert!(message(&[b'1'; MAX_LIVE_MESSAGE + 1], true).unwrap_err().contains("write less"));
+    }
+
+    #[test]
+    fn lines_are_numbered_and_the_last_one_needs_no_end() {
+        let mut file = tempfile::tempfile().unwrap();
+        write!(file, "1 1\n\n2 2\nx\n3 3").unwrap();
+        file.rewind().unwrap();
+        let mut lines = Lines::of(file, true).unwrap();
+        assert!(lines.is_file() && lines.next().unwrap().is_none());
+        lines.read().unwrap();
+        let x_mm = |lines: &mut Lines| lines.next().unwrap().unwrap().pose.map(|pose| pose.x_mm);
+        assert_eq!([(); 3].map(|()| x_mm(&mut lines)), [Some(1.0), None, Some(2.0)]);
+        let error = lines.next().unwrap_err().to_string();
+        assert!(error.starts_with("stdin: line 4: `x` is not a pose"), "{error}");
+        lines.taken += 2;
+        assert!(lines.next().unwrap().is_none() && !lines.is_over(), "more may come");
+        lines.read().unwrap();
+        assert_eq!((x_mm(&mut lines), lines.is_over()), (Some(3.0), true));
+    }
+
+    #[test]
+    fn a_line_without_end_is_an_error() {
+        let mut file = tempfile::tempfile().unwrap();
+        file.write_all(&[b' '; MAX_LIVE_MESSAGE + PIECE]).unwrap();
+        file.rewind().unwrap();
+        let mut lines = Lines::of(file, true).unwrap();
+        let error = loop {
+            lines.read().unwrap();
+            if let Err(error) = lines.next() {
+                break error.to_string();
+            }
+        };
+        assert!(error.contains("line 1: a line has more than 65536 bytes"), "{error}");
+    }
+}

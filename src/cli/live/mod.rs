@@ -1,0 +1,273 @@
+//! `live`: a live play that follows its source: lines of stdin, or an input device.
+//!
+//! In the order of the data path: a source ([`lines`], or [`device`] with [`follower`], which turns events into poses) gives messages,
+//! [`pace`] decides what is sent when, [`following`] is the loop that carries all of it. This module reads the arguments, starts the play,
+//! and prints how it ended.
+//!
+//! Invariant: the loop that reads the source is the one that sends signs of life; when it hangs, the daemon ends the play.
+
+mod device;
+mod follower;
+mod following;
+mod lines;
+mod pace;
+mod signals;
+
+use super::arguments::{ClientOptions, MODELS, OBJECTIVES, PlayOptions, choice, positive};
+use super::output::{give, is_broken_pipe, say};
+use super::{files, text};
+use crate::receipts::end_text;
+use anyhow::{Result, anyhow};
+use clap::Args;
+use clap::error::ErrorKind;
+use device::Input;
+use following::{End, Following, Source};
+use lines::Lines;
+use meissner_api::{
+    LIVE_TIMEOUT_MS, LIVE_UPDATES_HZ, LiveMessage, LiveRequest, PlayState, Receipt, SearchModel,
+    SearchObjective, SearchSetting, Status,
+};
+use meissner_client::Client;
+use meissner_design::{MAX_BYTES, Target};
+use pace::Pace;
+use serde_json::Value;
+use signals::Signals;
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+use std::str::FromStr;
+use std::time::Duration;
+
+/// How long the daemon waits for the receipt of a play that has just ended, s.
+const RECEIPT_S: u8 = 2;
+
+#[derive(Debug, Args)]
+pub(super) struct Live {
+    /// Move the shape of this target: its name, or a file (TOML). Without it the lines of stdin give drives
+    target: Option<String>,
+    /// Follow this source: stdin (a line: X_MM Y_MM [DEGREES], or a JSON object), mouse (the first one), or an input device
+    #[arg(long, value_name = "stdin|mouse|evdev:PATH")]
+    follow: Follow,
+    /// Shift the shape by X mm for each count of a mouse
+    #[arg(long, value_name = "X", default_value_t = 0.02, allow_negative_numbers = true, value_parser = positive)]
+    mm_per_count: f64,
+    /// Send at most F updates a second, each the newest state of the source; lines of a file are sent one by one [default: 50]
+    #[arg(long, value_name = "F", allow_negative_numbers = true, value_parser = positive)]
+    updates_hz: Option<f64>,
+    /// End the play when the daemon hears nothing for MS milliseconds [default: 500]
+    #[arg(long, value_name = "MS", allow_negative_numbers = true, value_parser = positive)]
+    timeout_ms: Option<f64>,
+    /// Go on while stdin is silent. Without it only a line of a pipe or terminal shows that the source works
+    #[arg(long)]
+    keep_alive: bool,
+    /// Allow frequencies up to F Hz [default: the highest of the first line, at least 60; with TARGET that of --setting]
+    #[arg(long, value_name = "F", allow_negative_numbers = true, value_parser = positive)]
+    max_frequency_hz: Option<f64>,
+    /// Search for the drives of a pose for MS milliseconds [default: 15]
+    #[arg(long, value_name = "MS", requires = "target", allow_negative_numbers = true, value_parser = positive)]
+    budget_ms: Option<f64>,
+    /// Choose what the drives of a pose maximise: ON afferents lie within reach of the target, OFF are all others
+    #[arg(long, value_name = "NAME", requires = "target", default_value = "off-rms-twice", value_parser = choice::<SearchObjective>(OBJECTIVES))]
+    objective: SearchObjective,
+    /// Choose the models whose RA afferents are ON or OFF
+    #[arg(long, value_name = "MODEL", requires = "target", default_value = "both", value_parser = choice::<SearchModel>(MODELS))]
+    model: SearchModel,
+    /// Choose the search space
+    #[arg(long, requires = "target", default_value = "default", value_parser = choice::<SearchSetting>(LIVE_SETTINGS))]
+    setting: SearchSetting,
+    #[command(flatten)]
+    play: PlayOptions,
+    #[command(flatten)]
+    options: ClientOptions,
+}
+
+/// `--setting`: as for other searches, except that live drives have at least 40 Hz.
+const LIVE_SETTINGS: &[(&str, &str)] =
+    &[("default", "Motors may be off; 40 to 150 Hz"), ("always_on", "All motors vibrate; 40 to 300 Hz")];
+
+/// `--follow`.
+#[derive(Clone, Debug, PartialEq)]
+enum Follow {
+    Stdin,
+    Mouse,
+    Device(PathBuf),
+}
+
+impl FromStr for Follow {
+    type Err = &'static str;
+
+    fn from_str(text: &str) -> Result<Self, Self::Err> {
+        match (text, text.strip_prefix("evdev:")) {
+            ("stdin", _) => Ok(Self::Stdin),
+            ("mouse", _) => Ok(Self::Mouse),
+            (_, Some(path)) if !path.is_empty() => Ok(Self::Device(path.into())),
+            _ => Err("must be stdin, mouse, or evdev: and the path of a device, as evdev:/dev/input/event3"),
+        }
+    }
+}
+
+impl Live {
+    fn request(&self) -> Result<LiveRequest> {
+        let request = LiveRequest {
+            drives: Vec::new(),
+            target: self.target.as_deref().map(target).transpose()?,
+            pose: None,
+            objective: self.objective,
+            model: self.model,
+            setting: self.setting,
+            budget_ms: self.budget_ms,
+            scale: self.play.scale,
+            timeout_ms: self.timeout_ms,
+            max_frequency_hz: self.max_frequency_hz,
+            updates_hz: self.updates_hz,
+            late: self.play.late,
+            replace: self.play.replace,
+            open_loop: self.play.open_loop,
+            session: self.play.session.clone(),
+            trial: self.play.trial,
+            labels: self.play.labels(),
+            trigger: self.play.trigger.request(),
+        };
+        // The source may give its first line in minutes: a bad option is refused before.
+        Ok(LiveRequest::parse(&serde_json::to_vec(&request)?)?)
+    }
+
+    fn source(&self) -> Result<Source> {
+        if self.target.is_none() && self.follow != Follow::Stdin {
+            let message =
+                "name a TARGET: an input device moves a shape. Only the lines of stdin can give drives\n";
+            return Err(clap::Error::raw(ErrorKind::MissingRequiredArgument, message).into());
+        }
+        Ok(match &self.follow {
+            Follow::Stdin => Source::Lines(Lines::stdin(self.target.is_some())?),
+            Follow::Mouse => Source::Input(Input::mouse(self.mm_per_count)?.into()),
+            Follow::Device(path) => Source::Input(Input::open(path, self.mm_per_count)?.into()),
+        })
+    }
+
+    fn timeout_ms(&self) -> f64 {
+        self.timeout_ms.unwrap_or(LIVE_TIMEOUT_MS)
+    }
+}
+
+/// A target's name, or the document in a target file.
+fn target(argument: &str) -> Result<Value> {
+    if !files::is_file(argument) {
+        return Ok(argument.into());
+    }
+    let text = files::text(Path::new(argument), MAX_BYTES as u64, "target")?;
+    // Its errors name the line of the file.
+    Target::read(&text, argument)?;
+    Ok(toml::from_str(&text)?)
+}
+
+pub(super) fn run(asked: &Live) -> Result<ExitCode> {
+    let mut source = asked.source()?;
+    let mut request = asked.request()?;
+    let signals = Signals::listen()?;
+    let mut client = asked.options.client()?;
+    // Without a daemon the command fails before its source gives the first line.
+    let _: Status = client.get("/v1/status")?;
+    let first = match source.first(&signals)? {
+        Ok(first) => first,
+        Err(signal) => return Ok(exit_code(signal)),
+    };
+    begin_with(&mut request, first);
+    let mut play = client.live(&request)?;
+    let id = play.id();
+    let json = asked.options.output.json;
+    if !json {
+        let what = asked.target.as_deref().unwrap_or("the array");
+        let said = say(&format!("play {id}: {what} follows {}; Ctrl-C ends it", source.shown()));
+        // The reader has seen enough; the play goes on, and its result counts.
+        said.or_else(|error| if is_broken_pipe(&error) { Ok(()) } else { Err(error) })?;
+    }
+    let timeout = Duration::from_secs_f64(asked.timeout_ms() / 1e3);
+    let keep_alive = asked.keep_alive || !source.must_speak();
+    let pace = Pace::new(request.updates_hz.unwrap_or(LIVE_UPDATES_HZ), timeout, keep_alive);
+    let mut following = Following::new(&mut play, source, pace, &signals);
+    let end = following.run();
+    let refused = following.summary();
+    // Closes the connection: the play ends if it has not.
+    drop(play);
+    let receipt: Result<Receipt, _> = receipt(&mut client, id);
+    if let Ok(receipt) = &receipt {
+        give(json, receipt, || text::receipt(receipt))?;
+    }
+    match end {
+        End::Signal(signal) => Ok(exit_code(signal)),
+        End::Source => {
+            let receipt = receipt?;
+            if receipt.cause.as_deref() != Some("stop") {
+                return Err(ended_by_daemon(asked, id, None, Some(&receipt)));
+            }
+            // Strokes that the end has cut count as dropped.
+            let is_whole = receipt.bursts.is_some_and(|bursts| bursts.late + bursts.refused == 0);
+            Ok(if is_whole && refused == 0 { ExitCode::SUCCESS } else { ExitCode::FAILURE })
+        }
+        End::Daemon(cause) => Err(ended_by_daemon(asked, id, cause, receipt.ok().as_ref())),
+        End::Failed(error) => Err(error),
+    }
+}
+
+/// The exit code that shells use for a program ended by a signal.
+fn exit_code(signal: u8) -> ExitCode {
+    ExitCode::from(128 + signal)
+}
+
+/// Lets the play begin where its source is.
+fn begin_with(request: &mut LiveRequest, first: LiveMessage) {
+    let LiveMessage { drives, pose, scale, .. } = first;
+    request.drives = drives.unwrap_or_default();
+    request.pose = pose;
+    request.scale = scale.or(request.scale);
+}
+
+fn receipt(client: &mut Client, id: u64) -> Result<Receipt> {
+    let timeout = Duration::from_secs(u64::from(RECEIPT_S) + 3);
+    Ok(client.get_within(timeout, &format!("/v1/plays/{id}?wait={RECEIPT_S}"))?)
+}
+
+/// Why the daemon ended a play, and what to do.
+fn ended_by_daemon(asked: &Live, id: u64, cause: Option<String>, receipt: Option<&Receipt>) -> anyhow::Error {
+    let cause = receipt.and_then(|receipt| receipt.cause.clone()).or(cause);
+    let why = match cause.as_deref() {
+        None if receipt
+            .is_some_and(|receipt| matches!(receipt.state, PlayState::Queued | PlayState::Running)) =>
+        {
+            return anyhow!("play {id} was to end, and has not yet: `meissner stop` ends it");
+        }
+        None => return anyhow!("the daemon ended while play {id} was running: see its log"),
+        Some("stop") => "another client stopped it".to_owned(),
+        Some("estop") => "an emergency stop; find out why, then `meissner reset`".to_owned(),
+        Some("client-silent") if asked.follow == Follow::Stdin && !asked.keep_alive => format!(
+            "stdin was silent for longer than {} ms; --timeout-ms allows more, --keep-alive any time",
+            asked.timeout_ms()
+        ),
+        Some("client-silent") => {
+            format!(
+                "the daemon heard nothing for {} ms; was this machine busy, or the command suspended?",
+                asked.timeout_ms()
+            )
+        }
+        Some(cause) => {
+            let cut_after_ms = receipt.and_then(|receipt| receipt.cut_after_ms);
+            format!("{}; see `meissner status`", end_text("stopped", Some(cause), cut_after_ms))
+        }
+    };
+    anyhow!("play {id} was ended: {why}")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_source_is_stdin_a_mouse_or_a_device() {
+        assert_eq!("stdin".parse(), Ok(Follow::Stdin));
+        assert_eq!("mouse".parse(), Ok(Follow::Mouse));
+        assert_eq!("evdev:/dev/input/event3".parse(), Ok(Follow::Device("/dev/input/event3".into())));
+        for text in ["", "-", "evdev:", "evdev", "keyboard"] {
+            assert!(text.parse::<Follow>().is_err(), "{text}");
+        }
+    }
+}

@@ -1,0 +1,341 @@
+//! What is sent when: the newest state of the source, at a bounded rate, and signs of life in between.
+//!
+//! The loop reports what the source says ([`Pace::hear`]) and asks what to send now ([`Pace::due`]). This module reads no clock and
+//! sends nothing.
+//!
+//! Bounds: one message waits, into which newer ones are merged; 16 are without an answer; the end waits for 2 s at least. Invariant: a
+//! source that must show that it is there (`keep_alive` is false) gives one sign of life at most for what it says, and none while it is silent.
+
+use meissner_api::LiveMessage;
+use std::time::{Duration, Instant};
+
+/// Updates without an answer at most. The daemon refuses more than 32.
+const UNANSWERED: u32 = 16;
+/// Signs of life in the time after which the daemon ends the play.
+const SIGNS: u32 = 4;
+/// The least time that the end waits for the answer to the last update. A renderer may take 200 ms.
+const LAST: Duration = Duration::from_secs(2);
+
+#[derive(Debug)]
+pub(super) struct Pace {
+    /// Least time between updates.
+    gap: Duration,
+    /// Time without a message after which a sign of life is due.
+    quiet: Duration,
+    timeout: Duration,
+    keep_alive: bool,
+    /// Set once the source has ended: when the play ends, also without the last answer.
+    ends_by: Option<Instant>,
+    waiting: Option<LiveMessage>,
+    /// Whether the source has said something since the last message.
+    heard: bool,
+    /// When the last update was sent.
+    updated_at: Option<Instant>,
+    /// When the last message was sent.
+    sent_at: Option<Instant>,
+    unanswered: u32,
+}
+
+/// Whether a message changes nothing.
+fn is_empty(message: &LiveMessage) -> bool {
+    *message == LiveMessage::default()
+}
+
+/// Adds a newer message: what both change, the newer one decides.
+fn merge(older: &mut LiveMessage, newer: LiveMessage) {
+    let LiveMessage { drives, pose, scale, .. } = newer;
+    if let Some(drives) = drives {
+        let changed = older.drives.get_or_insert_default();
+        changed.retain(|old| drives.iter().all(|drive| drive.motor != old.motor));
+        changed.extend(drives);
+    }
+    older.pose = pose.or(older.pose);
+    older.scale = scale.or(older.scale);
+}
+
+/// What is left of a time that began then.
+fn left(begun: Option<Instant>, time: Duration, now: Instant) -> Duration {
+    begun.map_or(Duration::ZERO, |begun| time.saturating_sub(now.saturating_duration_since(begun)))
+}
+
+impl Pace {
+    /// For `updates_hz` updates a second, and a daemon that ends the play after `timeout` of silence.
+    pub(super) fn new(updates_hz: f64, timeout: Duration, keep_alive: bool) -> Self {
+        Self {
+            gap: Duration::from_secs_f64(1.0 / updates_hz),
+            quiet: timeout / SIGNS,
+            timeout,
+            keep_alive,
+            ends_by: None,
+            // The play is accepted, with the source's first state, and waits for a message.
+            waiting: Some(LiveMessage::default()),
+            heard: false,
+            updated_at: None,
+            sent_at: None,
+            unanswered: 0,
+        }
+    }
+
+    /// The source has ended: what it said last is sent, and signs of life until it was answered.
+    pub(super) fn end(&mut self, now: Instant) {
+        self.keep_alive = true;
+        self.ends_by.get_or_insert(now + self.gap + self.timeout.max(LAST));
+    }
+
+    /// The source says this.
+    pub(super) fn hear(&mut self, message: LiveMessage) {
+        self.heard = true;
+        if !is_empty(&message) {
+            merge(self.waiting.get_or_insert_default(), message);
+        }
+    }
+
+    /// The daemon has answered a message.
+    pub(super) const fn answered(&mut self) {
+        self.unanswered = self.unanswered.saturating_sub(1);
+    }
+
+    /// Whether an update may be sent, and none waits.
+    pub(super) fn is_free(&self, now: Instant) -> bool {
+        self.waiting.is_none() && self.may_send(now)
+    }
+
+    /// Whether the last update was answered, and has lasted as long as any other; or the end has waited for that long enough.
+    pub(super) fn is_done(&self, now: Instant) -> bool {
+        let is_late = self.ends_by.is_some_and(|ends_by| now >= ends_by);
+        is_late || (self.is_free(now) && self.unanswered == 0)
+    }
+
+    fn may_send(&self, now: Instant) -> bool {
+        self.unanswered < UNANSWERED && left(self.updated_at, self.gap, now).is_zero()
+    }
+
+    /// The message to send now, if any.
+    pub(super) fn due(&mut self, now: Instant) -> Option<LiveMessage> {
+        let update = if self.may_send(now) { self.waiting.take() } else { None };
+        if update.is_some() {
+            self.updated_at = Some(now);
+        }
+        let sign = || {
+            let is_quiet = left(self.sent_at, self.quiet, now).is_zero();
+            (is_quiet && (self.keep_alive || self.heard)).then(LiveMessage::default)
+        };
+        let message = update.or_else(sign)?;
+        self.heard = false;
+        self.sent_at = Some(now);
+        self.unanswered += 1;
+        Some(message)
+    }
+
+    /// How long nothing is due unless the source or the daemon says something; `None`: for ever. `wants_next`: whether the caller
+    /// has more when [`Self::is_free`].
+    pub(super) fn wait(&self, now: Instant, wants_next: bool) -> Option<Duration> {
+        let wants_next = if self.ends_by.is_some() { self.unanswered == 0 } else { wants_next };
+        let wants_next = wants_next || self.waiting.is_some();
+        let can_send = wants_next && self.unanswered < UNANSWERED;
+        let update = can_send.then(|| left(self.updated_at, self.gap, now));
+        let sign = (self.keep_alive || self.heard).then(|| left(self.sent_at, self.quiet, now));
+        let end = self.ends_by.map(|ends_by| ends_by.saturating_duration_since(now));
+        [update, sign, end].into_iter().flatten().min()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use meissner_api::{LiveDrive, LivePose};
+    use proptest::prelude::*;
+
+    fn pose(x_mm: f64) -> LiveMessage {
+        let pose = LivePose { x_mm, ..LivePose::default() };
+        LiveMessage { pose: Some(pose), ..LiveMessage::default() }
+    }
+
+    fn drive(motor: u8, amplitude_um: f64) -> LiveDrive {
+        LiveDrive { motor, frequency_hz: 60.0, amplitude_um, phase: 0.0 }
+    }
+
+    fn ms(ms: u64) -> Duration {
+        Duration::from_millis(ms)
+    }
+
+    /// A mouse of 1000 events a second, for a second.
+    #[test]
+    fn a_fast_source_sends_its_newest_state_at_the_rate() {
+        let (mut pace, begun) = (Pace::new(50.0, ms(500), true), Instant::now());
+        let mut sent = Vec::new();
+        for at in 0..1000_u32 {
+            let now = begun + Duration::from_millis(at.into());
+            pace.hear(pose(f64::from(at)));
+            if let Some(message) = pace.due(now) {
+                sent.push(message.pose.unwrap().x_mm);
+                pace.answered();
+            }
+        }
+        let each_20th: Vec<f64> = (0..50).map(|n| f64::from(20 * n)).collect();
+        assert_eq!(sent, each_20th);
+    }
+
+    #[test]
+    fn without_answers_nothing_queues() {
+        let (mut pace, begun) = (Pace::new(1000.0, ms(1000), true), Instant::now());
+        let sent: Vec<_> = (0..200)
+            .filter_map(|at| {
+                pace.hear(pose(f64::from(at)));
+                pace.due(begun + ms(at as u64))
+            })
+            .collect();
+        assert_eq!(sent.len(), 16);
+        // A sign of life comes all the same.
+        assert_eq!(pace.due(begun + ms(300)), Some(LiveMessage::default()));
+        assert_eq!(pace.wait(begun + ms(300), false), Some(ms(250)));
+        pace.answered();
+        pace.answered();
+        assert_eq!(pace.due(begun + ms(301)), Some(pose(199.0)));
+    }
+
+    #[test]
+    fn signs_of_life_of_a_mouse_held_still() {
+        let (mut pace, begun) = (Pace::new(50.0, ms(400), true), Instant::now());
+        let mut now = begun;
+        for _ in 0..10 {
+            assert_eq!(pace.due(now), Some(LiveMessage::default()));
+            pace.answered();
+            let wait = pace.wait(now, false).unwrap();
+            assert_eq!(wait, ms(100));
+            now += wait;
+        }
+    }
+
+    #[test]
+    fn a_silent_source_that_must_speak_gives_none() {
+        let (mut pace, begun) = (Pace::new(50.0, ms(400), false), Instant::now());
+        // The play's first message.
+        assert_eq!(pace.due(begun), Some(LiveMessage::default()));
+        assert_eq!((pace.due(begun + ms(900)), pace.wait(begun + ms(900), false)), (None, None));
+        pace.hear(pose(1.0));
+        let begun = begun + ms(1000);
+        assert_eq!(pace.due(begun), Some(pose(1.0)));
+        // An empty line, and nothing more.
+        pace.hear(LiveMessage::default());
+        assert_eq!((pace.due(begun), pace.wait(begun, false)), (None, Some(ms(100))));
+        assert_eq!(pace.due(begun + ms(100)), Some(LiveMessage::default()));
+        assert_eq!((pace.due(begun + ms(900)), pace.wait(begun + ms(900), false)), (None, None));
+    }
+
+    #[test]
+    fn the_last_update_is_answered_and_lasts_before_the_end() {
+        let (mut pace, begun) = (Pace::new(50.0, ms(400), false), Instant::now());
+        pace.hear(pose(1.0));
+        pace.end(begun);
+        assert_eq!((pace.is_done(begun), pace.due(begun)), (false, Some(pose(1.0))));
+        let (sooner, later) = (begun + ms(5), begun + ms(30));
+        assert_eq!(
+            (pace.is_done(later), pace.wait(later, true)),
+            (false, Some(ms(70))),
+            "a sign of life is next"
+        );
+        // Without an answer the play ends all the same.
+        assert_eq!((pace.is_done(begun + ms(2_019)), pace.is_done(begun + ms(2_020))), (false, true));
+        pace.answered();
+        assert_eq!((pace.is_done(sooner), pace.wait(sooner, true)), (false, Some(ms(15))));
+        assert!(pace.is_done(later));
+    }
+
+    /// Updates are rarer than signs of life.
+    #[test]
+    fn a_slow_rate_sends_updates_between_signs_of_life() {
+        let (mut pace, begun) = (Pace::new(5.0, ms(400), true), Instant::now());
+        let mut updates = Vec::new();
+        for at in 0..1_000 {
+            let now = begun + ms(at);
+            pace.hear(pose(at as f64));
+            if let Some(message) = pace.due(now) {
+                updates.extend(message.pose.map(|pose| pose.x_mm));
+                pace.answered();
+            }
+        }
+        assert_eq!(updates, [0.0, 200.0, 400.0, 600.0, 800.0]);
+    }
+
+    #[test]
+    fn merged_drives_are_the_newest_of_each_motor() {
+        let drives =
+            |drives: &[LiveDrive]| LiveMessage { drives: Some(drives.to_vec()), ..LiveMessage::default() };
+        let (mut pace, now) = (Pace::new(50.0, ms(400), false), Instant::now());
+        pace.hear(drives(&[drive(1, 10.0), drive(2, 20.0)]));
+        pace.hear(LiveMessage { scale: Some(0.5), ..LiveMessage::default() });
+        pace.hear(drives(&[drive(1, 11.0), drive(3, 30.0)]));
+        let sent = pace.due(now).unwrap();
+        assert_eq!(sent.drives.unwrap(), [drive(2, 20.0), drive(1, 11.0), drive(3, 30.0)]);
+        assert_eq!(sent.scale, Some(0.5));
+    }
+
+    #[derive(Clone, Debug)]
+    enum Op {
+        Hear(Option<i8>),
+        Answer,
+        Pass(u16),
+    }
+
+    fn op() -> impl Strategy<Value = Op> {
+        prop_oneof![
+            prop::option::of(any::<i8>()).prop_map(Op::Hear),
+            Just(Op::Answer),
+            (0..200_u16).prop_map(Op::Pass)
+        ]
+    }
+
+    proptest! {
+        /// Whatever happens: the rate is kept, the newest state arrives, and no sign of life is invented.
+        #[test]
+        fn its_promises_hold(
+            ops in prop::collection::vec(op(), 1..200),
+            keep_alive: bool,
+            gap_ms in 1_u64..500,
+            quiet_ms in 10_u64..500,
+        ) {
+            let (gap, quiet) = (ms(gap_ms), ms(quiet_ms));
+            let mut pace = Pace::new(1e3 / gap_ms as f64, 4 * quiet, keep_alive);
+            let mut now = Instant::now();
+            let (mut newest, mut shown, mut heard, mut sent) = (None, None, true, 0_u32);
+            let (mut sent_at, mut updated_at): (Option<Instant>, Option<Instant>) = (None, None);
+            for op in ops {
+                match op {
+                    Op::Hear(None) => {
+                        heard = true;
+                        pace.hear(LiveMessage::default());
+                    }
+                    Op::Hear(Some(x_mm)) => {
+                        heard = true;
+                        newest = Some(pose(x_mm.into()));
+                        pace.hear(pose(x_mm.into()));
+                    }
+                    Op::Answer => {
+                        sent = sent.saturating_sub(1);
+                        pace.answered();
+                    }
+                    Op::Pass(passed) => now += ms(passed.into()),
+                }
+                // The time since the play's first message counts like that since an update.
+                let message = pace.due(now);
+                let is_update = message.as_ref().is_some_and(|message| !is_empty(message));
+                let is_new = newest != shown && sent < UNANSWERED;
+                prop_assert!(is_update || !is_new || updated_at.is_some_and(|at| now - at < gap));
+                let Some(message) = message else { continue };
+                prop_assert!(is_update || heard || keep_alive);
+                let (since, least) = if is_update { (updated_at, gap) } else { (sent_at, quiet) };
+                prop_assert!(since.is_none_or(|since| now - since >= least), "{:?}", since);
+                if is_update {
+                    prop_assert_eq!(Some(&message), newest.as_ref());
+                    shown = newest.clone();
+                }
+                if is_update || sent_at.is_none() {
+                    updated_at = Some(now);
+                }
+                (heard, sent_at) = (false, Some(now));
+                sent += 1;
+            }
+        }
+    }
+}

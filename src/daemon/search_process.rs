@@ -1,0 +1,54 @@
+//! A process that searches: its job is written to it, and its reports are read.
+//!
+//! Invariant: a process that was started is killed and waited for when its [`SearchProcess`] is dropped. Until then its id is its own.
+
+use crate::search::{Job, MAX_LINE, Report};
+use rustix::process::Pid;
+use std::io::{self, BufRead, BufReader, Read, Write};
+use std::process::{Child, ChildStdin, ChildStdout, Command};
+
+/// See the module.
+#[derive(Debug)]
+pub(super) struct SearchProcess {
+    child: Child,
+    /// The process ends when this is closed.
+    stdin: Option<ChildStdin>,
+    reports: Option<BufReader<ChildStdout>>,
+}
+
+impl SearchProcess {
+    /// Starts it.
+    pub(super) fn start(mut command: Command) -> io::Result<Self> {
+        let mut child = command.spawn()?;
+        let (stdin, reports) = (child.stdin.take(), child.stdout.take().map(BufReader::new));
+        Ok(Self { child, stdin, reports })
+    }
+
+    pub(super) fn pid(&self) -> Pid {
+        Pid::from_child(&self.child)
+    }
+
+    /// Gives it its job. If it has ended, it makes no report.
+    pub(super) fn give(&mut self, job: &Job) {
+        let line = serde_json::to_vec(job).unwrap_or_default();
+        if let Some(stdin) = &mut self.stdin {
+            let _ = stdin.write_all(&[&line[..], b"\n"].concat());
+        }
+    }
+
+    /// Waits for its next report; none if it has ended.
+    pub(super) fn report(&mut self) -> Option<Report> {
+        let mut line = Vec::new();
+        // An error is an end without a report.
+        let _ = self.reports.as_mut()?.take(MAX_LINE).read_until(b'\n', &mut line);
+        serde_json::from_slice(&line).ok()
+    }
+}
+
+impl Drop for SearchProcess {
+    fn drop(&mut self) {
+        // Whatever it still does is of no use. An error means that it has ended.
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
