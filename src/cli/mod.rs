@@ -27,6 +27,7 @@ mod sequence;
 mod session;
 mod session_token;
 mod simulate;
+mod sweep;
 mod text;
 mod token;
 mod tradeoff;
@@ -205,6 +206,8 @@ enum Command {
     MethodTradeoff(tradeoff::MethodTradeoff),
     /// Predict whether a finger can tell patterns apart: d', per cent correct, confusion matrix
     Discriminate(discriminate::Discriminate),
+    /// Run a plan of thousands of searches, simulations or comparisons, here or on a cluster
+    Sweep(sweep::Sweep),
     /// Compare both models of skin and afferents with published figures
     Validate(validate::Validate),
     /// Draw figures of the models and of patterns, as SVG and CSV, and a page that shows them
@@ -292,6 +295,7 @@ fn run(command: Command) -> Result<ExitCode> {
         Command::Optimise(asked) => optimise::run(&asked),
         Command::MethodTradeoff(asked) => tradeoff::run(&asked),
         Command::Discriminate(asked) => discriminate::run(&asked),
+        Command::Sweep(asked) => sweep::run(&asked),
         Command::Validate(asked) => validate::run(&asked),
         Command::Report(asked) => report::run(&asked),
         Command::Doctor { device, board, seconds, options } => {

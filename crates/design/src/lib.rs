@@ -71,8 +71,8 @@ pub use discriminate::{
 pub use goal::{GOALS, Goal, neighbours, rivals};
 pub use judge::{Conditions, HELD_OUT, Robustness, STEADY_S, judge, pulses_per_s, robustness};
 pub use make::{
-    Baseline, Budget, ByModel, Made, MakeError, Progress, ROBUST_POPULATIONS, Request, RuleVerdict, make,
-    populations,
+    Baseline, Budget, ByModel, MODEL, Made, MakeError, Progress, ROBUST_POPULATIONS, Request, RuleVerdict,
+    make, populations,
 };
 pub use naive::Rule;
 pub use objective::{Fidelity, Incumbent, Objective, Score, Task, Tried};

@@ -30,7 +30,7 @@ use toml::{Table, Value};
 /// The number of populations of a robust pattern: the target's seed and those that follow.
 pub const ROBUST_POPULATIONS: u64 = 8;
 /// The version of the models, as the provenance names it.
-const MODEL: i64 = 1;
+pub const MODEL: i64 = 1;
 
 /// How long to search.
 #[derive(Clone, Debug, Default, PartialEq)]

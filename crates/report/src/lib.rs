@@ -11,6 +11,7 @@
 //! - `laser`: [`plot_laser`] draws a recording of a pin beside the motor's fit.
 //! - `objectives`: [`objective_tradeoff`] compares what a search maximises, beside the naive rules.
 //! - `stop`: [`stop_tradeoff`] measures rest errors above a lower stop against the theory; [`plot_stop`] draws it.
+//! - `sweep`: [`sweep_page`] shows the marginals and the Pareto front of a sweep.
 //! - `validate`: [`validate()`] compares both models of the skin with published figures.
 //! - `chart` draws lines and points on axes, `sixty_hertz` is the standard scene, `progress` and `statistics` are small
 //!   helpers of all parts.
@@ -39,6 +40,7 @@ mod progress;
 mod sixty_hertz;
 mod statistics;
 mod stop;
+mod sweep;
 mod validate;
 
 pub use chart::PlotError;
@@ -64,4 +66,5 @@ pub use stop::{
     Contrasts, StopCell, StopCount, StopError, StopGrid, StopReason, StopRow, StopSurplus, StopTradeoff,
     plot_stop, stop_tradeoff,
 };
+pub use sweep::{Choice, Front, Marginal, Ordinate, Spread, SweepPage, sweep_page};
 pub use validate::{Case, Curve, Finding, Published, Validation, ValidationVerdict, validate};

@@ -14,13 +14,13 @@ mod confusion;
 mod edge;
 mod error;
 mod map;
-mod page;
+pub(crate) mod page;
 mod pattern;
 mod pulses;
 mod rate;
 mod segments;
-mod svg;
-mod table;
+pub(crate) mod svg;
+pub(crate) mod table;
 mod target;
 
 pub use acuity::{Acuity, AcuityStep, AcuityThreshold, EFFICIENCIES};

@@ -85,7 +85,7 @@ impl Section {
     }
 }
 
-const STYLE: &str = "\
+pub(crate) const STYLE: &str = "\
 body { font-family: sans-serif; line-height: 1.45; max-width: 62rem; margin: 2rem auto; padding: 0 1rem; color: #222; }
 h2 { border-top: 1px solid #ccc; padding-top: 1.2rem; margin-top: 2.5rem; }
 img { max-width: 100%; height: auto; }

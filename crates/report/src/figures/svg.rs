@@ -5,7 +5,7 @@
 //! Invariant: text is escaped and elements are closed, so every drawing is well formed.
 
 /// Escapes text for SVG and HTML, attributes included.
-pub(super) fn escape(text: &str) -> String {
+pub(crate) fn escape(text: &str) -> String {
     let mut escaped = String::with_capacity(text.len());
     for c in text.chars() {
         match c {
@@ -24,14 +24,14 @@ pub(super) fn escape(text: &str) -> String {
 
 /// The point of a text that lies at its coordinates.
 #[derive(Clone, Copy, Debug)]
-pub(super) enum Anchor {
+pub(crate) enum Anchor {
     Start,
     Middle,
 }
 
 /// An unfinished drawing.
 #[derive(Debug)]
-pub(super) struct Drawing {
+pub(crate) struct Drawing {
     width: f64,
     height: f64,
     elements: String,
@@ -39,28 +39,28 @@ pub(super) struct Drawing {
 
 /// The CSS colours of a closed shape.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Paint<'a> {
-    pub(super) fill: &'a str,
-    pub(super) stroke: &'a str,
+pub(crate) struct Paint<'a> {
+    pub(crate) fill: &'a str,
+    pub(crate) stroke: &'a str,
 }
 
 impl Drawing {
-    pub(super) const fn new(width: f64, height: f64) -> Self {
+    pub(crate) const fn new(width: f64, height: f64) -> Self {
         Self { width, height, elements: String::new() }
     }
 
-    pub(super) fn circle(&mut self, (x, y): (f64, f64), radius: f64, paint: Paint<'_>) {
+    pub(crate) fn circle(&mut self, (x, y): (f64, f64), radius: f64, paint: Paint<'_>) {
         self.ellipse((x, y), (radius, radius), paint);
     }
 
-    pub(super) fn ellipse(&mut self, (x, y): (f64, f64), (rx, ry): (f64, f64), paint: Paint<'_>) {
+    pub(crate) fn ellipse(&mut self, (x, y): (f64, f64), (rx, ry): (f64, f64), paint: Paint<'_>) {
         let Paint { fill, stroke } = paint;
         self.element(&format!(
             r#"<ellipse cx="{x:.2}" cy="{y:.2}" rx="{rx:.2}" ry="{ry:.2}" fill="{fill}" stroke="{stroke}"/>"#
         ));
     }
 
-    pub(super) fn rectangle(&mut self, (x, y): (f64, f64), (width, height): (f64, f64), paint: Paint<'_>) {
+    pub(crate) fn rectangle(&mut self, (x, y): (f64, f64), (width, height): (f64, f64), paint: Paint<'_>) {
         let Paint { fill, stroke } = paint;
         self.element(&format!(
             r#"<rect x="{x:.2}" y="{y:.2}" width="{width:.2}" height="{height:.2}" fill="{fill}" stroke="{stroke}"/>"#
@@ -68,14 +68,14 @@ impl Drawing {
     }
 
     /// An open line from point to point.
-    pub(super) fn line(&mut self, points: &[(f64, f64)], width: f64, color: &str) {
+    pub(crate) fn line(&mut self, points: &[(f64, f64)], width: f64, color: &str) {
         let points = points.iter().map(|(x, y)| format!("{x:.2},{y:.2}")).collect::<Vec<_>>().join(" ");
         self.element(&format!(
             r#"<polyline points="{points}" fill="none" stroke="{color}" stroke-width="{width}" stroke-linecap="round"/>"#
         ));
     }
 
-    pub(super) fn words(&mut self, (x, y): (f64, f64), size: u32, anchor: Anchor, color: &str, words: &str) {
+    pub(crate) fn words(&mut self, (x, y): (f64, f64), size: u32, anchor: Anchor, color: &str, words: &str) {
         let anchor = match anchor {
             Anchor::Start => "start",
             Anchor::Middle => "middle",
@@ -87,7 +87,7 @@ impl Drawing {
     }
 
     /// Words that run upwards.
-    pub(super) fn turned(&mut self, (x, y): (f64, f64), size: u32, anchor: Anchor, color: &str, words: &str) {
+    pub(crate) fn turned(&mut self, (x, y): (f64, f64), size: u32, anchor: Anchor, color: &str, words: &str) {
         let anchor = match anchor {
             Anchor::Start => "start",
             Anchor::Middle => "middle",
@@ -104,7 +104,7 @@ impl Drawing {
     }
 
     /// The text of an SVG file.
-    pub(super) fn finish(self) -> String {
+    pub(crate) fn finish(self) -> String {
         let Self { width, height, elements } = self;
         format!(
             r##"<svg width="{width:.0}" height="{height:.0}" viewBox="0 0 {width:.0} {height:.0}" xmlns="http://www.w3.org/2000/svg" font-family="sans-serif">

@@ -14,7 +14,7 @@ const SHOWN: usize = 24;
 
 /// A number with four significant digits.
 #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "clamped")]
-pub(super) fn number(number: f64) -> String {
+pub(crate) fn number(number: f64) -> String {
     if number == 0.0 || !number.is_finite() {
         return if number == 0.0 { "0".to_owned() } else { number.to_string() };
     }
@@ -24,7 +24,7 @@ pub(super) fn number(number: f64) -> String {
 }
 
 /// A table with a header row.
-pub(super) fn table(head: &[&str], rows: impl IntoIterator<Item = Vec<String>>) -> String {
+pub(crate) fn table(head: &[&str], rows: impl IntoIterator<Item = Vec<String>>) -> String {
     let mut html = String::from("<table>\n<tr>");
     html.extend(head.iter().map(|cell| format!("<th>{}</th>", escape(cell))));
     html.push_str("</tr>\n");

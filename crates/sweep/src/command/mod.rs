@@ -1,0 +1,128 @@
+//! What a cell computes: a row of results, and perhaps a pattern.
+//!
+//! `optimise`, `simulate` and `discriminate` each have the columns of their results and compute a row. Beside every figure of a pattern
+//! stand those of the baselines: both rules of thumb, which need no search, or the number of all spikes.
+//!
+//! Invariant: a row depends on the cell alone, bit for bit, on any number of threads.
+
+mod discriminate;
+mod optimise;
+mod simulate;
+
+pub(crate) use optimise::name as pattern_name;
+
+use crate::axis::{Axis, Command, Value};
+use crate::plan::{Cell, Plan};
+use meissner_array::pattern::Drive;
+use meissner_skin::ModelName;
+
+/// The type of a column's values.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Kind {
+    /// Finite numbers.
+    Number,
+    /// Whole numbers.
+    Whole,
+    /// True or false.
+    Flag,
+    /// Text.
+    Text,
+}
+
+/// A column of the results.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Column {
+    /// Its name, with the unit, if it has one.
+    pub name: &'static str,
+    /// The type of its values.
+    pub kind: Kind,
+    /// What it is.
+    pub about: &'static str,
+}
+
+/// A figure that a sweep's page shows.
+#[derive(Clone, Copy, Debug)]
+pub struct Figure {
+    /// What it is called, with its unit.
+    pub name: &'static str,
+    /// The columns of the pattern and of the baselines.
+    pub columns: &'static [&'static str],
+}
+
+/// What a sweep's page shows.
+#[derive(Clone, Copy, Debug)]
+pub struct Figures {
+    /// What the columns of a figure belong to: the pattern, and the baselines.
+    pub lines: &'static [&'static str],
+    /// All of them; the first is that of fronts.
+    pub figures: &'static [Figure],
+    /// The columns of the first figure at worst; none: the lowest decile over conditions.
+    pub worst: Option<&'static [&'static str]>,
+    /// By what choices of a case rank.
+    pub rank: &'static str,
+}
+
+/// What a cell has computed: the values of [`columns`], none where there is no such figure.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Outcome {
+    /// One for each column.
+    pub row: Vec<Option<Value>>,
+    /// The text of the pattern file that it found.
+    pub pattern: Option<String>,
+}
+
+const fn number(name: &'static str, about: &'static str) -> Column {
+    Column { name, kind: Kind::Number, about }
+}
+
+/// The columns of a command's results.
+#[must_use]
+pub const fn columns(command: Command) -> &'static [Column] {
+    match command {
+        Command::Optimise => optimise::COLUMNS,
+        Command::Simulate => simulate::COLUMNS,
+        Command::Discriminate => discriminate::COLUMNS,
+    }
+}
+
+/// What the page of a command's sweep shows.
+#[must_use]
+pub const fn figures(command: Command) -> Figures {
+    match command {
+        Command::Optimise => optimise::FIGURES,
+        Command::Simulate => simulate::FIGURES,
+        Command::Discriminate => discriminate::FIGURES,
+    }
+}
+
+/// Computes a cell.
+///
+/// # Errors
+/// Why it cannot be computed, in one line.
+pub(crate) fn compute(plan: &Plan, cell: &Cell) -> Result<Outcome, String> {
+    let outcome = match plan.command() {
+        Command::Optimise => optimise::compute(plan, cell),
+        Command::Simulate => simulate::compute(plan, cell),
+        Command::Discriminate => discriminate::compute(plan, cell),
+    }?;
+    debug_assert_eq!(outcome.row.len(), columns(plan.command()).len());
+    Ok(outcome)
+}
+
+/// A number for a table.
+fn some(number: f64) -> Option<Value> {
+    number.is_finite().then_some(Value::Number(number))
+}
+
+/// The model of a cell that has one.
+fn model(cell: &Cell) -> ModelName {
+    match cell.text(Axis::Model) {
+        "afferents" => ModelName::Afferents,
+        _ => ModelName::Membrane,
+    }
+}
+
+/// Drives with another amplitude.
+fn scaled(drives: &[Drive], scale: f64) -> Vec<Drive> {
+    drives.iter().map(|&drive| Drive { amplitude_um: drive.amplitude_um * scale, ..drive }).collect()
+}

@@ -1,0 +1,39 @@
+//! Sweeps: thousands of searches, simulations or comparisons by one plan, on one machine or on many with a common file system.
+//!
+//! The data path, and the modules, each above those it uses:
+//!
+//! 1. `axis`: what can be varied, and the values it may have. `documents`: the targets and patterns that values name.
+//! 2. `plan`: a [`Plan`] is read from a file; it says which values each [`Cell`] has.
+//! 3. `command`: computes a cell: a row of results beside those of the baseline, and perhaps a pattern.
+//! 4. `directory`: one directory for one plan. `run_file`: the rows of a run, one line each, which survive a kill.
+//! 5. `run`: a [`Run`] computes the cells of a [`Shard`] that are missing. `estimate`: what they will cost.
+//! 6. `job_array`: the script of an array of Slurm, a shard each. `status`: how far all runs are.
+//! 7. `merge`: [`merge()`] joins the rows of all runs to CSV, Parquet, a page, and the best patterns.
+//!
+//! There is no server and no lock: runs share a directory, each appends to a file of its own, and a cell has the same row whoever
+//! computes it.
+//!
+//! Invariant: merged files depend on the plan alone, not on threads, shards, machines, kills or the order of anything.
+
+mod axis;
+mod command;
+mod directory;
+mod documents;
+mod estimate;
+mod job_array;
+mod merge;
+mod plan;
+mod run;
+mod run_file;
+mod status;
+
+pub use axis::{Axis, Command, Document, Domain, Value};
+pub use command::{Column, Figure, Figures, Kind, Outcome, columns, figures};
+pub use directory::{Directory, LOG, SweepError};
+pub use estimate::{Estimate, estimate};
+pub use job_array::{MOST_TASKS, TASK_S, log, most_tasks, script, tasks};
+pub use merge::{Merged, merge, pattern};
+pub use plan::{Cell, MOST_BYTES, MOST_CELLS, Plan, PlanError, PlanProblem, Program, Sources};
+pub use run::{Progress, Run, Shard};
+pub use run_file::{End, HEARTBEAT, Header};
+pub use status::{RunState, RunStatus, Status, status};
