@@ -17,9 +17,10 @@ const GRID: &str = "#e4e4e4";
 const AREA: (f64, f64) = (300.0, 170.0);
 const LEFT: f64 = 52.0;
 const TOP: f64 = 26.0;
-const BELOW: f64 = 96.0;
 const RIGHT: f64 = 14.0;
 const TEXT: u32 = 12;
+/// Width of a character, px: more than most have at this size.
+const CHARACTER: f64 = 6.6;
 /// The most labels below a panel.
 const MOST_LABELS: usize = 24;
 /// The most characters of a label.
@@ -62,6 +63,8 @@ pub struct Ordinate {
 pub struct Marginal {
     /// The figure, with its unit.
     pub figure: String,
+    /// Where its axis begins, unless there are lower figures: nothing, or chance.
+    pub from: f64,
     /// The axis.
     pub axis: String,
     /// Which cells, as `model afferents`; empty: all.
@@ -119,7 +122,7 @@ pub fn sweep_page(page: &SweepPage) -> String {
     let title = escape(&page.title);
     let mut html = format!(
         "<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\"/>\n<title>{title}</title>\n<style>\n{STYLE}\
-         .multiples {{ display: flex; flex-wrap: wrap; gap: 0.5rem; }}\n</style>\n</head>\n<body>\n<h1>{title}</h1>\n\
+         .multiples {{ display: flex; flex-wrap: wrap; gap: 0.5rem; width: max-content; max-width: 94vw; }}\n</style>\n</head>\n<body>\n<h1>{title}</h1>\n\
          <p>Computed from the models; nothing here was measured on hardware.</p>\n"
     );
     let facts = page.facts.iter().map(|(name, fact)| vec![name.clone(), fact.clone()]);
@@ -190,18 +193,22 @@ struct Panel {
     drawing: Drawing,
     y: [f64; 2],
     x: [f64; 2],
+    /// The space below the axes, px.
+    below: f64,
 }
 
 impl Panel {
-    fn new(title: &str, x: [f64; 2], ys: impl Iterator<Item = f64>) -> Self {
-        let mut drawing = Drawing::new(LEFT + AREA.0 + RIGHT, TOP + AREA.1 + BELOW);
-        let (low, high) = ys.fold((0.0_f64, 0.0_f64), |(low, high), y| (low.min(y), high.max(y)));
+    /// A panel from `from` on, with space for labels of so many characters.
+    fn new(title: &str, x: [f64; 2], from: f64, ys: impl Iterator<Item = f64>, characters: usize) -> Self {
+        let below = 16.0 + CHARACTER * characters.min(MOST_CHARACTERS + 1) as f64;
+        let mut drawing = Drawing::new(LEFT + AREA.0 + RIGHT, TOP + AREA.1 + below);
+        let (low, high) = ys.fold((from, from), |(low, high), y| (low.min(y), high.max(y)));
         let span = if high > low { high - low } else { 1.0 };
         let step = step(span / 4.0);
         let y = [(low / step).floor() * step, (high / step).ceil().max((low / step).floor() + 1.0) * step];
         drawing.words((LEFT, TOP - 10.0), TEXT, Anchor::Start, INK, title);
         let marks = ((y[1] - y[0]) / step).round();
-        let mut panel = Self { drawing, y, x };
+        let mut panel = Self { drawing, y, x, below };
         for mark in 0..=marks as u32 {
             let value = y[0] + f64::from(mark) * step;
             let at = panel.down(value);
@@ -225,7 +232,7 @@ impl Panel {
         if short.len() < text.len() {
             short.push('…');
         }
-        let at = (self.across(x) + 4.0, TOP + AREA.1 + BELOW - 6.0);
+        let at = (self.across(x) + 4.0, TOP + AREA.1 + self.below - 6.0);
         self.drawing.turned(at, TEXT, Anchor::Start, INK, &short);
     }
 
@@ -246,7 +253,7 @@ fn step(least: f64) -> f64 {
 }
 
 fn panel(marginal: &Marginal) -> String {
-    let Marginal { figure, axis, of, ordinates } = marginal;
+    let Marginal { figure, from, axis, of, ordinates } = marginal;
     let places: Vec<f64> =
         ordinates.iter().enumerate().map(|(number, of)| of.at.unwrap_or(number as f64)).collect();
     let (first, last) =
@@ -254,7 +261,9 @@ fn panel(marginal: &Marginal) -> String {
     let spreads = ordinates.iter().flat_map(|of| of.lines.iter().copied()).flatten();
     let title =
         if of.is_empty() { format!("{figure}, by {axis}") } else { format!("{figure}, by {axis}: {of}") };
-    let mut panel = Panel::new(&title, [first, last], spreads.flat_map(|of| [of.mean, of.low]));
+    let longest = ordinates.iter().map(|of| of.label.chars().count()).max().unwrap_or_default();
+    let ys = spreads.flat_map(|of| [of.mean, of.low]);
+    let mut panel = Panel::new(&title, [first, last], *from, ys, longest);
     let every = ordinates.len().div_ceil(MOST_LABELS).max(1);
     for (ordinate, &x) in ordinates.iter().zip(&places).step_by(every) {
         panel.label(x, &ordinate.label);
@@ -316,7 +325,8 @@ fn front_html(front: &Front, baselines: &[&str]) -> String {
             .flatten()
     };
     let (low, high) = points().fold((0.0_f64, 0.0_f64), |(a, b), [x, _]| (a.min(x), b.max(x)));
-    let mut panel = Panel::new("at worst (up), on average (right)", [low, high], points().map(|[_, y]| y));
+    let ys = points().map(|[_, y]| y);
+    let mut panel = Panel::new("at worst (up), on average (right)", [low, high], 0.0, ys, 6);
     let step = step((high - low).max(f64::MIN_POSITIVE) / 5.0);
     let first = (low / step).ceil();
     for mark in 0..=((high / step).floor() - first).max(0.0) as u32 {
@@ -384,6 +394,7 @@ mod tests {
             worst: "At worst: the lowest decile.".to_owned(),
             marginals: vec![Marginal {
                 figure: "contrast".to_owned(),
+                from: 0.0,
                 axis: "gain".to_owned(),
                 of: String::new(),
                 ordinates: [1, 2].map(ordinate).to_vec(),
@@ -407,7 +418,7 @@ mod tests {
     fn panels_without_numbers_are_drawn() {
         let empty = Ordinate { label: "x".repeat(40), at: None, lines: vec![None] };
         let [figure, axis, of] = ["contrast", "target", ""].map(str::to_owned);
-        let svg = panel(&Marginal { figure, axis, of, ordinates: vec![empty] });
+        let svg = panel(&Marginal { figure, axis, of, ordinates: vec![empty], from: 0.0 });
         assert!(svg.contains("xxxxxxxxxxxxxx…") && !svg.contains("NaN"), "{svg}");
     }
 }

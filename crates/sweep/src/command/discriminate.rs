@@ -25,8 +25,12 @@ pub(super) const COLUMNS: &[Column] = &[
 pub(super) const FIGURES: Figures = Figures {
     lines: &["by each count", "by all spikes"],
     figures: &[
-        Figure { name: "d'", columns: &["d_prime_counts", "d_prime_total"] },
-        Figure { name: "correct, %", columns: &["correct_counts_percent", "correct_total_percent"] },
+        Figure { name: "d'", columns: &["d_prime_counts", "d_prime_total"], chance: 0.0 },
+        Figure {
+            name: "correct, %",
+            columns: &["correct_counts_percent", "correct_total_percent"],
+            chance: 50.0,
+        },
     ],
     worst: None,
     rank: "d_prime_counts",

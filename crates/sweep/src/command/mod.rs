@@ -47,6 +47,8 @@ pub struct Figure {
     pub name: &'static str,
     /// The columns of the pattern and of the baselines.
     pub columns: &'static [&'static str],
+    /// What it is by chance: its axis begins there.
+    pub chance: f64,
 }
 
 /// What a sweep's page shows.

@@ -60,8 +60,9 @@ pub(super) const FIGURES: Figures = Figures {
         Figure {
             name: "contrast, impulses/s",
             columns: &["contrast_hz", "naive_reach_contrast_hz", "naive_pitch_contrast_hz"],
+            chance: 0.0,
         },
-        Figure { name: "AUC", columns: &["auc", "naive_reach_auc", "naive_pitch_auc"] },
+        Figure { name: "AUC", columns: &["auc", "naive_reach_auc", "naive_pitch_auc"], chance: 0.5 },
     ],
     worst: Some(&["worst_contrast_hz", "naive_reach_worst_contrast_hz", "naive_pitch_worst_contrast_hz"]),
     rank: "value",

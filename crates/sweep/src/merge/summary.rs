@@ -266,7 +266,8 @@ impl<'a> Summary<'a> {
                 for (at, figure) in self.shown.figures.iter().enumerate() {
                     let ordinates = ordinates(&values, at, self.shown.lines.len());
                     let axis = axis.name().replace('_', " ");
-                    found.push(Marginal { figure: figure.name.to_owned(), axis, of: of.clone(), ordinates });
+                    let (figure, from, of) = (figure.name.to_owned(), figure.chance, of.clone());
+                    found.push(Marginal { figure, from, axis, of, ordinates });
                 }
             }
         }
@@ -302,6 +303,11 @@ fn spread(points: &[Point], figure: impl Fn(&Point) -> f32) -> Option<Spread> {
     )
 }
 
+/// A number of an axis, to four decimals.
+fn short(number: f64) -> String {
+    ((number * 1e4).round() / 1e4).to_string()
+}
+
 /// What a panel of a figure shows at each value, or in each bin of numbers.
 fn ordinates(values: &ByValue, figure: usize, lines: usize) -> Vec<Ordinate> {
     let number = |value: &Value| match value {
@@ -332,5 +338,5 @@ fn ordinates(values: &ByValue, figure: usize, lines: usize) -> Vec<Ordinate> {
     }
     let middle = |bin: usize| low + (bin as f64 + 0.5) * width;
     let filled = bins.iter().enumerate().filter(|(_, points)| !points.is_empty());
-    filled.map(|(bin, points)| ordinate(format!("{:.3}", middle(bin)), Some(middle(bin)), points)).collect()
+    filled.map(|(bin, points)| ordinate(short(middle(bin)), Some(middle(bin)), points)).collect()
 }
