@@ -75,3 +75,5 @@ mod service;
 mod sessions;
 /// Stimuli that are what was asked: empty, weak, whole strokes, replaced, removed; receipts of plays that were cut.
 mod stimuli;
+/// `sweep`: plans, runs that are cut, parts, merges, and what is refused.
+mod sweep;

@@ -100,6 +100,9 @@ _meissner() {
             meissner,stop)
                 cmd="meissner__subcmd__stop"
                 ;;
+            meissner,sweep)
+                cmd="meissner__subcmd__sweep"
+                ;;
             meissner,token)
                 cmd="meissner__subcmd__token"
                 ;;
@@ -192,6 +195,9 @@ _meissner() {
                 ;;
             meissner__subcmd__help,stop)
                 cmd="meissner__subcmd__help__subcmd__stop"
+                ;;
+            meissner__subcmd__help,sweep)
+                cmd="meissner__subcmd__help__subcmd__sweep"
                 ;;
             meissner__subcmd__help,token)
                 cmd="meissner__subcmd__help__subcmd__token"
@@ -302,7 +308,7 @@ _meissner() {
 
     case "${cmd}" in
         meissner)
-            opts="-h -V --help --version demo daemon play sequence live stop estop reset arm disarm home calibrate list show import remove status events receipt session token motor displacement simulate optimise tradeoff discriminate validate report doctor help"
+            opts="-h -V --help --version demo daemon play sequence live stop estop reset arm disarm home calibrate list show import remove status events receipt session token motor displacement simulate optimise tradeoff discriminate sweep validate report doctor help"
             if [[ ${cur} == -* || ${COMP_CWORD} -eq 1 ]] ; then
                 COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
                 return 0
@@ -616,7 +622,7 @@ _meissner() {
             return 0
             ;;
         meissner__subcmd__help)
-            opts="demo daemon play sequence live stop estop reset arm disarm home calibrate list show import remove status events receipt session token motor displacement simulate optimise tradeoff discriminate validate report doctor help"
+            opts="demo daemon play sequence live stop estop reset arm disarm home calibrate list show import remove status events receipt session token motor displacement simulate optimise tradeoff discriminate sweep validate report doctor help"
             if [[ ${cur} == -* || ${COMP_CWORD} -eq 2 ]] ; then
                 COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
                 return 0
@@ -1092,6 +1098,20 @@ _meissner() {
             return 0
             ;;
         meissner__subcmd__help__subcmd__stop)
+            opts=""
+            if [[ ${cur} == -* || ${COMP_CWORD} -eq 3 ]] ; then
+                COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
+                return 0
+            fi
+            case "${prev}" in
+                *)
+                    COMPREPLY=()
+                    ;;
+            esac
+            COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
+            return 0
+            ;;
+        meissner__subcmd__help__subcmd__sweep)
             opts=""
             if [[ ${cur} == -* || ${COMP_CWORD} -eq 3 ]] ; then
                 COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
@@ -1905,6 +1925,52 @@ _meissner() {
             fi
             case "${prev}" in
                 --socket)
+                    COMPREPLY=($(compgen -f "${cur}"))
+                    return 0
+                    ;;
+                *)
+                    COMPREPLY=()
+                    ;;
+            esac
+            COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
+            return 0
+            ;;
+        meissner__subcmd__sweep)
+            opts="-o -h --out --dry-run --threads --shard --slurm --tasks --status --merge --pattern --axes --json --help"
+            if [[ ${cur} == -* || ${COMP_CWORD} -eq 2 ]] ; then
+                COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
+                return 0
+            fi
+            case "${prev}" in
+                --out)
+                    COMPREPLY=($(compgen -f "${cur}"))
+                    return 0
+                    ;;
+                -o)
+                    COMPREPLY=($(compgen -f "${cur}"))
+                    return 0
+                    ;;
+                --threads)
+                    COMPREPLY=($(compgen -f "${cur}"))
+                    return 0
+                    ;;
+                --shard)
+                    COMPREPLY=($(compgen -f "${cur}"))
+                    return 0
+                    ;;
+                --tasks)
+                    COMPREPLY=($(compgen -f "${cur}"))
+                    return 0
+                    ;;
+                --status)
+                    COMPREPLY=($(compgen -f "${cur}"))
+                    return 0
+                    ;;
+                --merge)
+                    COMPREPLY=($(compgen -f "${cur}"))
+                    return 0
+                    ;;
+                --pattern)
                     COMPREPLY=($(compgen -f "${cur}"))
                     return 0
                     ;;

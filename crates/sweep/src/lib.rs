@@ -28,7 +28,7 @@ mod run_file;
 mod status;
 
 pub use axis::{Axis, Command, Document, Domain, Value};
-pub use command::{Column, Figure, Figures, Kind, Outcome, columns, figures};
+pub use command::{Column, Figure, Figures, Kind, Outcome, columns, compute, figures};
 pub use directory::{Directory, LOG, SweepError};
 pub use estimate::{Estimate, estimate};
 pub use job_array::{MOST_TASKS, TASK_S, log, most_tasks, script, tasks};

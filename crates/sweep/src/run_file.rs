@@ -73,7 +73,7 @@ pub(crate) struct Writer {
 impl Writer {
     /// Makes the file of a run.
     pub(crate) fn new(directory: &Directory, shard: Shard, log: Option<String>) -> Result<Self, SweepError> {
-        let host = rustix::system::uname().nodename().to_string_lossy().into_owned();
+        let host = host();
         let (pid, began) = (std::process::id(), Timestamp::now());
         let plain: String =
             host.chars().filter(|c| c.is_ascii_alphanumeric() || *c == '-').take(40).collect();
@@ -120,6 +120,11 @@ impl Writer {
         let _ = self.file.set_modified(SystemTime::now());
         let _ = self.file.sync_data();
     }
+}
+
+/// The name of this machine.
+pub(crate) fn host() -> String {
+    rustix::system::uname().nodename().to_string_lossy().into_owned()
 }
 
 /// What a line of a run file is.

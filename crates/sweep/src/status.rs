@@ -6,10 +6,11 @@ use crate::directory::{Directory, SweepError};
 use crate::merge::Index;
 use crate::plan::Plan;
 use crate::run::Shard;
-use crate::run_file::{HEARTBEAT, RunFile};
+use crate::run_file::{self, HEARTBEAT, RunFile};
 use serde::Serialize;
 use std::fs::File;
 use std::io::{Read, Seek, SeekFrom};
+use std::path::Path;
 use std::time::{Duration, SystemTime};
 
 /// A run that gave no sign for so long has ended: six heartbeats, and clocks of machines may differ.
@@ -93,7 +94,7 @@ pub fn status(directory: &Directory, plan: &Plan) -> Result<Status, SweepError> 
         let state = match &file.end {
             Some(end) if end == "done" => RunState::Done,
             Some(_) => RunState::Stopped,
-            None if silent <= SILENT => RunState::Running,
+            None if silent <= SILENT && !is_gone(file) => RunState::Running,
             None => RunState::Killed,
         };
         let log = || last_line(directory, file.header.as_ref()?.log.as_deref()?);
@@ -119,6 +120,13 @@ pub fn status(directory: &Directory, plan: &Plan) -> Result<Status, SweepError> 
         missing: plan.cells() - index.done(),
         damaged: index.damaged(),
         runs: index.files.iter().zip(&index.by_file).map(run).collect(),
+    })
+}
+
+/// Whether the run was a process of this machine, and that is no more.
+fn is_gone(file: &RunFile) -> bool {
+    file.header.as_ref().is_some_and(|header| {
+        header.host == run_file::host() && !Path::new("/proc").join(header.pid.to_string()).exists()
     })
 }
 

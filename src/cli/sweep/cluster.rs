@@ -54,7 +54,7 @@ pub(super) fn run(asked: &Sweep, plan: Plan) -> Result<ExitCode> {
     if let Some(directory) = &directory {
         let found = status(directory, &plan)?;
         missing = found.missing;
-        if found.runs.iter().any(|run| run.state == RunState::Running) {
+        if missing > 0 && found.runs.iter().any(|run| run.state == RunState::Running) {
             bail!(
                 "{}: runs of an earlier command are computing its cells: wait for them (--status), or cancel them",
                 files::shown(dir)

@@ -101,7 +101,7 @@ pub const fn figures(command: Command) -> Figures {
 ///
 /// # Errors
 /// Why it cannot be computed, in one line.
-pub(crate) fn compute(plan: &Plan, cell: &Cell) -> Result<Outcome, String> {
+pub fn compute(plan: &Plan, cell: &Cell) -> Result<Outcome, String> {
     let outcome = match plan.command() {
         Command::Optimise => optimise::compute(plan, cell),
         Command::Simulate => simulate::compute(plan, cell),

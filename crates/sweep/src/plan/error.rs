@@ -14,8 +14,8 @@ pub struct PlanError(#[from] Box<document::DocumentError<PlanProblem>>);
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[expect(missing_docs, reason = "the messages say it")]
 pub enum PlanProblem {
-    #[error("{axis} is no axis: did you mean `{nearest}`?")]
-    UnknownAxis { axis: String, nearest: &'static str },
+    #[error("is no axis of command = \"{command}\": did you mean `{nearest}`?")]
+    UnknownAxis { command: &'static str, nearest: &'static str },
     #[error("is no axis of command = \"{command}\": leave it out; its axes are {axes}")]
     OtherCommand { command: &'static str, axes: String },
     #[error("is missing: command = \"{command}\" needs it in [grid] or [[points]]")]

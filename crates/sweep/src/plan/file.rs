@@ -7,7 +7,7 @@ use super::{MOST_CELLS, MOST_VALUES, Plan, PlanError, PlanProblem, Random, Sprea
 use crate::axis::{Axis, Command, Document, Domain, Value};
 use crate::documents::Documents;
 use meissner_input::document::{Table, from_toml};
-use meissner_input::message::{nearest, quote, short_number};
+use meissner_input::message::{cut, nearest, quote, short_number};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use toml::Value as Toml;
@@ -180,8 +180,9 @@ impl Reader<'_> {
     fn axis(&self, name: &str) -> Result<Axis, KeyError> {
         let Some(axis) = Axis::ALL.into_iter().find(|axis| axis.name() == name) else {
             let known: Vec<&'static str> = Axis::of(self.command).map(Axis::name).collect();
-            let problem = PlanProblem::UnknownAxis { axis: quote(name), nearest: nearest(&known, name) };
-            return Err(KeyError::whole(None, problem));
+            let command = self.command.name();
+            let problem = PlanProblem::UnknownAxis { command, nearest: nearest(&known, name) };
+            return Err(KeyError::key(&cut(name, 64), problem));
         };
         if !axis.is_of(self.command) {
             let axes = Axis::of(self.command).map(Axis::name).collect::<Vec<_>>().join(", ");
