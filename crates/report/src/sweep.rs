@@ -23,6 +23,9 @@ const TEXT: u32 = 12;
 const CHARACTER: f64 = 6.6;
 /// The most labels below a panel.
 const MOST_LABELS: usize = 24;
+/// The most choices that a front draws, besides those on it, and the most rows of its table.
+const MOST_DOTS: usize = 500;
+const MOST_ROWS: usize = 100;
 /// The most characters of a label.
 const MOST_CHARACTERS: usize = 14;
 
@@ -310,10 +313,21 @@ fn dashed(drawing: &mut Drawing, points: &[(f64, f64)], color: &str) {
     }
 }
 
-/// Whether no other choice is better in one and at least as good in the other.
-fn is_on_front(own: [f64; 2], all: &[Choice]) -> bool {
-    let beats = |other: [f64; 2]| other[0] >= own[0] && other[1] >= own[1] && other != own;
-    !all.iter().any(|choice| beats(choice.own))
+/// The choices that no other one beats: at least as good in both, and better in one.
+fn on_front(choices: &[Choice]) -> Vec<bool> {
+    let mut order: Vec<usize> = (0..choices.len()).collect();
+    let own = |number: &usize| choices[*number].own;
+    order.sort_by(|a, b| own(b)[0].total_cmp(&own(a)[0]).then(own(b)[1].total_cmp(&own(a)[1])));
+    let (mut found, mut highest) = (vec![false; choices.len()], f64::NEG_INFINITY);
+    // From the best on average down: each of those as good on average, of which the first is the best at worst.
+    for alike in order.chunk_by(|a, b| own(a)[0] == own(b)[0]) {
+        let best = own(&alike[0])[1];
+        for &number in alike {
+            found[number] = best > highest && own(&number)[1] == best;
+        }
+        highest = highest.max(best);
+    }
+    found
 }
 
 fn front_html(front: &Front, baselines: &[&str]) -> String {
@@ -333,17 +347,22 @@ fn front_html(front: &Front, baselines: &[&str]) -> String {
         let value = (first + f64::from(mark)) * step;
         panel.label(value, &number(value));
     }
-    for choice in choices {
+    let on_front = on_front(choices);
+    let every = choices.len().div_ceil(MOST_DOTS).max(1);
+    let drawn =
+        choices.iter().zip(&on_front).enumerate().filter(|(number, (_, on))| **on || number % every == 0);
+    for (_, (choice, &on)) in drawn {
         for (&baseline, color) in choice.baselines.iter().zip(&COLORS[1..]) {
             if let Some([x, y]) = baseline {
                 panel.dot(x, y, color, false);
             }
         }
-        panel.dot(choice.own[0], choice.own[1], COLORS[0], is_on_front(choice.own, choices));
+        panel.dot(choice.own[0], choice.own[1], COLORS[0], on);
     }
-    let mut best: Vec<&Choice> = choices.iter().filter(|choice| is_on_front(choice.own, choices)).collect();
+    let mut best: Vec<&Choice> =
+        choices.iter().zip(&on_front).filter(|(_, on)| **on).map(|(choice, _)| choice).collect();
     best.sort_by(|a, b| b.own[0].total_cmp(&a.own[0]));
-    let rows = best.into_iter().map(|choice| cells(choice, baselines.len()));
+    let rows = best.into_iter().take(MOST_ROWS).map(|choice| cells(choice, baselines.len()));
     let heading = if of.is_empty() { String::new() } else { format!("<h3>{}</h3>\n", escape(of)) };
     let names = figure_names(baselines);
     let head: Vec<&str> = ["on the front"].into_iter().chain(names.iter().map(String::as_str)).collect();
@@ -373,8 +392,9 @@ mod tests {
     #[test]
     fn the_front_has_what_nothing_beats() {
         let all = [[3.0, 1.0], [2.0, 2.0], [1.0, 3.0], [1.0, 1.0], [2.0, 2.0]].map(choice);
-        let on: Vec<bool> = all.iter().map(|of| is_on_front(of.own, &all)).collect();
-        assert_eq!(on, [true, true, true, false, true]);
+        assert_eq!(on_front(&all), [true, true, true, false, true]);
+        let alike = [[3.0, 1.0], [3.0, 0.5], [2.0, 1.0]].map(choice);
+        assert_eq!(on_front(&alike), [true, false, false]);
     }
 
     #[test]

@@ -138,7 +138,7 @@ impl<'a> Summary<'a> {
                         cases.push(Case { name: case_name, choices: Vec::new() });
                         cases.len() - 1
                     });
-                    cases[case].choices.push(Chosen { name: choice_name, points: Vec::new() });
+                    cases[case].choices.push(Chosen { name: choice_name, points: Vec::with_capacity(1) });
                     (case, cases[case].choices.len() - 1)
                 });
             cases[case].choices[choice].points.push(point);
@@ -160,14 +160,16 @@ impl<'a> Summary<'a> {
     fn best(&self) -> Vec<(String, Chosen)> {
         let searches = self.plan.command() == Command::Optimise;
         let of_case = |case: Case| {
-            let one = |of: &Chosen, point: &Point| Chosen { name: of.name.clone(), points: vec![*point] };
-            let single = |of: &Chosen| of.points.iter().map(|point| one(of, point)).collect::<Vec<_>>();
-            let choices =
-                if searches { case.choices.iter().flat_map(single).collect() } else { case.choices };
-            let best = choices
-                .into_iter()
-                .reduce(|best, other| if other.rank() > best.rank() { other } else { best });
-            best.map(|best| (case.name, best))
+            let best = if searches {
+                let all = case.choices.iter().flat_map(|of| of.points.iter().map(move |point| (of, point)));
+                let (of, point) =
+                    all.reduce(|best, other| if other.1.rank > best.1.rank { other } else { best })?;
+                Chosen { name: of.name.clone(), points: vec![*point] }
+            } else {
+                let all = case.choices.into_iter();
+                all.reduce(|best, other| if other.rank() > best.rank() { other } else { best })?
+            };
+            Some((case.name, best))
         };
         self.cases(true).into_iter().take(MOST_CASES).filter_map(of_case).collect()
     }
