@@ -39,7 +39,7 @@ pub struct Malformed;
 pub struct Full;
 
 /// Packs items into a buffer of `N` bytes. An item that does not fit changes nothing.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub struct Packer<const N: usize> {
     bytes: [u8; N],
     len: usize,

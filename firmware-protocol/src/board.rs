@@ -18,7 +18,7 @@ pub const TRIGGER: usize = MOTORS;
 pub const ENABLE: usize = MOTORS + 1;
 
 /// Why the device has started.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub enum Reset {
     /// The device does not know.
     #[default]
@@ -38,7 +38,7 @@ pub enum Reset {
 }
 
 /// What the device counted since it started, and in the window that a request ended.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct Board {
     /// The number of the request that it answers.
     pub window: u16,
@@ -62,7 +62,7 @@ pub struct Board {
 }
 
 /// The figures of a [`Board`] report that the shell measures, not the controller.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub struct Measures {
     /// As in [`Board`].
     pub reset: Reset,
@@ -81,7 +81,7 @@ impl Measures {
 }
 
 /// How far a self-test is.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub enum SelfTestState {
     /// The device refused it, because it is not disarmed.
     Refused,
@@ -94,7 +94,7 @@ pub enum SelfTestState {
 }
 
 /// What a self-test measured. The host judges it. `None`: the device does not have this check.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct SelfTest {
     /// The lines and the trigger, driven one by one with the drivers off.
     pub lines: Option<LineTest>,
@@ -107,7 +107,7 @@ pub struct SelfTest {
 }
 
 /// What each output did; the outputs are those of a mask of outputs. The driver enable is only read.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct LineTest {
     /// High although nothing drove them high.
     pub stuck_high: u32,
@@ -120,7 +120,7 @@ pub struct LineTest {
 }
 
 /// How fast the waveform ran.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct WaveTest {
     /// Time by the system timer, µs.
     pub timer_us: u32,
@@ -131,7 +131,7 @@ pub struct WaveTest {
 }
 
 /// What the memory kept.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct RamTest {
     /// Bytes tested.
     pub bytes: u32,

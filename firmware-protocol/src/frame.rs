@@ -9,6 +9,7 @@
 //! The decoder takes chunks of any size. Whatever arrives, it returns a body or a [`FrameError`], and it is synchronised again
 //! after the next zero.
 
+use core::hash::{Hash, Hasher};
 use serde::{Deserialize, Serialize};
 
 /// The protocol's version: the first byte of every message, in all versions.
@@ -118,7 +119,7 @@ pub fn read<'a, M: Deserialize<'a>>(body: Result<&'a [u8], FrameError>) -> Resul
 }
 
 /// Cuts a byte stream into bodies.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub struct Decoder {
     buffer: [u8; MAX_FRAME - 1],
     len: usize,
@@ -140,6 +141,14 @@ impl core::fmt::Display for FrameError {
 }
 
 impl core::error::Error for FrameError {}
+
+impl Hash for Decoder {
+    /// Without the bytes of frames before the present one.
+    fn hash<H: Hasher>(&self, hasher: &mut H) {
+        let Self { buffer, len, overflow } = self;
+        (buffer.get(..*len), overflow).hash(hasher);
+    }
+}
 
 impl Default for Decoder {
     fn default() -> Self {

@@ -50,7 +50,7 @@ pub const fn least_seek(above: u16) -> u16 {
 }
 
 /// Why a stroke or a command was refused.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub enum Refusal {
     /// The controller is not armed.
     NotArmed,
@@ -85,7 +85,7 @@ pub enum Refusal {
 }
 
 /// Most pulses begun in a sliding second. The defaults cannot be reached; a site may lower them.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct OnTimeLimits {
     /// Per motor, pulses/s.
     pub motor: u32,
@@ -134,7 +134,7 @@ const BUCKET: u64 = 1_250;
 const BUCKETS: usize = TICK_HZ as usize / BUCKET as usize + 1;
 
 /// Counts pulses per motor of the last second.
-#[derive(Debug)]
+#[derive(Clone, Debug, Hash)]
 struct SlidingSecond {
     /// Index of the bucket being filled.
     bucket: usize,
@@ -190,7 +190,7 @@ impl SlidingSecond {
 /// A stroke counts from its first pulse until a second after its last one. So no sliding second ever holds more than the
 /// limit, but a stroke may be refused when the sum is one stroke or 15 ms below it. [`OnTimeLimits::NONE`] turns a
 /// limit off: a line may then pulse without rest.
-#[derive(Debug)]
+#[derive(Clone, Debug, Hash)]
 pub struct OnTime {
     limits: OnTimeLimits,
     pulses: SlidingSecond,
@@ -244,7 +244,7 @@ impl OnTime {
 /// It counts the pulses by which the down burst is longer than the up burst, from the stroke's first pulse until a second after its
 /// last; an up burst amended to be longer counts as planned. Of what an e-stop cuts it counts the
 /// pulses played; those left count when they are returned.
-#[derive(Debug)]
+#[derive(Clone, Debug, Hash)]
 pub struct Pushing {
     /// 0: there is no stop.
     limit: u32,

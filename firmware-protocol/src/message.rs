@@ -11,7 +11,7 @@ use crate::tick::{TICK_HZ, WireTick};
 use serde::{Deserialize, Serialize};
 
 /// From the host to the device.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub enum HostMessage<'a> {
     /// Opens a session. Repeated until answered.
     Hello {
@@ -75,7 +75,7 @@ pub enum HostMessage<'a> {
 }
 
 /// The onset of a play or of one of its later items. The device reports it when it has passed ([`Report::Onset`]).
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct Mark {
     /// Whose onset it is.
     pub kind: MarkKind,
@@ -84,7 +84,7 @@ pub struct Mark {
 }
 
 /// The motors whose queued strokes a frame replaces.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct Withdraw {
     /// Bit i: motor i.
     pub motors: u32,
@@ -93,7 +93,7 @@ pub struct Withdraw {
 }
 
 /// Whose onset a [`Mark`] is.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub enum MarkKind {
     /// A play's: the device takes the frame as a whole or not at all.
     Play,
@@ -102,7 +102,7 @@ pub enum MarkKind {
 }
 
 /// A pulse or a code on the trigger output.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct Trigger {
     /// Ticks of the pulse, or of each of the ten cells of a code; 0 counts as 1.
     pub width: u16,
@@ -117,7 +117,7 @@ impl Trigger {
 }
 
 /// What a `Control` asks for.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub enum Op {
     /// Play the outstanding return pulses, then take strokes.
     Arm {
@@ -155,7 +155,7 @@ pub enum Op {
 }
 
 /// What the controller may do against a lower stop: a plate below which no pin can go.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct LowerStop {
     /// Most pulses in a sliding second by which a motor's down bursts may exceed their up bursts.
     pub pulses_per_s: u32,
@@ -164,7 +164,7 @@ pub struct LowerStop {
 }
 
 /// The state of the controller.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub enum State {
     /// Lines off; refuses strokes.
     Disarmed,
@@ -177,7 +177,7 @@ pub enum State {
 }
 
 /// Why the controller is in its state.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub enum Cause {
     /// The device has just started.
     Boot,
@@ -208,7 +208,7 @@ pub enum Cause {
 }
 
 /// From the device to the host.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub enum DeviceMessage {
     /// The answer to `Hello`, and to any frame of another protocol version.
     Hello(DeviceHello),
@@ -242,7 +242,7 @@ pub enum DeviceMessage {
 }
 
 /// What the device is and what it can do.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct DeviceHello {
     /// The session that it answers.
     pub session: u32,
@@ -284,7 +284,7 @@ impl DeviceHello {
 }
 
 /// The device's status: acknowledgement, clock, credits and counters.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct Status {
     /// Token of the last `Ping`, in the first status after it; else 0. The host measures round trips with it.
     pub token: u16,
@@ -315,7 +315,7 @@ pub struct Status {
 }
 
 /// Counts of the controller since boot. A stroke has two bursts.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct Counters {
     /// Bursts played, whole or cut.
     pub played: u64,
@@ -356,7 +356,7 @@ impl Counters {
 }
 
 /// An event that must reach the host.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub enum Report {
     /// Some strokes of a frame were not accepted, or some of a motor's not withdrawn.
     Verdict {
@@ -402,7 +402,7 @@ pub enum Report {
 }
 
 /// When and why strokes were cut.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct Cut {
     /// The reason.
     pub cause: Cause,

@@ -47,7 +47,7 @@ impl Burst {
 }
 
 /// One excursion of one pin. It is valid if [`crate::limits::check`] accepts it: `up + up_pulses <= down` and more.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct Stroke {
     /// 0..24, `4 * row + column`.
     pub motor: u8,

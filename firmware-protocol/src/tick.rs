@@ -50,7 +50,7 @@ impl Sub for Tick {
 }
 
 /// The low 32 bits of a [`Tick`], little-endian, as sent.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct WireTick(pub [u8; 4]);
 
 impl WireTick {

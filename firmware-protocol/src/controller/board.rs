@@ -11,7 +11,7 @@ use crate::message::{Cause, DeviceMessage, State};
 use crate::tick::TICK_HZ;
 
 /// The newest requests, and the figures that answer them.
-#[derive(Debug)]
+#[derive(Clone, Debug, Hash)]
 pub(super) struct Reporting {
     /// The number of the newest request of this session, and of its newest self-test.
     window: Option<u16>,

@@ -16,12 +16,12 @@ pub const DRIVER_LEAD: u32 = 43;
 pub const DRIVER_TAIL: u32 = 2;
 
 /// The driver enable at the rendered end.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub(super) struct Drivers {
     /// Since when they are enabled without a break.
-    since: Option<Tick>,
+    pub(super) since: Option<Tick>,
     /// The end of the tail of the last pulses rendered.
-    tail_end: Tick,
+    pub(super) tail_end: Tick,
 }
 
 impl Drivers {

@@ -10,7 +10,7 @@ use crate::tick::Tick;
 
 /// The lines that may change in the next ticks, tick by tick, so that rendering a block looks at all lines only once. Ticks are
 /// low halves.
-#[derive(Debug)]
+#[derive(Clone, Debug, Hash)]
 pub(super) struct Window {
     /// The first tick.
     begin: u32,
@@ -58,14 +58,14 @@ impl Window {
 }
 
 /// The trigger output: the cells of a pulse or a code, one after the other.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub(super) struct TriggerOutput {
     /// Bit 0 is the present cell, bit 1 the next one.
-    cells: u16,
+    pub(super) cells: u16,
     /// Ticks of a cell.
-    width: u16,
+    pub(super) width: u16,
     /// The end of the present cell.
-    cell_end: Tick,
+    pub(super) cell_end: Tick,
 }
 
 impl TriggerOutput {

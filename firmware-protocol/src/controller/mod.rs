@@ -12,6 +12,7 @@ mod board;
 mod commands;
 mod completion;
 mod drivers;
+mod fingerprint;
 mod lines;
 mod motion;
 mod pool;
@@ -77,7 +78,7 @@ pub struct Run {
 }
 
 /// What is to be sent besides reports.
-#[derive(Debug)]
+#[derive(Clone, Debug, Hash)]
 struct Pending {
     hello: bool,
     no_session: bool,
@@ -90,7 +91,7 @@ impl Pending {
 }
 
 /// The controller of one array.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub struct Controller {
     identity: Identity,
     decoder: Decoder,

@@ -7,6 +7,7 @@
 
 use crate::stroke::{Direction, Line, MOTORS, Stroke};
 use crate::tick::Tick;
+use core::hash::{Hash, Hasher};
 
 /// Number of stroke slots.
 pub const POOL: usize = 1024;
@@ -15,7 +16,7 @@ pub const POOL: usize = 1024;
 pub(super) const NONE: u16 = u16::MAX;
 
 /// The purpose of a slot's stroke.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub(super) enum Kind {
     /// A stroke of a play.
     Play,
@@ -158,12 +159,28 @@ pub(super) struct Queue {
 }
 
 /// All slots, and the motors' queues.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub(super) struct Pool {
     slots: [Slot; POOL],
     free: u16,
     used: u16,
     pub(super) queues: [Queue; MOTORS],
+}
+
+impl Hash for Pool {
+    /// The slots that the queues hold, in order.
+    fn hash<H: Hasher>(&self, hasher: &mut H) {
+        for queue in &self.queues {
+            let &Queue { head, cursor, tail: _, len, plays, passed } = queue;
+            (len, plays, passed).hash(hasher);
+            let mut index = head;
+            while let Some(slot) = self.get(index) {
+                let &Slot { stroke, planned, generation, kind, pushes, charged, cut, next } = slot;
+                (stroke, planned, generation, kind, pushes, charged, cut, index == cursor).hash(hasher);
+                index = next;
+            }
+        }
+    }
 }
 
 impl Pool {

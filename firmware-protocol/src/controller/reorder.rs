@@ -9,13 +9,13 @@ use crate::controller::taking::Next;
 pub const REORDER_WINDOW: usize = 8;
 
 /// A frame of strokes as received.
-#[derive(Debug)]
+#[derive(Clone, Debug, Hash)]
 pub(super) struct Frame {
     pub(super) head: Next,
     pub(super) batch: heapless::Vec<u8, BATCH_BYTES>,
 }
 
-#[derive(Debug)]
+#[derive(Clone, Debug, Hash)]
 pub(super) struct ReorderBuffer(heapless::Vec<Frame, REORDER_WINDOW>);
 
 impl ReorderBuffer {

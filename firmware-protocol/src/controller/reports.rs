@@ -13,6 +13,7 @@ use crate::controller::pool::POOL;
 use crate::limits::Refusal;
 use crate::message::Report;
 use crate::tick::{TICK_HZ, Tick, WireTick};
+use core::hash::{Hash, Hasher};
 
 /// Most unseen reports besides refused strokes; also the most reports sent and not seen yet.
 pub const REPORTS: usize = 32;
@@ -22,14 +23,14 @@ pub(super) const RESERVE: usize = 12;
 const REPEAT: u64 = TICK_HZ as u64 / 100;
 
 /// A queued stroke that was refused when it was to begin.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Hash)]
 struct RefusedStroke {
     up: WireTick,
     motor: u8,
     reason: Refusal,
 }
 
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub(super) struct Reports {
     /// Reports with their numbers.
     ring: heapless::Deque<(u16, Report), REPORTS>,
@@ -39,6 +40,15 @@ pub(super) struct Reports {
     /// Number of reports, from the oldest, sent since the last repetition.
     sent: usize,
     repeated: Tick,
+}
+
+impl Hash for Reports {
+    fn hash<H: Hasher>(&self, hasher: &mut H) {
+        let Self { ring, refused, made, sent, repeated } = self;
+        ring.iter().for_each(|report| report.hash(hasher));
+        refused.iter().for_each(|stroke| stroke.hash(hasher));
+        (ring.len(), refused.len(), made, sent, repeated).hash(hasher);
+    }
 }
 
 impl Reports {

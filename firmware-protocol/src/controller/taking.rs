@@ -12,6 +12,7 @@ use crate::limits::Refusal;
 use crate::message::{Mark, MarkKind, Report, State, Withdraw};
 use crate::stroke::{MOTORS, Stroke};
 use crate::tick::Tick;
+use core::hash::{Hash, Hasher};
 
 /// Most strokes taken at a time.
 const STROKES: usize = 8;
@@ -26,7 +27,7 @@ const AMENDMENTS: usize = 4;
 const ALL_MOTORS: u32 = (1 << MOTORS) - 1;
 
 /// The head of the next frame of the ordered stream.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Hash)]
 pub(super) struct Next {
     pub(super) seq: u16,
     pub(super) mark: Option<Mark>,
@@ -34,7 +35,7 @@ pub(super) struct Next {
     pub(super) base: Tick,
 }
 
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub(super) struct Taking {
     body: [u8; MAX_FRAME],
     /// Length of the body that is not read yet.
@@ -65,6 +66,40 @@ pub(super) struct Taking {
     /// Bytes of them that are taken, and the tick from which the next one counts.
     amended: usize,
     at: Tick,
+}
+
+impl Hash for Taking {
+    /// Without what is taken: with nothing left of a frame, its strokes are not read again.
+    fn hash<H: Hasher>(&self, hasher: &mut H) {
+        let Self {
+            body,
+            len,
+            epoch,
+            next,
+            strokes,
+            seq,
+            taken,
+            late,
+            missed,
+            refused,
+            reason,
+            withdraw,
+            from,
+            kept,
+            generation,
+            amendments,
+            amended,
+            at,
+        } = self;
+        body.get(..*len).hash(hasher);
+        if next.is_some() || seq.is_some() {
+            (epoch, next, strokes, seq, taken).hash(hasher);
+            (late, missed, refused, reason, withdraw, from, kept).hash(hasher);
+        }
+        if let Some(left @ [_, ..]) = amendments.get(*amended..) {
+            (epoch, left, generation, at).hash(hasher);
+        }
+    }
 }
 
 impl Taking {

@@ -17,7 +17,7 @@ const EVERY: Duration = Duration::from_secs(1);
 const ASK_TEST_EVERY: Duration = Duration::from_millis(50);
 
 /// What was asked, and the last answer.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub(super) struct Asking {
     /// The number of the newest request, and when it was sent last; `None`: not sent yet.
     window: u16,

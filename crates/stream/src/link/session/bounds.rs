@@ -36,7 +36,7 @@ const MARKS: usize = REPORTS;
 const STROKE_PULSES: u64 = MAX_UP_PULSES as u64 + MAX_DOWN_PULSES as u64;
 
 /// What the session knows of the device besides the stream.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub(super) struct Known {
     pool: u16,
     horizon: u32,
@@ -280,7 +280,7 @@ impl Session {
 
     /// Whether the epoch of a status was begun, and is answered as its command may be.
     fn check_command(&self, status: &Status) -> Result<(), Contradiction> {
-        let unsent = self.control.as_ref().is_some_and(|control| control.sent.is_none());
+        let unsent = self.control.as_ref().is_some_and(|control| !control.under_way);
         let begun = self.epoch.wrapping_sub(self.known.epoch).saturating_sub(unsent.into());
         let answers = status.epoch.wrapping_sub(self.known.epoch);
         if answers > begun {

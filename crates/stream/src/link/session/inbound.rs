@@ -147,7 +147,7 @@ impl Session {
         }
         let mut answered = None;
         if status.epoch == self.epoch {
-            if let Some(control) = self.control.take_if(|control| control.sent.is_some()) {
+            if let Some(control) = self.control.take_if(|control| control.under_way) {
                 if matches!(control.op, Op::Arm { .. }) {
                     self.ping_due = now;
                 }

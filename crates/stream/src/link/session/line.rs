@@ -97,7 +97,7 @@ const SHORTEST: usize = 64;
 ///
 /// Of a line that damages one byte in 1/λ, a frame of n bytes survives with exp(-λn). The length that carries most is that
 /// at which `(n - HEADER)·exp(-λn)` is largest.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub(super) struct Quality {
     frames: u32,
     bytes: usize,

@@ -123,7 +123,7 @@ impl Session {
         {
             self.traffic.retransmitted += u64::from(control.sent.is_some());
             control.first_sent.get_or_insert(now);
-            control.sent = Some(now);
+            (control.sent, control.under_way) = (Some(now), true);
             return encoded(&HostMessage::Control { epoch, seen, op: control.op }, out);
         }
         if self.amendments.items() > 0 && self.control.is_none() {

@@ -59,7 +59,7 @@ enum Stage {
 }
 
 /// The round under way.
-#[derive(Debug, Default)]
+#[derive(Clone, Debug, Default)]
 struct Round {
     began: HostInstant,
     /// Bytes of its frames, and of its ping.
@@ -70,7 +70,7 @@ struct Round {
 }
 
 /// A probe under way, or its result.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub(super) struct Probe {
     stage: Stage,
     budget: Budget,

@@ -31,7 +31,7 @@ const STROKE_BYTES: usize = 8;
 const STATUS_EVERY: Duration = Duration::from_millis(1);
 
 /// A frame of strokes from its first stroke to its verdict.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub(super) struct Batch {
     pub(super) seq: u16,
     pub(super) mark: Option<Mark>,
@@ -64,7 +64,7 @@ impl Batch {
 }
 
 /// The frames that had no verdict when a command ended their epoch. The device may have refused strokes of them before.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub(super) struct Retired {
     pub(super) frames: VecDeque<Batch>,
     /// The motors whose old strokes the device had kept before the first of them.
@@ -75,11 +75,13 @@ pub(super) struct Retired {
     pub(super) after: u16,
 }
 
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub(super) struct Control {
     pub(super) op: Op,
     pub(super) first_sent: Option<HostInstant>,
     pub(super) sent: Option<HostInstant>,
+    /// Its frame was sent, or its e-stop has gone ahead of the bytes that wait: the device may answer.
+    pub(super) under_way: bool,
 }
 
 /// What a status says about strokes once all the reports that it counts are read.
@@ -107,7 +109,7 @@ const MAX_CONTRADICTIONS: usize = 5;
 const CONTRADICTIONS_WITHIN: Duration = Duration::from_secs(1);
 
 /// The host's end of one session.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub struct Session {
     pub(super) phase: Phase,
     pub(super) id: u32,
@@ -412,7 +414,7 @@ impl Session {
             self.retired.after = self.stale;
             self.retired.kept = self.kept;
         }
-        self.control = Some(Control { op, first_sent: None, sent: None });
+        self.control = Some(Control { op, first_sent: None, sent: None, under_way: false });
         self.new_e_stop = (op == Op::EStop).then_some(self.epoch);
         self.window.clear();
         (self.open_batch, self.replacing, self.kept) = (None, None, 0);
@@ -427,10 +429,14 @@ impl Session {
     /// ([`crate::device::Device::e_stop`]). Its frame is sent as well.
     #[must_use]
     pub fn take_e_stop(&mut self) -> Option<u16> {
-        match self.phase {
-            Phase::Open | Phase::Closing(_) => self.new_e_stop.take(),
-            Phase::Opening | Phase::Over => None,
+        if matches!(self.phase, Phase::Opening | Phase::Over) {
+            return None;
         }
+        let epoch = self.new_e_stop.take()?;
+        if let Some(control) = &mut self.control {
+            control.under_way = true;
+        }
+        Some(epoch)
     }
 
     /// Begins a play: the next strokes go into a frame of their own, which the device takes whole or not at all.

@@ -1,0 +1,74 @@
+//! What a controller will do from now on, for programs that explore all orders of events and stop at a state that they have met.
+//!
+//! Invariant: two controllers with the same fingerprint at the same tick behave alike from then on, and have counted the same.
+//! What no longer matters is left out: free slots, bytes and strokes that are taken, ticks that have passed. The controller is
+//! taken apart with all its fields, so that a new one does not compile until somebody has thought of it.
+
+use crate::controller::Controller;
+use crate::controller::drivers::Drivers;
+use crate::controller::lines::TriggerOutput;
+use core::hash::{Hash, Hasher};
+
+impl Controller {
+    /// Adds to `hasher` what the controller will do from now on. It leaves out what is only for people: the identity, the time since
+    /// the start, the last cut in the handshake.
+    pub fn fingerprint(&self, hasher: &mut impl Hasher) {
+        let Self {
+            identity: _,
+            decoder,
+            session,
+            token,
+            epoch,
+            refusal,
+            next_seq,
+            kept,
+            generation,
+            reorder,
+            taking,
+            pending,
+            reports,
+            last_cut: _,
+            state,
+            cause,
+            then,
+            position_known,
+            seeks,
+            outstanding,
+            outstanding_pushes,
+            travel,
+            host_timeout,
+            last_heard,
+            now,
+            counters,
+            started: _,
+            reporting,
+            pool,
+            marks,
+            trigger_output: TriggerOutput { cells, width, cell_end },
+            drivers: Drivers { since, tail_end },
+            on_time,
+            pushing,
+            rendered,
+            lines,
+            changes,
+            waiting,
+            window,
+            next_end,
+            off_until,
+        } = self;
+        (decoder, session, token, epoch, refusal, next_seq).hash(hasher);
+        (kept, generation, reorder, taking, pending, reports).hash(hasher);
+        (state, cause, then, position_known, seeks).hash(hasher);
+        (outstanding, outstanding_pushes, travel, host_timeout, last_heard, now).hash(hasher);
+        (counters, reporting, pool, on_time, pushing).hash(hasher);
+        marks.iter().for_each(|mark| mark.hash(hasher));
+        marks.len().hash(hasher);
+        if *cells != 0 {
+            (cells, width, cell_end).hash(hasher);
+        }
+        (since, (*tail_end).max(*rendered), rendered, lines, waiting, window).hash(hasher);
+        let changes = changes.iter().enumerate().filter(|&(motor, _)| waiting >> motor & 1 == 1);
+        changes.for_each(|change| change.hash(hasher));
+        (next_end, (*off_until).max(*now)).hash(hasher);
+    }
+}

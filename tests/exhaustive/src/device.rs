@@ -1,0 +1,749 @@
+//! All orders of what can happen to the controller: a host's messages, lost, late and repeated; e-stops ahead of other bytes; a lost
+//! link, a fault, another host, silence; and time.
+//!
+//! Each message that the host can send is sent in time, late, or not at all, and comes again later. From every state that is reached the
+//! checks let the host fall silent until the device rests, compare all counts, and then lead a new host to a play.
+
+use crate::shell::{Broken, Shell, USED};
+use firmware_protocol::batch::{Amendment, BATCH_BYTES, Packer};
+use firmware_protocol::controller::newer;
+use firmware_protocol::frame::{self, Decoder, MAX_FRAME};
+use firmware_protocol::limits::OnTimeLimits;
+use firmware_protocol::message::{
+    Cause, DeviceMessage, HostMessage, Mark, MarkKind, Op, Report, State as Armed, Status, Trigger, Withdraw,
+};
+use firmware_protocol::stroke::{Direction, MOTORS, Stroke};
+use firmware_protocol::tick::Tick;
+use stateright::{Model, Property};
+use std::hash::{Hash, Hasher};
+use std::panic::{AssertUnwindSafe, catch_unwind};
+
+/// How far the exploration goes.
+#[derive(Clone, Copy, Debug)]
+pub struct Bounds {
+    /// Messages of the host, and events of the device, at most.
+    pub events: u8,
+    /// How many of those are a loss, a repetition, an e-stop ahead of other bytes, a lost link, a fault, another host.
+    pub faults: u8,
+    /// Ticks in which events happen.
+    pub ticks: u64,
+    /// Whether events happen in every tick. Otherwise one tick before, at and after each tick in which something changes.
+    pub every_tick: bool,
+}
+
+/// What the host says.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum Say {
+    /// Arm, with a short host timeout.
+    Arm,
+    /// Disarm.
+    Disarm,
+    /// Stop.
+    Stop,
+    /// E-stop.
+    EStop,
+    /// Reset.
+    Reset,
+    /// A move of motor 0 by one pulse up.
+    Move,
+    /// A play's first frame, of two motors, as early as it can be.
+    Onset,
+    /// The same, one tick too early.
+    LateOnset,
+    /// A stroke of motor 0 behind its last one.
+    Next,
+    /// Strokes of both motors, the first of them one tick too early.
+    Late,
+    /// Replaces what motor 0 has queued from its last stroke on.
+    Replace,
+    /// Withdraws both motors' strokes from the first tick that can still be had.
+    Withdraw,
+    /// Amends the last stroke's up burst by a pulse more.
+    AmendUp,
+    /// Amends the last stroke's down burst by a pulse less.
+    AmendDown,
+    /// Shows that it is alive.
+    Ping,
+}
+
+const SAYS: [Say; 15] = [
+    Say::Arm,
+    Say::Disarm,
+    Say::Stop,
+    Say::EStop,
+    Say::Reset,
+    Say::Move,
+    Say::Onset,
+    Say::LateOnset,
+    Say::Next,
+    Say::Late,
+    Say::Replace,
+    Say::Withdraw,
+    Say::AmendUp,
+    Say::AmendDown,
+    Say::Ping,
+];
+
+/// One step.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum Step {
+    /// The host says something, and the device hears it.
+    Say(Say),
+    /// The host says something that does not come, or comes with [`Step::Again`].
+    Lose(Say),
+    /// What was said so many messages ago comes again, or now.
+    Again(usize),
+    /// A damaged frame.
+    Noise,
+    /// The shell finds an e-stop ahead of what is not taken yet.
+    Urgent,
+    /// The cable is unplugged.
+    LinkLost,
+    /// The device's own fault.
+    Fault,
+    /// Another host opens a session.
+    Hello,
+    /// The shell takes a piece of the last frame.
+    Piece,
+    /// Time passes, up to this tick from the start.
+    Until(u16),
+}
+
+/// A frame of strokes that the device has heard.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+struct Heard {
+    epoch: u16,
+    seq: u16,
+    begins_play: bool,
+    /// Bursts in it.
+    bursts: u64,
+}
+
+/// The device, and what its host has said.
+#[derive(Clone, Debug)]
+pub struct Scene {
+    /// The device.
+    pub shell: Shell,
+    /// When the exploration began.
+    begun: u64,
+    events: u8,
+    faults: u8,
+    /// Perhaps the shell has not taken all of the last frame.
+    pieces: bool,
+    session: u32,
+    epoch: u16,
+    seq: u16,
+    generation: u16,
+    seen: u16,
+    /// The last stroke that was sent of motor 0.
+    last: Option<Stroke>,
+    /// The last messages, the newest first.
+    said: Vec<Vec<u8>>,
+    /// Frames of strokes of the present epoch that were heard and not acknowledged.
+    heard: Vec<Heard>,
+    /// Bursts of frames that were taken; and of those that were perhaps taken in part.
+    taken: u64,
+    torn: u64,
+    /// Whether pins were moved, returned by an `arm`, and strokes amended: then fewer sums are exact.
+    moved: bool,
+    returned: bool,
+    amended: bool,
+    status: Option<Status>,
+    /// When the device heard a frame last.
+    last_heard: u64,
+}
+
+const HOST_TIMEOUT: u32 = 200;
+/// Kept of what was said.
+const KEPT: usize = 3;
+
+impl PartialEq for Scene {
+    fn eq(&self, other: &Self) -> bool {
+        stateright_fingerprint(self) == stateright_fingerprint(other)
+    }
+}
+
+fn stateright_fingerprint(scene: &Scene) -> u64 {
+    let mut hasher = std::hash::DefaultHasher::new();
+    scene.hash(&mut hasher);
+    hasher.finish()
+}
+
+impl Hash for Scene {
+    fn hash<H: Hasher>(&self, hasher: &mut H) {
+        let Self {
+            shell,
+            begun,
+            events,
+            faults,
+            pieces,
+            session,
+            epoch,
+            seq,
+            generation,
+            seen,
+            last,
+            said,
+            heard,
+            taken,
+            torn,
+            moved,
+            returned,
+            amended,
+            status,
+            last_heard,
+        } = self;
+        shell.hash(hasher);
+        (begun, events, faults, pieces, session, epoch, seq, generation, seen).hash(hasher);
+        (last, said, heard, taken, torn, moved, returned, amended, last_heard).hash(hasher);
+        status.map(|status| (status.epoch, status.next_seq)).hash(hasher);
+    }
+}
+
+impl Scene {
+    fn new() -> Self {
+        let mut scene = Self {
+            shell: Shell::new(1),
+            begun: 0,
+            events: 0,
+            faults: 0,
+            pieces: false,
+            session: 1,
+            epoch: 0,
+            seq: 0,
+            generation: 0,
+            seen: 0,
+            last: None,
+            said: Vec::new(),
+            heard: Vec::new(),
+            taken: 0,
+            torn: 0,
+            moved: false,
+            returned: false,
+            amended: false,
+            status: None,
+            last_heard: 0,
+        };
+        (scene.last_heard, scene.begun) = (scene.shell.now, scene.shell.now);
+        scene.hello(1);
+        scene
+    }
+
+    fn tick(&self) -> Tick {
+        Tick(self.shell.now)
+    }
+
+    fn bytes(&mut self, mut bytes: &[u8]) {
+        let now = self.tick();
+        while !bytes.is_empty() {
+            self.shell.device.read(now, &mut bytes);
+        }
+        self.drain();
+    }
+
+    /// Lets the device take all that it has heard, in no time.
+    fn take_all(&mut self) {
+        self.pieces = false;
+        let now = self.tick();
+        while self.shell.device.advance(now) {}
+        self.drain();
+    }
+
+    /// Takes what the device sends.
+    fn drain(&mut self) {
+        let (now, mut out) = (self.tick(), [0; MAX_FRAME]);
+        let mut decoder = Decoder::new();
+        loop {
+            let len = self.shell.device.transmit(now, &mut out);
+            let Some(body) = decoder.next(&mut &out[..len]) else { break };
+            match frame::read(body) {
+                Ok(DeviceMessage::Hello(hello)) => {
+                    (self.epoch, self.seq, self.seen) = (hello.epoch, 0, hello.reports)
+                }
+                Ok(DeviceMessage::Status(status)) => self.status = Some(status),
+                Ok(DeviceMessage::Report { number, report }) if number == self.seen.wrapping_add(1) => {
+                    self.seen = number;
+                    if let Report::OnsetRefused { seq, .. } = report {
+                        // A play's first frame is taken whole or not at all: its strokes count nowhere.
+                        let refused =
+                            self.heard.iter_mut().find(|heard| heard.seq == seq && heard.begins_play);
+                        refused.into_iter().for_each(|heard| heard.bursts = 0);
+                    }
+                }
+                _ => {}
+            }
+        }
+    }
+
+    fn hello(&mut self, session: u32) {
+        self.session = session;
+        let bytes = encoded(&HostMessage::Hello { session });
+        self.bytes(&bytes);
+        self.take_all();
+        self.last_heard = self.shell.now;
+    }
+
+    fn ping(&mut self) {
+        self.bytes(&encoded(&HostMessage::Ping { token: 1, seen: self.seen }));
+        self.take_all();
+    }
+
+    /// The first tick at which a stroke that is sent now may begin.
+    fn ready(&self) -> u64 {
+        self.shell.device.ready().0
+    }
+
+    /// The scene once the device has taken all that it has heard, in no time.
+    fn caught_up(&self) -> Self {
+        let mut scene = self.clone();
+        scene.take_all();
+        scene.ping();
+        scene
+    }
+
+    /// Counts what was taken of the strokes heard in this epoch, because it ends. Ahead of other bytes it may end within a frame.
+    fn close_epoch(&mut self, ahead: bool) {
+        if self.heard.is_empty() {
+            return;
+        }
+        let now = self.tick();
+        if ahead && self.shell.device.clone().advance(now) {
+            self.torn += self.heard.drain(..).map(|heard| heard.bursts).sum::<u64>();
+            return;
+        }
+        self.taken += self.caught_up().acknowledged();
+        self.heard.clear();
+    }
+
+    /// Bursts of the frames heard in this epoch that the device has acknowledged.
+    fn acknowledged(&self) -> u64 {
+        let Some(status) = self.status else { return 0 };
+        let taken =
+            self.heard.iter().filter(|heard| heard.epoch == status.epoch && heard.seq < status.next_seq);
+        taken.map(|heard| heard.bursts).sum()
+    }
+
+    fn control(&mut self, op: Op) -> Vec<u8> {
+        self.epoch = self.epoch.wrapping_add(1);
+        (self.seq, self.generation) = (0, 0);
+        encoded(&HostMessage::Control { epoch: self.epoch, seen: self.seen, op })
+    }
+
+    fn frame(&mut self, mark: Option<MarkKind>, motors: u32, base: u64, strokes: &[Stroke]) -> Vec<u8> {
+        let mut batch = Packer::<BATCH_BYTES>::new(Tick(base));
+        for stroke in strokes {
+            let packed = batch.stroke(stroke);
+            assert!(packed.is_ok(), "strokes in order");
+            self.shell.ask(*stroke);
+        }
+        let mark = mark.map(|kind| Mark { kind, trigger: Some(Trigger { width: 3, code: 0 }) });
+        let withdraw = Some(Withdraw { motors, generation: self.generation }).filter(|_| motors != 0);
+        let (epoch, seq, seen) = (self.epoch, self.seq, self.seen);
+        self.seq = self.seq.wrapping_add(1);
+        if let Some(stroke) = strokes.iter().rev().find(|stroke| stroke.motor == 0) {
+            self.last = Some(*stroke);
+        }
+        encoded(&HostMessage::Strokes {
+            epoch,
+            seq,
+            seen,
+            mark,
+            withdraw,
+            base: Tick(base).wire(),
+            batch: batch.bytes(),
+        })
+    }
+
+    fn amendment(&mut self, direction: Direction, change: i16) -> Option<Vec<u8>> {
+        let stroke = self.last?;
+        self.generation = self.generation.wrapping_add(1);
+        let pulses = stroke.bursts()[direction as usize].pulses.saturating_add_signed(change);
+        let mut items = Packer::<BATCH_BYTES>::new(stroke.up);
+        let packed = items.amendment(&Amendment { motor: 0, up: stroke.up, direction, pulses });
+        assert!(packed.is_ok(), "one amendment fits");
+        let (epoch, generation, base) = (self.epoch, self.generation, stroke.up.wire());
+        Some(encoded(&HostMessage::Amend { epoch, generation, base, items: items.bytes() }))
+    }
+
+    /// The bytes of what the host says now. `None` if it has no reason to.
+    fn words(&mut self, say: Say) -> Option<Vec<u8>> {
+        let ready = self.ready();
+        Some(match say {
+            Say::Arm => {
+                let assume_rest = self.status.is_none_or(|status| !status.position_known);
+                let (host_timeout, limits) = (HOST_TIMEOUT, OnTimeLimits::NONE);
+                self.control(Op::Arm { assume_rest, host_timeout, limits, lower_stop: None })
+            }
+            Say::Disarm => self.control(Op::Disarm(Cause::Shutdown)),
+            Say::Stop => self.control(Op::Stop),
+            Say::EStop => self.control(Op::EStop),
+            Say::Reset => self.control(Op::Reset),
+            Say::Move => {
+                self.moved = true;
+                self.shell.ask_move(0, Direction::Up);
+                self.control(Op::Move { motor: 0, direction: Direction::Up, pulses: 1 })
+            }
+            Say::Onset => self.frame(Some(MarkKind::Play), 0, ready, &[short(0, ready), long(1, ready + 3)]),
+            Say::LateOnset => {
+                self.frame(Some(MarkKind::Play), 0, ready - 1, &[short(0, ready - 1), long(1, ready + 3)])
+            }
+            Say::Next => {
+                let at = self.last.map_or(ready, |last| last.end().0.max(ready));
+                self.frame(Some(MarkKind::Item), 0, at, &[short(0, at)])
+            }
+            Say::Late => self.frame(None, 0, ready - 1, &[short(0, ready - 1), short(1, ready)]),
+            Say::Replace => {
+                let at = self.last?.up.0;
+                let long = Stroke { up_pulses: 3, down: Tick(at + 4), down_pulses: 3, ..short(0, at) };
+                self.frame(None, 1, at, &[long])
+            }
+            Say::Withdraw => self.frame(None, 3, ready, &[]),
+            Say::AmendUp => self.amendment(Direction::Up, 1)?,
+            Say::AmendDown => self.amendment(Direction::Down, -1)?,
+            Say::Ping => encoded(&HostMessage::Ping { token: 1, seen: self.seen }),
+        })
+    }
+
+    /// The device hears what the host has said, now or before.
+    fn hear_words(&mut self, bytes: &[u8]) {
+        let mut decoder = Decoder::new();
+        let body = decoder.next(&mut &bytes[..]);
+        let Some(Ok(message)) = body.map(frame::read::<HostMessage>) else { return };
+        let device = self.shell.device.epoch();
+        match message {
+            HostMessage::Control { epoch, op, .. } if device.is_some_and(|device| newer(epoch, device)) => {
+                self.close_epoch(false);
+                match op {
+                    Op::EStop => self.goes_off(),
+                    Op::Arm { .. } if self.shell.device.state() == Armed::Disarmed => {
+                        self.shell.off_since = None;
+                        self.returned |=
+                            (0..MOTORS as u8).any(|motor| self.shell.device.outstanding(motor) > 0);
+                    }
+                    _ => {}
+                }
+            }
+            HostMessage::Strokes { epoch, seq, mark, batch, .. } if device == Some(epoch) => {
+                let bursts = 2 * firmware_protocol::batch::Strokes::new(Tick(0), batch).count() as u64;
+                let begins_play = mark.is_some_and(|mark| mark.kind == MarkKind::Play);
+                let heard = Heard { epoch, seq, begins_play, bursts };
+                if !self.heard.iter().any(|known| known.seq == seq) {
+                    self.heard.push(heard);
+                }
+            }
+            HostMessage::Amend { .. } => self.amended = true,
+            _ => {}
+        }
+        if device.is_some() {
+            self.last_heard = self.shell.now;
+        }
+        self.bytes(bytes);
+        // Of strokes and amendments the shell takes a piece at a time.
+        if !matches!(message, HostMessage::Strokes { .. } | HostMessage::Amend { .. }) {
+            self.take_all();
+        }
+        if self.shell.device.state() == Armed::Faulted {
+            self.shell.drivers_off();
+        }
+    }
+
+    /// From now on the lines are to be low.
+    fn goes_off(&mut self) {
+        if self.shell.off_since.is_none() {
+            self.shell.off_since = Some(self.shell.now);
+        }
+    }
+
+    fn apply(&mut self, step: Step, bounds: &Bounds) -> Option<()> {
+        let now = self.tick();
+        if !matches!(step, Step::Piece | Step::Until(_)) {
+            self.events += 1;
+        }
+        if matches!(
+            step,
+            Step::Lose(_)
+                | Step::Again(_)
+                | Step::Noise
+                | Step::Urgent
+                | Step::LinkLost
+                | Step::Fault
+                | Step::Hello
+        ) {
+            self.faults += 1;
+        }
+        self.pieces |= matches!(step, Step::Say(_) | Step::Again(_));
+        match step {
+            Step::Say(say) => {
+                let words = self.words(say)?;
+                self.hear_words(&words);
+                self.keep(words, bounds);
+            }
+            Step::Lose(say) => {
+                let words = self.words(say)?;
+                self.keep(words, bounds);
+            }
+            Step::Again(at) => {
+                let words = self.said.get(at)?.clone();
+                self.hear_words(&words);
+            }
+            Step::Noise => self.bytes(&[7, 1, 2, 0]),
+            Step::Urgent => {
+                self.close_epoch(true);
+                self.goes_off();
+                self.epoch = self.epoch.wrapping_add(1);
+                (self.seq, self.generation) = (0, 0);
+                self.shell.device.e_stop(now, self.epoch);
+                self.shell.drivers_off();
+                self.drain();
+            }
+            Step::LinkLost => {
+                self.close_epoch(true);
+                self.shell.device.link_lost(now);
+            }
+            Step::Fault => {
+                self.close_epoch(true);
+                self.goes_off();
+                self.shell.device.fault(now, Cause::Starved);
+                self.shell.drivers_off();
+                self.drain();
+            }
+            Step::Hello => {
+                self.close_epoch(false);
+                self.hello(self.session + 1);
+            }
+            Step::Piece => {
+                self.pieces = self.shell.device.advance(now);
+                self.drain();
+                if !self.pieces {
+                    return None;
+                }
+            }
+            Step::Until(tick) => {
+                while self.shell.now < self.shell.start() + u64::from(tick) {
+                    self.tick_once();
+                }
+            }
+        }
+        Some(())
+    }
+
+    /// What has happened before the exploration begins.
+    fn begin_with(&mut self, steps: &[Step]) {
+        let bounds = Bounds { events: 0, faults: 0, ticks: 0, every_tick: false };
+        for &step in steps {
+            self.apply(step, &bounds);
+            self.take_all();
+        }
+        (self.events, self.begun) = (0, self.shell.now);
+    }
+
+    fn keep(&mut self, words: Vec<u8>, bounds: &Bounds) {
+        // What cannot come again any more makes no difference.
+        if self.faults < bounds.faults && self.events < bounds.events {
+            self.said.insert(0, words);
+            self.said.truncate(KEPT);
+        } else {
+            self.said.clear();
+        }
+    }
+
+    fn tick_once(&mut self) {
+        self.pieces &= self.shell.tick();
+        self.drain();
+    }
+
+    /// The next tick, from the start, in which an event is tried.
+    fn next_time(&self, bounds: &Bounds) -> Option<u16> {
+        let (start, now) = (self.shell.start(), self.shell.now);
+        if now >= self.begun + bounds.ticks {
+            return None;
+        }
+        let next = if bounds.every_tick { now + 1 } else { self.shell.next_change() };
+        u16::try_from(next - start).ok()
+    }
+
+    /// Lets the host be silent until the device rests, and compares what it has counted. Then leads a new host to a play.
+    fn judge_end(&self) -> Option<Broken> {
+        let mut end = self.clone();
+        end.said.clear();
+        let silent_until = end.last_heard.max(end.shell.now) + u64::from(HOST_TIMEOUT) + 300;
+        end.take_all();
+        // A silent host reads no statuses: what was taken is known before.
+        let caught_up = end.caught_up();
+        let taken = end.taken + caught_up.acknowledged();
+        while end.shell.now < silent_until {
+            end.shell.tick();
+        }
+        let device = &end.shell.device;
+        if !matches!(device.state(), Armed::Disarmed | Armed::Faulted) || !end.shell.is_quiet() {
+            return Some(Broken::Watchdog);
+        }
+        let counters = device.counters();
+        let counted =
+            counters.played + counters.late + counters.dropped + counters.refused + counters.replaced;
+        let pulses: u64 = end.shell.seen.iter().flatten().map(|&seen| u64::from(seen)).sum();
+        let internal = self.moved || self.returned;
+        if !(taken..=taken + end.torn).contains(&counted)
+            || pulses < counters.pulses
+            || (!internal && pulses != counters.pulses)
+        {
+            eprintln!(
+                "taken {taken} torn {} counted {counted} {counters:?} seen {:?} internal {internal} heard {:?}",
+                end.torn, end.shell.seen, end.heard
+            );
+            return Some(Broken::Counts);
+        }
+        if !self.moved && !self.amended {
+            for motor in 0..USED {
+                let [up, down] = end.shell.seen[motor];
+                if up != down + u32::from(device.outstanding(motor as u8)) {
+                    return Some(Broken::Position);
+                }
+            }
+        }
+        end.shell.broken.or_else(|| end.way_out())
+    }
+
+    /// A new host resets, arms and plays one stroke.
+    fn way_out(&mut self) -> Option<Broken> {
+        let wrong = Some(Broken::NoWayOut);
+        // The end of a frame that was cut off.
+        self.bytes(&[0]);
+        self.hello(1_000);
+        if self.shell.device.state() == Armed::Faulted {
+            let words = self.words(Say::Reset)?;
+            self.hear_words(&words);
+        }
+        self.ping();
+        let words = self.words(Say::Arm)?;
+        self.hear_words(&words);
+        for _ in 0..190 {
+            self.tick_once();
+        }
+        self.ping();
+        if self.shell.device.state() != Armed::Armed {
+            return wrong;
+        }
+        let (played, seen) = (self.shell.device.counters().played, self.shell.seen);
+        let at = self.ready();
+        let words = self.frame(Some(MarkKind::Play), 0, at, &[short(0, at)]);
+        self.hear_words(&words);
+        self.take_all();
+        while self.shell.now < at + 10 {
+            self.tick_once();
+        }
+        let [up, down] = seen[0];
+        if self.shell.device.counters().played != played + 2 || self.shell.seen[0] != [up + 2, down + 2] {
+            return wrong;
+        }
+        self.shell.broken
+    }
+}
+
+/// A stroke of two pulses, one tick of rest, and two pulses.
+fn short(motor: u8, up: u64) -> Stroke {
+    Stroke { motor, up: Tick(up), up_pulses: 2, down: Tick(up + 3), down_pulses: 2 }
+}
+
+fn encoded(message: &HostMessage<'_>) -> Vec<u8> {
+    let mut out = [0; MAX_FRAME];
+    let len = frame::encode(message, &mut out).unwrap_or(0);
+    out[..len].to_vec()
+}
+
+/// A stroke whose bursts are longer than two blocks.
+fn long(motor: u8, up: u64) -> Stroke {
+    Stroke { motor, up: Tick(up), up_pulses: 35, down: Tick(up + 37), down_pulses: 35 }
+}
+
+/// The exploration of the controller.
+#[derive(Clone, Copy, Debug)]
+pub struct Device(pub Bounds);
+
+impl Model for Device {
+    type State = Scene;
+    type Action = Step;
+
+    fn init_states(&self) -> Vec<Scene> {
+        let started = Scene::new();
+        let mut armed = started.clone();
+        armed.begin_with(&[Step::Say(Say::Arm)]);
+        let mut playing = armed.clone();
+        playing.begin_with(&[Step::Say(Say::Onset), Step::Until(50)]);
+        vec![started, armed, playing]
+    }
+
+    fn actions(&self, scene: &Scene, steps: &mut Vec<Step>) {
+        if scene.shell.broken.is_some() {
+            return;
+        }
+        // Once nothing more is to happen, the judgement of the end sees the rest.
+        if scene.events < self.0.events || scene.pieces {
+            steps.extend(scene.next_time(&self.0).map(Step::Until));
+        }
+        if scene.pieces {
+            steps.push(Step::Piece);
+        }
+        if scene.events < self.0.events {
+            steps.extend(SAYS.map(Step::Say));
+            if scene.faults < self.0.faults {
+                // What is lost in the end was not said.
+                if scene.events + 1 < self.0.events {
+                    steps.extend(SAYS.map(Step::Lose));
+                }
+                steps.extend((0..scene.said.len()).map(Step::Again));
+                steps.extend([Step::Noise, Step::Urgent, Step::LinkLost, Step::Fault, Step::Hello]);
+            }
+        }
+    }
+
+    fn next_state(&self, scene: &Scene, step: Step) -> Option<Scene> {
+        let mut next = scene.clone();
+        let done = catch_unwind(AssertUnwindSafe(|| next.apply(step, &self.0)));
+        match done {
+            Ok(None) => return None,
+            Ok(Some(())) => {}
+            Err(_) => {
+                next = scene.clone();
+                next.shell.breaks(Broken::Panic);
+            }
+        }
+        if let Some(broken) =
+            catch_unwind(AssertUnwindSafe(|| next.judge_end())).unwrap_or(Some(Broken::Panic))
+        {
+            next.shell.breaks(broken);
+        }
+        Some(next)
+    }
+
+    fn properties(&self) -> Vec<Property<Self>> {
+        vec![
+            Property::always(
+                "after an e-stop or a fault no line is high later than one period",
+                |_, scene: &Scene| scene.shell.broken != Some(Broken::HighAfterStop),
+            ),
+            Property::always("a disarmed device has no line high", |_, scene: &Scene| {
+                scene.shell.broken != Some(Broken::HighDisarmed)
+            }),
+            Property::always("no pulse that nobody asked for", |_, scene: &Scene| {
+                scene.shell.broken != Some(Broken::Unasked)
+            }),
+            Property::always("drivers are enabled for bursts, and before them", |_, scene: &Scene| {
+                scene.shell.broken != Some(Broken::Drivers)
+            }),
+            Property::always("at rest every burst is counted once, and every pulse", |_, scene: &Scene| {
+                scene.shell.broken != Some(Broken::Counts)
+            }),
+            Property::always("at rest the pins are where the controller says", |_, scene: &Scene| {
+                scene.shell.broken != Some(Broken::Position)
+            }),
+            Property::always("a silent host is noticed, and the device comes to rest", |_, scene: &Scene| {
+                scene.shell.broken != Some(Broken::Watchdog)
+            }),
+            Property::always("every state has a way out", |_, scene: &Scene| {
+                scene.shell.broken != Some(Broken::NoWayOut)
+            }),
+            Property::always("no panic", |_, scene: &Scene| scene.shell.broken != Some(Broken::Panic)),
+        ]
+    }
+}

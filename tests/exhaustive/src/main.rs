@@ -1,0 +1,88 @@
+//! Explores, and prints how many states there are and what is broken.
+
+use clap::{Parser, Subcommand};
+use meissner_exhaustive::{device, link};
+use stateright::{Checker, HasDiscoveries, Model};
+use std::fmt::Debug;
+use std::hash::Hash;
+use std::process::ExitCode;
+use std::time::Instant;
+
+/// Explores all orders of events within bounds.
+#[derive(Debug, Parser)]
+struct Args {
+    #[command(subcommand)]
+    model: Explore,
+    /// Threads.
+    #[arg(long, global = true, default_value_t = 2)]
+    threads: usize,
+}
+
+#[derive(Debug, Subcommand)]
+enum Explore {
+    /// The controller alone.
+    Device {
+        /// Messages and events at most.
+        #[arg(long, default_value_t = 2)]
+        events: u8,
+        /// How many of them may be faults.
+        #[arg(long, default_value_t = 1)]
+        faults: u8,
+        /// Ticks in which they happen.
+        #[arg(long, default_value_t = 140)]
+        ticks: u64,
+        /// Let them happen in every tick, not only around changes.
+        #[arg(long)]
+        every_tick: bool,
+    },
+    /// The host's link session and the controller.
+    Link {
+        /// Calls of the session at most.
+        #[arg(long, default_value_t = 2)]
+        calls: u8,
+        /// Faults of the line and the device at most.
+        #[arg(long, default_value_t = 1)]
+        faults: u8,
+        /// Waits at most.
+        #[arg(long, default_value_t = 2)]
+        waits: u8,
+    },
+}
+
+fn main() -> ExitCode {
+    let Args { model, threads } = Args::parse();
+    match model {
+        Explore::Device { events, faults, ticks, every_tick } => {
+            explore(device::Device(device::Bounds { events, faults, ticks, every_tick }), threads)
+        }
+        Explore::Link { calls, faults, waits } => {
+            explore(link::Link(link::Bounds { calls, faults, waits }), threads)
+        }
+    }
+}
+
+fn explore<M>(model: M, threads: usize) -> ExitCode
+where
+    M: Model + Send + Sync + 'static,
+    M::State: Clone + Debug + Hash + PartialEq + Send + Sync,
+    M::Action: Clone + Debug + PartialEq,
+{
+    let begun = Instant::now();
+    let checker =
+        model.checker().threads(threads).finish_when(HasDiscoveries::AnyFailures).spawn_dfs().join();
+    println!(
+        "{} states, {} of them distinct, depth {}, {:.1} s",
+        checker.state_count(),
+        checker.unique_state_count(),
+        checker.max_depth(),
+        begun.elapsed().as_secs_f64()
+    );
+    let found = checker.discoveries();
+    for (name, path) in &found {
+        println!("BROKEN: {name}");
+        for action in path.clone().into_actions() {
+            println!("    {action:?}");
+        }
+    }
+    if found.is_empty() { ExitCode::SUCCESS } else { ExitCode::FAILURE }
+}
