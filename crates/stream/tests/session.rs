@@ -126,6 +126,23 @@ fn a_report_of_the_epoch_before_the_last_is_not_taken_for_the_last_ones() {
     run(ops).unwrap();
 }
 
+/// The line takes no bytes, and the e-stop goes ahead of them: the device answers a command whose frame has not left.
+#[test]
+fn an_e_stop_ahead_of_its_frame_is_answered() {
+    let mut pair = Pair::open();
+    pair.session.command(Command::EStop);
+    let epoch = pair.session.take_e_stop().unwrap();
+    let (now, tick) = (pair.now(), Tick::BOOT + pair.ticks);
+    pair.device.e_stop(tick, epoch);
+    let mut frame = [0; MAX_FRAME];
+    let len = pair.device.transmit(tick, &mut frame);
+    pair.events.clear();
+    let events = &mut pair.events;
+    pair.session.receive(now, &frame[..len], &mut |event| events.push(event));
+    assert!(events.contains(&Event::Control(Ok(()))), "{events:?}");
+    assert!(!events.iter().any(|event| matches!(event, Event::Contradiction(_))), "{events:?}");
+}
+
 fn run(ops: Vec<Op>) -> Result<(), TestCaseError> {
     let mut pair = Pair::open();
     prop_assert!(pair.session.is_open());

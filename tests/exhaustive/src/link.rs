@@ -4,11 +4,11 @@
 //! From every state that is reached the line becomes good: then session and device must come to agree, and every stroke must have its
 //! verdict, and be on the lines if it was accepted.
 
-use crate::shell::{Broken, Shell};
+use crate::shell::{Broken, Shell, never};
 use firmware_protocol::batch::Amendment;
 use firmware_protocol::frame::MAX_FRAME;
 use firmware_protocol::limits::OnTimeLimits;
-use firmware_protocol::message::{Cause, Op, State, Status};
+use firmware_protocol::message::{Cause, Counters, Op, State, Status};
 use firmware_protocol::stroke::{Direction, Stroke};
 use firmware_protocol::tick::Tick;
 use meissner_stream::link::{Event, LineRate, Session, Verdict};
@@ -77,15 +77,15 @@ pub enum Step {
     /// The session's owner calls it.
     Call(Call),
     /// The line delivers the oldest frame to the device, or to the host.
-    Deliver(End),
+    Deliver(To),
     /// It loses it.
-    Lose(End),
+    Lose(To),
     /// It delivers it, and keeps it.
-    Repeat(End),
+    Repeat(To),
     /// It lets the next frame overtake it.
-    Swap(End),
+    Swap(To),
     /// It damages it.
-    Damage(End),
+    Damage(To),
     /// Time passes until the session has something to do, at most 4 ms.
     Wait,
     /// The device restarts.
@@ -96,7 +96,7 @@ pub enum Step {
 
 /// Where a frame goes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub enum End {
+pub enum To {
     /// To the device.
     Device,
     /// To the host.
@@ -105,7 +105,15 @@ pub enum End {
 
 /// Frames under way in each direction at most: the session waits beyond.
 const UNDER_WAY: usize = 3;
-const FAULTS: [fn(End) -> Step; 4] = [Step::Lose, Step::Repeat, Step::Swap, Step::Damage];
+const FAULTS: [fn(To) -> Step; 4] = [Step::Lose, Step::Repeat, Step::Swap, Step::Damage];
+
+/// What has happened when the line has been good for long enough.
+#[derive(Clone, Copy, Debug, Default)]
+struct Outcome {
+    counters: Counters,
+    retransmitted: u64,
+    sessions: u32,
+}
 
 /// A session, a device, and the line between them.
 #[derive(Clone, Debug)]
@@ -132,6 +140,8 @@ pub struct Pair {
     replacing: bool,
     last: Option<Stroke>,
     newest: Option<Status>,
+    /// What there is once both agree. It follows from the rest.
+    end: Outcome,
 }
 
 struct Text<'a, H>(&'a mut H);
@@ -162,6 +172,7 @@ impl Hash for Pair {
             replacing,
             last,
             newest,
+            end: _,
         } = self;
         // The session has floating-point numbers: its text is exact.
         let _ = write!(Text(hasher), "{session:?}");
@@ -201,6 +212,7 @@ impl Pair {
             replacing: false,
             last: None,
             newest: None,
+            end: Outcome::default(),
         };
         while !(pair.session.is_open() && pair.session.is_probed()) {
             pair.exchange();
@@ -338,10 +350,10 @@ impl Pair {
         self.hear(events);
     }
 
-    fn deliver(&mut self, end: End, bytes: &[u8]) {
+    fn deliver(&mut self, to: To, bytes: &[u8]) {
         let now = self.now();
-        match end {
-            End::Device => {
+        match to {
+            To::Device => {
                 let before = self.shell.device.state();
                 self.shell.device.receive(Tick(self.shell.now), bytes);
                 if before != State::Faulted && self.shell.device.state() == State::Faulted {
@@ -349,7 +361,7 @@ impl Pair {
                     self.shell.drivers_off();
                 }
             }
-            End::Host => {
+            To::Host => {
                 let mut events = Vec::new();
                 self.session.receive(now, bytes, &mut |event| events.push(event));
                 self.hear(events);
@@ -412,16 +424,16 @@ impl Pair {
             if out.is_none() && back.is_none() {
                 break;
             }
-            out.into_iter().for_each(|(_, frame)| self.deliver(End::Device, &frame));
-            back.into_iter().for_each(|(_, frame)| self.deliver(End::Host, &frame));
+            out.into_iter().for_each(|(_, frame)| self.deliver(To::Device, &frame));
+            back.into_iter().for_each(|(_, frame)| self.deliver(To::Host, &frame));
         }
         self.wait(85);
     }
 
-    fn line(&mut self, end: End) -> &mut VecDeque<(u32, Vec<u8>)> {
-        match end {
-            End::Device => &mut self.to_device,
-            End::Host => &mut self.to_host,
+    fn line(&mut self, to: To) -> &mut VecDeque<(u32, Vec<u8>)> {
+        match to {
+            To::Device => &mut self.to_device,
+            To::Host => &mut self.to_host,
         }
     }
 
@@ -431,30 +443,30 @@ impl Pair {
         }
         match step {
             Step::Call(call) => self.call(call)?,
-            Step::Deliver(end) => {
-                let (_, frame) = self.line(end).pop_front()?;
-                self.deliver(end, &frame);
+            Step::Deliver(to) => {
+                let (_, frame) = self.line(to).pop_front()?;
+                self.deliver(to, &frame);
             }
-            Step::Lose(end) => {
-                self.line(end).pop_front()?;
+            Step::Lose(to) => {
+                self.line(to).pop_front()?;
                 self.pump();
             }
-            Step::Repeat(end) => {
-                let (_, frame) = self.line(end).front()?.clone();
-                self.deliver(end, &frame);
+            Step::Repeat(to) => {
+                let (_, frame) = self.line(to).front()?.clone();
+                self.deliver(to, &frame);
             }
-            Step::Swap(end) => {
-                let line = self.line(end);
+            Step::Swap(to) => {
+                let line = self.line(to);
                 if line.len() < 2 || line[0].0 != line[1].0 {
                     return None;
                 }
                 line.swap(0, 1);
             }
-            Step::Damage(end) => {
-                let (_, mut frame) = self.line(end).pop_front()?;
+            Step::Damage(to) => {
+                let (_, mut frame) = self.line(to).pop_front()?;
                 // The delimiter is lost, so that the next frame is read with this one.
                 frame.pop();
-                self.deliver(end, &frame);
+                self.deliver(to, &frame);
             }
             Step::Wait => {
                 self.waits += 1;
@@ -480,7 +492,7 @@ impl Pair {
     }
 
     /// The line is good from now on.
-    fn judge_end(&self) -> Option<Broken> {
+    fn judge_end(&mut self) -> Option<Broken> {
         let mut end = self.clone();
         // A lost session needs seconds to notice.
         let mut agreed = 0;
@@ -502,6 +514,8 @@ impl Pair {
         if let Some(broken) = end.shell.broken {
             return Some(broken);
         }
+        let (counters, retransmitted) = (end.shell.device.counters(), end.session.traffic().retransmitted);
+        self.end = Outcome { counters, retransmitted, sessions: end.sessions };
         if agreed == 0 {
             return Some(if end.waiting.is_empty() { Broken::Disagree } else { Broken::Verdict });
         }
@@ -544,13 +558,13 @@ impl Model for Link {
         if pair.calls < self.0.calls {
             steps.extend(CALLS.map(Step::Call));
         }
-        for (end, line) in [(End::Device, &pair.to_device), (End::Host, &pair.to_host)] {
+        for (to, line) in [(To::Device, &pair.to_device), (To::Host, &pair.to_host)] {
             if line.is_empty() {
                 continue;
             }
-            steps.push(Step::Deliver(end));
+            steps.push(Step::Deliver(to));
             if pair.faults < self.0.faults {
-                steps.extend(FAULTS.map(|fault| fault(end)));
+                steps.extend(FAULTS.map(|fault| fault(to)));
             }
         }
         if pair.waits < self.0.waits {
@@ -581,29 +595,20 @@ impl Model for Link {
 
     fn properties(&self) -> Vec<Property<Self>> {
         vec![
-            Property::always(
-                "after an e-stop or a fault no line is high later than one period",
-                |_, pair: &Pair| pair.shell.broken != Some(Broken::HighAfterStop),
-            ),
-            Property::always("a disarmed device has no line high", |_, pair: &Pair| {
-                pair.shell.broken != Some(Broken::HighDisarmed)
-            }),
-            Property::always("no pulse that nobody asked for", |_, pair: &Pair| {
-                pair.shell.broken != Some(Broken::Unasked)
-            }),
-            Property::always("drivers are enabled for bursts, and before them", |_, pair: &Pair| {
-                pair.shell.broken != Some(Broken::Drivers)
-            }),
-            Property::always("every stroke has one verdict, and the right one", |_, pair: &Pair| {
-                pair.shell.broken != Some(Broken::Verdict)
-            }),
-            Property::always("what was accepted is on the lines", |_, pair: &Pair| {
-                pair.shell.broken != Some(Broken::Counts)
-            }),
-            Property::always("host and device agree once the line is good", |_, pair: &Pair| {
-                pair.shell.broken != Some(Broken::Disagree)
-            }),
-            Property::always("no panic", |_, pair: &Pair| pair.shell.broken != Some(Broken::Panic)),
+            never!(HighAfterStop, "after an e-stop or a fault no line is high later than one period"),
+            never!(HighDisarmed, "a disarmed device has no line high"),
+            never!(Unasked, "no pulse that nobody asked for"),
+            never!(Drivers, "drivers are enabled for bursts, and before them"),
+            never!(Verdict, "every stroke has one verdict, and the right one"),
+            never!(Counts, "what was accepted is on the lines"),
+            never!(Disagree, "host and device agree once the line is good"),
+            never!(Panic, "no panic"),
+            // That the exploration comes where these can fail.
+            Property::sometimes("strokes are played", |_, pair: &Pair| pair.end.counters.played > 0),
+            Property::sometimes("strokes are dropped", |_, pair: &Pair| pair.end.counters.dropped > 0),
+            Property::sometimes("strokes are late", |_, pair: &Pair| pair.end.counters.late > 0),
+            Property::sometimes("frames are sent again", |_, pair: &Pair| pair.end.retransmitted > 0),
+            Property::sometimes("another session is opened", |_, pair: &Pair| pair.end.sessions > 1),
         ]
     }
 }

@@ -40,6 +40,14 @@ pub enum Broken {
     Panic,
 }
 
+/// The property of a model that this never happens.
+macro_rules! never {
+    ($broken:ident, $says:literal) => {
+        Property::always($says, |_, state: &Self::State| state.shell.broken != Some(Broken::$broken))
+    };
+}
+pub(crate) use never;
+
 /// A controller with its outputs, and what was seen on them.
 #[derive(Clone, Debug)]
 pub struct Shell {
