@@ -28,6 +28,9 @@ use std::time::Duration;
 /// The streamer wakes up this often.
 const STEP: Duration = Duration::from_micros(500);
 
+/// At least this often while nothing plays.
+const IDLE_STEP: Duration = Duration::from_millis(50);
+
 /// So long after a play's end telemetry of no age has measured its last bursts.
 const MEASURED_WITHIN: Duration = Duration::from_millis(100);
 
@@ -263,6 +266,19 @@ impl Simulation {
         let end = self.now + time;
         while self.now < end {
             self.now = (self.now + STEP).min(end);
+            self.device();
+            self.wake();
+        }
+    }
+
+    /// Advances the time of both while nothing plays. The streamer wakes up only when it has something to do or bytes are under
+    /// way: so days pass in seconds.
+    pub fn idle(&mut self, time: Duration) {
+        let end = self.now + time;
+        while self.now < end {
+            let under_way = !(self.to_device.frames.is_empty() && self.to_host.frames.is_empty());
+            let due = if under_way { self.now } else { self.streamer.wake_at(self.now) };
+            self.now = due.clamp(self.now + STEP, self.now + IDLE_STEP).min(end);
             self.device();
             self.wake();
         }
