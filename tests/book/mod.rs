@@ -170,6 +170,34 @@ fn every_path_that_a_page_names_is_there() {
     assert!(paths > 20, "{paths}");
 }
 
+/// A test that was renamed or removed shows nothing any more.
+#[test]
+fn every_test_that_the_safety_case_names_is_there() {
+    let mut sources = String::new();
+    let mut folders: Vec<PathBuf> = ["tests", "src", "crates", "firmware-protocol", "firmware/hil"]
+        .map(|folder| root().join(folder))
+        .into();
+    while let Some(folder) = folders.pop() {
+        for entry in fs::read_dir(folder).unwrap() {
+            let path = entry.unwrap().path();
+            if path.is_dir() && !path.ends_with("target") && !path.ends_with("node_modules") {
+                folders.push(path);
+            } else if path.extension().is_some_and(|extension| extension == "rs") {
+                sources += &fs::read_to_string(path).unwrap();
+            }
+        }
+    }
+    let page = read("docs/explanation/safety-case.md");
+    let is_name = |word: &&str| {
+        word.matches('_').count() > 2 && word.chars().all(|c| c.is_ascii_alphanumeric() || c == '_')
+    };
+    let named: Vec<&str> = page.code_words().filter(is_name).collect();
+    for name in &named {
+        assert!(sources.contains(&format!("fn {name}(")), "there is no test `{name}`");
+    }
+    assert!(named.len() > 20, "{named:?}");
+}
+
 #[test]
 fn every_page_is_in_the_summary_once() {
     let summary = read("docs/SUMMARY.md");

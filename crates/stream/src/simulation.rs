@@ -135,8 +135,10 @@ pub struct Simulation {
     /// The device.
     pub mock: Mock,
     now: HostInstant,
-    /// When the device was switched on.
-    booted: HostInstant,
+    /// An instant, the device's clock then, and by how much that runs fast.
+    clock: (HostInstant, Tick, f64),
+    /// The device does nothing.
+    hangs: bool,
     to_device: Direction,
     to_host: Direction,
     liar: Option<Liar>,
@@ -185,7 +187,8 @@ impl Simulation {
             streamer: Streamer::new(settings),
             mock: Mock::new(*motors, seed as u32)?,
             now: STARTED,
-            booted: STARTED,
+            clock: (STARTED, Tick::BOOT, 0.0),
+            hangs: false,
             to_device: direction(0x5eed, line),
             to_host: direction(0xfeed, Line { bytes_per_s: 0, ..line }),
             liar: None,
@@ -216,7 +219,8 @@ impl Simulation {
     /// If the settings of the simulated motors are out of range.
     pub fn restart(&mut self, motors: &SimulatedMotorsConfig, boot: u32) -> Result<(), SimulatedMotorsError> {
         self.unplug();
-        (self.mock, self.booted) = (Mock::new(*motors, boot)?, self.now);
+        (self.mock, self.clock) = (Mock::new(*motors, boot)?, (self.now, Tick::BOOT, self.clock.2));
+        self.hangs = false;
         self.connect();
         Ok(())
     }
@@ -224,6 +228,51 @@ impl Simulation {
     /// Changes the line.
     pub fn set_line(&mut self, line: Line) {
         (self.to_device.line, self.to_host.line) = (line, Line { bytes_per_s: 0, ..line });
+    }
+
+    /// Changes each direction of the line.
+    pub fn set_lines(&mut self, to_device: Line, to_host: Line) {
+        (self.to_device.line, self.to_host.line) = (to_device, to_host);
+    }
+
+    /// From here on the device's clock runs fast by so many millionths, or slow.
+    pub fn set_clock_error(&mut self, ppm: f64) {
+        self.clock = (self.now, self.device_tick(), ppm / 1e6);
+    }
+
+    /// The device's clock goes on by `time` and the host's stands still, as while the host is suspended.
+    pub fn suspend(&mut self, time: Duration) {
+        let (instant, tick, fast) = self.clock;
+        // The device does not wait either.
+        for _ in 0..time.as_micros() / STEP.as_micros() {
+            self.clock.1 = self.clock.1 + duration_to_ticks(STEP);
+            self.device();
+        }
+        self.clock = (instant, tick + duration_to_ticks(time), fast);
+    }
+
+    /// From here on the device does nothing, with its lines as the board's watchdog leaves them: low. It restarts at
+    /// [`Self::restart`].
+    pub fn hang(&mut self) {
+        self.hangs = true;
+    }
+
+    /// Bytes come as if from the device.
+    pub fn inject(&mut self, bytes: &[u8]) {
+        self.to_host.send(self.now, bytes);
+    }
+
+    /// The device's clock at an instant.
+    #[must_use]
+    pub fn device_tick_at(&self, at: HostInstant) -> Tick {
+        let (instant, tick, fast) = self.clock;
+        let passed = at.since(instant);
+        let extra = (passed.as_secs_f64() * fast * f64::from(firmware_protocol::tick::TICK_HZ)) as i64;
+        Tick((tick + duration_to_ticks(passed)).0.saturating_add_signed(extra))
+    }
+
+    fn device_tick(&self) -> Tick {
+        self.device_tick_at(self.now)
     }
 
     /// From here on `lie` may change each message of the device before it is sent: the device lies, the line does not.
@@ -295,8 +344,11 @@ impl Simulation {
 
     fn device(&mut self) {
         let bytes = self.to_device.arrived(self.now);
+        if self.hangs {
+            return;
+        }
         self.mock.write(&bytes);
-        self.mock.run(Tick::BOOT + duration_to_ticks(self.now.since(self.booted)));
+        self.mock.run(self.device_tick());
         let mut bytes = [0; 4096];
         loop {
             let len = self.mock.read(&mut bytes);

@@ -9,6 +9,8 @@ mod closed_loop;
 mod drift;
 /// What a play's account says of its end: offset, cut, rest errors.
 mod endings;
+/// Faults by script.
+mod faults;
 /// Calibration from a laser's recording.
 mod laser;
 /// A device that lies: undamaged messages that cannot be true.

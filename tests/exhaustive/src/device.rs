@@ -57,6 +57,8 @@ pub enum Say {
     Late,
     /// Replaces what motor 0 has queued from its last stroke on.
     Replace,
+    /// Replaces the same by a stroke that is in time, whether the last one has begun or not.
+    ReplaceLater,
     /// Withdraws both motors' strokes from the first tick that can still be had.
     Withdraw,
     /// Amends the last stroke's up burst by a pulse more.
@@ -67,7 +69,7 @@ pub enum Say {
     Ping,
 }
 
-const SAYS: [Say; 15] = [
+const SAYS: [Say; 16] = [
     Say::Arm,
     Say::Disarm,
     Say::Stop,
@@ -79,6 +81,7 @@ const SAYS: [Say; 15] = [
     Say::Next,
     Say::Late,
     Say::Replace,
+    Say::ReplaceLater,
     Say::Withdraw,
     Say::AmendUp,
     Say::AmendDown,
@@ -401,6 +404,10 @@ impl Scene {
                 let at = self.last?.up.0;
                 let long = Stroke { up_pulses: 3, down: Tick(at + 4), down_pulses: 3, ..short(0, at) };
                 self.frame(None, 1, at, &[long])
+            }
+            Say::ReplaceLater => {
+                let at = self.last?.up.0;
+                self.frame(None, 1, at, &[short(0, at.max(ready))])
             }
             Say::Withdraw => self.frame(None, 3, ready, &[]),
             Say::AmendUp => self.amendment(Direction::Up, 1)?,

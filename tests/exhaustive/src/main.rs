@@ -16,6 +16,9 @@ struct Args {
     /// Threads.
     #[arg(long, global = true, default_value_t = 2)]
     threads: usize,
+    /// Print the counts as the rest of a table's row.
+    #[arg(long, global = true)]
+    row: bool,
 }
 
 #[derive(Debug, Subcommand)]
@@ -50,18 +53,18 @@ enum Explore {
 }
 
 fn main() -> ExitCode {
-    let Args { model, threads } = Args::parse();
+    let Args { model, threads, row } = Args::parse();
     match model {
         Explore::Device { events, faults, ticks, every_tick } => {
-            explore(device::Device(device::Bounds { events, faults, ticks, every_tick }), threads)
+            explore(device::Device(device::Bounds { events, faults, ticks, every_tick }), threads, row)
         }
         Explore::Link { calls, faults, waits } => {
-            explore(link::Link(link::Bounds { calls, faults, waits }), threads)
+            explore(link::Link(link::Bounds { calls, faults, waits }), threads, row)
         }
     }
 }
 
-fn explore<M>(model: M, threads: usize) -> ExitCode
+fn explore<M>(model: M, threads: usize, row: bool) -> ExitCode
 where
     M: Model + Send + Sync + 'static,
     M::State: Clone + Debug + Hash + PartialEq + Send + Sync,
@@ -70,13 +73,13 @@ where
     let begun = Instant::now();
     let checker =
         model.checker().threads(threads).finish_when(HasDiscoveries::AnyFailures).spawn_dfs().join();
-    println!(
-        "{} states, {} of them distinct, depth {}, {:.1} s",
-        checker.state_count(),
-        checker.unique_state_count(),
-        checker.max_depth(),
-        begun.elapsed().as_secs_f64()
-    );
+    let (states, distinct) = (checker.state_count(), checker.unique_state_count());
+    let (depth, s) = (checker.max_depth(), begun.elapsed().as_secs_f64());
+    if row {
+        println!("{states} | {distinct} | {depth} | {s:.0} s |");
+    } else {
+        println!("{states} states, {distinct} of them distinct, depth {depth}, {s:.1} s");
+    }
     let (mut broken, found) = (false, checker.discoveries());
     for property in checker.model().properties() {
         let path = found.get(property.name);

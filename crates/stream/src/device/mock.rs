@@ -179,8 +179,13 @@ impl Mock {
             // Nothing happened since the last run. Bytes that wait now count as received now, not then.
             self.pass(until);
         }
+        let latched = self.controller.state() == State::Faulted;
         self.controller.receive(self.now, &self.to_controller);
         self.to_controller.clear();
+        if !latched && self.controller.state() == State::Faulted {
+            // An e-stop ends with the tick in which it comes: that one counts as played.
+            self.play(1, false);
+        }
         self.pass(until);
         // Send after all blocks were played: a status must carry the tick of now, not of an earlier block.
         self.send();
@@ -204,7 +209,7 @@ impl Mock {
             let end = if quiet { until } else { until.min(self.now + u64::from(BLOCK)) };
             self.render(end);
             while self.now < end {
-                self.play(end - self.now);
+                self.play(end - self.now, self.controller.forced_off(self.now));
             }
             self.controller.poll(self.now);
             if self.now >= until {
@@ -230,9 +235,8 @@ impl Mock {
         }
     }
 
-    /// Plays at most `max` rendered ticks.
-    fn play(&mut self, max: u64) {
-        let forced = self.controller.forced_off(self.now);
+    /// Plays at most `max` rendered ticks, with all lines low if they are `forced` off.
+    fn play(&mut self, max: u64, forced: bool) {
         let Some(front) = self.ahead.front_mut() else { return };
         // Forcing may end within a block, so check every tick; only a fault keeps it until bytes come.
         let most = if forced && self.controller.state() != State::Faulted { 1 } else { max };
