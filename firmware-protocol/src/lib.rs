@@ -180,7 +180,8 @@
 //! pause of all lines that is longer than both. They are *ready* once they have been on for the lead. So while they are off, a
 //! stroke is late unless it begins a lead after the rendered end, and a return begins by as much later. `horizon` in the
 //! handshake is the sum of both. A stroke that a limit refuses when it is to begin has had its lead: then the drivers are on
-//! without a pulse, for longer if more such strokes follow. So they are for a stroke that is withdrawn less than a lead before it.
+//! without a pulse, for longer if more such strokes follow. So they are for a stroke that is withdrawn, or flushed by a cut, less
+//! than a lead before it: they stay on if another one follows within a lead.
 //!
 //! A firmware looks for e-stops in the bytes as they arrive ([`urgent`]), before it reads the bytes that came earlier, and in
 //! SETUP packets of USB ([`urgent::e_stop_request`]). An e-stop that was new when it was found latches, even if the link is lost

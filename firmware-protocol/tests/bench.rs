@@ -52,9 +52,9 @@ pub(crate) struct Bench {
     shell: Shell,
     /// As the firmware: a piece of a frame in each block, and lines rendered in between.
     pub(crate) in_pieces: bool,
-    /// Runs of one tick, and whether a stroke that was to begin then or soon was refused by a limit or withdrawn.
+    /// Runs of one tick, and whether a stroke that was to begin then or soon was refused by a limit, withdrawn or flushed.
     ahead: VecDeque<(Run, bool)>,
-    /// Bursts refused as they began, or withdrawn, until the last tick was rendered.
+    /// Bursts refused as they began, withdrawn or flushed until the last tick was rendered.
     taken_back: u64,
     log: Vec<(u64, Lines)>,
     /// Ticks in which the trigger was high.
@@ -161,7 +161,7 @@ impl Bench {
         while self.device.rendered().0 < to {
             let run = self.device.render((to - self.device.rendered().0) as u32);
             let counters = self.device.counters();
-            let taken_back = counters.refused + counters.replaced;
+            let taken_back = counters.refused + counters.replaced + counters.dropped;
             let refuses = taken_back > std::mem::replace(&mut self.taken_back, taken_back);
             assert!(run.ticks > 0, "rendering makes progress");
             self.ahead.extend((0..run.ticks).map(|_| (Run { ticks: 1, ..run }, refuses)));
@@ -187,7 +187,8 @@ impl Bench {
     }
 
     /// No pulse comes before the drivers' lead, and they are not enabled for longer than lead and tail without one,
-    /// except where a limit refuses a stroke in the tick in which it was to begin, or a frame withdraws it shortly before.
+    /// except where a limit refuses a stroke in the tick in which it was to begin, or a frame withdraws it or a cut flushes it
+    /// shortly before.
     fn check_drivers(&mut self, pulse: bool, enabled: bool, refuses: bool) {
         let at = self.now;
         if !enabled {

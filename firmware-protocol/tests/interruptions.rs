@@ -456,3 +456,20 @@ fn an_e_stop_counts_the_pulses_by_its_own_tick() {
     bench.drain();
     assert_eq!(bench.status().epoch, epoch);
 }
+
+/// The drivers are on for a stroke that a stop flushes. The next one begins within their lead: they stay on, and no pulse comes
+/// early. Found by fuzzing: the bench took it for drivers enabled without a reason.
+#[test]
+fn drivers_that_are_on_for_a_flushed_stroke_stay_on_for_the_next() {
+    let mut bench = Bench::armed(FIRMWARE);
+    let flushed = bench.now + 300;
+    bench.strokes(&[stroke(6, flushed, 31, 14, 31)]);
+    bench.run_to(flushed - 80);
+    assert!((flushed - 43..flushed).contains(&bench.device.rendered().0), "rendered, and not begun");
+    bench.control(Op::Stop);
+    assert_eq!(bench.device.state(), State::Armed);
+    let next = bench.device.rendered().0 + 35;
+    bench.strokes(&[stroke(6, next, 9, 4, 9)]);
+    bench.run_to(next + 200);
+    assert_eq!(bench.bursts(6), [burst(next, Up, 9), burst(next + 13, Down, 9)]);
+}

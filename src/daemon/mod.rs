@@ -18,7 +18,7 @@
 //! - `page`: the page in the browser.
 //! - `search_process`, `live_contrast`, `renderer`, `live`: processes that search; live plays, whose targets a thread renders.
 //! - `body`, `connection`, `http`, `patterns`, `targets`, `search`, `sessions`, `reload`, `server`, `hosted`: clients, configuration, and
-//!   daemons inside this process.
+//!   daemons inside this process. In a build for the fuzzer also `fuzzed`: requests without a socket.
 //!
 //! Invariant: before the daemon ends, it returns the pins, switches the motors off and removes its socket.
 
@@ -34,6 +34,8 @@ mod engine;
 mod error;
 mod estop;
 mod event_loop;
+#[cfg(fuzzing)]
+mod fuzzed;
 mod hosted;
 mod http;
 mod live;
@@ -66,6 +68,8 @@ mod targets;
 pub(crate) use calibration::utc_now;
 pub use check::check;
 pub use error::DaemonError;
+#[cfg(fuzzing)]
+pub use fuzzed::Fuzzed;
 pub use hosted::Hosted;
 pub use runtime::runtime;
 pub use signals::{Action, Signals};

@@ -70,6 +70,7 @@ pub(super) fn documents() -> impl Iterator<Item = Page> {
         "tests/usb/README.md",
         "firmware/README.md",
         "firmware/hil/README.md",
+        "fuzz/README.md",
         "firmware/emulator/README.md",
     ];
     book().chain(others.into_iter().map(read))

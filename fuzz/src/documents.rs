@@ -1,0 +1,241 @@
+//! Documents: a text is read or refused, and what is written reads back as the same.
+//!
+//! The first byte chooses the kind of document, so that inputs of all kinds share what they find out about TOML and JSON.
+
+use arbitrary::Unstructured;
+use meissner::config::Config;
+use meissner::exposure::{Account, ParticipantLimits};
+use meissner::session_record::reader;
+use meissner_api::{
+    ArmRequest, CalibrateRequest, LiveMessage, LiveRequest, PlayRequest, ResetRequest, SearchRequest,
+    SequenceRequest, Session, SessionRequest, TokenRequest,
+};
+use meissner_array::pattern::Pattern;
+use meissner_design::Target;
+use meissner_report::Trace;
+use meissner_skin::AnyScene;
+use meissner_stream::calibrate::{Calibration, PlayedPlan, Recording, Units};
+use meissner_stream::device::Spec;
+use meissner_sweep::{Document, Plan, Sources};
+use serde::Serialize;
+use std::fmt::Debug;
+use std::path::{Path, PathBuf};
+use std::sync::LazyLock;
+
+/// Tries one kind of document.
+pub type Read = fn(&[u8]);
+
+/// The kinds of documents; the number is the first byte of an input.
+pub const KINDS: [(&str, Read); 20] = [
+    ("pattern", pattern),
+    ("target", target),
+    ("scene", scene),
+    ("configuration", configuration),
+    ("calibration", calibration),
+    ("trace", trace),
+    ("sweep", sweep),
+    ("played plan", played_plan),
+    ("recording", recording),
+    ("session record", session_record),
+    ("exposure", exposure),
+    ("play", |bytes| body(bytes, PlayRequest::parse)),
+    ("sequence", |bytes| body(bytes, SequenceRequest::parse)),
+    ("search", |bytes| body(bytes, SearchRequest::parse)),
+    ("session", |bytes| body(bytes, SessionRequest::parse)),
+    ("live", |bytes| body(bytes, LiveRequest::parse)),
+    ("live message", |bytes| body(bytes, LiveMessage::parse)),
+    ("other requests", other_requests),
+    ("target in JSON", |bytes| text(bytes, |text| drop(Target::read_json(text)))),
+    ("device", |bytes| text(bytes, device)),
+];
+
+/// See the module.
+pub fn run(data: &[u8]) {
+    let mut input = Unstructured::new(data);
+    let kind = usize::from(crate::input::byte(&mut input));
+    let (_, read) = KINDS[kind % KINDS.len()];
+    read(input.take_rest());
+}
+
+fn text(bytes: &[u8], read: impl FnOnce(&str)) {
+    if let Ok(text) = std::str::from_utf8(bytes) {
+        read(text);
+    }
+}
+
+/// A message is one line that can be shown.
+fn told<E: std::fmt::Display>(error: E) {
+    let text = error.to_string();
+    assert!(!text.is_empty() && !text.contains(['\n', '\r', '\u{1b}']), "{text:?}");
+}
+
+fn pattern(bytes: &[u8]) {
+    text(bytes, |text| match Pattern::parse(text, "file") {
+        Ok(pattern) => {
+            let written = pattern.to_toml();
+            assert_eq!(Pattern::parse(&written, "file").expect("a written pattern"), pattern, "{written}");
+            let _ = Target::made_for(&pattern);
+        }
+        Err(error) => told(error),
+    });
+}
+
+fn target(bytes: &[u8]) {
+    text(bytes, |text| match Target::read(text, "file") {
+        Ok(target) => {
+            let written = toml::to_string(&target.definition()).expect("a table can be written");
+            assert_eq!(Target::read(&written, "file").expect("a written target"), target, "{written}");
+        }
+        Err(error) => told(error),
+    });
+}
+
+fn scene(bytes: &[u8]) {
+    text(bytes, |text| match AnyScene::read(text, "file", None) {
+        Ok(scene) => assert!(scene.duration_s() > 0.0),
+        Err(error) => told(error),
+    });
+}
+
+fn configuration(bytes: &[u8]) {
+    text(bytes, |text| {
+        if let Err(error) = Config::parse(text, Path::new("file")) {
+            told(error);
+        }
+    });
+}
+
+fn calibration(bytes: &[u8]) {
+    text(bytes, |text| match Calibration::parse(text, "file") {
+        Ok(calibration) => {
+            let written = calibration.to_toml();
+            assert_eq!(
+                Calibration::parse(&written, "file").expect("a written calibration"),
+                calibration,
+                "{written}"
+            );
+        }
+        Err(error) => told(error),
+    });
+}
+
+fn trace(bytes: &[u8]) {
+    text(bytes, |text| {
+        if let Err(error) = Trace::read(text, "file") {
+            told(error);
+        }
+    });
+}
+
+/// No other file is read: the texts of a plan are its own or shipped.
+struct Nothing;
+
+impl Sources for Nothing {
+    fn names(&self, kind: Document) -> Vec<String> {
+        match kind {
+            Document::Target => vec!["edge-45".to_owned(), "dot".to_owned()],
+            Document::Pattern => Vec::new(),
+        }
+    }
+
+    fn text(&self, kind: Document, name: &str) -> Result<String, String> {
+        match (kind, name) {
+            (Document::Target, "edge-45") => Ok(include_str!("../../targets/edge-45.toml").to_owned()),
+            (Document::Target, "dot") => Ok(include_str!("../../targets/dot.toml").to_owned()),
+            _ => Err("there is no such file".to_owned()),
+        }
+    }
+}
+
+fn sweep(bytes: &[u8]) {
+    text(bytes, |text| match Plan::read(text, "file", &Nothing) {
+        Ok(plan) => {
+            let written = plan.to_toml();
+            let again = Plan::read(&written, "file", &Nothing).expect("a written plan");
+            assert_eq!(again.to_toml(), written);
+            assert_eq!(again.varied(), plan.varied());
+        }
+        Err(error) => told(error),
+    });
+}
+
+fn played_plan(bytes: &[u8]) {
+    text(bytes, |text| {
+        if let Ok(plan) = PlayedPlan::parse(text) {
+            assert_eq!(PlayedPlan::parse(&plan.to_json()).expect("a written plan"), plan);
+        }
+    });
+}
+
+fn recording(bytes: &[u8]) {
+    if let Err(error) = Recording::read(bytes, Units::default()) {
+        told(error);
+    }
+}
+
+/// A directory for the one file of a session record. `fuzz/run` names one in memory.
+static RECORD: LazyLock<PathBuf> = LazyLock::new(|| {
+    let dir = std::env::temp_dir().join(format!("meissner-fuzz-{}", std::process::id()));
+    std::fs::create_dir_all(&dir).expect("a directory can be made");
+    dir
+});
+
+/// The lines of a day: sessions are found in them, and the plays of each.
+fn session_record(bytes: &[u8]) {
+    let dir = &*RECORD;
+    std::fs::write(dir.join("2026-01-02.jsonl"), bytes).expect("a file can be written");
+    let list = reader::sessions(dir).expect("the directory can be read");
+    let lines = bytes.iter().filter(|&&byte| byte == b'\n').count() + 1;
+    assert!(list.unreadable <= lines as u64 && list.sessions.len() <= lines);
+    for session in list.sessions.into_iter().chain([Session::default()]).take(3) {
+        let plays = reader::plays(dir, session, 0).expect("the directory can be read");
+        assert!(plays.unreadable <= lines as u64);
+    }
+}
+
+fn exposure(bytes: &[u8]) {
+    let mut account = Account::new(ParticipantLimits::default());
+    if account.restore(bytes).is_ok() {
+        let text = account.text().expect("a day that was restored");
+        let mut again = Account::new(ParticipantLimits::default());
+        again.restore(text.as_bytes()).expect("a written account");
+        assert_eq!(again.text(), Some(text));
+    }
+}
+
+/// A request that is read reads the same when it is written.
+fn body<T: Serialize + PartialEq + Debug, E: std::fmt::Display>(
+    bytes: &[u8],
+    parse: impl Fn(&[u8]) -> Result<T, E>,
+) {
+    match parse(bytes) {
+        Ok(request) => {
+            let written = serde_json::to_vec(&request).expect("a request can be written");
+            match parse(&written) {
+                Ok(again) => assert_eq!(again, request),
+                Err(error) => panic!("{} is refused: {error}", String::from_utf8_lossy(&written)),
+            }
+        }
+        Err(problem) => told(problem),
+    }
+}
+
+fn other_requests(bytes: &[u8]) {
+    let Some((kind, rest)) = bytes.split_first() else { return };
+    match kind % 4 {
+        0 => body(rest, ArmRequest::parse),
+        1 => body(rest, ResetRequest::parse),
+        2 => body(rest, CalibrateRequest::parse),
+        _ => body(rest, TokenRequest::parse),
+    }
+    if let Ok(text) = std::str::from_utf8(rest) {
+        let _ = SequenceRequest::parse_file(text);
+    }
+}
+
+fn device(text: &str) {
+    match text.parse::<Spec>() {
+        Ok(spec) => assert_eq!(spec.to_string().parse::<Spec>().as_ref(), Ok(&spec), "{text:?}"),
+        Err(error) => told(error),
+    }
+}

@@ -1,0 +1,27 @@
+//! Fuzz targets: what comes from devices, hosts, files and clients breaks no rule of the crate that reads it.
+//!
+//! Each target in `fuzz_targets/` calls the `run` of a module here with the fuzzer's bytes. `README.md` says how to run them.
+//!
+//! | module | what it tries |
+//! |---|---|
+//! | [`frames`] | bytes to frames, and back |
+//! | [`batches`] | packed strokes and amendments |
+//! | [`controller`] | the controller, under the [`shell`] |
+//! | [`session`] | the host's session, with a device that lies |
+//! | [`link`] | session and controller over a line that loses, repeats and damages frames |
+//! | [`documents`] | files that people write, records, bodies of requests |
+//! | [`http`] | requests to the daemon |
+//!
+//! [`input`] makes messages of the fuzzer's bytes.
+//!
+//! Invariant: a target is a function of its bytes, except [`http`], whose daemon keeps its state between two inputs.
+
+pub mod batches;
+pub mod controller;
+pub mod documents;
+pub mod frames;
+pub mod http;
+pub mod input;
+pub mod link;
+pub mod session;
+pub mod shell;

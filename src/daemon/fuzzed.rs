@@ -1,0 +1,65 @@
+//! A daemon whose routes are asked without a socket: for the fuzzer (`fuzz/`), and built for it alone.
+//!
+//! A request enters where hyper would hand it over. What the acceptor and hyper check of its bytes is left out.
+
+use super::Daemon;
+use super::acceptor::{Bounds, Counts};
+use super::connection::Connection;
+use super::error::DaemonError;
+use super::hosted::Hosted;
+use super::http::{App, router};
+use super::stream::Stream;
+use crate::session_record::{NetworkPeer, Peer};
+use axum::Router;
+use axum::body::Body;
+use axum::extract::Request;
+use axum::response::Response;
+use std::io;
+use std::net::IpAddr;
+use std::os::unix::net::UnixStream;
+use std::sync::Arc;
+use tower::ServiceExt;
+
+/// See the module.
+#[derive(Debug)]
+pub struct Fuzzed {
+    router: Router,
+    daemon: Hosted,
+}
+
+impl Fuzzed {
+    /// Runs the daemon on a thread of its own.
+    ///
+    /// # Errors
+    /// As [`Daemon::host`].
+    pub fn new(daemon: Daemon) -> Result<Self, DaemonError> {
+        let (engine, store) = (Arc::clone(&daemon.engine), daemon.store.clone());
+        let router = router(App::new(engine, store, &Bounds::of_process(), Arc::new(Counts::default())));
+        Ok(Self { router, daemon: daemon.host()? })
+    }
+
+    /// Answers a request of a local client, or of one that came over the network from this address.
+    ///
+    /// # Errors
+    /// If the system has no socket for the connection.
+    pub async fn answer(&self, mut request: Request<Body>, from: Option<IpAddr>) -> io::Result<Response> {
+        let (_client, stream) = UnixStream::pair()?;
+        stream.set_nonblocking(true)?;
+        let (_connection, activity) = Connection::new(Stream::unix(stream.into()), Vec::new())?;
+        let pid = i32::try_from(std::process::id()).unwrap_or(-1);
+        let local = Peer::local(pid, 0);
+        let peer = from.map_or(local, |address| Peer::network(NetworkPeer { address, token: None }));
+        request.extensions_mut().insert(peer);
+        request.extensions_mut().insert(activity);
+        let Ok(response) = self.router.clone().oneshot(request).await;
+        Ok(response)
+    }
+
+    /// Shuts the daemon down.
+    ///
+    /// # Errors
+    /// As [`Hosted::stop`].
+    pub fn stop(self) -> Result<(), DaemonError> {
+        self.daemon.stop()
+    }
+}
