@@ -86,7 +86,7 @@ fn main() -> Result<(), Box<dyn Error>> {
             println!("day {day}: {} plays, {} kB, {:.0} s", id, resident_kb(), begun.elapsed().as_secs_f64());
         }
     }
-    let wraps = simulation.now().since(started).as_secs() * 85_000 >> 32;
+    let wraps = (simulation.now().since(started).as_secs() * 85_000) >> 32;
     println!("{} days, {wraps} wraps of the 32-bit tick, in {:.0} s", days, begun.elapsed().as_secs_f64());
     for (fate, plays) in FATES.iter().zip(sums.plays) {
         println!("  {plays} plays: {fate}");

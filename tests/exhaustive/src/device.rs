@@ -266,7 +266,7 @@ impl Scene {
             let Some(body) = decoder.next(&mut &out[..len]) else { break };
             match frame::read(body) {
                 Ok(DeviceMessage::Hello(hello)) => {
-                    (self.epoch, self.seq, self.seen) = (hello.epoch, 0, hello.reports)
+                    (self.epoch, self.seq, self.seen) = (hello.epoch, 0, hello.reports);
                 }
                 Ok(DeviceMessage::Status(status)) => self.status = Some(status),
                 Ok(DeviceMessage::Report { number, report }) if number == self.seen.wrapping_add(1) => {
