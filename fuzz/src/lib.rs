@@ -14,12 +14,16 @@
 //!
 //! [`input`] makes messages of the fuzzer's bytes.
 //!
+//! [`documents`] and [`http`] need the feature `program`.
+//!
 //! Invariant: a target is a function of its bytes, except [`http`], whose daemon keeps its state between two inputs.
 
 pub mod batches;
 pub mod controller;
+#[cfg(feature = "program")]
 pub mod documents;
 pub mod frames;
+#[cfg(feature = "program")]
 pub mod http;
 pub mod input;
 pub mod link;

@@ -123,6 +123,21 @@ struct Heard {
     bursts: u64,
 }
 
+/// A frame that replaces strokes, and what may be played of the old and the new ones.
+#[derive(Clone, Debug, PartialEq, Eq, Hash)]
+struct Replacing {
+    epoch: u16,
+    seq: u16,
+    motors: u32,
+    base: u64,
+    old: Vec<Stroke>,
+    new: Vec<Stroke>,
+    /// What was rendered when it was heard.
+    rendered: u64,
+    /// The motors that the device keeps, by its verdict.
+    kept: u32,
+}
+
 /// The device, and what its host has said.
 #[derive(Clone, Debug)]
 pub struct Scene {
@@ -145,6 +160,8 @@ pub struct Scene {
     said: Vec<Vec<u8>>,
     /// Frames of strokes of the present epoch that were heard and not acknowledged.
     heard: Vec<Heard>,
+    /// The last frame that replaces, until it is taken.
+    replacing: Option<Replacing>,
     /// Bursts of frames that were taken; and of those that were perhaps taken in part.
     taken: u64,
     torn: u64,
@@ -165,11 +182,11 @@ const KEPT: usize = 3;
 
 impl PartialEq for Scene {
     fn eq(&self, other: &Self) -> bool {
-        stateright_fingerprint(self) == stateright_fingerprint(other)
+        hash_of(self) == hash_of(other)
     }
 }
 
-fn stateright_fingerprint(scene: &Scene) -> u64 {
+fn hash_of(scene: &Scene) -> u64 {
     let mut hasher = std::hash::DefaultHasher::new();
     scene.hash(&mut hasher);
     hasher.finish()
@@ -191,6 +208,7 @@ impl Hash for Scene {
             last,
             said,
             heard,
+            replacing,
             taken,
             torn,
             moved,
@@ -202,8 +220,7 @@ impl Hash for Scene {
         } = self;
         shell.hash(hasher);
         (begun, events, faults, pieces, session, epoch, seq, generation, seen).hash(hasher);
-        (last, said, heard, taken, torn, moved, returned, amended, last_heard).hash(hasher);
-        status.map(|status| (status.epoch, status.next_seq)).hash(hasher);
+        (last, said, heard, replacing, taken, torn, moved, returned, amended, last_heard, status).hash(hasher);
     }
 }
 
@@ -223,6 +240,7 @@ impl Scene {
             last: None,
             said: Vec::new(),
             heard: Vec::new(),
+            replacing: None,
             taken: 0,
             torn: 0,
             moved: false,
@@ -271,6 +289,11 @@ impl Scene {
                 Ok(DeviceMessage::Status(status)) => self.status = Some(status),
                 Ok(DeviceMessage::Report { number, report }) if number == self.seen.wrapping_add(1) => {
                     self.seen = number;
+                    if let Report::Verdict { seq, kept, .. } = report
+                        && let Some(replacing) = self.replacing.as_mut().filter(|frame| frame.seq == seq)
+                    {
+                        replacing.kept |= kept;
+                    }
                     if let Report::OnsetRefused { seq, .. } = report {
                         // A play's first frame is taken whole or not at all: its strokes count nowhere.
                         let refused =
@@ -323,6 +346,37 @@ impl Scene {
         self.heard.clear();
     }
 
+    /// A frame that replaces is taken: from now on only the old strokes may be played, or only the new ones.
+    fn conclude_replacement(&mut self) {
+        if self.replacing.is_none() {
+            return;
+        }
+        let caught_up = self.caught_up();
+        let status = caught_up.status;
+        let frame = caught_up.replacing.filter(|frame| {
+            status.is_some_and(|status| status.epoch == frame.epoch && frame.seq < status.next_seq)
+        });
+        self.replacing = None;
+        let Some(Replacing { motors, base, old, new, rendered, kept, .. }) = frame else { return };
+        for motor in (0..USED as u8).filter(|motor| motors >> motor & 1 == 1) {
+            let of = |strokes: &[Stroke]| -> Vec<Stroke> {
+                strokes.iter().filter(|stroke| stroke.motor == motor).copied().collect()
+            };
+            if kept >> motor & 1 == 1 {
+                let (old, mut new) = (of(&old), of(&new));
+                new.retain(|stroke| !old.contains(stroke));
+                self.shell.take_back(&new);
+            } else {
+                if self.shell.has_begun(motor, base, rendered) {
+                    self.shell.breaks(Broken::InPart);
+                }
+                let mut old = of(&old);
+                old.retain(|stroke| !new.contains(stroke));
+                self.shell.take_back(&old);
+            }
+        }
+    }
+
     /// Bursts of the frames heard in this epoch that the device has acknowledged.
     fn acknowledged(&self) -> u64 {
         let Some(status) = self.status else { return 0 };
@@ -339,6 +393,12 @@ impl Scene {
 
     fn frame(&mut self, mark: Option<MarkKind>, motors: u32, base: u64, strokes: &[Stroke]) -> Vec<u8> {
         let mut batch = Packer::<BATCH_BYTES>::new(Tick(base));
+        if motors != 0 {
+            let (old, new) = (self.shell.asked_from(motors, base), strokes.to_vec());
+            let rendered = self.shell.device.rendered().0;
+            let (epoch, seq) = (self.epoch, self.seq);
+            self.replacing = Some(Replacing { epoch, seq, motors, base, old, new, rendered, kept: 0 });
+        }
         for stroke in strokes {
             let packed = batch.stroke(stroke);
             assert!(packed.is_ok(), "strokes in order");
@@ -469,6 +529,7 @@ impl Scene {
     fn apply(&mut self, step: Step, bounds: &Bounds) -> Option<()> {
         let now = self.tick();
         if !matches!(step, Step::Piece | Step::Until(_)) {
+            self.conclude_replacement();
             self.events += 1;
         }
         if matches!(
@@ -492,6 +553,7 @@ impl Scene {
             }
             Step::Lose(say) => {
                 let words = self.words(say)?;
+                self.replacing = None;
                 self.keep(words, bounds);
             }
             Step::Again(at) => {
@@ -533,6 +595,9 @@ impl Scene {
             Step::Until(tick) => {
                 while self.shell.now < self.shell.start() + u64::from(tick) {
                     self.tick_once();
+                }
+                if !self.pieces {
+                    self.conclude_replacement();
                 }
             }
         }
@@ -578,6 +643,7 @@ impl Scene {
     fn judge_end(&mut self) -> Option<Broken> {
         let mut end = self.clone();
         end.said.clear();
+        end.conclude_replacement();
         let silent_until = end.last_heard.max(end.shell.now) + u64::from(HOST_TIMEOUT) + 300;
         end.take_all();
         // A silent host reads no statuses: what was taken is known before.
@@ -730,6 +796,7 @@ impl Model for Device {
             never!(HighAfterStop, "after an e-stop or a fault no line is high later than one period"),
             never!(HighDisarmed, "a disarmed device has no line high"),
             never!(Unasked, "no pulse that nobody asked for"),
+            never!(InPart, "a motor's strokes are replaced as a whole or not at all"),
             never!(Drivers, "drivers are enabled for bursts, and before them"),
             never!(Counts, "at rest every burst is counted once, and every pulse"),
             never!(Position, "at rest the pins are where the controller says"),

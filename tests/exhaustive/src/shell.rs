@@ -22,6 +22,8 @@ pub enum Broken {
     HighDisarmed,
     /// A pulse that no stroke, move or return asks for.
     Unasked,
+    /// A motor's strokes were replaced in part.
+    InPart,
     /// A pulse without the drivers' lead, or drivers enabled without a burst.
     Drivers,
     /// At rest the counts do not add up to what was sent, or to the pulses on the lines.
@@ -66,6 +68,9 @@ pub struct Shell {
     pub off_since: Option<u64>,
     /// Up and down pulses seen per motor.
     pub seen: [[u32; 2]; USED],
+    /// When strokes have begun, by motor.
+    begun: Vec<(u8, u64)>,
+    last: Lines,
     /// Ticks for which the drivers have been enabled, and for how many of them without a pulse.
     enabled: u32,
     idle: u32,
@@ -86,6 +91,8 @@ impl Hash for Shell {
             moves,
             off_since,
             seen,
+            begun,
+            last,
             enabled,
             idle,
             taken_back,
@@ -95,7 +102,7 @@ impl Hash for Shell {
         for (run, returns) in ahead {
             (run.lines, run.trigger, run.drivers, run.ticks, returns).hash(hasher);
         }
-        (now, asked, moves, off_since, seen).hash(hasher);
+        (now, asked, moves, off_since, seen, begun, last).hash(hasher);
         ((*enabled).min(DRIVER_LEAD + 1), idle, taken_back, broken).hash(hasher);
     }
 }
@@ -120,6 +127,8 @@ impl Shell {
             moves: Vec::new(),
             off_since: None,
             seen: [[0; 2]; USED],
+            begun: Vec::new(),
+            last: Lines::OFF,
             enabled: 0,
             idle: 0,
             taken_back: 0,
@@ -138,6 +147,24 @@ impl Shell {
     /// A stroke that the host sends from now on.
     pub fn ask(&mut self, stroke: Stroke) {
         self.asked.push(stroke);
+    }
+
+    /// Strokes that may still be played, of these motors, from this tick on.
+    #[must_use]
+    pub fn asked_from(&self, motors: u32, from: u64) -> Vec<Stroke> {
+        let of = |stroke: &&Stroke| motors >> stroke.motor & 1 == 1 && stroke.up.0 >= from;
+        self.asked.iter().filter(of).copied().collect()
+    }
+
+    /// Strokes that the host has taken back: none of them may be played.
+    pub fn take_back(&mut self, strokes: &[Stroke]) {
+        self.asked.retain(|stroke| !strokes.contains(stroke));
+    }
+
+    /// Whether a stroke of this motor has begun from `from` on, before `until`.
+    #[must_use]
+    pub fn has_begun(&self, motor: u8, from: u64, until: u64) -> bool {
+        self.begun.iter().any(|&(of, tick)| of == motor && (from..until).contains(&tick))
     }
 
     /// A move that the host asks for.
@@ -185,6 +212,9 @@ impl Shell {
         let forced = self.device.forced_off(Tick(self.now));
         let (lines, drivers) = if forced { (Lines::OFF, false) } else { (rendered.lines, rendered.drivers) };
         self.watch_drivers(lines != Lines::OFF, drivers);
+        let risen = lines.up & !self.last.up;
+        self.begun.extend((0..USED as u8).filter(|motor| risen >> motor & 1 == 1).map(|motor| (motor, self.now)));
+        self.last = lines;
         if lines == Lines::OFF {
             return;
         }
