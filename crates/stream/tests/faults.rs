@@ -9,7 +9,8 @@ use firmware_protocol::stroke::{Lines, MOTORS, Stroke};
 use firmware_protocol::tick::Tick;
 use meissner_array::simulated::SimulatedMotorsConfig;
 use meissner_stream::Line;
-use meissner_stream::queues::{At, Command, End, Outcome, StreamEvent};
+use meissner_stream::link::BadFrames;
+use meissner_stream::queues::{At, Command, End, Outcome, Snapshot, StreamEvent};
 use meissner_stream::time::HostInstant;
 use meissner_test_support::rig::{self, Rig, answer, assert_closed, bursts_on_the_lines};
 use serde::Deserialize;
@@ -219,9 +220,59 @@ struct Expect {
     /// Of a play that is cut, all lines are low for good so many ms after the last fault began, at most.
     #[serde(default)]
     safe_ms: Option<f64>,
+    /// The device is latched at the end.
+    #[serde(default)]
+    latched: bool,
+    /// What shows that the fault has happened.
+    #[serde(default)]
+    shows: Option<Evidence>,
     /// Bursts that are not played, percent at most. Of a play that is done; 0 if it is left out.
     #[serde(default)]
     lost_percent: f64,
+}
+
+#[derive(Clone, Copy, Debug, Deserialize, PartialEq)]
+#[serde(rename_all = "kebab-case")]
+enum Evidence {
+    /// Frames were sent again.
+    Resent,
+    /// The host could not read frames.
+    Unread,
+    /// The device could not read frames.
+    UnreadByDevice,
+    /// The daemon was told that the device contradicts itself.
+    Contradictions,
+    /// The host's estimate of the device's clock runs off by at least 50 millionths.
+    Rate,
+    /// A sensor was set aside.
+    SensorSetAside,
+}
+
+impl Expect {
+    fn check_evidence(&self, player: &Player<'_>) -> Result<(), String> {
+        let Some(evidence) = self.shows else { return Ok(()) };
+        let snapshots = player.events.iter().filter_map(|event| match event {
+            StreamEvent::Snapshot(snapshot) => Some(snapshot),
+            _ => None,
+        });
+        let snapshots: Vec<&Snapshot> = snapshots.filter(|snapshot| snapshot.connected).collect();
+        let unread = |frames: BadFrames| frames.crc + frames.malformed + frames.too_long;
+        let shown = match evidence {
+            Evidence::Resent => snapshots.iter().any(|snapshot| snapshot.retransmitted > 0),
+            Evidence::Unread => snapshots.iter().any(|snapshot| unread(snapshot.bad_frames) > 0),
+            Evidence::UnreadByDevice => player.rig.mock.controller().counters().bad_frames > 0,
+            Evidence::Contradictions => player.rig.contradictions() > 0,
+            Evidence::Rate => snapshots.windows(8).any(|some| {
+                let (first, last) = (some[0], some[7]);
+                let ticks = last.tick.since(first.tick) as f64;
+                (ticks / 85_000.0 / last.at.since(first.at).as_secs_f64() - 1.0).abs() > 50e-6
+            }),
+            Evidence::SensorSetAside => {
+                player.events.iter().any(|event| matches!(event, StreamEvent::SensorFault { .. }))
+            }
+        };
+        if shown { Ok(()) } else { Err(format!("nothing shows that the fault happened: {evidence:?}")) }
+    }
 }
 
 #[derive(Clone, Copy, Debug, Deserialize, PartialEq)]
@@ -250,7 +301,11 @@ struct Player<'a> {
     /// When the last fault began.
     fault_tick: Option<Tick>,
     restarts: u32,
+    /// Of the board that was there before a restart: when its last pulse was, milliseconds after the fault.
+    gone_high_ms: Option<f64>,
     estopped: bool,
+    /// The e-stop is to arrive: the device must be latched at the end.
+    must_latch: bool,
 }
 
 impl Player<'_> {
@@ -348,7 +403,10 @@ impl Player<'_> {
 
     fn restart(&mut self) {
         self.restarts += 1;
-        // The lines of the board that is gone are judged with those of the next.
+        // What the board that goes has played, on its own clock. Its successor starts with all lines low.
+        let trace = self.rig.mock.take_trace();
+        self.gone_high_ms = Some(high_until(&trace, self.fault_tick));
+        self.fault_tick = None;
         self.rig.restart(&SimulatedMotorsConfig::default(), self.restarts).unwrap();
         self.rig.mock.record();
         let _ = self.rig.streamer.take_disconnect_reason();
@@ -416,7 +474,17 @@ fn instant(at: &Moment, ordered: (HostInstant, Tick), strokes: &[Stroke]) -> Hos
 fn play(case: &Case, value: f64, pattern: &str, seed: u64) -> Result<Seen, String> {
     let rig = Rig::armed(Line::default(), seed);
     let (events, fault_tick) = (Vec::new(), None);
-    let mut player = Player { rig, pattern, value, events, fault_tick, restarts: 0, estopped: false };
+    let mut player = Player {
+        rig,
+        pattern,
+        value,
+        events,
+        fault_tick,
+        restarts: 0,
+        gone_high_ms: None,
+        estopped: false,
+        must_latch: case.expect.latched,
+    };
     player.rig.mock.take_trace();
     let closed = case.fault.iter().any(|fault| matches!(fault.what, What::Telemetry(_)));
     let ordered = player.rig.now();
@@ -448,7 +516,12 @@ fn play(case: &Case, value: f64, pattern: &str, seed: u64) -> Result<Seen, Strin
     });
     let outcome = outcome.ok_or("the play did not end")?;
     assert_closed(outcome);
-    let safe_ms = (outcome.end != End::Done).then(|| high_until(&trace, player.fault_tick));
+    let safe_ms = (outcome.end != End::Done)
+        .then(|| high_until(&trace, player.fault_tick).max(player.gone_high_ms.unwrap_or(0.0)));
+    if player.must_latch && player.rig.mock.controller().state() != State::Faulted {
+        return Err("the e-stop did not reach the device".to_owned());
+    }
+    case.expect.check_evidence(&player)?;
     let seen = Seen { end: outcome.end, safe_ms, lost: lost(outcome), planned: outcome.bursts.planned };
     judge(case, &seen)?;
     recovers(&mut player)?;
@@ -471,11 +544,13 @@ fn lost(outcome: &Outcome) -> u64 {
 fn high_until(trace: &[(Tick, Run)], fault: Option<Tick>) -> f64 {
     let high = trace.iter().rev().find(|(_, run)| run.lines != Lines::OFF);
     let last = high.map_or(Tick(0), |(tick, run)| *tick + u64::from(run.ticks));
+    // A board that has just started was not there when the fault began: all its pulses come after it.
+    let fault = fault.or(trace.first().map(|(tick, _)| *tick));
     fault.map_or(0.0, |fault| (last.since(fault).max(0)) as f64 / 85.0)
 }
 
 fn judge(case: &Case, seen: &Seen) -> Result<(), String> {
-    let Expect { play, safe_ms, lost_percent } = case.expect;
+    let Expect { play, safe_ms, lost_percent, .. } = case.expect;
     let is_done = seen.end == End::Done;
     if (play == Ends::Done) != is_done && play != Ends::Any {
         return Err(format!("it ended as {:?}, expected {play:?}", seen.end));

@@ -220,7 +220,8 @@ impl Hash for Scene {
         } = self;
         shell.hash(hasher);
         (begun, events, faults, pieces, session, epoch, seq, generation, seen).hash(hasher);
-        (last, said, heard, replacing, taken, torn, moved, returned, amended, last_heard, status).hash(hasher);
+        (last, said, heard, replacing, taken, torn, moved, returned, amended, last_heard, status)
+            .hash(hasher);
     }
 }
 

@@ -213,7 +213,8 @@ impl Shell {
         let (lines, drivers) = if forced { (Lines::OFF, false) } else { (rendered.lines, rendered.drivers) };
         self.watch_drivers(lines != Lines::OFF, drivers);
         let risen = lines.up & !self.last.up;
-        self.begun.extend((0..USED as u8).filter(|motor| risen >> motor & 1 == 1).map(|motor| (motor, self.now)));
+        self.begun
+            .extend((0..USED as u8).filter(|motor| risen >> motor & 1 == 1).map(|motor| (motor, self.now)));
         self.last = lines;
         if lines == Lines::OFF {
             return;
