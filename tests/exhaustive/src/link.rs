@@ -594,7 +594,7 @@ impl Model for Link {
     }
 
     fn properties(&self) -> Vec<Property<Self>> {
-        vec![
+        let mut properties = vec![
             never!(HighAfterStop, "after an e-stop or a fault no line is high later than one period"),
             never!(HighDisarmed, "a disarmed device has no line high"),
             never!(Unasked, "no pulse that nobody asked for"),
@@ -607,8 +607,13 @@ impl Model for Link {
             Property::sometimes("strokes are played", |_, pair: &Pair| pair.end.counters.played > 0),
             Property::sometimes("strokes are dropped", |_, pair: &Pair| pair.end.counters.dropped > 0),
             Property::sometimes("strokes are late", |_, pair: &Pair| pair.end.counters.late > 0),
-            Property::sometimes("frames are sent again", |_, pair: &Pair| pair.end.retransmitted > 0),
-            Property::sometimes("another session is opened", |_, pair: &Pair| pair.end.sessions > 1),
-        ]
+        ];
+        if self.0.faults > 0 {
+            properties.extend([
+                Property::sometimes("frames are sent again", |_, pair: &Pair| pair.end.retransmitted > 0),
+                Property::sometimes("another session is opened", |_, pair: &Pair| pair.end.sessions > 1),
+            ]);
+        }
+        properties
     }
 }
