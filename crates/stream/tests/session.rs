@@ -46,11 +46,15 @@ struct Pair {
 }
 
 impl Pair {
-    /// After the handshake, and some exchanges without a loss.
-    fn open() -> Self {
+    fn new() -> Self {
         let session = Session::new(7, LineRate(100_000), HostInstant::from_ns(0));
         let device = Controller::new(Identity::default());
-        let mut pair = Self { session, device, ticks: 0, events: Vec::new() };
+        Self { session, device, ticks: 0, events: Vec::new() }
+    }
+
+    /// After the handshake, and some exchanges without a loss.
+    fn open() -> Self {
+        let mut pair = Self::new();
         for _ in 0..40 {
             pair.exchange(0, 0);
             pair.wait(170);
@@ -141,6 +145,37 @@ fn an_e_stop_ahead_of_its_frame_is_answered() {
     pair.session.receive(now, &frame[..len], &mut |event| events.push(event));
     assert!(events.contains(&Event::Control(Ok(()))), "{events:?}");
     assert!(!events.iter().any(|event| matches!(event, Event::Contradiction(_))), "{events:?}");
+}
+
+/// The host stands still in the first round of the link probe: its answer measures the host, not the line, and frames that
+/// the line loses must not wait by it for their repetition.
+#[test]
+fn a_host_that_stalls_in_the_link_probe_does_not_make_the_line_slow() {
+    let mut pair = Pair::new();
+    while !pair.session.is_open() {
+        pair.exchange(0, 0);
+        pair.wait(170);
+    }
+    let mut frame = [0; MAX_FRAME];
+    let (now, tick) = (pair.now(), Tick::BOOT + pair.ticks);
+    let mut sent = 0;
+    loop {
+        let len = pair.session.transmit(now, &mut frame, &mut |_| {});
+        if len == 0 {
+            break;
+        }
+        sent += len;
+        pair.device.receive(tick, &frame[..len]);
+    }
+    assert!(sent > MAX_FRAME / 2 && !pair.session.is_probed(), "not in the probe: {sent} bytes");
+    pair.wait(850 * 75);
+    for _ in 0..40 {
+        pair.exchange(0, 0);
+        pair.wait(170);
+    }
+    assert!(pair.session.is_probed());
+    let rate = pair.session.capacity().unwrap();
+    assert!(rate > 10_000, "{rate} bytes/s");
 }
 
 fn run(ops: Vec<Op>) -> Result<(), TestCaseError> {

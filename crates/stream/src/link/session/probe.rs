@@ -6,7 +6,7 @@
 //! took longer than its bytes is how long an acknowledgement takes.
 //!
 //! The [`Session`](super::Session) asks [`Probe::next`] what to send, sends it, and reports what it sent and heard.
-//! Bounds: [`Budget`] in bytes and time, [`ROUNDS`] rounds, one at a time.
+//! Bounds: [`Budget`] in bytes and time after the first [`LEAST_ROUNDS`] rounds, [`ROUNDS`] rounds, one at a time.
 //! Invariant: a probe that ended stays over, whether or not it measured anything.
 
 use crate::link::session::line::{LineRate, MeasuredLine};
@@ -16,7 +16,10 @@ use std::time::Duration;
 
 /// Rounds at most.
 const ROUNDS: usize = 32;
-/// The probe gives a round up after this time; the device may have lost its ping.
+/// Rounds at least, answered or not: a host that stalls in the first must not leave it as the only one.
+const LEAST_ROUNDS: usize = 3;
+/// The probe gives a round up after this time: the device may have lost its ping, or the host stood still. No line that
+/// carries a play is so slow.
 const ROUND_TIMEOUT: Duration = Duration::from_millis(250);
 /// Pings still under way would be measured with the first round: the probe waits for them, but not longer than this.
 pub(super) const QUIET_TIMEOUT: Duration = Duration::from_millis(100);
@@ -26,7 +29,7 @@ pub(super) const QUIET_TIMEOUT: Duration = Duration::from_millis(100);
 pub struct Budget {
     /// Bytes sent, at most.
     pub bytes: usize,
-    /// From the first byte on; after it the probe begins no round.
+    /// From the first byte on; after it the probe begins no round, except the first three.
     pub time: Duration,
 }
 
@@ -83,6 +86,8 @@ pub(super) struct Probe {
     rates: [u32; ROUNDS],
     took: [(usize, Duration); ROUNDS],
     rounds: usize,
+    /// Rounds begun, answered or not.
+    begun: usize,
 }
 
 impl Probe {
@@ -97,6 +102,7 @@ impl Probe {
             rates: [0; ROUNDS],
             took: [(0, Duration::ZERO); ROUNDS],
             rounds: 0,
+            begun: 0,
         }
     }
 
@@ -162,6 +168,10 @@ impl Probe {
         if token != ours || !matches!(self.stage, Stage::Sent(_)) {
             return false;
         }
+        if now.since(began) >= ROUND_TIMEOUT {
+            self.next_round(now);
+            return true;
+        }
         self.took[self.rounds] = (bytes + ping_bytes, now.since(began));
         // An idle round trip includes its ping's bytes.
         let took = now.since(began).saturating_sub(idle).as_secs_f64();
@@ -181,13 +191,14 @@ impl Probe {
 
     fn begin_round(&mut self, now: HostInstant, bytes: usize) {
         self.round = Round { began: now, ..Round::default() };
+        self.begun += 1;
         self.stage = Stage::Sending(bytes.max(MAX_FRAME));
     }
 
     fn next_round(&mut self, now: HostInstant) {
         let bytes = self.rate().map_or(MAX_FRAME, LineRate::window_bytes);
-        let affordable = self.spent + bytes <= self.budget.bytes && now.since(self.began) < self.budget.time;
-        if self.rounds < ROUNDS && affordable {
+        let in_budget = self.spent + bytes <= self.budget.bytes && now.since(self.began) < self.budget.time;
+        if self.begun < LEAST_ROUNDS || (self.begun < ROUNDS && in_budget) {
             self.begin_round(now, bytes);
         } else {
             self.stage = Stage::Over;
