@@ -13,6 +13,7 @@ use rustix::fd::OwnedFd;
 use rustix::fs::{Mode, OFlags};
 use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
 use rustix::termios::{OptionalActions, tcgetattr, tcsetattr};
+use rustix::time::{ClockId, clock_gettime};
 use std::io;
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -29,6 +30,7 @@ pub struct Board {
     /// The epoch and time of each emergency stop, once.
     estops: crossbeam_channel::Receiver<(u16, Instant)>,
     stop: Arc<AtomicBool>,
+    clock: BoardClock,
     thread: Option<JoinHandle<()>>,
     /// Held open, so that the terminal stays.
     _slave: OwnedFd,
@@ -40,6 +42,14 @@ impl Board {
     /// # Errors
     /// If the system gives no pseudo-terminal.
     pub fn start() -> io::Result<Self> {
+        Self::with_clock_error(0.0)
+    }
+
+    /// Starts one whose clock runs fast by so many millionths.
+    ///
+    /// # Errors
+    /// If the system gives no pseudo-terminal.
+    pub fn with_clock_error(fast_ppm: f64) -> io::Result<Self> {
         let master = openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY | OpenptFlags::CLOEXEC)?;
         grantpt(&master)?;
         unlockpt(&master)?;
@@ -55,11 +65,16 @@ impl Board {
         let (told, estops) = crossbeam_channel::unbounded();
         let stop = Arc::new(AtomicBool::new(false));
         let stopped = Arc::clone(&stop);
+        let clock = BoardClock {
+            booted: Instant::now(),
+            booted_ns: monotonic_ns(),
+            hz: TICKS_PER_S * (1.0 + fast_ppm / 1e6),
+        };
         let thread = thread::Builder::new().name("board".into()).spawn(move || {
             let _ = priority::fifo(priority::FIFO_PRIORITY);
-            serve(mock, &master, &stopped, &told);
+            serve(mock, clock, &master, &stopped, &told);
         })?;
-        Ok(Self { path, estops, stop, thread: Some(thread), _slave: slave })
+        Ok(Self { path, estops, stop, clock, thread: Some(thread), _slave: slave })
     }
 
     /// The terminal to open as a serial port.
@@ -68,11 +83,38 @@ impl Board {
         &self.path
     }
 
+    /// When a tick of the board begins, by the host's `CLOCK_MONOTONIC`, ns.
+    #[must_use]
+    pub fn begin_of_ns(&self, tick: Tick) -> u64 {
+        let passed = tick.since(Tick::BOOT) as f64 / self.clock.hz;
+        self.clock.booted_ns + (passed * 1e9) as u64
+    }
+
     /// When the board was told each emergency stop since the last call, and later ones.
     #[must_use]
     pub const fn estops(&self) -> &crossbeam_channel::Receiver<(u16, Instant)> {
         &self.estops
     }
+}
+
+/// The clock of a board.
+#[derive(Clone, Copy, Debug)]
+struct BoardClock {
+    booted: Instant,
+    /// The same instant by the host's `CLOCK_MONOTONIC`.
+    booted_ns: u64,
+    hz: f64,
+}
+
+impl BoardClock {
+    fn tick(&self) -> Tick {
+        Tick::BOOT + (self.booted.elapsed().as_secs_f64() * self.hz) as u64
+    }
+}
+
+fn monotonic_ns() -> u64 {
+    let now = clock_gettime(ClockId::Monotonic);
+    now.tv_sec as u64 * 1_000_000_000 + now.tv_nsec as u64
 }
 
 impl Drop for Board {
@@ -84,11 +126,12 @@ impl Drop for Board {
 
 fn serve(
     mut mock: Mock,
+    clock: BoardClock,
     master: &OwnedFd,
     stop: &AtomicBool,
     told: &crossbeam_channel::Sender<(u16, Instant)>,
 ) {
-    let (begun, mut watch, mut last) = (Instant::now(), Watch::new(), None);
+    let (mut watch, mut last) = (Watch::new(), None);
     let (mut bytes, mut outgoing) = ([0; 4096], [0; 4096]);
     let millisecond = Timespec { tv_sec: 0, tv_nsec: 1_000_000 };
     while !stop.load(Ordering::Relaxed) {
@@ -103,8 +146,7 @@ fn serve(
             }
             mock.write(&bytes[..len]);
         }
-        let ticks = (begun.elapsed().as_secs_f64() * TICKS_PER_S) as u64;
-        mock.run(Tick::BOOT + ticks);
+        mock.run(clock.tick());
         loop {
             let len = mock.read(&mut outgoing);
             if len == 0 {

@@ -12,6 +12,8 @@ use std::io::Write;
 use std::os::unix::fs::PermissionsExt;
 use std::path::Path;
 
+mod calendar;
+
 const REAL: Disk = Disk { append: |file, bytes| file.write(bytes), sync: File::sync_data };
 
 thread_local! {

@@ -1,0 +1,467 @@
+//! Hours of real time beside the load of a busy lab PC: `HOURS=2 cargo bench -p meissner-benches --bench soak`.
+//!
+//! A daemon with default lead and host watchdog, with its session record on the disk, on a board at the far end of a serial line.
+//! The board's clock runs 30 millionths fast. Plays of 5 to 60 s follow each other; every tenth is ended by an e-stop. Meanwhile the
+//! loads of [`PHASES`] take turns, twice. Every ten seconds a sample is taken: lost bursts, the daemon's memory, descriptors, threads
+//! and processor time. At each onset the daemon's clock model is compared with the board's clock.
+//!
+//! It prints a row for each phase, and writes all samples to `soak.csv` and a drawing to `soak.svg` in the folder `OUT` [.]. It asserts
+//! nothing, but it ends with an error if the daemon does.
+
+use firmware_protocol::tick::Tick;
+use meissner_api::{PlayAccepted, PlayState, Receipt, Search, Status};
+use meissner_benches::board::Board;
+use meissner_benches::loads::{CHILD, exchange, window};
+use meissner_client::{Client, ClientError, STOPPED, estop_socket};
+use plotters::prelude::*;
+use serde_json::json;
+use std::error::Error;
+use std::fmt::Write as _;
+use std::hint::black_box;
+use std::io::{Seek, SeekFrom, Write as _};
+use std::net::{SocketAddr, TcpListener};
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, ExitCode, Stdio};
+use std::sync::Mutex;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::time::{Duration, Instant};
+use std::{env, fs, thread};
+
+type Done<T = ()> = Result<T, Box<dyn Error>>;
+type Load = fn(&Place, &AtomicBool);
+type Figure = fn(&Sample) -> f64;
+
+/// The loads, one after the other.
+const PHASES: [(&str, Load); 8] = [
+    ("idle", |_, _| {}),
+    ("four busy loops", busy),
+    ("files written and synced", writes),
+    ("2 GB touched and given back", touches),
+    ("programs started", starts),
+    ("24 windows of the page", windows),
+    ("searches", searches),
+    ("all of these", everything),
+];
+const ROUNDS: usize = 2;
+/// How far the board's clock is off, millionths.
+const FAST_PPM: f64 = 30.0;
+const SAMPLED: Duration = Duration::from_secs(10);
+/// Every so many plays are ended by an e-stop.
+const CUT_EVERY: u64 = 10;
+const PATTERNS: [&str; 6] = ["edge-45", "all-in-phase", "wave", "two-dots", "rotating-edge", "pin-60"];
+const TOLD_WITHIN: Duration = Duration::from_secs(2);
+
+/// What the loads need to know.
+struct Place {
+    dir: PathBuf,
+    socket: PathBuf,
+    tcp: SocketAddr,
+}
+
+/// What was counted so far.
+#[derive(Clone, Copy, Default)]
+struct Counts {
+    plays: u64,
+    planned: u64,
+    late: u64,
+    /// Dropped or refused, in plays that nobody ended.
+    lost: u64,
+    /// Plays that ended although nobody ended them.
+    broken: u64,
+    estops: u64,
+    slowest_estop_ms: f64,
+    /// The board's tick at an onset, as the daemon states it, minus the true one, and the error that the daemon allows for.
+    clock_error_us: f64,
+    allowed_us: f64,
+    largest_error_us: f64,
+}
+
+/// What a sample holds.
+#[derive(Clone, Copy)]
+struct Sample {
+    minute: f64,
+    counts: Counts,
+    memory_mb: f64,
+    descriptors: usize,
+    threads: usize,
+    processor_s: f64,
+}
+
+fn main() -> ExitCode {
+    if env::var_os(CHILD).is_some() {
+        return meissner::cli::main();
+    }
+    match run() {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("soak: {error}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+struct Daemon(Child);
+
+impl Drop for Daemon {
+    fn drop(&mut self) {
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+fn run() -> Done {
+    let hours: f64 = env::var("HOURS").ok().map_or(Ok(2.0), |hours| hours.parse())?;
+    let out = PathBuf::from(env::var_os("OUT").unwrap_or_else(|| ".".into()));
+    let dir = tempfile::tempdir()?;
+    // The daemon takes the port that this finds free.
+    let tcp = TcpListener::bind("127.0.0.1:0")?.local_addr()?;
+    let place = Place { dir: dir.path().to_owned(), socket: dir.path().join("m.sock"), tcp };
+    let board = Board::with_clock_error(FAST_PPM)?;
+    let config = dir.path().join("meissner.toml");
+    // A board has no sensor, and nobody levels its pins.
+    let text = format!(
+        "patterns_dir = {:?}\nlogbook_dir = {:?}\nlisten = \"{tcp}\"\ndrift_limit_um = 10000\n\
+         [participant]\nmax_continuous_s = 86400\nmax_session_s = 86400\nmax_day_s = 86400\n",
+        dir.path().join("patterns"),
+        dir.path().join("record"),
+    );
+    fs::create_dir(dir.path().join("patterns"))?;
+    fs::write(&config, text)?;
+    let mut command = Command::new(env::current_exe()?);
+    command.env(CHILD, "1").env_remove("RUST_LOG").stdin(Stdio::null()).stderr(Stdio::null());
+    command.args(["daemon", "--device", &format!("serial:{}", board.path().display()), "--config"]);
+    command.arg(&config).arg("--socket").arg(&place.socket);
+    let daemon = Daemon(command.spawn()?);
+    wait_for_device(&place.socket)?;
+
+    let phase = Duration::from_secs_f64(hours * 3600.0 / (ROUNDS * PHASES.len()) as f64);
+    let (counts, over, ended) =
+        (Mutex::new(Counts::default()), AtomicBool::new(false), AtomicBool::new(false));
+    let (begun, mut samples, mut bounds) = (Instant::now(), Vec::new(), Vec::new());
+    thread::scope(|scope| {
+        let player = scope.spawn(|| {
+            let played = play(&place.socket, &board, &counts, &over).map_err(|error| error.to_string());
+            ended.store(true, Ordering::Relaxed);
+            played
+        });
+        println!(
+            "{:<30} {:>6} {:>9} {:>5} {:>5} {:>6} {:>8} {:>9} {:>7} {:>4} {:>8} {:>6}",
+            "load",
+            "plays",
+            "bursts",
+            "late",
+            "lost",
+            "broken",
+            "e-stop",
+            "clock",
+            "memory",
+            "fds",
+            "threads",
+            "cpu"
+        );
+        let mut sampled = Ok(());
+        for (name, load) in PHASES.iter().cycle().take(ROUNDS * PHASES.len()) {
+            let phase_over = AtomicBool::new(false);
+            let (place, from) = (&place, Instant::now());
+            {
+                let mut counts = counts.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
+                (counts.slowest_estop_ms, counts.largest_error_us) = (0.0, 0.0);
+            }
+            let first = sample(&daemon.0, begun, &counts)?;
+            bounds.push((first.minute, *name));
+            thread::scope(|scope| {
+                scope.spawn(|| load(place, &phase_over));
+                while from.elapsed() < phase && !ended.load(Ordering::Relaxed) && sampled.is_ok() {
+                    thread::sleep(SAMPLED.min(phase));
+                    match sample(&daemon.0, begun, &counts) {
+                        Ok(sample) => samples.push(sample),
+                        Err(error) => sampled = Err(error),
+                    }
+                }
+                phase_over.store(true, Ordering::Relaxed);
+            });
+            if let Some(last) = samples.last() {
+                row(name, &first, last);
+                // Each phase is kept, if a later one never ends.
+                keep(&out, &samples, &bounds)?;
+            }
+            if ended.load(Ordering::Relaxed) || sampled.is_err() {
+                break;
+            }
+        }
+        over.store(true, Ordering::Relaxed);
+        sampled?;
+        Ok(player.join().map_err(|_| "the player panicked")??)
+    })
+}
+
+fn keep(out: &Path, samples: &[Sample], bounds: &[(f64, &str)]) -> Done {
+    fs::create_dir_all(out)?;
+    fs::write(out.join("soak.csv"), csv(samples, bounds))?;
+    draw(&out.join("soak.svg"), samples, bounds)
+}
+
+/// Prints a phase.
+fn row(name: &str, first: &Sample, last: &Sample) {
+    let (from, to) = (first.counts, last.counts);
+    println!(
+        "{name:<30} {:>6} {:>9} {:>5} {:>5} {:>6} {:>5.1} ms {:>6.1} us {:>4.0} MB {:>4} {:>8} {:>4.1} %",
+        to.plays - from.plays,
+        to.planned - from.planned,
+        to.late - from.late,
+        to.lost - from.lost,
+        to.broken - from.broken,
+        to.slowest_estop_ms,
+        to.largest_error_us,
+        last.memory_mb,
+        last.descriptors,
+        last.threads,
+        100.0 * (last.processor_s - first.processor_s) / (60.0 * (last.minute - first.minute)).max(1.0),
+    );
+}
+
+fn sample(daemon: &Child, begun: Instant, counts: &Mutex<Counts>) -> Done<Sample> {
+    let folder = PathBuf::from(format!("/proc/{}", daemon.id()));
+    let status = fs::read_to_string(folder.join("status"))?;
+    let field = |key: &str| -> Done<f64> {
+        let line = status.lines().find_map(|line| line.strip_prefix(key)).ok_or("the daemon has ended")?;
+        Ok(line.split_whitespace().next().unwrap_or_default().parse()?)
+    };
+    // Its name is in parentheses, and may have spaces; the processor's times are in hundredths of a second.
+    let stat = fs::read_to_string(folder.join("stat"))?;
+    let times = stat.rsplit(") ").next().unwrap_or_default().split(' ').skip(11).take(2);
+    Ok(Sample {
+        minute: begun.elapsed().as_secs_f64() / 60.0,
+        counts: *counts.lock().unwrap_or_else(std::sync::PoisonError::into_inner),
+        memory_mb: field("VmRSS:")? * 1024.0 / 1e6,
+        descriptors: fs::read_dir(folder.join("fd"))?.count(),
+        threads: field("Threads:")? as usize,
+        processor_s: times.filter_map(|time| time.parse::<f64>().ok()).sum::<f64>() / 100.0,
+    })
+}
+
+fn wait_for_device(socket: &Path) -> Done {
+    let until = Instant::now() + Duration::from_secs(60);
+    while !Client::new(socket)?.get::<Status>("/v1/status").is_ok_and(|status| status.is_connected()) {
+        if Instant::now() > until {
+            return Err("the daemon has no device after 60 s".into());
+        }
+        thread::sleep(Duration::from_millis(50));
+    }
+    Ok(())
+}
+
+/// Plays until it is over.
+fn play(socket: &Path, board: &Board, counts: &Mutex<Counts>, over: &AtomicBool) -> Done {
+    let mut client = Client::new(socket)?;
+    arm(&mut client)?;
+    for number in 0_u64.. {
+        if over.load(Ordering::Relaxed) {
+            break;
+        }
+        let seconds = 5.0 + (number * 37 % 56) as f64;
+        let pattern = PATTERNS[number as usize % PATTERNS.len()];
+        let request = json!({"pattern": pattern, "seconds": seconds});
+        let accepted = client.post::<PlayAccepted>("/v1/play", &request);
+        let Ok(PlayAccepted { id, .. }) = accepted else {
+            // A play that the load has broken leaves the motors off.
+            let status: Status = client.get("/v1/status")?;
+            println!("  play {number} is refused, {} ({}): {accepted:?}", status.state, status.cause);
+            arm(&mut client)?;
+            continue;
+        };
+        let cut = number % CUT_EVERY == CUT_EVERY - 1;
+        let mut estop_ms = 0.0;
+        if cut {
+            thread::sleep(Duration::from_millis(1_000 + number * 131 % 900));
+            estop_ms = e_stop(socket, board)?;
+        }
+        let receipt = loop {
+            let receipt: Receipt = client.get(&format!("/v1/plays/{id}?wait=1"))?;
+            if !matches!(receipt.state, PlayState::Queued | PlayState::Running) {
+                break receipt;
+            }
+        };
+        if cut {
+            client.post::<Status>("/v1/reset", &json!({}))?;
+            arm(&mut client)?;
+        }
+        count(counts, board, &receipt, cut, estop_ms);
+    }
+    Ok(())
+}
+
+fn arm(client: &mut Client) -> Result<Status, ClientError> {
+    client.post("/v1/arm", &json!({"assume_rest": true, "checked": "a benchmark"}))
+}
+
+/// Orders an e-stop; returns how long it took to the board, ms.
+fn e_stop(socket: &Path, board: &Board) -> Done<f64> {
+    while board.estops().try_recv().is_ok() {}
+    let begun = Instant::now();
+    let answer = exchange(&estop_socket(socket), b"!")?;
+    let (_, told) = board.estops().recv_timeout(TOLD_WITHIN)?;
+    if answer.trim_end() != STOPPED {
+        return Err(format!("an e-stop is answered with {answer:?}").into());
+    }
+    Ok((told - begun).as_secs_f64() * 1e3)
+}
+
+fn count(counts: &Mutex<Counts>, board: &Board, receipt: &Receipt, cut: bool, estop_ms: f64) {
+    let mut counts = counts.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
+    counts.plays += 1;
+    counts.estops += u64::from(cut);
+    counts.slowest_estop_ms = counts.slowest_estop_ms.max(estop_ms);
+    if !cut && receipt.state != PlayState::Done {
+        counts.broken += 1;
+        println!("  play {} has ended, {:?}: {:?}", receipt.id, receipt.state, receipt.cause);
+    }
+    if let Some(bursts) = &receipt.bursts {
+        counts.planned += bursts.planned;
+        counts.late += bursts.late;
+        counts.lost += if cut { 0 } else { bursts.dropped + bursts.refused };
+    }
+    if let Some(onset) = &receipt.onset {
+        let error_us = (onset.monotonic_ns as f64 - board.begin_of_ns(Tick(onset.actual_tick)) as f64) / 1e3;
+        (counts.clock_error_us, counts.allowed_us) = (error_us, onset.uncertainty_ns as f64 / 1e3);
+        counts.largest_error_us = counts.largest_error_us.max(error_us.abs());
+    }
+}
+
+/// Calls a step until the load is over.
+fn repeat(over: &AtomicBool, mut step: impl FnMut()) {
+    while !over.load(Ordering::Relaxed) {
+        step();
+    }
+}
+
+fn busy(_: &Place, over: &AtomicBool) {
+    thread::scope(|scope| {
+        for _ in 0..4 {
+            scope.spawn(|| repeat(over, || _ = (0..10_000_u64).map(black_box).count()));
+        }
+    });
+}
+
+fn writes(place: &Place, over: &AtomicBool) {
+    let Ok(mut file) = tempfile::tempfile_in(&place.dir) else { return };
+    let block = vec![0x5a; 1 << 20];
+    repeat(over, || {
+        for _ in 0..256 {
+            if over.load(Ordering::Relaxed) || file.write_all(&block).is_err() {
+                break;
+            }
+        }
+        let _ = file.sync_all();
+        let _ = file.seek(SeekFrom::Start(0));
+        let _ = file.set_len(0);
+    });
+}
+
+fn touches(_: &Place, over: &AtomicBool) {
+    repeat(over, || {
+        let mut pages = Vec::new();
+        for _ in 0..2_000 {
+            if over.load(Ordering::Relaxed) {
+                break;
+            }
+            pages.push(black_box(vec![1_u8; 1_000_000]));
+        }
+    });
+}
+
+fn starts(_: &Place, over: &AtomicBool) {
+    thread::scope(|scope| {
+        for _ in 0..8 {
+            scope.spawn(|| {
+                repeat(over, || {
+                    let _ =
+                        Command::new("sh").args(["-c", "ls / | sort | wc"]).stdout(Stdio::null()).status();
+                });
+            });
+        }
+    });
+}
+
+fn windows(place: &Place, over: &AtomicBool) {
+    let bytes = AtomicU64::new(0);
+    thread::scope(|scope| {
+        for number in 0..48 {
+            let bytes = &bytes;
+            scope.spawn(move || repeat(over, || _ = window(place.tcp, number % 2 == 0, over, bytes)));
+        }
+    });
+}
+
+fn searches(place: &Place, over: &AtomicBool) {
+    let target = json!({"name": "drawn", "shape": "segment", "points": [[-4.0, -2.0], [4.0, 2.0]]});
+    repeat(over, || {
+        let begun = Client::new(&place.socket).ok().and_then(|mut client| {
+            client.post::<Search>("/v1/searches", &json!({"target": target, "seconds": 5.0})).ok()
+        });
+        thread::sleep(Duration::from_millis(if begun.is_some() { 5_000 } else { 500 }));
+    });
+}
+
+fn everything(place: &Place, over: &AtomicBool) {
+    thread::scope(|scope| {
+        for load in [busy, writes, touches, starts, windows, searches] {
+            scope.spawn(move || load(place, over));
+        }
+    });
+}
+
+fn csv(samples: &[Sample], bounds: &[(f64, &str)]) -> String {
+    let mut text = "minute,load,plays,bursts_planned,bursts_late,bursts_lost,plays_broken,estops,memory_mb,descriptors,threads,\
+                    processor_s,clock_error_us,clock_allowed_us\n"
+        .to_owned();
+    for sample in samples {
+        let load = bounds.iter().rev().find(|(from, _)| *from <= sample.minute).map_or("", |(_, name)| name);
+        let Counts { plays, planned, late, lost, broken, estops, clock_error_us, allowed_us, .. } =
+            sample.counts;
+        let _ = writeln!(
+            text,
+            "{:.2},{load},{plays},{planned},{late},{lost},{broken},{estops},{:.1},{},{},{:.2},{clock_error_us:.1},{allowed_us:.1}",
+            sample.minute, sample.memory_mb, sample.descriptors, sample.threads, sample.processor_s
+        );
+    }
+    text
+}
+
+/// Draws the samples, one figure above the other; a line where each phase begins.
+fn draw(path: &Path, samples: &[Sample], bounds: &[(f64, &str)]) -> Done {
+    let figures: [(&str, Figure); 5] = [
+        ("bursts late or lost, of all plays so far", |sample| {
+            (sample.counts.late + sample.counts.lost) as f64
+        }),
+        ("memory of the daemon, MB", |sample| sample.memory_mb),
+        ("descriptors of the daemon", |sample| sample.descriptors as f64),
+        ("error of the clock model at the last onset, µs", |sample| sample.counts.clock_error_us),
+        ("error that the receipt allows for, µs", |sample| sample.counts.allowed_us),
+    ];
+    let end = samples.last().map_or(1.0, |sample| sample.minute);
+    let whole = SVGBackend::new(path, (960, 170 * figures.len() as u32)).into_drawing_area();
+    whole.fill(&WHITE)?;
+    for ((name, of), area) in figures.iter().zip(whole.split_evenly((figures.len(), 1))) {
+        let values = || samples.iter().map(of);
+        let (low, high) =
+            values().fold((0.0, 1.0), |(low, high): (f64, f64), value| (low.min(value), high.max(value)));
+        let mut chart = ChartBuilder::on(&area)
+            .caption(name, ("sans-serif", 14))
+            .margin(8)
+            .x_label_area_size(20)
+            .y_label_area_size(50)
+            .build_cartesian_2d(0.0..end, low * 1.1..high * 1.1)?;
+        chart.configure_mesh().max_light_lines(0).x_labels(13).y_labels(4).draw()?;
+        for (at, load) in bounds {
+            chart.draw_series([PathElement::new(
+                [(*at, low * 1.1), (*at, high * 1.1)],
+                RGBColor(200, 200, 200),
+            )])?;
+            let text = Text::new((*load).to_owned(), (*at, high * 1.08), ("sans-serif", 9).into_font());
+            chart.draw_series([text])?;
+        }
+        chart.draw_series(LineSeries::new(samples.iter().map(|sample| (sample.minute, of(sample))), BLUE))?;
+    }
+    Ok(whole.present()?)
+}
