@@ -5,14 +5,16 @@
 //! loads of [`PHASES`] take turns, twice. Every ten seconds a sample is taken: lost bursts, the daemon's memory, descriptors, threads
 //! and processor time. At each onset the daemon's clock model is compared with the board's clock.
 //!
-//! It prints a row for each phase, and writes all samples to `soak.csv` and a drawing to `soak.svg` in the folder `OUT` [.]. It asserts
+//! It prints a row for each phase, and writes all samples to `soak.csv` a drawing to `soak.svg`, and the daemon's log to `soak.log` in the folder
+//! `OUT` [.]. It asserts
 //! nothing, but it ends with an error if the daemon does.
 
 use firmware_protocol::tick::Tick;
 use meissner_api::{PlayAccepted, PlayState, Receipt, Search, Status};
 use meissner_benches::board::Board;
-use meissner_benches::loads::{CHILD, exchange, window};
+use meissner_benches::loads::{exchange, window};
 use meissner_client::{Client, ClientError, STOPPED, estop_socket};
+use meissner_stream::device::priority;
 use plotters::prelude::*;
 use serde_json::json;
 use std::error::Error;
@@ -74,6 +76,8 @@ struct Counts {
     clock_error_us: f64,
     allowed_us: f64,
     largest_error_us: f64,
+    /// The longest that the machine let a real-time thread above all of the daemon's wait, ms.
+    stall_ms: f64,
 }
 
 /// What a sample holds.
@@ -88,7 +92,8 @@ struct Sample {
 }
 
 fn main() -> ExitCode {
-    if env::var_os(CHILD).is_some() {
+    // With a command it is the program: the daemon starts its searches so, too.
+    if env::args().nth(1).is_some_and(|argument| argument != "--bench") {
         return meissner::cli::main();
     }
     match run() {
@@ -112,6 +117,7 @@ impl Drop for Daemon {
 fn run() -> Done {
     let hours: f64 = env::var("HOURS").ok().map_or(Ok(2.0), |hours| hours.parse())?;
     let out = PathBuf::from(env::var_os("OUT").unwrap_or_else(|| ".".into()));
+    fs::create_dir_all(&out)?;
     let dir = tempfile::tempdir()?;
     // The daemon takes the port that this finds free.
     let tcp = TcpListener::bind("127.0.0.1:0")?.local_addr()?;
@@ -128,7 +134,7 @@ fn run() -> Done {
     fs::create_dir(dir.path().join("patterns"))?;
     fs::write(&config, text)?;
     let mut command = Command::new(env::current_exe()?);
-    command.env(CHILD, "1").env_remove("RUST_LOG").stdin(Stdio::null()).stderr(Stdio::null());
+    command.env_remove("RUST_LOG").stdin(Stdio::null()).stderr(fs::File::create(out.join("soak.log"))?);
     command.args(["daemon", "--device", &format!("serial:{}", board.path().display()), "--config"]);
     command.arg(&config).arg("--socket").arg(&place.socket);
     let daemon = Daemon(command.spawn()?);
@@ -139,19 +145,21 @@ fn run() -> Done {
         (Mutex::new(Counts::default()), AtomicBool::new(false), AtomicBool::new(false));
     let (begun, mut samples, mut bounds) = (Instant::now(), Vec::new(), Vec::new());
     thread::scope(|scope| {
+        scope.spawn(|| watch_machine(&counts, &over));
         let player = scope.spawn(|| {
             let played = play(&place.socket, &board, &counts, &over).map_err(|error| error.to_string());
             ended.store(true, Ordering::Relaxed);
             played
         });
         println!(
-            "{:<30} {:>6} {:>9} {:>5} {:>5} {:>6} {:>8} {:>9} {:>7} {:>4} {:>8} {:>6}",
+            "{:<30} {:>6} {:>9} {:>5} {:>5} {:>6} {:>9} {:>8} {:>9} {:>7} {:>4} {:>8} {:>6}",
             "load",
             "plays",
             "bursts",
             "late",
             "lost",
             "broken",
+            "stall",
             "e-stop",
             "clock",
             "memory",
@@ -165,7 +173,7 @@ fn run() -> Done {
             let (place, from) = (&place, Instant::now());
             {
                 let mut counts = counts.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
-                (counts.slowest_estop_ms, counts.largest_error_us) = (0.0, 0.0);
+                (counts.slowest_estop_ms, counts.largest_error_us, counts.stall_ms) = (0.0, 0.0, 0.0);
             }
             let first = sample(&daemon.0, begun, &counts)?;
             bounds.push((first.minute, *name));
@@ -196,7 +204,6 @@ fn run() -> Done {
 }
 
 fn keep(out: &Path, samples: &[Sample], bounds: &[(f64, &str)]) -> Done {
-    fs::create_dir_all(out)?;
     fs::write(out.join("soak.csv"), csv(samples, bounds))?;
     draw(&out.join("soak.svg"), samples, bounds)
 }
@@ -205,12 +212,13 @@ fn keep(out: &Path, samples: &[Sample], bounds: &[(f64, &str)]) -> Done {
 fn row(name: &str, first: &Sample, last: &Sample) {
     let (from, to) = (first.counts, last.counts);
     println!(
-        "{name:<30} {:>6} {:>9} {:>5} {:>5} {:>6} {:>5.1} ms {:>6.1} us {:>4.0} MB {:>4} {:>8} {:>4.1} %",
+        "{name:<30} {:>6} {:>9} {:>5} {:>5} {:>6} {:>6.1} ms {:>5.1} ms {:>6.1} us {:>4.0} MB {:>4} {:>8} {:>4.1} %",
         to.plays - from.plays,
         to.planned - from.planned,
         to.late - from.late,
         to.lost - from.lost,
         to.broken - from.broken,
+        to.stall_ms,
         to.slowest_estop_ms,
         to.largest_error_us,
         last.memory_mb,
@@ -264,9 +272,8 @@ fn play(socket: &Path, board: &Board, counts: &Mutex<Counts>, over: &AtomicBool)
         let request = json!({"pattern": pattern, "seconds": seconds});
         let accepted = client.post::<PlayAccepted>("/v1/play", &request);
         let Ok(PlayAccepted { id, .. }) = accepted else {
-            // A play that the load has broken leaves the motors off.
-            let status: Status = client.get("/v1/status")?;
-            println!("  play {number} is refused, {} ({}): {accepted:?}", status.state, status.cause);
+            // A play that was broken leaves the motors off, or no device.
+            wait_for_device(socket)?;
             arm(&mut client)?;
             continue;
         };
@@ -289,6 +296,23 @@ fn play(socket: &Path, board: &Board, counts: &Mutex<Counts>, over: &AtomicBool)
         count(counts, board, &receipt, cut, estop_ms);
     }
     Ok(())
+}
+
+/// Notes the longest wait of a thread that asks for a millisecond.
+fn watch_machine(counts: &Mutex<Counts>, over: &AtomicBool) {
+    let millisecond = Duration::from_millis(1);
+    let _ = priority::fifo(priority::FIFO_PRIORITY + 1);
+    let mut longest_ms = 0.0;
+    repeat(over, || {
+        let asked = Instant::now();
+        thread::sleep(millisecond);
+        let late_ms = asked.elapsed().saturating_sub(millisecond).as_secs_f64() * 1e3;
+        // It waits for no lock: another thread may hold it while the machine stalls.
+        longest_ms = late_ms.max(longest_ms);
+        if let Ok(mut counts) = counts.try_lock() {
+            counts.stall_ms = counts.stall_ms.max(std::mem::take(&mut longest_ms));
+        }
+    });
 }
 
 fn arm(client: &mut Client) -> Result<Status, ClientError> {
@@ -413,15 +437,16 @@ fn everything(place: &Place, over: &AtomicBool) {
 
 fn csv(samples: &[Sample], bounds: &[(f64, &str)]) -> String {
     let mut text = "minute,load,plays,bursts_planned,bursts_late,bursts_lost,plays_broken,estops,memory_mb,descriptors,threads,\
-                    processor_s,clock_error_us,clock_allowed_us\n"
+                    processor_s,stall_ms,clock_error_us,clock_allowed_us\n"
         .to_owned();
     for sample in samples {
         let load = bounds.iter().rev().find(|(from, _)| *from <= sample.minute).map_or("", |(_, name)| name);
-        let Counts { plays, planned, late, lost, broken, estops, clock_error_us, allowed_us, .. } =
-            sample.counts;
+        let Counts {
+            plays, planned, late, lost, broken, estops, clock_error_us, allowed_us, stall_ms, ..
+        } = sample.counts;
         let _ = writeln!(
             text,
-            "{:.2},{load},{plays},{planned},{late},{lost},{broken},{estops},{:.1},{},{},{:.2},{clock_error_us:.1},{allowed_us:.1}",
+            "{:.2},{load},{plays},{planned},{late},{lost},{broken},{estops},{:.1},{},{},{:.2},{stall_ms:.1},{clock_error_us:.1},{allowed_us:.1}",
             sample.minute, sample.memory_mb, sample.descriptors, sample.threads, sample.processor_s
         );
     }
@@ -430,7 +455,8 @@ fn csv(samples: &[Sample], bounds: &[(f64, &str)]) -> String {
 
 /// Draws the samples, one figure above the other; a line where each phase begins.
 fn draw(path: &Path, samples: &[Sample], bounds: &[(f64, &str)]) -> Done {
-    let figures: [(&str, Figure); 5] = [
+    let figures: [(&str, Figure); 6] = [
+        ("longest stall of the machine in this phase so far, ms", |sample| sample.counts.stall_ms),
         ("bursts late or lost, of all plays so far", |sample| {
             (sample.counts.late + sample.counts.lost) as f64
         }),

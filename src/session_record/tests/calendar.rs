@@ -32,13 +32,9 @@ fn write_years(zone: &str) {
     // How many lines each date should have, counted apart from the record.
     let mut written = BTreeMap::<Date, usize>::new();
     let mut offsets = Vec::new();
-    for hours in (0..800 * 24).step_by(3) {
-        let now = begun + i64::from(hours).hours();
-        writer.write(
-            stamp(&now.to_string(), 3_600_000_000_000 * u64::from(hours.unsigned_abs())),
-            0,
-            &lost(1),
-        );
+    for hours in (0..800 * 24_i64).step_by(3) {
+        let now = begun + hours.hours();
+        writer.write(stamp(&now.to_string(), 3_600_000_000_000 * hours.unsigned_abs()), 0, &lost(1));
         let local = now.to_zoned(zone.clone());
         *written.entry(local.date()).or_default() += 1;
         offsets.push(local.offset());
@@ -58,7 +54,8 @@ fn write_years(zone: &str) {
         assert!(dates.iter().all(|&date| date == day), "{name}: {dates:?}");
         kept.insert(day, dates.len());
     }
-    let last: BTreeMap<Date, usize> = written.into_iter().rev().take(KEEP as usize + 1).collect();
+    // Today, the newest other date, and those up to `KEEP` days before that one.
+    let last: BTreeMap<Date, usize> = written.into_iter().rev().take(KEEP as usize + 2).collect();
     assert_eq!(kept, last);
 }
 
