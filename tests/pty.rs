@@ -4,6 +4,7 @@ use crate::harness::{Daemon, assert_accounts, complaint, document, printed, wait
 use firmware_protocol::message::{Cause, State};
 use meissner_api::{Receipt, Status};
 use meissner_array::simulated::SimulatedMotorsConfig;
+use meissner_client::estop_socket;
 use meissner_stream::device::{PtyMock, WallMock};
 use meissner_stream::time::HostInstant;
 use meissner_test_support::rig::{OFF, bursts_on_the_lines};
@@ -116,4 +117,63 @@ fn a_board_that_is_plugged_in_again_is_found_and_disarmed() {
     assert!(refused.contains("disarmed"), "{refused}");
     let mut wall = second.into_mock().unwrap();
     assert!(wall.mock().take_trace().iter().all(|(_, run)| run.lines == OFF));
+}
+
+/// Somebody removes the daemon's sockets: no command reaches it any more, the play goes on, and SIGTERM still returns the pins.
+#[test]
+fn a_daemon_whose_sockets_are_removed_plays_on_and_ends_well() {
+    let (board, mut daemon) = in_mid_play();
+    let socket = daemon.socket();
+    std::fs::remove_file(estop_socket(&socket)).unwrap();
+    std::fs::remove_file(&socket).unwrap();
+    assert!(complaint(daemon.meissner().arg("stop")).contains("no daemon"));
+    sleep(Duration::from_millis(300));
+    assert!(daemon.end().success());
+    assert!(!socket.exists());
+    assert_returned(board, &[Cause::Shutdown]);
+}
+
+/// The cables of two boards are swapped in mid-play: each daemon finds the other board, disarmed, and plays nothing on it by itself.
+#[test]
+fn two_boards_that_swap_places_are_disarmed() {
+    let dir = tempfile::tempdir().unwrap();
+    let boards = [board(), board()];
+    let names = ["left", "right"].map(|name| dir.path().join(name));
+    for (board, name) in boards.iter().zip(&names) {
+        symlink(board.path(), name).unwrap();
+    }
+    let daemons = names.each_ref().map(|name| Daemon::on(&format!("serial:{}", name.display())));
+    let boots = daemons.each_ref().map(|daemon| {
+        let mut client = daemon.armed();
+        let _: serde_json::Value =
+            client.post("/v1/play", &json!({"pattern": "wave", "endless": true, "open_loop": true})).unwrap();
+        let status: Status = client.get("/v1/status").unwrap();
+        status.device.unwrap().boot
+    });
+    sleep(Duration::from_millis(500));
+    // Each board loses its terminal, and its mock goes on at a new one: as a cable that is pulled out here and plugged in there.
+    let [left, right] = boards.map(|board| PtyMock::spawn(board.into_mock().unwrap()).unwrap());
+    for (name, board) in names.iter().zip([&right, &left]) {
+        std::fs::remove_file(name).unwrap();
+        symlink(board.path(), name).unwrap();
+    }
+    for (daemon, other) in daemons.iter().zip([boots[1], boots[0]]) {
+        wait_until(|| {
+            let status: Status = daemon.client().get("/v1/status").unwrap();
+            let boot = status.device.as_ref().map(|device| device.boot);
+            status.is_connected() && boot == Some(other) && status.state == "disarmed"
+        });
+        let receipt: Receipt = daemon.client().get("/v1/plays/last").unwrap();
+        assert!(receipt.cause.is_some(), "{receipt:?}");
+        let bursts = receipt.bursts.unwrap();
+        assert_eq!(bursts.planned, bursts.played + bursts.late + bursts.dropped + bursts.refused);
+    }
+    drop(daemons);
+    for board in [left, right] {
+        let trace = board.into_mock().unwrap().mock().take_trace();
+        let played = bursts_on_the_lines(&trace);
+        assert!(played.pulses > 0);
+        assert_eq!(played.net, [0; 24]);
+        assert_eq!(trace.last().unwrap().1.lines, OFF);
+    }
 }

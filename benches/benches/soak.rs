@@ -1,7 +1,8 @@
 //! Hours of real time beside the load of a busy lab PC: `HOURS=2 cargo bench -p meissner-benches --bench soak`.
 //!
-//! A daemon with default lead and host watchdog, with its session record on the disk, on a board at the far end of a serial line.
-//! The board's clock runs 30 millionths fast. Plays of 5 to 60 s follow each other; every tenth is ended by an e-stop. Meanwhile the
+//! A daemon with default lead and host watchdog, with its session record on the disk. Its device is the mock, or with `DEVICE=board` a
+//! board at the far end of a pseudo-terminal, whose clock runs 30 millionths fast. The kernel moves bytes of terminals in threads of
+//! normal priority: on a machine with more to do than it can, the board shows how long these wait. Plays of 5 to 60 s follow each other; every tenth is ended by an e-stop. Meanwhile the
 //! loads of [`PHASES`] take turns, twice. Every ten seconds a sample is taken: lost bursts, the daemon's memory, descriptors, threads
 //! and processor time. At each onset the daemon's clock model is compared with the board's clock.
 //!
@@ -9,7 +10,7 @@
 //! `OUT` [.]. It asserts
 //! nothing, but it ends with an error if the daemon does.
 
-use firmware_protocol::tick::Tick;
+use firmware_protocol::tick::{TICK_HZ, Tick};
 use meissner_api::{PlayAccepted, PlayState, Receipt, Search, Status};
 use meissner_benches::board::Board;
 use meissner_benches::loads::{exchange, window};
@@ -72,7 +73,8 @@ struct Counts {
     broken: u64,
     estops: u64,
     slowest_estop_ms: f64,
-    /// The board's tick at an onset, as the daemon states it, minus the true one, and the error that the daemon allows for.
+    first_onset: Option<(Tick, u64)>,
+    /// The time of an onset's tick, as the daemon states it, minus the true one, and the error that the daemon allows for.
     clock_error_us: f64,
     allowed_us: f64,
     largest_error_us: f64,
@@ -122,7 +124,13 @@ fn run() -> Done {
     // The daemon takes the port that this finds free.
     let tcp = TcpListener::bind("127.0.0.1:0")?.local_addr()?;
     let place = Place { dir: dir.path().to_owned(), socket: dir.path().join("m.sock"), tcp };
-    let board = Board::with_clock_error(FAST_PPM)?;
+    let board = match env::var("DEVICE").as_deref() {
+        Ok("board") => Some(Board::with_clock_error(FAST_PPM)?),
+        Ok("mock") | Err(_) => None,
+        Ok(other) => return Err(format!("DEVICE={other}: mock or board").into()),
+    };
+    let device =
+        board.as_ref().map_or("mock".to_owned(), |board| format!("serial:{}", board.path().display()));
     let config = dir.path().join("meissner.toml");
     // A board has no sensor, and nobody levels its pins.
     let text = format!(
@@ -135,7 +143,7 @@ fn run() -> Done {
     fs::write(&config, text)?;
     let mut command = Command::new(env::current_exe()?);
     command.env_remove("RUST_LOG").stdin(Stdio::null()).stderr(fs::File::create(out.join("soak.log"))?);
-    command.args(["daemon", "--device", &format!("serial:{}", board.path().display()), "--config"]);
+    command.args(["daemon", "--device", &device, "--config"]);
     command.arg(&config).arg("--socket").arg(&place.socket);
     let daemon = Daemon(command.spawn()?);
     wait_for_device(&place.socket)?;
@@ -147,7 +155,8 @@ fn run() -> Done {
     thread::scope(|scope| {
         scope.spawn(|| watch_machine(&counts, &over));
         let player = scope.spawn(|| {
-            let played = play(&place.socket, &board, &counts, &over).map_err(|error| error.to_string());
+            let played =
+                play(&place.socket, board.as_ref(), &counts, &over).map_err(|error| error.to_string());
             ended.store(true, Ordering::Relaxed);
             played
         });
@@ -260,7 +269,7 @@ fn wait_for_device(socket: &Path) -> Done {
 }
 
 /// Plays until it is over.
-fn play(socket: &Path, board: &Board, counts: &Mutex<Counts>, over: &AtomicBool) -> Done {
+fn play(socket: &Path, board: Option<&Board>, counts: &Mutex<Counts>, over: &AtomicBool) -> Done {
     let mut client = Client::new(socket)?;
     arm(&mut client)?;
     for number in 0_u64.. {
@@ -319,19 +328,22 @@ fn arm(client: &mut Client) -> Result<Status, ClientError> {
     client.post("/v1/arm", &json!({"assume_rest": true, "checked": "a benchmark"}))
 }
 
-/// Orders an e-stop; returns how long it took to the board, ms.
-fn e_stop(socket: &Path, board: &Board) -> Done<f64> {
-    while board.estops().try_recv().is_ok() {}
+/// Orders an e-stop; returns how long it took to the board, or to the answer of the mock, ms.
+fn e_stop(socket: &Path, board: Option<&Board>) -> Done<f64> {
+    while board.is_some_and(|board| board.estops().try_recv().is_ok()) {}
     let begun = Instant::now();
     let answer = exchange(&estop_socket(socket), b"!")?;
-    let (_, told) = board.estops().recv_timeout(TOLD_WITHIN)?;
+    let told = match board {
+        Some(board) => board.estops().recv_timeout(TOLD_WITHIN)?.1,
+        None => Instant::now(),
+    };
     if answer.trim_end() != STOPPED {
         return Err(format!("an e-stop is answered with {answer:?}").into());
     }
     Ok((told - begun).as_secs_f64() * 1e3)
 }
 
-fn count(counts: &Mutex<Counts>, board: &Board, receipt: &Receipt, cut: bool, estop_ms: f64) {
+fn count(counts: &Mutex<Counts>, board: Option<&Board>, receipt: &Receipt, cut: bool, estop_ms: f64) {
     let mut counts = counts.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
     counts.plays += 1;
     counts.estops += u64::from(cut);
@@ -346,7 +358,13 @@ fn count(counts: &Mutex<Counts>, board: &Board, receipt: &Receipt, cut: bool, es
         counts.lost += if cut { 0 } else { bursts.dropped + bursts.refused };
     }
     if let Some(onset) = &receipt.onset {
-        let error_us = (onset.monotonic_ns as f64 - board.begin_of_ns(Tick(onset.actual_tick)) as f64) / 1e3;
+        let (tick, ns) = (Tick(onset.actual_tick), onset.monotonic_ns);
+        let (first_tick, first_ns) = *counts.first_onset.get_or_insert((tick, ns));
+        let true_ns = board.map_or_else(
+            || first_ns as f64 + tick.since(first_tick) as f64 / f64::from(TICK_HZ) * 1e9,
+            |board| board.begin_of_ns(tick) as f64,
+        );
+        let error_us = (ns as f64 - true_ns) / 1e3;
         (counts.clock_error_us, counts.allowed_us) = (error_us, onset.uncertainty_ns as f64 / 1e3);
         counts.largest_error_us = counts.largest_error_us.max(error_us.abs());
     }
