@@ -8,10 +8,10 @@
 
 use crate::session_record::Peer;
 use meissner_stream::queues::EStopSwitch;
+use meissner_stream::sync::atomic::{AtomicU64, Ordering};
 use nix::unistd::{Pid, getsid};
 use rustix::fs::{Mode, OFlags};
 use std::fmt::Write;
-use std::sync::atomic::{AtomicU64, Ordering};
 
 /// Bits of a process's number: Linux counts to 2²² at most.
 const PID_BITS: u32 = 22;
@@ -138,7 +138,7 @@ pub(super) struct EStops {
 }
 
 impl EStops {
-    pub(super) const fn new(switch: EStopSwitch) -> Self {
+    pub(super) fn new(switch: EStopSwitch) -> Self {
         Self { switch, guard: AtomicU64::new(Guard::IDLE.0) }
     }
 

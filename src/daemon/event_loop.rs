@@ -60,8 +60,6 @@ impl Engine {
                 () = self.changed.notified() => {}
                 () = wait => {}
             }
-            // Cleared before the queue is drained: what comes in between makes it readable again.
-            events.clear_wake();
             {
                 let mut state = self.lock();
                 while let Some(burst) = events.pop_measured() {

@@ -47,6 +47,7 @@ mod network;
 mod page;
 mod patterns;
 mod play;
+mod poses;
 mod predictor;
 mod reload;
 mod renderer;

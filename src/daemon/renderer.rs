@@ -4,10 +4,11 @@
 //! none of them. While it renders, the pins play on; of the poses that come meanwhile the newest wins. When the play is over, some of its
 //! poses are [compared](super::live_contrast) with searches that take their time.
 //!
-//! Bounds: one pose waits. Invariant: the thread renders until the end of its play.
+//! Bounds: one pose waits (`poses`). Invariant: the thread renders until the end of its play.
 
 use super::engine::Engine;
 use super::live_contrast::PlayedPoses;
+use super::poses::Poses;
 use crate::search::{Compare, Job as SearchJob, live_brief};
 use meissner_api::{LivePose, LiveRequest};
 use meissner_array::pattern::Drive;
@@ -15,7 +16,7 @@ use meissner_design::{Limit, LiveBrief, Pose, RenderError, Renderer, Target};
 use meissner_stream::time::HostInstant;
 use rayon::{ThreadPool, ThreadPoolBuilder};
 use std::io;
-use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::sync::Arc;
 use std::thread;
 use std::time::{Duration, Instant};
 
@@ -39,60 +40,10 @@ pub(super) struct Job {
     pub(super) scale: Option<(u64, f64)>,
 }
 
-#[derive(Debug, Default)]
-struct Slot {
-    job: Option<Job>,
-    closed: bool,
-}
-
-/// The pose that waits.
-#[derive(Debug, Default)]
-pub(super) struct Poses {
-    slot: Mutex<Slot>,
-    changed: Condvar,
-}
-
 /// A pose as the search has it.
 pub(super) const fn pose(of: LivePose) -> Pose {
     let LivePose { x_mm, y_mm, angle_deg } = of;
     Pose { x_mm, y_mm, angle_deg }
-}
-
-impl Poses {
-    fn lock(&self) -> MutexGuard<'_, Slot> {
-        self.slot.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
-    /// Puts a pose in the place of the one that waits, and returns that one. Its scale stays.
-    pub(super) fn put(&self, mut job: Job) -> Option<Job> {
-        let mut slot = self.lock();
-        let before = slot.job.take();
-        job.scale = job.scale.or(before.as_ref().and_then(|before| before.scale));
-        slot.job = Some(job);
-        drop(slot);
-        self.changed.notify_one();
-        before
-    }
-
-    /// The play is over.
-    pub(super) fn close(&self) {
-        self.lock().closed = true;
-        self.changed.notify_one();
-    }
-
-    /// Waits for a pose; none once the play is over.
-    fn take(&self) -> Option<Job> {
-        let mut slot = self.lock();
-        loop {
-            if slot.closed {
-                return None;
-            }
-            if let Some(job) = slot.job.take() {
-                return Some(job);
-            }
-            slot = self.changed.wait(slot).unwrap_or_else(PoisonError::into_inner);
-        }
-    }
 }
 
 /// A renderer and the threads that it searches with, before its play begins.
@@ -192,31 +143,11 @@ pub(super) enum PrepareError {
 
 #[cfg(test)]
 mod tests {
-    use super::*;
     use meissner_api::LIVE_TARGET_LEAST_HZ;
     use meissner_design::LIVE_LEAST_DECIHERTZ;
 
     #[test]
     fn the_lowest_frequency_is_that_of_the_api() {
         assert_eq!(f64::from(LIVE_LEAST_DECIHERTZ) / 10.0, LIVE_TARGET_LEAST_HZ);
-    }
-
-    #[test]
-    fn the_newest_pose_wins_and_the_end_wakes() {
-        let poses = Arc::new(Poses::default());
-        let job = |seq| Job {
-            seq,
-            received_at: HostInstant::default(),
-            pose: Pose::default(),
-            scale: (seq == 1).then_some((1, 0.5)),
-        };
-        assert!(poses.put(job(1)).is_none());
-        assert_eq!(poses.put(job(2)).unwrap().seq, 1);
-        let taken = poses.take().unwrap();
-        assert_eq!((taken.seq, taken.scale), (2, Some((1, 0.5))));
-        let waiting = Arc::clone(&poses);
-        let waits = thread::spawn(move || waiting.take().is_none());
-        poses.close();
-        assert!(waits.join().unwrap());
     }
 }

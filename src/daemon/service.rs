@@ -170,7 +170,6 @@ mod tests {
             let watching = tokio::spawn(watch(Manager(Some(line)), engine, every));
             tokio::time::sleep(every * 20).await;
             assert!(queue.is_empty(), "the streamer stood still");
-            port.clear_wake();
             port.count_loop();
             while queue.is_empty() {
                 tokio::time::sleep(every).await;

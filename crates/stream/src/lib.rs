@@ -16,7 +16,7 @@
 //! Beside the path: [`find_overpush`] (`pushing`) tests a play against the limit on pushing a lower stop;
 //! [`simulate_play`] and [`Simulation`] (`simulation`) run the same streamer against the mock in virtual
 //! time; [`MotorRun`] (`motor_run`) simulates the position control of one motor without a link; [`calibrate`] measures
-//! gains; [`diagnostics`] tests a link.
+//! gains; [`diagnostics`] tests a link; [`sync`] is what threads share.
 //!
 //! # Example
 //! ```
@@ -59,6 +59,7 @@ mod settings;
 mod simulation;
 mod source;
 mod streamer;
+pub mod sync;
 mod thread;
 pub mod time;
 

@@ -98,7 +98,6 @@ impl Loop {
     }
 
     fn execute_requests(&mut self, now: HostInstant) {
-        self.queues.clear_wake();
         while let Some(request) = self.queues.pop() {
             match request.command {
                 Command::Connect(device) => {

@@ -4,8 +4,9 @@
 //!
 //! Invariant: once `stop` has returned, every order that was sent had a stop after it, and no further order is sent.
 
-use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Mutex, PoisonError};
+use meissner_stream::sync::Mutex;
+use meissner_stream::sync::atomic::{AtomicBool, Ordering};
+use std::sync::PoisonError;
 use std::thread;
 
 /// See the module.

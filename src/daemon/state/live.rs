@@ -4,7 +4,8 @@
 
 use super::State;
 use super::session::random_hex;
-use crate::daemon::renderer::{Job, Poses, pose};
+use crate::daemon::poses::Poses;
+use crate::daemon::renderer::{Job, pose};
 use firmware_protocol::stroke::MOTORS;
 use meissner_api::{Code, LiveAnswer, LiveApplied, LiveContrast, LiveDrive, LiveMessage, Problem};
 use meissner_array::motor::SquareWave;

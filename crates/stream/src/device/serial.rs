@@ -1,12 +1,12 @@
 //! A serial port: `serialport` opens and sets it up, then it is read and written without blocking.
 //!
-//! `find` says which port is the board's. The program's only `unsafe` is here: taking over the port's descriptor.
+//! `find` says which port is the board's. The program's only `unsafe` is here: copying the port's descriptor.
 
 use crate::device::error::DeviceError;
 use crate::device::find;
 use crate::device::usb::EStopLine;
 use crate::link::LineRate;
-use rustix::fd::{AsFd, BorrowedFd, FromRawFd, IntoRawFd, OwnedFd};
+use rustix::fd::{AsFd, AsRawFd, BorrowedFd, OwnedFd};
 use rustix::fs::{Mode, OFlags, fcntl_getfl, fcntl_setfl, open};
 use rustix::io::Errno;
 use rustix::termios::isatty;
@@ -63,11 +63,14 @@ impl SerialPort {
         };
         // A board takes this line as "a host is connected"; a pseudo-terminal has no such line.
         let _ = port.write_data_terminal_ready(true);
-        let raw = port.into_raw_fd();
-        // SAFETY: `into_raw_fd` gave up the descriptor, which is open and now owned here alone.
-        let fd = unsafe { OwnedFd::from_raw_fd(raw) };
+        let failed = |error| DeviceError::Port(owned.clone(), error);
+        // SAFETY: the port holds its descriptor open until it is dropped, after the copy is made.
+        let borrowed = unsafe { BorrowedFd::borrow_raw(port.as_raw_fd()) };
+        // A copy: `into_raw_fd` would leak the port's name.
+        let fd = borrowed.try_clone_to_owned().map_err(failed)?;
+        drop(port);
         let nonblocking = fcntl_getfl(&fd).and_then(|flags| fcntl_setfl(&fd, flags | OFlags::NONBLOCK));
-        nonblocking.map_err(|error| DeviceError::Port(owned.clone(), error.into()))?;
+        nonblocking.map_err(|error| failed(error.into()))?;
         let name = path.canonicalize().unwrap_or_else(|_| owned.clone());
         let uart = !NO_UART.iter().any(|start| name.to_string_lossy().starts_with(start));
         let rate = if uart { LineRate(BAUD / BITS_PER_BYTE) } else { LineRate::USB_FULL_SPEED };

@@ -5,12 +5,13 @@
 //! answer.
 //!
 //! Invariant: once [`EStopSwitch::request`] has returned, the streamer executes the emergency stop in its next round, after the at
-//! most 64 requests that wait.
+//! most 64 requests that wait: all that were sent before it, and none that comes while these are executed.
 
-use crate::queues::{CommandError, clear_wake, set_wake};
-use rustix::fd::{AsFd, BorrowedFd, OwnedFd};
+use crate::queues::CommandError;
+use crate::sync::Doorbell;
+use crate::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use rustix::fd::{AsFd, BorrowedFd};
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 
 /// Tickets from here on belong to emergency stops: the ticket of the one with number n is `ESTOP_TICKETS` + n.
 pub const ESTOP_TICKETS: u64 = 1 << 63;
@@ -28,12 +29,12 @@ struct Shared {
     answered: AtomicU64,
     /// The last error was that no device is connected; otherwise that it did not answer.
     no_device: AtomicBool,
-    streamer_wake: Arc<OwnedFd>,
-    answer_wake: OwnedFd,
+    streamer_wake: Arc<Doorbell>,
+    answer_wake: Doorbell,
 }
 
 impl EStopSwitch {
-    pub(super) fn new(streamer_wake: Arc<OwnedFd>, answer_wake: OwnedFd) -> Self {
+    pub(super) fn new(streamer_wake: Arc<Doorbell>, answer_wake: Doorbell) -> Self {
         let (requested, confirmed, answered) = Default::default();
         let no_device = AtomicBool::new(false);
         Self(Arc::new(Shared { requested, confirmed, answered, no_device, streamer_wake, answer_wake }))
@@ -43,7 +44,7 @@ impl EStopSwitch {
     #[must_use]
     pub fn request(&self) -> u64 {
         let number = self.0.requested.fetch_add(1, Ordering::AcqRel) + 1;
-        set_wake(&self.0.streamer_wake);
+        self.0.streamer_wake.ring();
         number
     }
 
@@ -64,7 +65,13 @@ impl EStopSwitch {
 
     /// Makes the descriptor unreadable until there are more answers.
     pub fn clear_answers(&self) {
-        clear_wake(&self.0.answer_wake);
+        self.0.answer_wake.clear();
+    }
+
+    /// Waits for answers, however long that takes: in the model, which has no descriptors.
+    #[cfg(loom)]
+    pub fn wait(&self) {
+        self.0.answer_wake.wait(std::time::Duration::MAX);
     }
 
     /// The newest number requested.
@@ -81,7 +88,7 @@ impl EStopSwitch {
             Err(error) => no_device.store(error == CommandError::NoDevice, Ordering::Release),
         }
         answered.fetch_max(number, Ordering::AcqRel);
-        set_wake(answer_wake);
+        answer_wake.ring();
     }
 }
 

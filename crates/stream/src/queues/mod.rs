@@ -15,12 +15,13 @@ mod message;
 mod outcome;
 mod play;
 
+use crate::sync::{Doorbell, ring};
 use crate::time::HostInstant;
 use firmware_protocol::stroke::Direction;
 use firmware_protocol::tick::Tick;
-use rustix::event::{EventfdFlags, eventfd};
-use rustix::fd::{AsFd, BorrowedFd, OwnedFd};
+use rustix::fd::{AsFd, BorrowedFd};
 use std::sync::Arc;
+// A count alone: it tells nothing about other data.
 use std::sync::atomic::{AtomicU64, Ordering};
 
 pub use crate::control::MeasuredBurst;
@@ -31,20 +32,20 @@ pub use message::{Command, Emit, Request, StreamEvent};
 pub use outcome::{End, Offset, Onset, Outcome, RestErrors, Snapshot};
 pub use play::{At, Item, Play, Stamp};
 
-/// Most requests that wait.
-const COMMANDS: usize = 64;
+/// Most requests that wait. The model checker has small queues, so that they become full.
+const COMMANDS: usize = if cfg!(loom) { 2 } else { 64 };
 /// Most events that wait.
-const EVENTS: usize = 4096;
+const EVENTS: usize = if cfg!(loom) { 4 } else { 4096 };
 /// Most measured bursts that wait: 24 motors at 300 Hz for two seconds.
-const MEASURED_BURSTS: usize = 1 << 15;
+const MEASURED_BURSTS: usize = if cfg!(loom) { 1 } else { 1 << 15 };
 /// Late strokes, refused strokes and snapshots leave so many places free for answers and the ends of plays.
-const RESERVED: usize = 1024;
+const RESERVED: usize = if cfg!(loom) { 2 } else { 1024 };
 
 /// The caller's end of the command queue.
 #[derive(Debug)]
 pub struct CommandQueue {
-    ring: rtrb::Producer<Request>,
-    wake: Arc<OwnedFd>,
+    ring: ring::Producer<Request>,
+    wake: Arc<Doorbell>,
     estop: EStopSwitch,
     loops: Arc<AtomicU64>,
 }
@@ -55,7 +56,7 @@ impl CommandQueue {
     /// # Errors
     /// Hands the request back if the queue is full.
     pub fn send(&mut self, request: Request) -> Result<(), Request> {
-        self.ring.push(request).map_err(|rtrb::PushError::Full(request)| request)?;
+        self.ring.push(request).map_err(|ring::PushError::Full(request)| request)?;
         self.wake_thread();
         Ok(())
     }
@@ -68,7 +69,7 @@ impl CommandQueue {
 
     /// Wakes the thread: it reads what the device has sent meanwhile, and reports it.
     pub fn wake_thread(&self) {
-        set_wake(&self.wake);
+        self.wake.ring();
     }
 
     /// How often the thread's loop has run. Each [`Self::wake_thread`] makes it run, unless the thread hangs.
@@ -81,15 +82,20 @@ impl CommandQueue {
 /// The caller's end of the event queue. Its descriptor is readable when there are events.
 #[derive(Debug)]
 pub struct EventQueue {
-    ring: rtrb::Consumer<StreamEvent>,
-    measured: rtrb::Consumer<MeasuredBurst>,
-    wake: Arc<OwnedFd>,
+    ring: ring::Consumer<StreamEvent>,
+    measured: ring::Consumer<MeasuredBurst>,
+    wake: Arc<Doorbell>,
 }
 
 impl EventQueue {
-    /// Takes the oldest event.
+    /// Takes the oldest event. Without one the descriptor is unreadable until there are more.
     pub fn pop(&mut self) -> Option<StreamEvent> {
-        self.ring.pop().ok()
+        let event = self.ring.pop().or_else(|_| {
+            // Clear, then look again: what comes in between rings again.
+            self.wake.clear();
+            self.ring.pop()
+        });
+        event.ok()
     }
 
     /// Takes the oldest measured burst. These do not wake the caller: snapshots do, ten times a second.
@@ -97,9 +103,10 @@ impl EventQueue {
         self.measured.pop().ok()
     }
 
-    /// Makes the descriptor unreadable until there are more events.
-    pub fn clear_wake(&self) {
-        clear_wake(&self.wake);
+    /// Waits for events, however long that takes: in the model, which has no descriptors.
+    #[cfg(loom)]
+    pub fn wait(&self) {
+        self.wake.wait(std::time::Duration::MAX);
     }
 }
 
@@ -112,14 +119,16 @@ impl AsFd for EventQueue {
 /// The thread's ends of both queues.
 #[derive(Debug)]
 pub struct ThreadQueues {
-    requests: rtrb::Consumer<Request>,
-    events: rtrb::Producer<StreamEvent>,
-    measured: rtrb::Producer<MeasuredBurst>,
-    requests_wake: Arc<OwnedFd>,
-    events_wake: Arc<OwnedFd>,
+    requests: ring::Consumer<Request>,
+    events: ring::Producer<StreamEvent>,
+    measured: ring::Producer<MeasuredBurst>,
+    requests_wake: Arc<Doorbell>,
+    events_wake: Arc<Doorbell>,
     estop: EStopSwitch,
     /// The newest emergency stop that the thread has executed.
     last_estop: u64,
+    /// That emergency stop is due, after so many requests.
+    estop_after: Option<usize>,
     loops: Arc<AtomicU64>,
     lost: u64,
     must_wake: bool,
@@ -130,15 +139,14 @@ pub struct ThreadQueues {
 /// # Errors
 /// If the kernel gives no event descriptors.
 pub fn queues() -> std::io::Result<(ThreadQueues, CommandQueue, EventQueue)> {
-    let flags = EventfdFlags::CLOEXEC | EventfdFlags::NONBLOCK;
-    let (requests_wake, events_wake) = (Arc::new(eventfd(0, flags)?), Arc::new(eventfd(0, flags)?));
-    let estop = EStopSwitch::new(Arc::clone(&requests_wake), eventfd(0, flags)?);
-    let (request_in, requests) = rtrb::RingBuffer::new(COMMANDS);
+    let (requests_wake, events_wake) = (Arc::new(Doorbell::new()?), Arc::new(Doorbell::new()?));
+    let estop = EStopSwitch::new(Arc::clone(&requests_wake), Doorbell::new()?);
+    let (request_in, requests) = ring::RingBuffer::new(COMMANDS);
     // Both event rings are touched once: memory is locked page by page, and the first touch must not fall into a play.
-    let (mut events, mut event_out) = rtrb::RingBuffer::new(EVENTS);
+    let (mut events, mut event_out) = ring::RingBuffer::new(EVENTS);
     while events.push(StreamEvent::ThreadEnded).is_ok() {}
     while event_out.pop().is_ok() {}
-    let (mut measured, mut measured_out) = rtrb::RingBuffer::new(MEASURED_BURSTS);
+    let (mut measured, mut measured_out) = ring::RingBuffer::new(MEASURED_BURSTS);
     let blank = MeasuredBurst {
         motor: 0,
         start: Tick(0),
@@ -166,6 +174,7 @@ pub fn queues() -> std::io::Result<(ThreadQueues, CommandQueue, EventQueue)> {
         events_wake,
         estop,
         last_estop: 0,
+        estop_after: None,
         loops,
         lost: 0,
         must_wake: false,
@@ -174,16 +183,36 @@ pub fn queues() -> std::io::Result<(ThreadQueues, CommandQueue, EventQueue)> {
 }
 
 impl ThreadQueues {
-    /// Takes the oldest request, and after them all the newest emergency stop.
+    /// Takes the oldest request, or the newest emergency stop: after the requests that waited when it was seen, before all others.
+    /// Without any, [`Self::wake_fd`] is unreadable until there are more.
     pub fn pop(&mut self) -> Option<Request> {
-        self.requests.pop().ok().or_else(|| self.pop_estop())
+        self.take().or_else(|| {
+            // Clear, then look again: what is sent in between rings again.
+            self.requests_wake.clear();
+            self.take()
+        })
     }
 
-    fn pop_estop(&mut self) -> Option<Request> {
-        let newest = self.estop.newest();
-        let is_new = std::mem::replace(&mut self.last_estop, newest) != newest;
-        let (ticket, issued_at) = (ESTOP_TICKETS + newest, HostInstant::now());
-        is_new.then_some(Request { ticket, issued_at, command: Command::EStop })
+    fn take(&mut self) -> Option<Request> {
+        if self.estop_after.is_none() {
+            // First the emergency stop, then the requests: those sent before it are seen with it.
+            let newest = self.estop.newest();
+            if newest != self.last_estop {
+                (self.last_estop, self.estop_after) = (newest, Some(self.requests.slots()));
+            }
+        }
+        match &mut self.estop_after {
+            Some(0) => {
+                self.estop_after = None;
+                let ticket = ESTOP_TICKETS + self.last_estop;
+                Some(Request { ticket, issued_at: HostInstant::now(), command: Command::EStop })
+            }
+            Some(before) => {
+                *before -= 1;
+                self.requests.pop().ok()
+            }
+            None => self.requests.pop().ok(),
+        }
     }
 
     /// Counts one run of the thread's loop.
@@ -191,21 +220,22 @@ impl ThreadQueues {
         self.loops.fetch_add(1, Ordering::Relaxed);
     }
 
-    /// Readable when there are requests; [`Self::clear_wake`] makes it unreadable.
+    /// Readable when there are requests; [`Self::pop`] makes it unreadable.
     #[must_use]
     pub fn wake_fd(&self) -> BorrowedFd<'_> {
         self.requests_wake.as_fd()
     }
 
-    /// Makes [`Self::wake_fd`] unreadable until there are more requests.
-    pub fn clear_wake(&self) {
-        clear_wake(&self.requests_wake);
+    /// Waits for requests, however long that takes: in the model, which has no descriptors.
+    #[cfg(loom)]
+    pub fn wait(&self) {
+        self.requests_wake.wait(std::time::Duration::MAX);
     }
 
     /// Wakes the caller if there are new events.
     pub fn wake_listener(&mut self) {
         if std::mem::take(&mut self.must_wake) {
-            set_wake(&self.events_wake);
+            self.events_wake.ring();
         }
     }
 }
@@ -235,13 +265,4 @@ impl Emit for ThreadQueues {
     fn measured(&mut self, burst: MeasuredBurst) {
         let _ = self.measured.push(burst);
     }
-}
-
-/// Cannot fail: an event counter is full only after 2^64 wake-ups.
-fn set_wake(wake: &OwnedFd) {
-    let _ = rustix::io::write(wake, &1u64.to_ne_bytes());
-}
-
-fn clear_wake(wake: &OwnedFd) {
-    let _ = rustix::io::read(wake, &mut [0; 8]);
 }

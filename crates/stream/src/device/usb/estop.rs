@@ -7,49 +7,35 @@
 
 use crate::device::find::BoardQuery;
 use crate::device::priority;
+use crate::device::usb::newest::Newest;
+use crate::sync::{Builder, JoinHandle};
 use firmware_protocol::urgent::e_stop_request;
 use rusb::{Context, DeviceHandle};
 use std::io;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
-use std::thread::{Builder, JoinHandle, park};
 use std::time::Duration;
 
 /// Time for the board's answer.
 const ANSWER: Duration = Duration::from_millis(100);
-/// A request waits; its epoch is in the low half.
-const WAITS: u32 = 1 << 16;
-
-#[derive(Debug, Default)]
-struct Shared {
-    /// [`WAITS`] and the epoch, or 0.
-    request: AtomicU32,
-    end: AtomicBool,
-}
 
 /// See the module.
 #[derive(Debug)]
 pub(in crate::device) struct EStopLine {
-    shared: Arc<Shared>,
+    newest: Arc<Newest>,
     thread: Option<JoinHandle<()>>,
 }
 
 impl EStopLine {
     /// A line to an open board.
     pub(super) fn spawn(handle: Arc<DeviceHandle<Context>>) -> io::Result<Self> {
-        let shared = Arc::<Shared>::default();
-        let of_thread = Arc::clone(&shared);
+        let newest = Arc::<Newest>::default();
+        let of_thread = Arc::clone(&newest);
         let run = move || {
             let _ = priority::fifo(priority::FIFO_PRIORITY);
-            while !of_thread.end.load(Ordering::Acquire) {
-                match of_thread.request.swap(0, Ordering::AcqRel) {
-                    0 => park(),
-                    request => send(&handle, request as u16),
-                }
-            }
+            of_thread.serve(|epoch| send(&handle, epoch));
         };
         let thread = Builder::new().name("usb-estop".into()).spawn(run)?;
-        Ok(Self { shared, thread: Some(thread) })
+        Ok(Self { newest, thread: Some(thread) })
     }
 
     /// A line to the board with this serial number, beside the driver that holds its serial port. `None` if this user may not
@@ -61,9 +47,8 @@ impl EStopLine {
 
     /// Sends the e-stop that begins this epoch.
     pub(in crate::device) fn request(&self, epoch: u16) {
-        self.shared.request.store(WAITS | u32::from(epoch), Ordering::Release);
         if let Some(thread) = &self.thread {
-            thread.thread().unpark();
+            self.newest.set(epoch, thread.thread());
         }
     }
 }
@@ -76,9 +61,8 @@ fn send(handle: &DeviceHandle<Context>, epoch: u16) {
 
 impl Drop for EStopLine {
     fn drop(&mut self) {
-        self.shared.end.store(true, Ordering::Release);
         if let Some(thread) = self.thread.take() {
-            thread.thread().unpark();
+            self.newest.end(thread.thread());
             // It ends within [`ANSWER`].
             let _ = thread.join();
         }

@@ -1,11 +1,13 @@
 //! A board's own USB interface: `rusb` finds, opens and claims it; threads of its own read and write it.
 //!
 //! [`UsbPort::open`] blocks. The streamer calls [`UsbPort::read`] and [`UsbPort::write`], which only move bytes in and out
-//! of ring buffers (`pipe`) and never block or allocate. The interface is vendor-specific, so no kernel driver holds it,
+//! of ring buffers (`pipe`, `hand_over`) and never block or allocate. The interface is vendor-specific, so no kernel driver holds it,
 //! and it is claimed for this process alone. `watch` reports boards that are plugged in.
 
 mod estop;
+mod hand_over;
 mod interface;
+mod newest;
 mod pipe;
 mod watch;
 

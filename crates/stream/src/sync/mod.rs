@@ -1,0 +1,25 @@
+//! What threads share: atomics, locks, rings and doorbells.
+//!
+//! In every build each name is the one of `std` or `rtrb`, and [`Doorbell`] is an event descriptor of the kernel. Under `--cfg loom` each
+//! is its twin in the model checker loom (`model`), which runs all interleavings that the memory model allows: `tests/races`.
+//!
+//! Invariant: code whose interleavings are explored takes these names from here, never from `std`.
+
+#[cfg(not(loom))]
+mod doorbell;
+#[cfg(loom)]
+mod model;
+
+#[cfg(not(loom))]
+pub use {
+    doorbell::Doorbell,
+    rtrb as ring,
+    std::sync::{Condvar, Mutex, MutexGuard, atomic},
+    std::thread::{Builder, JoinHandle, Thread, park, sleep},
+};
+#[cfg(loom)]
+pub use {
+    loom::sync::{Condvar, Mutex, MutexGuard, atomic},
+    loom::thread::{Builder, JoinHandle, Thread, park},
+    model::{Doorbell, ring, sleep},
+};
