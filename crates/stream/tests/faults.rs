@@ -6,10 +6,10 @@
 use firmware_protocol::message::State;
 use firmware_protocol::stroke::{MOTORS, Stroke};
 use firmware_protocol::tick::Tick;
+use meissner_api::ErrorSource;
 use meissner_array::simulated::SimulatedMotorsConfig;
 use meissner_fault_cases::{
-    Case, Kind, ONSET, Observed, Order, PATTERNS, PLAY, Seen, Telemetry, What, Worst, bytes, cases,
-    high_until,
+    Case, Evidence, Kind, ONSET, Observed, Order, PATTERNS, PLAY, Seen, What, Worst, bytes, cases, high_until,
 };
 use meissner_stream::Line;
 use meissner_stream::link::BadFrames;
@@ -19,6 +19,9 @@ use meissner_test_support::rig::{self, Rig, answer, assert_closed, bursts_on_the
 use std::fmt::Write as _;
 use std::fs;
 use std::path::Path;
+use std::sync::OnceLock;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::thread;
 use std::time::Duration;
 
 const MS: Duration = Duration::from_millis(1);
@@ -58,10 +61,12 @@ impl Player<'_> {
         self.run_to(self.rig.now() + time);
     }
 
-    /// Begins a fault.
-    fn begin(&mut self, what: &What) {
+    /// Begins a fault. The first of several that follow each other counts.
+    fn begin(&mut self, what: &What, is_first: bool) {
         let value = self.value;
-        self.fault_tick = Some(self.rig.device_tick_at(self.rig.now()));
+        if is_first {
+            self.fault_tick = Some(self.rig.device_tick_at(self.rig.now()));
+        }
         match what {
             What::Line(fault) => {
                 let (to_device, to_host) = fault.lines(value);
@@ -93,17 +98,17 @@ impl Player<'_> {
                 self.restart();
             }
             What::ClockPpm(ppm) => self.rig.set_clock_error(ppm.of(value)),
+            What::ClockDrift(ppm_per_s) => self.rig.drift_clock(ppm_per_s.of(value)),
             What::Nonsense(count) => self.rig.inject(&bytes::nonsense(count.of(value) as u32)),
             What::OlderVersion => self.rig.inject(&bytes::older_frame()),
             What::Lie(lie) => {
                 let lie = *lie;
                 self.rig.lie(move |message| lie.tell(message));
             }
-            What::Telemetry(kind) => self.rig.mock.distort_telemetry(match kind {
-                Telemetry::Stuck => |sample| Telemetry::Stuck.distort(&mut sample.y),
-                Telemetry::Scaled => |sample| Telemetry::Scaled.distort(&mut sample.y),
-                Telemetry::Swapped => |sample| Telemetry::Swapped.distort(&mut sample.y),
-            }),
+            What::Telemetry(kind) => {
+                let mut fault = kind.fault(value);
+                self.rig.mock.filter_telemetry(move |sample| fault(sample.tick, &mut sample.y));
+            }
             What::Order(order) => {
                 self.estopped |= matches!(order, Order::Estop);
                 self.rig.send(match order {
@@ -119,7 +124,8 @@ impl Player<'_> {
         self.restarts += 1;
         // What the board that goes has played, on its own clock. Its successor starts with all lines low.
         let trace = self.rig.mock.take_trace();
-        self.gone_high_ms = Some(high_until(&trace, self.fault_tick));
+        let high_ms = high_until(&trace, self.fault_tick);
+        self.gone_high_ms = Some(self.gone_high_ms.unwrap_or(0.0).max(high_ms));
         self.fault_tick = None;
         self.rig.restart(&SimulatedMotorsConfig::default(), self.restarts).unwrap();
         self.rig.mock.record();
@@ -163,12 +169,21 @@ impl Player<'_> {
             contradictions: self.rig.contradictions(),
             rate_ppm: rates.fold(0.0, f64::max),
             sensors_set_aside: set_aside.count() as u64,
+            harmed: self.rig.harmed_frames(),
+            unmeasured: snapshots.iter().map(|snapshot| unmeasured(snapshot)).max().unwrap_or(0),
         }
     }
 }
 
-fn play(kind: &Kind<'_>, pattern: &str, seed: u64) -> Result<Seen, String> {
-    let &Kind { case, value } = kind;
+/// Motors of which only dead reckoning is known, in the second half of a play.
+fn unmeasured(snapshot: &Snapshot) -> u64 {
+    let half = PLAY.as_secs_f64() / 2.0;
+    let sources = snapshot.source.iter().filter(|source| matches!(source, ErrorSource::DeadReckoning));
+    if snapshot.play.is_some_and(|(_, played_s)| played_s > half) { sources.count() as u64 } else { 0 }
+}
+
+fn play(kind: &Kind<'_>, pattern: &str, seed: u64) -> Result<(Seen, Observed), String> {
+    let &Kind { case, value, .. } = kind;
     let rig = Rig::armed(Line::default(), seed);
     let (events, fault_tick) = (Vec::new(), None);
     let mut player =
@@ -186,11 +201,13 @@ fn play(kind: &Kind<'_>, pattern: &str, seed: u64) -> Result<Seen, String> {
     compiled.begin(onset);
     let strokes: Vec<Stroke> = compiled.map(Result::unwrap).collect();
     for fault in &case.fault {
-        player.run_to(ordered + fault.at.after(order_tick, &strokes));
-        player.begin(&fault.what);
-        if let Some(lasts) = fault.lasts_ms {
-            player.run(lasts.ms(value));
-            player.mend();
+        for (time, begins) in kind.begins(fault, order_tick, &strokes).enumerate() {
+            player.run_to(ordered + begins);
+            player.begin(&fault.what, time == 0);
+            if let Some(lasts) = fault.lasts_ms {
+                player.run(lasts.ms(value));
+                player.mend();
+            }
         }
     }
     // The end of the play, and the seconds in which the link may doubt the device.
@@ -213,7 +230,8 @@ fn play(kind: &Kind<'_>, pattern: &str, seed: u64) -> Result<Seen, String> {
         lost: lost(outcome),
         planned: outcome.bursts.planned,
     };
-    case.expect.judge(&seen, &player.observed(), 0.0)?;
+    let observed = player.observed();
+    case.expect.judge(&seen, &observed, 0.0)?;
     recovers(&mut player)?;
     if !closed && player.restarts == 0 {
         let mut all = trace;
@@ -223,7 +241,7 @@ fn play(kind: &Kind<'_>, pattern: &str, seed: u64) -> Result<Seen, String> {
             return Err(format!("pins are not where they began, pulses: {net:?}"));
         }
     }
-    Ok(seen)
+    Ok((seen, observed))
 }
 
 fn lost(outcome: &Outcome) -> u64 {
@@ -258,28 +276,52 @@ fn recovers(player: &mut Player<'_>) -> Result<(), String> {
     }
 }
 
+/// Each kind with each pattern, on as many threads as there are processors.
+fn play_all(kinds: &[Kind<'_>]) -> Vec<[Result<(Seen, Observed), String>; PATTERNS.len()]> {
+    let next = AtomicUsize::new(0);
+    let shown: Vec<_> = kinds.iter().map(|_| OnceLock::new()).collect();
+    thread::scope(|scope| {
+        for _ in 0..thread::available_parallelism().map_or(1, usize::from) {
+            scope.spawn(|| {
+                while let Some((kind, shown)) = {
+                    let at = next.fetch_add(1, Ordering::Relaxed);
+                    kinds.get(at).zip(shown.get(at))
+                } {
+                    let mut seed = 0;
+                    let all = PATTERNS.map(|pattern| {
+                        seed += 1;
+                        play(kind, pattern, seed)
+                    });
+                    shown.set(all).expect("each is played once");
+                }
+            });
+        }
+    });
+    shown.into_iter().map(|shown| shown.into_inner().expect("all were played")).collect()
+}
+
 #[test]
 fn every_fault_ends_as_its_case_says() {
-    let (mut table, mut kinds, mut problems) = (String::new(), 0, Vec::new());
-    for case in cases() {
-        let mut why = case.why.as_str();
-        for kind in case.kinds() {
-            kinds += 1;
-            let mut worst = Worst::default();
-            for (seed, pattern) in (1..).zip(PATTERNS) {
-                match play(&kind, pattern, seed) {
-                    Ok(seen) => worst.add(&seen),
-                    Err(problem) => {
-                        problems.push(format!("{}, {}, {pattern}: {problem}", case.name, kind.value));
-                    }
+    let cases = cases();
+    let kinds: Vec<Kind<'_>> = cases.iter().flat_map(Case::kinds).collect();
+    let (mut table, mut problems, mut before) = (String::new(), Vec::new(), "");
+    for (kind, shown) in kinds.iter().zip(play_all(&kinds)) {
+        let mut worst = Worst::default();
+        for (seen, pattern) in shown.into_iter().zip(PATTERNS) {
+            match seen {
+                Ok((seen, _)) => worst.add(&seen),
+                Err(problem) => {
+                    problems.push(format!("{}, {}, {pattern}: {problem}", kind.case.name, kind.label()));
                 }
             }
-            let Case { name, .. } = &case;
-            let (value, ends, safe, lost) = (kind.label(), worst.ends(), worst.safe(), worst.lost());
-            let why = std::mem::take(&mut why);
-            let _ = writeln!(table, "| {name} | {value} | {why} | {ends} | {safe} | {lost} |");
         }
+        let Case { name, why, .. } = kind.case;
+        let (value, ends, safe, lost) = (kind.label(), worst.ends(), worst.safe(), worst.lost());
+        let why = if before == name { "" } else { why };
+        before = name;
+        let _ = writeln!(table, "| {name} | {value} | {why} | {ends} | {safe} | {lost} |");
     }
+    let kinds = kinds.len();
     assert!(problems.is_empty(), "{}", problems.join("\n"));
     assert!(kinds >= 60, "{kinds} kinds");
     let page = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/reference/faults.md");
@@ -291,6 +333,23 @@ fn every_fault_ends_as_its_case_says() {
         fs::read_to_string(page).unwrap() == text,
         "docs/reference/faults.md is old: see the head of this file"
     );
+}
+
+/// So that a case that wants to be shown a fault fails without it.
+#[test]
+fn a_play_without_a_fault_shows_none() {
+    // In open loop, and with position control.
+    for what in ["line = {}", "telemetry = \"stuck\""] {
+        let text =
+            format!("why = \"\"\nfault = [{{ at = 0, times = 0, what.{what} }}]\nexpect.play = \"done\"");
+        let case: Case = toml::from_str(&text).unwrap();
+        for (seed, pattern) in (1..).zip(PATTERNS) {
+            let kind = case.kinds().next().unwrap();
+            let (_, observed) = play(&kind, pattern, seed).unwrap();
+            let shown = Evidence::ALL.into_iter().find(|evidence| observed.shows(*evidence));
+            assert_eq!(shown, None, "{pattern}, {what}: {observed:?}");
+        }
+    }
 }
 
 const HEAD: &str = "# Faults, and what happens

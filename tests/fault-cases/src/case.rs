@@ -9,6 +9,7 @@ use firmware_protocol::tick::{TICK_HZ, Tick};
 use meissner_stream::Line;
 use serde::de::Error as _;
 use serde::{Deserialize, Deserializer};
+use std::collections::VecDeque;
 use std::time::Duration;
 
 /// A case file.
@@ -26,6 +27,9 @@ pub struct Case {
     /// What the values are.
     #[serde(default)]
     pub unit: String,
+    /// Each is a kind of its own, with each of the values; the faults name it as `at = "phase"`.
+    #[serde(default)]
+    pub phases: Vec<Phase>,
     pub fault: Vec<Fault>,
     pub expect: Expect,
 }
@@ -34,16 +38,21 @@ fn one_value() -> Vec<f64> {
     vec![0.0]
 }
 
-/// A case with one of its values.
+/// A case with one of its values, and one of its phases if it has any.
 #[derive(Clone, Copy)]
 pub struct Kind<'a> {
     pub case: &'a Case,
     pub value: f64,
+    pub phase: Option<Phase>,
 }
 
 impl Case {
     pub fn kinds(&self) -> impl Iterator<Item = Kind<'_>> {
-        self.values.iter().map(|&value| Kind { case: self, value })
+        let phases = self.phases.iter().copied().map(Some);
+        let phases: Vec<_> = if self.phases.is_empty() { vec![None] } else { phases.collect() };
+        let with =
+            move |value| phases.clone().into_iter().map(move |phase| Kind { case: self, value, phase });
+        self.values.iter().copied().flat_map(with)
     }
 
     /// Whether it is about telemetry: then it plays with position control.
@@ -53,10 +62,29 @@ impl Case {
 }
 
 impl Kind<'_> {
-    /// Its value with the unit; empty if the case has no values.
+    /// Its value with the unit, and its phase; empty if it has neither.
     pub fn label(&self) -> String {
         let unit = &self.case.unit;
-        if unit.is_empty() { String::new() } else { format!("{} {unit}", self.value) }
+        let value = if unit.is_empty() { String::new() } else { format!("{} {unit}", self.value) };
+        let phase = self.phase.map_or("", Phase::name);
+        [value.as_str(), phase].into_iter().filter(|part| !part.is_empty()).collect::<Vec<_>>().join(", ")
+    }
+
+    /// When a fault of it begins, each time: the time from the order, which came at the tick `ordered`, of a play of these strokes.
+    pub fn begins(
+        &self,
+        fault: &Fault,
+        ordered: Tick,
+        strokes: &[Stroke],
+    ) -> impl Iterator<Item = Duration> + use<> {
+        let at = match fault.at {
+            Moment::Ms(ms) => Duration::from_secs_f64(ms / 1e3),
+            Moment::Phase(phase) => phase.after(ordered, strokes),
+            Moment::OfKind(OfKind::Phase) => self.phase.unwrap().after(ordered, strokes),
+        };
+        let first = at.saturating_sub(Duration::from_secs_f64(fault.before_ms / 1e3));
+        let every = fault.every_ms.map_or(Duration::ZERO, |every| every.ms(self.value));
+        (0..fault.times).map(move |time| first + every * time)
     }
 }
 
@@ -64,18 +92,38 @@ impl Kind<'_> {
 #[serde(deny_unknown_fields)]
 pub struct Fault {
     pub at: Moment,
+    /// So many milliseconds before that moment.
+    #[serde(default)]
+    pub before_ms: f64,
     pub what: What,
+    /// It happens so many times, each so many milliseconds after the one before.
+    #[serde(default = "once")]
+    pub times: u32,
+    #[serde(default)]
+    pub every_ms: Option<Number>,
     /// Milliseconds; without it the fault lasts until the play has ended.
     #[serde(default)]
     pub lasts_ms: Option<Number>,
 }
 
+fn once() -> u32 {
+    1
+}
+
 /// Milliseconds after the order to play, or a phase of the first stroke half a second after the onset.
-#[derive(Debug, Deserialize)]
+#[derive(Clone, Copy, Debug, Deserialize)]
 #[serde(untagged)]
 pub enum Moment {
     Ms(f64),
     Phase(Phase),
+    OfKind(OfKind),
+}
+
+/// `"phase"`: that of the kind.
+#[derive(Clone, Copy, Debug, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum OfKind {
+    Phase,
 }
 
 #[derive(Clone, Copy, Debug, Deserialize)]
@@ -88,22 +136,27 @@ pub enum Phase {
     Between,
 }
 
-impl Moment {
-    /// The time from the order, which came at the tick `ordered`, of a play of these strokes.
-    pub fn after(&self, ordered: Tick, strokes: &[Stroke]) -> Duration {
-        let phase = match self {
-            Self::Ms(ms) => return Duration::from_secs_f64(ms / 1e3),
-            Self::Phase(phase) => phase,
-        };
+impl Phase {
+    fn name(self) -> &'static str {
+        match self {
+            Self::BeforeOnset => "before-onset",
+            Self::Up => "up",
+            Self::Hold => "hold",
+            Self::Down => "down",
+            Self::Between => "between",
+        }
+    }
+
+    fn after(self, ordered: Tick, strokes: &[Stroke]) -> Duration {
         let first = strokes.iter().position(|stroke| stroke.up >= ordered + ONSET + PHASE_AFTER).unwrap();
         let stroke = strokes[first];
         let next = strokes[first..].iter().skip(1).find(|next| next.motor == stroke.motor).unwrap();
-        let tick = match phase {
-            Phase::BeforeOnset => ordered + (ONSET - 850),
-            Phase::Up => stroke.up + u64::from(stroke.up_pulses / 2),
-            Phase::Hold => stroke.up + (u64::from(stroke.up_pulses) + (stroke.down - stroke.up)) / 2,
-            Phase::Down => stroke.down + u64::from(stroke.down_pulses / 2),
-            Phase::Between => stroke.end() + (next.up - stroke.end()) / 2,
+        let tick = match self {
+            Self::BeforeOnset => ordered + (ONSET - 850),
+            Self::Up => stroke.up + u64::from(stroke.up_pulses / 2),
+            Self::Hold => stroke.up + (u64::from(stroke.up_pulses) + (stroke.down - stroke.up)) / 2,
+            Self::Down => stroke.down + u64::from(stroke.down_pulses / 2),
+            Self::Between => stroke.end() + (next.up - stroke.end()) / 2,
         };
         Duration::from_secs_f64((tick - ordered) as f64 / f64::from(TICK_HZ))
     }
@@ -160,6 +213,8 @@ pub enum What {
     Hang(Number),
     /// The device's clock runs fast by so many millionths.
     ClockPpm(Number),
+    /// The error of the device's clock changes by so many millionths each second, as with the temperature.
+    ClockDrift(Number),
     /// So many bytes of nonsense come from the device.
     Nonsense(Number),
     /// A frame of an older protocol version comes.
@@ -207,18 +262,38 @@ impl Lie {
 #[derive(Clone, Copy, Debug, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Telemetry {
+    /// Every reading is the same.
     Stuck,
+    /// Every reading is three times what it should be.
     Scaled,
+    /// The readings are those of other motors.
     Swapped,
+    /// No reading comes.
+    Dead,
+    /// Each reading is so many ms old, and says that it is new.
+    LateMs(Number),
 }
 
 impl Telemetry {
-    /// Changes the readings of the sensors.
-    pub fn distort(self, y: &mut [i32; MOTORS]) {
-        match self {
-            Self::Stuck => *y = [700; MOTORS],
-            Self::Scaled => y.iter_mut().for_each(|y| *y *= 3),
-            Self::Swapped => y.reverse(),
+    /// What changes the readings of the sensors, each with its tick. It returns whether the device sends them.
+    pub fn fault(self, value: f64) -> impl FnMut(Tick, &mut [i32; MOTORS]) -> bool + Send + use<> {
+        let mut before: VecDeque<(Tick, [i32; MOTORS])> = VecDeque::new();
+        move |tick, y| {
+            match self {
+                Self::Stuck => *y = [700; MOTORS],
+                Self::Scaled => y.iter_mut().for_each(|y| *y *= 3),
+                Self::Swapped => y.reverse(),
+                Self::Dead => return false,
+                Self::LateMs(ms) => {
+                    let late = (ms.of(value) * f64::from(TICK_HZ) / 1e3) as i64;
+                    before.push_back((tick, *y));
+                    while before.get(1).is_some_and(|(then, _)| tick.since(*then) >= late) {
+                        before.pop_front();
+                    }
+                    *y = before[0].1;
+                }
+            }
+            true
         }
     }
 }
@@ -249,6 +324,9 @@ pub struct LineFault {
     delay_ms: Option<Number>,
     #[serde(default)]
     jitter_ms: Option<Number>,
+    /// It delivers nothing, and everything at once when the fault is over.
+    #[serde(default)]
+    holds: bool,
 }
 
 impl LineFault {
@@ -264,6 +342,7 @@ impl LineFault {
             delay: time(self.delay_ms),
             jitter: time(self.jitter_ms),
             bytes_per_s: 0,
+            holds: self.holds,
         };
         match self.to {
             To::Device => (bad, Line::default()),
@@ -307,6 +386,23 @@ pub enum Evidence {
     Rate,
     /// A sensor was set aside.
     SensorSetAside,
+    /// The line lost, repeated, damaged, delayed or held back frames.
+    Line,
+    /// The host did not know from telemetry where a pin was.
+    Unmeasured,
+}
+
+impl Evidence {
+    pub const ALL: [Self; 8] = [
+        Self::Resent,
+        Self::Unread,
+        Self::UnreadByDevice,
+        Self::Contradictions,
+        Self::Rate,
+        Self::SensorSetAside,
+        Self::Line,
+        Self::Unmeasured,
+    ];
 }
 
 #[derive(Clone, Copy, Debug, Deserialize, PartialEq)]

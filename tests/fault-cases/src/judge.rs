@@ -37,10 +37,14 @@ pub struct Observed {
     /// By how many millionths the host's estimate of the device's clock ran off, at most, either way.
     pub rate_ppm: f64,
     pub sensors_set_aside: u64,
+    /// Frames that the runner's line lost, repeated, damaged, delayed or held back.
+    pub harmed: u64,
+    /// Motors that the play drives and of which the host had only dead reckoning, at most, at one time after the fault began.
+    pub unmeasured: u64,
 }
 
 impl Observed {
-    fn shows(&self, evidence: Evidence) -> bool {
+    pub fn shows(&self, evidence: Evidence) -> bool {
         match evidence {
             Evidence::Resent => self.resent > 0,
             Evidence::Unread => self.unread > 0,
@@ -48,6 +52,8 @@ impl Observed {
             Evidence::Contradictions => self.contradictions > 0,
             Evidence::Rate => self.rate_ppm > 50.0,
             Evidence::SensorSetAside => self.sensors_set_aside > 0,
+            Evidence::Line => self.harmed > 0,
+            Evidence::Unmeasured => self.unmeasured > 0,
         }
     }
 }

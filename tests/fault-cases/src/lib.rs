@@ -1,8 +1,8 @@
 //! Faults by script: the cases of `tests/faults`, and how a play that meets one is judged.
 //!
 //! Three runners share it: in virtual time (`crates/stream/tests/faults.rs`), a daemon on a pseudo-terminal
-//! (`tests/fault-pty`), and the emulated chip (`firmware/hil`). A runner takes [`cases`], does what each [`Fault`] says at its
-//! [`Moment`], fills in [`Seen`] and [`Observed`], and asks [`Expect::judge`].
+//! (`tests/fault-pty`), and the emulated chip (`firmware/hil`). A runner takes [`cases`], does what each [`Fault`] says when
+//! [`Kind::begins`] says, fills in [`Seen`] and [`Observed`], and asks [`Expect::judge`].
 //!
 //! - [`case`]: the format of a file.
 //! - [`judge`]: what a run has shown, and whether that is what the case expects.
@@ -20,8 +20,8 @@ pub mod judge;
 pub mod page;
 
 pub use case::{
-    Case, Ends, Evidence, Expect, Fault, Kind, Lie, LineFault, Moment, Number, Order, Phase, Telemetry, To,
-    What,
+    Case, Ends, Evidence, Expect, Fault, Kind, Lie, LineFault, Moment, Number, OfKind, Order, Phase,
+    Telemetry, To, What,
 };
 pub use judge::{Observed, Seen, Worst, high_until};
 
