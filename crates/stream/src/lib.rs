@@ -15,8 +15,8 @@
 //!
 //! Beside the path: [`find_overpush`] (`pushing`) tests a play against the limit on pushing a lower stop;
 //! [`simulate_play`] and [`Simulation`] (`simulation`) run the same streamer against the mock in virtual
-//! time; [`MotorRun`] (`motor_run`) simulates the position control of one motor without a link; [`calibrate`] measures
-//! gains; [`diagnostics`] tests a link; [`sync`] is what threads share.
+//! time, over a line that may be bad ([`faulty`]); [`MotorRun`] (`motor_run`) simulates the position control of one motor without a
+//! link; [`calibrate`] measures gains; [`diagnostics`] tests a link; [`sync`] is what threads share.
 //!
 //! # Example
 //! ```
@@ -51,6 +51,7 @@ pub mod calibrate;
 mod control;
 pub mod device;
 pub mod diagnostics;
+pub mod faulty;
 pub mod link;
 mod motor_run;
 mod pushing;
@@ -66,10 +67,11 @@ pub mod time;
 pub use bandwidth::{Bandwidth, Requirement};
 pub use board::PlayBoard;
 pub use control::{Gains, rest_bound_um};
+pub use faulty::Line;
 pub use motor_run::{MotorRun, Period};
 pub use pushing::{Overpush, find_overpush};
 pub use settings::{LowerStopSettings, Settings};
-pub use simulation::{Line, SimulatedPlay, Simulation, SimulationError, simulate_play};
+pub use simulation::{SimulatedPlay, Simulation, SimulationError, simulate_play};
 pub use source::Source;
 pub use streamer::{ANOTHER_DEVICE, DRIFT_LIMIT, Streamer, cause_text};
 pub use thread::{request_realtime, spawn};

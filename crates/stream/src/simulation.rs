@@ -8,21 +8,20 @@
 use crate::bandwidth::Bandwidth;
 use crate::control::Gains;
 use crate::device::mock::Mock;
+use crate::faulty::{DeviceClock, Direction, Liar, Line};
 use crate::link::LineRate;
 use crate::queues::{Command, Emit, MeasuredBurst, Outcome, Play, Request, StreamEvent};
 use crate::settings::Settings;
 use crate::streamer::Streamer;
 use crate::time::HostInstant;
-use firmware_protocol::frame::{self, Decoder, MAX_FRAME};
+use firmware_protocol::frame::MAX_FRAME;
 use firmware_protocol::message::DeviceMessage;
 use firmware_protocol::stroke::MOTORS;
 use firmware_protocol::tick::Tick;
 use meissner_array::pattern::Pattern;
 use meissner_array::simulated::{RestStats, SimulatedMotorsConfig, SimulatedMotorsError};
 use meissner_array::strokes::{StrokeOptions, Strokes, StrokesError};
-use meissner_array::units::{duration_to_ticks, ticks_to_seconds};
-use rand_chacha::ChaCha8Rng;
-use rand_chacha::rand_core::{Rng, SeedableRng};
+use meissner_array::units::ticks_to_seconds;
 use std::time::Duration;
 
 /// The streamer wakes up this often.
@@ -34,99 +33,6 @@ const IDLE_STEP: Duration = Duration::from_millis(50);
 /// So long after a play's end telemetry of no age has measured its last bursts.
 const MEASURED_WITHIN: Duration = Duration::from_millis(100);
 
-/// A simulated line, both ways: the shares of frames it damages, and its delays.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Line {
-    /// Share of frames lost.
-    pub loss: f64,
-    /// Share of frames delivered twice.
-    pub repeat: f64,
-    /// Share of frames with a byte changed.
-    pub corrupt: f64,
-    /// Share of bytes lost, those between frames too.
-    pub byte_loss: f64,
-    /// Delay of each frame.
-    pub delay: Duration,
-    /// Most bytes per second towards the device; 0: no bound.
-    pub bytes_per_s: u32,
-    /// Largest additional random delay: frames overtake each other.
-    pub jitter: Duration,
-}
-
-#[derive(Debug)]
-struct Direction {
-    line: Line,
-    random: ChaCha8Rng,
-    /// The line is busy until then with the bytes sent so far.
-    busy: HostInstant,
-    /// Arrival time and frame, unsorted.
-    frames: Vec<(HostInstant, Vec<u8>)>,
-}
-
-impl Direction {
-    fn chance(&mut self, share: f64) -> bool {
-        share > 0.0 && f64::from(self.random.next_u32()) < share * 2f64.powi(32)
-    }
-
-    fn send(&mut self, now: HostInstant, bytes: &[u8]) {
-        // The line loses whole frames, each with its delimiter.
-        for frame in bytes.split_inclusive(|&byte| byte == 0) {
-            let rate = u64::from(self.line.bytes_per_s);
-            let taken = (frame.len() as u64 * 1_000_000_000).checked_div(rate).unwrap_or(0);
-            // A lost frame has used the line's time too.
-            self.busy = self.busy.max(now) + Duration::from_nanos(taken);
-            if self.chance(self.line.loss) {
-                continue;
-            }
-            let mut frame = frame.to_vec();
-            if self.chance(self.line.corrupt) {
-                let at = self.random.next_u32() as usize % frame.len();
-                frame[at] ^= 1 << (self.random.next_u32() % 8);
-            }
-            if self.line.byte_loss > 0.0 {
-                frame.retain(|_| !self.chance(self.line.byte_loss));
-            }
-            let copies = 1 + usize::from(self.chance(self.line.repeat));
-            for _ in 0..copies {
-                let share = f64::from(self.random.next_u32()) / 2f64.powi(32);
-                let at = self.busy + self.line.delay + self.line.jitter.mul_f64(share);
-                self.frames.push((at, frame.clone()));
-            }
-        }
-    }
-
-    fn arrived(&mut self, now: HostInstant) -> Vec<u8> {
-        let mut here: Vec<_> = self.frames.extract_if(.., |(at, _)| *at <= now).collect();
-        here.sort_by_key(|(at, _)| *at);
-        here.into_iter().flat_map(|(_, frame)| frame).collect()
-    }
-}
-
-/// Changes messages of the device before they are sent.
-struct Liar {
-    decoder: Decoder,
-    lie: Box<dyn FnMut(&mut DeviceMessage)>,
-}
-
-impl std::fmt::Debug for Liar {
-    fn fmt(&self, out: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        out.write_str("Liar")
-    }
-}
-
-impl Liar {
-    /// The bytes of the device with changed messages, each in a frame that is whole.
-    fn change(&mut self, mut bytes: &[u8], mut send: impl FnMut(&[u8])) {
-        while let Some(body) = self.decoder.next(&mut bytes) {
-            let Ok(mut message) = frame::read(body) else { continue };
-            (self.lie)(&mut message);
-            let mut out = [0; MAX_FRAME];
-            let len = frame::encode(&message, &mut out).unwrap_or(0);
-            send(&out[..len]);
-        }
-    }
-}
-
 /// A streamer and a mock in virtual time.
 #[derive(Debug)]
 pub struct Simulation {
@@ -135,8 +41,7 @@ pub struct Simulation {
     /// The device.
     pub mock: Mock,
     now: HostInstant,
-    /// An instant, the device's clock then, and by how much that runs fast.
-    clock: (HostInstant, Tick, f64),
+    clock: DeviceClock,
     /// The device does nothing.
     hangs: bool,
     to_device: Direction,
@@ -179,18 +84,14 @@ impl Simulation {
         line: Line,
         seed: u64,
     ) -> Result<Self, SimulatedMotorsError> {
-        let direction = |salt, line| {
-            let random = ChaCha8Rng::seed_from_u64(seed ^ salt);
-            Direction { line, random, busy: HostInstant::default(), frames: Vec::new() }
-        };
         let mut new = Self {
             streamer: Streamer::new(settings),
             mock: Mock::new(*motors, seed as u32)?,
             now: STARTED,
-            clock: (STARTED, Tick::BOOT, 0.0),
+            clock: DeviceClock::started(STARTED),
             hangs: false,
-            to_device: direction(0x5eed, line),
-            to_host: direction(0xfeed, Line { bytes_per_s: 0, ..line }),
+            to_device: Direction::new(line, seed ^ 0x5eed),
+            to_host: Direction::new(Line { bytes_per_s: 0, ..line }, seed ^ 0xfeed),
             liar: None,
             events: EventLog::default(),
             tickets: 0,
@@ -208,8 +109,8 @@ impl Simulation {
     /// Pulls the cable: the device returns the pins, and the streamer sees the disconnect.
     pub fn unplug(&mut self) {
         self.mock.unplug();
-        self.to_device.frames.clear();
-        self.to_host.frames.clear();
+        self.to_device.clear();
+        self.to_host.clear();
         self.streamer.disconnect(self.now, "unplugged", &mut self.events);
     }
 
@@ -219,7 +120,8 @@ impl Simulation {
     /// If the settings of the simulated motors are out of range.
     pub fn restart(&mut self, motors: &SimulatedMotorsConfig, boot: u32) -> Result<(), SimulatedMotorsError> {
         self.unplug();
-        (self.mock, self.clock) = (Mock::new(*motors, boot)?, (self.now, Tick::BOOT, self.clock.2));
+        self.mock = Mock::new(*motors, boot)?;
+        self.clock.restart(self.now);
         self.hangs = false;
         self.connect();
         Ok(())
@@ -230,6 +132,12 @@ impl Simulation {
         (self.to_device.line, self.to_host.line) = (line, Line { bytes_per_s: 0, ..line });
     }
 
+    /// Frames that the line has lost, repeated, damaged, delayed or held back so far.
+    #[must_use]
+    pub fn harmed_frames(&self) -> u64 {
+        self.to_device.harmed() + self.to_host.harmed()
+    }
+
     /// Changes each direction of the line.
     pub fn set_lines(&mut self, to_device: Line, to_host: Line) {
         (self.to_device.line, self.to_host.line) = (to_device, to_host);
@@ -237,18 +145,24 @@ impl Simulation {
 
     /// From here on the device's clock runs fast by so many millionths, or slow.
     pub fn set_clock_error(&mut self, ppm: f64) {
-        self.clock = (self.now, self.device_tick(), ppm / 1e6);
+        self.clock.set_error(self.now, ppm);
+    }
+
+    /// From here on the error of the device's clock changes by so many millionths each second, as with the temperature.
+    pub fn drift_clock(&mut self, ppm_per_s: f64) {
+        self.clock.drift(self.now, ppm_per_s);
     }
 
     /// The device's clock goes on by `time` and the host's stands still, as while the host is suspended.
     pub fn suspend(&mut self, time: Duration) {
-        let (instant, tick, fast) = self.clock;
+        let before = self.clock;
         // The device does not wait either.
         for _ in 0..time.as_micros() / STEP.as_micros() {
-            self.clock.1 = self.clock.1 + duration_to_ticks(STEP);
+            self.clock.jump(STEP);
             self.device();
         }
-        self.clock = (instant, tick + duration_to_ticks(time), fast);
+        self.clock = before;
+        self.clock.jump(time);
     }
 
     /// From here on the device does nothing, with its lines as the board's watchdog leaves them: low. It restarts at
@@ -265,10 +179,7 @@ impl Simulation {
     /// The device's clock at an instant.
     #[must_use]
     pub fn device_tick_at(&self, at: HostInstant) -> Tick {
-        let (instant, tick, fast) = self.clock;
-        let passed = at.since(instant);
-        let extra = (passed.as_secs_f64() * fast * f64::from(firmware_protocol::tick::TICK_HZ)) as i64;
-        Tick((tick + duration_to_ticks(passed)).0.saturating_add_signed(extra))
+        self.clock.tick_at(at)
     }
 
     fn device_tick(&self) -> Tick {
@@ -276,8 +187,8 @@ impl Simulation {
     }
 
     /// From here on `lie` may change each message of the device before it is sent: the device lies, the line does not.
-    pub fn lie(&mut self, lie: impl FnMut(&mut DeviceMessage) + 'static) {
-        self.liar = Some(Liar { decoder: Decoder::new(), lie: Box::new(lie) });
+    pub fn lie(&mut self, lie: impl FnMut(&mut DeviceMessage) + Send + 'static) {
+        self.liar = Some(Liar::new(lie));
     }
 
     /// From here on the device's messages are sent as they are.
@@ -325,7 +236,7 @@ impl Simulation {
     pub fn idle(&mut self, time: Duration) {
         let end = self.now + time;
         while self.now < end {
-            let under_way = !(self.to_device.frames.is_empty() && self.to_host.frames.is_empty());
+            let under_way = !(self.to_device.is_empty() && self.to_host.is_empty());
             let due = if under_way { self.now } else { self.streamer.wake_at(self.now) };
             self.now = due.clamp(self.now + STEP, self.now + IDLE_STEP).min(end);
             self.device();

@@ -28,6 +28,7 @@ pub fn bad_line() -> Line {
         delay: Duration::from_micros(300),
         jitter: Duration::from_millis(2),
         bytes_per_s: 0,
+        holds: false,
     }
 }
 

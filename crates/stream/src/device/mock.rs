@@ -54,7 +54,16 @@ pub struct Mock {
     /// What was played, if [`Mock::record`] was called.
     trace: Option<Vec<(Tick, Run)>>,
     positions: Arc<TruePositions>,
-    distort: Option<fn(&mut Sample)>,
+    distort: Option<Distortion>,
+}
+
+/// What changes telemetry samples before they are sent.
+struct Distortion(Box<dyn FnMut(&mut Sample) -> bool + Send>);
+
+impl std::fmt::Debug for Distortion {
+    fn fmt(&self, out: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        out.write_str("Distortion")
+    }
 }
 
 impl Mock {
@@ -103,8 +112,16 @@ impl Mock {
 
     /// From here on `distort` changes each telemetry sample before it is sent: a sensor fault (stuck, swapped, out of
     /// scale).
-    pub fn distort_telemetry(&mut self, distort: fn(&mut Sample)) {
-        self.distort = Some(distort);
+    pub fn distort_telemetry(&mut self, mut distort: impl FnMut(&mut Sample) + Send + 'static) {
+        self.filter_telemetry(move |sample| {
+            distort(sample);
+            true
+        });
+    }
+
+    /// Like [`Self::distort_telemetry`], but only the samples for which `distort` returns true are sent.
+    pub fn filter_telemetry(&mut self, distort: impl FnMut(&mut Sample) -> bool + Send + 'static) {
+        self.distort = Some(Distortion(Box::new(distort)));
     }
 
     /// The true position of a pin at rest, µm.
@@ -190,8 +207,10 @@ impl Mock {
         // Send after all blocks were played: a status must carry the tick of now, not of an earlier block.
         self.send();
         while let Some(mut sample) = self.motors.telemetry() {
-            if let Some(distort) = self.distort {
-                distort(&mut sample);
+            if let Some(Distortion(distort)) = &mut self.distort
+                && !distort(&mut sample)
+            {
+                continue;
             }
             self.controller.telemetry(sample.tick, sample.y);
             self.send();

@@ -13,7 +13,8 @@
 //!
 //! The mock is a real backend: it runs the same controller code as the firmware. A board has a serial port and a USB
 //! interface with the same frames on both. [`find`] looks at every open which one is plugged in, `spec` reads and
-//! writes the names, `error` says why a device could not be opened, and [`priority`] gives a thread real-time priority.
+//! writes the names, `terminal` is a pseudo-terminal's far end, `error` says why a device could not be opened, and
+//! [`priority`] gives a thread real-time priority.
 //!
 //! # To add a device
 //! 1. Write a module with a type that opens the device, and reads and writes bytes without blocking. Report a device
@@ -32,6 +33,7 @@ pub mod priority;
 mod pty;
 mod serial;
 mod spec;
+mod terminal;
 mod usb;
 mod wall_mock;
 
@@ -47,6 +49,7 @@ pub use serial::SerialPort;
 pub use spec::{Spec, SpecError};
 use std::io;
 use std::sync::Arc;
+pub use terminal::{Received, Terminal};
 pub use usb::{UsbPort, watch};
 pub use wall_mock::WallMock;
 

@@ -6,14 +6,12 @@
 
 use crate::device::error::DeviceError;
 use crate::device::mock::TruePositions;
+use crate::device::terminal::{Received, Terminal};
 use crate::device::wall_mock::WallMock;
 use crate::time::HostInstant;
 use firmware_protocol::message::State;
 use rustix::event::{EventfdFlags, PollFd, PollFlags, Timespec, eventfd, poll};
 use rustix::fd::OwnedFd;
-use rustix::fs::{Mode, OFlags};
-use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
-use rustix::termios::{OptionalActions, tcgetattr, tcsetattr};
 use std::io;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -42,26 +40,14 @@ impl PtyMock {
     }
 
     fn start(mock: WallMock) -> io::Result<Self> {
-        let master = openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY | OpenptFlags::CLOEXEC)?;
-        grantpt(&master)?;
-        unlockpt(&master)?;
-        let name = ptsname(&master, Vec::new())?;
-        let path = PathBuf::from(name.to_string_lossy().into_owned());
-        // Raw before a program opens it: the controller would read an echo as frames.
-        let flags = OFlags::RDWR | OFlags::NOCTTY | OFlags::CLOEXEC;
-        let slave = rustix::fs::open(&path, flags, Mode::empty())?;
-        let mut settings = tcgetattr(&slave)?;
-        settings.make_raw();
-        tcsetattr(&slave, OptionalActions::Now, &settings)?;
-        drop(slave);
-        let flags = rustix::fs::fcntl_getfl(&master)?;
-        rustix::fs::fcntl_setfl(&master, flags | OFlags::NONBLOCK)?;
+        let terminal = Terminal::open()?;
+        let path = terminal.path().to_owned();
         let stop = Arc::new(eventfd(0, EventfdFlags::CLOEXEC | EventfdFlags::NONBLOCK)?);
         let (positions, identity) = (mock.true_positions(), mock.identity());
         let stopped = Arc::clone(&stop);
         let thread = std::thread::Builder::new()
             .name("pty-mock".into())
-            .spawn(move || serve(mock, &master, &stopped))?;
+            .spawn(move || serve(mock, &terminal, &stopped))?;
         Ok(Self { path, stop, positions, identity, thread: Some(thread) })
     }
 
@@ -101,7 +87,7 @@ impl Drop for PtyMock {
     }
 }
 
-fn serve(mut mock: WallMock, master: &OwnedFd, stop: &OwnedFd) -> WallMock {
+fn serve(mut mock: WallMock, terminal: &Terminal, stop: &OwnedFd) -> WallMock {
     let (mut bytes, mut unsent) = ([0; 4096], 0..0);
     let mut outgoing = [0; 4096];
     let mut plugged = false;
@@ -117,23 +103,23 @@ fn serve(mut mock: WallMock, master: &OwnedFd, stop: &OwnedFd) -> WallMock {
         };
         let timeout = Timespec { tv_sec: wait_ms / 1000, tv_nsec: wait_ms % 1000 * 1_000_000 };
         // A terminal that no program has open is always "ready": then wait only for the stop event.
-        let mut ready = [PollFd::new(stop, PollFlags::IN), PollFd::new(master, PollFlags::IN)];
+        let mut ready = [PollFd::new(stop, PollFlags::IN), PollFd::new(terminal, PollFlags::IN)];
         let watched = if plugged { 2 } else { 1 };
         let _ = poll(&mut ready[..watched], Some(&timeout));
         if !ready[0].revents().is_empty() {
             return mock;
         }
         loop {
-            match rustix::io::read(master, &mut bytes) {
-                Ok(len) if len > 0 => {
+            match terminal.read(&mut bytes) {
+                Received::Bytes(len) => {
                     plugged = true;
                     mock.mock().write(&bytes[..len]);
                 }
-                Err(rustix::io::Errno::AGAIN) => {
+                Received::Nothing => {
                     plugged = true;
                     break;
                 }
-                _ => {
+                Received::Closed => {
                     if std::mem::take(&mut plugged) {
                         mock.mock().unplug();
                     }
@@ -151,9 +137,9 @@ fn serve(mut mock: WallMock, master: &OwnedFd, stop: &OwnedFd) -> WallMock {
             if unsent.is_empty() || !plugged {
                 break;
             }
-            match rustix::io::write(master, &outgoing[unsent.clone()]) {
-                Ok(len) => unsent.start += len,
-                Err(_) => break,
+            match terminal.write(&outgoing[unsent.clone()]) {
+                0 => break,
+                len => unsent.start += len,
             }
         }
     }

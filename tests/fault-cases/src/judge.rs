@@ -1,0 +1,136 @@
+//! What a run has shown, and whether that is what its case expects.
+//!
+//! A runner fills in [`Seen`] from the recorded lines and the receipt, and [`Observed`] from what host and device counted.
+
+use crate::case::{Ends, Evidence, Expect};
+use firmware_protocol::controller::Run;
+use firmware_protocol::stroke::Lines;
+use firmware_protocol::tick::Tick;
+
+/// What became of the play.
+#[derive(Clone, Copy, Debug)]
+pub struct Seen {
+    /// The play came to its end.
+    pub is_done: bool,
+    /// Of a play that was cut: from the last fault until all lines were low for good.
+    pub safe_ms: Option<f64>,
+    /// The device is latched at the end.
+    pub is_latched: bool,
+    /// Bursts that were not played, of those planned.
+    pub lost: u64,
+    pub planned: u64,
+}
+
+impl Seen {
+    pub fn lost_percent(&self) -> f64 {
+        100.0 * self.lost as f64 / self.planned.max(1) as f64
+    }
+}
+
+/// What host and device counted while the fault lasted.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Observed {
+    pub resent: u64,
+    pub unread: u64,
+    pub unread_by_device: u64,
+    pub contradictions: u64,
+    /// By how many millionths the host's estimate of the device's clock ran off, at most, either way.
+    pub rate_ppm: f64,
+    pub sensors_set_aside: u64,
+    /// Frames that the runner's line lost, repeated, damaged, delayed or held back.
+    pub harmed: u64,
+    /// Motors that the play drives and of which the host had only dead reckoning, at most, at one time after the fault began.
+    pub unmeasured: u64,
+}
+
+impl Observed {
+    pub fn shows(&self, evidence: Evidence) -> bool {
+        match evidence {
+            Evidence::Resent => self.resent > 0,
+            Evidence::Unread => self.unread > 0,
+            Evidence::UnreadByDevice => self.unread_by_device > 0,
+            Evidence::Contradictions => self.contradictions > 0,
+            Evidence::Rate => self.rate_ppm > 50.0,
+            Evidence::SensorSetAside => self.sensors_set_aside > 0,
+            Evidence::Line => self.harmed > 0,
+            Evidence::Unmeasured => self.unmeasured > 0,
+        }
+    }
+}
+
+impl Expect {
+    /// Judges a run. `allowance_ms` is added to the bound on time: for what the runner cannot measure exactly.
+    ///
+    /// # Errors
+    /// What was not as expected, in one line.
+    pub fn judge(&self, seen: &Seen, observed: &Observed, allowance_ms: f64) -> Result<(), String> {
+        if seen.planned == 0 {
+            return Err("the play was cut before anything of it was sent".to_owned());
+        }
+        if (self.play == Ends::Done) != seen.is_done && self.play != Ends::Any {
+            let ended = if seen.is_done { "done" } else { "cut" };
+            return Err(format!("the play was {ended}, expected {:?}", self.play));
+        }
+        if self.latched && !seen.is_latched {
+            return Err("the e-stop did not reach the device".to_owned());
+        }
+        if let Some(evidence) = self.shows
+            && !observed.shows(evidence)
+        {
+            return Err(format!("nothing shows that the fault happened: {evidence:?}, {observed:?}"));
+        }
+        if let (Some(most), Some(ms)) = (self.safe_ms, seen.safe_ms)
+            && ms > most + allowance_ms
+        {
+            let most = most + allowance_ms;
+            return Err(format!(
+                "lines were high until {ms:.2} ms after the fault, expected {most} ms at most"
+            ));
+        }
+        let (lost, most) = (seen.lost_percent(), self.lost_percent);
+        if seen.is_done && lost > most {
+            return Err(format!("{lost:.1} % of the bursts were lost, expected {most} % at most"));
+        }
+        Ok(())
+    }
+}
+
+/// Milliseconds from the fault to the last pulse.
+pub fn high_until(trace: &[(Tick, Run)], fault: Option<Tick>) -> f64 {
+    let high = trace.iter().rev().find(|(_, run)| run.lines != Lines::OFF);
+    let last = high.map_or(Tick(0), |(tick, run)| *tick + u64::from(run.ticks));
+    // A board that has just started was not there when the fault began: all its pulses come after it.
+    let fault = fault.or(trace.first().map(|(tick, _)| *tick));
+    fault.map_or(0.0, |fault| (last.since(fault).max(0)) as f64 / 85.0)
+}
+
+/// The worst of several runs of a kind.
+#[derive(Clone, Debug, Default)]
+pub struct Worst {
+    ends: Vec<&'static str>,
+    safe_ms: Option<f64>,
+    lost_percent: f64,
+}
+
+impl Worst {
+    pub fn add(&mut self, seen: &Seen) {
+        let end = if seen.is_done { "done" } else { "cut" };
+        if self.ends.last() != Some(&end) {
+            self.ends.push(end);
+        }
+        self.safe_ms = seen.safe_ms.map(|ms| self.safe_ms.map_or(ms, |safe| safe.max(ms))).or(self.safe_ms);
+        self.lost_percent = self.lost_percent.max(seen.lost_percent());
+    }
+
+    pub fn ends(&self) -> String {
+        self.ends.join(", ")
+    }
+
+    pub fn safe(&self) -> String {
+        self.safe_ms.map_or("–".to_owned(), |ms| format!("{ms:.1}"))
+    }
+
+    pub fn lost(&self) -> String {
+        format!("{:.1} %", self.lost_percent)
+    }
+}

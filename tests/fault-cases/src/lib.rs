@@ -1,0 +1,53 @@
+//! Faults by script: the cases of `tests/faults`, and how a play that meets one is judged.
+//!
+//! Three runners share it: in virtual time (`crates/stream/tests/faults.rs`), a daemon on a pseudo-terminal
+//! (`tests/fault-pty`), and the emulated chip (`firmware/hil`). A runner takes [`cases`], does what each [`Fault`] says when
+//! [`Kind::begins`] says, fills in [`Seen`] and [`Observed`], and asks [`Expect::judge`].
+//!
+//! - [`case`]: the format of a file.
+//! - [`judge`]: what a run has shown, and whether that is what the case expects.
+//! - [`bytes`]: what a device must never send.
+//! - [`page`]: the rows of the book.
+//!
+//! Invariant: nothing here knows how a runner makes time pass.
+
+#![expect(missing_docs, missing_debug_implementations, reason = "only tests use it")]
+#![expect(clippy::unwrap_used, clippy::missing_panics_doc, reason = "a test that panics has failed")]
+
+pub mod bytes;
+pub mod case;
+pub mod judge;
+pub mod page;
+
+pub use case::{
+    Case, Ends, Evidence, Expect, Fault, Kind, Lie, LineFault, Moment, Number, OfKind, Order, Phase,
+    Telemetry, To, What,
+};
+pub use judge::{Observed, Seen, Worst, high_until};
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+/// One amplitude everywhere; bursts at many phases; motors that follow each other.
+pub const PATTERNS: [&str; 3] = ["pin-60", "edge-45", "wave"];
+/// How long a play lasts.
+pub const PLAY: Duration = Duration::from_secs(2);
+/// Ticks from the order to the onset.
+pub const ONSET: u64 = 17_000;
+/// Ticks from the onset on in which no phase is looked for.
+pub const PHASE_AFTER: u64 = 42_500;
+
+/// All cases, by their names.
+pub fn cases() -> Vec<Case> {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../faults");
+    let mut files: Vec<PathBuf> = fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path()).collect();
+    files.sort();
+    let read = |path: PathBuf| {
+        let name = path.file_stem().unwrap().to_string_lossy().into_owned();
+        let case = toml::from_str(&fs::read_to_string(&path).unwrap());
+        let case = case.unwrap_or_else(|error| panic!("tests/faults/{name}.toml: {error}"));
+        Case { name, ..case }
+    };
+    files.into_iter().filter(|path| path.extension().is_some_and(|ext| ext == "toml")).map(read).collect()
+}

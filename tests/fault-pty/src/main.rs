@@ -1,0 +1,65 @@
+//! Plays the cases of `tests/faults` against a real daemon in real time: `tests/faults/run pty`.
+//!
+//! It prints what each play has shown, then the kinds that failed; with `--renew` it writes its column of the book's page.
+
+use clap::Parser;
+use meissner_fault_cases::page::{Account, Cell, Target, path, renew, row_of};
+use meissner_fault_cases::{Case, Kind, PATTERNS, cases};
+use meissner_fault_pty::{ALLOWANCE_MS, Plan, run};
+use std::path::PathBuf;
+use std::process::ExitCode;
+use std::time::Instant;
+
+/// Play faults against a real daemon behind a pseudo-terminal.
+#[derive(Parser)]
+struct Arguments {
+    /// The program `meissner`.
+    program: PathBuf,
+    /// Play only the cases with these names.
+    cases: Vec<String>,
+    /// Play N at once.
+    #[arg(long, value_name = "N", default_value_t = 12)]
+    jobs: usize,
+    /// Write the cells of the book of the kinds that were played, as of this date and commit.
+    #[arg(long, num_args = 2, value_names = ["DATE", "COMMIT"])]
+    renew: Option<Vec<String>>,
+}
+
+fn main() -> ExitCode {
+    let Arguments { program, cases: names, jobs, renew: account } = Arguments::parse();
+    let cases = cases();
+    let wanted = |kind: &Kind<'_>| names.is_empty() || names.contains(&kind.case.name);
+    let kinds: Vec<Kind<'_>> = cases.iter().flat_map(Case::kinds).filter(wanted).collect();
+    let begun = Instant::now();
+    let plan = Plan { program: &program, patterns: &PATTERNS, jobs };
+    let shown = run(&plan, &kinds, |line| println!("{line}"));
+    let problems: Vec<&String> = shown.iter().flat_map(|shown| &shown.problems).collect();
+    let repeated: u32 = shown.iter().map(|shown| shown.repeated).sum();
+    let plays = kinds.len() * PATTERNS.len();
+    println!(
+        "{} kinds, {plays} plays in {:.0} s, {repeated} played again because the machine stood still",
+        kinds.len(),
+        begun.elapsed().as_secs_f64()
+    );
+    for problem in &problems {
+        println!("failed: {problem}");
+    }
+    if let Some([date, commit]) = account.as_deref() {
+        let cells = kinds.iter().zip(&shown).map(|(kind, shown)| {
+            let cell =
+                if shown.problems.is_empty() { Cell::Worst(shown.worst.clone()) } else { Cell::Failed };
+            (row_of(kind), cell)
+        });
+        let remark = format!(
+            "{} kinds, {plays} plays; bounds on time and {ALLOWANCE_MS} ms; {repeated} plays were repeated because the machine \
+             stood still",
+            kinds.len()
+        );
+        let account = Account { date, commit, command: "tests/faults/run pty --renew", remark: &remark };
+        if let Err(error) = renew(Target::Pty, &account, &cells.collect(), &cases) {
+            eprintln!("{}: {error}", path().display());
+            return ExitCode::FAILURE;
+        }
+    }
+    if problems.is_empty() { ExitCode::SUCCESS } else { ExitCode::FAILURE }
+}
