@@ -29,6 +29,8 @@ mod doctor;
 mod drift;
 /// `session export`: a row for each play and each item of a sequence; a damaged record.
 mod export;
+/// Faults by script, in real time.
+mod faults;
 /// `report`: figures against the models, and the page.
 mod figures;
 /// A real daemon in a directory of its own, and helpers for the other tests.

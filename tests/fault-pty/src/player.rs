@@ -280,7 +280,7 @@ impl<'a> Player<'a> {
         });
         let told = |count: &AtomicU64| count.load(Ordering::Relaxed);
         let (unread_by_device, harmed) =
-            self.board.with(|state| (state.mock.controller().counters().bad_frames.into(), state.harmed()));
+            self.board.with(|state| (state.mock.controller().counters().bad_frames, state.harmed()));
         Observed {
             contradictions: self.observed.contradictions + told(&self.told.contradictions),
             sensors_set_aside: told(&self.told.sensors),
@@ -332,7 +332,7 @@ impl<'a> Player<'a> {
             }
             What::ClockPpm(ppm) => self.board.with(|state| state.clock.set_error(now, ppm.of(value))),
             What::ClockDrift(ppm_per_s) => {
-                self.board.with(|state| state.clock.drift(now, ppm_per_s.of(value)))
+                self.board.with(|state| state.clock.drift(now, ppm_per_s.of(value)));
             }
             What::Nonsense(count) => {
                 let nonsense = bytes::nonsense(count.of(value) as u32);
