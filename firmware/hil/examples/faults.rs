@@ -1,30 +1,41 @@
-//! `faults [--mock] [--patterns N] [--minutes N] [--renew DATE COMMIT] [CASE...]`: plays the cases of `tests/faults`, all of them or those named.
+//! `faults [OPTION...] [CASE...]`: plays the cases of `tests/faults`, all of them or those named.
 //!
-//! `tests/faults/run chip` runs it. It prints what each play has shown, then the kinds that failed; with `--renew` it writes its column
-//! of the book's page, if nothing failed. `--mock` plays on the mock instead of the chip; `--patterns 1` plays the first pattern
-//! alone; after so many `--minutes` no play begins, and the page has a dash for what was not played.
+//! `tests/faults/run chip` runs it. It prints what each play has shown, then the kinds that failed. Options:
+//!
+//! - `--mock` plays on the mock instead of the chip;
+//! - `--patterns 1` plays the first pattern alone;
+//! - `--jobs 8` plays so many at once, instead of one for each processor;
+//! - `--minutes 20` begins no play later than that: the page has a dash for what was not played;
+//! - `--renew DATE COMMIT` writes the chip's column of the book's page, if nothing failed.
 
 use meissner_fault_cases::page::{Account, Cell, Target, path, renew, row_of};
 use meissner_fault_cases::{Case, Kind, PATTERNS, cases};
-use meissner_hil::faults::{On, Shown, not_possible, run};
+use meissner_hil::faults::{On, Plan, Shown, jobs, not_possible, run};
 use std::collections::BTreeMap;
 use std::io;
 use std::process::ExitCode;
 use std::time::{Duration, Instant};
 
-const USAGE: &str = "faults [--mock] [--patterns N] [--minutes N] [--renew DATE COMMIT] [CASE...]";
+const USAGE: &str = "faults [--mock] [--patterns N] [--jobs N] [--minutes N] [--renew DATE COMMIT] [CASE...]";
 
 struct Arguments {
     on: On,
     patterns: usize,
+    jobs: usize,
     minutes: Option<u64>,
     renew: Option<(String, String)>,
     cases: Vec<String>,
 }
 
 fn arguments(mut given: impl Iterator<Item = String>) -> Option<Arguments> {
-    let mut all =
-        Arguments { on: On::Chip, patterns: PATTERNS.len(), minutes: None, renew: None, cases: Vec::new() };
+    let mut all = Arguments {
+        on: On::Chip,
+        patterns: PATTERNS.len(),
+        jobs: jobs(),
+        minutes: None,
+        renew: None,
+        cases: Vec::new(),
+    };
     while let Some(argument) = given.next() {
         match argument.as_str() {
             "--mock" => all.on = On::Mock,
@@ -32,6 +43,7 @@ fn arguments(mut given: impl Iterator<Item = String>) -> Option<Arguments> {
                 let patterns = given.next()?.parse().ok();
                 all.patterns = patterns.filter(|patterns| (1..=PATTERNS.len()).contains(patterns))?;
             }
+            "--jobs" => all.jobs = given.next()?.parse().ok()?,
             "--minutes" => all.minutes = Some(given.next()?.parse().ok()?),
             "--renew" => all.renew = Some((given.next()?, given.next()?)),
             option if option.starts_with('-') => return None,
@@ -42,7 +54,7 @@ fn arguments(mut given: impl Iterator<Item = String>) -> Option<Arguments> {
 }
 
 fn main() -> ExitCode {
-    let Some(Arguments { on, patterns, minutes, renew: account, cases: names }) =
+    let Some(Arguments { on, patterns, jobs, minutes, renew: account, cases: names }) =
         arguments(std::env::args().skip(1))
     else {
         eprintln!("{USAGE}");
@@ -60,7 +72,8 @@ fn main() -> ExitCode {
     let patterns = &PATTERNS[..patterns];
     let begun = Instant::now();
     let until = minutes.map(|minutes| begun + Duration::from_secs(60 * minutes));
-    let shown = run(on, patterns, &kinds, until, |line| println!("{line}"));
+    let plan = Plan { on, patterns, jobs, until };
+    let shown = run(&plan, &kinds, |line| println!("{line}"));
     let seconds = begun.elapsed().as_secs_f64();
     let plays: usize = shown.iter().map(|shown| shown.plays).sum();
     println!(

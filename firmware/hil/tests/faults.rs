@@ -5,7 +5,7 @@
 use meissner_fault_cases::{Case, Ends, Evidence, Kind, PATTERNS, Seen, cases};
 use meissner_hil::bench::Which;
 use meissner_hil::bench::chip::ChipOptions;
-use meissner_hil::faults::{On, not_possible, play, run};
+use meissner_hil::faults::{On, Plan, jobs, not_possible, play, run};
 
 fn case(name: &str) -> Case {
     cases().into_iter().find(|case| case.name == name).unwrap()
@@ -51,7 +51,8 @@ fn every_kind_on_the_mock() {
     let kinds: Vec<Kind<'_>> =
         cases.iter().flat_map(Case::kinds).filter(|kind| not_possible(kind).is_none()).collect();
     assert!(kinds.len() >= 60, "{} kinds", kinds.len());
-    let shown = run(On::Mock, &PATTERNS[..1], &kinds, None, |_| ());
+    let plan = Plan { on: On::Mock, patterns: &PATTERNS[..1], jobs: jobs(), until: None };
+    let shown = run(&plan, &kinds, |_| ());
     let problems: Vec<String> = shown.into_iter().flat_map(|shown| shown.problems).collect();
     assert!(problems.is_empty(), "{}", problems.join("\n"));
 }

@@ -56,21 +56,33 @@ pub struct Shown {
     pub problems: Vec<String>,
 }
 
-/// Plays each kind with each pattern, as many at once as there are processors; `tell` hears of each that is over. No play begins
-/// after `until`.
-pub fn run(
-    on: On,
-    patterns: &[&str],
-    kinds: &[Kind<'_>],
-    until: Option<Instant>,
-    tell: impl Fn(&str) + Sync,
-) -> Vec<Shown> {
+/// How to run.
+#[derive(Clone, Copy, Debug)]
+pub struct Plan<'a> {
+    /// What to play on.
+    pub on: On,
+    /// The patterns of the library.
+    pub patterns: &'a [&'a str],
+    /// Plays at once.
+    pub jobs: usize,
+    /// No play begins later.
+    pub until: Option<Instant>,
+}
+
+/// As many plays at once as there are processors.
+#[must_use]
+pub fn jobs() -> usize {
+    std::thread::available_parallelism().map_or(1, usize::from)
+}
+
+/// Plays each kind with each pattern; `tell` hears of each play that is over.
+pub fn run(plan: &Plan<'_>, kinds: &[Kind<'_>], tell: impl Fn(&str) + Sync) -> Vec<Shown> {
+    let Plan { on, patterns, jobs, until } = *plan;
     let shown: Vec<_> = kinds.iter().map(|_| Mutex::new(Shown::default())).collect();
     let plays: Vec<_> = (0..kinds.len())
         .flat_map(|kind| patterns.iter().zip(1..).map(move |(pattern, seed)| (kind, *pattern, seed)))
         .collect();
     let next = AtomicUsize::new(0);
-    let jobs = std::thread::available_parallelism().map_or(1, usize::from);
     std::thread::scope(|scope| {
         for _ in 0..jobs.min(plays.len()) {
             scope.spawn(|| {
