@@ -120,9 +120,10 @@ impl Loop {
     /// Reads, decides and writes until there is nothing to write: the streamer reacts to a report in the wake-up that brought it.
     fn exchange(&mut self) {
         for _ in 0..ROUNDS {
-            let now = HostInstant::now();
             // Read first: after a stall the device may have ended the play long ago.
-            let wrote = self.read(now).and_then(|()| {
+            let read = self.read();
+            let now = HostInstant::now();
+            let wrote = read.and_then(|()| {
                 self.streamer.step(now, &mut self.queues);
                 self.write(now)
             });
@@ -164,17 +165,10 @@ impl Loop {
         }
     }
 
-    fn read(&mut self, now: HostInstant) -> io::Result<()> {
+    fn read(&mut self) -> io::Result<()> {
         let Self { queues, streamer, device: Some(device), .. } = self else { return Ok(()) };
-        let mut bytes = [0; 1024];
-        for _ in 0..MAX_READS {
-            let len = device.read(now, &mut bytes)?;
-            if len == 0 {
-                break;
-            }
-            streamer.receive(now, &bytes[..len], queues);
-        }
-        Ok(())
+        let read = |bytes: &mut [u8]| device.read(HostInstant::now(), bytes);
+        read_all(read, HostInstant::now, |now, bytes| streamer.receive(now, bytes, queues))
     }
 
     fn give_back(&mut self, reason: &'static str) {
@@ -200,5 +194,50 @@ impl Loop {
             }
             None => poll(&mut [commands], Some(&timeout)),
         };
+    }
+}
+
+/// Reads until nothing waits, and hands over the bytes, each time with an instant at which they were there.
+///
+/// The clock is read after the bytes. If the thread stands still in between, they only seem to come late. With an earlier instant a
+/// status that came meanwhile would have a tick that the device's clock has not reached: a sound device would be doubted.
+fn read_all(
+    mut read: impl FnMut(&mut [u8]) -> io::Result<usize>,
+    now: impl Fn() -> HostInstant,
+    mut receive: impl FnMut(HostInstant, &[u8]),
+) -> io::Result<()> {
+    let mut bytes = [0; 1024];
+    for _ in 0..MAX_READS {
+        let len = read(&mut bytes)?;
+        if len == 0 {
+            break;
+        }
+        receive(now(), &bytes[..len]);
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::cell::Cell;
+
+    /// The host stands still for 30 ms in each read, and the device goes on.
+    #[test]
+    fn bytes_never_seem_to_come_before_they_were_there() {
+        let now = Cell::new(HostInstant::from_ns(1_000_000));
+        let (mut came, mut received) = (Vec::new(), Vec::new());
+        let read = |bytes: &mut [u8]| {
+            now.set(now.get() + Duration::from_millis(30));
+            came.push(now.get());
+            bytes[0] = came.len() as u8;
+            Ok(if came.len() > 3 { 0 } else { 1 })
+        };
+        read_all(read, || now.get(), |at, bytes| received.push((at, bytes.to_vec()))).unwrap();
+        assert_eq!(received.len(), 3);
+        for (number, (at, bytes)) in received.iter().enumerate() {
+            assert_eq!(bytes, &[number as u8 + 1]);
+            assert!(*at >= came[number], "{at:?} is before {:?}", came[number]);
+        }
     }
 }

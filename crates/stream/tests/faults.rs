@@ -165,7 +165,7 @@ impl Player<'_> {
         Observed {
             resent: snapshots.iter().map(|snapshot| snapshot.retransmitted).max().unwrap_or(0),
             unread: snapshots.iter().map(|snapshot| unread(snapshot.bad_frames)).max().unwrap_or(0),
-            unread_by_device: self.rig.mock.controller().counters().bad_frames.into(),
+            unread_by_device: self.rig.mock.controller().counters().bad_frames,
             contradictions: self.rig.contradictions(),
             rate_ppm: rates.fold(0.0, f64::max),
             sensors_set_aside: set_aside.count() as u64,

@@ -64,6 +64,9 @@ impl Expect {
     /// # Errors
     /// What was not as expected, in one line.
     pub fn judge(&self, seen: &Seen, observed: &Observed, allowance_ms: f64) -> Result<(), String> {
+        if seen.planned == 0 {
+            return Err("the play was cut before anything of it was sent".to_owned());
+        }
         if (self.play == Ends::Done) != seen.is_done && self.play != Ends::Any {
             let ended = if seen.is_done { "done" } else { "cut" };
             return Err(format!("the play was {ended}, expected {:?}", self.play));

@@ -28,6 +28,8 @@ pub enum Cell {
     Worst(Worst),
     /// The target cannot do it; why.
     NotPossible(&'static str),
+    /// It was not as its case says.
+    Failed,
 }
 
 impl Cell {
@@ -35,11 +37,12 @@ impl Cell {
         match self {
             Self::Worst(worst) => format!("{}; {}; {}", worst.ends(), worst.safe(), worst.lost()),
             Self::NotPossible(why) => format!("not possible: {why}"),
+            Self::Failed => "**not as expected**".to_owned(),
         }
     }
 }
 
-/// A run over all kinds.
+/// A run over all kinds, or over some of them again.
 #[derive(Clone, Debug)]
 pub struct Account<'a> {
     /// As in 2026-11-24.
@@ -60,7 +63,7 @@ pub fn row_of(kind: &Kind<'_>) -> (String, String) {
     (kind.case.name.clone(), kind.label())
 }
 
-/// Writes the page with a new column for this target.
+/// Writes the page with a new column for this target: the given cells, and of kinds that were not played those that it had.
 ///
 /// # Errors
 /// If the page cannot be read or written.
@@ -88,8 +91,13 @@ fn renewed(
     let mut text = HEAD.to_owned();
     for (other, name) in TARGETS {
         let Account { date, commit, command, remark } = account;
-        let new = format!("{date} | {commit} | `{command}` | {remark}");
         let kept = old.accounts.get(name).cloned().unwrap_or_else(|| "– | – | – | –".to_owned());
+        let is_whole = cells.len() == cases.iter().flat_map(Case::kinds).count();
+        let new = if is_whole {
+            format!("{date} | {commit} | `{command}` | {remark}")
+        } else {
+            format!("{kept}; on {date} at {commit} again: {remark}")
+        };
         let _ = writeln!(text, "| {name} | {} |", if other == target { new } else { kept });
     }
     text.push_str(ROWS);
@@ -98,7 +106,7 @@ fn renewed(
         let kept = old.kinds.get(&row);
         let columns = TARGETS.iter().enumerate().map(|(column, (other, _))| {
             let new = cells.get(&row).filter(|_| *other == target).map(Cell::text);
-            let kept = || kept.and_then(|kept| kept.get(column).cloned()).filter(|_| *other != target);
+            let kept = || kept.and_then(|kept| kept.get(column).cloned());
             new.or_else(kept).unwrap_or_else(|| "–".to_owned())
         });
         let columns: Vec<String> = columns.collect();

@@ -85,7 +85,7 @@ impl Daemon {
             match client.get_within::<Status>(Duration::from_secs(2), "/v1/status") {
                 Ok(status) if status.is_connected() => return Ok(status),
                 other if begun.elapsed() > TIMEOUT => {
-                    return Err(format!("the daemon has no device: {other:?}"));
+                    return Err(format!("the daemon has no device: {other:?}; its log:\n{}", self.log()));
                 }
                 _ => sleep(Duration::from_millis(10)),
             }

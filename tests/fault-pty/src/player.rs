@@ -33,6 +33,8 @@ const ASKED: Duration = Duration::from_millis(200);
 /// Longest wait for each of two answers meanwhile: a fault must not come late.
 const ANSWER: Duration = Duration::from_millis(150);
 
+/// How much too early a cut may seem, by rounding and by the estimate of the clock.
+const EARLY_MS: f64 = 2.0;
 /// The play is ordered so long before the moment from which the case counts.
 const ORDERED_AHEAD: Duration = Duration::from_millis(800);
 
@@ -177,7 +179,8 @@ impl<'a> Player<'a> {
         self.mend();
         self.run(6_000 * MS);
         let trace = self.board.with(|state| state.mock.take_trace());
-        let mut seen = self.seen(id, &trace, &strokes)?;
+        let first = case.fault.iter().flat_map(|fault| kind.begins(fault, order_tick, &strokes)).min();
+        let mut seen = self.seen(id, &trace, &strokes, first.unwrap_or_default())?;
         if !seen.is_done {
             let high_ms = high_until(&trace, self.fault_tick);
             seen.safe_ms = Some(high_ms.max(self.gone_high_ms.unwrap_or(0.0)));
@@ -196,7 +199,7 @@ impl<'a> Player<'a> {
     }
 
     /// What became of the play, by its receipt; by the lines if the daemon was killed that would have made one.
-    fn seen(&mut self, id: u64, trace: &Trace, strokes: &[Stroke]) -> Result<Seen, String> {
+    fn seen(&mut self, id: u64, trace: &Trace, strokes: &[Stroke], first: Duration) -> Result<Seen, String> {
         let is_latched = self.board.with(|state| state.mock.controller().state()) == State::Faulted;
         if self.died {
             let planned = 2 * strokes.len() as u64;
@@ -209,6 +212,11 @@ impl<'a> Player<'a> {
         let fates = bursts.played + bursts.late + bursts.dropped + bursts.refused + bursts.replaced;
         if bursts.planned != fates {
             return Err(format!("the receipt does not add up: {bursts:?}"));
+        }
+        // A case without its fault would show nothing: a daemon that the machine held up may have lost the play before.
+        let from_onset_ms = first.as_secs_f64() * 1e3 - ONSET as f64 * 1e3 / f64::from(TICK_HZ);
+        if receipt.cut_after_ms.is_some_and(|after_ms| after_ms < from_onset_ms - EARLY_MS) {
+            return Err(format!("the play was cut before the fault: {:?}", receipt.cause));
         }
         Ok(Seen {
             is_done: receipt.state == PlayState::Done,
@@ -272,7 +280,7 @@ impl<'a> Player<'a> {
         });
         let told = |count: &AtomicU64| count.load(Ordering::Relaxed);
         let (unread_by_device, harmed) =
-            self.board.with(|state| (state.mock.controller().counters().bad_frames.into(), state.harmed()));
+            self.board.with(|state| (state.mock.controller().counters().bad_frames, state.harmed()));
         Observed {
             contradictions: self.observed.contradictions + told(&self.told.contradictions),
             sensors_set_aside: told(&self.told.sensors),
@@ -324,7 +332,7 @@ impl<'a> Player<'a> {
             }
             What::ClockPpm(ppm) => self.board.with(|state| state.clock.set_error(now, ppm.of(value))),
             What::ClockDrift(ppm_per_s) => {
-                self.board.with(|state| state.clock.drift(now, ppm_per_s.of(value)))
+                self.board.with(|state| state.clock.drift(now, ppm_per_s.of(value)));
             }
             What::Nonsense(count) => {
                 let nonsense = bytes::nonsense(count.of(value) as u32);
