@@ -5,8 +5,9 @@
 //! - `--mock` plays on the mock instead of the chip;
 //! - `--patterns 1` plays the first pattern alone;
 //! - `--jobs 8` plays so many at once, instead of one for each processor;
-//! - `--minutes 20` begins no play later than that: the page has a dash for what was not played;
-//! - `--renew DATE COMMIT` writes the chip's column of the book's page, if nothing failed.
+//! - `--minutes 20` begins no play later than that;
+//! - `--renew DATE COMMIT` writes the chip's column of the book's page; kinds that were not played
+//!   keep what they had.
 
 use meissner_fault_cases::page::{Account, Cell, Target, path, renew, row_of};
 use meissner_fault_cases::{Case, Kind, PATTERNS, cases};
@@ -86,8 +87,6 @@ fn main() -> ExitCode {
         println!("failed: {problem}");
     }
     if let Some((date, commit)) = account
-        && problems.is_empty()
-        && names.is_empty()
         && on == On::Chip
     {
         let played: Vec<_> =
@@ -119,7 +118,10 @@ fn write(
     others: &[Kind<'_>],
     cases: &[Case],
 ) -> io::Result<()> {
-    let played = played.iter().map(|(kind, shown)| (row_of(kind), Cell::Worst(shown.worst.clone())));
+    let played = played.iter().map(|(kind, shown)| {
+        let cell = if shown.problems.is_empty() { Cell::Worst(shown.worst.clone()) } else { Cell::Failed };
+        (row_of(kind), cell)
+    });
     let others =
         others.iter().filter_map(|kind| Some((row_of(kind), Cell::NotPossible(not_possible(kind)?))));
     let cells: BTreeMap<_, _> = played.chain(others).collect();
