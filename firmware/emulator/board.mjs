@@ -149,6 +149,8 @@ export class Board {
   runTo(limit) {
     this.stopWanted = false;
     while (this.clock.cycle < limit && !this.stopWanted) {
+      // The RUN pin may have been pulled between two runs, and the core forgets that it was told to stop.
+      if (this.resetWanted) this.reset();
       this.core.run(limit);
       if (this.resetWanted) this.reset();
     }

@@ -67,6 +67,23 @@ test('a dead core is revived by the watchdog only', () => {
   assert.ok(b.instructions > instructions);
 });
 
+test('the RUN pin resets the chip at once, before it runs on', () => {
+  const b = chip();
+  setUpPio(b);
+  write(b, TXF0, 0x1ff);
+  write(b, 0x50200000, 1);
+  idle(b, 127000);
+  assert.equal(b.recorder.last, 0x1ff);
+  levels(b);
+  const t0 = b.clock.cycle;
+  b.runPin();
+  idle(b, 60000);
+  assert.equal(b.resets, 1);
+  const [[when, level]] = levels(b);
+  assert.equal(level, 0);
+  assert.ok(when - t0 <= 1, `${when - t0}`);
+});
+
 test('a timer alarm fires at its microsecond, not before', () => {
   const b = chip();
   load(b, [0xe7fe]);

@@ -4,24 +4,30 @@
 //! and out, a process is stalled or killed. It has no logic of streamer or controller. The device receives what the host
 //! sends at the beginning of the next step.
 
+mod cable;
 mod faults;
 
 use crate::bench::chip::ChipBench;
-use crate::bench::{Bench, BenchError, CpuEvent, Function, Which};
+use crate::bench::{Bench, BenchError, Function, Which};
 use crate::judge::{Boot, Quiet};
 use crate::oracle;
 use crate::tap::{Event, Tap};
-use crate::time::{Grid, MS, TICK, host};
-pub use faults::{Faults, FaultyLine};
+use crate::time::{Grid, HostClock, MS, host};
+use cable::Cable;
+pub use cable::Faults;
 use firmware_protocol::frame::{MAX_FRAME, encode};
 use firmware_protocol::message::HostMessage;
 use firmware_protocol::tick::Tick;
 use meissner_stream::link::LineRate;
 use meissner_stream::queues::{Command, Outcome, Request, StreamEvent};
+use meissner_stream::time::HostInstant;
 use meissner_stream::{Settings, Streamer};
 
 /// Interval of the host's wake-ups.
 const STEP: u64 = MS / 2;
+/// The same while the host stands still for longer than [`LONG`]: nothing happens in between.
+const LONG_STEP: u64 = 10 * MS;
+const LONG: u64 = 1_000 * MS;
 /// The host's nominal line rate: USB at full speed, as for a real board.
 const RATE: LineRate = LineRate::USB_FULL_SPEED;
 
@@ -65,12 +71,13 @@ pub struct Rig {
     pub streamer: Streamer,
     function: Function,
     now: u64,
-    line: FaultyLine,
+    /// The host's clock, by the cycles.
+    clock: HostClock,
+    cable: Cable,
     /// Whether the host asks for e-stops by control requests, too.
     pub requests_e_stops: bool,
     /// The epoch of an e-stop to ask for.
     e_stop: Option<u16>,
-    to_host: Vec<u8>,
     /// Whether the host opens a device that is plugged in.
     hot_plug: bool,
     connected: bool,
@@ -99,10 +106,10 @@ impl Rig {
             streamer: Streamer::new(options.settings),
             function: options.function,
             now: 0,
-            line: FaultyLine::new(options.faults, options.seed),
+            clock: HostClock::default(),
+            cable: Cable::new(options.faults.line(), options.seed),
             requests_e_stops: true,
             e_stop: None,
-            to_host: Vec::new(),
             hot_plug: true,
             connected: false,
             dead: false,
@@ -123,6 +130,12 @@ impl Rig {
     #[must_use]
     pub fn now(&self) -> u64 {
         self.now
+    }
+
+    /// The host's clock now.
+    #[must_use]
+    pub fn host_time(&self) -> HostInstant {
+        self.clock.at(self.now)
     }
 
     /// The traffic of the link in this boot.
@@ -164,7 +177,7 @@ impl Rig {
     /// Gives the host's process a command and returns its ticket. A killed process takes none.
     pub fn order(&mut self, job: Command) -> u64 {
         self.tickets += 1;
-        let now = host(self.now);
+        let now = self.host_time();
         let order = Request { ticket: self.tickets, issued_at: now, command: job };
         self.streamer.execute(now, order, &mut self.notices);
         // The process wakes up at once.
@@ -178,8 +191,9 @@ impl Rig {
     /// If the device is gone; also for the methods below.
     pub fn run_to(&mut self, cycle: u64) -> Result<(), RigError> {
         while self.now < cycle {
-            let to = (self.now + STEP).min(cycle);
-            self.step(to)?;
+            let is_idle = self.held_until > self.now + LONG;
+            let step = if is_idle { LONG_STEP } else { STEP };
+            self.step((self.now + step).min(cycle))?;
         }
         Ok(())
     }
@@ -190,7 +204,7 @@ impl Rig {
     /// If that takes longer than `at_most` ms.
     pub fn run_to_greeting(&mut self, at_most: u64) -> Result<(), RigError> {
         let end = self.now + at_most * MS;
-        while self.tap.hello().is_none() || self.streamer.tick_at(host(self.now)).is_none() {
+        while self.tap.hello().is_none() || self.streamer.tick_at(self.host_time()).is_none() {
             if self.now >= end {
                 return Err(RigError::Timeout("a handshake", at_most));
             }
@@ -226,13 +240,12 @@ impl Rig {
         if let Some(epoch) = self.e_stop.take() {
             self.bench.e_stop(epoch)?;
         }
-        let bytes = self.line.take();
-        self.bench.write(self.function, &bytes)?;
+        self.deliver()?;
         let heard = self.bench.run(to)?;
         self.now = self.bench.cycle().max(to);
         let bytes = if self.function == Function::Cdc { heard.cdc } else { heard.bulk };
         self.tap.from_device(self.now, &bytes);
-        self.to_host.extend(bytes);
+        self.cable.hear(host(self.now), &bytes);
         if self.bench.resets() != self.resets {
             self.resets = self.bench.resets();
             self.end_boot();
@@ -250,14 +263,21 @@ impl Rig {
         Ok(())
     }
 
+    /// Hands what has reached the device over to it.
+    fn deliver(&mut self) -> Result<(), RigError> {
+        let bytes = self.cable.for_device(host(self.now));
+        self.tap.from_host(self.now, &bytes);
+        Ok(self.bench.write(self.function, &bytes)?)
+    }
+
     /// One wake-up of the host's process.
     fn host(&mut self) {
         if self.dead || self.now < self.held_until {
             return;
         }
-        let now = host(self.now);
+        let now = self.host_time();
         let emit = &mut self.notices;
-        for chunk in std::mem::take(&mut self.to_host).chunks(1024) {
+        for chunk in self.cable.for_host(host(self.now)).chunks(1024) {
             self.streamer.receive(now, chunk, emit);
         }
         self.streamer.step(now, emit);
@@ -269,8 +289,7 @@ impl Rig {
             if len == 0 {
                 break;
             }
-            self.tap.from_host(self.now, &frame[..len]);
-            self.line.send(&frame[..len]);
+            self.cable.send(host(self.now), &frame[..len]);
         }
     }
 
@@ -278,16 +297,15 @@ impl Rig {
     pub fn connect(&mut self) {
         self.sessions = self.sessions.wrapping_add(1);
         self.connected = true;
-        self.streamer.connect(host(self.now), self.sessions, RATE, &mut self.notices);
+        self.streamer.connect(self.host_time(), self.sessions, RATE, &mut self.notices);
     }
 
     /// The host's operating system says that the device is gone.
     pub fn disconnect(&mut self, why: &'static str) {
         self.connected = false;
-        self.line.clear();
-        self.to_host.clear();
+        self.cable.clear();
         self.tap.broken();
-        self.streamer.disconnect(host(self.now), why, &mut self.notices);
+        self.streamer.disconnect(self.host_time(), why, &mut self.notices);
     }
 
     /// Plugs the cable in, or out with all bytes that are under way.
@@ -297,8 +315,7 @@ impl Rig {
     pub fn plug(&mut self, plugged: bool) -> Result<(), RigError> {
         if !plugged {
             // Bytes handed over before are on the wire; the rest is lost.
-            let bytes = self.line.take();
-            self.bench.write(self.function, &bytes)?;
+            self.deliver()?;
         }
         self.bench.usb(plugged)?;
         if !plugged {
@@ -320,17 +337,12 @@ impl Rig {
         Ok(())
     }
 
-    /// Stalls the host's process until a cycle.
-    pub fn stall(&mut self, until: u64) {
-        self.held_until = until;
-    }
-
     /// Stops the host's process for ever, with its tty open; with `false`, another process takes its place.
     pub fn kill(&mut self, dead: bool) {
         self.dead = dead;
         if dead {
             self.connected = false;
-            self.streamer.disconnect(host(self.now), "killed", &mut self.notices);
+            self.streamer.disconnect(self.host_time(), "killed", &mut self.notices);
         }
     }
 
@@ -349,22 +361,16 @@ impl Rig {
         Ok(())
     }
 
-    /// Changes the faults of the line for the host's frames.
-    pub fn set_faults(&mut self, faults: Faults) {
-        self.line.set(faults);
-    }
-
     /// Sends bytes between the host's frames.
     pub fn raw(&mut self, bytes: &[u8]) {
-        self.line.push(bytes);
+        self.cable.push(host(self.now), bytes);
     }
 
     /// Sends a message as if the streamer had sent it.
     pub fn message(&mut self, message: &HostMessage<'_>) {
         let mut frame = [0; MAX_FRAME];
         let len = encode(message, &mut frame).unwrap_or(0);
-        self.tap.from_host(self.now, &frame[..len]);
-        self.line.push(&frame[..len]);
+        self.cable.push(host(self.now), &frame[..len]);
     }
 
     /// Sends bytes to the USB function that the host does not use.
@@ -373,26 +379,6 @@ impl Rig {
     /// As for [`Self::run_to`].
     pub fn stray(&mut self, bytes: &[u8]) -> Result<(), RigError> {
         Ok(self.bench.write(self.function.other(), bytes)?)
-    }
-
-    /// Makes the core fail; the lines must be low a horizon later.
-    ///
-    /// # Errors
-    /// As for [`Self::run_to`].
-    pub fn fail(&mut self, event: CpuEvent) -> Result<(), RigError> {
-        self.death = Some(self.now);
-        self.low_from(oracle::HORIZON);
-        if let Bench::Mock(_) = self.bench {
-            self.end_boot();
-            self.resets += 1;
-        }
-        self.bench.cpu(event)?;
-        Ok(())
-    }
-
-    /// From this many ticks from now, all lines must be low until the next `arm` or onset.
-    pub fn low_from(&mut self, ticks: u64) {
-        self.quiets.push(Quiet { cycle: self.now + ticks * TICK });
     }
 
     fn end_boot(&mut self) {

@@ -1,7 +1,7 @@
-//! Reads the link in both directions: what the host has sent, and what the device has reported.
+//! Reads the link in both directions: what has come from the host, and what the device has reported.
 //!
-//! It shares only the frames with host and device. It counts repetitions once and widens ticks. Frames that the line loses or
-//! damages are included, because the host repeats them.
+//! It shares only the frames with host and device. It counts repetitions once and widens ticks. It reads at the device's end of the
+//! line: what the line loses is not in it until the host has repeated it.
 
 use firmware_protocol::batch::{Amendment, Amendments, Strokes};
 use firmware_protocol::board::{Board, SelfTestState};
@@ -57,7 +57,8 @@ pub enum Event {
 /// Everything that went over the link in one boot of the device.
 #[derive(Debug, Default)]
 pub struct Tap {
-    /// Events, with the cycle at which the host sent or read them.
+    /// Events, with the cycle at which they came to the device or from it. Strokes are in the order of their frames' numbers, which is
+    /// that in which the device takes them.
     pub events: Vec<(u64, Event)>,
     host: Decoder,
     device: Decoder,
@@ -67,24 +68,28 @@ pub struct Tap {
     seen: Vec<(u16, u16)>,
     reported: Vec<u16>,
     last: Tick,
-    /// Frames of either side that could not be read.
+    /// Frames of the device that could not be read.
     pub unreadable: u64,
 }
 
+/// Whether a number that repeats after 65 536 comes after another.
+fn is_after(number: u16, other: u16) -> bool {
+    number.wrapping_sub(other).cast_signed() > 0
+}
+
 impl Tap {
-    /// Takes bytes that the host sends.
+    /// Takes bytes that come from the host.
     pub fn from_host(&mut self, cycle: u64, mut bytes: &[u8]) {
         let mut decoder = std::mem::take(&mut self.host);
         while let Some(body) = decoder.next(&mut bytes) {
-            match frame::read(body) {
-                Ok(message) => self.sent(cycle, message),
-                Err(_) => self.unreadable += 1,
+            if let Ok(message) = frame::read(body) {
+                self.sent(cycle, message);
             }
         }
         self.host = decoder;
     }
 
-    /// Takes bytes that the host reads.
+    /// Takes bytes that the device sends.
     pub fn from_device(&mut self, cycle: u64, mut bytes: &[u8]) {
         let mut decoder = std::mem::take(&mut self.device);
         while let Some(body) = decoder.next(&mut bytes) {
@@ -155,7 +160,12 @@ impl Tap {
                 Event::Opened(session)
             }
             HostMessage::Ping { .. } | HostMessage::Board { .. } | HostMessage::SelfTest { .. } => return,
-            HostMessage::Control { epoch, .. } if self.epoch == Some(epoch) => return,
+            // Repeated, or overtaken by a newer one.
+            HostMessage::Control { epoch, .. }
+                if self.epoch.is_some_and(|present| !is_after(epoch, present)) =>
+            {
+                return;
+            }
             HostMessage::Control { epoch, op, .. } => {
                 self.epoch = Some(epoch);
                 Event::Control(epoch, op)
@@ -186,7 +196,24 @@ impl Tap {
                 Event::Amend(Amendments::new(self.near(base), items).flatten().collect())
             }
         };
-        self.events.push((cycle, event));
+        let at = self.place_of(&event);
+        self.events.insert(at, (cycle, event));
+    }
+
+    /// Where an event from the host belongs: strokes belong before those of later frames that have overtaken theirs.
+    fn place_of(&self, event: &Event) -> usize {
+        let mut at = self.events.len();
+        let Event::Batch(batch) = event else { return at };
+        for (place, (_, event)) in self.events.iter().enumerate().rev() {
+            match event {
+                Event::Batch(other) if other.epoch == batch.epoch && is_after(other.seq, batch.seq) => {
+                    at = place;
+                }
+                Event::Batch(_) | Event::Control(..) | Event::Opened(_) => break,
+                _ => {}
+            }
+        }
+        at
     }
 
     fn said(&mut self, cycle: u64, message: DeviceMessage) {
@@ -217,5 +244,43 @@ impl Tap {
     #[must_use]
     pub fn tick(&self, tick: WireTick) -> Tick {
         self.near(tick)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use firmware_protocol::frame::{MAX_FRAME, encode};
+
+    #[test]
+    fn frames_that_overtake_each_other_are_in_the_order_of_their_numbers() {
+        let mut tap = Tap::default();
+        let mut send = |message: &HostMessage<'_>| {
+            let mut frame = [0; MAX_FRAME];
+            let len = encode(message, &mut frame).unwrap();
+            tap.from_host(0, &frame[..len]);
+        };
+        let strokes = |seq| HostMessage::Strokes {
+            epoch: 7,
+            seq,
+            seen: 0,
+            mark: None,
+            withdraw: None,
+            base: Tick::BOOT.wire(),
+            batch: &[],
+        };
+        send(&HostMessage::Control { epoch: 7, seen: 0, op: Op::Stop });
+        [1, 3, 4, 2, 3, 0].into_iter().for_each(|seq| send(&strokes(seq)));
+        // Older than the newest command.
+        send(&HostMessage::Control { epoch: 6, seen: 0, op: Op::EStop });
+        let numbers: Vec<_> = tap
+            .events
+            .iter()
+            .map(|(_, event)| match event {
+                Event::Batch(batch) => Some(batch.seq),
+                _ => None,
+            })
+            .collect();
+        assert_eq!(numbers, [None, Some(0), Some(1), Some(2), Some(3), Some(4)]);
     }
 }

@@ -4,6 +4,7 @@
 
 mod estop;
 mod estop_races;
+mod faults;
 mod hand;
 mod hangs;
 mod live;

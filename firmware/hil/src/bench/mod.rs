@@ -236,3 +236,14 @@ pub enum Played {
     /// On the chip.
     Pins(Box<Pins>),
 }
+
+impl Played {
+    /// The cycle at which the last pulse has fallen.
+    #[must_use]
+    pub fn low_since(&self, grid: crate::time::Grid) -> Option<u64> {
+        match self {
+            Self::Ticks(log) => log.end().map(|tick| grid.cycle(tick)),
+            Self::Pins(pins) => pins.low_since(u64::MAX),
+        }
+    }
+}
