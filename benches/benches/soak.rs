@@ -493,10 +493,10 @@ fn draw(path: &Path, samples: &[Sample], bounds: &[(f64, &str)]) -> Done {
         let mut chart = ChartBuilder::on(&area)
             .caption(name, ("sans-serif", 14))
             .margin(8)
-            .x_label_area_size(20)
+            .x_label_area_size(32)
             .y_label_area_size(50)
             .build_cartesian_2d(0.0..end, low * 1.1..high * 1.1)?;
-        chart.configure_mesh().max_light_lines(0).x_labels(13).y_labels(4).draw()?;
+        chart.configure_mesh().x_desc("minutes").max_light_lines(0).x_labels(13).y_labels(4).draw()?;
         for (at, load) in bounds {
             chart.draw_series([PathElement::new(
                 [(*at, low * 1.1), (*at, high * 1.1)],
