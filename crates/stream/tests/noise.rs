@@ -69,14 +69,20 @@ fn a_line_that_loses_a_byte_in_twenty_connects_and_arms() {
     }
 }
 
+/// By chance an answer gets through now and then: in one of 20 tries often enough to arm, and nothing is played then either. Or no answer
+/// has come at all when the link is given up.
 #[test]
 fn a_line_that_loses_a_byte_in_ten_is_named_with_what_it_damages() {
-    for seed in 0..3 {
+    let (mut lucky, mut named, mut lost) = (0, 0, 0);
+    for seed in 0..20 {
         let tried = try_play("wave", 0.1, seed);
-        // It may be connected for a moment.
-        assert!(!tried.armed && tried.bursts.1 == 0, "{tried:?}");
-        let named =
-            |reason: &&str| reason.starts_with("the line damages 9") && reason.contains("shielded cable");
-        assert!(!tried.lost.is_empty() && tried.lost.iter().all(named), "{tried:?}");
+        assert_eq!(tried.bursts, (0, 0), "{tried:?}");
+        lucky += u32::from(tried.armed || tried.lost.is_empty());
+        lost += tried.lost.len();
+        let is_named =
+            |reason: &&&str| reason.starts_with("the line damages 9") && reason.contains("shielded cable");
+        named += tried.lost.iter().filter(is_named).count();
     }
+    assert!(lucky <= 1, "{lucky} of 20 tries armed, or stayed connected");
+    assert!(named * 5 >= lost * 4, "{named} of {lost} losses are named");
 }
