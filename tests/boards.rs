@@ -5,8 +5,12 @@ use meissner_api::Status;
 use meissner_array::simulated::SimulatedMotorsConfig;
 use meissner_stream::device::{self, DeviceError, PtyMock, Spec, WallMock};
 use meissner_stream::time::HostInstant;
+use rustix::process::geteuid;
 use serde_json::Value;
+use std::fs::Permissions;
 use std::io::Write;
+use std::os::unix::fs::PermissionsExt;
+use std::os::unix::process::CommandExt;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::{sleep, spawn};
@@ -186,6 +190,18 @@ fn a_port_has_one_user() {
     let spec: Spec = name.parse().unwrap();
     let refused = device::open(&spec, &SimulatedMotorsConfig::default()).unwrap_err();
     assert!(matches!(refused, DeviceError::InUse(_)), "{refused}");
+    // Nor has a program that looks at no lock, unless it is root's.
+    std::fs::set_permissions(board.path(), Permissions::from_mode(0o666)).unwrap();
+    let mut shell = std::process::Command::new("sh");
+    shell.args(["-c", "exec 3<>\"$0\""]).arg(board.path());
+    if geteuid().is_root() {
+        shell.uid(65_534);
+    }
+    let opened = shell.output().unwrap();
+    assert!(
+        !opened.status.success() && String::from_utf8_lossy(&opened.stderr).contains("busy"),
+        "{opened:?}"
+    );
     let report = report(&name);
     let found = finding(&report, "device").to_string();
     assert!(

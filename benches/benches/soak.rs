@@ -2,13 +2,15 @@
 //!
 //! A daemon with default lead and host watchdog, with its session record on the disk. Its device is the mock, or with `DEVICE=board` a
 //! board at the far end of a pseudo-terminal, whose clock runs 30 millionths fast. The kernel moves bytes of terminals in threads of
-//! normal priority: on a machine with more to do than it can, the board shows how long these wait. Plays of 5 to 60 s follow each other; every tenth is ended by an e-stop. Meanwhile the
-//! loads of [`PHASES`] take turns, twice. Every ten seconds a sample is taken: lost bursts, the daemon's memory, descriptors, threads
-//! and processor time. At each onset the daemon's clock model is compared with the board's clock.
+//! normal priority: on a machine with more to do than it can, the board shows how long these wait.
 //!
-//! It prints a row for each phase, and writes all samples to `soak.csv` a drawing to `soak.svg`, and the daemon's log to `soak.log` in the folder
-//! `OUT` [.]. It asserts
-//! nothing, but it ends with an error if the daemon does.
+//! Plays of 5 to 60 s follow each other; every tenth is ended by an e-stop. Meanwhile the loads of [`PHASES`] take turns, twice. Every ten
+//! seconds a sample is taken: lost bursts, the daemon's memory, descriptors, threads and processor time. At each onset the daemon's clock
+//! model is compared with the device's clock: the board's own, or, for the mock, the host's since the first onset. A real-time thread
+//! above all others measures how long the machine itself stands still: a play that such a stall breaks is counted, and the next one begins.
+//!
+//! It prints a row for each phase, and writes all samples to `soak.csv`, a drawing to `soak.svg`, and the daemon's log to `soak.log` in the
+//! folder `OUT` [.]. It asserts nothing, but it ends with an error if the daemon does.
 
 use firmware_protocol::tick::{TICK_HZ, Tick};
 use meissner_api::{PlayAccepted, PlayState, Receipt, Search, Status};

@@ -6,6 +6,7 @@ use clap::Parser;
 use meissner_fault_cases::page::{Account, Cell, Target, path, renew, row_of};
 use meissner_fault_cases::{Case, Kind, PATTERNS, cases};
 use meissner_fault_pty::{ALLOWANCE_MS, Plan, run};
+use std::num::NonZeroUsize;
 use std::path::PathBuf;
 use std::process::ExitCode;
 use std::time::Instant;
@@ -18,8 +19,8 @@ struct Arguments {
     /// Play only the cases with these names.
     cases: Vec<String>,
     /// Play N at once.
-    #[arg(long, value_name = "N", default_value_t = 12)]
-    jobs: usize,
+    #[arg(long, value_name = "N", default_value = "12")]
+    jobs: NonZeroUsize,
     /// Write the cells of the book of the kinds that were played, as of this date and commit.
     #[arg(long, num_args = 2, value_names = ["DATE", "COMMIT"])]
     renew: Option<Vec<String>>,
@@ -28,10 +29,14 @@ struct Arguments {
 fn main() -> ExitCode {
     let Arguments { program, cases: names, jobs, renew: account } = Arguments::parse();
     let cases = cases();
+    if let Some(unknown) = names.iter().find(|name| cases.iter().all(|case| case.name != **name)) {
+        eprintln!("faults: there is no case {unknown}: see tests/faults");
+        return ExitCode::from(2);
+    }
     let wanted = |kind: &Kind<'_>| names.is_empty() || names.contains(&kind.case.name);
     let kinds: Vec<Kind<'_>> = cases.iter().flat_map(Case::kinds).filter(wanted).collect();
     let begun = Instant::now();
-    let plan = Plan { program: &program, patterns: &PATTERNS, jobs };
+    let plan = Plan { program: &program, patterns: &PATTERNS, jobs: jobs.get() };
     let shown = run(&plan, &kinds, |line| println!("{line}"));
     let problems: Vec<&String> = shown.iter().flat_map(|shown| &shown.problems).collect();
     let repeated: u32 = shown.iter().map(|shown| shown.repeated).sum();

@@ -97,8 +97,8 @@ pub(crate) fn play(
                 .map_err(|problem| format!("{problem}; the daemon's log:\n{}", player.daemon.log()));
             (seen, player.overslept.max(player.board.stood_still()))
         }
-        // A machine on which no daemon starts has stood still long enough.
-        Err(problem) => (Err(problem), Duration::MAX),
+        // The watch says whether the machine stood still.
+        Err(problem) => (Err(problem), Duration::ZERO),
     }
 }
 
@@ -215,11 +215,14 @@ impl<'a> Player<'a> {
         }
         // A case without its fault would show nothing: a daemon that the machine held up may have lost the play before.
         let from_onset_ms = first.as_secs_f64() * 1e3 - ONSET as f64 * 1e3 / f64::from(TICK_HZ);
-        if receipt.cut_after_ms.is_some_and(|after_ms| after_ms < from_onset_ms - EARLY_MS) {
+        let is_done = receipt.state == PlayState::Done;
+        // A play without an onset was cut before it.
+        let cut_after_ms = receipt.cut_after_ms.unwrap_or(0.0);
+        if !is_done && cut_after_ms < from_onset_ms - EARLY_MS {
             return Err(format!("the play was cut before the fault: {:?}", receipt.cause));
         }
         Ok(Seen {
-            is_done: receipt.state == PlayState::Done,
+            is_done,
             safe_ms: None,
             is_latched,
             lost: bursts.planned - bursts.played,

@@ -9,7 +9,7 @@ use crate::link::LineRate;
 use rustix::fd::{AsFd, AsRawFd, BorrowedFd, OwnedFd};
 use rustix::fs::{Mode, OFlags, fcntl_getfl, fcntl_setfl, open};
 use rustix::io::Errno;
-use rustix::termios::isatty;
+use rustix::termios::{ioctl_tiocexcl, isatty};
 use serialport::SerialPort as _;
 use std::io;
 use std::path::{Path, PathBuf};
@@ -68,7 +68,9 @@ impl SerialPort {
         let borrowed = unsafe { BorrowedFd::borrow_raw(port.as_raw_fd()) };
         // A copy: `into_raw_fd` would leak the port's name.
         let fd = borrowed.try_clone_to_owned().map_err(failed)?;
+        // Its close ends the terminal's exclusive mode for the copy, too.
         drop(port);
+        ioctl_tiocexcl(&fd).map_err(|error| failed(error.into()))?;
         let nonblocking = fcntl_getfl(&fd).and_then(|flags| fcntl_setfl(&fd, flags | OFlags::NONBLOCK));
         nonblocking.map_err(|error| failed(error.into()))?;
         let name = path.canonicalize().unwrap_or_else(|_| owned.clone());

@@ -40,7 +40,7 @@ impl Verdict {
         };
         case.expect.judge(&seen, &self.observed, 0.0)?;
         if self.low_since + RESTS > self.rested_at {
-            let ago = (self.rested_at - self.low_since) as f64 / MS as f64;
+            let ago = self.rested_at.saturating_sub(self.low_since) as f64 / MS as f64;
             return Err(format!("the lines do not come to rest: the last pulse was {ago:.1} ms ago"));
         }
         if next.end != End::Done || next.bursts.played != next.bursts.planned {
