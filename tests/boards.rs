@@ -187,10 +187,7 @@ fn a_port_has_one_user() {
     let board = board();
     let name = format!("serial:{}", board.path().display());
     let daemon = Daemon::on(&name);
-    let spec: Spec = name.parse().unwrap();
-    let refused = device::open(&spec, &SimulatedMotorsConfig::default()).unwrap_err();
-    assert!(matches!(refused, DeviceError::InUse(_)), "{refused}");
-    // Nor has a program that looks at no lock, unless it is root's.
+    // A program that looks at no lock cannot open it either, unless it is root's.
     std::fs::set_permissions(board.path(), Permissions::from_mode(0o666)).unwrap();
     let mut shell = std::process::Command::new("sh");
     shell.args(["-c", "exec 3<>\"$0\""]).arg(board.path());
@@ -202,6 +199,9 @@ fn a_port_has_one_user() {
         !opened.status.success() && String::from_utf8_lossy(&opened.stderr).contains("busy"),
         "{opened:?}"
     );
+    let spec: Spec = name.parse().unwrap();
+    let refused = device::open(&spec, &SimulatedMotorsConfig::default()).unwrap_err();
+    assert!(matches!(refused, DeviceError::InUse(_)), "{refused}");
     let report = report(&name);
     let found = finding(&report, "device").to_string();
     assert!(

@@ -39,7 +39,7 @@ pub struct SerialPort {
 }
 
 impl SerialPort {
-    /// Opens a port for this process alone. A lock refuses every other process, root's too.
+    /// Opens a port for this process alone: exclusive mode refuses programs of others, and a lock those that ask for it, root's too.
     ///
     /// # Errors
     /// If the port does not exist, is closed to this user, or is in use.
@@ -68,7 +68,7 @@ impl SerialPort {
         let borrowed = unsafe { BorrowedFd::borrow_raw(port.as_raw_fd()) };
         // A copy: `into_raw_fd` would leak the port's name.
         let fd = borrowed.try_clone_to_owned().map_err(failed)?;
-        // Its close ends the terminal's exclusive mode for the copy, too.
+        // Its close ends the exclusive mode of the terminal, also for the copy.
         drop(port);
         ioctl_tiocexcl(&fd).map_err(|error| failed(error.into()))?;
         let nonblocking = fcntl_getfl(&fd).and_then(|flags| fcntl_setfl(&fd, flags | OFlags::NONBLOCK));
