@@ -15,7 +15,7 @@ use std::time::Duration;
 pub struct Doorbell(OwnedFd);
 
 impl Doorbell {
-    /// A doorbell that nobody has rung.
+    /// A silent doorbell.
     ///
     /// # Errors
     /// If the kernel gives no event descriptor.

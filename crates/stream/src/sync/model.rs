@@ -19,7 +19,7 @@ pub struct Doorbell {
 }
 
 impl Doorbell {
-    /// A doorbell that nobody has rung.
+    /// A silent doorbell.
     ///
     /// # Errors
     /// Never.
@@ -49,7 +49,7 @@ impl Doorbell {
 
 impl AsFd for Doorbell {
     fn as_fd(&self) -> BorrowedFd<'_> {
-        unimplemented!("a doorbell of the model checker has no descriptor")
+        unreachable!("a doorbell of the model checker has no descriptor")
     }
 }
 
