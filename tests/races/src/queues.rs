@@ -167,7 +167,7 @@ fn answers() {
         answer(&mut thread, 1, Err(CommandError::Timeout));
         answer(&mut thread, 2, Ok(()));
     });
-    // A thread that looks at any time, whoever rings.
+    // This thread looks at any time, rung or not.
     let switch = commands.estop_switch();
     let second = switch.answer(2);
     assert!(second.is_none_or(|answer| answer.is_ok()), "{second:?}");
