@@ -5,7 +5,7 @@
 use crate::input::{byte, cause, chunk, long, word};
 use arbitrary::Unstructured;
 use firmware_protocol::controller::{Controller, Identity, newer};
-use firmware_protocol::frame::{Decoder, MAX_FRAME};
+use firmware_protocol::frame::{Decoder, FrameError, MAX_FRAME};
 use firmware_protocol::limits::OnTimeLimits;
 use firmware_protocol::message::{Op, Trigger};
 use firmware_protocol::stroke::{MOTORS, Stroke};
@@ -174,11 +174,11 @@ fn step(input: &mut Unstructured<'_>, pair: &mut Pair, host: &mut Host) {
         8 => {
             let (now, events) = (pair.now(), &mut pair.events);
             let bytes = chunk(input);
-            // A whole frame would be the device's word.
-            let mut decoder = Decoder::new();
-            let mut rest = bytes;
-            if std::iter::from_fn(|| decoder.next(&mut rest).map(|body| body.is_ok())).any(|good| good)
-                || decoder.next(&mut &[0][..]).is_some_and(|body| body.is_ok())
+            // A whole frame would be the device's word, one of another version too: eight bytes of 0xff have a right CRC.
+            let whole = |body: Result<&[u8], FrameError>| matches!(body, Ok(_) | Err(FrameError::Version(_)));
+            let (mut decoder, mut rest) = (Decoder::new(), bytes);
+            if std::iter::from_fn(|| decoder.next(&mut rest).map(whole)).any(|found| found)
+                || decoder.next(&mut &[0][..]).is_some_and(whole)
             {
                 return;
             }
