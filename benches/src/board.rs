@@ -8,18 +8,15 @@ use firmware_protocol::urgent::{Urgent, Watch};
 use meissner_array::simulated::SimulatedMotorsConfig;
 use meissner_stream::device::mock::Mock;
 use meissner_stream::device::priority;
+use meissner_stream::device::{Received, Terminal};
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
-use rustix::fd::OwnedFd;
-use rustix::fs::{Mode, OFlags};
-use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
-use rustix::termios::{OptionalActions, tcgetattr, tcsetattr};
 use rustix::time::{ClockId, clock_gettime};
 use std::io;
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::{self, JoinHandle};
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 const TICKS_PER_S: f64 = 85_000.0;
 
@@ -32,8 +29,6 @@ pub struct Board {
     stop: Arc<AtomicBool>,
     clock: BoardClock,
     thread: Option<JoinHandle<()>>,
-    /// Held open, so that the terminal stays.
-    _slave: OwnedFd,
 }
 
 impl Board {
@@ -50,16 +45,8 @@ impl Board {
     /// # Errors
     /// If the system gives no pseudo-terminal.
     pub fn with_clock_error(fast_ppm: f64) -> io::Result<Self> {
-        let master = openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY | OpenptFlags::CLOEXEC)?;
-        grantpt(&master)?;
-        unlockpt(&master)?;
-        let path = PathBuf::from(ptsname(&master, Vec::new())?.to_string_lossy().into_owned());
-        let slave = rustix::fs::open(&path, OFlags::RDWR | OFlags::NOCTTY | OFlags::CLOEXEC, Mode::empty())?;
-        let mut settings = tcgetattr(&slave)?;
-        settings.make_raw();
-        tcsetattr(&slave, OptionalActions::Now, &settings)?;
-        let flags = rustix::fs::fcntl_getfl(&master)?;
-        rustix::fs::fcntl_setfl(&master, flags | OFlags::NONBLOCK)?;
+        let terminal = Terminal::open()?;
+        let path = terminal.path().to_owned();
         let motors = SimulatedMotorsConfig { telemetry_hz: 0, ..SimulatedMotorsConfig::default() };
         let mock = Mock::new(motors, 1).map_err(io::Error::other)?;
         let (told, estops) = crossbeam_channel::unbounded();
@@ -72,9 +59,9 @@ impl Board {
         };
         let thread = thread::Builder::new().name("board".into()).spawn(move || {
             let _ = priority::fifo(priority::FIFO_PRIORITY);
-            serve(mock, clock, &master, &stopped, &told);
+            serve(mock, clock, &terminal, &stopped, &told);
         })?;
-        Ok(Self { path, estops, stop, clock, thread: Some(thread), _slave: slave })
+        Ok(Self { path, estops, stop, clock, thread: Some(thread) })
     }
 
     /// The terminal to open as a serial port.
@@ -127,7 +114,7 @@ impl Drop for Board {
 fn serve(
     mut mock: Mock,
     clock: BoardClock,
-    master: &OwnedFd,
+    terminal: &Terminal,
     stop: &AtomicBool,
     told: &crossbeam_channel::Sender<(u16, Instant)>,
 ) {
@@ -135,8 +122,17 @@ fn serve(
     let (mut bytes, mut outgoing) = ([0; 4096], [0; 4096]);
     let millisecond = Timespec { tv_sec: 0, tv_nsec: 1_000_000 };
     while !stop.load(Ordering::Relaxed) {
-        let _ = poll(&mut [PollFd::new(master, PollFlags::IN)], Some(&millisecond));
-        while let Ok(len @ 1..) = rustix::io::read(master, &mut bytes) {
+        let _ = poll(&mut [PollFd::new(terminal, PollFlags::IN)], Some(&millisecond));
+        loop {
+            let len = match terminal.read(&mut bytes) {
+                Received::Bytes(len) => len,
+                Received::Nothing => break,
+                // Without a daemon the poll does not wait.
+                Received::Closed => {
+                    thread::sleep(Duration::from_millis(1));
+                    break;
+                }
+            };
             for &byte in &bytes[..len] {
                 if let Some(Urgent::EStop(epoch)) = watch.look(&[byte])
                     && last.replace(epoch) != Some(epoch)
@@ -153,7 +149,7 @@ fn serve(
                 break;
             }
             // The daemon reads all the time: what finds no room is lost, as on a line.
-            let _ = rustix::io::write(master, &outgoing[..len]);
+            let _ = terminal.write(&outgoing[..len]);
         }
     }
 }

@@ -10,7 +10,7 @@
 //!   keep what they had.
 
 use meissner_fault_cases::page::{Account, Cell, Target, path, renew, row_of};
-use meissner_fault_cases::{Case, Kind, PATTERNS, cases};
+use meissner_fault_cases::{Case, Kind, PATTERNS, cases, kinds_of};
 use meissner_hil::faults::{On, Plan, Shown, jobs, not_possible, run};
 use std::collections::BTreeMap;
 use std::io;
@@ -62,12 +62,13 @@ fn main() -> ExitCode {
         return ExitCode::from(2);
     };
     let cases = cases();
-    if let Some(name) = names.iter().find(|name| cases.iter().all(|case| case.name != **name)) {
-        eprintln!("faults: there is no case {name}");
-        return ExitCode::from(2);
-    }
-    let wanted = |kind: &Kind<'_>| names.is_empty() || names.contains(&kind.case.name);
-    let all: Vec<Kind<'_>> = cases.iter().flat_map(Case::kinds).filter(wanted).collect();
+    let all = match kinds_of(&cases, &names) {
+        Ok(all) => all,
+        Err(problem) => {
+            eprintln!("{problem}");
+            return ExitCode::from(2);
+        }
+    };
     let (kinds, others): (Vec<Kind<'_>>, Vec<_>) =
         all.into_iter().partition(|kind| not_possible(kind).is_none());
     let patterns = &PATTERNS[..patterns];

@@ -51,3 +51,12 @@ pub fn cases() -> Vec<Case> {
     };
     files.into_iter().filter(|path| path.extension().is_some_and(|ext| ext == "toml")).map(read).collect()
 }
+
+/// The kinds of the cases with these names, or of all of them if there are none; a line about a name that is unknown.
+pub fn kinds_of<'a>(cases: &'a [Case], names: &[String]) -> Result<Vec<Kind<'a>>, String> {
+    if let Some(unknown) = names.iter().find(|name| cases.iter().all(|case| case.name != **name)) {
+        return Err(format!("faults: there is no case {unknown}: see tests/faults"));
+    }
+    let wanted = |case: &&Case| names.is_empty() || names.contains(&case.name);
+    Ok(cases.iter().filter(wanted).flat_map(Case::kinds).collect())
+}

@@ -4,7 +4,7 @@
 
 use clap::Parser;
 use meissner_fault_cases::page::{Account, Cell, Target, path, renew, row_of};
-use meissner_fault_cases::{Case, Kind, PATTERNS, cases};
+use meissner_fault_cases::{PATTERNS, cases, kinds_of};
 use meissner_fault_pty::{ALLOWANCE_MS, Plan, run};
 use std::num::NonZeroUsize;
 use std::path::PathBuf;
@@ -29,12 +29,13 @@ struct Arguments {
 fn main() -> ExitCode {
     let Arguments { program, cases: names, jobs, renew: account } = Arguments::parse();
     let cases = cases();
-    if let Some(unknown) = names.iter().find(|name| cases.iter().all(|case| case.name != **name)) {
-        eprintln!("faults: there is no case {unknown}: see tests/faults");
-        return ExitCode::from(2);
-    }
-    let wanted = |kind: &Kind<'_>| names.is_empty() || names.contains(&kind.case.name);
-    let kinds: Vec<Kind<'_>> = cases.iter().flat_map(Case::kinds).filter(wanted).collect();
+    let kinds = match kinds_of(&cases, &names) {
+        Ok(kinds) => kinds,
+        Err(problem) => {
+            eprintln!("{problem}");
+            return ExitCode::from(2);
+        }
+    };
     let begun = Instant::now();
     let plan = Plan { program: &program, patterns: &PATTERNS, jobs: jobs.get() };
     let shown = run(&plan, &kinds, |line| println!("{line}"));

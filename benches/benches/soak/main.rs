@@ -4,49 +4,38 @@
 //! board at the far end of a pseudo-terminal, whose clock runs 30 millionths fast. The kernel moves bytes of terminals in threads of
 //! normal priority: on a machine with more to do than it can, the board shows how long these wait.
 //!
-//! Plays of 5 to 60 s follow each other; every tenth is ended by an e-stop. Meanwhile the loads of [`PHASES`] take turns, twice. Every ten
+//! Plays of 5 to 60 s follow each other; every tenth is ended by an e-stop. Meanwhile the loads of [`loads::PHASES`] take turns, twice. Every ten
 //! seconds a sample is taken: lost bursts, the daemon's memory, descriptors, threads and processor time. At each onset the daemon's clock
 //! model is compared with the device's clock: the board's own, or, for the mock, the host's since the first onset. A real-time thread
 //! above all others measures how long the machine itself stands still: a play that such a stall breaks is counted, and the next one begins.
 //!
 //! It prints a row for each phase, and writes all samples to `soak.csv`, a drawing to `soak.svg`, and the daemon's log to `soak.log` in the
 //! folder `OUT` [.]. It asserts nothing, but it ends with an error if the daemon does.
+//!
+//! [`loads`]: what runs beside it. [`drawing`]: the samples as files.
+
+mod drawing;
+mod loads;
 
 use firmware_protocol::tick::{TICK_HZ, Tick};
-use meissner_api::{PlayAccepted, PlayState, Receipt, Search, Status};
+use loads::{PHASES, Place, repeat};
+use meissner_api::{PlayAccepted, PlayState, Receipt, Status};
 use meissner_benches::board::Board;
-use meissner_benches::loads::{exchange, window};
+use meissner_benches::loads::exchange;
 use meissner_client::{Client, ClientError, STOPPED, estop_socket};
 use meissner_stream::device::priority;
-use plotters::prelude::*;
 use serde_json::json;
 use std::error::Error;
-use std::fmt::Write as _;
-use std::hint::black_box;
-use std::io::{Seek, SeekFrom, Write as _};
-use std::net::{SocketAddr, TcpListener};
+use std::net::TcpListener;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, ExitCode, Stdio};
 use std::sync::Mutex;
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 use std::{env, fs, thread};
 
 type Done<T = ()> = Result<T, Box<dyn Error>>;
-type Load = fn(&Place, &AtomicBool);
-type Figure = fn(&Sample) -> f64;
 
-/// The loads, one after the other.
-const PHASES: [(&str, Load); 8] = [
-    ("idle", |_, _| {}),
-    ("four busy loops", busy),
-    ("files written and synced", writes),
-    ("2 GB touched and given back", touches),
-    ("programs started", starts),
-    ("24 windows of the page", windows),
-    ("searches", searches),
-    ("all of these", everything),
-];
 const ROUNDS: usize = 2;
 /// How far the board's clock is off, millionths.
 const FAST_PPM: f64 = 30.0;
@@ -55,13 +44,6 @@ const SAMPLED: Duration = Duration::from_secs(10);
 const CUT_EVERY: u64 = 10;
 const PATTERNS: [&str; 6] = ["edge-45", "all-in-phase", "wave", "two-dots", "rotating-edge", "pin-60"];
 const TOLD_WITHIN: Duration = Duration::from_secs(2);
-
-/// What the loads need to know.
-struct Place {
-    dir: PathBuf,
-    socket: PathBuf,
-    tcp: SocketAddr,
-}
 
 /// What was counted so far.
 #[derive(Clone, Copy, Default)]
@@ -202,7 +184,7 @@ fn run() -> Done {
             if let Some(last) = samples.last() {
                 row(name, &first, last);
                 // Each phase is kept, if a later one never ends.
-                keep(&out, &samples, &bounds)?;
+                drawing::keep(&out, &samples, &bounds)?;
             }
             if ended.load(Ordering::Relaxed) || sampled.is_err() {
                 break;
@@ -212,11 +194,6 @@ fn run() -> Done {
         sampled?;
         Ok(player.join().map_err(|_| "the player panicked")??)
     })
-}
-
-fn keep(out: &Path, samples: &[Sample], bounds: &[(f64, &str)]) -> Done {
-    fs::write(out.join("soak.csv"), csv(samples, bounds))?;
-    draw(&out.join("soak.svg"), samples, bounds)
 }
 
 /// Prints a phase.
@@ -370,144 +347,4 @@ fn count(counts: &Mutex<Counts>, board: Option<&Board>, receipt: &Receipt, cut: 
         (counts.clock_error_us, counts.allowed_us) = (error_us, onset.uncertainty_ns as f64 / 1e3);
         counts.largest_error_us = counts.largest_error_us.max(error_us.abs());
     }
-}
-
-/// Calls a step until the load is over.
-fn repeat(over: &AtomicBool, mut step: impl FnMut()) {
-    while !over.load(Ordering::Relaxed) {
-        step();
-    }
-}
-
-fn busy(_: &Place, over: &AtomicBool) {
-    thread::scope(|scope| {
-        for _ in 0..4 {
-            scope.spawn(|| repeat(over, || _ = (0..10_000_u64).map(black_box).count()));
-        }
-    });
-}
-
-fn writes(place: &Place, over: &AtomicBool) {
-    let Ok(mut file) = tempfile::tempfile_in(&place.dir) else { return };
-    let block = vec![0x5a; 1 << 20];
-    repeat(over, || {
-        for _ in 0..256 {
-            if over.load(Ordering::Relaxed) || file.write_all(&block).is_err() {
-                break;
-            }
-        }
-        let _ = file.sync_all();
-        let _ = file.seek(SeekFrom::Start(0));
-        let _ = file.set_len(0);
-    });
-}
-
-fn touches(_: &Place, over: &AtomicBool) {
-    repeat(over, || {
-        let mut pages = Vec::new();
-        for _ in 0..2_000 {
-            if over.load(Ordering::Relaxed) {
-                break;
-            }
-            pages.push(black_box(vec![1_u8; 1_000_000]));
-        }
-    });
-}
-
-fn starts(_: &Place, over: &AtomicBool) {
-    thread::scope(|scope| {
-        for _ in 0..8 {
-            scope.spawn(|| {
-                repeat(over, || {
-                    let _ =
-                        Command::new("sh").args(["-c", "ls / | sort | wc"]).stdout(Stdio::null()).status();
-                });
-            });
-        }
-    });
-}
-
-fn windows(place: &Place, over: &AtomicBool) {
-    let bytes = AtomicU64::new(0);
-    thread::scope(|scope| {
-        for number in 0..48 {
-            let bytes = &bytes;
-            scope.spawn(move || repeat(over, || _ = window(place.tcp, number % 2 == 0, over, bytes)));
-        }
-    });
-}
-
-fn searches(place: &Place, over: &AtomicBool) {
-    let target = json!({"name": "drawn", "shape": "segment", "points": [[-4.0, -2.0], [4.0, 2.0]]});
-    repeat(over, || {
-        let begun = Client::new(&place.socket).ok().and_then(|mut client| {
-            client.post::<Search>("/v1/searches", &json!({"target": target, "seconds": 5.0})).ok()
-        });
-        thread::sleep(Duration::from_millis(if begun.is_some() { 5_000 } else { 500 }));
-    });
-}
-
-fn everything(place: &Place, over: &AtomicBool) {
-    thread::scope(|scope| {
-        for load in [busy, writes, touches, starts, windows, searches] {
-            scope.spawn(move || load(place, over));
-        }
-    });
-}
-
-fn csv(samples: &[Sample], bounds: &[(f64, &str)]) -> String {
-    let mut text = "minute,load,plays,bursts_planned,bursts_late,bursts_lost,plays_broken,estops,memory_mb,descriptors,threads,\
-                    processor_s,stall_ms,clock_error_us,clock_allowed_us\n"
-        .to_owned();
-    for sample in samples {
-        let load = bounds.iter().rev().find(|(from, _)| *from <= sample.minute).map_or("", |(_, name)| name);
-        let Counts {
-            plays, planned, late, lost, broken, estops, clock_error_us, allowed_us, stall_ms, ..
-        } = sample.counts;
-        let _ = writeln!(
-            text,
-            "{:.2},{load},{plays},{planned},{late},{lost},{broken},{estops},{:.1},{},{},{:.2},{stall_ms:.1},{clock_error_us:.1},{allowed_us:.1}",
-            sample.minute, sample.memory_mb, sample.descriptors, sample.threads, sample.processor_s
-        );
-    }
-    text
-}
-
-/// Draws the samples, one figure above the other; a line where each phase begins.
-fn draw(path: &Path, samples: &[Sample], bounds: &[(f64, &str)]) -> Done {
-    let figures: [(&str, Figure); 6] = [
-        ("longest stall of the machine in this phase so far, ms", |sample| sample.counts.stall_ms),
-        ("bursts late or lost, of all plays so far", |sample| {
-            (sample.counts.late + sample.counts.lost) as f64
-        }),
-        ("memory of the daemon, MB", |sample| sample.memory_mb),
-        ("descriptors of the daemon", |sample| sample.descriptors as f64),
-        ("error of the clock model at the last onset, µs", |sample| sample.counts.clock_error_us),
-        ("error that the receipt allows for, µs", |sample| sample.counts.allowed_us),
-    ];
-    let end = samples.last().map_or(1.0, |sample| sample.minute);
-    let whole = SVGBackend::new(path, (960, 170 * figures.len() as u32)).into_drawing_area();
-    whole.fill(&WHITE)?;
-    for ((name, of), area) in figures.iter().zip(whole.split_evenly((figures.len(), 1))) {
-        let values = || samples.iter().map(of);
-        let (low, high) =
-            values().fold((0.0, 1.0), |(low, high): (f64, f64), value| (low.min(value), high.max(value)));
-        let mut chart = ChartBuilder::on(&area)
-            .caption(name, ("sans-serif", 14))
-            .margin(8)
-            .x_label_area_size(32)
-            .y_label_area_size(50)
-            .build_cartesian_2d(0.0..end, low * 1.1..high * 1.1)?;
-        chart.configure_mesh().x_desc("minutes").max_light_lines(0).x_labels(13).y_labels(4).draw()?;
-        for (at, load) in bounds {
-            chart.draw_series([PathElement::new(
-                [(*at, low * 1.1), (*at, high * 1.1)],
-                RGBColor(200, 200, 200),
-            )])?;
-            let text = Text::new((*load).to_owned(), (*at, high * 1.08), ("sans-serif", 9).into_font());
-            chart.draw_series([text])?;
-        }
-        chart.draw_series(LineSeries::new(samples.iter().map(|sample| (sample.minute, of(sample))), BLUE))?;
-    }
-    Ok(whole.present()?)
 }
