@@ -218,7 +218,6 @@ impl World {
         if arming && !latched && self.shell.device.state() == State::Faulted {
             self.own -= self.shell.outstanding();
         }
-        self.arming = false;
         self.shell.run(1);
     }
 

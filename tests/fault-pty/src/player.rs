@@ -180,7 +180,8 @@ impl<'a> Player<'a> {
         self.run(6_000 * MS);
         let trace = self.board.with(|state| state.mock.take_trace());
         let first = case.fault.iter().flat_map(|fault| kind.begins(fault, order_tick, &strokes)).min();
-        let mut seen = self.seen(id, &trace, &strokes, first.unwrap_or_default())?;
+        let lies = case.fault.iter().any(|fault| matches!(fault.what, What::Lie(_)));
+        let mut seen = self.seen(id, &trace, &strokes, first.unwrap_or_default(), lies)?;
         if !seen.is_done {
             let high_ms = high_until(&trace, self.fault_tick);
             seen.safe_ms = Some(high_ms.max(self.gone_high_ms.unwrap_or(0.0)));
@@ -199,7 +200,14 @@ impl<'a> Player<'a> {
     }
 
     /// What became of the play, by its receipt; by the lines if the daemon was killed that would have made one.
-    fn seen(&mut self, id: u64, trace: &Trace, strokes: &[Stroke], first: Duration) -> Result<Seen, String> {
+    fn seen(
+        &mut self,
+        id: u64,
+        trace: &Trace,
+        strokes: &[Stroke],
+        first: Duration,
+        lies: bool,
+    ) -> Result<Seen, String> {
         let is_latched = self.board.with(|state| state.mock.controller().state()) == State::Faulted;
         if self.died {
             let planned = 2 * strokes.len() as u64;
@@ -216,9 +224,10 @@ impl<'a> Player<'a> {
         // A case without its fault would show nothing: a daemon that the machine held up may have lost the play before.
         let from_onset_ms = first.as_secs_f64() * 1e3 - ONSET as f64 * 1e3 / f64::from(TICK_HZ);
         let is_done = receipt.state == PlayState::Done;
-        // A play without an onset was cut before it.
-        let cut_after_ms = receipt.cut_after_ms.unwrap_or(0.0);
-        if !is_done && cut_after_ms < from_onset_ms - EARLY_MS {
+        // A play without an onset was cut before it. A device that lies may not say when it cut the play.
+        let says = !(lies && receipt.onset.is_some());
+        let cut_after_ms = receipt.cut_after_ms.or(says.then_some(0.0));
+        if !is_done && cut_after_ms.is_some_and(|ms| ms < from_onset_ms - EARLY_MS) {
             return Err(format!("the play was cut before the fault: {:?}", receipt.cause));
         }
         Ok(Seen {
