@@ -340,12 +340,12 @@ def test_without_a_daemon(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> No
 
 
 def test_a_daemon_that_goes_leaves_a_warning_and_no_wrong_error() -> None:
-    # A sign of life every second, and no session that a busy machine has released before the first.
+    # A sign of life every second: of a session that is open to others it is one in half a minute.
     daemon = meissner.Daemon("session_silence_s = 4\n")
     with pytest.raises(ZeroDivisionError), pytest.warns(UserWarning, match="may be armed still"):
         with meissner.connect(daemon.socket, reconnect=0.1) as m:
             m.arm(assume_rest=True, checked="a test")
-            session = m.session("P07")
+            session = m.session("P07", exclusive=True)
             os.kill(daemon.pid, signal.SIGKILL)
             daemon._process.wait()
             deadline = time.monotonic() + 10

@@ -3,7 +3,7 @@
 //! This and the [renderer](super::renderer) are the only places where the daemon runs the skin model (crates/skin and crates/design) in the
 //! process that streams.
 //! That is safe:
-//! - The thread has nice [`NICE`]; the streamer has real-time priority or that of the daemon, and its own memory and queues. They share no lock.
+//! - The thread has nice [`NICE`]; the streamer has real-time priority or nice 0, and its own memory and queues. They share no lock.
 //! - The work is bounded: a play counts for its first minute, at most [`WAITING`] plays wait with at most [`WAITING_BURSTS`] bursts,
 //!   and further plays get [`NoPrediction::Busy`].
 //! - Nothing waits for a prediction: a play's `ended` event comes before it, and the daemon ends without it.
@@ -16,7 +16,6 @@ use meissner_array::pattern::Pattern;
 use meissner_array::strokes::StrokeOptions;
 use meissner_stream::queues::MeasuredBurst;
 use rayon::{ThreadPool, ThreadPoolBuildError, ThreadPoolBuilder};
-use rustix::process::setpriority_process;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use tracing::error;
@@ -80,9 +79,8 @@ impl Waiting {
 impl Predictor {
     pub(super) fn new() -> Result<Self, ThreadPoolBuildError> {
         let start = |_| {
-            // On Linux this concerns the calling thread alone. The daemon's own niceness, which `nice` would add to, may be below zero.
-            // If the system refuses, it has that, still below the streamer.
-            let _ = setpriority_process(None, NICE);
+            // On Linux this concerns the calling thread alone. If the system refuses, it has nice 0, still below the streamer.
+            let _ = rustix::process::nice(NICE);
         };
         let pool = ThreadPoolBuilder::new()
             .panic_handler(|_| error!("internal error: the response to a play could not be predicted"))

@@ -1,6 +1,6 @@
 //! Renders live targets: a thread for each turns the newest pose of its shape into drives, within a time.
 //!
-//! The thread has [`NICE`], and so have the threads that it searches with: the streamer has real-time priority or that of the daemon, and waits for
+//! The thread has [`NICE`], and so have the threads that it searches with: the streamer has real-time priority or nice 0, and waits for
 //! none of them. While it renders, the pins play on; of the poses that come meanwhile the newest wins. When the play is over, some of its
 //! poses are [compared](super::live_contrast) with searches that take their time.
 //!
@@ -15,7 +15,6 @@ use meissner_array::pattern::Drive;
 use meissner_design::{Limit, LiveBrief, Pose, RenderError, Renderer, Target};
 use meissner_stream::time::HostInstant;
 use rayon::{ThreadPool, ThreadPoolBuilder};
-use rustix::process::setpriority_process;
 use std::io;
 use std::sync::Arc;
 use std::thread;
@@ -65,8 +64,8 @@ impl Prepared {
     pub(super) fn new(target: &Target, request: &LiveRequest) -> Result<Self, PrepareError> {
         let threads = thread::available_parallelism().map_or(1, usize::from).min(THREADS);
         let start = |_| {
-            // If the system refuses, they have the daemon's niceness, still below the streamer.
-            let _ = setpriority_process(None, NICE);
+            // If the system refuses, they have nice 0, still below the streamer.
+            let _ = rustix::process::nice(NICE);
         };
         let pool = ThreadPoolBuilder::new()
             .num_threads(threads)
@@ -101,7 +100,7 @@ impl Prepared {
     pub(super) fn start(self, engine: Arc<Engine>, id: u64, poses: Arc<Poses>) -> io::Result<()> {
         let Self { mut renderer, pool, budget, request, mut played } = self;
         let work = move || {
-            let _ = setpriority_process(None, NICE);
+            let _ = rustix::process::nice(NICE);
             let ends_play = EndsPlay { engine: Arc::clone(&engine), id };
             while let Some(job) = poses.take() {
                 let limit = Limit::Until(Instant::now() + budget.saturating_sub(SPARE));

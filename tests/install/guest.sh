@@ -110,7 +110,7 @@ for unit in meissner.socket meissner.service; do
     systemctl is-enabled --quiet $unit || fail "enabled: $unit is not"
 done
 ok "install: active; $(ms "$from" "$to"), $(dpkg-query -W -f '${Version}, ${Installed-Size} kB' meissner)"
-ok "enabled: $(stat -c '%A %U %G' /run/meissner/meissner.sock), $(stat -c '%A %U %G' /var/lib/meissner), runs as $(ps -o user=,group=,supgrp= -p "$(pid)" | tr -s ' '), nice $(ps -o ni= -p "$(pid)" | tr -d ' ')"
+ok "enabled: $(stat -c '%A %U %G' /run/meissner/meissner.sock), $(stat -c '%A %U %G' /var/lib/meissner), runs as $(ps -o user=,group=,supgrp= -p "$(pid)" | tr -s ' ')"
 usermod -aG haptics alice
 # Without real-time rights, on a busy machine: timing is not tested here.
 sed -i 's/^lead_ms = .*/lead_ms = 300/; s/^lease_ms = .*/lease_ms = 9000/' /etc/meissner/meissner.toml

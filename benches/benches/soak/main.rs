@@ -12,7 +12,8 @@
 //! It prints a row for each phase, and writes all samples to `soak.csv`, a drawing to `soak.svg`, and the daemon's log to `soak.log` in the
 //! folder `OUT` [.]. It asserts nothing, but it ends with an error if the daemon does.
 //!
-//! [`loads`]: what runs beside it. [`drawing`]: the samples as files.
+//! - [`loads`]: what runs beside it.
+//! - [`drawing`]: the samples as files.
 
 mod drawing;
 mod loads;

@@ -11,7 +11,7 @@ use firmware_protocol::tick::{TICK_HZ, Tick};
 use meissner_api::{ErrorSource, Event, PlayAccepted, PlayState, Receipt, Status};
 use meissner_array::strokes::{StrokeOptions, Strokes};
 use meissner_client::{Client, ClientError, Events, estop};
-use meissner_fault_cases::{Kind, ONSET, Observed, Order, PLAY, Seen, What, bytes, high_until};
+use meissner_fault_cases::{Kind, Lie, ONSET, Observed, Order, PLAY, Seen, What, bytes, high_until};
 use meissner_stream::Line;
 use meissner_stream::faulty::Liar;
 use meissner_stream::time::HostInstant;
@@ -180,8 +180,8 @@ impl<'a> Player<'a> {
         self.run(6_000 * MS);
         let trace = self.board.with(|state| state.mock.take_trace());
         let first = case.fault.iter().flat_map(|fault| kind.begins(fault, order_tick, &strokes)).min();
-        let lies = case.fault.iter().any(|fault| matches!(fault.what, What::Lie(_)));
-        let mut seen = self.seen(id, &trace, &strokes, first.unwrap_or_default(), lies)?;
+        let hides_cut = case.fault.iter().any(|fault| matches!(fault.what, What::Lie(Lie::State)));
+        let mut seen = self.seen(id, &trace, &strokes, first.unwrap_or_default(), hides_cut)?;
         if !seen.is_done {
             let high_ms = high_until(&trace, self.fault_tick);
             seen.safe_ms = Some(high_ms.max(self.gone_high_ms.unwrap_or(0.0)));
@@ -199,14 +199,15 @@ impl<'a> Player<'a> {
         Ok(seen)
     }
 
-    /// What became of the play, by its receipt; by the lines if the daemon was killed that would have made one.
+    /// What became of the play, whose first fault came so long after the order: by its receipt, or by the lines if the daemon was killed that
+    /// would have made one.
     fn seen(
         &mut self,
         id: u64,
         trace: &Trace,
         strokes: &[Stroke],
         first: Duration,
-        lies: bool,
+        hides_cut: bool,
     ) -> Result<Seen, String> {
         let is_latched = self.board.with(|state| state.mock.controller().state()) == State::Faulted;
         if self.died {
@@ -224,10 +225,12 @@ impl<'a> Player<'a> {
         // A case without its fault would show nothing: a daemon that the machine held up may have lost the play before.
         let from_onset_ms = first.as_secs_f64() * 1e3 - ONSET as f64 * 1e3 / f64::from(TICK_HZ);
         let is_done = receipt.state == PlayState::Done;
-        // A play without an onset was cut before it. A device that lies may not say when it cut the play.
-        let says = !(lies && receipt.onset.is_some());
-        let cut_after_ms = receipt.cut_after_ms.or(says.then_some(0.0));
-        if !is_done && cut_after_ms.is_some_and(|ms| ms < from_onset_ms - EARLY_MS) {
+        // A play without an onset was cut before it. A device that lies about its state does not say when it cut the play.
+        let cut_after_ms = match receipt.cut_after_ms {
+            None if hides_cut && receipt.onset.is_some() => f64::INFINITY,
+            after => after.unwrap_or(0.0),
+        };
+        if !is_done && cut_after_ms < from_onset_ms - EARLY_MS {
             return Err(format!("the play was cut before the fault: {:?}", receipt.cause));
         }
         Ok(Seen {
