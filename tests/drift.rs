@@ -1,6 +1,8 @@
 //! Drift without telemetry: `status`, plays that end or are refused at the limit, and the level check of `assume_rest`.
 
-use crate::harness::{Daemon, PATIENT, complaint, ended, printed, refusal};
+use crate::harness::{Daemon, PATIENT, complaint, ended, printed, refusal, wait_until};
+use meissner_api::{ErrorSource, Status};
+use meissner_client::Client;
 use serde_json::{Value, json};
 use std::fs;
 
@@ -52,4 +54,29 @@ fn a_drifting_array_ends_plays_refuses_them_and_asks_for_a_check() {
         .filter_map(|file| fs::read_to_string(file.unwrap().path()).ok())
         .collect();
     assert!(recorded.contains("\"checked\":\"Ada\""), "{recorded}");
+}
+
+#[test]
+fn pins_that_telemetry_shows_need_no_check_after_a_disarm_in_the_middle_of_a_play() {
+    let daemon = Daemon::with("mock", PATIENT);
+    let mut client = daemon.armed();
+    let mut events = client.events().unwrap();
+    let play = json!({"pattern": "all-in-phase", "seconds": 60.0, "open_loop": true});
+    let _: Value = client.post("/v1/play", &play).unwrap();
+    let offset_um = |client: &mut Client| {
+        let status: Status = client.get("/v1/status").unwrap();
+        status.motors.iter().map(|motor| motor.rest_error_um.abs()).fold(0.0, f32::max)
+    };
+    wait_until(|| offset_um(&mut client) > 30.0);
+    let _: Value = client.post("/v1/disarm", &json!({})).unwrap();
+    assert_eq!(ended(&mut events).state.name(), "stopped");
+    wait_until(|| {
+        let armed: Result<Value, _> = client.post("/v1/arm", &json!({"assume_rest": true}));
+        armed.is_ok() || {
+            assert_eq!(refusal(armed).0, "returning");
+            false
+        }
+    });
+    wait_until(|| client.get::<Status>("/v1/status").unwrap().motors[0].source == ErrorSource::Telemetry);
+    assert!(offset_um(&mut client) > 20.0);
 }

@@ -176,8 +176,7 @@ fn one_search_runs_at_a_time_and_is_cancelled_at_once() {
     let [process] = children(&daemon)[..] else { panic!("{:?}", children(&daemon)) };
     // It has low priority, bounded memory that is not locked, and none of the daemon's files.
     let niceness = |pid: i32| stat(pid).unwrap()[16].parse::<i32>().unwrap();
-    let own: Status = client.get("/v1/status").unwrap();
-    assert_eq!(niceness(process), (niceness(own.pid.cast_signed()) + 10).min(19));
+    assert!(niceness(process) >= 10);
     let limits = fs::read_to_string(format!("/proc/{process}/limits")).unwrap();
     let data = limits.lines().find(|line| line.starts_with("Max data size")).unwrap();
     assert!(data.contains(&meissner::search::MEMORY.to_string()), "{data}");

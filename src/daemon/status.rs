@@ -15,10 +15,10 @@ use std::fmt::Write as _;
 const LEVEL_CHECK_UM: f32 = 20.0;
 
 impl Engine {
-    /// Refuses to take pins as at rest that have drifted.
+    /// Refuses to take pins as at rest that have drifted, unless telemetry shows them as soon as they are armed.
     pub(super) fn check_level(&self) -> Result<(), Problem> {
         let daemon = self.lock();
-        let snapshot = daemon.plays.receipts.snapshot();
+        let snapshot = daemon.plays.receipts.snapshot().filter(|at| !at.pins_seen);
         let reckoned = snapshot.into_iter().flat_map(|at| at.rest_error_um.iter().zip(&at.source));
         let reckoned = reckoned.filter(|(_, source)| **source == ErrorSource::DeadReckoning);
         let um = reckoned.map(|(um, _)| *um).fold(0.0, f32::max);

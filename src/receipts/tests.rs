@@ -47,6 +47,7 @@ fn snapshot(connected: bool, state: State, play: Option<(u64, f64)>) -> Snapshot
         settings: Settings::default(),
         rest_error_um: [0.0; MOTORS],
         source: [ErrorSource::None; MOTORS],
+        pins_seen: true,
         line_bytes_per_s: None,
         bytes_out: 0,
         bytes_in: 0,

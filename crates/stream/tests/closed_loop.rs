@@ -3,6 +3,7 @@
 //! The tests play patterns in virtual time and look at the simulated pins.
 
 use firmware_protocol::limits::OnTimeLimits;
+use firmware_protocol::message::State;
 use firmware_protocol::stroke::{Burst, Direction, Line as Pulse, MOTORS};
 use firmware_protocol::tick::Tick;
 use meissner_api::ErrorSource;
@@ -67,6 +68,44 @@ fn swapped_sensors_are_reported_and_both_motors_play_on_in_open_loop() {
     rig.send(Command::Arm { assume_rest: false });
     rig.run_ms(1500);
     assert_eq!(last_snapshot(&rig.take_events()).source, [ErrorSource::Telemetry; MOTORS]);
+}
+
+/// A disarm cuts a play, and a disarmed device sends no telemetry. It is known all the same whether telemetry will show the pins
+/// again: not after a second without a sample, and not while a sensor is doubted.
+#[test]
+fn a_disarm_does_not_forget_that_telemetry_shows_the_pins() {
+    let after = |ms: u64, distort: fn(&mut Sample), is_sent: fn() -> bool| {
+        let mut rig = Rig::armed(Line::default(), 6);
+        rig.start_closed(&all_motors(5.0), None);
+        rig.run_ms(500);
+        rig.mock.filter_telemetry(move |sample| {
+            distort(sample);
+            is_sent()
+        });
+        rig.run_ms(ms);
+        rig.send(Command::Disarm);
+        rig.run_ms(2000);
+        let snapshot = last_snapshot(&rig.take_events());
+        assert_eq!(
+            (snapshot.state, snapshot.source),
+            (State::Disarmed, [ErrorSource::DeadReckoning; MOTORS])
+        );
+        let disarmed = snapshot.pins_seen;
+        rig.mock.distort_telemetry(|_: &mut Sample| ());
+        rig.send(Command::Arm { assume_rest: true });
+        rig.run_ms(1500);
+        let snapshot = last_snapshot(&rig.take_events());
+        assert_eq!((snapshot.source, snapshot.pins_seen), ([ErrorSource::Telemetry; MOTORS], true));
+        for motor in 0..MOTORS {
+            let (shown, um) = (f64::from(snapshot.rest_error_um[motor]), rig.mock.position_um(motor as u8));
+            assert!((shown - um).abs() < 0.5, "motor {motor}: {shown} um shown, {um} um true");
+        }
+        disarmed
+    };
+    assert!(after(500, |_| (), || true));
+    assert!(after(500, |_| (), || false), "half a second without a sample is not for good");
+    assert!(!after(1500, |_| (), || false));
+    assert!(!after(3000, |sample| sample.y.swap(3, 8), || true));
 }
 
 /// All motors for a minute through link and controller: the bound, and the bytes per burst.

@@ -67,6 +67,8 @@ pub(super) struct PositionControl {
     replacement: Replacement,
     /// Earlier samples still show motion from before the last cut; `None`: pins are not at rest yet.
     valid_from: Option<Tick>,
+    /// Telemetry showed all pins while the device last played or waited for plays.
+    seen: bool,
 }
 
 impl PositionControl {
@@ -81,6 +83,7 @@ impl PositionControl {
             last_sample: None,
             advanced_to: Tick(0),
             valid_from: None,
+            seen: false,
         };
         control.configure(settings);
         control
@@ -94,8 +97,9 @@ impl PositionControl {
     }
 
     /// The device has flushed the queue, and has begun nothing after `begun_by`; it returns pins: telemetry means nothing until
-    /// they are at rest. What it played counts up to `now`.
+    /// they are at rest. What it played counts up to `now`; `None`: the link is lost.
     pub(super) fn cut(&mut self, begun_by: Tick, now: Option<Tick>) {
+        self.seen &= now.is_some();
         self.motors.iter_mut().for_each(|motor| motor.remember(begun_by));
         // The strokes that are remembered may have been cut: their planned ends do not count.
         let over = self.account.over.clone();
@@ -128,6 +132,7 @@ impl PositionControl {
     /// Nothing is known of the pins: they may be as far off as the end stops.
     pub(super) fn lose_rest(&mut self) {
         let um = f64::from(self.end_stop_um);
+        self.seen = false;
         self.motors.iter_mut().for_each(|motor| motor.lose_rest(um));
     }
 
@@ -348,6 +353,7 @@ impl PositionControl {
                 known = false;
             }
         }
+        self.seen = self.motors.iter().all(|motor| motor.fault().is_none());
         known
     }
 
@@ -359,6 +365,9 @@ impl PositionControl {
         free: impl Fn(u8) -> Tick,
         mut amend: impl FnMut(&Amendment) -> bool,
     ) {
+        if self.last_sample.max(self.valid_from).is_some_and(|since| now - since > TICKS_PER_S) {
+            self.seen = false;
+        }
         let fresh = self.last_sample.is_some_and(|sampled| now - sampled <= LONGEST_AGE);
         if !fresh {
             let late = if self.telemetry { LONGEST_AGE } else { REPORTED };
@@ -383,6 +392,11 @@ impl PositionControl {
     /// Whether no burst is left to finalise.
     pub(super) fn is_idle(&self) -> bool {
         self.motors.iter().all(|motor| motor.next().is_none())
+    }
+
+    /// Whether telemetry shows all pins, or did until the last cut. Then it will once the motors are armed again.
+    pub(super) const fn sees_all(&self) -> bool {
+        self.seen
     }
 
     /// Whether the last sample is less than a second old.

@@ -151,6 +151,8 @@ pub struct Snapshot {
     pub rest_error_um: [f32; MOTORS],
     /// Where the estimates come from.
     pub source: [ErrorSource; MOTORS],
+    /// Telemetry shows all pins, or did until the last cut: a device sends none while it is disarmed.
+    pub pins_seen: bool,
     /// Measured capacity of the line, bytes/s; `None` before the link probe.
     pub line_bytes_per_s: Option<u32>,
     /// Bytes sent to the device since it was connected.

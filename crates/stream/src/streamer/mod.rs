@@ -348,6 +348,7 @@ impl Streamer {
             settings: self.settings,
             rest_error_um: rest.map(|(um, _)| um),
             source: rest.map(|(_, source)| source),
+            pins_seen: self.control.sees_all(),
             line_bytes_per_s: self.session.as_ref().and_then(Session::capacity),
             bytes_out: traffic.bytes_out,
             bytes_in: traffic.bytes_in,
