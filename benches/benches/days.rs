@@ -1,10 +1,10 @@
 //! Days of use in virtual time: `DAYS=30 cargo bench -p meissner-benches --bench days`.
 //!
-//! The streamer against the simulated array: plays of the library at random, open and closed loop, with pauses of minutes; of seven
-//! plays one is stopped, one is cut by an e-stop, one meets a bad line, one a host that stalls, one an unplugged cable, one a device
-//! that restarts. For every play it compares the counts of its account with those of the device, and where nothing went wrong the
-//! onset with the one asked for. Prints the sums, the largest error of the clock model, and the memory at the begin and the end.
-//! It ends with an error at the first count that is wrong.
+//! The streamer against the simulated array: plays of the library at random, open and closed loop, with pauses of up to an hour. Of
+//! three plays two are good; the third is stopped or cut by an e-stop, or meets a bad line, a host that stalls, an unplugged cable or a
+//! device that restarts. Every account has to close. It is compared with the device's count unless the play may have ended the session
+//! (the last three), and where nothing went wrong every burst is played, from the tick asked for. Prints the sums, and the memory
+//! after the first day and at the end. It ends with an error at the first count that is wrong.
 
 use meissner_array::simulated::SimulatedMotorsConfig;
 use meissner_stream::queues::{Command, Outcome};

@@ -359,8 +359,9 @@ the simulated array: KINDS kinds of fault, each in the middle of plays of two se
 the three is shown. *Low after*: of plays that are cut, milliseconds from the (last) fault to the last pulse, with the return of the
 pins. *Lost*: of the bursts that the host had sent or was to send by then, those not played; the receipt counts each of them.
 
-After each fault the same play has to run whole: reset, armed again where that is necessary, without a burst lost. Where the position
-stays known, all pins are where they began, counted in pulses on the lines.
+After each fault the same play has to run whole: reset, armed again where that is necessary, without a burst lost. Unless
+the board restarted or position control corrected bursts, all pins are where they began, counted in pulses on the lines. *Lost* is bounded
+in plays that go on to their end.
 
 | fault | value | as when | play | low after, ms | lost |
 |---|---|---|---|---|---|
