@@ -25,7 +25,7 @@ mod discriminate;
 mod displacement;
 /// `GET /v1/doctor`: the same findings as the command's, each verdict, many clients at once.
 mod doctor;
-/// Drift without telemetry: plays at the limit, and the level check of `assume_rest`.
+/// Drift: plays at the limit, and the level check of `assume_rest`.
 mod drift;
 /// `session export`: a row for each play and each item of a sequence; a damaged record.
 mod export;

@@ -356,7 +356,7 @@ impl Route {
                 summary: "Enable the motors",
                 description: "With `assume_rest` the device takes every pin as at rest; without it, it must know where the pins are. If a \
                               pin may have drifted by more than 20 µm, `assume_rest` needs `checked`: who has looked at the \
-                              pins.",
+                              pins; but not if telemetry showed all pins until the motors were disarmed.",
                 body: Body::OptionalJson("ArmRequest"),
                 errors: &[
                     BODY,

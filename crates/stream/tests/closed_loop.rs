@@ -70,19 +70,19 @@ fn swapped_sensors_are_reported_and_both_motors_play_on_in_open_loop() {
     assert_eq!(last_snapshot(&rig.take_events()).source, [ErrorSource::Telemetry; MOTORS]);
 }
 
-/// A disarm cuts a play, and a disarmed device sends no telemetry. It is known all the same whether telemetry will show the pins
-/// again: not after a second without a sample, and not while a sensor is doubted.
+/// A disarmed device sends no telemetry. It is known all the same whether telemetry showed the pins until then: not after a second
+/// without a sample, not of a sensor in doubt, and not after the link was lost.
 #[test]
-fn a_disarm_does_not_forget_that_telemetry_shows_the_pins() {
-    let after = |ms: u64, distort: fn(&mut Sample), is_sent: fn() -> bool| {
+fn a_cut_does_not_forget_whether_telemetry_showed_the_pins() {
+    let played = |distort: fn(&mut Sample) -> bool, ms: u64| {
         let mut rig = Rig::armed(Line::default(), 6);
-        rig.start_closed(&all_motors(5.0), None);
+        rig.start_closed(&all_motors(10.0), None);
         rig.run_ms(500);
-        rig.mock.filter_telemetry(move |sample| {
-            distort(sample);
-            is_sent()
-        });
+        rig.mock.filter_telemetry(distort);
         rig.run_ms(ms);
+        rig
+    };
+    let pins_seen = |rig: &mut Rig| {
         rig.send(Command::Disarm);
         rig.run_ms(2000);
         let snapshot = last_snapshot(&rig.take_events());
@@ -90,22 +90,60 @@ fn a_disarm_does_not_forget_that_telemetry_shows_the_pins() {
             (snapshot.state, snapshot.source),
             (State::Disarmed, [ErrorSource::DeadReckoning; MOTORS])
         );
-        let disarmed = snapshot.pins_seen;
-        rig.mock.distort_telemetry(|_: &mut Sample| ());
-        rig.send(Command::Arm { assume_rest: true });
-        rig.run_ms(1500);
-        let snapshot = last_snapshot(&rig.take_events());
-        assert_eq!((snapshot.source, snapshot.pins_seen), ([ErrorSource::Telemetry; MOTORS], true));
-        for motor in 0..MOTORS {
-            let (shown, um) = (f64::from(snapshot.rest_error_um[motor]), rig.mock.position_um(motor as u8));
-            assert!((shown - um).abs() < 0.5, "motor {motor}: {shown} um shown, {um} um true");
-        }
-        disarmed
+        snapshot.pins_seen
     };
-    assert!(after(500, |_| (), || true));
-    assert!(after(500, |_| (), || false), "half a second without a sample is not for good");
-    assert!(!after(1500, |_| (), || false));
-    assert!(!after(3000, |sample| sample.y.swap(3, 8), || true));
+    assert!(pins_seen(&mut played(|_| true, 500)));
+    assert!(pins_seen(&mut played(|_| false, 500)), "half a second without a sample is not for good");
+    assert!(!pins_seen(&mut played(|_| false, 4000)));
+    let swapped = |sample: &mut Sample| {
+        sample.y.swap(3, 8);
+        true
+    };
+    assert!(!pins_seen(&mut played(swapped, 3000)));
+    // Every cut begins to wait anew for a sample, and none comes.
+    let mut rig = played(|_| false, 100);
+    for _ in 0..20 {
+        rig.send(Command::Stop);
+        rig.run_ms(200);
+        rig.start_closed(&all_motors(10.0), None);
+        rig.run_ms(300);
+    }
+    assert!(!pins_seen(&mut rig));
+    let mut rig = played(|_| true, 500);
+    rig.unplug();
+    rig.run_ms(100);
+    assert!(!last_snapshot(&rig.take_events()).pins_seen);
+}
+
+/// Telemetry that showed the pins is expected to show them again. If it does, it overrides the operator, and if not, what was known
+/// before stays.
+#[test]
+fn arming_forgets_nothing_where_telemetry_showed_the_pins() {
+    for comes_back in [true, false] {
+        let mut rig = Rig::armed(Line::default(), 5);
+        rig.start(&all_motors(10.0), None);
+        rig.run_ms(6000);
+        rig.send(Command::Disarm);
+        rig.run_ms(500);
+        let before = last_snapshot(&rig.take_events());
+        let farthest = |of: &[f32; MOTORS]| of.iter().fold(0.0, |most: f32, um| most.max(um.abs()));
+        assert!(before.pins_seen && farthest(&before.rest_error_um) > 60.0, "{before:?}");
+        rig.mock.filter_telemetry(move |_| comes_back);
+        rig.send(Command::Arm { assume_rest: true });
+        rig.run_ms(4000);
+        let after = last_snapshot(&rig.take_events());
+        assert_eq!((after.state, after.pins_seen), (State::Armed, comes_back));
+        if comes_back {
+            assert_eq!(after.source, [ErrorSource::Telemetry; MOTORS]);
+            for (shown, motor) in after.rest_error_um.into_iter().zip(0..) {
+                let um = rig.mock.position_um(motor);
+                assert!((f64::from(shown) - um).abs() < 0.5, "motor {motor}: {shown} um shown, {um} um true");
+            }
+        } else {
+            assert_eq!(after.source, [ErrorSource::DeadReckoning; MOTORS]);
+            assert_eq!(after.rest_error_um, before.rest_error_um);
+        }
+    }
 }
 
 /// All motors for a minute through link and controller: the bound, and the bytes per burst.

@@ -67,8 +67,10 @@ pub(super) struct PositionControl {
     replacement: Replacement,
     /// Earlier samples still show motion from before the last cut; `None`: pins are not at rest yet.
     valid_from: Option<Tick>,
-    /// Telemetry showed all pins while the device last played or waited for plays.
+    /// Telemetry shows all pins, or did until the last cut.
     seen: bool,
+    /// The first status of a device at rest since the last sample.
+    unseen_since: Option<Tick>,
 }
 
 impl PositionControl {
@@ -84,6 +86,7 @@ impl PositionControl {
             advanced_to: Tick(0),
             valid_from: None,
             seen: false,
+            unseen_since: None,
         };
         control.configure(settings);
         control
@@ -99,7 +102,9 @@ impl PositionControl {
     /// The device has flushed the queue, and has begun nothing after `begun_by`; it returns pins: telemetry means nothing until
     /// they are at rest. What it played counts up to `now`; `None`: the link is lost.
     pub(super) fn cut(&mut self, begun_by: Tick, now: Option<Tick>) {
-        self.seen &= now.is_some();
+        if now.is_none() {
+            (self.seen, self.unseen_since) = (false, None);
+        }
         self.motors.iter_mut().for_each(|motor| motor.remember(begun_by));
         // The strokes that are remembered may have been cut: their planned ends do not count.
         let over = self.account.over.clone();
@@ -121,6 +126,8 @@ impl PositionControl {
     /// At `tick` the device takes strokes: after a cut the pins have stopped, and telemetry shows where.
     pub(super) fn at_rest(&mut self, tick: Tick) {
         self.valid_from = self.valid_from.or(Some(tick + WINDOW_TICKS));
+        let since = *self.unseen_since.get_or_insert(tick);
+        self.seen &= tick - since <= TICKS_PER_S;
     }
 
     /// A device was connected, which sends telemetry or not. Its clock may have begun again.
@@ -132,7 +139,6 @@ impl PositionControl {
     /// Nothing is known of the pins: they may be as far off as the end stops.
     pub(super) fn lose_rest(&mut self) {
         let um = f64::from(self.end_stop_um);
-        self.seen = false;
         self.motors.iter_mut().for_each(|motor| motor.lose_rest(um));
     }
 
@@ -208,8 +214,11 @@ impl PositionControl {
         self.last_sample.is_some_and(|sampled| sampled >= tick)
     }
 
-    /// The largest error by dead reckoning of these motors, root mean square, µm.
+    /// The largest error by dead reckoning of these motors, root mean square, µm. 0 if telemetry is about to show them.
     pub(super) fn dead_reckoning_um(&self, now: Tick, motors: impl Iterator<Item = u8>) -> f32 {
+        if self.seen {
+            return 0.0;
+        }
         let all = self.rest_error_um(now);
         let of = motors.filter_map(|motor| all.get(usize::from(motor)));
         let reckoned = of.filter(|(_, source)| *source == ErrorSource::DeadReckoning);
@@ -353,7 +362,7 @@ impl PositionControl {
                 known = false;
             }
         }
-        self.seen = self.motors.iter().all(|motor| motor.fault().is_none());
+        (self.seen, self.unseen_since) = (self.motors.iter().all(|motor| motor.fault().is_none()), None);
         known
     }
 
@@ -365,9 +374,6 @@ impl PositionControl {
         free: impl Fn(u8) -> Tick,
         mut amend: impl FnMut(&Amendment) -> bool,
     ) {
-        if self.last_sample.max(self.valid_from).is_some_and(|since| now - since > TICKS_PER_S) {
-            self.seen = false;
-        }
         let fresh = self.last_sample.is_some_and(|sampled| now - sampled <= LONGEST_AGE);
         if !fresh {
             let late = if self.telemetry { LONGEST_AGE } else { REPORTED };
@@ -394,7 +400,8 @@ impl PositionControl {
         self.motors.iter().all(|motor| motor.next().is_none())
     }
 
-    /// Whether telemetry shows all pins, or did until the last cut. Then it will once the motors are armed again.
+    /// Whether telemetry shows all pins, or did until the last cut: then it is expected to as soon as the motors are armed again. If it does
+    /// not, this ends after a second.
     pub(super) const fn sees_all(&self) -> bool {
         self.seen
     }

@@ -248,7 +248,7 @@ impl Streamer {
                     if !self.plays.is_empty() || self.homing.is_some() {
                         return Err(CommandError::Playing);
                     }
-                    self.control.assume_rest();
+                    self.assume_rest();
                 }
                 return Ok(None);
             }
@@ -261,7 +261,7 @@ impl Streamer {
         self.apply_settings();
         self.control.clear_faults();
         if assume_rest {
-            self.control.assume_rest();
+            self.assume_rest();
         }
         let host_timeout = ms_in_ticks(self.settings.lease_ms).round() as u32;
         let lower_stop = self.settings.lower_stop.map(|stop| {
@@ -269,6 +269,14 @@ impl Streamer {
             LowerStop { pulses_per_s: stop.pulses_per_s, seek }
         });
         Ok(Some(Op::Arm { assume_rest, host_timeout, limits: self.settings.limits, lower_stop }))
+    }
+
+    /// The operator says that all pins are at rest. What telemetry shows does not need it; and if it should not come back, the estimate
+    /// from before stays.
+    fn assume_rest(&mut self) {
+        if !self.control.sees_all() {
+            self.control.assume_rest();
+        }
     }
 
     /// Applies the settings configured last.
