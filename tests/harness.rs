@@ -19,8 +19,8 @@ use tempfile::TempDir;
 /// Longest wait for an event that must happen: far longer than it takes on a slow machine.
 pub(crate) const TIMEOUT: Duration = Duration::from_secs(60);
 
-/// The configuration of a daemon that a stall of a busy machine must not disarm.
-pub(crate) const PATIENT: &str = "lease_ms = 5000\n";
+/// The configuration of a daemon whose strokes a stall of a busy machine must not make late, and which it must not disarm.
+pub(crate) const PATIENT: &str = "lead_ms = 500\nlease_ms = 5000\n";
 
 /// The highest limits of a participant: for tests of what has nothing to do with one.
 pub(crate) const NOBODY: &str =

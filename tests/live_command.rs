@@ -281,7 +281,7 @@ fn a_silent_pipe_ends_the_play_unless_it_is_kept_alive() {
     let (code, _, err) = silent.wait();
     assert!(code == 1 && err.contains("stdin was silent for longer than 300 ms; --timeout-ms"), "{err}");
     assert_eq!(receipt(&daemon, id).cause.as_deref(), Some("client-silent"));
-    let kept = Piped::start(&daemon, &["--timeout-ms", "1500", "--keep-alive"], &drive(60.0, 40.0));
+    let kept = Piped::start(&daemon, &["--timeout-ms", "3000", "--keep-alive"], &drive(60.0, 40.0));
     let id = kept.id;
     // Longer than the daemon waits for a first message, and than the silence that it allows.
     thread::sleep(Duration::from_millis(4000));

@@ -49,7 +49,7 @@ fn a_pattern_above_the_amplitude_is_refused() {
 
 #[test]
 fn a_play_without_end_is_stopped_at_the_limit_and_the_queue_with_it() {
-    let daemon = limited(SHORT);
+    let daemon = limited("[participant]\nmax_continuous_s = 2\npause_s = 0.3\nmax_day_s = 3\n");
     let mut client = daemon.client();
     let mut events = client.events().unwrap();
     let id = client.post::<Value>("/v1/play", &json!({"pattern": "pin-60", "endless": true})).unwrap()["id"]
@@ -59,13 +59,13 @@ fn a_play_without_end_is_stopped_at_the_limit_and_the_queue_with_it() {
     assert_eq!(receipt.cause.as_deref(), Some("participant-limit"));
     let status: Status = client.get("/v1/status").unwrap();
     let limits = status.participant.unwrap();
-    assert!(limits.day_used_s >= 0.5 && limits.day_left_s == 1.0 - limits.day_used_s, "{limits:?}");
-    assert!(printed(daemon.meissner().arg("status")).contains(" of 1 s today"));
+    assert!(limits.day_used_s >= 2.0 && limits.day_left_s == 3.0 - limits.day_used_s, "{limits:?}");
+    assert!(printed(daemon.meissner().arg("status")).contains(" of 3 s today"));
     // More than what is left of the day.
     let refused =
-        problem(client.post("/v1/play", &json!({"pattern": "pin-60", "seconds": 0.5, "at_ms": 500})));
+        problem(client.post("/v1/play", &json!({"pattern": "pin-60", "seconds": 1.0, "at_ms": 500})));
     assert!(
-        refused.detail.contains("`participant.max_day_s` allows 1 s") && refused.detail.contains("tomorrow"),
+        refused.detail.contains("`participant.max_day_s` allows 3 s") && refused.detail.contains("tomorrow"),
         "{refused:?}"
     );
     // A finite play in what is left begins after a pause, and is whole.
@@ -86,7 +86,7 @@ fn the_limits_hold_for_all_clients_together() {
         "{refused:?}"
     );
     let _: Value =
-        other.post("/v1/play", &json!({"pattern": "pin-60", "seconds": 1.5, "replace": true})).unwrap();
+        other.post("/v1/play", &json!({"pattern": "pin-60", "seconds": 0.6, "replace": true})).unwrap();
     let _: Status = other.post("/v1/stop", &json!({})).unwrap();
 }
 

@@ -36,10 +36,11 @@ fn a_session_over_a_terminal_plays_and_accounts() {
     assert!(daemon.end().success() && !daemon.socket().exists());
 }
 
-/// A daemon on such a board in mid-play, its pins half way up.
-fn in_mid_play() -> (PtyMock, Daemon) {
+/// A daemon with this host watchdog timeout on such a board in mid-play, its pins half way up.
+fn in_mid_play(lease_ms: u32) -> (PtyMock, Daemon) {
     let board = board();
-    let daemon = Daemon::with(&format!("serial:{}", board.path().display()), "lease_ms = 600\n");
+    let config = format!("lease_ms = {lease_ms}\n");
+    let daemon = Daemon::with(&format!("serial:{}", board.path().display()), &config);
     let mut client = daemon.armed();
     // Without corrections each pin goes down by as many pulses as it went up.
     let request = json!({"pattern": "all-in-phase", "seconds": 60, "open_loop": true});
@@ -63,7 +64,7 @@ fn assert_returned(board: PtyMock, causes: &[Cause]) {
 
 #[test]
 fn a_daemon_that_ends_in_mid_play_returns_the_pins() {
-    let (board, mut daemon) = in_mid_play();
+    let (board, mut daemon) = in_mid_play(5000);
     assert!(daemon.end().success());
     assert!(!daemon.socket().exists());
     assert_returned(board, &[Cause::Shutdown]);
@@ -71,7 +72,7 @@ fn a_daemon_that_ends_in_mid_play_returns_the_pins() {
 
 #[test]
 fn a_daemon_killed_in_mid_play_leaves_a_board_that_returns_the_pins() {
-    let (board, mut daemon) = in_mid_play();
+    let (board, mut daemon) = in_mid_play(600);
     daemon.signal(Signal::KILL);
     daemon.wait();
     sleep(Duration::from_millis(600));
@@ -80,7 +81,7 @@ fn a_daemon_killed_in_mid_play_leaves_a_board_that_returns_the_pins() {
 
 #[test]
 fn a_daemon_that_hangs_in_mid_play_leaves_a_board_that_returns_the_pins() {
-    let (board, daemon) = in_mid_play();
+    let (board, daemon) = in_mid_play(600);
     daemon.signal(Signal::STOP);
     sleep(Duration::from_millis(1500));
     daemon.signal(Signal::KILL);
@@ -122,7 +123,7 @@ fn a_board_that_is_plugged_in_again_is_found_and_disarmed() {
 /// Somebody removes the daemon's sockets: no command reaches it any more, the play goes on, and SIGTERM still returns the pins.
 #[test]
 fn a_daemon_whose_sockets_are_removed_plays_on_and_ends_well() {
-    let (board, mut daemon) = in_mid_play();
+    let (board, mut daemon) = in_mid_play(5000);
     let socket = daemon.socket();
     std::fs::remove_file(estop_socket(&socket)).unwrap();
     std::fs::remove_file(&socket).unwrap();

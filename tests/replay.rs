@@ -1,6 +1,6 @@
 //! `session replay` with a real daemon: the same orders at the same gaps, the recorded texts, what differs, what is refused.
 
-use crate::harness::{Daemon, PROGRAM, TIMEOUT, complaint, document, printed, write_pattern};
+use crate::harness::{Daemon, PATIENT, PROGRAM, TIMEOUT, complaint, document, printed, write_pattern};
 use meissner_api::{PlayState, Receipt, Session, SessionStarted, Status};
 use meissner_client::Client;
 use rustix::process::{Pid, Signal, kill_process};
@@ -254,7 +254,7 @@ fn a_replay_that_differs_says_where_and_fails() {
     assert!(text.starts_with(&format!("play 1 (pin-60): bursts planned 1000 -> {planned}\n")), "{text}");
     assert!(text.contains("1, 1 differ"), "{text}");
     // A limit holds for a replay, too: it ends with the reason.
-    daemon.write_config("lease_ms = 5000\n[participant]\nmax_amplitude_um = 30\n");
+    daemon.write_config(&format!("{PATIENT}[participant]\nmax_amplitude_um = 30\n"));
     daemon.signal(Signal::HUP);
     daemon.wait_for_log("participant");
     let output =

@@ -31,11 +31,11 @@ def run(socket: str, work: Callable[[AsyncClient], Awaitable[None]]) -> None:
 
 def test_plays_and_sequences(daemon: meissner.Daemon) -> None:
     async def work(m: AsyncClient) -> None:
-        at = m.now() + 0.5
+        at = m.now() + 1.0
         play = await m.play("pin-60", seconds=0.1, at=at)
         assert (await play.refresh()).state in ("queued", "running")
         assert (await play.wait()).state == "done"
-        assert abs(play.onset.monotonic - at) <= play.onset.monotonic_uncertainty + 0.5 / HZ
+        assert abs(play.onset.monotonic - at) <= play.onset.monotonic_uncertainty + 0.5 / HZ + 200e-6
         pair = await m.sequence(["pin-60", "pin-60"], seconds=0.05, soa=0.1)
         await pair.wait()
         ticks = [item.onset.tick for item in pair.items if item.onset]
@@ -107,7 +107,11 @@ def test_connections_are_made_again_and_commands_sent_once(network: Network) -> 
         events = m.events()
         await anext(events)
         network.cut()
-        assert [(await anext(events)).name for _ in range(2)] == ["reconnected", "state"]
+        # What the daemon had sent before the cut comes first.
+        names = [(await anext(events)).name]
+        while names[-1] != "reconnected" and len(names) < 10:
+            names.append((await anext(events)).name)
+        assert (names[-1], (await anext(events)).name) == ("reconnected", "state")
         await events.aclose()
         events = m.events(reconnect=False)
         await anext(events)

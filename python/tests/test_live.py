@@ -32,7 +32,7 @@ amplitude_um = 40.0
 
 
 def test_a_play_has_its_times_on_every_clock(m: meissner.Client) -> None:
-    at, wall = m.now() + 0.5, time.time()
+    at, wall = m.now() + 1.0, time.time()
     play = m.play("edge-45", seconds=0.3, at=at, scale=0.8, trigger=5, trial=3, labels={"block": 1})
     assert repr(play) == f"<play {play.id}: edge-45, accepted>"
     with pytest.raises(errors.NotKnownYet, match="no receipt yet"):
@@ -42,9 +42,9 @@ def test_a_play_has_its_times_on_every_clock(m: meissner.Client) -> None:
         _ = play.offset
     receipt = play.wait(timeout=20)
     onset, offset = play.onset, play.offset
-    # Half a tick, and what the daemon states about its device's clock.
-    assert abs(onset.monotonic - at) <= onset.monotonic_uncertainty + 0.5 / HZ
-    assert abs(onset.wall - wall - 0.5) < 60
+    # Half a tick, what the daemon states about its device's clock, and what it took the clock for when the play was ordered.
+    assert abs(onset.monotonic - at) <= onset.monotonic_uncertainty + 0.5 / HZ + 200e-6
+    assert abs(onset.wall - wall - 1.0) < 60
     assert 0 < onset.monotonic_uncertainty <= onset.wall_uncertainty
     assert onset.tick_hz == HZ
     assert offset.tick - onset.tick == round(receipt.raw["duration_ms"]["played"] * HZ / 1000)
@@ -59,15 +59,15 @@ def test_a_play_has_its_times_on_every_clock(m: meissner.Client) -> None:
 def test_a_play_after_an_instant_is_exact_to_the_tick(m: meissner.Client) -> None:
     first = m.play("pin-60", 0.05)
     first.wait()
-    second = m.play("pin-60", 0.05, at=first.onset.later(0.5))
+    second = m.play("pin-60", 0.05, at=first.onset.later(1.0))
     second.wait()
-    assert second.onset.tick - first.onset.tick == HZ // 2
+    assert second.onset.tick - first.onset.tick == HZ
     assert second.onset.boot == first.onset.boot
 
 
 def test_the_onsets_of_a_sequence_are_exact_to_the_tick(m: meissner.Client) -> None:
     items: list[meissner.SequenceItem] = ["pin-60", {"pattern": "edge-45", "scale": 0.5, "trigger": 7}, "pin-60"]
-    play = m.sequence(items, seconds=0.05, isi=0.1, at=m.now() + 0.5, trial=1, labels={"a": "b"})
+    play = m.sequence(items, seconds=0.05, isi=0.1, at=m.now() + 1.0, trial=1, labels={"a": "b"})
     play.wait()
     ticks = [item.onset.tick for item in play.items if item.onset]
     assert [later - earlier for earlier, later in itertools.pairwise(ticks)] == [round(0.15 * HZ)] * 2
@@ -240,7 +240,10 @@ def test_a_connection_that_has_died_in_a_break_is_made_again(network: Network) -
         events = m.events()
         assert next(events).name == "state"
         network.cut()
-        assert [next(events).name for _ in range(2)] == ["reconnected", "state"]
+        # What the daemon had sent before the cut comes first.
+        names = itertools.takewhile(lambda name: name != "reconnected", (event.name for event in events))
+        assert len(list(itertools.islice(names, 10))) < 10
+        assert next(events).name == "state"
         events = m.events(reconnect=False)
         next(events)
         network.cut()
@@ -280,11 +283,12 @@ def test_with_jitter_and_a_skewed_clock_no_onset_errs_by_more_than_stated(networ
         assert not core.clock.is_shared
         m.arm(assume_rest=True, checked="a test")
         plays = []
-        for _ in range(20):
-            at = m.now() + 0.3
-            play = m.play("pin-60", 0.02, at=at)
-            play.wait()
-            plays.append((at, play.onset))
+        for _ in range(2):
+            first = m.now() + 1.0
+            ordered = [(at, m.play("pin-60", 0.02, at=at)) for at in (first + 0.1 * n for n in range(10))]
+            for at, play in ordered:
+                play.wait()
+                plays.append((at, play.onset))
         ticks_ns = []
         for at, onset in plays:
             truth = client_at(onset.host_ns)

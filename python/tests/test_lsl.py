@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 import uuid
+from collections.abc import Mapping
 from typing import Any
 
 import pytest
@@ -96,6 +97,22 @@ def test_markers_bear_the_true_times(m: meissner.Client) -> None:
     assert m.status().state == "armed"
 
 
+def test_a_bridge_that_is_behind_sends_the_markers_of_all_plays_that_are_over(m: meissner.Client) -> None:
+    texts: list[str] = []
+
+    def slow(what: str, pattern: str, raw: Mapping[str, Any]) -> str:
+        texts.append(lsl.text_of(what, pattern, raw))
+        if len(texts) == 2:
+            time.sleep(0.3)
+        return texts[-1]
+
+    with lsl.Bridge(m, name=f"{NAME}-behind", telemetry_hz=0, text=slow) as bridge:
+        plays = [m.play("pin-60", 0.05) for _ in range(2)]
+        for play in plays:
+            play.wait()
+    assert [marker.play for marker in bridge.markers] == [play.id for play in plays for _ in range(2)]
+
+
 def test_markers_over_a_slow_network_with_a_skewed_clock_err_by_less_than_they_state(network: Network) -> None:
     def client_at(host_ns: int) -> int:
         return host_ns + host_ns // 10_000 + 321_000_000_000
@@ -135,10 +152,10 @@ def test_a_marker_orders_a_play(m: meissner.Client) -> None:
     trigger = lsl.Trigger(f"{NAME}-in", {"go": "pin-60", "bad": "no-such-pattern"}, seconds=0.05, delay=4.0)
     with lsl.Bridge(m, name=f"{NAME}-out", telemetry_hz=0, trigger=trigger, report=lines.append) as bridge:
         assert outlet.wait_for_consumers(20)
+        inlet = open_inlet(f"{NAME}-out-markers")
         sent = pylsl.local_clock()
         for text in ("other", "bad", "go"):
             outlet.push_sample([text], sent)
-        inlet = open_inlet(f"{NAME}-out-markers")
         (text, at), _ = pull(inlet, 2)
         assert text == "onset/pin-60"
         # Half a tick, the correction of LSL's clock on one machine, and what the daemon states.

@@ -32,7 +32,7 @@ use tracing::{error, warn};
 /// a timeout while the motors are being armed.
 pub(super) const TIMEOUT: Duration = Duration::from_millis(1250);
 /// How long clients wait for the first device.
-const FIRST_DEVICE: Duration = Duration::from_millis(500);
+const FIRST_DEVICE: Duration = Duration::from_secs(2);
 /// At shutdown the streamer itself waits for the device for a second.
 const SHUTDOWN_TIMEOUT: Duration = Duration::from_millis(1500);
 

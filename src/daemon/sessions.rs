@@ -23,8 +23,8 @@ use axum::http::{HeaderMap, StatusCode, Uri};
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
 use meissner_api::{
-    Code, Method, Problem, RecordedPlay, Route, SESSION_HEADER, Session, SessionList, SessionPlays,
-    SessionRequest, SessionStarted, TOKEN_PREFIX, parse_empty,
+    Code, MAX_LISTED, Method, Problem, RecordedPlay, Route, SESSION_HEADER, Session, SessionList,
+    SessionPlays, SessionRequest, SessionStarted, TOKEN_PREFIX, parse_empty,
 };
 use std::collections::HashMap;
 use std::path::Path as FilePath;
@@ -32,7 +32,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 /// How long a reader of the record waits until the newest entries are written.
-const WRITTEN: Duration = Duration::from_secs(1);
+const WRITTEN: Duration = Duration::from_secs(2);
 
 pub(super) fn token(headers: &HeaderMap) -> Option<&str> {
     if let Some(token) = headers.get(SESSION_HEADER) {
@@ -132,8 +132,12 @@ pub(super) async fn list(State(app): State<App>) -> Answer<Json<SessionList>> {
         None => SessionList::default(),
         Some(dir) => {
             blocking(move || {
-                record.wait_until_written(WRITTEN);
-                reader::sessions(&dir)
+                let written = record.wait_until_written(WRITTEN);
+                let mut list = reader::sessions(&dir)?;
+                if !written {
+                    tell_slow_disk(&mut list.unreadable, &mut list.problems);
+                }
+                Ok::<_, reader::RecordError>(list)
             })
             .await??
         }
@@ -178,12 +182,23 @@ pub(super) async fn plays(
         return Err(Problem::new(Code::NotFound, detail).into());
     };
     let plays = blocking(move || {
-        record.wait_until_written(WRITTEN);
+        let written = record.wait_until_written(WRITTEN);
         let mut plays = reader::plays(&dir, session, from)?;
+        if !written {
+            tell_slow_disk(&mut plays.unreadable, &mut plays.problems);
+        }
         mark_kept(&mut plays.plays, &store, &dir);
         Ok::<_, reader::RecordError>(plays)
     });
     Ok(Json(plays.await??))
+}
+
+/// What the disk has not taken yet cannot be read.
+fn tell_slow_disk(unreadable: &mut u64, problems: &mut Vec<String>) {
+    let seconds = WRITTEN.as_secs();
+    problems.insert(0, format!("the disk has not taken the newest entries within {seconds} s: ask again"));
+    problems.truncate(MAX_LISTED);
+    *unreadable += 1;
 }
 
 /// Marks the plays whose pattern's text is stored, or kept in the record.

@@ -244,14 +244,16 @@ impl SessionRecord {
         self.lock().as_ref().map(|queue| queue.dir.clone())
     }
 
-    /// Waits until the entries added so far are in their files, or the disk has not taken them; `timeout` at most.
-    pub fn wait_until_written(&self, timeout: Duration) {
+    /// Waits until the entries added so far are in their files, or the disk has not taken them; `timeout` at most. Returns whether the
+    /// disk has answered by then.
+    #[must_use]
+    pub fn wait_until_written(&self, timeout: Duration) -> bool {
         let until = Instant::now() + timeout;
         let (waiting, written) = bounded::<()>(0);
         let messages = self.lock().as_ref().map(|queue| queue.messages.clone());
-        if messages.is_some_and(|messages| messages.send_deadline(Message::Written(waiting), until).is_ok()) {
-            let _ = written.recv_deadline(until);
-        }
+        let Some(messages) = messages else { return true };
+        messages.send_deadline(Message::Written(waiting), until).is_ok()
+            && written.recv_deadline(until) != Err(RecvTimeoutError::Timeout)
     }
 
     /// Replaces the file of exposures in the record's directory. If many entries wait, the next one replaces it.

@@ -280,7 +280,7 @@ systemctl daemon-reload && systemctl restart meissner.service || fail "off again
 part=upgrade
 was=$(pid)
 arm playing
-alice play edge-45-paper --seconds 6 --wait >player.log 2>&1 &
+alice play edge-45-paper --seconds 20 --wait >player.log 2>&1 &
 player=$!
 sleep 1
 dpkg -i /test/next.deb >out.log 2>&1 || fail "playing: $(line out.log)"

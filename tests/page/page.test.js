@@ -173,7 +173,7 @@ test("an emergency stop works while a play and a search run, and the search can 
   await page.waitForSelector("#find:not([disabled])");
   await page.$eval("#budget", (input) => (input.value = "600"));
   await press(page, "#find");
-  await shows(page, "search-progress", "evaluations");
+  await shows(page, "search-progress", "evaluations", SEARCHED);
   await page.$eval("#seconds", (input) => (input.value = "600"));
   await page.type("#search", "edge-45");
   await page.click('li[data-name="edge-45"] button');
@@ -415,7 +415,7 @@ async function proxied(daemon, through, run) {
 
 // The simulated array keeps its times: a proxy adds the events.
 test("late strokes are counted while a play runs", async () => {
-  const daemon = await new Daemon().start();
+  const daemon = await new Daemon("lead_ms = 900\n").start();
   const streams = [];
   const through = (request, response, forward) => {
     if (request.url === "/v1/events") streams.push(response);

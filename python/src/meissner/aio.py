@@ -99,6 +99,7 @@ class AsyncSession:
     def __init__(self, client: AsyncClient, start: Op[dict[str, Any]]) -> None:
         self._client, self._start = client, start
         self._task: asyncio.Task[None] | None = None
+        self._leaves = False
         self.id = ""
         self.record_problem: str | None = None
         self.heartbeat_problem: MeissnerError | None = None
@@ -116,7 +117,10 @@ class AsyncSession:
                 pause = await self._client.run(ops.heartbeat(self._client.core))
                 self.heartbeat_problem = None
             except MeissnerError as error:
-                self.heartbeat_problem, pause = error, 1.0
+                pause = 1.0
+                # A session that is being ended may be gone already.
+                if not self._leaves:
+                    self.heartbeat_problem = error
             await asyncio.sleep(pause)
 
     async def end(self) -> None:
@@ -126,6 +130,7 @@ class AsyncSession:
     async def _leave(self, failed: bool) -> None:
         if self._task is None:
             return
+        self._leaves = True
         try:
             await self._client.run(ops.session_leave(self._client.core, self.id, failed))
         finally:

@@ -96,6 +96,7 @@ class Session:
         self.record_problem: str | None = started["record_problem"]
         self.heartbeat_problem: MeissnerError | None = None
         """Why the last sign of life did not reach the daemon; None if it did."""
+        self._leaves = False
         self._over = threading.Event()
         self._thread = threading.Thread(target=self._keep_alive, name="meissner-session", daemon=True)
         self._thread.start()
@@ -108,7 +109,10 @@ class Session:
                 pause = self._client.run(ops.heartbeat(self._client.core))
                 self.heartbeat_problem = None
             except MeissnerError as error:
-                self.heartbeat_problem, pause = error, 1.0
+                pause = 1.0
+                # A session that is being ended may be gone already.
+                if not self._leaves:
+                    self.heartbeat_problem = error
 
     def end(self) -> None:
         """End the session, after its plays have ended."""
@@ -117,6 +121,7 @@ class Session:
     def _leave(self, failed: bool) -> None:
         if self._over.is_set():
             return
+        self._leaves = True
         try:
             self._client.run(ops.session_leave(self._client.core, self.id, failed))
         finally:

@@ -96,6 +96,7 @@ class Bridge:
         self._telemetry_hz, self._trigger = telemetry_hz, trigger
         self._sent: collections.deque[Marker] = collections.deque(maxlen=_KEPT)
         self._under_way: set[int] = set()
+        self._newest_over = 0
         self.failure: BaseException | None = None
         """What has ended the bridge."""
         # Which device it is, for the streams; and whether the daemon answers.
@@ -182,6 +183,10 @@ class Bridge:
         # The clock is shared; what the experiment's client has armed, the bridge does not disarm.
         core = replace(self._of, has_armed=False)
         async with AsyncClient(core) as m:
+            # Plays that were over before have no markers.
+            with contextlib.suppress(MeissnerError):
+                newest = await m.receipt()
+                self._newest_over = newest.id if newest.is_over else newest.id - 1
             tasks = [
                 asyncio.create_task(self._send_markers(m)),
                 asyncio.create_task(asyncio.to_thread(self._over.wait)),
@@ -207,7 +212,9 @@ class Bridge:
         deadline = loop.time() + 1.0
         with contextlib.suppress(MeissnerError):
             while loop.time() < deadline:
-                if not any([(await m.receipt(play)).is_over for play in list(self._under_way)]):
+                newest = await m.receipt()
+                unseen = newest.is_over and newest.id > self._newest_over
+                if not unseen and not any([(await m.receipt(play)).is_over for play in list(self._under_way)]):
                     return
                 await asyncio.sleep(0.01)
 
@@ -250,6 +257,7 @@ class Bridge:
                         self._mark(m.core, "item", item.pattern, item.onset, receipt)
                     self._mark(m.core, "offset", receipt.pattern, receipt.offset, receipt)
                     self._under_way.discard(play)
+                    self._newest_over = play
 
     async def _send_telemetry(self, m: AsyncClient) -> None:
         """The estimated offset of each pin from rest, as the status has it."""

@@ -9,6 +9,7 @@ use super::State;
 use crate::exposure::{Account, Now, ParticipantLimits, Vibration};
 use meissner_api::{Code, PlayRequest, Problem};
 use meissner_array::pattern::Pattern;
+use meissner_array::units::ticks_to_seconds;
 use meissner_stream::queues::{Command, End, StreamEvent};
 use meissner_stream::time::HostInstant;
 use std::collections::HashSet;
@@ -127,10 +128,11 @@ impl State {
             }
             StreamEvent::PlayEnded { id, outcome } => {
                 let now = Now::read();
-                let cut_s = |began: HostInstant| now.at.since(began).as_secs_f64();
-                let played_s = outcome.onset.map_or(0.0, |onset| match outcome.end {
-                    End::Done => f64::INFINITY,
-                    End::Stopped | End::Aborted => cut_s(onset.at),
+                let until_now_s = |began: HostInstant| now.at.since(began).as_secs_f64();
+                let played_s = outcome.onset.map_or(0.0, |onset| match (outcome.end, outcome.cut_after) {
+                    (End::Done, _) => f64::INFINITY,
+                    (End::Stopped | End::Aborted, Some(ticks)) => ticks_to_seconds(ticks),
+                    (End::Stopped | End::Aborted, None) => until_now_s(onset.at),
                 });
                 self.exposure.account.ended(*id, played_s, now);
                 if self.exposure.stopped.remove(id) && outcome.cause == Some("stop") {

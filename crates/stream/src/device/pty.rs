@@ -106,9 +106,7 @@ fn serve(mut mock: WallMock, terminal: &Terminal, stop: &OwnedFd) -> WallMock {
         let mut ready = [PollFd::new(stop, PollFlags::IN), PollFd::new(terminal, PollFlags::IN)];
         let watched = if plugged { 2 } else { 1 };
         let _ = poll(&mut ready[..watched], Some(&timeout));
-        if !ready[0].revents().is_empty() {
-            return mock;
-        }
+        let ends = !ready[0].revents().is_empty();
         loop {
             match terminal.read(&mut bytes) {
                 Received::Bytes(len) => {
@@ -130,6 +128,9 @@ fn serve(mut mock: WallMock, terminal: &Terminal, stop: &OwnedFd) -> WallMock {
         }
         // Run even without new bytes: the controller's host watchdog must be able to time out.
         mock.run(HostInstant::now());
+        if ends {
+            return mock;
+        }
         loop {
             if unsent.is_empty() {
                 unsent = 0..mock.mock().read(&mut outgoing);
