@@ -102,14 +102,15 @@ def test_a_bridge_that_is_behind_sends_the_markers_of_all_plays_that_are_over(m:
 
     def slow(what: str, pattern: str, raw: Mapping[str, Any]) -> str:
         texts.append(lsl.text_of(what, pattern, raw))
-        if len(texts) == 2:
+        if len(texts) == 2:  # the first play's offset
             time.sleep(0.3)
         return texts[-1]
 
     with lsl.Bridge(m, name=f"{NAME}-behind", telemetry_hz=0, text=slow) as bridge:
-        plays = [m.play("pin-60", 0.05) for _ in range(2)]
-        for play in plays:
-            play.wait()
+        plays = []
+        for _ in range(2):
+            plays.append(m.play("pin-60", 0.05))
+            plays[-1].wait()
     assert [marker.play for marker in bridge.markers] == [play.id for play in plays for _ in range(2)]
 
 
