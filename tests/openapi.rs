@@ -215,7 +215,7 @@ fn every_route_has_examples_that_parse() {
         assert_eq!(event.name(), name);
         names.insert(name);
     }
-    assert_eq!(names.len(), 21);
+    assert_eq!(names.len(), 23);
 }
 
 #[test]
@@ -360,7 +360,7 @@ fn a_daemon_s_answers_fit_the_document() {
     let started: Value =
         client.post("/v1/sessions", &json!({"participant": "P07", "exclusive": true})).unwrap();
     fits(Route::SessionStart, &started);
-    refused(Route::Stop, client.post("/v1/stop", &json!({})));
+    refused(Route::Home, client.post("/v1/home", &json!({})));
     refused(Route::SessionStart, client.post("/v1/sessions", &json!({"participant": "P08"})));
     fits(Route::Sessions, &client.get("/v1/sessions").unwrap());
     fits(Route::SessionShow, &client.get("/v1/sessions/running").unwrap());

@@ -189,7 +189,7 @@ mod tests {
     /// Puts the last sign of life so far into the past.
     fn wait(armed: &mut Armed, seconds: u64) {
         if let Some(holder) = &mut armed.holder {
-            holder.heard = HostInstant::from_ns(holder.heard.as_ns() - seconds * 1_000_000_000);
+            holder.heard = HostInstant::from_ns(holder.heard.as_ns().saturating_sub(seconds * 1_000_000_000));
         }
     }
 
