@@ -371,6 +371,7 @@ fn a_daemon_s_answers_fit_the_document() {
     fits(Route::SessionPlays, &client.get(&format!("/v1/sessions/{id}/plays")).unwrap());
     refused(Route::SessionPlays, client.get(&format!("/v1/sessions/{id}/plays?from=-1")));
     fits(Route::SessionEnd, &client.post("/v1/sessions/running/end", &json!({})).unwrap());
+    client.set_token(None);
     fits(Route::Sessions, &client.get("/v1/sessions").unwrap());
     fits(Route::Arm, &client.post("/v1/arm", &json!({"assume_rest": true})).unwrap());
     fits(Route::Play, &client.post("/v1/play", &json!({"pattern": "edge-45", "seconds": 0.3})).unwrap());

@@ -50,7 +50,7 @@ pub(super) async fn guard(
     };
     if let Err(NoRight { problem, .. }) = checked {
         let refused = ErrorResponse::from(problem);
-        return if route.command() == Route::Status.command() {
+        return if route.method() == Method::Get {
             refused.into_response()
         } else {
             let logged = LoggedRequest::new(&app.engine, route.command(), peer);
