@@ -137,16 +137,24 @@ fn a_closed_stdout_does_not_change_the_exit_code() {
     assert_eq!(child.wait().unwrap().code(), Some(1), "it was cut");
 }
 
+/// Ctrl-C, `kill`, and a terminal that is closed.
 #[test]
-fn ctrl_c_on_a_play_prints_that_it_goes_on() {
+fn a_command_that_is_told_to_end_stops_its_play() {
     let daemon = Daemon::start();
     let mut client = daemon.armed();
-    let (child, _lines) = waiting(&daemon);
-    rustix::process::kill_process(rustix::process::Pid::from_child(&child), Signal::INT).unwrap();
-    let output = child.wait_with_output().unwrap();
-    assert_eq!(output.status.code(), Some(130));
-    assert_eq!(output.stderr, b"still playing: `meissner stop` ends it\n");
-    assert!(!client.get::<Value>("/v1/status").unwrap()["play"].is_null());
+    for (signal, code) in [(Signal::INT, 130), (Signal::TERM, 143), (Signal::HUP, 129)] {
+        let (child, lines) = waiting(&daemon);
+        if signal == Signal::HUP {
+            drop(lines);
+        }
+        rustix::process::kill_process(rustix::process::Pid::from_child(&child), signal).unwrap();
+        let output = child.wait_with_output().unwrap();
+        assert_eq!(output.status.code(), Some(code));
+        assert_eq!(output.stderr, b"stopped: see `meissner receipt`\n");
+        // The answer to the stop comes when the pins are on their way back.
+        let receipt: Value = client.get("/v1/plays/last?wait=10").unwrap();
+        assert_eq!((&receipt["state"], &receipt["cause"]), (&json!("stopped"), &json!("stop")), "{receipt}");
+    }
 }
 
 const DRIVE: &str = "duration_s = 0.3\n[[drive]]\nmotor = 9\nfrequency_hz = 60.0\namplitude_um = 80.0\n";

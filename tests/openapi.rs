@@ -215,7 +215,7 @@ fn every_route_has_examples_that_parse() {
         assert_eq!(event.name(), name);
         names.insert(name);
     }
-    assert_eq!(names.len(), 21);
+    assert_eq!(names.len(), 23);
 }
 
 #[test]
@@ -360,7 +360,7 @@ fn a_daemon_s_answers_fit_the_document() {
     let started: Value =
         client.post("/v1/sessions", &json!({"participant": "P07", "exclusive": true})).unwrap();
     fits(Route::SessionStart, &started);
-    refused(Route::Stop, client.post("/v1/stop", &json!({})));
+    refused(Route::Home, client.post("/v1/home", &json!({})));
     refused(Route::SessionStart, client.post("/v1/sessions", &json!({"participant": "P08"})));
     fits(Route::Sessions, &client.get("/v1/sessions").unwrap());
     fits(Route::SessionShow, &client.get("/v1/sessions/running").unwrap());
@@ -371,6 +371,7 @@ fn a_daemon_s_answers_fit_the_document() {
     fits(Route::SessionPlays, &client.get(&format!("/v1/sessions/{id}/plays")).unwrap());
     refused(Route::SessionPlays, client.get(&format!("/v1/sessions/{id}/plays?from=-1")));
     fits(Route::SessionEnd, &client.post("/v1/sessions/running/end", &json!({})).unwrap());
+    client.set_token(None);
     fits(Route::Sessions, &client.get("/v1/sessions").unwrap());
     fits(Route::Arm, &client.post("/v1/arm", &json!({"assume_rest": true})).unwrap());
     fits(Route::Play, &client.post("/v1/play", &json!({"pattern": "edge-45", "seconds": 0.3})).unwrap());

@@ -58,6 +58,7 @@ fn a_play_carries_its_session_trial_and_labels() {
     let session: Session = client.post(&format!("/v1/sessions/{}/end", started.id), &json!({})).unwrap();
     assert_eq!((session.plays, session.reason.as_deref()), (3, Some("request")));
     assert!(session.vibration_s >= 0.3 && session.ended.is_some(), "{session:?}");
+    client.set_token(None);
     let _: Value = client.post("/v1/play", &json!({"pattern": "pin-60", "seconds": 0.1})).unwrap();
     assert_eq!(ended(&mut events).session, None);
     // As recorded: with the same values.
@@ -74,8 +75,6 @@ fn two_clients_fight_for_a_session() {
     for (path, body) in [
         ("/v1/sessions", json!({"participant": "P08"})),
         ("/v1/play", json!({"pattern": "pin-60", "seconds": 0.1})),
-        ("/v1/stop", json!({})),
-        ("/v1/disarm", json!({})),
         ("/v1/arm", json!({"assume_rest": true})),
         ("/v1/reset", json!({"force": true})),
         ("/v1/home", json!({})),
@@ -92,9 +91,9 @@ fn two_clients_fight_for_a_session() {
         );
     }
     assert_eq!(problem(other.put("/v1/patterns/mine", String::new())).code, "session-exclusive");
-    // A wrong token is none.
+    // A wrong token opens nothing.
     other.set_token(Some("0".repeat(32)));
-    assert_eq!(problem(other.post("/v1/stop", &json!({}))).code, "session-exclusive");
+    assert_eq!(problem(other.post("/v1/home", &json!({}))).code, "session-exclusive");
     // Others read; the owner acts, from any connection.
     let status: Status = other.get("/v1/status").unwrap();
     let session = status.session.unwrap();
@@ -106,6 +105,7 @@ fn two_clients_fight_for_a_session() {
     // An emergency stop is everybody's.
     let stopped: Status = other.post("/v1/estop", &json!({})).unwrap();
     assert_eq!(stopped.cause, "estop");
+    other.set_token(None);
     let _: Status = mine.post("/v1/reset", &json!({"force": true})).unwrap();
     assert_eq!(
         refusal(mine.post("/v1/sessions", &json!({"participant": "P09"}))),
@@ -121,7 +121,7 @@ fn two_clients_fight_for_a_session() {
 fn a_session_that_begins_during_a_body_counts() {
     let daemon = Daemon::start();
     let mut mine = daemon.armed();
-    let mut late: Vec<_> = [("POST", "/v1/stop"), ("PUT", "/v1/patterns/mine"), ("POST", "/v1/disarm")]
+    let mut late: Vec<_> = [("POST", "/v1/home"), ("PUT", "/v1/patterns/mine"), ("POST", "/v1/arm")]
         .into_iter()
         .map(|(method, path)| {
             let mut stream = UnixStream::connect(daemon.socket()).unwrap();
@@ -166,7 +166,7 @@ fn an_owner_that_dies_in_mid_play_locks_nobody_out() {
     kill_process(Pid::from_child(&program), Signal::KILL).unwrap();
     program.wait().unwrap();
     let mut other = daemon.client();
-    assert_eq!(problem(other.post("/v1/stop", &json!({}))).code, "session-exclusive");
+    assert_eq!(problem(other.post("/v1/home", &json!({}))).code, "session-exclusive");
     next(&mut events, |event| match event {
         Event::SessionReleased { session } => {
             assert_eq!(session, started.id);
@@ -184,7 +184,7 @@ fn an_owner_that_dies_in_mid_play_locks_nobody_out() {
     // The owner's next request closes it again.
     let back: Status = mine.get("/v1/status").unwrap();
     assert!(back.session.unwrap().is_closed_to_others());
-    assert_eq!(problem(other.post("/v1/stop", &json!({}))).code, "session-exclusive");
+    assert_eq!(problem(other.post("/v1/home", &json!({}))).code, "session-exclusive");
     next(&mut events, |event| matches!(event, Event::SessionReleased { .. }).then_some(()));
     let ended: Session = other.post("/v1/sessions/running/end", &json!({})).unwrap();
     assert_eq!((ended.id, ended.reason.as_deref()), (started.id, Some("request")));
@@ -410,7 +410,8 @@ fn a_session_has_a_limit_of_its_own_and_participants_have_their_days() {
     assert!((limits.session_used_s.unwrap() - 0.4).abs() < 1e-3, "{limits:?}");
     let next = |client: &mut Client, participant| {
         let _: Session = client.post("/v1/sessions/running/end", &json!({})).unwrap();
-        start(client, participant, false);
+        let started = start(client, participant, false);
+        client.set_token(Some(started.token));
     };
     next(&mut client, "P07");
     play(&mut client, 0.3).unwrap();

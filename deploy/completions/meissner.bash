@@ -214,6 +214,9 @@ _meissner() {
             meissner__subcmd__help__subcmd__session,export)
                 cmd="meissner__subcmd__help__subcmd__session__subcmd__export"
                 ;;
+            meissner__subcmd__help__subcmd__session,leave)
+                cmd="meissner__subcmd__help__subcmd__session__subcmd__leave"
+                ;;
             meissner__subcmd__help__subcmd__session,list)
                 cmd="meissner__subcmd__help__subcmd__session__subcmd__list"
                 ;;
@@ -244,6 +247,9 @@ _meissner() {
             meissner__subcmd__session,help)
                 cmd="meissner__subcmd__session__subcmd__help"
                 ;;
+            meissner__subcmd__session,leave)
+                cmd="meissner__subcmd__session__subcmd__leave"
+                ;;
             meissner__subcmd__session,list)
                 cmd="meissner__subcmd__session__subcmd__list"
                 ;;
@@ -264,6 +270,9 @@ _meissner() {
                 ;;
             meissner__subcmd__session__subcmd__help,help)
                 cmd="meissner__subcmd__session__subcmd__help__subcmd__help"
+                ;;
+            meissner__subcmd__session__subcmd__help,leave)
+                cmd="meissner__subcmd__session__subcmd__help__subcmd__leave"
                 ;;
             meissner__subcmd__session__subcmd__help,list)
                 cmd="meissner__subcmd__session__subcmd__help__subcmd__list"
@@ -322,13 +331,17 @@ _meissner() {
             return 0
             ;;
         meissner__subcmd__arm)
-            opts="-h --assume-rest --checked --socket --json --help"
+            opts="-h --assume-rest --checked --silence --unattended --socket --json --help"
             if [[ ${cur} == -* || ${COMP_CWORD} -eq 2 ]] ; then
                 COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
                 return 0
             fi
             case "${prev}" in
                 --checked)
+                    COMPREPLY=($(compgen -f "${cur}"))
+                    return 0
+                    ;;
+                --silence)
                     COMPREPLY=($(compgen -f "${cur}"))
                     return 0
                     ;;
@@ -958,7 +971,7 @@ _meissner() {
             return 0
             ;;
         meissner__subcmd__help__subcmd__session)
-            opts="start end list export replay show"
+            opts="start end leave list export replay show"
             if [[ ${cur} == -* || ${COMP_CWORD} -eq 3 ]] ; then
                 COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
                 return 0
@@ -986,6 +999,20 @@ _meissner() {
             return 0
             ;;
         meissner__subcmd__help__subcmd__session__subcmd__export)
+            opts=""
+            if [[ ${cur} == -* || ${COMP_CWORD} -eq 4 ]] ; then
+                COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
+                return 0
+            fi
+            case "${prev}" in
+                *)
+                    COMPREPLY=()
+                    ;;
+            esac
+            COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
+            return 0
+            ;;
+        meissner__subcmd__help__subcmd__session__subcmd__leave)
             opts=""
             if [[ ${cur} == -* || ${COMP_CWORD} -eq 4 ]] ; then
                 COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
@@ -1570,7 +1597,7 @@ _meissner() {
             return 0
             ;;
         meissner__subcmd__session)
-            opts="-h --help start end list export replay show help"
+            opts="-h --help start end leave list export replay show help"
             if [[ ${cur} == -* || ${COMP_CWORD} -eq 2 ]] ; then
                 COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
                 return 0
@@ -1628,7 +1655,7 @@ _meissner() {
             return 0
             ;;
         meissner__subcmd__session__subcmd__help)
-            opts="start end list export replay show help"
+            opts="start end leave list export replay show help"
             if [[ ${cur} == -* || ${COMP_CWORD} -eq 3 ]] ; then
                 COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
                 return 0
@@ -1670,6 +1697,20 @@ _meissner() {
             return 0
             ;;
         meissner__subcmd__session__subcmd__help__subcmd__help)
+            opts=""
+            if [[ ${cur} == -* || ${COMP_CWORD} -eq 4 ]] ; then
+                COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
+                return 0
+            fi
+            case "${prev}" in
+                *)
+                    COMPREPLY=()
+                    ;;
+            esac
+            COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
+            return 0
+            ;;
+        meissner__subcmd__session__subcmd__help__subcmd__leave)
             opts=""
             if [[ ${cur} == -* || ${COMP_CWORD} -eq 4 ]] ; then
                 COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
@@ -1728,6 +1769,20 @@ _meissner() {
         meissner__subcmd__session__subcmd__help__subcmd__start)
             opts=""
             if [[ ${cur} == -* || ${COMP_CWORD} -eq 4 ]] ; then
+                COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
+                return 0
+            fi
+            case "${prev}" in
+                *)
+                    COMPREPLY=()
+                    ;;
+            esac
+            COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
+            return 0
+            ;;
+        meissner__subcmd__session__subcmd__leave)
+            opts="-h --help"
+            if [[ ${cur} == -* || ${COMP_CWORD} -eq 3 ]] ; then
                 COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
                 return 0
             fi

@@ -76,7 +76,7 @@ complete -c meissner -n "__fish_meissner_using_subcommand play" -l fit -d 'Choos
 cover\t'Those that begin before: a little longer'"
 complete -c meissner -n "__fish_meissner_using_subcommand play" -l late -d 'Choose what happens to late strokes' -r -f -a "drop\t'Drop them whole and go on'
 abort\t'End the play'"
-complete -c meissner -n "__fish_meissner_using_subcommand play" -l session -d 'Refuse the play unless the session with this id runs' -r
+complete -c meissner -n "__fish_meissner_using_subcommand play" -l session -d 'Refuse the play unless the session with this id runs [default: the session that this terminal has started]' -r
 complete -c meissner -n "__fish_meissner_using_subcommand play" -l trial -d 'Record the play as trial N' -r
 complete -c meissner -n "__fish_meissner_using_subcommand play" -l label -d 'Record the play with a label; up to 16 of them' -r
 complete -c meissner -n "__fish_meissner_using_subcommand play" -l scale -d 'Multiply the amplitude of every drive by X, 0 to 1' -r
@@ -87,13 +87,13 @@ complete -c meissner -n "__fish_meissner_using_subcommand play" -l endless -d 'A
 complete -c meissner -n "__fish_meissner_using_subcommand play" -l replace -d 'Stop the running play and clear the queue first'
 complete -c meissner -n "__fish_meissner_using_subcommand play" -l open-loop -d 'Play without corrections from telemetry'
 complete -c meissner -n "__fish_meissner_using_subcommand play" -l no-trigger -d 'Give nothing on the trigger output'
-complete -c meissner -n "__fish_meissner_using_subcommand play" -l wait -d 'Wait for the end and print the receipt; exit 1 if not all was played. Ctrl-C ends the waiting (exit 130), not the play'
+complete -c meissner -n "__fish_meissner_using_subcommand play" -l wait -d 'Wait for the end and print the receipt; exit 1 if not all was played. Ctrl-C, SIGTERM and SIGHUP stop the play (exit 130, 143, 129)'
 complete -c meissner -n "__fish_meissner_using_subcommand play" -l json -d 'Print one JSON document on stdout and nothing else'
 complete -c meissner -n "__fish_meissner_using_subcommand play" -s h -l help -d 'Print help (see more with \'--help\')'
 complete -c meissner -n "__fish_meissner_using_subcommand sequence" -l at -d 'Begin at TICK of the device\'s clock, MS milliseconds after the request, or at NS nanoseconds of CLOCK_MONOTONIC' -r
 complete -c meissner -n "__fish_meissner_using_subcommand sequence" -l socket -d 'Connect to the daemon at PATH [default: $MEISSNER_SOCKET, else the first of $XDG_RUNTIME_DIR/meissner.sock and /run/meissner/meissner.sock at which a daemon listens]' -r -F
 complete -c meissner -n "__fish_meissner_using_subcommand sequence" -l replace -d 'Stop the running play and clear the queue first'
-complete -c meissner -n "__fish_meissner_using_subcommand sequence" -l wait -d 'Wait for the end and print the receipt; exit 1 if not all was played. Ctrl-C ends the waiting (exit 130), not the sequence'
+complete -c meissner -n "__fish_meissner_using_subcommand sequence" -l wait -d 'Wait for the end and print the receipt; exit 1 if not all was played. Ctrl-C, SIGTERM and SIGHUP stop the sequence (exit 130, 143, 129)'
 complete -c meissner -n "__fish_meissner_using_subcommand sequence" -l json -d 'Print one JSON document on stdout and nothing else'
 complete -c meissner -n "__fish_meissner_using_subcommand sequence" -s h -l help -d 'Print help'
 complete -c meissner -n "__fish_meissner_using_subcommand live" -l follow -d 'Follow this source: stdin (a line: X_MM Y_MM [DEGREES], or a JSON object), mouse (the first one), or an input device' -r
@@ -116,7 +116,7 @@ complete -c meissner -n "__fish_meissner_using_subcommand live" -l setting -d 'C
 always_on\t'All motors vibrate; 40 to 300 Hz'"
 complete -c meissner -n "__fish_meissner_using_subcommand live" -l late -d 'Choose what happens to late strokes' -r -f -a "drop\t'Drop them whole and go on'
 abort\t'End the play'"
-complete -c meissner -n "__fish_meissner_using_subcommand live" -l session -d 'Refuse the play unless the session with this id runs' -r
+complete -c meissner -n "__fish_meissner_using_subcommand live" -l session -d 'Refuse the play unless the session with this id runs [default: the session that this terminal has started]' -r
 complete -c meissner -n "__fish_meissner_using_subcommand live" -l trial -d 'Record the play as trial N' -r
 complete -c meissner -n "__fish_meissner_using_subcommand live" -l label -d 'Record the play with a label; up to 16 of them' -r
 complete -c meissner -n "__fish_meissner_using_subcommand live" -l scale -d 'Multiply the amplitude of every drive by X, 0 to 1' -r
@@ -140,8 +140,10 @@ complete -c meissner -n "__fish_meissner_using_subcommand reset" -l force -d 'Re
 complete -c meissner -n "__fish_meissner_using_subcommand reset" -l json -d 'Print one JSON document on stdout and nothing else'
 complete -c meissner -n "__fish_meissner_using_subcommand reset" -s h -l help -d 'Print help'
 complete -c meissner -n "__fish_meissner_using_subcommand arm" -l checked -d 'Say who has looked at the pins and found them level: needed after they may have drifted; on a terminal the command asks' -r
+complete -c meissner -n "__fish_meissner_using_subcommand arm" -l silence -d 'Disarm when no command or program of yours has asked the daemon for S seconds, 1 to 86400 [default: `armed_silence_s` of the daemon\'s configuration]' -r
 complete -c meissner -n "__fish_meissner_using_subcommand arm" -l socket -d 'Connect to the daemon at PATH [default: $MEISSNER_SOCKET, else the first of $XDG_RUNTIME_DIR/meissner.sock and /run/meissner/meissner.sock at which a daemon listens]' -r -F
 complete -c meissner -n "__fish_meissner_using_subcommand arm" -l assume-rest -d 'State that all pins are at rest: look at them first'
+complete -c meissner -n "__fish_meissner_using_subcommand arm" -l unattended -d 'Let the motors stay armed however long nobody asks the daemon'
 complete -c meissner -n "__fish_meissner_using_subcommand arm" -l json -d 'Print one JSON document on stdout and nothing else'
 complete -c meissner -n "__fish_meissner_using_subcommand arm" -s h -l help -d 'Print help'
 complete -c meissner -n "__fish_meissner_using_subcommand disarm" -l socket -d 'Connect to the daemon at PATH [default: $MEISSNER_SOCKET, else the first of $XDG_RUNTIME_DIR/meissner.sock and /run/meissner/meissner.sock at which a daemon listens]' -r -F
@@ -185,14 +187,15 @@ complete -c meissner -n "__fish_meissner_using_subcommand events" -s h -l help -
 complete -c meissner -n "__fish_meissner_using_subcommand receipt" -l socket -d 'Connect to the daemon at PATH [default: $MEISSNER_SOCKET, else the first of $XDG_RUNTIME_DIR/meissner.sock and /run/meissner/meissner.sock at which a daemon listens]' -r -F
 complete -c meissner -n "__fish_meissner_using_subcommand receipt" -l json -d 'Print one JSON document on stdout and nothing else'
 complete -c meissner -n "__fish_meissner_using_subcommand receipt" -s h -l help -d 'Print help'
-complete -c meissner -n "__fish_meissner_using_subcommand session; and not __fish_seen_subcommand_from start end list export replay show help" -s h -l help -d 'Print help'
-complete -c meissner -n "__fish_meissner_using_subcommand session; and not __fish_seen_subcommand_from start end list export replay show help" -f -a "start" -d 'Start a session; plays belong to it until it ends'
-complete -c meissner -n "__fish_meissner_using_subcommand session; and not __fish_seen_subcommand_from start end list export replay show help" -f -a "end" -d 'End the running session'
-complete -c meissner -n "__fish_meissner_using_subcommand session; and not __fish_seen_subcommand_from start end list export replay show help" -f -a "list" -d 'List the recorded sessions, the oldest first'
-complete -c meissner -n "__fish_meissner_using_subcommand session; and not __fish_seen_subcommand_from start end list export replay show help" -f -a "export" -d 'Export the recorded plays of a session as CSV, one row per stimulus; with --json as one document'
-complete -c meissner -n "__fish_meissner_using_subcommand session; and not __fish_seen_subcommand_from start end list export replay show help" -f -a "replay" -d 'Play a recorded session again with the same gaps, and compare the receipts; exit 1 if something differs'
-complete -c meissner -n "__fish_meissner_using_subcommand session; and not __fish_seen_subcommand_from start end list export replay show help" -f -a "show" -d 'Show a session'
-complete -c meissner -n "__fish_meissner_using_subcommand session; and not __fish_seen_subcommand_from start end list export replay show help" -f -a "help" -d 'Print this message or the help of the given subcommand(s)'
+complete -c meissner -n "__fish_meissner_using_subcommand session; and not __fish_seen_subcommand_from start end leave list export replay show help" -s h -l help -d 'Print help'
+complete -c meissner -n "__fish_meissner_using_subcommand session; and not __fish_seen_subcommand_from start end leave list export replay show help" -f -a "start" -d 'Start a session; plays belong to it until it ends'
+complete -c meissner -n "__fish_meissner_using_subcommand session; and not __fish_seen_subcommand_from start end leave list export replay show help" -f -a "end" -d 'End the running session'
+complete -c meissner -n "__fish_meissner_using_subcommand session; and not __fish_seen_subcommand_from start end leave list export replay show help" -f -a "leave" -d 'Forget the session that this terminal has started; it goes on, and other commands of this terminal do not belong to it'
+complete -c meissner -n "__fish_meissner_using_subcommand session; and not __fish_seen_subcommand_from start end leave list export replay show help" -f -a "list" -d 'List the recorded sessions, the oldest first'
+complete -c meissner -n "__fish_meissner_using_subcommand session; and not __fish_seen_subcommand_from start end leave list export replay show help" -f -a "export" -d 'Export the recorded plays of a session as CSV, one row per stimulus; with --json as one document'
+complete -c meissner -n "__fish_meissner_using_subcommand session; and not __fish_seen_subcommand_from start end leave list export replay show help" -f -a "replay" -d 'Play a recorded session again with the same gaps, and compare the receipts; exit 1 if something differs'
+complete -c meissner -n "__fish_meissner_using_subcommand session; and not __fish_seen_subcommand_from start end leave list export replay show help" -f -a "show" -d 'Show a session'
+complete -c meissner -n "__fish_meissner_using_subcommand session; and not __fish_seen_subcommand_from start end leave list export replay show help" -f -a "help" -d 'Print this message or the help of the given subcommand(s)'
 complete -c meissner -n "__fish_meissner_using_subcommand session; and __fish_seen_subcommand_from start" -l participant -d 'Name the participant by this pseudonym' -r
 complete -c meissner -n "__fish_meissner_using_subcommand session; and __fish_seen_subcommand_from start" -l experiment -d 'Name the experiment' -r
 complete -c meissner -n "__fish_meissner_using_subcommand session; and __fish_seen_subcommand_from start" -l label -d 'Record a label; up to 16 of them' -r
@@ -204,6 +207,7 @@ complete -c meissner -n "__fish_meissner_using_subcommand session; and __fish_se
 complete -c meissner -n "__fish_meissner_using_subcommand session; and __fish_seen_subcommand_from end" -l socket -d 'Connect to the daemon at PATH [default: $MEISSNER_SOCKET, else the first of $XDG_RUNTIME_DIR/meissner.sock and /run/meissner/meissner.sock at which a daemon listens]' -r -F
 complete -c meissner -n "__fish_meissner_using_subcommand session; and __fish_seen_subcommand_from end" -l json -d 'Print one JSON document on stdout and nothing else'
 complete -c meissner -n "__fish_meissner_using_subcommand session; and __fish_seen_subcommand_from end" -s h -l help -d 'Print help'
+complete -c meissner -n "__fish_meissner_using_subcommand session; and __fish_seen_subcommand_from leave" -s h -l help -d 'Print help'
 complete -c meissner -n "__fish_meissner_using_subcommand session; and __fish_seen_subcommand_from list" -l socket -d 'Connect to the daemon at PATH [default: $MEISSNER_SOCKET, else the first of $XDG_RUNTIME_DIR/meissner.sock and /run/meissner/meissner.sock at which a daemon listens]' -r -F
 complete -c meissner -n "__fish_meissner_using_subcommand session; and __fish_seen_subcommand_from list" -l json -d 'Print one JSON document on stdout and nothing else'
 complete -c meissner -n "__fish_meissner_using_subcommand session; and __fish_seen_subcommand_from list" -s h -l help -d 'Print help'
@@ -224,6 +228,7 @@ complete -c meissner -n "__fish_meissner_using_subcommand session; and __fish_se
 complete -c meissner -n "__fish_meissner_using_subcommand session; and __fish_seen_subcommand_from show" -s h -l help -d 'Print help'
 complete -c meissner -n "__fish_meissner_using_subcommand session; and __fish_seen_subcommand_from help" -f -a "start" -d 'Start a session; plays belong to it until it ends'
 complete -c meissner -n "__fish_meissner_using_subcommand session; and __fish_seen_subcommand_from help" -f -a "end" -d 'End the running session'
+complete -c meissner -n "__fish_meissner_using_subcommand session; and __fish_seen_subcommand_from help" -f -a "leave" -d 'Forget the session that this terminal has started; it goes on, and other commands of this terminal do not belong to it'
 complete -c meissner -n "__fish_meissner_using_subcommand session; and __fish_seen_subcommand_from help" -f -a "list" -d 'List the recorded sessions, the oldest first'
 complete -c meissner -n "__fish_meissner_using_subcommand session; and __fish_seen_subcommand_from help" -f -a "export" -d 'Export the recorded plays of a session as CSV, one row per stimulus; with --json as one document'
 complete -c meissner -n "__fish_meissner_using_subcommand session; and __fish_seen_subcommand_from help" -f -a "replay" -d 'Play a recorded session again with the same gaps, and compare the receipts; exit 1 if something differs'
@@ -378,6 +383,7 @@ complete -c meissner -n "__fish_meissner_using_subcommand help; and not __fish_s
 complete -c meissner -n "__fish_meissner_using_subcommand help; and not __fish_seen_subcommand_from demo daemon play sequence live stop estop reset arm disarm home calibrate list show import remove status events receipt session token motor displacement simulate optimise tradeoff discriminate sweep validate report doctor help" -f -a "help" -d 'Print this message or the help of the given subcommand(s)'
 complete -c meissner -n "__fish_meissner_using_subcommand help; and __fish_seen_subcommand_from session" -f -a "start" -d 'Start a session; plays belong to it until it ends'
 complete -c meissner -n "__fish_meissner_using_subcommand help; and __fish_seen_subcommand_from session" -f -a "end" -d 'End the running session'
+complete -c meissner -n "__fish_meissner_using_subcommand help; and __fish_seen_subcommand_from session" -f -a "leave" -d 'Forget the session that this terminal has started; it goes on, and other commands of this terminal do not belong to it'
 complete -c meissner -n "__fish_meissner_using_subcommand help; and __fish_seen_subcommand_from session" -f -a "list" -d 'List the recorded sessions, the oldest first'
 complete -c meissner -n "__fish_meissner_using_subcommand help; and __fish_seen_subcommand_from session" -f -a "export" -d 'Export the recorded plays of a session as CSV, one row per stimulus; with --json as one document'
 complete -c meissner -n "__fish_meissner_using_subcommand help; and __fish_seen_subcommand_from session" -f -a "replay" -d 'Play a recorded session again with the same gaps, and compare the receipts; exit 1 if something differs'

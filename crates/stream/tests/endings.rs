@@ -96,6 +96,33 @@ fn the_offset_of_a_stopped_play_includes_the_return() {
     }
 }
 
+/// Of three plays the middle one is cancelled while it waits: the others are whole. One that has begun takes those behind it along.
+#[test]
+fn a_play_that_is_cancelled_ends_alone_unless_it_has_begun() {
+    let mut rig = Rig::armed(Line::default(), 2);
+    let start = |rig: &mut Rig, seconds| {
+        let mut id = 0;
+        rig.start_with(&mixed(None), Some(seconds), |play| id = play.id);
+        id
+    };
+    let ids = [1.0, 2.0, 1.5].map(|seconds| start(&mut rig, seconds));
+    rig.run_ms(300);
+    rig.send(Command::Cancel { id: ids[1], cause: "revoked" });
+    rig.send(Command::Cancel { id: 99, cause: "revoked" });
+    rig.run_ms(3_500);
+    let ends: Vec<_> = rig.outcomes().iter().map(|of| (of.end, of.cause, of.onset.is_some())).collect();
+    assert_eq!(
+        ends,
+        [(End::Done, None, true), (End::Stopped, Some("revoked"), false), (End::Done, None, true)]
+    );
+    let ids = [2.0, 1.0].map(|seconds| start(&mut rig, seconds));
+    rig.run_ms(300);
+    rig.send(Command::Cancel { id: ids[0], cause: "revoked" });
+    rig.run_ms(300);
+    let ends: Vec<_> = rig.outcomes().iter().map(|of| (of.end, of.cause)).collect();
+    assert_eq!(ends, [(End::Stopped, Some("revoked")), (End::Stopped, Some("stop"))]);
+}
+
 /// The device cuts up to 64 ticks ahead, so it may report an onset after the cut.
 #[test]
 fn a_play_that_is_stopped_as_it_begins_knows_its_cut() {
