@@ -10,11 +10,12 @@ use super::arguments::ClientOptions;
 use super::output::say;
 use super::session::warn_unreadable;
 use crate::file::dir_of;
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, bail};
 use csv::Writer;
 use meissner_api::{Fit, Labels, RecordedPlay, Session, SessionPlays};
 use meissner_client::{Client, escape};
 use std::io::Write as _;
+use std::mem;
 use std::path::Path;
 use std::process::ExitCode;
 use std::time::Duration;
@@ -72,8 +73,17 @@ pub(super) const COLUMNS: [&str; 46] = [
     "fit",
 ];
 
-pub(super) fn run(options: &ClientOptions, id: &str, output: Option<&Path>) -> Result<ExitCode> {
+pub(super) fn run(
+    options: &ClientOptions,
+    id: &str,
+    output: Option<&Path>,
+    incomplete: bool,
+) -> Result<ExitCode> {
     let exported = read(&mut options.client()?, id)?;
+    if let Some(lacks) = lacks(&exported).filter(|_| !incomplete) {
+        let id = &exported.session.id;
+        bail!("session {id} is not whole in the record: {lacks}; --incomplete exports what there is");
+    }
     warn_incomplete(&exported);
     let text = if options.output.json { serde_json::to_string(&exported)? + "\n" } else { table(&exported)? };
     match output {
@@ -97,13 +107,19 @@ pub(super) fn run(options: &ClientOptions, id: &str, output: Option<&Path>) -> R
 /// Says on stderr what is missing.
 pub(super) fn warn_incomplete(exported: &SessionPlays) {
     warn_unreadable(exported.unreadable, &exported.problems);
-    if let lost @ 1.. = exported.lost {
+    let left_out = format!("the record left out {} entries that are no plays, to stay within its bound", exported.left_out);
+    let left_out = (exported.left_out > 0).then_some(&left_out);
+    for line in exported.missing.iter().chain(left_out) {
         // If stderr is closed, there is no one to tell.
-        let _ = writeln!(
-            std::io::stderr(),
-            "warning: the record lost {lost} entries during the session, because the disk or the queue was full: plays may be missing"
-        );
+        let _ = writeln!(std::io::stderr(), "warning: {line}");
     }
+}
+
+/// What is missing, in one line; none if the record has the session whole.
+pub(super) fn lacks(exported: &SessionPlays) -> Option<String> {
+    let unknown = || "the daemon is an older one, and does not say what is missing".to_owned();
+    let missing = || if exported.missing.is_empty() { unknown() } else { exported.missing.join("; ") };
+    (!exported.complete).then(missing)
 }
 
 /// All plays of a session, answer by answer.
@@ -117,8 +133,8 @@ fn read(client: &mut Client, id: &str) -> Result<SessionPlays> {
         match &mut all {
             None => all = Some(next),
             Some(all) => {
-                all.more = next.more;
                 all.plays.extend(next.plays);
+                *all = SessionPlays { plays: mem::take(&mut all.plays), ..next };
             }
         }
         if let Some(all) = all.take_if(|_| !more) {

@@ -46,13 +46,17 @@ pub(super) enum Session {
     },
     /// List the recorded sessions, the oldest first
     List(ClientOptions),
-    /// Export the recorded plays of a session as CSV, one row per stimulus; with --json as one document
+    /// Export the recorded plays of a session as CSV, one row per stimulus; with --json as one document; exit 1 if the record does not
+    /// have the session whole
     Export {
         /// Export the session with this id
         id: String,
         /// Write to FILE [default: stdout]
         #[arg(short, long, value_name = "FILE")]
         output: Option<PathBuf>,
+        /// Export what there is of a session that the record does not have whole
+        #[arg(long)]
+        incomplete: bool,
         #[command(flatten)]
         options: ClientOptions,
     },
@@ -81,7 +85,9 @@ pub(super) fn run(asked: &Session) -> Result<ExitCode> {
         }
         Session::End { id, options } => end(options, id.as_deref()),
         Session::List(options) => list(options),
-        Session::Export { id, output, options } => export::run(options, id, output.as_deref()),
+        Session::Export { id, output, incomplete, options } => {
+            export::run(options, id, output.as_deref(), *incomplete)
+        }
         Session::Replay(asked) => replay::run(asked),
         Session::Show { id, options } => {
             let session: api::Session = options.client()?.get(&path(id.as_deref()))?;
@@ -139,12 +145,13 @@ fn list(options: &ClientOptions) -> Result<ExitCode> {
                 session.experiment.clone().unwrap_or_else(|| "-".to_owned()),
                 session.plays.to_string(),
                 stands,
+                text::lost(session).unwrap_or_else(|| "-".to_owned()),
             ]
         };
         match list.sessions.is_empty() {
             true => "no session is recorded".to_owned(),
             false => {
-                let head = ["session", "participant", "experiment", "plays", "ended"];
+                let head = ["session", "participant", "experiment", "plays", "ended", "lost"];
                 text::columns(&head, list.sessions.iter().map(row))
             }
         }
