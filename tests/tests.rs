@@ -5,6 +5,8 @@
 mod api;
 /// Mistakes in files, commands and requests: refused in one line with place and remedy; nothing moves.
 mod bad_input;
+/// Careless systems: an open umask, too little memory, floods of refusals.
+mod careless;
 /// Boards: found, missing, in use, or something else; the doctor's report about them.
 mod boards;
 /// The README, the book and the example configuration: commands run, snippets parse, links have targets.
@@ -61,6 +63,8 @@ mod played;
 mod power;
 /// A whole session through a pseudo-terminal and the serial transport; the daemon ended and killed in mid-play.
 mod pty;
+/// The session record as a lab meets it: full disks, kills, clocks that jump, and what commands say then.
+mod record;
 /// `session replay`: the same orders at the same gaps, the recorded texts, what differs, what is refused.
 mod replay;
 /// `simulate` and `tradeoff`: documents, mistakes, the comparison of methods and its plot; the shipped scenes.

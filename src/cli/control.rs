@@ -6,7 +6,7 @@
 //! Invariant: no request is sent twice, except an e-stop.
 
 use super::arguments::{ClientOptions, Onset, PlayOptions, choice, positive};
-use super::output::{give, say};
+use super::output::{give, say, shown};
 use super::progress::Progress;
 use super::text;
 use crate::daemon;
@@ -182,7 +182,7 @@ fn ask_level(why: &str) -> Result<String> {
 
 /// Asks the person at the terminal; without a yes the command fails.
 fn ask(why: &str, question: &str, otherwise: &str) -> Result<()> {
-    write!(io::stderr(), "{why}\n{question}")?;
+    write!(io::stderr(), "{}\n{question}", shown(why))?;
     let mut answer = String::new();
     io::stdin().lock().take(100).read_line(&mut answer)?;
     if !matches!(answer.trim(), "yes" | "y") {

@@ -7,14 +7,14 @@
 //! Invariant: columns are only added, at the end; a value that is not known is an empty field.
 
 use super::arguments::ClientOptions;
-use super::output::say;
+use super::output::{say_file, tell};
 use super::session::warn_unreadable;
 use crate::file::dir_of;
+use crate::session_record::json;
 use anyhow::{Context, Result, bail};
 use csv::Writer;
 use meissner_api::{Fit, Labels, RecordedPlay, Session, SessionPlays};
 use meissner_client::{Client, escape};
-use std::io::Write as _;
 use std::mem;
 use std::path::Path;
 use std::process::ExitCode;
@@ -85,9 +85,9 @@ pub(super) fn run(
         bail!("session {id} is not whole in the record: {lacks}; --incomplete exports what there is");
     }
     warn_incomplete(&exported);
-    let text = if options.output.json { serde_json::to_string(&exported)? + "\n" } else { table(&exported)? };
+    let text = if options.output.json { json_line(&exported)? } else { table(&exported)? };
     match output {
-        None => say(text.trim_end_matches('\n'))?,
+        None => say_file(text.trim_end_matches('\n'))?,
         Some(path) => {
             let write = || {
                 let mut file = tempfile::NamedTempFile::new_in(dir_of(path))?;
@@ -104,14 +104,20 @@ pub(super) fn run(
     Ok(ExitCode::SUCCESS)
 }
 
+fn json_line(exported: &SessionPlays) -> Result<String> {
+    let mut line = Vec::new();
+    json::write(&mut line, exported)?;
+    line.push(b'\n');
+    Ok(String::from_utf8(line)?)
+}
+
 /// Says on stderr what is missing.
 pub(super) fn warn_incomplete(exported: &SessionPlays) {
     warn_unreadable(exported.unreadable, &exported.problems);
     let left_out = format!("the record left out {} entries that are no plays, to stay within its bound", exported.left_out);
     let left_out = (exported.left_out > 0).then_some(&left_out);
     for line in exported.missing.iter().chain(left_out) {
-        // If stderr is closed, there is no one to tell.
-        let _ = writeln!(std::io::stderr(), "warning: {line}");
+        tell(&format!("warning: {line}"));
     }
 }
 

@@ -4,14 +4,13 @@
 //! ends the session again.
 
 use super::arguments::{ClientOptions, label};
-use super::output::give;
+use super::output::{give, tell};
 use super::{export, replay, session_token, text};
 use anyhow::Result;
 use clap::Subcommand;
 use meissner_api::{self as api, SessionList, SessionRequest, SessionStarted};
 use meissner_client::escape;
 use serde_json::json;
-use std::io::{self, Write};
 use std::path::PathBuf;
 use std::process::ExitCode;
 
@@ -109,8 +108,7 @@ fn start(options: &ClientOptions, request: &SessionRequest) -> Result<ExitCode> 
         let _ = client.post::<api::Session>(&format!("{}/end", path(Some(&started.id))), &json!({}));
     })?;
     if let Some(problem) = &started.record_problem {
-        // If stderr is closed, there is no one to tell.
-        let _ = writeln!(io::stderr(), "warning: {problem}");
+        tell(&format!("warning: {problem}"));
     }
     give(options.output.json, &started, || {
         text::pairs(&[
@@ -161,10 +159,9 @@ fn list(options: &ClientOptions) -> Result<ExitCode> {
 /// Says on stderr which parts of the record cannot be read.
 pub(super) fn warn_unreadable(count: u64, problems: &[String]) {
     for problem in problems {
-        // If stderr is closed, there is no one to tell.
-        let _ = writeln!(io::stderr(), "warning: {problem}");
+        tell(&format!("warning: {problem}"));
     }
     if let more @ 1.. = count.saturating_sub(problems.len() as u64) {
-        let _ = writeln!(io::stderr(), "warning: {more} more lines of the session record cannot be read");
+        tell(&format!("warning: {more} more lines of the session record cannot be read"));
     }
 }

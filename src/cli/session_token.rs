@@ -6,6 +6,7 @@
 //!
 //! Invariant: only the user may read the file.
 
+use crate::file::read_regular;
 use anyhow::{Context, Result};
 use nix::unistd::getsid;
 use std::env;
@@ -17,6 +18,9 @@ use std::path::PathBuf;
 /// The variable that replaces the file.
 pub(super) const VARIABLE: &str = "MEISSNER_SESSION_TOKEN";
 
+/// The most bytes of a file: a token has 32.
+const MAX_BYTES: u64 = 1 << 10;
+
 fn file() -> Option<PathBuf> {
     let set = |name: &str| env::var_os(name).filter(|value| !value.is_empty()).map(PathBuf::from);
     let runtime = set("XDG_RUNTIME_DIR").or_else(|| set("HOME").map(|home| home.join(".local/state")))?;
@@ -24,9 +28,13 @@ fn file() -> Option<PathBuf> {
     Some(runtime.join(format!("meissner/session-{session}.token")))
 }
 
+fn read() -> Option<String> {
+    String::from_utf8(read_regular(&file()?, MAX_BYTES).ok()?).ok()
+}
+
 /// The token, if there is one.
 pub(super) fn find() -> Option<String> {
-    let token = env::var(VARIABLE).ok().or_else(|| fs::read_to_string(file()?).ok())?;
+    let token = env::var(VARIABLE).ok().or_else(|| read())?;
     let token = token.trim();
     // The daemon makes tokens of hexadecimal digits; a header cannot hold anything.
     (!token.is_empty() && token.len() <= 64 && token.bytes().all(|b| b.is_ascii_alphanumeric()))

@@ -11,7 +11,7 @@ use std::io::{self, Write};
 ///
 /// # Errors
 /// If it cannot be serialized or written.
-pub(super) fn write(to: impl Write, value: &impl Serialize) -> io::Result<()> {
+pub(crate) fn write(to: impl Write, value: &impl Serialize) -> io::Result<()> {
     Ok(value.serialize(&mut serde_json::Serializer::with_formatter(to, Plain))?)
 }
 

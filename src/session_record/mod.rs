@@ -13,7 +13,7 @@
 mod budget;
 mod days;
 mod entry;
-mod json;
+pub(crate) mod json;
 mod ledger;
 mod lines;
 mod numbers;

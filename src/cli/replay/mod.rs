@@ -17,7 +17,7 @@ mod rows;
 use super::arguments::{ClientOptions, positive};
 use super::control::on_signals;
 use super::export::{TIMEOUT, lacks};
-use super::output::{give, say, say_json};
+use super::output::{give, say, say_json, tell};
 use super::text;
 use anyhow::{Context, Result, anyhow, bail};
 use clap::Args;
@@ -30,7 +30,6 @@ use plan::{Order, Planner, Recorded, Skip, Step};
 use rows::Rows;
 use serde_json::{Value, json};
 use std::collections::VecDeque;
-use std::io::{self, Write};
 use std::process::{self, ExitCode};
 use std::sync::Arc;
 use std::thread;
@@ -388,8 +387,7 @@ fn stop_on_signals(options: &ClientOptions, gate: Arc<Gate>) -> Result<()> {
             Ok(_) => "the replay has ended, and its play was stopped".to_owned(),
             Err(error) => format!("the replay has ended, but its play was not stopped: {error}"),
         };
-        // If stderr is closed, there is no one to tell.
-        let _ = writeln!(io::stderr(), "{said}");
+        tell(&said);
         process::exit(128 + number);
     })
 }

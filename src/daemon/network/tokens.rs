@@ -14,7 +14,6 @@ use meissner_api::{Code, MAX_TOKENS, Problem, Role, TOKEN_PREFIX, TokenCreated, 
 use rustix::rand::{GetRandomFlags, getrandom};
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
-use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -201,7 +200,7 @@ fn write(file: &Path, tokens: &[Token]) -> io::Result<()> {
     let document = Document { format: 1, tokens: tokens.iter().map(row).collect() };
     let text = toml::to_string(&document).map_err(io::Error::other)?;
     let text = format!("# Access tokens of meissner as SHA-256 hashes: see `meissner token`.\n{text}");
-    fs::create_dir_all(file::dir_of(file))?;
+    file::make_dirs(file::dir_of(file), file::PRIVATE_DIR)?;
     file::replace(file, text.as_bytes(), file::PRIVATE)
 }
 
@@ -220,6 +219,7 @@ fn unhex(text: &str) -> Option<[u8; 32]> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use std::fs;
     use std::os::unix::fs::PermissionsExt;
 
     #[test]
