@@ -307,7 +307,8 @@ impl Store {
         };
         let _writing = self.writing.lock().unwrap_or_else(PoisonError::into_inner);
         if self.make_dir {
-            file::make_dirs(dir, file::LISTED_BY_ALL).map_err(|source| StoreError::Io { path: dir.clone(), source })?;
+            file::make_dirs(dir, file::LISTED_BY_ALL)
+                .map_err(|source| StoreError::Io { path: dir.clone(), source })?;
         }
         let replaced = present(&path)?;
         if let Some(sha256) = replaced.clone().filter(|_| !replace) {

@@ -34,9 +34,14 @@ fn an_open_umask_opens_nothing() {
     daemon.wait_for_device();
     let mut client = daemon.armed();
     let pattern = dir.path().join("mine.toml");
-    crate::harness::write_pattern(&pattern, "mine", "duration_s = 0.1\n[[drive]]\nmotor = 9\nfrequency_hz = 60.0\namplitude_um = 40.0\n");
+    crate::harness::write_pattern(
+        &pattern,
+        "mine",
+        "duration_s = 0.1\n[[drive]]\nmotor = 9\nfrequency_hz = 60.0\namplitude_um = 40.0\n",
+    );
     daemon.meissner().arg("import").arg(&pattern).assert().success();
-    let target = "name = \"mine\"\nshape = \"braille\"\ncharacter = \"b\"\ncenter_mm = [1.45, 1.45]\nreach_mm = 1.5\n";
+    let target =
+        "name = \"mine\"\nshape = \"braille\"\ncharacter = \"b\"\ncenter_mm = [1.45, 1.45]\nreach_mm = 1.5\n";
     let _: Value = client.put("/v1/targets/mine", target.to_owned()).unwrap();
     let _: Value = client.post("/v1/sessions", &json!({"participant": "P07"})).unwrap();
     let _: Value = client.post("/v1/play", &json!({"pattern": "mine", "labels": {"a": "b"}})).unwrap();
@@ -62,7 +67,11 @@ fn too_little_address_space_is_one_line_and_no_daemon() {
     for mib in [96, 200, 400, 700] {
         let dir = directory();
         let mut command = Command::new("sh");
-        command.args(["-c", &format!("ulimit -v {}; exec \"$0\" daemon --device mock --no-record", mib << 10), PROGRAM]);
+        command.args([
+            "-c",
+            &format!("ulimit -v {}; exec \"$0\" daemon --device mock --no-record", mib << 10),
+            PROGRAM,
+        ]);
         command.env("MEISSNER_SOCKET", dir.path().join("m.sock")).env_remove("RUST_LOG").stdin(Stdio::null());
         let mut child = command.stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap();
         let begun = Instant::now();
@@ -90,7 +99,8 @@ fn a_flood_of_refusals_is_bounded_in_the_log_and_counted() {
         }
     }
     let log = daemon.wait_for_log("lines of the log were left out");
-    let lines = |what: &str| log.lines().filter(|line| line.contains(what) && !line.contains("left out")).count();
+    let lines =
+        |what: &str| log.lines().filter(|line| line.contains(what) && !line.contains("left out")).count();
     // 200, and one a second.
     let most = 201 + begun.elapsed().as_secs() as usize;
     assert!((200..=most).contains(&lines("session-end by ")), "{}", lines("session-end by "));

@@ -62,8 +62,13 @@ fn a_session_on_a_full_disk_is_told_at_once_and_after_a_restart() {
         // The other one is whole.
         let whole = document_of(daemon, &first.id);
         assert_eq!((&whole["complete"], whole["plays"].as_array().unwrap().len()), (&json!(true), 2));
-        let replay =
-            daemon.meissner().args(["session", "replay", &second.id, "--dry-run"]).assert().code(1).get_output().clone();
+        let replay = daemon
+            .meissner()
+            .args(["session", "replay", &second.id, "--dry-run"])
+            .assert()
+            .code(1)
+            .get_output()
+            .clone();
         assert!(String::from_utf8(replay.stderr).unwrap().contains("4 of 4 plays are missing"));
     };
     check(&daemon);
@@ -95,7 +100,10 @@ fn a_daemon_that_ends_on_a_full_disk_leaves_a_gap_that_the_next_one_tells() {
     daemon.end();
     let daemon = daemon.again();
     let line = complaint(daemon.meissner().args(["session", "export", &started.id]));
-    assert!(line.contains("its end is not recorded") && line.contains("entries during the session"), "{line}");
+    assert!(
+        line.contains("its end is not recorded") && line.contains("entries during the session"),
+        "{line}"
+    );
     let (document, _) = exported(&daemon, &started.id);
     assert!(document["lost"].as_u64().unwrap() >= 9, "of two plays, and the session's end: {document}");
 }
@@ -156,7 +164,8 @@ fn lines_in_the_files_of_other_days_are_exported_and_replayed_in_order() {
     let lines: Vec<&str> = text.lines().collect();
     // From play 2 on it was two days before; from play 4 on in another year; then today again.
     let begins = |play: u64| {
-        let is = |line: &&str| line.contains("\"event\":\"began\"") && line.contains(&format!("\"id\":{play},"));
+        let is =
+            |line: &&str| line.contains("\"event\":\"began\"") && line.contains(&format!("\"id\":{play},"));
         lines.iter().position(is).unwrap()
     };
     let (second, fourth, fifth) = (begins(2), begins(4), begins(5));
@@ -170,7 +179,8 @@ fn lines_in_the_files_of_other_days_are_exported_and_replayed_in_order() {
     assert_eq!(after, before);
     assert_eq!((&after["complete"], after["plays"].as_array().unwrap().len()), (&json!(true), 5));
     let plan = document(daemon.meissner().args(["session", "replay", &started.id, "--dry-run", "--json"]));
-    let order: Vec<_> = plan["steps"].as_array().unwrap().iter().map(|step| step["play"].as_u64().unwrap()).collect();
+    let order: Vec<_> =
+        plan["steps"].as_array().unwrap().iter().map(|step| step["play"].as_u64().unwrap()).collect();
     assert_eq!(order, [1, 2, 3, 4, 5]);
     // One of the files is gone: the export says so.
     fs::remove_file(today.with_file_name("2026-01-02.jsonl")).unwrap();
@@ -190,7 +200,8 @@ fn a_forged_record_moves_no_cursor() {
     let today = days(&daemon).remove(0);
     let text = fs::read_to_string(&today).unwrap();
     let text = text.replace("\"pattern\":\"pin-60\"", &format!("\"pattern\":\"{ODD}\""));
-    fs::write(&today, text.replace("\"participant\":\"P07\"", &format!("\"participant\":\"{ODD}\""))).unwrap();
+    fs::write(&today, text.replace("\"participant\":\"P07\"", &format!("\"participant\":\"{ODD}\"")))
+        .unwrap();
     let daemon = {
         let mut daemon = daemon;
         daemon.end();

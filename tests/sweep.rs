@@ -362,7 +362,8 @@ fn a_pipe_or_a_device_among_the_files_of_a_sweep_is_refused() {
         for pipe in [true, false] {
             fs::remove_file(&place).unwrap();
             if pipe {
-                rustix::fs::mknodat(rustix::fs::CWD, &place, rustix::fs::FileType::Fifo, 0o600.into(), 0).unwrap();
+                rustix::fs::mknodat(rustix::fs::CWD, &place, rustix::fs::FileType::Fifo, 0o600.into(), 0)
+                    .unwrap();
             } else {
                 std::os::unix::fs::symlink("/dev/zero", &place).unwrap();
             }

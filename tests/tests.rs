@@ -5,8 +5,6 @@
 mod api;
 /// Mistakes in files, commands and requests: refused in one line with place and remedy; nothing moves.
 mod bad_input;
-/// Careless systems: an open umask, too little memory, floods of refusals.
-mod careless;
 /// Boards: found, missing, in use, or something else; the doctor's report about them.
 mod boards;
 /// The README, the book and the example configuration: commands run, snippets parse, links have targets.
@@ -15,6 +13,8 @@ mod book;
 mod build_checks;
 /// `calibrate` on a real daemon: played, fitted, stored, used by its own device alone.
 mod calibration;
+/// Careless systems: an open umask, too little memory, floods of refusals.
+mod careless;
 /// The command line against a real daemon.
 mod cli;
 /// More clients than there are places, and clients that do not read.

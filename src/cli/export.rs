@@ -114,7 +114,10 @@ fn json_line(exported: &SessionPlays) -> Result<String> {
 /// Says on stderr what is missing.
 pub(super) fn warn_incomplete(exported: &SessionPlays) {
     warn_unreadable(exported.unreadable, &exported.problems);
-    let left_out = format!("the record left out {} entries that are no plays, to stay within its bound", exported.left_out);
+    let left_out = format!(
+        "the record left out {} entries that are no plays, to stay within its bound",
+        exported.left_out
+    );
     let left_out = (exported.left_out > 0).then_some(&left_out);
     for line in exported.missing.iter().chain(left_out) {
         tell(&format!("warning: {line}"));

@@ -56,6 +56,9 @@ mod tests {
 
     #[test]
     fn no_text_moves_the_cursor() {
-        assert_eq!(shown("a\u{1b}[2J\r\nµm \"b\"\u{9b}1m\u{202e}\n"), "a\\u{1b}[2J\\r\nµm \"b\"\\u{9b}1m\\u{202e}\n");
+        assert_eq!(
+            shown("a\u{1b}[2J\r\nµm \"b\"\u{9b}1m\u{202e}\n"),
+            "a\\u{1b}[2J\\r\nµm \"b\"\\u{9b}1m\\u{202e}\n"
+        );
     }
 }

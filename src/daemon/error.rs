@@ -41,7 +41,9 @@ pub enum DaemonError {
         needed: u64,
     },
     /// A part panicked: our bug, or the system gave no memory or thread.
-    #[error("internal error: a part of the daemon has failed (see the lines before this one); it has switched the motors off")]
+    #[error(
+        "internal error: a part of the daemon has failed (see the lines before this one); it has switched the motors off"
+    )]
     Panicked,
     /// The event loop ended by itself: our bug.
     #[error(

@@ -13,7 +13,15 @@ use tokio::sync::Notify;
 
 /// The threads without which the daemon lacks a part.
 const NEEDED: [&str; 9] = [
-    "session record", "connector", "manager", "reload", "renderer", "usb-in", "usb-out", "usb-estop", "usb-watch",
+    "session record",
+    "connector",
+    "manager",
+    "reload",
+    "renderer",
+    "usb-in",
+    "usb-out",
+    "usb-estop",
+    "usb-watch",
 ];
 
 /// A needed thread panicked.

@@ -14,8 +14,8 @@ mod journal;
 mod rate;
 
 use journal::Journal;
-use rate::Limited;
 use meissner_input::message::Escaping;
+use rate::Limited;
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::fs::fstat;
 use std::env;

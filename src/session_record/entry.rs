@@ -13,8 +13,8 @@ use meissner_input::message;
 use serde::Serialize;
 use serde_json::Value;
 use std::collections::BTreeMap;
-use std::net::IpAddr;
 use std::fmt;
+use std::net::IpAddr;
 
 /// Characters kept of a text among a command's arguments: more than any name has.
 const MAX_TEXT: usize = 100;

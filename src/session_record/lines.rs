@@ -234,7 +234,8 @@ mod tests {
 
     #[test]
     fn a_head_is_read_from_any_json() {
-        let of = |line: &'static str| head(line.as_bytes()).map(|head| (head.number, head.event.into_owned()));
+        let of =
+            |line: &'static str| head(line.as_bytes()).map(|head| (head.number, head.event.into_owned()));
         let ended = |number| Some((number, "ended".to_owned()));
         for (line, wanted) in [
             (r#"{"time":"x","monotonic_ns":1,"number":7,"event":"ended","a":[1]}"#, ended(Some(7))),

@@ -305,9 +305,7 @@ impl SessionRecord {
     /// The sessions that began since it was started, the newest last: what the disk did not take of them is known here first.
     #[must_use]
     pub fn known(&self) -> Vec<Known> {
-        self.lock()
-            .as_ref()
-            .map_or_else(Vec::new, |queue| queue.lock_ledger().sessions().cloned().collect())
+        self.lock().as_ref().map_or_else(Vec::new, |queue| queue.lock_ledger().sessions().cloned().collect())
     }
 
     /// The entries of this session that the record lost, and the ends of plays among them.

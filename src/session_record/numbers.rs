@@ -35,7 +35,8 @@ pub(super) fn newest(dir: &Path) -> io::Result<(u64, u64)> {
         }
     }
     let mut text = String::new();
-    let counted = open_regular(&dir.join(FILE)).and_then(|file| file.take(DIGITS as u64).read_to_string(&mut text));
+    let counted =
+        open_regular(&dir.join(FILE)).and_then(|file| file.take(DIGITS as u64).read_to_string(&mut text));
     let counted = counted.ok().and_then(|_| text.trim().parse().ok()).filter(|&number| number <= MAX_NUMBER);
     Ok((written, counted.unwrap_or(0)))
 }
@@ -81,7 +82,10 @@ mod tests {
         assert_eq!(newest(dir.path()).unwrap(), (0, 0));
         let long = "x".repeat(40_000);
         for (day, text) in [
-            ("2026-11-22", "{\"event\":\"x\",\"number\":7}\n{\"event\":\"old\"}\nnot a line\n{\"number\":900,\"ev"),
+            (
+                "2026-11-22",
+                "{\"event\":\"x\",\"number\":7}\n{\"event\":\"old\"}\nnot a line\n{\"number\":900,\"ev",
+            ),
             ("2024-01-01", &format!("{{\"number\": 12, \"event\": \"x\", \"text\": \"{long}\"}}\n")),
             ("2026-11-23", "{\"event\":\"old\"}\n"),
         ] {

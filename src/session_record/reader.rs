@@ -241,6 +241,15 @@ impl Scan {
         struct Play {
             session: Option<String>,
         }
+        // Most lines, for speed; the rows of a session are read whole.
+        let is_of = |open: &Recorded| has(line, &format!("\"session\":\"{}\"", open.session.id));
+        if let Some(open) = self.open().filter(|open| is_of(open)) {
+            open.ends += 1;
+            return Some(());
+        }
+        if has(line, "\"session\":null") {
+            return Some(());
+        }
         let End { receipt } = serde_json::from_slice(line).ok()?;
         // The start of its session may be missing.
         if let Some(recorded) = receipt.session.and_then(|id| self.enter(&id)) {
@@ -445,7 +454,8 @@ struct Rows {
 impl Rows {
     fn add(&mut self, play: RecordedPlay) {
         let items = play.items_planned.filter(|_| play.state == "done" && play.item.is_none());
-        if let Some(planned) = items.filter(|planned| *planned > play.items && self.short.len() < MAX_LISTED) {
+        if let Some(planned) = items.filter(|planned| *planned > play.items && self.short.len() < MAX_LISTED)
+        {
             let missing = planned - play.items;
             self.short.push(format!("play {}: {missing} of its {planned} items are missing", play.play));
         }

@@ -27,8 +27,8 @@ use std::collections::BTreeSet;
 use std::fmt;
 use std::fs::{self, DirBuilder, File, OpenOptions};
 use std::io::{self, Write};
-use std::os::unix::fs::{DirBuilderExt, MetadataExt, OpenOptionsExt};
 use std::mem;
+use std::os::unix::fs::{DirBuilderExt, MetadataExt, OpenOptionsExt};
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
@@ -159,8 +159,8 @@ pub(super) struct Writer {
     next: u64,
     /// Missing entries of which no line tells yet.
     missing: Counts,
-    /// The same, of an earlier daemon.
-    inherited: u64,
+    /// The same, of an earlier daemon: a line that was torn.
+    torn: u64,
     /// `next` when lines were made durable last, and since then: the entries that have lines, and those of which a line tells.
     durable: u64,
     unsynced: Vec<Tag>,
@@ -190,7 +190,7 @@ impl Writer {
             newest: 0,
             next: 1,
             missing: Counts::default(),
-            inherited: 0,
+            torn: 0,
             durable: 1,
             unsynced: Vec::new(),
             told: (Counts::default(), 0),
@@ -239,7 +239,7 @@ impl Writer {
 
     /// When [`Self::wake`] has work: lines to make durable, or a disk to try again.
     pub(super) fn due(&self) -> Option<Instant> {
-        let is_missing = self.next <= self.newest || self.inherited > 0;
+        let is_missing = self.next <= self.newest || self.torn > 0;
         self.due.into_iter().chain(self.failing.filter(|_| is_missing)).min()
     }
 
@@ -347,7 +347,7 @@ impl Writer {
             self.open = None;
             self.lock_ledger().take_back(&told.0);
             self.missing.merge(told.0);
-            self.inherited += told.1;
+            self.torn += told.1;
             for tag in unsynced {
                 self.lock_ledger().lose(&tag);
                 self.missing.add(tag, 1);
@@ -373,7 +373,7 @@ impl Writer {
         self.sync();
         self.save_count();
         (self.location, self.open, self.lock, self.failing) = (location, None, None, None);
-        (self.ahead, self.inherited) = (None, 0);
+        (self.ahead, self.torn) = (None, 0);
         self.set_problem(None);
     }
 
@@ -419,7 +419,7 @@ impl Writer {
 
     /// Writes a line about the missing entries up to this one, if there are any.
     fn tell_missing(&mut self, time: &Zoned, stamp: Stamp, upto: u64) -> Result<(), Failure> {
-        let entries = upto + 1 - self.next + self.inherited;
+        let entries = upto + 1 - self.next + self.torn;
         if entries == 0 {
             return Ok(());
         }
@@ -435,7 +435,7 @@ impl Writer {
             return Err(failure);
         }
         self.told.0.merge(self.missing.take());
-        self.told.1 += mem::take(&mut self.inherited);
+        self.told.1 += mem::take(&mut self.torn);
         self.next = upto + 1;
         Ok(())
     }
@@ -504,18 +504,19 @@ impl Writer {
         }
         let lock = self.lock.insert(lock(dir)?);
         let is_first = self.ahead.is_none();
+        let (mut written, mut counted) = (0, 0);
         if is_first {
-            let (written, counted) = numbers::newest(dir).map_err(at(dir))?;
-            self.inherited = counted.saturating_sub(written);
-            self.ahead = Some((written + self.inherited).wrapping_sub(self.next - 1));
+            // An earlier daemon may have lost its last entries: a gap tells of them.
+            (written, counted) = numbers::newest(dir).map_err(at(dir))?;
+            self.ahead = Some(written.max(counted).wrapping_sub(self.next - 1));
         }
         let (open, cut) = open(dir, lock, day)?;
         if cut > 0 {
             warn!("{}: cut off {cut} bytes of a line that was never finished", open.path.display());
         }
-        if is_first && cut > 0 && self.inherited == 0 {
+        if is_first && cut > 0 && counted <= written {
             // Its content is lost.
-            self.inherited = 1;
+            self.torn = 1;
             self.ahead = self.ahead.map(|ahead| ahead.wrapping_add(1));
         }
         self.open = Some(open);

@@ -231,7 +231,8 @@ fn a_list_tells_what_drives_reach_and_how_long_whole_strokes_last() {
 /// A command line takes `-` for stdin and `--help` for an option. What has such a name already can be listed and removed.
 #[test]
 fn no_new_name_begins_with_a_dash_and_old_ones_stay() {
-    const TARGET: &str = "name = \"NAME\"\nshape = \"braille\"\ncharacter = \"b\"\ncenter_mm = [1.45, 1.45]\nreach_mm = 1.5\n";
+    const TARGET: &str =
+        "name = \"NAME\"\nshape = \"braille\"\ncharacter = \"b\"\ncenter_mm = [1.45, 1.45]\nreach_mm = 1.5\n";
     let (dir, store) = store();
     for name in ["-", "--help", "-x"] {
         let text = TEXT.replace("my-edge", name);
