@@ -3,15 +3,25 @@
 //! Invariant: opening a file waits for no pipe and no device; a crash leaves the old file or the new one.
 
 use rustix::fs::OFlags;
-use std::fs::{File, OpenOptions, Permissions};
+use std::fs::{DirBuilder, File, OpenOptions, Permissions};
 use std::io::{self, Read, Write};
-use std::os::unix::fs::{OpenOptionsExt, PermissionsExt};
+use std::os::unix::fs::{DirBuilderExt, OpenOptionsExt, PermissionsExt};
 use std::path::Path;
 
 /// The mode of a file that every user may read.
 pub(crate) const READABLE_BY_ALL: u32 = 0o644;
 /// The mode of a file that its owner alone may read.
 pub(crate) const PRIVATE: u32 = 0o600;
+
+/// The mode of a directory that every user may list, and its owner alone may change.
+pub(crate) const LISTED_BY_ALL: u32 = 0o755;
+/// The mode of a directory for its owner alone.
+pub(crate) const PRIVATE_DIR: u32 = 0o700;
+
+/// Makes a directory and those above it, if they are missing: with this mode at most, whatever the umask.
+pub(crate) fn make_dirs(dir: &Path, mode: u32) -> io::Result<()> {
+    DirBuilder::new().recursive(true).mode(mode).create(dir)
+}
 
 /// Opens a file for reading. Refuses a pipe or a device without waiting for it.
 pub(crate) fn open_regular(path: &Path) -> io::Result<File> {

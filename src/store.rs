@@ -19,7 +19,7 @@ use crate::receipts::Order;
 use in_use::InUse;
 use include_dir::{Dir, include_dir};
 use meissner_api::{MAX_LISTED, PatternList, PatternSummary, ReachedDrive};
-use meissner_array::pattern::{MAX_FILE_BYTES, Pattern, PatternError, is_name};
+use meissner_array::pattern::{MAX_FILE_BYTES, Pattern, PatternError, is_name, is_new_name};
 use meissner_array::strokes::StrokeOptions;
 use meissner_input::message::quote;
 use serde::Serialize;
@@ -69,6 +69,12 @@ pub enum StoreError {
         name: String,
         /// The name in the text.
         inside: String,
+    },
+    /// A name that a command line takes for something else.
+    #[error("{}: a new name begins with a letter or a digit: a command line takes `-` for stdin or an option", quote(.name))]
+    NewName {
+        /// The name it was to be stored under.
+        name: String,
     },
     /// The library is read-only.
     #[error("`{name}` is part of the library and cannot be {change}: choose another name")]
@@ -282,14 +288,17 @@ impl Store {
     /// Stores a pattern under its name; in place of an older one of that name only with `replace`.
     ///
     /// # Errors
-    /// If the text is no pattern of that name, the pattern is empty, the name belongs to the library or is taken, or the file
-    /// cannot be written.
+    /// If the text is no pattern of that name, the pattern is empty, the name is none for a new pattern, belongs to the library or is
+    /// taken, or the file cannot be written.
     pub fn put(&self, name: &str, text: &str, replace: bool) -> Result<Put, StoreError> {
         if self.library.contains_key(name) {
             return Err(StoreError::InLibrary { name: name.to_owned(), change: "overwritten" });
         }
         let stored = self.parse(text.as_bytes(), Path::new(&format!("{name}.toml")))?;
         let stored = named(name, stored)?;
+        if !is_new_name(name) {
+            return Err(StoreError::NewName { name: name.to_owned() });
+        }
         if let Some(why) = stored.run().empty() {
             return Err(StoreError::Empty { name: name.to_owned(), why: why.to_owned() });
         }
@@ -298,7 +307,8 @@ impl Store {
         };
         let _writing = self.writing.lock().unwrap_or_else(PoisonError::into_inner);
         if self.make_dir {
-            fs::create_dir_all(dir).map_err(|source| StoreError::Io { path: dir.clone(), source })?;
+            file::make_dirs(dir, file::LISTED_BY_ALL)
+                .map_err(|source| StoreError::Io { path: dir.clone(), source })?;
         }
         let replaced = present(&path)?;
         if let Some(sha256) = replaced.clone().filter(|_| !replace) {

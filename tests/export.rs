@@ -73,6 +73,8 @@ fn an_export_has_one_row_per_play() {
         .map(|line| format!("{}\n", line.trim_end()))
         .collect();
     fs::write(&day, damaged).unwrap();
+    let line = complaint(daemon.meissner().args(["session", "export", &started.id]));
+    assert!(line.contains("1 of 3 plays are missing") && line.contains("--incomplete"), "{line}");
     let (exported, warning) = exported(&daemon, &started.id);
     let states: Vec<_> =
         exported["plays"].as_array().unwrap().iter().map(|play| (&play["play"], &play["state"])).collect();

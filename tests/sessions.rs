@@ -30,7 +30,8 @@ pub(crate) fn owner(daemon: &Daemon, participant: &str, exclusive: bool) -> (Cli
 
 /// The exported session, and what the command says on stderr.
 pub(crate) fn exported(daemon: &Daemon, id: &str) -> (Value, String) {
-    let export = daemon.meissner().args(["session", "export", id, "--json"]).assert().success();
+    let export =
+        daemon.meissner().args(["session", "export", id, "--json", "--incomplete"]).assert().success();
     let output = export.get_output();
     (serde_json::from_slice(&output.stdout).unwrap(), String::from_utf8(output.stderr.clone()).unwrap())
 }

@@ -351,6 +351,36 @@ fn directories_of_something_else_are_refused_and_nothing_is_lost() {
 }
 
 /// A file-size limit of the process stands for a full disk: a line is written in part, then the write fails.
+/// A pipe or a device in a file's place is refused in one line, and nothing waits for it.
+#[test]
+fn a_pipe_or_a_device_among_the_files_of_a_sweep_is_refused() {
+    let dir = with(SIMULATIONS);
+    printed(&mut sweep(&dir, &["plan.toml", "--out", "d"]));
+    let run = runs(&dir, "d").remove(0);
+    for place in [run, dir.path().join("d/plan.toml"), dir.path().join("plan.toml")] {
+        let kept = fs::read(&place).unwrap();
+        for pipe in [true, false] {
+            fs::remove_file(&place).unwrap();
+            if pipe {
+                rustix::fs::mknodat(rustix::fs::CWD, &place, rustix::fs::FileType::Fifo, 0o600.into(), 0)
+                    .unwrap();
+            } else {
+                std::os::unix::fs::symlink("/dev/zero", &place).unwrap();
+            }
+            let asked: &[&[&str]] = match place.parent() == Some(dir.path()) {
+                true => &[&["plan.toml", "--out", "e"]],
+                false => &[&["--merge", "d"], &["--status", "d"]],
+            };
+            for asked in asked {
+                let said = complaint(&mut sweep(&dir, asked));
+                assert!(said.contains("is not a regular file"), "{asked:?}: {said}");
+            }
+        }
+        fs::remove_file(&place).unwrap();
+        fs::write(&place, kept).unwrap();
+    }
+}
+
 #[test]
 fn a_full_disk_ends_a_run_and_keeps_its_cells() {
     let dir = with(SIMULATIONS);

@@ -13,6 +13,8 @@ mod book;
 mod build_checks;
 /// `calibrate` on a real daemon: played, fitted, stored, used by its own device alone.
 mod calibration;
+/// Careless systems: an open umask, too little memory, floods of refusals.
+mod careless;
 /// The command line against a real daemon.
 mod cli;
 /// More clients than there are places, and clients that do not read.
@@ -61,6 +63,8 @@ mod played;
 mod power;
 /// A whole session through a pseudo-terminal and the serial transport; the daemon ended and killed in mid-play.
 mod pty;
+/// The session record as a lab meets it: full disks, kills, clocks that jump, and what commands say then.
+mod record;
 /// `session replay`: the same orders at the same gaps, the recorded texts, what differs, what is refused.
 mod replay;
 /// `simulate` and `tradeoff`: documents, mistakes, the comparison of methods and its plot; the shipped scenes.

@@ -1629,7 +1629,7 @@ _meissner() {
             return 0
             ;;
         meissner__subcmd__session__subcmd__export)
-            opts="-o -h --output --socket --json --help"
+            opts="-o -h --output --incomplete --socket --json --help"
             if [[ ${cur} == -* || ${COMP_CWORD} -eq 3 ]] ; then
                 COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
                 return 0

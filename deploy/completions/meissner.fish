@@ -213,6 +213,7 @@ complete -c meissner -n "__fish_meissner_using_subcommand session; and __fish_se
 complete -c meissner -n "__fish_meissner_using_subcommand session; and __fish_seen_subcommand_from list" -s h -l help -d 'Print help'
 complete -c meissner -n "__fish_meissner_using_subcommand session; and __fish_seen_subcommand_from export" -s o -l output -d 'Write to FILE [default: stdout]' -r -F
 complete -c meissner -n "__fish_meissner_using_subcommand session; and __fish_seen_subcommand_from export" -l socket -d 'Connect to the daemon at PATH [default: $MEISSNER_SOCKET, else the first of $XDG_RUNTIME_DIR/meissner.sock and /run/meissner/meissner.sock at which a daemon listens]' -r -F
+complete -c meissner -n "__fish_meissner_using_subcommand session; and __fish_seen_subcommand_from export" -l incomplete -d 'Export what there is of a session that the record does not have whole'
 complete -c meissner -n "__fish_meissner_using_subcommand session; and __fish_seen_subcommand_from export" -l json -d 'Print one JSON document on stdout and nothing else'
 complete -c meissner -n "__fish_meissner_using_subcommand session; and __fish_seen_subcommand_from export" -s h -l help -d 'Print help'
 complete -c meissner -n "__fish_meissner_using_subcommand session; and __fish_seen_subcommand_from replay" -l from -d 'Begin with this play, by its number in the export' -r
@@ -230,7 +231,7 @@ complete -c meissner -n "__fish_meissner_using_subcommand session; and __fish_se
 complete -c meissner -n "__fish_meissner_using_subcommand session; and __fish_seen_subcommand_from help" -f -a "end" -d 'End the running session'
 complete -c meissner -n "__fish_meissner_using_subcommand session; and __fish_seen_subcommand_from help" -f -a "leave" -d 'Forget the session that this terminal has started; it goes on, and other commands of this terminal do not belong to it'
 complete -c meissner -n "__fish_meissner_using_subcommand session; and __fish_seen_subcommand_from help" -f -a "list" -d 'List the recorded sessions, the oldest first'
-complete -c meissner -n "__fish_meissner_using_subcommand session; and __fish_seen_subcommand_from help" -f -a "export" -d 'Export the recorded plays of a session as CSV, one row per stimulus; with --json as one document'
+complete -c meissner -n "__fish_meissner_using_subcommand session; and __fish_seen_subcommand_from help" -f -a "export" -d 'Export the recorded plays of a session as CSV, one row per stimulus; with --json as one document; exit 1 if the record does not have the session whole'
 complete -c meissner -n "__fish_meissner_using_subcommand session; and __fish_seen_subcommand_from help" -f -a "replay" -d 'Play a recorded session again with the same gaps, and compare the receipts; exit 1 if something differs'
 complete -c meissner -n "__fish_meissner_using_subcommand session; and __fish_seen_subcommand_from help" -f -a "show" -d 'Show a session'
 complete -c meissner -n "__fish_meissner_using_subcommand session; and __fish_seen_subcommand_from help" -f -a "help" -d 'Print this message or the help of the given subcommand(s)'
@@ -385,7 +386,7 @@ complete -c meissner -n "__fish_meissner_using_subcommand help; and __fish_seen_
 complete -c meissner -n "__fish_meissner_using_subcommand help; and __fish_seen_subcommand_from session" -f -a "end" -d 'End the running session'
 complete -c meissner -n "__fish_meissner_using_subcommand help; and __fish_seen_subcommand_from session" -f -a "leave" -d 'Forget the session that this terminal has started; it goes on, and other commands of this terminal do not belong to it'
 complete -c meissner -n "__fish_meissner_using_subcommand help; and __fish_seen_subcommand_from session" -f -a "list" -d 'List the recorded sessions, the oldest first'
-complete -c meissner -n "__fish_meissner_using_subcommand help; and __fish_seen_subcommand_from session" -f -a "export" -d 'Export the recorded plays of a session as CSV, one row per stimulus; with --json as one document'
+complete -c meissner -n "__fish_meissner_using_subcommand help; and __fish_seen_subcommand_from session" -f -a "export" -d 'Export the recorded plays of a session as CSV, one row per stimulus; with --json as one document; exit 1 if the record does not have the session whole'
 complete -c meissner -n "__fish_meissner_using_subcommand help; and __fish_seen_subcommand_from session" -f -a "replay" -d 'Play a recorded session again with the same gaps, and compare the receipts; exit 1 if something differs'
 complete -c meissner -n "__fish_meissner_using_subcommand help; and __fish_seen_subcommand_from session" -f -a "show" -d 'Show a session'
 complete -c meissner -n "__fish_meissner_using_subcommand help; and __fish_seen_subcommand_from token" -f -a "create" -d 'Create an access token and print it: the only time that it is shown'

@@ -7,7 +7,7 @@
 
 use super::arguments::{ClientOptions, Onset, PlayOptions, choice, positive};
 use super::ending::Ending;
-use super::output::{give, say};
+use super::output::{give, say, shown};
 use super::progress::Progress;
 use super::text;
 use crate::daemon;
@@ -17,7 +17,7 @@ use meissner_api::{ArmRequest, Code, Event, Fit, PlayAccepted, PlayRequest, Rece
 use meissner_client::{Client, ClientError, Events, HOME_TIMEOUT, escape};
 use serde_json::{Value, json};
 use std::io::{self, BufRead, IsTerminal, Read, Write};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::sync::mpsc;
 use std::thread;
@@ -81,12 +81,16 @@ pub(super) fn estop(options: &ClientOptions) -> Result<ExitCode> {
     let (endpoint, json) = (options.endpoint(), options.output.json);
     let (tell, answers) = mpsc::channel();
     for socket in [Some(&endpoint.socket), endpoint.fallback.as_ref()].into_iter().flatten() {
-        let (socket, tell) = (socket.clone(), tell.clone());
-        thread::spawn(move || {
+        let order = |socket: PathBuf, tell: mpsc::Sender<_>| {
             let answer = stop_at(&socket);
             // Fails only if this process is ending.
             let _ = tell.send((socket, answer));
-        });
+        };
+        let (at, told) = (socket.clone(), tell.clone());
+        // Without a thread one after the other.
+        if thread::Builder::new().spawn(move || order(at, told)).is_err() {
+            order(socket.clone(), tell.clone());
+        }
     }
     drop(tell);
     let (mut stopped, mut failed): (Vec<Status>, Vec<ClientError>) = (Vec::new(), Vec::new());
@@ -183,7 +187,7 @@ fn ask_level(why: &str) -> Result<String> {
 
 /// Asks the person at the terminal; without a yes the command fails.
 fn ask(why: &str, question: &str, otherwise: &str) -> Result<()> {
-    write!(io::stderr(), "{why}\n{question}")?;
+    write!(io::stderr(), "{}\n{question}", shown(why))?;
     let mut answer = String::new();
     io::stdin().lock().take(100).read_line(&mut answer)?;
     if !matches!(answer.trim(), "yes" | "y") {

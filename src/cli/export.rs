@@ -7,14 +7,15 @@
 //! Invariant: columns are only added, at the end; a value that is not known is an empty field.
 
 use super::arguments::ClientOptions;
-use super::output::say;
+use super::output::{say_file, tell};
 use super::session::warn_unreadable;
 use crate::file::dir_of;
-use anyhow::{Context, Result};
+use crate::session_record::json;
+use anyhow::{Context, Result, bail};
 use csv::Writer;
 use meissner_api::{Fit, Labels, RecordedPlay, Session, SessionPlays};
 use meissner_client::{Client, escape};
-use std::io::Write as _;
+use std::mem;
 use std::path::Path;
 use std::process::ExitCode;
 use std::time::Duration;
@@ -72,12 +73,21 @@ pub(super) const COLUMNS: [&str; 46] = [
     "fit",
 ];
 
-pub(super) fn run(options: &ClientOptions, id: &str, output: Option<&Path>) -> Result<ExitCode> {
+pub(super) fn run(
+    options: &ClientOptions,
+    id: &str,
+    output: Option<&Path>,
+    incomplete: bool,
+) -> Result<ExitCode> {
     let exported = read(&mut options.client()?, id)?;
+    if let Some(lacks) = lacks(&exported).filter(|_| !incomplete) {
+        let id = &exported.session.id;
+        bail!("session {id} is not whole in the record: {lacks}; --incomplete exports what there is");
+    }
     warn_incomplete(&exported);
-    let text = if options.output.json { serde_json::to_string(&exported)? + "\n" } else { table(&exported)? };
+    let text = if options.output.json { json_line(&exported)? } else { table(&exported)? };
     match output {
-        None => say(text.trim_end_matches('\n'))?,
+        None => say_file(text.trim_end_matches('\n'))?,
         Some(path) => {
             let write = || {
                 let mut file = tempfile::NamedTempFile::new_in(dir_of(path))?;
@@ -94,16 +104,31 @@ pub(super) fn run(options: &ClientOptions, id: &str, output: Option<&Path>) -> R
     Ok(ExitCode::SUCCESS)
 }
 
+fn json_line(exported: &SessionPlays) -> Result<String> {
+    let mut line = Vec::new();
+    json::write(&mut line, exported)?;
+    line.push(b'\n');
+    Ok(String::from_utf8(line)?)
+}
+
 /// Says on stderr what is missing.
 pub(super) fn warn_incomplete(exported: &SessionPlays) {
     warn_unreadable(exported.unreadable, &exported.problems);
-    if let lost @ 1.. = exported.lost {
-        // If stderr is closed, there is no one to tell.
-        let _ = writeln!(
-            std::io::stderr(),
-            "warning: the record lost {lost} entries during the session, because the disk or the queue was full: plays may be missing"
-        );
+    let left_out = format!(
+        "the record left out {} entries that are no plays, to stay within its bound",
+        exported.left_out
+    );
+    let left_out = (exported.left_out > 0).then_some(&left_out);
+    for line in exported.missing.iter().chain(left_out) {
+        tell(&format!("warning: {line}"));
     }
+}
+
+/// What is missing, in one line; none if the record has the session whole.
+pub(super) fn lacks(exported: &SessionPlays) -> Option<String> {
+    let unknown = || "the daemon is an older one, and does not say what is missing".to_owned();
+    let missing = || if exported.missing.is_empty() { unknown() } else { exported.missing.join("; ") };
+    (!exported.complete).then(missing)
 }
 
 /// All plays of a session, answer by answer.
@@ -117,8 +142,8 @@ fn read(client: &mut Client, id: &str) -> Result<SessionPlays> {
         match &mut all {
             None => all = Some(next),
             Some(all) => {
-                all.more = next.more;
                 all.plays.extend(next.plays);
+                *all = SessionPlays { plays: mem::take(&mut all.plays), ..next };
             }
         }
         if let Some(all) = all.take_if(|_| !more) {

@@ -44,10 +44,12 @@ use arguments::{ClientOptions, Output, hours, measured, positive};
 use clap::{CommandFactory, Parser, Subcommand};
 use meissner_api::ArmRequest;
 use meissner_stream::device::Spec;
-use output::{is_broken_pipe, say};
+use output::{is_broken_pipe, say, tell};
+use rustix::fs::Mode;
+use rustix::process::umask;
 use std::env;
-use std::io::{self, Write};
 use std::net::SocketAddr;
+use std::panic::{self, AssertUnwindSafe};
 use std::path::PathBuf;
 use std::process::ExitCode;
 use std::time::Duration;
@@ -262,8 +264,7 @@ pub fn main() -> ExitCode {
             Ok(usage) => usage.format(&mut command()).exit(),
             Err(error) => {
                 let hint = session_token::hint(&error);
-                // If stderr is closed too, there is no one to tell.
-                let _ = writeln!(io::stderr(), "meissner: {error}{hint}");
+                tell(&format!("meissner: {error}{hint}"));
                 ExitCode::FAILURE
             }
         },
@@ -321,16 +322,22 @@ fn run(command: Command) -> Result<ExitCode> {
 const START_AGAIN: u8 = 75;
 
 fn serve(source: Source) -> Result<ExitCode> {
+    // Whatever the umask is, nobody else may change what the daemon makes.
+    umask(umask(Mode::empty()) | Mode::WGRP | Mode::WOTH);
+    daemon::check_memory()?;
+    daemon::end_on_panic();
     let config = source.read()?;
     let runtime = daemon::runtime()?;
-    let ended = runtime.block_on(async {
+    let work = async {
         let signals = Signals::new()?;
         let daemon = Daemon::start(&config).map_err(|error| named(&source, error))?;
         anyhow::Ok(daemon.run(signals, Some(source)).await?)
-    });
+    };
+    let ended = panic::catch_unwind(AssertUnwindSafe(|| runtime.block_on(work)));
     // Do not wait for threads that a disk blocks.
     runtime.shutdown_background();
-    Ok(match ended? {
+    // The panic's own line came before.
+    Ok(match ended.unwrap_or_else(|_| Err(DaemonError::Panicked.into()))? {
         Exit::Requested => ExitCode::SUCCESS,
         Exit::Replaced => ExitCode::from(START_AGAIN),
     })

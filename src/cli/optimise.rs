@@ -8,7 +8,7 @@
 
 use super::arguments::{MODELS, OBJECTIVES, Output, SETTINGS, choice, positive};
 use super::control::on_interrupt;
-use super::output::{is_broken_pipe, say, say_json};
+use super::output::{is_broken_pipe, say, say_file, say_json, tell};
 use super::progress::Search;
 use super::{files, library, text};
 use anyhow::{Result, anyhow, bail};
@@ -22,7 +22,6 @@ use meissner_input::message::nearest;
 use meissner_skin::ModelName;
 use serde::Serialize;
 use std::fs;
-use std::io::{self, Write};
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 use std::process::{self, ExitCode};
@@ -191,9 +190,9 @@ pub(super) fn run(asked: &Optimise) -> Result<ExitCode> {
         (true, _) => say_json(&document),
         (false, Some(_)) => say(&summary(&target, &document, &made)),
         (false, None) => {
-            let said = say(document.pattern.trim_end());
+            let said = say_file(document.pattern.trim_end());
             // The pattern matters more than a closed stderr.
-            let _ = writeln!(io::stderr(), "{}", summary(&target, &document, &made));
+            tell(&summary(&target, &document, &made));
             said
         }
     };

@@ -1,8 +1,10 @@
 //! Prints answers on stdout, as text or as one JSON document.
 
+use crate::session_record::json;
 use anyhow::Result;
+use meissner_input::message::escape;
 use serde::Serialize;
-use std::io::{self, BufWriter, Write};
+use std::io::{self, BufWriter, IsTerminal, Write};
 use std::process::ExitCode;
 
 /// Whether the reader of the output has closed it.
@@ -10,9 +12,25 @@ pub(super) fn is_broken_pipe(error: &anyhow::Error) -> bool {
     error.downcast_ref::<io::Error>().is_some_and(|error| error.kind() == io::ErrorKind::BrokenPipe)
 }
 
-/// Prints one or more lines.
+/// Lines of text, whatever they quote: a record, a pattern, a device and another client may send what a terminal takes for commands.
+pub(super) fn shown(text: &str) -> String {
+    text.split('\n').map(escape).collect::<Vec<_>>().join("\n")
+}
+
+/// Prints one or more lines, escaped.
 pub(super) fn say(text: &str) -> Result<()> {
-    Ok(writeln!(io::stdout(), "{text}")?)
+    Ok(writeln!(io::stdout(), "{}", shown(text))?)
+}
+
+/// Prints a file's text: as it is, but on a terminal escaped.
+pub(super) fn say_file(text: &str) -> Result<()> {
+    if io::stdout().is_terminal() { say(text) } else { Ok(writeln!(io::stdout(), "{text}")?) }
+}
+
+/// Says something on stderr, escaped.
+pub(super) fn tell(text: &str) {
+    // If stderr is closed, there is no one to tell.
+    let _ = writeln!(io::stderr(), "{}", shown(text));
 }
 
 /// Prints the answer: as a document, or as text. A closed stdout is no error: the exit code depends on the answer alone.
@@ -23,10 +41,24 @@ pub(super) fn give(json: bool, document: &impl Serialize, text: impl FnOnce() ->
     }
 }
 
-/// Prints the document of `--json` on one line. Serializes while it prints: a simulation's spikes can be large.
+/// Prints the document of `--json` on one line; what is not plain in a text is a `\u` escape. Serializes while it prints: a simulation's
+/// spikes can be large.
 pub(super) fn say_json(document: &impl Serialize) -> Result<()> {
     let mut out = BufWriter::new(io::stdout().lock());
-    serde_json::to_writer(&mut out, document).map_err(io::Error::from)?;
+    json::write(&mut out, document)?;
     out.write_all(b"\n")?;
     Ok(out.flush()?)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn no_text_moves_the_cursor() {
+        assert_eq!(
+            shown("a\u{1b}[2J\r\nµm \"b\"\u{9b}1m\u{202e}\n"),
+            "a\\u{1b}[2J\\r\nµm \"b\"\\u{9b}1m\\u{202e}\n"
+        );
+    }
 }

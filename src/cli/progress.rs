@@ -3,7 +3,7 @@
 //! On a terminal, a bar or a spinner on stderr, removed at the end. Else a play prints lines on stdout: at its beginning,
 //! every second, and for each late or refused stroke (the first ten). With `--json` there are no lines.
 
-use super::output::{is_broken_pipe, say};
+use super::output::{is_broken_pipe, say, shown, tell};
 use anyhow::Result;
 use indicatif::{ProgressBar, ProgressStyle};
 use meissner_api::Event;
@@ -125,7 +125,7 @@ impl Updates {
         }
         self.shown = Some(now);
         if let Some(bar) = &self.meter.0 {
-            bar.set_message(line());
+            bar.set_message(shown(&line()));
             bar.tick();
         }
     }
@@ -133,8 +133,7 @@ impl Updates {
     /// Prints a line that stays.
     pub(super) fn say(&self, line: &str) {
         let say = || {
-            // If stderr is closed, there is no one to tell.
-            let _ = writeln!(io::stderr(), "{line}");
+            tell(line);
         };
         match &self.meter.0 {
             Some(bar) => bar.suspend(say),

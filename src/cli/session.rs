@@ -4,14 +4,13 @@
 //! ends the session again.
 
 use super::arguments::{ClientOptions, label};
-use super::output::{give, say};
+use super::output::{give, say, tell};
 use super::{export, replay, session_token, text};
 use anyhow::{Result, bail};
 use clap::Subcommand;
 use meissner_api::{self as api, Code, SessionList, SessionRequest, SessionStarted};
 use meissner_client::{ClientError, escape};
 use serde_json::json;
-use std::io::{self, Write};
 use std::path::PathBuf;
 use std::process::ExitCode;
 
@@ -48,13 +47,17 @@ pub(super) enum Session {
     Leave,
     /// List the recorded sessions, the oldest first
     List(ClientOptions),
-    /// Export the recorded plays of a session as CSV, one row per stimulus; with --json as one document
+    /// Export the recorded plays of a session as CSV, one row per stimulus; with --json as one document; exit 1 if the record does not
+    /// have the session whole
     Export {
         /// Export the session with this id
         id: String,
         /// Write to FILE [default: stdout]
         #[arg(short, long, value_name = "FILE")]
         output: Option<PathBuf>,
+        /// Export what there is of a session that the record does not have whole
+        #[arg(long)]
+        incomplete: bool,
         #[command(flatten)]
         options: ClientOptions,
     },
@@ -84,7 +87,9 @@ pub(super) fn run(asked: &Session) -> Result<ExitCode> {
         Session::End { id, options } => end(options, id.as_deref()),
         Session::Leave => leave(),
         Session::List(options) => list(options),
-        Session::Export { id, output, options } => export::run(options, id, output.as_deref()),
+        Session::Export { id, output, incomplete, options } => {
+            export::run(options, id, output.as_deref(), *incomplete)
+        }
         Session::Replay(asked) => replay::run(asked),
         Session::Show { id, options } => {
             let session: api::Session = options.client()?.get(&path(id.as_deref()))?;
@@ -106,8 +111,7 @@ fn start(options: &ClientOptions, request: &SessionRequest) -> Result<ExitCode> 
         let _ = client.post::<api::Session>(&format!("{}/end", path(Some(&started.id))), &json!({}));
     })?;
     if let Some(problem) = &started.record_problem {
-        // If stderr is closed, there is no one to tell.
-        let _ = writeln!(io::stderr(), "warning: {problem}");
+        tell(&format!("warning: {problem}"));
     }
     give(options.output.json, &started, || {
         text::pairs(&[
@@ -178,12 +182,13 @@ fn list(options: &ClientOptions) -> Result<ExitCode> {
                 session.experiment.clone().unwrap_or_else(|| "-".to_owned()),
                 session.plays.to_string(),
                 stands,
+                text::lost(session).unwrap_or_else(|| "-".to_owned()),
             ]
         };
         match list.sessions.is_empty() {
             true => "no session is recorded".to_owned(),
             false => {
-                let head = ["session", "participant", "experiment", "plays", "ended"];
+                let head = ["session", "participant", "experiment", "plays", "ended", "lost"];
                 text::columns(&head, list.sessions.iter().map(row))
             }
         }
@@ -193,10 +198,9 @@ fn list(options: &ClientOptions) -> Result<ExitCode> {
 /// Says on stderr which parts of the record cannot be read.
 pub(super) fn warn_unreadable(count: u64, problems: &[String]) {
     for problem in problems {
-        // If stderr is closed, there is no one to tell.
-        let _ = writeln!(io::stderr(), "warning: {problem}");
+        tell(&format!("warning: {problem}"));
     }
     if let more @ 1.. = count.saturating_sub(problems.len() as u64) {
-        let _ = writeln!(io::stderr(), "warning: {more} more lines of the session record cannot be read");
+        tell(&format!("warning: {more} more lines of the session record cannot be read"));
     }
 }

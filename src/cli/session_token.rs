@@ -7,6 +7,7 @@
 //!
 //! Invariant: only the user may read the file.
 
+use crate::file::read_regular;
 use anyhow::{Context, Result};
 use meissner_api::{Code, Problem};
 use meissner_client::ClientError;
@@ -19,6 +20,9 @@ use std::path::PathBuf;
 
 /// The variable that replaces the file.
 pub(super) const VARIABLE: &str = "MEISSNER_SESSION_TOKEN";
+
+/// The most bytes of a file: a token has 32.
+const MAX_BYTES: u64 = 1 << 10;
 
 fn file() -> Option<PathBuf> {
     let set = |name: &str| env::var_os(name).filter(|value| !value.is_empty()).map(PathBuf::from);
@@ -45,7 +49,7 @@ pub(super) fn session() -> Option<String> {
 
 /// What the file holds: the token, and the session's id.
 fn kept() -> Option<(String, String)> {
-    let text = fs::read_to_string(file()?).ok()?;
+    let text = String::from_utf8(read_regular(&file()?, MAX_BYTES).ok()?).ok()?;
     let mut lines = text.lines().map(|line| line.trim().to_owned());
     Some((lines.next()?, lines.next().unwrap_or_default()))
 }

@@ -99,8 +99,10 @@ pub(super) fn status(status: &Status) -> String {
         lines.push(("telemetry", format!("{NO_TELEMETRY}; {SHORT_PLAYS}")));
     }
     lines.extend(drift(status).map(|drift| ("drift", drift)));
-    if let Some(problem) = &status.logbook_problem {
-        lines.push(("session record", problem.clone()));
+    if status.logbook_problem.is_some() || status.logbook_lost > 0 {
+        let lost = (status.logbook_lost > 0).then(|| format!("{} entries are lost", status.logbook_lost));
+        let told: Vec<_> = status.logbook_problem.iter().cloned().chain(lost).collect();
+        lines.push(("session record", told.join("; ")));
     }
     if let Some(date) = &status.calibrated {
         let count = status.motors.iter().filter(|motor| motor.calibrated).count();
@@ -196,7 +198,7 @@ pub(super) fn session(session: &Session) -> String {
         match (ended, reason.as_deref()) {
             (Some(ended), reason) => format!("{ended} ({})", reason.unwrap_or("request")),
             (None, None) => "it runs".to_owned(),
-            (None, Some(_)) => "not known: the daemon was killed".to_owned(),
+            (None, Some(_)) => "not recorded: the daemon was killed, or could not write".to_owned(),
         },
     ));
     if session.exclusive {
@@ -210,7 +212,15 @@ pub(super) fn session(session: &Session) -> String {
         ));
     }
     lines.push(("plays", format!("{}, {:.1} s of vibration", session.plays, session.vibration_s)));
+    lines.extend(lost(session).map(|lost| ("lost", lost)));
     pairs(&lines)
+}
+
+/// What the record has lost of a session, if anything.
+pub(super) fn lost(session: &Session) -> Option<String> {
+    let Session { plays, plays_lost, lost, .. } = session;
+    (*lost > 0 || *plays_lost > 0)
+        .then(|| format!("{plays_lost} of {plays} plays, {lost} entries of the session record"))
 }
 
 /// An event on one line.

@@ -7,7 +7,7 @@ use super::output::{give, say, say_json};
 use super::text;
 use anyhow::Result;
 use meissner_api::{Event, Receipt, Status};
-use std::io::{self, IsTerminal};
+use std::io::{self, IsTerminal, Write};
 use std::process::ExitCode;
 
 pub(super) fn status(options: &ClientOptions, watch: bool) -> Result<ExitCode> {
@@ -27,7 +27,8 @@ pub(super) fn status(options: &ClientOptions, watch: bool) -> Result<ExitCode> {
             say_json(&status)?;
         } else if io::stdout().is_terminal() {
             // Clear the screen and move the cursor to the top left.
-            say(&format!("\x1b[2J\x1b[H{}", text::status(&status)))?;
+            write!(io::stdout(), "\x1b[2J\x1b[H")?;
+            say(&text::status(&status))?;
         } else {
             say(&format!("{}\n", text::status(&status)))?;
         }

@@ -17,7 +17,6 @@ use meissner_stream::calibrate::{
     Calibration, Fit, FitPoint, MAX_BYTES, MotorFit, Plan, fit, travels_by_telemetry,
 };
 use meissner_stream::queues::MeasuredBurst;
-use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -128,7 +127,7 @@ pub(super) fn with_other_motors(new: Calibration, old: Option<&StoredCalibration
 
 /// Replaces the file.
 pub(super) fn write(file: &Path, calibration: &Calibration) -> Result<(), String> {
-    let written = fs::create_dir_all(file::dir_of(file));
+    let written = file::make_dirs(file::dir_of(file), file::LISTED_BY_ALL);
     let written =
         written.and_then(|()| file::replace(file, calibration.to_toml().as_bytes(), file::READABLE_BY_ALL));
     written.map_err(|error| {

@@ -3,11 +3,12 @@
 //! It makes and changes nothing.
 
 use super::error::DaemonError;
-use super::socket;
+use super::{MEMORY_BOUND, socket};
 use crate::config::{Config, PatternsDir};
 use crate::file::dir_of;
 use crate::session_record::Location;
 use crate::store::{Store, StoreError};
+use rustix::process::{Resource, getrlimit};
 
 /// Checks a configuration and opens its patterns.
 ///
@@ -37,4 +38,17 @@ pub(super) fn store(config: &Config) -> Result<Store, StoreError> {
     let store = Store::new(dir, make_dir)?;
     store.check_dir()?;
     Ok(store)
+}
+
+/// Checks that the process may use as much memory as the daemon takes at most: it cannot do its work on less, and says so here rather than
+/// in the middle of it.
+///
+/// # Errors
+/// If the limit of its address space is lower.
+pub fn check_memory() -> Result<(), DaemonError> {
+    let needed = MEMORY_BOUND as u64;
+    match getrlimit(Resource::As).current {
+        Some(bytes) if bytes < needed => Err(DaemonError::AddressSpace { bytes, needed }),
+        _ => Ok(()),
+    }
 }

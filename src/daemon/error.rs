@@ -30,6 +30,21 @@ pub enum DaemonError {
         /// The system's answer.
         source: io::Error,
     },
+    /// The system gives the process too little memory.
+    #[error(
+        "the daemon may use {} MiB of address space and needs {}: raise the limit (`ulimit -v`, LimitAS=)", .bytes >> 20, .needed >> 20
+    )]
+    AddressSpace {
+        /// The limit.
+        bytes: u64,
+        /// What the daemon needs.
+        needed: u64,
+    },
+    /// A part panicked: our bug, or the system gave no memory or thread.
+    #[error(
+        "internal error: a part of the daemon has failed (see the lines before this one); it has switched the motors off"
+    )]
+    Panicked,
     /// The event loop ended by itself: our bug.
     #[error(
         "internal error: the daemon gets no more events from its streamer; motors go off when the host watchdog (`lease_ms`) expires"

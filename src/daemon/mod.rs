@@ -7,7 +7,7 @@
 //! runs no timer but a service manager's watchdog.
 //!
 //! The modules; each uses only those before it:
-//! - `socket`, `error`, `signals`, `runtime`, `check`, `names`, `metrics`: the system around the daemon.
+//! - `socket`, `error`, `signals`, `panics`, `runtime`, `check`, `names`, `metrics`: the system around the daemon.
 //! - `calibration`, `predictor`, `doctor`: calibrations as files and fits; predicted responses; the doctor's checks, one at a time.
 //! - `estop`, `state`, `engine`: emergency stops; the daemon's state behind one lock, and commands to the streamer.
 //! - `stream`, `network`: a connection's socket; clients that come over the network, and their tokens.
@@ -47,6 +47,7 @@ mod metrics;
 mod names;
 mod network;
 mod page;
+mod panics;
 mod patterns;
 mod play;
 mod poses;
@@ -70,11 +71,12 @@ mod stream;
 mod targets;
 
 pub(crate) use calibration::utc_now;
-pub use check::check;
+pub use check::{check, check_memory};
 pub use error::DaemonError;
 #[cfg(fuzzing)]
 pub use fuzzed::Fuzzed;
 pub use hosted::Hosted;
+pub use panics::end_on_panic;
 pub use runtime::runtime;
 pub use signals::{Action, Signals};
 pub use socket::SocketError;
@@ -209,7 +211,17 @@ impl Daemon {
     ///
     /// # Errors
     /// If the system fails, or the streamer ended by itself.
-    pub async fn run(self, mut signals: Signals, source: Option<Source>) -> Result<Exit, DaemonError> {
+    pub async fn run(self, signals: Signals, source: Option<Source>) -> Result<Exit, DaemonError> {
+        let engine = Arc::clone(&self.engine);
+        if let Ok(ended) = panics::caught(self.work(signals, source)).await {
+            return ended;
+        }
+        // As at any other end: the pins return, and the motors are off.
+        let _ = tokio::time::timeout(CLOSE_TIMEOUT, panics::caught(engine.shut_down())).await;
+        Err(DaemonError::Panicked)
+    }
+
+    async fn work(self, mut signals: Signals, source: Option<Source>) -> Result<Exit, DaemonError> {
         let Self { config, bound, tcp, engine, store, events, predictor, streamer, connector, .. } = self;
         let api = bound.listener.try_clone().map_err(system("socket"))?;
         let estop =
@@ -252,6 +264,7 @@ impl Daemon {
                 _ = &mut streamer => break Err(DaemonError::Streamer),
                 _ = &mut acceptor_ended => break Err(DaemonError::Acceptor),
                 _ = &mut event_loop => break Err(DaemonError::EventLoop),
+                () = panics::of_needed_thread() => break Err(DaemonError::Panicked),
             }
         };
         manager.notify(Notification::Stopping);

@@ -52,7 +52,10 @@ impl From<StoreError> for ErrorResponse {
     fn from(error: StoreError) -> Self {
         let code = match &error {
             StoreError::Unknown { .. } | StoreError::OtherText { .. } => Code::NotFound,
-            StoreError::Pattern(_) | StoreError::Name { .. } | StoreError::NotText { .. } => Code::BadPattern,
+            StoreError::Pattern(_)
+            | StoreError::Name { .. }
+            | StoreError::NewName { .. }
+            | StoreError::NotText { .. } => Code::BadPattern,
             StoreError::Empty { .. } => Code::Empty,
             StoreError::InLibrary { .. } | StoreError::Exists { .. } => Code::Exists,
             StoreError::NoDirectory | StoreError::Io { .. } => Code::Store,

@@ -69,10 +69,15 @@ impl Drop for LoggedRequest {
             (None, _) => "the client hung up before the answer".to_owned(),
         };
         // A play has a line at its end; refused plays may come by the thousand.
-        if matches!(self.entry.command, "play" | "sequence") {
-            debug!(pid, uid, play_id = self.entry.play, "{title} by {client}: {answer}");
-        } else {
-            info!(pid, uid, "{title} by {client}: {answer}");
+        let kind = self.entry.command;
+        match (kind, &*self.entry.answer) {
+            ("play" | "sequence", _) => {
+                debug!(pid, uid, play_id = self.entry.play, "{title} by {client}: {answer}");
+            }
+            ("estop", _) => info!(pid, uid, always = true, "{title} by {client}: {answer}"),
+            // Refusals do not take the room of what was done.
+            (_, "ok") => info!(pid, uid, kind, "{title} by {client}: {answer}"),
+            _ => info!(pid, uid, kind, "{title} by {client}: {answer}"),
         }
         self.engine.session_record().add(Note::Command(self.entry.clone()));
     }

@@ -9,7 +9,11 @@
 use super::engine::Engine;
 use crossbeam_channel::{Receiver, Sender, bounded};
 use sd_notify::NotifyState;
+use std::ffi::OsStr;
 use std::io;
+use std::os::linux::net::SocketAddrExt;
+use std::os::unix::ffi::OsStrExt;
+use std::os::unix::net::{SocketAddr, UnixDatagram};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread;
 use std::time::Duration;
@@ -44,13 +48,11 @@ struct Line {
 impl Manager {
     /// Finds the one that started this process.
     pub(super) fn find() -> io::Result<Self> {
-        if std::env::var_os("NOTIFY_SOCKET").is_none() {
-            return Ok(Self(None));
-        }
+        let Some(to) = std::env::var_os("NOTIFY_SOCKET") else { return Ok(Self(None)) };
         let (sender, queue) = bounded(QUEUE);
         let status = Arc::new(Mutex::new(None));
         let line = Line { queue: sender, status: Arc::clone(&status) };
-        thread::Builder::new().name("manager".into()).spawn(move || send_all(&queue, &status))?;
+        thread::Builder::new().name("manager".into()).spawn(move || send_all(&to, &queue, &status))?;
         Ok(Self(Some(line)))
     }
 
@@ -103,19 +105,30 @@ impl StatusReporter {
     }
 }
 
-fn send_all(queue: &Receiver<Notification>, status: &Mutex<Option<String>>) {
+/// Sends to the service manager's socket: a path, or after `@` a name in the abstract namespace.
+fn send(to: &OsStr, states: &[NotifyState<'_>]) -> io::Result<()> {
+    let address = match to.as_bytes().strip_prefix(b"@") {
+        Some(name) => SocketAddr::from_abstract_name(name)?,
+        None => SocketAddr::from_pathname(to)?,
+    };
+    let text: String = states.iter().map(|state| format!("{state}\n")).collect();
+    UnixDatagram::unbound()?.send_to_addr(text.as_bytes(), &address).map(drop)
+}
+
+fn send_all(to: &OsStr, queue: &Receiver<Notification>, status: &Mutex<Option<String>>) {
     let mut failed = false;
     for notification in queue {
         let sent = match &notification {
-            Notification::Ready => sd_notify::notify(&[NotifyState::Ready]),
-            Notification::Reloading => NotifyState::monotonic_usec_now()
-                .and_then(|now| sd_notify::notify(&[NotifyState::Reloading, now])),
+            Notification::Ready => send(to, &[NotifyState::Ready]),
+            Notification::Reloading => {
+                NotifyState::monotonic_usec_now().and_then(|now| send(to, &[NotifyState::Reloading, now]))
+            }
             Notification::Status => {
                 let text = status.lock().unwrap_or_else(PoisonError::into_inner).take().unwrap_or_default();
-                sd_notify::notify(&[NotifyState::Status(&text)])
+                send(to, &[NotifyState::Status(&text)])
             }
-            Notification::Alive => sd_notify::notify(&[NotifyState::Watchdog]),
-            Notification::Stopping => sd_notify::notify(&[NotifyState::Stopping]),
+            Notification::Alive => send(to, &[NotifyState::Watchdog]),
+            Notification::Stopping => send(to, &[NotifyState::Stopping]),
         };
         if let Err(error) = sent
             && !std::mem::replace(&mut failed, true)
@@ -157,6 +170,24 @@ mod tests {
     use super::*;
     use meissner_stream::Settings;
     use meissner_stream::queues::queues;
+
+    #[test]
+    fn a_service_manager_listens_at_a_path_or_at_an_abstract_name() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("notify");
+        let name = format!("meissner-test-{}", std::process::id());
+        let address = SocketAddr::from_abstract_name(&name).unwrap();
+        let abstract_name = format!("@{name}").into();
+        for (socket, to) in [
+            (UnixDatagram::bind(&path), path.into_os_string()),
+            (UnixDatagram::bind_addr(&address), abstract_name),
+        ] {
+            let (socket, mut bytes) = (socket.unwrap(), [0; 100]);
+            send(&to, &[NotifyState::Ready, NotifyState::Status("armed")]).unwrap();
+            let length = socket.recv(&mut bytes).unwrap();
+            assert_eq!(&bytes[..length], b"READY=1\nSTATUS=armed\n");
+        }
+    }
 
     #[test]
     fn no_watchdog_notification_without_a_run_of_the_streamers_loop() {

@@ -12,7 +12,8 @@ use super::request_log::LoggedRequest;
 use super::right::{Answering, Right};
 use super::runtime::blocking;
 use super::state::{Asker, Caller, NoRight, going_on, no_session};
-use crate::session_record::{Peer, keeps_text, reader};
+use crate::session_record::reader::{self, Sessions};
+use crate::session_record::{Peer, keeps_text};
 use crate::store::Store;
 use axum::Json;
 use axum::body::Body;
@@ -27,7 +28,7 @@ use meissner_api::{
 };
 use meissner_stream::queues::Command;
 use std::collections::HashMap;
-use std::path::Path as FilePath;
+use std::path::{Path as FilePath, PathBuf};
 use std::sync::Arc;
 use std::time::Duration;
 use tracing::info;
@@ -121,37 +122,48 @@ pub(super) async fn end(
     let result = async {
         let id = path(id)?;
         parse_empty(&body::read_command(body).await?)?;
-        let ended = app.engine.lock().end_session(&id)?;
+        let mut ended = app.engine.lock().end_session(&id)?;
         // A newer program may wait for the end.
         app.engine.changed.notify_one();
+        let (record, id) = (app.engine.session_record(), ended.id.clone());
+        // What the disk does not take is known once it was asked to.
+        let lost = blocking(move || {
+            let _ = record.wait_until_written(WRITTEN);
+            record.lost_of(&id)
+        });
+        (ended.lost, ended.plays_lost) = lost.await?;
         Ok(Json(ended))
     }
     .await;
     logged.result(result)
 }
 
-pub(super) async fn list(State(app): State<App>) -> Answer<Json<SessionList>> {
+/// What the record has of all sessions; none: nothing is recorded. Returns its directory, too, and whether the disk has taken the newest
+/// entries.
+async fn recorded(app: &App) -> Answer<Option<(PathBuf, Sessions, bool)>> {
     let running = app.engine.lock().session();
     let record = app.engine.session_record();
-    let mut list = match record.dir() {
-        None => SessionList::default(),
-        Some(dir) => {
-            blocking(move || {
-                let written = record.wait_until_written(WRITTEN);
-                let mut list = reader::sessions(&dir)?;
-                if !written {
-                    tell_slow_disk(&mut list.unreadable, &mut list.problems);
-                }
-                Ok::<_, reader::RecordError>(list)
-            })
-            .await??
+    let Some(dir) = record.dir() else { return Ok(None) };
+    let read = blocking(move || {
+        let written = record.wait_until_written(WRITTEN);
+        let mut sessions = reader::sessions(&dir, &record.known(), running)?;
+        if !written {
+            sessions.problems.insert(0, slow_disk());
+            sessions.problems.truncate(MAX_LISTED);
+            sessions.unreadable += 1;
         }
+        Ok::<_, reader::RecordError>((dir, sessions, written))
+    });
+    Ok(Some(read.await??))
+}
+
+pub(super) async fn list(State(app): State<App>) -> Answer<Json<SessionList>> {
+    let running = app.engine.lock().session();
+    let Some((_, Sessions { recorded, unreadable, problems }, _)) = recorded(&app).await? else {
+        return Ok(Json(SessionList { sessions: running.into_iter().collect(), ..SessionList::default() }));
     };
-    if let Some(running) = running {
-        list.sessions.retain(|session| session.id != running.id);
-        list.sessions.push(running);
-    }
-    Ok(Json(list))
+    let sessions = recorded.into_iter().map(|recorded| recorded.session).collect();
+    Ok(Json(SessionList { sessions, unreadable, problems }))
 }
 
 pub(super) async fn show(
@@ -165,12 +177,15 @@ pub(super) async fn show(
     }
     let Json(list) = list(State(app)).await?;
     let found = list.sessions.into_iter().find(|session| session.id == id);
-    let none = || {
-        let id: String = id.chars().take(100).collect();
-        let detail = format!("no session {id} is recorded: `meissner session list` shows all");
-        if id == "running" { no_session(&id) } else { Problem::new(Code::NotFound, detail) }
-    };
-    Ok(Json(found.ok_or_else(none)?))
+    Ok(Json(found.ok_or_else(|| not_recorded(&id))?))
+}
+
+fn not_recorded(id: &str) -> Problem {
+    if id == "running" {
+        return no_session(id);
+    }
+    let id: String = id.chars().take(100).collect();
+    Problem::new(Code::NotFound, format!("no session {id} is recorded: `meissner session list` shows all"))
 }
 
 pub(super) async fn plays(
@@ -178,19 +193,20 @@ pub(super) async fn plays(
     uri: Uri,
     id: Result<Path<String>, PathRejection>,
 ) -> Answer<Json<SessionPlays>> {
-    let from = from(uri.query())?;
-    let (record, store) = (app.engine.session_record(), app.store.get());
-    let Json(session) = show(State(app), id).await?;
-    let Some(dir) = record.dir() else {
+    let (from, id) = (from(uri.query())?, path(id)?);
+    let running = app.engine.lock().session().filter(|_| id == "running");
+    let id = running.map_or(id, |running| running.id);
+    let Some((dir, sessions, written)) = recorded(&app).await? else {
         let detail =
             "this daemon keeps no session record: start it without --no-record, and see `logbook_days`";
         return Err(Problem::new(Code::NotFound, detail).into());
     };
+    let found = sessions.recorded.into_iter().find(|recorded| recorded.session.id == id);
+    let (found, store) = (found.ok_or_else(|| not_recorded(&id))?, app.store.get());
     let plays = blocking(move || {
-        let written = record.wait_until_written(WRITTEN);
-        let mut plays = reader::plays(&dir, session, from)?;
+        let mut plays = reader::plays(&dir, found, from)?;
         if !written {
-            tell_slow_disk(&mut plays.unreadable, &mut plays.problems);
+            plays.lack(slow_disk());
         }
         mark_kept(&mut plays.plays, &store, &dir);
         Ok::<_, reader::RecordError>(plays)
@@ -199,11 +215,8 @@ pub(super) async fn plays(
 }
 
 /// What the disk has not taken yet cannot be read.
-fn tell_slow_disk(unreadable: &mut u64, problems: &mut Vec<String>) {
-    let seconds = WRITTEN.as_secs();
-    problems.insert(0, format!("the disk has not taken the newest entries within {seconds} s: ask again"));
-    problems.truncate(MAX_LISTED);
-    *unreadable += 1;
+fn slow_disk() -> String {
+    format!("the disk has not taken the newest entries within {} s: ask again", WRITTEN.as_secs())
 }
 
 /// Marks the plays whose pattern's text is stored, or kept in the record.

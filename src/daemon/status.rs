@@ -90,6 +90,7 @@ impl Engine {
             participant: Some(daemon.exposure.status(Now::read())),
             realtime: Some(self.realtime),
             logbook_problem: daemon.publisher.session_record.problem(),
+            logbook_lost: daemon.publisher.session_record.lost(),
             socket: self.socket.display().to_string(),
             network: self.gate.status(),
             version: env!("CARGO_PKG_VERSION").to_owned(),

@@ -24,6 +24,7 @@ impl From<TargetStoreError> for ErrorResponse {
             TargetStoreError::Unknown { .. } => Code::NotFound,
             TargetStoreError::Target(_)
             | TargetStoreError::Name { .. }
+            | TargetStoreError::NewName { .. }
             | TargetStoreError::NotText { .. } => Code::BadTarget,
             TargetStoreError::BuiltIn { .. } | TargetStoreError::Exists { .. } => Code::Exists,
             TargetStoreError::NoDirectory | TargetStoreError::Io { .. } => Code::Store,

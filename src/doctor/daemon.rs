@@ -18,6 +18,10 @@ pub(crate) fn findings(root: &Path, status: &Status, units: &Units) -> Vec<Findi
         let advice =
             "free space there, or let the daemon write there: see deploy/README.md, \"Configuration\"";
         findings.push(Finding::warn("logbook", problem.clone(), advice));
+    } else if let lost @ 1.. = status.logbook_lost {
+        let found = format!("the session record has lost {lost} entries since the daemon started");
+        let advice = "see which sessions lack plays: `meissner session list`";
+        findings.push(Finding::warn("logbook", found, advice));
     }
     findings.push(network(status.network.as_ref()));
     findings

@@ -4,13 +4,18 @@
 //! configuration; info, for the lab's notes; debug, for finding faults. `$RUST_LOG` chooses the level. Each message is complete
 //! without its fields, which are for searching.
 //!
+//! Lines of one kind are bounded in number, and what is left out is counted ([`rate`]): a client or a device cannot fill the disk. Errors
+//! and lines with the field `always`, such as e-stops, are always written.
+//!
 //! Invariants: nothing waits for the log's reader; a line that cannot be written at once is lost. An emergency stop must work. Messages
 //! and fields are escaped here, whatever they quote: no text of a client, a file or a device makes a line of its own.
 
 mod journal;
+mod rate;
 
 use journal::Journal;
 use meissner_input::message::Escaping;
+use rate::Limited;
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::fs::fstat;
 use std::env;
@@ -41,7 +46,7 @@ pub fn start(level: Level) {
         .flatten();
     let text = || lines(|| Stderr, io::stderr().is_terminal()).boxed();
     let lines = journal.map_or_else(text, Layer::boxed);
-    tracing_subscriber::registry().with(filter).with(lines).init();
+    tracing_subscriber::registry().with(filter).with(Limited::new(lines)).init();
     if refused {
         warn!("RUST_LOG is not a valid filter, using `{level}`: write for example RUST_LOG=debug");
     }

@@ -21,6 +21,17 @@ pub(super) fn day(file: &str) -> Option<Date> {
     (name(day) == file).then_some(day)
 }
 
+/// The whole lines at the end of a file, at most `most` bytes of it; the first of them may be torn.
+pub(super) fn last_lines(file: &File, most: u64) -> io::Result<Vec<u8>> {
+    let length = file.metadata()?.len();
+    let start = length.saturating_sub(most);
+    let mut bytes = vec![0; usize::try_from(length - start).map_err(io::Error::other)?];
+    file.read_exact_at(&mut bytes, start)?;
+    let whole = bytes.iter().rposition(|&byte| byte == b'\n').map_or(0, |at| at + 1);
+    bytes.truncate(whole);
+    Ok(bytes)
+}
+
 /// Cuts off the bytes after the last newline. Returns the new length and the number of bytes cut.
 pub(super) fn cut_torn(file: &File) -> io::Result<(u64, u64)> {
     let length = file.metadata()?.len();

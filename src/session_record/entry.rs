@@ -8,19 +8,20 @@
 //! Invariant: the `event` key of a line determines its other keys.
 
 use super::json;
-use meissner_api::{Event, MAX_DETAIL};
+use meissner_api::{Event, MAX_DETAIL, Session};
 use meissner_input::message;
 use serde::Serialize;
 use serde_json::Value;
+use std::collections::BTreeMap;
+use std::fmt;
 use std::net::IpAddr;
-use std::{fmt, io};
 
 /// Characters kept of a text among a command's arguments: more than any name has.
 const MAX_TEXT: usize = 100;
 /// Items kept of a list among them: as many as a calibration takes.
 const MAX_ITEMS: usize = 100;
 /// Bytes of a line beside its entry: the times, and the user's name, which is added later.
-const LINE: u64 = 160;
+const LINE: u64 = 192;
 
 /// A client, as the kernel identifies it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -179,10 +180,14 @@ pub enum Note {
     },
     /// A client's command.
     Command(CommandEntry),
-    /// Entries are missing here.
+    /// Entries are missing here. The line has the number of the last of them.
     Lost {
         /// How many.
         entries: u64,
+        /// Which, as far as the daemon knows: not those of an earlier daemon.
+        of: Vec<LostOf>,
+        /// The sessions whose start or end is among them.
+        sessions: Vec<Session>,
     },
     /// Clients or devices made more entries than the record takes.
     LeftOut {
@@ -191,6 +196,15 @@ pub enum Note {
         /// Whose they were.
         of: Vec<LeftOut>,
     },
+}
+
+/// Lost entries of a session.
+#[derive(Clone, Debug, Serialize)]
+pub struct LostOf {
+    /// The session; null: of none.
+    pub(super) session: Option<String>,
+    /// How many, by command or event.
+    pub(super) kinds: BTreeMap<&'static str, u64>,
 }
 
 /// Entries of one kind that were left out.
@@ -305,22 +319,18 @@ impl Entry {
         }
     }
 
+    /// Whether a session begins or ends with it.
+    pub(super) fn bounds_session(&self) -> Option<&Session> {
+        let Self::Event { event, .. } = self else { return None };
+        match &**event {
+            Event::SessionStarted { session } | Event::SessionEnded { session } => Some(session),
+            _ => None,
+        }
+    }
+
     /// The bytes of its line, at most.
     pub(super) fn bytes(&self) -> u64 {
-        struct Count(u64);
-        impl io::Write for Count {
-            fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-                self.0 += bytes.len() as u64;
-                Ok(bytes.len())
-            }
-            fn flush(&mut self) -> io::Result<()> {
-                Ok(())
-            }
-        }
-        let mut count = Count(LINE);
-        // An entry can be serialized, and counting does not fail.
-        let _ = json::write(&mut count, self);
-        count.0
+        LINE + json::bytes(self)
     }
 }
 

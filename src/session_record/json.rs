@@ -11,8 +11,26 @@ use std::io::{self, Write};
 ///
 /// # Errors
 /// If it cannot be serialized or written.
-pub(super) fn write(to: impl Write, value: &impl Serialize) -> io::Result<()> {
+pub(crate) fn write(to: impl Write, value: &impl Serialize) -> io::Result<()> {
     Ok(value.serialize(&mut serde_json::Serializer::with_formatter(to, Plain))?)
+}
+
+/// The bytes that [`write`] writes.
+pub(super) fn bytes(value: &impl Serialize) -> u64 {
+    struct Count(u64);
+    impl Write for Count {
+        fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+            self.0 += bytes.len() as u64;
+            Ok(bytes.len())
+        }
+        fn flush(&mut self) -> io::Result<()> {
+            Ok(())
+        }
+    }
+    let mut count = Count(0);
+    // What the record holds can be serialized, and counting does not fail.
+    let _ = write(&mut count, value);
+    count.0
 }
 
 struct Plain;

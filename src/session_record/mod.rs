@@ -3,16 +3,20 @@
 //! `DIR/2026-11-22.jsonl` holds each command with its client and answer, each play with its receipt, what devices did, and the
 //! daemon's start and end. Experiments read it later; the daemon never reads it. [`SessionRecord::add`] stamps an entry and queues
 //! it for a thread, which writes it, makes it durable [`SYNC_AFTER`] later, and sleeps while there is nothing to do. Entries that
-//! find no room are counted; the next line holds the count. The record is bounded in bytes per day ([`BYTES_PER_DAY`]): entries beyond
-//! are counted by client and command, and entries about plays and the first e-stops are never among them.
+//! find no room are counted, in memory at once and in the next line. Entries are numbered: order and completeness never come from
+//! dates ([`numbers`]). The record is bounded in bytes per day ([`BYTES_PER_DAY`]): entries beyond are counted by client and command,
+//! and entries about plays and the first e-stops are never among them.
 //!
 //! Invariants: nothing waits for the disk; every line of a file that was closed or opened again parses; lines of one daemon are in
-//! the order of `CLOCK_MONOTONIC`; missing entries are counted.
+//! the order of `CLOCK_MONOTONIC`, and all lines in the order of their numbers; missing entries are counted.
 
 mod budget;
 mod days;
 mod entry;
-mod json;
+pub(crate) mod json;
+mod ledger;
+mod lines;
+mod numbers;
 pub mod reader;
 mod removal;
 mod texts;
@@ -21,13 +25,15 @@ mod writer;
 
 pub use budget::BYTES_PER_DAY;
 pub use entry::{CommandEntry, Entry, NetworkPeer, Note, Peer, TokenId};
+pub use ledger::Known;
 pub use texts::{keeps_text, read_text};
 pub use users::Users;
 pub use writer::{Location, SYNC_AFTER, local_time};
 
-use budget::{Budget, REPORT_AFTER};
+use budget::{Budget, MAX_ENTRY, REPORT_AFTER};
 use crossbeam_channel::{Receiver, RecvTimeoutError, Sender, bounded};
 use entry::Kind;
+use ledger::{Counts, Ledger, Tag};
 use meissner_stream::time::HostInstant;
 use std::io;
 use std::path::PathBuf;
@@ -36,7 +42,7 @@ use std::thread;
 use std::time::{Duration, Instant};
 use texts::Texts;
 use tracing::warn;
-use writer::{Stamp, Writer};
+use writer::{Added, Stamp, Writer};
 
 /// How long an entry waits for its user's name. Once a look-up took longer, entries do not wait: the directory service may hang.
 const NAME_TIMEOUT: Duration = Duration::from_millis(200);
@@ -46,12 +52,9 @@ pub const WAITING: usize = 1024;
 /// A message to the thread.
 #[derive(Debug)]
 enum Message {
-    Entry {
-        stamp: Stamp,
-        /// Entries before it that found no room.
-        missed: u64,
-        entry: Entry,
-    },
+    Entry(Added),
+    /// The entries up to this number found no room.
+    Missed(u64, Counts),
     /// Write the following entries there.
     Move(Location),
     /// Replace the file of exposures.
@@ -74,7 +77,13 @@ struct Queue {
     room: usize,
     budget: Budget,
     texts: Arc<Texts>,
-    missed: u64,
+    /// The number of the newest entry, counted from the daemon's start.
+    number: u64,
+    /// The running session.
+    session: Option<Arc<str>>,
+    /// Entries that found no room since the last one that did.
+    missed: Counts,
+    ledger: Arc<Mutex<Ledger>>,
     /// Disconnected when the thread has ended.
     ended: Receiver<()>,
     problem: Arc<Mutex<Option<String>>>,
@@ -90,7 +99,7 @@ impl Queue {
     ) -> io::Result<Self> {
         let (messages, queue) = bounded(room);
         let (alive, ended) = bounded::<()>(0);
-        let (problem, dir) = (writer.problem(), writer.dir().to_owned());
+        let (problem, ledger, dir) = (writer.problem(), writer.ledger(), writer.dir().to_owned());
         let texts = Arc::new(Texts::default());
         let kept = Arc::clone(&texts);
         let work = move || {
@@ -99,19 +108,67 @@ impl Queue {
         };
         thread::Builder::new().name("session record".into()).spawn(work)?;
         let budget = Budget::new(HostInstant::now());
-        Ok(Self { messages, dir, room: room.div_ceil(2), budget, texts, missed: 0, ended, problem })
+        Ok(Self {
+            messages,
+            dir,
+            room: room.div_ceil(2),
+            budget,
+            texts,
+            number: 0,
+            session: None,
+            missed: Counts::default(),
+            ledger,
+            ended,
+            problem,
+        })
+    }
+
+    fn lock_ledger(&self) -> MutexGuard<'_, Ledger> {
+        self.ledger.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     fn add(&mut self, entry: Entry, bytes: u64) {
         let stamp = Stamp::now();
+        let session = entry.bounds_session().map(|session| (session.id.clone(), session.reason.is_none()));
+        if session.is_some() {
+            // What was left out belongs to what was before. It counts as an entry about a play.
+            if self.budget.has_left_out() {
+                self.budget.take_text(MAX_ENTRY, stamp.monotonic);
+                self.report();
+            }
+            self.lock_ledger().see(&entry);
+        }
+        if let Some((id, true)) = &session {
+            self.session = Some(id.as_str().into());
+        }
         let had_left_out = self.budget.has_left_out();
         if self.budget.takes(&entry, bytes, stamp.monotonic) {
-            self.send(stamp, entry);
+            let first = matches!(entry.kind().0, Kind::Play | Kind::EStop);
+            let has_room = first || self.messages.len() < self.room;
+            let tag = self.tag(&entry);
+            if !has_room || !self.send(stamp, entry) {
+                self.lose(tag);
+            }
         } else if !had_left_out && self.messages.try_send(Message::LeftOut).is_err() {
             // The queue is full: this entry is one of the missing ones, and the next one tries again.
             self.budget.reported();
-            self.missed += 1;
+            let tag = self.tag(&entry);
+            self.lose(tag);
         }
+        if let Some((_, false)) = session {
+            self.session = None;
+        }
+    }
+
+    fn tag(&self, entry: &Entry) -> Tag {
+        Tag { session: self.session.clone(), name: entry.kind().2 }
+    }
+
+    /// An entry gets a number, but no line.
+    fn lose(&mut self, tag: Tag) {
+        self.number += 1;
+        self.lock_ledger().lose(&tag);
+        self.missed.add(tag, 1);
     }
 
     fn keep_text(&mut self, sha256: &str, text: &Arc<[u8]>) {
@@ -126,23 +183,40 @@ impl Queue {
         }
     }
 
-    fn send(&mut self, stamp: Stamp, entry: Entry) {
-        let first = matches!(entry.kind().0, Kind::Play | Kind::EStop);
-        let message = Message::Entry { stamp, missed: self.missed, entry };
+    /// Queues an entry with the next number. Returns whether it had room.
+    fn send(&mut self, stamp: Stamp, entry: Entry) -> bool {
+        let (number, tag, missed) = (self.number + 1, self.tag(&entry), self.missed.take());
         // The thread outlives the queue: an error means that it is full.
-        let sent = (first || self.messages.len() < self.room) && self.messages.try_send(message).is_ok();
-        self.missed = if sent { 0 } else { self.missed + 1 };
+        match self.messages.try_send(Message::Entry(Added { stamp, number, missed, tag, entry })) {
+            Ok(()) => {
+                self.number = number;
+                true
+            }
+            Err(error) => {
+                if let Message::Entry(Added { missed, .. }) = error.into_inner() {
+                    self.missed = missed;
+                }
+                false
+            }
+        }
+    }
+
+    /// Has the thread tell of the entries that found no room.
+    fn tell_missed(&mut self) {
+        if self.missed.is_empty() {
+            return;
+        }
+        if let Err(error) = self.messages.try_send(Message::Missed(self.number, self.missed.take()))
+            && let Message::Missed(_, missed) = error.into_inner()
+        {
+            self.missed = missed;
+        }
     }
 
     /// Adds an entry about what was left out. Without room in the queue, it is tried again later.
     fn report(&mut self) {
-        if self.budget.has_left_out() {
-            let message =
-                Message::Entry { stamp: Stamp::now(), missed: self.missed, entry: self.budget.report() };
-            if self.messages.try_send(message).is_ok() {
-                self.budget.reported();
-                self.missed = 0;
-            }
+        if self.budget.has_left_out() && self.send(Stamp::now(), self.budget.report()) {
+            self.budget.reported();
         }
     }
 }
@@ -222,6 +296,28 @@ impl SessionRecord {
         queue.as_ref().and_then(|queue| queue.problem.lock().unwrap_or_else(PoisonError::into_inner).clone())
     }
 
+    /// The entries that the record lost since it was started.
+    #[must_use]
+    pub fn lost(&self) -> u64 {
+        self.lock().as_ref().map_or(0, |queue| queue.lock_ledger().lost())
+    }
+
+    /// The sessions that began since it was started, the newest last: what the disk did not take of them is known here first.
+    #[must_use]
+    pub fn known(&self) -> Vec<Known> {
+        self.lock().as_ref().map_or_else(Vec::new, |queue| queue.lock_ledger().sessions().cloned().collect())
+    }
+
+    /// The entries of this session that the record lost, and the ends of plays among them.
+    #[must_use]
+    pub fn lost_of(&self, session: &str) -> (u64, u64) {
+        let of = |known: &Known| (known.session.lost, known.session.plays_lost);
+        let queue = self.lock();
+        let Some(queue) = queue.as_ref() else { return (0, 0) };
+        let ledger = queue.lock_ledger();
+        ledger.sessions().find(|known| known.session.id == session).map_or((0, 0), of)
+    }
+
     /// Adds an entry, stamped now. Never waits for the disk.
     pub fn add(&self, entry: impl Into<Entry>) {
         let entry = entry.into();
@@ -250,7 +346,10 @@ impl SessionRecord {
     pub fn wait_until_written(&self, timeout: Duration) -> bool {
         let until = Instant::now() + timeout;
         let (waiting, written) = bounded::<()>(0);
-        let messages = self.lock().as_ref().map(|queue| queue.messages.clone());
+        let messages = self.lock().as_mut().map(|queue| {
+            queue.tell_missed();
+            queue.messages.clone()
+        });
         let Some(messages) = messages else { return true };
         messages.send_deadline(Message::Written(waiting), until).is_ok()
             && written.recv_deadline(until) != Err(RecvTimeoutError::Timeout)
@@ -282,15 +381,13 @@ impl SessionRecord {
         let until = Instant::now() + timeout;
         let Some(mut queue) = self.lock().take() else { return };
         queue.report();
-        let mut uncounted = queue.missed + u64::from(queue.budget.has_left_out());
-        let Queue { messages, missed, ended, .. } = queue;
-        if missed > 0 {
-            let entry = Note::Lost { entries: 1 }.into();
-            let message = Message::Entry { stamp: Stamp::now(), missed: missed - 1, entry };
-            uncounted -= messages.send_deadline(message, until).map_or(0, |()| missed);
+        let mut is_untold = queue.budget.has_left_out();
+        let Queue { messages, number, missed, ended, .. } = queue;
+        if !missed.is_empty() {
+            is_untold |= messages.send_deadline(Message::Missed(number, missed), until).is_err();
         }
         drop(messages);
-        if ended.recv_deadline(until) == Err(RecvTimeoutError::Timeout) || uncounted > 0 {
+        if ended.recv_deadline(until) == Err(RecvTimeoutError::Timeout) || is_untold {
             warn!("the session record's disk is too slow: the last entries may be missing from it");
         }
     }
@@ -324,17 +421,16 @@ fn write_all(
             Ok(Message::Exposure(text)) => writer.save_exposure(&text),
             Ok(Message::Written(waiting)) => drop(waiting),
             Ok(Message::LeftOut) => report = Some(Instant::now() + REPORT_AFTER),
-            Ok(Message::Entry { stamp, missed, mut entry }) => {
-                entry.name_users(|uid| name(users, uid, &mut slow));
-                writer.write(stamp, missed, &entry);
+            Ok(Message::Missed(number, missed)) => writer.miss(number, missed),
+            Ok(Message::Entry(mut added)) => {
+                added.entry.name_users(|uid| name(users, uid, &mut slow));
+                writer.write(added);
             }
             Err(RecvTimeoutError::Timeout) => {}
             Err(RecvTimeoutError::Disconnected) => break,
         }
         let now = Instant::now();
-        if writer.due().is_some_and(|at| at <= now) {
-            writer.sync();
-        }
+        writer.wake(now);
         if report.take_if(|at| *at <= now).is_some() {
             report = report_left_out(owner).then(|| now + REPORT_AFTER);
         }

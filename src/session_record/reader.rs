@@ -1,29 +1,27 @@
-//! Reads the session record: which sessions there were, and their plays.
+//! Reads the session record: which sessions there were, their plays, and what of them is missing.
 //!
-//! It reads whole days line by line and parses only lines that matter. A line or file that cannot be read is counted and named, and
-//! reading goes on.
+//! [`sessions`] goes through all lines, in the order of their numbers ([`super::lines`]), and counts the ends of plays and the gaps of
+//! each session. [`plays`] reads the rows of one. A line or file that cannot be read is counted and named, and reading goes on.
 //!
-//! Bounds: one line of `MAX_LINE` in memory, `MAX_SESSIONS`, and `MAX_LISTED` named problems.
+//! Bounds: `MAX_SESSIONS`, and those of [`super::lines`].
 
-use super::days;
+use super::ledger::Known;
+use super::lines::{self, Head, Seen, Source};
+use super::numbers;
 use crate::receipts::largest_um;
 use jiff::civil::Date;
 use jiff::{Timestamp, ToSpan};
 use meissner_api::{
     ItemRecord, ItemState, MAX_LISTED, MAX_ROWS, MAX_SEQUENCE_ITEMS, Receipt, RecordedPlay, Session,
-    SessionList, SessionPlays,
+    SessionPlays,
 };
 use meissner_array::units::ticks_to_ms;
-use rustix::fs::OFlags;
+use serde::Deserialize;
 use serde_json::Value;
 use std::collections::{BTreeMap, VecDeque};
-use std::fs::{self, File, OpenOptions};
-use std::io::{self, BufRead, BufReader};
-use std::os::unix::fs::OpenOptionsExt;
+use std::io;
 use std::path::{Path, PathBuf};
 
-/// The most bytes of a line: the longest event has 24 KiB, and escapes may lengthen it.
-const MAX_LINE: usize = 256 << 10;
 /// Sessions in a list, at most: the newest.
 pub const MAX_SESSIONS: usize = 10_000;
 
@@ -31,102 +29,8 @@ pub const MAX_SESSIONS: usize = 10_000;
 #[derive(Debug, thiserror::Error)]
 #[error("the session record in {} cannot be read: {source}; check that it is there and that the daemon may read it", .dir.display())]
 pub struct RecordError {
-    dir: PathBuf,
-    source: io::Error,
-}
-
-/// Lines and files that cannot be read.
-#[derive(Debug, Default)]
-struct Unreadable {
-    count: u64,
-    lines: Vec<String>,
-}
-
-impl Unreadable {
-    fn add(&mut self, place: &str, why: &str) {
-        self.count += 1;
-        if self.lines.len() < MAX_LISTED {
-            self.lines.push(format!("{place}: {why}"));
-        }
-    }
-}
-
-/// Reads a line without its end into `line`. Returns whether it is complete and short enough; none at the end of the file.
-fn read_line(file: &mut impl BufRead, line: &mut Vec<u8>) -> io::Result<Option<bool>> {
-    line.clear();
-    let (mut fits, mut any) = (true, false);
-    loop {
-        let piece = file.fill_buf()?;
-        if piece.is_empty() {
-            return Ok(any.then_some(false));
-        }
-        any = true;
-        let end = piece.iter().position(|&byte| byte == b'\n');
-        let part = piece.get(..end.unwrap_or(piece.len())).unwrap_or_default();
-        fits &= line.len() + part.len() <= MAX_LINE;
-        if fits {
-            line.extend_from_slice(part);
-        }
-        let used = end.map_or(piece.len(), |end| end + 1);
-        file.consume(used);
-        if end.is_some() {
-            return Ok(Some(fits));
-        }
-    }
-}
-
-pub(super) fn open(path: &Path) -> io::Result<BufReader<File>> {
-    let flags = (OFlags::NOFOLLOW | OFlags::NONBLOCK).bits().cast_signed();
-    let file = OpenOptions::new().read(true).custom_flags(flags).open(path)?;
-    if !file.metadata()?.is_file() {
-        return Err(io::Error::other("is not a regular file"));
-    }
-    Ok(BufReader::with_capacity(1 << 16, file))
-}
-
-/// Calls `see` with each whole line of the record, from a day on, in order.
-fn each_line(
-    dir: &Path,
-    from: Option<Date>,
-    mut see: impl FnMut(&[u8]) -> bool,
-) -> Result<Unreadable, RecordError> {
-    let wrong = |source| RecordError { dir: dir.to_owned(), source };
-    let mut days = Vec::new();
-    match fs::read_dir(dir) {
-        // Nothing was ever recorded.
-        Err(error) if error.kind() == io::ErrorKind::NotFound => {}
-        entries => {
-            for entry in entries.map_err(wrong)? {
-                days.extend(entry.map_err(wrong)?.file_name().to_str().and_then(days::day));
-            }
-        }
-    }
-    days.retain(|day| from.is_none_or(|from| *day >= from));
-    days.sort_unstable();
-    let (mut unreadable, mut line) = (Unreadable::default(), Vec::new());
-    for day in days {
-        let path = dir.join(days::name(day));
-        let place = path.display().to_string();
-        let mut file = match open(&path) {
-            Ok(file) => file,
-            Err(error) => {
-                unreadable.add(&place, &error.to_string());
-                continue;
-            }
-        };
-        for number in 1.. {
-            match read_line(&mut file, &mut line) {
-                Ok(None) => break,
-                Ok(Some(true)) if line.starts_with(b"{") && line.ends_with(b"}") && see(&line) => {}
-                Ok(Some(_)) => unreadable.add(&format!("{place}:{number}"), "not a line of JSON"),
-                Err(error) => {
-                    unreadable.add(&format!("{place}:{number}"), &error.to_string());
-                    break;
-                }
-            }
-        }
-    }
-    Ok(unreadable)
+    pub(super) dir: PathBuf,
+    pub(super) source: io::Error,
 }
 
 /// Whether a line holds a text.
@@ -134,47 +38,266 @@ fn has(line: &[u8], text: &str) -> bool {
     memchr::memmem::find(line, text.as_bytes()).is_some()
 }
 
-/// The sessions of the record, the oldest first.
+/// The sessions of a record, the oldest first.
+#[derive(Debug, Default)]
+pub struct Sessions {
+    /// The sessions.
+    pub recorded: Vec<Recorded>,
+    /// Lines and files that cannot be read.
+    pub unreadable: u64,
+    /// The first [`MAX_LISTED`] of them.
+    pub problems: Vec<String>,
+}
+
+/// A session, and what of it is in the record.
+#[derive(Clone, Debug, Default)]
+pub struct Recorded {
+    /// The session.
+    pub session: Session,
+    /// Its start is known.
+    is_started: bool,
+    /// Ends of its plays.
+    ends: u64,
+    /// Ends that the record says are lost.
+    ends_lost: u64,
+    /// Missing entries.
+    lost: u64,
+    /// Entries that were left out meanwhile.
+    left_out: u64,
+    /// Lines of older daemons that cannot be read: those have no numbers that tell what is missing.
+    unreadable: u64,
+    /// The number of its first line; none: not known.
+    first: Option<u64>,
+}
+
+impl Recorded {
+    fn is_open(&self) -> bool {
+        self.session.reason.is_none()
+    }
+
+    /// Its daemon has ended without its end.
+    fn abandon(&mut self) {
+        self.session.reason = Some("unknown".to_owned());
+        // Nothing else tells how many there were.
+        self.session.plays = self.ends + self.ends_lost;
+    }
+
+    /// Takes what its daemon has in memory: the disk may lack it.
+    fn learn(&mut self, session: Session, pending: u64) {
+        self.lost += pending;
+        (self.is_started, self.session) = (true, session);
+    }
+
+    /// Completes the session with what is missing.
+    fn finish(&mut self) {
+        self.session.lost = self.lost;
+        if self.session.reason.is_some() {
+            self.session.plays_lost = self.session.plays.saturating_sub(self.ends);
+        }
+    }
+}
+
+/// What a pass through the record has found.
+#[derive(Default)]
+struct Scan {
+    recorded: Vec<Recorded>,
+    /// The number of the line before.
+    last: Option<u64>,
+}
+
+/// A line about lost entries.
+#[derive(Deserialize)]
+struct Lost {
+    #[serde(default = "one")]
+    entries: u64,
+    #[serde(default)]
+    of: Vec<LostRow>,
+    #[serde(default)]
+    sessions: Vec<Session>,
+}
+
+const fn one() -> u64 {
+    1
+}
+
+#[derive(Deserialize)]
+struct LostRow {
+    session: Option<String>,
+    kinds: BTreeMap<String, u64>,
+}
+
+impl Scan {
+    fn open(&mut self) -> Option<&mut Recorded> {
+        self.recorded.last_mut().filter(|last| last.is_open())
+    }
+
+    fn find(&mut self, id: &str) -> Option<&mut Recorded> {
+        self.recorded.iter_mut().rev().find(|known| known.session.id == id)
+    }
+
+    /// A later session or daemon has begun: the one of an open session was killed, or could not write its end.
+    fn abandon(&mut self) {
+        if let Some(open) = self.open() {
+            open.abandon();
+        }
+    }
+
+    /// The session with this id; a new one if there is none.
+    fn enter(&mut self, id: &str) -> Option<&mut Recorded> {
+        if self.find(id).is_none() {
+            self.abandon();
+            if self.recorded.len() == MAX_SESSIONS {
+                self.recorded.remove(0);
+            }
+            let session = Session { id: id.to_owned(), ..Session::default() };
+            self.recorded.push(Recorded { session, ..Recorded::default() });
+        }
+        self.find(id)
+    }
+
+    /// A line has a whole session.
+    fn set(&mut self, session: Session, is_start: bool, number: Option<u64>) {
+        let Some(recorded) = self.enter(&session.id) else { return };
+        if is_start && !recorded.is_started {
+            (recorded.is_started, recorded.first) = (true, number);
+        }
+        recorded.session = Session { lost: 0, plays_lost: 0, release_in_s: None, ..session };
+    }
+
+    /// Takes a line. Returns whether it can be read.
+    fn see(&mut self, head: &Head<'_>, line: &[u8]) -> bool {
+        let step = self.last.zip(head.number).map_or(1, |(last, now)| now.saturating_sub(last));
+        let is_read = match &*head.event {
+            "lost" => return self.see_lost(head, line, step),
+            "session-started" | "session-ended" => {
+                let session = serde_json::from_slice::<Value>(line)
+                    .ok()
+                    .and_then(|mut entry| serde_json::from_value::<Session>(entry["session"].take()).ok());
+                session.map(|session| {
+                    self.miss(step - step.min(1));
+                    self.set(session, head.event == "session-started", head.number);
+                })
+            }
+            event => {
+                self.miss(step - step.min(1));
+                match event {
+                    "daemon-started" => self.abandon(),
+                    "left-out" => self.see_left_out(line),
+                    _ => {}
+                }
+                if event == "ended" { self.see_end(line) } else { Some(()) }
+            }
+        };
+        if is_read.is_some() {
+            self.last = head.number.or(self.last);
+        }
+        is_read.is_some()
+    }
+
+    /// Entries are missing here.
+    fn miss(&mut self, entries: u64) {
+        if let Some(open) = self.open() {
+            open.lost += entries;
+        }
+    }
+
+    /// A line says what is missing before it. It has the number of the last missing entry.
+    fn see_lost(&mut self, head: &Head<'_>, line: &[u8], step: u64) -> bool {
+        let Ok(Lost { entries, of, sessions }) = serde_json::from_slice(line) else { return false };
+        let of_sessions = of.iter().filter(|row| row.session.is_some());
+        let named: u64 = of_sessions.flat_map(|row| row.kinds.values()).sum();
+        let of_none = of.iter().filter(|row| row.session.is_none()).flat_map(|row| row.kinds.values()).sum();
+        // The others belong to the session in which they are missing.
+        self.miss(entries.max(step).saturating_sub(named).saturating_sub(of_none));
+        let first = head.number.map(|number| number.saturating_sub(entries));
+        for session in sessions {
+            self.set(session, true, first);
+        }
+        for row in of {
+            if let Some(recorded) = row.session.and_then(|id| self.find(&id)) {
+                recorded.lost += row.kinds.values().sum::<u64>();
+                recorded.ends_lost += row.kinds.get("ended").copied().unwrap_or(0);
+            }
+        }
+        self.last = head.number.or(self.last);
+        true
+    }
+
+    /// Entries were left out.
+    fn see_left_out(&mut self, line: &[u8]) {
+        let entry = serde_json::from_slice::<Value>(line).unwrap_or_default();
+        if let Some(open) = self.open() {
+            open.left_out += entry["entries"].as_u64().unwrap_or(0);
+        }
+    }
+
+    /// A play has ended.
+    fn see_end(&mut self, line: &[u8]) -> Option<()> {
+        #[derive(Deserialize)]
+        struct End {
+            receipt: Play,
+        }
+        #[derive(Deserialize)]
+        struct Play {
+            session: Option<String>,
+        }
+        // Most lines, for speed; the rows of a session are read whole.
+        let is_of = |open: &Recorded| has(line, &format!("\"session\":\"{}\"", open.session.id));
+        if let Some(open) = self.open().filter(|open| is_of(open)) {
+            open.ends += 1;
+            return Some(());
+        }
+        if has(line, "\"session\":null") {
+            return Some(());
+        }
+        let End { receipt } = serde_json::from_slice(line).ok()?;
+        // The start of its session may be missing.
+        if let Some(recorded) = receipt.session.and_then(|id| self.enter(&id)) {
+            recorded.ends += 1;
+        }
+        Some(())
+    }
+}
+
+/// The sessions of the record. `known` are those of the running daemon, of which the disk may lack something; `running` is the one that
+/// runs.
 ///
 /// # Errors
 /// If its directory cannot be read.
-pub fn sessions(dir: &Path) -> Result<SessionList, RecordError> {
-    let mut sessions: Vec<Session> = Vec::new();
-    // A later daemon has begun: the one of these sessions was killed.
-    let abandon = |sessions: &mut Vec<Session>| {
-        if let Some(last) = sessions.last_mut().filter(|last| last.reason.is_none()) {
-            last.reason = Some("unknown".to_owned());
-        }
-    };
-    let unreadable = each_line(dir, None, |line| {
-        let is = |event: &str| has(line, &format!("\"event\":\"{event}\""));
-        if is("session-started") || is("session-ended") {
-            let session = serde_json::from_slice::<Value>(line)
-                .ok()
-                .and_then(|mut entry| serde_json::from_value::<Session>(entry["session"].take()).ok());
-            let Some(session) = session else { return false };
-            match sessions.iter_mut().rev().find(|known| known.id == session.id) {
-                Some(known) => *known = session,
-                None => {
-                    abandon(&mut sessions);
-                    if sessions.len() == MAX_SESSIONS {
-                        sessions.remove(0);
-                    }
-                    sessions.push(Session { release_in_s: None, ..session });
+pub fn sessions(dir: &Path, known: &[Known], running: Option<Session>) -> Result<Sessions, RecordError> {
+    let mut scan = Scan::default();
+    let unreadable = lines::each(
+        dir,
+        |_| true,
+        |seen| match seen {
+            Seen::Line(head, line) => scan.see(&head, line),
+            Seen::Unreadable => {
+                if scan.last.is_none()
+                    && let Some(open) = scan.open()
+                {
+                    open.unreadable += 1;
                 }
+                true
             }
-        } else if is("daemon-started") {
-            abandon(&mut sessions);
-        } else if let Some(last) = sessions.last_mut().filter(|last| last.reason.is_none()) {
-            // Its end may be missing.
-            if is("ended") && has(line, &format!("\"session\":\"{}\"", last.id)) {
-                last.plays += 1;
-            }
+        },
+    )?;
+    let mut recorded = scan.recorded;
+    // To the end of the list: the running daemon's sessions are the newest.
+    let mut renew = |session: &Session, pending| {
+        let at = recorded.iter().rposition(|recorded| recorded.session.id == session.id);
+        let mut newest = at.map_or_else(Recorded::default, |at| recorded.remove(at));
+        newest.learn(session.clone(), pending);
+        recorded.push(newest);
+    };
+    known.iter().for_each(|known| renew(&known.session, known.pending));
+    running.iter().for_each(|running| renew(running, 0));
+    for recorded in &mut recorded {
+        if recorded.is_open() && running.as_ref().is_none_or(|running| running.id != recorded.session.id) {
+            recorded.abandon();
         }
-        true
-    })?;
-    abandon(&mut sessions);
-    Ok(SessionList { sessions, unreadable: unreadable.count, problems: unreadable.lines })
+        recorded.finish();
+    }
+    Ok(Sessions { recorded, unreadable: unreadable.count, problems: unreadable.lines() })
 }
 
 /// Ended plays whose command may still follow: far more than are ever under way.
@@ -185,42 +308,30 @@ const UNDER_WAY: usize = 64;
 ///
 /// # Errors
 /// If the record's directory cannot be read.
-pub fn plays(dir: &Path, session: Session, from: usize) -> Result<SessionPlays, RecordError> {
-    // A session's id begins with its date in UTC; files have local dates.
-    let day = session.id.get(..8).and_then(|day| Date::strptime("%Y%m%d", day).ok());
-    let day = day.and_then(|day| day.checked_sub(1.day()).ok());
+pub fn plays(dir: &Path, recorded: Recorded, from: usize) -> Result<SessionPlays, RecordError> {
+    let id = recorded.session.id.clone();
     let mut rows = Rows { from, ..Rows::default() };
     let (mut open, mut ended) = (BTreeMap::<u64, RecordedPlay>::new(), VecDeque::new());
-    let (mut boot, mut lost, mut stage) = (None, 0, Stage::Before);
+    let mut boot = None;
     let mut items: (u64, Vec<(u64, ItemRecord)>) = (0, Vec::new());
-    let unreadable = each_line(dir, day, |line| {
-        let is_own = has(line, &session.id);
-        if is_own && has(line, "\"event\":\"session-ended\"") {
-            stage = Stage::After;
-        } else if is_own && stage == Stage::Before {
-            stage = Stage::Within;
-        }
-        let is = |event: &str| has(line, &format!("\"event\":\"{event}\""));
-        let matters = is_own || is("connected") || stage == Stage::Within && is("lost");
-        if !matters {
+    let mut read = |event: &str, line: &[u8]| {
+        if event != "connected" && !(matches!(event, "command" | "items" | "ended") && has(line, &id)) {
             return true;
         }
         let Ok(mut entry) = serde_json::from_slice::<Value>(line) else { return false };
-        match entry["event"].as_str() {
-            Some("connected") => {
+        match event {
+            "connected" => {
                 boot = entry["device"]["boot"].as_u64().and_then(|boot| u32::try_from(boot).ok());
             }
-            Some("lost") => lost += entry["entries"].as_u64().unwrap_or(1),
-            Some("command")
-                if matches!(entry["command"].as_str(), Some("play" | "sequence"))
-                    && entry["asked"]["session"] == *session.id =>
-            {
-                let play = asked(&entry);
+            "command" => {
+                let is_play = matches!(entry["command"].as_str(), Some("play" | "sequence"));
+                let play =
+                    Some(&entry).filter(|entry| is_play && entry["asked"]["session"] == *id).and_then(asked);
                 if let Some(play) = play.filter(|play| !ended.contains(&play.play)) {
                     open.insert(play.play, play);
                 }
             }
-            Some("items") if entry["session"] == *session.id => {
+            "items" if entry["session"] == *id => {
                 let (id, first) = (entry["id"].as_u64(), entry["first"].as_u64());
                 let part = serde_json::from_value::<Vec<ItemRecord>>(entry["items"].take());
                 let (Some(id), Some(first), Ok(part)) = (id, first, part) else { return false };
@@ -231,11 +342,11 @@ pub fn plays(dir: &Path, session: Session, from: usize) -> Result<SessionPlays, 
                 let room = MAX_SEQUENCE_ITEMS.saturating_sub(items.1.len());
                 items.1.extend((first..).zip(part).take(room));
             }
-            Some("ended") => {
+            "ended" => {
                 let Ok(receipt) = serde_json::from_value::<Receipt>(entry["receipt"].take()) else {
                     return false;
                 };
-                if receipt.session.as_ref() == Some(&session.id) {
+                if receipt.session.as_ref() == Some(&id) {
                     open.remove(&receipt.id);
                     ended.push_back(receipt.id);
                     if ended.len() > UNDER_WAY {
@@ -248,6 +359,7 @@ pub fn plays(dir: &Path, session: Session, from: usize) -> Result<SessionPlays, 
                     let whole = RecordedPlay { boot, items: items.len() as u64, ..played(&entry, receipt) };
                     let parts: Vec<_> =
                         items.iter().map(|(number, item)| part(&whole, *number, item)).collect();
+                    rows.ends += 1;
                     rows.add(whole);
                     parts.into_iter().for_each(|part| rows.add(part));
                 }
@@ -255,28 +367,76 @@ pub fn plays(dir: &Path, session: Session, from: usize) -> Result<SessionPlays, 
             _ => {}
         }
         true
+    };
+    let wanted = |source: &Source| is_wanted(&recorded, source);
+    let unreadable = lines::each(dir, wanted, |seen| match seen {
+        Seen::Line(head, line) => read(&head.event, line),
+        Seen::Unreadable => true,
     })?;
+    let (unknown, ends) = (open.len() as u64, rows.ends);
     // The running daemon may still play them.
-    if session.reason.is_some() {
+    if !recorded.is_open() {
         open.into_values().for_each(|play| rows.add(play));
     }
     let more = rows.seen > rows.from + rows.plays.len();
+    let plays = recorded.session.plays.max(ends + unknown);
+    let plays_missing = plays - ends;
+    let missing = missing(&recorded, plays, plays_missing, rows.short);
     Ok(SessionPlays {
-        session,
+        complete: missing.is_empty(),
+        missing,
         plays: rows.plays,
         more,
-        lost,
+        plays_missing,
+        lost: recorded.lost,
+        left_out: recorded.left_out,
         unreadable: unreadable.count,
-        problems: unreadable.lines,
+        problems: unreadable.lines(),
+        session: recorded.session,
     })
 }
 
-/// Where a line stands among those of a session.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Stage {
-    Before,
-    Within,
-    After,
+/// Whether a file may have lines of a session: by their numbers, or by its date if an older daemon wrote them.
+fn is_wanted(recorded: &Recorded, source: &Source) -> bool {
+    // A file that cannot be read is told of.
+    let Ok(last) = numbers::last(&source.path) else { return true };
+    if let Some(last) = last {
+        return recorded.first.is_none_or(|first| first <= last);
+    }
+    // A session's id begins with its date in UTC; files have local dates.
+    let day = recorded.session.id.get(..8).and_then(|day| Date::strptime("%Y%m%d", day).ok());
+    let day = day.and_then(|day| day.checked_sub(1.day()).ok());
+    day.is_none_or(|day| source.day >= day)
+}
+
+/// What of a session is missing, a line each.
+fn missing(recorded: &Recorded, plays: u64, plays_missing: u64, short: Vec<String>) -> Vec<String> {
+    let Recorded { session, is_started, lost, unreadable, .. } = recorded;
+    let mut missing = Vec::new();
+    match session.reason.as_deref() {
+        None => missing.push("the session still runs: end it first".to_owned()),
+        Some("unknown") => missing.push(
+            "its end is not recorded: the daemon was killed, or could not write; what came last may be missing"
+                .to_owned(),
+        ),
+        Some(_) => {}
+    }
+    if !is_started {
+        missing.push("its start is not recorded".to_owned());
+    }
+    // Those of a session that runs may be under way.
+    if plays_missing > 0 && session.reason.is_some() {
+        missing.push(format!("{plays_missing} of {plays} plays are missing, or their ends are"));
+    }
+    if *lost > 0 {
+        missing.push(format!("the record lost {lost} entries during the session"));
+    }
+    if *unreadable > 0 {
+        missing.push(format!("{unreadable} of its lines cannot be read"));
+    }
+    missing.extend(short);
+    missing.truncate(MAX_LISTED);
+    missing
 }
 
 /// The rows of an answer.
@@ -285,10 +445,20 @@ struct Rows {
     from: usize,
     seen: usize,
     plays: Vec<RecordedPlay>,
+    /// Ends of plays.
+    ends: u64,
+    /// The sequences that lack items, a line each.
+    short: Vec<String>,
 }
 
 impl Rows {
     fn add(&mut self, play: RecordedPlay) {
+        let items = play.items_planned.filter(|_| play.state == "done" && play.item.is_none());
+        if let Some(planned) = items.filter(|planned| *planned > play.items && self.short.len() < MAX_LISTED)
+        {
+            let missing = planned - play.items;
+            self.short.push(format!("play {}: {missing} of its {planned} items are missing", play.play));
+        }
         if self.seen >= self.from && self.plays.len() < MAX_ROWS {
             self.plays.push(play);
         }

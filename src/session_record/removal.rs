@@ -13,7 +13,7 @@ use jiff::Span;
 use jiff::civil::{Date, date};
 use meissner_stream::time::HostInstant;
 use rustix::fs::OFlags;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fs::{self, File, OpenOptions};
 use std::io::{self, Read, Write};
 use std::os::unix::fs::OpenOptionsExt;
@@ -45,11 +45,18 @@ impl Removal {
     /// Notes that the file of `today` has a new line, and removes old files if a new day begins with it.
     ///
     /// A file is old if the record was written on more than `keep` days since the file's last line, and if its date is more than
-    /// `keep` days before today and before the newest other date.
+    /// `keep` days before today and before the newest other date. The files of `held` days stay: a session that runs has lines there.
     ///
     /// # Errors
     /// If the list cannot be written (then nothing is removed), or a file cannot be removed.
-    pub(super) fn written(&mut self, dir: &Path, today: Date, now: HostInstant, keep: u32) -> io::Result<()> {
+    pub(super) fn written(
+        &mut self,
+        dir: &Path,
+        today: Date,
+        now: HostInstant,
+        keep: u32,
+        held: &BTreeSet<Date>,
+    ) -> io::Result<()> {
         let mut present = Vec::new();
         for entry in fs::read_dir(dir)? {
             present.extend(entry?.file_name().to_str().and_then(days::day));
@@ -61,7 +68,7 @@ impl Removal {
         }
         self.counted = Some(now);
         // Go on after a file that cannot be removed.
-        let old = old(&files, today, keep).into_iter();
+        let old = old(&files, today, keep).into_iter().filter(|day| !held.contains(day));
         let removed = old.map(|day| fs::remove_file(dir.join(days::name(day))));
         removed.fold(Ok(()), Result::and)
     }
@@ -129,7 +136,6 @@ mod tests {
     use super::*;
     use jiff::ToSpan;
     use proptest::prelude::*;
-    use std::collections::BTreeSet;
 
     /// A record in memory, and the daemon that writes it. Time is counted in hours.
     #[derive(Default)]
@@ -270,7 +276,7 @@ mod tests {
             let today = date(2026, 3, 1) + day.days();
             fs::write(name(today), "").unwrap();
             let now = HostInstant::from_ns(day.unsigned_abs() as u64 * 86_400_000_000_000);
-            removal.written(dir.path(), today, now, 2).is_ok()
+            removal.written(dir.path(), today, now, 2, &BTreeSet::new()).is_ok()
         };
         let is_good: Vec<_> = (0..6).map(&mut write).collect();
         assert_eq!(

@@ -13,6 +13,7 @@ use std::os::unix::fs::PermissionsExt;
 use std::path::Path;
 
 mod calendar;
+mod whole;
 
 const REAL: Disk = Disk { append: |file, bytes| file.write(bytes), sync: File::sync_data };
 
@@ -51,7 +52,7 @@ fn stamp(wall: &str, monotonic_ns: u64) -> Stamp {
 }
 
 fn lost(entries: u64) -> Entry {
-    Note::Lost { entries }.into()
+    Note::Lost { entries, of: Vec::new(), sessions: Vec::new() }.into()
 }
 
 fn started() -> Entry {
@@ -140,7 +141,7 @@ fn a_clock_set_back_shows_and_the_order_stays() {
         ("2026-11-22T23:30:00Z", 3),
         ("2026-11-22T22:30:00Z", 4),
     ] {
-        writer.write(stamp(wall, monotonic_ns), 0, &started());
+        writer.write_next(stamp(wall, monotonic_ns), started());
     }
     writer.finish();
     let times = |day| -> Vec<_> {
@@ -168,7 +169,7 @@ fn a_torn_line_is_cut_and_told() {
     fs::write(folder.join("2026-11-22.jsonl"), "{\"event\":\"x\"}\n{\"time\":\"2026-").unwrap();
     let said = log_of(|| {
         let mut writer = writer(dir.path(), REAL);
-        writer.write(stamp("2026-11-22T12:00:00Z", 1), 0, &started());
+        writer.write_next(stamp("2026-11-22T12:00:00Z", 1), started());
         writer.finish();
     });
     let lines = lines(dir.path(), "2026-11-22");
@@ -185,13 +186,13 @@ fn a_change_of_day_removes_old_files() {
     let dir = tempfile::tempdir().unwrap();
     let mut writer = Writer::new(location(dir.path(), 2)).on(REAL, TimeZone::UTC);
     for day in 18..=23 {
-        writer.write(stamp(&format!("2026-11-{day}T12:00:00Z"), day * DAY_NS), 0, &started());
+        writer.write_next(stamp(&format!("2026-11-{day}T12:00:00Z"), day * DAY_NS), started());
     }
     let mut left: Vec<_> =
         fs::read_dir(dir.path().join("logbook")).unwrap().map(|e| e.unwrap().file_name()).collect();
     left.sort();
     let days = ["2026-11-20.jsonl", "2026-11-21.jsonl", "2026-11-22.jsonl", "2026-11-23.jsonl"];
-    assert_eq!(left, [&days[..], &["days"]].concat());
+    assert_eq!(left, [&days[..], &["counter", "days"]].concat());
 }
 
 #[test]
@@ -200,7 +201,7 @@ fn a_full_disk_is_one_line_and_what_is_missing_is_counted() {
     let said = log_of(|| {
         let mut writer = writer(dir.path(), SMALL);
         let mut write =
-            |monotonic_ns| writer.write(stamp("2026-11-22T12:00:00Z", monotonic_ns), 0, &started());
+            |monotonic_ns| writer.write_next(stamp("2026-11-22T12:00:00Z", monotonic_ns), started());
         write(1);
         ROOM.set(40);
         write(2);
@@ -230,7 +231,7 @@ fn a_directory_that_is_not_there_is_waited_for_and_one_that_vanishes_is_made_aga
     let said = log_of(|| {
         let mut writer = writer(&site, REAL);
         let mut write =
-            |monotonic_ns| writer.write(stamp("2026-11-22T12:00:00Z", monotonic_ns), 0, &started());
+            |monotonic_ns| writer.write_next(stamp("2026-11-22T12:00:00Z", monotonic_ns), started());
         write(1);
         fs::create_dir(&site).unwrap();
         thread::sleep(Duration::from_millis(110));
@@ -250,8 +251,8 @@ fn two_daemons_do_not_share_a_directory() {
     let dir = tempfile::tempdir().unwrap();
     let at = stamp("2026-11-22T12:00:00Z", 1);
     let (mut first, mut second) = (writer(dir.path(), REAL), writer(dir.path(), REAL));
-    first.write(at, 0, &started());
-    let said = log_of(|| second.write(at, 0, &started()));
+    first.write_next(at, started());
+    let said = log_of(|| second.write_next(at, started()));
     assert!(said.len() == 1 && said[0].contains("another daemon"), "{said:?}");
     assert_eq!(lines(dir.path(), "2026-11-22").len(), 1);
 }
@@ -264,7 +265,7 @@ fn lines_are_synced_once_for_many_and_never_for_none() {
     assert_eq!((SYNCS.get(), writer.due()), (0, None));
     let begun = Instant::now();
     for monotonic_ns in 1..100 {
-        writer.write(stamp("2026-11-22T12:00:00Z", monotonic_ns), 0, &started());
+        writer.write_next(stamp("2026-11-22T12:00:00Z", monotonic_ns), started());
     }
     let due = writer.due().unwrap() - begun;
     assert!(SYNCS.get() == 0 && SYNC_AFTER <= due && due < Duration::from_secs(1), "{due:?}");
@@ -347,7 +348,7 @@ fn lines_that_were_not_made_durable_are_counted_as_missing() {
     let mut writer = writer(dir.path(), DEAF);
     let log = log_of(|| {
         for second in 1..=3 {
-            writer.write(stamp("2026-11-22T13:03:22Z", second), 0, &started());
+            writer.write_next(stamp("2026-11-22T13:03:22Z", second), started());
         }
         writer.sync();
         writer.finish();
@@ -362,7 +363,7 @@ fn a_pipe_in_the_directorys_place_is_a_line_and_hangs_nobody() {
     let pipe = dir.path().join("logbook");
     rustix::fs::mknodat(rustix::fs::CWD, &pipe, rustix::fs::FileType::Fifo, 0o600.into(), 0).unwrap();
     let mut writer = writer(dir.path(), REAL);
-    let log = log_of(|| writer.write(stamp("2026-11-22T13:03:22Z", 1), 0, &started()));
+    let log = log_of(|| writer.write_next(stamp("2026-11-22T13:03:22Z", 1), started()));
     assert!(log[0].contains("Not a directory"), "{log:?}");
 }
 
@@ -421,6 +422,13 @@ fn session_of(lines: &[Value]) -> (tempfile::TempDir, meissner_api::Session) {
     (dir, serde_json::from_value(session).unwrap())
 }
 
+/// What the record has of this session.
+fn plays(dir: &Path, id: &str) -> meissner_api::SessionPlays {
+    let sessions = reader::sessions(dir, &[], None).unwrap().recorded;
+    let recorded = sessions.into_iter().find(|recorded| recorded.session.id == id).unwrap();
+    reader::plays(dir, recorded, 0).unwrap()
+}
+
 #[test]
 fn a_sequence_whose_end_is_missing_has_a_row() {
     let id = "20261122T083000Z-9f3c";
@@ -431,7 +439,7 @@ fn a_sequence_whose_end_is_missing_has_a_row() {
     let mut refused = command(3, Value::Null);
     refused.as_object_mut().unwrap().remove("play");
     let (dir, session) = session_of(&[command(1, json!("taps")), command(2, Value::Null), refused]);
-    let rows = reader::plays(dir.path(), session, 0).unwrap().plays;
+    let rows = plays(dir.path(), &session.id).plays;
     let told: Vec<_> = rows.iter().map(|row| (row.play, &*row.pattern, &*row.state, row.trial)).collect();
     assert_eq!(told, [(1, "taps", "unknown", Some(4)), (2, "sequence", "unknown", Some(4))]);
     assert_eq!(rows[0].labels["block"], "1");
@@ -455,7 +463,7 @@ fn items_keep_their_numbers_if_lines_are_lost_and_a_play_tells_its_boot() {
     };
     // The first line of items is lost.
     let (dir, session) = session_of(&[part(2), json!({"event": "ended", "receipt": receipt})]);
-    let rows = reader::plays(dir.path(), session, 0).unwrap().plays;
+    let rows = plays(dir.path(), &session.id).plays;
     assert_eq!((rows[0].items, rows[0].items_planned, rows[0].boot), (2, Some(4), Some(7)));
     let told: Vec<_> = rows[1..].iter().map(|row| (row.item, row.planned_onset_ticks, row.boot)).collect();
     assert_eq!(told, [(Some(2), Some(1700), Some(7)), (Some(3), Some(2550), Some(7))]);

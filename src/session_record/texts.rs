@@ -7,8 +7,8 @@
 //!
 //! Invariant: a file holds the whole text of its name.
 
-use super::reader::open;
 use super::removal::replace;
+use crate::file::open_regular;
 use meissner_array::pattern::MAX_FILE_BYTES;
 use std::collections::HashSet;
 use std::fs::{self, DirBuilder};
@@ -100,7 +100,7 @@ pub fn keeps_text(record: &Path, sha256: &str) -> bool {
 /// If it is not kept or cannot be read.
 pub fn read_text(record: &Path, sha256: &str) -> io::Result<Vec<u8>> {
     let mut text = Vec::new();
-    open(&file(record, sha256))?.take(MAX_FILE_BYTES as u64 + 1).read_to_end(&mut text)?;
+    open_regular(&file(record, sha256))?.take(MAX_FILE_BYTES as u64 + 1).read_to_end(&mut text)?;
     Ok(text)
 }
 

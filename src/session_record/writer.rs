@@ -1,13 +1,18 @@
 //! Writes lines to the file of their day, makes them durable, and survives a failing disk.
 //!
 //! The session record's thread calls it and waits for the disk. A line is one write in append mode; a partial write is cut back.
-//! While the disk fails, the writer counts entries and tries again with the next entry after [`RETRY_AFTER`].
+//! While the disk fails, the writer counts entries and tries again every [`RETRY_AFTER`]; the first line then tells what is missing.
 //!
-//! Invariant: after each call the file ends with a whole line, or is not open.
+//! Each entry has a number, the next after that of the entry before it, whatever clocks show: see [`super::numbers`]. An entry
+//! without a line leaves a gap in the numbers.
+//!
+//! Invariants: after each call the file ends with a whole line, or is not open; numbers in a directory only grow.
 
 use super::days;
 use super::entry::{Entry, Note};
 use super::json;
+use super::ledger::{Counts, Ledger, Tag};
+use super::numbers;
 use super::removal::{self, Removal};
 use super::texts;
 use crate::exposure;
@@ -18,12 +23,14 @@ use meissner_stream::time::HostInstant;
 use rustix::fs::{FlockOperation, OFlags, flock};
 use rustix::io::Errno;
 use serde::Serialize;
+use std::collections::BTreeSet;
 use std::fmt;
 use std::fs::{self, DirBuilder, File, OpenOptions};
 use std::io::{self, Write};
+use std::mem;
 use std::os::unix::fs::{DirBuilderExt, MetadataExt, OpenOptionsExt};
 use std::path::{Path, PathBuf};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 use tracing::{info, warn};
 
@@ -31,6 +38,8 @@ use tracing::{info, warn};
 pub const SYNC_AFTER: Duration = Duration::from_millis(500);
 /// Time between tries on a disk that failed.
 const RETRY_AFTER: Duration = Duration::from_secs(1);
+/// The most bytes of whole sessions in a line that tells what is missing.
+const MAX_SESSIONS: u64 = 128 << 10;
 
 /// The form of times: local, with the offset from UTC.
 const TIME: &str = "%Y-%m-%dT%H:%M:%S%.6f%:z";
@@ -105,8 +114,18 @@ struct Open {
     identity: (u64, u64),
     /// It has a line of this opening, and the list of days says so.
     listed: bool,
-    /// Locked while the file is open: two daemons would cut each other's lines.
-    _dir: File,
+}
+
+/// An entry on its way to the disk.
+#[derive(Debug)]
+pub(super) struct Added {
+    pub(super) stamp: Stamp,
+    /// Counted from the daemon's start, from 1.
+    pub(super) number: u64,
+    /// Entries before it that found no room.
+    pub(super) missed: Counts,
+    pub(super) tag: Tag,
+    pub(super) entry: Entry,
 }
 
 /// A line of the file.
@@ -114,6 +133,7 @@ struct Open {
 struct Line<'a> {
     time: String,
     monotonic_ns: u64,
+    number: u64,
     #[serde(flatten)]
     entry: &'a Entry,
 }
@@ -125,12 +145,27 @@ pub(super) struct Writer {
     /// The lab's time zone; none: the system's.
     zone: Option<TimeZone>,
     disk: Disk,
+    /// The directory, locked: two daemons would cut each other's lines.
+    lock: Option<File>,
     open: Option<Open>,
     removal: Removal,
-    /// Missing entries that no line has reported yet.
-    missing: u64,
-    /// Lines that are not durable yet.
-    unsynced: u64,
+    /// The days on which the running session has lines: their files stay.
+    held: Option<BTreeSet<Date>>,
+    /// How far the record's numbers are ahead of the daemon's; none: the record was not opened yet.
+    ahead: Option<u64>,
+    /// The newest entry, written or lost.
+    newest: u64,
+    /// The first entry that has no line, and of which no line tells.
+    next: u64,
+    /// Missing entries of which no line tells yet.
+    missing: Counts,
+    /// The same, of an earlier daemon: a line that was torn.
+    torn: u64,
+    /// `next` when lines were made durable last, and since then: the entries that have lines, and those of which a line tells.
+    durable: u64,
+    unsynced: Vec<Tag>,
+    told: (Counts, u64),
+    ledger: Arc<Mutex<Ledger>>,
     /// Why nothing can be written, for the status.
     problem: Arc<Mutex<Option<String>>>,
     retry_after: Duration,
@@ -147,10 +182,19 @@ impl Writer {
             problem: Arc::default(),
             zone: None,
             disk: Disk::REAL,
+            lock: None,
             open: None,
             removal: Removal::default(),
-            missing: 0,
-            unsynced: 0,
+            held: None,
+            ahead: None,
+            newest: 0,
+            next: 1,
+            missing: Counts::default(),
+            torn: 0,
+            durable: 1,
+            unsynced: Vec::new(),
+            told: (Counts::default(), 0),
+            ledger: Arc::default(),
             retry_after: RETRY_AFTER,
             failing: None,
             due: None,
@@ -167,6 +211,23 @@ impl Writer {
         Arc::clone(&self.problem)
     }
 
+    /// Writes an entry with the next number.
+    #[cfg(test)]
+    pub(super) fn write_next(&mut self, stamp: Stamp, entry: Entry) {
+        let tag = Tag { session: None, name: entry.kind().2 };
+        let (number, missed) = (self.newest + 1, Counts::default());
+        self.write(Added { stamp, number, missed, tag, entry });
+    }
+
+    /// What is lost, shared with the queue.
+    pub(super) fn ledger(&self) -> Arc<Mutex<Ledger>> {
+        Arc::clone(&self.ledger)
+    }
+
+    fn lock_ledger(&self) -> MutexGuard<'_, Ledger> {
+        self.ledger.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
     fn set_problem(&self, problem: Option<String>) {
         *self.problem.lock().unwrap_or_else(PoisonError::into_inner) = problem;
     }
@@ -176,31 +237,75 @@ impl Writer {
         &self.location.dir
     }
 
-    /// When [`Self::sync`] is due.
-    pub(super) const fn due(&self) -> Option<Instant> {
-        self.due
+    /// When [`Self::wake`] has work: lines to make durable, or a disk to try again.
+    pub(super) fn due(&self) -> Option<Instant> {
+        let is_missing = self.next <= self.newest || self.torn > 0;
+        self.due.into_iter().chain(self.failing.filter(|_| is_missing)).min()
     }
 
-    /// Writes an entry; `missed` entries before it found no room in the queue.
-    pub(super) fn write(&mut self, stamp: Stamp, missed: u64, entry: &Entry) {
-        self.missing += missed;
-        if self.failing.is_some_and(|until| Instant::now() < until) {
-            self.missing += 1;
-            return;
+    /// Does what is due.
+    pub(super) fn wake(&mut self, now: Instant) {
+        if self.due.is_some_and(|at| at <= now) {
+            self.sync();
         }
-        match self.try_write(stamp, entry) {
-            Ok(missing) if self.failing.take().is_some() => {
-                self.set_problem(None);
-                info!(
-                    "the session record in {} is written again; {missing} entries are missing",
-                    self.location.dir.display()
-                );
+        if self.failing.is_some_and(|at| at <= now) {
+            self.tell();
+        }
+    }
+
+    /// Entries up to this one found no room.
+    pub(super) fn miss(&mut self, number: u64, missed: Counts) {
+        self.missing.merge(missed);
+        self.newest = number;
+        if !self.waits_for_retry() {
+            self.tell();
+        }
+    }
+
+    /// Writes an entry.
+    pub(super) fn write(&mut self, added: Added) {
+        let Added { stamp, number, missed, tag, entry } = added;
+        self.missing.merge(missed);
+        self.newest = number;
+        let session = entry.bounds_session().map(|session| session.reason.is_none());
+        if session == Some(true) {
+            self.held = Some(BTreeSet::new());
+        }
+        let written = if self.waits_for_retry() { Ok(false) } else { self.try_write(stamp, number, &entry) };
+        if session == Some(false) {
+            self.held = None;
+        }
+        match written {
+            Ok(true) => self.unsynced.push(tag),
+            lost => {
+                self.lock_ledger().lose(&tag);
+                self.missing.add(tag, 1);
+                lost.err().into_iter().for_each(|failure| self.fail(&failure));
             }
-            Ok(_) => {}
-            Err(failure) => {
-                self.missing += 1;
-                self.fail(&failure);
-            }
+        }
+    }
+
+    fn waits_for_retry(&self) -> bool {
+        self.failing.is_some_and(|until| Instant::now() < until)
+    }
+
+    /// Tries to write a line that tells what is missing.
+    fn tell(&mut self) {
+        let stamp = Stamp::now();
+        let time = self.zoned(stamp);
+        let told = self.open_day(time.date()).and_then(|()| self.tell_missing(&time, stamp, self.newest));
+        match told {
+            Ok(()) => self.recover(),
+            Err(failure) => self.fail(&failure),
+        }
+    }
+
+    /// The disk takes bytes.
+    fn recover(&mut self) {
+        if self.failing.take().is_some() {
+            self.set_problem(None);
+            let (dir, lost) = (self.location.dir.display(), self.lock_ledger().lost());
+            info!("the session record in {dir} is written again; {lost} entries are missing since the start");
         }
     }
 
@@ -235,37 +340,59 @@ impl Writer {
             return;
         }
         let Some(open) = &self.open else { return };
+        let (unsynced, told) = (mem::take(&mut self.unsynced), mem::take(&mut self.told));
         if let Err(source) = (self.disk.sync)(&open.file) {
             let failure = Failure { path: open.path.clone(), source };
             // The system may have lost them.
             self.open = None;
-            self.missing += self.unsynced;
+            self.lock_ledger().take_back(&told.0);
+            self.missing.merge(told.0);
+            self.torn += told.1;
+            for tag in unsynced {
+                self.lock_ledger().lose(&tag);
+                self.missing.add(tag, 1);
+            }
+            self.next = self.durable;
             self.fail(&failure);
+        } else {
+            self.durable = self.next;
+            self.save_count();
         }
-        self.unsynced = 0;
+    }
+
+    /// Keeps the newest number, so that a later daemon knows of entries that have no line.
+    fn save_count(&self) {
+        if let Some(ahead) = self.ahead.filter(|_| self.lock.is_some()) {
+            // A disk that does not even take this has its problem in the status already.
+            let _ = numbers::save(&self.location.dir, self.newest.wrapping_add(ahead));
+        }
     }
 
     /// Writes the following entries, and the count of missing ones, to another location.
     pub(super) fn move_to(&mut self, location: Location) {
         self.sync();
-        (self.location, self.open, self.failing) = (location, None, None);
+        self.save_count();
+        (self.location, self.open, self.lock, self.failing) = (location, None, None, None);
+        (self.ahead, self.torn) = (None, 0);
         self.set_problem(None);
     }
 
     /// Makes the last lines durable and closes.
     pub(super) fn finish(mut self) {
+        if self.next <= self.newest && !self.waits_for_retry() {
+            self.tell();
+        }
         self.sync();
-        if self.missing > 0 {
-            warn!(
-                "{} entries are missing at the end of the session record in {}",
-                self.missing,
-                self.location.dir.display()
-            );
+        self.save_count();
+        if let missing @ 1.. = self.newest + 1 - self.next {
+            let dir = self.location.dir.display();
+            warn!("{missing} entries are missing at the end of the session record in {dir}");
         }
     }
 
     fn fail(&mut self, failure: &Failure) {
         self.set_problem(Some(format!("the session record cannot be written: {failure}")));
+        self.save_count();
         if self.failing.replace(Instant::now() + self.retry_after).is_none() {
             warn!(
                 "the session record cannot be written: {failure}; free space there and check that the daemon may write, or \
@@ -274,36 +401,65 @@ impl Writer {
         }
     }
 
-    /// Returns how many entries were missing before this one.
-    fn try_write(&mut self, stamp: Stamp, entry: &Entry) -> Result<u64, Failure> {
-        let time = stamp.wall.to_zoned(self.zone.clone().unwrap_or_else(TimeZone::system));
+    fn zoned(&self, stamp: Stamp) -> Zoned {
+        stamp.wall.to_zoned(self.zone.clone().unwrap_or_else(TimeZone::system))
+    }
+
+    /// Writes an entry, and before it what is missing. Returns true.
+    fn try_write(&mut self, stamp: Stamp, number: u64, entry: &Entry) -> Result<bool, Failure> {
+        let time = self.zoned(stamp);
         self.open_day(time.date())?;
-        let missing = self.missing;
-        if missing > 0 {
-            let lost = Note::Lost { entries: missing }.into();
-            self.append(&time, stamp, &lost)?;
-            // If that line is lost, they are missing again.
-            (self.missing, self.unsynced) = (0, self.unsynced + missing - 1);
-        }
-        self.append(&time, stamp, entry)?;
+        self.tell_missing(&time, stamp, number - 1)?;
+        self.append(&time, stamp, number, entry)?;
+        self.next = number + 1;
         self.list_day(stamp);
-        Ok(missing)
+        self.recover();
+        Ok(true)
+    }
+
+    /// Writes a line about the missing entries up to this one, if there are any.
+    fn tell_missing(&mut self, time: &Zoned, stamp: Stamp, upto: u64) -> Result<(), Failure> {
+        let entries = upto + 1 - self.next + self.torn;
+        if entries == 0 {
+            return Ok(());
+        }
+        let mut sessions = self.lock_ledger().report(&self.missing);
+        let mut room = MAX_SESSIONS;
+        sessions.retain(|session| {
+            room = room.saturating_sub(json::bytes(session));
+            room > 0
+        });
+        let lost = Note::Lost { entries, of: self.missing.rows(), sessions }.into();
+        if let Err(failure) = self.append(time, stamp, upto, &lost) {
+            self.lock_ledger().take_back(&self.missing);
+            return Err(failure);
+        }
+        self.told.0.merge(self.missing.take());
+        self.told.1 += mem::take(&mut self.torn);
+        self.next = upto + 1;
+        Ok(())
     }
 
     /// Lists the day of the open file once it has a line, and removes old files.
     fn list_day(&mut self, stamp: Stamp) {
-        let Some(open) = self.open.as_mut().filter(|open| !open.listed) else { return };
-        open.listed = true;
-        let Location { dir, days, .. } = &self.location;
-        if let Err(error) = self.removal.written(dir, open.day, stamp.monotonic, *days) {
+        let Some(open) = self.open.as_mut() else { return };
+        if let Some(held) = &mut self.held {
+            held.insert(open.day);
+        }
+        if mem::replace(&mut open.listed, true) {
+            return;
+        }
+        let (Location { dir, days, .. }, none) = (&self.location, BTreeSet::new());
+        let held = self.held.as_ref().unwrap_or(&none);
+        if let Err(error) = self.removal.written(dir, open.day, stamp.monotonic, *days, held) {
             warn!("{}: old files cannot be removed: {error}; remove them by hand", dir.display());
         }
     }
 
-    fn append(&mut self, time: &Zoned, stamp: Stamp, entry: &Entry) -> Result<(), Failure> {
-        let Some(open) = &mut self.open else { return Ok(()) };
-        let time = time.strftime(TIME).to_string();
-        let line = Line { time, monotonic_ns: stamp.monotonic.as_ns(), entry };
+    fn append(&mut self, time: &Zoned, stamp: Stamp, number: u64, entry: &Entry) -> Result<(), Failure> {
+        let (Some(open), Some(ahead)) = (&mut self.open, self.ahead) else { return Ok(()) };
+        let (time, number) = (time.strftime(TIME).to_string(), number.wrapping_add(ahead));
+        let line = Line { time, monotonic_ns: stamp.monotonic.as_ns(), number, entry };
         let mut bytes = Vec::new();
         let bytes = json::write(&mut bytes, &line).map(|()| {
             bytes.push(b'\n');
@@ -313,13 +469,14 @@ impl Writer {
         match bytes.and_then(|bytes| whole(append, &mut open.file, &bytes)) {
             Ok(written) => {
                 open.length += written;
-                self.unsynced += 1;
                 self.due.get_or_insert_with(|| Instant::now() + SYNC_AFTER);
                 Ok(())
             }
             Err(source) => {
                 let failure = Failure { path: open.path.clone(), source };
-                if open.file.set_len(open.length).is_err() {
+                // Somebody may have made it shorter.
+                let is_longer = open.file.metadata().is_ok_and(|there| there.len() > open.length);
+                if !is_longer || open.file.set_len(open.length).is_err() {
                     // Cut when it is opened again.
                     self.open = None;
                 }
@@ -328,28 +485,44 @@ impl Writer {
         }
     }
 
-    /// Opens the file of a day, unless it is open and its name still leads to it.
+    /// Opens the file of a day, unless it is open, its name still leads to it, and it is as long as the daemon left it.
     fn open_day(&mut self, day: Date) -> Result<(), Failure> {
         let same = |open: &Open| {
             let there = fs::metadata(&open.path);
-            open.day == day && there.is_ok_and(|there| (there.dev(), there.ino()) == open.identity)
+            let now = |there: fs::Metadata| (there.dev(), there.ino(), there.len());
+            let (dev, ino) = open.identity;
+            open.day == day && there.is_ok_and(|there| now(there) == (dev, ino, open.length))
         };
         if self.open.as_ref().is_some_and(same) {
             return Ok(());
         }
         self.sync();
-        self.open = None;
+        (self.open, self.lock) = (None, None);
         let (dir, make_parents) = (&self.location.dir, self.location.make_parents);
         if let Some(parent) = dir.parent().filter(|_| make_parents) {
             DirBuilder::new().recursive(true).mode(0o700).create(parent).map_err(at(parent))?;
         }
-        let (open, cut) = open(dir, day)?;
+        let lock = self.lock.insert(lock(dir)?);
+        let is_first = self.ahead.is_none();
+        let (mut written, mut counted) = (0, 0);
+        if is_first {
+            // An earlier daemon may have lost its last entries: a gap tells of them.
+            (written, counted) = numbers::newest(dir).map_err(at(dir))?;
+            self.ahead = Some(written.max(counted).wrapping_sub(self.next - 1));
+        }
+        let (open, cut) = open(dir, lock, day)?;
         if cut > 0 {
-            // Its content is lost; the next line counts it.
-            self.missing += 1;
             warn!("{}: cut off {cut} bytes of a line that was never finished", open.path.display());
         }
+        if is_first && cut > 0 && counted <= written {
+            // Its content is lost.
+            self.torn = 1;
+            self.ahead = self.ahead.map(|ahead| ahead.wrapping_add(1));
+        }
         self.open = Some(open);
+        if is_first {
+            self.save_count();
+        }
         Ok(())
     }
 }
@@ -368,8 +541,8 @@ fn whole(append: fn(&mut File, &[u8]) -> io::Result<usize>, file: &mut File, lin
     Ok(line.len() as u64)
 }
 
-/// Opens the file of a day, cuts off a torn line, and returns how many bytes that were. Makes the directory, not its parent.
-fn open(dir: &Path, day: Date) -> Result<(Open, u64), Failure> {
+/// Locks the directory. Makes it, not its parent.
+fn lock(dir: &Path) -> Result<File, Failure> {
     match DirBuilder::new().mode(0o750).create(dir) {
         Ok(()) => sync_dir(dir.parent().unwrap_or(Path::new("/")))?,
         Err(error) if error.kind() == io::ErrorKind::AlreadyExists => {}
@@ -381,6 +554,11 @@ fn open(dir: &Path, day: Date) -> Result<(Open, u64), Failure> {
         let busy = io::Error::other("another daemon writes its session record there: give each its own");
         return Err(at(dir)(busy));
     }
+    Ok(kept)
+}
+
+/// Opens the file of a day, cuts off a torn line, and returns how many bytes that were.
+fn open(dir: &Path, locked: &File, day: Date) -> Result<(Open, u64), Failure> {
     let path = dir.join(days::name(day));
     let wrong = |source| Failure { path: path.clone(), source };
     let mut options = OpenOptions::new();
@@ -390,7 +568,7 @@ fn open(dir: &Path, day: Date) -> Result<(Open, u64), Failure> {
     let file = match options.open(&path) {
         Err(error) if error.kind() == io::ErrorKind::NotFound => {
             let file = options.create(true).open(&path).map_err(wrong)?;
-            kept.sync_all().map_err(at(dir))?;
+            locked.sync_all().map_err(at(dir))?;
             file
         }
         file => file.map_err(wrong)?,
@@ -401,7 +579,7 @@ fn open(dir: &Path, day: Date) -> Result<(Open, u64), Failure> {
     }
     let (length, cut) = days::cut_torn(&file).map_err(wrong)?;
     let identity = (metadata.dev(), metadata.ino());
-    Ok((Open { day, path, file, length, identity, listed: false, _dir: kept }, cut))
+    Ok((Open { day, path, file, length, identity, listed: false }, cut))
 }
 
 fn sync_dir(dir: &Path) -> Result<(), Failure> {

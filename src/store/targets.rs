@@ -5,15 +5,16 @@
 //!
 //! Invariant: a file is replaced whole or not at all, and only by one that is a target of the file's name.
 
-use crate::file::{READABLE_BY_ALL, open_regular, replace};
+use crate::file::{LISTED_BY_ALL, READABLE_BY_ALL, make_dirs, open_regular, replace};
 use crate::store::{MAX_FILES, Store, StoreError, first, hash, offer, present};
 use meissner_api::{TargetDetails, TargetList, TargetSummary};
-use meissner_array::pattern::is_name;
+use meissner_array::pattern::{is_name, is_new_name};
 use meissner_design::{MAX_BYTES, Shape, Target, TargetError, shipped, shipped_names};
 use meissner_input::message::{nearest, quote};
 use serde_json::Value;
-use std::fs::{self, File};
+use std::fs::{self, DirBuilder, File};
 use std::io::{self, Read};
+use std::os::unix::fs::DirBuilderExt;
 use std::path::{Path, PathBuf};
 use std::sync::PoisonError;
 
@@ -41,6 +42,12 @@ pub enum TargetStoreError {
         name: String,
         /// The name in the text.
         inside: String,
+    },
+    /// A name that a command line takes for something else.
+    #[error("{}: a new name begins with a letter or a digit: a command line takes `-` for stdin or an option", quote(.name))]
+    NewName {
+        /// The name it was to be stored under.
+        name: String,
     },
     /// Built-in targets are read-only.
     #[error("`{name}` is built in and cannot be {change}: choose another name")]
@@ -187,6 +194,9 @@ impl Store {
             return Err(TargetStoreError::BuiltIn { name: name.to_owned(), change: "overwritten" });
         }
         let stored = parse(name, text.as_bytes(), Path::new(&format!("{name}.toml")))?;
+        if !is_new_name(name) {
+            return Err(TargetStoreError::NewName { name: name.to_owned() });
+        }
         let Some(path) = self.target_path(name) else { return Err(TargetStoreError::NoDirectory) };
         let _writing = self.writing.lock().unwrap_or_else(PoisonError::into_inner);
         let io = |path: &Path| {
@@ -195,7 +205,7 @@ impl Store {
         };
         let folder = path.parent().ok_or(TargetStoreError::NoDirectory)?;
         // A configured directory must be there; only the folder in it is made.
-        let made = if self.make_dir { fs::create_dir_all(folder) } else { make_folder(folder) };
+        let made = if self.make_dir { make_dirs(folder, LISTED_BY_ALL) } else { make_folder(folder) };
         made.map_err(io(folder))?;
         let replaced = present(&path).map_err(of_disk).map_err(io(&path))?;
         if let Some(sha256) = replaced.clone().filter(|_| !replace) {
@@ -256,7 +266,7 @@ fn of_disk(error: StoreError) -> io::Error {
 }
 
 fn make_folder(folder: &Path) -> io::Result<()> {
-    match fs::create_dir(folder) {
+    match DirBuilder::new().mode(LISTED_BY_ALL).create(folder) {
         Err(error) if error.kind() == io::ErrorKind::AlreadyExists => Ok(()),
         made => made,
     }

@@ -227,3 +227,26 @@ fn a_list_tells_what_drives_reach_and_how_long_whole_strokes_last() {
     let endless = list.patterns.iter().find(|entry| entry.duration_s.is_none()).unwrap();
     assert!(endless.compiled_ms.is_none() && endless.reached_min_um.is_some());
 }
+
+/// A command line takes `-` for stdin and `--help` for an option. What has such a name already can be listed and removed.
+#[test]
+fn no_new_name_begins_with_a_dash_and_old_ones_stay() {
+    const TARGET: &str =
+        "name = \"NAME\"\nshape = \"braille\"\ncharacter = \"b\"\ncenter_mm = [1.45, 1.45]\nreach_mm = 1.5\n";
+    let (dir, store) = store();
+    for name in ["-", "--help", "-x"] {
+        let text = TEXT.replace("my-edge", name);
+        let error = store.put(name, &text, false).unwrap_err();
+        assert!(matches!(error, StoreError::NewName { .. }), "{name}: {error}");
+        assert!(error.to_string().contains("begins with a letter or a digit"), "{error}");
+        fs::write(dir.path().join(format!("{name}.toml")), &text).unwrap();
+        assert!(store.list().patterns.iter().any(|pattern| pattern.name == name));
+        store.remove(name).unwrap();
+    }
+    for name in [".", "..", "", "a/b", "a b"] {
+        assert!(store.put(name, &TEXT.replace("my-edge", name), false).is_err(), "{name}");
+    }
+    let put = |name: &str| store.put_target(name, &TARGET.replace("NAME", name), false);
+    assert!(matches!(put("--help"), Err(TargetStoreError::NewName { .. })), "{:?}", put("--help"));
+    assert!(put("help").is_ok());
+}

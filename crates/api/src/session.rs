@@ -6,7 +6,7 @@
 //! Invariant: names and labels have no control characters, and at most the characters stated here.
 
 use crate::problem::{Code, Problem};
-use crate::receipt::{BurstCounts, OrderedCounts, PulseCounts};
+use crate::receipt::{BurstCounts, MAX_LISTED, OrderedCounts, PulseCounts};
 use crate::request::{Fit, LatePolicy, read};
 use crate::trigger::TriggerRecord;
 use meissner_input::message::{is_plain, quote};
@@ -96,7 +96,7 @@ pub struct SessionStarted {
 #[schema(examples(json!({
     "id": "20261122T083000Z-9f3c", "participant": "P07", "experiment": "edges", "labels": {"block": "2"}, "seed": 42,
     "exclusive": true, "owner": "ada", "started": "2026-11-22T09:30:00.123456+01:00", "ended": null, "reason": null,
-    "plays": 12, "vibration_s": 24.0, "released": false, "release_in_s": 97.5
+    "plays": 12, "vibration_s": 24.0, "released": false, "release_in_s": 97.5, "lost": 0, "plays_lost": 0
 })))]
 pub struct Session {
     /// The session's id.
@@ -123,7 +123,7 @@ pub struct Session {
     /// When it ended; null while it runs, or if the record does not tell.
     #[schema(required)]
     pub ended: Option<String>,
-    /// Why it ended: `request`, `daemon-ended`, or `unknown` (the daemon was killed); null while it runs.
+    /// Why it ended: `request`, `daemon-ended`, or `unknown` (the daemon was killed, or could not write it); null while it runs.
     #[schema(required)]
     pub reason: Option<String>,
     /// Plays that were accepted.
@@ -140,6 +140,15 @@ pub struct Session {
     #[serde(default)]
     #[schema(required, minimum = 0.0)]
     pub release_in_s: Option<f64>,
+    /// Entries of the session that the record is known to have lost: the disk did not take them, or they were removed. 0 too without a
+    /// record.
+    #[serde(default)]
+    #[schema(required, minimum = 0)]
+    pub lost: u64,
+    /// Plays of the session whose ends the record is known to have lost.
+    #[serde(default)]
+    #[schema(required, minimum = 0)]
+    pub plays_lost: u64,
 }
 
 impl Session {
@@ -316,7 +325,7 @@ pub struct RecordedPlay {
     "session": {
         "id": "20261122T083000Z-9f3c", "participant": "P07", "experiment": "edges", "labels": {}, "seed": 42, "exclusive": true,
         "owner": "ada", "started": "2026-11-22T09:30:00.123456+01:00", "ended": null, "reason": null, "plays": 1,
-        "vibration_s": 2.0, "released": false, "release_in_s": null
+        "vibration_s": 2.0, "released": false, "release_in_s": null, "lost": 0, "plays_lost": 0
     },
     "plays": [{
         "play": 7, "user": "ada", "trial": 12, "labels": {"condition": "a"}, "pattern": "edge-45",
@@ -331,7 +340,8 @@ pub struct RecordedPlay {
         "ordered": {"bursts": 1240, "pulses": 86800}, "planned_onset_ticks": null, "late_strokes": 0, "refused_strokes": null,
         "boot": 305419896, "pattern_kept": true
     }],
-    "more": false, "lost": 0, "unreadable": 0, "problems": []
+    "more": false, "complete": false, "missing": ["the session still runs: end it first"], "plays_missing": 0, "lost": 0, "left_out": 0,
+    "unreadable": 0, "problems": []
 })))]
 pub struct SessionPlays {
     /// The session.
@@ -341,16 +351,42 @@ pub struct SessionPlays {
     pub plays: Vec<RecordedPlay>,
     /// Whether there are more plays: ask again, `from` the next one.
     pub more: bool,
-    /// Entries that the record lost during the session, because the disk or the queue was full: plays may be among them.
+    /// Whether the record has the whole session: its start, its end, the end of every play, and all entries between. False from an
+    /// older daemon, which does not say.
+    #[serde(default)]
+    #[schema(required)]
+    pub complete: bool,
+    /// What is missing, one line each; empty if it is complete.
+    #[serde(default)]
+    #[schema(required, max_items = 100)]
+    pub missing: Vec<String>,
+    /// Plays whose ends are missing, of the session's `plays`. Those of a session that runs may be under way.
+    #[serde(default)]
+    #[schema(required, minimum = 0)]
+    pub plays_missing: u64,
+    /// Entries that the record lost during the session: the disk or the queue was full, or a file was removed. Plays may be among them.
     #[serde(default)]
     #[schema(required, minimum = 0)]
     pub lost: u64,
+    /// Entries that the record left out during the session, to stay within its bound: commands and what devices did, never plays.
+    #[serde(default)]
+    #[schema(required, minimum = 0)]
+    pub left_out: u64,
     /// Lines and files of the record that cannot be read.
     #[schema(minimum = 0)]
     pub unreadable: u64,
     /// The first 100 of them, one line each.
     #[schema(max_items = 100)]
     pub problems: Vec<String>,
+}
+
+impl SessionPlays {
+    /// Adds something that is missing.
+    pub fn lack(&mut self, what: String) {
+        self.missing.insert(0, what);
+        self.missing.truncate(MAX_LISTED);
+        self.complete = false;
+    }
 }
 
 /// Checks a name, or a part of a label.

@@ -231,7 +231,7 @@ pub struct ArmedStatus {
         "continuous_used_s": 12.5, "continuous_left_s": 587.5, "max_session_s": 3600.0,
         "session_used_s": null, "session_left_s": null, "max_day_s": 7200.0, "day_used_s": 900.0, "day_left_s": 6300.0
     },
-    "realtime": {"fifo": true, "mlock": true}, "logbook_problem": null,
+    "realtime": {"fifo": true, "mlock": true}, "logbook_problem": null, "logbook_lost": 0,
     "socket": "/run/meissner/meissner.sock", "network": null, "version": "0.1.0", "pid": 1234
 })))]
 pub struct Status {
@@ -325,6 +325,10 @@ pub struct Status {
     #[serde(default)]
     #[schema(required)]
     pub logbook_problem: Option<String>,
+    /// Entries that the session record lost since the daemon started: the disk or the queue was full.
+    #[serde(default)]
+    #[schema(required, minimum = 0)]
+    pub logbook_lost: u64,
     /// The socket the daemon listens on; empty from an older daemon.
     #[serde(default)]
     #[schema(required)]

@@ -35,10 +35,12 @@ pub fn estop(socket: &Path) -> Result<(), ClientError> {
     let (tell, line) = mpsc::channel();
     let path = estop_socket(socket);
     // On a thread: the system may hold a connection to a daemon that hangs.
-    thread::spawn(move || {
+    let order = move || {
         // Fails only if the caller does not wait any longer.
         (0..TRIES).find_map(|_| ask(&path).ok()).map(|line| tell.send(line))
-    });
+    };
+    // Without a thread no line comes, and the other way is taken at once.
+    let _ = thread::Builder::new().spawn(order);
     let line = line.recv_timeout(TIMEOUT).ok();
     match line.as_deref().map(|line| line.split_once(": ").unwrap_or((line, ""))) {
         Some((STOPPED, _)) => Ok(()),

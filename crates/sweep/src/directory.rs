@@ -12,9 +12,10 @@
 
 use crate::axis::Document;
 use crate::plan::{MOST_BYTES, Plan, PlanError, Sources};
-use std::fs::{self, File, Permissions};
+use rustix::fs::OFlags;
+use std::fs::{self, File, OpenOptions, Permissions};
 use std::io::{self, Read, Write};
-use std::os::unix::fs::PermissionsExt;
+use std::os::unix::fs::{OpenOptionsExt, PermissionsExt};
 use std::path::{Path, PathBuf};
 
 /// The file of the plan.
@@ -108,6 +109,13 @@ impl Sources for Nowhere {
     }
 }
 
+/// Opens a file of a sweep. Refuses a pipe or a device, without waiting for it: it would have no end.
+pub(crate) fn open(path: &Path) -> io::Result<File> {
+    let flags = OFlags::NONBLOCK.bits().cast_signed();
+    let file = OpenOptions::new().read(true).custom_flags(flags).open(path)?;
+    if file.metadata()?.is_file() { Ok(file) } else { Err(io::Error::other("is not a regular file")) }
+}
+
 impl Directory {
     /// Makes a directory for a plan, or takes it up again.
     ///
@@ -152,7 +160,7 @@ impl Directory {
     pub fn open(path: &Path) -> Result<(Self, Plan), SweepError> {
         let file = path.join(PLAN);
         let mut text = String::new();
-        let read = File::open(&file).and_then(|file| file.take(MOST_BYTES).read_to_string(&mut text));
+        let read = open(&file).and_then(|file| file.take(MOST_BYTES).read_to_string(&mut text));
         match read {
             Err(error) if error.kind() == io::ErrorKind::NotFound => {
                 return Err(SweepError::NoSweep(path.to_owned()));

@@ -8,7 +8,7 @@
 //!
 //! Invariant: no line is changed; after an error nothing more is written.
 
-use crate::directory::{Directory, ROWS, SweepError, failed};
+use crate::directory::{Directory, ROWS, SweepError, failed, open};
 use crate::run::Shard;
 use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
@@ -174,7 +174,7 @@ pub(crate) fn read(
     path: &Path,
     mut each: impl FnMut(Found<'_>),
 ) -> Result<RunFile, SweepError> {
-    let file = File::open(path).map_err(failed(path, "read"))?;
+    let file = open(path).map_err(failed(path, "read"))?;
     let modified = file.metadata().and_then(|found| found.modified()).map_err(failed(path, "read"))?;
     let mut found = RunFile { path: path.to_owned(), header: None, end: None, modified, damaged: 0 };
     let (mut reader, mut line, mut at) = (BufReader::with_capacity(1 << 16, file), Vec::new(), 0_u64);

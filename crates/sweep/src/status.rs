@@ -2,13 +2,12 @@
 //!
 //! Invariant: nothing is changed.
 
-use crate::directory::{Directory, SweepError};
+use crate::directory::{Directory, SweepError, open};
 use crate::merge::Index;
 use crate::plan::Plan;
 use crate::run::Shard;
 use crate::run_file::{self, HEARTBEAT, RunFile};
 use serde::Serialize;
-use std::fs::File;
 use std::io::{Read, Seek, SeekFrom};
 use std::path::Path;
 use std::time::{Duration, SystemTime};
@@ -132,7 +131,7 @@ fn is_gone(file: &RunFile) -> bool {
 
 /// The last line of a log in the directory, if it has one.
 fn last_line(directory: &Directory, log: &str) -> Option<String> {
-    let mut file = File::open(directory.path().join(log)).ok()?;
+    let mut file = open(&directory.path().join(log)).ok()?;
     let length = file.metadata().ok()?.len();
     file.seek(SeekFrom::Start(length.saturating_sub(TAIL))).ok()?;
     let mut tail = Vec::new();

@@ -61,6 +61,8 @@ pub(super) struct Summary {
     pub(super) rest_error_replayed_max_um: f32,
     /// Why the replay ended early.
     pub(super) ended_early: Option<String>,
+    /// What the record lacks of the session: plays may be among it.
+    pub(super) missing: Option<String>,
     /// The first ones.
     pub(super) differences: Vec<Differing>,
     pub(super) skips: Vec<Skipped>,
@@ -76,7 +78,10 @@ pub(super) struct Onset {
 impl Summary {
     /// Whether everything was played as recorded.
     pub(super) fn is_same(&self) -> bool {
-        self.differing == 0 && self.skipped == self.never_began && self.ended_early.is_none()
+        self.differing == 0
+            && self.skipped == self.never_began
+            && self.ended_early.is_none()
+            && self.missing.is_none()
     }
 
     /// Adds a skipped play. `never_began`: it had not begun in the record either.

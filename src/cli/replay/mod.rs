@@ -16,21 +16,20 @@ mod rows;
 use super::arguments::{ClientOptions, positive};
 use super::control::on_signals;
 use super::ending::SIGNALS;
-use super::export::TIMEOUT;
+use super::export::{TIMEOUT, lacks};
 use super::gate::Gate;
-use super::output::{give, say, say_json};
+use super::output::{give, say, say_json, tell};
 use super::text;
 use anyhow::{Context, Result, anyhow, bail};
 use clap::Args;
 use compare::{MAX_LISTED, Onset, Skipped, Summary, compare};
-use meissner_api::{Code, PlayAccepted, Receipt, Status};
+use meissner_api::{Code, PlayAccepted, Receipt, SessionPlays, Status};
 use meissner_array::units::{TICKS_PER_MS, ticks_to_ms, ticks_to_seconds};
 use meissner_client::{Client, ClientError, escape};
 use plan::{Order, Planner, Recorded, Skip, Step};
 use rows::Rows;
 use serde_json::{Value, json};
 use std::collections::VecDeque;
-use std::io::{self, Write};
 use std::process::{self, ExitCode};
 use std::sync::Arc;
 use std::thread;
@@ -79,6 +78,7 @@ pub(super) fn run(asked: &Replay) -> Result<ExitCode> {
     }
     let plays = check(asked, &session.id)?;
     let mut player = Player::new(client, plays, &session.id, asked)?;
+    player.summary.missing = missing(asked, &session.id)?;
     stop_on_signals(&asked.options, Arc::clone(&player.gate))?;
     let played = player.play(plan_all(asked, &session.id)?);
     player.gate.wait_if_stopping();
@@ -89,6 +89,16 @@ pub(super) fn run(asked: &Replay) -> Result<ExitCode> {
     let same = summary.is_same();
     give(asked.options.output.json, &summary, || summary_text(&summary))?;
     Ok(if same { ExitCode::SUCCESS } else { ExitCode::FAILURE })
+}
+
+/// What the record lacks of the session. One play that was asked for is there.
+fn missing(asked: &Replay, id: &str) -> Result<Option<String>> {
+    if asked.play.is_some() {
+        return Ok(None);
+    }
+    let beyond = format!("/v1/sessions/{}/plays?from=1000000000", escape(id));
+    let none: SessionPlays = asked.options.client()?.get_within(TIMEOUT, &beyond)?;
+    Ok(lacks(&none))
 }
 
 /// A play with its plan.
@@ -160,8 +170,9 @@ fn dry_run(asked: &Replay, id: &str) -> Result<ExitCode> {
             say(&format!("{start:>16}  play {} {}{lasts}{items}{about}", play.play, play.pattern))?;
         }
     }
+    let lacks = self::missing(asked, id)?;
     let document = json!({
-        "session": id, "plays": plays, "not_played": skipped, "texts_missing": missing,
+        "session": id, "plays": plays, "not_played": skipped, "texts_missing": missing, "missing": lacks,
         "last_onset_s": ticks_to_seconds(end), "steps": steps
     });
     if json {
@@ -172,7 +183,7 @@ fn dry_run(asked: &Replay, id: &str) -> Result<ExitCode> {
             ticks_to_seconds(end)
         ))?;
     }
-    Ok(if missing == 0 { ExitCode::SUCCESS } else { ExitCode::FAILURE })
+    Ok(if missing == 0 && lacks.is_none() { ExitCode::SUCCESS } else { ExitCode::FAILURE })
 }
 
 /// A step whose orders are on their way.
@@ -374,8 +385,7 @@ fn stop_on_signals(options: &ClientOptions, gate: Arc<Gate>) -> Result<()> {
             Ok(_) => "the replay has ended, and its play was stopped".to_owned(),
             Err(error) => format!("the replay has ended, but its play was not stopped: {error}"),
         };
-        // If stderr is closed, there is no one to tell.
-        let _ = writeln!(io::stderr(), "{said}");
+        tell(&said);
         process::exit(128 + number);
     })
 }
@@ -407,5 +417,6 @@ fn summary_text(summary: &Summary) -> String {
         ),
     ];
     lines.extend(summary.ended_early.iter().map(|why| ("ended early", why.clone())));
+    lines.extend(summary.missing.iter().map(|missing| ("record", missing.clone())));
     text::pairs(&lines)
 }

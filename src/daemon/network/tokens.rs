@@ -347,7 +347,7 @@ fn write(file: &Path, tokens: &[Token]) -> io::Result<()> {
     let document = Document { format: 1, tokens: tokens.iter().map(row).collect() };
     let text = toml::to_string(&document).map_err(io::Error::other)?;
     let text = format!("# Access tokens of meissner as SHA-256 hashes: see `meissner token`.\n{text}");
-    fs::create_dir_all(file::dir_of(file))?;
+    file::make_dirs(file::dir_of(file), file::PRIVATE_DIR)?;
     file::replace(file, text.as_bytes(), file::PRIVATE)
 }
 
@@ -366,6 +366,7 @@ fn unhex(text: &str) -> Option<[u8; 32]> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use std::fs;
     use std::os::unix::fs::PermissionsExt;
 
     #[test]

@@ -194,7 +194,10 @@ impl State {
     pub(in crate::daemon) fn session(&self) -> Option<Session> {
         let Running { session, .. } = self.sessions.running.as_ref()?;
         let left = self.sessions.until_release(&session.id).filter(|_| session.is_closed_to_others());
+        let (lost, plays_lost) = self.publisher.session_record.lost_of(&session.id);
         Some(Session {
+            lost,
+            plays_lost,
             vibration_s: self.exposure.session_s(),
             release_in_s: left.map(|left| left.as_secs_f64()),
             ..session.clone()

@@ -34,7 +34,7 @@ fn write_years(zone: &str) {
     let mut offsets = Vec::new();
     for hours in (0..800 * 24_i64).step_by(3) {
         let now = begun + hours.hours();
-        writer.write(stamp(&now.to_string(), 3_600_000_000_000 * hours.unsigned_abs()), 0, &lost(1));
+        writer.write_next(stamp(&now.to_string(), 3_600_000_000_000 * hours.unsigned_abs()), lost(1));
         let local = now.to_zoned(zone.clone());
         *written.entry(local.date()).or_default() += 1;
         offsets.push(local.offset());
@@ -86,7 +86,7 @@ fn a_lab_that_closes_keeps_its_days_of_writing() {
         }
         // Each day is another process.
         let mut writer = Writer::new(location(dir.path(), KEEP)).on(UNSYNCED, TimeZone::UTC);
-        writer.write(stamp(&now.to_string(), 1), 0, &lost(1));
+        writer.write_next(stamp(&now.to_string(), 1), lost(1));
         writer.finish();
         days.push(date);
         let kept = fs::read_dir(&record)

@@ -143,6 +143,12 @@ pub fn is_name(name: &str) -> bool {
     (1..=64).contains(&name.len()) && name.bytes().all(letter)
 }
 
+/// Whether a new pattern or target may have this name. Older ones may begin with `-`, which a command line takes for stdin or an option.
+#[must_use]
+pub fn is_new_name(name: &str) -> bool {
+    is_name(name) && !name.starts_with('-')
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -2,7 +2,7 @@
 //!
 //! Invariant: each cell has at most one place, in the first file that has its row.
 
-use crate::directory::{Directory, SweepError, failed};
+use crate::directory::{Directory, SweepError, failed, open};
 use crate::run_file::{self, Line, RunFile};
 use std::fs::File;
 
@@ -102,7 +102,7 @@ impl Reader<'_> {
                 if self.open.len() == MOST_OPEN {
                     self.open.remove(0);
                 }
-                self.open.push((file, File::open(path).map_err(failed(path, "read"))?));
+                self.open.push((file, open(path).map_err(failed(path, "read"))?));
                 self.open.len() - 1
             }
         };

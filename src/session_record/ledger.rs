@@ -1,0 +1,214 @@
+//! Counts what the record loses, by session and kind, in memory first: the disk may take nothing for hours.
+//!
+//! Each entry has a [`Tag`] from the moment it is added. The queue and the writer tell the [`Ledger`] of each lost one, so that a status
+//! says it at once. [`Counts`] travel with the entries to the writer, whose next line says what is missing before it.
+//!
+//! Bounds: [`SESSIONS`] sessions, and [`KINDS`] counts.
+
+use super::entry::{Entry, LostOf};
+use meissner_api::{Event, Session};
+use std::collections::{BTreeMap, VecDeque};
+use std::mem;
+use std::sync::Arc;
+
+/// Sessions of this daemon that are remembered: more than a lab has in weeks.
+const SESSIONS: usize = 128;
+/// Counts of a line, at most.
+const KINDS: usize = 1500;
+/// What is counted together beyond them.
+const OTHERS: &str = "other";
+/// The event of a play's end.
+const END_OF_PLAY: &str = "ended";
+
+/// What is counted of an entry: the running session, and the entry's command or event.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub(super) struct Tag {
+    pub(super) session: Option<Arc<str>>,
+    pub(super) name: &'static str,
+}
+
+/// Numbers of entries.
+#[derive(Debug, Default)]
+pub(super) struct Counts(BTreeMap<Tag, u64>);
+
+impl Counts {
+    pub(super) fn add(&mut self, tag: Tag, entries: u64) {
+        let is_new = !self.0.contains_key(&tag);
+        let tag = if is_new && self.0.len() >= KINDS { Tag { session: None, name: OTHERS } } else { tag };
+        *self.0.entry(tag).or_default() += entries;
+    }
+
+    pub(super) fn take(&mut self) -> Self {
+        mem::take(self)
+    }
+
+    pub(super) fn merge(&mut self, other: Self) {
+        other.0.into_iter().for_each(|(tag, entries)| self.add(tag, entries));
+    }
+
+    pub(super) fn is_empty(&self) -> bool {
+        self.0.is_empty()
+    }
+
+    /// The counts of a line, by session.
+    pub(super) fn rows(&self) -> Vec<LostOf> {
+        let mut rows: Vec<LostOf> = Vec::new();
+        for (Tag { session, name }, &entries) in &self.0 {
+            let session = session.as_deref();
+            match rows.last_mut().filter(|row| row.session.as_deref() == session) {
+                Some(row) => _ = row.kinds.insert(name, entries),
+                None => {
+                    let session = session.map(str::to_owned);
+                    rows.push(LostOf { session, kinds: BTreeMap::from([(*name, entries)]) });
+                }
+            }
+        }
+        rows
+    }
+}
+
+/// A session of this daemon.
+#[derive(Clone, Debug)]
+pub struct Known {
+    /// As its last entry has it, with all that the record lost of it.
+    pub session: Session,
+    /// Lost entries that no line tells of yet.
+    pub pending: u64,
+    /// Its start or end is among them.
+    unnamed: bool,
+}
+
+/// See the module.
+#[derive(Debug, Default)]
+pub(super) struct Ledger {
+    lost: u64,
+    sessions: VecDeque<Known>,
+}
+
+impl Ledger {
+    /// Entries that were lost since the daemon's start.
+    pub(super) const fn lost(&self) -> u64 {
+        self.lost
+    }
+
+    pub(super) fn sessions(&self) -> impl Iterator<Item = &Known> {
+        self.sessions.iter()
+    }
+
+    /// Remembers the session whose start or end this is.
+    pub(super) fn see(&mut self, entry: &Entry) {
+        let Entry::Event { event, .. } = entry else { return };
+        match &**event {
+            Event::SessionStarted { session } => {
+                if self.sessions.len() == SESSIONS {
+                    self.sessions.pop_front();
+                }
+                let session = (**session).clone();
+                self.sessions.push_back(Known { session, pending: 0, unnamed: false });
+            }
+            Event::SessionEnded { session } => {
+                if let Some(known) = self.of(&session.id) {
+                    let Session { lost, plays_lost, .. } = known.session;
+                    known.session = Session { lost, plays_lost, ..(**session).clone() };
+                }
+            }
+            _ => {}
+        }
+    }
+
+    fn of(&mut self, id: &str) -> Option<&mut Known> {
+        self.sessions.iter_mut().rev().find(|known| known.session.id == id)
+    }
+
+    /// An entry is lost.
+    pub(super) fn lose(&mut self, tag: &Tag) {
+        self.lost += 1;
+        if let Some(known) = tag.session.as_deref().and_then(|id| self.of(id)) {
+            known.session.lost += 1;
+            known.session.plays_lost += u64::from(tag.name == END_OF_PLAY);
+        }
+        self.pend(tag, 1);
+    }
+
+    fn pend(&mut self, tag: &Tag, entries: u64) {
+        if let Some(known) = tag.session.as_deref().and_then(|id| self.of(id)) {
+            known.pending += entries;
+            known.unnamed |= matches!(tag.name, "session-started" | "session-ended");
+        }
+    }
+
+    /// A line tells of these. Returns the sessions of which it has to tell all, because their start or end is among them.
+    pub(super) fn report(&mut self, counts: &Counts) -> Vec<Session> {
+        let mut unnamed = Vec::new();
+        for (tag, &entries) in &counts.0 {
+            if let Some(known) = tag.session.as_deref().and_then(|id| self.of(id)) {
+                known.pending = known.pending.saturating_sub(entries);
+                if mem::take(&mut known.unnamed) {
+                    unnamed.push(known.session.clone());
+                }
+            }
+        }
+        unnamed
+    }
+
+    /// That line is lost, too.
+    pub(super) fn take_back(&mut self, counts: &Counts) {
+        counts.0.iter().for_each(|(tag, &entries)| self.pend(tag, entries));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn event(event: Event) -> Entry {
+        Entry::of(&event, None).unwrap()
+    }
+
+    #[test]
+    fn what_is_lost_is_counted_by_session_and_kind_until_a_line_tells_of_it() {
+        let mut ledger = Ledger::default();
+        let session = |plays, reason: Option<&str>| {
+            let reason = reason.map(str::to_owned);
+            Box::new(Session { id: "a".to_owned(), plays, reason, ..Session::default() })
+        };
+        ledger.see(&event(Event::SessionStarted { session: session(0, None) }));
+        let tag = |name| Tag { session: Some("a".into()), name };
+        let mut counts = Counts::default();
+        for tag in [tag("ended"), tag("began"), tag("ended"), Tag { session: None, name: "stop" }] {
+            ledger.lose(&tag);
+            counts.add(tag, 1);
+        }
+        ledger.see(&event(Event::SessionEnded { session: session(5, Some("request")) }));
+        let known = ledger.sessions().next().unwrap();
+        let told = (known.session.plays, known.session.lost, known.session.plays_lost, known.pending);
+        assert_eq!((told, ledger.lost()), ((5, 3, 2, 3), 4));
+        let rows: Vec<_> = counts.rows().into_iter().map(|row| (row.session, row.kinds)).collect();
+        let of = |kinds: &[(&'static str, u64)]| kinds.iter().copied().collect::<BTreeMap<_, _>>();
+        assert_eq!(
+            rows,
+            [(None, of(&[("stop", 1)])), (Some("a".to_owned()), of(&[("began", 1), ("ended", 2)]))]
+        );
+        assert!(ledger.report(&counts).is_empty(), "its start and end have lines");
+        let pending = |ledger: &Ledger| ledger.sessions().next().unwrap().pending;
+        assert_eq!((pending(&ledger), ledger.sessions().next().unwrap().session.lost), (0, 3));
+        ledger.take_back(&counts);
+        assert_eq!(pending(&ledger), 3);
+        ledger.lose(&tag("session-ended"));
+        counts.add(tag("session-ended"), 1);
+        assert_eq!(ledger.report(&counts)[0].plays, 5);
+    }
+
+    #[test]
+    fn counts_and_sessions_are_bounded() {
+        let (mut ledger, mut counts) = (Ledger::default(), Counts::default());
+        for number in 0..2 * KINDS {
+            let id = number.to_string();
+            let session = Box::new(Session { id: id.clone(), ..Session::default() });
+            ledger.see(&event(Event::SessionStarted { session }));
+            counts.add(Tag { session: Some(id.into()), name: "ended" }, 1);
+        }
+        assert_eq!((ledger.sessions().count(), counts.0.len()), (SESSIONS, KINDS + 1));
+        assert_eq!(counts.0.values().sum::<u64>(), 2 * KINDS as u64);
+    }
+}

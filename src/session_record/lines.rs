@@ -1,0 +1,293 @@
+//! The lines of a record in the order of their numbers, whatever the dates of their files.
+//!
+//! A clock that is set back makes the daemon go on in an earlier file. Each file grows in order, so the files are merged by the number
+//! of their next lines. Lines of older daemons have no number: they come first, by the date of their file. A line that is there twice,
+//! in a copy of a file, is seen once.
+//!
+//! A line is read as JSON, whoever wrote it. For speed, a line as the daemon writes it is parsed only as far as its `event`.
+//!
+//! Bounds: one line of [`MAX_LINE`] for each file whose numbers overlap those of others; [`MAX_LISTED`] named problems.
+
+use super::days;
+use super::reader::RecordError;
+use crate::file::open_regular;
+use jiff::civil::Date;
+use meissner_api::MAX_LISTED;
+use serde::Deserialize;
+use std::borrow::Cow;
+use std::cmp::Reverse;
+use std::collections::BinaryHeap;
+use std::fs::{self, File};
+use std::io::{self, BufRead, BufReader};
+use std::path::{Path, PathBuf};
+
+/// The most bytes of a line: the longest event has 24 KiB, and escapes may lengthen it.
+pub(super) const MAX_LINE: usize = 256 << 10;
+/// The highest number: every JSON reader can hold it.
+pub(super) const MAX_NUMBER: u64 = (1 << 53) - 1;
+
+/// What tells a line's place and kind.
+#[derive(Debug, Deserialize, PartialEq, Eq)]
+pub(super) struct Head<'a> {
+    /// None: an older daemon wrote it.
+    #[serde(default)]
+    pub(super) number: Option<u64>,
+    #[serde(borrow)]
+    pub(super) event: Cow<'a, str>,
+}
+
+/// The head of a line; none: it is no entry.
+pub(super) fn head(line: &[u8]) -> Option<Head<'_>> {
+    let head = written(line).or_else(|| serde_json::from_slice(line).ok())?;
+    Some(Head { number: head.number.filter(|&number| number <= MAX_NUMBER), ..head })
+}
+
+/// The head of a line as the daemon writes it.
+fn written(line: &[u8]) -> Option<Head<'_>> {
+    let rest = line.strip_suffix(b"}")?.strip_prefix(b"{\"time\":\"")?;
+    let rest = rest.get(memchr::memchr(b'"', rest)?..)?.strip_prefix(b"\",\"monotonic_ns\":")?;
+    let (_, rest) = digits(rest)?;
+    let (number, rest) = match rest.strip_prefix(b",\"number\":") {
+        Some(rest) => digits(rest).map(|(number, rest)| (Some(number), rest))?,
+        None => (None, rest),
+    };
+    let rest = rest.strip_prefix(b",\"event\":\"")?;
+    let event = str::from_utf8(rest.get(..memchr::memchr(b'"', rest)?)?).ok()?;
+    (!event.contains('\\')).then_some(Head { number, event: event.into() })
+}
+
+fn digits(text: &[u8]) -> Option<(u64, &[u8])> {
+    let end = text.iter().position(|byte| !byte.is_ascii_digit())?;
+    let (number, rest) = text.split_at_checked(end)?;
+    Some((str::from_utf8(number).ok()?.parse().ok()?, rest))
+}
+
+/// Lines and files that cannot be read.
+#[derive(Debug, Default)]
+pub(super) struct Unreadable {
+    pub(super) count: u64,
+    listed: Vec<(Date, usize, String)>,
+}
+
+impl Unreadable {
+    fn add(&mut self, source: &Source, why: &str) {
+        self.count += 1;
+        if self.listed.len() < MAX_LISTED {
+            let (path, line) = (source.path.display(), source.line_number);
+            let place = if line == 0 { path.to_string() } else { format!("{path}:{line}") };
+            self.listed.push((source.day, line, format!("{place}: {why}")));
+        }
+    }
+
+    /// The first of them, by file and line.
+    pub(super) fn lines(mut self) -> Vec<String> {
+        self.listed.sort();
+        self.listed.into_iter().map(|(.., line)| line).collect()
+    }
+}
+
+/// What is read.
+pub(super) enum Seen<'a> {
+    Line(Head<'a>, &'a [u8]),
+    /// Something that cannot be read.
+    Unreadable,
+}
+
+/// A file of the record.
+#[derive(Debug)]
+pub(super) struct Source {
+    pub(super) day: Date,
+    pub(super) path: PathBuf,
+    file: Option<BufReader<File>>,
+    line: Vec<u8>,
+    line_number: usize,
+    /// The number of its line, or of the last one before it that has one.
+    key: u64,
+}
+
+impl Source {
+    /// Reads the next line that is an entry; `wrong` is told of the others. Returns whether there is one.
+    fn advance(&mut self, mut wrong: impl FnMut(&Self, &str)) -> bool {
+        if self.file.is_none() {
+            match open_regular(&self.path) {
+                Ok(file) => self.file = Some(BufReader::with_capacity(1 << 16, file)),
+                Err(error) => {
+                    wrong(self, &error.to_string());
+                    return false;
+                }
+            }
+        }
+        let Some(mut file) = self.file.take() else { return false };
+        loop {
+            self.line_number += 1;
+            match read_line(&mut file, &mut self.line) {
+                Ok(None) => return false,
+                Ok(Some(true)) if let Some(head) = head(&self.line) => {
+                    self.key = head.number.unwrap_or(self.key);
+                    self.file = Some(file);
+                    return true;
+                }
+                Ok(Some(_)) => wrong(self, "not a line of JSON"),
+                Err(error) => {
+                    wrong(self, &error.to_string());
+                    return false;
+                }
+            }
+        }
+    }
+
+    /// As before its first line.
+    fn rewind(&mut self) {
+        (self.file, self.line, self.line_number) = (None, Vec::new(), 0);
+    }
+}
+
+/// Reads a line without its end into `line`. Returns whether it is complete and short enough; none at the end of the file.
+fn read_line(file: &mut impl BufRead, line: &mut Vec<u8>) -> io::Result<Option<bool>> {
+    line.clear();
+    let (mut fits, mut any) = (true, false);
+    loop {
+        let piece = file.fill_buf()?;
+        if piece.is_empty() {
+            return Ok(any.then_some(false));
+        }
+        any = true;
+        let end = piece.iter().position(|&byte| byte == b'\n');
+        let part = piece.get(..end.unwrap_or(piece.len())).unwrap_or_default();
+        fits &= line.len() + part.len() <= MAX_LINE;
+        if fits {
+            line.extend_from_slice(part);
+        }
+        let used = end.map_or(piece.len(), |end| end + 1);
+        file.consume(used);
+        if end.is_some() {
+            return Ok(Some(fits));
+        }
+    }
+}
+
+/// Calls `see` with each whole line of the wanted files, in order; a line that it cannot read counts as unreadable.
+pub(super) fn each(
+    dir: &Path,
+    wanted: impl Fn(&Source) -> bool,
+    mut see: impl FnMut(Seen<'_>) -> bool,
+) -> Result<Unreadable, RecordError> {
+    let mut sources = sources(dir).map_err(|source| RecordError { dir: dir.to_owned(), source })?;
+    sources.retain(wanted);
+    let mut next = BinaryHeap::new();
+    for (index, source) in sources.iter_mut().enumerate() {
+        // Only its place among the others: few files are open at a time.
+        source.advance(|_, _| {});
+        source.rewind();
+        next.push(Reverse((source.key, source.day, index)));
+    }
+    let mut unreadable = Unreadable::default();
+    let mut last: (Option<u64>, Vec<u8>) = (None, Vec::new());
+    while let Some(Reverse((.., index))) = next.pop() {
+        let Some(source) = sources.get_mut(index) else { continue };
+        if source.file.is_some()
+            && let Some(head) = head(&source.line)
+        {
+            let is_copy = head.number.is_some() && head.number == last.0 && source.line == last.1;
+            if !is_copy {
+                last.0 = head.number;
+                last.1.clone_from(&source.line);
+                if !see(Seen::Line(head, &source.line)) {
+                    unreadable.add(source, "not a line of JSON");
+                    see(Seen::Unreadable);
+                }
+            }
+        }
+        let is_there = source.advance(|source, why| {
+            unreadable.add(source, why);
+            see(Seen::Unreadable);
+        });
+        if is_there {
+            next.push(Reverse((source.key, source.day, index)));
+        }
+    }
+    Ok(unreadable)
+}
+
+/// The files of the record, in the order of their dates.
+fn sources(dir: &Path) -> io::Result<Vec<Source>> {
+    let mut sources = Vec::new();
+    match fs::read_dir(dir) {
+        // Nothing was ever recorded.
+        Err(error) if error.kind() == io::ErrorKind::NotFound => {}
+        entries => {
+            for entry in entries? {
+                let entry = entry?;
+                let Some(day) = entry.file_name().to_str().and_then(days::day) else { continue };
+                let path = entry.path();
+                sources.push(Source { day, path, file: None, line: Vec::new(), line_number: 0, key: 0 });
+            }
+        }
+    }
+    sources.sort_unstable_by_key(|source| source.day);
+    Ok(sources)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_head_is_read_from_any_json() {
+        let of =
+            |line: &'static str| head(line.as_bytes()).map(|head| (head.number, head.event.into_owned()));
+        let ended = |number| Some((number, "ended".to_owned()));
+        for (line, wanted) in [
+            (r#"{"time":"x","monotonic_ns":1,"number":7,"event":"ended","a":[1]}"#, ended(Some(7))),
+            (r#"{"time":"x","monotonic_ns":1,"event":"ended"}"#, ended(None)),
+            (r#"{ "event" : "ended", "number" : 7, "time": "x", "monotonic_ns": 1 }"#, ended(Some(7))),
+            ("  {\"number\":null,\"event\":\"\\u0065nded\"}\r", ended(None)),
+            (r#"{"time":"x","monotonic_ns":1,"number":9007199254740993,"event":"ended"}"#, ended(None)),
+            (r#"{"time":"x","monotonic_ns":1,"number":7,"event":"ended""#, None),
+            (r#"{"number":"7","event":"ended"}"#, None),
+            (r#"{"number":7}"#, None),
+            ("[]", None),
+        ] {
+            assert_eq!(of(line), wanted, "{line}");
+        }
+    }
+
+    #[test]
+    fn files_are_merged_by_number_and_copies_are_seen_once() {
+        let dir = tempfile::tempdir().unwrap();
+        let line = |number: u64| format!("{{\"event\":\"e{number}\",\"number\":{number}}}\n");
+        let old = "{\"event\":\"old1\"}\n{\"event\":\"old2\"}\n";
+        let today = format!("{}{}no line\n{}", line(1), line(2), line(6));
+        for (day, text) in [
+            ("2026-11-21", old.to_owned()),
+            ("2026-11-22", today.clone()),
+            // The clock was set back by days, by years, and forwards again.
+            ("2026-11-20", line(3) + &line(4)),
+            ("1970-01-01", line(5)),
+            ("2026-11-23", line(7) + "{\"event\":\"an older daemon\"}\n" + &line(8)),
+            ("2027-01-01", today),
+        ] {
+            fs::write(dir.path().join(format!("{day}.jsonl")), text).unwrap();
+        }
+        let (mut events, mut wrong) = (Vec::new(), 0);
+        let unreadable = each(
+            dir.path(),
+            |_| true,
+            |seen| {
+                match seen {
+                    Seen::Line(head, _) => events.push(head.event.into_owned()),
+                    Seen::Unreadable => wrong += 1,
+                }
+                true
+            },
+        );
+        assert_eq!(
+            events,
+            ["old1", "old2", "e1", "e2", "e3", "e4", "e5", "e6", "e7", "an older daemon", "e8"]
+        );
+        let unreadable = unreadable.unwrap();
+        assert_eq!((wrong, unreadable.count), (2, 2));
+        let lines = unreadable.lines();
+        assert!(lines[0].ends_with("2026-11-22.jsonl:3: not a line of JSON"), "{lines:?}");
+    }
+}

@@ -1,0 +1,109 @@
+//! Careless systems: an open umask, too little memory, floods of refusals.
+
+use crate::harness::{Daemon, PROGRAM, TIMEOUT, directory, meissner, wait_until};
+use meissner_api::{Session, Status};
+use serde_json::{Value, json};
+use std::fs;
+use std::os::unix::fs::PermissionsExt;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+use std::time::Instant;
+
+fn below(dir: &Path, found: &mut Vec<PathBuf>) {
+    for entry in fs::read_dir(dir).unwrap() {
+        let path = entry.unwrap().path();
+        if path.is_dir() {
+            below(&path, found);
+        }
+        found.push(path);
+    }
+}
+
+/// Whatever the umask is, nobody else may change what the daemon makes.
+#[test]
+fn an_open_umask_opens_nothing() {
+    let mut command = Command::new("sh");
+    command.args(["-c", "umask 000; exec \"$0\" \"$@\"", PROGRAM]).stdin(Stdio::null());
+    let dir = directory();
+    let data = dir.path().join("data");
+    command.env("XDG_DATA_HOME", &data);
+    let log = fs::File::create(dir.path().join("log")).unwrap();
+    // The default directory of patterns.
+    let config = "# no patterns_dir\n";
+    let mut daemon = Daemon::launch(std::sync::Arc::clone(&dir), "mock", config, log, command);
+    daemon.wait_for_device();
+    let mut client = daemon.armed();
+    let pattern = dir.path().join("mine.toml");
+    crate::harness::write_pattern(
+        &pattern,
+        "mine",
+        "duration_s = 0.1\n[[drive]]\nmotor = 9\nfrequency_hz = 60.0\namplitude_um = 40.0\n",
+    );
+    daemon.meissner().arg("import").arg(&pattern).assert().success();
+    let target =
+        "name = \"mine\"\nshape = \"braille\"\ncharacter = \"b\"\ncenter_mm = [1.45, 1.45]\nreach_mm = 1.5\n";
+    let _: Value = client.put("/v1/targets/mine", target.to_owned()).unwrap();
+    let _: Value = client.post("/v1/sessions", &json!({"participant": "P07"})).unwrap();
+    let _: Value = client.post("/v1/play", &json!({"pattern": "mine", "labels": {"a": "b"}})).unwrap();
+    wait_until(|| {
+        let status: Status = client.get("/v1/status").unwrap();
+        status.play.is_none() && status.queued.is_empty()
+    });
+    let _: Session = client.post("/v1/sessions/running/end", &json!({})).unwrap();
+    daemon.end();
+    let mut found = Vec::new();
+    below(&data, &mut found);
+    below(&dir.path().join("state"), &mut found);
+    assert!(found.iter().any(|path| path.ends_with("patterns")) && found.len() > 4, "{found:?}");
+    for path in found {
+        let mode = fs::metadata(&path).unwrap().permissions().mode();
+        assert_eq!(mode & 0o022, 0, "{}: {mode:o}", path.display());
+    }
+}
+
+/// The daemon works, or it ends with exit 1 and one line: it never lives on without working.
+#[test]
+fn too_little_address_space_is_one_line_and_no_daemon() {
+    for mib in [96, 200, 400, 700] {
+        let dir = directory();
+        let mut command = Command::new("sh");
+        command.args([
+            "-c",
+            &format!("ulimit -v {}; exec \"$0\" daemon --device mock --no-record", mib << 10),
+            PROGRAM,
+        ]);
+        command.env("MEISSNER_SOCKET", dir.path().join("m.sock")).env_remove("RUST_LOG").stdin(Stdio::null());
+        let mut child = command.stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap();
+        let begun = Instant::now();
+        while child.try_wait().unwrap().is_none() {
+            assert!(begun.elapsed() < TIMEOUT, "{mib} MiB: it lives on");
+            std::thread::sleep(std::time::Duration::from_millis(10));
+        }
+        let output = child.wait_with_output().unwrap();
+        let said = String::from_utf8(output.stderr).unwrap();
+        assert_eq!((output.status.code(), said.lines().count()), (Some(1), 1), "{mib} MiB: {said}");
+        assert!(said.contains("address space") && said.contains("ulimit -v"), "{said}");
+    }
+}
+
+/// A client that is refused again and again does not fill the disk with the log; e-stops are all there.
+#[test]
+fn a_flood_of_refusals_is_bounded_in_the_log_and_counted() {
+    let daemon = Daemon::start();
+    let mut client = daemon.client();
+    let begun = Instant::now();
+    for round in 0..2000 {
+        assert!(client.post::<Value>("/v1/sessions/running/end", &json!({})).is_err());
+        if round % 100 == 0 {
+            meissner().env("MEISSNER_SOCKET", daemon.socket()).arg("estop").assert().success();
+        }
+    }
+    let log = daemon.wait_for_log("lines of the log were left out");
+    let lines =
+        |what: &str| log.lines().filter(|line| line.contains(what) && !line.contains("left out")).count();
+    // 200, and one a second.
+    let most = 201 + begun.elapsed().as_secs() as usize;
+    assert!((200..=most).contains(&lines("session-end by ")), "{}", lines("session-end by "));
+    assert_eq!(lines("estop by "), 20);
+    assert!(log.lines().any(|line| line.contains("were left out, of the kind: session-end by ")));
+}
