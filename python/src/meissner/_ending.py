@@ -8,7 +8,7 @@ a C call, or its program may catch `SystemExit`.
 Not here: a program that is killed, or whose client was opened outside of the main thread. The daemon's watch over silence
 (`_alive.py`) is for them. A handler or a descriptor that the program has set stays, and so does a signal that it ignores.
 
-Invariants: without anything open, the handlers are as they were. A forked child touches nothing that its parent has opened.
+Invariants: without anything open, the handlers are as they were, unless the end is under way. A forked child touches nothing that its parent has opened.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ def opened(each: Open) -> None:
 def closed(each: Open) -> None:
     """Takes note that this has ended."""
     _open.pop(id(each), None)
-    if not _open:
+    if not _open and not _signals.is_ending():
         _signals.leave()
 
 
@@ -136,19 +136,23 @@ class _Signals:
             os.close(pipe[1])  # The thread reads the end, and closes its own.
 
     def forget(self) -> None:
-        """In a forked child: the parent's signals and what it has opened are the parent's."""
+        """In a forked child: the parent's end and what it has opened are the parent's."""
         _open.clear()
+        self.ending_since = None
         if self._pipe is not None:
             os.close(self._pipe[0])
         self.leave()
 
+    def is_ending(self) -> bool:
+        """Whether the end is under way. A program that is still there long afterwards has decided otherwise."""
+        return self.ending_since is not None and time.monotonic() - self.ending_since < _SAME_END
+
     def _handle(self, number: int, frame: object) -> None:
+        if self.is_ending():
+            return
         if not _open:
             _die(number)
-        now = time.monotonic()
-        if self.ending_since is not None and now - self.ending_since < _SAME_END:
-            return
-        self.ending_since = now
+        self.ending_since = time.monotonic()
         self._released.clear()
         if self._pipe is not None:
             # Also where somebody else has the descriptor for signals.
