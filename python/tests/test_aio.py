@@ -78,7 +78,7 @@ def test_a_session_survives_a_break() -> None:
             async with m.session("P07", exclusive=True, seed=1) as session:
                 await asyncio.sleep(4.5)
                 with pytest.raises(errors.SessionExclusive):
-                    other.stop()
+                    other.play("pin-60", 0.05)
                 assert session.heartbeat_problem is None
             session = await m.session("P08")
             assert other.status().raw["session"]["id"] == session.id

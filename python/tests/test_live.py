@@ -173,7 +173,7 @@ def test_a_session_belongs_to_its_owner(m: meissner.Client, daemon: meissner.Dae
     ):
         play = m.play("pin-60", 0.1)
         with pytest.raises(errors.SessionExclusive, match="P07"):
-            other.stop()
+            other.play("pin-60", 0.05)
         with pytest.raises(errors.SessionRunning):
             m.session("P08")
         # The block waits for this play before it ends the session.
@@ -211,7 +211,7 @@ def test_an_owner_in_a_rest_break_stays_the_owner() -> None:
         with m.session("P07", exclusive=True):
             assert not released.wait(4.5)
             with pytest.raises(errors.SessionExclusive):
-                other.disarm()
+                other.play("pin-60", 0.05)
             m.play("pin-60", 0.1).wait()
         listener.join(10)
         assert not listener.is_alive()
@@ -395,5 +395,5 @@ def test_over_tcp_with_tokens() -> None:
                 with m.session("P07", exclusive=True):
                     assert m.play("pin-60", 0.05).wait().state == "done"
                     with meissner.connect(daemon.socket) as other, pytest.raises(errors.SessionExclusive):
-                        other.stop()
+                        other.play("pin-60", 0.05)
                     assert m.estop().state == "faulted"
