@@ -144,7 +144,9 @@ def test_a_dataset_that_is_there_keeps_its_files(m: meissner.Client, tmp_path: P
         m.play("pin-60", 0.05).wait()
     m.export_bids(session.id, tmp_path)
     assert (tmp_path / "README.md").read_text() == "kept"
-    assert (tmp_path / "participants.tsv").read_text() == "participant_id\tage\nsub-P01\t30\nsub-P02\tn/a\n"
+    assert (tmp_path / "participants.tsv").read_text() == (
+        "participant_id\tage\tmeissner_participant\nsub-P01\t30\tn/a\nsub-P02\tn/a\tP02\n"
+    )
     assert next(tmp_path.rglob("*_events.tsv")).name.endswith("_task-tactile_events.tsv")
 
 

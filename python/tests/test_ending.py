@@ -208,7 +208,9 @@ default = [signal.SIG_DFL] * 2
 
 
 def test_handlers_of_the_program_stay_and_ours_go_with_the_last_client(daemon: meissner.Daemon) -> None:
-    code = OTHERS + """
+    code = (
+        OTHERS
+        + """
 with armed():
     assert handlers() != default
     with meissner.connect(sys.argv[1]):
@@ -250,6 +252,7 @@ other.start(); other.join()
 assert threading.active_count() < 10
 ready()
 """
+    )
     with script(code, daemon.socket) as child:
         _, errors = child.communicate(timeout=PATIENT)
     assert (child.returncode, errors) == (0, "")
@@ -257,7 +260,9 @@ ready()
 
 def test_children_of_the_program_end_nothing_of_it(daemon: meissner.Daemon) -> None:
     """A forked child has a copy of the client, of its handlers and of the exit handlers."""
-    code = OTHERS + """
+    code = (
+        OTHERS
+        + """
 import warnings
 warnings.simplefilter("ignore")  # Python 3.12 warns of a fork beside threads.
 def job():
@@ -283,6 +288,7 @@ if __name__ == "__main__":
     assert not os.path.exists(folder)
     ready()
 """
+    )
     with script(code, daemon.socket) as child:
         _, errors = child.communicate(timeout=PATIENT)
     assert (child.returncode, errors) == (0, "")
