@@ -16,6 +16,7 @@ use crate::file::read_regular;
 use crate::session_record::Location;
 use array::RawArray;
 use firmware_protocol::limits::OnTimeLimits;
+use meissner_api::request::SILENCE_S;
 use meissner_array::pattern::AMPLITUDE_UM;
 use meissner_array::simulated::{LowerStop, SimulatedMotorsConfig, SimulatedMotorsError};
 use meissner_client::default_socket;
@@ -40,6 +41,8 @@ pub const MAX_LEASE_MS: f64 = 10_000.0;
 pub const LOGBOOK_DAYS: u32 = 400;
 /// The default of `session_silence_s`: an experiment that pauses between blocks still polls, and a dead one soon lets others act.
 const SESSION_SILENCE_S: f64 = 120.0;
+/// The default of `armed_silence_s`: longer than a break between blocks of an experiment, since older clients cannot say how long they are silent.
+const ARMED_SILENCE_S: f64 = 600.0;
 /// The longest time they can be kept, days.
 const MAX_LOGBOOK_DAYS: u32 = 36_500;
 /// The range of a participant's largest amplitude, um: as a pattern's.
@@ -74,6 +77,8 @@ pub struct Config {
     pub logbook: Option<Location>,
     /// How long the owner of an exclusive session may be silent before others may act, s.
     pub session_silence_s: f64,
+    /// How long a client may be silent that has armed and did not state it, s.
+    pub armed_silence_s: f64,
     /// What a participant may be exposed to.
     pub participant: ParticipantLimits,
     /// The settings of the streamer.
@@ -104,6 +109,7 @@ impl Default for Config {
             patterns: default_patterns(),
             logbook: keep(None, LOGBOOK_DAYS),
             session_silence_s: SESSION_SILENCE_S,
+            armed_silence_s: ARMED_SILENCE_S,
             participant: ParticipantLimits::default(),
             settings: Settings::default(),
             mock: SimulatedMotorsConfig::default(),
@@ -205,6 +211,7 @@ struct RawConfig {
     drift_limit_um: Option<f64>,
     end_stop_um: Option<f64>,
     session_silence_s: Option<f64>,
+    armed_silence_s: Option<f64>,
     participant: Option<Table<RawParticipant>>,
     array: Option<Table<RawArray>>,
     limits: Option<Table<RawLimits>>,
@@ -314,6 +321,8 @@ impl RawConfig {
         let session_silence_s = self.session_silence_s.unwrap_or(SESSION_SILENCE_S);
         let good = (0.1..=3600.0).contains(&session_silence_s);
         in_range("session_silence_s", session_silence_s, good, "0.1 to 3600 s")?;
+        let armed_silence_s = self.armed_silence_s.unwrap_or(ARMED_SILENCE_S);
+        in_range("armed_silence_s", armed_silence_s, SILENCE_S.contains(&armed_silence_s), "1 to 86400 s")?;
         let Table(participant) = self.participant.unwrap_or(Table(RawParticipant::default()));
         let participant = participant.check()?;
         let Table(mut mock) = self.mock.unwrap_or(Table(SimulatedMotorsConfig::default()));
@@ -352,6 +361,7 @@ impl RawConfig {
             patterns,
             logbook: keep(self.logbook_dir, logbook_days),
             session_silence_s,
+            armed_silence_s,
             participant,
             settings: Settings { lower_stop, ..settings },
             mock,

@@ -67,6 +67,8 @@ mod replay;
 mod report;
 /// The command `report`: its files, the same bytes again, places that cannot be written to.
 mod report_command;
+/// Rights at each use: a table over all routes, what is open when a right ends, silence that disarms, sessions that are over.
+mod rights;
 /// Targets and searches: a process of its own, its result and its end, what is refused.
 mod searches;
 /// Sequences: all or nothing, one receipt, scale and triggers; the command.

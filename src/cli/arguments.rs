@@ -54,9 +54,9 @@ pub(super) struct PlayOptions {
     /// Play without corrections from telemetry
     #[arg(long)]
     pub(super) open_loop: bool,
-    /// Refuse the play unless the session with this id runs
+    /// Refuse the play unless the session with this id runs [default: the session that this terminal has started]
     #[arg(long, value_name = "ID")]
-    pub(super) session: Option<String>,
+    session: Option<String>,
     /// Record the play as trial N
     #[arg(long, value_name = "N")]
     pub(super) trial: Option<u64>,
@@ -71,6 +71,11 @@ pub(super) struct PlayOptions {
 }
 
 impl PlayOptions {
+    /// The session that the play belongs to: the named one, or that of this terminal.
+    pub(super) fn session(&self) -> Option<String> {
+        self.session.clone().or_else(session_token::session)
+    }
+
     pub(super) fn labels(&self) -> BTreeMap<String, String> {
         self.labels.iter().cloned().collect()
     }

@@ -6,9 +6,10 @@
 //! Invariant: it exits with 0 only if the calibration of every requested motor was stored.
 
 use super::arguments::ClientOptions;
+use super::ending::Ending;
 use super::output::give;
 use super::progress::Progress;
-use super::{control, files, laser, text};
+use super::{control, files, laser, session_token, text};
 use crate::receipts::calibration_plan;
 use anyhow::{Result, bail};
 use clap::Args;
@@ -18,7 +19,6 @@ use meissner_client::Events;
 use meissner_stream::calibrate::{LengthUnit, TimeUnit, Units};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
-use std::sync::atomic::Ordering;
 use std::time::Duration;
 
 /// How long the daemon may take from a play's end to its fit.
@@ -73,21 +73,33 @@ pub(super) fn run(asked: &Calibrate) -> Result<ExitCode> {
     }
     if let Some(plan) = plan {
         let Calibrate { motor, repetitions, ref pulses, .. } = *asked;
-        let request = CalibrateRequest { motor, pulses: pulses.clone(), repetitions, laser: true };
+        let request = CalibrateRequest {
+            motor,
+            pulses: pulses.clone(),
+            repetitions,
+            laser: true,
+            session: session_token::session(),
+        };
         return laser::play(&request, asked.out.as_deref().unwrap_or(plan), &asked.options);
     }
     let out = asked.out.as_deref().map(files::beside).transpose()?;
     let Calibrate { motor, repetitions, ref pulses, .. } = *asked;
-    let request = CalibrateRequest { motor, pulses: pulses.clone(), repetitions, laser: false };
+    let request = CalibrateRequest {
+        motor,
+        pulses: pulses.clone(),
+        repetitions,
+        laser: false,
+        session: session_token::session(),
+    };
     let plan = calibration_plan(&request)?;
     let mut client = asked.options.client()?;
     let mut events = client.events()?;
-    let over = control::leave_on_interrupt()?;
-    let PlayAccepted { id, .. } = client.post("/v1/calibrate", &request)?;
+    let ending = Ending::listen(&asked.options)?;
+    let PlayAccepted { id, .. } = ending.order(|| client.post("/v1/calibrate", &request))?;
     let json = asked.options.output.json;
     let mut progress = Progress::new(Some(plan.duration_s()), json);
     control::follow(&mut client, &mut events, id, &mut progress)?;
-    over.store(true, Ordering::Relaxed);
+    ending.set_over();
     let measured = outcome(&mut events, id)?;
     let report: CalibrationReport = client.get("/v1/calibration")?;
     if let Some(out) = out {

@@ -6,6 +6,7 @@
 //! Invariant: no request is sent twice, except an e-stop.
 
 use super::arguments::{ClientOptions, Onset, PlayOptions, choice, positive};
+use super::ending::Ending;
 use super::output::{give, say};
 use super::progress::Progress;
 use super::text;
@@ -17,9 +18,8 @@ use meissner_client::{Client, ClientError, Events, HOME_TIMEOUT, escape};
 use serde_json::{Value, json};
 use std::io::{self, BufRead, IsTerminal, Read, Write};
 use std::path::Path;
-use std::process::{self, ExitCode};
-use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, mpsc};
+use std::process::ExitCode;
+use std::sync::mpsc;
 use std::thread;
 use std::time::{Duration, Instant};
 use tokio::signal::unix::{SignalKind, signal};
@@ -27,6 +27,8 @@ use tokio::signal::unix::{SignalKind, signal};
 /// How long to wait for the predicted response after a play. Long plays on a busy machine take longer; their receipt has
 /// it later.
 const PREDICTION_TIMEOUT: Duration = Duration::from_secs(1);
+/// How often a command that waits shows the daemon that it is there: the shortest silence that a client may state is 1 s.
+const SIGN_OF_LIFE: Duration = Duration::from_millis(250);
 
 #[derive(Debug, Args)]
 pub(super) struct Play {
@@ -46,7 +48,7 @@ pub(super) struct Play {
     fit: Fit,
     #[command(flatten)]
     play: PlayOptions,
-    /// Wait for the end and print the receipt; exit 1 if not all was played. Ctrl-C ends the waiting (exit 130), not the play
+    /// Wait for the end and print the receipt; exit 1 if not all was played. Ctrl-C, SIGTERM and SIGHUP stop the play (exit 130, 143, 129)
     #[arg(long)]
     wait: bool,
     #[command(flatten)]
@@ -149,16 +151,15 @@ pub(super) fn home(options: &ClientOptions) -> Result<ExitCode> {
     })
 }
 
-pub(super) fn arm(options: &ClientOptions, assume_rest: bool, checked: Option<String>) -> Result<ExitCode> {
+pub(super) fn arm(options: &ClientOptions, asked: ArmRequest) -> Result<ExitCode> {
     let mut client = options.client()?;
-    let asked = ArmRequest { assume_rest, checked };
     let status = match client.post("/v1/arm", &asked) {
         // Nothing was armed. On a terminal a person can look.
         Err(ClientError::Problem(problem))
             if problem.code == Code::LevelNotChecked.parts().0 && io::stdin().is_terminal() =>
         {
             let checked = Some(ask_level(&problem.detail)?);
-            client.post("/v1/arm", &ArmRequest { assume_rest, checked })
+            client.post("/v1/arm", &ArmRequest { checked, ..asked })
         }
         answer => answer,
     };
@@ -211,7 +212,7 @@ pub(super) fn play(play: &Play) -> Result<ExitCode> {
         late: play.play.late,
         replace: play.play.replace,
         open_loop: play.play.open_loop,
-        session: play.play.session.clone(),
+        session: play.play.session(),
         trial: play.play.trial,
         labels: play.play.labels(),
         scale: play.play.scale,
@@ -223,30 +224,14 @@ pub(super) fn play(play: &Play) -> Result<ExitCode> {
         return give(json, &played, || text::accepted(&played, &play.name));
     }
     let mut events = client.events()?;
-    let over = leave_on_interrupt()?;
-    let PlayAccepted { id, .. } = client.post("/v1/play", &request)?;
+    let ending = Ending::listen(&play.options)?;
+    let PlayAccepted { id, .. } = ending.order(|| client.post("/v1/play", &request))?;
     let mut progress = Progress::new(length(&mut client, &request)?, json);
     let receipt = follow(&mut client, &mut events, id, &mut progress)?;
-    over.store(true, Ordering::Relaxed);
+    ending.set_over();
     let receipt = with_prediction(&mut client, &mut events, receipt, PREDICTION_TIMEOUT);
     give(json, &receipt, || text::receipt(&receipt))?;
     Ok(if receipt.all_played() { ExitCode::SUCCESS } else { ExitCode::FAILURE })
-}
-
-/// Ends this process at Ctrl-C and prints that the play goes on, or, once the returned flag is set, that it is over.
-pub(super) fn leave_on_interrupt() -> Result<Arc<AtomicBool>> {
-    let over = Arc::new(AtomicBool::new(false));
-    let is_over = Arc::clone(&over);
-    on_interrupt(move || {
-        let hint = match is_over.load(Ordering::Relaxed) {
-            true => "the play is over: see `meissner receipt`",
-            false => "still playing: `meissner stop` ends it",
-        };
-        // If stderr is closed, there is no one to tell.
-        let _ = writeln!(io::stderr(), "{hint}");
-        process::exit(130);
-    })?;
-    Ok(over)
 }
 
 /// Calls `work` at every Ctrl-C from now on, on a thread of its own.
@@ -291,8 +276,19 @@ pub(super) fn follow(
     id: u64,
     progress: &mut Progress,
 ) -> Result<Receipt> {
+    let mut heard = Instant::now();
     let ended = loop {
-        let Some(event) = events.next(None)? else {
+        // Events are no sign of life of this command; a request is.
+        if heard.elapsed() >= SIGN_OF_LIFE {
+            heard = Instant::now();
+            // If the daemon is gone, the events end.
+            let _ = client.get::<Status>("/v1/status");
+        }
+        let event = match events.next(Some(SIGN_OF_LIFE)) {
+            Err(ClientError::Timeout { .. }) => continue,
+            event => event?,
+        };
+        let Some(event) = event else {
             bail!("the daemon ended while play {id} was running: see its log");
         };
         match event {

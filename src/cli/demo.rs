@@ -128,7 +128,8 @@ pub(super) fn run(seconds: f64, open_loop: bool, sensorless: bool, json: bool) -
     };
     let mut events = client.events()?;
     // Simulated pins begin at rest; with a lower stop arming seeks it.
-    let _: Status = client.post("/v1/arm", &ArmRequest { assume_rest: !sensorless, checked: None })?;
+    let _: Status =
+        client.post("/v1/arm", &ArmRequest { assume_rest: !sensorless, ..ArmRequest::default() })?;
     let receipt = play(&mut client, &mut events, &request, json)?;
     let receipt = control::with_prediction(&mut client, &mut events, receipt, PREDICTION_TIMEOUT);
     let report = report(&config, &hosted, &mut client, &request, &receipt, begun)?;

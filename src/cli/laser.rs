@@ -5,6 +5,7 @@
 //! Invariant: a plan is written only if every one of its bursts was played.
 
 use super::arguments::ClientOptions;
+use super::ending::Ending;
 use super::output::give;
 use super::progress::Progress;
 use super::{control, files, text};
@@ -22,7 +23,6 @@ use meissner_stream::calibrate::{
 use serde::Serialize;
 use std::path::Path;
 use std::process::ExitCode;
-use std::sync::atomic::Ordering;
 
 /// The plan's file if the command line names none.
 pub(super) const DEFAULT_PLAN: &str = "calibration-plan.json";
@@ -37,11 +37,11 @@ pub(super) fn play(request: &CalibrateRequest, out: &Path, options: &ClientOptio
     let mut client = options.client()?;
     let before: Status = client.get("/v1/status")?;
     let mut events = client.events()?;
-    let over = control::leave_on_interrupt()?;
-    let PlayAccepted { id, .. } = client.post("/v1/calibrate", request)?;
+    let ending = Ending::listen(options)?;
+    let PlayAccepted { id, .. } = ending.order(|| client.post("/v1/calibrate", request))?;
     let mut progress = Progress::new(Some(plan.duration_s()), options.output.json);
     let receipt = control::follow(&mut client, &mut events, id, &mut progress)?;
-    over.store(true, Ordering::Relaxed);
+    ending.set_over();
     let after: Status = client.get("/v1/status")?;
     let boot = |status: &Status| status.device.as_ref().map(|device| device.boot);
     let (Some(device), Some(onset)) = (&after.device, receipt.onset) else {

@@ -13,8 +13,10 @@ mod demo;
 mod discriminate;
 mod displacement;
 mod doctor;
+mod ending;
 mod export;
 mod files;
+mod gate;
 mod laser;
 mod library;
 mod live;
@@ -40,6 +42,7 @@ use crate::{log, search};
 use anyhow::{Result, anyhow};
 use arguments::{ClientOptions, Output, hours, measured, positive};
 use clap::{CommandFactory, Parser, Subcommand};
+use meissner_api::ArmRequest;
 use meissner_stream::device::Spec;
 use output::{is_broken_pipe, say};
 use std::env;
@@ -123,6 +126,13 @@ enum Command {
         /// Say who has looked at the pins and found them level: needed after they may have drifted; on a terminal the command asks
         #[arg(long, value_name = "NAME", requires = "assume_rest")]
         checked: Option<String>,
+        /// Disarm when no command or program of yours has asked the daemon for S seconds, 1 to 86400 [default: `armed_silence_s` of the
+        /// daemon's configuration]
+        #[arg(long, value_name = "S", allow_negative_numbers = true, value_parser = positive)]
+        silence: Option<f64>,
+        /// Let the motors stay armed however long nobody asks the daemon
+        #[arg(long, conflicts_with = "silence")]
+        unattended: bool,
         #[command(flatten)]
         options: ClientOptions,
     },
@@ -251,8 +261,9 @@ pub fn main() -> ExitCode {
         Err(error) => match error.downcast::<clap::Error>() {
             Ok(usage) => usage.format(&mut command()).exit(),
             Err(error) => {
+                let hint = session_token::hint(&error);
                 // If stderr is closed too, there is no one to tell.
-                let _ = writeln!(io::stderr(), "meissner: {error}");
+                let _ = writeln!(io::stderr(), "meissner: {error}{hint}");
                 ExitCode::FAILURE
             }
         },
@@ -274,7 +285,9 @@ fn run(command: Command) -> Result<ExitCode> {
         Command::Stop(options) => control::command(&options, "stop"),
         Command::Estop(options) => control::estop(&options),
         Command::Reset { force, options } => control::reset(&options, force),
-        Command::Arm { assume_rest, checked, options } => control::arm(&options, assume_rest, checked),
+        Command::Arm { assume_rest, checked, silence: silence_s, unattended, options } => {
+            control::arm(&options, ArmRequest { assume_rest, checked, silence_s, unattended })
+        }
         Command::Disarm(options) => control::command(&options, "disarm"),
         Command::Home(options) => control::home(&options),
         Command::Calibrate(asked) => calibrate::run(&asked),

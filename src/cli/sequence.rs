@@ -3,9 +3,11 @@
 //! Invariant: the request is sent once.
 
 use super::arguments::{ClientOptions, Onset};
-use super::control::{follow, leave_on_interrupt};
+use super::control::follow;
+use super::ending::Ending;
 use super::output::give;
 use super::progress::Progress;
+use super::session_token;
 use super::{files, text};
 use anyhow::{Context, Result, anyhow, bail};
 use clap::Args;
@@ -13,7 +15,6 @@ use meissner_api::{MAX_BODY, PlayAccepted, Receipt, SequenceRequest};
 use std::io::{self, Read};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
-use std::sync::atomic::Ordering;
 use std::time::Duration;
 
 /// How long the daemon may take to read the patterns of a sequence.
@@ -29,7 +30,8 @@ pub(super) struct Sequence {
     /// Stop the running play and clear the queue first
     #[arg(long)]
     replace: bool,
-    /// Wait for the end and print the receipt; exit 1 if not all was played. Ctrl-C ends the waiting (exit 130), not the sequence
+    /// Wait for the end and print the receipt; exit 1 if not all was played. Ctrl-C, SIGTERM and SIGHUP stop the sequence (exit 130,
+    /// 143, 129)
     #[arg(long)]
     wait: bool,
     #[command(flatten)]
@@ -42,18 +44,21 @@ pub(super) fn run(asked: &Sequence) -> Result<ExitCode> {
         (request.at_tick, request.at_ms, request.at_monotonic_ns) = Onset::keys(asked.at);
     }
     request.replace |= asked.replace;
+    request.session = request.session.or_else(session_token::session);
     let json = asked.options.output.json;
     let mut client = asked.options.client()?;
-    let mut events = if asked.wait { Some(client.events()?) } else { None };
-    let played: PlayAccepted = client.post_within(TIMEOUT, "/v1/sequence", &request)?;
+    let mut order = || client.post_within::<PlayAccepted>(TIMEOUT, "/v1/sequence", &request);
+    if !asked.wait {
+        let played = order()?;
+        return give(json, &played, || format!("play {}: {} items", played.id, request.items.len()));
+    }
+    let mut events = asked.options.client()?.events()?;
+    let ending = Ending::listen(&asked.options)?;
+    let played = ending.order(order)?;
     let id = played.id;
-    let Some(events) = &mut events else {
-        return give(json, &played, || format!("play {id}: {} items", request.items.len()));
-    };
-    let over = leave_on_interrupt()?;
     let mut progress = Progress::new(played.ordered_ms.map(|ms| ms / 1e3), json);
-    follow(&mut client, events, id, &mut progress)?;
-    over.store(true, Ordering::Relaxed);
+    follow(&mut client, &mut events, id, &mut progress)?;
+    ending.set_over();
     // The event has no items.
     let receipt: Receipt = client.get(&format!("/v1/plays/{id}"))?;
     give(json, &receipt, || text::receipt(&receipt))?;

@@ -4,12 +4,12 @@
 //! ends the session again.
 
 use super::arguments::{ClientOptions, label};
-use super::output::give;
+use super::output::{give, say};
 use super::{export, replay, session_token, text};
-use anyhow::Result;
+use anyhow::{Result, bail};
 use clap::Subcommand;
-use meissner_api::{self as api, SessionList, SessionRequest, SessionStarted};
-use meissner_client::escape;
+use meissner_api::{self as api, Code, SessionList, SessionRequest, SessionStarted};
+use meissner_client::{ClientError, escape};
 use serde_json::json;
 use std::io::{self, Write};
 use std::path::PathBuf;
@@ -44,6 +44,8 @@ pub(super) enum Session {
         #[command(flatten)]
         options: ClientOptions,
     },
+    /// Forget the session that this terminal has started; it goes on, and other commands of this terminal do not belong to it
+    Leave,
     /// List the recorded sessions, the oldest first
     List(ClientOptions),
     /// Export the recorded plays of a session as CSV, one row per stimulus; with --json as one document
@@ -80,6 +82,7 @@ pub(super) fn run(asked: &Session) -> Result<ExitCode> {
             start(options, &request)
         }
         Session::End { id, options } => end(options, id.as_deref()),
+        Session::Leave => leave(),
         Session::List(options) => list(options),
         Session::Export { id, output, options } => export::run(options, id, output.as_deref()),
         Session::Replay(asked) => replay::run(asked),
@@ -97,7 +100,7 @@ fn path(id: Option<&str>) -> String {
 fn start(options: &ClientOptions, request: &SessionRequest) -> Result<ExitCode> {
     let mut client = options.client()?;
     let started: SessionStarted = client.post("/v1/sessions", request)?;
-    let kept = session_token::keep(&started.token).inspect_err(|_| {
+    let kept = session_token::keep(&started.token, &started.id).inspect_err(|_| {
         client.set_token(Some(started.token.clone()));
         // Without the token it has no owner. If this fails, too, the silence opens it to others soon.
         let _ = client.post::<api::Session>(&format!("{}/end", path(Some(&started.id))), &json!({}));
@@ -122,9 +125,45 @@ fn start(options: &ClientOptions, request: &SessionRequest) -> Result<ExitCode> 
 }
 
 fn end(options: &ClientOptions, id: Option<&str>) -> Result<ExitCode> {
-    let ended: api::Session = options.client()?.post(&format!("{}/end", path(id)), &json!({}))?;
+    let mut client = options.client()?;
+    let own = session_token::session();
+    // Who names another session than this terminal's means that one.
+    let another = id.is_some() && own.is_some() && id != own.as_deref();
+    if another {
+        client.set_token(None);
+    }
+    match client.post::<api::Session>(&format!("{}/end", path(id)), &json!({})) {
+        Ok(ended) => {
+            if !another {
+                session_token::forget();
+            }
+            give(options.output.json, &ended, || text::session(&ended))
+        }
+        // It was ended elsewhere, or with its daemon. Another one may run, which must not end in its place.
+        Err(ClientError::Problem(problem))
+            if problem.code == Code::SessionRunning.parts().0 && own.is_some() =>
+        {
+            session_token::forget();
+            bail!(
+                "session {} of this terminal was over already, and this terminal has left it; nothing was ended",
+                own.unwrap_or_default()
+            )
+        }
+        Err(error) => Err(error.into()),
+    }
+}
+
+fn leave() -> Result<ExitCode> {
+    if std::env::var_os(session_token::VARIABLE).is_some() {
+        bail!("{} names the session: unset it", session_token::VARIABLE);
+    }
+    let said = match session_token::session() {
+        Some(session) => format!("left session {session}; `meissner status` shows whether it runs"),
+        None => "this terminal has no session".to_owned(),
+    };
     session_token::forget();
-    give(options.output.json, &ended, || text::session(&ended))
+    say(&said)?;
+    Ok(ExitCode::SUCCESS)
 }
 
 fn list(options: &ClientOptions) -> Result<ExitCode> {

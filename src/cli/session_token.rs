@@ -2,11 +2,14 @@
 //!
 //! `session start` keeps it in a file of the user's runtime directory, named after the terminal session (as of `getsid`). So the
 //! commands of this terminal are the owner, and those of another terminal of the same user are not. `MEISSNER_SESSION_TOKEN`
-//! replaces the file.
+//! replaces the file. The second line of the file is the session's id: plays of this terminal name it, so that none is filed under another
+//! session.
 //!
 //! Invariant: only the user may read the file.
 
 use anyhow::{Context, Result};
+use meissner_api::{Code, Problem};
+use meissner_client::ClientError;
 use nix::unistd::getsid;
 use std::env;
 use std::fs::{self, DirBuilder, OpenOptions};
@@ -26,15 +29,43 @@ fn file() -> Option<PathBuf> {
 
 /// The token, if there is one.
 pub(super) fn find() -> Option<String> {
-    let token = env::var(VARIABLE).ok().or_else(|| fs::read_to_string(file()?).ok())?;
+    let token = env::var(VARIABLE).ok().or_else(|| Some(kept()?.0))?;
     let token = token.trim();
     // The daemon makes tokens of hexadecimal digits; a header cannot hold anything.
     (!token.is_empty() && token.len() <= 64 && token.bytes().all(|b| b.is_ascii_alphanumeric()))
         .then(|| token.to_owned())
 }
 
-/// Keeps a token for the commands of this terminal. Returns where.
-pub(super) fn keep(token: &str) -> Result<PathBuf> {
+/// The session that this terminal has started, as far as its file tells.
+pub(super) fn session() -> Option<String> {
+    let (token, session) = kept()?;
+    // The variable may be another session's.
+    (find()? == token.trim()).then_some(session).filter(|session| !session.is_empty())
+}
+
+/// What the file holds: the token, and the session's id.
+fn kept() -> Option<(String, String)> {
+    let text = fs::read_to_string(file()?).ok()?;
+    let mut lines = text.lines().map(|line| line.trim().to_owned());
+    Some((lines.next()?, lines.next().unwrap_or_default()))
+}
+
+/// What to do where the daemon says that the session of this terminal is over.
+pub(super) fn hint(error: &anyhow::Error) -> &'static str {
+    let of_session = |problem: &Problem| problem.code == Code::SessionRunning.parts().0;
+    match error.downcast_ref::<ClientError>() {
+        Some(ClientError::Problem(problem)) if of_session(problem) && env::var_os(VARIABLE).is_some() => {
+            "; MEISSNER_SESSION_TOKEN names the session: unset it, or set it to another session's"
+        }
+        Some(ClientError::Problem(problem)) if of_session(problem) && kept().is_some() => {
+            "; `meissner session start` starts one, and after `meissner session leave` this terminal plays outside of its session"
+        }
+        _ => "",
+    }
+}
+
+/// Keeps the token of a session for the commands of this terminal. Returns where.
+pub(super) fn keep(token: &str, session: &str) -> Result<PathBuf> {
     let path =
         file().context("neither XDG_RUNTIME_DIR nor HOME is set: no file can keep the session's token")?;
     let dir = path.parent().unwrap_or(&path);
@@ -47,7 +78,7 @@ pub(super) fn keep(token: &str) -> Result<PathBuf> {
             _ => {}
         }
         let mut file = OpenOptions::new().write(true).create_new(true).mode(0o600).open(&next)?;
-        writeln!(file, "{token}")?;
+        write!(file, "{token}\n{session}\n")?;
         fs::rename(next, &path)
     };
     write().with_context(|| format!("{}: the session's token cannot be kept", path.display()))?;

@@ -13,8 +13,8 @@ use crate::receipts::{HOST_TIMEOUT, end_text};
 use comfy_table::presets::{NOTHING, UTF8_FULL};
 use comfy_table::{CellAlignment, Table};
 use meissner_api::{
-    BoardRecord, BoardStatus, ErrorSource, Event, ItemState, NO_DEVICE, ParticipantStatus, Receipt, Session,
-    Status,
+    ArmedStatus, BoardRecord, BoardStatus, ErrorSource, Event, ItemState, NO_DEVICE, ParticipantStatus,
+    Receipt, Session, Status,
 };
 use meissner_array::geometry::{COLUMNS, ROWS};
 use meissner_array::pattern::Drive;
@@ -85,6 +85,12 @@ pub(super) fn status(status: &Status) -> String {
         ("device", device),
         ("playing", play),
     ];
+    if let Some(ArmedStatus { by, left_s, .. }) = &status.armed {
+        let until = left_s.map_or("unattended, until `meissner disarm`".to_owned(), |left_s| {
+            format!("disarms in {left_s:.0} s unless a request comes")
+        });
+        lines.push(("armed by", format!("{by}; {until}")));
+    }
     if !status.queued.is_empty() {
         let waiting = status.queued.iter().map(|play| format!("{} of {}", play.id, play.pattern));
         lines.push(("queued", waiting.collect::<Vec<_>>().join(", ")));
@@ -265,6 +271,14 @@ pub(super) fn event(event: &Event) -> String {
         Event::SessionStarted { session } => format!("session: {} began", session_name(session)),
         Event::SessionReleased { session } => {
             format!("session: {session} is open to others, its owner was silent")
+        }
+        Event::Intervened { command, by, session } => {
+            format!("intervened: {command} by {by}, who does not own session {session}")
+        }
+        Event::OwnerSilent { by, silence_s } => {
+            format!(
+                "owner silent: nothing was heard for {silence_s} s since {by} armed; the motors are disarmed"
+            )
         }
         Event::SessionEnded { session } => format!("session: {} ended", session_name(session)),
         Event::Lost { events } => format!("lost: {events} events of the streamer"),

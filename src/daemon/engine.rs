@@ -11,8 +11,8 @@ use super::estop::{EStops, Origin};
 use super::names::Names;
 use super::network::{Gate, TokenStore};
 use super::state::{
-    Calibration, Commands, Connection, Exposure, LivePlays, Plays, Publisher, Reply, Searches, Sessions,
-    State, frame,
+    Armed, Calibration, Commands, Connection, Exposure, LivePlays, Plays, Publisher, Reply, Rights, Searches,
+    Sessions, State, frame,
 };
 use crate::receipts::refusal;
 use crate::session_record::{Peer, SessionRecord};
@@ -81,6 +81,8 @@ impl Engine {
             sessions: Sessions::default(),
             searches: Searches::default(),
             live: LivePlays::default(),
+            rights: Rights::default(),
+            armed: Armed::default(),
             settings,
         };
         Self {
@@ -108,6 +110,7 @@ impl Engine {
 
     /// With this gate for clients that come over the network.
     pub(super) fn with_gate(self, gate: Gate) -> Self {
+        self.lock().rights.set_tokens(Arc::clone(&gate.tokens));
         Self { gate: Arc::new(gate), ..self }
     }
 

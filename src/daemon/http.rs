@@ -17,11 +17,12 @@ use super::network;
 use super::page;
 use super::patterns::{self, SharedStore, find, import_place, json_response};
 use super::request_log::LoggedRequest;
+use super::right::Right;
 use super::runtime::computing;
 use super::search;
 use super::server::Ordered;
 use super::sessions;
-use super::state::frame;
+use super::state::{Caller, Silence, frame};
 use super::targets;
 use crate::doctor::check;
 use crate::receipts::{KEPT, calibration_plan};
@@ -264,6 +265,7 @@ async fn calibrate(
     let result = async {
         let request = CalibrateRequest::parse(&body::read_command(body).await?)?;
         logged.set_arguments(&request);
+        app.engine.lock().session_of_play(request.session.as_deref())?;
         let accepted = app.engine.calibrate(calibration_plan(&request)?, request.laser, peer).await?;
         logged.set_play(accepted.id);
         Ok((StatusCode::ACCEPTED, Json(accepted)))
@@ -320,8 +322,30 @@ async fn carry_out(app: &App, command: Command, timeout: Duration) -> Answer<Jso
     Ok(Json(app.engine.status()))
 }
 
-async fn stop(State(app): State<App>, Extension(peer): Extension<Peer>, body: Body) -> Answer<Json<Status>> {
-    simple_command(&app, peer, body, "stop", Command::Stop, TIMEOUT).await
+async fn stop(
+    State(app): State<App>,
+    Extension(caller): Extension<Caller>,
+    body: Body,
+) -> Answer<Json<Status>> {
+    make_safe(&app, &caller, body, "stop", Command::Stop).await
+}
+
+/// Carries out what everybody may do; the owner of an exclusive session learns who has done it.
+async fn make_safe(
+    app: &App,
+    caller: &Caller,
+    body: Body,
+    name: &'static str,
+    command: Command,
+) -> Answer<Json<Status>> {
+    let done = simple_command(app, caller.peer, body, name, command, TIMEOUT).await?;
+    let mut state = app.engine.lock();
+    if let Some(session) = state.sessions.foreign(caller.session()) {
+        let by = app.engine.names.client(caller.peer);
+        state.publish(&Event::Intervened { command: name.to_owned(), by, session });
+    }
+    drop(state);
+    Ok(done)
 }
 
 /// Orders the stop before it reads the body, which may hold anything. The acceptor may have ordered it already.
@@ -383,8 +407,13 @@ async fn arm(State(app): State<App>, Extension(peer): Extension<Peer>, body: Bod
                 app.engine.check_level()?;
             }
         }
-        let timeout = app.engine.seek_timeout();
-        carry_out(&app, Command::Arm { assume_rest: request.assume_rest }, timeout).await
+        let silence = match request.silence_s {
+            _ if request.unattended => Silence::Unattended,
+            Some(seconds) => Silence::For(Duration::from_secs_f64(seconds)),
+            None => Silence::Default,
+        };
+        app.engine.arm(request.assume_rest, silence, peer).await?;
+        Ok(Json(app.engine.status()))
     }
     .await;
     logged.result(result)
@@ -392,10 +421,10 @@ async fn arm(State(app): State<App>, Extension(peer): Extension<Peer>, body: Bod
 
 async fn disarm(
     State(app): State<App>,
-    Extension(peer): Extension<Peer>,
+    Extension(caller): Extension<Caller>,
     body: Body,
 ) -> Answer<Json<Status>> {
-    simple_command(&app, peer, body, "disarm", Command::Disarm, TIMEOUT).await
+    make_safe(&app, &caller, body, "disarm", Command::Disarm).await
 }
 
 /// Answers when the pins are at rest.
@@ -485,8 +514,9 @@ fn many_waiting(_: TryAcquireError) -> Problem {
     Problem::new(Code::TooManyClients, detail)
 }
 
-async fn events(State(app): State<App>, Extension(peer): Extension<Peer>) -> Answer<Response> {
-    let place = app.waiting_place(peer)?;
+/// The stream ends with the right of its client.
+async fn events(State(app): State<App>, Extension(right): Extension<Right>) -> Answer<Response> {
+    let place = app.waiting_place(right.caller.peer)?;
     let gone = || Problem::new(Code::ShuttingDown, "the daemon is ending: start it again");
     let (now, receiver) = app.engine.subscribe().ok_or_else(gone)?;
     // The place is held as long as the stream.
@@ -500,7 +530,8 @@ async fn events(State(app): State<App>, Extension(peer): Extension<Peer>) -> Ans
         };
         Some((frame, (receiver, place)))
     });
-    let all = stream::once(async { now }).chain(later).map(Ok::<_, Infallible>);
+    let ended = Box::pin(async move { right.ended().await });
+    let all = stream::once(async { now }).chain(later).take_until(ended).map(Ok::<_, Infallible>);
     let head = [(CONTENT_TYPE, "text/event-stream"), (CACHE_CONTROL, "no-cache")];
     Ok((head, Body::from_stream(all)).into_response())
 }

@@ -3,7 +3,8 @@
 //! A message goes under the engine's lock to the streamer ([`State::live_message`](super::state::State)); what became of it comes back as an
 //! event, and through a channel to the connection's task.
 //!
-//! Bounds: a connection takes a place among the clients that wait. Invariant: when the connection ends, the play ends.
+//! Bounds: a connection takes a place among the clients that wait. Invariants: when the connection ends, the play ends; a message changes
+//! nothing if its client may not operate at that moment.
 
 use super::body;
 use super::engine::{Engine, TIMEOUT, answer};
@@ -12,9 +13,9 @@ use super::play::trigger;
 use super::poses::Poses;
 use super::renderer::{PrepareError, Prepared, pose};
 use super::request_log::LoggedRequest;
+use super::right::Right;
 use super::runtime::computing;
 use super::search::find;
-use super::sessions::token;
 use super::state::{LivePlay, NewLive, Trial, Way};
 use crate::exposure::Vibration;
 use crate::session_record::Peer;
@@ -37,6 +38,7 @@ use meissner_design::Target;
 use meissner_stream::queues::{At, Command, Item, Play};
 use meissner_stream::time::HostInstant;
 use meissner_stream::{Bandwidth, Source};
+use std::convert::Infallible;
 use std::io;
 use std::pin::pin;
 use std::sync::Arc;
@@ -47,6 +49,8 @@ use tokio::time::timeout;
 
 /// How long a client may leave its answers unread.
 const UNREAD: Duration = Duration::from_secs(1);
+/// How soon a play is ended again whose end could not be ordered.
+const END_AGAIN: Duration = Duration::from_millis(100);
 /// Lines of JSON carried out before others have their turn.
 const LINES: usize = 16;
 
@@ -54,7 +58,6 @@ const LINES: usize = 16;
 pub(super) async fn start(
     State(app): State<App>,
     Extension(peer): Extension<Peer>,
-    headers: HeaderMap,
     body: Body,
 ) -> Answer<(StatusCode, Json<LiveAccepted>)> {
     let mut logged = LoggedRequest::new(&app.engine, "live", peer);
@@ -62,12 +65,11 @@ pub(super) async fn start(
         let mut request = LiveRequest::parse(&body::read_command(body).await?)?;
         request.session = app.engine.lock().session_of_play(request.session.as_deref())?;
         logged.set_arguments(&request);
-        let token = token(&headers).map(str::to_owned);
         let target = match &request.target {
             Some(target) => Some(find(&app, target).await?),
             None => None,
         };
-        let accepted = app.engine.start_live(&request, target, token, peer).await?;
+        let accepted = app.engine.start_live(&request, target, peer).await?;
         logged.set_play(accepted.id);
         Ok((StatusCode::ACCEPTED, Json(accepted)))
     }
@@ -80,7 +82,6 @@ impl Engine {
         self: &Arc<Self>,
         request: &LiveRequest,
         target: Option<Target>,
-        token: Option<String>,
         client: Peer,
     ) -> Result<LiveAccepted, Problem> {
         let (settings, surplus) = {
@@ -90,7 +91,7 @@ impl Engine {
         let options =
             StrokeOptions { scale: request.scale.unwrap_or(1.0), surplus, ..StrokeOptions::default() };
         let most_hz = request.most_hz();
-        let mut live = LivePlay::new(&request.drives, options, most_hz, token)?;
+        let mut live = LivePlay::new(&request.drives, options, most_hz)?;
         let prepared = match target {
             Some(target) => {
                 let (prepared, drives) = prepare(request, target).await?;
@@ -147,8 +148,14 @@ impl Engine {
         Ok(LiveAccepted { id, path })
     }
 
-    /// Carries out a message; returns the answer if there is one at once.
-    fn live_message(&self, id: u64, text: &[u8], received_at: HostInstant) -> Option<LiveAnswer> {
+    /// Carries out a message, if its client still may send it; returns the answer if there is one at once.
+    fn live_message(
+        &self,
+        right: &Right,
+        id: u64,
+        text: &[u8],
+        received_at: HostInstant,
+    ) -> Option<LiveAnswer> {
         let message = match LiveMessage::parse(text) {
             Ok(message) => message,
             Err(problem) => return Some(LiveAnswer::refused(LiveMessage::seq(text), problem)),
@@ -157,8 +164,23 @@ impl Engine {
             self.end_live(id);
             return None;
         }
-        let result = self.lock().live_message(id, &message, received_at);
+        let mut state = self.lock();
+        let allowed = state.check_right(&right.caller, right.access).map_err(|no| no.problem);
+        let result = allowed.and_then(|()| {
+            state.hear(&right.caller);
+            state.live_message(id, &message, received_at)
+        });
         result.err().map(|problem| LiveAnswer::refused(Some(message.seq), problem))
+    }
+
+    /// Ends a live play once the client of its connection may not move it any more. It goes on until it is dropped.
+    async fn end_with(&self, right: &Right, id: u64) -> Infallible {
+        let lost = right.ended().await;
+        loop {
+            // Again, if too many commands have waited.
+            self.lock().cancel_play(id, lost.cause);
+            tokio::time::sleep(END_AGAIN).await;
+        }
     }
 
     /// Ends a live play. If too many commands wait, its client counts as silent soon.
@@ -182,6 +204,7 @@ async fn prepare(request: &LiveRequest, target: Target) -> Result<(Prepared, Vec
 pub(super) async fn connect(
     State(app): State<App>,
     Extension(peer): Extension<Peer>,
+    Extension(right): Extension<Right>,
     key: Result<Path<String>, PathRejection>,
     headers: HeaderMap,
     websocket: Result<WebSocketUpgrade, WebSocketUpgradeRejection>,
@@ -201,7 +224,7 @@ pub(super) async fn connect(
         Ok(upgrade) if !speaks_lines => {
             let upgrade = upgrade.max_message_size(MAX_LIVE_MESSAGE).max_frame_size(MAX_LIVE_MESSAGE);
             Ok(upgrade.on_upgrade(move |socket| async move {
-                speak_websocket(&engine, id, socket, answers).await;
+                speak_websocket(&engine, &right, id, socket, answers).await;
                 engine.end_live(id);
                 drop(place);
             }))
@@ -209,7 +232,7 @@ pub(super) async fn connect(
         _ => {
             tokio::spawn(async move {
                 if let Ok(upgraded) = hyper::upgrade::on(request).await {
-                    let _ = speak_lines(&engine, id, TokioIo::new(upgraded), answers).await;
+                    let _ = speak_lines(&engine, &right, id, TokioIo::new(upgraded), answers).await;
                 }
                 engine.end_live(id);
                 drop(place);
@@ -225,15 +248,17 @@ pub(super) async fn connect(
 /// Carries messages and answers until the client closes the connection or the play is over.
 async fn speak_websocket(
     engine: &Engine,
+    right: &Right,
     id: u64,
     mut socket: WebSocket,
     mut answers: mpsc::Receiver<LiveAnswer>,
 ) {
+    let mut ends = pin!(engine.end_with(right, id));
     loop {
         let answer = tokio::select! {
             message = socket.recv() => match message {
-                Some(Ok(Message::Text(text))) => engine.live_message(id, text.as_bytes(), HostInstant::now()),
-                Some(Ok(Message::Binary(bytes))) => engine.live_message(id, &bytes, HostInstant::now()),
+                Some(Ok(Message::Text(text))) => engine.live_message(right, id, text.as_bytes(), HostInstant::now()),
+                Some(Ok(Message::Binary(bytes))) => engine.live_message(right, id, &bytes, HostInstant::now()),
                 Some(Ok(Message::Ping(_) | Message::Pong(_))) => None,
                 Some(Ok(Message::Close(_)) | Err(_)) | None => return,
             },
@@ -241,6 +266,7 @@ async fn speak_websocket(
                 Some(answer) => Some(answer),
                 None => return,
             },
+            never = &mut ends => match never {},
         };
         let Some(answer) = answer else { continue };
         let is_over = answer.ended.is_some();
@@ -256,10 +282,12 @@ async fn speak_websocket(
 /// The same in lines of JSON.
 async fn speak_lines(
     engine: &Engine,
+    right: &Right,
     id: u64,
     connection: impl AsyncRead + AsyncWrite,
     mut answers: mpsc::Receiver<LiveAnswer>,
 ) -> io::Result<()> {
+    let mut ends = pin!(engine.end_with(right, id));
     let connection = pin!(connection);
     let (mut from, mut to) = tokio::io::split(connection);
     // What was read, and how much of it is carried out.
@@ -271,7 +299,7 @@ async fn speak_lines(
         for _ in 0..LINES {
             let Some(length) = bytes[done..].iter().position(|&byte| byte == b'\n') else { break };
             let line = bytes[done..done + length].trim_ascii();
-            let answer = engine.live_message(id, line, HostInstant::now());
+            let answer = engine.live_message(right, id, line, HostInstant::now());
             answer.iter().for_each(|answer| write_line(answer, &mut out));
             done += length + 1;
         }
@@ -302,6 +330,7 @@ async fn speak_lines(
                 }
                 None => return Ok(()),
             },
+            never = &mut ends => match never {},
         }
         write(&mut to, &out).await?;
         if is_over {

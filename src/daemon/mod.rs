@@ -13,7 +13,8 @@
 //! - `stream`, `network`: a connection's socket; clients that come over the network, and their tokens.
 //! - `acceptor`: connections up to their first bytes, on a thread of its own.
 //! - `log_lines`, `request_log`, `status`: text and data for the log, the session record and clients.
-//! - `play`, `sequence`, `calibrate`, `connector`: begin plays, calibrate, open devices.
+//! - `right`: a client's right, for what outlives a request.
+//! - `arm`, `play`, `sequence`, `calibrate`, `connector`: arm, begin plays, calibrate, open devices.
 //! - `service`, `event_loop`: the service manager; the streamer's events.
 //! - `page`: the page in the browser.
 //! - `search_process`, `live_contrast`, `renderer`, `live`: processes that search; live plays, whose targets a thread renders.
@@ -23,6 +24,7 @@
 //! Invariant: before the daemon ends, it returns the pins, switches the motors off and removes its socket.
 
 mod acceptor;
+mod arm;
 mod body;
 mod calibrate;
 mod calibration;
@@ -52,6 +54,7 @@ mod predictor;
 mod reload;
 mod renderer;
 mod request_log;
+mod right;
 mod runtime;
 mod search;
 mod search_process;
@@ -168,7 +171,15 @@ impl Daemon {
         }
         engine.lock().exposure = Exposure::new(account);
         engine.lock().sessions.set_silence(Duration::from_secs_f64(config.session_silence_s));
+        engine.lock().armed.set_default(Duration::from_secs_f64(config.armed_silence_s));
         let engine = Arc::new(engine.with(record, realtime, bound.socket().to_owned()).with_gate(gate));
+        let changed = Arc::downgrade(&engine);
+        let tokens_changed = move || {
+            if let Some(engine) = changed.upgrade() {
+                engine.lock().rights_changed();
+            }
+        };
+        engine.gate.watch_tokens(tokens_changed).map_err(system("tokens' thread"))?;
         engine.load_calibration(None);
         let connector = connector::spawn(config.device.clone(), config.mock, Arc::clone(&engine))
             .map_err(system("connector's thread"))?;

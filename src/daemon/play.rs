@@ -126,6 +126,7 @@ impl State {
             ));
         }
         let id = add(&mut self.plays);
+        self.rights.add_play(id);
         let sent = self.send(Command::Play(Box::new(Play { id, ..play })), Some(id));
         if sent.is_err() {
             self.settle_play(id, false);

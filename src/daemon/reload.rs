@@ -93,6 +93,11 @@ fn apply(
         running.session_silence_s = new.session_silence_s;
         applied.push("`session_silence_s` at once".to_owned());
     }
+    if new.armed_silence_s != running.armed_silence_s {
+        engine.lock().armed.set_default(Duration::from_secs_f64(new.armed_silence_s));
+        running.armed_silence_s = new.armed_silence_s;
+        applied.push("`armed_silence_s` from the next `arm` on".to_owned());
+    }
     if new.participant != running.participant {
         engine.lock().exposure.set_limits(new.participant);
         running.participant = new.participant;

@@ -1,72 +1,77 @@
 //! Sessions over HTTP: the handlers, who may send which request, and the release of an exclusive session.
 //!
-//! [`guard`] runs before every handler that changes something, and the state checks again when the change is made, since a session
-//! may begin while a body arrives. The token travels as `Authorization: Bearer TOKEN`, or in the header `Meissner-Session` beside an
-//! access token.
+//! [`guard`] runs before every handler, and the state checks again when a change is made, since a session may begin, or a token be revoked,
+//! while a body arrives.
 //!
-//! Invariant: a request that the guard refuses changes nothing; it is recorded like any refused command.
+//! Invariant: a request that the guard refuses changes nothing; a change is recorded like any refused command.
 
 use super::body;
 use super::engine::Engine;
 use super::http::{Answer, App, ErrorResponse, path};
 use super::request_log::LoggedRequest;
+use super::right::{Answering, Right};
 use super::runtime::blocking;
-use super::state::{asked_by, no_session};
+use super::state::{Asker, Caller, NoRight, going_on, no_session};
 use crate::session_record::{Peer, keeps_text, reader};
 use crate::store::Store;
 use axum::Json;
 use axum::body::Body;
 use axum::extract::rejection::PathRejection;
 use axum::extract::{Extension, Path, Request, State};
-use axum::http::header::AUTHORIZATION;
-use axum::http::{HeaderMap, StatusCode, Uri};
+use axum::http::{StatusCode, Uri};
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
 use meissner_api::{
-    Code, MAX_LISTED, Method, Problem, RecordedPlay, Route, SESSION_HEADER, Session, SessionList,
-    SessionPlays, SessionRequest, SessionStarted, TOKEN_PREFIX, parse_empty,
+    Code, MAX_LISTED, Method, Problem, RecordedPlay, Route, Session, SessionList, SessionPlays,
+    SessionRequest, SessionStarted, parse_empty,
 };
+use meissner_stream::queues::Command;
 use std::collections::HashMap;
 use std::path::Path as FilePath;
 use std::sync::Arc;
 use std::time::Duration;
+use tracing::info;
 
 /// How long a reader of the record waits until the newest entries are written.
 const WRITTEN: Duration = Duration::from_secs(2);
 
-pub(super) fn token(headers: &HeaderMap) -> Option<&str> {
-    if let Some(token) = headers.get(SESSION_HEADER) {
-        return token.to_str().ok();
-    }
-    let token = headers.get(AUTHORIZATION)?.to_str().ok()?.strip_prefix("Bearer ")?;
-    (!token.starts_with(TOKEN_PREFIX)).then_some(token)
-}
-
-/// Notes that the owner is there; refuses what only the owner may do. Everyone may order an emergency stop, and create and revoke access
-/// tokens: the owner may hold the token that is to be revoked.
+/// Notes that the client is there; refuses what it may not do by its route, and ends what waits when its right ends.
 pub(super) async fn guard(
     State((app, route)): State<(App, Route)>,
-    Extension(peer): Extension<Peer>,
-    request: Request,
+    Extension(caller): Extension<Caller>,
+    mut request: Request,
     next: Next,
 ) -> Response {
+    let (access, peer) = (route.access(), caller.peer);
     let checked = {
         let mut state = app.engine.lock();
-        let token = token(request.headers());
-        let is_open = matches!(route, Route::EStop | Route::TokenCreate | Route::TokenRevoke);
-        if route.method() == Method::Get || is_open {
-            state.sessions.hear(token);
-            Ok(())
-        } else {
-            state.sessions.check_owner(token)
-        }
+        state.hear(&caller);
+        state.check_right(&caller, access)
     };
-    match checked {
-        Ok(()) => asked_by(token(request.headers()).map(str::to_owned), next.run(request)).await,
-        Err(problem) => {
-            let logged = LoggedRequest::new(&app.engine, route.command(), peer);
-            let refused: Answer<()> = logged.result(Err(ErrorResponse::from(problem)));
+    if let Err(NoRight { problem, .. }) = checked {
+        let refused = ErrorResponse::from(problem);
+        return if route.command() == Route::Status.command() {
             refused.into_response()
+        } else {
+            let logged = LoggedRequest::new(&app.engine, route.command(), peer);
+            logged.result(Err::<(), _>(refused)).into_response()
+        };
+    }
+    let _answering = Answering::new(&app.engine, &caller);
+    let right = Right::new(Arc::clone(&app.engine), caller.clone(), going_on(access));
+    request.extensions_mut().insert(right.clone());
+    let answer = Asker { caller, access }.ask(next.run(request));
+    // The others ask again when they make their change.
+    let waits = route.method() == Method::Get || route == Route::Home;
+    tokio::select! {
+        answer = answer => answer,
+        NoRight { problem, cause } = right.ended(), if waits => {
+            if route == Route::Home {
+                // It moves pins for a client that may not move them any more.
+                let _ = app.engine.lock().commands.send_unanswered(Command::Stop);
+                info!("homing was stopped: {cause}");
+            }
+            ErrorResponse(problem).into_response()
         }
     }
 }

@@ -50,6 +50,7 @@ impl Engine {
         Status {
             state: state.to_owned(),
             cause: cause.to_owned(),
+            armed: daemon.armed.status(),
             estops: self.estops.switch.newest(),
             position: position.to_owned(),
             device: receipts.device(),

@@ -242,6 +242,27 @@ pub enum Event {
         /// The session's id.
         session: String,
     },
+    /// A client that does not own the exclusive session has stopped the display or disarmed the motors, as everybody may.
+    #[schema(examples(json!({
+        "event": "intervened", "command": "disarm", "by": "bob (uid 1001, pid 99)", "session": "20261122T083000Z-9f3c"
+    })))]
+    Intervened {
+        /// `stop` or `disarm`.
+        command: String,
+        /// The client.
+        by: String,
+        /// The session's id.
+        session: String,
+    },
+    /// The daemon has heard nothing of the clients that use the motors for the stated time: it stops and disarms.
+    #[schema(examples(json!({"event": "owner-silent", "by": "ada (uid 1000, pid 4711)", "silence_s": 10.0})))]
+    OwnerSilent {
+        /// The client that armed last.
+        by: String,
+        /// The stated time, s.
+        #[schema(minimum = 1.0)]
+        silence_s: f64,
+    },
     /// A session has ended.
     #[schema(examples(json!({
         "event": "session-ended", "session": {
@@ -313,6 +334,8 @@ impl Event {
             Self::Calibrated { .. } => "calibrated",
             Self::SessionStarted { .. } => "session-started",
             Self::SessionReleased { .. } => "session-released",
+            Self::Intervened { .. } => "intervened",
+            Self::OwnerSilent { .. } => "owner-silent",
             Self::SessionEnded { .. } => "session-ended",
             Self::Search { .. } => "search",
             Self::Lost { .. } => "lost",

@@ -3,7 +3,8 @@
 //! The daemon writes these types and clients read them, so both sides agree by construction; serde gives each type its JSON
 //! form. How the bytes travel is not defined here. Modules, in the order of a call:
 //!
-//! - [`route`]: every route with its method, body, answer and error codes. The daemon builds its router from this table.
+//! - [`route`]: every route with its method, body, answer and error codes. The daemon builds its router from this table. [`access`]: who may
+//!   use it.
 //! - [`request`]: the bodies a client sends; [`PlayRequest::parse`] and its like name the key that is wrong.
 //! - [`session`]: whose plays are recorded together, and who owns the display meanwhile.
 //! - [`sequence`], [`trigger`]: sequences of patterns, and the trigger output, in requests and in receipts.
@@ -33,6 +34,7 @@
 // The examples of the longest schemas.
 #![recursion_limit = "256"]
 
+pub mod access;
 pub mod board;
 pub mod calibration;
 pub mod doctor;
@@ -89,16 +91,16 @@ pub use session::{
     Labels, MAX_ROWS, RecordedPlay, Session, SessionList, SessionPlays, SessionRequest, SessionStarted,
 };
 pub use status::{
-    ClockSample, DeviceInfo, ErrorSource, MotorStatus, NO_DEVICE, ParticipantStatus, PlayAccepted,
-    QueuedPlay, Realtime, RunningPlay, Status,
+    ArmedStatus, ClockSample, DeviceInfo, ErrorSource, MotorStatus, NO_DEVICE, ParticipantStatus,
+    PlayAccepted, QueuedPlay, Realtime, RunningPlay, Status,
 };
 pub use target::{
     RemovedTarget, StoredTarget, TargetDetails, TargetFile, TargetList, TargetMotion, TargetPopulation,
     TargetSummary,
 };
 pub use token::{
-    MAX_TOKENS, NetworkStatus, PREFIX as TOKEN_PREFIX, Role, SESSION_HEADER, TokenCreated, TokenInfo,
-    TokenList, TokenRequest,
+    CLIENT_HEADER, MAX_TOKENS, NetworkStatus, PREFIX as TOKEN_PREFIX, Role, SESSION_HEADER, TokenCreated,
+    TokenInfo, TokenList, TokenRequest,
 };
 pub use trigger::{TriggerRecord, TriggerRequest, TriggerShape};
 

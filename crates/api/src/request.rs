@@ -12,6 +12,7 @@ use serde::de::DeserializeOwned;
 use serde::{Deserialize, Deserializer, Serialize};
 use std::collections::BTreeMap;
 use std::convert::Infallible;
+use std::ops::RangeInclusive;
 use utoipa::ToSchema;
 use utoipa::openapi::schema::{ArrayBuilder, ObjectBuilder, Schema, Type};
 
@@ -146,10 +147,10 @@ pub(crate) fn check_onset(
     Ok(())
 }
 
-/// How to arm.
-#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+/// How to arm, and whether the motors may stay armed without this client.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
-#[schema(examples(json!({"assume_rest": true, "checked": "Ada"})))]
+#[schema(examples(json!({"assume_rest": true, "checked": "Ada", "silence_s": 10.0})))]
 pub struct ArmRequest {
     /// Whether to take every pin as at rest: only after somebody has levelled them.
     #[serde(default, deserialize_with = "null_as_default")]
@@ -159,8 +160,18 @@ pub struct ArmRequest {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schema(min_length = 1, max_length = 100)]
     pub checked: Option<String>,
+    /// The daemon stops and disarms when it has heard nothing of this client for so long, s; without it `armed_silence_s` of the
+    /// configuration. Excludes `unattended`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schema(minimum = 1.0, maximum = 86_400.0)]
+    pub silence_s: Option<f64>,
+    /// Whether the motors may stay armed however long this client is silent.
+    #[serde(default, deserialize_with = "null_as_default", skip_serializing_if = "std::ops::Not::not")]
+    pub unattended: bool,
 }
 
+/// The range of `silence_s`, s: a client that sends a request each quarter of it is not taken for dead because its machine is busy.
+pub const SILENCE_S: RangeInclusive<f64> = 1.0..=86_400.0;
 /// Characters of `checked` at most.
 const MAX_NAME: usize = 100;
 
@@ -171,6 +182,13 @@ impl ArmRequest {
     /// A `bad-request` that names the key.
     pub fn parse(body: &[u8]) -> Result<Self, Problem> {
         let request: Self = read_or_default(body)?;
+        if let Some(silence_s) = request.silence_s {
+            if request.unattended {
+                return Err(bad("`silence_s` and `unattended` exclude each other: leave one out"));
+            }
+            let good = SILENCE_S.contains(&silence_s);
+            document::in_range("silence_s", silence_s, good, "1 to 86400 s").map_err(problem)?;
+        }
         match &request.checked {
             Some(_) if !request.assume_rest => {
                 Err(bad("`checked` goes with `assume_rest`: leave it out, or add \"assume_rest\": true"))
@@ -228,6 +246,9 @@ pub struct CalibrateRequest {
     /// telemetry. Without `pulses` and `repetitions` they are 7, 35, 42, ... 91 and 5.
     #[serde(default, deserialize_with = "null_as_default")]
     pub laser: bool,
+    /// The session that its client believes to be running: the daemon refuses another one, or none. A calibration belongs to no session.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub session: Option<String>,
 }
 
 fn pulses_schema() -> Schema {
@@ -420,6 +441,14 @@ mod tests {
         for name in ["", " ", &"x".repeat(101)] {
             let text = format!(r#"{{"assume_rest":true,"checked":"{name}"}}"#);
             assert!(checked(&text).unwrap_err().contains("in 1 to 100 characters"), "{name}");
+        }
+        let silence = |text: &str| ArmRequest::parse(text.as_bytes()).map_err(|problem| problem.detail);
+        assert_eq!(silence(r#"{"silence_s":1}"#).unwrap().silence_s, Some(1.0));
+        assert!(silence(r#"{"unattended":true}"#).unwrap().unattended);
+        assert!(silence(r#"{"silence_s":9,"unattended":true}"#).unwrap_err().contains("exclude each other"));
+        for text in ["0.9", "86401", "-1", "1e999", "\"5\""] {
+            let line = silence(&format!("{{\"silence_s\":{text}}}")).unwrap_err();
+            assert!(line.contains("silence_s") || line.contains("JSON"), "{text}: {line}");
         }
         assert!(ArmRequest::parse(br#"{"assume_rset":true}"#).unwrap_err().detail.contains("`assume_rest`"));
         let motor = CalibrateRequest::parse(br#"{"motor":256}"#).unwrap_err();

@@ -153,10 +153,13 @@ impl Operation {
 
 /// Every connection may be one too many, and every request over the network may be refused.
 const ANY: &[Code] = &[Code::Unauthorized, Code::Forbidden, Code::TooManyClients];
-/// Every body may be malformed, too large or too slow, or come from a client that may not act during an exclusive session.
-const BODY: &[Code] = &[Code::BadRequest, Code::TooLarge, Code::Slow, Code::SessionExclusive];
-/// A change without a body, which a client that may not act during an exclusive session cannot make.
-const CHANGE: &[Code] = &[Code::BadRequest, Code::SessionExclusive];
+/// Every body may be malformed, too large or too slow.
+const SENT: &[Code] = &[Code::BadRequest, Code::TooLarge, Code::Slow];
+/// It may also come from a client that may not act during an exclusive session, or whose session is over.
+const BODY: &[Code] =
+    &[Code::BadRequest, Code::TooLarge, Code::Slow, Code::SessionExclusive, Code::SessionRunning];
+/// A change without a body, which such a client cannot make.
+const CHANGE: &[Code] = &[Code::BadRequest, Code::SessionExclusive, Code::SessionRunning];
 /// Every command goes through the daemon's command queue to the device.
 const COMMAND: &[Code] = &[Code::NoDevice, Code::Timeout, Code::Busy, Code::ShuttingDown];
 /// Plays and sequences are patterns with an onset.
@@ -166,7 +169,6 @@ const PLAY: &[Code] = &[
     Code::Empty,
     Code::StaleBoot,
     Code::ParticipantLimit,
-    Code::SessionRunning,
     Code::BehindEndless,
     Code::TooSoon,
     Code::Overlaps,
@@ -321,13 +323,14 @@ impl Route {
                 parameter: Some("The key of the answer to `POST /v1/live`"),
                 statuses: &[(101, "The connection speaks the new protocol")],
                 answer: Answer::Json("LiveAnswer"),
-                errors: &[&[Code::BadRequest, Code::NotFound], ANY],
+                errors: &[CHANGE, &[Code::NotFound], ANY],
                 ..Operation::get("/v1/live/{key}")
             },
             Self::Stop => Operation {
                 summary: "Stop the running play and clear the queue",
-                description: "The device returns the pins to rest. The motors stay armed.",
-                errors: &[BODY, &[Code::Faulted, Code::Returning, Code::DeviceRefused], COMMAND, ANY],
+                description: "The device returns the pins to rest. The motors stay armed. Everybody who may operate may order it, also \
+                              during an exclusive session of another client; the event `intervened` then tells its owner.",
+                errors: &[SENT, &[Code::Faulted, Code::Returning, Code::DeviceRefused], COMMAND, ANY],
                 ..Operation::post("/v1/stop")
             },
             Self::EStop => Operation {
@@ -356,7 +359,8 @@ impl Route {
                 summary: "Enable the motors",
                 description: "With `assume_rest` the device takes every pin as at rest; without it, it must know where the pins are. If a \
                               pin may have drifted by more than 20 µm, `assume_rest` needs `checked`: who has looked at the \
-                              pins; but not if telemetry showed all pins until the motors were disarmed.",
+                              pins; but not if telemetry showed all pins until the motors were disarmed. The client states with `silence_s` or \
+                              `unattended` whether the motors may stay armed without it; `armed` in the status shows what is left.",
                 body: Body::OptionalJson("ArmRequest"),
                 errors: &[
                     BODY,
@@ -375,8 +379,9 @@ impl Route {
             },
             Self::Disarm => Operation {
                 summary: "Stop, return the pins to rest and switch the motors off",
-                description: "It takes precedence over commands that wait; those end with `returning`.",
-                errors: &[BODY, &[Code::Faulted, Code::Returning, Code::DeviceRefused], COMMAND, ANY],
+                description: "It takes precedence over commands that wait; those end with `returning`. Everybody who may operate may \
+                              order it, as for `POST /v1/stop`.",
+                errors: &[SENT, &[Code::Faulted, Code::Returning, Code::DeviceRefused], COMMAND, ANY],
                 ..Operation::post("/v1/disarm")
             },
             Self::Home => Operation {
@@ -593,22 +598,12 @@ impl Route {
                 summary: "Start a session",
                 description: "One session runs at a time, and every play meanwhile belongs to it. A client that sends \
                               `Authorization: Bearer TOKEN` with the answer's token is the owner. During an exclusive session every \
-                              other client may only read and order emergency stops. If the owner sends nothing for \
+                              other client may only read, stop and disarm, and order emergency stops. If the owner sends nothing for \
                               `session_silence_s` of the configuration, others may act; the session goes on.",
                 body: Body::Json("SessionRequest"),
                 statuses: &[(201, "Started")],
                 answer: Answer::Json("SessionStarted"),
-                errors: &[
-                    BODY,
-                    &[
-                        Code::Playing,
-                        Code::SessionRunning,
-                        Code::TooManyPlays,
-                        Code::ShuttingDown,
-                        Code::Store,
-                    ],
-                    ANY,
-                ],
+                errors: &[BODY, &[Code::Playing, Code::TooManyPlays, Code::ShuttingDown, Code::Store], ANY],
                 ..Operation::post("/v1/sessions")
             },
             Self::Sessions => Operation {
@@ -668,7 +663,8 @@ impl Route {
             Self::TokenRevoke => Operation {
                 method: Method::Delete,
                 summary: "Revoke an access token",
-                description: "It is not valid from the next request on. Only clients of the Unix socket may do this.",
+                description: "At once it is not valid any more: what its clients have open or waiting ends, also their plays. Only clients \
+                              of the Unix socket may do this.",
                 parameter: Some("The token's id"),
                 answer: Answer::Json("TokenInfo"),
                 errors: &[&[Code::BadRequest, Code::NotFound, Code::Store], ANY],

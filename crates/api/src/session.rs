@@ -42,7 +42,7 @@ pub struct SessionRequest {
     /// The seed of the experiment's random numbers. The daemon only records it.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub seed: Option<u64>,
-    /// Whether only this session's owner may change anything. Others may read and order emergency stops.
+    /// Whether only this session's owner may change anything. Others may read, stop, disarm, and order emergency stops.
     #[serde(default, deserialize_with = "crate::request::null_as_default")]
     pub exclusive: bool,
 }
@@ -83,7 +83,8 @@ pub(crate) fn check_labels(labels: &Labels) -> Result<(), Problem> {
 pub struct SessionStarted {
     /// The session's id: begins with its start in UTC, so ids sort by time.
     pub id: String,
-    /// The owner's secret for `Authorization: Bearer TOKEN`. Every request with it shows that the owner is there.
+    /// The owner's secret for `Authorization: Bearer TOKEN`. Every request with it shows that the owner is there. Once the session is
+    /// over, the daemon refuses changes with it.
     pub token: String,
     /// Why the daemon does not record the session now; null if it does.
     #[schema(required)]

@@ -186,10 +186,24 @@ pub struct ParticipantStatus {
     pub day_left_s: f64,
 }
 
+/// For whom the motors are armed, and whose silence disarms them.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
+#[schema(examples(json!({"by": "ada (uid 1000, pid 4711)", "silence_s": 10.0, "left_s": 7.4})))]
+pub struct ArmedStatus {
+    /// The client that armed last.
+    pub by: String,
+    /// The daemon stops and disarms when it has heard nothing for so long, s; null: never, the client allows that.
+    #[schema(required, minimum = 1.0)]
+    pub silence_s: Option<f64>,
+    /// What is left of that time unless a request comes, s; null: no end.
+    #[schema(required, minimum = 0.0)]
+    pub left_s: Option<f64>,
+}
+
 /// How the daemon and its device stand.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 #[schema(examples(json!({
-    "state": "armed", "cause": "request", "estops": 0, "position": "known",
+    "state": "armed", "cause": "request", "armed": {"by": "ada (uid 1000, pid 4711)", "silence_s": 10.0, "left_s": 7.4}, "estops": 0, "position": "known",
     "device": {
         "kind": "mock", "firmware": "0.1.0", "build": "6d656973", "boot": 305419896, "simulated": true, "telemetry": true
     },
@@ -226,6 +240,10 @@ pub struct Status {
     /// Why the device is in this state: `boot`, `request`, `stop`, `shutdown`, `abort`, `estop`, `lease` (the host watchdog
     /// ran out), `link-lost`, `new-host`, `starved`, `panic`, `watchdog`, `output` (PIO or DMA failed) or `no-device`.
     pub cause: String,
+    /// For whom the motors are armed, and until when without a sign of life; null while they are not armed, or from an older daemon.
+    #[serde(default)]
+    #[schema(required)]
+    pub armed: Option<ArmedStatus>,
     /// Emergency stops that were ordered since the daemon began.
     #[serde(default)]
     #[schema(required)]

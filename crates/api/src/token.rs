@@ -15,6 +15,8 @@ use utoipa::ToSchema;
 pub const PREFIX: &str = "mst_";
 /// The header of a session's token beside an access token.
 pub const SESSION_HEADER: &str = "meissner-session";
+/// The header for a name that a client gives itself, 1 to 64 of `A-Za-z0-9_-`: requests with the same name are signs of life of the same client.
+pub const CLIENT_HEADER: &str = "meissner-client";
 /// Tokens that are valid at the same time, at most.
 pub const MAX_TOKENS: usize = 100;
 

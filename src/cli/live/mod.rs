@@ -122,7 +122,7 @@ impl Live {
             late: self.play.late,
             replace: self.play.replace,
             open_loop: self.play.open_loop,
-            session: self.play.session.clone(),
+            session: self.play.session(),
             trial: self.play.trial,
             labels: self.play.labels(),
             trigger: self.play.trigger.request(),

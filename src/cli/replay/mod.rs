@@ -10,19 +10,19 @@
 //! as recorded; a signal or an error stops the display.
 
 mod compare;
-mod gate;
 mod plan;
 mod rows;
 
 use super::arguments::{ClientOptions, positive};
 use super::control::on_signals;
+use super::ending::SIGNALS;
 use super::export::TIMEOUT;
+use super::gate::Gate;
 use super::output::{give, say, say_json};
 use super::text;
 use anyhow::{Context, Result, anyhow, bail};
 use clap::Args;
 use compare::{MAX_LISTED, Onset, Skipped, Summary, compare};
-use gate::Gate;
 use meissner_api::{Code, PlayAccepted, Receipt, Status};
 use meissner_array::units::{TICKS_PER_MS, ticks_to_ms, ticks_to_seconds};
 use meissner_client::{Client, ClientError, escape};
@@ -35,7 +35,6 @@ use std::process::{self, ExitCode};
 use std::sync::Arc;
 use std::thread;
 use std::time::Duration;
-use tokio::signal::unix::SignalKind;
 
 /// Time from the last check to the first onset, ticks: 1 s.
 const START_AFTER: u64 = 1000 * TICKS_PER_MS;
@@ -370,8 +369,7 @@ fn stop(client: &mut Client) -> Result<Value, ClientError> {
 /// Stops the display at Ctrl-C, SIGTERM and SIGHUP, and ends this process: a replay must not go on unattended.
 fn stop_on_signals(options: &ClientOptions, gate: Arc<Gate>) -> Result<()> {
     let mut client = options.client()?;
-    let signals = [SignalKind::interrupt(), SignalKind::terminate(), SignalKind::hangup()];
-    on_signals(signals, move |number| {
+    on_signals(SIGNALS.map(|kind| kind()), move |number| {
         let said = match gate.stop(|| stop(&mut client)) {
             Ok(_) => "the replay has ended, and its play was stopped".to_owned(),
             Err(error) => format!("the replay has ended, but its play was not stopped: {error}"),

@@ -1,7 +1,7 @@
 //! Recognises an emergency stop by the first line of an HTTP request, and over the network checks its headers.
 
 use crate::daemon::network::{Gate, Head};
-use crate::session_record::NetworkPeer;
+use crate::session_record::{NetworkPeer, Peer};
 
 /// Length of a request line that is looked at, at most, bytes, with empty lines before it. The API's addresses are shorter.
 pub(super) const MAX_LINE: usize = 512;
@@ -41,7 +41,7 @@ pub(super) fn check(all: &[u8], client: NetworkPeer, gate: &Gate) -> Option<bool
         head.add(header.name, header.value);
     }
     // The server alone compares a host in the address with the `Host` header.
-    Some(path.starts_with('/') && gate.check(client, &head).is_ok())
+    Some(path.starts_with('/') && gate.check(Peer::network(client), &head).is_ok())
 }
 
 /// The path of a request's target, which may begin with a scheme and a host.

@@ -1,94 +1,30 @@
-//! Which requests over the network may pass: by host, origin, token and role.
+//! Which requests may pass: by host, origin, token and role.
 //!
 //! A page of another site can make a browser send requests. The `Host` header shows a name that was made to point here (DNS
 //! rebinding), and `Origin` and `Sec-Fetch-Site` show that another site's page has sent the request. So both are checked first. Then
-//! the request needs a token whose role allows it, unless it comes from this machine and the configuration asks for none.
+//! the request needs a token whose role allows it, unless it comes from this machine and the configuration asks for none. A token that is
+//! shown must be valid, and its role counts, wherever the request comes from.
 //!
-//! Invariant: [`Gate::check`] waits for nothing and uses no heap unless it refuses: the acceptor's real-time thread calls it.
+//! Invariant: [`Gate::check`] waits for nothing and uses no heap: the acceptor's real-time thread calls it.
 
+use super::head::{Head, Shown};
+use super::refresh::Refresher;
 use super::tokens::TokenStore;
 use crate::config::Listen;
 use crate::daemon::page;
-use crate::session_record::NetworkPeer;
-use meissner_api::{Code, NetworkStatus, Problem, Role};
+use crate::session_record::{NetworkPeer, Peer, TokenId};
+use meissner_api::access::Access;
+use meissner_api::{Code, NetworkStatus, Problem, Role, Route};
 use std::net::{IpAddr, Ipv6Addr};
 use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, OnceLock};
 
-/// What the gate looks at of a request. A header that occurs twice counts as malformed.
+/// A request that the gate lets through.
 #[derive(Clone, Copy, Debug, Default)]
-pub(in crate::daemon) struct Head<'a> {
-    pub(in crate::daemon) method: &'a str,
-    pub(in crate::daemon) path: &'a str,
-    pub(in crate::daemon) host: Option<&'a str>,
-    pub(in crate::daemon) origin: Option<&'a str>,
-    pub(in crate::daemon) fetch_site: Option<&'a str>,
-    pub(in crate::daemon) authorization: Option<&'a str>,
-    /// A proxy has passed the request on, so the client's machine is not known.
-    pub(in crate::daemon) forwarded: bool,
-    /// One of these headers occurs twice or is not plain text.
-    pub(in crate::daemon) malformed: bool,
-}
-
-impl<'a> Head<'a> {
-    /// Takes one header of the request.
-    pub(in crate::daemon) fn add(&mut self, name: &str, value: &'a [u8]) {
-        let is = |known: &str| name.eq_ignore_ascii_case(known);
-        let begins =
-            |start: &str| name.get(..start.len()).is_some_and(|begin| begin.eq_ignore_ascii_case(start));
-        let of_proxies =
-            ["forwarded", "via", "x-real-ip", "x-client-ip", "true-client-ip", "cf-connecting-ip"];
-        if begins("x-forwarded") || of_proxies.into_iter().any(is) {
-            self.forwarded = true;
-        }
-        let place = if is("host") {
-            &mut self.host
-        } else if is("origin") {
-            &mut self.origin
-        } else if is("sec-fetch-site") {
-            &mut self.fetch_site
-        } else if is("authorization") {
-            &mut self.authorization
-        } else {
-            return;
-        };
-        match std::str::from_utf8(value) {
-            Ok(value) if place.is_none() => *place = Some(value),
-            _ => self.malformed = true,
-        }
-    }
-
-    /// Takes the host in the request's address. The request is malformed if the header names another.
-    pub(in crate::daemon) fn compare_authority(&mut self, authority: &str) {
-        self.malformed |= !self.host.is_some_and(|host| host.eq_ignore_ascii_case(authority));
-    }
-
-    fn token(&self) -> Option<&'a str> {
-        let (scheme, token) = self.authorization?.split_once(' ')?;
-        scheme.eq_ignore_ascii_case("bearer").then_some(token)
-    }
-
-    /// What a client needs for this request.
-    fn needs(&self) -> Needs {
-        let reads = matches!(self.method, "GET" | "HEAD");
-        if page::is_file(self.method, self.path) {
-            Needs::Nothing
-        } else if self.path == "/v1/tokens" || self.path.starts_with("/v1/tokens/") {
-            Needs::Local
-        } else if reads {
-            Needs::Role(Role::Observe)
-        } else {
-            Needs::Role(Role::Operate)
-        }
-    }
-}
-
-#[derive(Clone, Copy, PartialEq, Eq)]
-enum Needs {
-    /// The page itself: it asks for the token.
-    Nothing,
-    /// The Unix socket.
-    Local,
-    Role(Role),
+pub(in crate::daemon) struct Checked<'a> {
+    /// The access token that it shows, which is valid.
+    pub(super) access: Option<TokenId>,
+    pub(super) shown: Shown<'a>,
 }
 
 /// See the module.
@@ -97,18 +33,26 @@ pub(in crate::daemon) struct Gate {
     listen: Option<Listen>,
     /// Why the daemon does not listen there.
     problem: Option<String>,
-    pub(in crate::daemon) tokens: TokenStore,
+    pub(in crate::daemon) tokens: Arc<TokenStore>,
+    /// Reads the tokens again that another daemon has changed; none where nothing listens.
+    pub(super) refresher: OnceLock<Refresher>,
     denied: AtomicU64,
 }
 
 impl Gate {
     /// The gate of a daemon that listens there, or has this problem.
-    pub(in crate::daemon) const fn new(
+    pub(in crate::daemon) fn new(
         listen: Option<Listen>,
         problem: Option<String>,
         tokens: TokenStore,
     ) -> Self {
-        Self { listen, problem, tokens, denied: AtomicU64::new(0) }
+        let (refresher, denied) = Default::default();
+        Self { listen, problem, tokens: Arc::new(tokens), refresher, denied }
+    }
+
+    /// Whether clients can come over the network.
+    pub(super) const fn listens(&self) -> bool {
+        self.listen.is_some()
     }
 
     /// Who can reach the daemon; none if nothing listens.
@@ -136,64 +80,101 @@ impl Gate {
         self.denied.fetch_add(1, Ordering::Relaxed);
     }
 
-    /// Decides about a request of this network client; returns the client with the id of its token.
-    pub(in crate::daemon) fn check(
-        &self,
-        client: NetworkPeer,
-        head: &Head<'_>,
-    ) -> Result<NetworkPeer, Refusal> {
+    /// Decides about a request of this client.
+    pub(in crate::daemon) fn check<'a>(&self, client: Peer, head: &Head<'a>) -> Result<Checked<'a>, Refusal> {
+        match client.network {
+            None => self.check_local(head),
+            Some(client) => self.check_network(client, head),
+        }
+    }
+
+    fn check_network<'a>(&self, client: NetworkPeer, head: &Head<'a>) -> Result<Checked<'a>, Refusal> {
         let Some(listen) = &self.listen else {
             return Err(Refusal(Code::Forbidden, "the daemon does not serve the network"));
         };
+        let shown = head.shown();
+        // Before anything else is looked at: of two hosts either may be the wrong one.
         if head.malformed {
-            let detail =
-                "a header occurs twice, is not plain text, or the address names another host: send it once";
-            return Err(Refusal(Code::BadRequest, detail));
+            return shown.map(|_| Checked::default());
         }
         if !head.host.is_some_and(|host| is_known(host, &listen.hosts)) {
             let detail = "the `Host` header names another host: use this machine's address, or add the name to `listen_hosts`";
             return Err(Refusal(Code::Forbidden, detail));
         }
         check_site(head)?;
-        let role = match head.needs() {
-            Needs::Local => {
-                let detail = "tokens are created and revoked on the daemon's machine: `meissner token`";
-                return Err(Refusal(Code::Forbidden, detail));
-            }
-            Needs::Nothing => return Ok(client),
-            Needs::Role(role) => role,
-        };
-        match head.token().and_then(|token| self.tokens.find(token)) {
-            Some((token, has)) if has == Role::Operate || role == Role::Observe => {
-                Ok(NetworkPeer { token: Some(token), ..client })
-            }
-            Some(_) => {
-                Err(Refusal(Code::Forbidden, "the token may only read: use one with the role `operate`"))
-            }
-            None if client.address.is_loopback() && !head.forwarded && !listen.always_token => Ok(client),
-            None => {
-                let detail = "send a valid token in the `Authorization: Bearer` header: `meissner token create` on the daemon's machine makes one";
-                Err(Refusal(Code::Unauthorized, detail))
-            }
+        // The page itself needs nothing: it asks for the token.
+        let Some(needs) = needs(head) else { return Ok(Checked::default()) };
+        let shown = shown?;
+        let access = self.find(&shown, needs)?;
+        if needs.local {
+            let detail = "tokens are created and revoked on the daemon's machine: `meissner token`";
+            return Err(Refusal(Code::Forbidden, detail));
         }
+        let is_trusted = client.address.is_loopback() && !head.forwarded && !listen.always_token;
+        if access.is_none() && !is_trusted {
+            let detail = "send a valid token in the `Authorization: Bearer` header: `meissner token create` on the daemon's machine makes one";
+            return Err(Refusal(Code::Unauthorized, detail));
+        }
+        Ok(Checked { access, shown })
     }
 
     /// Decides about a request on the Unix socket. `ssh -L` makes the socket a port of another machine, where a browser may reach it; so
     /// the gate refuses pages of other sites here, too. A host name with a dot may have been made to point to that port.
-    pub(in crate::daemon) fn check_local(&self, head: &Head<'_>) -> Result<(), Refusal> {
+    fn check_local<'a>(&self, head: &Head<'a>) -> Result<Checked<'a>, Refusal> {
         let hosts = self.listen.as_ref().map_or(&[][..], |listen| &listen.hosts);
         let is_public = head.host.is_some_and(|host| host.contains('.') && !is_known(host, hosts));
         if is_public {
             let detail = "the `Host` header names another host: use `localhost`";
             return Err(Refusal(Code::Forbidden, detail));
         }
-        check_site(head)
+        check_site(head)?;
+        let Some(needs) = needs(head) else { return Ok(Checked::default()) };
+        if Route::find(head.method, head.path) == Some(Route::EStop) {
+            // Everybody who reaches the socket may order it, and the acceptor has done so before it read any header.
+            let shown = head.shown().unwrap_or_default();
+            return Ok(Checked { access: None, shown });
+        }
+        let shown = head.shown()?;
+        Ok(Checked { access: self.find(&shown, needs)?, shown })
+    }
+
+    /// The access token that is shown, if there is one: it must be valid, and its role allow the request.
+    fn find(&self, shown: &Shown<'_>, needs: Access) -> Result<Option<TokenId>, Refusal> {
+        let Some(token) = shown.access else { return Ok(None) };
+        match self.tokens.find(token) {
+            Some((_, Role::Observe)) if needs.role == Role::Operate => Err(READS_ONLY),
+            Some((id, _)) => Ok(Some(id)),
+            None => Err(NOT_VALID),
+        }
     }
 }
 
+/// What a client needs for this request; none for a file of the page.
+fn needs(head: &Head<'_>) -> Option<Access> {
+    if page::is_file(head.method, head.path) {
+        return None;
+    }
+    // Whatever the method: a request about tokens that no route takes tells nothing either.
+    if head.path == "/v1/tokens" || head.path.starts_with("/v1/tokens/") {
+        return Some(Route::Tokens.access());
+    }
+    Some(
+        Route::find(head.method, head.path).map_or_else(|| Access::without_route(head.method), Route::access),
+    )
+}
+
+/// An access token that may only read.
+pub(in crate::daemon) const READS_ONLY: Refusal =
+    Refusal(Code::Forbidden, "the token may only read: use one with the role `operate`");
+/// An access token that is shown and not valid.
+pub(in crate::daemon) const NOT_VALID: Refusal = Refusal(
+    Code::Unauthorized,
+    "the access token is not valid: it was revoked, or is another daemon's; `meissner token create` on the daemon's machine makes one",
+);
+
 /// Why a request is refused. The acceptor drops it unread, so it costs no heap.
 #[derive(Clone, Copy, Debug)]
-pub(in crate::daemon) struct Refusal(Code, &'static str);
+pub(in crate::daemon) struct Refusal(pub(super) Code, pub(super) &'static str);
 
 impl From<Refusal> for Problem {
     fn from(Refusal(code, detail): Refusal) -> Self {
@@ -205,8 +186,8 @@ impl From<Refusal> for Problem {
 fn check_site(head: &Head<'_>) -> Result<(), Refusal> {
     let same_origin = head.origin.is_none_or(|origin| is_same_origin(origin, head.host));
     // A link on another site may lead to the page.
-    let same_site = head.needs() == Needs::Nothing
-        || head.fetch_site.is_none_or(|site| matches!(site, "same-origin" | "none"));
+    let same_site =
+        needs(head).is_none() || head.fetch_site.is_none_or(|site| matches!(site, "same-origin" | "none"));
     if same_origin && same_site {
         return Ok(());
     }
@@ -271,7 +252,8 @@ mod tests {
     }
 
     fn code(gate: &Gate, client: NetworkPeer, head: &Head<'_>) -> String {
-        gate.check(client, head).map_or_else(|refusal| Problem::from(refusal).code, |_| "ok".to_owned())
+        let checked = gate.check(Peer::network(client), head);
+        checked.map_or_else(|refusal| Problem::from(refusal).code, |_| "ok".to_owned())
     }
 
     #[test]
@@ -352,10 +334,9 @@ mod tests {
         ] {
             assert_eq!(with(far(), "GET", wrong), "unauthorized", "{wrong}");
         }
-        let id = gate
-            .check(far(), &head("GET", &[("Authorization", &format!("Bearer {observe}"))]))
-            .unwrap()
-            .token;
+        let bearer = format!("Bearer {observe}");
+        let headers = [("Authorization", bearer.as_str())];
+        let id = gate.check(Peer::network(far()), &head("GET", &headers)).unwrap().access;
         gate.tokens.revoke(&id.unwrap().to_string()).unwrap();
         assert_eq!(with(far(), "GET", &observe), "unauthorized");
         assert_eq!(with(far(), "GET", &operate), "ok");
@@ -384,15 +365,46 @@ mod tests {
     #[test]
     fn a_page_of_another_site_gets_nothing_through_a_forwarded_socket_either() {
         let (gate, _) = gate(false);
-        let is_let_in = |headers: &[(&str, &str)]| gate.check_local(&head("POST", headers)).is_ok();
+        let is_let_in =
+            |headers: &[(&str, &str)]| gate.check(Peer::local(1, 0), &head("POST", headers)).is_ok();
         for good in ["localhost:9000", "m", "localhost", "127.0.0.1:9000", "lab-pc.example"] {
             assert!(is_let_in(&[("Host", good)]), "{good}");
         }
-        assert!(gate.check_local(&Head { method: "POST", path: "/v1/arm", ..Head::default() }).is_ok());
+        let bare = Head { method: "POST", path: "/v1/arm", ..Head::default() };
+        assert!(gate.check(Peer::local(1, 0), &bare).is_ok());
         assert!(is_let_in(&[("Host", "localhost:9000"), ("Origin", "http://localhost:9000")]));
         assert!(!is_let_in(&[("Host", "localhost:9000"), ("Origin", "http://evil.example")]));
         assert!(!is_let_in(&[("Host", "localhost:9000"), ("Sec-Fetch-Site", "cross-site")]));
         assert!(!is_let_in(&[("Host", "evil.example:9000"), ("Origin", "http://evil.example:9000")]));
+    }
+
+    /// Also where none is needed; but nobody who reaches the socket is kept from an emergency stop.
+    #[test]
+    fn a_token_that_is_shown_must_be_valid_everywhere() {
+        let (gate, [observe, operate]) = gate(false);
+        let revoked = gate.tokens.create(Role::Operate, "x").unwrap();
+        gate.tokens.revoke(&revoked.info.id).unwrap();
+        let ask = |client: Peer, method: &str, path: &'static str, bearer: &str| {
+            let headers = [("Authorization", bearer)];
+            let asked = gate.check(client, &Head { path, ..head(method, &headers) }).map(|_| "ok".to_owned());
+            asked.unwrap_or_else(|refusal| Problem::from(refusal).code)
+        };
+        let session = format!("Bearer {}", "0".repeat(32));
+        for (client, estop) in [(Peer::network(LOCAL), "unauthorized"), (Peer::local(1, 0), "ok")] {
+            for wrong in
+                [&format!("Bearer {}", revoked.token), "Bearer mst_00", "Bearer x", "Basic dTpw", "Bearer"]
+            {
+                assert_eq!(ask(client, "GET", "/v1/status", wrong), "unauthorized", "{wrong}");
+                assert_eq!(ask(client, "POST", "/v1/disarm", wrong), "unauthorized", "{wrong}");
+                assert_eq!(ask(client, "POST", "/v1/estop", wrong), estop, "{wrong}");
+                assert_eq!(ask(client, "GET", "/", wrong), "ok", "the page asks for another one");
+            }
+            assert_eq!(ask(client, "POST", "/v1/arm", &session), "ok", "sessions are asked behind the gate");
+            assert_eq!(ask(client, "POST", "/v1/arm", &format!("Bearer {operate}")), "ok");
+            assert_eq!(ask(client, "POST", "/v1/arm", &format!("Bearer {observe}")), "forbidden");
+            assert_eq!(ask(client, "GET", "/v1/live/00", &format!("Bearer {observe}")), "forbidden");
+            assert_eq!(ask(client, "GET", "/v1/status", &format!("Bearer {observe}")), "ok");
+        }
     }
 
     #[test]

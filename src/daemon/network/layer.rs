@@ -1,15 +1,17 @@
 //! The gate in front of every route.
 
-use super::gate::{Gate, Head};
+use super::gate::{Checked, Gate, Refusal};
+use super::head::Head;
 use crate::daemon::body::read_command;
 use crate::daemon::http::ErrorResponse;
-use crate::session_record::Peer;
+use crate::daemon::state::Caller;
+use crate::session_record::{NetworkPeer, Peer};
 use axum::extract::{Request, State};
 use axum::http::header::{WWW_AUTHENTICATE, X_CONTENT_TYPE_OPTIONS};
 use axum::http::{HeaderName, HeaderValue, StatusCode};
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
-use meissner_api::{Code, Problem};
+use meissner_api::{Code, Problem, Route};
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -17,7 +19,7 @@ const CROSS_ORIGIN_RESOURCE_POLICY: HeaderName = HeaderName::from_static("cross-
 /// How long to wait for the body of a request that is refused.
 const BODY: Duration = Duration::from_millis(100);
 
-/// Refuses a request that the gate does not let through; gives network clients the id of their token.
+/// Refuses a request that the gate does not let through; tells the others' handlers who has sent it: a [`Caller`] and its [`Peer`].
 pub(in crate::daemon) async fn layer(
     State(gate): State<Arc<Gate>>,
     mut request: Request,
@@ -28,25 +30,20 @@ pub(in crate::daemon) async fn layer(
         let unknown = Problem::new(Code::Forbidden, "the daemon does not know where this request comes from");
         return ErrorResponse(unknown).into_response();
     };
-    let checked = {
-        let mut head =
-            Head { method: request.method().as_str(), path: request.uri().path(), ..Head::default() };
-        for (name, value) in request.headers() {
-            head.add(name.as_str(), value.as_bytes());
-        }
-        match peer.network {
-            None => gate.check_local(&head).map(|()| peer),
-            Some(network) => {
-                if let Some(authority) = request.uri().authority() {
-                    head.compare_authority(authority.as_str());
-                }
-                gate.check(network, &head).map(Peer::network)
-            }
-        }
-    };
+    let is_estop = Route::find(request.method().as_str(), request.uri().path()) == Some(Route::EStop);
+    if !is_estop && shows_access(&request) {
+        gate.refresh_tokens().await;
+    }
+    let mut checked = check(&gate, peer, &request);
+    // An emergency stop waits for the disk only where it would be refused: another daemon may have created its token.
+    if is_estop && checked.is_err() && shows_access(&request) {
+        gate.refresh_tokens().await;
+        checked = check(&gate, peer, &request);
+    }
     let refusal = match checked {
-        Ok(peer) => {
-            request.extensions_mut().insert(peer);
+        Ok(caller) => {
+            request.extensions_mut().insert(caller.peer);
+            request.extensions_mut().insert(caller);
             return with_headers(next.run(request).await);
         }
         Err(refusal) => Problem::from(refusal),
@@ -61,6 +58,29 @@ pub(in crate::daemon) async fn layer(
         response.headers_mut().insert(WWW_AUTHENTICATE, HeaderValue::from_static("Bearer"));
     }
     response
+}
+
+fn head(request: &Request) -> Head<'_> {
+    let mut head = Head { method: request.method().as_str(), path: request.uri().path(), ..Head::default() };
+    for (name, value) in request.headers() {
+        head.add(name.as_str(), value.as_bytes());
+    }
+    head
+}
+
+fn shows_access(request: &Request) -> bool {
+    head(request).shown().is_ok_and(|shown| shown.access.is_some())
+}
+
+/// Asks the gate about a request; returns who has sent it.
+fn check(gate: &Gate, peer: Peer, request: &Request) -> Result<Caller, Refusal> {
+    let mut head = head(request);
+    if let (Some(_), Some(authority)) = (peer.network, request.uri().authority()) {
+        head.compare_authority(authority.as_str());
+    }
+    let Checked { access, shown } = gate.check(peer, &head)?;
+    let network = peer.network.map(|network| NetworkPeer { token: access, ..network });
+    Ok(Caller::new(Peer { network, ..peer }, access, shown.session, shown.client))
 }
 
 /// Keeps pages of other sites from embedding an answer, and browsers from guessing its type.

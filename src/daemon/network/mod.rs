@@ -2,16 +2,19 @@
 //!
 //! [`listen`] binds the address of the configuration key `listen`; without it nothing listens. [`Gate::check`] decides about each
 //! request by its [`Head`]: the acceptor asks it before it orders an emergency stop, and [`layer`] asks it before every route.
-//! [`TokenStore`] holds the access tokens.
+//! [`TokenStore`] holds the access tokens, which daemons share that have one file; `refresh` reads again what another one has changed.
 //!
-//! Invariant: a request over the network reaches a handler only after the gate let it through.
+//! Invariant: a request reaches a handler only after the gate let it through.
 
 mod gate;
+mod head;
 mod layer;
+mod refresh;
 pub(super) mod routes;
 mod tokens;
 
-pub(super) use gate::{Gate, Head};
+pub(super) use gate::{Gate, NOT_VALID, READS_ONLY};
+pub(super) use head::Head;
 pub(super) use layer::layer;
 pub(super) use tokens::TokenStore;
 

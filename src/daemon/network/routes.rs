@@ -32,6 +32,7 @@ pub(in crate::daemon) async fn create(
 }
 
 pub(in crate::daemon) async fn list(State(app): State<App>) -> Json<TokenList> {
+    app.engine.gate.refresh_tokens().await;
     Json(TokenList { tokens: app.engine.gate.tokens.list() })
 }
 
@@ -44,7 +45,13 @@ pub(in crate::daemon) async fn revoke(
     let result = async {
         let id: String = path(id)?.chars().take(100).collect();
         logged.set_arguments(&json!({"id": id}));
-        Ok(Json(blocking(move || app.engine.gate.tokens.revoke(&id)).await??))
+        let revoked = blocking(move || {
+            let revoked = app.engine.gate.tokens.revoke(&id);
+            // Also if the file could not be written: the token is not valid any more.
+            app.engine.lock().rights_changed();
+            revoked
+        });
+        Ok(Json(revoked.await??))
     }
     .await;
     logged.result(result)

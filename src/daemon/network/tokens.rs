@@ -3,7 +3,11 @@
 //! A token holds 256 random bits, so its SHA-256 needs no salt and cannot be guessed. The store compares a token with all valid ones in
 //! constant time. The file is replaced whole or not at all, and only the daemon's user reads it.
 //!
-//! Invariant: a file that cannot be read lets no token in, and is not overwritten.
+//! Several daemons may have one file. Whoever changes it holds the lock of the file beside it (`.lock`), reads the file, changes that, and
+//! writes it; [`TokenStore::refresh`] takes over what others have written.
+//!
+//! Invariants: a file that cannot be read lets no token in, and is not overwritten; a token that was revoked here is never valid again,
+//! whatever the file says.
 
 use crate::daemon::calibration::utc_now;
 use crate::file::{self, read_regular};
@@ -11,20 +15,29 @@ use crate::session_record::TokenId;
 use crate::store::hexadecimal;
 use arc_swap::ArcSwap;
 use meissner_api::{Code, MAX_TOKENS, Problem, Role, TOKEN_PREFIX, TokenCreated, TokenInfo};
+use rustix::fs::{FlockOperation, flock};
+use rustix::io::Errno;
 use rustix::rand::{GetRandomFlags, getrandom};
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
-use std::fs;
+use std::fs::{self, File, Metadata, OpenOptions};
 use std::io;
+use std::os::unix::fs::{MetadataExt, OpenOptionsExt};
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::thread;
+use std::time::{Duration, Instant, SystemTime};
 use subtle::{Choice, ConditionallySelectable, ConstantTimeEq};
-use tracing::warn;
+use tracing::{info, warn};
 
 /// Characters of a token.
 const LENGTH: usize = TOKEN_PREFIX.len() + 64;
 /// The most bytes of the file.
 const MAX_FILE: u64 = 1 << 20;
+/// How long to wait for another daemon that changes the file: it holds the lock for milliseconds.
+const LOCKED: Duration = Duration::from_secs(2);
+/// A file that was changed so shortly before it was read may change again without a trace: file times have ticks of up to 10 ms.
+const SETTLED: Duration = Duration::from_millis(100);
 
 #[derive(Clone, Debug)]
 struct Token {
@@ -58,21 +71,89 @@ pub(in crate::daemon) struct TokenStore {
     /// Where tokens are kept; without it they end with the daemon.
     file: Option<PathBuf>,
     tokens: ArcSwap<Vec<Token>>,
-    /// Why the file is not used. Held while tokens change.
-    changing: Mutex<Option<String>>,
+    /// Held while tokens change.
+    changing: Mutex<Known>,
+}
+
+/// What is known of the file.
+#[derive(Debug, Default)]
+struct Known {
+    /// Why it is not used.
+    problem: Option<String>,
+    /// The file that was read last; none if it must be read again.
+    stamp: Option<Stamp>,
+    /// Tokens that were revoked here and may still be in the file, because it could not be written.
+    revoked: Vec<TokenId>,
+}
+
+/// Tells a file from another one, and from itself as it was before a change; all zero without a file.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+struct Stamp([i64; 8]);
+
+impl Stamp {
+    fn of(file: &Path) -> io::Result<Self> {
+        match fs::metadata(file) {
+            Ok(of) => Ok(Self([
+                of.dev().cast_signed(),
+                of.ino().cast_signed(),
+                of.size().cast_signed(),
+                of.mode().into(),
+                of.mtime(),
+                of.mtime_nsec(),
+                of.ctime(),
+                of.ctime_nsec(),
+            ])),
+            Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(Self::default()),
+            Err(error) => Err(error),
+        }
+    }
 }
 
 impl TokenStore {
     /// Reads the tokens of the file. A file that cannot be read is in the log, and no token is valid.
     pub(in crate::daemon) fn open(file: Option<PathBuf>) -> Self {
-        let (tokens, problem) = match file.as_deref().map_or(Ok(Vec::new()), read) {
-            Ok(tokens) => (tokens, None),
-            Err(problem) => {
-                warn!("{problem}: no access token is valid");
-                (Vec::new(), Some(problem))
+        let store = Self { file, tokens: ArcSwap::default(), changing: Mutex::default() };
+        store.refresh();
+        store
+    }
+
+    pub(super) const fn has_file(&self) -> bool {
+        self.file.is_some()
+    }
+
+    /// Reads the file if it has changed since it was read last. Returns whether other tokens are valid now. It waits for the disk.
+    pub(super) fn refresh(&self) -> bool {
+        self.refresh_known(&mut self.lock())
+    }
+
+    fn refresh_known(&self, known: &mut Known) -> bool {
+        let Some(file) = &self.file else { return false };
+        let stamp = Stamp::of(file).ok();
+        if stamp.is_some() && stamp == known.stamp {
+            return false;
+        }
+        let (tokens, problem) = match read(file) {
+            Ok(mut tokens) => {
+                tokens.retain(|token| !known.revoked.contains(&token.id));
+                (tokens, None)
             }
+            Err(problem) => (Vec::new(), Some(problem)),
         };
-        Self { file, tokens: ArcSwap::from_pointee(tokens), changing: Mutex::new(problem) }
+        if problem != known.problem {
+            match &problem {
+                Some(problem) => warn!("{problem}: no access token is valid"),
+                None => info!("{}: can be read again", file.display()),
+            }
+        }
+        // What was there before the reading, if it cannot have been changed during it.
+        known.stamp = stamp.filter(|_| is_settled(file));
+        known.problem = problem;
+        let valid = |of: &[Token]| {
+            of.iter().map(|token| (token.id, token.sha256, token.info.role)).collect::<Vec<_>>()
+        };
+        let changed = valid(&tokens) != valid(&self.tokens.load());
+        self.tokens.store(Arc::new(tokens));
+        changed
     }
 
     /// Makes what the first look-up of a thread needs on the heap.
@@ -97,6 +178,11 @@ impl TokenStore {
         Some((token.id, token.info.role))
     }
 
+    /// The role of the valid token with this id.
+    pub(in crate::daemon) fn role(&self, id: TokenId) -> Option<Role> {
+        self.tokens.load().iter().find(|token| token.id == id).map(|token| token.info.role)
+    }
+
     /// The valid tokens.
     pub(in crate::daemon) fn list(&self) -> Vec<TokenInfo> {
         self.tokens.load().iter().map(|token| token.info.clone()).collect()
@@ -119,8 +205,9 @@ impl TokenStore {
         );
         let info = TokenInfo { id: id.to_string(), role, name: name.to_owned(), created: utc_now() };
         let sha256 = Sha256::digest(&token).into();
-        let changing = self.lock()?;
-        let mut tokens = self.tokens.load().to_vec();
+        let mut known = self.lock();
+        let _locked = self.lock_file()?;
+        let mut tokens = self.current(&mut known)?;
         if tokens.len() >= MAX_TOKENS {
             let detail =
                 format!("there are {MAX_TOKENS} tokens already: revoke one with `meissner token revoke ID`");
@@ -130,45 +217,104 @@ impl TokenStore {
             return Err(Problem::new(Code::Exists, "the token's id is taken by chance: create it again"));
         }
         tokens.push(Token { id, sha256, info: info.clone() });
-        self.write(&tokens)?;
+        self.write(&mut known, &tokens)?;
         self.tokens.store(Arc::new(tokens));
-        drop(changing);
         Ok(TokenCreated { info, token })
     }
 
     /// Revokes a token, at once; then waits for the disk.
     pub(in crate::daemon) fn revoke(&self, id: &str) -> Result<TokenInfo, Problem> {
-        let changing = self.lock()?;
+        let mut known = self.lock();
+        let before = self.tokens.load_full();
+        // Another daemon may have created it.
+        self.refresh_known(&mut known);
         let mut tokens = self.tokens.load().to_vec();
-        let at = tokens.iter().position(|token| token.info.id == id);
-        let none =
-            || Problem::new(Code::NotFound, format!("there is no token {id}: see `meissner token list`"));
-        let revoked = tokens.remove(at.ok_or_else(none)?).info;
+        let found = tokens.iter().chain(before.iter()).find(|token| token.info.id == id).cloned();
+        let Some(Token { id: number, info: revoked, .. }) = found else {
+            return Err(match &known.problem {
+                Some(problem) => Problem::new(Code::Store, problem),
+                None => {
+                    Problem::new(Code::NotFound, format!("there is no token {id}: see `meissner token list`"))
+                }
+            });
+        };
         // For clients first: a full disk must not keep a token valid.
-        self.tokens.store(Arc::new(tokens.clone()));
-        self.write(&tokens).map_err(|problem| {
+        known.revoked.push(number);
+        tokens.retain(|token| token.id != number);
+        self.tokens.store(Arc::new(tokens));
+        let written = self.lock_file().and_then(|_locked| {
+            let tokens = self.current(&mut known)?;
+            self.write(&mut known, &tokens)
+        });
+        written.map_err(|problem| {
             let detail = format!("{}; token {id} is revoked until the daemon restarts", problem.detail);
             Problem::new(Code::Store, detail)
         })?;
-        drop(changing);
         Ok(revoked)
     }
 
-    /// Holds changes back; fails if the file is not used.
-    fn lock(&self) -> Result<MutexGuard<'_, Option<String>>, Problem> {
-        let problem = self.changing.lock().unwrap_or_else(PoisonError::into_inner);
-        match &*problem {
-            Some(problem) => Err(Problem::new(Code::Store, format!("{problem}, then restart the daemon"))),
-            None => Ok(problem),
+    /// Holds changes of this daemon back.
+    fn lock(&self) -> MutexGuard<'_, Known> {
+        self.changing.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Holds changes of other daemons back, until the file that it returns is closed.
+    fn lock_file(&self) -> Result<Option<File>, Problem> {
+        let Some(file) = &self.file else { return Ok(None) };
+        let path = file.with_added_extension("lock");
+        let bad = |error: io::Error| {
+            Problem::new(Code::Store, format!("{}: cannot be locked: {error}", path.display()))
+        };
+        let open = || {
+            fs::create_dir_all(file::dir_of(file))?;
+            OpenOptions::new().write(true).create(true).truncate(false).mode(file::PRIVATE).open(&path)
+        };
+        let lock = open().map_err(bad)?;
+        let until = Instant::now() + LOCKED;
+        loop {
+            match flock(&lock, FlockOperation::NonBlockingLockExclusive) {
+                Ok(()) => return Ok(Some(lock)),
+                Err(Errno::WOULDBLOCK | Errno::INTR) if Instant::now() < until => {
+                    thread::sleep(Duration::from_millis(2));
+                }
+                Err(Errno::WOULDBLOCK) => {
+                    let held = "another daemon holds the lock: try again";
+                    return Err(Problem::new(Code::Store, format!("{}: {held}", path.display())));
+                }
+                Err(error) => return Err(bad(error.into())),
+            }
         }
     }
 
-    fn write(&self, tokens: &[Token]) -> Result<(), Problem> {
+    /// The tokens of the file as it is now; fails if the file is not used.
+    fn current(&self, known: &mut Known) -> Result<Vec<Token>, Problem> {
+        self.refresh_known(known);
+        match &known.problem {
+            Some(problem) => Err(Problem::new(Code::Store, problem.clone())),
+            None => Ok(self.tokens.load().to_vec()),
+        }
+    }
+
+    fn write(&self, known: &mut Known, tokens: &[Token]) -> Result<(), Problem> {
         let Some(file) = &self.file else { return Ok(()) };
         let bad =
             |error| Problem::new(Code::Store, format!("{}: cannot be written: {error}", file.display()));
-        write(file, tokens).map_err(bad)
+        known.stamp = None;
+        write(file, tokens).map_err(bad)?;
+        // They are in no file any more.
+        known.revoked.clear();
+        Ok(())
     }
+}
+
+/// Whether a file was changed long enough ago for its next change to have another time.
+fn is_settled(file: &Path) -> bool {
+    let settled = |of: Metadata| {
+        let changed = of.modified().ok()?;
+        SystemTime::now().duration_since(changed).ok().map(|since| since >= SETTLED)
+    };
+    // Without a file any later one differs.
+    fs::metadata(file).map_or(true, |of| settled(of).unwrap_or(false))
 }
 
 fn read(file: &Path) -> Result<Vec<Token>, String> {
@@ -279,6 +425,73 @@ mod tests {
         assert!(line.contains("is revoked until the daemon restarts"), "{line}");
         assert!(store.find(&token.token).is_none() && store.create(Role::Operate, "y").is_err());
         assert!(store.list().is_empty());
+    }
+
+    /// What two daemons with one file do, as two stores.
+    #[test]
+    fn what_one_daemon_changes_holds_in_the_other() {
+        let dir = tempfile::tempdir().unwrap();
+        let file = dir.path().join("tokens.toml");
+        let [a, b] = [(); 2].map(|()| TokenStore::open(Some(file.clone())));
+        let first = a.create(Role::Operate, "first").unwrap();
+        let second = b.create(Role::Observe, "second").unwrap();
+        assert!(a.refresh() && !b.refresh());
+        assert_eq!(a.list(), [first.info.clone(), second.info.clone()]);
+        assert_eq!(a.list(), b.list());
+        a.revoke(&first.info.id).unwrap();
+        assert!(b.find(&first.token).is_some() && b.refresh() && b.find(&first.token).is_none());
+        // What was revoked stays so when the other one writes.
+        let third = b.create(Role::Operate, "third").unwrap();
+        a.refresh();
+        assert_eq!(a.list(), [second.info.clone(), third.info.clone()]);
+        // A token that only the other one has created.
+        let fourth = a.create(Role::Operate, "fourth").unwrap();
+        b.revoke(&fourth.info.id).unwrap();
+        assert!(a.refresh() && a.find(&fourth.token).is_none());
+        assert_eq!(TokenStore::open(Some(file.clone())).list(), [second.info, third.info]);
+        // A file that is gone, and one that cannot be read, let nothing in; a good one does again.
+        let text = fs::read_to_string(&file).unwrap();
+        fs::remove_file(&file).unwrap();
+        assert!(a.refresh() && a.list().is_empty());
+        fs::write(&file, "format = 9\n").unwrap();
+        a.refresh();
+        let line = a.create(Role::Operate, "x").unwrap_err().detail;
+        assert!(line.contains("format 9 is not known"), "{line}");
+        fs::write(&file, text).unwrap();
+        assert!(a.refresh() && a.list().len() == 2);
+    }
+
+    #[test]
+    fn daemons_that_create_at_the_same_time_lose_none() {
+        let dir = tempfile::tempdir().unwrap();
+        let file = dir.path().join("tokens.toml");
+        let made = thread::scope(|scope| {
+            let stores = [(); 4].map(|()| TokenStore::open(Some(file.clone())));
+            let create = |store: TokenStore| {
+                let made = (0..10).map(move |_| store.create(Role::Observe, "x").unwrap().info.id);
+                scope.spawn(|| made.collect::<Vec<_>>())
+            };
+            stores.map(create).map(|thread| thread.join().unwrap()).concat()
+        });
+        let kept: Vec<_> = TokenStore::open(Some(file)).list().into_iter().map(|info| info.id).collect();
+        assert_eq!(kept.len(), 40);
+        assert!(made.iter().all(|id| kept.contains(id)));
+    }
+
+    #[test]
+    fn a_lock_that_is_held_is_said() {
+        let dir = tempfile::tempdir().unwrap();
+        let file = dir.path().join("tokens.toml");
+        let [a, b] = [(); 2].map(|()| TokenStore::open(Some(file.clone())));
+        let token = a.create(Role::Operate, "x").unwrap();
+        let held = a.lock_file().unwrap();
+        let line = b.revoke(&token.info.id).unwrap_err().detail;
+        assert!(line.contains("tokens.toml.lock: another daemon holds the lock"), "{line}");
+        assert!(b.find(&token.token).is_none(), "it is revoked all the same");
+        drop(held);
+        assert!(!b.refresh() && b.find(&token.token).is_none(), "and stays so, although the file has it");
+        b.create(Role::Observe, "y").unwrap();
+        assert!(a.refresh() && a.find(&token.token).is_none(), "the next change writes it");
     }
 
     #[test]

@@ -38,8 +38,6 @@ pub(in crate::daemon) struct LivePlay {
     under_way: usize,
     /// Where poses of its target wait to be rendered; none for a play of drives.
     poses: Option<Arc<Poses>>,
-    /// The token of the session's owner, if its client has shown one: each message shows that the owner is there.
-    token: Option<String>,
     answers: Option<mpsc::Sender<LiveAnswer>>,
 }
 
@@ -60,7 +58,6 @@ impl LivePlay {
         drives: &[LiveDrive],
         options: StrokeOptions,
         most_hz: f64,
-        token: Option<String>,
     ) -> Result<Self, Problem> {
         let no_numbers =
             || Problem::new(Code::Store, "the system gives no random numbers for the key: try again");
@@ -81,7 +78,6 @@ impl LivePlay {
             scaled_by: 0,
             under_way: 0,
             poses: None,
-            token,
             answers: None,
         };
         new.set(drives)?;
@@ -280,7 +276,6 @@ impl State {
         received_at: HostInstant,
     ) -> Result<(), Problem> {
         let play = self.live.plays.get_mut(&id).ok_or_else(over)?;
-        self.sessions.hear(play.token.as_deref());
         if play.seq.is_some_and(|last| message.seq <= last) {
             let last = play.seq.unwrap_or(0);
             let detail =

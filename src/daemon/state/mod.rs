@@ -1,4 +1,4 @@
-//! The daemon's state: nine parts with one job each, behind the engine's one lock.
+//! The daemon's state: eleven parts with one job each, behind the engine's one lock.
 //!
 //! - [`Commands`]: commands to the streamer, and the calls that wait for their answers.
 //! - [`Plays`]: receipts, the clients of plays, and measured bursts.
@@ -7,6 +7,8 @@
 //! - [`Publisher`]: events to listeners and to the session record.
 //! - [`Exposure`]: the participant's vibration, and the limits for it.
 //! - [`Sessions`]: the running session, and who may act meanwhile.
+//! - [`Rights`]: under whose right plays were ordered, and what a client may do ([`Caller`]).
+//! - [`Armed`]: for whom the motors are armed, and whose silence disarms them.
 //! - [`Searches`]: the search that runs, and what others have found.
 //! - [`LivePlays`]: live plays, and the ways to their clients.
 //!
@@ -16,25 +18,31 @@
 //!
 //! Invariant: nothing here waits: the lock is held for microseconds.
 
+mod armed;
 mod calibration;
+mod caller;
 mod commands;
 mod connection;
 mod exposure;
 mod live;
 mod plays;
 mod publisher;
+mod rights;
 mod searches;
 mod session;
 
+pub(super) use armed::{Armed, Silence};
 pub(super) use calibration::Calibration;
+pub(super) use caller::{Asker, Caller};
 pub(super) use commands::{Commands, Reply};
 pub(super) use connection::{Connection, ConnectorMessage};
 pub(super) use exposure::Exposure;
 pub(super) use live::{LivePlay, LivePlays};
 pub(super) use plays::{NewLive, NewPlay, NewSequence, Plays, Trial, Way};
 pub(super) use publisher::{Publisher, frame};
+pub(super) use rights::{NoRight, Rights, going_on};
 pub(super) use searches::{Found, Searches};
-pub(super) use session::{Sessions, asked_by, no_session};
+pub(super) use session::{Sessions, no_session};
 
 use crate::receipts::{NoPrediction, refusal, state_name};
 use firmware_protocol::message::State as DeviceState;
@@ -59,6 +67,8 @@ pub(super) struct State {
     pub(super) sessions: Sessions,
     pub(super) searches: Searches,
     pub(super) live: LivePlays,
+    pub(super) rights: Rights,
+    pub(super) armed: Armed,
 }
 
 impl State {
@@ -67,8 +77,10 @@ impl State {
         self.check_asker()?;
         self.commands.accepts(&command)?;
         self.forget_unanswered();
-        if matches!(command, Command::Arm { .. }) {
-            self.connection.armed_once = true;
+        match command {
+            Command::Arm { .. } => self.connection.armed_once = true,
+            Command::Home => self.moves(Asker::find().map(|asker| asker.caller)),
+            _ => {}
         }
         self.commands.send(command, play)
     }
@@ -79,6 +91,7 @@ impl State {
             self.settings = snapshot.settings;
         }
         self.follow_exposure(&mut streamed);
+        self.follow_armed(&mut streamed);
         self.live.follow(&streamed);
         let event = match &streamed {
             StreamEvent::Answer { ticket, result } => {
@@ -100,6 +113,15 @@ impl State {
         if let Some(event) = &event {
             self.publish_items(event);
             self.publish(event);
+        }
+        match &streamed {
+            StreamEvent::Snapshot(_) => {
+                self.settle_armed();
+                // What an earlier order could not end, because too many commands waited.
+                self.end_forbidden();
+            }
+            StreamEvent::PlayEnded { id, .. } => self.rights.forget_play(*id),
+            _ => {}
         }
         if let StreamEvent::Disconnected { device, .. } = streamed {
             self.connection.tell_connector(ConnectorMessage::Gone(device));
@@ -144,9 +166,11 @@ impl State {
             self.calibration.cancel(id);
             self.exposure.forget(id);
             self.live.forget(id);
+            self.rights.forget_play(id);
         }
         let event = self.plays.settle(id, accepted);
         if accepted {
+            self.moves(self.rights.of_play(id).cloned());
             // Here, not where the client is answered: the answer may come after its patience.
             let session = self.plays.receipts.receipt(id).and_then(|receipt| receipt.session.as_deref());
             self.sessions.count_play(session);
@@ -160,7 +184,15 @@ impl State {
             self.calibration.cancel(id);
             self.exposure.forget(id);
             self.live.forget(id);
+            self.rights.forget_play(id);
             self.plays.forget(id);
+        }
+    }
+
+    /// A client has ordered motion.
+    fn moves(&mut self, caller: Option<Caller>) {
+        if let Some(caller) = caller {
+            self.armed.moves(caller);
         }
     }
 

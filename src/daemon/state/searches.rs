@@ -6,7 +6,7 @@
 //! Invariants: at most one search runs, and [`KEPT_SEARCHES`] that have ended are kept; the process of a running search was not waited
 //! for, so its id is its own.
 
-use super::State;
+use super::{Asker, Caller, State};
 use crate::store::Stored;
 use meissner_api::{
     Code, Event, KEPT_SEARCHES, Problem, Search, SearchProgress, SearchRequest, SearchResult, SearchState,
@@ -27,6 +27,8 @@ pub(in crate::daemon) struct Searches {
 #[derive(Debug)]
 struct Running {
     search: Search,
+    /// Who has started it; none: the daemon itself.
+    caller: Option<Caller>,
     begun: Instant,
     process: Option<Pid>,
 }
@@ -43,6 +45,11 @@ pub(in crate::daemon) type Found = (Box<SearchResult>, Stored);
 impl Searches {
     pub(in crate::daemon) const fn is_running(&self) -> bool {
         self.running.is_some()
+    }
+
+    /// Who has started the search that runs.
+    pub(super) fn caller(&self) -> Option<&Caller> {
+        self.running.as_ref()?.caller.as_ref()
     }
 
     /// The search with this id, or the `last` one.
@@ -106,6 +113,7 @@ impl State {
             return Err(Problem::new(Code::SearchRunning, detail));
         }
         self.searches.last_id += 1;
+        let caller = Asker::find().map(|asker| asker.caller);
         let SearchRequest { objective, model, setting, seed, robust, .. } = *request;
         let search = Search {
             id: self.searches.last_id,
@@ -121,7 +129,7 @@ impl State {
             result: None,
         };
         self.searches.running =
-            Some(Running { search: search.clone(), begun: Instant::now(), process: None });
+            Some(Running { search: search.clone(), caller, begun: Instant::now(), process: None });
         self.publish_search(&search);
         Ok(search)
     }

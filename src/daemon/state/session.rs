@@ -1,7 +1,8 @@
 //! The running session: whose plays are recorded, and who may act meanwhile.
 //!
-//! A client is the owner if it sends the session's token. An exclusive session keeps every other client from changing anything, until
-//! its owner has been silent for [`Sessions::silence`]. Emergency stops never come here.
+//! A client is the owner if it sends the session's token. An exclusive session keeps every other client from changing anything but to stop and
+//! disarm, until its owner has been silent for [`Sessions::silence`]. A client that shows the token of a session that is over changes
+//! nothing either: it believes that its plays are filed there. Emergency stops never come here.
 //!
 //! Invariant: at most one session runs; it begins and ends while no play runs or waits, unless the daemon ends.
 
@@ -12,21 +13,7 @@ use jiff::Timestamp;
 use meissner_api::{Code, Event, Problem, Session, SessionRequest, SessionStarted};
 use meissner_stream::time::HostInstant;
 use rustix::rand::{GetRandomFlags, getrandom};
-use std::future::Future;
 use std::time::Duration;
-
-tokio::task_local! {
-    /// The token of the request that this task carries out, if it has one.
-    static ASKER: Option<String>;
-}
-
-/// Carries out a request that changes something, for a client with this token: [`State::check_asker`] then knows it.
-pub(in crate::daemon) fn asked_by<T>(
-    token: Option<String>,
-    work: impl Future<Output = T>,
-) -> impl Future<Output = T> {
-    ASKER.scope(token, work)
-}
 
 /// The running session.
 #[derive(Debug)]
@@ -51,34 +38,57 @@ impl Sessions {
     }
 
     /// A request with this token came: if it is the owner's, the owner is there. An owner that comes back after its silence is the
-    /// owner again.
-    pub(in crate::daemon) fn hear(&mut self, token: Option<&str>) -> bool {
-        let running = self.running.as_mut().filter(|running| token == Some(&running.token));
+    /// owner again; returns whether others might have acted meanwhile.
+    pub(super) fn hear(&mut self, token: Option<&str>) -> bool {
+        let silence = self.silence;
+        let running = self.running.as_mut().filter(|running| token == Some(&*running.token));
         running.is_some_and(|running| {
-            (running.heard, running.session.released) = (HostInstant::now(), false);
-            true
+            let Running { session, heard, .. } = running;
+            // The timer may be late.
+            let was_open = session.released || HostInstant::now().since(*heard) >= silence;
+            (*heard, session.released) = (HostInstant::now(), false);
+            session.exclusive && was_open
         })
     }
 
-    /// Refuses a change by a client that does not own the exclusive session.
-    pub(in crate::daemon) fn check_owner(&mut self, token: Option<&str>) -> Result<(), Problem> {
-        if self.hear(token) {
-            return Ok(());
-        }
-        let Some(running) = &self.running else { return Ok(()) };
+    /// Whether a client with this token must leave the display to the owner of an exclusive session: that session, and for how long.
+    fn closed_to(&self, token: Option<&str>) -> Option<(&Session, Duration)> {
+        let running = self.running.as_ref().filter(|running| token != Some(&*running.token))?;
         let left = self.silence.saturating_sub(HostInstant::now().since(running.heard));
-        let Session { id, participant, owner, started, .. } = &running.session;
-        // The timer may be late.
-        if !running.session.is_closed_to_others() || left.is_zero() {
-            return Ok(());
-        }
+        (running.session.is_closed_to_others() && !left.is_zero()).then_some((&running.session, left))
+    }
+
+    /// Refuses a change by a client that does not own the exclusive session.
+    pub(super) fn check_owner(&self, token: Option<&str>) -> Result<(), Problem> {
+        let Some((session, left)) = self.closed_to(token) else { return Ok(()) };
+        let Session { id, participant, owner, started, .. } = session;
         let by = owner.as_ref().map_or_else(String::new, |owner| format!(" by {owner}"));
         let detail = format!(
             "session {id} with participant `{participant}` is exclusive since {started}{by}: only its owner may do that; others may \
-             read and order emergency stops, and may act once the owner has been silent for {:.0} s more",
+             read, stop, disarm, and order emergency stops, and may act once the owner has been silent for {:.0} s more",
             left.as_secs_f64().ceil()
         );
         Err(Problem::new(Code::SessionExclusive, detail))
+    }
+
+    /// Refuses a change by a client that shows the token of another session than the running one.
+    pub(super) fn check_running(&self, token: Option<&str>) -> Result<(), Problem> {
+        let running = self.running.as_ref();
+        if token.is_none_or(|token| running.is_some_and(|running| *running.token == *token)) {
+            return Ok(());
+        }
+        let now = running.map_or("no session runs".to_owned(), |Running { session, .. }| {
+            format!("session {} with participant `{}` runs", session.id, session.participant)
+        });
+        let detail = format!(
+            "the session of your token is over: it was ended, or the daemon has restarted; {now}: start a session, or send no token"
+        );
+        Err(Problem::new(Code::SessionRunning, detail))
+    }
+
+    /// The exclusive session that this client does not own.
+    pub(in crate::daemon) fn foreign(&self, token: Option<&str>) -> Option<String> {
+        self.closed_to(token).map(|(session, _)| session.id.clone())
     }
 
     /// A play of the running session was accepted.
@@ -101,13 +111,6 @@ impl Sessions {
 }
 
 impl State {
-    /// Refuses a change by a client that does not own the exclusive session: it may have begun since the request came, while the
-    /// client sent its body. Outside of a request the daemon itself acts, which may do anything.
-    pub(in crate::daemon) fn check_asker(&mut self) -> Result<(), Problem> {
-        let checked = ASKER.try_with(|token| self.sessions.check_owner(token.as_deref()));
-        checked.unwrap_or(Ok(()))
-    }
-
     /// Starts a session. `owner`: the user's name.
     pub(in crate::daemon) fn start_session(
         &mut self,

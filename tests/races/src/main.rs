@@ -29,7 +29,7 @@ pub(crate) use meissner_stream::sync;
 mod estop;
 #[cfg(loom)]
 #[expect(dead_code, reason = "the models use a part")]
-#[path = "../../../src/cli/replay/gate.rs"]
+#[path = "../../../src/cli/gate.rs"]
 mod gate;
 #[cfg(loom)]
 #[path = "../../../crates/stream/src/device/usb/hand_over.rs"]

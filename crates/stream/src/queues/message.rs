@@ -39,6 +39,13 @@ pub enum Command {
     KeepLive(u64),
     /// End this live play, if it runs, and clear the queue; stay armed.
     EndLive(u64),
+    /// End this play, for this cause. If nothing of it was sent, the others stay; else as [`Self::Stop`].
+    Cancel {
+        /// Which play.
+        id: u64,
+        /// Its cause in the receipt.
+        cause: &'static str,
+    },
     /// End the running play and clear the queue; stay armed.
     Stop,
     /// Switch all lines off and latch; works without a device too.

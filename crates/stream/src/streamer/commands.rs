@@ -2,7 +2,7 @@
 //!
 //! [`Streamer::execute`] takes each request; [`Streamer::expire`] answers those that the device does not answer in time.
 
-use crate::active::{Active, FIRST_MARGIN};
+use crate::active::{Active, FIRST_MARGIN, Phase};
 use crate::link::Session;
 use crate::queues::{
     At, Command, CommandError, ESTOP_TICKETS, Emit, End, MAX_QUEUED_PLAYS, Play, Request, StreamEvent,
@@ -51,6 +51,7 @@ impl Streamer {
                 return;
             }
             Command::EndLive(id) => self.end_live(id),
+            Command::Cancel { id, cause } => self.cancel(id, cause),
             Command::Stop => self.stop(),
             Command::EStop => {
                 self.emergency_stop(now, ticket, emit);
@@ -227,6 +228,23 @@ impl Streamer {
         self.ready()?;
         if self.pending_ops.len() == MAX_PENDING_OPS {
             return Err(CommandError::Returning);
+        }
+        self.cut_all(End::Stopped, "stop");
+        Ok(Some(Op::Stop))
+    }
+
+    /// Ends one play. A play that waits alone needs no operation, which would cut those before it.
+    fn cancel(&mut self, id: u64, cause: &'static str) -> OpResult {
+        let found = self.plays.iter_mut().find(|active| active.play.id == id && active.cut.is_none());
+        let Some(active) = found else { return Ok(None) };
+        let waits = active.phase == Phase::Waiting && active.play.live.is_none();
+        if !waits && self.pending_ops.len() == MAX_PENDING_OPS {
+            return Err(CommandError::Returning);
+        }
+        active.cut = Some((End::Stopped, cause));
+        if waits {
+            active.onset = None;
+            return Ok(None);
         }
         self.cut_all(End::Stopped, "stop");
         Ok(Some(Op::Stop))

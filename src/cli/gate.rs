@@ -1,4 +1,4 @@
-//! Keeps orders of the replay from following its stop.
+//! Keeps orders of a command from following its stop.
 //!
 //! [`Gate::order`] sends one order; [`Gate::stop`] ends the display from another thread.
 //!
@@ -17,7 +17,7 @@ pub(super) struct Gate {
 }
 
 impl Gate {
-    /// Sends an order with `send`; none if the replay is being stopped.
+    /// Sends an order with `send`; none if the display is being stopped.
     pub(super) fn order<T>(&self, send: impl FnOnce() -> T) -> Option<T> {
         let _sending = self.sending.lock().unwrap_or_else(PoisonError::into_inner);
         (!self.stopping.load(Ordering::SeqCst)).then(send)

@@ -1,0 +1,62 @@
+//! Ends what a command plays and waits for when the command is told to end: Ctrl-C, SIGTERM, or SIGHUP of a closed terminal.
+//!
+//! It stops the display as `meissner stop` does. A command that is killed cannot; then its silence disarms the motors.
+//!
+//! Invariant: no order of the command follows its stop.
+
+use super::arguments::ClientOptions;
+use super::control::on_signals;
+use super::gate::Gate;
+use anyhow::Result;
+use meissner_client::ClientError;
+use serde_json::{Value, json};
+use std::io::{self, Write};
+use std::process;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use tokio::signal::unix::SignalKind;
+
+/// The signals that tell a command to end.
+pub(super) const SIGNALS: [fn() -> SignalKind; 3] =
+    [SignalKind::interrupt, SignalKind::terminate, SignalKind::hangup];
+
+/// See the module.
+#[derive(Debug, Default)]
+pub(super) struct Ending {
+    gate: Arc<Gate>,
+    over: Arc<AtomicBool>,
+}
+
+impl Ending {
+    /// Stops the display at a signal from now on, and ends this process with 128 and the signal's number.
+    pub(super) fn listen(options: &ClientOptions) -> Result<Self> {
+        let ending = Self::default();
+        let (gate, over) = (Arc::clone(&ending.gate), Arc::clone(&ending.over));
+        let mut client = options.client()?;
+        on_signals(SIGNALS.map(|kind| kind()), move |number| {
+            let said = if over.load(Ordering::Relaxed) {
+                "the play is over: see `meissner receipt`".to_owned()
+            } else {
+                match gate.stop(|| client.post::<Value>("/v1/stop", &json!({}))) {
+                    Ok(_) => "stopped: see `meissner receipt`".to_owned(),
+                    Err(error) => format!("not stopped: {error}"),
+                }
+            };
+            // If stderr is closed, there is no one to tell.
+            let _ = writeln!(io::stderr(), "{said}");
+            process::exit(128 + number);
+        })?;
+        Ok(ending)
+    }
+
+    /// Sends an order with `send`. If the display is being stopped, it waits for the end of the process.
+    pub(super) fn order<T>(&self, send: impl FnOnce() -> Result<T, ClientError>) -> Result<T, ClientError> {
+        self.gate.order(send).unwrap_or_else(|| Gate::wait_for_end())
+    }
+
+    /// The play is over: a signal stops nothing any more, and what was cut by a signal is not told.
+    pub(super) fn set_over(&self) {
+        self.gate.wait_if_stopping();
+        self.over.store(true, Ordering::Relaxed);
+    }
+}

@@ -1,0 +1,77 @@
+//! Reads the file of the access tokens again when another daemon has changed it.
+//!
+//! A request that shows an access token waits until the file was looked at, for [`PATIENCE`] at most: so a token that one daemon has
+//! revoked is refused by the others at its next use. For what is open without a request, such as a play that runs, a thread looks every
+//! second while there are tokens, and tells the daemon what has changed.
+//!
+//! Invariant: only this thread waits for the disk. If the disk hangs, the tokens stay as they were known last.
+
+use super::gate::Gate;
+use super::tokens::TokenStore;
+use crossbeam_channel::{Receiver, RecvTimeoutError, Sender, bounded};
+use std::io;
+use std::sync::Arc;
+use std::thread;
+use std::time::Duration;
+use tokio::sync::oneshot;
+
+/// How often the thread looks by itself.
+const EVERY: Duration = Duration::from_secs(1);
+/// How long a request waits for a disk.
+const PATIENCE: Duration = Duration::from_secs(1);
+/// Requests that wait at most; those beyond find the tokens as they are known.
+const WAITING: usize = 256;
+
+/// The way to the thread, which ends when this is dropped.
+#[derive(Debug)]
+pub(super) struct Refresher(Sender<oneshot::Sender<()>>);
+
+impl Gate {
+    /// Starts the thread, if clients can come over the network. It calls `changed` after it has read other tokens than before.
+    pub(in crate::daemon) fn watch_tokens(&self, changed: impl Fn() + Send + 'static) -> io::Result<()> {
+        if !self.listens() || !self.tokens.has_file() {
+            return Ok(());
+        }
+        let (sender, requests) = bounded(WAITING);
+        let tokens = Arc::clone(&self.tokens);
+        thread::Builder::new().name("tokens".into()).spawn(move || work(&tokens, &requests, changed))?;
+        // It is started once.
+        let _ = self.refresher.set(Refresher(sender));
+        Ok(())
+    }
+
+    /// Waits until the tokens are those of the file as it is now.
+    pub(super) async fn refresh_tokens(&self) {
+        let Some(Refresher(sender)) = self.refresher.get() else { return };
+        let (done, is_done) = oneshot::channel();
+        if sender.try_send(done).is_ok() {
+            // An error means that the thread has ended, with the daemon.
+            let _ = tokio::time::timeout(PATIENCE, is_done).await;
+        }
+    }
+}
+
+fn work(tokens: &TokenStore, requests: &Receiver<oneshot::Sender<()>>, changed: impl Fn()) {
+    loop {
+        let first = if tokens.list().is_empty() {
+            // No right can end.
+            requests.recv().map(Some).map_err(|_| ())
+        } else {
+            match requests.recv_timeout(EVERY) {
+                Ok(first) => Ok(Some(first)),
+                Err(RecvTimeoutError::Timeout) => Ok(None),
+                Err(RecvTimeoutError::Disconnected) => Err(()),
+            }
+        };
+        let Ok(first) = first else { return };
+        // All that have come before the look.
+        let waiting: Vec<_> = first.into_iter().chain(requests.try_iter()).collect();
+        if tokens.refresh() {
+            changed();
+        }
+        for done in waiting {
+            // The client may be gone.
+            let _ = done.send(());
+        }
+    }
+}

@@ -1,0 +1,61 @@
+//! A client's right, as whatever outlives a request holds it: event streams, live connections, requests that wait.
+//!
+//! Invariant: [`Right::check`] asks anew each time; [`Right::ended`] asks whenever a right may have ended.
+
+use super::engine::Engine;
+use super::state::{Caller, NoRight};
+use meissner_api::access::Access;
+use std::future;
+use std::sync::Arc;
+
+/// See the module.
+#[derive(Clone, Debug)]
+pub(super) struct Right {
+    engine: Arc<Engine>,
+    pub(super) caller: Caller,
+    pub(super) access: Access,
+}
+
+impl Right {
+    pub(super) const fn new(engine: Arc<Engine>, caller: Caller, access: Access) -> Self {
+        Self { engine, caller, access }
+    }
+
+    fn check(&self) -> Result<(), NoRight> {
+        self.engine.lock().check_right(&self.caller, self.access)
+    }
+
+    /// Resolves when the client has lost the right.
+    pub(super) async fn ended(&self) -> NoRight {
+        let mut changes = self.engine.lock().rights.subscribe();
+        loop {
+            if let Err(lost) = self.check() {
+                return lost;
+            }
+            if changes.changed().await.is_err() {
+                // The engine is gone, and the daemon with it.
+                return future::pending().await;
+            }
+        }
+    }
+}
+
+/// A request that is being answered: its client is not silent.
+#[derive(Debug)]
+pub(super) struct Answering {
+    engine: Arc<Engine>,
+    number: u64,
+}
+
+impl Answering {
+    pub(super) fn new(engine: &Arc<Engine>, caller: &Caller) -> Self {
+        let number = engine.lock().armed.answers(caller);
+        Self { engine: Arc::clone(engine), number }
+    }
+}
+
+impl Drop for Answering {
+    fn drop(&mut self) {
+        self.engine.lock().armed.answered(self.number);
+    }
+}

@@ -1,0 +1,246 @@
+//! For whom the motors are armed, and whose silence disarms them.
+//!
+//! A client that arms states for how long it may be silent. The daemon hears the client that armed last, and the one that has ordered
+//! motion last: any request of theirs, from its head to its answer, and any message of a live play. When both are silent for the stated
+//! time, it stops and disarms, as at its own end.
+//!
+//! Invariant: while motors are armed there is a holder, unless the daemon does not know of it for the moment between the device's answer and
+//! the next event.
+
+use super::{Asker, Caller, Reply, State};
+use meissner_api::{ArmedStatus, Event, Problem};
+use meissner_stream::queues::{Command, StreamEvent};
+use meissner_stream::time::HostInstant;
+use std::time::Duration;
+
+/// The cause of a play's end when its client was silent.
+const SILENT: &str = "owner-silent";
+
+/// See the module.
+#[derive(Debug, Default)]
+pub(in crate::daemon) struct Armed {
+    holder: Option<Holder>,
+    /// Who has ordered motion last since then.
+    mover: Option<Caller>,
+    /// Clients whose requests are being answered: who waits for an answer is not silent.
+    answering: Vec<(u64, Caller)>,
+    /// What a client gets that states nothing.
+    default: Duration,
+    /// Holders and requests so far.
+    last: u64,
+    /// The last disarm was for silence.
+    was_silent: bool,
+}
+
+/// The client that armed last.
+#[derive(Debug)]
+struct Holder {
+    number: u64,
+    caller: Caller,
+    name: String,
+    /// How long it may be silent; none: for ever.
+    silence: Option<Duration>,
+    heard: HostInstant,
+}
+
+/// What a client states when it arms.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(in crate::daemon) enum Silence {
+    /// Nothing.
+    Default,
+    For(Duration),
+    /// The motors may stay armed without it.
+    Unattended,
+}
+
+impl Armed {
+    pub(in crate::daemon) const fn set_default(&mut self, silence: Duration) {
+        self.default = silence;
+    }
+
+    fn next(&mut self) -> u64 {
+        self.last += 1;
+        self.last
+    }
+
+    /// This client has armed. Returns the number of its watch.
+    fn hold(&mut self, caller: Caller, name: String, silence: Silence) -> u64 {
+        let silence = match silence {
+            Silence::Default => Some(self.default),
+            Silence::For(silence) => Some(silence),
+            Silence::Unattended => None,
+        };
+        let (number, heard) = (self.next(), HostInstant::now());
+        self.holder = Some(Holder { number, caller, name, silence, heard });
+        (self.mover, self.was_silent) = (None, false);
+        number
+    }
+
+    fn is_of(&self, caller: &Caller) -> bool {
+        let holder = self.holder.as_ref().map(|holder| &holder.caller);
+        holder.into_iter().chain(&self.mover).any(|known| known.is_same(caller))
+    }
+
+    /// A request or message of this client came, or its answer goes.
+    pub(super) fn hear(&mut self, caller: &Caller) {
+        if self.is_of(caller)
+            && let Some(holder) = &mut self.holder
+        {
+            holder.heard = HostInstant::now();
+        }
+    }
+
+    /// This client has ordered motion.
+    pub(super) fn moves(&mut self, caller: Caller) {
+        self.mover = Some(caller.clone());
+        self.hear(&caller);
+    }
+
+    /// A request of this client is being answered, until [`Self::answered`] gets the number.
+    pub(in crate::daemon) fn answers(&mut self, caller: &Caller) -> u64 {
+        let number = self.next();
+        self.answering.push((number, caller.clone()));
+        number
+    }
+
+    pub(in crate::daemon) fn answered(&mut self, number: u64) {
+        let Some(at) = self.answering.iter().position(|(of, _)| *of == number) else { return };
+        let (_, caller) = self.answering.swap_remove(at);
+        self.hear(&caller);
+    }
+
+    /// What is left of the stated time; none without an end.
+    fn left(&self, holder: &Holder) -> Option<Duration> {
+        let silence = holder.silence?;
+        let waits = self.answering.iter().any(|(_, caller)| self.is_of(caller));
+        let silent = if waits { Duration::ZERO } else { HostInstant::now().since(holder.heard) };
+        Some(silence.saturating_sub(silent))
+    }
+
+    /// How long to wait until the client with this watch may have been silent for too long; none if the watch is over.
+    pub(in crate::daemon) fn until_silent(&self, number: u64) -> Option<Duration> {
+        self.left(self.holder.as_ref().filter(|holder| holder.number == number)?)
+    }
+
+    pub(in crate::daemon) fn status(&self) -> Option<ArmedStatus> {
+        let holder = self.holder.as_ref()?;
+        Some(ArmedStatus {
+            by: holder.name.clone(),
+            silence_s: holder.silence.map(|silence| silence.as_secs_f64()),
+            left_s: self.left(holder).map(|left| left.as_secs_f64()),
+        })
+    }
+}
+
+impl State {
+    /// The motors are armed for the client that asks, by this name. Returns the number of the watch for its silence, if it needs one.
+    pub(in crate::daemon) fn hold_armed(&mut self, name: String, silence: Silence) -> Option<u64> {
+        let Asker { caller, .. } = Asker::find()?;
+        // It may have been disarmed again.
+        let number = self.is_armed().then(|| self.armed.hold(caller, name, silence))?;
+        (silence != Silence::Unattended).then_some(number)
+    }
+
+    fn is_armed(&self) -> bool {
+        matches!(self.plays.receipts.device_state().state, "armed" | "returning")
+    }
+
+    /// Stops and disarms if the client with this watch has been silent for too long. Returns where the answer arrives.
+    pub(in crate::daemon) fn disarm_silent(&mut self, number: u64) -> Option<Result<Reply, Problem>> {
+        self.armed.until_silent(number).filter(Duration::is_zero)?;
+        if !std::mem::replace(&mut self.armed.was_silent, true)
+            && let Some(Holder { name, silence: Some(silence), .. }) = &self.armed.holder
+        {
+            let event = Event::OwnerSilent { by: name.clone(), silence_s: silence.as_secs_f64() };
+            self.publish(&event);
+        }
+        Some(self.send(Command::Disarm, None))
+    }
+
+    /// Follows the device, and names the silence as the cause of a play's end.
+    pub(super) fn follow_armed(&mut self, streamed: &mut StreamEvent) {
+        match streamed {
+            StreamEvent::PlayEnded { outcome, .. }
+                if self.armed.was_silent && outcome.cause == Some("disarm") =>
+            {
+                outcome.cause = Some(SILENT);
+            }
+            _ => {}
+        }
+    }
+
+    /// Ends the watch once the motors are off.
+    pub(super) fn settle_armed(&mut self) {
+        if !self.is_armed() {
+            self.armed.holder = None;
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::session_record::Peer;
+
+    fn process(pid: i32) -> Caller {
+        Caller::new(Peer::local(pid, 0), None, None, None)
+    }
+
+    /// Puts the last sign of life so far into the past.
+    fn wait(armed: &mut Armed, seconds: u64) {
+        if let Some(holder) = &mut armed.holder {
+            holder.heard = HostInstant::from_ns(holder.heard.as_ns() - seconds * 1_000_000_000);
+        }
+    }
+
+    fn left_s(armed: &Armed) -> f64 {
+        armed.status().unwrap().left_s.unwrap().ceil()
+    }
+
+    #[test]
+    fn only_who_armed_and_who_moves_is_heard() {
+        let mut armed = Armed::default();
+        let watch = armed.hold(process(10), "a".to_owned(), Silence::For(Duration::from_secs(10)));
+        wait(&mut armed, 4);
+        armed.hear(&process(11));
+        assert_eq!(left_s(&armed), 6.0, "another client reads");
+        armed.hear(&process(10));
+        assert_eq!(left_s(&armed), 10.0);
+        wait(&mut armed, 4);
+        armed.moves(process(11));
+        assert_eq!(left_s(&armed), 10.0, "another client plays");
+        for pid in [10, 11] {
+            wait(&mut armed, 4);
+            armed.hear(&process(pid));
+            assert_eq!(left_s(&armed), 10.0);
+        }
+        armed.moves(process(12));
+        wait(&mut armed, 4);
+        armed.hear(&process(11));
+        assert_eq!(left_s(&armed), 6.0, "it was not the last one");
+        wait(&mut armed, 7);
+        assert_eq!(armed.until_silent(watch), Some(Duration::ZERO));
+        // The next one has a watch of its own.
+        let next = armed.hold(process(13), "b".to_owned(), Silence::Default);
+        assert!(armed.until_silent(watch).is_none() && armed.until_silent(next).is_some());
+        armed.hold(process(13), "b".to_owned(), Silence::Unattended);
+        wait(&mut armed, 1_000_000);
+        let status = armed.status().unwrap();
+        assert_eq!((status.by.as_str(), status.silence_s, status.left_s), ("b", None, None));
+    }
+
+    #[test]
+    fn who_waits_for_an_answer_is_not_silent() {
+        let mut armed = Armed::default();
+        let watch = armed.hold(process(10), "a".to_owned(), Silence::For(Duration::from_secs(2)));
+        let [own, other] = [10, 11].map(|pid| armed.answers(&process(pid)));
+        wait(&mut armed, 60);
+        assert_eq!(left_s(&armed), 2.0);
+        armed.answered(own);
+        assert_eq!(left_s(&armed), 2.0, "it has the answer now");
+        wait(&mut armed, 60);
+        assert_eq!(armed.until_silent(watch), Some(Duration::ZERO), "another one waits");
+        armed.answered(other);
+        assert_eq!(armed.until_silent(watch), Some(Duration::ZERO));
+    }
+}

@@ -1,0 +1,144 @@
+//! Rights of clients: asked at each use, and ended with what they no longer allow.
+//!
+//! Whatever outlives the request that has begun it holds the request's [`Caller`]: plays and searches here, event streams, live connections
+//! and requests that wait through [`Right`](crate::daemon::right::Right). Three things end a right: its access token is revoked or gets a
+//! lesser role; the owner of an exclusive session comes back after others were allowed to act; and a session that the caller shows is over.
+//! Then [`State::rights_changed`] ends plays and searches, and wakes all others, who ask again.
+//!
+//! Invariant: nobody remembers the answer of [`State::check_right`] beyond the moment.
+
+use super::{Asker, Caller, State};
+use crate::daemon::network::{NOT_VALID, READS_ONLY, TokenStore};
+use meissner_api::access::{Access, SessionRule};
+use meissner_api::{Problem, Role, Route};
+use meissner_stream::queues::Command;
+use std::collections::HashMap;
+use std::sync::Arc;
+use tokio::sync::watch;
+
+/// The cause of a play's end when the access token was revoked under which it was ordered.
+const REVOKED: &str = "revoked";
+/// The cause when the owner of an exclusive session has come back, and the play is another client's.
+const OWNER_RETURNED: &str = "owner-returned";
+
+/// See the module.
+#[derive(Debug)]
+pub(in crate::daemon) struct Rights {
+    tokens: Arc<TokenStore>,
+    /// Under whose right each play was ordered that is not over.
+    plays: HashMap<u64, Caller>,
+    changed: watch::Sender<()>,
+}
+
+impl Default for Rights {
+    fn default() -> Self {
+        let tokens = Arc::new(TokenStore::open(None));
+        Self { tokens, plays: HashMap::new(), changed: watch::Sender::new(()) }
+    }
+}
+
+impl Rights {
+    pub(in crate::daemon) fn set_tokens(&mut self, tokens: Arc<TokenStore>) {
+        self.tokens = tokens;
+    }
+
+    /// Resolves whenever a right may have ended.
+    pub(in crate::daemon) fn subscribe(&self) -> watch::Receiver<()> {
+        self.changed.subscribe()
+    }
+
+    /// Who has ordered this play.
+    pub(super) fn of_play(&self, id: u64) -> Option<&Caller> {
+        self.plays.get(&id)
+    }
+
+    /// A play is about to be sent, for the client that asks for it.
+    pub(in crate::daemon) fn add_play(&mut self, id: u64) {
+        if let Some(Asker { caller, .. }) = Asker::find() {
+            self.plays.insert(id, caller);
+        }
+    }
+
+    /// A play is over, or was not accepted.
+    pub(super) fn forget_play(&mut self, id: u64) {
+        self.plays.remove(&id);
+    }
+}
+
+/// A right that a client does not have, or no longer.
+#[derive(Debug)]
+pub(in crate::daemon) struct NoRight {
+    pub(in crate::daemon) problem: Problem,
+    /// What the receipt of a play says that ends with it.
+    pub(in crate::daemon) cause: &'static str,
+}
+
+/// What goes on needs this: who may order it may let it go on, also when its own session is over.
+pub(in crate::daemon) const fn going_on(access: Access) -> Access {
+    match access.session {
+        SessionRule::Owner => Access { session: SessionRule::Starts, ..access },
+        SessionRule::Open | SessionRule::Starts => access,
+    }
+}
+
+impl State {
+    /// Refuses what this client may not do, or no longer.
+    pub(in crate::daemon) fn check_right(&self, caller: &Caller, access: Access) -> Result<(), NoRight> {
+        let lost = |problem: Problem| NoRight { problem, cause: REVOKED };
+        match caller.access.map(|id| self.rights.tokens.role(id)) {
+            Some(None) => return Err(lost(NOT_VALID.into())),
+            Some(Some(Role::Observe)) if access.role == Role::Operate => return Err(lost(READS_ONLY.into())),
+            _ => {}
+        }
+        let session = caller.session();
+        let checked = match access.session {
+            SessionRule::Open => Ok(()),
+            SessionRule::Starts => self.sessions.check_owner(session),
+            SessionRule::Owner => {
+                self.sessions.check_owner(session).and_then(|()| self.sessions.check_running(session))
+            }
+        };
+        checked.map_err(|problem| NoRight { problem, cause: OWNER_RETURNED })
+    }
+
+    /// Refuses a change by a client that may not make it any more: since its request came, a session may have begun or its token have been
+    /// revoked. Outside of a request the daemon itself acts, which may do anything.
+    pub(in crate::daemon) fn check_asker(&self) -> Result<(), Problem> {
+        let Some(Asker { caller, access }) = Asker::find() else { return Ok(()) };
+        self.check_right(&caller, access).map_err(|no| no.problem)
+    }
+
+    /// A request or message of this client came.
+    pub(in crate::daemon) fn hear(&mut self, caller: &Caller) {
+        self.armed.hear(caller);
+        if self.sessions.hear(caller.session()) {
+            self.rights_changed();
+        }
+    }
+
+    /// A right may have ended: what it had allowed ends, too.
+    pub(in crate::daemon) fn rights_changed(&mut self) {
+        self.end_forbidden();
+        self.rights.changed.send_replace(());
+    }
+
+    /// Ends the plays and the search of clients that may not order them any more.
+    pub(super) fn end_forbidden(&mut self) {
+        let needs = going_on(Route::Play.access());
+        let forbidden = |caller: &Caller| self.check_right(caller, needs).err().map(|no| no.cause);
+        let plays: Vec<_> =
+            self.rights.plays.iter().filter_map(|(&id, caller)| Some((id, forbidden(caller)?))).collect();
+        let ends_search = self.searches.caller().and_then(forbidden).is_some();
+        for (id, cause) in plays {
+            self.cancel_play(id, cause);
+        }
+        if ends_search {
+            self.cancel_running_search();
+        }
+    }
+
+    /// Ends a play for this cause. If too many commands wait, the streamer's next report orders it again.
+    pub(in crate::daemon) fn cancel_play(&mut self, id: u64, cause: &'static str) {
+        let _ = self.commands.send_unanswered(Command::Cancel { id, cause });
+    }
+}

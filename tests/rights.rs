@@ -1,0 +1,672 @@
+//! Rights: asked at each use. A table over all routes; what is open or waits when a right ends; two daemons with one file of tokens.
+
+use crate::harness::{
+    Daemon, PATIENT, TIMEOUT, began, directory, ended, next, printed, problem, refusal, wait_until,
+};
+use meissner_api::{
+    Event, LiveAccepted, LiveAnswer, Method, PlayState, Receipt, Role, Route, SearchState, Session,
+    SessionStarted, Status, TokenCreated, TokenList,
+};
+use meissner_client::Client;
+use serde_json::{Value, json};
+use std::fs;
+use std::io::{BufRead, BufReader, Read, Write};
+use std::net::TcpStream;
+use std::process::Command;
+use std::sync::Arc;
+use std::thread;
+use std::time::Duration;
+
+fn listening(more: &str) -> Daemon {
+    Daemon::with("mock", &format!("{PATIENT}listen = \"127.0.0.1:0\"\n{more}"))
+}
+
+fn address(daemon: &Daemon) -> String {
+    daemon.client().get::<Status>("/v1/status").unwrap().network.unwrap().address
+}
+
+fn create(daemon: &Daemon, role: Role) -> TokenCreated {
+    daemon.client().post("/v1/tokens", &json!({"role": role, "name": "a test"})).unwrap()
+}
+
+fn revoke(daemon: &Daemon, token: &TokenCreated) {
+    let _: Value = daemon.client().delete(&format!("/v1/tokens/{}", token.info.id)).unwrap();
+}
+
+fn bearer(token: &str) -> String {
+    format!("authorization: Bearer {token}\r\n")
+}
+
+/// Sends a request on a new connection; returns it where the answer begins.
+fn send(address: &str, line: &str, headers: &str, body: &str) -> BufReader<TcpStream> {
+    let mut stream = TcpStream::connect(address).unwrap();
+    stream.set_read_timeout(Some(TIMEOUT)).unwrap();
+    let length = body.len();
+    let text =
+        format!("{line} HTTP/1.1\r\nhost: {address}\r\n{headers}content-length: {length}\r\n\r\n{body}");
+    stream.write_all(text.as_bytes()).unwrap();
+    BufReader::new(stream)
+}
+
+/// The status of an answer, and the problem's code if it is one.
+fn answer(reader: &mut BufReader<TcpStream>) -> (u16, String) {
+    let (mut line, mut length) = (String::new(), 0);
+    reader.read_line(&mut line).unwrap();
+    let status = line.split(' ').nth(1).unwrap_or_else(|| panic!("{line:?}")).parse().unwrap();
+    loop {
+        let mut header = String::new();
+        reader.read_line(&mut header).unwrap();
+        if header.trim().is_empty() {
+            break;
+        }
+        if let Some(value) = header.to_lowercase().strip_prefix("content-length:") {
+            length = value.trim().parse().unwrap();
+        }
+    }
+    let mut body = vec![0; length];
+    reader.read_exact(&mut body).unwrap();
+    let body: Value = serde_json::from_slice(&body).unwrap_or_default();
+    (status, body["code"].as_str().unwrap_or_default().to_owned())
+}
+
+fn ask(address: &str, line: &str, headers: &str, body: &str) -> (u16, String) {
+    answer(&mut send(address, line, headers, body))
+}
+
+/// What a route answers over TCP on this machine: to a client without a token behind a proxy, with a wrong, an observer's, an operator's
+/// and a revoked token; then to a stranger in an exclusive session, and to a client whose session is over.
+type Row = [&'static str; 7];
+
+const READS: Row = ["unauthorized", "unauthorized", "", "", "unauthorized", "", ""];
+const CHANGES: Row =
+    ["unauthorized", "unauthorized", "forbidden", "", "unauthorized", "session-exclusive", "session-running"];
+const MAKES_SAFE: Row = ["unauthorized", "unauthorized", "forbidden", "", "unauthorized", "", ""];
+const STARTS: Row =
+    ["unauthorized", "unauthorized", "forbidden", "", "unauthorized", "session-exclusive", ""];
+const LOCAL: Row =
+    ["forbidden", "unauthorized", "forbidden", "forbidden", "unauthorized", "forbidden", "forbidden"];
+
+/// A route that is new needs a row here.
+fn row(route: Route) -> Row {
+    match route {
+        Route::Status
+        | Route::Doctor
+        | Route::Receipt
+        | Route::Events
+        | Route::Patterns
+        | Route::Pattern
+        | Route::Targets
+        | Route::Target
+        | Route::SearchShow
+        | Route::Calibration
+        | Route::Sessions
+        | Route::SessionShow
+        | Route::SessionPlays
+        | Route::Metrics
+        | Route::OpenApi => READS,
+        Route::Play
+        | Route::Sequence
+        | Route::Live
+        | Route::LiveConnection
+        | Route::Reset
+        | Route::Arm
+        | Route::Home
+        | Route::Import
+        | Route::Remove
+        | Route::StoreTarget
+        | Route::RemoveTarget
+        | Route::SearchStart
+        | Route::SearchCancel
+        | Route::Calibrate
+        | Route::StoreCalibration
+        | Route::SessionEnd => CHANGES,
+        Route::Stop | Route::EStop | Route::Disarm => MAKES_SAFE,
+        Route::SessionStart => STARTS,
+        Route::TokenCreate | Route::Tokens | Route::TokenRevoke => LOCAL,
+    }
+}
+
+/// A request that the route's handler refuses, or that changes nothing.
+fn line(route: Route) -> String {
+    let method = match route.method() {
+        Method::Get => "GET",
+        Method::Post => "POST",
+        Method::Put => "PUT",
+        Method::Delete => "DELETE",
+    };
+    let path = route.path().replace("{name}", "none").replace("{id}", "none").replace("{key}", "00");
+    format!("{method} {path}")
+}
+
+#[test]
+fn every_route_asks_for_its_right() {
+    let daemon = listening("");
+    let address = address(&daemon);
+    let [observe, operate, revoked] =
+        [Role::Observe, Role::Operate, Role::Operate].map(|role| create(&daemon, role));
+    revoke(&daemon, &revoked);
+    // A session that has ended, and its token.
+    let mut owner = daemon.client();
+    let exclusive = json!({"participant": "P07", "exclusive": true});
+    let over: SessionStarted = owner.post("/v1/sessions", &exclusive).unwrap();
+    owner.set_token(Some(over.token.clone()));
+    let _: Session = owner.post("/v1/sessions/running/end", &json!({})).unwrap();
+    let columns = [
+        "via: 1.1 proxy\r\n".to_owned(),
+        bearer(&format!("mst_{}", "0".repeat(64))),
+        bearer(&observe.token),
+        bearer(&operate.token),
+        bearer(&revoked.token),
+        bearer(&operate.token),
+        bearer(&operate.token) + &format!("meissner-session: {}\r\n", over.token),
+    ];
+    let mut running = None;
+    for (column, headers) in columns.iter().enumerate() {
+        if column == 5 {
+            owner.set_token(None);
+            let started: SessionStarted = owner.post("/v1/sessions", &exclusive).unwrap();
+            owner.set_token(Some(started.token));
+            running = Some(started.id);
+        }
+        if column == 6 {
+            let id = running.take().unwrap();
+            let _: Session = owner.post(&format!("/v1/sessions/{id}/end"), &json!({})).unwrap();
+        }
+        for route in Route::ALL {
+            let (status, code) = ask(&address, &line(route), headers, "{\"no-such-key\": 1}");
+            let of_rights = ["unauthorized", "forbidden", "session-exclusive", "session-running"];
+            let code = if of_rights.contains(&code.as_str()) { code } else { String::new() };
+            assert_eq!(code, row(route)[column], "{} with {headers:?}: {status}", line(route));
+        }
+    }
+}
+
+/// Neither as if none had been sent, on no socket and in no form.
+#[test]
+fn a_token_that_is_sent_and_wrong_is_refused_on_this_machine() {
+    let daemon = listening("");
+    let address = address(&daemon);
+    let token = create(&daemon, Role::Operate);
+    let session = "0".repeat(32);
+    assert_eq!(ask(&address, "POST /v1/arm", &bearer(&token.token), "{\"assume_rest\":true}").0, 200);
+    revoke(&daemon, &token);
+    for wrong in [
+        &bearer(&token.token),
+        "authorization: Bearer x\r\n",
+        "authorization: Basic dTpw\r\n",
+        "authorization: Bearer\r\n",
+    ] {
+        for line in ["GET /v1/status", "POST /v1/stop", "POST /v1/estop", "GET /v1/events", "GET /nowhere"] {
+            assert_eq!(ask(&address, line, wrong, "{}"), (401, "unauthorized".to_owned()), "{line} {wrong}");
+        }
+        let on_socket = |line: &str| {
+            daemon.raw(format!("{line} HTTP/1.1\r\nhost: m\r\nconnection: close\r\n{wrong}\r\n").as_bytes())
+        };
+        assert!(on_socket("GET /v1/status").starts_with("HTTP/1.1 401 "), "{wrong}");
+        assert!(on_socket("POST /v1/disarm").starts_with("HTTP/1.1 401 "), "{wrong}");
+    }
+    assert_eq!(daemon.client().get::<Status>("/v1/status").unwrap().state, "armed");
+    let two = bearer(&session) + &format!("meissner-session: {}\r\n", "1".repeat(32));
+    assert_eq!(ask(&address, "GET /v1/status", &two, "").1, "bad-request");
+    for header in
+        [bearer(&session), format!("meissner-session: {session}\r\n"), "meissner-session: x\r\n".to_owned()]
+    {
+        assert_eq!(
+            ask(&address, "POST /v1/home", &header, "{}"),
+            (409, "session-running".to_owned()),
+            "{header}"
+        );
+        assert_eq!(ask(&address, "GET /v1/status", &header, "").0, 200);
+        assert_eq!(ask(&address, "POST /v1/stop", &header, "{}").0, 200);
+    }
+    // On the socket nothing keeps anybody from an emergency stop.
+    let estop = format!("POST /v1/estop HTTP/1.1\r\nhost: m\r\nconnection: close\r\n{}\r\n", bearer("x"));
+    assert!(daemon.raw(estop.as_bytes()).starts_with("HTTP/1.1 200 "));
+}
+
+/// A live play over TCP in lines of JSON.
+struct Live {
+    id: u64,
+    path: String,
+    lines: BufReader<TcpStream>,
+    seq: u64,
+}
+
+impl Live {
+    fn start(address: &str, headers: &str) -> Self {
+        let request = json!({
+            "drives": [{"motor": 9, "frequency_hz": 60.0, "amplitude_um": 80.0}], "timeout_ms": 20_000, "replace": true
+        });
+        let mut reader =
+            send(address, "POST /v1/live", &format!("connection: close\r\n{headers}"), &request.to_string());
+        let mut text = String::new();
+        reader.read_to_string(&mut text).unwrap();
+        let body = text.split_once("\r\n\r\n").unwrap_or_else(|| panic!("{text}")).1;
+        let LiveAccepted { id, path } = serde_json::from_str(body).unwrap_or_else(|_| panic!("{text}"));
+        let mut lines = Self::open(address, &path, headers);
+        let mut line = String::new();
+        lines.read_line(&mut line).unwrap();
+        assert!(line.starts_with("HTTP/1.1 101 "), "{line}");
+        while !line.trim().is_empty() {
+            line.clear();
+            lines.read_line(&mut line).unwrap();
+        }
+        Self { id, path, lines, seq: 0 }
+    }
+
+    fn open(address: &str, path: &str, headers: &str) -> BufReader<TcpStream> {
+        let upgrade = format!("connection: upgrade\r\nupgrade: meissner-live\r\n{headers}");
+        send(address, &format!("GET {path}"), &upgrade, "")
+    }
+
+    fn send(&mut self) {
+        self.seq += 1;
+        let message = json!({"seq": self.seq, "scale": 0.5});
+        // The daemon may have closed the connection.
+        let _ = self.lines.get_mut().write_all(format!("{message}\n").as_bytes());
+    }
+
+    fn answer(&mut self) -> Option<LiveAnswer> {
+        let mut line = String::new();
+        self.lines.read_line(&mut line).ok().filter(|length| *length > 0)?;
+        Some(serde_json::from_str(&line).unwrap())
+    }
+
+    /// Sends updates without a pause; returns how many the device has had, and how the play ended.
+    fn until_it_ends(mut self) -> (u64, Option<String>) {
+        let mut applied = 0;
+        loop {
+            self.send();
+            match self.answer() {
+                Some(LiveAnswer { ended: Some(cause), .. }) => return (applied, Some(cause)),
+                Some(answer) => applied += u64::from(answer.applied.is_some()),
+                None => return (applied, None),
+            }
+        }
+    }
+}
+
+#[test]
+fn a_revoked_tokens_live_play_takes_no_update_more() {
+    let daemon = listening("");
+    let address = address(&daemon);
+    let [operate, observe] = [Role::Operate, Role::Observe].map(|role| create(&daemon, role));
+    let mut events = daemon.client().events().unwrap();
+    daemon.armed();
+    let mut live = Live::start(&address, &bearer(&operate.token));
+    live.send();
+    assert!(live.answer().unwrap().applied.is_some());
+    // An observer that knows the path: the play takes one connection, and not this one.
+    for headers in [bearer(&observe.token), bearer("mst_0"), "via: 1.1 x\r\n".to_owned()] {
+        let code = answer(&mut Live::open(&address, &live.path, &headers)).1;
+        assert!(["forbidden", "unauthorized"].contains(&code.as_str()), "{code}");
+    }
+    revoke(&daemon, &operate);
+    // The revocation is answered: from here on nothing is applied.
+    let (applied, cause) = live.until_it_ends();
+    assert_eq!((applied, cause.as_deref()), (0, Some("revoked")));
+    let receipt = ended(&mut events);
+    assert_eq!((receipt.state, receipt.cause.as_deref()), (PlayState::Stopped, Some("revoked")));
+    // The same for a connection of another token than the play's.
+    let [one, two] = [(); 2].map(|()| create(&daemon, Role::Operate));
+    let started =
+        ask(&address, "POST /v1/live", &bearer(&one.token), "{\"drives\": [], \"timeout_ms\": 20000}");
+    assert_eq!(started.0, 202, "{started:?}");
+    revoke(&daemon, &one);
+    assert_eq!(ended(&mut events).cause.as_deref(), Some("revoked"), "it has no connection yet");
+    assert_eq!(ask(&address, "POST /v1/stop", &bearer(&two.token), "{}").0, 200);
+}
+
+#[test]
+fn a_revocation_ends_what_is_open_and_what_waits() {
+    let daemon = listening("");
+    let address = address(&daemon);
+    let mut events = daemon.client().events().unwrap();
+    let mut client = daemon.armed();
+    let token = create(&daemon, Role::Operate);
+    let headers = bearer(&token.token);
+    // A stream of events, a play that the token ordered behind another client's, a request that waits for it, and a search.
+    let mut stream = send(&address, "GET /v1/events", &headers, "");
+    let mut head = String::new();
+    while !head.contains("event: state") {
+        assert!(stream.read_line(&mut head).unwrap() > 0, "{head}");
+    }
+    let own: Value = client.post("/v1/play", &json!({"pattern": "pin-60", "seconds": 4})).unwrap();
+    assert_eq!(began(&mut events), own["id"]);
+    let play = ask(&address, "POST /v1/play", &headers, "{\"pattern\": \"pin-60\", \"endless\": true}");
+    assert_eq!(play.0, 202, "{play:?}");
+    let waiting = send(&address, "GET /v1/plays/last?wait=60", &headers, "");
+    let body = json!({"target": "rotating-edge", "seconds": 600, "robust": true}).to_string();
+    assert_eq!(ask(&address, "POST /v1/searches", &headers, &body).0, 202);
+    next(&mut events, |event| matches!(event, Event::Search { .. }).then_some(()));
+    revoke(&daemon, &token);
+    let mut rest = String::new();
+    stream.read_to_string(&mut rest).unwrap();
+    assert_eq!(answer(&mut { waiting }), (401, "unauthorized".to_owned()));
+    let (mut cancelled, mut receipts) = (false, Vec::new());
+    while receipts.len() < 2 {
+        match events.next(Some(TIMEOUT)).unwrap().unwrap() {
+            Event::Search { state, .. } => cancelled |= state == SearchState::Cancelled,
+            Event::Ended { receipt } => receipts.push(*receipt),
+            _ => {}
+        }
+    }
+    assert!(cancelled);
+    assert_eq!((receipts[0].id, receipts[0].state), (own["id"].as_u64().unwrap(), PlayState::Done));
+    assert_eq!((receipts[1].state, receipts[1].cause.as_deref()), (PlayState::Stopped, Some("revoked")));
+    assert!(receipts[1].onset.is_none(), "it never began");
+    // One that runs, without an end.
+    let token = create(&daemon, Role::Operate);
+    let endless = "{\"pattern\": \"pin-60\", \"endless\": true}";
+    assert_eq!(ask(&address, "POST /v1/play", &bearer(&token.token), endless).0, 202);
+    began(&mut events);
+    revoke(&daemon, &token);
+    assert_eq!(ended(&mut events).cause.as_deref(), Some("revoked"));
+    assert_eq!(client.get::<Status>("/v1/status").unwrap().state, "armed");
+}
+
+#[test]
+fn an_owner_who_comes_back_ends_what_strangers_play() {
+    let daemon = listening("session_silence_s = 1\n");
+    let address = address(&daemon);
+    let mut owner = daemon.armed();
+    let mut events = daemon.client().events().unwrap();
+    let started: SessionStarted =
+        owner.post("/v1/sessions", &json!({"participant": "P07", "exclusive": true})).unwrap();
+    owner.set_token(Some(started.token.clone()));
+    let released =
+        |events: &mut _| next(events, |event| matches!(event, Event::SessionReleased { .. }).then_some(()));
+    released(&mut events);
+    let mut live = Live::start(&address, "");
+    live.send();
+    assert!(live.answer().unwrap().applied.is_some());
+    let id = live.id;
+    let _: Status = owner.get("/v1/status").unwrap();
+    let (_, cause) = live.until_it_ends();
+    assert_eq!(cause.as_deref(), Some("owner-returned"));
+    let receipt = ended(&mut events);
+    assert_eq!((receipt.id, receipt.cause.as_deref()), (id, Some("owner-returned")));
+    // The owner's own play goes on, and the stranger's behind it does not begin.
+    released(&mut events);
+    let mut stranger = daemon.client();
+    let long = json!({"pattern": "pin-60", "seconds": 5});
+    let own: Value = owner.post("/v1/play", &long).unwrap();
+    released(&mut events);
+    let _: Value = stranger.post("/v1/play", &json!({"pattern": "pin-60", "endless": true})).unwrap();
+    let _: Status = owner.get("/v1/status").unwrap();
+    let mut ends = || {
+        let receipt = ended(&mut events);
+        (receipt.id, receipt.cause)
+    };
+    assert_eq!(ends(), (own["id"].as_u64().unwrap(), None));
+    assert_eq!(ends().1.as_deref(), Some("owner-returned"));
+}
+
+#[test]
+fn two_daemons_with_one_file_know_the_same_tokens() {
+    let dir = directory();
+    let file = dir.path().join("shared/tokens.toml");
+    let config = format!("tokens = {file:?}\n");
+    let [a, b] = [(); 2].map(|()| listening(&config));
+    let [at_a, at_b] = [address(&a), address(&b)];
+    let made = [create(&a, Role::Operate), create(&b, Role::Operate), create(&a, Role::Observe)];
+    for address in [&at_a, &at_b] {
+        for token in &made {
+            assert_eq!(ask(address, "GET /v1/status", &bearer(&token.token), "").0, 200);
+        }
+    }
+    let ids = |daemon: &Daemon| -> Vec<String> {
+        let list: TokenList = daemon.client().get("/v1/tokens").unwrap();
+        list.tokens.into_iter().map(|token| token.id).collect()
+    };
+    assert_eq!((ids(&a), ids(&a).len()), (ids(&b), 3));
+    // What is open at one ends when the other revokes the token, and its next use is refused.
+    b.armed();
+    let mut events = b.client().events().unwrap();
+    let headers = bearer(&made[0].token);
+    let play = ask(&at_b, "POST /v1/play", &headers, "{\"pattern\": \"pin-60\", \"endless\": true}");
+    assert_eq!(play.0, 202, "{play:?}");
+    began(&mut events);
+    for round in 0..20 {
+        let token = create(&a, Role::Operate);
+        assert_eq!(ask(&at_b, "GET /v1/status", &bearer(&token.token), "").0, 200, "{round}");
+        revoke(&a, &token);
+        assert_eq!(ask(&at_b, "GET /v1/status", &bearer(&token.token), "").0, 401, "{round}");
+    }
+    revoke(&a, &made[0]);
+    assert_eq!(ask(&at_b, "POST /v1/stop", &headers, "{}").0, 401);
+    assert_eq!(ended(&mut events).cause.as_deref(), Some("revoked"));
+    // It does not come back when the other one writes the file, or restarts.
+    create(&b, Role::Observe);
+    assert!(!ids(&a).contains(&made[0].info.id) && ids(&a).len() == 3);
+    assert!(!fs::read_to_string(&file).unwrap().contains(&made[0].info.id));
+}
+
+/// A command of another process, which has no part in what this one holds.
+fn command(daemon: &Daemon, arguments: &[&str]) -> Value {
+    serde_json::from_str(&printed(daemon.meissner().args(arguments).arg("--json"))).unwrap()
+}
+
+fn silent(events: &mut meissner_client::Events) -> f64 {
+    next(events, |event| match event {
+        Event::OwnerSilent { silence_s, .. } => Some(silence_s),
+        _ => None,
+    })
+}
+
+#[test]
+fn silence_stops_and_disarms() {
+    let daemon = Daemon::start();
+    let mut events = daemon.client().events().unwrap();
+    let armed = command(&daemon, &["arm", "--assume-rest", "--silence", "2"]);
+    assert_eq!((&armed["state"], &armed["armed"]["silence_s"]), (&json!("armed"), &json!(2.0)));
+    let by = armed["armed"]["by"].as_str().unwrap();
+    assert!(by.contains("pid ") && armed["armed"]["left_s"].as_f64().unwrap() <= 2.0, "{armed}");
+    command(&daemon, &["play", "pin-60", "--endless"]);
+    began(&mut events);
+    // Another client that only reads is no sign of life.
+    let reader = daemon.client();
+    let read = thread::spawn(move || {
+        let mut reader = reader;
+        while reader.get::<Status>("/v1/status").unwrap().state != "disarmed" {
+            thread::sleep(Duration::from_millis(20));
+        }
+    });
+    assert_eq!(silent(&mut events), 2.0);
+    let receipt = ended(&mut events);
+    assert_eq!((receipt.state, receipt.cause.as_deref()), (PlayState::Stopped, Some("owner-silent")));
+    read.join().unwrap();
+    assert_eq!(command(&daemon, &["status"])["armed"], Value::Null);
+    assert!(daemon.log().contains("was silent for too long"), "{}", daemon.log());
+    // A play with a known end is no excuse.
+    command(&daemon, &["arm", "--silence", "1"]);
+    command(&daemon, &["play", "pin-60", "--seconds", "600"]);
+    assert_eq!(silent(&mut events), 1.0);
+    assert_eq!(ended(&mut events).cause.as_deref(), Some("owner-silent"));
+    // Stated otherwise, and stated nothing.
+    let status = command(&daemon, &["arm", "--unattended"]);
+    assert_eq!((&status["armed"]["silence_s"], &status["armed"]["left_s"]), (&Value::Null, &Value::Null));
+    assert!(printed(daemon.meissner().arg("status")).contains("; unattended, until"));
+    let status = command(&daemon, &["arm"]);
+    assert_eq!(status["armed"]["silence_s"], json!(600.0), "the last statement counts");
+    command(&daemon, &["disarm"]);
+    for (body, says) in [
+        (json!({"silence_s": 0.5}), "`silence_s` is 0.5: must be 1 to 86400 s"),
+        (json!({"silence_s": 5, "unattended": true}), "exclude each other"),
+    ] {
+        let refused = problem(daemon.client().post("/v1/arm", &body));
+        assert!(refused.code == "bad-request" && refused.detail.contains(says), "{}", refused.detail);
+    }
+    assert_eq!(command(&daemon, &["status"])["state"], "disarmed");
+}
+
+#[test]
+fn the_configuration_says_how_long_an_older_client_may_be_silent() {
+    let daemon = Daemon::with("mock", &format!("{PATIENT}armed_silence_s = 1\n"));
+    let mut events = daemon.client().events().unwrap();
+    command(&daemon, &["arm", "--assume-rest"]);
+    assert_eq!(silent(&mut events), 1.0);
+    wait_until(|| daemon.client().get::<Status>("/v1/status").unwrap().state == "disarmed");
+}
+
+/// A command that waits for its play shows that it is there; killed, it is silent.
+#[test]
+fn a_command_that_waits_keeps_the_motors_armed_until_it_is_killed() {
+    let daemon = Daemon::start();
+    let mut events = daemon.client().events().unwrap();
+    command(&daemon, &["arm", "--assume-rest", "--silence", "5"]);
+    let played = command(&daemon, &["play", "pin-60", "--seconds", "12", "--wait"]);
+    assert_eq!(played["state"], "done", "{played}");
+    assert_eq!(ended(&mut events).state, PlayState::Done);
+    let mut child = Command::new(crate::harness::PROGRAM)
+        .args(["play", "pin-60", "--endless", "--wait"])
+        .env("MEISSNER_SOCKET", daemon.socket())
+        .env_remove("MEISSNER_SESSION_TOKEN")
+        .spawn()
+        .unwrap();
+    began(&mut events);
+    child.kill().unwrap();
+    child.wait().unwrap();
+    assert_eq!(silent(&mut events), 5.0);
+    assert_eq!(ended(&mut events).cause.as_deref(), Some("owner-silent"));
+}
+
+#[test]
+fn in_a_dead_owners_session_everybody_stops_and_disarms_at_once() {
+    let daemon = listening("");
+    let mut events = daemon.client().events().unwrap();
+    let mut owner = daemon.armed();
+    let started: SessionStarted =
+        owner.post("/v1/sessions", &json!({"participant": "P07", "exclusive": true})).unwrap();
+    owner.set_token(Some(started.token.clone()));
+    let _: Value = owner.post("/v1/play", &json!({"pattern": "pin-60", "endless": true})).unwrap();
+    began(&mut events);
+    let mut other = daemon.client();
+    assert_eq!(refusal(other.post("/v1/reset", &json!({}))).0, "session-exclusive");
+    for (path, command) in [("/v1/stop", "stop"), ("/v1/disarm", "disarm")] {
+        let _: Status = other.post(path, &json!({})).unwrap();
+        let (named, session) = next(&mut events, |event| match event {
+            Event::Intervened { command, session, by } if !by.is_empty() => Some((command, session)),
+            _ => None,
+        });
+        assert_eq!((named.as_str(), session), (command, started.id.clone()));
+    }
+    assert_eq!(other.get::<Status>("/v1/status").unwrap().state, "disarmed");
+    // The owner's own are no interventions, and an observer orders none.
+    let _: Status = owner.post("/v1/stop", &json!({})).unwrap();
+    let observe = create(&daemon, Role::Observe);
+    assert_eq!(ask(&address(&daemon), "POST /v1/stop", &bearer(&observe.token), "{}").1, "forbidden");
+    let _: Session = owner.post("/v1/sessions/running/end", &json!({})).unwrap();
+    next(&mut events, |event| match event {
+        Event::Intervened { .. } => panic!("nobody intervened"),
+        Event::SessionEnded { .. } => Some(()),
+        _ => None,
+    });
+}
+
+/// Whoever believes in a session that is over plays nothing: not in the next one, and not outside of any.
+#[test]
+fn nothing_plays_for_a_session_that_is_over() {
+    let daemon = Daemon::start();
+    let mut client = daemon.armed();
+    let mut start = |participant: &str| -> SessionStarted {
+        let mut client = daemon.client();
+        client.post("/v1/sessions", &json!({"participant": participant})).unwrap()
+    };
+    let first = start("P07");
+    client.set_token(Some(first.token.clone()));
+    let drive = json!({"motor": 9, "frequency_hz": 60.0, "amplitude_um": 80.0});
+    let orders = [
+        ("/v1/play", json!({"pattern": "pin-60", "seconds": 0.1})),
+        ("/v1/sequence", json!({"items": [{"pattern": "pin-60", "seconds": 0.1}]})),
+        ("/v1/live", json!({"drives": [drive]})),
+        ("/v1/calibrate", json!({})),
+        ("/v1/home", json!({})),
+        ("/v1/arm", json!({})),
+        ("/v1/sessions/running/end", json!({})),
+    ];
+    let _: Session = daemon.client().post("/v1/sessions/running/end", &json!({})).unwrap();
+    let refused = |client: &mut Client, now: &str| {
+        for (path, body) in &orders {
+            let problem = problem(client.post(path, body));
+            assert_eq!((problem.code.as_str(), problem.status), ("session-running", 409), "{path}");
+            let detail = problem.detail;
+            assert!(
+                detail.starts_with("the session of your token is over") && detail.contains(now),
+                "{detail}"
+            );
+        }
+        let _: Status = client.get("/v1/status").unwrap();
+        let _: Status = client.post("/v1/stop", &json!({})).unwrap();
+    };
+    refused(&mut client, "no session runs");
+    let second = start("P08");
+    refused(&mut client, &format!("session {} with participant `P08` runs", second.id));
+    // Who shows no token but names the session is refused, too.
+    client.set_token(None);
+    for (path, body) in
+        orders.iter().filter(|(path, _)| !["/v1/home", "/v1/arm", "/v1/sessions/running/end"].contains(path))
+    {
+        let mut body = body.clone();
+        body["session"] = json!(first.id);
+        assert_eq!(refusal(client.post(path, &body)).0, "session-running", "{path}");
+    }
+    let status: Status = client.get("/v1/status").unwrap();
+    assert_eq!((status.session.unwrap().plays, status.state.as_str()), (0, "armed"));
+    // A client with a stale token may start a session of its own.
+    let _: Session = client.post("/v1/sessions/running/end", &json!({})).unwrap();
+    client.set_token(Some(first.token));
+    let _: SessionStarted = client.post("/v1/sessions", &json!({"participant": "P09"})).unwrap();
+}
+
+#[test]
+fn a_terminal_whose_session_is_over_says_so_and_is_not_locked() {
+    let dir = directory();
+    let launch = || {
+        let log = fs::File::create(dir.path().join("log")).unwrap();
+        let program = Command::new(crate::harness::PROGRAM);
+        let mut daemon = Daemon::launch(Arc::clone(&dir), "mock", PATIENT, log, program);
+        daemon.wait_for_device();
+        daemon.armed();
+        daemon
+    };
+    let complaint =
+        |daemon: &Daemon, arguments: &[&str]| crate::harness::complaint(daemon.meissner().args(arguments));
+    let play = ["play", "pin-60", "--seconds", "0.1"];
+    let mut daemon = launch();
+    let started = command(&daemon, &["session", "start", "--participant", "P07"]);
+    command(&daemon, &play);
+    wait_until(|| daemon.client().get::<Receipt>("/v1/plays/last").unwrap().state.is_over());
+    assert_eq!(
+        daemon.client().get::<Receipt>("/v1/plays/last").unwrap().session.as_deref(),
+        started["id"].as_str()
+    );
+    // After a restart nothing plays without the session.
+    daemon.end();
+    let daemon = launch();
+    let line = complaint(&daemon, &play);
+    for says in ["the session of your token is over", "`meissner session start`", "`meissner session leave`"]
+    {
+        assert!(line.contains(says), "{line}");
+    }
+    assert!(complaint(&daemon, &["home"]).contains("is over"));
+    printed(daemon.meissner().arg("status"));
+    printed(daemon.meissner().arg("disarm"));
+    // Another one's session is not ended in its place.
+    let other: SessionStarted = daemon.client().post("/v1/sessions", &json!({"participant": "P08"})).unwrap();
+    let line = complaint(&daemon, &["session", "end"]);
+    assert!(line.contains("was over already") && line.contains("nothing was ended"), "{line}");
+    let status: Status = daemon.client().get("/v1/status").unwrap();
+    assert_eq!(status.session.unwrap().id, other.id);
+    // It has left: what it does now is in the running session.
+    command(&daemon, &["arm"]);
+    command(&daemon, &play);
+    // Left on purpose, and a session that is named.
+    command(&daemon, &["session", "end", &other.id]);
+    let started = command(&daemon, &["session", "start", "--participant", "P09"]);
+    let id = started["id"].as_str().unwrap();
+    assert!(printed(daemon.meissner().args(["session", "leave"])).contains(id));
+    assert!(printed(daemon.meissner().args(["session", "leave"])).contains("no session"));
+    command(&daemon, &["session", "end", id]);
+    command(&daemon, &play);
+}
