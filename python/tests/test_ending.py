@@ -5,6 +5,7 @@ Nothing here depends on how fast a process is: a test waits until the daemon say
 
 from __future__ import annotations
 
+import json
 import os
 import signal
 import subprocess
@@ -17,6 +18,10 @@ from pathlib import Path
 import pytest
 
 import meissner
+from meissner import _http, errors
+from meissner import _operations as ops
+from meissner._endpoint import Endpoint
+from meissner.clocks import ClientClock
 from meissner.results import Status
 
 PATIENT = 120.0
@@ -28,7 +33,7 @@ for number in (signal.SIGTERM, signal.SIGHUP):
 def ready():
     print("ready", flush=True)
 def arm(m):
-    m.arm(assume_rest=True, checked="a test", silence=600)
+    m.arm(assume_rest=True, checked="a test", silence=SILENCE)
     return m
 def armed():
     return arm(meissner.connect(sys.argv[1]))
@@ -38,12 +43,14 @@ def blocked():
 
 
 @contextmanager
-def script(code: str, *arguments: str, options: tuple[str, ...] = ()) -> Iterator[subprocess.Popen[str]]:
+def script(
+    code: str, *arguments: str, options: tuple[str, ...] = (), silence: float = 600.0
+) -> Iterator[subprocess.Popen[str]]:
     """Runs this in a Python of its own until it prints `ready`."""
     # Coverage would handle SIGTERM itself.
     variables = {key: value for key, value in os.environ.items() if not key.startswith("COVERAGE")}
     child = subprocess.Popen(
-        [sys.executable, *options, "-c", BEGIN + code, *arguments],
+        [sys.executable, *options, "-c", f"SILENCE = {silence}\n{BEGIN}{code}", *arguments],
         env=variables,
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
@@ -83,7 +90,7 @@ def last_play(daemon: meissner.Daemon) -> str:
 ASYNC = """
 async def main():
     async with await meissner.connect_async(sys.argv[1]) as m:
-        await m.arm(assume_rest=True, checked="a test", silence=600)
+        await m.arm(assume_rest=True, checked="a test", silence=SILENCE)
         {}
 asyncio.run(main())
 """
@@ -106,7 +113,7 @@ PHASES = {
         "async with m.session('P07'):\n            play = await m.play('pin-60', endless=True); ready(); await play.wait()"
     ),
     "asyncio, without with": "async def main():\n m = await meissner.connect_async(sys.argv[1])\n"
-    " await m.arm(assume_rest=True, checked='a test', silence=600)\n ready()\n await asyncio.sleep(600)\nasyncio.run(main())",
+    " await m.arm(assume_rest=True, checked='a test', silence=SILENCE)\n ready()\n await asyncio.sleep(600)\nasyncio.run(main())",
 }
 
 
@@ -239,7 +246,7 @@ assert handlers() == [own, signal.SIG_IGN]
 async def main():
     loop, asked = asyncio.get_running_loop(), asyncio.Event()
     async with await meissner.connect_async(sys.argv[1]) as m:
-        await m.arm(assume_rest=True, checked="a test", silence=600)
+        await m.arm(assume_rest=True, checked="a test", silence=SILENCE)
         loop.add_signal_handler(signal.SIGTERM, asked.set)
         os.kill(os.getpid(), signal.SIGTERM)
         await asked.wait()
@@ -292,3 +299,84 @@ if __name__ == "__main__":
     with script(code, daemon.socket) as child:
         _, errors = child.communicate(timeout=PATIENT)
     assert (child.returncode, errors) == (0, "")
+
+
+@pytest.mark.parametrize("phase", ["idle", "mid play", "in a session", "in a live play", "asyncio, in wait"])
+def test_a_script_that_is_killed_leaves_the_motors_off(phase: str) -> None:
+    """Nothing but silence tells the daemon: 10 s of it, as by default."""
+    with (
+        meissner.Daemon() as daemon,
+        meissner.connect(daemon.socket) as watcher,
+        script(PHASES[phase], daemon.socket, silence=ops.SILENCE) as child,
+    ):
+        state = until(daemon, lambda state: state.state == "armed")
+        assert state.raw["armed"]["silence_s"] == 10.0
+        assert str(child.pid) in state.raw["armed"]["by"]
+        child.kill()
+        child.wait()
+        until(daemon, is_off)
+        watcher.wait_until_idle()
+        if "endless" in PHASES[phase]:
+            assert (watcher.receipt().state, watcher.receipt().cause) == ("stopped", "owner-silent")
+
+
+BREAKS = {
+    "a rest break": "m = armed()\nready()\ntime.sleep(600)",
+    "a C call": "m = armed()\nready()\nblocked()",
+    "asyncio, a blocked loop": ASYNC.format("ready(); time.sleep(600)"),
+}
+
+
+@pytest.mark.parametrize("what", BREAKS)
+def test_a_program_that_lives_and_says_nothing_stays_armed(daemon: meissner.Daemon, what: str) -> None:
+    """A sign of life is seen by the time that is left: it grows again and again."""
+    with script(BREAKS[what], daemon.socket, silence=60.0), meissner.connect(daemon.socket) as watcher:
+        deadline, grown, before = time.monotonic() + 2 * PATIENT, 0, 60.0
+        while grown < 2:
+            state = watcher.status()
+            assert state.state == "armed"
+            left = state.raw["armed"]["left_s"]
+            grown += left > before
+            before = left
+            assert time.monotonic() < deadline
+            time.sleep(0.1)
+
+
+def test_motors_may_stay_armed_without_the_client_if_it_says_so(daemon: meissner.Daemon) -> None:
+    code = "m = meissner.connect(sys.argv[1])\nm.arm(assume_rest=True, checked='a test', stay_armed=True)\nready()\ntime.sleep(600)"
+    with script(code, daemon.socket) as child:
+        child.kill()
+        child.wait()
+        state = until(daemon, lambda state: state.state == "armed")
+        assert (state.raw["armed"]["silence_s"], state.raw["armed"]["left_s"]) == (None, None)
+    # The end of a script disarms in any case.
+    with script(code, daemon.socket) as child:
+        child.terminate()
+        child.wait()
+        until(daemon, is_off)
+
+
+@pytest.mark.parametrize("silence", [0.0, 0.9, 86_401.0, float("nan"), float("inf")])
+def test_a_silence_that_means_nothing_is_refused(m: meissner.Client, silence: float) -> None:
+    with pytest.raises(ValueError, match="must be 1 to 86400"):
+        m.arm(silence=silence)
+    assert m.core.silence == 60.0
+
+
+@pytest.mark.parametrize(("stay_armed", "key"), [(False, "silence_s"), (True, "unattended")])
+def test_a_daemon_that_knows_no_silence_arms_as_before(stay_armed: bool, key: str) -> None:
+    core = ops.Core(Endpoint("http://pc"), ClientClock())
+    arming = ops.arm(core, assume_rest=True, stay_armed=stay_armed)
+    first = next(arming)
+    assert isinstance(first, _http.Request)
+    assert first.content is not None
+    assert key in json.loads(first.content)
+    problem = {"code": "bad-request", "detail": f"unknown key `{key}`: did you mean `checked`?"}
+    second = arming.send(_http.Answer(400, json.dumps(problem).encode()))
+    assert isinstance(second, _http.Request)
+    assert second.content is not None
+    assert json.loads(second.content) == {"assume_rest": True}
+    assert core.has_armed
+    with pytest.raises(errors.BadRequest):
+        arming.send(_http.Answer(400, json.dumps({**problem, "detail": "`checked` is empty"}).encode()))
+    assert not core.has_armed

@@ -69,7 +69,10 @@ class Alive:
         return contextlib.closing(BlockingTransport(core.endpoint, lambda: core.headers, core.clock.now_ns))
 
     def release(self) -> None:
-        """Disarm, if the client has armed: in any thread, on a connection that no other thread uses."""
-        if self._core.has_armed:
+        """Disarm, if the client has armed: in any thread, on a connection that no other thread uses.
+
+        The client disarms once more when it is closed: an `arm` that was under way may come after this.
+        """
+        if self._core.has_armed and self._core.is_own:
             with self._transport() as transport:
-                _http.run(ops.leave(self._core), transport.perform, transport.pause)
+                _http.run(ops.switch_off(self._core), transport.perform, transport.pause)

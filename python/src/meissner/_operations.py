@@ -518,7 +518,7 @@ def sessions(core: Core) -> Op[list[dict[str, Any]]]:
 
 
 def session_plays(core: Core, session_id: str) -> Op[dict[str, Any]]:
-    """The recorded plays of a session, all pages: keys `session`, `plays`, `lost`, `unreadable`, `problems`."""
+    """The recorded plays of a session, all pages: keys `session`, `plays`, `complete`, `missing`, `lost`, `problems`."""
     plays: list[dict[str, Any]] = []
     while True:
         path = f"/v1/sessions/{session_id}/plays?from={len(plays)}"
@@ -531,9 +531,14 @@ def session_plays(core: Core, session_id: str) -> Op[dict[str, Any]]:
 def leave(core: Core) -> Op[None]:
     """Disarm at the end if this client has armed. A device that is off already is fine."""
     if core.has_armed and core.is_own:
-        with contextlib.suppress(Faulted, NoDevice):
-            yield from disarm(core)
+        yield from switch_off(core)
         core.has_armed = False
+
+
+def switch_off(core: Core) -> Op[None]:
+    """Disarm. A device that is off already is fine."""
+    with contextlib.suppress(Faulted, NoDevice):
+        yield from _command(core, "/v1/disarm")
 
 
 def heartbeat(core: Core) -> Op[float]:
