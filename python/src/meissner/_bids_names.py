@@ -161,8 +161,8 @@ def _sidecars(root: Path) -> Iterator[tuple[Path, dict[str, Any]]]:
 def participants(root: Path) -> tuple[list[str], list[list[str]]]:
     """The columns and the rows of `participants.tsv`."""
     people = root / "participants.tsv"
-    lines = people.read_text(encoding="utf-8-sig").splitlines() if people.exists() else ["participant_id"]
-    header, *rows = [line.split("\t") for line in lines if line.strip()] or [["participant_id"]]
+    text = people.read_text(encoding="utf-8-sig") if people.exists() else ""
+    header, *rows = [line.split("\t") for line in text.split("\n") if line.strip()] or [["participant_id"]]
     return header, rows
 
 
@@ -171,12 +171,14 @@ def add_participant(root: Path, names: Names) -> None:
     header, rows = participants(root)
     if SOURCE not in header:
         header.append(SOURCE)
-    place, name = header.index(SOURCE), f"sub-{names.subject}"
+    place, name, source = header.index(SOURCE), f"sub-{names.subject}", exact(names.participant)
     rows = [row + ["n/a"] * (len(header) - len(row)) for row in rows]
     row = next((row for row in rows if row[0] == name), None)
     if row is None:
         row = [name, *["n/a"] * (len(header) - 1)]
         rows.append(row)
-    row[place] = exact(names.participant)
+    elif row[place] == source:
+        return
+    row[place] = source
     text = "".join("\t".join(line) + "\n" for line in [header, *rows])
     (root / "participants.tsv").write_text(text, encoding="utf-8")

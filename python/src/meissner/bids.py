@@ -241,8 +241,11 @@ def _dataset(root: Path, names: Names) -> None:
         )
     add_participant(root, names)
     meaning = root / "participants.json"
-    columns = json.loads(meaning.read_text(encoding="utf-8")) if meaning.exists() else {}
-    if SOURCE not in columns:
+    try:
+        columns = json.loads(meaning.read_text(encoding="utf-8")) if meaning.exists() else {}
+    except ValueError:
+        return
+    if isinstance(columns, dict) and SOURCE not in columns:
         about = {
             "Description": "The participant's pseudonym in the session record of meissner, from which the label comes"
         }
