@@ -19,11 +19,11 @@ HZ = 85_000
 
 
 def run(socket: str, work: Callable[[AsyncClient], Awaitable[None]]) -> None:
-    """Runs this with an armed client."""
+    """Runs this with an armed client, whose signs of life are not among the requests."""
 
     async def main() -> None:
         async with await meissner.connect_async(socket) as m:
-            await m.arm(assume_rest=True, checked="a test")
+            await m.arm(assume_rest=True, checked="a test", stay_armed=True)
             await work(m)
 
     asyncio.run(main())

@@ -36,27 +36,32 @@ class Alive:
             # A forked child has the parent's object, and no thread.
             if self._thread is None or not self._thread.is_alive():
                 self.problem = None
+                self._changed.clear()
                 self._thread = threading.Thread(target=self._run, name="meissner-alive", daemon=True)
                 self._thread.start()
-        self._changed.set()
+            else:
+                self._changed.set()
 
     def end(self) -> None:
         """Call it when a session has ended, and at the end of the client."""
         self._changed.set()
 
     def _run(self) -> None:
+        # Arming is a sign itself. How soon a session needs one, the daemon has to tell.
+        pause = 0.0 if self._core.session else (self._core.silence or 0.0) / 4
         with self._transport() as transport:
-            while self._is_wanted():
+            while self._is_wanted(pause):
                 try:
                     pause = _http.run(ops.heartbeat(self._core), transport.perform, transport.pause)
                     self.problem = None
                 except MeissnerError as error:
                     pause = min(1.0, (self._core.silence or 4.0) / 4)
                     self.problem = error if self._core.shows_signs else None
-                self._changed.wait(pause)
-                self._changed.clear()
 
-    def _is_wanted(self) -> bool:
+    def _is_wanted(self, pause: float) -> bool:
+        """Whether the next sign is, after this pause."""
+        self._changed.wait(pause)
+        self._changed.clear()
         with self._lock:
             if not self._core.shows_signs:
                 # Under the lock: whoever begins anew starts another thread.
