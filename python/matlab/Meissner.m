@@ -13,8 +13,8 @@ classdef Meissner < handle
   % that 'clock' reads: GetSecs of Psychtoolbox, or by default the time since this object was made.
   %
   % The daemon must listen on TCP: see docs/how-to/network.md. MATLAB sends commands by webwrite. Octave's webwrite sends forms
-  % only, so Octave needs the program curl. An error has the identifier meissner:CODE with the API's code; MATLAB's webwrite and
-  % both webreads hide the code: then it is meissner:http.
+  % only, and its webread one header, so Octave needs the program curl. An error has the identifier meissner:CODE with the API's
+  % code; MATLAB's webwrite and webread hide the code: then it is meissner:http.
   %
   % Invariant: a command is sent once; a time errs by at most its uncertainty, while the clocks differ in rate by less than 200 ppm.
 
@@ -25,6 +25,8 @@ classdef Meissner < handle
 
   properties (Access = private)
     token = ''
+    client                 % this object's name in every request: the daemon knows by it who is silent
+    session_id = ''        % of the session that this client owns: every order names it, so that none counts for another one
     session_token = ''
     clock
     samples = zeros(0, 3)  % the daemon's clock, and the bounds of this clock minus the daemon's, s
@@ -44,6 +46,10 @@ classdef Meissner < handle
       if isfield(asked, 'token'), self.token = asked.token; end
       begun = tic();
       self.clock = @() toc(begun);
+      % Without `rand`: an experiment may have seeded it.
+      [~, name] = fileparts(tempname());
+      self.client = regexprep(sprintf('%s-%lu', name, begun), '[^A-Za-z0-9_-]', '-');
+      self.client = self.client(max(1, end - 63):end);
       if isfield(asked, 'clock'), self.clock = asked.clock; end
       self.synchronise();
     end
@@ -98,10 +104,21 @@ classdef Meissner < handle
 
     function state = arm(self, varargin)
       % Enable the motors. 'assume_rest', true: you have seen that all pins are at rest; 'checked', NAME: who has looked.
+      % 'silence', S: the daemon disarms when it hears nothing of this client for S seconds, by default its armed_silence_s. Nothing
+      % runs between your calls: call status in breaks. 'stay_armed', true: silence does not disarm.
+      body = Meissner.options({'assume_rest', 'checked', 'silence', 'stay_armed'}, varargin);
+      if isfield(body, 'silence')
+        body.silence_s = body.silence;
+        body = rmfield(body, 'silence');
+      end
+      if isfield(body, 'stay_armed')
+        if body.stay_armed, body.unattended = true; end
+        body = rmfield(body, 'stay_armed');
+      end
       before = self.has_armed;
       self.has_armed = true;  % first: if the answer is lost, the motors may be on
       try
-        state = self.post('/v1/arm', Meissner.options({'assume_rest', 'checked'}, varargin), 10);
+        state = self.post('/v1/arm', body, 10);
       catch failure
         % What the daemon refused has changed nothing; else the motors may be on.
         is_refused = ~any(strcmp(failure.identifier, {'meissner:http', 'meissner:timeout'}));
@@ -212,24 +229,29 @@ classdef Meissner < handle
     end
 
     function id = session_start(self, participant, varargin)
-      % Start a session. Options: exclusive, experiment, seed, labels. Nothing shows that its owner is there while you call nothing:
-      % in a rest break longer than the daemon's session_silence_s call status now and then.
+      % Start a session. Options: exclusive, experiment, seed, labels. Every play of this client belongs to it from now on; when it is
+      % over without you, plays fail (meissner:session_over) until session_end, or another session_start. Nothing shows that its owner
+      % is there while you call nothing: in a rest break longer than the daemon's session_silence_s call status now and then.
       body = Meissner.options({'exclusive', 'experiment', 'seed', 'labels'}, varargin);
       body.participant = participant;
       started = self.post('/v1/sessions', Meissner.with_texts(body), 10);
       self.session_token = started.token;
+      self.session_id = started.id;
       id = started.id;
     end
 
     function session_end(self)
-      % End the session after its plays have ended.
-      while true
+      % End the session after its plays have ended. One that is over already is left.
+      while self.session_runs()
         state = self.status();
-        if isempty(state.play) && isempty(state.queued) && ~strcmp(state.state, 'returning'), break, end
+        if isempty(state.play) && isempty(state.queued) && ~strcmp(state.state, 'returning')
+          self.post(['/v1/sessions/' self.session_id '/end'], struct(), 10);
+          break
+        end
         pause(0.02);
       end
-      self.post('/v1/sessions/running/end', struct(), 10);
       self.session_token = '';
+      self.session_id = '';
     end
   end
 
@@ -263,8 +285,14 @@ classdef Meissner < handle
       uncertainty = (high - low) / 2;
     end
 
+    function runs = session_runs(self)
+      state = self.status();
+      runs = ~isempty(self.session_id) && isstruct(state.session) && strcmp(state.session.id, self.session_id);
+    end
+
     function play = order(self, path, body, name)
       body = Meissner.with_texts(body);
+      if ~isempty(self.session_id), body.session = self.session_id; end
       numbers = '';
       if isfield(body, 'at')
         % Written by hand: jsonencode rounds numbers of more than 15 digits.
@@ -282,7 +310,16 @@ classdef Meissner < handle
       if isfield(body, 'trigger') && isnumeric(body.trigger), body.trigger = struct('code', body.trigger); end
       text = jsonencode(body);
       if ~isempty(numbers), text = [text(1:end - 1) ',' numbers '}']; end
-      answer = jsondecode(self.send('POST', path, text, 'application/json', 20));
+      try
+        answer = jsondecode(self.send('POST', path, text, 'application/json', 20));
+      catch failure
+        % MATLAB hides the daemon's answer, so the status has to tell.
+        is_refusal = any(strcmp(failure.identifier, {'meissner:http', 'meissner:session_running', 'meissner:session_exclusive'}));
+        if ~isempty(self.session_id) && is_refusal && ~self.session_runs()
+          error('meissner:session_over', 'session %s is over: call session_end, or start another one (%s)', self.session_id, failure.message);
+        end
+        rethrow(failure);
+      end
       play = struct('id', answer.id, 'pattern', name, 'ordered_s', answer.ordered_ms / 1000);
     end
 
@@ -319,15 +356,16 @@ classdef Meissner < handle
     end
 
     function answer = send(self, method, path, body, type, timeout)
-      headers = {};
+      headers = {'Meissner-Client', self.client};
       if ~isempty(self.token), headers(end + 1, :) = {'Authorization', ['Bearer ' self.token]}; end
       if ~isempty(self.session_token), headers(end + 1, :) = {'Meissner-Session', self.session_token}; end
-      if ~strcmp(method, 'GET') && exist('OCTAVE_VERSION', 'builtin')
-        answer = Meissner.by_curl(method, [self.url path], body, [headers; {'Content-Type', type}], timeout);
+      if exist('OCTAVE_VERSION', 'builtin')
+        if ~isempty(type), headers(end + 1, :) = {'Content-Type', type}; end
+        answer = Meissner.by_curl(method, [self.url path], body, headers, timeout);
         return
       end
       asked = weboptions('ContentType', 'text', 'Timeout', ceil(timeout));
-      if ~isempty(headers), asked.HeaderFields = headers; end
+      asked.HeaderFields = headers;
       try
         if strcmp(method, 'GET')
           answer = webread([self.url path], asked);
@@ -405,8 +443,9 @@ classdef Meissner < handle
     function answer = by_curl(method, url, body, headers, timeout)
       % Octave alone. The request stands in a file that only this user may read, because of the tokens.
       quoted = @(text) ['"' strrep(strrep(strrep(text, '\', '\\'), '"', '\"'), sprintf('\n'), '\n') '"'];
-      lines = {['url = ' quoted(url)], ['request = ' method], ['data-binary = ' quoted(body)], 'silent', 'show-error', ...
+      lines = {['url = ' quoted(url)], ['request = ' method], 'silent', 'show-error', ...
         sprintf('max-time = %d', ceil(timeout)), 'write-out = "\n%{http_code}"'};
+      if ~strcmp(method, 'GET'), lines{end + 1} = ['data-binary = ' quoted(body)]; end
       for row = 1:size(headers, 1)
         lines{end + 1} = ['header = ' quoted([headers{row, 1} ': ' headers{row, 2}])];
       end

@@ -34,9 +34,9 @@ def daemon(shared_daemon: meissner.Daemon) -> Iterator[meissner.Daemon]:
 
 @pytest.fixture
 def m(daemon: meissner.Daemon) -> Iterator[meissner.Client]:
-    """An armed client."""
+    """An armed client. A stall of a busy machine is no silence."""
     with meissner.connect(daemon.socket) as client:
-        client.arm(assume_rest=True, checked="a test")
+        client.arm(assume_rest=True, checked="a test", silence=60.0)
         yield client
 
 

@@ -19,11 +19,11 @@ HZ = 85_000
 
 
 def run(socket: str, work: Callable[[AsyncClient], Awaitable[None]]) -> None:
-    """Runs this with an armed client."""
+    """Runs this with an armed client, whose signs of life are not among the requests."""
 
     async def main() -> None:
         async with await meissner.connect_async(socket) as m:
-            await m.arm(assume_rest=True, checked="a test")
+            await m.arm(assume_rest=True, checked="a test", stay_armed=True)
             await work(m)
 
     asyncio.run(main())
@@ -78,7 +78,7 @@ def test_a_session_survives_a_break() -> None:
             async with m.session("P07", exclusive=True, seed=1) as session:
                 await asyncio.sleep(4.5)
                 with pytest.raises(errors.SessionExclusive):
-                    other.stop()
+                    other.play("pin-60", 0.05)
                 assert session.heartbeat_problem is None
             session = await m.session("P08")
             assert other.status().raw["session"]["id"] == session.id

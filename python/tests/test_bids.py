@@ -23,10 +23,12 @@ def record(m: meissner.Client) -> tuple[str, meissner.Play, meissner.Play]:
     """A session with a play, a sequence, a play that was stopped, and a pattern that changes afterwards."""
     # The session record keeps a text once: `forget` removes this one, and no test has it again.
     m.store_pattern("mine", PATTERN.format("mine", 40.0) + f"# {time.time_ns()}\n", replace=True)
-    with m.session("P-07", experiment="edge detection") as session:
+    with m.session("P-07", experiment="edge detection", labels={"note": "a;b"}) as session:
         play = m.play("pin-60", 0.1, trial=1, labels={"block": "a b"}, trigger=5)
         play.wait()
-        pair = m.sequence(["mine", {"pattern": "pin-60", "scale": 0.5}], seconds=0.05, soa=0.2, trial=2)
+        pair = m.sequence(
+            ["mine", {"pattern": "pin-60", "scale": 0.5}], seconds=0.05, soa=0.2, trial=2, labels={"k;": "v="}
+        )
         pair.wait()
         m.play("pin-60", endless=True)
         m.stop()
@@ -105,6 +107,8 @@ def test_a_session_becomes_a_dataset(m: meissner.Client, tmp_path: Path) -> None
         "n/a",
     )
     assert [row["item"] for row in rows[1:3]] == ["0", "1"]
+    assert [row["label_k_"] for row in rows[:3]] == ["n/a", "v=", "v="]
+    assert {row["session_label_note"] for row in rows} == {"a;b"}
     # The pattern has changed since; the file has what was played.
     assert "amplitude_um = 40.0" in (tmp_path / "stimuli" / rows[1]["stim_file"]).read_text()
     assert [line for line in export.left_out if "late strokes" not in line] == []
@@ -144,7 +148,9 @@ def test_a_dataset_that_is_there_keeps_its_files(m: meissner.Client, tmp_path: P
         m.play("pin-60", 0.05).wait()
     m.export_bids(session.id, tmp_path)
     assert (tmp_path / "README.md").read_text() == "kept"
-    assert (tmp_path / "participants.tsv").read_text() == "participant_id\tage\nsub-P01\t30\nsub-P02\tn/a\n"
+    assert (tmp_path / "participants.tsv").read_text() == (
+        "participant_id\tage\tmeissner_participant\nsub-P01\t30\tn/a\nsub-P02\tn/a\tP02\n"
+    )
     assert next(tmp_path.rglob("*_events.tsv")).name.endswith("_task-tactile_events.tsv")
 
 
@@ -243,6 +249,7 @@ def test_losses_are_told(tmp_path: Path) -> None:
 def test_the_official_validator_finds_no_error(m: meissner.Client, tmp_path: Path) -> None:
     session, _, _ = record(m)
     m.export_bids(session, tmp_path)
+    m.export_bids(session, tmp_path, subject="other", session="01", run=2)
     m.remove_pattern("mine")
     command = ["bids-validator-deno", "--json", str(tmp_path)]
     ended = subprocess.run(command, capture_output=True, text=True, check=False)

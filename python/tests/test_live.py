@@ -173,7 +173,7 @@ def test_a_session_belongs_to_its_owner(m: meissner.Client, daemon: meissner.Dae
     ):
         play = m.play("pin-60", 0.1)
         with pytest.raises(errors.SessionExclusive, match="P07"):
-            other.stop()
+            other.play("pin-60", 0.05)
         with pytest.raises(errors.SessionRunning):
             m.session("P08")
         # The block waits for this play before it ends the session.
@@ -211,7 +211,7 @@ def test_an_owner_in_a_rest_break_stays_the_owner() -> None:
         with m.session("P07", exclusive=True):
             assert not released.wait(4.5)
             with pytest.raises(errors.SessionExclusive):
-                other.disarm()
+                other.play("pin-60", 0.05)
             m.play("pin-60", 0.1).wait()
         listener.join(10)
         assert not listener.is_alive()
@@ -254,7 +254,8 @@ def test_a_connection_that_has_died_in_a_break_is_made_again(network: Network) -
 
 def test_a_command_is_sent_once_and_a_question_again(network: Network) -> None:
     with meissner.connect(network.url) as m:
-        m.arm(assume_rest=True, checked="a test")
+        # Signs of life would be among the requests.
+        m.arm(assume_rest=True, checked="a test", stay_armed=True)
         network.lose_answers = 1
         assert m.status().state == "armed"
         network.requests.clear()
@@ -284,7 +285,7 @@ def test_with_jitter_and_a_skewed_clock_no_onset_errs_by_more_than_stated(networ
         m.arm(assume_rest=True, checked="a test")
         plays = []
         for _ in range(2):
-            first = m.now() + 1.0
+            first = m.now() + 5.0
             ordered = [(at, m.play("pin-60", 0.02, at=at)) for at in (first + 0.1 * n for n in range(10))]
             for at, play in ordered:
                 play.wait()
@@ -395,5 +396,5 @@ def test_over_tcp_with_tokens() -> None:
                 with m.session("P07", exclusive=True):
                     assert m.play("pin-60", 0.05).wait().state == "done"
                     with meissner.connect(daemon.socket) as other, pytest.raises(errors.SessionExclusive):
-                        other.stop()
+                        other.play("pin-60", 0.05)
                     assert m.estop().state == "faulted"

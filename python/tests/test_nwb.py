@@ -61,6 +61,8 @@ def check(nwb: Any, play: meissner.Play, pair: meissner.Play) -> None:
     assert onset.timestamp() == pytest.approx(play.onset.wall, abs=0.1)
     assert table["duration"][0] == pytest.approx((play.offset.tick - play.onset.tick) / 85_000, abs=1e-6)
     assert (table["trial"][0], table["labels"][0], table["trigger_code"][0]) == (1, "block=a b", 5)
+    assert list(table["label_k_"][:3]) == ["", "v=", "v="]
+    assert set(table["session_label_note"]) == {"a;b"}
     trace = nwb.stimulus["pin_displacement"]
     assert (trace.unit, trace.conversion) == ("meters", 1e-6)
     moved = [time for time, row in zip(trace.timestamps[:], trace.data[:], strict=True) if row[9] > 1]

@@ -134,7 +134,7 @@ def test_the_other_methods_do_what_they_do_in_python(daemon: meissner.Daemon, ne
         "meissner:stale_boot",
         "meissner:bad_option",
         "meissner:bad_option",
-        "meissner:http",
+        "meissner:not_found",
     ]
     with meissner.connect(daemon.socket) as m:
         m.remove_pattern("from-octave")
@@ -142,6 +142,47 @@ def test_the_other_methods_do_what_they_do_in_python(daemon: meissner.Daemon, ne
         assert (session["participant"], session["experiment"], session["seed"]) == ("P07", "octave", 3)
         assert session["exclusive"]
         assert session["reason"] == "request"
+
+
+OVER = """
+m.arm('assume_rest', true, 'checked', 'a test');
+over = m.session_start('P07');
+first = m.wait(m.play('pin-60', 'seconds', 0.05));
+other = Meissner(getenv('MEISSNER_URL'));
+system(sprintf('curl --silent --show-error --fail -X POST %s/v1/sessions/%s/end >&2', getenv('MEISSNER_URL'), over));
+next = other.session_start('P08');
+tries = {@() m.play('pin-60', 'seconds', 0.05), @() m.sequence({'pin-60', 'pin-60'}, 'seconds', 0.05, 'isi', 0.1)};
+told = {};
+for number = 1:numel(tries)
+  try
+    tries{number}();
+    told{end + 1} = 'no error';
+  catch failure
+    told{end + 1} = failure.identifier;
+  end
+end
+m.session_end();
+still = other.status();
+other.session_end();
+ended = other.status();
+again = m.session_start('P07');
+second = m.wait(m.play('pin-60', 'seconds', 0.05));
+m.session_end();
+m.close();
+out = struct('over', over, 'next', next, 'again', again, 'told', {told}, 'still', still.session.id, 'ended', isempty(ended.session), ...
+  'first', first.raw.session, 'second', second.raw.session);
+disp(jsonencode(out));
+"""
+
+
+def test_after_the_session_is_over_nothing_plays(daemon: meissner.Daemon, network: Network, tmp_path: Path) -> None:
+    told: dict[str, Any] = json.loads(octave(begin(OVER), tmp_path, network))
+    assert told["told"] == ["meissner:session_over"] * 2
+    # Leaving a session that is over does not end that of somebody else.
+    assert (told["still"], told["ended"]) == (told["next"], True)
+    assert (told["first"], told["second"]) == (told["over"], told["again"])
+    with meissner.connect(daemon.socket) as m:
+        assert m.session_plays(told["next"])["plays"] == []
 
 
 @pytest.mark.parametrize("example", ["first_play", "psychtoolbox"])

@@ -18,6 +18,8 @@ import pytest
 
 import environment
 import meissner
+from meissner import _http
+from meissner import _operations as ops
 from psychopy_meissner import device as device_module
 from psychopy_meissner import routine as routine_module
 from psychopy_meissner import script
@@ -231,6 +233,25 @@ def test_a_refused_play_ends_the_experiment_with_the_daemons_line(device: Meissn
     with pytest.raises(meissner.errors.Faulted):
         play.start(None)
         play.finish()
+
+
+def test_a_play_whose_session_is_over_ends_the_experiment(daemon: meissner.Daemon) -> None:
+    device = MeissnerDevice(daemon.socket, checked="a test", participant="P07")
+    core = device.client.core
+    assert core.session is not None
+    request = _http.post(f"/v1/sessions/{core.session.id}/end")
+    device.client.run(ops.send(core, request))  # As after a silence: the client does not know.
+    with meissner.connect(daemon.socket) as other, other.session("P08") as following:
+        play = TactilePlay(device)
+        play.setPattern("edge-45")
+        play.setSeconds(0.1)
+        play.start(None)
+        with pytest.raises(meissner.errors.SessionOver):
+            play.finish()
+        device.close()
+        assert other.status().raw["session"]["id"] == following.id
+    with meissner.connect(daemon.socket) as other:
+        assert other.session_plays(following.id)["plays"] == []
 
 
 def test_an_emergency_stop_by_somebody_is_in_the_data(device: MeissnerDevice) -> None:

@@ -139,5 +139,6 @@ def demo(*, arm: bool = True, config: str = "") -> Client:
         raise
     client.adopt(daemon)
     if arm:
-        client.arm(assume_rest=True)
+        # No finger: a stall of a busy machine may last.
+        client.arm(assume_rest=True, silence=60.0)
     return client

@@ -11,12 +11,27 @@ from . import bids, nwb
 from ._http import Op
 from ._operations import Core, pattern, session_plays, status
 from .clocks import NS, Instant
-from .errors import BadPattern, NotFound
+from .errors import BadPattern, IncompleteSession, NotFound
 
 
-def _stimuli(core: Core, session_id: str) -> Op[tuple[dict[str, Any], dict[str, dict[str, Any]]]]:
+def _complete(recorded: Mapping[str, Any]) -> None:
+    """Raises `IncompleteSession` if the record lacks something of the session."""
+    session = recorded["session"]
+    # An older daemon has no `complete`.
+    is_whole = not recorded["lost"] and session["reason"] not in (None, "unknown")
+    if not recorded.get("complete", is_whole):
+        missing = recorded.get("missing") or bids.losses(recorded) or ["its end is not recorded"]
+        raise IncompleteSession(
+            f"the record of session {session['id']} is incomplete: {'; '.join(missing)}: nothing was written; pass "
+            "incomplete=True to export what there is"
+        )
+
+
+def _stimuli(core: Core, session_id: str, incomplete: bool) -> Op[tuple[dict[str, Any], dict[str, dict[str, Any]]]]:
     """The rows of a session, and the patterns as they were played, by SHA-256: without those whose text is not kept."""
     recorded = yield from session_plays(core, session_id)
+    if not incomplete:
+        _complete(recorded)
     rows = bids.stimulus_rows(recorded["plays"])
     found = {}
     for name, sha256 in sorted({(row["pattern"], row["pattern_sha256"]) for row in rows if row["pattern_sha256"]}):
@@ -36,16 +51,26 @@ def export_bids(
     root: str | os.PathLike[str],
     *,
     task: str | None = None,
+    subject: str | None = None,
+    session: str | None = None,
+    run: int | str | None = None,
     zero: float | Instant | None = None,
     displacement_hz: float | None = 1000.0,
+    incomplete: bool = False,
 ) -> Op[bids.Export]:
     """Write a recorded session into a BIDS dataset: events, the patterns as stimuli, the displacement of the pins.
 
-    `task` names the task, else the session's experiment does. `zero` is the instant from which onsets count, such as the
+    `task` names the task, else the session's experiment does. `subject` and `session` are labels of letters and digits, by
+    default what remains of the participant's pseudonym and of the session's id; `run` is a number. Raises `BidsConflict` if one of
+    them stands for something else in the dataset, such as a participant `P-07` for `P07`.
+
+    `zero` is the instant from which onsets count, such as the
     start of an EEG recording: of this process's `time.monotonic()`, or an `Instant`. Without it the first onset counts.
     `displacement_hz`: samples of the pins' displacement a second, computed by the program `meissner` on this machine; None: none.
+
+    Raises `IncompleteSession` if the record lacks something of the session, unless `incomplete`; `left_out` then says what.
     """
-    recorded, found = yield from _stimuli(core, session_id)
+    recorded, found = yield from _stimuli(core, session_id, incomplete)
     if isinstance(zero, Instant):
         zero_host_ns: int | None = zero.host_ns
     else:
@@ -58,6 +83,9 @@ def export_bids(
         zero_host_ns=zero_host_ns,
         software=core.daemon,
         displacement_hz=displacement_hz,
+        subject=subject,
+        session=session,
+        run=run,
     )
 
 
@@ -69,14 +97,16 @@ def export_nwb(
     subject: Mapping[str, Any] | None = None,
     metadata: Mapping[str, Any] | None = None,
     displacement_hz: float | None = 1000.0,
+    incomplete: bool = False,
 ) -> Op[nwb.Export]:
     """Write a recorded session as an NWB file: a table of stimuli, the displacement of the pins, the device.
 
     It needs the package `pynwb`. `subject` has keys of `pynwb.file.Subject`, such as `age="P30Y"` and `sex="F"`, `metadata` those of
-    `pynwb.NWBFile`, such as `experimenter`, `institution` and `keywords`. `displacement_hz`: as in `export_bids`.
+    `pynwb.NWBFile`, such as `experimenter`, `institution` and `keywords`. `displacement_hz` and
+    `incomplete`: as in `export_bids`.
     """
     nwb.needs_pynwb()
-    recorded, found = yield from _stimuli(core, session_id)
+    recorded, found = yield from _stimuli(core, session_id, incomplete)
     return nwb.write(
         Path(file),
         recorded,

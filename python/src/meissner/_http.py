@@ -7,11 +7,11 @@ connection, `aio.py` with an asynchronous one. So each method exists once.
 from __future__ import annotations
 
 import json
-from collections.abc import Generator
+from collections.abc import Callable, Generator
 from dataclasses import dataclass, field
 from typing import Any, TypeVar, Union
 
-from .errors import ApiError, UnexpectedAnswer
+from .errors import ApiError, MeissnerError, UnexpectedAnswer
 
 T = TypeVar("T")
 
@@ -65,10 +65,31 @@ Step = Union[Request, Pause]
 Op = Generator[Step, Answer, T]
 
 
-def authorisation(token: str | None, session_token: str | None) -> dict[str, str]:
-    """The headers of an access token (over the network) and of a session's token."""
+def run(operation: Op[T], perform: Callable[[Request], Answer], pause: Callable[[float], None]) -> T:
+    """Runs a method with a blocking connection."""
+    try:
+        step = next(operation)
+        while True:
+            if isinstance(step, Pause):
+                pause(step.seconds)
+                step = operation.send(Answer(0, b""))
+                continue
+            try:
+                answer = perform(step)
+            except MeissnerError as error:
+                step = operation.throw(error)
+            else:
+                step = operation.send(answer)
+    except StopIteration as end:
+        result: T = end.value
+        return result
+
+
+def identity(client: str, token: str | None, session_token: str | None) -> dict[str, str]:
+    """The headers that say who asks: the client's name, an access token (over the network), and a session's token."""
+    named = {"Meissner-Client": client}
     access = {"Authorization": f"Bearer {token}"} if token else {}
-    return {**access, **({"Meissner-Session": session_token} if session_token else {})}
+    return {**named, **access, **({"Meissner-Session": session_token} if session_token else {})}
 
 
 def get(path: str, *, timeout: float = 10.0) -> Request:

@@ -90,9 +90,10 @@ def start(
         "late": late,
         "replace": replace or None,
         "open_loop": open_loop or None,
+        "session": core.session and core.session.id,
     }
     answer = yield from ops.send(core, _http.post("/v1/live", body, timeout=20.0))
-    raw = answer.json()
+    raw = core.read(answer)
     return Started(Accepted(raw["id"], "live", None, core.daemon), raw["path"])
 
 

@@ -12,7 +12,7 @@ import contextlib
 import functools
 import os
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, ParamSpec, TypeVar
 from urllib.parse import quote
 
@@ -23,14 +23,19 @@ from ._http import Answer, Op, Pause, Request
 from .clocks import MAX_SKEW, NS, ClientClock, Instant
 from .errors import (
     ApiError,
+    BadRequest,
     ConnectionLost,
     DaemonRestarted,
     DeviceTimeout,
     Faulted,
     MeissnerError,
     NoDevice,
+    NotFound,
     NotKnownYet,
     PlayStopped,
+    SessionExclusive,
+    SessionOver,
+    SessionRunning,
     UnexpectedAnswer,
     Unreachable,
 )
@@ -42,6 +47,16 @@ _LONGEST_WAIT = 50.0
 _SYNC_SAMPLES = 8
 _SYNC_AGE_NS = NS
 """How old the comparison of two PCs' clocks may be for an onset, ns."""
+SILENCE = 10.0
+"""How long a client that has armed may be silent before the daemon disarms, s: four times as long as its signs of life are apart."""
+
+
+@dataclass(frozen=True)
+class Owned:
+    """A session that this client has started and not left."""
+
+    id: str
+    token: str
 
 
 @dataclass
@@ -53,12 +68,19 @@ class Core:
     token: str | None = None
     reconnect: float = 10.0
     """For how long to look for a daemon that was there before, s."""
-    session_token: str | None = None
+    session: Owned | None = None
+    """The session that this client owns. Every order names it, so that none counts for another one."""
     tick_hz: int | None = None
     daemon: tuple[int, str] | None = None
     """Which daemon answered last: its process and version."""
     has_armed: bool = False
     """Whether this client has armed, so that it disarms at its end."""
+    silence: float | None = None
+    """The silence after which the daemon disarms, as this client has stated it, s; None: silence does not disarm."""
+    client: str = field(default_factory=lambda: os.urandom(8).hex())
+    """This client's name in every request: the daemon knows by it whose signs of life they are."""
+    process: int = field(default_factory=os.getpid)
+    """The process that made the client."""
     synced_ns: int = -(1 << 62)
     """When the clock got its last sample."""
     device_clock: dict[str, Any] | None = None
@@ -67,7 +89,26 @@ class Core:
     @property
     def headers(self) -> dict[str, str]:
         """The headers of every request."""
-        return _http.authorisation(self.token, self.session_token)
+        return _http.identity(self.client, self.token, self.session.token if self.session else None)
+
+    @property
+    def is_own(self) -> bool:
+        """Whether this process made the client. A forked child has a copy, and ends nothing of its parent's."""
+        return self.process == os.getpid()
+
+    @property
+    def shows_signs(self) -> bool:
+        """Whether the daemon would do something if this client fell silent."""
+        return (self.has_armed and self.silence is not None) or self.session is not None
+
+    def read(self, answer: Answer) -> Any:
+        """The document of an answer to what belongs to the client's session. Raises `SessionOver` if that is over."""
+        try:
+            return answer.json()
+        except (SessionRunning, SessionExclusive) as error:
+            if self.session is None:
+                raise
+            raise SessionOver(f"session {self.session.id} is over: {error.detail}", status=error.status) from error
 
     def receipt(self, raw: dict[str, Any]) -> Receipt:
         """A receipt with instants on this client's clocks."""
@@ -107,7 +148,7 @@ def send(core: Core, request: Request) -> Op[Answer]:
 
 def _document(core: Core, request: Request) -> Op[Any]:
     answer = yield from send(core, request)
-    return answer.json()
+    return core.read(answer)
 
 
 def status(core: Core) -> Op[Status]:
@@ -117,7 +158,7 @@ def status(core: Core) -> Op[Status]:
 
 
 def _take_status(core: Core, answer: Answer) -> Status:
-    raw = answer.json()
+    raw = core.read(answer)
     if not isinstance(raw, dict) or "state" not in raw:
         raise UnexpectedAnswer(f"{core.endpoint.name} does not answer as a meissner daemon: check the address")
     core.daemon = (raw["pid"], raw["version"])
@@ -157,16 +198,38 @@ def _command(core: Core, path: str, body: dict[str, Any] | None = None, timeout:
     return _take_status(core, answer)
 
 
-def arm(core: Core, *, assume_rest: bool = False, checked: str | None = None) -> Op[Status]:
-    """Enable the motors. `assume_rest`: you have seen that all pins are at rest; `checked`: who has looked at them."""
-    before = core.has_armed
+def arm(
+    core: Core,
+    *,
+    assume_rest: bool = False,
+    checked: str | None = None,
+    silence: float = SILENCE,
+    stay_armed: bool = False,
+) -> Op[Status]:
+    """Enable the motors. `assume_rest`: you have seen that all pins are at rest; `checked`: who has looked at them.
+
+    The daemon disarms when it hears nothing of this client for `silence` s, 1 to 86400, as of a program that was killed. A thread
+    shows that the program is there. `stay_armed`: silence does not disarm. The end of the client disarms in any case.
+    """
+    if not 1.0 <= silence <= 86_400.0:
+        raise ValueError(f"`silence` is {silence} s: must be 1 to 86400, or give `stay_armed=True`")
+    statement: dict[str, Any] = {"unattended": True} if stay_armed else {"silence_s": silence}
+    body = {"assume_rest": assume_rest, "checked": checked}
+    before = core.has_armed, core.silence
     # Set first: if the answer is lost, the motors may be on.
-    core.has_armed = True
+    core.has_armed, core.silence = True, None if stay_armed else silence
     try:
-        return (yield from _command(core, "/v1/arm", {"assume_rest": assume_rest, "checked": checked}))
+        try:
+            return (yield from _command(core, "/v1/arm", {**body, **statement}))
+        except BadRequest as error:
+            # An older daemon knows no silence.
+            if not any(f"unknown key `{key}`" in error.detail for key in statement):
+                raise
+            return (yield from _command(core, "/v1/arm", body))
     except ApiError as error:
         # What the daemon refused has changed nothing; after a timeout the motors may be on.
-        core.has_armed = before or isinstance(error, DeviceTimeout)
+        if not isinstance(error, DeviceTimeout):
+            core.has_armed, core.silence = before
         raise
 
 
@@ -267,6 +330,7 @@ def play(
         "replace": replace or None,
         "endless": endless or None,
         "open_loop": open_loop or None,
+        "session": core.session and core.session.id,
         **(yield from _onset(core, at)),
     }
     return (yield from _accepted(core, _http.post("/v1/play", body), pattern))
@@ -302,6 +366,7 @@ def sequence(
         "late": late,
         "replace": replace or None,
         "open_loop": open_loop or None,
+        "session": core.session and core.session.id,
         **(yield from _onset(core, at)),
     }
     return (yield from _accepted(core, _http.post("/v1/sequence", body), name or "sequence"))
@@ -404,7 +469,11 @@ def session(
     seed: int | None = None,
     labels: Labels = None,
 ) -> Op[dict[str, Any]]:
-    """Start a session that this client owns. `exclusive`: others may change nothing, but everybody may `estop()`."""
+    """Start a session that this client owns. `exclusive`: others may change nothing but stop.
+
+    Every play of this client belongs to it from now on. If the session ends without this client, as by a restart of the daemon,
+    plays raise `SessionOver` until the client has left it by its end, or starts another one.
+    """
     body = {
         "participant": participant,
         "exclusive": exclusive,
@@ -412,26 +481,33 @@ def session(
         "seed": seed,
         "labels": texts(labels),
     }
-    started: dict[str, Any] = yield from _document(core, _http.post("/v1/sessions", body))
-    core.session_token = started["token"]
+    answer = yield from send(core, _http.post("/v1/sessions", body))
+    started: dict[str, Any] = answer.json()
+    core.session = Owned(started["id"], started["token"])
     return started
 
 
-def session_end(core: Core, session_id: str) -> Op[dict[str, Any]]:
-    """End a session."""
-    ended: dict[str, Any] = yield from _document(core, _http.post(f"/v1/sessions/{session_id}/end"))
-    core.session_token = None
-    return ended
-
-
 def session_leave(core: Core, session_id: str, failed: bool) -> Op[None]:
-    """End a session after its plays have ended; after an error stop them first."""
-    if failed:
-        # A latched fault refuses the stop, and has stopped already.
-        with contextlib.suppress(ApiError):
-            yield from stop(core)
-    yield from wait_until_idle(core)
-    yield from session_end(core, session_id)
+    """End a session after its plays have ended; after an error stop them first. One that is over already is left."""
+    if not core.is_own:
+        return
+    if (yield from _runs(core, session_id)):
+        if failed:
+            # A latched fault refuses the stop, and has stopped already.
+            with contextlib.suppress(ApiError):
+                yield from stop(core)
+        yield from wait_until_idle(core)
+        # Somebody else may end it meanwhile.
+        with contextlib.suppress(NotFound, SessionOver):
+            yield from _document(core, _http.post(f"/v1/sessions/{session_id}/end"))
+    if core.session is not None and core.session.id == session_id:
+        core.session = None
+
+
+def _runs(core: Core, session_id: str) -> Op[bool]:
+    state = yield from status(core)
+    running = state.raw["session"]
+    return running is not None and bool(running["id"] == session_id)
 
 
 def sessions(core: Core) -> Op[list[dict[str, Any]]]:
@@ -442,7 +518,7 @@ def sessions(core: Core) -> Op[list[dict[str, Any]]]:
 
 
 def session_plays(core: Core, session_id: str) -> Op[dict[str, Any]]:
-    """The recorded plays of a session, all pages: keys `session`, `plays`, `lost`, `unreadable`, `problems`."""
+    """The recorded plays of a session, all pages: keys `session`, `plays`, `complete`, `missing`, `lost`, `problems`."""
     plays: list[dict[str, Any]] = []
     while True:
         path = f"/v1/sessions/{session_id}/plays?from={len(plays)}"
@@ -454,14 +530,30 @@ def session_plays(core: Core, session_id: str) -> Op[dict[str, Any]]:
 
 def leave(core: Core) -> Op[None]:
     """Disarm at the end if this client has armed. A device that is off already is fine."""
-    if core.has_armed:
-        with contextlib.suppress(Faulted, NoDevice):
-            yield from disarm(core)
+    if core.has_armed and core.is_own:
+        yield from switch_off(core)
         core.has_armed = False
 
 
+def switch_off(core: Core) -> Op[None]:
+    """Disarm. A device that is off already is fine."""
+    with contextlib.suppress(Faulted, NoDevice):
+        yield from _command(core, "/v1/disarm")
+
+
 def heartbeat(core: Core) -> Op[float]:
-    """Show that the session's owner is there. Returns how soon to do so again, s."""
+    """Show that the client is there. Returns how soon to do so again, s."""
     yield from status(core)
-    raw = yield from _document(core, _http.get("/v1/sessions/running"))
-    return max(0.05, min(30.0, (raw["release_in_s"] or 120.0) / 4))
+    pauses = [30.0]
+    if core.has_armed and core.silence is not None:
+        pauses.append(core.silence / 4)
+    owned = core.session
+    if owned is not None:
+        try:
+            raw = yield from _document(core, _http.get("/v1/sessions/running"))
+        except NotFound:
+            raw = {"id": None}
+        if raw["id"] != owned.id:
+            raise SessionOver(f"session {owned.id} is over", status=409)
+        pauses.append((raw["release_in_s"] or 120.0) / 4)
+    return max(0.05, min(pauses))

@@ -8,14 +8,14 @@ async with await meissner.connect_async() as m:
 from __future__ import annotations
 
 import asyncio
-import contextlib
 from collections.abc import AsyncGenerator, Awaitable, Callable, Generator
 from types import TracebackType
 from typing import Any, Concatenate, ParamSpec, TypeVar
 
-from . import _exports, _live, program
+from . import _ending, _exports, _live, program
 from . import _operations as ops
 from ._aio_live import AsyncLive
+from ._alive import Alive
 from ._http import Answer, Op, Pause, Step
 from ._operations import Accepted, Core
 from ._plays import KnownPlay, quietly
@@ -36,6 +36,19 @@ def _awaiting(
 
     async def method(client: AsyncClient, /, *args: P.args, **kwargs: P.kwargs) -> T:
         return await client.run(operation(client.core, *args, **kwargs))
+
+    return ops.named_after(operation, method)
+
+
+def _arming(operation: Callable[Concatenate[Core, P], Op[T]]) -> Callable[Concatenate[AsyncClient, P], Awaitable[T]]:
+    """A method that arms, and shows signs of life from then on."""
+
+    async def method(client: AsyncClient, /, *args: P.args, **kwargs: P.kwargs) -> T:
+        try:
+            return await client.run(operation(client.core, *args, **kwargs))
+        finally:
+            # The motors may be on although the answer was lost.
+            client.alive.begin()
 
     return ops.named_after(operation, method)
 
@@ -68,8 +81,7 @@ def _opening(
     """A method that returns a session, which starts with `async with` or `await`."""
 
     def method(client: AsyncClient, /, *args: P.args, **kwargs: P.kwargs) -> AsyncSession:
-        client._session = AsyncSession(client, operation(client.core, *args, **kwargs))
-        return client._session
+        return AsyncSession(client, operation(client.core, *args, **kwargs))
 
     return ops.named_after(operation, method)
 
@@ -98,63 +110,46 @@ class AsyncSession:
 
     def __init__(self, client: AsyncClient, start: Op[dict[str, Any]]) -> None:
         self._client, self._start = client, start
-        self._task: asyncio.Task[None] | None = None
-        self._leaves = False
         self.id = ""
         self.record_problem: str | None = None
-        self.heartbeat_problem: MeissnerError | None = None
+
+    @property
+    def heartbeat_problem(self) -> MeissnerError | None:
         """Why the last sign of life did not reach the daemon; None if it did."""
+        return self._client.alive.problem
 
     async def _begin(self) -> AsyncSession:
         started = await self._client.run(self._start)
         self.id, self.record_problem = started["id"], started["record_problem"]
-        self._task = asyncio.create_task(self._keep_alive())
+        self._client.alive.begin()
         return self
 
-    async def _keep_alive(self) -> None:
-        while True:
-            try:
-                pause = await self._client.run(ops.heartbeat(self._client.core))
-                self.heartbeat_problem = None
-            except MeissnerError as error:
-                pause = 1.0
-                # A session that is being ended may be gone already.
-                if not self._leaves:
-                    self.heartbeat_problem = error
-            await asyncio.sleep(pause)
-
     async def end(self) -> None:
-        """End the session, after its plays have ended."""
+        """End the session, after its plays have ended. A session that is over already is left."""
         await self._leave(failed=False)
 
     async def _leave(self, failed: bool) -> None:
-        if self._task is None:
-            return
-        self._leaves = True
-        try:
+        owned = self._client.core.session
+        if owned is not None and owned.id == self.id:
             await self._client.run(ops.session_leave(self._client.core, self.id, failed))
-        finally:
-            await self.abandon()
-
-    async def abandon(self) -> None:
-        """Shows no more signs of life. The session goes on until somebody ends it."""
-        task, self._task = self._task, None
-        if task is not None:
-            task.cancel()
-            with contextlib.suppress(asyncio.CancelledError):
-                await task
+            self._client.alive.end()
 
     def __await__(self) -> Generator[Any, None, AsyncSession]:
         return self._begin().__await__()
 
     async def __aenter__(self) -> AsyncSession:
-        return self if self._task else await self._begin()
+        return self if self.id else await self._begin()
 
     async def __aexit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         with quietly("the session could not be ended", kind is not None):
-            await self._leave(failed=kind is not None)
+            try:
+                await self._leave(failed=kind is not None)
+            except (KeyboardInterrupt, SystemExit, asyncio.CancelledError):
+                # The program ends while this waits for the last play.
+                await self._leave(failed=True)
+                raise
 
 
 class AsyncClient:
@@ -164,8 +159,9 @@ class AsyncClient:
         """`connect_async()` makes clients."""
         self.core = core
         self._transport = AsyncTransport(core.endpoint, lambda: core.headers, core.clock.now_ns)
+        self.alive = Alive(core)
         self._is_closed = False
-        self._session: AsyncSession | None = None
+        _ending.opened(self)
 
     async def run(self, operation: Op[T]) -> T:
         """Runs an operation of `_operations.py`."""
@@ -194,7 +190,7 @@ class AsyncClient:
 
     status = _awaiting(ops.status)
     synchronise = _awaiting(ops.synchronise)
-    arm = _awaiting(ops.arm)
+    arm = _arming(ops.arm)
     disarm = _awaiting(ops.disarm)
     stop = _awaiting(ops.stop)
     estop = _awaiting(ops.estop)
@@ -249,10 +245,24 @@ class AsyncClient:
         self._is_closed = True
         try:
             await self.run(ops.leave(self.core))
+        except (KeyboardInterrupt, SystemExit, asyncio.CancelledError):
+            # The end of Python tries it again.
+            self._is_closed = False
+            raise
         finally:
-            if self._session is not None:
-                await self._session.abandon()
-            await self._transport.close()
+            if self._is_closed:
+                _ending.closed(self)
+                self.core.has_armed, self.core.session = False, None
+                self.alive.end()
+                await self._transport.close()
+
+    def end(self) -> None:
+        """Disarm as Python ends, if this client was not closed."""
+        self.alive.release()
+
+    def release(self, last: bool) -> None:
+        """Disarm, by another thread."""
+        self.alive.release()
 
     async def __aenter__(self) -> AsyncClient:
         return self

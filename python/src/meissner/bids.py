@@ -2,7 +2,7 @@
 a dataset needs around them.
 
 `Client.export_bids` uses it. The files follow BIDS 1.10 for behavioural data (`beh`): onsets in seconds, sorted, and every
-column described. Files of the dataset that are there already (description, README) stay as they are; the participant is added.
+column described. Files of the dataset that are there already (description, README) stay as they are; the participant is added. `_bids_names.py` names the files.
 
 Invariant: an export writes the same files for the same session, so that it may be repeated.
 """
@@ -18,7 +18,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from .errors import MeissnerError, ProgramError
+from ._bids_names import SESSION_SOURCE, SOURCE, Names, add_participant
+from ._bids_names import label as label
+from ._labels import Labels
+from .errors import ProgramError
 from .program import find_program
 from .traces import PINS, Grid
 
@@ -30,7 +33,7 @@ _COLUMNS: dict[str, dict[str, Any]] = {
     "trial_type": {"Description": "Name of the vibration pattern"},
     "stim_file": {"Description": "The pattern, below /stimuli; n/a if its text as played is not kept"},
     "trial": {"Description": "Number of the trial, as the experiment gave it"},
-    "labels": {"Description": "Labels of the trial, as the experiment gave them, key=value"},
+    "labels": {"Description": "Labels of the trial, as the experiment gave them: key=value, separated by ;"},
     "scale": {"Description": "Factor of the amplitudes"},
     "amplitude": {"Description": "Largest amplitude that a drive reaches, peak to peak", "Units": "um"},
     "state": {
@@ -66,16 +69,8 @@ class Export:
     """The file of the pins' displacement."""
     left_out: tuple[str, ...]
     """What could not be exported, one line each."""
-
-
-def label(text: str) -> str:
-    """A BIDS label: letters and digits alone."""
-    made = re.sub(r"[^A-Za-z0-9]", "", text)
-    if not made:
-        raise MeissnerError(
-            f"`{text}` has no letter or digit: BIDS needs one, so name a `participant` or `task` that has"
-        )
-    return made
+    plays_missing: int = 0
+    """How many plays of the session the record lacks, or has without their end."""
 
 
 def stimulus_rows(plays: list[dict[str, Any]]) -> list[dict[str, Any]]:
@@ -93,13 +88,19 @@ def write(
     zero_host_ns: int | None,
     software: tuple[int, str] | None,
     displacement_hz: float | None = None,
+    subject: str | None = None,
+    session: str | None = None,
+    run: int | str | None = None,
 ) -> Export:
-    """Writes a session. `recorded` is as of `session_plays`, `patterns` holds the patterns' keys by SHA-256."""
-    session = recorded["session"]
+    """Writes a session. `recorded` is as of `session_plays`, `patterns` holds the patterns' keys by SHA-256.
+
+    Raises `BidsConflict`, and writes nothing, if a name of it stands for something else in the dataset.
+    """
     rows = stimulus_rows(recorded["plays"])
-    task = label(task or session["experiment"] or "tactile")
-    names = f"sub-{label(session['participant'])}", f"ses-{label(session['id'])}"
-    folder = root / names[0] / names[1] / "beh"
+    labels = Labels(recorded["session"], rows)
+    names = Names.of(recorded["session"], task, subject, session, run)
+    names.check(root)
+    folder = root / names.folder / "beh"
     folder.mkdir(parents=True, exist_ok=True)
     (root / "stimuli").mkdir(exist_ok=True)
     stimuli = {}
@@ -107,10 +108,13 @@ def write(
         stimuli[sha256] = f"{keys['name']}_{sha256[:8]}.toml"
         (root / "stimuli" / stimuli[sha256]).write_text(pattern_toml(keys), encoding="utf-8")
     zero = zero_host_ns if zero_host_ns is not None else (rows[0]["onset_monotonic_ns"] if rows else 0)
-    events = folder / f"{'_'.join(names)}_task-{task}_events.tsv"
-    _tsv(events, [_event(row, zero, stimuli) for row in rows])
-    _json(events.with_suffix(".json"), {"TaskName": task, **_sidecar(rows, software)})
-    _dataset(root, names[0])
+    _dataset(root, names)
+    events = folder / names.file
+    columns = [*_COLUMNS, *(column.name for column in labels.columns)]
+    _tsv(events, columns, [{**_event(row, zero, stimuli, labels), **labels.cells(row)} for row in rows])
+    sources = {"MeissnerParticipant": names.participant, SESSION_SOURCE: names.session_id}
+    about = {"TaskName": names.task_name, **sources, **_incomplete(recorded)}
+    _json(events.with_suffix(".json"), {**about, **_sidecar(rows, labels, software)})
     left_out = losses(recorded)
     for row in rows:
         line = f"the text of {row['pattern']} as played is not kept: its stim_file is n/a"
@@ -126,15 +130,29 @@ def write(
             left_out.append(f"no displacement of the pins: {error}")
         else:
             displacement = events.with_name(events.name.replace("_events.tsv", "_stim.tsv.gz"))
-            _displacement(displacement, grid, task)
+            _displacement(displacement, grid, names.task_name)
             left_out += grid.problems
-    return Export(events, stimuli, displacement, tuple(left_out))
+    return Export(events, stimuli, displacement, tuple(left_out), recorded.get("plays_missing", 0))
 
 
 def losses(recorded: Mapping[str, Any]) -> list[str]:
-    """What the session record itself has lost, one line each."""
-    lost = recorded["lost"]
-    return [*recorded["problems"], *([f"the session record lost {lost} entries during the session"] if lost else [])]
+    """What the session record itself lacks, one line each."""
+    lost, bounded = recorded["lost"], recorded.get("left_out", 0)
+    # An older daemon tells the number alone.
+    told = [f"the session record lost {lost} entries during the session"] if lost else []
+    missing = recorded.get("missing", told)
+    left_out = (
+        [f"{bounded} entries of the record about commands and the device, because of its bound"] if bounded else []
+    )
+    return [*recorded["problems"], *missing, *left_out]
+
+
+def _incomplete(recorded: Mapping[str, Any]) -> dict[str, Any]:
+    """What the sidecar says of a session that is not recorded completely."""
+    if recorded.get("complete", not recorded["lost"]):
+        return {}
+    plays = recorded.get("plays_missing", "n/a")
+    return {"Incomplete": {"Missing": losses(recorded), "PlaysMissing": plays, "EntriesLost": recorded["lost"]}}
 
 
 _ZEROS = ("\t".join(["0"] * PINS) + "\n").encode()
@@ -164,7 +182,7 @@ def _um(value: float) -> str:
     return f"{value:.3f}" if value else "0"
 
 
-def _event(row: Mapping[str, Any], zero: int, stimuli: Mapping[str, str]) -> dict[str, Any]:
+def _event(row: Mapping[str, Any], zero: int, stimuli: Mapping[str, str], labels: Labels) -> dict[str, Any]:
     played, uncertainty = row["played_ms"], row["onset_uncertainty_ns"]
     return {
         "onset": f"{(row['onset_monotonic_ns'] - zero) / 1e9:.9f}",
@@ -172,7 +190,7 @@ def _event(row: Mapping[str, Any], zero: int, stimuli: Mapping[str, str]) -> dic
         "trial_type": row["pattern"],
         "stim_file": stimuli.get(row["pattern_sha256"] or ""),
         "trial": row["trial"],
-        "labels": ";".join(f"{key}={value}" for key, value in sorted(row["labels"].items())) or None,
+        "labels": labels.joined(row),
         "scale": row["scale"],
         "amplitude": row["reached_um"],
         "state": row["state"],
@@ -185,8 +203,10 @@ def _event(row: Mapping[str, Any], zero: int, stimuli: Mapping[str, str]) -> dic
     }
 
 
-def _sidecar(rows: list[dict[str, Any]], software: tuple[int, str] | None) -> dict[str, Any]:
+def _sidecar(rows: list[dict[str, Any]], labels: Labels, software: tuple[int, str] | None) -> dict[str, Any]:
     columns = {name: dict(meaning) for name, meaning in _COLUMNS.items()}
+    for column in labels.columns:
+        columns[column.name] = {"LongName": column.key, "Description": column.description}
     kinds = sorted({row["pattern"] for row in rows})
     columns["trial_type"]["Levels"] = {kind: f"the pattern {kind}" for kind in kinds}
     columns["trial_type"]["HED"] = {kind: f"{_HED}, Label/{kind}" for kind in kinds}
@@ -199,7 +219,7 @@ def _sidecar(rows: list[dict[str, Any]], software: tuple[int, str] | None) -> di
     return {**columns, "StimulusPresentation": presentation}
 
 
-def _dataset(root: Path, participant: str) -> None:
+def _dataset(root: Path, names: Names) -> None:
     """What stands at the top of a dataset."""
     description = root / "dataset_description.json"
     if not description.exists():
@@ -219,21 +239,27 @@ def _dataset(root: Path, participant: str) -> None:
             "sidecar describes the columns. `stimuli/` holds the patterns, as text files. Describe the experiment here.\n",
             encoding="utf-8",
         )
-    people = root / "participants.tsv"
-    known = people.read_text(encoding="utf-8").splitlines() if people.exists() else ["participant_id"]
-    if participant not in [line.split("\t")[0] for line in known[1:]]:
-        known.append("\t".join([participant, *["n/a"] * known[0].count("\t")]))
-        people.write_text("\n".join(known) + "\n", encoding="utf-8")
+    add_participant(root, names)
+    meaning = root / "participants.json"
+    try:
+        columns = json.loads(meaning.read_text(encoding="utf-8")) if meaning.exists() else {}
+    except ValueError:
+        return
+    if isinstance(columns, dict) and SOURCE not in columns:
+        about = {
+            "Description": "The participant's pseudonym in the session record of meissner, from which the label comes"
+        }
+        _json(meaning, {**columns, SOURCE: about})
 
 
 def _json(file: Path, document: Mapping[str, Any]) -> None:
     file.write_text(json.dumps(document, indent=2) + "\n", encoding="utf-8")
 
 
-def _tsv(file: Path, rows: list[dict[str, Any]]) -> None:
-    lines = ["\t".join(_COLUMNS)]
+def _tsv(file: Path, columns: list[str], rows: list[dict[str, Any]]) -> None:
+    lines = ["\t".join(columns)]
     for row in rows:
-        lines.append("\t".join(_cell(row[name]) for name in _COLUMNS))
+        lines.append("\t".join(_cell(row[name]) for name in columns))
     file.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 

@@ -5,14 +5,14 @@
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Callable, Generator
 from types import TracebackType
 from typing import Any, Concatenate, ParamSpec, TypeVar
 
-from . import _exports, _live, program
+from . import _ending, _exports, _http, _live, program
 from . import _operations as ops
-from ._http import Answer, Op, Pause, Step
+from ._alive import Alive
+from ._http import Op
 from ._operations import Accepted, Core
 from ._plays import KnownPlay, quietly
 from ._sse import Event, EventParser
@@ -31,6 +31,19 @@ def _blocking(operation: Callable[Concatenate[Core, P], Op[T]]) -> Callable[Conc
 
     def method(client: Client, /, *args: P.args, **kwargs: P.kwargs) -> T:
         return client.run(operation(client.core, *args, **kwargs))
+
+    return ops.named_after(operation, method)
+
+
+def _arming(operation: Callable[Concatenate[Core, P], Op[T]]) -> Callable[Concatenate[Client, P], T]:
+    """A method that arms, and shows signs of life from then on."""
+
+    def method(client: Client, /, *args: P.args, **kwargs: P.kwargs) -> T:
+        try:
+            return client.run(operation(client.core, *args, **kwargs))
+        finally:
+            # The motors may be on although the answer was lost.
+            client.alive.begin()
 
     return ops.named_after(operation, method)
 
@@ -59,8 +72,9 @@ def _opening(
     """A method that starts a session and returns it."""
 
     def method(client: Client, /, *args: P.args, **kwargs: P.kwargs) -> Session:
-        client._session = Session(client, client.run(operation(client.core, *args, **kwargs)))
-        return client._session
+        session = Session(client, client.run(operation(client.core, *args, **kwargs)))
+        client.alive.begin()
+        return session
 
     return ops.named_after(operation, method)
 
@@ -94,43 +108,21 @@ class Session:
         self._client = client
         self.id: str = started["id"]
         self.record_problem: str | None = started["record_problem"]
-        self.heartbeat_problem: MeissnerError | None = None
-        """Why the last sign of life did not reach the daemon; None if it did."""
-        self._leaves = False
-        self._over = threading.Event()
-        self._thread = threading.Thread(target=self._keep_alive, name="meissner-session", daemon=True)
-        self._thread.start()
 
-    def _keep_alive(self) -> None:
-        """Rest breaks are longer than an owner may be silent, so this thread shows that the owner is there."""
-        pause = 0.0
-        while not self._over.wait(pause):
-            try:
-                pause = self._client.run(ops.heartbeat(self._client.core))
-                self.heartbeat_problem = None
-            except MeissnerError as error:
-                pause = 1.0
-                # A session that is being ended may be gone already.
-                if not self._leaves:
-                    self.heartbeat_problem = error
+    @property
+    def heartbeat_problem(self) -> MeissnerError | None:
+        """Why the last sign of life did not reach the daemon; None if it did."""
+        return self._client.alive.problem
 
     def end(self) -> None:
-        """End the session, after its plays have ended."""
+        """End the session, after its plays have ended. A session that is over already is left."""
         self._leave(failed=False)
 
     def _leave(self, failed: bool) -> None:
-        if self._over.is_set():
-            return
-        self._leaves = True
-        try:
+        owned = self._client.core.session
+        if owned is not None and owned.id == self.id:
             self._client.run(ops.session_leave(self._client.core, self.id, failed))
-        finally:
-            self.abandon()
-
-    def abandon(self) -> None:
-        """Shows no more signs of life. The session goes on until somebody ends it."""
-        self._over.set()
-        self._thread.join()
+            self._client.alive.end()
 
     def __enter__(self) -> Session:
         return self
@@ -139,7 +131,12 @@ class Session:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         with quietly("the session could not be ended", kind is not None):
-            self._leave(failed=kind is not None)
+            try:
+                self._leave(failed=kind is not None)
+            except (KeyboardInterrupt, SystemExit):
+                # The program ends while this waits for the last play.
+                self._leave(failed=True)
+                raise
 
 
 class Client:
@@ -151,32 +148,15 @@ class Client:
     def __init__(self, core: Core) -> None:
         """`connect()` and `demo()` make clients."""
         self.core = core
+        self.alive = Alive(core)
         self._daemon: program.Daemon | None = None
-        self._session: Session | None = None
         self._transport = BlockingTransport(core.endpoint, lambda: core.headers, core.clock.now_ns)
         self._is_closed = False
-        program.at_exit(self)
+        _ending.opened(self)
 
     def run(self, operation: Op[T]) -> T:
         """Runs an operation of `_operations.py`."""
-        try:
-            step = next(operation)
-            while True:
-                try:
-                    answer = self._perform(step)
-                except MeissnerError as error:
-                    step = operation.throw(error)
-                else:
-                    step = operation.send(answer)
-        except StopIteration as end:
-            result: T = end.value
-            return result
-
-    def _perform(self, step: Step) -> Answer:
-        if isinstance(step, Pause):
-            self._transport.pause(step.seconds)
-            return Answer(0, b"")
-        return self._transport.perform(step)
+        return _http.run(operation, self._transport.perform, self._transport.pause)
 
     def adopt(self, daemon: program.Daemon) -> None:
         """Ends this daemon when the client is closed."""
@@ -188,7 +168,7 @@ class Client:
 
     status = _blocking(ops.status)
     synchronise = _blocking(ops.synchronise)
-    arm = _blocking(ops.arm)
+    arm = _arming(ops.arm)
     disarm = _blocking(ops.disarm)
     stop = _blocking(ops.stop)
     estop = _blocking(ops.estop)
@@ -238,15 +218,32 @@ class Client:
         if self._is_closed:
             return
         self._is_closed = True
-        program.closed(self)
         try:
-            self.run(ops.leave(self.core))
+            if self._daemon is None or self._daemon.runs:
+                self.run(ops.leave(self.core))
+        except (KeyboardInterrupt, SystemExit):
+            # The end of Python tries it again.
+            self._is_closed = False
+            raise
         finally:
-            if self._session is not None:
-                self._session.abandon()
-            self._transport.close()
-            if self._daemon is not None:
-                self._daemon.close()
+            if self._is_closed:
+                self._discard()
+
+    def _discard(self) -> None:
+        _ending.closed(self)
+        self.core.has_armed, self.core.session = False, None
+        self.alive.end()
+        self._transport.close()
+        if self._daemon is not None:
+            self._daemon.close()
+
+    def end(self) -> None:
+        """As `close`, as Python ends."""
+        self.close()
+
+    def release(self, last: bool) -> None:
+        """Disarm, by another thread."""
+        self.alive.release()
 
     def __enter__(self) -> Client:
         return self

@@ -47,6 +47,14 @@ class PlayStopped(MeissnerError):
         self.receipt = receipt
 
 
+class IncompleteSession(MeissnerError):
+    """The record of a session lacks something, so an export would, too. Nothing was written."""
+
+
+class BidsConflict(MeissnerError):
+    """An export would write two sources under one name of a BIDS dataset. Nothing was written."""
+
+
 class ProgramError(MeissnerError):
     """The program `meissner` is missing or has failed."""
 
@@ -149,6 +157,12 @@ class SessionExclusive(
 
 class SessionRunning(ApiError, code="session-running", advice="end the running session first"):
     """Another session runs, or none."""
+
+
+class SessionOver(SessionRunning):
+    """The session of this client was ended by somebody else, or by a restart of the daemon. Nothing was played."""
+
+    advice = "start another session, or leave this one with its `end()`"
 
 
 class SearchRunning(ApiError, code="search-running", advice="wait for its end, or cancel it"):

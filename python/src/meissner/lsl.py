@@ -283,7 +283,7 @@ class Bridge:
             offset, _ = m.core.clock.other(lambda: round(self._lsl.local_clock() * NS))
             at = None if trigger.delay is None else time + trigger.delay - offset / NS
             # A session that the experiment has begun since.
-            m.core.session_token = self._of.session_token
+            m.core.session = self._of.session
             try:
                 await m.play(pattern, trigger.seconds, at=at)
             except MeissnerError as error:

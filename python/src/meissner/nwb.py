@@ -17,6 +17,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
+from ._labels import Labels
 from .bids import losses, pattern_toml, stimulus_rows
 from .clocks import NS
 from .errors import MeissnerError, ProgramError
@@ -28,7 +29,7 @@ _COLUMNS = {
     "pattern": "Name of the vibration pattern",
     "pattern_sha256": "SHA-256 of the pattern's file; empty: not known",
     "trial": "Number of the trial, as the experiment gave it; NaN: none",
-    "labels": "Labels of the trial, as the experiment gave them: key=value, separated by semicolons",
+    "labels": "Labels of the trial, as the experiment gave them: key=value, separated by ;",
     "scale": "Factor of the amplitudes",
     "amplitude_um": "Largest amplitude that a drive reaches, peak to peak, um",
     "state": "What became of the stimulus, as the daemon reports it: done, played: played to its end",
@@ -48,6 +49,8 @@ class Export:
     file: Path
     left_out: tuple[str, ...]
     """What could not be exported, one line each."""
+    plays_missing: int = 0
+    """How many plays of the session the record lacks, or has without their end."""
 
 
 def needs_pynwb() -> Any:
@@ -75,6 +78,7 @@ def write(
     if not rows:
         raise MeissnerError(f"session {session['id']} has no stimuli: there is nothing to export")
     texts = {sha256: pattern_toml(keys) for sha256, keys in patterns.items()}
+    left_out = losses(recorded)
     started = datetime.fromisoformat(session["started"])
     zero_ns = _zero_ns(rows, started)
     about = {
@@ -85,14 +89,18 @@ def write(
         "stimulus_notes": "Vibration patterns by SHA-256, frequencies in Hz, amplitudes in um peak to peak.\n\n"
         + "\n".join(f"# {sha256}\n{text}" for sha256, text in texts.items()),
         "was_generated_by": [["meissner", status.raw["version"]]],
+        **(
+            {"notes": "Incomplete: " + "; ".join(left_out)}
+            if not recorded.get("complete", not recorded["lost"])
+            else {}
+        ),
         **(metadata or {}),
     }
     nwb = pynwb.NWBFile(**about)
     person = {"subject_id": session["participant"], "species": "Homo sapiens", "sex": "U", **(subject or {})}
     nwb.subject = pynwb.file.Subject(**person)
     nwb.add_device(_device(pynwb, status))
-    nwb.add_events_table(_table(pynwb, rows, zero_ns))
-    left_out = losses(recorded)
+    nwb.add_events_table(_table(pynwb, rows, Labels(session, rows), zero_ns))
     if "age" not in person and "date_of_birth" not in person:
         left_out.append("the participant's age, which archives ask for: export with subject={'age': 'P30Y'}")
     if displacement_hz is not None:
@@ -104,7 +112,7 @@ def write(
         beside.replace(file)
     finally:
         beside.unlink(missing_ok=True)
-    return Export(file, tuple(left_out))
+    return Export(file, tuple(left_out), recorded.get("plays_missing", 0))
 
 
 def _zero_ns(rows: list[dict[str, Any]], started: datetime) -> int:
@@ -126,10 +134,11 @@ def _number(value: Any) -> float:
     return math.nan if value is None else float(value)
 
 
-def _table(pynwb: Any, rows: list[dict[str, Any]], zero_ns: int) -> Any:
+def _table(pynwb: Any, rows: list[dict[str, Any]], labels: Labels, zero_ns: int) -> Any:
     """A row per stimulus."""
     numbers = {"trial", "scale", "amplitude_um", "late_strokes", "trigger_code", "onset_uncertainty", "item"}
-    columns: dict[str, list[Any]] = {name: [] for name in ("timestamp", "duration", *_COLUMNS)}
+    meanings = {**_COLUMNS, **{column.name: f"{column.description}; empty: none" for column in labels.columns}}
+    columns: dict[str, list[Any]] = {name: [] for name in ("timestamp", "duration", *meanings)}
     for row in rows:
         uncertainty_ns = row["onset_uncertainty_ns"]
         cells = {
@@ -137,7 +146,8 @@ def _table(pynwb: Any, rows: list[dict[str, Any]], zero_ns: int) -> Any:
             "timestamp": (row["onset_monotonic_ns"] - zero_ns) / NS,
             "duration": math.nan if row["played_ms"] is None else row["played_ms"] / 1000,
             "pattern_sha256": row["pattern_sha256"] or "",
-            "labels": ";".join(f"{key}={value}" for key, value in sorted(row["labels"].items())),
+            "labels": labels.joined(row),
+            **{name: cell or "" for name, cell in labels.cells(row).items()},
             "amplitude_um": row["reached_um"],
             "trigger_code": row["trigger"] and row["trigger"]["code"],
             "onset_uncertainty": None if uncertainty_ns is None else uncertainty_ns / NS,
@@ -160,7 +170,7 @@ def _table(pynwb: Any, rows: list[dict[str, Any]], zero_ns: int) -> Any:
         ),
     ]
     made += [
-        pynwb.core.VectorData(name=name, description=about, data=columns[name]) for name, about in _COLUMNS.items()
+        pynwb.core.VectorData(name=name, description=about, data=columns[name]) for name, about in meanings.items()
     ]
     return event.EventsTable(
         name="stimuli",

@@ -6,51 +6,23 @@ The daemon has no API for simulation and search yet, so `simulate` and `design` 
 
 from __future__ import annotations
 
-import atexit
 import json
 import os
 import shutil
 import socket
 import subprocess
-import sys
 import tempfile
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Protocol, Union
+from typing import Any, Union
 
+from . import _ending
 from ._endpoint import has_unix_sockets
-from .errors import MeissnerError, ProgramError
+from .errors import ProgramError
 
 Scene = Union[str, "os.PathLike[str]", Mapping[str, Any]]
-
-
-class _Closes(Protocol):
-    def close(self) -> None: ...
-
-
-_open: dict[int, _Closes] = {}
-
-
-def at_exit(closes: _Closes) -> None:
-    """Closes this when Python ends, unless `closed` was called before: an armed client disarms, a daemon ends."""
-    _open[id(closes)] = closes
-
-
-def closed(closes: _Closes) -> None:
-    """Takes note that this is closed."""
-    _open.pop(id(closes), None)
-
-
-@atexit.register
-def _close_all() -> None:
-    # The newest first: a client before the daemon that it talks to.
-    for closes in reversed(list(_open.values())):
-        try:
-            closes.close()
-        except MeissnerError as error:
-            print(f"meissner: at the end of the program: {error}", file=sys.stderr)
 
 
 def find_program() -> str:
@@ -184,8 +156,9 @@ class Daemon:
         program = find_program()
         if not has_unix_sockets():
             raise ProgramError("the daemon runs on Linux only: connect to the URL of a PC where it runs")
-        self._folder = tempfile.TemporaryDirectory(prefix="meissner-")
-        folder = Path(self._folder.name)
+        # A `TemporaryDirectory` would also go with a forked child.
+        folder = self._folder = Path(tempfile.mkdtemp(prefix="meissner-"))
+        self._owner = os.getpid()
         self.socket = str(folder / "meissner.sock")
         """The socket to connect to."""
         (folder / "patterns").mkdir()
@@ -206,7 +179,7 @@ class Daemon:
                 str(folder / "meissner.toml"),
             ]
             self._process = subprocess.Popen(command, stdout=log, stderr=log, stdin=subprocess.DEVNULL)
-        at_exit(self)
+        _ending.opened(self)
         try:
             self._wait_until_it_listens()
         except BaseException:
@@ -231,6 +204,11 @@ class Daemon:
         """Its process."""
         return self._process.pid
 
+    @property
+    def runs(self) -> bool:
+        """Whether it has not ended."""
+        return self._process.poll() is None
+
     def check(self) -> None:
         """Raises an error if it has ended."""
         if self._process.poll() is not None:
@@ -239,7 +217,9 @@ class Daemon:
 
     def close(self) -> None:
         """Ends it: pins returned, motors off."""
-        closed(self)
+        _ending.closed(self)
+        if self._owner != os.getpid():
+            return
         if self._process.poll() is None:
             self._process.terminate()
             try:
@@ -247,7 +227,16 @@ class Daemon:
             except subprocess.TimeoutExpired:
                 self._process.kill()
                 self._process.wait()
-        self._folder.cleanup()
+        shutil.rmtree(self._folder, ignore_errors=True)
+
+    def end(self) -> None:
+        """Ends it as Python ends."""
+        self.close()
+
+    def release(self, last: bool) -> None:
+        """Ends it if the program dies, by another thread."""
+        if last:
+            self.close()
 
     def __enter__(self) -> Daemon:
         return self

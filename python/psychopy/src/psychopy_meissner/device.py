@@ -10,9 +10,6 @@ from __future__ import annotations
 
 import atexit
 import contextlib
-import signal
-import sys
-import threading
 from typing import Any, NamedTuple
 
 from psychopy import logging
@@ -24,8 +21,6 @@ from meissner.errors import Faulted, MeissnerError, NoDevice
 
 CLASS = "psychopy_meissner.device.MeissnerDevice"
 NS = 1_000_000_000
-ENDINGS = [getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]
-"""Signals that end a program. Windows has no SIGHUP."""
 
 
 def experiment_time() -> float:
@@ -39,24 +34,6 @@ class ClockReading(NamedTuple):
     offset: float
     uncertainty: float
     monotonic: float
-
-
-def _exit(number: int, frame: object) -> None:
-    # Another signal would interrupt the disarming.
-    for ending in ENDINGS:
-        signal.signal(ending, signal.SIG_IGN)
-    sys.exit(128 + number)
-
-
-def _exit_at_signals() -> None:
-    """Lets SIGTERM, and SIGHUP of a closed terminal, end Python as `sys.exit` does.
-
-    By default they kill the program at once, with the motors armed.
-    """
-    if threading.current_thread() is threading.main_thread():
-        for number in ENDINGS:
-            if signal.getsignal(number) is signal.SIG_DFL:
-                signal.signal(number, _exit)
 
 
 class MeissnerDevice(BaseDevice):
@@ -83,7 +60,6 @@ class MeissnerDevice(BaseDevice):
         }
         self._session: meissner.Session | None = None
         self._is_closed = False
-        _exit_at_signals()
         self.client = meissner.demo() if simulated else meissner.connect(address or None, token=token or None)
         # It runs before the client's own exit handler, which disarms without an emergency stop.
         atexit.register(self.close)

@@ -1,0 +1,77 @@
+"""Labels of trials and sessions as columns of a table, so that nothing is ambiguous.
+
+The column `labels` joins a trial's labels as `key=value;key=value`. A label whose key or value would make that ambiguous gets a
+column of its own, in all rows. The labels of the session have a column each.
+
+Invariant: columns have different names, also without regard to case, whatever the keys are.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+_NOT_JOINED = re.compile(r'[;="\x00-\x1f\x7f]|[^\S ]')
+ABOUT = "A text that a cell cannot hold as it is stands in quotes, as JSON"
+
+
+def exact(text: str) -> str:
+    """A text as the cell of a table, such that different texts make different cells."""
+    is_plain = text == text.strip() and text not in ("", "n/a") and not re.search(r'^"|[\x00-\x1f\x7f]|[^\S ]', text)
+    return text if is_plain else json.dumps(text)
+
+
+@dataclass(frozen=True)
+class Column:
+    """The column of a label."""
+
+    name: str
+    key: str
+    of_session: bool
+
+    @property
+    def description(self) -> str:
+        """What it holds."""
+        return f"Label {json.dumps(self.key)} of the {'session' if self.of_session else 'trial'}, as the experiment gave it. {ABOUT}"
+
+
+class Labels:
+    """Which labels of a session's rows have columns of their own."""
+
+    def __init__(self, session: Mapping[str, Any], rows: list[dict[str, Any]]) -> None:
+        self._session: Mapping[str, str] = session.get("labels") or {}
+        texts: dict[str, list[str]] = {}
+        for row in rows:
+            for key, value in row["labels"].items():
+                texts.setdefault(key, [key]).append(value)
+        own = [key for key, found in sorted(texts.items()) if any(_NOT_JOINED.search(text) for text in found)]
+        self._own = frozenset(own)
+        taken: set[str] = set()
+        self.columns = [Column(_name(f"label_{key}", taken), key, False) for key in own]
+        self.columns += [Column(_name(f"session_label_{key}", taken), key, True) for key in sorted(self._session)]
+
+    def joined(self, row: Mapping[str, Any]) -> str:
+        """The cell of the column `labels`."""
+        return ";".join(f"{key}={value}" for key, value in sorted(row["labels"].items()) if key not in self._own)
+
+    def cells(self, row: Mapping[str, Any]) -> dict[str, str | None]:
+        """The cells of the other columns; None: the trial has no such label."""
+        made: dict[str, str | None] = {}
+        for column in self.columns:
+            text = (self._session if column.of_session else row["labels"]).get(column.key)
+            made[column.name] = None if text is None else exact(text)
+        return made
+
+
+def _name(text: str, taken: set[str]) -> str:
+    """A name like this that no other column has."""
+    name = base = re.sub(r"\W+", "_", text)
+    number = 1
+    while name.casefold() in taken:
+        number += 1
+        name = f"{base}_{number}"
+    taken.add(name.casefold())
+    return name

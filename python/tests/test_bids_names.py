@@ -1,0 +1,255 @@
+"""Names and labels in exports: one person stays one, and no label can be read in two ways."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import meissner
+from meissner import _exports, bids, errors
+from meissner._labels import Labels, exact
+
+
+def stimulus(play: int = 1, labels: dict[str, str] | None = None) -> dict[str, Any]:
+    """A row of the session record."""
+    return {
+        "play": play,
+        "item": None,
+        "items_planned": None,
+        "pattern": "pin",
+        "pattern_sha256": None,
+        "trial": None,
+        "labels": labels or {},
+        "scale": 1.0,
+        "state": "done",
+        "played_ms": 100.0,
+        "reached_um": 40.0,
+        "late_strokes": 0,
+        "trigger": None,
+        "onset_tick": 85_000 * play,
+        "onset_monotonic_ns": 10**9 * play,
+        "onset_uncertainty_ns": 10_000,
+    }
+
+
+def recorded(
+    participant: str = "P07", session: str = "1", experiment: str | None = None, **keys: Any
+) -> dict[str, Any]:
+    about: dict[str, Any] = {
+        "participant": participant,
+        "id": session,
+        "experiment": experiment,
+        "reason": "request",
+        "labels": {},
+    }
+    return {"session": about, "plays": [stimulus()], "problems": [], "lost": 0, "unreadable": 0, **keys}
+
+
+def export(root: Path, what: dict[str, Any], task: str | None = None, **names: Any) -> bids.Export:
+    return bids.write(root, what, {}, task=task, zero_host_ns=None, software=None, **names)
+
+
+def table(file: Path) -> list[dict[str, str]]:
+    with file.open(newline="", encoding="utf-8") as opened:
+        return list(csv.DictReader(opened, delimiter="\t", quoting=csv.QUOTE_NONE))
+
+
+def contents(root: Path) -> dict[str, bytes]:
+    return {str(file.relative_to(root)): file.read_bytes() for file in root.rglob("*") if file.is_file()}
+
+
+FOUR = ["P07", "P_07", "P-07", "P 07"]
+
+
+@pytest.mark.parametrize("first", FOUR)
+@pytest.mark.parametrize("second", FOUR)
+def test_four_participants_are_never_one(tmp_path: Path, first: str, second: str) -> None:
+    export(tmp_path, recorded(first, "1"))
+    assert table(tmp_path / "participants.tsv") == [{"participant_id": "sub-P07", "meissner_participant": first}]
+    before = contents(tmp_path)
+    if first == second:
+        export(tmp_path, recorded(second, "2"))
+        export(tmp_path, recorded(second, "1"))
+        assert {name: data for name, data in contents(tmp_path).items() if name in before} == before
+        return
+    stated: list[dict[str, Any]] = [{}, {"subject": "P07"}, {"subject": "P07", "session": "9", "run": 9}]
+    for names in stated:
+        with pytest.raises(
+            errors.BidsConflict, match=f"is the participant `{first}`, not `{second}`: give another `subject`"
+        ):
+            export(tmp_path, recorded(second, "2"), **names)
+    assert contents(tmp_path) == before
+    export(tmp_path, recorded(second, "2"), subject="P07b")
+    assert [row["meissner_participant"] for row in table(tmp_path / "participants.tsv")] == [first, second]
+
+
+@pytest.mark.parametrize(("first", "second"), [("1-12", "11-2"), ("11-2", "1-12"), ("a-B", "Ab")])
+def test_two_sessions_are_never_one(tmp_path: Path, first: str, second: str) -> None:
+    export(tmp_path, recorded(session=first, experiment="one"))
+    before = contents(tmp_path)
+    for experiment in ("one", "another"):
+        with pytest.raises(errors.BidsConflict, match="give another `session`"):
+            export(tmp_path, recorded(session=second, experiment=experiment))
+    assert contents(tmp_path) == before
+    # Of another participant it is another session.
+    export(tmp_path, recorded("P08", second, "one"))
+    export(tmp_path, recorded(session=second, experiment="one"), session="second")
+
+
+def test_sessions_of_one_visit_are_runs(tmp_path: Path) -> None:
+    first = export(tmp_path, recorded(session="1"), session="01", run=1)
+    assert first.events.name == "sub-P07_ses-01_task-tactile_run-1_events.tsv"
+    export(tmp_path, recorded(session="2"), session="01", run="02")
+    before = contents(tmp_path)
+    for run in (1, "02"):
+        with pytest.raises(
+            errors.BidsConflict, match=r"has the session `[12]`, not `3`: give another `session`, `run` or `task`"
+        ):
+            export(tmp_path, recorded(session="3"), session="01", run=run)
+    assert contents(tmp_path) == before
+
+
+@pytest.mark.parametrize(
+    ("first", "second"), [("edge detection", "edge-detection"), ("Edges", "edges"), ("tactile", None)]
+)
+def test_two_tasks_are_never_one(tmp_path: Path, first: str, second: str | None) -> None:
+    export(tmp_path, recorded("P01", "1", first))
+    if second is None:
+        export(tmp_path, recorded("P02", "2", None))
+        return
+    with pytest.raises(errors.BidsConflict, match=f"is the task `{first}`, not `{second}`: give another `task`"):
+        export(tmp_path, recorded("P02", "2", second))
+    export(tmp_path, recorded("P02", "2", second), task="another one")
+
+
+@pytest.mark.parametrize("kind", ["subject", "session", "run"])
+@pytest.mark.parametrize("value", ["", "P-07", "sub-07", "7 ", "ö", "a/b", 1.5, True, -1])
+def test_names_that_are_no_labels_are_refused(tmp_path: Path, kind: str, value: Any) -> None:
+    with pytest.raises(ValueError, match=f"`{kind}` is "):
+        export(tmp_path, recorded(), **{kind: value})
+    assert contents(tmp_path) == {}
+
+
+def test_what_is_in_the_dataset_already_counts(tmp_path: Path) -> None:
+    (tmp_path / "participants.tsv").write_text("participant_id\tage\nsub-P07\t30\nsub-P08\t31\nsub-p10\t32\n")
+    export(tmp_path, recorded("P07", "1"))
+    with pytest.raises(errors.BidsConflict, match="does not say of which participant"):
+        export(tmp_path, recorded("P-08", "2"))
+    export(tmp_path, recorded("P-08", "2"), subject="P08")  # The caller knows.
+    with pytest.raises(errors.BidsConflict, match="is the participant `P-08`, not `P08`"):
+        export(tmp_path, recorded("P08", "3"))
+    (tmp_path / "sub-P09").mkdir()
+    with pytest.raises(errors.BidsConflict, match="does not say of which participant"):
+        export(tmp_path, recorded("P_09", "4"))
+    for name in ("P10", "p07"):
+        with pytest.raises(errors.BidsConflict, match="differs in case alone"):
+            export(tmp_path, recorded(name, "5"))
+    rows = table(tmp_path / "participants.tsv")
+    assert [(row["age"], row["meissner_participant"]) for row in rows] == [("30", "P07"), ("31", "P-08"), ("32", "n/a")]
+    assert set(json.loads((tmp_path / "participants.json").read_text())) == {"meissner_participant"}
+    # An export of an earlier version has no sources: the same session may be exported again.
+    sidecar = next(tmp_path.rglob("sub-P07*_events.json"))
+    about = json.loads(sidecar.read_text())
+    for key in ("MeissnerSession", "MeissnerParticipant"):
+        del about[key]
+    sidecar.write_text(json.dumps(about))
+    export(tmp_path, recorded("P07", "1"))
+    assert json.loads(sidecar.read_text())["MeissnerSession"] == "1"
+    sidecar.write_text("{")
+    with pytest.raises(errors.BidsConflict, match="cannot be read"):
+        export(tmp_path, recorded("P07", "1"))
+
+
+def test_labels_that_would_be_ambiguous_have_columns(tmp_path: Path) -> None:
+    trials: list[dict[str, str]] = [
+        {"a": "1;b=2"},
+        {"a": "1", "b": "2"},
+        {"a;b": "x", "a=b": "y", "A b": "=", "plain": "z"},
+        {"a": "", "b": "n/a"},
+        {"onset": "1=1", "labels": ";", "tab": "a\tb"},
+        {"tab": "a b"},
+        {"a": '"1;b=2"'},
+        {},
+    ]
+    session = recorded(plays=[stimulus(number, labels) for number, labels in enumerate(trials, 1)])
+    session["session"]["labels"] = {"block": "2", "note": "a;b=c", "onset": "x"}
+    events = export(tmp_path, session).events
+    header = events.read_text().splitlines()[0].split("\t")
+    assert len(header) == len({name.casefold() for name in header})
+    rows, sidecar = table(events), json.loads(events.with_suffix(".json").read_text())
+    assert rows[0]["onset"] == "0.000000000"
+    keys = {name: about["LongName"] for name, about in sidecar.items() if name.startswith("label_")}
+
+    def read(row: dict[str, str]) -> dict[str, str]:
+        """The labels, from the table and its sidecar alone."""
+        found = dict(pair.split("=", 1) for pair in row["labels"].split(";") if pair != "n/a")
+        for name, key in keys.items():
+            if row[name] != "n/a":
+                found[key] = json.loads(row[name]) if row[name].startswith('"') else row[name]
+        return found
+
+    assert [read(row) for row in rows] == trials
+    assert rows[1]["labels"] == "b=2"
+    assert {name: rows[-1][name] for name in header if name.startswith("session_label_")} == {
+        "session_label_block": "2",
+        "session_label_note": "a;b=c",
+        "session_label_onset": "x",
+    }
+    assert set(header) <= set(sidecar)
+
+
+def test_different_texts_have_different_cells() -> None:
+    texts = ["", "n/a", '""', '"n/a"', "a b", "a\tb", "a\nb", "a\u2028b", " a", "a", "a ", '"a"', "ä", "\\t", "\x1b"]
+    assert len({exact(text) for text in texts}) == len(texts)
+    assert not [text for text in texts if set("\t\n\x1b\u2028") & set(exact(text))]
+    assert Labels({}, []).columns == []
+
+
+MISSING = ["29 of 40 plays are not recorded", "the record lost 31 entries of the session"]
+
+
+@pytest.mark.parametrize(
+    ("keys", "said"),
+    [
+        ({"complete": False, "missing": MISSING, "plays_missing": 29, "lost": 31}, "; ".join(MISSING)),
+        ({"lost": 3}, "lost 3 entries"),
+        ({"reason": None}, "its end is not recorded"),
+        ({"reason": "unknown"}, "its end is not recorded"),
+    ],
+)
+def test_an_incomplete_session_is_exported_on_request_alone(keys: dict[str, Any], said: str, tmp_path: Path) -> None:
+    session = recorded()
+    session["session"]["reason"] = keys.pop("reason", "request")
+    session.update(keys)
+    with pytest.raises(errors.IncompleteSession, match=f"session 1 is incomplete: .*{said}.*incomplete=True"):
+        _exports._complete(session)
+    _exports._complete(recorded())
+    _exports._complete(recorded(complete=True, lost=3, missing=[]))
+    made = export(tmp_path, session)
+    assert made.plays_missing == keys.get("plays_missing", 0)
+    assert [line for line in keys.get("missing", ()) if line not in made.left_out] == []
+    sidecar = json.loads(made.events.with_suffix(".json").read_text())
+    if "complete" in keys:
+        assert sidecar["Incomplete"] == {"Missing": MISSING, "PlaysMissing": 29, "EntriesLost": 31}
+
+
+def test_entries_beyond_the_records_bound_are_told(tmp_path: Path) -> None:
+    made = export(tmp_path, recorded(complete=True, missing=[], left_out=4))
+    assert made.left_out[0] == "4 entries of the record about commands and the device, because of its bound"
+    assert "Incomplete" not in json.loads(made.events.with_suffix(".json").read_text())
+
+
+def test_a_session_that_runs_is_not_exported(m: meissner.Client, tmp_path: Path) -> None:
+    with m.session("P07") as session:
+        m.play("pin-60", 0.05).wait()
+        for write in (m.export_bids, m.export_nwb):
+            with pytest.raises(errors.IncompleteSession, match=f"session {session.id} is incomplete"):
+                write(session.id, tmp_path / "never")
+        assert list(tmp_path.iterdir()) == []
+        made = m.export_bids(session.id, tmp_path, subject="07", session="1", run=1, incomplete=True)
+    assert made.events.name == "sub-07_ses-1_task-tactile_run-1_events.tsv"
+    m.export_bids(session.id, tmp_path, subject="07", session="1", run=1)
