@@ -2,7 +2,8 @@
 //
 // The page says that it is there while its window is in sight. Hidden, closed or hung it says nothing, and the daemon ends the play.
 
-import { call } from "./api.js";
+import { order } from "./api.js";
+import { valid } from "./control.js";
 import { make } from "./finger.js";
 import { drawing, FINE_STEP, HALF_LENGTH, HALF_WIDTH, KEY_STEP, line, penAt } from "./pad.js";
 
@@ -63,12 +64,13 @@ export class Live {
   }
 
   async #start() {
+    if (!valid("target-name", "reach", "amplitude")) return;
     this.#socket = "asked";
     this.buttons();
     $("live-note").textContent = "Starting …";
     try {
       const lines = this.#outline();
-      const { path } = await call("POST", "/v1/live", { ...this.#request(), timeout_ms: TIMEOUT_MS, replace: true });
+      const { path } = await order("/v1/live", { ...this.#request(), timeout_ms: TIMEOUT_MS, replace: true });
       this.#shape.replaceChildren(...lines.map(line));
       Object.assign(this.#pose, { x_mm: 0, y_mm: 0, angle_deg: 0 });
       [this.#seq, this.#unanswered, this.#applied, this.#changed, this.#sentAt, this.#ended] = [0, 0, 0, false, 0, null];
