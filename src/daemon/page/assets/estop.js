@@ -39,10 +39,12 @@
   let refused = null;
 
   const known = () => (last && since(sent) < FRESH_MS ? last : null);
+  // A box on the way may answer in the daemon's place.
+  const isStatus = (body) => typeof body?.state === "string" && Array.isArray(body.motors) && Array.isArray(body.queued);
   const isTold = (status) => status.device !== null && status.tick !== null;
 
   function take(status, at) {
-    if (typeof status?.state !== "string" || at[0] < sent[0]) return;
+    if (at[0] < sent[0]) return;
     [last, sent] = [status, at];
     show(true);
   }
@@ -56,7 +58,8 @@
     try {
       const signal = AbortSignal.any([pending.signal, AbortSignal.timeout(ANSWER_MS)]);
       const response = await fetch("/v1/status", { headers: headers(value), cache: "no-store", signal });
-      if (response.ok) take(await response.json(), at);
+      const body = response.ok ? await response.json() : null;
+      if (isStatus(body)) take(body, at);
       const isLetIn = refused && response.ok;
       refused = response.status === 401 ? { token: value } : null;
       if (isLetIn) document.dispatchEvent(new Event("token"));
@@ -153,8 +156,8 @@
       if (response.status === 401) return { answered, refused: true, why: value ? "the access token is not valid any more" : "the daemon asks for an access token" };
       if (response.status === 403) return { answered, refused: true, why: body?.detail ?? "the access token does not allow it" };
       if (!response.ok) return { answered, why: body?.detail ?? response.statusText };
+      if (!isStatus(body) || body.state !== "faulted") return { answered, why: "the answer does not say that the lines are off" };
       take(body, at);
-      if (body?.state !== "faulted") return { answered, why: "the answer does not say that the lines are off" };
       return isTold(body) ? null : { answered, why: "the stop is latched, but no device answers" };
     } catch {
       return { why: "the daemon does not answer" };
