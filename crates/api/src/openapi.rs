@@ -291,7 +291,9 @@ mod tests {
                 refused.insert(format!("{name}.{key}"));
             }
         }
-        for key in ["PlayRequest.scale", "SequenceItem.seconds", "LiveRequest.scale", "CalibrateRequest.motor"] {
+        for key in
+            ["PlayRequest.scale", "SequenceItem.seconds", "LiveRequest.scale", "CalibrateRequest.motor"]
+        {
             assert!(refused.contains(key), "{refused:?}");
         }
         let named: BTreeSet<&str> = cases.iter().map(|(name, ..)| *name).collect();

@@ -308,7 +308,8 @@ mod tests {
     fn errors_name_the_key() {
         let read = |text: &str| PlayRequest::parse(text.as_bytes());
         let request =
-            read(r#"{"pattern":"edge-45","seconds":2,"late":"abort","session":null,"replace":null}"#).unwrap();
+            read(r#"{"pattern":"edge-45","seconds":2,"late":"abort","session":null,"replace":null}"#)
+                .unwrap();
         assert_eq!(
             (request.pattern.as_str(), request.seconds, request.late, request.replace),
             ("edge-45", Some(2.0), LatePolicy::Abort, false)

@@ -34,6 +34,7 @@ export class Live {
   #applied = 0;
   #changed = false;
   #sentAt = 0;
+  #answeredAt = 0;
   #ended = null;
   #shape = make("g", { class: "live-shape" });
 
@@ -87,6 +88,7 @@ export class Live {
   #open(socket) {
     this.#socket = socket;
     socket.addEventListener("open", () => {
+      this.#answeredAt = performance.now();
       if (document.hidden) this.#end();
       this.#show();
       this.svg.focus({ focusVisible: false });
@@ -104,6 +106,7 @@ export class Live {
   // Sends the newest place, or says that the page is there.
   #turn() {
     const now = performance.now();
+    if (now - this.#answeredAt > TIMEOUT_MS) $("live-note").textContent = "No answer for a second: whether the play goes on is not known.";
     const isUpdate = this.#changed && this.#unanswered < MOST_UNANSWERED;
     if (!isUpdate && now - this.#sentAt < SIGN_MS) return;
     if (isUpdate) this.#changed = false;
@@ -124,6 +127,7 @@ export class Live {
 
   #answered({ applied, problem, ended }) {
     this.#unanswered -= 1;
+    this.#answeredAt = performance.now();
     if (applied?.ticks.some((tick) => tick !== null)) this.#applied += 1;
     if (problem) this.#report(new Error(problem.detail));
     if (ended !== undefined) this.#ended = ended;
