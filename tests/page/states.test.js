@@ -279,3 +279,43 @@ test("a play of the page belongs to the session that the page shows, or is refus
     assert.equal((await (await fetch(`${daemon.url}/v1/plays/last`)).json()).id, 1);
   });
 });
+
+test("motors that a window has armed stay armed while it is open, also hidden, and not when it is closed", async () => {
+  const daemon = await new Daemon().start();
+  let signs = 0;
+  let client;
+  const through = async (request, response, forward) => {
+    const key = request.headers["meissner-client"];
+    if (request.url === "/v1/status" && key === client) signs += 1;
+    if (request.url !== "/v1/arm") return forward();
+    client = key;
+    const body = JSON.parse(Buffer.concat(await request.toArray()));
+    assert.equal(body.silence_s, 10);
+    // A shorter one, for a shorter test: longer than from one sign to the next.
+    const headers = { "content-type": "application/json", "meissner-client": key };
+    const answer = await fetch(`${daemon.url}/v1/arm`, { method: "POST", headers, body: JSON.stringify({ ...body, silence_s: 4 }) });
+    response.writeHead(answer.status, { "content-type": "application/json" });
+    response.end(await answer.text());
+  };
+  await proxied(daemon, through, async (url) => {
+    const page = await open({ url });
+    await arm(page);
+    await shows(page, "facts", "4 s without a sign of it disarm");
+    // A hidden window whose timers stand still.
+    await page.evaluate(() => {
+      Object.defineProperty(document, "hidden", { get: () => true });
+      document.dispatchEvent(new Event("visibilitychange"));
+      for (let id = setTimeout(() => {}); id > 0; id--) clearTimeout(id);
+    });
+    signs = 0;
+    const until = Date.now() + WAIT.timeout;
+    while (signs < 3 && Date.now() < until) await new Promise((done) => setTimeout(done, 100));
+    assert.equal((await daemon.status()).state, "armed", `${signs} signs`);
+    assert.ok(signs >= 3);
+    await page.close();
+    while ((await daemon.status()).state !== "disarmed") {
+      assert.ok(Date.now() < until + WAIT.timeout, "the daemon disarms");
+      await new Promise((done) => setTimeout(done, 100));
+    }
+  });
+});

@@ -100,6 +100,10 @@ function handle(event) {
       loadSessions().catch(report);
       poll();
       break;
+    case "owner-silent":
+      report(new Error(`The daemon disarmed: it had no sign of ${event.by} for ${event.silence_s} s.`));
+      poll();
+      break;
     case "search":
       designer.handle(event);
       break;

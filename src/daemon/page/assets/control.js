@@ -1,9 +1,11 @@
 // Facts about the device, and the buttons that change its state.
 
-import { call, known, last, poll } from "./api.js";
+import { call, headers, known, last, poll } from "./api.js";
 
 const $ = (id) => document.getElementById(id);
 const HOME_MS = 30000;
+// So long after the last sign of this window the daemon disarms what the window has armed, s. In sight, each poll is a sign.
+const SILENCE_S = 10;
 // The name of the play that calibrates.
 export const CALIBRATION = "calibration";
 
@@ -27,7 +29,9 @@ function describe(status, late) {
   const worst = Math.max(0, ...offsets);
   const { fifo, mlock } = status.realtime ?? {};
   const limit = status.participant;
+  const { by, silence_s: silence } = status.armed ?? {};
   return [
+    ...(by ? [["Armed by", `${by}; ${silence === null ? "the motors stay armed without it" : `${silence} s without a sign of it disarm`}`]] : []),
     ["Largest offset from rest", `${worst.toFixed(1)} µm, pin ${offsets.indexOf(worst)}, of at most ${status.drift_limit_um} µm`],
     ["Position", status.position],
     ["Clock", status.clock_uncertainty_us === null ? "not synchronised" : `synchronised to ±${status.clock_uncertainty_us.toFixed(1)} µs`],
@@ -87,6 +91,8 @@ export function valid(...ids) {
 }
 
 export function bindControls(report) {
+  const alive = new Worker("page/alive.js");
+  document.addEventListener("visibilitychange", () => alive.postMessage(document.hidden ? headers() : null));
   const command = (path, body, ms) => call("POST", path, body, ms).then(
     () => (report(null), poll()),
     (error) => (report(error), poll()),
@@ -110,7 +116,8 @@ export function bindControls(report) {
   $("arm-dialog").addEventListener("close", () => {
     if ($("arm-dialog").returnValue !== "arm") return;
     // As the person has read it: if the position is not known any more, the daemon refuses.
-    command("/v1/arm", $("arm-rest").hidden ? {} : { assume_rest: true, checked: $("arm-name").value }, HOME_MS);
+    const checked = $("arm-rest").hidden ? {} : { assume_rest: true, checked: $("arm-name").value };
+    command("/v1/arm", { ...checked, silence_s: SILENCE_S }, HOME_MS);
     $("arm-checked").checked = false;
   });
   button("reset", () => {
