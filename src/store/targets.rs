@@ -380,6 +380,12 @@ mod tests {
             assert!(!json.contains("receptor"));
             assert_eq!(Target::read_json(&json), Ok(stored.target));
         }
+        // An empty field of a program is no default.
+        for key in ["amplitude_um", "reach_mm", "radius_mm", "duration_s", "dot_pitch_mm"] {
+            let json = format!(r#"{{"name": "a", "shape": "dots", "points": [[0, 0]], "{key}": null}}"#);
+            let line = Target::read_json(&json).unwrap_err().to_string();
+            assert!(line.starts_with(&format!("`{key}` is null: must be a number")), "{line}");
+        }
         let line = Target::read_json(r#"{"name": "a", "shape": "dots", "ponts": [[0, 0]]}"#).unwrap_err();
         assert_eq!(line.to_string(), "unknown key `ponts`: did you mean `points`?");
         let line = Target::read_json(r#"{"name": "a", "shape": "dots", "points": [[0, 20]]}"#).unwrap_err();

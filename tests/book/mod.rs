@@ -190,6 +190,12 @@ fn every_test_that_the_safety_case_names_is_there() {
         }
     }
     let page = read("docs/explanation/safety-case.md");
+    // Tests of the page in the browser have a sentence for a name.
+    let browser =
+        ["tests/page/page.test.js", "tests/page/states.test.js"].map(|file| read(file).text).concat();
+    for name in page.text.split('“').skip(1).filter_map(|rest| rest.split_once('”')) {
+        assert!(browser.contains(&format!("test(\"{}\"", name.0)), "there is no test “{}”", name.0);
+    }
     let is_name = |word: &&str| {
         word.matches('_').count() > 2 && word.chars().all(|c| c.is_ascii_alphanumeric() || c == '_')
     };

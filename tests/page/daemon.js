@@ -3,6 +3,8 @@
 import assert from "node:assert/strict";
 import { spawn } from "node:child_process";
 import { mkdtempSync, mkdirSync, rmSync, writeFileSync } from "node:fs";
+import { createServer, request as httpRequest } from "node:http";
+import { connect, createServer as createNetwork } from "node:net";
 import { tmpdir } from "node:os";
 import { join } from "node:path";
 import puppeteer from "puppeteer-core";
@@ -55,10 +57,10 @@ export class Daemon {
     return this;
   }
 
-  async end() {
-    if (this.child?.exitCode !== null) return;
+  async end(signal = "SIGTERM") {
+    if (this.child?.exitCode !== null || this.child.signalCode) return;
     const ended = new Promise((done) => this.child.once("exit", done));
-    this.child.kill("SIGTERM");
+    this.child.kill(signal);
     await ended;
   }
 
@@ -101,4 +103,66 @@ export async function arm(page) {
   }
   await page.click("#arm-yes");
   await shows(page, "state-text", "Armed");
+}
+
+// Clicks where the bar of the emergency stop does not cover it.
+export async function press(page, selector) {
+  await page.$eval(selector, (element) => element.scrollIntoView({ block: "center" }));
+  await page.click(selector);
+}
+
+// A proxy before a daemon. `through(request, response, forward)` sees every request.
+export async function proxied(daemon, through, run) {
+  const proxy = createServer((request, response) => through(request, response, () => {
+    const headers = { ...request.headers, host: new URL(daemon.url).host };
+    if (headers.origin) headers.origin = daemon.url;
+    const onward = httpRequest(daemon.url + request.url, { method: request.method, headers }, (answer) => {
+      response.writeHead(answer.statusCode, answer.headers);
+      answer.pipe(response);
+    });
+    onward.on("error", () => response.destroy());
+    response.on("close", () => onward.destroy());
+    request.pipe(onward);
+  }));
+  await new Promise((done) => proxy.listen(0, "127.0.0.1", done));
+  try {
+    await run(`http://127.0.0.1:${proxy.address().port}`);
+  } finally {
+    proxy.closeAllConnections();
+    proxy.close();
+  }
+}
+
+// A network between browser and daemon. While it is held, the daemon hears everything, and nothing comes back until it is let go.
+export async function networked(daemon, run) {
+  const { port } = new URL(daemon.url);
+  const back = new Set();
+  const all = new Set();
+  let held = false;
+  const server = createNetwork((browser) => {
+    const onward = connect(port, "127.0.0.1");
+    for (const socket of [browser, onward]) {
+      all.add(socket);
+      socket.on("error", () => {});
+      socket.on("close", () => (browser.destroy(), onward.destroy(), all.delete(socket), back.delete(socket)));
+    }
+    back.add(onward);
+    browser.pipe(onward);
+    onward.pipe(browser);
+    if (held) onward.unpipe(browser);
+    onward.letGo = () => onward.pipe(browser);
+    onward.hold = () => onward.unpipe(browser);
+  });
+  await new Promise((done) => server.listen(0, "127.0.0.1", done));
+  const network = {
+    url: `http://127.0.0.1:${server.address().port}`,
+    hold: () => ((held = true), back.forEach((socket) => socket.hold())),
+    letGo: () => ((held = false), back.forEach((socket) => socket.letGo())),
+  };
+  try {
+    await run(network);
+  } finally {
+    all.forEach((socket) => socket.destroy());
+    server.close();
+  }
 }

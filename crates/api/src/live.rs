@@ -9,7 +9,7 @@ use crate::search::{SearchModel, SearchObjective, SearchSetting, target_schema};
 use crate::sequence::{check_scale, check_trigger};
 use crate::session::check_labels;
 use crate::trigger::{self, TriggerRequest};
-use meissner_input::document;
+use meissner_input::document::{self, given};
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use std::collections::{BTreeMap, BTreeSet};
@@ -88,24 +88,24 @@ pub struct LiveRequest {
     #[serde(default, deserialize_with = "null_as_default")]
     pub setting: SearchSetting,
     /// How long the search for the drives of a pose may take, ms; without it 15.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[serde(default, deserialize_with = "given", skip_serializing_if = "Option::is_none")]
     #[schema(minimum = 5.0, maximum = 200.0)]
     pub budget_ms: Option<f64>,
     /// Multiplies the amplitude of every drive; without it 1. An update may change it.
-    #[serde(skip_serializing_if = "Option::is_none")]
+    #[serde(default, deserialize_with = "given", skip_serializing_if = "Option::is_none")]
     #[schema(minimum = 0.0, maximum = 1.0)]
     pub scale: Option<f64>,
     /// The play ends when its client is silent for so long, ms; without it 500. Then the pins return.
-    #[serde(skip_serializing_if = "Option::is_none")]
+    #[serde(default, deserialize_with = "given", skip_serializing_if = "Option::is_none")]
     #[schema(minimum = 50.0, maximum = 60_000.0)]
     pub timeout_ms: Option<f64>,
     /// The highest frequency of any update, Hz; without it the highest of `drives`, at least 60, or the highest of `setting` for a target,
     /// whose drives have at least 40. The line must carry it.
-    #[serde(skip_serializing_if = "Option::is_none")]
+    #[serde(default, deserialize_with = "given", skip_serializing_if = "Option::is_none")]
     #[schema(minimum = 0.1, maximum = 300.0)]
     pub max_frequency_hz: Option<f64>,
     /// The rate of updates that the line must carry, Hz; without it 50. More are taken as far as the line carries them.
-    #[serde(skip_serializing_if = "Option::is_none")]
+    #[serde(default, deserialize_with = "given", skip_serializing_if = "Option::is_none")]
     #[schema(minimum = 1.0, maximum = 1000.0)]
     pub updates_hz: Option<f64>,
     /// What to do when strokes come late: `drop` them (the default) or `abort` the play.
@@ -121,7 +121,7 @@ pub struct LiveRequest {
     #[serde(skip_serializing_if = "Option::is_none")]
     pub session: Option<String>,
     /// The trial's number.
-    #[serde(skip_serializing_if = "Option::is_none")]
+    #[serde(default, deserialize_with = "given", skip_serializing_if = "Option::is_none")]
     #[schema(minimum = 0)]
     pub trial: Option<u64>,
     /// Up to 16 labels of the trial, of 1 to 100 characters.
@@ -158,7 +158,7 @@ pub struct LiveMessage {
     #[serde(skip_serializing_if = "Option::is_none")]
     pub pose: Option<LivePose>,
     /// A new scale of all amplitudes.
-    #[serde(skip_serializing_if = "Option::is_none")]
+    #[serde(default, deserialize_with = "given", skip_serializing_if = "Option::is_none")]
     #[schema(minimum = 0.0, maximum = 1.0)]
     pub scale: Option<f64>,
     /// Whether to end the play. The pins return.

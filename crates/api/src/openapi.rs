@@ -77,7 +77,7 @@ const ABOUT: &str = "HTTP/1.1 over the daemon's Unix socket: `$MEISSNER_SOCKET`,
                      that sends nothing for 10 minutes, or earlier if another client needs its place. Who may use the socket may use the whole API. \
                      With `listen` in the configuration the daemon serves the API over TCP, too; a request from another machine then \
                      needs an access token (`unauthorized`, `forbidden`). The body of a command has at \
-                     most 16 KiB. A key that is null counts as absent; an unknown key is an error. Every error, also of an unknown \
+                     most 16 KiB. A key that is null counts as absent, but a number may not be null; an unknown key is an error. Every error, also of an unknown \
                      address (`not-found`) or method (`method-not-allowed`), is `application/problem+json` with a stable `code`. \
                      Times: `_s` is seconds, `_ms` milliseconds, a tick 1/85000 s on the device's clock.";
 
@@ -88,6 +88,9 @@ pub fn document() -> Value {
     let mut schemas = serde_json::to_value(Schemas::openapi().components).unwrap_or_default();
     schemas["schemas"]["Problem"]["properties"]["code"]["enum"] =
         Code::ALL.iter().map(|code| code.parts().0).collect::<Vec<_>>().into();
+    for schema in schemas["schemas"].as_object_mut().into_iter().flat_map(Map::values_mut) {
+        refuse_null(schema);
+    }
     let example = |schema: &str| schemas["schemas"][schema]["examples"][0].clone();
     let mut paths: BTreeMap<&str, Map<String, Value>> = BTreeMap::new();
     for route in Route::ALL {
@@ -109,6 +112,18 @@ pub fn document() -> Value {
         "paths": paths,
         "components": schemas
     })
+}
+
+/// A number that may be left out is not null: see [`meissner_input::document::given`].
+fn refuse_null(schema: &mut Value) {
+    let required = schema["required"].as_array().cloned().unwrap_or_default();
+    for (key, property) in schema["properties"].as_object_mut().into_iter().flatten() {
+        let kinds = property["type"].as_array().cloned().unwrap_or_default();
+        let is_number = kinds.iter().any(|kind| kind == "number" || kind == "integer");
+        if is_number && !required.iter().any(|name| name == key) {
+            property["type"] = kinds[0].clone();
+        }
+    }
 }
 
 /// A method as OpenAPI writes it.
@@ -215,4 +230,77 @@ fn errors(operation: &Operation) -> Map<String, Value> {
         })
     };
     by_status.into_iter().map(|(status, codes)| (status.to_string(), response(codes))).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{
+        ArmRequest, CalibrateRequest, LiveMessage, LiveRequest, PlayRequest, ResetRequest, SearchRequest,
+        SequenceRequest, SessionRequest, TokenRequest,
+    };
+    use std::collections::BTreeSet;
+
+    /// Each number that a request may leave out, of every type of request, is null in turn. Left out it would mean full, endless or all.
+    #[test]
+    fn a_number_that_is_null_is_refused() {
+        type Read = fn(&[u8]) -> Option<String>;
+        macro_rules! read {
+            ($type:ty) => {
+                (|body| <$type>::parse(body).err().map(|problem| problem.detail)) as Read
+            };
+        }
+        let play: (Value, Read) = (json!({"pattern": "a", "trigger": {}}), read!(PlayRequest));
+        let sequence: (Value, Read) = (json!({"items": [{"pattern": "a"}]}), read!(SequenceRequest));
+        let live: (Value, Read) = (json!({"target": "dot", "pose": {}}), read!(LiveRequest));
+        let drive = json!({"seq": 1, "drives": [{"motor": 1, "frequency_hz": 60, "amplitude_um": 80}]});
+        let message: (Value, Read) = (drive, read!(LiveMessage));
+        let schemas = document()["components"]["schemas"].clone();
+        let cases = [
+            ("PlayRequest", "", &play),
+            ("PlayRequest/properties/trigger", "/trigger", &play),
+            ("SequenceRequest", "", &sequence),
+            ("SequenceItem", "/items/0", &sequence),
+            ("LiveRequest", "", &live),
+            ("LivePose", "/pose", &live),
+            ("LiveMessage", "", &message),
+            ("LiveDrive", "/drives/0", &message),
+            ("ArmRequest", "", &(json!({}), read!(ArmRequest))),
+            ("ResetRequest", "", &(json!({}), read!(ResetRequest))),
+            ("CalibrateRequest", "", &(json!({}), read!(CalibrateRequest))),
+            ("SearchRequest", "", &(json!({"target": "dot"}), read!(SearchRequest))),
+            ("SessionRequest", "", &(json!({"participant": "P07"}), read!(SessionRequest))),
+            ("TokenRequest", "", &(json!({"role": "observe", "name": "a"}), read!(TokenRequest))),
+        ];
+        let mut refused = BTreeSet::new();
+        for (name, place, (body, read)) in cases {
+            assert_eq!(read(body.to_string().as_bytes()), None, "{name}");
+            let schema = schemas.pointer(&format!("/{name}")).unwrap();
+            for (key, property) in schema["properties"].as_object().unwrap() {
+                let kind = property["type"].as_str().unwrap_or_default();
+                let is_pulses = property["items"]["type"] == "integer";
+                let mut body = body.clone();
+                let object = body.pointer_mut(place).unwrap().as_object_mut().unwrap();
+                if !(["number", "integer"].contains(&kind) || is_pulses) || object.contains_key(key) {
+                    continue;
+                }
+                object.insert(key.clone(), Value::Null);
+                let detail = read(body.to_string().as_bytes()).unwrap_or_else(|| panic!("{body} is taken"));
+                assert!(detail.contains(&format!("{key}` is null: must be a ")), "{detail}");
+                assert!(!detail.contains('\n'), "{detail}");
+                refused.insert(format!("{name}.{key}"));
+            }
+        }
+        for key in
+            ["PlayRequest.scale", "SequenceItem.seconds", "LiveRequest.scale", "CalibrateRequest.motor"]
+        {
+            assert!(refused.contains(key), "{refused:?}");
+        }
+        let named: BTreeSet<&str> = cases.iter().map(|(name, ..)| *name).collect();
+        for route in Route::ALL {
+            if let Body::Json(schema) | Body::OptionalJson(schema) = route.operation().body {
+                assert!(named.contains(schema), "{schema} is not tried");
+            }
+        }
+    }
 }

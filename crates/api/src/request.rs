@@ -1,13 +1,13 @@
 //! Request bodies: JSON objects, read with serde.
 //!
 //! [`PlayRequest::parse`], [`ArmRequest::parse`], [`ResetRequest::parse`], [`CalibrateRequest::parse`] and [`parse_empty`] read a body. A key that is null
-//! counts as absent. An error is one line that names the key; for an unknown key it offers the nearest known one.
+//! counts as absent, but a number may not be null ([`given`]). An error is one line that names the key; for an unknown key it offers the nearest known one.
 
 use crate::problem::{Code, Problem, REFERENCE};
 use crate::sequence::{check_scale, check_sha256, check_trigger};
 use crate::session::check_labels;
 use crate::trigger::{self, TriggerRequest};
-use meissner_input::document::{self, CommonProblem, KeyError, Table, Wanted};
+use meissner_input::document::{self, CommonProblem, KeyError, Table, Wanted, given};
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Deserializer, Serialize};
 use std::collections::BTreeMap;
@@ -32,26 +32,26 @@ pub struct PlayRequest {
     #[schema(min_length = 64, max_length = 64)]
     pub pattern_sha256: Option<String>,
     /// Duration, s: truncates the pattern, or repeats it if it is finite. Without it the pattern plays once, or without end.
-    #[serde(skip_serializing_if = "Option::is_none")]
+    #[serde(default, deserialize_with = "given", skip_serializing_if = "Option::is_none")]
     #[schema(minimum = 0.0, maximum = 1e8)]
     pub seconds: Option<f64>,
     /// Multiplies the amplitude of every drive; without it 1.
-    #[serde(skip_serializing_if = "Option::is_none")]
+    #[serde(default, deserialize_with = "given", skip_serializing_if = "Option::is_none")]
     #[schema(minimum = 0.0, maximum = 1.0)]
     pub scale: Option<f64>,
     /// Onset on the device's clock, ticks of 1/85000 s. Excludes `at_ms` and `at_monotonic_ns`.
-    #[serde(skip_serializing_if = "Option::is_none")]
+    #[serde(default, deserialize_with = "given", skip_serializing_if = "Option::is_none")]
     pub at_tick: Option<u64>,
     /// Delay from the request to the onset, ms. Excludes `at_tick` and `at_monotonic_ns`.
-    #[serde(skip_serializing_if = "Option::is_none")]
+    #[serde(default, deserialize_with = "given", skip_serializing_if = "Option::is_none")]
     #[schema(minimum = 0.0, maximum = 3_600_000.0)]
     pub at_ms: Option<f64>,
     /// Onset on the host's `CLOCK_MONOTONIC`, ns. The daemon takes the nearest tick by its estimate of the device's clock when it
     /// accepts the play; the receipt shows that tick as the requested one. Excludes `at_tick` and `at_ms`.
-    #[serde(skip_serializing_if = "Option::is_none")]
+    #[serde(default, deserialize_with = "given", skip_serializing_if = "Option::is_none")]
     pub at_monotonic_ns: Option<u64>,
     /// The boot that `at_tick` belongs to, as `device.boot` in the status. The daemon refuses another one.
-    #[serde(skip_serializing_if = "Option::is_none")]
+    #[serde(default, deserialize_with = "given", skip_serializing_if = "Option::is_none")]
     pub boot: Option<u32>,
     /// Whether the play may be without end: without it the daemon refuses a pattern without end that has no `seconds`.
     #[serde(default, deserialize_with = "null_as_default")]
@@ -72,7 +72,7 @@ pub struct PlayRequest {
     #[serde(skip_serializing_if = "Option::is_none")]
     pub session: Option<String>,
     /// The trial's number.
-    #[serde(skip_serializing_if = "Option::is_none")]
+    #[serde(default, deserialize_with = "given", skip_serializing_if = "Option::is_none")]
     #[schema(minimum = 0)]
     pub trial: Option<u64>,
     /// Up to 16 labels of the trial, of 1 to 100 characters.
@@ -162,7 +162,7 @@ pub struct ArmRequest {
     pub checked: Option<String>,
     /// The daemon stops and disarms when it has heard nothing of this client for so long, s; without it `armed_silence_s` of the
     /// configuration. Excludes `unattended`.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[serde(default, deserialize_with = "given", skip_serializing_if = "Option::is_none")]
     #[schema(minimum = 1.0, maximum = 86_400.0)]
     pub silence_s: Option<f64>,
     /// Whether the motors may stay armed however long this client is silent.
@@ -211,7 +211,7 @@ pub struct ResetRequest {
     #[serde(default, deserialize_with = "null_as_default")]
     pub force: bool,
     /// The emergency stops that this decision knows of, as `estops` in the status. The daemon refuses the reset if one came later.
-    #[serde(skip_serializing_if = "Option::is_none")]
+    #[serde(default, deserialize_with = "given", skip_serializing_if = "Option::is_none")]
     pub estops_seen: Option<u64>,
 }
 
@@ -231,15 +231,15 @@ impl ResetRequest {
 #[schema(examples(json!({"motor": 3, "pulses": [14, 70, 140], "repetitions": 4})))]
 pub struct CalibrateRequest {
     /// The one motor to calibrate, 4 × row + column; without it, all motors.
-    #[serde(skip_serializing_if = "Option::is_none")]
+    #[serde(default, deserialize_with = "given", skip_serializing_if = "Option::is_none")]
     #[schema(minimum = 0, maximum = 23)]
     pub motor: Option<u8>,
     /// Burst lengths, pulses, at least two different ones, each 7 to 200; without it 14, 28, ... 140.
-    #[serde(skip_serializing_if = "Option::is_none")]
+    #[serde(default, deserialize_with = "given", skip_serializing_if = "Option::is_none")]
     #[schema(schema_with = pulses_schema)]
     pub pulses: Option<Vec<u16>>,
     /// Groups of bursts per burst length; without it 2. Burst lengths times repetitions are at most 100.
-    #[serde(skip_serializing_if = "Option::is_none")]
+    #[serde(default, deserialize_with = "given", skip_serializing_if = "Option::is_none")]
     #[schema(minimum = 1, maximum = 50)]
     pub repetitions: Option<u16>,
     /// Whether a laser measures: the daemon plays the bursts of the one `motor`, measures and stores nothing, and needs no
@@ -329,7 +329,8 @@ mod tests {
     fn errors_name_the_key() {
         let read = |text: &str| PlayRequest::parse(text.as_bytes());
         let request =
-            read(r#"{"pattern":"edge-45","seconds":2,"late":"abort","at_ms":null,"replace":null}"#).unwrap();
+            read(r#"{"pattern":"edge-45","seconds":2,"late":"abort","session":null,"replace":null}"#)
+                .unwrap();
         assert_eq!(
             (request.pattern.as_str(), request.seconds, request.late, request.replace),
             ("edge-45", Some(2.0), LatePolicy::Abort, false)

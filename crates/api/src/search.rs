@@ -10,7 +10,7 @@
 use crate::problem::Problem;
 use crate::request::{bad, null_as_default, problem, read};
 use crate::target::TargetFile;
-use meissner_input::document::in_range;
+use meissner_input::document::{given, in_range};
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use utoipa::ToSchema;
@@ -85,17 +85,17 @@ pub struct SearchRequest {
     #[serde(default, deserialize_with = "null_as_default")]
     pub setting: SearchSetting,
     /// The seed of the search; without it 0.
-    #[serde(default, deserialize_with = "null_as_default")]
+    #[serde(default)]
     pub seed: u64,
     /// Whether it maximises the mean over eight populations of afferents, not one.
     #[serde(default, deserialize_with = "null_as_default")]
     pub robust: bool,
     /// About how long to search, s; the judgement of the result comes on top. Without it 10. Excludes `evaluations`.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[serde(default, deserialize_with = "given", skip_serializing_if = "Option::is_none")]
     #[schema(minimum = 0.1, maximum = 600.0)]
     pub seconds: Option<f64>,
     /// About how many evaluations to make for each frame: the same number finds the same pattern. Excludes `seconds`.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[serde(default, deserialize_with = "given", skip_serializing_if = "Option::is_none")]
     #[schema(minimum = 1, maximum = 1_000_000)]
     pub evaluations: Option<u64>,
 }

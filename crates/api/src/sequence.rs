@@ -8,7 +8,7 @@ use crate::problem::Problem;
 use crate::request::{LatePolicy, bad, check_onset, null_as_default, problem, read};
 use crate::session::check_labels;
 use crate::trigger::{self, TriggerRecord, TriggerRequest};
-use meissner_input::document;
+use meissner_input::document::{self, given};
 use serde::de::{Error, SeqAccess, Visitor};
 use serde::{Deserialize, Deserializer, Serialize};
 use std::collections::BTreeMap;
@@ -40,17 +40,17 @@ pub struct SequenceRequest {
     #[serde(skip_serializing_if = "Option::is_none")]
     pub name: Option<String>,
     /// Onset on the device's clock, ticks of 1/85000 s. Excludes `at_ms` and `at_monotonic_ns`.
-    #[serde(skip_serializing_if = "Option::is_none")]
+    #[serde(default, deserialize_with = "given", skip_serializing_if = "Option::is_none")]
     pub at_tick: Option<u64>,
     /// Delay from the request to the onset, ms. Excludes `at_tick` and `at_monotonic_ns`.
-    #[serde(skip_serializing_if = "Option::is_none")]
+    #[serde(default, deserialize_with = "given", skip_serializing_if = "Option::is_none")]
     #[schema(minimum = 0.0, maximum = 3_600_000.0)]
     pub at_ms: Option<f64>,
     /// Onset on the host's `CLOCK_MONOTONIC`, ns. Excludes `at_tick` and `at_ms`.
-    #[serde(skip_serializing_if = "Option::is_none")]
+    #[serde(default, deserialize_with = "given", skip_serializing_if = "Option::is_none")]
     pub at_monotonic_ns: Option<u64>,
     /// The boot that `at_tick` belongs to, as `device.boot` in the status. The daemon refuses another one.
-    #[serde(skip_serializing_if = "Option::is_none")]
+    #[serde(default, deserialize_with = "given", skip_serializing_if = "Option::is_none")]
     pub boot: Option<u32>,
     /// What to do when strokes come late: `drop` them (the default) or `abort` the sequence.
     #[serde(default, deserialize_with = "null_as_default")]
@@ -65,7 +65,7 @@ pub struct SequenceRequest {
     #[serde(skip_serializing_if = "Option::is_none")]
     pub session: Option<String>,
     /// The trial's number.
-    #[serde(skip_serializing_if = "Option::is_none")]
+    #[serde(default, deserialize_with = "given", skip_serializing_if = "Option::is_none")]
     #[schema(minimum = 0)]
     pub trial: Option<u64>,
     /// Up to 16 labels of the trial, of 1 to 100 characters.
@@ -86,19 +86,19 @@ pub struct SequenceItem {
     #[schema(min_length = 64, max_length = 64)]
     pub pattern_sha256: Option<String>,
     /// Duration, s: truncates the pattern, or repeats it if it is finite. A pattern without end needs it.
-    #[serde(skip_serializing_if = "Option::is_none")]
+    #[serde(default, deserialize_with = "given", skip_serializing_if = "Option::is_none")]
     #[schema(minimum = 0.0, maximum = 1e8)]
     pub seconds: Option<f64>,
     /// Multiplies the amplitude of every drive; without it 1.
-    #[serde(skip_serializing_if = "Option::is_none")]
+    #[serde(default, deserialize_with = "given", skip_serializing_if = "Option::is_none")]
     #[schema(minimum = 0.0, maximum = 1.0)]
     pub scale: Option<f64>,
     /// Pause from the end of the item before it, or from the sequence's onset, ms; without it 0. Excludes `start_ms`.
-    #[serde(skip_serializing_if = "Option::is_none")]
+    #[serde(default, deserialize_with = "given", skip_serializing_if = "Option::is_none")]
     #[schema(minimum = 0.0, maximum = 1e11)]
     pub gap_ms: Option<f64>,
     /// Time from the sequence's onset to the item's, ms. Excludes `gap_ms`.
-    #[serde(skip_serializing_if = "Option::is_none")]
+    #[serde(default, deserialize_with = "given", skip_serializing_if = "Option::is_none")]
     #[schema(minimum = 0.0, maximum = 1e11)]
     pub start_ms: Option<f64>,
     /// What the trigger output gives at the item's onset; without it one pulse of 10 ms.

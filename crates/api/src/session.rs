@@ -9,6 +9,7 @@ use crate::problem::{Code, Problem};
 use crate::receipt::{BurstCounts, MAX_LISTED, OrderedCounts, PulseCounts};
 use crate::request::{Fit, LatePolicy, read};
 use crate::trigger::TriggerRecord;
+use meissner_input::document::given;
 use meissner_input::message::{is_plain, quote};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -40,7 +41,7 @@ pub struct SessionRequest {
     #[serde(default, deserialize_with = "crate::request::null_as_default")]
     pub labels: BTreeMap<String, String>,
     /// The seed of the experiment's random numbers. The daemon only records it.
-    #[serde(skip_serializing_if = "Option::is_none")]
+    #[serde(default, deserialize_with = "given", skip_serializing_if = "Option::is_none")]
     pub seed: Option<u64>,
     /// Whether only this session's owner may change anything. Others may read, stop, disarm, and order emergency stops.
     #[serde(default, deserialize_with = "crate::request::null_as_default")]

@@ -3,6 +3,7 @@
 //! In a request `trigger` is an object or `false`; without it the output gives one pulse of 10 ms. `docs/how-to/board.md` shows the
 //! pulse train of a code.
 
+use meissner_input::document::given;
 use serde::de::value::MapAccessDeserializer;
 use serde::de::{MapAccess, Visitor};
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
@@ -31,10 +32,10 @@ pub enum TriggerRequest {
 #[serde(deny_unknown_fields)]
 pub struct TriggerShape {
     /// Width of the pulse, or of each of the ten cells of a code, ms.
-    #[serde(skip_serializing_if = "Option::is_none")]
+    #[serde(default, deserialize_with = "given", skip_serializing_if = "Option::is_none")]
     pub width_ms: Option<f64>,
     /// A code, 1 to 255; without it one pulse.
-    #[serde(skip_serializing_if = "Option::is_none")]
+    #[serde(default, deserialize_with = "given", skip_serializing_if = "Option::is_none")]
     pub code: Option<u8>,
 }
 

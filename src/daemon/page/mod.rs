@@ -1,7 +1,8 @@
 //! The page in the browser: files inside of the program, served at `/` and below `/page/`.
 //!
 //! The page is plain HTML, CSS and JavaScript modules without a build step. It uses the API alone (`assets/api.js`), so everything that it
-//! does is in the OpenAPI document. `assets/estop.js` is the emergency stop; it needs `assets/api.js` alone.
+//! does is in the OpenAPI document. `assets/estop.js` holds what must work alone: the emergency stop, and the state with its age. The modules read
+//! that state, and say it nowhere else.
 //!
 //! Invariant: the page loads nothing from elsewhere, and its policy forbids it to.
 
@@ -17,12 +18,13 @@ const POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; i
 const SCRIPT: &str = "text/javascript; charset=utf-8";
 
 /// Address, media type and text of every file.
-const FILES: [(&str, &str, &str); 17] = [
+const FILES: [(&str, &str, &str); 18] = [
     ("/", "text/html; charset=utf-8", include_str!("assets/index.html")),
     ("/page/page.css", "text/css; charset=utf-8", include_str!("assets/page.css")),
     ("/page/icon.svg", "image/svg+xml", include_str!("assets/icon.svg")),
     ("/page/api.js", SCRIPT, include_str!("assets/api.js")),
     ("/page/estop.js", SCRIPT, include_str!("assets/estop.js")),
+    ("/page/alive.js", SCRIPT, include_str!("assets/alive.js")),
     ("/page/app.js", SCRIPT, include_str!("assets/app.js")),
     ("/page/control.js", SCRIPT, include_str!("assets/control.js")),
     ("/page/finger.js", SCRIPT, include_str!("assets/finger.js")),

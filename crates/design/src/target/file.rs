@@ -12,7 +12,7 @@ use crate::target::error::{KeyError, Problem, TargetError, within};
 use crate::target::limits::{FINEST_MM, MAX_BYTES, MAX_FRAMES, MAX_POINTS};
 use crate::target::motion::{Frame, Motion};
 use meissner_array::pattern::Pattern;
-use meissner_input::document::{CommonProblem, Table, from_json, from_toml, in_range, line_of};
+use meissner_input::document::{CommonProblem, Table, from_json, from_toml, given, in_range, line_of};
 use meissner_input::message::quote;
 use meissner_skin::afferent;
 use meissner_skin::{RawAfferent, as_written, one_name};
@@ -150,14 +150,22 @@ struct RawTarget {
     shape: Kind,
     points: Option<Vec<Point>>,
     center_mm: Option<Point>,
+    #[serde(default, deserialize_with = "given")]
     radius_mm: Option<f64>,
     character: Option<String>,
+    #[serde(default, deserialize_with = "given")]
     dot_pitch_mm: Option<f64>,
+    #[serde(default, deserialize_with = "given")]
     period_mm: Option<f64>,
+    #[serde(default, deserialize_with = "given")]
     angle_deg: Option<f64>,
+    #[serde(default, deserialize_with = "given")]
     offset_mm: Option<f64>,
+    #[serde(default, deserialize_with = "given")]
     reach_mm: Option<f64>,
+    #[serde(default, deserialize_with = "given")]
     amplitude_um: Option<f64>,
+    #[serde(default, deserialize_with = "given")]
     duration_s: Option<f64>,
     population: Option<Table<RawPopulation>>,
     afferent: Option<Table<RawAfferent>>,
@@ -183,6 +191,7 @@ struct RawMotion {
     direction_deg: f64,
     #[serde(default)]
     turn_deg_s: f64,
+    #[serde(default, deserialize_with = "given")]
     frames: Option<u64>,
 }
 

@@ -18,7 +18,7 @@ pub use size::{Size, check_size};
 use crate::message::{foreign, nearest, one_line, quote};
 use lines::line_at;
 use serde::de::value::MapAccessDeserializer;
-use serde::de::{MapAccess, Visitor};
+use serde::de::{Error, MapAccess, Visitor};
 use serde::{Deserialize, Deserializer, Serialize};
 use serde_path_to_error::{Path, Segment};
 use std::fmt;
@@ -139,6 +139,16 @@ fn in_words(message: &str) -> String {
         other => other,
     };
     format!("is {}: must be {wanted}", foreign(found))
+}
+
+/// Reads the number, or the numbers, of a key that may be left out; null is refused. Many languages write a number that is none (NaN,
+/// an empty field) as null. Taken as absent, it would mean the full amplitude, no end, or all motors.
+///
+/// # Errors
+/// The value is null, or no such number.
+pub fn given<'de, D: Deserializer<'de>, T: Deserialize<'de>>(source: D) -> Result<Option<T>, D::Error> {
+    let null = || D::Error::custom("is null: must be a number; without a value leave the key out");
+    Option::deserialize(source)?.map_or_else(|| Err(null()), |value| Ok(Some(value)))
 }
 
 /// A struct that is written as a table of its keys. (The reader that serde derives also takes a list of its values.)

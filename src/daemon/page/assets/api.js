@@ -1,13 +1,9 @@
-// Requests to the daemon, its events, and the access token that goes with both.
+// Requests to the daemon, and its events. The state and the access token are those of `estop.js`.
 
-const KEY = "meissner-token";
 const ANSWER_MS = 6000;
 
-// The access token, for as long as the window is open. A link never holds it.
-export const token = {
-  get: () => sessionStorage.getItem(KEY),
-  set: (value) => sessionStorage.setItem(KEY, value),
-};
+// `known`: the status, or null if none is fresh. `last`: the last one, however old. `poll`: asks for it.
+export const { headers, known, last, poll } = globalThis.meissner;
 
 // An error of the daemon (`code` as in the API reference), or of the way to it (`unreachable`, `slow`, `stopped`).
 export class Problem extends Error {
@@ -17,26 +13,13 @@ export class Problem extends Error {
   }
 }
 
-export function headers() {
-  const value = token.get();
-  return value ? { authorization: `Bearer ${value}` } : {};
-}
-
-// Every request but the emergency stop. A browser has six connections to a host for all its windows: the stop needs one of them.
+// Every request of the modules. An emergency stop, of this window too, ends them, so that it has a connection.
 let pending = new AbortController();
 const windows = new BroadcastChannel("estop");
-windows.onmessage = abortRequests;
-
-function abortRequests() {
+windows.onmessage = () => {
   pending.abort(new Problem("stopped", "An emergency stop ended this request."));
   pending = new AbortController();
-}
-
-// Ends the requests and event streams of all windows of the page in this browser. The streams begin again by themselves.
-export function freeConnections() {
-  windows.postMessage("");
-  abortRequests();
-}
+};
 
 // Waits for a part of a request, and says why it failed.
 async function part(promise, signal) {
@@ -64,9 +47,23 @@ async function answer(method, path, body, ms, kind) {
   return part(response.json(), signal);
 }
 
+// JSON has no NaN: it would become null.
+function number(key, value) {
+  if (Number.isNaN(value)) throw new Problem("bad-request", `\`${key}\` is not a number: enter one.`);
+  return value;
+}
+
 // The JSON answer of a request. `ms`: how long it may take.
-export function call(method, path, body, ms = ANSWER_MS) {
-  return answer(method, path, body === undefined ? undefined : JSON.stringify(body), ms);
+export async function call(method, path, body, ms = ANSWER_MS) {
+  return answer(method, path, body === undefined ? undefined : JSON.stringify(body, number), ms);
+}
+
+// Orders a play, in the session that the page shows: the daemon refuses it if another one runs.
+export async function order(path, body) {
+  if (!known()) await poll();
+  const status = known();
+  if (!status) throw new Problem("not-known", "Nothing was ordered: the state is not known.");
+  return call("POST", path, status.session ? { ...body, session: status.session.id } : body);
 }
 
 // Stores a TOML file.

@@ -1,6 +1,6 @@
-// The page: joins the daemon's events and status with the parts that show them.
+// The page: joins the daemon's events and status with the parts that show them. Events bring no state: they say when to ask for it.
 
-import { Problem, call, listen, token } from "./api.js";
+import { call, known, last, listen, poll } from "./api.js";
 import { bindCalibration, handleCalibrated, loadAfterGap, loadCalibration, showCalibrating } from "./calibration.js";
 import { bindControls, show as showControl } from "./control.js";
 import { Designer } from "./designer.js";
@@ -10,10 +10,13 @@ import { Patterns } from "./patterns.js";
 import { loadSessions, showReceipt } from "./record.js";
 
 const $ = (id) => document.getElementById(id);
-const STATUS_MS = 1000;
 const FRAME_MS = 1000 / 30;
 
-const now = { linked: false, state: null, status: null, play: null, details: null, onset: 0, late: 0, doubted: new Set() };
+// The running play: its onset on this window's clock, and its pins once they are known.
+let play = { id: null, onset: 0, pins: null };
+// Late strokes, by play.
+const late = new Map();
+const doubted = new Set();
 const finger = new Finger($("finger"));
 const patterns = new Patterns(report);
 const designer = new Designer(report, () => patterns.load());
@@ -22,60 +25,58 @@ const designer = new Designer(report, () => patterns.load());
 function report(error) {
   $("alert").hidden = !error;
   $("alert").textContent = error ? error.message : "";
-  if (error?.code === "unauthorized") $("sign-in").hidden = false;
 }
 
-function showStatus() {
-  showControl(now);
-  showCalibrating(now.status);
+let checked = null;
+function showState() {
+  const status = known();
+  if (status && status.state !== checked) checkSoon();
+  if (status) checked = status.state;
+  if (status) setPlay(status.play);
+  showControl(late.get(status?.play?.id) ?? 0);
+  showCalibrating();
+  patterns.showQueue();
 }
 
-async function poll() {
-  if (document.hidden || !now.linked) return;
-  try {
-    now.status = await call("GET", "/v1/status");
-    setPlay(now.status.play);
-    patterns.showQueue(now.status);
-  } catch (error) {
-    if (!(error instanceof Problem)) throw error;
-    if (error.code === "stopped") return;
-    now.status = null;
-  }
-  showStatus();
-}
-
-// A play's pins as the daemon compiled it: its receipt has the amplitudes, the pattern the times.
-async function setPlay(play) {
-  if (!play) {
-    now.play = now.details = null;
-    return;
-  }
-  const onset = performance.now() - 1000 * play.played_s;
-  if (now.play?.id === play.id) {
+async function setPlay(running) {
+  const id = running?.id ?? null;
+  const onset = performance.now() - 1000 * (running?.played_s ?? 0);
+  if (play.id === id) {
     // News travels with a delay: the earliest onset is the truest.
-    now.onset = Math.min(now.onset, onset);
+    play.onset = Math.min(play.onset, onset);
     return;
   }
-  [now.play, now.onset, now.details, now.late] = [play, onset, null, 0];
+  const mine = (play = { id, onset, pins: null });
+  if (id === null) return;
   try {
-    const receipt = await call("GET", `/v1/plays/${play.id}`);
-    const details = designer.details(receipt.pattern_sha256) ?? (await patterns.details(play.pattern));
-    if (now.play?.id === play.id) now.details = receipt.drives.length ? { ...details, drives: receipt.drives } : details;
-  } catch {
-    // A sequence, or a pattern that is gone: the play goes on, and its pins are not known here.
+    mine.pins = await pinsOf(running);
+  } catch ({ code }) {
+    // On the way to the daemon something failed: the next state asks again.
+    if (["unreachable", "slow", "stopped"].includes(code)) mine.id = undefined;
   }
+}
+
+// A play's pins as the daemon compiled it: its receipt has the amplitudes, the pattern the times. Null: a sequence, a live play, or a pattern
+// that is gone or has changed.
+async function pinsOf({ id, pattern }) {
+  const receipt = await call("GET", `/v1/plays/${id}`);
+  const details = designer.details(receipt.pattern_sha256) ?? (await call("GET", `/v1/patterns/${encodeURIComponent(pattern)}`));
+  if (details.sha256 !== receipt.pattern_sha256 || receipt.items_planned !== null) return null;
+  // A receipt lists the first drives alone.
+  const listed = receipt.drives;
+  const scaled = details.drives.slice(listed.length).map((drive) => ({ ...drive, reached_um: drive.reached_um * (receipt.scale ?? 1) }));
+  return { pattern: details.pattern, reached: [...listed, ...scaled] };
 }
 
 function handle(event) {
   switch (event.event) {
-    case "state":
-      if (event.state !== now.state) checkSoon();
-      now.state = event.state;
-      if (now.status) Object.assign(now.status, { state: event.state, cause: event.cause, position: event.position, play: event.play });
-      setPlay(event.play);
-      showStatus();
+    case "state": {
+      const { state, position, play: running } = last() ?? {};
+      if (event.state !== state || event.position !== position || event.play?.id !== running?.id) poll();
       break;
+    }
     case "ended":
+      late.delete(event.receipt.id);
       showReceipt(event.receipt);
       poll();
       break;
@@ -83,13 +84,13 @@ function handle(event) {
       call("GET", `/v1/plays/${event.id}`).then(showReceipt, () => {});
       break;
     case "late":
-      if (event.id === now.play?.id) now.late += 1;
+      late.set(event.id, (late.get(event.id) ?? 0) + 1);
       break;
     case "doubted":
-      now.doubted.add(event.motor);
+      doubted.add(event.motor);
       break;
     case "connected":
-      now.doubted.clear();
+      doubted.clear();
       loadCalibration().catch(report);
       checkSoon();
       poll();
@@ -97,6 +98,10 @@ function handle(event) {
     case "session-started":
     case "session-ended":
       loadSessions().catch(report);
+      poll();
+      break;
+    case "owner-silent":
+      report(new Error(`The daemon disarmed: it had no sign of ${event.by} for ${event.silence_s} s.`));
       poll();
       break;
     case "search":
@@ -115,33 +120,40 @@ function handle(event) {
   }
 }
 
+let isLinked = false;
 async function linked(is, problem) {
-  const again = now.linked;
-  [now.linked, now.state] = [is, null];
+  const again = isLinked;
+  isLinked = is;
   if (!is) {
-    now.status = null;
-    showStatus();
     report(problem);
     return;
   }
   // After an emergency stop the stream begins again: what the daemon has refused since stays.
   if (!again) report(null);
-  $("sign-in").hidden = true;
+  checkSoon();
   await poll();
-  const loads = [patterns.load(), designer.start(), loadSessions(), loadAfterGap(now.status), call("GET", "/v1/plays/last").then(showReceipt, () => {})];
+  const loads = [patterns.load(), designer.start(), loadSessions(), loadAfterGap(), call("GET", "/v1/plays/last").then(showReceipt, () => {})];
   await Promise.all(loads).catch(report);
 }
 
-function pinRows(drives, rest) {
-  const motors = now.status?.motors ?? [];
+function pinRows(pins, rest) {
+  const motors = last()?.motors ?? [];
   $("pins").tBodies[0].replaceChildren(...motors.map((motor, i) => {
-    const drive = drives.get(i);
+    const drive = pins?.get(i);
     const row = document.createElement("tr");
-    const cells = [drive?.reached_um.toFixed(1) ?? "still", drive?.frequency_hz ?? "", drive?.phase ?? "", rest[i].toFixed(1), motor.source];
+    const cells = [drive?.reached_um.toFixed(1) ?? (pins ? "still" : "not known"), drive?.frequency_hz ?? "", drive?.phase ?? "", rest[i]?.toFixed(1) ?? "not known", motor.source];
     const head = Object.assign(document.createElement("th"), { scope: "row", textContent: String(i) });
     row.append(head, ...cells.map((text) => Object.assign(document.createElement("td"), { textContent: String(text) })));
     return row;
   }));
+}
+
+// The drives by pin, or null and why they are not known.
+function pinsNow(status, seconds) {
+  if (!status) return [null, "What the pins do is not known."];
+  if (status.play) return play.pins ? [drivesAt(play.pins, seconds), ""] : [null, "Pins vibrate. Which ones is not known here."];
+  const isStill = status.tick !== null && ["disarmed", "armed", "faulted"].includes(status.state);
+  return isStill ? [new Map(), ""] : [null, "Pins may move. Which ones is not known."];
 }
 
 let drawn = 0;
@@ -150,29 +162,23 @@ function frame(at) {
   requestAnimationFrame(frame);
   if (at - drawn < FRAME_MS - 2) return;
   drawn = at;
-  const seconds = now.play ? Math.max(0, (performance.now() - now.onset) / 1000) : null;
-  const drives = now.details ? drivesAt(now.details, seconds) : new Map();
-  const rest = (now.status?.motors ?? []).map((motor) => motor.rest_error_um);
-  finger.draw(drives, rest, now.doubted, seconds);
+  const status = known();
+  const seconds = Math.max(0, (performance.now() - play.onset) / 1000);
+  const [pins, why] = pinsNow(status, seconds);
+  const rest = (status?.motors ?? []).map((motor) => motor.rest_error_um);
+  finger.draw(pins, why, rest, doubted, seconds);
   if (at - tabled > 1000 && $("pins").closest("details").open) {
     tabled = at;
-    pinRows(drives, rest);
+    pinRows(pins, rest);
   }
-  const unknown = now.play && !now.details ? "The pins of this play are not known here. " : "";
-  const note = `${unknown}Size and colour: amplitude reached. Hand: phase, drawn 20 times slower. Bar on the left of a pin: offset from rest. Dashed ring: sensor in doubt.`;
+  const note = pins ? "Size and colour: amplitude reached. Hand: phase, drawn 20 times slower. Bar on the left of a pin: offset from rest. Dashed ring: sensor in doubt." : why;
   if ($("finger-note").textContent !== note) $("finger-note").textContent = note;
 }
 
-bindControls(now, report, poll);
-bindCalibration(report, poll);
+bindControls(report);
+bindCalibration(report);
 bindDoctor();
-const start = listen(handle, linked);
-$("sign-in-form").addEventListener("submit", (event) => {
-  event.preventDefault();
-  token.set($("token").value.trim());
-  $("token").value = "";
-  start();
-});
-showStatus();
-setInterval(poll, STATUS_MS);
+document.addEventListener("state", showState);
+document.addEventListener("token", listen(handle, linked));
+showState();
 requestAnimationFrame(frame);

@@ -3,7 +3,7 @@
 // The small plots stand where the motors stand in the array. They show the measured travel divided by the motor model's, so a motor like the
 // model's lies at 1. The distance of a point from the line is the residual. The large plots show the chosen motor, by travel too.
 
-import { call } from "./api.js";
+import { call, known, last, order, poll } from "./api.js";
 import { CALIBRATION, closeWithEscape, element, facts, open } from "./control.js";
 import { worded } from "./doctor.js";
 import { MOTORS } from "./finger.js";
@@ -146,11 +146,12 @@ function show(motor, range) {
 const STATES = { disarmed: "Arm first: the pins move.", faulted: "Reset first.", returning: "Pins move to rest: wait.", "no-device": "No device is connected." };
 
 // Whether motors can be calibrated now, and if not, why.
-export function showCalibrating(status) {
+export function showCalibrating() {
+  const status = known();
   const { play, device, session } = status ?? {};
   const runs = play?.pattern === CALIBRATION;
   if (runs && play.id !== ended) awaited = play.id;
-  const why = !status ? "The page does not reach the daemon."
+  const why = !status ? "The state is not known."
     : runs ? `Calibrating for ${play.played_s.toFixed(0)} s. Keep the finger off.`
     : !device ? STATES["no-device"]
     : !device.telemetry ? "This device has no telemetry. A laser measures one motor after the other: `meissner calibrate --plan --motor N` on the daemon's machine."
@@ -175,14 +176,15 @@ export function handleCalibrated({ motors, problem }) {
 }
 
 // Loads the calibration when events may have been missed, and tells how a calibration ended that ran before.
-export async function loadAfterGap(status) {
+export async function loadAfterGap() {
   const before = report?.provenance.date;
   await loadCalibration();
+  const status = last();
   if (!awaited || !status || status.play?.pattern === CALIBRATION) return;
   tell(report?.provenance.date === before ? "The calibration ended, and nothing was stored." : "The calibration ended, and was stored.");
 }
 
-export function bindCalibration(complain, poll) {
+export function bindCalibration(complain) {
   const numbers = Array.from({ length: MOTORS }, (_, motor) => element("option", `Motor ${motor}`, { value: String(motor) }));
   $("calibrate-motor").append(...numbers);
   const buttons = numbers.map((_, motor) => element("button", "", { type: "button", className: "fit", value: String(motor) }));
@@ -210,7 +212,7 @@ export function bindCalibration(complain, poll) {
     $("calibrate-result").textContent = "";
     try {
       mine = true;
-      await call("POST", "/v1/calibrate", motor ? { motor: Number(motor) } : {});
+      await order("/v1/calibrate", motor ? { motor: Number(motor) } : {});
       complain(null);
       poll();
     } catch (error) {

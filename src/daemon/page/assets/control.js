@@ -1,39 +1,26 @@
-// The state in words, facts about the device, and the buttons that change it.
+// Facts about the device, and the buttons that change its state.
 
-import { call } from "./api.js";
+import { call, headers, known, last, poll } from "./api.js";
 
 const $ = (id) => document.getElementById(id);
 const HOME_MS = 30000;
+// So long after the last sign of this window the daemon disarms what the window has armed, s. In sight, each poll is a sign.
+const SILENCE_S = 10;
 // The name of the play that calibrates.
 export const CALIBRATION = "calibration";
 
-// What a state means to a person with a finger on the pins.
-const STATES = {
-  disarmed: ["Disarmed", "Safe to touch: the motors are off."],
-  armed: ["Armed", "The motors are on: a play may begin at any moment."],
-  returning: ["Returning", "Pins move to rest. Do not touch."],
-  faulted: ["Stopped", "All lines are off. Find out why before you reset."],
-  "no-device": ["No device", "No device is connected: the pins are not under control."],
-  unknown: ["Not connected", "The state is not known: the page does not reach the daemon."],
-};
-
-export function show(now) {
-  const { status } = now;
-  const name = status?.state in STATES ? status.state : "unknown";
-  const [word, touch] = STATES[name];
-  const shown = status?.play ? "playing" : name;
-  $("state").dataset.state = shown;
-  const text = status?.play ? `Playing ${status.play.pattern}, ${status.play.played_s.toFixed(1)} s` : name === "faulted" ? `Stopped: ${status.cause}` : word;
-  write($("state-text"), text);
-  write($("touch"), !status?.play ? touch : status.play.pattern === CALIBRATION ? "Calibration: do not touch the pins." : "Pins vibrate.");
-  const device = status?.device;
-  write($("link"), device ? `${device.kind}${device.simulated ? ", simulated" : ""}` : "");
-  $("arm").disabled = !(status && name === "disarmed");
-  $("disarm").disabled = !(status && name === "armed");
-  $("home").disabled = !(status && name === "armed" && !status.play);
-  $("stop").disabled = !(status && (status.play || status.queued.length));
-  $("reset").disabled = !(status && name === "faulted");
-  facts($("facts"), status ? describe(status, now.late) : []);
+// `late`: strokes of the running play.
+export function show(late) {
+  const status = known();
+  $("arm").disabled = status?.state !== "disarmed";
+  $("home").disabled = status?.state !== "armed" || status.play !== null;
+  $("reset").disabled = status?.state !== "faulted";
+  // What makes the pins still is there also while the state is not known.
+  $("disarm").disabled = status !== null && status.state !== "armed";
+  $("stop").disabled = status !== null && !status.play && !status.queued.length;
+  // The rows stay where they are.
+  const rows = last() ? describe(last(), late) : [];
+  facts($("facts"), status ? rows : rows.map(([name]) => [name, "not known"]));
   write($("about"), status ? `meissner ${status.version}, pid ${status.pid}` : "");
 }
 
@@ -42,7 +29,9 @@ function describe(status, late) {
   const worst = Math.max(0, ...offsets);
   const { fifo, mlock } = status.realtime ?? {};
   const limit = status.participant;
+  const { by, silence_s: silence } = status.armed ?? {};
   return [
+    ...(by ? [["Armed by", `${by}; ${silence === null ? "the motors stay armed without it" : `${silence} s without a sign of it disarm`}`]] : []),
     ["Largest offset from rest", `${worst.toFixed(1)} µm, pin ${offsets.indexOf(worst)}, of at most ${status.drift_limit_um} µm`],
     ["Position", status.position],
     ["Clock", status.clock_uncertainty_us === null ? "not synchronised" : `synchronised to ±${status.clock_uncertainty_us.toFixed(1)} µs`],
@@ -87,7 +76,23 @@ export function closeWithEscape(dialog) {
   dialog.addEventListener("keydown", (event) => event.key === "Escape" && dialog.close("cancel"));
 }
 
-export function bindControls(now, report, poll) {
+// Whether these fields hold what they must. If not, a line at the first one says what is wrong, until it is changed.
+export function valid(...ids) {
+  return ids.map($).every((field) => {
+    if (field.checkValidity()) return true;
+    const { type, min, max, validationMessage } = field;
+    const wrong = element("span", type === "number" && !field.validity.stepMismatch ? `Enter a number, ${min} to ${max}.` : validationMessage, { className: "wrong", role: "alert" });
+    field.parentElement.querySelector(".wrong")?.remove();
+    field.after(wrong);
+    field.addEventListener("input", () => wrong.remove(), { once: true });
+    field.focus();
+    return false;
+  });
+}
+
+export function bindControls(report) {
+  const alive = new Worker("page/alive.js");
+  document.addEventListener("visibilitychange", () => alive.postMessage(document.hidden ? headers() : null));
   const command = (path, body, ms) => call("POST", path, body, ms).then(
     () => (report(null), poll()),
     (error) => (report(error), poll()),
@@ -99,26 +104,27 @@ export function bindControls(now, report, poll) {
   button("stop", () => command("/v1/stop"));
   button("home", () => command("/v1/home", undefined, HOME_MS));
   button("arm", () => {
-    const known = now.status?.position === "known";
-    $("arm-text").textContent = known
+    const isKnown = last().position === "known";
+    $("arm-text").textContent = isKnown
       ? "The device knows where its pins are. Take the finger off the pins."
       : "The device does not know where its pins are. Look at them: all must be at rest.";
-    $("arm-rest").hidden = $("arm-who").hidden = known;
-    $("arm-checked").required = $("arm-name").required = !known;
+    $("arm-rest").hidden = $("arm-who").hidden = isKnown;
+    $("arm-checked").required = $("arm-name").required = !isKnown;
     $("arm-dialog").returnValue = "";
     open($("arm-dialog"));
   });
   $("arm-dialog").addEventListener("close", () => {
     if ($("arm-dialog").returnValue !== "arm") return;
-    const known = now.status?.position === "known";
-    command("/v1/arm", known ? {} : { assume_rest: true, checked: $("arm-name").value }, HOME_MS);
+    // As the person has read it: if the position is not known any more, the daemon refuses.
+    const checked = $("arm-rest").hidden ? {} : { assume_rest: true, checked: $("arm-name").value };
+    command("/v1/arm", { ...checked, silence_s: SILENCE_S }, HOME_MS);
     $("arm-checked").checked = false;
   });
   button("reset", () => {
-    $("reset-why").textContent = `Cause: ${now.status?.cause ?? "unknown"}.`;
+    $("reset-why").textContent = `Cause: ${last().cause}.`;
     $("reset-dialog").returnValue = "";
     // A stop that comes while a person reads this is not cleared with the one that it is about.
-    $("reset-dialog").dataset.seen = now.status?.estops ?? 0;
+    $("reset-dialog").dataset.seen = last().estops;
     open($("reset-dialog"));
   });
   $("reset-dialog").addEventListener("close", () => {

@@ -1,6 +1,7 @@
 // The designer: a target is drawn or loaded, the daemon searches for a pattern, and the page shows, plays and saves what it has found.
 
-import { call, put } from "./api.js";
+import { call, order, put } from "./api.js";
+import { valid } from "./control.js";
 import { Live } from "./live.js";
 import { figures, maps } from "./maps.js";
 import { Pad } from "./pad.js";
@@ -163,7 +164,7 @@ export class Designer {
   }
 
   async #find(atOnce) {
-    for (const id of ["target-name", "reach", "amplitude", "budget"]) if (!$(id).reportValidity()) return;
+    if (!valid("target-name", "reach", "amplitude", "budget")) return;
     const settings = { seconds: $("budget").valueAsNumber, objective: $("objective").value, model: $("model").value, robust: $("robust").checked };
     this.#atOnce = atOnce;
     try {
@@ -182,12 +183,12 @@ export class Designer {
   }
 
   async #feel() {
-    if (!$("feel-seconds").reportValidity()) return;
+    if (!valid("feel-seconds")) return;
     const { id } = this.#search;
     try {
       // Its pins are shown while it plays.
       const known = call("GET", `/v1/patterns/search:${id}`).then((details) => this.#details.set(details.sha256, details), () => {});
-      await call("POST", "/v1/play", { pattern: `search:${id}`, seconds: $("feel-seconds").valueAsNumber, replace: true });
+      await order("/v1/play", { pattern: `search:${id}`, seconds: $("feel-seconds").valueAsNumber, replace: true });
       await known;
       this.#report(null);
     } catch (error) {

@@ -1,37 +1,220 @@
-// The emergency stop. It needs `api.js` alone, so that it works when the rest of the page does not.
+// What works whatever becomes of the rest of the page: the emergency stop, the access token, and the state in words, with its age.
+//
+// This is the first script, and needs no other one. The others read `meissner`. The document gets the event `state` when the state or its
+// age changes what the page may say, and `token` when a person has entered an access token that the daemon takes.
+//
+// Invariant: what the page says of the state comes from an answer of the daemon whose request was sent less than a second ago. What is
+// older is not known: an answer that was held up on its way does not look fresh.
 
-import { freeConnections, headers } from "./api.js";
+"use strict";
+(() => {
+  const $ = (id) => document.getElementById(id);
+  // The words are derived ten times a second, so a state is shown for a second at most.
+  const FRESH_MS = 900;
+  const TURN_MS = 100;
+  const POLL_MS = 250;
+  const REFUSED_MS = 5000;
+  // A poll, and an attempt at an emergency stop, may take so long.
+  const ANSWER_MS = 1500;
+  // From an emergency stop that was not answered, or whose answer does not say that the lines are off, to the next attempt.
+  const AGAIN_MS = 250;
+  const ANSWERED_AGAIN_MS = 2000;
 
-const button = document.getElementById("estop");
-const note = document.getElementById("estop-note");
-const ANSWER_MS = 1500;
+  // The access token, for as long as the window is open. A link never holds it.
+  const TOKEN = "meissner-token";
+  const token = { get: () => sessionStorage.getItem(TOKEN), set: (value) => sessionStorage.setItem(TOKEN, value) };
+  // By this name the daemon knows that a request comes from this window.
+  const CLIENT = "meissner-client";
+  if (!sessionStorage.getItem(CLIENT)) sessionStorage.setItem(CLIENT, crypto.getRandomValues(new Uint32Array(4)).join("-"));
+  const headers = (value = token.get()) => ({ "meissner-client": sessionStorage.getItem(CLIENT), ...(value ? { authorization: `Bearer ${value}` } : {}) });
 
-async function stop() {
-  button.dataset.sent = "";
-  note.textContent = "Ordered …";
-  try {
-    const request = fetch("/v1/estop", {
-      method: "POST",
-      headers: headers(),
-      keepalive: true,
-      priority: "high",
-      signal: AbortSignal.timeout(ANSWER_MS),
-    });
-    // It is the first to take a connection that becomes free.
-    freeConnections();
-    const response = await request;
-    const body = await response.json().catch(() => ({}));
-    note.textContent = response.ok ? "All lines are off." : `NOT CONFIRMED: ${body.detail ?? response.statusText}`;
-    note.dataset.failed = String(!response.ok);
-  } catch {
-    note.dataset.failed = "true";
-    note.textContent = "NOT CONFIRMED: the daemon does not answer. Use the switch of the supply.";
+  // A clock stands still while the computer sleeps, and the other may be set back: the longer time counts.
+  const instant = () => [performance.now(), Date.now()];
+  const since = ([steady, wall]) => Math.max(performance.now() - steady, Date.now() - wall);
+
+  // The last answer, and when its request was sent.
+  let last = null;
+  let sent = [-Infinity, -Infinity];
+  // The token that the daemon has refused, as `{ token }`.
+  let refused = null;
+
+  const known = () => (last && since(sent) < FRESH_MS ? last : null);
+  // A box on the way may answer in the daemon's place.
+  const isStatus = (body) => typeof body?.state === "string" && Array.isArray(body.motors) && Array.isArray(body.queued);
+  const isTold = (status) => status.device !== null && status.tick !== null;
+
+  function take(status, at) {
+    if (at[0] < sent[0]) return;
+    [last, sent] = [status, at];
+    show(true);
   }
-  setTimeout(() => delete button.dataset.sent, 300);
-}
 
-// On the press, not the release: a finger that slips off has pressed all the same.
-button.addEventListener("pointerdown", stop);
-button.addEventListener("keydown", (event) => {
-  if (event.key === "Enter" || event.key === " ") stop();
-});
+  // Every request of this script but the emergency stop.
+  let pending = new AbortController();
+  let asked = -Infinity;
+  async function ask() {
+    const [at, value] = [instant(), token.get()];
+    asked = at[0];
+    try {
+      const signal = AbortSignal.any([pending.signal, AbortSignal.timeout(ANSWER_MS)]);
+      const response = await fetch("/v1/status", { headers: headers(value), cache: "no-store", signal });
+      const body = response.ok ? await response.json() : null;
+      if (isStatus(body)) take(body, at);
+      const isLetIn = refused && response.ok;
+      refused = response.status === 401 ? { token: value } : null;
+      if (isLetIn) document.dispatchEvent(new Event("token"));
+    } catch {
+      // The state grows old.
+    }
+    show();
+  }
+
+  // Asks for the state. It is newer than the call when the promise is kept.
+  let running = null;
+  let next = null;
+  function poll() {
+    if (running) return (next ??= running.then(() => ((next = null), poll())));
+    return (running = ask().finally(() => (running = null)));
+  }
+
+  const NOT_KNOWN = "The state is not known: pins may vibrate. Do not touch them.";
+  // What a state means to a person with a finger on the pins.
+  const WORDS = { disarmed: "Disarmed", armed: "Armed", returning: "Returning", faulted: "Stopped", "no-device": "No device" };
+  function touch(status) {
+    if (!status) return NOT_KNOWN;
+    if (status.play) return status.play.pattern === "calibration" ? "Calibration: do not touch the pins." : "Pins vibrate.";
+    switch (status.state) {
+      case "disarmed":
+        return status.position === "known" ? "Safe to touch: the motors are off." : "The motors are off, but the place of the pins is not known: look at them first.";
+      case "armed":
+        return "The motors are on: a play may begin at any moment.";
+      case "returning":
+        return "Pins move to rest. Do not touch.";
+      case "faulted":
+        return isTold(status) ? "All lines are off. Find out why before you reset." : "The stop is latched, but no device answers: whether the lines are off is not known.";
+      case "no-device":
+        return "No device is connected: the pins are not under control.";
+      default:
+        return NOT_KNOWN;
+    }
+  }
+
+  function write(element, text) {
+    if (element && element.textContent !== text) element.textContent = text;
+  }
+
+  let wasKnown = false;
+  function show(isNew = false) {
+    const status = known();
+    const name = status && status.state in WORDS ? status.state : "unknown";
+    // The rest of the document may still be on its way.
+    if ($("state")) $("state").dataset.state = status?.play ? "playing" : name;
+    write($("state-text"), status?.play ? `Playing ${status.play.pattern}, ${status.play.played_s.toFixed(1)} s`
+      : name === "unknown" ? "Not connected: state not known" : name === "faulted" ? `Stopped: ${status.cause}` : WORDS[name]);
+    write($("touch"), touch(status));
+    const device = status?.device;
+    write($("link"), device ? `${device.kind}${device.simulated ? ", simulated" : ""}` : last && !status ? `last known ${Math.floor(since(sent) / 1000)} s ago` : "");
+    if ($("sign-in")) $("sign-in").hidden = !refused && !order?.refused;
+    showOrder(status);
+    const changed = isNew || wasKnown !== (status !== null);
+    wasKnown = status !== null;
+    if (changed) document.dispatchEvent(new Event("state"));
+  }
+
+  // The emergency stop that is not confirmed yet: what to say of it, and whether the daemon has refused its token.
+  let order = null;
+  const button = $("estop");
+  const note = $("estop-note");
+
+  function showOrder(status) {
+    note.dataset.failed = String(Boolean(order?.failed));
+    write(note, order ? order.text : status?.state === "faulted" && isTold(status) ? "All lines are off." : "");
+  }
+
+  // A browser has six connections to a host for all its windows: the stop needs one of them. Ends the requests and event streams of all
+  // windows of the page in this browser; they begin again by themselves.
+  const windows = new BroadcastChannel("estop");
+  const free = () => {
+    pending.abort();
+    pending = new AbortController();
+  };
+  windows.onmessage = free;
+
+  // Sends an emergency stop once. Returns nothing if the lines are off, else why that is not certain.
+  async function attempt(value) {
+    const at = instant();
+    try {
+      const request = fetch("/v1/estop", {
+        method: "POST", headers: headers(value), keepalive: true, priority: "high", signal: AbortSignal.timeout(ANSWER_MS),
+      });
+      // It is the first to take a connection that becomes free.
+      windows.postMessage("");
+      free();
+      const response = await request;
+      const body = await response.json().catch(() => null);
+      const answered = true;
+      if (response.status === 401) return { answered, refused: true, why: value ? "the access token is not valid any more" : "the daemon asks for an access token" };
+      if (response.status === 403) return { answered, refused: true, why: body?.detail ?? "the access token does not allow it" };
+      if (!response.ok) return { answered, why: body?.detail ?? response.statusText };
+      if (!isStatus(body) || body.state !== "faulted") return { answered, why: "the answer does not say that the lines are off" };
+      take(body, at);
+      return isTold(body) ? null : { answered, why: "the stop is latched, but no device answers" };
+    } catch {
+      return { why: "the daemon does not answer" };
+    }
+  }
+
+  // Sends an emergency stop again and again until the daemon confirms it; after a refusal, when there is another token.
+  let presses = 0;
+  async function stop() {
+    const press = ++presses;
+    const pause = (ms) => new Promise((done) => setTimeout(done, ms));
+    button.dataset.sent = "";
+    setTimeout(() => delete button.dataset.sent, 300);
+    order = { text: "Ordered …" };
+    show();
+    while (press === presses) {
+      const value = token.get();
+      let failure = await attempt(value);
+      // Where no token is needed, a wrong one stops nobody.
+      if (failure?.refused && value) failure = (await attempt(null)) && failure;
+      if (press !== presses) return;
+      const advice = failure?.refused ? "Enter another access token; it is sent again then." : "It is sent again until the daemon confirms it.";
+      const isNew = failure?.refused && !order.refused;
+      order = failure && { failed: true, refused: failure.refused, text: `NOT CONFIRMED: ${failure.why}. Use the switch of the supply. ${advice}` };
+      show();
+      if (!failure) return;
+      if (isNew) $("sign-in")?.scrollIntoView({ block: "center" });
+      do await pause(failure.answered ? ANSWERED_AGAIN_MS : AGAIN_MS);
+      while (press === presses && failure.refused && token.get() === value);
+    }
+  }
+
+  // On the press, not the release: a finger that slips off has pressed all the same.
+  button.addEventListener("pointerdown", stop);
+  button.addEventListener("keydown", (event) => {
+    if (event.key === "Enter" || event.key === " ") stop();
+  });
+  button.disabled = false;
+
+  document.addEventListener("submit", (event) => {
+    if (event.target.id !== "sign-in-form") return;
+    event.preventDefault();
+    token.set($("token").value.trim());
+    $("token").value = "";
+    poll();
+  });
+
+  // A hidden window holds no connection. A token that was refused is tried again now and then.
+  function turn() {
+    show();
+    const pause = refused?.token === token.get() ? REFUSED_MS : POLL_MS;
+    if (!running && !document.hidden && performance.now() - asked >= pause) poll();
+  }
+  document.addEventListener("visibilitychange", turn);
+  document.addEventListener("DOMContentLoaded", show);
+  setInterval(turn, TURN_MS);
+  turn();
+
+  globalThis.meissner = { token, headers, known, last: () => last, poll };
+})();

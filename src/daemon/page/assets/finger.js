@@ -26,14 +26,15 @@ export function colour(um) {
   return `rgb(${mix.join(" ")})`;
 }
 
-// The drives of a pattern that are on at `seconds` after the onset of its run; the last one of a motor counts.
-export function drivesAt(details, seconds) {
+// The drives of a play that are on at `seconds` after its onset; the last one of a motor counts. `pattern`: in full. `reached`: what its
+// drives reach in this play.
+export function drivesAt({ pattern, reached: all }, seconds) {
   const now = new Map();
-  const { drive: drives, duration_s: duration } = details.pattern;
+  const { drive: drives, duration_s: duration } = pattern;
   const t = duration ? seconds % duration : seconds;
   drives.forEach((drive, i) => {
     const on = t >= (drive.start_s ?? 0) && t < (drive.stop_s ?? Infinity);
-    const reached = details.drives.find((of) => of.drive === i + 1);
+    const reached = all.find((of) => of.drive === i + 1);
     if (on && reached?.reached_um > 0) now.set(drive.motor, { ...drive, reached_um: reached.reached_um });
   });
   return now;
@@ -81,17 +82,18 @@ export class Finger {
     place.append(this.svg);
   }
 
-  // `drives`: by motor. `rest_um`: offsets. `doubted`: motors. `seconds`: since the onset, or null without a play.
-  draw(drives, rest_um, doubted, seconds) {
-    const moving = [...drives.values()];
+  // `drives`: by motor; null: what the pins do is not known, and `why`. `rest_um`: offsets. `doubted`: motors. `seconds`: since the onset.
+  draw(drives, why, rest_um, doubted, seconds) {
+    const moving = [...(drives?.values() ?? [])];
     const most = Math.max(0, ...rest_um.map(Math.abs));
-    this.svg.setAttribute("aria-label", moving.length
+    this.svg.classList.toggle("unknown", !drives);
+    set(this.svg, "aria-label", !drives ? why : moving.length
       ? `${moving.length} of ${MOTORS} pins vibrate, up to ${Math.max(...moving.map((drive) => drive.reached_um)).toFixed(0)} µm`
       : `No pin vibrates. Largest offset from rest ${most.toFixed(0)} µm`);
     this.#pins.forEach((pin, motor) => {
-      const drive = drives.get(motor);
+      const drive = drives?.get(motor);
       const rest = rest_um[motor] ?? 0;
-      const turns = drive && seconds !== null && !this.#still.matches ? ((seconds * drive.frequency_hz) / SLOWER + drive.phase) % 1 : (drive?.phase ?? 0);
+      const turns = drive && !this.#still.matches ? ((seconds * drive.frequency_hz) / SLOWER + drive.phase) % 1 : (drive?.phase ?? 0);
       const up = drive ? 0.5 - 0.5 * Math.cos(2 * Math.PI * turns) : 0;
       set(pin.disc, "r", drive ? (4 + (5 * drive.reached_um) / FULL_UM) * (this.#still.matches ? 1 : 0.75 + 0.25 * up) : 3);
       set(pin.disc, "fill", drive ? colour(drive.reached_um) : "none");
@@ -101,9 +103,9 @@ export class Finger {
       const bar = Math.min(Math.abs(rest) / 5, 12);
       set(pin.offset, "height", bar.toFixed(1));
       set(pin.offset, "y", (rest > 0 ? -bar : 0).toFixed(1));
-      const hertz = drive ? `${+drive.frequency_hz.toFixed(0)} Hz` : "";
+      const hertz = !drives ? "?" : drive ? `${+drive.frequency_hz.toFixed(0)} Hz` : "";
       if (pin.number.textContent !== hertz) pin.number.textContent = hertz;
-      const text = `Pin ${motor}: ${drive ? `${drive.reached_um.toFixed(0)} µm at ${drive.frequency_hz} Hz` : "still"}, ${rest.toFixed(1)} µm from rest${doubted.has(motor) ? ", its sensor is in doubt" : ""}`;
+      const text = !drives ? `Pin ${motor}: not known` : `Pin ${motor}: ${drive ? `${drive.reached_um.toFixed(0)} µm at ${drive.frequency_hz} Hz` : "still"}, ${rest.toFixed(1)} µm from rest${doubted.has(motor) ? ", its sensor is in doubt" : ""}`;
       if (pin.title.textContent !== text) pin.title.textContent = text;
     });
   }

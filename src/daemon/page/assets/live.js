@@ -2,7 +2,8 @@
 //
 // The page says that it is there while its window is in sight. Hidden, closed or hung it says nothing, and the daemon ends the play.
 
-import { call } from "./api.js";
+import { order } from "./api.js";
+import { valid } from "./control.js";
 import { make } from "./finger.js";
 import { drawing, FINE_STEP, HALF_LENGTH, HALF_WIDTH, KEY_STEP, line, penAt } from "./pad.js";
 
@@ -33,6 +34,7 @@ export class Live {
   #applied = 0;
   #changed = false;
   #sentAt = 0;
+  #answeredAt = 0;
   #ended = null;
   #shape = make("g", { class: "live-shape" });
 
@@ -63,12 +65,13 @@ export class Live {
   }
 
   async #start() {
+    if (!valid("target-name", "reach", "amplitude")) return;
     this.#socket = "asked";
     this.buttons();
     $("live-note").textContent = "Starting …";
     try {
       const lines = this.#outline();
-      const { path } = await call("POST", "/v1/live", { ...this.#request(), timeout_ms: TIMEOUT_MS, replace: true });
+      const { path } = await order("/v1/live", { ...this.#request(), timeout_ms: TIMEOUT_MS, replace: true });
       this.#shape.replaceChildren(...lines.map(line));
       Object.assign(this.#pose, { x_mm: 0, y_mm: 0, angle_deg: 0 });
       [this.#seq, this.#unanswered, this.#applied, this.#changed, this.#sentAt, this.#ended] = [0, 0, 0, false, 0, null];
@@ -85,6 +88,7 @@ export class Live {
   #open(socket) {
     this.#socket = socket;
     socket.addEventListener("open", () => {
+      this.#answeredAt = performance.now();
       if (document.hidden) this.#end();
       this.#show();
       this.svg.focus({ focusVisible: false });
@@ -102,6 +106,7 @@ export class Live {
   // Sends the newest place, or says that the page is there.
   #turn() {
     const now = performance.now();
+    if (now - this.#answeredAt > TIMEOUT_MS) $("live-note").textContent = "No answer for a second: whether the play goes on is not known.";
     const isUpdate = this.#changed && this.#unanswered < MOST_UNANSWERED;
     if (!isUpdate && now - this.#sentAt < SIGN_MS) return;
     if (isUpdate) this.#changed = false;
@@ -122,6 +127,7 @@ export class Live {
 
   #answered({ applied, problem, ended }) {
     this.#unanswered -= 1;
+    this.#answeredAt = performance.now();
     if (applied?.ticks.some((tick) => tick !== null)) this.#applied += 1;
     if (problem) this.#report(new Error(problem.detail));
     if (ended !== undefined) this.#ended = ended;

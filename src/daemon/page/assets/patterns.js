@@ -1,6 +1,7 @@
 // The patterns: list, search, maps, play, queue.
 
-import { call } from "./api.js";
+import { call, known, order } from "./api.js";
+import { valid } from "./control.js";
 import { thumbnail } from "./finger.js";
 
 const $ = (id) => document.getElementById(id);
@@ -37,8 +38,8 @@ export class Patterns {
     return this.#details.get(name);
   }
 
-  showQueue(status) {
-    const names = status.queued.map((play) => `${play.pattern} (play ${play.id})`);
+  showQueue() {
+    const names = known()?.queued.map((play) => `${play.pattern} (play ${play.id})`) ?? ["Not known."];
     const items = (names.length ? names : ["No play waits."]).map((text) => Object.assign(document.createElement("li"), { textContent: text }));
     $("queue").replaceChildren(...items);
   }
@@ -73,9 +74,9 @@ export class Patterns {
   }
 
   async #play(name) {
-    if (!$("seconds").reportValidity() || !$("scale").reportValidity()) return;
+    if (!valid("seconds", "scale")) return;
     try {
-      await call("POST", "/v1/play", { pattern: name, seconds: $("seconds").valueAsNumber, scale: $("scale").valueAsNumber });
+      await order("/v1/play", { pattern: name, seconds: $("seconds").valueAsNumber, scale: $("scale").valueAsNumber });
       this.#report(null);
     } catch (error) {
       this.#report(error);

@@ -1,0 +1,321 @@
+// What the page says of the display's state is true, or it says that it is not known: in a real browser, against a real daemon with the
+// simulated array, over a network that holds things up and loses them.
+//
+// Time is the page's own: turns of its event loop. A machine that stands still makes none.
+
+import assert from "node:assert/strict";
+import { after, before, test } from "node:test";
+import { arm, Daemon, endAll, launch, networked, open as openIn, press, proxied, shows, text, WAIT } from "./daemon.js";
+
+let browser;
+const open = (daemon) => openIn(browser, daemon);
+
+before(async () => {
+  browser = await launch();
+});
+after(async () => {
+  await browser?.close();
+  await endAll();
+});
+
+// Another client's request.
+async function other(daemon, path, body = {}) {
+  const response = await fetch(`${daemon.url}${path}`, { method: "POST", headers: { "content-type": "application/json" }, body: JSON.stringify(body) });
+  const answer = await response.json();
+  assert.ok(response.ok, `${path}: ${answer.detail}`);
+  return answer;
+}
+
+const finger = (page) => page.$eval(".finger", (svg) => ({
+  label: svg.getAttribute("aria-label"),
+  moving: [...svg.querySelectorAll(".hand")].flatMap((hand, i) => (hand.getAttribute("visibility") === "visible" ? [i] : [])),
+  marks: [...svg.querySelectorAll(".hertz")].filter((mark) => mark.textContent === "?").length,
+}));
+const labelled = (page, part) => page.waitForFunction((part) => document.querySelector(".finger").getAttribute("aria-label").includes(part), WAIT, part);
+
+// Lists what the page says of touching, each with the turns of the page's event loop, 100 ms each, before it.
+const listen = (page) => page.evaluate(() => {
+  const touch = document.getElementById("touch");
+  globalThis.said = [];
+  let turns = 0;
+  setInterval(() => (turns += 1), 100);
+  const say = () => said.push([turns, touch.textContent]);
+  new MutationObserver(say).observe(touch, { childList: true, characterData: true, subtree: true });
+  say();
+});
+
+test("what stands beside E-STOP follows the state", async () => {
+  const daemon = await new Daemon().start();
+  const page = await open(daemon);
+  await arm(page);
+  await page.click("#estop");
+  await shows(page, "estop-note", "All lines are off.");
+  await other(daemon, "/v1/reset", { force: true });
+  await shows(page, "state-text", "Disarmed");
+  assert.equal(await text(page, "estop-note"), "");
+  await other(daemon, "/v1/arm", { assume_rest: true, checked: "a test" });
+  await other(daemon, "/v1/play", { pattern: "pin-60", seconds: 600 });
+  await shows(page, "state-text", "Playing pin-60");
+  assert.equal(await text(page, "estop-note"), "");
+  // Somebody else's stop counts as well.
+  await other(daemon, "/v1/estop");
+  await shows(page, "estop-note", "All lines are off.");
+});
+
+test("a state that is older than a second is not known, and an answer that was held up is no news", async () => {
+  const daemon = await new Daemon().start();
+  await networked(daemon, async (network) => {
+    const page = await open(network);
+    await shows(page, "state-text", "Disarmed");
+    await shows(page, "touch", "the place of the pins is not known");
+    await other(daemon, "/v1/arm", { assume_rest: true });
+    await other(daemon, "/v1/disarm");
+    await shows(page, "touch", "Safe to touch");
+    await listen(page);
+    network.hold();
+    await other(daemon, "/v1/arm");
+    await other(daemon, "/v1/play", { pattern: "pin-60", seconds: 600 });
+    await shows(page, "touch", "The state is not known");
+    assert.equal(await page.$eval("#state", (state) => state.dataset.state), "unknown");
+    await shows(page, "facts", "Positionnot known");
+    assert.deepEqual(await finger(page), { label: "What the pins do is not known.", moving: [], marks: 24 });
+    // The answers that come now are of the time before the play.
+    network.letGo();
+    await shows(page, "touch", "Pins vibrate.");
+    const [safe, unknown, ...later] = await page.evaluate(() => said);
+    assert.ok(safe[1].startsWith("Safe") && unknown[1].startsWith("The state is not known"), JSON.stringify([safe, unknown]));
+    assert.ok(unknown[0] < 30, `safe for ${unknown[0]} turns of 100 ms`);
+    assert.deepEqual(later.filter(([, said]) => said.startsWith("Safe")), []);
+    // Over and over: a state is safe only while it is young.
+    await other(daemon, "/v1/disarm");
+    await shows(page, "touch", "Safe to touch");
+  });
+});
+
+test("the finger stops and is marked when the daemon dies", async () => {
+  const daemon = await new Daemon().start();
+  const page = await open(daemon);
+  await arm(page);
+  await daemon.run("play", "pin-60", "--seconds", "600");
+  await labelled(page, "1 of 24 pins vibrate");
+  await daemon.end("SIGKILL");
+  await labelled(page, "not known");
+  assert.deepEqual(await finger(page), { label: "What the pins do is not known.", moving: [], marks: 24 });
+  await shows(page, "touch", "The state is not known");
+  await shows(page, "finger-note", "What the pins do is not known.");
+  assert.equal(await page.$eval("#disarm", (button) => button.disabled), false, "what makes pins still may be tried");
+});
+
+test("plays whose pins the page does not know are not drawn as still", async () => {
+  const daemon = await new Daemon().start();
+  const page = await open(daemon);
+  await arm(page);
+  // A sequence may have a pattern's name.
+  const plays = [
+    ["/v1/sequence", { name: "edge-45", items: [{ pattern: "pin-60", seconds: 300 }] }, "Playing edge-45"],
+    ["/v1/live", { drives: [{ motor: 9, frequency_hz: 60, amplitude_um: 80 }], timeout_ms: 60000, replace: true }, "Playing live"],
+  ];
+  for (const [path, body, says] of plays) {
+    await other(daemon, path, body);
+    await shows(page, "state-text", says);
+    await labelled(page, "Pins vibrate. Which ones is not known here.");
+    assert.deepEqual(await finger(page), { label: "Pins vibrate. Which ones is not known here.", moving: [], marks: 24 });
+  }
+  await other(daemon, "/v1/stop");
+  await labelled(page, "No pin vibrates");
+  // A receipt lists 24 drives: those after them are drawn, too.
+  const { drives } = await (await fetch(`${daemon.url}/v1/patterns/rotating-edge`)).json();
+  const moving = new Set(drives.filter((drive) => drive.drive > 24 && drive.reached_um > 0).map((drive) => drive.motor));
+  await other(daemon, "/v1/play", { pattern: "rotating-edge", seconds: 300, scale: 0.9 });
+  await page.waitForFunction((wanted) => {
+    globalThis.seen ??= new Set();
+    [...document.querySelectorAll(".finger .hand")].forEach((hand, i) => hand.getAttribute("visibility") === "visible" && seen.add(i));
+    return wanted.every((motor) => seen.has(motor));
+  }, WAIT, [...moving]);
+});
+
+test("an empty field orders nothing, and says so beside itself", async () => {
+  const daemon = await new Daemon().start();
+  const page = await open(daemon);
+  await arm(page);
+  await page.type("#search", "pin-60");
+  const play = 'li[data-name="pin-60"]:not([hidden]) button';
+  await page.waitForSelector(play);
+  const line = (id) => page.$eval(`#${id}`, (field) => field.parentElement.querySelector(".wrong")?.textContent ?? "");
+  for (const [id, says] of [["scale", "Enter a number, 0.05 to 1."], ["seconds", "Enter a number, 0.05 to 3600."]]) {
+    const before = await page.$eval(`#${id}`, (field) => field.value);
+    await page.$eval(`#${id}`, (field) => (field.value = ""));
+    await press(page, play);
+    assert.equal(await line(id), says);
+    assert.equal(await page.evaluate(() => document.activeElement.id), id);
+    await page.type(`#${id}`, before);
+    assert.equal(await line(id), "");
+  }
+  await page.$eval("#points", (input) => ((input.value = "-3 0; 3 0"), input.dispatchEvent(new Event("change"))));
+  await page.$eval("#amplitude", (field) => ((field.closest("details").open = true), (field.value = "")));
+  for (const button of ["#live-start", "#find"]) {
+    await press(page, button);
+    assert.equal(await line("amplitude"), "Enter a number, 0 to 400.");
+  }
+  // Nothing was ordered: this is the first play.
+  await press(page, play);
+  await shows(page, "state-text", "Playing pin-60");
+  assert.equal((await daemon.status()).play.id, 1);
+});
+
+test("an emergency stop is sent again until the daemon says that the lines are off", async () => {
+  const daemon = await new Daemon().start();
+  // A box on the way may answer in the daemon's place.
+  const fates = {
+    lost: (response) => response.destroy(),
+    page: (response) => response.writeHead(200, { "content-type": "text/html" }).end("<p>Sign in to the network"),
+    old: (response) => response.writeHead(200, { "content-type": "application/json" }).end(JSON.stringify({ state: "armed", motors: [], queued: [] })),
+  };
+  let fate = "lost";
+  const through = (request, response, forward) => (request.url === "/v1/estop" && fates[fate] ? fates[fate](response) : forward());
+  await proxied(daemon, through, async (url) => {
+    const page = await open({ url });
+    await arm(page);
+    await page.click("#estop");
+    const unsure = "NOT CONFIRMED: the answer does not say that the lines are off. Use the switch of the supply.";
+    for (const [next, says] of [["page", "NOT CONFIRMED: the daemon does not answer. Use the switch of the supply."], ["old", unsure], ["", unsure]]) {
+      await shows(page, "estop-note", says);
+      assert.equal((await daemon.status()).state, "armed");
+      fate = next;
+    }
+    // Nobody pressed again.
+    await shows(page, "estop-note", "All lines are off.");
+    const { state, estops } = await daemon.status();
+    assert.deepEqual([state, estops], ["faulted", 1]);
+  });
+});
+
+test("with a revoked token E-STOP says so, asks for another, and is sent with it", async () => {
+  const daemon = await new Daemon('listen_token = "always"\n').start();
+  const page = await open(daemon);
+  const enter = async () => {
+    await page.waitForSelector("#sign-in:not([hidden])");
+    await page.type("#token", await daemon.run("token", "create", "--role", "operate", "--name", "page"));
+    await press(page, "#sign-in-form button");
+  };
+  const state = async () => JSON.parse(await daemon.run("status", "--json")).state;
+  await enter();
+  await arm(page);
+  await daemon.run("token", "revoke", /^\S+/.exec((await daemon.run("token", "list")).split("\n").at(-1))[0]);
+  await page.click("#estop");
+  await shows(page, "estop-note", "NOT CONFIRMED: the access token is not valid any more. Use the switch of the supply. Enter another access token");
+  await shows(page, "touch", "The state is not known");
+  assert.equal(await state(), "armed");
+  await enter();
+  await shows(page, "estop-note", "All lines are off.");
+  assert.equal(await state(), "faulted");
+  await page.waitForSelector("#sign-in[hidden]");
+});
+
+test("E-STOP needs no other script, and is off until it works", async () => {
+  const daemon = await new Daemon().start();
+  // What becomes of the scripts: held, gone, or wrong.
+  let fate = () => "";
+  const through = (request, response, forward) => {
+    const does = request.url.endsWith(".js") ? fate(request.url) : "";
+    if (does === "held") return;
+    if (does === "gone") return response.destroy();
+    if (does === "wrong") return response.writeHead(200, { "content-type": "text/javascript" }).end("throw new Error('wrong')");
+    forward();
+  };
+  await proxied(daemon, through, async (url) => {
+    const isFirst = (script) => script === "/page/estop.js";
+    for (const [others, count] of [["held", 1], ["gone", 2], ["wrong", 3]]) {
+      fate = (script) => (isFirst(script) ? "" : others);
+      const page = await (await browser.createBrowserContext()).newPage();
+      page.goto(url).catch(() => {});
+      await page.waitForSelector("#estop:not([disabled])", WAIT);
+      await page.click("#estop");
+      await shows(page, "estop-note", "All lines are off.");
+      await shows(page, "state-text", "Stopped: estop");
+      assert.equal((await daemon.status()).estops, count);
+      await page.close();
+    }
+    for (const fault of ["held", "gone"]) {
+      fate = (script) => (isFirst(script) ? fault : "");
+      const page = await (await browser.createBrowserContext()).newPage();
+      page.goto(url).catch(() => {});
+      await page.waitForSelector("#estop", WAIT);
+      assert.deepEqual([await page.$eval("#estop", (button) => button.disabled), await text(page, "estop-note")], [true, "E-STOP does not work here yet: use the switch of the supply."]);
+      await page.close();
+    }
+  });
+});
+
+test("a play of the page belongs to the session that the page shows, or is refused", async () => {
+  const daemon = await new Daemon().start();
+  // The page learns nothing of another session.
+  let shown = null;
+  const through = async (request, response, forward) => {
+    if (request.url !== "/v1/status" || !shown) return forward();
+    response.writeHead(200, { "content-type": "application/json" });
+    response.end(JSON.stringify({ ...await daemon.status(), session: shown }));
+  };
+  await proxied(daemon, through, async (url) => {
+    const page = await open({ url });
+    await arm(page);
+    const start = async (participant) => (await other(daemon, "/v1/sessions", { participant })).id;
+    const end = (id) => other(daemon, `/v1/sessions/${id}/end`);
+    const first = await start("P07");
+    await shows(page, "facts", "SessionP07, 0 plays");
+    await page.type("#search", "pin-60");
+    const play = 'li[data-name="pin-60"]:not([hidden]) button';
+    await page.waitForSelector(play);
+    await press(page, play);
+    await shows(page, "receipt-summary", "pin-60: done");
+    assert.equal((await (await fetch(`${daemon.url}/v1/plays/last`)).json()).session, first);
+    shown = (await daemon.status()).session;
+    await end(first);
+    const second = await start("P08");
+    await press(page, play);
+    await page.waitForFunction(() => !document.getElementById("alert").hidden, WAIT);
+    assert.ok((await text(page, "alert")).includes(second) || (await text(page, "alert")).includes(first), await text(page, "alert"));
+    assert.equal((await daemon.status()).session.plays, 0);
+    assert.equal((await (await fetch(`${daemon.url}/v1/plays/last`)).json()).id, 1);
+  });
+});
+
+test("motors that a window has armed stay armed while it is open, also hidden, and not when it is closed", async () => {
+  const daemon = await new Daemon().start();
+  let signs = 0;
+  let client;
+  const through = async (request, response, forward) => {
+    const key = request.headers["meissner-client"];
+    if (request.url === "/v1/status" && key === client) signs += 1;
+    if (request.url !== "/v1/arm") return forward();
+    client = key;
+    const body = JSON.parse(Buffer.concat(await request.toArray()));
+    assert.equal(body.silence_s, 10);
+    // A shorter one, for a shorter test: longer than from one sign to the next.
+    const headers = { "content-type": "application/json", "meissner-client": key };
+    const answer = await fetch(`${daemon.url}/v1/arm`, { method: "POST", headers, body: JSON.stringify({ ...body, silence_s: 4 }) });
+    response.writeHead(answer.status, { "content-type": "application/json" });
+    response.end(await answer.text());
+  };
+  await proxied(daemon, through, async (url) => {
+    const page = await open({ url });
+    await arm(page);
+    await shows(page, "facts", "4 s without a sign of it disarm");
+    // A hidden window whose timers stand still.
+    await page.evaluate(() => {
+      Object.defineProperty(document, "hidden", { get: () => true });
+      document.dispatchEvent(new Event("visibilitychange"));
+      for (let id = setTimeout(() => {}); id > 0; id--) clearTimeout(id);
+    });
+    signs = 0;
+    const until = Date.now() + WAIT.timeout;
+    while (signs < 3 && Date.now() < until) await new Promise((done) => setTimeout(done, 100));
+    assert.equal((await daemon.status()).state, "armed", `${signs} signs`);
+    assert.ok(signs >= 3);
+    await page.close();
+    while ((await daemon.status()).state !== "disarmed") {
+      assert.ok(Date.now() < until + WAIT.timeout, "the daemon disarms");
+      await new Promise((done) => setTimeout(done, 100));
+    }
+  });
+});
