@@ -58,7 +58,7 @@ impl Engine {
             match disarmed {
                 Ok(()) => warn!("the client that armed was silent for too long: the motors are disarmed"),
                 Err(problem) => {
-                    warn!("the client that armed was silent for too long, and disarming failed: {problem}")
+                    warn!("the client that armed was silent for too long, and disarming failed: {problem}");
                 }
             }
             tokio::time::sleep(AGAIN).await;
