@@ -8,7 +8,7 @@
 
 use super::acceptor::{Bounds, Counts};
 use super::body;
-use super::connection::Activity;
+use super::activity::Activity;
 use super::engine::{Engine, TIMEOUT};
 use super::estop::Origin;
 use super::live;

@@ -1,18 +1,23 @@
 //! The server: answers the clients that the acceptor hands over, bounds them, and closes them at the end.
 //!
 //! hyper speaks HTTP/1.1 on a [`Connection`]; [`http`](super::http) handles the requests. If more clients are connected than
-//! [`Bounds::clients`], the server disconnects the one that has sent or read nothing for the longest time; if all are active, the
-//! new client gets an error.
+//! [`Bounds::clients`], the server disconnects one that the gate does not know, or else the one for which it has waited longest
+//! ([`Activity`]). If it waits for none, the new client gets an error, unless its request is prompt or an emergency stop: then it gets
+//! its answer, and the connection ends.
 //!
 //! Invariant: a client occupies one place and its own buffers; between two of its requests the server takes one of each other client.
 
 use super::acceptor::{Accepted, Bounds, Counts, Handover, IDLE, refuse, response, too_many_clients};
-use super::connection::{Activity, Connection};
+use super::activity::Activity;
+use super::connection::{Connection, ReadAhead};
 use super::engine::Engine;
+use super::first_request::Kind;
+use super::orders::Orders;
 use super::request_log::LoggedRequest;
 use crate::session_record::Peer;
 use axum::Router;
-use axum::http::header::CONTENT_TYPE;
+use axum::http::HeaderValue;
+use axum::http::header::{CONNECTION, CONTENT_TYPE};
 use hyper::Request;
 use hyper::body::Incoming;
 use hyper::server::conn::http1;
@@ -21,7 +26,7 @@ use hyper_util::rt::{TokioIo, TokioTimer};
 use std::collections::HashMap;
 use std::pin::pin;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 use tokio::sync::{mpsc, watch};
 use tokio::task::{AbortHandle, Id, JoinSet};
@@ -92,32 +97,44 @@ impl Server {
     }
 
     fn take(&mut self, accepted: Accepted, closing: &watch::Receiver<bool>) {
-        let full = self.clients_now().count() + self.counts.silent() >= self.bounds.clients;
+        let Accepted { stream, head, peer, first, estop, place } = accepted;
+        let full = self.clients_now().count() >= self.bounds.clients;
         // A network client displaces network clients alone.
-        let is_network = accepted.stream.is_network();
+        let is_network = stream.is_network();
         let of_network = self.clients_now().filter(|activity| activity.is_network).count();
         let full = full || is_network && of_network >= self.bounds.network;
-        if full && !self.evict(is_network) && accepted.estop.is_none() {
+        let is_beyond = full && !self.evict(is_network, first.is_known);
+        let (estops, gate) = (&self.engine.estops, &self.engine.gate);
+        let mut orders = Orders::new(Arc::clone(estops), Arc::clone(gate), peer, estop);
+        if is_beyond && first.kind == Kind::Other {
             self.counts.refused.fetch_add(1, Ordering::Relaxed);
-            refuse(&accepted.stream, &response(&too_many_clients(self.bounds.clients)));
+            orders.take(&head);
+            refuse(&stream, &response(&too_many_clients(self.bounds.clients)), &mut orders);
             return;
         }
-        let Accepted { stream, head, peer, estop, place } = accepted;
         self.engine.names.users.look_up(peer.uid);
-        let Ok((connection, activity)) = Connection::new(stream, head) else { return };
+        let Ok((connection, ahead, activity)) = Connection::new(stream, &head, orders, first.is_known) else {
+            return;
+        };
         let (router, closing, watched) = (self.router.clone(), closing.clone(), Arc::clone(&activity));
         let handle = self.clients.spawn(async move {
-            serve_client(connection, watched, peer, estop, router, closing).await;
+            serve_client(connection, ahead, watched, peer, is_beyond, router, closing).await;
             drop(place);
         });
         self.tasks.insert(handle.id(), (handle, activity));
     }
 
-    /// Ends the connection that has been idle or unread longest, with `network_only` among network clients; returns whether there was one.
-    fn evict(&mut self, network_only: bool) -> bool {
+    /// Ends the connection of a client that the gate does not know, if the new one is known; else the one for which the server has waited
+    /// longest, with `network_only` among network clients. Returns whether there was one.
+    fn evict(&mut self, network_only: bool, for_known: bool) -> bool {
         let clients = self.clients_now().filter(|activity| activity.is_network || !network_only);
-        let lazy = clients.filter_map(|activity| Some((activity.lazy_for(IDLE)?, activity)));
-        let Some((_, laziest)) = lazy.max_by_key(|(still, _)| *still) else { return false };
+        let rank = |activity: &Activity| {
+            let is_stranger = for_known && !activity.is_known.load(Ordering::Relaxed);
+            let waited = activity.lazy_for(IDLE);
+            (is_stranger || waited.is_some()).then_some((is_stranger, waited))
+        };
+        let lazy = clients.filter_map(|activity| Some((rank(activity)?, activity)));
+        let Some((_, laziest)) = lazy.max_by_key(|(rank, _)| *rank) else { return false };
         laziest.evict();
         self.counts.evicted.fetch_add(1, Ordering::Relaxed);
         true
@@ -168,34 +185,39 @@ impl Server {
     }
 }
 
+/// Serves a client until its connection ends; one beyond the places until its first answer.
 async fn serve_client(
     connection: Connection,
+    mut ahead: ReadAhead,
     activity: Arc<Activity>,
     peer: Peer,
-    estop: Option<u64>,
+    is_beyond: bool,
     router: Router,
     mut closing: watch::Receiver<bool>,
 ) {
-    // Numbers begin at 1.
-    let ordered = AtomicU64::new(estop.unwrap_or(0));
+    let next_request = ahead.next_request();
     let service = service_fn(move |mut request: Request<Incoming>| {
         let (router, activity) = (router.clone(), Arc::clone(&activity));
         activity.busy.store(true, Ordering::Relaxed);
         request.extensions_mut().insert(peer);
         request.extensions_mut().insert(Arc::clone(&activity));
-        let number = ordered.swap(0, Ordering::Relaxed);
-        if number > 0 {
+        if let Some(number) = next_request() {
             request.extensions_mut().insert(Ordered(number));
         }
         async move {
             // A client that sends one request after the other waits for its turn.
             tokio::task::yield_now().await;
-            let response = router.oneshot(request).await;
+            let mut response = router.oneshot(request).await;
             let streams = |response: &axum::response::Response| {
                 response.headers().get(CONTENT_TYPE).is_some_and(|kind| kind == "text/event-stream")
             };
             activity.streaming.store(response.as_ref().is_ok_and(streams), Ordering::Relaxed);
             activity.busy.store(false, Ordering::Relaxed);
+            if let Ok(response) = &mut response
+                && is_beyond
+            {
+                response.headers_mut().insert(CONNECTION, HeaderValue::from_static("close"));
+            }
             response
         }
     });
@@ -204,6 +226,8 @@ async fn serve_client(
     http.half_close(true).max_buf_size(BUFFER).timer(TokioTimer::new()).header_read_timeout(KEPT_IDLE);
     let mut connection = pin!(http.serve_connection(TokioIo::new(connection), service).with_upgrades());
     let ended = tokio::select! {
+        biased;
+        () = ahead.late_head() => return,
         ended = connection.as_mut() => ended,
         () = closed(&mut closing) => {
             connection.as_mut().graceful_shutdown();
@@ -225,6 +249,8 @@ async fn closed(closing: &mut watch::Receiver<bool>) {
 mod tests {
     use super::*;
     use crate::daemon::stream::Stream;
+    use meissner_stream::Settings;
+    use meissner_stream::queues::queues;
     use tokio::io::{AsyncReadExt, AsyncWriteExt};
 
     /// In virtual time.
@@ -237,11 +263,15 @@ mod tests {
                 end.set_nonblocking(true).unwrap();
             }
             let mut client = tokio::net::UnixStream::from_std(client).unwrap();
-            let (connection, activity) = Connection::new(Stream::unix(stream.into()), Vec::new()).unwrap();
+            let (_port, commands, _events) = queues().unwrap();
+            let engine = Engine::new(commands, Settings::default(), "mock".to_owned(), None);
+            let peer = Peer::local(1, 0);
+            let orders = Orders::new(Arc::clone(&engine.estops), Arc::clone(&engine.gate), peer, None);
+            let stream = Stream::unix(stream.into());
+            let (connection, ahead, activity) = Connection::new(stream, b"", orders, true).unwrap();
             let (_close, closing) = watch::channel(false);
             let router = Router::new().route("/", axum::routing::get(async || "answer"));
-            let peer = Peer::local(1, 0);
-            tokio::spawn(serve_client(connection, activity, peer, None, router, closing));
+            tokio::spawn(serve_client(connection, ahead, activity, peer, false, router, closing));
             let mut text = Vec::new();
             // The second request ends another break.
             for breaks in 1..3 {

@@ -1,6 +1,7 @@
 //! The gate in front of every route.
 
 use super::gate::{Gate, Head};
+use crate::daemon::activity::Activity;
 use crate::daemon::body::read_command;
 use crate::daemon::http::ErrorResponse;
 use crate::session_record::Peer;
@@ -11,6 +12,7 @@ use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
 use meissner_api::{Code, Problem};
 use std::sync::Arc;
+use std::sync::atomic::Ordering;
 use std::time::Duration;
 
 const CROSS_ORIGIN_RESOURCE_POLICY: HeaderName = HeaderName::from_static("cross-origin-resource-policy");
@@ -46,6 +48,12 @@ pub(in crate::daemon) async fn layer(
     };
     let refusal = match checked {
         Ok(peer) => {
+            // A file of the page asks for no token.
+            if let Some(activity) = request.extensions().get::<Arc<Activity>>()
+                && request.uri().path().starts_with("/v1/")
+            {
+                activity.is_known.store(true, Ordering::Relaxed);
+            }
             request.extensions_mut().insert(peer);
             return with_headers(next.run(request).await);
         }
