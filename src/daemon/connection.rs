@@ -21,7 +21,7 @@ use std::task::{Context, Poll, ready};
 use std::time::Duration;
 use tokio::io::unix::AsyncFd;
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
-use tokio::time::{Instant, Sleep, sleep, sleep_until};
+use tokio::time::{Instant, Sleep, sleep};
 
 /// How long a client may leave its answers unread.
 const UNREAD: Duration = Duration::from_secs(10);
@@ -62,12 +62,7 @@ impl Inbound {
     }
 
     /// Reads a piece, if there is room. Pending: nothing more can be read now.
-    fn read(
-        &mut self,
-        stream: &AsyncFd<Stream>,
-        activity: &Activity,
-        context: &mut Context<'_>,
-    ) -> Poll<()> {
+    fn read(&mut self, stream: &AsyncFd<Stream>, activity: &Activity, context: &mut Context<'_>) -> Poll<()> {
         if self.ended.is_some() || self.bytes.len() >= AHEAD {
             return Poll::Pending;
         }

@@ -86,6 +86,11 @@ fn head<'a>(request: &Request<'_, 'a>) -> Head<'a> {
 
 /// Whether a request that begins with these bytes is an emergency stop; `None` if more bytes are needed.
 fn is_estop(all: &[u8]) -> Option<bool> {
+    is_post(all, b"/v1/estop")
+}
+
+/// Whether a request that begins with these bytes is a `POST` to this path; `None` if more bytes are needed.
+pub(super) fn is_post(all: &[u8], to: &[u8]) -> Option<bool> {
     const METHOD: &[u8] = b"POST ";
     // HTTP allows empty lines before a request.
     let head = &all[all.iter().take_while(|byte| matches!(byte, b'\r' | b'\n')).count()..];
@@ -96,7 +101,7 @@ fn is_estop(all: &[u8]) -> Option<bool> {
         return (!METHOD.starts_with(head)).then_some(false);
     };
     match target.iter().position(|byte| matches!(byte, b' ' | b'?' | b'#' | b'\r' | b'\n')) {
-        Some(end) => Some(path(&target[..end]) == b"/v1/estop"),
+        Some(end) => Some(path(&target[..end]) == to),
         None => (all.len() >= MAX_LINE).then_some(false),
     }
 }
@@ -110,7 +115,8 @@ fn check(all: &[u8], client: NetworkPeer, gate: &Gate) -> Option<bool> {
         Ok(Status::Partial) => None,
         // The server alone compares a host in the address with the `Host` header.
         Ok(Status::Complete(_)) => Some(
-            request.path.is_some_and(|path| path.starts_with('/')) && gate.check(client, &head(&request)).is_ok(),
+            request.path.is_some_and(|path| path.starts_with('/'))
+                && gate.check(client, &head(&request)).is_ok(),
         ),
         Err(_) => Some(false),
     }

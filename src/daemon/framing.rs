@@ -221,7 +221,10 @@ mod tests {
             post(&format!("content-length: {}\r\n", STOP.len()), STOP),
             post(&format!("Content-Length: {0}\r\ncontent-length: {0}\r\n", STOP.len()), STOP),
             post("transfer-encoding: gzip, Chunked\r\n", &format!("{chunks}\r\n")),
-            post("transfer-encoding: chunked\r\ncontent-length: 5\r\n", &format!("{chunks}trailer: {}\r\n\r\n", "y")),
+            post(
+                "transfer-encoding: chunked\r\ncontent-length: 5\r\n",
+                &format!("{chunks}trailer: {}\r\n\r\n", "y"),
+            ),
             post("content-length: 5\r\ntransfer-encoding: chunked\r\n", "0\r\n\r\n"),
         ] {
             let (found, within) = requests(&before);
@@ -244,7 +247,8 @@ mod tests {
         }
         let long = format!("GET / HTTP/1.1\r\nx: {}\r\n\r\n{STOP}", "y".repeat(MAX_HEAD));
         assert!(requests(&long).0.is_empty());
-        let sizes = ["fffffffffffffffff", "x"].map(|size| format!("POST / HTTP/1.1\r\ntransfer-encoding: chunked\r\n\r\n{size}\r\n{STOP}"));
+        let sizes = ["fffffffffffffffff", "x"]
+            .map(|size| format!("POST / HTTP/1.1\r\ntransfer-encoding: chunked\r\n\r\n{size}\r\n{STOP}"));
         for bytes in sizes {
             assert_eq!(requests(&bytes).0.len(), 1);
         }

@@ -253,25 +253,34 @@ mod tests {
     use meissner_stream::queues::queues;
     use tokio::io::{AsyncReadExt, AsyncWriteExt};
 
+    /// A client, and the work that serves it.
+    fn served(
+        router: Router,
+        closing: watch::Receiver<bool>,
+    ) -> (tokio::net::UnixStream, impl Future<Output = ()> + Send) {
+        let (client, stream) = std::os::unix::net::UnixStream::pair().unwrap();
+        for end in [&client, &stream] {
+            end.set_nonblocking(true).unwrap();
+        }
+        let (_port, commands, _events) = queues().unwrap();
+        let engine = Engine::new(commands, Settings::default(), "mock".to_owned(), None);
+        let peer = Peer::local(1, 0);
+        let orders = Orders::new(Arc::clone(&engine.estops), Arc::clone(&engine.gate), peer, None);
+        let (connection, ahead, activity) =
+            Connection::new(Stream::unix(stream.into()), b"", orders, true).unwrap();
+        let serving = serve_client(connection, ahead, activity, peer, false, router, closing);
+        (tokio::net::UnixStream::from_std(client).unwrap(), serving)
+    }
+
     /// In virtual time.
     #[test]
     fn an_idle_client_is_kept_for_ten_minutes() {
         crate::daemon::runtime().unwrap().block_on(async {
             tokio::time::pause();
-            let (client, stream) = std::os::unix::net::UnixStream::pair().unwrap();
-            for end in [&client, &stream] {
-                end.set_nonblocking(true).unwrap();
-            }
-            let mut client = tokio::net::UnixStream::from_std(client).unwrap();
-            let (_port, commands, _events) = queues().unwrap();
-            let engine = Engine::new(commands, Settings::default(), "mock".to_owned(), None);
-            let peer = Peer::local(1, 0);
-            let orders = Orders::new(Arc::clone(&engine.estops), Arc::clone(&engine.gate), peer, None);
-            let stream = Stream::unix(stream.into());
-            let (connection, ahead, activity) = Connection::new(stream, b"", orders, true).unwrap();
             let (_close, closing) = watch::channel(false);
             let router = Router::new().route("/", axum::routing::get(async || "answer"));
-            tokio::spawn(serve_client(connection, ahead, activity, peer, false, router, closing));
+            let (mut client, serving) = served(router, closing);
+            tokio::spawn(serving);
             let mut text = Vec::new();
             // The second request ends another break.
             for breaks in 1..3 {
@@ -288,6 +297,54 @@ mod tests {
                     assert!(begun.elapsed().abs_diff(KEPT_IDLE) < Duration::from_secs(1));
                 }
             }
+        });
+    }
+
+    /// In virtual time.
+    #[test]
+    fn a_later_head_has_five_seconds_from_its_first_byte_on() {
+        crate::daemon::runtime().unwrap().block_on(async {
+            tokio::time::pause();
+            let (_close, closing) = watch::channel(false);
+            let sleepy = async || tokio::time::sleep(Duration::from_secs(20)).await;
+            let router = Router::new()
+                .route("/", axum::routing::get(async || "answer"))
+                .route("/sleepy", axum::routing::get(sleepy));
+            let (mut client, serving) = served(router, closing);
+            tokio::spawn(serving);
+            let mut text = Vec::new();
+            client.write_all(b"GET / HTTP/1.1\r\nhost: x\r\n\r\n").await.unwrap();
+            while !text.ends_with(b"answer") {
+                client.read_buf(&mut text).await.unwrap();
+            }
+            tokio::time::sleep(Duration::from_secs(100)).await;
+            // Part of a head waits behind a request that takes long, and has its time after the answer all the same.
+            client.write_all(b"GET /sleepy HTTP/1.1\r\nhost: x\r\n\r\nGET / HT").await.unwrap();
+            text.clear();
+            while !text.windows(8).any(|bytes| bytes == b"HTTP/1.1") {
+                client.read_buf(&mut text).await.unwrap();
+            }
+            assert!(text.starts_with(b"HTTP/1.1 200"), "the request before is answered");
+            client.write_all(b"TP/1.1\r\nhost: x\r\n\r\n").await.unwrap();
+            while !text.ends_with(b"answer") {
+                client.read_buf(&mut text).await.unwrap();
+            }
+            text.clear();
+            let begun = tokio::time::Instant::now();
+            let slow = async {
+                for byte in b"GET / HTTP/1.1\r\nhost: x\r\nx: y".iter().cycle() {
+                    // The connection ends meanwhile.
+                    let _ = client.write_all(&[*byte]).await;
+                    if tokio::time::timeout(Duration::from_secs(2), client.read_buf(&mut text)).await.is_ok()
+                    {
+                        break;
+                    }
+                }
+            };
+            slow.await;
+            let late = begun.elapsed().abs_diff(crate::daemon::framing::HEAD);
+            assert!(late < Duration::from_secs(1), "{late:?}");
+            assert!(text.starts_with(b"HTTP/1.1 408"), "{}", String::from_utf8_lossy(&text));
         });
     }
 }

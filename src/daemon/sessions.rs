@@ -9,8 +9,9 @@
 use super::body;
 use super::engine::Engine;
 use super::http::{Answer, App, ErrorResponse, path};
+use super::patterns::json_response;
 use super::request_log::LoggedRequest;
-use super::runtime::blocking;
+use super::runtime::reading;
 use super::state::{asked_by, no_session};
 use crate::session_record::{Peer, keeps_text, reader};
 use crate::store::Store;
@@ -24,7 +25,7 @@ use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
 use meissner_api::{
     Code, MAX_LISTED, Method, Problem, RecordedPlay, Route, SESSION_HEADER, Session, SessionList,
-    SessionPlays, SessionRequest, SessionStarted, TOKEN_PREFIX, parse_empty,
+    SessionRequest, SessionStarted, TOKEN_PREFIX, parse_empty,
 };
 use std::collections::HashMap;
 use std::path::Path as FilePath;
@@ -125,72 +126,83 @@ pub(super) async fn end(
     logged.result(result)
 }
 
-pub(super) async fn list(State(app): State<App>) -> Answer<Json<SessionList>> {
+pub(super) async fn list(State(app): State<App>) -> Answer<Response> {
+    // Ten thousand sessions take milliseconds of the runtime's only thread.
+    let json = recorded(&app, |list| serde_json::to_vec(&list).unwrap_or_default()).await?;
+    Ok(json_response(json.into()))
+}
+
+/// What `make` makes of the recorded sessions and the running one, on the reader's thread.
+async fn recorded<T: Send + 'static>(
+    app: &App,
+    make: impl FnOnce(SessionList) -> T + Send + 'static,
+) -> Answer<T> {
     let running = app.engine.lock().session();
     let record = app.engine.session_record();
-    let mut list = match record.dir() {
-        None => SessionList::default(),
-        Some(dir) => {
-            blocking(move || {
-                let written = record.wait_until_written(WRITTEN);
-                let mut list = reader::sessions(&dir)?;
-                if !written {
-                    tell_slow_disk(&mut list.unreadable, &mut list.problems);
-                }
-                Ok::<_, reader::RecordError>(list)
-            })
-            .await??
+    let read = move || {
+        let mut list = SessionList::default();
+        if let Some(dir) = record.dir() {
+            let written = record.wait_until_written(WRITTEN);
+            list = reader::sessions(&dir)?;
+            if !written {
+                tell_slow_disk(&mut list.unreadable, &mut list.problems);
+            }
         }
+        if let Some(running) = running {
+            list.sessions.retain(|session| session.id != running.id);
+            list.sessions.push(running);
+        }
+        Ok::<_, reader::RecordError>(make(list))
     };
-    if let Some(running) = running {
-        list.sessions.retain(|session| session.id != running.id);
-        list.sessions.push(running);
-    }
-    Ok(Json(list))
+    Ok(reading(read).await??)
 }
 
 pub(super) async fn show(
     State(app): State<App>,
     id: Result<Path<String>, PathRejection>,
 ) -> Answer<Json<Session>> {
-    let id = path(id)?;
+    session(&app, path(id)?).await.map(Json)
+}
+
+async fn session(app: &App, id: String) -> Answer<Session> {
     let running = app.engine.lock().session();
     if let Some(running) = running.filter(|running| id == running.id || id == "running") {
-        return Ok(Json(running));
+        return Ok(running);
     }
-    let Json(list) = list(State(app)).await?;
-    let found = list.sessions.into_iter().find(|session| session.id == id);
+    let asked = id.clone();
+    let found =
+        recorded(app, move |list| list.sessions.into_iter().find(|session| session.id == asked)).await?;
     let none = || {
         let id: String = id.chars().take(100).collect();
         let detail = format!("no session {id} is recorded: `meissner session list` shows all");
         if id == "running" { no_session(&id) } else { Problem::new(Code::NotFound, detail) }
     };
-    Ok(Json(found.ok_or_else(none)?))
+    Ok(found.ok_or_else(none)?)
 }
 
 pub(super) async fn plays(
     State(app): State<App>,
     uri: Uri,
     id: Result<Path<String>, PathRejection>,
-) -> Answer<Json<SessionPlays>> {
+) -> Answer<Response> {
     let from = from(uri.query())?;
     let (record, store) = (app.engine.session_record(), app.store.get());
-    let Json(session) = show(State(app), id).await?;
+    let session = session(&app, path(id)?).await?;
     let Some(dir) = record.dir() else {
         let detail =
             "this daemon keeps no session record: start it without --no-record, and see `logbook_days`";
         return Err(Problem::new(Code::NotFound, detail).into());
     };
-    let plays = blocking(move || {
+    let plays = reading(move || {
         let written = record.wait_until_written(WRITTEN);
         let mut plays = reader::plays(&dir, session, from)?;
         if !written {
             tell_slow_disk(&mut plays.unreadable, &mut plays.problems);
         }
         mark_kept(&mut plays.plays, &store, &dir);
-        Ok::<_, reader::RecordError>(plays)
+        Ok::<_, reader::RecordError>(serde_json::to_vec(&plays).unwrap_or_default())
     });
-    Ok(Json(plays.await??))
+    Ok(json_response(plays.await??.into()))
 }
 
 /// What the disk has not taken yet cannot be read.

@@ -2,9 +2,9 @@
 
 use super::body;
 use super::http::{Answer, App, ErrorResponse, path};
-use super::patterns::{PATTERNS, import_place, replaces};
+use super::patterns::{import_place, replaces};
 use super::request_log::LoggedRequest;
-use super::runtime::blocking;
+use super::runtime::{OTHERS, blocking};
 use crate::session_record::Peer;
 use crate::store::TargetStoreError;
 use axum::Json;
@@ -33,7 +33,7 @@ impl From<TargetStoreError> for ErrorResponse {
 }
 
 pub(super) async fn list(State(app): State<App>) -> Answer<Response> {
-    let _place = PATTERNS.acquire().await;
+    let _place = OTHERS.patterns.acquire().await;
     let list = blocking(move || serde_json::to_vec(&app.store.get().targets()).unwrap_or_default()).await?;
     Ok(([(CONTENT_TYPE, "application/json")], list).into_response())
 }
@@ -42,7 +42,7 @@ pub(super) async fn show(
     State(app): State<App>,
     name: Result<Path<String>, PathRejection>,
 ) -> Answer<Json<TargetDetails>> {
-    let _place = PATTERNS.acquire().await;
+    let _place = OTHERS.patterns.acquire().await;
     let name = path(name)?;
     Ok(Json(blocking(move || app.store.get().target(&name).map(|stored| stored.details())).await??))
 }

@@ -52,6 +52,8 @@ use window::Window;
 
 /// How long a client without a request keeps its place when others need it.
 pub(super) const IDLE: Duration = Duration::from_secs(5);
+/// The niceness that the thread asks for if it gets no real-time priority.
+const NICE: i32 = -10;
 /// How long an emergency stop may take: its byte, and its answer.
 const STOPPING: Duration = Duration::from_secs(5);
 /// The answer to an emergency stop when no place is free.
@@ -215,8 +217,11 @@ struct Work {
 
 impl Work {
     fn run(mut self, stop: &OwnedFd) {
-        // Without real-time rights an emergency stop competes with other programs: `meissner doctor` names the right.
-        let _ = priority::fifo(priority::BELOW_STREAMER);
+        // Without real-time rights an emergency stop competes with other programs: `meissner doctor` names the right. A lower nice value
+        // helps where the system allows that alone.
+        if !priority::fifo(priority::BELOW_STREAMER) {
+            let _ = rustix::process::nice(NICE);
+        }
         self.gate.tokens.prepare_thread();
         loop {
             let ready = self.wait(stop);
@@ -487,7 +492,8 @@ pub(super) fn too_many_clients(most: usize) -> Problem {
 /// The error for a client whose head is slow.
 pub(super) fn late_head() -> Problem {
     let seconds = HEAD.as_secs();
-    let detail = format!("the request's line and headers did not arrive within {seconds} s: send them faster");
+    let detail =
+        format!("the request's line and headers did not arrive within {seconds} s: send them faster");
     Problem::new(Code::Slow, detail)
 }
 
