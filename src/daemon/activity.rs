@@ -11,7 +11,7 @@ use std::time::{Duration, Instant};
 use tokio::io::unix::AsyncFd;
 use tokio::time::sleep;
 
-/// How long a client that does not read, or does not send the rest of its request, keeps its place when others need it.
+/// How long a client that does not read keeps its place when others need it.
 pub(super) const BLOCKED: Duration = Duration::from_secs(1);
 /// How often a request that waits looks whether its client is still there.
 const LOOK_EVERY: Duration = Duration::from_secs(1);
@@ -110,7 +110,7 @@ impl Activity {
         let (since, patience) = if is_blocked {
             (moved, BLOCKED)
         } else if wanted != NONE {
-            (wanted, BLOCKED)
+            (wanted, Duration::ZERO)
         } else if self.is_answering() {
             return None;
         } else {

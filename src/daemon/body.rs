@@ -86,7 +86,7 @@ mod tests {
             }
             // A byte at a time keeps the daemon as long as no byte at all.
             for (piece, pieces, most_s) in
-                [(1, 1000, 2.1), (0, 1000, 2.1), (4 << 10, 1000, 3.2), (11 << 10, 90, 10.1)]
+                [(1, 1000, 2.1), (0, 1000, 2.1), (4 << 10, 1000, 3.2), (11 << 10, 1000, 10.1)]
             {
                 let (took_s, read) = read_pieces(piece, pieces).await;
                 assert_eq!(read, Err("slow-request".to_owned()), "{piece} bytes");

@@ -8,7 +8,7 @@ use httparse::{EMPTY_HEADER, Request, Status};
 /// Length of a request line that is looked at, at most, bytes, with empty lines before it. The API's addresses are shorter.
 pub(super) const MAX_LINE: usize = 512;
 /// Requests that have places of their own beside emergency stops: a flood of others must not keep them out. Each is answered at once.
-const PROMPT: [(&str, &str); 3] = [("POST", "/v1/stop"), ("POST", "/v1/disarm"), ("GET", "/v1/status")];
+const PROMPT: [(&str, &str); 2] = [("POST", "/v1/stop"), ("POST", "/v1/disarm")];
 
 /// The first request of a connection.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -22,8 +22,8 @@ pub(in crate::daemon) struct Bounds {
     pub(super) silent: usize,
     /// Connections of network clients of which the same is true.
     pub(super) silent_network: usize,
-    /// Emergency stops at the same time on their socket; and so many places each for clients for which the server makes room, for
-    /// prompt commands, and for emergency stops on the API's sockets.
+    /// Emergency stops at the same time on their socket, clients for which the server makes room, and places beyond these for prompt
+    /// commands and emergency stops: each has half of them.
     pub(in crate::daemon) estops: usize,
 }
 
@@ -74,12 +74,12 @@ impl Bounds {
             return Self::USUAL;
         }
         // Below this the daemon works, but may run out of descriptors: then connections to the API are closed first.
-        let part = (left / 9).max(2);
+        let part = (left / 8).max(2);
         Self::new((2 * part).min(MAX_CLIENTS), 2 * part, part)
     }
 
     const fn descriptors(&self) -> u64 {
-        (self.clients + self.silent + self.silent_network + 4 * self.estops) as u64
+        (self.clients + self.silent + self.silent_network + 3 * self.estops) as u64
     }
 }
 

@@ -147,7 +147,7 @@ impl Acceptor {
         if let Some(tcp) = &sockets.tcp {
             listen(tcp, BACKLOG)?;
         }
-        let (sender, handovers) = mpsc::channel(bounds.clients + 4 * bounds.estops);
+        let (sender, handovers) = mpsc::channel(bounds.clients + 3 * bounds.estops);
         let stop = Arc::new(eventfd(0, EventfdFlags::CLOEXEC | EventfdFlags::NONBLOCK)?);
         let work = Work {
             sockets,
@@ -420,8 +420,8 @@ impl Work {
         match kind {
             Kind::Other if is_known => estops,
             Kind::Other => 0,
-            Kind::Prompt => 2 * estops,
-            Kind::EStop => 3 * estops,
+            Kind::Prompt => estops + estops / 2,
+            Kind::EStop => 2 * estops,
         }
     }
 
