@@ -289,7 +289,7 @@ fn clients_that_send_slowly_keep_nobody_out() {
     ];
     for part in slow {
         let mut held = Vec::new();
-        for _ in 0..2 * MAX_CLIENTS {
+        for _ in 0..MAX_CLIENTS + 16 {
             let mut stream = UnixStream::connect(daemon.socket()).unwrap();
             // It may be refused at once.
             let _ = stream.write_all(part.as_bytes());

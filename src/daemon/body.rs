@@ -3,8 +3,10 @@
 use axum::body::Body;
 use http_body_util::BodyExt;
 use meissner_api::{Code, Problem};
+use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Duration;
-use tokio::time::{Instant, timeout_at};
+use tokio::sync::{Semaphore, SemaphorePermit};
+use tokio::time::{Instant, timeout};
 
 /// How long a body may take, at most.
 const TIMEOUT: Duration = Duration::from_secs(10);
@@ -12,6 +14,18 @@ const TIMEOUT: Duration = Duration::from_secs(10);
 const GRACE: Duration = Duration::from_secs(2);
 /// The least rate, bytes/s: what the grace leaves of [`TIMEOUT`] suffices for the longest body.
 const RATE: u32 = 128 << 10;
+/// How often the daemon looks whether a body is late.
+const LOOK_EVERY: Duration = Duration::from_millis(100);
+/// Large bodies that arrive or are in work: each holds a file, and further ones wait.
+static FILES: Semaphore = Semaphore::const_new(4);
+/// Bodies that wait for a place among them.
+static WAITING: AtomicUsize = AtomicUsize::new(0);
+/// How long they wait.
+const FILES_TIMEOUT: Duration = Duration::from_secs(10);
+/// How long a body that is not complete keeps its place while others wait for one.
+const HELD: Duration = Duration::from_millis(1500);
+/// A body of so many bytes needs no place.
+const SMALL: usize = 64 << 10;
 /// Most bytes of a command's body. Commands are parsed on the runtime's only thread: they must be small.
 const MAX_COMMAND: usize = 16 << 10;
 /// Most bytes read of a body that is too large, so that its sender reaches the answer.
@@ -29,11 +43,66 @@ fn allowed(length: usize) -> Duration {
 }
 
 /// Reads a body of at most `max` bytes.
-pub(super) async fn read(mut body: Body, max: usize) -> Result<Vec<u8>, Problem> {
-    let begun = Instant::now();
+pub(super) async fn read(body: Body, max: usize) -> Result<Vec<u8>, Problem> {
+    let mut unused = None;
+    collect(body, max, usize::MAX, &mut unused).await
+}
+
+/// Reads a body as large as a file. A large one has a place among [`FILES`], which it keeps until that is dropped.
+pub(super) async fn read_file(body: Body, max: usize) -> Result<(Vec<u8>, Option<Place>), Problem> {
+    let mut place = None;
+    let bytes = collect(body, max, SMALL, &mut place).await?;
+    Ok((bytes, place))
+}
+
+/// A place among [`FILES`].
+pub(super) type Place = SemaphorePermit<'static>;
+
+/// One of [`WAITING`], also if its client hangs up.
+struct Waits;
+
+impl Waits {
+    fn new() -> Self {
+        WAITING.fetch_add(1, Ordering::Relaxed);
+        Self
+    }
+}
+
+impl Drop for Waits {
+    fn drop(&mut self) {
+        WAITING.fetch_sub(1, Ordering::Relaxed);
+    }
+}
+
+/// Waits for a place among [`FILES`].
+pub(super) async fn file_place() -> Result<Place, Problem> {
+    let busy = || Problem::new(Code::Busy, "too many files are in work: try again in a moment");
+    let _waits = Waits::new();
+    let place = timeout(FILES_TIMEOUT, FILES.acquire()).await;
+    place.ok().and_then(Result::ok).ok_or_else(busy)
+}
+
+/// Reads a body; takes a place when it has more than `small` bytes.
+async fn collect(
+    mut body: Body,
+    max: usize,
+    small: usize,
+    place: &mut Option<Place>,
+) -> Result<Vec<u8>, Problem> {
+    let (mut begun, mut held) = (Instant::now(), None);
     let (mut bytes, mut length) = (Vec::new(), 0);
-    // A frame that is there is taken, however late the daemon comes to it.
-    while let Some(frame) = timeout_at(begun + allowed(length), body.frame()).await.map_err(|_| slow())? {
+    loop {
+        // A frame that is there is taken, however late the daemon comes to it.
+        let frame = timeout(LOOK_EVERY, body.frame()).await;
+        let Ok(frame) = frame else {
+            let is_wanted = WAITING.load(Ordering::Relaxed) > 0;
+            let held_too_long = held.is_some_and(|since: Instant| is_wanted && since.elapsed() >= HELD);
+            if held_too_long || begun.elapsed() >= allowed(length) {
+                return Err(slow());
+            }
+            continue;
+        };
+        let Some(frame) = frame else { break };
         let frame =
             frame.map_err(|error| Problem::new(Code::BadRequest, format!("the body broke off: {error}")))?;
         let data = frame.into_data().unwrap_or_default();
@@ -42,6 +111,16 @@ pub(super) async fn read(mut body: Body, max: usize) -> Result<Vec<u8>, Problem>
             bytes.extend_from_slice(&data);
         } else if length > MAX_SKIPPED {
             break;
+        }
+        if begun.elapsed() >= allowed(length) {
+            return Err(slow());
+        }
+        if length > small && place.is_none() {
+            let asked = Instant::now();
+            *place = Some(file_place().await?);
+            // The client did not keep the daemon waiting meanwhile.
+            begun += asked.elapsed();
+            held = Some(Instant::now());
         }
     }
     if length > max {
@@ -86,7 +165,7 @@ mod tests {
             }
             // A byte at a time keeps the daemon as long as no byte at all.
             for (piece, pieces, most_s) in
-                [(1, 1000, 2.1), (0, 1000, 2.1), (4 << 10, 1000, 3.2), (11 << 10, 1000, 10.1)]
+                [(1, 1000, 2.3), (0, 1000, 2.3), (4 << 10, 1000, 3.4), (11 << 10, 1000, 10.3)]
             {
                 let (took_s, read) = read_pieces(piece, pieces).await;
                 assert_eq!(read, Err("slow-request".to_owned()), "{piece} bytes");

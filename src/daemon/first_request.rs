@@ -52,6 +52,10 @@ pub(super) fn first(all: &[u8], peer: Peer, gate: &Gate) -> Option<First> {
     if !is_known || !PROMPT.contains(&(request.method.unwrap_or_default(), target)) {
         return Some(First::other(is_known));
     }
+    // A client that asks first sends its body when the server says so.
+    if request.headers.iter().any(|header| header.name.eq_ignore_ascii_case("expect")) {
+        return Some(First::other(is_known));
+    }
     match body_of(&request) {
         Some(Part::Head) => Some(First { kind: Kind::Prompt, is_known }),
         // With its whole body it keeps nobody waiting.

@@ -239,7 +239,7 @@ async fn sequence(
 ) -> Answer<(StatusCode, Json<PlayAccepted>)> {
     let mut logged = LoggedRequest::new(&app.engine, "sequence", peer);
     let result = async {
-        let body = body::read(body, MAX_BODY).await?;
+        let (body, _place) = body::read_file(body, MAX_BODY).await?;
         let mut request = PLAYS.computing(move || SequenceRequest::parse(&body)).await??;
         request.session = app.engine.lock().session_of_play(request.session.as_deref())?;
         logged.set_arguments(&asked_of_sequence(&request));

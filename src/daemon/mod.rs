@@ -110,7 +110,7 @@ use tracing::{info, warn};
 
 /// The most memory that the daemon takes, bytes. `docs/explanation/limits.md` adds it up; `cargo bench -p meissner-benches --bench
 /// memory` shows how much loads really take.
-pub const MEMORY_BOUND: usize = 896 << 20;
+pub const MEMORY_BOUND: usize = 832 << 20;
 /// How long closing the session record may take; a service manager waits longer.
 const CLOSE_TIMEOUT: Duration = Duration::from_secs(2);
 /// How long the streamer may take to end after its answer to the shutdown.

@@ -2,7 +2,7 @@
 //!
 //! [`find`] also gives plays and sequences their patterns. Work that touches the disk runs on a blocking thread.
 //!
-//! Bounds: plays hold two patterns of the directory, other requests two, and four files at a time are in work; further requests wait.
+//! Bounds: plays hold two patterns of the directory, other requests two; further requests wait. Files: [`body`].
 
 use super::body;
 use super::http::{Answer, App, ErrorResponse, path};
@@ -21,13 +21,8 @@ use meissner_api::{Code, FOUND_PREFIX, ImportedPattern, MAX_BODY, Problem, Remov
 use serde_json::json;
 use std::io;
 use std::sync::{Arc, Mutex, PoisonError};
-use std::time::Duration;
-use tokio::sync::{Semaphore, SemaphorePermit};
+use tokio::sync::SemaphorePermit;
 
-/// Imports in work, when their bodies are there: further ones wait.
-static IMPORTS: Semaphore = Semaphore::const_new(4);
-/// How long an import waits for the others.
-const IMPORT_TIMEOUT: Duration = Duration::from_secs(10);
 /// The pattern store in use; a reload may replace it.
 #[derive(Clone, Debug)]
 pub(super) struct SharedStore(Arc<Mutex<Arc<Store>>>);
@@ -128,9 +123,9 @@ pub(super) async fn import(
         logged.set_title(format!("import of {shown:?}"));
         let replace = replaces(&uri)?;
         logged.set_arguments(&json!({"name": shown, "replace": replace}));
-        let text = String::from_utf8(body::read(body, MAX_BODY).await?)
+        let (text, _place) = body::read_file(body, MAX_BODY).await?;
+        let text = String::from_utf8(text)
             .map_err(|_| Problem::new(Code::BadPattern, "not UTF-8 text: write patterns as TOML in UTF-8"))?;
-        let _place = import_place().await?;
         app.engine.lock().check_asker()?;
         let put = blocking(move || app.store.get().put(&name, &text, replace)).await??;
         let Put { stored, replaced: replaced_sha256 } = put;
@@ -144,13 +139,6 @@ pub(super) async fn import(
     }
     .await;
     logged.result(result)
-}
-
-/// A place among [`IMPORTS`].
-pub(super) async fn import_place() -> Result<SemaphorePermit<'static>, Problem> {
-    let busy = || Problem::new(Code::Busy, "too many files are in work: try again in a moment");
-    let place = tokio::time::timeout(IMPORT_TIMEOUT, IMPORTS.acquire()).await;
-    place.ok().and_then(Result::ok).ok_or_else(busy)
 }
 
 /// The SHA-256 of the text that is asked for, by the query.
@@ -188,7 +176,7 @@ pub(super) async fn remove(
         let shown: String = name.chars().take(100).collect();
         logged.set_title(format!("removal of {shown:?}"));
         logged.set_arguments(&json!({"name": shown}));
-        let _place = import_place().await?;
+        let _place = body::file_place().await?;
         let asked = name.clone();
         app.engine.lock().check_asker()?;
         let sha256 = blocking(move || app.store.get().remove(&asked)).await??;

@@ -2,7 +2,7 @@
 
 use super::body;
 use super::http::{Answer, App, ErrorResponse, path};
-use super::patterns::{import_place, replaces};
+use super::patterns::replaces;
 use super::request_log::LoggedRequest;
 use super::runtime::{OTHERS, blocking};
 use crate::session_record::Peer;
@@ -61,8 +61,8 @@ pub(super) async fn store(
         logged.set_title(format!("storing of the target {shown:?}"));
         let replace = replaces(&uri)?;
         logged.set_arguments(&json!({"name": shown, "replace": replace}));
-        let _place = import_place().await?;
-        let text = String::from_utf8(body::read(body, MAX_BYTES).await?)
+        let (text, _place) = body::read_file(body, MAX_BYTES).await?;
+        let text = String::from_utf8(text)
             .map_err(|_| Problem::new(Code::BadTarget, "not UTF-8 text: write targets as TOML in UTF-8"))?;
         app.engine.lock().check_asker()?;
         let put = move || app.store.get().put_target(&name, &text, replace);
@@ -91,7 +91,7 @@ pub(super) async fn remove(
         let shown: String = name.chars().take(100).collect();
         logged.set_title(format!("removal of the target {shown:?}"));
         logged.set_arguments(&json!({"name": shown}));
-        let _place = import_place().await?;
+        let _place = body::file_place().await?;
         app.engine.lock().check_asker()?;
         let asked = name.clone();
         let sha256 = blocking(move || app.store.get().remove_target(&asked)).await??;
