@@ -11,6 +11,7 @@ use std::os::unix::net::UnixStream;
 use std::process;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread;
+use std::time::{Duration, Instant};
 
 const ESTOP: &[u8] = b"POST /v1/estop HTTP/1.1\r\nhost: x\r\nconnection: close\r\n\r\n";
 
@@ -261,5 +262,149 @@ fn requests_that_are_not_http_get_a_problem() {
         let body = last.split_once("\r\n\r\n").unwrap().1;
         let problem: Problem = serde_json::from_str(body).unwrap();
         assert_eq!(problem.status, status);
+    }
+}
+
+const STATUS: &[u8] = b"GET /v1/status HTTP/1.1\r\nhost: x\r\nconnection: close\r\n\r\n";
+const STOP: &[u8] = b"POST /v1/stop HTTP/1.1\r\nhost: x\r\nconnection: close\r\ncontent-length: 2\r\n\r\n{}";
+
+/// How many of so many `status` and `stop` on connections of their own are served.
+fn served(daemon: &Daemon, asked: usize) -> usize {
+    let answers =
+        |request| (0..asked).filter(move |_| daemon.raw(request).starts_with("HTTP/1.1 200 ")).count();
+    answers(STATUS) + answers(STOP)
+}
+
+#[test]
+fn clients_that_send_slowly_keep_nobody_out() {
+    let daemon = Daemon::start();
+    let slow = [
+        // A first head, a command's body, a large body.
+        "GET /v1/status HTTP/1.1\r\nhost:",
+        "POST /v1/stop HTTP/1.1\r\nhost: x\r\ncontent-length: 2\r\n\r\n{",
+        "POST /v1/play HTTP/1.1\r\nhost: x\r\ncontent-length: 20\r\n\r\n{",
+        "PUT /v1/patterns/x HTTP/1.1\r\nhost: x\r\ncontent-length: 2000\r\n\r\nformat",
+        // A later head.
+        "GET /v1/status HTTP/1.1\r\nhost: x\r\n\r\nGET /v1/sta",
+    ];
+    for part in slow {
+        let mut held = Vec::new();
+        for _ in 0..MAX_CLIENTS + 16 {
+            let mut stream = UnixStream::connect(daemon.socket()).unwrap();
+            // It may be refused at once.
+            let _ = stream.write_all(part.as_bytes());
+            held.push(stream);
+        }
+        assert_eq!(served(&daemon, 20), 40, "behind {part:?}");
+    }
+}
+
+#[test]
+fn a_first_head_has_five_seconds_and_an_answer() {
+    let daemon = Daemon::start();
+    let begun = Instant::now();
+    let mut stream = UnixStream::connect(daemon.socket()).unwrap();
+    stream.set_read_timeout(Some(Duration::from_secs(1))).unwrap();
+    let mut answer = Vec::new();
+    // A byte each second.
+    for byte in "GET /v1/status HTTP/1.1\r\nhost: x".bytes() {
+        let _ = stream.write_all(&[byte]);
+        if stream.read_to_end(&mut answer).is_ok() {
+            break;
+        }
+    }
+    assert!(String::from_utf8_lossy(&answer).contains("slow-request"), "{answer:?}");
+    assert!(begun.elapsed() >= Duration::from_secs(5));
+}
+
+#[test]
+fn slow_sequences_keep_no_other_file_waiting() {
+    let daemon = Daemon::start();
+    let mut slow: Vec<_> = (0..8)
+        .map(|_| {
+            let mut stream = UnixStream::connect(daemon.socket()).unwrap();
+            let head = "POST /v1/sequence HTTP/1.1\r\nhost: x\r\ncontent-length: 100000\r\n\r\n{";
+            stream.write_all(head.as_bytes()).unwrap();
+            stream
+        })
+        .collect();
+    let text = "format = 1\nname = \"two\"\n[[drive]]\nmotor = 3\nfrequency_hz = 60.0\namplitude_um = 80.0\nphase = 0.0\n";
+    for _ in 0..5 {
+        let put = format!(
+            "PUT /v1/patterns/two?replace=true HTTP/1.1\r\nhost: x\r\nconnection: close\r\ncontent-length: {}\r\n\r\n{text}",
+            text.len()
+        );
+        let answer = daemon.raw(put.as_bytes());
+        assert!(answer.starts_with("HTTP/1.1 20"), "{answer}");
+    }
+    // Each learns that it was too slow.
+    for stream in &mut slow {
+        stream.set_read_timeout(Some(TIMEOUT)).unwrap();
+        let mut answer = String::new();
+        stream.read_to_string(&mut answer).unwrap();
+        assert!(answer.contains("slow-request"), "{answer}");
+    }
+}
+
+#[test]
+fn an_emergency_stop_counts_behind_requests_that_wait() {
+    let wait = "GET /v1/plays/last?wait=50 HTTP/1.1\r\nhost: x\r\n\r\n";
+    let chunked =
+        "PUT /v1/patterns/x HTTP/1.1\r\nhost: x\r\ntransfer-encoding: chunked\r\n\r\n3\r\nabc\r\n0\r\n\r\n";
+    let status = "GET /v1/status HTTP/1.1\r\nhost: x\r\n\r\n";
+    // What waits, and how many answers there are with the emergency stop's.
+    for (before, answers) in [
+        (wait.to_owned(), 2),
+        ([wait, chunked, wait].concat(), 4),
+        // More than the daemon reads of a request at once.
+        (wait.to_owned() + &status.repeat(1000), 1002),
+    ] {
+        let daemon = Daemon::start();
+        let mut client = daemon.armed();
+        let _: Value = client.post("/v1/play", &json!({"pattern": "pin-60", "endless": true})).unwrap();
+        let mut stream = UnixStream::connect(daemon.socket()).unwrap();
+        let mut reader = stream.try_clone().unwrap();
+        let (sender, first) = std::sync::mpsc::channel();
+        let read = thread::spawn(move || {
+            let mut answer = vec![0; 1 << 16];
+            let len = reader.read(&mut answer).unwrap();
+            answer.truncate(len);
+            sender.send(()).unwrap();
+            reader.read_to_end(&mut answer).unwrap();
+            String::from_utf8(answer).unwrap()
+        });
+        stream.write_all(before.as_bytes()).unwrap();
+        // The daemon is at the first request when the emergency stop comes.
+        thread::sleep(Duration::from_millis(200));
+        assert!(first.try_recv().is_err(), "it waits");
+        stream.write_all(ESTOP).unwrap();
+        let answer = read.join().unwrap();
+        let status: Status = client.get("/v1/status").unwrap();
+        assert_eq!((status.state.as_str(), status.estops), ("faulted", 1), "once");
+        assert_eq!(answer.matches("HTTP/1.1 ").count(), answers, "{answer}");
+        let waited = answer.split("HTTP/1.1 ").nth(1).unwrap();
+        let receipt: Value = serde_json::from_str(waited.split("\r\n\r\n").nth(1).unwrap()).unwrap();
+        assert_eq!(receipt["cause"], "estop", "the play has ended by it: {receipt}");
+    }
+}
+
+#[test]
+fn a_reset_that_waits_undoes_no_later_emergency_stop() {
+    let daemon = Daemon::start();
+    let mut client = daemon.client();
+    let mut stream = UnixStream::connect(daemon.socket()).unwrap();
+    stream.set_read_timeout(Some(TIMEOUT)).unwrap();
+    let reset = "POST /v1/reset HTTP/1.1\r\nhost: x\r\ncontent-length: 14\r\n\r\n{\"force\":true}";
+    for _ in 0..10 {
+        stream.write_all(format!("{reset}{reset}").as_bytes()).unwrap();
+        stream.write_all(b"POST /v1/estop HTTP/1.1\r\nhost: x\r\n\r\n").unwrap();
+        let mut answer = Vec::new();
+        while String::from_utf8_lossy(&answer).matches("HTTP/1.1 200").count() < 3 {
+            let mut bytes = [0; 4096];
+            let len = stream.read(&mut bytes).unwrap();
+            assert!(len > 0, "{}", String::from_utf8_lossy(&answer));
+            answer.extend_from_slice(&bytes[..len]);
+        }
+        assert!(is_faulted(&mut client));
     }
 }

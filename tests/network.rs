@@ -323,3 +323,51 @@ fn clients_of_the_network_leave_places_to_those_of_the_socket_and_to_emergency_s
     drop((silent, slow));
     assert_eq!(daemon.client().get::<Status>("/v1/status").unwrap().estops, 50);
 }
+
+#[test]
+fn clients_without_a_token_are_displaced_first() {
+    let daemon = listening("listen_token = \"always\"\n");
+    let (address, token) = (address(&daemon), create(&daemon, "operate"));
+    let bearer = bearer(&token);
+    for part in [
+        // A head that never ends; a request that is refused, and the next head.
+        format!("GET /v1/status HTTP/1.1\r\nhost: {address}\r\n"),
+        format!("GET /v1/status HTTP/1.1\r\nhost: {address}\r\n\r\nGET"),
+        format!("POST /v1/play HTTP/1.1\r\nhost: {address}\r\ncontent-length: 100\r\n\r\n{{"),
+    ] {
+        let held: Vec<_> = (0..2 * MAX_CLIENTS)
+            .map(|_| {
+                let mut stream = connect(&address);
+                let _ = stream.write_all(part.as_bytes());
+                stream
+            })
+            .collect();
+        for path in ["/v1/status", "/v1/patterns"] {
+            for _ in 0..20 {
+                assert_answers(&ask(&address, &format!("GET {path}"), &bearer), 200, "");
+            }
+        }
+        drop(held);
+    }
+}
+
+#[test]
+fn an_emergency_stop_behind_a_waiting_request_needs_the_right_as_any_other() {
+    let daemon = listening("listen_token = \"always\"\n");
+    let (address, tokens) = (address(&daemon), ["operate", "observe"].map(|role| create(&daemon, role)));
+    let mut client = daemon.armed();
+    let _: Value = client.post("/v1/play", &json!({"pattern": "pin-60", "endless": true})).unwrap();
+    let [operate, observe] = tokens.map(|token| bearer(&token));
+    for (headers, estops) in [("", 0), (observe.as_str(), 0), (operate.as_str(), 1)] {
+        let mut stream = connect(&address);
+        let wait = format!("GET /v1/plays/last?wait=3 HTTP/1.1\r\nhost: {address}\r\n{observe}\r\n");
+        let estop =
+            format!("POST /v1/estop HTTP/1.1\r\nhost: {address}\r\n{headers}connection: close\r\n\r\n");
+        stream.write_all((wait + &estop).as_bytes()).unwrap();
+        let mut answer = String::new();
+        stream.read_to_string(&mut answer).unwrap();
+        assert_eq!(answer.matches("HTTP/1.1 ").count(), 2, "{answer}");
+        assert_eq!(client.get::<Status>("/v1/status").unwrap().estops, estops, "{answer}");
+        assert_eq!(answer.contains("\"cause\":\"estop\""), estops > 0, "the wait ends by it: {answer}");
+    }
+}

@@ -1,21 +1,28 @@
-//! How long an emergency stop takes while other clients load the daemon: `cargo bench -p meissner-benches --bench estop`.
+//! How long an emergency stop takes while other clients load the daemon, and how long `stop` and `status` take:
+//! `cargo bench -p meissner-benches --bench estop`.
 //!
-//! For each load it orders emergency stops, one after the other: on the socket for these, and every tenth also as `POST
-//! /v1/estop` on a new connection, to the API's socket and over TCP. It prints the time from before `connect` until the board, at the far end of a serial line, has read the
-//! order, and how many orders failed, which the times leave out: no order at the board within a second, or no answer within ten.
+//! For each load it orders emergency stops, one after the other: on the socket for these, and every tenth also as `POST /v1/estop` on a
+//! new connection, to the API's socket and over TCP. It gives the time from before `connect` until the board, at the far end of a serial
+//! line, has read the order. Every tenth time it also sends `POST /v1/stop` and `GET /v1/status` on new connections, and gives the time
+//! until the whole answer is there. Times leave out orders that failed: no order at the board within a second, no answer within ten,
+//! or an answer that says that there is no place.
 //!
-//! The daemon and the load are processes of their own. The daemon is this executable, or the program that `MEISSNER_PROGRAM` names (an older one has no
-//! socket for emergency stops: that column stays empty, and all orders go by HTTP). `ROUNDS` sets the orders per load, `LOADS` the loads by their
-//! first word. The client that measures and the board run in real time where the system allows it. It asserts nothing.
+//! Root gets two tables: a daemon with SCHED_FIFO, and one of an ordinary user (`DAEMON_UID`, 65534 unless set) without. The daemon and
+//! the load are processes of their own. The daemon is this executable, or the program that `MEISSNER_PROGRAM` names. `ROUNDS` sets the
+//! orders per load, `LOADS` the loads by their first word, `RECORD_MB` the length of the session record that the readers read. The client
+//! that measures and the board run in real time where the system allows it. It asserts nothing.
 
 use meissner_api::Status;
 use meissner_benches::board::Board;
 use meissner_benches::loads::{CHILD, LOADS, Place, exchange, exchange_tcp};
 use meissner_client::{Client, Endpoint, STOPPED, estop_socket};
 use meissner_stream::device::priority;
+use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
 use std::error::Error;
-use std::io::{self, Read};
+use std::io::{self, Read, Write};
 use std::net::TcpListener;
+use std::os::unix::fs::chown;
+use std::os::unix::process::CommandExt;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, ExitCode, Stdio};
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -62,38 +69,64 @@ fn program() -> io::Result<PathBuf> {
     std::env::var_os("MEISSNER_PROGRAM").map_or_else(std::env::current_exe, |it| Ok(it.into()))
 }
 
+/// A number from the environment.
+fn number(key: &str, usual: usize) -> Result<usize, Box<dyn Error>> {
+    Ok(std::env::var(key).ok().map_or(Ok(usual), |number| number.parse())?)
+}
+
 fn run() -> Result<(), Box<dyn Error>> {
-    let rounds = std::env::var("ROUNDS").ok().map_or(Ok(10_000), |rounds| rounds.parse())?;
-    let wanted = std::env::var("LOADS").unwrap_or_default();
+    let user = u32::try_from(number("DAEMON_UID", 65534)?)?;
+    if rustix::process::geteuid().is_root() {
+        table(None)?;
+        table(Some(user))
+    } else {
+        table(None)
+    }
+}
+
+/// Measures all loads on a daemon of this user.
+fn table(user: Option<u32>) -> Result<(), Box<dyn Error>> {
+    let (rounds, wanted) = (number("ROUNDS", 10_000)?, std::env::var("LOADS").unwrap_or_default());
     let dir = tempfile::tempdir()?;
     // The daemon takes the port that this finds free.
     let tcp = TcpListener::bind("127.0.0.1:0")?.local_addr()?;
     let place = Place { socket: dir.path().join("m.sock"), tcp, program: program()? };
     let board = Board::start()?;
+    let record = dir.path().join("logbook");
+    std::fs::create_dir(&record)?;
+    write_record(&record.join("2026-01-01.jsonl"), number("RECORD_MB", 286)?)?;
     let config = dir.path().join("meissner.toml");
-    std::fs::write(
-        &config,
-        format!("patterns_dir = {:?}\nlease_ms = 5000\nlisten = \"{tcp}\"\n", dir.path()),
-    )?;
+    let text = format!(
+        "patterns_dir = {:?}\nlogbook_dir = {record:?}\nlogbook_days = 3650\nlease_ms = 5000\nlisten = \"{tcp}\"\n",
+        dir.path()
+    );
+    std::fs::write(&config, text + "[participant]\nmax_continuous_s = 86400\nmax_day_s = 86400\n")?;
     let mut command = place.command();
     command
-        .args([
-            "daemon",
-            "--no-record",
-            "--device",
-            &format!("serial:{}", board.path().display()),
-            "--config",
-        ])
+        .args(["daemon", "--device", &format!("serial:{}", board.path().display()), "--config"])
         .arg(&config);
-    let daemon = Process(command.spawn()?);
-    wait_for_device(&place.socket)?;
-    println!("{rounds} emergency stops per load; ms from the order to the board");
+    let rtprio = getrlimit(Resource::Rtprio);
+    if let Some(user) = user {
+        for path in [dir.path(), &record, &record.join("2026-01-01.jsonl"), board.path()] {
+            chown(path, Some(user), Some(user))?;
+        }
+        command.uid(user).gid(user);
+        setrlimit(Resource::Rtprio, Rlimit { current: Some(0), ..rtprio })?;
+    }
+    let daemon = command.spawn();
+    setrlimit(Resource::Rtprio, rtprio)?;
+    let daemon = Process(daemon?);
+    let status = wait_for_device(&place.socket)?;
+    let fifo = if status.realtime.unwrap_or_default().fifo { "with" } else { "without" };
+    let who = user.map_or_else(|| "this user".to_owned(), |user| format!("uid {user}"));
     println!(
-        "{:<66} {:^35}  {:^35}  {:^35}",
-        "", "socket for emergency stops", "POST /v1/estop, socket", "POST /v1/estop, TCP"
+        "daemon of {who}, {fifo} SCHED_FIFO; {rounds} orders on the socket per load, a tenth of that in the other columns"
     );
-    let columns = format!("{:>7} {:>7} {:>8} {:>10}", "p50", "p99", "max", "failures");
-    println!("{:<66} {columns}  {columns}  {columns}", "load");
+    println!("p50 / p99 / max in ms, and how many failed\n");
+    println!(
+        "| load | `SOCKET.estop` | `POST /v1/estop`, socket | `POST /v1/estop`, TCP | `stop` | `status` |"
+    );
+    println!("|---|---|---|---|---|---|");
     let first = |name: &str| name.split([':', ' ']).next().unwrap_or_default().to_owned();
     for (number, (name, _)) in LOADS.into_iter().enumerate() {
         if !wanted.is_empty() && !wanted.split([',', ' ']).any(|word| word == first(name)) {
@@ -101,26 +134,34 @@ fn run() -> Result<(), Box<dyn Error>> {
         }
         let mut load = Command::new(std::env::current_exe()?);
         load.env(LOAD, number.to_string()).env("MEISSNER_SOCKET", &place.socket);
-        load.env("MEISSNER_BENCH_TCP", tcp.to_string()).stdin(Stdio::piped()).stdout(Stdio::piped());
-        let mut load = Process(load.spawn()?);
+        load.env("MEISSNER_BENCH_TCP", tcp.to_string()).stdin(Stdio::piped()).stdout(Stdio::null());
+        let load = Process(load.spawn()?);
         // The load needs a moment to build up.
         thread::sleep(Duration::from_secs(if number == 0 { 0 } else { 2 }));
         let columns = thread::scope(|scope| scope.spawn(|| measure(&place, &board, rounds)).join());
-        let said = load.0.stdout.take();
         drop(load);
-        let [socket, http, tcp] = columns.map_err(|_| "the measuring thread panicked")?;
-        println!("{name:<66} {socket}  {http}  {tcp}");
-        if let Some(mut said) = said {
-            let mut text = String::new();
-            said.read_to_string(&mut text)?;
-            if !text.is_empty() {
-                println!("  {}", text.trim_end());
-            }
-        }
+        println!("| {name} | {} |", columns.map_err(|_| "the measuring thread panicked")?.join(" | "));
         wait_for_device(&place.socket)?;
     }
+    println!();
     drop(daemon);
     Ok(())
+}
+
+/// Writes a day of so many MB into a session record: sessions, and lines about plays between them.
+fn write_record(path: &Path, mb: usize) -> io::Result<()> {
+    let mut file = io::BufWriter::new(std::fs::File::create(path)?);
+    let filler = "x".repeat(900);
+    for number in 0..mb * 1000 {
+        let time = "\"time\":\"2026-01-01T12:00:00Z\",\"monotonic_ns\":1";
+        if number % 500 == 0 {
+            let session =
+                format!("\"session\":{{\"id\":\"s{number}\",\"participant\":\"P01\",\"exclusive\":false}}");
+            writeln!(file, "{{{time},\"event\":\"session-started\",{session}}}")?;
+        }
+        writeln!(file, "{{{time},\"event\":\"note\",\"text\":\"{filler}\"}}")?;
+    }
+    file.flush()
 }
 
 struct Process(Child);
@@ -135,12 +176,12 @@ impl Drop for Process {
     }
 }
 
-fn wait_for_device(socket: &Path) -> Result<(), Box<dyn Error>> {
+fn wait_for_device(socket: &Path) -> Result<Status, Box<dyn Error>> {
     let until = Instant::now() + Duration::from_secs(60);
     loop {
         let status = Client::at(Endpoint::at(socket))?.get::<Status>("/v1/status");
         match status {
-            Ok(status) if status.is_connected() => return Ok(()),
+            Ok(status) if status.is_connected() => return Ok(status),
             _ if Instant::now() > until => return Err("the daemon has no device after 60 s".into()),
             _ => thread::sleep(Duration::from_millis(50)),
         }
@@ -148,13 +189,13 @@ fn wait_for_device(socket: &Path) -> Result<(), Box<dyn Error>> {
 }
 
 /// The columns of a load.
-fn measure(place: &Place, board: &Board, rounds: usize) -> [String; 3] {
+fn measure(place: &Place, board: &Board, rounds: usize) -> [String; 5] {
     let _ = priority::fifo(priority::BELOW_STREAMER);
     let has_socket = estop_socket(&place.socket).exists();
-    let mut columns = [const { Vec::new() }; 3];
-    let mut failures = [0; 3];
+    let mut columns = [const { Vec::new() }; 5];
+    let mut failures = [0; 5];
     for round in 0..rounds {
-        for way in 0..3 {
+        for way in 0..5 {
             // The answer by HTTP takes as long as the load makes other clients wait.
             if (way == 0 && !has_socket) || (way > 0 && has_socket && round % 10 != 0) {
                 continue;
@@ -164,12 +205,18 @@ fn measure(place: &Place, board: &Board, rounds: usize) -> [String; 3] {
             let answered = match way {
                 0 => by_socket(place),
                 1 => by_http(place),
-                _ => by_tcp(place),
+                2 => by_tcp(place),
+                3 => is_served(exchange(&place.socket, STOP.as_bytes())),
+                _ => is_served(exchange(&place.socket, STATUS.as_bytes())),
             };
-            // The device is told before the client has its answer.
-            match board.estops().recv_timeout(TOLD_WITHIN) {
-                Ok((_, told)) if answered => columns[way].push((told - begun).as_secs_f64() * 1e3),
-                _ => failures[way] += 1,
+            let done = match way {
+                // The device is told before the client has its answer.
+                0..3 => board.estops().recv_timeout(TOLD_WITHIN).ok().map(|(_, told)| told),
+                _ => Some(Instant::now()),
+            };
+            match done.filter(|_| answered) {
+                Some(done) => columns[way].push((done - begun).as_secs_f64() * 1e3),
+                None => failures[way] += 1,
             }
         }
     }
@@ -178,12 +225,20 @@ fn measure(place: &Place, board: &Board, rounds: usize) -> [String; 3] {
 }
 
 fn column(mut ms: Vec<f64>, failures: usize) -> String {
-    if ms.is_empty() {
-        return format!("{:>7} {:>7} {:>8} {failures:>10}", "", "", "");
-    }
+    let all = ms.len() + failures;
     ms.sort_by(f64::total_cmp);
-    let at = |per_mille: usize| ms[(ms.len() * per_mille / 1000).min(ms.len() - 1)];
-    format!("{:>7.2} {:>7.2} {:>8.2} {failures:>10}", at(500), at(990), at(1000))
+    let at = |per_mille: usize| ms.get((ms.len() * per_mille / 1000).min(ms.len().saturating_sub(1)));
+    let [p50, p99, max] = [500, 990, 1000].map(|at_most| at(at_most).copied().unwrap_or(f64::NAN));
+    format!("{p50:.2} / {p99:.2} / {max:.2}, {failures} of {all}")
+}
+
+const STOP: &str = "POST /v1/stop HTTP/1.1\r\nhost: x\r\nconnection: close\r\ncontent-length: 2\r\n\r\n{}";
+const STATUS: &str = "GET /v1/status HTTP/1.1\r\nhost: x\r\nconnection: close\r\n\r\n";
+
+/// Whether the daemon took the request: after an emergency stop a `stop` is refused, because the fault is latched.
+fn is_served(answer: io::Result<String>) -> bool {
+    answer
+        .is_ok_and(|answer| ["HTTP/1.1 200", "HTTP/1.1 409"].iter().any(|status| answer.starts_with(status)))
 }
 
 fn by_socket(place: &Place) -> bool {

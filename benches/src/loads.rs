@@ -22,7 +22,7 @@ const POLLED: Duration = Duration::from_secs(1);
 const ANSWER_WITHIN: Duration = Duration::from_secs(10);
 
 /// All loads, with their names.
-pub const LOADS: [(&str, Load); 15] = [
+pub const LOADS: [(&str, Load); 19] = [
     ("idle", |_, _| {}),
     ("held: 64 idle clients, and 360 connections/s", held),
     ("connects: connections closed at once, without a pause", connects),
@@ -38,7 +38,14 @@ pub const LOADS: [(&str, Load); 15] = [
     ("tcp-slow: 64 TCP clients that send a byte of a header per second", tcp_slow),
     ("tcp-hostile: eight with a wrong Host, Origin or token", tcp_hostile),
     ("tcp-pages: 30 pages in browsers, 60 connections, and plays", tcp_pages),
+    ("heads: 128 that send a byte of a head every 2 s", |place, over| slow(place, over, STATUS)),
+    ("slow-bodies: 128 that send sequences and stops byte by byte", slow_bodies),
+    ("readers: 30 that list the sessions of a long record, and plays", readers),
+    ("all: every load above at once, but the shells", all),
 ];
+
+/// How often a slow client sends a byte.
+const SLOW: Duration = Duration::from_secs(2);
 
 const PATTERN: &str = "GET /v1/patterns/rotating-edge HTTP/1.1\r\nhost: x\r\n\r\n";
 const STATUS: &str = "GET /v1/status HTTP/1.1\r\nhost: x\r\n\r\n";
@@ -359,4 +366,71 @@ pub fn window(tcp: SocketAddr, polls: bool, over: &AtomicBool, bytes: &AtomicU64
         }
     }
     Ok(())
+}
+
+/// 128 clients that send this byte by byte, and connect again when the daemon has closed the connection.
+fn slow(place: &Place, over: &AtomicBool, request: &str) {
+    threads(128, over, |_| {
+        let mut stream = UnixStream::connect(&place.socket)?;
+        stream.set_read_timeout(Some(SLOW))?;
+        for byte in request.as_bytes().iter().cycle() {
+            stream.write_all(&[*byte])?;
+            for _ in 0..100 {
+                if over.load(Ordering::Relaxed) {
+                    return Ok(());
+                }
+                stream.set_read_timeout(Some(SLOW / 100))?;
+                if matches!(stream.read(&mut [0; 512]), Ok(0)) {
+                    return Ok(());
+                }
+            }
+        }
+        Ok(())
+    });
+}
+
+fn slow_bodies(place: &Place, over: &AtomicBool) {
+    let paths = ["/v1/sequence", "/v1/stop", "/v1/play", "/v1/status"];
+    threads(128, over, |number| {
+        let mut stream = UnixStream::connect(&place.socket)?;
+        let path = paths[number % paths.len()];
+        let head = format!("POST {path} HTTP/1.1\r\nhost: x\r\ncontent-length: 9000\r\n\r\n");
+        stream.write_all(head.as_bytes())?;
+        stream.set_read_timeout(Some(Duration::from_millis(100)))?;
+        while !over.load(Ordering::Relaxed) {
+            stream.write_all(b" ")?;
+            if matches!(stream.read(&mut [0; 512]), Ok(0)) {
+                break;
+            }
+        }
+        Ok(())
+    });
+}
+
+/// 30 observers, and plays beside them.
+fn readers(place: &Place, over: &AtomicBool) {
+    let request = "GET /v1/sessions HTTP/1.1\r\nhost: x\r\nconnection: close\r\n\r\n";
+    thread::scope(|scope| {
+        scope.spawn(|| {
+            threads(30, over, |_| {
+                let answer = exchange(&place.socket, request.as_bytes())?;
+                // Too many read: a client waits before it asks again.
+                if !answer.starts_with("HTTP/1.1 200") {
+                    thread::sleep(Duration::from_millis(100));
+                }
+                Ok(())
+            });
+        });
+        plays(place, over);
+    });
+}
+
+fn all(place: &Place, over: &AtomicBool) {
+    thread::scope(|scope| {
+        for (name, load) in LOADS {
+            if !["idle", "shells", "all"].iter().any(|other| name.starts_with(other)) {
+                scope.spawn(move || load(place, over));
+            }
+        }
+    });
 }

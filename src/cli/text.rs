@@ -9,6 +9,7 @@ pub(super) use receipt::{
 };
 
 use crate::doctor::device::{NO_TELEMETRY, SHORT_PLAYS};
+use crate::doctor::rights::SLOW_ESTOP;
 use crate::receipts::{HOST_TIMEOUT, end_text};
 use comfy_table::presets::{NOTHING, UTF8_FULL};
 use comfy_table::{CellAlignment, Table};
@@ -99,6 +100,9 @@ pub(super) fn status(status: &Status) -> String {
         lines.push(("telemetry", format!("{NO_TELEMETRY}; {SHORT_PLAYS}")));
     }
     lines.extend(drift(status).map(|drift| ("drift", drift)));
+    if status.realtime.is_some_and(|has| !has.fifo) {
+        lines.push(("emergency stop", format!("{SLOW_ESTOP}; see `meissner doctor`")));
+    }
     if status.logbook_problem.is_some() || status.logbook_lost > 0 {
         let lost = (status.logbook_lost > 0).then(|| format!("{} entries are lost", status.logbook_lost));
         let told: Vec<_> = status.logbook_problem.iter().cloned().chain(lost).collect();

@@ -1,116 +1,155 @@
-//! A client's connection as hyper reads and writes it, and how active it is.
+//! A client's connection as hyper reads and writes it.
 //!
-//! It gives hyper the bytes that the acceptor has read, then those of the socket. hyper answers a request that it cannot parse with
-//! an empty error; the connection puts the API's error in its place. A client that reads nothing for [`UNREAD`] is disconnected.
+//! What a client sends goes through [`Inbound`], which reads ahead of hyper while a request is answered ([`ReadAhead`]): an emergency stop
+//! counts although a request before it waits. hyper answers a request that it cannot parse with an empty error; the connection puts the
+//! API's error in its place. A client whose head takes longer than [`HEAD`], or that reads nothing for [`UNREAD`], is disconnected.
 //!
-//! Invariant: [`Activity`] tells whether the connection may be ended to make a place free.
+//! Bounds: [`AHEAD`] bytes are read ahead of hyper; what a client sends beyond stays in the kernel until hyper has taken some.
 
-use super::acceptor::{malformed, response};
+use super::acceptor::{late_head, malformed, refuse, response};
+use super::activity::Activity;
+use super::framing::HEAD;
+use super::orders::Orders;
 use super::stream::Stream;
-use futures_util::task::AtomicWaker;
-use std::future::Future;
+use std::collections::VecDeque;
+use std::future::poll_fn;
 use std::io::{self, ErrorKind, Read, Write};
 use std::pin::Pin;
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
-use std::sync::{Arc, Weak};
+use std::sync::atomic::Ordering;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::task::{Context, Poll, ready};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 use tokio::io::unix::AsyncFd;
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
-use tokio::time::{Sleep, sleep};
+use tokio::time::{Instant, Sleep, sleep};
 
 /// How long a client may leave its answers unread.
-const UNREAD: Duration = Duration::from_secs(60);
-/// How long a client that does not read keeps its place when others need it.
-const BLOCKED: Duration = Duration::from_secs(1);
-/// How often a request that waits looks whether its client is still there.
-const LOOK_EVERY: Duration = Duration::from_secs(1);
+const UNREAD: Duration = Duration::from_secs(10);
+/// Bytes that are read ahead of hyper: more than a client of this API sends before it waits for an answer.
+const AHEAD: usize = 128 << 10;
+/// Bytes of one read.
+const PIECE: usize = 8 << 10;
+/// A head that is late waits so long, again and again, while an earlier request is answered.
+const ANSWERING: Duration = Duration::from_secs(1);
 
-/// How active a client is. The server reads it to choose whom to disconnect.
+/// What the client has sent.
 #[derive(Debug)]
-pub(super) struct Activity {
-    begun: Instant,
-    /// When bytes last went in either direction, ms since `begun`.
-    moved_ms: AtomicU64,
-    /// Bytes wait for the client to read.
-    blocked: AtomicBool,
-    /// A request is being answered.
-    pub(super) busy: AtomicBool,
-    /// The answer is a stream of events, which ends with the connection.
-    pub(super) streaming: AtomicBool,
-    /// The connection ends when nothing that the client has sent is left to read.
-    evicted: AtomicBool,
-    task: AtomicWaker,
-    /// The client came over the network.
-    pub(super) is_network: bool,
-    /// Gone with the connection.
-    stream: Weak<AsyncFd<Stream>>,
+struct Inbound {
+    /// Read, and not yet taken by hyper.
+    bytes: VecDeque<u8>,
+    orders: Orders,
+    /// Requests whose heads are complete, and when the one after them began to come.
+    begun: Option<(u64, Instant)>,
+    /// Nothing more comes, because of this error if there is one.
+    ended: Option<Option<ErrorKind>>,
 }
 
-impl Activity {
-    fn new(stream: &Arc<AsyncFd<Stream>>) -> Self {
-        let (moved_ms, blocked, busy, streaming, evicted) = Default::default();
-        let (begun, task) = (Instant::now(), AtomicWaker::new());
-        Self {
-            begun,
-            moved_ms,
-            blocked,
-            busy,
-            streaming,
-            evicted,
-            task,
-            is_network: stream.get_ref().is_network(),
-            stream: Arc::downgrade(stream),
+impl Inbound {
+    fn take(&mut self, bytes: &[u8], activity: &Activity) {
+        self.orders.take(bytes);
+        self.bytes.extend(bytes);
+        let framer = &self.orders.framer;
+        let (heads, head) = framer.begun();
+        // Of a request whose body is still to come, the head is complete.
+        let request = if head.is_empty() { heads.saturating_sub(1) } else { heads };
+        if !framer.is_within() {
+            self.begun = None;
+            activity.set_wanted(false);
+        } else if self.begun.is_none_or(|(of, _)| of != request) {
+            self.begun = Some((request, Instant::now()));
+            activity.set_wanted(true);
         }
     }
 
-    /// Resolves when the client has closed the whole connection. hyper does not look while a request is answered, because a client
-    /// may close its half.
-    pub(super) async fn hung_up(&self) {
-        while self.stream.upgrade().is_some_and(|stream| !stream.get_ref().is_closed()) {
-            sleep(LOOK_EVERY).await;
+    /// Reads a piece, if there is room. Pending: nothing more can be read now.
+    fn read(&mut self, stream: &AsyncFd<Stream>, activity: &Activity, context: &mut Context<'_>) -> Poll<()> {
+        if self.ended.is_some() || self.bytes.len() >= AHEAD {
+            return Poll::Pending;
         }
-    }
-
-    fn moved(&self) {
-        let ms = u64::try_from(self.begun.elapsed().as_millis()).unwrap_or(u64::MAX);
-        self.moved_ms.store(ms, Ordering::Relaxed);
-    }
-
-    /// Ends the connection. A request that has come is still carried out.
-    pub(super) fn evict(&self) {
-        self.evicted.store(true, Ordering::Release);
-        self.task.wake();
-    }
-
-    pub(super) fn is_evicted(&self) -> bool {
-        self.evicted.load(Ordering::Acquire)
-    }
-
-    /// For how long the connection has been one that may be ended: it reads nothing, or has been idle for `idle` at least.
-    pub(super) fn lazy_for(&self, idle: Duration) -> Option<Duration> {
-        let moved = Duration::from_millis(self.moved_ms.load(Ordering::Relaxed));
-        let still = self.begun.elapsed().saturating_sub(moved);
-        let lazy = match self.blocked.load(Ordering::Relaxed) {
-            true => still >= BLOCKED,
-            false => {
-                let idles = !self.busy.load(Ordering::Relaxed) && !self.streaming.load(Ordering::Relaxed);
-                idles && still >= idle
+        let mut piece = [0; PIECE];
+        let mut piece = ReadBuf::new(&mut piece);
+        match poll_read(stream, context, &mut piece) {
+            // The runtime may not know yet that bytes have come.
+            Poll::Pending if activity.is_evicted() && !stream.get_ref().has_event() => {
+                self.ended = Some(None);
             }
+            Poll::Pending => return Poll::Pending,
+            Poll::Ready(Err(error)) => self.ended = Some(Some(error.kind())),
+            Poll::Ready(Ok(())) if piece.filled().is_empty() => self.ended = Some(None),
+            Poll::Ready(Ok(())) => {
+                activity.moved();
+                self.take(piece.filled(), activity);
+            }
+        }
+        Poll::Ready(())
+    }
+
+    /// When the head that is coming must be there.
+    fn head_due(&self) -> Option<Instant> {
+        let begun = self.begun.filter(|_| self.orders.framer.is_within_head());
+        begun.filter(|_| self.ended.is_none()).map(|(_, begun)| begun + HEAD)
+    }
+}
+
+/// What a connection and those who look at it share.
+#[derive(Clone, Debug)]
+struct Shared {
+    stream: Arc<AsyncFd<Stream>>,
+    inbound: Arc<Mutex<Inbound>>,
+    activity: Arc<Activity>,
+}
+
+impl Shared {
+    fn inbound(&self) -> MutexGuard<'_, Inbound> {
+        self.inbound.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+/// Reads ahead of hyper, in the same task: it must be polled before hyper's future.
+#[derive(Debug)]
+pub(super) struct ReadAhead {
+    shared: Shared,
+    timer: Pin<Box<Sleep>>,
+}
+
+impl ReadAhead {
+    /// Reads while requests are answered. Resolves when a head takes longer than [`HEAD`]; the client has its answer then.
+    pub(super) async fn late_head(&mut self) {
+        poll_fn(|context| self.poll(context)).await;
+        let mut inbound = self.shared.inbound();
+        refuse(self.shared.stream.get_ref(), &response(&late_head()), &mut inbound.orders);
+    }
+
+    fn poll(&mut self, context: &mut Context<'_>) -> Poll<()> {
+        let Shared { stream, activity, .. } = &self.shared;
+        let due = {
+            let mut inbound = self.shared.inbound();
+            while inbound.read(stream, activity, context).is_ready() {}
+            inbound.head_due()
         };
-        lazy.then_some(still)
+        let Some(mut due) = due else { return Poll::Pending };
+        if activity.is_answering() {
+            due = due.max(Instant::now() + ANSWERING);
+        }
+        if self.timer.deadline() != due {
+            self.timer.as_mut().reset(due);
+        }
+        self.timer.as_mut().poll(context)
+    }
+
+    /// The server's side: the number of the emergency stop that the next request is, if it was ordered.
+    pub(super) fn next_request(&self) -> impl Fn() -> Option<u64> + use<> {
+        let shared = self.shared.clone();
+        move || shared.inbound().orders.next_request()
     }
 }
 
 /// See the module.
 #[derive(Debug)]
 pub(super) struct Connection {
-    stream: Arc<AsyncFd<Stream>>,
-    /// Read by the acceptor, and not yet by hyper.
-    head: Vec<u8>,
+    shared: Shared,
     /// An error in place of hyper's, and how much of it is written.
     error: Option<(Vec<u8>, usize)>,
-    activity: Arc<Activity>,
     /// Runs while the client does not read.
     unread: Option<Pin<Box<Sleep>>>,
 }
@@ -124,25 +163,36 @@ impl Connection {
         deprecated,
         reason = "the other constructor is unsafe; an owned descriptor stays open while it is watched"
     )]
-    pub(super) fn new(stream: Stream, head: Vec<u8>) -> io::Result<(Self, Arc<Activity>)> {
+    pub(super) fn new(
+        stream: Stream,
+        head: &[u8],
+        orders: Orders,
+        is_known: bool,
+    ) -> io::Result<(Self, ReadAhead, Arc<Activity>)> {
         let stream = Arc::new(AsyncFd::new(stream)?);
-        let activity = Arc::new(Activity::new(&stream));
-        Ok((Self { stream, head, error: None, activity: Arc::clone(&activity), unread: None }, activity))
+        let activity = Arc::new(Activity::new(&stream, is_known));
+        let mut inbound = Inbound { bytes: VecDeque::new(), orders, begun: None, ended: None };
+        inbound.take(head, &activity);
+        let shared =
+            Shared { stream, inbound: Arc::new(Mutex::new(inbound)), activity: Arc::clone(&activity) };
+        let ahead = ReadAhead { shared: shared.clone(), timer: Box::pin(sleep(HEAD)) };
+        Ok((Self { shared, error: None, unread: None }, ahead, activity))
     }
 
     /// Writes to the socket; fails if the client has not read for too long.
     fn write(&mut self, context: &mut Context<'_>, bytes: &[u8]) -> Poll<io::Result<usize>> {
-        match poll_write(&self.stream, context, bytes) {
+        let activity = &self.shared.activity;
+        match poll_write(&self.shared.stream, context, bytes) {
             Poll::Ready(written) => {
-                self.activity.moved();
-                self.activity.blocked.store(false, Ordering::Relaxed);
+                activity.moved();
+                activity.blocked.store(false, Ordering::Relaxed);
                 self.unread = None;
                 Poll::Ready(written)
             }
             Poll::Pending => {
-                self.activity.task.register(context.waker());
-                self.activity.blocked.store(true, Ordering::Relaxed);
-                if self.activity.is_evicted() {
+                activity.task.register(context.waker());
+                activity.blocked.store(true, Ordering::Relaxed);
+                if activity.is_evicted() {
                     return Poll::Ready(Err(io::Error::new(ErrorKind::TimedOut, "the client does not read")));
                 }
                 let unread = self.unread.get_or_insert_with(|| Box::pin(sleep(UNREAD)));
@@ -214,29 +264,34 @@ fn error_of(bytes: &[u8]) -> Option<(usize, Vec<u8>)> {
 
 impl AsyncRead for Connection {
     fn poll_read(
-        mut self: Pin<&mut Self>,
+        self: Pin<&mut Self>,
         context: &mut Context<'_>,
         buffer: &mut ReadBuf<'_>,
     ) -> Poll<io::Result<()>> {
-        if !self.head.is_empty() {
-            let len = self.head.len().min(buffer.remaining());
-            buffer.put_slice(&self.head[..len]);
-            self.head.drain(..len);
+        let Shared { stream, activity, .. } = &self.shared;
+        let mut inbound = self.shared.inbound();
+        activity.task.register(context.waker());
+        if inbound.bytes.is_empty() && inbound.ended.is_none() {
+            ready!(inbound.read(stream, activity, context));
+        }
+        if !inbound.bytes.is_empty() {
+            // There is room again to read ahead.
+            if inbound.bytes.len() >= AHEAD {
+                context.waker().wake_by_ref();
+            }
+            let len = inbound.bytes.len().min(buffer.remaining());
+            let (front, back) = inbound.bytes.as_slices();
+            let front = &front[..front.len().min(len)];
+            buffer.put_slice(front);
+            buffer.put_slice(&back[..len - front.len()]);
+            inbound.bytes.drain(..len);
             return Poll::Ready(Ok(()));
         }
-        let before = buffer.filled().len();
-        self.activity.task.register(context.waker());
-        match poll_read(&self.stream, context, buffer) {
-            Poll::Ready(read) => read?,
-            // The runtime may not know yet that bytes have come.
-            Poll::Pending if self.activity.is_evicted() && !self.stream.get_ref().has_event() => {
-                return Poll::Ready(Ok(()));
-            }
-            Poll::Pending => return Poll::Pending,
+        if let Some(Some(error)) = inbound.ended {
+            return Poll::Ready(Err(error.into()));
         }
-        if buffer.filled().len() > before {
-            self.activity.moved();
-        } else if self.stream.get_ref().is_closed() && !self.activity.busy.load(Ordering::Relaxed) {
+        let is_gone = stream.get_ref().is_closed() && !activity.busy.load(Ordering::Relaxed);
+        if is_gone && !activity.is_evicted() {
             // A client that is gone needs no events. A request that has come completely is carried out.
             return Poll::Ready(Err(ErrorKind::ConnectionReset.into()));
         }
@@ -268,19 +323,31 @@ impl AsyncWrite for Connection {
 
     fn poll_shutdown(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<io::Result<()>> {
         ready!(self.write_error(context))?;
-        Poll::Ready(self.stream.get_ref().close_write())
+        Poll::Ready(self.shared.stream.get_ref().close_write())
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::daemon::activity::BLOCKED;
+    use crate::daemon::engine::Engine;
+    use crate::session_record::Peer;
+    use meissner_stream::Settings;
+    use meissner_stream::queues::queues;
     use tokio::io::{AsyncReadExt, AsyncWriteExt};
+
+    fn orders() -> Orders {
+        let (_port, commands, _events) = queues().unwrap();
+        let engine = Engine::new(commands, Settings::default(), "mock".to_owned(), None);
+        Orders::new(Arc::clone(&engine.estops), Arc::clone(&engine.gate), Peer::local(1, 0), None)
+    }
 
     fn pair(head: &[u8]) -> (std::os::unix::net::UnixStream, Connection, Arc<Activity>) {
         let (client, stream) = std::os::unix::net::UnixStream::pair().unwrap();
         stream.set_nonblocking(true).unwrap();
-        let (connection, activity) = Connection::new(Stream::unix(stream.into()), head.to_vec()).unwrap();
+        let stream = Stream::unix(stream.into());
+        let (connection, _, activity) = Connection::new(stream, head, orders(), true).unwrap();
         (client, connection, activity)
     }
 

@@ -7,18 +7,18 @@
 //! ([`LoggedRequest`]).
 
 use super::acceptor::{Bounds, Counts};
+use super::activity::Activity;
 use super::body;
-use super::connection::Activity;
 use super::engine::{Engine, TIMEOUT};
 use super::estop::Origin;
 use super::live;
 use super::metrics;
 use super::network;
 use super::page;
-use super::patterns::{self, SharedStore, find, import_place, json_response};
+use super::patterns::{self, SharedStore, find, json_response};
 use super::request_log::LoggedRequest;
 use super::right::Right;
-use super::runtime::computing;
+use super::runtime::{PLAYS, computing};
 use super::search;
 use super::server::Ordered;
 use super::sessions;
@@ -212,7 +212,8 @@ async fn play(
         logged.set_arguments(&request);
         request.session = app.engine.lock().session_of_play(request.session.as_deref())?;
         logged.set_arguments(&request);
-        let (stored, _place) = find(&app, &request.pattern, request.pattern_sha256.as_deref()).await?;
+        let (stored, _place) =
+            find(&app, &PLAYS, &request.pattern, request.pattern_sha256.as_deref()).await?;
         let accepted = app.engine.play(&request, stored, peer).await?;
         logged.set_play(accepted.id);
         Ok((StatusCode::ACCEPTED, Json(accepted)))
@@ -231,7 +232,7 @@ fn asked_of_sequence(request: &SequenceRequest) -> serde_json::Value {
     })
 }
 
-/// Parsed on a thread of its own: its body is as large as a file. It takes a place of the imports, whose files are as large.
+/// Parsed on a thread of its own: its body is as large as a file.
 async fn sequence(
     State(app): State<App>,
     Extension(peer): Extension<Peer>,
@@ -239,13 +240,12 @@ async fn sequence(
 ) -> Answer<(StatusCode, Json<PlayAccepted>)> {
     let mut logged = LoggedRequest::new(&app.engine, "sequence", peer);
     let result = async {
-        let _place = import_place().await?;
-        let body = body::read(body, MAX_BODY).await?;
-        let mut request = computing(move || SequenceRequest::parse(&body)).await??;
+        let (body, _place) = body::read_file(body, MAX_BODY).await?;
+        let mut request = PLAYS.computing(move || SequenceRequest::parse(&body)).await??;
         request.session = app.engine.lock().session_of_play(request.session.as_deref())?;
         logged.set_arguments(&asked_of_sequence(&request));
         let find = async |name: String, sha256: Option<String>| {
-            find(&app, &name, sha256.as_deref()).await.map_err(|ErrorResponse(problem)| problem)
+            find(&app, &PLAYS, &name, sha256.as_deref()).await.map_err(|ErrorResponse(problem)| problem)
         };
         let accepted = app.engine.sequence(&request, peer, find).await?;
         logged.set_play(accepted.id);

@@ -14,7 +14,7 @@ use super::poses::Poses;
 use super::renderer::{PrepareError, Prepared, pose};
 use super::request_log::LoggedRequest;
 use super::right::Right;
-use super::runtime::computing;
+use super::runtime::PLAYS;
 use super::search::find;
 use super::state::{LivePlay, NewLive, Trial, Way};
 use crate::exposure::Vibration;
@@ -107,7 +107,8 @@ impl Engine {
         let waves = live.waves()?;
         let updates_hz = request.updates_hz.unwrap_or(LIVE_UPDATES_HZ);
         // It walks a minute of strokes.
-        let bandwidth = computing(move || Bandwidth::of_live(most_hz, updates_hz, &settings))
+        let bandwidth = PLAYS
+            .computing(move || Bandwidth::of_live(most_hz, updates_hz, &settings))
             .await?
             .map_err(|error| Problem::new(Code::BadRequest, error.to_string()))?;
         let timeout = Duration::from_secs_f64(request.timeout_ms.unwrap_or(LIVE_TIMEOUT_MS) / 1000.0);
@@ -192,7 +193,7 @@ impl Engine {
 /// Makes the renderer of a target, and the drives of its first pose.
 async fn prepare(request: &LiveRequest, target: Target) -> Result<(Prepared, Vec<Drive>), Problem> {
     let (first, request) = (pose(request.pose.unwrap_or_default()), request.clone());
-    let made = computing(move || {
+    let made = PLAYS.computing(move || {
         let mut prepared = Prepared::new(&target, &request)?;
         let drives = prepared.first(first)?;
         Ok::<_, PrepareError>((prepared, drives))

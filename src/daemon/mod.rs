@@ -11,19 +11,21 @@
 //! - `calibration`, `predictor`, `doctor`: calibrations as files and fits; predicted responses; the doctor's checks, one at a time.
 //! - `estop`, `state`, `engine`: emergency stops; the daemon's state behind one lock, and commands to the streamer.
 //! - `stream`, `network`: a connection's socket; clients that come over the network, and their tokens.
-//! - `acceptor`: connections up to their first bytes, on a thread of its own.
+//! - `framing`, `first_request`, `orders`: where requests begin and end, what a first request is, and the emergency stops among all.
+//! - `acceptor`: connections up to the head of their first request, on a thread of its own.
 //! - `log_lines`, `request_log`, `status`: text and data for the log, the session record and clients.
 //! - `right`: a client's right, for what outlives a request.
 //! - `arm`, `play`, `sequence`, `calibrate`, `connector`: arm, begin plays, calibrate, open devices.
 //! - `service`, `event_loop`: the service manager; the streamer's events.
 //! - `page`: the page in the browser.
 //! - `search_process`, `live_contrast`, `renderer`, `live`: processes that search; live plays, whose targets a thread renders.
-//! - `body`, `connection`, `http`, `patterns`, `targets`, `search`, `sessions`, `reload`, `server`, `hosted`: clients, configuration, and
+//! - `body`, `activity`, `connection`, `http`, `patterns`, `targets`, `search`, `sessions`, `reload`, `server`, `hosted`: clients, configuration, and
 //!   daemons inside this process. In a build for the fuzzer also `fuzzed`: requests without a socket.
 //!
 //! Invariant: before the daemon ends, it returns the pins, switches the motors off and removes its socket.
 
 mod acceptor;
+mod activity;
 mod arm;
 mod body;
 mod calibrate;
@@ -36,6 +38,8 @@ mod engine;
 mod error;
 mod estop;
 mod event_loop;
+mod first_request;
+mod framing;
 #[cfg(fuzzing)]
 mod fuzzed;
 mod hosted;
@@ -46,6 +50,7 @@ mod log_lines;
 mod metrics;
 mod names;
 mod network;
+mod orders;
 mod page;
 mod panics;
 mod patterns;
@@ -110,7 +115,7 @@ use tracing::{info, warn};
 
 /// The most memory that the daemon takes, bytes. `docs/explanation/limits.md` adds it up; `cargo bench -p meissner-benches --bench
 /// memory` shows how much loads really take.
-pub const MEMORY_BOUND: usize = 768 << 20;
+pub const MEMORY_BOUND: usize = 832 << 20;
 /// How long closing the session record may take; a service manager waits longer.
 const CLOSE_TIMEOUT: Duration = Duration::from_secs(2);
 /// How long the streamer may take to end after its answer to the shutdown.

@@ -2,12 +2,12 @@
 //!
 //! [`find`] also gives plays and sequences their patterns. Work that touches the disk runs on a blocking thread.
 //!
-//! Bounds: requests hold four patterns of the directory and four files at a time; further requests wait.
+//! Bounds: plays hold two patterns of the directory, other requests two; further requests wait. Files: [`body`].
 
 use super::body;
 use super::http::{Answer, App, ErrorResponse, path};
 use super::request_log::LoggedRequest;
-use super::runtime::{blocking, computing};
+use super::runtime::{Lane, OTHERS, blocking, computing};
 use crate::session_record::{self, Peer};
 use crate::store::{Put, Store, StoreError, Stored};
 use axum::Json;
@@ -21,15 +21,8 @@ use meissner_api::{Code, FOUND_PREFIX, ImportedPattern, MAX_BODY, Problem, Remov
 use serde_json::json;
 use std::io;
 use std::sync::{Arc, Mutex, PoisonError};
-use std::time::Duration;
-use tokio::sync::{Semaphore, SemaphorePermit};
+use tokio::sync::SemaphorePermit;
 
-/// Imports in work, from the first byte of the body: each holds a file, and further ones wait.
-static IMPORTS: Semaphore = Semaphore::const_new(4);
-/// How long an import waits for the others.
-const IMPORT_TIMEOUT: Duration = Duration::from_secs(10);
-/// Patterns of the directory that requests hold, until a play has begun or the answer is made; further requests wait.
-pub(super) static PATTERNS: Semaphore = Semaphore::const_new(4);
 /// The pattern store in use; a reload may replace it.
 #[derive(Clone, Debug)]
 pub(super) struct SharedStore(Arc<Mutex<Arc<Store>>>);
@@ -64,10 +57,11 @@ impl From<StoreError> for ErrorResponse {
     }
 }
 
-/// A pattern, and its place among [`PATTERNS`]: those of the library and those that a search has found need none, they are in memory
+/// A pattern, and its place among the lane's: those of the library and those that a search has found need none, they are in memory
 /// anyway. With `sha256` it is the pattern of that text: the stored one, or the one that the session record keeps.
 pub(super) async fn find(
     app: &App,
+    lane: &'static Lane,
     name: &str,
     sha256: Option<&str>,
 ) -> Answer<(Stored, Option<SemaphorePermit<'static>>)> {
@@ -82,7 +76,7 @@ pub(super) async fn find(
             || StoreError::OtherText { name: name.to_owned(), sha256: sha256.unwrap_or_default().to_owned() };
         return Ok((Some(stored).filter(|stored| is_it(&stored)).ok_or_else(other)?, None));
     }
-    let place = PATTERNS.acquire().await.ok();
+    let place = lane.patterns.acquire().await.ok();
     let (name, sha256) = (name.to_owned(), sha256.map(str::to_owned));
     let record = app.engine.session_record().dir();
     let read = move || match sha256 {
@@ -92,11 +86,11 @@ pub(super) async fn find(
             session_record::read_text(&dir, &sha256)
         }),
     };
-    Ok((blocking(read).await??, place))
+    Ok((lane.blocking(read).await??, place))
 }
 
 pub(super) async fn list(State(app): State<App>) -> Answer<Response> {
-    let _place = PATTERNS.acquire().await;
+    let _place = OTHERS.patterns.acquire().await;
     let list = blocking(move || serde_json::to_vec(&app.store.get().list()).unwrap_or_default()).await?;
     Ok(json_response(list.into()))
 }
@@ -106,7 +100,7 @@ pub(super) async fn show(
     name: Result<Path<String>, PathRejection>,
     uri: Uri,
 ) -> Answer<Response> {
-    let (stored, _place) = find(&app, &path(name)?, asked_text(&uri)?).await?;
+    let (stored, _place) = find(&app, &OTHERS, &path(name)?, asked_text(&uri)?).await?;
     let json = match stored.made_json() {
         Some(made) => made,
         None => computing(move || stored.json()).await?,
@@ -132,8 +126,8 @@ pub(super) async fn import(
         logged.set_title(format!("import of {shown:?}"));
         let replace = replaces(&uri)?;
         logged.set_arguments(&json!({"name": shown, "replace": replace}));
-        let _place = import_place().await?;
-        let text = String::from_utf8(body::read(body, MAX_BODY).await?)
+        let (text, _place) = body::read_file(body, MAX_BODY).await?;
+        let text = String::from_utf8(text)
             .map_err(|_| Problem::new(Code::BadPattern, "not UTF-8 text: write patterns as TOML in UTF-8"))?;
         app.engine.lock().check_asker()?;
         let put = blocking(move || app.store.get().put(&name, &text, replace)).await??;
@@ -148,13 +142,6 @@ pub(super) async fn import(
     }
     .await;
     logged.result(result)
-}
-
-/// A place among [`IMPORTS`].
-pub(super) async fn import_place() -> Result<SemaphorePermit<'static>, Problem> {
-    let busy = || Problem::new(Code::Busy, "too many files are in work: try again in a moment");
-    let place = tokio::time::timeout(IMPORT_TIMEOUT, IMPORTS.acquire()).await;
-    place.ok().and_then(Result::ok).ok_or_else(busy)
 }
 
 /// The SHA-256 of the text that is asked for, by the query.
@@ -192,7 +179,7 @@ pub(super) async fn remove(
         let shown: String = name.chars().take(100).collect();
         logged.set_title(format!("removal of {shown:?}"));
         logged.set_arguments(&json!({"name": shown}));
-        let _place = import_place().await?;
+        let _place = body::file_place().await?;
         let asked = name.clone();
         app.engine.lock().check_asker()?;
         let sha256 = blocking(move || app.store.get().remove(&asked)).await??;

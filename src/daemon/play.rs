@@ -6,7 +6,7 @@
 //! Invariant: a play is in the receipts before the streamer reports anything about it; the id of a refused play goes to the next.
 
 use super::engine::{Engine, TIMEOUT, answer};
-use super::runtime::computing;
+use super::runtime::PLAYS;
 use super::state::{NewPlay, Plays, Reply, State, Trial, Way};
 use crate::exposure::Vibration;
 use crate::receipts::{Order, counts, fit};
@@ -61,13 +61,20 @@ impl PreparedPlay {
         }
         // A long pattern has a hundred thousand strokes: other commands must not wait while they are counted.
         let (pattern, counted) = (Arc::clone(&stored.pattern), options.clone());
-        let (pushed, bandwidth, vibration, counts, strokes) = computing(move || {
-            let end_s = strokes.end().map(ticks_to_seconds);
-            let vibration = Vibration::of(&pattern, end_s);
-            let bandwidth = Bandwidth::of(&strokes, &settings);
-            (check_pushing(&strokes, &settings), bandwidth, vibration, counts(&pattern, &counted), strokes)
-        })
-        .await?;
+        let (pushed, bandwidth, vibration, counts, strokes) = PLAYS
+            .computing(move || {
+                let end_s = strokes.end().map(ticks_to_seconds);
+                let vibration = Vibration::of(&pattern, end_s);
+                let bandwidth = Bandwidth::of(&strokes, &settings);
+                (
+                    check_pushing(&strokes, &settings),
+                    bandwidth,
+                    vibration,
+                    counts(&pattern, &counted),
+                    strokes,
+                )
+            })
+            .await?;
         pushed?;
         let at = onset(request.at_tick, request.at_ms, request.at_monotonic_ns);
         let PlayRequest { late, replace, open_loop, .. } = *request;

@@ -1,20 +1,68 @@
 //! The daemon's runtime: one thread for clients and events, a few for work that waits for a disk.
 //!
-//! A handler runs on the one thread and must not block; it passes work that needs a disk to [`blocking`], and work that takes
-//! milliseconds to [`computing`].
+//! A handler runs on the one thread and must not block. It passes work that needs a disk, and work that takes milliseconds, to a [`Lane`]:
+//! [`PLAYS`] for what a play waits for, [`OTHERS`] for the rest. What reads the session record goes to [`reading`], on a thread that gives
+//! way to all others.
 //!
-//! Invariant: [`blocking`] leaves one blocking thread free for work that needs no disk, however slow the disk is. No work waits
-//! for a thread: what waits is a request, which ends with its client.
+//! Invariant: no lane waits for another, however many clients fill it and however slow the disk is. No work waits for a thread: what waits
+//! is a request, which ends with its client.
 
 use super::error::{DaemonError, system};
 use meissner_api::{Code, Problem};
+use std::fmt::Display;
+use std::thread;
 use tokio::runtime::{Builder, Runtime};
-use tokio::sync::Semaphore;
+use tokio::sync::{Semaphore, oneshot};
 
 /// Tasks between two looks at the sockets: a client that sends without a pause must not delay the others.
 const EVENT_INTERVAL: u32 = 8;
-/// Threads for blocking work.
-const BLOCKING_THREADS: usize = 4;
+/// Threads that may wait for a disk: of plays, and of other requests.
+const DISK_THREADS: [usize; 2] = [1, 2];
+/// Threads for work of all lanes: each has one for the processor.
+const THREADS: usize = DISK_THREADS[0] + DISK_THREADS[1] + 2;
+/// Readers of the session record that wait for their turn, and the one that reads.
+const READERS: usize = 16;
+/// Of the thread that reads the session record: a ninth of the processor time of a thread with nice 0.
+const READER_NICE: i32 = 10;
+
+/// Places for work that must not wait for other work.
+#[derive(Debug)]
+pub(super) struct Lane {
+    disk: Semaphore,
+    processor: Semaphore,
+    /// Patterns of the directory that requests hold, until a play has begun or the answer is made; further requests wait.
+    pub(super) patterns: Semaphore,
+}
+
+/// For what plays wait for.
+pub(super) static PLAYS: Lane = Lane::new(DISK_THREADS[0]);
+/// For all other requests.
+pub(super) static OTHERS: Lane = Lane::new(DISK_THREADS[1]);
+
+impl Lane {
+    /// With so many threads for the disk, and one for the processor.
+    const fn new(disk: usize) -> Self {
+        let [disk, processor, patterns] =
+            [Semaphore::const_new(disk), Semaphore::const_new(1), Semaphore::const_new(2)];
+        Self { disk, processor, patterns }
+    }
+
+    /// Runs work that may wait for a disk on a thread of its own.
+    pub(super) async fn blocking<T: Send + 'static>(
+        &'static self,
+        work: impl FnOnce() -> T + Send + 'static,
+    ) -> Result<T, Problem> {
+        run(&self.disk, work).await
+    }
+
+    /// Runs work that needs no disk on a thread of its own, one piece at a time.
+    pub(super) async fn computing<T: Send + 'static>(
+        &'static self,
+        work: impl FnOnce() -> T + Send + 'static,
+    ) -> Result<T, Problem> {
+        run(&self.processor, work).await
+    }
+}
 
 /// The runtime a daemon runs in.
 ///
@@ -22,24 +70,47 @@ const BLOCKING_THREADS: usize = 4;
 /// If the system gives no event queue.
 pub fn runtime() -> Result<Runtime, DaemonError> {
     let mut builder = Builder::new_current_thread();
-    builder.enable_all().event_interval(EVENT_INTERVAL).max_blocking_threads(BLOCKING_THREADS);
+    builder.enable_all().event_interval(EVENT_INTERVAL).max_blocking_threads(THREADS);
     builder.build().map_err(system("event queue"))
 }
 
-/// Runs work that may wait for a disk on a thread of its own.
+/// As [`Lane::blocking`] of the [`OTHERS`].
 pub(super) async fn blocking<T: Send + 'static>(
     work: impl FnOnce() -> T + Send + 'static,
 ) -> Result<T, Problem> {
-    static DISK: Semaphore = Semaphore::const_new(BLOCKING_THREADS - 1);
-    run(&DISK, work).await
+    OTHERS.blocking(work).await
 }
 
-/// Runs work that needs no disk on a thread of its own, one piece at a time.
+/// As [`Lane::computing`] of the [`OTHERS`].
 pub(super) async fn computing<T: Send + 'static>(
     work: impl FnOnce() -> T + Send + 'static,
 ) -> Result<T, Problem> {
-    static PROCESSOR: Semaphore = Semaphore::const_new(1);
-    run(&PROCESSOR, work).await
+    OTHERS.computing(work).await
+}
+
+/// Runs work that reads the session record: one piece at a time. Of the others [`READERS`] wait, further ones get an error.
+pub(super) async fn reading<T: Send + 'static>(
+    work: impl FnOnce() -> T + Send + 'static,
+) -> Result<T, Problem> {
+    static WAITING: Semaphore = Semaphore::const_new(READERS);
+    static RECORD: Semaphore = Semaphore::const_new(1);
+    let many =
+        |_| Problem::new(Code::Busy, "too many clients read the session record: try again in a moment");
+    let _waits = WAITING.try_acquire().map_err(many)?;
+    let place = RECORD.acquire().await;
+    let (sender, result) = oneshot::channel();
+    // The work keeps its place also when its client hangs up.
+    let work = move || {
+        // If the system refuses, it has nice 0, still below the streamer.
+        let _ = rustix::process::nice(READER_NICE);
+        let result = work();
+        drop(place);
+        // The client may have hung up.
+        let _ = sender.send(result);
+    };
+    let failed = |error: &dyn Display| Problem::new(Code::Store, format!("internal error: {error}"));
+    thread::Builder::new().name("record reader".into()).spawn(work).map_err(|error| failed(&error))?;
+    result.await.map_err(|error| failed(&error))
 }
 
 async fn run<T: Send + 'static>(
@@ -81,6 +152,33 @@ mod tests {
             gate.wait();
             computing(|| ()).await.unwrap();
             assert_eq!(begun.load(Ordering::SeqCst), 1);
+        });
+    }
+
+    /// Readers fill their lanes and never end; plays go on, and readers beyond the bound learn it at once.
+    #[test]
+    fn readers_delay_no_play_however_many_they_are() {
+        runtime().unwrap().block_on(async {
+            let (end, ended) = crossbeam_channel::bounded::<()>(0);
+            let stuck = || {
+                let ended = ended.clone();
+                // Disconnected at the end of the test.
+                move || assert!(ended.recv().is_err())
+            };
+            let mut readers = tokio::task::JoinSet::new();
+            for _ in 0..40 {
+                readers.spawn(reading(stuck()));
+                readers.spawn(blocking(stuck()));
+                readers.spawn(computing(stuck()));
+            }
+            for _ in 0..40 - READERS {
+                let refused = readers.join_next().await.unwrap().unwrap().unwrap_err();
+                assert_eq!(refused.code, "busy");
+            }
+            assert_eq!(PLAYS.blocking(|| 1).await.unwrap() + PLAYS.computing(|| 2).await.unwrap(), 3);
+            assert!(readers.try_join_next().is_none(), "all others wait");
+            drop(end);
+            while readers.join_next().await.is_some() {}
         });
     }
 }

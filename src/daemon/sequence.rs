@@ -7,7 +7,7 @@
 
 use super::engine::{Engine, TIMEOUT, answer};
 use super::play::{check_pushing, onset, trigger};
-use super::runtime::computing;
+use super::runtime::PLAYS;
 use super::state::{NewSequence, State, Trial, Way};
 use crate::exposure::Vibration;
 use crate::receipts::{Order, PlannedItem};
@@ -101,11 +101,12 @@ impl PreparedSequence {
                     held += stored.text.len();
                     texts.push((stored.sha256.clone(), Arc::clone(&stored.text)));
                 }
-                let (back, compiled) = computing(move || {
-                    let compiled = preparing.compile(&stored, &items, &settings);
-                    (preparing, compiled)
-                })
-                .await?;
+                let (back, compiled) = PLAYS
+                    .computing(move || {
+                        let compiled = preparing.compile(&stored, &items, &settings);
+                        (preparing, compiled)
+                    })
+                    .await?;
                 preparing = back;
                 let compiled = compiled.map_err(|error| at(refused(&error)))?;
                 new.insert(Used { sha256, name, compiled });
@@ -123,15 +124,16 @@ impl PreparedSequence {
             planned.push(PlannedItem { pattern, sha256, scale, amplitude_um, span: (0, 0) });
         }
         // Patterns with many drives take a while for each item.
-        let (preparing, added) = computing(move || {
-            let mut items = placed.into_iter().enumerate();
-            let added = items.try_for_each(|(number, (compiled, seconds, start))| {
-                let added = preparing.sequence.add(compiled, seconds, start);
-                added.map_err(|error| at_item(number, refused(&error)))
-            });
-            (preparing, added)
-        })
-        .await?;
+        let (preparing, added) = PLAYS
+            .computing(move || {
+                let mut items = placed.into_iter().enumerate();
+                let added = items.try_for_each(|(number, (compiled, seconds, start))| {
+                    let added = preparing.sequence.add(compiled, seconds, start);
+                    added.map_err(|error| at_item(number, refused(&error)))
+                });
+                (preparing, added)
+            })
+            .await?;
         added?;
         let Preparing { sequence, bandwidth, warnings, largest, .. } = preparing;
         let items: Vec<Item> = request.items.iter().map(|item| Item::new(trigger(item.trigger))).collect();
@@ -145,11 +147,12 @@ impl PreparedSequence {
             .strokes()
             .ok_or_else(|| Problem::new(Code::BadRequest, "`items` is empty: add an item"))?;
         check_triggers(&strokes, &items)?;
-        let (pushed, bandwidth, counts, strokes) = computing(move || {
-            let bandwidth = Bandwidth::of(&strokes, &settings).max(bandwidth);
-            (check_pushing(&strokes, &settings), bandwidth, counts(&strokes), strokes)
-        })
-        .await?;
+        let (pushed, bandwidth, counts, strokes) = PLAYS
+            .computing(move || {
+                let bandwidth = Bandwidth::of(&strokes, &settings).max(bandwidth);
+                (check_pushing(&strokes, &settings), bandwidth, counts(&strokes), strokes)
+            })
+            .await?;
         pushed?;
         let length_ms = strokes.end().map(ticks_to_ms);
         let vibration = Vibration::of_spans(spans);

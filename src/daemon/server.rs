@@ -1,18 +1,23 @@
 //! The server: answers the clients that the acceptor hands over, bounds them, and closes them at the end.
 //!
 //! hyper speaks HTTP/1.1 on a [`Connection`]; [`http`](super::http) handles the requests. If more clients are connected than
-//! [`Bounds::clients`], the server disconnects the one that has sent or read nothing for the longest time; if all are active, the
-//! new client gets an error.
+//! [`Bounds::clients`], the server disconnects one that the gate does not know, or else the one for which it has waited longest
+//! ([`Activity`]). If it waits for none, the new client gets an error, unless its request is prompt or an emergency stop: then it gets
+//! its answer, and the connection ends.
 //!
 //! Invariant: a client occupies one place and its own buffers; between two of its requests the server takes one of each other client.
 
 use super::acceptor::{Accepted, Bounds, Counts, Handover, IDLE, refuse, response, too_many_clients};
-use super::connection::{Activity, Connection};
+use super::activity::Activity;
+use super::connection::{Connection, ReadAhead};
 use super::engine::Engine;
+use super::first_request::Kind;
+use super::orders::Orders;
 use super::request_log::LoggedRequest;
 use crate::session_record::Peer;
 use axum::Router;
-use axum::http::header::CONTENT_TYPE;
+use axum::http::HeaderValue;
+use axum::http::header::{CONNECTION, CONTENT_TYPE};
 use hyper::Request;
 use hyper::body::Incoming;
 use hyper::server::conn::http1;
@@ -21,7 +26,7 @@ use hyper_util::rt::{TokioIo, TokioTimer};
 use std::collections::HashMap;
 use std::pin::pin;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 use tokio::sync::{mpsc, watch};
 use tokio::task::{AbortHandle, Id, JoinSet};
@@ -92,32 +97,44 @@ impl Server {
     }
 
     fn take(&mut self, accepted: Accepted, closing: &watch::Receiver<bool>) {
-        let full = self.clients_now().count() + self.counts.silent() >= self.bounds.clients;
+        let Accepted { stream, head, peer, first, estop, place } = accepted;
+        let full = self.clients_now().count() >= self.bounds.clients;
         // A network client displaces network clients alone.
-        let is_network = accepted.stream.is_network();
+        let is_network = stream.is_network();
         let of_network = self.clients_now().filter(|activity| activity.is_network).count();
         let full = full || is_network && of_network >= self.bounds.network;
-        if full && !self.evict(is_network) && accepted.estop.is_none() {
+        let is_beyond = full && !self.evict(is_network, first.is_known);
+        let (estops, gate) = (&self.engine.estops, &self.engine.gate);
+        let mut orders = Orders::new(Arc::clone(estops), Arc::clone(gate), peer, estop);
+        if is_beyond && first.kind == Kind::Other {
             self.counts.refused.fetch_add(1, Ordering::Relaxed);
-            refuse(&accepted.stream, &response(&too_many_clients(self.bounds.clients)));
+            orders.take(&head);
+            refuse(&stream, &response(&too_many_clients(self.bounds.clients)), &mut orders);
             return;
         }
-        let Accepted { stream, head, peer, estop, place } = accepted;
         self.engine.names.users.look_up(peer.uid);
-        let Ok((connection, activity)) = Connection::new(stream, head) else { return };
+        let Ok((connection, ahead, activity)) = Connection::new(stream, &head, orders, first.is_known) else {
+            return;
+        };
         let (router, closing, watched) = (self.router.clone(), closing.clone(), Arc::clone(&activity));
         let handle = self.clients.spawn(async move {
-            serve_client(connection, watched, peer, estop, router, closing).await;
+            serve_client(connection, ahead, watched, peer, is_beyond, router, closing).await;
             drop(place);
         });
         self.tasks.insert(handle.id(), (handle, activity));
     }
 
-    /// Ends the connection that has been idle or unread longest, with `network_only` among network clients; returns whether there was one.
-    fn evict(&mut self, network_only: bool) -> bool {
+    /// Ends the connection of a client that the gate does not know, if the new one is known; else the one for which the server has waited
+    /// longest, with `network_only` among network clients. Returns whether there was one.
+    fn evict(&mut self, network_only: bool, for_known: bool) -> bool {
         let clients = self.clients_now().filter(|activity| activity.is_network || !network_only);
-        let lazy = clients.filter_map(|activity| Some((activity.lazy_for(IDLE)?, activity)));
-        let Some((_, laziest)) = lazy.max_by_key(|(still, _)| *still) else { return false };
+        let rank = |activity: &Activity| {
+            let is_stranger = for_known && !activity.is_known.load(Ordering::Relaxed);
+            let waited = activity.lazy_for(IDLE);
+            (is_stranger || waited.is_some()).then_some((is_stranger, waited))
+        };
+        let lazy = clients.filter_map(|activity| Some((rank(activity)?, activity)));
+        let Some((_, laziest)) = lazy.max_by_key(|(rank, _)| *rank) else { return false };
         laziest.evict();
         self.counts.evicted.fetch_add(1, Ordering::Relaxed);
         true
@@ -168,34 +185,39 @@ impl Server {
     }
 }
 
+/// Serves a client until its connection ends; one beyond the places until its first answer.
 async fn serve_client(
     connection: Connection,
+    mut ahead: ReadAhead,
     activity: Arc<Activity>,
     peer: Peer,
-    estop: Option<u64>,
+    is_beyond: bool,
     router: Router,
     mut closing: watch::Receiver<bool>,
 ) {
-    // Numbers begin at 1.
-    let ordered = AtomicU64::new(estop.unwrap_or(0));
+    let next_request = ahead.next_request();
     let service = service_fn(move |mut request: Request<Incoming>| {
         let (router, activity) = (router.clone(), Arc::clone(&activity));
         activity.busy.store(true, Ordering::Relaxed);
         request.extensions_mut().insert(peer);
         request.extensions_mut().insert(Arc::clone(&activity));
-        let number = ordered.swap(0, Ordering::Relaxed);
-        if number > 0 {
+        if let Some(number) = next_request() {
             request.extensions_mut().insert(Ordered(number));
         }
         async move {
             // A client that sends one request after the other waits for its turn.
             tokio::task::yield_now().await;
-            let response = router.oneshot(request).await;
+            let mut response = router.oneshot(request).await;
             let streams = |response: &axum::response::Response| {
                 response.headers().get(CONTENT_TYPE).is_some_and(|kind| kind == "text/event-stream")
             };
             activity.streaming.store(response.as_ref().is_ok_and(streams), Ordering::Relaxed);
             activity.busy.store(false, Ordering::Relaxed);
+            if let Ok(response) = &mut response
+                && is_beyond
+            {
+                response.headers_mut().insert(CONNECTION, HeaderValue::from_static("close"));
+            }
             response
         }
     });
@@ -204,6 +226,8 @@ async fn serve_client(
     http.half_close(true).max_buf_size(BUFFER).timer(TokioTimer::new()).header_read_timeout(KEPT_IDLE);
     let mut connection = pin!(http.serve_connection(TokioIo::new(connection), service).with_upgrades());
     let ended = tokio::select! {
+        biased;
+        () = ahead.late_head() => return,
         ended = connection.as_mut() => ended,
         () = closed(&mut closing) => {
             connection.as_mut().graceful_shutdown();
@@ -225,23 +249,38 @@ async fn closed(closing: &mut watch::Receiver<bool>) {
 mod tests {
     use super::*;
     use crate::daemon::stream::Stream;
+    use meissner_stream::Settings;
+    use meissner_stream::queues::queues;
     use tokio::io::{AsyncReadExt, AsyncWriteExt};
+
+    /// A client, and the work that serves it.
+    fn served(
+        router: Router,
+        closing: watch::Receiver<bool>,
+    ) -> (tokio::net::UnixStream, impl Future<Output = ()> + Send) {
+        let (client, stream) = std::os::unix::net::UnixStream::pair().unwrap();
+        for end in [&client, &stream] {
+            end.set_nonblocking(true).unwrap();
+        }
+        let (_port, commands, _events) = queues().unwrap();
+        let engine = Engine::new(commands, Settings::default(), "mock".to_owned(), None);
+        let peer = Peer::local(1, 0);
+        let orders = Orders::new(Arc::clone(&engine.estops), Arc::clone(&engine.gate), peer, None);
+        let (connection, ahead, activity) =
+            Connection::new(Stream::unix(stream.into()), b"", orders, true).unwrap();
+        let serving = serve_client(connection, ahead, activity, peer, false, router, closing);
+        (tokio::net::UnixStream::from_std(client).unwrap(), serving)
+    }
 
     /// In virtual time.
     #[test]
     fn an_idle_client_is_kept_for_ten_minutes() {
         crate::daemon::runtime().unwrap().block_on(async {
             tokio::time::pause();
-            let (client, stream) = std::os::unix::net::UnixStream::pair().unwrap();
-            for end in [&client, &stream] {
-                end.set_nonblocking(true).unwrap();
-            }
-            let mut client = tokio::net::UnixStream::from_std(client).unwrap();
-            let (connection, activity) = Connection::new(Stream::unix(stream.into()), Vec::new()).unwrap();
             let (_close, closing) = watch::channel(false);
             let router = Router::new().route("/", axum::routing::get(async || "answer"));
-            let peer = Peer::local(1, 0);
-            tokio::spawn(serve_client(connection, activity, peer, None, router, closing));
+            let (mut client, serving) = served(router, closing);
+            tokio::spawn(serving);
             let mut text = Vec::new();
             // The second request ends another break.
             for breaks in 1..3 {
@@ -258,6 +297,54 @@ mod tests {
                     assert!(begun.elapsed().abs_diff(KEPT_IDLE) < Duration::from_secs(1));
                 }
             }
+        });
+    }
+
+    /// In virtual time.
+    #[test]
+    fn a_later_head_has_five_seconds_from_its_first_byte_on() {
+        crate::daemon::runtime().unwrap().block_on(async {
+            tokio::time::pause();
+            let (_close, closing) = watch::channel(false);
+            let sleepy = async || tokio::time::sleep(Duration::from_secs(20)).await;
+            let router = Router::new()
+                .route("/", axum::routing::get(async || "answer"))
+                .route("/sleepy", axum::routing::get(sleepy));
+            let (mut client, serving) = served(router, closing);
+            tokio::spawn(serving);
+            let mut text = Vec::new();
+            client.write_all(b"GET / HTTP/1.1\r\nhost: x\r\n\r\n").await.unwrap();
+            while !text.ends_with(b"answer") {
+                client.read_buf(&mut text).await.unwrap();
+            }
+            tokio::time::sleep(Duration::from_secs(100)).await;
+            // Part of a head waits behind a request that takes long, and has its time after the answer all the same.
+            client.write_all(b"GET /sleepy HTTP/1.1\r\nhost: x\r\n\r\nGET / HT").await.unwrap();
+            text.clear();
+            while !text.windows(8).any(|bytes| bytes == b"HTTP/1.1") {
+                client.read_buf(&mut text).await.unwrap();
+            }
+            assert!(text.starts_with(b"HTTP/1.1 200"), "the request before is answered");
+            client.write_all(b"TP/1.1\r\nhost: x\r\n\r\n").await.unwrap();
+            while !text.ends_with(b"answer") {
+                client.read_buf(&mut text).await.unwrap();
+            }
+            text.clear();
+            let begun = tokio::time::Instant::now();
+            let slow = async {
+                for byte in b"GET / HTTP/1.1\r\nhost: x\r\nx: y".iter().cycle() {
+                    // The connection ends meanwhile.
+                    let _ = client.write_all(&[*byte]).await;
+                    if tokio::time::timeout(Duration::from_secs(2), client.read_buf(&mut text)).await.is_ok()
+                    {
+                        break;
+                    }
+                }
+            };
+            slow.await;
+            let late = begun.elapsed().abs_diff(crate::daemon::framing::HEAD);
+            assert!(late < Duration::from_secs(1), "{late:?}");
+            assert!(text.starts_with(b"HTTP/1.1 408"), "{}", String::from_utf8_lossy(&text));
         });
     }
 }

@@ -8,11 +8,12 @@
 use super::body;
 use super::engine::Engine;
 use super::http::{Answer, App, ErrorResponse, path};
+use super::patterns::json_response;
 use super::request_log::LoggedRequest;
 use super::right::{Answering, Right};
-use super::runtime::blocking;
+use super::runtime::{blocking, reading};
 use super::state::{Asker, Caller, NoRight, going_on, no_session};
-use crate::session_record::reader::{self, Sessions};
+use crate::session_record::reader::{self, RecordError, Sessions};
 use crate::session_record::{Peer, keeps_text};
 use crate::store::Store;
 use axum::Json;
@@ -23,12 +24,12 @@ use axum::http::{StatusCode, Uri};
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
 use meissner_api::{
-    Code, MAX_LISTED, Method, Problem, RecordedPlay, Route, Session, SessionList, SessionPlays,
-    SessionRequest, SessionStarted, parse_empty,
+    Code, MAX_LISTED, Method, Problem, RecordedPlay, Route, Session, SessionList, SessionRequest,
+    SessionStarted, parse_empty,
 };
 use meissner_stream::queues::Command;
 use std::collections::HashMap;
-use std::path::{Path as FilePath, PathBuf};
+use std::path::Path as FilePath;
 use std::sync::Arc;
 use std::time::Duration;
 use tracing::info;
@@ -138,13 +139,16 @@ pub(super) async fn end(
     logged.result(result)
 }
 
-/// What the record has of all sessions; none: nothing is recorded. Returns its directory, too, and whether the disk has taken the newest
-/// entries.
-async fn recorded(app: &App) -> Answer<Option<(PathBuf, Sessions, bool)>> {
+/// What `make` makes, on the reader's thread, of the record's directory, all recorded sessions and the running one, and of whether the disk
+/// has taken the newest entries. None: nothing is recorded.
+async fn recorded<T: Send + 'static>(
+    app: &App,
+    make: impl FnOnce(&FilePath, Sessions, bool) -> Result<T, RecordError> + Send + 'static,
+) -> Answer<Option<T>> {
     let running = app.engine.lock().session();
     let record = app.engine.session_record();
     let Some(dir) = record.dir() else { return Ok(None) };
-    let read = blocking(move || {
+    let read = move || {
         let written = record.wait_until_written(WRITTEN);
         let mut sessions = reader::sessions(&dir, &record.known(), running)?;
         if !written {
@@ -152,18 +156,21 @@ async fn recorded(app: &App) -> Answer<Option<(PathBuf, Sessions, bool)>> {
             sessions.problems.truncate(MAX_LISTED);
             sessions.unreadable += 1;
         }
-        Ok::<_, reader::RecordError>((dir, sessions, written))
-    });
-    Ok(Some(read.await??))
+        make(&dir, sessions, written)
+    };
+    Ok(Some(reading(read).await??))
 }
 
-pub(super) async fn list(State(app): State<App>) -> Answer<Json<SessionList>> {
+pub(super) async fn list(State(app): State<App>) -> Answer<Response> {
+    // Ten thousand sessions take milliseconds of the runtime's only thread.
+    let json = |list: &SessionList| serde_json::to_vec(list).unwrap_or_default();
     let running = app.engine.lock().session();
-    let Some((_, Sessions { recorded, unreadable, problems }, _)) = recorded(&app).await? else {
-        return Ok(Json(SessionList { sessions: running.into_iter().collect(), ..SessionList::default() }));
-    };
-    let sessions = recorded.into_iter().map(|recorded| recorded.session).collect();
-    Ok(Json(SessionList { sessions, unreadable, problems }))
+    let made = recorded(&app, move |_, Sessions { recorded, unreadable, problems }, _| {
+        let sessions = recorded.into_iter().map(|recorded| recorded.session).collect();
+        Ok(json(&SessionList { sessions, unreadable, problems }))
+    });
+    let unrecorded = || json(&SessionList { sessions: running.into_iter().collect(), ..SessionList::default() });
+    Ok(json_response(made.await?.unwrap_or_else(unrecorded).into()))
 }
 
 pub(super) async fn show(
@@ -175,9 +182,12 @@ pub(super) async fn show(
     if let Some(running) = running.filter(|running| id == running.id || id == "running") {
         return Ok(Json(running));
     }
-    let Json(list) = list(State(app)).await?;
-    let found = list.sessions.into_iter().find(|session| session.id == id);
-    Ok(Json(found.ok_or_else(|| not_recorded(&id))?))
+    let asked = id.clone();
+    let found = recorded(&app, move |_, sessions, _| {
+        Ok(sessions.recorded.into_iter().find(|recorded| recorded.session.id == asked))
+    });
+    let found = found.await?.flatten().ok_or_else(|| not_recorded(&id))?;
+    Ok(Json(found.session))
 }
 
 fn not_recorded(id: &str) -> Problem {
@@ -192,26 +202,27 @@ pub(super) async fn plays(
     State(app): State<App>,
     uri: Uri,
     id: Result<Path<String>, PathRejection>,
-) -> Answer<Json<SessionPlays>> {
+) -> Answer<Response> {
     let (from, id) = (from(uri.query())?, path(id)?);
     let running = app.engine.lock().session().filter(|_| id == "running");
     let id = running.map_or(id, |running| running.id);
-    let Some((dir, sessions, written)) = recorded(&app).await? else {
+    let (asked, store) = (id.clone(), app.store.get());
+    let json = recorded(&app, move |dir, sessions, written| {
+        let found = sessions.recorded.into_iter().find(|recorded| recorded.session.id == asked);
+        let Some(found) = found else { return Ok(None) };
+        let mut plays = reader::plays(dir, found, from)?;
+        if !written {
+            plays.lack(slow_disk());
+        }
+        mark_kept(&mut plays.plays, &store, dir);
+        Ok(Some(serde_json::to_vec(&plays).unwrap_or_default()))
+    });
+    let Some(json) = json.await? else {
         let detail =
             "this daemon keeps no session record: start it without --no-record, and see `logbook_days`";
         return Err(Problem::new(Code::NotFound, detail).into());
     };
-    let found = sessions.recorded.into_iter().find(|recorded| recorded.session.id == id);
-    let (found, store) = (found.ok_or_else(|| not_recorded(&id))?, app.store.get());
-    let plays = blocking(move || {
-        let mut plays = reader::plays(&dir, found, from)?;
-        if !written {
-            plays.lack(slow_disk());
-        }
-        mark_kept(&mut plays.plays, &store, &dir);
-        Ok::<_, reader::RecordError>(plays)
-    });
-    Ok(Json(plays.await??))
+    Ok(json_response(json.ok_or_else(|| not_recorded(&id))?.into()))
 }
 
 /// What the disk has not taken yet cannot be read.
@@ -244,8 +255,8 @@ fn from(query: Option<&str>) -> Result<usize, Problem> {
     })
 }
 
-impl From<reader::RecordError> for ErrorResponse {
-    fn from(error: reader::RecordError) -> Self {
+impl From<RecordError> for ErrorResponse {
+    fn from(error: RecordError) -> Self {
         Self(Problem::new(Code::Store, error.to_string()))
     }
 }

@@ -2,9 +2,9 @@
 
 use super::body;
 use super::http::{Answer, App, ErrorResponse, path};
-use super::patterns::{PATTERNS, import_place, replaces};
+use super::patterns::replaces;
 use super::request_log::LoggedRequest;
-use super::runtime::blocking;
+use super::runtime::{OTHERS, blocking};
 use crate::session_record::Peer;
 use crate::store::TargetStoreError;
 use axum::Json;
@@ -34,7 +34,7 @@ impl From<TargetStoreError> for ErrorResponse {
 }
 
 pub(super) async fn list(State(app): State<App>) -> Answer<Response> {
-    let _place = PATTERNS.acquire().await;
+    let _place = OTHERS.patterns.acquire().await;
     let list = blocking(move || serde_json::to_vec(&app.store.get().targets()).unwrap_or_default()).await?;
     Ok(([(CONTENT_TYPE, "application/json")], list).into_response())
 }
@@ -43,7 +43,7 @@ pub(super) async fn show(
     State(app): State<App>,
     name: Result<Path<String>, PathRejection>,
 ) -> Answer<Json<TargetDetails>> {
-    let _place = PATTERNS.acquire().await;
+    let _place = OTHERS.patterns.acquire().await;
     let name = path(name)?;
     Ok(Json(blocking(move || app.store.get().target(&name).map(|stored| stored.details())).await??))
 }
@@ -62,8 +62,8 @@ pub(super) async fn store(
         logged.set_title(format!("storing of the target {shown:?}"));
         let replace = replaces(&uri)?;
         logged.set_arguments(&json!({"name": shown, "replace": replace}));
-        let _place = import_place().await?;
-        let text = String::from_utf8(body::read(body, MAX_BYTES).await?)
+        let (text, _place) = body::read_file(body, MAX_BYTES).await?;
+        let text = String::from_utf8(text)
             .map_err(|_| Problem::new(Code::BadTarget, "not UTF-8 text: write targets as TOML in UTF-8"))?;
         app.engine.lock().check_asker()?;
         let put = move || app.store.get().put_target(&name, &text, replace);
@@ -92,7 +92,7 @@ pub(super) async fn remove(
         let shown: String = name.chars().take(100).collect();
         logged.set_title(format!("removal of the target {shown:?}"));
         logged.set_arguments(&json!({"name": shown}));
-        let _place = import_place().await?;
+        let _place = body::file_place().await?;
         app.engine.lock().check_asker()?;
         let asked = name.clone();
         let sha256 = blocking(move || app.store.get().remove_target(&asked)).await??;

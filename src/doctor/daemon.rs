@@ -1,8 +1,8 @@
 //! Checks a daemon by its status: its version, its real-time rights, its session record, and who can reach it.
 
-use super::rights::{self, Limits};
+use super::rights::{self, Limits, SLOW_ESTOP};
 use super::service::Units;
-use meissner_api::{Finding, NetworkStatus, Status};
+use meissner_api::{Finding, NetworkStatus, Realtime, Status};
 use std::net::SocketAddr;
 use std::path::Path;
 
@@ -14,6 +14,7 @@ pub(crate) fn findings(root: &Path, status: &Status, units: &Units) -> Vec<Findi
     let advice = "restart the daemon: this program has another version";
     let mut findings = vec![Finding::check("daemon", same, found, advice)];
     findings.extend(rights::of_daemon(status.realtime, Limits::of(root, status.pid), units.runs(status.pid)));
+    findings.extend(estop(status.realtime));
     if let Some(problem) = &status.logbook_problem {
         let advice =
             "free space there, or let the daemon write there: see deploy/README.md, \"Configuration\"";
@@ -25,6 +26,13 @@ pub(crate) fn findings(root: &Path, status: &Status, units: &Units) -> Vec<Findi
     }
     findings.push(network(status.network.as_ref()));
     findings
+}
+
+/// Says that an emergency stop may be late, if the daemon has no real-time rights.
+fn estop(realtime: Option<Realtime>) -> Option<Finding> {
+    let advice =
+        "give the daemon SCHED_FIFO, as \"daemon rights\" says, and keep the supply switch within reach";
+    realtime.is_some_and(|has| !has.fifo).then(|| Finding::warn("emergency stop", SLOW_ESTOP, advice))
 }
 
 /// Who can reach the daemon.
@@ -66,6 +74,17 @@ fn network(status: Option<&NetworkStatus>) -> Finding {
 mod tests {
     use super::*;
     use crate::doctor::fake;
+
+    #[test]
+    fn the_doctor_says_how_late_an_emergency_stop_may_be_without_real_time_rights() {
+        let of = |fifo| estop(Some(Realtime { fifo, mlock: true }));
+        assert_eq!((of(true), estop(None)), (None, None));
+        let line = fake::line(&of(false).unwrap());
+        assert!(
+            line.starts_with("Warn emergency stop: without SCHED_FIFO") && line.contains("1 s"),
+            "{line}"
+        );
+    }
 
     #[test]
     fn the_doctor_says_who_can_reach_the_daemon() {

@@ -611,7 +611,7 @@ impl Route {
                 description: "The daemon reads the session record, the oldest first: at most the newest 10000. Lines that it cannot \
                               read are counted and named.",
                 answer: Answer::Json("SessionList"),
-                errors: &[&[Code::Store], ANY],
+                errors: &[&[Code::Store, Code::Busy], ANY],
                 ..Operation::get("/v1/sessions")
             },
             Self::SessionShow => Operation {
@@ -619,7 +619,7 @@ impl Route {
                 description: "The running one from memory, and ended ones from the session record.",
                 parameter: Some("The session's id, or `running`"),
                 answer: Answer::Json("Session"),
-                errors: &[&[Code::BadRequest, Code::NotFound, Code::Store], ANY],
+                errors: &[&[Code::BadRequest, Code::NotFound, Code::Store, Code::Busy], ANY],
                 ..Operation::get("/v1/sessions/{id}")
             },
             Self::SessionPlays => Operation {
@@ -632,7 +632,7 @@ impl Route {
                     about: "How many plays to leave out; without it none",
                 }),
                 answer: Answer::Json("SessionPlays"),
-                errors: &[&[Code::BadRequest, Code::NotFound, Code::Store], ANY],
+                errors: &[&[Code::BadRequest, Code::NotFound, Code::Store, Code::Busy], ANY],
                 ..Operation::get("/v1/sessions/{id}/plays")
             },
             Self::SessionEnd => Operation {

@@ -18,11 +18,12 @@ pub(in crate::daemon) struct Bounds {
     pub(in crate::daemon) waiting: usize,
     /// How many of these network clients may be.
     pub(in crate::daemon) waiting_network: usize,
-    /// Connections to the socket whose first line is not complete; the newest ones displace the oldest.
+    /// Connections to the socket whose first head is not complete; the newest ones displace the oldest.
     pub(super) silent: usize,
-    /// Connections of network clients whose first line, or an emergency stop's headers, are not complete.
+    /// Connections of network clients of which the same is true.
     pub(super) silent_network: usize,
-    /// Emergency stops at the same time on each socket, and clients for which the server makes room.
+    /// Emergency stops at the same time on their socket, clients for which the server makes room, and places beyond these for prompt
+    /// commands and emergency stops: each has half of them.
     pub(in crate::daemon) estops: usize,
 }
 

@@ -1,20 +1,21 @@
 //! The acceptor: a real-time thread that accepts every connection, reads its first bytes, and orders emergency stops itself.
 //!
-//! It hands the connections to the server ([`Handover`]). An emergency stop needs two threads, this one and the streamer. It does not
+//! It hands a connection to the server ([`Handover`]) when the head of its first request is complete. An emergency stop needs two threads, this one and the streamer. It does not
 //! wait for the runtime, the engine's lock, the log or the disk. It arrives in two ways:
 //! - any byte on the socket for emergency stops; the answer is one line, then the connection is closed;
-//! - `POST /v1/estop` as the first request of a connection to the API's socket. The server answers it. (A later request of a connection
-//!   goes through the server alone.) Over the network the [`Gate`] must let it through.
+//! - `POST /v1/estop` as the first request of a connection to the API's socket. The server answers it. (Later requests of
+//!   a connection go through [`Orders`], on the runtime's thread.) Over the network the [`Gate`] must let it through.
 //!
 //! The thread orders an emergency stop that has arrived, also if its client is gone.
 //!
-//! Bounds: [`Bounds`], and half of a processor for clients of the API ([`Window`]). A connection that has sent nothing is closed
-//! after [`SILENT`], or earlier if others need its place. A client for which the server has no place gets an error.
+//! Bounds: [`Bounds`], and half of a processor for clients of the API ([`Window`]). A connection whose head is slow, or that sends nothing,
+//! is closed ([`Silent::due`]), or earlier if others need its place. A client for which the server has no place gets an error. Clients
+//! that the gate does not know, other clients, prompt commands and emergency stops each reach places that those before them cannot
+//! take ([`Work::further`]).
 //!
 //! Invariant: the thread waits for nothing but its descriptors.
 
 mod bounds;
-mod head;
 mod listeners;
 mod refusal;
 mod waiting;
@@ -25,7 +26,10 @@ pub(super) use listeners::Sockets;
 pub(super) use refusal::{malformed, refuse, response};
 
 use super::estop::{EStops, Origin};
+use super::first_request::{First, Kind};
+use super::framing::HEAD;
 use super::network::Gate;
+use super::orders::Orders;
 use super::stream::Stream;
 use crate::session_record::Peer;
 use listeners::{accept, accept_tcp, spare_descriptor};
@@ -36,7 +40,7 @@ use rustix::fd::{AsFd, OwnedFd};
 use rustix::io::Errno;
 use rustix::net::listen;
 use std::collections::VecDeque;
-use std::io;
+use std::io::{self, Write as _};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
 use std::task::Poll;
@@ -46,10 +50,10 @@ use tokio::sync::{mpsc, oneshot};
 use waiting::{Silent, Stopping};
 use window::Window;
 
-/// How long a client may take to send the first line of its request.
-const SILENT: Duration = Duration::from_secs(30);
 /// How long a client without a request keeps its place when others need it.
 pub(super) const IDLE: Duration = Duration::from_secs(5);
+/// The niceness that the thread asks for if it gets no real-time priority.
+const NICE: i32 = -10;
 /// How long an emergency stop may take: its byte, and its answer.
 const STOPPING: Duration = Duration::from_secs(5);
 /// The answer to an emergency stop when no place is free.
@@ -67,7 +71,9 @@ pub(super) struct Accepted {
     /// The first bytes of its request.
     pub(super) head: Vec<u8>,
     pub(super) peer: Peer,
-    /// Its first request is this emergency stop, which was ordered.
+    /// Its first request.
+    pub(super) first: First,
+    /// The number of the emergency stop that this is, which was ordered.
     pub(super) estop: Option<u64>,
     /// Its place, freed when this is dropped.
     pub(super) place: Place,
@@ -91,19 +97,10 @@ pub(super) struct Counts {
     served: AtomicUsize,
     /// Those among them that came over the network.
     network: AtomicUsize,
-    /// Connections to the socket that have sent no request.
-    silent: AtomicUsize,
     /// Clients that got an error because too many were connected.
     pub(super) refused: AtomicU64,
     /// Clients that were disconnected because others needed their places.
     pub(super) evicted: AtomicU64,
-}
-
-impl Counts {
-    /// Connections to the socket that have sent no request.
-    pub(super) fn silent(&self) -> usize {
-        self.silent.load(Ordering::Relaxed)
-    }
 }
 
 /// A place among the connections that the server has.
@@ -164,9 +161,9 @@ impl Acceptor {
                 response(&too_many_clients(bounds.clients)),
                 response(&Problem::new(Code::TooManyClients, ORDERED)),
             ],
+            late: response(&late_head()),
             window: Window::new(),
             silent: [bounds.silent, bounds.silent_network].map(|most| VecDeque::with_capacity(most + 1)),
-            crowded: false,
             stopping: VecDeque::with_capacity(bounds.estops + 1),
         };
         let stopped = Arc::clone(&stop);
@@ -209,19 +206,22 @@ struct Work {
     sender: mpsc::Sender<Handover>,
     /// The answers to a client, and to an emergency stop, for which there is no place.
     refusals: [Vec<u8>; 2],
+    /// The answer to a client whose head is slow.
+    late: Vec<u8>,
     window: Window,
     /// Of each [`Side`], oldest first.
     silent: [VecDeque<Silent>; 2],
-    /// A client was handed over although others wait for places.
-    crowded: bool,
     /// Oldest first.
     stopping: VecDeque<Stopping>,
 }
 
 impl Work {
     fn run(mut self, stop: &OwnedFd) {
-        // Without real-time rights an emergency stop competes with other programs: `meissner doctor` names the right.
-        let _ = priority::fifo(priority::BELOW_STREAMER);
+        // Without real-time rights an emergency stop competes with other programs: `meissner doctor` names the right. A lower nice value
+        // helps where the system allows that alone.
+        if !priority::fifo(priority::BELOW_STREAMER) {
+            let _ = rustix::process::nice(NICE);
+        }
         self.gate.tokens.prepare_thread();
         loop {
             let ready = self.wait(stop);
@@ -244,11 +244,9 @@ impl Work {
                 if ready.tcp {
                     self.accept_network();
                 }
-                self.make_room();
                 self.window.used += begun.elapsed();
             }
             self.close_late(Instant::now());
-            self.count_silent();
         }
     }
 
@@ -296,7 +294,7 @@ impl Work {
 
     /// When the oldest connection has taken too long.
     fn due(&self) -> Option<Instant> {
-        let silent = self.silent.iter().filter_map(|side| side.front()).map(|it| it.since + SILENT).min();
+        let silent = self.silent.iter().flatten().map(Silent::due).min();
         let stopping = self.stopping.front().map(|it| it.since + STOPPING);
         silent.into_iter().chain(stopping).min()
     }
@@ -360,7 +358,7 @@ impl Work {
             self.evict_oldest(side);
         }
         let (peer, head, since) = (stream.peer(), heapless::Vec::new(), Instant::now());
-        self.silent(side).push_back(Silent { stream, peer, head, since, ready: false });
+        self.silent(side).push_back(Silent { stream, peer, head, since, begun: None, ready: false });
         let newest = self.silent(side).len() - 1;
         self.read_silent(side, newest);
     }
@@ -388,46 +386,43 @@ impl Work {
         if read.is_pending() {
             return false;
         }
-        if let (Some(silent), Poll::Ready(Ok(is_estop))) = (self.silent(side).remove(at), read) {
-            self.hand_over(silent, is_estop);
+        if let (Some(silent), Poll::Ready(Ok(first))) = (self.silent(side).remove(at), read) {
+            self.hand_over(silent, first);
         }
         true
     }
 
     /// Orders an emergency stop, then passes the connection to the server.
-    fn hand_over(&mut self, silent: Silent, is_estop: bool) {
+    fn hand_over(&mut self, silent: Silent, first: First) {
         let Silent { stream, head, peer, .. } = silent;
         let is_network = stream.is_network();
-        let estop = is_estop.then(|| self.estops.request(Origin::of(peer)));
-        self.count_silent();
+        let estop = (first.kind == Kind::EStop).then(|| self.estops.request(Origin::of(peer)));
+        let further = self.further(first);
         let Self { bounds, counts, .. } = self;
         let served = counts.served.load(Ordering::Relaxed);
-        // The server disconnects idle clients for some of those beyond the bound. Emergency stops have further places.
-        let further = if is_estop { 2 * bounds.estops } else { bounds.estops };
         let network_full = is_network && counts.network.load(Ordering::Relaxed) >= bounds.network + further;
         if served >= bounds.clients + further || network_full {
-            return self.refuse(&stream, is_estop);
+            return self.refuse(&stream, &head, peer, estop);
         }
-        self.crowded |= served + counts.silent() >= bounds.clients;
         let place = Place::new(&self.counts, is_network);
-        let accepted = Accepted { stream, head: head.to_vec(), peer, estop, place };
+        let accepted = Accepted { stream, head: head.to_vec(), peer, first, estop, place };
         if let Err(back) = self.sender.try_send(Handover::Client(accepted))
             && let Handover::Client(Accepted { stream, .. }) = back.into_inner()
         {
-            self.refuse(&stream, is_estop);
+            self.refuse(&stream, &head, peer, estop);
         }
     }
 
-    /// After a client has needed a place: drops the oldest connection of the socket if it has long been silent.
-    fn make_room(&mut self) {
-        let is_idle = |it: &Silent| it.since.elapsed() >= IDLE;
-        if std::mem::take(&mut self.crowded) && self.silent(Side::Socket).front().is_some_and(is_idle) {
-            self.evict_oldest(Side::Socket);
+    /// How many connections beyond the usual places there may be when this one comes. The server disconnects idle clients for them,
+    /// or ends them after their first request.
+    const fn further(&self, First { kind, is_known }: First) -> usize {
+        let Bounds { estops, .. } = self.bounds;
+        match kind {
+            Kind::Other if is_known => estops,
+            Kind::Other => 0,
+            Kind::Prompt => estops + estops / 2,
+            Kind::EStop => 2 * estops,
         }
-    }
-
-    fn count_silent(&self) {
-        self.counts.silent.store(self.silent[Side::Socket as usize].len(), Ordering::Relaxed);
     }
 
     /// The connection that was accepted, if there is one. Without a descriptor for it, makes room for the next round.
@@ -448,19 +443,29 @@ impl Work {
     fn evict_oldest(&mut self, side: Side) {
         if !self.read_silent(side, 0) && self.silent(side).pop_front().is_some() {
             self.counts.evicted.fetch_add(1, Ordering::Relaxed);
-            self.count_silent();
         }
     }
 
-    fn refuse(&self, stream: &Stream, is_estop: bool) {
+    /// Refuses a client, but for the emergency stops that it has sent.
+    fn refuse(&self, stream: &Stream, head: &[u8], peer: Peer, estop: Option<u64>) {
         self.counts.refused.fetch_add(1, Ordering::Relaxed);
-        refuse(stream, &self.refusals[usize::from(is_estop)]);
+        let mut orders = Orders::new(Arc::clone(&self.estops), Arc::clone(&self.gate), peer, estop);
+        orders.take(head);
+        refuse(stream, &self.refusals[usize::from(estop.is_some())], &mut orders);
     }
 
     fn close_late(&mut self, now: Instant) {
         for side in Side::ALL {
-            while self.silent(side).front().is_some_and(|it| now >= it.since + SILENT) {
-                self.evict_oldest(side);
+            while let Some(at) = self.silent(side).iter().position(|it| now >= it.due()) {
+                // The rest may have come by now.
+                if !self.read_silent(side, at)
+                    && let Some(silent) = self.silent(side).remove(at)
+                {
+                    self.counts.evicted.fetch_add(1, Ordering::Relaxed);
+                    if silent.begun.is_some() {
+                        let _ = (&silent.stream).write(&self.late);
+                    }
+                }
             }
         }
         while self.stopping.front().is_some_and(|it| now >= it.since + STOPPING) {
@@ -482,6 +487,14 @@ struct Ready {
 pub(super) fn too_many_clients(most: usize) -> Problem {
     let detail = format!("{most} clients are connected already: close one, or try again in a moment");
     Problem::new(Code::TooManyClients, detail)
+}
+
+/// The error for a client whose head is slow.
+pub(super) fn late_head() -> Problem {
+    let seconds = HEAD.as_secs();
+    let detail =
+        format!("the request's line and headers did not arrive within {seconds} s: send them faster");
+    Problem::new(Code::Slow, detail)
 }
 
 #[cfg(test)]

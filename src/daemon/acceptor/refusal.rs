@@ -1,5 +1,6 @@
 //! Answers that need no HTTP server: an error as a complete HTTP response.
 
+use crate::daemon::orders::Orders;
 use crate::daemon::stream::Stream;
 use meissner_api::{Code, Problem, REFERENCE};
 use std::io::{Read, Write};
@@ -31,16 +32,18 @@ pub(in crate::daemon) fn malformed(status: u16) -> Option<Problem> {
     Some(Problem { status, ..Problem::new(code, format!("{what}: see {REFERENCE}")) })
 }
 
-/// Writes an error's [`response`] and drops what the client has sent: closed with unread bytes, the connection would lose the answer.
-pub(in crate::daemon) fn refuse(mut stream: &Stream, response: &[u8]) {
+/// Writes an error's [`response`] and drops what the client has sent, but for emergency stops, which count. Closed with unread bytes, the
+/// connection would lose the answer.
+pub(in crate::daemon) fn refuse(mut stream: &Stream, response: &[u8], orders: &mut Orders) {
     let mut drained = 0;
     let mut bytes = [0; 4096];
     while let Ok(len @ 1..) = stream.read(&mut bytes) {
+        orders.take(&bytes[..len]);
         drained += len;
         if drained >= MAX_DRAINED {
             break;
         }
     }
-    // The socket is new, so its buffer has room. The client may be gone.
+    // Without room for it the client has left earlier answers unread. It may be gone.
     let _ = stream.write_all(response);
 }

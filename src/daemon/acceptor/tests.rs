@@ -50,11 +50,17 @@ fn an_emergency_stop_needs_no_server_no_runtime_and_no_lock() {
         stream.write_all(format!("POST {target} HTTP/1.1\r\nhost: x\r\n\r\n").as_bytes()).unwrap();
         stream
     };
-    let mut stops: Vec<_> = (0..bounds.clients + bounds.estops + 5).map(|_| request("/v1/stop")).collect();
+    let mut stops: Vec<_> = (0..bounds.clients + bounds.estops + 5).map(|_| request("/v1/play")).collect();
     let mut refused = String::new();
     stops.pop().unwrap().read_to_string(&mut refused).unwrap();
     assert!(refused.starts_with("HTTP/1.1 503 ") && refused.contains("too-many-clients"), "{refused}");
     assert_eq!(counts.refused.load(Ordering::Relaxed), 5);
+    // Of a client that is refused the emergency stop behind its request counts.
+    let mut behind = UnixStream::connect(&socket).unwrap();
+    behind
+        .write_all(b"GET /v1/metrics HTTP/1.1\r\nhost: x\r\n\r\nPOST /v1/estop HTTP/1.1\r\nhost: x\r\n\r\n")
+        .unwrap();
+    answer(&mut port, Ok(()));
 
     let result = thread::scope(|scope| {
         let stopped = scope.spawn(|| estop(&socket));

@@ -1,7 +1,8 @@
-//! Connections that the acceptor reads: those that have not sent their first line, and those for emergency stops.
+//! Connections that the acceptor reads: those whose first request's head is not complete, and those for emergency stops.
 
-use super::head::{MAX_LINE, check, is_estop};
 use crate::daemon::estop::{EStops, Origin};
+use crate::daemon::first_request::{First, MAX_LINE, first};
+use crate::daemon::framing::HEAD;
 use crate::daemon::network::Gate;
 use crate::daemon::stream::Stream;
 use crate::receipts::refusal;
@@ -10,13 +11,15 @@ use meissner_api::Problem;
 use meissner_client::STOPPED;
 use std::io::{self, ErrorKind, Read, Write};
 use std::task::Poll;
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 /// The most bytes that are read of a request before it is handed over. A browser's headers fit; of a longer request the server decides
 /// whether it is an emergency stop.
 const MAX_HEAD: usize = 2048;
+/// How long a client may send nothing.
+const SILENT: Duration = Duration::from_secs(30);
 
-/// A connection to the API that waits for the rest of its first line, or of the headers of a network client's emergency stop.
+/// A connection to the API that waits for the rest of its first head. It takes no place of the server.
 #[derive(Debug)]
 pub(super) struct Silent {
     pub(super) stream: Stream,
@@ -24,14 +27,20 @@ pub(super) struct Silent {
     pub(super) peer: Peer,
     pub(super) head: heapless::Vec<u8, MAX_HEAD>,
     pub(super) since: Instant,
+    /// When its first byte was read.
+    pub(super) begun: Option<Instant>,
     /// It has sent something that is not read.
     pub(super) ready: bool,
 }
 
 impl Silent {
-    /// Reads what has come; ready when it is known whether the request is an emergency stop that may be ordered, or when the connection
-    /// has ended.
-    pub(super) fn read(&mut self, gate: &Gate) -> Poll<Result<bool, ()>> {
+    /// When the acceptor ends the connection.
+    pub(super) fn due(&self) -> Instant {
+        self.begun.map_or(self.since + SILENT, |begun| begun + HEAD)
+    }
+
+    /// Reads what has come; ready when it is known what the request is, or when the connection has ended.
+    pub(super) fn read(&mut self, gate: &Gate) -> Poll<Result<First, ()>> {
         let mut bytes = [0; MAX_LINE];
         loop {
             let free = MAX_LINE.min(MAX_HEAD - self.head.len());
@@ -42,15 +51,12 @@ impl Silent {
                 Err(error) if may_go_on(&error) => return Poll::Pending,
                 Err(_) => return Poll::Ready(Err(())),
             }
-            let is_estop = match (is_estop(&self.head), self.peer.network) {
-                (Some(true), Some(client)) => check(&self.head, client, gate),
-                (is_estop, _) => is_estop,
-            };
-            if let Some(is_estop) = is_estop {
-                return Poll::Ready(Ok(is_estop));
+            self.begun.get_or_insert_with(Instant::now);
+            if let Some(first) = first(&self.head, self.peer, gate) {
+                return Poll::Ready(Ok(first));
             }
             if self.head.is_full() {
-                return Poll::Ready(Ok(false));
+                return Poll::Ready(Ok(First::other(self.peer.network.is_none())));
             }
         }
     }

@@ -2,6 +2,7 @@
 
 use super::gate::{Checked, Gate, Refusal};
 use super::head::Head;
+use crate::daemon::activity::Activity;
 use crate::daemon::body::read_command;
 use crate::daemon::http::ErrorResponse;
 use crate::daemon::state::Caller;
@@ -13,6 +14,7 @@ use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
 use meissner_api::{Code, Problem, Route};
 use std::sync::Arc;
+use std::sync::atomic::Ordering;
 use std::time::Duration;
 
 const CROSS_ORIGIN_RESOURCE_POLICY: HeaderName = HeaderName::from_static("cross-origin-resource-policy");
@@ -42,6 +44,12 @@ pub(in crate::daemon) async fn layer(
     }
     let refusal = match checked {
         Ok(caller) => {
+            // A file of the page asks for no token.
+            if let Some(activity) = request.extensions().get::<Arc<Activity>>()
+                && request.uri().path().starts_with("/v1/")
+            {
+                activity.is_known.store(true, Ordering::Relaxed);
+            }
             request.extensions_mut().insert(caller.peer);
             request.extensions_mut().insert(caller);
             return with_headers(next.run(request).await);

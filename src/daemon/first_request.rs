@@ -1,0 +1,170 @@
+//! Recognises by the first bytes of a connection what its request is: an emergency stop, a command that has places of its own, or another.
+
+use super::framing::{MAX_HEADERS, Part, body_of};
+use super::network::{Gate, Head};
+use crate::session_record::{NetworkPeer, Peer};
+use httparse::{EMPTY_HEADER, Request, Status};
+
+/// Length of a request line that is looked at, at most, bytes, with empty lines before it. The API's addresses are shorter.
+pub(super) const MAX_LINE: usize = 512;
+/// Requests that have places of their own beside emergency stops: a flood of others must not keep them out. Each is answered at once.
+const PROMPT: [(&str, &str); 2] = [("POST", "/v1/stop"), ("POST", "/v1/disarm")];
+
+/// The first request of a connection.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct First {
+    pub(super) kind: Kind,
+    /// The gate lets it in, and it needed more than the page does.
+    pub(super) is_known: bool,
+}
+
+/// For which places a request counts. Each kind has places that those before it cannot take.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub(super) enum Kind {
+    Other,
+    /// A request of [`PROMPT`] that has come completely.
+    Prompt,
+    EStop,
+}
+
+impl First {
+    /// What the server decides about.
+    pub(super) const fn other(is_known: bool) -> Self {
+        Self { kind: Kind::Other, is_known }
+    }
+}
+
+/// The first request of this client, which begins with these bytes; `None` if more bytes are needed.
+pub(super) fn first(all: &[u8], peer: Peer, gate: &Gate) -> Option<First> {
+    if is_estop_request(all, peer, gate) == Some(true) {
+        return Some(First { kind: Kind::EStop, is_known: true });
+    }
+    let mut headers = [EMPTY_HEADER; MAX_HEADERS];
+    let mut request = Request::new(&mut headers);
+    let length = match request.parse(all) {
+        Ok(Status::Partial) => return None,
+        Ok(Status::Complete(length)) => length,
+        Err(_) => return Some(First::other(peer.network.is_none())),
+    };
+    let is_known = peer.network.is_none_or(|client| is_let_in(&request, client, gate));
+    let target = request.path.unwrap_or_default();
+    let target = target.split(['?', '#']).next().unwrap_or_default();
+    if !is_known || !PROMPT.contains(&(request.method.unwrap_or_default(), target)) {
+        return Some(First::other(is_known));
+    }
+    // A client that asks first sends its body when the server says so.
+    if request.headers.iter().any(|header| header.name.eq_ignore_ascii_case("expect")) {
+        return Some(First::other(is_known));
+    }
+    match body_of(&request) {
+        Some(Part::Head) => Some(First { kind: Kind::Prompt, is_known }),
+        // With its whole body it keeps nobody waiting.
+        Some(Part::Body(left)) if left > (all.len() - length) as u64 => None,
+        Some(Part::Body(_)) => Some(First { kind: Kind::Prompt, is_known }),
+        _ => Some(First::other(is_known)),
+    }
+}
+
+/// Whether the request that begins with these bytes is an emergency stop of a client that may order it; `None` if more bytes are needed.
+pub(super) fn is_estop_request(all: &[u8], peer: Peer, gate: &Gate) -> Option<bool> {
+    match (is_estop(all), peer.network) {
+        (Some(true), Some(client)) => check(all, client, gate),
+        (is_estop, _) => is_estop,
+    }
+}
+
+/// Whether the gate lets a request in that asks for more than a file of the page.
+fn is_let_in(request: &Request<'_, '_>, client: NetworkPeer, gate: &Gate) -> bool {
+    let path = request.path.unwrap_or_default();
+    path.starts_with("/v1/") && gate.check(Peer::network(client), &head(request)).is_ok()
+}
+
+fn head<'a>(request: &Request<'_, 'a>) -> Head<'a> {
+    let method = request.method.unwrap_or_default();
+    let mut head = Head { method, path: request.path.unwrap_or_default(), ..Head::default() };
+    for header in &*request.headers {
+        head.add(header.name, header.value);
+    }
+    head
+}
+
+/// Whether a request that begins with these bytes is an emergency stop; `None` if more bytes are needed.
+fn is_estop(all: &[u8]) -> Option<bool> {
+    is_post(all, b"/v1/estop")
+}
+
+/// Whether a request that begins with these bytes is a `POST` to this path; `None` if more bytes are needed.
+pub(super) fn is_post(all: &[u8], to: &[u8]) -> Option<bool> {
+    const METHOD: &[u8] = b"POST ";
+    // HTTP allows empty lines before a request.
+    let head = &all[all.iter().take_while(|byte| matches!(byte, b'\r' | b'\n')).count()..];
+    if all.len() >= MAX_LINE && head.len() < METHOD.len() {
+        return Some(false);
+    }
+    let Some(target) = head.strip_prefix(METHOD) else {
+        return (!METHOD.starts_with(head)).then_some(false);
+    };
+    match target.iter().position(|byte| matches!(byte, b' ' | b'?' | b'#' | b'\r' | b'\n')) {
+        Some(end) => Some(path(&target[..end]) == to),
+        None => (all.len() >= MAX_LINE).then_some(false),
+    }
+}
+
+/// Whether the gate lets a network client order the emergency stop that begins with these bytes; `None` if more bytes are needed. If it
+/// does not, the server checks the request again and answers it.
+fn check(all: &[u8], client: NetworkPeer, gate: &Gate) -> Option<bool> {
+    let mut headers = [EMPTY_HEADER; MAX_HEADERS];
+    let mut request = Request::new(&mut headers);
+    match request.parse(all) {
+        Ok(Status::Partial) => None,
+        // The server alone compares a host in the address with the `Host` header.
+        Ok(Status::Complete(_)) => Some(
+            request.path.is_some_and(|path| path.starts_with('/'))
+                && gate.check(Peer::network(client), &head(&request)).is_ok(),
+        ),
+        Err(_) => Some(false),
+    }
+}
+
+/// The path of a request's target, which may begin with a scheme and a host.
+fn path(target: &[u8]) -> &[u8] {
+    let Some(rest) = target.strip_prefix(b"http://") else { return target };
+    rest.iter().position(|&byte| byte == b'/').map_or(b"", |at| &rest[at..])
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_emergency_stop_is_recognised_as_soon_as_its_address_is_complete() {
+        for line in [
+            "POST /v1/estop HTTP/1.1\r\n",
+            "\r\nPOST /v1/estop?x HTTP/1.0\r\n",
+            "POST http://localhost/v1/estop HTTP/1.1\r\n",
+        ] {
+            let end = line.find("estop").unwrap() + "estop".len();
+            for len in 0..line.len() {
+                let expected = (len > end).then_some(true);
+                assert_eq!(is_estop(&line.as_bytes()[..len]), expected, "{:?}", &line[..len]);
+            }
+        }
+    }
+
+    #[test]
+    fn other_requests_are_none() {
+        for line in [
+            "GET /v1/estop HTTP/1.1\r\n",
+            "POST /v1/estopp HTTP/1.1\r\n",
+            "POST /v1/stop HTTP/1.1\r\n",
+            "POST http://localhost HTTP/1.1\r\n",
+            "PUT ",
+            "post /v1/estop ",
+            "\u{1}",
+        ] {
+            assert_eq!(is_estop(line.as_bytes()), Some(false), "{line:?}");
+        }
+        assert_eq!(is_estop(&[b'\n'; MAX_LINE]), Some(false), "empty lines without end");
+        assert_eq!(is_estop(&[b"POST /", "x".repeat(MAX_LINE).as_bytes()].concat()), Some(false));
+    }
+}
