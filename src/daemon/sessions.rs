@@ -169,7 +169,8 @@ pub(super) async fn list(State(app): State<App>) -> Answer<Response> {
         let sessions = recorded.into_iter().map(|recorded| recorded.session).collect();
         Ok(json(&SessionList { sessions, unreadable, problems }))
     });
-    let unrecorded = || json(&SessionList { sessions: running.into_iter().collect(), ..SessionList::default() });
+    let unrecorded =
+        || json(&SessionList { sessions: running.into_iter().collect(), ..SessionList::default() });
     Ok(json_response(made.await?.unwrap_or_else(unrecorded).into()))
 }
 
