@@ -34,7 +34,7 @@ fn read() -> Option<String> {
 
 /// The token, if there is one.
 pub(super) fn find() -> Option<String> {
-    let token = env::var(VARIABLE).ok().or_else(|| read())?;
+    let token = env::var(VARIABLE).ok().or_else(read)?;
     let token = token.trim();
     // The daemon makes tokens of hexadecimal digits; a header cannot hold anything.
     (!token.is_empty() && token.len() <= 64 && token.bytes().all(|b| b.is_ascii_alphanumeric()))
