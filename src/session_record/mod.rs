@@ -4,7 +4,7 @@
 //! daemon's start and end. Experiments read it later; the daemon never reads it. [`SessionRecord::add`] stamps an entry and queues
 //! it for a thread, which writes it, makes it durable [`SYNC_AFTER`] later, and sleeps while there is nothing to do. Entries that
 //! find no room are counted, in memory at once and in the next line. Entries are numbered: order and completeness never come from
-//! dates ([`numbers`]). The record is bounded in bytes per day ([`BYTES_PER_DAY`]): entries beyond are counted by client and command,
+//! dates (`numbers`). The record is bounded in bytes per day ([`BYTES_PER_DAY`]): entries beyond are counted by client and command,
 //! and entries about plays and the first e-stops are never among them.
 //!
 //! Invariants: nothing waits for the disk; every line of a file that was closed or opened again parses; lines of one daemon are in
