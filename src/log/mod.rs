@@ -4,7 +4,7 @@
 //! configuration; info, for the lab's notes; debug, for finding faults. `$RUST_LOG` chooses the level. Each message is complete
 //! without its fields, which are for searching.
 //!
-//! Lines of one kind are bounded in number, and what is left out is counted ([`rate`]): a client or a device cannot fill the disk. Errors
+//! Lines of one kind are bounded in number, and what is left out is counted (`rate`): a client or a device cannot fill the disk. Errors
 //! and lines with the field `always`, such as e-stops, are always written.
 //!
 //! Invariants: nothing waits for the log's reader; a line that cannot be written at once is lost. An emergency stop must work. Messages

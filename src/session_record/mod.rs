@@ -4,7 +4,7 @@
 //! daemon's start and end. Experiments read it later; the daemon never reads it. [`SessionRecord::add`] stamps an entry and queues
 //! it for a thread, which writes it, makes it durable [`SYNC_AFTER`] later, and sleeps while there is nothing to do. Entries that
 //! find no room are counted, in memory at once and in the next line. Entries are numbered: order and completeness never come from
-//! dates ([`numbers`]). The record is bounded in bytes per day ([`BYTES_PER_DAY`]): entries beyond are counted by client and command,
+//! dates (`numbers`). The record is bounded in bytes per day ([`BYTES_PER_DAY`]): entries beyond are counted by client and command,
 //! and entries about plays and the first e-stops are never among them.
 //!
 //! Invariants: nothing waits for the disk; every line of a file that was closed or opened again parses; lines of one daemon are in
@@ -52,7 +52,7 @@ pub const WAITING: usize = 1024;
 /// A message to the thread.
 #[derive(Debug)]
 enum Message {
-    Entry(Added),
+    Entry(Box<Added>),
     /// The entries up to this number found no room.
     Missed(u64, Counts),
     /// Write the following entries there.
@@ -187,14 +187,15 @@ impl Queue {
     fn send(&mut self, stamp: Stamp, entry: Entry) -> bool {
         let (number, tag, missed) = (self.number + 1, self.tag(&entry), self.missed.take());
         // The thread outlives the queue: an error means that it is full.
-        match self.messages.try_send(Message::Entry(Added { stamp, number, missed, tag, entry })) {
+        let added = Box::new(Added { stamp, number, missed, tag, entry });
+        match self.messages.try_send(Message::Entry(added)) {
             Ok(()) => {
                 self.number = number;
                 true
             }
             Err(error) => {
-                if let Message::Entry(Added { missed, .. }) = error.into_inner() {
-                    self.missed = missed;
+                if let Message::Entry(added) = error.into_inner() {
+                    self.missed = added.missed;
                 }
                 false
             }
@@ -424,7 +425,7 @@ fn write_all(
             Ok(Message::Missed(number, missed)) => writer.miss(number, missed),
             Ok(Message::Entry(mut added)) => {
                 added.entry.name_users(|uid| name(users, uid, &mut slow));
-                writer.write(added);
+                writer.write(*added);
             }
             Err(RecvTimeoutError::Timeout) => {}
             Err(RecvTimeoutError::Disconnected) => break,

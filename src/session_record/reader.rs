@@ -1,9 +1,9 @@
 //! Reads the session record: which sessions there were, their plays, and what of them is missing.
 //!
-//! [`sessions`] goes through all lines, in the order of their numbers ([`super::lines`]), and counts the ends of plays and the gaps of
+//! [`sessions`] goes through all lines, in the order of their numbers (`lines`), and counts the ends of plays and the gaps of
 //! each session. [`plays`] reads the rows of one. A line or file that cannot be read is counted and named, and reading goes on.
 //!
-//! Bounds: `MAX_SESSIONS`, and those of [`super::lines`].
+//! Bounds: `MAX_SESSIONS`, and those of `lines`.
 
 use super::ledger::Known;
 use super::lines::{self, Head, Seen, Source};
