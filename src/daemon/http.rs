@@ -379,12 +379,12 @@ async fn arm(State(app): State<App>, Extension(peer): Extension<Peer>, body: Bod
                 Some(name) => format!("arm, assuming rest, pins checked by {name:?},"),
                 None => "arm, assuming rest,".to_owned(),
             });
-            if request.checked.is_none() {
-                app.engine.check_level()?;
-            }
         }
-        let timeout = app.engine.seek_timeout();
-        carry_out(&app, Command::Arm { assume_rest: request.assume_rest }, timeout).await
+        let command = match (request.assume_rest, &request.checked) {
+            (true, None) => Command::ArmUnchecked,
+            (assume_rest, _) => Command::Arm { assume_rest },
+        };
+        carry_out(&app, command, app.engine.seek_timeout()).await
     }
     .await;
     logged.result(result)

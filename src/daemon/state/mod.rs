@@ -67,7 +67,7 @@ impl State {
         self.check_asker()?;
         self.commands.accepts(&command)?;
         self.forget_unanswered();
-        if matches!(command, Command::Arm { .. }) {
+        if matches!(command, Command::Arm { .. } | Command::ArmUnchecked) {
             self.connection.armed_once = true;
         }
         self.commands.send(command, play)
@@ -142,7 +142,7 @@ impl State {
     pub(super) fn settle_play(&mut self, id: u64, accepted: bool) -> Option<Event> {
         if !accepted {
             self.calibration.cancel(id);
-            self.exposure.forget(id);
+            self.forget_exposure(id);
             self.live.forget(id);
         }
         let event = self.plays.settle(id, accepted);
@@ -158,7 +158,7 @@ impl State {
     pub(super) fn forget_unanswered(&mut self) {
         for id in self.commands.forget_unanswered(HostInstant::now()) {
             self.calibration.cancel(id);
-            self.exposure.forget(id);
+            self.forget_exposure(id);
             self.live.forget(id);
             self.plays.forget(id);
         }
