@@ -142,7 +142,10 @@ fn a_restart_and_a_kill_keep_the_days_sum() {
         assert!(printed(daemon.meissner().arg("status")).contains("correct or remove it"));
         daemon.armed();
         let refused = complaint(daemon.meissner().args(["play", "pin-60", "--seconds", "0.1"]));
-        assert!(refused.contains("`exposure.json`: ") && refused.contains("correct or remove it"), "{refused}");
+        assert!(
+            refused.contains("`exposure.json`: ") && refused.contains("correct or remove it"),
+            "{refused}"
+        );
         assert!(daemon.end().success());
         assert_eq!(fs::read_to_string(&file).unwrap(), *bad, "it stays for who looks");
     }
@@ -177,7 +180,8 @@ fn plays_at_times_of_their_own_pass_no_limit_by() {
     let limits = client.get::<Status>("/v1/status").unwrap().participant.unwrap();
     assert!(limits.continuous_used_s < 0.5 && limits.day_used_s < 0.5, "{limits:?}");
     // A pause fits before this one.
-    let _: Value = client.post("/v1/play", &json!({"pattern": "edge-45", "seconds": 0.45, "at_ms": 31000})).unwrap();
+    let _: Value =
+        client.post("/v1/play", &json!({"pattern": "edge-45", "seconds": 0.45, "at_ms": 31000})).unwrap();
 }
 
 #[test]
@@ -187,7 +191,10 @@ fn a_calibration_keeps_to_the_limits() {
     for laser in [false, true] {
         let strong = json!({"motor": 3, "pulses": [14, 140], "repetitions": 1, "laser": laser});
         let refused = problem(client.post("/v1/calibrate", &strong));
-        assert!(refused.code == "participant-limit" && refused.detail.contains("max_amplitude_um"), "{refused:?}");
+        assert!(
+            refused.code == "participant-limit" && refused.detail.contains("max_amplitude_um"),
+            "{refused:?}"
+        );
     }
     // Two groups of ten strokes vibrate for more than a second.
     let long = json!({"motor": 3, "pulses": [14, 28], "repetitions": 1});
@@ -237,7 +244,8 @@ fn spaces_that_nobody_sees_make_no_other_participant() {
             printed(daemon.meissner().args(["play", "pin-60", "--seconds", "0.4", "--wait"]));
         }
         let id = session["id"].take();
-        let _: Value = client.post(&format!("/v1/sessions/{}/end", id.as_str().unwrap()), &json!({})).unwrap();
+        let _: Value =
+            client.post(&format!("/v1/sessions/{}/end", id.as_str().unwrap()), &json!({})).unwrap();
     }
 }
 

@@ -284,7 +284,9 @@ impl Daemon {
 /// Reads the file of the vibration's sums beside the session record; `None`: there is none.
 fn read_sums(dir: &Path) -> io::Result<Option<Vec<u8>>> {
     match read_regular(&dir.join(exposure::FILE), exposure::MAX_FILE) {
-        Err(error) if matches!(error.kind(), io::ErrorKind::NotFound | io::ErrorKind::NotADirectory) => Ok(None),
+        Err(error) if matches!(error.kind(), io::ErrorKind::NotFound | io::ErrorKind::NotADirectory) => {
+            Ok(None)
+        }
         read => read.map(Some),
     }
 }

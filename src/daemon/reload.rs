@@ -9,10 +9,10 @@
 
 use super::check::check;
 use super::engine::Engine;
-use super::{read_sums, restore};
 use super::error::{DaemonError, system};
 use super::patterns::SharedStore;
 use super::service::{Manager, Notification};
+use super::{read_sums, restore};
 use crate::config::{Config, Source};
 use crate::session_record::Note;
 use crossbeam_channel::{Sender, bounded};

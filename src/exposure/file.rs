@@ -6,7 +6,7 @@
 //! Invariant: a file that cannot be true is never taken for sums of 0; the account is then unknown until a good file is read.
 
 use super::rule::Stretch;
-use super::{Account, FILE, Live, Now, Onset, Sums, add, key, seconds};
+use super::{Account, FILE, Live, Now, Sums, add, key, seconds};
 use jiff::civil::Date;
 use jiff::{SignedDuration, Timestamp};
 use serde::{Deserialize, Serialize};
@@ -39,9 +39,8 @@ struct Day {
 #[derive(Debug, Serialize, Deserialize)]
 struct Since {
     vibration_s: f64,
-    /// When pins vibrate last, by both clocks.
-    until: String,
-    until_monotonic_ns: u64,
+    /// When pins vibrated last, by both clocks; `None`: plays run or wait.
+    until: Option<(String, u64)>,
 }
 
 /// The file.
@@ -66,7 +65,8 @@ fn sums(Day { date, days }: Day) -> Result<(Date, Sums), String> {
     let date: Date = date.parse().map_err(|error: jiff::Error| error.to_string())?;
     let mut sums = Sums::new();
     for Sum { participant, vibration_s } in days {
-        let what = participant.as_ref().map_or_else(|| date.to_string(), |name| format!("{name:?} on {date}"));
+        let what =
+            participant.as_ref().map_or_else(|| date.to_string(), |name| format!("{name:?} on {date}"));
         add(&mut sums, participant.as_deref().map(key), checked(what, vibration_s)?);
     }
     Ok((date, sums))
@@ -107,12 +107,17 @@ impl Account {
         }
         let stretch = match stretch {
             None => Stretch::NONE,
-            Some(Since { vibration_s, until, until_monotonic_ns }) => {
+            // Nobody knows when the plays of a killed daemon ended: now at the latest.
+            Some(Since { vibration_s, until: None }) => {
+                let used_s = checked("the stretch without a pause", vibration_s)?;
+                Stretch { used_s, until_s: seconds(now.at) }
+            }
+            Some(Since { vibration_s, until: Some((until, monotonic_ns)) }) => {
                 let used_s = checked("the stretch without a pause", vibration_s)?;
                 let until: Timestamp = until.parse().map_err(|error: jiff::Error| error.to_string())?;
-                // Of two clocks, the one that has seen less time; what was planned for later ends now.
+                // Of two clocks, the one that has seen less time.
                 let by_wall_s = now.wall.duration_since(until).as_secs_f64();
-                let by_host_s = (now.at.as_ns() as f64 - until_monotonic_ns as f64) / 1e9;
+                let by_host_s = (now.at.as_ns() as f64 - monotonic_ns as f64) / 1e9;
                 // The monotonic clock begins anew with the machine.
                 let rested_s = if by_host_s >= 0.0 { by_wall_s.min(by_host_s) } else { by_wall_s };
                 Stretch { used_s, until_s: seconds(now.at) - rested_s.max(0.0) }
@@ -142,25 +147,18 @@ impl Account {
         let list = |sums: Sums| {
             sums.into_iter().map(|(participant, vibration_s)| Sum { participant, vibration_s }).collect()
         };
-        let today = Day { date: now.date.to_string(), days: list(dates.remove(&now.date).unwrap_or_default()) };
+        let today =
+            Day { date: now.date.to_string(), days: list(dates.remove(&now.date).unwrap_or_default()) };
         let other_dates = dates.into_iter().filter(|(_, sums)| !sums.is_empty());
-        let other_dates = other_dates.map(|(date, sums)| Day { date: date.to_string(), days: list(sums) }).collect();
-        // Plays may follow one another without a pause, and end this late.
-        let last_s = self.live.iter().fold(at_s, |free_s, live| {
-            let (from_s, end_s) = match live.onset {
-                Onset::Began(onset_s) => (onset_s, live.vibration.end()),
-                Onset::At(onset_s) => (free_s.max(onset_s), live.vibration.end()),
-                Onset::Next => (free_s, live.vibration.end()),
-            };
-            free_s.max(if end_s.is_finite() { from_s + end_s } else { at_s + super::AHEAD_S })
-        });
-        let used_s = kept_s + self.stretch(now).used_at(at_s, self.limits.pause_s);
-        let until_s = if kept_s > 0.0 { last_s } else { self.stretch(now).until_s };
-        let ahead = SignedDuration::try_from_secs_f64(until_s - at_s).unwrap_or_default();
-        let stretch = (used_s > 0.0).then(|| Since {
-            vibration_s: used_s,
-            until: now.wall.saturating_add(ahead).unwrap_or(now.wall).to_string(),
-            until_monotonic_ns: (until_s.max(0.0) * 1e9) as u64,
+        let other_dates =
+            other_dates.map(|(date, sums)| Day { date: date.to_string(), days: list(sums) }).collect();
+        let stretch = self.stretch(now);
+        let used_s = kept_s + stretch.used_at(at_s, self.limits.pause_s);
+        let stretch = (used_s > 0.0).then(|| {
+            let rested = SignedDuration::try_from_secs_f64(at_s - stretch.until_s).unwrap_or_default();
+            let wall = now.wall.saturating_sub(rested).unwrap_or(now.wall);
+            let until = (wall.to_string(), (stretch.until_s.max(0.0) * 1e9) as u64);
+            Since { vibration_s: used_s, until: Some(until).filter(|_| self.live.is_empty()) }
         });
         // Plain data can be written.
         serde_json::to_string(&File { today, other_dates, stretch }).ok().map(|text| text + "\n")

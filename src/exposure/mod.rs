@@ -124,7 +124,9 @@ struct Live {
 impl Live {
     /// What it may still vibrate, s.
     fn left_s(&self) -> f64 {
-        self.vibration.total().map_or(AHEAD_S, |total| (total - self.vibration.until(self.counted_to_s)).max(0.0))
+        self.vibration
+            .total()
+            .map_or(AHEAD_S, |total| (total - self.vibration.until(self.counted_to_s)).max(0.0))
     }
 }
 
@@ -331,7 +333,8 @@ impl Account {
             Onset::Began(onset_s) => seconds(now.at) - onset_s,
             Onset::At(_) | Onset::Next => 0.0,
         };
-        let played_s = played_s.unwrap_or(if live.vibration.is_endless() { until_now_s } else { f64::INFINITY });
+        let played_s =
+            played_s.unwrap_or(if live.vibration.is_endless() { until_now_s } else { f64::INFINITY });
         if played_s > 0.0 {
             self.played(id, played_s, now);
         }
@@ -364,7 +367,8 @@ impl Account {
     #[must_use]
     pub fn problem(&self, now: Now) -> Option<String> {
         let later = || {
-            let (date, _) = self.dates.last_key_value().filter(|(date, _)| **date > now.date.max(now.passed))?;
+            let (date, _) =
+                self.dates.last_key_value().filter(|(date, _)| **date > now.date.max(now.passed))?;
             Some(format!(
                 "`{FILE}` has vibration of {date}, which is later than today: it counts until then; set the clock right, or correct \
                  the file and start the daemon again"

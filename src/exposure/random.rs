@@ -80,7 +80,9 @@ struct Lab {
 impl Lab {
     fn new(seed: u64) -> Self {
         let mut random = Random(seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) | 1);
-        (0..4).for_each(|_| drop(random.below(2)));
+        (0..4).for_each(|_| {
+            let _ = random.below(2);
+        });
         // Midnight is near, or not.
         let wall_s = 5.0 * DAY_S - random.upto(30.0);
         Self {
@@ -107,7 +109,9 @@ impl Lab {
 
     fn now(&self) -> Now {
         let [date, passed] = self.days().map(|day| date(2026, 1, 1) + jiff::Span::new().days(day));
-        let wall = Timestamp::from_nanosecond(((self.wall_s + self.now_s) * 1e9) as i128 + 1_767_225_600_000_000_000);
+        let wall = Timestamp::from_nanosecond(
+            ((self.wall_s + self.now_s) * 1e9) as i128 + 1_767_225_600_000_000_000,
+        );
         let at = HostInstant::from_ns((self.now_s * 1e9) as u64);
         Now { at, wall: wall.unwrap(), date, passed }
     }
@@ -229,7 +233,8 @@ impl Lab {
             }
             kind => {
                 repeat_s = 0.1 + random.upto(2.5);
-                let (start_s, stop_s) = (random.upto(repeat_s / 2.0), repeat_s / 2.0 + 0.01 + random.upto(repeat_s / 2.0 - 0.01));
+                let (start_s, stop_s) =
+                    (random.upto(repeat_s / 2.0), repeat_s / 2.0 + 0.01 + random.upto(repeat_s / 2.0 - 0.01));
                 let whole = kind == 2;
                 spans.push(if whole { (0.0, repeat_s) } else { (start_s, stop_s) });
                 if random.below(5) > 0 {
@@ -243,7 +248,8 @@ impl Lab {
                     start_s: (!whole).then_some(start_s),
                     stop_s: (!whole).then_some(stop_s),
                 };
-                let pattern = Pattern::new("random", Some(repeat_s), vec![drive], toml::Table::new()).unwrap();
+                let pattern =
+                    Pattern::new("random", Some(repeat_s), vec![drive], toml::Table::new()).unwrap();
                 Vibration::of(&pattern, Some(end_s).filter(|end_s| end_s.is_finite()))
             }
         };

@@ -20,7 +20,9 @@ fn at(seconds: f64) -> Now {
 
 /// Whether a play would fit.
 fn check(account: &mut Account, now: Now, play: &Vibration, onset: Onset) -> Result<(), Exceeded> {
-    account.hold(now, play.clone(), onset, false).map(|held| drop(account.forget(held)))
+    account.hold(now, play.clone(), onset, false).map(|held| {
+        account.forget(held);
+    })
 }
 
 fn check_next(account: &mut Account, now: Now, play: &Vibration) -> Result<(), Exceeded> {
@@ -42,7 +44,8 @@ fn run(
     seconds: f64,
 ) -> Option<(f64, Limit)> {
     let held = HELD + 1000 + id;
-    let live = Live { id: held, vibration, onset: Onset::Next, counted_to_s: 0.0, cut: None, replaces: false };
+    let live =
+        Live { id: held, vibration, onset: Onset::Next, counted_to_s: 0.0, cut: None, replaces: false };
     account.live.push(live);
     account.begin(held, id, at(from));
     let tenths = (seconds * 10.0).round() as u32;
@@ -107,9 +110,13 @@ fn plays_that_wait_have_their_time_kept() {
 fn what_has_vibrated_counts_for_a_play_at_a_time_of_its_own() {
     let mut account = account();
     assert_eq!(run(&mut account, 1, play(Some(9.0)), 0.0, 9.0), None);
-    for (now_s, onset_s, fits) in
-        [(9.0, 9.015, false), (9.0, 13.9, false), (9.0, 14.1, true), (13.0, 13.015, false), (14.0, 14.015, true)]
-    {
+    for (now_s, onset_s, fits) in [
+        (9.0, 9.015, false),
+        (9.0, 13.9, false),
+        (9.0, 14.1, true),
+        (13.0, 13.015, false),
+        (14.0, 14.015, true),
+    ] {
         let found = check(&mut account, at(now_s), &play(Some(9.0)), Onset::At(onset_s));
         assert_eq!(found.is_ok(), fits, "{now_s} {onset_s}");
     }
@@ -253,8 +260,5 @@ fn the_day_has_a_limit_for_the_thousand_and_first_participant_too() {
     let passed =
         (0..4).find_map(|block| run(&mut account, 1, play(None), from + 100.0 * f64::from(block), 9.0));
     assert_eq!(passed.map(|(_, limit)| limit), Some(Limit::Day));
-    assert_eq!(
-        check_next(&mut account, at(from + 1000.0), &play(Some(1.0))).unwrap_err().limit,
-        Limit::Day
-    );
+    assert_eq!(check_next(&mut account, at(from + 1000.0), &play(Some(1.0))).unwrap_err().limit, Limit::Day);
 }

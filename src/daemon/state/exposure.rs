@@ -21,9 +21,9 @@ use meissner_stream::time::HostInstant;
 use std::collections::HashSet;
 use std::ops::{Deref, DerefMut};
 use std::time::Duration;
+use tokio::sync::MutexGuard;
 use tokio::sync::oneshot::Receiver;
 use tokio::sync::oneshot::error::TryRecvError;
-use tokio::sync::MutexGuard;
 use tracing::warn;
 
 /// The cause of a play's end that a limit ordered.
@@ -132,7 +132,9 @@ impl Engine {
         if let Some(mut saved) = saved
             && tokio::time::timeout(DISK, &mut saved).await.is_err()
         {
-            warn!("the disk of the session record has not taken the vibration's sums for {DISK:?}; playing goes on");
+            warn!(
+                "the disk of the session record has not taken the vibration's sums for {DISK:?}; playing goes on"
+            );
             self.lock().exposure.silent = Some(saved);
         }
         Ok(held)
@@ -186,10 +188,12 @@ impl State {
             At::After(ns) => Onset::At(at_s + ns as f64 / 1e9),
             At::Monotonic(at) => Onset::At(at.as_ns() as f64 / 1e9),
             // Without a clock nothing tells when that is.
-            At::Tick(tick) => self.plays.receipts.clock(now.at).map_or(Onset::Next, |(at, uncertainty_us)| {
-                let ahead_s = (tick.0 as f64 - at.0 as f64) / f64::from(TICK_HZ);
-                Onset::At(at_s + ahead_s - uncertainty_us / 1e6)
-            }),
+            At::Tick(tick) => {
+                self.plays.receipts.clock(now.at).map_or(Onset::Next, |(at, uncertainty_us)| {
+                    let ahead_s = (tick.0 as f64 - at.0 as f64) / f64::from(TICK_HZ);
+                    Onset::At(at_s + ahead_s - uncertainty_us / 1e6)
+                })
+            }
         };
         let Exposure { account, .. } = &mut self.exposure;
         account.hold(now, vibration.clone(), onset, replaces).map_err(|why| {

@@ -10,8 +10,8 @@ use crate::queues::{
 use crate::streamer::{ANSWER_WITHIN, MAX_PENDING_OPS, OpResult, PendingOp, Streamer, answer, cuts_play};
 use crate::time::HostInstant;
 use firmware_protocol::message::{Cause, LowerStop, Op, State};
-use firmware_protocol::tick::Tick;
 use firmware_protocol::stroke::MOTORS;
+use firmware_protocol::tick::Tick;
 use meissner_array::units::{UM_PER_PULSE, duration_to_ticks, ms_in_ticks};
 use std::time::Duration;
 
@@ -49,7 +49,9 @@ impl Streamer {
                 emit.event(StreamEvent::PlayRejected(play));
                 return;
             }
-            Command::Arm { .. } | Command::ArmUnchecked | Command::Reset { .. } if stale => Err(CommandError::Timeout),
+            Command::Arm { .. } | Command::ArmUnchecked | Command::Reset { .. } if stale => {
+                Err(CommandError::Timeout)
+            }
             Command::Play(play) => match self.play(now, given, play) {
                 Ok(()) => Ok(None),
                 Err((refused, play)) => {
@@ -306,7 +308,8 @@ impl Streamer {
         self.control.reckon_to(tick);
         let reckoned_um = self.control.dead_reckoning_um(tick, 0..MOTORS as u8);
         // An emergency stop leaves pins up: one of them may have all of these pulses. A lower stop brings them home.
-        let up = self.status.filter(|_| self.settings.lower_stop.is_none()).map_or(0, |(at, _)| at.outstanding);
+        let up =
+            self.status.filter(|_| self.settings.lower_stop.is_none()).map_or(0, |(at, _)| at.outstanding);
         let um = reckoned_um.max(up as f32 * UM_PER_PULSE as f32);
         if um <= LEVEL_CHECK_UM {
             return Ok(());
