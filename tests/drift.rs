@@ -74,3 +74,29 @@ fn pins_that_telemetry_shows_need_no_check_after_a_disarm_in_the_middle_of_a_pla
     wait_until(|| client.get::<Status>("/v1/status").unwrap().motors[0].source == ErrorSource::Telemetry);
     assert!(offset_um(&mut client) > 20.0);
 }
+
+/// A script never looks: what its plays leave sums up over its arms, however small each play is.
+#[test]
+fn plays_below_the_level_check_sum_up_until_somebody_looks() {
+    let daemon = Daemon::with("mock", &format!("{PATIENT}drift_limit_um = 150\n[mock]\ntelemetry_hz = 0\n"));
+    let mut client = daemon.armed();
+    let mut events = client.events().unwrap();
+    let one_stroke = json!({"pattern": "pin-60", "seconds": 0.016});
+    let mut arms = 0;
+    let refused = loop {
+        let _: Value = client.post("/v1/play", &one_stroke).unwrap();
+        assert_eq!(ended(&mut events).state.name(), "done");
+        match client.post::<Value>("/v1/arm", &json!({"assume_rest": true})) {
+            Ok(_) => arms += 1,
+            Err(error) => break refusal(Err(error)),
+        }
+        assert!(arms < 10, "nobody has looked");
+    };
+    assert_eq!(refused, ("level-not-checked".into(), 409));
+    let _: Value = client.post("/v1/disarm", &json!({})).unwrap();
+    wait_until(|| client.get::<Status>("/v1/status").unwrap().state == "disarmed");
+    let assumed = client.post::<Value>("/v1/arm", &json!({"assume_rest": true}));
+    assert_eq!(refusal(assumed), ("level-not-checked".into(), 409));
+    let _: Value = client.post("/v1/arm", &json!({"assume_rest": true, "checked": "Ada"})).unwrap();
+    let _: Value = client.post("/v1/play", &one_stroke).unwrap();
+}

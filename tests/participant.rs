@@ -129,13 +129,124 @@ fn a_restart_and_a_kill_keep_the_days_sum() {
         refused.contains("`participant.max_day_s` allows 1 s of vibration in a day: 0.2 s are left"),
         "{refused}"
     );
-    // Plays go on after a file that cannot be read, and the log says what that means.
+    // A file that cannot be read, or cannot be true, is never taken for nothing; the status says so, and what to do.
     assert!(daemon.end().success());
     drop(daemon);
-    fs::write(&file, "{\"date\":").unwrap();
-    let daemon = start();
-    daemon.wait_for_log("today's vibration is not known and counts from 0");
-    assert_eq!(used(&daemon), 0.0);
+    let today = jiff::Zoned::now().date();
+    let forged = format!("{{\"date\":\"{today}\",\"days\":[{{\"participant\":null,\"vibration_s\":-100}}]}}");
+    for bad in ["{\"date\":", &forged] {
+        fs::write(&file, bad).unwrap();
+        let mut daemon = start();
+        daemon.wait_for_log("today's vibration is not known and counts as all");
+        assert_eq!(used(&daemon), 1.0);
+        assert!(printed(daemon.meissner().arg("status")).contains("correct or remove it"));
+        daemon.armed();
+        let refused = complaint(daemon.meissner().args(["play", "pin-60", "--seconds", "0.1"]));
+        assert!(
+            refused.contains("`exposure.json`: ") && refused.contains("correct or remove it"),
+            "{refused}"
+        );
+        assert!(daemon.end().success());
+        assert_eq!(fs::read_to_string(&file).unwrap(), *bad, "it stays for who looks");
+    }
+    fs::remove_file(&file).unwrap();
+    assert_eq!(used(&start()), 0.0);
+}
+
+/// A little less than the limit, again and again, each play at a time of its own a moment after the stop of the one before.
+#[test]
+fn plays_at_times_of_their_own_pass_no_limit_by() {
+    let daemon = limited("[participant]\nmax_continuous_s = 0.5\npause_s = 30\n");
+    let mut client = daemon.client();
+    let sequence = json!({"at_ms": 15, "items": [{"pattern": "edge-45", "seconds": 0.45}]});
+    let orders = [
+        ("/v1/play", json!({"pattern": "edge-45", "seconds": 0.45, "at_ms": 15})),
+        ("/v1/sequence", sequence),
+        ("/v1/play", json!({"pattern": "edge-45", "seconds": 0.45, "at_ms": 2000})),
+        ("/v1/play", json!({"pattern": "edge-45", "seconds": 0.45, "replace": true, "at_ms": 15})),
+    ];
+    let mut events = client.events().unwrap();
+    let mut accepted = 0;
+    for (route, order) in orders.iter().cycle().take(20) {
+        match client.post::<Value>(route, order) {
+            Ok(_) => {
+                accepted += 1;
+                ended(&mut events);
+            }
+            Err(error) => assert_eq!(refusal(Err(error)), ("participant-limit".into(), 409)),
+        }
+    }
+    assert_eq!(accepted, 1);
+    let limits = client.get::<Status>("/v1/status").unwrap().participant.unwrap();
+    assert!(limits.continuous_used_s < 0.5 && limits.day_used_s < 0.5, "{limits:?}");
+    // A pause fits before this one.
+    let _: Value =
+        client.post("/v1/play", &json!({"pattern": "edge-45", "seconds": 0.45, "at_ms": 31000})).unwrap();
+}
+
+#[test]
+fn a_calibration_keeps_to_the_limits() {
+    let daemon = limited("[participant]\nmax_amplitude_um = 10\nmax_continuous_s = 1\n");
+    let mut client = daemon.client();
+    for laser in [false, true] {
+        let strong = json!({"motor": 3, "pulses": [14, 140], "repetitions": 1, "laser": laser});
+        let refused = problem(client.post("/v1/calibrate", &strong));
+        assert!(
+            refused.code == "participant-limit" && refused.detail.contains("max_amplitude_um"),
+            "{refused:?}"
+        );
+    }
+    // Two groups of ten strokes vibrate for more than a second.
+    let long = json!({"motor": 3, "pulses": [14, 28], "repetitions": 1});
+    let refused = problem(client.post("/v1/calibrate", &long));
+    assert!(refused.detail.contains("`participant.max_continuous_s` allows 1 s"), "{refused:?}");
+}
+
+#[test]
+fn a_kill_in_the_middle_of_a_play_leaves_no_smaller_sum() {
+    let dir = crate::harness::directory();
+    let limits = "[participant]\nmax_continuous_s = 20\npause_s = 600\nmax_day_s = 30\n";
+    let config = format!("{PATIENT}logbook_dir = {:?}\n{limits}", dir.path().join("logbook"));
+    let mut kills = 0;
+    loop {
+        let log = fs::File::create(dir.path().join("log")).unwrap();
+        let command = std::process::Command::new(crate::harness::PROGRAM);
+        let mut daemon = Daemon::launch(std::sync::Arc::clone(&dir), "mock", &config, log, command);
+        daemon.wait_for_device();
+        let used = daemon.client().get::<Status>("/v1/status").unwrap().participant.unwrap().day_used_s;
+        assert!((f64::from(kills) * 8.0 - used).abs() < 1e-6, "after {kills} kills: {used}");
+        daemon.armed();
+        let play = json!({"pattern": "pin-60", "seconds": 8.0});
+        match daemon.client().post::<Value>("/v1/play", &play) {
+            Ok(_) => kills += 1,
+            Err(error) => {
+                assert_eq!(refusal(Err(error)), ("participant-limit".into(), 409));
+                break;
+            }
+        }
+        daemon.signal(Signal::KILL);
+        daemon.wait();
+    }
+    // The stretch without a pause outlives a kill, too.
+    assert_eq!(kills, 2);
+}
+
+#[test]
+fn spaces_that_nobody_sees_make_no_other_participant() {
+    let daemon = limited(SHORT);
+    let mut client = daemon.client();
+    for (name, used) in [("P1", 0.0), ("P1 ", 0.4), (" P1", 0.4), ("p1", 0.4)] {
+        let mut session: Value = client.post("/v1/sessions", &json!({"participant": name})).unwrap();
+        let limits = client.get::<Status>("/v1/status").unwrap().participant.unwrap();
+        assert!((limits.day_used_s - used).abs() < 0.01, "{name:?}: {limits:?}");
+        assert_eq!(limits.participant.as_deref(), Some(name.trim()));
+        if name == "P1" {
+            printed(daemon.meissner().args(["play", "pin-60", "--seconds", "0.4", "--wait"]));
+        }
+        let id = session["id"].take();
+        let _: Value =
+            client.post(&format!("/v1/sessions/{}/end", id.as_str().unwrap()), &json!({})).unwrap();
+    }
 }
 
 #[test]

@@ -15,15 +15,15 @@ use tracing::warn;
 const AGAIN: Duration = Duration::from_secs(1);
 
 impl Engine {
-    /// Arms for the client that asks, which may then be silent for so long.
+    /// Arms, by this command, for the client that asks, which may then be silent for so long.
     pub(super) async fn arm(
         self: &Arc<Self>,
-        assume_rest: bool,
+        command: Command,
         silence: Silence,
         client: Peer,
     ) -> Result<(), Problem> {
         let timeout = self.seek_timeout();
-        let reply = self.send(Command::Arm { assume_rest })?;
+        let reply = self.send(command)?;
         let (engine, name) = (Arc::clone(self), self.names.client(client));
         let work = async move {
             answer(reply, timeout).await?;

@@ -17,7 +17,7 @@ use meissner_api::{Code, Event, PlayAccepted, PlayRequest, Problem};
 use meissner_array::strokes::Surplus;
 use meissner_input::message::quote;
 use meissner_stream::calibrate::{Calibration, Plan};
-use meissner_stream::queues::CommandError;
+use meissner_stream::queues::{At, CommandError};
 use std::path::PathBuf;
 use std::sync::{Arc, PoisonError};
 use tracing::{info, warn};
@@ -80,9 +80,9 @@ impl Engine {
             let detail = "down bursts end at the lower stop, so their gain cannot be measured: calibrate without the stop";
             return Err(Problem::new(Code::LowerStop, detail));
         }
+        let pattern = Arc::clone(&stored.pattern);
         let play = PreparedPlay::new(&request, stored, settings, Surplus::None).await?;
-        let (accepted, reply) = {
-            let mut state = self.lock();
+        let check = |state: &mut State| -> Result<(), Problem> {
             state.forget_unanswered();
             state.check_not_calibrating()?;
             let device = state.plays.receipts.device().ok_or_else(|| refusal(CommandError::NoDevice))?;
@@ -94,12 +94,25 @@ impl Engine {
             if !state.plays.receipts.is_idle() {
                 return Err(refusal(CommandError::Playing));
             }
+            Ok(())
+        };
+        // A finger may lie on the pins: a calibration is vibration like any other.
+        let held = self.hold(|state| {
+            check(state)?;
+            state.hold_play(&request, &pattern, &play.vibration, At::Next)
+        });
+        let held = held.await?;
+        let (accepted, reply) = {
+            let mut state = self.lock();
+            check(&mut state)?;
             let (accepted, reply) = state.begin(play, client)?;
+            held.begin(&mut state, accepted.id);
             if !laser {
                 state.calibration.running = Some(CalibrationRun::new(accepted.id, plan));
             }
             (accepted, reply)
         };
+        drop(held);
         answer(reply, TIMEOUT).await.map(|()| accepted)
     }
 

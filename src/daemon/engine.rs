@@ -60,6 +60,8 @@ pub(super) struct Engine {
     pub(super) doctor: Doctor,
     /// Held while the file of the calibration and the calibration in use change.
     pub(super) calibration_file: Mutex<()>,
+    /// Held from the decision about a play until the streamer has it.
+    pub(super) orders: tokio::sync::Mutex<()>,
     state: Mutex<State>,
 }
 
@@ -98,6 +100,7 @@ impl Engine {
             estops,
             doctor: Doctor::default(),
             calibration_file: Mutex::default(),
+            orders: tokio::sync::Mutex::default(),
             state: Mutex::new(state),
         }
     }

@@ -403,16 +403,17 @@ async fn arm(State(app): State<App>, Extension(peer): Extension<Peer>, body: Bod
                 Some(name) => format!("arm, assuming rest, pins checked by {name:?},"),
                 None => "arm, assuming rest,".to_owned(),
             });
-            if request.checked.is_none() {
-                app.engine.check_level()?;
-            }
         }
         let silence = match request.silence_s {
             _ if request.unattended => Silence::Unattended,
             Some(seconds) => Silence::For(Duration::from_secs_f64(seconds)),
             None => Silence::Default,
         };
-        app.engine.arm(request.assume_rest, silence, peer).await?;
+        let command = match (request.assume_rest, &request.checked) {
+            (true, None) => Command::ArmUnchecked,
+            (assume_rest, _) => Command::Arm { assume_rest },
+        };
+        app.engine.arm(command, silence, peer).await?;
         Ok(Json(app.engine.status()))
     }
     .await;

@@ -128,17 +128,21 @@ impl Engine {
             Trial { session: request.session.clone(), number: request.trial, labels: request.labels.clone() };
         let new = NewLive { request, way: Way { late, open_loop }, trial, client };
         let path = format!("/v1/live/{}", live.key());
+        let held = self.hold(|state| {
+            state.check_before_play(request.session.as_deref())?;
+            state.check_amplitude("the live play", live.largest_um())?;
+            state.hold_vibration(&Vibration::without_end(), replace, At::Next)
+        });
+        let held = held.await?;
         let (id, reply) = {
             let mut state = self.lock();
             state.check_before_play(request.session.as_deref())?;
-            state.check_amplitude("the live play", live.largest_um())?;
-            let vibration = Vibration::without_end();
-            state.check_vibration(&vibration, replace, false)?;
             let (id, reply) = state.send_play(play, &settings, |plays| plays.add_live(new))?;
-            state.exposure.add(id, vibration);
+            held.begin(&mut state, id);
             state.live.add(id, live);
             (id, reply)
         };
+        drop(held);
         answer(reply, TIMEOUT).await?;
         if let Some(prepared) = prepared
             && let Err(error) = prepared.start(Arc::clone(self), id, poses)

@@ -87,7 +87,7 @@ pub use signals::{Action, Signals};
 pub use socket::SocketError;
 
 use crate::config::{Config, Source};
-use crate::exposure::{self, Account};
+use crate::exposure::{self, Account, Now};
 use crate::file::read_regular;
 use crate::session_record::{Note, SessionRecord};
 use acceptor::{Acceptor, Bounds, Counts, Sockets};
@@ -174,7 +174,7 @@ impl Daemon {
         record.add(Note::DaemonStarted { version, pid, wanted });
         let mut account = Account::new(config.participant);
         if let Some(location) = &config.logbook {
-            restore(&mut account, &location.dir.join(exposure::FILE));
+            restore(&mut account, read_sums(&location.dir));
         }
         engine.lock().exposure = Exposure::new(account);
         engine.lock().sessions.set_silence(Duration::from_secs_f64(config.session_silence_s));
@@ -310,17 +310,29 @@ impl Daemon {
     }
 }
 
-/// Takes the day's exposure from the file; without one, or if it cannot be read, the day begins at 0.
-fn restore(account: &mut Account, file: &Path) {
-    let read = match read_regular(file, exposure::MAX_FILE) {
-        Err(error) if error.kind() == io::ErrorKind::NotFound => return,
-        read => read.and_then(|text| account.restore(&text)),
+/// Reads the file of the vibration's sums beside the session record; `None`: there is none.
+fn read_sums(dir: &Path) -> io::Result<Option<Vec<u8>>> {
+    match read_regular(&dir.join(exposure::FILE), exposure::MAX_FILE) {
+        Err(error) if matches!(error.kind(), io::ErrorKind::NotFound | io::ErrorKind::NotADirectory) => {
+            Ok(None)
+        }
+        read => read.map(Some),
+    }
+}
+
+/// Takes the sums. If they cannot be read, or cannot be true, the day's limit counts as used up until somebody has looked.
+fn restore(account: &mut Account, read: io::Result<Option<Vec<u8>>>) {
+    let now = Now::read();
+    let restored = match read {
+        Ok(Some(text)) => account.restore(&text, now),
+        Ok(None) => {
+            account.restore_none();
+            Ok(())
+        }
+        Err(error) => Err(account.lose(&error.to_string())),
     };
-    if let Err(error) = read {
-        warn!(
-            "{}: {error}: today's vibration is not known and counts from 0; remove the file, and keep to the day's limit yourself",
-            file.display()
-        );
+    if let Some(problem) = restored.err().map(|error| error.to_string()).or_else(|| account.problem(now)) {
+        warn!("{problem}");
     }
 }
 

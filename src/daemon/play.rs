@@ -32,7 +32,7 @@ pub(super) struct PreparedPlay {
     options: StrokeOptions,
     order: Order,
     counts: Option<OrderedCounts>,
-    vibration: Vibration,
+    pub(super) vibration: Vibration,
     trial: Trial,
 }
 
@@ -157,16 +157,19 @@ impl Engine {
         };
         let (sha256, text) = (stored.sha256.clone(), Arc::clone(&stored.text));
         let prepared = PreparedPlay::new(request, stored, settings, surplus).await?;
+        let held = self.hold(|state| {
+            state.check_before_play(request.session.as_deref())?;
+            state.hold_play(request, &prepared.stored.pattern, &prepared.vibration, prepared.play.at)
+        });
+        let held = held.await?;
         let (accepted, reply) = {
             let mut state = self.lock();
             state.check_before_play(request.session.as_deref())?;
-            let vibration = prepared.vibration.clone();
-            let later = prepared.play.at != At::Next;
-            state.check_exposure(request, &prepared.stored.pattern, &vibration, later)?;
             let (accepted, reply) = state.begin(prepared, client)?;
-            state.exposure.add(accepted.id, vibration);
+            held.begin(&mut state, accepted.id);
             (accepted, reply)
         };
+        drop(held);
         self.session_record().keep_text(&sha256, &text);
         answer(reply, TIMEOUT).await?;
         Ok(accepted)

@@ -12,6 +12,7 @@ use super::engine::Engine;
 use super::error::{DaemonError, system};
 use super::patterns::SharedStore;
 use super::service::{Manager, Notification};
+use super::{read_sums, restore};
 use crate::config::{Config, Source};
 use crate::session_record::Note;
 use crossbeam_channel::{Sender, bounded};
@@ -48,6 +49,13 @@ pub(super) fn spawn(
 /// Reads the configuration and applies what can change; `running` is the configuration in use.
 fn reload(source: &Source, running: &mut Config, engine: &Engine, store: &SharedStore) {
     let mut applied = Vec::new();
+    // Somebody may have corrected the file of the vibration's sums.
+    if let Some(location) = &running.logbook
+        && engine.lock().exposure.unknown().is_some()
+    {
+        let read = read_sums(&location.dir);
+        restore(&mut engine.lock().exposure, read);
+    }
     let problem = apply(source, running, engine, store, &mut applied).err();
     if let Some(problem) = &problem {
         warn!("{problem}");

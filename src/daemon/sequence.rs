@@ -19,7 +19,7 @@ use meissner_array::strokes::{
     CompiledItem, Sequence, SequenceError, Start, StrokeOptions, Strokes, Surplus,
 };
 use meissner_array::units::{ticks_to_ms, ticks_to_seconds};
-use meissner_stream::queues::{At, Item, Play};
+use meissner_stream::queues::{Item, Play};
 use meissner_stream::{Bandwidth, Settings};
 use std::collections::HashMap;
 use std::collections::hash_map::Entry;
@@ -278,10 +278,10 @@ fn sha256(items: &[SequenceItem]) -> String {
 }
 
 impl State {
-    fn check_sequence(&self, request: &SequenceRequest, prepared: &PreparedSequence) -> Result<(), Problem> {
-        let (largest_um, pattern) = &prepared.largest;
+    fn hold_sequence(&mut self, prepared: &PreparedSequence) -> Result<u64, Problem> {
+        let PreparedSequence { play, largest: (largest_um, pattern), vibration, .. } = prepared;
         self.check_amplitude(pattern, *largest_um)?;
-        self.check_vibration(&prepared.vibration, request.replace, prepared.play.at != At::Next)
+        self.hold_vibration(vibration, play.replace, play.at)
     }
 }
 
@@ -299,16 +299,21 @@ impl Engine {
             (state.settings, state.surplus())
         };
         let prepared = PreparedSequence::new(request, client, settings, surplus, find).await?;
+        let held = self.hold(|state| {
+            state.check_before_play(request.session.as_deref())?;
+            state.hold_sequence(&prepared)
+        });
+        let held = held.await?;
         let (accepted, reply, texts) = {
             let mut state = self.lock();
             state.check_before_play(request.session.as_deref())?;
-            state.check_sequence(request, &prepared)?;
-            let PreparedSequence { play, settings, new, vibration, texts, .. } = prepared;
+            let PreparedSequence { play, settings, new, texts, .. } = prepared;
             let (ordered_ms, compiled_ms) = (new.order.ordered_ms, new.order.compiled_ms);
             let (id, reply) = state.send_play(play, &settings, |plays| plays.add_sequence(new))?;
-            state.exposure.add(id, vibration);
+            held.begin(&mut state, id);
             (PlayAccepted { id, ordered_ms, compiled_ms }, reply, texts)
         };
+        drop(held);
         for (sha256, text) in texts {
             self.session_record().keep_text(&sha256, &text);
         }

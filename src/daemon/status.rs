@@ -6,32 +6,11 @@ use super::engine::Engine;
 use crate::exposure::Now;
 use crate::receipts::{DeviceState, board_status};
 use firmware_protocol::tick::TICK_HZ;
-use meissner_api::{ClockSample, Code, ErrorSource, MotorStatus, Problem, QueuedPlay, Status};
+use meissner_api::{ClockSample, MotorStatus, QueuedPlay, Status};
 use meissner_stream::time::HostInstant;
 use std::fmt::Write as _;
 
-/// Without a check, pins may be taken as at rest up to this estimate, root mean square, µm. Our choice: one stroke of 80 µm after
-/// a rest leaves 20 µm, 16 µm by its transient and 11 µm by its scatter. After more play a person must look.
-const LEVEL_CHECK_UM: f32 = 20.0;
-
 impl Engine {
-    /// Refuses to take pins as at rest that have drifted, unless telemetry shows them as soon as they are armed.
-    pub(super) fn check_level(&self) -> Result<(), Problem> {
-        let daemon = self.lock();
-        let snapshot = daemon.plays.receipts.snapshot().filter(|at| !at.pins_seen);
-        let reckoned = snapshot.into_iter().flat_map(|at| at.rest_error_um.iter().zip(&at.source));
-        let reckoned = reckoned.filter(|(_, source)| **source == ErrorSource::DeadReckoning);
-        let um = reckoned.map(|(um, _)| *um).fold(0.0, f32::max);
-        if um <= LEVEL_CHECK_UM {
-            return Ok(());
-        }
-        let detail = format!(
-            "pins may be {um:.0} um from rest: look at them, level them, and say who did: `meissner arm --assume-rest \
-             --checked NAME`, or \"checked\": \"NAME\""
-        );
-        Err(Problem::new(Code::LevelNotChecked, detail))
-    }
-
     /// `GET /v1/status`.
     pub(super) fn status(&self) -> Status {
         let daemon = self.lock();
@@ -89,7 +68,7 @@ impl Engine {
             session: daemon.session(),
             participant: Some(daemon.exposure.status(Now::read())),
             realtime: Some(self.realtime),
-            logbook_problem: daemon.publisher.session_record.problem(),
+            logbook_problem: daemon.publisher.session_record.problem().or_else(|| daemon.exposure.problem()),
             logbook_lost: daemon.publisher.session_record.lost(),
             socket: self.socket.display().to_string(),
             network: self.gate.status(),
@@ -117,7 +96,8 @@ impl Engine {
             0 => {}
             queued => drop(write!(line, "; {queued} queued")),
         }
-        if let Some(problem) = daemon.publisher.session_record.problem() {
+        let problem = daemon.publisher.session_record.problem();
+        if let Some(problem) = problem.or_else(|| daemon.exposure.problem()) {
             let _ = write!(line, "; {problem}");
         }
         line

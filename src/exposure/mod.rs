@@ -1,68 +1,84 @@
 //! Vibration exposure: how long pins have vibrated under a finger, against the limits of `[participant]`.
 //!
-//! [`Account::check`] decides before a play whether it fits; `began`, `played` and `ended` follow
-//! the plays, and report a limit that a running play has passed. The daemon then stops it. [`Account::text`] is the file that keeps
-//! the day's sum across restarts ([`FILE`]); the session record's thread writes it. Nothing here reads a clock.
+//! [`Account::hold`] decides before a play whether it fits, by the one rule in [`rule`], and keeps its time; `begin`, `began`, `played`
+//! and `ended` follow the play, and report a limit that a running play has passed. The daemon then stops it. [`Account::text`] is the
+//! file that keeps the sums across restarts ([`FILE`], `file`): it holds what plays may still take as if it were used, and is written before
+//! they begin, so a kill never makes a sum smaller. The session record's thread writes it. Nothing here reads a clock but [`Now::read`].
 //!
 //! Vibration time is the time in which at least one drive of the running play moves a pin ([`Vibration`]). A pause is
 //! [`ParticipantLimits::pause_s`] without vibration.
 //!
-//! Bounds: `PEOPLE` sums per day. Invariant: time that has been counted is never taken back within its day.
+//! Bounds: [`DATES`] dates, and `PEOPLE` sums for each. Invariant: time that has been counted is never taken back within its day.
 
+mod file;
 mod limits;
+pub mod rule;
 mod vibration;
 
+pub use file::Unreadable;
 pub use limits::{Limit, ParticipantLimits};
+pub use rule::{Exceeded, Onset};
 pub use vibration::Vibration;
 
 use jiff::civil::Date;
+use jiff::{SignedDuration, Timestamp, Zoned};
 use meissner_api::ParticipantStatus;
 use meissner_stream::time::HostInstant;
-use serde::{Deserialize, Serialize};
-use std::collections::{BTreeMap, HashMap};
-use std::io;
+use rule::{Order, Pending, ROUNDING_S, SoFar, Stretch, judge};
+use rustix::time::{ClockId, clock_gettime};
+use std::collections::BTreeMap;
+use std::sync::OnceLock;
 
-/// The file of the day's sums, in the directory of the session record.
+/// The file of the sums, in the directory of the session record.
 pub const FILE: &str = "exposure.json";
 /// The most bytes of that file.
-pub const MAX_FILE: u64 = 1 << 20;
-/// Sums kept for a day, at most: more people than a display serves. Further ones share the sum of plays without a session.
+pub const MAX_FILE: u64 = 4 << 20;
+/// Sums kept for a date, at most: more people than a display serves. Further ones share the sum of plays without a session.
 const PEOPLE: usize = 1000;
-/// What a play without end must find, s: what passes between two reports of a running play.
-const LEAST_S: f64 = 0.1;
-/// Sums are so exact, s: more than rounding errors add up to.
-const ROUNDING_S: f64 = 1e-6;
+/// Dates whose sums are kept, at most.
+const DATES: usize = 4;
+/// What the file keeps for a play without end, s: twice what passes between two writings.
+const AHEAD_S: f64 = 10.0;
+/// Plays that have no id yet have a number from here on.
+const HELD: u64 = 1 << 63;
 
 /// When it is.
 #[derive(Clone, Copy, Debug)]
 pub struct Now {
     /// On the host's monotonic clock.
     pub at: HostInstant,
+    /// On the wall clock.
+    pub wall: Timestamp,
     /// The local date.
     pub date: Date,
+    /// The local date by the time that has passed since the program began, whoever has set the clock meanwhile.
+    pub passed: Date,
 }
 
 impl Now {
     /// By the system's clocks and time zone.
     #[must_use]
     pub fn read() -> Self {
-        Self { at: HostInstant::now(), date: jiff::Zoned::now().date() }
+        static BEGAN: OnceLock<(SignedDuration, Zoned)> = OnceLock::new();
+        let (at, now) = (HostInstant::now(), Zoned::now());
+        // It goes on while the machine sleeps.
+        let up = clock_gettime(ClockId::Boottime);
+        let up = SignedDuration::new(up.tv_sec, i32::try_from(up.tv_nsec).unwrap_or(0));
+        let (up_then, then) = BEGAN.get_or_init(|| (up, now.clone()));
+        let passed = then.saturating_add(up.saturating_sub(*up_then)).date();
+        Self { at, wall: now.timestamp(), date: now.date(), passed }
+    }
+
+    /// The same at another instant of the monotonic clock.
+    #[must_use]
+    pub const fn at(self, at: HostInstant) -> Self {
+        Self { at, ..self }
     }
 }
 
-/// A play does not fit.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Exceeded {
-    /// Into what.
-    pub limit: Limit,
-    /// The limit, s.
-    pub most_s: f64,
-    /// What is used, and kept for the plays that run and wait, s.
-    pub used_s: f64,
-    /// What the play takes, s; `None`: it has no end.
-    pub play_s: Option<f64>,
-    /// How long a pause is, s.
-    pub pause_s: f64,
+/// An instant in seconds.
+fn seconds(at: HostInstant) -> f64 {
+    at.as_ns() as f64 / 1e9
 }
 
 impl Exceeded {
@@ -92,13 +108,30 @@ impl Exceeded {
     }
 }
 
-/// A play that was accepted and has not ended.
+/// A play that was accepted and has not ended, or whose order is under way.
 #[derive(Debug)]
 struct Live {
+    id: u64,
     vibration: Vibration,
-    /// Vibration that the sums hold already, s.
-    counted_s: f64,
+    onset: Onset,
+    /// Up to where the sums hold it, s from its onset.
+    counted_to_s: f64,
+    /// The play that took its place, and when, s.
+    cut: Option<(u64, f64)>,
+    replaces: bool,
 }
+
+impl Live {
+    /// What it may still vibrate, s.
+    fn left_s(&self) -> f64 {
+        self.vibration
+            .total()
+            .map_or(AHEAD_S, |total| (total - self.vibration.until(self.counted_to_s)).max(0.0))
+    }
+}
+
+/// The sums of a date, s, by participant.
+type Sums = BTreeMap<Option<String>, f64>;
 
 /// See the module.
 #[derive(Debug, Default)]
@@ -108,27 +141,30 @@ pub struct Account {
     participant: Option<String>,
     /// Vibration of the session, s; `None`: no session runs.
     session_s: Option<f64>,
-    date: Option<Date>,
-    /// Vibration of the day, s, by participant.
-    days: BTreeMap<Option<String>, f64>,
-    /// Vibration since the last pause, s, and when it was last counted.
-    continuous_s: f64,
-    last: Option<HostInstant>,
-    live: HashMap<u64, Live>,
+    dates: BTreeMap<Date, Sums>,
+    stretch: Stretch,
+    /// In the order of the plays.
+    live: Vec<Live>,
+    last_held: u64,
+    /// Why the sums are not known: nothing is played until somebody has looked.
+    unknown: Option<String>,
 }
 
-/// A line of the file.
-#[derive(Debug, Serialize, Deserialize)]
-struct Sum {
-    participant: Option<String>,
-    vibration_s: f64,
+/// The name under which a participant's vibration is counted: spaces at the ends, repeated ones, case and the width of letters do not
+/// make another person.
+fn key(participant: &str) -> String {
+    let narrow = |c: char| match u32::from(c) {
+        wide @ 0xff01..=0xff5e => char::from_u32(wide - 0xfee0).unwrap_or(c),
+        _ => c,
+    };
+    let name: String = participant.chars().map(narrow).flat_map(char::to_lowercase).collect();
+    name.split_whitespace().collect::<Vec<_>>().join(" ")
 }
 
-/// The file.
-#[derive(Debug, Serialize, Deserialize)]
-struct File {
-    date: String,
-    days: Vec<Sum>,
+/// Adds to a person's sum: once there are [`PEOPLE`] names, further ones share the sum without one.
+fn add(sums: &mut Sums, person: Option<String>, vibration_s: f64) {
+    let full = sums.len() >= PEOPLE && !sums.contains_key(&person);
+    *sums.entry(person.filter(|_| !full)).or_default() += vibration_s;
 }
 
 impl Account {
@@ -149,123 +185,160 @@ impl Account {
         &self.limits
     }
 
-    /// Takes the day's sums from the file's text.
-    ///
-    /// # Errors
-    /// Why it cannot be read; the account stays as it is.
-    pub fn restore(&mut self, text: &[u8]) -> io::Result<()> {
-        let File { date, days } = serde_json::from_slice(text)?;
-        let date = date.parse().map_err(io::Error::other)?;
-        let good = |sum: &Sum| sum.vibration_s.is_finite() && sum.vibration_s >= 0.0;
-        self.date = Some(date);
-        self.days = days.into_iter().filter(good).map(|sum| (sum.participant, sum.vibration_s)).collect();
-        Ok(())
+    /// Whose vibration is counted.
+    fn person(&self) -> Option<String> {
+        self.participant.as_deref().map(key)
     }
 
-    /// The day's sums as the file's text.
-    #[must_use]
-    pub fn text(&self) -> Option<String> {
-        let sum = |(participant, &vibration_s): (&Option<String>, &f64)| Sum {
-            participant: participant.clone(),
-            vibration_s,
+    /// The largest sum of today, and of later dates: they were today before the clock was set back.
+    fn day_s(&self, now: Now) -> f64 {
+        if self.unknown.is_some() {
+            return self.limits.max_day_s;
+        }
+        let person = self.person();
+        let of = |sums: &Sums| {
+            let shared = sums.len() >= PEOPLE && !sums.contains_key(&person);
+            sums.get(if shared { &None } else { &person }).copied().unwrap_or(0.0)
         };
-        let file = File { date: self.date?.to_string(), days: self.days.iter().map(sum).collect() };
-        // Plain data can be written.
-        serde_json::to_string(&file).ok().map(|text| text + "\n")
+        self.dates.range(now.date.min(now.passed)..).map(|(_, sums)| of(sums)).fold(0.0, f64::max)
     }
 
-    /// Under whose name the day's vibration is counted: once there are [`PEOPLE`] names, further ones share the sum without one.
-    fn counted_for(&self) -> &Option<String> {
-        let full = self.days.len() >= PEOPLE && !self.days.contains_key(&self.participant);
-        if full { &None } else { &self.participant }
+    /// Counts vibration to today. It counts also to the date that it would be if nobody had set the clock.
+    fn count(&mut self, new_s: f64, now: Now) {
+        let person = self.person();
+        add(self.dates.entry(now.date).or_default(), person.clone(), new_s);
+        if now.passed != now.date {
+            add(self.dates.entry(now.passed).or_default(), person, new_s);
+        }
+        self.keep_few_dates();
+        self.session_s = self.session_s.map(|used_s| used_s + new_s);
     }
 
-    fn day_s(&self, date: Date) -> f64 {
-        let today = self.date == Some(date);
-        self.days.get(self.counted_for()).copied().filter(|_| today).unwrap_or(0.0)
+    /// Drops the oldest dates. The next one takes over the larger sums, so that a clock that goes back finds them.
+    fn keep_few_dates(&mut self) {
+        while self.dates.len() > DATES
+            && let Some((_, oldest)) = self.dates.pop_first()
+            && let Some(mut next) = self.dates.first_entry()
+        {
+            for (person, sum_s) in oldest {
+                let more_s = sum_s - next.get().get(&person).copied().unwrap_or(0.0);
+                add(next.get_mut(), person, more_s.max(0.0));
+            }
+        }
     }
 
-    fn continuous_s(&self, at: HostInstant) -> f64 {
-        let paused = self.last.is_none_or(|last| at.since(last).as_secs_f64() >= self.limits.pause_s);
-        if paused && !self.live.values().any(|live| live.counted_s > 0.0) { 0.0 } else { self.continuous_s }
+    /// The stretch, with what the running play has vibrated by now.
+    fn stretch(&self, now: Now) -> Stretch {
+        let at_s = seconds(now.at);
+        self.live.iter().fold(self.stretch, |stretch, live| match live.onset {
+            Onset::Began(onset_s) => {
+                let span = (live.counted_to_s, at_s - onset_s);
+                live.vibration.walk(onset_s, span, stretch, self.limits.pause_s).1
+            }
+            Onset::At(_) | Onset::Next => stretch,
+        })
     }
 
-    /// Checks whether a play fits behind those that run and wait, or `instead` of them. A play that begins `later` at a tick of its
-    /// own is checked for the time without a pause when it comes to it.
+    /// Checks whether a play fits behind those that run and wait, or instead of them, and keeps its time. Returns its number until it
+    /// has an id.
     ///
     /// # Errors
     /// The limit into which it does not fit.
-    pub fn check(&self, now: Now, play: &Vibration, instead: bool, later: bool) -> Result<(), Exceeded> {
-        let waiting = |live: &Live| live.vibration.total().map_or(0.0, |total| total - live.counted_s);
-        let kept_s: f64 = if instead { 0.0 } else { self.live.values().map(waiting).sum() };
-        let ParticipantLimits { max_continuous_s, pause_s, max_session_s, max_day_s, .. } = self.limits;
-        let continuous_s = if later { 0.0 } else { self.continuous_s(now.at) + kept_s };
-        let in_session_s = play.total().filter(|_| self.session_s.is_some());
-        let longest_s = Some(play.longest(pause_s)).filter(|longest| longest.is_finite());
-        for (limit, most_s, used_s, play_s) in [
-            (Limit::Continuous, max_continuous_s, continuous_s, longest_s),
-            // Without a session, only the day has a sum.
-            (
-                Limit::Session,
-                max_session_s,
-                self.session_s.map_or(0.0, |used_s| used_s + kept_s),
-                in_session_s,
-            ),
-            (Limit::Day, max_day_s, self.day_s(now.date) + kept_s, play.total()),
-        ] {
-            if used_s + play_s.unwrap_or(LEAST_S) > most_s + ROUNDING_S {
-                return Err(Exceeded { limit, most_s, used_s, play_s, pause_s });
+    pub fn hold(
+        &mut self,
+        now: Now,
+        vibration: Vibration,
+        onset: Onset,
+        replaces: bool,
+    ) -> Result<u64, Exceeded> {
+        let pending = |live: &Live| (live.onset, live.counted_to_s, live.cut.map(|(_, at_s)| at_s));
+        let plays = self.live.iter().map(|live| {
+            let (onset, counted_to_s, cut_s) = pending(live);
+            Pending { vibration: &live.vibration, onset, counted_to_s, cut_s }
+        });
+        let so_far = SoFar {
+            at_s: seconds(now.at),
+            stretch: self.stretch,
+            session_s: self.session_s,
+            day_s: self.day_s(now),
+            plays: plays.collect(),
+        };
+        judge(&self.limits, &so_far, &Order { vibration: &vibration, onset, replace: replaces })?;
+        self.last_held += 1;
+        let id = HELD + self.last_held;
+        self.live.push(Live { id, vibration, onset, counted_to_s: 0.0, cut: None, replaces });
+        Ok(id)
+    }
+
+    /// The play that was held was sent to the streamer under its id.
+    pub fn begin(&mut self, held: u64, id: u64, now: Now) {
+        let Some(at) = self.live.iter().position(|live| live.id == held) else { return };
+        self.live[at].id = id;
+        if self.live[at].replaces {
+            for live in &mut self.live[..at] {
+                live.cut = live.cut.or(Some((id, seconds(now.at))));
             }
         }
-        Ok(())
     }
 
-    /// A play was sent to the streamer.
-    pub fn add(&mut self, id: u64, vibration: Vibration) {
-        self.live.insert(id, Live { vibration, counted_s: 0.0 });
+    /// A play was not accepted. Returns whether it was known.
+    pub fn forget(&mut self, id: u64) -> bool {
+        let before = self.live.len();
+        self.live.retain(|live| live.id != id);
+        for live in &mut self.live {
+            live.cut.take_if(|(by, _)| *by == id);
+        }
+        self.live.len() < before
     }
 
-    /// A play was not accepted.
-    pub fn forget(&mut self, id: u64) {
-        self.live.remove(&id);
+    /// A play has begun.
+    pub fn began(&mut self, id: u64, onset: HostInstant) {
+        if let Some(live) = self.live.iter_mut().find(|live| live.id == id) {
+            live.onset = Onset::Began(seconds(onset));
+        }
     }
 
     /// A running play has played for so long. Returns the limit that it has passed.
     pub fn played(&mut self, id: u64, played_s: f64, now: Now) -> Option<Limit> {
-        let live = self.live.get_mut(&id)?;
-        let vibrated_s = live.vibration.until(played_s);
-        let new_s = (vibrated_s - live.counted_s).max(0.0);
-        live.counted_s += new_s;
+        let pause_s = self.limits.pause_s;
+        let live = self.live.iter_mut().find(|live| live.id == id)?;
+        let onset_s = match live.onset {
+            Onset::Began(onset_s) => onset_s,
+            // The report of its begin is lost.
+            Onset::At(_) | Onset::Next => seconds(now.at) - played_s.min(live.vibration.end()),
+        };
+        live.onset = Onset::Began(onset_s);
+        let new_s = live.vibration.until(played_s) - live.vibration.until(live.counted_to_s);
         if new_s > 0.0 {
-            // The time since the last count has vibration and rest in it.
-            let rested_s = self.last.map_or(f64::INFINITY, |last| now.at.since(last).as_secs_f64() - new_s);
-            if rested_s >= self.limits.pause_s {
-                self.continuous_s = 0.0;
-            }
-            self.continuous_s += new_s;
-            self.last = Some(now.at);
-            if self.date != Some(now.date) {
-                (self.date, self.days) = (Some(now.date), BTreeMap::new());
-            }
-            let name = self.counted_for().clone();
-            *self.days.entry(name).or_default() += new_s;
-            self.session_s = self.session_s.map(|used_s| used_s + new_s);
+            self.stretch =
+                live.vibration.walk(onset_s, (live.counted_to_s, played_s), self.stretch, pause_s).1;
+            live.counted_to_s = played_s;
+            self.count(new_s, now);
         }
         let passed = |used_s: f64, most_s: f64| used_s > most_s + ROUNDING_S;
         let ParticipantLimits { max_continuous_s, max_session_s, max_day_s, .. } = self.limits;
         [
-            (Limit::Continuous, passed(self.continuous_s, max_continuous_s)),
+            (Limit::Continuous, passed(self.stretch.used_s, max_continuous_s)),
             (Limit::Session, self.session_s.is_some_and(|used_s| passed(used_s, max_session_s))),
-            (Limit::Day, passed(self.day_s(now.date), max_day_s)),
+            (Limit::Day, passed(self.day_s(now), max_day_s)),
         ]
         .into_iter()
         .find_map(|(limit, passed)| passed.then_some(limit))
     }
 
-    /// A play has ended after so long; 0 if it never began.
-    pub fn ended(&mut self, id: u64, played_s: f64, now: Now) {
-        self.played(id, played_s, now);
-        self.live.remove(&id);
+    /// A play has ended after so long, or as planned (`None`).
+    pub fn ended(&mut self, id: u64, played_s: Option<f64>, now: Now) {
+        let Some(live) = self.live.iter().find(|live| live.id == id) else { return };
+        let until_now_s = match live.onset {
+            Onset::Began(onset_s) => seconds(now.at) - onset_s,
+            Onset::At(_) | Onset::Next => 0.0,
+        };
+        let played_s =
+            played_s.unwrap_or(if live.vibration.is_endless() { until_now_s } else { f64::INFINITY });
+        if played_s > 0.0 {
+            self.played(id, played_s, now);
+        }
+        self.live.retain(|live| live.id != id);
     }
 
     /// A session of this participant has begun.
@@ -287,7 +360,27 @@ impl Account {
 
     /// The plays that run and wait.
     pub fn live(&self) -> impl Iterator<Item = u64> {
-        self.live.keys().copied()
+        self.live.iter().map(|live| live.id)
+    }
+
+    /// What is wrong with the sums, and what to do; none if all is well.
+    #[must_use]
+    pub fn problem(&self, now: Now) -> Option<String> {
+        let later = || {
+            let (date, _) =
+                self.dates.last_key_value().filter(|(date, _)| **date > now.date.max(now.passed))?;
+            Some(format!(
+                "`{FILE}` has vibration of {date}, which is later than today: it counts until then; set the clock right, or correct \
+                 the file and start the daemon again"
+            ))
+        };
+        self.unknown.clone().or_else(later)
+    }
+
+    /// Why the sums are not known.
+    #[must_use]
+    pub fn unknown(&self) -> Option<&str> {
+        self.unknown.as_deref()
     }
 
     /// Limits, and what is used and left.
@@ -295,7 +388,8 @@ impl Account {
     pub fn status(&self, now: Now) -> ParticipantStatus {
         let ParticipantLimits { max_amplitude_um, max_continuous_s, pause_s, max_session_s, max_day_s } =
             self.limits;
-        let (continuous_used_s, day_used_s) = (self.continuous_s(now.at), self.day_s(now.date));
+        let continuous_used_s = self.stretch(now).used_at(seconds(now.at), pause_s);
+        let day_used_s = self.day_s(now);
         ParticipantStatus {
             participant: self.participant.clone(),
             max_amplitude_um,
@@ -313,5 +407,7 @@ impl Account {
     }
 }
 
+#[cfg(test)]
+mod random;
 #[cfg(test)]
 mod tests;

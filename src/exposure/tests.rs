@@ -13,7 +13,20 @@ fn play(end_s: Option<f64>) -> Vibration {
 }
 
 fn at(seconds: f64) -> Now {
-    Now { at: HostInstant::from_ns((seconds * 1e9) as u64), date: date(2026, 11, 22) }
+    let (today, wall) = (date(2026, 11, 22), Timestamp::from_second(1_795_300_000).unwrap());
+    let wall = wall + SignedDuration::from_secs_f64(seconds);
+    Now { at: HostInstant::from_ns((seconds * 1e9) as u64), wall, date: today, passed: today }
+}
+
+/// Whether a play would fit.
+fn check(account: &mut Account, now: Now, play: &Vibration, onset: Onset) -> Result<(), Exceeded> {
+    account.hold(now, play.clone(), onset, false).map(|held| {
+        account.forget(held);
+    })
+}
+
+fn check_next(account: &mut Account, now: Now, play: &Vibration) -> Result<(), Exceeded> {
+    check(account, now, play, Onset::Next)
 }
 
 fn account() -> Account {
@@ -30,14 +43,18 @@ fn run(
     from: f64,
     seconds: f64,
 ) -> Option<(f64, Limit)> {
-    account.add(id, vibration);
+    let held = HELD + 1000 + id;
+    let live =
+        Live { id: held, vibration, onset: Onset::Next, counted_to_s: 0.0, cut: None, replaces: false };
+    account.live.push(live);
+    account.begin(held, id, at(from));
     let tenths = (seconds * 10.0).round() as u32;
     let passed = (0..=tenths).find_map(|tenth| {
         let played = f64::from(tenth) / 10.0;
         account.played(id, played, at(from + played)).map(|limit| (played, limit))
     });
     let played = passed.map_or(seconds, |(played, _)| played);
-    account.ended(id, played, at(from + played));
+    account.ended(id, Some(played), at(from + played));
     passed
 }
 
@@ -47,40 +64,162 @@ fn a_play_without_end_passes_the_limit_within_a_report() {
     let (played, limit) = run(&mut account, 1, play(None), 100.0, 60.0).unwrap();
     assert_eq!(limit, Limit::Continuous);
     assert!((10.0..=10.11).contains(&played), "{played}");
-    let refused = account.check(at(112.0), &play(None), false, false).unwrap_err();
+    let refused = check_next(&mut account, at(112.0), &play(None)).unwrap_err();
     assert_eq!(refused.limit, Limit::Continuous);
     let says = "`participant.max_continuous_s` allows 10 s of vibration without a pause: 0.0 s are left; play again after a pause of 5 s";
     assert!(refused.text().starts_with(says), "{}", refused.text());
-    assert_eq!(account.check(at(116.0), &play(None), false, false), Ok(()), "after a pause");
+    assert_eq!(check_next(&mut account, at(116.0), &play(None)), Ok(()), "after a pause");
 }
 
 #[test]
 fn a_finite_play_is_refused_as_a_whole_and_never_cut() {
     let mut account = account();
-    assert_eq!(account.check(at(0.0), &play(Some(10.0)), false, false), Ok(()));
-    let refused = account.check(at(0.0), &play(Some(10.5)), false, false).unwrap_err();
+    assert_eq!(check_next(&mut account, at(0.0), &play(Some(10.0))), Ok(()));
+    let refused = check_next(&mut account, at(0.0), &play(Some(10.5))).unwrap_err();
     assert!(
         refused.text().contains("the play vibrates for 10.5 s; play for less time"),
         "{}",
         refused.text()
     );
     assert_eq!(run(&mut account, 1, play(Some(10.0)), 0.0, 10.0), None, "exactly the limit");
-    assert!(account.check(at(11.0), &play(Some(0.5)), false, false).is_err());
+    assert!(check_next(&mut account, at(11.0), &play(Some(0.5))).is_err());
     // A rest shorter than a pause goes on with the same sum; one as long begins a new one.
     assert_eq!(run(&mut account, 2, play(Some(6.0)), 16.0, 6.0), None);
-    let refused = account.check(at(24.0), &play(Some(6.0)), false, false).unwrap_err();
+    let refused = check_next(&mut account, at(24.0), &play(Some(6.0))).unwrap_err();
     assert_eq!((refused.used_s, refused.play_s), (6.0, Some(6.0)));
 }
 
 #[test]
 fn plays_that_wait_have_their_time_kept() {
     let mut account = account();
-    account.add(1, play(Some(6.0)));
-    assert!(account.check(at(0.0), &play(Some(6.0)), false, false).is_err(), "behind it, without a pause");
-    assert_eq!(account.check(at(0.0), &play(Some(6.0)), true, false), Ok(()), "in its place");
-    assert_eq!(account.check(at(0.0), &play(Some(6.0)), false, true), Ok(()), "at a tick of its own");
-    account.forget(1);
-    assert_eq!(account.check(at(0.0), &play(Some(6.0)), false, false), Ok(()));
+    let six = play(Some(6.0));
+    let first = account.hold(at(0.0), six.clone(), Onset::Next, false).unwrap();
+    assert!(check_next(&mut account, at(0.0), &six).is_err(), "behind it, without a pause");
+    let instead = account.hold(at(0.0), six.clone(), Onset::Next, true).unwrap();
+    account.forget(instead);
+    // At a time of its own: what counts is whether a pause fits before it.
+    for (after_s, fits) in [(0.015, false), (7.0, false), (10.9, false), (11.2, true), (3600.0, true)] {
+        assert_eq!(check(&mut account, at(0.0), &six, Onset::At(after_s)).is_ok(), fits, "{after_s}");
+    }
+    account.forget(first);
+    assert_eq!(check_next(&mut account, at(0.0), &six), Ok(()));
+}
+
+/// The loop that passed the limit by: plays a little shorter than it, each at a time of its own a moment later.
+#[test]
+fn what_has_vibrated_counts_for_a_play_at_a_time_of_its_own() {
+    let mut account = account();
+    assert_eq!(run(&mut account, 1, play(Some(9.0)), 0.0, 9.0), None);
+    for (now_s, onset_s, fits) in [
+        (9.0, 9.015, false),
+        (9.0, 13.9, false),
+        (9.0, 14.1, true),
+        (13.0, 13.015, false),
+        (14.0, 14.015, true),
+    ] {
+        let found = check(&mut account, at(now_s), &play(Some(9.0)), Onset::At(onset_s));
+        assert_eq!(found.is_ok(), fits, "{now_s} {onset_s}");
+    }
+    let sequence = Vibration::of_spans([(0.0, 4.0), (20.0, 24.0)]);
+    assert!(check(&mut account, at(9.0), &sequence, Onset::At(9.015)).is_err());
+    let gap = Vibration::of_spans([(0.0, 1.0), (20.0, 29.0)]);
+    assert_eq!(check(&mut account, at(9.0), &gap, Onset::At(9.015)), Ok(()), "its own pause");
+    assert_eq!(account.status(at(9.0)).continuous_used_s.round(), 9.0);
+}
+
+/// A kill leaves what was kept ahead as used, and the stretch without a pause; a clock that was set gives no pause.
+#[test]
+fn a_kill_leaves_no_smaller_sum() {
+    let mut account = account();
+    let killed = |account: &Account, from: f64, after: Now| {
+        let mut again = Account::new(*account.limits());
+        again.restore(account.text(at(from)).unwrap().as_bytes(), after).unwrap();
+        again
+    };
+    account.hold(at(0.0), play(Some(8.0)), Onset::Next, false).unwrap();
+    let mut again = killed(&account, 0.0, at(2.0));
+    assert_eq!((again.status(at(2.0)).day_used_s, again.status(at(2.0)).continuous_used_s), (8.0, 8.0));
+    assert!(check_next(&mut again, at(2.0), &play(Some(4.0))).is_err());
+    assert_eq!(check_next(&mut again, at(7.1), &play(Some(4.0))), Ok(()), "after a pause");
+    // The wall clock says that an hour has passed, the other that it were two seconds.
+    let hour = Now { wall: at(3600.0).wall, ..at(10.0) };
+    assert!(check_next(&mut killed(&account, 0.0, hour), hour, &play(Some(4.0))).is_err());
+    // The machine has started again: only the wall clock tells.
+    let again = |wall_s: f64| Now { wall: at(wall_s).wall, ..at(0.5) };
+    account.forget(HELD + 1);
+    run(&mut account, 1, play(Some(8.0)), 100.0, 8.0);
+    for (wall_s, fits) in [(50.0, false), (110.0, false), (120.0, true)] {
+        let mut after = killed(&account, 108.0, again(wall_s));
+        assert_eq!(check_next(&mut after, again(wall_s), &play(Some(4.0))).is_ok(), fits, "{wall_s}");
+    }
+    // Without an end, ten seconds are kept ahead.
+    account.hold(at(200.0), play(None), Onset::Next, false).unwrap();
+    assert_eq!(killed(&account, 200.0, at(200.0)).status(at(200.0)).day_used_s.round(), 18.0);
+}
+
+/// The clock goes forward a day and back: neither the day that it left nor the one that it came from begins anew.
+#[test]
+fn a_clock_that_is_set_gives_no_new_day() {
+    let mut account = account();
+    let on = |day: i8, passed: i8, seconds: f64| {
+        let [date, passed] = [day, passed].map(|day| date(2026, 11, day));
+        Now { date, passed, ..at(seconds) }
+    };
+    for (id, from) in [(1, 0.0), (2, 20.0), (3, 40.0)] {
+        run(&mut account, id, play(Some(9.0)), from, 9.0);
+    }
+    let used = |account: &Account, now: Now| account.status(now).day_used_s.round();
+    assert_eq!(used(&account, on(23, 22, 60.0)), 27.0, "a day passes more slowly");
+    // Where the daemon has started anew, the date is all that is known.
+    let mut again = Account::new(*account.limits());
+    again.restore(account.text(at(60.0)).unwrap().as_bytes(), on(23, 23, 61.0)).unwrap();
+    assert_eq!(used(&again, on(23, 23, 61.0)), 0.0);
+    for day in 23..29 {
+        let held = again.hold(on(day, day, 100.0), play(Some(1.0)), Onset::Next, false).unwrap();
+        again.begin(held, 9, on(day, day, 100.0));
+        again.began(9, on(day, day, 100.0).at);
+        again.ended(9, None, on(day, day, 101.0));
+    }
+    assert!(again.dates.len() <= DATES);
+    assert_eq!(used(&again, on(28, 28, 200.0)), 1.0);
+    assert_eq!(used(&again, on(22, 22, 200.0)), 27.0, "back again");
+    assert!(again.problem(on(22, 22, 200.0)).unwrap().contains("later than today"));
+}
+
+#[test]
+fn a_file_that_cannot_be_true_is_never_taken_for_nothing() {
+    let day = |sums: &str| format!("{{\"date\":\"2026-11-22\",\"days\":[{sums}]}}");
+    for text in [
+        String::new(),
+        "{".to_owned(),
+        "null".to_owned(),
+        "{\"date\":\"someday\",\"days\":[]}".to_owned(),
+        day("{\"participant\":null,\"vibration_s\":-3}"),
+        day("{\"participant\":null,\"vibration_s\":1e300}"),
+        day("{\"participant\":null,\"vibration_s\":NaN}"),
+        day("{\"participant\":null,\"vibration_s\":null}"),
+        day("{\"participant\":\"P1\"}"),
+    ] {
+        let mut account = account();
+        let why = account.restore(text.as_bytes(), at(0.0)).unwrap_err().to_string();
+        assert!(why.starts_with("`exposure.json`: ") && why.contains("correct or remove it"), "{why}");
+        assert_eq!(check_next(&mut account, at(0.0), &play(Some(0.1))).unwrap_err().limit, Limit::Day);
+        assert_eq!(account.text(at(0.0)), None, "the file stays as it is");
+        account.restore(day("").as_bytes(), at(0.0)).unwrap();
+        assert_eq!(check_next(&mut account, at(0.0), &play(Some(0.1))), Ok(()));
+    }
+}
+
+#[test]
+fn spaces_and_case_make_no_other_person() {
+    let mut account = account();
+    let sums = "{\"date\":\"2026-11-22\",\"days\":[{\"participant\":\"P1 \",\"vibration_s\":3},\
+                {\"participant\":\"P1\",\"vibration_s\":4},{\"participant\":\"P2\",\"vibration_s\":1}]}";
+    account.restore(sums.as_bytes(), at(0.0)).unwrap();
+    for (name, used_s) in [("P1", 7.0), (" p1", 7.0), ("\u{ff30}\u{ff11}", 7.0), ("P2", 1.0), ("P 1", 0.0)] {
+        account.start_session(name);
+        assert_eq!(account.status(at(0.0)).day_used_s, used_s, "{name:?}");
+    }
 }
 
 #[test]
@@ -91,21 +230,20 @@ fn the_day_s_sum_survives_a_restart_and_ends_with_the_day() {
     }
     let limits = *account.limits();
     let mut again = Account::new(limits);
-    again.restore(account.text().unwrap().as_bytes()).unwrap();
-    let refused = again.check(at(60.0), &play(Some(4.0)), false, false).unwrap_err();
+    again.restore(account.text(at(60.0)).unwrap().as_bytes(), at(60.0)).unwrap();
+    let refused = check_next(&mut again, at(60.0), &play(Some(4.0))).unwrap_err();
     assert_eq!((refused.limit, refused.used_s.round()), (Limit::Day, 27.0));
     assert!(
         refused.text().contains("3.0 s are left") && refused.text().contains("tomorrow"),
         "{}",
         refused.text()
     );
-    assert_eq!(again.check(at(60.0), &play(Some(3.0)), false, false), Ok(()));
-    let tomorrow = Now { date: date(2026, 11, 23), ..at(60.0) };
-    assert_eq!(again.check(tomorrow, &play(Some(4.0)), false, false), Ok(()));
+    assert_eq!(check_next(&mut again, at(60.0), &play(Some(3.0))), Ok(()));
+    let tomorrow = Now { date: date(2026, 11, 23), passed: date(2026, 11, 23), ..at(60.0) };
+    assert_eq!(check_next(&mut again, tomorrow, &play(Some(4.0))), Ok(()));
     let status = again.status(at(60.0));
     assert_eq!((status.day_used_s.round(), status.day_left_s.round()), (27.0, 3.0));
     assert_eq!(again.status(tomorrow).day_used_s, 0.0);
-    assert!(account.restore(b"{").is_err() && account.day_s(date(2026, 11, 22)) > 0.0, "a torn file");
 }
 
 /// Beyond the bound of names, the day's limit holds for the sum that further participants share.
@@ -122,8 +260,5 @@ fn the_day_has_a_limit_for_the_thousand_and_first_participant_too() {
     let passed =
         (0..4).find_map(|block| run(&mut account, 1, play(None), from + 100.0 * f64::from(block), 9.0));
     assert_eq!(passed.map(|(_, limit)| limit), Some(Limit::Day));
-    assert_eq!(
-        account.check(at(from + 1000.0), &play(Some(1.0)), false, false).unwrap_err().limit,
-        Limit::Day
-    );
+    assert_eq!(check_next(&mut account, at(from + 1000.0), &play(Some(1.0))).unwrap_err().limit, Limit::Day);
 }

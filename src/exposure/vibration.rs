@@ -2,6 +2,7 @@
 //!
 //! Invariant: spans are in order, do not touch, and lie within one repeat of the pattern.
 
+use super::rule::Stretch;
 use meissner_array::pattern::Pattern;
 
 /// The vibration of a play, in seconds from its onset.
@@ -87,23 +88,68 @@ impl Vibration {
         self.end_s.is_none()
     }
 
+    /// When it ends, s; infinite without end.
+    #[must_use]
+    pub fn end(&self) -> f64 {
+        self.end_s.unwrap_or(f64::INFINITY)
+    }
+
+    /// When it first vibrates, s.
+    #[must_use]
+    pub fn first(&self) -> f64 {
+        self.spans.first().map_or(0.0, |first| first.0)
+    }
+
     /// How long it vibrates at most without a pause of `pause_s`, s; infinite if it has no end and no such pause.
     #[must_use]
     pub fn longest(&self, pause_s: f64) -> f64 {
-        let end = self.end_s.unwrap_or(f64::INFINITY);
-        // Two repeats show every pause, also the one between the end and the beginning.
-        let second = self.repeat_s.filter(|repeat_s| *repeat_s < end);
-        let again = second.into_iter().flat_map(|by| self.spans.iter().map(move |&(a, b)| (a + by, b + by)));
-        let (mut longest, mut run, mut last, mut paused) = (0.0_f64, 0.0_f64, None, false);
-        for (start, stop) in self.spans.iter().copied().chain(again) {
-            let (start, stop) = (start.min(end), stop.min(end));
-            if last.is_some_and(|last| start - last >= pause_s) {
-                (run, paused) = (0.0, true);
+        self.walk(0.0, (0.0, f64::INFINITY), Stretch::NONE, pause_s).0
+    }
+
+    /// Adds what the play, begun at `onset_s`, vibrates in the part of it from `from_s` to `to_s`. Returns the most that the stretch
+    /// had, and the stretch after it.
+    #[must_use]
+    pub fn walk(
+        &self,
+        onset_s: f64,
+        (from_s, to_s): (f64, f64),
+        before: Stretch,
+        pause_s: f64,
+    ) -> (f64, Stretch) {
+        let to_s = self.end().min(to_s);
+        let (mut most, mut stretch, mut paused) = (0.0_f64, before, false);
+        let mut repeat = |by: f64, stretch: &mut Stretch, paused: &mut bool| {
+            for &(start, stop) in &self.spans {
+                let (start, stop) = ((start + by).max(from_s), (stop + by).min(to_s));
+                if start < stop {
+                    *paused |= stretch.is_over(onset_s + start, pause_s);
+                    *stretch = stretch.with(onset_s + start, onset_s + stop, pause_s);
+                    most = most.max(stretch.used_s);
+                }
             }
-            run += stop - start;
-            (longest, last) = (longest.max(run), Some(stop));
+        };
+        let a_repeat_s: f64 = self.spans.iter().map(|(start, stop)| stop - start).sum();
+        let Some(repeat_s) = self.repeat_s.filter(|&repeat_s| repeat_s > 0.0 && a_repeat_s > 0.0) else {
+            repeat(0.0, &mut stretch, &mut paused);
+            return (most, stretch);
+        };
+        let (mut number, mut whole) = ((from_s / repeat_s).floor(), 0);
+        while number * repeat_s < to_s {
+            paused = false;
+            repeat(number * repeat_s, &mut stretch, &mut paused);
+            whole += usize::from(number * repeat_s >= from_s);
+            number += 1.0;
+            // Further whole repeats are like the second: each begins a stretch anew, or all add to one.
+            let left = ((to_s - number * repeat_s) / repeat_s).floor();
+            if whole == 2 && left > 0.0 {
+                if !paused {
+                    stretch.used_s += left * a_repeat_s;
+                }
+                stretch.until_s += left * repeat_s;
+                number += left;
+            }
         }
-        if paused || second.is_none() { longest } else { self.total().unwrap_or(f64::INFINITY) }
+        (most.max(stretch.used_s), stretch)
     }
 }
 

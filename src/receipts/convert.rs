@@ -121,6 +121,7 @@ pub fn end_text(state: &str, cause: Option<&str>, cut_after_ms: Option<f64>) -> 
 pub fn refusal(refused: CommandError) -> Problem {
     let code = match refused {
         CommandError::DriftLimit { .. } => Code::DriftLimit,
+        CommandError::LevelNotChecked { .. } => Code::LevelNotChecked,
         CommandError::NoDevice => Code::NoDevice,
         CommandError::Disarmed => Code::Disarmed,
         CommandError::Faulted => Code::Faulted,

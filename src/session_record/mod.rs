@@ -41,6 +41,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
 use std::thread;
 use std::time::{Duration, Instant};
 use texts::Texts;
+use tokio::sync::oneshot;
 use tracing::warn;
 use writer::{Added, Stamp, Writer};
 
@@ -57,8 +58,8 @@ enum Message {
     Missed(u64, Counts),
     /// Write the following entries there.
     Move(Location),
-    /// Replace the file of exposures.
-    Exposure(String),
+    /// Replace the file of exposures, and say whether it was.
+    Exposure(String, oneshot::Sender<bool>),
     /// Keep a pattern's text under its SHA-256.
     Text(String, Arc<[u8]>),
     /// Drop this when all before it is written.
@@ -356,11 +357,13 @@ impl SessionRecord {
             && written.recv_deadline(until) != Err(RecvTimeoutError::Timeout)
     }
 
-    /// Replaces the file of exposures in the record's directory. If many entries wait, the next one replaces it.
-    pub fn save_exposure(&self, text: String) {
-        if let Some(queue) = self.lock().as_mut().filter(|queue| queue.messages.len() < queue.room) {
-            let _ = queue.messages.try_send(Message::Exposure(text));
-        }
+    /// Replaces the file of exposures in the record's directory. Returns where the answer arrives, whether it is on the disk; an error there
+    /// if too many entries wait. `None`: nothing is recorded.
+    #[must_use]
+    pub fn save_exposure(&self, text: String) -> Option<oneshot::Receiver<bool>> {
+        let (saved, answer) = oneshot::channel();
+        let _ = self.lock().as_mut()?.messages.try_send(Message::Exposure(text, saved));
+        Some(answer)
     }
 
     /// Whether it has room for more plays: entries about plays are never left out, so the daemon refuses plays while it has none.
@@ -419,7 +422,8 @@ fn write_all(
                 let kept = writer.keep_text(&sha256, &text);
                 texts.done(text.len(), kept.then_some(sha256));
             }
-            Ok(Message::Exposure(text)) => writer.save_exposure(&text),
+            // Nobody may wait for it any more.
+            Ok(Message::Exposure(text, saved)) => drop(saved.send(writer.save_exposure(&text))),
             Ok(Message::Written(waiting)) => drop(waiting),
             Ok(Message::LeftOut) => report = Some(Instant::now() + REPORT_AFTER),
             Ok(Message::Missed(number, missed)) => writer.miss(number, missed),

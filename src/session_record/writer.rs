@@ -309,15 +309,14 @@ impl Writer {
         }
     }
 
-    /// Replaces the file of exposures, if the record is open: then no other daemon writes here.
-    pub(super) fn save_exposure(&mut self, text: &str) {
+    /// Replaces the file of exposures, if the record is open: then no other daemon writes here. Returns whether it is on the disk.
+    pub(super) fn save_exposure(&mut self, text: &str) -> bool {
         if self.open.is_none() {
-            return;
+            return false;
         }
         let path = self.location.dir.join(exposure::FILE);
-        if let Err(source) = removal::replace(&self.location.dir, &path, text.as_bytes()) {
-            self.fail(&Failure { path, source });
-        }
+        let replaced = removal::replace(&self.location.dir, &path, text.as_bytes());
+        replaced.map_err(|source| self.fail(&Failure { path, source })).is_ok()
     }
 
     /// Keeps the text of a pattern, if the record is open. Returns whether it is kept.

@@ -54,7 +54,9 @@ impl SessionRequest {
     /// # Errors
     /// A `bad-request` that names the key.
     pub fn parse(body: &[u8]) -> Result<Self, Problem> {
-        let request: Self = read(body)?;
+        let mut request: Self = read(body)?;
+        // Spaces that nobody sees make no other person.
+        request.participant = request.participant.split_whitespace().collect::<Vec<_>>().join(" ");
         check_text("participant", &request.participant)?;
         if let Some(experiment) = &request.experiment {
             check_text("experiment", experiment)?;

@@ -239,3 +239,52 @@ fn the_estimate_of_a_stopped_play_counts_what_was_played() {
     let (whole, stopped) = (estimates(&mut whole)[0], estimates(&mut stopped)[0]);
     assert!((stopped / whole - 1.0).abs() < 0.05, "{whole} {stopped}");
 }
+
+/// Nobody looks: the estimate sums up over arms, and a script may arm until it is too large. Somebody looks: it begins anew.
+#[test]
+fn arms_that_nobody_has_checked_leave_the_estimate() {
+    let mut rig = rig(&blind(1), 150.0);
+    let one = pattern("one", Some(1.0 / 60.0), [drive(3, 60.0, 80.0)]);
+    let (mut um, mut taken) = (0.0, 0);
+    let refused = loop {
+        rig.start(&one, None);
+        rig.run_ms(200);
+        let now = estimates(&mut rig)[3];
+        assert!(now > um, "{um} {now}");
+        um = now;
+        rig.send(Command::Disarm);
+        rig.run_ms(200);
+        rig.take_events();
+        let ticket = rig.send(Command::ArmUnchecked);
+        rig.run_ms(200);
+        match answer(&rig.take_events(), ticket).unwrap() {
+            Ok(()) => taken += 1,
+            Err(refused) => break refused,
+        }
+        assert!(um <= 20.0 && taken < 10, "{um}");
+    };
+    assert_eq!(refused, CommandError::LevelNotChecked { um: um.round() as u32 });
+    let ticket = rig.send(Command::Arm { assume_rest: true });
+    rig.run_ms(200);
+    assert_eq!(answer(&rig.take_events(), ticket), Some(Ok(())));
+    assert_eq!(estimates(&mut rig)[3], 0.0);
+}
+
+/// An arm in each millisecond of a play and after it: none is decided on an estimate from before the play's end.
+#[test]
+fn no_moment_of_an_unchecked_arm_slips_past_the_estimate() {
+    let two = pattern("two", Some(3.0 / 60.0), [drive(3, 60.0, 80.0)]);
+    for ms in 0..120 {
+        let mut rig = rig(&blind(1), 150.0);
+        rig.start(&two, None);
+        rig.run_ms(ms);
+        rig.take_events();
+        let ticket = rig.send(Command::ArmUnchecked);
+        rig.run_ms(20);
+        let answered = answer(&rig.take_events(), ticket);
+        assert!(
+            matches!(answered, Some(Err(CommandError::Playing | CommandError::LevelNotChecked { .. }))),
+            "{ms} ms: {answered:?}"
+        );
+    }
+}

@@ -1,25 +1,37 @@
-//! The participant's exposure: follows the plays, stops what passes a limit, and keeps the day's sum.
+//! The participant's exposure: keeps the time of plays, follows them, stops what passes a limit, and keeps the sums on the disk.
 //!
-//! The daemon learns ten times a second how long the running play has played, so it stops a play without end at most that long
+//! Before a play reaches the streamer, its time is in the sums on the disk ([`Engine::hold`]): a kill at any moment leaves no smaller
+//! sum. The daemon learns ten times a second how long the running play has played, so it stops a play without end at most that long
 //! after its limit, and the time that the stop takes. A play with an end is refused if it does not fit.
+//!
+//! A disk that fails, or is silent for [`DISK`], stops no play: the sums in memory hold, and the status says so.
 //!
 //! Invariant: the daemon orders the stop once for each report in which the limit is passed, until the play ends.
 
 use super::State;
-use crate::exposure::{Account, Now, ParticipantLimits, Vibration};
+use crate::daemon::engine::Engine;
+use crate::exposure::{Account, Limit, Now, Onset, ParticipantLimits, Vibration};
+use firmware_protocol::tick::TICK_HZ;
+use jiff::civil::Date;
 use meissner_api::{Code, PlayRequest, Problem};
 use meissner_array::pattern::Pattern;
 use meissner_array::units::ticks_to_seconds;
-use meissner_stream::queues::{Command, End, StreamEvent};
+use meissner_stream::queues::{At, Command, End, StreamEvent};
 use meissner_stream::time::HostInstant;
 use std::collections::HashSet;
 use std::ops::{Deref, DerefMut};
 use std::time::Duration;
+use tokio::sync::MutexGuard;
+use tokio::sync::oneshot::Receiver;
+use tokio::sync::oneshot::error::TryRecvError;
+use tracing::warn;
 
 /// The cause of a play's end that a limit ordered.
 pub(in crate::daemon) const CAUSE: &str = "participant-limit";
-/// How often the day's sum is saved during a play: what a crash may lose.
-const SAVE_EVERY: Duration = Duration::from_secs(10);
+/// How often the sums are saved during a play: half of what the file keeps ahead for a play without end.
+const SAVE_EVERY: Duration = Duration::from_secs(5);
+/// How long a play waits for the disk.
+const DISK: Duration = Duration::from_secs(1);
 
 /// See the module.
 #[derive(Debug, Default)]
@@ -27,7 +39,10 @@ pub(in crate::daemon) struct Exposure {
     account: Account,
     /// Plays that a limit stops.
     stopped: HashSet<u64>,
-    saved_at: Option<HostInstant>,
+    /// When, and on which day, the sums were saved last.
+    saved: Option<(HostInstant, Date)>,
+    /// Tells whether the disk has taken the sums for which a play has waited in vain.
+    silent: Option<Receiver<bool>>,
 }
 
 impl Exposure {
@@ -40,10 +55,23 @@ impl Exposure {
         self.account.set_limits(limits);
     }
 
-    /// A play was not accepted.
-    pub(super) fn forget(&mut self, id: u64) {
-        self.account.forget(id);
-        self.stopped.remove(&id);
+    /// What is wrong with the sums or their file.
+    pub(in crate::daemon) fn problem(&self) -> Option<String> {
+        let silent = || {
+            self.silent.as_ref().filter(|silent| silent.is_empty() && !silent.is_terminated()).map(|_| {
+                "the disk of the session record is silent: after a kill the day's vibration would count too little".to_owned()
+            })
+        };
+        self.account.problem(Now::read()).or_else(silent)
+    }
+
+    /// Whether the disk has not answered yet since a play waited for it in vain.
+    fn is_disk_silent(&mut self) -> bool {
+        let silent = self.silent.as_mut().is_some_and(|silent| silent.try_recv() == Err(TryRecvError::Empty));
+        if !silent {
+            self.silent = None;
+        }
+        silent
     }
 }
 
@@ -65,15 +93,63 @@ fn exceeded(detail: String) -> Problem {
     Problem::new(Code::ParticipantLimit, detail)
 }
 
-impl State {
-    /// Refuses a play that a participant's limit does not allow, or not now. `later`: it has an onset.
-    pub(in crate::daemon) fn check_exposure(
+/// The kept time of a play that the streamer does not have yet. Dropped before [`Self::begin`], it is given back; do not drop it
+/// under the engine's lock. Orders come one after the other, so that each is judged behind those before it.
+#[derive(Debug)]
+pub(in crate::daemon) struct Held<'e> {
+    engine: &'e Engine,
+    number: u64,
+    _turn: MutexGuard<'e, ()>,
+}
+
+impl Held<'_> {
+    /// The streamer has the play, under this id.
+    pub(in crate::daemon) fn begin(&self, state: &mut State, id: u64) {
+        state.exposure.account.begin(self.number, id, Now::read());
+    }
+}
+
+impl Drop for Held<'_> {
+    fn drop(&mut self) {
+        self.engine.lock().forget_exposure(self.number);
+    }
+}
+
+impl Engine {
+    /// Keeps the time of a play that `check` accepts, and waits until it is in the sums on the disk.
+    pub(in crate::daemon) async fn hold(
         &self,
+        check: impl FnOnce(&mut State) -> Result<u64, Problem>,
+    ) -> Result<Held<'_>, Problem> {
+        let turn = self.orders.lock().await;
+        let (held, saved) = {
+            let mut state = self.lock();
+            let number = check(&mut state)?;
+            let saved = state.save_exposure(Now::read());
+            let waits = !state.exposure.is_disk_silent();
+            (Held { engine: self, number, _turn: turn }, saved.filter(|_| waits))
+        };
+        if let Some(mut saved) = saved
+            && tokio::time::timeout(DISK, &mut saved).await.is_err()
+        {
+            warn!(
+                "the disk of the session record has not taken the vibration's sums for {DISK:?}; playing goes on"
+            );
+            self.lock().exposure.silent = Some(saved);
+        }
+        Ok(held)
+    }
+}
+
+impl State {
+    /// Refuses a play that a participant's limit does not allow, or not now; else keeps its time.
+    pub(in crate::daemon) fn hold_play(
+        &mut self,
         request: &PlayRequest,
         pattern: &Pattern,
         vibration: &Vibration,
-        later: bool,
-    ) -> Result<(), Problem> {
+        at: At,
+    ) -> Result<u64, Problem> {
         let scale = request.scale.unwrap_or(1.0);
         let amplitudes = pattern.drives().iter().map(|drive| drive.amplitude_um * scale);
         self.check_amplitude(&request.pattern, amplitudes.fold(0.0, f64::max))?;
@@ -83,7 +159,7 @@ impl State {
                 request.pattern
             )));
         }
-        self.check_vibration(vibration, request.replace, later)
+        self.hold_vibration(vibration, request.replace, at)
     }
 
     /// Refuses an amplitude that is too large for a participant.
@@ -98,56 +174,86 @@ impl State {
         Ok(())
     }
 
-    /// Refuses vibration that does not fit behind the plays that run and wait, or `instead` of them.
-    pub(in crate::daemon) fn check_vibration(
-        &self,
+    /// Refuses vibration that does not fit behind the plays that run and wait, or instead of them; else keeps its time.
+    pub(in crate::daemon) fn hold_vibration(
+        &mut self,
         vibration: &Vibration,
-        instead: bool,
-        later: bool,
-    ) -> Result<(), Problem> {
-        let fits = self.exposure.account.check(Now::read(), vibration, instead, later);
-        fits.map_err(|why| exceeded(why.text()))
+        replaces: bool,
+        at: At,
+    ) -> Result<u64, Problem> {
+        let now = Now::read();
+        let at_s = now.at.as_ns() as f64 / 1e9;
+        let onset = match at {
+            At::Next => Onset::Next,
+            At::After(ns) => Onset::At(at_s + ns as f64 / 1e9),
+            At::Monotonic(at) => Onset::At(at.as_ns() as f64 / 1e9),
+            // Without a clock nothing tells when that is.
+            At::Tick(tick) => {
+                self.plays.receipts.clock(now.at).map_or(Onset::Next, |(at, uncertainty_us)| {
+                    let ahead_s = (tick.0 as f64 - at.0 as f64) / f64::from(TICK_HZ);
+                    Onset::At(at_s + ahead_s - uncertainty_us / 1e6)
+                })
+            }
+        };
+        let Exposure { account, .. } = &mut self.exposure;
+        account.hold(now, vibration.clone(), onset, replaces).map_err(|why| {
+            let unknown = account.unknown().filter(|_| why.limit == Limit::Day);
+            exceeded(unknown.map_or_else(|| why.text(), str::to_owned))
+        })
     }
 
     /// Counts the vibration that an event reports. Stops a play that passes a limit, and names the limit as the cause of its end.
     pub(super) fn follow_exposure(&mut self, streamed: &mut StreamEvent) {
         match streamed {
+            StreamEvent::PlayStarted { id, onset } => self.exposure.account.began(*id, onset.at),
             StreamEvent::Snapshot(snapshot) => {
                 let Some((id, played_s)) = snapshot.play else { return };
-                let now = Now::read();
+                let now = Now::read().at(snapshot.at);
                 if self.exposure.account.played(id, played_s, now).is_some() {
                     // The queue is cleared, too. If too many commands wait, the next report orders it again.
                     let live: Vec<u64> = self.exposure.account.live().collect();
                     self.exposure.stopped.extend(live);
                     let _ = self.commands.send_unanswered(Command::Stop);
                 }
-                let due = self.exposure.saved_at.is_none_or(|at| now.at.since(at) >= SAVE_EVERY);
-                if due {
-                    self.save_exposure(now.at);
+                let due = |(at, date)| now.at.since(at) >= SAVE_EVERY || date != now.date;
+                if self.exposure.saved.is_none_or(due) {
+                    let _ = self.save_exposure(now);
                 }
             }
             StreamEvent::PlayEnded { id, outcome } => {
                 let now = Now::read();
-                let until_now_s = |began: HostInstant| now.at.since(began).as_secs_f64();
-                let played_s = outcome.onset.map_or(0.0, |onset| match (outcome.end, outcome.cut_after) {
-                    (End::Done, _) => f64::INFINITY,
-                    (End::Stopped | End::Aborted, Some(ticks)) => ticks_to_seconds(ticks),
-                    (End::Stopped | End::Aborted, None) => until_now_s(onset.at),
+                let played_s = outcome.onset.map_or(Some(0.0), |onset| {
+                    self.exposure.account.began(*id, onset.at);
+                    let until_now_s = now.at.since(onset.at).as_secs_f64();
+                    match outcome.end {
+                        End::Done => None,
+                        End::Stopped | End::Aborted => {
+                            Some(outcome.cut_after.map_or(until_now_s, ticks_to_seconds))
+                        }
+                    }
                 });
                 self.exposure.account.ended(*id, played_s, now);
                 if self.exposure.stopped.remove(id) && outcome.cause == Some("stop") {
                     outcome.cause = Some(CAUSE);
                 }
-                self.save_exposure(now.at);
+                let _ = self.save_exposure(now);
             }
             _ => {}
         }
     }
 
-    fn save_exposure(&mut self, at: HostInstant) {
-        self.exposure.saved_at = Some(at);
-        if let Some(text) = self.exposure.account.text() {
-            self.publisher.session_record.save_exposure(text);
+    /// A play was not accepted: gives its time back.
+    pub(super) fn forget_exposure(&mut self, id: u64) {
+        self.exposure.stopped.remove(&id);
+        if self.exposure.account.forget(id) {
+            let _ = self.save_exposure(Now::read());
         }
+    }
+
+    /// Saves the sums. Returns where the disk's answer arrives, if there is a file.
+    fn save_exposure(&mut self, now: Now) -> Option<Receiver<bool>> {
+        self.exposure.saved = Some((now.at, now.date));
+        let text = self.exposure.account.text(now)?;
+        self.publisher.session_record.save_exposure(text)
     }
 }

@@ -78,7 +78,7 @@ impl State {
         self.commands.accepts(&command)?;
         self.forget_unanswered();
         match command {
-            Command::Arm { .. } => self.connection.armed_once = true,
+            Command::Arm { .. } | Command::ArmUnchecked => self.connection.armed_once = true,
             Command::Home => self.moves(Asker::find().map(|asker| asker.caller)),
             _ => {}
         }
@@ -164,7 +164,7 @@ impl State {
     pub(super) fn settle_play(&mut self, id: u64, accepted: bool) -> Option<Event> {
         if !accepted {
             self.calibration.cancel(id);
-            self.exposure.forget(id);
+            self.forget_exposure(id);
             self.live.forget(id);
             self.rights.forget_play(id);
         }
@@ -182,7 +182,7 @@ impl State {
     pub(super) fn forget_unanswered(&mut self) {
         for id in self.commands.forget_unanswered(HostInstant::now()) {
             self.calibration.cancel(id);
-            self.exposure.forget(id);
+            self.forget_exposure(id);
             self.live.forget(id);
             self.rights.forget_play(id);
             self.plays.forget(id);

@@ -24,6 +24,15 @@ pub enum CommandError {
         /// The limit.
         limit_um: u32,
     },
+    /// Nobody has looked at pins that may be off by more than a script may take as at rest.
+    #[error(
+        "pins may be {um} um from rest: look at them, level them, and say who did: `meissner arm --assume-rest --checked NAME`, or \
+         \"checked\": \"NAME\""
+    )]
+    LevelNotChecked {
+        /// The largest estimate of a motor.
+        um: u32,
+    },
     /// The controller is not armed.
     #[error("the motors are disarmed: run `meissner arm` first")]
     Disarmed,

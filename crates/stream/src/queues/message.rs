@@ -57,9 +57,12 @@ pub enum Command {
     },
     /// Enable the motors.
     Arm {
-        /// Take every pin as being at rest.
+        /// Take every pin as being at rest: somebody has looked.
         assume_rest: bool,
     },
+    /// Enable the motors, and take every pin as being at rest although nobody has looked. The estimates stay as they are, so that
+    /// drift sums up until somebody looks; refused once it is large.
+    ArmUnchecked,
     /// Move all pins to their rest position. The answer comes when they are there.
     Home,
     /// Use these gains of the motors.

@@ -10,12 +10,28 @@ use crate::queues::{
 use crate::streamer::{ANSWER_WITHIN, MAX_PENDING_OPS, OpResult, PendingOp, Streamer, answer, cuts_play};
 use crate::time::HostInstant;
 use firmware_protocol::message::{Cause, LowerStop, Op, State};
+use firmware_protocol::stroke::MOTORS;
 use firmware_protocol::tick::Tick;
-use meissner_array::units::{duration_to_ticks, ms_in_ticks};
+use meissner_array::units::{UM_PER_PULSE, duration_to_ticks, ms_in_ticks};
 use std::time::Duration;
 
 /// Farthest onset ahead, ticks: half of what a stroke may have, so that every wire tick is unambiguous.
 const FARTHEST: u64 = 1 << 29;
+
+/// Without a check, pins may be taken as at rest up to this estimate, root mean square, µm. Our choice: one stroke of 80 µm after
+/// a rest leaves 20 µm, 16 µm by its transient and 11 µm by its scatter. After more play a person must look.
+const LEVEL_CHECK_UM: f32 = 20.0;
+
+/// How an `arm` knows that pins are at rest.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Rest {
+    /// The device knows where they are.
+    Known,
+    /// A client says so, and nobody has looked.
+    Unchecked,
+    /// Somebody has looked.
+    Checked,
+}
 
 /// The part of the first margin for the render horizon and a wake-up, not for the link.
 const WAKE_UP: Duration = Duration::from_micros(1500);
@@ -33,7 +49,9 @@ impl Streamer {
                 emit.event(StreamEvent::PlayRejected(play));
                 return;
             }
-            Command::Arm { .. } | Command::Reset { .. } if stale => Err(CommandError::Timeout),
+            Command::Arm { .. } | Command::ArmUnchecked | Command::Reset { .. } if stale => {
+                Err(CommandError::Timeout)
+            }
             Command::Play(play) => match self.play(now, given, play) {
                 Ok(()) => Ok(None),
                 Err((refused, play)) => {
@@ -58,7 +76,9 @@ impl Streamer {
                 return;
             }
             Command::Reset { estops_seen } => self.reset(estops_seen),
-            Command::Arm { assume_rest } => self.arm(now, assume_rest),
+            Command::Arm { assume_rest: false } => self.arm(now, Rest::Known),
+            Command::Arm { assume_rest: true } => self.arm(now, Rest::Checked),
+            Command::ArmUnchecked => self.arm(now, Rest::Unchecked),
             Command::Home if self.settings.lower_stop.is_some() => self.home_by_stop(),
             Command::Home => match self.home(ticket) {
                 // The answer comes when the pins are home.
@@ -257,8 +277,9 @@ impl Streamer {
         Ok(Some(Op::Disarm(Cause::Request)))
     }
 
-    fn arm(&mut self, now: HostInstant, assume_rest: bool) -> OpResult {
+    fn arm(&mut self, now: HostInstant, rest: Rest) -> OpResult {
         self.ready()?;
+        let assume_rest = rest != Rest::Known;
         // An operation begins a new epoch: do not send one between a play and its strokes for nothing.
         match self.state() {
             State::Armed if self.wants_armed => {
@@ -266,7 +287,7 @@ impl Streamer {
                     if !self.plays.is_empty() || self.homing.is_some() {
                         return Err(CommandError::Playing);
                     }
-                    self.assume_rest();
+                    self.take_rest(now, rest)?;
                 }
                 return Ok(None);
             }
@@ -275,12 +296,10 @@ impl Streamer {
             _ if self.wants_armed => return Err(CommandError::Returning),
             _ => {}
         }
+        self.take_rest(now, rest)?;
         self.wants_armed = true;
         self.apply_settings();
         self.control.clear_faults();
-        if assume_rest {
-            self.assume_rest();
-        }
         let host_timeout = ms_in_ticks(self.settings.lease_ms).round() as u32;
         let lower_stop = self.settings.lower_stop.map(|stop| {
             let seek = if self.needs_seek(now) { self.settings.seek_pulses() } else { 0 };
@@ -289,12 +308,31 @@ impl Streamer {
         Ok(Some(Op::Arm { assume_rest, host_timeout, limits: self.settings.limits, lower_stop }))
     }
 
-    /// The operator says that all pins are at rest. What telemetry shows does not need it; and if it should not come back, the estimate
-    /// from before stays.
-    fn assume_rest(&mut self) {
-        if !self.control.sees_all() {
-            self.control.assume_rest();
+    /// Pins are said to be at rest. What telemetry shows does not need it; and if it should not come back, the estimate from before
+    /// stays. Without telemetry only a look at the pins ends the estimate: it sums up over everything that is played until then.
+    fn take_rest(&mut self, now: HostInstant, rest: Rest) -> Result<(), CommandError> {
+        if rest == Rest::Known || self.control.sees_all() {
+            return Ok(());
         }
+        if rest == Rest::Checked {
+            self.control.assume_rest();
+            return Ok(());
+        }
+        // The account of a play that was cut is not closed: its estimate may still grow.
+        if !self.plays.is_empty() {
+            return Err(CommandError::Returning);
+        }
+        let tick = self.tick_at(now).unwrap_or_default();
+        self.control.reckon_to(tick);
+        let reckoned_um = self.control.dead_reckoning_um(tick, 0..MOTORS as u8);
+        // An emergency stop leaves pins up: one of them may have all of these pulses. A lower stop brings them home.
+        let up =
+            self.status.filter(|_| self.settings.lower_stop.is_none()).map_or(0, |(at, _)| at.outstanding);
+        let um = reckoned_um.max(up as f32 * UM_PER_PULSE as f32);
+        if um <= LEVEL_CHECK_UM {
+            return Ok(());
+        }
+        Err(CommandError::LevelNotChecked { um: um.round() as u32 })
     }
 
     /// Applies the settings configured last.
