@@ -295,6 +295,8 @@ fn clients_that_send_slowly_keep_nobody_out() {
             let _ = stream.write_all(part.as_bytes());
             held.push(stream);
         }
+        // The daemon has seen the burst of connections.
+        wait_until(|| daemon.raw(STATUS).starts_with("HTTP/1.1 200 "));
         assert_eq!(served(&daemon, 20), 40, "behind {part:?}");
     }
 }

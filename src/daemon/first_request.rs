@@ -21,6 +21,8 @@ pub(super) struct First {
 /// For which places a request counts. Each kind has places that those before it cannot take.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) enum Kind {
+    /// Its body is still to come.
+    Part,
     Other,
     /// A request of [`PROMPT`] that has come completely.
     Prompt,
@@ -49,8 +51,14 @@ pub(super) fn first(all: &[u8], peer: Peer, gate: &Gate) -> Option<First> {
     let is_known = peer.network.is_none_or(|client| is_let_in(&request, client, gate));
     let target = request.path.unwrap_or_default();
     let target = target.split(['?', '#']).next().unwrap_or_default();
-    if !is_known || !PROMPT.contains(&(request.method.unwrap_or_default(), target)) {
-        return Some(First::other(is_known));
+    let is_prompt = is_known && PROMPT.contains(&(request.method.unwrap_or_default(), target));
+    if !is_prompt {
+        let is_whole = match body_of(&request) {
+            Some(Part::Body(left)) => left <= (all.len() - length) as u64,
+            Some(Part::Chunks(_)) => false,
+            _ => true,
+        };
+        return Some(First { kind: if is_whole { Kind::Other } else { Kind::Part }, is_known });
     }
     // A client that asks first sends its body when the server says so.
     if request.headers.iter().any(|header| header.name.eq_ignore_ascii_case("expect")) {

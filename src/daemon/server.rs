@@ -106,7 +106,7 @@ impl Server {
         let is_beyond = full && !self.evict(is_network, first.is_known);
         let (estops, gate) = (&self.engine.estops, &self.engine.gate);
         let mut orders = Orders::new(Arc::clone(estops), Arc::clone(gate), peer, estop);
-        if is_beyond && first.kind == Kind::Other {
+        if is_beyond && first.kind <= Kind::Other {
             self.counts.refused.fetch_add(1, Ordering::Relaxed);
             orders.take(&head);
             refuse(&stream, &response(&too_many_clients(self.bounds.clients)), &mut orders);

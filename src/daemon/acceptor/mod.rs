@@ -418,8 +418,9 @@ impl Work {
     const fn further(&self, First { kind, is_known }: First) -> usize {
         let Bounds { estops, .. } = self.bounds;
         match kind {
+            Kind::Part if is_known => estops / 2,
             Kind::Other if is_known => estops,
-            Kind::Other => 0,
+            Kind::Part | Kind::Other => 0,
             Kind::Prompt => estops + estops / 2,
             Kind::EStop => 2 * estops,
         }
