@@ -95,7 +95,9 @@ pub(crate) fn crc_fits(mut encoded: &[u8]) -> bool {
     let mut state = !0;
     loop {
         let Some((&code, rest)) = encoded.split_first() else { return false };
-        let Some((block, rest)) = rest.split_at_checked(usize::from(code).wrapping_sub(1)) else { return false };
+        let Some((block, rest)) = rest.split_at_checked(usize::from(code).wrapping_sub(1)) else {
+            return false;
+        };
         state = with_bytes(state, block);
         if rest.is_empty() {
             return state == CRC_RESIDUE;

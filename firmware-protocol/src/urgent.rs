@@ -283,8 +283,8 @@ mod tests {
         ) {
             let body = [&[CONTROL], &numbers[..], &[op], &[3, 0, 3][..tail]].concat();
             let mut out = [0; MAX_FRAME];
-            let len = encode(&crate::frame::tests::Raw(&body), &mut out).unwrap();
-            let mut decoder = crate::frame::Decoder::new();
+            let len = encode(&frame::tests::Raw(&body), &mut out).unwrap();
+            let mut decoder = frame::Decoder::new();
             let message = frame::read(decoder.next(&mut &out[..len]).unwrap());
             let found = Watch::new().e_stop(&mut &out[..len], |_| true);
             prop_assert_eq!(found.map(Urgent::EStop), Watch::new().look(&out[..len]));

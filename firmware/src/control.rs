@@ -38,9 +38,7 @@ pub(crate) async fn watch() -> Infallible {
 /// Whether something has happened that ends a control transfer, and embassy has not handled it yet.
 fn has_ended() -> bool {
     let status = pac::USB.sie_status().read();
-    status.bus_reset()
-        || status.setup_rec()
-        || (status.suspended() && pac::USB.intr().read().dev_suspend())
+    status.bus_reset() || status.setup_rec() || (status.suspended() && pac::USB.intr().read().dev_suspend())
 }
 
 /// Whether a buffer of endpoint 0 waits for the host.

@@ -20,8 +20,10 @@ use embassy_sync::blocking_mutex::raw::CriticalSectionRawMutex;
 use embassy_sync::signal::Signal;
 use embassy_usb::class::cdc_acm::{CdcAcmClass, ControlChanged, Receiver, Sender, State};
 use embassy_usb::control::{OutResponse, Recipient, Request, RequestType};
-use embassy_usb::msos::{CompatibleIdFeatureDescriptor, PropertyData, RegistryPropertyFeatureDescriptor, windows_version};
 use embassy_usb::driver::{Endpoint as _, EndpointError, EndpointIn, EndpointOut};
+use embassy_usb::msos::{
+    CompatibleIdFeatureDescriptor, PropertyData, RegistryPropertyFeatureDescriptor, windows_version,
+};
 use embassy_usb::{Builder, Config, Handler};
 use firmware_protocol::frame::MAX_FRAME;
 use firmware_protocol::urgent::{Watch, e_stop_request, e_stop_requested};
@@ -137,16 +139,23 @@ fn setup() -> [u8; 8] {
     [a, b, c, d, e, f, g, h]
 }
 
+/// Looks at a SETUP packet that embassy has not been told of, if there is one. Again between the frames of a packet, because packets can be made
+/// that take longer to look into than the next SETUP packet takes to come.
+#[inline(always)]
+fn take_request() {
+    if pac::USB.ints().read().setup_req() {
+        if let Some(epoch) = e_stop_requested(setup()) {
+            estop::found(epoch, true);
+        }
+        // Before the host's next packet: what is armed was for an earlier request.
+        control::take_back();
+    }
+}
+
 impl OnInterrupt<USBCTRL_IRQ> for Peek {
     unsafe fn on_interrupt() {
         // First: it takes the same time whatever the pipes bring.
-        if pac::USB.ints().read().setup_req() {
-            if let Some(epoch) = e_stop_requested(setup()) {
-                estop::found(epoch, true);
-            }
-            // Before the host's next packet: what is armed was for an earlier request.
-            control::take_back();
-        }
+        take_request();
         let full = pac::USB.buff_status().read();
         let mut waiting = 0;
         for (pipe, endpoint) in ENDPOINTS.iter().enumerate() {
@@ -206,7 +215,11 @@ fn look(pipe: usize, endpoint: usize) {
     // SAFETY: see `Watches`.
     let watch = unsafe { &mut (*WATCHES.0.get())[pipe] };
     let is_active = pipe == ACTIVE.load(SeqCst) as usize;
-    while let Some(epoch) = watch.e_stop(&mut packet, |epoch| is_active && estop::is_new(epoch)) {
+    let is_new = |epoch| {
+        take_request();
+        is_active && estop::is_new(epoch)
+    };
+    while let Some(epoch) = watch.e_stop(&mut packet, is_new) {
         estop::found(epoch, false);
     }
 }
@@ -317,11 +330,7 @@ impl Usb {
         join4(
             device.run(),
             revive::supervise(|| lose(ALL)),
-            join3(
-                inbound(SERIAL, receiver, to_serial),
-                outbound(SERIAL, sender, from_serial),
-                closed(lines),
-            ),
+            join3(inbound(SERIAL, receiver, to_serial), outbound(SERIAL, sender, from_serial), closed(lines)),
             join3(control::watch(), inbound(BULK, out, to_bulk), outbound(BULK, into, from_bulk)),
         )
         .await;

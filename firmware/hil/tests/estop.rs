@@ -235,6 +235,11 @@ fn lines_are_low_within_two_pulse_periods_of_a_frame_behind_anything_in_its_pack
 }
 
 #[test]
+fn lines_are_low_within_half_a_pulse_period_of_a_request_behind_anything_in_a_packet() {
+    assert!(sweep("edge-45-paper", Traffic::Contrived, Way::Request, TRIES, 8) <= BY_REQUEST);
+}
+
+#[test]
 fn lines_are_low_within_half_a_pulse_period_of_a_request() {
     assert!(sweep("full-load", Traffic::Quiet, Way::Request, TRIES, 4) <= BY_REQUEST);
 }

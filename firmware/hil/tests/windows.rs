@@ -7,9 +7,8 @@ use meissner_hil::bench::chip::{ChipBench, ChipOptions};
 use meissner_hil::time::MS;
 
 /// D8DD60DF-4589-4CC7-9CD2-659D9E648A9F, as it is on the wire.
-const MICROSOFT_OS_20: [u8; 16] = [
-    0xdf, 0x60, 0xdd, 0xd8, 0x89, 0x45, 0xc7, 0x4c, 0x9c, 0xd2, 0x65, 0x9d, 0x9e, 0x64, 0x8a, 0x9f,
-];
+const MICROSOFT_OS_20: [u8; 16] =
+    [0xdf, 0x60, 0xdd, 0xd8, 0x89, 0x45, 0xc7, 0x4c, 0x9c, 0xd2, 0x65, 0x9d, 0x9e, 0x64, 0x8a, 0x9f];
 /// Windows 8.1, the first that reads them.
 const WINDOWS_8_1: u32 = 0x0603_0000;
 
@@ -55,7 +54,8 @@ fn capability(chip: &mut ChipBench) -> (u32, usize, u8) {
     assert_eq!((bos[0], bos[1], half(&bos[2..])), (5, 15, bos.len()));
     let capabilities = split(&bos[5..], false);
     assert_eq!(capabilities.len(), usize::from(bos[4]));
-    let found = capabilities.into_iter().find(|one| one[1] == 16 && one[2] == 5 && one[4..20] == MICROSOFT_OS_20);
+    let found =
+        capabilities.into_iter().find(|one| one[1] == 16 && one[2] == 5 && one[4..20] == MICROSOFT_OS_20);
     let one = found.expect("no platform capability of Microsoft");
     // One descriptor set, and no alternate enumeration.
     assert_eq!((one.len(), one[3], one[27]), (28, 0, 0));
