@@ -138,6 +138,7 @@ impl Tally {
             self.hung.push(format!("{cut:?}, {what}, step {step}, {later} cycles later"));
             self.chip = None;
         }
+        assert!(self.hung.len() < 20, "{} of {}:\n{}", self.hung.len(), self.cuts, self.hung.join("\n"));
     }
 
     fn judge(self, what: &str) {
