@@ -23,6 +23,7 @@ fn an_export_has_one_row_per_play() {
     receipts.push(ended(&mut events));
     let _: Session = client.post("/v1/sessions/running/end", &json!({})).unwrap();
     // Not of the session.
+    client.set_token(None);
     let _: Value = client.post("/v1/play", &json!({"pattern": "pin-60", "seconds": 0.1})).unwrap();
     ended(&mut events);
     let file = daemon.path("session.csv");

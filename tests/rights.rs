@@ -557,7 +557,8 @@ fn in_a_dead_owners_session_everybody_stops_and_disarms_at_once() {
         });
         assert_eq!((named.as_str(), session), (command, started.id.clone()));
     }
-    assert_eq!(other.get::<Status>("/v1/status").unwrap().state, "disarmed");
+    // The pins return first.
+    wait_until(|| other.get::<Status>("/v1/status").unwrap().state == "disarmed");
     // The owner's own are no interventions, and an observer orders none.
     let _: Status = owner.post("/v1/stop", &json!({})).unwrap();
     let observe = create(&daemon, Role::Observe);

@@ -16,7 +16,7 @@ use serde::{Deserialize, Serialize};
 pub const PROTOCOL: u8 = 4;
 /// Most bytes of version, body and CRC: one COBS block.
 const MAX_MESSAGE: usize = 254;
-const CRC_LEN: usize = 4;
+pub(crate) const CRC_LEN: usize = 4;
 /// Most bytes of a frame: COBS code byte, message, delimiter.
 pub const MAX_FRAME: usize = 1 + MAX_MESSAGE + 1;
 /// Bytes of a frame besides its body.
@@ -42,6 +42,9 @@ static CRC_TABLE: [u32; 256] = {
     }
     table
 };
+
+/// What remains of CRC-32/ISO-HDLC after a message and its CRC.
+const CRC_RESIDUE: u32 = 0xdebb_20e3;
 
 /// Why the bytes between two zeros are not a message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -79,7 +82,30 @@ pub fn encode(body: &impl Serialize, out: &mut [u8]) -> Result<usize, postcard::
 
 /// CRC-32/ISO-HDLC. The library's takes three times as long on the chip.
 fn crc(bytes: &[u8]) -> u32 {
-    !bytes.iter().fold(!0, |crc, &byte| crc >> 8 ^ CRC_TABLE[usize::from(crc as u8 ^ byte)])
+    !with_bytes(!0, bytes)
+}
+
+/// The state of a CRC after these bytes.
+fn with_bytes(state: u32, bytes: &[u8]) -> u32 {
+    bytes.iter().fold(state, |state, &byte| state >> 8 ^ CRC_TABLE[usize::from(state as u8 ^ byte)])
+}
+
+/// Whether an encoded frame is COBS and its CRC fits, without a copy of it.
+pub(crate) fn crc_fits(mut encoded: &[u8]) -> bool {
+    let mut state = !0;
+    loop {
+        let Some((&code, rest)) = encoded.split_first() else { return false };
+        let Some((block, rest)) = rest.split_at_checked(usize::from(code).wrapping_sub(1)) else {
+            return false;
+        };
+        state = with_bytes(state, block);
+        if rest.is_empty() {
+            return state == CRC_RESIDUE;
+        }
+        // The zero that the next code stands for.
+        state = with_bytes(state, &[0]);
+        encoded = rest;
+    }
 }
 
 /// Encodes the message behind the first byte, which is free, as COBS in place: each zero becomes the distance to the next one.
@@ -214,12 +240,26 @@ pub(crate) fn body(message: &[u8]) -> Result<&[u8], FrameError> {
 }
 
 #[cfg(test)]
-mod tests {
+pub(crate) mod tests {
     extern crate std;
     use super::*;
     use crate::message::HostMessage;
     use proptest::prelude::*;
     use std::vec::Vec;
+
+    /// A body of these bytes.
+    pub(crate) struct Raw<'a>(pub(crate) &'a [u8]);
+
+    impl Serialize for Raw<'_> {
+        fn serialize<S: serde::Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+            use serde::ser::SerializeTuple as _;
+            let mut tuple = serializer.serialize_tuple(self.0.len())?;
+            for byte in self.0 {
+                tuple.serialize_element(byte)?;
+            }
+            tuple.end()
+        }
+    }
 
     fn frame(body: &[u8]) -> Vec<u8> {
         let mut out = [0; MAX_FRAME];
@@ -262,6 +302,21 @@ mod tests {
         #[test]
         fn the_crc_is_the_librarys(bytes: Vec<u8>) {
             prop_assert_eq!(crc(&bytes), crc::Crc::<u32>::new(&crc::CRC_32_ISO_HDLC).checksum(&bytes));
+        }
+
+        #[test]
+        fn a_crc_that_fits_is_seen_in_the_encoded_frame(message in prop::collection::vec(prop_oneof![Just(0u8), any::<u8>()], 1..=30), bit in 0usize..8 * 30) {
+            let mut message = message;
+            message.extend(crc(&message).to_le_bytes());
+            let encode = |message: &[u8]| {
+                let mut bytes = [&[0], message].concat();
+                encode_cobs(&mut bytes);
+                bytes
+            };
+            prop_assert!(crc_fits(&encode(&message)));
+            let bit = bit % (8 * message.len());
+            message[bit / 8] ^= 1 << (bit % 8);
+            prop_assert!(!crc_fits(&encode(&message)));
         }
 
         #[test]

@@ -1,6 +1,6 @@
 //! Finds an e-stop before what came earlier is read: in a byte stream, or in a USB control request.
 //!
-//! A firmware gives each packet to [`Watch::look`] in its USB interrupt, before it queues the packet. So an e-stop takes
+//! A firmware gives each packet to [`Watch::e_stop`] in its USB interrupt, before it queues the packet. So an e-stop takes
 //! effect while the device still reads earlier frames. Version, CRC and message are checked as in any frame. A frame
 //! that is missed here is still read in order later.
 //!
@@ -56,30 +56,51 @@ impl Watch {
         Self { frame: [0; MAX_SHORT], len: 0 }
     }
 
-    /// Takes the next bytes of the stream and returns the last urgent message that ends in them. It does not look at the
-    /// bytes after an e-stop, to save time.
+    /// Takes `bytes` up to the end of the next e-stop whose epoch is `wanted`, and returns that epoch. Returns `None` when `bytes` is used
+    /// up; call it until then. An e-stop whose numbers are longer than they need be may be missed.
+    ///
+    /// For an interrupt, which may bring 64 bytes. So their time is bounded whatever they are: one pass over the bytes, and a CRC only for
+    /// frames with the length, the fixed bytes and the epoch of an e-stop, of which 64 bytes hold five.
+    pub fn e_stop(&mut self, bytes: &mut &[u8], wanted: impl Fn(u16) -> bool) -> Option<u16> {
+        self.find(bytes, |frame| e_stop(frame).filter(|&epoch| wanted(epoch) && frame::crc_fits(frame)))
+    }
+
+    /// Takes the next bytes of the stream and returns the last urgent message that ends in them.
     pub fn look(&mut self, mut bytes: &[u8]) -> Option<Urgent> {
-        let mut seen = None;
-        // An interrupt may bring 64 bytes: this looks for delimiters only, and at frames only that may be urgent.
-        while let Some(at) = delimiter(bytes) {
-            let (end, rest) = bytes.split_at(at);
-            bytes = rest.get(1..).unwrap_or_default();
-            if self.len == 0 && !may_be_urgent(end) {
-                continue;
-            }
+        let mut last = None;
+        while let Some(message) = self.find(&mut bytes, urgent) {
+            last = Some(message);
+        }
+        last
+    }
+
+    /// Takes `bytes` up to the end of the next frame that `read` makes something of.
+    #[inline(always)]
+    fn find<T>(&mut self, bytes: &mut &[u8], read: impl Fn(&[u8]) -> Option<T>) -> Option<T> {
+        if self.len > 0 {
+            // The rest of a frame that began in earlier bytes.
+            let zero = bytes.iter().position(|&byte| byte == 0);
+            let (end, rest) = bytes.split_at(zero.unwrap_or(bytes.len()));
+            *bytes = rest.get(1..).unwrap_or_default();
             self.keep(end);
+            zero?;
             let len = core::mem::take(&mut self.len);
-            if let Some(message) = self.frame.get_mut(..len).and_then(urgent) {
-                seen = Some(message);
-                if matches!(message, Urgent::EStop(_)) {
-                    // The bytes left may begin a frame; mark it as too long.
-                    self.len = if bytes.is_empty() { 0 } else { MAX_SHORT + 1 };
-                    return seen;
-                }
+            if let Some(found) = self.frame.get(..len).and_then(&read) {
+                return Some(found);
             }
         }
-        self.keep(bytes);
-        seen
+        loop {
+            let (frame, rest) = next(bytes);
+            let Some(frame) = frame else {
+                *bytes = &[];
+                self.keep(rest);
+                return None;
+            };
+            *bytes = rest;
+            if let Some(found) = read(frame) {
+                return Some(found);
+            }
+        }
     }
 
     /// Keeps bytes of a frame. Of one that gets too long it keeps only that.
@@ -92,8 +113,29 @@ impl Watch {
     }
 }
 
-/// The position of the first zero. Four bytes at a time: the loop takes most of an interrupt's time.
+/// Least bytes of an urgent frame without its delimiter: code byte, version, variant, a number of one byte and the CRC.
+const MIN_SHORT: usize = 8;
+
+/// The first frame that is long enough to be urgent, and the bytes behind its delimiter. Without one, the bytes of a frame that has
+/// only begun. A frame is long enough if its first bytes have no zero; the last zero among them tells where the next one begins. So zeros
+/// and short frames take less time than their bytes.
 #[inline(never)]
+fn next(mut bytes: &[u8]) -> (Option<&[u8]>, &[u8]) {
+    while let Some((first, more)) = bytes.split_first_chunk::<MIN_SHORT>() {
+        if let Some(zero) = first.iter().rposition(|&byte| byte == 0) {
+            bytes = bytes.get(zero + 1..).unwrap_or_default();
+        } else if let Some(at) = delimiter(more) {
+            let (frame, rest) = bytes.split_at(MIN_SHORT + at);
+            return (Some(frame), rest.get(1..).unwrap_or_default());
+        } else {
+            return (None, bytes);
+        }
+    }
+    let zero = bytes.iter().rposition(|&byte| byte == 0);
+    (None, bytes.get(zero.map_or(0, |zero| zero + 1)..).unwrap_or_default())
+}
+
+/// The position of the first zero, four bytes at a time.
 fn delimiter(bytes: &[u8]) -> Option<usize> {
     let mut at = 0;
     while let Some(&[a, b, c, d]) = bytes.get(at..at + 4).and_then(|four| four.first_chunk()) {
@@ -120,24 +162,52 @@ fn delimiter(bytes: &[u8]) -> Option<usize> {
     None
 }
 
-/// Whether an encoded frame may be a `Hello` (0) or a `Control` (2): by its length, version and variant. COBS makes a zero
-/// of the variant to the end of the block that its first byte begins.
-fn may_be_urgent(frame: &[u8]) -> bool {
-    match *frame {
-        [code, frame::PROTOCOL, variant, ..] if frame.len() <= MAX_SHORT => {
-            code == 2 || (code > 2 && variant == 2)
+/// The variant of a [`HostMessage::Control`], and the op of an e-stop.
+const CONTROL: u8 = 2;
+const E_STOP: u8 = 3;
+
+/// The epoch of an encoded e-stop, if that is what the frame is but for its CRC. It reads the frame as it is encoded: COBS changes only
+/// zeros, each into the distance to the next, and the first byte tells where the first is.
+fn e_stop(frame: &[u8]) -> Option<u16> {
+    let [first, frame::PROTOCOL, CONTROL, numbers @ .., E_STOP, _, _, _, _] = frame else { return None };
+    // Two numbers of one byte to three. The zero of a longer form than necessary would not be read as one.
+    let (epoch, seen) = match *numbers {
+        [_, ref seen @ ..] if *first == 3 => (0, seen),
+        [a, ref seen @ ..] if a < 0x80 => (a.into(), seen),
+        [a, b, ref seen @ ..] if b < 0x80 && *first != 4 => (u16::from(a & 0x7f) | u16::from(b) << 7, seen),
+        [a, b, c, ref seen @ ..] if b >= 0x80 && c < 4 && *first != 5 => {
+            (u16::from(a & 0x7f) | u16::from(b & 0x7f) << 7 | u16::from(c) << 14, seen)
         }
+        _ => return None,
+    };
+    let is_number = match *seen {
+        [a] => a < 0x80,
+        [a, b] => a >= 0x80 && b < 0x80,
+        [a, b, c] => a >= 0x80 && b >= 0x80 && c < 4,
         _ => false,
+    };
+    // Version, variant and op are none of the zeros.
+    let mut zero = usize::from(*first);
+    let op = 3 + numbers.len();
+    while zero < op {
+        zero += usize::from(*frame.get(zero)?);
     }
+    (is_number && *first > 2 && zero != op).then_some(epoch)
 }
 
-/// Not inlined: the loop over the bytes needs the registers.
-#[inline(never)]
-fn urgent(frame: &mut [u8]) -> Option<Urgent> {
-    if !may_be_urgent(frame) {
+/// Whether an encoded frame may be a `Hello` (0): COBS makes the zero of its variant to the end of the block that the first byte begins.
+fn may_be_hello(frame: &[u8]) -> bool {
+    matches!(*frame, [2, frame::PROTOCOL, _, ..] if frame.len() <= MAX_SHORT)
+}
+
+fn urgent(frame: &[u8]) -> Option<Urgent> {
+    if e_stop(frame).is_none() && !may_be_hello(frame) {
         return None;
     }
-    match frame::read(frame::body(decode_cobs(frame)?)) {
+    let mut copy = [0; MAX_SHORT];
+    let copy = copy.get_mut(..frame.len())?;
+    copy.copy_from_slice(frame);
+    match frame::read(frame::body(decode_cobs(copy)?)) {
         Ok(HostMessage::Control { epoch, op: Op::EStop, .. }) => Some(Urgent::EStop(epoch)),
         Ok(HostMessage::Hello { session }) => Some(Urgent::Hello(session)),
         _ => None,
@@ -182,11 +252,50 @@ mod tests {
                 let mut watch = Watch::new();
                 let found: Vec<_> = stream.chunks(packet).filter_map(|packet| watch.look(packet)).collect();
                 prop_assert_eq!(found.last(), Some(&want));
+                // In the same way with other messages after and before it.
+                let epochs = |bytes: &[u8], packet: usize| {
+                    let (mut watch, mut epochs) = (Watch::new(), Vec::new());
+                    for mut packet in bytes.chunks(packet) {
+                        while let Some(epoch) = watch.e_stop(&mut packet, |other| other == epoch) {
+                            epochs.push(epoch);
+                        }
+                    }
+                    epochs
+                };
+                let other = bytes(&HostMessage::Control { epoch: !epoch, seen, op: Op::EStop });
+                let both = [&stream[..], &other, &stream, &other].concat();
+                let twice = if want == Urgent::EStop(epoch) { 2 } else { 0 };
+                prop_assert_eq!(epochs(&both, packet), std::vec![epoch; twice]);
                 // The first half of a frame behind an urgent one does not make its second half urgent.
                 stream.extend(&urgent[..3]);
                 stream.push(0);
                 prop_assert_eq!(watch.look(&stream), Some(want));
                 prop_assert_eq!(watch.look(&urgent[3..]), None);
+            }
+        }
+
+        /// Bodies near that of an e-stop, also with numbers that are too long or too large. An e-stop is found only where there is one, and
+        /// always if it is as this program writes it.
+        #[test]
+        fn an_e_stop_is_what_the_decoder_reads(
+            numbers in prop::collection::vec(prop_oneof![Just(0u8), Just(3), Just(0x80), 0u8..5, any::<u8>()], 1..7), op in prop_oneof![Just(3u8), 0u8..5],
+            tail in prop_oneof![Just(0usize), 0usize..3],
+        ) {
+            let body = [&[CONTROL], &numbers[..], &[op], &[3, 0, 3][..tail]].concat();
+            let mut out = [0; MAX_FRAME];
+            let len = encode(&frame::tests::Raw(&body), &mut out).unwrap();
+            let mut decoder = frame::Decoder::new();
+            let message = frame::read(decoder.next(&mut &out[..len]).unwrap());
+            let found = Watch::new().e_stop(&mut &out[..len], |_| true);
+            prop_assert_eq!(found.map(Urgent::EStop), Watch::new().look(&out[..len]));
+            let mut shortest = [0; MAX_FRAME];
+            match message {
+                Ok(message @ HostMessage::Control { epoch, op: Op::EStop, .. }) => {
+                    let own = encode(&message, &mut shortest).unwrap();
+                    let is_shortest = shortest[..own] == out[..len];
+                    prop_assert!(found == Some(epoch) || (found.is_none() && !is_shortest), "{found:?}, {message:?}");
+                }
+                _ => prop_assert_eq!(found, None),
             }
         }
 

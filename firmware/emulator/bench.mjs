@@ -1,5 +1,5 @@
 #!/usr/bin/env node
-// bench.mjs ELF [--seed N] [--slow F] [--serial HEX] [--revision R] [--pio-late N]: runs the emulated board on request.
+// bench.mjs ELF [--seed N] [--slow F] [--serial HEX] [--revision R] [--pio-late N] [--vbus-sense yes|no]: runs the emulated board on request.
 // One JSON request per line on stdin, one JSON answer per line on stdout, each followed by its binary tail (README.md has the
 // table). Nothing advances between requests, so a test decides what happens in which cycle. Needs no network and no real time.
 
@@ -20,11 +20,13 @@ export class Bench {
     };
     host.onOut = (pipe, bytes) => this.packets.push([pipe, board.clock.cycle, bytes]);
     host.onSetup = () => this.packets.push(['control', board.clock.cycle, 8]);
+    host.onControl = () => this.until === 'control' && board.stop();
     host.onConfigured = () => this.until === 'configured' && board.stop();
   }
   clear() {
     this.received = { cdc: [], bulk: [] };
     this.packets = [];
+    this.transfers = [];
     this.board.recorder.clear();
   }
   /** Carries out one request; returns the answer's line and tail as one buffer. */
@@ -44,6 +46,7 @@ export class Bench {
       cdc: cdc.length,
       bulk: bulk.length,
       packets: this.packets,
+      transfers: this.transfers,
       configured: board.host.configured,
       resets: board.resets,
       instructions: board.instructions,
@@ -67,7 +70,7 @@ export class Bench {
     const { board } = this;
     const { host } = board;
     // The verb is the key that is not an argument of another verb, at any place.
-    const verb = Object.keys(request).find((key) => !['until', 'hex', 'bytes', 'to'].includes(key));
+    const verb = Object.keys(request).find((key) => !['until', 'hex', 'bytes', 'to', 'data'].includes(key));
     const value = request[verb];
     switch (verb) {
       case 'run':
@@ -83,11 +86,29 @@ export class Bench {
         host.program(setup);
         return {};
       }
+      case 'transfer': {
+        const done = (got) => this.transfers.push(got && Buffer.from(got).toString('hex'));
+        const setup = bytesOf(value);
+        if (setup.length !== 8) throw new Error('transfer: a SETUP packet of 8 bytes');
+        host.transfer(setup, request.data ? bytesOf(request.data) : null, done);
+        return {};
+      }
       case 'dtr':
         host.setDtr(!!value);
         return {};
       case 'usb':
-        pick({ unplug: () => host.unplug(), plug: () => host.plug(), suspend: () => host.suspend(), resume: () => host.resume(), hang: () => host.hang() }, value)();
+        pick(
+          {
+            unplug: () => host.unplug(),
+            plug: () => host.plug(),
+            reset: () => host.resetBus(),
+            abandon: () => host.abandon(),
+            suspend: () => host.suspend(),
+            resume: () => host.resume(),
+            hang: () => host.hang(),
+          },
+          value,
+        )();
         return {};
       case 'cpu':
         pick({ die: () => board.die(), panic: () => board.panic(), hardfault: () => board.hardfault(), run: () => board.runPin() }, value)();
@@ -116,10 +137,10 @@ export class Bench {
   }
   run(cycles, until) {
     if (!Number.isSafeInteger(cycles) || cycles < 0) throw new Error('run: a whole number of cycles, please');
-    if (![null, 'configured', 'cdc', 'bulk'].includes(until)) throw new Error(`run: until ${until}?`);
+    if (![null, 'configured', 'control', 'cdc', 'bulk'].includes(until)) throw new Error(`run: until ${until}?`);
     this.until = until;
     // the awaited event may have happened already
-    const there = until === 'configured' ? this.board.host.configured : until && this.received[until].length > 0;
+    const there = until === 'configured' ? this.board.host.configured : this.received[until]?.length > 0;
     if (!there) this.board.run(cycles);
     this.until = null;
     return {};
@@ -166,11 +187,12 @@ export const BOARD_OPTIONS = {
   serial: { type: 'string' },
   revision: { type: 'string', default: '2' },
   'pio-late': { type: 'string', default: '0' },
+  'vbus-sense': { type: 'string', default: 'yes' },
 };
-export function boardOf(elf, { seed, slow, serial, revision, 'pio-late': pioLate }) {
+export function boardOf(elf, { seed, slow, serial, revision, 'pio-late': pioLate, 'vbus-sense': vbusSense }) {
   if (!elf) throw new Error('which ELF?');
   if (!(Number(slow) > 0)) throw new Error(`--slow ${slow}: a factor above 0, please`);
-  return new Board({ elf, seed: Number(seed), slow: Number(slow), revision: Number(revision), pioLate: Number(pioLate), ...(serial ? { serial } : {}) });
+  return new Board({ elf, seed: Number(seed), slow: Number(slow), revision: Number(revision), pioLate: Number(pioLate), vbusSense: vbusSense === 'yes', ...(serial ? { serial } : {}) });
 }
 
 function writeAll(buffer) {

@@ -23,6 +23,7 @@ const FLASH = 0x10000000;
 const SRAM = 0x20000000;
 /** Where the ROM puts boot2 before it calls it: the end of SRAM5. */
 const BOOT2 = 0x20041f00;
+const VBUS_SENSE = 1 << 24;
 /** CHIP_RESET's flags: why the whole chip was reset last. A watchdog's reset leaves them. */
 const HAD_POR = 1 << 8;
 const HAD_RUN = 1 << 16;
@@ -38,11 +39,12 @@ function crc32(bytes) {
 }
 
 export class Board {
-  constructor({ elf = null, seed = 1, slow = 1, serial = DEFAULT_SERIAL, revision = 2, pioLate = 0 } = {}) {
+  constructor({ elf = null, seed = 1, slow = 1, serial = DEFAULT_SERIAL, revision = 2, pioLate = 0, vbusSense = false } = {}) {
     this.clock = new Clock(ROSC_HZ);
     this.recorder = new Recorder();
     this.wiring = new Wiring();
     this.host = new UsbHost(this.clock);
+    if (vbusSense) this.host.onCable = () => this.cable();
     this.random = randomBits(seed);
     this.slow = slow;
     this.revision = revision;
@@ -114,6 +116,12 @@ export class Board {
     at(0x50300000, mcu.pio[1]);
     this.mcu = mcu;
     this.host.connect(mcu.usbCtrl);
+    this.host.onCable();
+  }
+  /** A Pico leads VBUS to GP24, divided. */
+  cable() {
+    this.wiring.fed = this.host.plugged ? VBUS_SENSE : 0;
+    this.mcu.pins.update();
   }
 
   /** Does what the ROM does at reset: checks boot2, copies it to SRAM and calls it. */

@@ -38,13 +38,15 @@ export class Wiring {
   constructor() {
     this.high = this.low = 0;
     this.shorts = [];
+    /** Pads that the board itself holds high, unless the chip drives them. */
+    this.fed = 0;
   }
   set({ high = 0, low = 0, shorts = [] }) {
     Object.assign(this, { high, low, shorts: shorts.map(([a, b]) => (1 << a) | (1 << b)) });
   }
   /** The levels of pads that are driven so; of two connected outputs the low one wins. */
   levels(value, drive, pullUp) {
-    let levels = (value & drive) | (pullUp & ~drive);
+    let levels = (value & drive) | ((pullUp | this.fed) & ~drive);
     for (const both of this.shorts) {
       if (!(drive & both)) continue;
       const low = drive & both & ~value;

@@ -55,8 +55,8 @@ export class UsbDevice extends BasePeripheral {
 
   // ---- for the host
 
+  /** What is under way is cut. Address and buffers stay as they are: it is the firmware that must clear them. */
   busReset() {
-    this.address = 0;
     this.second.fill(0);
     this.sie = (this.sie & ~SIE.SUSPENDED) | LINE_J;
     this.flag(SIE.RESET | SIE.CONNECTED);
@@ -73,15 +73,16 @@ export class UsbDevice extends BasePeripheral {
     this.raw |= DEV_SOF;
     if (this.enable & DEV_SOF) this.update();
   }
+  /** Buffers of endpoint 0 that the firmware has made available for an earlier request stay so (raspberrypi/pico-feedback#385). */
   setup(bytes) {
     this.rp2040.usbDPRAM.set(bytes);
     this.stallArm = 0;
-    for (const r of [0x80, 0x84]) this.dpram(r, this.dpram(r) & ~(AVAILABLE | STALL));
     this.second[0] = this.second[1] = 0;
     this.flag(SIE.SETUP);
   }
   /** The endpoint's answer now: 'nak', 'stall' or 'ready'. */
   state(ep, out) {
+    if ((this.other.get(0x60) ?? 0) & (1 << (2 * ep + (out ? 1 : 0)))) return 'nak'; // EP_ABORT
     const { word, shift } = this.buffer(ep, out);
     const half = word >>> shift;
     if (ep === 0 ? half & STALL && this.stallArm & (out ? 2 : 1) : half & STALL) return 'stall';
@@ -182,7 +183,7 @@ export class UsbDevice extends BasePeripheral {
         return this.sie;
       case 0x58:
         return this.buffers;
-      case 0x64: // EP_ABORT_DONE: at once, because no transaction is ever cut here
+      case 0x64: // EP_ABORT_DONE: at once
         return this.other.get(0x60) ?? 0;
       case 0x68:
         return this.stallArm;
@@ -202,6 +203,7 @@ export class UsbDevice extends BasePeripheral {
     switch (offset) {
       case 0x00:
         this.address = v & 0x7f;
+        this.host?.armed(0, false);
         break;
       case 0x40:
         this.mainCtrl = v;
@@ -220,6 +222,10 @@ export class UsbDevice extends BasePeripheral {
       }
       case 0x58:
         this.buffers &= ~this.rawWriteValue;
+        break;
+      case 0x60:
+        this.other.set(offset, v);
+        this.host?.armed(0, false);
         break;
       case 0x68:
         this.stallArm = v & 3;

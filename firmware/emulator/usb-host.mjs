@@ -53,6 +53,8 @@ export class UsbHost {
     this.onIn = () => {}; // (pipe, bytes)
     this.onOut = () => {}; // (pipe, bytes): a data packet has been accepted
     this.onSetup = () => {}; // (): the device has taken the SETUP packet of a request from `control`
+    this.onControl = () => {}; // (): a transaction of a control transfer begins or has ended
+    this.onCable = () => {}; // (): plugged in or out
     this.onConfigured = () => {};
     this.toggleErrors = 0;
     this.configured = false;
@@ -81,6 +83,7 @@ export class UsbHost {
     }
     this.state = 'detached'; // detached, reset, enumerating, configured, suspended, hung
     this.configured = false;
+    this.address = 0;
     this.pipes = {}; // name → { ep, out, size, data1 }
     this.dtr = false;
     this.serial = '';
@@ -114,6 +117,7 @@ export class UsbHost {
   unplug() {
     if (!this.plugged) return;
     this.plugged = false;
+    this.onCable();
     this.out.cdc.clear();
     this.out.bulk.clear();
     const bus = this.state !== 'detached';
@@ -123,8 +127,22 @@ export class UsbHost {
   plug() {
     if (this.plugged) return;
     this.plugged = true;
+    this.onCable();
     this.quiet.cancel();
     this.attachmentChanged();
+  }
+  /** Resets the bus, whatever is under way, and enumerates the device again. */
+  resetBus() {
+    if (['detached', 'hung'].includes(this.state)) return;
+    this.forget();
+    this.reset();
+  }
+  /** Gives up the control transfer under way, as a host does whose program cancels it. The next one begins at once. */
+  abandon() {
+    if (!this.control || !this.configured) return;
+    this.bus.cancel();
+    this.current = this.control = null;
+    this.nextControl();
   }
   suspend() {
     if (this.state !== 'configured') return;
@@ -166,6 +184,11 @@ export class UsbHost {
     this.controls.push({ setup, data, done, phase: 'setup', got: [], sent: 0, length: setup[6] | (setup[7] << 8), data1: true });
     this.nextControl();
   }
+  /** A program's control transfer; `done` as for `ask`. */
+  transfer(setup, data, done) {
+    if (!this.configured) throw new Error('transfer: the device is not configured');
+    this.ask(setup, { data, done });
+  }
   /** A program's control request without data, from its SETUP packet. A device that is not configured gets none. */
   program(setup) {
     if (!this.configured) return;
@@ -185,7 +208,11 @@ export class UsbHost {
   }
   enumerate() {
     const get = (type, length, done, index = 0, language = 0) => this.ask(request(0x80, 6, (type << 8) | index, language, length), { done });
-    this.ask(request(0, 5, 1, 0, 0));
+    this.ask(request(0, 5, 1, 0, 0), {
+      done: () => {
+        this.address = 1;
+      },
+    });
     get(1, 18, (d) => {
       this.serialIndex = d?.[16] ?? 0;
     });
@@ -247,21 +274,25 @@ export class UsbHost {
   }
   /** Starts the next transaction that the device accepts, if the bus is free. */
   pump() {
+    // No device has this address: the host waits, instead of giving up after some tries.
+    if (this.device && this.device.address !== this.address) return;
     if (this.current || !this.plugged || ['detached', 'reset', 'suspended', 'hung'].includes(this.state)) return;
     const next = this.nextOnControl() ?? this.nextOnPipes();
     if (!next) return;
     this.current = next;
     this.bus.schedule(POLL_NS + (OVERHEAD_BYTES + next.bytes) * NANOS_PER_BYTE);
+    if (next.control) this.onControl();
   }
   nextOnControl() {
     const c = this.control;
     if (!c) return null;
-    if (c.phase === 'setup') return { bytes: 8, complete: () => this.setupDone(c) };
+    const control = true;
+    if (c.phase === 'setup') return { control, bytes: 8, complete: () => this.setupDone(c) };
     const out = c.phase === 'out' || c.phase === 'statusOut';
     const state = this.device.state(0, out);
-    if (state === 'stall') return { bytes: 0, complete: () => this.finishControl(null) };
+    if (state === 'stall') return { control, bytes: 0, complete: () => this.device.state(0, out) === 'stall' && this.finishControl(null) };
     if (state === 'nak') return null;
-    return { bytes: out ? 0 : this.device.length(0, false), complete: () => this.controlPacket(c, out) };
+    return { control, bytes: out ? 0 : this.device.length(0, false), complete: () => this.controlPacket(c, out) };
   }
   setupDone(c) {
     this.device.setup(c.setup);
@@ -269,6 +300,7 @@ export class UsbHost {
     c.phase = c.data ? 'out' : c.length ? 'in' : 'statusIn';
   }
   controlPacket(c, out) {
+    if (this.device.state(0, out) !== 'ready') return; // the device has withdrawn the buffer meanwhile
     if (c.phase === 'in') {
       const { bytes } = this.device.takeIn(0);
       c.got.push(...bytes);
@@ -322,6 +354,7 @@ export class UsbHost {
     const { current } = this;
     this.current = null;
     current.complete();
+    if (current.control) this.onControl();
     this.pump();
   }
 }

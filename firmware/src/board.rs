@@ -40,6 +40,9 @@ pub(crate) const PRODUCT: u16 = 0x0001;
 /// Name of the product. The host looks for this name.
 pub(crate) const NAME: &str = "meissner";
 
+/// Names the vendor interface to programs on Windows, which find the device by it.
+pub(crate) const INTERFACE_GUIDS: &[&str] = &["{DA31CC97-0C7D-4D4D-A0F0-699E524D86CA}"];
+
 /// The GPIOs for each value of each byte of a mask of lines.
 static GPIOS: [[u32; 256]; 3] = {
     let mut table = [[0; 256]; 3];

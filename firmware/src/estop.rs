@@ -19,12 +19,17 @@ pub(crate) fn set_epoch(epoch: Option<u16>) {
     EPOCH.store(epoch.map_or(0, |epoch| SOME | u32::from(epoch)), SeqCst);
 }
 
+/// Whether an e-stop of this epoch is new to the session.
+pub(crate) fn is_new(epoch: u16) -> bool {
+    let present = EPOCH.load(SeqCst);
+    present & SOME != 0 && newer(epoch, present as u16)
+}
+
 /// Forces the lines low if this e-stop is new. Without a session each is that `by_request` says to be a control request. From the
 /// USB interrupt, or with interrupts off.
 #[inline(never)]
 pub(crate) fn found(epoch: u16, by_request: bool) {
-    let present = EPOCH.load(SeqCst);
-    let new = if present & SOME != 0 { newer(epoch, present as u16) } else { by_request };
+    let new = is_new(epoch) || (by_request && EPOCH.load(SeqCst) & SOME == 0);
     if new && PENDING.load(SeqCst) == 0 {
         wave::freeze_low();
         PENDING.store(SOME | u32::from(epoch), SeqCst);

@@ -17,6 +17,8 @@
 
 mod beat;
 mod board;
+mod cable;
+mod control;
 mod counters;
 mod estop;
 mod fault;

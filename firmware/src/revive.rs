@@ -4,9 +4,10 @@
 //! embassy's driver has no workaround. A host begins a frame in each millisecond. So the controller hangs if
 //! the device is configured and not suspended, and sees no frame and no packet for [`SILENT`] looks. [`supervise`] then takes it
 //! off the bus, resets it and connects it again; the host enumerates it as after a re-plug. The link counts as lost as soon as
-//! the hang is seen, so the pins return.
+//! the hang is seen, so the pins return. The same looks find an unplugged cable ([`cable`](crate::cable)).
 
-use crate::counters;
+use crate::cable::{Cable, Change};
+use crate::{control, counters};
 use core::array;
 use core::sync::atomic::{AtomicBool, AtomicU32, Ordering::SeqCst};
 use embassy_rp::interrupt;
@@ -41,11 +42,20 @@ pub(crate) fn interrupted() {
     INTERRUPTS.store(INTERRUPTS.load(SeqCst).wrapping_add(1), SeqCst);
 }
 
-/// Looks for ever, and calls `lost` when the controller hangs.
+/// Looks for ever, and calls `lost` when the controller hangs or the cable is unplugged.
 pub(crate) async fn supervise(lost: impl Fn()) -> ! {
-    let (mut before, mut silent) = ((0, 0), 0);
+    let (mut before, mut silent, mut cable) = ((0, 0), 0, Cable::NEW);
     loop {
         Timer::after(EVERY).await;
+        match cable.look() {
+            Change::None => {}
+            Change::Plugged => connect(true),
+            Change::Unplugged => {
+                lost();
+                set_configured(false);
+                connect(false);
+            }
+        }
         let signs = (pac::USB.sof_rd().read().count(), INTERRUPTS.load(SeqCst));
         let expected = CONFIGURED.load(SeqCst) && !SUSPENDED.load(SeqCst);
         silent = if expected && signs == before { silent + 1 } else { 0 };
@@ -56,7 +66,7 @@ pub(crate) async fn supervise(lost: impl Fn()) -> ! {
             set_configured(false);
             reset();
             Timer::after(OFF).await;
-            connect();
+            connect(!cable.is_unplugged());
             silent = 0;
         }
     }
@@ -66,8 +76,6 @@ pub(crate) async fn supervise(lost: impl Fn()) -> ! {
 const SETUP: usize = 2;
 const CONTROLS: usize = 32;
 const WORDS: usize = 64;
-/// The controls of endpoint 0's buffers.
-const ZERO: [usize; 2] = [32, 33];
 /// The bit that enables an endpoint.
 const ENABLED: u32 = 1 << 31;
 /// Words of registers, from the first one.
@@ -78,16 +86,14 @@ const REGISTERS: usize = 0x9c / 4;
 fn reset() {
     // Nothing else may touch the controller meanwhile: the tasks run on this executor, too.
     interrupt::USBCTRL_IRQ.disable();
+    // A control transfer that is waited for ends.
+    control::take_back();
     let memory = pac::USB_DPRAM.as_ptr().cast::<u32>();
     // SAFETY: these words are always there, and only the core writes them while the controller is off the bus.
     let mut words: [u32; WORDS] = array::from_fn(|at| unsafe { memory.wrapping_add(at).read_volatile() });
     words[..SETUP].fill(0);
     for control in &mut words[SETUP..CONTROLS] {
         *control &= !ENABLED;
-    }
-    // A control transfer that is waited for ends.
-    for buffer in ZERO {
-        words[buffer] = 0;
     }
     pac::RESETS.reset().modify(|w| w.set_usbctrl(true));
     pac::RESETS.reset().modify(|w| w.set_usbctrl(false));
@@ -124,7 +130,7 @@ fn reset() {
     unsafe { interrupt::USBCTRL_IRQ.enable() };
 }
 
-/// Shows the device to the host.
-fn connect() {
-    pac::USB.sie_ctrl().modify(|w| w.set_pullup_en(true));
+/// Shows the device to the host, or takes it off the bus.
+fn connect(shown: bool) {
+    pac::USB.sie_ctrl().modify(|w| w.set_pullup_en(shown));
 }

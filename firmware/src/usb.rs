@@ -5,12 +5,12 @@
 //!
 //! Bounds: [`PACKETS`] from the host, then the host waits; [`BYTES`] to the host, then the controller keeps its frames.
 
-use crate::board::{NAME, PRODUCT, VENDOR};
-use crate::{beat, estop, revive, wake};
+use crate::board::{INTERFACE_GUIDS, NAME, PRODUCT, VENDOR};
+use crate::{beat, control, estop, revive, wake};
 use core::cell::UnsafeCell;
 use core::slice;
 use core::sync::atomic::{AtomicU32, Ordering::SeqCst};
-use embassy_futures::join::{join, join3, join4};
+use embassy_futures::join::{join3, join4};
 use embassy_futures::yield_now;
 use embassy_rp::interrupt::typelevel::{Handler as OnInterrupt, USBCTRL_IRQ};
 use embassy_rp::peripherals::USB;
@@ -21,9 +21,12 @@ use embassy_sync::signal::Signal;
 use embassy_usb::class::cdc_acm::{CdcAcmClass, ControlChanged, Receiver, Sender, State};
 use embassy_usb::control::{OutResponse, Recipient, Request, RequestType};
 use embassy_usb::driver::{Endpoint as _, EndpointError, EndpointIn, EndpointOut};
+use embassy_usb::msos::{
+    CompatibleIdFeatureDescriptor, PropertyData, RegistryPropertyFeatureDescriptor, windows_version,
+};
 use embassy_usb::{Builder, Config, Handler};
 use firmware_protocol::frame::MAX_FRAME;
-use firmware_protocol::urgent::{Urgent, Watch, e_stop_requested};
+use firmware_protocol::urgent::{Watch, e_stop_request, e_stop_requested};
 use heapless::spsc::{Consumer, Producer, Queue};
 use static_cell::StaticCell;
 
@@ -39,6 +42,10 @@ const SERIAL: usize = 0;
 const BULK: usize = 1;
 /// Stands for both pipes, when the bus is lost.
 pub(crate) const ALL: usize = PIPES;
+
+/// The vendor request by which Windows reads what driver the vendor interface wants (Microsoft OS 2.0 descriptors).
+const WINDOWS_REQUEST: u8 = b'M';
+const _: () = assert!(WINDOWS_REQUEST != e_stop_request(0)[1]);
 
 /// Bit p: pipe p has lost its host. Bit [`ALL`]: the bus is lost.
 static LOST: AtomicU32 = AtomicU32::new(0);
@@ -132,14 +139,23 @@ fn setup() -> [u8; 8] {
     [a, b, c, d, e, f, g, h]
 }
 
+/// Looks at a SETUP packet that embassy has not been told of, if there is one. Again between the frames of a packet, because packets can be made
+/// that take longer to look into than the next SETUP packet takes to come.
+#[inline(always)]
+fn take_request() {
+    if pac::USB.ints().read().setup_req() {
+        if let Some(epoch) = e_stop_requested(setup()) {
+            estop::found(epoch, true);
+        }
+        // Before the host's next packet: what is armed was for an earlier request.
+        control::take_back();
+    }
+}
+
 impl OnInterrupt<USBCTRL_IRQ> for Peek {
     unsafe fn on_interrupt() {
         // First: it takes the same time whatever the pipes bring.
-        if pac::USB.ints().read().setup_req()
-            && let Some(epoch) = e_stop_requested(setup())
-        {
-            estop::found(epoch, true);
-        }
+        take_request();
         let full = pac::USB.buff_status().read();
         let mut waiting = 0;
         for (pipe, endpoint) in ENDPOINTS.iter().enumerate() {
@@ -195,12 +211,15 @@ fn look(pipe: usize, endpoint: usize) {
     let at = pac::USB_DPRAM.ep_out_control(endpoint - 1).read().buffer_address();
     let start = pac::USB_DPRAM.as_ptr().cast::<u8>().wrapping_add(at.into());
     // SAFETY: the packet stays in this memory until a task below the USB interrupt reads the endpoint.
-    let packet = unsafe { slice::from_raw_parts(start, usize::from(len).min(PACKET)) };
+    let mut packet = unsafe { slice::from_raw_parts(start, usize::from(len).min(PACKET)) };
     // SAFETY: see `Watches`.
     let watch = unsafe { &mut (*WATCHES.0.get())[pipe] };
-    if let Some(Urgent::EStop(epoch)) = watch.look(packet)
-        && pipe == ACTIVE.load(SeqCst) as usize
-    {
+    let is_active = pipe == ACTIVE.load(SeqCst) as usize;
+    let is_new = |epoch| {
+        take_request();
+        is_active && estop::is_new(epoch)
+    };
+    while let Some(epoch) = watch.e_stop(&mut packet, is_new) {
         estop::found(epoch, false);
     }
 }
@@ -259,7 +278,7 @@ pub(crate) struct Usb {
 pub(crate) fn new(usb: Peri<'static, USB>, serial_number: &'static str) -> (Usb, Ports) {
     static PACKET_QUEUES: StaticCell<[Packets; PIPES]> = StaticCell::new();
     static BYTE_QUEUES: StaticCell<[Bytes; PIPES]> = StaticCell::new();
-    static DESCRIPTORS: StaticCell<[[u8; 256]; 2]> = StaticCell::new();
+    static DESCRIPTORS: StaticCell<[[u8; 256]; 3]> = StaticCell::new();
     static CONTROL: StaticCell<[u8; 64]> = StaticCell::new();
     static STATE: StaticCell<State<'static>> = StaticCell::new();
     static BUS: StaticCell<Bus> = StaticCell::new();
@@ -268,13 +287,18 @@ pub(crate) fn new(usb: Peri<'static, USB>, serial_number: &'static str) -> (Usb,
     config.manufacturer = Some(NAME);
     config.product = Some(NAME);
     config.serial_number = Some(serial_number);
-    let [configuration, bos] = DESCRIPTORS.init([[0; 256]; 2]);
+    let [configuration, bos, windows] = DESCRIPTORS.init([[0; 256]; 3]);
     let driver = Driver::new(usb, Irqs);
-    let mut builder = Builder::new(driver, config, configuration, bos, &mut [], CONTROL.init([0; 64]));
+    let mut builder = Builder::new(driver, config, configuration, bos, windows, CONTROL.init([0; 64]));
     builder.handler(BUS.init(Bus));
+    builder.msos_descriptor(windows_version::WIN8_1, WINDOWS_REQUEST);
     let class = CdcAcmClass::new(&mut builder, STATE.init(State::new()), PACKET as u16);
     let (sender, receiver, control) = class.split_with_control();
     let mut function = builder.function(0xff, 0, 0);
+    // Windows then gives the vendor interface its own driver, by which a program without rights reaches it, and its e-stop request.
+    function.msos_feature(CompatibleIdFeatureDescriptor::new("WINUSB", ""));
+    let guids = PropertyData::RegMultiSz(INTERFACE_GUIDS);
+    function.msos_feature(RegistryPropertyFeatureDescriptor::new("DeviceInterfaceGUIDs", guids));
     let mut interface = function.interface();
     let mut setting = interface.alt_setting(0xff, 0, 0, None);
     let out = setting.endpoint_bulk_out(None, PACKET as u16);
@@ -300,18 +324,14 @@ pub(crate) fn new(usb: Peri<'static, USB>, serial_number: &'static str) -> (Usb,
 impl Usb {
     /// Runs the device. Never ends.
     pub(crate) async fn run(self) {
-        let Self { mut device, serial: (sender, receiver, control), bulk: (into, out), to_shell, from_shell } =
+        let Self { mut device, serial: (sender, receiver, lines), bulk: (into, out), to_shell, from_shell } =
             self;
         let ([to_serial, to_bulk], [from_serial, from_bulk]) = (to_shell, from_shell);
         join4(
             device.run(),
             revive::supervise(|| lose(ALL)),
-            join3(
-                inbound(SERIAL, receiver, to_serial),
-                outbound(SERIAL, sender, from_serial),
-                closed(control),
-            ),
-            join(inbound(BULK, out, to_bulk), outbound(BULK, into, from_bulk)),
+            join3(inbound(SERIAL, receiver, to_serial), outbound(SERIAL, sender, from_serial), closed(lines)),
+            join3(control::watch(), inbound(BULK, out, to_bulk), outbound(BULK, into, from_bulk)),
         )
         .await;
     }

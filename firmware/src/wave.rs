@@ -83,6 +83,7 @@ pub(crate) fn start(syst: &mut SYST) {
     .program;
     for (at, &code) in program.code.iter().enumerate() {
         pac::PIO0.instr_mem(at).write(|w| w.set_instr_mem(code));
+        PROGRAM[at].store(code.into(), SeqCst);
     }
     let machine = pac::PIO0.sm(0);
     machine.clkdiv().write(|w| w.set_int(PIO_DIVIDER));
@@ -110,6 +111,9 @@ pub(crate) fn start(syst: &mut SYST) {
     // From GPIO 0 to the last output. Pins in between that are not outputs are not connected to the PIO.
     let last = OUTPUTS.into_iter().max().unwrap_or(0);
     machine.pinctrl().write(|w| w.set_out_count(last + 1));
+    for (kept, setting) in SETTINGS.iter().zip(settings()) {
+        kept.store(setting, SeqCst);
+    }
 
     let ring = RING.0.get() as u32;
     let feed = pac::DMA.ch(FEED);
@@ -184,13 +188,42 @@ const AHEAD_WORDS: core::ops::RangeInclusive<u32> = 6..=34;
 /// State machine 0 has found its FIFO empty.
 const STALLED: u32 = 1 << 24;
 
+/// The program, and the settings of its state machine.
+static PROGRAM: [AtomicU32; WORDS] = [const { AtomicU32::new(0) }; WORDS];
+static SETTINGS: [AtomicU32; 4] = [const { AtomicU32::new(0) }; 4];
+/// A state machine that never runs: it shows the program, whose memory cannot be read.
+const READER: usize = 1;
+
+/// The registers of the state machine that stay as they were set: divider, wrap, shifts, pins.
+#[inline(always)]
+fn settings() -> [u32; 4] {
+    let machine = pac::PIO0.sm(0);
+    [
+        machine.clkdiv().read().0,
+        machine.execctrl().read().0,
+        machine.shiftctrl().read().0,
+        machine.pinctrl().read().0,
+    ]
+}
+
+/// Whether the program is as it was written. A state machine shows the instruction at its place, and a jump moves it.
+#[inline(always)]
+fn program_is_whole() -> bool {
+    let shown = pac::PIO0.sm(READER).instr();
+    PROGRAM.iter().enumerate().all(|(at, code)| {
+        shown.write(|w| w.0 = at as u32); // jmp at
+        shown.read().0 == code.load(SeqCst)
+    })
+}
+
 /// Whether PIO and DMA play the block that has just begun: the DMA is where it must be, and the PIO is on, never had to wait
-/// for a word and runs at its rate.
+/// for a word, and has its program and its settings, the clock divider among them.
 fn follows(blocks: u32) -> bool {
     let ahead = words_between(blocks.wrapping_mul(BLOCK * WORDS as u32), fetched());
     AHEAD_WORDS.contains(&ahead)
         && pac::PIO0.fdebug().read().0 & STALLED == 0
-        && pac::PIO0.sm(0).clkdiv().read().0 == u32::from(PIO_DIVIDER) << 16
+        && settings().iter().zip(&SETTINGS).all(|(setting, kept)| *setting == kept.load(SeqCst))
+        && program_is_whole()
         && pac::PIO0.ctrl().read().sm_enable() & 1 == 1
 }
 

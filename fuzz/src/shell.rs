@@ -10,7 +10,7 @@ use firmware_protocol::frame::{self, Decoder, MAX_FRAME};
 use firmware_protocol::message::{DeviceMessage, HostMessage, Op, State, Status};
 use firmware_protocol::stroke::{Lines, MOTORS};
 use firmware_protocol::tick::Tick;
-use firmware_protocol::urgent::{Urgent, Watch};
+use firmware_protocol::urgent::Watch;
 use std::collections::VecDeque;
 
 const OFF: Run = Run { lines: Lines::OFF, trigger: false, drivers: false, ticks: 0 };
@@ -212,9 +212,11 @@ impl Shell {
     /// Gives the device bytes, as a firmware does: it looks for an e-stop in them first.
     pub fn bytes(&mut self, mut bytes: &[u8], in_pieces: bool) {
         let now = Tick(self.now);
-        if let Some(Urgent::EStop(epoch)) = self.watch.look(bytes)
-            && self.device.epoch().is_some_and(|present| newer(epoch, present))
-        {
+        let mut rest = bytes;
+        loop {
+            let present = self.device.epoch();
+            let is_new = |epoch| present.is_some_and(|present| newer(epoch, present));
+            let Some(epoch) = self.watch.e_stop(&mut rest, is_new) else { break };
             self.e_stop(epoch);
         }
         if in_pieces {

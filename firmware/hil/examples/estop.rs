@@ -28,6 +28,7 @@ fn main() -> ExitCode {
         (Traffic::Flood(120_000), Way::Request, tries, BY_REQUEST),
         (Traffic::Flood(800_000), Way::Request, tries, BY_REQUEST),
         (Traffic::Flood(120_000), Way::Frame, tries.div_ceil(10), BY_FRAME_SHARED),
+        (Traffic::Contrived, Way::Frame, tries, BY_FRAME_SHARED),
         (Traffic::Flood(800_000), Way::Frame, tries.div_ceil(10), BY_FRAME_SHARED),
     ];
     let mut kept = true;

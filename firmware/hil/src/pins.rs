@@ -13,6 +13,8 @@ pub const ENABLE: usize = 28;
 /// Shows what [`ENABLE`] does.
 pub const LED: usize = 25;
 const PINS: usize = 30;
+/// An input that the board feeds from the cable's 5 V (GP24).
+const VBUS_SENSE: u32 = 1 << 24;
 
 /// The pin of a line. The board uses GP23 to GP25 itself, so line 23 is on GP26.
 #[must_use]
@@ -90,7 +92,7 @@ impl Default for Pins {
 impl Pins {
     /// Records the levels of the pins from `cycle` on.
     pub fn change(&mut self, cycle: u64, levels: u32) {
-        let mut changed = self.levels ^ levels;
+        let mut changed = (self.levels ^ levels) & !VBUS_SENSE;
         self.levels = levels;
         while changed != 0 {
             let pin = changed.trailing_zeros() as usize;

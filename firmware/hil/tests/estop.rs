@@ -5,7 +5,8 @@
 use crate::play::{armed, job};
 use crate::random::uniform;
 use firmware_protocol::frame::{MAX_FRAME, encode};
-use firmware_protocol::message::{HostMessage, State};
+use firmware_protocol::message::{HostMessage, Op, State};
+use firmware_protocol::urgent::{Urgent, Watch};
 use meissner_hil::bench::chip::ChipOptions;
 use meissner_hil::rig::Rig;
 use meissner_hil::scenario::pattern;
@@ -33,6 +34,8 @@ pub(crate) enum Traffic {
     Shared,
     /// So many bytes of garbage per second.
     Flood(u64),
+    /// Before the e-stop, in its packet, bytes that are made to take long to look into.
+    Contrived,
 }
 
 /// How the e-stop comes.
@@ -71,6 +74,13 @@ fn latency(rig: &mut Rig, name: &str, traffic: Traffic, way: Way, random: &mut C
         // The end of a ping that was cut.
         rig.raw(&[0]);
     }
+    let mut old = 0;
+    if traffic == Traffic::Contrived {
+        let bytes = contrived(random);
+        let mut watch = Watch::new();
+        old = bytes.iter().filter(|&&byte| matches!(watch.look(&[byte]), Some(Urgent::EStop(_)))).count();
+        rig.raw(&bytes);
+    }
     rig.order(Command::EStop);
     let end = rig.now() + 12 * MS;
     while rig.now() < end {
@@ -79,7 +89,7 @@ fn latency(rig: &mut Rig, name: &str, traffic: Traffic, way: Way, random: &mut C
     }
     let chip = rig.chip().unwrap();
     let mut wait = 0;
-    while chip.e_stopped.is_empty() {
+    while chip.e_stopped.len() <= old {
         // Its frame is still behind the flood.
         wait += 1;
         assert!(wait < 2_000, "{name}: the frame of the e-stop was not taken");
@@ -89,7 +99,7 @@ fn latency(rig: &mut Rig, name: &str, traffic: Traffic, way: Way, random: &mut C
     let chip = rig.chip().unwrap();
     // Later packets repeat it.
     let from = match way {
-        Way::Frame => chip.e_stopped[0],
+        Way::Frame => chip.e_stopped[old],
         Way::Request => {
             assert_eq!(chip.requested.len(), 1, "{name}: the host asks once");
             chip.requested[0]
@@ -105,6 +115,66 @@ fn latency(rig: &mut Rig, name: &str, traffic: Traffic, way: Way, random: &mut C
     rig.order(Command::Arm { assume_rest: true });
     reach(rig, State::Armed);
     off.max(low) - from
+}
+
+/// Most bytes of an e-stop's frame here: the epochs are small.
+const E_STOP: usize = 12;
+/// An epoch that is new to the device.
+const NEW: u16 = 10_000;
+/// A bulk packet.
+const PACKET: usize = 64;
+
+/// Whole frames before an e-stop that are made to take long to look into, so that the e-stop still ends in the same packet: of one kind,
+/// or mixed; sometimes with a frame that began in the packet before.
+fn contrived(random: &mut ChaCha8Rng) -> Vec<u8> {
+    let pick = |random: &mut ChaCha8Rng, most: u64| random.next_u64() % most;
+    let encoded = |message: &HostMessage<'_>| {
+        let mut frame = [0; MAX_FRAME];
+        let len = encode(message, &mut frame).unwrap();
+        frame[..len].to_vec()
+    };
+    // Their epochs are old, or their CRC is wrong: no e-stop but the last counts.
+    let piece = |random: &mut ChaCha8Rng, kind: u64| match kind {
+        0 => vec![0],
+        1 => vec![7, 0],
+        2 => [vec![9; 1 + pick(random, 12) as usize], vec![0]].concat(),
+        3 => {
+            let mut frame = encoded(&HostMessage::Control { epoch: NEW, seen: 1, op: Op::EStop });
+            // The last byte of the CRC, which must not become a zero.
+            let at = frame.len() - 2;
+            frame[at] = if frame[at] == 1 { 2 } else { 1 };
+            frame
+        }
+        4 => encoded(&HostMessage::Control { epoch: 0, seen: 0, op: Op::EStop }),
+        5 => {
+            let mut frame = encoded(&HostMessage::Hello { session: 1 + pick(random, 100) as u32 });
+            let at = frame.len() - 2;
+            frame[at] = if frame[at] == 1 { 2 } else { 1 };
+            frame
+        }
+        6 => encoded(&HostMessage::Ping { token: 1 + pick(random, 60_000) as u16, seen: 0 }),
+        7 => encoded(&HostMessage::Control { epoch: 1, seen: 1, op: Op::Stop }),
+        _ => [vec![4; 1 + pick(random, 51) as usize], vec![0]].concat(),
+    };
+    let kinds = 9;
+    let only = pick(random, 2 * kinds);
+    let mut bytes = Vec::new();
+    loop {
+        let kind = if only < kinds { only } else { pick(random, kinds) };
+        let next = piece(random, kind);
+        if bytes.len() + next.len() + E_STOP > PACKET {
+            break;
+        }
+        bytes.extend(next);
+    }
+    // What fits no more is filled, so that the packet is full. One in four is split: then a frame begins in the packet before.
+    let room = PACKET - E_STOP - bytes.len();
+    bytes.splice(0..0, vec![0; room]);
+    if pick(random, 4) == 0 {
+        let before = 4 + pick(random, 9) as usize;
+        bytes.splice(0..0, [vec![0; PACKET - before], vec![5; before]].concat());
+    }
+    bytes
 }
 
 /// Runs until the device says that it is in this state: behind a flood that takes a while.
@@ -153,6 +223,47 @@ fn lines_are_low_soon_after_a_frame_under_full_load() {
 #[test]
 fn lines_are_low_within_two_pulse_periods_of_a_frame_anywhere_in_a_packet() {
     assert!(sweep("full-load", Traffic::Shared, Way::Frame, TRIES, 3) <= BY_FRAME_SHARED);
+}
+
+/// Kinds of contrived packets, and their mixtures, several times each.
+#[cfg(test)]
+const CONTRIVED: u64 = 100;
+
+#[test]
+fn lines_are_low_within_two_pulse_periods_of_a_frame_behind_anything_in_its_packet() {
+    assert!(sweep("edge-45-paper", Traffic::Contrived, Way::Frame, CONTRIVED, 6) <= BY_FRAME_SHARED);
+}
+
+#[test]
+fn lines_are_low_within_half_a_pulse_period_of_a_request_right_behind_anything_in_a_packet() {
+    use firmware_protocol::urgent::e_stop_request;
+    use meissner_hil::bench::Function;
+
+    let mut random = ChaCha8Rng::seed_from_u64(8);
+    let mut fake = [0; MAX_FRAME];
+    let len = encode(&HostMessage::Control { epoch: NEW, seen: 1, op: Op::EStop }, &mut fake).unwrap();
+    fake[len - 2] ^= 0x55;
+    let fakes = fake[..len].repeat(PACKET / len);
+    let mut packets: Vec<_> = (0..TRIES / 2).map(|_| contrived(&mut random)).collect();
+    // As many CRCs as a packet can ask for, at several phases.
+    packets.extend((0..TRIES / 2).map(|_| fakes.clone()));
+    for (phase, bytes) in packets.into_iter().enumerate() {
+        let mut rig = armed(ChipOptions::new(1));
+        rig.order(job(&pattern("full-load").unwrap(), 1.0));
+        rig.run_to(rig.now() + 40 * MS + phase as u64 * 1_733).unwrap();
+        let epoch = rig.tap().epoch().wrapping_add(1);
+        let chip = rig.chip().unwrap();
+        // The request's SETUP packet follows the packet without a pause.
+        chip.write(Function::Cdc, &bytes).unwrap();
+        chip.control(e_stop_request(epoch)).unwrap();
+        chip.run(chip.cycle() + 2 * MS).unwrap();
+        let off = chip.pins.led.last().unwrap().to;
+        let low = chip.pins.low_since(u64::MAX).unwrap().max(off);
+        let requested = chip.requested[0];
+        assert!(chip.pins.still_high().is_none() && low > requested);
+        println!("request behind {} bytes: {} cycles", bytes.len(), low - requested);
+        assert!(low - requested <= BY_REQUEST, "{} cycles behind {bytes:02x?}", low - requested);
+    }
 }
 
 #[test]

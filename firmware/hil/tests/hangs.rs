@@ -62,6 +62,11 @@ fn a_hung_interrupt_leaves_the_lines_low_after_what_was_rendered() {
     for (name, symbol, code) in hangs {
         let mut rig = playing();
         let chip = rig.chip().unwrap();
+        // A turn of the shell that is under way would end first.
+        let mut busy = None;
+        while busy.replace(chip.busy_cycles()) != Some(chip.busy_cycles()) {
+            chip.run(chip.cycle() + 200).unwrap();
+        }
         chip.poke(symbol, &code).unwrap();
         // Brings a USB interrupt.
         chip.control([0x40, 0, 0, 0, 0, 0, 0, 0]).unwrap();

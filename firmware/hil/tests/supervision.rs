@@ -17,12 +17,24 @@ const TRIES: u64 = 3;
 
 /// A failure: registers and what is written to them.
 type Failure = (&'static str, &'static [(u32, u32)]);
-const FAILURES: [Failure; 5] = [
+const FAILURES: [Failure; 14] = [
     ("DMA aborted", &[(0x5000_0444, 3)]),
     ("DMA channel off", &[(0x5000_0010, 0)]),
     ("PIO disabled", &[(0x5020_0000, 0)]),
     ("PIO at twice its rate", &[(0x5020_00c8, 30 << 16)]),
     ("PIO slower by a sixtieth", &[(0x5020_00c8, 61 << 16)]),
+    // Instructions of the program: one that puts out nothing, one that leaves the pins as they are and one that drives all, of the same
+    // time, and one that takes a cycle more.
+    ("instruction 0 is mov y, y", &[(0x5020_0048, 0xa042)]),
+    ("instruction 1 is mov y, y", &[(0x5020_004c, 0xa042)]),
+    ("instruction 1 is out null, 32 [14]", &[(0x5020_004c, 0x6e60)]),
+    ("instruction 2 is mov pins, ~null [2]", &[(0x5020_0050, 0xa20b)]),
+    ("instruction 3 is out pins, 32 [2]", &[(0x5020_0054, 0x6200)]),
+    ("instruction 3 is jmp 3", &[(0x5020_0054, 3)]),
+    // Its settings: it wraps before the last word, and it no longer reaches all pins. The number of bits taken at a time.
+    ("PIO wraps early", &[(0x5020_00cc, 2 << 12)]),
+    ("PIO drives 20 pins", &[(0x5020_00dc, 20 << 20)]),
+    ("PIO pulls after 16 bits", &[(0x5020_00d0, 1 << 30 | 16 << 25 | 1 << 19 | 1 << 17)]),
 ];
 
 fn fail((name, writes): Failure, phase: u64) -> u64 {

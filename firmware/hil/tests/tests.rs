@@ -2,6 +2,7 @@
 
 #![expect(clippy::unwrap_used, reason = "what cannot go on has failed")]
 
+mod bus;
 mod estop;
 mod estop_races;
 mod faults;
@@ -21,3 +22,4 @@ mod self_test;
 mod sequence;
 mod start;
 mod supervision;
+mod windows;

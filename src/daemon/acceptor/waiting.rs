@@ -45,7 +45,9 @@ impl Silent {
         loop {
             let free = MAX_LINE.min(MAX_HEAD - self.head.len());
             match (&self.stream).read(&mut bytes[..free]) {
-                Ok(0) => return Poll::Ready(Err(())),
+                Ok(0) if self.head.is_empty() => return Poll::Ready(Err(())),
+                // The server answers a request that broke off, and records it.
+                Ok(0) => return Poll::Ready(Ok(First::other(self.peer.network.is_none()))),
                 // There is room for so many.
                 Ok(len) => drop(self.head.extend_from_slice(&bytes[..len])),
                 Err(error) if may_go_on(&error) => return Poll::Pending,

@@ -24,6 +24,8 @@ struct Head {
     #[serde(default)]
     packets: Vec<(String, u64, u64)>,
     #[serde(default)]
+    transfers: Vec<Option<String>>,
+    #[serde(default)]
     configured: bool,
     #[serde(default)]
     resets: u64,
@@ -59,6 +61,8 @@ pub struct Answer {
     pub bulk: Vec<u8>,
     /// Packets that the chip has taken: pipe, cycle and length.
     pub packets: Vec<(String, u64, u64)>,
+    /// Control transfers that have ended: the bytes from the device, or `None` if it refused.
+    pub transfers: Vec<Option<Vec<u8>>>,
     /// Whether the host has configured the device.
     pub configured: bool,
     /// Resets since power-up.
@@ -111,17 +115,21 @@ impl Answer {
         let levels = bytes(head.levels * RECORD)?;
         let (cdc, bulk) = (bytes(head.cdc)?, bytes(head.bulk)?);
         let hex = head.hex.unwrap_or_default();
+        let bytes_of = |got: String| unhex(&got).ok_or(AnswerError::Hex(got));
+        let transfers = head.transfers.into_iter().map(|got| got.map(bytes_of).transpose());
+        let transfers = transfers.collect::<Result<_, _>>()?;
         Ok(Self {
             cycle: head.cycle,
             levels: levels.chunks_exact(RECORD).map(record).collect(),
             cdc,
             bulk,
             packets: head.packets,
+            transfers,
             configured: head.configured,
             resets: head.resets,
             instructions: head.instructions,
             asleep: head.asleep,
-            memory: unhex(&hex).ok_or(AnswerError::Hex(hex))?,
+            memory: bytes_of(hex)?,
             profile: head.profile,
         })
     }

@@ -60,6 +60,8 @@ pub struct ChipBench {
     pub e_stopped: Vec<u64>,
     /// Cycles at which the chip took SETUP packets of [`Self::control`].
     pub requested: Vec<u64>,
+    /// What came of the transfers of [`Self::transfer`]: the bytes from the chip, or `None` if it refused.
+    pub transfers: Vec<Option<Vec<u8>>>,
 }
 
 impl ChipBench {
@@ -100,6 +102,7 @@ impl ChipBench {
             e_stops: VecDeque::new(),
             e_stopped: Vec::new(),
             requested: Vec::new(),
+            transfers: Vec::new(),
         })
     }
 
@@ -167,6 +170,23 @@ impl ChipBench {
         self.ask(&serde_json::json!({ "control": hex(&setup) }))
     }
 
+    /// Begins a control transfer, with the data that go to the chip, if any.
+    ///
+    /// # Errors
+    /// If the emulator is gone or refuses, or the chip is not configured.
+    pub fn transfer(&mut self, setup: [u8; 8], data: &[u8]) -> Result<(), BenchError> {
+        let data = if data.is_empty() { serde_json::Value::Null } else { hex(data).into() };
+        self.ask(&serde_json::json!({ "transfer": hex(&setup), "data": data }))
+    }
+
+    /// Runs to where the next transaction of a control transfer begins or ends, for so many cycles at most.
+    ///
+    /// # Errors
+    /// If the emulator is gone or refuses.
+    pub fn run_to_control(&mut self, cycles: u64) -> Result<(), BenchError> {
+        self.ask(&serde_json::json!({ "run": cycles, "until": "control" }))
+    }
+
     /// Opens or closes the tty.
     ///
     /// # Errors
@@ -183,7 +203,7 @@ impl ChipBench {
         self.bus(if plugged { "plug" } else { "unplug" })
     }
 
-    /// Does something else to the bus, by the emulator's name for it: `suspend`, `resume`, `hang`.
+    /// Does something else to the bus, by the emulator's name for it: `reset`, `abandon`, `suspend`, `resume`, `hang`.
     ///
     /// # Errors
     /// If the emulator is gone or refuses.
@@ -258,6 +278,7 @@ impl ChipBench {
                 self.e_stopped.push(cycle);
             }
         }
+        self.transfers.append(&mut answer.transfers);
         self.heard.cdc.append(&mut answer.cdc);
         self.heard.bulk.append(&mut answer.bulk);
         self.last = answer;
