@@ -8,7 +8,7 @@
 //! Vibration time is the time in which at least one drive of the running play moves a pin ([`Vibration`]). A pause is
 //! [`ParticipantLimits::pause_s`] without vibration.
 //!
-//! Bounds: [`DATES`] dates, and `PEOPLE` sums for each. Invariant: time that has been counted is never taken back within its day.
+//! Bounds: `DATES` dates, and `PEOPLE` sums for each. Invariant: time that has been counted is never taken back within its day.
 
 mod file;
 mod limits;
