@@ -15,7 +15,7 @@ use crate::exposure::ParticipantLimits;
 use crate::file::read_regular;
 use crate::session_record::Location;
 use array::RawArray;
-use firmware_protocol::limits::OnTimeLimits;
+use firmware_protocol::limits::PowerLimits;
 use meissner_array::pattern::AMPLITUDE_UM;
 use meissner_array::simulated::{LowerStop, SimulatedMotorsConfig, SimulatedMotorsError};
 use meissner_client::default_socket;
@@ -303,7 +303,7 @@ impl RawConfig {
         in_range("drift_limit_um", drift_limit_um, good, "1 to 10000 um")?;
         let drift_limit_um = drift_limit_um as f32;
         let Table(limits) = self.limits.unwrap_or(Table(RawLimits::default()));
-        let none = OnTimeLimits::NONE;
+        let none = PowerLimits::NONE;
         let limit = |key: &str, found: Option<u32>, most: u32| {
             let found = found.unwrap_or(most);
             let good = (1..=most).contains(&found);
@@ -325,7 +325,7 @@ impl RawConfig {
         let good = (0.0..=10_000.0).contains(&end_stop_um);
         in_range("end_stop_um", end_stop_um, good, "0 to 10000 um")?;
         let stop_pulses_per_s = limits.stop_pulses_per_s;
-        let limits = OnTimeLimits { motor, rail };
+        let limits = PowerLimits { motor, rail, ..none };
         let end_stop_um = end_stop_um as f32;
         let settings = Settings {
             lead_ms,

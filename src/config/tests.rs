@@ -29,7 +29,7 @@ fn every_key_is_read() {
     assert_eq!(kept.logbook, Some(Location { dir: "/l".into(), days: 30, make_parents: false }));
     let kept = parse("logbook_dir = \"/l\"").unwrap();
     assert_eq!(kept.logbook, Some(Location { dir: "/l".into(), days: LOGBOOK_DAYS, make_parents: false }));
-    let limits = OnTimeLimits { motor: 40_000, rail: 90_000 };
+    let limits = PowerLimits { motor: 40_000, rail: 90_000, ..PowerLimits::NONE };
     assert_eq!(
         config.settings,
         Settings {

@@ -1,7 +1,7 @@
 //! Receipts made from events: of plays, devices, and losses.
 
 use super::*;
-use firmware_protocol::limits::{OnTimeLimits, Refusal};
+use firmware_protocol::limits::{PowerLimits, Refusal};
 use firmware_protocol::message::Cause;
 use firmware_protocol::stroke::MOTORS;
 use meissner_api::{ErrorSource, LateCause};
@@ -22,7 +22,7 @@ fn hello() -> DeviceHello {
         pool: 1024,
         horizon: 64,
         max_up_pulses: 3000,
-        limits: OnTimeLimits::NONE,
+        limits: PowerLimits::NONE,
         features: DeviceHello::SIMULATED,
         tick: Tick::BOOT.0,
         epoch: 0,

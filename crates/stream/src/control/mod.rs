@@ -25,7 +25,7 @@ pub(super) use queued::Cutting;
 use crate::settings::Settings;
 pub use bound::rest_bound_um;
 use firmware_protocol::batch::Amendment;
-use firmware_protocol::limits::OnTimeLimits;
+use firmware_protocol::limits::PowerLimits;
 use firmware_protocol::stroke::{Direction, MOTORS, Stroke};
 use firmware_protocol::tick::Tick;
 use meissner_api::ErrorSource;
@@ -94,7 +94,7 @@ impl PositionControl {
 
     /// Uses the site's limits and end stops.
     pub(super) fn configure(&mut self, settings: &Settings) {
-        self.limited = settings.limits != OnTimeLimits::NONE;
+        self.limited = settings.limits != PowerLimits::NONE;
         self.end_stop_um = settings.end_stop_um;
         self.motors.iter_mut().for_each(|motor| motor.set_lower_stop(settings.lower_stop.is_some()));
     }
