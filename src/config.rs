@@ -325,7 +325,8 @@ impl RawConfig {
         let good = (0.0..=10_000.0).contains(&end_stop_um);
         in_range("end_stop_um", end_stop_um, good, "0 to 10000 um")?;
         let stop_pulses_per_s = limits.stop_pulses_per_s;
-        let limits = PowerLimits { motor, rail, ..none };
+        let Table(array) = self.array.unwrap_or(Table(RawArray::default()));
+        let limits = array.limits(PowerLimits { motor, rail, ..none })?;
         let end_stop_um = end_stop_um as f32;
         let settings = Settings {
             lead_ms,
@@ -336,7 +337,6 @@ impl RawConfig {
             end_stop_um,
             lower_stop: None,
         };
-        let Table(array) = self.array.unwrap_or(Table(RawArray::default()));
         let lower_stop = array.check(stop_pulses_per_s, &settings)?;
         if lower_stop.is_some() {
             // The simulated array is like the site's.
