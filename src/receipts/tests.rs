@@ -88,6 +88,7 @@ fn ended(id: u64, end: End) -> StreamEvent {
             amended: 1,
         },
         pulses: PulseCounts { planned: 100, played: 60 },
+        estimated: false,
         lateness: LateCounts { host: 1, ..LateCounts::default() },
         board: Some(PlayBoard { slack: Some(29), stalls: Some(1), usb_recoveries: None, output_faults: 0 }),
         wire_bytes: 55,
