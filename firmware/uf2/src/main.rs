@@ -176,13 +176,16 @@ mod tests {
                 pages
             };
             let is_whole = |flash: Vec<u8>| {
-                pages.iter().all(|(address, page)| flash[(address - FLASH.start) as usize..].starts_with(page))
+                pages
+                    .iter()
+                    .all(|(address, page)| flash[(address - FLASH.start) as usize..].starts_with(page))
             };
             for used in [0xff, 0x00, 0xa5] {
                 for out in [blocks(&filled), blocks(&pages)] {
                     let count = out.len() / 512;
                     // A step that shares no factor with the count visits each block once.
-                    let step = (7..).find(|step| (2..=*step).all(|by| step % by > 0 || count % by > 0)).unwrap();
+                    let step =
+                        (7..).find(|step| (2..=*step).all(|by| step % by > 0 || count % by > 0)).unwrap();
                     let whole = [
                         is_whole(written(&out, used, 0..count)),
                         is_whole(written(&out, used, (0..count).rev())),
