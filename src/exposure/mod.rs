@@ -24,7 +24,7 @@ use jiff::civil::Date;
 use jiff::{SignedDuration, Timestamp, Zoned};
 use meissner_api::ParticipantStatus;
 use meissner_stream::time::HostInstant;
-use rule::{Order, Pending, ROUNDING_S, SoFar, Stretch, judge};
+use rule::{EARLY_S, Order, Pending, ROUNDING_S, SoFar, Stretch, judge};
 use rustix::time::{ClockId, clock_gettime};
 use std::collections::BTreeMap;
 use std::sync::OnceLock;
@@ -298,7 +298,7 @@ impl Account {
         }
     }
 
-    /// A running play has played for so long. Returns the limit that it has passed.
+    /// A running play has played for so long. Returns the limit that stops it now: one without end is stopped before it passes the limit.
     pub fn played(&mut self, id: u64, played_s: f64, now: Now) -> Option<Limit> {
         let pause_s = self.limits.pause_s;
         let live = self.live.iter_mut().find(|live| live.id == id)?;
@@ -308,6 +308,7 @@ impl Account {
             Onset::At(_) | Onset::Next => seconds(now.at) - played_s.min(live.vibration.end()),
         };
         live.onset = Onset::Began(onset_s);
+        let early_s = if live.vibration.is_endless() { EARLY_S } else { 0.0 };
         let new_s = live.vibration.until(played_s) - live.vibration.until(live.counted_to_s);
         if new_s > 0.0 {
             self.stretch =
@@ -315,7 +316,7 @@ impl Account {
             live.counted_to_s = played_s;
             self.count(new_s, now);
         }
-        let passed = |used_s: f64, most_s: f64| used_s > most_s + ROUNDING_S;
+        let passed = |used_s: f64, most_s: f64| used_s > most_s - early_s + ROUNDING_S;
         let ParticipantLimits { max_continuous_s, max_session_s, max_day_s, .. } = self.limits;
         [
             (Limit::Continuous, passed(self.stretch.used_s, max_continuous_s)),

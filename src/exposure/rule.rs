@@ -7,8 +7,13 @@
 
 use super::{Limit, ParticipantLimits, Vibration};
 
-/// What a play without end must find, s: what passes between two reports of a running play.
-pub(super) const LEAST_S: f64 = 0.1;
+/// What passes between two reports of a running play, s.
+pub(super) const REPORT_S: f64 = 0.1;
+/// A play without end is stopped so long before a limit, s: until the next report, until the stop is done, and, should the daemon be
+/// killed meanwhile, until the board's watchdog notices it by default (0.3 s).
+pub(super) const EARLY_S: f64 = REPORT_S + 0.02 + 0.3;
+/// What a play without end must find, s.
+const LEAST_S: f64 = EARLY_S + REPORT_S;
 /// Sums are so exact, s: more than rounding errors add up to.
 pub(super) const ROUNDING_S: f64 = 1e-6;
 /// How long a replaced play may still vibrate, and how much later than planned a play that waits may end, s.

@@ -1,8 +1,8 @@
 //! The participant's exposure: keeps the time of plays, follows them, stops what passes a limit, and keeps the sums on the disk.
 //!
 //! Before a play reaches the streamer, its time is in the sums on the disk ([`Engine::hold`]): a kill at any moment leaves no smaller
-//! sum. The daemon learns ten times a second how long the running play has played, so it stops a play without end at most that long
-//! after its limit, and the time that the stop takes. A play with an end is refused if it does not fit.
+//! sum. The daemon learns ten times a second how long the running play has played, and stops one without end before it can pass its
+//! limit. A play with an end is refused if it does not fit.
 //!
 //! A disk that fails, or is silent for [`DISK`], stops no play: the sums in memory hold, and the status says so.
 //!
