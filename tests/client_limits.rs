@@ -401,7 +401,7 @@ fn a_reset_that_waits_undoes_no_later_emergency_stop() {
         stream.write_all(format!("{reset}{reset}").as_bytes()).unwrap();
         stream.write_all(b"POST /v1/estop HTTP/1.1\r\nhost: x\r\n\r\n").unwrap();
         let mut answer = Vec::new();
-        while String::from_utf8_lossy(&answer).matches("HTTP/1.1 200").count() < 3 {
+        while String::from_utf8_lossy(&answer).matches("HTTP/1.1 ").count() < 3 {
             let mut bytes = [0; 4096];
             let len = stream.read(&mut bytes).unwrap();
             assert!(len > 0, "{}", String::from_utf8_lossy(&answer));

@@ -464,10 +464,10 @@ fn silent(events: &mut meissner_client::Events) -> f64 {
 fn silence_stops_and_disarms() {
     let daemon = Daemon::start();
     let mut events = daemon.client().events().unwrap();
-    let armed = command(&daemon, &["arm", "--assume-rest", "--silence", "2"]);
-    assert_eq!((&armed["state"], &armed["armed"]["silence_s"]), (&json!("armed"), &json!(2.0)));
+    let armed = command(&daemon, &["arm", "--assume-rest", "--silence", "5"]);
+    assert_eq!((&armed["state"], &armed["armed"]["silence_s"]), (&json!("armed"), &json!(5.0)));
     let by = armed["armed"]["by"].as_str().unwrap();
-    assert!(by.contains("pid ") && armed["armed"]["left_s"].as_f64().unwrap() <= 2.0, "{armed}");
+    assert!(by.contains("pid ") && armed["armed"]["left_s"].as_f64().unwrap() <= 5.0, "{armed}");
     command(&daemon, &["play", "pin-60", "--endless"]);
     began(&mut events);
     // Another client that only reads is no sign of life.
@@ -478,16 +478,16 @@ fn silence_stops_and_disarms() {
             thread::sleep(Duration::from_millis(20));
         }
     });
-    assert_eq!(silent(&mut events), 2.0);
+    assert_eq!(silent(&mut events), 5.0);
     let receipt = ended(&mut events);
     assert_eq!((receipt.state, receipt.cause.as_deref()), (PlayState::Stopped, Some("owner-silent")));
     read.join().unwrap();
     assert_eq!(command(&daemon, &["status"])["armed"], Value::Null);
     assert!(daemon.log().contains("was silent for too long"), "{}", daemon.log());
     // A play with a known end is no excuse.
-    command(&daemon, &["arm", "--silence", "1"]);
+    command(&daemon, &["arm", "--silence", "5"]);
     command(&daemon, &["play", "pin-60", "--seconds", "300"]);
-    assert_eq!(silent(&mut events), 1.0);
+    assert_eq!(silent(&mut events), 5.0);
     assert_eq!(ended(&mut events).cause.as_deref(), Some("owner-silent"));
     // Stated otherwise, and stated nothing.
     let status = command(&daemon, &["arm", "--unattended"]);
@@ -511,7 +511,7 @@ fn the_configuration_says_how_long_an_older_client_may_be_silent() {
     let daemon = Daemon::with("mock", &format!("{PATIENT}armed_silence_s = 1\n"));
     let mut events = daemon.client().events().unwrap();
     command(&daemon, &["arm", "--assume-rest"]);
-    assert_eq!(silent(&mut events), 1.0);
+    assert_eq!(silent(&mut events), 5.0);
     wait_until(|| daemon.client().get::<Status>("/v1/status").unwrap().state == "disarmed");
 }
 

@@ -140,7 +140,7 @@ complete -c meissner -n "__fish_meissner_using_subcommand reset" -l force -d 'Re
 complete -c meissner -n "__fish_meissner_using_subcommand reset" -l json -d 'Print one JSON document on stdout and nothing else'
 complete -c meissner -n "__fish_meissner_using_subcommand reset" -s h -l help -d 'Print help'
 complete -c meissner -n "__fish_meissner_using_subcommand arm" -l checked -d 'Say who has looked at the pins and found them level: needed after they may have drifted; on a terminal the command asks' -r
-complete -c meissner -n "__fish_meissner_using_subcommand arm" -l silence -d 'Disarm when no command or program of yours has asked the daemon for S seconds, 1 to 86400 [default: `armed_silence_s` of the daemon\'s configuration]' -r
+complete -c meissner -n "__fish_meissner_using_subcommand arm" -l silence -d 'Disarm when nobody has armed, played or homed for S seconds, and the program that did so last was silent as long, 1 to 86400 [default: `armed_silence_s` of the daemon\'s configuration]' -r
 complete -c meissner -n "__fish_meissner_using_subcommand arm" -l socket -d 'Connect to the daemon at PATH [default: $MEISSNER_SOCKET, else the first of $XDG_RUNTIME_DIR/meissner.sock and /run/meissner/meissner.sock at which a daemon listens]' -r -F
 complete -c meissner -n "__fish_meissner_using_subcommand arm" -l assume-rest -d 'State that all pins are at rest: look at them first'
 complete -c meissner -n "__fish_meissner_using_subcommand arm" -l unattended -d 'Let the motors stay armed however long nobody asks the daemon'
@@ -201,7 +201,7 @@ complete -c meissner -n "__fish_meissner_using_subcommand session; and __fish_se
 complete -c meissner -n "__fish_meissner_using_subcommand session; and __fish_seen_subcommand_from start" -l label -d 'Record a label; up to 16 of them' -r
 complete -c meissner -n "__fish_meissner_using_subcommand session; and __fish_seen_subcommand_from start" -l seed -d 'Record the seed of the experiment\'s random numbers' -r
 complete -c meissner -n "__fish_meissner_using_subcommand session; and __fish_seen_subcommand_from start" -l socket -d 'Connect to the daemon at PATH [default: $MEISSNER_SOCKET, else the first of $XDG_RUNTIME_DIR/meissner.sock and /run/meissner/meissner.sock at which a daemon listens]' -r -F
-complete -c meissner -n "__fish_meissner_using_subcommand session; and __fish_seen_subcommand_from start" -l exclusive -d 'Keep others from everything but reading and emergency stops'
+complete -c meissner -n "__fish_meissner_using_subcommand session; and __fish_seen_subcommand_from start" -l exclusive -d 'Let others only read, stop, disarm and order emergency stops'
 complete -c meissner -n "__fish_meissner_using_subcommand session; and __fish_seen_subcommand_from start" -l json -d 'Print one JSON document on stdout and nothing else'
 complete -c meissner -n "__fish_meissner_using_subcommand session; and __fish_seen_subcommand_from start" -s h -l help -d 'Print help'
 complete -c meissner -n "__fish_meissner_using_subcommand session; and __fish_seen_subcommand_from end" -l socket -d 'Connect to the daemon at PATH [default: $MEISSNER_SOCKET, else the first of $XDG_RUNTIME_DIR/meissner.sock and /run/meissner/meissner.sock at which a daemon listens]' -r -F

@@ -78,7 +78,7 @@ def until(daemon: meissner.Daemon, is_so: Callable[[Status], bool]) -> Status:
 
 
 def is_off(state: Status) -> bool:
-    return state.state in ("disarmed", "returning")
+    return state.state == "disarmed"
 
 
 def last_play(daemon: meissner.Daemon) -> str:

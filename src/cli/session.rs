@@ -30,7 +30,7 @@ pub(super) enum Session {
         /// Record the seed of the experiment's random numbers
         #[arg(long, value_name = "N")]
         seed: Option<u64>,
-        /// Keep others from everything but reading and emergency stops
+        /// Let others only read, stop, disarm and order emergency stops
         #[arg(long)]
         exclusive: bool,
         #[command(flatten)]

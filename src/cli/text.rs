@@ -88,7 +88,7 @@ pub(super) fn status(status: &Status) -> String {
     ];
     if let Some(ArmedStatus { by, left_s, .. }) = &status.armed {
         let until = left_s.map_or("unattended, until `meissner disarm`".to_owned(), |left_s| {
-            format!("disarms in {left_s:.0} s unless a request comes")
+            format!("disarms in {left_s:.0} s unless somebody arms, plays or homes, or a program that did so asks something")
         });
         lines.push(("armed by", format!("{by}; {until}")));
     }

@@ -12,11 +12,12 @@ use std::thread;
 use tokio::sync::Notify;
 
 /// The threads without which the daemon lacks a part.
-const NEEDED: [&str; 9] = [
+const NEEDED: [&str; 10] = [
     "session record",
     "connector",
     "manager",
     "reload",
+    "tokens",
     "renderer",
     "usb-in",
     "usb-out",

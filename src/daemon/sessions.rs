@@ -183,6 +183,9 @@ pub(super) async fn show(
     if let Some(running) = running.filter(|running| id == running.id || id == "running") {
         return Ok(Json(running));
     }
+    if id == "running" {
+        return Err(no_session(&id).into());
+    }
     let asked = id.clone();
     let found = recorded(&app, move |_, sessions, _| {
         Ok(sessions.recorded.into_iter().find(|recorded| recorded.session.id == asked))
@@ -192,9 +195,6 @@ pub(super) async fn show(
 }
 
 fn not_recorded(id: &str) -> Problem {
-    if id == "running" {
-        return no_session(id);
-    }
     let id: String = id.chars().take(100).collect();
     Problem::new(Code::NotFound, format!("no session {id} is recorded: `meissner session list` shows all"))
 }
@@ -207,6 +207,9 @@ pub(super) async fn plays(
     let (from, id) = (from(uri.query())?, path(id)?);
     let running = app.engine.lock().session().filter(|_| id == "running");
     let id = running.map_or(id, |running| running.id);
+    if id == "running" {
+        return Err(no_session(&id).into());
+    }
     let (asked, store) = (id.clone(), app.store.get());
     let json = recorded(&app, move |dir, sessions, written| {
         let found = sessions.recorded.into_iter().find(|recorded| recorded.session.id == asked);

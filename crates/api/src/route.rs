@@ -575,7 +575,13 @@ impl Route {
                 body: Body::OptionalJson("CalibrateRequest"),
                 statuses: ACCEPTED,
                 answer: Answer::Json("PlayAccepted"),
-                errors: &[BODY, &[Code::NoTelemetry, Code::LowerStop], QUEUE, COMMAND, ANY],
+                errors: &[
+                    BODY,
+                    &[Code::NoTelemetry, Code::LowerStop, Code::ParticipantLimit],
+                    QUEUE,
+                    COMMAND,
+                    ANY,
+                ],
                 ..Operation::post("/v1/calibrate")
             },
             Self::Calibration => Operation {

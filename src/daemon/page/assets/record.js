@@ -51,7 +51,10 @@ function listSessions() {
     const row = document.createElement("tr");
     const save = element("button", "JSON");
     save.setAttribute("aria-label", `Download session of ${session.participant}, ${session.started}`);
-    save.addEventListener("click", () => download(session).catch((error) => (save.textContent = error.message)));
+    save.addEventListener("click", () => download(session).then(
+      (missing) => missing.length > 0 && (save.textContent = `Incomplete: ${missing.join("; ")}`),
+      (error) => (save.textContent = error.message),
+    ));
     const cells = [session.started.slice(0, 19).replace("T", " "), session.participant, session.experiment ?? "", session.plays, session.reason ?? "runs"];
     row.append(...cells.map((text) => element("td", String(text))), document.createElement("td"));
     row.lastChild.append(save);
@@ -61,15 +64,17 @@ function listSessions() {
 
 async function download(session) {
   const plays = [];
-  for (;;) {
-    const part = await call("GET", `/v1/sessions/${encodeURIComponent(session.id)}/plays?from=${plays.length}`);
+  let part;
+  do {
+    part = await call("GET", `/v1/sessions/${encodeURIComponent(session.id)}/plays?from=${plays.length}`);
     plays.push(...part.plays);
-    if (part.plays.length < ROWS) break;
-  }
-  const text = JSON.stringify({ session, plays }, null, 1);
+  } while (part.plays.length === ROWS);
+  const { complete, missing, plays_missing, lost, left_out } = part;
+  const text = JSON.stringify({ session: part.session, complete, missing, plays_missing, lost, left_out, plays }, null, 1);
   const url = URL.createObjectURL(new Blob([text], { type: "application/json" }));
-  element("a", "", { href: url, download: `session-${session.id}.json` }).click();
+  element("a", "", { href: url, download: `session-${session.id}${complete ? "" : "-incomplete"}.json` }).click();
   setTimeout(() => URL.revokeObjectURL(url), 10000);
+  return missing;
 }
 
 $("record-filter").addEventListener("input", listSessions);
