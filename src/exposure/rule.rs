@@ -139,9 +139,12 @@ pub fn judge(limits: &ParticipantLimits, so_far: &SoFar<'_>, order: &Order<'_>) 
             Onset::At(at_s) => (free_s.max(at_s), LATE_S),
             Onset::Next => (free_s, LATE_S),
         };
-        let to_s = cut_s.map_or(f64::INFINITY, |cut_s| cut_s - onset_s);
-        // The streamer lets no play wait behind one without end: that one is cut, or ends before.
-        let to_s = if vibration.is_endless() { to_s.min(so_far.at_s - onset_s) } else { to_s };
+        let to_s = match cut_s {
+            Some(cut_s) => cut_s - onset_s,
+            // The streamer lets no play wait behind one without end.
+            None if vibration.is_endless() => so_far.at_s - onset_s,
+            None => f64::INFINITY,
+        };
         kept_s += (vibration.until(to_s) - vibration.until(counted_to_s)).max(0.0);
         stretch = vibration.walk(onset_s, (counted_to_s, to_s), stretch, pause_s).1;
         stretch.until_s += late_s;
