@@ -135,10 +135,18 @@ pub fn judge(limits: &ParticipantLimits, so_far: &SoFar<'_>, order: &Order<'_>) 
         let cut_s = cut_s.or(order.replace.then_some(so_far.at_s)).map(|cut_s| cut_s + LATE_S);
         let (onset_s, late_s) = match onset {
             Onset::Began(at_s) => (at_s, 0.0),
-            _ if cut_s.is_some() => continue,
             Onset::At(at_s) => (free_s.max(at_s), LATE_S),
             Onset::Next => (free_s, LATE_S),
         };
+        if let (Some(cut_s), Onset::At(_) | Onset::Next) = (cut_s, onset) {
+            // It may have begun since the last report.
+            let from_s = onset_s - REPORT_S;
+            if from_s < cut_s {
+                kept_s += cut_s - from_s;
+                stretch = stretch.with(from_s, cut_s, pause_s);
+            }
+            continue;
+        }
         let to_s = match cut_s {
             Some(cut_s) => cut_s - onset_s,
             // The streamer lets no play wait behind one without end.
