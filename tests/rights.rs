@@ -511,7 +511,7 @@ fn the_configuration_says_how_long_an_older_client_may_be_silent() {
     let daemon = Daemon::with("mock", &format!("{PATIENT}armed_silence_s = 1\n"));
     let mut events = daemon.client().events().unwrap();
     command(&daemon, &["arm", "--assume-rest"]);
-    assert_eq!(silent(&mut events), 5.0);
+    assert_eq!(silent(&mut events), 1.0);
     wait_until(|| daemon.client().get::<Status>("/v1/status").unwrap().state == "disarmed");
 }
 

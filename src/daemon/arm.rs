@@ -11,7 +11,7 @@ use std::sync::Arc;
 use std::time::Duration;
 use tracing::warn;
 
-/// How soon the daemon disarms again if the device did not take it.
+/// How soon a watch looks again whether it is over, and how soon the daemon disarms again if the device did not take it.
 const AGAIN: Duration = Duration::from_secs(1);
 
 impl Engine {
@@ -47,7 +47,8 @@ impl Engine {
         loop {
             let Some(left) = self.lock().armed.until_silent(number) else { return };
             if !left.is_zero() {
-                tokio::time::sleep(left).await;
+                // A newer watch may have taken its place.
+                tokio::time::sleep(left.min(AGAIN)).await;
                 continue;
             }
             let Some(disarmed) = self.lock().disarm_silent(number) else { continue };

@@ -67,6 +67,7 @@ impl Engine {
         &self,
         plan: Plan,
         laser: bool,
+        session: Option<&str>,
         client: Peer,
     ) -> Result<PlayAccepted, Problem> {
         if !laser && self.lock().calibration.file.is_none() {
@@ -85,6 +86,7 @@ impl Engine {
         let check = |state: &mut State| -> Result<(), Problem> {
             state.forget_unanswered();
             state.check_not_calibrating()?;
+            state.session_of_play(session)?;
             let device = state.plays.receipts.device().ok_or_else(|| refusal(CommandError::NoDevice))?;
             if !laser && !device.telemetry {
                 let detail =
@@ -104,6 +106,7 @@ impl Engine {
         let held = held.await?;
         let (accepted, reply) = {
             let mut state = self.lock();
+            held.check(&state)?;
             check(&mut state)?;
             let (accepted, reply) = state.begin(play, client)?;
             held.begin(&mut state, accepted.id);

@@ -265,8 +265,8 @@ async fn calibrate(
     let result = async {
         let request = CalibrateRequest::parse(&body::read_command(body).await?)?;
         logged.set_arguments(&request);
-        app.engine.lock().session_of_play(request.session.as_deref())?;
-        let accepted = app.engine.calibrate(calibration_plan(&request)?, request.laser, peer).await?;
+        let plan = calibration_plan(&request)?;
+        let accepted = app.engine.calibrate(plan, request.laser, request.session.as_deref(), peer).await?;
         logged.set_play(accepted.id);
         Ok((StatusCode::ACCEPTED, Json(accepted)))
     }

@@ -137,14 +137,18 @@ impl Engine {
         let held = held.await?;
         let (id, reply) = {
             let mut state = self.lock();
+            held.check(&state)?;
             state.check_before_play(request.session.as_deref())?;
             let (id, reply) = state.send_play(play, &settings, |plays| plays.add_live(new))?;
             held.begin(&mut state, id);
             state.live.add(id, live);
             (id, reply)
         };
+        // If the streamer refuses a play that replaces others, they go on: the next order waits for that.
+        let held = replace.then_some(held);
+        let answered = answer(reply, TIMEOUT).await;
         drop(held);
-        answer(reply, TIMEOUT).await?;
+        answered?;
         if let Some(prepared) = prepared
             && let Err(error) = prepared.start(Arc::clone(self), id, poses)
         {

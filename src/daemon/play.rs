@@ -161,14 +161,18 @@ impl Engine {
         let held = held.await?;
         let (accepted, reply) = {
             let mut state = self.lock();
+            held.check(&state)?;
             state.check_before_play(request.session.as_deref())?;
             let (accepted, reply) = state.begin(prepared, client)?;
             held.begin(&mut state, accepted.id);
             (accepted, reply)
         };
-        drop(held);
+        // If the streamer refuses a play that replaces others, they go on: the next order waits for that.
+        let held = request.replace.then_some(held);
         self.session_record().keep_text(&sha256, &text);
-        answer(reply, TIMEOUT).await?;
+        let answered = answer(reply, TIMEOUT).await;
+        drop(held);
+        answered?;
         Ok(accepted)
     }
 

@@ -14,9 +14,11 @@ use super::patterns::SharedStore;
 use super::service::{Manager, Notification};
 use super::{read_sums, restore};
 use crate::config::{Config, Source};
+use crate::exposure::Now;
 use crate::session_record::Note;
 use crossbeam_channel::{Sender, bounded};
 use meissner_stream::Settings;
+use meissner_stream::queues::Command;
 use std::sync::Arc;
 use std::thread;
 use std::time::Duration;
@@ -108,7 +110,13 @@ fn apply(
         applied.push("`armed_silence_s` from the next `arm` on".to_owned());
     }
     if new.participant != running.participant {
-        engine.lock().exposure.set_limits(new.participant);
+        let mut state = engine.lock();
+        state.exposure.set_limits(new.participant);
+        // Plays that run and wait were asked for their amplitude when they were ordered.
+        if new.participant.max_amplitude_um < running.participant.max_amplitude_um {
+            let _ = state.commands.send_unanswered(Command::Stop);
+        }
+        drop(state);
         running.participant = new.participant;
         applied.push("[participant] at once".to_owned());
     }
@@ -122,6 +130,7 @@ fn apply(
         let users = Arc::clone(&engine.names.users);
         let slow = |error| format!("`logbook_dir`: {error}: reload the configuration again");
         engine.session_record().move_to(new.logbook.clone(), users, TIMEOUT).map_err(slow)?;
+        let _ = engine.lock().save_exposure(Now::read());
         running.logbook.clone_from(&new.logbook);
         applied.push("`logbook_dir` and `logbook_days` at once".to_owned());
     }

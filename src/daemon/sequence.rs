@@ -308,6 +308,7 @@ impl Engine {
         let held = held.await?;
         let (accepted, reply, texts) = {
             let mut state = self.lock();
+            held.check(&state)?;
             state.check_before_play(request.session.as_deref())?;
             let PreparedSequence { play, settings, new, texts, .. } = prepared;
             let (ordered_ms, compiled_ms) = (new.order.ordered_ms, new.order.compiled_ms);
@@ -315,11 +316,14 @@ impl Engine {
             held.begin(&mut state, id);
             (PlayAccepted { id, ordered_ms, compiled_ms }, reply, texts)
         };
-        drop(held);
+        // If the streamer refuses a play that replaces others, they go on: the next order waits for that.
+        let held = request.replace.then_some(held);
         for (sha256, text) in texts {
             self.session_record().keep_text(&sha256, &text);
         }
-        answer(reply, TIMEOUT).await?;
+        let answered = answer(reply, TIMEOUT).await;
+        drop(held);
+        answered?;
         Ok(accepted)
     }
 }

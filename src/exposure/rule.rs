@@ -132,7 +132,8 @@ pub fn judge(limits: &ParticipantLimits, so_far: &SoFar<'_>, order: &Order<'_>) 
     let &ParticipantLimits { max_continuous_s, pause_s, max_session_s, max_day_s, .. } = limits;
     let (mut stretch, mut free_s, mut kept_s) = (so_far.stretch, so_far.at_s, 0.0);
     for &Pending { vibration, onset, counted_to_s, cut_s } in &so_far.plays {
-        let cut_s = cut_s.or(order.replace.then_some(so_far.at_s)).map(|cut_s| cut_s + LATE_S);
+        let freed_s = cut_s.or(order.replace.then_some(so_far.at_s));
+        let cut_s = freed_s.map(|cut_s| cut_s + LATE_S);
         let (onset_s, late_s) = match onset {
             Onset::Began(at_s) => (at_s, 0.0),
             Onset::At(at_s) => (free_s.max(at_s), LATE_S),
@@ -156,7 +157,7 @@ pub fn judge(limits: &ParticipantLimits, so_far: &SoFar<'_>, order: &Order<'_>) 
         kept_s += (vibration.until(to_s) - vibration.until(counted_to_s)).max(0.0);
         stretch = vibration.walk(onset_s, (counted_to_s, to_s), stretch, pause_s).1;
         stretch.until_s += late_s;
-        free_s = free_s.max(onset_s + vibration.end().min(to_s));
+        free_s = free_s.max(freed_s.unwrap_or(f64::INFINITY).min(onset_s + vibration.end().min(to_s)));
     }
     let onset_s = match order.onset {
         Onset::At(at_s) | Onset::Began(at_s) => free_s.max(at_s - CLOCK_S),

@@ -32,13 +32,14 @@ pub(in crate::daemon) async fn layer(
         let unknown = Problem::new(Code::Forbidden, "the daemon does not know where this request comes from");
         return ErrorResponse(unknown).into_response();
     };
-    let is_estop = Route::find(request.method().as_str(), request.uri().path()) == Some(Route::EStop);
-    if !is_estop && shows_access(&request) {
+    // What makes the display safe waits for the disk only where it would be refused: another daemon may have created its token.
+    let route = Route::find(request.method().as_str(), request.uri().path());
+    let makes_safe = matches!(route, Some(Route::EStop | Route::Stop | Route::Disarm));
+    if !makes_safe && shows_access(&request) {
         gate.refresh_tokens().await;
     }
     let mut checked = check(&gate, peer, &request);
-    // An emergency stop waits for the disk only where it would be refused: another daemon may have created its token.
-    if is_estop && checked.is_err() && shows_access(&request) {
+    if makes_safe && checked.is_err() && shows_access(&request) {
         gate.refresh_tokens().await;
         checked = check(&gate, peer, &request);
     }

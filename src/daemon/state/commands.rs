@@ -42,12 +42,23 @@ pub(in crate::daemon) struct Commands {
     waiting_estops: Vec<(u64, oneshot::Sender<Result<(), CommandError>>)>,
     /// The daemon ends: it accepts emergency stops only.
     closing: bool,
+    /// Commands so far after which a play that was ordered before must not begin.
+    breaks: u64,
 }
 
 impl Commands {
     pub(in crate::daemon) fn new(queue: CommandQueue, estop: EStopSwitch) -> Self {
         let (waiting, waiting_estops) = Default::default();
-        Self { queue, last_ticket: 0, waiting, estop, reported_estop: 0, waiting_estops, closing: false }
+        Self {
+            queue,
+            last_ticket: 0,
+            waiting,
+            estop,
+            reported_estop: 0,
+            waiting_estops,
+            closing: false,
+            breaks: 0,
+        }
     }
 
     /// Whether a command may be sent now.
@@ -60,6 +71,7 @@ impl Commands {
 
     /// Sends a command, and returns where its answer arrives.
     pub(super) fn send(&mut self, command: Command, play: Option<u64>) -> Result<Reply, Problem> {
+        self.note(&command);
         self.last_ticket += 1;
         let (ticket, issued_at) = (self.last_ticket, HostInstant::now());
         let (reply, receiver) = oneshot::channel();
@@ -71,6 +83,17 @@ impl Commands {
         }
         self.waiting.insert(ticket, Ticket { reply, issued_at, play });
         Ok(receiver)
+    }
+
+    const fn note(&mut self, command: &Command) {
+        if matches!(command, Command::Stop | Command::Disarm | Command::Reset { .. }) {
+            self.breaks += 1;
+        }
+    }
+
+    /// Stops and disarms so far, and resets of emergency stops.
+    pub(in crate::daemon) const fn breaks(&self) -> u64 {
+        self.breaks
     }
 
     /// Returns where the answer to the emergency stop of this number arrives, once the status shows it.
@@ -94,6 +117,7 @@ impl Commands {
 
     /// Sends a command whose answer nothing waits for; gives it back if the queue is full.
     pub(in crate::daemon) fn send_unanswered(&mut self, command: Command) -> Result<(), Command> {
+        self.note(&command);
         let request = Request { ticket: 0, issued_at: HostInstant::now(), command };
         self.queue.send(request).map_err(|request| request.command)
     }

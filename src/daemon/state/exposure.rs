@@ -43,6 +43,8 @@ pub(in crate::daemon) struct Exposure {
     saved: Option<(HostInstant, Date)>,
     /// Tells whether the disk has taken the sums for which a play has waited in vain.
     silent: Option<Receiver<bool>>,
+    /// The sums for which a play has waited last are not on the disk.
+    unsaved: bool,
 }
 
 impl Exposure {
@@ -62,7 +64,13 @@ impl Exposure {
                 "the disk of the session record is silent: after a kill the day's vibration would count too little".to_owned()
             })
         };
-        self.account.problem(Now::read()).or_else(silent)
+        let unsaved = || {
+            self.unsaved.then(|| {
+                "the vibration's sums are not on the disk: after a kill they would count too little"
+                    .to_owned()
+            })
+        };
+        self.account.problem(Now::read()).or_else(silent).or_else(unsaved)
     }
 
     /// Whether the disk has not answered yet since a play waited for it in vain.
@@ -99,10 +107,19 @@ fn exceeded(detail: String) -> Problem {
 pub(in crate::daemon) struct Held<'e> {
     engine: &'e Engine,
     number: u64,
+    breaks: u64,
     _turn: MutexGuard<'e, ()>,
 }
 
 impl Held<'_> {
+    /// Refuses a play that a stop was meant for, which came while the play waited.
+    pub(in crate::daemon) fn check(&self, state: &State) -> Result<(), Problem> {
+        if state.commands.breaks() == self.breaks {
+            return Ok(());
+        }
+        Err(Problem::new(Code::Busy, "the display was stopped while the play waited: send the play again"))
+    }
+
     /// The streamer has the play, under this id.
     pub(in crate::daemon) fn begin(&self, state: &mut State, id: u64) {
         state.exposure.account.begin(self.number, id, Now::read());
@@ -121,21 +138,25 @@ impl Engine {
         &self,
         check: impl FnOnce(&mut State) -> Result<u64, Problem>,
     ) -> Result<Held<'_>, Problem> {
+        let breaks = self.lock().commands.breaks();
         let turn = self.orders.lock().await;
         let (held, saved) = {
             let mut state = self.lock();
             let number = check(&mut state)?;
             let saved = state.save_exposure(Now::read());
             let waits = !state.exposure.is_disk_silent();
-            (Held { engine: self, number, _turn: turn }, saved.filter(|_| waits))
+            (Held { engine: self, number, breaks, _turn: turn }, saved.filter(|_| waits))
         };
-        if let Some(mut saved) = saved
-            && tokio::time::timeout(DISK, &mut saved).await.is_err()
-        {
-            warn!(
-                "the disk of the session record has not taken the vibration's sums for {DISK:?}; playing goes on"
-            );
-            self.lock().exposure.silent = Some(saved);
+        if let Some(mut saved) = saved {
+            let answer = tokio::time::timeout(DISK, &mut saved).await;
+            let mut state = self.lock();
+            state.exposure.unsaved = answer.as_ref().is_ok_and(|saved| *saved != Ok(true));
+            if answer.is_err() {
+                warn!(
+                    "the disk of the session record has not taken the vibration's sums for {DISK:?}; playing goes on"
+                );
+                state.exposure.silent = Some(saved);
+            }
         }
         Ok(held)
     }
@@ -251,7 +272,7 @@ impl State {
     }
 
     /// Saves the sums. Returns where the disk's answer arrives, if there is a file.
-    fn save_exposure(&mut self, now: Now) -> Option<Receiver<bool>> {
+    pub(in crate::daemon) fn save_exposure(&mut self, now: Now) -> Option<Receiver<bool>> {
         self.exposure.saved = Some((now.at, now.date));
         let text = self.exposure.account.text(now)?;
         self.publisher.session_record.save_exposure(text)

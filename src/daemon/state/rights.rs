@@ -110,7 +110,9 @@ impl State {
 
     /// A request or message of this client came.
     pub(in crate::daemon) fn hear(&mut self, caller: &Caller) {
-        self.armed.hear(caller);
+        if self.check_right(caller, Route::Stop.access()).is_ok() {
+            self.armed.hear(caller);
+        }
         if self.sessions.hear(caller.session()) {
             self.rights_changed();
         }

@@ -117,6 +117,7 @@ impl State {
         request: SessionRequest,
         owner: Option<String>,
     ) -> Result<SessionStarted, Problem> {
+        self.check_asker()?;
         if self.commands.is_closing() {
             return Err(Problem::new(Code::ShuttingDown, "the daemon is ending: start it again"));
         }
@@ -154,6 +155,7 @@ impl State {
         };
         self.exposure.start_session(&session.participant);
         self.sessions.running = Some(Running { session, token, heard: HostInstant::now() });
+        self.rights_changed();
         if let Some(session) = self.session().map(Box::new) {
             self.publish(&Event::SessionStarted { session });
         }

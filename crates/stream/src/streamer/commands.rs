@@ -69,6 +69,13 @@ impl Streamer {
                 return;
             }
             Command::EndLive(id) => self.end_live(id),
+            // Nothing changes, so no report is due: the daemon answers each report with the same order.
+            Command::Cancel { id, .. }
+                if !self.plays.iter().any(|active| active.play.id == id && active.cut.is_none()) =>
+            {
+                answer(ticket, Ok(()), emit);
+                return;
+            }
             Command::Cancel { id, cause } => self.cancel(id, cause),
             Command::Stop => self.stop(),
             Command::EStop => {
@@ -116,7 +123,13 @@ impl Streamer {
                 self.queue_op(given, ticket, op, emit);
             }
             Ok(None) => answer(ticket, Ok(()), emit),
-            Err(refused) => answer(ticket, Err(refused), emit),
+            Err(refused) => {
+                answer(ticket, Err(refused), emit);
+                // What the daemon orders itself it orders again at the next report.
+                if ticket == 0 {
+                    return;
+                }
+            }
         }
         self.snapshot_due = now;
     }
