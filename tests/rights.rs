@@ -440,7 +440,7 @@ fn two_daemons_with_one_file_know_the_same_tokens() {
         assert_eq!(ask(&at_b, "GET /v1/status", &bearer(&token.token), "").0, 401, "{round}");
     }
     revoke(&a, &made[0]);
-    assert_eq!(ask(&at_b, "POST /v1/stop", &headers, "{}").0, 401);
+    assert_eq!(ask(&at_b, "POST /v1/play", &headers, "{\"pattern\": \"pin-60\"}").0, 401);
     assert_eq!(ended(&mut events).cause.as_deref(), Some("revoked"));
     // It does not come back when the other one writes the file, or restarts.
     create(&b, Role::Observe);
