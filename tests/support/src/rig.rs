@@ -286,6 +286,13 @@ pub fn assert_lines(trace: &[(Tick, Run)], strokes: &[Stroke]) {
     }
 }
 
+/// Whether the motor's line has a pulse at `tick`.
+#[must_use]
+pub fn is_driven(trace: &[(Tick, Run)], motor: u8, tick: Tick) -> bool {
+    let after = trace.partition_point(|&(start, _)| start <= tick);
+    after.checked_sub(1).is_some_and(|at| matches!(trace[at].1.lines.line(motor), Pulse::Pulse(_)))
+}
+
 /// The bursts on each line.
 fn bursts_by_line(trace: &[(Tick, Run)]) -> [Vec<Burst>; MOTORS] {
     let mut bursts: [Vec<Burst>; MOTORS] = Default::default();

@@ -45,7 +45,8 @@ pub enum LiveResult {
 pub struct Applied {
     /// The device's tick when the client's message had come.
     pub received: Tick,
-    /// The tick from which strokes were replaced, each motor's from its next period on.
+    /// The tick from which strokes were replaced, each motor's from its next period on. Of an update that was sent again, the last
+    /// frame's: what the frames before it replaced, they replaced from earlier on.
     pub replaced: Tick,
     /// The tick from which each motor has its new drive; `None`: it had it before, or gets it with a newer update.
     pub motors: [Option<Tick>; MOTORS],

@@ -180,9 +180,11 @@ impl Streamer {
                 self.short_of_credits = false;
                 return Fed::Horizon;
             }
-            if stroke.up < tick && active.phase == Phase::Streaming {
-                // Too late: the device would only reject it.
-                let cause = if self.short_of_credits { LateCause::Device } else { LateCause::Host };
+            let is_late = stroke.up < tick && active.phase == Phase::Streaming;
+            if is_late && !self.live.is_undecided(stroke.motor) {
+                // Too late: the device would only reject it. While it may keep the motor's old strokes, it decides whether this one
+                // is missing, or an old one is played in its place.
+                let cause = unsent(self.short_of_credits);
                 active.plan(&stroke, false);
                 active.next = None;
                 self.late(now, &stroke, tick, cause, emit);
@@ -204,6 +206,11 @@ impl Streamer {
             active.next = None;
         }
     }
+}
+
+/// Why a stroke was not sent in time.
+pub(super) const fn unsent(short_of_credits: bool) -> LateCause {
+    if short_of_credits { LateCause::Device } else { LateCause::Host }
 }
 
 /// The onset of a waiting play: as asked for, at the end of the play before it, or as soon as the link allows.

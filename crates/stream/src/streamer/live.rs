@@ -12,6 +12,7 @@ use crate::active::{Active, Phase};
 use crate::queues::{Applied, CommandError, Emit, End, LiveResult, LiveUpdate, StreamEvent};
 use crate::settings::batch_ticks;
 use crate::streamer::Streamer;
+use crate::streamer::feed::unsent;
 use crate::time::HostInstant;
 use firmware_protocol::controller::{BLOCK, DRIVER_LEAD, HORIZON};
 use firmware_protocol::message::{Op, State};
@@ -48,6 +49,13 @@ pub(super) struct Live {
     spare: u64,
     /// The play ends if its client is silent until then.
     deadline: HostInstant,
+}
+
+impl Live {
+    /// Whether the device has not said yet if it has replaced the strokes of `motor`, or keeps the old ones.
+    pub(super) const fn is_undecided(&self, motor: u8) -> bool {
+        self.unanswered >> motor & 1 == 1
+    }
 }
 
 /// The bits of a mask.
@@ -146,8 +154,8 @@ impl Streamer {
         let delivery = duration_to_ticks(session.delivery());
         let from = tick + AHEAD + delivery + self.live.spare.max(LEAST_SPARE);
         // A stroke before the last update's tick may belong to the drive before that one: it stays. Beyond what is sent there is
-        // nothing to replace: the new strokes follow.
-        let from = from.max(self.live.replaced).min(self.fed_until);
+        // nothing to replace: the new strokes follow. If the link has been blocked for longer, what was due until now is missed.
+        let from = from.max(self.live.replaced).min(self.fed_until.max(tick));
         let Some(mut update) = self.live.waiting.take() else { return };
         self.miss_strokes(now, at, from, emit);
         let (Some(session), active) = (&mut self.session, &mut self.plays[at]) else { return };
@@ -175,9 +183,6 @@ impl Streamer {
         if changed == 0 {
             give_back(update, LiveResult::Applied(applied), emit);
             return;
-        }
-        if let Some(next) = active.next.take() {
-            strokes.put_back(&next);
         }
         let horizon = tick + ms_in_ticks(self.settings.lead_ms) as u64 + batch_ticks(&self.settings);
         let mut silent = 0;
@@ -221,17 +226,23 @@ impl Streamer {
         }
     }
 
-    /// Counts the old strokes before `from` of motors that the device kept as late, if they were not sent before it was asked to
-    /// replace them: since then the device takes none.
+    /// Counts the strokes before `from` that were not sent as late: those that were due while the link was blocked, and of motors that
+    /// the device kept those after the old ones sent. Since it was asked to replace these, it takes none.
     fn miss_strokes(&mut self, now: HostInstant, at: usize, from: Tick, emit: &mut dyn Emit) {
-        for motor in motors(self.live.kept) {
+        let active = &mut self.plays[at];
+        if let (Some(next), Some(strokes)) = (active.next.take(), active.play.strokes.live()) {
+            strokes.put_back(&next);
+        }
+        for motor in motors(u32::MAX) {
+            let is_kept = self.live.kept >> motor & 1 == 1;
+            let cause = if is_kept { LateCause::Link } else { unsent(self.short_of_credits) };
             loop {
                 let active = &mut self.plays[at];
                 let Some(strokes) = active.play.strokes.live() else { return };
                 let missed = strokes.next_up(motor).filter(|&up| up < from);
                 let Some(Ok(stroke)) = missed.and_then(|_| strokes.next_of(motor)) else { break };
                 active.plan(&stroke, false);
-                self.late(now, &stroke, from, LateCause::Link, emit);
+                self.late(now, &stroke, from, cause, emit);
             }
         }
     }
