@@ -56,7 +56,8 @@ impl SessionRequest {
     pub fn parse(body: &[u8]) -> Result<Self, Problem> {
         let mut request: Self = read(body)?;
         // Spaces that nobody sees make no other person.
-        request.participant = request.participant.split_whitespace().collect::<Vec<_>>().join(" ");
+        let words = request.participant.split(|c: char| c.is_whitespace() && !c.is_control());
+        request.participant = words.filter(|word| !word.is_empty()).collect::<Vec<_>>().join(" ");
         check_text("participant", &request.participant)?;
         if let Some(experiment) = &request.experiment {
             check_text("experiment", experiment)?;
