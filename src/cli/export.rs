@@ -24,7 +24,7 @@ use std::time::Duration;
 pub(super) const TIMEOUT: Duration = Duration::from_secs(60);
 
 /// The columns.
-pub(super) const COLUMNS: [&str; 47] = [
+pub(super) const COLUMNS: [&str; 46] = [
     "session",
     "participant",
     "experiment",
@@ -71,7 +71,6 @@ pub(super) const COLUMNS: [&str; 47] = [
     "late_strokes",
     "refused_strokes",
     "fit",
-    "estimated",
 ];
 
 pub(super) fn run(
@@ -222,6 +221,5 @@ fn row(session: &Session, play: &RecordedPlay) -> [String; COLUMNS.len()] {
             Fit::Cover => "cover",
         }
         .to_owned(),
-        if play.estimated { "true" } else { "false" }.to_owned(),
     ]
 }

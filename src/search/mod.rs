@@ -97,7 +97,6 @@ fn design(request: &SearchRequest) -> Request {
         robust,
         budget,
         start: None,
-        rail_motors_at_once: None,
     }
 }
 

@@ -45,7 +45,6 @@
 //! real time its loop does not allocate, lock, log or wait for anybody.
 
 mod active;
-mod at_once;
 mod bandwidth;
 mod board;
 pub mod calibrate;
@@ -65,7 +64,6 @@ pub mod sync;
 mod thread;
 pub mod time;
 
-pub use at_once::find_too_many;
 pub use bandwidth::{Bandwidth, Requirement};
 pub use board::PlayBoard;
 pub use control::{Gains, rest_bound_um};

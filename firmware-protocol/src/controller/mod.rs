@@ -8,7 +8,6 @@
 //! Invariant: the lines follow from the queued slots alone, and a slot changes only ahead of the rendered end. So the
 //! number of pulses played is known after any cut, flush or amendment.
 
-mod at_once;
 mod board;
 mod commands;
 mod completion;
@@ -23,7 +22,7 @@ mod stream;
 mod taking;
 
 use crate::frame::{self, Decoder, FrameError, MAX_FRAME};
-use crate::limits::{self, OnTime, PowerLimits, Pushing, Refusal};
+use crate::limits::{self, OnTime, OnTimeLimits, Pushing, Refusal};
 use crate::message::{Cause, Counters, Cut, DeviceHello, DeviceMessage, Op, Report, State, Status, Trigger};
 use crate::stroke::{Lines, MOTORS};
 use crate::tick::{TICK_HZ, Tick, WireTick};
@@ -235,12 +234,6 @@ impl Controller {
         self.counters
     }
 
-    /// The limits that the last `arm` set.
-    #[must_use]
-    pub fn limits(&self) -> PowerLimits {
-        self.on_time.limits()
-    }
-
     /// The rendered end: the first tick not rendered yet.
     #[must_use]
     pub fn rendered(&self) -> Tick {
@@ -410,7 +403,7 @@ impl Controller {
             pool: POOL as u16,
             horizon: (HORIZON + DRIVER_LEAD) as u8,
             max_up_pulses: limits::MAX_UP_PULSES,
-            limits: PowerLimits::NONE,
+            limits: OnTimeLimits::NONE,
             features: self.identity.features,
             tick: self.now.0,
             epoch: self.epoch,
