@@ -30,8 +30,8 @@ use tracing::warn;
 pub(in crate::daemon) const CAUSE: &str = "participant-limit";
 /// How often the sums are saved during a play: half of what the file keeps ahead for a play without end.
 const SAVE_EVERY: Duration = Duration::from_secs(5);
-/// How long a play waits for the disk.
-const DISK: Duration = Duration::from_secs(1);
+/// How long a play waits for the disk: less than between an order with an onset of its own and that onset.
+const DISK: Duration = Duration::from_millis(300);
 
 /// See the module.
 #[derive(Debug, Default)]
