@@ -272,7 +272,10 @@ def test_children_of_the_program_end_nothing_of_it(daemon: meissner.Daemon) -> N
         + """
 import warnings
 warnings.simplefilter("ignore")  # Python 3.12 warns of a fork beside threads.
+context = multiprocessing.get_context("fork")
+begun = context.Event()
 def job():
+    begun.set()
     time.sleep(600)
 if __name__ == "__main__":
     own_daemon = meissner.demo()
@@ -283,8 +286,9 @@ if __name__ == "__main__":
             assert handlers() == default
             sys.exit(0)  # Its `with` blocks and exit handlers run.
         assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
-        process = multiprocessing.get_context("fork").Process(target=job)
+        process = context.Process(target=job)
         process.start()
+        begun.wait()
         process.terminate()
         process.join()
         assert process.exitcode == -signal.SIGTERM, process.exitcode
