@@ -311,10 +311,10 @@ def test_a_script_that_is_killed_leaves_the_motors_off(phase: str) -> None:
     with (
         meissner.Daemon() as daemon,
         meissner.connect(daemon.socket) as watcher,
-        script(PHASES[phase], daemon.socket, silence=20.0) as child,
+        script(PHASES[phase], daemon.socket, silence=8.0) as child,
     ):
         state = until(daemon, lambda state: state.state == "armed")
-        assert state.raw["armed"]["silence_s"] == 20.0
+        assert state.raw["armed"]["silence_s"] == 8.0
         assert str(child.pid) in state.raw["armed"]["by"]
         child.kill()
         child.wait()
