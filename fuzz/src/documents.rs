@@ -4,11 +4,11 @@
 
 use arbitrary::Unstructured;
 use meissner::config::Config;
-use meissner::exposure::{Account, ParticipantLimits};
+use meissner::exposure::{Account, Now, ParticipantLimits};
 use meissner::session_record::reader;
 use meissner_api::{
     ArmRequest, CalibrateRequest, LiveMessage, LiveRequest, PlayRequest, ResetRequest, SearchRequest,
-    SequenceRequest, Session, SessionRequest, TokenRequest,
+    SequenceRequest, SessionRequest, TokenRequest,
 };
 use meissner_array::pattern::Pattern;
 use meissner_design::Target;
@@ -184,22 +184,24 @@ static RECORD: LazyLock<PathBuf> = LazyLock::new(|| {
 fn session_record(bytes: &[u8]) {
     let dir = &*RECORD;
     std::fs::write(dir.join("2026-01-02.jsonl"), bytes).expect("a file can be written");
-    let list = reader::sessions(dir).expect("the directory can be read");
+    let list = reader::sessions(dir, &[], None).expect("the directory can be read");
     let lines = bytes.iter().filter(|&&byte| byte == b'\n').count() + 1;
-    assert!(list.unreadable <= lines as u64 && list.sessions.len() <= lines);
-    for session in list.sessions.into_iter().chain([Session::default()]).take(3) {
-        let plays = reader::plays(dir, session, 0).expect("the directory can be read");
+    assert!(list.unreadable <= lines as u64 && list.recorded.len() <= lines);
+    for recorded in list.recorded.into_iter().take(3) {
+        let plays = reader::plays(dir, recorded, 0).expect("the directory can be read");
         assert!(plays.unreadable <= lines as u64);
     }
 }
 
 fn exposure(bytes: &[u8]) {
     let mut account = Account::new(ParticipantLimits::default());
-    if account.restore(bytes).is_ok() {
-        let text = account.text().expect("a day that was restored");
+    let now = Now::read();
+    if account.restore(bytes, now).is_ok()
+        && let Some(text) = account.text(now)
+    {
         let mut again = Account::new(ParticipantLimits::default());
-        again.restore(text.as_bytes()).expect("a written account");
-        assert_eq!(again.text(), Some(text));
+        again.restore(text.as_bytes(), now).expect("a written account");
+        assert_eq!(again.status(now).day_used_s, account.status(now).day_used_s);
     }
 }
 

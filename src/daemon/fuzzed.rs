@@ -5,9 +5,11 @@
 use super::Daemon;
 use super::acceptor::{Bounds, Counts};
 use super::connection::Connection;
+use super::engine::Engine;
 use super::error::DaemonError;
 use super::hosted::Hosted;
 use super::http::{App, router};
+use super::orders::Orders;
 use super::stream::Stream;
 use crate::session_record::{NetworkPeer, Peer};
 use axum::Router;
@@ -23,6 +25,7 @@ use tower::ServiceExt;
 /// See the module.
 #[derive(Debug)]
 pub struct Fuzzed {
+    engine: Arc<Engine>,
     router: Router,
     daemon: Hosted,
 }
@@ -34,8 +37,9 @@ impl Fuzzed {
     /// As [`Daemon::host`].
     pub fn new(daemon: Daemon) -> Result<Self, DaemonError> {
         let (engine, store) = (Arc::clone(&daemon.engine), daemon.store.clone());
-        let router = router(App::new(engine, store, &Bounds::of_process(), Arc::new(Counts::default())));
-        Ok(Self { router, daemon: daemon.host()? })
+        let router =
+            router(App::new(Arc::clone(&engine), store, &Bounds::of_process(), Arc::new(Counts::default())));
+        Ok(Self { engine, router, daemon: daemon.host()? })
     }
 
     /// Answers a request of a local client, or of one that came over the network from this address.
@@ -45,10 +49,13 @@ impl Fuzzed {
     pub async fn answer(&self, mut request: Request<Body>, from: Option<IpAddr>) -> io::Result<Response> {
         let (_client, stream) = UnixStream::pair()?;
         stream.set_nonblocking(true)?;
-        let (_connection, activity) = Connection::new(Stream::unix(stream.into()), Vec::new())?;
         let pid = i32::try_from(std::process::id()).unwrap_or(-1);
         let local = Peer::local(pid, 0);
         let peer = from.map_or(local, |address| Peer::network(NetworkPeer { address, token: None }));
+        let (estops, gate) = (Arc::clone(&self.engine.estops), Arc::clone(&self.engine.gate));
+        let orders = Orders::new(estops, gate, peer, None);
+        let (_connection, _ahead, activity) =
+            Connection::new(Stream::unix(stream.into()), b"", orders, true)?;
         request.extensions_mut().insert(peer);
         request.extensions_mut().insert(activity);
         let Ok(response) = self.router.clone().oneshot(request).await;
