@@ -3,7 +3,7 @@
 //! A token holds 256 random bits, so its SHA-256 needs no salt and cannot be guessed. The store compares a token with all valid ones in
 //! constant time. The file is replaced whole or not at all, and only the daemon's user reads it.
 //!
-//! Several daemons may have one file. Whoever changes it holds the lock of the file beside it (`.lock`), reads the file, changes that, and
+//! Several daemons may have one file. A daemon that changes it holds the lock of the file beside it (`.lock`), reads the file, changes that, and
 //! writes it; [`TokenStore::refresh`] takes over what others have written.
 //!
 //! Invariants: a file that cannot be read lets no token in, and is not overwritten; a token that was revoked here is never valid again,
