@@ -97,6 +97,7 @@ class _Signals:
         self._pipe: tuple[int, int] | None = None
         """What the signals are written to, for the thread: its ends for reading and writing."""
         self._released = threading.Event()
+        self._forking = threading.local()
 
     def watch(self) -> None:
         """Handles the signals, if this is the main thread and nobody else does."""
@@ -135,6 +136,17 @@ class _Signals:
                 signal.set_wakeup_fd(before)
             os.close(pipe[1])  # The thread reads the end, and closes its own.
 
+    def before_fork(self) -> None:
+        """Holds the signals back: Python in the child would lose one that comes before `forget`."""
+        if self._pipe is not None:
+            self._forking.mask = signal.pthread_sigmask(signal.SIG_BLOCK, ENDINGS)
+
+    def after_fork(self) -> None:
+        """Lets the signals through again."""
+        mask = self._forking.__dict__.pop("mask", None)
+        if mask is not None:
+            signal.pthread_sigmask(signal.SIG_SETMASK, mask)
+
     def forget(self) -> None:
         """In a forked child: the parent's end and what it has opened are the parent's."""
         _open.clear()
@@ -142,6 +154,7 @@ class _Signals:
         if self._pipe is not None:
             os.close(self._pipe[0])
         self.leave()
+        self.after_fork()
 
     def is_ending(self) -> bool:
         """Whether the end is under way. A program that is still there long afterwards has decided otherwise."""
@@ -187,4 +200,6 @@ def _die(number: int) -> NoReturn:
 
 _signals = _Signals()
 if hasattr(os, "register_at_fork"):
-    os.register_at_fork(after_in_child=_signals.forget)
+    os.register_at_fork(
+        before=_signals.before_fork, after_in_parent=_signals.after_fork, after_in_child=_signals.forget
+    )
