@@ -17,7 +17,7 @@ pub type Load = fn(&Place, &AtomicBool);
 /// Set for the child that is the daemon, or another command.
 pub const CHILD: &str = "MEISSNER_BENCH_CHILD";
 /// A window of the page asks so often for the status.
-const POLLED: Duration = Duration::from_secs(1);
+const POLLED: Duration = Duration::from_millis(250);
 /// How long a client waits for an answer.
 const ANSWER_WITHIN: Duration = Duration::from_secs(10);
 
@@ -341,7 +341,7 @@ fn tcp_pages(place: &Place, over: &AtomicBool) {
     println!("{:.0} kB/s to all", bytes.into_inner() as f64 / begun.elapsed().as_secs_f64() / 1e3);
 }
 
-/// One of the two connections of a window of the page, until the end: a stream of events, or the status every second. Counts the bytes
+/// One of the two connections of a window of the page, until the end: a stream of events, or the status every [`POLLED`]. Counts the bytes
 /// that it gets.
 ///
 /// # Errors

@@ -13,8 +13,9 @@ use std::io::{self, Read, Write};
 use std::net::{IpAddr, SocketAddr};
 use std::time::Duration;
 
-/// For how long a network client's machine may not answer: it sleeps or has lost its network.
-const UNANSWERED: Duration = Duration::from_secs(60);
+/// For how long a network client's machine may not answer: it sleeps or has lost its network. A client that waits for an answer is not
+/// silent, so this bounds how long a dead one keeps motors armed beyond the silence that it has stated.
+const UNANSWERED: Duration = Duration::from_secs(10);
 
 /// See the module.
 #[derive(Debug)]
@@ -36,7 +37,7 @@ impl Stream {
         let _ = sockopt::set_tcp_nodelay(&fd, true);
         let _ = sockopt::set_socket_keepalive(&fd, true);
         let _ = sockopt::set_tcp_keepidle(&fd, UNANSWERED / 2);
-        let _ = sockopt::set_tcp_keepintvl(&fd, UNANSWERED / 6);
+        let _ = sockopt::set_tcp_keepintvl(&fd, UNANSWERED / 5);
         let unanswered = u32::try_from(UNANSWERED.as_millis()).unwrap_or(u32::MAX);
         let _ = sockopt::set_tcp_user_timeout(&fd, unanswered);
         Self { fd, address: Some(address.ip().to_canonical()) }
