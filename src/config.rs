@@ -15,7 +15,7 @@ use crate::exposure::ParticipantLimits;
 use crate::file::read_regular;
 use crate::session_record::Location;
 use array::RawArray;
-use firmware_protocol::limits::OnTimeLimits;
+use firmware_protocol::limits::PowerLimits;
 use meissner_api::request::SILENCE_S;
 use meissner_array::pattern::AMPLITUDE_UM;
 use meissner_array::simulated::{LowerStop, SimulatedMotorsConfig, SimulatedMotorsError};
@@ -310,7 +310,7 @@ impl RawConfig {
         in_range("drift_limit_um", drift_limit_um, good, "1 to 10000 um")?;
         let drift_limit_um = drift_limit_um as f32;
         let Table(limits) = self.limits.unwrap_or(Table(RawLimits::default()));
-        let none = OnTimeLimits::NONE;
+        let none = PowerLimits::NONE;
         let limit = |key: &str, found: Option<u32>, most: u32| {
             let found = found.unwrap_or(most);
             let good = (1..=most).contains(&found);
@@ -334,7 +334,8 @@ impl RawConfig {
         let good = (0.0..=10_000.0).contains(&end_stop_um);
         in_range("end_stop_um", end_stop_um, good, "0 to 10000 um")?;
         let stop_pulses_per_s = limits.stop_pulses_per_s;
-        let limits = OnTimeLimits { motor, rail };
+        let Table(array) = self.array.unwrap_or(Table(RawArray::default()));
+        let limits = array.limits(PowerLimits { motor, rail, ..none })?;
         let end_stop_um = end_stop_um as f32;
         let settings = Settings {
             lead_ms,
@@ -345,7 +346,6 @@ impl RawConfig {
             end_stop_um,
             lower_stop: None,
         };
-        let Table(array) = self.array.unwrap_or(Table(RawArray::default()));
         let lower_stop = array.check(stop_pulses_per_s, &settings)?;
         if lower_stop.is_some() {
             // The simulated array is like the site's.

@@ -18,9 +18,10 @@ use crate::file::{self, open_regular};
 use crate::receipts::Order;
 use in_use::InUse;
 use include_dir::{Dir, include_dir};
-use meissner_api::{MAX_LISTED, PatternList, PatternSummary, ReachedDrive};
+use meissner_api::{MAX_LISTED, PatternList, PatternSummary, RailLoad, ReachedDrive};
 use meissner_array::pattern::{MAX_FILE_BYTES, Pattern, PatternError, is_name, is_new_name};
-use meissner_array::strokes::StrokeOptions;
+use meissner_array::power::{CAPACITANCE_NF, RailPulses, current_ma, rail_pulses};
+use meissner_array::strokes::{StrokeOptions, Strokes};
 use meissner_input::message::quote;
 use serde::Serialize;
 use sha2::{Digest, Sha256};
@@ -151,6 +152,7 @@ struct Details<'a> {
     library: bool,
     compiled_ms: Option<f64>,
     drives: &'a [ReachedDrive],
+    rails: Vec<RailLoad>,
     warnings: Vec<String>,
 }
 
@@ -412,6 +414,7 @@ impl Stored {
                 library: *library,
                 compiled_ms: *compiled_ms,
                 drives,
+                rails: rail_loads(pattern),
                 warnings: self.run().listed_warnings(),
             };
             // A checked pattern can be written.
@@ -493,6 +496,25 @@ fn present(path: &Path) -> Result<Option<String>, StoreError> {
         Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(None),
         Err(source) => Err(StoreError::Io { path: path.to_owned(), source }),
     }
+}
+
+/// What each rail draws in a pattern, for motors whose capacitance is not known.
+fn rail_loads(pattern: &Pattern) -> Vec<RailLoad> {
+    // The default options are within their ranges.
+    let Ok(strokes) = Strokes::new(pattern, &StrokeOptions::default()) else { return Vec::new() };
+    let (rails, ticks) = rail_pulses(&strokes);
+    let load = |(rail, pulses): (u8, RailPulses)| {
+        let (most_at_once, mean_at_once) = (pulses.most_at_once, pulses.mean_at_once(ticks));
+        let one_ma = current_ma(CAPACITANCE_NF);
+        RailLoad {
+            rail,
+            most_at_once,
+            mean_at_once,
+            most_ma: f64::from(most_at_once) * one_ma,
+            mean_ma: mean_at_once * one_ma,
+        }
+    };
+    (0..).zip(rails).map(load).collect()
 }
 
 #[cfg(test)]

@@ -54,7 +54,7 @@ fn the_doctor_measures_a_device() {
         // The figures depend on the machine; tests in virtual time check them.
         assert!(number("/throughput_bytes_per_s") > 0.0 && number("/drift/seconds") > 0.0, "{report}");
         assert!(number("/drift/ppm").is_finite() && number("/drift/uncertainty_ppm").is_finite(), "{report}");
-        assert!(measured["protocol"] == 4 && number("/pool") >= 1024.0, "{report}");
+        assert!(measured["protocol"] == 5 && number("/pool") >= 1024.0, "{report}");
         for what in
             ["SCHED_FIFO", "mlockall", "timers", "daemon", "device", "round trip", "line", "drift", "board"]
         {

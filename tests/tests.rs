@@ -49,6 +49,8 @@ mod lower_stop;
 mod manual;
 /// The daemon's memory: files that would fill it, a full queue of the longest pattern, the stated bound.
 mod memory;
+/// The netlist of the board against the firmware.
+mod netlist;
 /// The API over TCP: hosts, origins, tokens and roles, floods; without `listen` the daemon does not listen.
 mod network;
 /// The API reference: routes, answers and the book's copies agree with the OpenAPI document.
@@ -63,6 +65,8 @@ mod played;
 mod power;
 /// A whole session through a pseudo-terminal and the serial transport; the daemon ended and killed in mid-play.
 mod pty;
+/// Motors of a rail at once: what is refused, and what patterns draw.
+mod rails;
 /// The session record as a lab meets it: full disks, kills, clocks that jump, and what commands say then.
 mod record;
 /// `session replay`: the same orders at the same gaps, the recorded texts, what differs, what is refused.

@@ -1399,7 +1399,7 @@ _meissner() {
             return 0
             ;;
         meissner__subcmd__optimise)
-            opts="-o -h --out --seed --setting --objective --model --budget --robust --resume --json --help"
+            opts="-o -h --out --seed --setting --objective --model --budget --robust --rail-motors-at-once --resume --json --help"
             if [[ ${cur} == -* || ${COMP_CWORD} -eq 2 ]] ; then
                 COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
                 return 0
@@ -1430,6 +1430,10 @@ _meissner() {
                     return 0
                     ;;
                 --budget)
+                    COMPREPLY=($(compgen -f "${cur}"))
+                    return 0
+                    ;;
+                --rail-motors-at-once)
                     COMPREPLY=($(compgen -f "${cur}"))
                     return 0
                     ;;

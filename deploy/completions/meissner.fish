@@ -298,6 +298,7 @@ complete -c meissner -n "__fish_meissner_using_subcommand optimise" -l model -d 
 membrane\t'RA afferents with a leaky membrane, as in the paper'
 afferents\t'Skin mechanics, and RA afferents fitted to recordings'"
 complete -c meissner -n "__fish_meissner_using_subcommand optimise" -l budget -d 'Stop after about N evaluations (per frame of a moving target; or N,N,... for each), or N seconds in all (Ns) [default: until nothing improves]' -r
+complete -c meissner -n "__fish_meissner_using_subcommand optimise" -l rail-motors-at-once -d 'Let at most N motors of a 30 V rail have pulses at once, also in the naive rules; motors may then be off in every setting [default: no limit]' -r
 complete -c meissner -n "__fish_meissner_using_subcommand optimise" -l resume -d 'Begin with the pattern in file PATTERN and improve it' -r -F
 complete -c meissner -n "__fish_meissner_using_subcommand optimise" -l robust -d 'Maximise the mean over eight populations of afferents, not one population'
 complete -c meissner -n "__fish_meissner_using_subcommand optimise" -l json -d 'Print one JSON document on stdout and nothing else'

@@ -148,14 +148,14 @@
 //! | `Status`: `next_seq`, `out_of_order` | not before the last one; frames that were sent | contradiction `stream` |
 //! | `Status`: `credits` | at most `pool` | contradiction `credits` |
 //! | `Status`: `reports` | does not shrink; at most `pool` + 32 beyond the last one read, not before it | contradiction `reports` |
-//! | `Status`: `state`, `cause`, `position_known` | arms and leaves faults only after a command; returns for at most 1 s; learns positions after `arm` or a seek, and forgets them in a seek or with the cause `Output` only; a seek may be under way at the handshake | contradiction `state` |
+//! | `Status`: `state`, `cause`, `position_known` | arms and leaves faults only after a command; returns for at most 2 s; learns positions after `arm` or a seek, and forgets them in a seek or with the cause `Output` only; a seek may be under way at the handshake | contradiction `state` |
 //! | `Status`: `outstanding` | at most 24 · 65 535 | contradiction `state` |
 //! | counters of statuses and onsets | do not shrink; at most 2^62; `played` and `pulses` grow by at most a pulse per tick and line, and a stroke | contradiction `counters` |
 //! | `Report`: `number` | the next one | ignored: the device repeats what is missing |
 //! | `Verdict`, `OnsetRefused` | a frame sent and not judged; strokes of that frame, each late or refused; motors it withdraws from; a frame with a mark whose base is before `rendered` | contradiction `report` |
 //! | `Onset`: `tick` | a mark sent and not reported | contradiction `report` |
 //! | `Cut`: `flushed`, `outstanding` | at most `pool`; as in `Status` | contradiction `report` |
-//! | `Refused`: `motor`, `reason` | 0 to 23; an on-time limit or the limit on pushing | contradiction `report` |
+//! | `Refused`: `motor`, `reason` | 0 to 23; a limit on on-time, on motors at once or on pushing | contradiction `report` |
 //! | `Board`: `window` | the newest request | ignored: an answer to one before |
 //! | `Board`: `slack`, `slack_since_boot` | at most `horizon`; the second does not grow, and is not above the first | contradiction `board` |
 //! | `Board`: counters; `reset`, `high_at_boot` | do not shrink in a session; do not change in it; outputs there are | contradiction `board` |
@@ -194,6 +194,7 @@
 //! outstanding.
 //! A *return* cuts the running strokes at the rendered end, flushes the queue and plays the outstanding return pulses as soon as
 //! the drivers are ready, which they are during a burst; then the lines are off. No limit on on-time or pushing refuses it, but it counts.
+//! Under a limit on motors at once the return's bursts take turns (below).
 //!
 //! | event | what the controller does |
 //! |---|---|
@@ -230,9 +231,21 @@
 //!
 //! # Limits
 //! The controller enforces [`limits`] whatever the host asks: up pulses per stroke, balance of its bursts, size of
-//! corrections, travel of moves, on-time per motor and per rail, pushing, sizes of pool and queues. It refuses and reports a
-//! stroke that breaks one. It checks on-time limits and pushing when a stroke begins, and for a move when it is asked for. An amendment of a
-//! stroke that has begun counts too, and is ignored if it breaks a limit.
+//! corrections, travel of moves, on-time per motor and per rail, motors at once per rail and per driver chip, pushing, sizes of pool
+//! and queues. It refuses and reports a stroke that breaks one. It checks on-time, motors at once and pushing when a stroke begins, and
+//! for a move when it is asked for. An amendment of a stroke that has begun counts too, and is ignored if it breaks a limit.
+//!
+//! # Motors at once
+//! Six motors share a rail, and motors 2c and 2c + 1 a driver chip. `arm` may limit how many motors of each have pulses in the same
+//! tick ([`limits::PowerLimits`]). A stroke that begins is refused whole (`RailAtOnce`, `ChipAtOnce`) if in some tick of its two bursts
+//! the motors whose strokes have begun before it use up the limit. Of strokes that begin in the same tick, that of the lower motor begins
+//! first. So the limit holds in every tick, whatever is amended, replaced or cut.
+//!
+//! A return or a seek is never refused. Its bursts take turns in each rail, without a pause between them, in this order: bursts
+//! that run at the cut; the lower motor of each chip without such a burst; the other motors of chips that have one; the rest; each by
+//! the motor's number. A rail has as many places as motors may have pulses at once. A burst takes the place that is free first; if the
+//! motors of a chip may not have pulses together, it also waits for the one before it in its chip. So a return takes at most
+//! [`limits::PowerLimits::turns`] times its longest burst.
 
 #![no_std]
 #![forbid(unsafe_code)]

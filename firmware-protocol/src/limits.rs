@@ -1,7 +1,8 @@
 //! Limits that the controller enforces whatever the host asks: the last guard before a finger.
 //!
 //! [`check`] accepts or refuses a whole stroke. [`correction`] bounds how far an amendment may change a burst. [`OnTime`]
-//! counts the pulses begun in any sliding second against [`OnTimeLimits`], [`Pushing`] those against a lower stop.
+//! counts the pulses begun in any sliding second against [`PowerLimits`], [`Pushing`] those against a lower stop. How many motors may
+//! have pulses at once is in [`PowerLimits`], too; the controller keeps it.
 
 use crate::stroke::{MOTORS, Stroke};
 use crate::tick::{TICK_HZ, Tick};
@@ -23,6 +24,8 @@ pub const MAX_SEEK: u16 = 17_000;
 pub const MAX_PUSHES_PER_S: u32 = 25_500;
 /// Motors that share a 30 V supply (a rail).
 pub const MOTORS_PER_RAIL: usize = 6;
+/// Motors that share a driver chip: 2c and 2c + 1 are those of chip c.
+pub const MOTORS_PER_CHIP: usize = 2;
 /// Rails of the array.
 pub const RAILS: usize = MOTORS / MOTORS_PER_RAIL;
 
@@ -82,25 +85,58 @@ pub enum Refusal {
     Malformed,
     /// Too many pulses against the lower stop in a sliding second; without a stop there may be none.
     Pushing,
+    /// Too many motors of the rail would have pulses at once.
+    RailAtOnce,
+    /// Too many motors of the driver chip would have pulses at once.
+    ChipAtOnce,
 }
 
-/// Most pulses begun in a sliding second. The defaults cannot be reached; a site may lower them.
+/// What motors, drivers and supplies bear: pulses begun in a sliding second, and motors that have pulses at once. The defaults cannot
+/// be reached; a site may lower them.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
-pub struct OnTimeLimits {
+pub struct PowerLimits {
     /// Per motor, pulses/s.
     pub motor: u32,
     /// Per rail (6 motors), pulses/s.
     pub rail: u32,
+    /// Most motors of a rail with pulses in the same tick, 1 to 6; 0 counts as 1.
+    pub rail_at_once: u8,
+    /// Most motors of a driver chip with pulses in the same tick, 1 or 2; 0 counts as 1.
+    pub chip_at_once: u8,
 }
 
-impl OnTimeLimits {
+impl PowerLimits {
     /// No limit: every motor may begin a pulse in every tick.
-    pub const NONE: Self = Self { motor: TICK_HZ, rail: MOTORS_PER_RAIL as u32 * TICK_HZ };
+    pub const NONE: Self = Self {
+        motor: TICK_HZ,
+        rail: MOTORS_PER_RAIL as u32 * TICK_HZ,
+        rail_at_once: MOTORS_PER_RAIL as u8,
+        chip_at_once: MOTORS_PER_CHIP as u8,
+    };
 
     /// The lower value of each limit.
     #[must_use]
     pub fn min(self, other: Self) -> Self {
-        Self { motor: self.motor.min(other.motor), rail: self.rail.min(other.rail) }
+        Self {
+            motor: self.motor.min(other.motor),
+            rail: self.rail.min(other.rail),
+            rail_at_once: self.rail_at_once.min(other.rail_at_once).max(1),
+            chip_at_once: self.chip_at_once.min(other.chip_at_once).max(1),
+        }
+    }
+
+    /// A return or a seek of all pins takes at most so many times its longest burst, because motors take turns.
+    #[must_use]
+    pub const fn turns(&self) -> u8 {
+        let chips = MOTORS_PER_RAIL as u8 / MOTORS_PER_CHIP as u8;
+        let at_once = if self.chip_at_once < MOTORS_PER_CHIP as u8 && self.rail_at_once > chips {
+            chips
+        } else if self.rail_at_once == 0 {
+            1
+        } else {
+            self.rail_at_once
+        };
+        (MOTORS_PER_RAIL as u8).div_ceil(at_once)
     }
 }
 
@@ -185,14 +221,14 @@ impl SlidingSecond {
     }
 }
 
-/// Counts pulses per motor against [`OnTimeLimits`].
+/// Counts pulses per motor against [`PowerLimits`].
 ///
 /// A stroke counts from its first pulse until a second after its last one. So no sliding second ever holds more than the
-/// limit, but a stroke may be refused when the sum is one stroke or 15 ms below it. [`OnTimeLimits::NONE`] turns a
+/// limit, but a stroke may be refused when the sum is one stroke or 15 ms below it. [`PowerLimits::NONE`] turns a
 /// limit off: a line may then pulse without rest.
 #[derive(Clone, Debug, Hash)]
 pub struct OnTime {
-    limits: OnTimeLimits,
+    limits: PowerLimits,
     pulses: SlidingSecond,
 }
 
@@ -200,12 +236,18 @@ impl OnTime {
     /// An empty count at `now`.
     #[must_use]
     pub const fn new(now: Tick) -> Self {
-        Self { limits: OnTimeLimits::NONE, pulses: SlidingSecond::new(now) }
+        Self { limits: PowerLimits::NONE, pulses: SlidingSecond::new(now) }
     }
 
     /// Sets the limits. The pulses counted so far stay.
-    pub fn set_limits(&mut self, limits: OnTimeLimits) {
+    pub fn set_limits(&mut self, limits: PowerLimits) {
         self.limits = limits;
+    }
+
+    /// The limits.
+    #[must_use]
+    pub fn limits(&self) -> PowerLimits {
+        self.limits
     }
 
     /// Counts a stroke of `pulses` that begins at `now`.
@@ -213,7 +255,7 @@ impl OnTime {
     /// # Errors
     /// The limit that the stroke would break; then nothing is counted.
     pub fn begin(&mut self, now: Tick, motor: usize, pulses: u32) -> Result<(), Refusal> {
-        let (off, charged) = (OnTimeLimits::NONE, self.pulses.charged(now));
+        let (off, charged) = (PowerLimits::NONE, self.pulses.charged(now));
         if self.limits.motor < off.motor && charged[motor] + pulses > self.limits.motor {
             return Err(Refusal::MotorOnTime);
         }
@@ -352,7 +394,7 @@ mod tests {
         /// Compared with a plain list of bursts.
         #[test]
         fn no_sliding_second_breaks_a_limit(strokes in prop::collection::vec((0usize..6, 0u64..2000, 1u32..400), 1..300)) {
-            let limits = OnTimeLimits { motor: 2_000, rail: 5_000 };
+            let limits = PowerLimits { motor: 2_000, rail: 5_000, ..PowerLimits::NONE };
             let mut account = OnTime::new(Tick(0));
             account.set_limits(limits);
             let (mut now, mut bursts, mut refused) = (0, std::vec::Vec::new(), 0);
@@ -383,7 +425,7 @@ mod tests {
     #[test]
     fn after_a_second_of_rest_nothing_counts() {
         let mut account = OnTime::new(Tick(0));
-        account.set_limits(OnTimeLimits { motor: 100, rail: 600 });
+        account.set_limits(PowerLimits { motor: 100, rail: 600, ..PowerLimits::NONE });
         assert_eq!(account.begin(Tick(0), 5, 100), Ok(()));
         account.end(Tick(100), 5, 100, 100);
         assert_eq!(account.begin(Tick(84_000), 5, 1), Err(Refusal::MotorOnTime));

@@ -5,7 +5,7 @@
 //! keeps the bytes of this version.
 
 use crate::board::{Board, SelfTestState};
-use crate::limits::{OnTimeLimits, Refusal};
+use crate::limits::{PowerLimits, Refusal};
 use crate::stroke::{Direction, MOTORS};
 use crate::tick::{TICK_HZ, WireTick};
 use serde::{Deserialize, Serialize};
@@ -126,7 +126,7 @@ pub enum Op {
         /// Host watchdog timeout: the controller returns and disarms after this many ticks without a valid frame. At most 10 s.
         host_timeout: u32,
         /// The site's limits. The lower value of these and the device's own applies.
-        limits: OnTimeLimits,
+        limits: PowerLimits,
         /// The array's lower stop, if it has one.
         lower_stop: Option<LowerStop>,
     },
@@ -262,8 +262,8 @@ pub struct DeviceHello {
     pub horizon: u8,
     /// Most up pulses of a stroke.
     pub max_up_pulses: u16,
-    /// The device's own on-time limits.
-    pub limits: OnTimeLimits,
+    /// The device's own limits.
+    pub limits: PowerLimits,
     /// [`Self::SIMULATED`] and [`Self::TELEMETRY`]; other bits are 0.
     pub features: u32,
     /// The device's clock, in 64 bits.
@@ -390,7 +390,7 @@ pub enum Report {
     },
     /// Running strokes were cut and the queue was flushed.
     Cut(Cut),
-    /// A queued stroke was refused when it was to begin, because of an on-time limit or the limit on pushing.
+    /// A queued stroke was refused when it was to begin, because of a limit on on-time, on motors at once or on pushing.
     Refused {
         /// The stroke's motor.
         motor: u8,

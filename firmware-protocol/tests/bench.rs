@@ -1,14 +1,15 @@
 //! A shell around the controller, as thin as the firmware's, that records every pulse.
 //!
 //! It renders in blocks and holds the lines low while `forced_off`. Only [`Bench::tick`] moves time. An event reaches the
-//! controller in the tick `now`, whose lines are already out (except in [`MOCK`]). In each tick it checks the driver enable.
+//! controller in the tick `now`, whose lines are already out (except in [`MOCK`]). In each tick it checks the driver enable, and counts
+//! the motors of each rail and chip that have pulses at once.
 
 use firmware_protocol::batch::{Amendment, BATCH_BYTES, Packer};
 use firmware_protocol::controller::{
     BLOCK, Controller, DRIVER_LEAD, DRIVER_TAIL, HORIZON, Identity, REORDER_WINDOW, Run,
 };
 use firmware_protocol::frame::{Decoder, MAX_FRAME, encode};
-use firmware_protocol::limits::{MAX_PUSHES_PER_S, OnTimeLimits};
+use firmware_protocol::limits::{MAX_PUSHES_PER_S, MOTORS_PER_CHIP, MOTORS_PER_RAIL, PowerLimits};
 use firmware_protocol::message::{
     Cause, DeviceMessage, HostMessage, LowerStop, Mark, MarkKind, Op, Report, State, Status, Trigger,
     Withdraw,
@@ -50,6 +51,10 @@ pub(crate) struct Bench {
     pub(crate) now: u64,
     start: u64,
     shell: Shell,
+    /// Those of the last `arm`.
+    limits: PowerLimits,
+    /// Most motors of a rail, and of a chip, that had pulses at once.
+    pub(crate) most_at_once: [u32; 2],
     /// As the firmware: a piece of a frame in each block, and lines rendered in between.
     pub(crate) in_pieces: bool,
     /// Runs of one tick, and whether a stroke that was to begin then or soon was refused by a limit, withdrawn or flushed.
@@ -109,6 +114,8 @@ impl Bench {
             now: start.0,
             start: start.0,
             shell,
+            limits: PowerLimits::NONE,
+            most_at_once: [0; 2],
             in_pieces: false,
             ahead: VecDeque::new(),
             taken_back: 0,
@@ -147,10 +154,10 @@ impl Bench {
 
     /// As [`Self::armed`], on an array without a lower stop: there an amendment may lengthen a down burst.
     pub(crate) fn armed_without_stop(shell: Shell) -> Self {
-        Self::without_stop(Self::new(shell), HOST_TIMEOUT, OnTimeLimits::NONE)
+        Self::without_stop(Self::new(shell), HOST_TIMEOUT, PowerLimits::NONE)
     }
 
-    pub(crate) fn without_stop(mut bench: Self, host_timeout: u32, limits: OnTimeLimits) -> Self {
+    pub(crate) fn without_stop(mut bench: Self, host_timeout: u32, limits: PowerLimits) -> Self {
         bench.hello(1);
         bench.control(Op::Arm { assume_rest: true, host_timeout, limits, lower_stop: None });
         assert_eq!(bench.device.state(), State::Armed);
@@ -181,8 +188,22 @@ impl Bench {
         }
         assert_eq!(lines.up & lines.down, 0, "a line in both masks");
         assert_eq!((lines.up | lines.down) >> MOTORS, 0, "a line that does not exist");
+        self.check_at_once(lines.up | lines.down);
         if lines != Lines::OFF {
             self.log.push((self.now, lines));
+        }
+    }
+
+    /// No more motors of a rail or a chip have pulses than the limits allow.
+    fn check_at_once(&mut self, pulses: u32) {
+        let PowerLimits { rail_at_once, chip_at_once, .. } = self.limits;
+        let groups = [(MOTORS_PER_RAIL, rail_at_once), (MOTORS_PER_CHIP, chip_at_once)];
+        for ((motors, limit), most) in groups.into_iter().zip(&mut self.most_at_once) {
+            for first in (0..MOTORS).step_by(motors) {
+                let at_once = (pulses >> first & ((1 << motors) - 1)).count_ones();
+                assert!(at_once <= limit.into(), "{at_once} of the {motors} from {first} on at {}", self.now);
+                *most = at_once.max(*most);
+            }
         }
     }
 
@@ -311,17 +332,22 @@ impl Bench {
     }
 
     pub(crate) fn control(&mut self, op: Op) {
+        if let Op::Arm { limits, .. } = op
+            && self.device.state() == State::Disarmed
+        {
+            self.limits = PowerLimits::NONE.min(limits);
+        }
         self.epoch = self.epoch.wrapping_add(1);
         self.seq = 0;
         self.send(&HostMessage::Control { epoch: self.epoch, seen: self.seen(), op });
     }
 
     pub(crate) fn arm(&mut self, assume_rest: bool) {
-        self.control(arm(assume_rest, HOST_TIMEOUT, OnTimeLimits::NONE));
+        self.control(arm(assume_rest, HOST_TIMEOUT, PowerLimits::NONE));
     }
 
     pub(crate) fn limited(shell: Shell, motor: u32, rail: u32) -> Self {
-        Self::without_stop(Self::new(shell), 10 * TICK_HZ, OnTimeLimits { motor, rail })
+        Self::without_stop(Self::new(shell), 10 * TICK_HZ, PowerLimits { motor, rail, ..PowerLimits::NONE })
     }
 
     /// Sends the next frame of the stream.
@@ -448,6 +474,6 @@ impl Bench {
     }
 }
 
-pub(crate) fn arm(assume_rest: bool, host_timeout: u32, limits: OnTimeLimits) -> Op {
+pub(crate) fn arm(assume_rest: bool, host_timeout: u32, limits: PowerLimits) -> Op {
     Op::Arm { assume_rest, host_timeout, limits, lower_stop: Some(STOP) }
 }

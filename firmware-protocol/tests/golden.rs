@@ -4,7 +4,7 @@ use crate::bench::{ONSET, frame, pack, stroke};
 use firmware_protocol::batch::{Amendment, BATCH_BYTES, Packer};
 use firmware_protocol::board::{Board, LineTest, RamTest, Reset, SelfTest, SelfTestState, WaveTest};
 use firmware_protocol::frame::{Decoder, FRAME_OVERHEAD, MAX_FRAME, PROTOCOL};
-use firmware_protocol::limits::{OnTimeLimits, Refusal};
+use firmware_protocol::limits::{PowerLimits, Refusal};
 use firmware_protocol::message::{
     Cause, Counters, Cut, DeviceHello, DeviceMessage, HostMessage, LowerStop, Mark, MarkKind, Op, Report,
     State, Status, Trigger, Withdraw,
@@ -59,7 +59,7 @@ const HELLO: DeviceHello = DeviceHello {
     pool: 1024,
     horizon: 64,
     max_up_pulses: 3000,
-    limits: OnTimeLimits::NONE,
+    limits: PowerLimits::NONE,
     features: DeviceHello::SIMULATED | DeviceHello::TELEMETRY,
     tick: 0xffd9_1a30,
     epoch: 1,
@@ -117,7 +117,7 @@ fn from_the_host() {
         items.amendment(&Amendment { motor, up: Tick(up), direction, pulses }).unwrap();
     }
     let base = Tick(BASE).wire();
-    let limits = OnTimeLimits { motor: 20_000, rail: 90_000 };
+    let limits = PowerLimits { motor: 20_000, rail: 90_000, rail_at_once: 3, chip_at_once: 1 };
     let arm = |lower_stop| Op::Arm { assume_rest: true, host_timeout: 25_500, limits, lower_stop };
     let control = |op| HostMessage::Control { epoch: 7, seen: 400, op };
     let coded = Mark { kind: MarkKind::Item, trigger: Some(Trigger { width: 85, code: 200 }) };
@@ -132,22 +132,22 @@ fn from_the_host() {
         batch: &[],
     };
     let cases = [
-        (HostMessage::Hello { session: 0xdead_beef }, "02040aeffdb6f50dfe8e026100"),
-        (HostMessage::Ping { token: 513, seen: 0 }, "0504018104050b82850f00"),
-        (control(arm(None)), "0604020790030b019cc701a09c0190bf0505d91a02ea00"),
+        (HostMessage::Hello { session: 0xdead_beef }, "02050aeffdb6f50d4a8575c700"),
+        (HostMessage::Ping { token: 513, seen: 0 }, "050501810405bbabe53200"),
+        (control(arm(None)), "0605020790030d019cc701a09c0190bf050301059170fe2000"),
         (
             control(arm(Some(LowerStop { pulses_per_s: 17_000, seek: 7_400 }))),
-            "06040207900315019cc701a09c0190bf0501e88401e839ca77d5a300",
+            "06050207900317019cc701a09c0190bf05030101e88401e83955c6061200",
         ),
-        (control(Op::Seek { pulses: 7_400 }), "0d040207900306e839a2f56e6500"),
-        (control(Op::Disarm(Cause::Shutdown)), "0c0402079003010370b9dfa900"),
-        (control(Op::Disarm(Cause::Abort)), "0c04020790030104d32cbb3700"),
-        (control(Op::Stop), "0b040207900302730274f500"),
-        (control(Op::EStop), "0b040207900303e532738200"),
-        (control(Op::Reset), "0b04020790030446a7171c00"),
+        (control(Op::Seek { pulses: 7_400 }), "0d050207900306e8393cf5c4a900"),
+        (control(Op::Disarm(Cause::Shutdown)), "0c05020790030103c4b2a80f00"),
+        (control(Op::Disarm(Cause::Abort)), "0c050207900301046727cc9100"),
+        (control(Op::Stop), "0b050207900302d6d1283e00"),
+        (control(Op::EStop), "0b05020790030340e12f4900"),
+        (control(Op::Reset), "0b050207900304e3744bd700"),
         (
             control(Op::Move { motor: 5, direction: Direction::Down, pulses: 1_000 }),
-            "0f0402079003050501e8073314315100",
+            "0f0502079003050501e8070d7ff3be00",
         ),
         (
             HostMessage::Strokes {
@@ -159,10 +159,10 @@ fn from_the_host() {
                 base,
                 batch: strokes.bytes(),
             },
-            "040403070301010401d20601070df0edfe1340109301b104373bb1040604e58c06b8170601bb97fea600",
+            "040503070301010401d20601070df0edfe1340109301b104373bb1040604e58c06b81706012e438e3300",
         ),
-        (marked(coded), "0b040307010101010155c8050df0edfe05a483f98400"),
-        (marked(silent), "070403070101010101050df0edfe05f68e816d00"),
+        (marked(coded), "0b050307010101010155c8050df0edfe053512912a00"),
+        (marked(silent), "070503070101010101050df0edfe05806f8ef000"),
         (
             HostMessage::Strokes {
                 epoch: 7,
@@ -173,7 +173,7 @@ fn from_the_host() {
                 base,
                 batch: &[],
             },
-            "0604030702010c0181808004ac020df0edfe051e0fb94600",
+            "0605030702010c0181808004ac020df0edfe05ffb9eba900",
         ),
         (
             HostMessage::Strokes {
@@ -185,14 +185,14 @@ fn from_the_host() {
                 base,
                 batch: &[],
             },
-            "08040307ffff030101050df0edfe05ae56ed5a00",
+            "08050307ffff030101050df0edfe05d8b7e2c700",
         ),
         (
             HostMessage::Amend { epoch: 7, generation: 1_000, base, items: items.bytes() },
-            "18040407e8070df0edfe09099216970137218f013d286eae00",
+            "18050407e8070df0edfe09099216970137218f0165a88c7900",
         ),
-        (HostMessage::Board { window: 300 }, "090405ac026918514400"),
-        (HostMessage::SelfTest { run: 65_535 }, "0a0406ffff0324967ca200"),
+        (HostMessage::Board { window: 300 }, "090505ac020c7fedfc00"),
+        (HostMessage::SelfTest { run: 65_535 }, "0a0506ffff0394bf1c9f00"),
     ];
     for (message, hex) in cases {
         golden(&message, hex, &mut Vec::new());
@@ -211,44 +211,44 @@ fn from_the_device() {
     let cases = [
         (
             DeviceMessage::Hello(HELLO),
-            "02040beffdb6f50d010203cafe19016318889805800840b817889805b0901f03b0b4e4fe0f010f01060102030401ac024dd64e9b5a00",
+            "02050beffdb6f50d010203cafe1b016318889805800840b817889805b0901f060203b0b4e4fe0f010f01060102030401ac024d263b3d7f00",
         ),
         (
             DeviceMessage::Hello(DeviceHello { last_cut: None, ..HELLO }),
-            "02040beffdb6f50d010203cafe19016318889805800840b817889805b0901f03b0b4e4fe0f010105c00c611400",
+            "02050beffdb6f50d010203cafe1b016318889805800840b817889805b0901f060203b0b4e4fe0f010105efd6826200",
         ),
-        (DeviceMessage::NoSession, "0704016de7b25200"),
+        (DeviceMessage::NoSession, "0705012cd6a94b00"),
         (
             DeviceMessage::Status(STATUS),
-            "0604028104ff04fe7f020aac02058008050101011001a6020304050a06070809f915606b00",
+            "0605028104ff04fe7f020aac02058008050101011001a6020304050a0607080928fd876500",
         ),
         (
             status(State::Disarmed, Cause::Boot, Some(Refusal::PositionUnknown)),
-            "0604028104ff0cfe7f02010aac02058008050102011001a6020304050a06070809410c5c3200",
+            "0605028104ff0cfe7f02010aac02058008050102011001a6020304050a06070809eb0986c300",
         ),
         (
             status(State::Returning, Cause::LinkLost, Some(Refusal::State)),
-            "0604028104ff0ffe7f02010bac02058008050207011001a6020304050a06070809d0733fe800",
+            "0605028104ff0ffe7f02010bac02058008050207011001a6020304050a060708097a76e51900",
         ),
         (
             status(State::Returning, Cause::NewHost, Some(Refusal::Travel)),
-            "0604028104ff0ffe7f02010cac02058008050208011001a6020304050a0607080966f972db00",
+            "0605028104ff0ffe7f02010cac02058008050208011001a6020304050a06070809ccfca82a00",
         ),
         (
             status(State::Faulted, Cause::EStop, None),
-            "0604028104ff04fe7f020aac02058008050305011001a6020304050a06070809732b4ada00",
+            "0605028104ff04fe7f020aac02058008050305011001a6020304050a06070809a2c3add400",
         ),
         (
             status(State::Faulted, Cause::Starved, None),
-            "0604028104ff04fe7f020aac02058008050309011001a6020304050a060708095ebabff000",
+            "0605028104ff04fe7f020aac02058008050309011001a6020304050a060708098f5258fe00",
         ),
         (
             status(State::Faulted, Cause::Output, None),
-            "0604028104ff04fe7f020aac0205800805030c011001a6020304050a0607080933d41c7400",
+            "0605028104ff04fe7f020aac0205800805030c011001a6020304050a06070809e23cfb7a00",
         ),
         (
             status(State::Faulted, Cause::Panic, Some(Refusal::Malformed)),
-            "0604028104ff0ffe7f02010dac0205800805030a011001a6020304050a06070809e382cf9400",
+            "0605028104ff0ffe7f02010dac0205800805030a011001a6020304050a060708094987156500",
         ),
         (
             report(Report::Verdict {
@@ -259,33 +259,35 @@ fn from_the_device() {
                 reason: Some(Refusal::NotArmed),
                 rendered,
             }),
-            "050403c80113ac0201808080808080808080018180800401094df0edfe824968f000",
+            "050503c80113ac0201808080808080808080018180800401094df0edfe9fb4ddf100",
         ),
-        (report(Report::OnsetRefused { seq: 1, rendered }), "0f0403c80101014df0edfe60f88b4700"),
+        (report(Report::OnsetRefused { seq: 1, rendered }), "0f0503c80101014df0edfe5e9349a800"),
         (
             report(Report::Onset { tick: rendered, counters: COUNTERS }),
-            "190403c801024df0edfe01a6020304050a060708099c8b9d4000",
+            "190503c801024df0edfe01a6020304050a06070809dab0fa2500",
         ),
-        (report(Report::Cut(CUT)), "120403c80103060102030401ac024da270720100"),
+        (report(Report::Cut(CUT)), "130503c80103060102030401ac024dd4917d9d00"),
         (
             report(Report::Cut(Cut { cause: Cause::Stop, returns: false, ..CUT })),
-            "0b0403c80103020102030408ac024dcb4622e500",
+            "0b0503c80103020102030408ac024dbda72d7800",
         ),
-        (refused(Refusal::Motor), "100403c80104110df0edfe01ce40ede100"),
-        (refused(Refusal::UpPulses), "100403c80104110df0edfe027411e47800"),
-        (refused(Refusal::Bursts), "100403c80104110df0edfe03e221e30f00"),
-        (refused(Refusal::Unbalanced), "100403c80104110df0edfe0441b4879100"),
-        (refused(Refusal::Overlap), "100403c80104110df0edfe05d78480e600"),
-        (refused(Refusal::TooFar), "100403c80104110df0edfe066dd5897f00"),
-        (refused(Refusal::PoolFull), "100403c80104110df0edfe07fbe58e0800"),
-        (refused(Refusal::MotorOnTime), "100403c80104110df0edfe086af8319800"),
-        (refused(Refusal::Pushing), "100403c80104110df0edfe0e5f5d527100"),
-        (refused(Refusal::RailOnTime), "100403c80104110df0edfe09fcc836ef00"),
+        (refused(Refusal::Motor), "100503c80104110df0edfe010e9f632000"),
+        (refused(Refusal::UpPulses), "100503c80104110df0edfe02b4ce6ab900"),
+        (refused(Refusal::Bursts), "100503c80104110df0edfe0322fe6dce00"),
+        (refused(Refusal::Unbalanced), "100503c80104110df0edfe04816b095000"),
+        (refused(Refusal::Overlap), "100503c80104110df0edfe05175b0e2700"),
+        (refused(Refusal::TooFar), "100503c80104110df0edfe06ad0a07be00"),
+        (refused(Refusal::PoolFull), "0e0503c80104110df0edfe073b3a02c900"),
+        (refused(Refusal::MotorOnTime), "100503c80104110df0edfe08aa27bf5900"),
+        (refused(Refusal::Pushing), "100503c80104110df0edfe0e9f82dcb000"),
+        (refused(Refusal::RailAtOnce), "100503c80104110df0edfe0f09b2dbc700"),
+        (refused(Refusal::ChipAtOnce), "100503c80104110df0edfe10fcbfd34a00"),
+        (refused(Refusal::RailOnTime), "100503c80104110df0edfe093c17b82e00"),
         (
             DeviceMessage::Telemetry { tick: rendered, y },
-            "0904044df0edfe0201010101010101010101010101010101010101010c807dffffffff0f2b93eef700",
+            "0905044df0edfe0201010101010101010101010101010101010101010c807dffffffff0fe384703800",
         ),
-        (DeviceMessage::Board(BOARD), "1b0405ac020480a305011a0119010101020301808080100d89e42000"),
+        (DeviceMessage::Board(BOARD), "1b0505ac020480a305011a011901010102030180808010cdedcc3700"),
         (
             DeviceMessage::Board(Board {
                 reset: Reset::Program,
@@ -296,16 +298,16 @@ fn from_the_device() {
                 high_at_boot: None,
                 ..BOARD
             }),
-            "090405ac020680a30501010102030594e934c600",
+            "090505ac020680a305010101020305e2083b5b00",
         ),
-        (test(SelfTestState::Refused), "050406ac020587c89df400"),
-        (test(SelfTestState::Running), "0a0406ac020111f89a8300"),
-        (test(SelfTestState::Ended), "0a0406ac0202aba9931a00"),
+        (test(SelfTestState::Refused), "050506ac020537e1fdc900"),
+        (test(SelfTestState::Running), "0a0506ac0201a1d1fabe00"),
+        (test(SelfTestState::Ended), "0a0506ac02021b80f32700"),
         (
             test(SelfTestState::Done(TESTED)),
-            "270406ac02030101020c01020301a08d06b442d08902018080040180808c8002019e015b4847b000",
+            "270506ac02030101020c01020301a08d06b442d08902018080040180808c8002019e016d19c59400",
         ),
-        (test(SelfTestState::Done(SelfTest::default())), "060406ac020301010105e42ee9f700"),
+        (test(SelfTestState::Done(SelfTest::default())), "060506ac020301010105a73a92e000"),
     ];
     for (message, hex) in cases {
         golden(&message, hex, &mut Vec::new());
@@ -328,7 +330,8 @@ fn messages_fit() {
         bad_frames: ALL,
         reports_lost: ALL,
     };
-    let limits = OnTimeLimits { motor: u32::MAX, rail: u32::MAX };
+    let limits =
+        PowerLimits { motor: u32::MAX, rail: u32::MAX, rail_at_once: u8::MAX, chip_at_once: u8::MAX };
     let tick = WireTick([0; 4]);
     let cut = Cut { cause: Cause::Panic, at: tick, returns: true, flushed: u16::MAX, outstanding: u32::MAX };
     let reason = Refusal::Malformed;
@@ -421,5 +424,5 @@ fn a_steady_play_takes_less_than_six_bytes_per_burst() {
         batch: packer.bytes(),
     });
     assert!(frame.len() > FRAME_OVERHEAD && frame.len() as u64 <= 6 * 2 * k, "{} for {k}", frame.len());
-    assert_eq!(PROTOCOL, 4);
+    assert_eq!(PROTOCOL, 5);
 }

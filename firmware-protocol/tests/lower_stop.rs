@@ -2,15 +2,13 @@
 
 use crate::bench::{Bench, FIRMWARE, SHELLS, Shell, burst, stroke};
 use crate::strokes::verdict;
-use firmware_protocol::limits::{
-    MAX_PUSHES_PER_S, MAX_SEEK, OnTimeLimits, Refusal, WHOLE_TRAVEL, least_seek,
-};
+use firmware_protocol::limits::{MAX_PUSHES_PER_S, MAX_SEEK, PowerLimits, Refusal, WHOLE_TRAVEL, least_seek};
 use firmware_protocol::message::{Cause, LowerStop, Op, Report, State};
 use firmware_protocol::stroke::{Direction, MOTORS, Stroke};
 use firmware_protocol::tick::TICK_HZ;
 
 fn arm(assume_rest: bool, lower_stop: Option<LowerStop>) -> Op {
-    Op::Arm { assume_rest, host_timeout: 10 * TICK_HZ, limits: OnTimeLimits::NONE, lower_stop }
+    Op::Arm { assume_rest, host_timeout: 10 * TICK_HZ, limits: PowerLimits::NONE, lower_stop }
 }
 
 fn stop(pulses_per_s: u32, seek: u16) -> Option<LowerStop> {
@@ -99,7 +97,7 @@ fn only_an_emergency_stop_cuts_a_seek_and_then_the_position_is_unknown() {
         // A silent host.
         let mut silent = Bench::new(shell);
         silent.hello(1);
-        let limits = OnTimeLimits::NONE;
+        let limits = PowerLimits::NONE;
         silent.control(Op::Arm {
             assume_rest: false,
             host_timeout: 150,

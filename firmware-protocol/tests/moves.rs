@@ -3,7 +3,7 @@
 use crate::bench::{Bench, HOST_TIMEOUT, SHELLS, SOON, Shell, arm, stroke};
 use Direction::{Down, Up};
 use firmware_protocol::controller::POOL;
-use firmware_protocol::limits::{OnTimeLimits, Refusal};
+use firmware_protocol::limits::{PowerLimits, Refusal};
 use firmware_protocol::message::{Cause, Op, Report, State};
 use firmware_protocol::stroke::{Direction, Stroke};
 use firmware_protocol::tick::TICK_HZ;
@@ -14,7 +14,7 @@ fn shift(motor: u8, direction: Direction, pulses: u16) -> Op {
 
 /// Arms an array that has no lower stop.
 fn arm_without_stop(bench: &mut Bench, assume_rest: bool) {
-    let limits = OnTimeLimits::NONE;
+    let limits = PowerLimits::NONE;
     bench.control(Op::Arm { assume_rest, host_timeout: HOST_TIMEOUT, limits, lower_stop: None });
 }
 
@@ -131,7 +131,7 @@ fn every_pulse_counts_once_against_on_time() {
         bench.run_to(first.end().0 - 1);
         bench.control(Op::EStop);
         bench.control(Op::Reset);
-        bench.control(arm(false, 10 * TICK_HZ, OnTimeLimits { motor: 28, rail: 600 }));
+        bench.control(arm(false, 10 * TICK_HZ, PowerLimits { motor: 28, rail: 600, ..PowerLimits::NONE }));
         // The second stroke still counts when the first no longer does; the fourth breaks the limit.
         let second = u64::from(TICK_HZ);
         for at in [80_000, second + 5_000, second + 10_000] {

@@ -2,7 +2,7 @@
 
 use crate::bench::{Bench, FIRMWARE, HOST_TIMEOUT, MOCK, STOP, Shell, TIGHT, arm, frame, pack, stroke};
 use firmware_protocol::controller::POOL;
-use firmware_protocol::limits::{MAX_DOWN_PULSES, MAX_TRAVEL, OnTimeLimits, WHOLE_TRAVEL};
+use firmware_protocol::limits::{MAX_DOWN_PULSES, MAX_TRAVEL, PowerLimits, WHOLE_TRAVEL};
 use firmware_protocol::message::{
     Cause, DeviceMessage, HostMessage, LowerStop, Mark, MarkKind, Op as Command, State, Trigger, Withdraw,
 };
@@ -31,7 +31,7 @@ enum Op {
     Arm {
         assume_rest: bool,
         host_timeout: u32,
-        tight: bool,
+        limits: PowerLimits,
     },
     Disarm,
     Stop,
@@ -45,6 +45,7 @@ enum Op {
     /// Asks for a seek, in an `arm` or by itself, and waits for its end.
     Seek {
         arm: bool,
+        limits: PowerLimits,
         pulses: u16,
     },
     /// From this many ticks after the rendered end, or before it.
@@ -118,7 +119,7 @@ fn tame(surplus: bool) -> impl Strategy<Value = Op> {
         1 => Just(Op::Pause),
         1 => (1u32..4).prop_map(Op::Hello),
         2 => Just(Op::Ping),
-        5 => (1u32..300_000, any::<bool>()).prop_map(|(host_timeout, tight)| Op::Arm { assume_rest: false, host_timeout, tight }),
+        5 => (1u32..300_000, limits()).prop_map(|(host_timeout, limits)| Op::Arm { assume_rest: false, host_timeout, limits }),
         1 => Just(Op::Disarm),
         2 => Just(Op::Stop),
         2 => Just(Op::EStop),
@@ -137,7 +138,7 @@ fn wild() -> impl Strategy<Value = Op> {
     let direction = prop::sample::select(vec![Direction::Up, Direction::Down]);
     prop_oneof![
         20 => tame(true),
-        1 => (1u32..300_000, any::<bool>()).prop_map(|(host_timeout, tight)| Op::Arm { assume_rest: true, host_timeout, tight }),
+        1 => (1u32..300_000, limits()).prop_map(|(host_timeout, limits)| Op::Arm { assume_rest: true, host_timeout, limits }),
         2 => (0u8..26, direction, pulses).prop_map(|(motor, direction, pulses)| Op::Move { motor, direction, pulses }),
         8 => (any::<prop::sample::Index>(), 0u16..6, any::<bool>(), -9i16..10)
             .prop_map(|(pick, generation, down, change)| Op::Amend { pick, generation, down, change }),
@@ -155,7 +156,7 @@ fn with_seeks() -> impl Strategy<Value = Op> {
     prop_oneof![
         20 => tame(true),
         4 => (0u8..24, direction, 1u16..700).prop_map(|(motor, direction, pulses)| Op::Move { motor, direction, pulses }),
-        6 => (any::<bool>(), pulses).prop_map(|(arm, pulses)| Op::Seek { arm, pulses }),
+        6 => (any::<bool>(), limits(), pulses).prop_map(|(arm, limits, pulses)| Op::Seek { arm, limits, pulses }),
     ]
 }
 
@@ -174,8 +175,10 @@ struct World {
 }
 
 impl World {
-    fn new(shell: Shell) -> Self {
-        let bench = Bench::armed(shell);
+    fn new(shell: Shell, limits: PowerLimits) -> Self {
+        let mut bench = Bench::new(shell);
+        bench.hello(1);
+        bench.control(arm(true, HOST_TIMEOUT, limits));
         Self {
             bench,
             last_frame: vec![],
@@ -232,9 +235,8 @@ impl World {
             Op::Pause => bench.run(90_000),
             Op::Hello(session) => bench.hello(session),
             Op::Ping => bench.ping(1),
-            Op::Arm { assume_rest, host_timeout, tight } => {
+            Op::Arm { assume_rest, host_timeout, limits } => {
                 let (state, outstanding) = (bench.device.state(), bench.outstanding());
-                let limits = if tight { OnTimeLimits { motor: 300, rail: 700 } } else { OnTimeLimits::NONE };
                 bench.control(arm(assume_rest, host_timeout, limits));
                 if state == State::Disarmed && bench.device.state() == State::Returning {
                     self.own += outstanding;
@@ -249,9 +251,8 @@ impl World {
             Op::Move { motor, direction, pulses } => {
                 bench.control(Command::Move { motor, direction, pulses });
             }
-            Op::Seek { arm, pulses } => {
+            Op::Seek { arm, limits, pulses } => {
                 let lower_stop = Some(LowerStop { seek: pulses, ..STOP });
-                let limits = OnTimeLimits::NONE;
                 let whole =
                     Command::Arm { assume_rest: false, host_timeout: HOST_TIMEOUT, limits, lower_stop };
                 let idle = bench.device.state() != State::Returning;
@@ -305,7 +306,7 @@ impl World {
                 bench.send(&HostMessage::Amend { epoch, generation, base: WireTick(base), items: &items });
             }
             Op::WildControl { epoch, host_timeout } => {
-                let op = arm(false, host_timeout, OnTimeLimits::NONE);
+                let op = arm(false, host_timeout, PowerLimits::NONE);
                 bench.send(&HostMessage::Control { epoch, seen: 0, op });
                 bench.hello(u32::from(epoch) + 10);
             }
@@ -353,6 +354,17 @@ fn shells() -> impl Strategy<Value = Shell> {
     prop::sample::select(vec![FIRMWARE, FIRMWARE, TIGHT, MOCK])
 }
 
+/// The bench checks in every tick that the controller keeps those on motors at once.
+fn limits() -> impl Strategy<Value = PowerLimits> {
+    let at_once =
+        |rail_at_once, chip_at_once| PowerLimits { rail_at_once, chip_at_once, ..PowerLimits::NONE };
+    prop_oneof![
+        4 => Just(PowerLimits::NONE),
+        4 => Just(PowerLimits { motor: 300, rail: 700, ..PowerLimits::NONE }),
+        4 => (1u8..=6, 1u8..=2).prop_map(move |(rail, chip)| at_once(rail, chip)),
+    ]
+}
+
 /// The same cases in every run.
 fn config(cases: u32) -> ProptestConfig {
     ProptestConfig {
@@ -367,8 +379,8 @@ fn config(cases: u32) -> ProptestConfig {
 #[test]
 fn every_seek_reaches_the_stop() {
     let sought = Cell::new(0);
-    proptest!(config(400), |(shell in shells(), ops in prop::collection::vec(with_seeks(), 1..60))| {
-        let mut world = World::new(shell);
+    proptest!(config(400), |(shell in shells(), limits in limits(), ops in prop::collection::vec(with_seeks(), 1..60))| {
+        let mut world = World::new(shell, limits);
         for op in ops {
             world.apply(op);
         }
@@ -383,8 +395,8 @@ proptest! {
 
     /// With balanced strokes, without moves and `assume_rest`: a pin's outstanding pulses equal its height.
     #[test]
-    fn every_pin_returns(shell in shells(), ops in prop::collection::vec(tame(false), 1..80)) {
-        let mut world = World::new(shell);
+    fn every_pin_returns(shell in shells(), limits in limits(), ops in prop::collection::vec(tame(false), 1..80)) {
+        let mut world = World::new(shell, limits);
         for op in ops {
             world.apply(op);
             let state = world.bench.device.state();
@@ -403,8 +415,8 @@ proptest! {
 
     /// All requests: corrected, amended, moved and malformed.
     #[test]
-    fn wild_requests_break_no_limit_and_no_account(shell in shells(), ops in prop::collection::vec(wild(), 1..80)) {
-        let mut world = World::new(shell);
+    fn wild_requests_break_no_limit_and_no_account(shell in shells(), limits in limits(), ops in prop::collection::vec(wild(), 1..80)) {
+        let mut world = World::new(shell, limits);
         let moves = ops.iter().any(|op| matches!(op, Op::Move { .. } | Op::Arm { assume_rest: true, .. }));
         let moved = if moves { 4 * MAX_TRAVEL } else { 0 };
         for op in ops {

@@ -11,7 +11,7 @@ use firmware_protocol::board::SelfTest;
 use firmware_protocol::controller::POOL;
 use firmware_protocol::frame::{self, MAX_FRAME};
 use firmware_protocol::limits::{
-    MAX_DOWN_PULSES, MAX_PUSHES_PER_S, MAX_SEEK, MAX_TRAVEL, MAX_UP_PULSES, OnTimeLimits,
+    MAX_DOWN_PULSES, MAX_PUSHES_PER_S, MAX_SEEK, MAX_TRAVEL, MAX_UP_PULSES, PowerLimits,
 };
 use firmware_protocol::message::{Cause, HostMessage, LowerStop, Op, State};
 use firmware_protocol::stroke::{Direction, MOTORS, Stroke};
@@ -75,7 +75,7 @@ pub fn run(data: &[u8]) {
 
 fn usual_arm(assume_rest: bool) -> Op {
     let lower_stop = Some(LowerStop { pulses_per_s: MAX_PUSHES_PER_S, seek: 0 });
-    Op::Arm { assume_rest, host_timeout: 170_000, limits: OnTimeLimits::NONE, lower_stop }
+    Op::Arm { assume_rest, host_timeout: 170_000, limits: PowerLimits::NONE, lower_stop }
 }
 
 impl World {
@@ -192,7 +192,8 @@ impl World {
             match (byte(input), op) {
                 (0..0x80, op) => op,
                 (tight, Op::Arm { assume_rest, lower_stop, .. }) => {
-                    let limits = OnTimeLimits { motor: 300, rail: 700 };
+                    let (rail_at_once, chip_at_once) = (tight % 7, tight % 3);
+                    let limits = PowerLimits { motor: 300, rail: 700, rail_at_once, chip_at_once };
                     Op::Arm { assume_rest, host_timeout: 300 * u32::from(tight), limits, lower_stop }
                 }
                 (_, op) => op,

@@ -4,7 +4,7 @@
 //! end they give zeros.
 
 use arbitrary::Unstructured;
-use firmware_protocol::limits::OnTimeLimits;
+use firmware_protocol::limits::PowerLimits;
 use firmware_protocol::message::{Cause, LowerStop, Mark, MarkKind, Op, Trigger, Withdraw};
 use firmware_protocol::stroke::Direction;
 use serde::ser::{Serialize, SerializeTuple, Serializer};
@@ -87,9 +87,12 @@ pub fn cause(input: &mut Unstructured<'_>) -> Cause {
 pub fn arm(input: &mut Unstructured<'_>, assume_rest: bool) -> Op {
     let how = byte(input);
     let limits = match how & 3 {
-        0 | 1 => OnTimeLimits::NONE,
-        2 => OnTimeLimits { motor: 300, rail: 700 },
-        _ => OnTimeLimits { motor: long(input), rail: long(input) },
+        0 | 1 => PowerLimits::NONE,
+        2 => PowerLimits { motor: 300, rail: 700, ..PowerLimits::NONE },
+        _ => {
+            let (rail_at_once, chip_at_once) = (how >> 6, how >> 7);
+            PowerLimits { motor: long(input), rail: long(input), rail_at_once, chip_at_once }
+        }
     };
     let host_timeout = match how >> 2 & 3 {
         0 => long(input),

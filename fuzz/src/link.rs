@@ -6,7 +6,7 @@ use crate::input::{byte, cause, chunk, long, word};
 use arbitrary::Unstructured;
 use firmware_protocol::controller::{Controller, Identity, newer};
 use firmware_protocol::frame::{Decoder, FrameError, MAX_FRAME};
-use firmware_protocol::limits::OnTimeLimits;
+use firmware_protocol::limits::PowerLimits;
 use firmware_protocol::message::{Op, Trigger};
 use firmware_protocol::stroke::{MOTORS, Stroke};
 use firmware_protocol::tick::Tick;
@@ -92,7 +92,7 @@ impl Pair {
 }
 
 const ARM: Op =
-    Op::Arm { assume_rest: true, host_timeout: 850_000, limits: OnTimeLimits::NONE, lower_stop: None };
+    Op::Arm { assume_rest: true, host_timeout: 850_000, limits: PowerLimits::NONE, lower_stop: None };
 
 /// The host, as far as the verdicts on its strokes go.
 struct Host {

@@ -8,7 +8,7 @@ use arbitrary::Unstructured;
 use firmware_protocol::batch::Amendment;
 use firmware_protocol::board::{Board, Reset, SelfTest, SelfTestState};
 use firmware_protocol::frame::{self, Decoder, MAX_FRAME};
-use firmware_protocol::limits::{OnTimeLimits, Refusal};
+use firmware_protocol::limits::{PowerLimits, Refusal};
 use firmware_protocol::message::{
     Cause, Counters, Cut, DeviceHello, DeviceMessage, HostMessage, Op, Report, State, Status, Trigger,
 };
@@ -221,7 +221,7 @@ impl World {
             pool: 512,
             horizon: 107,
             max_up_pulses: 3_000,
-            limits: OnTimeLimits::NONE,
+            limits: PowerLimits::NONE,
             features: 3,
             tick: self.tick().0,
             epoch: self.device.status.epoch,

@@ -7,6 +7,7 @@ use firmware_protocol::controller::{
     BLOCK, Controller, DRIVER_LEAD, DRIVER_TAIL, HORIZON, Identity, Run, newer,
 };
 use firmware_protocol::frame::{self, Decoder, MAX_FRAME};
+use firmware_protocol::limits::{MOTORS_PER_CHIP, MOTORS_PER_RAIL, PowerLimits};
 use firmware_protocol::message::{DeviceMessage, HostMessage, Op, State, Status};
 use firmware_protocol::stroke::{Lines, MOTORS};
 use firmware_protocol::tick::Tick;
@@ -133,7 +134,14 @@ impl Shell {
         }
         let state = self.device.state();
         assert!(matches!(state, State::Armed | State::Returning), "a pulse while {state:?} at {at}");
+        let PowerLimits { rail_at_once, chip_at_once, .. } = self.device.limits();
         let mut left = lines.up | lines.down;
+        for (motors, limit) in [(MOTORS_PER_RAIL, rail_at_once), (MOTORS_PER_CHIP, chip_at_once)] {
+            for first in (0..MOTORS).step_by(motors) {
+                let at_once = (left >> first & ((1 << motors) - 1)).count_ones();
+                assert!(at_once <= limit.into(), "{at_once} of the {motors} motors from {first} on at {at}");
+            }
+        }
         self.total += u64::from(left.count_ones()) * ticks;
         while left != 0 {
             let motor = left.trailing_zeros() as usize;

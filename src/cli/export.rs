@@ -24,7 +24,7 @@ use std::time::Duration;
 pub(super) const TIMEOUT: Duration = Duration::from_secs(60);
 
 /// The columns.
-pub(super) const COLUMNS: [&str; 46] = [
+pub(super) const COLUMNS: [&str; 47] = [
     "session",
     "participant",
     "experiment",
@@ -71,6 +71,7 @@ pub(super) const COLUMNS: [&str; 46] = [
     "late_strokes",
     "refused_strokes",
     "fit",
+    "estimated",
 ];
 
 pub(super) fn run(
@@ -221,5 +222,6 @@ fn row(session: &Session, play: &RecordedPlay) -> [String; COLUMNS.len()] {
             Fit::Cover => "cover",
         }
         .to_owned(),
+        if play.estimated { "true" } else { "false" }.to_owned(),
     ]
 }

@@ -134,13 +134,24 @@ fn summary(out: &Path, document: &Document<'_>) -> String {
     );
     lines.push(("edge", line));
     lines.push(("wall time", format!("{:.1} s", document.wall_s)));
-    let head = ["pattern", "drives", "segments", "busiest pulses/s", "mean rate", "highest"];
+    let head = [
+        "pattern",
+        "drives",
+        "segments",
+        "busiest pulses/s",
+        "rail: at once",
+        "mA at 3 nF",
+        "mean rate",
+        "highest",
+    ];
     let row = |pattern: &figures::PatternFigures| {
         vec![
             pattern.name.clone(),
             pattern.drives.to_string(),
             pattern.segments.to_string(),
             format!("{:.0}", pattern.busiest_pulses_per_s),
+            pattern.most_at_once.to_string(),
+            format!("{:.0}", pattern.most_ma),
             format!("{:.1}", pattern.mean_rate_hz),
             format!("{:.1}", pattern.highest_rate_hz),
         ]

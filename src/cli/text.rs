@@ -343,6 +343,22 @@ pub(super) fn pattern(shown: &Value) -> String {
         head.iter().map(cell).collect::<Vec<_>>()
     };
     text.push_str(&columns(&head, drives.iter().enumerate().map(row)));
+    let rails = shown["rails"].as_array().unwrap_or(&none);
+    let load = |rail: &Value| {
+        let cell = |key, digits| number(rail[key].as_f64(), digits);
+        vec![
+            rail["rail"].to_string(),
+            rail["most_at_once"].to_string(),
+            cell("mean_at_once", 2),
+            cell("most_ma", 0),
+            cell("mean_ma", 0),
+        ]
+    };
+    if !rails.is_empty() {
+        // docs/how-to/power.md says what a supply gives.
+        let head = ["rail", "motors at once, most", "mean", "mA at 3 nF, most", "mean"];
+        let _ = write!(text, "\n\n{}", columns(&head, rails.iter().map(load)));
+    }
     for warning in shown["warnings"].as_array().unwrap_or(&none) {
         let _ = write!(text, "\nwarning: {}", warning.as_str().unwrap_or_default());
     }

@@ -4,7 +4,7 @@
 
 use super::KeyError;
 use super::Problem;
-use firmware_protocol::limits::{MAX_PUSHES_PER_S, MAX_SEEK};
+use firmware_protocol::limits::{MAX_PUSHES_PER_S, MAX_SEEK, PowerLimits};
 use meissner_array::simulated::LowerStop;
 use meissner_input::document::in_range;
 use meissner_input::message::quote;
@@ -23,6 +23,8 @@ pub(super) struct RawArray {
     lower_stop: Option<LowerStop>,
     surplus_um: Option<RawSurplus>,
     rest_error_um: Option<f64>,
+    rail_motors_at_once: Option<u32>,
+    chip_motors_at_once: Option<u32>,
 }
 
 #[derive(Deserialize)]
@@ -33,6 +35,21 @@ enum RawSurplus {
 }
 
 impl RawArray {
+    /// `limits` with those on motors at once.
+    pub(super) fn limits(&self, limits: PowerLimits) -> Result<PowerLimits, KeyError> {
+        let check = |key: &str, found: Option<u32>, none: u8| {
+            let found = found.unwrap_or(none.into());
+            let good = (1..=none.into()).contains(&found);
+            in_range(&format!("array.{key}"), found.into(), good, format!("1 to {none} motors"))?;
+            Ok(found as u8)
+        };
+        let rail_at_once =
+            check("rail_motors_at_once", self.rail_motors_at_once, PowerLimits::NONE.rail_at_once)?;
+        let chip_at_once =
+            check("chip_motors_at_once", self.chip_motors_at_once, PowerLimits::NONE.chip_at_once)?;
+        Ok(PowerLimits { rail_at_once, chip_at_once, ..limits })
+    }
+
     /// The settings of the lower stop, if there is one; `pulses_per_s` is the limit on pushing.
     pub(super) fn check(
         self,

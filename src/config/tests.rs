@@ -29,7 +29,7 @@ fn every_key_is_read() {
     assert_eq!(kept.logbook, Some(Location { dir: "/l".into(), days: 30, make_parents: false }));
     let kept = parse("logbook_dir = \"/l\"").unwrap();
     assert_eq!(kept.logbook, Some(Location { dir: "/l".into(), days: LOGBOOK_DAYS, make_parents: false }));
-    let limits = OnTimeLimits { motor: 40_000, rail: 90_000 };
+    let limits = PowerLimits { motor: 40_000, rail: 90_000, ..PowerLimits::NONE };
     assert_eq!(
         config.settings,
         Settings {
@@ -43,6 +43,8 @@ fn every_key_is_read() {
         }
     );
     let stop = "array = {lower_stop = \"at_rest\", surplus_um = 12.5, rest_error_um = 4}\nlimits.stop_pulses_per_s = 9000";
+    let few = parse("array.rail_motors_at_once = 3\narray.chip_motors_at_once = 1").unwrap().settings.limits;
+    assert_eq!(few, PowerLimits { rail_at_once: 3, chip_at_once: 1, ..PowerLimits::NONE });
     let with_stop = parse(stop).unwrap();
     let lower_stop = LowerStopSettings { surplus_um: Some(12.5), rest_error_um: 4.0, pulses_per_s: 9000 };
     assert_eq!(with_stop.settings.lower_stop, Some(lower_stop));
@@ -107,6 +109,8 @@ fn an_error_is_one_line_with_its_place() {
         ("array.surplus_um = \"much\"", "`array.surplus_um` is `much`: must be a number of um, or \"auto\""),
         ("array.surplus_um = 0", "`array.surplus_um` is 0: must be 1 to 120 um, or \"auto\""),
         ("array.surplus_um = []", "must be a number, or \"auto\""),
+        ("array.rail_motors_at_once = 0", "`array.rail_motors_at_once` is 0: must be 1 to 6 motors"),
+        ("array.chip_motors_at_once = 3", "`array.chip_motors_at_once` is 3: must be 1 to 2 motors"),
         ("array.rest_error_um = 0", "`array.rest_error_um` is 0: must be 0.5 to 100 um"),
         ("limits.stop_pulses_per_s = 0", "`limits.stop_pulses_per_s` is 0"),
         (

@@ -104,6 +104,7 @@ impl Engine {
         if prepared.is_some() {
             live = live.with_poses(Arc::clone(&poses));
         }
+        live.check_at_once(&settings)?;
         let waves = live.waves()?;
         let updates_hz = request.updates_hz.unwrap_or(LIVE_UPDATES_HZ);
         // It walks a minute of strokes.

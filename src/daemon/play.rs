@@ -15,11 +15,12 @@ use crate::store::Stored;
 use firmware_protocol::message::Trigger;
 use firmware_protocol::tick::Tick;
 use meissner_api::{Code, OrderedCounts, PlayAccepted, PlayRequest, Problem, TriggerRequest, TriggerShape};
+use meissner_array::power::{Group, TooMany};
 use meissner_array::strokes::{StrokeOptions, Strokes, Surplus};
 use meissner_array::units::{ms_in_ticks, ticks_to_seconds};
 use meissner_stream::queues::{At, Command, Item, Play};
 use meissner_stream::time::HostInstant;
-use meissner_stream::{Bandwidth, Overpush, Settings, find_overpush};
+use meissner_stream::{Bandwidth, Overpush, Settings, find_overpush, find_too_many};
 use std::sync::Arc;
 
 /// A play that still needs an id.
@@ -61,21 +62,17 @@ impl PreparedPlay {
         }
         // A long pattern has a hundred thousand strokes: other commands must not wait while they are counted.
         let (pattern, counted) = (Arc::clone(&stored.pattern), options.clone());
-        let (pushed, bandwidth, vibration, counts, strokes) = PLAYS
+        let (fits, bandwidth, vibration, counts, strokes) = PLAYS
             .computing(move || {
                 let end_s = strokes.end().map(ticks_to_seconds);
                 let vibration = Vibration::of(&pattern, end_s);
                 let bandwidth = Bandwidth::of(&strokes, &settings);
-                (
-                    check_pushing(&strokes, &settings),
-                    bandwidth,
-                    vibration,
-                    counts(&pattern, &counted),
-                    strokes,
-                )
+                let fits =
+                    check_pushing(&strokes, &settings).and_then(|()| check_at_once(&strokes, &settings));
+                (fits, bandwidth, vibration, counts(&pattern, &counted), strokes)
             })
             .await?;
-        pushed?;
+        fits?;
         let at = onset(request.at_tick, request.at_ms, request.at_monotonic_ns);
         let PlayRequest { late, replace, open_loop, .. } = *request;
         let items = vec![Item::new(trigger(request.trigger))];
@@ -201,6 +198,28 @@ pub(super) fn check_pushing(strokes: &Strokes, settings: &Settings) -> Result<()
          frequency, or configure a smaller `surplus_um` or a larger `limits.stop_pulses_per_s`"
     );
     Err(Problem::new(Code::PushLimit, detail))
+}
+
+/// Refuses a play in which more motors would have pulses at once than may.
+pub(super) fn check_at_once(strokes: &Strokes, settings: &Settings) -> Result<(), Problem> {
+    let Some(TooMany { group, tick, at_once }) = find_too_many(strokes, settings.limits) else {
+        return Ok(());
+    };
+    let at_s = ticks_to_seconds(tick);
+    Err(too_many(group, &format!("{at_once} motors with pulses at once, first after {at_s:.4} s"), settings))
+}
+
+/// The problem of a rail or chip that would have too many motors with pulses at once.
+pub(super) fn too_many(group: Group, has: &str, settings: &Settings) -> Problem {
+    let (key, most) = match group {
+        Group::Rail(_) => ("rail", settings.limits.rail_at_once),
+        Group::Chip(_) => ("chip", settings.limits.chip_at_once),
+    };
+    let detail = format!(
+        "{group} would have {has}; `array.{key}_motors_at_once` allows {most}: play fewer motors of it, smaller amplitudes or other \
+         phases (docs/how-to/power.md)"
+    );
+    Problem::new(Code::PowerLimit, detail)
 }
 
 /// The onset that a request asks for, by one of its keys at most.

@@ -94,8 +94,9 @@ fn apply(
         });
         applied.push(format!(
             "from the next `arm` on `lead_ms` = {lead_ms}, `lease_ms` = {lease_ms}, `drift_warning_um` = {drift_warning_um}, \
-             `drift_limit_um` = {drift_limit_um}, `end_stop_um` = {end_stop_um}, `motor_pulses_per_s` = {}, `rail_pulses_per_s` = {}, {array}",
-            limits.motor, limits.rail
+             `drift_limit_um` = {drift_limit_um}, `end_stop_um` = {end_stop_um}, `motor_pulses_per_s` = {}, `rail_pulses_per_s` = {}, \
+             `rail_motors_at_once` = {}, `chip_motors_at_once` = {}, {array}",
+            limits.motor, limits.rail, limits.rail_at_once, limits.chip_at_once
         ));
     }
     if new.session_silence_s != running.session_silence_s {

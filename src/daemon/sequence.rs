@@ -6,7 +6,7 @@
 //! Invariant: a sequence is accepted as a whole or refused, with the number of the item that is wrong.
 
 use super::engine::{Engine, TIMEOUT, answer};
-use super::play::{check_pushing, onset, trigger};
+use super::play::{check_at_once, check_pushing, onset, trigger};
 use super::runtime::PLAYS;
 use super::state::{NewSequence, State, Trial, Way};
 use crate::exposure::Vibration;
@@ -147,13 +147,15 @@ impl PreparedSequence {
             .strokes()
             .ok_or_else(|| Problem::new(Code::BadRequest, "`items` is empty: add an item"))?;
         check_triggers(&strokes, &items)?;
-        let (pushed, bandwidth, counts, strokes) = PLAYS
+        let (fits, bandwidth, counts, strokes) = PLAYS
             .computing(move || {
                 let bandwidth = Bandwidth::of(&strokes, &settings).max(bandwidth);
-                (check_pushing(&strokes, &settings), bandwidth, counts(&strokes), strokes)
+                let fits =
+                    check_pushing(&strokes, &settings).and_then(|()| check_at_once(&strokes, &settings));
+                (fits, bandwidth, counts(&strokes), strokes)
             })
             .await?;
-        pushed?;
+        fits?;
         let length_ms = strokes.end().map(ticks_to_ms);
         let vibration = Vibration::of_spans(spans);
         let at = onset(request.at_tick, request.at_ms, request.at_monotonic_ns);

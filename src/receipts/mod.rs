@@ -362,6 +362,7 @@ fn complete(receipt: &mut Receipt, outcome: &Outcome) {
     receipt.cause = outcome.cause.map(str::to_owned);
     receipt.bursts = Some(outcome.bursts);
     receipt.pulses = Some(outcome.pulses);
+    receipt.estimated = outcome.estimated;
     receipt.trigger = outcome.play.items.first().and_then(items::trigger);
     receipt.lateness.counts = outcome.lateness;
     receipt.wire = Some(LinkTraffic::new(outcome.wire_bytes, outcome.bursts.planned));

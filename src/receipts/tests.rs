@@ -1,7 +1,7 @@
 //! Receipts made from events: of plays, devices, and losses.
 
 use super::*;
-use firmware_protocol::limits::{OnTimeLimits, Refusal};
+use firmware_protocol::limits::{PowerLimits, Refusal};
 use firmware_protocol::message::Cause;
 use firmware_protocol::stroke::MOTORS;
 use meissner_api::{ErrorSource, LateCause};
@@ -22,7 +22,7 @@ fn hello() -> DeviceHello {
         pool: 1024,
         horizon: 64,
         max_up_pulses: 3000,
-        limits: OnTimeLimits::NONE,
+        limits: PowerLimits::NONE,
         features: DeviceHello::SIMULATED,
         tick: Tick::BOOT.0,
         epoch: 0,
@@ -88,6 +88,7 @@ fn ended(id: u64, end: End) -> StreamEvent {
             amended: 1,
         },
         pulses: PulseCounts { planned: 100, played: 60 },
+        estimated: false,
         lateness: LateCounts { host: 1, ..LateCounts::default() },
         board: Some(PlayBoard { slack: Some(29), stalls: Some(1), usb_recoveries: None, output_faults: 0 }),
         wire_bytes: 55,

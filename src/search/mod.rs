@@ -97,6 +97,7 @@ fn design(request: &SearchRequest) -> Request {
         robust,
         budget,
         start: None,
+        rail_motors_at_once: None,
     }
 }
 

@@ -65,7 +65,7 @@ pub use live::{
 };
 pub use live_record::{LiveContrast, LiveRecord, ReachedContrast, UpdateTimes};
 pub use pattern::{
-    ImportedPattern, PatternDetails, PatternList, PatternSummary, ReachedDrive, RemovedPattern,
+    ImportedPattern, PatternDetails, PatternList, PatternSummary, RailLoad, ReachedDrive, RemovedPattern,
 };
 pub use problem::{Code, MAX_DETAIL, Problem, REFERENCE};
 pub use receipt::{

@@ -64,6 +64,27 @@ pub struct ReachedDrive {
     pub strokes: Option<u64>,
 }
 
+/// What the motors of a 30 V rail draw in a pattern's first ten seconds, for motors of 3 nF; the current is proportional to the
+/// capacitance.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct RailLoad {
+    /// The rail's number; motors 6 × rail to 6 × rail + 5.
+    #[schema(minimum = 0, maximum = 3)]
+    pub rail: u8,
+    /// Most motors that have pulses at once.
+    #[schema(minimum = 0, maximum = 6)]
+    pub most_at_once: u8,
+    /// Mean number of motors that have pulses.
+    #[schema(minimum = 0.0, maximum = 6.0)]
+    pub mean_at_once: f64,
+    /// Highest current, mA.
+    #[schema(minimum = 0.0)]
+    pub most_ma: f64,
+    /// Mean current, mA.
+    #[schema(minimum = 0.0)]
+    pub mean_ma: f64,
+}
+
 /// Every pattern the daemon can play.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, ToSchema)]
 #[schema(examples(json!({
@@ -94,6 +115,12 @@ pub struct PatternList {
     "drives": [
         {"drive": 1, "motor": 9, "ordered_um": 40.0, "reached_um": 39.9, "surplus_um": 0.0, "strokes": 30}
     ],
+    "rails": [
+        {"rail": 0, "most_at_once": 0, "mean_at_once": 0.0, "most_ma": 0.0, "mean_ma": 0.0},
+        {"rail": 1, "most_at_once": 1, "mean_at_once": 0.2, "most_ma": 30.6, "mean_ma": 6.2},
+        {"rail": 2, "most_at_once": 0, "mean_at_once": 0.0, "most_ma": 0.0, "mean_ma": 0.0},
+        {"rail": 3, "most_at_once": 0, "mean_at_once": 0.0, "most_ma": 0.0, "mean_ma": 0.0}
+    ],
     "warnings": []
 })))]
 pub struct PatternDetails {
@@ -112,6 +139,10 @@ pub struct PatternDetails {
     #[serde(default)]
     #[schema(required, max_items = 4096)]
     pub drives: Vec<ReachedDrive>,
+    /// What each 30 V rail draws.
+    #[serde(default)]
+    #[schema(required, max_items = 4)]
+    pub rails: Vec<RailLoad>,
     /// One line for each thing that may not be meant, for example a drive that does not reach its amplitude: the first 100, and how many more.
     pub warnings: Vec<String>,
 }

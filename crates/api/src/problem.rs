@@ -95,6 +95,9 @@ pub enum Code {
     LowerStop,
     /// A motor would push the lower stop with more pulses per second than `limits.stop_pulses_per_s`.
     PushLimit,
+    /// More motors of a rail or a driver chip would have pulses at once than `array.rail_motors_at_once` or
+    /// `array.chip_motors_at_once` allows.
+    PowerLimit,
     /// The device does not measure where its pins are.
     NoTelemetry,
     /// Without telemetry and lower stop, a pin that the play drives may be farther from rest than `drift_limit_um`: bring the
@@ -134,6 +137,7 @@ impl Code {
         Self::DeviceRefused,
         Self::LowerStop,
         Self::PushLimit,
+        Self::PowerLimit,
         Self::NoTelemetry,
         Self::DriftLimit,
         Self::LevelNotChecked,
@@ -193,6 +197,7 @@ impl Code {
             Self::ShuttingDown => ("shutting-down", 503, "The daemon shuts down"),
             Self::LowerStop => ("lower-stop", 409, "The array has a lower stop"),
             Self::PushLimit => ("push-limit", 409, "A play would push the lower stop too much"),
+            Self::PowerLimit => ("power-limit", 409, "Too many motors would have pulses at once"),
             Self::DriftLimit => ("drift-limit", 409, "Pins may be too far from rest"),
             Self::LevelNotChecked => ("level-not-checked", 409, "The level of the pins was not checked"),
             Self::NoTelemetry => ("no-telemetry", 409, "The device has no telemetry"),

@@ -408,6 +408,7 @@ impl LinkTraffic {
     "warnings": [],
     "bursts": {"planned": 1240, "played": 1238, "late": 2, "dropped": 0, "refused": 0, "replaced": 0, "amended": 1221},
     "pulses": {"planned": 86800, "played": 86660},
+    "estimated": false,
     "lateness": {
         "host": 1, "link": 0, "device": 0, "worst_ms": 1.8,
         "strokes": [{"motor": 3, "tick": 6442470000_u64, "late_ms": 1.8, "cause": "host"}]
@@ -535,6 +536,11 @@ pub struct Receipt {
     /// The pulses; null until the play is over.
     #[schema(required)]
     pub pulses: Option<PulseCounts>,
+    /// Whether what was played is an estimate: the link was lost before the device said what it has counted. It counts what was to be
+    /// played until the daemon noticed, or until its e-stop.
+    #[serde(default)]
+    #[schema(required)]
+    pub estimated: bool,
     /// What became of the updates of a live play, once it is over; null for another play.
     #[serde(default)]
     #[schema(required)]
@@ -608,6 +614,7 @@ impl Receipt {
             warnings: Vec::new(),
             bursts: None,
             pulses: None,
+            estimated: false,
             live: None,
             lateness: LatenessRecord::default(),
             refusals: Vec::new(),

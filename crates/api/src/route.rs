@@ -177,6 +177,7 @@ const PLAY: &[Code] = &[
 const QUEUE: &[Code] = &[
     Code::DriftLimit,
     Code::PushLimit,
+    Code::PowerLimit,
     Code::Disarmed,
     Code::Faulted,
     Code::Returning,

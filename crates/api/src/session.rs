@@ -229,6 +229,10 @@ pub struct RecordedPlay {
     /// The pulses; null if the end is missing.
     #[schema(required)]
     pub pulses: Option<PulseCounts>,
+    /// Whether what was played is an estimate, because the link was lost.
+    #[serde(default)]
+    #[schema(required)]
+    pub estimated: bool,
     /// By how much the latest stroke came late, ms; 0 if none did.
     #[schema(required, minimum = 0.0)]
     pub worst_late_ms: Option<f64>,
@@ -337,7 +341,7 @@ pub struct RecordedPlay {
         "cause": null, "onset_tick": 6442460000_u64, "onset_monotonic_ns": 75793647058823_u64, "onset_uncertainty_ns": 9600,
         "onset_wall_ns": 1795336200123456000_u64, "reported_after_s": 2.01,
         "bursts": {"planned": 1240, "played": 1240, "late": 0, "dropped": 0, "refused": 0, "amended": 1221},
-        "pulses": {"planned": 86800, "played": 86790}, "worst_late_ms": 0.0, "rest_error_max_um": 0.4,
+        "pulses": {"planned": 86800, "played": 86790}, "estimated": false, "worst_late_ms": 0.0, "rest_error_max_um": 0.4,
         "item": null, "items": 0, "items_planned": null, "ordered_um": 80.0, "reached_um": 69.2, "scale": 1.0, "fit": "whole", "late_policy": "drop",
         "open_loop": false, "ordered_ms": 2000.0, "played_ms": 1998.8, "cut_after_ms": null, "offset_tick": 6442629900_u64,
         "offset_monotonic_ns": 75795645882352_u64, "trigger": {"tick": 6442460000_u64, "width_ms": 10.0, "code": null},

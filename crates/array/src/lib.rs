@@ -9,6 +9,7 @@
 //! 5. [`motor`]: the model of an ideal motor: a square wave becomes bursts of pulses, bursts become displacement.
 //! 6. [`displacement`]: samples of the pins' displacement in a play, by ideal motors.
 //! 7. [`simulated`]: 24 simulated motors with scatter, asymmetry, end stops and telemetry.
+//! 8. [`power`]: how many motors have pulses at once, and the current of a rail.
 //!
 //! [`units`] converts seconds, ticks and micrometres. [`random`] makes random numbers that depend on a key alone.
 //!
@@ -46,6 +47,7 @@ pub mod displacement;
 pub mod geometry;
 pub mod motor;
 pub mod pattern;
+pub mod power;
 pub mod random;
 pub mod reflected_walk;
 pub mod simulated;

@@ -10,7 +10,8 @@
 //! 2. `partition`: a [`Partition`] of afferents into ON and OFF; rates give its [`Verdict`].
 //! 3. `target`: reads and checks target files; cuts a moving target into [`Frame`]s.
 //! 4. `shipped`: the targets that are built in, among them the [`YARDSTICK`].
-//! 5. `point`: a [`Point`] says how each motor vibrates; a [`Space`] says what a search may choose.
+//! 5. `point`: a [`Point`] says how each motor vibrates; a [`Space`] says what a search may choose. `at_once`: an [`AtOnce`]
+//!    keeps points within a limit on the motors of a rail that have pulses at once.
 //! 6. `objective`: an [`Objective`] simulates the value of points under one model. `aim`: what a search maximises, under
 //!    one model or both. `moves`: the points to try next.
 //! 7. `search`: [`search()`] goes from a start to better points.
@@ -44,6 +45,7 @@
 //! ```
 
 mod aim;
+mod at_once;
 mod braille;
 mod discriminate;
 mod goal;
@@ -64,6 +66,7 @@ mod shipped;
 mod target;
 
 pub use aim::Models;
+pub use at_once::AtOnce;
 pub use discriminate::{
     ClassReadings, Confusion, LEAST_TRIALS, MOST_TRIALS, Plan, Reading, Sensitivity, confusion,
     correct_of_two, discriminate, efficiency,

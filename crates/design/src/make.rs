@@ -10,6 +10,7 @@
 //! does the request itself, unless a clock or the caller ended it.
 
 use crate::aim::{Aim, Models};
+use crate::at_once::AtOnce;
 use crate::goal::Goal;
 use crate::judge::{Conditions, Robustness, judge, pulses_per_s, robustness};
 use crate::naive::Rule;
@@ -62,6 +63,8 @@ pub struct Request {
     pub budget: Budget,
     /// The start: the drives of an earlier pattern.
     pub start: Option<Vec<Drive>>,
+    /// Most motors of a rail that may have pulses at once; `None`: all. Motors may then be off in every setting, also in the naive rules.
+    pub rail_motors_at_once: Option<u8>,
 }
 
 /// The state of the work.
@@ -200,10 +203,25 @@ pub fn make(
     watch: &mut dyn FnMut(Progress) -> ControlFlow<()>,
 ) -> Result<Made, MakeError> {
     let (populations, noise_seed) = (populations(target, request.robust), target.population_seed());
-    let space_of = |frame| request.setting.space().in_frame(frame, target.amplitude_um());
+    let space_of = |frame: &Frame| {
+        let frame_s = frame.start_s.zip(frame.stop_s).map(|(start_s, stop_s)| stop_s - start_s);
+        let limit = |rail_motors| AtOnce {
+            rail_motors,
+            amplitude_um: target.amplitude_um(),
+            duration_s: frame_s.unwrap_or(target.duration_s()),
+        };
+        let at_once = request.rail_motors_at_once.map(limit);
+        Space { at_once, ..request.setting.space().in_frame(frame, target.amplitude_um()) }
+    };
     let begun = Instant::now();
     let frames = target.frames();
-    let naive = Rule::ALL.map(|rule| rule.drives(target));
+    let naive = Rule::ALL.map(|rule| {
+        let of = |frame| {
+            let point = space_of(frame).thinned(rule.point(target, frame));
+            point.drives(target.amplitude_um(), frame.start_s, frame.stop_s)
+        };
+        frames.iter().flat_map(of).collect::<Vec<Drive>>()
+    });
     let (mut found, mut drives) = (Vec::<Found>::new(), Vec::<Drive>::new());
     let mut starts = request.start.as_ref().map(|_| Vec::new());
     let mut interrupted = false;
@@ -359,6 +377,9 @@ fn provenance(target: &Target, request: &Request, made: &Made, starts: Option<&[
         put("contrast_by_model", Value::Table(made.models.iter().map(ByModel::contrasts).collect()));
     }
     put("setting", Value::try_from(request.setting).expect("a string"));
+    if let Some(motors) = request.rail_motors_at_once {
+        put("rail_motors_at_once", i64::from(motors).into());
+    }
     put("seed", whole(request.seed));
     put("robust", request.robust.into());
     let evaluations: Vec<Value> = made.found.iter().map(|found| whole(found.spent.evaluations)).collect();

@@ -9,6 +9,7 @@
 //!
 //! Invariant: a point that a [`Space`] makes lies in it.
 
+use crate::at_once::AtOnce;
 use crate::target::Frame;
 use firmware_protocol::stroke::MOTORS;
 use meissner_array::pattern::Drive;
@@ -41,6 +42,8 @@ pub struct Space {
     pub phases: bool,
     /// The frame in which a vibration must give a stroke; none for a target at rest.
     pub window: Option<Window>,
+    /// The limit on motors at once, if there is one. Where a point breaks it, motors are off, whatever `may_be_off` says.
+    pub at_once: Option<AtOnce>,
 }
 
 /// The times and the amplitude of a frame's drives.
@@ -81,8 +84,12 @@ impl Setting {
     #[must_use]
     pub const fn space(self) -> Space {
         match self {
-            Self::Default => Space { decihertz: 50..=1500, may_be_off: true, phases: true, window: None },
-            Self::AlwaysOn => Space { decihertz: 50..=3000, may_be_off: false, phases: true, window: None },
+            Self::Default => {
+                Space { decihertz: 50..=1500, may_be_off: true, phases: true, window: None, at_once: None }
+            }
+            Self::AlwaysOn => {
+                Space { decihertz: 50..=3000, may_be_off: false, phases: true, window: None, at_once: None }
+            }
         }
     }
 }
@@ -146,26 +153,38 @@ impl Space {
         low / 10.0 * libm::pow(high / low, share)
     }
 
+    /// Whether a point keeps the limit on motors at once.
+    #[must_use]
+    pub fn permits(&self, point: &Point) -> bool {
+        self.at_once.is_none_or(|at_once| at_once.permits(point))
+    }
+
+    /// A point with as many motors off as the limit on motors at once asks for.
+    #[must_use]
+    pub fn thinned(&self, point: Point) -> Point {
+        self.at_once.map_or(point, |at_once| at_once.thinned(point))
+    }
+
     /// A random start: every motor is on, at phase 0.
     #[must_use]
     pub fn random(&self, seed: u64) -> Point {
-        Point(std::array::from_fn(|motor| {
+        self.thinned(Point(std::array::from_fn(|motor| {
             let [share, _] = random::uniform([seed, motor as u64, 0, START_WORD]);
             self.motion(self.frequency_hz(share), 0.0)
-        }))
+        })))
     }
 
     /// The point of some drives: the first drive of each motor. A motor without a drive, or whose drive gives no stroke in the space's
     /// frame, is off if the space allows, else at the highest frequency, which moves it least.
     #[must_use]
     pub fn of_drives(&self, drives: &[Drive]) -> Point {
-        Point(std::array::from_fn(|motor| {
+        self.thinned(Point(std::array::from_fn(|motor| {
             let of_motor = |drive: &&Drive| usize::from(drive.motor) == motor && drive.amplitude_um > 0.0;
             let drive = drives.iter().find(of_motor);
             let vibration = drive.and_then(|drive| self.motion(drive.frequency_hz, drive.phase));
             let fastest = || (!self.may_be_off).then(|| self.vibration(f64::INFINITY, 0.0));
             vibration.or_else(fastest)
-        }))
+        })))
     }
 
     /// A point of another space, as near as this one has it.

@@ -386,7 +386,8 @@ impl Run<'_> {
         if self.over() {
             return;
         }
-        let new = points.into_iter().filter(|point| state.seen.insert(*point)).collect();
+        let new = points.into_iter().filter(|point| state.seen.insert(*point));
+        let new = new.filter(|point| self.brief.space.permits(point)).collect();
         let tried = state.standing.try_all(new);
         tried.iter().for_each(|tried| self.spend(tried.afferents, state.standing.aim()));
         let value = |tried: &aim::Step| tried.score.value;

@@ -53,6 +53,7 @@ fn request(pattern: &Pattern) -> Request {
             provenance["evaluations"].as_array().unwrap().iter().map(whole).collect(),
         ),
         start: None,
+        rail_motors_at_once: None,
     }
 }
 

@@ -85,6 +85,8 @@ pub(super) struct Ending {
     pub(super) cut: Option<Tick>,
     /// The rest errors.
     pub(super) rest: RestErrors,
+    /// `after` is an estimate.
+    pub(super) estimated: bool,
 }
 
 /// The first onset is tried this far ahead: the render horizon, the link and a wake-up.
@@ -312,7 +314,7 @@ impl Active {
 
     /// Closes the account with what is known at its end.
     pub(super) fn close(self, ending: Ending) -> (u64, Outcome) {
-        let Ending { after, wire, offset, cut, rest } = ending;
+        let Ending { after, wire, offset, cut, rest, estimated } = ending;
         let since = |now: fn(&Counters) -> u64| match (&after, &self.counters_at_onset) {
             (Some(after), Some(counters_at_onset)) => now(after).saturating_sub(now(counters_at_onset)),
             _ => 0,
@@ -340,6 +342,7 @@ impl Active {
             cut_after: cut.zip(self.actual_onset).map(|(at, onset)| at - onset.actual),
             bursts,
             pulses: PulseCounts { planned: self.planned_pulses, played: since(|counters| counters.pulses) },
+            estimated: estimated && self.phase != Phase::Waiting,
             lateness: self.lateness,
             board: self.board.close(),
             wire_bytes: if self.onset.is_some() { wire.saturating_sub(self.wire_from) } else { 0 },

@@ -45,6 +45,7 @@
 //! real time its loop does not allocate, lock, log or wait for anybody.
 
 mod active;
+mod at_once;
 mod bandwidth;
 mod board;
 pub mod calibrate;
@@ -64,6 +65,7 @@ pub mod sync;
 mod thread;
 pub mod time;
 
+pub use at_once::find_too_many;
 pub use bandwidth::{Bandwidth, Requirement};
 pub use board::PlayBoard;
 pub use control::{Gains, rest_bound_um};

@@ -1,7 +1,7 @@
 //! The settings of the streamer, and the length of a batch that follows from them.
 
 use crate::control::{ASYMMETRY, Gains};
-use firmware_protocol::limits::{MAX_PUSHES_PER_S, MAX_SEEK, OnTimeLimits, WHOLE_TRAVEL};
+use firmware_protocol::limits::{MAX_PUSHES_PER_S, MAX_SEEK, PowerLimits, WHOLE_TRAVEL};
 use firmware_protocol::stroke::MOTORS;
 use meissner_array::reflected_walk::Spread;
 use meissner_array::strokes::{AutoSurplus, Surplus};
@@ -15,8 +15,8 @@ pub struct Settings {
     pub lead_ms: f64,
     /// Host watchdog timeout: after such a silence the device returns the pins and disarms, ms; at least the lead + 50.
     pub lease_ms: f64,
-    /// A site's on-time limits.
-    pub limits: OnTimeLimits,
+    /// A site's limits on on-time and on motors at once.
+    pub limits: PowerLimits,
     /// Error of dead reckoning, root mean square, above which the streamer warns, µm.
     pub drift_warning_um: f32,
     /// Error of dead reckoning, root mean square, above which no play drives a pin, µm.
@@ -80,7 +80,7 @@ impl Settings {
         Self {
             lead_ms,
             lease_ms,
-            limits: OnTimeLimits::NONE,
+            limits: PowerLimits::NONE,
             drift_warning_um: 100.0,
             drift_limit_um: 150.0,
             end_stop_um: END_STOP_UM,
@@ -103,11 +103,11 @@ impl Settings {
         (pulses.ceil() as u16).clamp(WHOLE_TRAVEL, MAX_SEEK)
     }
 
-    /// How long arming takes to seek the lower stop.
+    /// How long arming takes at most to seek the lower stop: the motors of a rail may have to take turns.
     #[must_use]
     pub fn seek_time(&self) -> Duration {
         let pulses = self.lower_stop.map_or(0, |_| self.seek_pulses());
-        Duration::from_secs_f64(ticks_to_seconds(pulses.into()))
+        Duration::from_secs_f64(ticks_to_seconds(pulses.into()) * f64::from(self.limits.turns()))
     }
 
     /// The half of the lead that is for stalls of the PC, ms. The other half is for the line.

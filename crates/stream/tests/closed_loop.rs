@@ -2,7 +2,7 @@
 //!
 //! The tests play patterns in virtual time and look at the simulated pins.
 
-use firmware_protocol::limits::OnTimeLimits;
+use firmware_protocol::limits::PowerLimits;
 use firmware_protocol::message::State;
 use firmware_protocol::stroke::{Burst, Direction, Line as Pulse, MOTORS};
 use firmware_protocol::tick::Tick;
@@ -346,7 +346,7 @@ fn a_bad_line_causes_no_sensor_fault() {
 fn corrections_make_the_device_refuse_nothing() {
     let six = pattern("six", Some(6.0), (0..6).map(|motor| drive(motor, 60.0, 80.0)));
     // 588 pulses up and down, 60 times a second, plus a margin for the sliding second.
-    let limits = OnTimeLimits { motor: 74_000, ..OnTimeLimits::NONE };
+    let limits = PowerLimits { motor: 74_000, ..PowerLimits::NONE };
     let settings = Settings { limits, ..Settings::default() };
     let motors = SimulatedMotorsConfig::default();
     let outcome = meissner_stream::simulate_play(&six, None, &motors, settings, false).unwrap().outcome;

@@ -3,6 +3,7 @@
 //! Each test plays in virtual time and looks for the last pulse on the recorded lines.
 
 use firmware_protocol::controller::Run;
+use firmware_protocol::message::DeviceMessage;
 use firmware_protocol::tick::Tick;
 use meissner_api::ErrorSource;
 use meissner_array::pattern::Pattern;
@@ -227,6 +228,49 @@ fn a_lost_link_leaves_the_offset_unknown_and_says_when_it_was_lost() {
     assert_eq!((outcome.end, outcome.offset), (End::Stopped, None));
     let after = duration_to_ticks(lost.since(outcome.onset.unwrap().at));
     assert!(outcome.cut_after.unwrap().abs_diff(after) <= 3, "{outcome:?}");
+}
+
+/// A device whose word is not taken any more: the daemon's own e-stop ends what counts as played, and the receipt says that it
+/// estimates.
+#[test]
+fn what_was_played_until_the_link_gives_a_device_up_is_estimated_up_to_its_e_stop() {
+    let all = pattern("all", None, (0..24).map(|motor| drive(motor, 300.0, 80.0)));
+    let mut rig = Rig::armed(Line::default(), 12);
+    rig.mock.take_trace();
+    rig.start(&all, None);
+    rig.run_ms(1000);
+    rig.lie(|message| {
+        if let DeviceMessage::Status(status) = message {
+            status.credits = u16::MAX;
+        }
+    });
+    rig.run_ms(1000);
+    let outcome = rig.outcomes().remove(0);
+    assert!(outcome.estimated && outcome.end == End::Stopped, "{outcome:?}");
+    rig::assert_closed(&outcome);
+    let on_lines: u64 = rig
+        .mock
+        .take_trace()
+        .iter()
+        .map(|(_, run)| u64::from((run.lines.up | run.lines.down).count_ones()) * u64::from(run.ticks))
+        .sum();
+    // The device hears the e-stop some milliseconds after it left: 24 lines with a pulse in each tick.
+    let most = 5 * 85 * 24;
+    assert!(outcome.pulses.played.abs_diff(on_lines) <= most, "{} and {on_lines}", outcome.pulses.played);
+}
+
+/// Plays that have ended, and those that a device counted to the end, are no estimates.
+#[test]
+fn only_what_the_device_has_not_counted_is_estimated() {
+    let mut rig = Rig::armed(Line::default(), 13);
+    rig.start(&mixed(None), Some(0.2));
+    rig.run_ms(500);
+    rig.start(&mixed(None), None);
+    rig.run_ms(300);
+    rig.unplug();
+    rig.run_ms(100);
+    let estimated: Vec<bool> = rig.outcomes().iter().map(|outcome| outcome.estimated).collect();
+    assert_eq!(estimated, [false, true]);
 }
 
 #[test]

@@ -186,6 +186,8 @@ fn change(message: &DeviceMessage, random: &mut ChaCha8Rng) -> Option<DeviceMess
                 "State",
                 "Malformed",
                 "RailOnTime",
+                "RailAtOnce",
+                "ChipAtOnce",
             ];
             Value::from(names[random.next_u32() as usize % names.len()])
         }

@@ -2,7 +2,7 @@
 //!
 //! The tests play in virtual time and compare position control and accounts with the simulated pins and the device's counts.
 
-use firmware_protocol::limits::OnTimeLimits;
+use firmware_protocol::limits::PowerLimits;
 use firmware_protocol::stroke::MOTORS;
 use meissner_api::ErrorSource;
 use meissner_array::pattern::{Drive, Pattern};
@@ -20,7 +20,7 @@ fn all_motors(frequency_hz: f64, shift: f64) -> Pattern {
 }
 
 fn rig(motor: u32, line: Line, seed: u64) -> Rig {
-    let limits = OnTimeLimits { motor, ..OnTimeLimits::NONE };
+    let limits = PowerLimits { motor, ..PowerLimits::NONE };
     let mut rig = Rig::with(Settings { limits, ..Settings::default() }, line, seed);
     rig.arm();
     rig

@@ -3,7 +3,7 @@
 //! Each test sends commands at an awkward moment and counts the plays that start and end.
 
 use firmware_protocol::frame::MAX_FRAME;
-use firmware_protocol::limits::OnTimeLimits;
+use firmware_protocol::limits::PowerLimits;
 use firmware_protocol::message::State;
 use firmware_protocol::tick::Tick;
 use meissner_array::simulated::SimulatedMotorsConfig;
@@ -124,7 +124,7 @@ fn a_device_whose_clock_begins_anew_plays_as_the_one_before() {
 #[test]
 fn tens_of_thousands_of_reports_later_verdicts_still_count() {
     let settings =
-        Settings { limits: OnTimeLimits { motor: 300, ..OnTimeLimits::NONE }, ..Settings::default() };
+        Settings { limits: PowerLimits { motor: 300, ..PowerLimits::NONE }, ..Settings::default() };
     let mut rig = Rig::with(settings, Line { delay: 5 * MS, ..Line::default() }, 24);
     rig.arm();
     for round in 0..10 {
@@ -138,7 +138,7 @@ fn tens_of_thousands_of_reports_later_verdicts_still_count() {
 #[test]
 fn strokes_refused_as_they_begin_do_not_mislead_position_control() {
     let settings =
-        Settings { limits: OnTimeLimits { motor: 1200, ..OnTimeLimits::NONE }, ..Settings::default() };
+        Settings { limits: PowerLimits { motor: 1200, ..PowerLimits::NONE }, ..Settings::default() };
     let rest = |open_loop| {
         let mut rig = Rig::with(settings, Line::default(), 24);
         rig.arm();

@@ -1,7 +1,7 @@
 //! Sequences in virtual time: what the lines and the trigger output show is what the account of each item says.
 
 use firmware_protocol::controller::Run;
-use firmware_protocol::limits::OnTimeLimits;
+use firmware_protocol::limits::PowerLimits;
 use firmware_protocol::message::Trigger;
 use firmware_protocol::stroke::Lines;
 use firmware_protocol::tick::Tick;
@@ -280,7 +280,7 @@ fn late_strokes_are_neither_first_nor_last() {
 fn strokes_refused_as_they_begin_are_neither_first_nor_last() {
     // 59 pulses in a stroke, 1 180 in 100 ms: the second item waits until those of the first no longer count.
     let tap = tap(5);
-    let limits = OnTimeLimits { motor: 1_000, ..OnTimeLimits::NONE };
+    let limits = PowerLimits { motor: 1_000, ..PowerLimits::NONE };
     let mut rig = Rig::with(Settings { limits, ..Settings::default() }, Line::default(), 8);
     rig.arm();
     rig.mock.take_trace();

@@ -2,7 +2,7 @@
 
 use firmware_protocol::controller::{Controller, Identity, newer};
 use firmware_protocol::frame::{MAX_FRAME, encode};
-use firmware_protocol::limits::OnTimeLimits;
+use firmware_protocol::limits::PowerLimits;
 use firmware_protocol::message::{Cause, DeviceMessage, Op as Command, State};
 use firmware_protocol::stroke::Stroke;
 use firmware_protocol::tick::Tick;
@@ -184,7 +184,7 @@ fn run(ops: Vec<Op>) -> Result<(), TestCaseError> {
     let arm = Command::Arm {
         assume_rest: true,
         host_timeout: 850_000,
-        limits: OnTimeLimits::NONE,
+        limits: PowerLimits::NONE,
         lower_stop: None,
     };
     pair.session.command(arm);

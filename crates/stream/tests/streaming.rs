@@ -3,7 +3,7 @@
 //! Good and bad lines, stalls, stops and pulled cables; accounts that close; no allocation.
 
 use firmware_protocol::frame::MAX_FRAME;
-use firmware_protocol::limits::OnTimeLimits;
+use firmware_protocol::limits::PowerLimits;
 use firmware_protocol::message::State;
 use firmware_protocol::stroke::Lines;
 use firmware_protocol::tick::Tick;
@@ -153,7 +153,7 @@ fn an_arm_that_failed_has_no_effect_when_the_link_is_back() {
 #[test]
 fn a_site_limit_that_refuses_thousands_of_strokes_holds_no_play_up() {
     let settings =
-        Settings { limits: OnTimeLimits { motor: 2_000, ..OnTimeLimits::NONE }, ..Settings::default() };
+        Settings { limits: PowerLimits { motor: 2_000, ..PowerLimits::NONE }, ..Settings::default() };
     let mut rig = Rig::with(settings, Line::default(), 24);
     rig.arm();
     for _ in 0..8 {

@@ -20,16 +20,17 @@ impl Controller {
     }
 
     /// Cuts running strokes at the rendered end, flushes the queue and plays the outstanding return pulses as soon as the
-    /// drivers are ready.
+    /// drivers are ready and the limits on motors at once allow it.
     pub(super) fn cut(&mut self, cause: Cause, then: State) {
         let (at, ready) = (self.rendered, self.ready());
-        let (mut flushed, mut outstanding) = (0, 0);
+        let (mut flushed, mut outstanding, mut waiting) = (0, 0, 0);
         for motor in 0..MOTORS {
             let index = self.pool.queues[motor].cursor;
             let Some(slot) = self.pool.get_mut(index) else { continue };
             self.travel[motor] -= slot.shift_undone(at).cast_signed();
             let begun = slot.begun(at);
             if begun {
+                waiting |= u32::from(at < slot.stroke.down) << motor;
                 outstanding += u32::from(slot.cut_at(at, ready));
             }
             let strokes = self.pool.flush(motor, begun);
@@ -37,6 +38,7 @@ impl Controller {
             self.counters.dropped += 2 * u64::from(strokes);
             self.change_by(motor, at);
         }
+        self.take_turns(waiting, ready);
         self.next_end = self.next_end.min(at);
         self.finish_cut(cause, true, flushed, outstanding, at);
         (self.state, self.then) = (State::Returning, then);

@@ -173,12 +173,15 @@ impl Controller {
             let index = self.pool.queues[motor].cursor;
             let Some(slot) = self.pool.get_mut(index) else { break None };
             if slot.kind == Kind::Play && slot.charged.is_none() && slot.stroke.up <= now {
-                let pulses = slot.stroke.pulses();
-                let begun = self.on_time.begin(now, motor, pulses).and_then(|()| {
-                    self.pushing.begin(now, motor, slot.pushes.into()).inspect_err(|_| {
+                let (stroke, pushes) = (slot.stroke, slot.pushes);
+                let pulses = stroke.pulses();
+                let begun = self.check_at_once(&stroke);
+                let begun = begun.and_then(|()| self.on_time.begin(now, motor, pulses)).and_then(|()| {
+                    self.pushing.begin(now, motor, pushes.into()).inspect_err(|_| {
                         self.on_time.end(now, motor, pulses, 0);
                     })
                 });
+                let Some(slot) = self.pool.get_mut(index) else { break None };
                 match begun {
                     Ok(()) => slot.charged = Some(charge(&slot.stroke)),
                     Err(reason) => {
@@ -192,6 +195,7 @@ impl Controller {
                     }
                 }
             }
+            let Some(slot) = self.pool.get_mut(index) else { break None };
             if let Some(present) = slot.at(now) {
                 break Some(present);
             }

@@ -8,6 +8,7 @@
 //! Invariant: the lines follow from the queued slots alone, and a slot changes only ahead of the rendered end. So the
 //! number of pulses played is known after any cut, flush or amendment.
 
+mod at_once;
 mod board;
 mod commands;
 mod completion;
@@ -22,7 +23,7 @@ mod stream;
 mod taking;
 
 use crate::frame::{self, Decoder, FrameError, MAX_FRAME};
-use crate::limits::{self, OnTime, OnTimeLimits, Pushing, Refusal};
+use crate::limits::{self, OnTime, PowerLimits, Pushing, Refusal};
 use crate::message::{Cause, Counters, Cut, DeviceHello, DeviceMessage, Op, Report, State, Status, Trigger};
 use crate::stroke::{Lines, MOTORS};
 use crate::tick::{TICK_HZ, Tick, WireTick};
@@ -234,6 +235,12 @@ impl Controller {
         self.counters
     }
 
+    /// The limits that the last `arm` set.
+    #[must_use]
+    pub fn limits(&self) -> PowerLimits {
+        self.on_time.limits()
+    }
+
     /// The rendered end: the first tick not rendered yet.
     #[must_use]
     pub fn rendered(&self) -> Tick {
@@ -403,7 +410,7 @@ impl Controller {
             pool: POOL as u16,
             horizon: (HORIZON + DRIVER_LEAD) as u8,
             max_up_pulses: limits::MAX_UP_PULSES,
-            limits: OnTimeLimits::NONE,
+            limits: PowerLimits::NONE,
             features: self.identity.features,
             tick: self.now.0,
             epoch: self.epoch,

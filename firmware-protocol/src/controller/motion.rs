@@ -1,10 +1,11 @@
 //! Motion that belongs to no play: the return at arming, moves of a pin, and seeks of the lower stop.
 //!
-//! Invariant: it begins at the rendered end or when the drivers are ready, while no stroke of a play is queued.
+//! Invariant: it begins at the rendered end or when the drivers are ready, while no stroke of a play is queued. Bursts that the limits
+//! on motors at once keep apart follow each other without a pause.
 
 use crate::controller::pool::{Kind, Slot};
 use crate::controller::{Controller, MAX_HOST_TIMEOUT};
-use crate::limits::{MAX_SEEK, MAX_TRAVEL, OnTimeLimits, Refusal, WHOLE_TRAVEL, least_seek};
+use crate::limits::{MAX_SEEK, MAX_TRAVEL, PowerLimits, Refusal, WHOLE_TRAVEL, least_seek};
 use crate::message::{Cause, LowerStop, State};
 use crate::stroke::{Direction, MOTORS, Stroke};
 
@@ -14,7 +15,7 @@ impl Controller {
         &mut self,
         assume_rest: bool,
         host_timeout: u32,
-        limits: OnTimeLimits,
+        limits: PowerLimits,
         lower_stop: Option<LowerStop>,
     ) -> Result<(), Refusal> {
         if self.state != State::Disarmed {
@@ -22,6 +23,7 @@ impl Controller {
         }
         let LowerStop { pulses_per_s, seek } = lower_stop.unwrap_or(LowerStop { pulses_per_s: 0, seek: 0 });
         self.pushing.set_limit(pulses_per_s);
+        self.on_time.set_limits(PowerLimits::NONE.min(limits));
         if seek > 0 {
             self.seek(seek)?;
         } else if assume_rest {
@@ -32,7 +34,6 @@ impl Controller {
             return Err(Refusal::PositionUnknown);
         }
         self.host_timeout = host_timeout.min(MAX_HOST_TIMEOUT);
-        self.on_time.set_limits(OnTimeLimits::NONE.min(limits));
         self.cause = Cause::Request;
         if self.seeks {
             return Ok(());
@@ -40,14 +41,17 @@ impl Controller {
         self.state = State::Armed;
         let outstanding = self.outstanding_total();
         if outstanding > 0 {
+            let mut waiting = 0;
             for motor in 0..MOTORS {
                 let pulses = core::mem::take(&mut self.outstanding[motor]);
                 let pushes = core::mem::take(&mut self.outstanding_pushes[motor]);
                 if pulses > 0 {
+                    waiting |= 1 << motor;
                     self.count_internal(motor, pulses, pushes);
                     self.queue_internal(Kind::Internal, motor as u8, Direction::Down, pulses, pushes);
                 }
             }
+            self.take_turns(waiting, self.ready());
             (self.state, self.then) = (State::Returning, State::Armed);
             self.report_cut(Cause::Request, true, 0, outstanding, self.rendered);
         }
@@ -131,6 +135,7 @@ impl Controller {
             self.count_internal(motor, pulses, pulses);
             self.queue_internal(Kind::Seek, motor as u8, Direction::Down, pulses, pulses);
         }
+        self.take_turns((1 << MOTORS) - 1, self.ready());
         (self.state, self.then, self.cause) = (State::Returning, State::Armed, Cause::Request);
         self.report_cut(Cause::Request, true, 0, MOTORS as u32 * charge, self.rendered);
         Ok(())

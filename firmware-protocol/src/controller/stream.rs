@@ -123,6 +123,11 @@ impl Controller {
             Direction::Up => stroke.up_pulses = item.pulses,
             Direction::Down => stroke.down_pulses = item.pulses,
         }
+        // What has begun and was longer before may still break a limit on motors at once: another one may have begun since.
+        if slot.charged.is_some() && item.pulses > burst.pulses {
+            self.check_at_once(&stroke).ok()?;
+        }
+        let slot = self.pool.get_mut(index)?;
         if let Some(charged) = &mut slot.charged
             && stroke.pulses() > u32::from(*charged)
         {

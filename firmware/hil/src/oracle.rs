@@ -8,7 +8,7 @@ use crate::log::{Log, Train};
 use crate::tap::{Batch, Event, Tap};
 use firmware_protocol::batch::Amendment;
 use firmware_protocol::controller::{DRIVER_LEAD, DRIVER_TAIL};
-use firmware_protocol::limits::{WHOLE_TRAVEL, least_seek, within_correction};
+use firmware_protocol::limits::{PowerLimits, WHOLE_TRAVEL, least_seek, within_correction};
 use firmware_protocol::message::{Cause, Cut, LowerStop, MarkKind, Op, Report, State, Trigger};
 use firmware_protocol::stroke::{Direction, MOTORS, Stroke};
 use firmware_protocol::tick::Tick;
@@ -101,6 +101,8 @@ struct Oracle {
     outstanding: [u16; MOTORS],
     /// Pulses of the seek that the last command asks for.
     seek: u16,
+    /// Motors of a rail and of a chip that may have pulses at once, by the last arm.
+    at_once: Option<(u8, u8)>,
     /// The last arm named a lower stop.
     has_stop: bool,
     /// Whether the device knew the positions when it last rested.
@@ -152,7 +154,11 @@ impl Oracle {
                     Op::Seek { pulses } => pulses,
                     _ => 0,
                 };
-                if let Op::Arm { lower_stop, .. } = op {
+                if let Op::Arm {
+                    lower_stop, limits: PowerLimits { rail_at_once, chip_at_once, .. }, ..
+                } = op
+                {
+                    self.at_once = Some((*rail_at_once, *chip_at_once));
                     self.has_stop = lower_stop.is_some_and(|stop| stop.pulses_per_s > 0);
                 }
                 if matches!(op, Op::Arm { assume_rest: true, .. }) {
@@ -320,10 +326,14 @@ impl Oracle {
 
     fn cut_and_return(&mut self, at: Tick, limit: usize) -> u32 {
         let ready = self.ready(at);
-        let mut outstanding = 0;
-        for live in self.live.iter_mut().filter(|live| live.plays() && live.order < limit) {
+        let (mut outstanding, mut waiting) = (0, Vec::new());
+        let cut = |(_, live): &(usize, &mut Live)| live.plays() && live.order < limit;
+        for (index, live) in self.live.iter_mut().enumerate().filter(cut) {
             let returns = live.outstanding((at - live.stroke.up).min(u16::MAX.into()) as u16, 0);
             let stroke = &mut live.stroke;
+            if stroke.up < at && at < stroke.down {
+                waiting.push(index);
+            }
             if stroke.up >= at {
                 live.alive = false;
             } else if at < stroke.up + u64::from(stroke.up_pulses) {
@@ -355,11 +365,49 @@ impl Oracle {
                 let planned = [0, pulses];
                 let (frame, seeks) = ((0, u16::MAX), seek > 0);
                 let withdrawn = Vec::new();
+                waiting.push(self.live.len());
                 self.live.push(Live { stroke, planned, order: 0, frame, seeks, alive: true, withdrawn });
                 outstanding += u32::from(pulses);
             }
         }
+        self.take_turns(at, ready, limit, &waiting);
         outstanding
+    }
+
+    /// The bursts of `waiting` begin at `ready` or, one after the other, when the burst before them has ended in one of as many places
+    /// as a rail has, and in their chip if its motors take turns. Bursts that run have a place.
+    fn take_turns(&mut self, at: Tick, ready: Tick, limit: usize, waiting: &[usize]) {
+        let (rail_at_once, chip_at_once) = self.at_once.unwrap_or((6, 2));
+        for rail in 0..MOTORS / 6 {
+            let of_rail = |live: &Live| live.plays() && usize::from(live.stroke.motor) / 6 == rail;
+            let of_rail = |&index: &usize| of_rail(&self.live[index]);
+            let to_come =
+                |&index: &usize| self.live[index].order < limit && self.live[index].stroke.end() > at;
+            let motor = |index: usize| self.live[index].stroke.motor;
+            let all = (0..self.live.len()).filter(of_rail).filter(to_come);
+            let running: Vec<usize> = all.filter(|index| !waiting.contains(index)).collect();
+            let mut left: Vec<usize> = waiting.iter().copied().filter(of_rail).collect();
+            left.sort_by_key(|&index| motor(index));
+            // First one of each chip that has no burst, then those of chips that have one, then the others.
+            let runs = |chip: u8| running.iter().any(|&index| motor(index) / 2 == chip);
+            let (follow, others): (Vec<_>, Vec<_>) =
+                left.into_iter().partition(|&index| runs(motor(index) / 2));
+            let leads =
+                |&index: &usize| others.iter().find(|&&of| motor(of) / 2 == motor(index) / 2) == Some(&index);
+            let (first, last): (Vec<_>, Vec<_>) = others.iter().partition(|index| leads(index));
+            let mut places = vec![ready; rail_at_once.clamp(1, 6).into()];
+            let mut chips = [ready; MOTORS / 2];
+            for index in running.iter().copied().chain(first).chain(follow).chain(last) {
+                let waits = !running.contains(&index);
+                let stroke = &mut self.live[index].stroke;
+                let chip = usize::from(stroke.motor) / 2;
+                places.sort_unstable();
+                if waits {
+                    stroke.down = if chip_at_once < 2 { places[0].max(chips[chip]) } else { places[0] };
+                }
+                (places[0], chips[chip]) = (stroke.end(), stroke.end());
+            }
+        }
     }
 
     /// The first tick, from `at` on, in which the drivers have been enabled for their lead: they are on from the lead before a
@@ -424,7 +472,6 @@ impl Oracle {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use firmware_protocol::limits::OnTimeLimits;
     use firmware_protocol::message::Withdraw;
 
     /// A device that pushes more than was planned differs from what is expected.
@@ -436,7 +483,7 @@ mod tests {
         for (lower_stop, down_pulses) in [(Some(stop), 20), (None, 26)] {
             let mut oracle = Oracle::default();
             let arm =
-                Op::Arm { assume_rest: true, host_timeout: 25_500, limits: OnTimeLimits::NONE, lower_stop };
+                Op::Arm { assume_rest: true, host_timeout: 25_500, limits: PowerLimits::NONE, lower_stop };
             oracle.take(&Tap::default(), 0, 0, &Event::Control(1, arm));
             let planned = [stroke.up_pulses, stroke.down_pulses];
             let (frame, withdrawn) = ((1, 0), Vec::new());
@@ -477,13 +524,44 @@ mod tests {
         assert_eq!(expected.replaced, [(old[3].up, 9)]);
     }
 
+    /// With one motor of a rail at once, pins return one after the other: what runs, then the first of another chip.
+    #[test]
+    fn returns_take_turns() {
+        let limits = PowerLimits { rail_at_once: 1, ..PowerLimits::NONE };
+        let arm = Op::Arm { assume_rest: true, host_timeout: 25_500, limits, lower_stop: None };
+        let stroke = |motor, up: u64, down: u64| {
+            let (up, down) = (Tick::BOOT + up, Tick::BOOT + down);
+            Stroke { motor, up, up_pulses: 20, down, down_pulses: 20 }
+        };
+        let strokes = [stroke(2, 500, 900), stroke(0, 520, 590), stroke(1, 540, 800), stroke(7, 550, 700)];
+        let batch = Batch {
+            epoch: 0,
+            seq: 0,
+            mark: None,
+            withdraw: None,
+            base: Tick::BOOT,
+            strokes: strokes.to_vec(),
+        };
+        let at = (Tick::BOOT + 600).wire();
+        let cut = Cut { cause: Cause::HostTimeout, at, returns: true, flushed: 0, outstanding: 70 };
+        let mut tap = Tap::default();
+        tap.events =
+            vec![(0, Event::Control(1, arm)), (0, Event::Batch(batch)), (0, Event::Report(Report::Cut(cut)))];
+        let expected = expect(&tap, None);
+        assert_eq!(expected.contradictions, Vec::<String>::new());
+        let downs = |motor: u8| expected.strokes.iter().find(|one| one.motor == motor).map(|one| one.down);
+        let after = |ticks: u64| Some(Tick::BOOT + ticks);
+        assert_eq!([downs(0), downs(1), downs(2)], [after(590), after(630), after(610)]);
+        assert_eq!(downs(7), after(600));
+    }
+
     /// A device that carries out a seek which it must refuse is found out.
     #[test]
     fn a_seek_that_is_too_short_contradicts_the_specification() {
         for (seek, wrong) in [(WHOLE_TRAVEL - 1, 1), (WHOLE_TRAVEL, 0)] {
             let lower_stop = Some(LowerStop { pulses_per_s: 25_500, seek });
             let arm =
-                Op::Arm { assume_rest: false, host_timeout: 25_500, limits: OnTimeLimits::NONE, lower_stop };
+                Op::Arm { assume_rest: false, host_timeout: 25_500, limits: PowerLimits::NONE, lower_stop };
             let outstanding = MOTORS as u32 * u32::from(seek);
             let at = (Tick::BOOT + 1_000).wire();
             let cut = Cut { cause: Cause::Request, at, returns: true, flushed: 0, outstanding };

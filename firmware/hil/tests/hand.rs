@@ -5,7 +5,7 @@
 use firmware_protocol::batch::{BATCH_BYTES, Packer};
 use firmware_protocol::controller::POOL;
 use firmware_protocol::frame::{MAX_FRAME, encode};
-use firmware_protocol::limits::OnTimeLimits;
+use firmware_protocol::limits::PowerLimits;
 use firmware_protocol::message::{Counters, HostMessage, Op, State, Status, Withdraw};
 use firmware_protocol::stroke::Stroke;
 use firmware_protocol::tick::Tick;
@@ -86,7 +86,7 @@ impl Hand {
     /// Arms the device, and waits until it has returned its pins.
     pub(crate) fn arm(&mut self, assume_rest: bool) {
         let host_timeout = self.host_timeout;
-        self.control(Op::Arm { assume_rest, host_timeout, limits: OnTimeLimits::NONE, lower_stop: None });
+        self.control(Op::Arm { assume_rest, host_timeout, limits: PowerLimits::NONE, lower_stop: None });
         self.run(60 * MS);
         assert_eq!(self.status().state, State::Armed);
     }

@@ -207,6 +207,10 @@ class PushLimit(ApiError, code="push-limit", advice="use fewer strokes or a smal
     """The play would push the lower stop too much."""
 
 
+class PowerLimit(ApiError, code="power-limit", advice="play with smaller amplitudes or fewer motors of a rail"):
+    """More motors of a rail or a driver chip would have pulses at once than the configuration allows."""
+
+
 class NoTelemetry(ApiError, code="no-telemetry", advice="calibrate with a laser"):
     """The device has no telemetry."""
 

@@ -33,6 +33,12 @@ pub(in crate::cli) fn receipt(receipt: &Receipt) -> String {
     if let Some(pulses) = &receipt.pulses {
         lines.push(("pulses", pulse_counts(receipt.ordered.as_ref(), pulses)));
     }
+    if receipt.estimated {
+        lines.push((
+            "estimated",
+            "what was played, because the link was lost before the device said it".to_owned(),
+        ));
+    }
     let late = &receipt.lateness.counts;
     if late.host + late.link + late.device > 0 {
         let text = format!(

@@ -4,18 +4,23 @@
 
 use super::State;
 use super::session::random_hex;
+use crate::daemon::play::too_many;
 use crate::daemon::poses::Poses;
 use crate::daemon::renderer::{Job, pose};
+use firmware_protocol::limits::{MOTORS_PER_CHIP, MOTORS_PER_RAIL, RAILS};
 use firmware_protocol::stroke::MOTORS;
 use meissner_api::{Code, LiveAnswer, LiveApplied, LiveContrast, LiveDrive, LiveMessage, Problem};
 use meissner_array::motor::SquareWave;
 use meissner_array::pattern::Drive;
+use meissner_array::power::Group;
 use meissner_array::strokes::{DriveStrokes, StrokeOptions};
 use meissner_design::RenderError;
+use meissner_stream::Settings;
 use meissner_stream::queues::{Applied, Command, LiveResult, LiveUpdate, StreamEvent};
 use meissner_stream::time::HostInstant;
 use rustix::process::{Pid, Signal, kill_process};
 use std::collections::HashMap;
+use std::ops::Range;
 use std::sync::Arc;
 use tokio::sync::mpsc;
 
@@ -137,6 +142,28 @@ impl LivePlay {
     pub(in crate::daemon) fn largest_um(&self) -> f64 {
         let largest = self.drives.iter().map(|drive| drive.amplitude_um).fold(0.0, f64::max);
         largest * self.options.scale
+    }
+
+    /// Refuses drives of which more motors move than may have pulses at once. Phases do not help: they shift with each change.
+    pub(in crate::daemon) fn check_at_once(&self, settings: &Settings) -> Result<(), Problem> {
+        let limits = settings.limits;
+        let moving = |motors: Range<usize>| {
+            self.drives[motors].iter().filter(|drive| drive.amplitude_um * self.options.scale > 0.0).count()
+        };
+        let rails = (0..RAILS).map(|rail| (Group::Rail(rail as u8), rail * MOTORS_PER_RAIL, MOTORS_PER_RAIL));
+        let chips = (0..MOTORS / MOTORS_PER_CHIP)
+            .map(|chip| (Group::Chip(chip as u8), chip * MOTORS_PER_CHIP, MOTORS_PER_CHIP));
+        for (group, first, size) in rails.chain(chips) {
+            let most = match group {
+                Group::Rail(_) => limits.rail_at_once,
+                Group::Chip(_) => limits.chip_at_once,
+            };
+            let found = moving(first..first + size);
+            if found > usize::from(most) {
+                return Err(too_many(group, &format!("{found} moving motors in a live play"), settings));
+            }
+        }
+        Ok(())
     }
 
     /// The waves of all motors.
@@ -351,7 +378,8 @@ impl State {
     ) -> Result<(), Problem> {
         let play = self.live.plays.get_mut(&id).ok_or_else(over)?;
         let before = (play.drives, play.options.scale, play.scaled_by, play.seq);
-        let changed = change(play).and_then(|()| play.waves());
+        let settings = self.settings;
+        let changed = change(play).and_then(|()| play.check_at_once(&settings)).and_then(|()| play.waves());
         let (largest_um, full) = (play.largest_um(), play.under_way >= UNDER_WAY);
         let busy = || Problem::new(Code::Busy, "too many updates are under way: wait for their answers");
         let sent = changed.and_then(|waves| {

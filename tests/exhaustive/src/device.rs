@@ -8,7 +8,7 @@ use crate::shell::{Broken, Shell, USED, never};
 use firmware_protocol::batch::{Amendment, BATCH_BYTES, Packer};
 use firmware_protocol::controller::newer;
 use firmware_protocol::frame::{self, Decoder, MAX_FRAME};
-use firmware_protocol::limits::OnTimeLimits;
+use firmware_protocol::limits::PowerLimits;
 use firmware_protocol::message::{
     Cause, Counters, DeviceMessage, HostMessage, Mark, MarkKind, Op, Report, State as Armed, Status, Trigger,
     Withdraw,
@@ -30,6 +30,8 @@ pub struct Bounds {
     pub ticks: u64,
     /// Whether events happen in every tick. Otherwise one tick before, at and after each tick in which something changes.
     pub every_tick: bool,
+    /// Whether the host allows only one motor of a rail to have pulses at once.
+    pub one_at_once: bool,
 }
 
 /// What the host says.
@@ -226,9 +228,11 @@ impl Hash for Scene {
 }
 
 impl Scene {
-    fn new() -> Self {
+    fn new(one_at_once: bool) -> Self {
+        let mut shell = Shell::new(1);
+        shell.one_at_once = one_at_once;
         let mut scene = Self {
-            shell: Shell::new(1),
+            shell,
             begun: 0,
             events: 0,
             faults: 0,
@@ -440,7 +444,9 @@ impl Scene {
         Some(match say {
             Say::Arm => {
                 let assume_rest = self.status.is_none_or(|status| !status.position_known);
-                let (host_timeout, limits) = (HOST_TIMEOUT, OnTimeLimits::NONE);
+                let rail_at_once = if self.shell.one_at_once { 1 } else { PowerLimits::NONE.rail_at_once };
+                let (host_timeout, limits) =
+                    (HOST_TIMEOUT, PowerLimits { rail_at_once, ..PowerLimits::NONE });
                 self.control(Op::Arm { assume_rest, host_timeout, limits, lower_stop: None })
             }
             Say::Disarm => self.control(Op::Disarm(Cause::Shutdown)),
@@ -452,7 +458,10 @@ impl Scene {
                 self.shell.ask_move(0, Direction::Up);
                 self.control(Op::Move { motor: 0, direction: Direction::Up, pulses: 1 })
             }
-            Say::Onset => self.frame(Some(MarkKind::Play), 0, ready, &[short(0, ready), long(1, ready + 3)]),
+            Say::Onset => {
+                let first = if self.shell.one_at_once { around(0, ready) } else { short(0, ready) };
+                self.frame(Some(MarkKind::Play), 0, ready, &[first, long(1, ready + 3)])
+            }
             Say::LateOnset => {
                 self.frame(Some(MarkKind::Play), 0, ready - 1, &[short(0, ready - 1), long(1, ready + 3)])
             }
@@ -607,7 +616,7 @@ impl Scene {
 
     /// What has happened before the exploration begins.
     fn begin_with(&mut self, steps: &[Step]) {
-        let bounds = Bounds { events: 0, faults: 0, ticks: 0, every_tick: false };
+        let bounds = Bounds { events: 0, faults: 0, ticks: 0, every_tick: false, one_at_once: false };
         for &step in steps {
             self.apply(step, &bounds);
             self.take_all();
@@ -732,6 +741,11 @@ fn long(motor: u8, up: u64) -> Stroke {
     Stroke { motor, up: Tick(up), up_pulses: 35, down: Tick(up + 37), down_pulses: 35 }
 }
 
+/// A stroke around a [`long`] one three ticks later: both pins are up, and only one has pulses.
+fn around(motor: u8, up: u64) -> Stroke {
+    Stroke { down: long(motor, up + 3).end(), ..short(motor, up) }
+}
+
 /// The exploration of the controller.
 #[derive(Clone, Copy, Debug)]
 pub struct Device(pub Bounds);
@@ -741,7 +755,7 @@ impl Model for Device {
     type Action = Step;
 
     fn init_states(&self) -> Vec<Scene> {
-        let started = Scene::new();
+        let started = Scene::new(self.0.one_at_once);
         let mut armed = started.clone();
         armed.begin_with(&[Step::Say(Say::Arm)]);
         let mut playing = armed.clone();
@@ -803,6 +817,7 @@ impl Model for Device {
             never!(Position, "at rest the pins are where the controller says"),
             never!(Watchdog, "a silent host is noticed, and the device comes to rest"),
             never!(NoWayOut, "every state has a way out"),
+            never!(AtOnce, "never more motors of a rail than the limit have pulses at once"),
             never!(Panic, "no panic"),
             // That the exploration comes where these can fail.
             Property::sometimes("strokes are played", |_, scene: &Scene| scene.end.played > 0),

@@ -21,11 +21,13 @@ mod tests {
     /// The bounds are small, because a check waits for it: `tests/long/run` goes further.
     #[test]
     fn the_controller_keeps_its_promises_whatever_happens_around_each_change() {
-        let bounds = device::Bounds { events: 1, faults: 1, ticks: 150, every_tick: false };
-        let checker =
-            device::Device(bounds).checker().finish_when(HasDiscoveries::AnyFailures).spawn_dfs().join();
-        checker.assert_properties();
-        assert!(checker.unique_state_count() > 10_000);
+        for one_at_once in [false, true] {
+            let bounds = device::Bounds { events: 1, faults: 1, ticks: 150, every_tick: false, one_at_once };
+            let checker =
+                device::Device(bounds).checker().finish_when(HasDiscoveries::AnyFailures).spawn_dfs().join();
+            checker.assert_properties();
+            assert!(checker.unique_state_count() > 10_000);
+        }
     }
 
     #[test]

@@ -7,7 +7,7 @@
 use crate::shell::{Broken, Shell, never};
 use firmware_protocol::batch::Amendment;
 use firmware_protocol::frame::MAX_FRAME;
-use firmware_protocol::limits::OnTimeLimits;
+use firmware_protocol::limits::PowerLimits;
 use firmware_protocol::message::{Cause, Counters, Op, State, Status};
 use firmware_protocol::stroke::{Direction, Stroke};
 use firmware_protocol::tick::Tick;
@@ -277,7 +277,7 @@ impl Pair {
             }
             Call::Arm => {
                 let assume_rest = self.newest.is_none_or(|status| !status.position_known);
-                let (host_timeout, limits) = (3 * 85_000, OnTimeLimits::NONE);
+                let (host_timeout, limits) = (3 * 85_000, PowerLimits::NONE);
                 self.command(Op::Arm { assume_rest, host_timeout, limits, lower_stop: None })?;
                 // The device may have been disarmed, and return.
                 self.shell.off_since = None;

@@ -37,6 +37,9 @@ enum Explore {
         /// Let them happen in every tick, not only around changes.
         #[arg(long)]
         every_tick: bool,
+        /// Allow only one motor of the rail to have pulses at once.
+        #[arg(long)]
+        one_at_once: bool,
     },
     /// The host's link session and the controller.
     Link {
@@ -55,8 +58,9 @@ enum Explore {
 fn main() -> ExitCode {
     let Args { model, threads, row } = Args::parse();
     match model {
-        Explore::Device { events, faults, ticks, every_tick } => {
-            explore(device::Device(device::Bounds { events, faults, ticks, every_tick }), threads, row)
+        Explore::Device { events, faults, ticks, every_tick, one_at_once } => {
+            let bounds = device::Bounds { events, faults, ticks, every_tick, one_at_once };
+            explore(device::Device(bounds), threads, row)
         }
         Explore::Link { calls, faults, waits } => {
             explore(link::Link(link::Bounds { calls, faults, waits }), threads, row)

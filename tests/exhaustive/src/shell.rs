@@ -38,6 +38,8 @@ pub enum Broken {
     Disagree,
     /// A stroke without a verdict, with two, or with a wrong one.
     Verdict,
+    /// Both motors, which share a rail, had pulses in a tick although the limit allows one.
+    AtOnce,
     /// The code panicked.
     Panic,
 }
@@ -60,6 +62,8 @@ pub struct Shell {
     /// The tick whose lines are out.
     pub now: u64,
     start: u64,
+    /// Only one motor of a rail may have pulses at once.
+    pub one_at_once: bool,
     /// Strokes that may be played, as the host sent them.
     asked: Vec<Stroke>,
     /// Moves that may be played.
@@ -87,6 +91,7 @@ impl Hash for Shell {
             ahead,
             now,
             start: _,
+            one_at_once: _,
             asked,
             moves,
             off_since,
@@ -123,6 +128,7 @@ impl Shell {
             ahead: VecDeque::with_capacity(2 * HORIZON as usize),
             now: start,
             start,
+            one_at_once: false,
             asked: Vec::new(),
             moves: Vec::new(),
             off_since: None,
@@ -227,6 +233,9 @@ impl Shell {
         }
         if lines.up & lines.down != 0 || (lines.up | lines.down) >> USED != 0 {
             self.breaks(Broken::Unasked);
+        }
+        if self.one_at_once && (lines.up | lines.down).count_ones() > 1 {
+            self.breaks(Broken::AtOnce);
         }
         for motor in 0..USED {
             for (direction, mask) in [(Direction::Up, lines.up), (Direction::Down, lines.down)] {

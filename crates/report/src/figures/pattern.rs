@@ -16,7 +16,8 @@ use crate::figures::table::{csv, number, provenance, robustness, table};
 use crate::figures::target::{self, FrameRates, TargetFigures};
 use meissner_array::motor::{MotorError, SteadyState};
 use meissner_array::pattern::{Drive, Pattern};
-use meissner_array::strokes::{DriveAmplitude, StrokeOptions, amplitudes};
+use meissner_array::power::{CAPACITANCE_NF, current_ma, rail_pulses};
+use meissner_array::strokes::{DriveAmplitude, StrokeOptions, Strokes, amplitudes};
 use meissner_design::{Frame, Target, Verdict};
 use meissner_skin::afferent::{AfferentModel, POPULATION_NOISE_SD, Position, Rectify, population};
 use meissner_skin::{Keep, Method, Options, Scene, simulate};
@@ -58,6 +59,12 @@ pub struct PatternFigures {
     pub segments: usize,
     /// Pulses per second of all motors, in the segment with the most.
     pub busiest_pulses_per_s: f64,
+    /// Most motors of a rail that have pulses at once, in the first ten seconds.
+    pub most_at_once: u8,
+    /// Highest current of a rail, mA, for motors of 3 nF.
+    pub most_ma: f64,
+    /// Mean current of the rail with the highest mean, mA.
+    pub mean_ma: f64,
     /// Duration of the simulation, s.
     pub watched_s: f64,
     /// Mean rate of the afferents, impulses/s.
@@ -88,6 +95,9 @@ pub(super) fn section(
         Some(target) => baselines::compare(target, pattern.drives())?,
         None => Vec::new(),
     };
+    let (rails, ticks) = rail_pulses(&Strokes::new(pattern, &StrokeOptions::default())?);
+    let most_at_once = rails.iter().map(|rail| rail.most_at_once).max().unwrap_or(0);
+    let mean_at_once = rails.iter().map(|rail| rail.mean_at_once(ticks)).fold(0.0, f64::max);
     let figures = PatternFigures {
         name: pattern.name().to_owned(),
         drives: pattern.drives().len(),
@@ -97,6 +107,9 @@ pub(super) fn section(
             .iter()
             .map(|segment| segment.drives.iter().map(|drive| steady.pulses_per_s(drive)).sum())
             .fold(0.0, f64::max),
+        most_at_once,
+        most_ma: f64::from(most_at_once) * current_ma(CAPACITANCE_NF),
+        mean_ma: mean_at_once * current_ma(CAPACITANCE_NF),
         watched_s: response.duration_s,
         mean_rate_hz: response.rates_hz.iter().sum::<f64>() / response.rates_hz.len() as f64,
         highest_rate_hz: response.rates_hz.iter().copied().fold(0.0, f64::max),
@@ -193,9 +206,13 @@ fn summary(pattern: &Pattern, figures: &PatternFigures) -> String {
         silent => format!(" ({silent} without a stroke: their motors do not move)"),
     };
     format!(
-        "{length}, {} {drives}{silent}{segments}; {} pulses/s in all{most}.",
+        "{length}, {} {drives}{silent}{segments}; {} pulses/s in all{most}. Of a 30 V rail at most {} motors have pulses at once: \
+         {} mA for motors of 3 nF, {} mA in the mean.",
         figures.drives,
-        number(figures.busiest_pulses_per_s)
+        number(figures.busiest_pulses_per_s),
+        figures.most_at_once,
+        number(figures.most_ma),
+        number(figures.mean_ma)
     )
 }
 

@@ -25,7 +25,7 @@ pub(super) use queued::Cutting;
 use crate::settings::Settings;
 pub use bound::rest_bound_um;
 use firmware_protocol::batch::Amendment;
-use firmware_protocol::limits::OnTimeLimits;
+use firmware_protocol::limits::PowerLimits;
 use firmware_protocol::stroke::{Direction, MOTORS, Stroke};
 use firmware_protocol::tick::Tick;
 use meissner_api::ErrorSource;
@@ -94,7 +94,7 @@ impl PositionControl {
 
     /// Uses the site's limits and end stops.
     pub(super) fn configure(&mut self, settings: &Settings) {
-        self.limited = settings.limits != OnTimeLimits::NONE;
+        self.limited = settings.limits != PowerLimits::NONE;
         self.end_stop_um = settings.end_stop_um;
         self.motors.iter_mut().for_each(|motor| motor.set_lower_stop(settings.lower_stop.is_some()));
     }
@@ -326,12 +326,15 @@ impl PositionControl {
     }
 
     /// Bursts and pulses played after the counters of tick `heard`, if the link was lost at `lost`: the device finishes
-    /// the strokes that had begun by then.
-    pub(super) fn played_since_counters(&self, heard: Tick, lost: Tick) -> (u64, u64) {
+    /// the strokes that had begun by then, or returns their pins. With `stopped` an e-stop left the host at that tick: nothing later was
+    /// played.
+    pub(super) fn played_since_counters(&self, heard: Tick, lost: Tick, stopped: bool) -> (u64, u64) {
         let queued = self.motors.iter().flat_map(BurstController::in_device);
         let played = queued.filter(|stroke| stroke.end() > heard && stroke.up < lost);
-        played.fold(self.account.uncounted, |(bursts, pulses), stroke| {
-            (bursts + 2, pulses + u64::from(stroke.pulses()))
+        let bursts = played.flat_map(|stroke| stroke.bursts()).filter(|burst| !stopped || burst.start < lost);
+        bursts.fold(self.account.uncounted, |(bursts, pulses), burst| {
+            let until = if stopped { lost - burst.start } else { u64::MAX };
+            (bursts + 1, pulses + until.min(burst.pulses.into()))
         })
     }
 

@@ -108,6 +108,8 @@ pub fn refusal_text(refusal: Refusal) -> &'static str {
         Refusal::PoolFull => "no free stroke slot",
         Refusal::MotorOnTime => "a motor's on-time limit",
         Refusal::RailOnTime => "a rail's on-time limit",
+        Refusal::RailAtOnce => "more motors of a rail at once than `rail_motors_at_once` allows",
+        Refusal::ChipAtOnce => "more motors of a driver chip at once than `chip_motors_at_once` allows",
         Refusal::PositionUnknown => {
             "it does not know where the pins are; see that all are at rest, then `meissner arm --assume-rest`"
         }

@@ -110,6 +110,8 @@ pub struct Outcome {
     pub bursts: BurstCounts,
     /// Its pulses.
     pub pulses: PulseCounts,
+    /// The link was lost before the device said what it has counted: what was played is estimated.
+    pub estimated: bool,
     /// Its late strokes.
     pub lateness: LateCounts,
     /// What occurred on the device meanwhile; `None` if its reports do not cover the whole play.

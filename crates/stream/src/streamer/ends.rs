@@ -33,12 +33,13 @@ impl Streamer {
         let wire = link.map_or(0, |(session, _)| session.traffic().bytes_out);
         let rest = self.control.rest_error_um(lost.unwrap_or_default()).into();
         while let Some(active) = self.plays.pop_front() {
-            let after = self.plays.iter().find_map(|next| next.counters_at_onset).or(after);
+            let next = self.plays.iter().find_map(|next| next.counters_at_onset);
+            let (after, estimated) = (next.or(after), next.is_none() && lost.is_some());
             let over = active.cut_at.and_then(|(_, over)| over);
             let offset = over.zip(link).map(|(tick, (session, _))| offset(session.clock(), tick));
             let lost = lost.filter(|&lost| active.until() > lost);
             let cut = active.cut_at.map(|(cut, _)| cut.at).or(lost);
-            let (id, outcome) = active.close(Ending { after, wire, offset, cut, rest });
+            let (id, outcome) = active.close(Ending { after, wire, offset, cut, rest, estimated });
             emit.event(StreamEvent::PlayEnded { id, outcome });
         }
     }
@@ -100,7 +101,8 @@ impl Streamer {
             let rest = self.control.rest_error_um(tick).into();
             let offset = over.map(|over| offset(session.clock(), over));
             let after = Some(next_counters.unwrap_or(after));
-            let (id, outcome) = active.close(Ending { after, wire, offset, cut, rest });
+            let estimated = false;
+            let (id, outcome) = active.close(Ending { after, wire, offset, cut, rest, estimated });
             emit.event(StreamEvent::PlayEnded { id, outcome });
         }
         let over = self.plays.front().is_some_and(|first| {

@@ -177,7 +177,8 @@ impl Streamer {
 
     /// The device is gone: ends all plays with the counts known.
     pub fn disconnect(&mut self, now: HostInstant, cause: &'static str, emit: &mut dyn Emit) {
-        let lost = self.tick_at(now);
+        let stopped = self.session.as_ref().and_then(Session::e_stopped_at);
+        let lost = self.tick_at(stopped.unwrap_or(now));
         let Some(session) = self.session.take() else { return };
         self.disconnect_reason = Some(cause);
         self.wants_armed = false;
@@ -185,7 +186,7 @@ impl Streamer {
         self.forget_live(emit);
         let counters = self.status.map(|(status, tick)| {
             let lost = lost.unwrap_or(tick);
-            let (bursts, pulses) = self.control.played_since_counters(tick, lost);
+            let (bursts, pulses) = self.control.played_since_counters(tick, lost, stopped.is_some());
             let counters = status.counters;
             Counters { played: counters.played + bursts, pulses: counters.pulses + pulses, ..counters }
         });
@@ -278,7 +279,10 @@ impl Streamer {
 
     fn correct(&mut self, tick: Tick) {
         let idle = self.in_flight || self.state() != State::Armed;
-        let Some(session) = self.session.as_mut().filter(|_| !idle) else { return };
+        // After the last e-stop to a device that is not trusted, nothing counts as played.
+        let Some(session) = self.session.as_mut().filter(|session| !idle && session.can_command()) else {
+            return;
+        };
         // Plays are fed in order: unsent strokes belong to the last play being fed, or come after it.
         let fed =
             self.plays.iter().rev().find(|active| active.cut.is_none() && active.phase != Phase::Waiting);

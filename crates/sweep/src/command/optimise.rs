@@ -90,6 +90,7 @@ pub(super) fn compute(plan: &Plan, cell: &Cell) -> Result<Outcome, String> {
         robust: cell.flag(Axis::Robust),
         budget,
         start: None,
+        rail_motors_at_once: None,
     };
     let name = name(target.name(), cell.number);
     let made = make(&target, &name, &request, &mut |_| ControlFlow::Continue(()))

@@ -4,7 +4,7 @@ use super::*;
 use crate::pins::{ENABLE, LED, Pins, TRIGGER, pin_of};
 use crate::tap::Batch;
 use crate::time::{MS, TICK};
-use firmware_protocol::limits::OnTimeLimits;
+use firmware_protocol::limits::PowerLimits;
 use firmware_protocol::message::{Counters, Mark, MarkKind, Report, Trigger};
 use firmware_protocol::stroke::Stroke;
 
@@ -40,8 +40,7 @@ fn strokes() -> Vec<Stroke> {
 
 fn tap() -> Tap {
     let onset = Tick::BOOT + 20_000;
-    let op =
-        Op::Arm { assume_rest: true, host_timeout: 25_500, limits: OnTimeLimits::NONE, lower_stop: None };
+    let op = Op::Arm { assume_rest: true, host_timeout: 25_500, limits: PowerLimits::NONE, lower_stop: None };
     let mark = Mark { kind: MarkKind::Play, trigger: Some(Trigger::PULSE) };
     let batch = Batch { epoch: 2, seq: 0, mark: Some(mark), withdraw: None, base: onset, strokes: strokes() };
     let mut tap = Tap::default();

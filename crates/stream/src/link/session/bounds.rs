@@ -12,7 +12,7 @@ use crate::link::session::state::{Batch, Session};
 use crate::time::HostInstant;
 use firmware_protocol::board::{Board, OUTPUTS, SelfTestState};
 use firmware_protocol::controller::{REORDER_WINDOW, REPORTS};
-use firmware_protocol::limits::{MAX_DOWN_PULSES, MAX_SEEK, MAX_UP_PULSES, Refusal};
+use firmware_protocol::limits::{MAX_DOWN_PULSES, MAX_SEEK, MAX_UP_PULSES, MOTORS_PER_RAIL, Refusal};
 use firmware_protocol::message::{Cause, Counters, Cut, DeviceHello, Op, Report, State, Status};
 use firmware_protocol::stroke::MOTORS;
 use firmware_protocol::tick::{Tick, WireTick};
@@ -25,9 +25,11 @@ const LATEST_CLOCK: Tick = Tick(1 << 56);
 const CLOCK_SLACK: u64 = 3 * TICKS_PER_MS;
 /// A status that another overtook is no older than this; lines delay by milliseconds.
 const OVERTAKEN: u64 = TICKS_PER_S;
-/// A return takes at most one burst. The longest is a seek; a second leaves room for the statuses around it.
-const LONGEST_RETURN: u64 = TICKS_PER_S;
-const _: () = assert!((MAX_SEEK as u64) < LONGEST_RETURN / 2 && MAX_DOWN_PULSES < MAX_SEEK);
+/// A return takes at most a burst of each motor of a rail, one after the other. The longest is a seek; the rest is room for the
+/// statuses around it.
+const LONGEST_RETURN: u64 = 2 * TICKS_PER_S;
+const _: () = assert!(MOTORS_PER_RAIL as u64 * (MAX_SEEK as u64) < LONGEST_RETURN / 4 * 3);
+const _: () = assert!(MAX_DOWN_PULSES < MAX_SEEK);
 /// Between two statuses at most so much counts as spent in a return: the host did not see the rest.
 const RETURN_SEEN: u64 = 100 * TICKS_PER_MS;
 /// Marks whose reports may be on their way: as many as there are reports.
@@ -399,7 +401,14 @@ impl Session {
                 if fits { self.tick_within(now, at, self.known.horizon) } else { Err(Contradiction::Report) }
             }
             Report::Refused { motor, up, reason } => {
-                let limit = matches!(reason, Refusal::MotorOnTime | Refusal::RailOnTime | Refusal::Pushing);
+                let limit = matches!(
+                    reason,
+                    Refusal::MotorOnTime
+                        | Refusal::RailOnTime
+                        | Refusal::Pushing
+                        | Refusal::RailAtOnce
+                        | Refusal::ChipAtOnce
+                );
                 let fits = usize::from(motor) < MOTORS && limit;
                 if fits { self.tick_within(now, up, self.known.horizon) } else { Err(Contradiction::Report) }
             }

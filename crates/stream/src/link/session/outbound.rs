@@ -109,6 +109,7 @@ impl Session {
         }
         self.e_stops += 1;
         self.last_sent = Some(now);
+        self.distrusted_at = self.distrusted_at.or(Some(now));
         let epoch = self.last_epoch(self.e_stops);
         if self.e_stops > 1 {
             self.new_e_stop = Some(epoch);

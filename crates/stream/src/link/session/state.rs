@@ -126,6 +126,8 @@ pub struct Session {
     contradicted: [Option<HostInstant>; MAX_CONTRADICTIONS],
     /// E-stops sent to a device that is not trusted.
     pub(super) e_stops: u16,
+    /// When the first of them left.
+    pub(super) distrusted_at: Option<HostInstant>,
     /// Since when the report after this number is announced and missing.
     pub(super) missing: Option<(u16, HostInstant)>,
     pub(super) clock: Clock,
@@ -206,6 +208,7 @@ impl Session {
             known: Known::new(),
             contradicted: [None; MAX_CONTRADICTIONS],
             e_stops: 0,
+            distrusted_at: None,
             missing: None,
             clock: Clock::default(),
             traffic: Traffic::default(),
@@ -384,6 +387,13 @@ impl Session {
             }
             Phase::Closing(_) | Phase::Over => {}
         }
+    }
+
+    /// When an e-stop first left for the device, if the device has not answered it.
+    #[must_use]
+    pub fn e_stopped_at(&self) -> Option<HostInstant> {
+        let control = self.control.as_ref().filter(|control| control.op == Op::EStop);
+        self.distrusted_at.or(control.and_then(|control| control.first_sent))
     }
 
     /// Pings at least this often, so that the device's host watchdog does not time out.

@@ -1,0 +1,232 @@
+//! How many motors have pulses at once, and the current that they draw.
+//!
+//! [`PulsingMotors`] takes strokes in the order of their up ticks and counts, per rail and driver chip, the motors that have pulses in
+//! the same tick. [`current_ma`] is what one of them draws from its 30 V rail while it has pulses.
+//!
+//! Invariant: counts are exact in every tick; of two bursts that touch, the first has ended when the second begins.
+
+use crate::strokes::Strokes;
+use crate::units::TICKS_PER_S;
+use firmware_protocol::limits::{MOTORS_PER_CHIP, MOTORS_PER_RAIL, PowerLimits, RAILS};
+use firmware_protocol::stroke::{MOTORS, Stroke};
+use firmware_protocol::tick::{TICK_HZ, Tick};
+use std::cmp::Reverse;
+use std::collections::BinaryHeap;
+use std::fmt;
+
+/// The supply of a rail, V.
+pub const RAIL_V: f64 = 30.0;
+/// Capacitance of a motor, nF, where none was measured: it gives the 50 mA that the LT3572's typical application needs at 30 V for two
+/// motors at 70 kHz.
+pub const CAPACITANCE_NF: f64 = 3.0;
+/// How much of a play [`rail_pulses`] counts, s.
+pub const SHOWN_S: u64 = 10;
+const CHIPS: usize = MOTORS / MOTORS_PER_CHIP;
+
+/// Mean current of a motor with pulses, mA: its bridge turns the voltage around twice in a period, and each time the rail gives the
+/// charge 2·C·V. So I = 4·C·V·f.
+#[must_use]
+pub fn current_ma(capacitance_nf: f64) -> f64 {
+    4.0 * capacitance_nf * 1e-9 * RAIL_V * f64::from(TICK_HZ) * 1e3
+}
+
+/// Motors that share a supply or a driver chip.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Group {
+    /// The six motors of a 30 V supply.
+    Rail(u8),
+    /// The two motors of a driver chip.
+    Chip(u8),
+}
+
+impl fmt::Display for Group {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let (name, number, size) = match *self {
+            Self::Rail(number) => ("rail", number, MOTORS_PER_RAIL as u8),
+            Self::Chip(number) => ("driver chip", number, MOTORS_PER_CHIP as u8),
+        };
+        write!(out, "{name} {number} (motors {} to {})", number * size, (number + 1) * size - 1)
+    }
+}
+
+/// A tick in which more motors have pulses than may.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct TooMany {
+    /// Of which rail or chip.
+    pub group: Group,
+    /// The first such tick.
+    pub tick: u64,
+    /// How many have pulses then.
+    pub at_once: u8,
+}
+
+/// Pulses of a rail.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct RailPulses {
+    /// Most motors that have pulses in the same tick.
+    pub most_at_once: u8,
+    /// The first tick in which that is so.
+    pub at: u64,
+    /// Pulses of all its motors.
+    pub pulses: u64,
+}
+
+/// See the module.
+#[derive(Clone, Debug)]
+pub struct PulsingMotors {
+    limits: PowerLimits,
+    /// Begins and ends of bursts that are still to come: tick, whether it begins, motor.
+    edges: BinaryHeap<Reverse<(u64, bool, u8)>>,
+    rails: [RailPulses; RAILS],
+    on_rail: [u8; RAILS],
+    on_chip: [u8; CHIPS],
+    too_many: Option<TooMany>,
+}
+
+impl PulsingMotors {
+    /// Nothing has pulses yet. [`Self::too_many`] compares with these limits.
+    #[must_use]
+    pub fn new(limits: PowerLimits) -> Self {
+        Self {
+            limits,
+            edges: BinaryHeap::new(),
+            rails: [RailPulses::default(); RAILS],
+            on_rail: [0; RAILS],
+            on_chip: [0; CHIPS],
+            too_many: None,
+        }
+    }
+
+    /// Takes the next stroke.
+    pub fn push(&mut self, stroke: &Stroke) {
+        // No later stroke begins before.
+        self.pass(stroke.up.0);
+        for burst in stroke.bursts().into_iter().filter(|burst| burst.pulses > 0) {
+            self.edges.push(Reverse((burst.start.0, true, stroke.motor)));
+            self.edges.push(Reverse((burst.end().0, false, stroke.motor)));
+        }
+        if let Some(rail) = self.rails.get_mut(usize::from(stroke.motor) / MOTORS_PER_RAIL) {
+            rail.pulses += u64::from(stroke.pulses());
+        }
+    }
+
+    /// Counts what begins and ends before `tick`.
+    fn pass(&mut self, tick: u64) {
+        while let Some(&Reverse((at, begins, motor))) = self.edges.peek()
+            && at < tick
+        {
+            self.edges.pop();
+            let (rail, chip) = (usize::from(motor) / MOTORS_PER_RAIL, usize::from(motor) / MOTORS_PER_CHIP);
+            if !begins {
+                self.on_rail[rail] -= 1;
+                self.on_chip[chip] -= 1;
+                continue;
+            }
+            self.on_rail[rail] += 1;
+            self.on_chip[chip] += 1;
+            let at_once = self.on_rail[rail];
+            if at_once > self.rails[rail].most_at_once {
+                (self.rails[rail].most_at_once, self.rails[rail].at) = (at_once, at);
+            }
+            let too_many =
+                |group, at_once, most| (at_once > most).then_some(TooMany { group, tick: at, at_once });
+            self.too_many = self
+                .too_many
+                .or(too_many(Group::Rail(rail as u8), at_once, self.limits.rail_at_once))
+                .or(too_many(Group::Chip(chip as u8), self.on_chip[chip], self.limits.chip_at_once));
+        }
+    }
+
+    /// The first tick that breaks the limits, as far as it is known: all before the up tick of the last stroke.
+    #[must_use]
+    pub const fn too_many(&self) -> Option<TooMany> {
+        self.too_many
+    }
+
+    /// Counts the rest; returns the pulses of each rail, and the first tick that breaks the limits.
+    #[must_use]
+    pub fn finish(mut self) -> ([RailPulses; RAILS], Option<TooMany>) {
+        self.pass(u64::MAX);
+        (self.rails, self.too_many)
+    }
+}
+
+impl RailPulses {
+    /// Mean over `ticks` of the number of motors that have pulses.
+    #[must_use]
+    pub fn mean_at_once(&self, ticks: u64) -> f64 {
+        if ticks == 0 { 0.0 } else { self.pulses as f64 / ticks as f64 }
+    }
+}
+
+/// The pulses of each rail in the first [`SHOWN_S`] of these strokes, or up to their end, and how many ticks that are.
+#[must_use]
+pub fn rail_pulses(strokes: &Strokes) -> ([RailPulses; RAILS], u64) {
+    let mut strokes = strokes.clone();
+    strokes.begin(Tick(0));
+    let most = SHOWN_S * TICKS_PER_S;
+    let ticks = strokes.end().unwrap_or(most).min(most);
+    let mut motors = PulsingMotors::new(PowerLimits::NONE);
+    for stroke in strokes.map_while(Result::ok).take_while(|stroke| stroke.up.0 < ticks) {
+        motors.push(&stroke);
+    }
+    (motors.finish().0, ticks)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    #[test]
+    fn a_motor_of_3_nf_draws_31_ma() {
+        // 4 · 3 nF · 30 V · 85 kHz.
+        assert!((current_ma(3.0) - 30.6).abs() < 1e-9);
+        assert!((current_ma(7.0) - 71.4).abs() < 1e-9 && (current_ma(20.0) - 204.0).abs() < 1e-9);
+        // Two motors at the 70 kHz of the typical application: 50 mA.
+        let typical_ma = 2.0 * current_ma(CAPACITANCE_NF) * 70.0 / 85.0;
+        assert!((typical_ma - 50.0).abs() < 1.0, "{typical_ma}");
+    }
+
+    proptest! {
+        /// Compared with a plain count per tick.
+        #[test]
+        fn counts_are_those_of_every_tick(
+            sent in prop::collection::vec((0u8..24, 0u64..40, 1u16..60, 0u64..90), 1..60),
+            rail_at_once in 1u8..=6,
+            chip_at_once in 1u8..=2,
+        ) {
+            let limits = PowerLimits { rail_at_once, chip_at_once, ..PowerLimits::NONE };
+            let (mut up, mut free) = (0, [0; MOTORS]);
+            let mut strokes = Vec::new();
+            for (motor, after, pulses, hold) in sent {
+                up += after;
+                let from: u64 = up.max(free[usize::from(motor)]);
+                let down = Tick(from + u64::from(pulses) + hold);
+                let stroke = Stroke { motor, up: Tick(from), up_pulses: pulses, down, down_pulses: pulses };
+                free[usize::from(motor)] = stroke.end().0;
+                strokes.push(stroke);
+            }
+            strokes.sort_by_key(|stroke| (stroke.up, stroke.motor));
+            let mut counted = PulsingMotors::new(limits);
+            strokes.iter().for_each(|stroke| counted.push(stroke));
+            let (rails, too_many) = counted.finish();
+            let end = strokes.iter().map(|stroke| stroke.end().0).max().unwrap_or(0);
+            let (mut most, mut first) = ([0; RAILS], None);
+            for tick in 0..end {
+                let on = |motors: std::ops::Range<u8>| strokes.iter().filter(|stroke| motors.contains(&stroke.motor)
+                    && stroke.bursts().iter().any(|burst| (burst.start.0..burst.end().0).contains(&tick))).count() as u8;
+                for rail in 0..4_u8 {
+                    most[usize::from(rail)] = on(6 * rail..6 * rail + 6).max(most[usize::from(rail)]);
+                }
+                let breaks = (0..4_u8).any(|rail| on(6 * rail..6 * rail + 6) > rail_at_once)
+                    || (0..12_u8).any(|chip| on(2 * chip..2 * chip + 2) > chip_at_once);
+                first = first.or(breaks.then_some(tick));
+            }
+            prop_assert_eq!(rails.map(|rail| rail.most_at_once), most);
+            prop_assert_eq!(too_many.map(|found| found.tick), first);
+            let pulses: u64 = strokes.iter().map(|stroke| u64::from(stroke.pulses())).sum();
+            prop_assert_eq!(rails.iter().map(|rail| rail.pulses).sum::<u64>(), pulses);
+        }
+    }
+}

@@ -1,0 +1,76 @@
+//! Whether a play keeps the limits on motors that have pulses at once, from its compiled strokes.
+//!
+//! Corrections shorten bursts and never lengthen them while there is a limit, so a play that passes has no stroke refused for it.
+//!
+//! Invariant: of a play with an end it counts [`MAX_STROKES`], of one without its first minute.
+
+use firmware_protocol::limits::PowerLimits;
+use firmware_protocol::tick::Tick;
+use meissner_array::power::{PulsingMotors, TooMany};
+use meissner_array::strokes::Strokes;
+use meissner_array::units::TICKS_PER_S;
+
+/// Length of a play without end that counts, s. Drives whose frequencies differ by less than 1/60 Hz meet later; then the controller
+/// refuses strokes.
+const COUNTED_S: u64 = 60;
+/// Strokes of a play that count, at most: 23 minutes of all motors at 60 Hz.
+const MAX_STROKES: usize = 2_000_000;
+
+/// The first tick in which more motors of a rail or a chip have pulses than `limits` allow; `None`: all ticks keep them. Its time
+/// grows with the strokes: do not call it in the streamer's thread.
+#[must_use]
+pub fn find_too_many(strokes: &Strokes, limits: PowerLimits) -> Option<TooMany> {
+    let PowerLimits { rail_at_once, chip_at_once, .. } = PowerLimits::NONE;
+    if (limits.rail_at_once, limits.chip_at_once) == (rail_at_once, chip_at_once) {
+        return None;
+    }
+    let mut strokes = strokes.clone();
+    strokes.begin(Tick(0));
+    let until = strokes.end().unwrap_or(COUNTED_S * TICKS_PER_S);
+    let mut motors = PulsingMotors::new(limits);
+    for stroke in strokes.map_while(Result::ok).take(MAX_STROKES).take_while(|stroke| stroke.up.0 < until) {
+        motors.push(&stroke);
+        if motors.too_many().is_some() {
+            break;
+        }
+    }
+    motors.finish().1
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use meissner_array::pattern::{Drive, Pattern};
+    use meissner_array::power::Group;
+    use meissner_array::strokes::StrokeOptions;
+
+    /// Strokes of motors 6 to 8, at these phases.
+    fn strokes(phases: [f64; 3], seconds: Option<f64>) -> Strokes {
+        let drive = |(motor, phase)| Drive {
+            motor,
+            frequency_hz: 20.0,
+            amplitude_um: 80.0,
+            phase,
+            start_s: None,
+            stop_s: None,
+        };
+        let drives = (6..).zip(phases).map(drive).collect();
+        let pattern = Pattern::new("p", None, drives, toml::Table::new()).unwrap();
+        Strokes::new(&pattern, &StrokeOptions::lasting(seconds)).unwrap()
+    }
+
+    #[test]
+    fn the_first_tick_with_too_many_motors_is_found() {
+        let at_once =
+            |rail_at_once, chip_at_once| PowerLimits { rail_at_once, chip_at_once, ..PowerLimits::NONE };
+        // A burst of 589 ticks in half a period of 2125: three fit one after the other.
+        let apart = strokes([0.0, 0.15, 0.3], Some(2.0));
+        assert_eq!(find_too_many(&apart, at_once(1, 1)), None);
+        let together = strokes([0.0, 0.1, 0.3], None);
+        assert_eq!(find_too_many(&together, at_once(2, 2)), None);
+        let rail = TooMany { group: Group::Rail(1), tick: 425, at_once: 2 };
+        assert_eq!(find_too_many(&together, at_once(1, 2)), Some(rail));
+        assert_eq!(find_too_many(&together, at_once(2, 1)), Some(TooMany { group: Group::Chip(3), ..rail }));
+        assert_eq!(find_too_many(&together, PowerLimits::NONE), None);
+    }
+}

@@ -1,0 +1,170 @@
+//! Keeps the motors that have pulses at once within the limits of their rail and their driver chip.
+//!
+//! A stroke is checked when it begins, with both its bursts, against what is left of the strokes that began before it. A begun
+//! stroke that an amendment lengthens is checked again. Returns and seeks are never refused: their bursts take turns.
+//!
+//! Invariant: in no tick do more motors of a rail or a chip have pulses than its limit. It holds because strokes change the lines
+//! only where they were checked, and bursts that take turns fit the bursts that run on.
+
+use crate::controller::Controller;
+use crate::limits::{MOTORS_PER_CHIP, MOTORS_PER_RAIL, PowerLimits, RAILS, Refusal};
+use crate::stroke::Stroke;
+use crate::tick::Tick;
+
+/// Bursts of the other motors of a rail.
+const OTHERS: usize = 2 * (MOTORS_PER_RAIL - 1);
+
+/// Ticks with pulses, from the rendered end: 32 bits, as the chip's core likes them.
+#[derive(Clone, Copy, Debug)]
+struct Span {
+    start: i32,
+    end: i32,
+}
+
+impl Span {
+    /// Those of both bursts.
+    fn of(stroke: &Stroke, now: Tick) -> [Self; 2] {
+        let from = |tick: Tick| (tick.0 as u32).wrapping_sub(now.0 as u32).cast_signed();
+        let span = |start: i32, pulses: u16| Self { start, end: start.wrapping_add(pulses.into()) };
+        [span(from(stroke.up), stroke.up_pulses), span(from(stroke.down), stroke.down_pulses)]
+    }
+
+    fn overlaps(&self, other: &Self) -> bool {
+        self.start.max(other.start) < self.end.min(other.end)
+    }
+
+    fn contains(&self, at: i32) -> bool {
+        (self.start..self.end).contains(&at)
+    }
+}
+
+impl Controller {
+    /// Whether `stroke`, which begins at the rendered end or has begun, keeps the limits.
+    pub(super) fn check_at_once(&self, stroke: &Stroke) -> Result<(), Refusal> {
+        let PowerLimits { rail_at_once, chip_at_once, .. } = self.on_time.limits();
+        if usize::from(rail_at_once) < MOTORS_PER_RAIL
+            && !self.fits::<MOTORS_PER_RAIL>(stroke, rail_at_once.into())
+        {
+            return Err(Refusal::RailAtOnce);
+        }
+        if usize::from(chip_at_once) < MOTORS_PER_CHIP
+            && !self.fits::<MOTORS_PER_CHIP>(stroke, chip_at_once.into())
+        {
+            return Err(Refusal::ChipAtOnce);
+        }
+        Ok(())
+    }
+
+    /// Whether at most `limit` motors have pulses at once, of the `GROUP` to which that of `stroke` belongs.
+    #[inline(never)]
+    fn fits<const GROUP: usize>(&self, stroke: &Stroke, limit: usize) -> bool {
+        let motor = usize::from(stroke.motor);
+        let first = motor - motor % GROUP;
+        let mine = Span::of(stroke, self.rendered);
+        let mut others = heapless::Vec::<Span, OTHERS>::new();
+        for other in (first..first + GROUP).filter(|&other| other != motor) {
+            let Some(slot) = self.pool.current(other).filter(|slot| slot.charged.is_some()) else { continue };
+            for span in Span::of(&slot.stroke, self.rendered) {
+                if mine.iter().any(|mine| mine.overlaps(&span)) {
+                    // Two bursts of each other motor: there is room.
+                    let _ = others.push(span);
+                }
+            }
+        }
+        if others.len() < limit {
+            return true;
+        }
+        // Most have pulses at the start of some burst.
+        let starts = mine.iter().chain(&others).map(|span| span.start);
+        let mut starts = starts.filter(|&at| mine.iter().any(|mine| mine.contains(at)));
+        starts.all(|at| others.iter().filter(|other| other.contains(at)).count() < limit)
+    }
+
+    /// Has the down bursts of the motors in `waiting` take turns from `ready` on, after those that run. They take at most
+    /// [`PowerLimits::turns`] times the longest burst.
+    pub(super) fn take_turns(&mut self, waiting: u32, ready: Tick) {
+        let limits = self.on_time.limits();
+        for rail in 0..RAILS {
+            let mut turns = Turns { limits, free: [ready; MOTORS_PER_RAIL], chips: [ready; CHIPS] };
+            for order in 0..ORDERS {
+                for at in 0..MOTORS_PER_RAIL {
+                    let motor = rail * MOTORS_PER_RAIL + at;
+                    if self.order(waiting, motor) != order {
+                        continue;
+                    }
+                    let index = self.pool.queues[motor].cursor;
+                    let Some(slot) = self.pool.get_mut(index) else { continue };
+                    let chip = at / MOTORS_PER_CHIP;
+                    let pulses = slot.stroke.down_pulses.into();
+                    if order == 0 {
+                        turns.book(chip, slot.stroke.end());
+                    } else {
+                        slot.stroke.down = turns.next(chip);
+                        turns.book(chip, slot.stroke.down + pulses);
+                    }
+                }
+            }
+        }
+    }
+
+    /// When `motor` takes its turn: bursts that run, then a motor of each chip without one, then the others, of chips in the order of
+    /// their first. Else a chip whose motors must take turns could come last with both.
+    fn order(&self, waiting: u32, motor: usize) -> usize {
+        let bit = |motor: usize| waiting >> motor & 1 == 1;
+        let runs = |motor: usize| !bit(motor) && self.pool.current(motor).is_some();
+        let first = motor - motor % MOTORS_PER_CHIP;
+        let mut chip = first..first + MOTORS_PER_CHIP;
+        if !bit(motor) {
+            return if runs(motor) { 0 } else { ORDERS };
+        }
+        if chip.clone().any(runs) {
+            2
+        } else if chip.find(|&other| bit(other)) == Some(motor) {
+            1
+        } else {
+            3
+        }
+    }
+}
+
+/// Driver chips of a rail.
+const CHIPS: usize = MOTORS_PER_RAIL / MOTORS_PER_CHIP;
+/// See [`Controller::order`].
+const ORDERS: usize = 4;
+
+/// The turns of a rail's motors.
+struct Turns {
+    limits: PowerLimits,
+    /// As many motors as may have pulses at once, and when the burst of each ends. The others are not used.
+    free: [Tick; MOTORS_PER_RAIL],
+    /// When the burst of each chip ends.
+    chips: [Tick; CHIPS],
+}
+
+impl Turns {
+    fn first_free(&mut self) -> &mut Tick {
+        let mut first = 0;
+        for at in 1..usize::from(self.limits.rail_at_once).min(MOTORS_PER_RAIL) {
+            if self.free[at] < self.free[first] {
+                first = at;
+            }
+        }
+        &mut self.free[first]
+    }
+
+    /// When the next burst of `chip` may begin.
+    fn next(&mut self, chip: usize) -> Tick {
+        let free = *self.first_free();
+        if usize::from(self.limits.chip_at_once) < MOTORS_PER_CHIP {
+            free.max(self.chips[chip])
+        } else {
+            free
+        }
+    }
+
+    /// A burst of `chip` ends at `end`.
+    fn book(&mut self, chip: usize, end: Tick) {
+        *self.first_free() = end;
+        self.chips[chip] = end;
+    }
+}
