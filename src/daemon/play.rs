@@ -264,6 +264,26 @@ mod tests {
         assert_eq!(engine.lock().session().unwrap().plays, 1);
     }
 
+    /// Whoever stops the display means what was ordered before, also what waits for its turn or for the disk.
+    #[test]
+    fn a_stop_refuses_a_play_that_waits() {
+        let (mut port, commands, _events) = queues().unwrap();
+        let engine = Engine::new(commands, Settings::default(), "mock".to_owned(), None);
+        let stored = Store::new(None, false).unwrap().library("pin-60").unwrap().clone();
+        let request = PlayRequest { pattern: "pin-60".to_owned(), endless: true, ..PlayRequest::default() };
+        let refused = runtime().unwrap().block_on(async {
+            let turn = engine.orders.lock().await;
+            let stop = async {
+                engine.lock().commands.send_unanswered(Command::Stop).unwrap();
+                drop(turn);
+            };
+            // Polled in this order.
+            tokio::join!(biased; engine.play(&request, stored, Peer::local(1, 0)), stop).0.unwrap_err()
+        });
+        assert_eq!(refused.code, "busy");
+        assert!(matches!(port.pop().unwrap().command, Command::Stop) && port.pop().is_none());
+    }
+
     #[test]
     fn a_play_is_refused_while_the_session_record_has_no_room_for_it() {
         let dir = tempfile::tempdir().unwrap();
