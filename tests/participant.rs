@@ -278,12 +278,12 @@ fn a_reload_stops_what_is_too_strong_now_and_moves_the_sums() {
     let mut client = daemon.client();
     let mut events = client.events().unwrap();
     let _: Value = client.post("/v1/play", &json!({"pattern": "edge-45", "seconds": 60})).unwrap();
-    wait_until(|| client.get::<Status>("/v1/status").unwrap().participant.continuous_used_s > 0.1);
+    wait_until(|| client.get::<Status>("/v1/status").unwrap().participant.unwrap().continuous_used_s > 0.1);
     daemon.write_config(&format!("{PATIENT}[participant]\nmax_amplitude_um = 20\n"));
     daemon.signal(Signal::HUP);
     daemon.wait_for_log("[participant] at once");
     assert_eq!(ended(&mut events).state, PlayState::Stopped);
-    let used_s = client.get::<Status>("/v1/status").unwrap().participant.day_used_s;
+    let used_s = client.get::<Status>("/v1/status").unwrap().participant.unwrap().day_used_s;
 
     let moved = daemon.path("moved");
     daemon.write_config(&format!("logbook_dir = {moved:?}\n{PATIENT}[participant]\nmax_amplitude_um = 20\n"));
