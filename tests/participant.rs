@@ -266,3 +266,32 @@ fn a_reload_changes_the_limits_at_once() {
     let refused = complaint(daemon.meissner().args(["play", "edge-45", "--seconds", "0.6"]));
     assert!(refused.contains("`participant.max_continuous_s` allows 0.5 s"), "{refused}");
 }
+
+/// What runs was judged by the old amplitude, and the sums follow the session record into its new directory.
+#[test]
+fn a_reload_stops_what_is_too_strong_now_and_moves_the_sums() {
+    let mut command = std::process::Command::new("sh");
+    command.args(["-c", "trap '' HUP; exec \"$0\" \"$@\"", crate::harness::PROGRAM]);
+    let mut daemon = Daemon::by(command);
+    daemon.wait_for_device();
+    daemon.armed();
+    let mut client = daemon.client();
+    let mut events = client.events().unwrap();
+    let _: Value = client.post("/v1/play", &json!({"pattern": "edge-45", "seconds": 60})).unwrap();
+    wait_until(|| client.get::<Status>("/v1/status").unwrap().participant.unwrap().continuous_used_s > 0.1);
+    daemon.write_config(&format!("{PATIENT}[participant]\nmax_amplitude_um = 20\n"));
+    daemon.signal(Signal::HUP);
+    daemon.wait_for_log("[participant] at once");
+    assert_eq!(ended(&mut events).state, PlayState::Stopped);
+    let used_s = client.get::<Status>("/v1/status").unwrap().participant.unwrap().day_used_s;
+
+    let moved = daemon.path("moved");
+    daemon.write_config(&format!("logbook_dir = {moved:?}\n{PATIENT}[participant]\nmax_amplitude_um = 20\n"));
+    daemon.signal(Signal::HUP);
+    daemon.wait_for_log("`logbook_dir` and `logbook_days` at once");
+    wait_until(|| moved.join("exposure.json").exists());
+    let sums = fs::read_to_string(moved.join("exposure.json")).unwrap();
+    let sums: Value = serde_json::from_str(&sums).unwrap();
+    let kept_s = sums["days"][0]["vibration_s"].as_f64().unwrap();
+    assert!(used_s > 0.1 && (kept_s - used_s).abs() < 1e-6, "{kept_s} of {used_s} s: {sums}");
+}

@@ -10,11 +10,13 @@
 //! Root gets two tables: a daemon with SCHED_FIFO, and one of an ordinary user (`DAEMON_UID`, 65534 unless set) without. The daemon and
 //! the load are processes of their own. The daemon is this executable, or the program that `MEISSNER_PROGRAM` names. `ROUNDS` sets the
 //! orders per load, `LOADS` the loads by their first word, `RECORD_MB` the length of the session record that the readers read. The client
-//! that measures and the board run in real time where the system allows it. It asserts nothing.
+//! that measures and the board run in real time where the system allows it, and so do the kernel's workers that move the bytes of the
+//! board's pseudo-terminal ([`Workers`]), unless `KEEP_WORKERS` is set. It asserts nothing.
 
 use meissner_api::Status;
 use meissner_benches::board::Board;
 use meissner_benches::loads::{CHILD, LOADS, Place, exchange, exchange_tcp};
+use meissner_benches::workers::Workers;
 use meissner_client::{Client, Endpoint, STOPPED, estop_socket};
 use meissner_stream::device::priority;
 use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
@@ -32,6 +34,8 @@ use std::time::{Duration, Instant};
 /// Set for the child that makes this load.
 const LOAD: &str = "MEISSNER_BENCH_LOAD";
 const TOLD_WITHIN: Duration = Duration::from_secs(1);
+/// Orders that take longer are written to stderr, as are those that fail.
+const SLOW: Duration = Duration::from_millis(100);
 
 fn main() -> ExitCode {
     if std::env::var_os(CHILD).is_some() {
@@ -76,6 +80,11 @@ fn number(key: &str, usual: usize) -> Result<usize, Box<dyn Error>> {
 
 fn run() -> Result<(), Box<dyn Error>> {
     let user = u32::try_from(number("DAEMON_UID", 65534)?)?;
+    let workers = if std::env::var_os("KEEP_WORKERS").is_none() { Workers::raise() } else { None };
+    println!(
+        "the kernel's workers of the pseudo-terminal have {} priority",
+        if workers.is_some() { "real-time" } else { "ordinary" }
+    );
     if rustix::process::geteuid().is_root() {
         table(None)?;
         table(Some(user))
@@ -214,9 +223,17 @@ fn measure(place: &Place, board: &Board, rounds: usize) -> [String; 5] {
                 0..3 => board.estops().recv_timeout(TOLD_WITHIN).ok().map(|(_, told)| told),
                 _ => Some(Instant::now()),
             };
-            match done.filter(|_| answered) {
-                Some(done) => columns[way].push((done - begun).as_secs_f64() * 1e3),
+            let took = done.filter(|_| answered.is_ok()).map(|done| done - begun);
+            match took {
+                Some(took) => columns[way].push(took.as_secs_f64() * 1e3),
                 None => failures[way] += 1,
+            }
+            if way < 3 && took.is_none_or(|took| took > SLOW) {
+                let told = done.map(|done| done - begun);
+                eprintln!(
+                    "order {round}: at the board after {told:.1?}; answer after {:.1?}: {answered:?}",
+                    begun.elapsed()
+                );
             }
         }
     }
@@ -236,27 +253,35 @@ const STOP: &str = "POST /v1/stop HTTP/1.1\r\nhost: x\r\nconnection: close\r\nco
 const STATUS: &str = "GET /v1/status HTTP/1.1\r\nhost: x\r\nconnection: close\r\n\r\n";
 
 /// Whether the daemon took the request: after an emergency stop a `stop` is refused, because the fault is latched.
-fn is_served(answer: io::Result<String>) -> bool {
-    answer
-        .is_ok_and(|answer| ["HTTP/1.1 200", "HTTP/1.1 409"].iter().any(|status| answer.starts_with(status)))
+fn is_served(answer: io::Result<String>) -> Result<(), String> {
+    expect(answer, |answer| ["HTTP/1.1 200", "HTTP/1.1 409"].iter().any(|status| answer.starts_with(status)))
 }
 
-fn by_socket(place: &Place) -> bool {
-    exchange(&estop_socket(&place.socket), b"!").is_ok_and(|answer| answer.trim_end() == STOPPED)
+fn by_socket(place: &Place) -> Result<(), String> {
+    expect(exchange(&estop_socket(&place.socket), b"!"), |answer| answer.trim_end() == STOPPED)
 }
 
-fn by_http(place: &Place) -> bool {
+fn by_http(place: &Place) -> Result<(), String> {
     is_stopped(exchange(&place.socket, request("x").as_bytes()))
 }
 
-fn by_tcp(place: &Place) -> bool {
+fn by_tcp(place: &Place) -> Result<(), String> {
     is_stopped(exchange_tcp(place.tcp, request(&place.tcp.to_string()).as_bytes()))
+}
+
+fn is_stopped(answer: io::Result<String>) -> Result<(), String> {
+    expect(answer, |answer| answer.starts_with("HTTP/1.1 200"))
+}
+
+/// The answer that is not as expected, or why there was none.
+fn expect(answer: io::Result<String>, is_right: impl Fn(&str) -> bool) -> Result<(), String> {
+    match answer {
+        Ok(answer) if is_right(&answer) => Ok(()),
+        Ok(answer) => Err(answer),
+        Err(error) => Err(error.to_string()),
+    }
 }
 
 fn request(host: &str) -> String {
     format!("POST /v1/estop HTTP/1.1\r\nhost: {host}\r\nconnection: close\r\ncontent-length: 0\r\n\r\n")
-}
-
-fn is_stopped(answer: io::Result<String>) -> bool {
-    answer.is_ok_and(|answer| answer.starts_with("HTTP/1.1 200"))
 }

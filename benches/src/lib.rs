@@ -3,3 +3,4 @@
 pub mod board;
 pub mod daemon;
 pub mod loads;
+pub mod workers;

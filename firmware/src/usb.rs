@@ -139,14 +139,20 @@ fn setup() -> [u8; 8] {
     [a, b, c, d, e, f, g, h]
 }
 
+/// Looks for an e-stop in the last SETUP packet.
+#[inline(always)]
+fn take_setup() {
+    if let Some(epoch) = e_stop_requested(setup()) {
+        estop::found(epoch, true);
+    }
+}
+
 /// Looks at a SETUP packet that embassy has not been told of, if there is one. Again between the frames of a packet, because packets can be made
 /// that take longer to look into than the next SETUP packet takes to come.
 #[inline(always)]
 fn take_request() {
     if pac::USB.ints().read().setup_req() {
-        if let Some(epoch) = e_stop_requested(setup()) {
-            estop::found(epoch, true);
-        }
+        take_setup();
         // Before the host's next packet: what is armed was for an earlier request.
         control::take_back();
     }
@@ -170,11 +176,13 @@ impl OnInterrupt<USBCTRL_IRQ> for Peek {
             }
         }
         WAITING.store(waiting, SeqCst);
+        // embassy's handler takes a third of a pulse period.
+        take_request();
     }
 }
 
-/// Looks into a packet that came after [`Peek`] had read which buffers are full, but before embassy's handler did: that handler
-/// has cleared its bit.
+/// Looks at what came after [`Peek`] had looked, but before embassy's handler did, which has taken note of it: no interrupt comes for it
+/// any more, and embassy's task may be late.
 struct PeekAgain;
 
 /// Bit p: pipe p was waiting for a packet when [`Peek`] had looked.
@@ -183,6 +191,10 @@ static WAITING: AtomicU32 = AtomicU32::new(0);
 impl OnInterrupt<USBCTRL_IRQ> for PeekAgain {
     unsafe fn on_interrupt() {
         revive::interrupted();
+        // A SETUP packet that embassy's task has not read yet. One that was seen before is found again: that changes nothing.
+        if pac::USB.sie_status().read().setup_rec() {
+            take_setup();
+        }
         let waiting = WAITING.load(SeqCst);
         if waiting == 0 {
             return;
@@ -235,7 +247,7 @@ impl Handler for Bus {
             (request_type, recipient, index, length) == (RequestType::Vendor, Recipient::Device, 0, 0);
         let setup = [0x40, request, low, high, 0, 0, 0, 0];
         let epoch = e_stop_requested(setup).filter(|_| vendor)?;
-        // For a SETUP packet that came after [`Peek`] had looked and before embassy did. After [`Peek`] it is a repetition.
+        // For a SETUP packet that came while embassy had their interrupt off. Else it is a repetition.
         critical_section::with(|_| estop::found(epoch, true));
         Some(OutResponse::Accepted)
     }

@@ -253,9 +253,10 @@ fn nanoseconds(ms: f64) -> u64 {
 mod tests {
     use super::*;
     use crate::daemon::runtime;
+    use crate::daemon::state::{Asker, Caller};
     use crate::session_record::{Location, SessionRecord};
     use crate::store::Store;
-    use meissner_api::{Realtime, SessionRequest};
+    use meissner_api::{Realtime, Route, SessionRequest};
     use meissner_stream::queues::{Emit, StreamEvent, queues};
     use std::path::PathBuf;
     use std::sync::Arc;
@@ -281,6 +282,25 @@ mod tests {
         port.event(StreamEvent::Answer { ticket, result: Ok(()) });
         engine.lock().apply(events.pop().unwrap());
         assert_eq!(engine.lock().session().unwrap().plays, 1);
+    }
+
+    /// Whoever stops the display means what was asked for before.
+    #[test]
+    fn a_stop_refuses_a_play_whose_request_came_before() {
+        let (mut port, commands, _events) = queues().unwrap();
+        let engine = Engine::new(commands, Settings::default(), "mock".to_owned(), None);
+        let stored = Store::new(None, false).unwrap().library("pin-60").unwrap().clone();
+        let pattern = "pin-60".to_owned();
+        let request = PlayRequest { pattern, endless: true, ..PlayRequest::default() };
+        let client = Peer::local(1, 0);
+        let caller = Caller::new(client, None, None, None);
+        let breaks = engine.lock().commands.breaks();
+        let asker = Asker { caller, access: Route::Play.access(), breaks };
+        // Its body, or its file, comes late.
+        engine.lock().commands.send_unanswered(Command::Stop).unwrap();
+        let played = asker.ask(engine.play(&request, stored, client));
+        assert_eq!(runtime().unwrap().block_on(played).unwrap_err().code, "busy");
+        assert!(matches!(port.pop().unwrap().command, Command::Stop) && port.pop().is_none());
     }
 
     #[test]

@@ -63,6 +63,8 @@ fn reload(source: &Source, running: &mut Config, engine: &Engine, store: &Shared
         warn!("{problem}");
     }
     engine.session_record().add(Note::Reloaded { changed: applied, problem });
+    // Behind the first entry in a new directory, which opens it.
+    let _ = engine.lock().save_exposure(Now::read());
 }
 
 /// Applies what can change and lists it; fails at the first problem.
@@ -130,7 +132,6 @@ fn apply(
         let users = Arc::clone(&engine.names.users);
         let slow = |error| format!("`logbook_dir`: {error}: reload the configuration again");
         engine.session_record().move_to(new.logbook.clone(), users, TIMEOUT).map_err(slow)?;
-        let _ = engine.lock().save_exposure(Now::read());
         running.logbook.clone_from(&new.logbook);
         applied.push("`logbook_dir` and `logbook_days` at once".to_owned());
     }

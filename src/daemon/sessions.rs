@@ -45,10 +45,10 @@ pub(super) async fn guard(
     next: Next,
 ) -> Response {
     let (access, peer) = (route.access(), caller.peer);
-    let checked = {
+    let (checked, breaks) = {
         let mut state = app.engine.lock();
         state.hear(&caller);
-        state.check_right(&caller, access)
+        (state.check_right(&caller, access), state.commands.breaks())
     };
     if let Err(NoRight { problem, .. }) = checked {
         let refused = ErrorResponse::from(problem);
@@ -62,7 +62,7 @@ pub(super) async fn guard(
     let _answering = Answering::new(&app.engine, &caller);
     let right = Right::new(Arc::clone(&app.engine), caller.clone(), going_on(access));
     request.extensions_mut().insert(right.clone());
-    let answer = Asker { caller, access }.ask(next.run(request));
+    let answer = Asker { caller, access, breaks }.ask(next.run(request));
     // The others ask again when they make their change.
     let waits = route.method() == Method::Get || route == Route::Home;
     tokio::select! {

@@ -8,8 +8,8 @@ use std::fs;
 use std::path::Path;
 
 /// What is known of an emergency stop in a daemon without SCHED_FIFO: docs/measurements.md, "E-stop under load".
-pub(crate) const SLOW_ESTOP: &str = "without SCHED_FIFO an emergency stop waits for other programs: under load its p99 was 15 ms and the \
-                                     worst 1 s; with it p99 stayed below 1 ms";
+pub(crate) const SLOW_ESTOP: &str = "without SCHED_FIFO an emergency stop waits for other programs: under load its p99 was 27 ms and the \
+                                     worst 110 ms; with it p99 stayed below 1.2 ms";
 
 /// What gives a user real-time rights where no service manager does. `user`: a name, or what the shell puts in its place.
 pub(crate) fn limits(user: &str) -> String {

@@ -10,7 +10,7 @@ use meissner_array::pattern::Pattern;
 use meissner_array::simulated::SimulatedMotorsConfig;
 use meissner_array::units::{duration_to_ticks, ticks_to_seconds};
 use meissner_stream::Line;
-use meissner_stream::queues::{At, Command, End, Outcome};
+use meissner_stream::queues::{At, Command, End, Outcome, StreamEvent};
 use meissner_test_support::patterns::{drive, pattern};
 use meissner_test_support::rig::{self, Rig, bad_line};
 use std::time::Duration;
@@ -110,6 +110,19 @@ fn a_play_that_is_cancelled_ends_alone_unless_it_has_begun() {
     rig.run_ms(300);
     rig.send(Command::Cancel { id: ids[1], cause: "revoked" });
     rig.send(Command::Cancel { id: 99, cause: "revoked" });
+    rig.run_ms(1);
+    rig.take_events();
+    // The daemon answers a report with the same order: one that changes nothing must make no report.
+    for id in [ids[1], 99] {
+        rig.send(Command::Cancel { id, cause: "revoked" });
+    }
+    let mut now = rig.now() + Duration::from_micros(1);
+    let mut told = Vec::<StreamEvent>::new();
+    for _ in 0..10 {
+        rig.streamer.step(now, &mut told);
+        now = now + Duration::from_micros(1);
+    }
+    assert!(!told.iter().any(|event| matches!(event, StreamEvent::Snapshot(_))), "{told:?}");
     rig.run_ms(3_500);
     let ends: Vec<_> = rig.outcomes().iter().map(|of| (of.end, of.cause, of.onset.is_some())).collect();
     assert_eq!(

@@ -41,9 +41,9 @@ fn the_board_knows_why_it_has_started() {
 
 /// The ring oscillator's cycles in a millisecond: the chip starts with it.
 const ROSC_MS: u64 = 6_500;
-/// Most cycles until the outputs are driven, on the emulator: with the ring oscillator 50 ms for the copy of code and data to RAM,
+/// Most cycles until the outputs are driven, on the emulator: with the ring oscillator 40 ms for the copy of code and data to RAM,
 /// without the wait states of a real flash, and 6 ms for the crystal; then 1 ms at full speed.
-const START: u64 = (50 + 6) * ROSC_MS + MS;
+const START: u64 = (40 + 6) * ROSC_MS + MS;
 
 #[test]
 fn the_outputs_are_driven_soon_after_power_up() {

@@ -69,6 +69,8 @@ pub(in crate::daemon) struct Asker {
     pub(in crate::daemon) caller: Caller,
     /// What the route needs.
     pub(in crate::daemon) access: Access,
+    /// The stops before its request came ([`Commands::breaks`](super::commands::Commands::breaks)): a later one means this request, too.
+    pub(in crate::daemon) breaks: u64,
 }
 
 impl Asker {

@@ -8,7 +8,7 @@
 //!
 //! Invariant: the daemon orders the stop once for each report in which the limit is passed, until the play ends.
 
-use super::State;
+use super::{Asker, State};
 use crate::daemon::engine::Engine;
 use crate::exposure::{Account, Limit, Now, Onset, ParticipantLimits, Vibration};
 use firmware_protocol::tick::TICK_HZ;
@@ -112,12 +112,15 @@ pub(in crate::daemon) struct Held<'e> {
 }
 
 impl Held<'_> {
-    /// Refuses a play that a stop was meant for, which came while the play waited.
+    /// Refuses a play that a stop was meant for, which came after its request: while that was read, compiled or waited.
     pub(in crate::daemon) fn check(&self, state: &State) -> Result<(), Problem> {
         if state.commands.breaks() == self.breaks {
             return Ok(());
         }
-        Err(Problem::new(Code::Busy, "the display was stopped while the play waited: send the play again"))
+        Err(Problem::new(
+            Code::Busy,
+            "the display was stopped after the play was asked for: send the play again",
+        ))
     }
 
     /// The streamer has the play, under this id.
@@ -138,7 +141,7 @@ impl Engine {
         &self,
         check: impl FnOnce(&mut State) -> Result<u64, Problem>,
     ) -> Result<Held<'_>, Problem> {
-        let breaks = self.lock().commands.breaks();
+        let breaks = Asker::find().map_or_else(|| self.lock().commands.breaks(), |asker| asker.breaks);
         let turn = self.orders.lock().await;
         let (held, saved) = {
             let mut state = self.lock();

@@ -104,7 +104,7 @@ impl State {
     /// Refuses a change by a client that may not make it any more: since its request came, a session may have begun or its token have been
     /// revoked. Outside of a request the daemon itself acts, which may do anything.
     pub(in crate::daemon) fn check_asker(&self) -> Result<(), Problem> {
-        let Some(Asker { caller, access }) = Asker::find() else { return Ok(()) };
+        let Some(Asker { caller, access, .. }) = Asker::find() else { return Ok(()) };
         self.check_right(&caller, access).map_err(|no| no.problem)
     }
 
