@@ -11,9 +11,6 @@ use crate::limits::{MOTORS_PER_CHIP, MOTORS_PER_RAIL, PowerLimits, RAILS, Refusa
 use crate::stroke::Stroke;
 use crate::tick::Tick;
 
-/// Bursts of the other motors of a rail.
-const OTHERS: usize = 2 * (MOTORS_PER_RAIL - 1);
-
 /// Ticks with pulses, from the rendered end: 32 bits, as the chip's core likes them.
 #[derive(Clone, Copy, Debug)]
 struct Span {
@@ -31,6 +28,18 @@ impl Span {
 
     fn overlaps(&self, other: &Self) -> bool {
         self.start.max(other.start) < self.end.min(other.end)
+    }
+
+    /// Whether in each of its ticks fewer than `limit` of the others have pulses.
+    fn shares(&self, others: &[Self], limit: usize) -> bool {
+        if others.iter().filter(|other| self.overlaps(other)).count() < limit {
+            return true;
+        }
+        // Most have pulses at the start of some burst.
+        let few = |at: i32| others.iter().filter(|other| other.contains(at)).count() < limit;
+        let later =
+            others.iter().map(|other| other.start).filter(|at| (self.start + 1..self.end).contains(at));
+        few(self.start) && later.into_iter().all(few)
     }
 
     fn contains(&self, at: i32) -> bool {
@@ -60,24 +69,20 @@ impl Controller {
     fn fits<const GROUP: usize>(&self, stroke: &Stroke, limit: usize) -> bool {
         let motor = usize::from(stroke.motor);
         let first = motor - motor % GROUP;
-        let mine = Span::of(stroke, self.rendered);
-        let mut others = heapless::Vec::<Span, OTHERS>::new();
-        for other in (first..first + GROUP).filter(|&other| other != motor) {
-            let Some(slot) = self.pool.current(other).filter(|slot| slot.charged.is_some()) else { continue };
-            for span in Span::of(&slot.stroke, self.rendered) {
-                if mine.iter().any(|mine| mine.overlaps(&span)) {
-                    // Two bursts of each other motor: there is room.
-                    let _ = others.push(span);
-                }
+        let mut others = heapless::Vec::<[Span; 2], MOTORS_PER_RAIL>::new();
+        for other in first..first + GROUP {
+            if other != motor
+                && let Some(slot) = self.pool.current(other)
+                && slot.charged.is_some()
+            {
+                // Fewer than a rail's motors.
+                let _ = others.push(Span::of(&slot.stroke, self.rendered));
             }
         }
-        if others.len() < limit {
-            return true;
+        others.len() < limit || {
+            let others = others.as_flattened();
+            Span::of(stroke, self.rendered).iter().all(|mine| mine.shares(others, limit))
         }
-        // Most have pulses at the start of some burst.
-        let starts = mine.iter().chain(&others).map(|span| span.start);
-        let mut starts = starts.filter(|&at| mine.iter().any(|mine| mine.contains(at)));
-        starts.all(|at| others.iter().filter(|other| other.contains(at)).count() < limit)
     }
 
     /// Has the down bursts of the motors in `waiting` take turns from `ready` on, after those that run. They take at most

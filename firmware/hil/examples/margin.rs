@@ -35,6 +35,8 @@ fn main() -> ExitCode {
         (1.1, Beside::Noise),
         (1.1, Beside::Pings),
         (1.1, Beside::EStops),
+        (1.1, Beside::KeptLimit),
+        (1.1, Beside::BrokenLimit),
     ];
     let conditions = conditions.iter().filter(|_| patterns > 0);
     let plays =

@@ -2,13 +2,13 @@
 //!
 //! The example `margin` runs the same over more patterns.
 
-use crate::play::{armed, job};
-use crate::random::pattern;
+use crate::play::{armed_with, job};
+use crate::random::{pattern, taking_turns};
 use firmware_protocol::controller::{BLOCK, HORIZON};
 use firmware_protocol::frame::{MAX_FRAME, encode};
 use firmware_protocol::message::{Cause, HostMessage, State};
 use meissner_hil::bench::chip::ChipOptions;
-use meissner_hil::rig::{Faults, Rig};
+use meissner_hil::rig::{Faults, Rig, RigOptions};
 use meissner_hil::time::MS;
 use meissner_stream::queues::{Command, StreamEvent};
 
@@ -30,6 +30,10 @@ pub(crate) enum Beside {
     Pings,
     /// An e-stop in the middle, then reset and `arm`.
     EStops,
+    /// A limit of three motors at once in each rail. The patterns keep it, and each stroke is compared with those of five motors.
+    KeptLimit,
+    /// The same, with patterns that break it; a daemon would refuse them.
+    BrokenLimit,
 }
 
 /// Two pings.
@@ -43,7 +47,8 @@ fn pings() -> Vec<u8> {
 fn least(rig: &mut Rig, number: u64, beside: Beside) -> u64 {
     rig.chip().unwrap().poke("SLACK_MIN", &HORIZON.to_le_bytes()).unwrap();
     rig.notices.clear();
-    rig.order(job(&pattern(number), SECONDS));
+    let played = if beside == Beside::KeptLimit { taking_turns(number) } else { pattern(number) };
+    rig.order(job(&played, SECONDS));
     let end = rig.now() + ((SECONDS + 0.1) * 1000.0) as u64 * MS;
     let e_stop = rig.now() + (30 + number * 37 % 60) * MS + number * 7_919 % MS;
     let mut stopped = beside != Beside::EStops;
@@ -75,14 +80,22 @@ fn least(rig: &mut Rig, number: u64, beside: Beside) -> u64 {
         let bursts = ended.unwrap_or_else(|| panic!("pattern {number} has not ended"));
         // Frames that are sent again or wait behind pings may come late; none is lost.
         let late = if matches!(beside, Beside::Noise | Beside::Pings) { bursts.late } else { 0 };
-        assert!(bursts.planned > 0 && bursts.played + late == bursts.planned, "pattern {number}: {bursts:?}");
+        let refused = if beside == Beside::BrokenLimit { bursts.refused } else { 0 };
+        assert!(
+            bursts.planned > 0 && bursts.played + late + refused == bursts.planned,
+            "pattern {number}: {bursts:?}"
+        );
     }
     left
 }
 
 /// Plays so many patterns, prints the least time left and returns whether it is half of all.
 pub(crate) fn sweep(slow: f64, beside: Beside, patterns: std::ops::Range<u64>) -> bool {
-    let mut rig = armed(ChipOptions { slow, ..ChipOptions::new(1) });
+    let mut options = RigOptions::default();
+    if matches!(beside, Beside::KeptLimit | Beside::BrokenLimit) {
+        options.settings.limits.rail_at_once = 3;
+    }
+    let mut rig = armed_with(ChipOptions { slow, ..ChipOptions::new(1) }, options);
     if beside == Beside::Noise {
         rig.set_faults(Faults { loss: 0.02, repeat: 0.05, corrupt: 0.02 });
     }
@@ -119,6 +132,17 @@ fn half_of_the_time_is_left_on_a_noisy_line() {
 #[test]
 fn half_of_the_time_is_left_under_a_flood_of_pings() {
     assert!(sweep(1.1, Beside::Pings, 0..PATTERNS));
+}
+
+#[test]
+fn half_of_the_time_is_left_under_a_limit_on_motors_at_once() {
+    assert!(sweep(1.1, Beside::KeptLimit, 0..PATTERNS));
+}
+
+/// The controller refuses strokes, and still renders in time.
+#[test]
+fn plays_that_break_a_limit_on_motors_at_once_starve_nothing() {
+    sweep(1.1, Beside::BrokenLimit, 0..PATTERNS);
 }
 
 #[test]

@@ -48,8 +48,11 @@ pub(crate) struct Played {
 
 /// A rig that is armed.
 pub(crate) fn armed(options: ChipOptions) -> Rig {
-    let mut rig =
-        Rig::new(&Which::Chip(options), RigOptions::default()).unwrap_or_else(|error| panic!("{error}"));
+    armed_with(options, RigOptions::default())
+}
+
+pub(crate) fn armed_with(chip: ChipOptions, options: RigOptions) -> Rig {
+    let mut rig = Rig::new(&Which::Chip(chip), options).unwrap_or_else(|error| panic!("{error}"));
     rig.run_to_greeting(3_000).unwrap();
     rig.run_to(rig.now() + 100 * MS).unwrap();
     rig.order(Command::Arm { assume_rest: true });

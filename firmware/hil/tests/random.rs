@@ -30,3 +30,19 @@ pub(crate) fn pattern(number: u64) -> Pattern {
     let drives = (0..24).map(drive).collect();
     Pattern::new(&format!("random-{number}"), None, drives, Default::default()).unwrap()
 }
+
+/// Three motors of each rail in phase, the others a quarter of a period later: each burst begins when those of the others have ended.
+pub(crate) fn taking_turns(number: u64) -> Pattern {
+    let mut random = ChaCha8Rng::seed_from_u64(number);
+    let (frequency_hz, phase) = (uniform(&mut random, 280.0, 300.0), uniform(&mut random, 0.0, 0.7));
+    let drive = |motor| Drive {
+        motor,
+        frequency_hz,
+        amplitude_um: uniform(&mut random, 2.0, 9.0),
+        phase: if motor % 6 < 3 { phase } else { phase + 0.25 },
+        start_s: None,
+        stop_s: None,
+    };
+    let drives = (0..24).map(drive).collect();
+    Pattern::new(&format!("turns-{number}"), None, drives, Default::default()).unwrap()
+}
