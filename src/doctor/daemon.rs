@@ -81,7 +81,7 @@ mod tests {
         assert_eq!((of(true), estop(None)), (None, None));
         let line = fake::line(&of(false).unwrap());
         assert!(
-            line.starts_with("Warn emergency stop: without SCHED_FIFO") && line.contains("1 s"),
+            line.starts_with("Warn emergency stop: without SCHED_FIFO") && line.contains("110 ms"),
             "{line}"
         );
     }
