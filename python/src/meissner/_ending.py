@@ -28,8 +28,14 @@ ENDINGS = tuple(getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasat
 """The signals that end a program. Windows has no SIGHUP."""
 _SAME_END = 30.0
 """For how long further signals belong to the same end, s. A terminal that is closed sends two; `finally` blocks must not be cut."""
+_SETTLE = 2.0
+"""How long Python's end waits for this package's threads, s. A thread that runs on while Python takes itself apart can crash it."""
 _PATIENCE = 15.0
 """How long an interactive shell waits for the motors to be off before it dies, s."""
+
+
+THREADS = "meissner-"
+"""What the names of this package's threads begin with."""
 
 
 class Open(Protocol):
@@ -76,6 +82,11 @@ def _end_all() -> None:
             each.end()
         except MeissnerError as error:
             _report(error)
+    _signals.deafen()
+    deadline = time.monotonic() + _SETTLE
+    for thread in threading.enumerate():
+        if thread.daemon and thread.name.startswith(THREADS) and thread is not threading.current_thread():
+            thread.join(max(0.0, deadline - time.monotonic()))
 
 
 def _is_interactive() -> bool:
@@ -116,7 +127,7 @@ class _Signals:
         reading, writing = self._pipe = os.pipe()
         if hasattr(os, "set_blocking"):
             os.set_blocking(writing, False)
-        threading.Thread(target=self._hear, args=(reading,), name="meissner-signals", daemon=True).start()
+        threading.Thread(target=self._hear, args=(reading,), name=f"{THREADS}signals", daemon=True).start()
         # C code writes to it also while the main thread is blocked.
         before = signal.set_wakeup_fd(writing, warn_on_full_buffer=False)
         if before != -1:
@@ -129,6 +140,12 @@ class _Signals:
         for number in ENDINGS:
             if signal.getsignal(number) == self._handle:
                 signal.signal(number, signal.SIG_DFL)
+        self.deafen()
+
+    def deafen(self) -> None:
+        """Ends the thread, and leaves the handlers. In the main thread only."""
+        if not _may_handle():
+            return
         pipe, self._pipe = self._pipe, None
         if pipe is not None:
             before = signal.set_wakeup_fd(-1)
