@@ -341,7 +341,7 @@ fn tcp_pages(place: &Place, over: &AtomicBool) {
     println!("{:.0} kB/s to all", bytes.into_inner() as f64 / begun.elapsed().as_secs_f64() / 1e3);
 }
 
-/// One of the two connections of a window of the page, until the end: a stream of events, or the status every [`POLLED`]. Counts the bytes
+/// One of the two connections of a window of the page, until the end: a stream of events, or the status four times a second. Counts the bytes
 /// that it gets.
 ///
 /// # Errors

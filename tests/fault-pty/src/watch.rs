@@ -1,8 +1,14 @@
-//! When the machine stood still, or had too much to do, as an ordinary thread sees it.
+//! When the machine stood still, or had too much to do, as an ordinary thread and a byte in a pseudo-terminal see it.
+//!
+//! The kernel moves such bytes by a worker of ordinary priority, which may wait when no thread does.
 //!
 //! Invariant: it has the priority of the daemon's ordinary threads: what holds those up holds it up.
 
+use meissner_stream::device::{Received, Terminal};
 use meissner_stream::time::HostInstant;
+use rustix::event::{PollFd, PollFlags, poll};
+use std::fs::OpenOptions;
+use std::io::Write;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
 use std::thread::{self, JoinHandle};
@@ -27,10 +33,16 @@ impl Watch {
     pub(crate) fn start() -> Self {
         let shared = Arc::new(Shared::default());
         let of_thread = Arc::clone(&shared);
+        let terminal = Terminal::open().unwrap();
+        let mut program = OpenOptions::new().read(true).write(true).open(terminal.path()).unwrap();
         let thread = thread::spawn(move || {
             while !of_thread.stop.load(Ordering::Relaxed) {
                 let due = HostInstant::now() + PERIOD;
                 thread::sleep(PERIOD);
+                program.write_all(&[0]).unwrap();
+                while !matches!(terminal.read(&mut [0; 16]), Received::Bytes(_)) {
+                    poll(&mut [PollFd::new(&terminal, PollFlags::IN)], None).unwrap();
+                }
                 let late = HostInstant::now().since(due);
                 if late > PERIOD {
                     of_thread.late.lock().unwrap().push((due, late));
