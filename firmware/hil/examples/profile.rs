@@ -9,6 +9,7 @@
 #[expect(dead_code, reason = "it is the tests', which use the rest of it")]
 mod play;
 #[path = "../tests/random.rs"]
+#[expect(dead_code, reason = "it is the tests', which use the rest of it")]
 mod random;
 
 use meissner_hil::bench::chip::ChipOptions;
