@@ -252,14 +252,20 @@ fn spaces_that_nobody_sees_make_no_other_participant() {
     }
 }
 
-#[test]
-fn a_reload_changes_the_limits_at_once() {
+/// An armed daemon that reads its configuration again at SIGHUP.
+fn reloadable() -> Daemon {
     let mut command = std::process::Command::new("sh");
     // Without a terminal, SIGHUP means reload.
     command.args(["-c", "trap '' HUP; exec \"$0\" \"$@\"", crate::harness::PROGRAM]);
     let mut daemon = Daemon::by(command);
     daemon.wait_for_device();
     daemon.armed();
+    daemon
+}
+
+#[test]
+fn a_reload_changes_the_limits_at_once() {
+    let daemon = reloadable();
     daemon.write_config(&format!("{PATIENT}{SHORT}"));
     daemon.signal(Signal::HUP);
     daemon.wait_for_log("[participant] at once");
@@ -270,11 +276,7 @@ fn a_reload_changes_the_limits_at_once() {
 /// What runs was judged by the old amplitude, and the sums follow the session record into its new directory.
 #[test]
 fn a_reload_stops_what_is_too_strong_now_and_moves_the_sums() {
-    let mut command = std::process::Command::new("sh");
-    command.args(["-c", "trap '' HUP; exec \"$0\" \"$@\"", crate::harness::PROGRAM]);
-    let mut daemon = Daemon::by(command);
-    daemon.wait_for_device();
-    daemon.armed();
+    let daemon = reloadable();
     let mut client = daemon.client();
     let mut events = client.events().unwrap();
     let _: Value = client.post("/v1/play", &json!({"pattern": "edge-45", "seconds": 60})).unwrap();

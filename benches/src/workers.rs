@@ -12,7 +12,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::{self, JoinHandle};
 use std::time::Duration;
 
-/// See the module. Dropping it gives the workers their ordinary priority again.
+/// See the module. Dropping it gives the workers their ordinary priority again; a benchmark that is killed leaves them raised.
 #[derive(Debug)]
 pub struct Workers {
     over: Arc<AtomicBool>,

@@ -140,7 +140,7 @@ complete -c meissner -n "__fish_meissner_using_subcommand reset" -l force -d 'Re
 complete -c meissner -n "__fish_meissner_using_subcommand reset" -l json -d 'Print one JSON document on stdout and nothing else'
 complete -c meissner -n "__fish_meissner_using_subcommand reset" -s h -l help -d 'Print help'
 complete -c meissner -n "__fish_meissner_using_subcommand arm" -l checked -d 'Say who has looked at the pins and found them level: needed after they may have drifted; on a terminal the command asks' -r
-complete -c meissner -n "__fish_meissner_using_subcommand arm" -l silence -d 'Disarm when nobody has armed, played or homed for S seconds, and the program that did so last was silent as long, 1 to 86400 [default: `armed_silence_s` of the daemon\'s configuration]' -r
+complete -c meissner -n "__fish_meissner_using_subcommand arm" -l silence -d 'Disarm after S seconds in which neither the program that armed nor the last one that moved pins has sent anything, 1 to 86400 [default: `armed_silence_s` of the daemon\'s configuration]' -r
 complete -c meissner -n "__fish_meissner_using_subcommand arm" -l socket -d 'Connect to the daemon at PATH [default: $MEISSNER_SOCKET, else the first of $XDG_RUNTIME_DIR/meissner.sock and /run/meissner/meissner.sock at which a daemon listens]' -r -F
 complete -c meissner -n "__fish_meissner_using_subcommand arm" -l assume-rest -d 'State that all pins are at rest: look at them first'
 complete -c meissner -n "__fish_meissner_using_subcommand arm" -l unattended -d 'Let the motors stay armed however long nobody asks the daemon'

@@ -128,7 +128,7 @@ enum Command {
         /// Say who has looked at the pins and found them level: needed after they may have drifted; on a terminal the command asks
         #[arg(long, value_name = "NAME", requires = "assume_rest")]
         checked: Option<String>,
-        /// Disarm when nobody has armed, played or homed for S seconds, and the program that did so last was silent as long, 1 to 86400
+        /// Disarm after S seconds in which neither the program that armed nor the last one that moved pins has sent anything, 1 to 86400
         /// [default: `armed_silence_s` of the daemon's configuration]
         #[arg(long, value_name = "S", allow_negative_numbers = true, value_parser = positive)]
         silence: Option<f64>,

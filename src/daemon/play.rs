@@ -284,7 +284,7 @@ mod tests {
         assert_eq!(engine.lock().session().unwrap().plays, 1);
     }
 
-    /// Whoever stops the display means what was asked for before.
+    /// A stop also refuses a play that was asked for before it and is still read.
     #[test]
     fn a_stop_refuses_a_play_whose_request_came_before() {
         let (mut port, commands, _events) = queues().unwrap();

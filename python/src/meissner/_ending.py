@@ -34,10 +34,6 @@ _PATIENCE = 15.0
 """How long an interactive shell waits for the motors to be off before it dies, s."""
 
 
-THREADS = "meissner-"
-"""What the names of this package's threads begin with."""
-
-
 class Open(Protocol):
     """What has to be ended with the program."""
 
@@ -85,7 +81,7 @@ def _end_all() -> None:
     _signals.deafen()
     deadline = time.monotonic() + _SETTLE
     for thread in threading.enumerate():
-        if thread.daemon and thread.name.startswith(THREADS) and thread is not threading.current_thread():
+        if thread.daemon and thread.name.startswith("meissner-") and thread is not threading.current_thread():
             thread.join(max(0.0, deadline - time.monotonic()))
 
 
@@ -127,7 +123,7 @@ class _Signals:
         reading, writing = self._pipe = os.pipe()
         if hasattr(os, "set_blocking"):
             os.set_blocking(writing, False)
-        threading.Thread(target=self._hear, args=(reading,), name=f"{THREADS}signals", daemon=True).start()
+        threading.Thread(target=self._hear, args=(reading,), name="meissner-signals", daemon=True).start()
         # C code writes to it also while the main thread is blocked.
         before = signal.set_wakeup_fd(writing, warn_on_full_buffer=False)
         if before != -1:
