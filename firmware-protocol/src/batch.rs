@@ -216,6 +216,22 @@ pub struct Strokes<'a> {
     pulses: u16,
 }
 
+/// How far a packed list of strokes has been unpacked.
+#[derive(Clone, Copy, Debug, Hash)]
+pub(crate) struct Place {
+    /// Bytes read.
+    read: usize,
+    at: Tick,
+    pulses: u16,
+}
+
+impl Place {
+    /// The beginning of a list whose first stroke counts from `base`.
+    pub(crate) const fn new(base: Tick) -> Self {
+        Self { read: 0, at: base, pulses: 0 }
+    }
+}
+
 impl<'a> Strokes<'a> {
     /// Reads `bytes` as strokes that count from `base`.
     #[must_use]
@@ -307,17 +323,27 @@ impl Iterator for Amendments<'_> {
     }
 }
 
-/// Reads the strokes of `batch`, counted from `base`, into `strokes`. Returns `false` if it cannot be read to its end.
-pub(crate) fn unpack(base: Tick, batch: &[u8], strokes: &mut Batch) -> bool {
-    strokes.clear();
-    let mut packed = Strokes::new(base, batch);
-    while !packed.rest.bytes.is_empty() {
-        let Ok(stroke) = packed.read() else { return false };
-        if strokes.push(stroke).is_err() {
-            return false;
+/// Reads strokes of `batch` from `place` on into `strokes`, at most `most`. Returns whether all are read now.
+///
+/// # Errors
+/// If the batch cannot be read to its end.
+pub(crate) fn unpack(
+    batch: &[u8],
+    place: &mut Place,
+    strokes: &mut Batch,
+    most: usize,
+) -> Result<bool, Malformed> {
+    let bytes = batch.get(place.read..).unwrap_or_default();
+    let mut packed = Strokes { rest: Unpacker { bytes, at: place.at }, pulses: place.pulses };
+    for _ in 0..most {
+        if packed.rest.bytes.is_empty() {
+            break;
         }
+        strokes.push(packed.read()?).map_err(|_| Malformed)?;
     }
-    true
+    let left = packed.rest.bytes.len();
+    *place = Place { read: batch.len() - left, at: packed.rest.at, pulses: packed.pulses };
+    Ok(left == 0)
 }
 
 #[cfg(test)]

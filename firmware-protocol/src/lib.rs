@@ -230,7 +230,8 @@
 //! leaves more pulses to push, and they count. A surplus that an e-stop leaves outstanding counts when it is returned.
 //!
 //! # Limits
-//! The controller enforces [`limits`] whatever the host asks: up pulses per stroke, balance of its bursts, size of
+//! The controller enforces [`limits`] whatever the host asks: up pulses per stroke, balance of its bursts, 1 ms from stroke to stroke of a
+//! motor (so that the chip has time to render them), size of
 //! corrections, travel of moves, on-time per motor and per rail, motors at once per rail and per driver chip, pushing, sizes of pool
 //! and queues. It refuses and reports a stroke that breaks one. It checks on-time, motors at once and pushing when a stroke begins, and
 //! for a move when it is asked for. An amendment of a stroke that has begun counts too, and is ignored if it breaks a limit.

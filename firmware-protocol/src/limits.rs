@@ -29,6 +29,14 @@ pub const MOTORS_PER_CHIP: usize = 2;
 /// Rails of the array.
 pub const RAILS: usize = MOTORS / MOTORS_PER_RAIL;
 
+/// Least ticks from the beginning of a stroke to that of the next one of its motor: 1 ms. Strokes of a pattern are at least 1.67 ms long,
+/// half a period of 300 Hz.
+pub const LEAST_APART: u64 = TICK_HZ as u64 / 1_000;
+/// Most strokes that begin within [`DENSE_TICKS`], of all motors together: 192 bursts. Each motor begins at most four at 300 Hz.
+pub const MAX_DENSE: u8 = 4 * MOTORS as u8;
+/// 10 ms, in whole blocks of what is rendered.
+pub const DENSE_TICKS: u64 = 53 * 16;
+
 /// Most pulses by which a correction may change a planned count: 30 %, at least 1.
 #[must_use]
 pub const fn correction(planned: u16) -> u16 {
@@ -89,6 +97,9 @@ pub enum Refusal {
     RailAtOnce,
     /// Too many motors of the driver chip would have pulses at once.
     ChipAtOnce,
+    /// The stroke begins less than [`LEAST_APART`] after the one before it on the same motor, or after too many of all motors
+    /// ([`MAX_DENSE`]).
+    Dense,
 }
 
 /// What motors, drivers and supplies bear: pulses begun in a sliding second, and motors that have pulses at once. The defaults cannot

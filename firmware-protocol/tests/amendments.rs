@@ -6,7 +6,7 @@ use Direction::{Down, Up};
 use firmware_protocol::message::{HostMessage, Op};
 use firmware_protocol::stroke::{Direction, Stroke};
 
-/// A queued stroke of 20 up and 20 down pulses, held for 10 ticks, with another one 8 ticks later.
+/// A queued stroke of 20 up and 20 down pulses, held for 50 ticks, with another one 8 ticks later.
 struct Amended {
     bench: Bench,
     first: Stroke,
@@ -15,7 +15,7 @@ struct Amended {
 impl Amended {
     fn new() -> Self {
         let mut bench = Bench::armed_without_stop(FIRMWARE);
-        let first = stroke(1, bench.now + 200, 20, 10, 20);
+        let first = stroke(1, bench.now + 200, 20, 50, 20);
         bench.strokes(&[first, stroke(1, first.end().0 + 8, 20, 5, 20)]);
         Self { bench, first }
     }
@@ -64,8 +64,8 @@ fn the_newest_generation_wins_per_burst_and_across_the_wrap() {
 
 #[test]
 fn an_amendment_is_taken_until_its_burst_is_rendered() {
-    for (direction, start) in [(Up, 200), (Down, 230)] {
-        for event in 100..240 {
+    for (direction, start) in [(Up, 200), (Down, 270)] {
+        for event in 100..280 {
             let Amended { mut bench, first } = Amended::new();
             bench.run(event);
             let taken = u64::from(bench.device.rendered() <= first.up + (start - 200));
@@ -81,15 +81,15 @@ fn an_amendment_is_taken_until_its_burst_is_rendered() {
 #[test]
 fn an_amendment_needs_room() {
     let mut bench = Bench::armed_without_stop(FIRMWARE);
-    let first = stroke(1, bench.now + 200, 20, 2, 20);
-    bench.strokes(&[first, stroke(1, first.end().0 + 3, 20, 0, 20)]);
-    for (generation, direction, pulses) in [(1, Up, 23), (2, Up, 22), (3, Down, 24), (4, Down, 23)] {
+    let first = stroke(1, bench.now + 200, 45, 2, 45);
+    bench.strokes(&[first, stroke(1, first.end().0 + 3, 45, 0, 45)]);
+    for (generation, direction, pulses) in [(1, Up, 48), (2, Up, 47), (3, Down, 49), (4, Down, 48)] {
         bench.amend(generation, &first, direction, pulses);
     }
     assert_eq!(bench.device.counters().amendments_ignored, 2);
     bench.run(500);
     let bursts = bench.bursts(1);
-    assert_eq!((bursts[0].pulses, bursts[1].pulses, bursts[2].pulses), (22, 23, 20));
+    assert_eq!((bursts[0].pulses, bursts[1].pulses, bursts[2].pulses), (47, 48, 45));
 }
 
 #[test]

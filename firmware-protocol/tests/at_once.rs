@@ -1,7 +1,9 @@
 //! The limits on motors that have pulses at once. [`Bench`] counts them in every tick of every test here.
 
 use crate::bench::{Bench, FIRMWARE, HOST_TIMEOUT, SHELLS, STOP, Shell, stroke};
-use firmware_protocol::limits::{MAX_SEEK, MOTORS_PER_CHIP, MOTORS_PER_RAIL, PowerLimits, Refusal};
+use firmware_protocol::limits::{
+    LEAST_APART, MAX_SEEK, MOTORS_PER_CHIP, MOTORS_PER_RAIL, PowerLimits, Refusal,
+};
 use firmware_protocol::message::{LowerStop, Op, Report, State};
 use firmware_protocol::stroke::{Direction, MOTORS, Stroke};
 use proptest::prelude::*;
@@ -136,7 +138,7 @@ proptest! {
         for (motor, after, pulses, hold) in sent {
             up += after;
             let one = stroke(motor, up.max(free[usize::from(motor)]), pulses, hold, pulses);
-            free[usize::from(motor)] = one.end().0;
+            free[usize::from(motor)] = one.end().0.max(one.up.0 + LEAST_APART);
             strokes.push(one);
         }
         strokes.sort_by_key(|stroke| (stroke.up, stroke.motor));

@@ -282,6 +282,7 @@ fn from_the_device() {
         (refused(Refusal::Pushing), "100503c80104110df0edfe0e9f82dcb000"),
         (refused(Refusal::RailAtOnce), "100503c80104110df0edfe0f09b2dbc700"),
         (refused(Refusal::ChipAtOnce), "100503c80104110df0edfe10fcbfd34a00"),
+        (refused(Refusal::Dense), "100503c80104110df0edfe116a8fd43d00"),
         (refused(Refusal::RailOnTime), "100503c80104110df0edfe093c17b82e00"),
         (
             DeviceMessage::Telemetry { tick: rendered, y },

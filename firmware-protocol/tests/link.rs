@@ -25,7 +25,7 @@ fn control(epoch: u16, op: Op) -> Vec<u8> {
 
 /// Three frames of one stroke each.
 fn three(bench: &Bench) -> ([Stroke; 3], [Vec<u8>; 3]) {
-    let three = [0, 1, 2].map(|k| stroke(1, bench.now + 200 + 50 * k, 7, 6, 7));
+    let three = [0, 1, 2].map(|k| stroke(1, bench.now + 200 + 100 * k, 7, 6, 7));
     (three, [0, 1, 2].map(|k| strokes(bench, bench.epoch, k, &[three[usize::from(k)]])))
 }
 

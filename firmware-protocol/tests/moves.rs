@@ -95,7 +95,7 @@ fn an_on_time_limit_refuses_strokes_when_they_begin_and_is_named() {
         for (motor, rail, reason) in [(30, 510_000, Refusal::MotorOnTime), (85_000, 30, Refusal::RailOnTime)]
         {
             let mut bench = Bench::limited(shell, motor, rail);
-            let strokes: Vec<_> = (0..3).map(|k| stroke(3, bench.soon() + 50 * k, 7, 6, 7)).collect();
+            let strokes: Vec<_> = (0..3).map(|k| stroke(3, bench.soon() + 100 * k, 7, 6, 7)).collect();
             bench.strokes(&strokes);
             // The next rail is counted by itself.
             bench.strokes(&[stroke(6, bench.now + 300, 7, 6, 7)]);
@@ -196,7 +196,7 @@ fn no_report_of_a_refused_stroke_is_lost() {
             // The first stroke of each motor uses up its on-time. The last round finds 16 credits.
             let next: Vec<_> = (0..24).map(|motor| stroke(motor, bench.soon(), 7, 6, 7)).collect();
             bench.strokes(&next);
-            bench.run(130);
+            bench.run(230);
             let taken = if round < 43 { 24 } else { POOL - refused.len() };
             refused.extend(next[..taken].iter().filter(|_| round > 0).map(|one| (one.motor, one.up.wire())));
         }

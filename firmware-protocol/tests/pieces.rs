@@ -10,9 +10,10 @@ use firmware_protocol::stroke::Stroke;
 use firmware_protocol::tick::Tick;
 
 /// Ticks from now to the first stroke of the frame: late by the time its second piece is taken.
-const SOON: u64 = HORIZON as u64 + 2 * BLOCK as u64;
-/// Blocks until a frame of 32 strokes is taken: its message, its head and four pieces, and one to spare.
-const BLOCKS: u64 = 7;
+const SOON: u64 = HORIZON as u64 + 3 * BLOCK as u64;
+/// Blocks until a frame of 32 strokes is taken: its message and the first half of its strokes unpacked, the other half, its head and
+/// four pieces, and one to spare.
+const BLOCKS: u64 = 8;
 
 /// An armed bench in an up burst, so that the drivers are on and the device takes long frames in pieces.
 fn busy() -> Bench {
@@ -25,7 +26,7 @@ fn busy() -> Bench {
 
 /// The first 22 begin together, so a late piece has late strokes.
 fn strokes(bench: &Bench, ahead: u64) -> Vec<Stroke> {
-    (0..MAX_BATCH as u64).map(|k| stroke(k as u8 % 22, bench.now + ahead + 60 * (k / 22), 9, 5, 9)).collect()
+    (0..MAX_BATCH as u64).map(|k| stroke(k as u8 % 22, bench.now + ahead + 100 * (k / 22), 9, 5, 9)).collect()
 }
 
 fn message(bench: &Bench, mark: Option<Mark>, strokes: &[Stroke]) -> Vec<u8> {
@@ -99,7 +100,7 @@ fn an_e_stop_between_pieces_keeps_what_was_counted() {
         bench.device.e_stop(Tick(bench.now), epoch);
         bench.is(State::Faulted, Cause::EStop);
         let stopped = counted(bench.device.counters());
-        let taken = 8 * blocks.saturating_sub(2).min(4);
+        let taken = 8 * blocks.saturating_sub(3).min(4);
         assert_eq!(stopped, 2 * (1 + taken), "{ahead}, {blocks} blocks: {:?}", bench.device.counters());
         // The rest of its epoch is ignored, also after a reset.
         bench.epoch = epoch;
@@ -136,7 +137,7 @@ fn a_hello_of_another_session_between_pieces_ends_the_frame() {
         let (mut bench, _) = half_taken(500, blocks);
         bench.device.open_session(Tick(bench.now), 2);
         bench.is(State::Returning, Cause::NewHost);
-        check(&mut bench, 8 * (blocks - 2).min(4), "hello");
+        check(&mut bench, 8 * blocks.saturating_sub(3).min(4), "hello");
         assert_eq!(
             bench.reports().iter().filter(|report| matches!(report, Report::Verdict { .. })).count(),
             0
@@ -158,8 +159,8 @@ fn a_duplicate_between_pieces_is_taken_once() {
 #[test]
 fn a_verdict_names_the_rendered_end_of_the_first_late_stroke() {
     let (mut bench, _) = half_taken(SOON, 0);
-    // The second piece is late: it comes after two blocks for message and head, and one for the first piece.
-    let second = bench.device.rendered() + 3 * u64::from(BLOCK);
+    // The second piece is late: it comes after two blocks to unpack the frame, one for its head, and one for the first piece.
+    let second = bench.device.rendered() + 4 * u64::from(BLOCK);
     bench.run(BLOCKS * u64::from(BLOCK));
     let Report::Verdict { late, rendered, .. } = bench.last_report() else { panic!("a verdict") };
     assert_eq!((late & 0xffff, rendered), (0xff00, second.wire()));

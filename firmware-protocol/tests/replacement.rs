@@ -219,7 +219,7 @@ fn an_e_stop_between_the_pieces_of_a_replacement_loses_no_count() {
         let epoch = bench.epoch.wrapping_add(1);
         bench.device.e_stop(Tick(bench.now), epoch);
         let counters = bench.device.counters();
-        let taken = 4 * blocks.saturating_sub(2).min(6);
+        let taken = 4 * blocks.saturating_sub(3).min(6);
         assert_eq!(counted(counters), 2 * (8 * 24 + taken), "{blocks} blocks: {counters:?}");
         let withdrawn = old[0].iter().filter(|old| old.up.0 >= base).count() as u64;
         assert_eq!(counters.replaced, 2 * withdrawn * taken, "{blocks} blocks");
@@ -261,9 +261,12 @@ fn a_full_device_takes_a_replacement_frame_by_frame() {
     }
     assert_eq!(usize::from(bench.status().credits), POOL - 42 * 24);
     for motor in 0..24 {
-        bench.replace(1 << motor, 0, first, &train(motor, first + 4_000, 16, 9));
+        // No denser than the device allows.
+        let new: Vec<Stroke> =
+            (0..16).map(|k| stroke(motor, first + 4_000 + 3 * k * PERIOD, 9, HOLD, 9)).collect();
+        bench.replace(1 << motor, 0, first, &new);
     }
-    bench.run(8_000);
+    bench.run(9_000);
     let counters = bench.device.counters();
     assert_eq!((counters.replaced, counters.played, counters.refused), (2 * 42 * 24, 2 * 16 * 24, 0));
 }

@@ -2,7 +2,7 @@
 
 use crate::bench::{Bench, FIRMWARE, SHELLS, SOON, stroke};
 use firmware_protocol::controller::POOL;
-use firmware_protocol::limits::Refusal;
+use firmware_protocol::limits::{LEAST_APART, Refusal};
 use firmware_protocol::message::Report;
 use firmware_protocol::stroke::Stroke;
 use firmware_protocol::tick::Tick;
@@ -43,7 +43,7 @@ fn a_stroke_is_late_one_tick_before_the_drivers_are_ready_and_then_dropped_whole
 
 #[test]
 fn a_verdict_gives_the_reason_of_each_refusal() {
-    let first = |bench: &Bench| stroke(1, bench.soon(), 10, 10, 10);
+    let first = |bench: &Bench| stroke(1, bench.soon(), 10, 80, 10);
     type Case = (&'static str, fn(&Stroke) -> Stroke, Option<Refusal>);
     let cases: [Case; 10] = [
         ("after it", |s| Stroke { up: s.end(), down: s.end() + 10, ..*s }, None),
@@ -85,7 +85,8 @@ fn a_verdict_gives_the_reason_of_each_refusal() {
 fn a_full_pool_refuses_until_a_stroke_is_over() {
     let mut bench = Bench::armed(FIRMWARE);
     let start = bench.now + 1_000;
-    let mut strokes: Vec<Stroke> = (0..POOL as u64 + 1).map(|k| stroke(1, start + 20 * k, 4, 4, 4)).collect();
+    let mut strokes: Vec<Stroke> =
+        (0..POOL as u64 + 1).map(|k| stroke(1, start + LEAST_APART * k, 4, 4, 4)).collect();
     let beyond = strokes.pop().unwrap();
     for frame in strokes.chunks(32) {
         bench.strokes(frame);
@@ -93,16 +94,45 @@ fn a_full_pool_refuses_until_a_stroke_is_over() {
     assert_eq!((bench.status().credits, bench.reports().len()), (0, 0));
     bench.strokes(&[beyond]);
     assert_eq!(verdict(&bench), (0, 1, Some(Refusal::PoolFull)));
-    bench.run_to(start + 64);
+    bench.run_to(start + 2 * LEAST_APART + 64);
     bench.ping(1);
     assert_eq!(bench.status().credits, 3);
     bench.strokes(&[beyond]);
-    bench.run(1_025 * 20);
+    bench.run(1_025 * LEAST_APART);
     bench.ping(2);
     assert_eq!(bench.device.counters().played, 2 * 1_025);
     assert_eq!(bench.status().credits, POOL as u16);
     let expected: Vec<_> = strokes.iter().chain([&beyond]).flat_map(Stroke::bursts).collect();
     assert_eq!(bench.bursts(1), expected);
+}
+
+/// Whether the one before is queued, is played, or has been withdrawn.
+#[test]
+fn a_stroke_less_than_a_millisecond_after_the_one_before_is_refused() {
+    for shell in SHELLS {
+        for wait in 0..120 {
+            let mut bench = Bench::armed(shell);
+            let first = stroke(1, bench.soon(), 1, 1, 1);
+            let [dense, apart] =
+                [LEAST_APART - 1, LEAST_APART].map(|ticks| stroke(1, first.up.0 + ticks, 1, 1, 1));
+            bench.strokes(&[first]);
+            bench.run(wait);
+            let late = apart.up < bench.device.ready();
+            bench.strokes(&[dense, apart]);
+            if !late {
+                assert_eq!(verdict(&bench), (0, 1, Some(Refusal::Dense)), "{wait}");
+            }
+            bench.run(300);
+            let played = if late { vec![first] } else { vec![first, apart] };
+            assert_eq!(bench.bursts(1), played.iter().flat_map(Stroke::bursts).collect::<Vec<_>>());
+        }
+    }
+    let mut bench = Bench::armed(FIRMWARE);
+    let [first, second] = [0, 10].map(|ticks| stroke(1, bench.soon() + ticks, 1, 1, 1));
+    bench.strokes(&[first]);
+    bench.replace(0b10, 0, first.up.0, &[second]);
+    bench.run(300);
+    assert_eq!((bench.bursts(1), bench.device.counters().refused), (second.bursts().to_vec(), 0));
 }
 
 #[test]
@@ -113,11 +143,11 @@ fn strokes_without_a_pause_between_them_are_played_as_sent() {
         let mut end = 0;
         // Each as soon as possible, sent just before, during or after the one before.
         for k in 0..60 {
-            let next = stroke(1, end.max(bench.device.ready().0), 3, k % 2, 3);
+            let next = stroke(1, end.max(bench.device.ready().0), 3, LEAST_APART - 6 + k % 2, 3);
             bench.strokes(&[next]);
             sent.push(next);
             end = next.end().0;
-            bench.run(k % 11);
+            bench.run(80 + k % 11);
         }
         bench.run(400);
         assert_eq!(bench.bursts(1), sent.iter().flat_map(Stroke::bursts).collect::<Vec<_>>());

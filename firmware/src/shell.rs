@@ -38,8 +38,9 @@ struct Shell {
     watches: [Watch; usb::PIPES],
     /// The packet being read, its pipe, and how much of it is read.
     packet: Option<(usize, usb::Packet, usize)>,
-    /// The frame being sent.
+    /// The frame being sent, and its length until it is put on its pipe: to make one and to put it there are two pieces of work.
     frame: [u8; MAX_FRAME],
+    made: usize,
     executor: beat::Watch,
     /// The self-test under way.
     self_test: Option<SelfTestRun>,
@@ -57,6 +58,7 @@ pub(crate) fn start(identity: Identity, cause: Cause, ports: usb::Ports) {
         watches: [const { Watch::new() }; usb::PIPES],
         packet: None,
         frame: [0; MAX_FRAME],
+        made: 0,
         executor: beat::Watch::NEW,
         self_test: None,
     };
@@ -85,8 +87,9 @@ impl Shell {
         loop {
             self.take_e_stop();
             self.take_failure();
-            self.take_stall();
-            self.hold();
+            let now = wave::now();
+            self.take_stall(now);
+            self.hold(now);
             self.render();
             let advanced = self.controller.advance(wave::now());
             estop::set_epoch(self.controller.epoch());
@@ -111,8 +114,8 @@ impl Shell {
     }
 
     /// Holds the outputs low while the controller says so, and releases them in the tick in which that ends.
-    fn hold(&self) {
-        if self.controller.forced_off(wave::now()) {
+    fn hold(&self, now: Tick) {
+        if self.controller.forced_off(now) {
             wave::force_low();
         } else {
             wave::release();
@@ -146,8 +149,7 @@ impl Shell {
     }
 
     /// Returns the pins if the executor hangs: the host cannot be heard, and the watchdog will restart the chip.
-    fn take_stall(&mut self) {
-        let now = wave::now();
+    fn take_stall(&mut self, now: Tick) {
         if self.executor.hangs(now) {
             counters::stalled();
             self.controller.link_lost(now);
@@ -228,19 +230,21 @@ impl Shell {
         true
     }
 
-    /// Sends the next frame if there is one, and room for it.
+    /// Makes the next frame if there is one and room for it, or sends the one that was made.
     #[inline(never)]
     fn send(&mut self) -> bool {
+        if self.made > 0 {
+            let len = core::mem::take(&mut self.made);
+            self.ports.put(self.active, &self.frame[..len]);
+            return true;
+        }
         if !self.ports.has_room(self.active) {
             return false;
         }
         if self.controller.wants_measures() {
             self.controller.measured(counters::read());
         }
-        let len = self.controller.transmit(wave::now(), &mut self.frame);
-        if len > 0 {
-            self.ports.put(self.active, &self.frame[..len]);
-        }
-        len > 0
+        self.made = self.controller.transmit(wave::now(), &mut self.frame);
+        self.made > 0
     }
 }

@@ -12,6 +12,7 @@ use crate::exposure::Vibration;
 use crate::receipts::{Order, counts, fit};
 use crate::session_record::Peer;
 use crate::store::Stored;
+use firmware_protocol::limits::MAX_DENSE;
 use firmware_protocol::message::Trigger;
 use firmware_protocol::tick::Tick;
 use meissner_api::{Code, OrderedCounts, PlayAccepted, PlayRequest, Problem, TriggerRequest, TriggerShape};
@@ -20,7 +21,7 @@ use meissner_array::strokes::{StrokeOptions, Strokes, Surplus};
 use meissner_array::units::{ms_in_ticks, ticks_to_seconds};
 use meissner_stream::queues::{At, Command, Item, Play};
 use meissner_stream::time::HostInstant;
-use meissner_stream::{Bandwidth, Overpush, Settings, find_overpush, find_too_many};
+use meissner_stream::{Bandwidth, Dense, Overpush, Settings, find_dense, find_overpush, find_too_many};
 use std::sync::Arc;
 
 /// A play that still needs an id.
@@ -67,8 +68,7 @@ impl PreparedPlay {
                 let end_s = strokes.end().map(ticks_to_seconds);
                 let vibration = Vibration::of(&pattern, end_s);
                 let bandwidth = Bandwidth::of(&strokes, &settings);
-                let fits =
-                    check_pushing(&strokes, &settings).and_then(|()| check_at_once(&strokes, &settings));
+                let fits = check_limits(&strokes, &settings);
                 (fits, bandwidth, vibration, counts(&pattern, &counted), strokes)
             })
             .await?;
@@ -189,8 +189,24 @@ impl Engine {
     }
 }
 
+/// Refuses a play of which the controller would refuse strokes.
+pub(super) fn check_limits(strokes: &Strokes, settings: &Settings) -> Result<(), Problem> {
+    check_density(strokes)?;
+    check_pushing(strokes, settings)?;
+    check_at_once(strokes, settings)
+}
+
+fn check_density(strokes: &Strokes) -> Result<(), Problem> {
+    let Some(Dense { at_s }) = find_dense(strokes) else { return Ok(()) };
+    let detail = format!(
+        "more than {MAX_DENSE} strokes of all motors would begin within 10 ms, first after {at_s:.4} s; the controller allows no more: \
+         make drives, repeats or items longer, or drive fewer motors"
+    );
+    Err(Problem::new(Code::TooDense, detail))
+}
+
 /// Refuses a play that would push the lower stop more than the controller allows.
-pub(super) fn check_pushing(strokes: &Strokes, settings: &Settings) -> Result<(), Problem> {
+fn check_pushing(strokes: &Strokes, settings: &Settings) -> Result<(), Problem> {
     let Some(limit) = settings.lower_stop.map(|stop| stop.pulses_per_s) else { return Ok(()) };
     let Some(Overpush { motor, at_s }) = find_overpush(strokes, limit) else { return Ok(()) };
     let detail = format!(
@@ -201,7 +217,7 @@ pub(super) fn check_pushing(strokes: &Strokes, settings: &Settings) -> Result<()
 }
 
 /// Refuses a play in which more motors would have pulses at once than may.
-pub(super) fn check_at_once(strokes: &Strokes, settings: &Settings) -> Result<(), Problem> {
+fn check_at_once(strokes: &Strokes, settings: &Settings) -> Result<(), Problem> {
     let Some(TooMany { group, tick, at_once }) = find_too_many(strokes, settings.limits) else {
         return Ok(());
     };

@@ -6,7 +6,7 @@
 //! Invariant: a sequence is accepted as a whole or refused, with the number of the item that is wrong.
 
 use super::engine::{Engine, TIMEOUT, answer};
-use super::play::{check_at_once, check_pushing, onset, trigger};
+use super::play::{check_limits, onset, trigger};
 use super::runtime::PLAYS;
 use super::state::{NewSequence, State, Trial, Way};
 use crate::exposure::Vibration;
@@ -150,8 +150,7 @@ impl PreparedSequence {
         let (fits, bandwidth, counts, strokes) = PLAYS
             .computing(move || {
                 let bandwidth = Bandwidth::of(&strokes, &settings).max(bandwidth);
-                let fits =
-                    check_pushing(&strokes, &settings).and_then(|()| check_at_once(&strokes, &settings));
+                let fits = check_limits(&strokes, &settings);
                 (fits, bandwidth, counts(&strokes), strokes)
             })
             .await?;

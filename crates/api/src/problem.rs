@@ -95,6 +95,8 @@ pub enum Code {
     LowerStop,
     /// A motor would push the lower stop with more pulses per second than `limits.stop_pulses_per_s`.
     PushLimit,
+    /// More strokes of all motors would begin within 10 ms than the controller allows.
+    TooDense,
     /// More motors of a rail or a driver chip would have pulses at once than `array.rail_motors_at_once` or
     /// `array.chip_motors_at_once` allows.
     PowerLimit,
@@ -137,6 +139,7 @@ impl Code {
         Self::DeviceRefused,
         Self::LowerStop,
         Self::PushLimit,
+        Self::TooDense,
         Self::PowerLimit,
         Self::NoTelemetry,
         Self::DriftLimit,
@@ -197,6 +200,7 @@ impl Code {
             Self::ShuttingDown => ("shutting-down", 503, "The daemon shuts down"),
             Self::LowerStop => ("lower-stop", 409, "The array has a lower stop"),
             Self::PushLimit => ("push-limit", 409, "A play would push the lower stop too much"),
+            Self::TooDense => ("too-dense", 409, "Too many strokes would begin within 10 ms"),
             Self::PowerLimit => ("power-limit", 409, "Too many motors would have pulses at once"),
             Self::DriftLimit => ("drift-limit", 409, "Pins may be too far from rest"),
             Self::LevelNotChecked => ("level-not-checked", 409, "The level of the pins was not checked"),

@@ -172,6 +172,7 @@ const PLAY: &[Code] = &[
     Code::BehindEndless,
     Code::TooSoon,
     Code::Overlaps,
+    Code::TooDense,
 ];
 /// Plays and calibrations are queued by the same rules.
 const QUEUE: &[Code] = &[

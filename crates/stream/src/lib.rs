@@ -13,7 +13,7 @@
 //! 7. Back the same way: acknowledgements, verdicts, counters and telemetry reach the streamer, which reports
 //!    [`queues::StreamEvent`]s through the [`queues::EventQueue`].
 //!
-//! Beside the path: [`find_overpush`] (`pushing`) tests a play against the limit on pushing a lower stop;
+//! Beside the path: `checks` tests a play against the controller's limits ([`find_overpush`], [`find_too_many`], [`find_dense`]);
 //! [`simulate_play`] and [`Simulation`] (`simulation`) run the same streamer against the mock in virtual
 //! time, over a line that may be bad ([`faulty`]); [`MotorRun`] (`motor_run`) simulates the position control of one motor without a
 //! link; [`calibrate`] measures gains; [`diagnostics`] tests a link; [`sync`] is what threads share.
@@ -45,17 +45,16 @@
 //! real time its loop does not allocate, lock, log or wait for anybody.
 
 mod active;
-mod at_once;
 mod bandwidth;
 mod board;
 pub mod calibrate;
+mod checks;
 mod control;
 pub mod device;
 pub mod diagnostics;
 pub mod faulty;
 pub mod link;
 mod motor_run;
-mod pushing;
 pub mod queues;
 mod settings;
 mod simulation;
@@ -65,13 +64,12 @@ pub mod sync;
 mod thread;
 pub mod time;
 
-pub use at_once::find_too_many;
 pub use bandwidth::{Bandwidth, Requirement};
 pub use board::PlayBoard;
+pub use checks::{Dense, Overpush, find_dense, find_overpush, find_too_many};
 pub use control::{Gains, rest_bound_um};
 pub use faulty::Line;
 pub use motor_run::{MotorRun, Period};
-pub use pushing::{Overpush, find_overpush};
 pub use settings::{LowerStopSettings, Settings};
 pub use simulation::{SimulatedPlay, Simulation, SimulationError, simulate_play};
 pub use source::Source;

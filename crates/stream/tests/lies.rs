@@ -188,6 +188,7 @@ fn change(message: &DeviceMessage, random: &mut ChaCha8Rng) -> Option<DeviceMess
                 "RailOnTime",
                 "RailAtOnce",
                 "ChipAtOnce",
+                "Dense",
             ];
             Value::from(names[random.next_u32() as usize % names.len()])
         }

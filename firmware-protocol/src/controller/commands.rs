@@ -2,7 +2,6 @@
 //!
 //! Invariant: a command is carried out once, in the epoch that it begins; strokes and amendments of another epoch change nothing.
 
-use crate::batch::unpack;
 use crate::controller::taking::Next;
 use crate::controller::{Controller, newer};
 use crate::limits::Refusal;
@@ -19,18 +18,18 @@ impl Controller {
             self.pending.no_session = true;
             return;
         }
-        if let HostMessage::Strokes { base, batch, .. } = message
-            && !unpack(base.near(self.now), batch, &mut self.taking.strokes)
-        {
-            self.counters.bad_frames += 1;
+        self.taking.epoch = self.epoch;
+        if let HostMessage::Strokes { epoch, seq, seen, mark, withdraw, base, batch } = message {
+            // It is handled when all its strokes could be read.
+            let head = Next { seq, mark, withdraw, base: base.near(self.now) };
+            self.unpack_first(head, Some((epoch, seen)), batch);
             return;
         }
         self.last_heard = self.now;
         // These two have an answer of their own.
         self.pending.status |= !matches!(message, HostMessage::Board { .. } | HostMessage::SelfTest { .. });
-        self.taking.epoch = self.epoch;
         match message {
-            HostMessage::Hello { .. } => {}
+            HostMessage::Hello { .. } | HostMessage::Strokes { .. } => {}
             HostMessage::Board { window } => self.reporting.ask(window),
             HostMessage::SelfTest { run } => self.ask_test(run),
             HostMessage::Ping { token, seen } => {
@@ -40,12 +39,6 @@ impl Controller {
             HostMessage::Control { epoch, seen, op } => {
                 self.reports.seen(seen, self.now);
                 self.control(epoch, op);
-            }
-            HostMessage::Strokes { epoch, seq, seen, mark, withdraw, base, batch } => {
-                self.reports.seen(seen, self.now);
-                if epoch == self.epoch {
-                    self.stream(Next { seq, mark, withdraw, base: base.near(self.now) }, batch);
-                }
             }
             HostMessage::Amend { epoch, generation, base, items } => {
                 if epoch == self.epoch {

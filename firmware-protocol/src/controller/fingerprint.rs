@@ -46,6 +46,7 @@ impl Controller {
             marks,
             trigger_output: TriggerOutput { cells, width, cell_end },
             drivers: Drivers { since, tail_end },
+            density,
             on_time,
             pushing,
             rendered,
@@ -60,7 +61,7 @@ impl Controller {
         (kept, generation, reorder, taking, pending, reports).hash(hasher);
         (state, cause, then, position_known, seeks).hash(hasher);
         (outstanding, outstanding_pushes, travel, host_timeout, last_heard, now).hash(hasher);
-        (counters, reporting, pool, on_time, pushing).hash(hasher);
+        (counters, reporting, pool, density, on_time, pushing).hash(hasher);
         marks.iter().for_each(|mark| mark.hash(hasher));
         marks.len().hash(hasher);
         if *cells != 0 {

@@ -105,6 +105,12 @@ impl Controller {
         let mut due = self.window.take(now);
         let mut motor = 0;
         while due != 0 {
+            // The chip's core has no instruction that finds the next bit.
+            if due & 0xff == 0 {
+                due >>= 8;
+                motor += 8;
+                continue;
+            }
             if due & 1 == 1 {
                 self.step(motor);
             }
@@ -122,6 +128,7 @@ impl Controller {
     #[inline(never)]
     fn open_window(&mut self, now: u32) {
         self.window = Window { begin: now, ..Window::CLOSED };
+        self.density.next_block();
         let (mut waiting, mut bit) = (self.waiting, 1);
         for change in &self.changes {
             if waiting & 1 == 1 {
@@ -175,7 +182,7 @@ impl Controller {
             if slot.kind == Kind::Play && slot.charged.is_none() && slot.stroke.up <= now {
                 let (stroke, pushes) = (slot.stroke, slot.pushes);
                 let pulses = stroke.pulses();
-                let begun = self.check_at_once(&stroke);
+                let begun = self.density.begin().and_then(|()| self.check_at_once(&stroke));
                 let begun = begun.and_then(|()| self.on_time.begin(now, motor, pulses)).and_then(|()| {
                     self.pushing.begin(now, motor, pushes.into()).inspect_err(|_| {
                         self.on_time.end(now, motor, pulses, 0);

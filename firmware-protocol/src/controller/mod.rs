@@ -12,6 +12,7 @@ mod at_once;
 mod board;
 mod commands;
 mod completion;
+mod density;
 mod drivers;
 mod fingerprint;
 mod lines;
@@ -28,6 +29,7 @@ use crate::message::{Cause, Counters, Cut, DeviceHello, DeviceMessage, Op, Repor
 use crate::stroke::{Lines, MOTORS};
 use crate::tick::{TICK_HZ, Tick, WireTick};
 use board::Reporting;
+use density::Density;
 use drivers::Drivers;
 pub use drivers::{DRIVER_LEAD, DRIVER_TAIL};
 use lines::{TriggerOutput, Window};
@@ -135,6 +137,7 @@ pub struct Controller {
     marks: heapless::Deque<(Tick, Option<Trigger>), MAX_MARKS>,
     trigger_output: TriggerOutput,
     drivers: Drivers,
+    density: Density,
     on_time: OnTime,
     pushing: Pushing,
     rendered: Tick,
@@ -200,6 +203,7 @@ impl Controller {
             marks: heapless::Deque::new(),
             trigger_output: TriggerOutput::LOW,
             drivers: Drivers::OFF,
+            density: Density::NOTHING,
             on_time: OnTime::new(now),
             pushing: Pushing::new(now),
             rendered: now,

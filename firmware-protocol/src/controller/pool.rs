@@ -5,6 +5,7 @@
 //!
 //! Invariant: the state of a line at a tick follows from the slots alone ([`Slot::at`]). A cut rewrites the slot.
 
+use crate::limits::LEAST_APART;
 use crate::stroke::{Direction, Line, MOTORS, Stroke};
 use crate::tick::Tick;
 use core::hash::{Hash, Hasher};
@@ -238,6 +239,12 @@ impl Pool {
         self.get(self.queues[motor].tail).map(|slot| slot.stroke.end())
     }
 
+    /// When the last stroke of `motor` begins or began.
+    pub(super) fn last_up(&self, motor: usize) -> Tick {
+        let Some(queue) = self.queues.get(motor) else { return Tick(0) };
+        self.get(queue.tail).map_or(queue.passed, |slot| slot.stroke.up)
+    }
+
     /// Appends a slot to the queue of its motor. Returns `false` if the pool is full.
     pub(super) fn push(&mut self, slot: Slot) -> bool {
         let index = self.free;
@@ -317,7 +324,7 @@ impl Pool {
     }
 
     /// Returns to the pool the strokes of `motor` that begin at `from` or later; returns their number. `None`: one of them has begun
-    /// before `rendered` or is not of a play, or one before them ends after `next`. Then all stay.
+    /// before `rendered` or is not of a play, or one before them ends after `next` or begins too shortly before it. Then all stay.
     pub(super) fn withdraw(&mut self, motor: usize, from: Tick, next: Tick, rendered: Tick) -> Option<u16> {
         let &Queue { head, passed, .. } = self.queues.get(motor)?;
         if passed >= from {
@@ -325,7 +332,8 @@ impl Pool {
         }
         // Those before the cursor began before `from`, too.
         let [last, first, stay] = self.first_from(head, from);
-        if self.get(last).is_some_and(|last| last.stroke.end() > next) {
+        let [ends, begins] = self.get(last).map_or([passed; 2], |last| [last.stroke.end(), last.stroke.up]);
+        if ends > next || next < begins + LEAST_APART {
             return None;
         }
         let Some(slot) = self.get(first) else { return Some(0) };

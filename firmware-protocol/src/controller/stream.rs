@@ -1,11 +1,11 @@
 //! Accepts the ordered stream of strokes, withdraws queued ones that it replaces, and amends queued strokes.
 //!
-//! [`Controller::stream`] prepares frames in order and buffers the others; [`Controller::take`] takes them.
+//! [`Controller::unpack`] prepares frames in order and buffers the others; [`Controller::take`] takes them.
 
-use crate::batch::{Amendment, unpack};
+use crate::batch::{Amendment, Malformed};
 use crate::controller::pool::{Kind, Slot, charge};
 use crate::controller::reports::RESERVE;
-use crate::controller::taking::Next;
+use crate::controller::taking::{Next, Packed};
 use crate::controller::{Controller, FARTHEST, NEVER, newer};
 use crate::limits::{self, Refusal};
 use crate::message::State;
@@ -13,11 +13,33 @@ use crate::stroke::{Direction, Stroke};
 use crate::tick::Tick;
 
 impl Controller {
-    /// Prepares a frame of the ordered stream, whose strokes are unpacked, if it is next in order. Else buffers it for
-    /// [`Self::follow`].
-    pub(super) fn stream(&mut self, head: Next, batch: &[u8]) {
+    /// Unpacks the first piece of a frame of the ordered stream.
+    pub(super) fn unpack_first(&mut self, head: Next, received: Option<(u16, u16)>, batch: &[u8]) {
+        let packed = self.taking.begin(head, received, batch);
+        self.unpack(packed);
+    }
+
+    /// Unpacks a piece of a frame of the ordered stream. One that cannot be read to its end changes nothing.
+    pub(super) fn unpack(&mut self, packed: Packed) {
+        match self.taking.unpack_piece(packed) {
+            Ok(None) => {}
+            Ok(Some(Packed { head, received: None, .. })) => self.taking.next = Some(head),
+            Ok(Some(Packed { head, received: Some((epoch, seen)), .. })) => {
+                self.last_heard = self.now;
+                self.pending.status = true;
+                self.reports.seen(seen, self.now);
+                if epoch == self.epoch {
+                    self.stream(head);
+                }
+            }
+            Err(Malformed) => self.counters.bad_frames += 1,
+        }
+    }
+
+    /// Prepares the frame that was unpacked if it is next in order. Else buffers it for [`Self::follow`].
+    fn stream(&mut self, head: Next) {
         if head.seq != self.next_seq {
-            self.reorder.insert(self.next_seq, head, batch);
+            self.reorder.insert(self.next_seq, head, self.taking.items());
         } else if self.has_room(&head) {
             self.taking.next = Some(head);
         }
@@ -27,10 +49,10 @@ impl Controller {
     pub(super) fn follow(&mut self) -> bool {
         let Some(frame) = self.reorder.take(self.next_seq) else { return false };
         // Without room the frame is forgotten; the host sends it again.
-        if self.has_room(&frame.head) && unpack(frame.head.base, &frame.batch, &mut self.taking.strokes) {
-            self.taking.next = Some(frame.head);
+        if self.has_room(&frame.head) {
             self.taking.epoch = self.epoch;
             self.pending.status = true;
+            self.unpack_first(frame.head, None, &frame.batch);
         }
         true
     }
@@ -63,6 +85,9 @@ impl Controller {
         }
         if self.pool.end(stroke.motor.into()).is_some_and(|end| stroke.up < end) {
             return Err(Refusal::Overlap);
+        }
+        if stroke.up < self.pool.last_up(stroke.motor.into()) + limits::LEAST_APART {
+            return Err(Refusal::Dense);
         }
         let room = self.credits() > 0;
         let slot = Slot { generation: [self.generation; 2], ..Slot::new(*stroke, Kind::Play) };

@@ -5,7 +5,7 @@
 //!
 //! Invariant: a play's first frame is judged and taken in one piece, so that it is taken whole or not at all.
 
-use crate::batch::{Amendments, BATCH_BYTES, Batch, MAX_BATCH};
+use crate::batch::{Amendments, BATCH_BYTES, Batch, MAX_BATCH, Malformed, Place, unpack};
 use crate::controller::Controller;
 use crate::frame::{self, MAX_FRAME};
 use crate::limits::Refusal;
@@ -14,6 +14,8 @@ use crate::stroke::{MOTORS, Stroke};
 use crate::tick::Tick;
 use core::hash::{Hash, Hasher};
 
+/// Most strokes unpacked at a time.
+const UNPACKED: usize = MAX_BATCH / 2;
 /// Most strokes taken at a time.
 const STROKES: usize = 8;
 /// The same of a frame that withdraws: for each stroke it may search the queue of a motor. It ends sooner once the queues
@@ -35,6 +37,15 @@ pub(super) struct Next {
     pub(super) base: Tick,
 }
 
+/// A frame of the ordered stream whose strokes are being unpacked.
+#[derive(Clone, Copy, Debug, Hash)]
+pub(super) struct Packed {
+    pub(super) head: Next,
+    /// Its epoch and the reports that the host has seen, unless it was buffered.
+    pub(super) received: Option<(u16, u16)>,
+    place: Place,
+}
+
 #[derive(Clone, Debug)]
 pub(super) struct Taking {
     body: [u8; MAX_FRAME],
@@ -42,10 +53,14 @@ pub(super) struct Taking {
     len: usize,
     /// The epoch in which it was read. A command may begin another before all is taken.
     pub(super) epoch: u16,
+    /// The packed strokes or amendments of the frame.
+    items: heapless::Vec<u8, BATCH_BYTES>,
+    /// The frame whose strokes are being unpacked.
+    packed: Option<Packed>,
     /// The frame whose strokes are to be taken; its mark is not.
     pub(super) next: Option<Next>,
     /// In place, because they are long to copy.
-    pub(super) strokes: Batch,
+    strokes: Batch,
     /// The frame whose strokes are being taken.
     seq: Option<u16>,
     /// Number of strokes taken.
@@ -61,11 +76,9 @@ pub(super) struct Taking {
     withdraw: u32,
     from: Tick,
     kept: u32,
-    generation: u16,
-    amendments: heapless::Vec<u8, BATCH_BYTES>,
-    /// Bytes of them that are taken, and the tick from which the next one counts.
-    amended: usize,
-    at: Tick,
+    /// The amendments that are being taken: their generation, the bytes of them that are taken, and the tick from which the next
+    /// one counts.
+    amending: Option<(u16, usize, Tick)>,
 }
 
 impl Hash for Taking {
@@ -75,6 +88,8 @@ impl Hash for Taking {
             body,
             len,
             epoch,
+            items,
+            packed,
             next,
             strokes,
             seq,
@@ -86,17 +101,19 @@ impl Hash for Taking {
             withdraw,
             from,
             kept,
-            generation,
-            amendments,
-            amended,
-            at,
+            amending,
         } = self;
         body.get(..*len).hash(hasher);
+        if packed.is_some() {
+            (epoch, items, packed, strokes).hash(hasher);
+        }
         if next.is_some() || seq.is_some() {
             (epoch, next, strokes, seq, taken).hash(hasher);
             (late, missed, refused, reason, withdraw, from, kept).hash(hasher);
         }
-        if let Some(left @ [_, ..]) = amendments.get(*amended..) {
+        if let Some((generation, amended, at)) = amending
+            && let Some(left @ [_, ..]) = items.get(*amended..)
+        {
             (epoch, left, generation, at).hash(hasher);
         }
     }
@@ -107,6 +124,8 @@ impl Taking {
         body: [0; MAX_FRAME],
         len: 0,
         epoch: 0,
+        items: heapless::Vec::new(),
+        packed: None,
         next: None,
         strokes: Batch::new(),
         seq: None,
@@ -118,10 +137,7 @@ impl Taking {
         withdraw: 0,
         from: Tick(0),
         kept: 0,
-        generation: 0,
-        amendments: heapless::Vec::new(),
-        amended: 0,
-        at: Tick(0),
+        amending: None,
     };
 
     /// Keeps the body of a frame.
@@ -134,9 +150,36 @@ impl Taking {
 
     /// Keeps the amendments of a message.
     pub(super) fn amend(&mut self, generation: u16, base: Tick, items: &[u8]) {
+        self.keep_items(items);
+        self.amending = Some((generation, 0, base));
+    }
+
+    /// Keeps the packed strokes of a frame.
+    pub(super) fn begin(&mut self, head: Next, received: Option<(u16, u16)>, batch: &[u8]) -> Packed {
+        self.keep_items(batch);
+        self.strokes.clear();
+        Packed { head, received, place: Place::new(head.base) }
+    }
+
+    /// Unpacks a piece. `None`: some are left.
+    pub(super) fn unpack_piece(&mut self, packed: Packed) -> Result<Option<Packed>, Malformed> {
+        let mut packed = packed;
+        if unpack(&self.items, &mut packed.place, &mut self.strokes, UNPACKED)? {
+            return Ok(Some(packed));
+        }
+        self.packed = Some(packed);
+        Ok(None)
+    }
+
+    /// The packed strokes or amendments.
+    pub(super) fn items(&self) -> &[u8] {
+        &self.items
+    }
+
+    fn keep_items(&mut self, items: &[u8]) {
+        self.items.clear();
         // No message has room for more bytes.
-        self.amendments = heapless::Vec::from_slice(items).unwrap_or_default();
-        (self.generation, self.amended, self.at) = (generation, 0, base);
+        let _ = self.items.extend_from_slice(items);
     }
 }
 
@@ -149,8 +192,12 @@ impl Controller {
         }
         // An e-stop may have begun an epoch since, ahead of the bytes before it.
         if self.taking.epoch != self.epoch {
-            (self.taking.next, self.taking.seq) = (None, None);
-            self.taking.amendments.clear();
+            (self.taking.packed, self.taking.next, self.taking.seq) = (None, None, None);
+            self.taking.amending = None;
+        }
+        if let Some(packed) = self.taking.packed.take() {
+            self.unpack(packed);
+            return true;
         }
         if let Some(next) = self.taking.next.take() {
             self.take_head(next);
@@ -276,17 +323,18 @@ impl Controller {
     }
 
     fn take_amendments(&mut self) -> bool {
-        for taken in 0..AMENDMENTS {
-            let Taking { generation, amendments, amended, at, .. } = &mut self.taking;
-            let mut items = Amendments::new(*at, amendments.get(*amended..).unwrap_or_default());
-            let Some(item) = items.next() else { return taken > 0 };
-            (*amended, *at) = (amendments.len() - items.rest().len(), items.at());
-            let generation = *generation;
+        let Some((generation, mut read, mut at)) = self.taking.amending.take() else { return false };
+        for _ in 0..AMENDMENTS {
+            let items = &self.taking.items;
+            let mut left = Amendments::new(at, items.get(read..).unwrap_or_default());
+            let Some(item) = left.next() else { return true };
+            (read, at) = (items.len() - left.rest().len(), left.at());
             self.note_generation(generation);
             if item.ok().and_then(|item| self.amend(generation, &item)).is_none() {
                 self.counters.amendments_ignored += 1;
             }
         }
+        self.taking.amending = Some((generation, read, at));
         true
     }
 }

@@ -9,6 +9,7 @@ use firmware_protocol::limits::PowerLimits;
 use firmware_protocol::message::{Counters, HostMessage, Op, State, Status, Withdraw};
 use firmware_protocol::stroke::Stroke;
 use firmware_protocol::tick::Tick;
+use meissner_hil::bench::chip::ChipBench;
 use meissner_hil::bench::{Bench, Function, Which};
 use meissner_hil::judge::{Boot, Judged};
 use meissner_hil::oracle;
@@ -93,6 +94,12 @@ impl Hand {
 
     pub(crate) fn now(&self) -> u64 {
         self.now
+    }
+
+    /// The chip of a bench that has one.
+    pub(crate) fn chip(&mut self) -> &mut ChipBench {
+        let Bench::Chip(chip) = &mut self.bench else { panic!("the bench has no chip") };
+        chip
     }
 
     /// The last status.

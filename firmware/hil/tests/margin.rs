@@ -78,8 +78,9 @@ fn least(rig: &mut Rig, number: u64, beside: Beside) -> u64 {
             _ => None,
         });
         let bursts = ended.unwrap_or_else(|| panic!("pattern {number} has not ended"));
-        // Frames that are sent again or wait behind pings may come late; none is lost.
-        let late = if matches!(beside, Beside::Noise | Beside::Pings) { bursts.late } else { 0 };
+        // Frames that are sent again, or wait behind pings or reports of refusals, may come late; none is lost.
+        let waits = matches!(beside, Beside::Noise | Beside::Pings | Beside::BrokenLimit);
+        let late = if waits { bursts.late } else { 0 };
         let refused = if beside == Beside::BrokenLimit { bursts.refused } else { 0 };
         assert!(
             bursts.planned > 0 && bursts.played + late + refused == bursts.planned,

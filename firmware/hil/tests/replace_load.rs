@@ -6,8 +6,8 @@ use crate::hand::Hand;
 use crate::margin::TIME;
 use firmware_protocol::stroke::{MOTORS, Stroke};
 use firmware_protocol::tick::Tick;
+use meissner_hil::bench::Which;
 use meissner_hil::bench::chip::ChipOptions;
-use meissner_hil::bench::{Bench, Which};
 use meissner_hil::time::MS;
 
 /// Ticks of a period at 300 Hz, and pulses of a burst.
@@ -142,8 +142,8 @@ impl Load {
         self.extend(until);
     }
 
-    fn busy(&self) -> u64 {
-        if let Bench::Chip(chip) = &self.hand.bench { chip.busy_cycles() } else { 0 }
+    fn busy(&mut self) -> u64 {
+        self.hand.chip().busy_cycles()
     }
 }
 
@@ -162,9 +162,7 @@ pub(crate) fn load((slow, replaced, in_phase): Condition) -> bool {
     }
     load.hand.slack();
     let (from, busy, sent) = (load.hand.now(), load.busy(), load.hand.sent);
-    if let Bench::Chip(chip) = &mut load.hand.bench {
-        chip.profile(true).unwrap();
-    }
+    load.hand.chip().profile(true).unwrap();
     let mut rounds = 0;
     while load.hand.now() < from + PLAY * MS {
         load.replace(rounds);
@@ -177,12 +175,9 @@ pub(crate) fn load((slow, replaced, in_phase): Condition) -> bool {
     }
     let elapsed = load.hand.now() - from;
     let sent = load.hand.sent - sent;
-    let longest = if let Bench::Chip(chip) = &mut load.hand.bench {
-        let longest = chip.profile(false).unwrap().longest.into_iter();
-        longest.filter(|(function, _)| function.contains("take_strokes")).map(|(_, cycles)| cycles).max()
-    } else {
-        None
-    };
+    let longest = load.hand.chip().profile(false).unwrap().longest.into_iter();
+    let longest =
+        longest.filter(|(function, _)| function.contains("take_strokes")).map(|(_, cycles)| cycles).max();
     let share = (load.busy() - busy) as f64 / elapsed as f64;
     load.hand.settle();
     let slack = u64::from(load.hand.slack().unwrap());

@@ -3,6 +3,7 @@
 #![expect(clippy::unwrap_used, reason = "what cannot go on has failed")]
 
 mod bus;
+mod dense;
 mod estop;
 mod estop_races;
 mod faults;

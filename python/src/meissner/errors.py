@@ -207,6 +207,10 @@ class PushLimit(ApiError, code="push-limit", advice="use fewer strokes or a smal
     """The play would push the lower stop too much."""
 
 
+class TooDense(ApiError, code="too-dense", advice="make drives, repeats or items longer"):
+    """More strokes of all motors would begin within 10 ms than the controller allows."""
+
+
 class PowerLimit(ApiError, code="power-limit", advice="play with smaller amplitudes or fewer motors of a rail"):
     """More motors of a rail or a driver chip would have pulses at once than the configuration allows."""
 

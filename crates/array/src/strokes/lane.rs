@@ -95,6 +95,13 @@ impl Lane {
         }))
     }
 
+    /// Whether it has one drive, and repeats begin at least so many ticks apart.
+    pub(super) fn changes_are_apart(&self, ticks: u64) -> bool {
+        // Beginnings of repeats are rounded to a tick.
+        self.segments.len() == 1
+            && self.duration_s.is_none_or(|duration_s| seconds_to_ticks(duration_s) > ticks)
+    }
+
     pub(super) const fn motor(&self) -> u8 {
         self.motor
     }

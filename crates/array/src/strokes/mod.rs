@@ -160,6 +160,13 @@ impl Strokes {
         (0..).zip(&self.driven).filter(|(_, driven)| **driven).map(|(motor, _)| motor)
     }
 
+    /// Whether each motor has one drive in a pattern, and both the repeats of a pattern and the items begin at least so many ticks apart.
+    #[must_use]
+    pub fn changes_are_apart(&self, ticks: u64) -> bool {
+        let items = self.items.windows(2).all(|pair| pair[1].start - pair[0].start >= ticks);
+        items && self.runs.iter().all(|run| run.changes_are_apart(ticks))
+    }
+
     /// Whether they drive this motor.
     #[must_use]
     pub fn drives(&self, motor: u8) -> bool {

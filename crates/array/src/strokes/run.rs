@@ -47,6 +47,10 @@ impl Run {
         self.lanes.iter().any(|lane| lane.motor() == motor)
     }
 
+    pub(super) fn changes_are_apart(&self, ticks: u64) -> bool {
+        self.lanes.iter().all(|lane| lane.changes_are_apart(ticks))
+    }
+
     pub(super) fn end_here(&mut self) {
         self.ups = [NEVER; MOTORS];
     }

@@ -110,6 +110,7 @@ pub fn refusal_text(refusal: Refusal) -> &'static str {
         Refusal::RailOnTime => "a rail's on-time limit",
         Refusal::RailAtOnce => "more motors of a rail at once than `rail_motors_at_once` allows",
         Refusal::ChipAtOnce => "more motors of a driver chip at once than `chip_motors_at_once` allows",
+        Refusal::Dense => "more strokes within 10 ms than the device has time for",
         Refusal::PositionUnknown => {
             "it does not know where the pins are; see that all are at rest, then `meissner arm --assume-rest`"
         }

@@ -408,6 +408,7 @@ impl Session {
                         | Refusal::Pushing
                         | Refusal::RailAtOnce
                         | Refusal::ChipAtOnce
+                        | Refusal::Dense
                 );
                 let fits = usize::from(motor) < MOTORS && limit;
                 if fits { self.tick_within(now, up, self.known.horizon) } else { Err(Contradiction::Report) }

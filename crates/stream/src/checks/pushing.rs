@@ -2,19 +2,13 @@
 //!
 //! It counts with the controller's own count, so that a play that passes has no stroke refused for its plan. A seek in the second
 //! before counts on the device too; the receipt tells when strokes were refused for both together.
-//!
-//! Invariant: of a play with an end it counts [`MAX_STROKES`], of one without its first minute.
 
+use super::counted;
 use firmware_protocol::limits::Pushing;
 use firmware_protocol::stroke::MOTORS;
 use firmware_protocol::tick::Tick;
 use meissner_array::strokes::Strokes;
-use meissner_array::units::{TICKS_PER_S, ticks_to_seconds};
-
-/// Length of a play without end that counts, s: after a minute few plays do anything new.
-const COUNTED_S: u64 = 60;
-/// Strokes of a play that count, at most: 23 minutes of all motors at 60 Hz.
-const MAX_STROKES: usize = 2_000_000;
+use meissner_array::units::ticks_to_seconds;
 
 /// A stroke that pushes too much.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -25,20 +19,15 @@ pub struct Overpush {
     pub at_s: f64,
 }
 
-/// The first stroke that pushes more than `pulses_per_s` against a lower stop; `None`: all stay below. It looks at the first 2 000 000
-/// strokes, and at the first minute of a play without end. Its time grows with the strokes: do not call it in the streamer's thread.
+/// The first stroke that pushes more than `pulses_per_s` against a lower stop; `None`: all stay below.
 #[must_use]
 pub fn find_overpush(strokes: &Strokes, pulses_per_s: u32) -> Option<Overpush> {
-    let mut strokes = strokes.clone();
-    strokes.begin(Tick(0));
     let mut pushing = Pushing::new(Tick(0));
     pushing.set_limit(pulses_per_s);
     // The end and surplus of each motor's last stroke.
     let mut running = [None::<(Tick, u32)>; MOTORS];
-    let until = strokes.end().unwrap_or(COUNTED_S * TICKS_PER_S);
-    let counted = strokes.map_while(Result::ok).take(MAX_STROKES).take_while(|stroke| stroke.up.0 < until);
     let mut ended: Vec<(Tick, usize, u32)> = Vec::with_capacity(MOTORS);
-    for stroke in counted {
+    for stroke in counted(strokes) {
         let motor = usize::from(stroke.motor);
         for (motor, stroke_of) in running.iter_mut().enumerate() {
             if let Some((end, surplus)) = stroke_of.take_if(|(end, _)| *end <= stroke.up) {

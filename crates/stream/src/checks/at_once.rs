@@ -1,34 +1,21 @@
 //! Whether a play keeps the limits on motors that have pulses at once, from its compiled strokes.
 //!
 //! Corrections shorten bursts and never lengthen them while there is a limit, so a play that passes has no stroke refused for it.
-//!
-//! Invariant: of a play with an end it counts [`MAX_STROKES`], of one without its first minute.
 
+use super::counted;
 use firmware_protocol::limits::PowerLimits;
-use firmware_protocol::tick::Tick;
 use meissner_array::power::{PulsingMotors, TooMany};
 use meissner_array::strokes::Strokes;
-use meissner_array::units::TICKS_PER_S;
 
-/// Length of a play without end that counts, s. Drives whose frequencies differ by less than 1/60 Hz meet later; then the controller
-/// refuses strokes.
-const COUNTED_S: u64 = 60;
-/// Strokes of a play that count, at most: 23 minutes of all motors at 60 Hz.
-const MAX_STROKES: usize = 2_000_000;
-
-/// The first tick in which more motors of a rail or a chip have pulses than `limits` allow; `None`: all ticks keep them. Its time
-/// grows with the strokes: do not call it in the streamer's thread.
+/// The first tick in which more motors of a rail or a chip have pulses than `limits` allow; `None`: all ticks keep them.
 #[must_use]
 pub fn find_too_many(strokes: &Strokes, limits: PowerLimits) -> Option<TooMany> {
     let PowerLimits { rail_at_once, chip_at_once, .. } = PowerLimits::NONE;
     if (limits.rail_at_once, limits.chip_at_once) == (rail_at_once, chip_at_once) {
         return None;
     }
-    let mut strokes = strokes.clone();
-    strokes.begin(Tick(0));
-    let until = strokes.end().unwrap_or(COUNTED_S * TICKS_PER_S);
     let mut motors = PulsingMotors::new(limits);
-    for stroke in strokes.map_while(Result::ok).take(MAX_STROKES).take_while(|stroke| stroke.up.0 < until) {
+    for stroke in counted(strokes) {
         motors.push(&stroke);
         if motors.too_many().is_some() {
             break;

@@ -1,0 +1,104 @@
+//! Whether a play begins no more strokes within 10 ms than the controller allows.
+//!
+//! A motor begins at most four in 10 ms while it plays one drive after another or repeats one, unless several such changes follow each
+//! other within 10 ms. Only then are the strokes counted.
+
+use super::counted;
+use firmware_protocol::limits::{DENSE_TICKS, MAX_DENSE};
+use meissner_array::strokes::Strokes;
+use meissner_array::units::ticks_to_seconds;
+use std::collections::VecDeque;
+
+/// More strokes within 10 ms than may begin.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Dense {
+    /// When the first stroke too many begins, s from the onset.
+    pub at_s: f64,
+}
+
+/// The first stroke that begins after [`MAX_DENSE`] others in [`DENSE_TICKS`]; `None`: the play keeps the limit.
+#[must_use]
+pub fn find_dense(strokes: &Strokes) -> Option<Dense> {
+    if strokes.changes_are_apart(DENSE_TICKS) { None } else { count(strokes) }
+}
+
+fn count(strokes: &Strokes) -> Option<Dense> {
+    let mut begun = VecDeque::with_capacity(MAX_DENSE.into());
+    for stroke in counted(strokes) {
+        if begun.len() == usize::from(MAX_DENSE)
+            && let Some(first) = begun.pop_front()
+            && stroke.up - first < DENSE_TICKS
+        {
+            return Some(Dense { at_s: ticks_to_seconds(stroke.up.0) });
+        }
+        begun.push_back(stroke.up);
+    }
+    None
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{Settings, simulate_play};
+    use meissner_array::pattern::{Drive, Pattern};
+    use meissner_array::simulated::SimulatedMotorsConfig;
+    use meissner_array::strokes::{Sequence, Start, StrokeOptions};
+    use proptest::prelude::*;
+
+    fn drive(motor: u8, phase: f64) -> Drive {
+        Drive { motor, frequency_hz: 300.0, amplitude_um: 1.0, phase, start_s: None, stop_s: None }
+    }
+
+    /// All motors at 300 Hz, which repeats after so many ticks: one stroke of each in a repeat.
+    fn repeating(ticks: u32) -> Pattern {
+        let drives = (0..24).map(|motor| drive(motor, 0.0)).collect();
+        Pattern::new("dense", Some(f64::from(ticks) / 85_000.0), drives, toml::Table::new()).unwrap()
+    }
+
+    #[test]
+    fn the_device_refuses_strokes_of_a_play_that_is_too_dense_and_of_no_other() {
+        for (ticks, at_s) in
+            [(213, None), (212, None), (211, Some(4.0 * 211.0 / 85_000.0)), (150, Some(0.6 / 85.0))]
+        {
+            let pattern = repeating(ticks);
+            let strokes = Strokes::new(&pattern, &StrokeOptions::lasting(Some(0.1))).unwrap();
+            let found = find_dense(&strokes);
+            assert_eq!(found.is_some(), at_s.is_some(), "{ticks}: {found:?}");
+            assert!(
+                found.zip(at_s).is_none_or(|(found, at_s)| (found.at_s - at_s).abs() < 1e-9),
+                "{ticks}: {found:?}"
+            );
+            let motors = SimulatedMotorsConfig::default();
+            let played = simulate_play(&pattern, Some(0.1), &motors, Settings::default(), true).unwrap();
+            let bursts = played.outcome.bursts;
+            assert_eq!(bursts.refused > 0, at_s.is_some(), "{ticks}: {bursts:?}");
+            assert_eq!(bursts.played + bursts.refused, bursts.planned, "{ticks}: {bursts:?}");
+        }
+    }
+
+    proptest! {
+        /// What is not counted has no stroke too many.
+        #[test]
+        fn plays_whose_changes_are_apart_keep_the_limit(
+            phases in prop::collection::vec(0.0f64..1.0, 1..4),
+            repeats in prop_oneof![Just(None), (850u32..1_100).prop_map(Some)],
+            items in prop::collection::vec((0usize..3, 848u32..1_500), 2..30),
+        ) {
+            let pattern = |phase: f64| {
+                let drives = (0..24).map(|motor| drive(motor, phase)).collect();
+                Pattern::new("p", repeats.map(|ticks| f64::from(ticks) / 85_000.0), drives, toml::Table::new())
+            };
+            let mut sequence = Sequence::default();
+            let compiled: Vec<_> = phases
+                .iter()
+                .map(|&phase| sequence.compile(&pattern(phase).unwrap(), &StrokeOptions::default()).unwrap())
+                .collect();
+            for (at, ticks) in items {
+                let seconds = f64::from(ticks) / 85_000.0;
+                sequence.add(compiled[at % compiled.len()], Some(seconds), Start::Gap(0.0)).unwrap();
+            }
+            let strokes = sequence.strokes().unwrap();
+            prop_assert!(strokes.changes_are_apart(848) && count(&strokes).is_none());
+        }
+    }
+}

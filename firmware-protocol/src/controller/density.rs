@@ -1,0 +1,68 @@
+//! Bounds the strokes that begin, of all motors, by what the chip has time for: [`MAX_DENSE`] within 10 ms.
+//!
+//! Invariant: [`MAX_DENSE`] is `room` and what has begun in the present block and the ones before, back to 10 ms.
+
+use crate::controller::BLOCK;
+use crate::limits::{DENSE_TICKS, MAX_DENSE, Refusal};
+
+/// Blocks in which strokes count, with the present one.
+const BLOCKS: usize = DENSE_TICKS as usize / BLOCK as usize;
+const _: () = assert!(DENSE_TICKS.is_multiple_of(BLOCK as u64));
+
+#[derive(Clone, Debug, Hash)]
+pub(super) struct Density {
+    /// Strokes that have begun in each block, in a ring.
+    begun: [u8; BLOCKS],
+    /// The place of the present block.
+    present: u8,
+    /// How many more may begin.
+    room: u8,
+}
+
+impl Density {
+    pub(super) const NOTHING: Self = Self { begun: [0; BLOCKS], present: 0, room: MAX_DENSE };
+
+    /// The next block begins.
+    pub(super) fn next_block(&mut self) {
+        self.present = if usize::from(self.present) + 1 < BLOCKS { self.present + 1 } else { 0 };
+        self.room += core::mem::take(&mut self.begun[usize::from(self.present)]);
+    }
+
+    /// A stroke begins in the present block.
+    ///
+    /// # Errors
+    /// [`Refusal::Dense`] if too many have begun; then it does not count.
+    pub(super) fn begin(&mut self) -> Result<(), Refusal> {
+        self.room = self.room.checked_sub(1).ok_or(Refusal::Dense)?;
+        self.begun[usize::from(self.present)] += 1;
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    extern crate std;
+    use super::*;
+    use proptest::prelude::*;
+
+    proptest! {
+        /// Compared with a count over all that have begun.
+        #[test]
+        fn strokes_are_as_dense_as_they_may_be_and_no_denser(
+            blocks in prop::collection::vec(prop_oneof![Just(0usize), 0usize..30, Just(200)], 1..300),
+        ) {
+            let mut density = Density::NOTHING;
+            let mut begun = std::vec::Vec::new();
+            for (block, strokes) in blocks.into_iter().enumerate() {
+                density.next_block();
+                for _ in 0..strokes {
+                    let fits = begun.iter().filter(|&&at| at + 53 > block).count() < 96;
+                    prop_assert_eq!(density.begin(), if fits { Ok(()) } else { Err(Refusal::Dense) });
+                    if fits {
+                        begun.push(block);
+                    }
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,85 @@
+//! Strokes as dense as a host can send them: the controller refuses what the chip has no time to render, and starves nothing.
+
+use crate::hand::Hand;
+use crate::margin::TIME;
+use firmware_protocol::controller::{BLOCK, HORIZON};
+use firmware_protocol::limits::LEAST_APART;
+use firmware_protocol::message::{Counters, State};
+use firmware_protocol::stroke::{MOTORS, Stroke};
+use firmware_protocol::tick::Tick;
+use meissner_hil::bench::Which;
+use meissner_hil::bench::chip::ChipOptions;
+use meissner_hil::time::MS;
+
+/// Ticks of a millisecond.
+const TICKS: u64 = 85;
+/// Ticks from one stroke to the next in the densest play: four strokes of each motor in 10 ms.
+const DENSEST: u64 = 213;
+
+/// Strokes of one pulse of all motors.
+#[derive(Clone, Copy, Debug)]
+struct Dense {
+    /// Ticks from each stroke of a motor to its next one.
+    apart: u64,
+    /// Ticks from the up pulse to the down pulse.
+    held: u64,
+    /// Ticks from a motor's strokes to those of the next motor, within as many as this.
+    spread: (u64, u64),
+}
+
+impl Dense {
+    /// Strokes for 0.2 s in order of time, or as many as a host has credits for reports.
+    fn strokes(self, first: Tick) -> Vec<Stroke> {
+        let each = (200 * TICKS / self.apart).min(if self.apart < LEAST_APART { 20 } else { 200 });
+        let (step, within) = self.spread;
+        let stroke = |number: u64, motor: u8| {
+            let up = first + number * self.apart + u64::from(motor) * step % within;
+            Stroke { motor, up, up_pulses: 1, down: up + self.held, down_pulses: 1 }
+        };
+        let mut all: Vec<_> =
+            (0..each).flat_map(|number| (0..MOTORS as u8).map(move |motor| stroke(number, motor))).collect();
+        all.sort_by_key(|stroke| (stroke.up, stroke.motor));
+        all
+    }
+
+    /// Plays them on a core slower by a tenth. Returns the least ticks left to render.
+    fn play(self) -> u64 {
+        let mut hand = Hand::armed(&Which::Chip(ChipOptions { slow: 1.1, ..ChipOptions::new(1) }), 25_500);
+        let strokes = self.strokes(hand.tick() + 50 * TICKS);
+        hand.chip().poke("SLACK_MIN", &HORIZON.to_le_bytes()).unwrap();
+        // Each 5 ms what begins within 45 ms.
+        let mut rest = &strokes[..];
+        while !rest.is_empty() {
+            let until = hand.tick() + 45 * TICKS;
+            let (next, later) = rest.split_at(rest.partition_point(|stroke| stroke.up < until));
+            hand.append(next.to_vec());
+            rest = later;
+            hand.run(5 * MS);
+        }
+        // What waits on the line is taken, too.
+        hand.run(300 * MS);
+        let left = hand.chip().read("SLACK_MIN", 4).unwrap();
+        let (status, sent) = (hand.status(), 2 * strokes.len() as u64);
+        let Counters { played, refused, .. } = status.counters;
+        println!(
+            "{self:?}: of {TIME} ticks, {left} are left at least; {played} of {sent} bursts played, {refused} refused"
+        );
+        assert_eq!((hand.chip().resets(), status.state), (0, State::Armed), "{self:?}: {:?}", status.cause);
+        // If a host sends more than the device plays, frames wait on the line or find no room.
+        let wanted = if self.apart < DENSEST { played > 0 && refused > 0 } else { played == sent };
+        assert!(wanted, "{self:?}: {:?}", status.counters);
+        left
+    }
+}
+
+#[test]
+fn strokes_of_one_pulse_starve_nothing() {
+    for (apart, held) in
+        [(3, 1), (40, 1), (85, 1), (142, 141), (DENSEST, 1), (DENSEST, DENSEST - 1)]
+    {
+        // In phase, at all ticks of a block, and out of phase.
+        for spread in [(0, 1), (7, u64::from(BLOCK)), (u64::div_ceil(apart, 24), apart)] {
+            assert!(Dense { apart, held, spread }.play() > 0);
+        }
+    }
+}
