@@ -79,6 +79,42 @@ play() {
     ok "$1: $sum, exit $code; onset after $(json receipt .onset_latency_ms) ms"
 }
 
+# Resets of the bus in the middle of a play, beside control transfers that they cut. The daemon has the board again by itself
+resets() {
+    local try reader sum
+    arm reset
+    meissner play edge-45-paper --seconds 20 --open-loop >out.log 2>&1 || fail "reset: $(cat out.log)"
+    while :; do lsusb -v -d 1209:0001; done >/dev/null 2>&1 &
+    reader=$!
+    for try in 1 2 3 4 5; do
+        sleep 0.$((try * 37 % 10))7
+        usbreset 1209:0001 >reset.log 2>&1 || fail "reset $try: $(tail -n 1 reset.log)"
+    done
+    kill $reader
+    wait $reader
+    within 20 test -e $port || fail "reset: no $port"
+    udevadm settle --timeout 10
+    within 20 state_is disarmed || fail "reset: $(meissner status | head -n 1)"
+    sum=$(accounts) || fail "reset: accounts are not closed: $(json receipt .bursts)"
+    [[ $sum != done,* ]] || fail "reset: the play went on: $sum"
+    ok "reset: 5 resets; the play was $sum; $(json receipt .cause)"
+    play 'after the resets'
+}
+
+# Cables unplugged at some moment of the enumeration
+cuts() {
+    local try
+    detach
+    for try in 1 2 3 4 5 6 7 8; do
+        usbip attach -r 127.0.0.1 -b 0-0-0 >usbip.log 2>&1 || fail "cut $try: $(tail -n 1 usbip.log)"
+        sleep 0.$((try * 53 % 40 + 10))
+        usbip detach -p 0 >usbip.log 2>&1 || fail "cut $try: $(tail -n 1 usbip.log)"
+    done
+    attach
+    within 20 state_is disarmed || fail "cut: $(meissner status | head -n 1)"
+    play 'cut: after 8 enumerations that were cut'
+}
+
 # Everything once, through one of the board's interfaces
 over() {
     way=$1
@@ -142,6 +178,8 @@ over() {
     [ "$(json status .device.boot)" != "$boot" ] || fail "replug: the board has the same boot id"
     ok "replug: $(json status .device.kind) after $(ms "$from" "$(logged 'device connected')"), disarmed"
     play 'again'
+    resets
+    cuts
 
     kill $daemon
     wait $daemon || fail "end: the daemon ended with $?"

@@ -167,8 +167,13 @@ impl Board {
             (0x80, 8) => vec![1],
             (0x81, 10) => vec![0],
             (0x80..=0x82, 0) => vec![0, 0],
-            // SET_CONFIGURATION, SET_INTERFACE, CLEAR_FEATURE
-            (0x00, 9) | (0x01, 11) | (0x00..=0x02, 1) => vec![],
+            // SET_CONFIGURATION: the host has enumerated the board, perhaps again after a reset of the bus, which USB/IP does not show.
+            (0x00, 9) => {
+                self.mock.unplug();
+                vec![]
+            }
+            // SET_INTERFACE, CLEAR_FEATURE
+            (0x01, 11) | (0x00..=0x02, 1) => vec![],
             // CDC: SET_LINE_CODING, GET_LINE_CODING, SET_CONTROL_LINE_STATE, SEND_BREAK
             (0x21, 0x20) => {
                 self.line_coding = data.to_vec();
