@@ -74,9 +74,7 @@ impl Dense {
 
 #[test]
 fn strokes_of_one_pulse_starve_nothing() {
-    for (apart, held) in
-        [(3, 1), (40, 1), (85, 1), (142, 141), (DENSEST, 1), (DENSEST, DENSEST - 1)]
-    {
+    for (apart, held) in [(3, 1), (40, 1), (85, 1), (142, 141), (DENSEST, 1), (DENSEST, DENSEST - 1)] {
         // In phase, at all ticks of a block, and out of phase.
         for spread in [(0, 1), (7, u64::from(BLOCK)), (u64::div_ceil(apart, 24), apart)] {
             assert!(Dense { apart, held, spread }.play() > 0);

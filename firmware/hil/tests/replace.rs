@@ -4,6 +4,7 @@
 use crate::hand::{Hand, Verdicts};
 use crate::random::uniform;
 use firmware_protocol::controller::POOL;
+use firmware_protocol::limits::LEAST_APART;
 use firmware_protocol::message::{Cause, Counters, Op, State};
 use firmware_protocol::stroke::{MOTORS, Stroke};
 use firmware_protocol::tick::Tick;
@@ -44,6 +45,11 @@ fn train(random: &mut ChaCha8Rng, motor: u8, up: Tick, until: Tick, pause: u64) 
     ups.map(stroke).collect()
 }
 
+/// When the next stroke of the motor may begin.
+fn free(stroke: &Stroke) -> Tick {
+    stroke.end().max(stroke.up + LEAST_APART)
+}
+
 fn bits(mask: u32) -> impl Iterator<Item = u8> {
     (0..MOTORS as u8).filter(move |motor| mask >> motor & 1 == 1)
 }
@@ -75,7 +81,7 @@ impl Play {
         let planned = self.hand.planned();
         let mut new = Vec::new();
         for motor in bits(self.motors) {
-            let ends = planned.iter().filter(|stroke| stroke.motor == motor).map(Stroke::end);
+            let ends = planned.iter().filter(|stroke| stroke.motor == motor).map(free);
             let pause = pick(&mut self.random, 0..self.pause);
             let up = ends.max().map_or(now, |end| end + pause).max(now + 2 * SOON);
             new.extend(train(&mut self.random, motor, up, now + LEAD, self.pause));
@@ -106,7 +112,7 @@ impl Play {
                 continue;
             }
             let before = planned.iter().filter(|stroke| stroke.motor == motor && stroke.up < base);
-            let end = before.map(Stroke::end).max().unwrap_or(base).max(base);
+            let end = before.map(free).max().unwrap_or(base).max(base);
             let mut up = end + pick(&mut self.random, 0..3) * pick(&mut self.random, 0..100);
             if base < now && pick(&mut self.random, 0..2) == 0 {
                 // In time, although the base is not.
