@@ -105,6 +105,8 @@ package() {
     need dpkg-dev dpkg-shlibdeps
     say "building the package"
     cargo build --profile "$1" --locked --quiet || die "meissner does not build"
+    rm -rf target/manual
+    cargo run --profile "$1" --locked --quiet -- manual target/manual || die "meissner does not write its manual"
     # It warns that a package of profile `dev` should not be released. This one is not.
     [ "$1" != dev ] || quiet=(--quiet)
     "$tools/bin/cargo-deb" --no-build "${quiet[@]}" --strip --no-dbgsym --profile "$1" -o "$2" >/dev/null 2>"$said" ||

@@ -1,51 +1,33 @@
-use crate::harness::assert_up_to_date;
-use clap_complete::{Shell, generate};
-use clap_mangen::Man;
-use std::collections::{BTreeMap, BTreeSet};
+use crate::harness::meissner;
 use std::fs;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
-/// A page for the command and one for each below it.
-fn pages(command: clap::Command, files: &mut BTreeMap<PathBuf, Vec<u8>>) {
-    for below in command.get_subcommands().filter(|below| !below.is_hide_set()) {
-        pages(below.clone(), files);
-    }
-    // No date: the page must not differ from day to day.
-    let page = Man::new(command).manual("meissner");
-    let mut text = Vec::new();
-    page.render(&mut text).unwrap();
-    files.insert(Path::new("man").join(page.get_filename()), text);
+fn names(folder: &Path) -> Vec<String> {
+    let mut names: Vec<_> =
+        fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().file_name().into_string().unwrap()).collect();
+    names.sort();
+    names
 }
 
-fn made() -> BTreeMap<PathBuf, Vec<u8>> {
-    let mut files = BTreeMap::new();
-    // `help` says nothing that the pages do not.
-    let mut command = meissner::cli::command().disable_help_subcommand(true);
-    command.build();
-    pages(command, &mut files);
-    for (shell, name) in
-        [(Shell::Bash, "meissner.bash"), (Shell::Zsh, "_meissner"), (Shell::Fish, "meissner.fish")]
-    {
-        let mut text = Vec::new();
-        generate(shell, &mut meissner::cli::command(), "meissner", &mut text);
-        files.insert(Path::new("completions").join(name), text);
-    }
-    files
-}
-
-/// They are kept, so that a package is built without building the tests. With MEISSNER_RENEW set this writes them.
+/// Packages and `deploy/install` take what the program writes.
 #[test]
-fn the_manual_and_the_completions_are_up_to_date() {
-    let deploy = Path::new(env!("CARGO_MANIFEST_DIR")).join("deploy");
-    let made = made();
-    assert!(made.len() > 20);
-    for (name, text) in &made {
-        assert_up_to_date(Path::new("deploy").join(name), text);
+fn the_program_writes_its_manual() {
+    let folder = tempfile::tempdir().unwrap();
+    meissner().arg("manual").arg(folder.path()).assert().success();
+    let pages = names(&folder.path().join("man"));
+    for page in ["meissner.1", "meissner-play.1", "meissner-session-start.1"] {
+        assert!(pages.iter().any(|name| name == page), "{pages:?}");
     }
-    let kept: BTreeSet<_> = ["man", "completions"]
-        .iter()
-        .flat_map(|folder| fs::read_dir(deploy.join(folder)).unwrap())
-        .map(|entry| entry.unwrap().path().strip_prefix(&deploy).unwrap().to_owned())
-        .collect();
-    assert_eq!(kept, made.into_keys().collect(), "deploy has a file too many");
+    for page in &pages {
+        let text = fs::read_to_string(folder.path().join("man").join(page)).unwrap();
+        assert!(text.contains(".SH NAME") && text.contains(".SH SYNOPSIS"), "{page}");
+    }
+    assert!(!pages.iter().any(|name| name.contains("manual")), "a hidden command has no page: {pages:?}");
+    assert_eq!(names(&folder.path().join("completions")), ["_meissner", "meissner.bash", "meissner.fish"]);
+    let document: serde_json::Value =
+        serde_json::from_slice(&fs::read(folder.path().join("openapi.json")).unwrap()).unwrap();
+    assert_eq!(document, meissner_api::openapi::document());
+    // Somewhere that cannot be written.
+    let file = folder.path().join("man/meissner.1");
+    meissner().arg("manual").arg(&file).assert().failure();
 }

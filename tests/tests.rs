@@ -45,7 +45,7 @@ mod live;
 mod live_command;
 /// Arrays with a lower stop: arming seeks it, and plays stay within the limit on pushing.
 mod lower_stop;
-/// The manual pages and completions in `deploy` are up to date.
+/// The man pages and completions are made from the program.
 mod manual;
 /// The daemon's memory: files that would fill it, a full queue of the longest pattern, the stated bound.
 mod memory;

@@ -20,6 +20,7 @@ mod gate;
 mod laser;
 mod library;
 mod live;
+mod manual;
 mod optimise;
 mod output;
 mod progress;
@@ -222,6 +223,12 @@ enum Command {
     Sweep(sweep::Sweep),
     /// Compare both models of skin and afferents with published figures
     Validate(validate::Validate),
+    /// Write the man pages, the completions of three shells and the OpenAPI document to a folder
+    #[command(hide = true)]
+    Manual {
+        /// The folder
+        folder: PathBuf,
+    },
     /// Draw figures of the models and of patterns, as SVG and CSV, and a page that shows them
     Report(report::Report),
     /// Check what could keep this machine or its device from playing; exit 0 only if nothing does
@@ -311,6 +318,7 @@ fn run(command: Command) -> Result<ExitCode> {
         Command::Discriminate(asked) => discriminate::run(&asked),
         Command::Sweep(asked) => sweep::run(&asked),
         Command::Validate(asked) => validate::run(&asked),
+        Command::Manual { folder } => manual::manual(&folder).map(|()| ExitCode::SUCCESS),
         Command::Report(asked) => report::run(&asked),
         Command::Doctor { device, board, seconds, options } => {
             doctor::run(device, board, Duration::from_secs_f64(seconds), &options)

@@ -20,7 +20,7 @@ pub(super) fn page(document: &Value) -> String {
     put!(out, "{}\n", text(&document["info"]["description"]));
     put!(
         out,
-        "The daemon serves the [OpenAPI document](openapi.json) of this page at `GET /v1/openapi.json`.\n"
+        "The daemon serves the OpenAPI document of this page at `GET /v1/openapi.json`.\n"
     );
     put!(
         out,

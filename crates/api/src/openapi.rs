@@ -1,6 +1,6 @@
 //! The OpenAPI document, made from the route table and from the types' schemas.
 //!
-//! The daemon serves [`document`] at `GET /v1/openapi.json`; the book holds a copy, and a page made from it. Descriptions are
+//! The daemon serves [`document`] at `GET /v1/openapi.json`; the book holds a page made from it. Descriptions are
 //! the types' doc comments, so those give units and meaning; examples stand beside the types.
 
 use crate::problem::{Code, Problem};
