@@ -3,9 +3,6 @@
 use std::hint::black_box;
 use toml::{Table, Value};
 
-/// The workspaces whose tests run code of the device or of the host.
-const WORKSPACES: [&str; 2] = ["Cargo.toml", "firmware/hil/Cargo.toml"];
-
 const CHECKS: [&str; 2] = ["overflow-checks", "debug-assertions"];
 
 /// Every profile in a table of profiles or packages that says something about a check.
@@ -16,24 +13,14 @@ fn settings<'a>(table: &'a Table, check: &str) -> Vec<&'a Value> {
 
 #[test]
 fn the_profile_of_tests_has_all_checks_on_and_no_crate_without() {
-    for workspace in WORKSPACES {
-        let path = format!("{}/{workspace}", env!("CARGO_MANIFEST_DIR"));
-        let manifest: Table = std::fs::read_to_string(path).unwrap().parse().unwrap();
-        let profiles = manifest["profile"].as_table().unwrap();
-        for check in CHECKS {
-            assert_eq!(
-                profiles["dev"].get(check),
-                Some(&Value::Boolean(true)),
-                "{workspace}: profile.dev.{check}"
-            );
-            let tested = ["dev", "test"].map(|name| profiles.get(name).and_then(Value::as_table));
-            let all: Vec<_> =
-                tested.into_iter().flatten().flat_map(|profile| settings(profile, check)).collect();
-            assert!(
-                all.iter().all(|value| **value == Value::Boolean(true)),
-                "{workspace}: {check} is off in {all:?}"
-            );
-        }
+    let path = concat!(env!("CARGO_MANIFEST_DIR"), "/Cargo.toml");
+    let manifest: Table = std::fs::read_to_string(path).unwrap().parse().unwrap();
+    let profiles = manifest["profile"].as_table().unwrap();
+    for check in CHECKS {
+        assert_eq!(profiles["dev"].get(check), Some(&Value::Boolean(true)), "profile.dev.{check}");
+        let tested = ["dev", "test"].map(|name| profiles.get(name).and_then(Value::as_table));
+        let all: Vec<_> = tested.into_iter().flatten().flat_map(|profile| settings(profile, check)).collect();
+        assert!(all.iter().all(|value| **value == Value::Boolean(true)), "{check} is off in {all:?}");
     }
 }
 

@@ -10,6 +10,8 @@
 //!
 //! [`faults`] plays the cases of `tests/faults`, which a rig in virtual time and a daemon on a terminal play, too.
 
+#![forbid(unsafe_code)]
+
 pub mod bench;
 pub mod faults;
 pub mod judge;

@@ -2,6 +2,8 @@
 //!
 //! The format is Microsoft's UF2: blocks of 512 bytes, each with 256 bytes of flash and their address.
 
+#![forbid(unsafe_code)]
+
 use anyhow::{Context, Result, ensure};
 use object::read::elf::{ElfFile32, FileHeader, ProgramHeader, SectionHeader};
 use object::{Endianness, elf};

@@ -8,6 +8,8 @@
 //! The `usbip` crate provides the protocol. Its server is not used: it answers a read at once with no bytes, and the kernel then
 //! reads again without a pause. A board lets the host wait.
 
+#![forbid(unsafe_code)]
+
 mod board;
 mod descriptors;
 
