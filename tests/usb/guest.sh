@@ -224,7 +224,7 @@ mouse() {
     wait $live
     code=$?
     [ $code = 143 ] || fail "mouse: exit $code: $(<live.log)"
-    line=$(jq -er '.live | select(.applied > 3 and .applied + .merged == .updates) | "\(.updates) updates, \(.applied) applied"' live.json) ||
+    line=$(jq -er '.live | select(.applied > 1 and .applied + .merged == .updates) | "\(.updates) updates, \(.applied) applied"' live.json) ||
         fail "mouse: $(jq -c .live live.json)"
     ok "mouse: $line"
     meissner live edge-45 --follow mouse --updates-hz 10 --timeout-ms 5000 >out.log 2>live.log 3>&- &
