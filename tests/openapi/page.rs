@@ -18,10 +18,7 @@ pub(super) fn page(document: &Value) -> String {
         "# API\n\n<!-- Made by `MEISSNER_RENEW=1 cargo test --test tests openapi` from the types in crates/api. -->\n"
     );
     put!(out, "{}\n", text(&document["info"]["description"]));
-    put!(
-        out,
-        "The daemon serves the OpenAPI document of this page at `GET /v1/openapi.json`.\n"
-    );
+    put!(out, "The daemon serves the OpenAPI document of this page at `GET /v1/openapi.json`.\n");
     put!(
         out,
         "```bash\ncurl --unix-socket \"$XDG_RUNTIME_DIR/meissner.sock\" http://localhost/v1/status\n```\n"

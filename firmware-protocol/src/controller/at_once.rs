@@ -89,6 +89,11 @@ impl Controller {
     /// [`PowerLimits::turns`] times the longest burst.
     pub(super) fn take_turns(&mut self, waiting: u32, ready: Tick) {
         let limits = self.on_time.limits();
+        let none = (PowerLimits::NONE.rail_at_once, PowerLimits::NONE.chip_at_once);
+        if (limits.rail_at_once, limits.chip_at_once) == none {
+            // All of them are planned from `ready` on, and may begin then.
+            return;
+        }
         for rail in 0..RAILS {
             let mut turns = Turns { limits, free: [ready; MOTORS_PER_RAIL], chips: [ready; CHIPS] };
             for order in 0..ORDERS {
