@@ -14,7 +14,7 @@ const KINDS: [(&str, &str); 10] = [
     ("line-holds-back-to-host", "2000 ms"),
     ("host-hangs", "1000 ms"),
     ("host-dies", "300 ms"),
-    ("unplugged-up", ""),
+    ("unplugged", "up"),
     ("device-restarts", ""),
     ("clock-drifts", "200 ppm/s"),
     ("device-lies-about-credits", ""),

@@ -7,13 +7,16 @@ use meissner_hil::bench::Which;
 use meissner_hil::bench::chip::ChipOptions;
 use meissner_hil::faults::{On, Plan, jobs, not_possible, play, run};
 
+/// The case of a name, which may end with the label of a kind: `estop, down`.
 fn case(name: &str) -> Case {
-    cases().into_iter().find(|case| case.name == name).unwrap()
+    let file = name.split(", ").next().unwrap_or(name);
+    cases().into_iter().find(|case| case.name == file).unwrap()
 }
 
-/// The first kind of a case.
-fn first(case: &Case) -> Kind<'_> {
-    case.kinds().next().unwrap()
+/// The kind of that label, or the first one.
+fn kind<'a>(case: &'a Case, name: &str) -> Kind<'a> {
+    let label = name.split_once(", ").map(|(_, label)| label);
+    case.kinds().find(|kind| label.is_none_or(|label| kind.label() == label)).unwrap()
 }
 
 /// The last one: values rise.
@@ -21,10 +24,10 @@ fn worst(case: &Case) -> Kind<'_> {
     case.kinds().last().unwrap()
 }
 
-/// Plays the first kind of a case on the chip.
+/// Plays a kind on the chip.
 fn on_the_chip(name: &str, pattern: &str) {
     let case = case(name);
-    let seen = play(&Which::Chip(ChipOptions::new(1)), &first(&case), pattern, 1);
+    let seen = play(&Which::Chip(ChipOptions::new(1)), &kind(&case, name), pattern, 1);
     println!("{name}: {:?}", seen.unwrap_or_else(|problem| panic!("{name}: {problem}")));
 }
 
@@ -37,9 +40,9 @@ macro_rules! on_the_chip {
 }
 
 on_the_chip! {
-    an_e_stop: "estop-down", "edge-45";
+    an_e_stop: "estop, down", "edge-45";
     a_host_that_hangs: "host-hangs", "wave";
-    a_cable_that_is_pulled: "unplugged-hold", "wave";
+    a_cable_that_is_pulled: "unplugged, hold", "wave";
     a_restart: "device-restarts", "pin-60";
     a_line_that_loses: "line-loses", "edge-45";
     a_lie: "device-lies-about-credits", "pin-60";
@@ -60,7 +63,7 @@ fn every_kind_on_the_mock() {
 /// Plays a kind on the mock as the case expects, then as changed: that must be told with `why`.
 fn is_told(name: &str, why: &str, change: fn(&mut Case)) {
     let mut case = case(name);
-    let seen = |case: &Case| -> Result<Seen, String> { play(&Which::Mock(1), &first(case), "pin-60", 1) };
+    let seen = |case: &Case| -> Result<Seen, String> { play(&Which::Mock(1), &kind(case, name), "pin-60", 1) };
     seen(&case).unwrap_or_else(|problem| panic!("{name}: {problem}"));
     change(&mut case);
     let problem = seen(&case).unwrap_err();
@@ -69,10 +72,10 @@ fn is_told(name: &str, why: &str, change: fn(&mut Case)) {
 
 #[test]
 fn what_is_not_as_expected_is_told() {
-    is_told("stop-hold", "the play was cut", |case| case.expect.play = Ends::Done);
+    is_told("stop, hold", "the play was cut", |case| case.expect.play = Ends::Done);
     is_told("host-hangs", "lines were high", |case| case.expect.safe_ms = Some(100.0));
-    is_told("estop-up", "lines were high", |case| case.expect.safe_ms = Some(-2.0));
-    is_told("stop-hold", "did not reach", |case| case.expect.latched = true);
+    is_told("estop, up", "lines were high", |case| case.expect.safe_ms = Some(-2.0));
+    is_told("stop, hold", "did not reach", |case| case.expect.latched = true);
     is_told("host-stalls-beyond-the-lead", "of the bursts were lost", |case| case.expect.lost_percent = 0.0);
     let evidence = [
         ("line-loses", Evidence::Resent),
@@ -102,7 +105,7 @@ fn no_case_is_met_by_a_play_without_its_fault() {
             continue;
         }
         case.fault.clear();
-        let problem = play(&Which::Mock(1), &first(&case), "pin-60", 1).unwrap_err();
+        let problem = play(&Which::Mock(1), &kind(&case, &case.name), "pin-60", 1).unwrap_err();
         assert!(problem.contains("the play was done"), "{}: {problem}", case.name);
     }
 }
