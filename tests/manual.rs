@@ -10,7 +10,7 @@ fn pages(command: clap::Command, files: &mut BTreeMap<PathBuf, Vec<u8>>) {
     for below in command.get_subcommands().filter(|below| !below.is_hide_set()) {
         pages(below.clone(), files);
     }
-    // No date: the page must not differ from day to day.
+    // Without a date, so that the page does not change from day to day.
     let page = Man::new(command).manual("meissner");
     let mut text = Vec::new();
     page.render(&mut text).unwrap();
@@ -19,7 +19,7 @@ fn pages(command: clap::Command, files: &mut BTreeMap<PathBuf, Vec<u8>>) {
 
 fn made() -> BTreeMap<PathBuf, Vec<u8>> {
     let mut files = BTreeMap::new();
-    // `help` says nothing that the pages do not.
+    // Leave out `help`, which only repeats the pages.
     let mut command = meissner::cli::command().disable_help_subcommand(true);
     command.build();
     pages(command, &mut files);
@@ -33,7 +33,8 @@ fn made() -> BTreeMap<PathBuf, Vec<u8>> {
     files
 }
 
-/// They are kept, so that a package is built without building the tests. With MEISSNER_RENEW set this writes them.
+/// The files are kept in the repository, so that a package can be built without building the tests. With MEISSNER_RENEW set this
+/// test writes them.
 #[test]
 fn the_manual_and_the_completions_are_up_to_date() {
     let deploy = Path::new(env!("CARGO_MANIFEST_DIR")).join("deploy");
