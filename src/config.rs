@@ -33,13 +33,13 @@ use std::path::{Path, PathBuf};
 
 /// The range of the lead, ms.
 pub const LEAD_MS: RangeInclusive<f64> = 5.0..=1000.0;
-/// The host watchdog timeout exceeds the lead at least by this, ms.
+/// The host watchdog timeout must exceed the lead by at least this, ms.
 pub const MIN_LEASE_OVER_LEAD_MS: f64 = 50.0;
 /// The longest host watchdog timeout that a controller takes, ms.
 pub const MAX_LEASE_MS: f64 = 10_000.0;
 /// How long files of the session record are kept by default, days: a year of experiments, and time to write about them.
 pub const LOGBOOK_DAYS: u32 = 400;
-/// The default of `session_silence_s`: an experiment that pauses between blocks still polls, and a dead one soon lets others act.
+/// The default of `session_silence_s`. An experiment that pauses between blocks still polls; after a dead one, others may soon act.
 const SESSION_SILENCE_S: f64 = 120.0;
 /// The default of `armed_silence_s`: longer than a break between blocks of an experiment, since older clients cannot say how long they are silent.
 const ARMED_SILENCE_S: f64 = 600.0;
@@ -65,9 +65,9 @@ pub struct Config {
     pub device: Spec,
     /// Where clients connect.
     pub socket: PathBuf,
-    /// Where clients connect that come over the network; `None`: nothing listens there.
+    /// Where network clients connect; `None`: nothing listens there.
     pub listen: Option<Listen>,
-    /// The file of the access tokens; `None`: they end with the daemon.
+    /// The file of the access tokens; `None`: tokens are lost when the daemon ends.
     pub tokens: Option<PathBuf>,
     /// The site's own patterns.
     pub patterns: PatternsDir,
@@ -77,9 +77,9 @@ pub struct Config {
     pub logbook: Option<Location>,
     /// How long the owner of an exclusive session may be silent before others may act, s.
     pub session_silence_s: f64,
-    /// How long a client may be silent that has armed and did not state it, s.
+    /// How long a client that has armed without `silence_s` may be silent, s.
     pub armed_silence_s: f64,
-    /// What a participant may be exposed to.
+    /// The exposure limits for a participant.
     pub participant: ParticipantLimits,
     /// The settings of the streamer.
     pub settings: Settings,
@@ -90,9 +90,9 @@ pub struct Config {
 /// The directory of the site's own patterns.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum PatternsDir {
-    /// From the configuration: it must exist.
+    /// Named by the configuration: it must exist.
     Configured(PathBuf),
-    /// The user's or the service's: made when a pattern is first stored.
+    /// The default of the user or the service: it is made when a pattern is first stored.
     Default(PathBuf),
     /// There is none.
     None,
@@ -329,7 +329,7 @@ impl RawConfig {
         if let Err(SimulatedMotorsError { key, found, most }) = mock.check() {
             in_range(&format!("mock.{key}"), found, false, format!("0 to {most}"))?;
         }
-        // The simulated array's own, unless the file knows those of the motors.
+        // The simulated array's own end stops, unless the file names those of the motors.
         let end_stop_um = self.end_stop_um.unwrap_or(mock.end_stop_um);
         let good = (0.0..=10_000.0).contains(&end_stop_um);
         in_range("end_stop_um", end_stop_um, good, "0 to 10000 um")?;
@@ -348,7 +348,7 @@ impl RawConfig {
         };
         let lower_stop = array.check(stop_pulses_per_s, &settings)?;
         if lower_stop.is_some() {
-            // The simulated array is like the site's.
+            // Simulate an array like the site's.
             mock.lower_stop = LowerStop::AtRest;
         }
         let patterns = self.patterns_dir.map_or_else(default_patterns, PatternsDir::Configured);
@@ -399,7 +399,7 @@ fn default_patterns() -> PatternsDir {
         .map_or(PatternsDir::None, PatternsDir::Default)
 }
 
-/// Where the session record is kept: by default in the service's state directory, else in the user's.
+/// Where the session record is kept: the given directory, else the service's state directory, else the user's.
 fn keep(dir: Option<PathBuf>, days: u32) -> Option<Location> {
     let user = || {
         let state =
@@ -423,7 +423,7 @@ fn read_text(file: &Path) -> Result<String, ConfigError> {
     String::from_utf8(bytes).map_err(|_| wrong(io::Error::other("not UTF-8 text")))
 }
 
-/// Reads the text of a configuration; `listen` replaces its address. The keys beside it count for either address.
+/// Reads the text of a configuration; `listen` replaces its address. The keys beside it apply to both addresses.
 fn parse(text: &str, file: &Path, listen: Option<SocketAddr>) -> Result<Config, ConfigError> {
     // Every key may be left out.
     let wanted = |_: &str| "it";

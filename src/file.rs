@@ -1,6 +1,6 @@
-//! Files on disk: opens regular files alone, reads them within a bound, and replaces them whole.
+//! Files on disk: opens only regular files, reads them within a bound, and replaces them atomically.
 //!
-//! Invariant: opening a file waits for no pipe and no device; a crash leaves the old file or the new one.
+//! Invariant: opening a file never waits for a pipe or a device; a crash leaves the old file or the new one.
 
 use rustix::fs::OFlags;
 use std::fs::{DirBuilder, File, OpenOptions, Permissions};
@@ -10,15 +10,15 @@ use std::path::Path;
 
 /// The mode of a file that every user may read.
 pub(crate) const READABLE_BY_ALL: u32 = 0o644;
-/// The mode of a file that its owner alone may read.
+/// The mode of a file that only its owner may read.
 pub(crate) const PRIVATE: u32 = 0o600;
 
-/// The mode of a directory that every user may list, and its owner alone may change.
+/// The mode of a directory that every user may list, and only its owner may change.
 pub(crate) const LISTED_BY_ALL: u32 = 0o755;
 /// The mode of a directory for its owner alone.
 pub(crate) const PRIVATE_DIR: u32 = 0o700;
 
-/// Makes a directory and those above it, if they are missing: with this mode at most, whatever the umask.
+/// Makes a directory and those above it, if they are missing. They get at most this mode, with any umask.
 pub(crate) fn make_dirs(dir: &Path, mode: u32) -> io::Result<()> {
     DirBuilder::new().recursive(true).mode(mode).create(dir)
 }

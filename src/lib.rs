@@ -1,5 +1,6 @@
-//! Meissner drives a tactile display of 24 piezo pins: it plays patterns on the motors, tick by tick, and predicts what the skin's
-//! RA afferents respond. This crate is the program: the daemon and the commands. The other crates do the parts, from file to motor.
+//! Meissner drives a tactile display of 24 piezo pins: it plays patterns on the motors, tick by tick, and predicts the response of
+//! the skin's afferents. This crate is the program: the daemon and the commands. The other crates implement the parts, from file to
+//! motor.
 //!
 //! # The data path
 //!
@@ -16,27 +17,27 @@
 //! 6. **Streamer** ([`meissner_stream`], a real-time thread) → chooses the onset, keeps the controller fed `lead_ms` ahead, and
 //!    corrects each burst from telemetry shortly before it begins (`control`). It accounts for every burst.
 //! 7. **Link** ([`meissner_stream::link`]) → a reliable, ordered stream of frames with credits; it estimates the device's clock and
-//!    probes what the line carries. The wire format is specified in [`firmware_protocol`].
+//!    measures the line's capacity. The wire format is specified in [`firmware_protocol`].
 //! 8. **Device** ([`meissner_stream::device`]) → a board's serial port, its USB interface, or the mock. `daemon/connector.rs` opens it.
-//! 9. **Controller** ([`firmware_protocol::controller`], the same code on boards and in the mock) → plays the ticks, guards the limits,
-//!    returns the pins when it is stopped or no longer hears its host. `firmware/` is the shell around it on a board.
+//! 9. **Controller** ([`firmware_protocol::controller`], the same code on boards and in the mock) → plays the ticks, guards the
+//!    limits, returns the pins when it is stopped or no longer hears its host. `firmware/` runs it on a board.
 //! 10. **Motors** → real ones, or [`meissner_array::simulated`], after the model of [`meissner_array::motor`].
 //!
 //! # The way back
 //!
-//! Streamer events enter the daemon in `daemon/event_loop.rs`. [`receipts`] turns them into receipts, totals and the API's events: at
-//! its end, each burst of a play was played, late, dropped or refused. There are two records: the [`log`](mod@log) for operators
-//! (worded in `daemon/log_lines.rs`), and the [`session_record`] for experiments, a file of JSON lines per day. Neither can delay an
-//! emergency stop. [`meissner_stream::calibrate`] fits each motor's gain from the bursts of a calibration pattern;
+//! Streamer events enter the daemon in `daemon/event_loop.rs`. [`receipts`] turns them into receipts, totals and the API's events:
+//! at its end, each burst of a play was played, late, dropped or refused. There are two records: the [`log`](mod@log) for operators
+//! (its lines are in `daemon/log_lines.rs`), and the [`session_record`] for experiments, a file of JSON lines per day. Neither can
+//! delay an emergency stop. [`meissner_stream::calibrate`] fits each motor's gain from the bursts of a calibration pattern;
 //! `daemon/calibrate.rs` plays, stores and applies it.
 //!
 //! # The skin model
 //!
 //! [`meissner_skin`] simulates the afferents' spikes for a scene, exactly or by steps. The daemon runs it in one place,
-//! `daemon/predictor.rs`: from the measured bursts of a play it predicts the afferent response to the play's first minute. That is
-//! safe beside the real-time thread: the predictor has one thread of its own with nice 10, at most 16 plays wait for it, nothing
-//! waits for it, and it shares no lock with the streamer. Offline, [`meissner_report`] draws figures and compares methods (`meissner
-//! report`, `tradeoff`).
+//! `daemon/predictor.rs`: from the measured bursts of a play it predicts the afferent response to the play's first minute. That
+//! does not disturb the real-time thread: the predictor has one thread with nice 10, at most 16 plays wait for it, nothing waits
+//! for its results, and it shares no lock with the streamer. Offline, [`meissner_report`] draws figures and compares methods
+//! (`meissner report`, `tradeoff`).
 //!
 //! # Modules
 //!

@@ -1,13 +1,11 @@
-//! The pattern store: the library that is part of the program, and a directory of the site's own patterns. The library has the patterns of
-//! `patterns`, and those of the paper's setting in `patterns/paper`. `targets` keeps the site's targets in a folder of the
-//! directory.
+//! The pattern store: the built-in library, and a directory of the site's own patterns. The library has the patterns of `patterns`,
+//! and those of the paper's setting in `patterns/paper`. `targets` keeps the site's targets in a folder of the directory.
 //!
-//! The store reads the directory at every request, so it finds a file that was put there by hand at once. [`Store::get`]
-//! reads one file, [`Store::list`] at most [`MAX_FILES`]. Callers that hold the same file share one pattern. Patterns of the library cannot be overwritten or shadowed.
-//! Calls block for as long as the disk takes.
+//! The store reads the directory at every request, so it finds manually added files at once. [`Store::get`] reads one file,
+//! [`Store::list`] at most [`MAX_FILES`]. Callers that hold the same file share one pattern. Patterns of the library cannot be
+//! overwritten or shadowed. Calls block for as long as the disk takes.
 //!
-//! Invariant: a file of the directory is replaced whole or not at all, and only by one that parses and has
-//! the file's name.
+//! Invariant: a file of the directory is replaced atomically, and only by one that parses and has the file's name.
 
 mod in_use;
 mod targets;
@@ -35,10 +33,10 @@ static LIBRARY: Dir<'_> = include_dir!("$CARGO_MANIFEST_DIR/patterns");
 
 /// Most files of the directory that are read.
 pub const MAX_FILES: usize = 10_000;
-/// Names offered in place of an unknown one, at the most.
+/// The most names offered for an unknown one.
 const OFFERED: usize = 3;
 
-/// Why the store refuses.
+/// Why the store refuses a request.
 #[derive(Debug, thiserror::Error)]
 pub enum StoreError {
     /// No pattern of that name.
@@ -46,7 +44,7 @@ pub enum StoreError {
     Unknown {
         /// The requested name.
         name: String,
-        /// The nearest names there are.
+        /// The nearest existing names.
         nearest: Vec<String>,
     },
     /// No text of that name has this SHA-256.
@@ -71,7 +69,7 @@ pub enum StoreError {
         /// The name in the text.
         inside: String,
     },
-    /// A name that a command line takes for something else.
+    /// A name that a command line would misread.
     #[error("{}: a new name begins with a letter or a digit: a command line takes `-` for stdin or an option", quote(.name))]
     NewName {
         /// The name it was to be stored under.
@@ -82,7 +80,7 @@ pub enum StoreError {
     InLibrary {
         /// Its name.
         name: String,
-        /// What was to be done with it.
+        /// The refused change.
         change: &'static str,
     },
     /// A pattern of that name is stored.
@@ -95,7 +93,7 @@ pub enum StoreError {
         /// SHA-256 of its file.
         sha256: String,
     },
-    /// A pattern of which no play has a stroke.
+    /// A pattern without any stroke.
     #[error("{}: the pattern has no stroke, so nothing would be played: {}", quote(.name), .why)]
     Empty {
         /// Its name.
@@ -228,10 +226,10 @@ impl Store {
         }
     }
 
-    /// The pattern of that name whose file has this SHA-256: the stored one, or else that of the text that `kept` finds.
+    /// The pattern of that name whose text has this SHA-256: the stored one, or else the text that `kept` finds.
     ///
     /// # Errors
-    /// [`StoreError::OtherText`] if neither is it.
+    /// [`StoreError::OtherText`] if neither has it.
     pub fn get_text(
         &self,
         name: &str,
@@ -274,7 +272,7 @@ impl Store {
             }
             match self.get(&name) {
                 Ok(stored) => list.patterns.push(stored.entry()),
-                // Removed since the names were read, or no name a pattern can have.
+                // The file was removed since the names were read, or its name is not valid for a pattern.
                 Err(StoreError::Unknown { .. }) => {
                     list.errors
                         .push(format!("{}: not a pattern's name: use a-z, 0-9 and - only", quote(&name)));
@@ -287,11 +285,11 @@ impl Store {
         list
     }
 
-    /// Stores a pattern under its name; in place of an older one of that name only with `replace`.
+    /// Stores a pattern under its name. With `replace` it may replace an older one of that name.
     ///
     /// # Errors
-    /// If the text is no pattern of that name, the pattern is empty, the name is none for a new pattern, belongs to the library or is
-    /// taken, or the file cannot be written.
+    /// If the text is not a pattern of that name, the pattern is empty, the name is not allowed for a new pattern, belongs to the
+    /// library or is taken, or the file cannot be written.
     pub fn put(&self, name: &str, text: &str, replace: bool) -> Result<Put, StoreError> {
         if self.library.contains_key(name) {
             return Err(StoreError::InLibrary { name: name.to_owned(), change: "overwritten" });
@@ -352,7 +350,7 @@ impl Store {
             .filter_map(|entry| {
                 entry.ok()?.file_name().into_string().ok()?.strip_suffix(".toml").map(str::to_owned)
             })
-            // Temporary files of editors and of `replace`.
+            // Skip temporary files of editors and of `replace`.
             .filter(|name| !name.starts_with('.'))
             .take(MAX_FILES)
             .collect();
@@ -377,7 +375,7 @@ impl Store {
 }
 
 impl Stored {
-    /// A pattern that is not from the store.
+    /// A pattern that does not come from the store.
     #[must_use]
     pub fn made(pattern: Pattern) -> Self {
         let text = pattern.to_toml();
@@ -395,7 +393,7 @@ impl Stored {
         }
     }
 
-    /// What one run of the pattern comes to.
+    /// The order for one run of the pattern.
     #[must_use]
     pub fn run(&self) -> &Order {
         // The default options are within their ranges.
@@ -488,7 +486,7 @@ fn read(path: &Path) -> Result<Vec<u8>, StoreError> {
     read().map_err(|source| StoreError::Io { path: path.to_owned(), source })
 }
 
-/// SHA-256 of the file, if there is one.
+/// SHA-256 of the file, if it exists.
 fn present(path: &Path) -> Result<Option<String>, StoreError> {
     let mut hasher = Sha256::new();
     match open_regular(path).and_then(|mut file| io::copy(&mut file, &mut hasher)) {
@@ -498,7 +496,7 @@ fn present(path: &Path) -> Result<Option<String>, StoreError> {
     }
 }
 
-/// What each rail draws in a pattern, for motors whose capacitance is not known.
+/// The current of each rail in a pattern, for motors of unknown capacitance.
 fn rail_loads(pattern: &Pattern) -> Vec<RailLoad> {
     // The default options are within their ranges.
     let Ok(strokes) = Strokes::new(pattern, &StrokeOptions::default()) else { return Vec::new() };

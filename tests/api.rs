@@ -50,7 +50,7 @@ fn plays_are_refused_until_motors_are_armed() {
     assert_eq!(problem(client.get("/v1/plays/last")).code, "not-found");
 }
 
-/// The host watchdog counts from the arming, not from the last keep-alive of an idle second before it.
+/// The host watchdog counts from arming, not from the last keep-alive, which an idle daemon sends once a second.
 #[test]
 fn a_device_that_was_idle_stays_armed() {
     let daemon = Daemon::with("mock", "lease_ms = 500\n");
@@ -191,7 +191,7 @@ fn a_receipt_is_waited_for() {
     };
     let first = play(&mut client, &json!({"pattern": "edge-45", "seconds": 0.2}));
     let second = play(&mut client, &json!({"pattern": "pin-60", "endless": true}));
-    // Other clients are answered meanwhile.
+    // Other clients get answers meanwhile.
     let waiting = thread::spawn({
         let mut client = daemon.client();
         move || wait(&mut client, second, "10").unwrap()
@@ -254,7 +254,7 @@ fn a_pattern_is_shown_as_it_was_played() {
             (&json!(sha256), &json!(amplitude_um))
         );
     }
-    // Never played, and of another name.
+    // A text that was never played, and one of another name.
     assert_eq!(refusal(shown("mine", &unplayed)), ("not-found".into(), 404));
     assert_eq!(refusal(shown("edge-45", &played)), ("not-found".into(), 404));
     for bad in ["", "9F", "../../meissner", &"g".repeat(64), &format!("{played}&x=1")] {
@@ -336,7 +336,7 @@ fn a_receipt_has_the_predicted_response_once_bursts_are_measured() {
     let receipt: Value = client.get(&format!("/v1/plays/{id}")).unwrap();
     assert_eq!(receipt["predicted_response"], serde_json::to_value(&prediction.response).unwrap());
     assert_eq!(receipt["felt"], receipt["predicted_response"], "the deprecated key holds the same");
-    // A stall of a busy machine may delay telemetry; the receipt then says so.
+    // On a busy machine telemetry may be delayed; the receipt then says so.
     let Some(response) = prediction.response else {
         assert!(prediction.unknown.is_some_and(|why| why.contains("bursts were not measured")));
         return;

@@ -129,7 +129,7 @@ fn garbage_is_answered_or_disconnected() {
     let daemon = Daemon::start();
     for bytes in [&b"\0\xff\xfe"[..], b"GET\r\n\r\n", &[b'A'; 100_000], b"GET /v1/status HTTP/9.9\r\n\r\n"] {
         let mut stream = UnixStream::connect(daemon.socket()).unwrap();
-        // It may hang up before it has read everything.
+        // The daemon may hang up before it has read everything.
         let _ = stream.write_all(bytes);
     }
     daemon.client().get::<Value>("/v1/status").unwrap();

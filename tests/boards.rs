@@ -29,7 +29,8 @@ fn report(device: &str) -> Value {
     report
 }
 
-/// The report on a device that answers. On a machine that stalls for half a second it counts as lost, so the doctor looks again.
+/// The report on a device that answers. If the machine stalls for half a second, the device counts as lost, so the doctor runs
+/// again.
 fn measured(device: &str) -> Value {
     let again = || Some(report(device)).filter(|report| !report["device"].is_null());
     (0..4).find_map(|_| again()).unwrap_or_else(|| report(device))
@@ -74,7 +75,7 @@ fn a_simulated_device_passes_no_self_test() {
         assert!(finding["level"] == "warn" && finding["found"] == "not on this device", "{finding}");
     }
     assert_eq!(report["device"]["board"]["reset"], "program");
-    // A daemon that has the device would be disturbed.
+    // The doctor must not disturb a daemon that has the device.
     let daemon = Daemon::start();
     let output =
         daemon.meissner().args(["doctor", "--board", "--json", "--seconds", "0.1"]).output().unwrap();
@@ -187,7 +188,7 @@ fn a_port_has_one_user() {
     let board = board();
     let name = format!("serial:{}", board.path().display());
     let daemon = Daemon::on(&name);
-    // A program that looks at no lock cannot open it either, unless it is root's.
+    // A program that ignores locks cannot open it either, unless root runs it.
     std::fs::set_permissions(board.path(), Permissions::from_mode(0o666)).unwrap();
     let mut shell = std::process::Command::new("sh");
     shell.args(["-c", "exec 3<>\"$0\""]).arg(board.path());

@@ -1,11 +1,11 @@
-//! The builds that tests run check for overflows, in every crate: an overflow that a device can cause fails a test, not a play.
+//! Test builds check for overflows in every crate, so that an overflow that a device can cause fails a test, not a play.
 
 use std::hint::black_box;
 use toml::{Table, Value};
 
 const CHECKS: [&str; 2] = ["overflow-checks", "debug-assertions"];
 
-/// Every profile in a table of profiles or packages that says something about a check.
+/// The settings of a check in a table of profiles or packages.
 fn settings<'a>(table: &'a Table, check: &str) -> Vec<&'a Value> {
     let inner = table.values().filter_map(Value::as_table).flat_map(|inner| settings(inner, check));
     table.get(check).into_iter().chain(inner).collect()

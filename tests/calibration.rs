@@ -31,7 +31,7 @@ fn a_calibration_is_played_fitted_stored_and_used() {
     let mut client = daemon.armed();
     let mut events = client.events().unwrap();
     let id = client.post::<Value>("/v1/calibrate", &quick(3)).unwrap()["id"].as_u64().unwrap();
-    // It is a play, and no other may run beside it.
+    // A calibration is a play, and no other may run beside it.
     assert_eq!(refusal(client.post("/v1/play", &json!({"pattern": "edge-45"}))), ("playing".into(), 409));
     assert_eq!(refusal(client.post("/v1/calibrate", &quick(4))), ("playing".into(), 409));
     assert_eq!(outcome(&mut events), (vec![3], None));
@@ -44,7 +44,7 @@ fn a_calibration_is_played_fitted_stored_and_used() {
     let (up, se) = (&report["motors"][0]["gain_up"], &report["motors"][0]["gain_up_se"]);
     let off = up.as_f64().unwrap() - 1.0 - asymmetry / 2.0;
     assert!(off.abs() < 5.0 * se.as_f64().unwrap(), "{report}");
-    // What was measured lies near the line that was fitted to it.
+    // The measured points lie near the fitted line.
     for way in ["up", "down"] {
         let line = &report["motors"][0][way];
         let number = |value: &Value| value.as_f64().unwrap();
@@ -78,7 +78,7 @@ fn a_calibration_is_played_fitted_stored_and_used() {
     let text = printed(daemon.meissner().arg("status"));
     assert!(text.contains("2 of 24 motors, 20"), "{text}");
 
-    // The calibration belongs to this array, with telemetry or without, and to no other.
+    // The calibration belongs only to this array, with telemetry or without.
     let at =
         format!("lease_ms = 5000\ncalibration = {:?}\n[mock]\n{STEADY}", daemon.path("calibration.toml"));
     let blind = Daemon::with("mock", &format!("{at}telemetry_hz = 0\n"));
@@ -168,7 +168,7 @@ fn a_laser_calibrates_a_device_without_telemetry() {
     let status: Value = daemon.client().get("/v1/status").unwrap();
     assert_eq!(status["motors"][5]["calibrated"], true);
 
-    // Into a file, without a daemon; and from there to the daemon by the API.
+    // Fit into a file, without a daemon, and send the file to the daemon by the API.
     let mut away = meissner();
     away.args("calibrate --from laser.csv --plan plan.json --time-unit s -o copy.toml --json".split(' '));
     let fitted = document(away.current_dir(daemon.path("")));

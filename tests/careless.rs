@@ -19,7 +19,7 @@ fn below(dir: &Path, found: &mut Vec<PathBuf>) {
     }
 }
 
-/// Whatever the umask is, nobody else may change what the daemon makes.
+/// With any umask, other users must not be able to change the daemon's files.
 #[test]
 fn an_open_umask_opens_nothing() {
     let mut command = Command::new("sh");
@@ -28,7 +28,7 @@ fn an_open_umask_opens_nothing() {
     let data = dir.path().join("data");
     command.env("XDG_DATA_HOME", &data);
     let log = fs::File::create(dir.path().join("log")).unwrap();
-    // The default directory of patterns.
+    // This uses the default directory of patterns.
     let config = "# no patterns_dir\n";
     let mut daemon = Daemon::launch(std::sync::Arc::clone(&dir), "mock", config, log, command);
     daemon.wait_for_device();
@@ -61,7 +61,7 @@ fn an_open_umask_opens_nothing() {
     }
 }
 
-/// The daemon works, or it ends with exit 1 and one line: it never lives on without working.
+/// The daemon works, or it ends with exit 1 and one line. It must never stay alive without working.
 #[test]
 fn too_little_address_space_is_one_line_and_no_daemon() {
     for mib in [96, 200, 400, 700] {
@@ -86,7 +86,7 @@ fn too_little_address_space_is_one_line_and_no_daemon() {
     }
 }
 
-/// A client that is refused again and again does not fill the disk with the log; e-stops are all there.
+/// A client that is refused again and again does not fill the disk with log lines; all e-stops are logged.
 #[test]
 fn a_flood_of_refusals_is_bounded_in_the_log_and_counted() {
     let daemon = Daemon::start();
@@ -101,7 +101,7 @@ fn a_flood_of_refusals_is_bounded_in_the_log_and_counted() {
     let log = daemon.wait_for_log("lines of the log were left out");
     let lines =
         |what: &str| log.lines().filter(|line| line.contains(what) && !line.contains("left out")).count();
-    // 200, and one a second.
+    // The log allows 200 lines at once, and one a second.
     let most = 201 + begun.elapsed().as_secs() as usize;
     assert!((200..=most).contains(&lines("session-end by ")), "{}", lines("session-end by "));
     assert_eq!(lines("estop by "), 20);

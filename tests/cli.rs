@@ -23,7 +23,7 @@ fn play_wait_prints_a_summary() {
             .any(|line| line.strip_prefix(label).is_some_and(|rest| rest.trim_start().starts_with(value)))
     };
     assert!(text.contains("play 1 began at tick") && shows(&text, "state", "done"), "{text}");
-    // A busy machine may not predict in time; one of these plays finds it less busy.
+    // A busy machine may not predict in time, so try several plays.
     let predicted = |_| {
         let output =
             daemon.meissner().args(["play", "pin-60", "--seconds", "0.1", "--wait"]).output().unwrap();
@@ -73,7 +73,7 @@ fn a_full_or_closed_log_stops_nothing() {
     let (reader, closed) = std::io::pipe().unwrap();
     drop(reader);
     let (_reader, mut full) = std::io::pipe().unwrap();
-    // The flag belongs to the pipe: the daemon gets it as it was.
+    // The flag belongs to the pipe; the command must not have changed it for the daemon.
     let flags = fcntl_getfl(&full).unwrap();
     fcntl_setfl(&full, flags | OFlags::NONBLOCK).unwrap();
     while full.write(&[b'.'; 4096]).is_ok() {}
@@ -96,9 +96,9 @@ fn a_closed_terminal_ends_the_daemon_like_sigterm() {
     grantpt(&screen).unwrap();
     unlockpt(&screen).unwrap();
     let terminal = ptsname(&screen, Vec::new()).unwrap().into_string().unwrap();
-    // The terminal is the daemon's own, as that of a shell is: when it is closed, the kernel says so.
+    // The daemon has its own terminal, as a shell has. When it is closed, the kernel sends SIGHUP.
     let mut command = std::process::Command::new("setsid");
-    // The tests may run under nohup, which programs inherit.
+    // The tests may run under nohup, whose effect programs inherit.
     command
         .args(["--ctty", "env", "--default-signal=HUP", PROGRAM])
         .stdin(File::options().read(true).write(true).open(terminal).unwrap());
@@ -151,7 +151,7 @@ fn a_command_that_is_told_to_end_stops_its_play() {
         let output = child.wait_with_output().unwrap();
         assert_eq!(output.status.code(), Some(code));
         assert_eq!(output.stderr, b"stopped: see `meissner receipt`\n");
-        // The answer to the stop comes when the pins are on their way back.
+        // The stop is answered while the pins still return.
         let receipt: Value = client.get("/v1/plays/last?wait=10").unwrap();
         assert_eq!((&receipt["state"], &receipt["cause"]), (&json!("stopped"), &json!("stop")), "{receipt}");
     }
@@ -171,7 +171,7 @@ fn patterns_are_listed_shown_and_imported() {
     assert_eq!(imported["name"], "mine");
     let shown = document(daemon.meissner().args(["show", "mine", "--json"]));
     assert_eq!(shown["sha256"], imported["sha256"]);
-    // What it reaches, in JSON and text.
+    // The reached amplitude, in JSON and text.
     let reached_um = shown["drives"][0]["reached_um"].as_f64().unwrap();
     let (reached, whole) =
         (format!("{reached_um:.1}"), format!("{:.1}", shown["compiled_ms"].as_f64().unwrap()));
@@ -298,7 +298,7 @@ fn a_denied_socket_is_reported_with_the_remedy() {
     let mut command = std::process::Command::new(PROGRAM);
     command.arg("stop").env("MEISSNER_SOCKET", &socket);
     let says = if rustix::process::geteuid().is_root() {
-        // Root is never refused, so the user nobody asks, and the socket belongs to a group without that user.
+        // Root is never refused, so run the command as user nobody, with a socket of a group without that user.
         let groups = std::fs::read_to_string("/etc/group").unwrap();
         let other = |line: &&str| !["root", "nogroup", "nobody"].contains(&line.split(':').next().unwrap());
         let mut fields = groups.lines().find(other).unwrap().split(':');

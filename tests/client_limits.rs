@@ -47,7 +47,7 @@ fn the_65th_client_gets_an_error_and_the_others_go_on() {
     for client in &mut clients {
         client.get::<Value>("/v1/status").unwrap();
     }
-    // A client that is idle for some seconds gives its place to the next one.
+    // A client that is idle for some seconds loses its place to the next one.
     wait_until(|| daemon.client().get::<Value>("/v1/status").is_ok());
     clients.pop();
     wait_until(|| daemon.client().get::<Value>("/v1/status").is_ok());
@@ -116,7 +116,7 @@ fn the_socket_for_emergency_stops_takes_a_byte_and_names_the_client() {
     let socket = estop_socket(&daemon.socket());
     assert_eq!(socket.metadata().unwrap().permissions().mode() & 0o777, 0o660);
     let mut stream = UnixStream::connect(&socket).unwrap();
-    // In pieces: the first byte counts.
+    // Send it in pieces: the first byte orders the stop.
     stream.write_all(b"s").unwrap();
     let mut answer = String::new();
     stream.read_to_string(&mut answer).unwrap();
@@ -132,7 +132,7 @@ fn the_socket_for_emergency_stops_takes_a_byte_and_names_the_client() {
 fn another_terminal_resets_an_emergency_stop_by_force_alone() {
     let daemon = Daemon::start();
     let mut client = daemon.client();
-    // A session of its own, as another terminal has.
+    // Run the command in a separate process session, like another terminal.
     let other = |command: &str| {
         let mut setsid = process::Command::new("setsid");
         setsid.args(["--wait", crate::harness::PROGRAM, command]).env("MEISSNER_SOCKET", daemon.socket());
@@ -143,12 +143,12 @@ fn another_terminal_resets_an_emergency_stop_by_force_alone() {
     assert!(is_faulted(&mut client));
     daemon.meissner().args(["reset", "--force"]).assert().success();
     daemon.wait_for_log("reset, forced, by ");
-    // A later one of another terminal counts also against the client that stopped first; its own again changes nothing.
+    // A later stop of another terminal also blocks the client that stopped first; another stop of its own does not change that.
     let _: Status = client.post("/v1/estop", &json!({})).unwrap();
     other("estop");
     let _: Status = client.post("/v1/estop", &json!({})).unwrap();
     assert_eq!(refusal(client.post("/v1/reset", &json!({}))), ("recent-estop".into(), 409));
-    // A person has decided about the stops so far; another terminal stops while they answer.
+    // A person decides about the stops so far; another terminal stops meanwhile.
     let seen = client.get::<Status>("/v1/status").unwrap().estops;
     assert_eq!(seen, 4);
     other("estop");
@@ -156,10 +156,10 @@ fn another_terminal_resets_an_emergency_stop_by_force_alone() {
     assert_eq!(refusal(client.post("/v1/reset", &late)), ("recent-estop".into(), 409));
     assert!(is_faulted(&mut client));
     let _: Status = client.post("/v1/reset", &json!({"force": true, "estops_seen": seen + 1})).unwrap();
-    // Its own.
+    // A stop of the same client.
     let _: Status = client.post("/v1/estop", &json!({})).unwrap();
     let _: Status = client.post("/v1/reset", &json!({})).unwrap();
-    // The commands of one terminal are one client.
+    // The commands of one terminal count as one client.
     daemon.meissner().arg("estop").assert().success();
     daemon.meissner().arg("reset").assert().success();
 }
@@ -208,7 +208,7 @@ fn clients_that_wait_for_plays_leave_places_for_commands_and_give_them_back() {
     });
     assert_eq!(refusal(answer(&mut client)), ("too-many-clients".into(), 503));
     let _: Status = client.get("/v1/status").unwrap();
-    // They hang up long before their time.
+    // The waiting clients hang up long before their timeout.
     drop(waiting);
     wait_until(|| answer(&mut client).is_ok());
 }
@@ -223,7 +223,7 @@ fn with_few_descriptors_there_are_fewer_clients_and_emergency_stops_work() {
     let connect = |_| UnixStream::connect(daemon.socket()).unwrap();
     let mut clients: Vec<_> = (0..90).map(connect).collect();
     for client in &mut clients {
-        // The daemon may have closed it for the ones after it.
+        // The daemon may have closed this connection for later ones.
         let _ = client.write_all(b"GET /v1/status HTTP/1.1\r\nhost: x\r\n\r\n");
     }
     for _ in 0..10 {
@@ -246,7 +246,7 @@ fn requests_that_are_not_http_get_a_problem() {
         (line(&"/".repeat(70_000)), 431),
         (many, 431),
         (large, 431),
-        // Behind a good one.
+        // An invalid request after a valid one.
         (line("/v1/status") + "nonsense\r\n\r\n", 400),
     ];
     for (request, status) in requests {
@@ -268,7 +268,7 @@ fn requests_that_are_not_http_get_a_problem() {
 const STATUS: &[u8] = b"GET /v1/status HTTP/1.1\r\nhost: x\r\nconnection: close\r\n\r\n";
 const STOP: &[u8] = b"POST /v1/stop HTTP/1.1\r\nhost: x\r\nconnection: close\r\ncontent-length: 2\r\n\r\n{}";
 
-/// How many of so many `status` and `stop` on connections of their own are served.
+/// How many of `asked` requests for `status` and `stop`, each on a separate connection, are served.
 fn served(daemon: &Daemon, asked: usize) -> usize {
     let answers =
         |request| (0..asked).filter(move |_| daemon.raw(request).starts_with("HTTP/1.1 200 ")).count();
@@ -295,7 +295,7 @@ fn clients_that_send_slowly_keep_nobody_out() {
             let _ = stream.write_all(part.as_bytes());
             held.push(stream);
         }
-        // The daemon has seen the burst of connections.
+        // Wait until the daemon has seen the burst of connections.
         wait_until(|| daemon.raw(STATUS).starts_with("HTTP/1.1 200 "));
         assert_eq!(served(&daemon, 20), 40, "behind {part:?}");
     }
@@ -339,7 +339,7 @@ fn slow_sequences_keep_no_other_file_waiting() {
         let answer = daemon.raw(put.as_bytes());
         assert!(answer.starts_with("HTTP/1.1 20"), "{answer}");
     }
-    // Each learns that it was too slow.
+    // Each client gets the error that it was too slow.
     for stream in &mut slow {
         stream.set_read_timeout(Some(TIMEOUT)).unwrap();
         let mut answer = String::new();
@@ -354,7 +354,7 @@ fn an_emergency_stop_counts_behind_requests_that_wait() {
     let chunked =
         "PUT /v1/patterns/x HTTP/1.1\r\nhost: x\r\ntransfer-encoding: chunked\r\n\r\n3\r\nabc\r\n0\r\n\r\n";
     let status = "GET /v1/status HTTP/1.1\r\nhost: x\r\n\r\n";
-    // What waits, and how many answers there are with the emergency stop's.
+    // The requests before the emergency stop, and the number of answers including its own.
     for (before, answers) in [
         (wait.to_owned(), 2),
         ([wait, chunked, wait].concat(), 4),

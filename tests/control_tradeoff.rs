@@ -4,7 +4,7 @@ use meissner_stream::{MotorRun, rest_bound_um};
 use serde_json::Value;
 use std::sync::LazyLock;
 
-/// A corner of the grid, in which every quantity takes two values; short, so that it can be had without optimisation.
+/// A corner of the grid, in which every quantity takes two values. It is short enough for a build without optimisation.
 fn corner() -> ControlGrid {
     ControlGrid {
         frequencies_hz: vec![60.0, 300.0],
@@ -49,7 +49,7 @@ fn every_cell_is_complete_and_keeps_its_limit() {
                 row.run.telemetry_hz
             )
         );
-        // 2 s of 6 are left out; chance has a few hundred periods to average out in.
+        // 2 s of 6 are left out; chance averages out over a few hundred periods.
         assert!(row.periods as f64 >= 3.9 * row.run.frequency_hz, "{row:?}");
         assert!(row.verdict != Verdict::Misses, "{row:?}");
         if row.run.scatter == 0.0 {
@@ -63,7 +63,7 @@ fn every_cell_is_complete_and_keeps_its_limit() {
     assert_eq!((summary.hold + summary.chance, summary.miss, summary.doubts), (32, 0, 0));
     assert_eq!(summary.worst.iter().map(|worst| worst.cells).sum::<usize>(), 32);
     assert!(summary.worst.iter().all(|worst| worst.ratio <= worst.limit && worst.hold == worst.cells));
-    // 80 um fit into no half period at 300 Hz: there is no room, and no limit.
+    // At 300 Hz 80 um do not fit into half a period, so the amplitude has no limit.
     let full =
         found.rows.iter().find(|row| row.run.frequency_hz == 300.0 && row.run.amplitude_um == 80.0).unwrap();
     assert!(full.planned_um < 20.0 && full.room < 1.1 && full.amplitude_limit.is_none(), "{full:?}");

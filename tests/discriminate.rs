@@ -125,7 +125,7 @@ fn validate_prints_a_verdict_for_every_case() {
     );
 }
 
-/// A case as the book shows it.
+/// A case in the book's format.
 fn row(case: &Value) -> String {
     let unit = case["unit"].as_str().unwrap().replace("um", "µm").replace("mm2", "mm²").replace("R2", "R²");
     let (kind, published) = case["published"].as_object().unwrap().iter().next().unwrap();

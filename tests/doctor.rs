@@ -13,7 +13,7 @@ fn verdict(report: &DoctorReport, what: &str) -> Option<Level> {
     report.findings.iter().find(|finding| finding.what == what).map(|finding| finding.level)
 }
 
-/// Without what the clock's estimate has learnt meanwhile.
+/// The finding without the parts that change with the clock's estimate.
 fn stable(finding: &Finding) -> Finding {
     if finding.what == "clock" { Finding::ok("clock", "") } else { finding.clone() }
 }
@@ -25,7 +25,7 @@ fn the_command_and_the_route_give_the_same_findings() {
     let command = document(daemon.meissner().args(["doctor", "--json", "--seconds", "0.1"]));
     let command: Vec<Finding> = serde_json::from_value(command["findings"].clone()).unwrap();
     let command: Vec<Finding> = command.iter().map(stable).collect();
-    // Those that only the command can make: its user's rights and groups, and the timers.
+    // Findings that only the command can make: its user's rights and groups, and the timers.
     let own = ["SCHED_FIFO", "mlockall", "timers", "group"];
     let shared: Vec<&Finding> =
         command.iter().filter(|finding| !own.contains(&finding.what.as_str())).collect();

@@ -33,7 +33,7 @@ fn a_drifting_array_ends_plays_refuses_them_and_asks_for_a_check() {
     assert_eq!(refusal(client.post("/v1/play", &play)), ("drift-limit".into(), 409));
     let line = complaint(daemon.meissner().args(["play", "pin-60", "--seconds", "0.1"]));
     assert!(line.contains("more than drift_limit_um = 60") && line.contains("--checked NAME"), "{line}");
-    // Disarming forgets nothing, and a script cannot state that the pins are level.
+    // Disarming does not reset the drift, and a script cannot state that the pins are level.
     let _: Value = client.post("/v1/disarm", &json!({})).unwrap();
     let assumed = json!({"assume_rest": true});
     assert_eq!(refusal(client.post("/v1/arm", &assumed)), ("level-not-checked".into(), 409));
@@ -41,7 +41,7 @@ fn a_drifting_array_ends_plays_refuses_them_and_asks_for_a_check() {
     assert!(line.contains("look at them, level them, and say who did"), "{line}");
     let _: Value = client.post("/v1/arm", &json!({})).unwrap();
     assert_eq!(refusal(client.post("/v1/play", &play)), ("drift-limit".into(), 409));
-    // Somebody has looked, also while the motors are armed.
+    // A person has checked the pins; this also works while the motors are armed.
     assert!(
         printed(daemon.meissner().args("arm --assume-rest --checked Ada".split(' '))).starts_with("armed")
     );
@@ -75,7 +75,7 @@ fn pins_that_telemetry_shows_need_no_check_after_a_disarm_in_the_middle_of_a_pla
     assert!(offset_um(&mut client) > 20.0);
 }
 
-/// A script never looks: what its plays leave sums up over its arms, however small each play is.
+/// A script never checks the pins: the drift of its plays adds up over several arms, even if each play is small.
 #[test]
 fn plays_below_the_level_check_sum_up_until_somebody_looks() {
     let daemon = Daemon::with("mock", &format!("{PATIENT}drift_limit_um = 150\n[mock]\ntelemetry_hz = 0\n"));

@@ -22,7 +22,7 @@ fn an_export_has_one_row_per_play() {
     let _: Status = client.post("/v1/stop", &json!({})).unwrap();
     receipts.push(ended(&mut events));
     let _: Session = client.post("/v1/sessions/running/end", &json!({})).unwrap();
-    // Not of the session.
+    // This play does not belong to the session.
     client.set_token(None);
     let _: Value = client.post("/v1/play", &json!({"pattern": "pin-60", "seconds": 0.1})).unwrap();
     ended(&mut events);
@@ -60,7 +60,7 @@ fn an_export_has_one_row_per_play() {
         );
         assert!(of("reported_after_s").parse::<f64>().unwrap() < 20.0 && !of("session_ended").is_empty());
     }
-    // The line that tells of a play's end is lost: the play stays, and the damage is named.
+    // The line of a play's end is lost: the export keeps the play and names the damage.
     let folder = daemon.path("state/meissner/logbook");
     let day = fs::read_dir(&folder).unwrap().map(|file| file.unwrap().path());
     let day =
@@ -113,7 +113,7 @@ fn an_export_has_a_row_for_each_item_of_a_sequence() {
     let whole: Receipt = client.get(&format!("/v1/plays/{}", receipt.id)).unwrap();
     let records = whole.items.clone().unwrap();
     assert_eq!(told, *records);
-    // One that is stopped: the items that began.
+    // For a stopped sequence, the export has the items that began.
     let _: Value = client.post("/v1/sequence", &sequence).unwrap();
     began(&mut events);
     let _: Status = client.post("/v1/stop", &json!({})).unwrap();
@@ -161,7 +161,7 @@ fn an_export_has_a_row_for_each_item_of_a_sequence() {
         (&json!(40), &json!("taps"))
     );
     assert_eq!((&exported["plays"][1]["item"], &exported["lost"]), (&json!(0), &json!(0)));
-    // What the mock's handshake told.
+    // The boot from the mock's handshake.
     assert!(exported["plays"][1]["boot"].is_u64() && exported["plays"][1]["pattern_kept"] == true);
 }
 

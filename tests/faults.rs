@@ -1,4 +1,4 @@
-//! Faults by script against this program: a few kinds of `tests/faults`, in real time, on a board behind a pseudo-terminal.
+//! Scripted faults against this program: a few kinds of `tests/faults`, in real time, on a board behind a pseudo-terminal.
 //!
 //! All kinds, with three patterns each, take minutes: `tests/faults/run pty`. In virtual time `crates/stream/tests/faults.rs` plays
 //! them all.
@@ -8,7 +8,7 @@ use meissner_fault_cases::{Case, Kind, cases};
 use meissner_fault_pty::{Plan, run};
 use std::path::Path;
 
-/// One of each sort: line, host, cable, board, clock, lies, sensors, an order.
+/// One fault of each sort: line, host, cable, board, clock, false reports, sensors, an order.
 const KINDS: [(&str, &str); 10] = [
     ("line-loses", "10 %"),
     ("line-holds-back-to-host", "2000 ms"),

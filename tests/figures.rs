@@ -84,7 +84,8 @@ fn links(page: &str) -> BTreeSet<&str> {
     of("href=\"").chain(of("src=\"")).collect()
 }
 
-/// Of a page and its files: links resolve, everything is linked and well formed, and nothing comes from elsewhere.
+/// Asserts that links of a page and its files resolve, that every file is linked and well formed, and that nothing is loaded from
+/// elsewhere.
 fn assert_page(page: &str, files: &[(&str, &str)]) {
     assert_well_formed(INDEX, page);
     let links = links(page);
@@ -145,7 +146,7 @@ fn the_page_is_well_formed_and_has_a_section_for_every_pattern() {
     let sweep = file("pattern-sweep-motors.svg");
     assert_eq!((sweep.matches("<ellipse").count(), sweep.matches(">60 Hz<").count()), (6 * 24, 24));
     let pin = figures_of("pin-60");
-    // Sixty times a second, 589 pulses up and as many down.
+    // Sixty times a second, 589 pulses up and 589 down.
     assert_eq!((pin.busiest_pulses_per_s, pin.segments, pin.drives), (60.0 * 589.0 * 2.0, 1, 1));
 }
 
@@ -171,7 +172,7 @@ fn the_displacement_follows_the_pulses_as_in_the_paper() {
     assert!((found.model_um_per_pulse, all.bursts) == (slope, 24 * 360));
     assert!((all.slope_um_per_pulse - slope).abs() < 4.0 * all.slope_se_um_per_pulse, "{all:?}");
     assert!(all.slope_se_um_per_pulse < 0.002 * slope && all.offset_um.abs() < 0.03, "{all:?}");
-    // Four standard errors of the paper's 10 %, and the asymmetry's 1 % (as squares).
+    // The bound is four standard errors; the expected value combines the paper's 10 % and the asymmetry's 1 % as squares.
     assert!((all.relative_sd - 0.1005).abs() < 4.0 * 0.1 / (2.0 * 8640.0_f64).sqrt(), "{all:?}");
     // First bursts, 24 × 20 of them.
     assert!((found.transient_gain - 0.8).abs() < 4.0 * 0.1 / 480_f64.sqrt(), "{found:?}");
@@ -183,7 +184,7 @@ fn the_displacement_follows_the_pulses_as_in_the_paper() {
     }
 
     let svg = file("pulses.svg");
-    // Every block, and one in the legend. The ten means are polygons.
+    // One circle for every burst, and one in the legend. The ten means are polygons.
     assert_eq!(svg.matches("<circle").count(), 360 + 1);
     assert!(svg.matches("<rect").count() > 40);
     let places =
@@ -201,13 +202,13 @@ fn the_amplitude_is_the_model_s_and_simulated_motors_scatter_around_it() {
     assert!(found.len() >= 100 && found[0][0] == 1.0 && found.last().unwrap()[0] == 300.0);
     for [hz, um, model_um, measured_um, sd_um] in found {
         assert_eq!(model_um, SteadyState::of(hz, um).unwrap().peak_to_peak_um);
-        // The mean of 80 cycles: half a deviation is more than four standard errors.
+        // This is the mean of 80 cycles, so half a standard deviation is more than four standard errors.
         assert!((measured_um - model_um).abs() < 0.5 * sd_um, "{hz} Hz, {um} um: {measured_um} +- {sd_um}");
         if hz <= 10.0 {
             // A cycle is the mean of an up and a down burst, each off by 10 %.
             assert!((sd_um / um - 0.1 / 2_f64.sqrt()).abs() < 0.025, "{hz} Hz, {um} um: {sd_um}");
         }
-        // No motor is silent: also where the model is.
+        // Even where the model's amplitude is 0, motors vibrate because of their scatter.
         assert!(sd_um > 0.02 * model_um && sd_um > 0.1, "{hz} Hz, {um} um: {sd_um}");
     }
     assert!(
@@ -215,14 +216,14 @@ fn the_amplitude_is_the_model_s_and_simulated_motors_scatter_around_it() {
         "{figures:?}"
     );
     let svg = file("amplitude.svg");
-    // Discs are the markers of the first of the amplitudes alone.
+    // Only the first amplitude has discs as markers.
     let markers = ["<circle", "<polygon"].map(|shape| svg.matches(shape).count());
     assert_eq!(markers.iter().sum::<usize>(), figures.points + AMPLITUDES_UM.len());
     assert_eq!(markers[0], figures.points / AMPLITUDES_UM.len() + 1);
     assert!(svg.contains("below") && svg.contains("µm peak to peak"));
 }
 
-/// The rate of one receptor under a pin, mean of many.
+/// The mean rate of many afferents under a pin.
 fn rate_hz(frequency_hz: f64, amplitude_um: f64) -> f64 {
     let drive = Drive { motor: 9, frequency_hz, amplitude_um, phase: 0.0, start_s: None, stop_s: None };
     let model = AfferentModel::default_for(Rectify::Half, POPULATION_NOISE_SD);
@@ -272,14 +273,14 @@ fn the_page_s_range_of_constant_rate_is_right() {
         let (lowest, highest) = rates(plateau.from_um, plateau.to_um);
         assert!((lowest - plateau.lowest_hz).abs() < 1e-4 && (highest - plateau.highest_hz).abs() < 1e-4);
         assert!(lowest > 0.0 && highest - lowest < 0.1 * highest, "{plateau:?}");
-        // A step more on either side, and it changes by more.
+        // With one step more on either side the rate changes by more.
         for (from, to) in [(plateau.from_um - 5.0, plateau.to_um), (plateau.from_um, plateau.to_um + 5.0)] {
             let (lowest, highest) = rates(from, to);
             assert!(highest - lowest >= 0.0999 * highest || to > 400.0, "{plateau:?}");
         }
     }
     let sixty = plateaus.iter().find(|plateau| plateau.frequency_hz == 60.0).unwrap();
-    // The drive saturates at 96 um; a little below, the triangle's tip is all that is missing.
+    // The drive saturates at 96 um; a little below that, only the triangle's tip is missing.
     assert!((60.0..96.0).contains(&sixty.from_um) && sixty.to_um == 400.0, "{sixty:?}");
     assert!((sixty.saturated_from_um - 11_535.7 / 120.0).abs() < 0.01);
     let sentence = format!("less than 10 % between {} and 400 µm", sixty.from_um);
@@ -311,7 +312,7 @@ fn a_pattern_s_rates_are_those_of_its_scene() {
     assert_eq!((sweep.watched_s, edge.watched_s), (1.5, 1.0));
 }
 
-/// The verdict is that of these rates.
+/// Asserts that the verdict is that of these rates.
 fn assert_verdict(verdict: &Verdict, partition: &Partition, rates_hz: &[f64]) {
     let expected = [
         partition.on_hz(rates_hz),
@@ -490,7 +491,8 @@ fn a_moving_target_is_drawn_in_four_of_its_frames() {
         let partition = Partition::of(&target.frames()[number].shape, target.reach_mm(), &receptors);
         let rates: Vec<f64> = rows.iter().map(|row| row[5]).collect();
         assert_verdict(&frames[number].verdict, &partition, &rates);
-        // Pin 14 is still in the first half, and its nearest receptor, not within a millimetre, does not feel pin 9.
+        // Pin 14 is at rest in the first half, and pin 9 does not reach the afferent nearest to pin 14, more than a millimetre
+        // away.
         let [x_mm, y_mm] = geometry::position_mm(14);
         let pin = Shape::Dots(vec![[x_mm, y_mm]]);
         let away_mm = |row: &[f64; 6]| pin.distance_mm(Position { x_mm: row[2], y_mm: row[3] });
@@ -511,7 +513,7 @@ fn many() -> String {
     format!("format = 1\nname = \"many\"\n{}", (0..40).map(drive).collect::<String>())
 }
 
-/// Motor 9 has no time for a stroke, motor 10 has.
+/// Motor 9 has no time for a stroke, but motor 10 has.
 const SHORT: &str = "format = 1\nname = \"short\"\nduration_s = 0.1\n[[drive]]\nmotor = 9\nfrequency_hz = 60\namplitude_um = 80\n\
     stop_s = 0.012\n[[drive]]\nmotor = 10\nfrequency_hz = 200\namplitude_um = 80\nstop_s = 0.012\n";
 

@@ -1,4 +1,4 @@
-//! A real daemon in a directory of its own, and helpers for the other tests.
+//! A real daemon in its own directory, and helpers for the other tests.
 
 use assert_cmd::Command;
 use meissner_api::{Event, Problem, Receipt, Status};
@@ -19,17 +19,17 @@ use tempfile::TempDir;
 /// Longest wait for an event that must happen: far longer than it takes on a slow machine.
 pub(crate) const TIMEOUT: Duration = Duration::from_secs(60);
 
-/// The configuration of a daemon whose strokes a stall of a busy machine must not make late, and which it must not disarm.
+/// A configuration with which a stall of a busy machine neither makes strokes late nor disarms the motors.
 pub(crate) const PATIENT: &str = "lead_ms = 500\nlease_ms = 5000\n";
 
-/// The highest limits of a participant: for tests of what has nothing to do with one.
+/// The highest limits of a participant, for tests that are not about them.
 pub(crate) const NOBODY: &str =
     "[participant]\nmax_amplitude_um = 400\nmax_continuous_s = 86400\nmax_day_s = 86400\n";
 
 /// The program under test.
 pub(crate) const PROGRAM: &str = env!("CARGO_BIN_EXE_meissner");
 
-/// A real daemon on a simulated device, in a directory of its own. Dropping it kills it.
+/// A real daemon on a simulated device, in its own directory. Dropping it kills it.
 pub(crate) struct Daemon {
     child: Child,
     dir: Arc<TempDir>,
@@ -71,7 +71,7 @@ impl Daemon {
         Self::launch(dir, device, "", log, program())
     }
 
-    /// Starts one by another command, to which the daemon's arguments are appended.
+    /// Starts one through another command, to which the daemon's arguments are appended.
     pub(crate) fn by(command: process::Command) -> Self {
         let dir = directory();
         let log = log_file(&dir);
@@ -175,7 +175,7 @@ impl Daemon {
         kill_process(Pid::from_child(&self.child), signal).unwrap();
     }
 
-    /// Lets none of its files grow beyond so many bytes, as on a full disk; `None`: as large as before.
+    /// Limits the size of its files to `bytes`, as on a full disk; `None` removes the limit.
     pub(crate) fn limit_files(&self, bytes: Option<u64>) {
         let pid = Some(Pid::from_child(&self.child));
         // The hard limit stays, so this needs no rights.
@@ -253,7 +253,7 @@ pub(crate) fn wait_until(mut happened: impl FnMut() -> bool) {
     }
 }
 
-/// Waits for the first of the next events for which `wanted` has an answer.
+/// Waits for the next event for which `wanted` returns a value, and returns that value.
 #[track_caller]
 pub(crate) fn next<T>(events: &mut Events, wanted: impl Fn(Event) -> Option<T>) -> T {
     loop {

@@ -16,14 +16,14 @@ fn late(found: &LeadTradeoff) -> Vec<u64> {
     found.rows.iter().map(|row| row.late_bursts).collect()
 }
 
-/// One stall in the midst of a play.
+/// One stall in the middle of a play.
 const STALL: &str = "# of 25 ms\nseconds 1\n500000 25000\n";
 
 #[test]
 fn a_lead_longer_than_the_stall_keeps_every_burst_and_a_shorter_one_loses_some() {
     let found = tried(STALL, &[10.0, 100.0]);
     let [short, long] = &found.rows[..] else { panic!("{found:?}") };
-    // 24 motors make 2 880 bursts a second: so many fall into the time that the lead does not cover.
+    // 24 motors make 2 880 bursts a second; this many fall into the time that the lead does not cover.
     let uncovered = 2880.0 * 0.015;
     assert!((0.5 * uncovered..2.0 * uncovered).contains(&(short.late_bursts as f64)), "{short:?}");
     assert!(short.late_share > 0.0 && long.late_share == 0.0 && long.late_bursts == 0);

@@ -13,7 +13,7 @@ use std::thread;
 use std::time::Duration;
 use tungstenite::{Message, WebSocket};
 
-/// A client that a stall of a busy machine must not end.
+/// A client timeout that a stall of a busy machine does not reach.
 const PATIENT_MS: u64 = 20_000;
 
 fn start(daemon: &Daemon, request: Value) -> LiveAccepted {
@@ -107,18 +107,18 @@ fn a_client_that_vanishes_ends_the_play() {
     daemon.armed();
     let mut events = daemon.client().events().unwrap();
     let request = || json!({"drives": [drive(9, 80.0)], "timeout_ms": 300});
-    // It closes the connection.
+    // The client closes the connection.
     let accepted = start(&daemon, json!({"drives": [drive(9, 80.0)]}));
     drop(Lines::open(&daemon, &accepted.path));
     assert_eq!(ended(&mut events).cause.as_deref(), Some("stop"));
-    // It says nothing more.
+    // The client sends nothing more.
     let accepted = start(&daemon, request());
     let mut lines = Lines::open(&daemon, &accepted.path);
     lines.send(&json!({"seq": 1}));
     lines.applied(1);
     assert_eq!(ended(&mut events).cause.as_deref(), Some("client-silent"));
     assert_eq!(lines.answer().ended.as_deref(), Some("client-silent"));
-    // It never comes.
+    // The client never connects.
     let accepted = start(&daemon, request());
     let receipt = ended(&mut events);
     assert_eq!((receipt.id, receipt.cause.as_deref()), (accepted.id, Some("client-silent")));
@@ -162,7 +162,7 @@ fn bad_messages_change_nothing_and_say_why() {
     assert_eq!(lines.applied(5).ticks, vec![None; 24], "the refused messages have changed nothing");
     lines.send(&json!({"seq": 5, "scale": 0.2}));
     assert!(lines.answer().problem.unwrap().detail.contains("must be above that of the message before"));
-    // It is alone: nothing is queued behind it, nor is another one.
+    // No play, and no second live play, is queued behind a live play.
     let play = json!({"pattern": "edge-45", "seconds": 1.0});
     assert_eq!(problem(client.post("/v1/play", &play)).code, "behind-endless");
     assert_eq!(refused(&mut client, json!({"drives": [drive(9, 20.0)]})).code, "playing");
@@ -222,7 +222,7 @@ fn a_target_follows_its_poses() {
     for seq in 1..=40_u32 {
         let along = f64::from(seq);
         lines.send(&json!({"seq": seq, "pose": {"x_mm": 0.3 * along - 6.0, "angle_deg": 1.8 * along}}));
-        // However slow the machine is, these are not merged.
+        // Even on a slow machine these are not merged.
         if seq <= 8 {
             count(&lines.answer());
         } else {
@@ -273,7 +273,7 @@ fn a_target_follows_its_poses() {
     assert!(least_share.unwrap() <= reached / searched + 1e-9, "{contrast:?}");
 }
 
-/// What a live target has reached, once its receipt says so: on a busy machine after minutes.
+/// The contrast of a live target, once its receipt has it: on a busy machine after minutes.
 fn compared(client: &mut meissner_client::Client, id: u64) -> LiveContrast {
     for _ in 0..3_000 {
         let receipt: Receipt = client.get(&format!("/v1/plays/{id}")).unwrap();
@@ -285,7 +285,7 @@ fn compared(client: &mut meissner_client::Client, id: u64) -> LiveContrast {
     panic!("play {id} was not compared within five minutes");
 }
 
-/// The next live target needs the processors: the comparison of the one before ends, with the poses that it had done.
+/// The next live target needs the processors, so the comparison of the one before ends with the poses compared so far.
 #[test]
 fn a_comparison_gives_way_to_the_next_live_target() {
     let daemon = Daemon::start();
@@ -315,7 +315,7 @@ fn a_comparison_gives_way_to_the_next_live_target() {
     assert!(contrast.is_none_or(|contrast| contrast.poses < 8), "{contrast:?}");
 }
 
-/// Thousands of lines in one write: each is answered or the connection ends, and others have their turn meanwhile.
+/// Thousands of lines in one write: each is answered or the connection ends, and other clients are served meanwhile.
 #[test]
 fn a_flood_of_lines_keeps_nobody_waiting() {
     let daemon = Daemon::start();
@@ -344,7 +344,7 @@ fn a_flood_of_lines_keeps_nobody_waiting() {
         }
         last = last.max(answer.seq.unwrap());
         answers += 1;
-        // Not at each: the daemon waits for a second for a client that reads too slowly.
+        // Do not ask after each answer: the daemon ends a client that is a second late in reading.
         if answers % 100 == 0 {
             assert_eq!(client.get::<Status>("/v1/status").unwrap().state, "armed");
         }

@@ -1,4 +1,5 @@
-//! `meissner live` against a real daemon: files are read line by line, so that every message can be counted; pipes as they come.
+//! `meissner live` against a real daemon: the command reads files line by line, so that the test can count every message, and pipes
+//! as their lines come.
 
 use crate::harness::{Daemon, PROGRAM, complaint, ended, meissner, wait_until};
 use meissner_api::{Receipt, Status};
@@ -10,7 +11,7 @@ use std::process::{Child, ChildStdin, ChildStdout, Command, Stdio};
 use std::thread;
 use std::time::Duration;
 
-/// A silence that a stall of a busy machine does not reach.
+/// A timeout that a stall of a busy machine does not reach.
 const PATIENT: [&str; 2] = ["--timeout-ms", "20000"];
 
 /// The command, following stdin.
@@ -47,7 +48,7 @@ struct Piped {
 impl Piped {
     fn start(daemon: &Daemon, args: &[&str], first: &str) -> Self {
         let mut child = live(daemon, args, Stdio::piped());
-        // Out of the child, whose `wait` would close it.
+        // Take it out of the child, whose `wait` would close it.
         let mut input = child.stdin.take().unwrap();
         writeln!(input, "{first}").unwrap();
         let mut out = BufReader::new(child.stdout.take().unwrap());
@@ -114,7 +115,7 @@ fn a_file_of_poses_moves_a_target_line_by_line() {
     let (code, out, err) = follow_file(&daemon, &args, &lines);
     assert_eq!((code, err.as_str()), (0, ""), "{out}");
     let shown: Receipt = serde_json::from_str(&out).unwrap();
-    // The first line is where the play begins; the first message is empty.
+    // The play begins with the first line; the first message is empty.
     let updates = shown.live.unwrap();
     assert_eq!((updates.updates, updates.applied + updates.merged), (22, 22), "{updates:?}");
     assert!(updates.applied > 1);
@@ -157,7 +158,7 @@ fn lines_of_drives_play_without_a_target_and_refused_ones_are_counted() {
     let lines: Vec<&str> = err.lines().collect();
     assert!(lines[0].starts_with("update 3 was refused: ") && lines[0].contains("at most 100 Hz"), "{err}");
     assert_eq!(lines[1..], ["one more update was refused"]);
-    // Drives and poses are told apart by TARGET.
+    // Lines are poses with TARGET, and drives without it.
     let (code, _, err) = follow_file(&daemon, &[], &["0 0".to_owned()]);
     assert_eq!(
         (code, err.contains("stdin: line 1: a pose moves the shape of a target: name a TARGET")),
@@ -196,7 +197,7 @@ fn a_bad_line_ends_the_play_and_says_where() {
     );
     assert!(out.contains("state") && out.contains("updates"), "the receipt: {out}");
     assert_eq!((receipt(&daemon, id).cause.as_deref(), is_playing(&daemon)), (Some("stop"), false));
-    // A bad first line: nothing was played.
+    // After a bad first line nothing was played.
     let first =
         complaint(daemon.meissner().args(["live", "edge-45", "--follow", "stdin"]).write_stdin("x,y\n"));
     assert!(first.contains("stdin: line 1: `x,y` is not a pose"), "{first}");
@@ -226,7 +227,7 @@ fn signals_end_the_play_and_print_the_receipt() {
         assert!(out.contains(&format!("{id} of live\n")) && out.contains("\nupdates "), "the receipt: {out}");
         assert_eq!((receipt(&daemon, id).cause.as_deref(), is_playing(&daemon)), (Some("stop"), false));
     }
-    // Before the first line there is nothing to end.
+    // Before the first line there is no play to end.
     let last = daemon.client().get::<Receipt>("/v1/plays/last").unwrap().id;
     let mut child = live(&daemon, &PATIENT, Stdio::piped());
     let input = child.stdin.take();
@@ -253,7 +254,7 @@ fn a_play_that_the_daemon_ends_says_why() {
     assert_eq!(ended_by("/v1/stop"), "meissner: play was ended: another client stopped it\n");
     let estop = "meissner: play was ended: an emergency stop; find out why, then `meissner reset`\n";
     assert_eq!(ended_by("/v1/estop"), estop);
-    // Now nothing can be played.
+    // After an emergency stop no play can begin.
     let faulted =
         complaint(daemon.meissner().args(["live", "--follow", "stdin"]).write_stdin(drive(60.0, 40.0)));
     assert!(faulted.contains("reset"), "{faulted}");
@@ -283,7 +284,7 @@ fn a_silent_pipe_ends_the_play_unless_it_is_kept_alive() {
     assert_eq!(receipt(&daemon, id).cause.as_deref(), Some("client-silent"));
     let kept = Piped::start(&daemon, &["--timeout-ms", "3000", "--keep-alive"], &drive(60.0, 40.0));
     let id = kept.id;
-    // Longer than the daemon waits for a first message, and than the silence that it allows.
+    // This is longer than the daemon waits for a first message, and longer than the allowed silence.
     thread::sleep(Duration::from_millis(4000));
     assert!(is_playing(&daemon));
     let (code, _, err) = kept.end();
@@ -292,7 +293,7 @@ fn a_silent_pipe_ends_the_play_unless_it_is_kept_alive() {
     assert!(updates.updates >= 3 && updates.applied == updates.updates, "{updates:?}");
 }
 
-/// No thread of its own shows that it is there: it cannot write its first line, and the play ends.
+/// No separate thread sends signs of life, so if the command cannot write its first line, the play ends.
 #[test]
 fn a_command_that_hangs_ends_its_play() {
     let daemon = Daemon::start();
@@ -315,7 +316,7 @@ fn a_command_that_hangs_ends_its_play() {
     assert!(reading.join().unwrap().unwrap().contains("follows stdin"));
 }
 
-/// Signs of life come more often than updates.
+/// Signs of life are more frequent than updates.
 #[test]
 fn a_slow_file_is_played_to_its_end() {
     let daemon = Daemon::start();

@@ -1,4 +1,4 @@
-//! A daemon whose array has a lower stop: arming seeks it, and plays stay within the limit on pushing.
+//! A daemon whose array has a lower stop: arming moves the pins down to it, and plays stay within the limit on pushing.
 
 use crate::harness::{Daemon, PATIENT, printed, problem};
 use meissner_api::Status;
@@ -23,7 +23,7 @@ fn a_play_that_pushes_too_much_is_refused_before_it_begins() {
     let play = json!({"pattern": "pin-60", "seconds": 1.0});
     let _: Value = client.post("/v1/play", &play).unwrap();
 
-    // The limit of a reload holds from the next `arm` on.
+    // A reloaded limit applies from the next `arm` on.
     daemon.write_config(&format!("{}[limits]\nstop_pulses_per_s = 9300\n", with_stop(30.0)));
     daemon.signal(Signal::HUP);
     daemon.wait_for_log("was read again");

@@ -10,7 +10,7 @@ use std::path::Path;
 use std::thread;
 use std::time::{Duration, Instant};
 
-/// What imports and plays may add to the daemon's memory in these tests, kB: a tenth of the bound.
+/// The most memory that imports and plays may add to the daemon in these tests, kB: a tenth of the bound.
 const SMALL_KB: usize = 64 << 10;
 
 /// The most memory that the daemon has had, kB.
@@ -85,7 +85,7 @@ fn a_full_queue_of_the_longest_pattern_takes_little_memory() {
     assert!(added < SMALL_KB, "{added} kB");
 }
 
-/// Four imports are in work; the bodies of the others stay in their sockets.
+/// The daemon handles four imports at a time; the other bodies stay in their sockets.
 #[test]
 fn the_bodies_of_64_clients_do_not_pile_up() {
     let daemon = Daemon::start();
@@ -119,7 +119,7 @@ fn the_bodies_of_64_clients_do_not_pile_up() {
     assert!(added < SMALL_KB, "{added} kB");
 }
 
-/// The bound is the program's; the page and the unit that name it follow.
+/// The page and the unit must name the program's bound.
 #[test]
 fn the_page_and_the_unit_name_the_bound() {
     let read = |file: &str| fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join(file)).unwrap();

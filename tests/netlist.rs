@@ -1,4 +1,4 @@
-//! The netlist `firmware/netlist.csv` says what the firmware drives and what the limits take to be a rail and a driver chip.
+//! The netlist `firmware/netlist.csv` must agree with the firmware's outputs, and with the limits' rails and driver chips.
 
 use firmware_protocol::limits::{MOTORS_PER_CHIP, MOTORS_PER_RAIL};
 use firmware_protocol::stroke::MOTORS;

@@ -146,12 +146,12 @@ fn a_page_of_another_site_moves_and_reads_nothing() {
         }
     }
     for text in [
-        // Two hosts, in either form.
+        // Two hosts, in both forms.
         format!(
             "POST /v1/estop HTTP/1.1\r\nhost: {address}\r\nhost: evil.example\r\nconnection: close\r\n\r\n"
         ),
         format!("POST http://evil.example/v1/estop HTTP/1.1\r\nhost: {address}\r\nconnection: close\r\n\r\n"),
-        // A request line that is broken.
+        // A broken request line.
         format!("POST /v1/estop\r\n HTTP/1.1\r\nhost: {address}\r\nconnection: close\r\n\r\n"),
     ] {
         assert_answers(&raw(&address, &text), 400, "bad-request");
@@ -203,7 +203,7 @@ fn a_token_is_needed_where_the_configuration_says_so() {
     let token = String::from_utf8(made.get_output().stdout.clone()).unwrap();
     let header = format!("authorization: Bearer {}\r\n", token.trim());
     assert_answers(&ask(&address, "GET /v1/status", &header), 200, "");
-    // A wrong method is refused behind the gate alone.
+    // A wrong method is refused only after the gate.
     assert_answers(&ask(&address, "PUT /v1/status", ""), 401, "unauthorized");
     let answer = ask(&address, "GET /v1/status", "");
     assert!(answer.contains("www-authenticate: Bearer\r\n") && answer.contains("nosniff"), "{answer}");
@@ -312,7 +312,7 @@ fn clients_of_the_network_leave_places_to_those_of_the_socket_and_to_emergency_s
         let result = catch_unwind(|| {
             for _ in 0..50 {
                 assert_answers(&ask(&address, "POST /v1/estop", ""), 200, "");
-                // A new client of the socket each time.
+                // Use a new client of the socket each time.
                 daemon.client().get::<Value>("/v1/status").unwrap();
             }
         });

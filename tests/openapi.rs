@@ -4,7 +4,7 @@
 
 /// The book's page, made from the document.
 mod page;
-/// A value against a schema.
+/// Checks a value against a schema.
 mod schema;
 
 use crate::harness::{Daemon, assert_up_to_date, next, problem};
@@ -26,7 +26,7 @@ fn the_books_page_is_up_to_date() {
     assert_up_to_date(REFERENCE, page::page(&openapi::document()).as_bytes());
 }
 
-/// Calls `see` with each schema below this one, and the way to it.
+/// Calls `see` with each schema below this one, and the path to it.
 fn walk(schema: &Value, way: &str, see: &mut dyn FnMut(&Value, &str)) {
     see(schema, way);
     match schema {
@@ -42,7 +42,7 @@ fn walk(schema: &Value, way: &str, see: &mut dyn FnMut(&Value, &str)) {
 
 #[test]
 fn every_key_has_a_description_and_every_number_its_unit_and_range() {
-    // Offsets and differences may be negative; a lead that is reached may be.
+    // Offsets and differences may be negative, and so may a reached lead.
     const SIGNED: [&str; 11] = [
         "rest_error_um",
         "onset_um",
@@ -101,7 +101,7 @@ fn ranges_are_those_that_the_daemon_checks() {
     use meissner_array::pattern::{AMPLITUDE_UM, FREQUENCY_HZ, MAX_DRIVES, MAX_SECONDS};
     use meissner_stream::calibrate::{MAX_GROUPS, PULSES_RANGE};
     let document = openapi::document();
-    // A schema that flattens another is written as `allOf`; its own keys stand in one of the parts.
+    // A schema that flattens another is written as `allOf`; its own keys are in one of the parts.
     let property = |schema: &str, key: &str| {
         let schema = &document["components"]["schemas"][schema];
         let parts = schema["allOf"].as_array().map_or_else(|| std::slice::from_ref(schema), Vec::as_slice);
@@ -262,7 +262,7 @@ fn the_daemon_and_the_document_have_the_same_routes() {
             }
         }
     }
-    // The other way round: each line of the router is a route of the table, which the document shows.
+    // Conversely, each line of the router must be a route of the table, which the document shows.
     let operations: usize =
         document["paths"].as_object().unwrap().values().map(|of| of.as_object().unwrap().len()).sum();
     assert_eq!(operations, Route::ALL.len());
@@ -271,7 +271,7 @@ fn the_daemon_and_the_document_have_the_same_routes() {
 
 #[test]
 fn a_daemon_s_answers_fit_the_document() {
-    // Little scatter: a short calibration measures gains well enough to be stored, whenever it begins.
+    // With little scatter a short calibration always measures gains accurately enough to be stored.
     let daemon = Daemon::with("mock", "lease_ms = 5000\nmock.gain_sd = 0.02\n");
     let document = openapi::document();
     let mut client = daemon.client();
@@ -301,7 +301,7 @@ fn a_daemon_s_answers_fit_the_document() {
             "{route:?}: {problem:?}"
         );
     };
-    // Everything is refused first: the motors are disarmed.
+    // At first everything is refused, because the motors are disarmed.
     refused(Route::Play, client.post("/v1/play", &json!({"pattern": "edge-45"})));
     refused(Route::Play, client.post("/v1/play", &json!({"pattern": "none"})));
     refused(Route::Play, client.post("/v1/play", &json!({"pattern": "wave"})));

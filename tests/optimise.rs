@@ -42,7 +42,7 @@ fn the_document_is_complete_and_its_pattern_is_the_file() {
     assert_eq!(models[0]["baselines"][0]["cost_hz"], found["baselines"][0]["cost_hz"]);
     assert_eq!(models[1]["baselines"][1]["rule"], "pitch");
     assert!(models[1]["on_hz"].as_f64().unwrap() > 0.0);
-    // The pattern is called as its file; its figures are the document's.
+    // The pattern is named after its file; its figures are those of the document.
     let pattern = parsed(&file);
     assert_eq!((pattern.name(), pattern.duration_s()), ("my-dot", Some(5.0)));
     assert_eq!(found["cost_hz"].as_f64(), pattern.provenance()["cost"].as_float());
@@ -94,7 +94,7 @@ fn an_objective_is_compared_with_the_naive_rules() {
         assert!(found["value"].as_f64() >= naive["value"].as_f64(), "{naive}");
     }
     assert!(found["pattern"].as_str().unwrap().contains("objective = \"off-rms-twice\""));
-    // The paper's search begins at a random point; thirty evaluations are not enough for it, and the summary tells.
+    // The paper's search begins at a random point; thirty evaluations are not enough for it, and the summary says so.
     let output = meissner()
         .args(["optimise", "two-dots", "--budget", "30", "--objective", "contrast"])
         .output()
@@ -144,7 +144,7 @@ fn a_resumed_pattern_is_no_worse_and_holds_its_start() {
     };
     let text = resume();
     let cost = |file: &Path| parsed(file).provenance()["cost"].as_float().unwrap();
-    // The search simulates a little more coarsely than the final judgement.
+    // The search simulates at a slightly lower fidelity than the final judgement.
     assert!(cost(&second) > 0.99 * cost(&first), "{} after {}", cost(&second), cost(&first));
     let start = parsed(&second).provenance()["start"].as_array().unwrap().clone();
     assert_eq!(start.len(), parsed(&first).drives().len());
@@ -210,7 +210,7 @@ fn a_mistake_is_reported_in_one_line_before_the_work() {
     assert!(line(&["dot", "-o", &place("My Dot.toml")]).contains("not a pattern's name"));
     assert!(line(&["dot", "-o", &place("no/where.toml")]).contains("cannot be written"));
     assert!(line(&["dot", "--resume", &place("none.toml")]).contains("none.toml: cannot be read"));
-    // Under any spelling of its path.
+    // This holds for any spelling of the path.
     let text = "name = \"a\"\nshape = \"dots\"\npoints = [[0, 0]]\n";
     fs::write(place("itself.toml"), text).unwrap();
     for other in [place("itself.toml"), place("./itself.toml")] {

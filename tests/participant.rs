@@ -64,20 +64,20 @@ fn a_play_without_end_is_stopped_before_the_limit_and_the_queue_with_it() {
         "{limits:?}"
     );
     assert!(printed(daemon.meissner().arg("status")).contains(" of 3 s today"));
-    // More than what is left of the day.
+    // A play longer than the rest of the day's limit.
     let refused =
         problem(client.post("/v1/play", &json!({"pattern": "pin-60", "seconds": 1.7, "at_ms": 500})));
     assert!(
         refused.detail.contains("`participant.max_day_s` allows 3 s") && refused.detail.contains("tomorrow"),
         "{refused:?}"
     );
-    // A finite play in what is left begins after a pause, and is whole.
+    // A finite play that fits into the rest begins after a pause, and is played whole.
     wait_until(|| client.get::<Status>("/v1/status").unwrap().participant.unwrap().continuous_used_s == 0.0);
     let _: Value = client.post("/v1/play", &json!({"pattern": "pin-60", "seconds": 0.1})).unwrap();
     assert_eq!(ended(&mut events).state, PlayState::Done);
 }
 
-/// Two clients have one finger: limits hold for both together, and for the queue.
+/// Two clients share one finger, so limits apply to both together, and to the queue.
 #[test]
 fn the_limits_hold_for_all_clients_together() {
     let daemon = limited("[participant]\nmax_continuous_s = 2\n");
@@ -117,7 +117,7 @@ fn a_restart_and_a_kill_keep_the_days_sum() {
     daemon.armed();
     printed(daemon.meissner().args(["play", "pin-60", "--seconds", "0.4", "--wait"]));
     let file = dir.path().join("logbook/exposure.json");
-    // The sum is made of what each report adds, so it is not exactly 0.8.
+    // Each report adds to the sum, so it is not exactly 0.8.
     let saved = || -> Value { serde_json::from_slice(&fs::read(&file).unwrap()).unwrap() };
     wait_until(|| saved()["days"][0]["vibration_s"].as_f64().is_some_and(|sum| (0.799..0.81).contains(&sum)));
     daemon.signal(Signal::KILL);
@@ -132,7 +132,7 @@ fn a_restart_and_a_kill_keep_the_days_sum() {
         refused.contains("`participant.max_day_s` allows 1 s of vibration in a day: 0.2 s are left"),
         "{refused}"
     );
-    // A file that cannot be read, or cannot be true, is never taken for nothing; the status says so, and what to do.
+    // A file that cannot be read, or cannot be true, never counts as no vibration; the status says so, and what to do.
     assert!(daemon.end().success());
     drop(daemon);
     let today = jiff::Zoned::now().date();
@@ -156,7 +156,7 @@ fn a_restart_and_a_kill_keep_the_days_sum() {
     assert_eq!(used(&start()), 0.0);
 }
 
-/// A little less than the limit, again and again, each play at a time of its own a moment after the stop of the one before.
+/// Plays a little shorter than the limit, each at a fixed time a moment after the one before was stopped.
 #[test]
 fn plays_at_times_of_their_own_pass_no_limit_by() {
     let daemon = limited("[participant]\nmax_continuous_s = 0.5\npause_s = 30\n");
@@ -230,7 +230,7 @@ fn a_kill_in_the_middle_of_a_play_leaves_no_smaller_sum() {
         daemon.signal(Signal::KILL);
         daemon.wait();
     }
-    // The stretch without a pause outlives a kill, too.
+    // The stretch without a pause also survives a kill.
     assert_eq!(kills, 2);
 }
 
@@ -273,7 +273,8 @@ fn a_reload_changes_the_limits_at_once() {
     assert!(refused.contains("`participant.max_continuous_s` allows 0.5 s"), "{refused}");
 }
 
-/// What runs was judged by the old amplitude, and the sums follow the session record into its new directory.
+/// A running play was checked with the old amplitude, so the reload stops it. The sums move with the session record into its new
+/// directory.
 #[test]
 fn a_reload_stops_what_is_too_strong_now_and_moves_the_sums() {
     let daemon = reloadable();

@@ -27,7 +27,7 @@ fn measured_play<'p>(pattern: &'p Pattern, seconds: f64, played: &SimulatedPlay)
 }
 
 /// A minute of a shipped edge. In open loop, pins drift to their end stops and go on vibrating there. Afferents respond to
-/// velocity, so that costs little contrast, no more than the corrections of position control.
+/// velocity, so the contrast falls no more than by the corrections of position control.
 #[test]
 fn an_edge_keeps_nearly_its_designed_contrast_with_and_without_position_control() {
     let edge = pattern("edge-45-paper");
@@ -49,7 +49,7 @@ fn an_edge_keeps_nearly_its_designed_contrast_with_and_without_position_control(
     assert_eq!(closed.0.designed_hz, open.0.designed_hz);
     assert!(designed > 150.0 && (with / designed - 1.0).abs() < 0.03, "{designed} {with}");
     assert!((without / designed - 1.0).abs() < 0.1, "{designed} {without}");
-    // The estimator knows no end stops: it reports a little too much travel for bursts that meet one.
+    // The estimator ignores end stops, so it reports a little too much travel for bursts that meet one.
     let options = StrokeOptions::lasting(MOST_OBSERVED_S);
     let play = Play { pattern: &edge, options, onset: open.2, observed_s: MOST_OBSERVED_S, by_class: false };
     let truth = contrast(
@@ -91,7 +91,7 @@ fn unmeasured_bursts_are_counted_and_too_many_prevent_a_prediction() {
     let missing = bursts.div_ceil(50);
     assert_eq!(play.response(&without(50)), Err(NoPrediction::Unmeasured { missing, bursts }));
     assert_eq!(play.response(&[]), Err(NoPrediction::Unmeasured { missing: bursts, bursts }));
-    // The streamer's own estimate is no measurement.
+    // The streamer's own estimate does not count as a measurement.
     let mut reckoned = played.measured_bursts.clone();
     reckoned.iter_mut().for_each(|travel| travel.sd_um = 0.1 * travel.travel_um.abs());
     assert_eq!(play.response(&reckoned), Err(NoPrediction::Unmeasured { missing: bursts, bursts }));

@@ -21,8 +21,8 @@ use std::thread;
 use std::time::{Duration, Instant};
 use tempfile::TempDir;
 
-/// Starts a daemon with a session record by a shell that may set limits first. Its log goes through a pipe, so that limits on
-/// files do not concern it.
+/// Starts a daemon with a session record through a shell that may set limits first. Its log goes through a pipe, so that limits on
+/// files do not affect it.
 fn start(dir: &Arc<TempDir>, limits: &str) -> Daemon {
     start_with_state(dir, limits, dir.path(), "")
 }
@@ -45,7 +45,7 @@ fn armed(daemon: &mut Daemon) -> Client {
     daemon.armed()
 }
 
-/// Plays for so long and waits for the end.
+/// Plays for `seconds` and waits for the end.
 fn play(client: &mut Client, seconds: f64) -> Value {
     let mut events = client.events().unwrap();
     let _: Value = client.post("/v1/play", &json!({"pattern": "edge-45", "seconds": seconds})).unwrap();
@@ -56,7 +56,7 @@ fn play(client: &mut Client, seconds: f64) -> Value {
 fn lines(folder: &Path) -> Vec<Value> {
     let entries = fs::read_dir(folder).map(|files| files.map(|file| file.unwrap().path()).collect());
     let mut files: Vec<PathBuf> = entries.unwrap_or_default();
-    // The other one is the list of days.
+    // The other file is the list of days.
     files.retain(|file| file.extension().is_some_and(|extension| extension == "jsonl"));
     files.sort();
     let mut lines = Vec::new();
@@ -80,7 +80,7 @@ fn text(name: &str, version: u32, padding: usize) -> String {
     format!("format = 1\nname = \"{name}\"\nduration_s = 1.0\n{drive}# version {version}\n# {padding}\n")
 }
 
-/// What was acknowledged so long before a kill must be in the session record: its syncs wait for a disk that is busy.
+/// An upload that was acknowledged this long before a kill must be in the session record. The time allows for syncs on a busy disk.
 const RECORDED_WITHIN: Duration = Duration::from_secs(3);
 
 /// Uploads until the daemon is killed, `rounds` times, and checks the files each time. Returns the number of acknowledged uploads,
@@ -93,7 +93,7 @@ fn kill_again_and_again(seed: u64, rounds: u32) -> (usize, usize) {
     let (mut version, mut all, mut long_before) = (0, 0, 0);
     for round in 0..rounds {
         let daemon = start(&dir, "");
-        // Mostly while it starts or has just started; now and then so late that something has to be in the session record.
+        // Kill it mostly while it starts or has just started, and now and then so late that the session record must have entries.
         let after = if round % 20 == 0 { 4000 + random.next_u64() % 500 } else { random.next_u64() % 150 };
         let mut acknowledged: Vec<(Instant, String)> = Vec::new();
         let mut on_its_way: Option<(String, String)> = None;
@@ -163,7 +163,7 @@ fn kill_again_and_again(seed: u64, rounds: u32) -> (usize, usize) {
 #[test]
 fn a_kill_at_any_moment_leaves_whole_patterns_and_whole_lines() {
     let (mut all, mut long_before) = (0, 0);
-    // A busy machine acknowledges few uploads long before a kill: then it takes more rounds.
+    // On a busy machine few uploads are acknowledged long before a kill, so more rounds are needed.
     for more in 0..4 {
         // Eight at a time: they mostly sleep.
         let seeds = 8 * more..8 * (more + 1);
@@ -180,7 +180,7 @@ fn a_kill_at_any_moment_leaves_whole_patterns_and_whole_lines() {
     assert!(all > 200 && long_before > 20, "too few to tell: {all}, {long_before}");
 }
 
-/// A play goes to its end, an upload is refused in one line, and one line of the log says that the session record is not written.
+/// A play is played to its end, an upload is refused in one line, and one log line says that the session record is not written.
 fn survives(daemon: &mut Daemon, why: &str) {
     let mut client = armed(daemon);
     daemon.wait_for_log("the session record cannot be written");
@@ -205,7 +205,7 @@ fn survives(daemon: &mut Daemon, why: &str) {
     assert!(!log.contains("ERROR"), "{log}");
 }
 
-/// As if the disk were full: no file may grow. The signal for that must not kill the daemon.
+/// Simulates a full disk: no file may grow. The resulting signal must not kill the daemon.
 #[test]
 fn a_full_disk_stops_no_play_and_damages_no_file() {
     let dir = directory();
@@ -226,7 +226,7 @@ fn a_full_disk_stops_no_play_and_damages_no_file() {
     assert!(days.iter().all(|day| fs::read_to_string(day).unwrap() == full));
     assert_eq!(fs::read_dir(&patterns).unwrap().count(), 1, "the refused upload left no file");
     drop(daemon);
-    // With room again, everything is as it was, and whole.
+    // When there is space again, everything is complete and unchanged.
     let mut daemon = start(&dir, "");
     let _: Value = armed(&mut daemon).put("/v1/patterns/mine?replace=true", text("mine", 2, 5000)).unwrap();
     assert!(daemon.end().success());
@@ -251,7 +251,7 @@ fn the_session_record_tells_a_session_from_start_to_end() {
     let receipt = play(&mut client, 0.2);
     let refused: Result<Value, _> = client.post("/v1/play", &json!({"pattern": "edge-46"}));
     assert!(refused.is_err());
-    // A request that breaks off.
+    // An incomplete request.
     let mut stream = UnixStream::connect(daemon.socket()).unwrap();
     stream.write_all(b"POST /v1/stop HTTP/1.1\r\nHost: m\r\nContent-Length: 9\r\n\r\n{").unwrap();
     drop(stream);
@@ -284,7 +284,8 @@ fn the_session_record_tells_a_session_from_start_to_end() {
     assert!(armed.len() == 1 && armed[0].contains(&format!("pid {pid})")), "{log}");
 }
 
-/// Every text that a client or a configuration can send, with line breaks, terminal escapes and direction marks, and at length.
+/// Sends every text that a client or a configuration can choose with line breaks, terminal escapes, direction marks, and great
+/// length.
 #[test]
 fn foreign_text_makes_no_line_of_its_own_and_is_cut() {
     const ODD: &str = "x\n2026-11-22T00:00:00Z  INFO estop by ada\r\u{1b}[2J\u{9b}1m\u{2028}\u{202e}\u{7f}";

@@ -1,4 +1,4 @@
-//! A daemon on a mock behind a real pseudo-terminal: it plays, ends, hangs, dies, and loses its board.
+//! A daemon on a mock behind a real pseudo-terminal plays, ends, hangs, dies, and loses its board.
 
 use crate::harness::{Daemon, assert_accounts, complaint, document, printed, wait_until};
 use firmware_protocol::message::{Cause, State};
@@ -49,7 +49,7 @@ fn in_mid_play(lease_ms: u32) -> (PtyMock, Daemon) {
     (board, daemon)
 }
 
-/// All pins are back at rest, every line is low, and the controller gives one of these causes.
+/// Asserts that all pins are back at rest, that every line is low, and that the controller reports one of these causes.
 fn assert_returned(board: PtyMock, causes: &[Cause]) {
     let mut wall = board.into_mock().unwrap();
     let mock = wall.mock();
@@ -120,7 +120,7 @@ fn a_board_that_is_plugged_in_again_is_found_and_disarmed() {
     assert!(wall.mock().take_trace().iter().all(|(_, run)| run.lines == OFF));
 }
 
-/// Somebody removes the daemon's sockets: no command reaches it any more, the play goes on, and SIGTERM still returns the pins.
+/// The daemon's sockets are removed, so no command reaches it any more. The play goes on, and SIGTERM still returns the pins.
 #[test]
 fn a_daemon_whose_sockets_are_removed_plays_on_and_ends_well() {
     let (board, mut daemon) = in_mid_play(5000);
@@ -152,7 +152,7 @@ fn two_boards_that_swap_places_are_disarmed() {
         status.device.unwrap().boot
     });
     sleep(Duration::from_millis(500));
-    // Each board loses its terminal, and its mock goes on at a new one: as a cable that is pulled out here and plugged in there.
+    // Each board loses its terminal, and its mock continues at a new one, like a cable that is moved from one port to another.
     let [left, right] = boards.map(|board| PtyMock::spawn(board.into_mock().unwrap()).unwrap());
     for (name, board) in names.iter().zip([&right, &left]) {
         std::fs::remove_file(name).unwrap();

@@ -45,7 +45,7 @@ fn a_play_that_needs_too_many_motors_at_once_is_refused_with_numbers() {
     assert!(refused.detail.contains("rail 1 (motors 6 to 11) would have 3 moving motors"), "{refused:?}");
     assert_eq!(problem(client.post("/v1/live", &live(&[6, 7]))).code, "power-limit");
 
-    // What fits is played whole, also with corrections: they make no burst longer.
+    // An allowed play is played whole, even with corrections, because they make no burst longer.
     printed(daemon.meissner().args(["play", "apart", "--seconds", "0.5", "--wait"]));
     let receipt: Value = client.get("/v1/plays/last").unwrap();
     assert_eq!(receipt["id"], 1, "no play was accepted before: {receipt}");

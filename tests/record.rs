@@ -1,4 +1,4 @@
-//! The session record as a lab meets it: full and read-only disks, kills, clocks that jump, and what commands say then.
+//! The session record under faults: full and read-only disks, kills, clock jumps, and the messages of commands.
 
 use crate::harness::{Daemon, PATIENT, TIMEOUT, complaint, document, ended, printed, wait_until};
 use crate::sessions::{exported, owner};
@@ -9,7 +9,7 @@ use serde_json::{Value, json};
 use std::fs;
 use std::path::PathBuf;
 
-/// The files of days.
+/// The daily files.
 fn days(daemon: &Daemon) -> Vec<PathBuf> {
     let files = fs::read_dir(daemon.path("state/meissner/logbook")).unwrap().map(|file| file.unwrap().path());
     files.filter(|file| file.extension().is_some_and(|end| end == "jsonl")).collect()
@@ -36,7 +36,7 @@ fn a_session_on_a_full_disk_is_told_at_once_and_after_a_restart() {
     let _: SessionList = client.get("/v1/sessions").unwrap();
     let full = fs::metadata(&days(&daemon)[0]).unwrap().len();
     daemon.limit_files(Some(full));
-    // From its start to its end nothing is written.
+    // Nothing of this session is written, from its start to its end.
     let (mut client, second) = owner(&daemon, "P08", false);
     play(&mut client, &mut events, 4);
     let _: SessionList = client.get("/v1/sessions").unwrap();
@@ -59,7 +59,7 @@ fn a_session_on_a_full_disk_is_told_at_once_and_after_a_restart() {
         let (document, warning) = exported(daemon, &second.id);
         assert_eq!((&document["plays_missing"], &document["complete"]), (&json!(4), &json!(false)));
         assert!(warning.contains("4 of 4 plays are missing"), "{warning}");
-        // The other one is whole.
+        // The other session is complete.
         let whole = document_of(daemon, &first.id);
         assert_eq!((&whole["complete"], whole["plays"].as_array().unwrap().len()), (&json!(true), 2));
         let replay = daemon
@@ -72,7 +72,7 @@ fn a_session_on_a_full_disk_is_told_at_once_and_after_a_restart() {
         assert!(String::from_utf8(replay.stderr).unwrap().contains("4 of 4 plays are missing"));
     };
     check(&daemon);
-    // The disk takes bytes again, and nobody orders anything.
+    // The disk takes bytes again, without any further command.
     daemon.limit_files(None);
     daemon.wait_for_log("is written again");
     check(&daemon);
@@ -124,7 +124,7 @@ fn a_session_that_still_runs_is_not_whole() {
 
 #[test]
 fn a_read_only_directory_and_a_killed_daemon_are_told() {
-    // Nothing can be made there.
+    // No file can be made in this place.
     let daemon = Daemon::with("mock", &format!("{PATIENT}logbook_dir = \"/sys/kernel/logbook\"\n"));
     let (mut client, started) = owner(&daemon, "P07", false);
     let mut events = client.events().unwrap();
@@ -145,12 +145,12 @@ fn a_read_only_directory_and_a_killed_daemon_are_told() {
     let daemon = daemon.again();
     let line = complaint(daemon.meissner().args(["session", "export", &started.id]));
     assert!(line.contains("its end is not recorded"), "{line}");
-    // Its row is there.
+    // The export has its row.
     let rows = printed(daemon.meissner().args(["session", "export", &started.id, "--incomplete"]));
     assert_eq!(rows.lines().count(), 2, "{rows}");
 }
 
-/// As clocks that jump leave the record: a session's lines in files of other days. Order and completeness are as they were.
+/// After clock jumps, a session's lines are in files of other days. Order and completeness do not change.
 #[test]
 fn lines_in_the_files_of_other_days_are_exported_and_replayed_in_order() {
     let daemon = Daemon::start();
@@ -162,7 +162,7 @@ fn lines_in_the_files_of_other_days_are_exported_and_replayed_in_order() {
     let today = days(&daemon).remove(0);
     let text = fs::read_to_string(&today).unwrap();
     let lines: Vec<&str> = text.lines().collect();
-    // From play 2 on it was two days before; from play 4 on in another year; then today again.
+    // The clock was two days back from play 2 on, in another year from play 4 on, and then right again.
     let begins = |play: u64| {
         let is =
             |line: &&str| line.contains("\"event\":\"began\"") && line.contains(&format!("\"id\":{play},"));
@@ -188,7 +188,7 @@ fn lines_in_the_files_of_other_days_are_exported_and_replayed_in_order() {
     assert!(line.contains("2 of 5 plays are missing"), "{line}");
 }
 
-/// A record may hold anything: no command passes it on to a terminal.
+/// A record may hold any text; no command prints it unescaped on a terminal.
 #[test]
 fn a_forged_record_moves_no_cursor() {
     const ODD: &str = "\\u001b]0;owned\\u0007\\u001b[2J\\u009b1m\\u202e";

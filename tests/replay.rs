@@ -12,7 +12,7 @@ use std::process::{self, Stdio};
 
 const DRIVE: &str = "duration_s = 0.2\n[[drive]]\nmotor = 9\nfrequency_hz = 60.0\namplitude_um = 40.0\n";
 
-/// Plays this and returns its receipt.
+/// Sends a request and returns the play's receipt.
 fn played(client: &mut Client, route: &str, request: &Value) -> Receipt {
     let id = client.post::<Value>(route, request).unwrap()["id"].as_u64().unwrap();
     client.get_within(TIMEOUT, &format!("/v1/plays/{id}?wait=20")).unwrap()
@@ -47,7 +47,8 @@ fn recorded(daemon: &Daemon) -> (String, Vec<Receipt>) {
     let _: Status = client.post("/v1/stop", &json!({})).unwrap();
     receipts.push(client.get_within(TIMEOUT, &format!("{path}?wait=20")).unwrap());
     let _: Session = client.post("/v1/sessions/running/end", &json!({})).unwrap();
-    // The predicted responses come in the order of the plays. A test that changes the record must not meet one of them.
+    // The predicted responses come in the order of the plays. Wait for them, because a test that changes the record must not
+    // collide with one.
     crate::harness::wait_until(|| {
         let receipt: Value = client.get(&path).unwrap();
         !(receipt["predicted_response"].is_null() && receipt["predicted_response_unknown"].is_null())
@@ -107,7 +108,7 @@ fn a_session_is_played_again_with_the_same_gaps() {
             (old.ordered, old.bursts.map(|b| b.planned))
         );
     }
-    // The text as it was, not as it is.
+    // The replay uses the recorded text, not the current one.
     assert_eq!(
         (&again[1].pattern_sha256, again[1].drives[0].ordered_um),
         (&receipts[1].pattern_sha256, 40.0)
@@ -139,7 +140,7 @@ fn a_session_is_played_again_with_the_same_gaps() {
     );
 }
 
-/// Changes the lines of the record that tell of a play's end.
+/// Changes the record's lines about a play's end.
 fn change_end(daemon: &Daemon, play: u64, from: &str, to: &str) {
     let files = fs::read_dir(record(daemon)).unwrap().map(|file| file.unwrap().path());
     let day = files.into_iter().find(|file| file.extension().is_some_and(|end| end == "jsonl")).unwrap();
@@ -151,7 +152,7 @@ fn change_end(daemon: &Daemon, play: u64, from: &str, to: &str) {
     fs::write(&day, lines.collect::<Vec<_>>().join("\n") + "\n").unwrap();
 }
 
-/// What was left out was not played as recorded.
+/// A skipped play was not played as recorded, so the replay fails.
 #[test]
 fn a_replay_that_leaves_a_play_out_fails() {
     let daemon = Daemon::start();
@@ -170,7 +171,7 @@ fn a_replay_that_leaves_a_play_out_fails() {
     assert_eq!(told, [1, 1, 0, 0], "{summary}");
 }
 
-/// Nothing waits in the daemon meanwhile, and an interrupt ends it all.
+/// No play waits in the daemon meanwhile, and an interrupt ends the replay.
 #[test]
 fn a_gap_of_minutes_is_waited_for_and_can_be_interrupted() {
     let daemon = Daemon::start();
@@ -201,7 +202,7 @@ fn a_gap_of_minutes_is_waited_for_and_can_be_interrupted() {
     assert!(ended.code() == Some(130) && said.contains("its play was stopped"), "{ended} {said}");
 }
 
-/// Three plays without gaps, each of 2 s: their replay has all of them on their way at once.
+/// Three plays without gaps, each of 2 s, so that their replay orders all of them at once.
 fn back_to_back(daemon: &Daemon) -> String {
     let mut client = daemon.armed();
     let started: SessionStarted = client.post("/v1/sessions", &json!({"participant": "P07"})).unwrap();
@@ -234,7 +235,7 @@ fn a_replay_that_ends_early_leaves_no_play_behind() {
         assert_eq!(replay.wait().unwrap().code(), Some(code));
         assert_eq!(last().state, PlayState::Stopped, "{signal:?}");
     }
-    // The first play differs, and nobody reads that: the others must not go on.
+    // The first play differs, and stdout is closed: the other plays must not go on.
     change_end(&daemon, 1, "\"reached_um\":", "\"reached_um\":9");
     let mut replay = spawn();
     drop(replay.stdout.take());
@@ -246,7 +247,7 @@ fn a_replay_that_ends_early_leaves_no_play_behind() {
 fn a_replay_that_differs_says_where_and_fails() {
     let daemon = Daemon::start();
     let (id, receipts) = recorded(&daemon);
-    // As if the recorded play had been another.
+    // Change the record as if another play had been recorded.
     let planned = receipts[0].bursts.unwrap().planned;
     change_end(&daemon, 1, &format!("\"planned\":{planned},\"played\""), "\"planned\":1000,\"played\"");
     let output = daemon
@@ -259,7 +260,7 @@ fn a_replay_that_differs_says_where_and_fails() {
     let text = String::from_utf8(output.stdout).unwrap();
     assert!(text.starts_with(&format!("play 1 (pin-60): bursts planned 1000 -> {planned}\n")), "{text}");
     assert!(text.contains("1, 1 differ"), "{text}");
-    // A limit holds for a replay, too: it ends with the reason.
+    // A participant's limit also applies to a replay, which ends with the reason.
     daemon.write_config(&format!("{PATIENT}[participant]\nmax_amplitude_um = 30\n"));
     daemon.signal(Signal::HUP);
     daemon.wait_for_log("participant");
@@ -274,13 +275,13 @@ fn a_replay_that_differs_says_where_and_fails() {
 fn what_cannot_be_played_again_is_told_and_nothing_is_played() {
     let daemon = Daemon::start();
     let (id, _) = recorded(&daemon);
-    // As a daemon left it that kept no texts.
+    // Remove the texts, as in the record of a daemon that kept none.
     fs::remove_dir_all(record(&daemon).join("patterns")).unwrap();
     let why = complaint(daemon.meissner().args(["session", "replay", &id]));
     assert!(why.contains("play 2: the text of `mine` (sha256 ") && why.contains("is not kept"), "{why}");
     let mut client = daemon.client();
     assert_eq!(client.get::<Receipt>("/v1/plays/last").unwrap().id, 6);
-    // The library's are there.
+    // Texts of the library are still available.
     printed(daemon.meissner().args(["session", "replay", &id, "--play", "1", "--rest-tolerance-um", "1000"]));
     let output =
         daemon.meissner().args(["session", "replay", &id, "--dry-run"]).assert().code(1).get_output().clone();
@@ -300,7 +301,7 @@ fn what_cannot_be_played_again_is_told_and_nothing_is_played() {
     assert!(
         complaint(daemon.meissner().args(["session", "replay", &id, "--play", "1"])).contains("meissner arm")
     );
-    // A play asks for a text itself.
+    // A play request names a text by its hash.
     let other = json!({"pattern": "pin-60", "seconds": 0.1, "pattern_sha256": "0".repeat(64)});
     let refused = crate::harness::problem(client.post("/v1/play", &other));
     assert_eq!(refused.code, "not-found", "{refused:?}");

@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use std::sync::LazyLock;
 use tempfile::TempDir;
 
-/// Two pins, one receptor between them, one on the edge's end, one out of reach.
+/// Two pins, and three afferents: one between them, one on the edge's end, one out of reach.
 const SMALL: &str = r#"
 duration_s = 0.1
 seed = 3
@@ -130,7 +130,7 @@ fn the_second_model_answers_with_spikes_classes_and_contact() {
     let refused = meissner().arg("simulate").arg(&file).args(["--step-us", "100"]).output().unwrap();
     assert_eq!(refused.status.code(), Some(2));
     assert!(String::from_utf8(refused.stderr).unwrap().contains("has steps of 200 us and no other method"));
-    // Pins that move by a formula are no motors: there is nothing near to compare.
+    // Pins that move by a formula have no motors, so there is no approximation to compare.
     let found = document(meissner().arg("tradeoff").arg(&file).arg("--json"));
     let methods: Vec<_> = found["rows"].as_array().unwrap().iter().map(|row| &row["method"]).collect();
     assert_eq!(methods, ["all classes"]);
@@ -323,7 +323,7 @@ fn the_second_model_is_compared_with_its_near_answers_and_at_its_extremes() {
         (&json!(0), &json!(0.0))
     );
     assert!(of("400 um, pins just touch")["lost_contact"].as_f64().unwrap() > 0.4);
-    // So weak a vibration reaches no RA afferent.
+    // Such a weak vibration makes no RA afferent fire.
     assert_eq!(of("0.01 um")["mean_hz"][1], 0.0);
     assert_eq!(of("80 um, one afferent")["afferents"], 3);
     assert_eq!(of("80 um, 100 000")["afferents"], 100_000);
@@ -390,7 +390,7 @@ fn the_finer_the_step_the_smaller_the_error() {
 fn expensive_steps_are_left_out_and_named() {
     let text = SMALL.replace("0.1\nseed", "250\nseed").replace("8.5, y_mm = -7", "-8.5, y_mm = -7");
     let mut scene = Scene::read(&text, "small.toml").unwrap();
-    // Nothing moves, so that the rest is quick.
+    // No pin moves, so that the rest is quick.
     for motor in [9, 10] {
         scene = scene.with_motor(motor, &[]).unwrap();
     }
@@ -412,7 +412,7 @@ fn a_plot_depends_on_the_figures_alone_and_has_labels() {
     for label in ["euler f32", "euler f64", "propagator f32", "propagator f64", "exact", "\n0\n"] {
         assert!(svg.contains(label), "{label}");
     }
-    // Where points crowd, labels are left out; which, depends on the times.
+    // Labels are left out where points crowd; which ones depends on the times.
     assert!(svg.matches(" µs\n").count() > 4, "{svg}");
     let empty = MethodTradeoff { rows: Vec::new(), ..COMPARED.clone() };
     assert!(plot(&empty).unwrap().starts_with("<svg"), "nothing to draw is drawn");
@@ -435,7 +435,7 @@ fn spikes_are_matched_in_order_one_to_one_within_a_millisecond() {
         (&[0.1, 0.2, 0.3], &[0.1, 0.3], 2, 0.0),
         (&[0.1], &[0.0995, 0.1], 1, 0.0005),
         (&[0.0995, 0.1], &[0.1], 1, 0.0005),
-        // As many as can be, although the middle ones are nearer.
+        // As many pairs as possible are matched, although the middle ones are nearer.
         (&[0.1, 0.1015], &[0.1008, 0.1024], 2, 0.0017),
     ] {
         let (matched, distance) = matching(expected, found);

@@ -25,7 +25,7 @@ fn the_command_writes_the_files_that_it_lists_and_the_same_bytes_again() {
             .current_dir(dir.path())
             .args(["report", "edge-45", "elsewhere/mine.toml"])
             .args(["--out", out])
-            // It searches, and tests are built for debugging.
+            // The command searches, and test builds are not optimised.
             .timeout(Duration::from_secs(200));
         command
     };
@@ -46,7 +46,7 @@ fn the_command_writes_the_files_that_it_lists_and_the_same_bytes_again() {
     let page = fs::read_to_string(dir.path().join("new/one").join(INDEX)).unwrap();
     assert!(page.contains("id=\"pattern-edge-45\"") && page.contains("id=\"pattern-mine\""));
     assert!(page.contains("<code>meissner report mine.toml</code>") && !page.contains("elsewhere"));
-    // Over older files, by one thread, and with a bystander.
+    // Overwrite older files, with one thread, beside an unrelated file.
     fs::create_dir(dir.path().join("two")).unwrap();
     fs::write(dir.path().join("two").join(INDEX), "old").unwrap();
     let text = printed(run("two").env("RAYON_NUM_THREADS", "1"));

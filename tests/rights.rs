@@ -1,4 +1,5 @@
-//! Rights: asked at each use. A table over all routes; what is open or waits when a right ends; two daemons with one file of tokens.
+//! Rights are checked at each use. The tests cover a table of all routes, open and waiting requests when a right ends, and two
+//! daemons with one token file.
 
 use crate::harness::{
     Daemon, PATIENT, TIMEOUT, began, directory, ended, next, printed, problem, refusal, wait_until,
@@ -37,7 +38,7 @@ fn bearer(token: &str) -> String {
     format!("authorization: Bearer {token}\r\n")
 }
 
-/// Sends a request on a new connection; returns it where the answer begins.
+/// Sends a request on a new connection; returns a reader at the start of the answer.
 fn send(address: &str, line: &str, headers: &str, body: &str) -> BufReader<TcpStream> {
     let mut stream = TcpStream::connect(address).unwrap();
     stream.set_read_timeout(Some(TIMEOUT)).unwrap();
@@ -73,8 +74,8 @@ fn ask(address: &str, line: &str, headers: &str, body: &str) -> (u16, String) {
     answer(&mut send(address, line, headers, body))
 }
 
-/// What a route answers over TCP on this machine: to a client without a token behind a proxy, with a wrong, an observer's, an operator's
-/// and a revoked token; then to a stranger in an exclusive session, and to a client whose session is over.
+/// The answers of a route over TCP on this machine: to a client without a token behind a proxy; with a wrong, an observer's, an
+/// operator's and a revoked token; to another client in an exclusive session; and to a client whose session is over.
 type Row = [&'static str; 7];
 
 const READS: Row = ["unauthorized", "unauthorized", "", "", "unauthorized", "", ""];
@@ -86,7 +87,7 @@ const STARTS: Row =
 const LOCAL: Row =
     ["forbidden", "unauthorized", "forbidden", "forbidden", "unauthorized", "forbidden", "forbidden"];
 
-/// A route that is new needs a row here.
+/// A new route needs a row here.
 fn row(route: Route) -> Row {
     match route {
         Route::Status
@@ -181,7 +182,7 @@ fn every_route_asks_for_its_right() {
     }
 }
 
-/// Neither as if none had been sent, on no socket and in no form.
+/// A wrong token is never ignored, on any socket and in any form.
 #[test]
 fn a_token_that_is_sent_and_wrong_is_refused_on_this_machine() {
     let daemon = listening("");
@@ -219,7 +220,7 @@ fn a_token_that_is_sent_and_wrong_is_refused_on_this_machine() {
         assert_eq!(ask(&address, "GET /v1/status", &header, "").0, 200);
         assert_eq!(ask(&address, "POST /v1/stop", &header, "{}").0, 200);
     }
-    // On the socket nothing keeps anybody from an emergency stop.
+    // On the socket every client can order an emergency stop.
     let estop = format!("POST /v1/estop HTTP/1.1\r\nhost: m\r\nconnection: close\r\n{}\r\n", bearer("x"));
     assert!(daemon.raw(estop.as_bytes()).starts_with("HTTP/1.1 200 "));
 }
@@ -296,13 +297,13 @@ fn a_revoked_tokens_live_play_takes_no_update_more() {
     let mut live = Live::start(&address, &bearer(&operate.token));
     live.send();
     assert!(live.answer().unwrap().applied.is_some());
-    // An observer that knows the path: the play takes one connection, and not this one.
+    // An observer that knows the path is refused: the play accepts only its client's connection.
     for headers in [bearer(&observe.token), bearer("mst_0"), "via: 1.1 x\r\n".to_owned()] {
         let code = answer(&mut Live::open(&address, &live.path, &headers)).1;
         assert!(["forbidden", "unauthorized"].contains(&code.as_str()), "{code}");
     }
     revoke(&daemon, &operate);
-    // The revocation is answered: from here on nothing is applied.
+    // After the answer to the revocation no update is applied.
     let (applied, cause) = live.until_it_ends();
     assert_eq!((applied, cause.as_deref()), (0, Some("revoked")));
     let receipt = ended(&mut events);
@@ -392,7 +393,7 @@ fn an_owner_who_comes_back_ends_what_strangers_play() {
     assert_eq!(cause.as_deref(), Some("owner-returned"));
     let receipt = ended(&mut events);
     assert_eq!((receipt.id, receipt.cause.as_deref()), (id, Some("owner-returned")));
-    // The owner's own play goes on, and the stranger's behind it does not begin.
+    // The owner's own play goes on, and the other client's queued play does not begin.
     released(&mut events);
     let mut stranger = daemon.client();
     let long = json!({"pattern": "pin-60", "seconds": 5});
@@ -426,7 +427,7 @@ fn two_daemons_with_one_file_know_the_same_tokens() {
         list.tokens.into_iter().map(|token| token.id).collect()
     };
     assert_eq!((ids(&a), ids(&a).len()), (ids(&b), 3));
-    // What is open at one ends when the other revokes the token, and its next use is refused.
+    // When one daemon revokes the token, open streams at the other end, and the next use there is refused.
     b.armed();
     let mut events = b.client().events().unwrap();
     let headers = bearer(&made[0].token);
@@ -442,13 +443,13 @@ fn two_daemons_with_one_file_know_the_same_tokens() {
     revoke(&a, &made[0]);
     assert_eq!(ask(&at_b, "POST /v1/play", &headers, "{\"pattern\": \"pin-60\"}").0, 401);
     assert_eq!(ended(&mut events).cause.as_deref(), Some("revoked"));
-    // It does not come back when the other one writes the file, or restarts.
+    // The token stays revoked when the other daemon writes the file, or restarts.
     create(&b, Role::Observe);
     assert!(!ids(&a).contains(&made[0].info.id) && ids(&a).len() == 3);
     assert!(!fs::read_to_string(&file).unwrap().contains(&made[0].info.id));
 }
 
-/// A command of another process, which has no part in what this one holds.
+/// Runs a command in another process, which has none of this process's tokens.
 fn command(daemon: &Daemon, arguments: &[&str]) -> Value {
     serde_json::from_str(&printed(daemon.meissner().args(arguments).arg("--json"))).unwrap()
 }
@@ -470,7 +471,7 @@ fn silence_stops_and_disarms() {
     assert!(by.contains("pid ") && armed["armed"]["left_s"].as_f64().unwrap() <= 5.0, "{armed}");
     command(&daemon, &["play", "pin-60", "--endless"]);
     began(&mut events);
-    // Another client that only reads is no sign of life.
+    // A request of another client is not a sign of life.
     let reader = daemon.client();
     let read = thread::spawn(move || {
         let mut reader = reader;
@@ -484,12 +485,12 @@ fn silence_stops_and_disarms() {
     read.join().unwrap();
     assert_eq!(command(&daemon, &["status"])["armed"], Value::Null);
     assert!(daemon.log().contains("was silent for too long"), "{}", daemon.log());
-    // A play with a known end is no excuse.
+    // A play with a known end does not prevent disarming.
     command(&daemon, &["arm", "--silence", "5"]);
     command(&daemon, &["play", "pin-60", "--seconds", "300"]);
     assert_eq!(silent(&mut events), 5.0);
     assert_eq!(ended(&mut events).cause.as_deref(), Some("owner-silent"));
-    // Stated otherwise, and stated nothing.
+    // Clients that state another silence, and none.
     let status = command(&daemon, &["arm", "--unattended"]);
     assert_eq!((&status["armed"]["silence_s"], &status["armed"]["left_s"]), (&Value::Null, &Value::Null));
     assert!(printed(daemon.meissner().arg("status")).contains("; unattended, until"));
@@ -515,7 +516,7 @@ fn the_configuration_says_how_long_an_older_client_may_be_silent() {
     wait_until(|| daemon.client().get::<Status>("/v1/status").unwrap().state == "disarmed");
 }
 
-/// A command that waits for its play shows that it is there; killed, it is silent.
+/// A command that waits for its play sends signs of life; a killed one is silent.
 #[test]
 fn a_command_that_waits_keeps_the_motors_armed_until_it_is_killed() {
     let daemon = Daemon::start();
@@ -559,7 +560,7 @@ fn in_a_dead_owners_session_everybody_stops_and_disarms_at_once() {
     }
     // The pins return first.
     wait_until(|| other.get::<Status>("/v1/status").unwrap().state == "disarmed");
-    // The owner's own are no interventions, and an observer orders none.
+    // The owner's own commands are not interventions, and an observer cannot intervene.
     let _: Status = owner.post("/v1/stop", &json!({})).unwrap();
     let observe = create(&daemon, Role::Observe);
     assert_eq!(ask(&address(&daemon), "POST /v1/stop", &bearer(&observe.token), "{}").1, "forbidden");
@@ -571,7 +572,7 @@ fn in_a_dead_owners_session_everybody_stops_and_disarms_at_once() {
     });
 }
 
-/// Whoever believes in a session that is over plays nothing: not in the next one, and not outside of any.
+/// A client that shows a session that is over cannot play, neither in the next session nor outside a session.
 #[test]
 fn nothing_plays_for_a_session_that_is_over() {
     let daemon = Daemon::start();
@@ -609,7 +610,7 @@ fn nothing_plays_for_a_session_that_is_over() {
     refused(&mut client, "no session runs");
     let second = start("P08");
     refused(&mut client, &format!("session {} with participant `P08` runs", second.id));
-    // Who shows no token but names the session is refused, too.
+    // A client that names the session without a token is refused, too.
     client.set_token(None);
     for (path, body) in
         orders.iter().filter(|(path, _)| !["/v1/home", "/v1/arm", "/v1/sessions/running/end"].contains(path))
@@ -620,7 +621,7 @@ fn nothing_plays_for_a_session_that_is_over() {
     }
     let status: Status = client.get("/v1/status").unwrap();
     assert_eq!((status.session.unwrap().plays, status.state.as_str()), (0, "armed"));
-    // A client with a stale token may start a session of its own.
+    // A client with a stale token may start its own session.
     let _: Session = client.post("/v1/sessions/running/end", &json!({})).unwrap();
     client.set_token(Some(first.token));
     let _: SessionStarted = client.post("/v1/sessions", &json!({"participant": "P09"})).unwrap();
@@ -659,17 +660,17 @@ fn a_terminal_whose_session_is_over_says_so_and_is_not_locked() {
     assert!(complaint(&daemon, &["home"]).contains("is over"));
     printed(daemon.meissner().arg("status"));
     printed(daemon.meissner().arg("disarm"));
-    // Another one's session is not ended in its place.
+    // The session of another client is not ended in its place.
     let other: SessionStarted = daemon.client().post("/v1/sessions", &json!({"participant": "P08"})).unwrap();
     let line = complaint(&daemon, &["session", "end"]);
     assert!(line.contains("was over already") && line.contains("nothing was ended"), "{line}");
     let status: Status = daemon.client().get("/v1/status").unwrap();
     assert_eq!(status.session.unwrap().id, other.id);
-    // It has left: what it does now is in the running session.
+    // After leaving, its plays belong to the running session.
     command(&daemon, &["arm"]);
     command(&daemon, &play);
     wait_until(|| daemon.client().get::<Receipt>("/v1/plays/last").unwrap().state.is_over());
-    // Left on purpose, and a session that is named.
+    // After leaving, it may end a named session.
     command(&daemon, &["session", "end", &other.id]);
     let started = command(&daemon, &["session", "start", "--participant", "P09"]);
     let id = started["id"].as_str().unwrap();

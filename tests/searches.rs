@@ -17,7 +17,7 @@ use std::net::TcpStream;
 
 const TEXT: &str = "name = \"my-edge\"\nshape = \"segment\"\npoints = [[-4, 0], [4, 0]]\n";
 
-/// Runs until it is cancelled.
+/// A search that runs until it is cancelled.
 fn long() -> Value {
     json!({"target": "rotating-edge", "seconds": 600, "robust": true})
 }
@@ -103,7 +103,7 @@ fn a_search_finds_what_the_command_finds_and_it_plays() {
     };
     assert!((mean(1.0) - mean(0.0) - found.models[0].found.contrast).abs() < 1e-9);
     assert_eq!(found.outline, [[[-4.242640687119285; 2], [4.242640687119285; 2]]]);
-    // It is not stored, and plays all the same.
+    // The pattern is not stored, but can be played.
     let shown: Value = client.get("/v1/patterns/search:1").unwrap();
     assert_eq!(
         (&shown["sha256"], &shown["pattern"]["name"]),
@@ -150,7 +150,7 @@ fn a_drawn_target_is_found_and_stored_with_its_pattern() {
     assert!(
         names.contains(&("my-edge", false)) && names.contains(&("edge-45", true)) && list.errors.is_empty()
     );
-    // By its name it is the same.
+    // The search by the target's name gives the same result.
     start(&mut client, &json!({"target": "my-edge", "evaluations": 20, "model": "membrane"}));
     assert_eq!(over(&mut events).1, SearchState::Done);
     let again: Search = client.get("/v1/searches/2").unwrap();
@@ -174,7 +174,7 @@ fn one_search_runs_at_a_time_and_is_cancelled_at_once() {
     assert!(busy.detail.contains("search 1 for `rotating-edge` runs"), "{busy}");
     assert_eq!(refusal(client.get("/v1/patterns/search:1")), ("not-found".into(), 404));
     let [process] = children(&daemon)[..] else { panic!("{:?}", children(&daemon)) };
-    // It has low priority, bounded memory that is not locked, and none of the daemon's files.
+    // The process has low priority, bounded memory that is not locked, and none of the daemon's files.
     let niceness = |pid: i32| stat(pid).unwrap()[16].parse::<i32>().unwrap();
     assert!(niceness(process) >= 10);
     let limits = fs::read_to_string(format!("/proc/{process}/limits")).unwrap();
@@ -189,7 +189,7 @@ fn one_search_runs_at_a_time_and_is_cancelled_at_once() {
     assert_eq!((cancelled.state, cancelled.result), (SearchState::Cancelled, None));
     assert_eq!(over(&mut events), (1, SearchState::Cancelled, None));
     wait_until(|| !runs(process));
-    // The place is free, and a search that is over stays as it is.
+    // The place is free again, and an ended search does not change.
     start(&mut client, &json!({"target": "dot", "evaluations": 5, "model": "membrane"}));
     assert_eq!(over(&mut events), (2, SearchState::Done, None));
     let done: Search = client.delete("/v1/searches/last").unwrap();
@@ -375,7 +375,7 @@ fn an_exclusive_session_keeps_others_from_searching() {
     assert_eq!(over(&mut events).1, SearchState::Done);
 }
 
-/// A program that is started by the name of a search, without a daemon, does nothing.
+/// The program, started under the name of a search but without a daemon, does nothing.
 #[test]
 fn a_search_without_a_daemon_ends() {
     use std::os::unix::process::CommandExt;

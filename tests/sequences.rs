@@ -44,7 +44,7 @@ fn a_sequence_has_one_receipt_with_every_onset_and_offset() {
     assert!(receipt.trigger.is_none() || receipt.trigger == records[0].trigger);
     let unknown = receipt.prediction.unknown.unwrap();
     assert!(unknown.contains("a sequence has many patterns"), "{unknown}");
-    // The next play is as any other.
+    // The next play is like any other.
     let id = client.post::<Value>(
         "/v1/play",
         &json!({"pattern": "pin-60", "seconds": 0.1, "scale": 0.5, "trigger": false}),
@@ -78,7 +78,7 @@ fn a_sequence_is_accepted_as_a_whole_or_refused() {
         let refused = problem(client.post("/v1/sequence", &json!({"items": [good, bad, good]})));
         assert!(refused.code == code && refused.detail.contains(says), "{refused:?}");
     }
-    // A refused sequence costs the session record no text. The list waits until all is written.
+    // A refused sequence adds no text to the session record. Listing the sessions waits until all is written.
     let texts = daemon.path("state/meissner/logbook/patterns");
     let _: Value = client.get("/v1/sessions").unwrap();
     assert!(!texts.exists());

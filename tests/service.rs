@@ -66,7 +66,7 @@ impl Manager {
         }
     }
 
-    /// Whether no notification comes for so long.
+    /// Whether no notification comes for this long.
     fn is_silent(&self, during: Duration) -> bool {
         self.socket.set_read_timeout(Some(during)).unwrap();
         let received = self.receive();
@@ -115,7 +115,7 @@ fn a_slow_client_costs_no_watchdog_notification() {
     let daemon = manager.start(Some(Duration::from_millis(200)));
     manager.wait_for(|text| text == "READY=1");
     let mut slow = std::os::unix::net::UnixStream::connect(daemon.socket()).unwrap();
-    // Less than the daemon would wait for the rest of the request, if it waited.
+    // This is shorter than the daemon would wait for the rest of the request.
     manager.socket.set_read_timeout(Some(Duration::from_secs(5))).unwrap();
     slow.write_all(b"POST /v1/play HTTP/1.1\r\nHost: m\r\nContent-Length: 999\r\n\r\n{").unwrap();
     for _ in 0..5 {
@@ -123,7 +123,7 @@ fn a_slow_client_costs_no_watchdog_notification() {
     }
 }
 
-/// By another process: a child of another test must not hold it open for writing when it is started.
+/// Copy it in another process, so that no child of another test holds it open for writing when it is started.
 fn copy_program(to: &Path) {
     assert!(Command::new("cp").arg(PROGRAM).arg(to).status().unwrap().success());
 }
@@ -152,7 +152,7 @@ fn a_socket_that_is_handed_over_is_used_and_not_removed() {
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("activated.sock");
     let listener = UnixListener::bind(&path).unwrap();
-    // Connected before there is a daemon, like the command that starts it.
+    // Connect before a daemon runs, like the command that starts it.
     let first = std::thread::spawn({
         let path = path.clone();
         move || printed(meissner().args(["arm", "--assume-rest", "--socket"]).arg(path))
@@ -189,7 +189,7 @@ fn a_reload_applies_what_can_change_and_names_the_rest() {
     daemon.armed();
     let line = reload("lead_ms = 400\nlease_ms = 4000\n");
     assert!(line.contains("`lead_ms`") && line.contains("from the next `arm` on"), "{line}");
-    // An answered command comes after the one that carried the settings.
+    // An answer to a later command shows that the settings have arrived.
     printed(daemon.meissner().args(["play", "wave", "--seconds", "0.3", "--wait"]));
     assert_eq!((status().lead_ms, status().lease_ms), (500.0, 5000.0), "armed with these");
     printed(daemon.meissner().arg("disarm"));

@@ -1,4 +1,4 @@
-//! Sessions: one at a time, exclusive ones, their owner's silence, the record of them, and disks that fail.
+//! Sessions: one at a time, exclusive sessions, their owner's silence, their record, and failing disks.
 
 use crate::harness::{
     Daemon, PATIENT, PROGRAM, TIMEOUT, complaint, document, ended, next, printed, problem, refusal,
@@ -46,7 +46,7 @@ fn a_play_carries_its_session_trial_and_labels() {
     let receipt = ended(&mut events);
     assert_eq!((receipt.session.as_deref(), receipt.trial), (Some(&*started.id), Some(3)));
     assert_eq!(receipt.labels["condition"], "a");
-    // Everybody's plays belong to it; a play for another session is refused.
+    // Plays of all clients belong to it; a play for another session is refused.
     let _: Value = daemon.client().post("/v1/play", &json!({"pattern": "pin-60", "seconds": 0.1})).unwrap();
     assert_eq!(ended(&mut events).session, Some(started.id.clone()));
     let other = json!({"pattern": "pin-60", "seconds": 0.1, "session": "20260101T000000Z-000000"});
@@ -62,7 +62,7 @@ fn a_play_carries_its_session_trial_and_labels() {
     client.set_token(None);
     let _: Value = client.post("/v1/play", &json!({"pattern": "pin-60", "seconds": 0.1})).unwrap();
     assert_eq!(ended(&mut events).session, None);
-    // As recorded: with the same values.
+    // The recorded session has the same values.
     let recorded: Session = client.get(&format!("/v1/sessions/{}", started.id)).unwrap();
     assert_eq!(recorded, session);
     assert_eq!(problem(client.get("/v1/sessions/running")).code, "not-found");
@@ -92,10 +92,10 @@ fn two_clients_fight_for_a_session() {
         );
     }
     assert_eq!(problem(other.put("/v1/patterns/mine", String::new())).code, "session-exclusive");
-    // A wrong token opens nothing.
+    // A wrong token gives no access.
     other.set_token(Some("0".repeat(32)));
     assert_eq!(problem(other.post("/v1/home", &json!({}))).code, "session-exclusive");
-    // Others read; the owner acts, from any connection.
+    // Others may read; the owner may act, on any connection.
     let status: Status = other.get("/v1/status").unwrap();
     let session = status.session.unwrap();
     assert!(session.is_closed_to_others() && session.release_in_s.is_some_and(|left| left > 60.0));
@@ -103,7 +103,7 @@ fn two_clients_fight_for_a_session() {
     let mut again = daemon.client();
     again.set_token(Some(started.token.clone()));
     let _: Value = again.post("/v1/play", &json!({"pattern": "pin-60", "seconds": 30})).unwrap();
-    // An emergency stop is everybody's.
+    // Every client may order an emergency stop.
     let stopped: Status = other.post("/v1/estop", &json!({})).unwrap();
     assert_eq!(stopped.cause, "estop");
     other.set_token(None);
@@ -130,7 +130,7 @@ fn a_session_that_begins_during_a_body_counts() {
                 "{method} {path} HTTP/1.1\r\nhost: x\r\nconnection: close\r\nexpect: 100-continue\r\ncontent-length: 2\r\n\r\n"
             );
             stream.write_all(head.as_bytes())?;
-            // The daemon reads the body: the guard has let the request pass.
+            // The daemon reads the body, so the guard has let the request pass.
             let mut line = [0; 25];
             stream.read_exact(&mut line)?;
             assert_eq!(&line, b"HTTP/1.1 100 Continue\r\n\r\n");
@@ -142,7 +142,7 @@ fn a_session_that_begins_during_a_body_counts() {
             mine.set_token(None);
             answered.map(|_| answer)
         };
-        // A body has 2 s: on a machine that stands still for so long the daemon gives up.
+        // A body has 2 s; if the machine stalls for longer, the daemon gives up.
         let mut answer = late();
         while answer.as_ref().is_ok_and(|answer| answer.contains("slow-request")) || answer.is_err() {
             answer = late();
@@ -154,7 +154,7 @@ fn a_session_that_begins_during_a_body_counts() {
     assert_eq!(status.state, "armed");
 }
 
-/// The play goes on as ordered; others act after the stated silence, and the owner may come back.
+/// The play goes on as ordered; others may act after the stated silence, and the owner may come back.
 #[test]
 fn an_owner_that_dies_in_mid_play_locks_nobody_out() {
     let daemon = Daemon::with("mock", &format!("{PATIENT}session_silence_s = 2\n"));
@@ -289,7 +289,7 @@ fn a_session_ends_with_its_daemon_and_the_record_says_how() {
         .map(|file| file.unwrap().path())
         .find(|file| file.extension().is_some_and(|extension| extension == "jsonl"))
         .unwrap();
-    // Lines that cannot be read, and a file that is none.
+    // Lines that cannot be read, and a file that is not a record.
     let text = fs::read_to_string(&file).unwrap();
     fs::write(folder.join("2026-01-02.jsonl"), format!("no line\n{text}{{\"torn")).unwrap();
     fs::create_dir(folder.join("2026-01-03.jsonl")).unwrap();
@@ -305,7 +305,7 @@ fn a_session_ends_with_its_daemon_and_the_record_says_how() {
     start(&mut daemon.client(), "P08", true);
 }
 
-/// The disk takes nothing: the session goes on, and a line says what is missing.
+/// The disk takes nothing: the session goes on, and a line reports what is missing.
 #[test]
 fn a_session_survives_a_disk_that_takes_nothing() {
     let daemon = Daemon::with("mock", &format!("{PATIENT}logbook_dir = \"/sys/kernel/logbook\"\n"));
@@ -324,7 +324,7 @@ fn a_session_survives_a_disk_that_takes_nothing() {
     assert!(events.next(Some(TIMEOUT)).unwrap().is_some());
 }
 
-/// The disk gets full in mid-session, and has room again. The system refuses the bytes in the middle of a line.
+/// The disk gets full during the session, and later has space again. The system refuses the bytes in the middle of a line.
 #[test]
 fn a_session_tells_what_a_full_disk_took() {
     let daemon = Daemon::start();
@@ -338,7 +338,7 @@ fn a_session_tells_what_a_full_disk_took() {
     };
     let problem = |client: &mut Client| client.get::<Status>("/v1/status").unwrap().logbook_problem;
     let first = play(&mut client);
-    // The list waits until all is written.
+    // Listing the sessions waits until all is written.
     let _: SessionList = client.get("/v1/sessions").unwrap();
     let folder = daemon.path("state/meissner/logbook");
     let files = fs::read_dir(folder).unwrap().map(|file| file.unwrap().path());
@@ -359,7 +359,7 @@ fn a_session_tells_what_a_full_disk_took() {
     let _: Session = client.post("/v1/sessions/running/end", &json!({})).unwrap();
     let log = daemon.wait_for_log("is written again; ");
     assert_eq!(log.matches("the session record cannot be written").count(), 1, "one line: {log}");
-    // Every line is whole, and the gap is in its place.
+    // Every line is whole, and the gap is at the right place.
     let text = fs::read_to_string(&day).unwrap();
     let lines: Vec<Value> = text.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
     let gap = lines.iter().find(|line| line["event"] == "lost").unwrap()["entries"].as_u64().unwrap();

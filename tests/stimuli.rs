@@ -1,5 +1,5 @@
-//! Stimuli that are what was asked, by a real daemon: nothing silently empty, whole strokes in ms, replaced and removed patterns; and
-//! receipts of plays that were cut.
+//! A real daemon plays stimuli as ordered: nothing is silently empty, durations are in whole strokes, patterns can be replaced and
+//! removed, and receipts of cut plays say so.
 
 use crate::harness::{Daemon, PATIENT, began, document, ended, printed, problem, refusal, wait_until};
 use meissner_api::{PlayState, Receipt};
@@ -24,7 +24,7 @@ fn what_would_be_silent_is_refused_and_what_is_weak_is_said() {
     }
     let refused = problem(client.put("/v1/patterns/blip?replace=true", BLIP.replace("80.0", "0.05")));
     assert_eq!((refused.code.as_str(), refused.status), ("empty", 422));
-    // The receipt says what the import said.
+    // The receipt has the same warning as the import.
     let weak = format!("{BLIP}[[drive]]\nmotor = 3\nfrequency_hz = 300.0\namplitude_um = 80.0\n");
     let warning = import(&mut client, &weak)["warnings"][0].clone();
     assert!(
@@ -47,7 +47,7 @@ fn a_duration_becomes_whole_strokes_within_it_or_beyond() {
     let mut client = daemon.armed();
     import(&mut client, BLIP);
     let mut events = client.events().unwrap();
-    // A stroke that goes up at 300 ms sharp is not in 300 ms, but in 301.
+    // A stroke that goes up at exactly 300 ms belongs to a play of 301 ms, but not to one of 300 ms.
     let mut play = |seconds: f64, fit: &str| {
         let request = json!({"pattern": "blip", "seconds": seconds, "fit": fit});
         let accepted: Value = client.post("/v1/play", &request).unwrap();
@@ -80,7 +80,7 @@ fn a_replaced_pattern_is_named_and_a_removed_one_plays_on() {
     assert!(taken.code == "exists" && taken.detail.contains(first["sha256"].as_str().unwrap()), "{taken:?}");
     let longer = import(&mut client, &BLIP.replace("0.3", "1.0"));
     assert_eq!(longer["replaced_sha256"], first["sha256"]);
-    // One runs, one waits.
+    // One play runs, and one waits.
     let mut events = client.events().unwrap();
     for _ in 0..2 {
         let _: Value = client.post("/v1/play", &json!({"pattern": "blip"})).unwrap();
@@ -100,7 +100,7 @@ fn a_replaced_pattern_is_named_and_a_removed_one_plays_on() {
     assert_eq!(refusal(client.delete("/v1/patterns/edge-45")), ("exists".into(), 409));
 }
 
-/// A play that was cut does not look complete: in JSON and in text.
+/// A cut play does not look complete in JSON or in text.
 #[test]
 fn a_stopped_play_says_how_much_of_it_was_ordered() {
     let daemon = Daemon::start();
@@ -132,14 +132,14 @@ fn a_stopped_play_says_how_much_of_it_was_ordered() {
     ] {
         assert!(text.contains(&part), "{part}:\n{text}");
     }
-    // Without end: what begins until it was cut.
+    // For a play without end, the strokes that begin before the cut count.
     let receipt = stopped(&mut client, &json!({"pattern": "pin-60", "endless": true}));
     let strokes = (receipt.cut_after_ms.unwrap() * 60.0 / 1000.0).ceil();
     assert_eq!(receipt.ordered.unwrap().bursts as f64, 2.0 * strokes, "{receipt:?}");
     assert_eq!((receipt.duration_ms.ordered, receipt.duration_ms.compiled), (None, None));
 }
 
-/// Every real board: by dead reckoning each receipt goes on where the one before ended.
+/// As on every real board, dead reckoning makes each receipt continue where the one before ended.
 #[test]
 fn without_telemetry_short_trials_do_not_hide_the_drift() {
     let daemon = Daemon::with("mock", &format!("{PATIENT}[mock]\ntelemetry_hz = 0\n"));

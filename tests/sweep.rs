@@ -231,7 +231,7 @@ fn samples_are_the_same_for_every_combination_and_values_have_a_star() {
         assert!((0.9..1.1).contains(&gain), "{gain}");
     }
     assert_eq!(samples[..5].iter().collect::<std::collections::BTreeSet<_>>().len(), 5);
-    // A pattern's own target is named, and a row says what both rules reach in the same conditions.
+    // A row names a pattern's own target, and has the results of both rules in the same conditions.
     assert_eq!((&rows[0][place("pattern")], &rows[0][place("target")]), ("dot", "dot"));
     assert!(rows.iter().all(|row| !row[place("naive_reach_contrast_hz")].is_empty()));
 }
@@ -320,7 +320,7 @@ fn plans_that_cannot_run_are_refused_in_one_line() {
 fn directories_of_something_else_are_refused_and_nothing_is_lost() {
     let dir = with(SIMULATIONS);
     printed(&mut sweep(&dir, &["plan.toml", "--out", "d"]));
-    // The same plan in other words is the same.
+    // Differently written, equivalent plans are the same plan.
     let other_words = SIMULATIONS.replace("{ from = 0.5, to = 1, steps = 2 }", "[0.5, 1.0] # in words");
     fs::write(dir.path().join("plan.toml"), other_words).unwrap();
     let again = document(&mut sweep(&dir, &["plan.toml", "--out", "d", "--json"]));
@@ -338,7 +338,7 @@ fn directories_of_something_else_are_refused_and_nothing_is_lost() {
         let said = complaint(&mut sweep(&dir, &[asked, "full"]));
         assert!(said.contains("full: holds no sweep"), "{said}");
     }
-    // A line that a disk has damaged is reported, and its cell computed again.
+    // A damaged line is reported, and its cell computed again.
     fs::write(dir.path().join("plan.toml"), SIMULATIONS).unwrap();
     let file = &runs(&dir, "d")[0];
     let text = String::from_utf8(kept).unwrap();
@@ -350,8 +350,8 @@ fn directories_of_something_else_are_refused_and_nothing_is_lost() {
     assert_eq!(again["computed"], 1, "{again}");
 }
 
-/// A file-size limit of the process stands for a full disk: a line is written in part, then the write fails.
-/// A pipe or a device in a file's place is refused in one line, and nothing waits for it.
+/// A file-size limit of the process simulates a full disk: a line is written in part, then the write fails. A pipe or a device in a
+/// file's place is refused in one line, without waiting for it.
 #[test]
 fn a_pipe_or_a_device_among_the_files_of_a_sweep_is_refused() {
     let dir = with(SIMULATIONS);
@@ -384,11 +384,11 @@ fn a_pipe_or_a_device_among_the_files_of_a_sweep_is_refused() {
 #[test]
 fn a_full_disk_ends_a_run_and_keeps_its_cells() {
     let dir = with(SIMULATIONS);
-    // In units of 1024 bytes; SIGXFSZ is ignored, so that the write fails.
+    // `ulimit` counts 1024 bytes; SIGXFSZ is ignored, so that the write fails.
     let script = "trap '' XFSZ; ulimit -f 4; exec \"$0\" sweep plan.toml --out d --threads 1";
     let mut limited = assert_cmd::Command::new("bash");
     limited.current_dir(dir.path()).args(["-c", script, PROGRAM]).timeout(TIMEOUT);
-    // The plan is larger than that.
+    // The plan is larger than this limit.
     printed(&mut sweep(&dir, &["plan.toml", "--out", "d", "--shard", "30/30"]));
     let said = complaint(&mut limited);
     assert!(said.contains("d/rows/") && said.contains("cannot be written"), "{said}");
@@ -407,7 +407,7 @@ fn a_cell_that_fails_is_a_row_with_its_reason() {
         "command = \"optimise\"\n[grid]\ntarget = \"small.toml\"\nmodel = \"membrane\"\nevaluations = 5\nfinger = [3, 9]\n",
     );
     let small = "name = \"small\"\nshape = \"dots\"\npoints = [[0.0, 0.0]]\nreach_mm = 0.6\n[population]\nseed = SEED\n";
-    // Finds a finger for which the target can be read at all.
+    // Find a finger for which the target is valid.
     let seed = (0..200).find(|seed| {
         fs::write(dir.path().join("small.toml"), small.replace("SEED", &seed.to_string())).unwrap();
         let mut tried = sweep(&dir, &["plan.toml", "--dry-run", "--json"]);

@@ -11,7 +11,7 @@ mod boards;
 mod book;
 /// The builds that tests run check for overflows.
 mod build_checks;
-/// `calibrate` on a real daemon: played, fitted, stored, used by its own device alone.
+/// `calibrate` on a real daemon: played, fitted, stored, used only by its own device.
 mod calibration;
 /// Careless systems: an open umask, too little memory, floods of refusals.
 mod careless;
@@ -31,11 +31,11 @@ mod doctor;
 mod drift;
 /// `session export`: a row for each play and each item of a sequence; a damaged record.
 mod export;
-/// Faults by script, in real time.
+/// Scripted faults, in real time.
 mod faults;
 /// `report`: figures against the models, and the page.
 mod figures;
-/// A real daemon in a directory of its own, and helpers for the other tests.
+/// A real daemon in its own directory, and helpers for the other tests.
 mod harness;
 /// `tradeoff --stream`: the lead under recorded stalls, traces that are refused, its document and plot.
 mod lead;
@@ -43,7 +43,7 @@ mod lead;
 mod live;
 /// The command `live`: lines of files and pipes, signals, and plays that the daemon ends.
 mod live_command;
-/// Arrays with a lower stop: arming seeks it, and plays stay within the limit on pushing.
+/// Arrays with a lower stop: arming moves the pins down to it, and plays stay within the limit on pushing.
 mod lower_stop;
 /// The man pages and completions are made from the program.
 mod manual;
@@ -65,9 +65,9 @@ mod played;
 mod power;
 /// A whole session through a pseudo-terminal and the serial transport; the daemon ended and killed in mid-play.
 mod pty;
-/// Motors of a rail at once: what is refused, and what patterns draw.
+/// Limits on motors of a rail at once, and the currents of patterns.
 mod rails;
-/// The session record as a lab meets it: full disks, kills, clocks that jump, and what commands say then.
+/// The session record under faults: full disks, kills, clock jumps, and the messages of commands.
 mod record;
 /// `session replay`: the same orders at the same gaps, the recorded texts, what differs, what is refused.
 mod replay;
@@ -75,17 +75,17 @@ mod replay;
 mod report;
 /// The command `report`: its files, the same bytes again, places that cannot be written to.
 mod report_command;
-/// Rights at each use: a table over all routes, what is open when a right ends, silence that disarms, sessions that are over.
+/// Rights: a table of all routes, open requests when a right ends, silence that disarms, ended sessions.
 mod rights;
-/// Targets and searches: a process of its own, its result and its end, what is refused.
+/// Targets and searches: a search's process, its result and its end, and refusals.
 mod searches;
 /// Sequences: all or nothing, one receipt, scale and triggers; the command.
 mod sequences;
 /// The daemon as a service: notifications, watchdog, socket activation, reload, and a newer program.
 mod service;
-/// Sessions: one at a time, exclusive ones, their owner's silence, the record of them, and disks that fail.
+/// Sessions: one at a time, exclusive sessions, their owner's silence, their record, and failing disks.
 mod sessions;
-/// Stimuli that are what was asked: empty, weak, whole strokes, replaced, removed; receipts of plays that were cut.
+/// Stimuli as ordered: empty, weak, whole strokes, replaced, removed; receipts of cut plays.
 mod stimuli;
 /// `sweep`: plans, runs that are cut, parts, merges, and what is refused.
 mod sweep;

@@ -1,10 +1,11 @@
 //! Days of use in virtual time: `DAYS=30 cargo bench -p meissner-benches --bench days`.
 //!
-//! The streamer against the simulated array: plays of the library at random, open and closed loop, with pauses of up to an hour. Of
-//! three plays two are good; the third is stopped or cut by an e-stop, or meets a bad line, a host that stalls, an unplugged cable or a
-//! device that restarts. Every account has to close. It is compared with the device's count unless the play may have ended the session
-//! (the last three), and where nothing went wrong every burst is played, from the tick asked for. Prints the sums, and the memory
-//! after the first day and at the end. It ends with an error at the first count that is wrong.
+//! The streamer plays patterns of the library in random order on the simulated array, in open and closed loop, with pauses of up to
+//! an hour. Two plays of three run undisturbed. The third is stopped or cut by an e-stop, or meets a bad line, a host that stalls,
+//! an unplugged cable or a device that restarts. The burst counts of every play must add up. They must equal the device's count,
+//! except where the play may have ended the session (the last three). In an undisturbed play every burst must be played, from the
+//! requested tick on. The benchmark prints the sums, and the memory after the first day and at the end. It ends with an error at
+//! the first wrong count.
 
 use meissner_array::simulated::SimulatedMotorsConfig;
 use meissner_stream::queues::{Command, Outcome};
@@ -96,7 +97,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     Ok(())
 }
 
-/// Has a play meet its fate. Returns whether its session ended.
+/// Disturbs a play as `fate` says. Returns whether its session ended.
 fn suffer(
     simulation: &mut Simulation,
     fate: usize,

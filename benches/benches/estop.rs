@@ -1,17 +1,18 @@
 //! How long an emergency stop takes while other clients load the daemon, and how long `stop` and `status` take:
 //! `cargo bench -p meissner-benches --bench estop`.
 //!
-//! For each load it orders emergency stops, one after the other: on the socket for these, and every tenth also as `POST /v1/estop` on a
-//! new connection, to the API's socket and over TCP. It gives the time from before `connect` until the board, at the far end of a serial
-//! line, has read the order. Every tenth time it also sends `POST /v1/stop` and `GET /v1/status` on new connections, and gives the time
-//! until the whole answer is there. Times leave out orders that failed: no order at the board within a second, no answer within ten,
-//! or an answer that says that there is no place.
+//! For each load it orders emergency stops, one after the other, on the e-stop socket. Every tenth time it also sends
+//! `POST /v1/estop` on a new connection, to the API's socket and over TCP. It measures the time from before `connect` until the
+//! board, at the far end of a serial line, has read the order. Every tenth time it also sends `POST /v1/stop` and `GET /v1/status`
+//! on new connections, and measures the time until the whole answer is there. Times leave out failed orders: the board got none
+//! within a second, no answer came within ten, or the daemon answered that it has no free connection.
 //!
-//! Root gets two tables: a daemon with SCHED_FIFO, and one of an ordinary user (`DAEMON_UID`, 65534 unless set) without. The daemon and
-//! the load are processes of their own. The daemon is this executable, or the program that `MEISSNER_PROGRAM` names. `ROUNDS` sets the
-//! orders per load, `LOADS` the loads by their first word, `RECORD_MB` the length of the session record that the readers read. The client
-//! that measures and the board run in real time where the system allows it, and so do the kernel's workers that move the bytes of the
-//! board's pseudo-terminal ([`Workers`]), unless `KEEP_WORKERS` is set. It asserts nothing.
+//! Run by root, it prints two tables: for a daemon with SCHED_FIFO, and for one of an ordinary user (`DAEMON_UID`, 65534 unless
+//! set) without. The daemon and the load run in separate processes. The daemon is this executable, or the program that
+//! `MEISSNER_PROGRAM` names. `ROUNDS` sets the orders per load, `LOADS` chooses loads by their first word, `RECORD_MB` the length
+//! of the session record that the readers read. The measuring client and the board run at real-time priority where the system
+//! allows it. So do the kernel's workers that move the bytes of the board's pseudo-terminal ([`Workers`]), unless `KEEP_WORKERS` is
+//! set. It asserts nothing.
 
 use meissner_api::Status;
 use meissner_benches::board::Board;
@@ -205,7 +206,7 @@ fn measure(place: &Place, board: &Board, rounds: usize) -> [String; 5] {
     let mut failures = [0; 5];
     for round in 0..rounds {
         for way in 0..5 {
-            // The answer by HTTP takes as long as the load makes other clients wait.
+            // An answer by HTTP waits behind the load's requests, so it is measured only every tenth time.
             if (way == 0 && !has_socket) || (way > 0 && has_socket && round % 10 != 0) {
                 continue;
             }
@@ -252,7 +253,8 @@ fn column(mut ms: Vec<f64>, failures: usize) -> String {
 const STOP: &str = "POST /v1/stop HTTP/1.1\r\nhost: x\r\nconnection: close\r\ncontent-length: 2\r\n\r\n{}";
 const STATUS: &str = "GET /v1/status HTTP/1.1\r\nhost: x\r\nconnection: close\r\n\r\n";
 
-/// Whether the daemon took the request: after an emergency stop a `stop` is refused, because the fault is latched.
+/// Whether the daemon handled the request. It refuses a `stop` after an emergency stop, because the fault is latched; that counts
+/// as handled.
 fn is_served(answer: io::Result<String>) -> Result<(), String> {
     expect(answer, |answer| ["HTTP/1.1 200", "HTTP/1.1 409"].iter().any(|status| answer.starts_with(status)))
 }
@@ -273,7 +275,7 @@ fn is_stopped(answer: io::Result<String>) -> Result<(), String> {
     expect(answer, |answer| answer.starts_with("HTTP/1.1 200"))
 }
 
-/// The answer that is not as expected, or why there was none.
+/// An error if the answer is not as expected, or if there was none.
 fn expect(answer: io::Result<String>, is_right: impl Fn(&str) -> bool) -> Result<(), String> {
     match answer {
         Ok(answer) if is_right(&answer) => Ok(()),

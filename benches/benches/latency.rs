@@ -1,7 +1,7 @@
 //! How fast the daemon answers, on this machine, in wall time: `cargo bench --bench latency`.
 //!
-//! A daemon on the mock in this process, asked over its real socket. Beside the figures stands how late this
-//! machine's timers wake an ordinary thread: no tail can be better than that. It asserts nothing.
+//! A daemon on the mock runs in this process; the benchmark sends requests over its real socket. It also prints how late this
+//! machine's timers wake an ordinary thread: no tail can be shorter than that. It asserts nothing.
 
 use meissner::config::{Config, PatternsDir};
 use meissner::daemon::Daemon;
@@ -70,7 +70,7 @@ fn wake_ups() -> Vec<f64> {
     (0..1000).map(late).collect()
 }
 
-/// Without the client's share: one write, and reads until the body has come.
+/// Round trips without the client's code: one write, then reads until the body is complete.
 fn round_trips(socket: &Path) -> Result<Vec<f64>, Box<dyn Error>> {
     let mut stream = UnixStream::connect(socket)?;
     let mut answer = vec![0; 1 << 16];
@@ -93,7 +93,7 @@ fn plays(client: &mut Client) -> Result<Vec<f64>, Box<dyn Error>> {
     let request = PlayRequest { pattern: "pin-60".to_owned(), seconds: Some(0.05), ..PlayRequest::default() };
     let mut us = Vec::new();
     while us.len() < PLAYS {
-        // Armed and idle for a while, as between two trials: other whiles, so that no rhythm helps.
+        // Armed and idle for a while, as between two trials. The pauses differ, so that no rhythm helps.
         thread::sleep(Duration::from_millis(us.len() as u64 * 7 % 90));
         let _: Value = client.post("/v1/play", &request)?;
         while !matches!(events.next(TIMEOUT)?, None | Some(Event::Ended { .. })) {}

@@ -1,12 +1,15 @@
-//! Live targets: what a shape that moves and turns reaches, update by update, beside a search that takes its time.
+//! Live targets: the contrast that a moving and turning shape reaches with each update, compared with a search without a time
+//! limit.
 //!
-//! A shape moves at 30 mm/s over the array, back at its borders, and turns at 90 degrees/s for four seconds. Fifty times a second it has
-//! a new pose, and each update has 15 ms. Every tenth pose is compared with the converged search, the best of several starts, and with
-//! the naive rule, under the models as they are. First the table says what an update takes besides the search, and what that took if
-//! nothing were kept from pose to pose. `-- edge-45 both` runs one shape and one model alone, `-- contrast` one goal; all takes half an
-//! hour, nearly all of it for the searches to compare with. `-- 250` gives each update so many evaluations in place of a time.
+//! A shape moves over the array at 30 mm/s for four seconds, turns back at the borders, and rotates at 90 degrees/s. Fifty times a
+//! second it has a new pose, and each update has 15 ms. Every tenth pose is compared with the converged search, the best of several
+//! starts, and with the naive rule, under the models as they are. The table first gives the time of an update without its search,
+//! and what that time would be if nothing were kept from pose to pose. `-- edge-45 both` runs one shape and one model alone,
+//! `-- contrast` one goal; the whole benchmark takes half an hour, nearly all of it for the reference searches. `-- 250` gives each
+//! update 250 evaluations instead of a time.
 //!
-//! Times depend on the machine and its load, and so do figures that a time limits. By evaluations two runs reach the same.
+//! Times, and figures under a time limit, depend on the machine and its load. With a fixed number of evaluations two runs print the
+//! same figures.
 
 use meissner_design::{
     Fidelity, Goal, LIVE_FIDELITY, Limit, LiveBrief, LiveComparison, LiveSample, Models, Objective, Pose,
@@ -30,12 +33,12 @@ const UPDATES_PER_S: f64 = 50.0;
 const UPDATES: usize = 200;
 const SPEED_MM_S: f64 = 30.0;
 const TURN_DEG_S: f64 = 90.0;
-/// Every so many poses are compared.
+/// One pose in this many is compared.
 const EVERY: usize = 10;
 /// The direction of the path, and how far from the array's middle it turns back.
 const DIRECTION: [f64; 2] = [0.55, 0.835_165];
 const TURNS_BACK_MM: [f64; 2] = [3.5, 6.5];
-/// A search converges long before.
+/// A search converges long before this limit.
 const GENEROUS: Limit = Limit::Evaluations(200_000);
 
 fn target(name: &str) -> Target {
@@ -46,7 +49,7 @@ fn target(name: &str) -> Target {
     )
 }
 
-/// A place on a way there and back between two borders.
+/// The position after `way_mm` on a path back and forth between two borders.
 fn back_and_forth(way_mm: f64, most_mm: f64) -> f64 {
     let along = (way_mm + most_mm).rem_euclid(4.0 * most_mm);
     if along < 2.0 * most_mm { along - most_mm } else { 3.0 * most_mm - along }
@@ -78,7 +81,8 @@ fn ms(since: Instant) -> f64 {
     1e3 * since.elapsed().as_secs_f64()
 }
 
-/// The time of an update without its search, and of what a renderer keeps, medians over the path of the edge.
+/// Prints the time of an update without its search, and the time that a renderer saves by what it keeps: medians over the path of
+/// the edge.
 fn overhead() {
     println!(
         "An update of edge-45 without its search, and what it would take without what is kept, ms, p50:"
@@ -143,7 +147,7 @@ fn run(target: &Target, models: Models, goal: Goal, evaluations_each: Option<u64
     print!(" | {reached:>6.2} {converged:>6.2} {rule:>6.2}");
     for model in 0..compared.first().map_or(0, |of| of.contrast_hz.len()) {
         let of = |of: &LiveComparison| of.contrast_hz[model].1;
-        // At some poses nothing is better than silence.
+        // At some poses no drive is better than silence, and the ratio has no meaning.
         let heard: Vec<&LiveComparison> = compared.iter().filter(|at| of(at).converged > 0.0).collect();
         let share = |of: &dyn Fn(&LiveComparison) -> f64| heard.iter().map(|at| of(at)).collect::<Vec<f64>>();
         let ratio = share(&|at| of(at).reached / of(at).converged);

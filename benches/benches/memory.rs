@@ -1,8 +1,8 @@
 //! How much memory a daemon takes under the loads that clients can put on it: `cargo bench -p meissner-benches --bench memory`.
 //!
-//! Each load meets a new daemon on the mock, a process of its own: `MEISSNER_PROGRAM`, or the `meissner` that `cargo build
-//! --release` made. A row shows the resident memory and its peak after the load, and the resident memory after an emergency
-//! stop, beside the stated bound. It asserts nothing. Words after `--` choose loads by their names.
+//! Each load gets a new daemon on the mock, in its own process: `MEISSNER_PROGRAM`, or the `meissner` that `cargo build --release`
+//! made. A row shows the resident memory and its peak after the load, and the resident memory after an emergency stop, beside the
+//! stated bound. It asserts nothing. Words after `--` choose loads by their names.
 
 use meissner::daemon::MEMORY_BOUND;
 use meissner_api::Status;
@@ -121,7 +121,7 @@ fn imports(daemon: &Daemon, count: usize, text: fn(&str) -> String) -> Result<Ke
     Ok(Kept::default())
 }
 
-/// Fills the queue. The pattern may be refused, and then the plays.
+/// Fills the queue. If the daemon refuses the pattern, it refuses the plays, too.
 fn plays(daemon: &Daemon, text: fn(usize) -> String) -> Result<Kept, Box<dyn Error>> {
     let mut client = daemon.client()?;
     client.post::<Status>("/v1/arm", &json!({"assume_rest": true}))?;
@@ -136,7 +136,7 @@ fn plays(daemon: &Daemon, text: fn(usize) -> String) -> Result<Kept, Box<dyn Err
     Ok(Kept::default())
 }
 
-/// All but the last byte of each body, as far as the daemon takes it within five seconds.
+/// Sends all but the last byte of each body, as far as the daemon reads it within five seconds.
 fn bodies(daemon: &Daemon) -> Result<Kept, Box<dyn Error>> {
     let request = format!("PUT /v1/patterns/x HTTP/1.1\r\nhost: x\r\ncontent-length: {}\r\n\r\n", 1 << 20);
     let request = [request.as_bytes(), &vec![b'#'; (1 << 20) - 1]].concat();
@@ -160,7 +160,7 @@ fn bodies(daemon: &Daemon) -> Result<Kept, Box<dyn Error>> {
     Ok(Kept { _streams: streams.into_iter().map(|(stream, _)| stream).collect(), ..Kept::default() })
 }
 
-/// Two thousand plays, each with its events, which no listener reads.
+/// Two thousand plays, whose events no listener reads.
 fn streams(daemon: &Daemon) -> Result<Kept, Box<dyn Error>> {
     let mut client = daemon.client()?;
     let events: Vec<_> = (0..48).map(|_| client.events()).collect::<Result<_, _>>()?;

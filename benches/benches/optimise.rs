@@ -1,11 +1,11 @@
-//! The search against others, at the same price: afferents simulated, times how long they were watched.
+//! Compares our search with other methods at the same budget: afferents simulated, times the simulated duration.
 //!
-//! Before criterion's times it prints what each method has found by several budgets, on several targets, and, on the
-//! yardstick, how it compares with a coordinate search on ten populations; how soon it is within 1 % of what it finds in the
-//! end; and where subgradient methods stop. What was found is scored anew, exactly, with noise that no search has met. Then it
-//! prints the time of a search under each model; `-- models` prints and measures that alone.
+//! Before criterion's times it prints what each method has found within several budgets, on several targets. On the yardstick it
+//! also prints how our search compares with a coordinate search on ten populations, how soon it comes within 1 % of its final
+//! result, and where subgradient methods stop. Each pattern found is scored again, exactly, with noise that no search has used.
+//! Then it prints the time of a search under each model; `-- models` prints and measures that alone.
 //!
-//! Invariant: but for the times, two runs print the same.
+//! Invariant: two runs print the same, except for the times.
 
 #[path = "optimise/baselines.rs"]
 mod baselines;
@@ -26,10 +26,10 @@ use std::time::{Duration, Instant};
 
 const TARGETS: [&str; 5] = [YARDSTICK, "disc", "two-dots", "grating-9", "braille-b"];
 const BUDGETS: [f64; 3] = [4_000.0, 16_000.0, 80_000.0];
-/// Each has its own population, start and draws.
+/// Each seed has its own population, start and random numbers.
 const SEEDS: u64 = 3;
 const POPULATIONS: u64 = 10;
-/// Of the noise by which is scored what was found with noise 0.
+/// Patterns found with noise seed 0 are scored with these noise seeds.
 const NOISE_SEEDS: [u64; 4] = [101, 102, 103, 104];
 const NO_LIMIT: Limit = Limit::Evaluations(u64::MAX);
 const SETTINGS: [(&str, Setting); 2] = [("always on", Setting::AlwaysOn), ("default", Setting::Default)];
@@ -103,7 +103,7 @@ fn costs(method: Method, target: &Target, setting: Setting) -> Vec<Vec<f64>> {
     (0..SEEDS).into_par_iter().map(of_seed).collect()
 }
 
-/// Ours over each other method's, of all targets, seeds and both settings.
+/// Prints the objective that our search reaches, divided by each other method's, for all targets, seeds and both settings.
 fn table() {
     println!("Cost, impulses/s, by afferent-seconds: means of {SEEDS} seeds.");
     println!("{:>36} {:^26} {:^26}", "", "always on", "default");
@@ -134,7 +134,7 @@ fn table() {
     for (method, ratios) in METHODS.iter().zip(&ratios).skip(1) {
         for ((setting, _), ratios) in SETTINGS.iter().zip(ratios) {
             print!("  {:<19} {setting:<10}", method.name());
-            // By the first budget some costs are near 0, and ratios mean nothing.
+            // Within the first budget some values are near 0, and ratios mean nothing.
             for (budget, ratios) in BUDGETS.iter().zip(ratios).skip(1) {
                 print!("  {budget:>6}: {:>6.3} {:>6.3}", mean(ratios), least(ratios));
             }
@@ -143,7 +143,8 @@ fn table() {
     }
 }
 
-/// The yardstick, every motor on, on ten populations, at a fifth of what a coordinate search spends and at the same.
+/// Our search on the yardstick, all motors on, for ten populations: at a fifth of the coordinate search's budget, and at the same
+/// budget.
 fn against_coordinates() {
     let target = target(YARDSTICK);
     let free = Setting::AlwaysOn.space();
@@ -181,7 +182,7 @@ fn against_coordinates() {
     }
 }
 
-/// How soon the yardstick's search, had it been stopped, would have come within 1 % of what it finds in the end.
+/// How early the yardstick's search could have been stopped, and still have been within 1 % of its final result.
 fn soon() {
     println!("{YARDSTICK}, default, to convergence, and when it was first within 1 % of that:");
     let target = target(YARDSTICK);
@@ -191,7 +192,7 @@ fn soon() {
         let found = job.search(NO_LIMIT, &mut |spent, _| times.push((spent.evaluations, begun.elapsed())));
         let took = begun.elapsed();
         let final_hz = job.exact_hz(found.point);
-        // A step of a later pass is not yet found: so it is asked what a search that ends there has found.
+        // A step of an unfinished pass is not yet a result, so a search that ends at this step is scored.
         let near = found.trace.iter().map(|step| step.spent).find(|spent| {
             let step = found.trace.iter().find(|step| step.spent == *spent).expect("it is one");
             job.exact_hz(step.point) >= 0.99 * final_hz && {
@@ -210,7 +211,7 @@ fn soon() {
     }
 }
 
-/// Where differences and diminishing steps end: five times the budget, and when they last found something better.
+/// Where subgradient methods end: with five times the budget, and when they last found something better.
 fn stuck() {
     println!("Subgradients on {YARDSTICK}, always on, phases fixed, 400 000 afferent-s:");
     let target = target(YARDSTICK);

@@ -1,7 +1,7 @@
 //! The cost of simulating a second: 24 motors at 60 Hz and 80 um with random phases, 306 receptors, noise.
 //!
-//! Exact and stepped, on one core and on two, and trials of the scene with one motor changed. Before criterion's
-//! figures it prints the number of spikes, and the effect of a search's coarser reach on the rates.
+//! It measures the exact and the stepped method, on one core and on two, and evaluations of the scene with one motor changed.
+//! Before criterion's figures it prints the number of spikes, and the effect of a search's coarser reach on the rates.
 
 use criterion::{Criterion, criterion_group, criterion_main};
 use firmware_protocol::tick::Tick;
@@ -92,7 +92,7 @@ fn afferents(criterion: &mut Criterion) {
     group.finish();
 }
 
-/// Afferents near their pins only: nothing can be skipped, and looking for it should cost next to nothing.
+/// All afferents lie near a pin, so none can be skipped: the search for skippable ones should cost next to nothing.
 fn nothing_to_skip(criterion: &mut Criterion) {
     let place = |number: u32| {
         let [x_mm, y_mm] = geometry::position_mm((number % 24) as u8);
@@ -116,7 +116,7 @@ fn nothing_to_skip(criterion: &mut Criterion) {
     group.finish();
 }
 
-/// The scene's drives, but of one motor a little faster.
+/// The scene's drives, with one motor a little faster.
 fn faster(scene: &Scene, motor: u8) -> Vec<Drive> {
     let drive = |drive: &Drive| match drive.motor == motor {
         true => Drive { frequency_hz: 63.0, ..*drive },
@@ -125,7 +125,7 @@ fn faster(scene: &Scene, motor: u8) -> Vec<Drive> {
     scene.drives().iter().map(drive).collect()
 }
 
-/// Tries another frequency of one motor after the other: the mean over the 24.
+/// Changes the frequency of one motor after the other: the mean time over the 24.
 fn changed(criterion: &mut Criterion) {
     let scene = scene();
     let coarsely = Method::Stepped(Stepping {

@@ -1,7 +1,7 @@
-//! What a sweep costs beyond its cells, and what a merge costs.
+//! The overhead of a sweep beyond its cells, and the time of a merge.
 //!
-//! Overhead: the cells of a plan are computed alone, then by a run on one thread; the difference, per cell. Merge: rows of CELLS cells
-//! (10 000), each with a pattern of the usual size, in the files of TASKS tasks (100).
+//! Overhead: the time of a run on one thread minus the time of its cells alone, per cell. Merge: rows of CELLS cells (10 000), each
+//! with a pattern of the usual size, in the files of TASKS tasks (100).
 //!
 //! `cargo bench -p meissner-benches --bench sweep`, `CELLS=1000000 cargo bench -p meissner-benches --bench sweep`
 
@@ -101,7 +101,7 @@ fn merging(dir: &std::path::Path, cells: u64, tasks: u64) {
         bytes as f64 / 1e6,
         peak_mb()
     );
-    // What a task that is started again reads: its own files alone.
+    // A restarted task reads its own files alone.
     let begun = Instant::now();
     let shard = Shard { number: 1, of: tasks };
     let run = Run::begin(&directory, Arc::new(plan), shard, None).expect("a run");

@@ -1,10 +1,10 @@
-//! How soon updates of a live play are on the pins: `cargo bench -p meissner-benches --bench updates`.
+//! How soon updates of a live play reach the pins: `cargo bench -p meissner-benches --bench updates`.
 //!
-//! A daemon on the simulated array, a client on its socket: all 24 motors at 60 Hz, `UPDATES` updates [10 000] at 100 per second, each with
-//! another amplitude for every motor; once idle, once beside four busy loops. Then an edge that moves at 30 mm/s and turns at
-//! 90 degrees/s, 50 poses per second, under each model. Prints what the receipt says: from the message to the tick from which
-//! strokes are replaced, and to the first motor's first new stroke, by the device's clock; late strokes; and the daemon's memory.
-//! It asserts nothing.
+//! A client on the socket of a daemon on the simulated array drives all 24 motors at 60 Hz. It sends `UPDATES` updates [10 000] at
+//! 100 per second, each with another amplitude for every motor: once on an idle machine, once beside four busy loops. Then it moves
+//! an edge at 30 mm/s and turns it at 90 degrees/s, 50 poses per second, under each model. It prints the times of the receipt, by
+//! the device's clock: from the message to the tick from which strokes are replaced, and to the first motor's first new stroke. It
+//! also prints late strokes and the daemon's memory. It asserts nothing.
 
 use meissner_api::{LiveAccepted, LiveAnswer, LiveRecord, Receipt, Status, UpdateTimes};
 use meissner_benches::daemon::Daemon;

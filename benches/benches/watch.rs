@@ -1,10 +1,10 @@
-//! What windows of the page cost the daemon, and how soon the first pulse of a drawn edge comes:
+//! The daemon's load from open windows of the page, and the time until the first pulse of a drawn edge:
 //! `cargo bench -p meissner-benches --bench watch`.
 //!
 //! All 64 clients watch while all pins vibrate for `WATCHED` seconds [30]: 24 windows over TCP, which hold a stream of events and
-//! ask for the status four times a second, and streams of events on the socket. The benchmark prints the daemon's processor time with
-//! and without them, its memory, late bursts, and bytes. Then it searches for a pattern for an edge, as the page does when the pen
-//! is lifted, and plays it. At last it orders emergency stops while such a search runs. It asserts nothing.
+//! ask for the status four times a second, and streams of events on the socket. The benchmark prints the daemon's processor time
+//! with and without them, its memory, late bursts, and bytes. Then it searches for a pattern for an edge, as the page does when the
+//! pen is lifted, and plays it. Finally it orders emergency stops while such a search runs. It asserts nothing.
 
 use meissner_api::{Event, PlayAccepted, Receipt, Search, SearchState, Status};
 use meissner_benches::daemon::Daemon;
@@ -105,7 +105,7 @@ fn watch(daemon: &Daemon, client: &mut Client, tcp: SocketAddr, watched: bool, s
     })
 }
 
-/// A client on the socket, until the end.
+/// Reads events on the socket until the benchmark ends.
 fn listen(events: &mut Events, over: &AtomicBool) -> Done {
     while !over.load(Ordering::Relaxed) {
         match events.next(Some(Duration::from_millis(100))) {
@@ -175,7 +175,7 @@ fn begin_search(client: &mut Client, seconds: f64, model: &str, number: u64) -> 
 
 /// Emergency stops, each of a play, while a search runs.
 fn stops(daemon: &Daemon, client: &mut Client) -> Done {
-    // The plays before may have left more drift than a play may begin with.
+    // The earlier plays may have left more drift than the daemon allows at a play's start.
     client.post::<Status>("/v1/disarm", &json!({}))?;
     client.post::<Status>("/v1/arm", &json!({"assume_rest": true, "checked": "a benchmark"}))?;
     for searching in [false, true] {

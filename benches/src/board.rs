@@ -1,4 +1,4 @@
-//! A board on a pseudo-terminal that notes when it is told an emergency stop.
+//! A board on a pseudo-terminal that notes when it receives an emergency stop.
 //!
 //! It is the mock in wall time, on a real-time thread where the system allows it, so that the load on the daemon does not delay
 //! the measurement.
@@ -77,7 +77,7 @@ impl Board {
         self.clock.booted_ns + (passed * 1e9) as u64
     }
 
-    /// When the board was told each emergency stop since the last call, and later ones.
+    /// When the board received each emergency stop: those since the last call, and later ones.
     #[must_use]
     pub const fn estops(&self) -> &crossbeam_channel::Receiver<(u16, Instant)> {
         &self.estops
@@ -127,7 +127,7 @@ fn serve(
             let len = match terminal.read(&mut bytes) {
                 Received::Bytes(len) => len,
                 Received::Nothing => break,
-                // Without a daemon the poll does not wait.
+                // Without a daemon the poll returns at once, so wait here.
                 Received::Closed => {
                     thread::sleep(Duration::from_millis(1));
                     break;
@@ -148,7 +148,7 @@ fn serve(
             if len == 0 {
                 break;
             }
-            // The daemon reads all the time: what finds no room is lost, as on a line.
+            // The daemon reads all the time. Bytes that do not fit are lost, as on a real line.
             let _ = terminal.write(&outgoing[..len]);
         }
     }

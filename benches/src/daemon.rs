@@ -1,4 +1,4 @@
-//! A daemon on the simulated array, a process of its own: `MEISSNER_PROGRAM`, or the `meissner` that `cargo build --release` made.
+//! A daemon on the simulated array, in its own process: `MEISSNER_PROGRAM`, or the `meissner` that `cargo build --release` made.
 
 use meissner_api::Status;
 use meissner_client::Client;

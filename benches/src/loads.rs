@@ -1,4 +1,4 @@
-//! Loads for the benchmark of emergency stops: clients that ask too much, on the socket and over TCP.
+//! Loads for the benchmark of emergency stops: clients that send too many requests, on the socket and over TCP.
 
 use serde_json::json;
 use std::collections::VecDeque;
@@ -152,7 +152,7 @@ fn pipeline(place: &Place, over: &AtomicBool, clients: usize, request: &str) {
                 while matches!(reader.read(&mut bytes), Ok(1..)) {}
             });
             while !over.load(Ordering::Relaxed) && stream.write_all(requests.as_bytes()).is_ok() {}
-            // Ends the reader, too.
+            // This ends the reader, too.
             stream.shutdown(std::net::Shutdown::Both)
         })
     });
@@ -220,7 +220,7 @@ fn uploads(place: &Place, over: &AtomicBool) {
 
 fn fuzz(place: &Place, over: &AtomicBool) {
     threads(8, over, |number| {
-        // A fixed sequence per thread: mostly requests that are cut, some that are changed, some bytes without sense.
+        // A fixed sequence per thread: mostly truncated requests, some altered ones, some random bytes.
         let mut random = number as u64 + 1;
         let mut next = |below: usize| {
             random = random.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
@@ -273,7 +273,7 @@ fn shells(place: &Place, over: &AtomicBool) {
     }
 }
 
-/// Four threads connect, and reset the connection: so no port has to wait.
+/// Four threads connect and reset the connection, so that no port stays in TIME_WAIT.
 fn tcp_connects(place: &Place, over: &AtomicBool) {
     let (count, begun) = (AtomicU64::new(0), Instant::now());
     threads(4, over, |_| {
@@ -414,7 +414,7 @@ fn readers(place: &Place, over: &AtomicBool) {
         scope.spawn(|| {
             threads(30, over, |_| {
                 let answer = exchange(&place.socket, request.as_bytes())?;
-                // Too many read: a client waits before it asks again.
+                // Too many clients read the events: this one waits before it asks again.
                 if !answer.starts_with("HTTP/1.1 200") {
                     thread::sleep(Duration::from_millis(100));
                 }

@@ -1,8 +1,8 @@
 //! Real-time priority for the kernel's workers that move bytes through a pseudo-terminal.
 //!
-//! They have ordinary priority and compete with every program: under some hundred busy threads a byte waits in them for up to 0.9 s, in
-//! both directions. A USB device needs no worker for what it is told; a serial port needs one for what it says. So a benchmark that measures
-//! the daemon, and not this path, takes the workers out of the competition.
+//! They have ordinary priority and compete with every program: under some hundred busy threads a byte waits in them for up to 0.9
+//! s, in both directions. Bytes to a USB device need no worker; bytes from a serial port need one. A benchmark that measures the
+//! daemon, and not this path, therefore raises the workers' priority.
 
 use rustix::process::geteuid;
 use std::fs;
@@ -20,7 +20,8 @@ pub struct Workers {
 }
 
 impl Workers {
-    /// Raises those that there are, and later ones; none if this is not root, or without the command `chrt`.
+    /// Raises the priority of the present workers and of later ones. Returns none if the user is not root, or without the command
+    /// `chrt`.
     #[must_use]
     pub fn raise() -> Option<Self> {
         if !geteuid().is_root() || !chrt(&["--version"]) {
@@ -32,7 +33,7 @@ impl Workers {
             let mut raised = Vec::new();
             while !ended.load(Ordering::Relaxed) {
                 for pid in unbound().into_iter().filter(|pid| !raised.contains(pid)).collect::<Vec<_>>() {
-                    // It may have ended meanwhile.
+                    // The worker may have ended meanwhile.
                     chrt(&["--fifo", "--pid", "60", &pid]);
                     raised.push(pid);
                 }

@@ -189,7 +189,7 @@ impl Unpacker<'_> {
         }
     }
 
-    /// In 32 bits: the chip's core shifts 64 bits in a call.
+    /// Works in 32 bits: on the chip's core a shift of 64 bits is a function call.
     #[inline(never)]
     fn long_varint(&mut self) -> Result<u32, Malformed> {
         let mut value = 0;

@@ -1,7 +1,7 @@
 //! What a device says of itself on request: the [`Board`] report and the result of a [`SelfTest`].
 //!
-//! A host asks with `HostMessage::Board` about once a second, and with `HostMessage::SelfTest` for a test. A figure that
-//! the device does not have is `None`; it never stands for a value.
+//! A host asks with `HostMessage::Board` about once a second, and with `HostMessage::SelfTest` for a test. A figure is `None` if
+//! the device does not have it.
 
 use crate::batch::{BATCH_BYTES, Packer};
 use crate::frame::{self, MAX_FRAME};
@@ -33,7 +33,7 @@ pub enum Reset {
     Watchdog,
     /// The firmware stopped itself after a panic or a fault of its core.
     Panic,
-    /// A simulated device: a program began.
+    /// The program of a simulated device started.
     Program,
 }
 
@@ -106,14 +106,14 @@ pub struct SelfTest {
     pub work_us: Option<u32>,
 }
 
-/// What each output did; the outputs are those of a mask of outputs. The driver enable is only read.
+/// What each output did, as masks of outputs. The test only reads the driver enable.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct LineTest {
     /// High although nothing drove them high.
     pub stuck_high: u32,
     /// Low although they were driven high.
     pub stuck_low: u32,
-    /// High or low with another one.
+    /// High or low together with another output.
     pub shorted: u32,
     /// The first such pair.
     pub pair: Option<(u8, u8)>,

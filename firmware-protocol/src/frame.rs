@@ -66,7 +66,7 @@ pub enum FrameError {
 /// # Errors
 /// If the body is too long for a frame, or `out` is shorter than the frame.
 pub fn encode(body: &impl Serialize, out: &mut [u8]) -> Result<usize, postcard::Error> {
-    // Where it stays: COBS puts one byte before the message and one behind it.
+    // Write the message where it stays: COBS puts one byte before it and one behind it.
     let len = out.len().min(MAX_FRAME);
     let message = out[..len].get_mut(1..len.saturating_sub(1)).ok_or(FULL)?;
     *message.first_mut().ok_or(FULL)? = PROTOCOL;
@@ -80,7 +80,7 @@ pub fn encode(body: &impl Serialize, out: &mut [u8]) -> Result<usize, postcard::
     Ok(len + 1)
 }
 
-/// CRC-32/ISO-HDLC. The library's takes three times as long on the chip.
+/// CRC-32/ISO-HDLC. The library's function takes three times as long on the chip.
 fn crc(bytes: &[u8]) -> u32 {
     !with_bytes(!0, bytes)
 }
@@ -123,8 +123,8 @@ fn encode_cobs(bytes: &mut [u8]) {
     }
 }
 
-/// Decodes COBS in place: `None` if it is none. Of at most [`MAX_FRAME`] - 1 bytes without a zero. It follows the codes
-/// alone, because the chip has no time to look at each byte.
+/// Decodes COBS in place; `None` if the bytes are not COBS. There are at most [`MAX_FRAME`] - 1 bytes, none of them zero. It
+/// follows the codes alone, because the chip has no time to look at each byte.
 pub(crate) fn decode_cobs(bytes: &mut [u8]) -> Option<&[u8]> {
     let mut next = usize::from(*bytes.first()?);
     while let Some(code) = bytes.get_mut(next) {
@@ -169,7 +169,7 @@ impl core::fmt::Display for FrameError {
 impl core::error::Error for FrameError {}
 
 impl Hash for Decoder {
-    /// Without the bytes of frames before the present one.
+    /// Leaves out the bytes of frames before the present one.
     fn hash<H: Hasher>(&self, hasher: &mut H) {
         let Self { buffer, len, overflow } = self;
         (buffer.get(..*len), overflow).hash(hasher);

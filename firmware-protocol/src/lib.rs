@@ -83,20 +83,22 @@
 //! later mark with a trigger ends the one before.
 //!
 //! # Replacing strokes
-//! A frame with a `withdraw` replaces queued strokes, each motor's as a whole or not at all. Of each motor named there, the device
-//! returns to the pool all strokes that begin at `base` or later, in the moment in which it queues the first stroke of that motor in
-//! the same frame; of a motor without a stroke in the frame, after its strokes. These strokes count as *replaced*: every
-//! stroke sent is played, late, dropped, refused or replaced. A stroke that has begun is never touched. So the host names
-//! a `base` far enough ahead, lets the motor's last stroke that begins before it be, and sends what follows that one.
-//! If a stroke from `base` on has begun, even one that has ended since, or the first one to take its place is late, breaks a limit or
-//! overlaps one before, then the motor's queue *is kept*: a `Verdict` names the motor, and the device takes no strokes of it, in
-//! this and later frames, until a frame withdraws again from it, a play begins, or a command begins an epoch. The old strokes are
-//! played instead; those not taken count as replaced. The host needs credits for the new strokes before the old ones are withdrawn.
-//! The first frame of a play withdraws nothing.
+//! A frame with a `withdraw` replaces queued strokes, each motor's as a whole or not at all. For each motor named there, the
+//! device returns to the pool all strokes that begin at `base` or later. It does so in the moment in which it queues the first
+//! stroke of that motor in the same frame; for a motor without a stroke in the frame, after the frame's strokes. These strokes
+//! count as *replaced*: every stroke sent is played, late, dropped, refused or replaced. The device never touches a stroke that
+//! has begun. So the host names a `base` far enough ahead, keeps the motor's last stroke that begins before it, and sends what
+//! follows that stroke.
 //!
-//! An amendment may be overtaken by the frame that withdraws its stroke, and the new stroke may begin at the same tick. So
-//! `withdraw` has the `generation` of the last amendment that concerns old strokes, and a stroke takes only amendments newer
-//! than all that the device knew of when it queued the stroke.
+//! The device *keeps* a motor's queue if a stroke from `base` on has begun, even one that has ended since. It also keeps the
+//! queue if the first stroke that would take its place is late, breaks a limit or overlaps one before. Then a `Verdict` names the
+//! motor, and the device takes no strokes of it, in this and later frames, until a frame withdraws again from it, a play begins,
+//! or a command begins an epoch. The device plays the old strokes instead; the strokes not taken count as replaced. The host
+//! needs credits for the new strokes before the old ones are withdrawn. The first frame of a play withdraws nothing.
+//!
+//! The frame that withdraws a stroke may overtake an amendment of that stroke, and the new stroke may begin at the same tick. So
+//! `withdraw` has the `generation` of the last amendment that concerns old strokes. A stroke takes only amendments newer than all
+//! that the device knew of when it queued the stroke.
 //!
 //! # Reports
 //! `Verdict`, `OnsetRefused`, `Onset`, `Cut` and `Refused` must reach the host. The device numbers them and repeats them
@@ -128,8 +130,8 @@
 //!
 //! `SelfTest` with a new number begins a self-test, if the device is disarmed. The device drives each line and the trigger high
 //! and low for some microseconds, one by one, and never the driver enable. It reads all of them back, tests free memory and
-//! measures its clock and its speed. Any `Control`, an e-stop, a fault, a lost link or another session ends the test, and before
-//! the device acts on it, all lines are low again. The device answers what it measured; the host judges.
+//! measures its clock and its speed. Any `Control`, an e-stop, a fault, a lost link or another session ends the test: the device
+//! first turns all lines low, then acts on the event. The device answers with what it measured; the host judges.
 //!
 //! # Bounds of what a device says
 //! A frame with a right CRC may still be untrue: a fault of the firmware, its memory or its clock. The host checks every
@@ -163,11 +165,11 @@
 //! | `Telemetry` | only with that feature; any displacement: the monitor of each motor judges it | contradiction `telemetry` |
 //! | answer to a `Control`, a report announced, the report of an onset | within 3 s; 3 s; 5 s after the play's end | the link closes |
 //!
-//! A *contradiction* is ignored as a whole and counted by kind; the host asks for another status at once. So a single lie
-//! does nothing, and a lie that was believed shows, because the truth then contradicts it. After five contradictions within a
-//! second the host does not trust the device: it repeats an e-stop for 100 ms, each in an epoch a third of their range from
-//! the last, so that one is newer whatever the device's is. Then it closes the link and opens a new session, which forgets all
-//! it has learned. It resets its own e-stop there: the device comes back disarmed.
+//! The host ignores a *contradiction* as a whole, counts it by kind, and asks for another status at once. So a single false
+//! message does nothing. If the host has believed a false message, the truth contradicts it later, and the host notices. After
+//! five contradictions within a second the host does not trust the device. It repeats an e-stop for 100 ms, each in an epoch a
+//! third of their range from the last, so that one of them is newer, whatever the device's epoch is. Then it closes the link and
+//! opens a new session, which forgets all that it has learned. There it resets its own e-stop: the device comes back disarmed.
 //!
 //! The controller in turn takes any message of a host: [`limits`] bound what it does, and frames bound what it stores.
 //!
@@ -179,9 +181,11 @@
 //! [`controller::DRIVER_LEAD`] before the first pulse of any line to [`controller::DRIVER_TAIL`] after the last, and off in each
 //! pause of all lines that is longer than both. They are *ready* once they have been on for the lead. So while they are off, a
 //! stroke is late unless it begins a lead after the rendered end, and a return begins by as much later. `horizon` in the
-//! handshake is the sum of both. A stroke that a limit refuses when it is to begin has had its lead: then the drivers are on
-//! without a pulse, for longer if more such strokes follow. So they are for a stroke that is withdrawn, or flushed by a cut, less
-//! than a lead before it: they stay on if another one follows within a lead.
+//! handshake is the sum of the render horizon and the lead.
+//!
+//! The drivers may be on without a pulse. This happens when a limit refuses a stroke at its beginning, after the lead, and lasts
+//! longer if more such strokes follow. It also happens when a stroke is withdrawn, or flushed by a cut, less than a lead before
+//! it begins; the drivers then stay on if another stroke follows within a lead.
 //!
 //! A firmware looks for e-stops in the bytes as they arrive ([`urgent`]), before it reads the bytes that came earlier, and in
 //! SETUP packets of USB ([`urgent::e_stop_request`]). An e-stop that was new when it was found latches, even if the link is lost
@@ -212,16 +216,17 @@
 //!
 //! # Lower stop
 //! A *lower stop* is a plate below which no pin can go: a motor that pushes against it slips. `arm` says whether the array has
-//! one ([`message::LowerStop`]). With a stop, the down burst of a stroke may be longer than its up burst by a *surplus*, so
-//! that scatter and asymmetry cannot add up. Without one, the controller refuses such a stroke (`Pushing`), because it would
-//! take the pin lower each time. A down burst is never planned shorter than its up burst: a stroke leaves no pin higher than it
-//! was. Corrections count from the planned counts, as without a stop, but with one none makes a down burst longer than planned.
+//! one ([`message::LowerStop`]). With a stop, the down burst of a stroke may be longer than its up burst by a *surplus*, so that
+//! scatter and asymmetry cannot add up. Without one, the controller refuses such a stroke (`Pushing`), because it would take the
+//! pin lower each time. A down burst is never planned shorter than its up burst: a stroke leaves no pin higher than it was.
+//! Corrections count from the planned counts, with or without a stop; with a stop, no correction makes a down burst longer than
+//! planned.
 //!
-//! A seek must reach the stop, because it ends all accounts of where pins are. A pin is above rest by the net pulses of its moves
-//! and its outstanding return pulses. The controller refuses (`Travel`) a seek shorter than [`limits::least_seek`] of the highest
-//! pin: half as many pulses again, at most [`limits::WHOLE_TRAVEL`]. Where the position is unknown, a seek takes at least
-//! `WHOLE_TRAVEL`. A seek is a return: a stop, a silent host or a lost link do not cut it short, and on-time limits do not
-//! refuse it, but it counts. An e-stop cuts it, and then the position is unknown.
+//! A seek must reach the stop, because the controller takes all pins to be there afterwards. A pin is above rest by the net
+//! pulses of its moves and its outstanding return pulses. The controller refuses (`Travel`) a seek shorter than
+//! [`limits::least_seek`] of the highest pin: half as many pulses again, at most [`limits::WHOLE_TRAVEL`]. Where the position is
+//! unknown, a seek takes at least `WHOLE_TRAVEL`. A seek is a return: a stop, a silent host or a lost link do not cut it short,
+//! and on-time limits do not refuse it, but it counts. An e-stop cuts it, and then the position is unknown.
 //!
 //! A move down takes a pin to the stop and no further: its travel ends at 0, and the pulses left push.
 //!
@@ -230,23 +235,25 @@
 //! leaves more pulses to push, and they count. A surplus that an e-stop leaves outstanding counts when it is returned.
 //!
 //! # Limits
-//! The controller enforces [`limits`] whatever the host asks: up pulses per stroke, balance of its bursts, 1 ms from stroke to stroke of a
-//! motor (so that the chip has time to render them), size of
-//! corrections, travel of moves, on-time per motor and per rail, motors at once per rail and per driver chip, pushing, sizes of pool
-//! and queues. It refuses and reports a stroke that breaks one. It checks on-time, motors at once and pushing when a stroke begins, and
-//! for a move when it is asked for. An amendment of a stroke that has begun counts too, and is ignored if it breaks a limit.
+//! The controller enforces [`limits`] whatever the host asks. They bound the up pulses per stroke, the balance of its bursts, the
+//! size of corrections, the travel of moves, the on-time per motor and per rail, the motors at once per rail and per driver chip,
+//! pushing, and the sizes of pool and queues. Strokes of a motor begin at least 1 ms apart, so that the chip has time to render
+//! them. The controller refuses and reports a stroke that breaks a limit. It checks on-time, motors at once and pushing when a
+//! stroke begins, and for a move when it is asked for. An amendment of a stroke that has begun counts too, and is ignored if it
+//! breaks a limit.
 //!
 //! # Motors at once
-//! Six motors share a rail, and motors 2c and 2c + 1 a driver chip. `arm` may limit how many motors of each have pulses in the same
-//! tick ([`limits::PowerLimits`]). A stroke that begins is refused whole (`RailAtOnce`, `ChipAtOnce`) if in some tick of its two bursts
-//! the motors whose strokes have begun before it use up the limit. Of strokes that begin in the same tick, that of the lower motor begins
-//! first. So the limit holds in every tick, whatever is amended, replaced or cut.
+//! Six motors share a rail, and motors 2c and 2c + 1 a driver chip. `arm` may limit how many motors of each have pulses in the
+//! same tick ([`limits::PowerLimits`]). The controller refuses a stroke whole when it begins (`RailAtOnce`, `ChipAtOnce`) if, in
+//! some tick of its two bursts, the motors whose strokes have begun before it use up the limit. Among strokes that begin in the
+//! same tick, the stroke of the motor with the lower number begins first. So the limit holds in every tick, whatever is amended,
+//! replaced or cut.
 //!
-//! A return or a seek is never refused. Its bursts take turns in each rail, without a pause between them, in this order: bursts
-//! that run at the cut; the lower motor of each chip without such a burst; the other motors of chips that have one; the rest; each by
-//! the motor's number. A rail has as many places as motors may have pulses at once. A burst takes the place that is free first; if the
-//! motors of a chip may not have pulses together, it also waits for the one before it in its chip. So a return takes at most
-//! [`limits::PowerLimits::turns`] times its longest burst.
+//! The controller never refuses a return or a seek. Its bursts take turns in each rail, without a pause between them, in this
+//! order: bursts that run at the cut; the lower motor of each chip without such a burst; the other motors of chips that have one;
+//! the rest; each group by the motors' numbers. A rail has as many places as motors may have pulses at once. A burst takes the
+//! place that becomes free first. If the motors of a chip may not have pulses together, it also waits for the burst before it in
+//! its chip. So a return takes at most [`limits::PowerLimits::turns`] times its longest burst.
 
 #![no_std]
 #![forbid(unsafe_code)]

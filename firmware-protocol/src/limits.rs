@@ -14,8 +14,8 @@ pub const MAX_UP_PULSES: u16 = 3_000;
 pub const MAX_DOWN_PULSES: u16 = MAX_UP_PULSES + correction(MAX_UP_PULSES);
 /// Most net pulses by which moves may shift a pin from where it was at rest.
 pub const MAX_TRAVEL: u16 = 3_000;
-/// As far as moves and a stroke can take a pin from the lower stop, pulses: more than twice the useful travel of the paper's motors.
-/// A seek of so many pulses is always enough.
+/// Farthest that moves and a stroke can take a pin from the lower stop, pulses: more than twice the useful travel of the paper's
+/// motors. A seek of so many pulses is always enough.
 pub const WHOLE_TRAVEL: u16 = MAX_TRAVEL + MAX_DOWN_PULSES;
 /// Most pulses of a seek of the lower stop. The paper's motors need 7 400 for 1 mm, twice the travel of our simulated ones.
 pub const MAX_SEEK: u16 = 17_000;
@@ -223,7 +223,7 @@ impl SlidingSecond {
         }
     }
 
-    /// Ends at `now` what was charged with `charged` pulses, of which `played` were played.
+    /// Ends at `now` a stroke counted with `charged` pulses, of which `played` were played.
     fn end(&mut self, now: Tick, motor: usize, charged: u32, played: u32) {
         let sum = &mut self.charged(now)[motor];
         *sum = (*sum + played).saturating_sub(charged);
@@ -294,9 +294,9 @@ impl OnTime {
 
 /// Counts the pulses that a motor pushes against a lower stop: the surplus of its strokes, and seeks.
 ///
-/// It counts the pulses by which the down burst is longer than the up burst, from the stroke's first pulse until a second after its
-/// last; an up burst amended to be longer counts as planned. Of what an e-stop cuts it counts the
-/// pulses played; those left count when they are returned.
+/// It counts the pulses by which the down burst is longer than the up burst, from the stroke's first pulse until a second after
+/// its last. An up burst amended to be longer counts as planned. If an e-stop cuts a stroke, the pulses played count; those left
+/// count when they are returned.
 #[derive(Clone, Debug, Hash)]
 pub struct Pushing {
     /// 0: there is no stop.
@@ -334,7 +334,7 @@ impl Pushing {
     /// # Errors
     /// [`Refusal::Pushing`] if it would break the limit; then nothing is counted.
     pub fn begin(&mut self, now: Tick, motor: usize, pulses: u32) -> Result<(), Refusal> {
-        // What pushes nothing breaks no limit, also one that was lowered.
+        // A stroke that pushes nothing breaks no limit, even one that was lowered.
         if pulses == 0 {
             return Ok(());
         }
@@ -351,7 +351,7 @@ impl Pushing {
         self.pulses.charged(now)[motor] += pulses;
     }
 
-    /// Ends at `now` a surplus of `pulses`, of which `played` count on.
+    /// Ends at `now` a surplus of `pulses`, of which `played` keep counting.
     pub fn end(&mut self, now: Tick, motor: usize, pulses: u32, played: u32) {
         if pulses > 0 || played > 0 {
             self.pulses.end(now, motor, pulses, played);

@@ -358,7 +358,7 @@ impl Counters {
 /// An event that must reach the host.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub enum Report {
-    /// Some strokes of a frame were not accepted, or some of a motor's not withdrawn.
+    /// Some strokes of a frame were not accepted, or a motor's old strokes were not withdrawn.
     Verdict {
         /// The frame's number.
         seq: u16,
@@ -370,8 +370,8 @@ pub enum Report {
         kept: u32,
         /// Why the first of the refused strokes was refused.
         reason: Option<Refusal>,
-        /// The earliest possible start when the device judged the first late stroke or kept the first motor. Strokes of a long frame are judged one after the
-        /// other, so a later one may begin after this tick and be late.
+        /// The earliest possible start when the device judged the first late stroke or kept the first motor. The device judges
+        /// the strokes of a long frame one after the other, so a later one may begin after this tick and be late.
         rendered: WireTick,
     },
     /// A mark was late. If it was a play's, nothing of its frame was taken.

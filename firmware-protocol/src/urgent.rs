@@ -1,11 +1,11 @@
-//! Finds an e-stop before what came earlier is read: in a byte stream, or in a USB control request.
+//! Finds an e-stop in a byte stream or a USB control request, before the device reads the bytes that came earlier.
 //!
 //! A firmware gives each packet to [`Watch::e_stop`] in its USB interrupt, before it queues the packet. So an e-stop takes
 //! effect while the device still reads earlier frames. Version, CRC and message are checked as in any frame. A frame
 //! that is missed here is still read in order later.
 //!
 //! Behind a flood, packets wait in the device. So a device on USB also takes an e-stop by a control request on endpoint 0
-//! ([`e_stop_request`]), which waits for nothing else: it looks at it in the interrupt of the SETUP packet.
+//! ([`e_stop_request`]), which waits for nothing else: the device looks at the request in the interrupt of its SETUP packet.
 
 use crate::frame::{self, MAX_SHORT, decode_cobs};
 use crate::message::{HostMessage, Op};
@@ -56,11 +56,11 @@ impl Watch {
         Self { frame: [0; MAX_SHORT], len: 0 }
     }
 
-    /// Takes `bytes` up to the end of the next e-stop whose epoch is `wanted`, and returns that epoch. Returns `None` when `bytes` is used
-    /// up; call it until then. An e-stop whose numbers are longer than they need be may be missed.
+    /// Takes `bytes` up to the end of the next e-stop whose epoch is `wanted`, and returns that epoch. Returns `None` when
+    /// `bytes` is used up; call it until then. It may miss an e-stop whose varints are longer than necessary.
     ///
-    /// For an interrupt, which may bring 64 bytes. So their time is bounded whatever they are: one pass over the bytes, and a CRC only for
-    /// frames with the length, the fixed bytes and the epoch of an e-stop, of which 64 bytes hold five.
+    /// Made for an interrupt, which may bring 64 bytes. Whatever they are, their time is bounded: one pass over the bytes, and a
+    /// CRC only for frames with the length, the fixed bytes and the epoch of an e-stop. 64 bytes hold five such frames.
     pub fn e_stop(&mut self, bytes: &mut &[u8], wanted: impl Fn(u16) -> bool) -> Option<u16> {
         self.find(bytes, |frame| e_stop(frame).filter(|&epoch| wanted(epoch) && frame::crc_fits(frame)))
     }
@@ -74,7 +74,7 @@ impl Watch {
         last
     }
 
-    /// Takes `bytes` up to the end of the next frame that `read` makes something of.
+    /// Takes `bytes` up to the end of the next frame for which `read` returns something, and returns that.
     #[inline(always)]
     fn find<T>(&mut self, bytes: &mut &[u8], read: impl Fn(&[u8]) -> Option<T>) -> Option<T> {
         if self.len > 0 {
@@ -103,7 +103,7 @@ impl Watch {
         }
     }
 
-    /// Keeps bytes of a frame. Of one that gets too long it keeps only that.
+    /// Keeps bytes of a frame. Once the frame gets too long, it keeps only this fact.
     fn keep(&mut self, bytes: &[u8]) {
         let len = (self.len + bytes.len()).min(MAX_SHORT + 1);
         if let Some(place) = self.frame.get_mut(self.len..len) {
@@ -166,11 +166,12 @@ fn delimiter(bytes: &[u8]) -> Option<usize> {
 const CONTROL: u8 = 2;
 const E_STOP: u8 = 3;
 
-/// The epoch of an encoded e-stop, if that is what the frame is but for its CRC. It reads the frame as it is encoded: COBS changes only
-/// zeros, each into the distance to the next, and the first byte tells where the first is.
+/// The epoch of an encoded e-stop, if the frame is one apart from its CRC, which is not checked. It reads the frame as it is
+/// encoded: COBS changes only zeros, each into the distance to the next, and the first byte tells where the first is.
 fn e_stop(frame: &[u8]) -> Option<u16> {
     let [first, frame::PROTOCOL, CONTROL, numbers @ .., E_STOP, _, _, _, _] = frame else { return None };
-    // Two numbers of one byte to three. The zero of a longer form than necessary would not be read as one.
+    // Two varints of one to three bytes. One that is longer than necessary ends with a zero, which would not be read as a zero
+    // here.
     let (epoch, seen) = match *numbers {
         [_, ref seen @ ..] if *first == 3 => (0, seen),
         [a, ref seen @ ..] if a < 0x80 => (a.into(), seen),
@@ -195,7 +196,8 @@ fn e_stop(frame: &[u8]) -> Option<u16> {
     (is_number && *first > 2 && zero != op).then_some(epoch)
 }
 
-/// Whether an encoded frame may be a `Hello` (0): COBS makes the zero of its variant to the end of the block that the first byte begins.
+/// Whether an encoded frame may be a `Hello` (0): COBS turns the zero of its variant into the end of the block that the first
+/// byte begins.
 fn may_be_hello(frame: &[u8]) -> bool {
     matches!(*frame, [2, frame::PROTOCOL, _, ..] if frame.len() <= MAX_SHORT)
 }

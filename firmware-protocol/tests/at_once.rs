@@ -109,7 +109,7 @@ impl Plain {
     }
 }
 
-/// Longest outstanding return, and the pulses of all returns after the cut at `cut`, must be over in `turns` of it.
+/// Asserts that the returns after `cut` are over within `turns` times the longest outstanding return.
 fn returns_in_time(bench: &Bench, limits: PowerLimits, cut: u64) -> Result<(), TestCaseError> {
     let bursts = (0..MOTORS as u8).flat_map(|motor| bench.bursts(motor));
     let longest = bursts.filter(|burst| burst.end().0 > cut).map(|burst| u64::from(burst.pulses)).max();
@@ -157,7 +157,7 @@ proptest! {
         prop_assert_eq!(reported, refused);
     }
 
-    /// Pins that return, after a stop in any phase or at `arm` after an e-stop, take turns, and no more of them than needed.
+    /// Pins that return take turns, and no more of them than needed: after a stop in any phase, and at `arm` after an e-stop.
     #[test]
     fn returns_take_turns_in_time(
         shell in prop::sample::select(SHELLS.to_vec()),

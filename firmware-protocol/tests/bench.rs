@@ -51,13 +51,13 @@ pub(crate) struct Bench {
     pub(crate) now: u64,
     start: u64,
     shell: Shell,
-    /// Those of the last `arm`.
+    /// The limits of the last `arm`.
     limits: PowerLimits,
     /// Most motors of a rail, and of a chip, that had pulses at once.
     pub(crate) most_at_once: [u32; 2],
-    /// As the firmware: a piece of a frame in each block, and lines rendered in between.
+    /// Whether it takes frames as the firmware does: a piece in each block, with lines rendered in between.
     pub(crate) in_pieces: bool,
-    /// Runs of one tick, and whether a stroke that was to begin then or soon was refused by a limit, withdrawn or flushed.
+    /// Runs of one tick, each with whether a stroke that was to begin then or soon was refused by a limit, withdrawn or flushed.
     ahead: VecDeque<(Run, bool)>,
     /// Bursts refused as they began, withdrawn or flushed until the last tick was rendered.
     taken_back: u64,
@@ -194,7 +194,7 @@ impl Bench {
         }
     }
 
-    /// No more motors of a rail or a chip have pulses than the limits allow.
+    /// Asserts that no more motors of a rail or a chip have pulses than the limits allow.
     fn check_at_once(&mut self, pulses: u32) {
         let PowerLimits { rail_at_once, chip_at_once, .. } = self.limits;
         let groups = [(MOTORS_PER_RAIL, rail_at_once), (MOTORS_PER_CHIP, chip_at_once)];
@@ -207,9 +207,9 @@ impl Bench {
         }
     }
 
-    /// No pulse comes before the drivers' lead, and they are not enabled for longer than lead and tail without one,
-    /// except where a limit refuses a stroke in the tick in which it was to begin, or a frame withdraws it or a cut flushes it
-    /// shortly before.
+    /// Asserts that no pulse comes before the drivers' lead, and that the drivers are not enabled for longer than lead and tail
+    /// without a pulse. They may be if a limit refuses a stroke in the tick in which it was to begin, or if a frame withdraws it
+    /// or a cut flushes it shortly before.
     fn check_drivers(&mut self, pulse: bool, enabled: bool, refuses: bool) {
         let at = self.now;
         if !enabled {

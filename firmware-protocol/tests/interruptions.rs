@@ -47,7 +47,7 @@ fn nonempty(bursts: [Burst; 2]) -> Vec<Burst> {
     bursts.into_iter().filter(|burst| burst.pulses > 0).collect()
 }
 
-/// Return pulses after `ups` up pulses, less than the burst has: as many, and the surplus.
+/// Return pulses if a stroke is cut after `ups` up pulses, within its up burst: as many pulses, and the surplus.
 fn return_pulses(surplus: u16, ups: u64) -> u64 {
     if ups > 0 { ups + u64::from(surplus) } else { 0 }
 }
@@ -442,7 +442,7 @@ fn an_e_stop_latches_although_its_session_has_ended() {
     alone.is(State::Faulted, Cause::EStop);
 }
 
-/// The clock is a little ahead of the lines, and so may be what the controller was told before an e-stop.
+/// The clock is a little ahead of the lines, and so may be the time that an earlier call has passed to the controller.
 #[test]
 fn an_e_stop_counts_the_pulses_by_its_own_tick() {
     let (mut bench, stroke) = queued(FIRMWARE, 7);

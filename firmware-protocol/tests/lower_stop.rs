@@ -278,18 +278,18 @@ fn pushes_are_limited_in_every_sliding_second() {
         bench.run(500);
         assert!(matches!(bench.last_report(), Report::Refused { motor: 5, reason: Refusal::Pushing, .. }));
     }
-    // However much a host asks for.
+    // The limit holds however much a host asks for.
     let mut bench = bench(FIRMWARE, stop(u32::MAX, MAX_SEEK));
     bench.settle();
     bench.control(Op::Seek { pulses: 8_501 });
     assert_eq!(bench.status().refusal, Some(Refusal::Pushing));
 }
 
-/// A host's bug must not make pins count as at rest that are not.
+/// A bug of the host must not make the device take pins for at rest that are not.
 #[test]
 fn a_seek_that_may_not_reach_the_stop_is_refused_and_changes_nothing() {
     for shell in SHELLS {
-        // Nothing tells where pins are: the whole travel.
+        // The position is unknown, so a seek must take the whole travel.
         let mut bench = bench(shell, stop(MAX_PUSHES_PER_S, WHOLE_TRAVEL - 1));
         assert_eq!(bench.status().refusal, Some(Refusal::Travel));
         bench.is(State::Disarmed, Cause::Boot);
@@ -399,7 +399,7 @@ fn the_surplus_of_a_return_counts_when_it_is_played() {
     }
 }
 
-/// Pushes of before an arm without a stop do not refuse strokes that push nothing.
+/// Pushes from before an `arm` without a stop do not make the device refuse strokes that push nothing.
 #[test]
 fn an_array_without_a_stop_plays_right_after_one_with_a_stop() {
     for shell in SHELLS {

@@ -184,7 +184,7 @@ fn moves_and_amendments_of_begun_strokes_count_against_on_time() {
     }
 }
 
-/// A host that reads no report for a while then learns of each refused stroke. Until then each takes a credit, so the device
+/// A host that has read no report for a while still learns of each refused stroke. Until then each takes a credit, so the device
 /// never holds more of them than it has places.
 #[test]
 fn no_report_of_a_refused_stroke_is_lost() {

@@ -11,8 +11,8 @@ use firmware_protocol::tick::Tick;
 
 /// Ticks from now to the first stroke of the frame: late by the time its second piece is taken.
 const SOON: u64 = HORIZON as u64 + 3 * BLOCK as u64;
-/// Blocks until a frame of 32 strokes is taken: its message and the first half of its strokes unpacked, the other half, its head and
-/// four pieces, and one to spare.
+/// Blocks until a frame of 32 strokes is taken: one for its message and the first half of its strokes, one for the other half,
+/// one for its head, four for its pieces, and one to spare.
 const BLOCKS: u64 = 8;
 
 /// An armed bench in an up burst, so that the drivers are on and the device takes long frames in pieces.
@@ -58,7 +58,7 @@ fn counted(counters: Counters) -> u64 {
     counters.played + counters.late + counters.dropped + counters.refused
 }
 
-/// Plays to the end: each stroke taken was counted once, and as many pulses as the lines gave.
+/// Plays to the end, and asserts that each stroke taken was counted once, and as many pulses as the lines gave.
 fn check(bench: &mut Bench, taken: u64, what: &str) {
     bench.run(4_000);
     let counters = bench.device.counters();

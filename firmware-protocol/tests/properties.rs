@@ -354,7 +354,7 @@ fn shells() -> impl Strategy<Value = Shell> {
     prop::sample::select(vec![FIRMWARE, FIRMWARE, TIGHT, MOCK])
 }
 
-/// The bench checks in every tick that the controller keeps those on motors at once.
+/// Limits of plays. The bench checks in every tick that the controller keeps the limits on motors at once.
 fn limits() -> impl Strategy<Value = PowerLimits> {
     let at_once =
         |rail_at_once, chip_at_once| PowerLimits { rail_at_once, chip_at_once, ..PowerLimits::NONE };

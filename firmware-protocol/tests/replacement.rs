@@ -227,7 +227,7 @@ fn an_e_stop_between_the_pieces_of_a_replacement_loses_no_count() {
     }
 }
 
-/// The search of a long queue takes as long as many short ones: between two of them lines are rendered.
+/// Searching a long queue takes as long as searching many short ones, so lines are rendered between two searches.
 #[test]
 fn long_queues_are_searched_one_at_a_time() {
     let mut bench = Bench::armed(FIRMWARE);

@@ -56,8 +56,8 @@ const STATES: [Made; 7] = [
     }),
 ];
 
-/// For each event the state and cause after it, by the state before it in the order of [`STATES`]. The controller refuses the
-/// command in this state (`!`), or because it does not know the position (`?`).
+/// For each event, the state and cause after it: one column for each state before it, in the order of [`STATES`]. The controller
+/// refuses the command in this state (`!`), or because it does not know the position (`?`).
 const AFTER: &str = "
 arm: Disarmed Boot?, Armed Request, Armed Request!, Armed Stop!, Disarmed Abort!, Armed Request!, Faulted EStop!
 assume: Armed Request, Armed Request, Armed Request!, Armed Stop!, Disarmed Abort!, Armed Request!, Faulted EStop!

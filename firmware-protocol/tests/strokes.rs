@@ -106,7 +106,7 @@ fn a_full_pool_refuses_until_a_stroke_is_over() {
     assert_eq!(bench.bursts(1), expected);
 }
 
-/// Whether the one before is queued, is played, or has been withdrawn.
+/// The stroke before may be queued, played or withdrawn.
 #[test]
 fn a_stroke_less_than_a_millisecond_after_the_one_before_is_refused() {
     for shell in SHELLS {

@@ -4,7 +4,7 @@
 //! device supplies no current to a host that is off), and it knows the unplugged cable from a suspended bus.
 //!
 //! Other boards lead nothing to GPIO 24, and a Pico W the data of its radio, which has no power here. So a low level means
-//! something only once the level has been high; without that, nothing here changes anything.
+//! something only once the level has been high; until then, this module changes nothing.
 
 use embassy_rp::pac;
 

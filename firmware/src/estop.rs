@@ -25,8 +25,8 @@ pub(crate) fn is_new(epoch: u16) -> bool {
     present & SOME != 0 && newer(epoch, present as u16)
 }
 
-/// Forces the lines low if this e-stop is new. Without a session each is that `by_request` says to be a control request. From the
-/// USB interrupt, or with interrupts off.
+/// Forces the lines low if this e-stop is new. Without a session, every e-stop that comes by a control request (`by_request`) is
+/// new. Call it from the USB interrupt, or with interrupts off.
 #[inline(never)]
 pub(crate) fn found(epoch: u16, by_request: bool) {
     let new = is_new(epoch) || (by_request && EPOCH.load(SeqCst) & SOME == 0);

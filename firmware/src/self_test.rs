@@ -28,7 +28,7 @@ const CHUNK: usize = 128;
 /// Times that the longest frame is read.
 const TRIES: u32 = 4;
 
-/// Overrides of a pad that follows the waveform's function otherwise.
+/// Overrides of a pad that otherwise follows the waveform.
 const UNDRIVEN: u32 = wave::PAD | 2 << 12;
 const LOW: u32 = wave::PAD | 2 << 8;
 const HIGH: u32 = wave::PAD | 3 << 8;

@@ -25,7 +25,7 @@ static TURNS: AtomicU32 = AtomicU32::new(0);
 struct Owned<T>(UnsafeCell<T>);
 // SAFETY: only `start` touches the content before the interrupt is enabled, and only the interrupt after that.
 unsafe impl<T> Sync for Owned<T> {}
-/// Initialised at compile time: it would take most of the stack.
+/// Initialised at compile time, because to build it at run time would take most of the stack.
 static CONTROLLER: Owned<Controller> = Owned(UnsafeCell::new(Controller::new(Identity::NONE)));
 static SHELL: Owned<MaybeUninit<Shell>> = Owned(UnsafeCell::new(MaybeUninit::uninit()));
 
@@ -133,7 +133,7 @@ impl Shell {
     fn take_e_stop(&mut self) {
         if let Some(epoch) = estop::pending() {
             self.controller.e_stop(wave::now(), epoch);
-            // First: its repetition is not a new e-stop.
+            // Set the epoch first, so that a repetition is not a new e-stop.
             estop::set_epoch(self.controller.epoch());
             estop::done();
         }

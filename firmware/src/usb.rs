@@ -147,8 +147,8 @@ fn take_setup() {
     }
 }
 
-/// Looks at a SETUP packet that embassy has not been told of, if there is one. Again between the frames of a packet, because packets can be made
-/// that take longer to look into than the next SETUP packet takes to come.
+/// Looks at a SETUP packet that embassy has not been told of, if there is one. It is called again between the frames of a packet,
+/// because some packets take longer to look into than the next SETUP packet takes to come.
 #[inline(always)]
 fn take_request() {
     if pac::USB.ints().read().setup_req() {
@@ -181,8 +181,8 @@ impl OnInterrupt<USBCTRL_IRQ> for Peek {
     }
 }
 
-/// Looks at what came after [`Peek`] had looked, but before embassy's handler did, which has taken note of it: no interrupt comes for it
-/// any more, and embassy's task may be late.
+/// Looks at what came after [`Peek`] had looked, but before embassy's handler did. The handler has taken note of it, so no
+/// interrupt comes for it any more, and embassy's task may be late.
 struct PeekAgain;
 
 /// Bit p: pipe p was waiting for a packet when [`Peek`] had looked.
@@ -191,7 +191,8 @@ static WAITING: AtomicU32 = AtomicU32::new(0);
 impl OnInterrupt<USBCTRL_IRQ> for PeekAgain {
     unsafe fn on_interrupt() {
         revive::interrupted();
-        // A SETUP packet that embassy's task has not read yet. One that was seen before is found again: that changes nothing.
+        // A SETUP packet that embassy's task has not read yet. A packet that was seen before is found again, which changes
+        // nothing.
         if pac::USB.sie_status().read().setup_rec() {
             take_setup();
         }
@@ -247,7 +248,7 @@ impl Handler for Bus {
             (request_type, recipient, index, length) == (RequestType::Vendor, Recipient::Device, 0, 0);
         let setup = [0x40, request, low, high, 0, 0, 0, 0];
         let epoch = e_stop_requested(setup).filter(|_| vendor)?;
-        // For a SETUP packet that came while embassy had their interrupt off. Else it is a repetition.
+        // Needed if the SETUP packet came while embassy had its interrupt off. Otherwise it is a repetition.
         critical_section::with(|_| estop::found(epoch, true));
         Some(OutResponse::Accepted)
     }

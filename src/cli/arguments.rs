@@ -30,7 +30,7 @@ pub(super) struct Output {
 }
 
 impl ClientOptions {
-    /// A client; the owner's, if this terminal has started a session.
+    /// A client. It has the owner's token if this terminal has started a session.
     pub(super) fn client(&self) -> Result<Client> {
         let mut client = Client::at(self.endpoint())?;
         client.set_token(session_token::find());
@@ -159,7 +159,7 @@ pub(super) enum Onset {
 }
 
 impl Onset {
-    /// The keys `at_tick`, `at_ms` and `at_monotonic_ns` of a request.
+    /// The values of the keys `at_tick`, `at_ms` and `at_monotonic_ns` of a request.
     pub(super) const fn keys(at: Option<Self>) -> (Option<u64>, Option<f64>, Option<u64>) {
         match at {
             None => (None, None, None),

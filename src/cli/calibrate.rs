@@ -1,6 +1,6 @@
 //! `calibrate`: asks the daemon to measure how far each pin really moves, and shows the result.
 //!
-//! The daemon plays, fits and stores; the command waits. It checks that it can write to `-o` before the minute of playing. With
+//! The daemon plays, fits and stores; the command waits. Before the minute of playing it checks that it can write to `-o`. With
 //! `--plan` or `--from` a laser measures: see `laser`.
 //!
 //! Invariant: it exits with 0 only if the calibration of every requested motor was stored.

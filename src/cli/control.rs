@@ -24,10 +24,10 @@ use std::thread;
 use std::time::{Duration, Instant};
 use tokio::signal::unix::{SignalKind, signal};
 
-/// How long to wait for the predicted response after a play. Long plays on a busy machine take longer; their receipt has
+/// How long to wait for the predicted response after a play. After a long play on a busy machine it takes longer; the receipt shows
 /// it later.
 const PREDICTION_TIMEOUT: Duration = Duration::from_secs(1);
-/// How often a command that waits shows the daemon that it is there: the shortest silence that a client may state is 1 s.
+/// How often a waiting command sends a sign of life: the shortest `silence_s` of a client is 1 s.
 const SIGN_OF_LIFE: Duration = Duration::from_millis(250);
 
 #[derive(Debug, Args)]
@@ -60,16 +60,16 @@ pub(super) fn command(options: &ClientOptions, name: &str) -> Result<ExitCode> {
     print_state(options, &status)
 }
 
-/// Stops at this socket, then reads the status.
+/// Sends an e-stop to this socket, then reads the status.
 fn stop_at(socket: &Path) -> Result<Status, ClientError> {
     match meissner_client::estop(socket) {
         // The emergency stop is latched; the status says that there is no device.
         Err(ClientError::Problem(problem)) if problem.code == Code::NoDevice.parts().0 => {}
         stopped => stopped?,
     }
-    // The emergency stop is confirmed; what follows may take its time on a busy daemon.
+    // The emergency stop is confirmed. On a busy daemon the status may take long.
     Client::new(socket)?.get("/v1/status").inspect_err(|_| {
-        // If stderr is closed, there is no one to tell.
+        // If stderr is closed, no one can read the message.
         let _ =
             writeln!(io::stderr(), "{}: the emergency stop is confirmed; no status came:", socket.display());
     })
@@ -83,18 +83,18 @@ pub(super) fn estop(options: &ClientOptions) -> Result<ExitCode> {
     for socket in [Some(&endpoint.socket), endpoint.fallback.as_ref()].into_iter().flatten() {
         let order = |socket: PathBuf, tell: mpsc::Sender<_>| {
             let answer = stop_at(&socket);
-            // Fails only if this process is ending.
+            // The send fails only if this process is ending.
             let _ = tell.send((socket, answer));
         };
         let (at, told) = (socket.clone(), tell.clone());
-        // Without a thread one after the other.
+        // If no thread can start, send one after the other.
         if thread::Builder::new().spawn(move || order(at, told)).is_err() {
             order(socket.clone(), tell.clone());
         }
     }
     drop(tell);
     let (mut stopped, mut failed): (Vec<Status>, Vec<ClientError>) = (Vec::new(), Vec::new());
-    // Wait for every answer even if stdout is closed: this process must not end before each request is sent.
+    // Wait for every answer even if stdout is closed: this process must not end before it has sent each request.
     let mut said = Ok(ExitCode::SUCCESS);
     for (socket, answer) in answers {
         match answer {
@@ -137,7 +137,7 @@ pub(super) fn reset(options: &ClientOptions, force: bool) -> Result<ExitCode> {
         Err(ClientError::Problem(problem))
             if problem.code == Code::RecentEStop.parts().0 && io::stdin().is_terminal() =>
         {
-            // The person decides about the stops so far: one that comes while they read is another matter.
+            // The person's decision covers only the stops so far, not one that comes while they read.
             let Status { estops, .. } = client.get("/v1/status")?;
             ask(&problem.detail, "Is it safe to reset? [yes/no] ", "not reset: find out why first")?;
             client.post("/v1/reset", &ResetRequest { force: true, estops_seen: Some(estops) })
@@ -158,7 +158,7 @@ pub(super) fn home(options: &ClientOptions) -> Result<ExitCode> {
 pub(super) fn arm(options: &ClientOptions, asked: ArmRequest) -> Result<ExitCode> {
     let mut client = options.client()?;
     let status = match client.post("/v1/arm", &asked) {
-        // Nothing was armed. On a terminal a person can look.
+        // The daemon has armed nothing. On a terminal a person can look at the pins.
         Err(ClientError::Problem(problem))
             if problem.code == Code::LevelNotChecked.parts().0 && io::stdin().is_terminal() =>
         {
@@ -238,12 +238,12 @@ pub(super) fn play(play: &Play) -> Result<ExitCode> {
     Ok(if receipt.all_played() { ExitCode::SUCCESS } else { ExitCode::FAILURE })
 }
 
-/// Calls `work` at every Ctrl-C from now on, on a thread of its own.
+/// Calls `work` at every Ctrl-C from now on, on a separate thread.
 pub(super) fn on_interrupt(mut work: impl FnMut() + Send + 'static) -> Result<()> {
     on_signals([SignalKind::interrupt()], move |_| work())
 }
 
-/// Calls `work` with the number of each of these signals from now on, on a thread of its own.
+/// Calls `work` with the number of each of these signals from now on, on a separate thread.
 pub(super) fn on_signals<const N: usize>(
     kinds: [SignalKind; N],
     mut work: impl FnMut(i32) + Send + 'static,
@@ -282,7 +282,7 @@ pub(super) fn follow(
 ) -> Result<Receipt> {
     let mut heard = Instant::now();
     let ended = loop {
-        // Events are no sign of life of this command; a request is.
+        // Receiving events is not a sign of life of this command; a request is.
         if heard.elapsed() >= SIGN_OF_LIFE {
             heard = Instant::now();
             // If the daemon is gone, the events end.

@@ -1,8 +1,8 @@
 //! `demo`: runs a daemon with simulated motors in this process and plays a shipped edge as a client of its socket.
 //!
-//! The play takes the whole data path: socket, store, streamer, link, controller, motors. The true pin positions come from
-//! the simulation. For comparison, the same array plays in virtual time without position control. With `--sensorless` the array has
-//! no telemetry but a lower stop, as a board's may; then the comparison is the same array without the stop.
+//! The play takes the whole data path: socket, store, streamer, link, controller, motors. The true pin positions come from the
+//! simulation. For comparison, the same array plays in virtual time without position control. With `--sensorless` the array has a
+//! lower stop but no telemetry, as a real board may; then the comparison is the same array without the stop.
 //!
 //! Invariant: it exits with 0 only if every planned burst was played.
 
@@ -34,7 +34,7 @@ use std::time::{Duration, Instant};
 const PATTERN: &str = "edge-45";
 /// How long the mock may take to answer the handshake.
 const TIMEOUT: Duration = Duration::from_secs(5);
-/// How long the predicted response may take.
+/// How long to wait for the predicted response.
 const PREDICTION_TIMEOUT: Duration = Duration::from_secs(60);
 
 #[derive(Debug, Serialize)]
@@ -79,7 +79,7 @@ struct RestReport {
     closed_loop_rms: Option<f64>,
     /// Null without `--sensorless`.
     lower_stop_rms: Option<f64>,
-    /// What the daemon expects without a sensor; null without `--sensorless`.
+    /// The daemon's estimate without a sensor; null without `--sensorless`.
     expected_rms: Option<f64>,
     max: f64,
 }
@@ -92,7 +92,7 @@ struct ResponseReport {
     designed_hz: Option<Rates>,
     /// As played; null with `--open-loop` and `--sensorless`.
     closed_loop_hz: Option<Rates>,
-    /// As such an array plays it in virtual time, where telemetry measures it; null without `--sensorless`.
+    /// As the same array with telemetry plays it in virtual time; null without `--sensorless`.
     lower_stop_hz: Option<Rates>,
     open_loop_hz: Option<Rates>,
     /// Why the play has no prediction.
@@ -109,7 +109,7 @@ pub(super) fn run(seconds: f64, open_loop: bool, sensorless: bool, json: bool) -
         patterns: PatternsDir::None,
         calibration: None,
         logbook: None,
-        // No finger lies on simulated pins.
+        // No limits: no finger lies on simulated pins.
         participant: ParticipantLimits::NONE,
         ..Config::default()
     };
@@ -127,7 +127,7 @@ pub(super) fn run(seconds: f64, open_loop: bool, sensorless: bool, json: bool) -
         ..PlayRequest::default()
     };
     let mut events = client.events()?;
-    // Simulated pins begin at rest; with a lower stop arming seeks it.
+    // Simulated pins begin at rest. With a lower stop, arming moves the pins down to it.
     let _: Status =
         client.post("/v1/arm", &ArmRequest { assume_rest: !sensorless, ..ArmRequest::default() })?;
     let receipt = play(&mut client, &mut events, &request, json)?;
@@ -166,7 +166,7 @@ struct Comparison {
     response: Option<PredictedResponse>,
 }
 
-/// Plays the pattern in virtual time in open loop, on an array with telemetry, which shows what was played.
+/// Plays the pattern in virtual time in open loop, on an array with telemetry, which measures the motion.
 fn compare(
     config: &Config,
     request: &PlayRequest,

@@ -71,7 +71,7 @@ pub(super) struct Discriminate {
     output: Output,
 }
 
-/// What was computed, and how: the part that pairs and sets share.
+/// How the result was computed: the part of the document that pairs and sets share.
 #[derive(Debug, Serialize)]
 struct How {
     model: ModelName,
@@ -276,7 +276,7 @@ fn matrix(asked: &Discriminate, plan: &Plan, how: &How, patterns: &[Pattern]) ->
             bail!("two patterns are called `{}`: leave one out, or rename it", pattern.name());
         }
     }
-    // Places are checked before the work.
+    // Check that the files can be written before the work.
     let csv = asked.csv.as_deref().map(files::beside).transpose()?;
     let plot = asked.plot.as_deref().map(files::beside).transpose()?;
     let all: Vec<&Pattern> = patterns.iter().collect();

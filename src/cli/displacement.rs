@@ -1,6 +1,6 @@
 //! `displacement`: samples how far a pattern moves each pin, by the motor model. It needs no daemon.
 //!
-//! Rows are printed as they are made, so that a play may be long.
+//! Rows are printed as they are computed, so the memory does not grow with the play.
 
 use super::arguments::{Output, choice, positive};
 use super::{files, library};
@@ -110,7 +110,7 @@ fn document(samples: Samples, asked: &Displacement, out: &mut impl Write) -> Res
     Ok(())
 }
 
-/// To a nanometre, and never as a negative zero.
+/// Rounds to a nanometre, and avoids a negative zero.
 fn rounded(um: f64) -> f64 {
     (um * 1000.0).round() / 1000.0 + 0.0
 }

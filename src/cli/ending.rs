@@ -1,8 +1,8 @@
-//! Ends what a command plays and waits for when the command is told to end: Ctrl-C, SIGTERM, or SIGHUP of a closed terminal.
+//! Ends a command's play when a signal ends the command: Ctrl-C, SIGTERM, or SIGHUP of a closed terminal.
 //!
-//! It stops the display as `meissner stop` does. A command that is killed cannot; then its silence disarms the motors.
+//! It stops the display as `meissner stop` does. A killed command cannot do so; then its silence disarms the motors.
 //!
-//! Invariant: no order of the command follows its stop.
+//! Invariant: the command sends no order after its stop.
 
 use super::arguments::ClientOptions;
 use super::control::on_signals;
@@ -42,19 +42,19 @@ impl Ending {
                     Err(error) => format!("not stopped: {error}"),
                 }
             };
-            // If stderr is closed, there is no one to tell.
+            // If stderr is closed, no one can read the message.
             let _ = writeln!(io::stderr(), "{said}");
             process::exit(128 + number);
         })?;
         Ok(ending)
     }
 
-    /// Sends an order with `send`. If the display is being stopped, it waits for the end of the process.
+    /// Sends an order with `send`. If the display is being stopped, it waits until the process ends.
     pub(super) fn order<T>(&self, send: impl FnOnce() -> Result<T, ClientError>) -> Result<T, ClientError> {
         self.gate.order(send).unwrap_or_else(|| Gate::wait_for_end())
     }
 
-    /// The play is over: a signal stops nothing any more, and what was cut by a signal is not told.
+    /// Notes that the play is over: a signal no longer stops the display, and a play that a signal has cut is not reported.
     pub(super) fn set_over(&self) {
         self.gate.wait_if_stopping();
         self.over.store(true, Ordering::Relaxed);

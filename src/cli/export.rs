@@ -2,7 +2,7 @@
 //!
 //! A stimulus is a play, or an item of a sequence. The JSON also has a row for each sequence as a whole.
 //!
-//! The columns stand in `docs/reference/session-export.md`. A file is replaced whole, and only once everything was read.
+//! `docs/reference/session-export.md` describes the columns. A file is replaced atomically, after everything was read.
 //!
 //! Invariant: columns are only added, at the end; a value that is not known is an empty field.
 
@@ -20,7 +20,7 @@ use std::path::Path;
 use std::process::ExitCode;
 use std::time::Duration;
 
-/// How long the daemon may read its record for an answer.
+/// How long to wait while the daemon reads its record.
 pub(super) const TIMEOUT: Duration = Duration::from_secs(60);
 
 /// The columns.
@@ -93,7 +93,7 @@ pub(super) fn run(
             let write = || {
                 let mut file = tempfile::NamedTempFile::new_in(dir_of(path))?;
                 std::io::Write::write_all(&mut file, text.as_bytes())?;
-                // It stays readable for its user alone: it tells about a person.
+                // The file stays readable for its user only, because it holds personal data.
                 file.persist(path)?;
                 Ok::<_, std::io::Error>(())
             };
@@ -125,7 +125,7 @@ pub(super) fn warn_incomplete(exported: &SessionPlays) {
     }
 }
 
-/// What is missing, in one line; none if the record has the session whole.
+/// The missing parts, in one line; none if the record has the whole session.
 pub(super) fn lacks(exported: &SessionPlays) -> Option<String> {
     let unknown = || "the daemon is an older one, and does not say what is missing".to_owned();
     let missing = || if exported.missing.is_empty() { unknown() } else { exported.missing.join("; ") };
@@ -156,7 +156,7 @@ fn read(client: &mut Client, id: &str) -> Result<SessionPlays> {
 fn table(exported: &SessionPlays) -> Result<String> {
     let mut csv = Writer::from_writer(Vec::new());
     csv.write_record(COLUMNS)?;
-    // A sequence as a whole is no stimulus; without items, its row says that it was ordered.
+    // A sequence as a whole is not a stimulus. A sequence without items keeps its row, to show that it was ordered.
     for play in exported.plays.iter().filter(|play| play.items == 0) {
         csv.write_record(row(&exported.session, play))?;
     }

@@ -1,10 +1,10 @@
 //! Reads and writes the files of commands.
 //!
-//! An argument with a slash or the ending `.toml` is a file; others are names of shipped patterns and targets. A new file
-//! is made beside its place before the work, so that an unwritable place is reported first, then renamed. A device, a
+//! An argument with a slash or the ending `.toml` is a file; others are names of shipped patterns and targets. A new file is made
+//! beside its place before the work, so that an unwritable place is reported at once. After the work it is renamed. A device, a
 //! pipe or a link is refused: the rename would replace it.
 //!
-//! Invariant: an existing file is replaced whole or not at all; a file that is too large is not read into memory.
+//! Invariant: an existing file is replaced atomically; a file that is too large is not read into memory.
 
 use crate::file::{dir_of, read_regular};
 use anyhow::{Result, anyhow, bail};

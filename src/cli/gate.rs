@@ -1,8 +1,8 @@
-//! Keeps orders of a command from following its stop.
+//! Ensures that a command sends no order after its stop.
 //!
 //! [`Gate::order`] sends one order; [`Gate::stop`] ends the display from another thread.
 //!
-//! Invariant: once `stop` has returned, every order that was sent had a stop after it, and no further order is sent.
+//! Invariant: once `stop` has returned, every sent order was followed by a stop, and no further order is sent.
 
 use meissner_stream::sync::Mutex;
 use meissner_stream::sync::atomic::{AtomicBool, Ordering};
@@ -23,7 +23,7 @@ impl Gate {
         (!self.stopping.load(Ordering::SeqCst)).then(send)
     }
 
-    /// Stops the display with `stop`: at once, and again after an order that is being sent meanwhile.
+    /// Stops the display with `stop`: at once, and again after an order that another thread was sending.
     pub(super) fn stop<T>(&self, mut stop: impl FnMut() -> T) -> T {
         self.stopping.store(true, Ordering::SeqCst);
         let idle = self.sending.try_lock().is_ok();
@@ -35,7 +35,7 @@ impl Gate {
         stop()
     }
 
-    /// While another thread stops the display, the caller waits here for the end of the process: it must say nothing of cut plays.
+    /// While another thread stops the display, blocks the caller until the process ends, so that it does not report cut plays.
     pub(super) fn wait_if_stopping(&self) {
         if self.stopping.load(Ordering::SeqCst) {
             Self::wait_for_end()
@@ -73,7 +73,7 @@ mod tests {
             is_sending.recv().unwrap();
             gate.stop(|| {
                 say("stop");
-                // The order is under way until the first stop.
+                // The order is being sent until the first stop.
                 let _ = go_on.send(());
             });
         });

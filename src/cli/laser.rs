@@ -70,7 +70,7 @@ pub(super) fn play(request: &CalibrateRequest, out: &Path, options: &ClientOptio
     })
 }
 
-/// What `calibrate --from` is asked for.
+/// The arguments of `calibrate --from`.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Fit<'a> {
     pub(super) recording: &'a Path,

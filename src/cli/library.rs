@@ -65,7 +65,7 @@ pub(super) fn show(options: &ClientOptions, name: &str) -> Result<ExitCode> {
 /// Reads a pattern file: the pattern, and its text.
 pub(super) fn read(file: &Path) -> Result<(Pattern, String)> {
     let text = files::text(file, MAX_FILE_BYTES as u64, "pattern")?;
-    // A target has no format: the parser's error would mislead.
+    // A target file has no key `format`, so the parser's error would mislead.
     if text.parse::<Table>().is_ok_and(|table| table.contains_key("shape") && !table.contains_key("format")) {
         bail!("{}: this is a target: make a pattern of it with `meissner optimise`", files::shown(file));
     }
@@ -94,15 +94,15 @@ pub(super) fn remove(options: &ClientOptions, name: &str) -> Result<ExitCode> {
     give(options.output.json, &removed, || format!("removed {} (sha256 {})", removed.name, removed.sha256))
 }
 
-/// What `motor` shows of a drive.
+/// The figures of a drive that `motor` shows.
 #[derive(Serialize)]
 struct MotorReport {
     #[serde(flatten)]
     steady: SteadyState,
-    /// Weighted as ISO 5349-1 weights the vibration of tools.
+    /// Acceleration, weighted by ISO 5349-1, which is about tools.
     weighted_acceleration_m_s2: f64,
     hours: f64,
-    /// A(8) of so many hours a day.
+    /// A(8) for the given hours a day.
     daily_exposure_m_s2: f64,
 }
 

@@ -1,10 +1,10 @@
 //! The command line: parses arguments, runs the command, prints its answer.
 //!
-//! Each command is a function that prints its answer on stdout; with `--json`, one document and nothing else. Logs and
-//! progress bars go to stderr. A command that fails prints one line, `meissner: what, where, what to do`, and exits with
-//! 1; a command line that cannot be understood exits with 2. Commands use the API as any client does.
+//! Each command is a function that prints its answer on stdout; with `--json`, one document and nothing else. Logs and progress
+//! bars go to stderr. A command that fails prints one line, `meissner: what, where, what to do`, and exits with 1; a command line
+//! that cannot be understood exits with 2. Commands use the API like any client.
 //!
-//! Invariant: names and flags are stable; a command that is not built does not exist.
+//! Invariant: names and flags are stable; there are no placeholders for future commands.
 
 mod arguments;
 mod calibrate;
@@ -265,7 +265,7 @@ pub fn main() -> ExitCode {
     log::start(level);
     match run(cli.command) {
         Ok(code) => code,
-        // The reader of the output has seen enough.
+        // The reader of the output has closed it.
         Err(error) if is_broken_pipe(&error) => ExitCode::SUCCESS,
         Err(error) => match error.downcast::<clap::Error>() {
             Ok(usage) => usage.format(&mut command()).exit(),
@@ -330,7 +330,7 @@ fn run(command: Command) -> Result<ExitCode> {
 const START_AGAIN: u8 = 75;
 
 fn serve(source: Source) -> Result<ExitCode> {
-    // Whatever the umask is, nobody else may change what the daemon makes.
+    // Extend the umask, so that only this user can change files that the daemon makes.
     umask(umask(Mode::empty()) | Mode::WGRP | Mode::WOTH);
     daemon::check_memory()?;
     daemon::end_on_panic();
@@ -342,9 +342,9 @@ fn serve(source: Source) -> Result<ExitCode> {
         anyhow::Ok(daemon.run(signals, Some(source)).await?)
     };
     let ended = panic::catch_unwind(AssertUnwindSafe(|| runtime.block_on(work)));
-    // Do not wait for threads that a disk blocks.
+    // Do not wait for threads that are blocked by a disk.
     runtime.shutdown_background();
-    // The panic's own line came before.
+    // The panic has already printed its own line.
     Ok(match ended.unwrap_or_else(|_| Err(DaemonError::Panicked.into()))? {
         Exit::Requested => ExitCode::SUCCESS,
         Exit::Replaced => ExitCode::from(START_AGAIN),

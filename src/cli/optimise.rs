@@ -1,8 +1,8 @@
 //! `optimise`: finds a pattern for a target and writes it to a file. It needs no daemon.
 //!
-//! A target is the name of a shipped one, or a file. All arguments are checked before the search. Ctrl-C ends the search,
-//! not the program: the best pattern so far is judged and written. With `-o` the pattern goes to that file and a summary
-//! to stdout; without it, the pattern goes to stdout and the summary to stderr.
+//! A target is the name of a shipped one, or a file. All arguments are checked before the search. Ctrl-C ends the search, but not
+//! the program, which then judges and writes the best pattern so far. With `-o` the pattern goes to that file and a summary to
+//! stdout; without it, the pattern goes to stdout and the summary to stderr.
 //!
 //! Invariant: an existing file is replaced only by a whole pattern.
 
@@ -97,7 +97,7 @@ struct Document<'a> {
     robust: bool,
     /// Seeds of the populations it was made for.
     populations: Vec<u64>,
-    /// Of each frame.
+    /// Evaluations of each frame.
     evaluations: Vec<u64>,
     receptor_s: f64,
     ended: &'static str,
@@ -140,7 +140,7 @@ pub(super) fn run(asked: &Optimise) -> Result<ExitCode> {
     };
     let name = match &asked.file {
         Some(file) => {
-            // Checks that the file can be made; removes it, so that no end of the search leaves half a file.
+            // Check that the file can be made, and remove it, so that an interrupted search leaves no partial file.
             drop(files::beside(file)?);
             name(file)?
         }
@@ -196,7 +196,7 @@ pub(super) fn run(asked: &Optimise) -> Result<ExitCode> {
         (false, Some(_)) => say(&summary(&target, &document, &made)),
         (false, None) => {
             let said = say_file(document.pattern.trim_end());
-            // The pattern matters more than a closed stderr.
+            // Ignore a closed stderr: the pattern matters more.
             tell(&summary(&target, &document, &made));
             said
         }

@@ -12,7 +12,7 @@ pub(super) fn is_broken_pipe(error: &anyhow::Error) -> bool {
     error.downcast_ref::<io::Error>().is_some_and(|error| error.kind() == io::ErrorKind::BrokenPipe)
 }
 
-/// Lines of text, whatever they quote: a record, a pattern, a device and another client may send what a terminal takes for commands.
+/// Escapes lines of text: a record, a pattern, a device or another client may send terminal commands.
 pub(super) fn shown(text: &str) -> String {
     text.split('\n').map(escape).collect::<Vec<_>>().join("\n")
 }
@@ -22,18 +22,18 @@ pub(super) fn say(text: &str) -> Result<()> {
     Ok(writeln!(io::stdout(), "{}", shown(text))?)
 }
 
-/// Prints a file's text: as it is, but on a terminal escaped.
+/// Prints a file's text unchanged; on a terminal it is escaped.
 pub(super) fn say_file(text: &str) -> Result<()> {
     if io::stdout().is_terminal() { say(text) } else { Ok(writeln!(io::stdout(), "{text}")?) }
 }
 
-/// Says something on stderr, escaped.
+/// Prints a line on stderr, escaped.
 pub(super) fn tell(text: &str) {
-    // If stderr is closed, there is no one to tell.
+    // If stderr is closed, no one can read the message.
     let _ = writeln!(io::stderr(), "{}", shown(text));
 }
 
-/// Prints the answer: as a document, or as text. A closed stdout is no error: the exit code depends on the answer alone.
+/// Prints the answer: as a document, or as text. A closed stdout is not an error: the exit code depends only on the answer.
 pub(super) fn give(json: bool, document: &impl Serialize, text: impl FnOnce() -> String) -> Result<ExitCode> {
     match if json { say_json(document) } else { say(&text()) } {
         Err(error) if !is_broken_pipe(&error) => Err(error),
@@ -41,8 +41,8 @@ pub(super) fn give(json: bool, document: &impl Serialize, text: impl FnOnce() ->
     }
 }
 
-/// Prints the document of `--json` on one line; what is not plain in a text is a `\u` escape. Serializes while it prints: a simulation's
-/// spikes can be large.
+/// Prints the document of `--json` on one line; characters that are not plain become `\u` escapes. Serializes while it prints: a
+/// simulation's spikes can be large.
 pub(super) fn say_json(document: &impl Serialize) -> Result<()> {
     let mut out = BufWriter::new(io::stdout().lock());
     json::write(&mut out, document)?;

@@ -1,7 +1,7 @@
 //! Shows the progress of plays and computations.
 //!
-//! On a terminal, a bar or a spinner on stderr, removed at the end. Else a play prints lines on stdout: at its beginning,
-//! every second, and for each late or refused stroke (the first ten). With `--json` there are no lines.
+//! On a terminal it shows a bar or a spinner on stderr, and removes it at the end. Elsewhere a play prints lines on stdout: at its
+//! beginning, every second, and for each of the first ten late or refused strokes. With `--json` there are no lines.
 
 use super::output::{is_broken_pipe, say, shown, tell};
 use anyhow::Result;
@@ -154,7 +154,7 @@ pub(super) struct Cells {
 const LINE: Duration = Duration::from_secs(10);
 
 impl Cells {
-    /// Of a sweep that begins with so many cells done.
+    /// For a sweep that begins with `done` finished cells.
     pub(super) fn new(done: u64, cells: u64, json: bool) -> Self {
         let style = ProgressStyle::with_template("{wide_bar} {pos} of {len} cells, {eta} left");
         let meter = Meter::new(|| {
@@ -179,7 +179,7 @@ impl Cells {
     }
 }
 
-/// Late and refused strokes that get a line.
+/// The most late and refused strokes that get a line.
 const LINES: u32 = 10;
 
 #[derive(Debug)]
@@ -251,7 +251,7 @@ impl Progress {
 
     fn line(&mut self, line: impl FnOnce() -> String) -> Result<()> {
         match if self.lines { say(&line()) } else { Ok(()) } {
-            // The reader has seen enough; the play goes on, and its result counts.
+            // The reader of stdout has closed it; the play goes on, and its result counts.
             Err(error) if is_broken_pipe(&error) => self.lines = false,
             said => return said,
         }

@@ -17,7 +17,7 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::time::Duration;
 
-/// How long the daemon may take to read the patterns of a sequence.
+/// How long to wait while the daemon reads the patterns of a sequence.
 pub(super) const TIMEOUT: Duration = Duration::from_secs(30);
 
 #[derive(Debug, Args)]

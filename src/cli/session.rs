@@ -107,7 +107,7 @@ fn start(options: &ClientOptions, request: &SessionRequest) -> Result<ExitCode> 
     let started: SessionStarted = client.post("/v1/sessions", request)?;
     let kept = session_token::keep(&started.token, &started.id).inspect_err(|_| {
         client.set_token(Some(started.token.clone()));
-        // Without the token it has no owner. If this fails, too, the silence opens it to others soon.
+        // Without the token the session has no owner. If ending it fails, too, the owner's silence soon lets others act.
         let _ = client.post::<api::Session>(&format!("{}/end", path(Some(&started.id))), &json!({}));
     })?;
     if let Some(problem) = &started.record_problem {
@@ -131,7 +131,7 @@ fn start(options: &ClientOptions, request: &SessionRequest) -> Result<ExitCode> 
 fn end(options: &ClientOptions, id: Option<&str>) -> Result<ExitCode> {
     let mut client = options.client()?;
     let own = session_token::session();
-    // Who names another session than this terminal's means that one.
+    // The argument may name another session than this terminal's.
     let another = id.is_some() && own.is_some() && id != own.as_deref();
     if another {
         client.set_token(None);
@@ -143,7 +143,7 @@ fn end(options: &ClientOptions, id: Option<&str>) -> Result<ExitCode> {
             }
             give(options.output.json, &ended, || text::session(&ended))
         }
-        // It was ended elsewhere, or with its daemon. Another one may run, which must not end in its place.
+        // The session has already ended. Another one may run, which must not be ended in its place.
         Err(ClientError::Problem(problem))
             if problem.code == Code::SessionRunning.parts().0 && own.is_some() =>
         {

@@ -1,8 +1,8 @@
 //! The token of the session that this terminal has started.
 //!
 //! `session start` keeps it in a file of the user's runtime directory, named after the terminal session (as of `getsid`). So the
-//! commands of this terminal are the owner, and those of another terminal of the same user are not. `MEISSNER_SESSION_TOKEN`
-//! replaces the file. The second line of the file is the session's id: plays of this terminal name it, so that none is filed under another
+//! commands of this terminal act as the owner; those of another terminal of the same user do not. `MEISSNER_SESSION_TOKEN` replaces
+//! the file. The second line of the file is the session's id: plays of this terminal name it, so that none is recorded in another
 //! session.
 //!
 //! Invariant: only the user may read the file.
@@ -35,7 +35,7 @@ fn file() -> Option<PathBuf> {
 pub(super) fn find() -> Option<String> {
     let token = env::var(VARIABLE).ok().or_else(|| Some(kept()?.0))?;
     let token = token.trim();
-    // The daemon makes tokens of hexadecimal digits; a header cannot hold anything.
+    // The daemon makes tokens of hexadecimal digits; other characters may not be allowed in a header.
     (!token.is_empty() && token.len() <= 64 && token.bytes().all(|b| b.is_ascii_alphanumeric()))
         .then(|| token.to_owned())
 }
@@ -43,7 +43,7 @@ pub(super) fn find() -> Option<String> {
 /// The session that this terminal has started, as far as its file tells.
 pub(super) fn session() -> Option<String> {
     let (token, session) = kept()?;
-    // The variable may be another session's.
+    // The variable may hold another session's token.
     (find()? == token.trim()).then_some(session).filter(|session| !session.is_empty())
 }
 
@@ -54,7 +54,7 @@ fn kept() -> Option<(String, String)> {
     Some((lines.next()?, lines.next().unwrap_or_default()))
 }
 
-/// What to do where the daemon says that the session of this terminal is over.
+/// Advice for the error that the session of this terminal is over.
 pub(super) fn hint(error: &anyhow::Error) -> &'static str {
     let of_session = |problem: &Problem| problem.code == Code::SessionRunning.parts().0;
     match error.downcast_ref::<ClientError>() {

@@ -1,6 +1,6 @@
 //! Status, events and patterns as text; `receipt` has receipts.
 //!
-//! Every number is one of the JSON's. Invariant: no line depends on the terminal; units are ASCII (`um`, `us`).
+//! Every number is also in the JSON. Invariant: no line depends on the terminal; units are ASCII (`um`, `us`).
 
 mod receipt;
 
@@ -43,7 +43,7 @@ pub(super) fn columns(head: &[&str], rows: impl IntoIterator<Item = Vec<String>>
     table.trim_fmt()
 }
 
-/// A number with so many digits after the point; `-` if there is none.
+/// A number with `digits` digits after the point; `-` if there is none.
 pub(super) fn number(number: Option<f64>, digits: usize) -> String {
     number.map_or_else(|| "-".to_owned(), |number| format!("{number:.digits$}"))
 }
@@ -58,7 +58,7 @@ pub(super) fn state(status: &Status) -> String {
     }
 }
 
-/// How far pins may be from rest by dead reckoning: the largest estimate, and of how many motors there is one.
+/// How far pins may be from rest by dead reckoning: the largest estimate, and the number of motors that have one.
 pub(super) fn drift(status: &Status) -> Option<String> {
     let reckoned = || status.motors.iter().filter(|motor| motor.source == ErrorSource::DeadReckoning);
     let um = reckoned().map(|motor| motor.rest_error_um).reduce(f32::max)?;
@@ -156,7 +156,7 @@ pub(super) fn board(board: &BoardStatus) -> String {
     parts.join(", ")
 }
 
-/// What a device counts: each figure that it measures, and output faults if there were any.
+/// The device's counters: each figure that it measures, and output faults if there were any.
 fn counters(board: BoardRecord) -> impl Iterator<Item = String> {
     let BoardRecord { slack_ticks, stalls, usb_recoveries, output_faults } = board;
     let parts = [
@@ -220,7 +220,7 @@ pub(super) fn session(session: &Session) -> String {
     pairs(&lines)
 }
 
-/// What the record has lost of a session, if anything.
+/// The number of a session's entries that the record has lost, if any.
 pub(super) fn lost(session: &Session) -> Option<String> {
     let Session { plays, plays_lost, lost, .. } = session;
     (*lost > 0 || *plays_lost > 0)
@@ -300,7 +300,7 @@ pub(super) fn event(event: &Event) -> String {
     }
 }
 
-/// Maps of a pattern at most; the list of drives has the rest.
+/// The most maps of a pattern; the list of drives has the rest.
 const MAPS: usize = 4;
 
 /// A pattern from the daemon: the array seen from above, fingertip up, then the drives.
@@ -355,7 +355,7 @@ pub(super) fn pattern(shown: &Value) -> String {
         ]
     };
     if !rails.is_empty() {
-        // docs/how-to/power.md says what a supply gives.
+        // docs/how-to/power.md explains the current that a supply can give.
         let head = ["rail", "motors at once, most", "mean", "mA at 3 nF, most", "mean"];
         let _ = write!(text, "\n\n{}", columns(&head, rails.iter().map(load)));
     }

@@ -54,7 +54,7 @@ pub(super) fn run(asked: &Token) -> Result<ExitCode> {
             let created: TokenCreated = options.client()?.post("/v1/tokens", &request)?;
             if !options.output.json {
                 let TokenInfo { id, role, .. } = &created.info;
-                // If stderr is closed, there is no one to tell.
+                // If stderr is closed, no one can read the message.
                 let _ = writeln!(
                     io::stderr(),
                     "token {id} ({}): keep it now, it is not shown again; revoke it with `meissner token revoke {id}`",

@@ -1,10 +1,10 @@
 //! `tradeoff`: compares methods and settings by measurement. It needs no daemon.
 //!
-//! Without a flag it compares simulation methods on a scene, time against error, and with the second model what its answers
-//! cost ([`afferents`]); with `--stream`, leads of the streamer under recorded stalls; with `--loop`, rest errors of position
-//! control with their bound; with `--stop`, rest errors above a lower stop with their theory ([`stop`]); with `--objectives`,
-//! what a search maximises ([`objectives`]). `meissner_report` measures and recommends; this module prints. Each comparison is
-//! a member of the argument group `what` and a variant of [`What`].
+//! Without a flag it compares simulation methods on a scene, time against error, and with the second model its computing times
+//! ([`afferents`]); with `--stream`, leads of the streamer under recorded stalls; with `--loop`, rest errors of position control
+//! with their bound; with `--stop`, rest errors above a lower stop with their theory ([`stop`]); with `--objectives`, the
+//! objectives of a search ([`objectives`]). `meissner_report` measures and recommends; this module prints. Each comparison is a
+//! member of the argument group `what` and a variant of [`What`].
 
 mod afferents;
 mod objectives;
@@ -60,7 +60,7 @@ pub(super) struct MethodTradeoff {
     output: Output,
 }
 
-/// Evaluations of each search of `--objectives`: about as far as further work still pays.
+/// Evaluations of each search of `--objectives`; more would hardly improve the result.
 const EVALUATIONS: u64 = 1000;
 
 /// What to compare.
@@ -146,7 +146,7 @@ fn answer<T: Serialize>(
     draw: impl FnOnce(&T) -> Result<String, meissner_report::PlotError>,
     table: impl FnOnce(&T) -> Vec<String>,
 ) -> Result<ExitCode> {
-    // Reports an unwritable place before the work.
+    // This reports an unwritable place before the work.
     let plot = asked.plot.as_deref().map(files::beside).transpose()?;
     let found = measure()?;
     if let Some(plot) = plot {
@@ -198,7 +198,7 @@ fn methods_table(tradeoff: &meissner_report::MethodTradeoff) -> Vec<String> {
          array's middle; - if there are no afferents on one side.",
         number(tradeoff.cost_hz, 3)
     ));
-    // Rows may share a reason: Euler's is the same in f32 and f64.
+    // Rows may share a reason, for example Euler's in f32 and f64.
     for reason in tradeoff.rows.iter().filter_map(|row| row.reason.as_ref()) {
         let line = format!("Refused: {reason}.");
         if !lines.contains(&line) {

@@ -44,7 +44,7 @@ fn summary(found: &Validation) -> String {
     )
 }
 
-/// The published figure, and in brackets what agrees with it.
+/// The published figure, and in brackets the range that agrees with it.
 fn published(case: &Case) -> String {
     let unit = if case.unit.is_empty() { String::new() } else { format!(" {}", case.unit) };
     let bound = match case.published {

@@ -1,6 +1,6 @@
 //! Commands that only read: status, events, receipt.
 //!
-//! `status --watch` asks again when an event reports a change, not periodically.
+//! `status --watch` requests the status again when an event reports a change, not periodically.
 
 use super::arguments::ClientOptions;
 use super::output::{give, say, say_json};
@@ -39,7 +39,7 @@ pub(super) fn status(options: &ClientOptions, watch: bool) -> Result<ExitCode> {
 pub(super) fn events(options: &ClientOptions) -> Result<ExitCode> {
     let mut events = options.client()?.events()?;
     while let Some(event) = events.next(None)? {
-        // Not `give`: the command ends when its reader is gone.
+        // Do not use `give` here: the command must end when its reader is gone.
         if options.output.json {
             say_json(&event)?;
         } else {

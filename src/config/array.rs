@@ -1,6 +1,6 @@
-//! The table `[array]`: what the site's array has that the controller cannot know.
+//! The table `[array]`: properties of the site's array that the controller cannot know.
 //!
-//! Invariant: with a lower stop, a seek of it stays within the limit on pushing.
+//! Invariant: moving the pins down to a lower stop stays within the limit on pushing.
 
 use super::KeyError;
 use super::Problem;
@@ -14,7 +14,7 @@ use serde::Deserialize;
 /// Largest fixed surplus, µm, and the range of the rest error, µm.
 const MAX_SURPLUS_UM: f64 = 120.0;
 const REST_ERROR_UM: std::ops::RangeInclusive<f64> = 0.5..=100.0;
-/// What `surplus_um` may say instead of a number.
+/// The word that `surplus_um` allows instead of a number.
 const AUTO: &str = "auto";
 
 #[derive(Default, Deserialize)]

@@ -1,10 +1,10 @@
-//! The keys `listen`, `listen_hosts` and `listen_token`: clients that come over the network.
+//! The keys `listen`, `listen_hosts` and `listen_token`, for network clients.
 
 use super::{KeyError, Problem};
 use meissner_input::message::quote;
 use std::net::SocketAddr;
 
-/// Where the daemon listens for clients that come over the network, and whom it lets in.
+/// Where the daemon listens for network clients, and which it admits.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Listen {
     /// Address and port.

@@ -11,11 +11,11 @@ use std::sync::Arc;
 use std::time::Duration;
 use tracing::warn;
 
-/// How soon a watch looks again whether it is over, and how soon the daemon disarms again if the device did not take it.
+/// How often a watch checks whether it is over, and how soon the daemon disarms again if the device did not take the command.
 const AGAIN: Duration = Duration::from_secs(1);
 
 impl Engine {
-    /// Arms, by this command, for the client that asks, which may then be silent for so long.
+    /// Arms, by this command, for the requesting client, which may then be silent as long as `silence` says.
     pub(super) async fn arm(
         self: &Arc<Self>,
         command: Command,
@@ -33,7 +33,7 @@ impl Engine {
             }
             Ok(())
         };
-        // On a task of its own: the client may hang up before the device has answered.
+        // On a separate task, because the client may hang up before the device has answered.
         let work = match Asker::find() {
             Some(asker) => tokio::spawn(asker.ask(work)),
             None => tokio::spawn(work),

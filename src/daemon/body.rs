@@ -12,11 +12,11 @@ use tokio::time::{Instant, timeout};
 const TIMEOUT: Duration = Duration::from_secs(10);
 /// How long it may take beside the time for its bytes.
 const GRACE: Duration = Duration::from_secs(2);
-/// The least rate, bytes/s: what the grace leaves of [`TIMEOUT`] suffices for the longest body.
+/// The lowest accepted rate, bytes/s: the longest body takes [`TIMEOUT`] minus the grace.
 const RATE: u32 = 128 << 10;
-/// How often the daemon looks whether a body is late.
+/// How often the daemon checks whether a body is late.
 const LOOK_EVERY: Duration = Duration::from_millis(100);
-/// Large bodies that arrive or are in work: each holds a file, and further ones wait.
+/// Places for large bodies that arrive or are processed: each holds a file, and further ones wait.
 static FILES: Semaphore = Semaphore::const_new(4);
 /// Bodies that wait for a place among them.
 static WAITING: AtomicUsize = AtomicUsize::new(0);
@@ -24,11 +24,11 @@ static WAITING: AtomicUsize = AtomicUsize::new(0);
 const FILES_TIMEOUT: Duration = Duration::from_secs(10);
 /// How long a body that is not complete keeps its place while others wait for one.
 const HELD: Duration = Duration::from_millis(1500);
-/// A body of so many bytes needs no place.
+/// A body up to this size needs no place, bytes.
 const SMALL: usize = 64 << 10;
 /// Most bytes of a command's body. Commands are parsed on the runtime's only thread: they must be small.
 const MAX_COMMAND: usize = 16 << 10;
-/// Most bytes read of a body that is too large, so that its sender reaches the answer.
+/// Most bytes read of a body that is too large, so that its sender gets to reading the answer.
 const MAX_SKIPPED: usize = 32 << 20;
 
 /// Reads a command's body.
@@ -36,7 +36,7 @@ pub(super) async fn read_command(body: Body) -> Result<Vec<u8>, Problem> {
     read(body, MAX_COMMAND).await
 }
 
-/// How long a body may take of which so many bytes have come.
+/// How long a body may take of which `length` bytes have come.
 fn allowed(length: usize) -> Duration {
     let bytes = u32::try_from(length).unwrap_or(u32::MAX);
     (GRACE + Duration::from_secs(1) * bytes / RATE).min(TIMEOUT)
@@ -48,7 +48,7 @@ pub(super) async fn read(body: Body, max: usize) -> Result<Vec<u8>, Problem> {
     collect(body, max, usize::MAX, &mut unused).await
 }
 
-/// Reads a body as large as a file. A large one has a place among [`FILES`], which it keeps until that is dropped.
+/// Reads a body as large as a file. A large one takes a place among [`FILES`], until the returned place is dropped.
 pub(super) async fn read_file(body: Body, max: usize) -> Result<(Vec<u8>, Option<Place>), Problem> {
     let mut place = None;
     let bytes = collect(body, max, SMALL, &mut place).await?;
@@ -58,7 +58,7 @@ pub(super) async fn read_file(body: Body, max: usize) -> Result<(Vec<u8>, Option
 /// A place among [`FILES`].
 pub(super) type Place = SemaphorePermit<'static>;
 
-/// One of [`WAITING`], also if its client hangs up.
+/// Counts a body in [`WAITING`], until it is dropped, for example when the client hangs up.
 struct Waits;
 
 impl Waits {
@@ -92,7 +92,7 @@ async fn collect(
     let (mut begun, mut held) = (Instant::now(), None);
     let (mut bytes, mut length) = (Vec::new(), 0);
     loop {
-        // A frame that is there is taken, however late the daemon comes to it.
+        // A frame that has arrived is taken, even if the daemon reads it late.
         let frame = timeout(LOOK_EVERY, body.frame()).await;
         let Ok(frame) = frame else {
             let is_wanted = WAITING.load(Ordering::Relaxed) > 0;
@@ -118,7 +118,7 @@ async fn collect(
         if length > small && place.is_none() {
             let asked = Instant::now();
             *place = Some(file_place().await?);
-            // The client did not keep the daemon waiting meanwhile.
+            // The client does not count as slow while the daemon was busy.
             begun += asked.elapsed();
             held = Some(Instant::now());
         }
@@ -144,7 +144,7 @@ mod tests {
     use futures_util::stream;
     use std::convert::Infallible;
 
-    /// A body that comes in pieces of so many bytes, one every 100 ms of virtual time: when it ended, s, and how.
+    /// Reads a body that comes in pieces of `piece` bytes, one every 100 ms of virtual time: when it ended, s, and the result.
     async fn read_pieces(piece: usize, pieces: usize) -> (f64, Result<usize, String>) {
         let begun = Instant::now();
         let sent = stream::unfold(0, move |sent| async move {
@@ -163,7 +163,7 @@ mod tests {
             for (piece, pieces) in [(20 << 10, 50), (100, 18)] {
                 assert_eq!(read_pieces(piece, pieces).await.1, Ok(piece * pieces));
             }
-            // A byte at a time keeps the daemon as long as no byte at all.
+            // Sending single bytes keeps the daemon waiting no longer than sending nothing.
             for (piece, pieces, most_s) in
                 [(1, 1000, 2.3), (0, 1000, 2.3), (4 << 10, 1000, 3.4), (11 << 10, 1000, 10.3)]
             {

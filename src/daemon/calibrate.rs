@@ -30,7 +30,7 @@ fn no_file() -> Problem {
 impl Engine {
     /// Reads the stored calibration for a device (`None`: no device is connected). Logs a new problem with it.
     pub(super) fn load_calibration(&self, identity: Option<&str>) {
-        // Not between the reading and the writing of an import.
+        // Do not read while an import reads and then writes the file.
         let _one = self.calibration_file.lock().unwrap_or_else(PoisonError::into_inner);
         let file = self.lock().calibration.file.clone();
         let (found, bad) = match read(file.as_deref(), identity) {
@@ -98,7 +98,7 @@ impl Engine {
             }
             Ok(())
         };
-        // A finger may lie on the pins: a calibration is vibration like any other.
+        // A finger may lie on the pins, so a calibration counts as vibration.
         let held = self.hold(|state| {
             check(state)?;
             state.hold_play(&request, &pattern, &play.vibration, At::Next)
@@ -140,8 +140,8 @@ impl Engine {
         used
     }
 
-    /// Adds a calibration of the connected device to the stored one, in the file and in use. One at a time: each keeps the motors of
-    /// the one before it. Waits for the disk.
+    /// Adds a calibration of the connected device to the stored one, in the file and in use. Only one at a time, so that each keeps
+    /// the motors of the one before it. Waits for the disk.
     fn add_calibration(
         &self,
         new: Calibration,
@@ -168,7 +168,7 @@ impl Engine {
         };
         write(&file, &all).map_err(|problem| Problem::new(Code::Store, problem))?;
         let mut state = self.lock();
-        // Another device may have come meanwhile: it reads the file itself, after this.
+        // Another device may have connected meanwhile; it then reads the file itself, after this.
         same_device(&state, &all)?;
         let sent = state.commands.set_gains(all.gains());
         state.calibration.gains_set = true;
@@ -186,7 +186,7 @@ impl Engine {
         Ok(serde_json::to_vec(&report(file.as_ref(), &stored)?).unwrap_or_default())
     }
 
-    /// Fits and stores the calibration that this play measured, if it was one and is over.
+    /// If this play was a calibration and is over, fits and stores it.
     pub(super) fn finish_calibration(self: &Arc<Self>, predictor: &Predictor, id: u64) {
         let (run, receipt, device, identity) = {
             let mut state = self.lock();
@@ -229,7 +229,7 @@ mod tests {
     use std::fs;
     use std::thread;
 
-    /// Each import adds a motor; none is lost, neither in the file nor in use.
+    /// Each import adds a motor; none is lost in the file or in use.
     #[test]
     fn imports_at_once_do_not_mix() {
         const MOTORS: u8 = 8;

@@ -1,9 +1,9 @@
-//! Calibration files, and the fit of a played plan; no part of the daemon's state.
+//! Calibration files, and the fit of a played plan, without the daemon's state.
 //!
-//! [`read`] and [`write()`] are the file, [`CalibrationRun`] collects the measured bursts of a plan and fits them, [`report`] is
-//! what clients see.
+//! [`read`] and [`write()`] are the file, [`CalibrationRun`] collects the measured bursts of a plan and fits them, [`report`] makes
+//! the answer for clients.
 //!
-//! Invariant: the file is replaced whole or not at all.
+//! Invariant: the file is replaced atomically.
 
 use crate::file::{self, read_regular};
 use firmware_protocol::stroke::Direction;
@@ -44,7 +44,7 @@ impl CalibrationRun {
         }
     }
 
-    /// Takes the measured bursts; the rest stays and blocks other plays.
+    /// Takes the measured bursts; the rest stays, so that other plays are still refused.
     pub(super) fn take(&mut self) -> Self {
         let Self { id, plan, bursts } = self;
         Self { id: *id, plan: plan.clone(), bursts: std::mem::take(bursts) }
@@ -95,7 +95,7 @@ pub(super) struct StoredCalibration {
     pub(super) unused: Option<String>,
 }
 
-/// Reads the file for the device of that identity. An error holds why there is no calibration, and whether the file is at fault.
+/// Reads the file for the device of that identity. The error says why there is no calibration, and whether the file is at fault.
 pub(super) fn read(file: Option<&Path>, identity: Option<&str>) -> Result<StoredCalibration, (String, bool)> {
     let none = || (format!("nothing was calibrated yet: {ADVICE}"), false);
     let file = file.ok_or_else(none)?;

@@ -1,6 +1,6 @@
 //! Checks whether the daemon can run with a configuration: at its start, at a reload, and for `meissner daemon --check-config`.
 //!
-//! It makes and changes nothing.
+//! It does not make or change anything.
 
 use super::error::DaemonError;
 use super::{MEMORY_BOUND, socket};
@@ -40,8 +40,8 @@ pub(super) fn store(config: &Config) -> Result<Store, StoreError> {
     Ok(store)
 }
 
-/// Checks that the process may use as much memory as the daemon takes at most: it cannot do its work on less, and says so here rather than
-/// in the middle of it.
+/// Checks that the process may use the most memory that the daemon takes, so that the daemon refuses to start rather than fails
+/// later.
 ///
 /// # Errors
 /// If the limit of its address space is lower.

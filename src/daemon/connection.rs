@@ -1,10 +1,11 @@
 //! A client's connection as hyper reads and writes it.
 //!
-//! What a client sends goes through [`Inbound`], which reads ahead of hyper while a request is answered ([`ReadAhead`]): an emergency stop
-//! counts although a request before it waits. hyper answers a request that it cannot parse with an empty error; the connection puts the
-//! API's error in its place. A client whose head takes longer than [`HEAD`], or that reads nothing for [`UNREAD`], is disconnected.
+//! The client's bytes go through [`Inbound`], which reads ahead of hyper while a request is answered ([`ReadAhead`]), so that an
+//! emergency stop takes effect even behind a waiting request. hyper answers a request that it cannot parse with an empty error; the
+//! connection replaces it with the API's error. A client whose head takes longer than [`HEAD`], or that reads nothing for
+//! [`UNREAD`], is disconnected.
 //!
-//! Bounds: [`AHEAD`] bytes are read ahead of hyper; what a client sends beyond stays in the kernel until hyper has taken some.
+//! Bounds: [`AHEAD`] bytes are read ahead of hyper; further bytes stay in the kernel until hyper has taken some.
 
 use super::acceptor::{late_head, malformed, refuse, response};
 use super::activity::Activity;
@@ -29,18 +30,18 @@ const UNREAD: Duration = Duration::from_secs(10);
 const AHEAD: usize = 128 << 10;
 /// Bytes of one read.
 const PIECE: usize = 8 << 10;
-/// A head that is late waits so long, again and again, while an earlier request is answered.
+/// While an earlier request is answered, a late head gets this much more time, again and again.
 const ANSWERING: Duration = Duration::from_secs(1);
 
 /// What the client has sent.
 #[derive(Debug)]
 struct Inbound {
-    /// Read, and not yet taken by hyper.
+    /// Bytes that were read and that hyper has not yet taken.
     bytes: VecDeque<u8>,
     orders: Orders,
-    /// Requests whose heads are complete, and when the one after them began to come.
+    /// The number of requests with complete heads, and when the next one began to arrive.
     begun: Option<(u64, Instant)>,
-    /// Nothing more comes, because of this error if there is one.
+    /// Set when no more bytes come, with the error that ended them, if there is one.
     ended: Option<Option<ErrorKind>>,
 }
 
@@ -50,7 +51,7 @@ impl Inbound {
         self.bytes.extend(bytes);
         let framer = &self.orders.framer;
         let (heads, head) = framer.begun();
-        // Of a request whose body is still to come, the head is complete.
+        // If the head is complete, only the body is still to come.
         let request = if head.is_empty() { heads.saturating_sub(1) } else { heads };
         if !framer.is_within() {
             self.begun = None;
@@ -69,7 +70,7 @@ impl Inbound {
         let mut piece = [0; PIECE];
         let mut piece = ReadBuf::new(&mut piece);
         match poll_read(stream, context, &mut piece) {
-            // The runtime may not know yet that bytes have come.
+            // The runtime may not yet have noticed that bytes have come.
             Poll::Pending if activity.is_evicted() && !stream.get_ref().has_event() => {
                 self.ended = Some(None);
             }
@@ -84,14 +85,14 @@ impl Inbound {
         Poll::Ready(())
     }
 
-    /// When the head that is coming must be there.
+    /// When the arriving head must be complete.
     fn head_due(&self) -> Option<Instant> {
         let begun = self.begun.filter(|_| self.orders.framer.is_within_head());
         begun.filter(|_| self.ended.is_none()).map(|(_, begun)| begun + HEAD)
     }
 }
 
-/// What a connection and those who look at it share.
+/// State that a connection shares with its observers.
 #[derive(Clone, Debug)]
 struct Shared {
     stream: Arc<AsyncFd<Stream>>,
@@ -137,7 +138,7 @@ impl ReadAhead {
         self.timer.as_mut().poll(context)
     }
 
-    /// The server's side: the number of the emergency stop that the next request is, if it was ordered.
+    /// For the server: returns the number of the next request's emergency stop, if it was ordered.
     pub(super) fn next_request(&self) -> impl Fn() -> Option<u64> + use<> {
         let shared = self.shared.clone();
         move || shared.inbound().orders.next_request()
@@ -148,7 +149,7 @@ impl ReadAhead {
 #[derive(Debug)]
 pub(super) struct Connection {
     shared: Shared,
-    /// An error in place of hyper's, and how much of it is written.
+    /// An error that replaces hyper's, and how much of it is written.
     error: Option<(Vec<u8>, usize)>,
     /// Runs while the client does not read.
     unread: Option<Pin<Box<Sleep>>>,
@@ -202,7 +203,7 @@ impl Connection {
         }
     }
 
-    /// Writes the rest of an error in place of hyper's.
+    /// Writes the rest of an error that replaces hyper's.
     fn write_error(&mut self, context: &mut Context<'_>) -> Poll<io::Result<()>> {
         while let Some((bytes, written)) = self.error.take() {
             match self.write(context, &bytes[written..]) {
@@ -245,11 +246,11 @@ fn poll_write(stream: &AsyncFd<Stream>, context: &mut Context<'_>, bytes: &[u8])
     }
 }
 
-/// The API's error for an answer of hyper's own, and where that begins: the last response in these bytes, with an error's
-/// status and no body.
+/// The API's error that replaces hyper's own answer, and where that answer begins: the last response in these bytes, if it has an
+/// error status and no body.
 fn error_of(bytes: &[u8]) -> Option<(usize, Vec<u8>)> {
     const BEGIN: &[u8] = b"HTTP/1.1 ";
-    /// It is shorter than this.
+    /// hyper's answer is shorter than this.
     const LONGEST: usize = 256;
     if !bytes.ends_with(b"\r\n\r\n") {
         return None;
@@ -292,7 +293,7 @@ impl AsyncRead for Connection {
         }
         let is_gone = stream.get_ref().is_closed() && !activity.busy.load(Ordering::Relaxed);
         if is_gone && !activity.is_evicted() {
-            // A client that is gone needs no events. A request that has come completely is carried out.
+            // A client that is gone needs no events. A complete request is still carried out.
             return Poll::Ready(Err(ErrorKind::ConnectionReset.into()));
         }
         Poll::Ready(Ok(()))

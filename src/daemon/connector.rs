@@ -6,7 +6,7 @@
 //! - A device that comes back is disarmed: a person arms it again.
 //! - `auto` chooses once: the connector waits for a board that was pulled out, and does not replace it by the mock.
 //! - If `auto` chose the mock, a board that comes later replaces it (a boot may be faster than the bus), until a client has armed
-//!   the mock. From then on the mock stays: a user who works with a simulation must not move real pins.
+//!   the mock. From then on the mock stays: a user who works with a simulation must not suddenly move real pins.
 //!
 //! Invariant: at most one board is open; the old one is closed before the next is opened.
 
@@ -26,9 +26,9 @@ use tracing::{debug, info, warn};
 
 /// Time between tries while there is no device.
 const RETRY_EVERY: Duration = Duration::from_millis(250);
-/// Time after which a board that was plugged in has its names and rights.
+/// Time until a plugged-in board has its device files and rights.
 const SETTLED: Duration = Duration::from_millis(500);
-/// Tries to open a board in the mock's place: at boot that may take seconds.
+/// How often the connector tries to open a board in place of the mock: at boot that may take seconds.
 const TRIES: usize = 10;
 
 /// Starts the connector. The daemon does not wait for its end: a system call may hold it.
@@ -107,7 +107,7 @@ impl Connector {
         }
     }
 
-    /// Whether something was plugged in. Replaces a watch that has ended by one that never reports: an ended one is always ready.
+    /// Whether something was plugged in. A watch that has ended would always be ready, so it is replaced by one that never reports.
     fn is_arrival(&mut self, arrival: Result<(), RecvError>) -> bool {
         if arrival.is_err() {
             debug!("the system reports no more arrivals");
@@ -170,7 +170,7 @@ impl Connector {
         }
     }
 
-    /// Whether this is the mock that a board has replaced.
+    /// Whether this device is the mock that a board has replaced.
     fn is_replaced_mock(&self, device: &Device) -> bool {
         matches!(device, Device::Mock(_)) && self.spec == Spec::Board
     }
@@ -203,13 +203,13 @@ impl Connector {
 }
 
 impl Engine {
-    /// Hands a device to the streamer, with its calibration; gives it back if too many commands wait.
+    /// Hands a device to the streamer, with its calibration; returns it if too many commands wait.
     fn connect(&self, device: Box<Device>) -> Result<(), Box<Device>> {
         self.load_calibration(Some(&device.identity()));
         hand_over(self.lock(), device)
     }
 
-    /// Puts a board in the mock's place, unless a client has ever asked to arm: then gives the board back.
+    /// Replaces the mock by a board; if a client has ever requested to arm, returns the board instead.
     fn replace_mock(&self, board: Box<Device>) -> Result<(), Box<Device>> {
         let mock = self.lock().calibration.identity.clone();
         self.load_calibration(Some(&board.identity()));

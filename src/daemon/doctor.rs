@@ -1,9 +1,9 @@
-//! Runs the doctor's checks ([`crate::doctor`]) inside of the daemon.
+//! Runs the doctor's checks ([`crate::doctor`]) inside the daemon.
 //!
 //! They read files and wait for systemd, so they run on a blocking thread.
 //!
-//! Invariant: one check runs at a time, also when its client has hung up. Requests that come meanwhile share the next one, so a
-//! request waits for at most two checks, and for [`TIMEOUT`] at most.
+//! Invariant: only one check runs at a time, even if its client has hung up. Requests that come meanwhile share the next one, so a
+//! request waits for at most two checks, and at most for [`TIMEOUT`].
 
 use super::runtime::blocking;
 use meissner_api::{Code, DoctorReport, Problem};
@@ -11,10 +11,12 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 use tokio::sync::Mutex;
 
-/// From one check to the next, at least: a client that asks without a pause must not keep a processor busy with `systemctl`.
+/// Shortest time from one check to the next, so that a client that asks without a pause does not keep a processor busy with
+/// `systemctl`.
 const PERIOD: Duration = Duration::from_millis(250);
 
-/// How long a request waits for its report: two checks wait for systemd for 3 s each, then something else hangs.
+/// How long a request waits for its report. Two checks wait for systemd for at most 3 s each, so a longer wait means that something
+/// else hangs.
 const TIMEOUT: Duration = Duration::from_secs(10);
 
 /// The last report, and when its check began. The holder of the lock runs the check.
@@ -25,7 +27,7 @@ type Last = Arc<Mutex<Option<(Instant, DoctorReport)>>>;
 pub(super) struct Doctor(Last);
 
 impl Doctor {
-    /// A report of checks that begin from now on.
+    /// A report of checks that begin after this call.
     pub(super) async fn report(
         &self,
         checks: impl FnOnce() -> DoctorReport + Send + 'static,
@@ -47,7 +49,7 @@ impl Doctor {
             }
             tokio::time::sleep(PERIOD.saturating_sub(begun.elapsed())).await;
         }
-        // The lock goes with the work, which goes on if its client hangs up.
+        // The lock moves into the work, which goes on even if its client hangs up.
         blocking(move || {
             let begun = Instant::now();
             let report = checks();
@@ -67,7 +69,7 @@ mod tests {
     use std::sync::atomic::{AtomicUsize, Ordering};
     use std::sync::{Barrier, Mutex};
 
-    /// Twenty clients ask while the first one's check runs, and the first hangs up: one more check answers them all.
+    /// Twenty clients ask while the first client's check runs, and the first hangs up. One more check answers them all.
     #[test]
     fn one_check_runs_at_a_time_and_answers_all_who_waited() {
         runtime().unwrap().block_on(async {
@@ -77,13 +79,13 @@ mod tests {
                 let (gate, alone) = (Arc::clone(&gate), Arc::clone(&alone));
                 move || {
                     let _alone = alone.try_lock().expect("no other check runs");
-                    // Once when it has begun, once to go on.
+                    // The gate is passed once when the check has begun, and once to let it go on.
                     gate.wait();
                     gate.wait();
                     DoctorReport::from(vec![])
                 }
             });
-            // Polled once, so that its work begins; then dropped.
+            // Poll it once, so that its work begins, then drop it.
             drop(select(Box::pin(first), ready(())).await);
             gate.wait();
             let ask = || {

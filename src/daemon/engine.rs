@@ -1,10 +1,10 @@
-//! The engine: the daemon's state behind one lock, and the way for commands to the streamer.
+//! The engine: the daemon's state behind one lock, and the path of commands to the streamer.
 //!
 //! Request handlers, the event loop and the connector share it. Other modules add methods: `play` and `calibrate` begin plays,
 //! `connector` hands over devices, `status` reports, `log_lines` logs events. The streamer and the controller decide about motors,
 //! not the engine.
 //!
-//! Invariant: the lock is never held across a wait.
+//! Invariant: no code waits while it holds the lock.
 
 use super::doctor::Doctor;
 use super::estop::{EStops, Origin};
@@ -28,7 +28,7 @@ use std::time::Duration;
 use tokio::sync::{Notify, broadcast, watch};
 use tracing::{error, warn};
 
-/// How long to wait for the streamer's answer. The streamer itself gives up after 1 s, and its word counts: a client must not read of
+/// How long to wait for the streamer's answer. The streamer itself gives up after 1 s, and its answer counts: a client must not get
 /// a timeout while the motors are being armed.
 pub(super) const TIMEOUT: Duration = Duration::from_millis(1250);
 /// How long clients wait for the first device.
@@ -49,7 +49,7 @@ pub(super) struct Engine {
     pub(super) play_ended: Notify,
     /// Another version of the program is installed, and the daemon is idle.
     pub(super) replaced: Notify,
-    /// What the system granted the streamer.
+    /// The real-time rights that the system granted the streamer.
     pub(super) realtime: Realtime,
     /// Where the daemon listens.
     pub(super) socket: PathBuf,
@@ -105,13 +105,13 @@ impl Engine {
         }
     }
 
-    /// With its session record, what the system granted, and where it listens.
+    /// Sets its session record, the granted real-time rights, and its socket.
     pub(super) fn with(self, record: SessionRecord, realtime: Realtime, socket: PathBuf) -> Self {
         self.lock().publisher = Publisher::new(record);
         Self { realtime, socket, ..self }
     }
 
-    /// With this gate for clients that come over the network.
+    /// Sets the gate for network clients.
     pub(super) fn with_gate(self, gate: Gate) -> Self {
         self.lock().rights.set_tokens(Arc::clone(&gate.tokens));
         Self { gate: Arc::new(gate), ..self }
@@ -166,17 +166,17 @@ impl Engine {
     /// Waits for the answer to the emergency stop of this number.
     pub(super) async fn estop_answer(&self, number: u64) -> Result<(), Problem> {
         let reply = self.lock().commands.wait_for_estop(number);
-        // The event with the answer may be lost; the switch keeps it.
+        // The event with the answer may be lost; the switch keeps the answer.
         let waited = answer(reply, TIMEOUT).await;
         match self.estops.switch.answer(number) {
-            // Latched; the status says that no device was told.
+            // The stop is latched; the status shows that no device received it.
             Some(Ok(()) | Err(CommandError::NoDevice)) => Ok(()),
             Some(Err(error)) => Err(refusal(error)),
             None => waited,
         }
     }
 
-    /// Ends the daemon for a newer program, if it is idle.
+    /// If the daemon is idle, ends it so that a newer program can start.
     pub(super) fn make_room_if_idle(&self) {
         let mut state = self.lock();
         if state.is_idle() && !state.commands.is_closing() {
@@ -185,7 +185,7 @@ impl Engine {
         }
     }
 
-    /// Uses these settings, from the next `arm` on if motors are armed; gives the command back if too many wait.
+    /// Uses these settings, or, if motors are armed, from the next `arm` on. Returns the command if too many wait.
     pub(super) fn configure(&self, settings: Settings) -> Result<(), Command> {
         self.lock().commands.send_unanswered(Command::Configure(settings))
     }
@@ -211,7 +211,7 @@ impl Engine {
         Some((frame(&state.plays.receipts.state_event(HostInstant::now())), receiver))
     }
 
-    /// The client of a play that has ended, once.
+    /// Takes the client of a play that has ended.
     pub(super) fn take_client(&self, play: u64) -> Option<Peer> {
         self.lock().plays.take_client(play)
     }
@@ -226,7 +226,7 @@ pub(super) async fn answer(reply: Reply, timeout: Duration) -> Result<(), Proble
                           pins, and start the daemon again";
             Err(Problem::new(Code::ShuttingDown, detail))
         }
-        // The ticket stays, so that a late answer still reaches the receipts.
+        // Keep the ticket, so that a late answer still reaches the receipts.
         Err(_) => Err(refusal(CommandError::Timeout)),
     }
 }
@@ -236,7 +236,7 @@ mod tests {
     use super::*;
     use meissner_stream::queues::{Emit, StreamEvent, queues};
 
-    /// The streamer does not end in time: who waits learns it at once, not after its own patience.
+    /// If the streamer does not end in time, waiting calls are answered at once, not after their own timeouts.
     #[test]
     fn calls_that_wait_at_the_end_are_answered() {
         let (_port, commands, _events) = queues().unwrap();

@@ -1,4 +1,4 @@
-//! Why the daemon cannot start or has ended.
+//! Errors with which the daemon cannot start or has ended.
 //!
 //! Every message says what failed, where, and what to do, in one line.
 
@@ -7,7 +7,7 @@ use crate::store::StoreError;
 use std::io;
 use std::path::PathBuf;
 
-/// Why there is no daemon.
+/// Why the daemon cannot start or has ended.
 #[derive(Debug, thiserror::Error)]
 pub enum DaemonError {
     /// The socket.
@@ -40,7 +40,7 @@ pub enum DaemonError {
         /// What the daemon needs.
         needed: u64,
     },
-    /// A part panicked: our bug, or the system gave no memory or thread.
+    /// A part panicked: our bug, or the system refused memory or a thread.
     #[error(
         "internal error: a part of the daemon has failed (see the lines before this one); it has switched the motors off"
     )]

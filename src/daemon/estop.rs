@@ -1,10 +1,11 @@
-//! Emergency stops: the switch to the streamer, and whose they were since the last reset.
+//! Emergency stops: the switch to the streamer, and the origin of the stops since the last reset.
 //!
 //! The acceptor's thread and request handlers share it. A client may reset without `force` if every emergency stop since the last
-//! reset came from its own terminal ([`Origin`]). All that decides this is one atomic number ([`Guard`]). No lock is involved: an
+//! reset came from its own terminal ([`Origin`]). A single atomic number ([`Guard`]) decides this. No lock is involved: an
 //! emergency stop works while the rest of the daemon is busy or hangs.
 //!
-//! Invariants: every emergency stop goes through [`EStops::request`]; a reset forgets no emergency stop that came after its check.
+//! Invariants: every emergency stop goes through [`EStops::request`]; a reset does not clear an emergency stop that came after its
+//! check.
 
 use crate::session_record::Peer;
 use meissner_stream::queues::EStopSwitch;
@@ -15,22 +16,22 @@ use std::fmt::Write;
 
 /// Bits of a process's number: Linux counts to 2²² at most.
 const PID_BITS: u32 = 22;
-/// Bits of a terminal: a process's number, what it means, and [`UNKNOWN`], [`NONE`], [`MIXED`].
+/// Bits of a terminal: a process's number and [`PARENT`], or one of [`UNKNOWN`], [`NONE`] and [`MIXED`].
 const TERMINAL_BITS: u32 = 24;
-/// Set: the number is the parent's.
+/// If this bit is set, the number is that of the parent process.
 const PARENT: u32 = 1 << PID_BITS;
-/// The kernel does not tell.
+/// The kernel does not report the terminal.
 const UNKNOWN: u32 = (1 << TERMINAL_BITS) - 1;
-/// In the guard: there was no emergency stop.
+/// In the guard: no emergency stop since the last reset.
 const NONE: u32 = UNKNOWN - 1;
 /// In the guard: emergency stops came from several terminals.
 const MIXED: u32 = UNKNOWN - 2;
 
-/// A client as far as `reset` must tell it from others: its process, and its terminal.
+/// The identity of a client, by which `reset` distinguishes clients: its process, and its terminal.
 ///
-/// The terminal is the session that the commands of one terminal share. In a container the kernel tells 0 for every session that
-/// began outside; then it is the parent process, which the commands of one shell or script share. A client of which the kernel
-/// tells nothing is another one than all others.
+/// The terminal is the process session that the commands of one terminal share. In a container the kernel reports 0 for every
+/// session that began outside; then the parent process is used, which the commands of one shell or script share. If the kernel
+/// reports nothing about a client, it counts as different from all others.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Origin {
     /// 0: not known.
@@ -39,14 +40,14 @@ pub(super) struct Origin {
 }
 
 impl Origin {
-    /// A client of which the kernel tells nothing.
+    /// A client about which the kernel reports nothing.
     #[cfg(test)]
     pub(super) const UNKNOWN: Self = Self { pid: 0, terminal: UNKNOWN };
 
     /// The origin of a client that is connected now. Uses no heap: the acceptor's real-time thread calls it.
     pub(super) fn of(peer: Peer) -> Self {
         let pid = u32::try_from(peer.pid).ok().filter(|pid| *pid < 1 << PID_BITS).unwrap_or(0);
-        // For process 0 the kernel would tell the daemon's own session.
+        // For process 0 the kernel would report the daemon's own session.
         let session = if pid == 0 { None } else { getsid(Some(Pid::from_raw(peer.pid))).ok() };
         let session = session.and_then(|session| u32::try_from(session.as_raw()).ok());
         Self::new(pid, session, || parent(pid))
@@ -74,7 +75,7 @@ impl Origin {
     }
 }
 
-/// The parent of a process, as `/proc` tells.
+/// The parent of a process, from `/proc`.
 fn parent(pid: u32) -> Option<u32> {
     let mut path = heapless::String::<32>::new();
     write!(path, "/proc/{pid}/stat").ok()?;
@@ -88,8 +89,8 @@ fn parent(pid: u32) -> Option<u32> {
     fields.split_ascii_whitespace().nth(1)?.parse().ok().filter(|parent| *parent != 0)
 }
 
-/// Where the emergency stops since the last reset came from: there was none, one terminal, or several. It changes with every
-/// emergency stop, so that a reset can tell whether one came after its check.
+/// The origin of the emergency stops since the last reset: none, one terminal, or several. It changes with every emergency stop, so
+/// a reset can detect one that came after its check.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Guard(u64);
 
@@ -106,7 +107,7 @@ impl Guard {
         Origin { pid, terminal: self.0 as u32 & UNKNOWN }
     }
 
-    /// After an emergency stop of this client.
+    /// The guard after an emergency stop of this client.
     fn with(self, client: Origin) -> Self {
         let before = self.origin();
         let now = match before.terminal {
@@ -144,19 +145,19 @@ impl EStops {
 
     /// Orders an emergency stop; returns its number.
     pub(super) fn request(&self, client: Origin) -> u64 {
-        // Before the streamer knows: a client that sees the fault must find the guard.
+        // Set the guard before the streamer knows: a client that sees the fault must find the guard set.
         let with = |guard| Some(Guard(guard).with(client).0);
-        // It always has an answer.
+        // The update always succeeds.
         let _ = self.guard.fetch_update(Ordering::AcqRel, Ordering::Acquire, with);
         self.switch.request()
     }
 
-    /// Whose the emergency stops since the last reset were.
+    /// The origin of the emergency stops since the last reset.
     pub(super) fn guard(&self) -> Guard {
         Guard(self.guard.load(Ordering::Acquire))
     }
 
-    /// A reset was carried out that found this guard. If an emergency stop has come since, its guard stays.
+    /// Clears the guard after a reset that found this value. If an emergency stop has come since, its guard stays.
     pub(super) fn reset(&self, found: Guard) {
         let _ = self.guard.compare_exchange(found.0, Guard::IDLE.0, Ordering::AcqRel, Ordering::Acquire);
     }
@@ -171,7 +172,7 @@ mod tests {
         Origin::new(pid, Some(session), || panic!("it has a session"))
     }
 
-    /// In a container: the session began outside.
+    /// A client in a container, whose session began outside.
     fn inside(pid: u32, parent: u32) -> Origin {
         Origin::new(pid, Some(0), || Some(parent))
     }
@@ -189,7 +190,7 @@ mod tests {
         assert!(!estops.guard().has_another(script) && !estops.guard().has_another(at(11, 10)));
         assert!(estops.guard().has_another(person));
         estops.request(person);
-        // Each has another one beside its own, however often it stops again.
+        // For each of them there is a stop of another client, even if it stops again.
         for client in [script, person, script] {
             assert!(estops.guard().has_another(client), "{client:?}");
             estops.request(client);
@@ -206,7 +207,7 @@ mod tests {
         let (estops, script) = (estops(), at(10, 10));
         estops.request(script);
         let found = estops.guard();
-        // Of the same terminal: whose they were does not change, but it counts.
+        // Another stop of the same terminal: the origin stays, but the guard changes.
         estops.request(script);
         estops.reset(found);
         assert!(estops.guard().has_another(at(20, 20)));
@@ -222,7 +223,7 @@ mod tests {
         assert!(inside(shell, 1).is_same(inside(10, shell)), "a program and a command that it has started");
         assert!(inside(10, shell).is_same(inside(shell, 1)));
         assert!(!inside(10, shell).is_same(at(shell + 1, shell)), "a session is no parent");
-        // What is not known is another one.
+        // An unknown client counts as another one.
         let hidden = Origin::new(10, Some(0), || None);
         assert!(hidden.is_same(inside(10, 7)) && !hidden.is_same(Origin::new(11, Some(0), || None)));
         assert!(!Origin::UNKNOWN.is_same(Origin::UNKNOWN) && !Origin::UNKNOWN.is_same(inside(10, 0)));

@@ -27,7 +27,7 @@ const READ_AFTER: Duration = Duration::from_millis(50);
 struct Due {
     at: Instant,
     play: u64,
-    /// The streamer was woken for its last measurements.
+    /// Whether the streamer was woken for its last measurements.
     woken: bool,
 }
 
@@ -74,9 +74,10 @@ impl Engine {
                 self.count_endless(&streamed);
                 let (event, is_new) = self.lock().apply(streamed);
                 match &event {
-                    // Without a clock the status does not call it connected yet.
+                    // Until the clock is known, the status does not show the device as connected.
                     Some(Event::State { tick, .. }) if *tick > 0 => self.set_first_device_known(),
-                    // Measured bursts are kept for little more than a minute: the prediction of a long play begins before its end.
+                    // Measured bursts are kept for little more than a minute, so the prediction of a long play begins before its
+                    // end.
                     Some(Event::Began { id, .. }) => {
                         due.push(Due::after(Duration::from_secs_f64(MOST_OBSERVED_S) + MEASURED_AFTER, *id));
                     }
@@ -87,7 +88,7 @@ impl Engine {
                     }
                     _ => {}
                 }
-                // After publishing and outside of the lock: the log may be slow.
+                // Log after publishing and outside the lock, because the log may be slow.
                 if let Some(event) = event.filter(|_| is_new) {
                     self.log(&event);
                 }
@@ -106,7 +107,7 @@ impl Engine {
         }
     }
 
-    /// Counts what an endless play had been ordered to play by its end, outside of the lock.
+    /// Counts the ordered strokes of an endless play up to its end, outside the lock.
     fn count_endless(&self, streamed: &StreamEvent) {
         let StreamEvent::PlayEnded { id, outcome } = streamed else { return };
         let Some((pattern, options)) = self.lock().plays.endless(*id) else { return };
@@ -127,7 +128,7 @@ impl Engine {
     }
 }
 
-/// The queue's descriptor, as tokio watches it.
+/// The queue's descriptor, which tokio watches.
 #[expect(
     deprecated,
     reason = "the other constructor is unsafe; an owned descriptor stays open while it is watched"

@@ -1,24 +1,26 @@
-//! Recognises by the first bytes of a connection what its request is: an emergency stop, a command that has places of its own, or another.
+//! Recognises from the first bytes of a connection whether its request is an emergency stop, a command with reserved places, or
+//! another.
 
 use super::framing::{MAX_HEADERS, Part, body_of};
 use super::network::{Gate, Head};
 use crate::session_record::{NetworkPeer, Peer};
 use httparse::{EMPTY_HEADER, Request, Status};
 
-/// Length of a request line that is looked at, at most, bytes, with empty lines before it. The API's addresses are shorter.
+/// Most bytes of a request line that are examined, with empty lines before it. The API's addresses are shorter.
 pub(super) const MAX_LINE: usize = 512;
-/// Requests that have places of their own beside emergency stops: a flood of others must not keep them out. Each is answered at once.
+/// Requests with reserved places besides emergency stops, so that a flood of others does not keep them out. Each is answered at
+/// once.
 const PROMPT: [(&str, &str); 2] = [("POST", "/v1/stop"), ("POST", "/v1/disarm")];
 
 /// The first request of a connection.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct First {
     pub(super) kind: Kind,
-    /// The gate lets it in, and it needed more than the page does.
+    /// The gate admits it, and it needs more than the page's files do.
     pub(super) is_known: bool,
 }
 
-/// For which places a request counts. Each kind has places that those before it cannot take.
+/// The kind of a request, which decides the places that it may take. Each kind has places that those before it cannot take.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) enum Kind {
     /// Its body is still to come.
@@ -30,7 +32,7 @@ pub(super) enum Kind {
 }
 
 impl First {
-    /// What the server decides about.
+    /// A request that the server decides about.
     pub(super) const fn other(is_known: bool) -> Self {
         Self { kind: Kind::Other, is_known }
     }
@@ -60,13 +62,13 @@ pub(super) fn first(all: &[u8], peer: Peer, gate: &Gate) -> Option<First> {
         };
         return Some(First { kind: if is_whole { Kind::Other } else { Kind::Part }, is_known });
     }
-    // A client that asks first sends its body when the server says so.
+    // A client that sent `Expect: 100-continue` sends its body when the server says so.
     if request.headers.iter().any(|header| header.name.eq_ignore_ascii_case("expect")) {
         return Some(First::other(is_known));
     }
     match body_of(&request) {
         Some(Part::Head) => Some(First { kind: Kind::Prompt, is_known }),
-        // With its whole body it keeps nobody waiting.
+        // A request with its whole body is answered at once.
         Some(Part::Body(left)) if left > (all.len() - length) as u64 => None,
         Some(Part::Body(_)) => Some(First { kind: Kind::Prompt, is_known }),
         _ => Some(First::other(is_known)),
@@ -81,7 +83,7 @@ pub(super) fn is_estop_request(all: &[u8], peer: Peer, gate: &Gate) -> Option<bo
     }
 }
 
-/// Whether the gate lets a request in that asks for more than a file of the page.
+/// Whether the gate admits a request for more than a file of the page.
 fn is_let_in(request: &Request<'_, '_>, client: NetworkPeer, gate: &Gate) -> bool {
     let path = request.path.unwrap_or_default();
     path.starts_with("/v1/") && gate.check(Peer::network(client), &head(request)).is_ok()
@@ -125,7 +127,7 @@ fn check(all: &[u8], client: NetworkPeer, gate: &Gate) -> Option<bool> {
     let mut request = Request::new(&mut headers);
     match request.parse(all) {
         Ok(Status::Partial) => None,
-        // The server alone compares a host in the address with the `Host` header.
+        // Only the server compares a host in the address with the `Host` header.
         Ok(Status::Complete(_)) => Some(
             request.path.is_some_and(|path| path.starts_with('/'))
                 && gate.check(Peer::network(client), &head(&request)).is_ok(),

@@ -1,11 +1,13 @@
-//! Finds where each request of a connection begins and ends, so that the daemon sees what waits behind a request that is being answered.
+//! Finds where each request of a connection begins and ends, so that the daemon sees the requests behind the one that it is
+//! answering.
 //!
-//! [`Framer::take`] gets the bytes in the order in which they come and reports each complete head. It finds the end of a body as hyper
-//! does: by chunks if the last `Transfer-Encoding` is `chunked`, else by `Content-Length`, else there is none. It keeps nothing of a body.
+//! [`Framer::take`] gets the bytes in the order in which they come and reports each complete head. It finds the end of a body as
+//! hyper does: by chunks if the last `Transfer-Encoding` is `chunked`, else by `Content-Length`, else there is no body. It does not
+//! store bodies.
 //!
-//! Where hyper refuses a request and closes the connection, the framer may read on and report an emergency stop that nobody answers: it
-//! errs on the side of the stop. A message that it cannot delimit ends the framing. Then the server alone decides, as it does for every
-//! request.
+//! Where hyper refuses a request and closes the connection, the framer may read on and report an emergency stop that nobody
+//! answers: it errs on the side of stopping. A message that it cannot delimit ends the framing. From then on only the server
+//! recognises emergency stops.
 
 use std::time::Duration;
 
@@ -16,14 +18,14 @@ const MAX_HEAD: usize = 64 << 10;
 /// Headers of a request, at most, as in hyper.
 pub(super) const MAX_HEADERS: usize = 100;
 
-/// What of a request is still to come.
+/// The part of a request that is still to come.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Part {
     Head,
-    /// So many bytes.
+    /// This many bytes of a body.
     Body(u64),
     Chunks(Chunk),
-    /// The bytes are no requests: an upgraded connection, or nonsense.
+    /// The bytes are not requests: an upgraded connection, or invalid data.
     Lost,
 }
 
@@ -34,7 +36,7 @@ pub(super) enum Chunk {
     Size(u64),
     /// The rest of the line with this size.
     Line(u64),
-    /// So many bytes of a chunk, with its line end.
+    /// This many bytes of a chunk, with its line end.
     Data(u64),
     /// The lines after the last chunk; whether this one has bytes.
     Trailer(bool),
@@ -44,9 +46,9 @@ pub(super) enum Chunk {
 #[derive(Debug)]
 pub(super) struct Framer {
     part: Part,
-    /// Of the request whose head is not complete.
+    /// The incomplete head of the current request.
     head: Vec<u8>,
-    /// Requests whose heads are complete.
+    /// The number of requests with complete heads.
     heads: u64,
 }
 
@@ -81,12 +83,12 @@ impl Framer {
         }
     }
 
-    /// The head that is not complete, and the number of its request; empty between two requests.
+    /// The number of the current request, and its incomplete head; empty between two requests.
     pub(super) fn begun(&self) -> (u64, &[u8]) {
         (self.heads, &self.head)
     }
 
-    /// Whether a request has begun and is not complete.
+    /// Whether a request is incomplete.
     pub(super) fn is_within(&self) -> bool {
         match self.part {
             Part::Head => !self.head.is_empty(),
@@ -95,7 +97,7 @@ impl Framer {
         }
     }
 
-    /// Whether that is so in its head.
+    /// Whether a request's head is incomplete.
     pub(super) fn is_within_head(&self) -> bool {
         self.part == Part::Head && !self.head.is_empty()
     }

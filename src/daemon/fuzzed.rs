@@ -1,6 +1,6 @@
-//! A daemon whose routes are asked without a socket: for the fuzzer (`fuzz/`), and built for it alone.
+//! A daemon whose routes can be called without a socket. It exists only in builds for the fuzzer (`fuzz/`).
 //!
-//! A request enters where hyper would hand it over. What the acceptor and hyper check of its bytes is left out.
+//! A request enters where hyper would hand it over, so the acceptor's and hyper's checks of its bytes are skipped.
 
 use super::Daemon;
 use super::acceptor::{Bounds, Counts};
@@ -31,7 +31,7 @@ pub struct Fuzzed {
 }
 
 impl Fuzzed {
-    /// Runs the daemon on a thread of its own.
+    /// Runs the daemon on a separate thread.
     ///
     /// # Errors
     /// As [`Daemon::host`].
@@ -42,7 +42,7 @@ impl Fuzzed {
         Ok(Self { engine, router, daemon: daemon.host()? })
     }
 
-    /// Answers a request of a local client, or of one that came over the network from this address.
+    /// Answers a request of a local client, or of a network client at this address.
     ///
     /// # Errors
     /// If the system has no socket for the connection.

@@ -1,4 +1,4 @@
-//! A daemon on a thread of this process, as `meissner demo` and the benchmarks run it.
+//! Runs a daemon on a thread of this process, for `meissner demo` and the benchmarks.
 //!
 //! [`Hosted::stop`] ends it and returns its result; dropping it ends it, too.
 

@@ -1,6 +1,6 @@
 //! The API's routes: turns a request into a command to the engine, and the result into an answer.
 //!
-//! Work that touches the disk runs on a blocking thread, so that an emergency stop never waits for a disk. Every error, also for an
+//! Work that touches the disk runs on a blocking thread, so that an emergency stop never waits for a disk. Every error, even for an
 //! unknown route, is `application/problem+json`.
 //!
 //! Invariant: a command, its client and its answer are in the session record's queue before the client gets the answer
@@ -222,7 +222,7 @@ async fn play(
     logged.result(result)
 }
 
-/// What the session record keeps of a request: the number of its items, since their ends tell the rest.
+/// The request as the session record keeps it: only the number of its items, because their ends record the rest.
 fn asked_of_sequence(request: &SequenceRequest) -> serde_json::Value {
     let SequenceRequest { items, name, at_tick, at_ms, at_monotonic_ns, session, trial, labels, .. } =
         request;
@@ -232,7 +232,7 @@ fn asked_of_sequence(request: &SequenceRequest) -> serde_json::Value {
     })
 }
 
-/// Parsed on a thread of its own: its body is as large as a file.
+/// Parses on a separate thread, because the body may be as large as a file.
 async fn sequence(
     State(app): State<App>,
     Extension(peer): Extension<Peer>,
@@ -275,7 +275,7 @@ async fn calibrate(
 }
 
 async fn calibration(State(app): State<App>) -> Answer<Response> {
-    // The document of a long file takes milliseconds, in which an emergency stop must not wait.
+    // Making the document of a long file takes milliseconds, during which an emergency stop must not wait.
     let json = computing(move || app.engine.calibration_json()).await??;
     Ok(json_response(json.into()))
 }
@@ -330,7 +330,7 @@ async fn stop(
     make_safe(&app, &caller, body, "stop", Command::Stop).await
 }
 
-/// Carries out what everybody may do; the owner of an exclusive session learns who has done it.
+/// Carries out a command that everybody may use; the owner of an exclusive session learns who used it.
 async fn make_safe(
     app: &App,
     caller: &Caller,
@@ -360,7 +360,7 @@ async fn estop(
         Some(Extension(Ordered(number))) => app.engine.estop_answer(number).await,
         None => app.engine.estop(Origin::of(peer)).await,
     };
-    // Read only now: a client that sends the body separately must not find the connection closed.
+    // Read the body only now, so that a client that sends it separately does not find the connection closed.
     let _ = tokio::time::timeout(ESTOP_BODY, body::read_command(body)).await;
     logged.result(result.map(|()| Json(app.engine.status())).map_err(ErrorResponse::from))
 }
@@ -370,7 +370,7 @@ async fn reset(State(app): State<App>, Extension(peer): Extension<Peer>, body: B
     let result = async {
         let request = ResetRequest::parse(&body::read_command(body).await?)?;
         let force = request.force;
-        // Before the check: the streamer refuses the reset if an emergency stop comes between the two.
+        // Read this before the check, so that the streamer refuses the reset if an emergency stop comes between the two.
         let estops_seen = app.engine.estops.switch.newest();
         let guard = app.engine.estops.guard();
         logged.set_arguments(&request);
@@ -459,7 +459,7 @@ async fn receipt(
     let ended = async {
         loop {
             let mut notified = pin!(app.engine.play_ended.notified());
-            // From here on no end is missed.
+            // From here on no end of a play is missed.
             notified.as_mut().enable();
             let receipt = find_receipt(&app.engine, &id)?;
             if receipt.state.is_over() {
@@ -475,7 +475,7 @@ async fn receipt(
     }
 }
 
-/// How long a request wants to wait, by its query.
+/// The wait that a request's query asks for.
 fn wait(uri: &Uri) -> Answer<Option<Duration>> {
     let Some(query) = uri.query().filter(|query| !query.is_empty()) else { return Ok(None) };
     let seconds = query.strip_prefix("wait=").and_then(|seconds| seconds.parse().ok());
@@ -515,7 +515,7 @@ fn many_waiting(_: TryAcquireError) -> Problem {
     Problem::new(Code::TooManyClients, detail)
 }
 
-/// The stream ends with the right of its client.
+/// The stream ends when its client loses the right to it.
 async fn events(State(app): State<App>, Extension(right): Extension<Right>) -> Answer<Response> {
     let place = app.waiting_place(right.caller.peer)?;
     let gone = || Problem::new(Code::ShuttingDown, "the daemon is ending: start it again");
@@ -526,7 +526,7 @@ async fn events(State(app): State<App>, Extension(right): Extension<Right>) -> A
             Ok(Ok(event)) => event,
             Ok(Err(RecvError::Lagged(events))) => frame(&Event::Lagged { events }),
             Ok(Err(RecvError::Closed)) => return None,
-            // A comment: writing it shows whether the client is still there.
+            // Send a comment, which shows whether the client is still there.
             Err(_) => Bytes::from_static(b":\n\n"),
         };
         Some((frame, (receiver, place)))
@@ -543,7 +543,7 @@ async fn metrics_text(State(app): State<App>) -> Response {
 }
 
 async fn openapi() -> Response {
-    // Made once: it takes milliseconds of the runtime's only thread.
+    // Make it only once, because it takes milliseconds of the runtime's only thread.
     static DOCUMENT: LazyLock<String> = LazyLock::new(|| meissner_api::openapi::document().to_string());
     ([(CONTENT_TYPE, "application/json")], DOCUMENT.as_str()).into_response()
 }

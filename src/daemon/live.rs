@@ -1,7 +1,7 @@
 //! Live plays over HTTP: starts one, and carries its connection, a WebSocket or lines of JSON.
 //!
-//! A message goes under the engine's lock to the streamer ([`State::live_message`](super::state::State)); what became of it comes back as an
-//! event, and through a channel to the connection's task.
+//! A message goes under the engine's lock to the streamer ([`State::live_message`](super::state::State)). Its result comes back as
+//! an event, and through a channel to the connection's task.
 //!
 //! Bounds: a connection takes a place among the clients that wait. Invariants: when the connection ends, the play ends; a message changes
 //! nothing if its client may not operate at that moment.
@@ -49,9 +49,9 @@ use tokio::time::timeout;
 
 /// How long a client may leave its answers unread.
 const UNREAD: Duration = Duration::from_secs(1);
-/// How soon a play is ended again whose end could not be ordered.
+/// How soon the daemon again orders the end of a play, if it could not do so before.
 const END_AGAIN: Duration = Duration::from_millis(100);
-/// Lines of JSON carried out before others have their turn.
+/// Lines of JSON carried out before other clients have their turn.
 const LINES: usize = 16;
 
 /// Starts a live play.
@@ -107,7 +107,7 @@ impl Engine {
         live.check_at_once(&settings)?;
         let waves = live.waves()?;
         let updates_hz = request.updates_hz.unwrap_or(LIVE_UPDATES_HZ);
-        // It walks a minute of strokes.
+        // This iterates over a minute of strokes.
         let bandwidth = PLAYS
             .computing(move || Bandwidth::of_live(most_hz, updates_hz, &settings))
             .await?
@@ -144,7 +144,7 @@ impl Engine {
             state.live.add(id, live);
             (id, reply)
         };
-        // If the streamer refuses a play that replaces others, they go on: the next order waits for that.
+        // If the streamer refuses a play that replaces others, they go on, so the next order waits for its answer.
         let held = replace.then_some(held);
         let answered = answer(reply, TIMEOUT).await;
         drop(held);
@@ -158,7 +158,7 @@ impl Engine {
         Ok(LiveAccepted { id, path })
     }
 
-    /// Carries out a message, if its client still may send it; returns the answer if there is one at once.
+    /// Carries out a message, if its client still may send it; returns the answer if it is known at once.
     fn live_message(
         &self,
         right: &Right,
@@ -183,11 +183,11 @@ impl Engine {
         result.err().map(|problem| LiveAnswer::refused(Some(message.seq), problem))
     }
 
-    /// Ends a live play once the client of its connection may not move it any more. It goes on until it is dropped.
+    /// Ends a live play once the client of its connection may not move it any more. The future never completes; drop it to stop.
     async fn end_with(&self, right: &Right, id: u64) -> Infallible {
         let lost = right.ended().await;
         loop {
-            // Again, if too many commands have waited.
+            // Repeat, in case too many commands waited before.
             self.lock().cancel_play(id, lost.cause);
             tokio::time::sleep(END_AGAIN).await;
         }
@@ -300,12 +300,12 @@ async fn speak_lines(
     let mut ends = pin!(engine.end_with(right, id));
     let connection = pin!(connection);
     let (mut from, mut to) = tokio::io::split(connection);
-    // What was read, and how much of it is carried out.
+    // The bytes read, and how many of them are carried out.
     let (mut bytes, mut done) = (Vec::new(), 0);
     loop {
         let mut out = Vec::new();
         let mut is_over = false;
-        // Other clients wait meanwhile: a few lines at a time.
+        // Carry out only a few lines at a time, because other clients wait meanwhile.
         for _ in 0..LINES {
             let Some(length) = bytes[done..].iter().position(|&byte| byte == b'\n') else { break };
             let line = bytes[done..done + length].trim_ascii();
@@ -349,7 +349,7 @@ async fn speak_lines(
     }
 }
 
-/// Writes to a client that reads.
+/// Writes to a client; fails if it does not read.
 async fn write(to: &mut (impl AsyncWrite + Unpin), bytes: &[u8]) -> io::Result<()> {
     timeout(UNREAD, to.write_all(bytes)).await?
 }

@@ -1,4 +1,5 @@
-//! What live targets have reached: after a play a process compares some of its poses with searches that take their time.
+//! Measures the contrast that live targets have reached: after a play, a process compares some of its poses with searches without a
+//! deadline.
 //!
 //! Bounds: at most [`MOST`] poses of a play are kept. Invariant: one process at a time; it ends when the next live target begins.
 
@@ -15,7 +16,7 @@ const MOST: usize = 8;
 /// Poses of a play and their drives, spread evenly over those that were rendered.
 #[derive(Debug)]
 pub(super) struct PlayedPoses {
-    /// One of so many is kept.
+    /// One pose in this many is kept.
     every: u64,
     rendered: u64,
     kept: Vec<LiveSample>,
@@ -49,7 +50,7 @@ impl PlayedPoses {
 impl Engine {
     /// Compares a play's poses with searches, and puts the result into its receipt. Takes a minute or two.
     pub(super) fn compare_live(&self, id: u64, job: &Job) {
-        // Without the program, or if the system has no room for the process, the receipt stays without a contrast.
+        // Without the program, or if the system cannot start the process, the receipt has no contrast.
         let Some(Ok(mut process)) = search::command().map(SearchProcess::start) else { return };
         if !self.lock().begin_comparison(id, process.pid()) {
             return;

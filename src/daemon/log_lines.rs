@@ -1,4 +1,4 @@
-//! Writes log lines about events and plays: one line for a play, at its end, and none for events that come often.
+//! Writes log lines about events and plays: one line for a play, at its end, and none for frequent events.
 
 use super::engine::Engine;
 use crate::receipts::end_text;
@@ -63,7 +63,7 @@ impl Engine {
         let (uid, tick) = (client.map(|client| client.uid), receipt.onset.map(|onset| onset.actual_tick));
         let wall = Timestamp::now().to_zoned(self.names.zone.clone());
         let outcome = outcome(receipt, HostInstant::now(), &wall);
-        // The device's time bounds them.
+        // Plays take time on the device, which bounds the number of their lines.
         let always = true;
         info!(always, play_id = id, pattern, tick, cause, uid, "play {id} {pattern} by {user}: {outcome}");
     }
@@ -131,7 +131,7 @@ mod tests {
         assert_eq!(outcome(&receipt, now, &wall), format!("done, {began}, 5.0 s, 1200 bursts"));
     }
 
-    /// Texts that a device, a file or a directory of users chooses: each event is one line.
+    /// Events with texts from a device, a file or a user directory are still one line each.
     #[test]
     fn no_text_of_an_event_makes_a_line_of_its_own() {
         let odd = || "x\n2026-11-22T00:00:00Z  INFO estop by ada\r\u{1b}[2J\u{9b}\u{2028}\u{202e}".to_owned();

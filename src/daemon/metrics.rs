@@ -48,7 +48,7 @@ impl Text {
         self.family(name, "gauge", help, [("", value)]);
     }
 
-    /// A gauge for each of these names: 1 for the present one.
+    /// A gauge for each of these names: 1 for the current one.
     fn states<const N: usize>(
         &mut self,
         name: &str,

@@ -1,24 +1,25 @@
 //! The daemon: the streamer's thread, and around it clients, patterns, devices, receipts and the session record.
 //!
-//! [`Daemon::start`] acquires everything that the system may refuse (socket, patterns, threads); [`Daemon::run`] works until a signal
-//! or a request ends it. Threads: `streamer` and `acceptor` (real time; an emergency stop needs no other), `connector` (opens
-//! devices), `predictor` (skin model), `search` (follows the process of a search),
-//! `renderer` (one for each live target), `session record` (disk), and the runtime's one thread for clients and events. An idle daemon
-//! runs no timer but a service manager's watchdog.
+//! [`Daemon::start`] acquires everything that the system may refuse (socket, patterns, threads); [`Daemon::run`] works until a
+//! signal or a request ends it. Threads: `streamer` and `acceptor` (real time; an emergency stop needs no other), `connector`
+//! (opens devices), `predictor` (skin model), `search` (follows the process of a search), `renderer` (one for each live target),
+//! `session record` (disk), and the runtime's one thread for clients and events. An idle daemon runs no timer except a service
+//! manager's watchdog.
 //!
 //! The modules; each uses only those before it:
 //! - `socket`, `error`, `signals`, `panics`, `runtime`, `check`, `names`, `metrics`: the system around the daemon.
 //! - `calibration`, `predictor`, `doctor`: calibrations as files and fits; predicted responses; the doctor's checks, one at a time.
 //! - `estop`, `state`, `engine`: emergency stops; the daemon's state behind one lock, and commands to the streamer.
-//! - `stream`, `network`: a connection's socket; clients that come over the network, and their tokens.
-//! - `framing`, `first_request`, `orders`: where requests begin and end, what a first request is, and the emergency stops among all.
-//! - `acceptor`: connections up to the head of their first request, on a thread of its own.
+//! - `stream`, `network`: a connection's socket; network clients, and their tokens.
+//! - `framing`, `first_request`, `orders`: where requests begin and end, the kind of a first request, and the emergency stops among
+//!   all requests.
+//! - `acceptor`: connections up to the head of their first request, on its own thread.
 //! - `log_lines`, `request_log`, `status`: text and data for the log, the session record and clients.
-//! - `right`: a client's right, for what outlives a request.
+//! - `right`: a client's right, for streams, plays and searches that outlive a request.
 //! - `arm`, `play`, `sequence`, `calibrate`, `connector`: arm, begin plays, calibrate, open devices.
 //! - `service`, `event_loop`: the service manager; the streamer's events.
 //! - `page`: the page in the browser.
-//! - `search_process`, `live_contrast`, `renderer`, `live`: processes that search; live plays, whose targets a thread renders.
+//! - `search_process`, `live_contrast`, `renderer`, `live`: search processes; live plays, whose targets are rendered by a thread.
 //! - `body`, `activity`, `connection`, `http`, `patterns`, `targets`, `search`, `sessions`, `reload`, `server`, `hosted`: clients, configuration, and
 //!   daemons inside this process. In a build for the fuzzer also `fuzzed`: requests without a socket.
 //!
@@ -113,8 +114,8 @@ use std::time::Duration;
 use tokio::sync::{oneshot, watch};
 use tracing::{info, warn};
 
-/// The most memory that the daemon takes, bytes. `docs/explanation/limits.md` adds it up; `cargo bench -p meissner-benches --bench
-/// memory` shows how much loads really take.
+/// The most memory that the daemon takes, bytes. `docs/explanation/limits.md` adds it up;
+/// `cargo bench -p meissner-benches --bench memory` measures it under load.
 pub const MEMORY_BOUND: usize = 832 << 20;
 /// How long closing the session record may take; a service manager waits longer.
 const CLOSE_TIMEOUT: Duration = Duration::from_secs(2);
@@ -126,7 +127,7 @@ const STREAMER_TIMEOUT: Duration = Duration::from_millis(500);
 pub struct Daemon {
     config: Config,
     bound: Bound,
-    /// For clients that come over the network.
+    /// The listener for network clients.
     tcp: Option<TcpListener>,
     engine: Arc<Engine>,
     store: SharedStore,
@@ -150,7 +151,7 @@ impl Daemon {
     /// Binds the socket and starts the threads.
     ///
     /// # Errors
-    /// What the system refused, and what to do.
+    /// If the system refuses something; the error says what to do.
     pub fn start(config: &Config) -> Result<Self, DaemonError> {
         let store = check::store(config)?;
         let bound = Bound::take_over(&config.socket)?.map_or_else(|| Bound::new(&config.socket), Ok)?;
@@ -195,7 +196,7 @@ impl Daemon {
         Ok(Self { config, bound, tcp, engine, store, events, predictor, realtime, streamer, connector })
     }
 
-    /// Runs it on a thread of its own, until it is stopped or a signal ends it.
+    /// Runs it on a separate thread, until it is stopped or a signal ends it.
     ///
     /// # Errors
     /// If the system gives no thread.
@@ -221,7 +222,7 @@ impl Daemon {
         if let Ok(ended) = panics::caught(self.work(signals, source)).await {
             return ended;
         }
-        // As at any other end: the pins return, and the motors are off.
+        // As at any other end, return the pins and switch the motors off.
         let _ = tokio::time::timeout(CLOSE_TIMEOUT, panics::caught(engine.shut_down())).await;
         Err(DaemonError::Panicked)
     }
@@ -255,13 +256,13 @@ impl Daemon {
         let result = loop {
             tokio::select! {
                 action = signals.next() => match (action, &reloads) {
-                    // A full queue means that a reload waits already.
+                    // If the queue is full, a reload is already waiting.
                     (Action::Reload, Some(reloads)) => drop(reloads.try_send(())),
                     _ => break Ok(Exit::Requested),
                 },
                 () = engine.replaced.notified() => {
                     info!("another version was installed and motors are disarmed: starting it");
-                    // New clients wait in the socket for the new program.
+                    // New clients wait in the socket's queue for the new program.
                     drop(acceptor.take());
                     let _ = close.send(true);
                     break Ok(Exit::Replaced);
@@ -277,7 +278,7 @@ impl Daemon {
         let _ = connector.try_send(ConnectorMessage::Quit);
         if !matches!(result, Err(DaemonError::Streamer)) {
             engine.shut_down().await;
-            // The streamer's last events complete the receipts of the plays that were cut.
+            // The streamer's last events complete the receipts of cut plays.
             if result.is_ok() && tokio::time::timeout(STREAMER_TIMEOUT, &mut event_loop).await.is_err() {
                 warn!("the streamer did not end in time");
             }
@@ -302,7 +303,7 @@ impl Daemon {
             record.close(CLOSE_TIMEOUT);
             let _ = sender.send(());
         };
-        // A thread of its own: the runtime's blocking threads may all wait for the disk.
+        // Use a separate thread, because the runtime's blocking threads may all wait for the disk.
         if thread::Builder::new().name("close".into()).spawn(close).is_ok() {
             let _ = closed.await;
         }
@@ -320,7 +321,8 @@ fn read_sums(dir: &Path) -> io::Result<Option<Vec<u8>>> {
     }
 }
 
-/// Takes the sums. If they cannot be read, or cannot be true, the day's limit counts as used up until somebody has looked.
+/// Restores the sums. If they cannot be read, or cannot be true, the day's limit counts as used up until a person has checked the
+/// file.
 fn restore(account: &mut Account, read: io::Result<Option<Vec<u8>>>) {
     let now = Now::read();
     let restored = match read {

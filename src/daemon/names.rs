@@ -1,12 +1,12 @@
 //! Names of users and the local time zone, as log lines show them.
 //!
-//! Nothing here waits for a look-up: a name that is not known yet is shown as its number.
+//! Nothing here waits for a look-up: a user whose name is not yet known is shown by number.
 
 use crate::session_record::{NetworkPeer, Peer, Users};
 use jiff::tz::TimeZone;
 use std::sync::Arc;
 
-/// Makes numbers readable.
+/// Converts user numbers to names.
 #[derive(Debug)]
 pub(super) struct Names {
     pub(super) users: Arc<Users>,

@@ -1,10 +1,12 @@
-//! Emergency stops among the requests of one connection: ordered when their bytes are there, whatever waits before them.
+//! Orders emergency stops among the requests of one connection as soon as their bytes arrive, even if other requests wait before
+//! them.
 //!
-//! The bytes go through [`Orders::take`] before hyper gets them. It orders each emergency stop that the [`Gate`] lets through, and keeps
-//! its number until the server comes to that request ([`Orders::next_request`]), so that it is ordered once and answered in its turn.
+//! The bytes go through [`Orders::take`] before hyper gets them. It orders each emergency stop that the [`Gate`] admits, and keeps
+//! its number until the server reaches that request ([`Orders::next_request`]), so that it is ordered once and answered in its
+//! turn.
 //!
-//! Invariant: an emergency stop that is not ordered here is ordered when its turn comes. So is, a second time, one before which a `reset`
-//! waits: the reset is carried out after the first order, and must not undo it. No other is ordered twice.
+//! Invariant: an emergency stop that is not ordered here is ordered when its turn comes. If a `reset` waits before an emergency
+//! stop, it is ordered both here and in its turn, because the reset between them must not undo it. All others are ordered once.
 
 use super::estop::{EStops, Origin};
 use super::first_request::{is_estop_request, is_post};
@@ -21,18 +23,18 @@ pub(super) struct Orders {
     estops: Arc<EStops>,
     gate: Arc<Gate>,
     peer: Peer,
-    /// The first request that was not looked at.
+    /// The first request that was not examined.
     next: u64,
     /// The newest request that is a `reset`.
     reset: Option<u64>,
-    /// Requests that were ordered, and the numbers of their emergency stops, unless they must be ordered again.
+    /// Requests that were ordered, with the numbers of their emergency stops, unless they must be ordered again.
     ordered: VecDeque<(u64, Option<u64>)>,
-    /// Requests that the server has come to.
+    /// The number of requests that the server has reached.
     served: u64,
 }
 
 impl Orders {
-    /// Of a client whose first request is this emergency stop, if it was ordered.
+    /// For a client whose first request is this emergency stop, if it was ordered.
     pub(super) fn new(estops: Arc<EStops>, gate: Arc<Gate>, peer: Peer, first: Option<u64>) -> Self {
         let ordered: VecDeque<_> = first.map(|number| (0, Some(number))).into_iter().collect();
         let next = ordered.len() as u64;
@@ -46,7 +48,7 @@ impl Orders {
             let is_estop = request >= *next && is_estop_request(head, *peer, gate) == Some(true);
             if is_estop {
                 let number = estops.request(Origin::of(*peer));
-                // The server may be at the reset now.
+                // The server may be carrying out the reset now.
                 let is_last = reset.is_none_or(|reset| reset + 1 < *served);
                 ordered.push_back((request, is_last.then_some(number)));
             }
@@ -63,7 +65,7 @@ impl Orders {
         look(request, head, false);
     }
 
-    /// The server comes to the next request: the number of its emergency stop, if it need not order it.
+    /// Advances to the server's next request; returns the number of its emergency stop, if that need not be ordered again.
     pub(super) fn next_request(&mut self) -> Option<u64> {
         let request = self.served;
         self.served += 1;

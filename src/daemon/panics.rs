@@ -1,8 +1,8 @@
-//! What a panic ends: our bugs, and a system that gives no memory or no thread.
+//! Handles panics, which our bugs cause, or a system that refuses memory or a thread.
 //!
-//! A panic of a connection's task ends that connection. A panic of the daemon's own work, or of a thread that the daemon needs, ends the
-//! daemon as a signal does, with exit 1: a daemon that lives on without a part would be worse. The streamer and the acceptor are watched by
-//! [`Daemon::run`](super::Daemon::run).
+//! A panic of a connection's task ends that connection. A panic of the daemon's own work, or of a thread that the daemon needs,
+//! ends the daemon as a signal does, with exit 1: a daemon without one of its parts would be worse. The streamer and the acceptor
+//! are watched by [`Daemon::run`](super::Daemon::run).
 
 use std::future::{Future, poll_fn};
 use std::panic::{self, AssertUnwindSafe};
@@ -11,7 +11,7 @@ use std::task::Poll;
 use std::thread;
 use tokio::sync::Notify;
 
-/// The threads without which the daemon lacks a part.
+/// The threads that the daemon needs.
 const NEEDED: [&str; 10] = [
     "session record",
     "connector",
@@ -32,7 +32,7 @@ static PANICKED: Notify = Notify::const_new();
 #[derive(Debug, PartialEq, Eq)]
 pub(super) struct Panicked;
 
-/// Ends the daemon of this process when a thread panics that it needs.
+/// Ends the daemon of this process when one of its needed threads panics.
 pub fn end_on_panic() {
     let print = panic::take_hook();
     panic::set_hook(Box::new(move |info| {
@@ -48,11 +48,11 @@ pub(super) async fn of_needed_thread() {
     PANICKED.notified().await;
 }
 
-/// Runs work, and tells if it panics.
+/// Runs work, and returns an error if it panics.
 pub(super) async fn caught<T>(work: impl Future<Output = T>) -> Result<T, Panicked> {
     let mut work = pin!(work);
     poll_fn(|context| {
-        // After a panic it is not polled again.
+        // The future is not polled again after a panic.
         match panic::catch_unwind(AssertUnwindSafe(|| work.as_mut().poll(context))) {
             Ok(Poll::Pending) => Poll::Pending,
             Ok(Poll::Ready(value)) => Poll::Ready(Ok(value)),

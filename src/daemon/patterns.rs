@@ -1,4 +1,4 @@
-//! Patterns over HTTP: finds those that are to be played, lists, shows, imports and removes them.
+//! Patterns over HTTP: finds patterns to play, and lists, shows, imports and removes them.
 //!
 //! [`find`] also gives plays and sequences their patterns. Work that touches the disk runs on a blocking thread.
 //!
@@ -57,8 +57,8 @@ impl From<StoreError> for ErrorResponse {
     }
 }
 
-/// A pattern, and its place among the lane's: those of the library and those that a search has found need none, they are in memory
-/// anyway. With `sha256` it is the pattern of that text: the stored one, or the one that the session record keeps.
+/// A pattern, and its place among the lane's patterns. Patterns of the library and of searches need no place, because they are in
+/// memory anyway. With `sha256` it is the pattern of that text: the stored one, or the one that the session record keeps.
 pub(super) async fn find(
     app: &App,
     lane: &'static Lane,
@@ -144,7 +144,7 @@ pub(super) async fn import(
     logged.result(result)
 }
 
-/// The SHA-256 of the text that is asked for, by the query.
+/// The SHA-256 of the requested text, from the query.
 fn asked_text(uri: &Uri) -> Result<Option<&str>, Problem> {
     let Some(query) = uri.query().filter(|query| !query.is_empty()) else { return Ok(None) };
     match query.strip_prefix("sha256=").filter(|sha256| is_sha256(sha256)) {

@@ -28,7 +28,7 @@ use std::sync::Arc;
 #[derive(Debug)]
 pub(super) struct PreparedPlay {
     play: Play,
-    /// It is compiled for these.
+    /// The settings that it was compiled for.
     settings: Settings,
     stored: Stored,
     options: StrokeOptions,
@@ -56,12 +56,12 @@ impl PreparedPlay {
         let bad = |error| Problem::new(Code::BadRequest, format!("`seconds`: {error}"));
         let strokes = Strokes::new(&stored.pattern, &options).map_err(bad)?;
         let order = Order::of(&stored.pattern, &options).map_err(bad)?;
-        // Nor could the results of this play and the next, at the same tick, be told apart.
+        // Refuse an empty play: it would begin at the same tick as the next one, and their results could not be told apart.
         if let Some(why) = order.empty() {
             let name = stored.pattern.name();
             return Err(Problem::new(Code::Empty, format!("`{name}`: no stroke would be played: {why}")));
         }
-        // A long pattern has a hundred thousand strokes: other commands must not wait while they are counted.
+        // Count on another thread: a long pattern has a hundred thousand strokes, and other commands must not wait.
         let (pattern, counted) = (Arc::clone(&stored.pattern), options.clone());
         let (fits, bandwidth, vibration, counts, strokes) = PLAYS
             .computing(move || {
@@ -100,7 +100,7 @@ impl State {
         Ok((PlayAccepted { id, ordered_ms, compiled_ms }, reply))
     }
 
-    /// Refuses a play during a calibration, or of another session than the one that it was prepared for.
+    /// Refuses a play during a calibration, or for another session than the one that it was prepared for.
     pub(super) fn check_before_play(&mut self, session: Option<&str>) -> Result<(), Problem> {
         self.forget_unanswered();
         self.check_not_calibrating()?;
@@ -167,7 +167,7 @@ impl Engine {
             held.begin(&mut state, accepted.id);
             (accepted, reply)
         };
-        // If the streamer refuses a play that replaces others, they go on: the next order waits for that.
+        // If the streamer refuses a play that replaces others, they go on, so the next order waits for its answer.
         let held = request.replace.then_some(held);
         self.session_record().keep_text(&sha256, &text);
         let answered = answer(reply, TIMEOUT).await;
@@ -189,7 +189,7 @@ impl Engine {
     }
 }
 
-/// Refuses a play of which the controller would refuse strokes.
+/// Refuses a play with strokes that the controller would refuse.
 pub(super) fn check_limits(strokes: &Strokes, settings: &Settings) -> Result<(), Problem> {
     check_density(strokes)?;
     check_pushing(strokes, settings)?;
@@ -216,7 +216,7 @@ fn check_pushing(strokes: &Strokes, settings: &Settings) -> Result<(), Problem> 
     Err(Problem::new(Code::PushLimit, detail))
 }
 
-/// Refuses a play in which more motors would have pulses at once than may.
+/// Refuses a play in which more motors would have pulses at once than the limits allow.
 fn check_at_once(strokes: &Strokes, settings: &Settings) -> Result<(), Problem> {
     let Some(TooMany { group, tick, at_once }) = find_too_many(strokes, settings.limits) else {
         return Ok(());
@@ -238,7 +238,7 @@ pub(super) fn too_many(group: Group, has: &str, settings: &Settings) -> Problem 
     Problem::new(Code::PowerLimit, detail)
 }
 
-/// The onset that a request asks for, by one of its keys at most.
+/// The onset that a request asks for; at most one of these keys is set.
 pub(super) fn onset(tick: Option<u64>, ms: Option<f64>, monotonic_ns: Option<u64>) -> At {
     match (tick, ms, monotonic_ns) {
         (Some(tick), ..) => At::Tick(Tick(tick)),
@@ -248,7 +248,7 @@ pub(super) fn onset(tick: Option<u64>, ms: Option<f64>, monotonic_ns: Option<u64
     }
 }
 
-/// What the trigger output gives for a request.
+/// The trigger output's pulse for a request.
 #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "checked: half a second at most")]
 pub(super) fn trigger(request: Option<TriggerRequest>) -> Option<Trigger> {
     let shape = match request {
@@ -278,7 +278,7 @@ mod tests {
     use std::sync::Arc;
     use std::time::Duration;
 
-    /// The client has given up, but the play is played: the session counts it.
+    /// The client has given up, but the play is played, so the session counts it.
     #[test]
     fn a_session_counts_a_play_whose_answer_comes_late() {
         let (mut port, commands, mut events) = queues().unwrap();
@@ -300,7 +300,7 @@ mod tests {
         assert_eq!(engine.lock().session().unwrap().plays, 1);
     }
 
-    /// A stop also refuses a play that was asked for before it and is still read.
+    /// A stop also refuses a play whose request came before the stop and is still being read.
     #[test]
     fn a_stop_refuses_a_play_whose_request_came_before() {
         let (mut port, commands, _events) = queues().unwrap();
@@ -312,7 +312,7 @@ mod tests {
         let caller = Caller::new(client, None, None, None);
         let breaks = engine.lock().commands.breaks();
         let asker = Asker { caller, access: Route::Play.access(), breaks };
-        // Its body, or its file, comes late.
+        // A stop comes while the play's body or file is still being read.
         engine.lock().commands.send_unanswered(Command::Stop).unwrap();
         let played = asker.ask(engine.play(&request, stored, client));
         assert_eq!(runtime().unwrap().block_on(played).unwrap_err().code, "busy");

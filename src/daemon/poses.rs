@@ -2,7 +2,7 @@
 //!
 //! The connection of a live play calls [`Poses::put`], the renderer's thread [`Poses::take`]. `tests/races` explores their interleavings.
 //!
-//! Invariant: the newest pose is rendered, unless the play ends first; no scale is forgotten.
+//! Invariant: the newest pose is rendered, unless the play ends first; no scale is lost.
 
 use super::renderer::Job;
 use meissner_stream::sync::{Condvar, Mutex, MutexGuard};
@@ -26,7 +26,7 @@ impl Poses {
         self.slot.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Puts a pose in the place of the one that waits, and returns that one. Its scale stays.
+    /// Replaces the waiting pose, and returns it. Its scale is kept.
     pub(super) fn put(&self, mut job: Job) -> Option<Job> {
         let mut slot = self.lock();
         let before = slot.job.take();

@@ -1,10 +1,9 @@
-//! Predicts the afferent response to plays from their measured bursts: one play at a time, on a thread of its own.
+//! Predicts the afferent response to plays from their measured bursts: one play at a time, on its own thread.
 //!
-//! This and the [renderer](super::renderer) are the only places where the daemon runs the skin model (crates/skin and crates/design) in the
-//! process that streams.
-//! That is safe:
+//! Only this module and the [renderer](super::renderer) run the skin model (crates/skin and crates/design) in the streaming
+//! process. That is safe:
 //! - The thread has nice [`NICE`]; the streamer has real-time priority or nice 0, and its own memory and queues. They share no lock.
-//! - The work is bounded: a play counts for its first minute, at most [`WAITING`] plays wait with at most [`WAITING_BURSTS`] bursts,
+//! - The work is bounded: only a play's first minute counts, at most [`WAITING`] plays wait with at most [`WAITING_BURSTS`] bursts,
 //!   and further plays get [`NoPrediction::Busy`].
 //! - Nothing waits for a prediction: a play's `ended` event comes before it, and the daemon ends without it.
 //!
@@ -20,11 +19,11 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use tracing::error;
 
-/// Plays that wait, with the one in work: as many as may be queued.
+/// The most waiting plays, including the current one: as many as may be queued.
 const WAITING: usize = 16;
-/// The bursts of all plays that wait: more than a minute of 24 motors at 300 Hz, 25 MB.
+/// The most bursts of all waiting plays: more than a minute of 24 motors at 300 Hz, 25 MB.
 const WAITING_BURSTS: usize = 1 << 20;
-/// A ninth of the processor time of a thread with nice 0: at 19 a busy machine would hardly run it.
+/// The thread gets a ninth of the processor time of a thread with nice 0. At 19 a busy machine would hardly run it.
 const NICE: i32 = 10;
 
 /// A play and its measured bursts.
@@ -79,7 +78,8 @@ impl Waiting {
 impl Predictor {
     pub(super) fn new() -> Result<Self, ThreadPoolBuildError> {
         let start = |_| {
-            // On Linux this concerns the calling thread alone. If the system refuses, it has nice 0, still below the streamer.
+            // On Linux this applies to the calling thread only. If the system refuses, the thread has nice 0, still below the
+            // streamer.
             let _ = rustix::process::nice(NICE);
         };
         let pool = ThreadPoolBuilder::new()
@@ -95,7 +95,7 @@ impl Predictor {
         self.pool.spawn(work);
     }
 
-    /// Predicts the response to a play after those that wait, and reports the result; no report if `cancelled` returns true by then.
+    /// Predicts the response to a play after the waiting ones, and reports the result, unless `cancelled` returns true by then.
     pub(super) fn predict(
         &self,
         play: MeasuredPlay,

@@ -1,4 +1,4 @@
-//! Reads the configuration again while the daemon runs.
+//! Reloads the configuration while the daemon runs.
 //!
 //! - The patterns' directory, the participant's limits and the session record change at once.
 //! - The streamer's settings change at the next `arm`.
@@ -51,7 +51,7 @@ pub(super) fn spawn(
 /// Reads the configuration and applies what can change; `running` is the configuration in use.
 fn reload(source: &Source, running: &mut Config, engine: &Engine, store: &SharedStore) {
     let mut applied = Vec::new();
-    // Somebody may have corrected the file of the vibration's sums.
+    // A person may have corrected the file of the vibration sums.
     if let Some(location) = &running.logbook
         && engine.lock().exposure.unknown().is_some()
     {
@@ -63,7 +63,7 @@ fn reload(source: &Source, running: &mut Config, engine: &Engine, store: &Shared
         warn!("{problem}");
     }
     engine.session_record().add(Note::Reloaded { changed: applied, problem });
-    // Behind the first entry in a new directory, which opens it.
+    // Save this after the first entry in a new directory, which opens it.
     let _ = engine.lock().save_exposure(Now::read());
 }
 
@@ -114,7 +114,7 @@ fn apply(
     if new.participant != running.participant {
         let mut state = engine.lock();
         state.exposure.set_limits(new.participant);
-        // Plays that run and wait were asked for their amplitude when they were ordered.
+        // The amplitude of running and queued plays was checked when they were ordered.
         if new.participant.max_amplitude_um < running.participant.max_amplitude_um {
             let _ = state.commands.send_unanswered(Command::Stop);
         }

@@ -1,8 +1,8 @@
 //! Renders live targets: a thread for each turns the newest pose of its shape into drives, within a time.
 //!
-//! The thread has [`NICE`], and so have the threads that it searches with: the streamer has real-time priority or nice 0, and waits for
-//! none of them. While it renders, the pins play on; of the poses that come meanwhile the newest wins. When the play is over, some of its
-//! poses are [compared](super::live_contrast) with searches that take their time.
+//! The thread has [`NICE`], and so have the threads that it searches with; the streamer has real-time priority or nice 0, and waits
+//! for none of them. While it renders, the pins play on; only the newest of the poses that come meanwhile is rendered next. When
+//! the play is over, some of its poses are [compared](super::live_contrast) with searches without a deadline.
 //!
 //! Bounds: one pose waits (`poses`). Invariant: the thread renders until the end of its play.
 
@@ -20,13 +20,13 @@ use std::sync::Arc;
 use std::thread;
 use std::time::{Duration, Instant};
 
-/// Below everything that clients wait for, above the predictor: a finger waits.
+/// Lower priority than everything that clients wait for, but higher than the predictor, because a person waits.
 const NICE: i32 = 5;
 /// Threads that search, at most.
 const THREADS: usize = 4;
 /// How long the search for the drives of a pose may take, ms, without `budget_ms`.
 const BUDGET_MS: f64 = 15.0;
-/// What is left of an update's time for the rest of its way.
+/// The part of an update's time that is reserved for the steps after rendering.
 const SPARE: Duration = Duration::from_millis(1);
 
 /// A pose to render.
@@ -40,7 +40,7 @@ pub(super) struct Job {
     pub(super) scale: Option<(u64, f64)>,
 }
 
-/// A pose as the search has it.
+/// Converts a pose to the search's type.
 pub(super) const fn pose(of: LivePose) -> Pose {
     let LivePose { x_mm, y_mm, angle_deg } = of;
     Pose { x_mm, y_mm, angle_deg }
@@ -64,7 +64,7 @@ impl Prepared {
     pub(super) fn new(target: &Target, request: &LiveRequest) -> Result<Self, PrepareError> {
         let threads = thread::available_parallelism().map_or(1, usize::from).min(THREADS);
         let start = |_| {
-            // If the system refuses, they have nice 0, still below the streamer.
+            // If the system refuses, the threads have nice 0, still below the streamer.
             let _ = rustix::process::nice(NICE);
         };
         let pool = ThreadPoolBuilder::new()
@@ -120,7 +120,7 @@ impl Prepared {
     }
 }
 
-/// Ends the play when it is dropped: also if the thread panics, while its client shows that it is there.
+/// Ends the play when dropped, for example if the thread panics while its client is still active.
 struct EndsPlay {
     engine: Arc<Engine>,
     id: u64,
@@ -132,7 +132,7 @@ impl Drop for EndsPlay {
     }
 }
 
-/// Why a target is not rendered.
+/// Why a target cannot be rendered.
 #[derive(Debug, thiserror::Error)]
 pub(super) enum PrepareError {
     #[error(transparent)]

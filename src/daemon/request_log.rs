@@ -12,7 +12,7 @@ use serde::Serialize;
 use std::sync::Arc;
 use tracing::{debug, info};
 
-/// A request under way. Dropping it without a result means that its client has hung up.
+/// A request under way. If it is dropped without a result, its client has hung up.
 #[derive(Debug)]
 pub(super) struct LoggedRequest {
     engine: Arc<Engine>,
@@ -38,7 +38,7 @@ impl LoggedRequest {
         self.entry.set_arguments(serde_json::to_value(arguments).unwrap_or_default());
     }
 
-    /// Sets the command's name in the log, if its own is too short.
+    /// Sets the command's name in the log, if its own name is too short.
     pub(super) fn set_title(&mut self, title: String) {
         self.title = title;
     }
@@ -68,14 +68,14 @@ impl Drop for LoggedRequest {
             (None, "ok") => "done".to_owned(),
             (None, _) => "the client hung up before the answer".to_owned(),
         };
-        // A play has a line at its end; refused plays may come by the thousand.
+        // A play has a line at its end, and refused plays may come by the thousand.
         let kind = self.entry.command;
         match (kind, &*self.entry.answer) {
             ("play" | "sequence", _) => {
                 debug!(pid, uid, play_id = self.entry.play, "{title} by {client}: {answer}");
             }
             ("estop", _) => info!(pid, uid, always = true, "{title} by {client}: {answer}"),
-            // Refusals do not take the room of what was done.
+            // Refusals are bounded separately, so that they do not displace lines about carried-out commands.
             (_, "ok") => info!(pid, uid, kind, "{title} by {client}: {answer}"),
             _ => info!(pid, uid, kind, "{title} by {client}: {answer}"),
         }

@@ -1,6 +1,6 @@
-//! A client's right, as whatever outlives a request holds it: event streams, live connections, requests that wait.
+//! A client's right, held by everything that outlives a request: event streams, live connections, waiting requests.
 //!
-//! Invariant: [`Right::check`] asks anew each time; [`Right::ended`] asks whenever a right may have ended.
+//! Invariant: [`Right::check`] checks again at each call; [`Right::ended`] checks whenever a right may have ended.
 
 use super::engine::Engine;
 use super::state::{Caller, NoRight};
@@ -40,7 +40,7 @@ impl Right {
     }
 }
 
-/// A request that is being answered: its client is not silent.
+/// A request that is being answered. While it exists, its client does not count as silent.
 #[derive(Debug)]
 pub(super) struct Answering {
     engine: Arc<Engine>,

@@ -1,11 +1,11 @@
 //! The daemon's runtime: one thread for clients and events, a few for work that waits for a disk.
 //!
-//! A handler runs on the one thread and must not block. It passes work that needs a disk, and work that takes milliseconds, to a [`Lane`]:
-//! [`PLAYS`] for what a play waits for, [`OTHERS`] for the rest. What reads the session record goes to [`reading`], on a thread that gives
-//! way to all others.
+//! A handler runs on the one thread and must not block. It passes work that needs a disk, and work that takes milliseconds, to a
+//! [`Lane`]: [`PLAYS`] for work that a play waits for, [`OTHERS`] for the rest. Work that reads the session record goes to
+//! [`reading`], on a thread with low priority.
 //!
-//! Invariant: no lane waits for another, however many clients fill it and however slow the disk is. No work waits for a thread: what waits
-//! is a request, which ends with its client.
+//! Invariant: no lane waits for another, even if many clients fill it or the disk is slow. Work never waits for a thread; only
+//! requests wait, and they end with their clients.
 
 use super::error::{DaemonError, system};
 use meissner_api::{Code, Problem};
@@ -14,15 +14,15 @@ use std::thread;
 use tokio::runtime::{Builder, Runtime};
 use tokio::sync::{Semaphore, oneshot};
 
-/// Tasks between two looks at the sockets: a client that sends without a pause must not delay the others.
+/// Tasks between two checks of the sockets, so that a client that sends without a pause does not delay the others.
 const EVENT_INTERVAL: u32 = 8;
 /// Threads that may wait for a disk: of plays, and of other requests.
 const DISK_THREADS: [usize; 2] = [1, 2];
-/// Threads for work of all lanes: each has one for the processor.
+/// Threads for work of all lanes: each lane has one more, for computing.
 const THREADS: usize = DISK_THREADS[0] + DISK_THREADS[1] + 2;
-/// Readers of the session record that wait for their turn, and the one that reads.
+/// The most readers of the session record: those that wait, and the one that reads.
 const READERS: usize = 16;
-/// Of the thread that reads the session record: a ninth of the processor time of a thread with nice 0.
+/// The niceness of the thread that reads the session record: it gets a ninth of the processor time of a thread with nice 0.
 const READER_NICE: i32 = 10;
 
 /// Places for work that must not wait for other work.
@@ -34,20 +34,20 @@ pub(super) struct Lane {
     pub(super) patterns: Semaphore,
 }
 
-/// For what plays wait for.
+/// The lane for work that plays wait for.
 pub(super) static PLAYS: Lane = Lane::new(DISK_THREADS[0]);
-/// For all other requests.
+/// The lane for all other requests.
 pub(super) static OTHERS: Lane = Lane::new(DISK_THREADS[1]);
 
 impl Lane {
-    /// With so many threads for the disk, and one for the processor.
+    /// A lane with `disk` threads for the disk, and one for computing.
     const fn new(disk: usize) -> Self {
         let [disk, processor, patterns] =
             [Semaphore::const_new(disk), Semaphore::const_new(1), Semaphore::const_new(2)];
         Self { disk, processor, patterns }
     }
 
-    /// Runs work that may wait for a disk on a thread of its own.
+    /// Runs work that may wait for a disk on another thread.
     pub(super) async fn blocking<T: Send + 'static>(
         &'static self,
         work: impl FnOnce() -> T + Send + 'static,
@@ -55,7 +55,7 @@ impl Lane {
         run(&self.disk, work).await
     }
 
-    /// Runs work that needs no disk on a thread of its own, one piece at a time.
+    /// Runs work that needs no disk on another thread, one piece at a time.
     pub(super) async fn computing<T: Send + 'static>(
         &'static self,
         work: impl FnOnce() -> T + Send + 'static,
@@ -88,7 +88,7 @@ pub(super) async fn computing<T: Send + 'static>(
     OTHERS.computing(work).await
 }
 
-/// Runs work that reads the session record: one piece at a time. Of the others [`READERS`] wait, further ones get an error.
+/// Runs work that reads the session record: one piece at a time. Up to [`READERS`] wait; further ones get an error.
 pub(super) async fn reading<T: Send + 'static>(
     work: impl FnOnce() -> T + Send + 'static,
 ) -> Result<T, Problem> {
@@ -99,9 +99,9 @@ pub(super) async fn reading<T: Send + 'static>(
     let _waits = WAITING.try_acquire().map_err(many)?;
     let place = RECORD.acquire().await;
     let (sender, result) = oneshot::channel();
-    // The work keeps its place also when its client hangs up.
+    // The work keeps its place even when its client hangs up.
     let work = move || {
-        // If the system refuses, it has nice 0, still below the streamer.
+        // If the system refuses, the thread has nice 0, still below the streamer.
         let _ = rustix::process::nice(READER_NICE);
         let result = work();
         drop(place);
@@ -119,7 +119,7 @@ async fn run<T: Send + 'static>(
 ) -> Result<T, Problem> {
     let place = places.acquire().await;
     let failed = |error| Problem::new(Code::Store, format!("internal error: {error}"));
-    // The work keeps its place also when its client hangs up: it goes on, with its memory.
+    // The work keeps its place even when its client hangs up, because it goes on and holds its memory.
     let work = move || {
         let result = work();
         drop(place);
@@ -155,14 +155,14 @@ mod tests {
         });
     }
 
-    /// Readers fill their lanes and never end; plays go on, and readers beyond the bound learn it at once.
+    /// Readers fill their lanes and never end. Plays go on, and further readers get an error at once.
     #[test]
     fn readers_delay_no_play_however_many_they_are() {
         runtime().unwrap().block_on(async {
             let (end, ended) = crossbeam_channel::bounded::<()>(0);
             let stuck = || {
                 let ended = ended.clone();
-                // Disconnected at the end of the test.
+                // The channel is disconnected at the end of the test.
                 move || assert!(ended.recv().is_err())
             };
             let mut readers = tokio::task::JoinSet::new();

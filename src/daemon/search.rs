@@ -1,6 +1,7 @@
 //! Searches over HTTP, and the thread that follows a search's process.
 //!
-//! The thread starts the process ([`crate::search`]), gives it its job and follows it to its end. No handler waits for it.
+//! The thread starts the process ([`crate::search`]), sends it its job and reads its reports until it ends. No handler waits for
+//! it.
 
 use super::body;
 use super::engine::Engine;
@@ -48,7 +49,7 @@ pub(super) async fn start(
     logged.result(result)
 }
 
-/// The target of a request: that of a name, or the one that the request holds.
+/// The target of a request, which names it or holds it.
 pub(super) async fn find(app: &App, target: &Value) -> Answer<Target> {
     if let Some(name) = target.as_str() {
         let (store, name) = (app.store.get(), name.to_owned());
@@ -78,7 +79,7 @@ pub(super) async fn cancel(
         let id: String = path(id)?.chars().take(100).collect();
         logged.set_arguments(&json!({"id": id}));
         let search = app.engine.lock().cancel_search(&id)?;
-        // A newer program may wait for the end.
+        // A newer program may wait for the search to end.
         app.engine.changed.notify_one();
         Ok::<_, ErrorResponse>(search)
     }
@@ -86,14 +87,14 @@ pub(super) async fn cancel(
     answer(logged.result(result)?).await
 }
 
-/// A result has hundreds of kilobytes: it is written on another thread.
+/// Serializes the answer on another thread, because a result has hundreds of kilobytes.
 async fn answer(search: Arc<Search>) -> Answer<Response> {
     let json = computing(move || serde_json::to_vec(&*search).unwrap_or_default()).await?;
     Ok(([(CONTENT_TYPE, "application/json")], json).into_response())
 }
 
 impl Engine {
-    /// Starts a search on a thread of its own.
+    /// Starts a search on a separate thread.
     fn start_search(self: &Arc<Self>, request: SearchRequest, target: &Target) -> Result<Search, Problem> {
         let failed = |detail: String| Problem::new(Code::Store, detail);
         let command = search::command().ok_or_else(|| {
@@ -129,7 +130,7 @@ impl Engine {
         }
     }
 
-    /// Follows the process to its result.
+    /// Reads the process's reports up to its result.
     fn follow_search(&self, id: u64, process: &mut SearchProcess) -> Result<Found, String> {
         let ended = || {
             let mib = MEMORY >> 20;

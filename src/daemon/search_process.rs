@@ -1,6 +1,7 @@
 //! A process that searches: its job is written to it, and its reports are read.
 //!
-//! Invariant: a process that was started is killed and waited for when its [`SearchProcess`] is dropped. Until then its id is its own.
+//! Invariant: when a [`SearchProcess`] is dropped, its process is killed and waited for. Until then no other process can get its
+//! id.
 
 use crate::search::{Job, MAX_LINE, Report};
 use rustix::process::Pid;
@@ -11,7 +12,7 @@ use std::process::{Child, ChildStdin, ChildStdout, Command};
 #[derive(Debug)]
 pub(super) struct SearchProcess {
     child: Child,
-    /// The process ends when this is closed.
+    /// Closing it ends the process.
     stdin: Option<ChildStdin>,
     reports: Option<BufReader<ChildStdout>>,
 }
@@ -28,7 +29,7 @@ impl SearchProcess {
         Pid::from_child(&self.child)
     }
 
-    /// Gives it its job. If it has ended, it makes no report.
+    /// Sends it its job. If the process has already ended, there will be no report.
     pub(super) fn give(&mut self, job: &Job) {
         let line = serde_json::to_vec(job).unwrap_or_default();
         if let Some(stdin) = &mut self.stdin {
@@ -39,7 +40,7 @@ impl SearchProcess {
     /// Waits for its next report; none if it has ended.
     pub(super) fn report(&mut self) -> Option<Report> {
         let mut line = Vec::new();
-        // An error is an end without a report.
+        // A read error counts as an end without a report.
         let _ = self.reports.as_mut()?.take(MAX_LINE).read_until(b'\n', &mut line);
         serde_json::from_slice(&line).ok()
     }
@@ -47,7 +48,7 @@ impl SearchProcess {
 
 impl Drop for SearchProcess {
     fn drop(&mut self) {
-        // Whatever it still does is of no use. An error means that it has ended.
+        // Its work is no longer needed. An error means that it has already ended.
         let _ = self.child.kill();
         let _ = self.child.wait();
     }

@@ -1,7 +1,8 @@
 //! Begins sequences: compiles the patterns of a request one by one, and sends all items as one play.
 //!
-//! [`PreparedSequence::new`] finds and compiles each pattern once for each scale, and drops it again: a sequence holds strokes, not
-//! patterns, and some texts for the session record until it is accepted. [`Engine::sequence`] sends it as [`Engine::play`] sends a play.
+//! [`PreparedSequence::new`] finds each pattern, compiles it once for each scale, and drops it again. A sequence holds strokes, not
+//! patterns; until it is accepted, it also holds some texts for the session record. [`Engine::sequence`] sends it as
+//! [`Engine::play`] sends a play.
 //!
 //! Invariant: a sequence is accepted as a whole or refused, with the number of the item that is wrong.
 
@@ -26,20 +27,20 @@ use std::collections::hash_map::Entry;
 use std::future::Future;
 use std::sync::Arc;
 
-/// What a sequence is called that has no name.
+/// The name of a sequence without one.
 const NAME: &str = "sequence";
-/// The part of an item that counts for its bandwidth, s.
+/// The part of an item that is used to compute its bandwidth, s.
 const COUNTED_S: f64 = 60.0;
-/// Strokes that are counted for the receipt; of a longer sequence it has no counts.
+/// The most strokes that are counted for the receipt; for a longer sequence it has no counts.
 const COUNTED: usize = 1 << 20;
-/// Bytes of texts that a sequence holds for the session record, at most. Those beyond are kept with a later play.
+/// Bytes of texts that a sequence holds for the session record, at most. Further ones are kept with a later play.
 const MAX_TEXTS: usize = 4 << 20;
 
 /// A sequence that still needs an id.
 #[derive(Debug)]
 pub(super) struct PreparedSequence {
     play: Play,
-    /// It is compiled for these.
+    /// The settings that it was compiled for.
     settings: Settings,
     new: NewSequence,
     vibration: Vibration,
@@ -57,7 +58,7 @@ struct Used {
     compiled: HashMap<u64, (CompiledItem, [f64; 2])>,
 }
 
-/// What becomes of the request step by step.
+/// The state of a request while it is prepared.
 struct Preparing {
     sequence: Sequence,
     bandwidth: Bandwidth,
@@ -123,7 +124,7 @@ impl PreparedSequence {
             let (pattern, sha256) = (Arc::clone(name), Arc::clone(sha256));
             planned.push(PlannedItem { pattern, sha256, scale, amplitude_um, span: (0, 0) });
         }
-        // Patterns with many drives take a while for each item.
+        // Adding an item takes a while for a pattern with many drives.
         let (preparing, added) = PLAYS
             .computing(move || {
                 let mut items = placed.into_iter().enumerate();
@@ -142,7 +143,7 @@ impl PreparedSequence {
         }
         let spans: Vec<(f64, f64)> =
             sequence.spans().map(|(start, end)| (ticks_to_seconds(start), ticks_to_seconds(end))).collect();
-        // A checked request has an item.
+        // A checked request has at least one item.
         let strokes = sequence
             .strokes()
             .ok_or_else(|| Problem::new(Code::BadRequest, "`items` is empty: add an item"))?;
@@ -206,7 +207,7 @@ impl Preparing {
         if largest_um > self.largest.0 {
             self.largest = (largest_um, name.to_owned());
         }
-        // The longest item at the largest amplitude; items of other patterns do not play meanwhile.
+        // The bandwidth of the longest item at the largest amplitude suffices, because no items of other patterns play meanwhile.
         let lasting = |item: &SequenceItem| item.seconds.or(pattern.duration_s()).unwrap_or(COUNTED_S);
         let longest_s = items.iter().map(lasting).fold(0.0, f64::max).min(COUNTED_S);
         let options = self.options(most, Some(longest_s));
@@ -222,7 +223,7 @@ fn at_item(number: usize, problem: Problem) -> Problem {
     Problem { detail: format!("`items[{number}]`: {}", problem.detail), ..problem }
 }
 
-/// What tells the texts of items apart.
+/// The key by which the texts of items differ.
 fn text(item: &SequenceItem) -> (&str, Option<&str>) {
     (&item.pattern, item.pattern_sha256.as_deref())
 }
@@ -259,7 +260,7 @@ fn check_triggers(strokes: &Strokes, items: &[Item]) -> Result<(), Problem> {
     Ok(())
 }
 
-/// Bursts and pulses; `None` of a sequence that would take too long to count.
+/// Bursts and pulses; `None` if counting them would take too long.
 fn counts(strokes: &Strokes) -> Option<OrderedCounts> {
     let (mut bursts, mut pulses) = (0, 0);
     for stroke in strokes.clone().map_while(Result::ok) {
@@ -271,7 +272,7 @@ fn counts(strokes: &Strokes) -> Option<OrderedCounts> {
     Some(OrderedCounts { bursts, pulses: Some(pulses) })
 }
 
-/// What tells sequences of one name apart: the SHA-256 of the items as JSON.
+/// Identifies sequences of the same name: the SHA-256 of the items as JSON.
 fn sha256(items: &[SequenceItem]) -> String {
     // Parsed items can be written.
     let json = serde_json::to_vec(items).unwrap_or_default();
@@ -315,7 +316,7 @@ impl Engine {
             held.begin(&mut state, id);
             (PlayAccepted { id, ordered_ms, compiled_ms }, reply, texts)
         };
-        // If the streamer refuses a play that replaces others, they go on: the next order waits for that.
+        // If the streamer refuses a play that replaces others, they go on, so the next order waits for its answer.
         let held = request.replace.then_some(held);
         for (sha256, text) in texts {
             self.session_record().keep_text(&sha256, &text);

@@ -1,11 +1,12 @@
-//! The server: answers the clients that the acceptor hands over, bounds them, and closes them at the end.
+//! The server: answers the clients that the acceptor hands over, limits their number, and closes their connections at the end.
 //!
 //! hyper speaks HTTP/1.1 on a [`Connection`]; [`http`](super::http) handles the requests. If more clients are connected than
 //! [`Bounds::clients`], the server disconnects one that the gate does not know, or else the one for which it has waited longest
-//! ([`Activity`]). If it waits for none, the new client gets an error, unless its request is prompt or an emergency stop: then it gets
-//! its answer, and the connection ends.
+//! ([`Activity`]). If it waits for none, the new client gets an error. A prompt request or an emergency stop still gets its answer,
+//! and then the connection ends.
 //!
-//! Invariant: a client occupies one place and its own buffers; between two of its requests the server takes one of each other client.
+//! Invariant: a client occupies one place and its own buffers; between two of its requests the server handles one of every other
+//! client.
 
 use super::acceptor::{Accepted, Bounds, Counts, Handover, IDLE, refuse, response, too_many_clients};
 use super::activity::Activity;
@@ -33,13 +34,13 @@ use tokio::task::{AbortHandle, Id, JoinSet};
 use tower::ServiceExt;
 use tracing::{debug, warn};
 
-/// What hyper holds of a client in each direction, bytes: a request's head fits.
+/// The size of hyper's buffer for a client in each direction, bytes: a request's head fits.
 const BUFFER: usize = 32 << 10;
 /// How long a client may be idle between two requests: as long as a break between two blocks of an experiment.
 const KEPT_IDLE: Duration = Duration::from_secs(600);
-/// How long requests may take that run at the end.
+/// How long running requests may still take at the end.
 const DRAIN: Duration = Duration::from_secs(1);
-/// How often the log says that clients were refused or disconnected.
+/// How often the log reports refused and disconnected clients.
 const REPORT_EVERY: Duration = Duration::from_secs(10);
 
 /// The number of the emergency stop that the acceptor has ordered for this request.
@@ -58,7 +59,7 @@ pub(super) struct Server {
     estops: JoinSet<()>,
     /// The clients' tasks, and how active each is.
     tasks: HashMap<Id, (AbortHandle, Arc<Activity>)>,
-    /// The refusals, evictions and denials that the log has, and when it was written last.
+    /// The numbers of refusals, evictions and denials that the log has reported.
     reported: [u64; 3],
     reported_at: Option<Instant>,
 }
@@ -99,7 +100,7 @@ impl Server {
     fn take(&mut self, accepted: Accepted, closing: &watch::Receiver<bool>) {
         let Accepted { stream, head, peer, first, estop, place } = accepted;
         let full = self.clients_now().count() >= self.bounds.clients;
-        // A network client displaces network clients alone.
+        // A network client displaces only network clients.
         let is_network = stream.is_network();
         let of_network = self.clients_now().filter(|activity| activity.is_network).count();
         let full = full || is_network && of_network >= self.bounds.network;
@@ -140,7 +141,7 @@ impl Server {
         true
     }
 
-    /// The connections that are served and not about to end.
+    /// The served connections that are not about to end.
     fn clients_now(&self) -> impl Iterator<Item = &Activity> {
         let running = self.tasks.values().filter(|(handle, _)| !handle.is_finished());
         running.map(|(_, activity)| &**activity).filter(|activity| !activity.is_evicted())
@@ -148,7 +149,7 @@ impl Server {
 
     /// Writes an emergency stop that the acceptor has ordered to the log and the session record, once it is answered.
     fn record_estop(&mut self, peer: Peer, number: u64) {
-        // Beyond the bound it goes unrecorded: the device does not answer, and those before it are recorded.
+        // Beyond the bound it is not recorded: the device does not answer, and the earlier ones are recorded.
         if self.estops.len() >= self.bounds.estops {
             return;
         }
@@ -185,7 +186,7 @@ impl Server {
     }
 }
 
-/// Serves a client until its connection ends; one beyond the places until its first answer.
+/// Serves a client until its connection ends; a client beyond the places only until its first answer.
 async fn serve_client(
     connection: Connection,
     mut ahead: ReadAhead,
@@ -205,7 +206,7 @@ async fn serve_client(
             request.extensions_mut().insert(Ordered(number));
         }
         async move {
-            // A client that sends one request after the other waits for its turn.
+            // Let other clients have their turn, even if this one sends one request after the other.
             tokio::task::yield_now().await;
             let mut response = router.oneshot(request).await;
             let streams = |response: &axum::response::Response| {
@@ -272,7 +273,7 @@ mod tests {
         (tokio::net::UnixStream::from_std(client).unwrap(), serving)
     }
 
-    /// In virtual time.
+    /// This runs in virtual time.
     #[test]
     fn an_idle_client_is_kept_for_ten_minutes() {
         crate::daemon::runtime().unwrap().block_on(async {
@@ -282,7 +283,7 @@ mod tests {
             let (mut client, serving) = served(router, closing);
             tokio::spawn(serving);
             let mut text = Vec::new();
-            // The second request ends another break.
+            // The second request comes after another break.
             for breaks in 1..3 {
                 client.write_all(b"GET / HTTP/1.1\r\nhost: x\r\n\r\n").await.unwrap();
                 while !text.ends_with(b"answer") {
@@ -300,7 +301,7 @@ mod tests {
         });
     }
 
-    /// In virtual time.
+    /// This runs in virtual time.
     #[test]
     fn a_later_head_has_five_seconds_from_its_first_byte_on() {
         crate::daemon::runtime().unwrap().block_on(async {
@@ -318,7 +319,7 @@ mod tests {
                 client.read_buf(&mut text).await.unwrap();
             }
             tokio::time::sleep(Duration::from_secs(100)).await;
-            // Part of a head waits behind a request that takes long, and has its time after the answer all the same.
+            // Part of a head waits behind a long request. It still gets its time after the answer.
             client.write_all(b"GET /sleepy HTTP/1.1\r\nhost: x\r\n\r\nGET / HT").await.unwrap();
             text.clear();
             while !text.windows(8).any(|bytes| bytes == b"HTTP/1.1") {
@@ -333,7 +334,7 @@ mod tests {
             let begun = tokio::time::Instant::now();
             let slow = async {
                 for byte in b"GET / HTTP/1.1\r\nhost: x\r\nx: y".iter().cycle() {
-                    // The connection ends meanwhile.
+                    // The write may fail, because the connection ends meanwhile.
                     let _ = client.write_all(&[*byte]).await;
                     if tokio::time::timeout(Duration::from_secs(2), client.read_buf(&mut text)).await.is_ok()
                     {

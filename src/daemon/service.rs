@@ -1,8 +1,8 @@
 //! Notifications to the service manager (systemd's sd_notify), if one started the daemon: ready, status, watchdog, stopping.
 //!
 //! A watchdog notification means that the streamer's loop has run since the last one. The runtime's thread sends it, so the service
-//! manager also restarts a daemon whose runtime hangs; a slow client, disk or log delays neither. All notifications leave by a
-//! thread of their own: a service manager that hangs must not hold up an emergency stop.
+//! manager also restarts a daemon whose runtime hangs; a slow client, disk or log delays neither. A separate thread sends all
+//! notifications, so that a hung service manager does not delay an emergency stop.
 //!
 //! Invariant: no watchdog notification without a new run of the streamer's loop.
 
@@ -19,16 +19,16 @@ use std::thread;
 use std::time::Duration;
 use tracing::warn;
 
-/// Notifications that wait; more are dropped. Watchdog notifications leave half of the queue to the others.
+/// The most waiting notifications; more are dropped. Watchdog notifications use at most half of the queue.
 const QUEUE: usize = 64;
-/// Checks per watchdog interval: a run may be seen one check late, and a notification may wait for the machine.
+/// Checks per watchdog interval. More than one, because a run may be seen one check late, and a notification may be delayed.
 const CHECKS: u32 = 4;
 
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) enum Notification {
     Ready,
     Reloading,
-    /// The status that waits in [`Line::status`].
+    /// The status in [`Line::status`].
     Status,
     Alive,
     Stopping,
@@ -41,7 +41,7 @@ pub(super) struct Manager(Option<Line>);
 #[derive(Clone, Debug)]
 struct Line {
     queue: Sender<Notification>,
-    /// The newest status, if it waits; older ones are dropped.
+    /// The newest status that is waiting; older ones are dropped.
     status: Arc<Mutex<Option<String>>>,
 }
 
@@ -71,7 +71,7 @@ impl Manager {
         let Some(Line { status, .. }) = &self.0 else { return };
         let mut status = status.lock().unwrap_or_else(PoisonError::into_inner);
         let waits = status.is_some();
-        // Without room it waits for the next status.
+        // If the queue is full, it waits for the next status.
         *status = (waits || self.notify(Notification::Status)).then_some(text);
     }
 }
@@ -88,12 +88,12 @@ impl StatusReporter {
         Self { manager, last: String::new() }
     }
 
-    /// Reports a changed status. Ends an idle daemon whose program was replaced: the service manager starts the new one.
+    /// Reports a changed status. Ends an idle daemon whose program was replaced, so that the service manager starts the new one.
     pub(super) fn update(&mut self, engine: &Engine) {
         if !self.manager.is_there() {
             return;
         }
-        // In the protocol a line break ends the value.
+        // A line break would end the value in this protocol.
         let line = engine.status_line().replace(char::is_control, " ");
         if line != self.last {
             self.last.clone_from(&line);
@@ -149,7 +149,7 @@ pub(super) async fn watchdog(manager: Manager, engine: Arc<Engine>) {
 async fn watch(manager: Manager, engine: Arc<Engine>, every: Duration) {
     let mut seen = engine.lock().commands.loop_count();
     loop {
-        // An idle streamer sleeps: waking it makes it run its loop.
+        // An idle streamer sleeps; wake it, so that it runs its loop.
         engine.lock().commands.wake_streamer();
         tokio::time::sleep(every).await;
         let count = engine.lock().commands.loop_count();

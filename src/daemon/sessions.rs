@@ -1,7 +1,7 @@
-//! Sessions over HTTP: the handlers, who may send which request, and the release of an exclusive session.
+//! Sessions over HTTP: the handlers, the check who may send a request, and the release of an exclusive session.
 //!
-//! [`guard`] runs before every handler, and the state checks again when a change is made, since a session may begin, or a token be revoked,
-//! while a body arrives.
+//! [`guard`] runs before every handler. The state checks again when a change is made, because a session may begin, or a token be
+//! revoked, while a body arrives.
 //!
 //! Invariant: a request that the guard refuses changes nothing; a change is recorded like any refused command.
 
@@ -37,7 +37,8 @@ use tracing::info;
 /// How long a reader of the record waits until the newest entries are written.
 const WRITTEN: Duration = Duration::from_secs(2);
 
-/// Notes that the client is there; refuses what it may not do by its route, and ends what waits when its right ends.
+/// Notes a sign of life of the client; refuses a request that it may not make, and ends a waiting request when the client's right
+/// ends.
 pub(super) async fn guard(
     State((app, route)): State<(App, Route)>,
     Extension(caller): Extension<Caller>,
@@ -63,13 +64,13 @@ pub(super) async fn guard(
     let right = Right::new(Arc::clone(&app.engine), caller.clone(), going_on(access));
     request.extensions_mut().insert(right.clone());
     let answer = Asker { caller, access, breaks }.ask(next.run(request));
-    // The others ask again when they make their change.
+    // Other requests are checked again when they make their change.
     let waits = route.method() == Method::Get || route == Route::Home;
     tokio::select! {
         answer = answer => answer,
         NoRight { problem, cause } = right.ended(), if waits => {
             if route == Route::Home {
-                // It moves pins for a client that may not move them any more.
+                // Homing moves pins for a client that may no longer do so, so stop it.
                 let _ = app.engine.lock().commands.send_unanswered(Command::Stop);
                 info!("homing was stopped: {cause}");
             }
@@ -124,10 +125,10 @@ pub(super) async fn end(
         let id = path(id)?;
         parse_empty(&body::read_command(body).await?)?;
         let mut ended = app.engine.lock().end_session(&id)?;
-        // A newer program may wait for the end.
+        // A newer program may wait for the session to end.
         app.engine.changed.notify_one();
         let (record, id) = (app.engine.session_record(), ended.id.clone());
-        // What the disk does not take is known once it was asked to.
+        // Wait for the disk: only then it is known which entries it did not take.
         let lost = blocking(move || {
             let _ = record.wait_until_written(WRITTEN);
             record.lost_of(&id)
@@ -139,8 +140,8 @@ pub(super) async fn end(
     logged.result(result)
 }
 
-/// What `make` makes, on the reader's thread, of the record's directory, all recorded sessions and the running one, and of whether the disk
-/// has taken the newest entries. None: nothing is recorded.
+/// Calls `make` on the reader's thread, and returns its result. `make` gets the record's directory, the recorded sessions with the
+/// running one, and whether the disk has taken the newest entries. None: nothing is recorded.
 async fn recorded<T: Send + 'static>(
     app: &App,
     make: impl FnOnce(&FilePath, Sessions, bool) -> Result<T, RecordError> + Send + 'static,
@@ -162,7 +163,7 @@ async fn recorded<T: Send + 'static>(
 }
 
 pub(super) async fn list(State(app): State<App>) -> Answer<Response> {
-    // Ten thousand sessions take milliseconds of the runtime's only thread.
+    // Serialize here: ten thousand sessions would take milliseconds of the runtime's only thread.
     let json = |list: &SessionList| serde_json::to_vec(list).unwrap_or_default();
     let running = app.engine.lock().session();
     let made = recorded(&app, move |_, Sessions { recorded, unreadable, problems }, _| {
@@ -229,12 +230,12 @@ pub(super) async fn plays(
     Ok(json_response(json.ok_or_else(|| not_recorded(&id))?.into()))
 }
 
-/// What the disk has not taken yet cannot be read.
+/// The message that entries which the disk has not yet taken cannot be read.
 fn slow_disk() -> String {
     format!("the disk has not taken the newest entries within {} s: ask again", WRITTEN.as_secs())
 }
 
-/// Marks the plays whose pattern's text is stored, or kept in the record.
+/// Marks the plays whose pattern text is stored, or kept in the record.
 fn mark_kept(plays: &mut [RecordedPlay], store: &Store, record: &FilePath) {
     let mut known = HashMap::<String, bool>::new();
     for play in plays {

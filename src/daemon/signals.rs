@@ -11,7 +11,7 @@ use tokio::signal::unix::{Signal, SignalKind, signal};
 use tokio::sync::oneshot;
 use tracing::info;
 
-/// What a signal asks for.
+/// The action that a signal requests.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Action {
     /// End.
@@ -31,7 +31,7 @@ pub struct Signals {
 }
 
 impl Signals {
-    /// Catches them from now on.
+    /// Catches the signals from now on.
     ///
     /// # Errors
     /// If the system gives no signal handler.
@@ -47,7 +47,7 @@ impl Signals {
         Ok(Self { term, int, hangup, at_hangup, end: None })
     }
 
-    /// Also ends when `end` is sent to or dropped.
+    /// Also ends when `end` gets a message or its sender is dropped.
     pub(super) fn or(self, end: oneshot::Receiver<()>) -> Self {
         Self { end: Some(end), ..self }
     }

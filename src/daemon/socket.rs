@@ -1,9 +1,9 @@
 //! The daemon's two sockets, for the API and for emergency stops (`SOCKET.estop`): bound here with a lock file beside them, or handed
 //! over by a service manager.
 //!
-//! The lock (`SOCKET.lock`, flock) decides between daemons that start at the same time, and ends with its process. Its file stays,
-//! because removing it would race; only a file that other users may have open is replaced. A socket file that no process answers is
-//! replaced. No directories are made.
+//! The lock (`SOCKET.lock`, flock) decides between daemons that start at the same time, and ends with its process. The lock file
+//! stays, because removing it would be a race; it is replaced only if other users may have it open. A socket file that no process
+//! answers is replaced. This module makes no directories.
 //!
 //! Invariant: while a [`Bound`] lives, no other daemon is bound to its path.
 
@@ -19,9 +19,9 @@ use std::os::unix::net::{UnixListener, UnixStream};
 use std::path::{Path, PathBuf};
 use tracing::warn;
 
-/// Owner and group may connect: members of the group may drive the motors.
+/// Owner and group may connect, so that members of the group may drive the motors.
 const MODE: u32 = 0o660;
-/// How often a lock file is replaced or found replaced before the daemon gives up.
+/// How often the daemon replaces a lock file, or finds it replaced, before it gives up.
 const LOCK_TRIES: u32 = 4;
 
 /// Why the daemon has no socket.
@@ -84,7 +84,7 @@ fn pid_text(pid: Option<i32>) -> String {
 #[derive(Debug)]
 pub(super) struct Bound {
     pub(super) listener: UnixListener,
-    /// For emergency stops; none if the service manager listens for the API alone.
+    /// The socket for emergency stops; none if the service manager listens only for the API.
     pub(super) estop: Option<UnixListener>,
     socket: PathBuf,
     _files: Vec<SocketFile>,
@@ -93,13 +93,13 @@ pub(super) struct Bound {
 }
 
 impl Bound {
-    /// The sockets on which the service manager listens for this process, if it does: a connection starts the daemon, and the
-    /// service manager owns the files' mode, group and removal.
+    /// The sockets on which the service manager listens for this process, if it does. A connection starts the daemon, and the
+    /// service manager sets the files' mode and group, and removes them.
     pub(super) fn take_over(wanted: &Path) -> Result<Option<Self>, SocketError> {
         let mut handed_over = ListenFd::from_env();
         let Some(first) = next_listener(&mut handed_over, 0)? else { return Ok(None) };
         let second = next_listener(&mut handed_over, 1)?;
-        // In either order.
+        // The two may come in either order.
         let ((listener, socket), other) = match second {
             Some(second) if first.1 == estop_socket(&second.1) => (second, Some(first)),
             second => (first, second),
@@ -134,7 +134,7 @@ impl Bound {
     pub(super) fn new(socket: &Path) -> Result<Self, SocketError> {
         check(socket)?;
         let lock = lock(socket)?;
-        // The socket for emergency stops first: it is there before any client connects.
+        // Bind the socket for emergency stops first, so that it exists before any client connects.
         let (estop, estop_file) = bind(&estop_socket(socket))?;
         let (listener, file) = bind(socket)?;
         let (socket, _files) = (socket.to_owned(), vec![estop_file, file]);
@@ -181,7 +181,7 @@ struct SocketFile {
 
 impl Drop for SocketFile {
     fn drop(&mut self) {
-        // A file that another process has put there since stays.
+        // Keep a file that another process has put there since.
         if self.identity.is_some() && identity(&self.path) == self.identity {
             let _ = fs::remove_file(&self.path);
         }
@@ -219,13 +219,13 @@ fn lock(socket: &Path) -> Result<File, SocketError> {
             }
             Err(rustix::io::Errno::WOULDBLOCK) if private || UnixStream::connect(socket).is_ok() => {
                 let mut pid = String::new();
-                // For the message only.
+                // The process id is needed only for the message.
                 let _ = (&mut file).take(16).read_to_string(&mut pid);
                 return Err(SocketError::Taken { socket: socket.to_owned(), pid: pid.trim().parse().ok() });
             }
             // Another daemon has replaced the file: take the new one.
             Ok(()) if private => {}
-            // Other users may have it open, and hold a lock on it. No daemon answers, so this daemon replaces it.
+            // Other users may have it open and hold a lock on it. No daemon answers, so this daemon replaces it.
             Ok(()) | Err(rustix::io::Errno::WOULDBLOCK) => fs::remove_file(&path).map_err(wrong)?,
             Err(errno) => return Err(wrong(errno.into())),
         }
@@ -256,7 +256,7 @@ fn open_lock(socket: &Path, path: &Path) -> Result<File, SocketError> {
     }
 }
 
-/// Removes a stale socket. The lock is held: a process that answers here has lost its lock or never had one.
+/// Removes a stale socket. This process holds the lock, so a process that answers here has lost its lock or never had one.
 fn clear(socket: &Path) -> Result<(), SocketError> {
     let wrong = |source| SocketError::Io { path: socket.to_owned(), source };
     match fs::symlink_metadata(socket) {
@@ -335,7 +335,7 @@ mod tests {
         assert!(Bound::new(&socket).unwrap_err().to_string().contains("not a regular file"));
     }
 
-    /// Older daemons made the file readable for all, and a reader may lock it.
+    /// Older daemons made the file readable for all users, and a reader may lock it.
     #[test]
     fn a_readers_lock_does_not_stop_the_daemon() {
         let dir = tempfile::tempdir().unwrap();

@@ -1,6 +1,6 @@
-//! The status: for clients as JSON, for the service manager as a line.
+//! The status, as JSON for clients and as a line for the service manager.
 //!
-//! Invariant: a status is read under one lock, so its parts belong together.
+//! Invariant: a status is read under one lock, so its parts are consistent.
 
 use super::engine::Engine;
 use crate::exposure::Now;

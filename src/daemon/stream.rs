@@ -1,4 +1,4 @@
-//! A connection's socket, Unix or TCP: reads and writes without waiting, and who is at the other end.
+//! A connection's socket, Unix or TCP, with non-blocking reads and writes, and the identity of the other end.
 //!
 //! Acceptor and server use this one type, so that neither needs to know how a client has connected.
 //!
@@ -13,8 +13,8 @@ use std::io::{self, Read, Write};
 use std::net::{IpAddr, SocketAddr};
 use std::time::Duration;
 
-/// For how long a network client's machine may not answer: it sleeps or has lost its network. A client that waits for an answer is not
-/// silent, so this bounds how long a dead one keeps motors armed beyond the silence that it has stated.
+/// How long a network client's machine may fail to answer, because it sleeps or has lost its network. A client that waits for an
+/// answer does not count as silent, so this bounds how long a dead client keeps motors armed beyond its stated silence.
 const UNANSWERED: Duration = Duration::from_secs(10);
 
 /// See the module.
@@ -26,13 +26,13 @@ pub(super) struct Stream {
 }
 
 impl Stream {
-    /// A connection to a Unix socket, which does not block.
+    /// A non-blocking connection to a Unix socket.
     pub(super) const fn unix(fd: OwnedFd) -> Self {
         Self { fd, address: None }
     }
 
-    /// A TCP connection, which does not block, from this address. Whether the system takes the options does not matter: a client that
-    /// has gone may have sent an emergency stop.
+    /// A non-blocking TCP connection from this address. Errors of the socket options are ignored: even a client that is gone may
+    /// have sent an emergency stop.
     pub(super) fn tcp(fd: OwnedFd, address: SocketAddr) -> Self {
         let _ = sockopt::set_tcp_nodelay(&fd, true);
         let _ = sockopt::set_socket_keepalive(&fd, true);
@@ -62,8 +62,8 @@ impl Stream {
         !self.events().is_empty()
     }
 
-    /// Whether the client has closed the whole connection. A Unix client that has closed its half alone still waits for its answer;
-    /// TCP does not tell the two apart, so there half counts as all.
+    /// Whether the client has closed the whole connection. A Unix client that has closed only its half still waits for its answer.
+    /// TCP does not distinguish the two, so there a closed half counts as closed.
     pub(super) fn is_closed(&self) -> bool {
         let closed = if self.is_network() { PollFlags::HUP | PollFlags::RDHUP } else { PollFlags::HUP };
         self.events().intersects(closed)
@@ -72,11 +72,11 @@ impl Stream {
     fn events(&self) -> PollFlags {
         let mut fds = [PollFd::new(&self.fd, PollFlags::IN | PollFlags::RDHUP)];
         let now = Timespec { tv_sec: 0, tv_nsec: 0 };
-        // An error is answered as an event: it shows when the connection is read.
+        // Report an error as an event: it shows up when the connection is read.
         poll(&mut fds, Some(&now)).map_or(PollFlags::ERR, |_| fds[0].revents())
     }
 
-    /// Sends no more.
+    /// Closes the sending half.
     pub(super) fn close_write(&self) -> io::Result<()> {
         Ok(shutdown(&self.fd, Shutdown::Write)?)
     }

@@ -1,4 +1,4 @@
-//! Checks a daemon by its status: its version, its real-time rights, its session record, and who can reach it.
+//! Checks a daemon by its status: its version, its real-time rights, its session record, and the clients that can reach it.
 
 use super::rights::{self, Limits, SLOW_ESTOP};
 use super::service::Units;
@@ -35,7 +35,7 @@ fn estop(realtime: Option<Realtime>) -> Option<Finding> {
     realtime.is_some_and(|has| !has.fifo).then(|| Finding::warn("emergency stop", SLOW_ESTOP, advice))
 }
 
-/// Who can reach the daemon.
+/// The finding about the network clients that can reach the daemon.
 fn network(status: Option<&NetworkStatus>) -> Finding {
     const WHAT: &str = "network";
     let Some(status) = status else {

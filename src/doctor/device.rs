@@ -1,6 +1,7 @@
-//! Checks the device of a daemon by the daemon's status; the checks that need no status also judge a device without a daemon.
+//! Checks the device of a daemon from the daemon's status. The checks that need no status are also used for a device without a
+//! daemon.
 //!
-//! The limits of what is good stand here, each with its reason.
+//! The limits are here, each with its reason.
 
 use meissner_api::{DeviceInfo, Finding, Level, Status};
 
@@ -10,9 +11,9 @@ const ALL_BYTES_PER_S: u32 = 60_000;
 const ANY_BYTES_PER_S: u32 = 2_000;
 /// A clock that is less certain makes `--at` useless.
 const CLOCK_US: f64 = 500.0;
-/// What a device without telemetry lacks.
+/// The finding for a device without telemetry.
 pub(crate) const NO_TELEMETRY: &str = "none: bursts are not corrected, pins drift";
-/// What to do without telemetry.
+/// The advice without telemetry.
 pub(crate) const SHORT_PLAYS: &str = "keep plays short";
 
 /// The findings about the daemon's device.
@@ -31,7 +32,7 @@ pub(crate) fn findings(status: &Status) -> Vec<Finding> {
     findings
 }
 
-/// A device that is connected: what it is, its state, its clock.
+/// Findings about a connected device: its identity, its state, its clock.
 fn held(status: &Status, device: &DeviceInfo) -> Vec<Finding> {
     let found = format!("{}, firmware {}", device.kind, device.firmware);
     let instead = "plug a board in, which replaces it until a client has armed; after that, or for another `device`, restart the \
@@ -54,7 +55,7 @@ fn held(status: &Status, device: &DeviceInfo) -> Vec<Finding> {
     vec![simulated, state, clock]
 }
 
-/// Whether the device is simulated; `instead`: how to use a board.
+/// The finding whether the device is simulated; `instead` says how to use a board.
 pub(crate) fn simulated(simulated: bool, found: String, instead: &str) -> Finding {
     Finding::check("device", !simulated, found, format!("it is simulated, no real pin moves: {instead}"))
 }

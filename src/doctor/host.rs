@@ -7,7 +7,7 @@ use std::path::Path;
 const CPUS: &str = "sys/devices/system/cpu";
 const FAST: &str = "performance";
 
-/// Whether processors slow down when they are idle: then every wake-up begins slowly.
+/// Whether processors slow down when they are idle, so that every wake-up begins slowly.
 pub(super) fn governor(root: &Path) -> Finding {
     let Ok(cpus) = fs::read_dir(root.join(CPUS)) else {
         let found = format!("/{CPUS} cannot be read from here");

@@ -1,11 +1,11 @@
 //! The doctor's checks that command and daemon share: of the machine, of a daemon, and of its device.
 //!
-//! `meissner doctor` makes them for the machine it runs on and the daemon it reaches; `GET /v1/doctor` makes them inside of the
-//! daemon ([`check`]). Checks of the user's rights, of timers and of a device without a daemon belong to the command (`cli/doctor`).
+//! `meissner doctor` makes them for the machine it runs on and the daemon it reaches; `GET /v1/doctor` makes them inside the daemon
+//! ([`check`]). Checks of the user's rights, of timers and of a device without a daemon belong to the command (`cli/doctor`).
 //!
 //! - [`host`], [`service`], [`port`]: the machine. - [`rights`], [`daemon`]: a daemon, by its status. - [`device`]: its device.
 //!
-//! Invariant: a check that cannot see what it judges says so. Nothing here moves, changes or repairs anything.
+//! Invariant: a check that cannot see what it is to judge reports that. Nothing here moves, changes or repairs anything.
 
 pub(crate) mod daemon;
 pub(crate) mod device;
@@ -36,7 +36,7 @@ pub(crate) fn machine(root: &Path, units: &Units) -> Vec<Finding> {
     findings
 }
 
-/// What the tests of all checks share: the files of a simulated machine, and findings as text.
+/// Helpers for the tests of all checks: the files of a simulated machine, and findings as text.
 #[cfg(test)]
 pub(crate) mod fake {
     use meissner_api::{Finding, Level};

@@ -1,7 +1,7 @@
-//! Checks what the system does to boards by itself: whether it writes to them, and whether it lets them sleep.
+//! Checks whether the system by itself writes to boards or puts them to sleep.
 //!
-//! It reads `/proc` and `/sys`, as far as this user may, and opens no port. It does not check hubs: a hub sleeps only when
-//! all devices behind it sleep, so a board that stays awake keeps its hubs awake.
+//! It reads `/proc` and `/sys` with this user's rights, and opens no port. It does not check hubs: a hub sleeps only when all
+//! devices behind it sleep, so a board that stays awake keeps its hubs awake.
 
 use super::service;
 use meissner_api::Finding;
@@ -48,7 +48,7 @@ pub(super) fn modem_manager(root: &Path) -> Option<Finding> {
     } else if seen.iter().any(|process| process.pid == 1) {
         return None;
     } else {
-        // A service sees its own processes alone (ProtectProc=invisible).
+        // A service sees only its own processes (ProtectProc=invisible).
         "no udev rule keeps it from writing to boards; whether it runs cannot be seen from here"
     };
     Some(Finding::warn(MODEM_MANAGER, found, advice))

@@ -7,11 +7,11 @@ use meissner_stream::device::priority::FIFO_PRIORITY;
 use std::fs;
 use std::path::Path;
 
-/// What is known of an emergency stop in a daemon without SCHED_FIFO: docs/measurements.md, "E-stop under load".
+/// The measured delay of an emergency stop in a daemon without SCHED_FIFO: docs/measurements.md, "E-stop under load".
 pub(crate) const SLOW_ESTOP: &str = "without SCHED_FIFO an emergency stop waits for other programs: under load its p99 was 27 ms and the \
                                      worst 110 ms; with it p99 stayed below 1.2 ms";
 
-/// What gives a user real-time rights where no service manager does. `user`: a name, or what the shell puts in its place.
+/// The configuration that gives a user real-time rights without a service manager. `user`: a name, or a shell variable for it.
 pub(crate) fn limits(user: &str) -> String {
     format!(
         "`printf '%s - rtprio 60\\n%s - memlock unlimited\\n' {user} {user} | sudo tee \
@@ -19,7 +19,7 @@ pub(crate) fn limits(user: &str) -> String {
     )
 }
 
-/// What the kernel allows a process: soft limits, as the kernel writes them.
+/// A process's soft limits, as the kernel writes them.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct Limits {
     rtprio: String,
@@ -42,7 +42,7 @@ impl Limits {
             || self.rtprio.parse().is_ok_and(|limit: u32| limit >= FIFO_PRIORITY.into())
     }
 
-    /// Less suffices only for a while: memory grows.
+    /// A lower limit suffices only for a while, because memory grows.
     fn mlock(&self) -> bool {
         self.memlock == "unlimited"
     }
@@ -68,7 +68,7 @@ pub(super) fn of_daemon(
         format!(" (its limits: rtprio {}, memlock {})", limits.rtprio, limits.memlock)
     });
     let found = format!("the daemon lacks {}{allowed}: strokes may come late", missing.join(" and "));
-    // Rights that the limits allow and the daemon lacks are refused by something else.
+    // If the limits allow a right that the daemon lacks, something else refuses it.
     let refused = may.is_some_and(|may| (may.fifo || has.fifo) && (may.mlock || has.mlock));
     let advice = match (service, refused) {
         (true, false) => {

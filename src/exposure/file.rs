@@ -1,9 +1,9 @@
-//! The file of the sums ([`super::FILE`]): what a restart and a kill leave.
+//! The file of the sums ([`super::FILE`]), which survives a restart and a kill.
 //!
-//! It holds what plays may still take as if it were used. `date` and `days` are of today, as older versions wrote them; `other_dates`
-//! has further dates, and `stretch` the vibration since the last pause.
+//! The file counts time that accepted plays may still use as used. `date` and `days` are for today, in the form of older versions;
+//! `other_dates` has further dates, and `stretch` the vibration since the last pause.
 //!
-//! Invariant: a file that cannot be true is never taken for sums of 0; the account is then unknown until a good file is read.
+//! Invariant: a file that cannot be true never counts as sums of 0; the account is then unknown until a good file is read.
 
 use super::rule::Stretch;
 use super::{Account, FILE, Live, Now, Sums, add, key, seconds};
@@ -13,7 +13,7 @@ use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::fmt::Display;
 
-/// The most that a sum can be, s: a day with a change of the clock, and what plays had kept.
+/// The largest possible sum, s: a day with a change of the clock, and the time that plays had reserved.
 const MOST_S: f64 = 2.0 * 86_400.0;
 
 /// Why the file cannot be used, and what to do.
@@ -39,7 +39,7 @@ struct Day {
 #[derive(Debug, Serialize, Deserialize)]
 struct Since {
     vibration_s: f64,
-    /// When pins vibrated last, by both clocks; `None`: plays run or wait.
+    /// When pins last vibrated, by both clocks; `None`: plays run or wait.
     until: Option<(String, u64)>,
 }
 
@@ -76,17 +76,17 @@ impl Account {
     /// Takes the sums from the file's text.
     ///
     /// # Errors
-    /// Why it cannot be true: then the account is unknown, and the day counts as used up.
+    /// Why the text cannot be true. Then the account is unknown, and the day counts as used up.
     pub fn restore(&mut self, text: &[u8], now: Now) -> Result<(), Unreadable> {
         self.try_restore(text, now).map_err(|why| self.lose(&why))
     }
 
-    /// There is no file: nothing has vibrated.
+    /// Starts from 0, because there is no file.
     pub fn restore_none(&mut self) {
         self.unknown = None;
     }
 
-    /// Nothing is known of the sums. Returns why, and what to do.
+    /// Notes that the sums are unknown. Returns why, and what to do.
     pub fn lose(&mut self, why: &str) -> Unreadable {
         let text = format!(
             "`{FILE}`: {why}: today's vibration is not known and counts as all that `participant.max_day_s` allows; look at the file \
@@ -107,7 +107,7 @@ impl Account {
         }
         let stretch = match stretch {
             None => Stretch::NONE,
-            // Nobody knows when the plays of a killed daemon ended: now at the latest.
+            // The plays of a killed daemon ended at an unknown time; assume that they end now.
             Some(Since { vibration_s, until: None }) => {
                 let used_s = checked("the stretch without a pause", vibration_s)?;
                 Stretch { used_s, until_s: seconds(now.at) }
@@ -115,10 +115,10 @@ impl Account {
             Some(Since { vibration_s, until: Some((until, monotonic_ns)) }) => {
                 let used_s = checked("the stretch without a pause", vibration_s)?;
                 let until: Timestamp = until.parse().map_err(|error: jiff::Error| error.to_string())?;
-                // Of two clocks, the one that has seen less time.
+                // Take the clock by which less time has passed.
                 let by_wall_s = now.wall.duration_since(until).as_secs_f64();
                 let by_host_s = (now.at.as_ns() as f64 - monotonic_ns as f64) / 1e9;
-                // The monotonic clock begins anew with the machine.
+                // The monotonic clock restarts with the machine.
                 let rested_s = if by_host_s >= 0.0 { by_wall_s.min(by_host_s) } else { by_wall_s };
                 Stretch { used_s, until_s: seconds(now.at) - rested_s.max(0.0) }
             }
@@ -128,7 +128,7 @@ impl Account {
         Ok(())
     }
 
-    /// The sums as the file's text, with what plays may still take; none while the sums are not known.
+    /// The sums as the file's text, including the time that plays may still use; none while the sums are unknown.
     #[must_use]
     pub fn text(&self, now: Now) -> Option<String> {
         if self.unknown.is_some() {

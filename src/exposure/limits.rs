@@ -1,4 +1,4 @@
-//! What a participant may be exposed to: the configuration table `[participant]`.
+//! The exposure limits of a participant: the configuration table `[participant]`.
 //!
 //! `docs/explanation/participants.md` gives the reason for each default. Invariant: only the configuration changes a limit.
 
@@ -30,7 +30,7 @@ impl Default for ParticipantLimits {
 }
 
 impl ParticipantLimits {
-    /// For simulated pins: the ends of the ranges.
+    /// No limits, for simulated pins: the largest values of the ranges.
     pub const NONE: Self = Self {
         max_amplitude_um: 400.0,
         max_continuous_s: 86_400.0,

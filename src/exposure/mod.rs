@@ -1,9 +1,10 @@
 //! Vibration exposure: how long pins have vibrated under a finger, against the limits of `[participant]`.
 //!
-//! [`Account::hold`] decides before a play whether it fits, by the one rule in [`rule`], and keeps its time; `begin`, `began`, `played`
-//! and `ended` follow the play, and report a limit that a running play has passed. The daemon then stops it. [`Account::text`] is the
-//! file that keeps the sums across restarts ([`FILE`], `file`): it holds what plays may still take as if it were used, and is written before
-//! they begin, so a kill never makes a sum smaller. The session record's thread writes it. Nothing here reads a clock but [`Now::read`].
+//! Before a play, [`Account::hold`] decides by the rule in [`rule`] whether it fits, and reserves its time. `begin`, `began`,
+//! `played` and `ended` follow the play; `played` reports a limit that a running play has reached, and the daemon then stops the
+//! play. [`Account::text`] is the file that keeps the sums across restarts ([`FILE`], `file`). The file counts time that plays may
+//! still use as used, and is written before they begin, so a kill never makes a sum smaller. The session record's thread writes it.
+//! Only [`Now::read`] reads a clock.
 //!
 //! Vibration time is the time in which at least one drive of the running play moves a pin ([`Vibration`]). A pause is
 //! [`ParticipantLimits::pause_s`] without vibration.
@@ -37,31 +38,31 @@ pub const MAX_FILE: u64 = 4 << 20;
 const PEOPLE: usize = 1000;
 /// Dates whose sums are kept, at most.
 const DATES: usize = 4;
-/// What the file keeps for a play without end, s: twice what passes between two writings.
+/// The time that the file reserves for a play without end, s: twice the time between two writings.
 const AHEAD_S: f64 = 10.0;
-/// Plays that have no id yet have a number from here on.
+/// Plays without an id have numbers from here on.
 const HELD: u64 = 1 << 63;
 
-/// When it is.
+/// The current time, by several clocks.
 #[derive(Clone, Copy, Debug)]
 pub struct Now {
-    /// On the host's monotonic clock.
+    /// The host's monotonic clock.
     pub at: HostInstant,
-    /// On the wall clock.
+    /// The wall clock.
     pub wall: Timestamp,
     /// The local date.
     pub date: Date,
-    /// The local date by the time that has passed since the program began, whoever has set the clock meanwhile.
+    /// The local date that the time since the program's start implies, even if the clock was set meanwhile.
     pub passed: Date,
 }
 
 impl Now {
-    /// By the system's clocks and time zone.
+    /// Reads the system's clocks and time zone.
     #[must_use]
     pub fn read() -> Self {
         static BEGAN: OnceLock<(SignedDuration, Zoned)> = OnceLock::new();
         let (at, now) = (HostInstant::now(), Zoned::now());
-        // It goes on while the machine sleeps.
+        // This clock goes on while the machine sleeps.
         let up = clock_gettime(ClockId::Boottime);
         let up = SignedDuration::new(up.tv_sec, i32::try_from(up.tv_nsec).unwrap_or(0));
         let (up_then, then) = BEGAN.get_or_init(|| (up, now.clone()));
@@ -108,21 +109,21 @@ impl Exceeded {
     }
 }
 
-/// A play that was accepted and has not ended, or whose order is under way.
+/// A play that was accepted and has not ended, or whose order is pending.
 #[derive(Debug)]
 struct Live {
     id: u64,
     vibration: Vibration,
     onset: Onset,
-    /// Up to where the sums hold it, s from its onset.
+    /// The part of the play that is in the sums, s from its onset.
     counted_to_s: f64,
-    /// The play that took its place, and when, s.
+    /// The play that replaced it, and when, s.
     cut: Option<(u64, f64)>,
     replaces: bool,
 }
 
 impl Live {
-    /// What it may still vibrate, s.
+    /// How long it may still vibrate, s.
     fn left_s(&self) -> f64 {
         self.vibration
             .total()
@@ -143,15 +144,15 @@ pub struct Account {
     session_s: Option<f64>,
     dates: BTreeMap<Date, Sums>,
     stretch: Stretch,
-    /// In the order of the plays.
+    /// The plays that run and wait, in order.
     live: Vec<Live>,
     last_held: u64,
-    /// Why the sums are not known: nothing is played until somebody has looked.
+    /// Why the sums are unknown: the daemon plays nothing until a person has checked the file.
     unknown: Option<String>,
 }
 
-/// The name under which a participant's vibration is counted: spaces at the ends, repeated ones, case and the width of letters do not
-/// make another person.
+/// The name under which a participant's vibration is counted. It ignores spaces at the ends, repeated spaces, case and the width of
+/// letters.
 fn key(participant: &str) -> String {
     let narrow = |c: char| match u32::from(c) {
         wide @ 0xff01..=0xff5e => char::from_u32(wide - 0xfee0).unwrap_or(c),
@@ -161,7 +162,7 @@ fn key(participant: &str) -> String {
     name.split_whitespace().collect::<Vec<_>>().join(" ")
 }
 
-/// Adds to a person's sum: once there are [`PEOPLE`] names, further ones share the sum without one.
+/// Adds to a person's sum. Once there are [`PEOPLE`] names, further people share the sum without a name.
 fn add(sums: &mut Sums, person: Option<String>, vibration_s: f64) {
     let full = sums.len() >= PEOPLE && !sums.contains_key(&person);
     *sums.entry(person.filter(|_| !full)).or_default() += vibration_s;
@@ -185,12 +186,12 @@ impl Account {
         &self.limits
     }
 
-    /// Whose vibration is counted.
+    /// The person whose vibration is counted.
     fn person(&self) -> Option<String> {
         self.participant.as_deref().map(key)
     }
 
-    /// The largest sum of today, and of later dates: they were today before the clock was set back.
+    /// The largest sum of today and of later dates, which were today before the clock was set back.
     fn day_s(&self, now: Now) -> f64 {
         if self.unknown.is_some() {
             return self.limits.max_day_s;
@@ -203,7 +204,7 @@ impl Account {
         self.dates.range(now.date.min(now.passed)..).map(|(_, sums)| of(sums)).fold(0.0, f64::max)
     }
 
-    /// Counts vibration to today. It counts also to the date that it would be if nobody had set the clock.
+    /// Adds vibration to today's sum, and to that of the date that it would be if the clock had not been set.
     fn count(&mut self, new_s: f64, now: Now) {
         let person = self.person();
         add(self.dates.entry(now.date).or_default(), person.clone(), new_s);
@@ -214,7 +215,7 @@ impl Account {
         self.session_s = self.session_s.map(|used_s| used_s + new_s);
     }
 
-    /// Drops the oldest dates. The next one takes over the larger sums, so that a clock that goes back finds them.
+    /// Drops the oldest dates. The next date takes over the larger sums, so that they still count if the clock is set back.
     fn keep_few_dates(&mut self) {
         while self.dates.len() > DATES
             && let Some((_, oldest)) = self.dates.pop_first()
@@ -227,7 +228,7 @@ impl Account {
         }
     }
 
-    /// The stretch, with what the running play has vibrated by now.
+    /// The vibration since the last pause, including that of the running play so far.
     fn stretch(&self, now: Now) -> Stretch {
         let at_s = seconds(now.at);
         self.live.iter().fold(self.stretch, |stretch, live| match live.onset {
@@ -239,11 +240,11 @@ impl Account {
         })
     }
 
-    /// Checks whether a play fits behind those that run and wait, or instead of them, and keeps its time. Returns its number until it
-    /// has an id.
+    /// Checks whether a play fits after those that run and wait, or instead of them, and reserves its time. Returns its number
+    /// until it has an id.
     ///
     /// # Errors
-    /// The limit into which it does not fit.
+    /// The limit that the play would exceed.
     pub fn hold(
         &mut self,
         now: Now,
@@ -270,7 +271,7 @@ impl Account {
         Ok(id)
     }
 
-    /// The play that was held was sent to the streamer under its id.
+    /// Notes that a held play was sent to the streamer under its id.
     pub fn begin(&mut self, held: u64, id: u64, now: Now) {
         let Some(at) = self.live.iter().position(|live| live.id == held) else { return };
         self.live[at].id = id;
@@ -281,7 +282,7 @@ impl Account {
         }
     }
 
-    /// A play was not accepted. Returns whether it was known.
+    /// Forgets a play that was not accepted. Returns whether it was known.
     pub fn forget(&mut self, id: u64) -> bool {
         let before = self.live.len();
         self.live.retain(|live| live.id != id);
@@ -291,20 +292,21 @@ impl Account {
         self.live.len() < before
     }
 
-    /// A play has begun.
+    /// Notes that a play has begun.
     pub fn began(&mut self, id: u64, onset: HostInstant) {
         if let Some(live) = self.live.iter_mut().find(|live| live.id == id) {
             live.onset = Onset::Began(seconds(onset));
         }
     }
 
-    /// A running play has played for so long. Returns the limit that stops it now: one without end is stopped before it passes the limit.
+    /// Notes how long a running play has played. Returns the limit that must stop it now; a play without end is stopped before it
+    /// exceeds the limit.
     pub fn played(&mut self, id: u64, played_s: f64, now: Now) -> Option<Limit> {
         let pause_s = self.limits.pause_s;
         let live = self.live.iter_mut().find(|live| live.id == id)?;
         let onset_s = match live.onset {
             Onset::Began(onset_s) => onset_s,
-            // The report of its begin is lost.
+            // The report of its start is lost.
             Onset::At(_) | Onset::Next => seconds(now.at) - played_s.min(live.vibration.end()),
         };
         live.onset = Onset::Began(onset_s);
@@ -327,7 +329,7 @@ impl Account {
         .find_map(|(limit, passed)| passed.then_some(limit))
     }
 
-    /// A play has ended after so long, or as planned (`None`).
+    /// Notes that a play has ended after `played_s`, or as planned (`None`).
     pub fn ended(&mut self, id: u64, played_s: Option<f64>, now: Now) {
         let Some(live) = self.live.iter().find(|live| live.id == id) else { return };
         let until_now_s = match live.onset {
@@ -342,12 +344,12 @@ impl Account {
         self.live.retain(|live| live.id != id);
     }
 
-    /// A session of this participant has begun.
+    /// Starts a session of this participant.
     pub fn start_session(&mut self, participant: &str) {
         (self.participant, self.session_s) = (Some(participant.to_owned()), Some(0.0));
     }
 
-    /// The session has ended. Returns how long it vibrated, s.
+    /// Ends the session. Returns how long it vibrated, s.
     pub fn end_session(&mut self) -> f64 {
         self.participant = None;
         self.session_s.take().unwrap_or(0.0)
@@ -364,7 +366,7 @@ impl Account {
         self.live.iter().map(|live| live.id)
     }
 
-    /// What is wrong with the sums, and what to do; none if all is well.
+    /// The problem with the sums, and what to do; none if there is none.
     #[must_use]
     pub fn problem(&self, now: Now) -> Option<String> {
         let later = || {

@@ -1,8 +1,7 @@
-//! Random sequences of orders, with restarts, kills and clocks that are set, against a plain sum of what the lines did.
+//! Tests random sequences of orders, with restarts, kills and changed clocks, against a plain sum of the lines' vibration.
 //!
-//! The lab here has a device that plays one play after the other, a disk, and an [`Account`]. It writes down when lines vibrated. At
-//! the end plain sums over that list must be within the limits.
-//! `CASES=1000000` runs so many sequences in place of [`CASES`].
+//! The simulated lab has a device that plays one play after the other, a disk, and an [`Account`]. It notes when lines vibrated. At
+//! the end, plain sums over these notes must be within the limits. `CASES=1000000` runs a million sequences instead of [`CASES`].
 
 use super::rule::REPORT_S;
 use super::*;
@@ -11,7 +10,7 @@ use meissner_array::pattern::{Drive, Pattern};
 
 /// Sequences of a run.
 const CASES: u64 = 20_000;
-/// What a stop takes, s.
+/// The time that a stop takes, s.
 const STOP_S: f64 = 0.02;
 /// How long the board plays on after a kill, s: its host watchdog by default.
 const LEASE_S: f64 = 0.3;
@@ -44,7 +43,7 @@ impl Random {
 /// A play on the device.
 struct Playing {
     id: u64,
-    /// The spans in which it vibrates, and the repeat, as they were drawn.
+    /// The spans in which it vibrates, and the repeat, as chosen at random.
     spans: Vec<(f64, f64)>,
     repeat_s: f64,
     end_s: f64,
@@ -64,11 +63,11 @@ struct Lab {
     random: Random,
     account: Account,
     now_s: f64,
-    /// What the wall clock shows more than `now_s`, and what it showed when the daemon began.
+    /// The wall clock's offset from `now_s`, and the wall clock at the daemon's start.
     wall_s: f64,
     wall_at_start_s: f64,
     disk: String,
-    /// Written, but perhaps not yet on the disk.
+    /// A text that was written, but may not yet be on the disk.
     on_the_way: Option<String>,
     queue: Vec<Playing>,
     saved_s: f64,
@@ -84,7 +83,7 @@ impl Lab {
         (0..4).for_each(|_| {
             let _ = random.below(2);
         });
-        // Midnight is near, or not.
+        // Midnight may be near.
         let wall_s = 5.0 * DAY_S - random.upto(30.0);
         Self {
             random,
@@ -117,7 +116,7 @@ impl Lab {
         Now { at, wall: wall.unwrap(), date, passed }
     }
 
-    /// Saves the sums; the disk has them once somebody waits, or later.
+    /// Saves the sums; they are on the disk at once if `waits`, else perhaps later.
     fn save(&mut self, waits: bool) {
         self.saved_s = self.now_s;
         let text = self.account.text(self.now());
@@ -127,7 +126,7 @@ impl Lab {
         }
     }
 
-    /// Writes down what the running play vibrated between two times.
+    /// Notes the vibration of the running play between two times.
     fn vibrate(&mut self, from_s: f64, to_s: f64) {
         let [date, _] = self.days();
         let Some(play) = self.queue.first() else { return };
@@ -197,7 +196,7 @@ impl Lab {
         }
     }
 
-    /// All plays end; the lines a little later.
+    /// Ends all plays; the lines stop a little later.
     fn stop(&mut self) {
         let late_s = self.random.upto(STOP_S);
         self.vibrate(self.now_s, self.now_s + late_s);
@@ -283,7 +282,7 @@ impl Lab {
             return;
         }
         if replaces {
-            // As a stop, but of the plays before it only.
+            // Like a stop, but only of the plays before it.
             self.stop();
         }
         let requested_s = requested_s.map(|at_s| at_s.max(self.now_s));
@@ -318,7 +317,7 @@ impl Lab {
         self.begin_session();
     }
 
-    /// One participant: another one has another finger.
+    /// There is only one participant, because another one would have another finger.
     fn begin_session(&mut self) {
         self.account.end_session();
         self.account.start_session("P1");
@@ -350,7 +349,7 @@ impl Lab {
     }
 }
 
-/// The most vibration without a pause, of a list in order.
+/// The longest vibration without a pause in an ordered list.
 fn longest(lines: &[Vibrated]) -> f64 {
     let (mut most, mut used_s, mut until_s) = (0.0_f64, 0.0, f64::NEG_INFINITY);
     for line in lines {
@@ -363,7 +362,7 @@ fn longest(lines: &[Vibrated]) -> f64 {
     most
 }
 
-/// The largest sum of the lines that `of` puts together.
+/// The largest sum of vibration over the groups that `of` defines.
 fn largest<K: Ord>(lines: &[Vibrated], of: impl Fn(&Vibrated) -> K) -> f64 {
     let mut sums = BTreeMap::new();
     for line in lines {

@@ -1,24 +1,24 @@
-//! The rule: whether a play fits, by the vibration before its onset. Pure; times are seconds on one clock.
+//! The rule that decides whether a play fits, from the vibration before its onset. It is pure; times are seconds on one clock.
 //!
-//! What counts for the limit without a pause is all vibration before the onset, of the plays that run and wait too, unless a pause
-//! fits before the onset. Where the order leaves open when something begins, the rule takes the time that leaves the shortest pause.
+//! For the limit without a pause, all vibration before the onset counts, including that of plays that run and wait, unless a pause
+//! fits before the onset. If a start time is not fixed, the rule assumes the one that leaves the shortest pause.
 //!
-//! Invariant: a play that fits passes no limit, whatever is played between the decision and its end.
+//! Invariant: a play that fits exceeds no limit, whatever else is played between the decision and its end.
 
 use super::{Limit, ParticipantLimits, Vibration};
 
-/// What passes between two reports of a running play, s.
+/// The time between two reports of a running play, s.
 pub(super) const REPORT_S: f64 = 0.1;
-/// A play without end is stopped so long before a limit, s: until the next report, until the stop is done, and, should the daemon be
-/// killed meanwhile, until the board's watchdog notices it by default (0.3 s).
+/// A play without end is stopped this long before a limit, s. That covers the time to the next report, the time of the stop, and,
+/// if the daemon is killed meanwhile, the default timeout of the board's watchdog (0.3 s).
 pub(super) const EARLY_S: f64 = REPORT_S + 0.02 + 0.3;
-/// What a play without end must find, s.
+/// The least remaining time for a play without end, s.
 const LEAST_S: f64 = EARLY_S + REPORT_S;
-/// Sums are so exact, s: more than rounding errors add up to.
+/// The tolerance of sums, s: more than the accumulated rounding errors.
 pub(super) const ROUNDING_S: f64 = 1e-6;
 /// How long a replaced play may still vibrate, and how much later than planned a play that waits may end, s.
 const LATE_S: f64 = 0.1;
-/// How exact an onset is, s: the device's clock is estimated.
+/// The uncertainty of an onset, s, because the device's clock is estimated.
 const CLOCK_S: f64 = 0.01;
 
 /// Vibration since the last pause.
@@ -26,7 +26,7 @@ const CLOCK_S: f64 = 0.01;
 pub struct Stretch {
     /// How long pins have vibrated, s.
     pub used_s: f64,
-    /// When they vibrated last, s.
+    /// When they last vibrated, s.
     pub until_s: f64,
 }
 
@@ -46,13 +46,13 @@ impl Stretch {
         at_s - self.until_s >= pause_s - ROUNDING_S
     }
 
-    /// With vibration from `from_s` to `to_s`.
+    /// The stretch after vibration from `from_s` to `to_s`.
     #[must_use]
     pub fn with(self, from_s: f64, to_s: f64, pause_s: f64) -> Self {
         Self { used_s: self.used_at(from_s, pause_s) + to_s - from_s, until_s: self.until_s.max(to_s) }
     }
 
-    /// What counts for vibration that begins at `at_s`, s.
+    /// The earlier vibration that counts for vibration beginning at `at_s`, s.
     #[must_use]
     pub fn used_at(&self, at_s: f64, pause_s: f64) -> f64 {
         if self.is_over(at_s, pause_s) { 0.0 } else { self.used_s }
@@ -62,11 +62,11 @@ impl Stretch {
 /// When a play begins.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Onset {
-    /// It has begun.
+    /// The play has begun at this time.
     Began(f64),
-    /// Not before.
+    /// The play begins at this time or later.
     At(f64),
-    /// After the plays before it.
+    /// The play begins after the plays before it.
     Next,
 }
 
@@ -77,22 +77,22 @@ pub struct Pending<'v> {
     pub vibration: &'v Vibration,
     /// When it begins.
     pub onset: Onset,
-    /// So much of the play is in the sums already, s.
+    /// The part of the play that is already in the sums, s.
     pub counted_to_s: f64,
-    /// When another play took its place, s.
+    /// When another play replaced it, s.
     pub cut_s: Option<f64>,
 }
 
 /// The vibration so far.
 #[derive(Clone, Debug)]
 pub struct SoFar<'v> {
-    /// Now.
+    /// The current time.
     pub at_s: f64,
-    /// Since the last pause.
+    /// Vibration since the last pause.
     pub stretch: Stretch,
-    /// In the session; `None`: none runs.
+    /// Vibration in the session; `None`: no session runs.
     pub session_s: Option<f64>,
-    /// In the day.
+    /// Vibration today.
     pub day_s: f64,
     /// The plays that run and wait, in their order.
     pub plays: Vec<Pending<'v>>,
@@ -105,20 +105,20 @@ pub struct Order<'v> {
     pub vibration: &'v Vibration,
     /// When it begins.
     pub onset: Onset,
-    /// It takes the place of those that run and wait.
+    /// Whether it replaces the plays that run and wait.
     pub replace: bool,
 }
 
-/// A play does not fit.
+/// A play that does not fit.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Exceeded {
-    /// Into what.
+    /// The limit that the play would exceed.
     pub limit: Limit,
     /// The limit, s.
     pub most_s: f64,
-    /// What is used, and kept for the plays that run and wait, s.
+    /// The vibration used, and reserved for the plays that run and wait, s.
     pub used_s: f64,
-    /// What the play takes, s; `None`: it has no end.
+    /// The vibration of the play, s; `None`: it has no end.
     pub play_s: Option<f64>,
     /// How long a pause is, s.
     pub pause_s: f64,
@@ -127,7 +127,7 @@ pub struct Exceeded {
 /// Decides whether a play fits.
 ///
 /// # Errors
-/// The limit into which it does not fit.
+/// The limit that the play would exceed.
 pub fn judge(limits: &ParticipantLimits, so_far: &SoFar<'_>, order: &Order<'_>) -> Result<(), Exceeded> {
     let &ParticipantLimits { max_continuous_s, pause_s, max_session_s, max_day_s, .. } = limits;
     let (mut stretch, mut free_s, mut kept_s) = (so_far.stretch, so_far.at_s, 0.0);
@@ -140,7 +140,7 @@ pub fn judge(limits: &ParticipantLimits, so_far: &SoFar<'_>, order: &Order<'_>) 
             Onset::Next => (free_s, LATE_S),
         };
         if let (Some(cut_s), Onset::At(_) | Onset::Next) = (cut_s, onset) {
-            // It may have begun since the last report.
+            // The play may have begun since the last report.
             let from_s = onset_s - REPORT_S;
             if from_s < cut_s {
                 kept_s += cut_s - from_s;
@@ -150,7 +150,7 @@ pub fn judge(limits: &ParticipantLimits, so_far: &SoFar<'_>, order: &Order<'_>) 
         }
         let to_s = match cut_s {
             Some(cut_s) => cut_s - onset_s,
-            // The streamer lets no play wait behind one without end.
+            // The streamer does not queue a play after one without end.
             None if vibration.is_endless() => so_far.at_s - onset_s,
             None => f64::INFINITY,
         };
@@ -177,7 +177,7 @@ pub fn judge(limits: &ParticipantLimits, so_far: &SoFar<'_>, order: &Order<'_>) 
             finite(order.vibration.longest(pause_s)),
             finite(most_s).unwrap_or(used_s + LEAST_S),
         ),
-        // Without a session, only the day has a sum.
+        // Without a session only the day has a sum.
         (Limit::Session, max_session_s, session_s.unwrap_or(0.0), total_s, session_s.map_or(0.0, needs)),
         (Limit::Day, max_day_s, day_s, total_s, needs(day_s)),
     ] {

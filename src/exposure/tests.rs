@@ -1,10 +1,10 @@
-//! Tests of the exposure account: what counts, what is left, and what survives a restart.
+//! Tests of the exposure account: the counted vibration, the remaining time, and restarts.
 
 use super::*;
 use jiff::civil::date;
 use meissner_array::pattern::{Drive, Pattern};
 
-/// A play of one pin that vibrates all the time, for so long or without end.
+/// A play of one pin that vibrates all the time, until `end_s` or without end.
 fn play(end_s: Option<f64>) -> Vibration {
     let drive =
         Drive { motor: 9, frequency_hz: 60.0, amplitude_um: 80.0, phase: 0.0, start_s: None, stop_s: None };
@@ -83,7 +83,7 @@ fn a_finite_play_is_refused_as_a_whole_and_never_cut() {
     );
     assert_eq!(run(&mut account, 1, play(Some(10.0)), 0.0, 10.0), None, "exactly the limit");
     assert!(check_next(&mut account, at(11.0), &play(Some(0.5))).is_err());
-    // A rest shorter than a pause goes on with the same sum; one as long begins a new one.
+    // After a rest shorter than a pause the sum goes on; after a pause a new one begins.
     assert_eq!(run(&mut account, 2, play(Some(6.0)), 16.0, 6.0), None);
     let refused = check_next(&mut account, at(24.0), &play(Some(6.0))).unwrap_err();
     assert_eq!((refused.used_s, refused.play_s), (6.0, Some(6.0)));
@@ -97,7 +97,7 @@ fn plays_that_wait_have_their_time_kept() {
     assert!(check_next(&mut account, at(0.0), &six).is_err(), "behind it, without a pause");
     let instead = account.hold(at(0.0), six.clone(), Onset::Next, true).unwrap();
     account.forget(instead);
-    // At a time of its own: what counts is whether a pause fits before it.
+    // For a play at a fixed time, it matters whether a pause fits before it.
     for (after_s, fits) in [(0.015, false), (7.0, false), (10.9, false), (11.2, true), (3600.0, true)] {
         assert_eq!(check(&mut account, at(0.0), &six, Onset::At(after_s)).is_ok(), fits, "{after_s}");
     }
@@ -105,7 +105,7 @@ fn plays_that_wait_have_their_time_kept() {
     assert_eq!(check_next(&mut account, at(0.0), &six), Ok(()));
 }
 
-/// The loop that passed the limit by: plays a little shorter than it, each at a time of its own a moment later.
+/// A loop that once evaded the limit: plays a little shorter than the limit, each at a fixed time a moment later.
 #[test]
 fn what_has_vibrated_counts_for_a_play_at_a_time_of_its_own() {
     let mut account = account();
@@ -127,7 +127,7 @@ fn what_has_vibrated_counts_for_a_play_at_a_time_of_its_own() {
     assert_eq!(account.status(at(9.0)).continuous_used_s.round(), 9.0);
 }
 
-/// A kill leaves what was kept ahead as used, and the stretch without a pause; a clock that was set gives no pause.
+/// After a kill the reserved time counts as used, and the stretch without a pause goes on; changing the clock gives no pause.
 #[test]
 fn a_kill_leaves_no_smaller_sum() {
     let mut account = account();
@@ -141,10 +141,10 @@ fn a_kill_leaves_no_smaller_sum() {
     assert_eq!((again.status(at(2.0)).day_used_s, again.status(at(2.0)).continuous_used_s), (8.0, 8.0));
     assert!(check_next(&mut again, at(2.0), &play(Some(4.0))).is_err());
     assert_eq!(check_next(&mut again, at(7.1), &play(Some(4.0))), Ok(()), "after a pause");
-    // The wall clock says that an hour has passed, the other that it were two seconds.
+    // By the wall clock an hour has passed, by the other clock two seconds.
     let hour = Now { wall: at(3600.0).wall, ..at(10.0) };
     assert!(check_next(&mut killed(&account, 0.0, hour), hour, &play(Some(4.0))).is_err());
-    // The machine has started again: only the wall clock tells.
+    // The machine has restarted, so only the wall clock counts.
     let again = |wall_s: f64| Now { wall: at(wall_s).wall, ..at(0.5) };
     account.forget(HELD + 1);
     run(&mut account, 1, play(Some(8.0)), 100.0, 8.0);
@@ -152,12 +152,12 @@ fn a_kill_leaves_no_smaller_sum() {
         let mut after = killed(&account, 108.0, again(wall_s));
         assert_eq!(check_next(&mut after, again(wall_s), &play(Some(4.0))).is_ok(), fits, "{wall_s}");
     }
-    // Without an end, ten seconds are kept ahead.
+    // For a play without end ten seconds are reserved.
     account.hold(at(200.0), play(None), Onset::Next, false).unwrap();
     assert_eq!(killed(&account, 200.0, at(200.0)).status(at(200.0)).day_used_s.round(), 18.0);
 }
 
-/// The clock goes forward a day and back: neither the day that it left nor the one that it came from begins anew.
+/// The clock is set forward by a day and back: neither of the two days starts again from 0.
 #[test]
 fn a_clock_that_is_set_gives_no_new_day() {
     let mut account = account();
@@ -170,7 +170,7 @@ fn a_clock_that_is_set_gives_no_new_day() {
     }
     let used = |account: &Account, now: Now| account.status(now).day_used_s.round();
     assert_eq!(used(&account, on(23, 22, 60.0)), 27.0, "a day passes more slowly");
-    // Where the daemon has started anew, the date is all that is known.
+    // After a restart of the daemon, only the date is known.
     let mut again = Account::new(*account.limits());
     again.restore(account.text(at(60.0)).unwrap().as_bytes(), on(23, 23, 61.0)).unwrap();
     assert_eq!(used(&again, on(23, 23, 61.0)), 0.0);
@@ -246,7 +246,7 @@ fn the_day_s_sum_survives_a_restart_and_ends_with_the_day() {
     assert_eq!(again.status(tomorrow).day_used_s, 0.0);
 }
 
-/// Beyond the bound of names, the day's limit holds for the sum that further participants share.
+/// Beyond the bound of names, the day's limit applies to the sum that further participants share.
 #[test]
 fn the_day_has_a_limit_for_the_thousand_and_first_participant_too() {
     let mut account = account();

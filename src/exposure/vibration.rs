@@ -8,11 +8,11 @@ use meissner_array::pattern::Pattern;
 /// The vibration of a play, in seconds from its onset.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Vibration {
-    /// From and to, s; the last may have no end.
+    /// Start and end of each span, s; the last may have no end.
     spans: Vec<(f64, f64)>,
     /// How long a repeat lasts, s, if the pattern repeats.
     repeat_s: Option<f64>,
-    /// When the play ends, s; `None`: never.
+    /// When the play ends, s; `None`: without end.
     end_s: Option<f64>,
 }
 
@@ -41,7 +41,7 @@ impl Vibration {
         Self { spans: vec![(0.0, f64::INFINITY)], repeat_s: None, end_s: None }
     }
 
-    /// The vibration of a sequence: an item counts from its onset to its end, which are in order, s.
+    /// The vibration of a sequence. An item counts from its onset to its end, s; items are in order.
     #[must_use]
     pub fn of_spans(items: impl IntoIterator<Item = (f64, f64)>) -> Self {
         let mut spans: Vec<(f64, f64)> = Vec::new();
@@ -100,14 +100,14 @@ impl Vibration {
         self.spans.first().map_or(0.0, |first| first.0)
     }
 
-    /// How long it vibrates at most without a pause of `pause_s`, s; infinite if it has no end and no such pause.
+    /// The longest vibration without a pause of `pause_s`, s; infinite if the play has no end and no such pause.
     #[must_use]
     pub fn longest(&self, pause_s: f64) -> f64 {
         self.walk(0.0, (0.0, f64::INFINITY), Stretch::NONE, pause_s).0
     }
 
-    /// Adds what the play, begun at `onset_s`, vibrates in the part of it from `from_s` to `to_s`. Returns the most that the stretch
-    /// had, and the stretch after it.
+    /// Adds to a stretch the vibration between `from_s` and `to_s` of a play that began at `onset_s`. Returns the largest value of
+    /// the stretch, and the stretch afterwards.
     #[must_use]
     pub fn walk(
         &self,
@@ -139,7 +139,7 @@ impl Vibration {
             repeat(number * repeat_s, &mut stretch, &mut paused);
             whole += usize::from(number * repeat_s >= from_s);
             number += 1.0;
-            // Further whole repeats are like the second: each begins a stretch anew, or all add to one.
+            // Further whole repeats are like the second: either each begins a new stretch, or all add to one.
             let left = ((to_s - number * repeat_s) / repeat_s).floor();
             if whole == 2 && left > 0.0 {
                 if !paused {

@@ -1,9 +1,10 @@
 //! journald's native protocol: a line is one datagram of named fields.
 //!
 //! The fields are `MESSAGE`, `PRIORITY`, `SYSLOG_IDENTIFIER`, `TARGET`, and each field of the event in capitals: `play_id` is
-//! `PLAY_ID`. Spans are ignored. The usual crate for this sends on a blocking socket: a stuck journald would hold up an emergency stop.
+//! `PLAY_ID`. Spans are ignored. The usual crate for this sends on a blocking socket, so a stuck journald would delay an emergency
+//! stop.
 //!
-//! Invariants: sending never blocks; a line that journald does not take is lost; a value holds no line break.
+//! Invariants: sending never blocks; a line that journald does not accept is lost; a value holds no line break.
 
 use meissner_input::message::Escaping;
 use std::fmt::{self, Write};
@@ -24,7 +25,7 @@ const MAX_NAME: usize = 64;
 #[derive(Debug)]
 pub(super) struct Journal {
     socket: UnixDatagram,
-    /// Resolved for each line: journald may restart.
+    /// The path is resolved for each line, because journald may restart.
     path: PathBuf,
 }
 
@@ -80,7 +81,7 @@ impl Line {
     fn value(&mut self, field: &Field, value: &dyn fmt::Display) {
         let mut text = std::mem::take(&mut self.text);
         text.clear();
-        // Writing to a string cannot fail; a value whose formatting fails is cut there.
+        // Writing to a string cannot fail; if a value's formatting fails, the value is cut there.
         let _ = write!(Escaping(&mut text), "{value}");
         if field.name() == "message" {
             self.field("MESSAGE", &text);
@@ -91,7 +92,7 @@ impl Line {
     }
 }
 
-/// A field's name for journald: capitals, digits and underscores, a letter first. None for a name that is ours or journald's own.
+/// A field's name for journald: capitals, digits and underscores, with a letter first. None for a name that we or journald reserve.
 fn name(field: &str) -> Option<String> {
     let capital = |c: char| if c.is_ascii_alphanumeric() { c.to_ascii_uppercase() } else { '_' };
     let name: String = field.chars().take(MAX_NAME).map(capital).collect();
@@ -116,7 +117,7 @@ mod tests {
     use std::time::{Duration, Instant};
     use tracing_subscriber::layer::SubscriberExt;
 
-    /// As journald reads a datagram.
+    /// Parses a datagram as journald does.
     fn parse(mut bytes: &[u8]) -> BTreeMap<String, String> {
         let mut fields = BTreeMap::new();
         while !bytes.is_empty() {

@@ -4,11 +4,11 @@
 //! configuration; info, for the lab's notes; debug, for finding faults. `$RUST_LOG` chooses the level. Each message is complete
 //! without its fields, which are for searching.
 //!
-//! Lines of one kind are bounded in number, and what is left out is counted (`rate`): a client or a device cannot fill the disk. Errors
-//! and lines with the field `always`, such as e-stops, are always written.
+//! Lines of one kind are bounded in number, and omitted lines are counted (`rate`), so that a client or a device cannot fill the
+//! disk. Errors and lines with the field `always`, such as e-stops, are always written.
 //!
-//! Invariants: nothing waits for the log's reader; a line that cannot be written at once is lost. An emergency stop must work. Messages
-//! and fields are escaped here, whatever they quote: no text of a client, a file or a device makes a line of its own.
+//! Invariants: nothing waits for the log's reader, so that an emergency stop always works; a line that cannot be written at once is
+//! lost. All messages and fields are escaped here, so no text of a client, a file or a device can add a line.
 
 mod journal;
 mod rate;
@@ -63,14 +63,14 @@ where
         .log_internal_errors(false)
         .with_ansi(ansi)
         .with_target(false)
-        // Fields are for searching the journal.
+        // Omit the fields, which are only for searching the journal.
         .fmt_fields(format::debug_fn(|out, field, value| match field.name() {
             "message" => write!(Escaping(out), "{value:?}"),
             _ => Ok(()),
         }))
 }
 
-/// Whether stderr is the stream that journald gave this process, by device and inode in `$JOURNAL_STREAM`; a redirected stderr is
+/// Whether stderr is the stream that journald gave this process, by device and inode in `$JOURNAL_STREAM`. A redirected stderr is
 /// not.
 fn is_journal(stream: &str) -> bool {
     let Some((device, inode)) = stream.split_once(':') else { return false };
@@ -83,7 +83,7 @@ struct Stderr;
 
 impl Write for Stderr {
     fn write(&mut self, line: &[u8]) -> io::Result<usize> {
-        // Locked first: two threads must not both find room for one line.
+        // Lock first, so that two threads do not both find room for one line.
         let mut stderr = io::stderr().lock();
         let mut ready = [PollFd::new(&stderr, PollFlags::OUT)];
         let now = Timespec { tv_sec: 0, tv_nsec: 0 };
@@ -107,7 +107,7 @@ pub(crate) mod tests {
     use super::*;
     use std::sync::{Arc, Mutex};
 
-    /// What is logged as text while `work` runs.
+    /// The text that is logged while `work` runs.
     pub(crate) fn logged(work: impl FnOnce()) -> String {
         let kept = Kept::default();
         let writer = kept.clone();

@@ -1,11 +1,12 @@
-//! Bounds the lines of a kind: [`BURST`] at once, and [`PER_S`] a second. What is left out is counted, and a line says so.
+//! Bounds the lines of a kind: [`BURST`] at once, and [`PER_S`] a second. Omitted lines are counted, and a line reports their
+//! number.
 //!
-//! A kind is a place in the program, with the value of the field `kind` if the event has one. Errors, and events with the field `always`,
-//! pass without a bound.
+//! A kind is a log statement in the program, together with the value of the field `kind`, if the event has one. Errors, and events
+//! with the field `always`, are not bounded.
 //!
 //! Bounds: [`KINDS`].
 //!
-//! Invariant: nothing waits. A line that comes while another thread looks at the bounds is written.
+//! Invariant: nothing waits. A line that comes while another thread checks the bounds is written.
 
 use std::collections::HashMap;
 use std::fmt;
@@ -24,11 +25,11 @@ use tracing_subscriber::layer::Context;
 const BURST: f64 = 200.0;
 /// Lines of a kind per second: at most some 15 MB a day.
 const PER_S: f64 = 1.0;
-/// Kinds with a bound of their own: far more than there are. The others share one.
+/// Kinds with a separate bound: far more than the program has. Further kinds share one.
 const KINDS: usize = 1000;
-/// How long lines are left out until a line says so.
+/// How long lines are omitted before a line reports that.
 const REPORT_AFTER: Duration = Duration::from_secs(10);
-/// Characters of a line that stands for those that are left out.
+/// Characters shown of an example of the omitted lines.
 const EXAMPLE: usize = 200;
 
 /// A layer whose events are bounded.
@@ -56,7 +57,7 @@ type Key = Option<(Identifier, String)>;
 #[derive(Debug, Default)]
 struct Kinds {
     kinds: Mutex<HashMap<Key, Kind>>,
-    /// A thread will report what is left out.
+    /// Whether a thread will report the omitted lines.
     reports: AtomicBool,
 }
 
@@ -66,7 +67,7 @@ struct Kind {
     room: f64,
     at: Instant,
     left_out: u64,
-    /// The first of those.
+    /// The first omitted line.
     example: String,
 }
 
@@ -107,7 +108,7 @@ impl Kinds {
                 thread::sleep(REPORT_AFTER);
                 kinds.report();
             };
-            // Without a thread, the next line that is left out tries again.
+            // If no thread can start, the next omitted line tries again.
             let begun = thread::Builder::new().name("log".into()).spawn(report);
             self.reports.store(begun.is_ok(), Ordering::Relaxed);
         }
@@ -128,7 +129,7 @@ impl Kinds {
     }
 }
 
-/// What decides about an event.
+/// The fields of an event that decide whether it is bounded.
 #[derive(Default)]
 struct Seen {
     always: bool,
@@ -183,7 +184,7 @@ mod tests {
         let passed = Passed::default();
         let layer = Limited::new(passed.clone());
         let kinds = Arc::clone(&layer.kinds);
-        // No thread reports meanwhile.
+        // Keep the reporting thread out of this test.
         kinds.reports.store(true, Ordering::Relaxed);
         let begun = Instant::now();
         tracing::subscriber::with_default(tracing_subscriber::registry().with(layer), || {

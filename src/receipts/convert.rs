@@ -20,7 +20,7 @@ pub const fn state_name(state: State) -> &'static str {
     }
 }
 
-/// What a device reported in the handshake; `kind` says how it is reached.
+/// The device information of a handshake; `kind` says how the device is reached.
 #[must_use]
 pub fn device_info(kind: &str, hello: &DeviceHello) -> DeviceInfo {
     let [major, minor, patch] = hello.firmware;
@@ -68,7 +68,7 @@ pub const fn reset_name(reset: Reset) -> &'static str {
     }
 }
 
-/// What occurred on the device during a play.
+/// The device's counters during a play.
 pub(super) const fn board_record(board: PlayBoard) -> BoardRecord {
     let PlayBoard { slack, stalls, usb_recoveries, output_faults } = board;
     BoardRecord { slack_ticks: slack, stalls, usb_recoveries, output_faults }
@@ -77,10 +77,10 @@ pub(super) const fn board_record(board: PlayBoard) -> BoardRecord {
 /// The API's cause of a state or an end after the host watchdog timed out.
 pub const HOST_TIMEOUT: &str = "lease";
 
-/// The cause of a play's end when a pin that it drives may be too far from rest.
+/// The cause of a play's end when one of its pins may be too far from rest.
 pub(super) const DRIFT_LIMIT: &str = meissner_stream::DRIFT_LIMIT;
 
-/// What the API calls a fit.
+/// The API's name of a fit.
 #[must_use]
 pub const fn fit_name(fit: Fit) -> meissner_api::Fit {
     match fit {

@@ -1,4 +1,4 @@
-//! The items of a sequence: their records, from what was planned and the streamer's account.
+//! The records of a sequence's items, made from the plan and the streamer's counts.
 //!
 //! Invariant: a record says `played` only if the device has reported the item's onset, accepted all its strokes and come to their
 //! end, and no stroke was late or refused.
@@ -8,7 +8,7 @@ use meissner_array::units::ticks_to_ms;
 use meissner_stream::queues::{Item, Stamp};
 use std::sync::Arc;
 
-/// What was planned of an item.
+/// The plan of an item.
 #[derive(Clone, Debug)]
 pub struct PlannedItem {
     /// The pattern's name.
@@ -58,7 +58,7 @@ fn instant(stamp: Stamp) -> InstantRecord {
     InstantRecord { tick: tick.0, monotonic_ns: at.as_ns(), uncertainty_ns }
 }
 
-/// What the trigger output gave at an item's onset, once the device has reported that.
+/// The trigger output's pulse at an item's onset, once the device has reported it.
 pub(super) fn trigger(item: &Item) -> Option<TriggerRecord> {
     let (tick, trigger) = (item.began?.tick.0, item.trigger?);
     let code = (trigger.code > 0).then_some(trigger.code);

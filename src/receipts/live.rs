@@ -1,6 +1,6 @@
-//! What the receipt of a live play says of its updates: counts, and how long they took to the pins.
+//! The receipt's figures about a live play's updates: counts, and the times until they reached the pins.
 //!
-//! Invariant: the memory does not grow with the updates: durations are counted in classes of a tenth of a millisecond.
+//! Invariant: the memory does not grow with the updates, because durations are counted in classes of a tenth of a millisecond.
 
 use meissner_api::{LiveRecord, UpdateTimes};
 use meissner_array::units::ticks_to_ms;
@@ -55,14 +55,14 @@ impl Durations {
 #[derive(Debug, Default)]
 pub(super) struct LiveAccount {
     record: LiveRecord,
-    /// From the message to the tick from which strokes are replaced, to the first motor's new drive, and to the last one's.
+    /// Times from the message to the tick from which strokes are replaced, to the first motor's new drive, and to the last motor's.
     decided: Durations,
     first: Durations,
     last: Durations,
 }
 
 impl LiveAccount {
-    /// Counts what became of an update.
+    /// Counts the result of an update.
     pub(super) fn add(&mut self, update: &LiveUpdate) {
         self.record.updates += 1;
         match update.result {
@@ -82,7 +82,7 @@ impl LiveAccount {
         }
     }
 
-    /// Counts an update that gave way to a newer one before it reached the streamer.
+    /// Counts an update that a newer one replaced before it reached the streamer.
     pub(super) fn merged(&mut self) {
         self.record.updates += 1;
         self.record.merged += 1;
@@ -129,7 +129,7 @@ mod tests {
         let first = record.first_motor.unwrap();
         assert!((first.p50_ms - 500.0).abs() < 0.2 && (first.p99_ms - 990.0).abs() < 0.2, "{first:?}");
         assert_eq!((first.longest_ms, record.decided.unwrap().longest_ms), (1_000.0, 1.0));
-        // Beyond two seconds classes end, but not the longest one.
+        // The classes end at two seconds; the longest duration is still exact.
         assert_eq!(record.last_motor.unwrap().longest_ms, 2_000.0);
     }
 }

@@ -28,12 +28,12 @@ impl MeasuredBursts {
         self.kept.push_back(burst);
     }
 
-    /// Removes all: another device has another clock.
+    /// Removes all bursts, because another device has another clock.
     pub fn clear(&mut self) {
         self.kept = VecDeque::new();
     }
 
-    /// Those that began within `from..until`.
+    /// The bursts that began within `from..until`.
     pub fn within(&self, from: Tick, until: Tick) -> impl Iterator<Item = &MeasuredBurst> {
         self.kept.iter().filter(move |burst| (from..until).contains(&burst.start))
     }

@@ -6,8 +6,8 @@
 //! A new field of a receipt needs three edits: the field (`crates/api/src/receipt.rs`), the code that fills it
 //! (`began`, `complete` or [`Receipts::apply`] here), and the code that prints it (`src/cli/text.rs`).
 //!
-//! Invariant: every accepted play has exactly one receipt, until [`KEPT`] later plays have ended. Queued and running plays are all
-//! kept; the streamer bounds them.
+//! Invariant: every accepted play has exactly one receipt, until [`KEPT`] later plays have ended. The receipts of queued and
+//! running plays are all kept; the streamer bounds their number.
 
 mod convert;
 mod items;
@@ -83,12 +83,12 @@ pub struct Receipts {
     kind: String,
     hello: Option<DeviceHello>,
     snapshot: Option<Snapshot>,
-    /// Sent to the streamer, but not answered yet.
+    /// Plays sent to the streamer, but not answered yet.
     sent: Vec<Receipt>,
-    /// Queued and running, in order of acceptance.
+    /// Queued and running plays, in order of acceptance.
     live: Vec<Receipt>,
     finished: VecDeque<Receipt>,
-    /// What was planned of the items of sequences that are not over.
+    /// The plans of the items of sequences that are not over.
     planned: HashMap<u64, Arc<[PlannedItem]>>,
     /// The updates of live plays that are not over.
     updates: HashMap<u64, LiveAccount>,
@@ -104,7 +104,7 @@ impl Receipts {
         self.sent.push(receipt);
     }
 
-    /// Sets what is planned of the items of a sequence that was added.
+    /// Sets the plan of the items of a sequence that was added.
     pub fn plan(&mut self, id: u64, items: Arc<[PlannedItem]>) {
         if let Some(receipt) = self.sent.iter_mut().find(|receipt| receipt.id == id) {
             receipt.items_planned = Some(items.len() as u64);
@@ -112,11 +112,11 @@ impl Receipts {
         self.planned.insert(id, items);
     }
 
-    /// The streamer accepted a play, or not.
+    /// Takes the streamer's answer to a play.
     pub fn settle(&mut self, id: u64, accepted: bool) -> Option<Event> {
         let at = self.sent.iter().position(|receipt| receipt.id == id)?;
         let mut receipt = self.sent.remove(at);
-        // A play ends with the connection that took it.
+        // A play belongs to one connection, so the current boot is the play's.
         receipt.boot = self.hello.map(|hello| hello.boot);
         let event = Event::Queued { id, pattern: receipt.pattern.clone(), seconds: receipt.seconds };
         if !accepted {
@@ -137,7 +137,7 @@ impl Receipts {
         &self.kind
     }
 
-    /// Applies an event of the streamer. Answers and returned memory concern other parts of the daemon.
+    /// Applies an event of the streamer. Other parts of the daemon handle answers and returned memory.
     pub fn apply(&mut self, event: &StreamEvent) -> Option<Event> {
         match event {
             StreamEvent::Answer { .. }
@@ -209,7 +209,7 @@ impl Receipts {
         }
         self.totals.add(outcome);
         let event = Event::Ended { receipt: Box::new(receipt.clone()) };
-        // An event is short: the receipt alone has the items.
+        // Only the receipt gets the items, because an event must be short.
         receipt.items = self.planned.remove(&id).map(|planned| items::records(&planned, &outcome.play.items));
         let count = |receipt: &Receipt| receipt.items.as_ref().map_or(0, |items| items.len());
         let mut kept = count(&receipt) + self.finished.iter().map(count).sum::<usize>();
@@ -221,14 +221,14 @@ impl Receipts {
         Some(event)
     }
 
-    /// Sets what an endless play has counted by its end.
+    /// Sets the ordered counts of an endless play at its end.
     pub fn set_ordered(&mut self, id: u64, counts: Option<OrderedCounts>) {
         if let Some(receipt) = self.live_mut(id) {
             receipt.ordered = counts;
         }
     }
 
-    /// A pose of a live play's target gave way to a newer one before it was rendered.
+    /// Counts a pose of a live play's target that a newer one replaced before it was rendered.
     pub fn live_merged(&mut self, id: u64) {
         if let Some(account) = self.updates.get_mut(&id) {
             account.merged();
@@ -249,7 +249,7 @@ impl Receipts {
         Some(Event::PredictedResponse { id, prediction: receipt.prediction.clone() })
     }
 
-    /// Puts what a live target has reached into its play's receipt.
+    /// Puts the contrast that a live target has reached into its play's receipt.
     pub fn set_live_contrast(&mut self, id: u64, contrast: LiveContrast) -> Option<Event> {
         let receipt = self.finished.iter_mut().find(|receipt| receipt.id == id)?;
         receipt.live.as_mut()?.contrast = Some(contrast);
@@ -297,7 +297,7 @@ impl Receipts {
         &self.totals
     }
 
-    /// The device's clock at `now` and its uncertainty, µs: by the last snapshot's estimate, since an idle streamer publishes
+    /// The device's clock at `now` and its uncertainty, µs: from the last snapshot's estimate, because an idle streamer publishes
     /// one a second.
     #[must_use]
     pub fn clock(&self, now: HostInstant) -> Option<(Tick, f64)> {

@@ -1,8 +1,8 @@
-//! What a play was ordered to do, and what whole strokes make of it: durations, counts, amplitudes, warnings.
+//! The order of a play, and its result in whole strokes: durations, counts, amplitudes, warnings.
 //!
 //! [`Order::of`] reads a pattern with the options of a play; the store does so for one run of a pattern.
 //!
-//! Invariant: it is computed from the strokes that are played, without walking them.
+//! Invariant: it describes exactly the strokes that are played, without iterating over them.
 
 use meissner_api::{
     DurationRecord, Fit, MAX_DRIVES_LISTED, MAX_LISTED, MAX_WARNINGS_LISTED, OrderedCounts, ReachedDrive,
@@ -20,9 +20,9 @@ pub struct Order {
     pub ordered_ms: Option<f64>,
     /// Duration to the end of the last whole stroke, ms; `None`: without end.
     pub compiled_ms: Option<f64>,
-    /// What the drives reach.
+    /// The amplitudes that the drives reach.
     pub drives: Vec<ReachedDrive>,
-    /// One line for each drive that may not do what is meant.
+    /// One line for each drive that may not do what the pattern's author intended.
     pub warnings: Vec<String>,
 }
 
@@ -81,18 +81,19 @@ pub fn largest_um(drives: &[ReachedDrive]) -> [f64; 2] {
     [most(|drive| drive.ordered_um), most(|drive| drive.reached_um)]
 }
 
-/// Strokes of saturated drives that are walked when a play begins: 24 motors at 300 Hz for two minutes, in 30 ms.
+/// The most strokes of saturated drives that are counted one by one when a play begins: 24 motors at 300 Hz for two minutes, in 30
+/// ms.
 const WALKED: u64 = 1 << 20;
 /// The same when an endless play ends, where other clients wait for the event loop.
 const WALKED_AT_END: u64 = 1 << 14;
 
-/// What a play counts; `None` if it has no end. May take 30 ms.
+/// The bursts and pulses of a play; `None` if it has no end. May take 30 ms.
 #[must_use]
 pub fn counts(pattern: &Pattern, options: &StrokeOptions) -> Option<OrderedCounts> {
     counted(pattern, options, WALKED)
 }
 
-/// What an endless play counts of its first `ticks`: the strokes that begin in them.
+/// The bursts and pulses of the strokes of an endless play that begin in its first `ticks`.
 #[must_use]
 pub fn counts_until(pattern: &Pattern, options: &StrokeOptions, ticks: u64) -> Option<OrderedCounts> {
     let seconds = Some(ticks_to_seconds(ticks));
@@ -107,7 +108,7 @@ fn counted(pattern: &Pattern, options: &StrokeOptions, walked: u64) -> Option<Or
 
 fn reached(found: &DriveAmplitude) -> ReachedDrive {
     let DriveAmplitude { drive, settings, reached, .. } = *found;
-    // A receipt is kept for years, and the model is not better than this.
+    // Round the figures: a receipt is kept for years, and the model is not more accurate.
     let [ordered_um, reached_um, surplus_um] =
         [found.ordered_um, found.reached_um, reached.surplus_um].map(|um| (um * 1000.0).round() / 1000.0);
     let (motor, strokes) = (settings.motor, reached.strokes);

@@ -2,7 +2,7 @@
 //!
 //! [`PlayedPattern::response`] finds the measurement of each burst of the pattern and passes the travels to the skin model. Strokes
 //! that the receipt lists as late or refused were not played. Other bursts without a measurement are left out and counted. If there
-//! are too many, there is no prediction. The last twentieth of a second of a play that was cut is left out: its bursts were cut
+//! are too many, there is no prediction. The last twentieth of a second of a cut play is left out, because its bursts were cut
 //! before they were measured.
 //!
 //! Invariant: a [`PredictedResponse`] is about bursts of which at most one in a hundred is unmeasured.
@@ -20,9 +20,9 @@ use meissner_skin::fingertip::Class;
 use meissner_stream::queues::MeasuredBurst;
 use std::collections::{HashMap, HashSet};
 
-/// At most one burst in so many may be unmeasured.
+/// At most one burst in this many may be unmeasured.
 const ONE_IN: u64 = 100;
-/// Left out at the end of a play that was cut, ticks: the longest corrected burst, and the motor's window.
+/// The time left out at the end of a cut play, ticks: the longest corrected burst, and the motor's window.
 const CUT: u64 = MAX_DOWN_PULSES as u64 + WINDOW_TICKS;
 /// Largest standard deviation of a measurement that counts: a share of an ideal motor's travel, plus µm. Half of the scatter of
 /// bursts.
@@ -37,7 +37,7 @@ pub enum NoPrediction {
     /// The play has no onset.
     #[error("it did not begin")]
     NotBegun,
-    /// It was cut before a burst was measured.
+    /// The play was cut before a burst was measured.
     #[error("it was cut before a burst was measured")]
     Cut,
     /// Too many bursts were not measured.
@@ -70,18 +70,18 @@ pub enum NoPrediction {
 pub struct PlayedPattern<'p> {
     /// Its pattern.
     pub pattern: &'p Pattern,
-    /// How it became strokes.
+    /// The options with which it was compiled.
     pub options: StrokeOptions,
     /// Its onset.
     pub onset: Tick,
-    /// It was stopped or aborted.
+    /// Whether it was stopped or aborted.
     pub cut: bool,
     /// Strokes that were not played: motor and up tick.
     pub unplayed: HashSet<(u8, Tick)>,
 }
 
 impl<'p> PlayedPattern<'p> {
-    /// The play of a receipt: one that is over, or has lasted for [`MOST_OBSERVED_S`].
+    /// The play of a receipt that is over, or has lasted for [`MOST_OBSERVED_S`].
     ///
     /// # Errors
     /// If it never began.
@@ -104,8 +104,8 @@ impl<'p> PlayedPattern<'p> {
         self.onset + seconds_to_ticks(MOST_OBSERVED_S)
     }
 
-    /// Predicts the response from these bursts; bursts of other plays are ignored. Computes for some seconds per minute of a
-    /// shipped pattern.
+    /// Predicts the response from these bursts; bursts of other plays are ignored. Takes some seconds per minute of a shipped
+    /// pattern.
     ///
     /// # Errors
     /// Why there is no prediction.
@@ -153,7 +153,7 @@ impl<'p> PlayedPattern<'p> {
         }
         let observed_s = ticks_to_seconds(until - self.onset);
         let (pattern, onset) = (self.pattern, self.onset);
-        // As designed there is no surplus.
+        // The design has no surplus.
         let options = StrokeOptions { surplus: Surplus::None, ..self.options.clone() };
         let predicted = meissner_design::predict_response(
             &meissner_design::Play { pattern, options, onset, observed_s, by_class: true },
@@ -185,7 +185,8 @@ const fn rates(of: meissner_design::Rates) -> Rates {
     Rates { all, on, off, contrast }
 }
 
-/// The pulses that a motor takes for this travel: then the lower stop ends it, and it slips for the rest of the burst.
+/// The pulses that a motor needs for this travel. Then the lower stop ends the motion, and the motor slips for the rest of the
+/// burst.
 fn pulses_to_stop(travel_um: f32) -> u16 {
     // The cast saturates.
     (f64::from(travel_um.abs()) / UM_PER_PULSE).round().max(1.0) as u16

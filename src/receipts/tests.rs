@@ -232,7 +232,7 @@ fn every_events_name_is_its_json_tag() {
     }
 }
 
-/// Receipts of older daemons have the deprecated keys alone.
+/// Receipts of older daemons have only the deprecated keys.
 #[test]
 fn a_prediction_is_written_under_both_names_and_read_under_either() {
     let mut receipt = Receipt::new(1, "edge-45", "", None);

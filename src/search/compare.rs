@@ -1,4 +1,4 @@
-//! Compares the drives of a live target with those that a search finds which takes its time.
+//! Compares the drives of a live target with the result of a search without a deadline.
 
 use super::convert;
 use meissner_api::{LiveContrast, LiveRequest, ReachedContrast, SearchModel, SearchObjective, SearchSetting};
@@ -7,7 +7,7 @@ use meissner_skin::ModelName;
 use serde::{Deserialize, Serialize};
 use std::time::{Duration, Instant};
 
-/// How long the search at a pose may take. It mostly converges sooner.
+/// How long the search at a pose may take; it usually converges sooner.
 const POSE: Duration = Duration::from_secs(20);
 
 /// Samples of a live play, and how their drives were searched.
@@ -27,7 +27,7 @@ impl Compare {
         Self { objective, model, setting, samples }
     }
 
-    /// Searches pose by pose. Tells what was reached at the poses so far, until that returns false.
+    /// Searches pose by pose. Calls `tell` with the contrast at the poses so far, until `tell` returns false.
     pub(super) fn carry_out(
         &self,
         target: &Target,

@@ -1,4 +1,4 @@
-//! The API's names of a search, and those of the crate that searches.
+//! Converts a search's settings from the API's types to those of the design crate.
 
 use meissner_api::{SearchModel, SearchObjective, SearchSetting, SearchVerdict};
 use meissner_design::{Goal, Models, Setting, Verdict};

@@ -1,8 +1,9 @@
-//! Searches in a process of their own: what it is told, what it answers, and its work.
+//! Searches in a separate process: its job, its reports, and its work.
 //!
-//! The daemon starts this program again ([`command`]) and writes a [`Job`] to its stdin; [`work`] answers on stdout with [`Report`]s, one
-//! line of JSON each. A job is a search for a pattern, or searches to compare a live target's drives with (`compare`). A process keeps the search's memory, threads and faults out of the one that streams: its memory is bounded
-//! ([`MEMORY`]) and not locked, it has low priority, and the daemon can kill it at any time.
+//! The daemon starts this program again ([`command`]) and writes a [`Job`] to its stdin; [`work`] answers on stdout with
+//! [`Report`]s, one line of JSON each. A job is a search for a pattern, or a comparison of a live target's drives with searches
+//! (`compare`). A separate process keeps the search's memory, threads and faults away from the streaming process: its memory is
+//! bounded ([`MEMORY`]) and not locked, it has low priority, and the daemon can kill it at any time.
 //!
 //! Invariant: the process ends when the other end of its stdin closes, however the daemon ends.
 
@@ -23,16 +24,16 @@ use std::os::unix::process::CommandExt;
 use std::process::{Command, Stdio};
 use std::sync::atomic::{AtomicBool, Ordering};
 
-/// The name by which the program knows that it is to search (`argv[0]`).
+/// The name (`argv[0]`) that tells the program to search.
 const NAME: &str = "meissner-search";
-/// The most memory of its data that a search may have, bytes. `docs/explanation/limits.md` names it.
+/// The most data memory of a search, bytes. `docs/explanation/limits.md` names it.
 pub const MEMORY: u64 = 256 << 20;
 /// The longest line of either side, bytes: a pattern of 64 frames, every character escaped.
 pub const MAX_LINE: u64 = 8 << 20;
-/// As the daemon's predictor: on a busy machine a search still gets a ninth of a processor.
+/// The same as the daemon's predictor: on a busy machine a search still gets a ninth of a processor.
 const NICE: i32 = 10;
 
-/// Whether this executable is the program, which can search, and not another one that has a daemon in it.
+/// Whether this executable is the program, which can search, and not another executable that contains a daemon.
 static IS_PROGRAM: AtomicBool = AtomicBool::new(false);
 
 /// What to do.
@@ -49,17 +50,17 @@ enum Task {
     Compare(Compare),
 }
 
-/// What a search tells.
+/// A report of a search.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Report {
-    /// How far it is.
+    /// Its progress.
     Progress(SearchProgress),
-    /// What was reached at the poses so far. After the last pose the process ends.
+    /// The contrast at the poses so far. After the last pose the process ends.
     Contrast(LiveContrast),
-    /// What it has found; the last line.
+    /// Its result; the last line.
     Done(Box<SearchResult>),
-    /// Why it has found nothing; the last line.
+    /// Why it failed; the last line.
     Failed(String),
 }
 
@@ -70,14 +71,14 @@ impl Job {
         Self::new(Task::Search(SearchRequest { target: serde_json::Value::Null, ..request }), target)
     }
 
-    /// Searches to compare the drives of a live target with.
+    /// A comparison of a live target's drives with searches.
     #[must_use]
     pub fn compare(compare: Compare, target: &Target) -> Self {
         Self::new(Task::Compare(compare), target)
     }
 
     fn new(task: Task, target: &Target) -> Self {
-        // The target goes along as its file. Strings, numbers and tables of them can be written.
+        // The job contains the target as its file. Strings, numbers and tables of them can always be written.
         Self { target: toml::to_string(&target.definition()).unwrap_or_default(), task }
     }
 }
@@ -101,7 +102,7 @@ fn design(request: &SearchRequest) -> Request {
     }
 }
 
-/// Says that this executable is the program. Without it [`command`] gives none.
+/// Notes that this executable is the program. Without this call [`command`] returns none.
 pub fn is_program() {
     IS_PROGRAM.store(true, Ordering::Relaxed);
 }
@@ -112,9 +113,9 @@ pub fn is_asked(argv0: Option<&OsStr>) -> bool {
     argv0.is_some_and(|name| name == NAME)
 }
 
-/// The command that starts a search. The file may have been replaced meanwhile: the link leads to the one that runs. Without work
-/// between fork and exec the standard library does not copy the tables of the daemon's memory, which would make its real-time thread
-/// take page faults.
+/// The command that starts a search. The program's file may have been replaced meanwhile; the link leads to the running one. The
+/// command does no work between fork and exec, so the standard library does not copy the daemon's page tables, which would cause
+/// page faults in its real-time thread.
 #[must_use]
 pub fn command() -> Option<Command> {
     let mut command = Command::new("/proc/self/exe");

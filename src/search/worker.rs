@@ -17,7 +17,7 @@ use std::{fs, thread};
 /// How often it reports.
 const REPORT_EVERY: Duration = Duration::from_millis(200);
 
-/// Does the job on stdin.
+/// Carries out the job on stdin.
 #[must_use]
 pub fn work() -> ExitCode {
     lower();
@@ -28,7 +28,7 @@ pub fn work() -> ExitCode {
         // There is no daemon at the other end, or it has ended.
         return ExitCode::FAILURE;
     };
-    // The daemon says no more: whatever comes is the end.
+    // The daemon sends nothing more, so any input means the end.
     let watch = thread::Builder::new().name("stdin".into()).spawn(move || {
         let _ = io::copy(&mut stdin, &mut io::sink());
         process::exit(1);
@@ -40,7 +40,7 @@ pub fn work() -> ExitCode {
     if say(&report).is_ok() { ExitCode::SUCCESS } else { ExitCode::FAILURE }
 }
 
-/// Does a job; returns its last report.
+/// Carries out a job; returns its last report.
 fn carry_out(job: &Job) -> Report {
     let target = Target::read(&job.target, "target").map_err(|error| error.to_string());
     let done = target.and_then(|target| match &job.task {
@@ -53,20 +53,20 @@ fn carry_out(job: &Job) -> Report {
     done.unwrap_or_else(Report::Failed)
 }
 
-/// Takes as little of the machine as it can. Each step helps, and the search works without it: the service's unit may forbid some.
+/// Lowers this process's use of the machine. Each step is optional, because the service's unit may forbid some.
 fn lower() {
-    // The thread that starts it may have a niceness of its own, to which `nice` would add.
+    // Do not use `nice`: it would add to the niceness of the thread that started this process.
     let _ = setpriority_process(None, NICE);
-    // When memory runs out this process is the first to go.
+    // When memory runs out, the system kills this process first.
     let _ = fs::write("/proc/self/oom_score_adj", "1000");
     let _ = setrlimit(Resource::Data, Rlimit { current: Some(MEMORY), maximum: Some(MEMORY) });
-    // Descriptors that the daemon was given may have come along; a port must not stay open.
+    // This process may have inherited the daemon's descriptors; close them, so that no port stays open.
     let open = fs::read_dir("/proc/self/fd").into_iter().flatten().flatten();
     let numbers: Vec<i32> = open.filter_map(|entry| entry.file_name().to_str()?.parse().ok()).collect();
     for number in numbers.into_iter().filter(|number| *number > 2) {
         let _ = nix::unistd::close(number);
     }
-    // A processor is left to the daemon. An error means one thread for each processor, at the same priority.
+    // Leave one processor to the daemon. After an error there is one thread for each processor, at the same priority.
     let processors = thread::available_parallelism().map_or(1, usize::from);
     let _ = ThreadPoolBuilder::new().num_threads((processors - 1).max(1)).build_global();
 }
@@ -91,7 +91,7 @@ fn search(target: &Target, request: &SearchRequest) -> Result<SearchResult, Stri
             let (seconds, evaluations) = (begun.elapsed().as_secs_f64(), spent.evaluations);
             let value = Some(score.value).filter(|value| value.is_finite());
             let progress = SearchProgress { seconds, frame: frame + 1, frames, evaluations, value };
-            // Nobody reads: the daemon has ended.
+            // The daemon has ended, so no one reads the reports.
             if say(&Report::Progress(progress)).is_err() {
                 return ControlFlow::Break(());
             }

@@ -1,8 +1,9 @@
 //! Bounds the bytes of the session record, and counts the entries that it leaves out.
 //!
 //! Each kind of entry has a reserve of bytes that refills with time ([`Rate`]): plays, e-stops, the daemon's own entries, and the
-//! other commands, of which each user also has a reserve. An entry for which the reserve has no room is left out and counted by
-//! client and command. Entries about plays are never left out: while their reserve is empty, the daemon refuses new plays.
+//! other commands. For the other commands each user also has a separate reserve. If the reserve has no room for an entry, the entry
+//! is left out and counted by client and command. Entries about plays are never left out: while their reserve is empty, the daemon
+//! refuses new plays.
 //!
 //! Bounds: [`BYTES_PER_DAY`]; [`USERS`] and [`ROWS`].
 //!
@@ -21,7 +22,7 @@ const DAY_S: u64 = 86_400;
 struct Rate {
     /// Its size.
     burst: u64,
-    /// Bytes per second that come back.
+    /// Bytes per second by which it refills.
     per_s: u64,
 }
 
@@ -42,15 +43,15 @@ const DAEMON: Rate = Rate { burst: 1 << 20, per_s: 256 };
 const USER: Rate = Rate { burst: 8 << 20, per_s: 1 << 10 };
 /// The other commands of all users.
 const ALL_USERS: Rate = Rate { burst: 16 << 20, per_s: 2 << 10 };
-/// Users with a reserve of their own at a time: more than a lab has. Further users share one.
+/// The most users with separate reserves at a time: more than a lab has. Further users share one.
 const USERS: usize = 64;
-/// Rows of an entry about what is left out. What finds no row is counted together.
+/// The most rows of an entry about left-out entries. All beyond are counted together.
 const ROWS: usize = 32;
 /// The most bytes of an entry that is not about a play.
 pub(super) const MAX_ENTRY: u64 = 8 << 10;
-/// How long left-out entries are counted before an entry says so.
+/// How long left-out entries are counted before an entry reports them.
 pub(super) const REPORT_AFTER: Duration = Duration::from_secs(60);
-/// Queued plays that may end after their reserve is empty, with the longest receipts and all items of one sequence.
+/// Bytes for queued plays that end after their reserve is empty, with the longest receipts and all items of one sequence.
 const IN_FLIGHT: u64 = 6 << 20;
 
 /// The most bytes that a running daemon writes in a day.
@@ -61,11 +62,11 @@ pub const BYTES_PER_DAY: u64 = PLAYS.per_day()
     + ALL_USERS.per_day()
     + MAX_ENTRY * (DAY_S / REPORT_AFTER.as_secs() + 1);
 
-/// What a reserve holds now.
+/// The current state of a reserve.
 #[derive(Debug)]
 struct Reserve {
     rate: &'static Rate,
-    /// Below zero: more was taken than there was.
+    /// Below zero if more was taken than there was.
     bytes: f64,
     at: HostInstant,
 }
@@ -113,7 +114,7 @@ impl Budget {
         }
     }
 
-    /// Whether an entry of so many bytes is to be written; if not, it is counted.
+    /// Whether an entry of `bytes` bytes is to be written; if not, it is counted.
     pub(super) fn takes(&mut self, entry: &Entry, bytes: u64, now: HostInstant) -> bool {
         let (kind, uid, name) = entry.kind();
         let taken = match kind {
@@ -146,7 +147,7 @@ impl Budget {
         taken
     }
 
-    /// The text of a pattern counts as an entry about a play.
+    /// Takes the bytes of a pattern's text from the reserve for plays.
     pub(super) fn take_text(&mut self, bytes: u64, now: HostInstant) {
         self.plays.refill(now);
         self.plays.take(bytes);
@@ -167,7 +168,7 @@ impl Budget {
         !self.left_out.is_empty()
     }
 
-    /// The entry about what was left out.
+    /// The entry about the left-out entries.
     pub(super) fn report(&self) -> Entry {
         let row = |(&(uid, what), &entries): (&(Option<u32>, &'static str), &u64)| LeftOut {
             uid,
@@ -179,7 +180,7 @@ impl Budget {
         Note::LeftOut { entries: of.iter().map(|row| row.entries).sum(), of }.into()
     }
 
-    /// The entry about what was left out is queued.
+    /// Notes that the entry about the left-out entries is queued.
     pub(super) fn reported(&mut self) {
         self.left_out.clear();
     }
@@ -235,7 +236,7 @@ mod tests {
         (entry, bytes)
     }
 
-    /// What a day under load writes.
+    /// The entries and bytes that a day under load writes.
     #[derive(Debug, Default)]
     struct Day {
         asked: u64,
@@ -388,10 +389,10 @@ mod tests {
             items: vec![item; MAX_ITEMS_LISTED],
         };
         let items = Entry::of(&items, None).unwrap();
-        // As large as a receipt, for the events that wait for listeners.
+        // The items are no larger than a receipt, which bounds the events that wait for listeners.
         assert!(matches!(items.kind().0, Kind::Play) && items.bytes() < 32 << 10, "{}", items.bytes());
         let items = items.bytes() * (MAX_SEQUENCE_ITEMS / MAX_ITEMS_LISTED) as u64;
-        // The running play, 32 that wait, and one that begins; the items of the one that runs.
+        // The running play with its items, 32 that wait, and one that begins.
         assert!(34 * bytes + items < IN_FLIGHT, "{bytes}, {items}");
     }
 

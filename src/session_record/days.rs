@@ -1,4 +1,4 @@
-//! The files of days: their names, and the repair of a torn last line.
+//! The daily files: their names, and the repair of a torn last line.
 //!
 //! A line is anything that ends with a newline.
 
@@ -15,13 +15,13 @@ pub(super) fn name(day: Date) -> String {
     format!("{day}.jsonl")
 }
 
-/// The day of a file, if its name is exactly that day's.
+/// The day of a file, if the file's name is exactly that of the day.
 pub(super) fn day(file: &str) -> Option<Date> {
     let day: Date = file.strip_suffix(".jsonl")?.parse().ok()?;
     (name(day) == file).then_some(day)
 }
 
-/// The whole lines at the end of a file, at most `most` bytes of it; the first of them may be torn.
+/// The whole lines within the last `most` bytes of a file; the first of them may be torn.
 pub(super) fn last_lines(file: &File, most: u64) -> io::Result<Vec<u8>> {
     let length = file.metadata()?.len();
     let start = length.saturating_sub(most);

@@ -1,11 +1,11 @@
-//! Entries: the content of a line of the session record, besides the time.
+//! Entries: the content of a line of the session record, without the time.
 //!
 //! Most are the daemon's events as clients see them; the others are commands, and the daemon's start, reloads and end. Events that
-//! come ten times a second or once per stroke are left out: receipts sum them up.
+//! come ten times a second or once per stroke are left out, because receipts sum them up.
 //!
 //! A command keeps at most [`MAX_TEXT`] characters of each text that its client sent, and [`MAX_ITEMS`] items of a list.
 //!
-//! Invariant: the `event` key of a line determines its other keys.
+//! Invariant: the `event` key of a line determines which other keys it has.
 
 use super::json;
 use meissner_api::{Event, MAX_DETAIL, Session};
@@ -26,9 +26,9 @@ const LINE: u64 = 192;
 /// A client, as the kernel identifies it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Peer {
-    /// Its process; -1: not known.
+    /// Its process; -1 if unknown.
     pub pid: i32,
-    /// Its user; the highest number: not known.
+    /// Its user; the highest number if unknown.
     pub uid: u32,
     /// Set if it came over the network; then process and user are not known.
     pub network: Option<NetworkPeer>,
@@ -43,7 +43,7 @@ pub struct NetworkPeer {
     pub token: Option<TokenId>,
 }
 
-/// The id of an access token. It says which one was used, and nothing of the token.
+/// The id of an access token. It identifies the token without revealing it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct TokenId(pub u32);
 
@@ -54,10 +54,10 @@ impl fmt::Display for TokenId {
 }
 
 impl Peer {
-    /// A client of which nothing is known.
+    /// A client about which nothing is known.
     pub const UNKNOWN: Self = Self::local(-1, u32::MAX);
 
-    /// A client of a Unix socket.
+    /// A client on a Unix socket.
     #[must_use]
     pub const fn local(pid: i32, uid: u32) -> Self {
         Self { pid, uid, network: None }
@@ -153,7 +153,7 @@ fn cut(value: &mut Value) {
     }
 }
 
-/// An entry that is no event of the API.
+/// An entry that is not an event of the API.
 #[derive(Clone, Debug, Serialize)]
 #[serde(tag = "event", rename_all = "kebab-case")]
 pub enum Note {
@@ -166,7 +166,7 @@ pub enum Note {
         /// The requested device.
         wanted: String,
     },
-    /// The daemon has ended in good order, or because of a problem it could report.
+    /// The daemon has ended normally, or because of a problem that it could report.
     DaemonEnded {
         /// The problem; null: a signal or a request ended it.
         problem: Option<String>,
@@ -184,16 +184,16 @@ pub enum Note {
     Lost {
         /// How many.
         entries: u64,
-        /// Which, as far as the daemon knows: not those of an earlier daemon.
+        /// The missing entries that this daemon knows of, without those of an earlier daemon.
         of: Vec<LostOf>,
         /// The sessions whose start or end is among them.
         sessions: Vec<Session>,
     },
     /// Clients or devices made more entries than the record takes.
     LeftOut {
-        /// How many were left out since the last such entry.
+        /// How many entries were left out since the last such entry.
         entries: u64,
-        /// Whose they were.
+        /// Their clients and kinds.
         of: Vec<LeftOut>,
     },
 }
@@ -201,7 +201,7 @@ pub enum Note {
 /// Lost entries of a session.
 #[derive(Clone, Debug, Serialize)]
 pub struct LostOf {
-    /// The session; null: of none.
+    /// The session; null: they belong to none.
     pub(super) session: Option<String>,
     /// How many, by command or event.
     pub(super) kinds: BTreeMap<&'static str, u64>,
@@ -223,13 +223,13 @@ pub struct LeftOut {
 /// Entries that share a bound.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Kind {
-    /// A play that was accepted, and what became of it.
+    /// An accepted play, and its result.
     Play,
     /// An emergency stop.
     EStop,
     /// Another command.
     Command,
-    /// What the daemon and its device did.
+    /// Events of the daemon and its device.
     Daemon,
 }
 
@@ -237,7 +237,7 @@ pub(super) enum Kind {
 #[derive(Clone, Debug, Serialize)]
 #[serde(untagged)]
 pub enum Entry {
-    /// An entry that is no event.
+    /// An entry that is not an event.
     Note(Note),
     /// An event as clients see it, and the user whose play it is about.
     Event {
@@ -254,7 +254,7 @@ pub enum Entry {
 }
 
 impl Entry {
-    /// The entry for an event, if the session record keeps it; `client`: whose play it is about.
+    /// The entry for an event, if the session record keeps it; `client` is the owner of the play that it is about.
     #[must_use]
     pub fn of(event: &Event, client: Option<Peer>) -> Option<Self> {
         match event {
@@ -319,7 +319,7 @@ impl Entry {
         }
     }
 
-    /// Whether a session begins or ends with it.
+    /// The session that begins or ends with this entry, if any.
     pub(super) fn bounds_session(&self) -> Option<&Session> {
         let Self::Event { event, .. } = self else { return None };
         match &**event {

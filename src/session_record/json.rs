@@ -1,4 +1,5 @@
-//! JSON whose texts hold plain characters only: the others are `\\u` escapes, so that a line is safe to show on a terminal.
+//! Writes JSON whose texts hold only plain characters. All others become `\\u` escapes, so that a line is safe to show on a
+//! terminal.
 //!
 //! Invariant: a reader gets the text as it was.
 
@@ -28,7 +29,7 @@ pub(super) fn bytes(value: &impl Serialize) -> u64 {
         }
     }
     let mut count = Count(0);
-    // What the record holds can be serialized, and counting does not fail.
+    // The record's values can be serialized, and counting does not fail.
     let _ = write(&mut count, value);
     count.0
 }
@@ -74,7 +75,7 @@ mod tests {
         }
     }
 
-    /// Every text of every entry that a client, a file or a device can choose.
+    /// Tests every text of every entry that a client, a file or a device can choose.
     #[test]
     fn every_text_of_an_entry_is_plain_and_reads_back() {
         let odd = || ODD.to_owned();

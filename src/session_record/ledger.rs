@@ -1,7 +1,9 @@
-//! Counts what the record loses, by session and kind, in memory first: the disk may take nothing for hours.
+//! Counts the entries that the record loses, by session and kind. It does so in memory first, because the disk may take nothing for
+//! hours.
 //!
-//! Each entry has a [`Tag`] from the moment it is added. The queue and the writer tell the [`Ledger`] of each lost one, so that a status
-//! says it at once. [`Counts`] travel with the entries to the writer, whose next line says what is missing before it.
+//! Each entry has a [`Tag`] from the moment it is added. The queue and the writer report each lost entry to the [`Ledger`], so that
+//! the status shows it at once. [`Counts`] travel with the entries to the writer, whose next line reports the entries missing
+//! before it.
 //!
 //! Bounds: [`SESSIONS`] sessions, and [`KINDS`] counts.
 
@@ -13,14 +15,14 @@ use std::sync::Arc;
 
 /// Sessions of this daemon that are remembered: more than a lab has in weeks.
 const SESSIONS: usize = 128;
-/// Counts of a line, at most.
+/// The most counts in a line.
 const KINDS: usize = 1500;
-/// What is counted together beyond them.
+/// The name under which further kinds are counted together.
 const OTHERS: &str = "other";
 /// The event of a play's end.
 const END_OF_PLAY: &str = "ended";
 
-/// What is counted of an entry: the running session, and the entry's command or event.
+/// The key under which an entry is counted: the running session, and the entry's command or event.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) struct Tag {
     pub(super) session: Option<Arc<str>>,
@@ -70,11 +72,11 @@ impl Counts {
 /// A session of this daemon.
 #[derive(Clone, Debug)]
 pub struct Known {
-    /// As its last entry has it, with all that the record lost of it.
+    /// The session as in its last entry, with the counts of its lost entries.
     pub session: Session,
-    /// Lost entries that no line tells of yet.
+    /// Lost entries that no line has reported yet.
     pub pending: u64,
-    /// Its start or end is among them.
+    /// Whether its start or end is among them.
     unnamed: bool,
 }
 
@@ -120,7 +122,7 @@ impl Ledger {
         self.sessions.iter_mut().rev().find(|known| known.session.id == id)
     }
 
-    /// An entry is lost.
+    /// Counts a lost entry.
     pub(super) fn lose(&mut self, tag: &Tag) {
         self.lost += 1;
         if let Some(known) = tag.session.as_deref().and_then(|id| self.of(id)) {
@@ -137,7 +139,8 @@ impl Ledger {
         }
     }
 
-    /// A line tells of these. Returns the sessions of which it has to tell all, because their start or end is among them.
+    /// Notes that a line reports these. Returns the sessions that the line must contain whole, because their start or end is among
+    /// the lost entries.
     pub(super) fn report(&mut self, counts: &Counts) -> Vec<Session> {
         let mut unnamed = Vec::new();
         for (tag, &entries) in &counts.0 {
@@ -151,7 +154,7 @@ impl Ledger {
         unnamed
     }
 
-    /// That line is lost, too.
+    /// Undoes [`Self::report`], because that line is lost, too.
     pub(super) fn take_back(&mut self, counts: &Counts) {
         counts.0.iter().for_each(|(tag, &entries)| self.pend(tag, entries));
     }

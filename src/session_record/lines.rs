@@ -1,10 +1,10 @@
-//! The lines of a record in the order of their numbers, whatever the dates of their files.
+//! Reads the lines of a record in the order of their numbers, independent of the dates of their files.
 //!
-//! A clock that is set back makes the daemon go on in an earlier file. Each file grows in order, so the files are merged by the number
-//! of their next lines. Lines of older daemons have no number: they come first, by the date of their file. A line that is there twice,
-//! in a copy of a file, is seen once.
+//! If a clock is set back, the daemon continues in an earlier file. Each file grows in order, so the files are merged by the number
+//! of their next lines. Lines of older daemons have no number: they come first, by the date of their file. A line that occurs
+//! twice, in a copy of a file, is read once.
 //!
-//! A line is read as JSON, whoever wrote it. For speed, a line as the daemon writes it is parsed only as far as its `event`.
+//! A line may be any JSON, also of another program. For speed, a line in the daemon's own format is parsed only up to its `event`.
 //!
 //! Bounds: one line of [`MAX_LINE`] for each file whose numbers overlap those of others; [`MAX_LISTED`] named problems.
 
@@ -26,7 +26,7 @@ pub(super) const MAX_LINE: usize = 256 << 10;
 /// The highest number: every JSON reader can hold it.
 pub(super) const MAX_NUMBER: u64 = (1 << 53) - 1;
 
-/// What tells a line's place and kind.
+/// The place and kind of a line.
 #[derive(Debug, Deserialize, PartialEq, Eq)]
 pub(super) struct Head<'a> {
     /// None: an older daemon wrote it.
@@ -36,13 +36,13 @@ pub(super) struct Head<'a> {
     pub(super) event: Cow<'a, str>,
 }
 
-/// The head of a line; none: it is no entry.
+/// The head of a line; none if it is not an entry.
 pub(super) fn head(line: &[u8]) -> Option<Head<'_>> {
     let head = written(line).or_else(|| serde_json::from_slice(line).ok())?;
     Some(Head { number: head.number.filter(|&number| number <= MAX_NUMBER), ..head })
 }
 
-/// The head of a line as the daemon writes it.
+/// The head of a line in the daemon's own format.
 fn written(line: &[u8]) -> Option<Head<'_>> {
     let rest = line.strip_suffix(b"}")?.strip_prefix(b"{\"time\":\"")?;
     let rest = rest.get(memchr::memchr(b'"', rest)?..)?.strip_prefix(b"\",\"monotonic_ns\":")?;
@@ -79,17 +79,17 @@ impl Unreadable {
         }
     }
 
-    /// The first of them, by file and line.
+    /// The first problems, ordered by file and line.
     pub(super) fn lines(mut self) -> Vec<String> {
         self.listed.sort();
         self.listed.into_iter().map(|(.., line)| line).collect()
     }
 }
 
-/// What is read.
+/// A line as it is read.
 pub(super) enum Seen<'a> {
     Line(Head<'a>, &'a [u8]),
-    /// Something that cannot be read.
+    /// A line that cannot be read.
     Unreadable,
 }
 
@@ -101,12 +101,12 @@ pub(super) struct Source {
     file: Option<BufReader<File>>,
     line: Vec<u8>,
     line_number: usize,
-    /// The number of its line, or of the last one before it that has one.
+    /// The number of its current line, or of the last line before it that has one.
     key: u64,
 }
 
 impl Source {
-    /// Reads the next line that is an entry; `wrong` is told of the others. Returns whether there is one.
+    /// Reads the next line that is an entry; calls `wrong` for other lines. Returns whether there is one.
     fn advance(&mut self, mut wrong: impl FnMut(&Self, &str)) -> bool {
         if self.file.is_none() {
             match open_regular(&self.path) {
@@ -136,7 +136,7 @@ impl Source {
         }
     }
 
-    /// As before its first line.
+    /// Returns to the state before its first line.
     fn rewind(&mut self) {
         (self.file, self.line, self.line_number) = (None, Vec::new(), 0);
     }
@@ -176,7 +176,7 @@ pub(super) fn each(
     sources.retain(wanted);
     let mut next = BinaryHeap::new();
     for (index, source) in sources.iter_mut().enumerate() {
-        // Only its place among the others: few files are open at a time.
+        // Read only the first number, then close the file again: few files are open at a time.
         source.advance(|_, _| {});
         source.rewind();
         next.push(Reverse((source.key, source.day, index)));
@@ -213,7 +213,7 @@ pub(super) fn each(
 fn sources(dir: &Path) -> io::Result<Vec<Source>> {
     let mut sources = Vec::new();
     match fs::read_dir(dir) {
-        // Nothing was ever recorded.
+        // No entry was ever recorded.
         Err(error) if error.kind() == io::ErrorKind::NotFound => {}
         entries => {
             for entry in entries? {

@@ -1,11 +1,11 @@
 //! The session record (configuration keys `logbook_dir` and `logbook_days`): JSON lines about a lab's sessions, one file per local day.
 //!
-//! `DIR/2026-11-22.jsonl` holds each command with its client and answer, each play with its receipt, what devices did, and the
-//! daemon's start and end. Experiments read it later; the daemon never reads it. [`SessionRecord::add`] stamps an entry and queues
-//! it for a thread, which writes it, makes it durable [`SYNC_AFTER`] later, and sleeps while there is nothing to do. Entries that
-//! find no room are counted, in memory at once and in the next line. Entries are numbered: order and completeness never come from
-//! dates (`numbers`). The record is bounded in bytes per day ([`BYTES_PER_DAY`]): entries beyond are counted by client and command,
-//! and entries about plays and the first e-stops are never among them.
+//! `DIR/2026-11-22.jsonl` holds each command with its client and answer, each play with its receipt, events of devices, and the
+//! daemon's start and end. Experiments read it later; the daemon never needs it for its own work. [`SessionRecord::add`] stamps an
+//! entry and queues it for a thread, which writes it, makes it durable [`SYNC_AFTER`] later, and sleeps while there is nothing to
+//! do. Entries that do not fit into the queue are counted, in memory at once and in the next line. Entries are numbered, so order
+//! and completeness never depend on dates (`numbers`). The record is bounded in bytes per day ([`BYTES_PER_DAY`]). Entries beyond
+//! that are left out and counted by client and command; entries about plays and the first e-stops are never left out.
 //!
 //! Invariants: nothing waits for the disk; every line of a file that was closed or opened again parses; lines of one daemon are in
 //! the order of `CLOCK_MONOTONIC`, and all lines in the order of their numbers; missing entries are counted.
@@ -45,7 +45,8 @@ use tokio::sync::oneshot;
 use tracing::warn;
 use writer::{Added, Stamp, Writer};
 
-/// How long an entry waits for its user's name. Once a look-up took longer, entries do not wait: the directory service may hang.
+/// How long an entry waits for its user's name. After a look-up took longer, entries no longer wait, because the directory service
+/// may hang.
 const NAME_TIMEOUT: Duration = Duration::from_millis(200);
 /// Entries that may wait for the disk: more than a session has in a minute.
 pub const WAITING: usize = 1024;
@@ -54,17 +55,17 @@ pub const WAITING: usize = 1024;
 #[derive(Debug)]
 enum Message {
     Entry(Box<Added>),
-    /// The entries up to this number found no room.
+    /// The entries up to this number did not fit into the queue.
     Missed(u64, Counts),
-    /// Write the following entries there.
+    /// Write the following entries to this location.
     Move(Location),
-    /// Replace the file of exposures, and say whether it was.
+    /// Replace the exposure file, and report whether that succeeded.
     Exposure(String, oneshot::Sender<bool>),
     /// Keep a pattern's text under its SHA-256.
     Text(String, Arc<[u8]>),
-    /// Drop this when all before it is written.
+    /// Drop this sender when all messages before it are written.
     Written(Sender<()>),
-    /// Entries are left out: say so after [`REPORT_AFTER`].
+    /// Entries are left out: report that after [`REPORT_AFTER`].
     LeftOut,
 }
 
@@ -74,7 +75,7 @@ struct Queue {
     messages: Sender<Message>,
     /// Where the record is kept.
     dir: PathBuf,
-    /// Entries that may wait unless they are about plays or e-stops. The rest of the queue is for those.
+    /// The most waiting entries that are not about plays or e-stops. The rest of the queue is for those.
     room: usize,
     budget: Budget,
     texts: Arc<Texts>,
@@ -82,7 +83,7 @@ struct Queue {
     number: u64,
     /// The running session.
     session: Option<Arc<str>>,
-    /// Entries that found no room since the last one that did.
+    /// Entries that did not fit since the last one that did.
     missed: Counts,
     ledger: Arc<Mutex<Ledger>>,
     /// Disconnected when the thread has ended.
@@ -132,7 +133,7 @@ impl Queue {
         let stamp = Stamp::now();
         let session = entry.bounds_session().map(|session| (session.id.clone(), session.reason.is_none()));
         if session.is_some() {
-            // What was left out belongs to what was before. It counts as an entry about a play.
+            // First report the entries left out before the move. The report counts as an entry about a play.
             if self.budget.has_left_out() {
                 self.budget.take_text(MAX_ENTRY, stamp.monotonic);
                 self.report();
@@ -151,7 +152,7 @@ impl Queue {
                 self.lose(tag);
             }
         } else if !had_left_out && self.messages.try_send(Message::LeftOut).is_err() {
-            // The queue is full: this entry is one of the missing ones, and the next one tries again.
+            // The queue is full: this report counts as a missing entry, and the next one tries again.
             self.budget.reported();
             let tag = self.tag(&entry);
             self.lose(tag);
@@ -165,7 +166,7 @@ impl Queue {
         Tag { session: self.session.clone(), name: entry.kind().2 }
     }
 
-    /// An entry gets a number, but no line.
+    /// Gives an entry a number, but no line.
     fn lose(&mut self, tag: Tag) {
         self.number += 1;
         self.lock_ledger().lose(&tag);
@@ -187,7 +188,7 @@ impl Queue {
     /// Queues an entry with the next number. Returns whether it had room.
     fn send(&mut self, stamp: Stamp, entry: Entry) -> bool {
         let (number, tag, missed) = (self.number + 1, self.tag(&entry), self.missed.take());
-        // The thread outlives the queue: an error means that it is full.
+        // The thread outlives the queue, so an error means that the queue is full.
         let added = Box::new(Added { stamp, number, missed, tag, entry });
         match self.messages.try_send(Message::Entry(added)) {
             Ok(()) => {
@@ -203,7 +204,7 @@ impl Queue {
         }
     }
 
-    /// Has the thread tell of the entries that found no room.
+    /// Makes the thread report the entries that did not fit.
     fn tell_missed(&mut self) {
         if self.missed.is_empty() {
             return;
@@ -215,7 +216,7 @@ impl Queue {
         }
     }
 
-    /// Adds an entry about what was left out. Without room in the queue, it is tried again later.
+    /// Adds an entry about the left-out entries. If the queue is full, it is tried again later.
     fn report(&mut self) {
         if self.budget.has_left_out() && self.send(Stamp::now(), self.budget.report()) {
             self.budget.reported();
@@ -226,7 +227,7 @@ impl Queue {
 /// A handle to the record. Clones share one record.
 #[derive(Clone, Debug)]
 pub struct SessionRecord {
-    /// None: nothing is recorded, or it is closed.
+    /// None: nothing is recorded, or the record is closed.
     queue: Arc<Mutex<Option<Queue>>>,
 }
 
@@ -237,8 +238,7 @@ impl SessionRecord {
         Self { queue: Arc::new(Mutex::new(None)) }
     }
 
-    /// Starts a record at a location, or none. While the location cannot be written, a line in the log says so, and entries count
-    /// as lost.
+    /// Starts a record at a location, or none. While the location cannot be written, a log line says so, and entries count as lost.
     ///
     /// # Errors
     /// If the system gives no thread.
@@ -304,7 +304,7 @@ impl SessionRecord {
         self.lock().as_ref().map_or(0, |queue| queue.lock_ledger().lost())
     }
 
-    /// The sessions that began since it was started, the newest last: what the disk did not take of them is known here first.
+    /// The sessions that began since it was started, the newest last. Their lost entries are known here before the disk has them.
     #[must_use]
     pub fn known(&self) -> Vec<Known> {
         self.lock().as_ref().map_or_else(Vec::new, |queue| queue.lock_ledger().sessions().cloned().collect())
@@ -320,7 +320,7 @@ impl SessionRecord {
         ledger.sessions().find(|known| known.session.id == session).map_or((0, 0), of)
     }
 
-    /// Adds an entry, stamped now. Never waits for the disk.
+    /// Adds an entry with the current time. Never waits for the disk.
     pub fn add(&self, entry: impl Into<Entry>) {
         let entry = entry.into();
         let bytes = entry.bytes();
@@ -342,8 +342,8 @@ impl SessionRecord {
         self.lock().as_ref().map(|queue| queue.dir.clone())
     }
 
-    /// Waits until the entries added so far are in their files, or the disk has not taken them; `timeout` at most. Returns whether the
-    /// disk has answered by then.
+    /// Waits until the entries added so far are in their files, or the disk has refused them; `timeout` at most. Returns whether
+    /// the disk has answered by then.
     #[must_use]
     pub fn wait_until_written(&self, timeout: Duration) -> bool {
         let until = Instant::now() + timeout;
@@ -357,8 +357,8 @@ impl SessionRecord {
             && written.recv_deadline(until) != Err(RecvTimeoutError::Timeout)
     }
 
-    /// Replaces the file of exposures in the record's directory. Returns where the answer arrives, whether it is on the disk; an error there
-    /// if too many entries wait. `None`: nothing is recorded.
+    /// Replaces the file of exposures in the record's directory. Returns the receiver of the answer whether it is on the disk; the
+    /// receiver fails if too many entries wait. `None`: nothing is recorded.
     #[must_use]
     pub fn save_exposure(&self, text: String) -> Option<oneshot::Receiver<bool>> {
         let (saved, answer) = oneshot::channel();
@@ -366,13 +366,14 @@ impl SessionRecord {
         Some(answer)
     }
 
-    /// Whether it has room for more plays: entries about plays are never left out, so the daemon refuses plays while it has none.
+    /// Whether it has room for more plays. Entries about plays are never left out, so the daemon refuses plays while there is no
+    /// room.
     #[must_use]
     pub fn takes_plays(&self) -> bool {
         self.lock().as_mut().is_none_or(|queue| queue.budget.takes_plays(HostInstant::now()))
     }
 
-    /// As if plays had taken all their reserve.
+    /// Uses up the reserve for plays.
     #[cfg(test)]
     pub(crate) fn use_up_plays(&self) {
         if let Some(queue) = self.lock().as_mut() {
@@ -409,7 +410,7 @@ fn write_all(
     let mut report: Option<Instant> = None;
     loop {
         let message = match writer.due().into_iter().chain(report).min() {
-            // Nothing is due: no timer.
+            // Nothing is due, so no timer runs.
             None => queue.recv().map_err(|_| RecvTimeoutError::Disconnected),
             Some(at) => queue.recv_deadline(at),
         };
@@ -422,7 +423,7 @@ fn write_all(
                 let kept = writer.keep_text(&sha256, &text);
                 texts.done(text.len(), kept.then_some(sha256));
             }
-            // Nobody may wait for it any more.
+            // Perhaps nothing waits for it any more.
             Ok(Message::Exposure(text, saved)) => drop(saved.send(writer.save_exposure(&text))),
             Ok(Message::Written(waiting)) => drop(waiting),
             Ok(Message::LeftOut) => report = Some(Instant::now() + REPORT_AFTER),
@@ -443,7 +444,7 @@ fn write_all(
     writer.finish();
 }
 
-/// Has the record add an entry about what it left out. Returns whether the queue had no room for it.
+/// Makes the record add an entry about the left-out entries. Returns whether the queue had no room for it.
 fn report_left_out(owner: &Weak<Mutex<Option<Queue>>>) -> bool {
     let Some(owner) = owner.upgrade() else { return false };
     let mut queue = owner.lock().unwrap_or_else(PoisonError::into_inner);

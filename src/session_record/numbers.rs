@@ -1,8 +1,8 @@
-//! The numbers of entries: each has the next one, over restarts and days, whatever clocks show.
+//! The numbers of entries. Each entry has the next number, across restarts and days, independent of clocks.
 //!
-//! A reader orders lines by their numbers, and a gap tells how many entries are missing. The newest number also stands in the file
-//! [`FILE`], which the daemon overwrites in place: a full disk still takes it. So a daemon knows of entries that the one before it lost
-//! at its end. Lines of older daemons have no number.
+//! A reader orders lines by their numbers, and a gap shows how many entries are missing. The newest number is also in the file
+//! [`FILE`], which the daemon overwrites in place, so that it works on a full disk. So a daemon knows of entries that the one
+//! before it lost at its end. Lines of older daemons have no number.
 //!
 //! Invariant: a directory's next number is above those of all lines in it, and above the one in the file.
 
@@ -19,10 +19,10 @@ use std::path::Path;
 pub(super) const FILE: &str = "counter";
 /// The digits of a number.
 const DIGITS: usize = 20;
-/// Bytes of a file's end that are read first: most lines have less.
+/// Bytes at a file's end that are read first: most lines are shorter.
 const END: u64 = 16 << 10;
 
-/// The newest number of a directory's lines, and the one in the file; 0: none. A file that cannot be read has none.
+/// The newest number of a directory's lines, and the one in the file; 0: none. An unreadable file counts as having none.
 ///
 /// # Errors
 /// If the directory cannot be listed.
@@ -41,7 +41,7 @@ pub(super) fn newest(dir: &Path) -> io::Result<(u64, u64)> {
     Ok((written, counted.unwrap_or(0)))
 }
 
-/// The number of a file's last line that has one; none: its lines have none.
+/// The number of a file's last numbered line; none if its lines have no numbers.
 ///
 /// # Errors
 /// If it cannot be read.

@@ -1,4 +1,4 @@
-//! Reads the session record: which sessions there were, their plays, and what of them is missing.
+//! Reads the session record: the sessions, their plays, and what is missing of them.
 //!
 //! [`sessions`] goes through all lines, in the order of their numbers (`lines`), and counts the ends of plays and the gaps of
 //! each session. [`plays`] reads the rows of one. A line or file that cannot be read is counted and named, and reading goes on.
@@ -54,19 +54,19 @@ pub struct Sessions {
 pub struct Recorded {
     /// The session.
     pub session: Session,
-    /// Its start is known.
+    /// Whether its start is known.
     is_started: bool,
     /// Ends of its plays.
     ends: u64,
-    /// Ends that the record says are lost.
+    /// Ends of plays that the record reports as lost.
     ends_lost: u64,
     /// Missing entries.
     lost: u64,
-    /// Entries that were left out meanwhile.
+    /// Entries that were left out during the session.
     left_out: u64,
-    /// Lines of older daemons that cannot be read: those have no numbers that tell what is missing.
+    /// Unreadable lines of older daemons, which have no numbers to show what is missing.
     unreadable: u64,
-    /// The number of its first line; none: not known.
+    /// The number of its first line; none if unknown.
     first: Option<u64>,
 }
 
@@ -75,20 +75,20 @@ impl Recorded {
         self.session.reason.is_none()
     }
 
-    /// Its daemon has ended without its end.
+    /// Marks a session whose daemon ended without recording the session's end.
     fn abandon(&mut self) {
         self.session.reason = Some("unknown".to_owned());
-        // Nothing else tells how many there were.
+        // The number of plays is not recorded elsewhere.
         self.session.plays = self.ends + self.ends_lost;
     }
 
-    /// Takes what its daemon has in memory: the disk may lack it.
+    /// Adds data that its daemon has in memory, because the disk may lack it.
     fn learn(&mut self, session: Session, pending: u64) {
         self.lost += pending;
         (self.is_started, self.session) = (true, session);
     }
 
-    /// Completes the session with what is missing.
+    /// Adds the counts of missing entries to the session.
     fn finish(&mut self) {
         self.session.lost = self.lost;
         if self.session.reason.is_some() {
@@ -97,7 +97,7 @@ impl Recorded {
     }
 }
 
-/// What a pass through the record has found.
+/// The results of a pass through the record.
 #[derive(Default)]
 struct Scan {
     recorded: Vec<Recorded>,
@@ -135,7 +135,7 @@ impl Scan {
         self.recorded.iter_mut().rev().find(|known| known.session.id == id)
     }
 
-    /// A later session or daemon has begun: the one of an open session was killed, or could not write its end.
+    /// Closes an open session when a later session or daemon begins: its daemon was killed, or could not write its end.
     fn abandon(&mut self) {
         if let Some(open) = self.open() {
             open.abandon();
@@ -155,7 +155,7 @@ impl Scan {
         self.find(id)
     }
 
-    /// A line has a whole session.
+    /// Takes a session from a line that contains it whole.
     fn set(&mut self, session: Session, is_start: bool, number: Option<u64>) {
         let Some(recorded) = self.enter(&session.id) else { return };
         if is_start && !recorded.is_started {
@@ -194,20 +194,20 @@ impl Scan {
         is_read.is_some()
     }
 
-    /// Entries are missing here.
+    /// Counts entries that are missing here.
     fn miss(&mut self, entries: u64) {
         if let Some(open) = self.open() {
             open.lost += entries;
         }
     }
 
-    /// A line says what is missing before it. It has the number of the last missing entry.
+    /// Takes a line that reports the entries missing before it. Its number is that of the last missing entry.
     fn see_lost(&mut self, head: &Head<'_>, line: &[u8], step: u64) -> bool {
         let Ok(Lost { entries, of, sessions }) = serde_json::from_slice(line) else { return false };
         let of_sessions = of.iter().filter(|row| row.session.is_some());
         let named: u64 = of_sessions.flat_map(|row| row.kinds.values()).sum();
         let of_none = of.iter().filter(|row| row.session.is_none()).flat_map(|row| row.kinds.values()).sum();
-        // The others belong to the session in which they are missing.
+        // Unnamed missing entries belong to the session in which they are missing.
         self.miss(entries.max(step).saturating_sub(named).saturating_sub(of_none));
         let first = head.number.map(|number| number.saturating_sub(entries));
         for session in sessions {
@@ -223,7 +223,7 @@ impl Scan {
         true
     }
 
-    /// Entries were left out.
+    /// Takes a line about left-out entries.
     fn see_left_out(&mut self, line: &[u8]) {
         let entry = serde_json::from_slice::<Value>(line).unwrap_or_default();
         if let Some(open) = self.open() {
@@ -231,7 +231,7 @@ impl Scan {
         }
     }
 
-    /// A play has ended.
+    /// Takes the end of a play.
     fn see_end(&mut self, line: &[u8]) -> Option<()> {
         #[derive(Deserialize)]
         struct End {
@@ -241,7 +241,7 @@ impl Scan {
         struct Play {
             session: Option<String>,
         }
-        // Most lines, for speed; the rows of a session are read whole.
+        // Skip parsing most lines, for speed; the rows of a session are parsed whole.
         let is_of = |open: &Recorded| has(line, &format!("\"session\":\"{}\"", open.session.id));
         if let Some(open) = self.open().filter(|open| is_of(open)) {
             open.ends += 1;
@@ -259,8 +259,8 @@ impl Scan {
     }
 }
 
-/// The sessions of the record. `known` are those of the running daemon, of which the disk may lack something; `running` is the one that
-/// runs.
+/// The sessions of the record. `known` are those of the running daemon, of which the disk may lack entries; `running` is the
+/// running session.
 ///
 /// # Errors
 /// If its directory cannot be read.
@@ -282,7 +282,7 @@ pub fn sessions(dir: &Path, known: &[Known], running: Option<Session>) -> Result
         },
     )?;
     let mut recorded = scan.recorded;
-    // To the end of the list: the running daemon's sessions are the newest.
+    // Move it to the end of the list, because the running daemon's sessions are the newest.
     let mut renew = |session: &Session, pending| {
         let at = recorded.iter().rposition(|recorded| recorded.session.id == session.id);
         let mut newest = at.map_or_else(Recorded::default, |at| recorded.remove(at));
@@ -300,7 +300,7 @@ pub fn sessions(dir: &Path, known: &[Known], running: Option<Session>) -> Result
     Ok(Sessions { recorded, unreadable: unreadable.count, problems: unreadable.lines() })
 }
 
-/// Ended plays whose command may still follow: far more than are ever under way.
+/// The most ended plays whose command line may still follow: far more than ever occur.
 const UNDER_WAY: usize = 64;
 
 /// The plays of a session from number `from` on, at most [`MAX_ROWS`], in the order of their ends; each sequence is followed by its
@@ -338,7 +338,7 @@ pub fn plays(dir: &Path, recorded: Recorded, from: usize) -> Result<SessionPlays
                 if items.0 != id {
                     items = (id, Vec::new());
                 }
-                // Lines before it may be lost: its items keep their numbers.
+                // Earlier lines may be lost, but items keep their numbers.
                 let room = MAX_SEQUENCE_ITEMS.saturating_sub(items.1.len());
                 items.1.extend((first..).zip(part).take(room));
             }
@@ -354,7 +354,7 @@ pub fn plays(dir: &Path, recorded: Recorded, from: usize) -> Result<SessionPlays
                     }
                     let (of, items) = std::mem::take(&mut items);
                     let items = if of == receipt.id { items } else { Vec::new() };
-                    // Older daemons told the boot only when the device connected.
+                    // Older daemons recorded the boot only when the device connected.
                     let boot = receipt.boot.or(boot);
                     let whole = RecordedPlay { boot, items: items.len() as u64, ..played(&entry, receipt) };
                     let parts: Vec<_> =
@@ -374,7 +374,7 @@ pub fn plays(dir: &Path, recorded: Recorded, from: usize) -> Result<SessionPlays
         Seen::Unreadable => true,
     })?;
     let (unknown, ends) = (open.len() as u64, rows.ends);
-    // The running daemon may still play them.
+    // The running daemon may still be playing these.
     if !recorded.is_open() {
         open.into_values().for_each(|play| rows.add(play));
     }
@@ -398,7 +398,7 @@ pub fn plays(dir: &Path, recorded: Recorded, from: usize) -> Result<SessionPlays
 
 /// Whether a file may have lines of a session: by their numbers, or by its date if an older daemon wrote them.
 fn is_wanted(recorded: &Recorded, source: &Source) -> bool {
-    // A file that cannot be read is told of.
+    // If the file cannot be read, it must be reported.
     let Ok(last) = numbers::last(&source.path) else { return true };
     if let Some(last) = last {
         return recorded.first.is_none_or(|first| first <= last);
@@ -409,7 +409,7 @@ fn is_wanted(recorded: &Recorded, source: &Source) -> bool {
     day.is_none_or(|day| source.day >= day)
 }
 
-/// What of a session is missing, a line each.
+/// The missing parts of a session, one line each.
 fn missing(recorded: &Recorded, plays: u64, plays_missing: u64, short: Vec<String>) -> Vec<String> {
     let Recorded { session, is_started, lost, unreadable, .. } = recorded;
     let mut missing = Vec::new();
@@ -424,7 +424,7 @@ fn missing(recorded: &Recorded, plays: u64, plays_missing: u64, short: Vec<Strin
     if !is_started {
         missing.push("its start is not recorded".to_owned());
     }
-    // Those of a session that runs may be under way.
+    // In a running session, missing plays may still be running.
     if plays_missing > 0 && session.reason.is_some() {
         missing.push(format!("{plays_missing} of {plays} plays are missing, or their ends are"));
     }
@@ -447,7 +447,7 @@ struct Rows {
     plays: Vec<RecordedPlay>,
     /// Ends of plays.
     ends: u64,
-    /// The sequences that lack items, a line each.
+    /// The sequences that lack items, one line each.
     short: Vec<String>,
 }
 
@@ -469,7 +469,7 @@ impl Rows {
 /// The name of a sequence without one, as in its receipt.
 const UNNAMED: &str = "sequence";
 
-/// A play, or a sequence as a whole, as its command was recorded.
+/// The row of a play, or of a sequence as a whole, from its recorded command.
 fn asked(entry: &Value) -> Option<RecordedPlay> {
     let asked = &entry["asked"];
     Some(RecordedPlay {
@@ -484,7 +484,7 @@ fn asked(entry: &Value) -> Option<RecordedPlay> {
     })
 }
 
-/// A play as its end was recorded.
+/// The row of a play from its recorded end.
 fn played(entry: &Value, receipt: Receipt) -> RecordedPlay {
     let onset = receipt.onset;
     let after_ns = onset.and_then(|onset| entry["monotonic_ns"].as_u64()?.checked_sub(onset.monotonic_ns));
@@ -538,7 +538,7 @@ fn played(entry: &Value, receipt: Receipt) -> RecordedPlay {
     }
 }
 
-/// An item of a sequence. What is not counted by item stays with the whole.
+/// The row of an item of a sequence. Figures that are not counted by item are only in the sequence's row.
 fn part(whole: &RecordedPlay, number: u64, item: &ItemRecord) -> RecordedPlay {
     let (onset, offset) = (item.onset, item.offset);
     let later_ns = onset.zip(whole.onset_monotonic_ns).and_then(|(onset, whole)| {

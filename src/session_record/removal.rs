@@ -1,12 +1,12 @@
-//! Removes old files. No reading of a clock alone makes a file old.
+//! Removes old files. A clock reading alone never makes a file old.
 //!
 //! The record counts the days on which it is written, and keeps the count of each file's last day in [`LIST`], beside the files.
-//! [`Removal::written`] says when a file is old: the count and the calendar have to agree. A new date adds one to the count, but the
-//! daemon must have run for [`MIN_APART`] since it last added one. A clock that jumps therefore adds one at most, whatever date it
-//! shows, and a date that comes back adds nothing.
+//! [`Removal::written`] defines when a file is old: both the count and the calendar must say so. A new date adds one to the count,
+//! but only if the daemon has run for [`MIN_APART`] since it last added one. So a clock that jumps adds at most one, and a repeated
+//! date adds nothing.
 //!
-//! Invariants: the last `logbook_days` days of writing stay; a file that the list lacks counts as written today; only files named
-//! after a day are removed, [`MOST`] at a time.
+//! Invariants: the last `logbook_days` days of writing stay; a file that is not in the list counts as written today; only files
+//! named after a day are removed, at most [`MOST`] at a time.
 
 use super::days;
 use jiff::Span;
@@ -24,7 +24,7 @@ use std::time::Duration;
 pub(super) const LIST: &str = "days";
 /// The most bytes of a list: a century.
 const MAX_LIST: u64 = 1 << 20;
-/// Files of earlier days were written with a clock that was never set. Their age is unknown, so they stay.
+/// Files of earlier dates were written with a clock that was never set. Their age is unknown, so they stay.
 const FIRST: Date = date(2026, 1, 1);
 /// Files removed on one day, at most.
 const MOST: usize = 3;
@@ -45,7 +45,8 @@ impl Removal {
     /// Notes that the file of `today` has a new line, and removes old files if a new day begins with it.
     ///
     /// A file is old if the record was written on more than `keep` days since the file's last line, and if its date is more than
-    /// `keep` days before today and before the newest other date. The files of `held` days stay: a session that runs has lines there.
+    /// `keep` days before today and before the newest other date. The files of `held` days stay, because the running session has
+    /// lines there.
     ///
     /// # Errors
     /// If the list cannot be written (then nothing is removed), or a file cannot be removed.
@@ -90,7 +91,7 @@ impl Removal {
 fn old(files: &Files, today: Date, keep: u32) -> Vec<Date> {
     let count = files.get(&today).copied().unwrap_or(0);
     let newest = files.keys().copied().filter(|&day| day != today).max().unwrap_or(today);
-    // Out of the calendar's range: everything stays.
+    // Beyond the calendar's range everything stays.
     let oldest = newest.min(today).checked_sub(Span::new().days(keep)).unwrap_or(FIRST);
     let is_old =
         |day: Date, last: u64| (FIRST..oldest).contains(&day) && count.saturating_sub(last) > keep.into();
@@ -113,13 +114,13 @@ fn read(dir: &Path) -> io::Result<Files> {
     Ok(String::from_utf8_lossy(&text).lines().filter_map(line).collect())
 }
 
-/// Replaces the list whole, and makes it durable.
+/// Replaces the list atomically, and makes it durable.
 fn write(dir: &Path, files: &Files) -> io::Result<()> {
     let text: String = files.iter().map(|(day, count)| format!("{day} {count}\n")).collect();
     replace(dir, &dir.join(LIST), text.as_bytes())
 }
 
-/// Replaces a file of the directory whole, and makes it durable.
+/// Replaces a file of the directory atomically, and makes it durable.
 pub(super) fn replace(dir: &Path, path: &Path, bytes: &[u8]) -> io::Result<()> {
     let next = path.with_extension("new");
     let mut options = OpenOptions::new();
@@ -157,7 +158,7 @@ mod tests {
             self.starts.push(self.hour);
         }
 
-        /// As [`Removal::written`] does on a disk.
+        /// Does the same as [`Removal::written`] on a disk.
         fn write(&mut self, clock: Date, keep: u32) {
             self.files.insert(clock);
             self.lines.insert(clock, self.hour);
@@ -193,7 +194,7 @@ mod tests {
         lab.days(date(2026, 2, 1), 40, 10);
         // Today, yesterday, and the ten days before.
         assert_eq!(lab.files, dates(date(2026, 3, 1), 12));
-        // A shorter time is reached in steps.
+        // With fewer days to keep, files are removed in steps.
         lab.days(date(2026, 3, 13), 1, 2);
         assert_eq!(lab.files.len(), 13 - MOST);
         lab.days(date(2026, 3, 14), 10, 2);
@@ -288,14 +289,14 @@ mod tests {
         assert!(name(date(1970, 1, 1)).exists());
         let left = (0..6).map(|day| name(date(2026, 3, 1) + day.days()).exists()).collect::<Vec<_>>();
         assert_eq!(left, [false, false, true, true, true, true]);
-        // Lines that cannot be read are lines that are not there.
+        // Unreadable lines count as missing.
         fs::write(
             dir.path().join(LIST),
             b"\xff\n2026-03-03\n2026-03-04 x\n2026-03-06 18446744073709551615\n",
         )
         .unwrap();
         assert!(write(6) && name(date(2026, 3, 3)).exists());
-        // Without a list nothing is removed.
+        // If the list cannot be written, nothing is removed.
         fs::create_dir(dir.path().join("days.new")).unwrap();
         assert!(!write(50) && name(date(2026, 3, 3)).exists());
     }
@@ -323,8 +324,8 @@ mod tests {
 
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(64))]
-        /// Whatever the clock shows, the record was written on more than `keep` days since a removed file's last line. True time
-        /// bounds that number: a day in each [`MIN_APART`], and one at each start.
+        /// For any clock, the record was written on more than `keep` days since a removed file's last line. True time bounds the
+        /// number of days: one in each [`MIN_APART`], and one at each start.
         #[test]
         fn jumping_clocks_remove_no_young_file(ops in prop::collection::vec(op(), 1..40), keep in 1..60_u32) {
             let mut lab = Lab::default();

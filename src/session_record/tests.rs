@@ -18,7 +18,7 @@ mod whole;
 const REAL: Disk = Disk { append: |file, bytes| file.write(bytes), sync: File::sync_data };
 
 thread_local! {
-    /// Bytes the disk of this thread has room for, and how often it was synced.
+    /// The free bytes of this thread's simulated disk, and how often it was synced.
     static ROOM: Cell<usize> = const { Cell::new(usize::MAX) };
     static SYNCS: Cell<u32> = const { Cell::new(0) };
 }
@@ -275,7 +275,7 @@ fn lines_are_synced_once_for_many_and_never_for_none() {
     assert_eq!(SYNCS.get(), 1);
 }
 
-/// The thread is held up in its first line; the next line that finds room counts the entries that did not.
+/// The thread is blocked in its first line; the next line that fits counts the entries that did not.
 #[test]
 fn a_full_queue_does_not_wait_and_is_told() {
     static HELD: Mutex<()> = Mutex::new(());
@@ -387,7 +387,7 @@ fn a_flood_is_counted_and_plays_and_e_stops_stay() {
     while log.lock().as_ref().is_some_and(|queue| !queue.messages.is_empty()) {
         thread::sleep(Duration::from_millis(1));
     }
-    // As the thread does a minute later.
+    // The thread does this a minute later.
     assert!(!report_left_out(&Arc::downgrade(&log.queue)), "there is room for it");
     log.close(Duration::from_secs(60));
     let text = fs::read_to_string(only_file(&dir.path().join("logbook")).path()).unwrap();
@@ -422,7 +422,7 @@ fn session_of(lines: &[Value]) -> (tempfile::TempDir, meissner_api::Session) {
     (dir, serde_json::from_value(session).unwrap())
 }
 
-/// What the record has of this session.
+/// The record of this session.
 fn plays(dir: &Path, id: &str) -> meissner_api::SessionPlays {
     let sessions = reader::sessions(dir, &[], None).unwrap().recorded;
     let recorded = sessions.into_iter().find(|recorded| recorded.session.id == id).unwrap();

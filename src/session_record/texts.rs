@@ -1,11 +1,11 @@
 //! Pattern texts of the session record: each text once, as `DIR/patterns/SHA256.toml`, so that a session can be played again.
 //!
-//! The daemon keeps the text of each play that it accepts. A play does not wait for the disk: texts wait in the record's queue. A text
-//! that finds no room, or that the disk does not take, is kept with a later play of the pattern.
+//! The daemon keeps the text of each play that it accepts. A play does not wait for the disk: texts wait in the record's queue. A
+//! text that does not fit, or that the disk does not take, is kept with a later play of the pattern.
 //!
-//! Bounds: [`MAX_WAITING`] bytes wait; texts count as entries about plays do. The daemon removes none.
+//! Bounds: at most [`MAX_WAITING`] bytes wait, and texts count like entries about plays. The daemon never removes texts.
 //!
-//! Invariant: a file holds the whole text of its name.
+//! Invariant: a file holds exactly the text whose hash is its name.
 
 use super::removal::replace;
 use crate::file::open_regular;
@@ -21,10 +21,10 @@ use std::sync::{Mutex, PoisonError};
 const DIR: &str = "patterns";
 /// Bytes of texts that wait for the disk, at most.
 const MAX_WAITING: usize = 8 << 20;
-/// Texts that are remembered as kept; beyond, the disk is asked.
+/// The most texts that are remembered as kept; for others the disk is checked.
 const MAX_KNOWN: usize = 4096;
 
-/// The texts that are kept or on their way.
+/// The texts that are kept or queued.
 #[derive(Debug, Default)]
 pub(super) struct Texts(Mutex<State>);
 
@@ -48,7 +48,7 @@ impl Texts {
         })
     }
 
-    /// A text waits no more; with its name, it is kept.
+    /// Notes that a text no longer waits; with a name, that it is kept.
     pub(super) fn done(&self, bytes: usize, kept: Option<String>) {
         self.change(|state| {
             state.waiting -= bytes;
@@ -59,7 +59,7 @@ impl Texts {
         });
     }
 
-    /// The record has moved: nothing is kept at its new place.
+    /// Forgets all texts, because the record has moved and its new place has none.
     pub(super) fn forget(&self) {
         self.change(|state| state.kept.clear());
     }
@@ -94,7 +94,7 @@ pub fn keeps_text(record: &Path, sha256: &str) -> bool {
     is_there(&file(record, sha256))
 }
 
-/// The text of this SHA-256, which must be hexadecimal; the caller compares it.
+/// The text of this SHA-256, which must be hexadecimal; the caller must compare the hash.
 ///
 /// # Errors
 /// If it is not kept or cannot be read.

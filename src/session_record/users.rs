@@ -1,8 +1,9 @@
-//! Names of users, by their numbers; for display only, never for access.
+//! Names of users, by their numbers. They are only for display, never for access decisions.
 //!
-//! The system may ask a remote directory service: [`Users::look_up`] asks on a thread of its own, [`Users::known`] never waits.
+//! The system may ask a remote directory service, so [`Users::look_up`] asks on a separate thread, and [`Users::known`] never
+//! waits.
 //!
-//! Invariants: nothing is looked up under the lock; one name at a time, so that a directory service that hangs costs one thread.
+//! Invariants: no look-up runs under the lock; only one runs at a time, so that a hung directory service blocks one thread.
 
 use nix::unistd::{Uid, User};
 use std::collections::HashMap;
@@ -53,7 +54,7 @@ impl Users {
             users.ask(uid);
             users.asking.store(false, Ordering::Relaxed);
         };
-        // On a thread of its own: it may take long.
+        // Use a separate thread, because the look-up may take long.
         if thread::Builder::new().name("names".into()).spawn(work).is_err() {
             self.asking.store(false, Ordering::Relaxed);
         }

@@ -1,10 +1,11 @@
 //! Writes lines to the file of their day, makes them durable, and survives a failing disk.
 //!
 //! The session record's thread calls it and waits for the disk. A line is one write in append mode; a partial write is cut back.
-//! While the disk fails, the writer counts entries and tries again every [`RETRY_AFTER`]; the first line then tells what is missing.
+//! While the disk fails, the writer counts entries and tries again every [`RETRY_AFTER`]; the first line afterwards reports the
+//! missing ones.
 //!
-//! Each entry has a number, the next after that of the entry before it, whatever clocks show: see [`super::numbers`]. An entry
-//! without a line leaves a gap in the numbers.
+//! Each entry has the number after that of the entry before it, independent of clocks: see [`super::numbers`]. An entry without a
+//! line leaves a gap in the numbers.
 //!
 //! Invariants: after each call the file ends with a whole line, or is not open; numbers in a directory only grow.
 
@@ -34,17 +35,17 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 use tracing::{info, warn};
 
-/// How long after its writing a line is made durable: half a second, so that a slow disk has another half.
+/// How long after its writing a line is made durable: half a second, which leaves a slow disk another half.
 pub const SYNC_AFTER: Duration = Duration::from_millis(500);
 /// Time between tries on a disk that failed.
 const RETRY_AFTER: Duration = Duration::from_secs(1);
-/// The most bytes of whole sessions in a line that tells what is missing.
+/// The most bytes of whole sessions in a line that reports missing entries.
 const MAX_SESSIONS: u64 = 128 << 10;
 
 /// The form of times: local, with the offset from UTC.
 const TIME: &str = "%Y-%m-%dT%H:%M:%S%.6f%:z";
 
-/// The time now, as lines have it.
+/// The current time in the format of lines.
 #[must_use]
 pub fn local_time() -> String {
     Zoned::now().strftime(TIME).to_string()
@@ -108,11 +109,11 @@ struct Open {
     day: Date,
     path: PathBuf,
     file: File,
-    /// Up to the last whole line.
+    /// The length up to the last whole line.
     length: u64,
-    /// Device and inode: its name may lead to another file by now.
+    /// Device and inode, because its name may lead to another file by now.
     identity: (u64, u64),
-    /// It has a line of this opening, and the list of days says so.
+    /// Whether it has a line written since this opening, and the list of days says so.
     listed: bool,
 }
 
@@ -122,7 +123,7 @@ pub(super) struct Added {
     pub(super) stamp: Stamp,
     /// Counted from the daemon's start, from 1.
     pub(super) number: u64,
-    /// Entries before it that found no room.
+    /// Earlier entries that did not fit into the queue.
     pub(super) missed: Counts,
     pub(super) tag: Tag,
     pub(super) entry: Entry,
@@ -145,23 +146,24 @@ pub(super) struct Writer {
     /// The lab's time zone; none: the system's.
     zone: Option<TimeZone>,
     disk: Disk,
-    /// The directory, locked: two daemons would cut each other's lines.
+    /// The directory, locked, because two daemons would cut each other's lines.
     lock: Option<File>,
     open: Option<Open>,
     removal: Removal,
     /// The days on which the running session has lines: their files stay.
     held: Option<BTreeSet<Date>>,
-    /// How far the record's numbers are ahead of the daemon's; none: the record was not opened yet.
+    /// The offset of the record's numbers from the daemon's; none: the record was not opened yet.
     ahead: Option<u64>,
     /// The newest entry, written or lost.
     newest: u64,
-    /// The first entry that has no line, and of which no line tells.
+    /// The first entry that has no line, and that no line reports.
     next: u64,
-    /// Missing entries of which no line tells yet.
+    /// Missing entries that no line reports yet.
     missing: Counts,
-    /// The same, of an earlier daemon: a line that was torn.
+    /// The same for an earlier daemon: a torn line.
     torn: u64,
-    /// `next` when lines were made durable last, and since then: the entries that have lines, and those of which a line tells.
+    /// The value of `next` when lines were last made durable, and since then the entries that have lines, and those that a line
+    /// reports.
     durable: u64,
     unsynced: Vec<Tag>,
     told: (Counts, u64),
@@ -171,7 +173,7 @@ pub(super) struct Writer {
     retry_after: Duration,
     /// When to try a failing disk again.
     failing: Option<Instant>,
-    /// When lines have to be made durable.
+    /// When lines must be made durable.
     due: Option<Instant>,
 }
 
@@ -219,7 +221,7 @@ impl Writer {
         self.write(Added { stamp, number, missed, tag, entry });
     }
 
-    /// What is lost, shared with the queue.
+    /// The ledger of lost entries, shared with the queue.
     pub(super) fn ledger(&self) -> Arc<Mutex<Ledger>> {
         Arc::clone(&self.ledger)
     }
@@ -232,7 +234,7 @@ impl Writer {
         *self.problem.lock().unwrap_or_else(PoisonError::into_inner) = problem;
     }
 
-    /// Where lines are written.
+    /// The directory in which lines are written.
     pub(super) fn dir(&self) -> &Path {
         &self.location.dir
     }
@@ -243,7 +245,7 @@ impl Writer {
         self.due.into_iter().chain(self.failing.filter(|_| is_missing)).min()
     }
 
-    /// Does what is due.
+    /// Does the work that is due.
     pub(super) fn wake(&mut self, now: Instant) {
         if self.due.is_some_and(|at| at <= now) {
             self.sync();
@@ -253,7 +255,7 @@ impl Writer {
         }
     }
 
-    /// Entries up to this one found no room.
+    /// Notes that the entries up to this one did not fit into the queue.
     pub(super) fn miss(&mut self, number: u64, missed: Counts) {
         self.missing.merge(missed);
         self.newest = number;
@@ -289,7 +291,7 @@ impl Writer {
         self.failing.is_some_and(|until| Instant::now() < until)
     }
 
-    /// Tries to write a line that tells what is missing.
+    /// Tries to write a line that reports the missing entries.
     fn tell(&mut self) {
         let stamp = Stamp::now();
         let time = self.zoned(stamp);
@@ -300,7 +302,7 @@ impl Writer {
         }
     }
 
-    /// The disk takes bytes.
+    /// Notes that the disk takes bytes again.
     fn recover(&mut self) {
         if self.failing.take().is_some() {
             self.set_problem(None);
@@ -309,7 +311,8 @@ impl Writer {
         }
     }
 
-    /// Replaces the file of exposures, if the record is open: then no other daemon writes here. Returns whether it is on the disk.
+    /// Replaces the exposure file if the record is open, because then no other daemon writes here. Returns whether it is on the
+    /// disk.
     pub(super) fn save_exposure(&mut self, text: &str) -> bool {
         if self.open.is_none() {
             return false;
@@ -342,7 +345,7 @@ impl Writer {
         let (unsynced, told) = (mem::take(&mut self.unsynced), mem::take(&mut self.told));
         if let Err(source) = (self.disk.sync)(&open.file) {
             let failure = Failure { path: open.path.clone(), source };
-            // The system may have lost them.
+            // The system may have lost these lines.
             self.open = None;
             self.lock_ledger().take_back(&told.0);
             self.missing.merge(told.0);
@@ -362,7 +365,7 @@ impl Writer {
     /// Keeps the newest number, so that a later daemon knows of entries that have no line.
     fn save_count(&self) {
         if let Some(ahead) = self.ahead.filter(|_| self.lock.is_some()) {
-            // A disk that does not even take this has its problem in the status already.
+            // If the disk does not even take this, the status already shows the problem.
             let _ = numbers::save(&self.location.dir, self.newest.wrapping_add(ahead));
         }
     }
@@ -404,7 +407,7 @@ impl Writer {
         stamp.wall.to_zoned(self.zone.clone().unwrap_or_else(TimeZone::system))
     }
 
-    /// Writes an entry, and before it what is missing. Returns true.
+    /// Writes an entry, and before it a line about missing entries. Returns true.
     fn try_write(&mut self, stamp: Stamp, number: u64, entry: &Entry) -> Result<bool, Failure> {
         let time = self.zoned(stamp);
         self.open_day(time.date())?;
@@ -473,10 +476,10 @@ impl Writer {
             }
             Err(source) => {
                 let failure = Failure { path: open.path.clone(), source };
-                // Somebody may have made it shorter.
+                // Another process may have made it shorter.
                 let is_longer = open.file.metadata().is_ok_and(|there| there.len() > open.length);
                 if !is_longer || open.file.set_len(open.length).is_err() {
-                    // Cut when it is opened again.
+                    // The rest is cut when the file is opened again.
                     self.open = None;
                 }
                 Err(failure)
@@ -505,7 +508,7 @@ impl Writer {
         let is_first = self.ahead.is_none();
         let (mut written, mut counted) = (0, 0);
         if is_first {
-            // An earlier daemon may have lost its last entries: a gap tells of them.
+            // An earlier daemon may have lost its last entries, which leaves a gap.
             (written, counted) = numbers::newest(dir).map_err(at(dir))?;
             self.ahead = Some(written.max(counted).wrapping_sub(self.next - 1));
         }
@@ -514,7 +517,7 @@ impl Writer {
             warn!("{}: cut off {cut} bytes of a line that was never finished", open.path.display());
         }
         if is_first && cut > 0 && counted <= written {
-            // Its content is lost.
+            // The content of the torn line is lost.
             self.torn = 1;
             self.ahead = self.ahead.map(|ahead| ahead.wrapping_add(1));
         }
@@ -561,7 +564,7 @@ fn open(dir: &Path, locked: &File, day: Date) -> Result<(Open, u64), Failure> {
     let path = dir.join(days::name(day));
     let wrong = |source| Failure { path: path.clone(), source };
     let mut options = OpenOptions::new();
-    // Follows no link, and does not wait for a pipe's reader.
+    // Do not follow a link, and do not wait for a pipe's reader.
     let flags = (OFlags::NOFOLLOW | OFlags::NONBLOCK).bits().cast_signed();
     options.read(true).append(true).custom_flags(flags).mode(0o640);
     let file = match options.open(&path) {

@@ -1,7 +1,7 @@
-//! Patterns of the directory that are in use: a caller that reads a file again gets the pattern that others hold.
+//! Patterns of the directory that are in use. A caller that reads a file again gets the pattern that others hold.
 //!
-//! Plays queue by the dozen, mostly of one pattern. The store still reads the file each time, since somebody may have changed
-//! it; the hash of its bytes says whether the pattern is held.
+//! Plays queue by the dozen, mostly of one pattern. The store still reads the file each time, because it may have changed; the hash
+//! of its bytes tells whether the pattern is held.
 //!
 //! Invariant: one file is parsed at a time, and a pattern takes memory only while a caller holds it.
 
@@ -14,13 +14,13 @@ use std::sync::{Arc, Mutex, PoisonError, Weak};
 pub(super) struct InUse(Mutex<HashMap<String, Weak<Pattern>>>);
 
 impl InUse {
-    /// The pattern of the file with this hash: the one that somebody holds, or a new one.
+    /// The pattern of the file with this hash: the one that a caller holds, or a new one.
     pub(super) fn get<E>(
         &self,
         sha256: &str,
         parse: impl FnOnce() -> Result<Pattern, E>,
     ) -> Result<Arc<Pattern>, E> {
-        // Locked while parsing: a parser takes far more memory than a pattern.
+        // Keep the lock while parsing, because a parser takes far more memory than a pattern.
         let mut held = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some(pattern) = held.get(sha256).and_then(Weak::upgrade) {
             return Ok(pattern);

@@ -1,9 +1,9 @@
-//! The targets beside the patterns: those that are built in, and the site's own in the folder `targets` of the pattern directory.
+//! The target store: the built-in targets, and the site's own in the folder `targets` of the pattern directory.
 //!
 //! As with patterns, the folder is read at every request, and built-in targets cannot be overwritten or shadowed. Calls block for as long
 //! as the disk takes.
 //!
-//! Invariant: a file is replaced whole or not at all, and only by one that is a target of the file's name.
+//! Invariant: a file is replaced atomically, and only by a target of the file's name.
 
 use crate::file::{LISTED_BY_ALL, READABLE_BY_ALL, make_dirs, open_regular, replace};
 use crate::store::{MAX_FILES, Store, StoreError, first, hash, offer, present};
@@ -32,7 +32,7 @@ pub enum TargetStoreError {
         /// The nearest name there is.
         nearest: Vec<String>,
     },
-    /// A file that is no target.
+    /// A file that is not a target.
     #[error(transparent)]
     Target(#[from] TargetError),
     /// The file's name and the name in it differ.
@@ -43,7 +43,7 @@ pub enum TargetStoreError {
         /// The name in the text.
         inside: String,
     },
-    /// A name that a command line takes for something else.
+    /// A name that a command line would misread.
     #[error("{}: a new name begins with a letter or a digit: a command line takes `-` for stdin or an option", quote(.name))]
     NewName {
         /// The name it was to be stored under.
@@ -54,7 +54,7 @@ pub enum TargetStoreError {
     BuiltIn {
         /// Its name.
         name: String,
-        /// What was to be done with it.
+        /// The refused change.
         change: &'static str,
     },
     /// A target of that name is stored.
@@ -98,7 +98,7 @@ pub struct StoredTarget {
 }
 
 impl StoredTarget {
-    /// As the API shows it.
+    /// The target as the API shows it.
     #[must_use]
     pub fn details(&self) -> TargetDetails {
         let Self { target, sha256, library } = self;
@@ -179,11 +179,11 @@ impl Store {
         TargetList { targets, errors: first(errors, "files cannot be read as targets") }
     }
 
-    /// Stores a target under its name; in place of an older one of that name only with `replace`. Returns it, and the SHA-256 of the file
-    /// that it replaced.
+    /// Stores a target under its name. With `replace` it may replace an older one of that name. Returns it, and the SHA-256 of the
+    /// file that it replaced.
     ///
     /// # Errors
-    /// If the text is no target of that name, the name is that of a built-in one or is taken, or the file cannot be written.
+    /// If the text is not a target of that name, the name is that of a built-in one or is taken, or the file cannot be written.
     pub fn put_target(
         &self,
         name: &str,
@@ -204,7 +204,7 @@ impl Store {
             move |source| TargetStoreError::Io { path, source }
         };
         let folder = path.parent().ok_or(TargetStoreError::NoDirectory)?;
-        // A configured directory must be there; only the folder in it is made.
+        // A configured directory must exist; only the folder in it is made.
         let made = if self.make_dir { make_dirs(folder, LISTED_BY_ALL) } else { make_folder(folder) };
         made.map_err(io(folder))?;
         let replaced = present(&path).map_err(of_disk).map_err(io(&path))?;
@@ -257,7 +257,7 @@ impl Store {
     }
 }
 
-/// What the system said.
+/// The system's error.
 fn of_disk(error: StoreError) -> io::Error {
     match error {
         StoreError::Io { source, .. } => source,
@@ -319,7 +319,7 @@ mod tests {
         let other = store.put_target("my-edge", &format!("# new\n{TEXT}"), true).unwrap();
         assert!(other.1 == Some(stored.sha256.clone()) && other.0.sha256 != stored.sha256);
         assert_eq!(store.targets().targets.iter().filter(|target| !target.library).count(), 1);
-        // Targets are no patterns, and their folder is none.
+        // Targets do not count as patterns, nor does their folder.
         assert!(
             store.list().patterns.iter().all(|pattern| pattern.library) && store.list().errors.is_empty()
         );
@@ -371,7 +371,7 @@ mod tests {
         assert!(Store::new(None, false).unwrap().put_target("a", TEXT, false).is_err());
     }
 
-    /// The API's target can be sent back as it is.
+    /// The API's target can be sent back unchanged.
     #[test]
     fn every_built_in_target_reads_back_from_json() {
         for name in shipped_names() {
@@ -380,7 +380,7 @@ mod tests {
             assert!(!json.contains("receptor"));
             assert_eq!(Target::read_json(&json), Ok(stored.target));
         }
-        // An empty field of a program is no default.
+        // A null from a program's empty field does not mean the default.
         for key in ["amplitude_um", "reach_mm", "radius_mm", "duration_s", "dot_pitch_mm"] {
             let json = format!(r#"{{"name": "a", "shape": "dots", "points": [[0, 0]], "{key}": null}}"#);
             let line = Target::read_json(&json).unwrap_err().to_string();

@@ -1,4 +1,4 @@
-//! The store: files, names, and what it refuses.
+//! Tests of the store: files, names, and refusals.
 
 use super::*;
 use meissner_api::PatternDetails;
@@ -27,7 +27,7 @@ fn what_is_put_is_there_and_can_be_replaced() {
     let other = store.put("my-edge", &changed, true).unwrap();
     assert_eq!(other.replaced, Some(stored.sha256.clone()));
     assert_ne!(other.stored.sha256, stored.sha256);
-    // With nothing to replace, it is a new one.
+    // If there is nothing to replace, the pattern is new.
     assert!(store.put("other", &TEXT.replace("my-edge", "other"), true).unwrap().replaced.is_none());
     fs::remove_file(dir.path().join("other.toml")).unwrap();
     assert_eq!(fs::read_dir(dir.path()).unwrap().count(), 1, "no temporary file is left");
@@ -45,7 +45,7 @@ fn a_removed_pattern_is_gone_and_its_holders_keep_it() {
     }
     let error = store.remove("edge-45").unwrap_err();
     assert!(matches!(error, StoreError::InLibrary { .. }) && error.to_string().contains("removed"));
-    // So is one that does not parse: this is how to get rid of it.
+    // A file that does not parse can be removed, too.
     fs::write(dir.path().join("bad.toml"), "nane = 1").unwrap();
     store.remove("bad").unwrap();
     assert_eq!(fs::read_dir(dir.path()).unwrap().count(), 0);
@@ -196,14 +196,14 @@ fn a_pattern_that_never_gives_a_stroke_is_not_stored() {
         assert!(matches!(error, StoreError::Empty { .. }) && error.to_string().contains(says), "{error}");
     }
     assert_eq!(fs::read_dir(dir.path()).unwrap().count(), 0);
-    // One drive of two is enough, and the other is a warning.
+    // One working drive of two is enough; the other gives a warning.
     let second = drive.replace("= 9", "= 10").replace("40.0", "0.05");
     let stored = store.put("my-edge", &format!("{TEXT}{second}"), false).unwrap().stored;
     let [warning] = &*stored.run().listed_warnings() else { panic!("{:?}", stored.run()) };
     assert!(warning.starts_with("drive 2 (motor 10) gives no stroke"), "{warning}");
 }
 
-/// Every shipped pattern moves pins, and each of its drives as it says.
+/// Every shipped pattern moves pins, and each of its drives reaches its amplitude.
 #[test]
 fn the_library_is_what_it_says() {
     for stored in Store::new(None, false).unwrap().library.values() {
@@ -228,7 +228,7 @@ fn a_list_tells_what_drives_reach_and_how_long_whole_strokes_last() {
     assert!(endless.compiled_ms.is_none() && endless.reached_min_um.is_some());
 }
 
-/// A command line takes `-` for stdin and `--help` for an option. What has such a name already can be listed and removed.
+/// A command line takes `-` for stdin and `--help` for an option. Existing files with such names can be listed and removed.
 #[test]
 fn no_new_name_begins_with_a_dash_and_old_ones_stay() {
     const TARGET: &str =

@@ -1,4 +1,4 @@
-//! The reference pages that are made from the program: commands from clap, configuration keys from the example file.
+//! Makes the reference pages from the program: commands from clap, configuration keys from the example file.
 //!
 //! With MEISSNER_RENEW set the test writes them: `MEISSNER_RENEW=1 cargo test --test tests manual`.
 
@@ -89,7 +89,7 @@ fn configuration() -> String {
             let _ = write!(page, "\n## `{line}`\n\n{}\n", comment.join(" "));
             (table, comment) = (format!("{name}."), Vec::new());
         } else {
-            // The file's own heading, and blank lines between keys.
+            // Skip the file's own heading, and blank lines between keys.
             comment.clear();
         }
     }

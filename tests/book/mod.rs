@@ -32,7 +32,7 @@ fn the_readme_is_short_and_begins_with_the_demo() {
     assert!(readme.text.lines().take(20).any(|line| line == "cargo run --release -- demo"));
 }
 
-/// The example holds every key, commented with its meaning, at its default.
+/// The example holds every key at its default, with a comment about its meaning.
 #[test]
 fn the_example_configuration_is_the_default() {
     let file = root().join("deploy/meissner.toml");
@@ -70,7 +70,7 @@ impl Sources for Shipped {
     }
 }
 
-/// Reads a TOML block as the kind of file that its keys say.
+/// Reads a TOML block as the kind of file that its keys imply.
 fn read_toml(text: &str, place: &str) -> Result<&'static str, String> {
     let has = |key: &str| text.lines().any(|line| line.starts_with(key));
     let word = |error: &dyn std::fmt::Display| error.to_string();
@@ -152,7 +152,7 @@ fn every_link_has_a_target() {
     assert!(links > 100, "{links}");
 }
 
-/// A path in backquotes is a path of this repository.
+/// A path in backquotes must exist in this repository.
 #[test]
 fn every_path_that_a_page_names_is_there() {
     let mut paths = 0;
@@ -172,7 +172,7 @@ fn every_path_that_a_page_names_is_there() {
     assert!(paths > 20, "{paths}");
 }
 
-/// A test that was renamed or removed shows nothing any more.
+/// A renamed or removed test would prove nothing.
 #[test]
 fn every_test_that_the_safety_case_names_is_there() {
     let mut sources = String::new();
@@ -190,7 +190,7 @@ fn every_test_that_the_safety_case_names_is_there() {
         }
     }
     let page = read("docs/explanation/safety-case.md");
-    // Tests of the page in the browser have a sentence for a name.
+    // Names of the browser tests are sentences.
     let browser =
         ["tests/page/page.test.js", "tests/page/states.test.js"].map(|file| read(file).text).concat();
     for name in page.text.split('“').skip(1).filter_map(|rest| rest.split_once('”')) {

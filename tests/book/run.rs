@@ -1,9 +1,9 @@
-//! Runs the commands of each page in order: `sh` and `python` blocks in one shell, in a directory of its own.
+//! Runs the commands of each page in order: `sh` and `python` blocks in one shell, in the page's own directory.
 //!
-//! The directory shows the repository's files, and the built program stands for `meissner`, for `cargo run --release --`
-//! and for nothing else: a bare `cargo test` does nothing. A TOML block whose first line is a file name in a comment is
-//! written to that file. `py` blocks need the Python package: `python/check` runs them. Without python3 or curl the test leaves out the
-//! blocks that need them, and prints that.
+//! The directory shows the repository's files. The built program replaces `meissner` and `cargo run --release --`, but nothing
+//! else: a bare `cargo test` does nothing. A TOML block whose first line is a file name in a comment is written to that file. `py`
+//! blocks need the Python package: `python/check` runs them. Without python3 or curl the test skips the blocks that need them, and
+//! prints that.
 //!
 //! Invariant: a page's shell stops at the first command that fails.
 
@@ -54,7 +54,7 @@ python() {
 }
 "#;
 
-/// A long lead and a long host watchdog timeout outlast stalls. With little scatter a short calibration is always certain enough
+/// A long lead and a long host watchdog timeout outlast stalls. With little scatter a short calibration is always accurate enough
 /// to be stored.
 const PATIENT: &str = "lead_ms = 1000\nlease_ms = 5000\nmock.gain_sd = 0.02\n";
 

@@ -1,7 +1,7 @@
 //! Checks a JSON value against a schema of the OpenAPI document: the keywords that the document uses, and nothing else.
 //!
-//! It is stricter than JSON Schema in one point: a key that no schema names is an error, so that an answer cannot hold more than
-//! the document says.
+//! It is stricter than JSON Schema in one point: a key that no schema names is an error, so that an answer cannot hold undocumented
+//! keys.
 
 use serde_json::{Map, Value};
 use std::collections::BTreeSet;

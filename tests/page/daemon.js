@@ -11,7 +11,7 @@ import puppeteer from "puppeteer-core";
 
 const PROGRAM = process.env.MEISSNER_PROGRAM;
 export const WAIT = { timeout: 20000, polling: 50 };
-// A search has a low priority: beside a build it may take a minute.
+// A search has a low priority, so beside a build it may take a minute.
 export const SEARCHED = { ...WAIT, timeout: 200000 };
 
 const daemons = [];
@@ -77,7 +77,7 @@ export class Daemon {
   }
 }
 
-// A window of the page, and what its console complains about.
+// A window of the page, and the errors in its console.
 export async function open(browser, daemon, width = 1400, height = 1000) {
   const context = await browser.createBrowserContext();
   const page = await context.newPage();
@@ -133,7 +133,8 @@ export async function proxied(daemon, through, run) {
   }
 }
 
-// A network between browser and daemon. While it is held, the daemon hears everything, and nothing comes back until it is let go.
+// A simulated network between browser and daemon. While it is held, requests reach the daemon, but no answer comes back until it is
+// released.
 export async function networked(daemon, run) {
   const { port } = new URL(daemon.url);
   const back = new Set();

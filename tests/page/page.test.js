@@ -87,7 +87,7 @@ test("an emergency stop that the daemon does not confirm says so", async () => {
   await shows(page, "state-text", "Not connected");
   await page.click("#estop");
   await shows(page, "estop-note", "NOT CONFIRMED: the daemon does not answer. Use the switch of the supply.");
-  // The page comes back with the daemon, and the stop that nobody confirmed is carried out.
+  // The page reconnects when the daemon is back, and the unconfirmed stop is carried out.
   await daemon.start();
   await shows(page, "estop-note", "All lines are off.");
   await shows(page, "state-text", "Stopped: estop");
@@ -138,7 +138,7 @@ test("a person draws an edge, finds its pattern, feels it and saves it", async (
   assert.deepEqual([pattern.name, pattern.provenance.target, pattern.provenance.definition.name], ["my-edge", "my-edge", "my-edge"]);
   assert.deepEqual((await get(daemon, "/v1/targets/my-edge")).target, { ...result.definition, name: "my-edge" });
   await page.waitForSelector('li[data-name="my-edge"]');
-  // A second time it is refused until the person says so.
+  // Saving a second time is refused until the person confirms it.
   await press(page, "#save");
   await shows(page, "alert", "is stored already");
   await press(page, "#replace");
@@ -191,7 +191,7 @@ test("the keyboard alone designs a target", async () => {
   const pressed = async (...keys) => {
     for (const key of keys) await page.keyboard.press(key);
   };
-  // Letter, target, pad: each is a stop of the Tab key.
+  // Letter, target, pad: each can be reached with the Tab key.
   await pressed("Tab", "Tab");
   assert.equal(await page.evaluate(() => document.activeElement.getAttribute("role")), "application");
   await pressed("ArrowLeft", "ArrowLeft", "Enter", "ArrowRight", "ArrowRight", "ArrowRight", "ArrowRight", "ArrowUp", "Enter", "Backspace", "Enter");
@@ -206,7 +206,7 @@ test("the keyboard alone designs a target", async () => {
   await page.$eval("#points", (input) => ((input.value = "0 0; 20 0"), input.dispatchEvent(new Event("change"))));
   await page.select("#shape", "dots");
   assert.equal(await page.$eval("#points", (input) => input.value), "0 0; 9 0");
-  // What the daemon refuses is told in its words.
+  // A refusal of the daemon is shown in its own words.
   await page.$eval("#reach", (input) => (input.value = "24"));
   await press(page, "#find");
   await shows(page, "alert", "`reach_mm` is 24: all 306 afferents are within reach");
@@ -259,7 +259,7 @@ test("the doctor's findings come with verdicts and remedies", async () => {
   const shown = await listed();
   assert.equal(shown.length, findings.length);
   const words = { ok: "OK", warn: "Warning", fail: "Failure" };
-  // The clock's estimate goes on.
+  // The clock's estimate changes meanwhile.
   for (const { what, level, found, advice } of findings.filter(({ what }) => what !== "clock")) {
     const item = shown.find(([, , text]) => text.startsWith(`${what} ${words[level]}`));
     assert.deepEqual(item.slice(0, 2), [level, words[level]]);
@@ -267,7 +267,7 @@ test("the doctor's findings come with verdicts and remedies", async () => {
     assert.ok(item[2].endsWith(advice.replaceAll("`", "")) && item[2].includes("Remedy: ") === (level !== "ok"), item[2]);
   }
   assert.deepEqual(shown.map(([level]) => level), shown.map(([level]) => level).sort((a, b) => "fwo".indexOf(a[0]) - "fwo".indexOf(b[0])));
-  // After a stop a new check finds it; the worst comes first.
+  // After a stop a new check reports it; the worst finding comes first.
   await page.click("#estop");
   await shows(page, "state-text", "Stopped: estop");
   const stopped = (await get(daemon, "/v1/doctor")).findings;
@@ -297,7 +297,7 @@ test("calibration plots show what the API says, and a person can calibrate", asy
     points: [...svg.querySelectorAll(`.${direction} .point`)].map((point) => point.getAttribute("transform").match(/-?[\d.]+/g).slice(0, 2).map(Number)),
     ends: svg.querySelector(`.${direction} .fit-line`).getAttribute("d").match(/-?[\d.]+ -?[\d.]+/g).map((at) => at.split(" ").map(Number)).filter((_, i, all) => i === 0 || i === all.length - 1),
   }])));
-  // The scale of an axis follows from the lowest and the highest value; all others must agree with it.
+  // The lowest and the highest value give the scale of an axis; all others must agree with it.
   const agree = (shown, values, what) => [0, 1].forEach((axis) => {
     const pairs = values.map((value, i) => [value[axis], shown[i][axis]]).sort(([a], [b]) => a - b);
     const [[low, from], [high, to]] = [pairs[0], pairs.at(-1)];
@@ -326,7 +326,7 @@ test("calibration plots show what the API says, and a person can calibrate", asy
   }
   const row = await page.$eval("#fit-table tbody tr:nth-child(4)", (row) => row.textContent);
   assert.ok(row.startsWith(`3${motors[3].gain_up.toFixed(3)} ± `), row);
-  // From the page: with a warning, and it can be stopped.
+  // A calibration from the page shows a warning, and can be stopped.
   await page.waitForSelector("#calibrate:not([disabled])");
   await page.select("#calibrate-motor", "7");
   await press(page, "#calibrate");
@@ -377,7 +377,7 @@ test("a calibration that is damaged, refused or cut says so beside its button", 
   await shows(page, "calibrate-result", "nothing was stored");
   assert.equal(await asks(), false);
   await shows(page, "calibrate-note", "Reset first.");
-  // A check keeps the focus, and is read aloud when a person asked for it.
+  // A check keeps the focus, and a screen reader reads it if a person requested it.
   assert.equal(await text(page, "doctor-say"), "");
   await page.focus("#doctor-again");
   await page.keyboard.press("Enter");
@@ -385,7 +385,7 @@ test("a calibration that is damaged, refused or cut says so beside its button", 
   assert.equal(await page.evaluate(() => document.activeElement.id), "doctor-again");
 });
 
-// The simulated array keeps its times: a proxy adds the events.
+// The simulated array is never late, so a proxy adds the events.
 test("late strokes are counted while a play runs", async () => {
   const daemon = await new Daemon("lead_ms = 900\n").start();
   const streams = [];
@@ -430,7 +430,7 @@ test("an emergency stop waits for no other request of the browser's windows", as
     const session = await first.createCDPSession();
     const { targetInfo } = await session.send("Target.getTargetInfo");
     for (const _ of [1, 2]) {
-      // A window of its own is not hidden; it shares the connections of the first.
+      // A separate window is not hidden; it shares the connections of the first.
       const { targetId } = await session.send("Target.createTarget", { url, newWindow: true, browserContextId: targetInfo.browserContextId });
       const target = await first.browserContext().waitForTarget((target) => target._targetId === targetId);
       pages.push(await target.page());

@@ -1,7 +1,7 @@
-// What the page says of the display's state is true, or it says that it is not known: in a real browser, against a real daemon with the
-// simulated array, over a network that holds things up and loses them.
+// The page shows the true state of the display, or that it is unknown. The tests use a real browser and a real daemon with the
+// simulated array, over a network that delays and loses messages.
 //
-// Time is the page's own: turns of its event loop. A machine that stands still makes none.
+// Time is counted in turns of the page's event loop, so a machine that stands still does not count.
 
 import assert from "node:assert/strict";
 import { after, before, test } from "node:test";
@@ -33,7 +33,7 @@ const finger = (page) => page.$eval(".finger", (svg) => ({
 }));
 const labelled = (page, part) => page.waitForFunction((part) => document.querySelector(".finger").getAttribute("aria-label").includes(part), WAIT, part);
 
-// Lists what the page says of touching, each with the turns of the page's event loop, 100 ms each, before it.
+// Lists what the page says about touching, each with the number of preceding turns of the page's event loop, of 100 ms.
 const listen = (page) => page.evaluate(() => {
   const touch = document.getElementById("touch");
   globalThis.said = [];
@@ -57,7 +57,7 @@ test("what stands beside E-STOP follows the state", async () => {
   await other(daemon, "/v1/play", { pattern: "pin-60", seconds: 600 });
   await shows(page, "state-text", "Playing pin-60");
   assert.equal(await text(page, "estop-note"), "");
-  // Somebody else's stop counts as well.
+  // A stop of another client counts, too.
   await other(daemon, "/v1/estop");
   await shows(page, "estop-note", "All lines are off.");
 });
@@ -79,14 +79,14 @@ test("a state that is older than a second is not known, and an answer that was h
     assert.equal(await page.$eval("#state", (state) => state.dataset.state), "unknown");
     await shows(page, "facts", "Positionnot known");
     assert.deepEqual(await finger(page), { label: "What the pins do is not known.", moving: [], marks: 24 });
-    // The answers that come now are of the time before the play.
+    // The answers that arrive now are from before the play.
     network.letGo();
     await shows(page, "touch", "Pins vibrate.");
     const [safe, unknown, ...later] = await page.evaluate(() => said);
     assert.ok(safe[1].startsWith("Safe") && unknown[1].startsWith("The state is not known"), JSON.stringify([safe, unknown]));
     assert.ok(unknown[0] < 30, `safe for ${unknown[0]} turns of 100 ms`);
     assert.deepEqual(later.filter(([, said]) => said.startsWith("Safe")), []);
-    // Over and over: a state is safe only while it is young.
+    // Repeat this: a state counts as safe only while it is fresh.
     await other(daemon, "/v1/disarm");
     await shows(page, "touch", "Safe to touch");
   });
@@ -123,7 +123,7 @@ test("plays whose pins the page does not know are not drawn as still", async () 
   }
   await other(daemon, "/v1/stop");
   await labelled(page, "No pin vibrates");
-  // A receipt lists 24 drives: those after them are drawn, too.
+  // A receipt lists 24 drives; further ones must be drawn, too.
   const { drives } = await (await fetch(`${daemon.url}/v1/patterns/rotating-edge`)).json();
   const moving = new Set(drives.filter((drive) => drive.drive > 24 && drive.reached_um > 0).map((drive) => drive.motor));
   await other(daemon, "/v1/play", { pattern: "rotating-edge", seconds: 300, scale: 0.9 });
@@ -165,7 +165,7 @@ test("an empty field orders nothing, and says so beside itself", async () => {
 
 test("an emergency stop is sent again until the daemon says that the lines are off", async () => {
   const daemon = await new Daemon().start();
-  // A box on the way may answer in the daemon's place.
+  // A proxy or gateway may answer in the daemon's place.
   const fates = {
     lost: (response) => response.destroy(),
     page: (response) => response.writeHead(200, { "content-type": "text/html" }).end("<p>Sign in to the network"),
@@ -183,7 +183,7 @@ test("an emergency stop is sent again until the daemon says that the lines are o
       assert.equal((await daemon.status()).state, "armed");
       fate = next;
     }
-    // Nobody pressed again.
+    // The page shows this without a second press.
     await shows(page, "estop-note", "All lines are off.");
     const { state, estops } = await daemon.status();
     assert.deepEqual([state, estops], ["faulted", 1]);
@@ -214,7 +214,7 @@ test("with a revoked token E-STOP says so, asks for another, and is sent with it
 
 test("E-STOP needs no other script, and is off until it works", async () => {
   const daemon = await new Daemon().start();
-  // What becomes of the scripts: held, gone, or wrong.
+  // The fate of the scripts: delayed, missing, or wrong.
   let fate = () => "";
   const through = (request, response, forward) => {
     const does = request.url.endsWith(".js") ? fate(request.url) : "";
@@ -249,7 +249,7 @@ test("E-STOP needs no other script, and is off until it works", async () => {
 
 test("a play of the page belongs to the session that the page shows, or is refused", async () => {
   const daemon = await new Daemon().start();
-  // The page learns nothing of another session.
+  // Keep news of another session from the page.
   let shown = null;
   const through = async (request, response, forward) => {
     if (request.url !== "/v1/status" || !shown) return forward();
@@ -291,7 +291,7 @@ test("motors that a window has armed stay armed while it is open, also hidden, a
     client = key;
     const body = JSON.parse(Buffer.concat(await request.toArray()));
     assert.equal(body.silence_s, 10);
-    // A shorter one, for a shorter test: longer than from one sign to the next.
+    // A shorter silence, for a shorter test, but longer than the time between two signs of life.
     const headers = { "content-type": "application/json", "meissner-client": key };
     const answer = await fetch(`${daemon.url}/v1/arm`, { method: "POST", headers, body: JSON.stringify({ ...body, silence_s: 15 }) });
     response.writeHead(answer.status, { "content-type": "application/json" });

@@ -1,44 +1,44 @@
-//! Other searches, for ours to be compared with: each is what its textbook says, and no more.
+//! Search methods to compare ours with, each in its textbook form.
 //!
-//! All see the cost by simulation as ours does, with the same noise, and pay for it by the same measure: afferents
-//! simulated, times how long they were watched. Where single motors change, only the afferents that feel them are
-//! simulated and paid for. Whatever a method does, the best point it has simulated so far is what it has found.
+//! All methods evaluate the objective by simulation as ours does, with the same noise and the same budget: afferents simulated,
+//! times the simulated duration. Where single motors change, only the afferents that they reach are simulated and counted. A
+//! method's result is the best point that it has simulated so far.
 //!
-//! Invariant: a method's trail depends on the brief and the start alone, and its costs rise.
+//! Invariant: a method's trail depends on the brief and the start alone, and the values along it rise.
 
 use cmaes::{CMAESOptions, DVector};
 use meissner_array::random;
 use meissner_design::{Brief, Fidelity, Limit, Objective, Point, Score, Space, Vibration, search};
 use std::ops::ControlFlow;
 
-/// A subgradient method's look; ours ends with the same.
+/// The fidelity of a subgradient method; our search ends with the same.
 const LOOK: Fidelity = Fidelity { duration_s: 1.0, step_us: Some(500), min_weight: 1e-3, min_share: None };
-/// A random search's and CMA-ES's: what is seen in it is worse, but they do better with four times as many points.
+/// The fidelity of a random search and of CMA-ES: shorter, so less exact, but they do better with four times as many points.
 const SHORT_LOOK: Fidelity = Fidelity { duration_s: 0.25, ..LOOK };
-/// The coordinate search's, as it is specified.
+/// The fidelity of the coordinate search, as its specification says.
 const COORDINATE_LOOK: Fidelity = Fidelity { step_us: Some(100), ..LOOK };
 /// Candidates per motor, and sweeps over the motors.
 const CANDIDATES: u8 = 24;
 const SWEEPS: u8 = 3;
-/// Differences are taken over these: a fiftieth of the logarithmic range (some 8 %), a twentieth of a cycle.
+/// The steps of the differences: a fiftieth of the logarithmic frequency range (some 8 %), and a twentieth of a cycle.
 const RADII: [f64; 2] = [0.02, 0.05];
-/// CMA-ES's first step, as a share of the range and of a cycle.
+/// The initial step of CMA-ES, as a share of the range and of a cycle.
 const SIGMA: f64 = 0.3;
-/// Sets these draws apart from others of the same seed.
+/// Separates these random numbers from others of the same seed.
 const WORD: u64 = 6;
 
 /// How to search.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Method {
-    /// Ours.
+    /// Our search.
     Ours,
-    /// Points from anywhere.
+    /// Random points of the whole space.
     Random,
     /// Motor by motor over a grid, evenly spaced in hertz or by the logarithm.
     Coordinates { logarithmic: bool },
     /// Central differences for all motors and one step along them; the n-th is 1/n or 1/√n long.
     Subgradient { root: bool },
-    /// The textbook's, by its crate.
+    /// CMA-ES of the crate `cmaes`.
     CmaEs,
 }
 
@@ -65,7 +65,7 @@ impl Method {
         }
     }
 
-    /// What it has found when it has spent so many afferent-seconds, for each of `budgets`, the last the largest.
+    /// The best point that it has found within each of `budgets`, in afferent-seconds. The last budget is the largest.
     pub(crate) fn found(self, brief: &Brief<'_>, start: Point, budgets: &[f64]) -> Vec<Point> {
         let most = budgets.iter().copied().fold(0.0, f64::max);
         match self {
@@ -78,7 +78,7 @@ impl Method {
     }
 
     /// # Panics
-    /// Of ours, which keeps its own account.
+    /// For our search, which keeps its own trace.
     pub(crate) fn trail(self, brief: &Brief<'_>, start: Point, most: f64) -> Trail {
         match self {
             Self::Ours => panic!("ours has a trace"),
@@ -90,11 +90,11 @@ impl Method {
     }
 }
 
-/// What was spent and found on the way.
+/// What a method has spent, and its improvements.
 #[derive(Clone, Debug)]
 pub(crate) struct Trail {
     pub(crate) afferent_s: f64,
-    /// When something better was found, what it seemed to come to, and what it was.
+    /// Each improvement: the afferent-seconds spent by then, its simulated value in impulses/s, and the point.
     pub(crate) best: Vec<(f64, f64, Point)>,
 }
 
@@ -110,7 +110,7 @@ impl Trail {
         }
     }
 
-    /// The best by then; the start if nothing was known by then.
+    /// The best point by then, or the start if none was simulated by then.
     pub(crate) fn at(&self, afferent_s: f64) -> Point {
         self.best.iter().rev().find(|(when, ..)| *when <= afferent_s).unwrap_or(&self.best[0]).2
     }
@@ -125,7 +125,7 @@ fn objective(brief: &Brief<'_>, fidelity: Fidelity) -> Objective {
     Objective::new(brief.goal, brief.target, brief.frame, brief.populations, brief.noise_seed, fidelity)
 }
 
-/// A point simulated as a whole.
+/// Simulates a point with all afferents, and returns its value.
 fn whole(objective: &Objective, point: Point, trail: &mut Trail) -> f64 {
     let score = objective.at(point).expect("the method can").score();
     trail.note(objective.afferents() as f64 * objective.duration_s(), score, point);
@@ -151,7 +151,7 @@ fn random(brief: &Brief<'_>, start: Point, most: f64) -> Trail {
     trail
 }
 
-/// Phases stay as they are; off is a candidate, where it is allowed.
+/// Phases stay as they are. "Off" is a candidate where the space allows it.
 fn coordinates(brief: &Brief<'_>, start: Point, logarithmic: bool, most: f64) -> Trail {
     let (objective, mut trail) = (objective(brief, COORDINATE_LOOK), Trail::new());
     let space = &brief.space;
@@ -190,8 +190,8 @@ fn with(mut point: Point, motor: usize, vibration: Option<Vibration>) -> Point {
     point
 }
 
-/// What a textbook's method moves: per motor its frequency as a part of the logarithmic range, its phase if that is free,
-/// and, if `off`, a number that is negative when it is off.
+/// The variables of a textbook method. Per motor: its frequency as a share of the logarithmic range, its phase if that is free,
+/// and, if `off` is set, a number that is negative when the motor is off.
 #[derive(Clone, Debug)]
 struct Variables<'v> {
     space: &'v Space,
@@ -215,7 +215,7 @@ impl<'v> Variables<'v> {
         point.0.iter().flat_map(of_motor).collect()
     }
 
-    /// Beyond an end of the range it goes back.
+    /// A variable beyond an end of the range is reflected back into it.
     fn point(&self, variables: &[f64]) -> Point {
         let of_motor = |motor: usize| {
             let of = &variables[motor * self.of_motor..][..self.of_motor];
@@ -229,7 +229,7 @@ impl<'v> Variables<'v> {
     }
 }
 
-/// All motors stay on: there is no difference between on and off.
+/// All motors stay on: no difference quotient leads from on to off.
 fn subgradient(brief: &Brief<'_>, start: Point, root: bool, most: f64) -> Trail {
     let (objective, mut trail) = (objective(brief, LOOK), Trail::new());
     let variables = Variables::new(&brief.space, false);
@@ -274,7 +274,7 @@ fn cma_es(brief: &Brief<'_>, start: Point, most: f64) -> Trail {
     let variables = Variables::new(&brief.space, brief.space.may_be_off);
     whole(&objective, start, &mut trail);
     let mut mean = variables.of(&start);
-    // It may end by itself before the budget does: then it begins again elsewhere.
+    // CMA-ES may end before the budget is spent; then it restarts elsewhere.
     for pass in 1.. {
         let mut spent = trail.afferent_s;
         let cost = |at: &DVector<f64>| -whole(&objective, variables.point(at.as_slice()), &mut trail);

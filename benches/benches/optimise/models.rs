@@ -1,4 +1,4 @@
-//! The time of a search under each model: the same target, goal, start and end, and the first model beside the second.
+//! The time of a search under each model, with the same target, goal, start and stopping rule.
 //!
 //! The search is that of `meissner optimise TARGET --model MODEL`: from the better rule of thumb until nothing improves, without
 //! the figures that follow it, or with them.
@@ -13,7 +13,7 @@ use std::time::{Duration, Instant};
 
 const GOAL: Goal = Goal::OffRmsTwice;
 const MODELS: [Models; 3] = [Models::Membrane, Models::Afferents, Models::Both];
-/// The least of so many runs counts: others use the machine, too.
+/// The shortest of so many runs counts, because other programs use the machine, too.
 const RUNS: usize = 3;
 
 /// A search from the better rule of thumb.
@@ -34,7 +34,7 @@ impl<'c> Climb<'c> {
         let point = |rule: Rule| Setting::Default.space().of_drives(&rule.drives(target));
         let value = |of: &Point| value(models.first(), target, *of);
         let [reach, pitch] = Rule::ALL.map(point);
-        // Under both models the value of this rule is 0, and the other is below.
+        // For the two models together the value of this rule is 0 by definition, and the other rule lies below.
         let start = if models != Models::Both && value(&pitch) > value(&reach) { pitch } else { reach };
         Self { target, models, start }
     }
@@ -56,7 +56,7 @@ impl<'c> Climb<'c> {
     }
 }
 
-/// The value of the goal under a model as it is.
+/// The value of the goal under a model, exactly computed.
 fn value(model: ModelName, target: &Target, point: Point) -> f64 {
     let seed = target.population_seed();
     let frame = &target.frames()[0];
@@ -65,7 +65,7 @@ fn value(model: ModelName, target: &Target, point: Point) -> f64 {
     objective.at(point).expect("the method can").score().value
 }
 
-/// The least time of some runs, and the last answer.
+/// The shortest time of [`RUNS`] runs, and the last result.
 fn least<T>(run: impl Fn() -> T) -> (Duration, T) {
     let timed = || {
         let begun = Instant::now();

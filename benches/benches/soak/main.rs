@@ -1,13 +1,14 @@
-//! Hours of real time beside the load of a busy lab PC: `HOURS=2 cargo bench -p meissner-benches --bench soak`.
+//! Runs a daemon for hours of real time beside the load of a busy lab PC: `HOURS=2 cargo bench -p meissner-benches --bench soak`.
 //!
-//! A daemon with default lead and host watchdog, with its session record on the disk. Its device is the mock, or with `DEVICE=board` a
-//! board at the far end of a pseudo-terminal, whose clock runs 30 millionths fast. The kernel moves bytes of terminals in threads of
-//! normal priority: on a machine with more to do than it can, the board shows how long these wait.
+//! The daemon has the default lead and host watchdog, and its session record on the disk. Its device is the mock, or, with
+//! `DEVICE=board`, a board at the far end of a pseudo-terminal, whose clock runs 30 millionths fast. The kernel moves bytes of
+//! terminals in threads of normal priority: on an overloaded machine the board shows how long these wait.
 //!
-//! Plays of 5 to 60 s follow each other; every tenth is ended by an e-stop. Meanwhile the loads of [`loads::PHASES`] take turns, twice. Every ten
-//! seconds a sample is taken: lost bursts, the daemon's memory, descriptors, threads and processor time. At each onset the daemon's clock
-//! model is compared with the device's clock: the board's own, or, for the mock, the host's since the first onset. A real-time thread
-//! above all others measures how long the machine itself stands still: a play that such a stall breaks is counted, and the next one begins.
+//! Plays of 5 to 60 s follow each other; every tenth is ended by an e-stop. Meanwhile the loads of [`loads::PHASES`] run one after
+//! the other, twice. The benchmark takes a sample every ten seconds: lost bursts, the daemon's memory, descriptors, threads and
+//! processor time. At each onset the daemon's clock model is compared with the device's clock: the board's own, or, for the mock,
+//! the host's since the first onset. A real-time thread of the highest priority measures how long the machine itself stands still.
+//! A play that such a stall ends is counted, and the next one begins.
 //!
 //! It prints a row for each phase, and writes all samples to `soak.csv`, a drawing to `soak.svg`, and the daemon's log to `soak.log` in the
 //! folder `OUT` [.]. It asserts nothing, but it ends with an error if the daemon does.
@@ -52,9 +53,9 @@ struct Counts {
     plays: u64,
     planned: u64,
     late: u64,
-    /// Dropped or refused, in plays that nobody ended.
+    /// Bursts dropped or refused in plays that the benchmark did not end.
     lost: u64,
-    /// Plays that ended although nobody ended them.
+    /// Plays that ended early although the benchmark did not end them.
     broken: u64,
     estops: u64,
     slowest_estop_ms: f64,
@@ -63,7 +64,7 @@ struct Counts {
     clock_error_us: f64,
     allowed_us: f64,
     largest_error_us: f64,
-    /// The longest that the machine let a real-time thread above all of the daemon's wait, ms.
+    /// The longest wait of a real-time thread with a higher priority than the daemon's, ms.
     stall_ms: f64,
 }
 
@@ -79,7 +80,8 @@ struct Sample {
 }
 
 fn main() -> ExitCode {
-    // Cargo says so. Otherwise it is the program: as daemon, and for the daemon's searches, which have no argument.
+    // Cargo passes `--bench`. Without it this executable is `meissner`: the daemon, or a search of the daemon, which has no
+    // argument.
     if env::args().all(|argument| argument != "--bench") {
         return meissner::cli::main();
     }
@@ -117,7 +119,7 @@ fn run() -> Done {
     let device =
         board.as_ref().map_or("mock".to_owned(), |board| format!("serial:{}", board.path().display()));
     let config = dir.path().join("meissner.toml");
-    // A board has no sensor, and nobody levels its pins.
+    // A board has no sensor, and no person levels its pins.
     let text = format!(
         "patterns_dir = {:?}\nlogbook_dir = {:?}\nlisten = \"{tcp}\"\ndrift_limit_um = 10000\n\
          [participant]\nmax_continuous_s = 86400\nmax_session_s = 86400\nmax_day_s = 86400\n",
@@ -184,7 +186,7 @@ fn run() -> Done {
             });
             if let Some(last) = samples.last() {
                 row(name, &first, last);
-                // Each phase is kept, if a later one never ends.
+                // Write the files after each phase, in case a later one never ends.
                 drawing::keep(&out, &samples, &bounds)?;
             }
             if ended.load(Ordering::Relaxed) || sampled.is_err() {
@@ -224,7 +226,7 @@ fn sample(daemon: &Child, begun: Instant, counts: &Mutex<Counts>) -> Done<Sample
         let line = status.lines().find_map(|line| line.strip_prefix(key)).ok_or("the daemon has ended")?;
         Ok(line.split_whitespace().next().unwrap_or_default().parse()?)
     };
-    // Its name is in parentheses, and may have spaces; the processor's times are in hundredths of a second.
+    // The process name, in parentheses, may have spaces. Processor times are in hundredths of a second.
     let stat = fs::read_to_string(folder.join("stat"))?;
     let times = stat.rsplit(") ").next().unwrap_or_default().split(' ').skip(11).take(2);
     Ok(Sample {
@@ -248,7 +250,7 @@ fn wait_for_device(socket: &Path) -> Done {
     Ok(())
 }
 
-/// Plays until it is over.
+/// Plays one pattern, until it ends.
 fn play(socket: &Path, board: Option<&Board>, counts: &Mutex<Counts>, over: &AtomicBool) -> Done {
     let mut client = Client::new(socket)?;
     arm(&mut client)?;
@@ -287,7 +289,7 @@ fn play(socket: &Path, board: Option<&Board>, counts: &Mutex<Counts>, over: &Ato
     Ok(())
 }
 
-/// Notes the longest wait of a thread that asks for a millisecond.
+/// Notes by how much the sleep of a real-time thread exceeds a millisecond, at most.
 fn watch_machine(counts: &Mutex<Counts>, over: &AtomicBool) {
     let millisecond = Duration::from_millis(1);
     let _ = priority::fifo(priority::FIFO_PRIORITY + 1);
@@ -296,7 +298,7 @@ fn watch_machine(counts: &Mutex<Counts>, over: &AtomicBool) {
         let asked = Instant::now();
         thread::sleep(millisecond);
         let late_ms = asked.elapsed().saturating_sub(millisecond).as_secs_f64() * 1e3;
-        // It waits for no lock: another thread may hold it while the machine stalls.
+        // This thread never waits for the lock: another thread may hold it while the machine stalls.
         longest_ms = late_ms.max(longest_ms);
         if let Ok(mut counts) = counts.try_lock() {
             counts.stall_ms = counts.stall_ms.max(std::mem::take(&mut longest_ms));

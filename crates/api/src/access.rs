@@ -1,7 +1,7 @@
-//! Who may use a route: which role a client needs, and what an exclusive session keeps from others.
+//! Who may use a route: which role a client needs, and what other clients may do during an exclusive session.
 //!
-//! The daemon's gate asks [`Route::find`] and [`Route::access`] before every request, and again wherever something goes on that a
-//! request has begun.
+//! The daemon's gate asks [`Route::find`] and [`Route::access`] before every request, and again whenever a long answer continues,
+//! for example a stream of events.
 //!
 //! Invariant: every route has its row; a request that no route takes reads nothing and changes nothing.
 

@@ -5,14 +5,14 @@
 //!
 //! - [`route`]: every route with its method, body, answer and error codes. The daemon builds its router from this table. [`access`]: who may
 //!   use it.
-//! - [`request`]: the bodies a client sends; [`PlayRequest::parse`] and its like name the key that is wrong.
-//! - [`session`]: whose plays are recorded together, and who owns the display meanwhile.
+//! - [`request`]: the bodies a client sends; [`PlayRequest::parse`] and similar functions name the wrong key.
+//! - [`session`]: sessions, whose plays are recorded together and during which one client may own the display.
 //! - [`sequence`], [`trigger`]: sequences of patterns, and the trigger output, in requests and in receipts.
 //! - [`status`], [`receipt`], [`pattern`], [`calibration`]: what the daemon answers; [`board`]: the device's counters in the first two.
-//! - [`live`], [`live_record`]: live plays and the messages of their connections, and what receipts say of them.
-//! - [`doctor`]: what the daemon finds on its machine, and what to do.
-//! - [`target`], [`search`]: shapes on the skin, and searches for patterns for them.
-//! - [`token`]: access tokens of clients that come over the network.
+//! - [`live`], [`live_record`]: live plays with the messages of their connections, and their part of a receipt.
+//! - [`doctor`]: the problems that the daemon finds on its machine, with advice.
+//! - [`target`], [`search`]: target shapes on the skin, and searches for their patterns.
+//! - [`token`]: access tokens of network clients.
 //! - [`event`]: what the daemon reports as it happens.
 //! - [`problem`]: errors, as `application/problem+json`.
 //! - [`openapi`]: the OpenAPI document of all of the above, served at `GET /v1/openapi.json`.

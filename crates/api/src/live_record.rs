@@ -1,4 +1,4 @@
-//! What a receipt says of a live play: its updates, how soon they were on the pins, and what they reached.
+//! The part of a receipt about a live play: its updates, how soon they reached the pins, and the contrast that they reached.
 
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;

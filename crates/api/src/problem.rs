@@ -2,7 +2,8 @@
 //!
 //! The daemon makes a [`Problem`] from a [`Code`] and one line of detail; clients switch on [`Problem::code`].
 //!
-//! Invariants: a published code keeps its meaning and its HTTP status; a detail is one line of bounded length, whatever it quotes.
+//! Invariants: a published code keeps its meaning and its HTTP status; a detail is one line of bounded length, even if it quotes a
+//! client.
 
 use meissner_input::message::cut;
 use serde::{Deserialize, Serialize};

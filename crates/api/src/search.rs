@@ -1,4 +1,4 @@
-//! Searches: what the daemon is asked to find a pattern for, how far it is, and what it has found.
+//! Searches for a pattern: the request, the progress and the result.
 //!
 //! [`SearchRequest`] starts a search. [`Search`] shows it, with its [`SearchResult`] once it is done; the event `search` reports its
 //! [`SearchProgress`]. Play the found pattern by the name `search:ID`, or store its text.

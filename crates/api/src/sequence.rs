@@ -1,6 +1,7 @@
 //! Sequences: many patterns with exact times in one request, and the record of each in the receipt.
 //!
-//! [`SequenceRequest::parse`] reads a body; it is larger than another command's, so the daemon reads it on a thread of its own.
+//! [`SequenceRequest::parse`] reads a body; it is larger than the bodies of other commands, so the daemon reads it on a separate
+//! thread.
 //!
 //! Bound: [`MAX_SEQUENCE_ITEMS`]; the reader stops there.
 

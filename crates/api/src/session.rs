@@ -1,4 +1,4 @@
-//! Sessions: whose plays are recorded together, and whether one client owns the display meanwhile.
+//! Sessions: plays that are recorded together, and whether one client owns the display meanwhile.
 //!
 //! [`SessionRequest`] starts a session, and [`SessionStarted`] answers with its id and the owner's token. The client sends the
 //! token as `Authorization: Bearer TOKEN`. One session runs at a time; every play meanwhile belongs to it.
@@ -55,7 +55,7 @@ impl SessionRequest {
     /// A `bad-request` that names the key.
     pub fn parse(body: &[u8]) -> Result<Self, Problem> {
         let mut request: Self = read(body)?;
-        // Spaces that nobody sees make no other person.
+        // Invisible spaces must not make a name another person's.
         let words = request.participant.split(|c: char| c.is_whitespace() && !c.is_control());
         request.participant = words.filter(|word| !word.is_empty()).collect::<Vec<_>>().join(" ");
         check_text("participant", &request.participant)?;

@@ -1,7 +1,8 @@
-//! Access tokens: what lets a client in that comes over the network.
+//! Access tokens, by which the daemon admits network clients.
 //!
-//! A client on the Unix socket creates a token ([`TokenRequest`]), and [`TokenCreated`] shows it once; the daemon keeps its hash alone.
-//! A network client sends it as `Authorization: Bearer TOKEN`. A session's token then goes into the header [`SESSION_HEADER`].
+//! A client on the Unix socket creates a token ([`TokenRequest`]), and [`TokenCreated`] shows it once; the daemon keeps only its
+//! hash. A network client sends it as `Authorization: Bearer TOKEN`. A session's token then goes into the header
+//! [`SESSION_HEADER`].
 //!
 //! Invariant: an access token begins with [`PREFIX`], and no token of a session does.
 

@@ -1,4 +1,4 @@
-//! The trigger output: what a play or an item asks for, and what the device gave.
+//! The trigger output: the pulse that a play or an item requests, and the pulse that the device gave.
 //!
 //! In a request `trigger` is an object or `false`; without it the output gives one pulse of 10 ms. `docs/how-to/board.md` shows the
 //! pulse train of a code.

@@ -1,7 +1,8 @@
 //! Samples the displacement of the pins that a play moves, by ideal motors.
 //!
-//! Pins move as strokes say: full travel, no scatter, and no surplus, which a lower stop takes. The samples begin where the caller asks
-//! and go on until every pin rests again, 4.3 ms after the last pulse. They are made one after the other, so that a play may be long.
+//! Pins follow the strokes exactly: full travel, no scatter, and no surplus, because the lower stop absorbs it. The samples begin
+//! where the caller asks and go on until every pin rests again, 4.3 ms after the last pulse. They are computed one by one, so the
+//! memory does not grow with the play.
 //!
 //! Invariant: equal strokes give equal samples, and the samples of plays that touch add up.
 
@@ -36,8 +37,8 @@ struct Pin {
 }
 
 impl Displacement {
-    /// Samples these strokes `rate_hz` times a second, the first time `first_s` after pattern time 0. The rate must be in [`RATE_HZ`] and
-    /// the first instant not negative.
+    /// Samples these strokes `rate_hz` times a second, the first time `first_s` after pattern time 0. The rate must be in
+    /// [`RATE_HZ`], and `first_s` 0 or more.
     #[must_use]
     pub fn new(strokes: Strokes, rate_hz: f64, first_s: f64) -> Self {
         let motors: Vec<u8> = strokes.motors().collect();
@@ -67,7 +68,7 @@ impl Displacement {
     fn take(&mut self, stroke: &Stroke) {
         self.rest_from = self.rest_from.max(HalfTick(2 * stroke.end().0 + WINDOW_HALF_TICKS));
         let place = self.motors.binary_search(&stroke.motor).expect("only these motors have strokes");
-        // The stop takes the surplus, so both bursts count as long as the one up.
+        // The stop absorbs the surplus, so both bursts count with the length of the up burst.
         let pulses = stroke.up_pulses.into();
         let ramps = [(stroke.up, Direction::Up), (stroke.down, Direction::Down)];
         self.pins[place].ahead.extend(ramps.map(|(start, way)| Ramp::new(start, pulses, way, 1.0)));
@@ -134,7 +135,7 @@ mod tests {
             rows[from..to].iter().map(|row| row[pin]).fold(0.0, f64::max)
         };
         let reached = SteadyState::of(60.0, 80.0).unwrap().played_peak_to_peak_um;
-        // The first stroke goes up from rest, higher than a vibration that goes on.
+        // The first stroke starts from rest and reaches higher than the steady vibration.
         assert!((reached..80.0).contains(&highest(1, 0, 1_050)), "{}", highest(1, 0, 1_050));
         assert!((reached..80.0).contains(&highest(0, 2_000, rows.len())));
         assert_eq!((highest(0, 0, 2_000), highest(1, 1_050, rows.len())), (0.0, 0.0));

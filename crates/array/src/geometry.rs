@@ -3,7 +3,7 @@
 //! A motor's number is `4 * row + column`; row 0 is the most distal. The origin is the middle of the array, x runs
 //! across the finger, y towards the fingertip.
 //!
-//! Invariant: every function takes a motor in 0..24; for other numbers the result has no meaning.
+//! Invariant: every function takes a motor in 0..24; for other numbers the result is meaningless.
 
 use firmware_protocol::limits::MOTORS_PER_RAIL;
 use firmware_protocol::stroke::MOTORS;

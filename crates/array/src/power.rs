@@ -1,7 +1,7 @@
 //! How many motors have pulses at once, and the current that they draw.
 //!
-//! [`PulsingMotors`] takes strokes in the order of their up ticks and counts, per rail and driver chip, the motors that have pulses in
-//! the same tick. [`current_ma`] is what one of them draws from its 30 V rail while it has pulses.
+//! [`PulsingMotors`] takes strokes in the order of their up ticks and counts, per rail and driver chip, the motors that have pulses
+//! in the same tick. [`current_ma`] is the current that one motor draws from its 30 V rail while it has pulses.
 //!
 //! Invariant: counts are exact in every tick; of two bursts that touch, the first has ended when the second begins.
 
@@ -16,15 +16,15 @@ use std::fmt;
 
 /// The supply of a rail, V.
 pub const RAIL_V: f64 = 30.0;
-/// Capacitance of a motor, nF, where none was measured: it gives the 50 mA that the LT3572's typical application needs at 30 V for two
-/// motors at 70 kHz.
+/// Default capacitance of a motor, nF. It yields the 50 mA that the LT3572's typical application needs at 30 V for two motors at 70
+/// kHz.
 pub const CAPACITANCE_NF: f64 = 3.0;
 /// How much of a play [`rail_pulses`] counts, s.
 pub const SHOWN_S: u64 = 10;
 const CHIPS: usize = MOTORS / MOTORS_PER_CHIP;
 
-/// Mean current of a motor with pulses, mA: its bridge turns the voltage around twice in a period, and each time the rail gives the
-/// charge 2·C·V. So I = 4·C·V·f.
+/// Mean current of a motor with pulses, mA. Its bridge reverses the voltage twice in a period, and the rail supplies the charge
+/// 2·C·V each time, so I = 4·C·V·f.
 #[must_use]
 pub fn current_ma(capacitance_nf: f64) -> f64 {
     4.0 * capacitance_nf * 1e-9 * RAIL_V * f64::from(TICK_HZ) * 1e3
@@ -49,10 +49,10 @@ impl fmt::Display for Group {
     }
 }
 
-/// A tick in which more motors have pulses than may.
+/// A tick in which more motors have pulses than the limits allow.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct TooMany {
-    /// Of which rail or chip.
+    /// The rail or chip.
     pub group: Group,
     /// The first such tick.
     pub tick: u64,
@@ -75,7 +75,7 @@ pub struct RailPulses {
 #[derive(Clone, Debug)]
 pub struct PulsingMotors {
     limits: PowerLimits,
-    /// Begins and ends of bursts that are still to come: tick, whether it begins, motor.
+    /// Future starts and ends of bursts: tick, whether a burst starts, motor.
     edges: BinaryHeap<Reverse<(u64, bool, u8)>>,
     rails: [RailPulses; RAILS],
     on_rail: [u8; RAILS],
@@ -84,7 +84,7 @@ pub struct PulsingMotors {
 }
 
 impl PulsingMotors {
-    /// Nothing has pulses yet. [`Self::too_many`] compares with these limits.
+    /// A count without strokes. [`Self::too_many`] compares with these limits.
     #[must_use]
     pub fn new(limits: PowerLimits) -> Self {
         Self {
@@ -99,7 +99,7 @@ impl PulsingMotors {
 
     /// Takes the next stroke.
     pub fn push(&mut self, stroke: &Stroke) {
-        // No later stroke begins before.
+        // No later stroke begins before this one.
         self.pass(stroke.up.0);
         for burst in stroke.bursts().into_iter().filter(|burst| burst.pulses > 0) {
             self.edges.push(Reverse((burst.start.0, true, stroke.motor)));
@@ -137,7 +137,7 @@ impl PulsingMotors {
         }
     }
 
-    /// The first tick that breaks the limits, as far as it is known: all before the up tick of the last stroke.
+    /// The first tick that breaks the limits. All ticks before the last stroke's up tick have been counted.
     #[must_use]
     pub const fn too_many(&self) -> Option<TooMany> {
         self.too_many
@@ -159,7 +159,7 @@ impl RailPulses {
     }
 }
 
-/// The pulses of each rail in the first [`SHOWN_S`] of these strokes, or up to their end, and how many ticks that are.
+/// The pulses of each rail in the first [`SHOWN_S`] of these strokes, or up to their end, and the number of ticks covered.
 #[must_use]
 pub fn rail_pulses(strokes: &Strokes) -> ([RailPulses; RAILS], u64) {
     let mut strokes = strokes.clone();

@@ -1,12 +1,12 @@
 //! Keyed random numbers: each depends on its key alone.
 //!
-//! The key is a seed and what the number is for, for example a motor and a tick. Numbers do not depend on how many came before,
-//! so leaving one out, or asking in another order or on another thread, changes no other. ChaCha8 turns the key into bits, and
-//! Box–Muller with `libm` turns the bits into a normal deviate. Where a normal deviate may cost only a few nanoseconds, [`Normals`]
-//! is a stream per afferent with the ziggurat of `rand_distr`: the n-th number depends on seed, afferent and n. (One in a few
-//! thousand of those lies in the tail, where the platform's logarithm is used.)
+//! The key is a seed and the number's purpose, for example a motor and a tick. A number does not depend on those drawn before it:
+//! leaving one out, or drawing in another order or on another thread, changes no other. ChaCha8 turns the key into bits, and
+//! Box–Muller with `libm` turns the bits into a normal deviate. [`Normals`] is faster, a few nanoseconds per number: a stream per
+//! afferent with the ziggurat of `rand_distr`, whose n-th number depends on seed, afferent and n. (One in a few thousand of those
+//! lies in the tail, where the platform's logarithm is used.)
 //!
-//! Invariant: the same key always gives the same bits; the golden values in the tests hold it to that.
+//! Invariant: the same key always gives the same bits; the golden values in the tests check that.
 
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};

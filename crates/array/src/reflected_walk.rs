@@ -1,8 +1,8 @@
 //! The theory of a pin above a lower stop: the rest error as a reflected random walk.
 //!
-//! Every down burst is longer than its up burst by a surplus S; the stop takes what is too much. The rest error after
-//! stroke n is `E(n) = max(0, E(n-1) + X(n))` (Lindley's recursion), and X is the travel of the up burst minus that of the down
-//! burst. Both bursts scatter, independently: with amplitude A, scatter s and asymmetry a (gain up minus gain down),
+//! Every down burst is longer than its up burst by a surplus S; the stop absorbs the excess. The rest error after stroke n is
+//! `E(n) = max(0, E(n-1) + X(n))` (Lindley's recursion), and X is the travel of the up burst minus that of the down burst. Both
+//! bursts scatter, independently: with amplitude A, scatter s and asymmetry a (gain up minus gain down),
 //!
 //! ```text
 //! mean(X) = A (1 + a/2) - (A + S) (1 - a/2)
@@ -14,7 +14,7 @@
 //! `SERIES_BELOW` the sums are the power series of Janssen & van Leeuwaarden, "On Lerch's transcendent and the Gaussian
 //! random walk", Ann. Appl. Probab. 17 (2007), theorems 1 to 3; above it they have few terms.
 //!
-//! The theory knows no gain below 0, no burst that falls short after rest and no whole pulses.
+//! The theory ignores that gains are never below 0, that a burst after rest falls short, and that pulses are whole.
 //!
 //! Invariant: the rest error is 0 or above; it has no stationary distribution where the mean step is 0 or above.
 
@@ -42,13 +42,14 @@ const BISECTIONS: usize = 20;
 pub struct Spread {
     /// Standard deviation of a burst's gain.
     pub scatter: f64,
-    /// Gain up minus gain down, over their mean. Positive: without a surplus the pin climbs.
+    /// Gain up minus gain down, over their mean. If it is positive, the pin climbs without a surplus.
     pub asymmetry: f64,
 }
 
-/// Standard deviations above the mean that none of 24 independent Gaussian values exceeds, with a probability of 95 %.
+/// The limit, in standard deviations above the mean, that with a probability of 95 % none of 24 independent Gaussian values
+/// exceeds.
 ///
-/// `Φ(x)^24 = 0.95`. An array is as good as its worst pin, so a surplus that suits an average motor would fail on every array.
+/// `Φ(x)^24 = 0.95`. An array is as good as its worst pin, so a surplus that suits only an average motor fails on every array.
 pub const WORST_OF_24: f64 = 2.858;
 
 impl Spread {
@@ -58,8 +59,8 @@ impl Spread {
         Self { scatter, asymmetry: WORST_OF_24 * asymmetry_sd }
     }
 
-    /// The spread of a motor whose gains up and down were measured, each with a standard deviation: its asymmetry, and as many
-    /// standard deviations of that as for [`Self::uncalibrated`], because the error of the measurement is what is not known.
+    /// The spread of a motor whose gains up and down were measured, each with a standard deviation. The asymmetry is the measured
+    /// one plus [`WORST_OF_24`] standard deviations of its measurement error.
     #[must_use]
     pub fn measured(scatter: f64, gains: [f64; 2], sds: [f64; 2]) -> Self {
         let mean = f64::midpoint(gains[0], gains[1]);
@@ -92,8 +93,8 @@ impl ReflectedWalk {
         Self { mean_um, sd_um }
     }
 
-    /// Strokes after which what is left of the beginning has fallen to a share of 1/e: 2/δ², as for Brownian motion with drift
-    /// (its spectral gap is δ²/2). Infinite if the rest error grows without limit.
+    /// Strokes after which the influence of the start has fallen to 1/e: 2/δ², as for Brownian motion with drift (its spectral gap
+    /// is δ²/2). Infinite if the rest error grows without limit.
     #[must_use]
     pub fn settling_strokes(&self) -> f64 {
         self.delta().map_or(f64::INFINITY, |delta| 2.0 / (delta * delta))
@@ -160,8 +161,8 @@ impl ReflectedWalk {
         second[1..].iter().map(|square| square.sqrt()).collect()
     }
 
-    /// Mean and variance of the rest error after one more stroke, from those before it, µm and µm². Takes the free sum as normal,
-    /// so that it needs no history: the stationary rms of repeated calls is within 15 % of [`Self::rms_um`].
+    /// Mean and variance of the rest error after one more stroke, from those before it, µm and µm². It assumes that the free sum is
+    /// normal, so it needs no history: the stationary rms of repeated calls is within 15 % of [`Self::rms_um`].
     #[must_use]
     pub fn after(&self, [mean, variance]: [f64; 2]) -> [f64; 2] {
         let (mean, sd) = (mean + self.mean_um, libm::hypot(variance.sqrt(), self.sd_um));
@@ -180,7 +181,7 @@ impl ReflectedWalk {
     /// Stationary mean and variance, µm and µm².
     fn moments(&self) -> (f64, f64) {
         match self.delta() {
-            // Without scatter the stop takes the whole surplus.
+            // Without scatter the stop absorbs the whole surplus.
             Some(f64::INFINITY) => (0.0, 0.0),
             Some(delta) => {
                 let [mean, variance] = moments(delta);
@@ -324,7 +325,7 @@ mod tests {
             assert!(near(walk.rms_um(), rms), "{surplus_um}: {} {rms}", walk.rms_um());
             for (count, level) in above.iter().zip(levels) {
                 let ratio = walk.tail(level) / (count / n);
-                // At 20 um the highest level is passed by a few hundred steps.
+                // At 20 um only a few hundred steps exceed the highest level.
                 let (least, most) = if surplus_um < 10.0 { (0.97, 1.03) } else { (0.85, 1.2) };
                 assert!((least..most).contains(&ratio), "{surplus_um} {level}: {ratio}");
             }
@@ -335,12 +336,12 @@ mod tests {
     fn a_walk_from_rest_grows_to_the_stationary_one_or_without_limit() {
         let settled = ReflectedWalk::new(80.0, 8.0, PAPER);
         let after = settled.rms_after_um(300);
-        // What is left after five settling times: less than a percent.
+        // After five settling times the rest differs by less than a percent.
         let five = (5.0 * settled.settling_strokes()) as usize;
         assert!((after[five] / settled.rms_um() - 1.0).abs() < 0.01, "{five}");
         assert!(after.windows(2).all(|pair| pair[0] < pair[1] + 1e-9));
         assert!((after[299] / settled.rms_um() - 1.0).abs() < 1e-3, "{} {}", after[299], settled.rms_um());
-        // Without drift the reflected walk is distributed as the modulus of the free one, but for the overshoot.
+        // Without drift the reflected walk has the distribution of the modulus of the free one, except for the overshoot.
         let free = ReflectedWalk::new(80.0, 0.0, PAPER);
         let (rms, sd) = (free.rms_after_um(1000)[999], free.step_sd_um() * 1000_f64.sqrt());
         assert!((rms / sd - 1.0).abs() < 0.03 && free.rms_um().is_infinite(), "{rms} {sd}");
@@ -386,7 +387,7 @@ mod tests {
         assert!((vague.asymmetry - 0.04 - 0.005 * WORST_OF_24).abs() < 1e-12);
     }
 
-    /// Bisection finds the smallest only if more surplus never makes it worse.
+    /// Bisection finds the smallest surplus only if more surplus always lowers the rest error.
     #[test]
     fn the_rest_error_falls_with_the_surplus() {
         for scatter in [0.01, 0.1, 0.3] {

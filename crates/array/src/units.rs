@@ -1,16 +1,16 @@
 //! Converts between seconds, milliseconds, ticks and pulses.
 //!
 //! Device time is [`Tick`](firmware_protocol::tick::Tick), pattern time is seconds in `f64`, the host's time is a [`Duration`].
-//! Every crate of the host converts with these functions. They differ in what they do with a part of a tick:
-//! [`seconds_to_ticks`] rounds, [`duration_to_ticks`] drops it, [`seconds_in_ticks`] and [`ms_in_ticks`] keep it.
-//! (The clock model of the link measures how the device's and the host's clock differ; nothing here does.)
+//! Every crate of the host converts with these functions. They differ in how they treat a fraction of a tick: [`seconds_to_ticks`]
+//! rounds, [`duration_to_ticks`] drops it, [`seconds_in_ticks`] and [`ms_in_ticks`] keep it. (None of them corrects for the
+//! difference of the device's and the host's clock: the clock model of the link does.)
 //!
 //! Invariant: the order of operations in each function is part of its definition, so results are the same bit for bit.
 
 use firmware_protocol::tick::TICK_HZ;
 use std::time::Duration;
 
-/// What one pulse moves a shaft by, µm: the slope of Fig. 3 of Gwak, Park & Kim.
+/// Travel of a shaft per pulse, µm: the slope of Fig. 3 of Gwak, Park & Kim.
 pub const UM_PER_PULSE: f64 = 0.95 / 7.0;
 
 /// Ticks of a second.

@@ -147,7 +147,7 @@ fn a_large_provenance_is_refused_with_place_and_remedy() {
     Pattern::parse(&deep, "deep.toml").unwrap();
 }
 
-/// What the parser would allocate is counted before it allocates: a table for each dot, 24 bytes for each sign.
+/// The reader counts what the parser would allocate before it parses: a table for each dot, 24 bytes for each sign.
 #[test]
 fn a_text_that_would_fill_the_memory_is_refused_before_it_is_read() {
     let dotted: String = (0..8000).map(|key| format!("k{key}{} = 1\n", ".a".repeat(60))).collect();

@@ -161,7 +161,7 @@ fn gains_scatter_as_configured_and_the_first_burst_after_rest_falls_short() {
             .collect();
         (mean(&gains), sd(&gains))
     };
-    // Four standard errors: 0.1 / sqrt(2000) of the mean, that over sqrt(2) of the deviation.
+    // Bounds of four standard errors: that of the mean is 0.1 / sqrt(2000), that of the standard deviation is smaller by sqrt(2).
     for (pause, expected) in [(42_499, 1.0), (42_500, 0.8)] {
         let (mean, sd) = gains(pause);
         assert!((mean - expected).abs() < 0.009 && (sd - 0.1).abs() < 0.007, "{pause}: {mean} {sd}");
@@ -213,7 +213,7 @@ fn a_pin_stays_on_its_lower_stop_does_not_bounce_and_leaves_it_with_the_first_pu
     pulse(&mut motors, Direction::Up, 1);
     assert!((motors.position_um(5) - UM_PER_PULSE).abs() < 1e-12);
     pulse(&mut motors, Direction::Up, 99);
-    // 100 pulses up are undone by 100 down; the stop takes 30 more.
+    // 100 pulses down undo the 100 up; the stop absorbs 30 more.
     let mut lowest = f64::INFINITY;
     for _ in 0..130 {
         pulse(&mut motors, Direction::Down, 1);
@@ -224,11 +224,11 @@ fn a_pin_stays_on_its_lower_stop_does_not_bounce_and_leaves_it_with_the_first_pu
         "{lowest} {}",
         motors.pushed_pulses(5)
     );
-    // The shaft still follows with the moving average: the clipped command, not the pulses.
+    // The shaft follows the clipped command, not the pulses, through the moving average.
     assert!(motors.displacement_um(5) > 1.0);
     motors.advance(Lines::OFF, 366);
     assert!(motors.displacement_um(5).abs() < 1e-9);
-    // The stop above is where it was.
+    // The upper end stop is where it was.
     pulse(&mut motors, Direction::Up, 5000);
     assert!((motors.position_um(5) - config.end_stop_um).abs() < 1e-9);
 }
@@ -261,7 +261,7 @@ fn the_stop_takes_the_surplus_in_any_pieces() {
     let seen = |motors: &SimulatedMotors| (motors.position_um(5).to_bits(), motors.pushed_pulses(5));
     assert_eq!(seen(&whole), seen(&pieces));
     assert_eq!(pin.pushed_pulses(), whole.pushed_pulses(5));
-    // About the surplus of 111 pulses per stroke, less what scatter and the first burst leave.
+    // About the surplus of 111 pulses per stroke, less the effect of scatter and of the weak first burst.
     assert!((10_000..16_000).contains(&pin.pushed_pulses()), "{}", pin.pushed_pulses());
 }
 

@@ -147,10 +147,10 @@ proptest! {
             *busy = stroke.end();
         }
         prop_assert!(strokes.windows(2).all(|pair| (pair[0].up, pair[0].motor) < (pair[1].up, pair[1].motor)));
-        // The end that was asked for, or that of the last stroke.
+        // The requested end, or that of the last stroke.
         let asked = (options.seconds.unwrap() * 85_000.0 + 0.5).floor() as u64;
         prop_assert_eq!(compiled.end(), busy.iter().map(|end| end.0).max().max(Some(asked)));
-        // What is said of the drives is what is played.
+        // The figures of the drives are those of the strokes.
         let reached = reached(&pattern, &options).unwrap();
         for motor in 0..24 {
             let drives = pattern.drives().iter().zip(&reached).filter(|(drive, _)| drive.motor == motor);
@@ -177,7 +177,7 @@ proptest! {
 
 #[test]
 fn a_stroke_that_a_repeat_is_too_short_for_is_left_out() {
-    // One saturated period in a repeat: whether it fits depends on how the ends of the repeat round.
+    // Each repeat has the length of one saturated period: whether it fits depends on the rounding of the repeat's ends.
     for hz in [299.0, 150.5, 201.3, 290.1, 233.0, 77.7] {
         for ticks in [-1.0, -0.6, -0.3, 0.0, 0.3] {
             let period = pattern(
@@ -215,7 +215,7 @@ fn repeats_follow_without_a_gap() {
 
 #[test]
 fn a_rare_repeat_that_is_long_enough_is_found_at_once() {
-    // A saturated period of 425 ticks in repeats of 424, but one in ten thousand million of 425.
+    // The saturated period has 425 ticks. Repeats have 424, and one in ten thousand million has 425.
     let duration_s = (424.0 + 1e-10) / 85_000.0;
     let begin = |repeat: u64| (repeat as f64 * duration_s * 85_000.0 + 0.5).floor() as u64;
     let mut strokes =
@@ -274,7 +274,7 @@ fn a_play_may_cover_its_end_with_whole_strokes() {
     assert_eq!(all(&once, Some(0.301)).len(), 18);
     assert_eq!(cover(&once, Some(0.301)), (19, 26_797, Some(19)));
     assert_eq!(cover(&once, Some(0.3)), (18, 25_500, Some(18)));
-    // Repeats in the middle are as they are; the last one may be as short as a stroke's beginning.
+    // Only the last repeat covers its end; it may be so short that it holds only the start of a stroke.
     let slow = pattern(Some(0.05), vec![drive(0, 10.0, 80.0)]);
     assert_eq!(
         (all(&slow, Some(0.2)).len(), cover(&slow, Some(0.2))),
@@ -286,7 +286,7 @@ fn a_play_may_cover_its_end_with_whole_strokes() {
     let over = reached(&late, &StrokeOptions::lasting(0.45)).unwrap()[0].over.unwrap();
     assert_eq!(over, all(&late, Some(0.45)).last().unwrap().end().0);
     assert!(over < 34_000);
-    // A drive that must have stopped stops.
+    // A drive with a `stop_s` still stops there.
     let stops = pattern(None, vec![Drive { stop_s: Some(0.05), ..drive(0, 10.0, 80.0) }]);
     assert_eq!(cover(&stops, None), (0, 4_250, Some(0)));
 }
@@ -324,7 +324,7 @@ fn an_automatic_surplus_suits_each_motor_and_amplitude() {
         let stroke = with(&two, &options).into_iter().find(|stroke| stroke.motor == drive.motor).unwrap();
         assert_eq!(f64::from(stroke.down_pulses - stroke.up_pulses) * UM_PER_PULSE, reached.surplus_um);
     }
-    // The asymmetric motor needs its climb of 4.8 um more; a small amplitude scatters within the bound.
+    // The asymmetric motor needs 4.8 um more, its climb per stroke; a small amplitude scatters within the bound.
     let [even, climbing, small] = reached[..] else { panic!() };
     assert!((3.0..7.0).contains(&(climbing.surplus_um - even.surplus_um)), "{reached:?}");
     assert!(small.surplus_um < 2.0, "{reached:?}");
@@ -342,7 +342,7 @@ fn a_surplus_that_does_not_fit_lowers_the_amplitude_and_that_is_said() {
     assert_eq!((at(0.2).amplitude_um, at(0.2).surplus_um), (589.0 * UM_PER_PULSE, 2.0 * UM_PER_PULSE));
     assert_eq!(at(13.5).surplus_um, 100.0 * UM_PER_PULSE);
     assert_eq!(at(13.5).amplitude_um, 540.0 * UM_PER_PULSE);
-    // Never more than the controller takes: 30 %.
+    // The surplus never exceeds the controller's limit of 30 %.
     assert_eq!((at(400.0).amplitude_um, at(400.0).surplus_um), (513.0 * UM_PER_PULSE, 153.0 * UM_PER_PULSE));
 }
 

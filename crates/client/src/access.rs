@@ -1,10 +1,10 @@
 //! Explains why a user may not use the daemon's socket, and which command helps.
 //!
 //! The client calls it when the system denies a connection; `meissner doctor` asks it about groups. It looks users and groups up
-//! with the system's own functions, so that a site's directory counts like `/etc/group`. It ignores access control lists and says
-//! nothing where they may decide.
+//! with the system's own functions, so that a site's directory service counts like `/etc/group`. It does not read access control
+//! lists, and gives no explanation where they may decide.
 //!
-//! Invariant: [`join_command`] is offered only to users who are not in the group, neither now nor after the next login.
+//! Invariant: [`join_command`] is offered only to users who are not members of the group, now or after the next login.
 
 use nix::unistd::{Gid, Group, Uid, User, getegid, geteuid, getgroups};
 use std::fs;
@@ -117,7 +117,7 @@ fn why(
         let found = format!("its mode {:03o} lets nobody in, not even you ({name})", mode & 0o777);
         return Some((found, format!("`chmod 660 {}`, {OTHERWISE}", socket.display())));
     }
-    // Joining root's own group is no remedy.
+    // Nobody should join root's own group.
     if mode & 0o020 == 0 || group.gid == 0 {
         let found = format!("only {owner} may use it, and you are {name}");
         return Some((found, format!("run this with `sudo -u {owner}`, {OTHERWISE}")));
@@ -165,7 +165,7 @@ mod tests {
             line(&anna(&[1000]), &haptics(&["bert", "anna"]), 0o140_660),
             "you (anna) are in its group `haptics`, but not yet in this session: log in again"
         );
-        // The group is not the reason.
+        // The group does not explain the denial.
         assert_eq!(line(&anna(&[1000, 991]), &haptics(&["anna"]), 0o140_660), "");
         let only = "only meissner may use it, and you are anna: run this with `sudo -u meissner`, or choose \
                     another with --socket";

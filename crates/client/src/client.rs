@@ -153,7 +153,7 @@ impl Client {
                 if !connection.as_ref().is_some_and(Connection::is_open) {
                     let (found, socket) = connect(endpoint).await?;
                     *connection = Some(found);
-                    // Later calls go to the same daemon, even if another one starts.
+                    // Later calls use the same daemon, even if another one starts.
                     *endpoint = Endpoint::at(&socket);
                 }
                 let socket = &endpoint.socket;
@@ -185,7 +185,7 @@ impl Client {
         LivePlay::open(&self.endpoint, &accepted, self.token.as_deref())
     }
 
-    /// Listens to events on a connection of its own. Events that happen after the return are not missed.
+    /// Listens to events on a separate connection. It gets all events that happen after this call returns.
     ///
     /// # Errors
     /// See [`ClientError`].

@@ -31,12 +31,12 @@ pub(crate) struct Connection {
 }
 
 impl Connection {
-    /// Whether a request can be sent: the daemon has not closed the connection while it was idle. hyper learns that only after the
-    /// request is written, when nobody knows whether it was carried out.
+    /// Whether a request can be sent: whether the daemon has kept the idle connection open. hyper notices a closed connection only
+    /// after it has written the request, when the client cannot tell whether the daemon has carried it out.
     pub(crate) fn is_open(&self) -> bool {
         let mut fds = [PollFd::new(&self.stream, PollFlags::IN)];
         let now = Timespec { tv_sec: 0, tv_nsec: 0 };
-        // Between an answer and the next request there is nothing to read but the end.
+        // Between an answer and the next request the socket is readable only if the daemon has closed it.
         !self.sender.is_closed() && poll(&mut fds, Some(&now)) == Ok(0)
     }
 }
@@ -69,12 +69,12 @@ pub(crate) async fn connect(endpoint: &Endpoint) -> Result<(Connection, PathBuf)
         .map_err(|source| ClientError::Connect { socket: socket.clone(), source })?;
     let (sender, connection) =
         handshake(TokioIo::new(stream)).await.map_err(|source| hung_up(socket, Some(source)))?;
-    // The requests report its errors.
+    // Its errors show up in the requests.
     tokio::spawn(connection.with_upgrades());
     Ok((Connection { sender, stream: descriptor }, socket.clone()))
 }
 
-/// Connects. While the daemon's queue of connections is full it tries again, for as long as an answer may take.
+/// Connects. While the daemon's queue of connections is full, it retries for up to the timeout of an answer.
 async fn connect_to(socket: &Path) -> io::Result<UnixStream> {
     let until = Instant::now() + ANSWER_TIMEOUT;
     loop {
@@ -120,7 +120,7 @@ pub(crate) async fn read_all(
     Ok((good, body.to_bytes()))
 }
 
-/// The error of an answer that is no success.
+/// The error of an answer without a success status.
 pub(crate) async fn refused(socket: &Path, response: Response<Incoming>) -> ClientError {
     match read_all(socket, response).await {
         Ok((_, bytes)) => serde_json::from_slice::<Problem>(&bytes).map_or_else(

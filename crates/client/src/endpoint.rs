@@ -1,8 +1,8 @@
 //! Chooses the socket that a client connects to.
 //!
 //! [`Endpoint::at`] is for a socket that the caller names, [`Endpoint::find`] for the usual places. A machine may run a user's own
-//! daemon and an installed service, so there may be two sockets: the client takes the first at which a daemon listens. This
-//! module does not connect: a trial connection would take one of the daemon's places for clients.
+//! daemon and an installed service, so there may be two sockets: the client takes the first at which a daemon listens. This module
+//! does not connect, because a trial connection would use up one of the daemon's client slots.
 //!
 //! Invariant: a socket named on the command line or by `$MEISSNER_SOCKET` has no fallback.
 
@@ -20,9 +20,9 @@ const UNITS: [&str; 5] = [
     "lib/systemd/system",
 ];
 
-/// What the path of the socket for emergency stops adds to the socket's.
+/// The suffix of the e-stop socket's path.
 const ESTOP: &str = ".estop";
-/// Length of a socket's path, at most, bytes: `sun_path` holds 108 with the terminating zero, also of [`estop_socket`].
+/// Length of a socket's path, at most, bytes: `sun_path` holds 108 with the terminating zero, and [`estop_socket`] must fit, too.
 pub const MAX_SOCKET_PATH: usize = 107 - ESTOP.len();
 /// The socket of the installed service.
 pub const SERVICE_SOCKET: &str = "/run/meissner/meissner.sock";
@@ -90,12 +90,13 @@ pub fn is_installed(root: &Path) -> bool {
         && UNITS.iter().any(|units| root.join(units).join("meissner.service").exists())
 }
 
-/// Whether the user may not search the directory of the socket, as after `su`, which keeps another user's runtime directory.
+/// Whether the user lacks the right to search the socket's directory, for example after `su`, which keeps another user's runtime
+/// directory.
 pub(crate) fn is_hidden(error: &io::Error, socket: &Path) -> bool {
     error.kind() == io::ErrorKind::PermissionDenied && socket.metadata().is_err()
 }
 
-/// The socket for emergency stops alone, `SOCKET.estop`: any byte stops, and the daemon answers with one line.
+/// The socket for emergency stops only, `SOCKET.estop`: any byte stops the display, and the daemon answers with one line.
 #[must_use]
 pub fn estop_socket(socket: &Path) -> PathBuf {
     let mut path = socket.as_os_str().to_owned();

@@ -64,7 +64,7 @@ pub enum ClientError {
         /// How long the client waited.
         timeout: Duration,
     },
-    /// The answer is not one of this version's daemon.
+    /// The answer is not one that a daemon of this version gives.
     #[error("{}: not an answer of this version's daemon: {what}; restart the daemon, or choose another with --socket", .socket.display())]
     BadAnswer {
         /// The socket.
@@ -78,7 +78,8 @@ pub enum ClientError {
 }
 
 impl ClientError {
-    /// Whether the user may not search the directory of the socket, as after `su`, which keeps another user's runtime directory.
+    /// Whether the user lacks the right to search the socket's directory, for example after `su`, which keeps another user's
+    /// runtime directory.
     #[must_use]
     pub fn is_hidden(&self) -> bool {
         matches!(self, Self::Connect { socket, source } if is_hidden(source, socket))

@@ -1,9 +1,9 @@
-//! The emergency stop, on the fastest way that the daemon offers.
+//! Sends an emergency stop on the fastest path that the daemon offers.
 //!
 //! The daemon serves [`estop_socket`] on a real-time thread of its own, whatever its other clients do. If that socket does not answer,
 //! [`estop`] sends `POST /v1/estop` to the API's socket.
 //!
-//! Invariant: no way is left untried while no answer has come. Sending an emergency stop twice does no harm.
+//! Invariant: the client tries both paths until an answer comes. Sending an emergency stop twice does no harm.
 
 use crate::client::Client;
 use crate::endpoint::estop_socket;
@@ -34,12 +34,12 @@ pub const STOPPED: &str = "stopped";
 pub fn estop(socket: &Path) -> Result<(), ClientError> {
     let (tell, line) = mpsc::channel();
     let path = estop_socket(socket);
-    // On a thread: the system may hold a connection to a daemon that hangs.
+    // On a thread, because connecting to a hung daemon may block.
     let order = move || {
-        // Fails only if the caller does not wait any longer.
+        // The send fails only if the caller has stopped waiting.
         (0..TRIES).find_map(|_| ask(&path).ok()).map(|line| tell.send(line))
     };
-    // Without a thread no line comes, and the other way is taken at once.
+    // If the thread cannot start, no line comes and the API's socket is used at once.
     let _ = thread::Builder::new().spawn(order);
     let line = line.recv_timeout(TIMEOUT).ok();
     match line.as_deref().map(|line| line.split_once(": ").unwrap_or((line, ""))) {

@@ -1,4 +1,4 @@
-//! The daemon's events, on a connection of their own: [`Events`].
+//! The daemon's events, on a separate connection: [`Events`].
 
 use crate::connection::{MAX_ANSWER, hung_up};
 use crate::error::ClientError;

@@ -4,11 +4,11 @@
 //! `docs/reference/api.md` describes the routes. In the order of a call:
 //!
 //! - [`Endpoint`]: which socket to connect to.
-//! - [`Client`]: calls that wait for their answer, by default for [`ANSWER_TIMEOUT`]. Each client has a small runtime of its own.
-//! - [`Events`]: the daemon's events, on a connection of their own.
+//! - [`Client`]: calls that wait for their answer, by default for [`ANSWER_TIMEOUT`]. Each client has its own small async runtime.
+//! - [`Events`]: the daemon's events, on a separate connection.
 //! - [`LivePlay`]: the connection of a live play, made by [`Client::live`]: messages that change it, and the daemon's answers.
-//! - [`estop`]: an emergency stop, on a socket of its own.
-//! - [`ClientError`]: what can fail, each in one line that says what to do; [`access`] explains denied sockets.
+//! - [`estop`]: an emergency stop, on its own socket.
+//! - [`ClientError`]: the errors, each one line that says what to do; [`access`] explains why a socket is denied.
 //!
 //! ```no_run
 //! use meissner_api::{ArmRequest, Event, PlayAccepted, PlayRequest, Status};
@@ -30,7 +30,7 @@
 //! # Ok::<(), meissner_client::ClientError>(())
 //! ```
 //!
-//! Invariant: the client sends a request that may change something once; only an emergency stop it may send again.
+//! Invariant: the client sends a request that may change something only once. It may repeat an emergency stop.
 
 pub mod access;
 mod client;

@@ -1,8 +1,8 @@
 //! The connection of a live play, in lines of JSON: [`LivePlay`].
 //!
 //! [`Client::live`](crate::Client::live) starts the play and opens its connection. [`LivePlay::send`] sends a message,
-//! [`LivePlay::next`] reads an answer. Both belong to one thread: a loop that waits for its source of messages and for answers polls the
-//! connection, too ([`AsFd`]).
+//! [`LivePlay::next`] reads an answer. Use both on one thread. A loop that waits for both its message source and answers can poll
+//! the connection ([`AsFd`]).
 //!
 //! Invariant: this module sends nothing on its own. A caller that hangs is silent, and the daemon ends its play.
 
@@ -23,7 +23,7 @@ use std::path::PathBuf;
 use std::time::{Duration, Instant};
 use tokio::runtime::Builder;
 
-/// How long the daemon may leave a message unread. It reads them at once.
+/// How long the daemon may leave a message unread; normally it reads them at once.
 const UNREAD: Duration = Duration::from_secs(1);
 
 /// A live play. Dropping it closes the connection, which ends the play.
@@ -33,7 +33,7 @@ pub struct LivePlay {
     seq: u64,
     socket: PathBuf,
     stream: UnixStream,
-    /// What was read and is not yet an answer.
+    /// Bytes that were read and are not yet a complete answer.
     rest: Vec<u8>,
 }
 
@@ -86,11 +86,11 @@ impl LivePlay {
         self.id
     }
 
-    /// Numbers a message, whatever its `seq`, and sends it; returns its number.
+    /// Numbers a message (its own `seq` is ignored) and sends it; returns its number.
     ///
     /// # Errors
-    /// [`ClientError::Timeout`] if the daemon has read nothing for 1 s; [`ClientError::HungUp`] if it has closed the connection. Then
-    /// [`Self::next`] may still have answers.
+    /// [`ClientError::Timeout`] if the daemon has read nothing for 1 s; [`ClientError::HungUp`] if it has closed the connection. In
+    /// the second case [`Self::next`] may still return answers.
     pub fn send(&mut self, message: LiveMessage) -> Result<u64, ClientError> {
         self.seq += 1;
         let message = LiveMessage { seq: self.seq, ..message };
@@ -147,8 +147,8 @@ impl LivePlay {
 }
 
 impl AsFd for LivePlay {
-    /// The connection: readable when an answer, or its end, has come. [`LivePlay::next`] may have more answers than that: read until it
-    /// times out.
+    /// The connection: readable when an answer has come or the daemon has closed it. [`LivePlay::next`] may hold further answers:
+    /// call it until it times out.
     fn as_fd(&self) -> BorrowedFd<'_> {
         self.stream.as_fd()
     }

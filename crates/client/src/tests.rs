@@ -44,7 +44,7 @@ fn the_client_connects_to_the_first_daemon_that_listens() {
     assert_eq!(found(), None);
     let installed = listen(&service);
     assert_eq!(found(), Some(service.clone()));
-    // A socket file that was left over has no daemon.
+    // No daemon listens on a leftover socket file.
     drop(listen(&users));
     assert!(users.exists() && found().as_ref() == Some(&service));
     std::fs::remove_file(&users).unwrap();
@@ -87,7 +87,7 @@ fn a_connection_that_was_closed_while_idle_is_reopened() {
             let (mut stream, _) = listener.accept().unwrap();
             stream.read_exact(&mut [0; 16]).unwrap();
             stream.write_all(b"HTTP/1.1 200 OK\r\ncontent-length: 1\r\n\r\n7").unwrap();
-            // Closing with unread data would discard the answer.
+            // Closing a socket with unread data would discard the answer.
             stream.set_read_timeout(Some(Duration::from_millis(100))).unwrap();
             while stream.read(&mut [0; 1024]).is_ok_and(|len| len > 0) {}
         }
@@ -151,8 +151,8 @@ fn a_name_cannot_lead_to_another_address() {
     assert_eq!(escape("../x y/é"), "%2E%2E%2Fx%20y%2F%C3%A9");
 }
 
-/// A daemon that accepts a live play and answers the request for its connection with these bytes; returns what it is sent after
-/// that.
+/// A daemon that accepts a live play and answers the request for its connection with these bytes; returns the bytes that it
+/// receives after that.
 fn live_daemon(listener: std::os::unix::net::UnixListener, answer: &[u8]) -> String {
     use std::io::{Read, Write};
     let (mut stream, _) = listener.accept().unwrap();

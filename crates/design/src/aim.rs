@@ -1,10 +1,10 @@
 //! What a search maximises: the value of a goal under one model, or the gain over a rule of thumb under both.
 //!
-//! [`Aim`] makes it for a [`Brief`](crate::Brief). Under one model it is that model's [`Objective`]. Under both the value is the
-//! gain over the rule [`Rule::Reach`], under the model in which it is less: the difference of the goals' values, over the rule's
-//! ON rate if they are rates. What a point falls short of the rule's contrast (in shares of its ON rate) or normalised contrast
-//! counts three times. So the rule has the value 0, and a point above 0 is better under both models and has hardly less contrast,
-//! normalised or not.
+//! An [`Aim`] belongs to a [`Brief`](crate::Brief). Under one model it is that model's [`Objective`]. Under both models the value
+//! is the smaller of two gains over the rule [`Rule::Reach`], one for each model. A gain is the difference of the goals' values,
+//! divided by the rule's ON rate if they are rates. A contrast below the rule's (as a share of the rule's ON rate), or a normalised
+//! contrast below the rule's, is subtracted three times. So the rule has the value 0, and a point above 0 is better under both
+//! models and has hardly less contrast, normalised or not.
 //!
 //! Invariant: only points that are better under the first model are simulated under the second; the others cannot win.
 
@@ -25,12 +25,12 @@ pub enum Models {
     Membrane,
     /// The second: skin mechanics, and afferents fitted to recordings.
     Afferents,
-    /// Both: the gain over the rule of thumb, under the model in which it is less.
+    /// Both: the smaller of the two gains over the rule of thumb.
     #[default]
     Both,
 }
 
-/// Weight of what a point falls short of the rule.
+/// Weight of the contrast that a point lacks compared with the rule.
 const BELOW: f64 = 3.0;
 /// The rule's ON rate counts as at least this, impulses/s, so that nothing is divided by 0.
 const LEAST_RATE_HZ: f64 = 1.0;
@@ -46,7 +46,7 @@ impl Models {
         }
     }
 
-    /// The model whose figures stand first: of both it is the paper's.
+    /// The model whose figures are listed first; for both models it is the paper's.
     #[must_use]
     pub const fn first(self) -> ModelName {
         match self {
@@ -72,7 +72,7 @@ struct Versus {
 }
 
 impl Versus {
-    /// The gain over the rule under a model: 0 is the first, 1 the second.
+    /// The gain over the rule under a model: `model` is 0 for the first, 1 for the second.
     fn gain(&self, model: usize, score: Score) -> f64 {
         let rule = self.rule[model];
         let on_hz = rule.on_hz.max(LEAST_RATE_HZ);
@@ -100,7 +100,8 @@ impl Aim {
         Ok(Self { first, versus })
     }
 
-    /// The aim for afferents at these places, wherever the shape lies: for [`Self::for_shape`]. Until then it knows no rule.
+    /// The aim for afferents at these places, wherever the shape lies: for [`Self::for_shape`]. Until then it has no rule to
+    /// compare with.
     pub(crate) fn anywhere(
         models: Models,
         task: Task<'_>,
@@ -138,7 +139,7 @@ impl Aim {
         score
     }
 
-    /// Stands where a search of the same afferents stood, perhaps with another shape. Nothing is simulated.
+    /// Resumes at the point where a search of the same afferents stood, perhaps with another shape. Nothing is simulated.
     pub(crate) fn stand(&self, stood: Stood) -> Standing<'_> {
         let first = self.first.answered(stood.first);
         let mut score = first.score();
@@ -150,7 +151,7 @@ impl Aim {
         Standing { aim: self, first, second, score }
     }
 
-    /// The point as the place where a search stands.
+    /// Simulates a point, and makes it the current point of a search.
     pub(crate) fn at(&self, point: Point) -> Result<Standing<'_>, MethodError> {
         let first = self.first.at(point)?;
         let mut score = first.score();
@@ -174,7 +175,7 @@ impl Aim {
     }
 }
 
-/// The number of spikes of each afferent under the models that are asked; `second` is empty under one model.
+/// The number of spikes of each afferent under the models in use; `second` is empty under one model.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Counts {
     pub(crate) first: Vec<u64>,
@@ -188,7 +189,7 @@ pub(crate) struct Stood {
     second: Option<Answered>,
 }
 
-/// The point at which a search stands, with its score: rates of the first model asked, and the value.
+/// The current point of a search, with its score: rates of the first model in use, and the value.
 #[derive(Clone, Debug)]
 pub(crate) struct Standing<'o> {
     aim: &'o Aim,
@@ -203,7 +204,7 @@ pub(crate) struct Step {
     first: Tried,
     /// None under one model, or if the first model has ruled the point out.
     second: Option<Tried>,
-    /// Its score; the value of a point that is ruled out is no higher than that of the standing.
+    /// Its score. The value of a point that is ruled out is no higher than that of the current point.
     pub(crate) score: Score,
     /// The number of afferents that it took; under the second model all of them count.
     pub(crate) afferents: usize,
@@ -234,7 +235,7 @@ impl<'o> Standing<'o> {
         Counts { first: self.first.counts().to_vec(), second }
     }
 
-    /// Goes to another point, whatever it is worth.
+    /// Moves to another point, whether or not it is better.
     pub(crate) fn go_to(&mut self, point: Point) {
         for incumbent in [Some(&mut self.first), self.second.as_mut()].into_iter().flatten() {
             if let Some(tried) = incumbent.try_all(vec![point]).pop() {
@@ -247,7 +248,7 @@ impl<'o> Standing<'o> {
         }
     }
 
-    /// Leaves its aim, for another of the same afferents.
+    /// Separates it from its aim, to use it with another aim of the same afferents.
     pub(crate) fn into_stood(self) -> Stood {
         let second = self.second.map(Incumbent::into_answered);
         Stood { first: self.first.into_answered(), second }
@@ -274,7 +275,7 @@ impl<'o> Standing<'o> {
         steps
     }
 
-    /// Goes to a point that was tried and is better.
+    /// Moves to a tried point that is better.
     pub(crate) fn move_to(&mut self, step: Step) {
         self.score = step.score;
         self.first.move_to(step.first);
@@ -335,7 +336,7 @@ mod tests {
         assert!(better.afferents > worse.afferents);
         standing.move_to(better);
         assert_eq!((standing.point(), standing.score()), (&reach, rule.score()));
-        // From there on as if the search had begun there.
+        // The search continues as if it had begun at this point.
         let pitch = Rule::Pitch.point(&target, &target.frames()[0]);
         let [step, other] = [&standing, &rule].map(|from| from.try_all(vec![pitch])[0].score);
         assert_eq!(step, other);

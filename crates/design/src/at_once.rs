@@ -1,7 +1,7 @@
 //! Keeps points within a limit on the motors of a rail that have pulses at once.
 //!
-//! [`AtOnce::permits`] walks the strokes of a point. Its frequencies are whole tenths of a hertz, so that after [`PERIOD_S`] everything
-//! repeats. [`AtOnce::thinned`] turns motors off until a point is within the limit.
+//! [`AtOnce::permits`] iterates over the strokes of a point. Its frequencies are whole tenths of a hertz, so that everything
+//! repeats after [`PERIOD_S`]. [`AtOnce::thinned`] turns motors off until a point is within the limit.
 //!
 //! Invariant: a thinned point is permitted.
 
@@ -28,13 +28,13 @@ pub struct AtOnce {
 }
 
 impl AtOnce {
-    /// Whether no rail has more motors with pulses at once.
+    /// Whether every rail is within the limit.
     #[must_use]
     pub fn permits(&self, point: &Point) -> bool {
         self.crowded(point).is_none()
     }
 
-    /// The point with motors turned off until it is permitted: of each rail the last ones first.
+    /// The point with motors turned off until it is permitted; on each rail the last ones go first.
     #[must_use]
     pub fn thinned(&self, mut point: Point) -> Point {
         while let Some(rail) = self.crowded(&point) {
@@ -60,7 +60,7 @@ impl AtOnce {
         let until = seconds_to_ticks(self.duration_s.min(PERIOD_S));
         let mut strokes: Vec<Stroke> = Vec::new();
         for &(motor, vibration) in moving {
-            // A frequency of a space is within a motor's range.
+            // This always succeeds: a space's frequencies are within a motor's range.
             let Ok(wave) = SquareWave::new(vibration.frequency_hz(), self.amplitude_um, vibration.phase())
             else {
                 continue;
@@ -111,7 +111,7 @@ mod tests {
         let together = point([at(200, 0), at(200, 10), at(200, 30)]);
         assert!(!LIMIT.permits(&together));
         assert_eq!(LIMIT.thinned(together), point([at(200, 0), None, None]));
-        // Frequencies that differ by a tenth of a hertz meet within ten seconds, not within one.
+        // Bursts at frequencies that differ by a tenth of a hertz meet within ten seconds, but not within one.
         let beating = point([at(100, 0), at(101, 25), None]);
         let longer = AtOnce { duration_s: 10.0, ..LIMIT };
         assert!(LIMIT.permits(&beating) && !longer.permits(&beating));

@@ -1,7 +1,7 @@
 //! Braille: the dots of a character, and their places.
 //!
-//! Dots 1 to 3 are the left column of a cell from the top, 4 to 6 the right one. There are the letters a to z and the
-//! six-dot characters of Unicode, whose code is their dots; no words, no contractions.
+//! Dots 1 to 3 are the left column of a cell from the top, 4 to 6 the right one. It knows the letters a to z and the six-dot
+//! characters of Unicode, whose code gives their dots. It knows no words and no contractions.
 //!
 //! Invariant: every character found has a dot.
 

@@ -3,7 +3,7 @@
 //! The paper maximises the contrast, a difference of two means. Most OFF afferents lie far from the shape and are silent, so the mean
 //! hardly notices the few that fire between two dots. The other goals do.
 //!
-//! Invariant: a goal's value depends on the counts alone, and not on the order of the afferents but for rounding.
+//! Invariant: a goal's value depends on the counts alone. The order of the afferents changes it only by rounding.
 
 use crate::partition::Partition;
 use crate::shape::Shape;
@@ -69,7 +69,7 @@ impl Goal {
         matches!(self, Self::Contrast | Self::OffRms | Self::OffRmsTwice | Self::NearOff)
     }
 
-    /// What its values are counted in.
+    /// The unit of its values.
     #[must_use]
     pub const fn unit(self) -> &'static str {
         match self {
@@ -80,8 +80,8 @@ impl Goal {
     }
 }
 
-/// Shapes that a finger may take for this one: shifted by half a pitch, turned by 15° about its middle, and for dots near each other
-/// one dot half-way between the two.
+/// Shapes that a person may confuse with this one: shifted by half a pitch, turned by 15° about its middle, or with one dot
+/// half-way between two near dots.
 #[must_use]
 pub fn rivals(shape: &Shape) -> Vec<Shape> {
     let mut rivals: Vec<Shape> = [[SHIFT_MM, 0.0], [-SHIFT_MM, 0.0], [0.0, SHIFT_MM], [0.0, -SHIFT_MM]]
@@ -108,7 +108,7 @@ pub fn rivals(shape: &Shape) -> Vec<Shape> {
     rivals
 }
 
-/// Pairs of dots that are as near as dots of this shape come, within a fifth.
+/// Pairs of dots whose distance is at most a fifth above the smallest in this shape.
 #[must_use]
 pub fn neighbours(dots: &[[f64; 2]]) -> Vec<[[f64; 2]; 2]> {
     let distance = |[one, other]: &[[f64; 2]; 2]| libm::hypot(one[0] - other[0], one[1] - other[1]);
@@ -120,13 +120,13 @@ pub fn neighbours(dots: &[[f64; 2]]) -> Vec<[[f64; 2]; 2]> {
     pairs
 }
 
-/// What a goal needs to know of a population.
+/// The data of a population that a goal needs.
 #[derive(Clone, Debug)]
 pub(crate) struct Population {
     partition: Partition,
     /// Per afferent: the weight of an OFF afferent. Only for [`Goal::NearOff`].
     nearness: Vec<f64>,
-    /// Per rival and afferent: 1 if the shape alone has it ON, -1 if the rival alone has. Only for [`Goal::Rivals`].
+    /// Per rival and afferent: 1 if it is ON only for the shape, -1 if it is ON only for the rival. Only for [`Goal::Rivals`].
     rivals: Vec<Vec<i8>>,
 }
 
@@ -143,7 +143,7 @@ impl Population {
                 let theirs = Partition::of(&rival, reach_mm, afferents);
                 let of = |(own, their): (&bool, &bool)| i8::from(*own) - i8::from(*their);
                 let signs: Vec<i8> = partition.on().iter().zip(theirs.on()).map(of).collect();
-                // A rival that differs by few afferents says nothing about this population.
+                // A rival that differs by too few afferents says nothing about this population.
                 let both = [1, -1].iter().all(|sign| signs.iter().filter(|of| *of == sign).count() > 1);
                 both.then_some(signs)
             };
@@ -192,7 +192,7 @@ impl Population {
         }
     }
 
-    /// The root mean square of the counts of OFF afferents.
+    /// Root mean square of the counts of OFF afferents.
     fn off_rms(&self, counts: &[u64]) -> f64 {
         let off = self.partition.on().iter().zip(counts).filter(|(on, _)| !**on);
         let squares: u64 = off.map(|(_, count)| count * count).sum();
@@ -202,7 +202,7 @@ impl Population {
 
 /// Pearson's correlation of counts with a set; 0 if all counts are equal.
 pub(crate) fn correlation(set: &[bool], counts: &[u64]) -> f64 {
-    // In whole numbers, so that no order changes the sums.
+    // Whole numbers, so that the order does not change the sums.
     let (mut sum, mut squares, mut inside, mut members) = (0_u64, 0_u64, 0_u64, 0_u64);
     for (&is_in, &count) in set.iter().zip(counts) {
         sum += count;
@@ -216,7 +216,7 @@ pub(crate) fn correlation(set: &[bool], counts: &[u64]) -> f64 {
     if variances > 0.0 { covariance / variances.sqrt() } else { 0.0 }
 }
 
-/// The difference between the mean counts of the afferents with sign 1 and those with -1, in their standard deviation.
+/// The difference between the mean counts of the afferents with sign 1 and those with -1, in standard deviations.
 fn separation(signs: &[i8], counts: &[u64]) -> f64 {
     let figures = |sign: i8| {
         let mut sums = (0.0, 0.0, 0.0);
@@ -227,7 +227,7 @@ fn separation(signs: &[i8], counts: &[u64]) -> f64 {
         (sum / n, (squares / n - (sum / n) * (sum / n)).max(0.0))
     };
     let ((own, own_variance), (their, their_variance)) = (figures(1), figures(-1));
-    // One spike of Poisson noise at least: silence differs from silence by nothing.
+    // Add the Poisson variance of one spike, so that two silent sets do not differ.
     (own - their) / (f64::midpoint(own_variance, their_variance) + 1.0).sqrt()
 }
 
@@ -244,7 +244,7 @@ mod tests {
     }
 
     const APART: [u64; 8] = [60, 60, 0, 0, 0, 0, 60, 60];
-    /// As many spikes of OFF afferents, between the dots or all over.
+    /// The same number of OFF spikes, either between the dots or spread over all.
     const MERGED: [u64; 8] = [60, 60, 60, 60, 0, 0, 60, 60];
     const SPREAD: [u64; 8] = [60, 60, 30, 30, 30, 30, 60, 60];
 
@@ -281,7 +281,7 @@ mod tests {
         assert!(rivals(&two).contains(&Shape::Dots(vec![[-1.55, 0.0], [4.45, 0.0]])));
         let edge = Shape::Polyline(vec![[1.0, 0.0], [5.0, 0.0]]);
         let turned = rivals(&edge).into_iter().last().unwrap();
-        // About its own middle, which stays.
+        // The rival is turned about its own middle, which stays in place.
         assert!(turned.distance_mm(Position { x_mm: 3.0, y_mm: 0.0 }) < 1e-9);
         assert!(turned.distance_mm(Position { x_mm: 5.0, y_mm: 0.0 }) > 0.4);
     }

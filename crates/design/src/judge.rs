@@ -31,13 +31,14 @@ const SHIFT_MM: f64 = 1.0;
 /// The afferents and motors that a pattern is judged with.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Conditions {
-    /// The model: its RA afferents judge.
+    /// The model, whose RA afferents are counted.
     pub model: ModelName,
     /// Seeds of the populations. The verdict is the mean over those that have ON and OFF afferents.
     pub populations: Vec<u64>,
     /// Seed of the threshold noise.
     pub noise_seed: u64,
-    /// The rectification in place of the target's; the sensitivity is scaled to it. It is one of the first model, which then judges.
+    /// Replaces the target's rectification and scales the sensitivity to match. Only the first model has a rectification, so the
+    /// judgement then uses it.
     pub rectify: Option<Rectify>,
     /// Gain of all motors.
     pub gain: f64,
@@ -107,7 +108,7 @@ pub fn judge(
     if fingers.is_empty() {
         return Ok(None);
     }
-    // Every spike of a moving target is kept: one population at a time bounds the memory.
+    // All spikes of a moving target are kept in memory, so take one population at a time.
     let (duration_s, at_a_time) =
         if target.moves() { (target.duration_s(), 1) } else { (STEADY_S, fingers.len()) };
     let (mut on_hz, mut off_hz, mut auc) = (0.0, 0.0, 0.0);
@@ -137,7 +138,7 @@ pub fn judge(
         }
     }
     let count = (fingers.len() * frames.len()) as f64;
-    // The contrast of the means: a mean of contrasts would differ by rounding.
+    // Take the contrast of the means: the mean of the contrasts would differ by rounding.
     let (on_hz, off_hz) = (on_hz / count, off_hz / count);
     Ok(Some(Verdict { on_hz, off_hz, cost_hz: on_hz - off_hz, auc: auc / count }))
 }

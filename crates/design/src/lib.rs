@@ -1,31 +1,31 @@
 //! Finds vibration patterns for target shapes, and predicts how well they work.
 //!
-//! A [`Target`] is a shape on the skin. Afferents within its reach should fire (ON), the others should not (OFF). The
-//! contrast, mean rate of ON minus mean rate of OFF in impulses/s, is what the search maximises; files call it `cost`.
-//! [`make()`] is the whole way from a target to a pattern; its parts can be used alone.
+//! A [`Target`] is a shape on the skin. Afferents within its reach should fire (ON), the others should not (OFF). The contrast,
+//! mean rate of ON minus mean rate of OFF in impulses/s, is what the search maximises; files call it `cost`. [`make()`] does all
+//! steps from a target to a pattern; its parts can be used alone.
 //!
-//! The modules, each above those it uses:
+//! The modules, each after those it uses:
 //!
 //! 1. `shape`: a [`Shape`], and the distance of a place from it. `braille`: the dots of a Braille character.
 //! 2. `partition`: a [`Partition`] of afferents into ON and OFF; rates give its [`Verdict`].
 //! 3. `target`: reads and checks target files; cuts a moving target into [`Frame`]s.
 //! 4. `shipped`: the targets that are built in, among them the [`YARDSTICK`].
-//! 5. `point`: a [`Point`] says how each motor vibrates; a [`Space`] says what a search may choose. `at_once`: an [`AtOnce`]
-//!    keeps points within a limit on the motors of a rail that have pulses at once.
+//! 5. `point`: a [`Point`] says how each motor vibrates; a [`Space`] is the set of points that a search may choose. `at_once`: an
+//!    [`AtOnce`] keeps points within a limit on the motors of a rail that have pulses at once.
 //! 6. `objective`: an [`Objective`] simulates the value of points under one model. `aim`: what a search maximises, under
 //!    one model or both. `moves`: the points to try next.
 //! 7. `search`: [`search()`] goes from a start to better points.
 //! 8. `judge`: [`judge()`] simulates a pattern exactly; [`robustness()`] does so in other conditions.
 //! 9. `make`: [`make()`] searches frame by frame, judges the result and writes the pattern.
-//! 10. `render`: a [`Renderer`] gives the drives for each [`Pose`] of a shape that a client moves, within a time; [`compare_live()`] says
-//!     afterwards what they reached.
+//! 10. `render`: a [`Renderer`] gives the drives for each [`Pose`] of a shape that a client moves, within a time;
+//!     [`compare_live()`] computes afterwards what they reached.
 //! 11. `response`: [`response()`] gives the rate of each afferent, for a map.
 //! 12. `prediction`: [`predict_response()`] compares the bursts of a play with those of its pattern.
 //! 13. `discriminate`: [`discriminate()`] says how well an ideal observer of the spikes tells two patterns apart, [`confusion()`] which
 //!     of a set it names.
 //!
-//! Invariant: results depend on the request alone, bit for bit on every machine. Only a search that a clock or its
-//! caller ends depends on when that happens.
+//! Invariant: results depend on the request alone, bit for bit on every machine. Only if a clock or the caller ends a search, the
+//! result also depends on when that happens.
 //!
 //! ```
 //! use meissner_design::{Brief, Conditions, Goal, Limit, Models, Setting, judge, search, shipped};

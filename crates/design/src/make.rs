@@ -1,10 +1,10 @@
 //! From a target to a pattern and its provenance.
 //!
-//! [`make()`] searches once for a target at rest. For a moving target it searches frame by frame, each from the result of
-//! the frame before. The search for the paper's goal begins at a random point, as in the paper; for every other goal it begins at the
-//! better naive rule, in each frame, or at the result of the frame before if that is better still. The drives of all frames are one pattern. It is judged exactly, also in conditions that it was not
-//! made for. Its provenance holds all that is needed to make the same bytes again: the target, the setting, the seed,
-//! the number of evaluations and, if there was one, the start.
+//! [`make()`] searches once for a target at rest. For a moving target it searches frame by frame, each from the result of the frame
+//! before. The search for the paper's goal begins at a random point, as in the paper. For every other goal it begins, in each
+//! frame, at the best of the naive rules and the result of the frame before. The drives of all frames are one pattern. It is judged
+//! exactly, also in conditions that it was not made for. Its provenance holds everything needed to make the same bytes again: the
+//! target, the setting, the seed, the number of evaluations and, if there was one, the start.
 //!
 //! Invariant: a request with the evaluations of the provenance makes the same bytes again, on any number of threads. So
 //! does the request itself, unless a clock or the caller ended it.
@@ -39,10 +39,10 @@ pub enum Budget {
     /// Until nothing improves.
     #[default]
     Enough,
-    /// About so many evaluations for each frame: the batch that reaches the number is the last. The last number holds
-    /// for all further frames.
+    /// About this many evaluations for each frame: the batch that reaches the number is the last. The last number holds for all
+    /// further frames.
     Evaluations(Vec<u64>),
-    /// About so many seconds, in equal parts for the frames.
+    /// About this many seconds, shared equally by the frames.
     Seconds(f64),
 }
 
@@ -63,7 +63,8 @@ pub struct Request {
     pub budget: Budget,
     /// The start: the drives of an earlier pattern.
     pub start: Option<Vec<Drive>>,
-    /// Most motors of a rail that may have pulses at once; `None`: all. Motors may then be off in every setting, also in the naive rules.
+    /// Most motors of a rail that may have pulses at once; `None`: all. Motors may then be off in every setting, and in the naive
+    /// rules.
     pub rail_motors_at_once: Option<u8>,
 }
 
@@ -87,7 +88,7 @@ pub struct Baseline {
     pub rule: Rule,
     /// The value of the goal; for a moving target the mean over frames.
     pub value: f64,
-    /// Its verdict.
+    /// The verdict on its drives.
     #[serde(flatten)]
     pub verdict: Verdict,
 }
@@ -109,7 +110,7 @@ pub struct ByModel {
 pub struct RuleVerdict {
     /// The rule.
     pub rule: Rule,
-    /// Its verdict.
+    /// The verdict on its drives.
     #[serde(flatten)]
     pub verdict: Verdict,
 }
@@ -131,7 +132,7 @@ pub struct Made {
     pub models: Vec<ByModel>,
     /// The contrast in other conditions.
     pub robustness: Robustness,
-    /// The mean over its duration.
+    /// Pulses per second of its drives: the mean over its duration.
     pub pulses_per_s: f64,
 }
 
@@ -144,7 +145,7 @@ pub enum MakeError {
     /// The pattern's name is invalid.
     #[error(transparent)]
     Pattern(#[from] PatternError),
-    /// A bug of ours.
+    /// Our bug: the pattern cannot be compiled.
     #[error("internal error: {0}")]
     Strokes(#[from] StrokesError),
 }
@@ -263,7 +264,7 @@ pub fn make(
         drives.extend(this.point.drives(target.amplitude_um(), frame.start_s, frame.stop_s));
         found.push(this);
     }
-    // The drives as they are: a naive rule leaves motors off, also where the search may not.
+    // Score the drives unchanged: a naive rule leaves motors off even where the search may not.
     let played = Space { may_be_off: true, ..request.setting.space() };
     let sets: Vec<&[Drive]> = iter::once(&drives).chain(&naive).map(Vec::as_slice).collect();
     let values = goal_values(target, request, &populations, &played, &sets)?;
@@ -315,7 +316,7 @@ impl Budget {
     }
 }
 
-/// The point of which the goal's value is highest; the first of equals.
+/// The point with the highest value of the goal; the first among equals.
 fn best(brief: &Brief<'_>, points: impl Iterator<Item = Point>) -> Result<Point, MethodError> {
     let aim = brief.aim(Fidelity::FULL)?;
     let mut best: Option<(f64, Point)> = None;
@@ -349,7 +350,7 @@ fn goal_values(
     Ok(sums.into_iter().map(|sum| sum / frames.len() as f64).collect())
 }
 
-/// The point of some drives in the middle of a frame.
+/// The point that these drives play in the middle of a frame.
 fn point_at(start: &[Drive], frame: &Frame, space: &Space) -> Point {
     let middle_s =
         frame.start_s.zip(frame.stop_s).map_or(0.0, |(start_s, stop_s)| f64::midpoint(start_s, stop_s));
@@ -358,14 +359,14 @@ fn point_at(start: &[Drive], frame: &Frame, space: &Space) -> Point {
     space.of_drives(&start.iter().filter(plays).copied().collect::<Vec<_>>())
 }
 
-/// All that is needed to make the pattern again, and its figures.
+/// Everything needed to make the pattern again, and its figures.
 fn provenance(target: &Target, request: &Request, made: &Made, starts: Option<&[Drive]>) -> Table {
     let mut table = Table::new();
     let mut put = |key: &str, value: Value| table.insert(key.to_owned(), value);
     put("target", target.name().into());
     put("method", "subgradient".into());
     put("model", MODEL.into());
-    // Patterns of the paper's goal and model keep the bytes that they had before there were others.
+    // Patterns of the paper's goal and model keep the bytes that they had before other goals and models existed.
     if request.models != Models::Membrane {
         put("skin_model", request.models.name().into());
     }
@@ -392,7 +393,7 @@ fn provenance(target: &Target, request: &Request, made: &Made, starts: Option<&[
     put("pulses_per_s", made.pulses_per_s.into());
     put(DEFINITION, target.definition().into());
     put("robustness", Table::try_from(&made.robustness).expect("numbers and lists of numbers").into());
-    // The start as the search took it: bounded in size, and it leads to the same points.
+    // Store the start as the search took it: its size is bounded, and it leads to the same points.
     if let Some(starts) = starts {
         let start: Vec<Value> = starts.iter().map(|drive| Value::try_from(drive).expect("numbers")).collect();
         put("start", start.into());

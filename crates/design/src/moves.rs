@@ -8,12 +8,12 @@ use meissner_array::geometry;
 
 /// The number of frequencies to try over the whole range.
 const SPREAD: u8 = 6;
-/// Unisons try to merge only if the ratio of their frequencies is below this.
+/// The search tries to merge unisons only if the ratio of their frequencies is below this.
 const OCTAVE: f64 = 2.0;
 
-/// Moves of one motor: off, to frequencies over the whole range (`jitter`, 0 to 1, shifts them), to a phase an eighth of
-/// a cycle away, and into unison with a neighbour. With the largest neighbouring unison it tries four phases, so that it
-/// may cancel the unison where that spreads.
+/// Moves of one motor: off, to frequencies over the whole range (`jitter`, 0 to 1, shifts them), to a phase an eighth of a cycle
+/// away, and into unison with a neighbour. For the largest neighbouring unison there are four phases, so that the motor can cancel
+/// the unison where it spreads.
 pub(crate) fn of_motor(point: &Point, motor: usize, space: &Space, jitter: f64) -> Vec<Point> {
     let phase = point.0[motor].map_or(0.0, Vibration::phase);
     let mut found = Vec::new();
@@ -50,7 +50,7 @@ pub(crate) fn of_motor(point: &Point, motor: usize, space: &Space, jitter: f64) 
     found.into_iter().map(|vibration| point.with(&[motor], |_| vibration)).collect()
 }
 
-/// Moves of one motor when the shape has moved a little: off, or into unison with its neighbours, each with its phase.
+/// Moves of one motor after a small movement of the shape: off, or into unison with a neighbour, at the neighbour's phase.
 pub(crate) fn to_follow(point: &Point, motor: usize, space: &Space) -> Vec<Point> {
     let mut found = Vec::new();
     if space.may_be_off && point.0[motor].is_some() {

@@ -1,7 +1,7 @@
 //! Rules of thumb that need no search: the baselines of every pattern.
 //!
-//! All pins near the shape vibrate at 60 Hz, in phase; in a frame too short for a stroke at 60 Hz, at the lowest frequency that gives
-//! one. A search that is not better than them has found nothing.
+//! All pins near the shape vibrate at 60 Hz, in phase. In a frame too short for a stroke at 60 Hz, they vibrate at the lowest
+//! frequency that gives one. A useful search result must be better than these rules.
 
 use crate::point::{Point, Setting};
 use crate::target::{Frame, Target};
@@ -13,7 +13,7 @@ use serde::Serialize;
 /// The frequency of the rules, Hz: RA afferents answer every cycle from 10 to 80 Hz, and a pin of 80 µm reaches its amplitude.
 const FREQUENCY_HZ: f64 = 60.0;
 
-/// Which pins are near.
+/// Which pins count as near.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Rule {

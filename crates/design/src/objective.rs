@@ -1,11 +1,12 @@
-//! The objective: the value of a [`Goal`] at a point, by simulation, and at nearby points for less work.
+//! The objective: simulates the value of a [`Goal`] at a point, and at nearby points with less work.
 //!
-//! The afferents of all populations are one scene, each with its own noise; the value is a mean over populations.
-//! Every point meets the same afferents and the same noise: two values differ only by what the motors do. Spikes are
-//! counted in whole numbers and summed first.
+//! The afferents of all populations are one scene, each with its own noise; the value is a mean over populations. Every point is
+//! simulated with the same afferents and the same noise, so two values differ only by the motors' drives. Spikes are counted in
+//! whole numbers and summed first.
 //!
-//! Under the second model the afferents are its RA afferents, at the same places as those of the first. A fidelity with a `min_share`
-//! simulates them nearly ([`NearEvaluator`]), for a search; its scores do not compare with those of the model as it is.
+//! Under the second model the afferents are its RA afferents, at the same places as those of the first. A fidelity with a
+//! `min_share` simulates them approximately ([`NearEvaluator`]), for a search; its scores cannot be compared with those of the full
+//! model.
 //!
 //! Invariant: the score of an [`Incumbent`] is that of its point, however it was reached.
 
@@ -25,17 +26,17 @@ use std::sync::Arc;
 
 const EVERY_DRIVE: &str = "a scene can have every drive of a space";
 
-/// How accurately a value is simulated: a search begins with less.
+/// How accurately a value is simulated: a search begins with a low fidelity.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Fidelity {
     /// Duration of the simulation, s.
     pub duration_s: f64,
     /// The step of the propagator; none simulates exactly. The second model has its own step.
     pub step_us: Option<u32>,
-    /// Weights below this count as 0. It is the first model's.
+    /// Weights below this count as 0; for the first model only.
     pub min_weight: f64,
-    /// The second model simulates nearly, and a motor's influence below this share of the largest counts as 0; none simulates it as it is,
-    /// and so does an amplitude that may lift pins off the skin.
+    /// For the second model: simulate approximately, and count a motor's influence below this share of the largest as 0. None
+    /// simulates the full model; so does, always, an amplitude that may lift pins off the skin.
     pub min_share: Option<f64>,
 }
 
@@ -70,14 +71,14 @@ impl Score {
     }
 }
 
-/// The afferents of all populations, in a model.
+/// The afferents of all populations, under one model.
 #[derive(Clone, Debug)]
 enum Afferents {
     /// A scene without drives.
     Membrane(Box<Scene>, Options),
     /// A scene of the second model, without drives.
     Second(Arc<fingertip::Scene>),
-    /// The same, answered nearly.
+    /// The same, simulated approximately.
     Near(Box<NearEvaluator>),
 }
 
@@ -87,14 +88,14 @@ pub struct Objective {
     afferents: Arc<Afferents>,
     duration_s: f64,
     amplitude_um: f64,
-    /// The times at which a point is played: once without end, or again and again for the frame's duration.
+    /// The start and end times of a point's drives: one drive without end, or repeats of the frame's duration.
     times: Vec<(Option<f64>, Option<f64>)>,
     goal: Goal,
     populations: Arc<Populations>,
 }
 
-/// The populations of a scene, one after the other in the order of its afferents: each with its number of afferents, and what the goal
-/// knows of it. None if it has no ON or no OFF afferents: it then does not count.
+/// The populations of a scene, one after the other in the order of its afferents: each with its number of afferents, and what the
+/// goal knows of it. A population without ON or without OFF afferents is none, and does not count.
 #[derive(Clone, Debug)]
 pub(crate) struct Populations(Vec<(usize, Option<Population>)>);
 
@@ -105,7 +106,7 @@ impl Populations {
         Self(places.iter().map(of).collect())
     }
 
-    /// Those that have ON and OFF afferents.
+    /// The populations that have ON and OFF afferents.
     pub(crate) fn counting(&self) -> impl Iterator<Item = &Population> {
         self.0.iter().filter_map(|(_, population)| population.as_ref())
     }
@@ -114,7 +115,7 @@ impl Populations {
 /// A goal for a frame, over the populations of some seeds. `noise_seed` seeds the threshold noise.
 #[derive(Clone, Copy, Debug)]
 pub struct Task<'t> {
-    /// What is maximised.
+    /// The goal to maximise.
     pub goal: Goal,
     /// The target: its reach, amplitude and afferent model.
     pub target: &'t Target,
@@ -127,9 +128,9 @@ pub struct Task<'t> {
 }
 
 impl Objective {
-    /// A goal for a frame under the first model, over the populations of some seeds; those without ON or OFF afferents are left out.
-    /// `noise_seed` seeds the threshold noise. A frame that ends is repeated, so the value counts the strokes that its
-    /// end leaves out.
+    /// A goal for a frame under the first model, over the populations of some seeds; those without ON or OFF afferents are left
+    /// out. `noise_seed` seeds the threshold noise. A frame with an end is repeated, so the value accounts for the strokes that the
+    /// end cuts off.
     ///
     /// # Panics
     /// If no scene can have the fidelity's duration.
@@ -237,7 +238,8 @@ impl Objective {
         Ok(self.answered(Answered { point, simulated }))
     }
 
-    /// An answer of the same afferents, as the incumbent. Nothing is simulated: counts do not depend on the shape.
+    /// Makes an earlier answer of the same afferents the incumbent. Nothing is simulated, because counts do not depend on the
+    /// shape.
     pub(crate) fn answered(&self, answered: Answered) -> Incumbent<'_> {
         let Answered { point, simulated } = answered;
         Incumbent { objective: self, point, score: self.score(simulated.counts()), simulated }
@@ -299,12 +301,12 @@ fn counts(scene: &fingertip::Scene, drives: Vec<Drive>) -> Vec<u64> {
 /// How points near an incumbent are simulated.
 #[derive(Clone, Debug)]
 enum Simulated {
-    /// What the incumbent's answer has in common with theirs is kept.
+    /// Keeps the part of the incumbent's answer that does not change.
     Membrane(Box<Evaluator>),
-    /// Each anew: every pin moves the skin under all others, so nothing of an answer holds for another point. The counts are the
-    /// incumbent's.
+    /// Simulates each point from scratch: every pin moves the skin under all others, so no part of an answer holds for another
+    /// point. The counts are the incumbent's.
     Second(Arc<fingertip::Scene>, Vec<u64>),
-    /// As in the first model; small influences count as none.
+    /// As for the first model; small influences are ignored.
     Near(Box<NearEvaluator>),
 }
 
@@ -318,7 +320,7 @@ impl Simulated {
     }
 }
 
-/// A point, and how points near it are simulated: an [`Incumbent`] without its shape.
+/// A point with its answer, from which nearby points are simulated: an [`Incumbent`] without its shape.
 #[derive(Clone, Debug)]
 pub(crate) struct Answered {
     point: Point,

@@ -1,7 +1,7 @@
 //! The ON/OFF partition of a target's afferents, and how well rates separate the two.
 //!
-//! The contrast is the mean rate of the ON afferents minus that of the OFF afferents. The AUC says how well the rate of
-//! a single afferent tells ON from OFF, whatever the scale of the rates.
+//! The contrast is the mean rate of the ON afferents minus that of the OFF afferents. The AUC says how well the rate of a single
+//! afferent tells ON from OFF. It does not depend on the scale of the rates.
 //!
 //! Invariant: the place of an afferent alone decides whether it is ON.
 

@@ -1,11 +1,11 @@
 //! The variables of the search: for each motor whether it vibrates, its frequency and its phase.
 //!
-//! Frequencies are whole tenths of a hertz, phases whole hundredths of a cycle: files stay readable, and equal points
-//! compare equal. Motors of one frequency are in [unison](Point::unisons): their displacements add up on the skin or
-//! cancel; other motors beat.
+//! Frequencies are whole tenths of a hertz, phases whole hundredths of a cycle: files stay readable, and equal points compare
+//! equal. Motors of one frequency are in [unison](Point::unisons): their displacements add up on the skin or cancel. Motors of
+//! different frequencies beat.
 //!
-//! A frame of a moving target may be too short for one stroke of a slow drive. In the space of such a frame
-//! ([`Space::in_frame`]) a vibration without a stroke does not exist: the motor is off.
+//! A frame of a moving target may be too short for one stroke of a slow drive. In the space of such a frame ([`Space::in_frame`])
+//! there are no vibrations without a stroke: the motor is off.
 //!
 //! Invariant: a point that a [`Space`] makes lies in it.
 
@@ -42,7 +42,8 @@ pub struct Space {
     pub phases: bool,
     /// The frame in which a vibration must give a stroke; none for a target at rest.
     pub window: Option<Window>,
-    /// The limit on motors at once, if there is one. Where a point breaks it, motors are off, whatever `may_be_off` says.
+    /// The limit on motors at once, if there is one. Where a point exceeds it, motors are turned off, even if `may_be_off` is
+    /// false.
     pub at_once: Option<AtOnce>,
 }
 
@@ -95,8 +96,8 @@ impl Setting {
 }
 
 impl Space {
-    /// The space for a frame: only vibrations that give a stroke in it. The range of frequencies begins at the lowest that does at
-    /// phase 0. A frame without times, and an amplitude that gives no stroke at any frequency, change nothing.
+    /// The space for a frame: only vibrations that give a stroke in it. Frequencies begin at the lowest with a stroke at phase 0. A
+    /// frame without times, or an amplitude without a stroke at any frequency, changes nothing.
     #[must_use]
     pub fn in_frame(self, frame: &Frame, amplitude_um: f64) -> Self {
         let Some((start_s, stop_s)) = frame.start_s.zip(frame.stop_s) else { return self };
@@ -112,7 +113,8 @@ impl Space {
         let has_stroke =
             |decihertz| self.window.is_none_or(|window| window.has_stroke(Vibration { decihertz, percent }));
         let last = *self.decihertz.end();
-        // Strokes of a higher frequency end earlier; rounding to ticks may change the order of two by a tenth of a hertz.
+        // Strokes of a higher frequency end earlier, except that rounding to ticks may swap two frequencies a tenth of a hertz
+        // apart.
         let (mut none, mut one) = (from, last);
         if from > last || !has_stroke(last) {
             return None;
@@ -125,7 +127,7 @@ impl Space {
     }
 
     /// What a motor does at the space's nearest frequency, at a phase in cycles. If that gives no stroke in the space's frame, the
-    /// motor is off. Where it may not be off, it gets the lowest frequency above that gives one.
+    /// motor is off. If it may not be off, it gets the next higher frequency that gives one.
     #[must_use]
     pub fn motion(&self, frequency_hz: f64, phase: f64) -> Option<Vibration> {
         let vibration = self.vibration(frequency_hz, phase);
@@ -153,13 +155,13 @@ impl Space {
         low / 10.0 * libm::pow(high / low, share)
     }
 
-    /// Whether a point keeps the limit on motors at once.
+    /// Whether a point is within the limit on motors at once.
     #[must_use]
     pub fn permits(&self, point: &Point) -> bool {
         self.at_once.is_none_or(|at_once| at_once.permits(point))
     }
 
-    /// A point with as many motors off as the limit on motors at once asks for.
+    /// The point with motors turned off until it is within the limit on motors at once.
     #[must_use]
     pub fn thinned(&self, point: Point) -> Point {
         self.at_once.map_or(point, |at_once| at_once.thinned(point))
@@ -187,7 +189,7 @@ impl Space {
         })))
     }
 
-    /// A point of another space, as near as this one has it.
+    /// The point of this space that is nearest to a point of another space.
     #[must_use]
     pub fn nearest(&self, point: &Point) -> Point {
         self.of_drives(&point.drives(1.0, None, None))

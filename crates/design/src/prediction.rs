@@ -1,9 +1,8 @@
-//! The predicted response to a play: the rates for the measured bursts, beside those for the pattern as designed.
+//! Predicts the afferent response to a play: the rates for the measured bursts, and for the pattern as designed.
 //!
-//! A pattern says how each pin should move; measured bursts say how it moved. Both are simulated exactly, on the
-//! population of the pattern's target and with the same noise, so the rates differ only by what the motors did. For a
-//! pattern without a target only the mean rate of all afferents is known. [`Play::by_class`] asks the second model, too: it
-//! has rates for each class of afferents.
+//! A pattern says how each pin should move; measured bursts say how it moved. Both are simulated exactly, on the population of the
+//! pattern's target and with the same noise, so the rates differ only by the motors' motion. For a pattern without a target only
+//! the mean rate of all afferents is known. [`Play::by_class`] adds the second model's rates for each class of afferents.
 //!
 //! Rates are those of [`judge`](crate::judge()). A target at rest counts for the observed time. Each frame of a moving
 //! target counts in every repeat in which it was observed whole.
@@ -54,7 +53,7 @@ pub struct PredictedResponse {
     pub designed_hz: Rates,
     /// Rates as played, under the first model.
     pub played_hz: Rates,
-    /// Rates under the second model, if they were asked for: SA1, RA, PC.
+    /// Rates under the second model, if [`Play::by_class`] requested them: SA1, RA, PC.
     pub classes: Vec<ClassResponse>,
 }
 
@@ -186,7 +185,7 @@ pub fn predict_response(
     })
 }
 
-/// The frames that count, and the afferents of a class.
+/// The frames that count for the rates, and the afferents of a class.
 struct ObservedFrames {
     frames: Vec<Observed>,
     /// Their numbers in the finger.
@@ -244,7 +243,7 @@ impl ObservedFrames {
     /// The repeat that contains a time.
     fn repeat(&self, at_s: f64) -> u64 {
         let Some(repeat_s) = self.repeat_s else { return 0 };
-        // Rounding to ticks may move its beginning past the time.
+        // Rounding to ticks may move the start of the repeat past the time.
         let about = (at_s / repeat_s) as u64;
         (about.saturating_sub(1)..=about + 1).rev().find(|&repeat| self.begin_s(repeat) <= at_s).unwrap_or(0)
     }

@@ -1,10 +1,10 @@
-//! How well a pattern renders its target, in numbers that no search maximises all at once.
+//! Measures how well a pattern renders its target. No search maximises all these figures at once.
 //!
-//! [`quality()`] measures one pattern on fingers: contrast, AUC, and the gap between neighbouring dots. [`name_targets()`] asks of each
-//! pattern of a set which target its rates look like. Both do so under either model, one class of afferents at a time: the first model
-//! has RA afferents alone.
+//! [`quality()`] measures one pattern on fingers: contrast, AUC, and the gap between neighbouring dots. [`name_targets()`] finds,
+//! for each pattern of a set, the target that its rates resemble most. Both work under either model, one class of afferents at a
+//! time; the first model has only RA afferents.
 //!
-//! Invariant: the fingers are seeds; the same seeds give the same numbers.
+//! Invariant: a seed stands for a finger, and the same seeds give the same numbers.
 
 use crate::goal::{correlation, neighbours};
 use crate::judge::STEADY_S;
@@ -50,7 +50,7 @@ pub struct OfClass {
     pub quality: Quality,
 }
 
-/// A target's model of a name: the first has the target's parameters.
+/// The model with this name, for a target: the first model takes the target's parameters.
 #[must_use]
 pub fn skin_model(name: ModelName, target: &Target) -> SkinModel {
     SkinModel::of(name, *target.model())
@@ -134,7 +134,7 @@ fn gaps(target: &Target, drives: &[Drive], model: SkinModel) -> Result<[Option<f
     let mut probes = Vec::new();
     for &class in model.classes() {
         for &[x_mm, y_mm] in &places {
-            // As many of each recorded afferent; those of the first model are all alike.
+            // The same number for each recorded afferent; those of the first model are all alike.
             let rows = if model.name() == ModelName::Membrane { 1 } else { class.rows() };
             let probe = |number| Afferent { class, row: (number % rows) as u8, at: Position { x_mm, y_mm } };
             probes.extend((0..PROBES.next_multiple_of(rows)).map(probe));
@@ -152,7 +152,7 @@ fn gaps(target: &Target, drives: &[Drive], model: SkinModel) -> Result<[Option<f
     Ok(found)
 }
 
-/// For a class of a model, each pattern and each finger: the number of the target whose ON set the rates correlate with most.
+/// For one class of a model: for each pattern and finger, the number of the target whose ON set correlates best with the rates.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Named {
     /// The model.
@@ -211,12 +211,12 @@ pub fn name_targets(
     Ok(classes.iter().map(of_class).collect())
 }
 
-/// Spikes per afferent of a second of drives.
+/// Spikes per afferent during one second of the drives.
 fn counts(finger: &Finger, drives: &[Drive], seed: u64) -> Result<Vec<u64>, MethodError> {
     played(finger.counts(&Trial::of_drives(drives, STEADY_S, seed)))
 }
 
-/// What a finger of a target answers to drives of a pattern.
+/// Converts the error of a finger's response: drives of a pattern on a target's afferents always make a scene.
 pub(crate) fn played<T>(answer: Result<T, FingerError>) -> Result<T, MethodError> {
     answer.map_err(|error| match error {
         FingerError::Method(error) => error,

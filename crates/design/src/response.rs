@@ -1,4 +1,4 @@
-//! The response of every afferent to patterns for a target: what a map of the fingertip shows.
+//! The response of every afferent to patterns for a target, as shown in a map of the fingertip.
 //!
 //! [`response()`] simulates the population that the patterns were made for, once for each pattern, with the same noise. All patterns see
 //! the same afferents, so their maps can be compared.
@@ -25,7 +25,7 @@ pub struct Response {
     pub rates_hz: Vec<Vec<f64>>,
 }
 
-/// The response under a model to some patterns: for a target at rest to a second of them, for a moving one to the whole motion.
+/// The response to some patterns under a model. For a target at rest it covers one second, for a moving target the whole motion.
 ///
 /// # Errors
 /// If the drives cannot be simulated.

@@ -1,26 +1,26 @@
 //! The search: a subgradient method on blocks of motors, from a start to a point that no move improves.
 //!
-//! The paper names a subgradient method and prints no more of it. Taken literally, with a difference of the contrast for
-//! every motor's frequency and diminishing steps, it stays far below (`cargo bench -p meissner-benches --bench optimise`
-//! shows where), for three reasons. Each has a remedy with a source:
+//! The paper names a subgradient method without details. Implemented literally, with a difference of the contrast for every motor's
+//! frequency and diminishing steps, it reaches much less (`cargo bench -p meissner-benches --bench optimise` shows how much), for
+//! three reasons. Each has a remedy with a source:
 //!
-//! - *The contrast has ridges.* Motors of one frequency add up on the skin, and beat as soon as one of them departs. On
-//!   such a ridge every single difference is negative. So motors in unison form one block and move together (block
-//!   coordinates: Nesterov, Efficiency of coordinate descent methods, 2012).
-//! - *It is jagged and flat.* Rates are counts, and an afferent that keeps step with its pin does not change its count
-//!   for a while. So differences are taken over a radius, wide at first, with the same noise at both ends (smoothing:
-//!   Nesterov & Spokoiny, Random gradient-free minimization, 2017). The radius halves when all blocks have been through.
-//!   A step is taken only if it improves.
-//! - *It has many local maxima.* Single motors try frequencies over the whole range, off, and unison with a neighbour at
-//!   four phases (direct search: Kolda, Lewis & Torczon, Optimization by direct search, 2003). The whole begins again
-//!   from other random starts, and the best result is kept.
+//! - *The contrast has ridges.* The displacements of motors of one frequency add up on the skin; as soon as one motor's frequency
+//!   changes, they beat. On such a ridge every change of a single motor lowers the value. So motors in unison form one block and
+//!   move together (block coordinates: Nesterov, Efficiency of coordinate descent methods, 2012).
+//! - *It is jagged and flat.* Rates are counts, and an afferent that keeps step with its pin does not change its count for a while.
+//!   So differences are taken over a radius, wide at first, with the same noise at both ends (smoothing: Nesterov & Spokoiny,
+//!   Random gradient-free minimization, 2017). The radius halves when all blocks have been tried. A step is taken only if it
+//!   improves.
+//! - *It has many local maxima.* Single motors try frequencies over the whole range, off, and unison with a neighbour at four
+//!   phases (direct search: Kolda, Lewis & Torczon, Optimization by direct search, 2003). The search is repeated from other random
+//!   starts, and the best result is kept.
 //!
 //! A move simulates only the afferents that a changed motor reaches. The first rounds simulate a quarter of a second and
 //! leave out small weights; the last simulate a second. Only scores of one fidelity are compared.
 //!
-//! Under the second model alone the rounds simulate nearly ([`Fidelity::min_share`]). The start and the best points that the search
-//! went to are then simulated as the model is, and the best of them is the result. So it is no worse than the start, and what was
-//! simulated nearly decides nothing but which points these are.
+//! Under the second model alone the rounds simulate approximately ([`Fidelity::min_share`]). Afterwards the start and the best
+//! points of the search are simulated with the full model, and the best of them is the result. So the result is no worse than the
+//! start, and the approximation only decides which points are compared.
 //!
 //! Invariant: the result depends on the brief, the start and the number of evaluations, not on threads or clocks.
 
@@ -43,7 +43,7 @@ use std::time::Instant;
 pub struct Brief<'b> {
     /// The models that predict rates.
     pub models: Models,
-    /// What it maximises.
+    /// The goal to maximise.
     pub goal: Goal,
     /// The target: its reach, amplitude and afferent model.
     pub target: &'b Target,
@@ -60,8 +60,8 @@ pub struct Brief<'b> {
 }
 
 impl Brief<'_> {
-    /// What the search maximises, at a fidelity. Under both models every value is that of the models as they are: so few points are asked of the
-    /// second that it takes no longer.
+    /// The search's objective at a fidelity. Under both models every value is that of the full models: the second model simulates
+    /// so few points that this takes no longer.
     pub(crate) fn aim(&self, fidelity: Fidelity) -> Result<Aim, MethodError> {
         let Self { models, goal, target, frame, populations, noise_seed, .. } = *self;
         let min_share = fidelity.min_share.filter(|_| models != Models::Both);
@@ -78,12 +78,12 @@ impl Brief<'_> {
     }
 }
 
-/// When a search stops that has not converged. It is checked before each batch of moves.
+/// When a search stops before it has converged. It is checked before each batch of moves.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Limit {
-    /// After so many evaluations.
+    /// After this many evaluations.
     Evaluations(u64),
-    /// After so many simulated afferent-seconds.
+    /// After this many simulated afferent-seconds.
     AfferentSeconds(f64),
     /// At this time.
     Until(Instant),
@@ -142,7 +142,7 @@ pub struct Found {
 enum Round {
     /// Single motors, over the whole range.
     Far,
-    /// Blocks, by a radius that is halved so many times. The radius is a share of their frequency.
+    /// Blocks, with a radius that is halved `halvings` times. The radius is a share of their frequency.
     Near { radius: f64, halvings: u8 },
 }
 use Round::{Far, Near};
@@ -154,7 +154,7 @@ struct Stage {
     rounds: &'static [Round],
 }
 
-/// The shares of the largest influence below which a search under the second model leaves motors out, at its beginning and at
+/// A search under the second model leaves out motors whose influence is below this share of the largest: at its beginning, and at
 /// its end.
 pub const SEARCH_MIN_SHARES: [f64; 2] = [0.02, 0.01];
 const STEP_US: Option<u32> = Some(500);
@@ -176,12 +176,12 @@ const DESCENT: [Stage; 3] = [
 ];
 /// Repeated until it improves nothing.
 const POLISH: Stage = Stage { fidelity: FINE, rounds: &[Far, Near { radius: 0.05, halvings: 3 }] };
-/// A descent that ends further below the best than this share of it is not polished.
+/// A descent is not polished if its result is below the best by more than this share of the best.
 const HOPELESS: f64 = 0.1;
 /// The number of starts besides the first, under one model.
 const RESTARTS: u8 = 4;
 
-/// The number of points that are simulated as the model is, besides the start, after a search that simulates nearly.
+/// The number of points, besides the start, that are simulated with the full model after an approximate search.
 const CONFIRMED: usize = 24;
 
 /// Separates the search's random numbers from others of the same seed.
@@ -241,7 +241,7 @@ fn begin(
             break;
         }
         (run.pass, run.best) = (pass, Some(score));
-        // Not of a neighbouring seed, which another search may use.
+        // Change the high bits of the seed: another search may use the neighbouring seeds.
         let start = brief.space.random(brief.seed ^ (u64::from(pass) << 56));
         if let Some(better) = run.pass(start, &DESCENT, score.value)? {
             (point, score) = better;
@@ -265,7 +265,7 @@ struct Run<'r> {
     pass: u8,
     /// The best score of the passes before.
     best: Option<Score>,
-    /// By fidelity: stages come back, and what a model knows of its afferents stays.
+    /// Kept for each fidelity, because stages recur and an aim is slow to make.
     aims: Vec<(Fidelity, Arc<Aim>)>,
 }
 
@@ -276,7 +276,7 @@ struct StageState<'s> {
 }
 
 impl Run<'_> {
-    /// One pass from a start. None if its result is not above `least`, or if it ended before that is known.
+    /// One pass from a start. None if its result is not above `least`, or if it ended before that was known.
     fn pass(
         &mut self,
         start: Point,
@@ -327,7 +327,7 @@ impl Run<'_> {
         Ok(aim)
     }
 
-    /// The best point of the model as it is: of the start, the result, and the best points that the search went to; the first of equals.
+    /// The best point under the full model, among the start, the result, and the best points of the search; the first among equals.
     fn confirm(&mut self, start: Point, found: Point) -> Result<Point, MethodError> {
         let finest_s = self.trace.iter().map(|step| step.duration_s).fold(0.0, f64::max);
         let mut steps: Vec<&Step> = self.trace.iter().filter(|step| step.duration_s == finest_s).collect();
@@ -352,7 +352,7 @@ impl Run<'_> {
         Ok(best)
     }
 
-    /// Every motor once, in random order.
+    /// Tries every motor once, in random order.
     fn far(&mut self, state: &mut StageState<'_>) {
         let mut order: Vec<usize> = (0..MOTORS).collect();
         for last in (1..MOTORS).rev() {
@@ -365,7 +365,7 @@ impl Run<'_> {
         }
     }
 
-    /// Every block once for each radius. Blocks that merge become one.
+    /// Tries every block once for each radius. Blocks that merge become one.
     fn near(&mut self, state: &mut StageState<'_>, mut radius: f64, halvings: u8) {
         for halving in 0..=halvings {
             let mut done = 0_u32;
@@ -391,7 +391,7 @@ impl Run<'_> {
         let tried = state.standing.try_all(new);
         tried.iter().for_each(|tried| self.spend(tried.afferents, state.standing.aim()));
         let value = |tried: &aim::Step| tried.score.value;
-        // The first of equals, so that threads do not matter.
+        // Take the first among equals, so that threads do not matter.
         let best =
             tried.into_iter().reduce(|best, next| if value(&next) > value(&best) { next } else { best });
         if let Some(best) = best.filter(|best| value(best) > state.standing.score().value) {
@@ -432,7 +432,7 @@ impl Run<'_> {
 
     fn report(&mut self, state: &StageState<'_>) {
         let here = state.standing.score();
-        // Scores of a coarser stage do not compare with the best.
+        // Scores of a coarser stage cannot be compared with the best.
         let comparable = state.standing.aim().duration_s() >= FINE.duration_s;
         let best = self.best.filter(|best| !comparable || best.value > here.value);
         if (self.watch)(self.spent, best.unwrap_or(here)).is_break() {

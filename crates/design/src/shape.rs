@@ -3,7 +3,7 @@
 //! All lengths are in mm, in the array's axes: x across the finger, y towards the fingertip. Sines and roots are
 //! `libm`'s, so that all machines agree.
 //!
-//! Invariant: moving a shape and a place together keeps their distance, but for rounding.
+//! Invariant: moving a shape and a place together keeps their distance, except for rounding.
 
 use meissner_skin::afferent::{PAD_LENGTH_MM, PAD_WIDTH_MM, Position};
 
@@ -55,7 +55,7 @@ impl Shape {
         }
     }
 
-    /// The shape rotated anticlockwise about the array's middle, then shifted.
+    /// The shape, rotated anticlockwise about the array's middle and then shifted.
     #[must_use]
     pub fn moved(&self, by_mm: [f64; 2], turned_deg: f64) -> Self {
         let [cos, sin] = direction(turned_deg);

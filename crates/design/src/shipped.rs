@@ -6,8 +6,7 @@ use include_dir::{Dir, File, include_dir};
 /// The target files of the repository.
 static LIBRARY: Dir<'_> = include_dir!("$CARGO_MANIFEST_DIR/../../targets");
 
-/// The shipped target on which methods and patterns are compared: an edge at 45°, 12 mm long, through the array's
-/// middle.
+/// The shipped target used to compare methods and patterns: an edge at 45°, 12 mm long, through the array's middle.
 pub const YARDSTICK: &str = "edge-45";
 
 /// The shipped target of that name, if there is one.

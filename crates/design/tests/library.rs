@@ -34,7 +34,7 @@ fn request(pattern: &Pattern) -> Request {
     let whole = |value: &toml::Value| value.as_integer().unwrap().try_into().unwrap();
     assert_eq!(provenance["setting"].as_str(), Some("default"));
     let (models, goal) = if pattern.name().ends_with("-paper") {
-        // The keys came with the other objectives and models.
+        // These keys were added with the other objectives and models.
         assert!(!provenance.contains_key("skin_model") && !provenance.contains_key("objective"));
         (Models::Membrane, Goal::Contrast)
     } else {
@@ -92,8 +92,8 @@ fn every_target_has_a_pattern_with_the_right_figures() {
     }
 }
 
-/// On the fingers that they were made for, patterns of the default objective are no worse than the rule of thumb under either model, and
-/// no spikes fire between neighbouring dots.
+/// On the fingers that they were made for, patterns of the default objective are no worse than the rule of thumb under either
+/// model, and no afferent fires between neighbouring dots.
 #[test]
 fn the_library_is_no_worse_than_the_rule_of_thumb_under_either_model() {
     for name in shipped_names() {

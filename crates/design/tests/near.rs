@@ -1,4 +1,4 @@
-//! Searches under the second model: what they simulate nearly, and what they report.
+//! Searches under the second model: their approximate simulation, and the results that they report.
 //!
 //! Invariant: limits are counts, never times.
 
@@ -96,7 +96,7 @@ fn nearly_simulated_points_are_ranked_as_the_model_ranks_them() {
     }
 }
 
-/// The result is the best of the points that the search went to, by the model as it is.
+/// Under the full model, the result is the best point of the search.
 #[test]
 fn the_result_of_a_search_is_that_of_the_model_as_it_is() {
     for name in ["edge-45", "dot"] {
@@ -128,7 +128,7 @@ fn what_a_pattern_states_is_what_the_model_says_of_it() {
     assert_eq!(point, made.found[0].point);
 }
 
-/// 400 um lift pins off the skin: then the search simulates the model as it is.
+/// 400 um lift pins off the skin, so the search simulates the full model.
 #[test]
 fn a_target_whose_pins_may_lose_contact_is_simulated_as_the_model_is() {
     let target = shipped("dot").unwrap();

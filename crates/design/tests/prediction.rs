@@ -70,7 +70,7 @@ fn bursts_of_one_gain_give_the_spikes_of_a_motor_of_that_gain() {
         let scene = random.scene(0.2);
         let gains: [f64; 24] = std::array::from_fn(|_| random.between(0.3, 3.0));
         let gained = spikes_of(&scene.with_gains(&gains).unwrap());
-        // Ramps replace the drives: the gains of their scene do not matter.
+        // Ramps replace the drives, so the scene's gains do not matter.
         let played = ramps(&scene, |motor| gains[usize::from(motor)]);
         let played = spikes_of_ramps(&scene.with_gains(&[0.5; 24]).unwrap(), played);
         for (gained, played) in gained.iter().zip(&played) {

@@ -20,7 +20,7 @@ const COARSE: Fidelity = Fidelity { duration_s: 0.25, step_us: Some(500), min_we
 const FINE: Fidelity = Fidelity { duration_s: 1.0, step_us: Some(500), min_weight: 1e-3, min_share: None };
 /// A fifth of the work of three sweeps of a coordinate search; asserted below.
 const FIFTH: Limit = Limit::AfferentSeconds(14_000.0);
-/// Every search converges before so many evaluations: four times those of the yardstick.
+/// Every search converges within this number of evaluations: four times those of the yardstick.
 const MOST: u64 = 20_000;
 const MOTORS: usize = 24;
 
@@ -53,7 +53,7 @@ fn found(target: &Target, space: &Space, seed: u64, start: Point, limit: Limit) 
     found
 }
 
-/// The exact contrast, with noise that the search has not met.
+/// The exact contrast, with noise that the search has not used.
 fn exact_hz(target: &Target, seed: u64, point: Point) -> f64 {
     let frame = &target.frames()[0];
     let of_noise = |noise| {
@@ -171,7 +171,7 @@ fn a_shorter_search_is_the_beginning_of_a_longer_one() {
         assert_same(&shorter, &limited(shorter.spent.evaluations));
         assert_eq!(shorter.trace, longest.trace[..shorter.trace.len()]);
         if most <= 300 {
-            // It ended in the first pass: the last step is the result.
+            // The search ended in the first pass, so its last step is the result.
             assert_eq!(shorter.point, shorter.trace.last().map_or(space.random(4), |step| step.point));
         } else {
             assert_eq!(shorter.point, best(&shorter));
@@ -218,7 +218,7 @@ fn an_interrupted_search_returns_the_best_point_so_far() {
     }
 }
 
-/// Within a stage, which is a pass at one fidelity, no score falls.
+/// Asserts that no score falls within a stage, that is, within a pass at one fidelity.
 fn assert_rises(trace: &[Step]) {
     let stages = trace.chunk_by(|a, b| (a.pass, a.duration_s) == (b.pass, b.duration_s));
     for steps in stages {
@@ -253,7 +253,7 @@ fn a_search_without_amplitude_ends() {
     for setting in [Setting::Default, Setting::AlwaysOn] {
         let space = setting.space();
         let found = converged(&still, &space, space.random(0));
-        // The starts of three stages from each of five starts, and of one polish: no further step.
+        // The trace holds only the starts of three stages from each of five starts, and the start of one polish.
         assert_eq!((found.point, found.trace.len()), (space.random(0), 16));
         assert!(found.trace.iter().all(|step| step.score == Score::default()));
     }
@@ -268,7 +268,7 @@ fn a_search_in_which_no_afferent_fires_ends() {
     assert_eq!(found.point, everywhere(600));
 }
 
-/// At the null of the motor model small steps change nothing; larger ones do.
+/// At the null of the motor model small steps change nothing, but larger ones do.
 #[test]
 fn a_search_leaves_the_null_and_a_ridge() {
     let target = yardstick();
@@ -299,7 +299,7 @@ fn one_on_afferent_is_enough() {
     assert!(exact_hz(&target, 0, found.point) > 120.0);
 }
 
-/// The search gives up neither of two dots that mirror each other.
+/// The search drives both of two dots that mirror each other.
 #[test]
 fn two_equal_dots_both_get_a_response() {
     let dots = Target::read(

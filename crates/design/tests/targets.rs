@@ -316,7 +316,7 @@ proptest! {
         let _ = read(&text);
     }
 
-    /// Good targets with a part replaced.
+    /// Good targets, in which a part is replaced at random.
     #[test]
     fn no_damaged_target_makes_the_reader_panic(
         which in 0..=SHAPES.len(), from in 0..TOML.len(), length in 0_usize..30, new in "\\PC{0,3}"

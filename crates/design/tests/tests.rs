@@ -5,9 +5,9 @@
 mod frames;
 /// The library's patterns: made again byte for byte, with the figures that they state.
 mod library;
-/// Searches under the second model: the ranking of nearly simulated points, and a result of the model as it is.
+/// Searches under the second model: the ranking of approximately simulated points, and results under the full model.
 mod near;
-/// What a search maximises: dots that stay apart, the naive rules, targets told apart.
+/// Objectives of a search: dots that stay apart, the naive rules, targets told apart.
 mod objectives;
 /// The predicted response to bursts that do not travel as designed.
 mod prediction;

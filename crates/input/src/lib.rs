@@ -1,7 +1,7 @@
 //! Reads documents that people write, with errors that name the place and the remedy.
 //!
-//! A reader derives a serde struct for the keys, reads it, checks ranges, and adds text and file to an error. Patterns,
-//! scenes, targets, calibrations, configurations and bodies of API requests are read so.
+//! A reader derives a serde struct for the keys, reads it, checks ranges, and adds text and file to an error. All documents are
+//! read this way: patterns, scenes, targets, calibrations, configurations and bodies of API requests.
 //!
 //! - [`document`] reads TOML and JSON with serde. Its errors name the file, the line and the key, and what to do.
 //! - [`message`] formats foreign text for a message of one line.

@@ -1,7 +1,7 @@
-//! Formats foreign text for a message of one line.
+//! Formats untrusted text for a message of one line.
 //!
-//! Errors show text from a file or a person quoted, escaped and cut, and offer the nearest known key for an unknown one.
-//! Answers and logs pass through [`cut`] and [`Escaping`] once more, whatever made them.
+//! Errors show text from a file or a person quoted, escaped and cut, and offer the nearest known key for an unknown one. All
+//! answers and log lines pass through [`cut`] and [`Escaping`] once more.
 //!
 //! Invariant: no text from here holds a character that breaks the line, moves the cursor, or changes how its neighbours are shown.
 
@@ -22,8 +22,8 @@ pub fn is_plain(c: char) -> bool {
     }
 }
 
-/// Writes text with the characters escaped that are not [plain](is_plain), as `\u{1b}` or `\n`. Quotes and backslashes stay: text
-/// may pass twice.
+/// Writes text with the characters escaped that are not [plain](is_plain), as `\u{1b}` or `\n`. Quotes and backslashes stay, so
+/// text may pass twice.
 #[derive(Debug)]
 pub struct Escaping<W>(pub W);
 
@@ -47,7 +47,7 @@ pub fn escape(text: &str) -> String {
     shown.0
 }
 
-/// The first `most` characters of a text, escaped; three dots say that there are more.
+/// The first `most` characters of a text, escaped; three dots follow if there are more.
 #[must_use]
 pub fn cut(text: &str, most: usize) -> String {
     match text.char_indices().nth(most) {
@@ -81,7 +81,7 @@ pub fn short_number(number: f64) -> String {
 
 /// The known key that is nearest to an unknown one.
 pub fn nearest<'k>(known: &[&'k str], key: &str) -> &'k str {
-    // Compares only the beginning: a key may be as long as the file, and the comparison takes memory for each letter.
+    // Compare only the beginning: a key may be as long as the file, and the comparison takes memory for each letter.
     let piece: String = key.chars().take(SHOWN).collect();
     let distance = |known: &&&str| strsim::damerau_levenshtein(known, &piece);
     known.iter().min_by_key(distance).copied().unwrap_or_default()

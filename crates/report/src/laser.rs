@@ -1,15 +1,15 @@
-//! A motor's calibration with a laser as SVG: what the sensor measured, the fit, and what is left.
+//! Draws a motor's calibration with a laser as SVG: the measurement, the fit, and the residuals.
 //!
-//! Three charts: the whole recording, the longest bursts from near, and the residuals.
+//! There are three charts: the whole recording, a close-up of the longest bursts, and the residuals.
 //!
-//! Invariant: the same fit makes the same bytes; a chart has at most [`MOST_POINTS`] points, whatever the recording's length.
+//! Invariant: the same fit makes the same bytes; a chart has at most [`MOST_POINTS`] points, even of a long recording.
 
 use crate::chart::{Axis, Chart, Dot, PlotError, Point, Scale, Series, stacked};
 use meissner_stream::calibrate::{LaserFit, TracePoint};
 
-/// Pairs of lowest and highest values of a long line.
+/// A longer line is drawn as this many pairs of lowest and highest values.
 const MOST_POINTS: usize = 2000;
-/// How much of the recording is shown from near, s: two strokes.
+/// The duration of the close-up, s: two strokes.
 const NEAR_S: f64 = 0.5;
 
 /// Draws a fit; returns the text of an SVG file.
@@ -50,7 +50,7 @@ fn near(all: &[TracePoint]) -> &[TracePoint] {
     &all[from..to]
 }
 
-/// The lowest and the highest value of each stretch.
+/// The lowest and the highest value of each segment.
 fn envelope(all: &[TracePoint], of: impl Fn(&TracePoint) -> f64) -> Vec<(f64, f64)> {
     let ends = all.chunks(all.len().div_ceil(MOST_POINTS).max(1)).flat_map(|chunk| {
         let value = |of: &dyn Fn(f64, f64) -> f64, start: f64, y: &dyn Fn(&TracePoint) -> f64| {
@@ -71,7 +71,7 @@ fn chart<'a>(title: &'a str, name: &'a str, series: Vec<Series>) -> Chart<'a> {
     let scale = |of: fn((f64, f64)) -> f64| {
         let low = all().map(of).fold(f64::INFINITY, f64::min);
         let high = all().map(of).fold(f64::NEG_INFINITY, f64::max);
-        // A range that is no number, or empty, is that of an empty chart.
+        // An empty range, or one that is not a number, becomes that of an empty chart.
         if low < high { Scale::linear(low, high) } else { Scale::linear(0.0, 1.0) }
     };
     Chart {

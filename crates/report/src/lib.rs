@@ -1,27 +1,27 @@
-//! Figures and comparisons for people: what the models, the search and position control say, as SVG, CSV and HTML.
+//! Figures and comparisons of the models, the search and position control, as SVG, CSV and HTML.
 //!
 //! A caller computes a result, serialises it or draws it, and writes the files itself: this crate opens none.
 //!
 //! - [`figures`]: [`report`](figures::report) makes an HTML page with the paper's figures and a section per pattern.
-//! - `methods`: [`tradeoff`] compares the simulation methods on a scene, time against error; [`plot`] draws it, and
-//!   [`reasons`] says why skipped work does not change an answer. [`afferents_tradeoff`] does the same for the second model.
+//! - `methods`: [`tradeoff`] compares the simulation methods on a scene, time against error; [`plot`] draws it, and [`reasons`]
+//!   explains why skipped work does not change the result. [`afferents_tradeoff`] does the same for the second model.
 //! - `lead`: [`lead_tradeoff`] compares leads of the streamer under recorded stalls; [`plot_lead`] draws it.
 //! - `control`: [`control_tradeoff`] measures rest errors under position control against the least possible;
 //!   [`plot_control`] draws it.
 //! - `laser`: [`plot_laser`] draws a recording of a pin beside the motor's fit.
-//! - `objectives`: [`objective_tradeoff`] compares what a search maximises, beside the naive rules.
+//! - `objectives`: [`objective_tradeoff`] compares the objectives of a search with each other and with the naive rules.
 //! - `stop`: [`stop_tradeoff`] measures rest errors above a lower stop against the theory; [`plot_stop`] draws it.
 //! - `sweep`: [`sweep_page`] shows the marginals and the Pareto front of a sweep.
 //! - `validate`: [`validate()`] compares both models of the skin with published figures.
 //! - `chart` draws lines and points on axes, `sixty_hertz` is the standard scene, `progress` and `statistics` are small
 //!   helpers of all parts.
 //!
-//! Invariant: results depend on the request alone. Only wall times, and what follows from them, depend on the machine.
+//! Invariant: results depend on the request alone. Only wall times, and figures derived from them, depend on the machine.
 //!
 //! ```
 //! use meissner_report::{Trace, lead_tradeoff, plot_lead};
 //!
-//! // A second in which the thread due at 500 ms woke up 25 ms late: a lead of 50 ms is enough.
+//! // In this second a thread due at 500 ms woke up 25 ms late: a lead of 50 ms is enough.
 //! let trace = Trace::read("seconds 1\n500000 25000\n", "trace.txt")?;
 //! let found = lead_tradeoff(&trace, &[50.0], &|_| ());
 //! assert_eq!(found.rows[0].late_bursts, 0);

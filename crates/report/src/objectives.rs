@@ -1,10 +1,10 @@
-//! What a search should maximise: patterns by every objective and by the naive rules, measured alike.
+//! Compares the objectives of a search: patterns by every objective and by the naive rules, measured in the same way.
 //!
-//! [`objective_tradeoff`] makes a pattern for each shipped target at rest and each [`Goal`], and measures it on fingers that it was not
-//! made for, beside the naive rules and the shipped patterns. No figure of the table is what all searches maximise. The figures of the
-//! first model stand in the rows themselves; `classes` has those of both models, class by class.
+//! [`objective_tradeoff`] makes a pattern for each shipped target at rest and each [`Goal`], and measures it on fingers that it was
+//! not made for, beside the naive rules and the shipped patterns. Each objective maximises at most one figure of the table. The
+//! figures of the first model are in the rows themselves; `classes` has those of both models, class by class.
 //!
-//! Invariant: the same budget gives the same figures, but for the times.
+//! Invariant: the same budget gives the same figures, except for the times.
 
 use crate::progress::Parts;
 use crate::statistics::mean;
@@ -22,13 +22,13 @@ use std::time::Instant;
 
 /// Seeds of the fingers: no pattern is made for them.
 const FINGERS: [u64; 5] = [2001, 2002, 2003, 2004, 2005];
-/// Rows of shipped patterns, and what follows the target in their names: those of the default objective, and the paper's.
+/// Rows of shipped patterns, with the suffix of their names: those of the default objective, and the paper's.
 const SHIPPED: [(&str, &str); 2] = [("default", ""), ("paper", "-paper")];
 
-/// Patterns by every objective, measured alike.
+/// Patterns by every objective, measured in the same way.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct ObjectiveTradeoff {
-    /// Evaluations of each search, about.
+    /// Approximate number of evaluations of each search.
     pub evaluations: u64,
     /// The model under which the searches score points.
     pub model: ModelName,
@@ -60,7 +60,7 @@ pub struct ObjectiveMeans {
 pub struct ObjectiveRow {
     /// Name of the rule or objective.
     pub name: &'static str,
-    /// By the RA afferents of the first model.
+    /// The means for the RA afferents of the first model.
     #[serde(flatten)]
     pub means: ObjectiveMeans,
     /// Targets at which the contrast is below that of the rule `naive-reach`.
@@ -73,14 +73,14 @@ pub struct ObjectiveRow {
     pub targets: Vec<ObjectiveCell>,
 }
 
-/// What patterns say to a class of afferents of a model.
+/// How well patterns render the targets to a class of afferents of a model.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct ClassRow {
     /// The model.
     pub model: ModelName,
     /// The class.
     pub class: Class,
-    /// How well the patterns render the targets to it.
+    /// The means over targets for this class.
     #[serde(flatten)]
     pub means: ObjectiveMeans,
     /// Targets at which the rule `naive-reach` is better.
@@ -110,18 +110,18 @@ pub struct ObjectiveCell {
     pub classes: Vec<CellOfClass>,
 }
 
-/// What a pattern says to a class of afferents of a model.
+/// How well a pattern renders its target to a class of afferents of a model.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct CellOfClass {
-    /// How well it renders its target.
+    /// The quality for this class.
     #[serde(flatten)]
     pub of: OfClass,
     /// Fingers at which the pattern looks most like its own target.
     pub named: usize,
 }
 
-/// Measures all objectives with searches of about `evaluations` under a model, each over eight populations. `library` gives the drives of a
-/// shipped pattern. `progress` gets the share that is done, 0 to 1, on any thread.
+/// Measures all objectives with searches of about `evaluations` under a model, each over eight populations. `library` gives the
+/// drives of a shipped pattern. `progress` gets the completed share, 0 to 1, on any thread.
 ///
 /// # Errors
 /// If a target cannot be simulated.
@@ -181,7 +181,7 @@ fn search(
     Ok(made.pattern.drives().to_vec())
 }
 
-/// By how much normalised contrast and AUC may be below those of the naive rule.
+/// Normalised contrast and AUC may be below those of the naive rule by this much.
 const TOLERANCE: f64 = 0.02;
 /// Both models.
 const MODELS: [ModelName; 2] = [ModelName::Membrane, ModelName::Afferents];
@@ -262,7 +262,7 @@ fn class_row(named: &Named, cells: &[ObjectiveCell], naive: Option<&ObjectiveRow
 mod tests {
     use super::*;
 
-    /// The rule `naive-pitch` moves more pins than `naive-reach`: more contrast under both models, and a blurred edge.
+    /// The rule `naive-pitch` moves more pins than `naive-reach`. That gives more contrast under both models, but blurs the edge.
     #[test]
     fn rows_have_both_models_and_name_where_the_naive_rule_is_better() {
         let targets: Vec<Target> = ["edge-45", "two-dots"].map(|name| shipped(name).unwrap()).into();

@@ -1,9 +1,9 @@
 //! The page of a sweep: small multiples of marginals, Pareto fronts, and tables, in one HTML file without scripts.
 //!
-//! A [`Marginal`] says how a figure depends on one axis, whatever the others are; its panel draws the mean and the lowest decile of the
-//! pattern and of the baseline. A [`Front`] draws what is best on average against what is best at worst.
+//! A [`Marginal`] shows how a figure depends on one axis, over all values of the others; its panel draws the mean and the lowest
+//! decile of the pattern and of the baseline. A [`Front`] draws the mean of each choice against its worst case.
 //!
-//! Invariant: the same numbers make the same bytes, and no drawing is without the baseline.
+//! Invariant: the same numbers make the same bytes, and every drawing shows the baseline.
 
 use crate::figures::page::STYLE;
 use crate::figures::svg::{Anchor, Drawing, Paint, escape};
@@ -23,7 +23,7 @@ const TEXT: u32 = 12;
 const CHARACTER: f64 = 6.6;
 /// The most labels below a panel.
 const MOST_LABELS: usize = 24;
-/// The most choices that a front draws, besides those on it, and the most rows of its table.
+/// The most choices that a front's drawing shows besides those on the front, and the most rows of its table.
 const MOST_DOTS: usize = 500;
 const MOST_ROWS: usize = 100;
 /// The most characters of a label.
@@ -39,7 +39,7 @@ pub struct Spread {
 }
 
 impl Spread {
-    /// Of some numbers; none of none.
+    /// The spread of some numbers; none if there are none.
     #[must_use]
     pub fn of(mut numbers: Vec<f64>) -> Option<Self> {
         let mean = numbers.iter().sum::<f64>() / numbers.len() as f64;
@@ -50,14 +50,14 @@ impl Spread {
     }
 }
 
-/// What a panel shows at a value of its axis.
+/// The figures of a panel at one value of its axis.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Ordinate {
     /// The value.
     pub label: String,
-    /// Where it lies on the axis, if that has numbers.
+    /// Its position on the axis, if the axis is numeric.
     pub at: Option<f64>,
-    /// The figure of the pattern, then those of the baselines.
+    /// The spread for the pattern, then those for the baselines.
     pub lines: Vec<Option<Spread>>,
 }
 
@@ -66,33 +66,33 @@ pub struct Ordinate {
 pub struct Marginal {
     /// The figure, with its unit.
     pub figure: String,
-    /// Where its axis begins, unless there are lower figures: nothing, or chance.
+    /// The lower end of the figure's axis, unless there are lower figures: zero, or the chance level.
     pub from: f64,
     /// The axis.
     pub axis: String,
-    /// Which cells, as `model afferents`; empty: all.
+    /// The cells shown, as in `model afferents`; empty: all.
     pub of: String,
-    /// In the axis's order.
+    /// The values of the axis, in its order.
     pub ordinates: Vec<Ordinate>,
 }
 
 /// A choice that a front compares.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Choice {
-    /// What was chosen.
+    /// Its name.
     pub name: String,
     /// The file of its pattern, in the directory.
     pub file: Option<String>,
-    /// The figure on average, and at worst.
+    /// The figure's mean, and its worst case.
     pub own: [f64; 2],
     /// Those of the baselines.
     pub baselines: Vec<Option<[f64; 2]>>,
 }
 
-/// What is best on average against what is best at worst.
+/// Compares choices by their mean and their worst case.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Front {
-    /// Which cells; empty: all.
+    /// The cells shown; empty: all.
     pub of: String,
     /// All choices.
     pub choices: Vec<Choice>,
@@ -101,11 +101,11 @@ pub struct Front {
 /// The page of a sweep.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SweepPage {
-    /// What was swept.
+    /// The title: what was swept.
     pub title: String,
     /// Facts about the sweep, each with a name.
     pub facts: Vec<(String, String)>,
-    /// What a pattern is called, then the baselines: three at most.
+    /// The names of the lines: the pattern, then the baselines; three at most.
     pub lines: Vec<String>,
     /// The figures, in words.
     pub figures: String,
@@ -181,7 +181,7 @@ fn figure_names(baselines: &[&str]) -> Vec<String> {
     [of("on average"), of("at worst")].concat()
 }
 
-/// A choice for a table: its name, then the pattern and the baselines on average, then at worst.
+/// A choice as a table row: its name, then the means of the pattern and the baselines, then their worst cases.
 fn cells(choice: &Choice, baselines: usize) -> Vec<String> {
     let of = |at: usize| {
         let baselines = (0..baselines).map(move |line| choice.baselines.get(line).copied().flatten());
@@ -191,7 +191,7 @@ fn cells(choice: &Choice, baselines: usize) -> Vec<String> {
     [choice.name.clone()].into_iter().chain(of(0)).chain(of(1)).collect()
 }
 
-/// Axes of a panel: where values lie, in pixels.
+/// The axes of a panel, which map values to pixels.
 struct Panel {
     drawing: Drawing,
     y: [f64; 2],
@@ -201,7 +201,7 @@ struct Panel {
 }
 
 impl Panel {
-    /// A panel from `from` on, with space for labels of so many characters.
+    /// A panel whose y axis begins at `from`, with space for labels of this many characters.
     fn new(title: &str, x: [f64; 2], from: f64, ys: impl Iterator<Item = f64>, characters: usize) -> Self {
         let below = 16.0 + CHARACTER * characters.min(MOST_CHARACTERS + 1) as f64;
         let mut drawing = Drawing::new(LEFT + AREA.0 + RIGHT, TOP + AREA.1 + below);
@@ -271,14 +271,14 @@ fn panel(marginal: &Marginal) -> String {
     for (ordinate, &x) in ordinates.iter().zip(&places).step_by(every) {
         panel.label(x, &ordinate.label);
     }
-    // The pattern last: no baseline covers it.
+    // Draw the pattern last, so that no baseline covers it.
     for (line, color) in COLORS.into_iter().enumerate().rev() {
         let spreads: Vec<(f64, Spread)> = ordinates
             .iter()
             .zip(&places)
             .filter_map(|(ordinate, &x)| Some((x, ordinate.lines.get(line).copied().flatten()?)))
             .collect();
-        // Names have no order, so no line leads from one to the next.
+        // Names have no order, so do not connect them by lines.
         let is_line = ordinates.iter().all(|ordinate| ordinate.at.is_some());
         let mean: Vec<(f64, f64)> =
             spreads.iter().map(|(x, of)| (panel.across(*x), panel.down(of.mean))).collect();
@@ -313,13 +313,13 @@ fn dashed(drawing: &mut Drawing, points: &[(f64, f64)], color: &str) {
     }
 }
 
-/// The choices that no other one beats: at least as good in both, and better in one.
+/// The Pareto front: choices for which no other one is at least as good in both figures and better in one.
 fn on_front(choices: &[Choice]) -> Vec<bool> {
     let mut order: Vec<usize> = (0..choices.len()).collect();
     let own = |number: &usize| choices[*number].own;
     order.sort_by(|a, b| own(b)[0].total_cmp(&own(a)[0]).then(own(b)[1].total_cmp(&own(a)[1])));
     let (mut found, mut highest) = (vec![false; choices.len()], f64::NEG_INFINITY);
-    // From the best on average down: each of those as good on average, of which the first is the best at worst.
+    // Go through groups of equal mean, from the best mean down. The first of each group has the best worst case.
     for alike in order.chunk_by(|a, b| own(a)[0] == own(b)[0]) {
         let best = own(&alike[0])[1];
         for &number in alike {

@@ -9,7 +9,7 @@ use crate::track::Track;
 use meissner_array::units::HALF_TICKS_PER_S;
 use rayon::prelude::*;
 
-/// Breakpoints in a block, about: they fit a processor's nearer cache.
+/// Approximate number of breakpoints in a block: they fit into a processor's inner cache.
 const BLOCK: f64 = 16_384.0;
 
 /// The breakpoints of some motors, block by block.
@@ -26,7 +26,7 @@ pub(crate) struct Blocks<'s> {
 enum Source<'s> {
     /// The rest of its list.
     List(&'s [Breakpoint]),
-    /// They are too many for a list: the next one, and the source of those after it.
+    /// Too many for a list: the next one, and the source of those after it.
     Made(Breakpoints<'s>, Option<Breakpoint>),
 }
 
@@ -42,7 +42,7 @@ impl<'s> Source<'s> {
         )
     }
 
-    /// Moves those before an instant onto the end of a block.
+    /// Moves the breakpoints before an instant to the end of a block.
     fn take_before(&mut self, end: f64, block: &mut Vec<Breakpoint>) {
         match self {
             Self::List(list) => {
@@ -100,8 +100,8 @@ impl<'s> Blocks<'s> {
     }
 }
 
-/// Sorts a block in time proportional to its length: into as many buckets as there are breakpoints, then by insertion.
-/// Sorting by comparisons would take a tenth of a simulation.
+/// Sorts a block in time proportional to its length: first into as many buckets as there are breakpoints, then by insertion. A
+/// comparison sort would take a tenth of a simulation's time.
 #[derive(Debug, Default)]
 struct Sorter {
     starts: Vec<u32>,
@@ -128,7 +128,7 @@ impl Sorter {
             self.sorted[*place as usize] = *found;
             *place += 1;
         }
-        // Within a bucket they are in order of motor, and at most a few places off.
+        // Within a bucket breakpoints are in order of motor, so each is at most a few places off.
         for index in 1..self.sorted.len() {
             let found = self.sorted[index];
             let mut place = index;
@@ -177,14 +177,14 @@ mod tests {
     #[test]
     fn breakpoints_are_in_order_and_leave_every_motor_at_rest() {
         let tracks = tracks();
-        // The last one moves by less than a pulse.
+        // The last drive moves its pin by less than a pulse.
         assert_eq!(
             tracks.iter().flatten().map(|track| track.motor()).collect::<Vec<_>>(),
             [0, 1, 2, 3, 4, 5]
         );
         for track in tracks.iter().flatten() {
             let (motor, per_s, breakpoints) = (track.motor(), track.breakpoints_per_s(), track.breakpoints());
-            // The fastest ones have no list.
+            // The fastest drives have no list.
             assert!(track.list().is_none_or(|list| breakpoints.eq(list.iter().copied())));
             let breakpoints = track.breakpoints();
             let (mut at, mut d, mut slope, mut count) = (0.0, 0.0_f64, 0.0, 0.0);
@@ -194,7 +194,7 @@ mod tests {
                 slope += found.slope_change;
                 at = found.at;
                 count += 1.0;
-                // Half pulses: no more than the window holds at full speed.
+                // D is in half pulses, and no larger than in a window at full speed.
                 assert!(d.fract() == 0.0 && d.abs() <= WINDOW && slope.abs() <= 2.0, "{found:?}: {d}");
             }
             assert_eq!((d, slope), (0.0, 0.0), "motor {motor}");
@@ -211,7 +211,7 @@ mod tests {
         for length in [None, Some(1.0), Some(731.5), Some(10_000.0), Some(1e9)] {
             let mut blocks = Blocks::new(tracks.iter().flatten().map(Arc::as_ref), end);
             blocks.length = length.unwrap_or(blocks.length);
-            // Some from lists, some not.
+            // Take some motors from lists, and some not.
             for (source, track) in blocks.motors.iter_mut().zip(tracks.iter().flatten()).step_by(2) {
                 let mut breakpoints = track.breakpoints();
                 let first = breakpoints.next();

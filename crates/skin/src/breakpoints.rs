@@ -3,9 +3,8 @@
 //! A shaft's displacement y changes at `dy/dt = D / W` with `D = r(t) - r(t - W)`. D is linear between the starts and
 //! ends of ramps and W after each. A [`Breakpoint`] says when the slope of D changes, and by how much.
 //!
-//! D is counted in half pulses and time in half ticks. So for strokes every D is a whole number, and at rest it is
-//! exactly 0. Where each burst has a travel of its own, D is counted in half pulses of the motor's fastest burst, and
-//! in 2⁻⁴⁰ of those.
+//! D is counted in half pulses and time in half ticks. So for strokes every D is a whole number, and at rest it is exactly 0. If
+//! bursts differ in their travel, D is counted in 2⁻⁴⁰ of a half pulse of the motor's fastest burst.
 //!
 //! Invariant: a motor's breakpoints are in order of time.
 
@@ -30,8 +29,8 @@ pub(crate) struct Breakpoint {
     pub(crate) motor: u8,
 }
 
-/// Parts of a half pulse in which D is counted where bursts differ in their travel. Times the 731 of a full window
-/// this is far below 2⁵³, so sums are exact and rest stays 0. Rounding loses 10⁻¹² of a burst.
+/// The number of parts of a half pulse in which D is counted if bursts differ in their travel. Multiplied by the 731 of a full
+/// window it is far below 2⁵³, so sums are exact and rest stays 0. Rounding loses 10⁻¹² of a burst.
 const PARTS: f64 = (1_u64 << 40) as f64;
 
 /// A share rounded to whole parts.
@@ -55,8 +54,7 @@ pub(crate) struct Breakpoints<'s> {
 }
 
 impl<'s> Breakpoints<'s> {
-    /// The breakpoints of a motor's drives, which are in order of time. The last stroke is the last that begins before
-    /// `end`, half ticks.
+    /// The breakpoints of a motor's drives, which are in order of time. Only strokes that begin before `end`, half ticks, count.
     pub(crate) fn new(motor: u8, drives: &'s [Drive], end: f64) -> Self {
         let drives = drives.iter().filter_map(|drive| DriveStrokes::of(drive).ok());
         let before = move |stroke: &Excursion| half_ticks(Tick(stroke.up)) < end;
@@ -65,7 +63,7 @@ impl<'s> Breakpoints<'s> {
         Self::of(motor, Box::new(ramps), UM_PER_PULSE)
     }
 
-    /// The breakpoints of ramps. The last ramp is the last that begins before `end`, half ticks.
+    /// The breakpoints of ramps. Only ramps that begin before `end`, half ticks, count.
     pub(crate) fn of_ramps(motor: u8, ramps: &'s [Ramp], full_um_per_tick: f64, end: f64) -> Self {
         let before = ramps.iter().copied().take_while(move |ramp| half_ticks(ramp.start) < end);
         Self::of(motor, Box::new(before), full_um_per_tick)

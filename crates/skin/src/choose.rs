@@ -1,8 +1,8 @@
-//! The cheapest method for an allowed error, found on the scene itself.
+//! Finds the cheapest method for an allowed error, by trials on the scene itself.
 //!
-//! [`choose`] simulates a sample of the afferents that may fire, exactly and by the propagator with ever smaller steps,
-//! until the error on the sample leaves room for the sample's own uncertainty. It counts a method's cost on the whole
-//! scene in breakpoints, steps and spikes. If the exact method costs less than the step that would do, it takes that.
+//! [`choose`] simulates a sample of the afferents that may fire, exactly and by the propagator with smaller and smaller steps,
+//! until the error on the sample leaves room for the sample's own uncertainty. It estimates a method's cost on the whole scene from
+//! its breakpoints, steps and spikes. If the exact method costs less than the step found, it takes the exact method.
 //!
 //! Invariant: the choice depends on the scene and the error alone, never on a clock.
 
@@ -57,7 +57,7 @@ pub fn choose(scene: &Scene, error_hz: f64) -> Result<Choice, MethodError> {
     let (sample, share) = if all.len() <= SAMPLE {
         (all, 1.0)
     } else {
-        // An afferent that is silent at the coarsest step is silent at every other: it has no error.
+        // An afferent that is proven silent at the coarsest step is silent at every other step, so it has no error.
         let mut firing = engine::may_fire(scene, &all, &Options::rates(stepped(STEPS_US[0])));
         let share = firing.len() as f64 / all.len() as f64;
         firing.sort_by_key(|&number| scattered(number));
@@ -70,7 +70,7 @@ pub fn choose(scene: &Scene, error_hz: f64) -> Result<Choice, MethodError> {
     }
     let exact = counts(scene, &sample, Method::Exact);
     let whole = sample.len() == scene.afferents().len();
-    // From the sample to all that may fire.
+    // Scale the error from the sample to all afferents that may fire.
     let scale = if whole { 1.0 } else { share * scene.afferents().len() as f64 / sample.len() as f64 };
     let spikes = exact.iter().sum::<u64>() as f64 * scale;
     let exact_ns = breakpoints(scene, &sample) * scale * NS_PER_BREAKPOINT + spikes * NS_PER_EXACT_SPIKE;
@@ -90,7 +90,7 @@ pub fn choose(scene: &Scene, error_hz: f64) -> Result<Choice, MethodError> {
             .iter()
             .map(|&number| (found[number as usize] as f64 - exact[number as usize] as f64).powi(2))
             .sum();
-        // The sample may have missed one or two wrong spikes of the others.
+        // The other afferents may have one or two wrong spikes that the sample does not show.
         let missed = if whole { 0.0 } else { 2.0 };
         let mean = (squares + missed) / sample.len() as f64 * share;
         let estimate = if scene.duration_s() > 0.0 { mean.sqrt() / scene.duration_s() } else { 0.0 };
@@ -113,7 +113,7 @@ fn counts(scene: &Scene, numbers: &[u32], method: Method) -> Vec<u64> {
     counts
 }
 
-/// The breakpoints that some afferents pass, about.
+/// The approximate number of breakpoints that some afferents pass.
 fn breakpoints(scene: &Scene, numbers: &[u32]) -> f64 {
     let options = Options::rates(Method::Exact);
     let of_motor = |track: &Arc<Track>| {

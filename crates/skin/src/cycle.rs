@@ -1,11 +1,10 @@
-//! Finds when an afferent's state repeats, so that what follows need not be computed again.
+//! Finds when an afferent's state repeats, so that the rest need not be computed again.
 //!
-//! Without noise, and with drives that repeat to the tick, an afferent goes on as before once its whole state at one
-//! multiple of the common period is, bit by bit, its state at an earlier multiple. [`Cycle`] looks for that as Brent's
-//! algorithm does for cycles of any function: it compares each state with one kept state, which it renews at each power
-//! of 2.
+//! This needs an afferent without noise, and drives that repeat to the tick. If its whole state at one multiple of the common
+//! period equals, bit by bit, its state at an earlier multiple, everything between them repeats. [`Cycle`] searches with Brent's
+//! cycle-finding algorithm: it compares each state with one kept state, which it renews at each power of 2.
 //!
-//! Invariant: states are compared relative to their own multiple of the period, and in all of their bits.
+//! Invariant: states are compared in all their bits, with times relative to their own multiple of the period.
 
 use firmware_protocol::stroke::MOTORS;
 use meissner_array::motor::WINDOW_HALF_TICKS;
@@ -13,7 +12,7 @@ use meissner_array::pattern::Drive;
 
 /// Periods after which the search for a repetition ends.
 const MAX_PERIODS: u64 = 1024;
-/// A drive may take so many of its cycles to repeat to the tick.
+/// The most cycles that a drive may take to repeat to the tick.
 const MAX_CYCLES: u64 = 2048;
 
 /// Numbers in a state.
@@ -36,7 +35,7 @@ pub(crate) fn periods(drives: &[Drive], end: f64) -> Periods {
     })
 }
 
-/// The shortest time, in ticks, after which each edge before `end` has another of its kind.
+/// The shortest time, in ticks, by which each edge before `end` is followed by another of its kind.
 fn period(drive: &Drive, end: f64) -> Option<u64> {
     let wave = drive.wave().ok()?;
     if !wave.moves() {
@@ -51,7 +50,7 @@ fn period(drive: &Drive, end: f64) -> Option<u64> {
         if ticks > ends / 3 {
             return None;
         }
-        // The first few edges nearly always decide; then check all.
+        // Check the first few edges, which nearly always decide, and then all.
         let repeats = |h: u64| wave.edge(h + 2 * cycles) == wave.edge(h) + ticks;
         ((0..64).all(repeats) && (64..).take_while(|&h| wave.edge(h) < ends).all(repeats)).then_some(ticks)
     })
@@ -74,7 +73,7 @@ pub(crate) struct Cycle<const LANES: usize> {
 /// The result of a comparison.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Comparison {
-    /// Lanes whose state is the kept one, one bit each, and how many half ticks ago that was.
+    /// Lanes whose state equals the kept one, one bit each, and how many half ticks ago that was.
     pub(crate) repeats: u32,
     pub(crate) ago: f64,
     /// Whether these states are now the kept ones.
@@ -84,7 +83,8 @@ pub(crate) struct Comparison {
 }
 
 impl<const LANES: usize> Cycle<LANES> {
-    /// For a group that some motors reach (one bit each). None if together they do not repeat often enough before `end`.
+    /// The search for a group that these motors reach (one bit each). None if together they do not repeat often enough before
+    /// `end`.
     pub(crate) fn new(periods: &Periods, motors: u32, end: f64) -> Option<Self> {
         let mut common: u64 = 1;
         for (motor, period) in periods.iter().enumerate() {
@@ -98,7 +98,7 @@ impl<const LANES: usize> Cycle<LANES> {
         if common == 1 {
             return None;
         }
-        // So long that at the second multiple the window holds nothing of the beginning any more.
+        // Long enough that at the second multiple the window no longer covers the beginning.
         let period = common * WINDOW_HALF_TICKS.div_ceil(common);
         let period = 2.0 * period as f64;
         let cycle = Self {
@@ -117,7 +117,7 @@ impl<const LANES: usize> Cycle<LANES> {
         let now = self.next;
         self.next += self.period;
         self.count += 1;
-        // No state equals the first kept one, which is NaN.
+        // The first kept state is NaN, so no state equals it.
         let repeats = (0..LANES).filter(|&lane| states[lane] == self.kept[lane]);
         let repeats = repeats.fold(0, |lanes, lane| lanes | 1 << lane);
         let ago = now - self.kept_at;
@@ -156,7 +156,7 @@ mod tests {
         assert_eq!(of(drive(3, 50.0), 10.0), Some(1700));
         assert_eq!(of(drive(3, 85_000.0 / 1700.5), 10.0), Some(3401));
         assert_eq!(of(drive(3, 60.0 * std::f64::consts::PI), 10.0), None);
-        // Not even three periods.
+        // The scene is shorter than three periods.
         assert_eq!(of(drive(3, 60.0), 0.14), None);
         assert_eq!(of(Drive { amplitude_um: 0.01, ..drive(3, 60.0) }, 10.0), Some(0));
         assert_eq!(of(Drive { start_s: Some(0.1), ..drive(3, 60.0) }, 10.0), None);

@@ -1,8 +1,8 @@
-//! The work of a simulation: which afferents, in which groups, on which threads.
+//! Runs a simulation: distributes afferents to groups, and groups to threads.
 //!
-//! [`Work`] orders afferents by place, so that the members of a group feel the same motors, and takes them tile by tile:
-//! memory holds one tile and the answer. A tile goes through the scene block by block. Within a block its groups are
-//! independent, so the threads share them.
+//! [`Work`] orders afferents by place, so that the same motors reach the members of a group. It takes them tile by tile, so memory
+//! holds one tile and the answer. A tile goes through the scene block by block. Within a block its groups are independent, so the
+//! threads share them.
 //!
 //! Invariant: the answer for an afferent depends on the scene and its number, not on tiles, blocks or threads.
 
@@ -31,11 +31,11 @@ pub struct Skipped {
     pub motors_at_rest: u32,
     /// Motors whose weight counts as 0 at every afferent.
     pub motors_out_of_reach: u32,
-    /// Afferents without a weight of any moving motor: the membrane stays at rest, below the least threshold.
+    /// Afferents that no moving motor reaches: the membrane stays at rest, below the lowest threshold.
     pub afferents_out_of_reach: u64,
-    /// Afferents whose input, even if nothing in it cancelled, stays below their first threshold.
+    /// Afferents whose input stays below their first threshold, even if no parts of it cancel.
     pub afferents_below_threshold: u64,
-    /// Afferent-seconds after a state that had been there before, bit by bit.
+    /// Afferent-seconds after a state that had occurred before, bit by bit.
     pub repeated_afferent_s: f64,
     /// Afferents that no change since the last evaluation reaches.
     pub afferents_reused: u64,
@@ -43,14 +43,14 @@ pub struct Skipped {
 
 /// Afferents in a tile.
 const TILE_AFFERENTS: usize = 4096;
-/// The search for silent afferents looks at so many breakpoints of each motor. Eight strokes are often enough.
+/// The search for silent afferents looks at this many breakpoints of each motor, in turn. Eight strokes are often enough.
 const SILENCE_BREAKPOINTS: [usize; 3] = [64, 4096, usize::MAX];
 /// Steps in a block.
 const STEPS: u64 = 256 * TILE as u64;
 
 /// An afferent's number, its number of spikes, and their times, half ticks, if they are kept.
 pub(crate) type Train = (u32, u64, Vec<f64>);
-/// Takes the spike train of an afferent. A trait object: the simulation is compiled once, not once for each caller.
+/// Receives the spike train of an afferent. As a trait object, so that the simulation is compiled only once.
 pub(crate) type Give<'g> = dyn FnMut(Train) + 'g;
 
 /// Simulates some of a scene's afferents. `give` is called with the spike train of each, in no particular order.
@@ -98,7 +98,7 @@ pub(crate) struct Work<'w> {
     tracks: [Option<&'w Track>; MOTORS],
     /// The motors that have a track, one bit each.
     moving: u32,
-    /// The members with their weights of all motors, at their numbers; empty if they are made anew.
+    /// The members with their weights of all motors, indexed by their numbers; empty if they are made for each run.
     kept: &'w [Member],
 }
 
@@ -199,7 +199,7 @@ impl<'w> Work<'w> {
             Method::Stepped(stepping @ Stepping { integrator: Integrator::Propagator, .. }) => {
                 stepping.half_ticks()
             }
-            // Euler samples the input, so an integral of the input does not bound it.
+            // Euler's method samples the input, so an integral of the input gives no bound.
             Method::Stepped(_) => return Vec::new(),
         };
         let bound = Bound::new(&self.membrane, step);
@@ -258,7 +258,7 @@ impl<'w> Work<'w> {
             progress(blocks.reached() / self.end);
             within_bounds(groups.iter().map(exact::Group::kept).sum())?;
         }
-        // Repeated spikes are written out only if there are few enough.
+        // Repeated spikes are stored only if there are few enough.
         if keep {
             within_bounds(groups.iter().map(exact::Group::to_keep).sum())?;
         }

@@ -1,9 +1,9 @@
-//! A scene evaluated again and again while some of its motors change: the optimiser's case.
+//! Evaluates a scene again and again while some of its motors change, as the optimiser does.
 //!
-//! A [`Candidate`] is the answer with other drives. Only the afferents that feel a changed motor are simulated again.
-//! An afferent's spikes depend on nothing but the motors that reach it, so the kept answers of the others are those of
-//! a whole simulation, bit by bit. Candidates change nothing: several threads may evaluate them on one [`Evaluator`],
-//! and accept one of them or none.
+//! A [`Candidate`] is the answer with other drives. Only the afferents that a changed motor reaches are simulated again. An
+//! afferent's spikes depend only on the motors that reach it, so the kept answers of the others are those of a whole simulation,
+//! bit by bit. Candidates do not change the evaluator: several threads may evaluate them on one [`Evaluator`], and accept one of
+//! them or none.
 //!
 //! Invariant: [`Evaluator::counts`] is always the answer to [`Evaluator::scene`].
 
@@ -23,7 +23,7 @@ use std::sync::Arc;
 pub struct Evaluator {
     scene: Scene,
     options: Options,
-    /// Shared with its candidates, which are recognised by it.
+    /// Shared with its candidates: the pointer identifies them.
     counts: Arc<Vec<u64>>,
     tracks: Tracks,
     afferents: Arc<Afferents>,
@@ -34,7 +34,7 @@ pub struct Evaluator {
 struct Afferents {
     /// Their numbers in order of place, each with the motors that reach it, one bit each.
     order: Vec<(u32, u32)>,
-    /// At their numbers; empty if they would take too much memory.
+    /// Indexed by their numbers; empty if they would take too much memory.
     members: Vec<Member>,
 }
 
@@ -52,7 +52,7 @@ pub struct Candidate {
 }
 
 impl Evaluator {
-    /// Simulates a scene for the first time. Only counts are kept, whatever `options` say.
+    /// Simulates a scene for the first time. It keeps only counts, and ignores what `options` say about that.
     ///
     /// # Errors
     /// If the method cannot simulate the scene.
@@ -81,21 +81,20 @@ impl Evaluator {
         let candidate = if Arc::ptr_eq(&candidate.from, &self.counts) {
             candidate
         } else {
-            // Its drives were checked, and the check depends on nothing else.
+            // The candidate's drives were checked, and the check depends only on the drives.
             let drives = candidate.scene.drives().to_vec();
             self.candidate(self.scene.with_drives(drives).expect("the drives were checked"))
         };
         let Candidate { scene, from, tracks, changed, .. } = candidate;
         self.scene = scene;
         tracks.into_iter().for_each(|(motor, track)| self.tracks[usize::from(motor)] = track);
-        // Without a second owner, `make_mut` copies nothing.
+        // Drop the second owner, so that `make_mut` copies nothing.
         drop(from);
         let counts = Arc::make_mut(&mut self.counts);
         changed.into_iter().for_each(|(number, count)| counts[number as usize] = count);
     }
 
-    /// Replaces all drives of one motor and simulates the change. `drives` become this motor's, whatever motor they
-    /// name.
+    /// Replaces all drives of one motor and simulates the change. `drives` become this motor's, even if they name another motor.
     ///
     /// # Errors
     /// If the drives are not those of a scene; then nothing changes.
@@ -124,7 +123,7 @@ impl Evaluator {
             let ran = work.run(&numbers, &|_| (), &mut |(number, count, _)| changed.push((number, count)));
             skipped = ran.expect("no spikes are kept, so there are never too many");
         }
-        // They may reach the afferents that were not simulated.
+        // These motors may reach the afferents that were not simulated.
         skipped.motors_out_of_reach = 0;
         skipped.afferents_reused = (self.counts.len() - numbers.len()) as u64;
         Candidate { scene, from: Arc::clone(&self.counts), tracks, changed, skipped }

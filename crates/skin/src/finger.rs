@@ -1,7 +1,8 @@
-//! A finger of either model, and its spikes when pins move.
+//! A finger of either model, which responds to moving pins with spikes.
 //!
-//! [`Finger::new`] places the afferents of a fingertip; [`Finger::spikes_s`] and [`Finger::counts`] answer to a [`Trial`]:
-//! drives of a pattern or the bursts that motors made, for some time, with some noise. The first model is simulated exactly.
+//! [`Finger::new`] places the afferents of a fingertip; [`Finger::spikes_s`] and [`Finger::counts`] compute the response to a
+//! [`Trial`]: drives of a pattern or the bursts that motors made, for some time, with some noise. The first model is simulated
+//! exactly.
 //!
 //! Invariant: the RA afferents of both models lie at the same places and come first.
 
@@ -42,7 +43,7 @@ pub enum Moved<'m> {
     Ramps(&'m Ramps),
 }
 
-/// What a finger answers to. Pins and afferents are at rest at its beginning.
+/// A stimulus of a finger. Pins and afferents are at rest at its beginning.
 #[derive(Clone, Copy, Debug)]
 pub struct Trial<'m> {
     /// What moves the pins.
@@ -53,7 +54,7 @@ pub struct Trial<'m> {
     pub noise_seed: u64,
 }
 
-/// Why a finger gives no answer.
+/// Why a finger's response cannot be computed.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum FingerError {
     /// No scene can have such afferents, drives or duration.
@@ -68,7 +69,7 @@ impl SkinModel {
     /// The second model, with pins pressed in as by default.
     pub const AFFERENTS: Self = Self::Afferents { preindent_mm: fingertip::PREINDENT_MM };
 
-    /// The model of a name; `membrane` are the parameters of the first.
+    /// The model with this name; `membrane` holds the parameters of the first model.
     #[must_use]
     pub const fn of(name: ModelName, membrane: AfferentModel) -> Self {
         match name {
@@ -97,7 +98,7 @@ impl SkinModel {
 }
 
 impl<'m> Trial<'m> {
-    /// Drives for some time, on motors as modelled.
+    /// Drives for some time, on ideal motors.
     #[must_use]
     pub const fn of_drives(drives: &'m [Drive], duration_s: f64, noise_seed: u64) -> Self {
         Self { moved: Moved::Drives(drives, 1.0), duration_s, noise_seed }
@@ -121,7 +122,7 @@ impl Finger {
         Self { model, afferents }
     }
 
-    /// Some afferents. In the first model all must be RA, and their rows mean nothing.
+    /// Some afferents. In the first model all must be RA, and their rows are ignored.
     ///
     /// # Panics
     /// If an afferent of the first model is of another class.
@@ -261,7 +262,7 @@ mod tests {
         [ModelName::Membrane, ModelName::Afferents].map(|name| SkinModel::of(name, membrane))
     }
 
-    /// The bursts of a second of drives, their travel times `share`: more than half a second needs.
+    /// The bursts of a second of drives, with their travel multiplied by `share`; a trial of half a second needs only a part.
     fn ramps(drives: &[Drive], share: f64) -> Ramps {
         let pattern = Pattern::new("test", None, drives.to_vec(), toml::Table::new()).unwrap();
         let strokes = Strokes::new(&pattern, &StrokeOptions::lasting(1.0)).unwrap().map(Result::unwrap);
@@ -288,7 +289,7 @@ mod tests {
         }
     }
 
-    /// A gain of all motors is the same as shorter travels, and both say less to the skin.
+    /// A gain of all motors has the same effect as shorter travels: both lower the response.
     #[test]
     fn slower_bursts_are_motors_of_a_lower_gain() {
         let drives = [drive(9, 60.0, 80.0)];
@@ -318,7 +319,7 @@ mod tests {
         assert_eq!(afferents.of_class(Class::Pc).count(), 60);
     }
 
-    /// 300 um lift the pins around off the skin, which the pins press in by 50 um.
+    /// An amplitude of 300 um lifts neighbouring pins off the skin, because pins are pressed in by only 50 um.
     #[test]
     fn lost_contact_changes_the_answer_to_bursts_as_to_drives() {
         let drives = [drive(9, 60.0, 300.0)];

@@ -3,7 +3,7 @@
 //! An afferent is a nerve fibre with its receptors; its spikes are what the model computes. The data path:
 //!
 //! 1. [`afferent`]: the parameters of an afferent, its receptive field, and a population on the fingertip.
-//! 2. `scene`: a [`Scene`] says which motors are driven and how, where the afferents lie, and their parameters.
+//! 2. `scene`: a [`Scene`] holds the drives of the motors, and the afferents with their places and parameters.
 //! 3. `breakpoints`: a motor's strokes become the breakpoints of its velocity. Between two breakpoints the velocity
 //!    is a straight line. `track` keeps what one motor does, `blocks` merges the motors in order of time, `sampler`
 //!    puts the velocity on a grid of steps.
@@ -14,20 +14,17 @@
 //!    fixed step, with forward Euler as in the paper or with the exact propagator of the leak.
 //! 6. `engine` shares the afferents out over groups and threads. [`simulate`] gives the [`Answer`].
 //!
-//! On top of that, an [`Evaluator`] simulates a scene again when some of its motors change, [`choose`] finds the
-//! cheapest method for an allowed error, and [`simulate_ramps`] takes the bursts that motors really made ([`Ramps`])
-//! in place of drives.
+//! On top of that, an [`Evaluator`] simulates a scene again when some of its motors change, [`choose`] finds the cheapest method
+//! for an allowed error, and [`simulate_ramps`] takes measured bursts of motors ([`Ramps`]) instead of drives.
 //!
-//! [`fingertip`] is a second model with modules of its own: skin mechanics, and SA1, RA and PC afferents. An [`AnyScene`]
-//! is a scene of either model. A [`Finger`] of either model answers to drives and to ramps alike: it is the place to begin
-//! for whatever both models shall answer.
+//! [`fingertip`] is a second model with modules of its own: skin mechanics, and SA1, RA and PC afferents. An [`AnyScene`] is a
+//! scene of either model. A [`Finger`] of either model responds to drives and to ramps: begin with it if you need both models.
 //!
-//! Both methods draw the same noise, so they can be compared spike by spike. Work is skipped only where the answer is
-//! known without it ([`Skipped`]): motors at rest, afferents out of reach or provably silent, a state that repeats
-//! itself (`cycle`).
+//! Both methods use the same noise, so they can be compared spike by spike. Work is skipped only if the answer is known without it
+//! ([`Skipped`]): motors at rest, afferents out of reach or provably silent, a state that repeats itself (`cycle`).
 //!
-//! Invariant: the answer for an afferent depends on its scene, the method, and its number, which keys its noise. It
-//! does not depend on threads, the width of vectors, the other afferents, or what is skipped.
+//! Invariant: the answer for an afferent depends on its scene, the method, and its number, which keys its noise. It does not depend
+//! on threads, the width of vectors, the other afferents, or skipped work.
 //!
 //! The crate opens no file and reads no clock.
 //!
@@ -59,7 +56,7 @@
 //!
 //! # Sources
 //!
-//! A constant is marked with where it comes from: (P) the paper, (L) other literature, (C) our own choice.
+//! A constant is marked with its source: (P) the paper, (L) other literature, (C) our own choice.
 //!
 //! - The paper (P): K. Gwak, J.-C. Park and D.-S. Kim, "A Novel Stimulation Method Based on a Neuromorphic
 //!   Mechanoreceptor Model for Haptic Illusion", Korea Advanced Institute of Science and Technology. Its afferent

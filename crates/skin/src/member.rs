@@ -1,7 +1,7 @@
 //! The afferents that a method computes: their weights, their first threshold, and their order.
 //!
-//! [`by_place`] orders afferents so that neighbours follow each other, and [`grouped`] cuts them into groups for the
-//! vectors of a processor. Afferents of one group then mostly feel the same motors.
+//! [`by_place`] orders afferents so that neighbours follow each other, and [`grouped`] cuts them into groups for the vectors of a
+//! processor. Then mostly the same motors reach all afferents of a group.
 
 use crate::afferent::{self, MIN_THRESHOLD, Position};
 use crate::membrane::Membrane;
@@ -55,15 +55,14 @@ pub(crate) fn motors_of(members: &[Member]) -> u32 {
     members.iter().fold(0, |motors, member| motors | member.motors())
 }
 
-/// An afferent's weight of a motor. The model is linear in a motor's displacement, so the motor's gain goes into the
-/// weight: the velocity then stays a whole number, which keeps everything exact. Whether a weight counts as 0 does not
-/// depend on the gain.
+/// An afferent's weight of a motor. The model is linear in a motor's displacement, so the weight includes the motor's gain. The
+/// velocity then stays a whole number, which keeps everything exact. Whether a weight counts as 0 does not depend on the gain.
 pub(crate) fn weight(scene: &Scene, options: &Options, number: u32, motor: u8) -> f64 {
     let weight = afferent::weight(scene.afferents()[number as usize], motor, scene.model().sigma_mm);
     if weight < options.min_weight { 0.0 } else { weight * scene.gains()[usize::from(motor)] }
 }
 
-/// Afferents in an order in which neighbours follow each other: by the interleaved bits of their positions.
+/// Afferents ordered so that neighbours follow each other: by the interleaved bits of their positions.
 pub(crate) fn by_place(scene: &Scene, numbers: &[u32]) -> Vec<u32> {
     let positions = scene.afferents();
     let range = |of: fn(&Position) -> f64| {

@@ -1,13 +1,12 @@
 //! The membrane in closed form between breakpoints, and the threshold.
 //!
 //! Over a segment of length L on which the input is `v + k s`, a leaky membrane with rate r goes from P to
-//! `P - P x φ1 + gain L (v φ1 + k L φ2)`, where `x = r L`, `φ2(x) = (x - 1 + e^-x) / x²`, `φ1(x) = 1 - x φ2(x)`
-//! `= (1 - e^-x) / x`. In this form nothing cancels, however small x is: with a time constant of 10⁶ s it becomes the
-//! polynomial without a leak.
+//! `P - P x φ1 + gain L (v φ1 + k L φ2)`, where `x = r L`, `φ2(x) = (x - 1 + e^-x) / x²`, `φ1(x) = 1 - x φ2(x)` `= (1 - e^-x) / x`.
+//! In this form no terms cancel, even for the smallest x: with a time constant of 10⁶ s it becomes the polynomial without a leak.
 //!
 //! Time is in half ticks, input in half pulses weighted by the receptive field.
 //!
-//! Invariant: lengths are measured from the start of a segment, never from that of the scene.
+//! Invariant: lengths are measured from the start of a segment, never from the start of the scene.
 
 use crate::afferent::{AfferentModel, MIN_THRESHOLD, NOISE_LIMIT_SD, Rectify};
 use meissner_array::motor::WINDOW_HALF_TICKS;
@@ -25,11 +24,11 @@ pub(crate) struct Membrane {
     pub(crate) gain: f64,
     /// Half ticks.
     pub(crate) refractory: f64,
-    /// The threshold is lowered by this right after a spike,
+    /// The lowering of the threshold right after a spike.
     pub(crate) depth: f64,
-    /// for so many half ticks,
+    /// How long the threshold is lowered, half ticks.
     pub(crate) lowering: f64,
-    /// and recovers by this per half tick.
+    /// Recovery of the threshold per half tick.
     pub(crate) recovery: f64,
     pub(crate) noise_sd: f64,
 }
@@ -99,7 +98,7 @@ pub(crate) const SHORT: usize = 7;
 #[inline(always)]
 pub(crate) fn phi2(x: f64) -> f64 {
     if x <= SHORT_SERIES_ENDS {
-        // Summed in pairs, for speed: each step towards a crossing waits for it.
+        // Sum in pairs, for speed: each step towards a crossing waits for this result.
         let pair = |n: usize| SERIES[n + 1].mul_add(x, SERIES[n]);
         let square = x * x;
         let tail = SERIES[6].mul_add(square, pair(4));

@@ -1,4 +1,4 @@
-//! How a scene is simulated: the method, and what is kept of the answer.
+//! How a scene is simulated: the method, and which parts of the answer are kept.
 //!
 //! [`Method::check`] refuses a method that cannot simulate a scene, before any work is done.
 
@@ -39,7 +39,7 @@ pub struct Stepping {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Integrator {
-    /// The paper's eq. 2: input and leak as at the step's start, a spike at its end.
+    /// The paper's eq. 2: input and leak are those at the step's start, and a spike comes at its end.
     Euler,
     /// The exact leak, the mean input, and crossings within the step.
     #[default]
@@ -103,13 +103,13 @@ pub struct Options {
     pub keep: Keep,
     /// Whether to skip work that does not change the answer.
     pub skip: bool,
-    /// Weights below this count as 0. The model's is [`MIN_WEIGHT`]. A search may take [`SEARCH_MIN_WEIGHT`]: then a
-    /// change reaches fewer afferents.
+    /// Weights below this count as 0. The model's value is [`MIN_WEIGHT`]. A search may use [`SEARCH_MIN_WEIGHT`], so that a change
+    /// reaches fewer afferents.
     pub min_weight: f64,
 }
 
-/// Weights that a search may ignore: a pin then reaches 4.1 mm. Rates move by less than between two populations
-/// (`cargo bench --bench simulate` prints by how much).
+/// Weights below this may be ignored by a search: a pin then reaches 4.1 mm. Rates change by less than between two populations
+/// (`cargo bench --bench simulate` prints the change).
 pub const SEARCH_MIN_WEIGHT: f64 = 1e-3;
 
 impl Options {

@@ -1,9 +1,9 @@
 //! One afferent over one segment of input: finds every spike in it, each at its first possible instant.
 //!
-//! This is the slow and general method, for segments in which the threshold may be reached. [`Neuron::cross`] cuts a
-//! segment where the input changes sign and where refractoriness or hyperexcitability ends. On each [`Part`], membrane
-//! minus threshold is `A + B s + C e^-rs`: convex or concave throughout, with at most one extremum. So the ends or the
-//! extremum bracket a crossing, and none is missed.
+//! This is the slow and general method, for segments in which the threshold may be reached. [`Neuron::cross`] cuts a segment where
+//! the input changes sign and where refractoriness or hyperexcitability ends. On each [`Part`], membrane minus threshold is
+//! `A + B s + C e^-rs`, which is convex or concave throughout and has at most one extremum. So the ends or the extremum bracket a
+//! crossing, and no crossing is missed.
 //!
 //! At one instant the order is: breakpoint of the input, end of refractoriness or hyperexcitability, test, spike.
 //! Touching the threshold counts.
@@ -26,7 +26,7 @@ pub(crate) struct Segment {
     pub(crate) k: f64,
     /// The membrane's gain, with the scale of the weights.
     pub(crate) gain: f64,
-    /// The membrane at the end if there is no spike, where that is known.
+    /// The membrane at the end if there is no spike, if that is known.
     pub(crate) end: Option<f64>,
 }
 
@@ -47,7 +47,7 @@ impl Instant {
     }
 }
 
-/// The state of an afferent: with its input, this decides everything that follows.
+/// The state of an afferent, which together with its input determines all its later spikes.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Neuron {
     pub(crate) p: f64,
@@ -153,7 +153,7 @@ impl Part<'_> {
         let climb = (high - low) / self.length;
         let end = end - high;
         let rate = self.membrane.rate;
-        // The derivative is `first + curve (1 - e^-rs) / r`: it begins at `first` and curves one way.
+        // The derivative is `first + curve (1 - e^-rs) / r`: it begins at `first` and is monotonic.
         let first = self.gain * self.g - rate * self.p - climb;
         let curve = self.gain * self.slope - rate * (self.gain * self.g - rate * self.p);
         let line = Line { low, climb };
@@ -163,7 +163,7 @@ impl Part<'_> {
         if first <= 0.0 || curve >= 0.0 {
             return None;
         }
-        // It rises at first and curves down: its maximum is where the derivative is 0.
+        // The difference rises at first and is concave: its maximum is where the derivative is 0.
         let fall = -first * rate / curve;
         if fall >= 1.0 {
             return None;
@@ -175,8 +175,8 @@ impl Part<'_> {
         Some(self.solve(line, start, first, curve, top))
     }
 
-    /// The crossing at or before `high`, where the threshold is reached, by Halley's method within brackets. From the
-    /// root of the parabola that begins like the membrane it takes one or two steps.
+    /// The crossing at or before `high`, where the threshold is reached, by Halley's method within brackets. It starts at the root
+    /// of the osculating parabola, and takes one or two steps.
     #[inline(always)]
     fn solve(&self, line: Line, start: f64, first: f64, curve: f64, mut high: f64) -> f64 {
         let rate = self.membrane.rate;
@@ -285,7 +285,7 @@ mod tests {
         assert!(after.p.abs() < 1e-9);
         let next = Segment { at: segment.at + segment.length, v: 160.0, length: 100.0, ..segment };
         after.cross(&membrane, &next, |instant| panic!("{instant:?}"));
-        // Just out of reach: the next segment begins with the spike.
+        // The threshold is just out of reach: the next segment begins with the spike.
         let (spikes, mut after) = cross(&membrane, &segment, 0.5, threshold * (1.0 + 1e-12));
         assert!(spikes.is_empty());
         let mut spikes = Vec::new();
@@ -310,7 +310,7 @@ mod tests {
         let membrane = membrane(0.3);
         let segment = segment(&membrane, 1e6, 0.0, 1000.0);
         let (spikes, _) = cross(&membrane, &segment, 0.0, 1.0);
-        // So much input that the threshold is always reached before.
+        // The input is so large that the threshold is always reached before.
         assert_eq!(spikes.len(), 6);
         for pair in spikes.windows(2) {
             assert!((pair[1] - pair[0] - membrane.refractory).abs() < 1e-9, "{spikes:?}");

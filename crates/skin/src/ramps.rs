@@ -1,15 +1,13 @@
-//! The bursts that motors really made, and the spikes that follow.
+//! Simulates the spikes that follow from measured bursts of motors.
 //!
-//! A drive says what a motor shall do. [`Ramps`] say what it did: each burst with the travel it really had.
-//! [`simulate_ramps`] takes the speed of a motor's fastest ramp as the motor's gain, which goes into the weights, and the
-//! other ramps as shares of it. So everything that is exact for drives stays exact, and ramps of one gain are drives on
-//! a motor of that gain.
+//! A drive is the order to a motor. [`Ramps`] are what the motor did: each burst with its measured travel. [`simulate_ramps`] takes
+//! the speed of a motor's fastest ramp as the motor's gain, which goes into the weights, and the other ramps as shares of it. So
+//! everything that is exact for drives stays exact, and ramps of one gain give the same answer as drives on a motor of that gain.
 //!
-//! A pin that meets its end stop within a burst moves fast and then not at all. A caller that knows only the burst's
-//! travel describes it as a slower ramp. With stops at ±500 µm, an uncorrected pin loses little of a burst, and this
-//! moves a pattern's contrast by less than 0.5 impulses/s. If stops take half of every burst, the contrast comes out an
-//! eighth too low (measured in `crates/design/tests/prediction.rs`). A caller that knows when the pin stopped
-//! describes a shorter ramp.
+//! A pin that meets its end stop within a burst moves fast and then not at all. A caller that knows only the burst's travel
+//! describes it as a slower ramp. With stops at ±500 µm, an uncorrected pin loses little of a burst, and this moves a pattern's
+//! contrast by less than 0.5 impulses/s. If stops cut half of every burst, the computed contrast is an eighth too low (measured in
+//! `crates/design/tests/prediction.rs`). A caller that knows when the pin stopped describes a shorter ramp.
 //!
 //! Invariant: a motor's ramps are in order of time and do not overlap.
 
@@ -35,7 +33,7 @@ pub struct Ramps {
     motors: [Arc<Vec<Ramp>>; MOTORS],
 }
 
-/// Why ramps cannot be a motor's.
+/// Why no motor can have made some ramps.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum RampsError {
     /// There is no such motor.
@@ -69,8 +67,8 @@ pub enum RampsError {
 }
 
 impl Ramps {
-    /// Takes ramps with their motors, each motor's in order of time. Ticks count from the beginning of the scene. A ramp
-    /// may go either way, whatever the direction of its pulses. Each takes 24 bytes.
+    /// Takes ramps with their motors, each motor's in order of time. Ticks count from the beginning of the scene. A ramp may go up
+    /// or down, even against the direction of its pulses. Each takes 24 bytes.
     ///
     /// # Errors
     /// The first ramp that no motor can have made.
@@ -109,7 +107,7 @@ impl Ramps {
     }
 }
 
-/// A ramp's speed over the model's, either way, rounded to whole parts: a travel divided by its pulses is rounded, and
+/// The absolute speed of a ramp over the model's, rounded to whole parts: a travel divided by its pulses has rounding errors, and
 /// the model's own speed must give 1.
 fn gain(um_per_tick: f64) -> f64 {
     in_parts(um_per_tick.abs() / UM_PER_PULSE)

@@ -3,7 +3,7 @@
 //! [`Sampler`] follows D and its integral from breakpoint to breakpoint in closed form, so a sample is exact wherever
 //! the step falls. The mean of D over a step comes from the integral: it is exactly 0 while the motor rests.
 //!
-//! Invariant: a sample does not depend on how many are asked for at a time.
+//! Invariant: a sample does not depend on how many are requested at a time.
 
 use crate::breakpoints::{Breakpoint, Breakpoints};
 use crate::method::{Integrator, Method};
@@ -41,8 +41,8 @@ impl<'s> Sampler<'s> {
         (end(duration_s) / self.step).ceil() as u64
     }
 
-    /// Fills in the samples of `steps` steps from number `first` on, half pulses: for Euler the velocity at the step's
-    /// start, for the propagator its mean. Zeros fill up the last tile. Steps must be asked for in order.
+    /// Fills in the samples of `steps` steps from number `first` on, half pulses: for Euler the velocity at the step's start, for
+    /// the propagator its mean. Zeros fill up the last tile. Steps must be requested in order.
     pub(crate) fn fill<T: Number>(&mut self, first: u64, steps: usize, samples: &mut Vec<T>) {
         samples.clear();
         for number in first..first + steps as u64 {

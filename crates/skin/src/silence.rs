@@ -1,20 +1,20 @@
 //! Proves that an afferent cannot reach its threshold, so it need not be simulated.
 //!
-//! A membrane is never above the weighted sum of each motor's charge: the leaky integral of the motor's positive
-//! velocity, or of its speed under full rectification. Leaving out negative parts and cancellation only raises it.
-//! [`Bound::charge`] finds the highest charge of one motor, once for all afferents. If even the sum of the highest
-//! charges stays below an afferent's first threshold, the afferent never fires, so its threshold is never lowered.
+//! A membrane is never above the weighted sum of each motor's charge: the leaky integral of the motor's positive velocity, or of
+//! its speed under full rectification. Ignoring negative parts and cancellation only raises this sum. [`Bound::charge`] finds the
+//! highest charge of one motor, once for all afferents. If even the sum of the highest charges stays below an afferent's first
+//! threshold, the afferent never fires, so its threshold is never lowered.
 //!
-//! Invariant: a bound errs upwards only; every approximation here is an overestimate.
+//! Invariant: every approximation here is an overestimate, so a bound is never too low.
 
 use crate::afferent::Rectify;
 use crate::breakpoints::Breakpoint;
 use crate::membrane::Membrane;
 use firmware_protocol::stroke::MOTORS;
 
-/// For rounding, here and in the simulation.
+/// Margin for rounding, here and in the simulation.
 const MARGIN: f64 = 1.001;
-/// The highest by which a step in `f32` rounds a membrane up, relative to it: two roundings, doubled.
+/// Upper bound of the relative amount by which a step in `f32` rounds a membrane up: two roundings, doubled.
 const STEP_ROUNDING: f64 = 4.0 * (f32::EPSILON / 2.0) as f64;
 
 /// The share of a membrane that leaks in one part of a segment.
@@ -29,11 +29,11 @@ pub(crate) struct Bound {
 }
 
 impl Bound {
-    /// `step`: half ticks of a step, 0 for the exact method. A step's input counts as if it all came at the step's end,
-    /// so less of it has leaked than should have.
+    /// `step`: half ticks of a step, 0 for the exact method. A step's whole input counts as if it came at the step's end, so too
+    /// little of it leaks.
     pub(crate) fn new(membrane: &Membrane, step: f64) -> Self {
         let x = membrane.rate * step;
-        // The rounding of a step leaks away as the membrane does: that of 1/x steps remains.
+        // The rounding error of a step leaks away like the membrane, so the error of about 1/x steps remains.
         let rounding = if step > 0.0 { 1.0 + STEP_ROUNDING / x } else { 1.0 };
         let gain = membrane.gain * MARGIN * rounding * libm::exp(x);
         Self { rate: membrane.rate, rectify: membrane.rectify, gain }
@@ -57,7 +57,7 @@ impl Bound {
     fn pass(&self, motor: &mut Charge, at: f64) {
         let length = at - motor.at;
         let end = motor.d + motor.slope * length;
-        // Hardly anything leaks within so short a part. Within it, the membrane stays below its value without that leak.
+        // Hardly anything leaks within such a short part, and ignoring that leak only raises the bound.
         let parts = (self.rate * length / LEAK).ceil().clamp(1.0, 256.0);
         let part = length / parts;
         let x = self.rate * part;
@@ -73,7 +73,7 @@ impl Bound {
             motor.now = motor.now / (1.0 + x * (1.0 + 0.5 * x)) + area;
             motor.d = d;
         }
-        // From the whole segment, so that it stays a whole number.
+        // Computed from the whole segment, so that it stays a whole number.
         (motor.at, motor.d) = (at, end);
     }
 

@@ -1,4 +1,4 @@
-//! Vectors of `f32` or `f64`, as wide as the processor has them.
+//! Vectors of `f32` or `f64`, as wide as the processor's.
 //!
 //! [`Number`] names the operations of `pulp` once for both precisions, so the stepped method is written once. Products
 //! are added with one rounding (`mul_add`) everywhere: that gives the same bits at every width and on every machine.
@@ -71,7 +71,7 @@ pub(crate) trait Number: Copy + Default + Send + Sync + 'static {
 #[inline(always)]
 pub(crate) fn bits<M: bytemuck::NoUninit>(mask: M, lanes: usize) -> u32 {
     let bytes = bytemuck::bytes_of(&mask);
-    // One bit per lane (or the only lane's truth), or per lane the bytes of a number, all ones or all zeros.
+    // A mask has one bit per lane (or the truth value of a single lane), or per lane the bytes of a number, all ones or all zeros.
     match *bytes {
         [byte] => byte.into(),
         [low, high] => u32::from(low) | u32::from(high) << 8,

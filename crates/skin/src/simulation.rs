@@ -13,7 +13,7 @@ pub struct Answer {
     pub counts: Vec<u64>,
     /// Their times in order, s, if they were kept.
     pub spikes_s: Option<Vec<Vec<f64>>>,
-    /// What was skipped.
+    /// The skipped work.
     pub skipped: Skipped,
 }
 
@@ -25,7 +25,7 @@ impl Answer {
     }
 }
 
-/// Simulates a scene. `progress` is called now and then with the share of the work that is done, from any thread.
+/// Simulates a scene. `progress` is called now and then, from any thread, with the completed share.
 ///
 /// # Errors
 /// If the method cannot simulate the scene, or if there are more than [`MAX_SPIKES`](crate::MAX_SPIKES) spikes to keep.

@@ -1,13 +1,13 @@
 //! The stepped methods: a fixed time step, all afferents of a group at a time.
 //!
-//! Forward Euler is the paper's eq. 2: the input at the step's start, and a spike at its end if the threshold is
-//! reached there. The propagator takes the exact leak over a step and the mean input. It finds the crossing within the
-//! step on the straight line between the ends; the rest of the step counts for the next interval. So Euler is of order 1
-//! and the propagator of order 2, as long as no spike only just reaches its threshold.
+//! Forward Euler is the paper's eq. 2: the input at the step's start, and a spike at its end if the threshold is reached there. The
+//! propagator takes the exact leak over a step and the mean input. It finds the crossing within the step on the straight line
+//! between the ends; the rest of the step counts for the next interval. So Euler is of order 1 and the propagator of order 2,
+//! unless a spike only just reaches its threshold.
 //!
-//! A step has at most one spike: it does not resolve a refractory time far below the step.
+//! A step has at most one spike, so a refractory time far below the step is not resolved.
 //!
-//! Invariant: a lane's arithmetic depends on nothing but its afferent, whatever the vector's width.
+//! Invariant: a lane's arithmetic depends only on its afferent, not on the vector's width.
 
 use crate::afferent::{MIN_THRESHOLD, Rectify};
 use crate::member::Member;
@@ -22,7 +22,7 @@ use std::array;
 
 /// Afferents in a group: the widest vector of `f32`.
 pub(crate) const LANES: usize = 16;
-/// Steps since the last spike if there was none.
+/// The value of "steps since the last spike" if there was none.
 const NEVER: f64 = 1e30;
 
 /// One number per lane.
@@ -258,7 +258,7 @@ struct Step<T: Number, S: Simd, const WITHIN: bool> {
     depth: T::Vector<S>,
     least: T::Vector<S>,
     refractory: T::Vector<S>,
-    /// The refractory time for the test at a step's end, less a margin for rounding: a step may divide it.
+    /// The refractory time for the test at a step's end, minus a margin for rounding, because it may be a whole number of steps.
     nearly_refractory: T::Vector<S>,
 }
 
@@ -334,7 +334,7 @@ impl<T: Number, S: Simd, const WITHIN: bool> Step<T, S, WITHIN> {
         let low = self.threshold(before.resting, before.since);
         let climb = T::sub(simd, self.threshold(before.resting, T::add(simd, before.since, self.one)), low);
         let rise = T::sub(simd, end, before.p);
-        // At the end of refractoriness if it is above the threshold by then; else where the lines meet.
+        // The crossing is at the end of refractoriness if the membrane is above the threshold by then; else where the lines meet.
         let gap = T::sub(simd, low, before.p);
         let closing = T::sub(simd, rise, climb);
         let early = T::at_least(simd, T::mul_add(simd, closing, free, self.zero), gap);

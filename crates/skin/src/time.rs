@@ -5,8 +5,8 @@
 
 use meissner_array::units::HALF_TICKS_PER_S;
 
-/// The end of a scene, half ticks. It need not be a whole number. An instant lies before it if, and only if, it lies
-/// before `duration_s` in seconds, however either was rounded.
+/// The end of a scene, half ticks. It need not be a whole number. Despite rounding, an instant lies before it exactly if it lies
+/// before `duration_s` in seconds.
 pub(crate) fn end(duration_s: f64) -> f64 {
     let mut end = duration_s * HALF_TICKS_PER_S;
     while end > 0.0 && end.next_down() / HALF_TICKS_PER_S >= duration_s {

@@ -1,10 +1,9 @@
-//! What one motor does in a scene: its breakpoints, its samples, and its highest charge.
+//! One motor's part in a scene: its breakpoints, its samples, and its highest charge.
 //!
-//! A [`Track`] makes each of them when it is first asked for, and keeps it. So an evaluator that changes some motors
-//! again and again does not compute the others anew. Tracks keep at most [`MAX_KEPT_BYTES`] for all motors; what is
-//! larger is made as it is read.
+//! A [`Track`] computes each of them at first use, and keeps it. So an evaluator that changes some motors again and again does not
+//! compute the others again. Tracks keep at most [`MAX_KEPT_BYTES`] for all motors; larger data is computed as it is read.
 //!
-//! Making one uses one thread, so no thread waits for another that waits for it.
+//! The computation uses one thread, so there is no deadlock.
 //!
 //! Invariant: a track depends on its motor's drives or ramps, the scene's duration and membrane, and the method.
 
@@ -21,20 +20,20 @@ use meissner_array::pattern::Drive;
 use meissner_array::units::HALF_TICKS_PER_S;
 use std::sync::{Arc, OnceLock};
 
-/// The most bytes that all tracks of a scene keep: a minute of fast strokes or of steps. An evaluator keeps as much of
-/// its afferents.
+/// The most bytes that all tracks of a scene keep: a minute of fast strokes or of steps. An evaluator keeps the same amount for its
+/// afferents.
 pub(crate) const MAX_KEPT_BYTES: usize = 16 << 20;
 
 /// The tracks of a scene's motors; none if the motor never moves.
 pub(crate) type Tracks = [Option<Arc<Track>>; MOTORS];
 
-/// What one motor does.
+/// One motor's part in a scene.
 #[derive(Debug)]
 pub(crate) struct Track {
     motor: u8,
     moved_by: MovedBy,
     duration_s: f64,
-    /// Breakpoints per second, at most about.
+    /// Approximate upper bound of breakpoints per second.
     breakpoints_per_s: f64,
     method: Method,
     list: OnceLock<Vec<Breakpoint>>,
@@ -42,7 +41,7 @@ pub(crate) struct Track {
     charge: OnceLock<f64>,
 }
 
-/// What moves the motor, in order of time.
+/// The motor's drives or ramps, in order of time.
 #[derive(Debug)]
 enum MovedBy {
     Drives(Vec<Drive>),
@@ -86,7 +85,7 @@ impl Track {
         let of_motor = scene.drives().iter().filter(|drive| drive.motor == motor);
         let mut drives: Vec<_> = of_motor.filter(moves).copied().collect();
         drives.sort_by(|a, b| a.start().total_cmp(&b.start()));
-        // A motor's drives do not overlap: the fastest bounds them all.
+        // A motor's drives do not overlap, so the fastest gives the bound.
         let breakpoints_per_s = drives.iter().map(|drive| 8.0 * drive.frequency_hz).fold(0.0, f64::max);
         let moved_by = MovedBy::Drives(drives);
         (breakpoints_per_s > 0.0)
@@ -115,7 +114,7 @@ impl Track {
         self.motor
     }
 
-    /// Breakpoints per second, at most about.
+    /// Approximate upper bound of breakpoints per second.
     pub(crate) const fn breakpoints_per_s(&self) -> f64 {
         self.breakpoints_per_s
     }
@@ -157,7 +156,7 @@ impl Track {
         })
     }
 
-    /// The highest charge on a membrane at weight 1 within the first `count` breakpoints, or within more.
+    /// The highest charge on a membrane at weight 1 within at least the first `count` breakpoints.
     pub(crate) fn charge(&self, bound: &Bound, count: usize) -> f64 {
         let horizon = self.method.horizon(self.duration_s);
         let all = count as f64 >= self.breakpoints_per_s * self.duration_s;
@@ -174,7 +173,7 @@ impl Track {
 pub(crate) enum Column<'c, T> {
     /// The kept samples of all steps, and those of the block.
     Kept(&'c [T], &'c [T]),
-    /// They are too many to keep: their source, and those of the block.
+    /// Too many to keep: their source, and those of the block.
     Made(Sampler<'c>, Vec<T>),
 }
 
@@ -187,7 +186,7 @@ impl<'c, T: Sample> Column<'c, T> {
         }
     }
 
-    /// Goes to the block of `steps` steps from number `first` on. Blocks must be asked for in order.
+    /// Goes to the block of `steps` steps from number `first` on. Blocks must be requested in order.
     pub(crate) fn go_to(&mut self, first: u64, steps: usize) {
         match self {
             Self::Kept(all, now) => *now = &all[first as usize..][..steps.next_multiple_of(TILE)],

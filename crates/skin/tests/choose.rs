@@ -1,4 +1,4 @@
-//! The chosen method keeps to the allowed error, measured on random scenes.
+//! The chosen method stays within the allowed error, measured on random scenes.
 
 use meissner_skin::{Method, Options, Scene, choose, simulate};
 use meissner_test_support::random::Random;

@@ -5,9 +5,10 @@ use meissner_test_support::random::Random;
 use meissner_test_support::{both, oracle};
 
 const STEPS_US: [u32; 6] = [400, 200, 100, 50, 25, 12];
-/// Spikes whose membrane crosses the threshold less steeply, 1/s, are left out: their error shrinks with its root only.
+/// Spikes whose membrane crosses the threshold less steeply, 1/s, are left out, because their error shrinks only with the square
+/// root of the step.
 const STEEP: f64 = 15.0;
-/// A spike further off than this is another one.
+/// A spike farther away than this is another one.
 const MATCHED_S: f64 = 0.003;
 
 fn spikes(scene: &Scene, method: Method) -> Vec<Vec<f64>> {
@@ -46,8 +47,8 @@ fn scene(seed: u64, rectify: oracle::Rectify) -> (Scene, Vec<usize>) {
     (ours, oracle::spikes(&theirs).iter().map(steep).collect())
 }
 
-/// A method's error per step: the mean time between its spikes and the reference's over the spikes that match at every
-/// step, s; and the share of those.
+/// A method's error per step: the mean distance of its spikes from the reference's, over the spikes that match at every step, s;
+/// and the share of those spikes.
 fn errors(
     scenes: &[(Scene, Vec<usize>)],
     method: impl Fn(u32) -> Method,

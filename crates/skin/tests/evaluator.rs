@@ -22,7 +22,7 @@ fn afresh(scene: &Scene, options: &Options) -> Vec<u64> {
     simulate(scene, options, &|_| ()).unwrap().counts
 }
 
-/// A change that an optimiser makes to a motor: another frequency, another phase, off, on again, two drives in turn.
+/// A change that an optimiser makes to a motor: another frequency, another phase, off, on again, two drives one after the other.
 fn changed(random: &mut Random, motor: u8, now: Option<Drive>) -> Vec<Drive> {
     let new = random.drive(motor);
     match (random.below(6), now) {
@@ -103,7 +103,7 @@ fn a_candidate_has_the_answer_of_a_fresh_simulation_and_changes_nothing() {
         for _ in 0..6 {
             let (scene, counts) = (evaluator.scene().clone(), evaluator.counts().to_vec());
             let candidates: Vec<_> = (0..4).map(|_| tried(&mut random, scene.drives())).collect();
-            // Several threads at once.
+            // Evaluate on several threads at once.
             let mut evaluated: Vec<_> =
                 candidates.par_iter().map(|drives| evaluator.evaluate(drives).unwrap()).collect();
             assert_eq!((evaluator.scene(), evaluator.counts()), (&scene, &counts[..]));
@@ -145,7 +145,7 @@ fn a_motor_set_to_its_own_drives_is_not_simulated() {
     let drive = scene.drives()[0];
     let last = *scene.drives().last().unwrap();
     let mut evaluator = Evaluator::new(scene, Options::rates(Method::Exact)).unwrap();
-    // The last drive stays the last. The first one's place in the list changes, which must not matter.
+    // The last drive stays the last. The first one's place in the list changes, which must not change the answer.
     let skipped = evaluator.set_motor(last.motor, &[last]).unwrap();
     assert_eq!(skipped.afferents_reused, 306);
     assert_eq!(evaluator.set_motor(drive.motor, &[drive]).unwrap().afferents_reused, 306);
@@ -171,7 +171,7 @@ fn a_refused_change_leaves_everything_as_it_was() {
             evaluator.set_motor(motor, &drives).unwrap_err();
             assert_eq!((evaluator.scene(), evaluator.counts()), (&scene, &before[..]));
         }
-        // It still works.
+        // The evaluator still works.
         evaluator.set_motor(9, &[]).unwrap();
         assert_eq!((evaluator.counts()[0], evaluator.counts()[1]), (0, before[1]));
     }

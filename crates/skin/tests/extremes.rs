@@ -1,7 +1,7 @@
 //! Extreme scenes, by every method: each has one right answer.
 //!
-//! The answer comes from the oracle where it promises one, else from a closed form beside the test. A stepped method is
-//! held to its definition: at most one spike per step, the error of its step, and only finite numbers.
+//! The answer comes from the oracle where it promises one, else from a closed form beside the test. A stepped method must fulfil
+//! its definition: at most one spike per step, the error of its step, and only finite numbers.
 //!
 //! Invariant: every scene here is simulated with and without skipping, for spikes and for rates, with the same answer.
 
@@ -23,7 +23,7 @@ use meissner_test_support::patterns::drive;
 /// No spikes.
 const NONE: [f64; 0] = [];
 
-/// Without noise.
+/// A model without noise.
 fn model(rectify: Rectify) -> AfferentModel {
     AfferentModel::default_for(rectify, 0.0)
 }
@@ -75,7 +75,7 @@ fn methods(step_us: u32) -> [Method; 5] {
     [Method::Exact, a, b, c, d]
 }
 
-/// Spikes, checked for everything that holds for every scene and method.
+/// Spikes, checked for properties that every scene and method has.
 fn spikes(scene: &Scene, method: Method) -> Vec<Vec<f64>> {
     let options = Options::spikes(method);
     let answer = simulate(scene, &options, &|_| ()).unwrap();
@@ -123,7 +123,7 @@ fn as_the_oracle(scene: &Scene, least: usize) -> Vec<Vec<f64>> {
     found
 }
 
-/// Checks that by the stepped methods each afferent has as many spikes as by the exact one, give or take `off`.
+/// Checks that each afferent has the same number of spikes, up to `off`, by the stepped methods as by the exact one.
 fn counts_near(scene: &Scene, step_us: u32, off: usize) {
     let expected = exact(scene);
     for method in stepped(step_us) {

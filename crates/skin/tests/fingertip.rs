@@ -1,4 +1,4 @@
-//! The second model against reference spikes, in all its forms of scenes, and at the extremes.
+//! Tests the second model with reference spikes, in all forms of scenes, and at the extremes.
 
 use meissner_skin::fingertip::{Class, Scene, simulate};
 use meissner_skin::{AnyScene, Keep, ModelName};
@@ -85,7 +85,7 @@ fn a_scene_and_its_defaults() {
     let population = read(&json!({"model": "afferents", "duration_s": 0.1, "population": {"seed": 3}}));
     assert!(population.noise() && population.has_population());
     assert_eq!(population.afferents().len(), 566);
-    // The command's model goes before the file's; a class is RA unless the file says another.
+    // The command's model overrides the file's; the class is RA unless the file names another.
     let both = json!({"duration_s": 0.1, "afferents": [{"x_mm": 0.0, "y_mm": 0.0}]}).to_string();
     let named = |model| AnyScene::read(&both, "both.json", model).unwrap();
     assert!(matches!(named(None), AnyScene::Membrane(_)));
@@ -148,7 +148,7 @@ noise = false => depth_mm = 1 => …
 fn spikes_come_before_the_end_and_a_shorter_scene_is_the_beginning_of_a_longer_one() {
     let whole = spikes_s(&with(small(), &[("/duration_s", json!(0.8))]));
     assert!(whole.iter().filter(|spikes| spikes.len() > 2).count() >= 4);
-    // The last sample has one neighbour; what follows it is the same.
+    // The last sample has only one neighbour; a longer scene has the same spikes.
     for duration_s in [0.0, 0.00001, 0.0002, 0.00021, 0.4, 0.4999, 0.65431] {
         let found = spikes_s(&with(small(), &[("/duration_s", json!(duration_s))]));
         for (found, whole) in found.iter().zip(&whole) {
@@ -166,18 +166,18 @@ fn spikes_come_before_the_end_and_a_shorter_scene_is_the_beginning_of_a_longer_o
 fn pins_that_do_not_press_move_nothing() {
     let silent = |scene: Value| assert!(spikes_s(&scene).iter().all(Vec::is_empty), "{scene}");
     silent(with(small(), &[("/pins", json!([]))]));
-    // Above the skin, at rest or vibrating.
+    // The pin is above the skin, at rest or vibrating.
     let lifted = with(small(), &[("/preindent_mm", json!(-0.3))]);
     silent(lifted.clone());
     let lost = simulate(&read(&lifted), Keep::Rates, &|_| ()).unwrap().lost_contact_s;
     assert!((lost[0] - 0.8).abs() < 0.001, "{lost:?}");
-    // 400 um reach the skin.
+    // With 400 um the pin reaches the skin.
     let reached = with(lifted, &[("/pins/0/amplitude_um", json!(400.0))]);
     assert!(spikes_s(&reached).iter().any(|spikes| !spikes.is_empty()));
-    // Nothing vibrates: what remains is the pressing.
+    // Without vibration only the pressing remains.
     let still = |key: &str| spikes_s(&with(small(), &[(key, json!(0.0))]));
     assert_eq!(still("/pins/0/amplitude_um"), still("/pins/0/frequency_hz"));
-    // Less than anything feels changes next to nothing.
+    // A vibration below all thresholds changes next to nothing.
     let count = |spikes: Vec<Vec<f64>>| spikes.iter().map(Vec::len).sum::<usize>();
     let faint = spikes_s(&with(small(), &[("/pins/0/amplitude_um", json!(0.01))]));
     assert_eq!(count(faint), count(still("/pins/0/amplitude_um")));
@@ -195,14 +195,14 @@ fn everything_stays_finite_at_the_edge_of_a_pin_and_far_away() {
                 ],
             );
             let spikes = spikes_s(&scene).remove(0);
-            // Six samples between two spikes.
+            // At least six samples lie between two spikes.
             assert!(spikes.windows(2).all(|pair| pair[1] - pair[0] > 0.00119), "{class} at {x_mm}");
             assert_eq!(spikes.is_empty(), x_mm > 999.0, "{class} at {x_mm}");
         }
     }
 }
 
-/// Pins pressed from the beginning as fast as a step are pins whose motors have not begun.
+/// Pins that are pressed in within one step give the spikes of pins whose motors have not begun.
 #[test]
 fn motors_move_the_pins_of_the_array() {
     let at = |class: &str| json!({"class": class, "row": 0, "x_mm": -1.45, "y_mm": 1.45});
@@ -216,13 +216,13 @@ fn motors_move_the_pins_of_the_array() {
     // The finger lies on the pins: nothing moves, and 24 pins share the weight.
     assert!(at_rest[1].is_empty() && at_rest[2].is_empty(), "{at_rest:?}");
     let moved = spikes_s(&scene(80.0));
-    // At most one spike per cycle; they keep to whole cycles of 25 ms.
+    // There is at most one spike per cycle, and spikes are whole cycles of 25 ms apart.
     assert!((15..=41).contains(&moved[1].len()), "{}", moved[1].len());
     let cycles = moved[1].windows(2).skip(3).map(|pair| (pair[1] - pair[0]) / 0.025);
     assert!(cycles.clone().all(|cycles| (cycles - cycles.round()).abs() < 0.05), "{:?}", moved[1]);
     assert!(moved[2].len() >= 39, "{}", moved[2].len());
     assert_ne!(moved[0], at_rest[0]);
-    // The motor's triangle falls as slowly as 230 Hz lets it: at its null no pin moves.
+    // At the null of the motor model, near 230 Hz, no pin moves.
     let null = json!([{"motor": 9, "frequency_hz": 232.558_139_534_883_7, "amplitude_um": 400.0}]);
     assert!(spikes_s(&with(scene(80.0), &[("/drives", null)]))[1].len() < 4);
 }
@@ -241,7 +241,7 @@ fn noise_belongs_to_the_number_of_an_afferent() {
     assert_ne!(a[1..], spikes_s(&with(scene(at("RA", 0.1), 0), &[("/noise", json!(false))]))[1..]);
 }
 
-/// More afferents than one tile has, in blocks that the scene does not fill.
+/// More afferents than fit into one tile, in blocks that the scene does not fill.
 #[test]
 fn many_afferents_are_each_as_alone() {
     let classes = ["RA", "SA1", "PC"];

@@ -35,7 +35,7 @@ fn gains_are_those_of_the_oracle() {
     assert!(compared > 5_000, "{compared}");
 }
 
-/// The model is linear before rectification, so one gain of all motors acts like the afferents' sensitivity.
+/// The model is linear before rectification, so a common gain of all motors acts like the afferents' sensitivity.
 #[test]
 fn the_same_gain_of_all_motors_is_alpha() {
     for seed in 0..12 {

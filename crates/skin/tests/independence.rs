@@ -1,4 +1,4 @@
-//! An afferent's answer depends on the scene alone, to the last bit, and not on how it is computed.
+//! An afferent's answer depends only on the scene, to the last bit, and not on how it is computed.
 
 use meissner_array::pattern::Drive;
 use meissner_skin::afferent::{AfferentModel, Position, Rectify, population};

@@ -1,6 +1,6 @@
-//! The near evaluator of the second model against the model as it is.
+//! Compares the approximate evaluator of the second model with the full model.
 //!
-//! Bounds are about twice what was found.
+//! Bounds are about twice the measured values.
 
 use meissner_array::pattern::Drive;
 use meissner_array::random::uniform;
@@ -10,7 +10,7 @@ use meissner_skin::{Keep, Scene as MembraneScene};
 use meissner_test_support::patterns::drive;
 
 const AMPLITUDE_UM: f64 = 80.0;
-/// That of a search's last rounds.
+/// The value of a search's last rounds.
 const MIN_SHARE: f64 = 0.01;
 
 fn scene(duration_s: f64, preindent_mm: f64, noise: bool) -> Scene {
@@ -28,7 +28,7 @@ fn exact(scene: &Scene, drives: &[Drive]) -> Vec<u64> {
     simulate(&scene.with_drives(drives.to_vec()).unwrap(), Keep::Rates, &|_| ()).unwrap().counts
 }
 
-/// Points as a search meets them: few motors in unison, two unisons, all motors apart, and a frame that comes again.
+/// Typical points of a search: few motors in unison, two unisons, all motors at different frequencies, and a repeated frame.
 fn points() -> [Vec<Drive>; 5] {
     let hz = |motor: u8| 5.0 * 30_f64.powf(uniform([motor.into(), 0, 0, 1 << 40])[0]);
     let again = |motor: u8| {
@@ -56,7 +56,7 @@ fn counts_are_nearly_those_of_the_model() {
         let rms = (squares.sum::<f64>() / exact.len() as f64).sqrt();
         println!("point {point}: {} spikes, near {}, {rms:.2} impulses/s RMS", total(&exact), total(&near));
         assert!(total(&exact) > 100.0);
-        // Where all 24 motors move, the influences that were left out add up.
+        // If all 24 motors move, the neglected influences add up.
         let few = drives.iter().all(|drive| ![0, 23].contains(&drive.motor));
         assert!((total(&near) / total(&exact) - 1.0).abs() < if few { 0.05 } else { 0.15 }, "point {point}");
         assert!(rms < if few { 1.0 } else { 3.0 }, "point {point}: {rms}");
@@ -84,7 +84,7 @@ fn an_answer_does_not_depend_on_the_drives_before() {
         assert_eq!(candidate.counts(), near(&scene, &drives));
         evaluator.accept(candidate);
         assert_eq!(evaluator.counts(), near(&scene, &drives));
-        // One motor less: only what it reaches is simulated.
+        // With one motor less, only the afferents that it reaches are simulated.
         let fewer = &drives[1..];
         let candidate = evaluator.evaluate(fewer).unwrap();
         assert!(candidate.simulated() < 306, "{}", candidate.simulated());
@@ -103,14 +103,14 @@ fn a_candidate_of_earlier_drives_is_simulated_again() {
     assert_eq!(evaluator.counts(), near(&scene, &second));
 }
 
-/// 80 um do not lift a pin off a skin that is pressed in by 0.5 mm, and do where it is pressed in by 20 um.
+/// 80 um do not lift a pin off skin that is pressed in by 0.5 mm, but they do if it is pressed in by only 20 um.
 #[test]
 fn drives_that_may_lift_a_pin_are_refused() {
     let new = |preindent_mm, amplitude_um| {
         NearEvaluator::new(&scene(0.25, preindent_mm, true), amplitude_um, MIN_SHARE).is_some()
     };
     assert!(new(PREINDENT_MM, AMPLITUDE_UM) && !new(0.02, AMPLITUDE_UM) && !new(PREINDENT_MM, 3000.0));
-    // What is accepted keeps contact.
+    // Accepted drives keep contact.
     let scene = scene(0.25, PREINDENT_MM, true);
     for drives in points() {
         let answer = simulate(&scene.with_drives(drives).unwrap(), Keep::Rates, &|_| ()).unwrap();

@@ -255,7 +255,7 @@ proptest! {
         let _ = read(&text, &text);
     }
 
-    /// Pieces that nearly make a scene get further.
+    /// Pieces that nearly form a scene get further in the reader.
     #[test]
     fn no_heap_of_pieces_makes_the_reader_panic(pieces in prop::collection::vec(prop::sample::select(vec![
         "{", "}", "[", "]", ":", ",", "=", "\n", "\"", "\\u2028", "\u{2028}", "\r", ".", "1", "-1e9", "nan", "null",

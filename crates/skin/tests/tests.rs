@@ -1,7 +1,7 @@
 //! The tests of this crate: one binary, one module per theme.
 #![expect(clippy::unwrap_used, reason = "a test that panics has failed")]
 
-/// The chosen method keeps to the allowed error.
+/// The chosen method stays within the allowed error.
 mod choose;
 /// The stepped methods converge to the exact one as the step shrinks.
 mod convergence;
@@ -13,9 +13,9 @@ mod extremes;
 mod fingertip;
 /// Motors with gains.
 mod gains;
-/// The same bits with any threads, order of afferents, blocks, and with and without skipping.
+/// The same bits with any threads, order of afferents and blocks, and with and without skipping.
 mod independence;
-/// The second model's near evaluator against the model as it is.
+/// The second model's approximate evaluator against the full model.
 mod near;
 /// Scene files: accepted keys, and the messages of refused files.
 mod scenes;

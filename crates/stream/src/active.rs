@@ -54,7 +54,7 @@ pub(super) struct Active {
     pub(super) undecided: u64,
     /// The end of the last stroke sent.
     pub(super) last_end: Tick,
-    /// How and why it was cut, if it was.
+    /// How and why the play was cut, if it was.
     pub(super) cut: Option<(End, &'static str)>,
     /// The device's counters at the onset, once it has passed.
     pub(super) counters_at_onset: Option<Counters>,
@@ -147,7 +147,7 @@ impl Active {
         Some(self.onset? + self.play.strokes.end()?)
     }
 
-    /// The end of the play, for those to which its strokes matter; the last tick of all if it has no end.
+    /// The end of the play, by which position control knows its strokes; the last tick of all if it has no end.
     pub(super) fn until(&self) -> Tick {
         self.end().unwrap_or(Tick(u64::MAX))
     }
@@ -173,7 +173,7 @@ impl Active {
         self.play.items.get(self.sending).and_then(|item| item.trigger)
     }
 
-    /// How many onsets of items are sent and have not come at `tick`; counts no further than `most`.
+    /// How many onsets of items are sent and still to come at `tick`. It counts no further than `most`.
     pub(super) fn onsets_ahead(&self, tick: Tick, most: usize) -> usize {
         let sent = self.play.items.iter().take(self.sending + 1).rev().take(most);
         sent.take_while(|item| item.onset >= tick).count()

@@ -67,7 +67,7 @@ pub struct Bandwidth {
 }
 
 impl Bandwidth {
-    /// Enough for both: for the parts of a play whose peaks do not come together.
+    /// The larger of both requirements: for the parts of a play whose peaks do not come together.
     #[must_use]
     pub fn max(self, other: Self) -> Self {
         Self { open: self.open.max(other.open), closed: self.closed.max(other.closed) }

@@ -31,7 +31,7 @@ pub(super) struct BoardAccount {
     /// The request whose answer covers the time just before the play.
     from: u16,
     before: Option<Board>,
-    /// A later report has come: numbers of windows return after 65 536 of them, hours.
+    /// A later report has come. Kept, because numbers of windows repeat after 65 536 of them, which takes hours.
     begun: bool,
     /// The request whose answer covers the play's end, and when the streamer first saw that it is over.
     until: Option<(u16, Tick)>,
@@ -40,12 +40,13 @@ pub(super) struct BoardAccount {
 }
 
 impl BoardAccount {
-    /// The play is offered; `from` was asked for now, and `last` is the last report.
+    /// The play is offered. The streamer has just asked for the report `from`; `last` is the last report that came.
     pub(super) fn begins(&mut self, from: u16, last: Option<Board>) {
         *self = Self { from, before: last, ..Self::default() };
     }
 
-    /// The play is over at `tick`; `ask` asks for a report. Returns whether the account is complete, or will not be.
+    /// The play is over at `tick`; `ask` asks for a report. Returns whether to stop waiting: the account is complete, or never
+    /// will be.
     pub(super) fn ends(&mut self, tick: Tick, ask: impl FnOnce() -> u16) -> bool {
         let (_, since) = *self.until.get_or_insert_with(|| (ask(), tick));
         self.after.is_some() || tick >= since + WITHIN

@@ -262,7 +262,7 @@ fn drift(trips: &[RoundTrip]) -> Drift {
     let points: Vec<(f64, f64)> = sorted[..good]
         .iter()
         .map(|trip| {
-            // It may have waited on either side for as long as it took more than the shortest.
+            // It may have waited on either side for all the time that it took beyond the shortest.
             error2 += (half_s(trip) - shortest).powi(2);
             let at = trip.sent.ns_since(first.sent) * 1e-9 + half_s(trip);
             (at, trip.tick.since(first.tick) as f64 / f64::from(TICK_HZ))

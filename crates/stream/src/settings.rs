@@ -94,8 +94,8 @@ impl Settings {
         self.lower_stop.map_or(Surplus::None, |stop| stop.surplus(gains))
     }
 
-    /// Pulses that take every pin to the lower stop, from wherever it is. The controller refuses no seek as too short that has
-    /// [`WHOLE_TRAVEL`].
+    /// Pulses that take every pin to the lower stop, from wherever it is. The controller never refuses a seek of at least
+    /// [`WHOLE_TRAVEL`] as too short.
     #[must_use]
     pub fn seek_pulses(&self) -> u16 {
         let pulses = SEEK_MARGIN * f64::from(self.end_stop_um) / UM_PER_PULSE;

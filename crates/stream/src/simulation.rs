@@ -30,7 +30,7 @@ const STEP: Duration = Duration::from_micros(500);
 /// At least this often while nothing plays.
 const IDLE_STEP: Duration = Duration::from_millis(50);
 
-/// So long after a play's end telemetry of no age has measured its last bursts.
+/// So long after a play's end, telemetry without delay has measured its last bursts.
 const MEASURED_WITHIN: Duration = Duration::from_millis(100);
 
 /// A streamer and a mock in virtual time.

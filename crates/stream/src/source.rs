@@ -46,7 +46,7 @@ impl Source {
         }
     }
 
-    /// A tick before which no stroke of `motor` that was not returned goes up.
+    /// A lower bound on the up tick of the next stroke of `motor`.
     pub(crate) fn next_up(&self, motor: u8) -> Option<Tick> {
         match self {
             Self::Compiled(strokes) => strokes.next_up(motor),
@@ -77,7 +77,7 @@ impl Source {
         }
     }
 
-    /// Whether this motor may be driven. The drives of a live play may come to any.
+    /// Whether this motor may be driven. A live play may drive any motor.
     #[must_use]
     pub fn drives(&self, motor: u8) -> bool {
         match self {

@@ -198,8 +198,9 @@ impl Loop {
 
 /// Reads until nothing waits, and hands over the bytes, each time with an instant at which they were there.
 ///
-/// The clock is read after the bytes. If the thread stands still in between, they only seem to come late. With an earlier instant a
-/// status that came meanwhile would have a tick that the device's clock has not reached: a sound device would be doubted.
+/// The clock is read after the bytes. If the thread stands still in between, they only seem to come late. With an earlier
+/// instant, a status that came meanwhile would have a tick that the device's clock has not reached, and a sound device would seem
+/// faulty.
 fn read_all(
     mut read: impl FnMut(&mut [u8]) -> io::Result<usize>,
     now: impl Fn() -> HostInstant,

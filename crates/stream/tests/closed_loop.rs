@@ -70,8 +70,8 @@ fn swapped_sensors_are_reported_and_both_motors_play_on_in_open_loop() {
     assert_eq!(last_snapshot(&rig.take_events()).source, [ErrorSource::Telemetry; MOTORS]);
 }
 
-/// A disarmed device sends no telemetry. It is known all the same whether telemetry showed the pins until then: not after a second
-/// without a sample, not of a sensor in doubt, and not after the link was lost.
+/// A disarmed device sends no telemetry. The streamer still knows whether telemetry showed the pins until then. It did not if no
+/// sample came for a second, or if a sensor has a fault; a lost link forgets it.
 #[test]
 fn a_cut_does_not_forget_whether_telemetry_showed_the_pins() {
     let played = |distort: fn(&mut Sample) -> bool, ms: u64| {
@@ -115,8 +115,8 @@ fn a_cut_does_not_forget_whether_telemetry_showed_the_pins() {
     assert!(!last_snapshot(&rig.take_events()).pins_seen);
 }
 
-/// Telemetry that showed the pins is expected to show them again. If it does, it overrides the operator, and if not, what was known
-/// before stays.
+/// Telemetry that showed the pins is expected to show them again. If it does, it overrides the operator; if not, the estimate
+/// from before stays.
 #[test]
 fn arming_forgets_nothing_where_telemetry_showed_the_pins() {
     for comes_back in [true, false] {

@@ -123,7 +123,7 @@ fn forty_trials_without_telemetry_are_refused_at_the_limit_with_the_reason() {
         assert_eq!((whole, cut, refused), (3, 1, 36));
         // No pin is much farther than that; without the limit they would be: the worst of 24 is two or three deviations off.
         assert!(positions(&rig).all(|um| um.abs() < 4.0 * 150.0));
-        // A play of pins that rest where they were may begin, once somebody has levelled them.
+        // Once somebody has levelled the pins, a play of pins that rest where they were may begin.
         rig.send(Command::Disarm);
         rig.run_ms(200);
         rig.arm();
@@ -240,7 +240,8 @@ fn the_estimate_of_a_stopped_play_counts_what_was_played() {
     assert!((stopped / whole - 1.0).abs() < 0.05, "{whole} {stopped}");
 }
 
-/// Nobody looks: the estimate sums up over arms, and a script may arm until it is too large. Somebody looks: it begins anew.
+/// While nobody looks, the estimate sums up over arms, and a script may arm until it is too large. Once somebody looks, it begins
+/// anew.
 #[test]
 fn arms_that_nobody_has_checked_leave_the_estimate() {
     let mut rig = rig(&blind(1), 150.0);

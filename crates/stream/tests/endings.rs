@@ -243,7 +243,7 @@ fn a_lost_link_leaves_the_offset_unknown_and_says_when_it_was_lost() {
     assert!(outcome.cut_after.unwrap().abs_diff(after) <= 3, "{outcome:?}");
 }
 
-/// A device whose word is not taken any more: the daemon's own e-stop ends what counts as played, and the receipt says that it
+/// The host no longer trusts the device: the daemon's own e-stop ends what counts as played, and the receipt says that it
 /// estimates.
 #[test]
 fn what_was_played_until_the_link_gives_a_device_up_is_estimated_up_to_its_e_stop() {

@@ -37,7 +37,7 @@ struct Player<'a> {
     /// When the last fault began.
     fault_tick: Option<Tick>,
     restarts: u32,
-    /// Of the board that was there before a restart: when its last pulse was, milliseconds after the fault.
+    /// When the last pulse of the board before a restart was, milliseconds after the fault.
     gone_high_ms: Option<f64>,
     estopped: bool,
 }
@@ -81,7 +81,7 @@ impl Player<'_> {
                 self.rig.wake();
             }
             What::Die(ms) => {
-                // Nothing says goodbye: the device hears no more, then another session.
+                // The host dies without a goodbye: the device hears nothing, then another session.
                 self.rig.stall(ms.ms(value));
                 self.reconnect();
             }
@@ -175,7 +175,7 @@ impl Player<'_> {
     }
 }
 
-/// Motors of which only dead reckoning is known, in the second half of a play.
+/// Motors whose position is known by dead reckoning only, in the second half of a play.
 fn unmeasured(snapshot: &Snapshot) -> u64 {
     let half = PLAY.as_secs_f64() / 2.0;
     let sources = snapshot.source.iter().filter(|source| matches!(source, ErrorSource::DeadReckoning));
@@ -335,7 +335,7 @@ fn every_fault_ends_as_its_case_says() {
     );
 }
 
-/// So that a case that wants to be shown a fault fails without it.
+/// A case that expects a sign of its fault fails without the fault.
 #[test]
 fn a_play_without_a_fault_shows_none() {
     // In open loop, and with position control.

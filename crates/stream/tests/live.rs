@@ -145,8 +145,9 @@ impl LivePlay {
 /// The beginnings of the motor's periods from which its new drive may have begun, with the first stroke at `from`. It is the first
 /// period after the tick named; of a repeated update, a frame before the last may have brought it.
 ///
-/// `from` alone does not tell: with a phase of almost a whole turn, the drive begins at one tick from a period, after a turn, and from
-/// the next one, at once. Then the old drive's stroke of the first period is replaced, or played.
+/// `from` alone does not tell the period. With a phase of almost a whole turn, a drive that begins in one period waits for a
+/// turn, and in the next one it begins at once: both give the same first stroke. Then the old drive's stroke of the first period
+/// is replaced, or played.
 fn boundaries(live: &LiveStrokes, motor: u8, wave: SquareWave, applied: &Applied, from: Tick) -> Vec<Tick> {
     let period = |tick| live.clone().replace(motor, live.wave(motor), tick);
     let first = if applied.repeats == 0 { applied.replaced } else { applied.received };
@@ -187,8 +188,8 @@ fn what_is_acknowledged_is_on_the_lines_tick_for_tick() {
 
 #[test]
 fn a_lossy_line_delays_updates_and_loses_no_count() {
-    // The later ones have: a stroke of an undecided update too late to be sent (9, 13), an update while the window is full and what is sent
-    // is over (21), a new drive's first stroke where two of the motor's periods may have brought it (5, 137).
+    // The later seeds have: a stroke of an undecided update too late to be sent (9, 13), an update while the window is full and
+    // what is sent is over (21), a new drive's first stroke where two of the motor's periods may have brought it (5, 137).
     for seed in (0..6).chain([9, 13, 21, 137]) {
         let mut random = Random::new(seed);
         let mut live = LivePlay::start(bad_line(), seed, steady());

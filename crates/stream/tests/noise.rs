@@ -1,4 +1,4 @@
-//! A line that loses bytes: frames short enough to get through, and a clear word when none do.
+//! A line that loses bytes: frames short enough to get through, and a clear message when none do.
 
 use meissner_stream::Line;
 use meissner_stream::queues::{Command, StreamEvent};
@@ -69,8 +69,8 @@ fn a_line_that_loses_a_byte_in_twenty_connects_and_arms() {
     }
 }
 
-/// By chance an answer gets through now and then: in one of 20 tries often enough to arm, and nothing is played then either. Or no answer
-/// has come at all when the link is given up.
+/// By chance an answer gets through now and then: in one of 20 tries often enough to arm, and nothing is played then either. In
+/// others the link is given up before any answer has come.
 #[test]
 fn a_line_that_loses_a_byte_in_ten_is_named_with_what_it_damages() {
     let (mut lucky, mut named, mut lost) = (0, 0, 0);

@@ -147,8 +147,8 @@ fn an_e_stop_ahead_of_its_frame_is_answered() {
     assert!(!events.iter().any(|event| matches!(event, Event::Contradiction(_))), "{events:?}");
 }
 
-/// The host stands still in the first round of the link probe: its answer measures the host, not the line, and frames that
-/// the line loses must not wait by it for their repetition.
+/// The host stands still in the first round of the link probe, so the answer measures the host, not the line. Frames that the
+/// line loses must not wait that long to be repeated.
 #[test]
 fn a_host_that_stalls_in_the_link_probe_does_not_make_the_line_slow() {
     let mut pair = Pair::new();

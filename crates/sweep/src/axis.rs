@@ -1,4 +1,4 @@
-//! The axes of plans: what a sweep can vary, the values that each may have, and the commands that take it.
+//! The axes of plans: the quantities that a sweep can vary, their values, and the commands that use them.
 //!
 //! [`Axis::ALL`] is the order of columns and of nested loops: the last axis varies fastest.
 //!
@@ -33,7 +33,7 @@ impl Command {
     }
 }
 
-/// What a sweep can vary.
+/// A quantity that a sweep can vary.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 #[expect(missing_docs, reason = "`Axis::about` says it")]
 pub enum Axis {
@@ -215,7 +215,7 @@ impl Axis {
         }
     }
 
-    /// Whether it is a circumstance that a pattern meets, and no choice of whoever makes or plays the pattern.
+    /// Whether it is an external condition, and not a choice of the person who makes or plays the pattern.
     #[must_use]
     pub const fn is_condition(self, command: Command) -> bool {
         match self {
@@ -251,7 +251,7 @@ impl Axis {
         }
     }
 
-    /// What it is, and its value in a plan that does not name it.
+    /// Its description, with its default in a plan that does not name it.
     #[must_use]
     pub const fn about(self, command: Command) -> &'static str {
         match self {

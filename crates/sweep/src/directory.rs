@@ -1,11 +1,11 @@
 //! A sweep's directory: one plan, and the files of the runs that computed its cells.
 //!
 //! - `plan.toml`: the plan with all its documents.
-//! - `rows/*.jsonl`: one file for each run, which it alone appends to (`run_file`).
-//! - `log/`: what the tasks of a job array print; `job.sh`: the array's script.
-//! - `results.csv`, `results.parquet`, `results.json`, `page.html`, `best/`: what a merge writes.
+//! - `rows/*.jsonl`: one file for each run; only that run appends to it (`run_file`).
+//! - `log/`: the output of a job array's tasks; `job.sh`: the array's script.
+//! - `results.csv`, `results.parquet`, `results.json`, `page.html`, `best/`: the output of a merge.
 //!
-//! A directory needs no lock: a run makes a file of its own, and a cell that two runs compute has the same row in both. So any number of
+//! A directory needs no lock: each run makes its own file, and if two runs compute a cell, both have the same row. So any number of
 //! machines with a common file system can work in it.
 //!
 //! Invariant: `plan.toml` is written whole, once, and never changed.
@@ -63,7 +63,7 @@ pub enum SweepError {
     /// A run file with the hash of another plan.
     #[error("{}: belongs to another plan: move it out of the directory", shown(.0))]
     OtherRun(PathBuf),
-    /// A figure or a table that could not be made: a bug of ours.
+    /// A figure or a table could not be made: our bug.
     #[error("internal error: {0}")]
     Internal(String),
 }
@@ -96,7 +96,7 @@ pub struct Directory {
     plan_sha256: String,
 }
 
-/// The plan in a directory needs no other documents.
+/// No sources: the plan in a directory needs no other documents.
 struct Nowhere;
 
 impl Sources for Nowhere {
@@ -109,7 +109,7 @@ impl Sources for Nowhere {
     }
 }
 
-/// Opens a file of a sweep. Refuses a pipe or a device, without waiting for it: it would have no end.
+/// Opens a file of a sweep. Refuses a pipe or a device, which might have no end, without waiting for it.
 pub(crate) fn open(path: &Path) -> io::Result<File> {
     let flags = OFlags::NONBLOCK.bits().cast_signed();
     let file = OpenOptions::new().read(true).custom_flags(flags).open(path)?;
@@ -117,7 +117,7 @@ pub(crate) fn open(path: &Path) -> io::Result<File> {
 }
 
 impl Directory {
-    /// Makes a directory for a plan, or takes it up again.
+    /// Makes a directory for a plan, or continues with an existing one.
     ///
     /// # Errors
     /// If it holds anything else, or cannot be written.
@@ -128,7 +128,7 @@ impl Directory {
             let names = fs::read_dir(path).map_err(failed(path, "read"))?;
             for entry in names {
                 let name = entry.map_err(failed(path, "read"))?.file_name();
-                // Other tasks that begin now have files like these.
+                // Other tasks that begin at the same time make temporary files like these.
                 if !name.to_string_lossy().starts_with('.') && name != PLAN && name != ROWS {
                     return Err(SweepError::NotEmpty(path.to_owned()));
                 }
@@ -156,7 +156,7 @@ impl Directory {
     /// Opens the directory of a sweep.
     ///
     /// # Errors
-    /// If it is none, or its plan is of another version of the program.
+    /// If it is not one, or its plan is of another version of the program.
     pub fn open(path: &Path) -> Result<(Self, Plan), SweepError> {
         let file = path.join(PLAN);
         let mut text = String::new();
@@ -202,7 +202,7 @@ impl Directory {
         Ok(files)
     }
 
-    /// Writes a file of the directory, whole or not at all.
+    /// Writes a file of the directory atomically.
     pub(crate) fn write(
         &self,
         name: &str,
@@ -219,7 +219,7 @@ impl Directory {
     }
 }
 
-/// Makes temporary files with the rights of ordinary ones: others may read what a sweep has found.
+/// Makes temporary files with the rights of ordinary ones, so that others may read a sweep's results.
 fn readable(prefix: &'static str) -> tempfile::Builder<'static, 'static> {
     let mut builder = tempfile::Builder::new();
     builder.prefix(prefix).permissions(Permissions::from_mode(0o666));

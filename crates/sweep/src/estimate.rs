@@ -1,13 +1,13 @@
-//! What a sweep costs: some of its cells are computed and measured, and nothing is written.
+//! Estimates the time and size of a sweep: computes and measures some of its cells, and writes nothing.
 //!
-//! Invariant: the measured cells are spread over the plan, by its number of cells alone.
+//! Invariant: the measured cells are spread over the plan, and depend only on its number of cells.
 
 use crate::plan::Plan;
 use crate::run::{alone, attempt};
 use serde::Serialize;
 use std::time::{Duration, Instant};
 
-/// The most cells that are measured, and when no further one begins.
+/// The most cells that are measured, and the time after which no further one begins.
 const MOST: u64 = 24;
 const ENOUGH: Duration = Duration::from_secs(5);
 /// The golden ratio, by whose multiples places are spread over a range.
@@ -28,7 +28,7 @@ pub struct Estimate {
     pub cell_range_s: [f64; 2],
     /// All cells on one core, s.
     pub work_s: f64,
-    /// What the files of the rows take, bytes.
+    /// Size of the row files, bytes.
     pub rows_bytes: f64,
 }
 
@@ -59,7 +59,7 @@ pub fn estimate(plan: &Plan) -> Estimate {
             }
         }
     };
-    // Without a pool of its own, cells would share the cores.
+    // Without a separate thread pool, cells would share the cores.
     if alone(measure).is_err() {
         return Estimate {
             cells,

@@ -1,16 +1,16 @@
-//! Job arrays of Slurm: how many tasks, and the script that each runs.
+//! Job arrays of Slurm: the number of tasks, and the script that each runs.
 //!
-//! A task is a shard of the plan: minutes of work, so that the scheduler has little to do. The script is for `sbatch`; it can be
+//! A task is a shard of the plan. It takes minutes, so that the scheduler has little to do. The script is for `sbatch`. It can be
 //! submitted again by hand, also for some of its tasks, because it names its shard itself.
 //!
-//! Invariant: an array has at most as many tasks as the site allows, and as there are cells.
+//! Invariant: an array has no more tasks than the site allows, and no more than there are cells.
 
 use crate::directory::LOG;
 use std::path::Path;
 
-/// What a task should take, s.
+/// The intended duration of a task, s.
 pub const TASK_S: f64 = 900.0;
-/// The most tasks unless a number is asked for: sites allow 500 to 1000.
+/// The most tasks by default: sites allow 500 to 1000.
 const USUAL: u64 = 500;
 /// The most tasks.
 pub const MOST_TASKS: u64 = 1000;
@@ -26,18 +26,18 @@ pub fn most_tasks(config: &str) -> u64 {
     config.lines().find_map(of_line).map_or(MOST_TASKS, |size| size.saturating_sub(1).min(MOST_TASKS))
 }
 
-/// How many tasks so many seconds of work on one core should have.
+/// The number of tasks for `work_s` seconds of work on one core.
 #[must_use]
 #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "saturates")]
 pub fn tasks(work_s: f64, cells: u64, most: u64) -> u64 {
     ((work_s / TASK_S).ceil() as u64).clamp(1, most.min(USUAL).min(cells).max(1))
 }
 
-/// The script of an array of so many tasks. `program` and `directory` are absolute.
+/// The script of an array of `tasks` tasks. `program` and `directory` are absolute.
 #[must_use]
 pub fn script(program: &Path, directory: &Path, tasks: u64) -> String {
     let (program, shown) = (quoted(program), quoted(directory));
-    // In a name of a log file, Slurm reads % as the beginning of a field.
+    // In the name of a log file Slurm takes % as the beginning of a field.
     let log = directory.join(LOG).to_string_lossy().replace('%', "%%");
     format!(
         "#!/bin/sh\n\
@@ -52,7 +52,7 @@ pub fn script(program: &Path, directory: &Path, tasks: u64) -> String {
     )
 }
 
-/// The log of the task that this process is, in the directory of the sweep, by the variables of Slurm.
+/// The log of this process's task, in the sweep's directory, from the variables of Slurm.
 #[must_use]
 pub fn log(variable: impl Fn(&str) -> Option<String>) -> Option<String> {
     let (job, task) = (variable("SLURM_ARRAY_JOB_ID")?, variable("SLURM_ARRAY_TASK_ID")?);

@@ -1,19 +1,19 @@
 //! Sweeps: thousands of searches, simulations or comparisons by one plan, on one machine or on many with a common file system.
 //!
-//! The data path, and the modules, each above those it uses:
+//! The modules in the order of the data path, each after those it uses:
 //!
-//! 1. `axis`: what can be varied, and the values it may have. `documents`: the targets and patterns that values name.
+//! 1. `axis`: the quantities that can be varied, and their values. `documents`: the targets and patterns that the values name.
 //! 2. `plan`: a [`Plan`] is read from a file; it says which values each [`Cell`] has.
 //! 3. `command`: computes a cell: a row of results beside those of the baseline, and perhaps a pattern.
 //! 4. `directory`: one directory for one plan. `run_file`: the rows of a run, one line each, which survive a kill.
-//! 5. `run`: a [`Run`] computes the cells of a [`Shard`] that are missing. `estimate`: what they will cost.
-//! 6. `job_array`: the script of an array of Slurm, a shard each. `status`: how far all runs are.
+//! 5. `run`: a [`Run`] computes the cells of a [`Shard`] that are missing. `estimate`: the time and size of a sweep.
+//! 6. `job_array`: the script of an array of Slurm, a shard each. `status`: the progress of all runs.
 //! 7. `merge`: [`merge()`] joins the rows of all runs to CSV, Parquet, a page, and the best patterns.
 //!
-//! There is no server and no lock: runs share a directory, each appends to a file of its own, and a cell has the same row whoever
-//! computes it.
+//! There is no server and no lock: runs share a directory, each appends to its own file, and a cell's row does not depend on the
+//! run that computes it.
 //!
-//! Invariant: merged files depend on the plan alone, not on threads, shards, machines, kills or the order of anything.
+//! Invariant: merged files depend on the plan alone, not on threads, shards, machines, kills or any order of work.
 
 mod axis;
 mod command;

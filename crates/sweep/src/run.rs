@@ -1,9 +1,10 @@
 //! Computes cells: all of a plan, or those of a shard that no run has computed yet.
 //!
-//! [`Run::begin`] reads what is done and makes the run's file, [`Run::work`] computes the rest on some threads, [`Run::stop`] ends it from
-//! another thread with every finished cell kept. Each thread takes the next cell when it is done with one, and computes it alone.
+//! [`Run::begin`] reads which cells are done and makes the run's file, [`Run::work`] computes the rest on some threads,
+//! [`Run::stop`] ends it from another thread with every finished cell kept. Each thread takes one cell after the other, and
+//! computes it alone.
 //!
-//! Invariant: a cell's row does not depend on threads, shards or what was done before.
+//! Invariant: a cell's row does not depend on threads, shards or earlier runs.
 
 use crate::command::{Outcome, compute};
 use crate::directory::{Directory, SweepError};
@@ -18,7 +19,7 @@ use std::sync::mpsc::{RecvTimeoutError, channel};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread;
 
-/// One of equal parts of a plan: every `of`-th cell, so that cells that cost alike are spread.
+/// One of equal parts of a plan: every `of`-th cell, so that expensive cells are spread over the shards.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Shard {
     /// Its number, 1 to `of`.
@@ -55,14 +56,14 @@ impl FromStr for Shard {
     }
 }
 
-/// What a run has done, and has to do.
+/// The progress of a run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Progress {
     /// Cells that were done before.
     pub before: u64,
-    /// Cells that this run has computed, those that failed among them.
+    /// Cells that this run has computed, including those that failed.
     pub done: u64,
-    /// Cells that failed, also before.
+    /// Cells that failed, including those of earlier runs.
     pub failed: u64,
     /// Cells of the shard.
     pub cells: u64,
@@ -80,7 +81,7 @@ pub struct Run {
 }
 
 impl Run {
-    /// Finds the cells of a shard that are missing. `log` is the log of a job array's task, in the directory.
+    /// Finds the missing cells of a shard. `log` is the log of a job array's task, in the directory.
     ///
     /// # Errors
     /// If files of the directory cannot be read, or the run's own cannot be made.
@@ -130,15 +131,15 @@ impl Run {
         self.writer.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Ends the run: finished cells are kept, those that are being computed are not. `why` is one line.
+    /// Ends the run: finished cells are kept, unfinished ones are dropped. `why` is one line.
     pub fn stop(&self, why: &str) {
         if let Some(writer) = self.writer().as_mut() {
-            // A disk that is full now was full for the line before, too.
+            // Ignore an error: if the disk is full, the line before has already reported it.
             let _ = writer.end(why);
         }
     }
 
-    /// Computes the missing cells on so many threads. `watch` is called after each.
+    /// Computes the missing cells on `threads` threads. `watch` is called after each.
     ///
     /// # Errors
     /// If a line cannot be written: the run ends, and all lines before are kept.
@@ -216,13 +217,13 @@ pub(crate) fn attempt(plan: &Plan, cell: u64) -> Result<Outcome, String> {
     })
 }
 
-/// Runs work on a thread of its own, and so that what it computes in parallel stays there: threads have their own cells.
+/// Runs work in a thread pool of one thread, so that its parallel parts stay there: other threads have their own cells.
 pub(crate) fn alone<T: Send>(work: impl FnOnce() -> T + Send) -> Result<T, String> {
     let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build();
     pool.map(|pool| pool.install(work)).map_err(|error| error.to_string())
 }
 
-/// Whether the name of a run file says that it has the cells of another shard of as many.
+/// Whether a run file, by its name, belongs to another shard of the same number of shards.
 fn is_of_another(name: &str, shard: Shard) -> bool {
     let mut parts = name.splitn(4, '-');
     let number = parts.next().and_then(|number| number.parse().ok());

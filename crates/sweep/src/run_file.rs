@@ -1,10 +1,10 @@
-//! The file of one run: lines of JSON that the run alone appends.
+//! The file of one run: lines of JSON, to which only this run appends.
 //!
-//! The first line says who runs it ([`Header`]), each further one is a cell with its row, or why it has none ([`Line`]), and the last says
-//! how the run ended ([`End`]). A line is written with one call once its cell is done. A run that is killed leaves whole lines, and
-//! perhaps a part of one without a line break: readers skip it, and the cell is computed again.
+//! The first line identifies the run ([`Header`]). Each further line is a cell with its row, or the reason why it has none
+//! ([`Line`]). The last line says how the run ended ([`End`]). A line is written with one call once its cell is done. A killed run
+//! leaves whole lines, and perhaps a part of one without a line break: readers skip it, and the cell is computed again.
 //!
-//! While a run lives it renews its file's time ([`HEARTBEAT`]), so that others see whether it still does.
+//! A living run renews its file's time ([`HEARTBEAT`]), so that others see that it is alive.
 //!
 //! Invariant: no line is changed; after an error nothing more is written.
 
@@ -17,12 +17,12 @@ use std::io::{BufRead, BufReader, Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 use std::time::{Duration, SystemTime};
 
-/// How often a run says that it lives.
+/// How often a run renews its file's time.
 pub const HEARTBEAT: Duration = Duration::from_secs(10);
 /// The most bytes of a line: a pattern's file, escaped, and a row.
 const MOST_LINE: u64 = 16 << 20;
 
-/// Who runs.
+/// Identifies a run.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Header {
     /// SHA-256 of the plan.
@@ -95,7 +95,7 @@ impl Writer {
             text.push(b'\n');
             self.file.write_all(&text)
         });
-        // A line may now be there in part: another one would join it.
+        // The file may now end with a part of a line, which another line would continue.
         self.ended |= written.is_err();
         written.map_err(failed(&self.path, "written"))
     }
@@ -115,7 +115,7 @@ impl Writer {
         self.ended
     }
 
-    /// Says that the run lives, and makes its lines durable. Fails with the next line, if it does.
+    /// Shows that the run is alive, and makes its lines durable. An error shows up at the next line.
     pub(crate) fn beat(&self) {
         let _ = self.file.set_modified(SystemTime::now());
         let _ = self.file.sync_data();
@@ -127,7 +127,7 @@ pub(crate) fn host() -> String {
     rustix::system::uname().nodename().to_string_lossy().into_owned()
 }
 
-/// What a line of a run file is.
+/// The kinds of lines of a run file.
 #[derive(Debug, Deserialize)]
 #[serde(untagged)]
 enum Any {
@@ -144,7 +144,7 @@ struct Numbered {
     error: Option<String>,
 }
 
-/// A run file, as far as it says what was done.
+/// A run file: its header, its end, and statistics of its lines.
 #[derive(Debug)]
 pub(crate) struct RunFile {
     pub(crate) path: PathBuf,
@@ -153,7 +153,7 @@ pub(crate) struct RunFile {
     pub(crate) end: Option<String>,
     /// When it was last written or renewed.
     pub(crate) modified: SystemTime,
-    /// Lines that cannot be read, without the part of one at the end.
+    /// Lines that cannot be read, except a partial one at the end.
     pub(crate) damaged: u64,
 }
 
@@ -163,12 +163,12 @@ pub(crate) struct Found<'a> {
     pub(crate) cell: u64,
     /// Why it failed.
     pub(crate) error: Option<&'a str>,
-    /// Where its line is: the first byte, and the number of bytes.
+    /// The place of its line: the first byte, and the number of bytes.
     pub(crate) at: u64,
     pub(crate) bytes: u32,
 }
 
-/// Reads the lines of a run file that are whole.
+/// Reads the complete lines of a run file.
 pub(crate) fn read(
     directory: &Directory,
     path: &Path,
@@ -183,7 +183,7 @@ pub(crate) fn read(
         let bytes =
             (&mut reader).take(MOST_LINE).read_until(b'\n', &mut line).map_err(failed(path, "read"))?;
         if line.last() != Some(&b'\n') {
-            // The end, or a part of a line that a kill has left.
+            // The end, or a partial line that a kill has left.
             return Ok(found);
         }
         match serde_json::from_slice(&line) {

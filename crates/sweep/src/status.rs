@@ -1,6 +1,6 @@
-//! How far a sweep is: cells, and every run with the last it said.
+//! The progress of a sweep: its cells, and every run with its last message.
 //!
-//! Invariant: nothing is changed.
+//! Invariant: this module changes nothing.
 
 use crate::directory::{Directory, SweepError, open};
 use crate::merge::Index;
@@ -12,9 +12,9 @@ use std::io::{Read, Seek, SeekFrom};
 use std::path::Path;
 use std::time::{Duration, SystemTime};
 
-/// A run that gave no sign for so long has ended: six heartbeats, and clocks of machines may differ.
+/// A run without a sign of life for this long has ended. Six heartbeats, because clocks of machines may differ.
 const SILENT: Duration = Duration::from_secs(6 * HEARTBEAT.as_secs());
-/// The end of a log that is read for its last line.
+/// How many bytes at the end of a log are read to find its last line.
 const TAIL: u64 = 4096;
 
 /// The state of a run.
@@ -80,7 +80,7 @@ pub struct Status {
     pub runs: Vec<RunStatus>,
 }
 
-/// Says how far a sweep is.
+/// Reads the progress of a sweep.
 ///
 /// # Errors
 /// If files of the directory cannot be read.
@@ -88,7 +88,7 @@ pub fn status(directory: &Directory, plan: &Plan) -> Result<Status, SweepError> 
     let index = Index::read(directory, plan.cells())?;
     let now = SystemTime::now();
     let run = |(file, (cells, failed)): (&RunFile, &(u64, Option<String>))| {
-        // A clock that is ahead is no silence.
+        // If the other machine's clock is ahead, the run is not silent.
         let silent = now.duration_since(file.modified).unwrap_or_default();
         let state = match &file.end {
             Some(end) if end == "done" => RunState::Done,
@@ -122,7 +122,7 @@ pub fn status(directory: &Directory, plan: &Plan) -> Result<Status, SweepError> 
     })
 }
 
-/// Whether the run was a process of this machine, and that is no more.
+/// Whether the run was a process of this machine that no longer exists.
 fn is_gone(file: &RunFile) -> bool {
     file.header.as_ref().is_some_and(|header| {
         header.host == run_file::host() && !Path::new("/proc").join(header.pid.to_string()).exists()

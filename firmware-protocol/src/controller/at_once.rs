@@ -1,7 +1,7 @@
 //! Keeps the motors that have pulses at once within the limits of their rail and their driver chip.
 //!
-//! A stroke is checked when it begins, with both its bursts, against what is left of the strokes that began before it. A begun
-//! stroke that an amendment lengthens is checked again. Returns and seeks are never refused: their bursts take turns.
+//! The controller checks both bursts of a stroke when it begins, against what is left of the strokes that began before it. It
+//! checks a begun stroke again when an amendment lengthens it. It never refuses returns and seeks: their bursts take turns.
 //!
 //! Invariant: in no tick do more motors of a rail or a chip have pulses than its limit. It holds because strokes change the lines
 //! only where they were checked, and bursts that take turns fit the bursts that run on.
@@ -11,7 +11,7 @@ use crate::limits::{MOTORS_PER_CHIP, MOTORS_PER_RAIL, PowerLimits, RAILS, Refusa
 use crate::stroke::Stroke;
 use crate::tick::Tick;
 
-/// Ticks with pulses, from the rendered end: 32 bits, as the chip's core likes them.
+/// Ticks with pulses, from the rendered end. In 32 bits, because the chip's core is slow with 64.
 #[derive(Clone, Copy, Debug)]
 struct Span {
     start: i32,
@@ -19,7 +19,7 @@ struct Span {
 }
 
 impl Span {
-    /// Those of both bursts.
+    /// The spans of both bursts.
     fn of(stroke: &Stroke, now: Tick) -> [Self; 2] {
         let from = |tick: Tick| (tick.0 as u32).wrapping_sub(now.0 as u32).cast_signed();
         let span = |start: i32, pulses: u16| Self { start, end: start.wrapping_add(pulses.into()) };
@@ -30,12 +30,12 @@ impl Span {
         self.start.max(other.start) < self.end.min(other.end)
     }
 
-    /// Whether in each of its ticks fewer than `limit` of the others have pulses.
+    /// Whether in each tick of this span fewer than `limit` of the others have pulses.
     fn shares(&self, others: &[Self], limit: usize) -> bool {
         if others.iter().filter(|other| self.overlaps(other)).count() < limit {
             return true;
         }
-        // Most have pulses at the start of some burst.
+        // The number of motors with pulses peaks at the start of some burst.
         let few = |at: i32| others.iter().filter(|other| other.contains(at)).count() < limit;
         let later =
             others.iter().map(|other| other.start).filter(|at| (self.start + 1..self.end).contains(at));
@@ -64,7 +64,8 @@ impl Controller {
         Ok(())
     }
 
-    /// Whether at most `limit` motors have pulses at once, of the `GROUP` to which that of `stroke` belongs.
+    /// Whether at most `limit` motors have pulses at once in the group of the stroke's motor: its rail or its chip, of `GROUP`
+    /// motors.
     #[inline(never)]
     fn fits<const GROUP: usize>(&self, stroke: &Stroke, limit: usize) -> bool {
         let motor = usize::from(stroke.motor);
@@ -75,7 +76,7 @@ impl Controller {
                 && let Some(slot) = self.pool.current(other)
                 && slot.charged.is_some()
             {
-                // Fewer than a rail's motors.
+                // It fits: a rail has fewer other motors than places here.
                 let _ = others.push(Span::of(&slot.stroke, self.rendered));
             }
         }
@@ -85,8 +86,8 @@ impl Controller {
         }
     }
 
-    /// Has the down bursts of the motors in `waiting` take turns from `ready` on, after those that run. They take at most
-    /// [`PowerLimits::turns`] times the longest burst.
+    /// Schedules the down bursts of the motors in `waiting` in turns from `ready` on, after the bursts that run. They take at
+    /// most [`PowerLimits::turns`] times the longest burst.
     pub(super) fn take_turns(&mut self, waiting: u32, ready: Tick) {
         let limits = self.on_time.limits();
         let none = (PowerLimits::NONE.rail_at_once, PowerLimits::NONE.chip_at_once);
@@ -117,8 +118,9 @@ impl Controller {
         }
     }
 
-    /// When `motor` takes its turn: bursts that run, then a motor of each chip without one, then the others, of chips in the order of
-    /// their first. Else a chip whose motors must take turns could come last with both.
+    /// The place of `motor` in the order of turns: first bursts that run, then one motor of each chip without a running burst,
+    /// then the second motor of chips with one, then the rest. In another order, both motors of one chip could come last, one
+    /// after the other.
     fn order(&self, waiting: u32, motor: usize) -> usize {
         let bit = |motor: usize| waiting >> motor & 1 == 1;
         let runs = |motor: usize| !bit(motor) && self.pool.current(motor).is_some();
@@ -145,7 +147,8 @@ const ORDERS: usize = 4;
 /// The turns of a rail's motors.
 struct Turns {
     limits: PowerLimits,
-    /// As many motors as may have pulses at once, and when the burst of each ends. The others are not used.
+    /// When each place for a burst becomes free. There are as many places as motors may have pulses at once; the other elements
+    /// are not used.
     free: [Tick; MOTORS_PER_RAIL],
     /// When the burst of each chip ends.
     chips: [Tick; CHIPS],
@@ -172,7 +175,7 @@ impl Turns {
         }
     }
 
-    /// A burst of `chip` ends at `end`.
+    /// Books a burst of `chip` that ends at `end`.
     fn book(&mut self, chip: usize, end: Tick) {
         *self.first_free() = end;
         self.chips[chip] = end;

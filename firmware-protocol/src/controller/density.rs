@@ -1,6 +1,6 @@
 //! Bounds the strokes that begin, of all motors, by what the chip has time for: [`MAX_DENSE`] within 10 ms.
 //!
-//! Invariant: [`MAX_DENSE`] is `room` and what has begun in the present block and the ones before, back to 10 ms.
+//! Invariant: `room` and the strokes begun in the last 10 ms, those of the present block included, sum up to [`MAX_DENSE`].
 
 use crate::controller::BLOCK;
 use crate::limits::{DENSE_TICKS, MAX_DENSE, Refusal};
@@ -46,7 +46,7 @@ mod tests {
     use proptest::prelude::*;
 
     proptest! {
-        /// Compared with a count over all that have begun.
+        /// Compares it with a count over all strokes that have begun.
         #[test]
         fn strokes_are_as_dense_as_they_may_be_and_no_denser(
             blocks in prop::collection::vec(prop_oneof![Just(0usize), 0usize..30, Just(200)], 1..300),

@@ -29,8 +29,8 @@ impl Drivers {
 }
 
 impl Controller {
-    /// Whether the drivers are enabled at the rendered end, and for how many of the next `ticks`, in which no line changes, it
-    /// stays so.
+    /// Whether the drivers are enabled at the rendered end, and for how many of the next `ticks` this stays so. No line changes
+    /// in these ticks.
     pub(super) fn enable_drivers(&mut self, ticks: u64) -> (bool, u64) {
         let (now, lead) = (self.rendered, u64::from(DRIVER_LEAD));
         let ticks = if self.lines.up | self.lines.down != 0 {
@@ -58,7 +58,7 @@ impl Controller {
         waiting.map(|(_, change)| change.wrapping_sub(now)).min().map_or(u64::MAX, u64::from)
     }
 
-    /// The first tick at which a burst may begin that is queued now: the rendered end, or later if the drivers must start up
+    /// The first tick at which a burst that is queued now may begin: the rendered end, or later if the drivers must start up
     /// first.
     #[must_use]
     pub fn ready(&self) -> Tick {

@@ -1,8 +1,8 @@
 //! What a controller will do from now on, for programs that explore all orders of events and stop at a state that they have met.
 //!
 //! Invariant: two controllers with the same fingerprint at the same tick behave alike from then on, and have counted the same.
-//! What no longer matters is left out: free slots, bytes and strokes that are taken, ticks that have passed. The controller is
-//! taken apart with all its fields, so that a new one does not compile until somebody has thought of it.
+//! The fingerprint leaves out what no longer matters: free slots, bytes and strokes that are taken, ticks that have passed. The
+//! code names every field of the controller, so a new field does not compile until somebody has decided about it.
 
 use crate::controller::Controller;
 use crate::controller::drivers::Drivers;

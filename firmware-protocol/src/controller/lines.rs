@@ -29,7 +29,7 @@ impl Window {
         Self { begin: (now.0 as u32).wrapping_sub(BLOCK), ..Self::CLOSED }
     }
 
-    /// The line of `bit` changes at `tick`. Nothing to do if that lies outside.
+    /// Notes that the line of `bit` changes at `tick`, if the window includes that tick.
     fn add(&mut self, bit: u32, tick: u32) {
         let at = tick.wrapping_sub(self.begin);
         if let Some(lines) = self.lines.get_mut(at as usize) {
@@ -132,7 +132,7 @@ impl Controller {
         let (mut waiting, mut bit) = (self.waiting, 1);
         for change in &self.changes {
             if waiting & 1 == 1 {
-                // What should have changed before changes now.
+                // A change that is overdue happens now.
                 let ahead = change.wrapping_sub(now).cast_signed().max(0).cast_unsigned();
                 self.window.add(bit, now.wrapping_add(ahead));
             }
@@ -161,7 +161,7 @@ impl Controller {
         (high, next.min(until))
     }
 
-    /// Has the line of `motor` looked at no later than when `tick` is rendered.
+    /// Makes rendering look at the line of `motor` at `tick` or before.
     pub(super) fn change_by(&mut self, motor: usize, tick: Tick) {
         let bit = 1 << motor;
         let low = tick.max(self.rendered).0 as u32;

@@ -121,7 +121,7 @@ pub struct Controller {
     /// All pins are being driven down to the lower stop.
     seeks: bool,
     outstanding: [u16; MOTORS],
-    /// How many of them push against the lower stop.
+    /// How many of the outstanding return pulses push against the lower stop.
     outstanding_pushes: [u16; MOTORS],
     /// Net pulses of moves since the pins were last at rest.
     travel: [i16; MOTORS],
@@ -270,12 +270,12 @@ impl Controller {
         self.session.map(|_| self.epoch)
     }
 
-    /// Carries out an e-stop that the shell has found ([`crate::urgent`]), ahead of the bytes before it. The frame itself is a
-    /// repetition when it is received later. The shell has compared the e-stop with [`Self::epoch`] when it found it. The link may
-    /// have been lost since, or another session opened: the lines go off all the same.
+    /// Carries out an e-stop that the shell has found ([`crate::urgent`]), ahead of the bytes before it. When the frame itself is
+    /// received later, it counts as a repetition. The shell compared the e-stop with [`Self::epoch`] when it found it. The lines
+    /// go off even if the link was lost since then, or another session opened.
     pub fn e_stop(&mut self, now: Tick, epoch: u16) {
         self.pass(now);
-        // The shell's clock may have been read a moment ahead of the lines, for what came before: nothing after `now` was played.
+        // An earlier call may have passed a time slightly ahead of the lines. Nothing after `now` was played.
         self.off_from(Cause::EStop, (now + 1).min(self.rendered));
         if self.session.is_some() {
             self.control(epoch, Op::EStop);

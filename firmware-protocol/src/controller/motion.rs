@@ -92,7 +92,7 @@ impl Controller {
         let has_stop = self.pushing.is_allowed();
         let travel = self.travel.get_mut(usize::from(motor)).ok_or(Refusal::Motor)?;
         let signed = if direction == Direction::Up { i32::from(pulses) } else { -i32::from(pulses) };
-        // Below rest only if there was no stop before.
+        // The pin can be below rest only if there was no stop before.
         let from = if has_stop { (*travel).max(0) } else { *travel };
         let sum = i32::from(from) + signed;
         if sum.unsigned_abs() > MAX_TRAVEL.into() {
@@ -112,7 +112,7 @@ impl Controller {
         Ok(())
     }
 
-    /// Pulses by which the highest pin is above rest, by what moves and cut strokes have left.
+    /// Pulses by which the highest pin is above rest, from moves and outstanding return pulses.
     fn height(&self) -> u16 {
         let heights = self.outstanding.iter().zip(self.travel);
         let heights = heights.map(|(&outstanding, travel)| outstanding.saturating_add_signed(travel));

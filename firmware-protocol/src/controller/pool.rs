@@ -41,8 +41,8 @@ impl Kind {
 pub(super) struct Slot {
     /// The stroke as it will be played.
     pub(super) stroke: Stroke,
-    /// Up and down pulses as sent in the batch: the reference for corrections. Of a motion that belongs to no play, the pulses
-    /// up to the lower stop, and all.
+    /// Up and down pulses as sent in the batch: the reference for corrections. For a motion that belongs to no play: the pulses
+    /// up to the lower stop, and all pulses.
     pub(super) planned: [u16; 2],
     /// Generation of the amendment in force, per burst.
     pub(super) generation: [Option<u16>; 2],
@@ -323,8 +323,9 @@ impl Pool {
         plays - stay_plays
     }
 
-    /// Returns to the pool the strokes of `motor` that begin at `from` or later; returns their number. `None`: one of them has begun
-    /// before `rendered` or is not of a play, or one before them ends after `next` or begins too shortly before it. Then all stay.
+    /// Returns to the pool the strokes of `motor` that begin at `from` or later; returns their number. Returns `None` and leaves
+    /// all of them if one has begun before `rendered` or is not of a play, or if one before them ends after `next` or begins too
+    /// shortly before it.
     pub(super) fn withdraw(&mut self, motor: usize, from: Tick, next: Tick, rendered: Tick) -> Option<u16> {
         let &Queue { head, passed, .. } = self.queues.get(motor)?;
         if passed >= from {
@@ -346,8 +347,8 @@ impl Pool {
         Some(dropped)
     }
 
-    /// The slot before the first stroke of the list `head` that begins at `from` or later, that stroke's slot, and the number of
-    /// slots before it. A call of its own, so that the loop over a long queue needs no memory besides the slots.
+    /// Finds the first stroke in the list `head` that begins at `from` or later. Returns the slot before it, its own slot, and
+    /// the number of slots before it. Not inlined, so that the loop over a long queue needs no memory besides the slots.
     #[inline(never)]
     fn first_from(&self, head: u16, from: Tick) -> [u16; 3] {
         let (mut last, mut first, mut before) = (NONE, head, 0);
@@ -361,8 +362,8 @@ impl Pool {
         [last, first, before]
     }
 
-    /// Returns to the pool the slots of `motor` from `first` on, the cursor or a later one: so many, so many of them strokes of
-    /// plays. `last` is the one before them.
+    /// Returns to the pool the slots of `motor` from `first` on: `slots` of them, of which `plays` are strokes of plays. `first`
+    /// is the cursor or a later slot, `last` is the slot before it.
     fn drop_from(&mut self, motor: usize, first: u16, last: u16, slots: u16, plays: u16) {
         if let Some(slot) = self.get_mut(last) {
             slot.next = NONE;

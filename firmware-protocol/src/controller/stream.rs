@@ -94,8 +94,9 @@ impl Controller {
         if room && self.queue(slot) { Ok(true) } else { Err(Refusal::PoolFull) }
     }
 
-    /// Withdraws the strokes of `motor` from `from` on, if none of them has begun and `first`, the stroke that takes their place, can be
-    /// queued. Else all of them stay, and the motor's strokes are late until it is withdrawn from again. Returns whether it did.
+    /// Withdraws the strokes of `motor` from `from` on, if none of them has begun and `first`, the stroke that takes their place,
+    /// can be queued. Otherwise all of them stay, and the motor's new strokes are late until the next withdrawal. Returns whether
+    /// it has withdrawn them.
     pub(super) fn withdraw(&mut self, motor: u8, from: Tick, first: Option<&Stroke>) -> bool {
         let bit = 1 << motor;
         let usable = first.map_or(self.state == State::Armed, |first| self.judge(first) == Ok(true));
@@ -148,7 +149,7 @@ impl Controller {
             Direction::Up => stroke.up_pulses = item.pulses,
             Direction::Down => stroke.down_pulses = item.pulses,
         }
-        // What has begun and was longer before may still break a limit on motors at once: another one may have begun since.
+        // Even a length that the stroke had before may break a limit on motors at once: another stroke may have begun since.
         if slot.charged.is_some() && item.pulses > burst.pulses {
             self.check_at_once(&stroke).ok()?;
         }

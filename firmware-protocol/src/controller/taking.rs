@@ -1,7 +1,7 @@
-//! What is decoded and not taken yet of the newest frame: its body, then its strokes or amendments.
+//! The part of the newest frame that is decoded and not taken yet: its body, then its strokes or amendments.
 //!
-//! To take a long frame whole leaves the chip little time to render lines. So it is taken in pieces ([`Controller::take`]).
-//! There is one place: a frame is decoded only when the one before is taken.
+//! Taking a long frame whole would leave the chip little time to render lines. So the controller takes it in pieces
+//! ([`Controller::take`]). There is a place for one frame: the next one is decoded when this one is taken.
 //!
 //! Invariant: a play's first frame is judged and taken in one piece, so that it is taken whole or not at all.
 
@@ -18,8 +18,8 @@ use core::hash::{Hash, Hasher};
 const UNPACKED: usize = MAX_BATCH / 2;
 /// Most strokes taken at a time.
 const STROKES: usize = 8;
-/// The same of a frame that withdraws: for each stroke it may search the queue of a motor. It ends sooner once the queues
-/// searched have so many strokes.
+/// The same for a frame that withdraws, because each stroke may search the queue of a motor. The piece ends sooner once the
+/// queues searched have [`SEARCHED`] strokes.
 const REPLACING: usize = 4;
 const SEARCHED: u16 = 128;
 /// Most amendments taken at a time: each searches the queue of its motor.
@@ -59,7 +59,7 @@ pub(super) struct Taking {
     packed: Option<Packed>,
     /// The frame whose strokes are to be taken; its mark is not.
     pub(super) next: Option<Next>,
-    /// In place, because they are long to copy.
+    /// Unpacked in place, because a copy takes long.
     strokes: Batch,
     /// The frame whose strokes are being taken.
     seq: Option<u16>,
@@ -72,7 +72,7 @@ pub(super) struct Taking {
     refused: u64,
     /// Why the first of those was refused.
     reason: Option<Refusal>,
-    /// The motors that are still to be withdrawn from, from which tick on, and those of which nothing was withdrawn.
+    /// The motors still to be withdrawn from, from which tick on, and the motors of which nothing was withdrawn.
     withdraw: u32,
     from: Tick,
     kept: u32,
@@ -82,7 +82,7 @@ pub(super) struct Taking {
 }
 
 impl Hash for Taking {
-    /// Without what is taken: with nothing left of a frame, its strokes are not read again.
+    /// Leaves out what is taken: once nothing of a frame is left, its strokes are not read again.
     fn hash<H: Hasher>(&self, hasher: &mut H) {
         let Self {
             body,

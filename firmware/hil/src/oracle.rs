@@ -374,8 +374,9 @@ impl Oracle {
         outstanding
     }
 
-    /// The bursts of `waiting` begin at `ready` or, one after the other, when the burst before them has ended in one of as many places
-    /// as a rail has, and in their chip if its motors take turns. Bursts that run have a place.
+    /// Schedules the bursts of `waiting` in turns from `ready` on. A rail has as many places as bursts may run at once: each
+    /// burst waits for a free place and, if the motors of its chip take turns, for the burst before it in its chip. Bursts that
+    /// run have a place.
     fn take_turns(&mut self, at: Tick, ready: Tick, limit: usize, waiting: &[usize]) {
         let (rail_at_once, chip_at_once) = self.at_once.unwrap_or((6, 2));
         for rail in 0..MOTORS / 6 {

@@ -18,7 +18,7 @@ pub const fn host(cycle: u64) -> HostInstant {
     HostInstant::from_ns(HOST_START_NS + cycle * 400 / 51)
 }
 
-/// The host's clock, which the device's may run away from, and which may stand still.
+/// The host's clock. The device's clock may run away from it, and it may stand still.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct HostClock {
     /// By how much it is behind [`host`] at cycle `from`, in nanoseconds.

@@ -13,7 +13,7 @@ use meissner_hil::time::MS;
 enum Cut {
     /// The host resets the bus.
     Reset,
-    /// The cable is out for so many ms: one of a bad contact, and one whose absence the board sees.
+    /// The cable is out for so many ms. Tests use a time of a bad contact, and one that the board sees as unplugged.
     Unplugged(u64),
     /// The host begins another transfer.
     Abandoned,
@@ -106,7 +106,7 @@ fn answers(chip: &mut ChipBench) -> bool {
     false
 }
 
-/// Cuts, and tells whether the device is there afterwards, of the same boot and without having set USB up again.
+/// Makes the cut, and returns whether the device is there afterwards, in the same boot and without having set USB up again.
 fn survives(chip: &mut ChipBench, cut: Cut) -> bool {
     match cut {
         Cut::Reset => chip.bus("reset").unwrap(),

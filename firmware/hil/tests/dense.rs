@@ -47,7 +47,7 @@ impl Dense {
         let mut hand = Hand::armed(&Which::Chip(ChipOptions { slow: 1.1, ..ChipOptions::new(1) }), 25_500);
         let strokes = self.strokes(hand.tick() + 50 * TICKS);
         hand.chip().poke("SLACK_MIN", &HORIZON.to_le_bytes()).unwrap();
-        // Each 5 ms what begins within 45 ms.
+        // Every 5 ms, sends the strokes that begin within 45 ms.
         let mut rest = &strokes[..];
         while !rest.is_empty() {
             let until = hand.tick() + 45 * TICKS;

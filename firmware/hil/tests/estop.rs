@@ -17,7 +17,7 @@ use rand_chacha::rand_core::{Rng, SeedableRng};
 
 /// Most cycles from the request's SETUP packet to all lines low, whatever else is on the line.
 pub(crate) const BY_REQUEST: u64 = TICK / 2;
-/// Most cycles from the packet in which the frame ends, if it is in it alone.
+/// Most cycles from the packet in which the frame ends, if the frame is alone in its packet.
 pub(crate) const BY_FRAME: u64 = 1_750;
 /// The same, if it shares its packet.
 pub(crate) const BY_FRAME_SHARED: u64 = 2 * TICK;
@@ -47,7 +47,7 @@ pub(crate) enum Way {
     Request,
 }
 
-/// One of each: to all lines low, from the SETUP packet of the request, or else the packet in which the frame ends.
+/// Cycles of one e-stop to all lines low: from the SETUP packet of the request or, for a frame, from the packet in which it ends.
 fn latency(rig: &mut Rig, name: &str, traffic: Traffic, way: Way, random: &mut ChaCha8Rng) -> u64 {
     rig.order(job(&pattern(name).unwrap(), 5.0));
     let garbage = |rig: &mut Rig, random: &mut ChaCha8Rng| {
@@ -167,7 +167,8 @@ fn contrived(random: &mut ChaCha8Rng) -> Vec<u8> {
         }
         bytes.extend(next);
     }
-    // What fits no more is filled, so that the packet is full. One in four is split: then a frame begins in the packet before.
+    // The room that is left is filled, so that the packet is full. One in four is split: then a frame begins in the packet
+    // before.
     let room = PACKET - E_STOP - bytes.len();
     bytes.splice(0..0, vec![0; room]);
     if pick(random, 4) == 0 {

@@ -60,7 +60,7 @@ fn every_kind_on_the_mock() {
     assert!(problems.is_empty(), "{}", problems.join("\n"));
 }
 
-/// Plays a kind on the mock as the case expects, then as changed: that must be told with `why`.
+/// Plays a kind on the mock: as its case expects, and then with a changed case, which must fail with `why`.
 fn is_told(name: &str, why: &str, change: fn(&mut Case)) {
     let mut case = case(name);
     let seen = |case: &Case| -> Result<Seen, String> { play(&Which::Mock(1), &kind(case, name), "pin-60", 1) };
@@ -97,7 +97,7 @@ fn what_is_not_as_expected_is_told() {
     }
 }
 
-/// What says how a play ends is not met by a play that ends otherwise, whatever the fault.
+/// A case that expects a cut fails if the play ends otherwise, whatever the fault.
 #[test]
 fn no_case_is_met_by_a_play_without_its_fault() {
     for mut case in cases().into_iter().filter(|case| case.expect.play == Ends::Cut) {

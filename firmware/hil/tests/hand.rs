@@ -1,6 +1,7 @@
-//! A host made by hand: it sends what a test says, where the streamer decides by itself what to send.
+//! A scripted host: it sends what a test says, while the streamer decides by itself what to send.
 //!
-//! It uses the bench and the tap as the rig does, so the judge works on what it has sent. The line loses nothing. Between frames it pings, so that the device's statuses and reports arrive.
+//! It uses the bench and the tap as the rig does, so the judge works on what it has sent. The line loses nothing. Between frames
+//! it pings, so that the device's statuses and reports arrive.
 
 use firmware_protocol::batch::{BATCH_BYTES, Packer};
 use firmware_protocol::controller::POOL;

@@ -266,7 +266,8 @@ fn an_e_stop_in_the_middle_of_a_replacement_leaves_nothing_uncounted() {
     play.hand.finish(true);
 }
 
-/// The host falls silent when it has sent a replacement: the device plays it until its patience ends, then returns the pins.
+/// The host falls silent when it has sent a replacement: the device plays it until the host watchdog times out, then returns the
+/// pins.
 #[test]
 fn a_silent_host_after_a_replacement_returns_the_pins() {
     // 10 ms, which the lead exceeds.

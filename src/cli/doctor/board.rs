@@ -1,7 +1,7 @@
 //! Checks a device: opens it, measures its link, and judges what it found.
 //!
-//! The limits of what is good stand here, each with its reason; what a daemon's device is checked for, too, stands in
-//! [`crate::doctor::device`]. The device is closed again before the doctor prints anything.
+//! The limits are here, each with its reason. [`crate::doctor::device`] has the checks that a daemon also makes on its device. The
+//! device is closed again before the doctor prints anything.
 
 use super::{port, self_test};
 use crate::doctor::device::{line, simulated, telemetry};
@@ -15,17 +15,17 @@ use meissner_stream::diagnostics::{self, Drift, LinkReport, RoundTripStats};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 
-/// A correction leaves the host this long before its burst, us: slower round trips make it late.
+/// A correction leaves the host this long before its burst, us: with a slower round trip it comes late.
 const CORRECTION_US: f64 = 3_000.0;
-/// A crystal is within 50 ppm, two of them within 100; a larger drift is no crystal's.
+/// A crystal is accurate to 50 ppm, so two differ by at most 100: a larger drift has another cause.
 const CRYSTALS_PPM: f64 = 100.0;
-/// The clock model takes a larger drift for noise.
+/// The clock model treats a larger drift as noise.
 const MODEL_PPM: f64 = 200.0;
 
-/// How to avoid what delays bytes between board and machine.
+/// Advice against delays between board and machine.
 const DIRECT_PORT: &str = "use a USB port of the machine itself";
 
-/// What was measured on a device.
+/// The measurements of a device.
 #[derive(Debug, Serialize)]
 pub(super) struct Examined {
     kind: String,
@@ -42,7 +42,7 @@ pub(super) struct Examined {
     throughput_bytes_per_s: Option<u32>,
     drift: Drift,
     board: BoardStatus,
-    /// What the self-test measured; null if it was not asked for, or did not come to its end.
+    /// The measurements of the self-test; null if it was not requested, or did not finish.
     self_test: Option<self_test::Measured>,
 }
 
@@ -64,7 +64,7 @@ pub(super) fn examine(
     let (kind, serial_number) = (device.kind(), device.serial_number().map(str::to_owned));
     let checked = diagnostics::measure(&mut device, self_test);
     drop(device);
-    // A program that had the port open before us reads bytes meant for us.
+    // A program that already had the port open reads bytes meant for us.
     if let Spec::Serial(path) = spec {
         findings.extend(port::holders(root, path, false));
     }
@@ -132,7 +132,7 @@ fn judged(at: &Examined) -> Vec<Finding> {
         trip.max_us / 1e3,
         trip.count
     );
-    // Half the lead: beyond it, strokes that are sent a lead ahead may be late.
+    // If the link takes more than half the lead, strokes may come late.
     let half_lead_us = Settings::default().stall_ms() * 1000.0;
     let level = match trip.p99_us {
         us if us > half_lead_us => Level::Fail,

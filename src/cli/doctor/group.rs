@@ -20,7 +20,7 @@ pub(super) fn finding(root: &Path, units: &Units, me: &CurrentUser) -> Option<Fi
     Some(judged(me, UserGroup::named(GROUP).as_ref(), owner.as_ref()))
 }
 
-/// A site may have given the socket to another group; that group counts.
+/// Judges by the socket's actual group, because a site may have changed it.
 fn judged(me: &CurrentUser, haptics: Option<&UserGroup>, owner: Option<&UserGroup>) -> Finding {
     if owner.is_some_and(|owner| owner.gid == 0) {
         let found = format!("the socket belongs to the group `root`, not to `{GROUP}`");

@@ -1,9 +1,9 @@
 //! `doctor`: checks what could keep this machine, its service, its daemon or its device from playing patterns in time.
 //!
-//! It first measures how late [`timers`] wake a thread, with nothing beside it. Then it makes the checks that the daemon makes, too
-//! ([`crate::doctor`]), and those that belong to its user and to a device without a daemon: [`rights`], [`group`],
-//! [`unreachable`] daemons, [`port`]s, and the [`board`], unless a daemon has the board. On request the board tests itself
-//! ([`self_test`]). The doctor arms nothing, moves nothing and repairs nothing.
+//! It first measures how late [`timers`] wake a thread, while no other check runs. Then it makes the checks that the daemon also
+//! makes ([`crate::doctor`]), and those of its user and of a device without a daemon: [`rights`], [`group`], [`unreachable`]
+//! daemons, [`port`]s, and the [`board`], unless a daemon has opened it. On request the board tests itself ([`self_test`]). The
+//! doctor does not arm, move or repair anything.
 //!
 //! Invariant: every finding that is not `ok` says what to do; the verdict is `go` only if no finding says `FAIL`.
 
@@ -32,7 +32,7 @@ use std::time::Duration;
 
 #[derive(Debug, Serialize)]
 struct Report {
-    /// With `ok`: whether the verdict is go.
+    /// The report, whose `ok` says whether the verdict is go.
     #[serde(flatten)]
     report: DoctorReport,
     wake_up: timers::WakeUp,
@@ -40,8 +40,8 @@ struct Report {
     device: Option<Examined>,
 }
 
-/// `asked`: which device; without it, the daemon's, else the first board. `self_test`: have the board test itself. `time`: how long to
-/// measure wake-ups.
+/// `asked`: the device to check; without it the daemon's, else the first board. `self_test`: have the board test itself. `time`:
+/// how long to measure wake-ups.
 pub(super) fn run(
     asked: Option<Spec>,
     self_test: bool,

@@ -1,8 +1,8 @@
-//! Checks which other programs have a port open.
+//! Finds other programs that have a port open.
 //!
-//! It reads `/proc`, as far as this user may, and opens no port.
+//! It reads `/proc` with this user's rights, and opens no port.
 //!
-//! Invariant: a port is called free only if every process could be checked.
+//! Invariant: a port counts as free only if every process could be checked.
 
 use crate::doctor::port::{MODEM_MANAGER, Process, processes};
 use meissner_api::Finding;
@@ -15,7 +15,8 @@ fn has_open(root: &Path, pid: u32, port: &Path) -> Option<bool> {
     Some(open.flatten().any(|fd| fs::read_link(fd.path()).is_ok_and(|link| link == port)))
 }
 
-/// Which other programs have this port open. If one is `known` to, but cannot be seen, the finding says so.
+/// Finds other programs that have this port open. If one is `known` to have it open but is invisible to this user, the finding says
+/// so.
 pub(super) fn holders(root: &Path, path: &Path, known: bool) -> Option<Finding> {
     let port = path.canonicalize().unwrap_or_else(|_| path.to_owned());
     let ours = std::process::id();

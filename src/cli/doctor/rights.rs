@@ -3,7 +3,7 @@
 use crate::doctor::rights::limits;
 use meissner_api::{Finding, Realtime};
 
-/// The rights of this user. They matter for a daemon that this user starts, not where one runs or is `installed`.
+/// The rights of this user. They matter only for a daemon that this user starts, so not if one runs or is `installed`.
 pub(super) fn of_user(ours: Realtime, daemons: Option<Realtime>, installed: bool) -> [Finding; 2] {
     let finding = |what, ours, daemons| match (ours, daemons) {
         (true, _) => Finding::ok(what, "granted"),
@@ -33,7 +33,7 @@ mod tests {
         let lines = |ours, daemons, installed| of_user(ours, daemons, installed).each_ref().map(fake::line);
         assert_eq!(lines(all, None, false)[0], "Ok SCHED_FIFO: granted -> ");
         assert_eq!(lines(none, Some(all), true)[1], "Ok mlockall: granted to the daemon, not to you -> ");
-        // `daemon rights` judges the daemon's.
+        // The check `daemon rights` judges the daemon's.
         assert!(
             lines(none, Some(none), false)[0].starts_with("Ok SCHED_FIFO: not granted to you; only the d")
         );

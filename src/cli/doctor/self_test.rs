@@ -1,6 +1,6 @@
-//! Judges what a board says of itself: its report, and its self-test (`doctor --board`). One finding per check.
+//! Judges a board's report and self-test (`doctor --board`), with one finding per check.
 //!
-//! The limits of what is good stand here, each with its reason.
+//! The limits are here, each with its reason.
 
 use crate::cli::text;
 use crate::receipts::{board_status, outputs};
@@ -22,10 +22,10 @@ const SAME_CLOCK_PPM: f64 = 300.0;
 const WORK_US: f64 = 128.0;
 /// Ticks in which the board can render a block before the DMA fetches its first word (`docs/explanation/board-timing.md`).
 const HORIZON_TICKS: f64 = 45.0;
-/// How many of these the longest pieces of work take together in the emulated chip (the same page).
+/// Ticks that the longest tasks take together in the emulated chip (the same page).
 const WORST_CASE_TICKS: f64 = 20.0;
 
-/// A self-test's figures, as they came.
+/// A self-test's figures, as the board sent them.
 #[derive(Debug, Serialize)]
 pub(super) struct Measured {
     /// Lines that are stuck, as numbers of motors; 24 is the trigger, 25 the driver enable.
@@ -53,7 +53,7 @@ impl Measured {
     }
 }
 
-/// The outputs of a mask, as a person finds them on the board.
+/// The outputs of a mask, named as on the board.
 fn named(mask: u32) -> String {
     let name = |output: u8| match usize::from(output) {
         TRIGGER => "the trigger".to_owned(),
@@ -111,7 +111,7 @@ pub(super) fn judged(state: SelfTestState) -> Vec<Finding> {
     }
 }
 
-/// A check that the device does not have says nothing about a board.
+/// The finding for a check that the device does not have; it is not a fault.
 fn missing(what: &'static str) -> Finding {
     Finding::warn(what, "not on this device", "name a board with --device")
 }

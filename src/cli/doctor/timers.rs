@@ -1,6 +1,6 @@
 //! Checks this machine's timers: how late they wake a thread.
 //!
-//! [`measure`] runs first and alone: no other check of the doctor runs beside it.
+//! [`measure`] runs first and alone, so that no other check disturbs it.
 //!
 //! Invariant: the real-time rights that [`measure`] requests end with its thread.
 
@@ -13,7 +13,7 @@ use std::time::Duration;
 
 /// How often the thread is due: as often as the streamer while it plays.
 const PERIOD: Duration = Duration::from_millis(1);
-/// Half the default lead: beyond it a second stall in a row makes strokes late.
+/// Half the default lead: after a longer stall, a second one makes strokes late.
 const LATE_US: f64 = 50_000.0;
 
 /// How late timers woke a thread.
@@ -29,7 +29,7 @@ pub(super) struct WakeUp {
     fifo: bool,
 }
 
-/// Requests real-time rights on a thread of its own; returns those granted, and how late timers then wake that thread.
+/// Requests real-time rights on a separate thread; returns those granted, and how late timers then wake that thread.
 pub(super) fn measure(time: Duration) -> (Realtime, WakeUp) {
     let measured = thread::spawn(move || {
         let realtime = meissner_stream::request_realtime();

@@ -1,6 +1,6 @@
-//! What the doctor finds where no daemon answers it.
+//! The doctor's finding if no daemon answers.
 //!
-//! Invariant: a daemon that does not answer is a finding and no error.
+//! Invariant: a daemon that does not answer is a finding, not an error.
 
 use meissner_api::Finding;
 use meissner_client::ClientError;

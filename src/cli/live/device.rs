@@ -1,6 +1,6 @@
 //! Finds and opens an input device, and reads its events.
 //!
-//! Invariant: opening and reading change nothing on the device; other programs see its events, too.
+//! Invariant: opening and reading do not change the device; other programs still get its events.
 
 use super::follower::{Follower, Range};
 use anyhow::{Context, Result, anyhow, bail};
@@ -32,7 +32,7 @@ impl Input {
             })
         };
         let mice = evdev::enumerate().filter(|(_, device)| is_mouse(device));
-        // The system lists them in no order; `event10` comes after `event9`.
+        // The system lists them in no order; sort so that `event10` comes after `event9`.
         let first = mice.min_by_key(|(path, _)| (path.as_os_str().len(), path.clone()));
         let (path, device) = first.ok_or_else(|| no_mouse(Path::new(DEVICES)))?;
         Self::of(path, device, mm_per_count)
@@ -61,7 +61,7 @@ impl Input {
         let axes = [AbsoluteAxisCode::ABS_X, AbsoluteAxisCode::ABS_Y];
         let read = |device: &Device| -> io::Result<_> {
             device.set_nonblocking(true)?;
-            // A device without absolute axes has no state of them.
+            // A device without absolute axes cannot be asked for their state.
             if device.supported_absolute_axes().is_none() {
                 return Ok([None; 2]);
             }
@@ -138,7 +138,7 @@ fn join() -> String {
 mod tests {
     use super::*;
 
-    /// This machine may have no input device; `follower` has the tests of events.
+    /// This machine may have no input device; `follower` tests events.
     #[test]
     fn without_a_mouse_the_error_says_what_to_do() {
         let dir = tempfile::tempdir().unwrap();

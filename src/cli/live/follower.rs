@@ -1,7 +1,8 @@
-//! From the events of an input device to poses of a shape.
+//! Converts the events of an input device to poses of a shape.
 //!
-//! Relative axes (a mouse) shift the shape; it stays on the array. Absolute axes (a touchpad, a tablet) put it at their place: their range
-//! is the array's area. A wheel or a knob turns it. [`Follower::hear`] takes an event, [`Follower::pose`] says where the shape is then.
+//! Relative axes (a mouse) shift the shape; it stays on the array. Absolute axes (a touchpad, a tablet) put it at their place:
+//! their range is the array's area. A wheel or a knob turns it. [`Follower::hear`] takes an event, [`Follower::pose`] returns the
+//! resulting pose.
 //!
 //! Invariant: the shift is never beyond the outermost pins.
 
@@ -51,13 +52,13 @@ impl Follower {
 
     pub(super) fn hear(&mut self, event: InputEvent) {
         match event.destructure() {
-            // Away from the person is towards the fingertip: there Y decreases.
+            // Moving the mouse away from the person moves the shape towards the fingertip; Y decreases.
             EventSummary::RelativeAxis(_, RelativeAxisCode::REL_X, counts) => self.shift(counts, 0),
             EventSummary::RelativeAxis(_, RelativeAxisCode::REL_Y, counts) => self.shift(0, counts),
             EventSummary::RelativeAxis(_, RelativeAxisCode::REL_WHEEL, notches) => {
                 self.turn(f64::from(notches));
             }
-            // A knob counts clockwise.
+            // A knob counts up when turned clockwise.
             EventSummary::RelativeAxis(_, RelativeAxisCode::REL_DIAL, notches) => {
                 self.turn(-f64::from(notches));
             }
@@ -129,7 +130,7 @@ mod tests {
     fn the_shape_stays_on_the_array() {
         let mouse = Follower::new(0.02, [None; 2]);
         let far = [relative(X, 10_000), relative(Y, i32::MAX), relative(X, -50)];
-        // It leaves the edge at once when the mouse turns back.
+        // The shape leaves the edge at once when the mouse turns back.
         assert_eq!(after(mouse, &far), [3.35, -7.25, 0.0]);
     }
 

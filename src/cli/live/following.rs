@@ -1,7 +1,7 @@
-//! The loop of a live play: reads its source and the daemon's answers, sends what is due.
+//! The loop of a live play: reads its source and the daemon's answers, and sends messages when they are due.
 //!
-//! One thread waits for source, answers and signals at once. Each turn reads a piece of the source at most, so none of them keeps the
-//! others waiting.
+//! One thread waits for the source, answers and signals at once. Each turn of the loop reads at most one piece of the source, so
+//! none of the three blocks the others.
 //!
 //! Invariant: a message is sent only in a turn that could read the source.
 
@@ -43,7 +43,7 @@ pub(super) enum End {
 }
 
 impl Source {
-    /// What it is, in a line for the user.
+    /// Describes the source in a line for the user.
     pub(super) fn shown(&self) -> String {
         match self {
             Self::Lines(_) => "stdin".to_owned(),
@@ -51,7 +51,7 @@ impl Source {
         }
     }
 
-    /// Whether silence may mean that it hangs. A file is never late, and a mouse may be held still.
+    /// Whether silence may mean that the source hangs. A file is never late, and a mouse may be held still.
     pub(super) const fn must_speak(&self) -> bool {
         matches!(self, Self::Lines(lines) if !lines.is_file())
     }
@@ -100,7 +100,7 @@ fn moved_to(pose: LivePose) -> LiveMessage {
 /// Waits until something can be read, or has ended; returns which.
 fn wait<const N: usize>(files: &mut [BorrowedFd<'_>; N], timeout: Option<Duration>) -> Result<[bool; N]> {
     let mut fds = files.map(|file| PollFd::from_borrowed_fd(file, PollFlags::IN));
-    // One that is too long for the system is as good as none.
+    // A timeout that is too long for the system counts as none.
     let timeout = timeout.and_then(|timeout| Timespec::try_from(timeout).ok());
     match poll(&mut fds, timeout.as_ref()) {
         Ok(_) => Ok(fds.map(|fd| !fd.revents().is_empty())),
@@ -109,7 +109,7 @@ fn wait<const N: usize>(files: &mut [BorrowedFd<'_>; N], timeout: Option<Duratio
     }
 }
 
-/// What became of the messages.
+/// Counts of the messages by their result.
 #[derive(Debug, Default)]
 struct Counts {
     applied: u64,
@@ -131,7 +131,7 @@ pub(super) struct Following<'a> {
     shown: Updates,
     /// Where an input device has moved the shape.
     pose: Option<LivePose>,
-    /// The source has ended; what it said last may still wait.
+    /// Whether the source has ended; its last message may still wait.
     is_over: bool,
 }
 
@@ -153,7 +153,7 @@ impl<'a> Following<'a> {
         }
     }
 
-    /// Follows the source until it ends, a signal comes, or the daemon ends the play; unless the daemon did, ends it.
+    /// Follows the source until it ends, a signal comes, or the daemon ends the play. In the first two cases it ends the play.
     pub(super) fn run(&mut self) -> End {
         let end = loop {
             match self.turn() {
@@ -164,7 +164,7 @@ impl<'a> Following<'a> {
         };
         match end {
             End::Daemon(_) => end,
-            // Without a cause the receipt says why.
+            // Without a cause from the daemon, the receipt has the reason.
             End::Source => match self.finish() {
                 Some(cause) if cause != "stop" => End::Daemon(Some(cause)),
                 _ => End::Source,
@@ -176,7 +176,7 @@ impl<'a> Following<'a> {
         }
     }
 
-    /// Removes the line of the terminal, and says how many more updates were refused; returns how many in all.
+    /// Removes the progress line, and prints how many more updates were refused; returns the total.
     pub(super) fn summary(self) -> u64 {
         match self.counts.refused.saturating_sub(1) {
             0 => {}
@@ -187,7 +187,7 @@ impl<'a> Following<'a> {
     }
 
     fn turn(&mut self) -> Result<Option<End>> {
-        // The daemon's end of the play is among the answers, also when it reads no more messages.
+        // Even if the daemon reads no more messages, its answers include the end of the play.
         if let Some(end) = self.read_answers()? {
             return Ok(Some(end));
         }
@@ -201,7 +201,7 @@ impl<'a> Following<'a> {
         }
         if let Some(message) = self.pace.due(now) {
             match self.play.send(message) {
-                // The answers say why.
+                // The answers have the reason.
                 Err(ClientError::HungUp { .. }) => {}
                 sent => drop(sent?),
             }
@@ -210,7 +210,7 @@ impl<'a> Following<'a> {
         Ok(None)
     }
 
-    /// Passes on the lines that were read: of a file the next one, when it is due; else all.
+    /// Passes on lines that were read: the next one of a file when it is due, all of any other source.
     fn take_messages(&mut self, now: Instant) -> Result<()> {
         let Source::Lines(lines) = &mut self.source else { return Ok(()) };
         if lines.is_file() {
@@ -245,7 +245,7 @@ impl<'a> Following<'a> {
         let Self { play, source, pace, signals, is_over, .. } = self;
         let is_file = matches!(source, Source::Lines(lines) if lines.is_file());
         let timeout = pace.wait(now, is_file);
-        // A file can always be read, and at its end so can a pipe.
+        // A file is always readable, and so is a pipe at its end.
         if is_file || *is_over {
             wait(&mut [play.as_fd(), signals.as_fd()], timeout)?;
             return Ok(());
@@ -282,7 +282,7 @@ impl<'a> Following<'a> {
     /// Ends the play, unless it is over; returns the daemon's cause if it comes in time.
     fn finish(&mut self) -> Option<String> {
         let end = LiveMessage { end: true, ..LiveMessage::default() };
-        // If the connection is closed, the play is over; if it takes nothing, closing it ends the play.
+        // If the connection is closed, the play is over; if sending blocks, closing the connection ends the play.
         if self.play.send(end).is_err() {
             return None;
         }
@@ -290,7 +290,7 @@ impl<'a> Following<'a> {
         loop {
             match self.play.next(until.saturating_duration_since(Instant::now())) {
                 Ok(Some(LiveAnswer { ended: Some(cause), .. })) => return Some(cause),
-                // The end has overtaken an update.
+                // The end of the play came before an update, which is refused.
                 Ok(Some(LiveAnswer { problem: Some(_), .. })) => {}
                 Ok(Some(answer)) => self.note(answer),
                 Ok(None) | Err(_) => return None,
@@ -310,7 +310,7 @@ impl<'a> Following<'a> {
             *first_stroke_ms = ticks.into_iter().flatten().min().map(after).or(*first_stroke_ms);
         }
         *merged += u64::from(merged_into.is_some());
-        // If the play was over, why follows.
+        // If the play was over, the reason follows.
         if let Some(problem) = problem.filter(|problem| problem.code != Code::NotFound.parts().0) {
             *refused += 1;
             if *refused == 1 {

@@ -1,8 +1,8 @@
 //! Lines of stdin, each a message: `X_MM Y_MM [DEGREES]`, or a JSON object with the keys of a live play's message.
 //!
-//! A regular file waits for its reader: its lines are taken one by one. Anything else gives its lines as they come.
+//! Lines of a regular file are taken one by one, when they are due. Lines of any other input are taken as they come.
 //!
-//! Bounds: a line has 64 KiB at most. Invariant: a line that cannot be read is an error with its number; none is left out.
+//! Bounds: a line has 64 KiB at most. Invariant: no line is skipped: a line that cannot be read is an error with its number.
 
 use anyhow::{Context, Result, anyhow, bail};
 use meissner_api::{LiveMessage, MAX_LIVE_MESSAGE};
@@ -11,7 +11,7 @@ use std::fs::File;
 use std::io::{self, Read};
 use std::os::fd::{AsFd, BorrowedFd};
 
-/// Bytes that are read at a time: answers and signals have their turn in between.
+/// Bytes that are read at a time; in between the loop handles answers and signals.
 const PIECE: usize = 1 << 14;
 /// Characters of a bad line that its message quotes.
 const QUOTED: usize = 60;
@@ -87,7 +87,7 @@ impl AsFd for Lines {
     }
 }
 
-/// Reads a line; an empty one is the message that changes nothing. An error says what is wrong and what to do.
+/// Reads a line; an empty line gives a message that changes nothing. An error says what is wrong and what to do.
 fn message(line: &[u8], has_target: bool) -> Result<LiveMessage, String> {
     const WANTED: &str = "write X_MM Y_MM [DEGREES], or a JSON object";
     if line.len() > MAX_LIVE_MESSAGE {
@@ -128,7 +128,7 @@ fn message(line: &[u8], has_target: bool) -> Result<LiveMessage, String> {
     }
 }
 
-/// Two or three finite numbers, all separated by blanks or all by commas: a column that is missing must not shift the others.
+/// Two or three finite numbers, all separated by blanks or all by commas, so that a missing column does not shift the others.
 fn numbers(text: &str) -> Option<Vec<f64>> {
     let parts: Vec<&str> = if text.contains(',') {
         text.split(',').map(str::trim).collect()

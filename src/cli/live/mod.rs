@@ -1,10 +1,10 @@
 //! `live`: a live play that follows its source: lines of stdin, or an input device.
 //!
-//! In the order of the data path: a source ([`lines`], or [`device`] with [`follower`], which turns events into poses) gives messages,
-//! [`pace`] decides what is sent when, [`following`] is the loop that carries all of it. This module reads the arguments, starts the play,
-//! and prints how it ended.
+//! In the order of the data path: a source ([`lines`], or [`device`] with [`follower`], which turns events into poses) gives
+//! messages, [`pace`] decides what to send when, and [`following`] is the loop around all of them. This module reads the arguments,
+//! starts the play, and prints how it ended.
 //!
-//! Invariant: the loop that reads the source is the one that sends signs of life; when it hangs, the daemon ends the play.
+//! Invariant: the loop that reads the source also sends the signs of life, so if it hangs, the daemon ends the play.
 
 mod device;
 mod follower;
@@ -127,7 +127,7 @@ impl Live {
             labels: self.play.labels(),
             trigger: self.play.trigger.request(),
         };
-        // The source may give its first line in minutes: a bad option is refused before.
+        // The source's first line may come after minutes, so refuse a bad option before.
         Ok(LiveRequest::parse(&serde_json::to_vec(&request)?)?)
     }
 
@@ -155,7 +155,7 @@ fn target(argument: &str) -> Result<Value> {
         return Ok(argument.into());
     }
     let text = files::text(Path::new(argument), MAX_BYTES as u64, "target")?;
-    // Its errors name the line of the file.
+    // Check it here, because this reader's errors name the line of the file.
     Target::read(&text, argument)?;
     Ok(toml::from_str(&text)?)
 }
@@ -165,7 +165,7 @@ pub(super) fn run(asked: &Live) -> Result<ExitCode> {
     let mut request = asked.request()?;
     let signals = Signals::listen()?;
     let mut client = asked.options.client()?;
-    // Without a daemon the command fails before its source gives the first line.
+    // Fail before waiting for the source's first line if there is no daemon.
     let _: Status = client.get("/v1/status")?;
     let first = match source.first(&signals)? {
         Ok(first) => first,
@@ -178,7 +178,7 @@ pub(super) fn run(asked: &Live) -> Result<ExitCode> {
     if !json {
         let what = asked.target.as_deref().unwrap_or("the array");
         let said = say(&format!("play {id}: {what} follows {}; Ctrl-C ends it", source.shown()));
-        // The reader has seen enough; the play goes on, and its result counts.
+        // The reader of stdout has closed it; the play goes on, and its result counts.
         said.or_else(|error| if is_broken_pipe(&error) { Ok(()) } else { Err(error) })?;
     }
     let timeout = Duration::from_secs_f64(asked.timeout_ms() / 1e3);
@@ -187,7 +187,7 @@ pub(super) fn run(asked: &Live) -> Result<ExitCode> {
     let mut following = Following::new(&mut play, source, pace, &signals);
     let end = following.run();
     let refused = following.summary();
-    // Closes the connection: the play ends if it has not.
+    // Closing the connection ends the play, if it runs.
     drop(play);
     let receipt: Result<Receipt, _> = receipt(&mut client, id);
     if let Ok(receipt) = &receipt {
@@ -200,7 +200,7 @@ pub(super) fn run(asked: &Live) -> Result<ExitCode> {
             if receipt.cause.as_deref() != Some("stop") {
                 return Err(ended_by_daemon(asked, id, None, Some(&receipt)));
             }
-            // Strokes that the end has cut count as dropped.
+            // Strokes that the end of the play has cut count as dropped.
             let is_whole = receipt.bursts.is_some_and(|bursts| bursts.late + bursts.refused == 0);
             Ok(if is_whole && refused == 0 { ExitCode::SUCCESS } else { ExitCode::FAILURE })
         }
@@ -214,7 +214,7 @@ fn exit_code(signal: u8) -> ExitCode {
     ExitCode::from(128 + signal)
 }
 
-/// Lets the play begin where its source is.
+/// Lets the play begin with the source's first state.
 fn begin_with(request: &mut LiveRequest, first: LiveMessage) {
     let LiveMessage { drives, pose, scale, .. } = first;
     request.drives = drives.unwrap_or_default();

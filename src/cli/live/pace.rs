@@ -1,19 +1,19 @@
-//! What is sent when: the newest state of the source, at a bounded rate, and signs of life in between.
+//! Decides what to send when: the newest state of the source, at a bounded rate, and signs of life in between.
 //!
-//! The loop reports what the source says ([`Pace::hear`]) and asks what to send now ([`Pace::due`]). This module reads no clock and
-//! sends nothing.
+//! The loop passes on the source's messages ([`Pace::hear`]) and asks for the message to send now ([`Pace::due`]). This module
+//! reads no clock and sends nothing.
 //!
-//! Bounds: one message waits, into which newer ones are merged; 16 are without an answer; the end waits for 2 s at least. Invariant: a
-//! source that must show that it is there (`keep_alive` is false) gives one sign of life at most for what it says, and none while it is silent.
+//! Bounds: one message waits, and newer ones are merged into it; at most 16 are unanswered; the end waits for at least 2 s.
+//! Invariant: without `keep_alive`, each message of the source causes at most one sign of life, and a silent source causes none.
 
 use meissner_api::LiveMessage;
 use std::time::{Duration, Instant};
 
-/// Updates without an answer at most. The daemon refuses more than 32.
+/// Unanswered updates, at most. The daemon refuses more than 32.
 const UNANSWERED: u32 = 16;
-/// Signs of life in the time after which the daemon ends the play.
+/// Signs of life per timeout of the daemon.
 const SIGNS: u32 = 4;
-/// The least time that the end waits for the answer to the last update. A renderer may take 200 ms.
+/// The shortest time that the end waits for the answer to the last update. A renderer may take 200 ms.
 const LAST: Duration = Duration::from_secs(2);
 
 #[derive(Debug)]
@@ -24,10 +24,10 @@ pub(super) struct Pace {
     quiet: Duration,
     timeout: Duration,
     keep_alive: bool,
-    /// Set once the source has ended: when the play ends, also without the last answer.
+    /// When the play ends even without the last answer; set once the source has ended.
     ends_by: Option<Instant>,
     waiting: Option<LiveMessage>,
-    /// Whether the source has said something since the last message.
+    /// Whether the source has sent something since our last message.
     heard: bool,
     /// When the last update was sent.
     updated_at: Option<Instant>,
@@ -41,7 +41,7 @@ fn is_empty(message: &LiveMessage) -> bool {
     *message == LiveMessage::default()
 }
 
-/// Adds a newer message: what both change, the newer one decides.
+/// Merges a newer message: for keys of both, the newer one wins.
 fn merge(older: &mut LiveMessage, newer: LiveMessage) {
     let LiveMessage { drives, pose, scale, .. } = newer;
     if let Some(drives) = drives {
@@ -53,13 +53,13 @@ fn merge(older: &mut LiveMessage, newer: LiveMessage) {
     older.scale = scale.or(older.scale);
 }
 
-/// What is left of a time that began then.
+/// The rest of a time that began at `begun`.
 fn left(begun: Option<Instant>, time: Duration, now: Instant) -> Duration {
     begun.map_or(Duration::ZERO, |begun| time.saturating_sub(now.saturating_duration_since(begun)))
 }
 
 impl Pace {
-    /// For `updates_hz` updates a second, and a daemon that ends the play after `timeout` of silence.
+    /// A pace for `updates_hz` updates a second, and a daemon that ends the play after `timeout` of silence.
     pub(super) fn new(updates_hz: f64, timeout: Duration, keep_alive: bool) -> Self {
         Self {
             gap: Duration::from_secs_f64(1.0 / updates_hz),
@@ -67,7 +67,7 @@ impl Pace {
             timeout,
             keep_alive,
             ends_by: None,
-            // The play is accepted, with the source's first state, and waits for a message.
+            // The daemon has accepted the play, with the source's first state, and waits for a message.
             waiting: Some(LiveMessage::default()),
             heard: false,
             updated_at: None,
@@ -76,13 +76,13 @@ impl Pace {
         }
     }
 
-    /// The source has ended: what it said last is sent, and signs of life until it was answered.
+    /// Notes that the source has ended: its last message is still sent, with signs of life until the answer.
     pub(super) fn end(&mut self, now: Instant) {
         self.keep_alive = true;
         self.ends_by.get_or_insert(now + self.gap + self.timeout.max(LAST));
     }
 
-    /// The source says this.
+    /// Takes a message of the source.
     pub(super) fn hear(&mut self, message: LiveMessage) {
         self.heard = true;
         if !is_empty(&message) {
@@ -90,7 +90,7 @@ impl Pace {
         }
     }
 
-    /// The daemon has answered a message.
+    /// Notes that the daemon has answered a message.
     pub(super) const fn answered(&mut self) {
         self.unanswered = self.unanswered.saturating_sub(1);
     }
@@ -100,7 +100,8 @@ impl Pace {
         self.waiting.is_none() && self.may_send(now)
     }
 
-    /// Whether the last update was answered, and has lasted as long as any other; or the end has waited for that long enough.
+    /// Whether the play may end: the last update was answered and has lasted as long as the others, or the end has waited long
+    /// enough.
     pub(super) fn is_done(&self, now: Instant) -> bool {
         let is_late = self.ends_by.is_some_and(|ends_by| now >= ends_by);
         is_late || (self.is_free(now) && self.unanswered == 0)
@@ -127,7 +128,7 @@ impl Pace {
         Some(message)
     }
 
-    /// How long nothing is due unless the source or the daemon says something; `None`: for ever. `wants_next`: whether the caller
+    /// How long nothing is due, unless the source or the daemon sends something; `None`: no limit. `wants_next`: whether the caller
     /// has more when [`Self::is_free`].
     pub(super) fn wait(&self, now: Instant, wants_next: bool) -> Option<Duration> {
         let wants_next = if self.ends_by.is_some() { self.unanswered == 0 } else { wants_next };
@@ -186,7 +187,7 @@ mod tests {
             })
             .collect();
         assert_eq!(sent.len(), 16);
-        // A sign of life comes all the same.
+        // A sign of life is sent anyway.
         assert_eq!(pace.due(begun + ms(300)), Some(LiveMessage::default()));
         assert_eq!(pace.wait(begun + ms(300), false), Some(ms(250)));
         pace.answered();
@@ -216,7 +217,7 @@ mod tests {
         pace.hear(pose(1.0));
         let begun = begun + ms(1000);
         assert_eq!(pace.due(begun), Some(pose(1.0)));
-        // An empty line, and nothing more.
+        // The source sends only an empty line.
         pace.hear(LiveMessage::default());
         assert_eq!((pace.due(begun), pace.wait(begun, false)), (None, Some(ms(100))));
         assert_eq!(pace.due(begun + ms(100)), Some(LiveMessage::default()));
@@ -235,7 +236,7 @@ mod tests {
             (false, Some(ms(70))),
             "a sign of life is next"
         );
-        // Without an answer the play ends all the same.
+        // The play ends even without an answer.
         assert_eq!((pace.is_done(begun + ms(2_019)), pace.is_done(begun + ms(2_020))), (false, true));
         pace.answered();
         assert_eq!((pace.is_done(sooner), pace.wait(sooner, true)), (false, Some(ms(15))));
@@ -287,7 +288,7 @@ mod tests {
     }
 
     proptest! {
-        /// Whatever happens: the rate is kept, the newest state arrives, and no sign of life is invented.
+        /// In all cases the rate is kept, the newest state arrives, and no false sign of life is sent.
         #[test]
         fn its_promises_hold(
             ops in prop::collection::vec(op(), 1..200),

@@ -1,4 +1,4 @@
-//! SIGINT, SIGTERM and SIGHUP as something that can be read: a loop waits for them beside its other files.
+//! Makes SIGINT, SIGTERM and SIGHUP readable from a file descriptor, so that a loop can wait for them and for its other files.
 //!
 //! The second signal ends this process at once; its connection closes, and the daemon ends the play.
 
@@ -25,7 +25,7 @@ impl Signals {
                     process::exit(128 + number);
                 }
                 again = true;
-                // Fails only if this process is ending. A signal's number fits.
+                // The write fails only if this process is ending. A signal's number fits into a byte.
                 let _ = to.write_all(&[number as u8]);
             },
         )?;

@@ -14,7 +14,7 @@ pub(super) const MAX_LISTED: usize = 1000;
 /// Amplitudes that differ by less are the same: a pulse moves a pin by 0.14 µm.
 const SAME_UM: f64 = 0.2;
 
-/// Something that is not as recorded.
+/// A difference from the record.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub(super) struct Difference {
     pub(super) what: &'static str,
@@ -49,19 +49,19 @@ pub(super) struct Summary {
     pub(super) replayed: u64,
     /// Plays that were not played again.
     pub(super) skipped: u64,
-    /// Those of them that had not begun in the record either.
+    /// The number of skipped plays that had not begun in the record either.
     pub(super) never_began: u64,
     pub(super) differing: u64,
-    /// By how much a gap between two onsets differs, at most, ticks.
+    /// The largest difference of a gap between two onsets, ticks.
     pub(super) gap_error_max_ticks: u64,
-    /// Gaps that the record does not tell to the tick: they are by the host's clock.
+    /// Gaps that the record does not give to the tick; they follow the host's clock.
     pub(super) gaps_by_host_clock: u64,
     /// The largest rest error of a play, µm.
     pub(super) rest_error_recorded_max_um: f32,
     pub(super) rest_error_replayed_max_um: f32,
     /// Why the replay ended early.
     pub(super) ended_early: Option<String>,
-    /// What the record lacks of the session: plays may be among it.
+    /// The parts of the session that the record lacks, which may include plays.
     pub(super) missing: Option<String>,
     /// The first ones.
     pub(super) differences: Vec<Differing>,
@@ -136,8 +136,8 @@ fn rest_um(receipts: &[Receipt]) -> Option<f32> {
     errors.map(|error| error.abs()).reduce(f32::max)
 }
 
-/// What differs between a play and its replay. `last` and `now`: the onsets of the step before, and of this one. A rest error may be
-/// `rest_tolerance_um` larger than the recorded one.
+/// The differences between a play and its replay. `last` and `now` are the onsets of the step before and of this one. A rest error
+/// may be `rest_tolerance_um` larger than the recorded one.
 pub(super) fn compare(
     step: &Step,
     receipts: &[Receipt],
@@ -206,7 +206,7 @@ pub(super) fn compare(
     found
 }
 
-/// What the trigger output gave, and when after the onset.
+/// Describes the pulse of the trigger output, and its time after the onset.
 fn output(trigger: Option<TriggerRecord>, onset: u64) -> String {
     let Some(TriggerRecord { tick, width_ms, code }) = trigger else { return "none".to_owned() };
     let code = code.map_or_else(String::new, |code| format!(" code {code}"));
@@ -214,13 +214,13 @@ fn output(trigger: Option<TriggerRecord>, onset: u64) -> String {
     format!("{width_ms} ms{code} at {after} ticks")
 }
 
-/// Compares the items of a sequence; tells the first that differs, and how many do.
+/// Compares the items of a sequence; returns the first that differs, and how many do.
 fn compare_items(
     step: &Step,
     receipts: &[Receipt],
     differ: &mut impl FnMut(&'static str, Option<String>, Option<String>),
 ) {
-    // Onsets are counted from that of the whole, also in the parts of a long sequence.
+    // Onsets count from that of the whole sequence, even if the replay plays it in several parts.
     let replayed: Vec<(&ItemRecord, u64)> = receipts
         .iter()
         .zip(&step.orders)
@@ -231,7 +231,7 @@ fn compare_items(
         })
         .collect();
     let recorded: Vec<_> = step.recorded.items.iter().filter(|item| has_ended(item)).collect();
-    // Those whose lines the record lost, too.
+    // This number includes items whose lines the record has lost.
     let planned = step.recorded.play.items_planned.filter(|_| step.is_whole);
     let count = planned.unwrap_or(recorded.len() as u64);
     differ("items", Some(count.to_string()), Some(replayed.len().to_string()));
@@ -332,7 +332,7 @@ mod tests {
              rest error 2.0 um -> 25.0 um"
         );
         assert!(!summary.is_same() && summary.rest_error_replayed_max_um == 25.0);
-        // Of a play that was cut only what is comparable.
+        // For a cut play, only comparable figures are compared.
         let mut cut = step();
         cut.is_whole = false;
         let mut short = receipt(5);
@@ -364,7 +364,7 @@ mod tests {
                 ("trigger", "4 ms code 7 at 0 ticks", "4 ms code 8 at 1 ticks")
             ]
         );
-        // Also one that was not given.
+        // A trigger that was not given is compared, too.
         recorded.recorded.play.trigger = None;
         other = Receipt { trigger: receipt(5).trigger, ..receipt(5) };
         let found = compare(&recorded, &[other], onsets, 20.0);

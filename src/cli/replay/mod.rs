@@ -1,13 +1,13 @@
 //! `session replay`: plays a recorded session again, with the recorded gaps to the tick, and compares the receipts.
 //!
-//! [`rows`] reads the record page by page, on a thread of its own. [`plan`] makes orders of the rows, twice: first of all to see that everything can be
-//! played, then to play it. Each order has its onset as a tick; it is sent some seconds ahead. [`compare`] compares each receipt
-//! when its play is over.
+//! [`rows`] reads the record page by page, on a separate thread. [`plan`] turns the rows into orders, twice: first to check that
+//! everything can be played, then to play it. Each order has its onset as a tick; it is sent some seconds ahead. [`compare`]
+//! compares each receipt when its play is over.
 //!
-//! Bounds: three pages of rows, and [`MOST_AHEAD`] orders on their way, however long the session and its gaps are.
+//! Bounds: three pages of rows, and [`MOST_AHEAD`] pending orders, even for a long session with long gaps.
 //!
-//! Invariant: nothing is played unless the texts of all selected plays are kept; exit 0 means that every play that began was played
-//! as recorded; a signal or an error stops the display.
+//! Invariant: the replay plays nothing unless the texts of all selected plays are kept. Exit 0 means that every play that had begun
+//! was played as recorded. A signal or an error stops the display.
 
 mod compare;
 mod plan;
@@ -37,9 +37,9 @@ use std::time::Duration;
 
 /// Time from the last check to the first onset, ticks: 1 s.
 const START_AFTER: u64 = 1000 * TICKS_PER_MS;
-/// How long before its onset an order is sent, ticks: 5 s, so that a stall of this process delays nothing.
+/// How long before its onset an order is sent, ticks: 5 s, so that a stall of this process delays no play.
 const AHEAD: u64 = 5000 * TICKS_PER_MS;
-/// Orders on their way: the daemon queues 16 behind the running play.
+/// Pending orders, at most: the daemon queues 16 behind the running play.
 const MOST_AHEAD: usize = 12;
 /// How long to wait for a receipt at a time.
 const WAIT_S: f64 = 1.0;
@@ -91,7 +91,7 @@ pub(super) fn run(asked: &Replay) -> Result<ExitCode> {
     Ok(if same { ExitCode::SUCCESS } else { ExitCode::FAILURE })
 }
 
-/// What the record lacks of the session. One play that was asked for is there.
+/// The parts of the session that the record lacks; none if one play was selected, because that play is there.
 fn missing(asked: &Replay, id: &str) -> Result<Option<String>> {
     if asked.play.is_some() {
         return Ok(None);
@@ -120,7 +120,7 @@ fn plan_all(asked: &Replay, id: &str) -> Result<impl Iterator<Item = Result<Plan
         }))
 }
 
-/// Refuses what cannot be played, before anything is. Returns the number of plays.
+/// Refuses plays that cannot be played, before any is played. Returns the number of plays.
 fn check(asked: &Replay, id: &str) -> Result<u64> {
     let (mut plays, mut playable) = (0, false);
     for row in plan_all(asked, id)? {
@@ -186,7 +186,7 @@ fn dry_run(asked: &Replay, id: &str) -> Result<ExitCode> {
     Ok(if missing == 0 && lacks.is_none() { ExitCode::SUCCESS } else { ExitCode::FAILURE })
 }
 
-/// A step whose orders are on their way.
+/// A step whose orders were sent.
 struct UnderWay {
     step: Step,
     ids: Vec<u64>,
@@ -227,7 +227,7 @@ impl Player {
         })
     }
 
-    /// Plays all steps. Ends at the first that is refused, after the plays that are on their way.
+    /// Plays all steps. Ends at the first refused step, after the plays already ordered.
     fn play(&mut self, steps: impl Iterator<Item = Result<Planned>>) -> Result<()> {
         let mut played = Ok(());
         for row in steps {
@@ -286,7 +286,7 @@ impl Player {
                     {
                         self.follow_oldest()?;
                     }
-                    // So little was left of it that nothing fits.
+                    // The cut play was so short that no stroke fits.
                     Err(ClientError::Problem(problem))
                         if problem.code == Code::Empty.parts().0 && !step.is_whole =>
                     {
@@ -324,7 +324,7 @@ impl Player {
         }
     }
 
-    /// Stops what is still on its way after an error, and tells why the replay ended.
+    /// Stops the pending plays after an error, and returns why the replay ended.
     fn end_early(&mut self, error: &anyhow::Error) -> String {
         let client = &mut self.client;
         match self.gate.stop(|| stop(client)) {

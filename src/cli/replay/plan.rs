@@ -1,9 +1,9 @@
-//! The plan of a replay: what to order for each recorded play, and when. Pure: it reads rows and does nothing else.
+//! The plan of a replay: the orders for each recorded play, and their times. It is pure: it only reads rows.
 //!
-//! [`Planner::plan`] takes the plays in order and gives a [`Step`] for each, or says why it cannot be played again. Times are
-//! ticks from the onset of the first play; within one boot of the device they are exact.
+//! [`Planner::plan`] takes the plays in order and returns a [`Step`] for each, or the reason why it cannot be played again. Times
+//! are ticks from the onset of the first play; within one boot of the device they are exact.
 //!
-//! Invariant: a step orders what was recorded, at the recorded distance to the step before it.
+//! Invariant: a step orders the recorded play, at the recorded distance from the step before.
 
 use meissner_api::{
     Fit, PlayRequest, RecordedPlay, SequenceItem, SequenceRequest, TriggerRequest, TriggerShape,
@@ -33,17 +33,18 @@ pub(super) struct Step {
     pub(super) recorded: Recorded,
     /// Its onset, ticks from that of the first step.
     pub(super) start: u64,
-    /// Whether that is known to the tick; otherwise it is by the host's clock.
+    /// Whether the start is known to the tick; otherwise it follows the host's clock.
     pub(super) is_exact: bool,
     /// The orders with their onsets, ticks from this step's: one, or several for a long sequence.
     pub(super) orders: Vec<(u64, Order)>,
-    /// Whether the recorded play came to its end. Otherwise it is played as long as it lasted, and its counts are not compared.
+    /// Whether the recorded play came to its end. Otherwise the replay lasts as long as the recorded play did, and its counts are
+    /// not compared.
     pub(super) is_whole: bool,
-    /// What is not as it was.
+    /// A known difference from the recorded play, in words.
     pub(super) note: Option<String>,
 }
 
-/// Why a play is not played again.
+/// Why a play cannot be played again.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub(super) enum Skip {
     #[error("its end is missing from the record")]
@@ -146,7 +147,7 @@ fn single(play: &RecordedPlay, is_whole: bool, notes: &mut Vec<String>) -> Resul
         pattern_sha256: text(play)?,
         seconds,
         scale: play.scale,
-        // `cover` would add the rest of the strokes that the cut ended.
+        // `Fit::Cover` would add the rest of the strokes that the cut ended.
         fit: if is_whole { play.fit } else { Fit::Whole },
         late: play.late_policy,
         open_loop: play.open_loop,
@@ -157,11 +158,11 @@ fn single(play: &RecordedPlay, is_whole: bool, notes: &mut Vec<String>) -> Resul
     })
 }
 
-/// The orders of a sequence: the items that came to their ends.
+/// The orders of a sequence: the items that were played to their ends.
 fn sequence(recorded: &Recorded, notes: &mut Vec<String>) -> Result<Vec<(u64, Order)>, Skip> {
     let Recorded { play, items } = recorded;
     let ended: Vec<&RecordedPlay> = items.iter().filter(|item| has_ended(item)).collect();
-    // The items of a sequence that was cut need not have begun.
+    // Some items of a cut sequence may not have begun.
     let known = if play.state == "done" {
         play.items_planned
     } else {
@@ -205,7 +206,7 @@ fn sequence(recorded: &Recorded, notes: &mut Vec<String>) -> Result<Vec<(u64, Or
     if orders.is_empty() { Err(Skip::NoItems) } else { Ok(orders) }
 }
 
-/// Whether an item came to its end.
+/// Whether an item was played to its end.
 pub(super) fn has_ended(item: &RecordedPlay) -> bool {
     matches!(item.state.as_str(), "played" | "incomplete")
 }
@@ -266,12 +267,12 @@ pub(super) mod tests {
         let later = (1 << 40) + 600 * 85_000 + 1;
         let second = planner.plan(play(4, later)).unwrap();
         assert_eq!((second.start, second.note), (600 * 85_000 + 1, None));
-        // What does not begin leaves the distances as they are.
+        // A play that never began does not change the distances.
         let mut never = play(5, 0);
         never.play.onset_tick = None;
         assert_eq!(planner.plan(never).unwrap_err(), Skip::NeverBegan);
         assert_eq!(planner.plan(play(6, later + 7)).unwrap().start, 600 * 85_000 + 8);
-        // Another boot has other ticks.
+        // Ticks of different boots cannot be compared.
         let mut restarted = play(7, 5);
         (restarted.play.boot, restarted.play.onset_monotonic_ns) =
             (Some(2), Some((later + 7) * 1_000_000 / 85 + 1_000_000_000));
@@ -279,7 +280,7 @@ pub(super) mod tests {
         assert_eq!((restarted.start, restarted.is_exact), (600 * 85_000 + 8 + 85_000, false));
         let note = restarted.note.unwrap();
         assert!(note.contains("has restarted") && note.contains("by the host's clock"), "{note}");
-        // An older daemon did not tell the boot with each play: the device may have restarted.
+        // An older daemon did not record the boot with each play, so the device may have restarted.
         let mut unknown = play(8, 6);
         (unknown.play.boot, unknown.play.onset_monotonic_ns) = (None, None);
         let unknown = planner.plan(unknown).unwrap();
@@ -304,7 +305,7 @@ pub(super) mod tests {
         assert_eq!(Planner::default().plan(lost).unwrap_err(), Skip::NoEnd);
     }
 
-    /// The items of the orders become the recorded ticks, by the code that compiles sequences; also in several parts.
+    /// The code that compiles sequences gives the items their recorded ticks again, even if the orders come in several parts.
     #[test]
     fn items_get_their_ticks_back() {
         let drive = meissner_array::pattern::Drive {
@@ -337,7 +338,7 @@ pub(super) mod tests {
             let wanted: Vec<_> = (0..items).map(|n| (n * step, n * step + 1_701)).collect();
             assert_eq!(spans, wanted);
         }
-        // Items whose lines are lost leave a hole.
+        // Items whose lines are lost leave a gap.
         let mut holed = with_items(3, 100, 5, 3_000);
         holed.play.items_planned = Some(5);
         holed.items.drain(0..2);
@@ -351,7 +352,7 @@ pub(super) mod tests {
         (holed.play.items, holed.play.state) = (0, "stopped".to_owned());
         holed.items.clear();
         assert_eq!(Planner::default().plan(holed).unwrap_err(), Skip::NoItems);
-        // The cut item is left out; without any there is nothing to play.
+        // The cut item is left out; without any item there is nothing to play.
         let mut cut = with_items(3, 100, 3, 3_000);
         cut.play.state = "stopped".to_owned();
         cut.items[2].state = "cut".to_owned();

@@ -1,4 +1,4 @@
-//! The recorded plays of a session, one after the other, read ahead by a thread of its own.
+//! The recorded plays of a session, one after the other. A separate thread reads ahead.
 //!
 //! Bound: three pages of rows in memory, and the items of one sequence.
 
@@ -15,12 +15,12 @@ use std::thread;
 pub(super) struct Rows {
     pages: Receiver<Result<SessionPlays, ClientError>>,
     rows: VecDeque<RecordedPlay>,
-    /// What the record lacks was told.
+    /// Whether the missing parts of the record were reported.
     told: bool,
 }
 
 impl Rows {
-    /// Reads with a client of its own.
+    /// Starts reading with this client.
     pub(super) fn read(mut client: Client, id: &str) -> Result<Self> {
         let path = format!("/v1/sessions/{}/plays?from=", escape(id));
         let (sender, pages) = sync_channel(1);

@@ -24,7 +24,7 @@ struct Document<'a> {
     /// In the scene's order.
     afferents: Vec<Placed>,
     classes: Vec<OfClass>,
-    /// For how long each pin had lost contact with the skin.
+    /// How long each pin had lost contact with the skin.
     lost_contact_s: &'a [f64],
     wall_s: f64,
 }

@@ -88,7 +88,7 @@ struct Document<'a> {
     spikes_s: Option<&'a [Vec<f64>]>,
     rates_hz: Vec<f64>,
     skipped: Vec<Reason>,
-    /// Of the simulation, and of the choice of a method.
+    /// Wall time of the simulation and of the choice of a method.
     wall_s: f64,
 }
 
@@ -116,7 +116,7 @@ pub(super) fn run(asked: &Simulate) -> Result<ExitCode> {
     };
     let how = MethodLabel::from(method);
     if let (Some(chosen), false) = (chosen, asked.output.json) {
-        // If stderr is closed, the answer names the method too.
+        // Ignore a closed stderr: the answer names the method, too.
         let _ = writeln!(
             io::stderr(),
             "chosen: {how}, estimated error {:.3} impulses/s RMS (from {} afferents)",

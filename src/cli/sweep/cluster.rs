@@ -1,7 +1,7 @@
 //! `sweep --slurm`: submits the missing cells of a plan as a job array.
 //!
-//! The array's script is in the sweep's directory, and names program and directory by their whole paths: both must be where all nodes
-//! find them. With `--dry-run` script and command are printed, and nothing is written.
+//! The array's script is in the sweep's directory, and names program and directory by their absolute paths, so all nodes must find
+//! both there. `--dry-run` prints script and command, and writes nothing.
 //!
 //! Invariant: an array has at most as many tasks as the site allows.
 

@@ -1,9 +1,9 @@
-//! `sweep`: runs the cells of a plan, here or as a job array of a cluster, and joins what all runs have found. It needs no daemon.
+//! `sweep`: runs the cells of a plan, here or as a job array of a cluster, and joins the results of all runs. It needs no daemon.
 //!
-//! [`run`] chooses what to do: `here` computes cells on this machine's cores, `cluster` submits them, `dry_run` says what they cost. The
-//! status, the merge and the pattern of a cell need the directory alone. `sources` finds the documents that a plan names.
+//! [`run`] chooses what to do: `here` computes cells on this machine's cores, `cluster` submits them, `dry_run` estimates their
+//! time. The status, the merge and the pattern of a cell need only the directory. `sources` finds the documents that a plan names.
 //!
-//! Invariant: whatever ends a run, every finished cell is kept, and the same command computes the rest.
+//! Invariant: every finished cell is kept when a run ends for any reason, and the same command computes the rest.
 
 mod cluster;
 mod sources;
@@ -171,7 +171,7 @@ fn duration(seconds: f64) -> String {
     }
 }
 
-/// The shard of this process: as asked, by the variables of a job array, or all.
+/// The shard of this process: the requested one, else that of the job array's variables, else the whole plan.
 fn shard(asked: Option<Shard>, variable: impl Fn(&str) -> Option<String>) -> Result<Shard> {
     if let Some(shard) = asked {
         return Ok(shard);
@@ -181,7 +181,7 @@ fn shard(asked: Option<Shard>, variable: impl Fn(&str) -> Option<String>) -> Res
     let count = number("SLURM_ARRAY_TASK_COUNT");
     let first = number("SLURM_ARRAY_TASK_MIN").unwrap_or(1);
     let last = number("SLURM_ARRAY_TASK_MAX").or(count).unwrap_or(id);
-    // An array of some tasks of an earlier one does not say how many there were.
+    // An array that repeats some tasks of an earlier one does not know the original number of tasks.
     match count.filter(|count| first <= id && last.checked_sub(first) == count.checked_sub(1)) {
         Some(of) if id - first < of => Ok(Shard { number: id - first + 1, of }),
         _ => bail!(
@@ -205,7 +205,7 @@ fn here(asked: &Sweep, plan: Plan, dir: &Path) -> Result<ExitCode> {
             _ => "SIGHUP",
         };
         stopped.stop(&format!("stopped by {name}"));
-        // If stderr is closed, there is no one to tell.
+        // If stderr is closed, no one can read the message.
         let _ = writeln!(
             io::stderr(),
             "\nstopped; {place} has every finished cell, and the same command computes the rest"

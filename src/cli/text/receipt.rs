@@ -1,4 +1,4 @@
-//! Receipts as text: what was ordered, what was played, and how well.
+//! Receipts as text: the order, what was played of it, and how accurately.
 //!
 //! Invariant: every number is one of the receipt's JSON, rounded.
 
@@ -85,13 +85,13 @@ pub(in crate::cli) fn receipt(receipt: &Receipt) -> String {
     pairs(&lines)
 }
 
-/// What occurred on the device, if it measures anything or something failed.
+/// The device's counters during the play, if it measures any or something failed.
 fn board(board: BoardRecord) -> Option<String> {
     let text = counters(board).collect::<Vec<_>>().join(", ");
     (!text.is_empty()).then_some(text)
 }
 
-/// What became of a live play's updates.
+/// The results of a live play's updates.
 fn updates(live: &LiveRecord) -> String {
     let LiveRecord { updates, applied, merged, repeats, decided, first_motor, .. } = live;
     let times = |times: &Option<UpdateTimes>, what: &str| {
@@ -106,7 +106,7 @@ fn updates(live: &LiveRecord) -> String {
     )
 }
 
-/// What a live target reached.
+/// The contrast that a live target reached.
 pub(super) fn contrast(of: &LiveContrast) -> String {
     let LiveContrast { poses, converged, membrane, afferents } = of;
     let models = [("membrane", membrane), ("afferents", afferents)];
@@ -139,7 +139,7 @@ pub(in crate::cli) fn duration(duration: &DurationRecord) -> String {
     format!("{} ordered, {} in whole strokes{played}", ms(*ordered), ms(*compiled))
 }
 
-/// The amplitudes of drives, those that are alike together.
+/// The amplitudes of drives; equal ones are grouped.
 fn amplitudes(drives: &[ReachedDrive]) -> String {
     let mut kinds: Vec<(String, usize)> = Vec::new();
     for ReachedDrive { ordered_um, reached_um, surplus_um, .. } in drives {
@@ -159,7 +159,7 @@ fn amplitudes(drives: &[ReachedDrive]) -> String {
     shown.chain(more).collect::<Vec<_>>().join("; ")
 }
 
-/// Kinds of amplitudes that are shown.
+/// The most groups of amplitudes that are shown.
 const KINDS: usize = 4;
 
 pub(in crate::cli) const PREDICTED: &str = "predicted RA response";
@@ -215,11 +215,11 @@ pub(in crate::cli) fn predicted(prediction: &Prediction) -> Option<String> {
     ))
 }
 
-/// A play that was queued, and what whole strokes make of its duration.
+/// A play that was queued, with its duration in whole strokes.
 pub(in crate::cli) fn accepted(accepted: &PlayAccepted, pattern: &str) -> String {
     let PlayAccepted { id, ordered_ms, compiled_ms, .. } = accepted;
     let duration = DurationRecord { ordered: *ordered_ms, compiled: *compiled_ms, played: None };
-    // An older daemon says nothing; of an endless play there is nothing to say.
+    // An older daemon sends no duration, and an endless play has none.
     let told = ordered_ms.map_or_else(String::new, |_| format!(", {}", self::duration(&duration)));
     format!("play {id}: {pattern}{told}")
 }
@@ -236,7 +236,7 @@ mod tests {
         assert_eq!(text, "play   3 of edge-45\nstate  queued");
     }
 
-    /// A receipt in which every number is another one.
+    /// A receipt in which all numbers differ.
     fn full() -> Receipt {
         let mut receipt = Receipt::new(41, "edge", "00ff", Some(2.3));
         receipt.state = PlayState::Stopped;

@@ -1,4 +1,4 @@
-//! `tradeoff` under the second model: what its answers cost, and its extremes.
+//! `tradeoff` under the second model: its computing times, and its extremes.
 
 use super::MethodTradeoff;
 use crate::cli::output::give;

@@ -1,4 +1,4 @@
-//! How many connections there may be: the usual bounds, or fewer if the system gives the daemon few descriptors.
+//! The most connections: the usual bounds, or less if the system gives the daemon few descriptors.
 
 use meissner_api::MAX_CLIENTS;
 use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
@@ -16,19 +16,19 @@ pub(in crate::daemon) struct Bounds {
     pub(in crate::daemon) network: usize,
     /// Event streams, and requests that wait for plays, among them: the other places are free for commands.
     pub(in crate::daemon) waiting: usize,
-    /// How many of these network clients may be.
+    /// How many of the waiting requests may come from network clients.
     pub(in crate::daemon) waiting_network: usize,
     /// Connections to the socket whose first head is not complete; the newest ones displace the oldest.
     pub(super) silent: usize,
-    /// Connections of network clients of which the same is true.
+    /// The same for connections of network clients.
     pub(super) silent_network: usize,
-    /// Emergency stops at the same time on their socket, clients for which the server makes room, and places beyond these for prompt
-    /// commands and emergency stops: each has half of them.
+    /// Three equal bounds: emergency stops at the same time on their socket; clients for which the server makes room; and further
+    /// places, half for prompt commands and half for emergency stops.
     pub(in crate::daemon) estops: usize,
 }
 
 impl Bounds {
-    /// Descriptors that the acceptor watches: with its own five.
+    /// Descriptors that the acceptor watches, with its own.
     pub(super) const MOST: usize = Self::USUAL.silent + Self::USUAL.silent_network + Self::USUAL.estops + 7;
     const USUAL: Self = Self::new(MAX_CLIENTS, 192, 64);
 
@@ -73,7 +73,7 @@ impl Bounds {
         if left as u64 >= Self::USUAL.descriptors() {
             return Self::USUAL;
         }
-        // Below this the daemon works, but may run out of descriptors: then connections to the API are closed first.
+        // With fewer descriptors the daemon works, but may run out of them: then it closes connections to the API first.
         let part = (left / 8).max(2);
         Self::new((2 * part).min(MAX_CLIENTS), 2 * part, part)
     }

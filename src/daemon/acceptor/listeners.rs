@@ -8,7 +8,7 @@ use rustix::net::{SocketFlags, accept_with, acceptfrom_with};
 use std::net::TcpListener;
 use std::os::unix::net::UnixListener;
 
-/// What the acceptor listens on.
+/// The sockets that the acceptor listens on.
 #[derive(Debug)]
 pub(in crate::daemon) struct Sockets {
     /// The API's socket.
@@ -56,7 +56,7 @@ fn with_spare<T>(
     }
     match accepted {
         Ok(accepted) => Ok(Some(accepted)),
-        // None waits, or the one that waited has gone: Linux passes errors of the network on here.
+        // No client waits, or the one that waited is gone: Linux reports its network errors here.
         Err(
             Errno::AGAIN
             | Errno::INTR

@@ -1,19 +1,20 @@
 //! The acceptor: a real-time thread that accepts every connection, reads its first bytes, and orders emergency stops itself.
 //!
-//! It hands a connection to the server ([`Handover`]) when the head of its first request is complete. An emergency stop needs two threads, this one and the streamer. It does not
-//! wait for the runtime, the engine's lock, the log or the disk. It arrives in two ways:
+//! It hands a connection to the server ([`Handover`]) when the head of its first request is complete. An emergency stop needs only
+//! two threads, this one and the streamer. It does not wait for the runtime, the engine's lock, the log or the disk. It arrives in
+//! one of two ways:
 //! - any byte on the socket for emergency stops; the answer is one line, then the connection is closed;
 //! - `POST /v1/estop` as the first request of a connection to the API's socket. The server answers it. (Later requests of
 //!   a connection go through [`Orders`], on the runtime's thread.) Over the network the [`Gate`] must let it through.
 //!
-//! The thread orders an emergency stop that has arrived, also if its client is gone.
+//! The thread orders every emergency stop that has arrived, even if its client is gone.
 //!
-//! Bounds: [`Bounds`], and half of a processor for clients of the API ([`Window`]). A connection whose head is slow, or that sends nothing,
-//! is closed ([`Silent::due`]), or earlier if others need its place. A client for which the server has no place gets an error. Clients
-//! that the gate does not know, other clients, prompt commands and emergency stops each reach places that those before them cannot
-//! take ([`Work::further`]).
+//! Bounds: [`Bounds`], and half of a processor for clients of the API ([`Window`]). The acceptor closes a connection whose head is
+//! slow or that sends nothing ([`Silent::due`]), or earlier if others need its place. A client for which the server has no place
+//! gets an error. Clients that the gate does not know, other clients, prompt commands and emergency stops are ranked in this order:
+//! each kind has places that the kinds before it cannot take ([`Work::further`]).
 //!
-//! Invariant: the thread waits for nothing but its descriptors.
+//! Invariant: the thread waits only for its descriptors.
 
 mod bounds;
 mod listeners;
@@ -56,12 +57,12 @@ pub(super) const IDLE: Duration = Duration::from_secs(5);
 const NICE: i32 = -10;
 /// How long an emergency stop may take: its byte, and its answer.
 const STOPPING: Duration = Duration::from_secs(5);
-/// The answer to an emergency stop when no place is free.
+/// The answer to an ordered emergency stop if the server has no place for the client.
 const ORDERED: &str =
     "the emergency stop was ordered, but too many clients wait: see `meissner status` for its result";
 /// Connections to the API that wait in the kernel; further clients wait in `connect`.
 const BACKLOG: i32 = 64;
-/// Connections accepted per round: emergency stops that wait come next.
+/// Connections accepted per round, before waiting emergency stops get their turn.
 const ROUND: usize = 32;
 
 /// A connection whose first bytes were read.
@@ -73,7 +74,7 @@ pub(super) struct Accepted {
     pub(super) peer: Peer,
     /// Its first request.
     pub(super) first: First,
-    /// The number of the emergency stop that this is, which was ordered.
+    /// The number of the ordered emergency stop, if the request is one.
     pub(super) estop: Option<u64>,
     /// Its place, freed when this is dropped.
     pub(super) place: Place,
@@ -83,14 +84,14 @@ pub(super) struct Accepted {
 #[derive(Debug)]
 pub(super) enum Handover {
     Client(Accepted),
-    /// An emergency stop on the socket for these was ordered.
+    /// An emergency stop was ordered on the e-stop socket.
     EStop {
         peer: Peer,
         number: u64,
     },
 }
 
-/// What acceptor and server count together.
+/// Counts that acceptor and server share.
 #[derive(Debug, Default)]
 pub(super) struct Counts {
     /// Connections that the server has.
@@ -142,7 +143,7 @@ impl Acceptor {
         counts: Arc<Counts>,
     ) -> io::Result<(Self, mpsc::Receiver<Handover>, oneshot::Receiver<()>)> {
         let (alive, ended) = oneshot::channel();
-        // The kernel's queue is first come, first served: a flood must not fill it with more than an emergency stop can wait for.
+        // The kernel's queue is first come, first served: keep it so short that an emergency stop can wait for a full one.
         listen(&sockets.api, BACKLOG)?;
         if let Some(tcp) = &sockets.tcp {
             listen(tcp, BACKLOG)?;
@@ -168,7 +169,7 @@ impl Acceptor {
         };
         let stopped = Arc::clone(&stop);
         let thread = thread::Builder::new().name("acceptor".into()).spawn(move || {
-            // Dropped at the end, also by a panic.
+            // Dropped at the end, even after a panic.
             let _alive = alive;
             work.run(&stopped);
         })?;
@@ -184,7 +185,7 @@ impl Drop for Acceptor {
     }
 }
 
-/// Where a client has connected. A flood of one side displaces none of the other.
+/// Where a client has connected. A flood on one side does not displace clients of the other.
 #[derive(Clone, Copy)]
 enum Side {
     Socket,
@@ -197,7 +198,7 @@ impl Side {
 
 struct Work {
     sockets: Sockets,
-    /// Closed to accept a connection when no descriptor is left.
+    /// A spare descriptor, closed to accept a connection when no other is left.
     spare: Option<OwnedFd>,
     estops: Arc<EStops>,
     gate: Arc<Gate>,
@@ -209,16 +210,16 @@ struct Work {
     /// The answer to a client whose head is slow.
     late: Vec<u8>,
     window: Window,
-    /// Of each [`Side`], oldest first.
+    /// Connections of each [`Side`] whose first head is not complete, oldest first.
     silent: [VecDeque<Silent>; 2],
-    /// Oldest first.
+    /// Connections to the e-stop socket, oldest first.
     stopping: VecDeque<Stopping>,
 }
 
 impl Work {
     fn run(mut self, stop: &OwnedFd) {
-        // Without real-time rights an emergency stop competes with other programs: `meissner doctor` names the right. A lower nice value
-        // helps where the system allows that alone.
+        // Without real-time rights an emergency stop competes with other programs: `meissner doctor` names the right. A lower nice
+        // value helps if the system allows only that.
         if !priority::fifo(priority::BELOW_STREAMER) {
             let _ = rustix::process::nice(NICE);
         }
@@ -259,10 +260,10 @@ impl Work {
             tv_sec: due.as_secs().try_into().unwrap_or(i64::MAX),
             tv_nsec: due.subsec_nanos().into(),
         });
-        // Not on the heap: its lock may be held by a thread that does not run.
+        // Do not use the heap: its lock may be held by a thread that does not run.
         let mut fds = heapless::Vec::<_, { Bounds::MOST }>::new();
         let estop = self.sockets.estop.as_ref().map_or(stop.as_fd(), AsFd::as_fd);
-        // Outside of the window the clients of the API wait.
+        // Outside the window, clients of the API wait.
         let api = if open { self.sockets.api.as_fd() } else { stop.as_fd() };
         let tcp = self.sockets.tcp.as_ref().filter(|_| open).map_or(stop.as_fd(), AsFd::as_fd);
         let own = [stop.as_fd(), self.estops.switch.as_fd(), api, estop, tcp];
@@ -273,7 +274,7 @@ impl Work {
             // There are never more than `Bounds::MOST`.
             let _ = fds.push(PollFd::from_borrowed_fd(fd, PollFlags::IN));
         }
-        // An early return, by a signal, only causes an idle round.
+        // An early return after a signal only causes an idle round.
         let _ = poll(&mut fds, due.as_ref());
         let is_ready: heapless::Vec<_, { Bounds::MOST }> =
             fds.iter().map(|fd| !fd.revents().is_empty()).collect();
@@ -292,7 +293,7 @@ impl Work {
         }
     }
 
-    /// When the oldest connection has taken too long.
+    /// When the oldest connection is to be closed.
     fn due(&self) -> Option<Instant> {
         let silent = self.silent.iter().flatten().map(Silent::due).min();
         let stopping = self.stopping.front().map(|it| it.since + STOPPING);
@@ -319,7 +320,7 @@ impl Work {
         stopping.retain_mut(|it| {
             let read = if it.number.is_none() { it.read(estops) } else { Ok(None) };
             if let Ok(Some(number)) = read {
-                // Without room it goes unrecorded; the emergency stops that took the room are recorded.
+                // If the queue is full, this stop is not recorded; those that filled the queue are.
                 let _ = sender.try_send(Handover::EStop { peer: it.stream.peer(), number });
             }
             read.is_ok()
@@ -367,7 +368,7 @@ impl Work {
         &mut self.silent[side as usize]
     }
 
-    /// Reads the connections that have sent something. One that moves up meanwhile has its turn in the next round.
+    /// Reads the connections that have sent something. A connection that moves to an earlier place is read in the next round.
     fn read_ready(&mut self) {
         for side in Side::ALL {
             let mut at = 0;
@@ -379,7 +380,7 @@ impl Work {
         }
     }
 
-    /// Reads what this connection has sent; hands it over or drops it if that is decided, and returns whether it was.
+    /// Reads this connection. Hands it over or drops it once its request is known or it has ended; returns whether it did.
     fn read_silent(&mut self, side: Side, at: usize) -> bool {
         let gate = Arc::clone(&self.gate);
         let Some(read) = self.silent(side).get_mut(at).map(|it| it.read(&gate)) else { return false };
@@ -413,8 +414,8 @@ impl Work {
         }
     }
 
-    /// How many connections beyond the usual places there may be when this one comes. The server disconnects idle clients for them,
-    /// or ends them after their first request.
+    /// How many connections beyond the usual places this one may join. To make room, the server disconnects idle clients, or ends
+    /// these connections after their first request.
     const fn further(&self, First { kind, is_known }: First) -> usize {
         let Bounds { estops, .. } = self.bounds;
         match kind {
@@ -429,11 +430,11 @@ impl Work {
     /// The connection that was accepted, if there is one. Without a descriptor for it, makes room for the next round.
     fn accepted(&mut self, accepted: Result<Option<Stream>, Errno>, side: Side) -> Option<Stream> {
         accepted.unwrap_or_else(|_| {
-            // Clients of the network first.
+            // Evict network clients first.
             let with_some = [Side::Network, side].into_iter().find(|side| !self.silent(*side).is_empty());
             match with_some {
                 Some(side) => self.evict_oldest(side),
-                // Only others can close descriptors: do not use up the processor until then.
+                // Only other threads can close descriptors now; do not busy-wait.
                 None => thread::sleep(Duration::from_millis(1)),
             }
             None
@@ -447,7 +448,7 @@ impl Work {
         }
     }
 
-    /// Refuses a client, but for the emergency stops that it has sent.
+    /// Refuses a client, but still orders the emergency stops that it has sent.
     fn refuse(&self, stream: &Stream, head: &[u8], peer: Peer, estop: Option<u64>) {
         self.counts.refused.fetch_add(1, Ordering::Relaxed);
         let mut orders = Orders::new(Arc::clone(&self.estops), Arc::clone(&self.gate), peer, estop);
@@ -475,7 +476,7 @@ impl Work {
     }
 }
 
-/// The descriptors of its own that a wait has found ready.
+/// The acceptor's own descriptors that are ready.
 struct Ready {
     stop: bool,
     answers: bool,

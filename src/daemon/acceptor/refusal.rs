@@ -32,8 +32,8 @@ pub(in crate::daemon) fn malformed(status: u16) -> Option<Problem> {
     Some(Problem { status, ..Problem::new(code, format!("{what}: see {REFERENCE}")) })
 }
 
-/// Writes an error's [`response`] and drops what the client has sent, but for emergency stops, which count. Closed with unread bytes, the
-/// connection would lose the answer.
+/// Writes an error's [`response`], and reads and drops the client's bytes, except emergency stops, which are ordered. If the
+/// connection were closed with unread bytes, the client would lose the answer.
 pub(in crate::daemon) fn refuse(mut stream: &Stream, response: &[u8], orders: &mut Orders) {
     let mut drained = 0;
     let mut bytes = [0; 4096];
@@ -44,6 +44,6 @@ pub(in crate::daemon) fn refuse(mut stream: &Stream, response: &[u8], orders: &m
             break;
         }
     }
-    // Without room for it the client has left earlier answers unread. It may be gone.
+    // Ignore errors: the client may be gone, or has left so many answers unread that this one does not fit.
     let _ = stream.write_all(response);
 }

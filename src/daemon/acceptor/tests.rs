@@ -1,4 +1,4 @@
-//! The acceptor without a server: nothing takes its handovers, and the engine's lock is held.
+//! Tests the acceptor without a server: nothing takes its handovers, and the engine's lock is held.
 
 use super::{Acceptor, Bounds, Counts, Handover, Sockets};
 use crate::daemon::engine::Engine;
@@ -55,7 +55,7 @@ fn an_emergency_stop_needs_no_server_no_runtime_and_no_lock() {
     stops.pop().unwrap().read_to_string(&mut refused).unwrap();
     assert!(refused.starts_with("HTTP/1.1 503 ") && refused.contains("too-many-clients"), "{refused}");
     assert_eq!(counts.refused.load(Ordering::Relaxed), 5);
-    // Of a client that is refused the emergency stop behind its request counts.
+    // A refused client's emergency stop behind its request is still ordered.
     let mut behind = UnixStream::connect(&socket).unwrap();
     behind
         .write_all(b"GET /v1/metrics HTTP/1.1\r\nhost: x\r\n\r\nPOST /v1/estop HTTP/1.1\r\nhost: x\r\n\r\n")
@@ -74,7 +74,7 @@ fn an_emergency_stop_needs_no_server_no_runtime_and_no_lock() {
         stopped.join().unwrap()
     });
     assert!(result.unwrap_err().to_string().contains("no device is connected"));
-    // By HTTP, also of a client that is gone, and more of them than there are places.
+    // Emergency stops by HTTP, of clients that are gone, and more than there are places.
     for _ in 0..2 * bounds.estops {
         drop(request("/v1/estop"));
         answer(&mut port, Ok(()));
@@ -104,7 +104,7 @@ fn a_request_that_has_come_is_read_before_its_connection_is_dropped() {
         streams.rotate_left(round % 9);
         let mut newest = UnixStream::connect(&socket).unwrap();
         for stream in &mut streams {
-            // It may have been dropped for the newer ones.
+            // The acceptor may have dropped it for newer ones.
             let _ = stream.write_all(b"GET / HTTP/1.1\r\n");
         }
         newest.write_all(b"POST /v1/estop HTTP/1.1\r\n").unwrap();

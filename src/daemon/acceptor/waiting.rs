@@ -13,13 +13,13 @@ use std::io::{self, ErrorKind, Read, Write};
 use std::task::Poll;
 use std::time::{Duration, Instant};
 
-/// The most bytes that are read of a request before it is handed over. A browser's headers fit; of a longer request the server decides
-/// whether it is an emergency stop.
+/// The most bytes that are read of a request before it is handed over. A browser's headers fit; the server checks longer requests
+/// for emergency stops.
 const MAX_HEAD: usize = 2048;
 /// How long a client may send nothing.
 const SILENT: Duration = Duration::from_secs(30);
 
-/// A connection to the API that waits for the rest of its first head. It takes no place of the server.
+/// A connection to the API that waits for the rest of its first head. It does not occupy a place of the server.
 #[derive(Debug)]
 pub(super) struct Silent {
     pub(super) stream: Stream,
@@ -39,7 +39,7 @@ impl Silent {
         self.begun.map_or(self.since + SILENT, |begun| begun + HEAD)
     }
 
-    /// Reads what has come; ready when it is known what the request is, or when the connection has ended.
+    /// Reads the available bytes; ready when the kind of request is known, or when the connection has ended.
     pub(super) fn read(&mut self, gate: &Gate) -> Poll<Result<First, ()>> {
         let mut bytes = [0; MAX_LINE];
         loop {
@@ -48,7 +48,7 @@ impl Silent {
                 Ok(0) if self.head.is_empty() => return Poll::Ready(Err(())),
                 // The server answers a request that broke off, and records it.
                 Ok(0) => return Poll::Ready(Ok(First::other(self.peer.network.is_none()))),
-                // There is room for so many.
+                // The buffer has room for these bytes.
                 Ok(len) => drop(self.head.extend_from_slice(&bytes[..len])),
                 Err(error) if may_go_on(&error) => return Poll::Pending,
                 Err(_) => return Poll::Ready(Err(())),
@@ -74,7 +74,7 @@ pub(super) struct Stopping {
 }
 
 impl Stopping {
-    /// Orders the emergency stop when the byte has come; returns its number then. An error: the connection has ended before.
+    /// Orders the emergency stop if the byte has come, and returns its number. An error: the connection has ended before.
     pub(super) fn read(&mut self, estops: &EStops) -> Result<Option<u64>, ()> {
         match (&self.stream).read(&mut [0; 16]) {
             Ok(0) => Err(()),

@@ -1,4 +1,4 @@
-//! How much of its time the acceptor gives to clients of the API. Emergency stops do not wait for a window.
+//! Limits the time that the acceptor gives to clients of the API. Emergency stops do not wait for a window.
 
 use std::time::{Duration, Instant};
 
@@ -12,7 +12,7 @@ const SHARE: Duration = Duration::from_millis(2);
 #[derive(Debug)]
 pub(super) struct Window {
     begun: Instant,
-    /// How much of the time clients have had.
+    /// How much of the time clients have used.
     pub(super) used: Duration,
 }
 
@@ -23,7 +23,7 @@ impl Window {
 
     /// When the next window begins.
     pub(super) fn end(&self) -> Instant {
-        // Never less rest than work, also after a round that took longer than the window.
+        // Rest at least as long as the work, even after a round that took longer than the window.
         self.begun + WINDOW.max(2 * self.used)
     }
 

@@ -1,11 +1,11 @@
-//! Which requests may pass: by host, origin, token and role.
+//! Decides which requests may pass, by host, origin, token and role.
 //!
 //! A page of another site can make a browser send requests. The `Host` header shows a name that was made to point here (DNS
-//! rebinding), and `Origin` and `Sec-Fetch-Site` show that another site's page has sent the request. So both are checked first. Then
-//! the request needs a token whose role allows it, unless it comes from this machine and the configuration asks for none. A token that is
-//! shown must be valid, and its role counts, wherever the request comes from.
+//! rebinding), and `Origin` and `Sec-Fetch-Site` show that another site's page has sent the request. So both are checked first.
+//! Then the request needs a token whose role allows it, unless it comes from this machine and the configuration asks for none. A
+//! token that the client shows must always be valid, and its role applies, even on this machine.
 //!
-//! Invariant: [`Gate::check`] waits for nothing and uses no heap: the acceptor's real-time thread calls it.
+//! Invariant: [`Gate::check`] never waits and uses no heap, because the acceptor's real-time thread calls it.
 
 use super::head::{Head, Shown};
 use super::refresh::Refresher;
@@ -22,7 +22,7 @@ use std::sync::{Arc, OnceLock};
 /// A request that the gate lets through.
 #[derive(Clone, Copy, Debug, Default)]
 pub(in crate::daemon) struct Checked<'a> {
-    /// The access token that it shows, which is valid.
+    /// The valid access token that it shows.
     pub(super) access: Option<TokenId>,
     pub(super) shown: Shown<'a>,
 }
@@ -34,13 +34,13 @@ pub(in crate::daemon) struct Gate {
     /// Why the daemon does not listen there.
     problem: Option<String>,
     pub(in crate::daemon) tokens: Arc<TokenStore>,
-    /// Reads the tokens again that another daemon has changed; none where nothing listens.
+    /// Reads tokens that another daemon has changed; none if nothing listens.
     pub(super) refresher: OnceLock<Refresher>,
     denied: AtomicU64,
 }
 
 impl Gate {
-    /// The gate of a daemon that listens there, or has this problem.
+    /// The gate of a daemon that listens as configured, or that has this problem.
     pub(in crate::daemon) fn new(
         listen: Option<Listen>,
         problem: Option<String>,
@@ -93,7 +93,7 @@ impl Gate {
             return Err(Refusal(Code::Forbidden, "the daemon does not serve the network"));
         };
         let shown = head.shown();
-        // Before anything else is looked at: of two hosts either may be the wrong one.
+        // Check this first: if there are two hosts, either may be the wrong one.
         if head.malformed {
             return shown.map(|_| Checked::default());
         }
@@ -102,7 +102,7 @@ impl Gate {
             return Err(Refusal(Code::Forbidden, detail));
         }
         check_site(head)?;
-        // The page itself needs nothing: it asks for the token.
+        // The page itself needs no token: it asks the person for it.
         let Some(needs) = needs(head) else { return Ok(Checked::default()) };
         let shown = shown?;
         let access = self.find(&shown, needs)?;
@@ -118,8 +118,9 @@ impl Gate {
         Ok(Checked { access, shown })
     }
 
-    /// Decides about a request on the Unix socket. `ssh -L` makes the socket a port of another machine, where a browser may reach it; so
-    /// the gate refuses pages of other sites here, too. A host name with a dot may have been made to point to that port.
+    /// Decides about a request on the Unix socket. `ssh -L` makes the socket a port of another machine, where a browser may reach
+    /// it; so the gate refuses pages of other sites here, too. It also refuses an unknown host name with a dot, because anyone may
+    /// have made it point to that port.
     fn check_local<'a>(&self, head: &Head<'a>) -> Result<Checked<'a>, Refusal> {
         let hosts = self.listen.as_ref().map_or(&[][..], |listen| &listen.hosts);
         let is_public = head.host.is_some_and(|host| host.contains('.') && !is_known(host, hosts));
@@ -130,7 +131,8 @@ impl Gate {
         check_site(head)?;
         let Some(needs) = needs(head) else { return Ok(Checked::default()) };
         if Route::find(head.method, head.path) == Some(Route::EStop) {
-            // Everybody who reaches the socket may order it, and the acceptor has done so before it read any header.
+            // Every client of the socket may order an emergency stop, and the acceptor has already done so before it read any
+            // header.
             let shown = head.shown().unwrap_or_default();
             return Ok(Checked { access: None, shown });
         }
@@ -138,7 +140,7 @@ impl Gate {
         Ok(Checked { access: self.find(&shown, needs)?, shown })
     }
 
-    /// The access token that is shown, if there is one: it must be valid, and its role allow the request.
+    /// The access token that the client shows, if any. It must be valid, and its role must allow the request.
     fn find(&self, shown: &Shown<'_>, needs: Access) -> Result<Option<TokenId>, Refusal> {
         let Some(token) = shown.access else { return Ok(None) };
         match self.tokens.find(token) {
@@ -149,12 +151,12 @@ impl Gate {
     }
 }
 
-/// What a client needs for this request; none for a file of the page.
+/// The access that a client needs for this request; none for a file of the page.
 fn needs(head: &Head<'_>) -> Option<Access> {
     if page::is_file(head.method, head.path) {
         return None;
     }
-    // Whatever the method: a request about tokens that no route takes tells nothing either.
+    // For every method: the answer to a request about tokens without a route must not reveal anything either.
     if head.path == "/v1/tokens" || head.path.starts_with("/v1/tokens/") {
         return Some(Route::Tokens.access());
     }
@@ -163,16 +165,16 @@ fn needs(head: &Head<'_>) -> Option<Access> {
     )
 }
 
-/// An access token that may only read.
+/// The refusal of an access token that may only read.
 pub(in crate::daemon) const READS_ONLY: Refusal =
     Refusal(Code::Forbidden, "the token may only read: use one with the role `operate`");
-/// An access token that is shown and not valid.
+/// The refusal of an invalid access token.
 pub(in crate::daemon) const NOT_VALID: Refusal = Refusal(
     Code::Unauthorized,
     "the access token is not valid: it was revoked, or is another daemon's; `meissner token create` on the daemon's machine makes one",
 );
 
-/// Why a request is refused. The acceptor drops it unread, so it costs no heap.
+/// Why a request is refused. It uses no heap, because the acceptor makes and drops it.
 #[derive(Clone, Copy, Debug)]
 pub(in crate::daemon) struct Refusal(pub(super) Code, pub(super) &'static str);
 
@@ -182,10 +184,10 @@ impl From<Refusal> for Problem {
     }
 }
 
-/// Refuses what a page of another site has sent.
+/// Refuses requests that a page of another site has sent.
 fn check_site(head: &Head<'_>) -> Result<(), Refusal> {
     let same_origin = head.origin.is_none_or(|origin| is_same_origin(origin, head.host));
-    // A link on another site may lead to the page.
+    // A link on another site may open the page.
     let same_site =
         needs(head).is_none() || head.fetch_site.is_none_or(|site| matches!(site, "same-origin" | "none"));
     if same_origin && same_site {
@@ -378,7 +380,7 @@ mod tests {
         assert!(!is_let_in(&[("Host", "evil.example:9000"), ("Origin", "http://evil.example:9000")]));
     }
 
-    /// Also where none is needed; but nobody who reaches the socket is kept from an emergency stop.
+    /// This is so even where no token is needed. But every client of the socket can order an emergency stop.
     #[test]
     fn a_token_that_is_shown_must_be_valid_everywhere() {
         let (gate, [observe, operate]) = gate(false);

@@ -1,10 +1,11 @@
-//! The head of a request as the gate sees it: where it comes from, and what it shows of its client.
+//! The head of a request as the gate sees it: its origin, and the tokens and name that it shows.
 //!
-//! A client may show an access token (`Authorization: Bearer mst_...`), the token of a session (there too, or in `Meissner-Session`), and a
-//! name of its own (`Meissner-Client`). [`Head::shown`] tells them apart by their form, once for all routes and sockets.
+//! A client may show an access token (`Authorization: Bearer mst_...`), a session token (in the same header, or in
+//! `Meissner-Session`), and a name for itself (`Meissner-Client`). [`Head::shown`] distinguishes them by their form, in one place
+//! for all routes and sockets.
 //!
-//! Invariant: what is shown and has none of these forms is refused, never taken as if nothing had been shown. Nothing here uses the heap:
-//! the acceptor's real-time thread reads heads.
+//! Invariant: a value that has none of these forms is refused, and never ignored. Nothing here uses the heap, because the
+//! acceptor's real-time thread reads heads.
 
 use super::gate::Refusal;
 use meissner_api::{CLIENT_HEADER, Code, SESSION_HEADER, TOKEN_PREFIX};
@@ -14,7 +15,7 @@ const SESSION_TOKEN: usize = 32;
 /// Characters of a client's name at most.
 const MAX_CLIENT: usize = 64;
 
-/// What the gate looks at of a request. A header that occurs twice counts as malformed.
+/// The parts of a request that the gate checks. A header that occurs twice counts as malformed.
 #[derive(Clone, Copy, Debug, Default)]
 pub(in crate::daemon) struct Head<'a> {
     pub(in crate::daemon) method: &'a str,
@@ -25,13 +26,13 @@ pub(in crate::daemon) struct Head<'a> {
     pub(in crate::daemon) authorization: Option<&'a str>,
     pub(in crate::daemon) session: Option<&'a str>,
     pub(in crate::daemon) client: Option<&'a str>,
-    /// A proxy has passed the request on, so the client's machine is not known.
+    /// Whether a proxy has passed the request on, so that the client's machine is not known.
     pub(in crate::daemon) forwarded: bool,
-    /// One of these headers occurs twice or is not plain text.
+    /// Whether one of these headers occurs twice or is not plain text.
     pub(in crate::daemon) malformed: bool,
 }
 
-/// What a request shows of its client.
+/// The tokens and the name that a request shows.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(in crate::daemon) struct Shown<'a> {
     /// An access token.
@@ -79,7 +80,7 @@ impl<'a> Head<'a> {
         self.malformed |= !self.host.is_some_and(|host| host.eq_ignore_ascii_case(authority));
     }
 
-    /// What it shows of its client.
+    /// The tokens and the name that it shows.
     pub(super) fn shown(&self) -> Result<Shown<'a>, Refusal> {
         if self.malformed {
             let detail =

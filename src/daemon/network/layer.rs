@@ -21,18 +21,20 @@ const CROSS_ORIGIN_RESOURCE_POLICY: HeaderName = HeaderName::from_static("cross-
 /// How long to wait for the body of a request that is refused.
 const BODY: Duration = Duration::from_millis(100);
 
-/// Refuses a request that the gate does not let through; tells the others' handlers who has sent it: a [`Caller`] and its [`Peer`].
+/// Refuses a request that the gate does not admit. For all others it passes the sender to the handler: a [`Caller`] and its
+/// [`Peer`].
 pub(in crate::daemon) async fn layer(
     State(gate): State<Arc<Gate>>,
     mut request: Request,
     next: Next,
 ) -> Response {
     let Some(&peer) = request.extensions().get::<Peer>() else {
-        // Every connection has one. A request without one must not pass as a client of the socket.
+        // Every connection has a peer. A request without one must not count as a client of the socket.
         let unknown = Problem::new(Code::Forbidden, "the daemon does not know where this request comes from");
         return ErrorResponse(unknown).into_response();
     };
-    // What makes the display safe waits for the disk only where it would be refused: another daemon may have created its token.
+    // A request that makes the display safe waits for the disk only if it would otherwise be refused, because another daemon may
+    // have created its token.
     let route = Route::find(request.method().as_str(), request.uri().path());
     let makes_safe = matches!(route, Some(Route::EStop | Route::Stop | Route::Disarm));
     if !makes_safe && shows_access(&request) {
@@ -45,7 +47,7 @@ pub(in crate::daemon) async fn layer(
     }
     let refusal = match checked {
         Ok(caller) => {
-            // A file of the page asks for no token.
+            // A file of the page needs no token.
             if let Some(activity) = request.extensions().get::<Arc<Activity>>()
                 && request.uri().path().starts_with("/v1/")
             {
@@ -57,9 +59,9 @@ pub(in crate::daemon) async fn layer(
         }
         Err(refusal) => Problem::from(refusal),
     };
-    // Not in the session record: it is for those who may act, and a flood must not fill it.
+    // Keep refusals out of the session record, so that a flood of them does not fill it.
     gate.count_denied();
-    // A client that sends its body must find the answer, not a closed connection.
+    // Read the body, so that the client finds the answer and not a closed connection.
     let _ = tokio::time::timeout(BODY, read_command(request.into_body())).await;
     let is_unauthorized = refusal.status == StatusCode::UNAUTHORIZED.as_u16();
     let mut response = with_headers(ErrorResponse(refusal).into_response());
@@ -81,7 +83,7 @@ fn shows_access(request: &Request) -> bool {
     head(request).shown().is_ok_and(|shown| shown.access.is_some())
 }
 
-/// Asks the gate about a request; returns who has sent it.
+/// Asks the gate about a request; returns the sender.
 fn check(gate: &Gate, peer: Peer, request: &Request) -> Result<Caller, Refusal> {
     let mut head = head(request);
     if let (Some(_), Some(authority)) = (peer.network, request.uri().authority()) {

@@ -1,8 +1,8 @@
-//! Clients that come over the network: where the daemon listens for them, and which requests it lets through.
+//! Network clients: where the daemon listens for them, and which of their requests it admits.
 //!
 //! [`listen`] binds the address of the configuration key `listen`; without it nothing listens. [`Gate::check`] decides about each
-//! request by its [`Head`]: the acceptor asks it before it orders an emergency stop, and [`layer`] asks it before every route.
-//! [`TokenStore`] holds the access tokens, which daemons share that have one file; `refresh` reads again what another one has changed.
+//! request by its [`Head`]: the acceptor calls it before it orders an emergency stop, and [`layer`] calls it before every route.
+//! [`TokenStore`] holds the access tokens. Several daemons may share one token file; `refresh` reads the changes of the others.
 //!
 //! Invariant: a request reaches a handler only after the gate let it through.
 
@@ -24,7 +24,7 @@ use std::io;
 use std::net::TcpListener;
 use tracing::{info, warn};
 
-/// What came of the key `listen`.
+/// The result of binding the address in `listen`.
 #[derive(Debug, Default)]
 pub(super) struct Bound {
     pub(super) listener: Option<TcpListener>,
@@ -34,8 +34,8 @@ pub(super) struct Bound {
     pub(super) problem: Option<String>,
 }
 
-/// Binds the address of the configuration. If that fails the daemon works all the same: an address that is not there yet, or a port that
-/// another program has, must not keep the socket's clients from the display.
+/// Binds the address of the configuration. If that fails, the daemon still works: a missing address, or a port in use, must not
+/// keep the socket's clients from the display.
 pub(super) fn listen(listen: Option<&Listen>) -> Bound {
     let Some(listen) = listen else { return Bound::default() };
     let bind = || -> io::Result<(TcpListener, Listen)> {
@@ -59,7 +59,7 @@ pub(super) fn listen(listen: Option<&Listen>) -> Bound {
 
 fn advice(error: &io::Error) -> &'static str {
     match Errno::from_io_error(error) {
-        // As systemd's RestrictAddressFamilies= answers.
+        // systemd's RestrictAddressFamilies= causes this error.
         Some(Errno::AFNOSUPPORT) => {
             "the service's unit forbids the network: docs/how-to/network.md says how to allow it"
         }

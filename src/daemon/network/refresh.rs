@@ -1,10 +1,10 @@
 //! Reads the file of the access tokens again when another daemon has changed it.
 //!
-//! A request that shows an access token waits until the file was looked at, for [`PATIENCE`] at most: so a token that one daemon has
-//! revoked is refused by the others at its next use. For what is open without a request, such as a play that runs, a thread looks every
-//! second while there are tokens, and tells the daemon what has changed.
+//! A request that shows an access token waits until the file was checked, for [`PATIENCE`] at most. So if one daemon revokes a
+//! token, the others refuse it at its next use. For running plays and open streams, a thread checks the file every second while
+//! there are tokens, and reports changes to the daemon.
 //!
-//! Invariant: only this thread waits for the disk. If the disk hangs, the tokens stay as they were known last.
+//! Invariant: only this thread waits for the disk. If the disk hangs, the last known tokens stay valid.
 
 use super::gate::Gate;
 use super::tokens::TokenStore;
@@ -15,14 +15,14 @@ use std::thread;
 use std::time::Duration;
 use tokio::sync::oneshot;
 
-/// How often the thread looks by itself.
+/// How often the thread checks the file by itself.
 const EVERY: Duration = Duration::from_secs(1);
 /// How long a request waits for a disk.
 const PATIENCE: Duration = Duration::from_secs(1);
-/// Requests that wait at most; those beyond find the tokens as they are known.
+/// The most requests that wait; further ones use the last known tokens.
 const WAITING: usize = 256;
 
-/// The way to the thread, which ends when this is dropped.
+/// The channel to the thread, which ends when this is dropped.
 #[derive(Debug)]
 pub(super) struct Refresher(Sender<oneshot::Sender<()>>);
 
@@ -54,7 +54,7 @@ impl Gate {
 fn work(tokens: &TokenStore, requests: &Receiver<oneshot::Sender<()>>, changed: impl Fn()) {
     loop {
         let first = if tokens.list().is_empty() {
-            // No right can end.
+            // Without tokens no right can end, so only wait for requests.
             requests.recv().map(Some).map_err(|_| ())
         } else {
             match requests.recv_timeout(EVERY) {
@@ -64,7 +64,7 @@ fn work(tokens: &TokenStore, requests: &Receiver<oneshot::Sender<()>>, changed: 
             }
         };
         let Ok(first) = first else { return };
-        // All that have come before the look.
+        // Answer all requests that came before this check.
         let waiting: Vec<_> = first.into_iter().chain(requests.try_iter()).collect();
         if tokens.refresh() {
             changed();

@@ -23,7 +23,7 @@ pub(in crate::daemon) async fn create(
         let request = TokenRequest::parse(&body::read_command(body).await?)?;
         logged.set_arguments(&request);
         let created = blocking(move || app.engine.gate.tokens.create(request.role, &request.name)).await??;
-        // Never the token itself.
+        // Never record the token itself.
         logged.set_arguments(&created.info);
         Ok((StatusCode::CREATED, Json(created)))
     }
@@ -47,7 +47,7 @@ pub(in crate::daemon) async fn revoke(
         logged.set_arguments(&json!({"id": id}));
         let revoked = blocking(move || {
             let revoked = app.engine.gate.tokens.revoke(&id);
-            // Also if the file could not be written: the token is not valid any more.
+            // Do this even if the file could not be written: the token is no longer valid.
             app.engine.lock().rights_changed();
             revoked
         });

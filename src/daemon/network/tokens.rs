@@ -1,13 +1,13 @@
-//! The access tokens: created, revoked, found again, and kept as hashes in a file.
+//! The access tokens: creates, revokes and finds them, and keeps their hashes in a file.
 //!
-//! A token holds 256 random bits, so its SHA-256 needs no salt and cannot be guessed. The store compares a token with all valid ones in
-//! constant time. The file is replaced whole or not at all, and only the daemon's user reads it.
+//! A token holds 256 random bits, so its SHA-256 needs no salt and cannot be guessed. The store compares a token with all valid
+//! ones in constant time. The file is replaced atomically, and only the daemon's user can read it.
 //!
-//! Several daemons may have one file. A daemon that changes it holds the lock of the file beside it (`.lock`), reads the file, changes that, and
-//! writes it; [`TokenStore::refresh`] takes over what others have written.
+//! Several daemons may share one file. To change it, a daemon locks the file beside it (`.lock`), reads the file, changes the
+//! tokens, and writes it again; [`TokenStore::refresh`] reads the changes of others.
 //!
-//! Invariants: a file that cannot be read lets no token in, and is not overwritten; a token that was revoked here is never valid again,
-//! whatever the file says.
+//! Invariants: a file that cannot be read admits no token, and is not overwritten; a token that was revoked here is never valid
+//! again, even if the file still has it.
 
 use crate::daemon::calibration::utc_now;
 use crate::file::{self, read_regular};
@@ -36,7 +36,8 @@ const LENGTH: usize = TOKEN_PREFIX.len() + 64;
 const MAX_FILE: u64 = 1 << 20;
 /// How long to wait for another daemon that changes the file: it holds the lock for milliseconds.
 const LOCKED: Duration = Duration::from_secs(2);
-/// A file that was changed so shortly before it was read may change again without a trace: file times have ticks of up to 10 ms.
+/// A file that was changed less than this before it was read may change again with the same time, because file times have steps of
+/// up to 10 ms.
 const SETTLED: Duration = Duration::from_millis(100);
 
 #[derive(Clone, Debug)]
@@ -68,17 +69,17 @@ struct Row {
 /// See the module.
 #[derive(Debug)]
 pub(in crate::daemon) struct TokenStore {
-    /// Where tokens are kept; without it they end with the daemon.
+    /// Where tokens are kept; without it they are lost when the daemon ends.
     file: Option<PathBuf>,
     tokens: ArcSwap<Vec<Token>>,
     /// Held while tokens change.
     changing: Mutex<Known>,
 }
 
-/// What is known of the file.
+/// The state of the file as last read.
 #[derive(Debug, Default)]
 struct Known {
-    /// Why it is not used.
+    /// Why the file is not used.
     problem: Option<String>,
     /// The file that was read last; none if it must be read again.
     stamp: Option<Stamp>,
@@ -86,7 +87,7 @@ struct Known {
     revoked: Vec<TokenId>,
 }
 
-/// Tells a file from another one, and from itself as it was before a change; all zero without a file.
+/// Identifies a version of a file: it differs for another file, and after a change; all zero without a file.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 struct Stamp([i64; 8]);
 
@@ -110,7 +111,7 @@ impl Stamp {
 }
 
 impl TokenStore {
-    /// Reads the tokens of the file. A file that cannot be read is in the log, and no token is valid.
+    /// Reads the tokens of the file. If the file cannot be read, the log says so, and no token is valid.
     pub(in crate::daemon) fn open(file: Option<PathBuf>) -> Self {
         let store = Self { file, tokens: ArcSwap::default(), changing: Mutex::default() };
         store.refresh();
@@ -145,7 +146,7 @@ impl TokenStore {
                 None => info!("{}: can be read again", file.display()),
             }
         }
-        // What was there before the reading, if it cannot have been changed during it.
+        // Keep the stamp from before the reading, unless the file may have changed during it.
         known.stamp = stamp.filter(|_| is_settled(file));
         known.problem = problem;
         let valid = |of: &[Token]| {
@@ -156,12 +157,12 @@ impl TokenStore {
         changed
     }
 
-    /// Makes what the first look-up of a thread needs on the heap.
+    /// Makes the heap allocations that the first look-up of a thread needs.
     pub(in crate::daemon) fn prepare_thread(&self) {
         drop(self.tokens.load());
     }
 
-    /// The id and role of a token, if it is valid. Uses no heap on a thread that is prepared.
+    /// The id and role of a token, if it is valid. Uses no heap on a prepared thread.
     pub(super) fn find(&self, token: &str) -> Option<(TokenId, Role)> {
         if !token.starts_with(TOKEN_PREFIX) || token.len() != LENGTH {
             return None;
@@ -238,7 +239,7 @@ impl TokenStore {
                 }
             });
         };
-        // For clients first: a full disk must not keep a token valid.
+        // Revoke it in memory first: a full disk must not keep a token valid.
         known.revoked.push(number);
         tokens.retain(|token| token.id != number);
         self.tokens.store(Arc::new(tokens));
@@ -253,12 +254,12 @@ impl TokenStore {
         Ok(revoked)
     }
 
-    /// Holds changes of this daemon back.
+    /// Locks out other changes by this daemon.
     fn lock(&self) -> MutexGuard<'_, Known> {
         self.changing.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Holds changes of other daemons back, until the file that it returns is closed.
+    /// Locks out changes by other daemons, until the returned file is closed.
     fn lock_file(&self) -> Result<Option<File>, Problem> {
         let Some(file) = &self.file else { return Ok(None) };
         let path = file.with_added_extension("lock");
@@ -301,19 +302,19 @@ impl TokenStore {
             |error| Problem::new(Code::Store, format!("{}: cannot be written: {error}", file.display()));
         known.stamp = None;
         write(file, tokens).map_err(bad)?;
-        // They are in no file any more.
+        // The revoked tokens are no longer in the file.
         known.revoked.clear();
         Ok(())
     }
 }
 
-/// Whether a file was changed long enough ago for its next change to have another time.
+/// Whether a file was changed so long ago that its next change will have another time.
 fn is_settled(file: &Path) -> bool {
     let settled = |of: Metadata| {
         let changed = of.modified().ok()?;
         SystemTime::now().duration_since(changed).ok().map(|since| since >= SETTLED)
     };
-    // Without a file any later one differs.
+    // If there is no file, any later file differs.
     fs::metadata(file).map_or(true, |of| settled(of).unwrap_or(false))
 }
 
@@ -428,7 +429,7 @@ mod tests {
         assert!(store.list().is_empty());
     }
 
-    /// What two daemons with one file do, as two stores.
+    /// Two stores stand for two daemons with one file.
     #[test]
     fn what_one_daemon_changes_holds_in_the_other() {
         let dir = tempfile::tempdir().unwrap();
@@ -441,7 +442,7 @@ mod tests {
         assert_eq!(a.list(), b.list());
         a.revoke(&first.info.id).unwrap();
         assert!(b.find(&first.token).is_some() && b.refresh() && b.find(&first.token).is_none());
-        // What was revoked stays so when the other one writes.
+        // A revoked token stays revoked when the other store writes.
         let third = b.create(Role::Operate, "third").unwrap();
         a.refresh();
         assert_eq!(a.list(), [second.info.clone(), third.info.clone()]);
@@ -450,7 +451,7 @@ mod tests {
         b.revoke(&fourth.info.id).unwrap();
         assert!(a.refresh() && a.find(&fourth.token).is_none());
         assert_eq!(TokenStore::open(Some(file.clone())).list(), [second.info, third.info]);
-        // A file that is gone, and one that cannot be read, let nothing in; a good one does again.
+        // A missing or unreadable file admits no token; a good file does so again.
         let text = fs::read_to_string(&file).unwrap();
         fs::remove_file(&file).unwrap();
         assert!(a.refresh() && a.list().is_empty());

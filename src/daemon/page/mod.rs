@@ -1,10 +1,10 @@
-//! The page in the browser: files inside of the program, served at `/` and below `/page/`.
+//! The page in the browser: files inside the program, served at `/` and below `/page/`.
 //!
-//! The page is plain HTML, CSS and JavaScript modules without a build step. It uses the API alone (`assets/api.js`), so everything that it
-//! does is in the OpenAPI document. `assets/estop.js` holds what must work alone: the emergency stop, and the state with its age. The modules read
-//! that state, and say it nowhere else.
+//! The page is plain HTML, CSS and JavaScript modules without a build step. It uses only the API (`assets/api.js`), so the OpenAPI
+//! document covers everything that it does. `assets/estop.js` holds the parts that must work alone: the emergency stop, and the
+//! state with its age. The modules read the state there, and only that script shows it.
 //!
-//! Invariant: the page loads nothing from elsewhere, and its policy forbids it to.
+//! Invariant: the page loads nothing from other sites, and its policy forbids that.
 
 use super::http::App;
 use axum::Router;
@@ -39,7 +39,7 @@ const FILES: [(&str, &str, &str); 18] = [
     ("/page/record.js", SCRIPT, include_str!("assets/record.js")),
 ];
 
-/// Whether a request is for a file of the page. These hold nothing secret: a client needs no token for them.
+/// Whether a request is for a file of the page. They contain no secrets, so a client needs no token for them.
 pub(super) fn is_file(method: &str, path: &str) -> bool {
     matches!(method, "GET" | "HEAD") && FILES.iter().any(|(known, ..)| *known == path)
 }

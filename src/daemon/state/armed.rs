@@ -1,11 +1,10 @@
-//! For whom the motors are armed, and whose silence disarms them.
+//! The client for which the motors are armed, and the silence that disarms them.
 //!
-//! A client that arms states for how long it may be silent. The daemon hears the client that armed last, and the one that has ordered
-//! motion last: any request of theirs, from its head to its answer, and any message of a live play. When both are silent for the stated
-//! time, it stops and disarms, as at its own end.
+//! A client that arms states how long it may be silent. The daemon watches two clients: the one that armed last, and the one that
+//! ordered motion last. Any request of theirs, from its head to its answer, and any message of a live play, is a sign of life. When
+//! both are silent for the stated time, the daemon stops and disarms, as at its own end.
 //!
-//! Invariant: while motors are armed there is a holder, unless the daemon does not know of it for the moment between the device's answer and
-//! the next event.
+//! Invariant: while motors are armed there is a holder, except between the device's answer and the next event.
 
 use super::{Asker, Caller, Reply, State};
 use meissner_api::{ArmedStatus, Event, Problem};
@@ -20,15 +19,15 @@ const SILENT: &str = "owner-silent";
 #[derive(Debug, Default)]
 pub(in crate::daemon) struct Armed {
     holder: Option<Holder>,
-    /// Who has ordered motion last since then.
+    /// The client that has ordered motion last since then.
     mover: Option<Caller>,
-    /// Clients whose requests are being answered: who waits for an answer is not silent.
+    /// Clients whose requests are being answered: a client that waits for an answer is not silent.
     answering: Vec<(u64, Caller)>,
-    /// What a client gets that states nothing.
+    /// The silence of a client that does not state one.
     default: Duration,
-    /// Holders and requests so far.
+    /// The number of holders and requests so far.
     last: u64,
-    /// The last disarm was for silence.
+    /// Whether the last disarm was because of silence.
     was_silent: bool,
 }
 
@@ -38,15 +37,15 @@ struct Holder {
     number: u64,
     caller: Caller,
     name: String,
-    /// How long it may be silent; none: for ever.
+    /// How long it may be silent; none: without limit.
     silence: Option<Duration>,
     heard: HostInstant,
 }
 
-/// What a client states when it arms.
+/// The silence that a client states when it arms.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(in crate::daemon) enum Silence {
-    /// Nothing.
+    /// The client states nothing.
     Default,
     For(Duration),
     /// The motors may stay armed without it.
@@ -63,7 +62,7 @@ impl Armed {
         self.last
     }
 
-    /// This client has armed. Returns the number of its watch.
+    /// Makes this client the holder. Returns the number of its watch.
     fn hold(&mut self, caller: Caller, name: String, silence: Silence) -> u64 {
         let silence = match silence {
             Silence::Default => Some(self.default),
@@ -81,7 +80,7 @@ impl Armed {
         holder.into_iter().chain(&self.mover).any(|known| known.is_same(caller))
     }
 
-    /// A request or message of this client came, or its answer goes.
+    /// Notes a sign of life of this client: a request, a message, or the end of an answer.
     pub(super) fn hear(&mut self, caller: &Caller) {
         if self.is_of(caller)
             && let Some(holder) = &mut self.holder
@@ -90,13 +89,13 @@ impl Armed {
         }
     }
 
-    /// This client has ordered motion.
+    /// Notes that this client has ordered motion.
     pub(super) fn moves(&mut self, caller: Caller) {
         self.mover = Some(caller.clone());
         self.hear(&caller);
     }
 
-    /// A request of this client is being answered, until [`Self::answered`] gets the number.
+    /// Notes that a request of this client is being answered, until [`Self::answered`] is called with the number.
     pub(in crate::daemon) fn answers(&mut self, caller: &Caller) -> u64 {
         let number = self.next();
         self.answering.push((number, caller.clone()));
@@ -109,7 +108,7 @@ impl Armed {
         self.hear(&caller);
     }
 
-    /// What is left of the stated time; none without an end.
+    /// The rest of the stated time; none without a limit.
     fn left(&self, holder: &Holder) -> Option<Duration> {
         let silence = holder.silence?;
         let waits = self.answering.iter().any(|(_, caller)| self.is_of(caller));
@@ -117,7 +116,7 @@ impl Armed {
         Some(silence.saturating_sub(silent))
     }
 
-    /// How long to wait until the client with this watch may have been silent for too long; none if the watch is over.
+    /// The shortest time until the client with this watch can have been silent for too long; none if the watch is over.
     pub(in crate::daemon) fn until_silent(&self, number: u64) -> Option<Duration> {
         self.left(self.holder.as_ref().filter(|holder| holder.number == number)?)
     }
@@ -133,10 +132,10 @@ impl Armed {
 }
 
 impl State {
-    /// The motors are armed for the client that asks, by this name. Returns the number of the watch for its silence, if it needs one.
+    /// Notes that the motors are armed for the requesting client, by this name. Returns the number of its watch, if it needs one.
     pub(in crate::daemon) fn hold_armed(&mut self, name: String, silence: Silence) -> Option<u64> {
         let Asker { caller, .. } = Asker::find()?;
-        // It may have been disarmed again.
+        // The motors may have been disarmed again.
         let number = self.is_armed().then(|| self.armed.hold(caller, name, silence))?;
         (silence != Silence::Unattended).then_some(number)
     }
@@ -157,7 +156,7 @@ impl State {
         Some(self.send(Command::Disarm, None))
     }
 
-    /// Follows the device, and names the silence as the cause of a play's end.
+    /// Follows the device's state, and names the silence as the cause of a play's end.
     pub(super) fn follow_armed(&mut self, streamed: &mut StreamEvent) {
         match streamed {
             StreamEvent::PlayEnded { outcome, .. }

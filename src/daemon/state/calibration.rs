@@ -1,4 +1,4 @@
-//! The calibration in use, where it is stored, and the one that is being measured.
+//! The calibration in use, its file, and the calibration that is being measured.
 //!
 //! Invariant: gains are those of the connected device, or none.
 
@@ -11,13 +11,13 @@ use std::path::PathBuf;
 pub(in crate::daemon) struct Calibration {
     /// Where it is stored.
     pub(in crate::daemon) file: Option<PathBuf>,
-    /// What is stored, or why nothing is.
+    /// The stored calibration, or why there is none.
     pub(in crate::daemon) stored: Result<StoredCalibration, String>,
     /// The identity of the device that was connected last.
     pub(in crate::daemon) identity: String,
     /// A plan that is being played, measured or fitted: no play is accepted meanwhile.
     pub(in crate::daemon) running: Option<CalibrationRun>,
-    /// The streamer has gains.
+    /// Whether the streamer has gains.
     pub(in crate::daemon) gains_set: bool,
 }
 
@@ -38,7 +38,7 @@ impl Calibration {
         }
     }
 
-    /// Ends the calibration that this play was to measure.
+    /// Cancels the calibration that this play was to measure.
     pub(super) fn cancel(&mut self, play: u64) {
         self.running.take_if(|running| running.id == play);
     }

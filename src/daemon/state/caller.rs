@@ -1,8 +1,9 @@
-//! Who has sent a request: by what right it acts, and how it is known again.
+//! The sender of a request: the right by which it acts, and the identity by which it is recognised again.
 //!
-//! [`Caller::is_same`] decides whose sign of life a request is; [`Asker`] is the caller of the request that a task carries out.
+//! [`Caller::is_same`] decides for which client a request is a sign of life; [`Asker`] is the caller of the request that a task
+//! carries out.
 //!
-//! Invariant: a caller is what the request showed when it came. Whether that still counts is asked at each use
+//! Invariant: a caller holds the tokens that the request showed when it came. Each use checks whether they are still valid
 //! ([`State::check_right`](super::State::check_right)).
 
 use crate::session_record::{Peer, TokenId};
@@ -12,7 +13,7 @@ use std::net::IpAddr;
 use std::sync::Arc;
 
 tokio::task_local! {
-    /// The caller of the request that this task carries out, and what its route needs.
+    /// The caller of the request that this task carries out, and the access that its route needs.
     static ASKER: Asker;
 }
 
@@ -20,19 +21,19 @@ tokio::task_local! {
 #[derive(Clone, Debug)]
 pub(in crate::daemon) struct Caller {
     pub(in crate::daemon) peer: Peer,
-    /// The access token under which it acts; none: it needs none where it is.
+    /// The access token under which it acts; none: it needs none on its socket.
     pub(super) access: Option<TokenId>,
     /// The session token that it shows, whether or not that session runs.
     session: Option<Arc<str>>,
     client: Client,
 }
 
-/// A client as far as its requests can be told from those of others.
+/// The identity of a client, as far as its requests can be distinguished from those of others.
 #[derive(Clone, Debug, PartialEq, Eq)]
 enum Client {
-    /// It has given itself a name.
+    /// A client that has given itself a name.
     Named(Arc<str>),
-    /// A process; of one in another container the kernel tells the user alone.
+    /// A process and its user; for a process in another container the kernel reports only the user.
     Process(i32, u32),
     Network(IpAddr, Option<TokenId>),
 }
@@ -57,29 +58,30 @@ impl Caller {
         self.session.as_deref()
     }
 
-    /// Whether a request of this caller shows that the other one is there: it is the same client, or shows the same session.
+    /// Whether a request of this caller is a sign of life of the other: it is the same client, or shows the same session.
     pub(super) fn is_same(&self, other: &Self) -> bool {
         self.client == other.client || self.session.is_some() && self.session == other.session
     }
 }
 
-/// Who asks for the work of a task.
+/// The caller for whom a task works.
 #[derive(Clone, Debug)]
 pub(in crate::daemon) struct Asker {
     pub(in crate::daemon) caller: Caller,
-    /// What the route needs.
+    /// The access that the route needs.
     pub(in crate::daemon) access: Access,
-    /// The stops before its request came ([`Commands::breaks`](super::commands::Commands::breaks)): a later one means this request, too.
+    /// The number of stops before its request came ([`Commands::breaks`](super::commands::Commands::breaks)): a later stop also
+    /// applies to this request.
     pub(in crate::daemon) breaks: u64,
 }
 
 impl Asker {
-    /// Carries out a request: [`Self::find`] then knows who has sent it.
+    /// Carries out a request, during which [`Self::find`] returns this caller.
     pub(in crate::daemon) fn ask<T>(self, work: impl Future<Output = T>) -> impl Future<Output = T> {
         ASKER.scope(self, work)
     }
 
-    /// Who asks for the work of this task; none outside of a request, where the daemon itself acts.
+    /// The caller for whom this task works; none outside a request, when the daemon itself acts.
     pub(in crate::daemon) fn find() -> Option<Self> {
         ASKER.try_with(Clone::clone).ok()
     }

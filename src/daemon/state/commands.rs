@@ -1,10 +1,10 @@
-//! Commands to the streamer: a ticket for each, and the calls that wait for its answer.
+//! Commands to the streamer: a ticket for each, and the calls that wait for their answers.
 //!
-//! Emergency stops go to the streamer by their own switch; here are only the calls that wait for the answers.
+//! Emergency stops go to the streamer by a separate switch; this module only holds the calls that wait for their answers.
 //!
 //! Bounds: the queue (a full one is [`Code::Busy`]), and the tickets of the last [`LOST_AFTER`].
 //!
-//! Invariant: each call gets an answer, or learns that there is none.
+//! Invariant: each call gets an answer, or an error that there is none.
 
 use firmware_protocol::stroke::MOTORS;
 use meissner_api::{Code, Problem};
@@ -15,7 +15,7 @@ use std::collections::HashMap;
 use std::time::Duration;
 use tokio::sync::oneshot;
 
-/// An answer that is still missing after this time does not come: commands expire after a second, and homing ends before.
+/// An answer that is still missing after this time will not come: commands expire after a second, and homing ends earlier.
 const LOST_AFTER: Duration = Duration::from_secs(30);
 
 /// Where an answer arrives.
@@ -40,9 +40,9 @@ pub(in crate::daemon) struct Commands {
     reported_estop: u64,
     /// Calls that wait for the emergency stop of this number.
     waiting_estops: Vec<(u64, oneshot::Sender<Result<(), CommandError>>)>,
-    /// The daemon ends: it accepts emergency stops only.
+    /// Whether the daemon is ending: then it accepts only emergency stops.
     closing: bool,
-    /// Commands so far after which a play that was ordered before must not begin.
+    /// The number of commands so far that cancel plays ordered before them.
     breaks: u64,
 }
 
@@ -91,7 +91,7 @@ impl Commands {
         }
     }
 
-    /// Stops and disarms so far, and resets of emergency stops.
+    /// The number of stops, disarms and resets of emergency stops so far.
     pub(in crate::daemon) const fn breaks(&self) -> u64 {
         self.breaks
     }
@@ -108,21 +108,21 @@ impl Commands {
     fn answer_estops(&mut self) {
         for (number, reply) in std::mem::take(&mut self.waiting_estops) {
             match self.estop.answer(number) {
-                // The client may have hung up meanwhile.
+                // Ignore an error: the client may have hung up.
                 Some(answer) if number <= self.reported_estop => drop(reply.send(answer)),
                 _ => self.waiting_estops.push((number, reply)),
             }
         }
     }
 
-    /// Sends a command whose answer nothing waits for; gives it back if the queue is full.
+    /// Sends a command for whose answer nothing waits; returns it if the queue is full.
     pub(in crate::daemon) fn send_unanswered(&mut self, command: Command) -> Result<(), Command> {
         self.note(&command);
         let request = Request { ticket: 0, issued_at: HostInstant::now(), command };
         self.queue.send(request).map_err(|request| request.command)
     }
 
-    /// Has the streamer correct by these gains.
+    /// Makes the streamer correct bursts by these gains.
     pub(in crate::daemon) fn set_gains(&mut self, gains: [Gains; MOTORS]) -> Result<(), Command> {
         self.send_unanswered(Command::SetGains(Box::new(gains)))
     }
@@ -135,7 +135,7 @@ impl Commands {
             return None;
         }
         let ticket = self.waiting.remove(&ticket)?;
-        // The client may have hung up meanwhile.
+        // Ignore an error: the client may have hung up.
         let _ = ticket.reply.send(result);
         ticket.play
     }
@@ -146,7 +146,7 @@ impl Commands {
         lost.filter_map(|(_, ticket)| ticket.play).collect()
     }
 
-    /// Gives up every call that waits: the streamer has ended, or did not end in time.
+    /// Gives up every waiting call, because the streamer has ended, or did not end in time.
     pub(in crate::daemon) fn abandon(&mut self) {
         self.waiting.clear();
         self.waiting_estops.clear();
@@ -157,7 +157,7 @@ impl Commands {
         self.waiting.is_empty()
     }
 
-    /// Accepts emergency stops only from now on.
+    /// From now on accepts only emergency stops.
     pub(in crate::daemon) const fn close(&mut self) {
         self.closing = true;
     }

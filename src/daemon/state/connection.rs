@@ -1,4 +1,4 @@
-//! The connection to the device: what it is, or why there is none, and the thread that opens devices.
+//! The connection to the device: its state, or why there is none, and the channel to the thread that opens devices.
 
 use crossbeam_channel::Sender;
 use meissner_stream::device::Device;
@@ -10,7 +10,7 @@ use std::sync::Arc;
 pub(in crate::daemon) enum ConnectorMessage {
     /// The device is gone; drop it.
     Gone(Option<Box<Device>>),
-    /// The daemon ends.
+    /// The daemon is ending.
     Quit,
 }
 
@@ -24,29 +24,29 @@ pub(in crate::daemon) struct Connection {
     lost: Option<&'static str>,
     /// Why no device is connected, by the last try.
     pub(in crate::daemon) missing: Option<String>,
-    /// A client has requested to arm, with or without a device.
+    /// Whether a client has requested to arm, with or without a device.
     pub(in crate::daemon) armed_once: bool,
 }
 
 impl Connection {
-    /// Sets the thread that devices go back to.
+    /// Sets the channel to the thread that takes devices back.
     pub(in crate::daemon) fn set_connector(&mut self, connector: Sender<ConnectorMessage>) {
         self.connector = Some(connector);
     }
 
     pub(super) fn tell_connector(&self, message: ConnectorMessage) {
-        // There is one message per connection, and the connector empties its channel: it cannot be full.
+        // There is one message per connection, and the connector empties its channel, so it cannot be full.
         if let Some(connector) = &self.connector {
             let _ = connector.try_send(message);
         }
     }
 
-    /// A device has answered.
+    /// Notes that a device has answered.
     pub(super) fn established(&mut self) {
         (self.lost, self.missing) = (None, None);
     }
 
-    /// The device of that kind is gone. Returns whether the reason is new.
+    /// Notes that the device of that kind is gone. Returns whether the reason is new.
     pub(super) fn lost(&mut self, kind: &str, reason: &'static str) -> bool {
         self.missing = Some(format!("{kind}: {reason}"));
         self.lost.replace(reason) != Some(reason)

@@ -1,12 +1,14 @@
-//! The participant's exposure: keeps the time of plays, follows them, stops what passes a limit, and keeps the sums on the disk.
+//! The participant's exposure: reserves the time of plays, follows them, stops those that reach a limit, and keeps the sums on the
+//! disk.
 //!
-//! Before a play reaches the streamer, its time is in the sums on the disk ([`Engine::hold`]): a kill at any moment leaves no smaller
-//! sum. The daemon learns ten times a second how long the running play has played, and stops one without end before it can pass its
-//! limit. A play with an end is refused if it does not fit.
+//! Before a play reaches the streamer, its time is in the sums on the disk ([`Engine::hold`]), so a kill at any moment never leaves
+//! a smaller sum. Ten times a second the daemon learns how long the running play has played. It stops a play without end before
+//! that can exceed a limit. It refuses a play with an end that does not fit.
 //!
-//! A disk that fails, or is silent for [`DISK`], stops no play: the sums in memory hold, and the status says so.
+//! A disk that fails, or does not answer for [`DISK`], does not stop plays: the sums in memory apply, and the status reports the
+//! problem.
 //!
-//! Invariant: the daemon orders the stop once for each report in which the limit is passed, until the play ends.
+//! Invariant: the daemon orders the stop again at each report beyond the limit, until the play ends.
 
 use super::{Asker, State};
 use crate::daemon::engine::Engine;
@@ -28,9 +30,9 @@ use tracing::warn;
 
 /// The cause of a play's end that a limit ordered.
 pub(in crate::daemon) const CAUSE: &str = "participant-limit";
-/// How often the sums are saved during a play: half of what the file keeps ahead for a play without end.
+/// How often the sums are saved during a play: half of the time that the file reserves for a play without end.
 const SAVE_EVERY: Duration = Duration::from_secs(5);
-/// How long a play waits for the disk: less than between an order with an onset of its own and that onset.
+/// How long a play waits for the disk: less than the shortest time from an order to its requested onset.
 const DISK: Duration = Duration::from_millis(300);
 
 /// See the module.
@@ -39,11 +41,11 @@ pub(in crate::daemon) struct Exposure {
     account: Account,
     /// Plays that a limit stops.
     stopped: HashSet<u64>,
-    /// When, and on which day, the sums were saved last.
+    /// The time and day of the last save.
     saved: Option<(HostInstant, Date)>,
-    /// Tells whether the disk has taken the sums for which a play has waited in vain.
+    /// Receives the disk's late answer, after a play has waited for it in vain.
     silent: Option<Receiver<bool>>,
-    /// The sums for which a play has waited last are not on the disk.
+    /// Whether the sums for which a play has waited last are missing on the disk.
     unsaved: bool,
 }
 
@@ -57,7 +59,7 @@ impl Exposure {
         self.account.set_limits(limits);
     }
 
-    /// What is wrong with the sums or their file.
+    /// The problem with the sums or their file.
     pub(in crate::daemon) fn problem(&self) -> Option<String> {
         let silent = || {
             self.silent.as_ref().filter(|silent| silent.is_empty() && !silent.is_terminated()).map(|_| {
@@ -101,8 +103,8 @@ fn exceeded(detail: String) -> Problem {
     Problem::new(Code::ParticipantLimit, detail)
 }
 
-/// The kept time of a play that the streamer does not have yet. Dropped before [`Self::begin`], it is given back; do not drop it
-/// under the engine's lock. Orders come one after the other, so that each is judged behind those before it.
+/// The reserved time of a play that the streamer does not have yet. If this is dropped before [`Self::begin`], the time is given
+/// back; do not drop it under the engine's lock. Only one order is handled at a time, so that each is judged after those before it.
 #[derive(Debug)]
 pub(in crate::daemon) struct Held<'e> {
     engine: &'e Engine,
@@ -112,7 +114,7 @@ pub(in crate::daemon) struct Held<'e> {
 }
 
 impl Held<'_> {
-    /// Refuses a play that a stop was meant for, which came after its request: while that was read, compiled or waited.
+    /// Refuses a play if a stop came after its request, while the request was read, compiled or waited.
     pub(in crate::daemon) fn check(&self, state: &State) -> Result<(), Problem> {
         if state.commands.breaks() == self.breaks {
             return Ok(());
@@ -123,7 +125,7 @@ impl Held<'_> {
         ))
     }
 
-    /// The streamer has the play, under this id.
+    /// Notes that the streamer has the play, under this id.
     pub(in crate::daemon) fn begin(&self, state: &mut State, id: u64) {
         state.exposure.account.begin(self.number, id, Now::read());
     }
@@ -136,7 +138,7 @@ impl Drop for Held<'_> {
 }
 
 impl Engine {
-    /// Keeps the time of a play that `check` accepts, and waits until it is in the sums on the disk.
+    /// Reserves the time of a play that `check` accepts, and waits until it is in the sums on the disk.
     pub(in crate::daemon) async fn hold(
         &self,
         check: impl FnOnce(&mut State) -> Result<u64, Problem>,
@@ -166,7 +168,7 @@ impl Engine {
 }
 
 impl State {
-    /// Refuses a play that a participant's limit does not allow, or not now; else keeps its time.
+    /// Refuses a play that a participant's limit does not allow now or at all; otherwise reserves its time.
     pub(in crate::daemon) fn hold_play(
         &mut self,
         request: &PlayRequest,
@@ -198,7 +200,7 @@ impl State {
         Ok(())
     }
 
-    /// Refuses vibration that does not fit behind the plays that run and wait, or instead of them; else keeps its time.
+    /// Refuses vibration that does not fit after the running and waiting plays, or instead of them; otherwise reserves its time.
     pub(in crate::daemon) fn hold_vibration(
         &mut self,
         vibration: &Vibration,
@@ -211,7 +213,7 @@ impl State {
             At::Next => Onset::Next,
             At::After(ns) => Onset::At(at_s + ns as f64 / 1e9),
             At::Monotonic(at) => Onset::At(at.as_ns() as f64 / 1e9),
-            // Without a clock nothing tells when that is.
+            // Without a clock the time of this tick is unknown.
             At::Tick(tick) => {
                 self.plays.receipts.clock(now.at).map_or(Onset::Next, |(at, uncertainty_us)| {
                     let ahead_s = (tick.0 as f64 - at.0 as f64) / f64::from(TICK_HZ);
@@ -234,7 +236,7 @@ impl State {
                 let Some((id, played_s)) = snapshot.play else { return };
                 let now = Now::read().at(snapshot.at);
                 if self.exposure.account.played(id, played_s, now).is_some() {
-                    // The queue is cleared, too. If too many commands wait, the next report orders it again.
+                    // The stop also clears the queue. If too many commands wait, the next report orders the stop again.
                     let live: Vec<u64> = self.exposure.account.live().collect();
                     self.exposure.stopped.extend(live);
                     let _ = self.commands.send_unanswered(Command::Stop);
@@ -266,7 +268,7 @@ impl State {
         }
     }
 
-    /// A play was not accepted: gives its time back.
+    /// Gives back the time of a play that was not accepted.
     pub(super) fn forget_exposure(&mut self, id: u64) {
         self.exposure.stopped.remove(&id);
         if self.exposure.account.forget(id) {

@@ -1,6 +1,7 @@
-//! Live plays: their drives as their clients have set them, and the ways to their clients.
+//! Live plays: their drives as their clients have set them, and the channels to their clients.
 //!
-//! Bounds: one for each play that is accepted and not over. Invariant: a play takes one connection, by a key that nobody can guess.
+//! Bounds: one entry for each accepted play that is not over. Invariant: a play accepts one connection, by a key that cannot be
+//! guessed.
 
 use super::State;
 use super::session::random_hex;
@@ -24,9 +25,9 @@ use std::ops::Range;
 use std::sync::Arc;
 use tokio::sync::mpsc;
 
-/// Updates that are under way to the streamer at most: its event queue must never fill.
+/// The most pending updates of the streamer, whose event queue must never fill.
 const UNDER_WAY: usize = 32;
-/// Answers that wait for a client at most; one that reads none loses those beyond.
+/// The most answers that wait for a client; a client that does not read loses further ones.
 const ANSWERS: usize = 4 * UNDER_WAY;
 
 /// A live play that is not over.
@@ -41,7 +42,7 @@ pub(in crate::daemon) struct LivePlay {
     /// The number of the message that set the scale.
     scaled_by: u64,
     under_way: usize,
-    /// Where poses of its target wait to be rendered; none for a play of drives.
+    /// The poses of its target that wait to be rendered; none for a play of drives.
     poses: Option<Arc<Poses>>,
     answers: Option<mpsc::Sender<LiveAnswer>>,
 }
@@ -50,7 +51,7 @@ pub(in crate::daemon) struct LivePlay {
 #[derive(Debug, Default)]
 pub(in crate::daemon) struct LivePlays {
     plays: HashMap<u64, LivePlay>,
-    /// The play that is compared with searches, and the process that does it, which nobody has waited for.
+    /// The play that is being compared with searches, and the process that does so, which was not yet waited for.
     comparison: Option<(u64, Pid)>,
 }
 
@@ -89,7 +90,7 @@ impl LivePlay {
         Ok(new)
     }
 
-    /// The same play with a target, whose poses wait there.
+    /// The same play with a target, whose waiting poses are in `poses`.
     pub(in crate::daemon) fn with_poses(self, poses: Arc<Poses>) -> Self {
         Self { poses: Some(poses), ..self }
     }
@@ -131,7 +132,7 @@ impl LivePlay {
         self.set(&all)
     }
 
-    /// Answers its client. One that does not read its answers loses them.
+    /// Answers its client. A client that does not read its answers loses them.
     fn answer(&self, answer: LiveAnswer) {
         if let Some(answers) = &self.answers {
             let _ = answers.try_send(answer);
@@ -144,7 +145,7 @@ impl LivePlay {
         largest * self.options.scale
     }
 
-    /// Refuses drives of which more motors move than may have pulses at once. Phases do not help: they shift with each change.
+    /// Refuses drives that move more motors than may have pulses at once. Phases are ignored, because they shift with each change.
     pub(in crate::daemon) fn check_at_once(&self, settings: &Settings) -> Result<(), Problem> {
         let limits = settings.limits;
         let moving = |motors: Range<usize>| {
@@ -227,7 +228,7 @@ impl LivePlays {
         Ok((id, receiver))
     }
 
-    /// Passes on what became of an update, or that a play is over.
+    /// Passes on the result of an update, or the end of a play.
     pub(super) fn follow(&mut self, event: &StreamEvent) {
         match event {
             StreamEvent::LiveUpdated(update) => {
@@ -269,7 +270,7 @@ fn answer(update: &LiveUpdate) -> LiveAnswer {
 }
 
 impl State {
-    /// A process compares a play from now on, until [`Self::end_comparison`]. False if a live target plays, or the daemon ends.
+    /// Notes that a process compares a play, until [`Self::end_comparison`]. False if a live target plays, or the daemon is ending.
     pub(in crate::daemon) fn begin_comparison(&mut self, id: u64, process: Pid) -> bool {
         let renders = self.live.plays.values().any(|play| play.poses.is_some());
         if renders || self.commands.is_closing() {
@@ -280,12 +281,12 @@ impl State {
         true
     }
 
-    /// The process of this play's comparison is about to be waited for.
+    /// Forgets the process of this play's comparison, which is about to be waited for.
     pub(in crate::daemon) fn end_comparison(&mut self, id: u64) {
         self.live.comparison.take_if(|(of, _)| *of == id);
     }
 
-    /// Puts what a live target has reached into its play's receipt.
+    /// Puts the contrast that a live target has reached into its play's receipt.
     pub(in crate::daemon) fn set_live_contrast(&mut self, id: u64, contrast: LiveContrast) {
         if let Some(event) = self.plays.receipts.set_live_contrast(id, contrast) {
             self.publish(&event);
@@ -295,7 +296,7 @@ impl State {
     /// Carries out a message of a live play's client, whose answer comes later.
     ///
     /// # Errors
-    /// Why it changes nothing.
+    /// Why the message changes nothing.
     pub(in crate::daemon) fn live_message(
         &mut self,
         id: u64,
@@ -320,10 +321,10 @@ impl State {
             }
             (Some(at), Some(poses)) => {
                 play.seq = Some(message.seq);
-                // The drives of the pose bring the scale along.
+                // The drives of the pose carry the scale.
                 let scale = message.scale.map(|scale| (message.seq, scale));
                 let merged = poses.put(Job { seq: message.seq, received_at, pose: pose(*at), scale });
-                // The renderer may take longer than a client may be silent.
+                // Keep the play alive: the renderer may take longer than a client may be silent.
                 let _ = self.commands.send_unanswered(Command::KeepLive(id));
                 if let Some(job) = merged {
                     self.plays.receipts.live_merged(id);
@@ -345,7 +346,7 @@ impl State {
         })
     }
 
-    /// The renderer has found the drives of a pose, or not. Returns whether they are on their way.
+    /// Takes the renderer's drives for a pose, or its error. Returns whether the drives were sent.
     pub(in crate::daemon) fn live_rendered(
         &mut self,
         id: u64,
@@ -367,7 +368,7 @@ impl State {
         is_sent
     }
 
-    /// Changes a live play and sends its drives to the streamer. A change that is refused changes nothing.
+    /// Changes a live play and sends its drives to the streamer. A refused change has no effect.
     fn change_live(
         &mut self,
         id: u64,

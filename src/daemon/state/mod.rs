@@ -3,14 +3,14 @@
 //! - [`Commands`]: commands to the streamer, and the calls that wait for their answers.
 //! - [`Plays`]: receipts, the clients of plays, and measured bursts.
 //! - [`Calibration`]: the stored calibration, and a calibration that is being measured.
-//! - [`Connection`]: the connected device, or why there is none.
+//! - [`Connection`]: the connected device, or the reason why there is none.
 //! - [`Publisher`]: events to listeners and to the session record.
 //! - [`Exposure`]: the participant's vibration, and the limits for it.
 //! - [`Sessions`]: the running session, and who may act meanwhile.
-//! - [`Rights`]: under whose right plays were ordered, and what a client may do ([`Caller`]).
-//! - [`Armed`]: for whom the motors are armed, and whose silence disarms them.
-//! - [`Searches`]: the search that runs, and what others have found.
-//! - [`LivePlays`]: live plays, and the ways to their clients.
+//! - [`Rights`]: the client by whose right each play was ordered, and what a client may do ([`Caller`]).
+//! - [`Armed`]: the client for which the motors are armed, and the silence that disarms them.
+//! - [`Searches`]: the running search, and the results of earlier ones.
+//! - [`LivePlays`]: live plays, and the channels to their clients.
 //!
 //! A part uses no other part; a rule that concerns several is a method of [`State`]. There is one lock because such rules hold
 //! across parts: a play is in the receipts before the streamer reports anything about it, and events are published in the order of the
@@ -103,7 +103,7 @@ impl State {
                 self.plays.measured.clear();
                 self.plays.receipts.apply(&streamed)
             }
-            // A port that is no board is opened again and again: report that once.
+            // A port without a board is opened again and again: report that only once.
             StreamEvent::Disconnected { reason, .. } => {
                 let is_new = self.connection.lost(self.plays.receipts.kind(), reason);
                 self.plays.receipts.apply(&streamed).filter(|_| is_new)
@@ -117,7 +117,7 @@ impl State {
         match &streamed {
             StreamEvent::Snapshot(_) => {
                 self.settle_armed();
-                // What an earlier order could not end, because too many commands waited.
+                // Retry to end plays that could not be ended before, because too many commands waited.
                 self.end_forbidden();
             }
             StreamEvent::PlayEnded { id, .. } => self.rights.forget_play(*id),
@@ -126,12 +126,12 @@ impl State {
         if let StreamEvent::Disconnected { device, .. } = streamed {
             self.connection.tell_connector(ConnectorMessage::Gone(device));
         }
-        // When it ends, the daemon itself closes the device.
+        // At its end, the daemon itself closes the device.
         let expected = self.commands.is_closing() && matches!(event, Some(Event::Disconnected { .. }));
         (event, !expected)
     }
 
-    /// Publishes the items of a sequence that has ended, as far as they have begun.
+    /// Publishes the items that have begun of an ended sequence.
     fn publish_items(&self, event: &Event) {
         let Event::Ended { receipt: ended } = event else { return };
         let receipt = self.plays.receipts.receipt(ended.id);
@@ -144,7 +144,7 @@ impl State {
         }
     }
 
-    /// Publishes an event, in the session record with the user who ordered the play.
+    /// Publishes an event; the session record gets it with the user who ordered the play.
     pub(super) fn publish(&mut self, event: &Event) {
         let client = match event {
             Event::Ended { receipt } => self.plays.client(receipt.id),
@@ -160,7 +160,7 @@ impl State {
         }
     }
 
-    /// The streamer accepted a play, or not. The id of a play that was not accepted goes to the next one.
+    /// Takes the streamer's answer to a play. The id of a play that was not accepted goes to the next one.
     pub(super) fn settle_play(&mut self, id: u64, accepted: bool) -> Option<Event> {
         if !accepted {
             self.calibration.cancel(id);
@@ -171,7 +171,7 @@ impl State {
         let event = self.plays.settle(id, accepted);
         if accepted {
             self.moves(self.rights.of_play(id).cloned());
-            // Here, not where the client is answered: the answer may come after its patience.
+            // Count it here, not where the client is answered: the answer may come after the client's timeout.
             let session = self.plays.receipts.receipt(id).and_then(|receipt| receipt.session.as_deref());
             self.sessions.count_play(session);
         }
@@ -189,14 +189,14 @@ impl State {
         }
     }
 
-    /// A client has ordered motion.
+    /// Notes that a client has ordered motion.
     fn moves(&mut self, caller: Option<Caller>) {
         if let Some(caller) = caller {
             self.armed.moves(caller);
         }
     }
 
-    /// The surplus of plays: by the calibration in use, if there is one.
+    /// The surplus of plays, from the calibration in use, if there is one.
     pub(super) fn surplus(&self) -> Surplus {
         let gains = self.calibration.in_use().map(|stored| stored.calibration.gains());
         self.settings.surplus(&gains.unwrap_or([Gains::default(); MOTORS]))
@@ -207,7 +207,7 @@ impl State {
         if self.calibration.running.is_some() { Err(refusal(CommandError::Playing)) } else { Ok(()) }
     }
 
-    /// Whether nothing is played, waits or is armed, and no command is on its way.
+    /// Whether the daemon is idle: no play runs or waits, no motor is armed, and no command is pending.
     pub(super) fn is_idle(&self) -> bool {
         let state = self.plays.receipts.device_state().state;
         let off = state == NO_DEVICE || state == state_name(DeviceState::Disarmed);

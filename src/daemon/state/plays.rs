@@ -13,7 +13,7 @@ use meissner_array::strokes::StrokeOptions;
 use std::collections::HashMap;
 use std::sync::Arc;
 
-/// The pattern of a live play in its receipt.
+/// The pattern name of a live play in its receipt.
 const LIVE: &str = "live";
 
 /// A play that is about to be sent to the streamer.
@@ -23,7 +23,7 @@ pub(in crate::daemon) struct NewPlay {
     /// How it differs from its pattern.
     pub(in crate::daemon) options: StrokeOptions,
     pub(in crate::daemon) order: Order,
-    /// What it counts; `None` if it has no end.
+    /// Its ordered bursts and pulses; `None` if it has no end.
     pub(in crate::daemon) counts: Option<OrderedCounts>,
     pub(in crate::daemon) way: Way,
     pub(in crate::daemon) trial: Trial,
@@ -67,12 +67,12 @@ pub(in crate::daemon) struct NewLive<'r> {
     pub(in crate::daemon) client: Peer,
 }
 
-/// What is kept of a play for its prediction.
+/// The data of a play that its prediction needs.
 #[derive(Debug)]
 struct Unpredicted {
     pattern: Arc<Pattern>,
     options: StrokeOptions,
-    /// The device measures bursts.
+    /// Whether the device measures bursts.
     telemetry: bool,
 }
 
@@ -152,7 +152,7 @@ impl Plays {
         id
     }
 
-    /// The streamer accepted a play, or not. The id of a play that was not accepted goes to the next one.
+    /// Takes the streamer's answer to a play. The id of a play that was not accepted goes to the next one.
     pub(super) fn settle(&mut self, id: u64, accepted: bool) -> Option<Event> {
         if accepted {
             return self.receipts.settle(id, true);

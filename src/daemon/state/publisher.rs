@@ -2,8 +2,8 @@
 //!
 //! An event is written once, as the bytes of its server-sent event; all listeners share them.
 //!
-//! Bounds: a listener may be [`EVENTS`] behind, then it gets [`Event::Lagged`]. The events that wait take at most 34 MB: the
-//! receipt of a play has at most 32 KiB, and so have 32 items of a sequence.
+//! Bounds: a listener may be up to [`EVENTS`] events behind; beyond that it gets [`Event::Lagged`]. Waiting events take at most 34
+//! MB, because a receipt has at most 32 KiB, and so have 32 items of a sequence.
 
 use crate::session_record::{Entry, Peer, SessionRecord};
 use axum::body::Bytes;
@@ -35,7 +35,7 @@ impl Publisher {
         Self { session_record, listeners: Some(broadcast::channel(EVENTS).0) }
     }
 
-    /// Publishes an event; `client`: whose play it is about.
+    /// Publishes an event; `client` is the owner of the play that it is about.
     pub(super) fn publish(&self, event: &Event, client: Option<Peer>) {
         if let Some(entry) = Entry::of(event, client) {
             self.session_record.add(entry);

@@ -1,11 +1,12 @@
-//! Rights of clients: asked at each use, and ended with what they no longer allow.
+//! Rights of clients. They are checked at each use, and when one ends, the plays and searches that it allowed end, too.
 //!
-//! Whatever outlives the request that has begun it holds the request's [`Caller`]: plays and searches here, event streams, live connections
-//! and requests that wait through [`Right`](crate::daemon::right::Right). Three things end a right: its access token is revoked or gets a
-//! lesser role; the owner of an exclusive session comes back after others were allowed to act; and a session that the caller shows is over.
-//! Then [`State::rights_changed`] ends plays and searches, and wakes all others, who ask again.
+//! Work that outlives its request holds the request's [`Caller`]: plays and searches here, and event streams, live connections and
+//! waiting requests through [`Right`](crate::daemon::right::Right). A right ends in three cases: its access token is revoked or
+//! gets a lesser role; the owner of an exclusive session comes back after others were allowed to act; or the session that the
+//! caller shows is over. Then [`State::rights_changed`] ends plays and searches, and wakes the others, which check their rights
+//! again.
 //!
-//! Invariant: nobody remembers the answer of [`State::check_right`] beyond the moment.
+//! Invariant: no caller stores the answer of [`State::check_right`].
 
 use super::{Asker, Caller, State};
 use crate::daemon::network::{NOT_VALID, READS_ONLY, TokenStore};
@@ -16,16 +17,16 @@ use std::collections::HashMap;
 use std::sync::Arc;
 use tokio::sync::watch;
 
-/// The cause of a play's end when the access token was revoked under which it was ordered.
+/// The cause of a play's end when the access token of its order was revoked.
 const REVOKED: &str = "revoked";
-/// The cause when the owner of an exclusive session has come back, and the play is another client's.
+/// The cause of the end of another client's play when the owner of an exclusive session has come back.
 const OWNER_RETURNED: &str = "owner-returned";
 
 /// See the module.
 #[derive(Debug)]
 pub(in crate::daemon) struct Rights {
     tokens: Arc<TokenStore>,
-    /// Under whose right each play was ordered that is not over.
+    /// For each play that is not over, the client by whose right it was ordered.
     plays: HashMap<u64, Caller>,
     changed: watch::Sender<()>,
 }
@@ -47,33 +48,33 @@ impl Rights {
         self.changed.subscribe()
     }
 
-    /// Who has ordered this play.
+    /// The client that has ordered this play.
     pub(super) fn of_play(&self, id: u64) -> Option<&Caller> {
         self.plays.get(&id)
     }
 
-    /// A play is about to be sent, for the client that asks for it.
+    /// Notes that a play is about to be sent for the requesting client.
     pub(in crate::daemon) fn add_play(&mut self, id: u64) {
         if let Some(Asker { caller, .. }) = Asker::find() {
             self.plays.insert(id, caller);
         }
     }
 
-    /// A play is over, or was not accepted.
+    /// Forgets a play that is over, or was not accepted.
     pub(super) fn forget_play(&mut self, id: u64) {
         self.plays.remove(&id);
     }
 }
 
-/// A right that a client does not have, or no longer.
+/// A right that a client does not have, or no longer has.
 #[derive(Debug)]
 pub(in crate::daemon) struct NoRight {
     pub(in crate::daemon) problem: Problem,
-    /// What the receipt of a play says that ends with it.
+    /// The cause in the receipt of a play that ends for this reason.
     pub(in crate::daemon) cause: &'static str,
 }
 
-/// What goes on needs this: who may order it may let it go on, also when its own session is over.
+/// The access that a play or search needs to go on: a client may let it go on even when its own session is over.
 pub(in crate::daemon) const fn going_on(access: Access) -> Access {
     match access.session {
         SessionRule::Owner => Access { session: SessionRule::Starts, ..access },
@@ -82,7 +83,7 @@ pub(in crate::daemon) const fn going_on(access: Access) -> Access {
 }
 
 impl State {
-    /// Refuses what this client may not do, or no longer.
+    /// Refuses an action that this client may not, or may no longer, take.
     pub(in crate::daemon) fn check_right(&self, caller: &Caller, access: Access) -> Result<(), NoRight> {
         let lost = |problem: Problem| NoRight { problem, cause: REVOKED };
         match caller.access.map(|id| self.rights.tokens.role(id)) {
@@ -101,14 +102,14 @@ impl State {
         checked.map_err(|problem| NoRight { problem, cause: OWNER_RETURNED })
     }
 
-    /// Refuses a change by a client that may not make it any more: since its request came, a session may have begun or its token have been
-    /// revoked. Outside of a request the daemon itself acts, which may do anything.
+    /// Refuses a change by a client that may no longer make it: since its request came, a session may have begun, or its token may
+    /// have been revoked. Outside a request the daemon itself acts, which may do anything.
     pub(in crate::daemon) fn check_asker(&self) -> Result<(), Problem> {
         let Some(Asker { caller, access, .. }) = Asker::find() else { return Ok(()) };
         self.check_right(&caller, access).map_err(|no| no.problem)
     }
 
-    /// A request or message of this client came.
+    /// Notes that a request or message of this client came.
     pub(in crate::daemon) fn hear(&mut self, caller: &Caller) {
         if self.check_right(caller, Route::Stop.access()).is_ok() {
             self.armed.hear(caller);
@@ -118,7 +119,7 @@ impl State {
         }
     }
 
-    /// A right may have ended: what it had allowed ends, too.
+    /// Call this when a right may have ended: ends the plays and searches that it had allowed.
     pub(in crate::daemon) fn rights_changed(&mut self) {
         self.end_forbidden();
         self.rights.changed.send_replace(());

@@ -1,10 +1,10 @@
-//! The search that runs, and those that have ended.
+//! The running search, and those that have ended.
 //!
-//! A search begins without a process, so that its place is taken at once; [`State::set_search_process`] adds it. Whoever ends the search
-//! first decides how it ended: the process, or a client that cancels it.
+//! A search begins without a process, so that its place is taken at once; [`State::set_search_process`] adds the process. The first
+//! to end the search, its process or a client that cancels it, decides how it ended.
 //!
-//! Invariants: at most one search runs, and [`KEPT_SEARCHES`] that have ended are kept; the process of a running search was not waited
-//! for, so its id is its own.
+//! Invariants: at most one search runs, and [`KEPT_SEARCHES`] that have ended are kept; the process of a running search was not
+//! waited for, so no other process can get its id.
 
 use super::{Asker, Caller, State};
 use crate::store::Stored;
@@ -27,7 +27,7 @@ pub(in crate::daemon) struct Searches {
 #[derive(Debug)]
 struct Running {
     search: Search,
-    /// Who has started it; none: the daemon itself.
+    /// The client that has started it; none: the daemon itself.
     caller: Option<Caller>,
     begun: Instant,
     process: Option<Pid>,
@@ -39,7 +39,7 @@ struct Ended {
     found: Option<Stored>,
 }
 
-/// What a search has found: how the API shows it, and the pattern.
+/// The result of a search: as the API shows it, and the pattern.
 pub(in crate::daemon) type Found = (Box<SearchResult>, Stored);
 
 impl Searches {
@@ -47,7 +47,7 @@ impl Searches {
         self.running.is_some()
     }
 
-    /// Who has started the search that runs.
+    /// The client that has started the running search.
     pub(super) fn caller(&self) -> Option<&Caller> {
         self.running.as_ref()?.caller.as_ref()
     }
@@ -134,7 +134,7 @@ impl State {
         Ok(search)
     }
 
-    /// The search has this process from now on; false if it was cancelled meanwhile.
+    /// Sets the search's process; false if the search was cancelled meanwhile.
     pub(in crate::daemon) fn set_search_process(&mut self, id: u64, process: Pid) -> bool {
         let running = self.searches.running.as_mut().filter(|it| it.search.id == id);
         running.is_some_and(|running| {
@@ -143,7 +143,7 @@ impl State {
         })
     }
 
-    /// The search has come this far.
+    /// Sets the search's progress.
     pub(in crate::daemon) fn set_search_progress(&mut self, id: u64, progress: SearchProgress) {
         let Some(running) = self.searches.running.as_mut().filter(|it| it.search.id == id) else { return };
         let seconds = running.begun.elapsed().as_secs_f64();
@@ -152,7 +152,7 @@ impl State {
         self.publish_search(&search);
     }
 
-    /// The search's process has answered, or ended; nothing happens if the search was cancelled before.
+    /// Takes the result of the search's process, or its failure; has no effect if the search was cancelled before.
     pub(in crate::daemon) fn end_search(&mut self, id: u64, outcome: Result<Found, String>) {
         if self.searches.running.as_ref().is_none_or(|it| it.search.id != id) {
             return;
@@ -173,7 +173,7 @@ impl State {
         self.searches.show(&shown.id.to_string())
     }
 
-    /// Ends the search that runs, if there is one.
+    /// Ends the running search, if there is one.
     pub(in crate::daemon) fn cancel_running_search(&mut self) {
         let Some(running) = &self.searches.running else { return };
         if let Some(process) = running.process {

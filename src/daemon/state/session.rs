@@ -1,8 +1,8 @@
-//! The running session: whose plays are recorded, and who may act meanwhile.
+//! The running session: which plays are recorded in it, and who may act meanwhile.
 //!
-//! A client is the owner if it sends the session's token. An exclusive session keeps every other client from changing anything but to stop and
-//! disarm, until its owner has been silent for [`Sessions::silence`]. A client that shows the token of a session that is over changes
-//! nothing either: it believes that its plays are filed there. Emergency stops never come here.
+//! A client is the owner if it sends the session's token. During an exclusive session every other client may only read, stop and
+//! disarm, until the owner has been silent for [`Sessions::silence`]. A client that shows the token of a session that is over may
+//! not change anything either, because it believes that its plays are recorded there. Emergency stops are not checked here.
 //!
 //! Invariant: at most one session runs; it begins and ends while no play runs or waits, unless the daemon ends.
 
@@ -20,7 +20,7 @@ use std::time::Duration;
 struct Running {
     session: Session,
     token: String,
-    /// When a request with the token came last.
+    /// When the last request with the token came.
     heard: HostInstant,
 }
 
@@ -37,8 +37,8 @@ impl Sessions {
         self.silence = silence;
     }
 
-    /// A request with this token came: if it is the owner's, the owner is there. An owner that comes back after its silence is the
-    /// owner again; returns whether others might have acted meanwhile.
+    /// Notes a request with this token, which is a sign of life if it is the owner's. An owner that comes back after its silence is
+    /// the owner again; returns whether others might have acted meanwhile.
     pub(super) fn hear(&mut self, token: Option<&str>) -> bool {
         let silence = self.silence;
         let running = self.running.as_mut().filter(|running| token == Some(&*running.token));
@@ -51,7 +51,7 @@ impl Sessions {
         })
     }
 
-    /// Whether a client with this token must leave the display to the owner of an exclusive session: that session, and for how long.
+    /// If a client with this token must leave the display to the owner of an exclusive session: that session, and how long it must.
     fn closed_to(&self, token: Option<&str>) -> Option<(&Session, Duration)> {
         let running = self.running.as_ref().filter(|running| token != Some(&*running.token))?;
         let left = self.silence.saturating_sub(HostInstant::now().since(running.heard));
@@ -91,7 +91,7 @@ impl Sessions {
         self.closed_to(token).map(|(session, _)| session.id.clone())
     }
 
-    /// A play of the running session was accepted.
+    /// Counts an accepted play of the running session.
     pub(in crate::daemon) fn count_play(&mut self, session: Option<&str>) {
         if let Some(running) = self.running.as_mut().filter(|running| session == Some(&running.session.id)) {
             running.session.plays += 1;
@@ -103,7 +103,7 @@ impl Sessions {
         self.running.is_some()
     }
 
-    /// How long to wait until the owner has been silent for too long; none if that is over or changes nothing.
+    /// The shortest time until the owner can have been silent for too long; none if the session is over or not exclusive.
     pub(in crate::daemon) fn until_release(&self, id: &str) -> Option<Duration> {
         let running = self.running.as_ref().filter(|running| running.session.id == id)?;
         Some(self.silence.saturating_sub(HostInstant::now().since(running.heard)))
@@ -170,7 +170,7 @@ impl State {
         self.close_session("request").ok_or_else(|| no_session(id))
     }
 
-    /// Ends the running session, whatever plays.
+    /// Ends the running session, even if a play runs.
     pub(in crate::daemon) fn close_session(&mut self, reason: &str) -> Option<Session> {
         let mut session = self.session()?;
         session.vibration_s = self.exposure.end_session();
@@ -206,7 +206,7 @@ impl State {
         })
     }
 
-    /// The session of a play that names this one, or none.
+    /// The session of a play that names session `asked`, or names none.
     pub(in crate::daemon) fn session_of_play(&self, asked: Option<&str>) -> Result<Option<String>, Problem> {
         let running = self.sessions.running.as_ref().map(|running| running.session.id.clone());
         match (asked, &running) {
@@ -241,7 +241,7 @@ impl State {
     }
 }
 
-/// The problem that no such session runs.
+/// The error that no such session runs.
 pub(in crate::daemon) fn no_session(id: &str) -> Problem {
     let detail = if id == "running" {
         "no session runs: `meissner session list` shows the recorded ones".to_owned()

@@ -1,7 +1,7 @@
-//! Checks what is installed: systemd's units, the configuration and udev's rules.
+//! Checks the installation: systemd's units, the configuration and udev's rules.
 //!
-//! `systemctl show` reports the units; it needs no rights, and a check waits at most [`TIMEOUT`] for it. Where nothing is
-//! installed, one finding says so: a daemon may be started by hand.
+//! `systemctl show` reports the units; it needs no rights, and a check waits at most [`TIMEOUT`] for it. If nothing is installed,
+//! one finding says so, because a daemon may be started by hand.
 //!
 //! Invariant: on a machine with nothing installed every finding here is `ok`.
 
@@ -23,7 +23,7 @@ const ASKED: &str =
 pub(crate) const SERVICE: &str = "meissner.service";
 pub(crate) const SOCKET: &str = "meissner.socket";
 const CONFIG: &str = "etc/meissner/meissner.toml";
-/// Where rules may stand; an earlier file hides the later ones.
+/// Where rules may be installed; an earlier file hides the later ones.
 const RULES: [&str; 4] = [
     "etc/udev/rules.d/70-meissner.rules",
     "usr/local/lib/udev/rules.d/70-meissner.rules",
@@ -33,7 +33,7 @@ const RULES: [&str; 4] = [
 pub(super) const RELOAD: &str = "sudo udevadm control --reload && sudo udevadm trigger";
 const JOURNAL: &str = "`journalctl -u meissner -e` shows why";
 
-/// What systemd reports about our units; nothing where none is installed.
+/// What systemd reports about our units; empty if none is installed.
 #[derive(Debug, Default)]
 pub(crate) struct Units {
     installed: bool,
@@ -60,7 +60,7 @@ impl Units {
     }
 }
 
-/// Asks systemd, if our units are installed.
+/// Asks systemd about our units, if they are installed.
 pub(crate) fn units(root: &Path) -> Units {
     let mut show = Command::new("systemctl");
     show.args(["show", SERVICE, SOCKET, "--no-pager", "-p", ASKED]);
@@ -73,7 +73,7 @@ pub(crate) fn units(root: &Path) -> Units {
 fn said(mut command: Command, timeout: Duration) -> io::Result<String> {
     let mut child = command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::null()).spawn()?;
     let until = Instant::now() + timeout;
-    // Its output fits into the pipe, so the command ends before it is read.
+    // The output fits into the pipe, so the command can end before its output is read.
     while child.try_wait()?.is_none() {
         if Instant::now() > until {
             child.kill()?;
@@ -140,7 +140,7 @@ fn state(units: &Units) -> Vec<Finding> {
             ("loaded", "active" | "activating" | "reloading") => {
                 Finding::ok(what, format!("{unit} is {active} ({sub})"))
             }
-            // It starts when a client connects.
+            // The service starts when a client connects.
             ("loaded", _) if unit == SERVICE && units.of(SOCKET, "ActiveState") == "active" => {
                 Finding::ok(what, format!("{unit} is {active}, and starts with the first client"))
             }
@@ -178,7 +178,7 @@ fn state(units: &Units) -> Vec<Finding> {
 
 fn config(root: &Path) -> Option<Finding> {
     let file = root.join(CONFIG);
-    // A file that cannot be looked for is told of by its reader.
+    // If the search for the file fails, the code that reads it reports that.
     if matches!(file.try_exists(), Ok(false)) {
         return None;
     }

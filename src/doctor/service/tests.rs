@@ -1,4 +1,4 @@
-//! Each finding about what is installed, good and bad, on simulated machines.
+//! Tests each finding about the installation, good and bad, on simulated machines.
 //!
 //! Nothing here depends on what is installed on the machine that runs it.
 
@@ -19,7 +19,7 @@ const GOOD: &str = "Id=meissner.service\nLoadState=loaded\nActiveState=active\nS
                     Id=meissner.socket\nLoadState=loaded\nActiveState=active\nSubState=running\n\
                     UnitFileState=enabled\nResult=success\nNeedDaemonReload=no\n";
 
-/// The findings about units, after these changes to what systemd reports about good ones.
+/// The findings about units, after these changes to systemd's report about good ones.
 fn found(changes: &[(&str, &str)]) -> Vec<String> {
     let dir = installed();
     let text = changes.iter().fold(GOOD.to_owned(), |text, (from, to)| {
@@ -104,7 +104,7 @@ fn bad_units_are_reported_with_what_repairs_them() {
         let lines = found(changes);
         assert!(lines.iter().any(|line| line == message), "{message}\n{lines:#?}");
     }
-    // A socket that is active starts the daemon on demand.
+    // An active socket starts the daemon on demand.
     assert_eq!(found(&[disabled]).len(), 2);
     let dir = installed();
     let mute = fake::all(&state(&Units::new(dir.path(), None)));

@@ -10,10 +10,10 @@ use std::fs;
 
 /// Days that stay.
 const KEEP: u32 = 60;
-/// Nothing here is about durability.
+/// A disk without syncing, because durability is not tested here.
 const UNSYNCED: Disk = Disk { append: |file, bytes| std::io::Write::write(file, bytes), sync: |_| Ok(()) };
 
-/// The local dates of a file's lines, by what the lines say.
+/// The local dates in a file's lines.
 fn dates(text: &str) -> Vec<Date> {
     let date = |line: &str| {
         let line: serde_json::Value = serde_json::from_str(line).unwrap();
@@ -29,7 +29,7 @@ fn write_years(zone: &str) {
     let zone = TimeZone::posix(zone).unwrap();
     let mut writer = Writer::new(location(dir.path(), KEEP)).on(UNSYNCED, zone.clone());
     let begun: Timestamp = "2027-12-20T12:00:00Z".parse().unwrap();
-    // How many lines each date should have, counted apart from the record.
+    // The expected number of lines of each date, counted independently of the record.
     let mut written = BTreeMap::<Date, usize>::new();
     let mut offsets = Vec::new();
     for hours in (0..800 * 24_i64).step_by(3) {
@@ -43,7 +43,7 @@ fn write_years(zone: &str) {
     offsets.dedup();
     assert_eq!(offsets.len(), 5, "the clock changes four times");
     assert!(written.contains_key(&date(2028, 2, 29)) && written.len() > 800 - 2);
-    // The last days are there, each with all its lines and no other day's, and nothing older.
+    // Exactly the last days remain, each with all its lines and no other day's.
     let mut kept = BTreeMap::new();
     for file in fs::read_dir(&record).unwrap() {
         let file = file.unwrap();
@@ -61,8 +61,8 @@ fn write_years(zone: &str) {
 
 #[test]
 fn every_line_of_years_is_in_the_file_of_its_local_date() {
-    // As in Zurich; as in Havana, where the clock changes at midnight; as on Lord Howe Island, where it changes by half an hour, in the
-    // other half of the year.
+    // Zones like Zurich; Havana, where the clock changes at midnight; and Lord Howe Island, where it changes by half an hour, in
+    // the other half of the year.
     for zone in
         ["CET-1CEST,M3.5.0,M10.5.0/3", "CST5CDT,M3.2.0/0,M11.1.0/1", "<+1030>-10:30<+11>-11,M10.1.0,M4.1.0"]
     {
@@ -70,7 +70,7 @@ fn every_line_of_years_is_in_the_file_of_its_local_date() {
     }
 }
 
-/// The daemon runs only on work days, with a holiday of a month: what counts are days of writing, and no file is removed early.
+/// The daemon runs only on work days, with a holiday of a month. Days of writing count, so no file is removed early.
 #[test]
 fn a_lab_that_closes_keeps_its_days_of_writing() {
     let dir = tempfile::tempdir().unwrap();

@@ -1,4 +1,4 @@
-//! Whether a session is whole: full disks, clocks that jump, removed and torn files, kills.
+//! Tests whether a session is complete after full disks, clock jumps, removed and torn files, and kills.
 
 use super::*;
 use crate::session_record::ledger::Known;
@@ -30,7 +30,7 @@ fn play(id: u64) -> Entry {
     entry(Event::Ended { receipt: Box::new(receipt) })
 }
 
-/// What the record says of the session.
+/// The session, as read from the record.
 fn read(dir: &Path, known: &[Known]) -> SessionPlays {
     let dir = dir.join("logbook");
     let sessions = reader::sessions(&dir, known, None).unwrap().recorded;
@@ -56,7 +56,7 @@ fn day(dir: &Path, day: &str) -> PathBuf {
     dir.join("logbook").join(format!("{day}.jsonl"))
 }
 
-/// A daemon whose clock shows these times.
+/// Runs a daemon whose clock shows these times.
 fn at(dir: &Path, entries: impl IntoIterator<Item = (&'static str, Entry)>) {
     let mut writer = writer(dir, REAL);
     for (number, (wall, entry)) in entries.into_iter().enumerate() {
@@ -90,7 +90,7 @@ fn clocks_that_jump_change_neither_order_nor_completeness() {
     ] {
         let dir = tempfile::tempdir().unwrap();
         four_plays(dir.path(), walls);
-        // Another daemon goes on, at another date.
+        // Another daemon continues, at another date.
         at(dir.path(), [("2019-01-01T12:00:00Z", started())]);
         let read = read(dir.path(), &[]);
         assert_eq!(
@@ -119,7 +119,7 @@ fn the_files_of_the_running_session_stay() {
     write(49 + 24 * 5, "2026-12-02T12:00:00Z", ends(5));
     let read = read(dir.path(), &[]);
     assert_eq!((order(&read), read.complete), (vec![1, 2, 3, 4, 5], true), "{:?}", read.missing);
-    // Once it is over they are old like others.
+    // Once the session is over, its files are old like others.
     for number in 0..4 {
         write(49 + 24 * (6 + number), &format!("2029-02-0{}T12:00:00Z", number + 1), started());
     }
@@ -163,14 +163,14 @@ fn a_full_disk_is_told_from_memory_then_in_a_line_and_after_a_restart() {
     assert_eq!((&told["event"], &told["entries"], &told["number"]), (&json!("lost"), &json!(10), &json!(11)));
     let kinds = json!({"ended": 8, "session-ended": 1, "session-started": 1});
     assert_eq!(told["of"], json!([{"session": ID, "kinds": kinds}]));
-    // With and without the daemon's memory.
+    // Read the record with and without the daemon's memory.
     let known: Vec<_> = ledger.lock().unwrap().sessions().cloned().collect();
     for known in [&known[..], &[]] {
         let after = read(dir.path(), known);
         assert_eq!((after.session.plays, after.session.plays_lost, after.lost), (8, 8, 10));
         assert_eq!(after.missing, whole.missing);
     }
-    // The disk gets full again, and the daemon ends so: the next one leaves a gap.
+    // The disk gets full again, and the daemon ends in this state, so there is a gap before the next one's lines.
     ROOM.set(0);
     writer.write_next(noon(12), started());
     writer.write_next(noon(13), started());
@@ -181,7 +181,7 @@ fn a_full_disk_is_told_from_memory_then_in_a_line_and_after_a_restart() {
     assert_eq!(told, [Some(14)], "12 and 13 are missing");
 }
 
-/// Full only in the middle; some lines torn, removed or cut off behind the daemon's back; the daemon killed.
+/// The disk is full only in the middle; some lines are torn, removed or cut off by others; the daemon is killed.
 #[test]
 fn whatever_is_missing_of_a_session_is_counted() {
     let walls = ["2026-11-22T12:00:00Z"; 6];
@@ -257,7 +257,7 @@ fn a_file_that_is_removed_or_cut_meanwhile_shows_as_a_gap() {
     }
 }
 
-/// Without numbers, as older daemons wrote, a session is judged by its plays, its lost entries and its unreadable lines.
+/// Older daemons wrote no numbers; their sessions are judged by their plays, lost entries and unreadable lines.
 #[test]
 fn the_record_of_an_older_daemon_reads_as_before() {
     let dir = tempfile::tempdir().unwrap();
@@ -268,7 +268,7 @@ fn the_record_of_an_older_daemon_reads_as_before() {
         line
     };
     let write = |lines: &[Value]| {
-        // Spaces and another order of keys, as another program writes.
+        // Another program may write spaces and another order of keys.
         let text: Vec<_> = lines.iter().map(|line| format!("{line}").replace("\":", "\" : ")).collect();
         fs::write(day(dir.path(), "2026-11-22"), text.join("\n") + "\n").unwrap();
     };
@@ -282,14 +282,14 @@ fn the_record_of_an_older_daemon_reads_as_before() {
     assert_eq!(read(dir.path(), &[]).missing, ["1 of its lines cannot be read"]);
     write(&[all[0].clone(), all[1].clone(), all[3].clone()]);
     assert_eq!(read(dir.path(), &[]).missing, ["1 of 2 plays are missing, or their ends are"]);
-    // A newer daemon goes on in the same file, numbered from 1.
+    // A newer daemon continues in the same file, numbered from 1.
     write(&all);
     at(dir.path(), [("2026-11-22T13:00:00Z", started())]);
     assert!(read(dir.path(), &[]).complete);
     assert_eq!(lines(dir.path(), "2026-11-22")[4]["number"], 1);
 }
 
-/// Entries that the bound leaves out are told with the session; no play is among them.
+/// Left-out entries are reported with the session; plays are never among them.
 #[test]
 fn entries_that_were_left_out_are_told_with_the_session() {
     let dir = tempfile::tempdir().unwrap();

@@ -97,7 +97,7 @@ pub enum Step {
     Say(Say),
     /// The host says something that does not come, or comes with [`Step::Again`].
     Lose(Say),
-    /// What was said so many messages ago comes again, or now.
+    /// The message of so many messages ago comes again, or comes now if it was lost.
     Again(usize),
     /// A damaged frame.
     Noise,
@@ -149,7 +149,7 @@ pub struct Scene {
     begun: u64,
     events: u8,
     faults: u8,
-    /// Perhaps the shell has not taken all of the last frame.
+    /// The shell may not have taken all of the last frame.
     pieces: bool,
     session: u32,
     epoch: u16,
@@ -174,12 +174,12 @@ pub struct Scene {
     status: Option<Status>,
     /// When the device heard a frame last.
     last_heard: u64,
-    /// What the device has counted when it rests. It follows from the rest.
+    /// What the device has counted when it rests. It follows from the other fields.
     end: Counters,
 }
 
 const HOST_TIMEOUT: u32 = 200;
-/// Kept of what was said.
+/// Messages kept in `said`.
 const KEPT: usize = 3;
 
 impl PartialEq for Scene {
@@ -337,7 +337,8 @@ impl Scene {
         scene
     }
 
-    /// Counts what was taken of the strokes heard in this epoch, because it ends. Ahead of other bytes it may end within a frame.
+    /// The epoch ends: counts what was taken of the strokes heard in it. If it ends ahead of other bytes, it may end within a
+    /// frame.
     fn close_epoch(&mut self, ahead: bool) {
         if self.heard.is_empty() {
             return;
@@ -625,7 +626,7 @@ impl Scene {
     }
 
     fn keep(&mut self, words: Vec<u8>, bounds: &Bounds) {
-        // What cannot come again any more makes no difference.
+        // A message that cannot come again makes no difference.
         if self.faults < bounds.faults && self.events < bounds.events {
             self.said.insert(0, words);
             self.said.truncate(KEPT);
@@ -767,7 +768,7 @@ impl Model for Device {
         if scene.shell.broken.is_some() {
             return;
         }
-        // Once nothing more is to happen, the judgement of the end sees the rest.
+        // Once no more events are tried, the judgement of the end sees the rest.
         if scene.events < self.0.events || scene.pieces {
             steps.extend(scene.next_time(&self.0).map(Step::Until));
         }
@@ -777,7 +778,7 @@ impl Model for Device {
         if scene.events < self.0.events {
             steps.extend(SAYS.map(Step::Say));
             if scene.faults < self.0.faults {
-                // What is lost in the end was not said.
+                // A last message that is lost is the same as one not said.
                 if scene.events + 1 < self.0.events {
                     steps.extend(SAYS.map(Step::Lose));
                 }
@@ -819,7 +820,7 @@ impl Model for Device {
             never!(NoWayOut, "every state has a way out"),
             never!(AtOnce, "never more motors of a rail than the limit have pulses at once"),
             never!(Panic, "no panic"),
-            // That the exploration comes where these can fail.
+            // These show that the exploration reaches states in which the properties above can fail.
             Property::sometimes("strokes are played", |_, scene: &Scene| scene.end.played > 0),
             Property::sometimes("strokes are dropped", |_, scene: &Scene| scene.end.dropped > 0),
             Property::sometimes("strokes are late", |_, scene: &Scene| scene.end.late > 0),

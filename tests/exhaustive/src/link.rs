@@ -107,7 +107,7 @@ pub enum To {
 const UNDER_WAY: usize = 3;
 const FAULTS: [fn(To) -> Step; 4] = [Step::Lose, Step::Repeat, Step::Swap, Step::Damage];
 
-/// What has happened when the line has been good for long enough.
+/// The outcome once the line has been good for long enough.
 #[derive(Clone, Copy, Debug, Default)]
 struct Outcome {
     counters: Counters,
@@ -140,7 +140,7 @@ pub struct Pair {
     replacing: bool,
     last: Option<Stroke>,
     newest: Option<Status>,
-    /// What there is once both agree. It follows from the rest.
+    /// The outcome once both agree. It follows from the other fields.
     end: Outcome,
 }
 
@@ -174,7 +174,7 @@ impl Hash for Pair {
             newest,
             end: _,
         } = self;
-        // The session has floating-point numbers: its text is exact.
+        // The session has floating-point numbers, so its text is hashed, which is exact.
         let _ = write!(Text(hasher), "{session:?}");
         (sessions, shell, boots, elapsed, to_device, to_host, calls, faults, waits).hash(hasher);
         (waiting, accepted, cut, replacing, last, newest).hash(hasher);
@@ -376,7 +376,7 @@ impl Pair {
                 Event::Status { status, .. } => self.newest = Some(status),
                 Event::Stroke(stroke, verdict) => self.judge(stroke, verdict),
                 Event::Replaced { .. } => self.replacing = false,
-                // All strokes of that frame, the first that waits.
+                // The device refused all strokes of that frame, which is the first that waits.
                 Event::OnsetRefused { .. } => {
                     self.waiting.drain(..self.waiting.len().min(2));
                 }
@@ -395,7 +395,7 @@ impl Pair {
                 self.accepted += u64::from(stroke.pulses());
             }
         } else if verdict == Verdict::Accepted || !self.cut {
-            // After a command only what the device did not accept is told.
+            // After a command the session tells only of strokes that the device did not accept.
             self.shell.breaks(Broken::Verdict);
         }
     }
@@ -603,7 +603,7 @@ impl Model for Link {
             never!(Counts, "what was accepted is on the lines"),
             never!(Disagree, "host and device agree once the line is good"),
             never!(Panic, "no panic"),
-            // That the exploration comes where these can fail.
+            // These show that the exploration reaches states in which the properties above can fail.
             Property::sometimes("strokes are played", |_, pair: &Pair| pair.end.counters.played > 0),
             Property::sometimes("strokes are dropped", |_, pair: &Pair| pair.end.counters.dropped > 0),
             Property::sometimes("strokes are late", |_, pair: &Pair| pair.end.counters.late > 0),

@@ -145,7 +145,7 @@ impl Shell {
         shell
     }
 
-    /// Takes it as broken, unless it already is.
+    /// Notes that this is broken, unless something already is.
     pub fn breaks(&mut self, how: Broken) {
         self.broken = self.broken.or(Some(how));
     }

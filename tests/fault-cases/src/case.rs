@@ -19,7 +19,7 @@ pub struct Case {
     /// The file's name.
     #[serde(skip)]
     pub name: String,
-    /// What happens in a lab that is like it.
+    /// What the case stands for in a lab.
     pub why: String,
     /// Each is a kind of its own; the faults name it as `"value"`.
     #[serde(default = "one_value")]
@@ -70,7 +70,8 @@ impl Kind<'_> {
         [value.as_str(), phase].into_iter().filter(|part| !part.is_empty()).collect::<Vec<_>>().join(", ")
     }
 
-    /// When a fault of it begins, each time: the time from the order, which came at the tick `ordered`, of a play of these strokes.
+    /// When a fault begins, each time it happens: the time from the order. The order came at the tick `ordered`; its play has
+    /// these strokes.
     pub fn begins(
         &self,
         fault: &Fault,
@@ -92,7 +93,7 @@ impl Kind<'_> {
 #[serde(deny_unknown_fields)]
 pub struct Fault {
     pub at: Moment,
-    /// So many milliseconds before that moment.
+    /// The fault begins so many milliseconds before that moment.
     #[serde(default)]
     pub before_ms: f64,
     pub what: What,
@@ -357,7 +358,7 @@ impl LineFault {
 pub struct Expect {
     /// `done`: the play comes to its end; `cut`: it does not; `any`.
     pub play: Ends,
-    /// Of a play that is cut, all lines are low for good so many ms after the last fault began, at most.
+    /// For a play that is cut: at most so many ms after the last fault began, all lines are low for good.
     #[serde(default)]
     pub safe_ms: Option<f64>,
     /// The device is latched at the end.
@@ -366,7 +367,7 @@ pub struct Expect {
     /// What shows that the fault has happened.
     #[serde(default)]
     pub shows: Option<Evidence>,
-    /// Bursts that are not played, percent at most. Of a play that is done; 0 if it is left out.
+    /// For a play that is done: at most this percentage of its bursts is not played; 0 if it is left out.
     #[serde(default)]
     pub lost_percent: f64,
 }

@@ -39,7 +39,8 @@ pub struct Observed {
     pub sensors_set_aside: u64,
     /// Frames that the runner's line lost, repeated, damaged, delayed or held back.
     pub harmed: u64,
-    /// Motors that the play drives and of which the host had only dead reckoning, at most, at one time after the fault began.
+    /// Most motors that the play drives and whose position the host knew by dead reckoning only, at any time after the fault
+    /// began.
     pub unmeasured: u64,
 }
 

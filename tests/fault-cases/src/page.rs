@@ -63,7 +63,7 @@ pub fn row_of(kind: &Kind<'_>) -> (String, String) {
     (kind.case.name.clone(), kind.label())
 }
 
-/// Writes the page with a new column for this target: the given cells, and of kinds that were not played those that it had.
+/// Writes the page with a new column for this target: the given cells; kinds that were not played keep their old cells.
 ///
 /// # Errors
 /// If the page cannot be read or written.

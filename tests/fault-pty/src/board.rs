@@ -24,7 +24,7 @@ use std::time::Duration;
 /// The period of the thread.
 const PERIOD: Duration = Duration::from_millis(1);
 
-/// A running board. Its terminal is at a name that stays, as a board's serial port has one.
+/// A running board. Its terminal keeps its name, as a board's serial port does.
 pub(crate) struct Board {
     shared: Arc<Shared>,
     thread: Option<JoinHandle<()>>,
@@ -153,7 +153,8 @@ impl Drop for Board {
 
 impl Shared {
     fn run(&self) {
-        // A board is no process of this machine: it should run when the machine does. Without the right to that it runs as it can.
+        // A board is no process of this machine: it should run whenever the machine does. Without real-time priority it runs as
+        // it can.
         let _ = fifo(BELOW_STREAMER);
         while !self.stop.load(Ordering::Relaxed) {
             let terminal = {
@@ -207,7 +208,7 @@ impl State {
 
     fn step(&mut self) {
         let frames = self.receive();
-        // Only now: a byte that was written while the thread read must not have come before that.
+        // The clock is read after the bytes, so that no byte counts as earlier than it was written.
         let now = HostInstant::now();
         self.stood_still = self.stood_still.max(now.since(self.ran));
         self.ran = now;
@@ -216,7 +217,7 @@ impl State {
         self.transmit(now);
     }
 
-    /// The frames that have come whole: the line gets no parts of them, as it loses whole ones.
+    /// The frames that have come whole. The line gets only whole frames, because it loses whole ones.
     fn receive(&mut self) -> Vec<u8> {
         let Some(terminal) = self.terminal.clone() else { return Vec::new() };
         let mut bytes = [0; 4096];

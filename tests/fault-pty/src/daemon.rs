@@ -27,7 +27,7 @@ pub(crate) struct Daemon {
 }
 
 impl Daemon {
-    /// Starts one on this serial port. Pins may drift as far as they do: a bad line or sensor is not to end plays.
+    /// Starts one on this serial port. Its drift limit is too high to matter, so that a bad line or sensor does not end plays.
     pub(crate) fn start(program: &Path, dir: &Path, port: &Path) -> Self {
         let config = dir.join("meissner.toml");
         fs::create_dir_all(dir.join("patterns")).unwrap();

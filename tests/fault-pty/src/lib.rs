@@ -66,7 +66,7 @@ pub fn run(plan: &Plan<'_>, kinds: &[Kind<'_>], tell: impl Fn(&str) + Sync) -> V
     thread::scope(|scope| {
         for _ in 0..plan.jobs.min(plays.len()) {
             scope.spawn(|| {
-                // A fault has to come when its case says. Without the right to that it comes when it can.
+                // A fault has to come when its case says. Without real-time priority it comes when it can.
                 let _ = fifo(BELOW_STREAMER - 1);
                 while let Some(&(at, pattern, seed)) = plays.get(next.fetch_add(1, Ordering::Relaxed)) {
                     let kind = &kinds[at];

@@ -50,7 +50,7 @@ struct Player<'a> {
     /// When the last fault began.
     fault_tick: Option<Tick>,
     restarts: u32,
-    /// Of the board that was there before a restart: when its last pulse was, milliseconds after the fault.
+    /// When the last pulse of the board before a restart was, milliseconds after the fault.
     gone_high_ms: Option<f64>,
     estopped: bool,
     /// The daemon that took the order was killed, and its receipt with it.
@@ -199,8 +199,8 @@ impl<'a> Player<'a> {
         Ok(seen)
     }
 
-    /// What became of the play, whose first fault came so long after the order: by its receipt, or by the lines if the daemon was killed that
-    /// would have made one.
+    /// What became of the play, by its receipt, or by the lines if the daemon that would have made the receipt was killed. The
+    /// first fault came `first` after the order.
     fn seen(
         &mut self,
         id: u64,

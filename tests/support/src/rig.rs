@@ -151,7 +151,7 @@ impl Rig {
         Self::with(Settings::default(), line, seed)
     }
 
-    /// A rig with these simulated motors, whose end stops it knows; records no lines. Pins may drift as far as they do.
+    /// A rig with these simulated motors, whose end stops it knows; records no lines. No drift limit ends a play.
     pub fn of(motors: &SimulatedMotorsConfig, seed: u64) -> Self {
         let settings = Settings {
             end_stop_um: motors.end_stop_um as f32,
@@ -167,7 +167,7 @@ impl Rig {
         Self { simulation, surplus: settings.surplus(&[Gains::default(); MOTORS]), plays: 0 }
     }
 
-    /// A rig that records lines. Pins may drift as far as they do: a bad line or sensor is not to end plays.
+    /// A rig that records lines. No drift limit ends a play, so that a bad line or sensor does not.
     pub fn with(settings: Settings, line: Line, seed: u64) -> Self {
         let settings = Settings { drift_limit_um: f32::INFINITY, ..settings };
         let mut simulation =

@@ -1,6 +1,6 @@
 //! Mean, standard deviation and root mean square.
 
-/// Of at least one value.
+/// The mean of at least one value.
 pub fn mean(values: &[f64]) -> f64 {
     values.iter().sum::<f64>() / values.len() as f64
 }

@@ -1,9 +1,8 @@
-//! Hand-transmitted vibration of one pin, by the frequency weighting of ISO 5349-1: a figure that ethics boards know.
+//! Hand-transmitted vibration of one pin, by the frequency weighting of ISO 5349-1. Ethics boards know this figure.
 //!
-//! The weighting is that of annex A: a band limit from 6.31 to 1258.9 Hz, and a transition from acceleration to velocity at
-//! 15.915 Hz. The motion is the drive's as commanded, at constant velocity during bursts; the motor's averaging over 4.3 ms only
-//! lowers the result. The standard is about tools that a hand grips: `docs/explanation/participants.md` says what follows and what
-//! does not.
+//! The weighting is that of annex A: a band limit from 6.31 to 1258.9 Hz, and a transition from acceleration to velocity at 15.915
+//! Hz. The motion is the drive's as commanded, at constant velocity during bursts; the motor's averaging over 4.3 ms only lowers
+//! the result. The standard is about tools that a hand grips; `docs/explanation/participants.md` says what it can tell about pins.
 //!
 //! Invariant: above 16 Hz the result hardly exceeds 2π · 16 Hz times the velocity of a burst, at any drive.
 
@@ -14,7 +13,7 @@ use std::f64::consts::{PI, SQRT_2, TAU};
 
 /// Harmonics above this frequency weigh less than a thousandth, Hz.
 const HIGHEST_HZ: f64 = 20_000.0;
-/// Most harmonics that are added up: of 0.1 Hz, up to 200 Hz, where they are negligible.
+/// The largest number of harmonics in the sum: at 0.1 Hz they reach 200 Hz, where they are negligible.
 const HARMONICS: u32 = 2000;
 
 /// The factor by which ISO 5349-1 weights acceleration at a frequency.

@@ -1,8 +1,8 @@
 //! The exact displacement of a shaft, from the ramps of its commanded position.
 //!
-//! `y(t) = (1/W) ∫ r` over the last W = 365.5 ticks. The share of a ramp in that integral is a polynomial in whole
-//! half ticks since the ramp's start, so it is an integer until it is multiplied by the ramp's speed, and loses no precision
-//! however late it is. A ramp that ended W ago is added to a base and dropped.
+//! `y(t) = (1/W) ∫ r` over the last W = 365.5 ticks. The share of a ramp in that integral is a polynomial in whole half ticks since
+//! the ramp's start, so it is an integer until it is multiplied by the ramp's speed. Its precision does not depend on how late it
+//! is. A ramp that ended W ago is added to a base and dropped.
 //!
 //! Push ramps in order of time, and ask only about instants from the start of the newest ramp on. This bounds the memory: the
 //! shortest ramp is one pulse, so [`MAX_RAMPS`] fill the window.
@@ -89,8 +89,8 @@ impl Ramp {
         self.share_after(at.since(self.start.into()))
     }
 
-    /// The ramp's share in the displacement, `after` half ticks after its start, µm: the mean of its travel over the
-    /// window. `before` half ticks of it lie before the window.
+    /// The ramp's share in the displacement, `after` half ticks after its start, µm: the mean of its travel over the window. Here
+    /// `before` is the part that lies before the window.
     #[expect(clippy::cast_precision_loss, reason = "below 2^44")]
     fn share_after(&self, after: i64) -> f64 {
         let before = self.done(after.saturating_sub(WINDOW));

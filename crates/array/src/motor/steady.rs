@@ -1,9 +1,9 @@
 //! The steady amplitude of a drive: the curve that the paper measured as its Fig. 3.
 //!
-//! The ideal amplitude has a closed form. The square wave with limited slope is a trapezoid with period T, odd about its
-//! mean. A window of W therefore depends only on W mod T, and the average is largest when the window is centred on a
-//! plateau: half the peak to peak is the integral of the trapezoid about its mean from -x to x, over W. The played amplitude is
-//! that of the drive with its edges at ticks, evaluated piece by piece.
+//! The ideal amplitude has a closed form. The square wave with limited slope is a trapezoid with period T, odd about its mean. The
+//! average over a window W therefore depends only on W mod T, and is largest when the window is centred on a plateau. Half the peak
+//! to peak is then the integral of the trapezoid about its mean from -x to x, divided by W. The played amplitude is that of the
+//! drive with its edges at ticks, evaluated piece by piece.
 //!
 //! Invariant: both amplitudes are exact up to f64; neither is sampled.
 

@@ -7,7 +7,7 @@
 //! Above a lower stop a down burst may be longer than its up burst by a surplus ([`SquareWave::with_surplus`]). Where it does not
 //! fit between the down edge and the next up edge, it begins before the down edge.
 //!
-//! Invariant: the down burst of an excursion has as many pulses as the up burst, and the surplus; the two do not overlap.
+//! Invariant: the down burst of an excursion has as many pulses as the up burst plus the surplus; the two do not overlap.
 
 use super::model::{MAX_AMPLITUDE_UM, MAX_FREQUENCY_HZ, MotorError, TRANSIENT_GAIN, TRANSIENT_REST_TICKS};
 use super::shaft::Ramp;
@@ -35,12 +35,12 @@ pub struct Excursion {
     pub down: u64,
     /// Pulses of the up burst, and of the down burst without its surplus.
     pub pulses: u32,
-    /// Further pulses of the down burst, which a lower stop takes.
+    /// Additional pulses of the down burst, which a lower stop absorbs.
     pub surplus: u32,
 }
 
 impl Excursion {
-    /// The stroke that a motor makes of it in a play that began at `onset`.
+    /// The stroke of `motor` for this excursion, in a play that began at `onset`.
     #[must_use]
     pub fn stroke(&self, motor: u8, onset: Tick) -> Stroke {
         // The controller's limits refuse more pulses than fit, as they should.
@@ -50,7 +50,8 @@ impl Excursion {
         Stroke { motor, up, up_pulses, down, down_pulses }
     }
 
-    /// The ramps of both bursts on an ideal motor, from tick 0 on. The stop takes the whole surplus: it moves nothing.
+    /// The ramps of both bursts on an ideal motor, from tick 0 on. The stop absorbs the whole surplus, so the surplus moves
+    /// nothing.
     #[must_use]
     pub fn ramps(&self) -> [Ramp; 2] {
         [(self.up, Direction::Up), (self.down, Direction::Down)]
@@ -88,9 +89,9 @@ impl SquareWave {
         Ok(Self { frequency_hz, phase, pulses, surplus: 0 })
     }
 
-    /// The same drive with down bursts that are longer than their up bursts. `surplus` says by how many pulses, for a number of
-    /// pulses up; the controller's [`correction`](limits::correction) bounds it. The more pulses up, the more surplus.
-    /// If both bursts do not fit into a period, the drive gets as many pulses as do.
+    /// The same drive with down bursts that are longer than their up bursts. `surplus` gives the additional pulses for a number of
+    /// pulses up, and must grow with it; the controller's [`correction`](limits::correction) bounds it. If both bursts do not fit
+    /// into a period, the drive gets as many pulses as do.
     #[must_use]
     pub fn with_surplus(self, surplus: impl Fn(u32) -> u32) -> Self {
         let surplus = |pulses: u32| surplus(pulses).min(most_surplus(pulses));
@@ -154,8 +155,7 @@ impl SquareWave {
         if rest >= TRANSIENT_REST_TICKS { TRANSIENT_GAIN } else { 1.0 }
     }
 
-    /// Half a period in ticks, rounded down. The added billionth keeps half periods whole that are whole but for the
-    /// rounding of `f64`.
+    /// Half a period in ticks, rounded down. The added billionth keeps a whole number of ticks whole despite the rounding of `f64`.
     #[expect(
         clippy::cast_possible_truncation,
         clippy::cast_sign_loss,
@@ -197,7 +197,7 @@ impl SquareWave {
     #[inline]
     #[expect(clippy::cast_possible_truncation, reason = "not above the pulses wanted")]
     fn between(&self, up: u64, down: u64, next_up: u64) -> Excursion {
-        // A saturated edge never comes, so it limits nothing.
+        // An edge whose tick saturates never comes, so it limits nothing.
         let room = if next_up == u64::MAX { u64::MAX } else { next_up - down };
         let mut pulses = u64::from(self.pulses).min(down - up).min(room) as u32;
         if self.surplus == 0 {
@@ -286,7 +286,7 @@ mod tests {
                 assert!((earlier..=earlier + 1).contains(&moved) || moved + 1 == earlier, "{moved}");
             }
         }
-        // 15 % of 80 um do not fit into a period of 1062 ticks at 80 Hz with 30 % more down than up.
+        // At 80 Hz a period has 1062 ticks: both bursts do not fit with 30 % more pulses down than up.
         for (hz, um, surplus) in
             [(80.0, 80.0, 200), (300.0, 80.0, 60), (42_500.0, 80.0, 5), (233.3, 19.0, 20)]
         {

@@ -1,4 +1,4 @@
-//! The errors of patterns, each in one line: what, where, what to do.
+//! The errors of patterns. Each message is one line: what is wrong, where, and what to do.
 //!
 //! Errors that any document can have are in [`document`].
 //!

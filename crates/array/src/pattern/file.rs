@@ -29,7 +29,7 @@ fn read(text: &str) -> Result<Pattern, KeyError> {
         return Err(KeyError::whole(None, Problem::TooLarge { bytes: text.len() }));
     }
     check_size(text, MAX_SIZE)?;
-    // The format comes first: another one may have other keys.
+    // Read the format first: another format may have other keys.
     let Table(RawFormat { format }) = from_toml(text, wanted)?;
     if format != i64::from(FORMAT) {
         return Err(KeyError::key("format", Problem::Format { found: format }));

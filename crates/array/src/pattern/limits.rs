@@ -5,7 +5,7 @@ use std::ops::RangeInclusive;
 
 /// The version of the file format this program reads and writes.
 pub const FORMAT: u8 = 1;
-/// The most drives of one pattern: 170 in turn on every motor.
+/// The most drives of one pattern: 170 one after the other on every motor.
 pub const MAX_DRIVES: usize = 4096;
 /// The most bytes of a pattern file; [`MAX_DRIVES`] written out take less.
 pub const MAX_FILE_BYTES: usize = 1 << 20;
@@ -15,7 +15,7 @@ pub const MAX_PROVENANCE_VALUES: usize = 1 << 14;
 pub const MAX_PROVENANCE_TABLES: usize = 1 << 11;
 /// Most bytes of a provenance's keys and strings.
 pub const MAX_PROVENANCE_TEXT: usize = 1 << 17;
-/// Most tables and lists within one another in a provenance. Readers of JSON stop at 128.
+/// Largest nesting depth of tables and lists in a provenance. JSON readers stop at 128.
 pub const MAX_PROVENANCE_DEPTH: usize = 16;
 /// The most that is read of a pattern file: [`MAX_DRIVES`] with every key, a full provenance, and comments.
 pub(super) const MAX_SIZE: Size =

@@ -1,4 +1,4 @@
-//! Patterns: the files that the library holds, `play` names and `optimise` writes.
+//! Patterns: the files that the library holds, `play` plays and `optimise` writes.
 //!
 //! A pattern has a name, perhaps a duration, square-wave drives of motors, and a free table that says what made it.
 //! [`Pattern::parse`] reads its TOML file and [`Pattern::to_toml`] writes it, without comments; the API shows the same keys as
@@ -82,7 +82,7 @@ impl Pattern {
         &self.drives
     }
 
-    /// Its drives, each with the pattern's end where it has none of its own: a stroke ends before either.
+    /// Its drives. A drive without a stop of its own gets the pattern's end: strokes end before that.
     #[must_use]
     pub fn drives_with_ends(&self) -> Vec<Drive> {
         let with_end = |drive: &Drive| Drive { stop_s: drive.stop_s.or(self.duration_s), ..*drive };

@@ -1,7 +1,7 @@
 //! Checks a pattern's provenance: its size, and that it holds no date.
 //!
-//! Every play of a pattern keeps its provenance in memory, and the API sends it as JSON. What made a pattern does not depend on
-//! when, so a date is refused.
+//! Every play of a pattern keeps its provenance in memory, and the API sends it as JSON. A pattern does not depend on the date at
+//! which it was made, so a date is refused.
 //!
 //! Invariant: a checked provenance takes at most 4 MB of memory.
 
@@ -15,7 +15,7 @@ use toml::{Table, Value};
 /// Refuses a provenance that is too large or holds a date.
 pub(super) fn check(provenance: &Table) -> Result<(), Problem> {
     let mut held = Held::default();
-    // The first level by hand: its key is the one that a message names.
+    // The first level is checked here, because messages name its keys.
     for (key, value) in provenance {
         held.key(key)?;
         held.value(value, 1).map_err(|refused| match refused {

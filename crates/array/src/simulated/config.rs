@@ -15,9 +15,9 @@ pub enum LowerStop {
     /// Nothing: a pin may sink below rest, down to its end stop.
     #[default]
     None,
-    /// A plate at rest: a pin cannot go below 0. We assume that the friction contact of shaft and pin slips, so that the motor
-    /// runs on while the pin stays; that the pin does not bounce; and that it leaves the stop with the first pulse up. The
-    /// pulses do no harm, but they are counted ([`Pin::pushed_pulses`](super::Pin::pushed_pulses)).
+    /// A plate at rest: a pin cannot go below 0. We assume that the friction contact of shaft and pin slips, so that the motor runs
+    /// on while the pin stays; that the pin does not bounce; and that it leaves the stop with the first pulse up. These pulses do
+    /// no harm, but they are counted ([`Pin::pushed_pulses`](super::Pin::pushed_pulses)).
     AtRest,
 }
 
@@ -35,8 +35,8 @@ pub struct SimulatedMotorsConfig {
     pub transient_gain: f64,
     /// Distance of the end stops from rest, µm. Our choice: no data sheet was found.
     pub end_stop_um: f64,
-    /// What holds the pins at rest from below. A stop clips the commanded position; the pin follows the clipped position
-    /// with the moving average of any other motion.
+    /// What holds the pins at rest from below. A stop clips the commanded position; the pin follows the clipped position through
+    /// the same moving average as always.
     pub lower_stop: LowerStop,
     /// Telemetry samples per second; 0: no telemetry.
     pub telemetry_hz: u32,
@@ -60,7 +60,7 @@ impl Default for SimulatedMotorsConfig {
 }
 
 impl SimulatedMotorsConfig {
-    /// The default without scatter, asymmetry and transient: every pulse follows the model.
+    /// The default settings without scatter, asymmetry and transient: every pulse follows the model.
     #[must_use]
     pub fn ideal() -> Self {
         Self { gain_sd: 0.0, asymmetry_sd: 0.0, transient_gain: 1.0, ..Self::default() }

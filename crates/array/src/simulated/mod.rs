@@ -1,14 +1,14 @@
 //! The simulated array: 24 motors under the lines that a controller drives.
 //!
-//! The simulation sees lines, as real motors do, and finds the bursts in them. The real travel of a burst is its ideal
-//! travel times a random gain. The key of that number is the seed, motor, start tick and direction, so one burst more or
-//! less changes no other. Shafts are integrated exactly and times are ticks, so a month later it is as exact as at
-//! the start. A [`LowerStop`] holds the pins at rest from below, if the settings have one.
+//! The simulation receives line levels, as real motors do, and finds the bursts in them. The real travel of a burst is its ideal
+//! travel times a random gain. The key of that number is the seed, motor, start tick and direction, so one burst more or less
+//! changes no other. Shafts are integrated exactly and times are ticks, so a month later it is as exact as at the start. A
+//! [`LowerStop`] holds the pins at rest from below, if the settings have one.
 //!
-//! [`SimulatedMotors::advance`] lets time pass, one segment of constant lines per call. Where nothing moves, a month costs
-//! no more than the samples that are kept of it. Samples are taken at multiples of the telemetry period after the start.
-//! [`SimulatedMotors::telemetry`] returns them when they are as old as configured. The queue holds the samples that are
-//! not due yet and [`SPARE_SAMPLES`] more; beyond that it drops the oldest.
+//! [`SimulatedMotors::advance`] lets time pass, one segment of constant lines per call. While nothing moves, simulating a month
+//! takes only the time to compute its samples. Samples are taken at multiples of the telemetry period after the start.
+//! [`SimulatedMotors::telemetry`] returns them when they are as old as configured. The queue holds the samples that are not due yet
+//! and [`SPARE_SAMPLES`] more; beyond that it drops the oldest.
 //!
 //! Invariant: the result does not depend on how a segment is cut into calls.
 
@@ -95,8 +95,8 @@ impl SimulatedMotors {
         let end = self.now + ticks;
         while self.now < end {
             let moving = lines.up | lines.down;
-            // A shaft answers only for instants after the start of its newest ramp: while one moves, each sample ends
-            // a step. At rest the samples can wait for the end of the segment.
+            // A shaft can be asked only about instants after the start of its newest ramp, so while one moves, each sample ends a
+            // step. At rest the samples can wait for the end of the segment.
             let step_end = match self.sample_tick(self.next_sample) {
                 Some(sample) if moving != 0 => sample.min(end),
                 _ => end,
@@ -118,7 +118,7 @@ impl SimulatedMotors {
         self.pins[usize::from(motor)].shaft.displacement_um(self.now.into())
     }
 
-    /// The commanded position as the motor really played it, µm: its displacement once at rest.
+    /// The commanded position as the motor played it, µm: the displacement that it reaches at rest.
     ///
     /// # Panics
     /// If there is no such motor.

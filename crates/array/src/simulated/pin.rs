@@ -50,7 +50,7 @@ struct Burst {
     gain: f64,
     /// Pulses that reach their full travel.
     free: u64,
-    /// The gain of the next pulse, which reaches the stop. After it the pin does not move.
+    /// The gain of the pulse after these, which reaches the stop; after it the pin does not move.
     last_gain: f64,
 }
 
@@ -102,7 +102,7 @@ impl Pin {
         self.shaft.position_um(at.into())
     }
 
-    /// Pulses that pushed the pin against its lower stop: those that it met the stop in, and all later ones of their bursts.
+    /// Pulses that pushed the pin against its lower stop: in each burst the pulse in which it met the stop, and all later ones.
     #[must_use]
     pub const fn pushed_pulses(&self) -> u64 {
         self.pushed
@@ -138,7 +138,7 @@ impl Pin {
             (Direction::Down, LowerStop::AtRest) => 0.0,
             _ => config.end_stop_um,
         };
-        // Pulses at this gain up to the stop ahead. Without gain there is no limit.
+        // Pulses at this gain up to the stop ahead. At a gain of 0 the number has no limit.
         let room = ((stop_um - position) / UM_PER_PULSE).max(0.0);
         let free = (room / gain) as u64;
         let last_gain = (room - free as f64 * gain).max(0.0);

@@ -11,7 +11,7 @@ pub struct RestStats {
     pub count: u64,
     /// Sum of squared errors, µm².
     pub sum_squares: f64,
-    /// The largest error either way, µm.
+    /// The largest error upwards or downwards, µm.
     pub max_abs_um: f64,
 }
 

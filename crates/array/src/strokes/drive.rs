@@ -1,9 +1,9 @@
 //! The strokes of one drive: which there are, and at which ticks.
 //!
-//! The streamer's lanes, the skin simulation and the simulated runs of one motor all take a drive's strokes from
-//! [`DriveStrokes`], so what is simulated is what is sent. A stroke belongs to a drive if its down burst has ended by
-//! the drive's `stop_s`. Later strokes end later, so the first stroke that does not fit ends the sequence. Each stroke is
-//! computed from its number, so they are counted without being walked.
+//! The streamer's lanes, the skin simulation and the simulated runs of one motor all take a drive's strokes from [`DriveStrokes`],
+//! so what is simulated is what is sent. A stroke belongs to a drive if its down burst has ended by the drive's `stop_s`. Later
+//! strokes end later, so the first stroke that does not fit ends the sequence. Each stroke is computed from its number, so strokes
+//! are counted without iterating over them.
 //!
 //! Invariant: strokes are in order of time and do not overlap.
 
@@ -84,7 +84,8 @@ impl DriveStrokes {
         self.placed(self.excursions.number(number))
     }
 
-    /// Pulses of the first `strokes` strokes. A saturated drive's are walked, as far as the budget of strokes allows.
+    /// Pulses of the first `strokes` strokes. For a saturated drive this iterates over them, as far as the budget of strokes
+    /// allows.
     pub(super) fn pulses_of(&self, strokes: u64, budget: &mut u64) -> Option<u64> {
         let pulses = |stroke: Excursion| 2 * u64::from(stroke.pulses) + u64::from(stroke.surplus);
         let wave = self.excursions.wave();
@@ -104,7 +105,7 @@ impl DriveStrokes {
         if !is_one(0) {
             return 0;
         }
-        // The number of a stroke that is played, and of one that is not; at 2^62 every edge is saturated.
+        // A number whose stroke begins before the tick, and one whose stroke does not; at 2^62 every edge is saturated.
         let (mut one, mut none) = (0, 1);
         while none < 1 << 62 && is_one(none) {
             (one, none) = (none, 2 * none);

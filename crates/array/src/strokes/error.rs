@@ -1,11 +1,11 @@
-//! Why a pattern has no strokes, or no more.
+//! Errors of compiling a pattern to strokes.
 
 use crate::motor::MotorError;
 use crate::pattern::{AMPLITUDE_RANGE, MAX_SECONDS};
 use firmware_protocol::limits::Refusal;
 use firmware_protocol::stroke::Stroke;
 
-/// Why a pattern cannot be played, or not to its end.
+/// Why a pattern cannot be played, or cannot be played to its end.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum StrokesError {
     /// A duration outside its range.
@@ -54,7 +54,7 @@ pub enum StrokesError {
         /// The stroke.
         stroke: Stroke,
     },
-    /// Our bug: a stroke before the end of the last one of its motor, or before the last one that was returned.
+    /// Our bug: a stroke that begins before its motor's last stroke has ended, or before the last returned stroke begins.
     #[error("internal error, nothing more is played: {stroke:?} is out of order")]
     Order {
         /// The stroke.

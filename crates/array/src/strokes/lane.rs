@@ -1,9 +1,10 @@
 //! One motor's drives, walked in order of time, repeat after repeat.
 //!
-//! A lane knows its next stroke in advance, so that `Strokes` merges lanes by looking at one tick each. All its ticks are pattern time, counted from the first repeat's beginning; the onset is added last.
+//! A lane computes its next stroke in advance, so that `Strokes` merges lanes by comparing one tick of each. All its ticks are
+//! pattern time, counted from the first repeat's beginning; the onset is added last.
 //!
-//! Invariant: a drive that fits no stroke into any repeat has no segment in a lane, and a repeat that
-//! is a tick too short for all segments is skipped. So a lane finds its next stroke at once, or there is none.
+//! Invariant: a lane has segments only for drives with a stroke in some repeat, and skips repeats that are a tick too short for all
+//! segments. So a lane finds its next stroke, or that there is none, in bounded time.
 
 use super::drive::{DriveStrokes, NEVER};
 use super::error::StrokesError;
@@ -29,10 +30,10 @@ struct Segment {
 #[derive(Clone, Debug)]
 pub(super) struct Lane {
     motor: u8,
-    /// Clones share them: a count of a play's bytes takes a clone.
+    /// Clones share the segments: counting a play's bytes takes a clone.
     segments: Arc<[Segment]>,
     duration_s: Option<f64>,
-    /// Which strokes are played at the end.
+    /// Which strokes the play has at its end.
     fit: Fit,
     /// The end of the play.
     end: u64,
@@ -57,7 +58,7 @@ impl Segment {
     ) -> Result<Option<Self>, StrokesError> {
         let strokes = DriveStrokes::with(drive, options)
             .map_err(|source| StrokesError::Drive { motor: drive.motor, source })?;
-        // Two beginnings, each rounded to a tick, lie at most one tick further apart than the duration.
+        // The starts of two repeats, each rounded to a tick, lie at most one tick further apart than the duration.
         let longest = duration_s.map_or(NEVER, |duration_s| seconds_to_ticks(duration_s) + 1);
         let first_end = strokes.shifted(0, longest).next().map(|first| first.end());
         let in_last = options.fit == Fit::Cover && strokes.clone().next().is_some();
@@ -130,7 +131,7 @@ impl Lane {
         (self.fit == Fit::Cover && end != NEVER).then(|| Repeat::last(self.duration_s, end))
     }
 
-    /// When the last stroke has ended of a play that ends at `end`, if it covers its end.
+    /// When the last stroke of a play with [`Fit::Cover`] and this `end` has ended.
     pub(super) fn covers_until(&self, end: u64) -> Option<u64> {
         let last = self.last_repeat(end)?;
         let ends = self.segments.iter().filter_map(|segment| {
@@ -141,7 +142,7 @@ impl Lane {
         ends.max()
     }
 
-    /// Goes on to the stroke after the next; returns when that goes up.
+    /// Takes the next stroke and computes the one after it; returns when that goes up.
     #[inline]
     pub(super) fn advance(&mut self) -> u64 {
         loop {
@@ -190,7 +191,7 @@ mod tests {
     use crate::pattern::MAX_DRIVES;
     use toml::Table;
 
-    /// The memory of a play: its drives as segments, which clones share.
+    /// The memory of a play is that of its drives as segments, which clones share.
     #[test]
     fn a_lane_of_the_longest_pattern_takes_64_bytes_a_drive_and_a_clone_none() {
         let drive = |number: usize| Drive {

@@ -19,7 +19,7 @@ struct Oscillator {
     wave: SquareWave,
     /// Time 0 of the wave.
     zero: Tick,
-    /// Nothing begins before: until then the motor has the drive before this one.
+    /// The drive's start: until then the motor has the drive before this one.
     begin: Tick,
     /// Number of the next excursion.
     next: u64,
@@ -43,7 +43,7 @@ impl Oscillator {
         number
     }
 
-    /// The same oscillator with another drive, from the beginning of its first period at `from` or later. Another phase shifts it
+    /// The same oscillator with another drive, from the beginning of its first period at `from` or later. A new phase shifts it
     /// forwards by the difference.
     fn changed(&self, wave: SquareWave, from: Tick) -> Self {
         let begin = self.up(self.first_from(from));
@@ -53,7 +53,7 @@ impl Oscillator {
         }
         let shift = (wave.phase() - self.wave.phase()).rem_euclid(1.0);
         let shift = seconds_to_ticks(shift / wave.frequency_hz());
-        // A device's clock starts hours after 0, so the difference does not saturate.
+        // A device's clock starts hours after 0, so the subtraction does not saturate.
         Self { wave, zero: Tick((begin + shift) - Tick(wave.edge(0))), begin, next: 0 }
     }
 
@@ -119,8 +119,8 @@ impl LiveStrokes {
         changed.up(changed.next)
     }
 
-    /// The device has kept the strokes before the last [`Self::replace`] of this motor: its drive is the one before, and its next stroke
-    /// the one that was next then. It pauses until it is replaced again: only [`Self::next_of`] returns its strokes.
+    /// Undoes the last [`Self::replace`] of this motor, because the device has kept the earlier strokes: the motor has its earlier
+    /// drive and next stroke again. It pauses until its next `replace`: only [`Self::next_of`] returns its strokes.
     ///
     /// # Panics
     /// If there is no such motor.
@@ -129,7 +129,7 @@ impl LiveStrokes {
         self.paused |= 1 << motor;
     }
 
-    /// The stroke that was returned last was not sent: it is the next one again.
+    /// Puts back the last returned stroke, which was not sent: it is the next one again.
     pub fn put_back(&mut self, stroke: &Stroke) {
         if let Some(motor) = self.motors.get_mut(usize::from(stroke.motor)) {
             motor.next = motor.next.saturating_sub(1);
@@ -206,7 +206,7 @@ mod tests {
         strokes.replace(3, wave(100.0, 80.0, 0.25), ONSET + (grid[3] - 700));
         let changed = ups(&mut strokes, 3, 4);
         assert_eq!(changed, [0, 850, 1_700, 2_550].map(|ticks| grid[3] + ticks));
-        // Half a cycle more is asked for: half a period later.
+        // A phase of half a cycle more shifts the stroke by half a period.
         strokes.replace(3, wave(100.0, 80.0, 0.75), ONSET + changed[2]);
         assert_eq!(ups(&mut strokes, 3, 2), [2_125, 2_975].map(|ticks| grid[3] + ticks));
         strokes.replace(3, wave(50.0, 80.0, 0.0), ONSET + (grid[3] + 3_000));
@@ -223,13 +223,13 @@ mod tests {
     }
 
     proptest! {
-        /// Changes at random times: what is sent up to a change, and what follows it, is a sequence of strokes that do not overlap.
+        /// Changes at random times: the strokes sent before a change and those after it do not overlap.
         #[test]
         fn strokes_never_overlap(changes in prop::collection::vec((1u64..20_000, 0.2..300.0, 0.0..400.0, 0.0..1.0), 1..30)) {
             let mut strokes = live(wave(60.0, 80.0, 0.0));
             let (mut now, mut busy) = (ONSET, ONSET);
             for (wait, hz, um, phase) in changes {
-                // Every other drive keeps the frequency.
+                // Every second change keeps the frequency.
                 let hz = if wait % 2 == 0 { strokes.wave(3).frequency_hz() } else { hz };
                 let until = now + wait;
                 while let Some(next) = strokes.next_up(3).filter(|next| *next < until) {

@@ -1,16 +1,15 @@
 //! Compiles a pattern to strokes at device ticks, one at a time, for as long as it plays.
 //!
-//! Each motor has a lane that walks its drives in order of time, repeat after repeat; [`Strokes`] merges the lanes in
-//! order of (up tick, motor). The strokes of one drive are [`DriveStrokes`]. Edges are those of
-//! [`SquareWave`](crate::motor::SquareWave), computed from their number in pattern time, so a stroke is as exact after a
-//! month as in the first second. Nothing is allocated after [`Strokes::new`]. A stroke exists only if its down burst has ended by
-//! the `stop_s` of its drive, by the end of the repeat, and by the end of the play ([`Fit`] says what a play may do at its end).
-//! A [`Sequence`] makes strokes of many items, each a pattern at an exact tick after the onset, with pauses between them.
-//! [`LiveStrokes`] are those of a play whose drives change while it runs.
-//! [`reached`] says what each drive of a pattern reaches, without walking its strokes.
+//! Each motor has a lane that walks its drives in order of time, repeat after repeat; [`Strokes`] merges the lanes in order of (up
+//! tick, motor). The strokes of one drive are [`DriveStrokes`]. Edges are those of [`SquareWave`](crate::motor::SquareWave),
+//! computed from their number in pattern time, so a stroke is as exact after a month as in the first second. Nothing is allocated
+//! after [`Strokes::new`]. A stroke exists only if its down burst has ended by the `stop_s` of its drive, by the end of the repeat,
+//! and by the end of the play ([`Fit`] says what a play may do at its end). A [`Sequence`] makes strokes of many items, each a
+//! pattern at an exact tick after the onset, with pauses between them. [`LiveStrokes`] makes the strokes of a play whose drives
+//! change while it runs. [`reached`] computes what each drive of a pattern reaches, without iterating over its strokes.
 //!
-//! Invariant: strokes of a motor do not overlap, each returns its pin to rest, or by its surplus against the lower stop, and
-//! each is within the controller's limits. Every stroke is checked against that before it is returned.
+//! Invariant: strokes of a motor do not overlap, and each is within the controller's limits. Each returns its pin to rest, or by
+//! its surplus against the lower stop. Every stroke is checked for that before it is returned.
 
 mod drive;
 mod error;
@@ -48,9 +47,9 @@ pub struct Strokes {
     runs: Vec<Run>,
     /// The items, in order of time; at least one.
     items: Arc<[Item]>,
-    /// The present one, or the first one before it has begun.
+    /// The current item; before the start, the first one.
     item: usize,
-    /// The first item has not begun: a pause comes before it.
+    /// Whether the first item has not begun, because a pause comes before it.
     pausing: bool,
     end: Option<u64>,
     onset: Tick,
@@ -58,7 +57,7 @@ pub struct Strokes {
     last: (Tick, u8),
     /// Until when each motor is busy.
     busy: [Tick; MOTORS],
-    /// The motors that any pattern drives: the streamer asks at every step.
+    /// The motors that any pattern drives, kept because the streamer asks at every step.
     driven: [bool; MOTORS],
 }
 
@@ -66,14 +65,14 @@ pub struct Strokes {
 #[derive(Clone, Copy, Debug)]
 struct Item {
     start: u64,
-    /// The end that was asked for; [`drive::NEVER`] without end.
+    /// The requested end; [`drive::NEVER`] without end.
     end: u64,
     /// Its compiled pattern.
     run: usize,
 }
 
 impl Strokes {
-    /// The strokes of `pattern` from tick 0, or from where [`Self::begin`] puts it.
+    /// The strokes of `pattern` from tick 0, or from the onset given to [`Self::begin`].
     ///
     /// # Errors
     /// If an option is outside its range.
@@ -120,20 +119,20 @@ impl Strokes {
         self.items.iter().map(|item| self.onset + item.start)
     }
 
-    /// The number of the present item.
+    /// The number of the current item.
     #[must_use]
     pub const fn item(&self) -> usize {
         self.item
     }
 
-    /// When the next item begins, if every stroke of the present one was returned and another one follows.
+    /// When the next item begins, if every stroke of the current one was returned and another item follows.
     #[must_use]
     pub fn next_onset(&self) -> Option<Tick> {
         let next = self.items.get(self.next_number())?;
         (self.pausing || self.present().is_over()).then(|| self.onset + next.start)
     }
 
-    /// Goes on to the next item, if [`Self::next_onset`] has one. The iterator does so by itself, too.
+    /// Moves to the next item, if [`Self::next_onset`] has one. The iterator does so by itself, too.
     pub fn next_item(&mut self) {
         if self.next_onset().is_some() {
             self.begin_item(self.next_number());
@@ -148,8 +147,8 @@ impl Strokes {
         &self.runs[self.items[self.item].run]
     }
 
-    /// The end of the play, in ticks from the onset; `None`: without end. With [`Fit::Cover`] this is the later of the end that was
-    /// asked for and the end of the last stroke.
+    /// The end of the play, in ticks from the onset; `None`: without end. With [`Fit::Cover`] this is the later of the requested
+    /// end and the end of the last stroke.
     #[must_use]
     pub const fn end(&self) -> Option<u64> {
         self.end
@@ -173,8 +172,8 @@ impl Strokes {
         self.driven.get(usize::from(motor)).is_some_and(|driven| *driven)
     }
 
-    /// A tick before which no stroke of `motor` that was not returned goes up: that of its next stroke, or the onset of the next
-    /// item; `None` if there is none.
+    /// A lower bound for the up tick of the next stroke of `motor`: that tick itself, or the onset of the next item; `None` if
+    /// there is neither.
     #[must_use]
     pub fn next_up(&self, motor: u8) -> Option<Tick> {
         let start = self.items[self.item].start;
@@ -227,7 +226,8 @@ impl Strokes {
     }
 }
 
-/// The end of a play as asked for, by its duration, the pattern's, or the last drive's, in ticks; `None`: without end.
+/// The requested end of a play, in ticks: its own duration, or else the pattern's, or else the end of the last drive. `None`:
+/// without end.
 #[must_use]
 pub fn ordered_end(pattern: &Pattern, seconds: Option<f64>) -> Option<u64> {
     seconds.or_else(|| lasts_s(pattern)).map(seconds_to_ticks)

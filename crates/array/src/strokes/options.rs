@@ -11,8 +11,8 @@ use firmware_protocol::stroke::MOTORS;
 /// How a play differs from its pattern.
 #[derive(Clone, Debug, PartialEq)]
 pub struct StrokeOptions {
-    /// Cuts the pattern, or repeats it if it has a duration, s. Without it a pattern with a duration is played once. A pattern
-    /// without a duration goes on until its last drive stops, and without end if a drive has no `stop_s`.
+    /// Duration, s: truncates the pattern, or repeats it if it is finite. Without it a pattern with a duration is played once. A
+    /// pattern without a duration goes on until its last drive stops, and without end if a drive has no `stop_s`.
     pub seconds: Option<f64>,
     /// Multiplies the amplitude of every drive, 0 to 1.
     pub scale: f64,
@@ -25,15 +25,15 @@ pub struct StrokeOptions {
 /// Which strokes are played at the end of the play.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Fit {
-    /// Those that have ended by the end of the play.
+    /// The strokes that have ended by the end of the play.
     #[default]
     Whole,
-    /// Those that begin before the end of the play. They are played whole, and the play ends with the last of them. Strokes at
-    /// the end of earlier repeats, and those of drives with a `stop_s`, are as for [`Fit::Whole`].
+    /// The strokes that begin before the end of the play. They are played whole, and the play ends with the last of them. Strokes
+    /// at the end of earlier repeats, and those of drives with a `stop_s`, are as for [`Fit::Whole`].
     Cover,
 }
 
-/// How much longer each down burst is than its up burst. A lower stop takes what is too much.
+/// How much longer each down burst is than its up burst. A lower stop absorbs the excess.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub enum Surplus {
     /// Down bursts are as long as their up bursts.
@@ -87,8 +87,8 @@ impl StrokeOptions {
 }
 
 impl Surplus {
-    /// The surplus that a motor's strokes of this amplitude need, µm, if bursts have their full travel. Where no surplus up to the amplitude keeps the rest error
-    /// within its bound, it is the amplitude.
+    /// The surplus that a motor's strokes of this amplitude need, µm, if bursts have their full travel. If no surplus up to the
+    /// amplitude keeps the rest error within its bound, the result is the amplitude.
     ///
     /// # Panics
     /// If there is no such motor.
@@ -97,7 +97,7 @@ impl Surplus {
         self.um_at_gain(motor, amplitude_um, 1.0)
     }
 
-    /// [`Self::um`] where bursts travel `gain` of it on average. Their scatter is that of full bursts.
+    /// [`Self::um`] for bursts whose mean travel is `gain` times the full one. Their scatter is that of full bursts.
     fn um_at_gain(&self, motor: u8, amplitude_um: f64, gain: f64) -> f64 {
         match self {
             Self::None => 0.0,
@@ -115,7 +115,7 @@ impl Surplus {
     #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "the cast saturates")]
     pub(super) fn pulses(&self, motor: u8, pulses: u32, gain: f64) -> u32 {
         let um = self.um_at_gain(motor, f64::from(pulses) * UM_PER_PULSE, gain);
-        // The billionth keeps whole pulses whole that are whole but for the rounding of `f64`.
+        // The billionth keeps a whole number of pulses whole despite the rounding of `f64`.
         (um / UM_PER_PULSE - 1e-9).ceil() as u32
     }
 }

@@ -1,8 +1,8 @@
-//! What each drive of a pattern reaches in a play: its amplitude, its surplus, how many strokes it plays, and until when; and what
-//! the whole play counts.
+//! What each drive of a pattern reaches in a play: its amplitude, surplus, number of strokes and end; and the strokes and pulses of
+//! the whole play.
 //!
 //! Strokes are counted by their numbers, so the time does not depend on how long the play is. The pulses of a saturated drive
-//! are not: their number changes from stroke to stroke, and [`ordered`] walks so many of them as it may.
+//! differ from stroke to stroke, so [`ordered`] iterates over its strokes, up to a limit.
 //!
 //! Invariant: the counts are those of the strokes that [`Strokes`](super::Strokes) returns.
 
@@ -27,17 +27,17 @@ pub struct Reached {
     pub over: Option<u64>,
 }
 
-/// What a play counts.
+/// The number of strokes and pulses of a play.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Ordered {
     /// Strokes of all drives.
     pub strokes: u64,
-    /// Pulses of their bursts; `None` if too many strokes would have to be walked.
+    /// Pulses of their bursts; `None` if counting them would take too many strokes.
     pub pulses: Option<u64>,
 }
 
-/// What a play of a pattern counts; `None` if it has no end. Walks at most `walked` strokes of saturated drives, all drives
-/// together: a million takes 30 ms.
+/// The number of strokes and pulses of a play; `None` if it has no end. Iterates over at most `walked` strokes of saturated drives,
+/// all drives together: a million takes 30 ms.
 ///
 /// # Errors
 /// If an option is outside its range.
@@ -140,14 +140,15 @@ fn parts(strokes: &DriveStrokes, duration_s: Option<f64>, end: u64, fit: Fit) ->
         Part { repeats, strokes: in_repeat(ticks), last: Repeat::of(number, duration_s).start }
     };
     [
-        // Up to repeat `number` fewer repeats are of this kind than before the last one, until the last of the kind.
+        // `number` is at most the last repeat of this kind if fewer of the kind lie before it than before the last repeat.
         whole(last.number - longer, short, &|number| number - longer_before(number) < last.number - longer),
         whole(longer, short + 1, &|number| longer_before(number) < longer),
         Part { repeats: 1, strokes: in_last, last: last.start },
     ]
 }
 
-/// The last repeat before `end` for which a condition holds that holds for the first, and no more once it does not.
+/// The last repeat before `end` for which a condition holds. It must hold from the first repeat up to some repeat, and for none
+/// after that.
 fn last_repeat(end: u64, holds: &dyn Fn(u64) -> bool) -> u64 {
     let (mut one, mut none) = (0, end);
     while one + 1 < none {

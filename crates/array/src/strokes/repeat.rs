@@ -38,14 +38,14 @@ impl Repeat {
         last
     }
 
-    /// The next repeat that lasts `ticks` or longer. The lengths of repeats differ by a tick, because their beginnings are
-    /// rounded, so many repeats in a row may be too short. The search halves the interval.
+    /// The next repeat that lasts `ticks` or longer. The lengths of repeats differ by a tick, because their beginnings are rounded,
+    /// so many repeats in a row may be too short. This is a binary search.
     pub(super) fn next(self, ticks: u64, duration_s: Option<f64>, play_end: u64) -> Self {
         let next = Self::of(self.number + 1, duration_s);
         if next.end - next.start >= ticks {
             return next;
         }
-        // Each repeat that is too short is so by one tick: the sum stays at this until one is long enough.
+        // A too short repeat lacks exactly one tick, so the sum equals `count * (ticks - 1)` until one is long enough.
         let short =
             |count: u64| begin(next.number + count, duration_s) - next.start < count * (ticks - 1) + 1;
         let (mut enough, mut too_few) = (2, 1);

@@ -19,7 +19,7 @@ pub(super) struct Run {
 }
 
 impl Run {
-    /// Compiles a pattern; nothing follows before [`Self::begin`].
+    /// Compiles a pattern; there is no stroke before [`Self::begin`].
     pub(super) fn of(pattern: &Pattern, options: &StrokeOptions) -> Result<Self, StrokesError> {
         options.check()?;
         let lanes =
@@ -34,7 +34,7 @@ impl Run {
         }
     }
 
-    /// When the last stroke has ended of a play that ends at `end` and covers its end.
+    /// When the last stroke of a play with `Fit::Cover` and this `end` has ended.
     pub(super) fn covers_until(&self, end: u64) -> Option<u64> {
         self.lanes.iter().filter_map(|lane| lane.covers_until(end)).max()
     }
@@ -64,7 +64,7 @@ impl Run {
     /// The next stroke of a play that began at `onset`, and the surplus of its down burst.
     #[inline]
     pub(super) fn next(&mut self, onset: Tick) -> Option<(Stroke, u16)> {
-        // Lanes are in order of motor, so of equal ticks the first has the lower motor.
+        // Lanes are in order of motor, so among equal ticks the first has the lowest motor number.
         let (mut first, mut earliest) = (0, NEVER);
         for (index, &up) in self.ups[..self.lanes.len()].iter().enumerate() {
             if up < earliest {

@@ -19,7 +19,7 @@ pub const MAX_ITEMS: usize = 4096;
 /// Drives of the patterns that a sequence compiles, at most: as many as one pattern may have. A pattern counts once for each scale
 /// and fit that it is played with.
 pub const MAX_SEQUENCE_DRIVES: usize = MAX_DRIVES;
-/// Ticks from the onset of an item to the next, at least: 5 ms. A device keeps at most 8 onsets that have not come.
+/// Ticks from the onset of an item to the next, at least: 5 ms. A device keeps at most 8 future onsets.
 pub const MIN_ITEM_INTERVAL: u64 = 5 * TICKS_PER_MS;
 /// The longest sequence, ns.
 const LONGEST_NS: u64 = MAX_SECONDS as u64 * NS_PER_S;
@@ -28,9 +28,9 @@ const NS_PER_S: u64 = 1_000_000_000;
 /// When an item begins.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Start {
-    /// So long after the end of the item before it, or after the sequence's onset, ms.
+    /// This long after the end of the item before it, or after the sequence's onset, ms.
     Gap(f64),
-    /// So long after the sequence's onset, ms.
+    /// This long after the sequence's onset, ms.
     At(f64),
 }
 
@@ -41,7 +41,7 @@ pub struct CompiledItem(usize);
 /// Why a sequence cannot take a pattern or an item.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum SequenceError {
-    /// The pattern or an option is no good.
+    /// The pattern or an option is invalid.
     #[error(transparent)]
     Strokes(#[from] StrokesError),
     /// More than [`MAX_ITEMS`].
@@ -111,7 +111,7 @@ impl Sequence {
     /// Adds an item, which lasts for `seconds`, or as long as its pattern.
     ///
     /// # Errors
-    /// What is wrong with it. The sequence is as before.
+    /// What is wrong with the item. The sequence stays unchanged.
     pub fn add(
         &mut self,
         compiled: CompiledItem,
@@ -258,7 +258,7 @@ mod tests {
             sequence.add(tap, None, Start::Gap(0.0)).unwrap();
         }
         assert_eq!(sequence.add(tap, None, Start::Gap(0.0)), Err(SequenceError::TooManyItems));
-        // A drive of its own lane, its segment, and a run for it: 3 MB for as many as a sequence may have.
+        // The worst case is a run, a lane and a segment for each drive: 3 MB for all drives that a sequence may have.
         assert!(size_of::<Run>() + size_of::<super::super::lane::Lane>() + 64 <= 600);
         assert_eq!(size_of::<Item>() * MAX_ITEMS, 96 << 10);
     }
@@ -266,7 +266,8 @@ mod tests {
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(64))]
 
-        /// Items are played as their patterns alone, at their onsets; the streamer's way from item to item gives the same.
+        /// Each item plays as its pattern alone would at its onset. Stepping from item to item, as the streamer does, gives the
+        /// same strokes.
         #[test]
         fn the_strokes_are_those_of_the_patterns_one_after_the_other(
             items in prop::collection::vec((0usize..3, 0.02f64..0.5, 0.0f64..100.0, prop::bool::ANY), 1..12),

@@ -1,8 +1,8 @@
-//! Drives that do not do what their pattern seems to ask for: no stroke, hardly any motion, or much less than the amplitude.
+//! Finds drives that fall short of their pattern: no stroke, hardly any motion, or much less than the amplitude.
 //!
 //! [`shortfalls`] finds them in a play, with the amplitude of an ideal motor in the steady state.
 //!
-//! Invariant: a drive of amplitude 0 is off on purpose, and is never one of them.
+//! Invariant: a drive of amplitude 0 is off on purpose, and is never reported.
 
 use super::error::StrokesError;
 use super::options::StrokeOptions;
@@ -12,7 +12,7 @@ use crate::pattern::{Drive, Pattern};
 use crate::units::UM_PER_PULSE;
 use std::fmt;
 
-/// A motion below this is hardly one, µm: seven pulses.
+/// A motion below this counts as none, µm: seven pulses.
 pub const LEAST_UM: f64 = 1.0;
 /// The least share of the ordered amplitude that a drive must reach.
 pub const LEAST_SHARE: f64 = 0.8;
@@ -28,7 +28,7 @@ pub enum Shortfall {
     Low,
 }
 
-/// What a drive was ordered to do in a play, and does.
+/// A drive's ordered and reached amplitude in a play.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DriveAmplitude {
     /// The drive, counted from 1.
@@ -39,7 +39,7 @@ pub struct DriveAmplitude {
     pub ordered_um: f64,
     /// Amplitude that an ideal motor reaches in the steady state, peak to peak, µm; 0 without a stroke.
     pub reached_um: f64,
-    /// What the play makes of it.
+    /// What the drive reaches in pulses and strokes.
     pub reached: Reached,
 }
 
@@ -94,7 +94,7 @@ impl fmt::Display for DriveAmplitude {
                 write!(f, "moves its pin by {reached_um:.2} um only; raise its amplitude")
             }
             Shortfall::Low => {
-                // Rounding to pulses changes less.
+                // Rounding to whole pulses changes the amplitude by less than this.
                 let saturated = self.reached.amplitude_um < ordered_um - UM_PER_PULSE;
                 write!(
                     f,
@@ -148,7 +148,7 @@ mod tests {
         ]) {
             assert!(line.starts_with(says) && line.is_empty() == says.is_empty(), "{line}");
         }
-        // A scale lowers what is ordered: 8 um at 300 Hz are reached better.
+        // A scale lowers the ordered amplitude, and 8 um at 300 Hz are reached better.
         let scaled = of(StrokeOptions { scale: 0.01, ..StrokeOptions::default() });
         assert_eq!([scaled[0].0, scaled[4].0], [still; 2]);
     }

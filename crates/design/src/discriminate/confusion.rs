@@ -1,9 +1,9 @@
-//! Which pattern an observer names when it must name one of a set.
+//! Computes which pattern an observer names when it must name one of a set.
 //!
-//! Each pair of patterns has a sensitivity d′ (`observer`). Responses to pattern i scatter by 1 about a point, in every direction, and
-//! the points of two patterns lie √η·d′ apart; the observer names the nearest point. So the shares follow from the distances
-//! alone, by drawing responses. Estimated distances may fit no points: classical scaling finds the nearest ones that exist
-//! (Torgerson 1952).
+//! Each pair of patterns has a sensitivity d′ (`observer`). Responses to pattern i scatter by 1 about a point, in every direction,
+//! and the points of two patterns lie √η·d′ apart; the observer names the nearest point. So the shares follow from the distances
+//! alone; they are computed from random responses. No set of points may have exactly the estimated distances: classical scaling
+//! finds the nearest possible ones (Torgerson 1952).
 //!
 //! Invariant: each row of a [`Confusion`] sums to 100 %.
 
@@ -17,8 +17,8 @@ use std::cmp::Ordering;
 
 /// Responses that are drawn of each pattern on each finger.
 const DRAWS: u32 = 4000;
-/// Points are this far apart at most: 1 response in 700 is nearer to the wrong one. The error of a larger distance would move points
-/// that are near each other.
+/// The largest distance of two points: at this distance 1 response in 700 is nearer to the wrong one. The error of a larger
+/// distance would move points that are near each other.
 const FAR: f64 = 6.0;
 /// Streams of the draws.
 const FIRST_STREAM: u64 = 1 << 40;
@@ -36,13 +36,13 @@ pub struct Confusion {
     pub correct_percent: f64,
     /// The standard error of that, over fingers; none with one finger.
     pub correct_percent_se: Option<f64>,
-    /// The same by the total count alone: the baseline.
+    /// The same for an observer of the total count alone: the baseline.
     pub total_correct_percent: f64,
     /// By chance, per cent.
     pub chance_percent: f64,
 }
 
-/// Names patterns by the counts of all afferents. `progress` gets the share that is done.
+/// Names patterns by the counts of all afferents. `progress` gets the completed share.
 ///
 /// # Errors
 /// If a pattern cannot be simulated.
@@ -132,7 +132,7 @@ fn named(distances: &[Vec<f64>], efficiency: f64, seed: u64) -> Vec<Vec<f64>> {
     (0..n).map(row).collect()
 }
 
-/// Points whose squared distances come nearest to these: classical scaling. Directions in which they would be negative are left out.
+/// Points whose squared distances come nearest to these: classical scaling. Directions with a negative eigenvalue are left out.
 fn points(n: usize, square: impl Fn(usize, usize) -> f64) -> Vec<Vec<f64>> {
     let mean_of = |row: usize| (0..n).map(|column| square(row, column)).sum::<f64>() / n as f64;
     let means: Vec<f64> = (0..n).map(mean_of).collect();
@@ -193,7 +193,7 @@ mod tests {
         }
     }
 
-    /// Distances that noise has made impossible: the points are near them, in any order of the patterns.
+    /// Noise has made these distances impossible. The points still come near them, in any order of the patterns.
     #[test]
     fn impossible_distances_give_the_nearest_points_in_any_order() {
         let wanted = |a: usize, b: usize| -> f64 {
@@ -223,7 +223,7 @@ mod tests {
         }
     }
 
-    /// Two patterns d' apart: the border lies half-way, so the share of correct names is Φ(d'/2).
+    /// For two patterns d' apart the border lies half-way, so the share of correct names is Φ(d'/2).
     #[test]
     fn shares_of_two_are_those_in_closed_form() {
         for (d_prime, efficiency) in [(0.0, 1.0), (1.0, 1.0), (3.0, 1.0), (30.0, 0.01)] {

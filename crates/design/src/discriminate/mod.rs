@@ -1,13 +1,13 @@
 //! Can a finger tell one pattern from another? Observers of simulated spikes.
 //!
-//! 1. [`Responses::of`] simulates trials of a pattern on a finger: one noise for each trial, the same pattern and finger.
+//! 1. [`Responses::of`] simulates trials of a pattern on a finger, each with its own noise.
 //! 2. `observer` estimates the [`Sensitivity`] d′ of observers of counts, and the share of correct answers that follows.
-//! 3. [`discriminate`] compares two patterns: by counts, by times in bins, and by the total count alone, per class and in all; the
-//!    mean over fingers.
+//! 3. [`discriminate`] compares two patterns by counts, by times in bins, and by the total count alone. It does so for each class
+//!    and for all afferents, and takes the mean over fingers.
 //! 4. `confusion`: [`confusion`] gives the answers of an observer that names one of several patterns.
 //!
-//! What varies between trials is the noise of the models. The observer knows finger and patterns, and when an interval begins. So it
-//! is far better than any person: an efficiency says by how much.
+//! Trials differ only by the noise of the models. The observer knows the finger, the patterns and the start of each interval, so it
+//! is far better than any person; an efficiency says by how much.
 //!
 //! Invariant: the result depends on the patterns, their order, and the [`Plan`] alone.
 //!
@@ -40,7 +40,7 @@ pub const MOST_TRIALS: usize = 1000;
 pub(crate) const MOST_BINS: usize = 100_000;
 /// The most time that is simulated, s: half an hour on one core.
 pub(crate) const MOST_SIMULATED_S: f64 = 100_000.0;
-/// Keeps the seeds of the noise apart from others.
+/// Separates the seeds of the noise from others.
 const NOISE_WORD: u64 = 12;
 
 /// How to compare patterns.
@@ -74,10 +74,10 @@ impl Plan {
         ((self.seconds * 1000.0 / self.resolution_ms - 1e-9).ceil() as usize).max(1)
     }
 
-    /// Says what is wrong with it for so many patterns, and what to do.
+    /// Checks the plan for this number of patterns.
     ///
     /// # Errors
-    /// If a number is out of its range, or the work is too much.
+    /// What is wrong and what to do, if a number is out of its range or the simulation would take too long.
     pub fn check(&self, patterns: usize) -> Result<(), String> {
         if !(LEAST_TRIALS..=MOST_TRIALS).contains(&self.trials) {
             return Err(format!("{} trials: must be {LEAST_TRIALS} to {MOST_TRIALS}", self.trials));
@@ -122,8 +122,8 @@ struct Responses {
 }
 
 impl Responses {
-    /// Simulates a pattern on the finger of a seed. `number` is its place among the patterns: with the finger's seed it keys the noise,
-    /// so that no two patterns and no two fingers share any.
+    /// Simulates a pattern on the finger of a seed. `number` is its place among the patterns. It is a key of the noise, as is the
+    /// finger's seed: no two patterns and no two fingers share noise.
     fn of(
         pattern: &Pattern,
         number: usize,
@@ -160,7 +160,7 @@ impl Responses {
     }
 }
 
-/// What an observer of some afferents makes of two patterns: means over fingers.
+/// How well an observer of some afferents tells two patterns apart: means over fingers.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Reading {
     /// The observer's sensitivity, at an efficiency of 1.
@@ -169,13 +169,13 @@ pub struct Reading {
     pub d_prime_se: f64,
     /// The standard deviation of d′ over fingers; 0 with one finger.
     pub d_prime_sd_fingers: f64,
-    /// Correct answers of two intervals, per cent, at the plan's efficiency.
+    /// Correct answers in a two-interval task, per cent, at the plan's efficiency.
     pub correct_percent: f64,
-    /// The same at d′ less and more one standard error.
+    /// The same at d′ minus and plus one standard error.
     pub correct_percent_range: [f64; 2],
 }
 
-/// What observers of a class of afferents, or of all, make of two patterns.
+/// How well observers of a class of afferents, or of all, tell two patterns apart.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct ClassReadings {
     /// The class; none: all afferents.
@@ -184,14 +184,14 @@ pub struct ClassReadings {
     pub afferents: usize,
     /// By each afferent's number of spikes: the ideal observer, because the noise of afferents is independent.
     pub counts: Reading,
-    /// By each afferent's spikes in bins of time: a linear observer that learned its weights from the trials, a lower bound. With few
-    /// trials it may tell less than the counts.
+    /// By each afferent's spikes in bins of time: a linear observer that learned its weights from the trials, a lower bound. With
+    /// few trials it may be worse than the counts.
     pub times: Reading,
     /// By the number of all spikes together: the baseline.
     pub total: Reading,
 }
 
-/// Compares two patterns: per class, then by all afferents. `progress` gets the share that is done.
+/// Compares two patterns: per class, then by all afferents. `progress` gets the completed share.
 ///
 /// # Errors
 /// If a pattern cannot be simulated.

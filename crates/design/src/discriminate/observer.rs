@@ -1,17 +1,17 @@
-//! Observers of responses, estimated from few trials without being flattered by them.
+//! Observers of responses, whose sensitivity is estimated from few trials without bias.
 //!
 //! A response is a list of counts: spikes per afferent, or per afferent and bin of time. An observer weighs each count by its
-//! difference of means over its variance, and compares the sums. Weights come from three quarters of the trials and are tried on the
-//! last quarter, four times in turn (cross-validation; Walther et al. 2016). So differences that chance makes in one part add
-//! nothing in another: a stimulus and itself have d′ = 0 on average, however many counts there are.
+//! difference of means over its variance, and compares the sums. It learns the weights from three quarters of the trials and
+//! applies them to the last quarter, four times in turn (cross-validation; Walther et al. 2016). So chance differences in one part
+//! add nothing in another: a stimulus compared with itself has d′ = 0 on average, however many counts there are.
 //!
-//! - [`independent`]: the ideal observer of independent counts, d′² = Σ Δμ²/σ² (Green & Swets 1966). The noise of different afferents
-//!   is independent in both models. The mean difference of the tried sums estimates this d′² without bias by chance.
-//! - [`linear`]: the mean difference of the tried sums over their standard deviation. It holds for counts that depend on each other,
+//! - [`independent`]: the ideal observer of independent counts, d′² = Σ Δμ²/σ² (Green & Swets 1966). The noise of different
+//!   afferents is independent in both models. The mean difference of the sums estimates this d′² without bias.
+//! - [`linear`]: the mean difference of the sums over their standard deviation. It is valid for counts that depend on each other,
 //!   such as neighbouring bins. Weights from few trials are poor, so it is a lower bound.
 //!
-//! A count is a whole number: both observers add a variance of 1/12, that of rounding, to every count. Without it a count that never
-//! varies would be worth infinitely much.
+//! A count is a whole number, so both observers add the variance of rounding, 1/12, to every count. Without it a count that never
+//! varies would have an infinite weight.
 //!
 //! Invariant: the estimates depend on the responses alone.
 
@@ -32,17 +32,17 @@ pub(super) type Trials<T> = Vec<Vec<T>>;
 /// A sensitivity, estimated.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct Sensitivity {
-    /// d′. Below 0 if the trials differ less than chance lets them.
+    /// d′. It is below 0 if the trials differ less than expected by chance.
     pub d_prime: f64,
     /// The standard error of d′.
     pub se: f64,
 }
 
-/// The sensitivity of the ideal observer of some counts that are independent, from as many trials of either stimulus. `which` are the
-/// numbers of the counts.
+/// The sensitivity of the ideal observer of some independent counts, from the same number of trials of each stimulus. `which` lists
+/// the counts to use.
 ///
 /// # Panics
-/// If there are fewer than [`LEAST_TRIALS`], or not as many of both.
+/// If there are fewer than [`LEAST_TRIALS`], or if the stimuli have different numbers of trials.
 pub(super) fn independent<T: Copy + Into<f64>>(
     one: &[Vec<T>],
     other: &[Vec<T>],
@@ -57,7 +57,7 @@ pub(super) fn independent<T: Copy + Into<f64>>(
     let mean = groups.iter().sum::<f64>() / GROUPS as f64;
     let scatter: f64 = groups.iter().map(|of| (of - mean) * (of - mean)).sum();
     let se_square = (scatter * (GROUPS - 1) as f64 / GROUPS as f64).sqrt();
-    // The error of a root; where the square is not larger than its error, that of the error's root.
+    // The error of a square root. Where d′² is smaller than its error, the error is that at d′² = its error.
     let se = if se_square > 0.0 { se_square / (2.0 * square.max(se_square).sqrt()) } else { 0.0 };
     Sensitivity { d_prime: square.abs().sqrt().copysign(square), se }
 }
@@ -89,7 +89,7 @@ pub(super) fn linear<T: Copy + Into<f64>>(one: &[Vec<T>], other: &[Vec<T>], whic
     Sensitivity { d_prime, se: (2.0 / n as f64 + d_prime * d_prime / (2.0 * freedom)).sqrt() }
 }
 
-/// The weighted sums of each trial, by weights from the other parts.
+/// The weighted sum of each trial, with weights learned from the other parts.
 struct Tried {
     /// Per stimulus and trial.
     sums: [Vec<f64>; 2],
@@ -98,7 +98,7 @@ struct Tried {
 }
 
 impl Tried {
-    /// Without the trials of a group, if one is left out.
+    /// Computes the sums, without the trials of the group `left_out`, if there is one.
     fn of<T: Copy + Into<f64>>(
         one: &[Vec<T>],
         other: &[Vec<T>],
@@ -124,7 +124,8 @@ impl Tried {
         for fold in 0..FOLDS {
             let learned = values.each_ref().map(|values| Moments::without(values, fold));
             let [a, b] = &learned;
-            // One over it has the right mean (that of an inverse χ²): the divisor is two less than the degrees of freedom.
+            // The divisor is two less than the degrees of freedom, so that the inverse of this variance has the right mean (that of
+            // an inverse χ²).
             let variance = (a.squares + b.squares) / (a.n + b.n - 4.0) + ROUNDING;
             let weight = (a.mean - b.mean) / variance;
             for (sums, values) in self.sums.iter_mut().zip(values) {
@@ -145,7 +146,7 @@ struct Moments {
 }
 
 impl Moments {
-    /// Of all values but those of a part.
+    /// The statistics of all values except those of one part.
     fn without(values: &[f64], fold: usize) -> Self {
         let others = || values.iter().enumerate().filter(|(t, _)| t % FOLDS != fold).map(|(_, value)| *value);
         let n = others().count() as f64;
@@ -154,7 +155,7 @@ impl Moments {
     }
 }
 
-/// The share of correct answers of two intervals, one with each stimulus, where an observer says which came first: Φ(d′/√2). An
+/// The share of correct answers if each of two intervals has one stimulus and an observer says which came first: Φ(d′/√2). An
 /// observer of efficiency η has the sensitivity √η·d′ (Tanner & Birdsall 1958).
 #[must_use]
 pub fn correct_of_two(d_prime: f64, efficiency: f64) -> f64 {
@@ -169,7 +170,7 @@ pub fn efficiency(d_prime: f64, correct: f64) -> Option<f64> {
     if d_prime <= 0.0 || !(correct > 0.5 && correct < 1.0) {
         return None;
     }
-    // The d′ of the observer, by halving.
+    // The d′ of the observer, by bisection.
     let (mut low, mut high) = (0.0, 20.0);
     for _ in 0..100 {
         let middle = f64::midpoint(low, high);
@@ -226,13 +227,13 @@ mod tests {
 
     #[test]
     fn normal_counts_give_the_sensitivity_in_closed_form() {
-        // Of 500 counts some differ: d' = sqrt(differing) · shift / SD.
+        // Some of the counts differ: d' = sqrt(differing) · shift / SD.
         for (differing, shift, counts) in [(1, 12.0, 1), (20, 3.0, 500), (100, 8.0, 500)] {
             let sd: f64 = 4.0;
             let one = vec![40.0; counts];
             let mut other = one.clone();
             other[..differing].iter_mut().for_each(|mean| *mean += shift);
-            // Rounding adds its variance once to the counts and once as the observer's.
+            // The variance of rounding counts twice: the counts are rounded, and the observer adds it.
             let expected = (differing as f64).sqrt() * shift / (sd * sd + 2.0 * ROUNDING).sqrt();
             let (mean, sd, se) = repeated(40, |seed| {
                 let (one, other) = (normal(&one, sd, 2 * seed, N), normal(&other, sd, 2 * seed + 1, N));
@@ -265,7 +266,7 @@ mod tests {
         assert!((found - expected).abs() < 0.02, "{found} for {expected}");
     }
 
-    /// A stimulus and itself, with few trials, also of counts that are mostly 0: no observer finds a difference.
+    /// No observer finds a difference between a stimulus and itself, even with few trials and counts that are mostly 0.
     #[test]
     fn few_trials_of_many_counts_do_not_flatter() {
         let sparse = |share: f64, seed, n| -> Trials<u16> {
@@ -306,13 +307,13 @@ mod tests {
             let [one, other] = pair(seed).map(copies);
             linear(&one, &other, &all(&one))
         });
-        // Rounding counts as independent in each copy.
+        // The observer assumes that rounding is independent in each copy.
         let expected = 8.0 / (16.0 + ROUNDING + ROUNDING / 16.0_f64).sqrt();
         assert!((copied / expected - 1.0).abs() < 0.1, "{copied} for {expected}");
         assert!((0.6..1.7).contains(&(se / sd)), "se {se}, sd {sd}");
     }
 
-    /// A few telling bins among thousands of quiet ones: less than the ideal observer has, and not nothing.
+    /// A few informative bins among thousands of silent ones: d′ is above 0, but below the ideal observer's.
     #[test]
     fn a_linear_observer_is_a_lower_bound() {
         let ideal = 20.0_f64.sqrt() * 3.0 / (4.0_f64 * 4.0 + 2.0 * ROUNDING).sqrt();

@@ -1,4 +1,4 @@
-//! Comparisons of whole patterns: of one with itself, of unlike ones, by times and by counts; plans that are refused.
+//! Comparisons of whole patterns: one with itself, different ones, by times and by counts; and plans that are refused.
 
 use super::*;
 use meissner_array::pattern::Drive;
@@ -52,7 +52,8 @@ fn a_pattern_is_not_told_from_itself_and_from_another_it_is() {
             all.counts.d_prime > 10.0 && all.counts.d_prime > 10.0 * all.counts.d_prime_se,
             "{model:?} {all:?}"
         );
-        // As many pins at as much: the total says less than where the spikes come from.
+        // Both patterns drive the same number of pins at the same amplitude, so the total count tells less than the place of the
+        // spikes.
         assert!(all.total.d_prime < 0.8 * all.counts.d_prime, "{model:?} {all:?}");
         assert!(
             all.counts.correct_percent > 60.0
@@ -75,7 +76,7 @@ fn more_efficient_observers_are_right_more_often_and_results_come_again() {
     }
 }
 
-/// A phase of half a cycle moves the spikes, and changes no count much: times tell it, counts hardly.
+/// A phase of half a cycle moves the spikes but hardly changes the counts: times reveal it, counts hardly do.
 #[test]
 fn times_tell_what_counts_do_not() {
     let at = |name, phase| {

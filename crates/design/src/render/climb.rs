@@ -1,11 +1,12 @@
 //! The search of one update: from a start to better points, for as long as the update may take.
 //!
-//! The search of patterns begins wide and ends fine. An update has a few hundred evaluations, and begins near a good point: the pose
-//! before was close. So it first asks what a shape that moved a little asks for, motors at its border off or in unison with their
-//! neighbours; then the frequencies of blocks; then single motors in random order, over the whole range. Motors that the shape does not
-//! come near only try to be off.
+//! The search for patterns begins with large steps and ends with small ones. An update has only a few hundred evaluations, and
+//! begins near a good point, because the pose before was close. So it first tries the changes that a small movement of the shape
+//! needs: motors at its border off, or in unison with their neighbours. Then it tries the frequencies of blocks, and then single
+//! motors in random order, over the whole range. For motors far from the shape it only tries to turn them off.
 //!
-//! Invariant: the result is no worse than the start. It depends on the start, the draw and the number of evaluations, not on threads.
+//! Invariant: the result is no worse than the start. It depends on the start, the random numbers and the number of evaluations, not
+//! on threads.
 
 use crate::aim::{Standing, Step};
 use crate::moves;
@@ -16,30 +17,31 @@ use meissner_array::random;
 use std::collections::HashSet;
 use std::time::Instant;
 
-/// The most points of a batch: the time is read between batches.
+/// The most points of a batch. The time is checked between batches.
 const BATCH: usize = 24;
 /// Radii of blocks, shares of their frequency.
 const RADII: [f64; 3] = [0.1, 0.05, 0.025];
 /// Separates these random numbers from others of the same seed.
 const LIVE_WORD: u64 = 13;
-/// The least time that an evaluation is taken to last, s.
+/// The shortest time that the meter assumes for an evaluation, s.
 const LEAST_PACE_S: f64 = 5e-6;
 /// The weight of the newest batch in the time per evaluation.
 const NEWEST: f64 = 0.3;
-/// A batch may take so many times as long as expected, within the time that is left.
+/// A batch is started only if this multiple of its expected time is left.
 const MARGIN: f64 = 1.3;
 
-/// Counts evaluations, and says how many more there may be.
+/// Counts evaluations, and knows how many more the limit allows.
 #[derive(Debug)]
 pub(super) struct Meter {
     pub(super) limit: Limit,
     pub(super) spent: Spent,
-    /// The time of an evaluation, s, by the batches so far. Only a limit of time reads it.
+    /// The time of an evaluation, s, estimated from the batches so far. Only a time limit uses it.
     pub(super) pace_s: f64,
 }
 
 impl Meter {
-    /// A meter that begins with the pace of the update before: half of it, so that one stall of the machine is soon forgotten.
+    /// A meter that begins with half the time per evaluation of the update before, so that one stall of the machine is soon
+    /// forgotten.
     pub(super) fn new(limit: Limit, pace_s: f64) -> Self {
         Self { limit, spent: Spent::default(), pace_s: pace_s / 2.0 }
     }
@@ -64,7 +66,7 @@ impl Meter {
         self.spent.afferent_s += afferents as f64 * duration_s;
     }
 
-    /// Does some evaluations, and learns how long one takes.
+    /// Runs some evaluations, and measures the time of one.
     pub(super) fn timed<T>(&mut self, evaluations: usize, run: impl FnOnce() -> T) -> T {
         if !matches!(self.limit, Limit::Until(_)) {
             return run();
@@ -78,7 +80,7 @@ impl Meter {
     }
 }
 
-/// A search from where it stands.
+/// A search from its current point.
 pub(super) struct Climb<'c, 's> {
     pub(super) standing: &'c mut Standing<'s>,
     pub(super) space: &'c Space,
@@ -92,12 +94,12 @@ pub(super) struct Climb<'c, 's> {
 }
 
 impl Climb<'_, '_> {
-    /// Goes to better points until nothing improves or the limit is reached.
+    /// Moves to better points until nothing improves or the limit is reached.
     pub(super) fn run(&mut self) -> Ended {
         self.seen.insert(*self.standing.point());
         loop {
             let before = self.standing.score().value;
-            // Where the limit allows only motors or blocks, updates take turns.
+            // If the limit allows only motors or blocks, updates alternate between them.
             let motors_first = !self.draw[1].is_multiple_of(2);
             let done = self.follow()
                 && (!motors_first || self.motors())
@@ -112,7 +114,8 @@ impl Climb<'_, '_> {
         }
     }
 
-    /// All motors in one batch, again while that improves. False if the limit ended it; so are the others.
+    /// Tries all motors in one batch, and repeats while that improves. Like `blocks` and `motors`, it returns false if the limit
+    /// ended it.
     fn follow(&mut self) -> bool {
         loop {
             let point = *self.standing.point();
@@ -126,7 +129,7 @@ impl Climb<'_, '_> {
         }
     }
 
-    /// Every block once for each radius.
+    /// Tries every block once for each radius.
     fn blocks(&mut self) -> bool {
         for (number, radius) in RADII.into_iter().enumerate() {
             let mut done = 0_u32;
@@ -145,7 +148,7 @@ impl Climb<'_, '_> {
         true
     }
 
-    /// Every motor that the shape comes near, in random order.
+    /// Tries every motor near the shape, in random order.
     fn motors(&mut self) -> bool {
         let mut order: Vec<usize> = (0..MOTORS).filter(|&motor| self.near[motor]).collect();
         for last in (1..order.len()).rev() {
@@ -162,7 +165,7 @@ impl Climb<'_, '_> {
         true
     }
 
-    /// Tries points and goes to the best if it improves. None if the limit does not allow them all.
+    /// Tries points and moves to the best if it improves. None if the limit does not allow them all.
     fn batch(&mut self, points: Vec<Point>) -> Option<bool> {
         let new: Vec<Point> = points.into_iter().filter(|point| self.seen.insert(*point)).collect();
         let mut best: Option<Step> = None;
@@ -180,7 +183,7 @@ impl Climb<'_, '_> {
             let least = |best: &Option<Step>| {
                 best.as_ref().map_or(self.standing.score().value, |best| best.score.value)
             };
-            // The first of equals, so that threads do not matter.
+            // Take the first among equals, so that threads do not matter.
             for step in tried {
                 if step.score.value > least(&best) {
                     best = Some(step);

@@ -1,6 +1,7 @@
-//! What the drives of a live target reached, beside what a search reaches that takes its time.
+//! Compares what the drives of a live target reached with the result of a search without a deadline.
 //!
-//! A daemon calls [`compare_live`] after a play, with samples of what it played. Everything is simulated as the models are, not nearly.
+//! A daemon calls [`compare_live`] after a play, with samples of what it played. Everything is simulated with the full models, not
+//! approximately.
 
 use super::{LiveBrief, Pose, RenderError, still};
 use crate::aim::{Aim, Models};
@@ -25,14 +26,14 @@ pub struct LiveSample {
     pub drives: Vec<Drive>,
 }
 
-/// A figure of the drives, of the result of a search at the same pose, and of the naive rule.
+/// One figure for the drives, for the result of a search at the same pose, and for the naive rule.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Compared {
-    /// Of the drives.
+    /// The figure of the drives.
     pub reached: f64,
-    /// Of a search, the best of several starts; the drives are one of them.
+    /// The figure of a search, the best of several starts; the drives are one of them.
     pub converged: f64,
-    /// Of the rule [`Rule::Reach`].
+    /// The figure of the rule [`Rule::Reach`].
     pub rule: f64,
 }
 
@@ -41,17 +42,17 @@ pub struct Compared {
 pub struct LiveComparison {
     /// The pose.
     pub pose: Pose,
-    /// The contrast, impulses/s, under each model that is asked.
+    /// The contrast, impulses/s, under each model in use.
     pub contrast_hz: Vec<(ModelName, Compared)>,
-    /// The value of what is maximised; under both models it is the gain over the rule.
+    /// The value that the search maximises; under both models it is the gain over the rule.
     pub value: Compared,
     /// Whether the search converged: if not, `converged` is the best within its limit.
     pub converged: bool,
 }
 
-/// Compares what was played with what a search reaches at the same poses from the best of several starts: the drives themselves, the
-/// naive rules, and under one model random starts. A time limit is shared equally; any other holds for each sample. Poses
-/// at which there are no ON or no OFF afferents have no contrast: they are left out.
+/// Compares the played drives with the result of a search at the same poses. The search takes the best of several starts: the
+/// drives themselves, the naive rules, and under one model random starts. A time limit is shared equally; any other holds for each
+/// sample. Poses at which there are no ON or no OFF afferents have no contrast: they are left out.
 ///
 /// # Errors
 /// If the target moves by itself, if a pose is out of range, or if the method cannot simulate the target's afferents.
@@ -115,7 +116,7 @@ fn compare(
         seed: of.seed,
     };
     let found = resume(&brief, start.1, limit, &mut |_, _| ControlFlow::Continue(()))?;
-    // A search scores less finely: its result may be worse than its start as the model is.
+    // A search scores at a lower fidelity: under the full model its result may be worse than its start.
     let best = if value(found.point)? >= start.0 { found.point } else { start.1 };
     let asked: &[ModelName] = match of.models {
         Models::Membrane => &[ModelName::Membrane],

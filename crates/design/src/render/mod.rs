@@ -1,16 +1,17 @@
 //! Live targets: a shape that a client moves over the array, and what the motors do at each of its poses.
 //!
-//! A [`Renderer`] takes a target at rest. Each [`Renderer::render`] gives the drives for one [`Pose`] of its shape within a [`Limit`], a
-//! deadline for example. The renderer keeps what does not depend on the pose: the populations, how motors reach their afferents, the
-//! noise, and the spikes of the points that it stands at. A new pose only says anew which afferents are ON, so the points of earlier
-//! poses are scored at it without any simulation. The search (`climb`) begins at the best of these starts:
+//! A [`Renderer`] takes a target at rest. Each [`Renderer::render`] gives the drives for one [`Pose`] of its shape within a
+//! [`Limit`], a deadline for example. The renderer keeps everything that does not depend on the pose: the populations, the
+//! influence of motors on their afferents, the noise, and the spikes of its current points. A new pose only changes which afferents
+//! are ON, so the points of earlier poses are scored at it without any simulation. The search (`climb`) begins at the best of these
+//! starts:
 //!
 //! 1. the result of the update before;
 //! 2. the naive rules at this pose ([`Rule`]).
 //!
-//! The score is that of drives that play on at this pose, as a search for a target at rest has it; what is left of the pose before is
-//! not simulated. The second model is simulated nearly ([`LIVE_FIDELITY`]), also under both models, unless the amplitude may lift pins
-//! off the skin. [`compare_live`] says afterwards what the drives of some poses reach under the models as they are.
+//! The score assumes that the drives go on at this pose, as in a search for a target at rest; the transition from the pose before
+//! is not simulated. The second model is simulated approximately ([`LIVE_FIDELITY`]), also under both models, unless the amplitude
+//! may lift pins off the skin. [`compare_live`] computes afterwards what the drives of some poses reach under the full models.
 //!
 //! Invariant: without a limit of time, equal calls give equal results, bit for bit, and no result is worse than any of its starts.
 
@@ -40,24 +41,24 @@ use std::sync::Arc;
 
 pub use compare::{Compared, LiveComparison, LiveSample, compare_live};
 
-/// How a live target is simulated: for a second, with the small influences left out that a search leaves out at its beginning.
+/// The fidelity for live targets: one second, without the small influences that a search leaves out at its beginning.
 pub const LIVE_FIDELITY: Fidelity =
     Fidelity { duration_s: 1.0, step_us: Some(500), min_weight: 1e-2, min_share: Some(SEARCH_MIN_SHARES[0]) };
 
-/// The lowest frequency of a live target's drives, tenths of a hertz. A motor changes where its next period begins: at 40 Hz within
-/// 25 ms, at 5 Hz the shape would be elsewhere by then. The contrast that searches reach is the same without slower drives
-/// (docs/explanation/search.md).
+/// The lowest frequency of a live target's drives, tenths of a hertz. A motor changes its drive at the start of its next period: at
+/// 40 Hz within 25 ms. At 5 Hz the shape would be elsewhere by then. The contrast that searches reach is the same without slower
+/// drives (docs/explanation/search.md).
 pub const LIVE_LEAST_DECIHERTZ: u16 = 400;
-/// The largest turn of a pose, degrees: three hours at 90 degrees/s.
+/// The largest turn of a pose, degrees: that of three hours at 90 degrees/s.
 const MOST_DEG: f64 = 1e6;
-/// The number of rules whose counts are kept: a shape comes back to the same pins.
+/// The number of rules whose counts are kept, because a shape comes back to the same pins.
 const KEPT_RULES: usize = 64;
 
 /// Where a live target's shape is.
 ///
-/// The shape is first turned anticlockwise by `angle_deg` about the array's middle, then shifted by `x_mm` and `y_mm`, in the array's
-/// axes: x across the finger, y towards the fingertip. So a pose of zeros is the shape as the target has it, and the array's middle as
-/// a point of the shape comes to lie at (`x_mm`, `y_mm`).
+/// The shape is first turned anticlockwise by `angle_deg` about the array's middle, then shifted by `x_mm` and `y_mm`, in the
+/// array's axes: x across the finger, y towards the fingertip. So a pose of zeros is the shape as the target has it, and a shape
+/// centred on the array's middle is centred on (`x_mm`, `y_mm`).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Pose {
     /// The shift across the finger, mm.
@@ -73,7 +74,7 @@ pub struct Pose {
 pub struct LiveBrief {
     /// The models that predict rates.
     pub models: Models,
-    /// What is maximised.
+    /// The goal to maximise.
     pub goal: Goal,
     /// The search space; live drives have at least 40 Hz.
     pub setting: Setting,
@@ -128,8 +129,9 @@ pub struct Rendered {
     pub point: Point,
     /// Its drives, without end.
     pub drives: Vec<Drive>,
-    /// What it reaches at [`LIVE_FIDELITY`]. None if the populations have no ON afferent at this pose, or no OFF: then nothing can be better or
-    /// worse, and the point is that of the rule [`Rule::Reach`], all motors off where the shape lies beyond the finger.
+    /// What it reaches at [`LIVE_FIDELITY`]. None if the populations have no ON or no OFF afferent at this pose. Then no point is
+    /// better than another, and the point is that of the rule [`Rule::Reach`]: all motors are off where the shape lies beyond the
+    /// finger.
     pub reached: Option<Score>,
     /// What the rule [`Rule::Reach`] reaches at the same fidelity.
     pub rule: Option<Score>,
@@ -137,7 +139,7 @@ pub struct Rendered {
     pub start: Start,
     /// What the start reached.
     pub start_value: Option<f64>,
-    /// The work. Simulations of rules and of the start count.
+    /// The work, including simulations of rules and of the start.
     pub spent: Spent,
     /// Whether nothing improved, or the limit ended the search.
     pub ended: Ended,
@@ -162,9 +164,9 @@ pub struct Renderer {
     target: Target,
     brief: LiveBrief,
     space: Space,
-    /// By population.
+    /// The places of the afferents, by population.
     places: Vec<Vec<Position>>,
-    /// Without a shape.
+    /// The aim without a shape.
     aim: Aim,
     stood: Stood,
     /// Rules at earlier poses, the newest last.
@@ -233,8 +235,8 @@ impl Renderer {
         Ok(Self { target, brief, space, places, aim, stood, rules, renders: 0, pace_s: 0.0 })
     }
 
-    /// What the motors do at a pose. The search ends at the limit, or when nothing improves. It does no batch of moves for which the time
-    /// left does not suffice by the pace so far. The starts are scored whatever the limit.
+    /// What the motors do at a pose. The search ends at the limit, or when nothing improves. It starts a batch of moves only if the
+    /// time left suffices at the pace so far. The starts are always scored, even beyond the limit.
     ///
     /// # Errors
     /// If the pose is out of range. Then nothing changes.
@@ -327,7 +329,7 @@ impl Renderer {
         Some(rendered)
     }
 
-    /// The counts of a rule's point, simulated from where a search stood unless they are known.
+    /// The counts of a rule's point. Unless they are known, they are simulated from the last current point.
     fn counts(&mut self, point: Point, meter: &mut Meter) -> Counts {
         if let Some((_, counts)) = self.rules.iter().find(|(of, _)| *of == point) {
             return counts.clone();
@@ -335,7 +337,7 @@ impl Renderer {
         let mut standing = self.aim.stand(self.stood.clone());
         meter.spend(self.aim.afferents(), self.aim.duration_s());
         if meter.pace_s == 0.0 {
-            // The first update knows nothing else of the machine.
+            // For the first update this is the only measurement of the machine's speed.
             meter.timed(1, || standing.go_to(point));
         } else {
             standing.go_to(point);
@@ -348,7 +350,8 @@ impl Renderer {
         counts
     }
 
-    /// The motors within the reach and a pitch of the shape: those further away only move OFF afferents. Where no motor may be off, all.
+    /// The motors no farther from the shape than its reach plus a pitch: others only move OFF afferents. All motors, if none may be
+    /// off.
     fn near(&self, shape: &Shape) -> [bool; MOTORS] {
         let within_mm = self.target.reach_mm() + PITCH_MM;
         std::array::from_fn(|motor| {

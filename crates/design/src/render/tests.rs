@@ -1,4 +1,4 @@
-//! The renderer: poses, starts, and what some evaluations reach.
+//! Tests of the renderer: poses, starts, and results of a few evaluations.
 
 use super::*;
 use crate::partition::Partition;
@@ -42,7 +42,7 @@ fn poses_out_of_range_and_moving_targets_are_refused_in_one_line() {
     }
     let moving = Renderer::new(&shipped("moving-edge").unwrap(), LiveBrief::default());
     assert!(moving.unwrap_err().to_string().starts_with("the target moving-edge moves: "));
-    // Beyond the finger there is nothing to feel.
+    // Beyond the finger there are no afferents.
     let beyond = renderer.render(pose(20.0, 0.0, 0.0), Limit::Evaluations(50)).unwrap();
     assert!((beyond.reached, beyond.drives.len(), beyond.spent.evaluations) == (None, 0, 0));
 }
@@ -99,7 +99,7 @@ fn a_few_evaluations_an_update_come_near_the_converged_search() {
         let drives = renderer.render(pose, Limit::Evaluations(150)).unwrap().drives;
         samples = vec![LiveSample { pose, drives }];
     }
-    // And a pose at which there is nothing to compare.
+    // Add a pose at which there is nothing to compare.
     samples.push(LiveSample { pose: pose(20.0, 20.0, 0.0), drives: Vec::new() });
     let compared = compare_live(&target, brief, &samples, Limit::Evaluations(2_000)).unwrap();
     let [of] = &compared[..] else { panic!("{compared:?}") };

@@ -53,7 +53,7 @@ impl Target {
         &self.name
     }
 
-    /// The shape; that of a moving target is as in the middle of the motion.
+    /// The shape; for a moving target, as it is in the middle of the motion.
     #[must_use]
     pub const fn shape(&self) -> &Shape {
         &self.shape
@@ -101,7 +101,7 @@ impl Target {
         self.motion.is_some()
     }
 
-    /// Checks everything but the place of the points: a file checks that, to name the key.
+    /// Checks everything except the place of the points: the file reader checks that, because it can name the key.
     pub(super) fn checked(self) -> Result<Self, KeyError> {
         if !pattern::is_name(&self.name) {
             return Err(KeyError::key("name", Problem::Name { found: quote(&self.name) }));
@@ -226,7 +226,7 @@ mod tests {
         assert_eq!(line, "`amplitude_um` is NaN: must be 0 to 400 um");
         let line = target.with_population_seed(u64::MAX).unwrap_err().to_string();
         assert_eq!(line, "`population.seed` is 1.8446744073709552e19: must be 0 to 9223372036854775807");
-        // A place that has an afferent in one population and none in the other.
+        // This place has an afferent in one population, but not in the other.
         let at = afferent::population(1)[0];
         let rest = format!("shape = \"dots\"\npoints = [[{}, {}]]\nreach_mm = 0.01\n", at.x_mm, at.y_mm);
         let narrow = read(&format!("{rest}population.seed = 1"));

@@ -1,6 +1,6 @@
 //! Errors of target files: one line that says what is wrong, where, and what to do.
 //!
-//! Errors that any file may have are those of [`document`]; here are those of shapes and afferents.
+//! [`document`] has the errors that any file may have; this module has those of shapes and afferents.
 //!
 //! Invariant: the text of a [`TargetError`] has no line break.
 
@@ -57,7 +57,7 @@ fn in_frame(frame: Option<(usize, usize)>) -> String {
     frame.map_or_else(String::new, |(frame, of)| format!(" in frame {frame} of {of}"))
 }
 
-/// A computed number for people, to four decimals.
+/// A computed number for a message, to four decimals.
 pub(super) fn number(value: f64) -> String {
     short_number((value * 1e4).round() / 1e4)
 }

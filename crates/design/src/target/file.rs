@@ -1,7 +1,7 @@
 //! Reading and writing target files.
 //!
-//! The shape decides which keys a file may have: a key of another shape is refused. So is a point off the pad, named by
-//! the key that placed it. [`Target::checked`] checks the rest.
+//! The shape decides which keys a file may have: a key of another shape is refused. A point off the pad is refused, too; the error
+//! names the key that placed it. [`Target::checked`] checks the rest.
 //!
 //! Invariant: no key is ignored.
 
@@ -303,7 +303,7 @@ impl RawTarget {
             Kind::Grating => {
                 let period_mm = number("period_mm", self.period_mm)?;
                 let (angle_deg, offset_mm) = (self.angle_deg.unwrap_or(0.0), self.offset_mm.unwrap_or(0.0));
-                // Checked here already: frames are made before the rest is checked.
+                // Checked here, because frames are made before the rest is checked.
                 within("period_mm", period_mm, &(0.1..=1e3), "0.1 to 1000 mm")?;
                 // No key places a grating.
                 Ok((Shape::Grating { period_mm, angle_deg, offset_mm }, PlacedBy::Points))
@@ -389,7 +389,7 @@ impl<'de> Deserialize<'de> for Kind {
     }
 }
 
-/// A place, `[x, y]`. Serde's own message about a list of three does not say so.
+/// A place, `[x, y]`. Serde's own message about a list of three numbers does not name this form.
 #[derive(Clone, Copy)]
 struct Point([f64; 2]);
 

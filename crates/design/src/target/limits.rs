@@ -10,7 +10,7 @@ pub const MAX_POINTS: usize = 64;
 pub const MAX_FRAMES: u8 = 64;
 /// The longest motion, s. It is simulated as a whole, and every spike is kept.
 pub(crate) const LONGEST_S: f64 = 20.0;
-/// The detail that the array can show, mm: between two pins there must be one at rest.
+/// The finest detail that the array can show, mm: two vibrating pins need one at rest between them.
 pub(super) const FINEST_MM: f64 = 2.0 * PITCH_MM;
 /// Lengths that differ by less are equal, mm.
 pub(super) const SAME_MM: f64 = 1e-9;

@@ -70,7 +70,7 @@ impl Motion {
         frames.clamp(1.0, f64::from(Self::most_frames(duration_s))) as u8
     }
 
-    /// The largest number of frames of which none is too short.
+    /// The largest number of frames for which no frame is too short.
     #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "clamped")]
     pub(super) fn most_frames(duration_s: f64) -> u8 {
         (duration_s / SHORTEST_FRAME_S + 1e-9).clamp(1.0, f64::from(MAX_FRAMES)) as u8

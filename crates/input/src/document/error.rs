@@ -10,7 +10,7 @@ use crate::message::short_number;
 use std::borrow::Cow;
 use std::fmt;
 
-/// A place in a document, or in a value that was made without one.
+/// A place in a document, or in a value that was made in memory.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Place {
     /// The file, as the caller names it.
@@ -94,8 +94,8 @@ pub struct DocumentError<P: std::error::Error + 'static> {
     pub problem: Problem<P>,
 }
 
-/// A problem with a key, before the file is known. The code that finds it knows the key, its callers know the table around
-/// the key ([`Self::within`]), and the reader knows the text and the file ([`Self::in_text`], [`Self::in_file`]).
+/// A problem with a key, before the file is known. The code that finds it sets the key, its callers add the table around the key
+/// ([`Self::within`]), and the reader adds the text and the file ([`Self::in_text`], [`Self::in_file`]).
 #[derive(Debug)]
 pub struct KeyError<P> {
     /// The line, from 1, if it is known.
@@ -122,7 +122,7 @@ impl<P> KeyError<P> {
         Self { line, path, problem: Problem::Common(problem) }
     }
 
-    /// Adds the line of the key in a TOML text, or the line of the nearest table around it that is there.
+    /// Adds the line of the key in a TOML text, or the line of the nearest enclosing table that exists.
     #[must_use]
     pub fn in_text(self, text: &str) -> Self {
         let mut path = self.path.as_str();

@@ -1,9 +1,9 @@
 //! Reads TOML and JSON documents of known keys with serde.
 //!
-//! [`from_toml`] and [`from_json`] read a struct that is wrapped in [`Table`]. They turn the errors of serde into
-//! [`KeyError`]s: in our words, with the path and the line, and with the nearest known key for an unknown one. Which values are
-//! good is for the reader of each kind of document: it checks with [`in_range`] and has problems of its own. A reader of texts
-//! that strangers send calls [`check_size`] first.
+//! [`from_toml`] and [`from_json`] read a struct that is wrapped in [`Table`]. They turn the errors of serde into [`KeyError`]s: in
+//! our words, with the path and the line, and with the nearest known key for an unknown one. The reader of each kind of document
+//! decides which values are valid: it checks them with [`in_range`] and defines its own problems. A reader of untrusted texts calls
+//! [`check_size`] first.
 //!
 //! Invariant: no error displays a line break.
 
@@ -24,7 +24,7 @@ use serde_path_to_error::{Path, Segment};
 use std::fmt;
 use std::marker::PhantomData;
 
-/// Names what to add where the given key is missing.
+/// Returns the text to add where the given key is missing.
 pub type Wanted = fn(&str) -> &'static str;
 
 /// Reads JSON. `wanted` names what to add where a key is missing.
@@ -51,7 +51,7 @@ fn json_syntax<P>(error: &serde_json::Error) -> KeyError<P> {
     KeyError::common(Some(error.line()), String::new(), CommonProblem::Syntax { language: "JSON", message })
 }
 
-/// The message without its place: errors have a place of their own.
+/// The message without serde's place: our errors add the place themselves.
 fn without_place(error: &serde_json::Error) -> String {
     let mut message = error.to_string();
     let place = format!(" at line {} column {}", error.line(), error.column());
@@ -141,11 +141,11 @@ fn in_words(message: &str) -> String {
     format!("is {}: must be {wanted}", foreign(found))
 }
 
-/// Reads the number, or the numbers, of a key that may be left out; null is refused. Many languages write a number that is none (NaN,
-/// an empty field) as null. Taken as absent, it would mean the full amplitude, no end, or all motors.
+/// Reads the number, or the numbers, of a key that may be left out; null is refused. Many languages write NaN or an empty field as
+/// null. If null counted as absent, it would mean the full amplitude, no end, or all motors.
 ///
 /// # Errors
-/// The value is null, or no such number.
+/// The value is null, or is not such a number.
 pub fn given<'de, D: Deserializer<'de>, T: Deserialize<'de>>(source: D) -> Result<Option<T>, D::Error> {
     let null = || D::Error::custom("is null: must be a number; without a value leave the key out");
     Option::deserialize(source)?.map_or_else(|| Err(null()), |value| Ok(Some(value)))

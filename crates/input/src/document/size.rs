@@ -1,10 +1,10 @@
-//! Counts what a TOML text makes, before a reader allocates it.
+//! Counts the tables and values of a TOML text before a reader allocates them.
 //!
-//! A dot of a key makes a table: a megabyte of dotted keys makes half a million tables, and a gigabyte in memory. A reader
-//! of texts from strangers calls [`check_size`] before [`from_toml`](super::from_toml), and bounds the length of the text itself.
+//! A dot of a key makes a table: a megabyte of dotted keys makes half a million tables, and a gigabyte in memory. A reader of
+//! untrusted texts calls [`check_size`] before [`from_toml`](super::from_toml); it must bound the length of the text itself.
 //!
-//! Invariant: the counts are those of the parser's own events, so the parser allocates no more than was counted; counting
-//! takes memory for [`Size::tokens`] tokens at most, 24 bytes each.
+//! Invariant: the counts are those of the parser's own events, so the parser allocates no more than was counted. Counting takes at
+//! most 24 bytes for each of [`Size::tokens`] tokens.
 
 use super::error::{CommonProblem, KeyError};
 use super::lines::line_at;
@@ -12,7 +12,7 @@ use toml_parser::lexer::Token;
 use toml_parser::parser::{Event, EventKind, RecursionGuard, parse_document};
 use toml_parser::{Source, Span};
 
-/// Tables and lists within one another, at most: the limit of [`toml`].
+/// Largest nesting depth of tables and lists: the limit of [`toml`].
 const DEPTH: u32 = 80;
 
 /// The most that a TOML text may hold.
@@ -26,7 +26,7 @@ pub struct Size {
     pub values: usize,
 }
 
-/// Refuses a TOML text that holds more than `most`. A text with mistakes passes if it holds no more.
+/// Refuses a TOML text that holds more than `most`. A text with mistakes passes if it is within `most`.
 ///
 /// # Errors
 /// [`CommonProblem::TooMany`], with the line of the first one too many.
@@ -56,7 +56,7 @@ pub fn check_size<P>(text: &str, most: Size) -> Result<(), KeyError<P>> {
     }
 }
 
-/// Counts events, and keeps the first one too many.
+/// Counts events, and keeps the first one beyond the limit.
 struct Count {
     left: usize,
     beyond: Option<Span>,

@@ -1,12 +1,12 @@
-//! Labels of points, placed so that no label covers another one, a marker or a line.
+//! Places the labels of points so that no label covers another one, a marker or a line.
 //!
-//! Invariant: a label that finds no free place is left out.
+//! Invariant: a label without a free place is left out.
 
 /// Width of a character and height of a line of labels, px, at [`super::LABEL`] px.
 const CHARACTER: (i32, i32) = (7, 13);
-/// The half side of the square that a marker takes, px.
+/// Half the side of the square that a marker takes, px.
 const MARKER: i32 = 6;
-/// The half side of the squares that a line takes, and their distance, px.
+/// Half the side of the squares that a line takes, and their distance, px.
 const LINE: i32 = 2;
 const EVERY: i32 = 4;
 /// Distances of a label from its point, px.
@@ -19,8 +19,8 @@ fn overlap(a: &Place, b: &Place) -> bool {
     a[0] < b[2] && b[0] < a[2] && a[1] < b[3] && b[1] < a[3]
 }
 
-/// The place of each label, in the order of `labelled`: its point and text. `markers` are all points, `lines` all lines, `area` is
-/// where labels may lie.
+/// The place of each label, in the order of `labelled`, which has its point and text. `markers` are all points, `lines` all lines,
+/// `area` is where labels may lie.
 pub(super) fn place(
     labelled: &[((i32, i32), &str)],
     markers: &[(i32, i32)],

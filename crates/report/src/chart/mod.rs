@@ -1,7 +1,7 @@
 //! Charts as SVG: lines and measured points on two axes.
 //!
 //! A series is a line, points, or both. Colour, dash and marker tell series apart, so that a chart can be read in grey. The legend
-//! lies beside the axes and covers nothing. `scale` has the axes, `labels` places the labels of points.
+//! lies beside the axes and covers nothing. `scale` computes the axes, `labels` places the labels of points.
 //!
 //! Invariant: the same numbers make the same bytes.
 
@@ -45,10 +45,10 @@ const COLORS: [RGBColor; 6] = [
     RGBColor(204, 121, 167),
     RGBColor(230, 159, 0),
 ];
-/// Dash and gap of each series, px; the first is whole.
+/// Dash and gap of each series, px; the first has a solid line.
 const DASHES: [Option<(i32, i32)>; 6] =
     [None, Some((8, 4)), Some((3, 3)), Some((14, 5)), Some((6, 8)), Some((2, 6))];
-/// A line with more points is drawn whole: the drawing library makes an element of every dash.
+/// A line with more points is drawn solid, because the drawing library makes an element of every dash.
 const MOST_DASHED: usize = 500;
 /// The corners of each series' marker about its point, px; the first is a disc.
 const MARKERS: [&[(i32, i32)]; 6] = [
@@ -60,7 +60,7 @@ const MARKERS: [&[(i32, i32)]; 6] = [
     &[(-5, -2), (0, -5), (5, -2), (3, 4), (-3, 4)],
 ];
 
-/// A chart that could not be drawn: a bug of ours.
+/// A chart could not be drawn: our bug.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("internal error: the plot cannot be drawn: {message}")]
 pub struct PlotError {
@@ -76,7 +76,7 @@ impl PlotError {
 
 /// A chart.
 pub(crate) struct Chart<'a> {
-    /// None where a caption says it.
+    /// None where a caption serves as the title.
     pub(crate) title: Option<&'a str>,
     pub(crate) x: Axis<'a>,
     pub(crate) y: Axis<'a>,
@@ -90,7 +90,7 @@ pub(crate) struct Series {
     pub(crate) line: Vec<(f64, f64)>,
     pub(crate) points: Vec<Point>,
     pub(crate) dot: Dot,
-    /// A label for each point, or none at all. A label that would cover another one is left out.
+    /// Empty, or a label for each point. A label that would cover another one is left out.
     pub(crate) labels: Vec<String>,
 }
 
@@ -185,7 +185,7 @@ fn axes_and_series<'a>(chart: &Chart<'_>, area: &Area<'a>, whole: &Area<'a>, leg
                 .draw(&PathElement::new([pixel(x, y - sd), pixel(x, y + sd)], look.color.stroke_width(1)))?;
         }
     }
-    // Markers last: no line covers one.
+    // Draw markers last, so that no line covers one.
     let place = |point: &Point| pixel(point.x, point.y);
     let placed: Vec<Vec<(i32, i32)>> =
         chart.series.iter().map(|series| series.points.iter().map(place).collect()).collect();

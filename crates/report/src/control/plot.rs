@@ -1,6 +1,6 @@
 //! The rest error against the age and the rate of telemetry as SVG: bounds as lines, measurements as points.
 //!
-//! Without room bursts are shorter than planned, so they scatter less than the bound assumes.
+//! Where bursts do not fit into half a period, they are shorter than planned, so they scatter less than the bound assumes.
 //!
 //! Invariant: the same figures make the same bytes.
 

@@ -1,4 +1,4 @@
-//! One cell of the grid, measured.
+//! Measures one cell of the grid.
 
 use crate::statistics::mean;
 use firmware_protocol::tick::TICK_HZ;
@@ -11,17 +11,17 @@ use serde::Serialize;
 /// The largest ratio of rest error to bound, for a scatter up to [`SCATTER`].
 const RATIO: f64 = 1.2;
 const SCATTER: f64 = 0.1;
-/// The largest ratio for more scatter: the controller must learn a scatter that it does not expect.
+/// The largest ratio for more scatter, because the controller must first learn an unexpected scatter.
 const LARGE_RATIO: f64 = 1.5;
 /// The largest rest error without scatter, µm: a pulse, because pulse counts are rounded.
 pub(super) const CALM_UM: f64 = UM_PER_PULSE;
 /// The largest relative error of the mean amplitude; half a pulse is allowed, too.
 const AMPLITUDE: f64 = 0.01;
-/// The amplitude has a limit only if half a period is so many bursts long: below, there is no room for longer bursts.
+/// The amplitude has a limit only if half a period has at least this many burst lengths; otherwise longer bursts do not fit.
 const ROOM: f64 = 1.3;
 /// An excess of fewer standard errors may be chance: one cell in a hundred has it.
 const CHANCE: f64 = 2.5;
-/// The standard error is that of the means of so many parts, because neighbouring errors are correlated.
+/// The standard error is computed from the means of this many parts, because neighbouring errors are correlated.
 const PARTS: usize = 40;
 
 /// A cell and its figures.
@@ -32,7 +32,7 @@ pub struct ControlRow {
     pub run: MotorRun,
     /// Time from the newest sample that a burst can use to the burst, ms.
     pub delay_ms: f64,
-    /// The number of periods that count: those of the first 2 s, or ten delays, are left out.
+    /// The number of counted periods: those of the first 2 s, or ten delays, are left out.
     pub periods: usize,
     /// The planned amplitude: as much as fits, µm.
     pub planned_um: f64,
@@ -42,8 +42,8 @@ pub struct ControlRow {
     pub rest_rms_um: f64,
     /// The least possible rest error at `delay_ms` and the planned amplitude, µm.
     pub bound_um: f64,
-    /// The bound for samples a millisecond fresher, µm. Between two wake-ups a burst may come that much closer before its
-    /// count is settled; here samples come with the wake-ups.
+    /// The bound for samples a millisecond fresher, µm. The controller settles a burst's count at a wake-up, up to a millisecond
+    /// early; here samples also arrive at wake-ups.
     pub strict_bound_um: f64,
     /// The limit of [`Self::rest_rms_um`].
     pub limit_um: f64,
@@ -51,7 +51,7 @@ pub struct ControlRow {
     pub amplitude_error: f64,
     /// Its relative standard error.
     pub amplitude_se: f64,
-    /// Its limit; none without room.
+    /// Its limit; none if longer bursts do not fit.
     pub amplitude_limit: Option<f64>,
     /// The share of corrected bursts.
     pub corrected_share: f64,
@@ -146,7 +146,7 @@ impl ControlRow {
             .map_or(0.0, |limit| self.amplitude_error.abs() - limit - CHANCE * self.amplitude_se)
     }
 
-    /// Whether the rest error is beyond the limit that follows from the strict bound.
+    /// Whether the rest error exceeds the limit that follows from the strict bound.
     pub(super) fn misses_strictly(&self) -> bool {
         self.rest_rms_um > self.limit_um * (self.strict_bound_um / self.bound_um)
     }

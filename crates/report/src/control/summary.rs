@@ -1,10 +1,10 @@
-//! The cells in numbers: how many are within their limits, the worst, and what follows for telemetry.
+//! Summary of the cells: how many are within their limits, the worst ones, and a recommendation for telemetry.
 
 use crate::control::row::{CALM_UM, ControlRow, Verdict};
 use crate::control::wire::Wire;
 use serde::Serialize;
 
-/// An age or rate with at most so many times the best rest error is as good.
+/// An age or rate counts as good if its rest error is at most this multiple of the best.
 const AS_GOOD: f64 = 1.1;
 /// The recommendation is for the paper's amplitude and the simulated motors' scatter and asymmetry.
 const AMPLITUDE_UM: f64 = 80.0;
@@ -38,7 +38,7 @@ pub struct ControlSummary {
     pub worst: Vec<Worst>,
 }
 
-/// The mean relative error of all amplitudes at a scatter.
+/// The mean relative error of all amplitudes at one scatter.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Bias {
     /// The scatter of these cells.

@@ -23,11 +23,11 @@ pub struct ControlTradeoff {
     pub wire: Wire,
     /// The number of cells within their limits, and the worst.
     pub summary: ControlSummary,
-    /// What follows for telemetry, in a few sentences.
+    /// The recommended telemetry, in a few sentences.
     pub recommendation: String,
 }
 
-/// Measures each cell of a grid. `progress` gets the share that is done, 0 to 1, on any thread.
+/// Measures each cell of a grid. `progress` gets the completed share, 0 to 1, on any thread.
 ///
 /// # Errors
 /// If a frequency or amplitude is out of range.

@@ -1,4 +1,4 @@
-//! What corrections cost on the line, and what they gain.
+//! Bytes of corrections on the line, and the rest error that they save.
 
 use crate::sixty_hertz;
 use meissner_array::simulated::SimulatedMotorsConfig;

@@ -1,10 +1,11 @@
-//! How near two stimuli may be on this display: the predicted orientation and two-point thresholds, beside published human ones.
+//! Predicts the orientation and two-point thresholds of this display, beside published human ones.
 //!
-//! Lines are turned and dots are parted; all pins within a pitch of the shape vibrate at 60 Hz in phase, with no search. An ideal observer
-//! of the second model's spikes tells each from the reference. A threshold is the smallest step from which on three answers of four are
-//! correct, for observers of several efficiencies: that of a person at this display is not published.
+//! A line is turned, or two dots are moved apart. All pins within a pitch of the shape vibrate at 60 Hz in phase, without a search.
+//! An ideal observer of the second model's spikes compares each step with the reference. A threshold is the smallest step from
+//! which on three of four answers are correct. It is given for observers of several efficiencies, because no efficiency of a person
+//! at this display is published.
 //!
-//! Invariant: a step that moves the same pins as the reference is not told from it.
+//! Invariant: the observer cannot distinguish a step from the reference if it moves the same pins.
 
 use crate::figures::error::FiguresError;
 use crate::figures::page::Section;
@@ -29,7 +30,7 @@ const CORRECT: f64 = 0.75;
 const TRIALS: usize = 8;
 const SECONDS: f64 = 0.3;
 const FINGER: u64 = 0;
-/// Fewer standard errors of d′ than this from 0 are no difference.
+/// A d′ of fewer standard errors than this counts as no difference.
 const CERTAIN: f64 = 2.0;
 
 /// Predicted thresholds of the display.
@@ -48,13 +49,13 @@ pub struct Acuity {
 pub struct AcuityStep {
     /// Degrees or mm.
     pub step: f64,
-    /// Pins that vibrate in one of both patterns alone.
+    /// Pins that vibrate in only one of the two patterns.
     pub pins_changed: usize,
     /// Sensitivity d′ of an ideal observer of all spike counts.
     pub d_prime: f64,
     /// Its standard error.
     pub d_prime_se: f64,
-    /// Correct answers of two intervals, per cent, for each of [`EFFICIENCIES`].
+    /// Correct answers in a two-interval task, per cent, for each of [`EFFICIENCIES`].
     pub correct_percent: [f64; 3],
 }
 
@@ -63,9 +64,9 @@ pub struct AcuityStep {
 pub struct AcuityThreshold {
     /// The observer's efficiency.
     pub efficiency: f64,
-    /// The least turn of a line that it tells, degrees; none of those tried.
+    /// The smallest turn of a line that it detects, degrees; none if it detects none of those tried.
     pub orientation_deg: Option<f64>,
-    /// The least distance at which it tells two dots from one, mm; none of those tried.
+    /// The smallest distance at which it distinguishes two dots from one, mm; none if it does so at none of those tried.
     pub two_point_mm: Option<f64>,
 }
 
@@ -122,7 +123,7 @@ fn thresholds_table(acuity: &Acuity) -> String {
     table(&head, acuity.thresholds.iter().map(row))
 }
 
-/// Every step told from a step of 0.
+/// Compares every step with the reference, a step of 0.
 fn steps(
     steps: &[f64],
     shape: fn(f64) -> String,
@@ -144,7 +145,7 @@ fn steps(
         let found = discriminate([&reference, &other], &plan, &|_| ())?;
         let counts = &found.last().expect("the model has classes").counts;
         parts.done();
-        // Below that it is chance.
+        // A smaller d′ may be chance.
         let told = if counts.d_prime > CERTAIN * counts.d_prime_se { counts.d_prime } else { 0.0 };
         Ok(AcuityStep {
             step,
@@ -157,7 +158,7 @@ fn steps(
     steps.par_iter().map(one).collect()
 }
 
-/// The first step from which on an observer is right often enough.
+/// The first step from which on an observer reaches the share [`CORRECT`].
 fn threshold(steps: &[AcuityStep], observer: usize) -> Option<f64> {
     let right = |of: &&AcuityStep| of.correct_percent[observer] >= 100.0 * CORRECT;
     steps.iter().rev().take_while(right).last().map(|of| of.step)

@@ -1,10 +1,10 @@
 //! The amplitude that a motor reaches against frequency: the paper's Fig. 3.
 //!
-//! Lines are the model in closed form. Points are measured by the telemetry of simulated motors, whose bursts scatter, in
-//! open loop: four pins play each amplitude. The amplitude of a cycle is its top minus the mean of the bottoms before and
-//! after it, at the model's instants, so drift does not count.
+//! Lines are the model in closed form. Points are measured by the telemetry of simulated motors, whose bursts scatter, in open
+//! loop: four pins play each amplitude. The amplitude of a cycle is its top minus the mean of the bottoms before and after it, at
+//! the model's instants, so that drift cancels.
 //!
-//! Invariant: a measurement uses telemetry alone, in its quantum.
+//! Invariant: a measurement uses only telemetry, with its resolution.
 
 use crate::chart::{Axis, Chart, Point, Scale, Series, draw};
 use crate::figures::error::FiguresError;
@@ -38,7 +38,7 @@ const TRANSIENT: usize = 3;
 const SAMPLES_HZ: u32 = meissner_array::simulated::MAX_TELEMETRY_HZ;
 /// The time between reads of telemetry: 47 samples, fewer than its queue holds.
 const ASK_TICKS: u64 = 400;
-/// End stops out of reach, because pins drift in open loop.
+/// Distance of the end stops: out of reach, because pins drift in open loop.
 const END_STOP_UM: f64 = 10_000.0;
 const SEED: u64 = 0;
 /// The window of the moving average, s.
@@ -163,7 +163,7 @@ fn measure(frequency_hz: f64) -> Result<[Vec<f64>; AMPLITUDES_UM.len()], Figures
     let skipped = TRANSIENT + periods.ceil() as usize;
 
     let mut toggles: Vec<(Tick, u8, Direction)> = Vec::new();
-    // For each motor the numbers of its samples at bottoms and tops in turn, bottoms first and last.
+    // For each motor: the numbers of its samples at bottoms and tops alternately, with a bottom first and last.
     let mut wanted: Vec<Vec<u64>> = Vec::new();
     for motor in 0..MOTORS as u8 {
         let wave = SquareWave::new(frequency_hz, AMPLITUDES_UM[usize::from(geometry::row(motor))], 0.0)?;
@@ -180,7 +180,7 @@ fn measure(frequency_hz: f64) -> Result<[Vec<f64>; AMPLITUDES_UM.len()], Figures
             samples.push(sample(this.end() + next.up));
             samples.push(sample(next.up + u64::from(next.pulses) + next.down));
         }
-        // No bottom follows the last top.
+        // Drop the last top: no bottom follows it.
         samples.pop();
         wanted.push(samples);
     }

@@ -1,6 +1,6 @@
-//! A pattern beside the naive rules for its target, under both models and for each class of afferents.
+//! Compares a pattern with the naive rules for its target, under both models and for each class of afferents.
 //!
-//! Invariant: all are measured alike: one finger, that of the target's seed, and its noise.
+//! Invariant: all are measured in the same way: on the finger of the target's seed, with its noise.
 
 use crate::figures::error::FiguresError;
 use crate::figures::table::{number, table};
@@ -9,7 +9,7 @@ use meissner_design::{OfClass, Rule, Target, quality};
 use meissner_skin::ModelName;
 use serde::Serialize;
 
-/// What a pattern or a naive rule says to each class of afferents of both models.
+/// How well a pattern or a naive rule renders the target to each class of afferents of both models.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Compared {
     /// `pattern`, or the rule's name.

@@ -6,7 +6,7 @@
 /// Viridis at equal steps.
 const STOPS: [[f64; 3]; 5] =
     [[68.0, 1.0, 84.0], [59.0, 82.0, 139.0], [33.0, 145.0, 140.0], [94.0, 201.0, 98.0], [253.0, 231.0, 37.0]];
-/// From here on black text is more readable than white.
+/// From this brightness on, black text is more readable than white.
 const BRIGHT: f64 = 0.55;
 
 /// The colour of a share of the scale, 0 to 1.

@@ -2,7 +2,7 @@
 //!
 //! Rows are the patterns that are played, columns those that are named. A cell's colour and its number say how often.
 //!
-//! Invariant: every cell shows its number, so no colour must be read.
+//! Invariant: every cell shows its number, so no reader depends on the colours.
 
 use crate::figures::color::{color, ink};
 use crate::figures::svg::{Anchor, Drawing, Paint};

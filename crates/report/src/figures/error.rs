@@ -8,7 +8,7 @@ use meissner_design::TargetError;
 use meissner_skin::{FingerError, MethodError, SceneError};
 use meissner_stream::calibrate::FitProblem;
 
-/// A figure that could not be made: a bug of ours, because patterns have been checked.
+/// A figure could not be made: our bug, because patterns have been checked.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[expect(missing_docs, reason = "the messages say it")]
 pub enum FiguresError {

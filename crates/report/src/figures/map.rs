@@ -1,7 +1,7 @@
 //! Maps: the array with the vibration of each motor, the fingertip's pad with the rate of each afferent, and a small map of both.
 //!
-//! All are seen from above the array, fingertip up. All panels of a map share one colour scale. A pad may show the shape
-//! of a target, with rings around the ON afferents. Pins are coloured by the amplitude that they reach: a fast motor may hardly move.
+//! All show the array from above, with the fingertip up. All panels of a map share one colour scale. A pad may show the shape of a
+//! target, with rings around the ON afferents. Pins are coloured by the amplitude that they reach: a fast motor may hardly move.
 //!
 //! Invariant: every panel shows every motor, on or off.
 
@@ -15,12 +15,12 @@ use meissner_skin::afferent::{PAD_LENGTH_MM, PAD_WIDTH_MM, Position};
 
 const INK: &str = "#222222";
 const FAINT: &str = "#bbbbbb";
-/// Text on white that is less important; readable.
+/// Colour of less important text: grey, but readable on white.
 const FADED: &str = "#6b6b6b";
 /// The colour of the target: not on the colour scale, and visible to red-green blind people.
 const AIMED: &str = "#d55e00";
 const NONE: &str = "none";
-/// The direction up: the title of a map that needs no other.
+/// The label of the upward direction, and the title of a map that needs no other.
 pub(super) const FINGERTIP: &str = "fingertip";
 
 /// The distance of neighbouring motors, px.
@@ -33,7 +33,7 @@ const LARGE: u32 = 12;
 const SMALL: u32 = 11;
 /// The height of a panel's title, px.
 const HEAD: f64 = 48.0;
-/// The most panels in a row: the page shows them without shrinking their text.
+/// The most panels in a row that the page can show without shrinking their text.
 const ACROSS: usize = 2;
 /// Width with its text, and height, of a colour bar, px.
 const BAR: (f64, f64) = (110.0, 300.0);
@@ -150,7 +150,7 @@ fn bar(drawing: &mut Drawing, (x, y): (f64, f64), unit: &str, marks: &[(f64, Str
     for piece in 0..PIECES {
         let share = (f64::from(piece) + 0.5) / f64::from(PIECES);
         let top = y + BAR.1 - height * f64::from(piece + 1);
-        // A little taller, so that no seams show.
+        // A little taller than a step, so that no seams show.
         drawing.rectangle((x, top), (18.0, height + 0.5), Paint { fill: &color(share), stroke: NONE });
     }
     for (share, mark) in marks {

@@ -66,12 +66,12 @@ pub struct Figures {
     pub patterns: Vec<PatternFigures>,
 }
 
-/// Makes a report on these patterns. `progress` gets the share that is done, 0 to 1, on any thread.
+/// Makes a report on these patterns. `progress` gets the completed share, 0 to 1, on any thread.
 ///
 /// # Errors
-/// If a figure cannot be made, which is a bug of ours.
+/// If a figure cannot be made, which is our bug.
 pub fn report(subjects: &[Subject], progress: &(dyn Fn(f64) + Sync)) -> Result<Report, FiguresError> {
-    // The share of each part in the time on a common machine.
+    // The share of each part in the total time, on a common machine.
     const AMPLITUDE: f64 = 0.05;
     const RATE: f64 = 0.05;
     const ACUITY: f64 = 0.1;

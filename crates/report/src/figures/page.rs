@@ -70,7 +70,7 @@ impl Section {
         caption: &str,
         command: &str,
     ) {
-        // The first sentence of the caption replaces the image for those who cannot see it.
+        // The first sentence of the caption is the alternative text of the image.
         let alt = escape(caption.split_inclusive(". ").next().unwrap_or_default().trim_end());
         let (caption, command) = (escape(caption), escape(command));
         let numbers = csv

@@ -1,9 +1,9 @@
 //! The section of a pattern: its motors, and the predicted rates of the afferents.
 //!
-//! It has a map of the array for each segment, a table of the drives with the amplitudes reached, the rates of a
-//! fingertip's afferents, and the provenance. If the provenance holds a target, the afferents are the target's, and its
-//! verdict is drawn and stated (`target`). A steady pattern is simulated for a second at most; one whose motors start and
-//! stop, or whose target moves, for ten seconds at most.
+//! It has a map of the array for each segment, a table of the drives with the amplitudes reached, the rates of a fingertip's
+//! afferents, and the provenance. If the provenance holds a target, the afferents are the target's, and its verdict is drawn and
+//! stated (`target`). A steady pattern is simulated for at most one second. A pattern whose motors start and stop, or whose target
+//! moves, is simulated for at most ten seconds.
 //!
 //! Invariant: all that is shown is computed from the pattern or written in it.
 
@@ -53,13 +53,13 @@ pub struct PatternFigures {
     pub name: String,
     /// The number of its drives.
     pub drives: usize,
-    /// Those of them that give a stroke: the others never move their motor.
+    /// The number of drives that give a stroke; the others never move their motor.
     pub drives_moving: usize,
     /// The number of its segments.
     pub segments: usize,
     /// Pulses per second of all motors, in the segment with the most.
     pub busiest_pulses_per_s: f64,
-    /// Most motors of a rail that have pulses at once, in the first ten seconds.
+    /// The most motors of a rail that have pulses at once, in the first ten seconds.
     pub most_at_once: u8,
     /// Highest current of a rail, mA, for motors of 3 nF.
     pub most_ma: f64,
@@ -254,7 +254,7 @@ impl Response {
         let moves = target.is_some_and(Target::moves);
         let most = if segments.len() == 1 && !moves { STEADY_S } else { LONGEST_S };
         let duration_s = run_s(segments).min(most);
-        // The seed of a target's population is that of the noise, too, as in the search.
+        // As in the search, the seed of a target's population is also that of the noise.
         let seed = target.map_or(SEED, Target::population_seed);
         let model = target.map_or_else(
             || AfferentModel::default_for(Rectify::Half, POPULATION_NOISE_SD),

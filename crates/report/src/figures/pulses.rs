@@ -21,7 +21,7 @@ use serde::Serialize;
 /// The motor whose bursts are drawn, as in the other figures.
 const MOTOR: u8 = 9;
 const SEED: u64 = 0;
-/// The drawing shifts up bursts to the left by so many pulses, down bursts to the right.
+/// The drawing shifts up bursts to the left by this number of pulses, and down bursts to the right.
 const ASIDE: f64 = 1.5;
 
 /// The key figures.

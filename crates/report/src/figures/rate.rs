@@ -1,7 +1,7 @@
 //! The rate of an afferent under a pin, against amplitude and against frequency.
 //!
-//! The paper remarks that the amplitude does not matter much. Rate against amplitude, for some frequencies, shows where
-//! that holds. Rate against frequency, for two amplitudes, shows where afferents fire most. Rates are means over
+//! The paper remarks that the amplitude does not matter much. The rate against the amplitude, for some frequencies, shows where
+//! that is true. The rate against the frequency, for two amplitudes, shows where afferents fire most. Rates are means over
 //! afferents that differ in their threshold noise, simulated exactly.
 //!
 //! Invariant: the numbers in the text follow from the numbers that are drawn.
@@ -37,7 +37,7 @@ const AMPLITUDES_UM: [f64; 2] = [30.0, 80.0];
 const SWEPT_HZ: std::ops::RangeInclusive<u32> = 5..=300;
 /// Rates that differ by less are equal, as a share of the larger.
 const SAME: f64 = 0.10;
-/// The width of a peak is that of rates so near to it, as a share.
+/// A peak is as wide as the range of rates within this share of it.
 const NEAR_PEAK: f64 = 0.03;
 
 /// A simulated rate.
@@ -63,7 +63,7 @@ pub struct Rate {
 pub struct Plateau {
     /// The frequency.
     pub frequency_hz: f64,
-    /// The drive is saturated from this amplitude on: a triangle that no amplitude makes larger.
+    /// The drive is saturated from this amplitude on: it is a triangle that cannot become larger.
     pub saturated_from_um: f64,
     /// Lower end of the widest range in which the rate is above 0 and changes by less than 10 %.
     pub from_um: f64,
@@ -204,7 +204,7 @@ fn plateau(rows: &[Row]) -> Option<Plateau> {
 }
 
 fn peak(rows: &[Row]) -> Option<Peak> {
-    // The first of equals.
+    // Take the first among equals.
     let highest = rows.iter().map(|row| row.rate_hz).fold(f64::NEG_INFINITY, f64::max);
     let at = rows.iter().position(|row| row.rate_hz == highest)?;
     let near = |row: &&Row| row.rate_hz >= highest * (1.0 - NEAR_PEAK);
@@ -219,7 +219,7 @@ fn peak(rows: &[Row]) -> Option<Peak> {
     })
 }
 
-/// Where the paper's remark holds, in computed numbers.
+/// Says, in computed numbers, where the paper's remark is true.
 fn remark(plateau: &Plateau) -> String {
     let Plateau { frequency_hz, saturated_from_um, from_um, to_um, lowest_hz, highest_hz, first_hz } =
         *plateau;

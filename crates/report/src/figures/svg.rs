@@ -22,7 +22,7 @@ pub(crate) fn escape(text: &str) -> String {
     escaped
 }
 
-/// The point of a text that lies at its coordinates.
+/// Which point of a text lies at its coordinates.
 #[derive(Clone, Copy, Debug)]
 pub(crate) enum Anchor {
     Start,
@@ -86,7 +86,7 @@ impl Drawing {
         ));
     }
 
-    /// Words that run upwards.
+    /// Text that runs upwards.
     pub(crate) fn turned(&mut self, (x, y): (f64, f64), size: u32, anchor: Anchor, color: &str, words: &str) {
         let anchor = match anchor {
             Anchor::Start => "start",

@@ -2,7 +2,7 @@
 //!
 //! Each frame of a moving target is judged by the spikes in its time.
 //!
-//! Invariant: a verdict depends on the rates and the places of the afferents, on nothing else in the provenance.
+//! Invariant: a verdict depends only on the target and on the rates and places of the afferents.
 
 use crate::figures::baselines::Compared;
 use crate::figures::map::Aim;
@@ -46,7 +46,7 @@ pub(super) struct FrameRates<'t> {
 }
 
 impl<'t> FrameRates<'t> {
-    /// The frame with its verdict; none without ON or OFF afferents.
+    /// The frame with its verdict; none if it has no ON or no OFF afferents.
     pub(super) fn new(
         target: &Target,
         frame: &'t Frame,

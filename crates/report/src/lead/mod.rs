@@ -1,8 +1,8 @@
 //! The streamer's lead against late bursts, onsets and bytes, under the stalls of a real machine.
 //!
-//! [`lead_tradeoff`] plays under a recorded [`Trace`] of stalls, in virtual time (`replay`), once for each lead: a long
-//! play with position control and one without, on all 24 motors at 60 Hz, and many short plays. [`plot_lead`] draws the
-//! result. Losses and delays of a real line come on top.
+//! For each lead, [`lead_tradeoff`] plays under a recorded [`Trace`] of stalls, in virtual time (`replay`): a long play with
+//! position control and one without, on all 24 motors at 60 Hz, and many short plays. [`plot_lead`] draws the result. A real line
+//! adds losses and delays.
 
 mod plot;
 mod replay;

@@ -17,7 +17,7 @@ use std::iter::Peekable;
 use std::slice::Iter;
 use std::time::Duration;
 
-/// The time between short plays. It is no whole number of steps or periods, so all phases occur.
+/// The time between short plays. It is not a whole number of steps or periods, so all phases occur.
 const SHORT_EVERY: Duration = Duration::from_micros(251_371);
 const SHORT_S: f64 = 0.1;
 
@@ -70,7 +70,7 @@ impl<'t> Replay<'t> {
         self.wake_up_until(to);
     }
 
-    /// The host wakes up in time, as often as the recorded thread.
+    /// Lets the host wake up in time, as often as the recorded thread.
     fn wake_up_until(&mut self, to: Duration) {
         let end = self.begun + to;
         while self.simulation.now() < end {
@@ -79,7 +79,7 @@ impl<'t> Replay<'t> {
         }
     }
 
-    /// Requests a play at a time of the trace. The host takes it when it is awake.
+    /// Requests a play at a time of the trace. The host takes it when it next wakes up.
     fn play(&mut self, at: Duration, id: u64, strokes: &Strokes, bandwidth: Bandwidth, open_loop: bool) {
         self.advance(at);
         let strokes = strokes.clone();

@@ -4,8 +4,8 @@
 //! is `seconds N`, the duration of the recording. Each further line is a late wake-up: when it was due, µs since the
 //! start, and how late it came, µs. All other wake-ups came in time.
 //!
-//! A stall lasts from the wake-up before a late one, a period earlier, until the late one came. The machine may have
-//! stood still for less; the whole time is the safe assumption.
+//! A stall lasts from one period before a late wake-up was due until it came. The machine may have stood still for less; this is
+//! the safe assumption.
 //!
 //! Invariant: the stalls of a [`Trace`] are in order and do not overlap.
 
@@ -118,7 +118,7 @@ impl Trace {
     }
 }
 
-/// When a late wake-up was due, and how late it came, µs.
+/// Reads a line: when a late wake-up was due, and how late it came, µs.
 fn wake_up(text: &str) -> Option<(u64, u64)> {
     let (due_us, late_us) = text.split_once(' ')?;
     let late_us = late_us.parse().ok().filter(|late_us| (1..=MAX_LATE_US).contains(late_us))?;

@@ -10,7 +10,7 @@ use meissner_stream::queues::End;
 use rayon::prelude::*;
 use serde::Serialize;
 
-/// The leads to compare, ms: from the shortest that a configuration may have to half of the longest.
+/// The leads to compare, ms: from the shortest lead of a configuration to half of the longest.
 pub const LEADS_MS: [f64; 8] = [5.0, 10.0, 20.0, 30.0, 50.0, 100.0, 200.0, 500.0];
 
 /// The leads compared on a trace.
@@ -51,11 +51,11 @@ pub struct LeadRow {
     pub onset_ms_p99: Option<f64>,
     /// The longest, ms.
     pub onset_ms_max: Option<f64>,
-    /// Late bursts of the short plays: at its onset a play has no lead yet.
+    /// Late bursts of the short plays. They occur because a play has no lead yet at its onset.
     pub onset_late_bursts: u64,
 }
 
-/// Compares leads on a trace. `progress` gets the share that is done, 0 to 1, on any thread.
+/// Compares leads on a trace. `progress` gets the completed share, 0 to 1, on any thread.
 #[must_use]
 pub fn lead_tradeoff(trace: &Trace, leads_ms: &[f64], progress: &(dyn Fn(f64) + Sync)) -> LeadTradeoff {
     let parts = Parts::new(3 * leads_ms.len(), progress);
@@ -98,7 +98,7 @@ fn row(lead_ms: f64, closed: &Run, open: &Run, short: &Run) -> LeadRow {
     }
 }
 
-/// The shortest lead from which on no burst was late, and whose half for stalls is longer than the longest stall.
+/// Recommends the shortest lead from which on no burst was late, and whose half, which covers stalls, exceeds the longest stall.
 fn recommendation(trace: &Summary, rows: &[LeadRow]) -> String {
     let fails = |row: &LeadRow| row.late_bursts > 0 || row.end != End::Done;
     let longest_ms = trace.longest_us as f64 / 1000.0;

@@ -1,9 +1,9 @@
-//! The second model: what its answers cost, how near the search's evaluation comes, and scenes at the model's extremes.
+//! Measures the second model: its computing time, the error of the search's approximation, and scenes at the model's extremes.
 //!
-//! The model has one step, so there are no methods to choose from. A caller saves time by the classes it asks for; a search,
-//! which asks for RA afferents thousands of times, by [`NearEvaluator`]. Noise of another seed changes the rates, too: an error
-//! below that change does not matter. A scene at an extreme runs twice, the second time with the skin pressed in by a picometre
-//! more. Spikes that move by that depend on rounding errors.
+//! The model has one step, so there are no methods to choose from. A caller saves time by requesting only some classes. A search,
+//! which simulates RA afferents thousands of times, saves time by [`NearEvaluator`]. Noise of another seed changes the rates, too:
+//! an error below that change does not matter. A scene at an extreme runs twice, the second time with the skin pressed in by a
+//! picometre more. Spikes that this moves depend on rounding errors.
 //!
 //! Invariant: only the times depend on the machine.
 
@@ -18,35 +18,35 @@ use serde_json::json;
 
 /// Shares of the largest influence below which [`NearEvaluator`] leaves a motor out: the search's, and others around them.
 const MIN_SHARES: [f64; 5] = [0.0, 0.005, SEARCH_MIN_SHARES[1], SEARCH_MIN_SHARES[0], 0.1];
-/// By how much the skin is pressed in further, mm.
+/// Additional indentation of the skin in the second run, mm.
 const NUDGE_MM: f64 = 1e-9;
 const MANY: usize = 100_000;
 
-/// What a scene costs under the second model, and nearly.
+/// Computing times of a scene under the second model and its approximations.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct AfferentsTradeoff {
     /// The duration of the scene, s.
     pub duration_s: f64,
-    /// The ways to ask. The first is the model for all afferents; the others are for RA afferents, the second the model, too.
+    /// The simulations: the full model for all afferents, the full model for RA afferents, and the approximations for RA afferents.
     pub rows: Vec<AfferentsRow>,
     /// Scenes at the model's extremes.
     pub extremes: Vec<Extreme>,
 }
 
-/// A way to ask for the answer.
+/// A simulation of the scene.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct AfferentsRow {
-    /// The way.
+    /// Its method.
     pub method: String,
     /// The number of afferents.
     pub afferents: usize,
     /// Wall time on all cores, s.
     pub wall_s: f64,
-    /// The same when one motor has changed since, s; none if that saves nothing.
+    /// The same if only one motor has changed since, s; none if that saves no time.
     pub one_motor_wall_s: Option<f64>,
-    /// The difference from the model's rates of RA afferents, impulses/s RMS over afferents.
+    /// The difference from the full model's rates of RA afferents, impulses/s RMS over afferents.
     pub rate_rms_hz: Option<f64>,
-    /// The excess of spikes, as a share of the model's.
+    /// The excess of spikes, as a share of the full model's.
     pub rate_bias: Option<f64>,
 }
 
@@ -61,15 +61,15 @@ pub struct Extreme {
     pub us_per_afferent_s: f64,
     /// Mean rates of SA1, RA and PC afferents, impulses/s.
     pub mean_hz: [Option<f64>; 3],
-    /// The share of pins and time without contact with the skin.
+    /// The share of the pins' time without contact with the skin.
     pub lost_contact: f64,
     /// The number of spikes.
     pub spikes: u64,
-    /// Afferents with another spike train if the skin is pressed in by a picometre more.
+    /// Afferents whose spike train changes if the skin is pressed in by a picometre more.
     pub nudged: usize,
 }
 
-/// Measures a scene. `progress` gets the share that is done, 0 to 1.
+/// Measures a scene. `progress` gets the completed share, 0 to 1.
 ///
 /// # Errors
 /// If a scene has too many spikes.
@@ -119,7 +119,7 @@ fn rows(scene: &Scene) -> Result<Vec<AfferentsRow>, MethodError> {
     let Some(first) = drives.first().map(|drive| drive.motor) else { return Ok(rows) };
     let others: Vec<_> = drives.iter().filter(|drive| drive.motor != first).copied().collect();
     for min_share in MIN_SHARES {
-        // The pins may lose contact, which no near evaluation covers.
+        // The pins may lose contact, which the approximation does not cover.
         let Some(mut near) = NearEvaluator::new(&scene, most_um, min_share) else { break };
         let evaluate = |near: &NearEvaluator, drives: &[_]| {
             near.evaluate(drives).expect("the drives of a scene are drives of a scene")
@@ -167,13 +167,13 @@ fn extreme(name: &'static str, scene: &Scene) -> Result<Extreme, MethodError> {
     })
 }
 
-/// The scenes at the extremes: all pins of the array at 60 Hz, if nothing else is said.
+/// The scenes at the extremes: all pins of the array at 60 Hz, unless the name says otherwise.
 fn extremes() -> Vec<(&'static str, Scene)> {
     let pins = |frequency_hz: f64, amplitude_um: f64| -> Vec<_> {
         (0..MOTORS as u8)
             .map(|motor| {
                 let [x_mm, y_mm] = position_mm(motor);
-                // Phases of their own: the golden ratio spreads them.
+                // Each motor has its own phase; the golden ratio spreads them evenly.
                 let phase = (f64::from(motor) * 0.618_034).fract();
                 json!({"x_mm": x_mm, "y_mm": y_mm, "frequency_hz": frequency_hz, "amplitude_um": amplitude_um, "phase": phase})
             })
@@ -196,7 +196,7 @@ fn extremes() -> Vec<(&'static str, Scene)> {
     };
     let finger = || population(0);
     let [x_mm, y_mm] = position_mm(9);
-    // As far from the pin's centre as its radius is long, where the pressure under a flat punch has a pole.
+    // Afferents below the pin's rim, where the pressure under a flat punch has a pole.
     let edge = Class::ALL.map(|class| {
         let at = meissner_skin::afferent::Position { x_mm: x_mm + 0.5, y_mm };
         Afferent { class, row: 0, at }

@@ -40,7 +40,7 @@ pub(super) struct Reference<'s> {
     partition: Partition,
 }
 
-/// The error of an answer. Figures without a meaning are none.
+/// The error of an answer. A figure without a meaning is none.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct Difference {
     /// The share of the exact method's spikes that have a partner within [`MATCH_S`].

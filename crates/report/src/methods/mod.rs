@@ -1,9 +1,9 @@
-//! The simulation methods compared: time against error on one scene, measured on this machine.
+//! Compares the simulation methods: time against error on one scene, measured on this machine.
 //!
 //! The first model has methods and steps. [`tradeoff()`] runs a scene by each of them, and compares it with the exact one
-//! (`compare`): by spikes, by rates and by the contrast on the target [`YARDSTICK`](meissner_design::YARDSTICK). `label` names
-//! a method, [`plot()`] draws the result, and [`reasons()`] says why work that was skipped does not change the answer. The
-//! second model has one method with one step; `afferents` says what it costs.
+//! (`compare`): by spikes, by rates and by the contrast on the target [`YARDSTICK`](meissner_design::YARDSTICK). `label` names a
+//! method, [`plot()`] draws the result, and [`reasons()`] explains why skipped work does not change the result. The second model
+//! has one method with one step; `afferents` measures its time.
 
 mod afferents;
 mod compare;

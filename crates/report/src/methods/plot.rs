@@ -1,6 +1,6 @@
 //! Time against error as SVG: a series per integrator and precision, a point per step, both axes logarithmic.
 //!
-//! Errors of 0, and so the exact method, lie in a strip below the break of the axis.
+//! Errors of 0, such as the exact method's, lie in a strip below the break of the axis.
 //!
 //! Invariant: the same figures make the same bytes.
 

@@ -1,6 +1,6 @@
-//! The work that a simulation skipped, and why the answer does not change.
+//! Lists the work that a simulation skipped, and why the result does not change.
 //!
-//! Invariant: each count above 0 has a reason; others are left out.
+//! Invariant: each count above 0 has a reason; counts of 0 are left out.
 
 use meissner_skin::Skipped;
 use meissner_skin::afferent::MIN_WEIGHT;

@@ -17,7 +17,7 @@ pub const MOST_STEPS: f64 = 5e8;
 const RUNS: usize = 5;
 /// No further run begins after this time.
 const ENOUGH: Duration = Duration::from_millis(200);
-/// The rate error that the recommendation allows, impulses/s RMS: below that of another noise seed (SD up to 1.6).
+/// The rate error that the recommendation allows, impulses/s RMS: less than another noise seed causes (SD up to 1.6).
 const ALLOWED_HZ: f64 = 1.0;
 
 /// The methods compared on one scene.
@@ -64,7 +64,7 @@ pub struct Row {
     pub unstable: bool,
     /// Why the method was refused, if it was. It then has no figures.
     pub reason: Option<String>,
-    /// Whether the row is on the front: no other is better in time or error and at least as good in the other.
+    /// Whether the row is on the Pareto front: no other row is better in time or error and at least as good in both.
     pub pareto: bool,
 }
 
@@ -77,7 +77,7 @@ pub struct LeftOut {
     pub why: String,
 }
 
-/// Compares all methods on a scene. `progress` gets the share that is done, 0 to 1, on any thread.
+/// Compares all methods on a scene. `progress` gets the completed share, 0 to 1, on any thread.
 ///
 /// # Errors
 /// If the exact method cannot simulate the scene.
@@ -129,7 +129,7 @@ fn stepped(steps: &[u32]) -> Vec<Method> {
     methods
 }
 
-/// The answer of a run, and the median wall time of some runs in seconds.
+/// The result of a run, and the median wall time of some runs in seconds.
 pub(super) fn timed<A, E>(run: impl Fn() -> Result<A, E>) -> Result<(A, f64), E> {
     let begun = Instant::now();
     let mut walls = Vec::new();
@@ -174,7 +174,7 @@ fn mark_front(rows: &mut [Row]) {
     }
 }
 
-/// The fastest method whose error is allowed, and the error below which only the exact method remains.
+/// Recommends the fastest method with an allowed error, and names the error below which only the exact method remains.
 fn recommendation(rows: &[Row]) -> String {
     let exact = rows.iter().find(|row| row.method.step_us.is_none()).and_then(Row::time_and_error);
     let Some((exact_time, _)) = exact else {

@@ -20,24 +20,24 @@ pub struct StopGrid {
     pub asymmetry_sds: Vec<f64>,
     /// Surpluses. All share their random numbers, so that rows differ only by the surplus.
     pub surpluses: Vec<StopSurplus>,
-    /// What the automatic surplus keeps the rest error of the worst motor within, RMS, µm.
+    /// The bound of the worst motor's rest error under the automatic surplus, RMS, µm.
     pub rest_error_um: f64,
     /// Simulated arrays of 24 motors, with the seeds 0, 1, ….
     pub arrays: u64,
     /// Strokes of each motor.
     pub strokes: usize,
-    /// The first of them, which do not count.
+    /// The number of first strokes that do not count.
     pub settling: usize,
-    /// The least duration of the play that the response is predicted for, s; two periods at least.
+    /// The shortest play for which the response is predicted, s; it has at least two periods.
     pub response_s: f64,
 }
 
 /// How much longer down bursts are than up bursts.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum StopSurplus {
-    /// By so many µm.
+    /// By this many µm.
     Um(f64),
-    /// As the theory says.
+    /// The surplus that the theory computes.
     Auto,
 }
 
@@ -52,7 +52,7 @@ pub struct StopCell {
     pub scatter: f64,
     /// Standard deviation, over motors, of gain up minus gain down.
     pub asymmetry_sd: f64,
-    /// By how much down bursts are asked to be longer than up bursts: µm, or `auto`.
+    /// The requested surplus of down bursts over up bursts: µm, or `auto`.
     pub surplus: StopSurplus,
 }
 
@@ -128,7 +128,7 @@ impl StopCell {
         DriveStrokes::with(&drive, &self.options(rest_error_um))
     }
 
-    /// The cell's simulated motors. They have no stop above: the theory knows none.
+    /// The cell's simulated motors. They have no upper stop, because the theory has none.
     pub(super) fn motors(&self, seed: u64, lower_stop: LowerStop) -> SimulatedMotorsConfig {
         SimulatedMotorsConfig {
             seed,

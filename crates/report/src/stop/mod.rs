@@ -1,8 +1,8 @@
-//! Rest without a sensor: the rest error of pins above a lower stop, simulated and by the theory, over a grid of settings.
+//! Compares the rest error of pins above a lower stop, without a sensor, with the theory, over a grid of settings.
 //!
 //! [`stop_tradeoff`] plays every cell of a [`StopGrid`] (`grid`) on simulated motors with a lower stop. Each cell gives a
-//! [`StopRow`] (`row`): the rest error beside that of [`ReflectedWalk`](meissner_array::reflected_walk::ReflectedWalk), and why
-//! they differ where they do; the amplitude reached; and the predicted response to an edge, with and without the stop
+//! [`StopRow`] (`row`). It holds the rest error beside that of [`ReflectedWalk`](meissner_array::reflected_walk::ReflectedWalk),
+//! and the reason for a difference; the amplitude reached; and the predicted response to an edge, with and without the stop
 //! (`response`). `plot` draws.
 
 mod grid;

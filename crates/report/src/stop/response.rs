@@ -49,7 +49,7 @@ pub(super) fn contrasts(
     contrasts_of(pattern, options, |motor| Pin::new(motors, motor.into()), Tick(0), seconds)
 }
 
-/// The same of pins that may have played before; the pattern begins at `onset`.
+/// The same for pins that may have played before; the pattern begins at `onset`.
 pub(super) fn contrasts_of(
     pattern: &Pattern,
     options: &StrokeOptions,
@@ -96,13 +96,13 @@ mod tests {
         let ideal = SimulatedMotorsConfig { telemetry_hz: 0, ..SimulatedMotorsConfig::ideal() };
         let [designed, played] = contrasts(&edge(&cell), &cell.options(1.0), &ideal, 0.5).unwrap();
         assert!(designed > 50.0 && designed == played, "{designed} {played}");
-        // The stop takes the surplus of an ideal motor whole: nothing changes but a pulse that meets the stop.
+        // The stop absorbs the whole surplus of an ideal motor, so only the pulse that meets the stop changes.
         let stop =
             SimulatedMotorsConfig { lower_stop: meissner_array::simulated::LowerStop::AtRest, ..ideal };
         let surplus = StopCell { surplus: StopSurplus::Um(10.0), ..cell };
         let [_, with_stop] = contrasts(&edge(&cell), &surplus.options(1.0), &stop, 0.5).unwrap();
         assert!((with_stop - designed).abs() < 0.02 * designed, "{with_stop} {designed}");
-        // Without a stop the same surplus walks the pins down.
+        // Without a stop the same surplus moves the pins down with every stroke.
         let [_, sunk] = contrasts(&edge(&cell), &surplus.options(1.0), &ideal, 0.5).unwrap();
         assert!(sunk.is_finite());
     }

@@ -1,8 +1,8 @@
-//! One cell of the grid: simulated, and by the theory.
+//! One cell of the grid: the simulation and the theory.
 //!
-//! The theory is that of the stationary walk with the asymmetries of the motors that are simulated. Where the simulation differs
-//! by more than [`AGREES`], the refined theory says why: it knows how many strokes were played, and that a burst after half a
-//! second of rest falls short.
+//! The theory is that of the stationary walk with the asymmetries of the simulated motors. Where the simulation differs by more
+//! than [`AGREES`], a refined theory explains why. It takes the number of played strokes into account, and that a burst after half
+//! a second of rest falls short.
 
 use crate::statistics::mean;
 use crate::stop::grid::{StopCell, StopGrid};
@@ -16,13 +16,13 @@ use meissner_array::simulated::{LowerStop, Pin};
 use meissner_array::units::UM_PER_PULSE;
 use serde::Serialize;
 
-/// The largest relative difference that needs no reason.
+/// A larger relative difference needs a reason.
 const AGREES: f64 = 0.1;
-/// Below a pulse the pin leaves the stop in so few strokes that their number is not measured.
+/// If the rest error is below a pulse, the pin leaves the stop in too few strokes to measure their number.
 const RARE_UM: f64 = UM_PER_PULSE;
 /// A difference of fewer standard errors may be chance: one cell in a hundred has it.
 const CHANCE: f64 = 2.5;
-/// A walk has settled after so many times [`ReflectedWalk::settling_strokes`]: less than a percent is left.
+/// A walk has settled after this multiple of [`ReflectedWalk::settling_strokes`]: less than a percent is left.
 const SETTLED: f64 = 5.0;
 /// Parts of a run of one motor whose means give the standard error.
 const PARTS: usize = 10;
@@ -41,11 +41,12 @@ pub struct StopRow {
     pub rest_rms_um: f64,
     /// Its standard error, µm.
     pub rest_se_um: f64,
-    /// The largest RMS of a motor, µm.
+    /// The largest RMS of any motor, µm.
     pub worst_rms_um: f64,
     /// The share of pulses down that pushed against the stop.
     pub pushed_share: f64,
-    /// The stationary rest error by the theory, RMS over the same motors, µm; none if that of a motor grows without limit.
+    /// The stationary rest error by the theory, RMS over the same motors, µm; none if the rest error of a motor grows without
+    /// limit.
     pub theory_um: Option<f64>,
     /// The theory for the strokes that were played, with bursts that fall short after rest, RMS, µm.
     pub refined_theory_um: f64,
@@ -65,11 +66,11 @@ pub struct StopRow {
 pub enum StopReason {
     /// The asymmetry of a motor lifts its pin by more than the surplus lowers it: there is no stationary rest error.
     Climbs,
-    /// The surplus is so small that the walk of a motor has not settled: the theory for so many strokes agrees.
+    /// The surplus is so small that the walk of a motor has not settled: the theory for the played number of strokes agrees.
     Unsettled,
     /// Bursts come after half a second of rest and fall short: the theory with their mean gain agrees.
     Transient,
-    /// Both are below a pulse: too few strokes leave the pin above the stop to measure how many.
+    /// Both are below a pulse: too few strokes leave the pin above the stop to measure their share.
     Rare,
     /// The difference is within 2.5 standard errors of the simulation.
     Chance,
@@ -117,7 +118,7 @@ impl StopRow {
                 let after = walk.rms_after_um(grid.strokes);
                 let square = mean(after[grid.settling..].iter().map(|rms| rms.powi(2)));
                 refined.push(square);
-                // The strokes of a walk that does not settle are one sample.
+                // All strokes of a walk that does not settle count as one sample.
                 variance += error.max(square.powi(2));
             }
         }
@@ -212,7 +213,7 @@ mod tests {
         StopRow::of(&cell, &StopGrid::default(), |_| 8.0, contrasts).unwrap()
     }
 
-    /// 25 s at 60 Hz, 10 % scatter, 2 % asymmetry, 80 um: figures of an independent simulation.
+    /// Figures of an independent simulation: 25 s at 60 Hz, 10 % scatter, 2 % asymmetry, 80 um.
     #[test]
     fn figures_of_another_simulation_are_found_again() {
         for (surplus_um, expected_um) in [(8.0, 9.5), (11.0, 5.8), (15.0, 3.5), (20.0, 2.1)] {
@@ -231,7 +232,7 @@ mod tests {
     fn the_automatic_surplus_keeps_the_worst_motor_within_its_bound_at_any_frequency() {
         for (frequency_hz, asymmetry_sd) in [(60.0, 0.0), (60.0, 0.02), (0.5, 0.02), (10.0, 0.0)] {
             let row = row(frequency_hz, asymmetry_sd, StopSurplus::Auto);
-            // Without asymmetry every motor is at the bound, and 1200 strokes scatter about it.
+            // Without asymmetry every motor is at the bound; the RMS of 1200 strokes scatters about it.
             assert!(row.worst_rms_um < 1.3 * 5.0 && row.rest_rms_um < 5.2, "{row:?}");
             assert!(row.surplus_um < 0.3 * row.reached_um, "{row:?}");
         }

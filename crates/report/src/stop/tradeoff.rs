@@ -17,17 +17,17 @@ use serde::Serialize;
 /// The rest error above a lower stop.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct StopTradeoff {
-    /// What the automatic surplus keeps the rest error of the worst motor within, RMS, µm.
+    /// The bound of the worst motor's rest error under the automatic surplus, RMS, µm.
     pub rest_error_um: f64,
     /// Simulated motors of a cell.
     pub motors: usize,
-    /// Strokes of each, and how many of them do not count.
+    /// Strokes of each motor.
     pub strokes: usize,
-    /// The first strokes, which do not count.
+    /// The number of first strokes that do not count.
     pub settling: usize,
     /// The cells of the grid, in order.
     pub rows: Vec<StopRow>,
-    /// How many cells differ from the theory, by reason.
+    /// The number of cells that differ from the theory, by reason.
     pub reasons: Vec<StopCount>,
 }
 
@@ -57,7 +57,7 @@ pub enum StopError {
     Prediction(#[from] PredictionError),
 }
 
-/// Measures each cell of a grid. `progress` gets the share that is done, 0 to 1, on any thread.
+/// Measures each cell of a grid. `progress` gets the completed share, 0 to 1, on any thread.
 ///
 /// # Errors
 /// If a frequency or amplitude is out of range.

@@ -1,6 +1,7 @@
-//! An hour of two-interval trials without a sensor, above a lower stop: where pins rest, and the predicted response to the last one.
+//! Simulates an hour of two-interval trials without a sensor, above a lower stop: the rest positions of the pins, and the predicted
+//! response to the last trial.
 //!
-//! It plays the strokes that the daemon sends without telemetry on the motors that the mock simulates. `lower_stop` in the tests of
+//! It plays the strokes that the daemon would send without telemetry, on the mock's simulated motors. `lower_stop` in the tests of
 //! `meissner-stream` plays the first minute of it through streamer, link and controller.
 
 use crate::stop::grid::{StopCell, StopSurplus};
@@ -12,7 +13,7 @@ use meissner_array::simulated::{LowerStop, Pin, SimulatedMotorsConfig};
 use meissner_array::strokes::{DriveStrokes, StrokeOptions};
 use meissner_stream::{Gains, LowerStopSettings, Settings};
 
-/// From interval to interval, s: pins rest for more than half a second between them, so that each first burst falls short.
+/// Time from interval to interval, s. Pins rest for more than half a second between them, so each first burst falls short.
 const EVERY_S: f64 = 0.8;
 const STROKES: usize = 18;
 const FREQUENCY_HZ: f64 = 62.5;
@@ -42,7 +43,7 @@ fn an_hour_of_two_interval_trials_ends_at_rest() {
     };
     let edge = edge(&cell);
     let (mut whole, mut last, mut ends) = (Vec::new(), Vec::new(), Vec::new());
-    // As designed, as played, and as played without a stop by the same motors that begin at rest, mean over the arrays.
+    // Three contrasts, mean over the arrays: as designed, as played, and as played without a stop by the same motors from rest.
     let mut contrast = [0.0; 3];
     for seed in 0..ARRAYS {
         let motors = SimulatedMotorsConfig {
@@ -72,7 +73,7 @@ fn an_hour_of_two_interval_trials_ends_at_rest() {
             }
             ends.push(pin.position_um(onset(intervals)));
         }
-        // The interval after it is the edge.
+        // The next interval plays the edge.
         let seconds = STROKES as f64 / FREQUENCY_HZ;
         let mut pins: Vec<_> = pins.into_iter().map(Some).collect();
         let pin = |motor: u8| pins[usize::from(motor)].take().expect("the edge drives each motor once");
@@ -91,7 +92,7 @@ fn an_hour_of_two_interval_trials_ends_at_rest() {
     );
     assert_eq!(whole.len() as u64, ARRAYS * MOTORS as u64 * STROKES as u64 * intervals);
     assert!(whole_um <= 5.0 && last_um <= 5.0 && ends_um <= 5.0);
-    // Half of what is missing is missing without a stop, too: the first stroke after a pause falls short.
+    // Half of the loss also occurs without a stop, because the first stroke after a pause falls short.
     assert!(played < designed && played > 0.96 * designed, "{played} of {designed}");
     assert!(played > 0.975 * alone && alone < 0.995 * designed, "{played} of {alone}, designed {designed}");
 }

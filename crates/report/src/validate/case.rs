@@ -1,16 +1,16 @@
-//! A case: what is published, what a model gives, and the verdict.
+//! A case: the published figure, the models' numbers, and the verdicts.
 //!
-//! Invariant: the verdict compares numbers; a missing number is no agreement.
+//! Invariant: the verdict compares numbers; a missing number never agrees.
 
 use super::measure::Curve;
 use meissner_skin::ModelName;
 use serde::Serialize;
 
-/// A published figure, with how far a model may be off.
+/// A published figure, with the tolerance for a model.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Published {
-    /// A value, and the factor by which a model may be off either way.
+    /// A value, and the factor by which a model may be above or below it.
     About(f64, f64),
     /// A range.
     Between(f64, f64),
@@ -20,7 +20,7 @@ pub enum Published {
     AtMost(f64),
 }
 
-/// What a model's number means.
+/// How a model's number compares with the published figure.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum ValidationVerdict {
@@ -36,10 +36,10 @@ pub enum ValidationVerdict {
     NotModelled,
 }
 
-/// What a model gives.
+/// A model's result.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Finding {
-    /// The number, in the case's unit; none if there is none.
+    /// The number, in the case's unit; none if the model has none.
     pub value: Option<f64>,
     /// The verdict on it.
     pub verdict: ValidationVerdict,
@@ -56,11 +56,11 @@ pub struct Case {
     pub source: &'static str,
     /// Its unit; amplitudes are peak to peak.
     pub unit: &'static str,
-    /// The published figure, or where only words are published a figure of ours.
+    /// The published figure; where only words are published, our own figure.
     pub published: Published,
-    /// What is published, if it is no figure.
+    /// The published words, if no figure is published.
     pub published_words: Option<&'static str>,
-    /// The model whose parameters come from this figure: that it agrees shows only that it was made right.
+    /// The model whose parameters come from this figure. Its agreement shows only that it was implemented correctly.
     pub made_from: Option<ModelName>,
     /// The smallest number that agrees, if there is one.
     pub at_least: Option<f64>,
@@ -117,7 +117,7 @@ pub(super) struct Judged {
     pub(super) published: Published,
     pub(super) published_words: Option<&'static str>,
     pub(super) made_from: Option<ModelName>,
-    /// What a number below and one above the tolerance mean.
+    /// The words for a number below the tolerance and for one above it.
     pub(super) says: [&'static str; 2],
 }
 
@@ -152,7 +152,7 @@ impl Judged {
 }
 
 impl Validation {
-    /// In how many cases a model agrees, and of how many that it has and was not made from.
+    /// The number of cases in which a model agrees, and the number of cases that it has and was not made from.
     #[must_use]
     pub fn agreements(&self, model: ModelName) -> [usize; 2] {
         let of = |case: &Case| match model {

@@ -1,8 +1,8 @@
 //! Thresholds, plateaus, areas and rates of both models.
 //!
-//! Of the recorded afferents of a class the median counts; the first model has one afferent.
+//! A figure is the median over the recorded afferents of a class; the first model has one afferent.
 //!
-//! Invariant: amplitudes come from fixed grids, so a threshold is right within a step of its grid, 21 %.
+//! Invariant: amplitudes come from fixed grids, so a threshold is accurate to one step of its grid, 21 %.
 
 use super::LOCKED;
 use super::probe::{COUNTED_S, Placed, can_give, press, sine, spikes_s};
@@ -17,7 +17,7 @@ use std::f64::consts::{PI, TAU};
 /// Frequencies of thresholds, Hz.
 const THRESHOLD_HZ: [f64; 15] =
     [5.0, 8.0, 10.0, 16.0, 20.0, 25.0, 34.0, 40.0, 50.0, 64.0, 80.0, 100.0, 150.0, 171.0, 200.0];
-/// Further ones for PC afferents. A motor cannot give the first model these.
+/// Further frequencies, for PC afferents. The first model cannot have them, because a motor cannot make them.
 const HIGH_HZ: [f64; 6] = [234.0, 300.0, 400.0, 500.0, 700.0, 1000.0];
 /// The smallest amplitude of thresholds, µm, steps in a decade, and their number.
 const THRESHOLDS_UM: (f64, i32, i32) = (0.01, 12, 61);
@@ -51,7 +51,7 @@ pub struct Curve {
     pub points: Vec<[f64; 2]>,
 }
 
-/// What a model gives.
+/// The measurements of a model.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Measured {
     /// Class, frequency (Hz), and the median of the least amplitudes at which an afferent fires (µm).
@@ -151,8 +151,8 @@ impl Measured {
         ends.max_by(|a, b| (a.1 / a.0).total_cmp(&(b.1 / b.0)))
     }
 
-    /// How much of the variance of the mean RA rate the logarithm of the amplitude explains, from the first amplitude at which one
-    /// fires.
+    /// The share of the variance of the mean RA rate that the logarithm of the amplitude explains, from the first amplitude with a
+    /// spike on.
     pub(super) fn logarithmic(&self) -> Option<f64> {
         let rows = self.of_frequency(LOGARITHM_HZ)?.iter().filter(|of| of[2] > 0.0 && of[0] <= LOGARITHM_UM);
         explained(&rows.map(|of| [of[0].ln(), of[2]]).collect::<Vec<_>>())
@@ -226,7 +226,7 @@ fn median_or_never(found: Vec<Option<f64>>) -> Option<f64> {
     Some(median(&mut found)).filter(|um| um.is_finite())
 }
 
-/// The median; of an even number the mean of the two in the middle, not a number of nothing.
+/// The median; for an even number of values the mean of the two in the middle; NaN for no values.
 fn median(values: &mut [f64]) -> f64 {
     values.sort_by(f64::total_cmp);
     match values.len() {
@@ -250,7 +250,8 @@ fn area_mm2(model: ModelName, class: Class, um: f64) -> f64 {
     median(&mut areas)
 }
 
-/// How much of the variance of y a rising straight line in x explains (R²); none with fewer than three points, or if y does not rise.
+/// The share of the variance of y that a rising straight line in x explains (R²); none with fewer than three points, or if y does
+/// not rise.
 fn explained(points: &[[f64; 2]]) -> Option<f64> {
     let n = points.len() as f64;
     let mean = |of: usize| points.iter().map(|point| point[of]).sum::<f64>() / n;

@@ -1,12 +1,12 @@
-//! Both models of the skin against published figures and reference spikes.
+//! Compares both models of the skin with published figures and reference spikes.
 //!
-//! [`validate`] measures each [`Case`] with both models and judges the result. `probe` moves one pin under afferents of either model,
-//! `measure` turns spikes into thresholds, plateaus and areas, `case` holds what is published and how far a model may be off.
+//! [`validate`] measures each [`Case`] with both models and judges the result. `probe` moves one pin under afferents of either
+//! model, `measure` turns spikes into thresholds, plateaus and areas, `case` holds the published figures and the tolerances.
 //!
-//! The stimuli are those of the recordings: a sine of a single pin, or a pin pressed in once. There is no noise, so a threshold is a
-//! number. Of several recorded afferents the median counts.
+//! The stimuli are those of the recordings: a sine of a single pin, or a pin pressed in once. There is no noise, so a threshold is
+//! a definite amplitude. A figure is the median over the recorded afferents.
 //!
-//! Invariant: a verdict follows from the measured number, the published one and the tolerance; none is written down.
+//! Invariant: every verdict is computed from the measured number, the published one and the tolerance.
 //!
 //! # Sources
 //!
@@ -36,23 +36,23 @@ const MUNIAK: &str = "Muniak et al. 2007";
 const VEGA: &str = "Vega-Bermudez & Johnson 1999";
 const SAAL: &str = "Saal et al. 2017";
 
-/// How far a threshold may be off, as a factor: recorded afferents of one class differ by as much.
+/// Tolerance of a threshold, as a factor: recorded afferents of one class differ by as much.
 const THRESHOLD_FACTOR: f64 = 3.0;
 /// The same for areas of receptive fields.
 const AREA_FACTOR: f64 = 2.0;
-/// Locking 1:1 allows so many impulses per cycle more or less.
+/// Locking 1:1 allows this many impulses per cycle more or less.
 pub(crate) const LOCKED: f64 = 0.1;
 /// Recorded afferents lock over "a wide range" of amplitudes: at least this ratio between the largest and the smallest.
 const WIDE: f64 = 2.0;
 /// The least share of the rate's variance that the logarithm of the amplitude must explain.
 const LOGARITHMIC: f64 = 0.9;
 
-/// Measures both models and judges them. `progress` gets the share that is done, 0 to 1, on any thread. Takes some seconds.
+/// Measures both models and judges them. `progress` gets the completed share, 0 to 1, on any thread. Takes some seconds.
 #[must_use]
 pub fn validate(progress: &(dyn Fn(f64) + Sync)) -> Validation {
     let [membrane, afferents] = measure(progress);
     type Of<'f> = &'f dyn Fn(&Measured) -> Option<f64>;
-    // A number of both models, or of the second alone: the first has RA afferents only.
+    // Numbers of both models, or of the second only, because the first has only RA afferents.
     let both = |of: Of<'_>| ([of(&membrane), of(&afferents)], [true, true]);
     let second = |of: Of<'_>| ([None, of(&afferents)], [false, true]);
     let mut cases = Vec::new();

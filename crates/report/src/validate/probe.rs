@@ -1,7 +1,8 @@
-//! A single pin under afferents of either model: a sine, or one press.
+//! Moves a single pin under afferents of either model: as a sine, or by one press.
 //!
-//! The second model takes the pin's motion as a formula. The first takes what motors do, so the sine is made of short ramps. A motor
-//! smooths its ramps over 4.3 ms; the ramps are stronger by what that takes from a sine of their frequency.
+//! The second model takes the pin's motion as a formula. The first model takes motor ramps, so the sine is made of short ramps. A
+//! motor smooths its ramps over 4.3 ms; to compensate, the ramps are stronger by the factor by which that weakens a sine of this
+//! frequency.
 //!
 //! Invariant: both models get the same motion of the pin.
 
@@ -19,9 +20,9 @@ use std::f64::consts::{PI, TAU};
 const SETTLING_S: f64 = 0.2;
 /// Vibration while spikes are counted, s: at least four cycles of 5 Hz.
 pub(super) const COUNTED_S: f64 = 0.8;
-/// When the vibration of the second model's pin begins, s: the pin is pressed in and SA1 afferents have adapted.
+/// When the vibration of the second model's pin begins, s: by then the pin is pressed in and SA1 afferents have adapted.
 const BEGIN_S: f64 = 0.4;
-/// How long a pin that was pressed in stays, s.
+/// How long a pressed-in pin stays, s.
 const HELD_S: f64 = 0.2;
 /// The speed at which a pin is pressed in, mm/s: that of the display's motors.
 const PRESS_MM_S: f64 = UM_PER_PULSE * TICK_HZ as f64 / 1000.0;
@@ -63,7 +64,7 @@ pub(super) fn sine(
     spikes_s.iter().map(counted).collect()
 }
 
-/// Spikes of each afferent while a pin is pressed in by so much and for [`HELD_S`] after.
+/// Spikes of each afferent while a pin is pressed in by `depth_um`, and for [`HELD_S`] after.
 pub(super) fn press(model: ModelName, depth_um: f64, afferents: &[Placed]) -> Vec<usize> {
     let ramp_s = depth_um / 1000.0 / PRESS_MM_S;
     let spikes_s = match model {
@@ -116,13 +117,13 @@ fn membrane(ramps: Vec<Ramp>, duration_s: f64, afferents: &[Placed]) -> Vec<Vec<
     spikes_s
 }
 
-/// Whether a probe can move so: ramps are at most ten times as fast as a motor's.
+/// Whether a probe can make this vibration: ramps are at most ten times as fast as a motor's.
 pub(super) fn can_give(model: ModelName, frequency_hz: f64, amplitude_um: f64) -> bool {
     let fastest_mm_s = PI * frequency_hz * stronger_um(frequency_hz, amplitude_um) / 1000.0;
     model == ModelName::Afferents || fastest_mm_s <= MOST_GAIN * PRESS_MM_S
 }
 
-/// The amplitude of ramps whose smoothed motion has an amplitude, µm.
+/// The amplitude of the ramps whose smoothed motion has amplitude `amplitude_um`, µm.
 fn stronger_um(frequency_hz: f64, amplitude_um: f64) -> f64 {
     let window_s = WINDOW_HALF_TICKS as f64 / 2.0 / f64::from(TICK_HZ);
     let angle = PI * frequency_hz * window_s;

@@ -1,4 +1,4 @@
-//! Verdicts against their numbers, and numbers that the book and another program give.
+//! Tests verdicts against their numbers, and numbers against the book and another program.
 
 use super::*;
 use meissner_skin::ModelName;
@@ -38,7 +38,7 @@ fn the_second_model_has_the_reference_s_spikes_and_the_first_none_of_its_classes
     }
 }
 
-/// What the book says of the models, in numbers of another origin: the library's cross-check.
+/// Checks the book's statements about the models with independent numbers: the library's cross-check.
 #[test]
 fn the_first_model_fires_several_times_per_cycle_and_the_second_once_at_most() {
     let display = case("RA: impulses per cycle");

@@ -6,7 +6,7 @@
 //! Constants are marked with their source: (P) the paper, (L) other literature, (C) our own choice. The crate's front
 //! page has the sources in full.
 //!
-//! Invariant: a position's weights depend on nothing but the position and the width of the field.
+//! Invariant: a position's weights depend only on the position and the width of the field.
 
 mod model;
 mod population;

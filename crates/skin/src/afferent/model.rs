@@ -18,9 +18,9 @@ pub struct Position {
 
 /// The part of the skin's velocity that depolarises an afferent.
 ///
-/// The paper does not say which. Half is the default (C): with it, and with full rectification, the paper's Fig. 4 comes
-/// out, in which the motors near the edge gather at 60 Hz. Read literally, the equation does not give that (29 to 63 Hz).
-/// In the model of Freeman & Johnson 1982, too, only part of a cycle depolarises (L).
+/// The paper does not say which. Half is the default (C). Half and full rectification reproduce the paper's Fig. 4, in which the
+/// motors near the edge gather at 60 Hz. The equation read literally does not (29 to 63 Hz). In the model of Freeman & Johnson
+/// 1982, too, only part of a cycle depolarises (L).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Rectify {
@@ -59,9 +59,9 @@ pub const HYPEREXCITABILITY_DEPTH: f64 = 0.3;
 pub const SIGMA_MM: f64 = 1.1;
 /// The threshold never falls below this, in units of the resting threshold (C).
 pub const MIN_THRESHOLD: f64 = 0.05;
-/// Draws of the threshold noise are clamped to so many SD (C).
+/// The threshold noise is clamped to this many SD (C).
 pub const NOISE_LIMIT_SD: f64 = 8.0;
-/// SD of the threshold noise of a population (P). One draw per interval (C): a draw per time step would make the answer
+/// SD of the threshold noise of a population (P). One random number per interval (C): one per time step would make the result
 /// depend on the step.
 pub const POPULATION_NOISE_SD: f64 = 0.05;
 
@@ -106,14 +106,14 @@ impl AfferentModel {
 /// Beyond this exponent a weight is certainly below [`MIN_WEIGHT`], whose logarithm is -23.03.
 const MAX_EXPONENT: f64 = 24.0;
 
-/// An afferent's weight of a motor's velocity, `exp(-d²/2σ²)` with the distance d to the pin; exactly 0 below
-/// [`MIN_WEIGHT`]. It uses `libm`'s exponential, so that all machines agree.
+/// The weight of a motor's velocity for an afferent, `exp(-d²/2σ²)` with the distance d to the pin; exactly 0 below [`MIN_WEIGHT`].
+/// It uses `libm`'s exponential, so that all machines agree.
 #[must_use]
 pub fn weight(at: Position, motor: u8, sigma_mm: f64) -> f64 {
     let [x_mm, y_mm] = geometry::position_mm(motor);
     let (dx, dy) = (at.x_mm - x_mm, at.y_mm - y_mm);
     let exponent = (dx * dx + dy * dy) / (2.0 * sigma_mm * sigma_mm);
-    // Most pins do not reach most afferents: that needs no exponential.
+    // Most pins are out of reach of most afferents: skip the exponential.
     if exponent > MAX_EXPONENT {
         return 0.0;
     }
@@ -138,7 +138,7 @@ mod tests {
         };
         assert_eq!(at(0.0, 0.0), 1.0);
         assert!((at(SIGMA_MM, 0.0) - (-0.5_f64).exp()).abs() < 1e-12);
-        // 3-4-5: only the distance counts.
+        // A 3-4-5 triangle: only the distance counts.
         assert!((at(3.0, -4.0) - at(0.0, 5.0)).abs() < 1e-12);
         assert!((at(3.0, 4.0) / (-25.0 / 2.42_f64).exp() - 1.0).abs() < 1e-9);
         assert!(at(7.46, 0.0) >= MIN_WEIGHT);

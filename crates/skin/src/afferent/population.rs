@@ -1,8 +1,7 @@
 //! The RA afferents of a fingertip, scattered over the pad.
 //!
-//! The pad is an ellipse on the middle of the array. Its upper half, towards the fingertip, is denser. The number of
-//! afferents in a half is fixed. Their positions are uniform over the half, and each is drawn by itself: it depends on
-//! the seed and the afferent's number alone.
+//! The pad is an ellipse on the middle of the array. Its upper half, towards the fingertip, is denser. The number of afferents in a
+//! half is fixed. Their positions are uniform over the half. Each position depends only on the seed and the afferent's number.
 //!
 //! Invariant: the same seed gives the same positions, bit for bit, on every machine.
 
@@ -19,7 +18,7 @@ pub const UPPER_PER_CM2: f64 = 140.0;
 /// Afferents per cm² of the lower half (P).
 pub const LOWER_PER_CM2: f64 = 40.0;
 
-/// Keeps these draws apart from others of the same seed; 0 to 2 are those of the simulated motors.
+/// Separates these random numbers from others of the same seed; the simulated motors use 0 to 2.
 const POSITION_WORD: u64 = 3;
 
 /// The positions of 306 afferents: 238 in the upper half, then 68 in the lower.
@@ -28,12 +27,13 @@ pub fn population(seed: u64) -> Vec<Position> {
     scattered(seed, [UPPER_PER_CM2, LOWER_PER_CM2], POSITION_WORD)
 }
 
-/// Positions of as many afferents as the upper and the lower half have, per cm². `word` keeps the draws apart.
+/// Positions of afferents with these densities of the upper and the lower half, per cm². `word` separates the random numbers from
+/// others.
 pub(crate) fn scattered(seed: u64, per_cm2: [f64; 2], word: u64) -> Vec<Position> {
     let [upper, lower] = per_cm2.map(count);
     let position = |number| {
         let [area, turns] = random::uniform([seed, number, 0, word]);
-        // With the root, equal areas of the ellipse are equally likely.
+        // The square root makes equal areas of the ellipse equally likely.
         let (radius, angle) = (area.sqrt(), PI * turns);
         let x_mm = PAD_WIDTH_MM / 2.0 * radius * libm::cos(angle);
         let y_mm = PAD_LENGTH_MM / 2.0 * radius * libm::sin(angle);

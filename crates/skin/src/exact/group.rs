@@ -1,4 +1,4 @@
-//! The state of a group of afferents in the exact method, and what is known of each afferent's spikes.
+//! The state of a group of afferents in the exact method, with each afferent's spikes so far.
 
 use crate::cycle::{Cycle, Periods};
 use crate::member::Member;
@@ -12,10 +12,10 @@ use meissner_array::random::Normals;
 pub(crate) const LANES: usize = 8;
 /// Bits of a weight, so that 24 motors at full speed at the largest weight stay below 2⁵³.
 const WEIGHT_BITS: i32 = 37;
-/// The most spikes that a group buffers while it looks for a repetition and need not keep them. Beyond, it stops looking:
+/// The most spikes that a group buffers while it only counts and looks for a repetition. Beyond that it stops looking, so that
 /// counting takes no more memory for a longer scene.
 pub(crate) const MAX_BUFFERED: u64 = 1 << 14;
-/// Long before the scene, so that nothing is lowered or refractory.
+/// A time long before the scene, so that no afferent is hyperexcitable or refractory.
 const NEVER: f64 = -1e300;
 
 /// One number per lane.
@@ -52,7 +52,7 @@ pub(super) struct Lane {
     /// The number of spikes at the kept state.
     pub(super) marked: usize,
     pub(super) count: u64,
-    /// If the rest of the scene is a repetition.
+    /// The repetition, if the rest of the scene is one.
     pub(super) repetition: Option<Repetition>,
 }
 
@@ -119,7 +119,7 @@ impl Group {
         self.kept() + self.lanes.iter().filter_map(repeated).sum::<f64>() as u64
     }
 
-    /// Whether further breakpoints matter.
+    /// Whether any lane still needs breakpoints.
     pub(crate) fn goes_on(&self) -> bool {
         self.lanes.iter().any(|lane| lane.repetition.is_none())
     }
@@ -140,8 +140,8 @@ impl Lane {
             if keep { spikes.iter().map(Instant::half_ticks).collect() } else { Vec::new() };
         if let Some(Repetition { from, length }) = repetition {
             let spikes = &spikes[marked..];
-            // So many repetitions are whole. A lane is known up to its last breakpoint, which lies somewhat before `from`,
-            // so two more repetitions may reach into the scene.
+            // The number of whole repetitions. A lane is known up to its last breakpoint, which lies somewhat before `from`, so two
+            // more repetitions may reach into the scene.
             let whole = ((until - from) / length).floor();
             if !keep {
                 count += whole as u64 * spikes.len() as u64;

@@ -1,14 +1,14 @@
 //! The exact method: from breakpoint to breakpoint, eight afferents at a time.
 //!
-//! A [`Group`] holds the state of eight afferents (`group`). `vectors` takes it from breakpoint to breakpoint. Each lane
-//! is one afferent, and it goes only to the breakpoints of the motors that reach it. So it depends on nothing but its
-//! own motors: not on its neighbours, nor on the number of lanes of the processor. A lane that might reach its threshold
-//! within a segment leaves the vector for [`Neuron`](crate::neuron::Neuron).
+//! A [`Group`] holds the state of eight afferents (`group`). `vectors` takes it from breakpoint to breakpoint. Each lane is one
+//! afferent, and it goes only to the breakpoints of the motors that reach it. So it depends only on its own motors, not on its
+//! neighbours or on the number of lanes of the processor. A lane that might reach its threshold within a segment leaves the vector
+//! for [`Neuron`](crate::neuron::Neuron).
 //!
-//! Weights are rounded to whole numbers of 37 bits, and so are their products with the slope change of a breakpoint: a
-//! slope change is 1 or -1, or a share of that where bursts differ in their travel. So every slope is a whole number, and
-//! every sum of inputs is a whole number below 2⁵³: exact in `f64` in any order, and 0 when all is at rest. The rounding
-//! is less than what ignoring weights below 10⁻¹⁰ leaves out.
+//! Weights are rounded to whole numbers of 37 bits, and so are their products with the slope change of a breakpoint. (A slope
+//! change is 1 or -1, or a share of that if bursts differ in their travel.) So every slope and every sum of inputs is a whole
+//! number below 2⁵³: exact in `f64` in any order, and 0 at rest. The rounding error is smaller than the error of ignoring weights
+//! below 10⁻¹⁰.
 //!
 //! Invariant: the lanes' arithmetic is the same at every vector width.
 
@@ -70,7 +70,7 @@ impl Group {
         let matters = 1.0 + membrane.refractory.max(membrane.lowering);
         let states = std::array::from_fn(|lane| {
             let (at, last_at, last_offset) = (self.at[lane], self.last_at[lane], self.last_offset[lane]);
-            // A spike so long ago that it no longer matters counts as none.
+            // A spike that is too long ago to have an effect counts as none.
             let over = (at - last_at) - last_offset > matters;
             let (last_at, last_offset) = if over { (0.0, 0.0) } else { (last_at - from, last_offset) };
             [at - from, self.v[lane], self.k[lane], self.p[lane], self.resting[lane], last_at, last_offset]
@@ -82,7 +82,7 @@ impl Group {
             }
             if compared.repeats >> number & 1 == 1 {
                 lane.repetition = Some(Repetition { from, length: compared.ago });
-                // From now on it is like a lane without an afferent.
+                // From now on the lane is like one without an afferent.
                 self.resting[number] = f64::INFINITY;
                 self.weights.iter_mut().for_each(|weights| weights[number] = 0.0);
             } else if compared.kept || compared.given_up {

@@ -1,4 +1,4 @@
-//! The exact method on the lanes of the processor's vectors.
+//! The exact method in the processor's vector instructions.
 
 use super::group::{Group, LANES, Row};
 use crate::afferent::{MIN_THRESHOLD, Rectify};
@@ -8,7 +8,7 @@ use crate::neuron::{Instant, Neuron, Segment};
 use crate::simd::{Aligned, bits};
 use pulp::{Simd, WithSimd};
 
-/// Added and subtracted again, this rounds a number below 2⁵¹ to a whole one, ties to even: up and down alike.
+/// Adding and subtracting this rounds a number below 2⁵¹ to a whole number, ties to even, so the rounding is symmetric.
 const ROUNDS: f64 = 1.5 * (1_u64 << 52) as f64;
 /// Breakpoints looked through at a time: their numbers fit a byte.
 const CHUNK: usize = 256;
@@ -54,7 +54,7 @@ impl Pass<'_> {
             }
             let mut vectors = Vectors::<S, RECTIFY>::load(simd, self.membrane, self.group, first);
             for breakpoints in self.breakpoints.chunks(CHUNK) {
-                // First select the breakpoints that reach the group. Which they are cannot be predicted, so do not branch.
+                // First select the breakpoints that reach the group. The choice is unpredictable, so do not branch.
                 let mut selected = [0_u8; CHUNK];
                 let mut count = 0;
                 for (index, found) in breakpoints.iter().enumerate() {
@@ -158,8 +158,8 @@ impl<'m, S: Simd, const RECTIFY: u8> Vectors<'m, S, RECTIFY> {
         let leak = simd.mul_f64s(self.p, simd.mul_f64s(x, phi1));
         let p = simd.mul_add_f64s(self.gain, input, simd.sub_f64s(self.p, leak));
 
-        // Might it reach the threshold? The membrane is below its value without a leak under the largest input, the
-        // threshold above its value at the start.
+        // Might the membrane reach the threshold? An upper bound of the membrane is its value without a leak under the largest
+        // input; a lower bound of the threshold is its value at the start.
         let largest = match RECTIFY {
             FULL => simd.max_f64s(simd.abs_f64s(self.v), simd.abs_f64s(v)),
             _ => simd.max_f64s(simd.max_f64s(self.v, v), zero),
@@ -171,7 +171,7 @@ impl<'m, S: Simd, const RECTIFY: u8> Vectors<'m, S, RECTIFY> {
             simd.negate_mul_add_f64s(splat(self.membrane.recovery), since, splat(self.membrane.depth));
         let threshold = simd.sub_f64s(self.resting, simd.max_f64s(lowered, zero));
         let threshold = simd.max_f64s(threshold, splat(MIN_THRESHOLD));
-        // A margin for the rounding of all this.
+        // The margin covers rounding errors.
         let reached = simd.greater_than_or_equal_f64s(simd.mul_f64s(top, splat(1.0 + 1e-9)), threshold);
         let free = simd.greater_than_or_equal_f64s(
             simd.mul_f64s(simd.add_f64s(since, length), splat(1.0 + 1e-9)),
@@ -200,7 +200,7 @@ impl<'m, S: Simd, const RECTIFY: u8> Vectors<'m, S, RECTIFY> {
         let short = sum(&SERIES[..SHORT], x);
         let longer = simd.greater_than_f64s(x, simd.splat_f64s(SHORT_SERIES_ENDS));
         if bits(simd.and_m64s(mine, longer), S::F64_LANES) != 0 {
-            // Lanes beyond the end of the series leave the vector: here x only must not overflow.
+            // Lanes beyond the end of the series leave the vector; for them x only must not overflow.
             let x = simd.min_f64s(x, simd.splat_f64s(SERIES_ENDS));
             return simd.select_f64s(longer, sum(&SERIES, x), short);
         }
@@ -278,7 +278,7 @@ impl<'m, S: Simd, const RECTIFY: u8> Vectors<'m, S, RECTIFY> {
                 last: Instant { at: last_at[lane], offset: last_offset[lane] },
             };
             neuron.cross(self.membrane, &segment, |instant| {
-                // The end belongs to a segment, but not to a scene.
+                // A segment includes its end, but a scene does not.
                 if instant.half_ticks() < until {
                     outside.count += 1;
                     if keep {

@@ -1,6 +1,6 @@
 //! Afferents of three classes: their parameters, and how deep in the skin they lie.
 //!
-//! Invariant: an [`Afferent`] has a row of its class.
+//! Invariant: the row of an [`Afferent`] is one of its class.
 
 use super::rows::{PARAMETERS, PC, RA, SA1};
 use crate::afferent::Position;
@@ -81,7 +81,7 @@ pub(super) struct Parameters {
     pub(super) moving: [f64; 2],
     /// Weights of the change of the dynamic stimulus per sample: up, down.
     pub(super) changing: [f64; 2],
-    /// The input current tends to this for strong stimuli; 0 for a current without such a limit.
+    /// The limit of the input current for strong stimuli; 0: no limit.
     pub(super) saturation: f64,
     /// SD of the noise that each sample adds to the current.
     pub(super) noise_sd: f64,

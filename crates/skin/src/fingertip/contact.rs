@@ -1,8 +1,8 @@
-//! Contact of flat round pins with the skin, an elastic half space (Sneddon 1946): from indentations to loads.
+//! Computes the loads of flat round pins from their indentations of the skin, an elastic half space (Sneddon 1946).
 //!
-//! The loads P of the pins give the profile D·P of the skin under them, with D from [`flexibility`]. A pin can only press:
-//! if its load would pull the skin, it has lost contact. Its load is 0, and the other pins carry the rest. So the loads
-//! follow from the indentations alone, sample by sample. While all pins touch, one matrix gives them.
+//! The loads P of the pins give the profile D·P of the skin under them, with D from [`flexibility`]. A pin can only press: a pin
+//! whose load would pull the skin has lost contact. Its load is 0, and the other pins carry the rest. So the loads follow from the
+//! indentations alone, sample by sample. While all pins touch, one matrix gives them.
 //!
 //! Invariant: no load is negative.
 
@@ -10,9 +10,9 @@ use super::scene::Place;
 use super::{ELASTICITY, PIN_RADIUS_MM, POISSON};
 use std::collections::HashMap;
 
-/// The matrices that are kept for sets of touching pins: sets come back with every cycle of a vibration.
+/// The number of matrices kept for sets of touching pins, because the same sets recur with every cycle of a vibration.
 const MAX_KEPT: usize = 1024;
-/// Two pins whose loads cannot be told apart leave a pivot of rounding errors, in units of a pin's own flexibility.
+/// A smaller pivot, in units of a pin's own flexibility, is a rounding error: the loads of two pins cannot be told apart.
 const SMALLEST_PIVOT: f64 = 1e-9;
 
 /// The displacement of the skin at a distance from a pin, per load, mm per N/mm².
@@ -36,11 +36,11 @@ type Stiffness = Vec<f64>;
 #[derive(Clone, Debug)]
 pub(super) struct Contact {
     places: Vec<Place>,
-    /// Of all pins.
+    /// The matrix of all pins.
     whole: Stiffness,
-    /// Of those that touch, by their numbers.
+    /// The matrices for sets of touching pins, by the pins' numbers.
     kept: HashMap<Vec<u16>, Stiffness>,
-    /// For each pin, the samples at which it had lost contact.
+    /// For each pin, the number of samples at which it had lost contact.
     lost: Vec<u64>,
 }
 
@@ -56,7 +56,7 @@ impl Contact {
         self.places.len()
     }
 
-    /// By how much a pin's load grows per indentation by a pin while all touch, N/mm².
+    /// The change of a pin's load per indentation by pin `of` while all touch, N/mm².
     pub(super) fn stiffness(&self, pin: usize, of: usize) -> f64 {
         self.whole[pin * self.pins() + of]
     }
@@ -66,7 +66,7 @@ impl Contact {
         &self.lost
     }
 
-    /// Begins to count anew.
+    /// Resets the counts of lost contact.
     pub(super) fn forget_lost(&mut self) {
         self.lost.fill(0);
     }
@@ -89,7 +89,7 @@ impl Contact {
         }
     }
 
-    /// Lets go of the pins that would pull at a sample, until no pin does.
+    /// Releases the pins that would pull at a sample, until no pin does.
     fn release(&mut self, sample: usize, indentations_mm: &[Vec<f64>], loads: &mut [Vec<f64>]) {
         let mut touching: Vec<u16> = (0..self.pins() as u16).collect();
         loop {
@@ -220,7 +220,7 @@ mod tests {
         assert!(Contact::new(&[at(0.0), at(0.6)]).is_some());
     }
 
-    /// A set of pins comes back: the answer is that of a fresh solution.
+    /// When a set of pins recurs, the answer is that of a fresh solution.
     #[test]
     fn what_is_kept_changes_nothing() {
         let places = array();

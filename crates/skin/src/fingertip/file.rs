@@ -2,7 +2,7 @@
 //!
 //! Its pins move by a formula (`pins`), or motors move them (`drives`, as in a scene of the first model).
 //!
-//! Invariant: no key is ignored but `spikes_s` and `promised_spikes`, the answers of reference scenes.
+//! Invariant: no key is ignored, except `spikes_s` and `promised_spikes`, the answers of reference scenes.
 
 use super::afferent::Class;
 use super::population::{drawn, population};

@@ -1,6 +1,6 @@
 //! The low-pass filter of a neuron's stimuli: Butterworth, third order, by the bilinear transform.
 //!
-//! It is a first-order section and a second-order one, each in transposed direct form II. [`Sections`] runs the filters of
+//! It consists of a first-order and a second-order section, each in transposed direct form II. [`Sections`] runs the filters of
 //! several afferents side by side.
 //!
 //! Invariant: no operation mixes lanes.

@@ -1,12 +1,12 @@
-//! How much each motor moves an afferent's dynamic stimulus, while all pins touch the skin.
+//! Computes the effect of each motor on an afferent's dynamic stimulus, while all pins touch the skin.
 //!
 //! A motor that moves one pin changes the loads of all pins, and each load reaches the afferent with a weight and a delay
 //! (`stimulus`). Without loss of contact the sum is linear: the stimulus is a weighted sum of the motors' own velocities, each
 //! delayed by zero to some samples. [`Influence`] takes the first two terms of each delayed velocity, v(t - d) = v(t) - d·(v(t) -
-//! v(t - 1)). Velocities are filtered to about 100 Hz, where the rest is below 1 % for the pins that matter.
+//! v(t - 1)). Velocities are filtered to about 100 Hz, where the neglected terms are below 1 % for the pins that matter.
 //!
-//! A pin that rests holds the skin in place: a motor's influence fades within two or three pitches. Below a share of the largest
-//! one it counts as 0.
+//! Resting pins hold the skin in place, so a motor's influence fades within two or three pitches. An influence below a share of the
+//! largest counts as 0.
 
 use super::afferent::Afferent;
 use super::contact::Contact;
@@ -15,22 +15,22 @@ use super::stimulus::Field;
 use super::{ELASTICITY, POISSON};
 use firmware_protocol::stroke::MOTORS;
 
-/// A motor may move its pin this much further than asked: strokes are whole pulses.
+/// A motor may move its pin further than ordered by this factor, because strokes are whole pulses.
 const ROUNDING: f64 = 1.02;
 
-/// What an afferent gets of the velocity of each motor, N/mm⁴ per mm/s.
+/// An afferent's weights of each motor's velocity, N/mm⁴ per mm/s.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Influence {
-    /// Of the velocity at a sample.
+    /// The weight of the velocity at a sample.
     pub(super) now: [f32; MOTORS],
-    /// Of the velocity a sample before.
+    /// The weight of the velocity one sample before.
     pub(super) before: [f32; MOTORS],
     /// The motors whose influence counts, one bit each.
     pub(super) motors: u32,
 }
 
 impl Influence {
-    /// The influence of motors with these gains. One below `min_share` of a pin's influence at its own place counts as 0.
+    /// The influence of motors with these gains. An influence below `min_share` of a pin's influence at its own place counts as 0.
     pub(super) fn new(
         afferent: &Afferent,
         pins: &[Place],
@@ -59,7 +59,7 @@ impl Influence {
     }
 }
 
-/// Whether all pins touch the skin, whatever motors with these gains do with strokes of an amplitude.
+/// Whether all pins always touch the skin, for any drives of motors with these gains at this amplitude.
 pub(super) fn all_touch(
     contact: &Contact,
     gains: &[f64; MOTORS],
@@ -69,7 +69,7 @@ pub(super) fn all_touch(
     let highest_mm = 1e-3 * amplitude_um * ROUNDING;
     (0..MOTORS).all(|pin| {
         let rest: f64 = (0..MOTORS).map(|of| preindent_mm * contact.stiffness(pin, of)).sum();
-        // Every motor that relieves the pin is up, every other is down.
+        // The worst case: every motor that relieves the pin is up, every other is down.
         let relief: f64 =
             (0..MOTORS).map(|of| (gains[of] * highest_mm * contact.stiffness(pin, of)).min(0.0)).sum();
         rest + relief > 0.0

@@ -1,9 +1,9 @@
 //! The second model, `afferents`: skin mechanics under flat pins, and SA1, RA and PC afferents fitted to recordings.
 //!
-//! The finger lies on the pins, pressed in by 0.5 mm. All pins press on the skin, the moving ones more and less. The data
+//! The finger lies on the pins, pressed in by 0.5 mm. All pins press on the skin, the moving ones with a changing force. The data
 //! path:
 //!
-//! 1. `scene` and `file`: a [`Scene`] says how the pins move, and where which afferents lie. [`population`] places the
+//! 1. `scene` and `file`: a [`Scene`] says how the pins move, and lists the afferents with their places. [`population`] places the
 //!    afferents of a fingertip.
 //! 2. `motion`: the indentation of every pin, 5 000 samples a second.
 //! 3. `contact`: indentations become the pins' loads. A pin that would pull the skin has lost contact.
@@ -12,15 +12,15 @@
 //!    `rows` holds the parameters of recorded afferents.
 //! 6. `simulation`: [`simulate`] goes through a scene block by block; groups of eight afferents share the threads.
 //!
-//! A search asks for thousands of answers that differ in a few drives. A [`NearEvaluator`] (`near`) gives them nearly, for RA
-//! afferents, in a small part of the time: `influence` says how much each motor moves each afferent while all pins touch,
-//! `waveform` keeps the filtered stimulus of each motion, and `near_group` makes spikes of both.
+//! A search needs thousands of answers that differ in a few drives. A [`NearEvaluator`] (`near`) approximates them, for RA
+//! afferents, in a small part of the time: `influence` gives the effect of each motor on each afferent while all pins touch,
+//! `waveform` keeps the filtered stimulus of each motion, and `near_group` turns both into spikes.
 //!
 //! The step of 0.2 ms is part of the model: its noise and its differences are per sample. So there is no exact method, and
 //! a finer step would be another model.
 //!
-//! Invariant: an afferent's spikes depend on the scene and the afferent's number alone, bit for bit, whatever the threads,
-//! the width of vectors, and the other afferents.
+//! Invariant: an afferent's spikes depend on the scene and the afferent's number alone, bit for bit, not on threads, the width of
+//! vectors, or the other afferents.
 //!
 //! # Sources
 //!

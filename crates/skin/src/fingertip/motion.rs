@@ -3,7 +3,7 @@
 //! Pins move as sines of a formula, or as the motors of an array do. A motor's samples are exact: a sample is 34 half ticks,
 //! and the mean velocity over it comes from the breakpoints in closed form.
 //!
-//! Invariant: a pin's indentation at a sample does not depend on how many samples are asked for at a time.
+//! Invariant: a pin's indentation at a sample does not depend on how many samples are requested at a time.
 
 use super::scene::{Pins, Scene, SinePin};
 use super::{SAMPLE_US, SAMPLES_PER_S};
@@ -23,7 +23,7 @@ const MEANS: Method = Method::Stepped(Stepping {
     integrator: Integrator::Propagator,
     precision: Precision::F64,
 });
-/// From the mean D over a sample, half pulses, to the way of a pin, mm: D/W in half pulses per half tick.
+/// Converts the mean D over a sample, half pulses, to the path of a pin, mm: D/W in half pulses per half tick.
 const MM_PER_MEAN: f64 =
     1e-3 * UM_PER_PULSE / 2.0 / WINDOW_HALF_TICKS as f64 * (HALF_TICKS_PER_S / SAMPLES_PER_S);
 
@@ -42,7 +42,7 @@ enum MovedBy<'s> {
 struct Motor<'s> {
     sampler: Option<Sampler<'s>>,
     gain: f64,
-    /// Above its rest, mm without the gain.
+    /// Displacement above its rest, mm, without the gain.
     at_mm: f64,
     samples: Vec<f64>,
 }
@@ -87,7 +87,7 @@ impl<'s> Motion<'s> {
                 MovedBy::Sines { pins, ramp_s: *ramp_s, begin_s: *begin_s }
             }
             Pins::Motors(of) => motors(of.gains()),
-            // The fastest ramp's speed counts as full.
+            // The full speed is that of the fastest ramp.
             Pins::Ramps(ramps) => motors(&ramps.gains()),
         };
         Self { preindent_mm: scene.preindent_mm(), moved_by, next: 0 }
@@ -126,7 +126,7 @@ impl<'s> Motion<'s> {
 }
 
 impl SinePin {
-    /// Above the indentation by the finger, mm, so long after the vibration has begun.
+    /// Displacement beyond the indentation by the finger, mm, `since_s` after the start of the vibration.
     fn displacement_mm(&self, since_s: f64) -> f64 {
         if since_s < 0.0 || self.amplitude_um == 0.0 {
             return 0.0;

@@ -1,18 +1,19 @@
-//! Answers to drives of a scene, again and again, nearly: the search's case.
+//! Approximates the answers to changing drives of a scene, as the search needs them.
 //!
-//! A [`NearEvaluator`] answers as [`simulate`](super::simulate) does, for RA afferents whose pins all touch the skin, but for this:
+//! A [`NearEvaluator`] answers as [`simulate`](super::simulate) does, for RA afferents whose pins all touch the skin, with these
+//! differences:
 //!
 //! - Influences of a motor on an afferent below `min_share` of the largest count as 0.
-//! - Waves arrive by the first two terms of their delays (`influence`).
-//! - Numbers are `f32`, and noise is in steps of 1/30 SD. The deviates are those of the model, drawn once and kept as bytes.
+//! - Delays of waves are approximated by their first two terms (`influence`).
+//! - Numbers are `f32`, and noise is in steps of 1/30 SD. The deviates are those of the model, computed once and kept as bytes.
 //! - An afferent whose membrane stays 4 SD of its noise below the threshold is silent (`near_row`, `waveform`).
 //!
-//! So two answers differ by what the drives do, as in the model, and an afferent answers to the motors that reach it. A
+//! So two answers differ only by the drives, as in the model, and an afferent responds only to the motors that reach it. A
 //! [`NearCandidate`] is the answer with other drives: only the afferents that a changed motor reaches are simulated again.
-//! Candidates change nothing: several threads may evaluate them on one evaluator, and accept one of them or none.
+//! Candidates do not change the evaluator: several threads may evaluate them on one evaluator, and accept one of them or none.
 //!
-//! Invariant: the answer depends on the scene, its drives and `min_share`, bit for bit: not on the drives before, threads, or the
-//! width of vectors.
+//! Invariant: the answer depends only on the scene, its drives and `min_share`, bit for bit. It does not depend on earlier drives,
+//! threads, or the width of vectors.
 
 use super::afferent::{Afferent, Class};
 use super::contact::Contact;
@@ -30,12 +31,12 @@ use pulp::Arch;
 use rayon::prelude::*;
 use std::sync::{Arc, OnceLock};
 
-/// A scene of RA afferents, and nearly its answer.
+/// A scene of RA afferents, and its approximate answer.
 #[derive(Clone, Debug)]
 pub struct NearEvaluator {
     finger: Arc<Finger>,
     motions: [Motion; MOTORS],
-    /// Shared with its candidates, which are recognised by it.
+    /// Shared with its candidates: the pointer identifies them.
     counts: Arc<Vec<u64>>,
 }
 
@@ -58,7 +59,7 @@ struct Finger {
     motors: MembraneScene,
     samples: usize,
     afferents: usize,
-    /// By row.
+    /// The afferents, by row.
     members: [Vec<Member>; ROWS],
     waveforms: Waveforms,
 }
@@ -80,11 +81,11 @@ struct Unison {
 }
 
 impl NearEvaluator {
-    /// A scene whose motors all rest. Its drives do not count; those to come have an amplitude of at most `amplitude_um`. None if
-    /// such drives may lift a pin off the skin.
+    /// An evaluator with all motors at rest. The scene's drives are ignored; later drives must have an amplitude of at most
+    /// `amplitude_um`. None if such drives may lift a pin off the skin.
     ///
     /// # Panics
-    /// If something else than motors moves the pins, or if there are afferents other than RA.
+    /// If anything but motors moves the pins, or if there are afferents other than RA.
     #[must_use]
     pub fn new(scene: &Scene, amplitude_um: f64, min_share: f64) -> Option<Self> {
         let Pins::Motors(motors) = scene.pins() else { panic!("motors move the pins of a search") };
@@ -148,19 +149,19 @@ impl NearEvaluator {
         NearCandidate { motors, motions, from: Arc::clone(&self.counts), changed }
     }
 
-    /// Makes a candidate's drives the drives. A candidate that was made from earlier drives is simulated again.
+    /// Makes a candidate's drives the current drives. A candidate that was made from earlier drives is simulated again.
     pub fn accept(&mut self, candidate: NearCandidate) {
         let current = Arc::ptr_eq(&candidate.from, &self.counts);
         let candidate = if current { candidate } else { self.candidate(Arch::new(), candidate.motors) };
         let NearCandidate { motions, from, changed, .. } = candidate;
-        // Without a second owner, `make_mut` copies nothing.
+        // Drop the second owner, so that `make_mut` copies nothing.
         drop(from);
         self.motions = motions;
         let counts = Arc::make_mut(&mut self.counts);
         changed.into_iter().for_each(|(number, count)| counts[number as usize] = count);
     }
 
-    /// Each afferent's number of spikes, nearly.
+    /// Each afferent's approximate number of spikes.
     #[must_use]
     pub fn counts(&self) -> &[u64] {
         &self.counts
@@ -174,7 +175,7 @@ impl NearCandidate {
         self.changed.len()
     }
 
-    /// Each afferent's number of spikes, nearly.
+    /// Each afferent's approximate number of spikes.
     #[must_use]
     pub fn counts(&self) -> Vec<u64> {
         let mut counts = Vec::clone(&self.from);
@@ -184,7 +185,7 @@ impl NearCandidate {
 }
 
 impl Finger {
-    /// The numbers and counts of the afferents that the motors of some bits reach.
+    /// The numbers and counts of the afferents that these motors reach, given as one bit each.
     fn counts(
         &self,
         arch: Arch,
@@ -244,7 +245,7 @@ impl<'p> Packed<'p> {
         Self { finger, row, waveforms, terms, numbers: Vec::new(), noise: Vec::new() }
     }
 
-    /// Takes an afferent. False if it is silent whatever its noise.
+    /// Takes an afferent. False if it is silent for any noise.
     fn push(&mut self, member: &'p Member) -> bool {
         let lane = self.numbers.len();
         let mut peak = 0.0;

@@ -1,8 +1,8 @@
 //! Neurons of one row in single precision, up to sixteen afferents at a time.
 //!
-//! The stimuli of the afferents are weighted sums of waveforms, which are filtered already. So a sample takes the sum, a current,
-//! the membrane, and spikes; the equations are those of `neuron`. Afferents are packed anew for every answer: what differs
-//! between them, weights and noise, comes with each [`Member`].
+//! The stimuli of the afferents are weighted sums of waveforms that are already filtered. So a sample needs only the sum, the
+//! current, the membrane, and the spikes; the equations are those of `neuron`. Every answer packs the afferents again: their
+//! weights and noise come with each [`Member`].
 //!
 //! Invariant: no operation mixes lanes.
 
@@ -59,12 +59,12 @@ impl<'t> Term<'t> {
     }
 }
 
-/// Up to sixteen afferents of a row, and what moves them.
+/// Up to sixteen afferents of a row, and the waveforms that move them.
 #[derive(Debug)]
 pub(super) struct NearGroup<'g> {
     pub(super) row: &'g NearRow,
     pub(super) terms: &'g [Term<'g>],
-    /// Of each afferent the deviates of all samples and zeros up to a whole tile; empty without noise.
+    /// The noise of each afferent: the deviates of all samples, and zeros up to a whole tile; empty without noise.
     pub(super) noise: &'g [&'g [u8]],
     pub(super) samples: usize,
 }
@@ -84,7 +84,7 @@ impl NearGroup<'_> {
     }
 }
 
-/// A pair of weights for an input x, as the weights of max(x, 0) and of x.
+/// Converts a pair of weights for an input x to the weights of max(x, 0) and of x.
 #[inline(always)]
 fn pair<S: Simd>(simd: S, [positive, negative]: [f32; 2]) -> (S::f32s, S::f32s) {
     (simd.splat_f32s(positive + negative), simd.splat_f32s(-negative))
@@ -93,7 +93,7 @@ fn pair<S: Simd>(simd: S, [positive, negative]: [f32; 2]) -> (S::f32s, S::f32s) 
 /// Bytes of a word.
 const BYTES: usize = 8;
 
-/// Exchanges bytes and words: byte b of word w, the lowest first, becomes byte w of word b. For all columns at once.
+/// Exchanges bytes and words: byte b of word w, the lowest first, becomes byte w of word b. It does so for all columns at once.
 #[inline(always)]
 fn turn(words: &mut [[u64; TILE / BYTES]; BYTES]) {
     for (apart, mask) in [(1, 0x00ff_00ff_00ff_00ff), (2, 0x0000_ffff_0000_ffff), (4, 0x0000_0000_ffff_ffff)]
@@ -111,7 +111,7 @@ fn turn(words: &mut [[u64; TILE / BYTES]; BYTES]) {
 
 struct Run<'r>(&'r NearGroup<'r>);
 
-/// What lanes carry from tile to tile.
+/// The state that lanes carry from tile to tile.
 struct State {
     membrane: Row,
     /// The last sample of the stimulus.
@@ -170,7 +170,7 @@ impl NearGroup<'_> {
         for (part, lanes) in self.noise.chunks(BYTES).enumerate() {
             let mut words = [[0; TILE / BYTES]; BYTES];
             for (words, bytes) in words.iter_mut().zip(lanes) {
-                // In a scene without noise there are no bytes.
+                // A scene without noise has no bytes.
                 let (bytes, _) = bytes.get(first..first + TILE).unwrap_or_default().as_chunks::<BYTES>();
                 words.iter_mut().zip(bytes).for_each(|(word, bytes)| *word = u64::from_le_bytes(*bytes));
             }
@@ -280,7 +280,7 @@ impl NearGroup<'_> {
 }
 
 impl Lane {
-    /// Spikes, unless the last spike is too near.
+    /// Notes a spike, unless the last one was too recent.
     fn spike(&mut self, number: usize) -> bool {
         let number = number as i64;
         if number - self.last < REFRACTORY {

@@ -1,7 +1,7 @@
 //! The constants of the RA neurons in single precision, row by row.
 //!
-//! A [`NearRow`] has what [`NearGroup`](super::near_group::NearGroup) and [`Waveform`](super::waveform::Waveform) need of a row. The
-//! neuron is that of `neuron`, but for its numbers: they are `f32`, and a limit far above every current is none.
+//! A [`NearRow`] has the constants that [`NearGroup`](super::near_group::NearGroup) and [`Waveform`](super::waveform::Waveform)
+//! need. The neuron is that of `neuron`, except that numbers are `f32`, and that a limit far above every current is ignored.
 
 use super::afferent::{Class, Parameters};
 use super::neuron::{AFTER_SPIKE, THRESHOLD, after_spike};
@@ -10,7 +10,7 @@ use std::sync::OnceLock;
 
 /// The rows of RA afferents.
 pub(super) const ROWS: usize = Class::Ra.rows();
-/// A current's limit above this counts as none: it takes less than 2 % of a current that makes a spike within a sample.
+/// A limit of the current above this is ignored: it lowers a current that causes a spike within a sample by less than 2 %.
 const NO_LIMIT: f64 = 50.0;
 /// A membrane this far below the threshold, in SD of its noise, makes no spike: there would be one in 30 000 samples.
 const QUIET_SD: f64 = 4.0;

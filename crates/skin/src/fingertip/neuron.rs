@@ -1,15 +1,15 @@
 //! Neurons: from stimuli to spikes, eight afferents of one class at a time.
 //!
-//! Both stimuli pass a low-pass filter. Their parts, inward and outward, and the change of the dynamic one, add up to a
-//! current, with noise; the current has a limit. A leaky membrane sums it, with a current that follows the last spike. The
+//! Both stimuli pass a low-pass filter. A current is the sum of their inward and outward parts, the change of the dynamic stimulus,
+//! and noise; the current has a limit. A leaky membrane integrates it, together with a current that follows the last spike. The
 //! afferent spikes when the membrane is above 1 and at least six samples after the last spike; then the membrane is 0.
 //!
-//! The membrane at sample m follows from the stimuli at samples m-1 and m: so a spike at sample m is one at m · 0.2 ms.
+//! The membrane at sample m follows from the stimuli at samples m-1 and m, so a spike at sample m has the time m · 0.2 ms.
 //!
-//! A [`Group`] keeps its state between blocks. A block is worked off in tiles: the stimuli of a tile are made along time
-//! ([`mix`]), then turned, so that the recurrences run along time with the afferents side by side in vectors.
+//! A [`Group`] keeps its state between blocks. It processes a block in tiles. The stimuli of a tile are computed with vectors along
+//! time ([`mix`]) and then transposed, so that the recurrences run over time with the afferents side by side in vectors.
 //!
-//! Invariant: no operation mixes lanes, and tiles begin at the same samples however a scene is cut into blocks.
+//! Invariant: no operation mixes lanes, and the start of a tile does not depend on how a scene is cut into blocks.
 
 use super::afferent::{Afferent, Class, Parameters};
 use super::filter::{LowPass, Sections};
@@ -20,15 +20,15 @@ use crate::simd::{Aligned, bits};
 use pulp::{Arch, Simd, WithSimd};
 use std::sync::OnceLock;
 
-/// Samples in which a spike drives a current.
+/// Number of samples for which a spike drives a current.
 pub(super) const AFTER_SPIKE: usize = 190;
-/// A spike comes no sooner after a spike, samples.
+/// The shortest time between two spikes, samples.
 pub(super) const REFRACTORY: i64 = 6;
 /// The membrane spikes above this.
 pub(super) const THRESHOLD: f64 = 1.0;
-/// A sample at which there has been no spike for long.
+/// The last spike's sample if there was none: long before the scene.
 pub(super) const NEVER: i64 = -1_000_000;
-/// A state below this becomes 0 at the end of a tile: processors are slow with denormal numbers.
+/// A smaller state becomes 0 at the end of a tile, because processors are slow with denormal numbers.
 const NEGLIGIBLE: f64 = 1e-200;
 
 /// One number per lane.
@@ -126,8 +126,8 @@ pub(super) struct Block<'b> {
 }
 
 impl Group {
-    /// Afferents of one class, with their numbers in the scene. `loads` are those of pins that have pressed for long, if
-    /// they have.
+    /// Afferents of one class, with their numbers in the scene. `loads` are those of pins pressed in long before the scene, if they
+    /// were.
     pub(super) fn new(
         members: &[(u32, Afferent)],
         pins: &[Place],
@@ -203,7 +203,7 @@ impl Group {
     }
 }
 
-/// From samples side by side to lanes side by side.
+/// Transposes a tile: from samples side by side to lanes side by side.
 #[inline(always)]
 fn turn(by_lane: &[[f64; TILE]; LANES], by_sample: &mut [[f64; LANES]; TILE]) {
     for (sample, row) in by_sample.iter_mut().enumerate() {
@@ -216,7 +216,7 @@ struct Run<'r> {
     block: &'r Block<'r>,
 }
 
-/// What a tile needs, with the lanes side by side.
+/// The inputs of a tile, with the lanes side by side.
 struct Inputs {
     moving: Tile,
     held: Tile,
@@ -418,7 +418,7 @@ impl Lane {
         rows.iter_mut().zip(current).for_each(|(row, &current)| row[lane] = current);
     }
 
-    /// Spikes, unless the last spike is too near.
+    /// Notes a spike, unless the last one was too recent.
     fn spike(&mut self, number: u64, keep: bool) -> bool {
         let number = number as i64;
         if number - self.last < REFRACTORY {

@@ -1,18 +1,17 @@
 //! Normal deviates for a group of afferents, one per afferent and sample.
 //!
-//! Each lane is a stream of its own: the n-th deviate depends on the seed, the afferent's number and n. ChaCha8 seeds the
-//! stream, xoshiro256++ (Blackman & Vigna 2021) continues it, and Box–Muller makes two deviates of each 64 bits. The lanes
-//! are plain arrays, which the compiler puts into vectors; the first model's ziggurat goes lane by lane and would cost more
-//! than the whole neuron.
+//! Each lane has its own stream: the n-th deviate depends on the seed, the afferent's number and n. ChaCha8 seeds the stream,
+//! xoshiro256++ (Blackman & Vigna 2021) continues it, and Box–Muller makes two deviates of each 64 bits. The lanes are plain
+//! arrays, which the compiler vectorises. The first model's ziggurat goes lane by lane and would take longer than the whole neuron.
 //!
-//! Invariant: only additions, products, divisions and roots with one rounding each: all machines give the same bits. The
-//! deviates are of single precision, and none is beyond 6.7 SD.
+//! Invariant: the code uses only additions, products, divisions and roots with one rounding each, so all machines give the same
+//! bits. The deviates are of single precision, and none is beyond 6.7 SD.
 
 use super::LANES;
 use meissner_array::random;
 use pulp::{Arch, Simd, WithSimd};
 
-/// Keeps these draws apart from others of the same seed.
+/// Separates these random numbers from others of the same seed.
 const NOISE_WORD: u64 = 6;
 
 /// The streams of a group.
@@ -22,7 +21,7 @@ pub(super) struct Noise {
 }
 
 impl Noise {
-    /// The streams of the afferents with these numbers. A lane without an afferent has the first one's.
+    /// The streams of the afferents with these numbers. A lane without an afferent has the first one's stream.
     pub(super) fn new(seed: u64, numbers: &[u32]) -> Self {
         let mut state = [[0; LANES]; 4];
         for lane in 0..LANES {
@@ -53,10 +52,11 @@ impl Noise {
     }
 }
 
-/// Steps of a deviate's byte in an SD: a byte holds all within 4.2 SD.
+/// Steps per SD of a deviate in a byte, which holds up to 4.2 SD.
 pub(super) const STEPS_PER_SD: f32 = 30.0;
 
-/// The first deviates of up to eight afferents, an even number of each, in steps, as the bits of an `i8`. Larger ones have 4.2 SD.
+/// The first deviates of up to eight afferents, an even number of each, in steps, as the bits of an `i8`. Larger deviates are
+/// clamped to 4.2 SD.
 pub(super) fn bytes(arch: Arch, seed: u64, numbers: &[u32], count: usize) -> Vec<Vec<u8>> {
     let mut bytes = vec![vec![0; count]; numbers.len()];
     arch.dispatch(Bytes { noise: Noise::new(seed, numbers), bytes: &mut bytes, count });
@@ -89,7 +89,7 @@ fn normals(first: u32, second: u32) -> [f32; 2] {
     // In (0, 1]: its logarithm is finite.
     let share = ((first >> 1) as i32 as f32 + 0.5) * (1.0 / 2_147_483_648.0);
     let radius = (-2.0 * ln(share)).sqrt();
-    // An eighth of a turn either way; the two lowest bits choose the quarter.
+    // Up to an eighth of a turn in either direction; the two lowest bits choose the quarter.
     let angle = (second as i32 as f32) * (std::f32::consts::FRAC_PI_4 / 2_147_483_648.0);
     let (sin, cos) = (sin(angle), cos(angle));
     let (a, b) = if second & 1 == 0 { (cos, sin) } else { (sin, cos) };
@@ -100,7 +100,7 @@ fn normals(first: u32, second: u32) -> [f32; 2] {
 /// The natural logarithm of a normal positive number, within 3e-7 of its size or 1e-7.
 #[inline(always)]
 fn ln(x: f32) -> f32 {
-    // 2^exponent times a number between the root of a half and the root of two.
+    // Split x into 2^exponent and a factor between the root of a half and the root of two.
     let bits = x.to_bits().wrapping_sub(0x3f35_04f3);
     let exponent = (bits as i32 >> 23) as f32;
     let reduced = f32::from_bits((bits & 0x007f_ffff).wrapping_add(0x3f35_04f3));

@@ -6,13 +6,13 @@ use super::afferent::{Afferent, Class};
 use crate::afferent::{self, Position};
 use meissner_array::random;
 
-/// Afferents per cm² of the upper half of the pad, of SA1, RA and PC: the fingertip's (Saal et al. 2017; of RA also the
-/// paper).
+/// Densities of SA1, RA and PC afferents in the upper half of the pad, per cm²: those of the fingertip (Saal et al. 2017; RA also
+/// in the paper).
 pub const UPPER_PER_CM2: [f64; 3] = [70.0, afferent::UPPER_PER_CM2, 25.0];
-/// Those of the lower half. RA: the paper's. SA1 and PC (C): with them a finger has 200 SA1 and 60 PC afferents.
+/// The same for the lower half. RA is the paper's; SA1 and PC (C) give a finger 200 SA1 and 60 PC afferents.
 pub const LOWER_PER_CM2: [f64; 3] = [48.0, afferent::LOWER_PER_CM2, 10.5];
 
-/// Keeps these draws apart from others of the same seed.
+/// Separates these random numbers from others of the same seed.
 const PLACE_WORD: u64 = 7;
 const ROW_WORD: u64 = 8;
 
@@ -30,7 +30,7 @@ pub fn population(seed: u64) -> Vec<Afferent> {
     all.enumerate().map(|(number, (class, at))| drawn(seed, number as u64, class, at)).collect()
 }
 
-/// An afferent whose row is drawn from those of its class, by its number.
+/// An afferent with a random row of its class, keyed by its number.
 pub(super) fn drawn(seed: u64, number: u64, class: Class, at: Position) -> Afferent {
     let [share, _] = random::uniform([seed, number, 0, ROW_WORD]);
     let row = (share * class.rows() as f64) as u8;

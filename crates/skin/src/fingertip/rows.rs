@@ -1,14 +1,14 @@
 //! The parameters of recorded afferents: one row each, as published.
 //!
-//! Nine RA, four SA1 and four PC afferents of Dong et al. 2013 as used by Saal et al. 2017, in the order p0 to p11 of the
-//! page "Models" of the book. Their thirteenth parameter, a delay, is 0 here, as it is by default there.
+//! Nine RA, four SA1 and four PC afferents of Dong et al. 2013 as used by Saal et al. 2017, in the order p0 to p11 of the page
+//! "Models" of the book. Their thirteenth parameter, a delay, is 0 here, which is also its default there.
 //!
-//! Invariant: the reference spikes of the tests hold these numbers.
+//! Invariant: the reference spikes of the tests fix these numbers.
 
 /// The number of parameters of a row.
 pub(super) const PARAMETERS: usize = 12;
 
-/// Of the SA1 afferents.
+/// Rows of the SA1 afferents.
 pub(super) const SA1: [[f64; PARAMETERS]; 4] = [
     [
         10.131_713_867_187_5,
@@ -68,7 +68,7 @@ pub(super) const SA1: [[f64; PARAMETERS]; 4] = [
     ],
 ];
 
-/// Of the RA afferents.
+/// Rows of the RA afferents.
 pub(super) const RA: [[f64; PARAMETERS]; 9] = [
     [
         10.185_546_875,
@@ -198,7 +198,7 @@ pub(super) const RA: [[f64; PARAMETERS]; 9] = [
     ],
 ];
 
-/// Of the PC afferents.
+/// Rows of the PC afferents.
 pub(super) const PC: [[f64; PARAMETERS]; 4] = [
     [
         27.502_136_230_468_75,

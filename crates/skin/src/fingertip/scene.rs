@@ -15,13 +15,13 @@ use meissner_array::pattern::Drive;
 use meissner_input::document::{self, in_range};
 use std::sync::Arc;
 
-/// By how much the finger's weight presses the pins into the skin, mm (C).
+/// Indentation of the skin by the pins under the finger's weight, mm (C).
 pub const PREINDENT_MM: f64 = 0.5;
 /// The most pins that move by a formula.
 pub const MAX_PINS: usize = 256;
 /// The longest scene, s: its samples are counted in 32 bits.
 const MAX_DURATION_S: f64 = 100_000.0;
-/// Half the sampling rate: a faster vibration would look like a slower one.
+/// Half the sampling rate: a faster vibration would alias to a slower one.
 const MAX_FREQUENCY_HZ: f64 = SAMPLES_PER_S / 2.0;
 const MAX_PLACE_MM: f64 = 1000.0;
 
@@ -57,16 +57,15 @@ impl Place {
 /// The pins under the finger.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) enum Pins {
-    /// They are pressed in during `ramp_s`, and vibrate by a formula from `begin_s` on.
+    /// Pins that are pressed in during `ramp_s`, and vibrate by a formula from `begin_s` on.
     Sines { pins: Vec<SinePin>, ramp_s: f64, begin_s: f64 },
-    /// All pins of the array, pressed in for long. The motors of a scene without afferents move them.
+    /// All pins of the array, pressed in long before. The motors of a scene without afferents move them.
     Motors(Box<MembraneScene>),
-    /// All pins of the array, pressed in for long. The bursts that motors made move them.
+    /// All pins of the array, pressed in long before. The bursts that motors made move them.
     Ramps(Box<Ramps>),
 }
 
-/// A pin that moves by a formula: from the beginning on it stands higher than pressed in by
-/// `amplitude/2 · (cos 2πφ − cos 2π(f·t + φ))`.
+/// A pin that moves by a formula: its height above the pressed-in position is `amplitude/2 · (cos 2πφ − cos 2π(f·t + φ))`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SinePin {
     /// Its place along x, mm.
@@ -106,7 +105,7 @@ impl Scene {
         .map_err(|fault| fault.in_file(None))
     }
 
-    /// The scene with other drives, for motors of the array. Only they are checked, and the afferents are shared.
+    /// The scene with other drives, for motors of the array. Only the drives are checked, and the afferents are shared.
     ///
     /// # Errors
     /// The first thing that is wrong with them, by the key it would have in a file.
@@ -118,7 +117,7 @@ impl Scene {
         Ok(Self { pins: Pins::Motors(Box::new(motors.with_drives(drives)?)), ..self.clone() })
     }
 
-    /// The scene with other afferents. Its noise goes by their numbers.
+    /// The scene with other afferents. Their numbers key the noise.
     ///
     /// # Errors
     /// The first thing that is wrong with them, by the key it would have in a file.
@@ -128,7 +127,7 @@ impl Scene {
             .map_err(|fault| fault.in_file(None))
     }
 
-    /// The scene with pins at rest that press the skin in by so much, mm.
+    /// The scene with another indentation of the skin by pins at rest, mm.
     ///
     /// # Errors
     /// If it is out of range.
@@ -157,7 +156,7 @@ impl Scene {
         }
     }
 
-    /// A scene of the bursts that motors really made, for their first `duration_s`. `seed` is that of the noise.
+    /// A scene of the measured bursts of motors, for their first `duration_s`. `seed` is that of the noise.
     ///
     /// # Errors
     /// The first thing that is wrong with it, by the key it would have in a file.
@@ -205,7 +204,7 @@ impl Scene {
         self.population
     }
 
-    /// Impulses per second of an afferent with so many spikes; 0 in a scene without duration.
+    /// Impulses per second of an afferent with `count` spikes; 0 in a scene without duration.
     #[must_use]
     pub fn rate_hz(&self, count: u64) -> f64 {
         if count == 0 { 0.0 } else { count as f64 / self.duration_s }

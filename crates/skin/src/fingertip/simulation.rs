@@ -1,7 +1,7 @@
 //! A whole scene of the second model: [`simulate`] and its [`Answer`].
 //!
-//! Pins are worked off in blocks of samples, afferents in tiles of a few thousand: memory holds one tile's state, one block
-//! of loads, and the answer. Within a block the groups of a tile share the threads.
+//! It processes pins in blocks of samples, and afferents in tiles of a few thousand. So memory holds one tile's state, one block of
+//! loads, and the answer. Within a block the groups of a tile share the threads.
 //!
 //! Invariant: the answer for an afferent depends on the scene and its number, not on blocks, tiles, groups or threads.
 
@@ -19,7 +19,7 @@ use rayon::prelude::*;
 
 /// Samples of a block: the loads and rates of 24 pins take 0.4 MB, which a core's second cache holds.
 const BLOCK: usize = 16 * TILE;
-/// Columns are so much longer than a block: at a distance of whole 4 KiB they would drive each other from the first cache.
+/// Columns are longer than a block by this: at a distance of whole 4 KiB they would evict each other from the first-level cache.
 const APART: usize = 80;
 /// Afferents whose state is in memory at a time.
 const AFFERENTS: usize = 8192;
@@ -31,7 +31,7 @@ pub struct Answer {
     pub counts: Vec<u64>,
     /// Their times in order, s, if they were kept: whole samples.
     pub spikes_s: Option<Vec<Vec<f64>>>,
-    /// For how long each pin had lost contact with the skin, s.
+    /// How long each pin had lost contact with the skin, s.
     pub lost_contact_s: Vec<f64>,
 }
 
@@ -53,7 +53,7 @@ impl Answer {
     }
 }
 
-/// Simulates a scene of the second model. `progress` is called now and then with the share of the work that is done.
+/// Simulates a scene of the second model. `progress` is called now and then with the completed share.
 ///
 /// # Errors
 /// If there are more than [`MAX_SPIKES`] spikes to keep.
@@ -61,7 +61,7 @@ pub fn simulate(scene: &Scene, keep: Keep, progress: &(dyn Fn(f64) + Sync)) -> R
     simulate_on(Arch::new(), scene, &tracks(scene), keep, progress)
 }
 
-/// The same on a given architecture, with what moves the motors.
+/// The same on a given architecture, with the motors' tracks.
 pub(super) fn simulate_on(
     arch: Arch,
     scene: &Scene,
@@ -133,7 +133,7 @@ struct Loads<'s> {
     /// Samples of the scene, and the first of the next block.
     samples: u64,
     next: u64,
-    /// The loads of pins that have pressed for long, if they have.
+    /// The loads of pins pressed in long before the scene, if they were.
     settled: Option<Vec<f64>>,
     /// Each pin's indentations and loads: from the sample before the block to the one after it.
     indentations_mm: Vec<Vec<f64>>,
@@ -180,7 +180,7 @@ impl<'s> Loads<'s> {
             return None;
         }
         self.next += samples as u64;
-        // The last block had to know one more sample.
+        // The last block computed one sample more than it has.
         let known = if first == 0 { 0 } else { first + 1 };
         let wanted = (self.next + 1).min(self.samples) - known.min(self.samples);
         self.indentations_mm.iter_mut().for_each(Vec::clear);

@@ -1,11 +1,11 @@
-//! From the loads of pins to the stimuli of afferents.
+//! Computes the stimuli of afferents from the loads of pins.
 //!
-//! The dynamic stimulus of an afferent is the sum of the rates of all loads, each with a weight by distance and depth. It
-//! travels from the pin's edge at 8 m/s; delays are whole samples. The static stimulus, of SA1 afferents alone, is the
-//! pressure at the afferent's depth below a flat punch (Sneddon 1946), without delay.
+//! The dynamic stimulus of an afferent is the sum of the rates of all loads, each with a weight by distance and depth. It travels
+//! from the pin's edge at 8 m/s; delays are whole samples. The static stimulus, which only SA1 afferents have, is the pressure at
+//! the afferent's depth below a flat punch (Sneddon 1946), without delay.
 //!
 //! [`mix`] sums one afferent's stimulus for a tile of samples: vectors run along time, because afferents differ in delays.
-//! [`mix_together`] does so for all afferents of a group, where there are none.
+//! [`mix_together`] sums a stimulus without delays for all afferents of a group.
 //!
 //! Invariant: terms are added in the order of the pins, each with one rounding.
 
@@ -17,7 +17,7 @@ use pulp::Simd;
 
 /// Samples that are summed at once.
 pub(super) const TILE: usize = 64;
-/// Vectors that are summed at once: as many as hide the time that a sum takes.
+/// Vectors that are summed at once: enough to hide the latency of an addition.
 const VECTORS: usize = 8;
 /// How fast a wave travels in the skin, mm/s (Saal et al. 2017).
 const WAVE_MM_PER_S: f64 = 8000.0;
@@ -25,11 +25,11 @@ const WAVE_MM_PER_S: f64 = 8000.0;
 /// The weights of all pins at an afferent.
 #[derive(Clone, Debug)]
 pub(super) struct Field {
-    /// Of the rates of the loads.
+    /// Weights of the rates of the loads.
     pub(super) moving: Vec<f64>,
-    /// Samples until they arrive.
+    /// Delay of each pin's wave, samples.
     pub(super) delays: Vec<u16>,
-    /// Of the loads; empty for afferents without a static stimulus.
+    /// Weights of the loads; empty for afferents without a static stimulus.
     pub(super) held: Vec<f64>,
 }
 
@@ -91,8 +91,8 @@ pub(super) fn mix<S: Simd>(
     }
 }
 
-/// The weighted sums of columns without delays for a tile of samples, for all lanes at once: a column is read once. The tile
-/// begins at `start` of each column of `stride`.
+/// The weighted sums of columns without delays for a tile of samples, for all lanes at once, so that a column is read only once.
+/// The tile begins at `start` of each column of `stride`.
 #[inline(always)]
 pub(super) fn mix_together<S: Simd>(
     simd: S,

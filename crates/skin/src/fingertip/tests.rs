@@ -1,4 +1,4 @@
-//! Independence of the second model, from inside.
+//! Tests with private items that answers of the second model do not depend on how they are computed.
 
 use super::scene::Scene;
 use super::simulation::simulate_on;

@@ -1,10 +1,11 @@
-//! What the motion of one motor gives the neurons, filtered and ready to be summed.
+//! Waveforms: the effect of one motor's motion on the neurons, filtered and ready to be summed.
 //!
-//! The low-pass filter of a neuron is linear: it may filter each motor's velocity in place of each afferent's stimulus. There are
-//! nine rows of RA afferents, and motors that vibrate alike share a [`Waveform`]; [`Waveforms`] keeps those of a search.
+//! The low-pass filter of a neuron is linear, so it can filter each motor's velocity instead of each afferent's stimulus. That is
+//! less work: there are only nine rows of RA afferents, and motors with the same vibration share a [`Waveform`]. [`Waveforms`]
+//! keeps those of a search.
 //!
-//! A waveform also knows how far it drives a membrane, without noise, spikes and limit, at the weights 1 and -1. So an
-//! afferent that cannot fire is known before it is simulated.
+//! A waveform also knows how far it drives a membrane, without noise, spikes and limit, at the weights 1 and -1. So afferents that
+//! cannot fire need no simulation.
 //!
 //! Invariant: a waveform depends on the motor's drives, not on the motor, threads or the width of vectors.
 
@@ -23,12 +24,12 @@ use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 /// Rows side by side: the widest vector of `f32`.
 const LANES: usize = 16;
 const _: () = assert!(ROWS <= LANES);
-/// The most bytes that the waveforms of a search take: 90 of a second.
+/// The most bytes that the waveforms of a search take: 90 waveforms of a second.
 const MAX_KEPT_BYTES: usize = 16 << 20;
 
 type Lanes = Aligned<[f32; LANES]>;
 
-/// The drives of a motor as bits, whatever motor it is; no drive if it rests.
+/// The drives of a motor as bits, without its number; no drive if it rests.
 pub(super) type Motion = Vec<[u64; 5]>;
 
 /// The motion of some drives of one motor.
@@ -43,7 +44,7 @@ pub(super) fn motion<'d>(drives: impl Iterator<Item = &'d Drive>) -> Motion {
     moving.map(key).collect()
 }
 
-/// The filtered velocity of a motor, mm/s, as each row of neurons has it.
+/// The filtered velocity of a motor, mm/s, for each row of neurons.
 #[derive(Debug)]
 pub(super) struct Waveform {
     /// By row: the sample before the first, which is 0, all samples, and zeros up to a whole tile.
@@ -162,14 +163,14 @@ pub(super) struct Waveforms {
 }
 
 impl Waveforms {
-    /// Waveforms of so many samples.
+    /// Waveforms of `samples` samples.
     pub(super) fn new(samples: usize) -> Self {
         Self { samples, made: Mutex::default() }
     }
 
     /// The place of a motion's waveform.
     pub(super) fn of(&self, motion: &Motion) -> Arc<OnceLock<Waveform>> {
-        // A map is whole whatever a thread that panicked has done with it.
+        // A panic of another thread leaves the map consistent.
         let mut made = self.made.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some(found) = made.get(motion) {
             return Arc::clone(found);
@@ -181,7 +182,7 @@ impl Waveforms {
         Arc::clone(made.entry(motion.clone()).or_default())
     }
 
-    /// Makes the waveform of a motor of a scene, if that is not done yet.
+    /// Makes the waveform of a motor of a scene, unless it exists.
     pub(super) fn fill<'w>(
         &self,
         place: &'w OnceLock<Waveform>,

@@ -1,6 +1,6 @@
 //! The parameters of afferents in a file: the keys of `[afferent]`, for scenes and targets alike.
 //!
-//! Invariant: a model that [`check_model`] accepts overflows nowhere in the simulator.
+//! Invariant: a model that [`check_model`] accepts causes no overflow in the simulator.
 
 use crate::afferent::{AfferentModel, Rectify};
 use meissner_input::document::{KeyError, in_range};
@@ -25,7 +25,7 @@ pub struct RawAfferent {
 }
 
 impl RawAfferent {
-    /// The model. A parameter that is missing has its default; `noise_sd` is that of the noise.
+    /// The model. A missing parameter has its default; `noise_sd` is the default of the noise.
     pub fn model(self, noise_sd: f64) -> AfferentModel {
         let usual = AfferentModel::default_for(self.rectify, noise_sd);
         AfferentModel {
@@ -79,7 +79,7 @@ pub fn check_model<P>(model: &AfferentModel) -> Result<(), KeyError<P>> {
         "0 to 1e15 per um",
     )?;
     in_range("tau_s", tau_s, (1e-9..=1e9).contains(&tau_s), "1e-9 to 1e9 s")?;
-    // At most one spike per refractory period: the least period bounds the spikes of a scene.
+    // There is at most one spike per refractory period, so the shortest period bounds the spikes of a scene.
     in_range("refractory_s", refractory_s, (1e-5..=1e9).contains(&refractory_s), "1e-5 to 1e9 s")?;
     seconds("hyperexcitability_s", lasting_s)?;
     in_range("hyperexcitability_depth", depth, (0.0..=1.0).contains(&depth), "0 to 1")?;

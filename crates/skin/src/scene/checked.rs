@@ -15,7 +15,7 @@ pub struct Scene {
     pub(super) duration_s: f64,
     pub(super) seed: u64,
     pub(super) drives: Vec<Drive>,
-    /// Shared by scenes that differ in something else.
+    /// Shared by scenes that have the same afferents.
     pub(super) afferents: Arc<Vec<Position>>,
     pub(super) model: AfferentModel,
     pub(super) gains: [f64; MOTORS],
@@ -23,7 +23,7 @@ pub struct Scene {
 
 /// The largest gain of a motor's travel.
 pub(crate) const MAX_GAIN: f64 = 10.0;
-/// Every motor as in the model.
+/// The gains of ideal motors.
 pub(super) const NO_GAINS: [f64; MOTORS] = [1.0; MOTORS];
 
 impl Scene {
@@ -44,7 +44,7 @@ impl Scene {
             .map_err(|fault| fault.in_file(None))
     }
 
-    /// The scene with other drives. Only they are checked, so it takes no longer for more afferents.
+    /// The scene with other drives. Only the drives are checked, so the time does not depend on the number of afferents.
     ///
     /// # Errors
     /// The first thing that is wrong with them, by the key it would have in a file.
@@ -53,7 +53,7 @@ impl Scene {
         Ok(Self { drives, ..self.clone() })
     }
 
-    /// The scene with all drives of one motor replaced. `drives` become this motor's, whatever motor they name.
+    /// The scene with all drives of one motor replaced. `drives` become this motor's, even if they name another motor.
     ///
     /// # Errors
     /// The first thing that is wrong with it, by the key it would have in a file.
@@ -106,7 +106,7 @@ impl Scene {
         &self.model
     }
 
-    /// The scene without drives, for motors that ramps move, with these gains. Without drives it has no period.
+    /// The scene without drives, for motors that ramps move, with these gains. Such a scene has no period.
     pub(crate) fn without_drives(&self, gains: [f64; MOTORS]) -> Self {
         Self { drives: Vec::new(), gains, ..self.clone() }
     }
@@ -131,7 +131,7 @@ impl Scene {
         &self.gains
     }
 
-    /// Impulses per second of an afferent with so many spikes; 0 in a scene without duration.
+    /// Impulses per second of an afferent with `count` spikes; 0 in a scene without duration.
     pub(crate) fn rate_hz(&self, count: u64) -> f64 {
         if count == 0 { 0.0 } else { count as f64 / self.duration_s }
     }

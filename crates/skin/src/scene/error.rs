@@ -1,4 +1,4 @@
-//! Why a scene is refused, in one line: what is wrong, where, and what to do.
+//! The error of a refused scene, in one line: what is wrong, where, and what to do.
 //!
 //! A check knows the key, its callers know the path to it (`drives[3].frequency_hz`), the reader knows the file. Text from
 //! a file is quoted and cut, so it cannot break the line.

@@ -1,9 +1,9 @@
 //! Reads a scene file, TOML or JSON; both give the same scene.
 //!
-//! Serde reads JSON without a tree in between: a scene may have a million afferents. A value of the right type that is out
-//! of range is refused by the scene's own check, which serves built scenes, too.
+//! Serde reads JSON without an intermediate tree, because a scene may have a million afferents. The scene's own check, which built
+//! scenes use, too, refuses a value of the right type that is out of range.
 //!
-//! Invariant: no key is ignored but `spikes_s` and `promised_spikes`, the answers of reference scenes.
+//! Invariant: no key is ignored, except `spikes_s` and `promised_spikes`, the answers of reference scenes.
 
 use super::afferent::RawAfferent;
 use super::checked::{MOTOR_RANGE, NO_GAINS, Scene};
@@ -20,7 +20,7 @@ use serde::{Deserialize, Deserializer};
 use std::fmt;
 use std::sync::Arc;
 
-/// The most bytes of a JSON scene: some millions of afferents, which are held once and without their text.
+/// The most bytes of a JSON scene: some millions of afferents, of which memory holds one copy, without their text.
 pub const MAX_JSON_BYTES: usize = 256 << 20;
 /// The most bytes of a TOML scene. Its parser holds the whole tree: 45 times the file for a list of afferents, and up to
 /// 240 times for a hostile file (measured).
@@ -44,14 +44,14 @@ impl Scene {
 #[derive(Clone, Debug, PartialEq)]
 #[expect(clippy::large_enum_variant, reason = "there is one per simulation")]
 pub enum AnyScene {
-    /// Of the first model, RA afferents with a leaky membrane.
+    /// A scene of the first model: RA afferents with a leaky membrane.
     Membrane(Scene),
-    /// Of the second model: skin mechanics, and SA1, RA and PC afferents.
+    /// A scene of the second model: skin mechanics, and SA1, RA and PC afferents.
     Afferents(fingertip::Scene),
 }
 
 impl AnyScene {
-    /// Reads a scene file of either model, as [`Scene::read`] does. The key `model` says which, unless `model` does;
+    /// Reads a scene file of either model, as [`Scene::read`] does. The argument `model` decides, else the file's key `model`;
     /// without both it is the membrane.
     ///
     /// # Errors
@@ -70,7 +70,7 @@ impl AnyScene {
     }
 }
 
-/// The key that says how to read the others.
+/// The key that decides how to read the others.
 #[derive(Deserialize)]
 struct OfModel {
     model: Option<ModelName>,
@@ -89,7 +89,7 @@ fn read(text: &str, file: &str, model: Option<ModelName>) -> Result<AnyScene, Ke
         return Err(KeyError::whole(None, Problem::TooLarge { bytes: text.len(), language, most, advice }));
     }
     let of_file = || -> Result<_, KeyError> {
-        // Most scenes do not name a model, and a second reading of a million afferents takes its time.
+        // Most scenes do not name a model, and reading a million afferents twice takes long.
         if !text.contains("model") {
             return Ok(None);
         }
@@ -174,7 +174,7 @@ impl RawScene {
         let (afferent, table) = one_name(("afferent", self.afferent), ("receptor", self.receptor))
             .map_err(|two| own(two.into()))?;
         let (afferents, noise_sd) = match (afferents, self.population) {
-            // Collected in place: a million of them are held once.
+            // This collects in place, so memory holds only one copy of a million afferents.
             (Some(afferents), None) => (afferents.into_iter().map(|Table(at)| at).collect(), 0.0),
             (None, Some(Table(of))) => (afferent::population(of.seed), afferent::POPULATION_NOISE_SD),
             (None, None) => return Err(own(Problem::NoAfferents)),
@@ -217,7 +217,7 @@ fn motor<'de, D: Deserializer<'de>>(source: D) -> Result<u8, D::Error> {
         fn visit_i128<E: Error>(self, found: i128) -> Result<u8, E> {
             number(found.try_into().ok(), &found)
         }
-        /// JSON's whole numbers beyond 64 bits.
+        /// For JSON's whole numbers beyond 64 bits.
         fn visit_f64<E: Error>(self, found: f64) -> Result<u8, E> {
             match found.abs() >= 9e18 && found.is_finite() {
                 true => number(None, &short_number(found)),

@@ -1,9 +1,9 @@
 //! Scenes: which motors vibrate, for how long, and which afferents are simulated.
 //!
 //! [`Scene::read`] reads a TOML or JSON file (`file`); [`Scene::new`] builds a scene (`checked`). Its drives may be faster and
-//! larger than a pattern's: a model has no current limit. All afferents of a scene have the same parameters. A gain, which no
-//! file has, may scale a motor's travel. Scenes that are made from one another share their afferents: an optimiser makes
-//! thousands.
+//! larger than a pattern's: a model has no current limit. All afferents of a scene have the same parameters. A gain may scale a
+//! motor's travel; files have no key for it. Scenes that are made from one another share their afferents, because an optimiser
+//! makes thousands of scenes.
 //!
 //! Invariant: every [`Scene`] has been checked: each number is finite and within its range, and no two drives of a motor
 //! overlap.

@@ -1,4 +1,4 @@
-//! Names in a file: of a model, and of keys that have a deprecated name as well. A file may have either name of a key, but
+//! Names in a file: those of models, and those of keys that also have a deprecated name. A file may have either name of a key, but
 //! not both.
 
 use meissner_input::document::KeyError;
@@ -57,8 +57,8 @@ pub struct TwoNames {
     deprecated: &'static str,
 }
 
-/// The value of a key by the name or by the deprecated name, and which of the two the file has. Without a value, that
-/// is the name.
+/// The value of a key under its name or its deprecated name, and the name that the file uses. Without a value that is the present
+/// name.
 ///
 /// # Errors
 /// If both are there.
@@ -73,7 +73,7 @@ pub fn one_name<T>(
     }
 }
 
-/// A fault about the key `name`, or about a part of it, by the name that the file has.
+/// Renames the key `name` in a fault about it, or about a part of it, to the name that the file uses.
 #[must_use]
 pub fn as_written<P>(fault: KeyError<P>, name: &str, written: &str) -> KeyError<P> {
     match fault.path.strip_prefix(name) {

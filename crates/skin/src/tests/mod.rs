@@ -139,7 +139,7 @@ fn stepping(step_us: u32, integrator: Integrator) -> Method {
     Method::Stepped(Stepping { step_us, integrator, precision: Precision::F64 })
 }
 
-/// Each motor's samples, read so many at a time; none for a motor at rest.
+/// Each motor's samples, read `at_a_time` at a time; none for a motor at rest.
 fn samples(scene: &Scene, method: Method, steps: usize, at_a_time: usize) -> Vec<Vec<f64>> {
     let of_track = |track: &Option<Arc<Track>>| {
         let Some(track) = track else { return Vec::new() };
@@ -233,7 +233,7 @@ fn samples_at_rest_are_zero() {
     }
 }
 
-/// A state that never repeats within the scene: the spikes buffered meanwhile stay within their bound.
+/// The state never repeats within the scene, but the spikes buffered meanwhile stay within their bound.
 #[test]
 fn counted_spikes_are_buffered_within_a_bound() {
     let model = AfferentModel {

@@ -88,7 +88,7 @@ fn the_bound_is_never_below_the_highest_membrane_nor_far_above_that_of_one_motor
             }
         }
     }
-    // A bound that is far too high would be of no use.
+    // A bound that is far too high would be useless.
     assert!(near > 30, "{near}");
 }
 

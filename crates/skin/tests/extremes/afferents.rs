@@ -17,7 +17,7 @@ fn risen_um(wave: SquareWave, t_s: f64) -> f64 {
     let at = half_ticks.floor();
     let (mut shaft, mut strokes) = (Shaft::default(), 0.0);
     for up in wave.excursions().take_while(|up| 2.0 * up.up as f64 <= at) {
-        // Down again by half a period: that part is not counted.
+        // The shaft is down again by half a period: that part is not counted.
         let now = 2.0 * up.down as f64;
         shaft.push(Ramp::new(Tick(up.up), up.pulses, Direction::Up, 1.0));
         if at < now {
@@ -35,7 +35,7 @@ fn risen_um(wave: SquareWave, t_s: f64) -> f64 {
 
 #[test]
 fn without_a_leak_an_afferent_spikes_every_so_many_micrometres() {
-    // A spike each 20 um, faster than which it is not refractory.
+    // The afferent spikes every 20 um, and its refractory time is shorter than that takes.
     let leak_free = AfferentModel {
         tau_s: 1e6,
         alpha_per_um: 0.05,
@@ -51,8 +51,8 @@ fn without_a_leak_an_afferent_spikes_every_so_many_micrometres() {
         assert!((0.0..2e-6).contains(&(off + 1e-9)), "spike {number} at {t}: {off}");
     }
     for method in stepped(100) {
-        // Euler's spike comes up to a step late, and input before its end is lost; its sum of inputs at the
-        // starts of steps is off by half a step.
+        // Euler's spike is up to a step late, and the input before its end is lost. Its sum of inputs at the starts of steps is off
+        // by half a step.
         let step_um = 11_536.0 * 1e-4;
         let (early_um, late_um) =
             if euler(100).contains(&method) { (0.6 * step_um, 1.6 * step_um) } else { (0.02, 0.02) };
@@ -75,7 +75,7 @@ fn with_a_fast_leak_an_afferent_follows_the_velocity() {
     let rising_s = 5000.0 / acceleration;
     let found = as_the_oracle(&scene, 3).remove(0);
     assert!((found[0] - rising_s - 1e-6).abs() < 1e-9, "{found:?}");
-    // Fast until the burst's end, then falling for a window's length; a millisecond apart.
+    // The input is large until the burst's end, then it falls for a window's length. Spikes are a millisecond apart.
     let until_s = 589.0 / 85_000.0 + 0.0043 - 0.7 * rising_s;
     assert!(found.windows(2).all(|pair| (pair[1] - pair[0] - 1e-3).abs() < 1e-12), "{found:?}");
     assert!(found.last().is_some_and(|&last| last < until_s && last > until_s - 1.1e-3), "{found:?}");
@@ -131,7 +131,7 @@ fn a_sensitive_afferent_spikes_at_once_then_after_each_refractory_time_and_once_
 #[test]
 fn a_sensitive_afferent_stepped() {
     let sensitive = AfferentModel { alpha_per_um: 1e12, ..model(Rectify::Half) };
-    // The refractory time is 10 steps, not a whole number of them, or less than one.
+    // The refractory time is 10 steps, a fractional number of steps, or less than one.
     for (step_us, interval_us) in [(100, [1000; 2]), (10, [1000; 2]), (300, [1200, 1000]), (2000, [2000; 2])]
     {
         let scene = stroke_up(sensitive, 0.5);
@@ -139,7 +139,7 @@ fn a_sensitive_afferent_stepped() {
             let found = spikes(&scene, method).remove(0);
             let Method::Stepped(Stepping { integrator, .. }) = method else { unreachable!() };
             let interval_us = interval_us[usize::from(integrator == Integrator::Propagator)];
-            // Euler sees input at a step's end for the first time.
+            // Euler first uses the input at a step's end.
             let step_s = f64::from(step_us) * 1e-6;
             assert!(found[0] < 2.001 * step_s, "{method:?}: {found:?}");
             for pair in found.windows(2) {
@@ -210,7 +210,7 @@ fn the_shortest_and_longest_refractory_times() {
     let found = as_the_oracle(&stroke_up(short, 0.1), 100);
     assert!(found[0].len() > 200, "{}", found[0].len());
     for method in stepped(10) {
-        // A spike in every step at the most.
+        // There is at most one spike in every step.
         assert!(spikes(&stroke_up(short, 0.1), method)[0].len() > 100, "{method:?}");
     }
     let driven = |model| scene(1.0, &[drive(9, 60.0, 80.0)], &[under(9)], model);
@@ -221,7 +221,7 @@ fn the_shortest_and_longest_refractory_times() {
             assert_eq!(spikes(&long, method)[0].len(), 1, "{refractory_s}, {method:?}");
         }
     }
-    // A threshold that is lowered only while it is not tested is not lowered.
+    // Lowering the threshold during the refractory time has no effect.
     let longer = AfferentModel { refractory_s: 0.05, ..model(Rectify::Half) };
     as_the_oracle(&driven(longer), 15);
     for method in methods(100) {
@@ -266,8 +266,8 @@ fn a_membrane_far_below_rest_comes_back_by_its_leak_alone() {
         as_the_oracle(&scene, 5);
         counts_near(&scene, 10, 6);
     }
-    // The stroke up ends in spikes; the one down leaves the membrane at -8e7, from where a whole period does not
-    // bring it back: the next stroke up ends below that.
+    // The stroke up ends in spikes. The stroke down leaves the membrane at -8e7, and it does not recover within a period: the next
+    // stroke up ends below the threshold.
     let deep = AfferentModel { alpha_per_um: 1e6, tau_s: 10.0, ..model(Rectify::Signed) };
     let scene = scene(0.95, &[drive(9, 10.0, 80.0)], &[under(9)], deep);
     for method in methods(100) {

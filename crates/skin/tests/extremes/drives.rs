@@ -1,4 +1,4 @@
-//! Extreme drives: slowest and fastest, nothing and too much, phases and drives that touch.
+//! Extreme drives: slowest and fastest, smallest and largest, extreme phases, and drives that touch.
 
 use super::{
     NONE, as_the_oracle, assert_close, counts_near, drive, exact, methods, model, scene, spikes, stepped,
@@ -13,7 +13,7 @@ use meissner_skin::afferent::{AfferentModel, Position, Rectify};
 fn a_drive_at_a_thousandth_hertz_is_two_strokes_in_a_thousand_seconds() {
     let scene = scene(501.0, &[drive(9, 0.001, 80.0)], &[under(9)], model(Rectify::Full));
     let found = as_the_oracle(&scene, 2).remove(0);
-    // The stroke up at 0, the one down at 500 s; they differ in nothing but sign.
+    // The stroke up is at 0, the one down at 500 s; they differ only in sign.
     let (up, down): (Vec<f64>, Vec<f64>) = found.iter().partition(|&&t| t < 1.0);
     let down: Vec<f64> = down.iter().map(|t| t - 500.0).collect();
     assert!(!up.is_empty());
@@ -29,7 +29,7 @@ fn at_half_the_pulse_rate_one_pulse_goes_up_and_one_down() {
     // There is no room for more than one pulse each way.
     let one_pulse = super::scene(0.1, &[drive(9, 42_500.0, UM_PER_PULSE)], &[under(9)], ripples);
     assert_eq!(exact(&one_pulse), found);
-    // Euler samples a wave of 23.5 us only if its step is far below that; the propagator takes the mean of it, and
+    // Euler resolves a wave of 23.5 us only if its step is far shorter; the propagator takes the wave's mean over a step, and
     // rectifies only that mean.
     counts_near(&scene, 1, 1);
     for method in stepped(1_000) {
@@ -51,7 +51,7 @@ fn an_amplitude_below_half_a_pulse_moves_nothing() {
 #[test]
 fn half_a_pulse_is_rounded_up() {
     for whole in [1.0, 3.0, 70.0] {
-        // The threshold is reached after the burst, so the length of the burst decides when.
+        // The threshold is reached after the burst, at a time that depends on the burst's length.
         let alpha_per_um = 10.0 / whole;
         let model = AfferentModel { alpha_per_um, ..model(Rectify::Full) };
         let at = |pulses: f64| scene(0.1, &[drive(9, 60.0, pulses * UM_PER_PULSE)], &[under(9)], model);
@@ -81,7 +81,7 @@ fn at_the_window_s_frequency_and_its_multiples_nothing_moves_once_settled() {
         let scene = scene(1.0, &[drive(9, hz, 80.0)], &[under(9)], model(Rectify::Signed));
         as_the_oracle(&scene, usize::from(multiple == 1));
         for method in methods(100) {
-            // The mean it settles to is at most 20 um up: that leaks away within a few time constants.
+            // The pin settles to a mean of at most 20 um up, whose effect leaks away within a few time constants.
             assert!(spikes(&scene, method)[0].iter().all(|&t| t < 0.3), "{hz} Hz, {method:?}");
         }
     }
@@ -89,7 +89,7 @@ fn at_the_window_s_frequency_and_its_multiples_nothing_moves_once_settled() {
 
 #[test]
 fn bursts_that_end_where_the_next_begins() {
-    // The window is 17 of these periods; and a period of 100 ticks filled by two bursts of 50.
+    // First the window has exactly 17 periods; then two bursts of 50 ticks fill a period of 100.
     for hz in [17.0 / 0.0043, 850.0] {
         for rectify in [Rectify::Half, Rectify::Full, Rectify::Signed] {
             let model = AfferentModel { alpha_per_um: 3.0, ..model(rectify) };
@@ -116,7 +116,7 @@ fn a_phase_just_below_a_cycle_is_a_period_s_delay() {
 fn two_motors_a_millionth_of_a_hertz_apart_are_equal_for_ten_seconds() {
     let between = [under(9), Position { x_mm: 0.0, y_mm: 1.45 }];
     let of = |hz| scene(10.0, &[drive(9, 60.0, 80.0), drive(10, hz, 80.0)], &between, model(Rectify::Half));
-    // A 70th of a tick by then; the edges are a 6th of a tick or more from where they round.
+    // By then the drift is a 70th of a tick; the edges are a 6th of a tick or more from a rounding boundary.
     as_the_oracle(&of(60.0 + 1e-6), 500);
     for method in methods(1_000) {
         assert_eq!(spikes(&of(60.0 + 1e-6), method), spikes(&of(60.0), method), "{method:?}");
@@ -168,7 +168,7 @@ fn an_extremely_slow_drive_goes_up_once_and_stays() {
                 assert_eq!(found, spikes(&of(as_slow), method), "{hz} Hz, {method:?}");
                 assert!(!found[0].is_empty());
             }
-            // Any phase puts the first edge beyond all time.
+            // Any phase puts the first edge beyond the end of time.
             let never = Drive { phase: 0.5, ..slow };
             assert_eq!(exact(&of(never)), [NONE], "{hz} Hz");
         }

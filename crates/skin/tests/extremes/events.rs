@@ -83,7 +83,7 @@ fn a_spike_at_a_breakpoint_is_one_spike() {
 
 #[test]
 fn a_threshold_reached_just_as_refractoriness_ends() {
-    // The second spike is held back by refractoriness, or comes of itself after it: between, both at once.
+    // Refractoriness delays the second spike, or ends before it; at the boundary both coincide.
     let of = |refractory_s| {
         let model = AfferentModel { refractory_s, alpha_per_um: 0.12, ..model(Rectify::Half) };
         scene(0.02, &[drive(9, 0.001, 80.0)], &[under(9)], model)
@@ -103,7 +103,7 @@ fn a_threshold_reached_just_as_refractoriness_ends() {
     }
     for method in stepped(10) {
         let held = spikes(&of(2.0 * interval_s), method).remove(0);
-        // To a millionth of the refractory time, and to the end of a step by Euler.
+        // Within a millionth of the refractory time, or within a step for Euler.
         let late = if propagator(10).contains(&method) { 1e-8 } else { 1.1e-5 };
         assert!((0.0..late).contains(&(held[1] - held[0] - 2.0 * interval_s + 2e-9)), "{method:?}: {held:?}");
     }

@@ -40,7 +40,8 @@ fn two_afferents_at_one_place_differ_in_their_noise_alone() {
 
 #[test]
 fn a_million_afferents_take_their_places_and_their_counts() {
-    // A thousand by a thousand, on 20 mm by 20 mm. Tiles hold 4096, so only the answer stays in memory: one count each.
+    // A thousand by a thousand afferents on 20 mm by 20 mm. Tiles hold 4096, so only the answer stays in memory: one count per
+    // afferent.
     let at = |n: u32| f64::from(n) * 0.02 - 10.0;
     let places: Vec<Position> =
         (0..1_000_000).map(|n| Position { x_mm: at(n % 1000), y_mm: at(n / 1000) }).collect();
@@ -78,7 +79,7 @@ fn no_time_and_a_microsecond() {
     let answer = simulate(&scene, &Options::rates(Method::Exact), &|_| ()).unwrap();
     assert_eq!(answer.rates_hz(&scene), [1.0 / 1e-6]);
     for method in stepped(1) {
-        // One step: Euler's spike would be at its end, which does not belong to the scene.
+        // The scene has one step: Euler's spike would be at its end, which is outside the scene.
         assert!(spikes(&scene, method)[0].len() <= 1, "{method:?}");
     }
 }
@@ -138,7 +139,7 @@ fn a_month_with_noise_has_no_repetition_and_goes_through() {
 
 #[test]
 fn a_month_in_steps() {
-    // A period is 400 steps. All are alike once the membrane has leaked to rest.
+    // A period is 400 steps. All periods are alike once the start's effect has leaked away.
     let model = AfferentModel { alpha_per_um: 0.1, ..model(Rectify::Full) };
     let of = |duration_s| scene(duration_s, &[drive(9, 0.01, 80.0)], &[under(9)], model);
     for method in propagator(250_000) {

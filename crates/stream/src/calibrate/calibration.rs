@@ -1,4 +1,4 @@
-//! The calibration: the fits of motors and how they were made; checked however it comes about.
+//! The calibration: the fits of motors and how they were made. Every calibration is checked, whatever its source.
 //!
 //! Build one with [`Calibration::new`], or read it from a file (`file`); [`Calibration::gains`] is what position control uses.
 //!
@@ -25,7 +25,8 @@ const LEAST: f64 = 1e-12;
 const MAX_WORDS: usize = 200;
 /// The largest plausible offset or travel, µm: a burst of the fewest pulses moves a pin by one, the longest by 41 at most.
 const OFFSET_UM: f64 = 100.0;
-/// How far a gain may lie from its slope, and the model's constant from ours: another program may write fewer digits.
+/// How far a gain may differ from its slope, and the file's model constant from ours, because another program may write fewer
+/// digits.
 pub(super) const ROUNDING: f64 = 1e-6;
 /// The least standard deviation of a gain that position control assumes: a motor changes as it warms up.
 const LEAST_SD: f64 = 0.005;
@@ -103,7 +104,7 @@ impl Calibration {
         Self::checked(motors, provenance).map_err(|fault| fault.in_file(None))
     }
 
-    /// Like [`Self::new`], but a fault counts motors in the order given.
+    /// Like [`Self::new`], but an error numbers the motors in the order given.
     pub(super) fn checked(motors: Vec<MotorFit>, provenance: Provenance) -> Result<Self, KeyError> {
         let mut calibration = Self { motors, provenance };
         calibration.motors.iter_mut().for_each(shorten);

@@ -12,8 +12,8 @@ use meissner_array::simulated::SimulatedMotors;
 use meissner_array::units::UM_PER_PULSE;
 use std::collections::HashMap;
 
-/// The largest standard deviation of a measurement: a share of an ideal motor's travel, plus µm. It is a tenth of what
-/// bursts scatter by, and less than what a slope is known to.
+/// The largest standard deviation of a measurement: a share of an ideal motor's travel, plus µm. It is a tenth of the bursts'
+/// scatter, and less than the uncertainty of a slope.
 const MAX_SD: (f64, f64) = (0.01, 0.02);
 
 /// A burst and how far the pin travelled: one point of the paper's Fig. 2.

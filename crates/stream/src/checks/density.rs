@@ -77,7 +77,7 @@ mod tests {
     }
 
     proptest! {
-        /// What is not counted has no stroke too many.
+        /// A play whose strokes are not counted has no stroke too many.
         #[test]
         fn plays_whose_changes_are_apart_keep_the_limit(
             phases in prop::collection::vec(0.0f64..1.0, 1..4),

@@ -4,7 +4,7 @@
 //! A play that passes has no stroke refused for its plan. The time of each check grows with the strokes: do not call one in the streamer's
 //! thread.
 //!
-//! Invariant: of a play with an end [`MAX_STROKES`] count, of one without its first minute.
+//! Invariant: of a play with an end, the first [`MAX_STROKES`] strokes count; of a play without end, those of its first minute.
 
 mod at_once;
 mod density;

@@ -255,7 +255,7 @@ impl Estimator {
         self.covariance[POSITION][POSITION] = variance;
     }
 
-    /// Moves the position by so much, µm: its past is known better.
+    /// Shifts the position by so much, µm, because its past is now known better.
     pub(super) fn shift(&mut self, um: f64) {
         self.mean[POSITION] += um;
     }

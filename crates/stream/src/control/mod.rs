@@ -1,11 +1,11 @@
 //! Position control: holds the rest position and amplitude of each shaft by correcting bursts shortly before they begin.
 //!
-//! The streamer reports strokes and telemetry to [`PositionControl`] and asks it for corrections. Per motor, `estimator`
-//! tracks the shaft from delayed, quantised, averaged telemetry with gaps; `telemetry_monitor` detects sensor faults;
-//! `burst_controller` decides the count of each burst as late as the link allows. `replacement` keeps the strokes that the device has been
-//! asked to withdraw, until it answers. A motor with a sensor fault plays on
-//! in open loop. Without telemetry the loop reckons: it corrects what the gains of a calibrated motor predict, and the
-//! estimated error of the rest position grows, up to the end stops. `bound` says how good any such loop can be.
+//! The streamer reports strokes and telemetry to [`PositionControl`] and asks it for corrections. Per motor, `estimator` tracks
+//! the shaft from delayed, quantised, averaged telemetry with gaps; `telemetry_monitor` detects sensor faults; `burst_controller`
+//! decides the count of each burst as late as the link allows. `replacement` keeps the strokes that the device has been asked to
+//! withdraw, until it answers. A motor with a sensor fault plays on in open loop. Without telemetry the loop uses dead reckoning:
+//! it corrects what the gains of a calibrated motor predict, and the estimated error of the rest position grows, up to the end
+//! stops. `bound` gives the least error of any such loop.
 //!
 //! Invariant: it never allocates; counts stay within `limits::correction` of the plan and within the room between
 //! bursts; it changes planned bursts only, so a motor that is not driven does not move.
@@ -99,8 +99,8 @@ impl PositionControl {
         self.motors.iter_mut().for_each(|motor| motor.set_lower_stop(settings.lower_stop.is_some()));
     }
 
-    /// The device has flushed the queue, and has begun nothing after `begun_by`; it returns pins: telemetry means nothing until
-    /// they are at rest. What it played counts up to `now`; `None`: the link is lost.
+    /// The device has flushed the queue, and has begun nothing after `begun_by`. It returns the pins, so telemetry means nothing
+    /// until they are at rest. What it played counts up to `now`; `None`: the link is lost.
     pub(super) fn cut(&mut self, begun_by: Tick, now: Option<Tick>) {
         if now.is_none() {
             (self.seen, self.unseen_since) = (false, None);
@@ -237,8 +237,8 @@ impl PositionControl {
         }
     }
 
-    /// When the last pulse was over that was played of a play from `onset` to `until`, which the device has cut, or not; `None`
-    /// if nothing was played, or if too much time has passed to know. Corrections count as sent.
+    /// When the last pulse of a play from `onset` to `until` was over; `cut` tells whether the device has cut the play. `None` if
+    /// nothing was played, or if too much time has passed to know. Corrections count as sent.
     pub(super) fn over_at(&self, onset: Tick, until: Tick, cut: Option<Cutting>) -> Option<Tick> {
         let gone = self.account.over.iter().find(|(of, _)| *of == until).map(|(_, over)| *over);
         if gone.is_some_and(|over| cut.is_some_and(|cut| over > cut.at)) {
@@ -253,8 +253,8 @@ impl PositionControl {
             .flatten()
     }
 
-    /// The first start of the strokes of `span` that the device has accepted and that are not known to be over, and the last end of
-    /// those and of the ones that are over.
+    /// Of the strokes of `span` that the device has accepted: the first start of those not known to be over, and the last end of
+    /// all.
     pub(super) fn span(&self, span: Span) -> [Option<Tick>; 2] {
         let Span { from, until, play } = span;
         let queued = self.motors.iter().flat_map(BurstController::in_device);
@@ -275,8 +275,8 @@ impl PositionControl {
         }
     }
 
-    /// The device has withdrawn these strokes of the motors `motors`, and none of the motors `kept`: theirs are queued again in place of
-    /// those sent since.
+    /// The device has withdrawn the old strokes of `motors`, and none of the motors `kept`: the old strokes of these are queued
+    /// again in place of those sent since.
     pub(super) fn replaced(&mut self, motors: u32, kept: u32) {
         let from = self.replacement.from();
         for (motor, index) in self.motors.iter_mut().zip(0..).filter(|(_, index)| kept >> index & 1 == 1) {
@@ -403,8 +403,8 @@ impl PositionControl {
         self.motors.iter().all(|motor| motor.next().is_none())
     }
 
-    /// Whether telemetry shows all pins, or did until the last cut: then it is expected to as soon as the motors are armed again. If it does
-    /// not, this ends after a second.
+    /// Whether telemetry shows all pins, or did until the last cut. Then it is expected to show them as soon as the motors are
+    /// armed again. If it does not, this ends after a second.
     pub(super) const fn sees_all(&self) -> bool {
         self.seen
     }

@@ -54,8 +54,8 @@ impl Queued {
         until: Tick(0),
     };
 
-    /// When its last pulse is over, if the device cut it after it had begun. A return takes the pulses that an up burst has
-    /// played, and its surplus, or the rest of the down burst.
+    /// When its last pulse is over, if the device cut it after it had begun. A return plays as many pulses as the up burst has
+    /// played plus the surplus, or the rest of the down burst.
     pub(super) fn over_at(&self, cut: Cutting) -> Tick {
         let Cutting { at, returns } = cut;
         let [up, down] = self.stroke.bursts();

@@ -1,4 +1,4 @@
-//! The strokes that the device has been asked to withdraw, until it says which motors' it has withdrawn.
+//! The strokes that the device has been asked to withdraw, until it tells of which motors it has withdrawn them.
 //!
 //! A frame that comes too late withdraws nothing: then the old strokes are played, and position control must know them again. At most
 //! one replacement per motor is under way.

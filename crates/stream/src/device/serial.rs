@@ -34,12 +34,13 @@ pub struct SerialPort {
     path: PathBuf,
     rate: LineRate,
     serial: Option<String>,
-    /// To the board behind it, if it is one and this user may open it.
+    /// The e-stop line to the board behind the port, if there is a board and this user may open it.
     e_stop: Option<EStopLine>,
 }
 
 impl SerialPort {
-    /// Opens a port for this process alone: exclusive mode refuses programs of others, and a lock those that ask for it, root's too.
+    /// Opens a port for this process alone. Exclusive mode refuses other users' programs; a lock refuses programs that ask for
+    /// it, root's too.
     ///
     /// # Errors
     /// If the port does not exist, is closed to this user, or is in use.

@@ -30,7 +30,7 @@ pub enum Spec {
 /// Text that names no device. The caller adds the text itself.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum SpecError {
-    /// It begins as none of them.
+    /// It begins like no device's name.
     #[error(
         "not one of auto, mock, pty, serial, serial:PATH, serial:SERIAL, serial:VID:PID[:SERIAL], usb, usb:SERIAL"
     )]

@@ -4,8 +4,9 @@
 //! so that a `reset` sent before it cannot undo it. Emergency stops that come while one is on its way to the device share its
 //! answer.
 //!
-//! Invariant: once [`EStopSwitch::request`] has returned, the streamer executes the emergency stop in its next round, after the at
-//! most 64 requests that wait: all that were sent before it, and none that comes while these are executed.
+//! Invariant: once [`EStopSwitch::request`] has returned, the streamer executes the emergency stop in its next round. Before it,
+//! the streamer executes only the requests that wait, at most 64: all that were sent before the emergency stop, and none that
+//! comes while these are executed.
 
 use crate::queues::CommandError;
 use crate::sync::Doorbell;

@@ -1,7 +1,7 @@
 //! An update of a live play, on its way to the streamer and back.
 //!
-//! Invariant: each update taken comes back in one [`super::StreamEvent::LiveUpdated`], to be dropped outside the thread, unless the
-//! event queue is full. Who sends updates bounds how many are under way.
+//! Invariant: each update taken comes back in one [`super::StreamEvent::LiveUpdated`], to be dropped outside the thread, unless
+//! the event queue is full. The sender of updates bounds how many are under way.
 
 use crate::time::HostInstant;
 use firmware_protocol::stroke::MOTORS;
@@ -36,7 +36,7 @@ pub enum LiveResult {
         /// The newer one's number.
         into: u64,
     },
-    /// The play is over, or has no such id.
+    /// The play is over, or no play has this id.
     Over,
 }
 
@@ -45,8 +45,8 @@ pub enum LiveResult {
 pub struct Applied {
     /// The device's tick when the client's message had come.
     pub received: Tick,
-    /// The tick from which strokes were replaced, each motor's from its next period on. Of an update that was sent again, the last
-    /// frame's: what the frames before it replaced, they replaced from earlier on.
+    /// The tick from which strokes were replaced, each motor's from its next period on. If the update was sent again, this is the
+    /// tick of the last frame; earlier frames replaced strokes from earlier ticks on.
     pub replaced: Tick,
     /// The tick from which each motor has its new drive; `None`: it had it before, or gets it with a newer update.
     pub motors: [Option<Tick>; MOTORS],
@@ -55,7 +55,7 @@ pub struct Applied {
 }
 
 impl Applied {
-    /// The same for all motors but these (bit by bit), which get their drives later.
+    /// The same for all motors but those of this mask, which get their drives later.
     #[must_use]
     pub(crate) fn without(mut self, motors: u32) -> Self {
         for (motor, from) in self.motors.iter_mut().enumerate() {

@@ -127,7 +127,7 @@ pub struct ThreadQueues {
     estop: EStopSwitch,
     /// The newest emergency stop that the thread has executed.
     last_estop: u64,
-    /// That emergency stop is due, after so many requests.
+    /// After how many more requests an emergency stop is due, if one is.
     estop_after: Option<usize>,
     loops: Arc<AtomicU64>,
     lost: u64,

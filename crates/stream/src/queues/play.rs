@@ -117,8 +117,8 @@ pub struct Play {
 }
 
 impl Play {
-    /// A play of one item as soon as possible, with corrections: late strokes are dropped, the trigger output gives a pulse, and the
-    /// line is not asked whether it carries the play.
+    /// A play of one item as soon as possible, with corrections: late strokes are dropped, the trigger output gives a pulse, and
+    /// the play requires no bandwidth.
     #[must_use]
     pub fn new(id: u64, strokes: impl Into<Source>) -> Self {
         Self {

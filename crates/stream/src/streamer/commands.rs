@@ -125,7 +125,7 @@ impl Streamer {
             Ok(None) => answer(ticket, Ok(()), emit),
             Err(refused) => {
                 answer(ticket, Err(refused), emit);
-                // What the daemon orders itself it orders again at the next report.
+                // The daemon repeats its own orders at the next report.
                 if ticket == 0 {
                     return;
                 }
@@ -266,7 +266,7 @@ impl Streamer {
         Ok(Some(Op::Stop))
     }
 
-    /// Ends one play. A play that waits alone needs no operation, which would cut those before it.
+    /// Ends one play. A play that waits is ended without an operation, because an operation would cut the plays before it.
     fn cancel(&mut self, id: u64, cause: &'static str) -> OpResult {
         let found = self.plays.iter_mut().find(|active| active.play.id == id && active.cut.is_none());
         let Some(active) = found else { return Ok(None) };
@@ -321,8 +321,9 @@ impl Streamer {
         Ok(Some(Op::Arm { assume_rest, host_timeout, limits: self.settings.limits, lower_stop }))
     }
 
-    /// Pins are said to be at rest. What telemetry shows does not need it; and if it should not come back, the estimate from before
-    /// stays. Without telemetry only a look at the pins ends the estimate: it sums up over everything that is played until then.
+    /// Takes pins as at rest, because a client says so. If telemetry shows all pins, nothing changes: should it not come back,
+    /// the estimate from before stays. Without telemetry, only a look at the pins ends the estimate; until then it sums up over
+    /// all that is played.
     fn take_rest(&mut self, now: HostInstant, rest: Rest) -> Result<(), CommandError> {
         if rest == Rest::Known || self.control.sees_all() {
             return Ok(());

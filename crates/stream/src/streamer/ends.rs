@@ -86,7 +86,7 @@ impl Streamer {
                 break;
             }
             let wire = session.traffic().bytes_out;
-            // The estimates are those of the play's end: of bursts of the next play nothing counts yet.
+            // The estimates are those of the play's end: no burst of the next play counts yet.
             let end = if first.cut.is_some() { None } else { first.end() };
             self.control.reckon_to(end.map_or(tick, |end| end.max(first.last_end)));
             let Some(active) = self.plays.pop_front() else { break };

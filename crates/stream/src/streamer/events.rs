@@ -48,7 +48,7 @@ impl Streamer {
                 }
             }
             Event::Lost(reason) => {
-                // The session has sent an e-stop of its own. The next one takes it back, and no other.
+                // The session has sent an e-stop of its own. Only the next session resets it.
                 self.resets_own_e_stop =
                     matches!(reason, LostReason::Contradicts(_)) && self.state() != State::Faulted;
                 self.disconnect(now, reason.text(), emit);

@@ -131,7 +131,7 @@ impl Streamer {
         }
     }
 
-    /// From here on it is about this play. What is left of another one is given back.
+    /// From here on the updates are of this play. Updates that are left from another play are given back.
     fn follow(&mut self, id: u64, now: HostInstant, timeout: Duration, emit: &mut dyn Emit) {
         if self.live.of != Some(id) {
             self.forget_live(emit);
@@ -226,8 +226,8 @@ impl Streamer {
         }
     }
 
-    /// Counts the strokes before `from` that were not sent as late: those that were due while the link was blocked, and of motors that
-    /// the device kept those after the old ones sent. Since it was asked to replace these, it takes none.
+    /// Counts as late the strokes before `from` that were not sent. They were due while the link was blocked, or they follow the
+    /// old strokes of a motor that the device kept: since it was asked to replace these, it takes none.
     fn miss_strokes(&mut self, now: HostInstant, at: usize, from: Tick, emit: &mut dyn Emit) {
         let active = &mut self.plays[at];
         if let (Some(next), Some(strokes)) = (active.next.take(), active.play.strokes.live()) {

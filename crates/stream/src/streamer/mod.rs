@@ -1,8 +1,8 @@
 //! The streamer's decisions: executes commands, sends strokes, handles the device's reports and ends plays.
 //!
 //! Its owner calls [`Streamer::execute`] with requests and [`Streamer::receive`] with bytes, then [`Streamer::step`] and
-//! [`Streamer::transmit`]. `commands` executes, `feed` sends strokes, `live` replaces those of live plays, `events` handles reports, `homing` moves pins back
-//! to rest, and `ends` ends plays.
+//! [`Streamer::transmit`]. `commands` executes, `feed` sends strokes, `live` replaces those of live plays, `events` handles
+//! reports, `homing` moves pins back to rest, and `ends` ends plays.
 //!
 //! Invariant: each play taken ends with exactly one [`StreamEvent::PlayEnded`], and each request with a ticket gets exactly
 //! one answer. Nothing here allocates, except for a new session.

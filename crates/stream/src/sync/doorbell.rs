@@ -1,7 +1,7 @@
 //! A doorbell: any thread rings it, one waits for it.
 //!
-//! It is an event descriptor of Linux, so a thread can poll it beside others. It stays rung until it is cleared. Who takes from a queue
-//! clears first and looks again after: what comes in between rings again.
+//! It is an event descriptor of Linux, so a thread can poll it beside others. It stays rung until it is cleared. A consumer
+//! clears it first and looks at its queue afterwards: what comes in between rings again.
 //!
 //! Invariant: ringing and clearing never wait, and use no heap.
 

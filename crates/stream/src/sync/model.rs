@@ -1,8 +1,8 @@
 //! The twins of doorbell, ring and sleep in the model checker.
 //!
-//! The doorbell takes from the kernel what the kernel gives: a ring happens before the clear or the end of the wait that saw it (an event
-//! descriptor has a lock). It has no timeout, so a lost wake-up is a deadlock, which loom reports. The ring has the contract of rtrb:
-//! the producer's count is released by a push and acquired by the consumer, and the other way round. What rtrb does inside is not
+//! The doorbell promises what the kernel's does: a ring happens before the clear or the end of the wait that saw it (an event
+//! descriptor has a lock). It has no timeout, so a lost wake-up is a deadlock, which loom reports. The ring has the contract of
+//! rtrb: a push releases the producer's count and the consumer acquires it, and the other way round. What rtrb does inside is not
 //! explored.
 
 use loom::sync::{Condvar, Mutex};

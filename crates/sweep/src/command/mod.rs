@@ -1,7 +1,7 @@
-//! What a cell computes: a row of results, and perhaps a pattern.
+//! Computes a cell: a row of results, and perhaps a pattern.
 //!
-//! `optimise`, `simulate` and `discriminate` each have the columns of their results and compute a row. Beside every figure of a pattern
-//! stand those of the baselines: both rules of thumb, which need no search, or the number of all spikes.
+//! `optimise`, `simulate` and `discriminate` each have the columns of their results and compute a row. Every figure of a pattern
+//! has those of the baselines beside it: both rules of thumb, which need no search, or the number of all spikes.
 //!
 //! Invariant: a row depends on the cell alone, bit for bit, on any number of threads.
 
@@ -43,28 +43,28 @@ pub struct Column {
 /// A figure that a sweep's page shows.
 #[derive(Clone, Copy, Debug)]
 pub struct Figure {
-    /// What it is called, with its unit.
+    /// Its name, with its unit.
     pub name: &'static str,
     /// The columns of the pattern and of the baselines.
     pub columns: &'static [&'static str],
-    /// What it is by chance: its axis begins there.
+    /// Its value by chance, where its axis begins.
     pub chance: f64,
 }
 
-/// What a sweep's page shows.
+/// The figures that a sweep's page shows.
 #[derive(Clone, Copy, Debug)]
 pub struct Figures {
-    /// What the columns of a figure belong to: the pattern, and the baselines.
+    /// The names of a figure's lines: the pattern, and the baselines.
     pub lines: &'static [&'static str],
-    /// All of them; the first is that of fronts.
+    /// All figures; fronts use the first.
     pub figures: &'static [Figure],
-    /// The columns of the first figure at worst; none: the lowest decile over conditions.
+    /// The columns with the worst case of the first figure; none: the lowest decile over conditions.
     pub worst: Option<&'static [&'static str]>,
-    /// By what choices of a case rank.
+    /// The column by which choices of a case rank.
     pub rank: &'static str,
 }
 
-/// What a cell has computed: the values of [`columns`], none where there is no such figure.
+/// The results of a cell: the values of [`columns`], none where there is no such figure.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Outcome {
     /// One for each column.

@@ -1,4 +1,4 @@
-//! A cell of `optimise`: a search, as `meissner optimise` makes it.
+//! A cell of `optimise`: a search like that of `meissner optimise`.
 
 use super::{Column, Figure, Figures, Kind, Outcome, number, some};
 use crate::axis::{Axis, Value};
@@ -68,7 +68,7 @@ pub(super) const FIGURES: Figures = Figures {
     rank: "value",
 };
 
-/// The value of a name, as files write it.
+/// Parses a name as in files.
 fn named<T: DeserializeOwned>(name: &str) -> T {
     serde_json::from_value(json!(name)).expect("the plan's words were checked")
 }
@@ -131,7 +131,7 @@ pub(super) fn compute(plan: &Plan, cell: &Cell) -> Result<Outcome, String> {
     Ok(Outcome { row, pattern: Some(made.pattern.to_toml()) })
 }
 
-/// The name of a cell's pattern: the target's and the cell's number, in 64 characters.
+/// The name of a cell's pattern: the target's name and the cell's number, in at most 64 characters.
 pub(crate) fn name(target: &str, cell: u64) -> String {
     let end = format!("-{cell}");
     // Names of targets are ASCII.

@@ -1,4 +1,4 @@
-//! Where the rows of a sweep are.
+//! Finds the rows of a sweep in the files of its runs.
 //!
 //! Invariant: each cell has at most one place, in the first file that has its row.
 
@@ -6,7 +6,7 @@ use crate::directory::{Directory, SweepError, failed, open};
 use crate::run_file::{self, Line, RunFile};
 use std::fs::File;
 
-/// The place of a line: the number of its file, its first byte, and the number of bytes; no bytes: there is none.
+/// The place of a line: the number of its file, its first byte, and the number of bytes; 0 bytes: there is no line.
 #[derive(Clone, Copy, Debug, Default)]
 struct At {
     file: u32,
@@ -76,7 +76,7 @@ impl Index {
     }
 }
 
-/// Reads lines by cell. As many files are open as a process may have by default, or fewer.
+/// Reads lines by cell. It keeps at most [`MOST_OPEN`] files open, fewer than a process may have by default.
 #[derive(Debug)]
 pub(crate) struct Reader<'a> {
     index: &'a Index,

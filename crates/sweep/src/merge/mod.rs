@@ -1,12 +1,13 @@
 //! Joins the rows of all runs: a table, a page, and the best patterns.
 //!
-//! 1. [`Index::read`] finds where the row of each cell is. A cell that two runs have computed has the same row in both: the first counts.
+//! 1. [`Index::read`] finds where the row of each cell is. If two runs have computed a cell, both have the same row: the first
+//!    counts.
 //! 2. [`merge`] goes through the cells in order and gives each row to `table` (CSV and Parquet) and `summary`.
 //! 3. `summary` makes the page, and names the best patterns, whose files are then written.
 //!
-//! Rows stream from the files of runs into the tables: memory holds 16 bytes of each cell, a row group, and what the page shows.
+//! Rows stream from the files of runs into the tables: memory holds 16 bytes per cell, a row group, and the data of the page.
 //!
-//! Invariant: the files depend on the plan and the rows alone, not on which runs have computed them.
+//! Invariant: the files depend only on the plan and the rows, not on the runs that have computed them.
 
 mod index;
 mod summary;
@@ -25,7 +26,7 @@ use std::path::Path;
 use summary::Summary;
 use table::{Csv, Parquet};
 
-/// What a merge has made.
+/// The result of a merge.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct Merged {
     /// Cells of the plan.
@@ -51,7 +52,7 @@ pub(crate) struct Row<'a> {
     pub(crate) error: Option<String>,
 }
 
-/// `results.json`: what the tables are.
+/// `results.json`, which describes the tables.
 #[derive(Debug, Serialize)]
 struct About<'a> {
     format: u32,
@@ -71,7 +72,7 @@ struct AboutColumn {
     about: &'static str,
 }
 
-/// Joins the rows that there are.
+/// Joins the rows computed so far.
 ///
 /// # Errors
 /// If files cannot be read or written.
@@ -174,7 +175,7 @@ pub fn pattern(directory: &Directory, plan: &Plan, cell: u64) -> Result<Option<S
     Ok(index.reader().line(cell)?.and_then(|line| line.pattern))
 }
 
-/// Removes patterns of an earlier merge, which may not be the best any more.
+/// Removes the patterns of an earlier merge, which may no longer be the best.
 fn remove_patterns(dir: &Path) -> Result<(), SweepError> {
     for entry in fs::read_dir(dir).map_err(failed(dir, "read"))? {
         let path = entry.map_err(failed(dir, "read"))?.path();

@@ -1,7 +1,8 @@
-//! What the page of a sweep shows: marginals, fronts, and the best choice of each case.
+//! Computes the content of a sweep's page: marginals, fronts, and the best choice of each case.
 //!
-//! A case is what a lab wants: a target with an amplitude, under a model. A choice is what it may choose: a pattern, or how to search for
-//! one. The other axes are conditions: the figure at worst is the lowest decile over them, or a column of the row.
+//! A case is a task of a lab: a target with an amplitude, under a model. A choice is a way to solve it: a pattern, or a method of
+//! searching for one. The other axes are conditions: the worst case of a figure is the lowest decile over them, or a column of the
+//! row.
 //!
 //! Invariant: equal choices rank by their cells' numbers.
 
@@ -13,7 +14,7 @@ use crate::plan::{Cell, Plan};
 use meissner_report::{Choice, Front, Marginal, Ordinate, Spread, SweepPage, sweep_page};
 use std::collections::HashMap;
 
-/// An axis of numbers with more values is shown in so many bins.
+/// A numeric axis with more values is shown in this many bins.
 const MOST_ORDINATES: usize = 40;
 const BINS: usize = 20;
 /// The most fronts and cases of a page.
@@ -23,14 +24,14 @@ const MOST_CASES: usize = 2000;
 const FIGURES: usize = 2;
 const LINES: usize = 3;
 
-/// What the page needs of a row; NaN: the row has none.
+/// The figures of a row that the page needs; NaN: the row has none.
 #[derive(Clone, Copy, Debug)]
 struct Point {
     cell: u32,
     /// By figure, then by line.
     figures: [[f32; LINES]; FIGURES],
     worst: [f32; LINES],
-    /// By what choices rank.
+    /// The value by which choices rank.
     rank: f32,
 }
 
@@ -98,8 +99,8 @@ impl<'a> Summary<'a> {
         }
     }
 
-    /// The axes that say which case a cell belongs to. The objectives of searches have values of their own, by which they cannot rank
-    /// together: their best patterns are cases of their own.
+    /// The axes that decide which case a cell belongs to. Values of different objectives cannot be ranked together, so each
+    /// objective's best patterns are a separate case.
     const fn case_axes(&self, by_objective: bool) -> &'static [Axis] {
         match self.plan.command() {
             Command::Optimise if by_objective => {
@@ -111,13 +112,13 @@ impl<'a> Summary<'a> {
         }
     }
 
-    /// The axes that say what was chosen: those that vary and are no condition.
+    /// The axes of the choice: those that vary and are not conditions.
     fn choice_axes(&self, case_axes: &[Axis]) -> Vec<Axis> {
         let command = self.plan.command();
         let varied = self.plan.varied().into_iter().map(|(axis, _)| axis);
         let mut axes: Vec<Axis> =
             varied.filter(|axis| !axis.is_condition(command) && !case_axes.contains(axis)).collect();
-        // A choice has a name also in a plan with one pattern.
+        // Give a choice a name even in a plan with one pattern.
         if axes.is_empty() {
             axes.push(if command == Command::Optimise { Axis::Seed } else { Axis::Pattern });
         }
@@ -156,7 +157,7 @@ impl<'a> Summary<'a> {
         axes.iter().map(word).collect::<Vec<_>>().join(", ")
     }
 
-    /// The best choice of each case. A search is a choice of its own: its pattern is one.
+    /// The best choice of each case. Each search counts as a separate choice, because it has its own pattern.
     fn best(&self) -> Vec<(String, Chosen)> {
         let searches = self.plan.command() == Command::Optimise;
         let of_case = |case: Case| {
@@ -241,7 +242,7 @@ impl<'a> Summary<'a> {
         })
     }
 
-    /// Choices for a front: the first figure on average and at worst. Searches of one choice count alike.
+    /// Choices for a front: mean and worst case of the first figure. All searches of a choice count equally.
     fn choices(&self, choices: &[Chosen]) -> Vec<Choice> {
         let choice = |chosen: &Chosen| {
             let of = |line: usize| -> Option<[f64; 2]> {
@@ -298,7 +299,7 @@ impl<'a> Summary<'a> {
     }
 }
 
-/// Of the points that have the figure.
+/// The spread over the points that have the figure.
 fn spread(points: &[Point], figure: impl Fn(&Point) -> f32) -> Option<Spread> {
     Spread::of(
         points.iter().map(|point| f64::from(figure(point))).filter(|figure| figure.is_finite()).collect(),
@@ -310,7 +311,7 @@ fn short(number: f64) -> String {
     ((number * 1e4).round() / 1e4).to_string()
 }
 
-/// What a panel of a figure shows at each value, or in each bin of numbers.
+/// The content of a figure's panel at each value, or in each bin of a numeric axis.
 fn ordinates(values: &ByValue, figure: usize, lines: usize) -> Vec<Ordinate> {
     let number = |value: &Value| match value {
         Value::Number(number) => Some(*number),

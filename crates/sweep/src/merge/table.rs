@@ -16,7 +16,7 @@ use parquet::schema::types::Type;
 use std::io::{self, Write};
 use std::sync::Arc;
 
-/// Rows of a group: what Parquet keeps in memory.
+/// Rows of a group, which Parquet keeps in memory.
 const GROUP: usize = 50_000;
 
 /// The columns of the table.
@@ -43,7 +43,7 @@ fn values(plan: &Plan, row: &Row<'_>) -> Vec<Option<Value>> {
     [Some(cell)].into_iter().chain(axes).chain(row.results.iter().cloned()).chain([error]).collect()
 }
 
-/// The error of the file below, if it is one.
+/// The underlying error of the file, if there is one.
 fn of_file(error: ParquetError) -> io::Error {
     match error {
         ParquetError::External(source) => match source.downcast::<io::Error>() {

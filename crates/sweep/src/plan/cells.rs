@@ -1,7 +1,7 @@
-//! The cells of a plan: which values each has.
+//! The cells of a plan, and their values.
 //!
 //! Cells are numbered from 0: points first, then the axes of the grid in the order of [`Axis::ALL`], then samples; the last varies
-//! fastest. A sample has the same values in all other combinations, so that they can be compared.
+//! fastest. A sample has the same values in every combination of the other axes, so that combinations can be compared.
 //!
 //! Invariant: a cell depends on the plan and its number alone.
 
@@ -13,7 +13,7 @@ use meissner_design::Target;
 use meissner_input::message::quote;
 use std::collections::BTreeMap;
 
-/// Keeps the random numbers of samples apart from others of the same seed.
+/// Separates the random numbers of samples from others of the same seed.
 const SAMPLE_WORD: u64 = 13;
 
 /// One run of the command.
@@ -66,7 +66,7 @@ impl Plan {
         self.points.len() as u64 * grid * self.random.samples
     }
 
-    /// The cell of a number below [`Self::cells`].
+    /// The cell with this number, below [`Self::cells`].
     #[must_use]
     pub fn cell(&self, number: u64) -> Cell {
         let (mut rest, sample) = (number / self.random.samples, number % self.random.samples);
@@ -121,7 +121,7 @@ impl Plan {
         };
         let words = |word: &str| Value::Text(word.to_owned());
         match (axis, self.command) {
-            // Of a pattern: the target it was made for.
+            // A pattern's target is the one that it was made for.
             (Axis::Target | Axis::Pattern | Axis::Other, _) => words(""),
             (Axis::AmplitudeUm, _) => Value::Number(target().amplitude_um()),
             (Axis::Scale | Axis::Gain | Axis::Efficiency | Axis::IntervalS, _) => Value::Number(1.0),
@@ -186,7 +186,7 @@ impl Plan {
         grid.chain(points).chain(random).collect()
     }
 
-    /// Checks what the command needs of its documents.
+    /// Checks that the documents suit the command.
     pub(super) fn check_documents(&self) -> Result<(), KeyError> {
         let no_target = self.command == Command::Simulate && self.named(Axis::Target).is_empty();
         for pattern in self.named(Axis::Pattern).into_iter().filter(|_| no_target) {

@@ -1,6 +1,6 @@
 //! Errors of plans: one line that says what is wrong, where, and what to do.
 //!
-//! Errors that any document may have are those of `meissner_input`; here are those of axes, counts and documents.
+//! `meissner_input` has the errors that any document may have; this module has those of axes, counts and documents.
 
 use super::{MOST_CELLS, MOST_VALUES};
 use meissner_input::document;

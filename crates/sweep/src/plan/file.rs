@@ -1,6 +1,6 @@
 //! Reading plan files.
 //!
-//! Invariant: no key is ignored, and a value that two parts of the plan name is refused.
+//! Invariant: no key is ignored, and an axis that two parts of the plan name is refused.
 
 use super::error::KeyError;
 use super::{MOST_CELLS, MOST_VALUES, Plan, PlanError, PlanProblem, Random, Spread};
@@ -23,7 +23,7 @@ pub struct Program {
 }
 
 impl Program {
-    /// This one.
+    /// This program.
     #[must_use]
     pub fn this() -> Self {
         Self { version: env!("CARGO_PKG_VERSION").to_owned(), model: meissner_design::MODEL }
@@ -32,13 +32,13 @@ impl Program {
 
 /// Where the documents of a plan are found.
 pub trait Sources {
-    /// The names of the documents that need no file.
+    /// The names of built-in documents.
     fn names(&self, kind: Document) -> Vec<String>;
 
-    /// The text of the document of such a name, or in the file of this place.
+    /// The text of the document with this name, or of the file at this path.
     ///
     /// # Errors
-    /// Why there is none, and what to do.
+    /// Why there is no text, and what to do.
     fn text(&self, kind: Document, name: &str) -> Result<String, String>;
 }
 
@@ -121,7 +121,7 @@ fn read(text: &str, sources: &dyn Sources) -> Result<Plan, KeyError> {
         None => Random { samples: 1, seed: 0, axes: BTreeMap::new() },
         Some(raw) => reader.random(raw).map_err(|error| error.within("random"))?,
     };
-    // Each axis once, and none forgotten.
+    // Every point must name the same axes.
     if let Some((first, others)) = points.split_first() {
         for (number, other) in others.iter().enumerate() {
             if !other.keys().eq(first.keys()) {
@@ -246,7 +246,7 @@ impl Reader<'_> {
                 }
                 let at = |step: u64| {
                     let part = step as f64 / (steps - 1) as f64;
-                    // Rounded, so that 0.1 is not 0.10000000000000003.
+                    // Round, so that 0.1 is not 0.10000000000000003.
                     let exact = from * (1.0 - part) + to * part;
                     Value::Number((exact * 1e12).round() / 1e12)
                 };
@@ -289,7 +289,7 @@ impl Reader<'_> {
         KeyError::key(name, PlanProblem::Value { found, wanted: axis.domain(self.command).to_string() })
     }
 
-    /// A value; several, if it names documents with a `*`.
+    /// Reads a value; several, if it names documents with a `*`.
     fn value(&mut self, name: &str, axis: Axis, raw: &Toml) -> Result<Vec<Value>, KeyError> {
         let one = match axis.domain(self.command) {
             Domain::Number(_) => Value::Number(self.number(name, axis, raw)?),
@@ -321,7 +321,7 @@ impl Reader<'_> {
         Ok(vec![one])
     }
 
-    /// Takes the text of a document: the plan's own, or from the sources.
+    /// Reads the text of a document from the plan, or else from the sources.
     fn document(&mut self, key: &str, kind: Document, name: &str) -> Result<(), KeyError> {
         let at = (kind, name.to_owned());
         if self.texts.contains_key(&at) {
@@ -399,7 +399,7 @@ impl Reader<'_> {
     }
 }
 
-/// Whether a name is like a text with a `*` for any characters.
+/// Whether a name matches a text in which `*` stands for any characters.
 fn matches(like: &str, name: &str) -> bool {
     let mut parts = like.split('*');
     let first = parts.next().unwrap_or_default();

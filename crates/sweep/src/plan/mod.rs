@@ -1,9 +1,9 @@
-//! Plans: which cells a sweep has.
+//! Plans, which define the cells of a sweep.
 //!
-//! A plan file names a command and values for its axes: `[grid]` (every combination), `[[points]]` (combinations that are listed), and
-//! `[random]` (samples, the same for every other combination). [`Plan::read`] reads one, with the documents that it names, from
+//! A plan file names a command and values for its axes: `[grid]` (every combination), `[[points]]` (combinations that are listed),
+//! and `[random]` (samples, the same for every other combination). [`Plan::read`] reads one, with the documents that it names, from
 //! [`Sources`]. [`Plan::to_toml`] writes it with all values and documents, so that it needs no other file: that text is in the
-//! sweep's directory, and its SHA-256 says whether two plans are the same.
+//! sweep's directory, and plans with equal SHA-256 are the same.
 //!
 //! Invariant: every value is in its axis's domain, every document can be read, and the plan has 1 to [`MOST_CELLS`] cells.
 
@@ -33,7 +33,7 @@ pub const MOST_BYTES: u64 = 64 << 20;
 #[derive(Debug)]
 pub struct Plan {
     command: Command,
-    /// At least one; those of a plan without `[[points]]` are one without axes.
+    /// At least one; a plan without `[[points]]` has one point without axes.
     points: Vec<BTreeMap<Axis, Value>>,
     grid: BTreeMap<Axis, Vec<Value>>,
     random: Random,
@@ -45,13 +45,13 @@ pub struct Plan {
 /// `[random]`.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Random {
-    /// At least one; that of a plan without `[random]` has no axes.
+    /// At least one; a plan without `[random]` has one sample without axes.
     samples: u64,
     seed: u64,
     axes: BTreeMap<Axis, Spread>,
 }
 
-/// From what a sample takes its value.
+/// The distribution of a sample's value.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) enum Spread {
     Numbers { from: f64, to: f64 },
@@ -66,7 +66,7 @@ impl Plan {
         self.command
     }
 
-    /// What made it, and what must run it.
+    /// The program that made it, and that must run it.
     #[must_use]
     pub const fn program(&self) -> &Program {
         &self.program

@@ -2,10 +2,10 @@
 
 const ANSWER_MS = 6000;
 
-// `known`: the status, or null if none is fresh. `last`: the last one, however old. `poll`: asks for it.
+// `known`: the status, or null if none is fresh. `last`: the last one, of any age. `poll`: requests it.
 export const { headers, known, last, poll } = globalThis.meissner;
 
-// An error of the daemon (`code` as in the API reference), or of the way to it (`unreachable`, `slow`, `stopped`).
+// An error of the daemon (`code` as in the API reference), or of the connection (`unreachable`, `slow`, `stopped`).
 export class Problem extends Error {
   constructor(code, detail) {
     super(detail);
@@ -13,7 +13,7 @@ export class Problem extends Error {
   }
 }
 
-// Every request of the modules. An emergency stop, of this window too, ends them, so that it has a connection.
+// Aborts every request of the modules. Any emergency stop, even of this window, does so, to get a free connection.
 let pending = new AbortController();
 const windows = new BroadcastChannel("estop");
 windows.onmessage = () => {
@@ -21,7 +21,7 @@ windows.onmessage = () => {
   pending = new AbortController();
 };
 
-// Waits for a part of a request, and says why it failed.
+// Waits for a part of a request, and explains a failure.
 async function part(promise, signal) {
   try {
     return await promise;
@@ -71,8 +71,8 @@ export function put(path, text) {
   return answer("PUT", path, text, ANSWER_MS, "application/toml");
 }
 
-// Calls `each` for every event, and `linked(true)` or `linked(false, problem)` when the stream begins or ends. It connects again by itself.
-// A hidden window does not listen, so that its connection is free.
+// Calls `each` for every event, and `linked(true)` or `linked(false, problem)` when the stream begins or ends. It connects again by
+// itself. A hidden window does not listen, which frees its connection.
 export function listen(each, linked) {
   let stop = null;
   let pause = 250;

@@ -1,4 +1,5 @@
-// The page: joins the daemon's events and status with the parts that show them. Events bring no state: they say when to ask for it.
+// The page: connects the daemon's events and status with the parts that show them. Events carry no state: they say when to request
+// it.
 
 import { call, known, last, listen, poll } from "./api.js";
 import { bindCalibration, handleCalibrated, loadAfterGap, loadCalibration, showCalibrating } from "./calibration.js";
@@ -42,7 +43,7 @@ async function setPlay(running) {
   const id = running?.id ?? null;
   const onset = performance.now() - 1000 * (running?.played_s ?? 0);
   if (play.id === id) {
-    // News travels with a delay: the earliest onset is the truest.
+    // Messages arrive with a delay, so the earliest onset is the most accurate.
     play.onset = Math.min(play.onset, onset);
     return;
   }
@@ -51,7 +52,7 @@ async function setPlay(running) {
   try {
     mine.pins = await pinsOf(running);
   } catch ({ code }) {
-    // On the way to the daemon something failed: the next state asks again.
+    // The connection failed: the next state requests it again.
     if (["unreachable", "slow", "stopped"].includes(code)) mine.id = undefined;
   }
 }
@@ -62,7 +63,7 @@ async function pinsOf({ id, pattern }) {
   const receipt = await call("GET", `/v1/plays/${id}`);
   const details = designer.details(receipt.pattern_sha256) ?? (await call("GET", `/v1/patterns/${encodeURIComponent(pattern)}`));
   if (details.sha256 !== receipt.pattern_sha256 || receipt.items_planned !== null) return null;
-  // A receipt lists the first drives alone.
+  // A receipt lists only the first drives.
   const listed = receipt.drives;
   const scaled = details.drives.slice(listed.length).map((drive) => ({ ...drive, reached_um: drive.reached_um * (receipt.scale ?? 1) }));
   return { pattern: details.pattern, reached: [...listed, ...scaled] };
@@ -128,7 +129,7 @@ async function linked(is, problem) {
     report(problem);
     return;
   }
-  // After an emergency stop the stream begins again: what the daemon has refused since stays.
+  // After an emergency stop the stream begins again; keep the errors that the daemon has sent since.
   if (!again) report(null);
   checkSoon();
   await poll();

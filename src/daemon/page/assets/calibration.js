@@ -1,7 +1,8 @@
-// The calibration: where it comes from, the measured points and fitted lines of each motor, and how to measure anew.
+// The calibration: its origin, the measured points and fitted lines of each motor, and controls to measure again.
 //
-// The small plots stand where the motors stand in the array. They show the measured travel divided by the motor model's, so a motor like the
-// model's lies at 1. The distance of a point from the line is the residual. The large plots show the chosen motor, by travel too.
+// The small plots are arranged like the motors in the array. They show the measured travel divided by the motor model's, so a motor
+// like the model's lies at 1. The distance of a point from the line is the residual. The large plots show the chosen motor, and
+// also its travel.
 
 import { call, known, last, order, poll } from "./api.js";
 import { CALIBRATION, closeWithEscape, element, facts, open } from "./control.js";
@@ -15,7 +16,7 @@ const DIRECTIONS = ["up", "down"];
 
 let report = null;
 let chosen = 0;
-// The calibration whose end this window waits for (0: none), and the last one whose end it knows: play ids.
+// Play ids of the calibration whose end this window waits for (0: none), and of the last one whose end it knows.
 let awaited = 0;
 let ended = 0;
 // Whether this window started it.
@@ -39,7 +40,7 @@ function series(motor, over) {
   return DIRECTIONS.map((direction) => {
     const { slope_um_per_pulse: slope, offset_um: offset, points } = motor[direction];
     const share = (pulses) => (over ? pulses * report.provenance.um_per_pulse : 1);
-    // Near 0 pulses the offset is all that is left of the line.
+    // Near 0 pulses only the offset of the line is left, so the ratio grows.
     const from = over ? Math.min(...report.provenance.pulses, ...points.map((point) => point.pulses)) : 0;
     return {
       name: direction,
@@ -113,7 +114,7 @@ function draw() {
   show(motors.find((motor) => motor.motor === chosen), range);
 }
 
-// A motor's button. It stays when its motor is measured again, and keeps the focus.
+// A motor's button. The button is kept when its motor is measured again, so that it keeps the focus.
 function fill(button, number, motor, range) {
   button.disabled = !motor;
   button.ariaLabel = motor ? `Motor ${number}: gain up ${gain(motor, "up")}, down ${gain(motor, "down")}` : null;
@@ -175,7 +176,7 @@ export function handleCalibrated({ motors, problem }) {
   return loadCalibration();
 }
 
-// Loads the calibration when events may have been missed, and tells how a calibration ended that ran before.
+// Loads the calibration when events may have been missed, and reports the end of a calibration that ran before.
 export async function loadAfterGap() {
   const before = report?.provenance.date;
   await loadCalibration();
@@ -195,7 +196,7 @@ export function bindCalibration(complain) {
     chosen = Number(button.value);
     draw();
   });
-  // Nobody would be at E-STOP.
+  // Warn: nobody would be at E-STOP.
   addEventListener("beforeunload", (event) => mine && event.preventDefault());
   const dialog = $("calibrate-dialog");
   let motor = "";

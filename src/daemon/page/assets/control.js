@@ -4,7 +4,8 @@ import { call, headers, known, last, poll } from "./api.js";
 
 const $ = (id) => document.getElementById(id);
 const HOME_MS = 30000;
-// So long after the last sign of this window the daemon disarms what the window has armed, s. In sight, each poll is a sign.
+// This long after the window's last sign of life the daemon disarms the motors that the window has armed, s. While the window is
+// visible, each poll is a sign of life.
 const SILENCE_S = 10;
 // The name of the play that calibrates.
 export const CALIBRATION = "calibration";
@@ -15,10 +16,10 @@ export function show(late) {
   $("arm").disabled = status?.state !== "disarmed";
   $("home").disabled = status?.state !== "armed" || status.play !== null;
   $("reset").disabled = status?.state !== "faulted";
-  // What makes the pins still is there also while the state is not known.
+  // The buttons that stop the pins work even while the state is not known.
   $("disarm").disabled = status !== null && status.state !== "armed";
   $("stop").disabled = status !== null && !status.play && !status.queued.length;
-  // The rows stay where they are.
+  // Keep the rows in place.
   const rows = last() ? describe(last(), late) : [];
   facts($("facts"), status ? rows : rows.map(([name]) => [name, "not known"]));
   write($("about"), status ? `meissner ${status.version}, pid ${status.pid}` : "");
@@ -76,7 +77,7 @@ export function closeWithEscape(dialog) {
   dialog.addEventListener("keydown", (event) => event.key === "Escape" && dialog.close("cancel"));
 }
 
-// Whether these fields hold what they must. If not, a line at the first one says what is wrong, until it is changed.
+// Whether these fields are valid. If not, a line at the first invalid one says what is wrong, until it is changed.
 export function valid(...ids) {
   return ids.map($).every((field) => {
     if (field.checkValidity()) return true;
@@ -115,7 +116,7 @@ export function bindControls(report) {
   });
   $("arm-dialog").addEventListener("close", () => {
     if ($("arm-dialog").returnValue !== "arm") return;
-    // As the person has read it: if the position is not known any more, the daemon refuses.
+    // Send what the person has read: if the position is no longer known, the daemon refuses.
     const checked = $("arm-rest").hidden ? {} : { assume_rest: true, checked: $("arm-name").value };
     command("/v1/arm", { ...checked, silence_s: SILENCE_S }, HOME_MS);
     $("arm-checked").checked = false;
@@ -123,7 +124,7 @@ export function bindControls(report) {
   button("reset", () => {
     $("reset-why").textContent = `Cause: ${last().cause}.`;
     $("reset-dialog").returnValue = "";
-    // A stop that comes while a person reads this is not cleared with the one that it is about.
+    // A stop that comes while a person reads this dialog must not be cleared with the one that it shows.
     $("reset-dialog").dataset.seen = last().estops;
     open($("reset-dialog"));
   });

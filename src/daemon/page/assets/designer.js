@@ -1,4 +1,5 @@
-// The designer: a target is drawn or loaded, the daemon searches for a pattern, and the page shows, plays and saves what it has found.
+// The designer: the person draws or loads a target, the daemon searches for a pattern, and the page shows, plays and saves the
+// pattern found.
 
 import { call, order, put } from "./api.js";
 import { valid } from "./control.js";
@@ -33,12 +34,12 @@ export class Designer {
   #saved;
   #pad;
   #live;
-  // The target that was loaded, in full: its keys that the page does not show stay.
+  // The loaded target in full, to keep the keys that the page does not show.
   #loaded = null;
   #search = null;
   // The pattern that was found, and its details once they are known, by its SHA-256.
   #details = new Map();
-  // Whether what is found plays by itself: only for a person who waits for it, and has touched nothing since the pen was lifted.
+  // Whether the pattern found plays automatically: only if the person has touched nothing since the pen was lifted.
   #atOnce = false;
 
   constructor(report, saved) {
@@ -64,7 +65,7 @@ export class Designer {
   async start() {
     await this.#list();
     const last = await call("GET", "/v1/searches/last").catch(() => null);
-    // A daemon that was started again counts from 1; an event may have overtaken the answer.
+    // A restarted daemon counts from 1; an event may have come before the answer.
     if (!last) this.#search = null;
     else if (last.state !== "running" || last.id !== this.#search?.id) this.#show(last);
     this.#buttons();
@@ -128,7 +129,7 @@ export class Designer {
     this.#pad.set(Array.from({ length: Math.floor(numbers.length / 2) }, (_, i) => numbers.slice(2 * i, 2 * i + 2)));
   }
 
-  // What is on the pad has changed.
+  // Handles a change of the shape on the pad.
   #drawn() {
     $("points").value = this.#pad.points.map((point) => point.join(" ")).join("; ");
     this.#pad.show(DRAWN.includes($("shape").value) ? undefined : this.#outline());
@@ -169,7 +170,7 @@ export class Designer {
     this.#atOnce = atOnce;
     try {
       const search = await call("POST", "/v1/searches", { target: this.#target(), ...settings });
-      // Events may have come before the answer, and know more.
+      // Events that came before the answer may be newer.
       if (!this.#search || search.id > this.#search.id) this.#show(search);
       this.#report(null);
     } catch (error) {
@@ -200,7 +201,7 @@ export class Designer {
     const { result, target: old } = this.#search;
     const name = $("save-name").value;
     const query = $("replace").checked ? "?replace=true" : "";
-    // The pattern bears its target's name, and its provenance does twice.
+    // The pattern has its target's name, and its provenance has it twice.
     const pattern = result.pattern.replace(/^(name|target) = "([a-z0-9-]+)"$/gm, (text, key, found) => (found === old ? `${key} = "${name}"` : text));
     try {
       await put(`/v1/patterns/${name}${query}`, pattern);
@@ -221,7 +222,7 @@ export class Designer {
     $("search-progress").textContent = state === "running" ? part : "";
     $("search-busy").hidden = state !== "running";
     const isNew = before?.id !== search.id || before.state !== state;
-    // What was found is told once, with its result.
+    // Announce the result only once, when it is complete.
     if (state === "done" ? search.result && before?.result !== search.result : isNew) {
       const words = { running: `Searching for ${target} …`, cancelled: "Cancelled.", failed: `Failed: ${search.problem}`, done: `Found a pattern for ${target}: ${part}.` };
       $("search-note").textContent = words[state] + (search.result ? ` ${judge(search.result)}` : "");

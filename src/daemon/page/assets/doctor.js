@@ -6,7 +6,7 @@ import { element } from "./control.js";
 const $ = (id) => document.getElementById(id);
 // A check holds one of the browser's connections to the daemon.
 const ANSWER_MS = 2000;
-// From one check to the next that nobody asked for, at least.
+// Shortest time between automatic checks.
 const PAUSE_MS = 2000;
 // Verdicts, the worst first.
 const VERDICTS = { fail: "Failure", warn: "Warning", ok: "OK" };
@@ -34,7 +34,7 @@ function item({ what, level, found, advice }) {
 }
 
 let checking = false;
-// Whether a person waits for the check.
+// Whether a person requested the check.
 let asked = false;
 let checked = "";
 let due = null;
@@ -68,7 +68,7 @@ async function check() {
   }
 }
 
-// Checks soon, as the daemon's state has changed.
+// Schedules a check, because the daemon's state has changed.
 export function checkSoon() {
   due ??= setTimeout(() => {
     due = null;

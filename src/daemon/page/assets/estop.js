@@ -1,10 +1,11 @@
-// What works whatever becomes of the rest of the page: the emergency stop, the access token, and the state in words, with its age.
+// The part that works even if the rest of the page fails: the emergency stop, the access token, and the state in words, with its
+// age.
 //
-// This is the first script, and needs no other one. The others read `meissner`. The document gets the event `state` when the state or its
-// age changes what the page may say, and `token` when a person has entered an access token that the daemon takes.
+// This is the first script, and needs no other one. The others read `meissner`. The document gets the event `state` when the state,
+// or its age, changes what the page may show, and `token` when a person has entered an access token that the daemon accepts.
 //
-// Invariant: what the page says of the state comes from an answer of the daemon whose request was sent less than a second ago. What is
-// older is not known: an answer that was held up on its way does not look fresh.
+// Invariant: the shown state comes from an answer of the daemon whose request was sent less than a second ago. An older state
+// counts as unknown, so a delayed answer does not look fresh.
 
 "use strict";
 (() => {
@@ -14,16 +15,16 @@
   const TURN_MS = 100;
   const POLL_MS = 250;
   const REFUSED_MS = 5000;
-  // A poll, and an attempt at an emergency stop, may take so long.
+  // The time limit of a poll, and of an attempt at an emergency stop.
   const ANSWER_MS = 1500;
-  // From an emergency stop that was not answered, or whose answer does not say that the lines are off, to the next attempt.
+  // The time to the next attempt, if an emergency stop was not answered, or its answer does not say that the lines are off.
   const AGAIN_MS = 250;
   const ANSWERED_AGAIN_MS = 2000;
 
   // The access token, for as long as the window is open. A link never holds it.
   const TOKEN = "meissner-token";
   const token = { get: () => sessionStorage.getItem(TOKEN), set: (value) => sessionStorage.setItem(TOKEN, value) };
-  // By this name the daemon knows that a request comes from this window.
+  // This name tells the daemon that a request comes from this window.
   const CLIENT = "meissner-client";
   if (!sessionStorage.getItem(CLIENT)) sessionStorage.setItem(CLIENT, crypto.getRandomValues(new Uint32Array(4)).join("-"));
   const headers = (value = token.get()) => ({ "meissner-client": sessionStorage.getItem(CLIENT), ...(value ? { authorization: `Bearer ${value}` } : {}) });
@@ -39,7 +40,7 @@
   let refused = null;
 
   const known = () => (last && since(sent) < FRESH_MS ? last : null);
-  // A box on the way may answer in the daemon's place.
+  // A proxy or gateway may answer in the daemon's place.
   const isStatus = (body) => typeof body?.state === "string" && Array.isArray(body.motors) && Array.isArray(body.queued);
   const isTold = (status) => status.device !== null && status.tick !== null;
 
@@ -64,12 +65,12 @@
       refused = response.status === 401 ? { token: value } : null;
       if (isLetIn) document.dispatchEvent(new Event("token"));
     } catch {
-      // The state grows old.
+      // Ignore an error: the shown state grows old.
     }
     show();
   }
 
-  // Asks for the state. It is newer than the call when the promise is kept.
+  // Asks for the state. When the promise resolves, the state is newer than the call.
   let running = null;
   let next = null;
   function poll() {
@@ -78,7 +79,7 @@
   }
 
   const NOT_KNOWN = "The state is not known: pins may vibrate. Do not touch them.";
-  // What a state means to a person with a finger on the pins.
+  // The meaning of a state for a person with a finger on the pins.
   const WORDS = { disarmed: "Disarmed", armed: "Armed", returning: "Returning", faulted: "Stopped", "no-device": "No device" };
   function touch(status) {
     if (!status) return NOT_KNOWN;
@@ -107,7 +108,7 @@
   function show(isNew = false) {
     const status = known();
     const name = status && status.state in WORDS ? status.state : "unknown";
-    // The rest of the document may still be on its way.
+    // The rest of the document may not have loaded yet.
     if ($("state")) $("state").dataset.state = status?.play ? "playing" : name;
     write($("state-text"), status?.play ? `Playing ${status.play.pattern}, ${status.play.played_s.toFixed(1)} s`
       : name === "unknown" ? "Not connected: state not known" : name === "faulted" ? `Stopped: ${status.cause}` : WORDS[name]);
@@ -121,7 +122,7 @@
     if (changed) document.dispatchEvent(new Event("state"));
   }
 
-  // The emergency stop that is not confirmed yet: what to say of it, and whether the daemon has refused its token.
+  // The unconfirmed emergency stop: its message, and whether the daemon has refused its token.
   let order = null;
   const button = $("estop");
   const note = $("estop-note");
@@ -140,14 +141,14 @@
   };
   windows.onmessage = free;
 
-  // Sends an emergency stop once. Returns nothing if the lines are off, else why that is not certain.
+  // Sends an emergency stop once. Returns nothing if the lines are off, else the reason for doubt.
   async function attempt(value) {
     const at = instant();
     try {
       const request = fetch("/v1/estop", {
         method: "POST", headers: headers(value), keepalive: true, priority: "high", signal: AbortSignal.timeout(ANSWER_MS),
       });
-      // It is the first to take a connection that becomes free.
+      // This request is the first to get a connection that becomes free.
       windows.postMessage("");
       free();
       const response = await request;
@@ -164,7 +165,7 @@
     }
   }
 
-  // Sends an emergency stop again and again until the daemon confirms it; after a refusal, when there is another token.
+  // Sends an emergency stop again and again until the daemon confirms it. After a refusal it waits for another token.
   let presses = 0;
   async function stop() {
     const press = ++presses;
@@ -176,7 +177,7 @@
     while (press === presses) {
       const value = token.get();
       let failure = await attempt(value);
-      // Where no token is needed, a wrong one stops nobody.
+      // Where no token is needed, try without the wrong one.
       if (failure?.refused && value) failure = (await attempt(null)) && failure;
       if (press !== presses) return;
       const advice = failure?.refused ? "Enter another access token; it is sent again then." : "It is sent again until the daemon confirms it.";
@@ -190,7 +191,7 @@
     }
   }
 
-  // On the press, not the release: a finger that slips off has pressed all the same.
+  // React to the press, not the release: a finger that slips off has still pressed the button.
   button.addEventListener("pointerdown", stop);
   button.addEventListener("keydown", (event) => {
     if (event.key === "Enter" || event.key === " ") stop();
@@ -205,7 +206,7 @@
     poll();
   });
 
-  // A hidden window holds no connection. A token that was refused is tried again now and then.
+  // A hidden window holds no connection. A refused token is tried again now and then.
   function turn() {
     show();
     const pause = refused?.token === token.get() ? REFUSED_MS : POLL_MS;

@@ -82,7 +82,8 @@ export class Finger {
     place.append(this.svg);
   }
 
-  // `drives`: by motor; null: what the pins do is not known, and `why`. `rest_um`: offsets. `doubted`: motors. `seconds`: since the onset.
+  // `drives`: by motor; null if the pins' motion is not known, for the reason `why`. `rest_um`: offsets. `doubted`: motors.
+  // `seconds`: since the onset.
   draw(drives, why, rest_um, doubted, seconds) {
     const moving = [...(drives?.values() ?? [])];
     const most = Math.max(0, ...rest_um.map(Math.abs));

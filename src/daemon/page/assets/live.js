@@ -1,6 +1,7 @@
 // A live play: the target's shape follows the pen, the wheel or the keys, and the daemon finds the drives at each place.
 //
-// The page says that it is there while its window is in sight. Hidden, closed or hung it says nothing, and the daemon ends the play.
+// The page sends signs of life while its window is visible. When hidden, closed or hung it sends none, and the daemon ends the
+// play.
 
 import { order } from "./api.js";
 import { valid } from "./control.js";
@@ -12,7 +13,7 @@ const $ = (id) => document.getElementById(id);
 const TIMEOUT_MS = 1000;
 const TURN_MS = 20;
 const SIGN_MS = TIMEOUT_MS / 4;
-// Messages without an answer; the daemon refuses more than 32.
+// The most unanswered messages; the daemon refuses more than 32.
 const MOST_UNANSWERED = 8;
 const STEP_DEG = 5;
 const KEYS = { ArrowLeft: [-1, 0, 0], ArrowRight: [1, 0, 0], ArrowUp: [0, 1, 0], ArrowDown: [0, -1, 0], q: [0, 0, 1], e: [0, 0, -1] };
@@ -103,7 +104,7 @@ export class Live {
     });
   }
 
-  // Sends the newest place, or says that the page is there.
+  // Sends the newest place, or a sign of life.
   #turn() {
     const now = performance.now();
     if (now - this.#answeredAt > TIMEOUT_MS) $("live-note").textContent = "No answer for a second: whether the play goes on is not known.";

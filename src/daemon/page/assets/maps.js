@@ -1,4 +1,5 @@
-// Maps of the predicted response: each afferent a dot on the pad, its rate by colour and size; and the figures beside them.
+// Maps of the predicted response: each afferent is a dot on the pad, whose colour and size show its rate. The figures stand beside
+// the maps.
 
 import { colour, make } from "./finger.js";
 import { drawing, line } from "./pad.js";

@@ -21,7 +21,7 @@ export function onPad([x, y]) {
   return [round(x / far), round(y / far)];
 }
 
-// Where the pen is on a drawing of the pad, also beyond its border.
+// The place of the pen on a drawing of the pad, also beyond its border.
 export function penAt(svg, event) {
   const at = new DOMPoint(event.clientX, event.clientY).matrixTransform(svg.getScreenCTM().inverse());
   return [at.x, -at.y];
@@ -55,7 +55,8 @@ export class Pad {
   #shape = make("g");
   #cross = make("path", { class: "cursor", d: "M-1 0H1M0 -1V1" });
 
-  // `changed`: the points are others. `lifted`: the pen has left the pad. `say`: reads a line to people who do not see the pad.
+  // `changed`: called when the points have changed. `lifted`: called when the pen has left the pad. `say`: announces a line to
+  // screen readers.
   constructor(place, changed, lifted, say) {
     [this.#changed, this.#lifted, this.#say] = [changed, lifted, say];
     this.svg = drawing("");
@@ -96,7 +97,7 @@ export class Pad {
     this.#add(onPad(penAt(this.svg, event)));
   }
 
-  // A point of the pen or of the keys: an edge that is complete begins again, and a dot that is there goes.
+  // Adds a point of the pen or of the keys. A complete edge begins again, and an existing dot is removed.
   #add(at) {
     this.#cursor = at;
     if (this.mode === "dots") {

@@ -13,10 +13,10 @@ function ticks([low, high], count) {
   return Array.from({ length: Math.max(0, last - first + 1) }, (_, i) => [(first + i) * step, ((first + i) * step).toFixed(digits)]);
 }
 
-// Upwards a filled triangle, downwards an open one that stands on its tip.
+// The marker is a filled triangle for upwards, and an open one on its tip for downwards.
 const MARKERS = { up: "M0 -1 L1 0.8 L-1 0.8 Z", down: "M0 1 L1 -0.8 L-1 -0.8 Z" };
 
-// Numbers the plots of the page: each has a clipping path.
+// Number of plots on the page, for the ids of their clipping paths.
 let plots = 0;
 
 // `series`: each with a class `name`, `line` (from x to y) and `points` [x, y, error]. `x` and `y`: ranges. `labels`: of both axes; without

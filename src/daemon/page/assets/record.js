@@ -8,7 +8,7 @@ const $ = (id) => document.getElementById(id);
 const ROWS = 2000;
 
 export function showReceipt(receipt) {
-  // Of a play that runs there is nothing to count yet.
+  // A running play has no counts yet.
   if (!receipt.bursts) return;
   const { bursts, lateness, duration_ms: ms, predicted_response: response } = receipt;
   const lost = bursts.late + bursts.dropped + bursts.refused;

@@ -1,9 +1,9 @@
 //! A second simulator, written from the equations alone: slow, scalar, one afferent after the other.
 //!
-//! Tests compare the exact simulator with it on random scenes. It shares no code with the crate. Input breakpoints are
-//! integer half ticks and the window's content integer half pulses; between breakpoints every instant at which the
-//! equations change (the input's sign, end of refractoriness, end of the lowered threshold, its floor) begins a
-//! new segment with a closed form. A segment is cut at its maximum, found by bisection, and so is the crossing.
+//! Tests compare the exact simulator with it on random scenes. It shares no code with the crate. Input breakpoints are integer
+//! half ticks and the window's content integer half pulses; between breakpoints every instant at which the equations change (the
+//! input's sign, end of refractoriness, end of the lowered threshold, its floor) begins a new segment with a closed form. A
+//! segment is cut at its maximum. Bisection finds the maximum and the crossing.
 //!
 //! Invariant: it marks what it cannot promise. Each spike carries the difference that two correct programs may have, and
 //! each afferent the first instant after which a rounding error decides.
@@ -247,7 +247,7 @@ impl Segment {
         self.membrane(t) - (self.threshold + self.threshold_slope * t)
     }
 
-    /// Of the excess. It goes from its first to its last value without turning.
+    /// The slope of the excess. It is monotonic within the segment.
     fn excess_slope(&self, t: f64) -> f64 {
         let x = t / self.tau;
         (self.alpha * self.g - self.p / self.tau) * (-x).exp()

@@ -1,4 +1,4 @@
-//! The paper's Fig. 4: the motors before and after the search has tuned them to an edge, and the afferents' rates.
+//! The paper's Fig. 4: the motors before and after the search for an edge, and the afferents' rates.
 //!
 //! The search scores points at several fidelities and begins several times. Here every point that was the best of its
 //! fidelity is simulated again, exactly, and the best of these is shown (`tuning`). The paper uses one amplitude and finds
@@ -70,7 +70,7 @@ pub struct Others {
 
 /// Makes the section and the key figures.
 pub(super) fn section(progress: &(dyn Fn(f64) + Sync)) -> Result<(Section, Edge), FiguresError> {
-    // Programs that report several times, such as tests, search once.
+    // Cached, so that programs with several reports, such as tests, search only once.
     static MADE: OnceLock<Result<(Section, Edge), FiguresError>> = OnceLock::new();
     MADE.get_or_init(|| make(progress)).clone()
 }
@@ -262,7 +262,7 @@ fn cost_plot(records: &[Record], end: u64) -> Result<String, FiguresError> {
     for (evaluations, cost_hz) in
         records.iter().map(|record| (record.evaluations, record.score.cost_hz())).chain(last)
     {
-        // A step: the best stays until a better point comes.
+        // Draw a step: the best value stays until a better point is found.
         line.extend(line.last().map(|&(_, before_hz)| (evaluations as f64, before_hz)));
         line.push((evaluations as f64, cost_hz));
     }

@@ -79,7 +79,7 @@ pub(super) fn exact_objective(target: &Target) -> Objective {
 /// The start, and the points of a trace that are better than all before them, by exact simulation.
 pub(super) fn records(target: &Target, trace: &[Step], near: &[u8]) -> Result<Vec<Record>, FiguresError> {
     let objective = exact_objective(target);
-    // Duration and contrast as the search saw them: contrasts of different durations do not compare.
+    // Duration and contrast in the search: contrasts of different durations cannot be compared.
     let mut seen: Vec<(f64, f64)> = Vec::new();
     let best = |step: &&Step| {
         let (duration_s, cost_hz) = (step.duration_s, step.score.cost_hz());

@@ -5,8 +5,8 @@
 //! clock errors of [`SEARCH_PPM`]. Offsets and slow drift have no steps, so they do not matter. Then each burst's middle is
 //! measured: the area under a step tells when it happened, whatever its shape. A line through the middles is the clock.
 //!
-//! The plan's lengths come in an order without repeats, so one lag fits better than all others. With the sign turned round
-//! and half a stroke later one burst of each group is missing: both are measured, and the one that finds more is taken.
+//! The plan's lengths come in an order without repeats, so one lag fits better than all others. A reversed sign with a lag half a
+//! stroke longer fits all but one burst of each group. So both are measured, and the one that finds more is taken.
 //!
 //! Invariant: an alignment puts its bursts' middles on one line, with a slope within [`MAX_CLOCK_PPM`] of 1.
 
@@ -29,11 +29,11 @@ const SEARCH_PPM: [f64; 9] = [-1200.0, -900.0, -600.0, -300.0, 0.0, 300.0, 600.0
 /// Windows about a burst's middle: their half length and the part about the middle where no level is measured, s. The first
 /// is for an error of the search.
 const WINDOWS: [(f64, f64); 3] = [(0.060, 0.030), (0.040, 0.012), (0.040, 0.012)];
-/// Missing samples in a window, in steps.
+/// The longest gap between samples in a window, in sampling steps.
 const MOST_MISSING: f64 = 5.0;
 /// Bursts at least for a line.
 const MIN_BURSTS: usize = 20;
-/// Steps below this share of the plan's are none.
+/// Steps below this share of the plan's do not count as steps.
 const STILL: f64 = 0.1;
 /// Middles farther than so many standard deviations from the line do not count.
 const OUTLIER_SD: f64 = 4.0;
@@ -49,7 +49,7 @@ pub(super) struct Alignment {
     rate_sd: f64,
     /// 1, or -1 for a sensor that counts downwards.
     pub(super) sign: f64,
-    /// Of the steps at the bursts with the plan's.
+    /// Correlation of the steps at the bursts with the plan's.
     pub(super) correlation: f64,
 }
 

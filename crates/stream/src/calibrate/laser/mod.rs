@@ -43,8 +43,7 @@ pub const LASER_REPETITIONS: u16 = 5;
 /// The share of a plan's measured bursts that a recording must cover.
 const LEAST_COVERED: f64 = 0.5;
 /// The correlation of steps and plan below which the recording is of something else. A motor with 10 % scatter has 0.995, with
-/// 45 % 0.91; the
-/// same bursts in another order have 0.85.
+/// 45 % 0.91; the same bursts in another order have 0.85.
 const LEAST_CORRELATION: f64 = 0.9;
 /// The largest clock error of the sensor, ppm: twenty times that of a bad quartz.
 pub const MAX_CLOCK_PPM: f64 = 1000.0;

@@ -123,7 +123,8 @@ pub struct PlayedOn {
 }
 
 impl PlayedPlan {
-    /// The document of a plan for one motor that was played completely from `onset` on; of a plan for all, that of `motor`.
+    /// The document of a plan that was played completely from `onset` on: the bursts of `motor`, also if the plan was for all
+    /// motors.
     #[must_use]
     pub fn new(plan: &Plan, motor: u8, onset: Tick, on: PlayedOn) -> Self {
         let PlayedOn { device, firmware, identity, boot, date } = on;

@@ -21,7 +21,7 @@ pub const MAX_SECONDS: f64 = 1800.0;
 const MAX_HEADER: usize = 100;
 /// Samples of a recording at least.
 const MIN_SAMPLES: usize = 100;
-/// So many equal samples in a row at an end of the range, in so many places, are clipped; and noise must show elsewhere.
+/// Samples count as clipped if so many in a row equal an end of the range, in so many places, and noise shows elsewhere.
 const CLIPPED_RUN: usize = 5;
 const CLIPPED_RUNS: usize = 5;
 
@@ -99,7 +99,7 @@ impl FromStr for LengthUnit {
     }
 }
 
-/// The units that a caller names; they go before those of the header.
+/// The units that a caller names. They override those of the header.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Units {
     /// Of the time.
@@ -299,7 +299,7 @@ impl Columns {
     }
 }
 
-/// The delimiter of the last of the first lines: headers may hold any text.
+/// The delimiter. It is read from the first line that begins with a number, because headers may hold any text.
 fn delimiter(bytes: &[u8]) -> u8 {
     let lines = bytes.split(|&byte| byte == b'\n').filter(|line| !line.starts_with(b"#"));
     let digits = |line: &&[u8]| line.first().is_some_and(|&c| c.is_ascii_digit() || c == b'-' || c == b' ');
@@ -351,7 +351,7 @@ mod tests {
                 found.samples().len() == 200 && found.samples().iter().zip(expected.samples()).all(near);
             assert!(same, "{}: {:?}", &text[..60], &found.samples()[..3]);
         }
-        // What the caller names goes before the header.
+        // What the caller names overrides the header.
         let units = Units { time: Some(TimeUnit::Milliseconds), displacement: Some(LengthUnit::Metres) };
         let text = file("time_s,mm\n", |n| format!("{n},{}", n4(n) / 1e6));
         assert_eq!(Recording::read(text.as_bytes(), units).unwrap().samples()[2].seconds, 0.002);

@@ -1,8 +1,8 @@
 //! The travel of each burst in an aligned recording, and the sensor's drift and noise.
 //!
-//! Between bursts the pin rests, so the slope of all rests together is the sensor's drift. About each burst the samples are a
-//! level plus the burst's travel times the motor model's step, by least squares: ramps and moving average count, so a travel is
-//! unbiased. Each burst has a level of its own, so a step of the sensor or of the pin elsewhere does not matter.
+//! Between bursts the pin rests, so the slope of all rests together is the sensor's drift. Around each burst, least squares fits
+//! a level and the burst's travel, with the step of the motor model, to the samples. The step includes ramps and moving average,
+//! so a travel is unbiased. Each burst has a level of its own, so a step of the sensor or of the pin elsewhere does not matter.
 //!
 //! Invariant: a travel has at least [`MIN_SIDE`] samples of rest on either side.
 

@@ -25,7 +25,7 @@ impl BurstController {
         let (at, half) = (self.finalised / 2, self.finalised % 2);
         let burst = self.queue[at].burst(half);
         let counted = if half == 1 && self.lower_stop {
-            // It takes the pin down from wherever it is, and no further.
+            // The burst takes the pin down to the stop from wherever it is, and no further.
             let pulses = self.position_um() / (UM_PER_PULSE * self.estimator.gain(Direction::Down));
             (10.0 * pulses).round() as i64
         } else {

@@ -204,9 +204,9 @@ impl BurstController {
         }
     }
 
-    /// When the last pulse is over of the strokes that began at `from` or later and before `until`, and that the device has not
-    /// played whole when it cut at `cut`, if it did; `returns`: it then plays their outstanding return pulses. [`Strokes`
-    /// that have left the queue](Self::advance) are not among them. `Err`: too many strokes began after that cut.
+    /// When the last pulse is over of the strokes that began at `from` or later and before `until`. If the device cut
+    /// them at `cut`, nothing of them comes after it but, if the pins return, their outstanding return pulses. [Strokes that have
+    /// left the queue](Self::advance) are not among them. `Err`: too many strokes began after that cut.
     pub(crate) fn over_at(
         &self,
         from: Tick,

@@ -49,13 +49,13 @@ impl BurstController {
         self.scattered = um * um;
     }
 
-    /// What was reckoned is over: something has shown where the pin is.
+    /// Ends dead reckoning, because something has shown where the pin is.
     pub(super) fn forget_reckoned(&mut self) {
         (self.scattered, self.reckoned_travel_um, self.reckoned_um) = (0.0, 0.0, [0.0; 2]);
     }
 
-    /// Uses the gains of a calibration, also for what was reckoned so far: the offset that they explain is known from now on,
-    /// and less is uncertain. The bursts have scattered as they have.
+    /// Uses the gains of a calibration, also for what was reckoned so far: the offset that they explain is known from now on, and
+    /// less is uncertain. The estimated scatter of past bursts stays.
     pub(crate) fn set_gains(&mut self, gains: &Gains) {
         let before = [Direction::Up, Direction::Down].map(|direction| self.estimator.gain(direction));
         self.gains = *gains;
@@ -86,7 +86,7 @@ impl BurstController {
         }
         self.move_from = self.anchored.then_some((before, after - before));
         self.estimator.rest_at(after, variance);
-        // A move is one way: what its gain is not known by counts whole.
+        // A move goes one way only, so the whole uncertainty of its gain counts.
         let ideal_um = rest * f64::from(pulses) * UM_PER_PULSE;
         let unsure = self.gains.sd[gain_index(direction)] * ideal_um;
         self.scattered += scatter * scatter + unsure * unsure;

@@ -19,7 +19,7 @@ use firmware_protocol::tick::{Tick, WireTick};
 use meissner_array::units::{TICKS_PER_MS, TICKS_PER_S, duration_to_ticks};
 use std::collections::VecDeque;
 
-/// The clock of a device that has run for longer is a lie: 26 thousand years. Arithmetic on ticks has room above it.
+/// No device has run for longer: 26 thousand years. Arithmetic on ticks has room above it.
 const LATEST_CLOCK: Tick = Tick(1 << 56);
 /// How far a tick may lie beyond twice the clock's uncertainty.
 const CLOCK_SLACK: u64 = 3 * TICKS_PER_MS;
@@ -54,10 +54,10 @@ pub(super) struct Known {
     reported: Counters,
     /// The device's clock was not beyond this when the last report was read.
     report_read_by: Tick,
-    /// Sent since the last command whose epoch a status named: one that arms, one that resets.
+    /// Since the last command whose epoch a status named, the session has sent a command that arms, or one that resets.
     arms: bool,
     resets: bool,
-    /// The same: one that seeks the lower stop.
+    /// The same for a command that seeks the lower stop.
     seeks: bool,
     /// Ticks of a return that the statuses show.
     returning: u64,
@@ -70,7 +70,7 @@ pub(super) struct Known {
 pub(super) struct StatusRead {
     /// Its tick, widened.
     pub(super) tick: Tick,
-    /// When the ping left that it answers.
+    /// When the ping that it answers was sent.
     pub(super) pinged: Option<HostInstant>,
     /// No later status has overtaken it.
     pub(super) newest: bool,
@@ -90,7 +90,7 @@ impl Known {
             report_read_by: Tick(0),
             arms: false,
             resets: false,
-            // One that another session began may be under way.
+            // A seek that another session began may be under way.
             seeks: true,
             returning: 0,
             marks: VecDeque::with_capacity(MARKS),
@@ -151,7 +151,7 @@ impl Known {
     pub(super) fn read_board(&self, board: &Board, before: Option<&Board>) -> Result<(), Contradiction> {
         let within = |slack: Option<u8>| slack.is_none_or(|slack| u32::from(slack) <= self.horizon);
         let outputs_exist = board.high_at_boot.unwrap_or(0) >> OUTPUTS == 0;
-        // Slack that was measured bounds the least slack since the start, which is then measured, too.
+        // The least slack since the start is at most the slack of any window, and is measured if that slack is.
         let bounds_least = |slack: Option<u8>| {
             slack.is_none_or(|slack| board.slack_since_boot.is_some_and(|least| least <= slack))
         };

@@ -19,8 +19,8 @@ use firmware_protocol::stroke::{MOTORS, Stroke};
 use firmware_protocol::tick::Tick;
 use std::time::Duration;
 
-/// The device learns so soon that its reports were read. Until then it sends [`REPORTS`] of them: at 8 000 a second, more
-/// than 24 motors at 300 Hz can make, none waits.
+/// The device learns within this time that its reports were read. Until then it sends [`REPORTS`] of them: 8 000 a second, more
+/// than 24 motors at 300 Hz can make, so none waits.
 const SEEN_WITHIN: Duration = Duration::from_millis(4);
 
 impl Session {
@@ -217,7 +217,7 @@ impl Session {
             Report::Cut(cut) => emit(Event::Cut { cut, at: tick }),
             Report::Refused { motor, reason, .. } => emit(Event::StrokeRefused { motor, up: tick, reason }),
         }
-        // The mark follows, or numbers that wrapped would count as before it.
+        // `stale` follows the numbers: otherwise a number that has wrapped would count as before it.
         if self.stale.wrapping_sub(number) >= u16::MAX / 2 {
             self.stale = number;
         }
@@ -297,7 +297,8 @@ fn kept_motors(report: Option<Report>) -> u32 {
     }
 }
 
-/// The strokes of a frame with their verdicts, by the device's report if there is one. It takes none of the motors `kept`.
+/// The strokes of a frame with their verdicts, by the device's report if there is one. The device took no stroke of the motors
+/// `kept`.
 fn verdicts(
     batch: &Batch,
     report: Option<Report>,

@@ -14,7 +14,7 @@ use std::time::Duration;
 
 /// Interval of the first pings.
 const FIRST_PING_EVERY: Duration = Duration::from_millis(2);
-/// The device is lost when it leaves so many pings in a row unanswered, over so long.
+/// The device counts as lost when it leaves so many pings in a row unanswered, over so long a time.
 const MAX_UNANSWERED: u32 = 5;
 const UNANSWERED_FOR: Duration = Duration::from_millis(400);
 /// Once a ping is unanswered, the session pings this often.
@@ -29,7 +29,7 @@ const MAX_HELLOS: u32 = 40;
 /// E-stops to a device that is not trusted: a tenth of a second in all.
 const E_STOPS: u16 = 20;
 const E_STOP_EVERY: Duration = Duration::from_millis(5);
-/// Each begins an epoch a third of their range from the last: whatever the device's is, one of three is newer.
+/// Each e-stop begins an epoch a third of their range from the last, so one of three is newer, whatever the device's epoch is.
 const E_STOP_EPOCHS: u16 = 0x5555;
 /// A device that answers pings also answers commands and sends the reports that it announces: every 10 ms until it was heard.
 const WITHHELD_FOR: Duration = Duration::from_secs(3);
@@ -55,7 +55,7 @@ impl Session {
         len
     }
 
-    /// Why the device is lost that does not answer.
+    /// Why a device that does not answer counts as lost.
     fn silent(&self, otherwise: LostReason) -> LostReason {
         if self.noise < NOISE {
             otherwise
@@ -174,7 +174,7 @@ impl Session {
             return None;
         }
         let (seq, mark, base) = (next.seq, next.mark, next.strokes.base().wire());
-        // No amendment of a stroke of this frame is sent before its verdict, so those up to now concern old ones.
+        // No amendment of a stroke of this frame is sent before its verdict, so the amendments up to now concern old strokes.
         let withdraw = next.withdraws.map(|motors| Withdraw { motors, generation: self.generation });
         let batch = next.strokes.bytes();
         let len = encoded(&HostMessage::Strokes { epoch, seq, seen, mark, withdraw, base, batch }, out);

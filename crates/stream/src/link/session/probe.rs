@@ -1,9 +1,9 @@
 //! The link probe: measures once, after the handshake and before the first arm, what the line carries.
 //!
-//! It sends a few rounds of full frames of an older epoch, which the device acknowledges and ignores; a ping ends each
-//! round. The time from the first byte to the ping's answer, less an idle round trip, is what the frames took. A round is
-//! as long as the bytes the session may have unacknowledged, so an e-stop never waits for more than that. What a round
-//! took longer than its bytes is how long an acknowledgement takes.
+//! It sends a few rounds of full frames of an older epoch, which the device acknowledges and ignores; a ping ends each round. The
+//! time from the first byte to the ping's answer, less an idle round trip, is what the frames took. A round is as long as the
+//! bytes the session may have unacknowledged, so an e-stop never waits for more than that. The time that a round takes beyond the
+//! time of its bytes is the time of an acknowledgement.
 //!
 //! The [`Session`](super::Session) asks [`Probe::next`] what to send, sends it, and reports what it sent and heard.
 //! Bounds: [`Budget`] in bytes and time after the first [`LEAST_ROUNDS`] rounds, [`ROUNDS`] rounds, one at a time.

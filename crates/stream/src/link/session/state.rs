@@ -89,9 +89,9 @@ pub(super) struct Control {
 pub(super) struct Reported {
     /// Number of the last of these reports.
     pub(super) reports: u16,
-    /// The fate of the strokes that begin before is decided.
+    /// The fate of the strokes that begin before this tick is decided.
     pub(super) tick: Tick,
-    /// The frames before have their verdicts.
+    /// The frames before this one have their verdicts.
     pub(super) next_seq: u16,
 }
 
@@ -463,9 +463,9 @@ impl Session {
         self.open_batch = Some(self.batch(onset, Some(Mark { kind: MarkKind::Item, trigger })));
     }
 
-    /// Withdraws what these motors have queued from `from` on. The strokes pushed next take their place, each motor's from its first
-    /// on; of the `silent` ones none follows. They go into frames of their own. Call it again only after the answer to the last such
-    /// frame.
+    /// Withdraws what these motors have queued from `from` on. The strokes pushed next take their place, each motor's from its
+    /// first on; no stroke follows for the motors `silent`. They go into frames of their own. Call it again only after the answer
+    /// to the last such frame.
     pub fn replace(&mut self, from: Tick, motors: u32, silent: u32) {
         self.seal();
         self.open_batch = Some(Batch { withdraws: Some(motors & silent), ..self.batch(from, None) });
