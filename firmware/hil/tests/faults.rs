@@ -63,7 +63,8 @@ fn every_kind_on_the_mock() {
 /// Plays a kind on the mock: as its case expects, and then with a changed case, which must fail with `why`.
 fn is_told(name: &str, why: &str, change: fn(&mut Case)) {
     let mut case = case(name);
-    let seen = |case: &Case| -> Result<Seen, String> { play(&Which::Mock(1), &kind(case, name), "pin-60", 1) };
+    let seen =
+        |case: &Case| -> Result<Seen, String> { play(&Which::Mock(1), &kind(case, name), "pin-60", 1) };
     seen(&case).unwrap_or_else(|problem| panic!("{name}: {problem}"));
     change(&mut case);
     let problem = seen(&case).unwrap_err();
