@@ -16,7 +16,7 @@ use super::request_log::LoggedRequest;
 use super::right::Right;
 use super::runtime::PLAYS;
 use super::search::find;
-use super::state::{LivePlay, NewLive, Trial, Way};
+use super::state::{LivePlay, NewLive, PlayMode, SessionTrial};
 use crate::exposure::Vibration;
 use crate::session_record::Peer;
 use axum::Json;
@@ -125,9 +125,12 @@ impl Engine {
             live: Some(timeout),
             bandwidth,
         };
-        let trial =
-            Trial { session: request.session.clone(), number: request.trial, labels: request.labels.clone() };
-        let new = NewLive { request, way: Way { late, open_loop }, trial, client };
+        let trial = SessionTrial {
+            session: request.session.clone(),
+            number: request.trial,
+            labels: request.labels.clone(),
+        };
+        let new = NewLive { request, mode: PlayMode { late, open_loop }, trial, client };
         let path = format!("/v1/live/{}", live.key());
         let held = self.hold(|state| {
             state.check_before_play(request.session.as_deref())?;

@@ -7,7 +7,7 @@
 
 use super::engine::{Engine, TIMEOUT, answer};
 use super::runtime::PLAYS;
-use super::state::{NewPlay, Plays, Reply, State, Trial, Way};
+use super::state::{NewPlay, PlayMode, Plays, Reply, SessionTrial, State};
 use crate::exposure::Vibration;
 use crate::receipts::{Order, counts, fit};
 use crate::session_record::Peer;
@@ -35,7 +35,7 @@ pub(super) struct PreparedPlay {
     order: Order,
     counts: Option<OrderedCounts>,
     pub(super) vibration: Vibration,
-    trial: Trial,
+    trial: SessionTrial,
 }
 
 impl PreparedPlay {
@@ -78,8 +78,11 @@ impl PreparedPlay {
         let items = vec![Item::new(trigger(request.trigger))];
         let strokes = strokes.into();
         let play = Play { id: 0, strokes, items, at, late, replace, open_loop, live: None, bandwidth };
-        let trial =
-            Trial { session: request.session.clone(), number: request.trial, labels: request.labels.clone() };
+        let trial = SessionTrial {
+            session: request.session.clone(),
+            number: request.trial,
+            labels: request.labels.clone(),
+        };
         Ok(Self { play, settings, stored, options, order, counts, vibration, trial })
     }
 }
@@ -94,8 +97,8 @@ impl State {
     ) -> Result<(PlayAccepted, Reply), Problem> {
         let PreparedPlay { play, settings, stored, options, order, counts, trial, .. } = prepared;
         let Order { ordered_ms, compiled_ms, .. } = order;
-        let way = Way { late: play.late, open_loop: play.open_loop };
-        let new = NewPlay { stored, options, order, counts, way, trial, client };
+        let mode = PlayMode { late: play.late, open_loop: play.open_loop };
+        let new = NewPlay { stored, options, order, counts, mode, trial, client };
         let (id, reply) = self.send_play(play, &settings, |plays| plays.add(new))?;
         Ok((PlayAccepted { id, ordered_ms, compiled_ms }, reply))
     }

@@ -9,7 +9,7 @@
 use super::engine::{Engine, TIMEOUT, answer};
 use super::play::{check_limits, onset, trigger};
 use super::runtime::PLAYS;
-use super::state::{NewSequence, State, Trial, Way};
+use super::state::{NewSequence, PlayMode, SessionTrial, State};
 use crate::exposure::Vibration;
 use crate::receipts::{Order, PlannedItem};
 use crate::session_record::Peer;
@@ -168,8 +168,8 @@ impl PreparedSequence {
             order: Order { ordered_ms: length_ms, compiled_ms: length_ms, drives: Vec::new(), warnings },
             counts,
             items: planned.into(),
-            way: Way { late, open_loop },
-            trial: Trial {
+            mode: PlayMode { late, open_loop },
+            trial: SessionTrial {
                 session: request.session.clone(),
                 number: request.trial,
                 labels: request.labels.clone(),

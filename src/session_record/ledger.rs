@@ -71,7 +71,7 @@ impl Counts {
 
 /// A session of this daemon.
 #[derive(Clone, Debug)]
-pub struct Known {
+pub struct SessionLosses {
     /// The session as in its last entry, with the counts of its lost entries.
     pub session: Session,
     /// Lost entries that no line has reported yet.
@@ -84,7 +84,7 @@ pub struct Known {
 #[derive(Debug, Default)]
 pub(super) struct Ledger {
     lost: u64,
-    sessions: VecDeque<Known>,
+    sessions: VecDeque<SessionLosses>,
 }
 
 impl Ledger {
@@ -93,7 +93,7 @@ impl Ledger {
         self.lost
     }
 
-    pub(super) fn sessions(&self) -> impl Iterator<Item = &Known> {
+    pub(super) fn sessions(&self) -> impl Iterator<Item = &SessionLosses> {
         self.sessions.iter()
     }
 
@@ -106,7 +106,7 @@ impl Ledger {
                     self.sessions.pop_front();
                 }
                 let session = (**session).clone();
-                self.sessions.push_back(Known { session, pending: 0, unnamed: false });
+                self.sessions.push_back(SessionLosses { session, pending: 0, unnamed: false });
             }
             Event::SessionEnded { session } => {
                 if let Some(known) = self.of(&session.id) {
@@ -118,7 +118,7 @@ impl Ledger {
         }
     }
 
-    fn of(&mut self, id: &str) -> Option<&mut Known> {
+    fn of(&mut self, id: &str) -> Option<&mut SessionLosses> {
         self.sessions.iter_mut().rev().find(|known| known.session.id == id)
     }
 

@@ -25,7 +25,7 @@ mod writer;
 
 pub use budget::BYTES_PER_DAY;
 pub use entry::{CommandEntry, Entry, NetworkPeer, Note, Peer, TokenId};
-pub use ledger::Known;
+pub use ledger::SessionLosses;
 pub use texts::{keeps_text, read_text};
 pub use users::Users;
 pub use writer::{Location, SYNC_AFTER, local_time};
@@ -306,14 +306,14 @@ impl SessionRecord {
 
     /// The sessions that began since it was started, the newest last. Their lost entries are known here before the disk has them.
     #[must_use]
-    pub fn known(&self) -> Vec<Known> {
+    pub fn known(&self) -> Vec<SessionLosses> {
         self.lock().as_ref().map_or_else(Vec::new, |queue| queue.lock_ledger().sessions().cloned().collect())
     }
 
     /// The entries of this session that the record lost, and the ends of plays among them.
     #[must_use]
     pub fn lost_of(&self, session: &str) -> (u64, u64) {
-        let of = |known: &Known| (known.session.lost, known.session.plays_lost);
+        let of = |known: &SessionLosses| (known.session.lost, known.session.plays_lost);
         let queue = self.lock();
         let Some(queue) = queue.as_ref() else { return (0, 0) };
         let ledger = queue.lock_ledger();

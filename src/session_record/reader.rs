@@ -5,7 +5,7 @@
 //!
 //! Bounds: `MAX_SESSIONS`, and those of `lines`.
 
-use super::ledger::Known;
+use super::ledger::SessionLosses;
 use super::lines::{self, Head, Seen, Source};
 use super::numbers;
 use crate::receipts::largest_um;
@@ -264,7 +264,11 @@ impl Scan {
 ///
 /// # Errors
 /// If its directory cannot be read.
-pub fn sessions(dir: &Path, known: &[Known], running: Option<Session>) -> Result<Sessions, RecordError> {
+pub fn sessions(
+    dir: &Path,
+    known: &[SessionLosses],
+    running: Option<Session>,
+) -> Result<Sessions, RecordError> {
     let mut scan = Scan::default();
     let unreadable = lines::each(
         dir,

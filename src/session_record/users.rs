@@ -20,7 +20,7 @@ const GOOD_FOR: Duration = Duration::from_secs(3600);
 const UNKNOWN_FOR: Duration = Duration::from_secs(60);
 
 #[derive(Debug)]
-struct Known {
+struct CachedName {
     name: Option<String>,
     until: Instant,
 }
@@ -28,12 +28,12 @@ struct Known {
 /// The names that were looked up.
 #[derive(Debug, Default)]
 pub struct Users {
-    known: Mutex<HashMap<u32, Known>>,
+    known: Mutex<HashMap<u32, CachedName>>,
     asking: AtomicBool,
 }
 
 impl Users {
-    fn lock(&self) -> MutexGuard<'_, HashMap<u32, Known>> {
+    fn lock(&self) -> MutexGuard<'_, HashMap<u32, CachedName>> {
         self.known.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
@@ -69,7 +69,7 @@ impl Users {
         if known.len() >= MOST {
             known.clear();
         }
-        known.insert(uid, Known { name, until: Instant::now() + good_for });
+        known.insert(uid, CachedName { name, until: Instant::now() + good_for });
     }
 }
 

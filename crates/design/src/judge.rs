@@ -13,7 +13,7 @@ use meissner_array::pattern::{Drive, Pattern};
 use meissner_array::strokes::{StrokeOptions, Strokes, StrokesError};
 use meissner_skin::afferent::{AfferentModel, Position, Rectify};
 use meissner_skin::fingertip::{Afferent, Class};
-use meissner_skin::{Finger, MAX_ALPHA_PER_UM, MethodError, ModelName, Moved, SkinModel, Trial};
+use meissner_skin::{Finger, MAX_ALPHA_PER_UM, MethodError, ModelName, Moved, SkinModel, Stimulus};
 use serde::Serialize;
 use std::f64::consts::FRAC_1_SQRT_2;
 
@@ -116,11 +116,13 @@ pub fn judge(
         let afferents = fingers.iter().flat_map(|(afferents, _)| afferents.iter().copied()).collect();
         let noise_seed = conditions.noise_seed.wrapping_add(number as u64);
         let finger = Finger::of_afferents(skin, afferents);
-        let trial = Trial { moved: Moved::Drives(drives, conditions.gain), duration_s, noise_seed };
-        let spikes_s = if target.moves() { Some(played(finger.spikes_s(&trial))?) } else { None };
+        let stimulus = Stimulus { moved: Moved::Drives(drives, conditions.gain), duration_s, noise_seed };
+        let spikes_s = if target.moves() { Some(played(finger.spikes_s(&stimulus))?) } else { None };
         let whole_hz: Vec<f64> = match &spikes_s {
             Some(_) => Vec::new(),
-            None => played(finger.counts(&trial))?.iter().map(|&count| count as f64 / duration_s).collect(),
+            None => {
+                played(finger.counts(&stimulus))?.iter().map(|&count| count as f64 / duration_s).collect()
+            }
         };
         let mut first = 0;
         for (afferents, partitions) in fingers {

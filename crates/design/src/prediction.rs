@@ -19,7 +19,7 @@ use meissner_array::strokes::{StrokeOptions, Strokes, StrokesError};
 use meissner_array::units::{seconds_in_ticks, seconds_to_ticks, ticks_to_seconds};
 use meissner_skin::afferent::{AfferentModel, POPULATION_NOISE_SD, Position, Rectify};
 use meissner_skin::fingertip::Class;
-use meissner_skin::{Finger, FingerError, Ramps, RampsError, SkinModel, Trial};
+use meissner_skin::{Finger, FingerError, Ramps, RampsError, SkinModel, Stimulus};
 use serde::{Deserialize, Serialize};
 
 /// The longest observed time, s; later bursts do not count.
@@ -150,7 +150,7 @@ pub fn predict_response(
             |class: &Class| ObservedFrames::new(target.as_ref(), pattern, observed_s, finger, *class);
         let frames: Vec<_> = classes.iter().map(of_class).collect();
         let rates = |ramps: &Ramps| -> Result<Vec<Rates>, FingerError> {
-            let spikes_s = finger.spikes_s(&Trial::of_ramps(ramps, observed_s, seed))?;
+            let spikes_s = finger.spikes_s(&Stimulus::of_ramps(ramps, observed_s, seed))?;
             Ok(frames.iter().map(|frames| frames.rates(&spikes_s)).collect())
         };
         Ok(rates(&designed)?

@@ -14,7 +14,7 @@ use crate::target::Target;
 use meissner_array::pattern::Drive;
 use meissner_skin::afferent::Position;
 use meissner_skin::fingertip::{Afferent, Class};
-use meissner_skin::{Finger, FingerError, MethodError, ModelName, SkinModel, Trial};
+use meissner_skin::{Finger, FingerError, MethodError, ModelName, SkinModel, Stimulus};
 use rayon::prelude::*;
 use serde::Serialize;
 
@@ -100,7 +100,7 @@ fn verdicts(
 ) -> Result<[Option<Verdict>; 3], MethodError> {
     let frames = target.frames();
     let rates_hz: Vec<Vec<f64>> = if target.moves() {
-        let spikes_s = played(finger.spikes_s(&Trial::of_drives(drives, target.duration_s(), seed)))?;
+        let spikes_s = played(finger.spikes_s(&Stimulus::of_drives(drives, target.duration_s(), seed)))?;
         frames.iter().filter_map(|frame| frame.rates_hz(&spikes_s)).collect()
     } else {
         vec![counts(finger, drives, seed)?.iter().map(|&count| count as f64 / STEADY_S).collect()]
@@ -213,7 +213,7 @@ pub fn name_targets(
 
 /// Spikes per afferent during one second of the drives.
 fn counts(finger: &Finger, drives: &[Drive], seed: u64) -> Result<Vec<u64>, MethodError> {
-    played(finger.counts(&Trial::of_drives(drives, STEADY_S, seed)))
+    played(finger.counts(&Stimulus::of_drives(drives, STEADY_S, seed)))
 }
 
 /// Converts the error of a finger's response: drives of a pattern on a target's afferents always make a scene.

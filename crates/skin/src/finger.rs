@@ -1,7 +1,7 @@
 //! A finger of either model, which responds to moving pins with spikes.
 //!
 //! [`Finger::new`] places the afferents of a fingertip; [`Finger::spikes_s`] and [`Finger::counts`] compute the response to a
-//! [`Trial`]: drives of a pattern or the bursts that motors made, for some time, with some noise. The first model is simulated
+//! [`Stimulus`]: drives of a pattern or the bursts that motors made, for some time, with some noise. The first model is simulated
 //! exactly.
 //!
 //! Invariant: the RA afferents of both models lie at the same places and come first.
@@ -45,7 +45,7 @@ pub enum Moved<'m> {
 
 /// A stimulus of a finger. Pins and afferents are at rest at its beginning.
 #[derive(Clone, Copy, Debug)]
-pub struct Trial<'m> {
+pub struct Stimulus<'m> {
     /// What moves the pins.
     pub moved: Moved<'m>,
     /// Duration, s.
@@ -97,7 +97,7 @@ impl SkinModel {
     }
 }
 
-impl<'m> Trial<'m> {
+impl<'m> Stimulus<'m> {
     /// Drives for some time, on ideal motors.
     #[must_use]
     pub const fn of_drives(drives: &'m [Drive], duration_s: f64, noise_seed: u64) -> Self {
@@ -170,21 +170,21 @@ impl Finger {
     ///
     /// # Errors
     /// If no scene can have such drives or such a duration, or if there are too many spikes to keep.
-    pub fn spikes_s(&self, trial: &Trial<'_>) -> Result<Vec<Vec<f64>>, FingerError> {
-        match (&self.model, trial.moved) {
+    pub fn spikes_s(&self, stimulus: &Stimulus<'_>) -> Result<Vec<Vec<f64>>, FingerError> {
+        match (&self.model, stimulus.moved) {
             (SkinModel::Membrane(model), Moved::Drives(drives, gain)) => {
-                let scene = self.motors(trial, (drives, gain), self.places(), *model)?;
+                let scene = self.motors(stimulus, (drives, gain), self.places(), *model)?;
                 let answer = simulate(&scene, &Options::spikes(Method::Exact), &|_| ())?;
                 Ok(answer.spikes_s.expect("spikes are kept"))
             }
             (SkinModel::Membrane(model), Moved::Ramps(ramps)) => {
-                let scene = self.motors(trial, (&[], 1.0), self.places(), *model)?;
+                let scene = self.motors(stimulus, (&[], 1.0), self.places(), *model)?;
                 let mut spikes_s = vec![Vec::new(); self.afferents.len()];
                 simulate_ramps(&scene, ramps, &mut |number, train| spikes_s[number as usize] = train)?;
                 Ok(spikes_s)
             }
             (SkinModel::Afferents { preindent_mm }, _) => {
-                let scene = self.scene(trial, *preindent_mm)?;
+                let scene = self.scene(stimulus, *preindent_mm)?;
                 let answer = fingertip::simulate(&scene, Keep::Spikes, &|_| ())?;
                 Ok(answer.spikes_s.expect("spikes are kept"))
             }
@@ -195,17 +195,17 @@ impl Finger {
     ///
     /// # Errors
     /// If no scene can have such drives or such a duration.
-    pub fn counts(&self, trial: &Trial<'_>) -> Result<Vec<u64>, FingerError> {
-        match (&self.model, trial.moved) {
+    pub fn counts(&self, stimulus: &Stimulus<'_>) -> Result<Vec<u64>, FingerError> {
+        match (&self.model, stimulus.moved) {
             (SkinModel::Membrane(model), Moved::Drives(drives, gain)) => {
-                let scene = self.motors(trial, (drives, gain), self.places(), *model)?;
+                let scene = self.motors(stimulus, (drives, gain), self.places(), *model)?;
                 Ok(simulate(&scene, &Options::rates(Method::Exact), &|_| ())?.counts)
             }
             (SkinModel::Membrane(_), Moved::Ramps(_)) => {
-                Ok(self.spikes_s(trial)?.iter().map(|train| train.len() as u64).collect())
+                Ok(self.spikes_s(stimulus)?.iter().map(|train| train.len() as u64).collect())
             }
             (SkinModel::Afferents { preindent_mm }, _) => {
-                let scene = self.scene(trial, *preindent_mm)?;
+                let scene = self.scene(stimulus, *preindent_mm)?;
                 Ok(fingertip::simulate(&scene, Keep::Rates, &|_| ())?.counts)
             }
         }
@@ -217,23 +217,23 @@ impl Finger {
 
     fn motors(
         &self,
-        trial: &Trial<'_>,
+        stimulus: &Stimulus<'_>,
         (drives, gain): (&[Drive], f64),
         places: Vec<Position>,
         model: AfferentModel,
     ) -> Result<Scene, SceneError> {
-        Scene::new(trial.duration_s, trial.noise_seed, drives.to_vec(), places, model)?
+        Scene::new(stimulus.duration_s, stimulus.noise_seed, drives.to_vec(), places, model)?
             .with_gains(&[gain; MOTORS])
     }
 
     /// A scene of the second model.
-    fn scene(&self, trial: &Trial<'_>, preindent_mm: f64) -> Result<fingertip::Scene, SceneError> {
-        let Trial { duration_s, noise_seed, .. } = *trial;
+    fn scene(&self, stimulus: &Stimulus<'_>, preindent_mm: f64) -> Result<fingertip::Scene, SceneError> {
+        let Stimulus { duration_s, noise_seed, .. } = *stimulus;
         let afferents = self.afferents.clone();
-        match trial.moved {
+        match stimulus.moved {
             Moved::Drives(drives, gain) => {
                 let unused = AfferentModel::default_for(afferent::Rectify::default(), 0.0);
-                let motors = self.motors(trial, (drives, gain), Vec::new(), unused)?;
+                let motors = self.motors(stimulus, (drives, gain), Vec::new(), unused)?;
                 fingertip::Scene::of_motors(&motors, preindent_mm, afferents, true)
             }
             Moved::Ramps(ramps) => {
@@ -262,7 +262,7 @@ mod tests {
         [ModelName::Membrane, ModelName::Afferents].map(|name| SkinModel::of(name, membrane))
     }
 
-    /// The bursts of a second of drives, with their travel multiplied by `share`; a trial of half a second needs only a part.
+    /// The bursts of a second of drives, with their travel multiplied by `share`; a stimulus of half a second needs only a part.
     fn ramps(drives: &[Drive], share: f64) -> Ramps {
         let pattern = Pattern::new("test", None, drives.to_vec(), toml::Table::new()).unwrap();
         let strokes = Strokes::new(&pattern, &StrokeOptions::lasting(1.0)).unwrap().map(Result::unwrap);
@@ -278,14 +278,14 @@ mod tests {
         let drives = [drive(9, 60.0, 80.0), drive(14, 37.3, 120.0), drive(0, 150.0, 30.0)];
         for model in models() {
             let finger = Finger::new(model, 4);
-            let designed = finger.spikes_s(&Trial::of_drives(&drives, 0.5, 4)).unwrap();
+            let designed = finger.spikes_s(&Stimulus::of_drives(&drives, 0.5, 4)).unwrap();
             assert!(designed.iter().map(Vec::len).sum::<usize>() > 300, "{model:?}");
             let ramps = ramps(&drives, 1.0);
-            let trial = Trial::of_ramps(&ramps, 0.5, 4);
-            assert!(finger.spikes_s(&trial).unwrap() == designed, "{model:?}");
+            let stimulus = Stimulus::of_ramps(&ramps, 0.5, 4);
+            assert!(finger.spikes_s(&stimulus).unwrap() == designed, "{model:?}");
             let counts: Vec<u64> = designed.iter().map(|train| train.len() as u64).collect();
-            assert_eq!(finger.counts(&trial).unwrap(), counts);
-            assert_eq!(finger.counts(&Trial::of_drives(&drives, 0.5, 4)).unwrap(), counts);
+            assert_eq!(finger.counts(&stimulus).unwrap(), counts);
+            assert_eq!(finger.counts(&Stimulus::of_drives(&drives, 0.5, 4)).unwrap(), counts);
         }
     }
 
@@ -295,13 +295,15 @@ mod tests {
         let drives = [drive(9, 60.0, 80.0)];
         for model in models() {
             let finger = Finger::new(model, 4);
-            let total = |trial: &Trial<'_>| finger.counts(trial).unwrap().iter().sum::<u64>();
+            let total = |stimulus: &Stimulus<'_>| finger.counts(stimulus).unwrap().iter().sum::<u64>();
             let slow = ramps(&drives, 0.5);
-            let slow = total(&Trial::of_ramps(&slow, 0.5, 4));
-            let gained =
-                total(&Trial { moved: Moved::Drives(&drives, 0.5), ..Trial::of_drives(&drives, 0.5, 4) });
+            let slow = total(&Stimulus::of_ramps(&slow, 0.5, 4));
+            let gained = total(&Stimulus {
+                moved: Moved::Drives(&drives, 0.5),
+                ..Stimulus::of_drives(&drives, 0.5, 4)
+            });
             assert_eq!(slow, gained, "{model:?}");
-            let whole = total(&Trial::of_drives(&drives, 0.5, 4));
+            let whole = total(&Stimulus::of_drives(&drives, 0.5, 4));
             assert!(slow > 0 && 10 * slow < 9 * whole, "{model:?}: {slow} of {whole}");
         }
     }
@@ -326,8 +328,8 @@ mod tests {
         let ramps = ramps(&drives, 1.0);
         let rates = |preindent_mm| {
             let finger = Finger::new(SkinModel::Afferents { preindent_mm }, 4);
-            let designed = finger.counts(&Trial::of_drives(&drives, 0.5, 4)).unwrap();
-            assert_eq!(finger.counts(&Trial::of_ramps(&ramps, 0.5, 4)).unwrap(), designed);
+            let designed = finger.counts(&Stimulus::of_drives(&drives, 0.5, 4)).unwrap();
+            assert_eq!(finger.counts(&Stimulus::of_ramps(&ramps, 0.5, 4)).unwrap(), designed);
             designed
         };
         assert_ne!(rates(0.05), rates(0.5));

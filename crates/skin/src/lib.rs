@@ -97,7 +97,7 @@ mod track;
 pub use choose::{Choice, choose};
 pub use engine::Skipped;
 pub use evaluator::{Candidate, Evaluator};
-pub use finger::{Finger, FingerError, Moved, SkinModel, Trial};
+pub use finger::{Finger, FingerError, Moved, SkinModel, Stimulus};
 pub use meissner_input::document::{CommonProblem, Place};
 pub use method::{
     Integrator, Keep, MAX_SPIKES, Method, MethodError, Options, Precision, SEARCH_MIN_WEIGHT, STEP_US,

@@ -13,7 +13,7 @@ mod play;
 #[expect(dead_code, reason = "it is the tests', which use the rest of it")]
 mod random;
 
-use estop::{BY_FRAME, BY_FRAME_SHARED, BY_REQUEST, Traffic, Way, sweep};
+use estop::{BY_FRAME, BY_FRAME_SHARED, BY_REQUEST, Channel, Traffic, sweep};
 use std::process::ExitCode;
 use std::thread;
 
@@ -21,15 +21,15 @@ fn main() -> ExitCode {
     let tries: u64 = std::env::args().nth(1).map_or(1000, |number| number.parse().unwrap());
     // A tenth of the tries with the frame behind a flood: from its packet on, the promise holds there, too.
     let kinds = [
-        (Traffic::Shared, Way::Frame, tries, BY_FRAME_SHARED),
-        (Traffic::Quiet, Way::Frame, tries, BY_FRAME),
-        (Traffic::Shared, Way::Request, tries, BY_REQUEST),
-        (Traffic::Quiet, Way::Request, tries, BY_REQUEST),
-        (Traffic::Flood(120_000), Way::Request, tries, BY_REQUEST),
-        (Traffic::Flood(800_000), Way::Request, tries, BY_REQUEST),
-        (Traffic::Flood(120_000), Way::Frame, tries.div_ceil(10), BY_FRAME_SHARED),
-        (Traffic::Contrived, Way::Frame, tries, BY_FRAME_SHARED),
-        (Traffic::Flood(800_000), Way::Frame, tries.div_ceil(10), BY_FRAME_SHARED),
+        (Traffic::Shared, Channel::Frame, tries, BY_FRAME_SHARED),
+        (Traffic::Quiet, Channel::Frame, tries, BY_FRAME),
+        (Traffic::Shared, Channel::Request, tries, BY_REQUEST),
+        (Traffic::Quiet, Channel::Request, tries, BY_REQUEST),
+        (Traffic::Flood(120_000), Channel::Request, tries, BY_REQUEST),
+        (Traffic::Flood(800_000), Channel::Request, tries, BY_REQUEST),
+        (Traffic::Flood(120_000), Channel::Frame, tries.div_ceil(10), BY_FRAME_SHARED),
+        (Traffic::Contrived, Channel::Frame, tries, BY_FRAME_SHARED),
+        (Traffic::Flood(800_000), Channel::Frame, tries.div_ceil(10), BY_FRAME_SHARED),
     ];
     let mut kept = true;
     // Two at a time.

@@ -40,7 +40,7 @@ pub(crate) enum Traffic {
 
 /// How the e-stop comes.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) enum Way {
+pub(crate) enum Channel {
     /// As a frame only.
     Frame,
     /// As a control request, and as a frame.
@@ -48,7 +48,7 @@ pub(crate) enum Way {
 }
 
 /// Cycles of one e-stop to all lines low: from the SETUP packet of the request or, for a frame, from the packet in which it ends.
-fn latency(rig: &mut Rig, name: &str, traffic: Traffic, way: Way, random: &mut ChaCha8Rng) -> u64 {
+fn latency(rig: &mut Rig, name: &str, traffic: Traffic, channel: Channel, random: &mut ChaCha8Rng) -> u64 {
     rig.order(job(&pattern(name).unwrap(), 5.0));
     let garbage = |rig: &mut Rig, random: &mut ChaCha8Rng| {
         if let Traffic::Flood(bytes_per_s) = traffic {
@@ -98,9 +98,9 @@ fn latency(rig: &mut Rig, name: &str, traffic: Traffic, way: Way, random: &mut C
     rig.run_to(rig.now() + wait * MS / 2 + 10 * MS).unwrap();
     let chip = rig.chip().unwrap();
     // Later packets repeat it.
-    let from = match way {
-        Way::Frame => chip.e_stopped[old],
-        Way::Request => {
+    let from = match channel {
+        Channel::Frame => chip.e_stopped[old],
+        Channel::Request => {
             assert_eq!(chip.requested.len(), 1, "{name}: the host asks once");
             chip.requested[0]
         }
@@ -188,15 +188,16 @@ fn reach(rig: &mut Rig, state: State) {
 }
 
 /// Stops a play so many times, prints the cycles and returns the most.
-pub(crate) fn sweep(name: &str, traffic: Traffic, way: Way, tries: u64, seed: u64) -> u64 {
+pub(crate) fn sweep(name: &str, traffic: Traffic, channel: Channel, tries: u64, seed: u64) -> u64 {
     let mut rig = armed(ChipOptions::new(1));
-    rig.requests_e_stops = way == Way::Request;
+    rig.requests_e_stops = channel == Channel::Request;
     let mut random = ChaCha8Rng::seed_from_u64(seed);
-    let mut cycles: Vec<_> = (0..tries).map(|_| latency(&mut rig, name, traffic, way, &mut random)).collect();
+    let mut cycles: Vec<_> =
+        (0..tries).map(|_| latency(&mut rig, name, traffic, channel, &mut random)).collect();
     cycles.sort_unstable();
     let (least, median, most) = (cycles[0], cycles[cycles.len() / 2], cycles[cycles.len() - 1]);
     println!(
-        "{name}, {traffic:?}: e-stop by {way:?} to all lines low: {least} / {median} / {most} cycles (least, median, most of {tries})"
+        "{name}, {traffic:?}: e-stop by {channel:?} to all lines low: {least} / {median} / {most} cycles (least, median, most of {tries})"
     );
     assert_eq!(rig.chip().unwrap().read("STALLS", 4).unwrap(), 0, "the executor counts as hung");
     let (boots, _) = rig.finish();
@@ -213,17 +214,17 @@ pub(crate) fn sweep(name: &str, traffic: Traffic, way: Way, tries: u64, seed: u6
 
 #[test]
 fn lines_are_low_soon_after_a_frame() {
-    assert!(sweep("edge-45-paper", Traffic::Quiet, Way::Frame, TRIES, 1) <= BY_FRAME);
+    assert!(sweep("edge-45-paper", Traffic::Quiet, Channel::Frame, TRIES, 1) <= BY_FRAME);
 }
 
 #[test]
 fn lines_are_low_soon_after_a_frame_under_full_load() {
-    assert!(sweep("full-load", Traffic::Quiet, Way::Frame, TRIES, 2) <= BY_FRAME);
+    assert!(sweep("full-load", Traffic::Quiet, Channel::Frame, TRIES, 2) <= BY_FRAME);
 }
 
 #[test]
 fn lines_are_low_within_two_pulse_periods_of_a_frame_anywhere_in_a_packet() {
-    assert!(sweep("full-load", Traffic::Shared, Way::Frame, TRIES, 3) <= BY_FRAME_SHARED);
+    assert!(sweep("full-load", Traffic::Shared, Channel::Frame, TRIES, 3) <= BY_FRAME_SHARED);
 }
 
 /// Kinds of contrived packets, and their mixtures, several times each.
@@ -232,7 +233,7 @@ const CONTRIVED: u64 = 100;
 
 #[test]
 fn lines_are_low_within_two_pulse_periods_of_a_frame_behind_anything_in_its_packet() {
-    assert!(sweep("edge-45-paper", Traffic::Contrived, Way::Frame, CONTRIVED, 6) <= BY_FRAME_SHARED);
+    assert!(sweep("edge-45-paper", Traffic::Contrived, Channel::Frame, CONTRIVED, 6) <= BY_FRAME_SHARED);
 }
 
 /// Speeds of the core at which a request races a packet.
@@ -283,10 +284,10 @@ fn lines_are_low_within_half_a_pulse_period_of_a_request_right_behind_anything_i
 
 #[test]
 fn lines_are_low_within_half_a_pulse_period_of_a_request() {
-    assert!(sweep("full-load", Traffic::Quiet, Way::Request, TRIES, 4) <= BY_REQUEST);
+    assert!(sweep("full-load", Traffic::Quiet, Channel::Request, TRIES, 4) <= BY_REQUEST);
 }
 
 #[test]
 fn lines_are_low_within_half_a_pulse_period_of_a_request_behind_a_flood() {
-    assert!(sweep("full-load", Traffic::Flood(120_000), Way::Request, TRIES, 5) <= BY_REQUEST);
+    assert!(sweep("full-load", Traffic::Flood(120_000), Channel::Request, TRIES, 5) <= BY_REQUEST);
 }

@@ -73,12 +73,12 @@ pub(in crate::daemon) struct TokenStore {
     file: Option<PathBuf>,
     tokens: ArcSwap<Vec<Token>>,
     /// Held while tokens change.
-    changing: Mutex<Known>,
+    changing: Mutex<FileState>,
 }
 
 /// The state of the file as last read.
 #[derive(Debug, Default)]
-struct Known {
+struct FileState {
     /// Why the file is not used.
     problem: Option<String>,
     /// The file that was read last; none if it must be read again.
@@ -127,7 +127,7 @@ impl TokenStore {
         self.refresh_known(&mut self.lock())
     }
 
-    fn refresh_known(&self, known: &mut Known) -> bool {
+    fn refresh_known(&self, known: &mut FileState) -> bool {
         let Some(file) = &self.file else { return false };
         let stamp = Stamp::of(file).ok();
         if stamp.is_some() && stamp == known.stamp {
@@ -255,7 +255,7 @@ impl TokenStore {
     }
 
     /// Locks out other changes by this daemon.
-    fn lock(&self) -> MutexGuard<'_, Known> {
+    fn lock(&self) -> MutexGuard<'_, FileState> {
         self.changing.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
@@ -288,7 +288,7 @@ impl TokenStore {
     }
 
     /// The tokens of the file as it is now; fails if the file is not used.
-    fn current(&self, known: &mut Known) -> Result<Vec<Token>, Problem> {
+    fn current(&self, known: &mut FileState) -> Result<Vec<Token>, Problem> {
         self.refresh_known(known);
         match &known.problem {
             Some(problem) => Err(Problem::new(Code::Store, problem.clone())),
@@ -296,7 +296,7 @@ impl TokenStore {
         }
     }
 
-    fn write(&self, known: &mut Known, tokens: &[Token]) -> Result<(), Problem> {
+    fn write(&self, known: &mut FileState, tokens: &[Token]) -> Result<(), Problem> {
         let Some(file) = &self.file else { return Ok(()) };
         let bad =
             |error| Problem::new(Code::Store, format!("{}: cannot be written: {error}", file.display()));

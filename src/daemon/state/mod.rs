@@ -38,7 +38,7 @@ pub(super) use commands::{Commands, Reply};
 pub(super) use connection::{Connection, ConnectorMessage};
 pub(super) use exposure::Exposure;
 pub(super) use live::{LivePlay, LivePlays};
-pub(super) use plays::{NewLive, NewPlay, NewSequence, Plays, Trial, Way};
+pub(super) use plays::{NewLive, NewPlay, NewSequence, PlayMode, Plays, SessionTrial};
 pub(super) use publisher::{Publisher, frame};
 pub(super) use rights::{NoRight, Rights, going_on};
 pub(super) use searches::{Found, Searches};

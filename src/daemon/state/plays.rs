@@ -25,21 +25,21 @@ pub(in crate::daemon) struct NewPlay {
     pub(in crate::daemon) order: Order,
     /// Its ordered bursts and pulses; `None` if it has no end.
     pub(in crate::daemon) counts: Option<OrderedCounts>,
-    pub(in crate::daemon) way: Way,
-    pub(in crate::daemon) trial: Trial,
+    pub(in crate::daemon) mode: PlayMode,
+    pub(in crate::daemon) trial: SessionTrial,
     pub(in crate::daemon) client: Peer,
 }
 
 /// How a play is played.
 #[derive(Clone, Copy, Debug)]
-pub(in crate::daemon) struct Way {
+pub(in crate::daemon) struct PlayMode {
     pub(in crate::daemon) late: LatePolicy,
     pub(in crate::daemon) open_loop: bool,
 }
 
 /// What a play belongs to.
 #[derive(Debug)]
-pub(in crate::daemon) struct Trial {
+pub(in crate::daemon) struct SessionTrial {
     pub(in crate::daemon) session: Option<String>,
     pub(in crate::daemon) number: Option<u64>,
     pub(in crate::daemon) labels: Labels,
@@ -53,8 +53,8 @@ pub(in crate::daemon) struct NewSequence {
     pub(in crate::daemon) order: Order,
     pub(in crate::daemon) counts: Option<OrderedCounts>,
     pub(in crate::daemon) items: Arc<[PlannedItem]>,
-    pub(in crate::daemon) way: Way,
-    pub(in crate::daemon) trial: Trial,
+    pub(in crate::daemon) mode: PlayMode,
+    pub(in crate::daemon) trial: SessionTrial,
     pub(in crate::daemon) client: Peer,
 }
 
@@ -62,8 +62,8 @@ pub(in crate::daemon) struct NewSequence {
 #[derive(Debug)]
 pub(in crate::daemon) struct NewLive<'r> {
     pub(in crate::daemon) request: &'r LiveRequest,
-    pub(in crate::daemon) way: Way,
-    pub(in crate::daemon) trial: Trial,
+    pub(in crate::daemon) mode: PlayMode,
+    pub(in crate::daemon) trial: SessionTrial,
     pub(in crate::daemon) client: Peer,
 }
 
@@ -91,15 +91,15 @@ pub(in crate::daemon) struct Plays {
 impl Plays {
     /// Gives a play an id and a receipt.
     pub(in crate::daemon) fn add(&mut self, play: NewPlay) -> u64 {
-        let NewPlay { stored: Stored { pattern, sha256, .. }, options, order, counts, way, trial, client } =
+        let NewPlay { stored: Stored { pattern, sha256, .. }, options, order, counts, mode, trial, client } =
             play;
         let telemetry = self.receipts.device().is_some_and(|device| device.telemetry);
         self.last_id += 1;
         let id = self.last_id;
-        let Trial { session, number, labels } = trial;
+        let SessionTrial { session, number, labels } = trial;
         let receipt = Receipt::new(id, pattern.name(), &sha256, options.seconds);
         let scale = Some(options.scale);
-        let Way { late: late_policy, open_loop } = way;
+        let PlayMode { late: late_policy, open_loop } = mode;
         let mut receipt =
             Receipt { session, trial: number, labels, scale, late_policy, open_loop, ..receipt };
         order.enter(&mut receipt, fit_name(options.fit), counts);
@@ -111,13 +111,13 @@ impl Plays {
 
     /// Gives a sequence an id and a receipt.
     pub(in crate::daemon) fn add_sequence(&mut self, sequence: NewSequence) -> u64 {
-        let NewSequence { name, sha256, order, counts, items, way, trial, client } = sequence;
-        let Trial { session, number, labels } = trial;
+        let NewSequence { name, sha256, order, counts, items, mode, trial, client } = sequence;
+        let SessionTrial { session, number, labels } = trial;
         self.last_id += 1;
         let id = self.last_id;
         let seconds = order.ordered_ms.map(|ms| ms / 1e3);
         let receipt = Receipt::new(id, &name, &sha256, seconds);
-        let Way { late: late_policy, open_loop } = way;
+        let PlayMode { late: late_policy, open_loop } = mode;
         let mut receipt = Receipt { session, trial: number, labels, late_policy, open_loop, ..receipt };
         order.enter(&mut receipt, Fit::Whole, counts);
         receipt.prediction.unknown = Some(NoPrediction::Sequence.to_string());
@@ -129,13 +129,13 @@ impl Plays {
 
     /// Gives a live play an id and a receipt.
     pub(in crate::daemon) fn add_live(&mut self, live: NewLive<'_>) -> u64 {
-        let NewLive { request, way, trial: Trial { session, number, labels }, client } = live;
+        let NewLive { request, mode, trial: SessionTrial { session, number, labels }, client } = live;
         self.last_id += 1;
         let id = self.last_id;
         // Plain data can be written.
         let sha256 = hash(&serde_json::to_vec(request).unwrap_or_default());
         let receipt = Receipt::new(id, LIVE, &sha256, None);
-        let Way { late: late_policy, open_loop } = way;
+        let PlayMode { late: late_policy, open_loop } = mode;
         let mut receipt = Receipt {
             session,
             trial: number,

@@ -1,7 +1,7 @@
 //! Tests whether a session is complete after full disks, clock jumps, removed and torn files, and kills.
 
 use super::*;
-use crate::session_record::ledger::Known;
+use crate::session_record::ledger::SessionLosses;
 use meissner_api::{Session, SessionPlays};
 use std::path::PathBuf;
 
@@ -31,7 +31,7 @@ fn play(id: u64) -> Entry {
 }
 
 /// The session, as read from the record.
-fn read(dir: &Path, known: &[Known]) -> SessionPlays {
+fn read(dir: &Path, known: &[SessionLosses]) -> SessionPlays {
     let dir = dir.join("logbook");
     let sessions = reader::sessions(&dir, known, None).unwrap().recorded;
     assert_eq!(sessions.len(), 1);

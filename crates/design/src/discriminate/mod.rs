@@ -29,7 +29,7 @@ use observer::{independent, linear};
 use meissner_array::pattern::Pattern;
 use meissner_array::random;
 use meissner_skin::fingertip::Class;
-use meissner_skin::{Finger, FingerError, SkinModel, Trial};
+use meissner_skin::{Finger, FingerError, SkinModel, Stimulus};
 use observer::Trials;
 use rayon::prelude::*;
 use serde::Serialize;
@@ -137,7 +137,7 @@ impl Responses {
             let number = (number as u64) << 32 | trial as u64;
             let [noise, ..] = random::words([plan.seed, number, seed, NOISE_WORD]);
             // Files hold seeds of 63 bits.
-            let spikes_s = finger.spikes_s(&Trial::of_drives(&drives, plan.seconds, noise >> 1))?;
+            let spikes_s = finger.spikes_s(&Stimulus::of_drives(&drives, plan.seconds, noise >> 1))?;
             let counts = spikes_s.iter().map(|train| train.len() as u32).collect();
             let mut times = vec![0_u16; if with_times { spikes_s.len() * bins } else { 0 }];
             for (train, bins_of) in spikes_s.iter().zip(times.chunks_mut(bins)) {

@@ -23,9 +23,9 @@ mod travel;
 pub use calibration::{Calibration, CalibrationError, FORMAT, MAX_BYTES, Problem};
 pub use fit::{Fit, FitError, FitPoint, FitProblem, GAIN_RANGE, MAX_SLOPE_SE, MIN_BURSTS, MotorFit, fit};
 pub use laser::{
-    Figure, LASER, LASER_PULSES, LASER_REPETITIONS, LaserError, LaserFit, LengthUnit, MAX_CLOCK_PPM,
-    MAX_PLAN_BYTES, MAX_RECORDING_BYTES, MAX_SAMPLES, MAX_SECONDS, PlanFileError, PlayedBurst, PlayedOn,
-    PlayedPlan, Recording, RecordingError, Sensor, TimeUnit, TracePoint, Units, Way, fit_recording,
+    BurstDirection, Figure, LASER, LASER_PULSES, LASER_REPETITIONS, LaserError, LaserFit, LengthUnit,
+    MAX_CLOCK_PPM, MAX_PLAN_BYTES, MAX_RECORDING_BYTES, MAX_SAMPLES, MAX_SECONDS, PlanFileError, PlayedBurst,
+    PlayedOn, PlayedPlan, Recording, RecordingError, Sensor, TimeUnit, TracePoint, Units, fit_recording,
     laser_plan, simulated_recording,
 };
 pub use plan::{

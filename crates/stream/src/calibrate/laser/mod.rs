@@ -16,7 +16,7 @@ mod recording;
 mod simulated;
 mod travels;
 
-pub use played::{MAX_PLAN_BYTES, PlanFileError, PlayedBurst, PlayedOn, PlayedPlan, Way};
+pub use played::{BurstDirection, MAX_PLAN_BYTES, PlanFileError, PlayedBurst, PlayedOn, PlayedPlan};
 pub use recording::{
     LengthUnit, MAX_RECORDING_BYTES, MAX_SAMPLES, MAX_SECONDS, Recording, RecordingError, TimeUnit, Units,
 };

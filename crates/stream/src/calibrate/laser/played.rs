@@ -44,7 +44,7 @@ pub struct PlayedBurst {
     /// The tick of its first pulse, on the device's clock.
     pub tick: u64,
     /// `up` or `down`.
-    pub direction: Way,
+    pub direction: BurstDirection,
     /// Its pulses, one per tick.
     pub pulses: u16,
     /// Whether it belongs to a group's first stroke, which no fit uses.
@@ -54,7 +54,7 @@ pub struct PlayedBurst {
 /// The direction of a burst.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
-pub enum Way {
+pub enum BurstDirection {
     /// Towards the finger.
     Up,
     /// Away from the finger.
@@ -63,7 +63,8 @@ pub enum Way {
 
 impl From<PlannedBurst> for PlayedBurst {
     fn from(planned: PlannedBurst) -> Self {
-        let direction = if planned.burst.direction == Direction::Up { Way::Up } else { Way::Down };
+        let direction =
+            if planned.burst.direction == Direction::Up { BurstDirection::Up } else { BurstDirection::Down };
         let (tick, pulses) = (planned.burst.start.0, planned.burst.pulses);
         Self { tick, direction, pulses, warm_up: planned.warm_up }
     }
@@ -74,8 +75,8 @@ impl PlayedBurst {
     #[must_use]
     pub const fn burst(&self) -> Burst {
         let direction = match self.direction {
-            Way::Up => Direction::Up,
-            Way::Down => Direction::Down,
+            BurstDirection::Up => Direction::Up,
+            BurstDirection::Down => Direction::Down,
         };
         Burst { start: Tick(self.tick), direction, pulses: self.pulses }
     }

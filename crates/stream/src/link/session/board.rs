@@ -18,7 +18,7 @@ const ASK_TEST_EVERY: Duration = Duration::from_millis(50);
 
 /// What was asked, and the last answer.
 #[derive(Clone, Debug)]
-pub(super) struct Asking {
+pub(super) struct BoardRequests {
     /// The number of the newest request, and when it was sent last; `None`: not sent yet.
     window: u16,
     sent: Option<HostInstant>,
@@ -31,7 +31,7 @@ pub(super) struct Asking {
     test: Option<(u16, Option<HostInstant>)>,
 }
 
-impl Asking {
+impl BoardRequests {
     pub(super) const fn new(now: HostInstant) -> Self {
         Self { window: 0, sent: None, answered: true, again: false, due: now, last: None, test: None }
     }
@@ -95,7 +95,7 @@ impl Session {
         if !self.may_ask() {
             return None;
         }
-        let Asking { answered, sent, due, test, .. } = &self.asking;
+        let BoardRequests { answered, sent, due, test, .. } = &self.asking;
         let board = match (answered, sent) {
             (true, _) => *due,
             (false, None) => now,

@@ -39,7 +39,7 @@ const STROKE_PULSES: u64 = MAX_UP_PULSES as u64 + MAX_DOWN_PULSES as u64;
 
 /// What the session knows of the device besides the stream.
 #[derive(Clone, Debug)]
-pub(super) struct Known {
+pub(super) struct DeviceKnowledge {
     pool: u16,
     horizon: u32,
     telemetry: bool,
@@ -76,7 +76,7 @@ pub(super) struct StatusRead {
     pub(super) newest: bool,
 }
 
-impl Known {
+impl DeviceKnowledge {
     pub(super) fn new() -> Self {
         Self {
             pool: 0,

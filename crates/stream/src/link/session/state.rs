@@ -1,8 +1,8 @@
 //! The state of a session, and the calls of the streamer.
 
 use crate::link::clock::Clock;
-use crate::link::session::board::Asking;
-use crate::link::session::bounds::Known;
+use crate::link::session::board::BoardRequests;
+use crate::link::session::bounds::DeviceKnowledge;
 use crate::link::session::contradiction::Contradiction;
 use crate::link::session::event::{Event, LostReason};
 use crate::link::session::line::{LineRate, MeasuredLine, Quality, RoundTrip, Traffic};
@@ -121,7 +121,7 @@ pub struct Session {
     pub(super) decoder: Decoder,
     pub(super) hellos: u32,
     pub(super) first_hello: Option<HostInstant>,
-    pub(super) known: Known,
+    pub(super) known: DeviceKnowledge,
     /// When the device contradicted itself: the last times.
     contradicted: [Option<HostInstant>; MAX_CONTRADICTIONS],
     /// E-stops sent to a device that is not trusted.
@@ -173,7 +173,7 @@ pub struct Session {
     pub(super) verdicts: VecDeque<Report>,
     pub(super) retired: Retired,
 
-    pub(super) asking: Asking,
+    pub(super) asking: BoardRequests,
     pub(super) token: u16,
     /// The last ping that the device answered.
     pub(super) answered: u16,
@@ -205,7 +205,7 @@ impl Session {
             decoder: Decoder::default(),
             hellos: 0,
             first_hello: None,
-            known: Known::new(),
+            known: DeviceKnowledge::new(),
             contradicted: [None; MAX_CONTRADICTIONS],
             e_stops: 0,
             distrusted_at: None,
@@ -242,7 +242,7 @@ impl Session {
                 verdicts: VecDeque::with_capacity(REPORTS),
                 after: 0,
             },
-            asking: Asking::new(now),
+            asking: BoardRequests::new(now),
             token: 0,
             answered: 0,
             pinged: [(0, HostInstant::default()); PINGS],
