@@ -42,9 +42,9 @@
 //! # Modules
 //!
 //! `docs/explanation/architecture.md` says which file to open for which change.
-//! The modules of this crate use one another in this order: [`log`](mod@log), `file`, [`exposure`], [`session_record`],
-//! [`receipts`], [`store`], [`search`], [`config`], `doctor`, [`daemon`], [`cli`]. Tests run streamer, link, controller and simulated motors in virtual time
-//! ([`meissner_stream::Simulation`]): the same code without a clock.
+//! The modules of this crate: [`log`](mod@log), `file`, [`exposure`], [`session_record`],
+//! [`receipts`], [`store`], [`search`], [`config`], `doctor`, [`daemon`], [`cli`]. Tests run streamer, link,
+//! controller and simulated motors in virtual time ([`meissner_stream::Simulation`]): the same code without a clock.
 //!
 //! # Example
 //!

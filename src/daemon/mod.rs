@@ -6,7 +6,7 @@
 //! `session record` (disk), and the runtime's one thread for clients and events. An idle daemon runs no timer except a service
 //! manager's watchdog.
 //!
-//! The modules; each uses only those before it:
+//! The modules, by what they are for:
 //! - `socket`, `error`, `signals`, `panics`, `runtime`, `check`, `names`, `metrics`: the system around the daemon.
 //! - `calibration`, `predictor`, `doctor`: calibrations as files and fits; predicted responses; the doctor's checks, one at a time.
 //! - `estop`, `state`, `engine`: emergency stops; the daemon's state behind one lock, and commands to the streamer.
