@@ -1,4 +1,4 @@
-//! The bytes of version 4 on the wire. Never edit them: a changed byte is a new version.
+//! The bytes of version 5 on the wire. Never edit them: a changed byte is a new version.
 
 use crate::bench::{ONSET, frame, pack, stroke};
 use firmware_protocol::batch::{Amendment, BATCH_BYTES, Packer};
