@@ -90,8 +90,7 @@ impl Controller {
     /// most [`PowerLimits::turns`] times the longest burst.
     pub(super) fn take_turns(&mut self, waiting: u32, ready: Tick) {
         let limits = self.on_time.limits();
-        let none = (PowerLimits::NONE.rail_at_once, PowerLimits::NONE.chip_at_once);
-        if (limits.rail_at_once, limits.chip_at_once) == none {
+        if limits.turns() == 1 {
             // All of them are planned from `ready` on, and may begin then.
             return;
         }

@@ -162,8 +162,7 @@ impl Taking {
     }
 
     /// Unpacks a piece. `None`: some are left.
-    pub(super) fn unpack_piece(&mut self, packed: Packed) -> Result<Option<Packed>, Malformed> {
-        let mut packed = packed;
+    pub(super) fn unpack_piece(&mut self, mut packed: Packed) -> Result<Option<Packed>, Malformed> {
         if unpack(&self.items, &mut packed.place, &mut self.strokes, UNPACKED)? {
             return Ok(Some(packed));
         }
