@@ -6,7 +6,8 @@
 //! Invariant: [`Event::name`] is the `event` key of its JSON.
 
 use crate::live_record::LiveContrast;
-use crate::receipt::{LateStroke, OnsetRecord, Prediction, PredictionKeys, Receipt, RefusedStroke};
+use crate::prediction::{Prediction, PredictionKeys};
+use crate::receipt::{LateStroke, OnsetRecord, Receipt, RefusedStroke};
 use crate::search::{SearchProgress, SearchState};
 use crate::sequence::ItemRecord;
 use crate::session::Session;

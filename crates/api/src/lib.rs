@@ -5,10 +5,12 @@
 //!
 //! - [`route`]: every route with its method, body, answer and error codes. The daemon builds its router from this table. [`access`]: who may
 //!   use it.
-//! - [`request`]: the bodies a client sends; [`PlayRequest::parse`] and similar functions name the wrong key.
+//! - [`request`]: the bodies a client sends; [`PlayRequest::parse`] and similar functions name the wrong key. How bodies are read, and the
+//!   checks that several share, is in `body`.
 //! - [`session`]: sessions, whose plays are recorded together and during which one client may own the display.
 //! - [`sequence`], [`trigger`]: sequences of patterns, and the trigger output, in requests and in receipts.
-//! - [`status`], [`receipt`], [`pattern`], [`calibration`]: what the daemon answers; [`board`]: the device's counters in the first two.
+//! - [`status`], [`receipt`], [`pattern`], [`calibration`]: what the daemon answers; [`prediction`]: the afferents' predicted
+//!   response, in receipts; [`board`]: the device's counters in status and receipt.
 //! - [`live`], [`live_record`]: live plays with the messages of their connections, and their part of a receipt.
 //! - [`doctor`]: the problems that the daemon finds on its machine, with advice.
 //! - [`target`], [`search`]: target shapes on the skin, and searches for their patterns.
@@ -36,6 +38,7 @@
 
 pub mod access;
 pub mod board;
+mod body;
 pub mod calibration;
 pub mod doctor;
 pub mod event;
@@ -43,6 +46,7 @@ pub mod live;
 pub mod live_record;
 pub mod openapi;
 pub mod pattern;
+pub mod prediction;
 pub mod problem;
 pub mod receipt;
 pub mod request;
@@ -56,6 +60,7 @@ pub mod token;
 pub mod trigger;
 
 pub use board::{BoardRecord, BoardStatus};
+pub use body::{Labels, MAX_AT_MS, is_sha256};
 pub use calibration::{CalibratedMotor, CalibrationReport, FittedLine, MeasuredPoint, Provenance};
 pub use doctor::{DoctorReport, Finding, Level};
 pub use event::{Event, MAX_ITEMS_LISTED, SensorFault};
@@ -67,16 +72,16 @@ pub use live_record::{LiveContrast, LiveRecord, ReachedContrast, UpdateTimes};
 pub use pattern::{
     ImportedPattern, PatternDetails, PatternList, PatternSummary, RailLoad, ReachedDrive, RemovedPattern,
 };
+pub use prediction::{AfferentClass, ClassResponse, PredictedResponse, Prediction, Rates};
 pub use problem::{Code, MAX_DETAIL, Problem, REFERENCE};
 pub use receipt::{
-    AfferentClass, BurstCounts, ClassResponse, DurationRecord, LateCause, LateCounts, LateStroke,
-    LatenessRecord, LinkTraffic, MAX_DRIVES_LISTED, MAX_LISTED, MAX_WARNINGS_LISTED, MotorRestError,
-    OffsetRecord, OnsetRecord, OrderedCounts, PlayState, PredictedResponse, Prediction, PulseCounts, Rates,
-    Receipt, RefusedStroke,
+    BurstCounts, DurationRecord, ErrorSource, LateCause, LateCounts, LateStroke, LatenessRecord, LinkTraffic,
+    MAX_DRIVES_LISTED, MAX_LISTED, MAX_WARNINGS_LISTED, MotorRestError, OffsetRecord, OnsetRecord,
+    OrderedCounts, PlayState, PulseCounts, Receipt, RefusedStroke,
 };
 pub use request::{
-    ArmRequest, CalibrateRequest, Fit, LatePolicy, MAX_AT_MS, MAX_BODY, MAX_WAIT_S, PlayRequest,
-    ResetRequest, parse_empty,
+    ArmRequest, CalibrateRequest, Fit, LatePolicy, MAX_BODY, MAX_WAIT_S, PlayRequest, ResetRequest,
+    parse_empty,
 };
 pub use route::{Method, Route};
 pub use search::{
@@ -84,15 +89,13 @@ pub use search::{
     SearchProgress, SearchRequest, SearchResponse, SearchResult, SearchSetting, SearchState, SearchVerdict,
     SearchVerdicts,
 };
-pub use sequence::{
-    InstantRecord, ItemRecord, ItemState, MAX_SEQUENCE_ITEMS, SequenceItem, SequenceRequest, is_sha256,
-};
+pub use sequence::{InstantRecord, ItemRecord, ItemState, MAX_SEQUENCE_ITEMS, SequenceItem, SequenceRequest};
 pub use session::{
-    Labels, MAX_ROWS, RecordedPlay, Session, SessionList, SessionPlays, SessionRequest, SessionStarted,
+    MAX_ROWS, RecordedPlay, Session, SessionList, SessionPlays, SessionRequest, SessionStarted,
 };
 pub use status::{
-    ArmedStatus, ClockSample, DeviceInfo, ErrorSource, MotorStatus, NO_DEVICE, ParticipantStatus,
-    PlayAccepted, QueuedPlay, Realtime, RunningPlay, Status,
+    ArmedStatus, ClockSample, DeviceInfo, MotorStatus, NO_DEVICE, ParticipantStatus, PlayAccepted,
+    QueuedPlay, Realtime, RunningPlay, Status,
 };
 pub use target::{
     RemovedTarget, StoredTarget, TargetDetails, TargetFile, TargetList, TargetMotion, TargetPopulation,

@@ -3,11 +3,10 @@
 //! [`LiveRequest::parse`] reads a body, [`LiveMessage::parse`] a line or a WebSocket's text. The daemon answers each message with one
 //! [`LiveAnswer`], not always in their order.
 
+use crate::body::{bad, check_labels, check_scale, check_trigger, null_as_default, problem, read};
 use crate::problem::Problem;
-use crate::request::{LatePolicy, bad, null_as_default, problem, read};
+use crate::request::LatePolicy;
 use crate::search::{SearchModel, SearchObjective, SearchSetting, target_schema};
-use crate::sequence::{check_scale, check_trigger};
-use crate::session::check_labels;
 use crate::trigger::{self, TriggerRequest};
 use meissner_input::document::{self, given};
 use serde::{Deserialize, Serialize};

@@ -3,15 +3,15 @@
 //! [`PlayRequest::parse`], [`ArmRequest::parse`], [`ResetRequest::parse`], [`CalibrateRequest::parse`] and [`parse_empty`] read a body. A key that is null
 //! counts as absent, but a number may not be null ([`given`]). An error is one line that names the key; for an unknown key it offers the nearest known one.
 
-use crate::problem::{Code, Problem, REFERENCE};
-use crate::sequence::{check_scale, check_sha256, check_trigger};
-use crate::session::check_labels;
+use crate::body::{
+    MAX_NAME, bad, check_labels, check_onset, check_scale, check_sha256, check_trigger, null_as_default,
+    problem, read, read_or_default,
+};
+use crate::problem::Problem;
 use crate::trigger::{self, TriggerRequest};
-use meissner_input::document::{self, CommonProblem, KeyError, Table, Wanted, given};
-use serde::de::DeserializeOwned;
-use serde::{Deserialize, Deserializer, Serialize};
+use meissner_input::document::{self, given};
+use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
-use std::convert::Infallible;
 use std::ops::RangeInclusive;
 use utoipa::ToSchema;
 use utoipa::openapi::schema::{ArrayBuilder, ObjectBuilder, Schema, Type};
@@ -110,9 +110,6 @@ pub enum LatePolicy {
 /// How long `GET /v1/plays/{id}` may wait for the end of the play, s.
 pub const MAX_WAIT_S: f64 = 60.0;
 
-/// `at_ms` at most, ms: an hour.
-pub const MAX_AT_MS: f64 = 3_600_000.0;
-
 impl PlayRequest {
     /// Reads a body.
     ///
@@ -126,25 +123,6 @@ impl PlayRequest {
         check_scale(request.scale).and_then(|()| check_trigger(request.trigger)).map_err(bad)?;
         Ok(request)
     }
-}
-
-/// Refuses more than one onset, and one out of range.
-pub(crate) fn check_onset(
-    tick: Option<u64>,
-    ms: Option<f64>,
-    monotonic_ns: Option<u64>,
-) -> Result<(), Problem> {
-    let keys =
-        [("at_tick", tick.is_some()), ("at_ms", ms.is_some()), ("at_monotonic_ns", monotonic_ns.is_some())];
-    let mut given = keys.iter().filter(|(_, given)| *given).map(|(key, _)| key);
-    if let (Some(first), Some(second)) = (given.next(), given.next()) {
-        return Err(bad(format!("`{first}` and `{second}` exclude each other: leave one out")));
-    }
-    if let Some(ms) = ms {
-        let good = (0.0..=MAX_AT_MS).contains(&ms);
-        document::in_range("at_ms", ms, good, "0 to 3600000 ms, an hour").map_err(problem)?;
-    }
-    Ok(())
 }
 
 /// How to arm, and whether the motors may stay armed without this client.
@@ -172,8 +150,6 @@ pub struct ArmRequest {
 
 /// The range of `silence_s`, s: a client that sends a request each quarter of it is not taken for dead because its machine is busy.
 pub const SILENCE_S: RangeInclusive<f64> = 1.0..=86_400.0;
-/// Characters of `checked` at most.
-const MAX_NAME: usize = 100;
 
 impl ArmRequest {
     /// Reads a body; an empty one gives the defaults.
@@ -280,50 +256,10 @@ pub fn parse_empty(body: &[u8]) -> Result<(), Problem> {
     Ok(())
 }
 
-fn read_or_default<T: DeserializeOwned + Default>(body: &[u8]) -> Result<T, Problem> {
-    if body.is_empty() { Ok(T::default()) } else { read(body) }
-}
-
-pub(crate) fn read<T: DeserializeOwned>(body: &[u8]) -> Result<T, Problem> {
-    const WANTED: Wanted = |key| match key {
-        "pattern" => "the name of a pattern",
-        "participant" => "a pseudonym",
-        "target" => "the name of a target, or a target",
-        _ => "it",
-    };
-    let text =
-        std::str::from_utf8(body).map_err(|_| bad("the body is not UTF-8 text: send JSON in UTF-8"))?;
-    document::from_json(text, WANTED).map(|Table(request)| request).map_err(problem)
-}
-
-/// A fault of a body; one of the whole body gets a pointer to the API reference.
-pub(crate) fn problem(fault: KeyError<Infallible>) -> Problem {
-    let is_key = matches!(
-        fault.problem,
-        document::Problem::Common(CommonProblem::UnknownKey { .. } | CommonProblem::NoKeys { .. })
-    );
-    let is_whole = fault.path.is_empty() && !is_key;
-    let refused = fault.in_file(None);
-    bad(if is_whole {
-        format!("the body is not a JSON object: {refused}; see {REFERENCE}")
-    } else {
-        refused.to_string()
-    })
-}
-
-pub(crate) fn bad(detail: impl AsRef<str>) -> Problem {
-    Problem::new(Code::BadRequest, detail)
-}
-
-pub(crate) fn null_as_default<'de, D: Deserializer<'de>, T: Deserialize<'de> + Default>(
-    source: D,
-) -> Result<T, D::Error> {
-    Option::deserialize(source).map(Option::unwrap_or_default)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::body::MAX_AT_MS;
 
     #[test]
     fn errors_name_the_key() {

@@ -7,8 +7,8 @@
 
 #![expect(unused_qualifications, reason = "in code that utoipa makes for `Search`")]
 
+use crate::body::{bad, null_as_default, problem, read};
 use crate::problem::Problem;
-use crate::request::{bad, null_as_default, problem, read};
 use crate::target::TargetFile;
 use meissner_input::document::{given, in_range};
 use serde::{Deserialize, Serialize};

@@ -5,9 +5,11 @@
 //!
 //! Bound: [`MAX_SEQUENCE_ITEMS`]; the reader stops there.
 
+use crate::body::{
+    bad, check_labels, check_onset, check_scale, check_sha256, check_trigger, null_as_default, read,
+};
 use crate::problem::Problem;
-use crate::request::{LatePolicy, bad, check_onset, null_as_default, problem, read};
-use crate::session::check_labels;
+use crate::request::LatePolicy;
 use crate::trigger::{self, TriggerRecord, TriggerRequest};
 use meissner_input::document::{self, given};
 use serde::de::{Error, SeqAccess, Visitor};
@@ -159,35 +161,6 @@ impl SequenceItem {
         check_sha256(self.pattern_sha256.as_deref()).map_err(str::to_owned)?;
         check_scale(self.scale)?;
         check_trigger(self.trigger)
-    }
-}
-
-/// Whether this is a SHA-256 in hexadecimal.
-#[must_use]
-pub fn is_sha256(text: &str) -> bool {
-    text.len() == 64 && text.bytes().all(|byte| matches!(byte, b'0'..=b'9' | b'a'..=b'f'))
-}
-
-/// Refuses what is no SHA-256.
-pub(crate) fn check_sha256(sha256: Option<&str>) -> Result<(), &'static str> {
-    let good = sha256.is_none_or(is_sha256);
-    if good { Ok(()) } else { Err("`pattern_sha256` must be 64 of 0-9 and a-f") }
-}
-
-/// Refuses a scale out of range.
-pub(crate) fn check_scale(scale: Option<f64>) -> Result<(), String> {
-    let Some(scale) = scale else { return Ok(()) };
-    let checked = document::in_range("scale", scale, (0.0..=1.0).contains(&scale), "0 to 1");
-    checked.map_err(|error| problem(error).detail)
-}
-
-/// Refuses a trigger out of range.
-pub(crate) fn check_trigger(trigger: Option<TriggerRequest>) -> Result<(), String> {
-    match trigger {
-        Some(TriggerRequest::On(shape)) => {
-            shape.problem().map_or(Ok(()), |why| Err(format!("`trigger`: {why}")))
-        }
-        _ => Ok(()),
     }
 }
 

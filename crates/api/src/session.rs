@@ -5,23 +5,15 @@
 //!
 //! Invariant: names and labels have no control characters, and at most the characters stated here.
 
-use crate::problem::{Code, Problem};
+use crate::body::{check_labels, check_text, read};
+use crate::problem::Problem;
 use crate::receipt::{BurstCounts, MAX_LISTED, OrderedCounts, PulseCounts};
-use crate::request::{Fit, LatePolicy, read};
+use crate::request::{Fit, LatePolicy};
 use crate::trigger::TriggerRecord;
 use meissner_input::document::given;
-use meissner_input::message::{is_plain, quote};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use utoipa::ToSchema;
-
-/// Characters of a name, a label's key and a label's value, at most.
-pub const MAX_NAME: usize = 100;
-/// Labels of a session, and of a trial, at most.
-pub const MAX_LABELS: usize = 16;
-
-/// Free labels.
-pub type Labels = BTreeMap<String, String>;
 
 /// Who takes part in which experiment, and whether one client owns the display.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
@@ -38,13 +30,13 @@ pub struct SessionRequest {
     #[schema(min_length = 1, max_length = 100)]
     pub experiment: Option<String>,
     /// Up to 16 labels of 1 to 100 characters.
-    #[serde(default, deserialize_with = "crate::request::null_as_default")]
+    #[serde(default, deserialize_with = "crate::body::null_as_default")]
     pub labels: BTreeMap<String, String>,
     /// The seed of the experiment's random numbers. The daemon only records it.
     #[serde(default, deserialize_with = "given", skip_serializing_if = "Option::is_none")]
     pub seed: Option<u64>,
     /// Whether only this session's owner may change anything. Others may read, stop, disarm, and order emergency stops.
-    #[serde(default, deserialize_with = "crate::request::null_as_default")]
+    #[serde(default, deserialize_with = "crate::body::null_as_default")]
     pub exclusive: bool,
 }
 
@@ -65,18 +57,6 @@ impl SessionRequest {
         check_labels(&request.labels)?;
         Ok(request)
     }
-}
-
-/// Checks the labels of a session or trial.
-pub(crate) fn check_labels(labels: &Labels) -> Result<(), Problem> {
-    if labels.len() > MAX_LABELS {
-        let detail = format!("`labels` has {} labels: at most {MAX_LABELS} are kept", labels.len());
-        return Err(Problem::new(Code::BadRequest, detail));
-    }
-    labels.iter().try_for_each(|(key, value)| {
-        check_text("labels", key)?;
-        check_text("labels", value)
-    })
 }
 
 /// A session that has begun.
@@ -397,18 +377,6 @@ impl SessionPlays {
     }
 }
 
-/// Checks a name, or a part of a label.
-pub(crate) fn check_text(key: &str, text: &str) -> Result<(), Problem> {
-    if (1..=MAX_NAME).contains(&text.chars().count()) && text.chars().all(is_plain) {
-        return Ok(());
-    }
-    let detail = format!(
-        "`{key}` is {}: must be 1 to {MAX_NAME} characters, without line breaks and the like",
-        quote(text)
-    );
-    Err(Problem::new(Code::BadRequest, detail))
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -433,7 +401,7 @@ mod tests {
                 problem.detail
             );
         }
-        let many: Labels = (0..17).map(|n| (n.to_string(), String::from("x"))).collect();
+        let many: crate::body::Labels = (0..17).map(|n| (n.to_string(), String::from("x"))).collect();
         assert!(check_labels(&many).unwrap_err().detail.contains("17 labels"));
     }
 }

@@ -3,6 +3,7 @@
 //! `GET /v1/status` and every command but `play` and `calibrate` answer with a [`Status`].
 
 use crate::board::BoardStatus;
+use crate::receipt::ErrorSource;
 use crate::session::Session;
 use crate::token::NetworkStatus;
 use serde::{Deserialize, Serialize};
@@ -82,35 +83,6 @@ pub struct Realtime {
     pub fifo: bool,
     /// Whether the process's memory is locked (`mlockall`).
     pub mlock: bool,
-}
-
-/// Where the estimate of a rest error comes from: `telemetry` measured it, `dead-reckoning` computed it from the bursts that were
-/// played, `lower-stop`: the pin comes down to a stop after each stroke, `none`: there is no estimate.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
-#[serde(rename_all = "kebab-case")]
-pub enum ErrorSource {
-    /// There is no estimate.
-    #[default]
-    None,
-    /// Telemetry measured it.
-    Telemetry,
-    /// Dead reckoning: computed from the bursts that were played.
-    DeadReckoning,
-    /// The pin comes down to a lower stop after each stroke.
-    LowerStop,
-}
-
-impl ErrorSource {
-    /// The source's name in the JSON.
-    #[must_use]
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::None => "none",
-            Self::Telemetry => "telemetry",
-            Self::DeadReckoning => "dead-reckoning",
-            Self::LowerStop => "lower-stop",
-        }
-    }
 }
 
 /// The state of one motor.

@@ -6,9 +6,8 @@
 //!
 //! Invariant: an access token begins with [`PREFIX`], and no token of a session does.
 
+use crate::body::{check_text, read};
 use crate::problem::Problem;
-use crate::request::read;
-use crate::session::check_text;
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 

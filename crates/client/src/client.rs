@@ -1,6 +1,6 @@
 //! Calls that wait for their answer: [`Client`].
 
-use crate::connection::{Connection, connect, hung_up, read_all, refused, request};
+use crate::connection::{ANSWER_TIMEOUT, Connection, connect, hung_up, read_all, refused, request};
 use crate::endpoint::Endpoint;
 use crate::error::ClientError;
 use crate::events::Events;
@@ -14,8 +14,6 @@ use std::path::Path;
 use std::time::Duration;
 use tokio::runtime::{Builder, Runtime};
 
-/// How long the client waits for an answer. The daemon waits for its device for 1.5 s at most.
-pub const ANSWER_TIMEOUT: Duration = Duration::from_secs(5);
 /// How long to wait for `POST /v1/home`. The daemon waits for the pins for 25 s.
 pub const HOME_TIMEOUT: Duration = Duration::from_secs(30);
 /// How long to wait for `POST /v1/live`: the daemon finds the drives of a target's first pose.

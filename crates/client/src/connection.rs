@@ -1,7 +1,6 @@
 //! One HTTP connection to a daemon's socket: connect, make a request, read the whole answer.
 
 use crate::access;
-use crate::client::ANSWER_TIMEOUT;
 use crate::endpoint::{Endpoint, MAX_SOCKET_PATH, is_hidden};
 use crate::error::ClientError;
 use http_body_util::{BodyExt, Full, Limited};
@@ -18,6 +17,8 @@ use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 use tokio::net::UnixStream;
 
+/// How long the client waits for an answer. The daemon waits for its device for 1.5 s at most.
+pub const ANSWER_TIMEOUT: Duration = Duration::from_secs(5);
 /// Time between two tries to connect to a daemon whose queue is full.
 const FULL: Duration = Duration::from_millis(2);
 /// Size of an answer, or of one event, at most, bytes.

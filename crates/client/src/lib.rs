@@ -41,8 +41,8 @@ mod estop;
 mod events;
 mod live;
 
-pub use client::{ANSWER_TIMEOUT, Client, HOME_TIMEOUT};
-pub use connection::escape;
+pub use client::{Client, HOME_TIMEOUT};
+pub use connection::{ANSWER_TIMEOUT, escape};
 pub use endpoint::{Endpoint, MAX_SOCKET_PATH, SERVICE_SOCKET, default_socket, estop_socket, is_installed};
 
 pub use error::ClientError;

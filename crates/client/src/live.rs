@@ -6,8 +6,7 @@
 //!
 //! Invariant: this module sends nothing on its own. A caller that hangs is silent, and the daemon ends its play.
 
-use crate::client::ANSWER_TIMEOUT;
-use crate::connection::{Connection, MAX_ANSWER, connect, hung_up, refused, request};
+use crate::connection::{ANSWER_TIMEOUT, Connection, MAX_ANSWER, connect, hung_up, refused, request};
 use crate::endpoint::Endpoint;
 use crate::error::ClientError;
 use hyper::body::Bytes;
