@@ -3,6 +3,8 @@
 
 /// The local API of a real daemon: commands, receipts, events, errors, and the end.
 mod api;
+/// The architecture page against the tree; no circles of imports.
+mod architecture;
 /// Mistakes in files, commands and requests: refused in one line with place and remedy; nothing moves.
 mod bad_input;
 /// Boards: found, missing, in use, or something else; the doctor's report about them.
