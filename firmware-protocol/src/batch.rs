@@ -15,7 +15,9 @@
 //!
 //! Varints are LEB128 of at most 5 bytes. A list that ends within an item, or with a number out of range, is [`Malformed`].
 
-use crate::stroke::{Direction, Stroke};
+use crate::frame::{self, MAX_FRAME};
+use crate::message::HostMessage;
+use crate::stroke::{Direction, MOTORS, Stroke};
 use crate::tick::Tick;
 
 /// Most strokes in a batch; a verdict's mask has 64 bits. The chip unpacks them between two blocks of lines.
@@ -344,6 +346,28 @@ pub(crate) fn unpack(
     let left = packed.rest.bytes.len();
     *place = Place { read: batch.len() - left, at: packed.rest.at, pulses: packed.pulses };
     Ok(left == 0)
+}
+
+/// Writes a full frame of the longest strokes, for a self-test to read; returns its length.
+#[must_use]
+pub fn longest_frame(out: &mut [u8; MAX_FRAME]) -> usize {
+    let mut strokes = Packer::<BATCH_BYTES>::new(Tick(0));
+    let mut at = 0;
+    loop {
+        // Numbers that change with each stroke, so that the packer cannot shorten them.
+        let (motor, up_pulses) = ((at * 7 % MOTORS as u64) as u8, 147 + (at % 2) as u16);
+        let up = Tick(59 * at);
+        if strokes.stroke(&Stroke { motor, up, up_pulses, down: up + 708, down_pulses: up_pulses }).is_err() {
+            break;
+        }
+        at += 1;
+    }
+    let (base, batch) = (strokes.base().wire(), strokes.bytes());
+    frame::encode(
+        &HostMessage::Strokes { epoch: 0, seq: 0, seen: 0, mark: None, withdraw: None, base, batch },
+        out,
+    )
+    .unwrap_or(0)
 }
 
 #[cfg(test)]

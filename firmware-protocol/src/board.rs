@@ -3,11 +3,7 @@
 //! A host asks with `HostMessage::Board` about once a second, and with `HostMessage::SelfTest` for a test. A figure is `None` if
 //! the device does not have it.
 
-use crate::batch::{BATCH_BYTES, Packer};
-use crate::frame::{self, MAX_FRAME};
-use crate::message::HostMessage;
-use crate::stroke::{MOTORS, Stroke};
-use crate::tick::Tick;
+use crate::stroke::MOTORS;
 use serde::{Deserialize, Serialize};
 
 /// Outputs in a mask of outputs: bit m is the line of motor m, then [`TRIGGER`] and [`ENABLE`].
@@ -102,7 +98,7 @@ pub struct SelfTest {
     pub wave: Option<WaveTest>,
     /// Patterns in free memory.
     pub ram: Option<RamTest>,
-    /// Time to read the longest frame of [`longest_frame`], µs by the system timer: the longest of several tries.
+    /// Time to read the longest frame of [`crate::batch::longest_frame`], µs by the system timer: the longest of several tries.
     pub work_us: Option<u32>,
 }
 
@@ -137,26 +133,4 @@ pub struct RamTest {
     pub bytes: u32,
     /// The first address that did not keep what was written.
     pub bad: Option<u32>,
-}
-
-/// Writes a full frame of the longest strokes, for a self-test to read; returns its length.
-#[must_use]
-pub fn longest_frame(out: &mut [u8; MAX_FRAME]) -> usize {
-    let mut strokes = Packer::<BATCH_BYTES>::new(Tick(0));
-    let mut at = 0;
-    loop {
-        // Numbers that change with each stroke, so that the packer cannot shorten them.
-        let (motor, up_pulses) = ((at * 7 % MOTORS as u64) as u8, 147 + (at % 2) as u16);
-        let up = Tick(59 * at);
-        if strokes.stroke(&Stroke { motor, up, up_pulses, down: up + 708, down_pulses: up_pulses }).is_err() {
-            break;
-        }
-        at += 1;
-    }
-    let (base, batch) = (strokes.base().wire(), strokes.bytes());
-    frame::encode(
-        &HostMessage::Strokes { epoch: 0, seq: 0, seen: 0, mark: None, withdraw: None, base, batch },
-        out,
-    )
-    .unwrap_or(0)
 }

@@ -1,6 +1,7 @@
 use crate::bench::{Bench, FIRMWARE, stroke};
+use firmware_protocol::batch::longest_frame;
 use firmware_protocol::batch::{MAX_BATCH, Strokes};
-use firmware_protocol::board::{Board, Measures, Reset, SelfTest, SelfTestState, longest_frame};
+use firmware_protocol::board::{Board, Measures, Reset, SelfTest, SelfTestState};
 use firmware_protocol::frame::{Decoder, MAX_FRAME, read};
 use firmware_protocol::message::{Cause, DeviceMessage, HostMessage, Op, State};
 use firmware_protocol::tick::{TICK_HZ, Tick};

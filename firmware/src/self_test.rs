@@ -10,7 +10,7 @@ use crate::board::{self, ENABLE, LINES, TRIGGER};
 use crate::wave;
 use core::ptr;
 use embassy_rp::pac;
-use firmware_protocol::batch::Strokes;
+use firmware_protocol::batch::{self, Strokes};
 use firmware_protocol::board::{self as protocol, LineTest, RamTest, SelfTest, WaveTest};
 use firmware_protocol::frame::{self, Decoder, MAX_FRAME};
 use firmware_protocol::message::HostMessage;
@@ -150,7 +150,7 @@ impl Run {
             return Next::Ram { at: end };
         }
         self.result.ram = Some(RamTest { bytes: (end - begin) as u32, bad });
-        self.len = protocol::longest_frame(&mut self.frame);
+        self.len = batch::longest_frame(&mut self.frame);
         Next::Work { tries: 0 }
     }
 

@@ -50,10 +50,9 @@ impl Model {
     }
 }
 
-/// Explores all models, or those named by the arguments.
-pub(crate) fn main() -> ExitCode {
+/// Explores these models, or those named by the arguments.
+pub(crate) fn explore(all: &[Model]) -> ExitCode {
     let wanted: Vec<String> = std::env::args().skip(1).collect();
-    let all = [crate::queues::MODELS, crate::usb::MODELS, crate::daemon::MODELS].concat();
     if let Some(unknown) = wanted.iter().find(|name| all.iter().all(|model| model.name != **name)) {
         eprintln!("races: unknown model {unknown}");
         return ExitCode::from(2);

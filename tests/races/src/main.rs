@@ -62,7 +62,7 @@ mod session_record {
 
 #[cfg(loom)]
 fn main() -> std::process::ExitCode {
-    explore::main()
+    explore::explore(&[queues::MODELS, usb::MODELS, daemon::MODELS].concat())
 }
 
 #[cfg(not(loom))]

@@ -10,16 +10,15 @@
 //!
 //! Invariant: an alignment puts its bursts' middles on one line, with a slope within [`MAX_CLOCK_PPM`] of 1.
 
+use crate::calibrate::laser::error::{LEAST_CORRELATION, LaserError, MAX_CLOCK_PPM};
 use crate::calibrate::laser::played::{PlayedBurst, PlayedPlan};
 use crate::calibrate::laser::recording::{Recording, Sample};
-use crate::calibrate::laser::{Figure, LEAST_CORRELATION, LaserError, MAX_CLOCK_PPM};
 use firmware_protocol::stroke::Direction;
 use firmware_protocol::tick::TICK_HZ;
 use meissner_array::motor::WINDOW_LENGTH_TICKS;
 use meissner_array::units::UM_PER_PULSE;
+use serde::Serialize;
 
-/// The slowest sampling, s: the pin rests for 118 ms between two bursts.
-pub(super) const SLOWEST_S: f64 = 0.005;
 /// The bins of the search, s.
 const BIN_S: f64 = 0.01;
 /// Bins on either side of a step. Bursts are 125 ms apart.
@@ -37,6 +36,15 @@ const MIN_BURSTS: usize = 20;
 const STILL: f64 = 0.1;
 /// Middles farther than so many standard deviations from the line do not count.
 const OUTLIER_SD: f64 = 4.0;
+
+/// A figure and its standard deviation.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Figure {
+    /// The estimate.
+    pub value: f64,
+    /// One standard deviation of the estimate.
+    pub sd: f64,
+}
 
 /// Where the plan lies in a recording.
 #[derive(Clone, Copy, Debug)]

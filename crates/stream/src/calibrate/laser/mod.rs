@@ -11,27 +11,29 @@
 //! Invariant: a recording that does not follow the plan's bursts gives no gains.
 
 mod align;
+mod error;
 mod played;
 mod recording;
 mod simulated;
 mod travels;
 
-pub use played::{BurstDirection, MAX_PLAN_BYTES, PlanFileError, PlayedBurst, PlayedOn, PlayedPlan};
+pub use align::Figure;
+pub use error::{LaserError, MAX_CLOCK_PPM};
+pub use played::{BurstDirection, LASER, MAX_PLAN_BYTES, PlanFileError, PlayedBurst, PlayedOn, PlayedPlan};
 pub use recording::{
     LengthUnit, MAX_RECORDING_BYTES, MAX_SAMPLES, MAX_SECONDS, Recording, RecordingError, TimeUnit, Units,
 };
 pub use simulated::{Sensor, simulated_recording};
+pub use travels::TracePoint;
 
 use crate::calibrate::calibration::{Calibration, CalibrationError};
-use crate::calibrate::fit::{FitError, MotorFit, fit};
+use crate::calibrate::fit::{MotorFit, fit};
 use crate::calibrate::laser::align::Alignment;
+use crate::calibrate::laser::error::{MOST_SCATTER, SLOWEST_S};
 use crate::calibrate::laser::travels::Measured;
 use crate::calibrate::plan::{Plan, PlanError};
 use firmware_protocol::stroke::Direction;
 use serde::Serialize;
-
-/// What the provenance of a calibration calls a laser.
-pub const LASER: &str = "laser";
 
 /// Default numbers of pulses. The short burst makes the offset of the line certain, which makes its slope more certain: the
 /// error is 1.3 times that of a line through the origin. The others are near the paper's 70: longer ones move the pin
@@ -42,72 +44,12 @@ pub const LASER_REPETITIONS: u16 = 5;
 
 /// The share of a plan's measured bursts that a recording must cover.
 const LEAST_COVERED: f64 = 0.5;
-/// The correlation of steps and plan below which the recording is of something else. A motor with 10 % scatter has 0.995, with
-/// 45 % 0.91; the same bursts in another order have 0.85.
-const LEAST_CORRELATION: f64 = 0.9;
-/// The largest clock error of the sensor, ppm: twenty times that of a bad quartz.
-pub const MAX_CLOCK_PPM: f64 = 1000.0;
-/// The largest plausible scatter of a motor, as for telemetry.
-const MOST_SCATTER: f64 = 0.35;
-
 /// The plan for one motor and a laser, with these numbers of pulses and repetitions or the defaults.
 ///
 /// # Errors
 /// As [`Plan::new`].
 pub fn laser_plan(motor: u8, pulses: Option<&[u16]>, repetitions: Option<u16>) -> Result<Plan, PlanError> {
     Plan::new(Some(motor), pulses.unwrap_or(&LASER_PULSES), repetitions.unwrap_or(LASER_REPETITIONS))
-}
-
-/// A recording that gives no calibration.
-#[derive(Clone, Debug, PartialEq, thiserror::Error)]
-#[expect(missing_docs, reason = "the messages say it")]
-pub enum LaserError {
-    #[error(
-        "one sample each {:.1} ms is too slow to see a burst: record at {:.0} samples per second or more",
-        .step_s * 1000.0, 1.0 / align::SLOWEST_S
-    )]
-    TooSlow { step_s: f64 },
-    #[error(
-        "the sensor is clipped at {um:.2} um, in {runs} places: set its range so that the whole travel fits, and record again"
-    )]
-    Clipped { um: f64, runs: usize },
-    #[error(
-        "the pin moves by {um:.3} um where the bursts would move it by {expected_um:.1} um: check that the sensor points at \
-         motor {motor}'s pin, and the unit of the displacement"
-    )]
-    Still { motor: u8, um: f64, expected_um: f64 },
-    #[error(
-        "the recording does not follow the plan's bursts (correlation {correlation:.2}, {LEAST_CORRELATION} is needed): check \
-         that it was made during this plan, of motor {motor}'s pin, and the unit of the time"
-    )]
-    Unrelated { motor: u8, correlation: f64 },
-    #[error(
-        "it covers {covered} of {planned} bursts: record from before the first burst until after the last"
-    )]
-    TooFew { covered: usize, planned: usize },
-    #[error(
-        "the sensor's clock differs by {ppm:.0} ppm from the device's, which is more than {MAX_CLOCK_PPM}: check the unit \
-         of the time and the sampling rate"
-    )]
-    Clock { ppm: f64 },
-    #[error(
-        "bursts {} scatter by {:.0} %, which no motor does (at most {:.0} %): check that nothing touches the pin or the \
-         sensor, and record again", if *.up { "upwards" } else { "downwards" }, .scatter * 100.0, MOST_SCATTER * 100.0
-    )]
-    Scatter { up: bool, scatter: f64 },
-    #[error(transparent)]
-    Fit(#[from] FitError),
-    #[error("no burst that counts was measured: record the whole plan")]
-    Nothing,
-}
-
-/// A figure and its standard deviation.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct Figure {
-    /// The estimate.
-    pub value: f64,
-    /// One standard deviation of the estimate.
-    pub sd: f64,
 }
 
 /// What a recording says about a motor and about the sensor.
@@ -151,17 +93,6 @@ pub struct LaserFit {
     pub trace: Vec<TracePoint>,
 }
 
-/// A sample beside its fit. The sensor's offset, drift and sign are taken out.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct TracePoint {
-    /// Time since the first burst, s, by the device's clock.
-    pub seconds: f64,
-    /// Measured displacement, µm, upwards.
-    pub measured_um: f64,
-    /// The motor model's displacement with the fitted travels, µm.
-    pub fitted_um: f64,
-}
-
 impl LaserFit {
     /// The calibration of this motor on the plan's device.
     ///
@@ -179,7 +110,7 @@ impl LaserFit {
 pub fn fit_recording(played: &PlayedPlan, recording: &Recording) -> Result<LaserFit, LaserError> {
     let motor = played.motor();
     let step_s = recording.median_step_s();
-    if step_s > align::SLOWEST_S {
+    if step_s > SLOWEST_S {
         return Err(LaserError::TooSlow { step_s });
     }
     if let Some((um, runs)) = recording.clipped() {

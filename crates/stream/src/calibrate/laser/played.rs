@@ -3,7 +3,6 @@
 //! Invariant: the bursts of a [`PlayedPlan`] are those of its plan, from some tick on. So they are in order, and the pin rests
 //! before each of them.
 
-use crate::calibrate::laser::LASER;
 use crate::calibrate::plan::{Plan, PlanError, PlannedBurst};
 use firmware_protocol::stroke::{Burst, Direction, MOTORS};
 use firmware_protocol::tick::Tick;
@@ -11,6 +10,8 @@ use meissner_api::Provenance;
 use meissner_array::motor::WINDOW_TICKS;
 use serde::{Deserialize, Serialize};
 
+/// What the provenance of a calibration calls a laser.
+pub const LASER: &str = "laser";
 /// Bytes of a plan's file at most: the longest plan takes less.
 pub const MAX_PLAN_BYTES: usize = 1 << 20;
 /// The version of the document.

@@ -6,10 +6,9 @@
 //!
 //! Invariant: a travel has at least [`MIN_SIDE`] samples of rest on either side.
 
-use crate::calibrate::laser::align::Alignment;
+use crate::calibrate::laser::align::{Alignment, Figure};
 use crate::calibrate::laser::played::{PlayedBurst, PlayedPlan};
 use crate::calibrate::laser::recording::{Recording, Sample};
-use crate::calibrate::laser::{Figure, TracePoint};
 use crate::calibrate::travel::BurstTravel;
 use firmware_protocol::stroke::Direction;
 use firmware_protocol::tick::Tick;
@@ -22,6 +21,17 @@ const MIN_SIDE: usize = 10;
 const SIDE_S: f64 = 0.25;
 /// Rest that counts for the drift before the first and after the last burst, s at most.
 const END_S: f64 = 2.0;
+
+/// A sample beside its fit. The sensor's offset, drift and sign are taken out.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct TracePoint {
+    /// Time since the first burst, s, by the device's clock.
+    pub seconds: f64,
+    /// Measured displacement, µm, upwards.
+    pub measured_um: f64,
+    /// The motor model's displacement with the fitted travels, µm.
+    pub fitted_um: f64,
+}
 
 /// What the recording shows.
 #[derive(Clone, Debug)]
