@@ -2,15 +2,15 @@
 //!
 //! A request enters where hyper would hand it over, so the acceptor's and hyper's checks of its bytes are skipped.
 
-use super::Daemon;
-use super::acceptor::{Bounds, Counts};
-use super::connection::Connection;
-use super::engine::Engine;
-use super::error::DaemonError;
-use super::hosted::Hosted;
-use super::http::{App, router};
-use super::orders::Orders;
-use super::stream::Stream;
+use crate::daemon::engine::Engine;
+use crate::daemon::http::app::App;
+use crate::daemon::http::router;
+use crate::daemon::run::{Daemon, Hosted};
+use crate::daemon::sockets::acceptor::{Bounds, Counts};
+use crate::daemon::sockets::connection::Connection;
+use crate::daemon::sockets::orders::Orders;
+use crate::daemon::sockets::stream::Stream;
+use crate::daemon::system::error::DaemonError;
 use crate::session_record::{NetworkPeer, Peer};
 use axum::Router;
 use axum::body::Body;

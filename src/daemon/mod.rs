@@ -1,350 +1,44 @@
 //! The daemon: the streamer's thread, and around it clients, patterns, devices, receipts and the session record.
 //!
-//! [`Daemon::start`] acquires everything that the system may refuse (socket, patterns, threads); [`Daemon::run`] works until a
-//! signal or a request ends it. Threads: `streamer` and `acceptor` (real time; an emergency stop needs no other), `connector`
-//! (opens devices), `predictor` (skin model), `search` (follows the process of a search), `renderer` (one for each live target),
-//! `session record` (disk), and the runtime's one thread for clients and events. An idle daemon runs no timer except a service
-//! manager's watchdog.
+//! Threads: `streamer` and `acceptor` (real time; an emergency stop needs no other), `connector` (opens devices), `predictor` (skin model),
+//! `search` (follows the process of a search), `renderer` (one for each live target), `session record` (disk), and the runtime's one
+//! thread for clients and events. An idle daemon runs no timer except a service manager's watchdog.
 //!
-//! The modules, by what they are for:
-//! - `socket`, `error`, `signals`, `panics`, `runtime`, `check`, `names`, `metrics`: the system around the daemon.
-//! - `calibration`, `predictor`, `doctor`: calibrations as files and fits; predicted responses; the doctor's checks, one at a time.
-//! - `estop`, `state`, `engine`: emergency stops; the daemon's state behind one lock, and commands to the streamer.
-//! - `stream`, `network`: a connection's socket; network clients, and their tokens.
-//! - `framing`, `first_request`, `orders`: where requests begin and end, the kind of a first request, and the emergency stops among
-//!   all requests.
-//! - `acceptor`: connections up to the head of their first request, on its own thread.
-//! - `log_lines`, `request_log`, `status`: text and data for the log, the session record and clients.
-//! - `right`: a client's right, for streams, plays and searches that outlive a request.
-//! - `arm`, `play`, `sequence`, `calibrate`, `connector`: arm, begin plays, calibrate, open devices.
-//! - `service`, `event_loop`: the service manager; the streamer's events.
+//! The folders, as a request meets them:
+//! - `sockets`: a connection, from the moment it is accepted to its bytes; emergency stops are ordered here.
+//! - `network`: which requests may pass, by host, origin, token and role.
+//! - `http`: the server, the routes and their handlers, one file for each resource.
 //! - `page`: the page in the browser.
-//! - `search_process`, `live_contrast`, `renderer`, `live`: search processes; live plays, whose targets are rendered by a thread.
-//! - `body`, `activity`, `connection`, `http`, `patterns`, `targets`, `search`, `sessions`, `reload`, `server`, `hosted`: clients, configuration, and
-//!   daemons inside this process. In a build for the fuzzer also `fuzzed`: requests without a socket.
+//! - `plays`: what every play goes through, from a request to the streamer's answer: plays, sequences, live plays, calibrations.
+//! - `engine`: commands to the streamer and their answers; emergency stops; the status; the log's lines; rights that outlive a request.
+//! - `state`: the daemon's state behind one lock.
+//! - `beside`: what runs beside the requests: the streamer's events, devices, predictions, fits, searches, reloads, the service manager.
+//! - `system`: the system around all of them.
 //!
-//! Invariant: before the daemon ends, it returns the pins, switches the motors off and removes its socket.
+//! `run` starts and ends the daemon. In a build for the fuzzer there is also `fuzzed`: requests without a socket.
+//!
+//! Each folder uses only those below it in this order, from the top: `run`, `http`, `plays`, `beside`, `sockets`, `engine`, `state`,
+//! `network`, `page`, `system`.
 
-mod acceptor;
-mod activity;
-mod arm;
-mod body;
-mod calibrate;
-mod calibration;
-mod check;
-mod connection;
-mod connector;
-mod doctor;
+mod beside;
 mod engine;
-mod error;
-mod estop;
-mod event_loop;
-mod first_request;
-mod framing;
 #[cfg(fuzzing)]
 mod fuzzed;
-mod hosted;
 mod http;
-mod live;
-mod live_contrast;
-mod log_lines;
-mod metrics;
-mod names;
 mod network;
-mod orders;
 mod page;
-mod panics;
-mod patterns;
-mod play;
-mod poses;
-mod predictor;
-mod reload;
-mod renderer;
-mod request_log;
-mod right;
-mod runtime;
-mod search;
-mod search_process;
-mod sequence;
-mod server;
-mod service;
-mod sessions;
-mod signals;
-mod socket;
+mod plays;
+mod run;
+mod sockets;
 mod state;
-mod status;
-mod stream;
-mod targets;
+mod system;
 
-pub(crate) use calibration::utc_now;
-pub use check::{check, check_memory};
-pub use error::DaemonError;
 #[cfg(fuzzing)]
 pub use fuzzed::Fuzzed;
-pub use hosted::Hosted;
-pub use panics::end_on_panic;
-pub use runtime::runtime;
-pub use signals::{Action, Signals};
-pub use socket::SocketError;
-
-use crate::config::{Config, Source};
-use crate::exposure::{self, Account, Now};
-use crate::file::read_regular;
-use crate::session_record::{Note, SessionRecord};
-use acceptor::{Acceptor, Bounds, Counts, Sockets};
-use engine::Engine;
-use error::system;
-use http::App;
-use meissner_api::Realtime;
-use meissner_stream::queues::EventQueue;
-use network::{Gate, TokenStore};
-use patterns::SharedStore;
-use predictor::Predictor;
-use server::Server;
-use service::{Manager, Notification, StatusReporter};
-use socket::Bound;
-use state::{ConnectorMessage, Exposure};
-use std::io;
-use std::net::TcpListener;
-use std::os::unix::net::UnixListener;
-use std::path::Path;
-use std::sync::Arc;
-use std::thread::{self, JoinHandle};
-use std::time::Duration;
-use tokio::sync::{oneshot, watch};
-use tracing::{info, warn};
-
-/// The most memory that the daemon takes, bytes. `docs/explanation/limits.md` adds it up;
-/// `cargo bench -p meissner-benches --bench memory` measures it under load.
-pub const MEMORY_BOUND: usize = 832 << 20;
-/// How long closing the session record may take; a service manager waits longer.
-const CLOSE_TIMEOUT: Duration = Duration::from_secs(2);
-/// How long the streamer may take to end after its answer to the shutdown.
-const STREAMER_TIMEOUT: Duration = Duration::from_millis(500);
-
-/// A daemon whose socket is bound and whose streamer runs.
-#[derive(Debug)]
-pub struct Daemon {
-    config: Config,
-    bound: Bound,
-    /// The listener for network clients.
-    tcp: Option<TcpListener>,
-    engine: Arc<Engine>,
-    store: SharedStore,
-    events: EventQueue,
-    predictor: Predictor,
-    realtime: Realtime,
-    streamer: JoinHandle<()>,
-    connector: crossbeam_channel::Sender<ConnectorMessage>,
-}
-
-/// Why a daemon ended without an error.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Exit {
-    /// A signal or a request ended it.
-    Requested,
-    /// Another version of the program is installed, and the service manager must start it.
-    Replaced,
-}
-
-impl Daemon {
-    /// Binds the socket and starts the threads.
-    ///
-    /// # Errors
-    /// If the system refuses something; the error says what to do.
-    pub fn start(config: &Config) -> Result<Self, DaemonError> {
-        let store = check::store(config)?;
-        let bound = Bound::take_over(&config.socket)?.map_or_else(|| Bound::new(&config.socket), Ok)?;
-        let network::Bound { listener: tcp, listen, problem } = network::listen(config.listen.as_ref());
-        let gate = Gate::new(listen, problem, TokenStore::open(config.tokens.clone()));
-        let (commands, events, realtime, streamer) =
-            meissner_stream::spawn(config.settings).map_err(system("streamer's thread"))?;
-        if !(realtime.fifo && realtime.mlock) {
-            warn!(
-                fifo = realtime.fifo,
-                mlock = realtime.mlock,
-                "without real-time rights strokes may come late: see `meissner doctor`"
-            );
-        }
-        let predictor = Predictor::new().map_err(io::Error::other).map_err(system("thread"))?;
-        let wanted = config.device.to_string();
-        let engine = Engine::new(commands, config.settings, wanted.clone(), config.calibration.clone());
-        let record = SessionRecord::start(config.logbook.clone(), Arc::clone(&engine.names.users))
-            .map_err(system("session record's thread"))?;
-        let (version, pid) = (env!("CARGO_PKG_VERSION"), std::process::id());
-        record.add(Note::DaemonStarted { version, pid, wanted });
-        let mut account = Account::new(config.participant);
-        if let Some(location) = &config.logbook {
-            restore(&mut account, read_sums(&location.dir));
-        }
-        engine.lock().exposure = Exposure::new(account);
-        engine.lock().sessions.set_silence(Duration::from_secs_f64(config.session_silence_s));
-        engine.lock().armed.set_default(Duration::from_secs_f64(config.armed_silence_s));
-        let engine = Arc::new(engine.with(record, realtime, bound.socket().to_owned()).with_gate(gate));
-        let changed = Arc::downgrade(&engine);
-        let tokens_changed = move || {
-            if let Some(engine) = changed.upgrade() {
-                engine.lock().rights_changed();
-            }
-        };
-        engine.gate.watch_tokens(tokens_changed).map_err(system("tokens' thread"))?;
-        engine.load_calibration(None);
-        let connector = connector::spawn(config.device.clone(), config.mock, Arc::clone(&engine))
-            .map_err(system("connector's thread"))?;
-        info!("listening on {}", bound.socket().display());
-        let (config, store) = (config.clone(), SharedStore::new(store));
-        Ok(Self { config, bound, tcp, engine, store, events, predictor, realtime, streamer, connector })
-    }
-
-    /// Runs it on a separate thread, until it is stopped or a signal ends it.
-    ///
-    /// # Errors
-    /// If the system gives no thread.
-    pub fn host(self) -> Result<Hosted, DaemonError> {
-        let (engine, realtime) = (Arc::clone(&self.engine), self.realtime);
-        let (end, ended) = oneshot::channel();
-        let work = move || {
-            runtime()?.block_on(async {
-                let signals = Signals::new()?.or(ended);
-                self.run(signals, None).await.map(drop)
-            })
-        };
-        let thread = thread::Builder::new().name("daemon".into()).spawn(work).map_err(system("thread"))?;
-        Ok(Hosted { engine, realtime, end: Some(end), thread: Some(thread) })
-    }
-
-    /// Works until a signal or a request ends it, then shuts down. A reload reads `source`; without a source it ends the daemon.
-    ///
-    /// # Errors
-    /// If the system fails, or the streamer ended by itself.
-    pub async fn run(self, signals: Signals, source: Option<Source>) -> Result<Exit, DaemonError> {
-        let engine = Arc::clone(&self.engine);
-        if let Ok(ended) = panics::caught(self.work(signals, source)).await {
-            return ended;
-        }
-        // As at any other end, return the pins and switch the motors off.
-        let _ = tokio::time::timeout(CLOSE_TIMEOUT, panics::caught(engine.shut_down())).await;
-        Err(DaemonError::Panicked)
-    }
-
-    async fn work(self, mut signals: Signals, source: Option<Source>) -> Result<Exit, DaemonError> {
-        let Self { config, bound, tcp, engine, store, events, predictor, streamer, connector, .. } = self;
-        let api = bound.listener.try_clone().map_err(system("socket"))?;
-        let estop =
-            bound.estop.as_ref().map(UnixListener::try_clone).transpose().map_err(system("socket"))?;
-        let (sockets, gate) = (Sockets { api, estop, tcp }, Arc::clone(&engine.gate));
-        let (bounds, counts) = (Bounds::of_process(), Arc::new(Counts::default()));
-        let (acceptor, handovers, mut acceptor_ended) =
-            Acceptor::spawn(sockets, Arc::clone(&engine.estops), gate, bounds, Arc::clone(&counts))
-                .map_err(system("acceptor's thread"))?;
-        let mut acceptor = Some(acceptor);
-        let manager = Manager::find().map_err(system("thread"))?;
-        let (close, closing) = watch::channel(false);
-        let reporter = StatusReporter::new(manager.clone());
-        let mut event_loop = tokio::spawn(Arc::clone(&engine).event_loop(events, predictor, reporter));
-        let watchdog = tokio::spawn(service::watchdog(manager.clone(), Arc::clone(&engine)));
-        let mut streamer = ended(streamer).map_err(system("thread"))?;
-        // A client's first command may have started the daemon: give the device time to connect.
-        engine.first_device().await;
-        let router = http::router(App::new(Arc::clone(&engine), store.clone(), &bounds, Arc::clone(&counts)));
-        let server = Server::new(Arc::clone(&engine), router, bounds, counts);
-        let server = tokio::spawn(server.serve(handovers, closing));
-        let reloads =
-            source.map(|source| reload::spawn(source, config, Arc::clone(&engine), store, manager.clone()));
-        let reloads = reloads.transpose()?;
-        manager.notify(Notification::Ready);
-        let result = loop {
-            tokio::select! {
-                action = signals.next() => match (action, &reloads) {
-                    // If the queue is full, a reload is already waiting.
-                    (Action::Reload, Some(reloads)) => drop(reloads.try_send(())),
-                    _ => break Ok(Exit::Requested),
-                },
-                () = engine.replaced.notified() => {
-                    info!("another version was installed and motors are disarmed: starting it");
-                    // New clients wait in the socket's queue for the new program.
-                    drop(acceptor.take());
-                    let _ = close.send(true);
-                    break Ok(Exit::Replaced);
-                }
-                _ = &mut streamer => break Err(DaemonError::Streamer),
-                _ = &mut acceptor_ended => break Err(DaemonError::Acceptor),
-                _ = &mut event_loop => break Err(DaemonError::EventLoop),
-                () = panics::of_needed_thread() => break Err(DaemonError::Panicked),
-            }
-        };
-        manager.notify(Notification::Stopping);
-        // An error means that the connector has ended already.
-        let _ = connector.try_send(ConnectorMessage::Quit);
-        if !matches!(result, Err(DaemonError::Streamer)) {
-            engine.shut_down().await;
-            // The streamer's last events complete the receipts of cut plays.
-            if result.is_ok() && tokio::time::timeout(STREAMER_TIMEOUT, &mut event_loop).await.is_err() {
-                warn!("the streamer did not end in time");
-            }
-        }
-        engine.lock().commands.abandon();
-        watchdog.abort();
-        {
-            let mut state = engine.lock();
-            state.cancel_running_search();
-            state.close_session("daemon-ended");
-            state.publisher.close();
-        }
-        drop(acceptor.take());
-        // An error means that the server has ended already.
-        let _ = close.send(true);
-        let _ = server.await;
-        drop(bound);
-        let record = engine.session_record();
-        record.add(Note::DaemonEnded { problem: result.as_ref().err().map(ToString::to_string) });
-        let (sender, closed) = oneshot::channel();
-        let close = move || {
-            record.close(CLOSE_TIMEOUT);
-            let _ = sender.send(());
-        };
-        // Use a separate thread, because the runtime's blocking threads may all wait for the disk.
-        if thread::Builder::new().name("close".into()).spawn(close).is_ok() {
-            let _ = closed.await;
-        }
-        result
-    }
-}
-
-/// Reads the file of the vibration's sums beside the session record; `None`: there is none.
-fn read_sums(dir: &Path) -> io::Result<Option<Vec<u8>>> {
-    match read_regular(&dir.join(exposure::FILE), exposure::MAX_FILE) {
-        Err(error) if matches!(error.kind(), io::ErrorKind::NotFound | io::ErrorKind::NotADirectory) => {
-            Ok(None)
-        }
-        read => read.map(Some),
-    }
-}
-
-/// Restores the sums. If they cannot be read, or cannot be true, the day's limit counts as used up until a person has checked the
-/// file.
-fn restore(account: &mut Account, read: io::Result<Option<Vec<u8>>>) {
-    let now = Now::read();
-    let restored = match read {
-        Ok(Some(text)) => account.restore(&text, now),
-        Ok(None) => {
-            account.restore_none();
-            Ok(())
-        }
-        Err(error) => Err(account.lose(&error.to_string())),
-    };
-    if let Some(problem) = restored.err().map(|error| error.to_string()).or_else(|| account.problem(now)) {
-        warn!("{problem}");
-    }
-}
-
-/// Resolves when the thread has ended, also by a panic.
-fn ended(thread: JoinHandle<()>) -> io::Result<oneshot::Receiver<()>> {
-    let (sender, receiver) = oneshot::channel();
-    thread::Builder::new().name("watch".into()).spawn(move || {
-        // A panic is in the log already. The receiver may be gone.
-        let _ = thread.join();
-        let _ = sender.send(());
-    })?;
-    Ok(receiver)
-}
+pub use run::{Daemon, Exit, Hosted};
+pub use system::check::{MEMORY_BOUND, check, check_memory};
+pub use system::error::DaemonError;
+pub use system::panics::end_on_panic;
+pub use system::runtime::runtime;
+pub use system::signals::{Action, Signals};
+pub use system::socket::SocketError;

@@ -28,7 +28,7 @@ pub use entry::{CommandEntry, Entry, NetworkPeer, Note, Peer, TokenId};
 pub use ledger::SessionLosses;
 pub use texts::{keeps_text, read_text};
 pub use users::Users;
-pub use writer::{Location, SYNC_AFTER, local_time};
+pub use writer::{Location, SYNC_AFTER, local_time, utc_now};
 
 use budget::{Budget, MAX_ENTRY, REPORT_AFTER};
 use crossbeam_channel::{Receiver, RecvTimeoutError, Sender, bounded};

@@ -51,6 +51,12 @@ pub fn local_time() -> String {
     Zoned::now().strftime(TIME).to_string()
 }
 
+/// UTC, to the second.
+#[must_use]
+pub fn utc_now() -> String {
+    Timestamp::now().strftime("%FT%TZ").to_string()
+}
+
 /// When an entry was added, by both clocks.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Stamp {

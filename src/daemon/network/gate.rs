@@ -7,24 +7,26 @@
 //!
 //! Invariant: [`Gate::check`] never waits and uses no heap, because the acceptor's real-time thread calls it.
 
-use super::head::{Head, Shown};
-use super::refresh::Refresher;
-use super::tokens::TokenStore;
 use crate::config::Listen;
+use crate::daemon::network::head::{Head, Shown};
+use crate::daemon::network::refresh::Refresher;
+use crate::daemon::network::refusal::{NOT_VALID, READS_ONLY, Refusal};
+use crate::daemon::network::tokens::TokenStore;
 use crate::daemon::page;
 use crate::session_record::{NetworkPeer, Peer, TokenId};
 use meissner_api::access::Access;
-use meissner_api::{Code, NetworkStatus, Problem, Role, Route};
+use meissner_api::{Code, NetworkStatus, Role, Route};
+use std::io;
 use std::net::{IpAddr, Ipv6Addr};
+use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::{Arc, OnceLock};
 
 /// A request that the gate lets through.
 #[derive(Clone, Copy, Debug, Default)]
 pub(in crate::daemon) struct Checked<'a> {
     /// The valid access token that it shows.
-    pub(super) access: Option<TokenId>,
-    pub(super) shown: Shown<'a>,
+    pub(in crate::daemon) access: Option<TokenId>,
+    pub(in crate::daemon) shown: Shown<'a>,
 }
 
 /// See the module.
@@ -34,8 +36,8 @@ pub(in crate::daemon) struct Gate {
     /// Why the daemon does not listen there.
     problem: Option<String>,
     pub(in crate::daemon) tokens: Arc<TokenStore>,
-    /// Reads tokens that another daemon has changed; none if nothing listens.
-    pub(super) refresher: OnceLock<Refresher>,
+    /// Reads tokens that another daemon has changed.
+    refresher: Refresher,
     denied: AtomicU64,
 }
 
@@ -50,9 +52,18 @@ impl Gate {
         Self { listen, problem, tokens: Arc::new(tokens), refresher, denied }
     }
 
-    /// Whether clients can come over the network.
-    pub(super) const fn listens(&self) -> bool {
-        self.listen.is_some()
+    /// Starts to read tokens that another daemon has changed, if clients can come over the network. Calls `changed` whenever there were
+    /// any.
+    pub(in crate::daemon) fn watch_tokens(&self, changed: impl Fn() + Send + 'static) -> io::Result<()> {
+        if self.listen.is_none() {
+            return Ok(());
+        }
+        self.refresher.watch(&self.tokens, changed)
+    }
+
+    /// Waits until the tokens are those of the file as it is now.
+    pub(in crate::daemon) async fn refresh_tokens(&self) {
+        self.refresher.refresh().await;
     }
 
     /// Who can reach the daemon; none if nothing listens.
@@ -76,7 +87,7 @@ impl Gate {
     }
 
     /// Counts a refusal.
-    pub(super) fn count_denied(&self) {
+    pub(in crate::daemon) fn count_denied(&self) {
         self.denied.fetch_add(1, Ordering::Relaxed);
     }
 
@@ -165,25 +176,6 @@ fn needs(head: &Head<'_>) -> Option<Access> {
     )
 }
 
-/// The refusal of an access token that may only read.
-pub(in crate::daemon) const READS_ONLY: Refusal =
-    Refusal(Code::Forbidden, "the token may only read: use one with the role `operate`");
-/// The refusal of an invalid access token.
-pub(in crate::daemon) const NOT_VALID: Refusal = Refusal(
-    Code::Unauthorized,
-    "the access token is not valid: it was revoked, or is another daemon's; `meissner token create` on the daemon's machine makes one",
-);
-
-/// Why a request is refused. It uses no heap, because the acceptor makes and drops it.
-#[derive(Clone, Copy, Debug)]
-pub(in crate::daemon) struct Refusal(pub(super) Code, pub(super) &'static str);
-
-impl From<Refusal> for Problem {
-    fn from(Refusal(code, detail): Refusal) -> Self {
-        Self::new(code, detail)
-    }
-}
-
 /// Refuses requests that a page of another site has sent.
 fn check_site(head: &Head<'_>) -> Result<(), Refusal> {
     let same_origin = head.origin.is_none_or(|origin| is_same_origin(origin, head.host));
@@ -225,6 +217,7 @@ fn is_same_origin(origin: &str, host: Option<&str>) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use meissner_api::Problem;
 
     const LOCAL: NetworkPeer =
         NetworkPeer { address: IpAddr::V4(std::net::Ipv4Addr::LOCALHOST), token: None };

@@ -7,7 +7,7 @@
 //! Invariant: a value that has none of these forms is refused, and never ignored. Nothing here uses the heap, because the
 //! acceptor's real-time thread reads heads.
 
-use super::gate::Refusal;
+use crate::daemon::network::refusal::Refusal;
 use meissner_api::{CLIENT_HEADER, Code, SESSION_HEADER, TOKEN_PREFIX};
 
 /// Hexadecimal digits of a session's token.
@@ -36,11 +36,11 @@ pub(in crate::daemon) struct Head<'a> {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(in crate::daemon) struct Shown<'a> {
     /// An access token.
-    pub(super) access: Option<&'a str>,
+    pub(in crate::daemon) access: Option<&'a str>,
     /// The token of a session.
-    pub(super) session: Option<&'a str>,
+    pub(in crate::daemon) session: Option<&'a str>,
     /// The name that the client has given itself.
-    pub(super) client: Option<&'a str>,
+    pub(in crate::daemon) client: Option<&'a str>,
 }
 
 impl<'a> Head<'a> {
@@ -81,7 +81,7 @@ impl<'a> Head<'a> {
     }
 
     /// The tokens and the name that it shows.
-    pub(super) fn shown(&self) -> Result<Shown<'a>, Refusal> {
+    pub(in crate::daemon) fn shown(&self) -> Result<Shown<'a>, Refusal> {
         if self.malformed {
             let detail =
                 "a header occurs twice, is not plain text, or the address names another host: send it once";

@@ -1,21 +1,20 @@
 //! Network clients: where the daemon listens for them, and which of their requests it admits.
 //!
 //! [`listen`] binds the address of the configuration key `listen`; without it nothing listens. [`Gate::check`] decides about each
-//! request by its [`Head`]: the acceptor calls it before it orders an emergency stop, and [`layer`] calls it before every route.
+//! request by its [`Head`]: the acceptor calls it before it orders an emergency stop, and `http::admission` calls it before every route.
 //! [`TokenStore`] holds the access tokens. Several daemons may share one token file; `refresh` reads the changes of the others.
 //!
 //! Invariant: a request reaches a handler only after the gate let it through.
 
 mod gate;
 mod head;
-mod layer;
 mod refresh;
-pub(super) mod routes;
+mod refusal;
 mod tokens;
 
-pub(super) use gate::{Gate, NOT_VALID, READS_ONLY};
+pub(super) use gate::{Checked, Gate};
 pub(super) use head::Head;
-pub(super) use layer::layer;
+pub(super) use refusal::{NOT_VALID, READS_ONLY, Refusal};
 pub(super) use tokens::TokenStore;
 
 use crate::config::Listen;

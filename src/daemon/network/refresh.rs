@@ -6,11 +6,10 @@
 //!
 //! Invariant: only this thread waits for the disk. If the disk hangs, the last known tokens stay valid.
 
-use super::gate::Gate;
-use super::tokens::TokenStore;
+use crate::daemon::network::tokens::TokenStore;
 use crossbeam_channel::{Receiver, RecvTimeoutError, Sender, bounded};
 use std::io;
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
 use std::thread;
 use std::time::Duration;
 use tokio::sync::oneshot;
@@ -22,27 +21,31 @@ const PATIENCE: Duration = Duration::from_secs(1);
 /// The most requests that wait; further ones use the last known tokens.
 const WAITING: usize = 256;
 
-/// The channel to the thread, which ends when this is dropped.
-#[derive(Debug)]
-pub(super) struct Refresher(Sender<oneshot::Sender<()>>);
+/// The channel to the thread, once it runs; the thread ends when this is dropped.
+#[derive(Debug, Default)]
+pub(super) struct Refresher(OnceLock<Sender<oneshot::Sender<()>>>);
 
-impl Gate {
-    /// Starts the thread, if clients can come over the network. It calls `changed` after it has read other tokens than before.
-    pub(in crate::daemon) fn watch_tokens(&self, changed: impl Fn() + Send + 'static) -> io::Result<()> {
-        if !self.listens() || !self.tokens.has_file() {
+impl Refresher {
+    /// Starts the thread, if these tokens have a file. It calls `changed` after it has read other tokens than before.
+    pub(super) fn watch(
+        &self,
+        tokens: &Arc<TokenStore>,
+        changed: impl Fn() + Send + 'static,
+    ) -> io::Result<()> {
+        if !tokens.has_file() {
             return Ok(());
         }
         let (sender, requests) = bounded(WAITING);
-        let tokens = Arc::clone(&self.tokens);
+        let tokens = Arc::clone(tokens);
         thread::Builder::new().name("tokens".into()).spawn(move || work(&tokens, &requests, changed))?;
         // It is started once.
-        let _ = self.refresher.set(Refresher(sender));
+        let _ = self.0.set(sender);
         Ok(())
     }
 
     /// Waits until the tokens are those of the file as it is now.
-    pub(super) async fn refresh_tokens(&self) {
-        let Some(Refresher(sender)) = self.refresher.get() else { return };
+    pub(super) async fn refresh(&self) {
+        let Some(sender) = self.0.get() else { return };
         let (done, is_done) = oneshot::channel();
         if sender.try_send(done).is_ok() {
             // An error means that the thread has ended, with the daemon.

@@ -9,9 +9,8 @@
 //! Invariants: a file that cannot be read admits no token, and is not overwritten; a token that was revoked here is never valid
 //! again, even if the file still has it.
 
-use crate::daemon::calibration::utc_now;
 use crate::file::{self, read_regular};
-use crate::session_record::TokenId;
+use crate::session_record::{TokenId, utc_now};
 use crate::store::hexadecimal;
 use arc_swap::ArcSwap;
 use meissner_api::{Code, MAX_TOKENS, Problem, Role, TOKEN_PREFIX, TokenCreated, TokenInfo};

@@ -6,7 +6,6 @@
 //!
 //! Invariant: the page loads nothing from other sites, and its policy forbids that.
 
-use super::http::App;
 use axum::Router;
 use axum::http::HeaderName;
 use axum::http::header::{CACHE_CONTROL, CONTENT_SECURITY_POLICY, CONTENT_TYPE, REFERRER_POLICY};
@@ -45,7 +44,7 @@ pub(super) fn is_file(method: &str, path: &str) -> bool {
 }
 
 /// The routes of the page.
-pub(super) fn routes() -> Router<App> {
+pub(super) fn routes<S: Clone + Send + Sync + 'static>() -> Router<S> {
     FILES.into_iter().fold(Router::new(), |router, (path, kind, text)| {
         let head: [(HeaderName, &str); 4] = [
             (CONTENT_TYPE, kind),

@@ -6,7 +6,7 @@
 //!
 //! Invariant: while motors are armed there is a holder, except between the device's answer and the next event.
 
-use super::{Asker, Caller, Reply, State};
+use crate::daemon::state::{Asker, Caller, Reply, State};
 use meissner_api::{ArmedStatus, Event, Problem};
 use meissner_stream::queues::{Command, StreamEvent};
 use meissner_stream::time::HostInstant;

@@ -2,7 +2,7 @@
 //!
 //! Invariant: gains are those of the connected device, or none.
 
-use crate::daemon::calibration::{CalibrationRun, StoredCalibration};
+use crate::daemon::state::stored_calibration::{CalibrationRun, StoredCalibration};
 use meissner_stream::queues::MeasuredBurst;
 use std::path::PathBuf;
 

@@ -1,39 +1,31 @@
 //! The participant's exposure: reserves the time of plays, follows them, stops those that reach a limit, and keeps the sums on the
 //! disk.
 //!
-//! Before a play reaches the streamer, its time is in the sums on the disk ([`Engine::hold`]), so a kill at any moment never leaves
-//! a smaller sum. Ten times a second the daemon learns how long the running play has played. It stops a play without end before
+//! Ten times a second the daemon learns how long the running play has played. It stops a play without end before
 //! that can exceed a limit. It refuses a play with an end that does not fit.
 //!
-//! A disk that fails, or does not answer for [`DISK`], does not stop plays: the sums in memory apply, and the status reports the
-//! problem.
+//! A disk that fails, or does not answer, does not stop plays: the sums in memory apply, and the status reports the problem.
 //!
 //! Invariant: the daemon orders the stop again at each report beyond the limit, until the play ends.
 
-use super::{Asker, State};
-use crate::daemon::engine::Engine;
+use crate::daemon::state::State;
 use crate::exposure::{Account, Limit, Now, Onset, ParticipantLimits, Vibration};
 use firmware_protocol::tick::TICK_HZ;
 use jiff::civil::Date;
-use meissner_api::{Code, PlayRequest, Problem};
-use meissner_array::pattern::Pattern;
+use meissner_api::{Code, Problem};
 use meissner_array::units::ticks_to_seconds;
 use meissner_stream::queues::{At, Command, End, StreamEvent};
 use meissner_stream::time::HostInstant;
 use std::collections::HashSet;
 use std::ops::{Deref, DerefMut};
 use std::time::Duration;
-use tokio::sync::MutexGuard;
 use tokio::sync::oneshot::Receiver;
 use tokio::sync::oneshot::error::TryRecvError;
-use tracing::warn;
 
 /// The cause of a play's end that a limit ordered.
 pub(in crate::daemon) const CAUSE: &str = "participant-limit";
 /// How often the sums are saved during a play: half of the time that the file reserves for a play without end.
 const SAVE_EVERY: Duration = Duration::from_secs(5);
-/// How long a play waits for the disk: less than the shortest time from an order to its requested onset.
-const DISK: Duration = Duration::from_millis(300);
 
 /// See the module.
 #[derive(Debug, Default)]
@@ -76,12 +68,20 @@ impl Exposure {
     }
 
     /// Whether the disk has not answered yet since a play waited for it in vain.
-    fn is_disk_silent(&mut self) -> bool {
+    pub(in crate::daemon) fn is_disk_silent(&mut self) -> bool {
         let silent = self.silent.as_mut().is_some_and(|silent| silent.try_recv() == Err(TryRecvError::Empty));
         if !silent {
             self.silent = None;
         }
         silent
+    }
+
+    /// Notes whether the disk has taken the sums for which a play has waited; if it has not answered, `late` receives its answer.
+    pub(in crate::daemon) fn disk_answered(&mut self, answer: Option<bool>, late: Receiver<bool>) {
+        self.unsaved = answer == Some(false);
+        if answer.is_none() {
+            self.silent = Some(late);
+        }
     }
 }
 
@@ -103,91 +103,7 @@ fn exceeded(detail: String) -> Problem {
     Problem::new(Code::ParticipantLimit, detail)
 }
 
-/// The reserved time of a play that the streamer does not have yet. If this is dropped before [`Self::begin`], the time is given
-/// back; do not drop it under the engine's lock. Only one order is handled at a time, so that each is judged after those before it.
-#[derive(Debug)]
-pub(in crate::daemon) struct Held<'e> {
-    engine: &'e Engine,
-    number: u64,
-    breaks: u64,
-    _turn: MutexGuard<'e, ()>,
-}
-
-impl Held<'_> {
-    /// Refuses a play if a stop came after its request, while the request was read, compiled or waited.
-    pub(in crate::daemon) fn check(&self, state: &State) -> Result<(), Problem> {
-        if state.commands.breaks() == self.breaks {
-            return Ok(());
-        }
-        Err(Problem::new(
-            Code::Busy,
-            "the display was stopped after the play was asked for: send the play again",
-        ))
-    }
-
-    /// Notes that the streamer has the play, under this id.
-    pub(in crate::daemon) fn begin(&self, state: &mut State, id: u64) {
-        state.exposure.account.begin(self.number, id, Now::read());
-    }
-}
-
-impl Drop for Held<'_> {
-    fn drop(&mut self) {
-        self.engine.lock().forget_exposure(self.number);
-    }
-}
-
-impl Engine {
-    /// Reserves the time of a play that `check` accepts, and waits until it is in the sums on the disk.
-    pub(in crate::daemon) async fn hold(
-        &self,
-        check: impl FnOnce(&mut State) -> Result<u64, Problem>,
-    ) -> Result<Held<'_>, Problem> {
-        let breaks = Asker::find().map_or_else(|| self.lock().commands.breaks(), |asker| asker.breaks);
-        let turn = self.orders.lock().await;
-        let (held, saved) = {
-            let mut state = self.lock();
-            let number = check(&mut state)?;
-            let saved = state.save_exposure(Now::read());
-            let waits = !state.exposure.is_disk_silent();
-            (Held { engine: self, number, breaks, _turn: turn }, saved.filter(|_| waits))
-        };
-        if let Some(mut saved) = saved {
-            let answer = tokio::time::timeout(DISK, &mut saved).await;
-            let mut state = self.lock();
-            state.exposure.unsaved = answer.as_ref().is_ok_and(|saved| *saved != Ok(true));
-            if answer.is_err() {
-                warn!(
-                    "the disk of the session record has not taken the vibration's sums for {DISK:?}; playing goes on"
-                );
-                state.exposure.silent = Some(saved);
-            }
-        }
-        Ok(held)
-    }
-}
-
 impl State {
-    /// Refuses a play that a participant's limit does not allow now or at all; otherwise reserves its time.
-    pub(in crate::daemon) fn hold_play(
-        &mut self,
-        request: &PlayRequest,
-        pattern: &Pattern,
-        vibration: &Vibration,
-        at: At,
-    ) -> Result<u64, Problem> {
-        let scale = request.scale.unwrap_or(1.0);
-        let amplitudes = pattern.drives().iter().map(|drive| drive.amplitude_um * scale);
-        self.check_amplitude(&request.pattern, amplitudes.fold(0.0, f64::max))?;
-        if vibration.is_endless() && !request.endless {
-            return Err(exceeded(format!(
-                "`{}` has no end: add `seconds` (--seconds S), or allow a play without end with `endless` (--endless)",
-                request.pattern
-            )));
-        }
-        self.hold_vibration(vibration, request.replace, at)
-    }
-
     /// Refuses an amplitude that is too large for a participant.
     pub(in crate::daemon) fn check_amplitude(&self, pattern: &str, largest_um: f64) -> Result<(), Problem> {
         let most_um = self.exposure.account.limits().max_amplitude_um;
@@ -195,6 +111,16 @@ impl State {
             return Err(exceeded(format!(
                 "`participant.max_amplitude_um` is {most_um} um, and `{pattern}` asks for {largest_um} um: play a weaker pattern, or \
                  raise the limit in the daemon's configuration"
+            )));
+        }
+        Ok(())
+    }
+
+    /// Refuses a pattern that plays without end although its client has not said that it may.
+    pub(in crate::daemon) fn check_end(&self, pattern: &str, unexpected: bool) -> Result<(), Problem> {
+        if unexpected {
+            return Err(exceeded(format!(
+                "`{pattern}` has no end: add `seconds` (--seconds S), or allow a play without end with `endless` (--endless)"
             )));
         }
         Ok(())
@@ -269,7 +195,7 @@ impl State {
     }
 
     /// Gives back the time of a play that was not accepted.
-    pub(super) fn forget_exposure(&mut self, id: u64) {
+    pub(in crate::daemon) fn forget_exposure(&mut self, id: u64) {
         self.exposure.stopped.remove(&id);
         if self.exposure.account.forget(id) {
             let _ = self.save_exposure(Now::read());

@@ -3,11 +3,11 @@
 //! Bounds: one entry for each accepted play that is not over. Invariant: a play accepts one connection, by a key that cannot be
 //! guessed.
 
-use super::State;
-use super::session::random_hex;
-use crate::daemon::play::too_many;
-use crate::daemon::poses::Poses;
-use crate::daemon::renderer::{Job, pose};
+use crate::daemon::state::State;
+use crate::daemon::state::limits::too_many;
+use crate::daemon::state::poses::Poses;
+use crate::daemon::state::render_job::{Job, pose};
+use crate::daemon::state::session::random_hex;
 use firmware_protocol::limits::{MOTORS_PER_CHIP, MOTORS_PER_RAIL, RAILS};
 use firmware_protocol::stroke::MOTORS;
 use meissner_api::{Code, LiveAnswer, LiveApplied, LiveContrast, LiveDrive, LiveMessage, Problem};

@@ -3,68 +3,37 @@
 //! Bounds: those of [`Receipts`] and [`MeasuredBursts`]; patterns and clients are kept only while a play is not over or its
 //! response is not predicted.
 
-use crate::daemon::predictor::MeasuredPlay;
-use crate::receipts::{MeasuredBursts, NoPrediction, Order, PlannedItem, PlayedPattern, Receipts, fit_name};
+use crate::receipts::{MeasuredBursts, PlannedItem, PlayedPattern, Receipts};
 use crate::session_record::Peer;
-use crate::store::{Stored, hash};
-use meissner_api::{Event, Fit, Labels, LatePolicy, LiveRecord, LiveRequest, OrderedCounts, Receipt};
+use meissner_api::{Event, Receipt};
 use meissner_array::pattern::Pattern;
 use meissner_array::strokes::StrokeOptions;
+use meissner_stream::queues::MeasuredBurst;
 use std::collections::HashMap;
 use std::sync::Arc;
-
-/// The pattern name of a live play in its receipt.
-const LIVE: &str = "live";
 
 /// A play that is about to be sent to the streamer.
 #[derive(Debug)]
 pub(in crate::daemon) struct NewPlay {
-    pub(in crate::daemon) stored: Stored,
-    /// How it differs from its pattern.
+    /// Its receipt, which gets its id here.
+    pub(in crate::daemon) receipt: Receipt,
+    /// The items of a sequence.
+    pub(in crate::daemon) items: Option<Arc<[PlannedItem]>>,
+    /// The pattern whose response is predicted, and how the play differs from it.
+    pub(in crate::daemon) predicted: Option<(Arc<Pattern>, StrokeOptions)>,
+    pub(in crate::daemon) client: Peer,
+}
+
+/// A play and its measured bursts.
+#[derive(Debug)]
+pub(in crate::daemon) struct MeasuredPlay {
+    pub(in crate::daemon) pattern: Arc<Pattern>,
+    /// How the play differs from it.
     pub(in crate::daemon) options: StrokeOptions,
-    pub(in crate::daemon) order: Order,
-    /// Its ordered bursts and pulses; `None` if it has no end.
-    pub(in crate::daemon) counts: Option<OrderedCounts>,
-    pub(in crate::daemon) mode: PlayMode,
-    pub(in crate::daemon) trial: SessionTrial,
-    pub(in crate::daemon) client: Peer,
-}
-
-/// How a play is played.
-#[derive(Clone, Copy, Debug)]
-pub(in crate::daemon) struct PlayMode {
-    pub(in crate::daemon) late: LatePolicy,
-    pub(in crate::daemon) open_loop: bool,
-}
-
-/// What a play belongs to.
-#[derive(Debug)]
-pub(in crate::daemon) struct SessionTrial {
-    pub(in crate::daemon) session: Option<String>,
-    pub(in crate::daemon) number: Option<u64>,
-    pub(in crate::daemon) labels: Labels,
-}
-
-/// A sequence that is about to be sent to the streamer.
-#[derive(Debug)]
-pub(in crate::daemon) struct NewSequence {
-    pub(in crate::daemon) name: String,
-    pub(in crate::daemon) sha256: String,
-    pub(in crate::daemon) order: Order,
-    pub(in crate::daemon) counts: Option<OrderedCounts>,
-    pub(in crate::daemon) items: Arc<[PlannedItem]>,
-    pub(in crate::daemon) mode: PlayMode,
-    pub(in crate::daemon) trial: SessionTrial,
-    pub(in crate::daemon) client: Peer,
-}
-
-/// A live play that is about to be sent to the streamer.
-#[derive(Debug)]
-pub(in crate::daemon) struct NewLive<'r> {
-    pub(in crate::daemon) request: &'r LiveRequest,
-    pub(in crate::daemon) mode: PlayMode,
-    pub(in crate::daemon) trial: SessionTrial,
-    pub(in crate::daemon) client: Peer,
+    pub(in crate::daemon) receipt: Receipt,
+    /// Whether its device measures bursts at all.
+    pub(in crate::daemon) telemetry: bool,
+    pub(in crate::daemon) bursts: Vec<MeasuredBurst>,
 }
 
 /// The data of a play that its prediction needs.
@@ -89,65 +58,19 @@ pub(in crate::daemon) struct Plays {
 }
 
 impl Plays {
-    /// Gives a play an id and a receipt.
+    /// Gives a play an id, and adds its receipt.
     pub(in crate::daemon) fn add(&mut self, play: NewPlay) -> u64 {
-        let NewPlay { stored: Stored { pattern, sha256, .. }, options, order, counts, mode, trial, client } =
-            play;
-        let telemetry = self.receipts.device().is_some_and(|device| device.telemetry);
+        let NewPlay { receipt, items, predicted, client } = play;
         self.last_id += 1;
         let id = self.last_id;
-        let SessionTrial { session, number, labels } = trial;
-        let receipt = Receipt::new(id, pattern.name(), &sha256, options.seconds);
-        let scale = Some(options.scale);
-        let PlayMode { late: late_policy, open_loop } = mode;
-        let mut receipt =
-            Receipt { session, trial: number, labels, scale, late_policy, open_loop, ..receipt };
-        order.enter(&mut receipt, fit_name(options.fit), counts);
-        self.receipts.add(receipt);
-        self.clients.insert(id, client);
-        self.unpredicted.insert(id, Unpredicted { pattern, options, telemetry });
-        id
-    }
-
-    /// Gives a sequence an id and a receipt.
-    pub(in crate::daemon) fn add_sequence(&mut self, sequence: NewSequence) -> u64 {
-        let NewSequence { name, sha256, order, counts, items, mode, trial, client } = sequence;
-        let SessionTrial { session, number, labels } = trial;
-        self.last_id += 1;
-        let id = self.last_id;
-        let seconds = order.ordered_ms.map(|ms| ms / 1e3);
-        let receipt = Receipt::new(id, &name, &sha256, seconds);
-        let PlayMode { late: late_policy, open_loop } = mode;
-        let mut receipt = Receipt { session, trial: number, labels, late_policy, open_loop, ..receipt };
-        order.enter(&mut receipt, Fit::Whole, counts);
-        receipt.prediction.unknown = Some(NoPrediction::Sequence.to_string());
-        self.receipts.add(receipt);
-        self.receipts.plan(id, items);
-        self.clients.insert(id, client);
-        id
-    }
-
-    /// Gives a live play an id and a receipt.
-    pub(in crate::daemon) fn add_live(&mut self, live: NewLive<'_>) -> u64 {
-        let NewLive { request, mode, trial: SessionTrial { session, number, labels }, client } = live;
-        self.last_id += 1;
-        let id = self.last_id;
-        // Plain data can be written.
-        let sha256 = hash(&serde_json::to_vec(request).unwrap_or_default());
-        let receipt = Receipt::new(id, LIVE, &sha256, None);
-        let PlayMode { late: late_policy, open_loop } = mode;
-        let mut receipt = Receipt {
-            session,
-            trial: number,
-            labels,
-            scale: request.scale,
-            late_policy,
-            open_loop,
-            ..receipt
-        };
-        receipt.prediction.unknown = Some(NoPrediction::Live.to_string());
-        receipt.live = Some(LiveRecord::default());
-        self.receipts.add(receipt);
+        self.receipts.add(Receipt { id, ..receipt });
+        if let Some(items) = items {
+            self.receipts.plan(id, items);
+        }
+        if let Some((pattern, options)) = predicted {
+            let telemetry = self.receipts.device().is_some_and(|device| device.telemetry);
+            self.unpredicted.insert(id, Unpredicted { pattern, options, telemetry });
+        }
         self.clients.insert(id, client);
         id
     }

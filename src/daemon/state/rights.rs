@@ -1,15 +1,15 @@
 //! Rights of clients. They are checked at each use, and when one ends, the plays and searches that it allowed end, too.
 //!
 //! Work that outlives its request holds the request's [`Caller`]: plays and searches here, and event streams, live connections and
-//! waiting requests through [`Right`](crate::daemon::right::Right). A right ends in three cases: its access token is revoked or
+//! waiting requests through [`Right`](crate::daemon::engine::right::Right). A right ends in three cases: its access token is revoked or
 //! gets a lesser role; the owner of an exclusive session comes back after others were allowed to act; or the session that the
 //! caller shows is over. Then [`State::rights_changed`] ends plays and searches, and wakes the others, which check their rights
 //! again.
 //!
 //! Invariant: no caller stores the answer of [`State::check_right`].
 
-use super::{Asker, Caller, State};
 use crate::daemon::network::{NOT_VALID, READS_ONLY, TokenStore};
+use crate::daemon::state::{Asker, Caller, State};
 use meissner_api::access::{Access, SessionRule};
 use meissner_api::{Problem, Role, Route};
 use meissner_stream::queues::Command;

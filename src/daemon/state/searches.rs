@@ -6,7 +6,7 @@
 //! Invariants: at most one search runs, and [`KEPT_SEARCHES`] that have ended are kept; the process of a running search was not
 //! waited for, so no other process can get its id.
 
-use super::{Asker, Caller, State};
+use crate::daemon::state::{Asker, Caller, State};
 use crate::store::Stored;
 use meissner_api::{
     Code, Event, KEPT_SEARCHES, Problem, Search, SearchProgress, SearchRequest, SearchResult, SearchState,

@@ -6,7 +6,7 @@
 //!
 //! Invariant: at most one session runs; it begins and ends while no play runs or waits, unless the daemon ends.
 
-use super::State;
+use crate::daemon::state::State;
 use crate::session_record::local_time;
 use crate::store::hexadecimal;
 use jiff::Timestamp;

@@ -1,14 +1,26 @@
 //! Models of what threads of the program hand over beside the streamer's queues.
 
+use crate::daemon::state::render_job::Job;
 use crate::estop::{EStops, Origin};
 use crate::explore::Model;
 use crate::gate::Gate;
 use crate::poses::Poses;
-use crate::renderer::Job;
 use crate::session_record::Peer;
 use loom::thread::{spawn, yield_now};
 use meissner_stream::queues::{Command, queues};
 use std::sync::{Arc, Mutex};
+
+/// What `poses` needs of the program's state.
+pub(crate) mod state {
+    pub(crate) mod render_job {
+        /// A pose that waits, without the pose.
+        #[derive(Debug)]
+        pub(crate) struct Job {
+            pub(crate) seq: u64,
+            pub(crate) scale: Option<(u64, f64)>,
+        }
+    }
+}
 
 /// See the module.
 pub(crate) const MODELS: &[Model] = &[

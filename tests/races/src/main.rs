@@ -25,7 +25,7 @@ pub(crate) use meissner_stream::sync;
 
 // The files themselves, of the library and of the program; the models use a part of each.
 #[cfg(loom)]
-#[path = "../../../src/daemon/estop.rs"]
+#[path = "../../../src/daemon/engine/estop.rs"]
 mod estop;
 #[cfg(loom)]
 #[expect(dead_code, reason = "the models use a part")]
@@ -38,19 +38,10 @@ mod hand_over;
 #[path = "../../../crates/stream/src/device/usb/newest.rs"]
 mod newest;
 #[cfg(loom)]
-#[path = "../../../src/daemon/poses.rs"]
+#[path = "../../../src/daemon/state/poses.rs"]
 mod poses;
 
 // What these files need of the rest of the program.
-#[cfg(loom)]
-mod renderer {
-    /// A pose that waits, without the pose.
-    #[derive(Debug)]
-    pub(crate) struct Job {
-        pub(crate) seq: u64,
-        pub(crate) scale: Option<(u64, f64)>,
-    }
-}
 #[cfg(loom)]
 mod session_record {
     /// A client.

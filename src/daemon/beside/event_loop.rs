@@ -1,0 +1,138 @@
+//! The event loop: processes the streamer's events, and starts predictions of ended plays.
+//!
+//! Under the engine's lock, streamer events become answers, receipts and published events, in their order; then the loop logs them.
+//!
+//! Invariant: no event waits for the log, a listener or the disk.
+
+use crate::daemon::beside::predictor::Predictor;
+use crate::daemon::beside::service::StatusReporter;
+use crate::daemon::engine::Engine;
+use crate::receipts::counts_until;
+use meissner_api::Event;
+use meissner_design::MOST_OBSERVED_S;
+use meissner_stream::queues::{EventQueue, StreamEvent};
+use std::io;
+use std::os::fd::{AsFd, OwnedFd};
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+use tokio::io::Interest;
+use tokio::io::unix::AsyncFd;
+
+/// How long after a play's end the loop wakes the streamer: by then the device has measured the last bursts.
+const MEASURED_AFTER: Duration = Duration::from_millis(300);
+/// How long after that the streamer has read the measurements.
+const READ_AFTER: Duration = Duration::from_millis(50);
+
+/// A play that waits for its prediction.
+struct Due {
+    at: Instant,
+    play: u64,
+    /// Whether the streamer was woken for its last measurements.
+    woken: bool,
+}
+
+impl Due {
+    fn after(delay: Duration, play: u64) -> Self {
+        Self { at: Instant::now() + delay, play, woken: false }
+    }
+}
+
+impl Engine {
+    /// Runs until the streamer ends.
+    pub(in crate::daemon) async fn event_loop(
+        self: Arc<Self>,
+        mut events: EventQueue,
+        predictor: Predictor,
+        mut status: StatusReporter,
+    ) -> io::Result<()> {
+        let readable = readable(&events)?;
+        let mut due: Vec<Due> = Vec::new();
+        loop {
+            let next = due.iter().map(|due| due.at).min();
+            let wait = async {
+                match next {
+                    Some(at) => tokio::time::sleep_until(at.into()).await,
+                    None => std::future::pending().await,
+                }
+            };
+            tokio::select! {
+                ready = readable.readable() => ready?.clear_ready(),
+                () = self.changed.notified() => {}
+                () = wait => {}
+            }
+            {
+                let mut state = self.lock();
+                while let Some(burst) = events.pop_measured() {
+                    state.plays.measured.add(burst);
+                    state.calibration.add(burst);
+                }
+            }
+            while let Some(streamed) = events.pop() {
+                if matches!(streamed, StreamEvent::ThreadEnded) {
+                    return Ok(());
+                }
+                self.count_endless(&streamed);
+                let (event, is_new) = self.lock().apply(streamed);
+                match &event {
+                    // Until the clock is known, the status does not show the device as connected.
+                    Some(Event::State { tick, .. }) if *tick > 0 => self.set_first_device_known(),
+                    // Measured bursts are kept for little more than a minute, so the prediction of a long play begins before its
+                    // end.
+                    Some(Event::Began { id, .. }) => {
+                        due.push(Due::after(Duration::from_secs_f64(MOST_OBSERVED_S) + MEASURED_AFTER, *id));
+                    }
+                    Some(Event::Ended { receipt }) => {
+                        due.retain(|due| due.play != receipt.id);
+                        due.push(Due::after(MEASURED_AFTER, receipt.id));
+                        self.play_ended.notify_waiters();
+                    }
+                    _ => {}
+                }
+                // Log after publishing and outside the lock, because the log may be slow.
+                if let Some(event) = event.filter(|_| is_new) {
+                    self.log(&event);
+                }
+            }
+            status.update(&self);
+            let now = Instant::now();
+            for due in due.iter_mut().filter(|due| due.at <= now) {
+                if due.woken {
+                    self.predict(&predictor, due.play);
+                } else {
+                    (due.at, due.woken) = (now + READ_AFTER, true);
+                    self.lock().commands.wake_streamer();
+                }
+            }
+            due.retain(|due| due.at > now);
+        }
+    }
+
+    /// Counts the ordered strokes of an endless play up to its end, outside the lock.
+    fn count_endless(&self, streamed: &StreamEvent) {
+        let StreamEvent::PlayEnded { id, outcome } = streamed else { return };
+        let Some((pattern, options)) = self.lock().plays.endless(*id) else { return };
+        let counts = counts_until(&pattern, &options, outcome.cut_after.unwrap_or(0));
+        self.lock().plays.receipts.set_ordered(*id, counts);
+    }
+
+    /// Starts the prediction of a play, once; or the fit, if the play was a calibration.
+    fn predict(self: &Arc<Self>, predictor: &Predictor, id: u64) {
+        self.finish_calibration(predictor, id);
+        let Some(play) = self.lock().plays.take_measured(id) else { return };
+        let (closing, report) = (Arc::clone(self), Arc::clone(self));
+        predictor.predict(
+            play,
+            move || closing.lock().commands.is_closing(),
+            move |prediction| report.lock().set_prediction(id, prediction),
+        );
+    }
+}
+
+/// The queue's descriptor, which tokio watches.
+#[expect(
+    deprecated,
+    reason = "the other constructor is unsafe; an owned descriptor stays open while it is watched"
+)]
+fn readable(events: &EventQueue) -> io::Result<AsyncFd<OwnedFd>> {
+    AsyncFd::with_interest(events.as_fd().try_clone_to_owned()?, Interest::READABLE)
+}

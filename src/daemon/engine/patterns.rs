@@ -1,0 +1,78 @@
+//! The patterns' store in use, and the pattern that a request names.
+//!
+//! Bounds: plays hold two patterns of the directory, other requests two; further requests wait.
+
+use crate::daemon::engine::Engine;
+use crate::daemon::system::runtime::Lane;
+use crate::session_record;
+use crate::store::{Store, StoreError, Stored};
+use meissner_api::{Code, FOUND_PREFIX, Problem};
+use std::io;
+use std::sync::{Arc, Mutex, PoisonError};
+use tokio::sync::SemaphorePermit;
+
+/// The pattern store in use; a reload may replace it.
+#[derive(Clone, Debug)]
+pub(in crate::daemon) struct SharedStore(Arc<Mutex<Arc<Store>>>);
+
+impl SharedStore {
+    pub(in crate::daemon) fn new(store: Store) -> Self {
+        Self(Arc::new(Mutex::new(Arc::new(store))))
+    }
+
+    pub(in crate::daemon) fn get(&self) -> Arc<Store> {
+        Arc::clone(&self.0.lock().unwrap_or_else(PoisonError::into_inner))
+    }
+
+    pub(in crate::daemon) fn replace(&self, store: Store) {
+        *self.0.lock().unwrap_or_else(PoisonError::into_inner) = Arc::new(store);
+    }
+}
+
+impl From<StoreError> for Problem {
+    fn from(error: StoreError) -> Self {
+        let code = match &error {
+            StoreError::Unknown { .. } | StoreError::OtherText { .. } => Code::NotFound,
+            StoreError::Pattern(_)
+            | StoreError::Name { .. }
+            | StoreError::NewName { .. }
+            | StoreError::NotText { .. } => Code::BadPattern,
+            StoreError::Empty { .. } => Code::Empty,
+            StoreError::InLibrary { .. } | StoreError::Exists { .. } => Code::Exists,
+            StoreError::NoDirectory | StoreError::Io { .. } => Code::Store,
+        };
+        Self::new(code, error.to_string())
+    }
+}
+
+/// A pattern, and its place among the lane's patterns. Patterns of the library and of searches need no place, because they are in
+/// memory anyway. With `sha256` it is the pattern of that text: the stored one, or the one that the session record keeps.
+pub(in crate::daemon) async fn find(
+    store: Arc<Store>,
+    engine: &Engine,
+    lane: &'static Lane,
+    name: &str,
+    sha256: Option<&str>,
+) -> Result<(Stored, Option<SemaphorePermit<'static>>), Problem> {
+    let is_it = |stored: &&Stored| sha256.is_none_or(|sha256| sha256 == stored.sha256);
+    if let Some(stored) = store.library(name).filter(is_it) {
+        return Ok((stored.clone(), None));
+    }
+    if let Some(id) = name.strip_prefix(FOUND_PREFIX) {
+        let stored = engine.lock().searches.found(id)?;
+        let other =
+            || StoreError::OtherText { name: name.to_owned(), sha256: sha256.unwrap_or_default().to_owned() };
+        return Ok((Some(stored).filter(|stored| is_it(&stored)).ok_or_else(other)?, None));
+    }
+    let place = lane.patterns.acquire().await.ok();
+    let (name, sha256) = (name.to_owned(), sha256.map(str::to_owned));
+    let record = engine.session_record().dir();
+    let read = move || match sha256 {
+        None => store.get(&name),
+        Some(sha256) => store.get_text(&name, &sha256, || {
+            let dir = record.ok_or(io::ErrorKind::NotFound)?;
+            session_record::read_text(&dir, &sha256)
+        }),
+    };
+    Ok((lane.blocking(read).await??, place))
+}

@@ -1,0 +1,105 @@
+//! The status, as JSON for clients and as a line for the service manager.
+//!
+//! Invariant: a status is read under one lock, so its parts are consistent.
+
+use crate::daemon::engine::Engine;
+use crate::exposure::Now;
+use crate::receipts::{DeviceState, board_status};
+use firmware_protocol::tick::TICK_HZ;
+use meissner_api::{ClockSample, MotorStatus, QueuedPlay, Status};
+use meissner_stream::time::HostInstant;
+use std::fmt::Write as _;
+
+impl Engine {
+    /// `GET /v1/status`.
+    pub(in crate::daemon) fn status(&self) -> Status {
+        let daemon = self.lock();
+        let receipts = &daemon.plays.receipts;
+        let DeviceState { state, cause, position } = receipts.device_state();
+        let (now, wall_ns) = HostInstant::now_with_wall();
+        let clock = receipts.clock(now);
+        let snapshot = receipts.snapshot();
+        let used = daemon.calibration.in_use().map(|stored| &stored.calibration);
+        let is_calibrated = |motor: u8| used.is_some_and(|calibration| calibration.motor(motor).is_some());
+        let motor = |((&rest_error_um, &source), motor)| MotorStatus {
+            rest_error_um,
+            source,
+            calibrated: is_calibrated(motor),
+        };
+        Status {
+            state: state.to_owned(),
+            cause: cause.to_owned(),
+            armed: daemon.armed.status(),
+            estops: self.estops.switch.newest(),
+            position: position.to_owned(),
+            device: receipts.device(),
+            device_identity: daemon.calibration.identity.clone(),
+            requested_device: self.wanted.clone(),
+            no_device_reason: daemon.connection.missing.clone(),
+            play: receipts.running(),
+            queued: receipts
+                .queued()
+                .map(|receipt| QueuedPlay { id: receipt.id, pattern: receipt.pattern.clone() })
+                .collect(),
+            tick: clock.map(|(tick, _)| tick.0),
+            clock_uncertainty_us: clock.map(|(_, uncertainty_us)| uncertainty_us),
+            clock: clock.map(|(tick, uncertainty_us)| ClockSample {
+                tick: tick.0,
+                tick_hz: TICK_HZ,
+                monotonic_ns: now.as_ns(),
+                wall_ns,
+                uncertainty_us,
+            }),
+            lead_ms: snapshot.map_or(daemon.settings.lead_ms, |snapshot| snapshot.lead_ms),
+            lease_ms: daemon.settings.lease_ms,
+            line_bytes_per_s: snapshot.filter(|at| at.connected).and_then(|at| at.line_bytes_per_s),
+            drift_limit_um: daemon.settings.drift_limit_um,
+            board: snapshot
+                .filter(|at| at.connected)
+                .and_then(|at| at.board)
+                .map(|board| board_status(&board)),
+            contradictions: snapshot.map_or(0, |at| at.contradictions.total()),
+            motors: snapshot
+                .map(|at| at.rest_error_um.iter().zip(&at.source).zip(0..).map(motor).collect())
+                .unwrap_or_default(),
+            calibrated: used.map(|calibration| {
+                calibration.provenance().date.clone().unwrap_or_else(|| "without a date".to_owned())
+            }),
+            session: daemon.session(),
+            participant: Some(daemon.exposure.status(Now::read())),
+            realtime: Some(self.realtime),
+            logbook_problem: daemon.publisher.session_record.problem().or_else(|| daemon.exposure.problem()),
+            logbook_lost: daemon.publisher.session_record.lost(),
+            socket: self.socket.display().to_string(),
+            network: self.gate.status(),
+            version: env!("CARGO_PKG_VERSION").to_owned(),
+            pid: std::process::id(),
+        }
+    }
+
+    /// The status in one line.
+    pub(in crate::daemon) fn status_line(&self) -> String {
+        let daemon = self.lock();
+        let receipts = &daemon.plays.receipts;
+        let DeviceState { state, cause, .. } = receipts.device_state();
+        let mut line = match (receipts.device(), &daemon.connection.missing) {
+            (Some(device), _) if device.simulated => format!("{state} ({cause}); {}, simulated", device.kind),
+            (Some(device), _) => format!("{state} ({cause}); {}", device.kind),
+            (None, Some(missing)) => format!("no device: {missing}"),
+            (None, None) => format!("no device yet: looking for `{}`", self.wanted),
+        };
+        // Writing to a string does not fail.
+        if let Some(play) = receipts.running() {
+            let _ = write!(line, "; plays {} (play {})", play.pattern, play.id);
+        }
+        match receipts.queued().count() {
+            0 => {}
+            queued => drop(write!(line, "; {queued} queued")),
+        }
+        let problem = daemon.publisher.session_record.problem();
+        if let Some(problem) = problem.or_else(|| daemon.exposure.problem()) {
+            let _ = write!(line, "; {problem}");
+        }
+        line
+    }
+}

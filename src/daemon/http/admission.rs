@@ -1,0 +1,98 @@
+//! The gate in front of every route.
+
+use crate::daemon::http::answer::ErrorResponse;
+use crate::daemon::http::body::read_command;
+use crate::daemon::network::{Checked, Gate, Head, Refusal};
+use crate::daemon::sockets::activity::Activity;
+use crate::daemon::state::Caller;
+use crate::session_record::{NetworkPeer, Peer};
+use axum::extract::{Request, State};
+use axum::http::header::{WWW_AUTHENTICATE, X_CONTENT_TYPE_OPTIONS};
+use axum::http::{HeaderName, HeaderValue, StatusCode};
+use axum::middleware::Next;
+use axum::response::{IntoResponse, Response};
+use meissner_api::{Code, Problem, Route};
+use std::sync::Arc;
+use std::sync::atomic::Ordering;
+use std::time::Duration;
+
+const CROSS_ORIGIN_RESOURCE_POLICY: HeaderName = HeaderName::from_static("cross-origin-resource-policy");
+/// How long to wait for the body of a request that is refused.
+const BODY: Duration = Duration::from_millis(100);
+
+/// Refuses a request that the gate does not admit. For all others it passes the sender to the handler: a [`Caller`] and its
+/// [`Peer`].
+pub(super) async fn layer(State(gate): State<Arc<Gate>>, mut request: Request, next: Next) -> Response {
+    let Some(&peer) = request.extensions().get::<Peer>() else {
+        // Every connection has a peer. A request without one must not count as a client of the socket.
+        let unknown = Problem::new(Code::Forbidden, "the daemon does not know where this request comes from");
+        return ErrorResponse(unknown).into_response();
+    };
+    // A request that makes the display safe waits for the disk only if it would otherwise be refused, because another daemon may
+    // have created its token.
+    let route = Route::find(request.method().as_str(), request.uri().path());
+    let makes_safe = matches!(route, Some(Route::EStop | Route::Stop | Route::Disarm));
+    if !makes_safe && shows_access(&request) {
+        gate.refresh_tokens().await;
+    }
+    let mut checked = check(&gate, peer, &request);
+    if makes_safe && checked.is_err() && shows_access(&request) {
+        gate.refresh_tokens().await;
+        checked = check(&gate, peer, &request);
+    }
+    let refusal = match checked {
+        Ok(caller) => {
+            // A file of the page needs no token.
+            if let Some(activity) = request.extensions().get::<Arc<Activity>>()
+                && request.uri().path().starts_with("/v1/")
+            {
+                activity.is_known.store(true, Ordering::Relaxed);
+            }
+            request.extensions_mut().insert(caller.peer);
+            request.extensions_mut().insert(caller);
+            return with_headers(next.run(request).await);
+        }
+        Err(refusal) => Problem::from(refusal),
+    };
+    // Keep refusals out of the session record, so that a flood of them does not fill it.
+    gate.count_denied();
+    // Read the body, so that the client finds the answer and not a closed connection.
+    let _ = tokio::time::timeout(BODY, read_command(request.into_body())).await;
+    let is_unauthorized = refusal.status == StatusCode::UNAUTHORIZED.as_u16();
+    let mut response = with_headers(ErrorResponse(refusal).into_response());
+    if is_unauthorized {
+        response.headers_mut().insert(WWW_AUTHENTICATE, HeaderValue::from_static("Bearer"));
+    }
+    response
+}
+
+fn head(request: &Request) -> Head<'_> {
+    let mut head = Head { method: request.method().as_str(), path: request.uri().path(), ..Head::default() };
+    for (name, value) in request.headers() {
+        head.add(name.as_str(), value.as_bytes());
+    }
+    head
+}
+
+fn shows_access(request: &Request) -> bool {
+    head(request).shown().is_ok_and(|shown| shown.access.is_some())
+}
+
+/// Asks the gate about a request; returns the sender.
+fn check(gate: &Gate, peer: Peer, request: &Request) -> Result<Caller, Refusal> {
+    let mut head = head(request);
+    if let (Some(_), Some(authority)) = (peer.network, request.uri().authority()) {
+        head.compare_authority(authority.as_str());
+    }
+    let Checked { access, shown } = gate.check(peer, &head)?;
+    let network = peer.network.map(|network| NetworkPeer { token: access, ..network });
+    Ok(Caller::new(Peer { network, ..peer }, access, shown.session, shown.client))
+}
+
+/// Keeps pages of other sites from embedding an answer, and browsers from guessing its type.
+fn with_headers(mut response: Response) -> Response {
+    let headers = response.headers_mut();
+    headers.insert(X_CONTENT_TYPE_OPTIONS, HeaderValue::from_static("nosniff"));
+    headers.insert(CROSS_ORIGIN_RESOURCE_POLICY, HeaderValue::from_static("same-origin"));
+    response
+}

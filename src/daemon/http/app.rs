@@ -1,0 +1,54 @@
+//! The state of the handlers, and the places of clients that wait.
+//!
+//! Invariant: a client that waits holds a place, and a network client a further one, so that places stay free for clients of the socket.
+
+use crate::daemon::engine::Engine;
+use crate::daemon::engine::patterns::SharedStore;
+use crate::daemon::http::doctor::Doctor;
+use crate::daemon::sockets::acceptor::{Bounds, Counts};
+use crate::session_record::Peer;
+use meissner_api::{Code, Problem};
+use std::sync::Arc;
+use tokio::sync::{OwnedSemaphorePermit, Semaphore, TryAcquireError};
+
+/// See the module.
+#[derive(Clone, Debug)]
+pub(in crate::daemon) struct App {
+    pub(super) engine: Arc<Engine>,
+    pub(super) store: SharedStore,
+    pub(super) doctor: Arc<Doctor>,
+    pub(super) counts: Arc<Counts>,
+    /// A permit for each event stream, and for each request that waits for the end of a play.
+    waiting: Arc<Semaphore>,
+    /// A further permit that a network client needs, so that places stay free for clients of the Unix socket.
+    waiting_network: Arc<Semaphore>,
+}
+
+/// The permits of a client that waits.
+type Waiting = (OwnedSemaphorePermit, Option<OwnedSemaphorePermit>);
+
+impl App {
+    pub(in crate::daemon) fn new(
+        engine: Arc<Engine>,
+        store: SharedStore,
+        bounds: &Bounds,
+        counts: Arc<Counts>,
+    ) -> Self {
+        let places = |most| Arc::new(Semaphore::new(most));
+        let (waiting, waiting_network) = (places(bounds.waiting), places(bounds.waiting_network));
+        Self { engine, store, doctor: Arc::default(), counts, waiting, waiting_network }
+    }
+
+    /// Takes a place for a client that waits.
+    pub(super) fn waiting_place(&self, peer: Peer) -> Result<Waiting, Problem> {
+        let take = |places: &Arc<Semaphore>| Arc::clone(places).try_acquire_owned().map_err(many_waiting);
+        let network = peer.network.map(|_| take(&self.waiting_network)).transpose()?;
+        Ok((take(&self.waiting)?, network))
+    }
+}
+
+fn many_waiting(_: TryAcquireError) -> Problem {
+    let detail =
+        "too many clients wait for plays or listen to events: close one; the other places are for commands";
+    Problem::new(Code::TooManyClients, detail)
+}

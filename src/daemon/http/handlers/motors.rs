@@ -1,0 +1,167 @@
+//! Commands to the motors: arm, disarm, home, stop, emergency stop, reset.
+
+use crate::daemon::engine::TIMEOUT;
+use crate::daemon::engine::estop::Origin;
+use crate::daemon::http::answer::{Answer, ErrorResponse};
+use crate::daemon::http::app::App;
+use crate::daemon::http::body;
+use crate::daemon::http::request_log::LoggedRequest;
+use crate::daemon::http::server::Ordered;
+use crate::daemon::state::{Caller, Silence};
+use crate::session_record::Peer;
+use axum::Json;
+use axum::body::Body;
+use axum::extract::{Extension, State};
+use meissner_api::{ArmRequest, Code, Event, Problem, ResetRequest, Status, parse_empty};
+use meissner_stream::queues::Command;
+use std::time::Duration;
+
+/// How long homing may take: six rounds for 24 pins that start at one end of their travel.
+const HOME_TIMEOUT: Duration = Duration::from_secs(25);
+/// How long to wait for the body of an emergency stop that was carried out.
+const ESTOP_BODY: Duration = Duration::from_millis(100);
+
+/// Carries out a command that takes no arguments.
+async fn simple_command(
+    app: &App,
+    peer: Peer,
+    body: Body,
+    name: &'static str,
+    command: Command,
+    timeout: Duration,
+) -> Answer<Json<Status>> {
+    let logged = LoggedRequest::new(&app.engine, name, peer);
+    let result = async {
+        parse_empty(&body::read_command(body).await?)?;
+        carry_out(app, command, timeout).await
+    };
+    logged.result(result.await)
+}
+
+async fn carry_out(app: &App, command: Command, timeout: Duration) -> Answer<Json<Status>> {
+    app.engine.carry_out(command, timeout).await?;
+    Ok(Json(app.engine.status()))
+}
+
+pub(in crate::daemon::http) async fn stop(
+    State(app): State<App>,
+    Extension(caller): Extension<Caller>,
+    body: Body,
+) -> Answer<Json<Status>> {
+    make_safe(&app, &caller, body, "stop", Command::Stop).await
+}
+
+/// Carries out a command that everybody may use; the owner of an exclusive session learns who used it.
+async fn make_safe(
+    app: &App,
+    caller: &Caller,
+    body: Body,
+    name: &'static str,
+    command: Command,
+) -> Answer<Json<Status>> {
+    let done = simple_command(app, caller.peer, body, name, command, TIMEOUT).await?;
+    let mut state = app.engine.lock();
+    if let Some(session) = state.sessions.foreign(caller.session()) {
+        let by = app.engine.names.client(caller.peer);
+        state.publish(&Event::Intervened { command: name.to_owned(), by, session });
+    }
+    drop(state);
+    Ok(done)
+}
+
+/// Orders the stop before it reads the body, which may hold anything. The acceptor may have ordered it already.
+pub(in crate::daemon::http) async fn estop(
+    State(app): State<App>,
+    Extension(peer): Extension<Peer>,
+    ordered: Option<Extension<Ordered>>,
+    body: Body,
+) -> Answer<Json<Status>> {
+    let logged = LoggedRequest::new(&app.engine, "estop", peer);
+    let result = match ordered {
+        Some(Extension(Ordered(number))) => app.engine.estop_answer(number).await,
+        None => app.engine.estop(Origin::of(peer)).await,
+    };
+    // Read the body only now, so that a client that sends it separately does not find the connection closed.
+    let _ = tokio::time::timeout(ESTOP_BODY, body::read_command(body)).await;
+    logged.result(result.map(|()| Json(app.engine.status())).map_err(ErrorResponse::from))
+}
+
+pub(in crate::daemon::http) async fn reset(
+    State(app): State<App>,
+    Extension(peer): Extension<Peer>,
+    body: Body,
+) -> Answer<Json<Status>> {
+    let mut logged = LoggedRequest::new(&app.engine, "reset", peer);
+    let result = async {
+        let request = ResetRequest::parse(&body::read_command(body).await?)?;
+        let force = request.force;
+        // Read this before the check, so that the streamer refuses the reset if an emergency stop comes between the two.
+        let estops_seen = app.engine.estops.switch.newest();
+        let guard = app.engine.estops.guard();
+        logged.set_arguments(&request);
+        if request.estops_seen.is_some_and(|seen| seen < estops_seen) {
+            let detail = "an emergency stop came after those that this reset knows of: find out why, then reset again";
+            return Err(Problem::new(Code::RecentEStop, detail).into());
+        }
+        if force {
+            logged.set_title("reset, forced,".to_owned());
+        } else if guard.has_another(Origin::of(peer)) {
+            let detail = "since the last reset another terminal or program has ordered an emergency stop: find out why; then a \
+                          person may reset with `meissner reset --force`, or \"force\": true";
+            return Err(Problem::new(Code::RecentEStop, detail).into());
+        }
+        let status = carry_out(&app, Command::Reset { estops_seen }, TIMEOUT).await?;
+        app.engine.estops.reset(guard);
+        Ok(status)
+    }
+    .await;
+    logged.result(result)
+}
+
+pub(in crate::daemon::http) async fn arm(
+    State(app): State<App>,
+    Extension(peer): Extension<Peer>,
+    body: Body,
+) -> Answer<Json<Status>> {
+    let mut logged = LoggedRequest::new(&app.engine, "arm", peer);
+    let result = async {
+        let request = ArmRequest::parse(&body::read_command(body).await?)?;
+        logged.set_arguments(&request);
+        if request.assume_rest {
+            logged.set_title(match &request.checked {
+                Some(name) => format!("arm, assuming rest, pins checked by {name:?},"),
+                None => "arm, assuming rest,".to_owned(),
+            });
+        }
+        let silence = match request.silence_s {
+            _ if request.unattended => Silence::Unattended,
+            Some(seconds) => Silence::For(Duration::from_secs_f64(seconds)),
+            None => Silence::Default,
+        };
+        let command = match (request.assume_rest, &request.checked) {
+            (true, None) => Command::ArmUnchecked,
+            (assume_rest, _) => Command::Arm { assume_rest },
+        };
+        app.engine.arm(command, silence, peer).await?;
+        Ok(Json(app.engine.status()))
+    }
+    .await;
+    logged.result(result)
+}
+
+pub(in crate::daemon::http) async fn disarm(
+    State(app): State<App>,
+    Extension(caller): Extension<Caller>,
+    body: Body,
+) -> Answer<Json<Status>> {
+    make_safe(&app, &caller, body, "disarm", Command::Disarm).await
+}
+
+/// Answers when the pins are at rest.
+pub(in crate::daemon::http) async fn home(
+    State(app): State<App>,
+    Extension(peer): Extension<Peer>,
+    body: Body,
+) -> Answer<Json<Status>> {
+    simple_command(&app, peer, body, "home", Command::Home, HOME_TIMEOUT).await
+}

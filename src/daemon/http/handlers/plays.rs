@@ -1,0 +1,144 @@
+//! Plays: begins a play or a sequence, and shows receipts.
+
+use crate::daemon::engine::Engine;
+use crate::daemon::engine::patterns::find;
+use crate::daemon::http::answer::{Answer, path};
+use crate::daemon::http::app::App;
+use crate::daemon::http::body;
+use crate::daemon::http::request_log::LoggedRequest;
+use crate::daemon::sockets::activity::Activity;
+use crate::daemon::system::runtime::PLAYS;
+use crate::receipts::KEPT;
+use crate::session_record::Peer;
+use axum::Json;
+use axum::body::Body;
+use axum::extract::rejection::PathRejection;
+use axum::extract::{Extension, Path, State};
+use axum::http::{StatusCode, Uri};
+use meissner_api::{
+    Code, MAX_BODY, MAX_WAIT_S, PlayAccepted, PlayRequest, Problem, Receipt, SequenceRequest,
+};
+use serde_json::json;
+use std::pin::pin;
+use std::sync::Arc;
+use std::time::Duration;
+
+pub(in crate::daemon::http) async fn play(
+    State(app): State<App>,
+    Extension(peer): Extension<Peer>,
+    body: Body,
+) -> Answer<(StatusCode, Json<PlayAccepted>)> {
+    let mut logged = LoggedRequest::new(&app.engine, "play", peer);
+    let result = async {
+        let mut request = PlayRequest::parse(&body::read_command(body).await?)?;
+        logged.set_arguments(&request);
+        request.session = app.engine.lock().session_of_play(request.session.as_deref())?;
+        logged.set_arguments(&request);
+        let (stored, _place) =
+            find(app.store.get(), &app.engine, &PLAYS, &request.pattern, request.pattern_sha256.as_deref())
+                .await?;
+        let accepted = app.engine.play(&request, stored, peer).await?;
+        logged.set_play(accepted.id);
+        Ok((StatusCode::ACCEPTED, Json(accepted)))
+    }
+    .await;
+    logged.result(result)
+}
+
+/// The request as the session record keeps it: only the number of its items, because their ends record the rest.
+fn asked_of_sequence(request: &SequenceRequest) -> serde_json::Value {
+    let SequenceRequest { items, name, at_tick, at_ms, at_monotonic_ns, session, trial, labels, .. } =
+        request;
+    json!({
+        "name": name, "items": items.len(), "at_tick": at_tick, "at_ms": at_ms, "at_monotonic_ns": at_monotonic_ns,
+        "session": session, "trial": trial, "labels": labels
+    })
+}
+
+/// Parses on a separate thread, because the body may be as large as a file.
+pub(in crate::daemon::http) async fn sequence(
+    State(app): State<App>,
+    Extension(peer): Extension<Peer>,
+    body: Body,
+) -> Answer<(StatusCode, Json<PlayAccepted>)> {
+    let mut logged = LoggedRequest::new(&app.engine, "sequence", peer);
+    let result = async {
+        let (body, _place) = body::read_file(body, MAX_BODY).await?;
+        let mut request = PLAYS.computing(move || SequenceRequest::parse(&body)).await??;
+        request.session = app.engine.lock().session_of_play(request.session.as_deref())?;
+        logged.set_arguments(&asked_of_sequence(&request));
+        let find = async |name: String, sha256: Option<String>| {
+            find(app.store.get(), &app.engine, &PLAYS, &name, sha256.as_deref()).await
+        };
+        let accepted = app.engine.sequence(&request, peer, find).await?;
+        logged.set_play(accepted.id);
+        Ok((StatusCode::ACCEPTED, Json(accepted)))
+    }
+    .await;
+    logged.result(result)
+}
+
+pub(in crate::daemon::http) async fn receipt(
+    State(app): State<App>,
+    Extension(peer): Extension<Peer>,
+    Extension(activity): Extension<Arc<Activity>>,
+    uri: Uri,
+    id: Result<Path<String>, PathRejection>,
+) -> Answer<Json<Receipt>> {
+    let wait = wait(&uri)?;
+    let receipt = find_receipt(&app.engine, &path(id)?)?;
+    let Some(wait) = wait.filter(|_| !receipt.state.is_over()) else { return Ok(Json(receipt)) };
+    let _place = app.waiting_place(peer)?;
+    let id = receipt.id.to_string();
+    let ended = async {
+        loop {
+            let mut notified = pin!(app.engine.play_ended.notified());
+            // From here on no end of a play is missed.
+            notified.as_mut().enable();
+            let receipt = find_receipt(&app.engine, &id)?;
+            if receipt.state.is_over() {
+                return Ok(Json(receipt));
+            }
+            notified.await;
+        }
+    };
+    tokio::select! {
+        receipt = ended => receipt,
+        () = tokio::time::sleep(wait) => Ok(Json(find_receipt(&app.engine, &id)?)),
+        () = activity.hung_up() => Ok(Json(receipt)),
+    }
+}
+
+/// The wait that a request's query asks for.
+fn wait(uri: &Uri) -> Answer<Option<Duration>> {
+    let Some(query) = uri.query().filter(|query| !query.is_empty()) else { return Ok(None) };
+    let seconds = query.strip_prefix("wait=").and_then(|seconds| seconds.parse().ok());
+    let seconds = seconds.filter(|seconds| (0.0..=MAX_WAIT_S).contains(seconds)).ok_or_else(|| {
+        let detail = format!("the query `{query}`: must be `wait=` and seconds, 0 to {MAX_WAIT_S}");
+        Problem::new(Code::BadRequest, detail)
+    })?;
+    Ok(Some(Duration::from_secs_f64(seconds)))
+}
+
+/// The receipt of a play by its id or `last`.
+fn find_receipt(engine: &Engine, id: &str) -> Answer<Receipt> {
+    let state = engine.lock();
+    let receipts = &state.plays.receipts;
+    let found = match id.parse() {
+        Ok(id) => receipts.receipt(id),
+        Err(_) if id == "last" => receipts.last(),
+        Err(_) => {
+            let detail = "a play's id is a number, or `last`: see `meissner status`";
+            return Err(Problem::new(Code::BadRequest, detail).into());
+        }
+    };
+    let none = || {
+        let detail = if id == "last" {
+            "there is no play yet: play a pattern first".to_owned()
+        } else {
+            format!("there is no play {id}: only the last {KEPT} that ended are kept; see `meissner receipt`")
+        };
+        Problem::new(Code::NotFound, detail)
+    };
+    Ok(found.cloned().ok_or_else(none)?)
+}

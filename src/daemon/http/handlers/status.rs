@@ -1,0 +1,33 @@
+//! The status, the doctor's report, and the OpenAPI document.
+
+use crate::daemon::http::answer::Answer;
+use crate::daemon::http::app::App;
+use crate::doctor::check;
+use crate::session_record::Peer;
+use axum::Json;
+use axum::extract::{Extension, State};
+use axum::http::header::CONTENT_TYPE;
+use axum::response::{IntoResponse, Response};
+use meissner_api::{DoctorReport, Status};
+use std::path::Path;
+use std::sync::{Arc, LazyLock};
+
+pub(in crate::daemon::http) async fn status(State(app): State<App>) -> Json<Status> {
+    Json(app.engine.status())
+}
+
+pub(in crate::daemon::http) async fn doctor(
+    State(app): State<App>,
+    Extension(peer): Extension<Peer>,
+) -> Answer<Json<DoctorReport>> {
+    let _place = app.waiting_place(peer)?;
+    let engine = Arc::clone(&app.engine);
+    let checks = move || check(Path::new("/"), &engine.status());
+    Ok(Json(app.doctor.report(checks).await?))
+}
+
+pub(in crate::daemon::http) async fn openapi() -> Response {
+    // Make it only once, because it takes milliseconds of the runtime's only thread.
+    static DOCUMENT: LazyLock<String> = LazyLock::new(|| meissner_api::openapi::document().to_string());
+    ([(CONTENT_TYPE, "application/json")], DOCUMENT.as_str()).into_response()
+}

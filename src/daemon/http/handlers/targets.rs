@@ -1,0 +1,115 @@
+//! Targets: finds the target that a request names or holds, and lists, shows, stores and removes them, as `patterns` does with patterns.
+
+use crate::daemon::http::answer::{Answer, json_response, path};
+use crate::daemon::http::app::App;
+use crate::daemon::http::body;
+use crate::daemon::http::handlers::patterns::replaces;
+use crate::daemon::http::request_log::LoggedRequest;
+use crate::daemon::system::runtime::{OTHERS, blocking, computing};
+use crate::session_record::Peer;
+use crate::store::TargetStoreError;
+use axum::Json;
+use axum::body::Body;
+use axum::extract::rejection::PathRejection;
+use axum::extract::{Extension, Path, State};
+use axum::http::{StatusCode, Uri};
+use axum::response::Response;
+use meissner_api::{Code, Problem, RemovedTarget, StoredTarget, TargetDetails};
+use meissner_design::{MAX_BYTES, Target};
+use serde_json::{Value, json};
+
+impl From<TargetStoreError> for Problem {
+    fn from(error: TargetStoreError) -> Self {
+        let code = match &error {
+            TargetStoreError::Unknown { .. } => Code::NotFound,
+            TargetStoreError::Target(_)
+            | TargetStoreError::Name { .. }
+            | TargetStoreError::NewName { .. }
+            | TargetStoreError::NotText { .. } => Code::BadTarget,
+            TargetStoreError::BuiltIn { .. } | TargetStoreError::Exists { .. } => Code::Exists,
+            TargetStoreError::NoDirectory | TargetStoreError::Io { .. } => Code::Store,
+        };
+        Self::new(code, error.to_string())
+    }
+}
+
+/// The target of a request, which names it or holds it.
+pub(super) async fn find(app: &App, target: &Value) -> Answer<Target> {
+    if let Some(name) = target.as_str() {
+        let (store, name) = (app.store.get(), name.to_owned());
+        return Ok(blocking(move || store.target(&name)).await??.target);
+    }
+    let text = target.to_string();
+    let bad = |error| Problem::new(Code::BadTarget, format!("the target is refused: {error}"));
+    Ok(computing(move || Target::read_json(&text)).await?.map_err(bad)?)
+}
+
+pub(in crate::daemon::http) async fn list(State(app): State<App>) -> Answer<Response> {
+    let _place = OTHERS.patterns.acquire().await;
+    let list = blocking(move || serde_json::to_vec(&app.store.get().targets()).unwrap_or_default()).await?;
+    Ok(json_response(list))
+}
+
+pub(in crate::daemon::http) async fn show(
+    State(app): State<App>,
+    name: Result<Path<String>, PathRejection>,
+) -> Answer<Json<TargetDetails>> {
+    let _place = OTHERS.patterns.acquire().await;
+    let name = path(name)?;
+    Ok(Json(blocking(move || app.store.get().target(&name).map(|stored| stored.details())).await??))
+}
+
+pub(in crate::daemon::http) async fn store(
+    State(app): State<App>,
+    Extension(peer): Extension<Peer>,
+    name: Result<Path<String>, PathRejection>,
+    uri: Uri,
+    body: Body,
+) -> Answer<(StatusCode, Json<StoredTarget>)> {
+    let mut logged = LoggedRequest::new(&app.engine, "store-target", peer);
+    let result = async {
+        let name = path(name)?;
+        let shown: String = name.chars().take(100).collect();
+        logged.set_title(format!("storing of the target {shown:?}"));
+        let replace = replaces(&uri)?;
+        logged.set_arguments(&json!({"name": shown, "replace": replace}));
+        let (text, _place) = body::read_file(body, MAX_BYTES).await?;
+        let text = String::from_utf8(text)
+            .map_err(|_| Problem::new(Code::BadTarget, "not UTF-8 text: write targets as TOML in UTF-8"))?;
+        app.engine.lock().check_asker()?;
+        let put = move || app.store.get().put_target(&name, &text, replace);
+        let (stored, replaced_sha256) = blocking(put).await??;
+        let status = if replaced_sha256.is_none() { StatusCode::CREATED } else { StatusCode::OK };
+        let (name, sha256, warnings) =
+            (stored.target.name().to_owned(), stored.sha256, stored.target.warnings());
+        let stored = StoredTarget { name, sha256, replaced_sha256, warnings };
+        logged.set_arguments(&json!({
+            "name": shown, "replace": replace, "sha256": stored.sha256, "replaced_sha256": stored.replaced_sha256
+        }));
+        Ok((status, Json(stored)))
+    }
+    .await;
+    logged.result(result)
+}
+
+pub(in crate::daemon::http) async fn remove(
+    State(app): State<App>,
+    Extension(peer): Extension<Peer>,
+    name: Result<Path<String>, PathRejection>,
+) -> Answer<Json<RemovedTarget>> {
+    let mut logged = LoggedRequest::new(&app.engine, "remove-target", peer);
+    let result = async {
+        let name = path(name)?;
+        let shown: String = name.chars().take(100).collect();
+        logged.set_title(format!("removal of the target {shown:?}"));
+        logged.set_arguments(&json!({"name": shown}));
+        let _place = body::file_place().await?;
+        app.engine.lock().check_asker()?;
+        let asked = name.clone();
+        let sha256 = blocking(move || app.store.get().remove_target(&asked)).await??;
+        logged.set_arguments(&json!({"name": shown, "sha256": sha256}));
+        Ok(Json(RemovedTarget { name, sha256 }))
+    }
+    .await;
+    logged.result(result)
+}

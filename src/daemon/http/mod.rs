@@ -1,0 +1,112 @@
+//! HTTP: the server, and the routes from a request to a handler.
+//!
+//! A request passes [`admission`] (the network's gate), then [`guard`] (sessions and rights), then its handler in [`handlers`]. A handler
+//! reads the [`body`], makes the request a command to the engine, and the result an [`answer`]. Work that touches the disk runs on a
+//! blocking thread, so that an emergency stop never waits for a disk. Every error, even for an unknown route, is
+//! `application/problem+json`.
+//!
+//! Invariant: a command, its client and its answer are in the session record's queue before the client gets the answer
+//! ([`request_log`]).
+
+mod admission;
+mod answer;
+pub(in crate::daemon) mod app;
+mod body;
+mod doctor;
+mod guard;
+mod handlers;
+mod request_log;
+pub(in crate::daemon) mod server;
+
+use crate::daemon::http::answer::ErrorResponse;
+use crate::daemon::http::app::App;
+use crate::daemon::http::handlers::{
+    calibration, events, live, metrics, motors, patterns, plays, searches, sessions, status, targets, tokens,
+};
+use crate::daemon::page;
+use axum::Router;
+use axum::http::{Method, Uri};
+use axum::middleware::from_fn_with_state;
+use axum::routing::{MethodFilter, MethodRouter, on};
+use meissner_api::{Code, Problem, REFERENCE, Route};
+use std::sync::Arc;
+
+/// The routes, with what every request passes before its handler.
+pub(in crate::daemon) fn router(app: App) -> Router {
+    let routes = Route::ALL.into_iter().fold(Router::new(), |router, route| {
+        let guard = from_fn_with_state((app.clone(), route), guard::guard);
+        router.route(route.path(), handler(route).route_layer(guard))
+    });
+    let gate = from_fn_with_state(Arc::clone(&app.engine.gate), admission::layer);
+    routes
+        .merge(page::routes())
+        .fallback(no_route)
+        .method_not_allowed_fallback(no_method)
+        .layer(gate)
+        .with_state(app)
+}
+
+fn handler(route: Route) -> MethodRouter<App> {
+    let method = match route.method() {
+        meissner_api::Method::Get => MethodFilter::GET,
+        meissner_api::Method::Post => MethodFilter::POST,
+        meissner_api::Method::Put => MethodFilter::PUT,
+        meissner_api::Method::Delete => MethodFilter::DELETE,
+    };
+    match route {
+        Route::Play => on(method, plays::play),
+        Route::Sequence => on(method, plays::sequence),
+        Route::Live => on(method, live::start),
+        Route::LiveConnection => on(method, live::connect),
+        Route::Stop => on(method, motors::stop),
+        Route::EStop => on(method, motors::estop),
+        Route::Reset => on(method, motors::reset),
+        Route::Arm => on(method, motors::arm),
+        Route::Disarm => on(method, motors::disarm),
+        Route::Home => on(method, motors::home),
+        Route::Status => on(method, status::status),
+        Route::Doctor => on(method, status::doctor),
+        Route::Receipt => on(method, plays::receipt),
+        Route::Events => on(method, events::events),
+        Route::Patterns => on(method, patterns::list),
+        Route::Pattern => on(method, patterns::show),
+        Route::Import => on(method, patterns::import),
+        Route::Remove => on(method, patterns::remove),
+        Route::Targets => on(method, targets::list),
+        Route::Target => on(method, targets::show),
+        Route::StoreTarget => on(method, targets::store),
+        Route::RemoveTarget => on(method, targets::remove),
+        Route::SearchStart => on(method, searches::start),
+        Route::SearchShow => on(method, searches::show),
+        Route::SearchCancel => on(method, searches::cancel),
+        Route::Calibrate => on(method, calibration::calibrate),
+        Route::Calibration => on(method, calibration::show),
+        Route::StoreCalibration => on(method, calibration::store),
+        Route::SessionStart => on(method, sessions::start),
+        Route::Sessions => on(method, sessions::list),
+        Route::SessionShow => on(method, sessions::show),
+        Route::SessionPlays => on(method, sessions::plays),
+        Route::SessionEnd => on(method, sessions::end),
+        Route::TokenCreate => on(method, tokens::create),
+        Route::Tokens => on(method, tokens::list),
+        Route::TokenRevoke => on(method, tokens::revoke),
+        Route::Metrics => on(method, metrics::metrics),
+        Route::OpenApi => on(method, status::openapi),
+    }
+}
+
+async fn no_route(uri: Uri) -> ErrorResponse {
+    let path: String = uri.path().chars().take(100).collect();
+    ErrorResponse(Problem::new(
+        Code::NotFound,
+        format!("there is no {path}: addresses begin with /v1/, see {REFERENCE}"),
+    ))
+}
+
+async fn no_method(method: Method, uri: Uri) -> ErrorResponse {
+    let path: String = uri.path().chars().take(100).collect();
+    ErrorResponse(Problem::new(
+        Code::MethodNotAllowed,
+        format!("{path} does not take {method}: see {REFERENCE}"),
+    ))
+}

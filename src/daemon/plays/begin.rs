@@ -1,0 +1,199 @@
+//! Begins a compiled play of any kind: reserves its time, checks, sends it, and waits for the streamer's answer.
+//!
+//! The callers compile without the engine's lock ([`Compiled`]); [`Engine::begin`] sends under it. The streamer refuses plays that the device
+//! cannot take.
+//!
+//! Invariants: a play is in the receipts before the streamer reports anything about it; the id of a refused play goes to the next. Before a
+//! play reaches the streamer, its time is in the sums on the disk, so a kill at any moment never leaves a smaller sum. A disk that does not
+//! answer for [`DISK`] does not stop plays.
+
+use crate::daemon::engine::{Engine, TIMEOUT, answer};
+use crate::daemon::plays::terms::Terms;
+use crate::daemon::state::{Asker, NewPlay, Reply, State};
+use crate::exposure::{Now, Vibration};
+use meissner_api::{Code, PlayAccepted, Problem};
+use meissner_array::strokes::Surplus;
+use meissner_stream::queues::{Command, Item, Play};
+use meissner_stream::{Bandwidth, Settings, Source};
+use std::sync::Arc;
+use std::time::Duration;
+use tokio::sync::MutexGuard;
+use tracing::warn;
+
+/// How long a play waits for the disk: less than the shortest time from an order to its requested onset.
+const DISK: Duration = Duration::from_millis(300);
+
+/// A play that is compiled, and has no id yet.
+#[derive(Debug)]
+pub(super) struct Compiled {
+    pub(super) strokes: Source,
+    pub(super) items: Vec<Item>,
+    /// How long the client of a live play may be silent; none for other plays.
+    pub(super) live: Option<Duration>,
+    pub(super) bandwidth: Bandwidth,
+    /// The settings that it was compiled for.
+    pub(super) settings: Settings,
+    pub(super) vibration: Vibration,
+    /// Whether its client knows that it has no end.
+    pub(super) endless: bool,
+    /// The largest amplitude, µm, and what asks for it.
+    pub(super) largest: (f64, String),
+    pub(super) new: NewPlay,
+    /// Texts of its patterns by their SHA-256, for the session record.
+    pub(super) texts: Vec<(String, Arc<[u8]>)>,
+}
+
+/// The reserved time of a play that the streamer does not have yet. If this is dropped before [`Self::begin`], the time is given
+/// back; do not drop it under the engine's lock. Only one order is handled at a time, so that each is judged after those before it.
+#[derive(Debug)]
+struct Held<'e> {
+    engine: &'e Engine,
+    number: u64,
+    breaks: u64,
+    _turn: MutexGuard<'e, ()>,
+}
+
+impl Held<'_> {
+    /// Refuses a play if a stop came after its request, while the request was read, compiled or waited.
+    fn check(&self, state: &State) -> Result<(), Problem> {
+        if state.commands.breaks() == self.breaks {
+            return Ok(());
+        }
+        Err(Problem::new(
+            Code::Busy,
+            "the display was stopped after the play was asked for: send the play again",
+        ))
+    }
+
+    /// Notes that the streamer has the play, under this id.
+    fn begin(&self, state: &mut State, id: u64) {
+        state.exposure.begin(self.number, id, Now::read());
+    }
+}
+
+impl Drop for Held<'_> {
+    fn drop(&mut self) {
+        self.engine.lock().forget_exposure(self.number);
+    }
+}
+
+impl Engine {
+    /// The settings and the surplus to compile a play for. Refuses a play for another boot than the device's.
+    pub(super) fn compiles_for(&self, boot: Option<u32>) -> Result<(Settings, Surplus), Problem> {
+        let state = self.lock();
+        match (boot, state.plays.receipts.device().map(|device| device.boot)) {
+            (Some(asked), Some(now)) if asked != now => {
+                let detail =
+                    format!("`boot` is {asked}, but the device has restarted as {now}: read its tick again");
+                Err(Problem::new(Code::StaleBoot, detail))
+            }
+            _ => Ok((state.settings, state.surplus())),
+        }
+    }
+
+    /// Begins a play that `check` accepts, before its time is reserved and again after, and waits until the streamer accepts it. `sent` gets
+    /// the play's id before the streamer reports anything about it.
+    pub(super) async fn begin(
+        &self,
+        terms: &Terms,
+        compiled: Compiled,
+        check: impl Fn(&mut State) -> Result<(), Problem> + Send,
+        sent: impl FnOnce(&mut State, u64) + Send,
+    ) -> Result<PlayAccepted, Problem> {
+        let held = self.hold(terms, &compiled, &check).await?;
+        let Compiled { strokes, items, live, bandwidth, settings, new, texts, .. } = compiled;
+        let &Terms { at, late, replace, open_loop, .. } = terms;
+        let play = Play { id: 0, strokes, items, at, late, replace, open_loop, live, bandwidth };
+        let duration = new.receipt.duration_ms;
+        let (id, reply) = {
+            let mut state = self.lock();
+            held.check(&state)?;
+            check(&mut state)?;
+            let (id, reply) = state.send_play(play, &settings, new)?;
+            held.begin(&mut state, id);
+            sent(&mut state, id);
+            (id, reply)
+        };
+        // If the streamer refuses a play that replaces others, they go on, so the next order waits for its answer.
+        let held = replace.then_some(held);
+        for (sha256, text) in texts {
+            self.session_record().keep_text(&sha256, &text);
+        }
+        let answered = answer(reply, TIMEOUT).await;
+        drop(held);
+        answered?;
+        Ok(PlayAccepted { id, ordered_ms: duration.ordered, compiled_ms: duration.compiled })
+    }
+
+    /// Reserves the time of a play that `check` accepts, and waits until it is in the sums on the disk.
+    async fn hold(
+        &self,
+        terms: &Terms,
+        compiled: &Compiled,
+        check: &(impl Fn(&mut State) -> Result<(), Problem> + Send),
+    ) -> Result<Held<'_>, Problem> {
+        let breaks = Asker::find().map_or_else(|| self.lock().commands.breaks(), |asker| asker.breaks);
+        let turn = self.orders.lock().await;
+        let (held, saved) = {
+            let mut state = self.lock();
+            check(&mut state)?;
+            let (largest_um, what) = &compiled.largest;
+            state.check_amplitude(what, *largest_um)?;
+            state.check_end(what, compiled.vibration.is_endless() && !compiled.endless)?;
+            let number = state.hold_vibration(&compiled.vibration, terms.replace, terms.at)?;
+            let saved = state.save_exposure(Now::read());
+            let waits = !state.exposure.is_disk_silent();
+            (Held { engine: self, number, breaks, _turn: turn }, saved.filter(|_| waits))
+        };
+        if let Some(mut saved) = saved {
+            let answer = tokio::time::timeout(DISK, &mut saved).await.ok().map(|saved| saved == Ok(true));
+            if answer.is_none() {
+                warn!(
+                    "the disk of the session record has not taken the vibration's sums for {DISK:?}; playing goes on"
+                );
+            }
+            self.lock().exposure.disk_answered(answer, saved);
+        }
+        Ok(held)
+    }
+}
+
+impl State {
+    /// Refuses a play during a calibration, or for another session than the one that it was prepared for.
+    pub(super) fn check_before_play(&mut self, session: Option<&str>) -> Result<(), Problem> {
+        self.forget_unanswered();
+        self.check_not_calibrating()?;
+        if self.session_of_play(session)?.as_deref() == session {
+            return Ok(());
+        }
+        Err(Problem::new(Code::SessionRunning, "a session has begun meanwhile: send the play again"))
+    }
+
+    /// Sends a play that was compiled for `compiled_for`, under the id that it gets with its receipt. Returns the id and where the answer
+    /// arrives.
+    fn send_play(
+        &mut self,
+        play: Play,
+        compiled_for: &Settings,
+        new: NewPlay,
+    ) -> Result<(u64, Reply), Problem> {
+        if !self.publisher.session_record.takes_plays() {
+            let detail = "the session record keeps every play and has no room for more at this rate: play less often; see \
+                          docs/reference/session-record.md";
+            return Err(Problem::new(Code::TooManyPlays, detail));
+        }
+        if self.settings != *compiled_for {
+            return Err(Problem::new(
+                Code::Busy,
+                "the configuration has changed meanwhile: send the play again",
+            ));
+        }
+        let id = self.plays.add(new);
+        self.rights.add_play(id);
+        let sent = self.send(Command::Play(Box::new(Play { id, ..play })), Some(id));
+        if sent.is_err() {
+            self.settle_play(id, false);
+        }
+        Ok((id, sent?))
+    }
+}

@@ -1,0 +1,63 @@
+//! Plays of a calibration: begins a plan's play, open loop, whose measured bursts are fitted at its end.
+
+use crate::daemon::engine::Engine;
+use crate::daemon::plays::begin::Compiled;
+use crate::daemon::plays::terms::Terms;
+use crate::daemon::state::State;
+use crate::daemon::state::stored_calibration::{CalibrationRun, no_file};
+use crate::receipts::refusal;
+use crate::session_record::Peer;
+use crate::store::Stored;
+use meissner_api::{Code, PlayAccepted, PlayRequest, Problem};
+use meissner_array::strokes::Surplus;
+use meissner_stream::calibrate::Plan;
+use meissner_stream::queues::CommandError;
+
+impl Engine {
+    /// Begins a plan's play and waits until the streamer accepts it. With `laser` nothing is measured here.
+    pub(in crate::daemon) async fn calibrate(
+        &self,
+        plan: Plan,
+        laser: bool,
+        session: Option<&str>,
+        client: Peer,
+    ) -> Result<PlayAccepted, Problem> {
+        if !laser && self.lock().calibration.file.is_none() {
+            return Err(no_file());
+        }
+        let stored = Stored::made(plan.pattern());
+        let pattern = stored.pattern.name().to_owned();
+        let request = PlayRequest { pattern, open_loop: true, ..PlayRequest::default() };
+        let settings = self.lock().settings;
+        if settings.lower_stop.is_some() {
+            let detail = "down bursts end at the lower stop, so their gain cannot be measured: calibrate without the stop";
+            return Err(Problem::new(Code::LowerStop, detail));
+        }
+        let terms = Terms::from(&request);
+        let basis = (settings, Surplus::None);
+        let compiled = Compiled::of_pattern(&request, &terms, stored, basis, client).await?;
+        // The plan is made anew for each request; the session record needs no text of it.
+        let compiled = Compiled { texts: Vec::new(), ..compiled };
+        let check = |state: &mut State| {
+            state.forget_unanswered();
+            state.check_not_calibrating()?;
+            state.session_of_play(session)?;
+            let device = state.plays.receipts.device().ok_or_else(|| refusal(CommandError::NoDevice))?;
+            if !laser && !device.telemetry {
+                let detail =
+                    "the device has no telemetry: calibrate with a laser, `meissner calibrate --plan`";
+                return Err(Problem::new(Code::NoTelemetry, detail));
+            }
+            if !state.plays.receipts.is_idle() {
+                return Err(refusal(CommandError::Playing));
+            }
+            Ok(())
+        };
+        let sent = |state: &mut State, id| {
+            if !laser {
+                state.calibration.running = Some(CalibrationRun::new(id, plan));
+            }
+        };
+        self.begin(&terms, compiled, check, sent).await
+    }
+}

@@ -1,0 +1,155 @@
+//! Live plays: begins one, whose client then moves it by messages, and carries out the messages.
+//!
+//! A message goes under the engine's lock to the streamer ([`State::live_message`]).
+//!
+//! Invariant: a message changes nothing if its client may not operate at that moment.
+
+use crate::daemon::engine::Engine;
+use crate::daemon::engine::right::Right;
+use crate::daemon::plays::begin::Compiled;
+use crate::daemon::plays::renderer::{PrepareError, Prepared};
+use crate::daemon::plays::terms::{Terms, trigger};
+use crate::daemon::state::poses::Poses;
+use crate::daemon::state::render_job::pose;
+use crate::daemon::state::{LivePlay, NewPlay, State};
+use crate::daemon::system::runtime::PLAYS;
+use crate::exposure::Vibration;
+use crate::receipts::NoPrediction;
+use crate::session_record::Peer;
+use crate::store::hash;
+use meissner_api::{
+    Code, LIVE_TIMEOUT_MS, LIVE_UPDATES_HZ, LiveAccepted, LiveAnswer, LiveMessage, LiveRecord, LiveRequest,
+    Problem, Receipt,
+};
+use meissner_array::pattern::Drive;
+use meissner_array::strokes::{LiveStrokes, StrokeOptions};
+use meissner_design::Target;
+use meissner_stream::queues::{Command, Item};
+use meissner_stream::time::HostInstant;
+use meissner_stream::{Bandwidth, Source};
+use std::convert::Infallible;
+use std::sync::Arc;
+use std::time::Duration;
+
+/// The pattern name of a live play in its receipt.
+const LIVE: &str = "live";
+/// How soon the daemon again orders the end of a play, if it could not do so before.
+const END_AGAIN: Duration = Duration::from_millis(100);
+
+impl Engine {
+    /// Begins a live play and waits until the streamer accepts it.
+    pub(in crate::daemon) async fn start_live(
+        self: &Arc<Self>,
+        request: &LiveRequest,
+        target: Option<Target>,
+        client: Peer,
+    ) -> Result<LiveAccepted, Problem> {
+        let (settings, surplus) = self.compiles_for(None)?;
+        let options =
+            StrokeOptions { scale: request.scale.unwrap_or(1.0), surplus, ..StrokeOptions::default() };
+        let most_hz = request.most_hz();
+        let mut live = LivePlay::new(&request.drives, options, most_hz)?;
+        let prepared = match target {
+            Some(target) => {
+                let (prepared, drives) = prepare(request, target).await?;
+                live.set_pattern(&drives)?;
+                Some(prepared)
+            }
+            None => None,
+        };
+        let poses = Arc::new(Poses::default());
+        if prepared.is_some() {
+            live = live.with_poses(Arc::clone(&poses));
+        }
+        live.check_at_once(&settings)?;
+        let waves = live.waves()?;
+        let updates_hz = request.updates_hz.unwrap_or(LIVE_UPDATES_HZ);
+        // This iterates over a minute of strokes.
+        let bandwidth = PLAYS
+            .computing(move || Bandwidth::of_live(most_hz, updates_hz, &settings))
+            .await?
+            .map_err(|error| Problem::new(Code::BadRequest, error.to_string()))?;
+        let timeout = Duration::from_secs_f64(request.timeout_ms.unwrap_or(LIVE_TIMEOUT_MS) / 1000.0);
+        let terms = Terms::from(request);
+        // Plain data can be written.
+        let sha256 = hash(&serde_json::to_vec(request).unwrap_or_default());
+        let receipt = terms.receipt(LIVE, &sha256, None);
+        let mut receipt = Receipt { scale: request.scale, live: Some(LiveRecord::default()), ..receipt };
+        receipt.prediction.unknown = Some(NoPrediction::Live.to_string());
+        let compiled = Compiled {
+            strokes: Source::Live(Box::new(LiveStrokes::new(waves))),
+            items: vec![Item::new(trigger(request.trigger))],
+            live: Some(timeout),
+            bandwidth,
+            settings,
+            vibration: Vibration::without_end(),
+            endless: true,
+            largest: (live.largest_um(), "the live play".to_owned()),
+            new: NewPlay { receipt, items: None, predicted: None, client },
+            texts: Vec::new(),
+        };
+        let path = format!("/v1/live/{}", live.key());
+        let session = request.session.as_deref();
+        let sent = |state: &mut State, id| state.live.add(id, live);
+        let accepted = self.begin(&terms, compiled, |state| state.check_before_play(session), sent).await?;
+        let id = accepted.id;
+        if let Some(prepared) = prepared
+            && let Err(error) = prepared.start(Arc::clone(self), id, poses)
+        {
+            self.end_live(id);
+            return Err(Problem::new(Code::Store, format!("the renderer's thread cannot start: {error}")));
+        }
+        Ok(LiveAccepted { id, path })
+    }
+
+    /// Carries out a message, if its client still may send it; returns the answer if it is known at once.
+    pub(in crate::daemon) fn live_message(
+        &self,
+        right: &Right,
+        id: u64,
+        text: &[u8],
+        received_at: HostInstant,
+    ) -> Option<LiveAnswer> {
+        let message = match LiveMessage::parse(text) {
+            Ok(message) => message,
+            Err(problem) => return Some(LiveAnswer::refused(LiveMessage::seq(text), problem)),
+        };
+        if message.end {
+            self.end_live(id);
+            return None;
+        }
+        let mut state = self.lock();
+        let allowed = state.check_right(&right.caller, right.access).map_err(|no| no.problem);
+        let result = allowed.and_then(|()| {
+            state.hear(&right.caller);
+            state.live_message(id, &message, received_at)
+        });
+        result.err().map(|problem| LiveAnswer::refused(Some(message.seq), problem))
+    }
+
+    /// Ends a live play once the client of its connection may not move it any more. The future never completes; drop it to stop.
+    pub(in crate::daemon) async fn end_with(&self, right: &Right, id: u64) -> Infallible {
+        let lost = right.ended().await;
+        loop {
+            // Repeat, in case too many commands waited before.
+            self.lock().cancel_play(id, lost.cause);
+            tokio::time::sleep(END_AGAIN).await;
+        }
+    }
+
+    /// Ends a live play. If too many commands wait, its client counts as silent soon.
+    pub(in crate::daemon) fn end_live(&self, id: u64) {
+        let _ = self.lock().commands.send_unanswered(Command::EndLive(id));
+    }
+}
+
+/// Makes the renderer of a target, and the drives of its first pose.
+async fn prepare(request: &LiveRequest, target: Target) -> Result<(Prepared, Vec<Drive>), Problem> {
+    let (first, request) = (pose(request.pose.unwrap_or_default()), request.clone());
+    let made = PLAYS.computing(move || {
+        let mut prepared = Prepared::new(&target, &request)?;
+        let drives = prepared.first(first)?;
+        Ok::<_, PrepareError>((prepared, drives))
+    });
+    made.await?.map_err(|error| Problem::new(Code::BadTarget, error.to_string()))
+}

@@ -1,0 +1,290 @@
+//! Starts the daemon, runs it, and ends it.
+//!
+//! [`Daemon::start`] acquires everything that the system may refuse (socket, patterns, threads); [`Daemon::run`] works until a signal or a
+//! request ends it. [`Daemon::host`] runs it on a thread of this process, for `meissner demo` and the benchmarks.
+//!
+//! Invariant: before the daemon ends, it returns the pins, switches the motors off and removes its socket.
+
+use crate::config::{Config, Source};
+use crate::daemon::beside::connector;
+use crate::daemon::beside::predictor::Predictor;
+use crate::daemon::beside::reload;
+use crate::daemon::beside::service::{self, Manager, Notification, StatusReporter};
+use crate::daemon::engine::Engine;
+use crate::daemon::engine::patterns::SharedStore;
+use crate::daemon::http;
+use crate::daemon::http::app::App;
+use crate::daemon::http::server::Server;
+use crate::daemon::network::{self, Gate, TokenStore};
+use crate::daemon::sockets::acceptor::{Acceptor, Bounds, Counts, Sockets};
+use crate::daemon::state::{ConnectorMessage, Exposure};
+use crate::daemon::system::check;
+use crate::daemon::system::error::{DaemonError, system};
+use crate::daemon::system::panics;
+use crate::daemon::system::runtime::runtime;
+use crate::daemon::system::signals::{Action, Signals};
+use crate::daemon::system::socket::Bound;
+use crate::daemon::system::sums;
+use crate::exposure::Account;
+use crate::session_record::{Note, SessionRecord};
+use meissner_api::Realtime;
+use meissner_stream::device::mock::TruePositions;
+use meissner_stream::queues::EventQueue;
+use std::io;
+use std::net::TcpListener;
+use std::os::unix::net::UnixListener;
+use std::sync::Arc;
+use std::thread::{self, JoinHandle};
+use std::time::Duration;
+use tokio::sync::{oneshot, watch};
+use tracing::{info, warn};
+
+/// How long closing the session record may take; a service manager waits longer.
+const CLOSE_TIMEOUT: Duration = Duration::from_secs(2);
+/// How long the streamer may take to end after its answer to the shutdown.
+const STREAMER_TIMEOUT: Duration = Duration::from_millis(500);
+
+/// A daemon whose socket is bound and whose streamer runs.
+#[derive(Debug)]
+pub struct Daemon {
+    config: Config,
+    bound: Bound,
+    /// The listener for network clients.
+    tcp: Option<TcpListener>,
+    pub(in crate::daemon) engine: Arc<Engine>,
+    pub(in crate::daemon) store: SharedStore,
+    events: EventQueue,
+    predictor: Predictor,
+    realtime: Realtime,
+    streamer: JoinHandle<()>,
+    connector: crossbeam_channel::Sender<ConnectorMessage>,
+}
+
+/// Why a daemon ended without an error.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Exit {
+    /// A signal or a request ended it.
+    Requested,
+    /// Another version of the program is installed, and the service manager must start it.
+    Replaced,
+}
+
+impl Daemon {
+    /// Binds the socket and starts the threads.
+    ///
+    /// # Errors
+    /// If the system refuses something; the error says what to do.
+    pub fn start(config: &Config) -> Result<Self, DaemonError> {
+        let store = check::store(config)?;
+        let bound = Bound::take_over(&config.socket)?.map_or_else(|| Bound::new(&config.socket), Ok)?;
+        let network::Bound { listener: tcp, listen, problem } = network::listen(config.listen.as_ref());
+        let gate = Gate::new(listen, problem, TokenStore::open(config.tokens.clone()));
+        let (commands, events, realtime, streamer) =
+            meissner_stream::spawn(config.settings).map_err(system("streamer's thread"))?;
+        if !(realtime.fifo && realtime.mlock) {
+            warn!(
+                fifo = realtime.fifo,
+                mlock = realtime.mlock,
+                "without real-time rights strokes may come late: see `meissner doctor`"
+            );
+        }
+        let predictor = Predictor::new().map_err(io::Error::other).map_err(system("thread"))?;
+        let wanted = config.device.to_string();
+        let engine = Engine::new(commands, config.settings, wanted.clone(), config.calibration.clone());
+        let record = SessionRecord::start(config.logbook.clone(), Arc::clone(&engine.names.users))
+            .map_err(system("session record's thread"))?;
+        let (version, pid) = (env!("CARGO_PKG_VERSION"), std::process::id());
+        record.add(Note::DaemonStarted { version, pid, wanted });
+        let mut account = Account::new(config.participant);
+        if let Some(location) = &config.logbook {
+            sums::restore(&mut account, sums::read(&location.dir));
+        }
+        engine.lock().exposure = Exposure::new(account);
+        engine.lock().sessions.set_silence(Duration::from_secs_f64(config.session_silence_s));
+        engine.lock().armed.set_default(Duration::from_secs_f64(config.armed_silence_s));
+        let engine = Arc::new(engine.with(record, realtime, bound.socket().to_owned()).with_gate(gate));
+        let changed = Arc::downgrade(&engine);
+        let tokens_changed = move || {
+            if let Some(engine) = changed.upgrade() {
+                engine.lock().rights_changed();
+            }
+        };
+        engine.gate.watch_tokens(tokens_changed).map_err(system("tokens' thread"))?;
+        engine.load_calibration(None);
+        let connector = connector::spawn(config.device.clone(), config.mock, Arc::clone(&engine))
+            .map_err(system("connector's thread"))?;
+        info!("listening on {}", bound.socket().display());
+        let (config, store) = (config.clone(), SharedStore::new(store));
+        Ok(Self { config, bound, tcp, engine, store, events, predictor, realtime, streamer, connector })
+    }
+
+    /// Runs it on a separate thread, until it is stopped or a signal ends it.
+    ///
+    /// # Errors
+    /// If the system gives no thread.
+    pub fn host(self) -> Result<Hosted, DaemonError> {
+        let (engine, realtime) = (Arc::clone(&self.engine), self.realtime);
+        let (end, ended) = oneshot::channel();
+        let work = move || {
+            runtime()?.block_on(async {
+                let signals = Signals::new()?.or(ended);
+                self.run(signals, None).await.map(drop)
+            })
+        };
+        let thread = thread::Builder::new().name("daemon".into()).spawn(work).map_err(system("thread"))?;
+        Ok(Hosted { engine, realtime, end: Some(end), thread: Some(thread) })
+    }
+
+    /// Works until a signal or a request ends it, then shuts down. A reload reads `source`; without a source it ends the daemon.
+    ///
+    /// # Errors
+    /// If the system fails, or the streamer ended by itself.
+    pub async fn run(self, signals: Signals, source: Option<Source>) -> Result<Exit, DaemonError> {
+        let engine = Arc::clone(&self.engine);
+        if let Ok(ended) = panics::caught(self.work(signals, source)).await {
+            return ended;
+        }
+        // As at any other end, return the pins and switch the motors off.
+        let _ = tokio::time::timeout(CLOSE_TIMEOUT, panics::caught(engine.shut_down())).await;
+        Err(DaemonError::Panicked)
+    }
+
+    async fn work(self, mut signals: Signals, source: Option<Source>) -> Result<Exit, DaemonError> {
+        let Self { config, bound, tcp, engine, store, events, predictor, streamer, connector, .. } = self;
+        let api = bound.listener.try_clone().map_err(system("socket"))?;
+        let estop =
+            bound.estop.as_ref().map(UnixListener::try_clone).transpose().map_err(system("socket"))?;
+        let (sockets, gate) = (Sockets { api, estop, tcp }, Arc::clone(&engine.gate));
+        let (bounds, counts) = (Bounds::of_process(), Arc::new(Counts::default()));
+        let (acceptor, handovers, mut acceptor_ended) =
+            Acceptor::spawn(sockets, Arc::clone(&engine.estops), gate, bounds, Arc::clone(&counts))
+                .map_err(system("acceptor's thread"))?;
+        let mut acceptor = Some(acceptor);
+        let manager = Manager::find().map_err(system("thread"))?;
+        let (close, closing) = watch::channel(false);
+        let reporter = StatusReporter::new(manager.clone());
+        let mut event_loop = tokio::spawn(Arc::clone(&engine).event_loop(events, predictor, reporter));
+        let watchdog = tokio::spawn(service::watchdog(manager.clone(), Arc::clone(&engine)));
+        let mut streamer = ended(streamer).map_err(system("thread"))?;
+        // A client's first command may have started the daemon: give the device time to connect.
+        engine.first_device().await;
+        let router = http::router(App::new(Arc::clone(&engine), store.clone(), &bounds, Arc::clone(&counts)));
+        let server = Server::new(Arc::clone(&engine), router, bounds, counts);
+        let server = tokio::spawn(server.serve(handovers, closing));
+        let reloads =
+            source.map(|source| reload::spawn(source, config, Arc::clone(&engine), store, manager.clone()));
+        let reloads = reloads.transpose()?;
+        manager.notify(Notification::Ready);
+        let result = loop {
+            tokio::select! {
+                action = signals.next() => match (action, &reloads) {
+                    // If the queue is full, a reload is already waiting.
+                    (Action::Reload, Some(reloads)) => drop(reloads.try_send(())),
+                    _ => break Ok(Exit::Requested),
+                },
+                () = engine.replaced.notified() => {
+                    info!("another version was installed and motors are disarmed: starting it");
+                    // New clients wait in the socket's queue for the new program.
+                    drop(acceptor.take());
+                    let _ = close.send(true);
+                    break Ok(Exit::Replaced);
+                }
+                _ = &mut streamer => break Err(DaemonError::Streamer),
+                _ = &mut acceptor_ended => break Err(DaemonError::Acceptor),
+                _ = &mut event_loop => break Err(DaemonError::EventLoop),
+                () = panics::of_needed_thread() => break Err(DaemonError::Panicked),
+            }
+        };
+        manager.notify(Notification::Stopping);
+        // An error means that the connector has ended already.
+        let _ = connector.try_send(ConnectorMessage::Quit);
+        if !matches!(result, Err(DaemonError::Streamer)) {
+            engine.shut_down().await;
+            // The streamer's last events complete the receipts of cut plays.
+            if result.is_ok() && tokio::time::timeout(STREAMER_TIMEOUT, &mut event_loop).await.is_err() {
+                warn!("the streamer did not end in time");
+            }
+        }
+        engine.lock().commands.abandon();
+        watchdog.abort();
+        {
+            let mut state = engine.lock();
+            state.cancel_running_search();
+            state.close_session("daemon-ended");
+            state.publisher.close();
+        }
+        drop(acceptor.take());
+        // An error means that the server has ended already.
+        let _ = close.send(true);
+        let _ = server.await;
+        drop(bound);
+        let record = engine.session_record();
+        record.add(Note::DaemonEnded { problem: result.as_ref().err().map(ToString::to_string) });
+        let (sender, closed) = oneshot::channel();
+        let close = move || {
+            record.close(CLOSE_TIMEOUT);
+            let _ = sender.send(());
+        };
+        // Use a separate thread, because the runtime's blocking threads may all wait for the disk.
+        if thread::Builder::new().name("close".into()).spawn(close).is_ok() {
+            let _ = closed.await;
+        }
+        result
+    }
+}
+
+/// A daemon on a thread of this process. [`Hosted::stop`] ends it and returns its result; dropping it ends it, too.
+#[derive(Debug)]
+pub struct Hosted {
+    engine: Arc<Engine>,
+    realtime: Realtime,
+    end: Option<oneshot::Sender<()>>,
+    thread: Option<JoinHandle<Result<(), DaemonError>>>,
+}
+
+impl Hosted {
+    /// The true positions of the simulated motors, once a simulated device is connected.
+    #[must_use]
+    pub fn true_positions(&self) -> Option<Arc<TruePositions>> {
+        self.engine.true_positions()
+    }
+
+    /// Which real-time rights the system granted.
+    #[must_use]
+    pub const fn realtime(&self) -> Realtime {
+        self.realtime
+    }
+
+    /// Shuts it down and waits for its end.
+    ///
+    /// # Errors
+    /// As [`Daemon::run`].
+    pub fn stop(mut self) -> Result<(), DaemonError> {
+        self.finish()
+    }
+
+    fn finish(&mut self) -> Result<(), DaemonError> {
+        // It may have ended by itself or by a signal.
+        let _ = self.end.take().map(|end| end.send(()));
+        let joined = self.thread.take().map_or(Ok(Ok(())), JoinHandle::join);
+        joined.unwrap_or(Err(DaemonError::Streamer))
+    }
+}
+
+impl Drop for Hosted {
+    fn drop(&mut self) {
+        // A caller that needs the result calls `stop`.
+        let _ = self.finish();
+    }
+}
+
+/// Resolves when the thread has ended, also by a panic.
+fn ended(thread: JoinHandle<()>) -> io::Result<oneshot::Receiver<()>> {
+    let (sender, receiver) = oneshot::channel();
+    thread::Builder::new().name("watch".into()).spawn(move || {
+        // A panic is in the log already. The receiver may be gone.
+        let _ = thread.join();
+        let _ = sender.send(());
+    })?;
+    Ok(receiver)
+}
