@@ -8,9 +8,9 @@
 //!    skin model; `judge` scores the result. Command: `cli/optimise.rs`.
 //! 2. **Pattern** (`patterns/*.toml`: which pins vibrate, at which frequency, amplitude and phase, when) →
 //!    [`meissner_array::pattern`] reads and checks it. [`store`] holds the shipped patterns and a site's own.
-//! 3. **Request** → `meissner play NAME` ([`cli`]) goes through [`meissner_client`] to the [`daemon`]: `daemon/http.rs` has the routes,
+//! 3. **Request** → `meissner play NAME` ([`cli`]) goes through [`meissner_client`] to the [`daemon`]: `daemon/http` has the routes,
 //!    [`meissner_api`] the JSON types, errors and events of both sides. Located errors of all input come from [`meissner_input`].
-//! 4. **Play** → `daemon/play.rs` compiles the pattern to strokes ([`meissner_array::strokes`]), evaluates the bandwidth it needs,
+//! 4. **Play** → `daemon/plays` compiles the pattern to strokes ([`meissner_array::strokes`]), evaluates the bandwidth it needs,
 //!    opens its receipt and sends it to the streamer.
 //! 5. **Stroke**: one excursion of one pin, an up burst and the down burst that undoes it, at exact ticks of 1/85 000 s.
 //!    [`firmware_protocol::stroke`] defines it once for streamer, controller and simulators.
@@ -18,23 +18,24 @@
 //!    corrects each burst from telemetry shortly before it begins (`control`). It accounts for every burst.
 //! 7. **Link** ([`meissner_stream::link`]) → a reliable, ordered stream of frames with credits; it estimates the device's clock and
 //!    measures the line's capacity. The wire format is specified in [`firmware_protocol`].
-//! 8. **Device** ([`meissner_stream::device`]) → a board's serial port, its USB interface, or the mock. `daemon/connector.rs` opens it.
+//! 8. **Device** ([`meissner_stream::device`]) → a board's serial port, its USB interface, or the mock.
+//!    `daemon/beside/connector.rs` opens it.
 //! 9. **Controller** ([`firmware_protocol::controller`], the same code on boards and in the mock) → plays the ticks, guards the
 //!    limits, returns the pins when it is stopped or no longer hears its host. `firmware/` runs it on a board.
 //! 10. **Motors** → real ones, or [`meissner_array::simulated`], after the model of [`meissner_array::motor`].
 //!
 //! # The way back
 //!
-//! Streamer events enter the daemon in `daemon/event_loop.rs`. [`receipts`] turns them into receipts, totals and the API's events:
-//! at its end, each burst of a play was played, late, dropped or refused. There are two records: the [`log`](mod@log) for operators
-//! (its lines are in `daemon/log_lines.rs`), and the [`session_record`] for experiments, a file of JSON lines per day. Neither can
+//! Streamer events enter the daemon in `daemon/beside/event_loop.rs`. [`receipts`] turns them into receipts, totals and the API's
+//! events: at its end, each burst of a play was played, late, dropped or refused. There are two records: the [`log`](mod@log) for operators
+//! (its lines are in `daemon/engine/log_lines.rs`), and the [`session_record`] for experiments, a file of JSON lines per day. Neither can
 //! delay an emergency stop. [`meissner_stream::calibrate`] fits each motor's gain from the bursts of a calibration pattern;
-//! `daemon/calibrate.rs` plays, stores and applies it.
+//! `daemon/plays/calibrate.rs` plays it, `daemon/beside/calibration.rs` stores and applies it.
 //!
 //! # The skin model
 //!
 //! [`meissner_skin`] simulates the afferents' spikes for a scene, exactly or by steps. The daemon runs it in one place,
-//! `daemon/predictor.rs`: from the measured bursts of a play it predicts the afferent response to the play's first minute. That
+//! `daemon/beside/predictor.rs`: from the measured bursts of a play it predicts the afferent response to the play's first minute. That
 //! does not disturb the real-time thread: the predictor has one thread with nice 10, at most 16 plays wait for it, nothing waits
 //! for its results, and it shares no lock with the streamer. Offline, [`meissner_report`] draws figures and compares methods
 //! (`meissner report`, `tradeoff`).
