@@ -80,15 +80,6 @@ pub const HOST_TIMEOUT: &str = "lease";
 /// The cause of a play's end when one of its pins may be too far from rest.
 pub(super) const DRIFT_LIMIT: &str = meissner_stream::DRIFT_LIMIT;
 
-/// The API's name of a fit.
-#[must_use]
-pub const fn fit_name(fit: Fit) -> meissner_api::Fit {
-    match fit {
-        Fit::Whole => meissner_api::Fit::Whole,
-        Fit::Cover => meissner_api::Fit::Cover,
-    }
-}
-
 /// The fit that a request asks for.
 #[must_use]
 pub const fn fit(asked: meissner_api::Fit) -> Fit {

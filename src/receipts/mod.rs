@@ -17,8 +17,8 @@ mod order;
 mod prediction;
 
 pub use convert::{
-    HOST_TIMEOUT, board_status, calibration_plan, device_info, end_text, fit, fit_name, outputs, refusal,
-    reset_name, state_name,
+    HOST_TIMEOUT, board_status, calibration_plan, device_info, end_text, fit, outputs, refusal, reset_name,
+    state_name,
 };
 pub use items::PlannedItem;
 pub use measured_bursts::{KEPT_S, MeasuredBursts};

@@ -197,3 +197,79 @@ impl State {
         Ok((id, sent?))
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::daemon::runtime;
+    use crate::daemon::state::Caller;
+    use crate::session_record::{Location, Peer, SessionRecord};
+    use crate::store::{Store, Stored};
+    use meissner_api::{PlayRequest, Realtime, Route, SessionRequest};
+    use meissner_stream::queues::{Emit, StreamEvent, queues};
+    use std::path::PathBuf;
+
+    /// A play without end.
+    fn pin(session: Option<String>) -> (PlayRequest, Stored) {
+        let stored = Store::new(None, false).unwrap().library("pin-60").unwrap().clone();
+        let pattern = "pin-60".to_owned();
+        (PlayRequest { pattern, endless: true, session, ..PlayRequest::default() }, stored)
+    }
+
+    /// The client has given up, but the play is played, so the session counts it.
+    #[test]
+    fn a_session_counts_a_play_whose_answer_comes_late() {
+        let (mut port, commands, mut events) = queues().unwrap();
+        let engine = Engine::new(commands, Settings::default(), "mock".to_owned(), None);
+        let session = SessionRequest { participant: "P07".to_owned(), ..SessionRequest::default() };
+        let id = engine.lock().start_session(session, None).unwrap().id;
+        let (request, stored) = pin(Some(id));
+        let played = engine.play(&request, stored, Peer::local(1, 0));
+        assert_eq!(runtime().unwrap().block_on(played).unwrap_err().code, "timeout");
+        let ticket = port.pop().unwrap().ticket;
+        port.event(StreamEvent::Answer { ticket, result: Ok(()) });
+        engine.lock().apply(events.pop().unwrap());
+        assert_eq!(engine.lock().session().unwrap().plays, 1);
+    }
+
+    /// A stop also refuses a play whose request came before the stop and is still being read.
+    #[test]
+    fn a_stop_refuses_a_play_whose_request_came_before() {
+        let (mut port, commands, _events) = queues().unwrap();
+        let engine = Engine::new(commands, Settings::default(), "mock".to_owned(), None);
+        let (request, stored) = pin(None);
+        let client = Peer::local(1, 0);
+        let caller = Caller::new(client, None, None, None);
+        let breaks = engine.lock().commands.breaks();
+        let asker = Asker { caller, access: Route::Play.access(), breaks };
+        // A stop comes while the play's body or file is still being read.
+        engine.lock().commands.send_unanswered(Command::Stop).unwrap();
+        let played = asker.ask(engine.play(&request, stored, client));
+        assert_eq!(runtime().unwrap().block_on(played).unwrap_err().code, "busy");
+        assert!(matches!(port.pop().unwrap().command, Command::Stop) && port.pop().is_none());
+    }
+
+    #[test]
+    fn a_play_is_refused_while_the_session_record_has_no_room_for_it() {
+        let dir = tempfile::tempdir().unwrap();
+        let record = SessionRecord::start(
+            Some(Location { dir: dir.path().join("logbook"), days: 1, make_parents: false }),
+            Arc::default(),
+        );
+        let record = record.unwrap();
+        let (mut port, commands, _events) = queues().unwrap();
+        let engine = Engine::new(commands, Settings::default(), "mock".to_owned(), None);
+        let engine = engine.with(record.clone(), Realtime::default(), PathBuf::new());
+        let mut play = || {
+            let (request, stored) = pin(None);
+            let played = engine.play(&request, stored, Peer::local(1, 0));
+            let problem = runtime().unwrap().block_on(played).unwrap_err();
+            (problem.code, port.pop().is_some())
+        };
+        // No streamer answers.
+        assert_eq!(play(), ("timeout".to_owned(), true));
+        record.use_up_plays();
+        assert_eq!(play(), ("too-many-plays".to_owned(), false));
+        record.close(Duration::from_secs(10));
+    }
+}
