@@ -1,13 +1,12 @@
 //! Asks the device for its board report about once a second, and for a self-test on demand.
 //!
-//! [`Session::ask_board`] asks sooner and returns the number of the request. Its answer ([`Event::Board`]) has the slack of all
-//! blocks from the request before to this one: see the specification.
+//! [`BoardRequests::ask`] asks sooner and returns the number of the request. Its answer has the slack of all blocks from the
+//! request before to this one: see the specification. The session says when the line is free for a request.
+//!
+//! Invariant: one request at a time waits for its answer, and is repeated until it comes.
 
-use crate::link::session::contradiction::Contradiction;
-use crate::link::session::event::Event;
-use crate::link::session::state::Session;
 use crate::time::HostInstant;
-use firmware_protocol::board::{Board, SelfTestState};
+use firmware_protocol::board::Board;
 use firmware_protocol::message::HostMessage;
 use std::time::Duration;
 
@@ -36,48 +35,39 @@ impl BoardRequests {
         Self { window: 0, sent: None, answered: true, again: false, due: now, last: None, test: None }
     }
 
+    /// Asks for a board report now. Returns the number of the request.
+    pub(super) fn ask(&mut self) -> u16 {
+        match (self.answered, self.sent) {
+            (true, _) => self.begin(),
+            (false, None) => self.window,
+            (false, Some(_)) => {
+                self.again = true;
+                self.window.wrapping_add(1)
+            }
+        }
+    }
+
+    /// Asks for a self-test until it is over.
+    pub(super) fn ask_test(&mut self) {
+        self.test = Some((1, None));
+    }
+
     fn begin(&mut self) -> u16 {
         self.window = self.window.wrapping_add(1);
         (self.sent, self.answered) = (None, false);
         self.window
     }
-}
 
-impl Session {
-    /// Asks for a board report now. Returns the number of the request, whose answer covers the time before it was sent.
-    pub fn ask_board(&mut self) -> u16 {
-        let asking = &mut self.asking;
-        match (asking.answered, asking.sent) {
-            (true, _) => asking.begin(),
-            (false, None) => asking.window,
-            (false, Some(_)) => {
-                asking.again = true;
-                asking.window.wrapping_add(1)
-            }
+    /// The request that is due at `now`, again if the last time is `retry` ago.
+    pub(super) fn next(&mut self, now: HostInstant, retry: Duration) -> Option<HostMessage<'static>> {
+        if self.answered && now >= self.due {
+            self.begin();
         }
-    }
-
-    /// Begins a self-test, and asks until it is over ([`Event::SelfTest`]).
-    pub fn ask_self_test(&mut self) {
-        self.asking.test = Some((1, None));
-    }
-
-    /// The request that is due at `now`.
-    pub(super) fn next_question(&mut self, now: HostInstant) -> Option<HostMessage<'static>> {
-        if !self.may_ask() {
-            return None;
+        if !self.answered && self.sent.is_none_or(|sent| now.since(sent) >= retry) {
+            (self.sent, self.due) = (Some(now), now + EVERY);
+            return Some(HostMessage::Board { window: self.window });
         }
-        let retry = self.retry_after();
-        let asking = &mut self.asking;
-        if asking.answered && now >= asking.due {
-            asking.begin();
-        }
-        if !asking.answered && asking.sent.is_none_or(|sent| now.since(sent) >= retry) {
-            asking.sent = Some(now);
-            asking.due = now + EVERY;
-            return Some(HostMessage::Board { window: asking.window });
-        }
-        let (run, sent) = asking.test.as_mut()?;
+        let (run, sent) = self.test.as_mut()?;
         if sent.is_some_and(|sent| now.since(sent) < ASK_TEST_EVERY) {
             return None;
         }
@@ -85,56 +75,42 @@ impl Session {
         Some(HostMessage::SelfTest { run: *run })
     }
 
-    /// Whether the line is free for requests: the probe is over, and no command waits for its answer.
-    fn may_ask(&self) -> bool {
-        self.is_open() && self.probe.is_over() && self.control.is_none()
-    }
-
-    /// When the next request is due, while the session may ask.
-    pub(super) fn question_due(&self, now: HostInstant) -> Option<HostInstant> {
-        if !self.may_ask() {
-            return None;
-        }
-        let BoardRequests { answered, sent, due, test, .. } = &self.asking;
-        let board = match (answered, sent) {
-            (true, _) => *due,
+    /// When [`Self::next`] has a request.
+    pub(super) fn due(&self, now: HostInstant, retry: Duration) -> HostInstant {
+        let board = match (self.answered, self.sent) {
+            (true, _) => self.due,
             (false, None) => now,
-            (false, Some(sent)) => *sent + self.retry_after(),
+            (false, Some(sent)) => sent + retry,
         };
-        let test = test.map(|(_, sent)| sent.map_or(now, |sent| sent + ASK_TEST_EVERY));
-        Some(test.map_or(board, |test| test.min(board)))
+        let test = self.test.map(|(_, sent)| sent.map_or(now, |sent| sent + ASK_TEST_EVERY));
+        test.map_or(board, |test| test.min(board))
     }
 
-    /// Takes a board report.
-    pub(super) fn board(&mut self, board: Board, emit: &mut dyn FnMut(Event)) -> Result<(), Contradiction> {
-        if self.asking.answered || board.window != self.asking.window {
-            return Ok(());
-        }
-        self.known.read_board(&board, self.asking.last.as_ref())?;
-        let asking = &mut self.asking;
-        (asking.answered, asking.last) = (true, Some(board));
-        if std::mem::take(&mut asking.again) {
-            asking.begin();
-        }
-        emit(Event::Board(board));
-        Ok(())
+    /// Whether a board report answers the request that waits.
+    pub(super) fn awaits(&self, board: &Board) -> bool {
+        !self.answered && board.window == self.window
     }
 
-    /// Takes the state of the self-test.
-    pub(super) fn self_test(
-        &mut self,
-        run: u16,
-        state: SelfTestState,
-        emit: &mut dyn FnMut(Event),
-    ) -> Result<(), Contradiction> {
-        if self.asking.test.is_none_or(|(asked, _)| asked != run) {
-            return Ok(());
+    /// The last answer.
+    pub(super) const fn last(&self) -> Option<&Board> {
+        self.last.as_ref()
+    }
+
+    /// Takes the answer.
+    pub(super) fn answer(&mut self, board: Board) {
+        (self.answered, self.last) = (true, Some(board));
+        if std::mem::take(&mut self.again) {
+            self.begin();
         }
-        Self::read_self_test(state)?;
-        if state != SelfTestState::Running {
-            self.asking.test = None;
-            emit(Event::SelfTest(state));
-        }
-        Ok(())
+    }
+
+    /// Whether a self-test of this number is asked for.
+    pub(super) fn awaits_test(&self, run: u16) -> bool {
+        self.test.is_some_and(|(asked, _)| asked == run)
+    }
+
+    /// The self-test is over.
+    pub(super) fn end_test(&mut self) {
+        self.test = None;
     }
 }

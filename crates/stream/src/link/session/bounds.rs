@@ -1,14 +1,16 @@
 //! The bounds of all that a device says: the one place where its messages are checked.
 //!
 //! Each function takes a message and returns what the session may use of it, or a [`Contradiction`]: then the session
-//! ignores the message. Bounds follow from the protocol and from what was sent. The table is in the specification
-//! (`firmware_protocol`, "Bounds of what a device says").
+//! ignores the message. Bounds follow from the protocol, from what the device has said ([`DeviceKnowledge`]), and from what was
+//! sent, which the session passes ([`Sent`]). The table is in the specification (`firmware_protocol`, "Bounds of what a device
+//! says").
 //!
 //! Invariant: a device that follows the specification never contradicts itself here, whatever the line loses, repeats,
 //! delays or reorders; time that passes only for the device (the host is suspended) is the exception.
 
+use crate::link::clock::ClockEstimate;
+use crate::link::session::batch::Batch;
 use crate::link::session::contradiction::Contradiction;
-use crate::link::session::state::{Batch, Session};
 use crate::time::HostInstant;
 use firmware_protocol::board::{Board, OUTPUTS, SelfTestState};
 use firmware_protocol::controller::{REORDER_WINDOW, REPORTS};
@@ -65,15 +67,42 @@ pub(super) struct DeviceKnowledge {
     marks: VecDeque<Tick>,
 }
 
-/// What a status says.
+/// The device's clock at an instant, and by how much it may lie before or after that.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct StatusRead {
-    /// Its tick, widened.
-    pub(super) tick: Tick,
-    /// When the ping that it answers was sent.
-    pub(super) pinged: Option<HostInstant>,
-    /// No later status has overtaken it.
-    pub(super) newest: bool,
+pub(super) struct ClockReading {
+    tick: Tick,
+    slack: u64,
+}
+
+impl ClockReading {
+    pub(super) fn new(clock: &ClockEstimate, at: HostInstant) -> Self {
+        let slack = 2 * duration_to_ticks(clock.uncertainty(at)) + CLOCK_SLACK;
+        Self { tick: clock.tick_at(at), slack }
+    }
+
+    /// The device's clock is not beyond this.
+    pub(super) fn latest(&self) -> Tick {
+        self.tick + self.slack
+    }
+
+    const fn earliest(&self) -> Tick {
+        Tick(self.tick.0.saturating_sub(self.slack))
+    }
+}
+
+/// What the host has sent and read, by which a status is judged.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Sent {
+    /// The device's clock when the ping left that the status answers.
+    pub(super) pinged: Option<ClockReading>,
+    /// The newest epoch; the command that waits for its answer, and whether the device may know it.
+    pub(super) epoch: u16,
+    pub(super) command: Option<(Op, bool)>,
+    /// The frames before this one are acknowledged; so many from it on were sent.
+    pub(super) acked: u16,
+    pub(super) frames: usize,
+    /// The last report read.
+    pub(super) seen: u16,
 }
 
 impl DeviceKnowledge {
@@ -189,23 +218,12 @@ impl DeviceKnowledge {
             (State::Faulted, _) => resets && arms,
         }
     }
-}
 
-impl Session {
-    /// The device's clock is not beyond this at `now`.
-    pub(super) fn clock_by(&self, now: HostInstant) -> Tick {
-        self.clock.tick_at(now).unwrap_or(LATEST_CLOCK) + self.clock_slack(now)
-    }
-
-    fn clock_slack(&self, now: HostInstant) -> u64 {
-        2 * duration_to_ticks(self.clock.uncertainty(now).unwrap_or_default()) + CLOCK_SLACK
-    }
-
-    /// Widens a tick that lies between the handshake and `ahead` ticks from `now`.
-    fn tick_within(&self, now: HostInstant, tick: WireTick, ahead: u32) -> Result<Tick, Contradiction> {
-        let tick = tick.near(self.clock.tick_at(now).ok_or(Contradiction::Clock)?);
-        let from = Tick(self.known.opened.0.saturating_sub(self.clock_slack(now)));
-        let by = self.clock_by(now) + u64::from(ahead);
+    /// Widens a tick that lies between the handshake and `ahead` ticks from now.
+    fn tick_within(&self, clock: ClockReading, tick: WireTick, ahead: u32) -> Result<Tick, Contradiction> {
+        let tick = tick.near(clock.tick);
+        let from = Tick(self.opened.0.saturating_sub(clock.slack));
+        let by = clock.latest() + u64::from(ahead);
         if (from..=by).contains(&tick) { Ok(tick) } else { Err(Contradiction::Clock) }
     }
 
@@ -214,66 +232,61 @@ impl Session {
         if sane { Ok(()) } else { Err(Contradiction::Hello) }
     }
 
-    pub(super) fn read_status(&self, now: HostInstant, status: &Status) -> Result<StatusRead, Contradiction> {
-        let tick = self.tick_within(now, status.tick, 0)?;
-        let (token, sent) = self.pinged[usize::from(status.token) % self.pinged.len()];
-        let pinged = Some(sent).filter(|_| status.token != 0 && token == status.token);
-        let earliest = |sent| self.clock.tick_at(sent).map(|at| at.0.saturating_sub(self.clock_slack(sent)));
-        if pinged.and_then(earliest).is_some_and(|earliest| tick.0 < earliest) {
+    /// Reads a status; returns its tick, widened, and whether no later status has overtaken it.
+    pub(super) fn read_status(
+        &self,
+        status: &Status,
+        clock: ClockReading,
+        sent: &Sent,
+    ) -> Result<(Tick, bool), Contradiction> {
+        let tick = self.tick_within(clock, status.tick, 0)?;
+        if sent.pinged.is_some_and(|pinged| tick < pinged.earliest()) {
             return Err(Contradiction::Clock);
         }
-        let newest = self.known.status.map_or(Tick(0), |(_, tick)| tick);
+        let newest = self.status.map_or(Tick(0), |(_, tick)| tick);
         if tick < newest {
             let overtaken = newest - tick <= OVERTAKEN;
-            return if overtaken {
-                Ok(StatusRead { tick, pinged, newest: false })
-            } else {
-                Err(Contradiction::Clock)
-            };
+            return if overtaken { Ok((tick, false)) } else { Err(Contradiction::Clock) };
         }
-        match self.status_follows(status, tick) {
-            Ok(()) => Ok(StatusRead { tick, pinged, newest: true }),
+        match self.status_follows(status, tick, sent) {
+            Ok(()) => Ok((tick, true)),
             // Of two statuses of one tick the later may have come first.
-            Err(_) if tick == newest => Ok(StatusRead { tick, pinged, newest: false }),
+            Err(_) if tick == newest => Ok((tick, false)),
             Err(how) => Err(how),
         }
     }
 
     /// Whether a status may follow the newest one.
-    fn status_follows(&self, status: &Status, tick: Tick) -> Result<(), Contradiction> {
-        let known = &self.known;
-        self.check_command(status)?;
-        if status.epoch == self.epoch {
-            let sent_until = self.window.iter().rev().find(|batch| batch.first_sent.is_some());
-            let sent_until = sent_until.map_or(self.acked, |batch| batch.seq.wrapping_add(1));
-            let sent = usize::from(sent_until.wrapping_sub(self.acked));
-            let acked = usize::from(status.next_seq.wrapping_sub(self.acked));
+    fn status_follows(&self, status: &Status, tick: Tick, sent: &Sent) -> Result<(), Contradiction> {
+        self.check_command(status, sent)?;
+        if status.epoch == sent.epoch {
+            let acked = usize::from(status.next_seq.wrapping_sub(sent.acked));
             let buffered = REORDER_WINDOW - status.out_of_order.leading_zeros() as usize;
-            if acked > sent || (buffered > 0 && acked + buffered >= sent) {
+            if acked > sent.frames || (buffered > 0 && acked + buffered >= sent.frames) {
                 return Err(Contradiction::Stream);
             }
         }
-        if status.credits > known.pool {
+        if status.credits > self.pool {
             return Err(Contradiction::Credits);
         }
-        let before = known.status.map_or(known.reports, |(status, _)| status.reports);
-        let unread = status.reports.wrapping_sub(self.seen);
+        let before = self.status.map_or(self.reports, |(status, _)| status.reports);
+        let unread = status.reports.wrapping_sub(sent.seen);
         let read_before = unread > u16::MAX / 2;
         if status.reports.wrapping_sub(before) > u16::MAX / 2
-            || (!read_before && usize::from(unread) > REPORTS + usize::from(known.pool))
-            || (read_before && tick > known.report_read_by)
+            || (!read_before && usize::from(unread) > REPORTS + usize::from(self.pool))
+            || (read_before && tick > self.report_read_by)
         {
             return Err(Contradiction::Reports);
         }
-        if !known.may_become(status) || status.outstanding > MOTORS as u32 * u32::from(u16::MAX) {
+        if !self.may_become(status) || status.outstanding > MOTORS as u32 * u32::from(u16::MAX) {
             return Err(Contradiction::State);
         }
-        if known.returning > LONGEST_RETURN && status.state == State::Returning {
+        if self.returning > LONGEST_RETURN && status.state == State::Returning {
             return Err(Contradiction::State);
         }
-        if let Some((before, _)) = &known.status
+        if let Some((before, _)) = &self.status
             && before.position_known != status.position_known
-            && !(known.seeks || (known.arms && status.position_known) || status.cause == Cause::Output)
+            && !(self.seeks || (self.arms && status.position_known) || status.cause == Cause::Output)
         {
             return Err(Contradiction::State);
         }
@@ -281,17 +294,15 @@ impl Session {
     }
 
     /// Whether the epoch of a status was begun, and is answered as its command may be.
-    fn check_command(&self, status: &Status) -> Result<(), Contradiction> {
-        let unsent = self.control.as_ref().is_some_and(|control| !control.under_way);
-        let begun = self.epoch.wrapping_sub(self.known.epoch).saturating_sub(unsent.into());
-        let answers = status.epoch.wrapping_sub(self.known.epoch);
+    fn check_command(&self, status: &Status, sent: &Sent) -> Result<(), Contradiction> {
+        let unsent = sent.command.is_some_and(|(_, under_way)| !under_way);
+        let begun = sent.epoch.wrapping_sub(self.epoch).saturating_sub(unsent.into());
+        let answers = status.epoch.wrapping_sub(self.epoch);
         if answers > begun {
             return Err(Contradiction::Command);
         }
-        let Some(control) = self.control.as_ref().filter(|_| status.epoch == self.epoch) else {
-            return Ok(());
-        };
-        let fits = match (control.op, status.refusal) {
+        let Some((op, _)) = sent.command.filter(|_| status.epoch == sent.epoch) else { return Ok(()) };
+        let fits = match (op, status.refusal) {
             (_, None) => true,
             (Op::Arm { .. }, Some(why)) => {
                 matches!(why, Refusal::State | Refusal::PositionUnknown | Refusal::Pushing | Refusal::Travel)
@@ -310,7 +321,7 @@ impl Session {
             ),
             _ => false,
         };
-        let obeyed = match control.op {
+        let obeyed = match op {
             Op::EStop => status.state == State::Faulted,
             Op::Disarm(_) => status.state != State::Armed,
             _ => true,
@@ -320,9 +331,8 @@ impl Session {
 
     /// Whether a status may have these counters at `tick`.
     fn check_counters(&self, now: &Counters, tick: Tick) -> Result<(), Contradiction> {
-        let known = &self.known;
-        let before = known.status.map_or(Counters::NONE, |(status, _)| status.counters);
-        let after_report = tick <= known.report_read_by || grows(&known.reported, now);
+        let before = self.status.map_or(Counters::NONE, |(status, _)| status.counters);
+        let after_report = tick <= self.report_read_by || grows(&self.reported, now);
         if grows(&before, now) && after_report {
             self.check_pace(now, tick)
         } else {
@@ -332,7 +342,7 @@ impl Session {
 
     /// Whether the counters at `tick` are within what all lines can have played since the newest status.
     fn check_pace(&self, now: &Counters, tick: Tick) -> Result<(), Contradiction> {
-        let Some((before, at)) = &self.known.status else { return Ok(()) };
+        let Some((before, at)) = &self.status else { return Ok(()) };
         // Each line plays at most a pulse per tick; a stroke counts at its end.
         let most = MOTORS as u64 * ((tick - *at) + STROKE_PULSES);
         let jumps = |count: fn(&Counters) -> u64| count(now).saturating_sub(count(&before.counters)) > most;
@@ -340,65 +350,52 @@ impl Session {
         if jumps { Err(Contradiction::Counters) } else { Ok(()) }
     }
 
-    /// The frame in the window with this number, if it was sent.
-    fn sent_frame(&self, seq: u16) -> Result<&Batch, Contradiction> {
-        let sent = |batch: &&Batch| batch.seq == seq && batch.first_sent.is_some();
-        let unjudged = !self.verdicts.iter().any(|report| {
-            matches!(report, Report::Verdict { seq: of, .. } | Report::OnsetRefused { seq: of, .. } if *of == seq)
-        });
-        self.window.iter().find(sent).filter(|_| unjudged).ok_or(Contradiction::Report)
-    }
-
-    /// Whether a refused mark is an item's: the strokes of its frame are judged one by one.
-    pub(super) fn is_item(&self, seq: u16) -> bool {
-        self.sent_frame(seq).is_ok_and(|frame| !frame.is_onset())
-    }
-
-    /// Reads a report; returns its tick, widened. `stale`: a verdict of an epoch that is over.
+    /// Reads a report; returns its tick, widened. `frame` is the frame that a verdict is about, if it was sent and has none;
+    /// `stale`: the verdict is of an epoch that is over.
     pub(super) fn read_report(
         &self,
-        now: HostInstant,
         report: &Report,
+        clock: ClockReading,
+        frame: Option<&Batch>,
         stale: bool,
     ) -> Result<Tick, Contradiction> {
         match *report {
             Report::Verdict { rendered, .. } | Report::OnsetRefused { rendered, .. } if stale => {
-                self.tick_within(now, rendered, self.known.horizon)
+                self.tick_within(clock, rendered, self.horizon)
             }
-            Report::Verdict { seq, late, refused, kept, reason, rendered } => {
-                let frame = self.sent_frame(seq)?;
-                let strokes = frame.strokes.items();
+            Report::Verdict { late, refused, kept, reason, rendered, .. } => {
+                let frame = frame.ok_or(Contradiction::Report)?;
                 let listed = late | refused;
                 let fits = late & refused == 0
                     && (listed != 0 || kept != 0)
-                    && kept & !frame.withdraws.unwrap_or(0) == 0
-                    && listed.checked_shr(strokes as u32).unwrap_or(0) == 0
+                    && kept & !frame.withdraws().unwrap_or(0) == 0
+                    && listed.checked_shr(frame.items() as u32).unwrap_or(0) == 0
                     && reason.is_some() == (refused != 0);
                 if fits {
-                    self.tick_within(now, rendered, self.known.horizon)
+                    self.tick_within(clock, rendered, self.horizon)
                 } else {
                     Err(Contradiction::Report)
                 }
             }
-            Report::OnsetRefused { seq, rendered } => {
-                let frame = self.sent_frame(seq)?;
-                let rendered = self.tick_within(now, rendered, self.known.horizon)?;
-                let fits = frame.mark.is_some() && frame.strokes.base() < rendered;
+            Report::OnsetRefused { rendered, .. } => {
+                let frame = frame.ok_or(Contradiction::Report)?;
+                let rendered = self.tick_within(clock, rendered, self.horizon)?;
+                let fits = frame.marks().is_some_and(|onset| onset < rendered);
                 if fits { Ok(rendered) } else { Err(Contradiction::Report) }
             }
             Report::Onset { tick, counters } => {
-                let tick = self.tick_within(now, tick, 0)?;
-                if !self.known.marks.contains(&tick) {
+                let tick = self.tick_within(clock, tick, 0)?;
+                if !self.marks.contains(&tick) {
                     return Err(Contradiction::Report);
                 }
-                if !grows(&self.known.reported, &counters) {
+                if !grows(&self.reported, &counters) {
                     return Err(Contradiction::Counters);
                 }
                 self.check_pace(&counters, tick).map(|()| tick)
             }
             Report::Cut(Cut { at, flushed, outstanding, .. }) => {
-                let fits = flushed <= self.known.pool && outstanding <= MOTORS as u32 * u32::from(u16::MAX);
-                if fits { self.tick_within(now, at, self.known.horizon) } else { Err(Contradiction::Report) }
+                let fits = flushed <= self.pool && outstanding <= MOTORS as u32 * u32::from(u16::MAX);
+                if fits { self.tick_within(clock, at, self.horizon) } else { Err(Contradiction::Report) }
             }
             Report::Refused { motor, up, reason } => {
                 let limit = matches!(
@@ -411,7 +408,7 @@ impl Session {
                         | Refusal::Dense
                 );
                 let fits = usize::from(motor) < MOTORS && limit;
-                if fits { self.tick_within(now, up, self.known.horizon) } else { Err(Contradiction::Report) }
+                if fits { self.tick_within(clock, up, self.horizon) } else { Err(Contradiction::Report) }
             }
         }
     }
@@ -428,8 +425,8 @@ impl Session {
     }
 
     /// The tick of a telemetry sample, widened. Its displacements are for the telemetry monitors, motor by motor.
-    pub(super) fn read_telemetry(&self, now: HostInstant, tick: WireTick) -> Result<Tick, Contradiction> {
-        if self.known.telemetry { self.tick_within(now, tick, 0) } else { Err(Contradiction::Telemetry) }
+    pub(super) fn read_telemetry(&self, clock: ClockReading, tick: WireTick) -> Result<Tick, Contradiction> {
+        if self.telemetry { self.tick_within(clock, tick, 0) } else { Err(Contradiction::Telemetry) }
     }
 }
 

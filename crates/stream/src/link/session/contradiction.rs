@@ -1,7 +1,14 @@
 //! The ways in which a device can contradict itself, and their counts.
 //!
 //! `bounds` finds a [`Contradiction`]; the session ignores the message, counts it in [`Contradictions`], and closes the
-//! link if they come often.
+//! link if they come often ([`Trust`]).
+
+use crate::time::HostInstant;
+use std::time::Duration;
+
+/// So many contradictions within this time close the link.
+const MAX_CONTRADICTIONS: usize = 5;
+const CONTRADICTIONS_WITHIN: Duration = Duration::from_secs(1);
 
 /// A message from the device, undamaged, that cannot be true.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -90,9 +97,30 @@ impl Contradictions {
     }
 }
 
+/// Whether a device is trusted: when it contradicted itself, the last times.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Trust([Option<HostInstant>; MAX_CONTRADICTIONS]);
+
+impl Trust {
+    /// The device contradicted itself; returns whether it did so too often.
+    pub(super) fn contradicted(&mut self, now: HostInstant) -> bool {
+        self.0.rotate_right(1);
+        self.0[0] = Some(now);
+        self.0[MAX_CONTRADICTIONS - 1].is_some_and(|first| now.since(first) <= CONTRADICTIONS_WITHIN)
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn only_several_contradictions_within_a_second_end_the_trust() {
+        let at = |ms: u64| HostInstant::from_ns(ms * 1_000_000);
+        let mut trust = Trust::default();
+        assert_eq!([0, 500, 600, 700, 1001].map(|ms| trust.contradicted(at(ms))), [false; 5]);
+        assert!(trust.contradicted(at(1500)));
+    }
 
     #[test]
     fn every_kind_is_counted_by_itself() {

@@ -1,185 +1,159 @@
-//! The line as a session sees it: its rate, the bytes it carried, and its round trips.
+//! What the line carries: its rate, as the probe measured it, and the share of it that gets through.
+//!
+//! It answers how much a play may need ([`Line::capacity`], [`Line::rate_left`]) and how long the session waits before it sends
+//! again. It counts no traffic: [`Wire`](super::wire::Wire) does.
+//!
+//! Invariant: what may be unacknowledged follows from the measured rate, or the nominal one until a probe has measured.
 
-use crate::link::session::contradiction::Contradictions;
+use crate::link::session::probe::{Budget, Probe, Step};
+use crate::link::session::quality::Quality;
+use crate::link::session::rate::{LineRate, MeasuredLine};
 use crate::time::HostInstant;
-use firmware_protocol::frame::{FrameError, MAX_FRAME};
-use firmware_protocol::tick::Tick;
+use firmware_protocol::frame::MAX_FRAME;
 use std::time::Duration;
 
-/// The rate of a line, bytes per second. It bounds what may wait in buffers that the host cannot reach.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct LineRate(pub u32);
+/// The host retransmits a frame after a few round trips, within these bounds.
+pub(super) const RETRY: (Duration, Duration) = (Duration::from_millis(3), Duration::from_millis(50));
 
-impl LineRate {
-    /// Bulk transfers of a full-speed USB device.
-    pub const USB_FULL_SPEED: Self = Self(800_000);
-
-    /// Bytes that may be unacknowledged: 2 ms of the line, at least one frame.
-    pub(super) fn window_bytes(self) -> usize {
-        (self.0 as usize / 500).max(MAX_FRAME)
-    }
-
-    /// How long `bytes` occupy the line.
-    #[must_use]
-    pub fn time(self, bytes: usize) -> Duration {
-        Duration::from_secs_f64(bytes as f64 / f64::from(self.0.max(1)))
-    }
+/// The line of a session.
+#[derive(Clone, Debug)]
+pub(super) struct Line {
+    /// Its rate as its transport knows it, and as the probe measured it.
+    nominal: LineRate,
+    measured: Option<MeasuredLine>,
+    window_bytes: usize,
+    probe: Probe,
+    quality: Quality,
 }
 
-/// What the link probe measured.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct MeasuredLine {
-    /// What the line carries while nothing waits for an answer, at most its nominal rate.
-    pub(super) rate: LineRate,
-    /// How long an acknowledgement takes, besides the bytes' own time on the line.
-    pub(super) ack_wait: Duration,
-}
-
-/// Bytes and frames since the session began.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Traffic {
-    /// Bytes sent, all overhead included.
-    pub bytes_out: u64,
-    /// Bytes received.
-    pub bytes_in: u64,
-    /// Frames sent again.
-    pub retransmitted: u64,
-    /// Frames from the device that were read.
-    pub good: u64,
-    /// Frames from the device that could not be read.
-    pub bad: BadFrames,
-    /// Undamaged messages from the device that cannot be true.
-    pub contradictions: Contradictions,
-}
-
-impl Traffic {
-    /// The share of the device's frames that the line damaged, percent.
-    pub(super) fn damaged_percent(&self) -> u64 {
-        let bad = self.bad.too_long + self.bad.malformed + self.bad.crc;
-        (100 * bad).checked_div(bad + self.good).unwrap_or(0)
-    }
-}
-
-/// Frames that could not be read, by kind. What they held is lost, or comes again if the protocol repeats it.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct BadFrames {
-    /// No delimiter within the longest frame.
-    pub too_long: u64,
-    /// Not COBS, or too short.
-    pub malformed: u64,
-    /// Damaged: the CRC does not fit.
-    pub crc: u64,
-    /// Undamaged, but not a message of this protocol version: a fault of one of the two programs.
-    pub unknown: u64,
-}
-
-impl BadFrames {
-    /// Counts a frame. One of another version is not counted: it ends the session.
-    pub(super) fn count(&mut self, error: FrameError) {
-        match error {
-            FrameError::TooLong => self.too_long += 1,
-            FrameError::Malformed => self.malformed += 1,
-            FrameError::Crc => self.crc += 1,
-            FrameError::Unknown => self.unknown += 1,
-            FrameError::Version(_) => {}
+impl Line {
+    /// A line that is to be probed.
+    pub(super) fn new(nominal: LineRate) -> Self {
+        Self {
+            nominal,
+            measured: None,
+            window_bytes: nominal.window_bytes(),
+            probe: Probe::new(Budget::default(), nominal),
+            quality: Quality::default(),
         }
     }
-}
 
-/// Bytes of a frame of strokes besides the strokes, about.
-const HEADER: f64 = 24.0;
-/// Frames after which the quality is judged again. Older ones count half each time.
-const JUDGED: u32 = 64;
-/// Shorter frames carry more header than strokes.
-const SHORTEST: usize = 64;
-
-/// How much of what the host sends gets through: the device counts the frames that it cannot read.
-///
-/// Of a line that damages one byte in 1/λ, a frame of n bytes survives with exp(-λn). The length that carries most is that
-/// at which `(n - HEADER)·exp(-λn)` is largest.
-#[derive(Clone, Debug)]
-pub(super) struct Quality {
-    frames: u32,
-    bytes: usize,
-    damaged: u64,
-    /// The device's count when it was last heard.
-    counted: Option<u64>,
-    /// Most bytes of a frame of strokes.
-    pub(super) frame_bytes: usize,
-    /// What such frames carry, of what full frames carry on a good line.
-    pub(super) share: f64,
-}
-
-impl Default for Quality {
-    fn default() -> Self {
-        Self { frames: 0, bytes: 0, damaged: 0, counted: None, frame_bytes: MAX_FRAME, share: 1.0 }
+    /// Probes it again. What was measured holds until the probe is over.
+    pub(super) fn probe(&mut self, budget: Budget) {
+        self.probe = Probe::new(budget, self.nominal);
     }
-}
 
-impl Quality {
+    pub(super) fn is_probed(&self) -> bool {
+        self.probe.is_over()
+    }
+
+    /// Whether a round of the probe is under way: the session sends no ping of its own.
+    pub(super) fn is_probing(&self) -> bool {
+        self.probe.is_busy()
+    }
+
+    /// What the probe sends next; the caller sends it and says so.
+    pub(super) fn next_step(&mut self, now: HostInstant, quiet: bool) -> Step {
+        let was_over = self.probe.is_over();
+        let step = self.probe.next(now, quiet);
+        if !was_over {
+            self.adopt();
+        }
+        step
+    }
+
+    /// When [`Self::next_step`] has something, if no answer comes before. `quiet_by`: when an open line counts as quiet.
+    pub(super) fn step_due(&self, now: HostInstant, quiet_by: Option<HostInstant>) -> Option<HostInstant> {
+        self.probe.due(now, quiet_by)
+    }
+
+    /// A filler of the probe left.
+    pub(super) fn sent_filler(&mut self, len: usize) {
+        self.probe.sent_filler(len);
+    }
+
+    /// The probe's ping left.
+    pub(super) fn sent_ping(&mut self, now: HostInstant, len: usize, token: u16) {
+        self.probe.sent_ping(now, len, token);
+    }
+
+    /// The device answered the ping of this token; `true` if it was the probe's, which waits behind other bytes and so measures
+    /// neither the clock nor an idle round trip. `idle` is an idle round trip.
+    pub(super) fn answered(&mut self, now: HostInstant, token: u16, idle: Duration) -> bool {
+        let is_probe = self.probe.answered(now, token, idle);
+        if is_probe {
+            self.adopt();
+        }
+        is_probe
+    }
+
+    /// Takes over what the probe measured, once it is over.
+    fn adopt(&mut self) {
+        if self.probe.is_over() {
+            self.measured = self.probe.result();
+            self.window_bytes = self.measured.map_or(self.nominal, |line| line.rate).window_bytes();
+        }
+    }
+
     /// A frame of so many bytes leaves.
     pub(super) fn sent(&mut self, len: usize) {
-        (self.frames, self.bytes) = (self.frames.saturating_add(1), self.bytes.saturating_add(len));
+        self.quality.sent(len);
     }
 
     /// The device's count of frames that it could not read since its start.
     pub(super) fn heard(&mut self, bad_frames: u64) {
-        self.damaged += bad_frames.saturating_sub(self.counted.unwrap_or(bad_frames));
-        self.counted = Some(bad_frames);
-        if self.frames >= JUDGED {
-            self.judge();
-            (self.frames, self.bytes, self.damaged) = (self.frames / 2, self.bytes / 2, self.damaged / 2);
-        }
+        self.quality.heard(bad_frames);
     }
 
-    fn judge(&mut self) {
-        let survive = 1.0 - self.damaged as f64 / f64::from(self.frames);
-        let per_byte =
-            (-survive.clamp(0.02, 1.0).ln() * f64::from(self.frames) / self.bytes as f64).max(1e-9);
-        // In steps, so that chance does not change it all the time.
-        let best = HEADER / 2.0 * (1.0 + (1.0 + 4.0 / (HEADER * per_byte)).sqrt());
-        self.frame_bytes = (best as usize / 32 * 32).clamp(SHORTEST, MAX_FRAME);
-        let payload = |bytes: f64| 1.0 - HEADER / bytes;
-        let bytes = self.frame_bytes as f64;
-        let share = payload(bytes) / payload(MAX_FRAME as f64) * (-per_byte * bytes).exp();
-        self.share = (share * 16.0).ceil() / 16.0;
-    }
-}
-
-/// A ping and its answer.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct RoundTrip {
-    /// When the host sent the ping.
-    pub sent: HostInstant,
-    /// The device's clock when it answered.
-    pub tick: Tick,
-    /// When the host received the answer.
-    pub received: HostInstant,
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    /// The quality after frames of 60 bytes over a line that damages this share of bytes.
-    fn quality(share: f64) -> Quality {
-        let (mut quality, mut damaged) = (Quality::default(), 0.0);
-        for _ in 0..400 {
-            quality.sent(60);
-            damaged += 1.0 - (1.0 - share).powi(60);
-            quality.heard(damaged as u64);
-        }
-        quality
+    /// Bytes that may be unacknowledged.
+    pub(super) const fn window_bytes(&self) -> usize {
+        self.window_bytes
     }
 
-    #[test]
-    fn the_more_bytes_are_damaged_the_shorter_are_the_frames() {
-        let good = quality(0.0);
-        assert_eq!((good.frame_bytes, good.share), (MAX_FRAME, 1.0));
-        let lengths = [0.0001, 0.001, 0.005, 0.01, 0.02, 0.1].map(|share| quality(share).frame_bytes);
-        assert!(lengths.is_sorted_by(|longer, shorter| longer >= shorter), "{lengths:?}");
-        assert_eq!((lengths[0], lengths[5]), (MAX_FRAME, SHORTEST));
-        let shares = [0.001, 0.01, 0.05].map(|share| quality(share).share);
-        assert!(shares[0] > shares[1] && shares[1] > shares[2] && shares[2] > 0.0, "{shares:?}");
+    /// Most bytes of a frame of strokes.
+    pub(super) const fn frame_bytes(&self) -> usize {
+        self.quality.frame_bytes()
+    }
+
+    /// See [`Session::capacity`](super::Session::capacity).
+    pub(super) fn capacity(&self) -> Option<u32> {
+        let MeasuredLine { rate, ack_wait } = self.measured?;
+        let under_way = (self.frames_under_way() * MAX_FRAME) as f64;
+        let waiting = under_way / (ack_wait + rate.time(MAX_FRAME)).as_secs_f64();
+        Some((waiting.min(rate.0.into()) * self.quality.share()) as u32)
+    }
+
+    /// See [`Session::rate_left`](super::Session::rate_left).
+    pub(super) fn rate_left(&self, frames_per_s: u32) -> Option<u32> {
+        let share = self.quality.share();
+        let waiting = f64::from(frames_per_s) * self.ack_wait()?.as_secs_f64() / share;
+        Some((f64::from(self.measured?.rate.0) * share * (1.0 - waiting)) as u32)
+    }
+
+    /// How long a frame that is sent now takes to the device behind so many bytes; `shortest` is the shortest round trip.
+    pub(super) fn delivery(&self, waiting: usize, shortest: Duration) -> Duration {
+        self.time(waiting + MAX_FRAME) + shortest.min(RETRY.1) / 2
+    }
+
+    /// How long a frame waits, besides its bytes' time, until the device has acknowledged the frames before it.
+    pub(super) fn ack_wait(&self) -> Option<Duration> {
+        Some(self.measured?.ack_wait / self.frames_under_way() as u32)
+    }
+
+    /// How long the session waits for an acknowledgement before it sends again.
+    pub(super) fn retry_after(&self, round_trip: Duration) -> Duration {
+        let usual = (round_trip * 3).clamp(RETRY.0, RETRY.1);
+        // A frame on a slow line is late, not lost.
+        usual.max(round_trip.min(RETRY.1) + self.time(self.window_bytes + MAX_FRAME))
+    }
+
+    /// How long `bytes` occupy the line; no time while its rate is unknown.
+    fn time(&self, bytes: usize) -> Duration {
+        self.measured.map_or(Duration::ZERO, |line| line.rate.time(bytes))
+    }
+
+    /// Whole frames that may be unacknowledged at once.
+    fn frames_under_way(&self) -> usize {
+        self.window_bytes / MAX_FRAME
     }
 }

@@ -5,13 +5,16 @@
 //! bytes the session may have unacknowledged, so an e-stop never waits for more than that. The time that a round takes beyond the
 //! time of its bytes is the time of an acknowledgement.
 //!
-//! The [`Session`](super::Session) asks [`Probe::next`] what to send, sends it, and reports what it sent and heard.
+//! The session asks [`Probe::next`] what to send, sends it, and reports what it sent and heard.
 //! Bounds: [`Budget`] in bytes and time after the first [`LEAST_ROUNDS`] rounds, [`ROUNDS`] rounds, one at a time.
 //! Invariant: a probe that ended stays over, whether or not it measured anything.
 
-use crate::link::session::line::{LineRate, MeasuredLine};
+use crate::link::session::rate::{LineRate, MeasuredLine};
 use crate::time::HostInstant;
+use firmware_protocol::batch::{BATCH_BYTES, Packer};
 use firmware_protocol::frame::MAX_FRAME;
+use firmware_protocol::stroke::Stroke;
+use firmware_protocol::tick::Tick;
 use std::time::Duration;
 
 /// Rounds at most.
@@ -21,8 +24,6 @@ const LEAST_ROUNDS: usize = 3;
 /// The probe gives a round up after this time: the device may have lost its ping, or the host stood still. No line that
 /// carries a play is so slow.
 const ROUND_TIMEOUT: Duration = Duration::from_millis(250);
-/// Pings still under way would be measured with the first round: the probe waits for them, but not longer than this.
-pub(super) const QUIET_TIMEOUT: Duration = Duration::from_millis(100);
 
 /// What a probe may cost.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -88,6 +89,20 @@ pub(super) struct Probe {
     rounds: usize,
     /// Rounds begun, answered or not.
     begun: usize,
+}
+
+/// The strokes of a full frame, from tick 0 on.
+pub(super) fn filler() -> Packer<BATCH_BYTES> {
+    let mut strokes = Packer::new(Tick(0));
+    let (mut up, mut pulses) = (Tick(0), 147);
+    // Neighbouring counts differ, so that the packer cannot shorten them: the frame is full.
+    while strokes
+        .stroke(&Stroke { motor: 0, up, up_pulses: pulses, down: up + 708, down_pulses: pulses })
+        .is_ok()
+    {
+        (up, pulses) = (up + 1417, pulses ^ 1);
+    }
+    strokes
 }
 
 impl Probe {
