@@ -1,4 +1,7 @@
 //! Writes what is due: commands first, then corrections, frames the device misses, the link probe's, and pings.
+//!
+//! The parts say what is due and when; here is their order. Invariant: while a command waits for its answer, no strokes, amendments
+//! or requests leave.
 
 use crate::link::session::batch::{Head, encoded};
 use crate::link::session::contradiction::Contradiction;
@@ -78,7 +81,7 @@ impl Session {
     fn next_frame(&mut self, now: HostInstant, out: &mut [u8; MAX_FRAME]) -> usize {
         let (epoch, seen, retry) = (self.commands.epoch(), self.reports.seen(), self.retry_after());
         if let Some((op, again)) = self.commands.next(now, retry) {
-            self.count(again);
+            self.wire.repeated(again);
             return encoded(&HostMessage::Control { epoch, seen, op }, out);
         }
         if !self.commands.is_waiting() {
@@ -89,7 +92,7 @@ impl Session {
             let window_bytes = self.line.window_bytes();
             if let Some(written) = self.outbox.write_next(now, Head { epoch, seen }, retry, window_bytes, out)
             {
-                self.count(written.retransmitted);
+                self.wire.repeated(written.retransmitted);
                 written.marks.into_iter().for_each(|onset| self.known.mark_sent(onset));
                 return written.len;
             }
@@ -102,12 +105,6 @@ impl Session {
         match self.next_probe(now, out) {
             0 if now >= self.pinger.due() && !self.line.is_probing() => self.ping(now, out).1,
             len => len,
-        }
-    }
-
-    fn count(&mut self, again: bool) {
-        if again {
-            self.wire.repeated();
         }
     }
 

@@ -1,4 +1,7 @@
 //! Rates: what a line is said to carry, and what it was measured to carry.
+//!
+//! The transport names a [`LineRate`]; the probe finds a [`MeasuredLine`] of at most that. Invariant: no rate lets less than a frame
+//! be unacknowledged.
 
 use firmware_protocol::frame::MAX_FRAME;
 use std::time::Duration;

@@ -83,9 +83,9 @@ impl Wire {
         self.traffic.bytes_out += len as u64;
     }
 
-    /// A frame leaves again.
-    pub(super) const fn repeated(&mut self) {
-        self.traffic.retransmitted += 1;
+    /// A frame leaves, perhaps again.
+    pub(super) fn repeated(&mut self, again: bool) {
+        self.traffic.retransmitted += u64::from(again);
     }
 
     /// So many bytes came, which [`Self::next`] reads.
