@@ -6,7 +6,7 @@ use meissner_design::{Partition, Shape, Target, Verdict, YARDSTICK, shipped};
 use meissner_report::figures::{
     AMPLITUDES_UM, INDEX, PatternFigures, Report, Subject, TargetFigures, report,
 };
-use meissner_skin::afferent::{AfferentModel, POPULATION_NOISE_SD, Position, Rectify, population};
+use meissner_skin::membrane::{AfferentModel, POPULATION_NOISE_SD, Position, Rectify, population};
 use meissner_skin::{Method, Options, Scene, simulate};
 use std::collections::BTreeSet;
 use std::sync::{Arc, LazyLock};

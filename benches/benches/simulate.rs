@@ -11,8 +11,8 @@ use meissner_array::pattern::{Drive, Pattern};
 use meissner_array::random::normal;
 use meissner_array::strokes::{StrokeOptions, Strokes};
 use meissner_design::{Play, predict_response};
-use meissner_skin::afferent::Position;
-use meissner_skin::fingertip;
+use meissner_skin::afferents;
+use meissner_skin::membrane::Position;
 use meissner_skin::{
     Evaluator, Integrator, Keep, Method, Options, Precision, SEARCH_MIN_WEIGHT, Scene, Stepping, simulate,
 };
@@ -61,18 +61,18 @@ fn whole(criterion: &mut Criterion) {
 /// The second model on the standard second: 306 RA, 200 SA1 and 60 PC afferents with noise under 24 pins.
 fn afferents(criterion: &mut Criterion) {
     let scene =
-        fingertip::Scene::of_motors(&scene(), fingertip::PREINDENT_MM, fingertip::population(0), true)
+        afferents::Scene::of_motors(&scene(), afferents::PREINDENT_MM, afferents::population(0), true)
             .expect("the standard second is a scene of both models");
-    let silent = fingertip::Scene::of_motors(
+    let silent = afferents::Scene::of_motors(
         &self::scene().with_drives(Vec::new()).expect("no drives"),
-        fingertip::PREINDENT_MM,
-        fingertip::population(0),
+        afferents::PREINDENT_MM,
+        afferents::population(0),
         false,
     )
     .expect("pins at rest are a scene, too");
-    let answer = fingertip::simulate(&scene, Keep::Spikes, &|_| ()).expect("the scene can be simulated");
+    let answer = afferents::simulate(&scene, Keep::Spikes, &|_| ()).expect("the scene can be simulated");
     let mean = |class| answer.mean_hz(&scene, class).unwrap_or(0.0);
-    let [sa1, ra, pc] = fingertip::Class::ALL.map(mean);
+    let [sa1, ra, pc] = afferents::Class::ALL.map(mean);
     println!(
         "afferents: {} spikes, SA1 {sa1:.1}, RA {ra:.1}, PC {pc:.1} impulses/s",
         answer.counts.iter().sum::<u64>()
@@ -84,7 +84,7 @@ fn afferents(criterion: &mut Criterion) {
         for (name, scene) in [("second", &scene), ("at_rest", &silent)] {
             group.bench_function(format!("{name}/{cores}_core"), |bencher| {
                 pool.install(|| {
-                    bencher.iter(|| fingertip::simulate(black_box(scene), Keep::Spikes, &|_| ()));
+                    bencher.iter(|| afferents::simulate(black_box(scene), Keep::Spikes, &|_| ()));
                 });
             });
         }

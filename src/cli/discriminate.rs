@@ -12,7 +12,7 @@ use clap::Args;
 use meissner_array::pattern::Pattern;
 use meissner_design::{ClassReadings, Confusion, Plan, Reading, confusion, discriminate, efficiency};
 use meissner_report::figures::{confusion_csv, plot_confusion};
-use meissner_skin::afferent::{AfferentModel, POPULATION_NOISE_SD, Rectify};
+use meissner_skin::membrane::{AfferentModel, POPULATION_NOISE_SD, Rectify};
 use meissner_skin::{ModelName, SkinModel};
 use serde::Serialize;
 use std::path::{Path, PathBuf};

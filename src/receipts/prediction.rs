@@ -16,7 +16,7 @@ use meissner_array::pattern::Pattern;
 use meissner_array::strokes::{StrokeOptions, Strokes, StrokesError, Surplus};
 use meissner_array::units::{UM_PER_PULSE, seconds_to_ticks, ticks_to_seconds};
 use meissner_design::{MOST_OBSERVED_S, PredictionError};
-use meissner_skin::fingertip::Class;
+use meissner_skin::afferents::Class;
 use meissner_stream::queues::MeasuredBurst;
 use std::collections::{HashMap, HashSet};
 

@@ -12,7 +12,7 @@ use crate::goal::Goal;
 use crate::naive::Rule;
 use crate::objective::{Answered, Fidelity, Incumbent, Objective, Populations, Score, Task, Tried};
 use crate::point::Point;
-use meissner_skin::afferent::Position;
+use meissner_skin::membrane::Position;
 use meissner_skin::{MethodError, ModelName};
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;

@@ -8,7 +8,7 @@
 use crate::partition::Partition;
 use crate::shape::Shape;
 use meissner_array::geometry::PITCH_MM;
-use meissner_skin::afferent::Position;
+use meissner_skin::membrane::Position;
 use serde::{Deserialize, Serialize};
 
 /// What a search maximises. ON afferents are those within reach of the shape, OFF all others.

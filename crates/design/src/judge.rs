@@ -7,13 +7,14 @@
 //! [`Fidelity::FULL`](crate::Fidelity::FULL), for the same populations and noise.
 
 use crate::partition::{Partition, Verdict};
-use crate::quality::played;
 use crate::target::{LONGEST_S, Target};
 use meissner_array::pattern::{Drive, Pattern};
 use meissner_array::strokes::{StrokeOptions, Strokes, StrokesError};
-use meissner_skin::afferent::{AfferentModel, Position, Rectify};
-use meissner_skin::fingertip::{Afferent, Class};
-use meissner_skin::{Finger, MAX_ALPHA_PER_UM, MethodError, ModelName, Moved, SkinModel, Stimulus};
+use meissner_skin::afferents::{Afferent, Class};
+use meissner_skin::membrane::{AfferentModel, Position, Rectify};
+use meissner_skin::{
+    Finger, FingerError, MAX_ALPHA_PER_UM, MethodError, ModelName, Moved, SkinModel, Stimulus,
+};
 use serde::Serialize;
 use std::f64::consts::FRAC_1_SQRT_2;
 
@@ -216,4 +217,14 @@ fn model(of: &AfferentModel, rectify: Option<Rectify>) -> AfferentModel {
     let sensitivity = of.alpha_per_um / of.rectify.default_alpha_per_um();
     let alpha_per_um = (sensitivity * rectify.default_alpha_per_um()).min(MAX_ALPHA_PER_UM);
     AfferentModel { rectify, alpha_per_um, ..*of }
+}
+
+/// Converts the error of a finger's response: drives of a pattern on a target's afferents always make a scene.
+pub(crate) fn played<T>(answer: Result<T, FingerError>) -> Result<T, MethodError> {
+    answer.map_err(|error| match error {
+        FingerError::Method(error) => error,
+        FingerError::Scene(error) => {
+            unreachable!("a target's afferents and a pattern's drives make a scene: {error}")
+        }
+    })
 }

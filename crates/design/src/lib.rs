@@ -10,7 +10,7 @@
 //! 2. `partition`: a [`Partition`] of afferents into ON and OFF; rates give its [`Verdict`].
 //! 3. `target`: reads and checks target files; cuts a moving target into [`Frame`]s.
 //! 4. `shipped`: the targets that are built in, among them the [`YARDSTICK`].
-//! 5. `point`: a [`Point`] says how each motor vibrates; a [`Space`] is the set of points that a search may choose. `at_once`: an
+//! 5. `point`: a [`Point`] says how each motor vibrates. `space`: a [`Space`] is the set of points that a search may choose. `at_once`: an
 //!    [`AtOnce`] keeps points within a limit on the motors of a rail that have pulses at once.
 //! 6. `objective`: an [`Objective`] simulates the value of points under one model. `aim`: what a search maximises, under
 //!    one model or both. `moves`: the points to try next.
@@ -63,6 +63,7 @@ mod response;
 mod search;
 mod shape;
 mod shipped;
+mod space;
 mod target;
 
 pub use aim::Models;
@@ -80,7 +81,7 @@ pub use make::{
 pub use naive::Rule;
 pub use objective::{Fidelity, Incumbent, Objective, Score, Task, Tried};
 pub use partition::{Partition, Verdict};
-pub use point::{Point, Setting, Space, Vibration, Window};
+pub use point::{Point, Vibration};
 pub use prediction::{
     ClassResponse, MOST_OBSERVED_S, Play, PredictedResponse, PredictionError, Rates, predict_response,
 };
@@ -93,4 +94,5 @@ pub use response::{Response, response};
 pub use search::{Brief, Ended, Found, Limit, SEARCH_MIN_SHARES, Spent, Step, resume, search};
 pub use shape::Shape;
 pub use shipped::{YARDSTICK, shipped, shipped_names};
+pub use space::{Setting, Space, Window};
 pub use target::{Frame, MAX_BYTES, MAX_FRAMES, MAX_POINTS, Problem, Target, TargetError};

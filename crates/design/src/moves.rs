@@ -2,7 +2,8 @@
 //!
 //! Invariant: every move stays within the space.
 
-use crate::point::{Point, Space, Vibration};
+use crate::point::{Point, Vibration};
+use crate::space::Space;
 use firmware_protocol::stroke::MOTORS;
 use meissner_array::geometry;
 

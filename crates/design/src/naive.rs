@@ -3,11 +3,12 @@
 //! All pins near the shape vibrate at 60 Hz, in phase. In a frame too short for a stroke at 60 Hz, they vibrate at the lowest
 //! frequency that gives one. A useful search result must be better than these rules.
 
-use crate::point::{Point, Setting};
+use crate::point::Point;
+use crate::space::Setting;
 use crate::target::{Frame, Target};
 use meissner_array::geometry::{PITCH_MM, position_mm};
 use meissner_array::pattern::Drive;
-use meissner_skin::afferent::Position;
+use meissner_skin::membrane::Position;
 use serde::Serialize;
 
 /// The frequency of the rules, Hz: RA afferents answer every cycle from 10 to 80 Hz, and a pin of 80 µm reaches its amplitude.

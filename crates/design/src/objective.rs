@@ -15,8 +15,8 @@ use crate::point::Point;
 use crate::shape::Shape;
 use crate::target::{Frame, Target};
 use meissner_array::pattern::Drive;
-use meissner_skin::afferent::{self, MIN_WEIGHT, Position};
-use meissner_skin::fingertip::{self, Class, NearCandidate, NearEvaluator};
+use meissner_skin::afferents::{self, Class, NearCandidate, NearEvaluator};
+use meissner_skin::membrane::{self, MIN_WEIGHT, Position};
 use meissner_skin::{
     Candidate, Evaluator, Integrator, Keep, Method, MethodError, ModelName, Options, Precision, Scene,
     Stepping,
@@ -77,7 +77,7 @@ enum Afferents {
     /// A scene without drives.
     Membrane(Box<Scene>, Options),
     /// A scene of the second model, without drives.
-    Second(Arc<fingertip::Scene>),
+    Second(Arc<afferents::Scene>),
     /// The same, simulated approximately.
     Near(Box<NearEvaluator>),
 }
@@ -153,7 +153,7 @@ impl Objective {
     /// If no scene can have the fidelity's duration.
     #[must_use]
     pub fn under(model: ModelName, task: Task<'_>, fidelity: Fidelity) -> Self {
-        let places: Vec<_> = task.populations.iter().map(|&seed| afferent::population(seed)).collect();
+        let places: Vec<_> = task.populations.iter().map(|&seed| membrane::population(seed)).collect();
         let Populations(of) = Populations::new(task.goal, &task.frame.shape, task.target.reach_mm(), &places);
         let kept = task.populations.iter().zip(of).filter(|(_, (_, population))| population.is_some());
         let (seeds, kept): (Vec<u64>, _) = kept.unzip();
@@ -182,17 +182,17 @@ impl Objective {
         let afferents = match model {
             ModelName::Membrane => {
                 let afferents: Vec<Position> =
-                    seeds.iter().flat_map(|&seed| afferent::population(seed)).collect();
+                    seeds.iter().flat_map(|&seed| membrane::population(seed)).collect();
                 let scene = Scene::new(duration_s, noise_seed, Vec::new(), afferents, *target.model());
                 let scene = scene.expect("the parts of a checked target make a scene");
                 Afferents::Membrane(Box::new(scene), fidelity.options())
             }
             ModelName::Afferents => {
-                let all = seeds.iter().flat_map(|&seed| fingertip::population(seed));
+                let all = seeds.iter().flat_map(|&seed| afferents::population(seed));
                 let rapid = all.filter(|afferent| afferent.class == Class::Ra).collect();
                 let motors = Scene::new(duration_s, noise_seed, Vec::new(), Vec::new(), *target.model());
                 let scene = motors.and_then(|motors| {
-                    fingertip::Scene::of_motors(&motors, fingertip::PREINDENT_MM, rapid, true)
+                    afferents::Scene::of_motors(&motors, afferents::PREINDENT_MM, rapid, true)
                 });
                 let scene = scene.expect("populations make a scene");
                 let near = fidelity
@@ -292,9 +292,9 @@ impl Objective {
 }
 
 /// The counts of the second model for some drives.
-fn counts(scene: &fingertip::Scene, drives: Vec<Drive>) -> Vec<u64> {
+fn counts(scene: &afferents::Scene, drives: Vec<Drive>) -> Vec<u64> {
     let scene = scene.with_drives(drives).expect(EVERY_DRIVE);
-    let answer = fingertip::simulate(&scene, Keep::Rates, &|_| ());
+    let answer = afferents::simulate(&scene, Keep::Rates, &|_| ());
     answer.expect("no spikes are kept, so there are never too many").counts
 }
 
@@ -305,7 +305,7 @@ enum Simulated {
     Membrane(Box<Evaluator>),
     /// Simulates each point from scratch: every pin moves the skin under all others, so no part of an answer holds for another
     /// point. The counts are the incumbent's.
-    Second(Arc<fingertip::Scene>, Vec<u64>),
+    Second(Arc<afferents::Scene>, Vec<u64>),
     /// As for the first model; small influences are ignored.
     Near(Box<NearEvaluator>),
 }

@@ -6,7 +6,7 @@
 //! Invariant: the place of an afferent alone decides whether it is ON.
 
 use crate::shape::Shape;
-use meissner_skin::afferent::Position;
+use meissner_skin::membrane::Position;
 use serde::Serialize;
 
 /// The afferents within reach of a shape (ON), and the others (OFF). Its functions of rates panic unless there is one rate

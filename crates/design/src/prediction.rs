@@ -17,8 +17,8 @@ use meissner_array::motor::Ramp;
 use meissner_array::pattern::Pattern;
 use meissner_array::strokes::{StrokeOptions, Strokes, StrokesError};
 use meissner_array::units::{seconds_in_ticks, seconds_to_ticks, ticks_to_seconds};
-use meissner_skin::afferent::{AfferentModel, POPULATION_NOISE_SD, Position, Rectify};
-use meissner_skin::fingertip::Class;
+use meissner_skin::afferents::Class;
+use meissner_skin::membrane::{AfferentModel, POPULATION_NOISE_SD, Position, Rectify};
 use meissner_skin::{Finger, FingerError, Ramps, RampsError, SkinModel, Stimulus};
 use serde::{Deserialize, Serialize};
 

@@ -7,14 +7,14 @@
 //! Invariant: a seed stands for a finger, and the same seeds give the same numbers.
 
 use crate::goal::{correlation, neighbours};
-use crate::judge::STEADY_S;
+use crate::judge::{STEADY_S, played};
 use crate::partition::{Partition, Verdict};
 use crate::shape::Shape;
 use crate::target::Target;
 use meissner_array::pattern::Drive;
-use meissner_skin::afferent::Position;
-use meissner_skin::fingertip::{Afferent, Class};
-use meissner_skin::{Finger, FingerError, MethodError, ModelName, SkinModel, Stimulus};
+use meissner_skin::afferents::{Afferent, Class};
+use meissner_skin::membrane::Position;
+use meissner_skin::{Finger, MethodError, ModelName, SkinModel, Stimulus};
 use rayon::prelude::*;
 use serde::Serialize;
 
@@ -214,14 +214,4 @@ pub fn name_targets(
 /// Spikes per afferent during one second of the drives.
 fn counts(finger: &Finger, drives: &[Drive], seed: u64) -> Result<Vec<u64>, MethodError> {
     played(finger.counts(&Stimulus::of_drives(drives, STEADY_S, seed)))
-}
-
-/// Converts the error of a finger's response: drives of a pattern on a target's afferents always make a scene.
-pub(crate) fn played<T>(answer: Result<T, FingerError>) -> Result<T, MethodError> {
-    answer.map_err(|error| match error {
-        FingerError::Method(error) => error,
-        FingerError::Scene(error) => {
-            unreachable!("a target's afferents and a pattern's drives make a scene: {error}")
-        }
-    })
 }

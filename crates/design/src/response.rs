@@ -5,13 +5,13 @@
 //!
 //! Invariant: for a target at rest, ON minus OFF of these rates is the contrast that [`judge`](crate::judge()) finds.
 
-use crate::judge::STEADY_S;
+use crate::judge::{STEADY_S, played};
 use crate::partition::Partition;
-use crate::quality::{played, skin_model};
+use crate::quality::skin_model;
 use crate::target::Target;
 use meissner_array::pattern::Drive;
-use meissner_skin::afferent::Position;
-use meissner_skin::fingertip::Class;
+use meissner_skin::afferents::Class;
+use meissner_skin::membrane::Position;
 use meissner_skin::{Finger, MethodError, ModelName, Stimulus};
 
 /// The RA afferents of a population, and their rates.

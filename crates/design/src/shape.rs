@@ -5,7 +5,7 @@
 //!
 //! Invariant: moving a shape and a place together keeps their distance, except for rounding.
 
-use meissner_skin::afferent::{PAD_LENGTH_MM, PAD_WIDTH_MM, Position};
+use meissner_skin::membrane::{PAD_LENGTH_MM, PAD_WIDTH_MM, Position};
 
 /// Corners of the polygon that draws a disc.
 const CIRCLE_POINTS: u8 = 48;

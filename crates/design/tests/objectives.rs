@@ -3,7 +3,7 @@ use meissner_design::{
     quality, shipped,
 };
 use meissner_skin::ModelName;
-use meissner_skin::fingertip::Class;
+use meissner_skin::afferents::Class;
 use std::ops::ControlFlow::Continue;
 
 const FINGERS: [u64; 3] = [2001, 2002, 2003];

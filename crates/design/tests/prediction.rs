@@ -8,8 +8,8 @@ use meissner_array::units::UM_PER_PULSE;
 use meissner_design::{
     Conditions, Partition, Play, PredictedResponse, PredictionError, Target, judge, predict_response,
 };
-use meissner_skin::afferent::population;
-use meissner_skin::fingertip::Class;
+use meissner_skin::afferents::Class;
+use meissner_skin::membrane::population;
 use meissner_skin::{
     Method, ModelName, Options, Ramps, RampsError, Scene, simulate as solve, simulate_ramps,
 };

@@ -7,7 +7,7 @@ use meissner_design::{
     Brief, Ended, Fidelity, Found, Goal, Limit, Models, Objective, Partition, Point, Score, Setting, Shape,
     Space, Spent, Step, Target, Vibration, YARDSTICK, resume, search, shipped,
 };
-use meissner_skin::afferent::{self, Position};
+use meissner_skin::membrane::{self, Position};
 use meissner_skin::{Method, Options, Scene, simulate};
 use proptest::prelude::*;
 use rayon::ThreadPoolBuilder;
@@ -288,7 +288,7 @@ fn a_search_leaves_the_null_and_a_ridge() {
 
 #[test]
 fn one_on_afferent_is_enough() {
-    let places = afferent::population(0);
+    let places = membrane::population(0);
     let shape = yardstick().frames()[0].shape.clone();
     let mut distances: Vec<f64> = places.iter().map(|&at| shape.distance_mm(at)).collect();
     distances.sort_by(f64::total_cmp);
@@ -308,7 +308,7 @@ fn two_equal_dots_both_get_a_response() {
     );
     let (target, space) = (dots.unwrap(), Setting::Default.space());
     let found = converged(&target, &space, space.random(0));
-    let places = afferent::population(0);
+    let places = membrane::population(0);
     let drives = found.point.drives(target.amplitude_um(), None, None);
     let scene = Scene::new(1.0, 9, drives, places.clone(), *target.model()).unwrap();
     let rates_hz = simulate(&scene, &Options::rates(Method::Exact), &|_| ()).unwrap().rates_hz(&scene);
@@ -406,7 +406,7 @@ proptest! {
         let fidelity = Fidelity { duration_s: 0.2, ..Fidelity::FULL };
         let score = Objective::new(Goal::Contrast, &target, frame, &populations, noise_seed, fidelity).at(point).unwrap().score();
         // All populations in one scene: each afferent has its own noise.
-        let places: Vec<Vec<Position>> = populations.iter().map(|&seed| afferent::population(seed)).collect();
+        let places: Vec<Vec<Position>> = populations.iter().map(|&seed| membrane::population(seed)).collect();
         let drives = point.drives(target.amplitude_um(), None, None);
         let scene = Scene::new(0.2, noise_seed, drives, places.concat(), *target.model()).unwrap();
         let rates_hz = simulate(&scene, &Options::rates(Method::Exact), &|_| ()).unwrap().rates_hz(&scene);

@@ -1,5 +1,5 @@
 use meissner_design::{Partition, Shape, shipped};
-use meissner_skin::afferent::{self, Position};
+use meissner_skin::membrane::{self, Position};
 use proptest::prelude::*;
 
 fn point() -> impl Strategy<Value = [f64; 2]> {
@@ -74,7 +74,7 @@ proptest! {
     fn the_auc_is_a_count_of_pairs(rates in prop::collection::vec(0_u8..9, 306), seed in 0..9_u64) {
         let rates: Vec<f64> = rates.into_iter().map(f64::from).collect();
         let edge = shipped("edge-45").unwrap();
-        let partition = Partition::of(&edge.frames()[0].shape, 1.5, &afferent::population(seed));
+        let partition = Partition::of(&edge.frames()[0].shape, 1.5, &membrane::population(seed));
         let of = |on: bool| {
             let rates = partition.on().iter().zip(&rates).filter(move |(is_on, _)| **is_on == on);
             rates.map(|(_, &rate)| rate).collect::<Vec<f64>>()

@@ -1,7 +1,7 @@
 use meissner_array::pattern::Pattern;
 use meissner_design::{Problem, Shape, Target};
 use meissner_input::document;
-use meissner_skin::afferent::{AfferentModel, Rectify};
+use meissner_skin::membrane::{AfferentModel, Rectify};
 use proptest::prelude::*;
 use std::fs;
 use std::path::Path;

@@ -14,7 +14,7 @@ use meissner_design::{
     name_targets, quality, shipped, shipped_names,
 };
 use meissner_skin::ModelName;
-use meissner_skin::fingertip::Class;
+use meissner_skin::afferents::Class;
 use rayon::prelude::*;
 use serde::Serialize;
 use std::ops::ControlFlow;

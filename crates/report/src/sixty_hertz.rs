@@ -21,7 +21,7 @@ mod tests {
     fn the_scene_has_24_motors_at_60_hz_with_phases_of_their_own() {
         let scene = Scene::read(SIXTY_HERTZ, "sixty-hertz.toml").unwrap();
         assert_eq!((scene.afferents().len(), scene.drives().len(), scene.duration_s()), (306, 24, 1.0));
-        assert_eq!(scene.model().noise_sd, meissner_skin::afferent::POPULATION_NOISE_SD);
+        assert_eq!(scene.model().noise_sd, meissner_skin::membrane::POPULATION_NOISE_SD);
         assert_eq!(pattern().drives(), scene.drives());
         let mut phases: Vec<_> = scene.drives().iter().map(|drive| drive.phase.to_bits()).collect();
         phases.sort_unstable();

@@ -145,7 +145,7 @@ impl Sorter {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::afferent::{AfferentModel, Rectify};
+    use crate::membrane::{AfferentModel, Rectify};
     use crate::method::Method;
     use crate::scene::Scene;
     use crate::time::end;

@@ -9,7 +9,7 @@
 
 use crate::engine::{Skipped, Work};
 use crate::member::{Member, by_place};
-use crate::membrane::Membrane;
+use crate::membrane::equation::Membrane;
 use crate::method::{Keep, MethodError, Options};
 use crate::scene::{Scene, SceneError};
 use crate::track::{self, MAX_KEPT_BYTES, Track, Tracks};

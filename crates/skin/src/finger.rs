@@ -6,8 +6,8 @@
 //!
 //! Invariant: the RA afferents of both models lie at the same places and come first.
 
-use crate::afferent::{self, AfferentModel, Position};
-use crate::fingertip::{self, Afferent, Class};
+use crate::afferents::{self, Afferent, Class};
+use crate::membrane::{self, AfferentModel, Position};
 use crate::method::{Keep, Method, MethodError, Options};
 use crate::ramps::{Ramps, simulate_ramps};
 use crate::scene::{ModelName, Scene, SceneError};
@@ -22,7 +22,7 @@ pub enum SkinModel {
     Membrane(AfferentModel),
     /// The second: skin mechanics, and SA1, RA and PC afferents with noise.
     Afferents {
-        /// By how much the pins are pressed in, mm: [`fingertip::PREINDENT_MM`].
+        /// By how much the pins are pressed in, mm: [`afferents::PREINDENT_MM`].
         preindent_mm: f64,
     },
 }
@@ -67,7 +67,7 @@ pub enum FingerError {
 
 impl SkinModel {
     /// The second model, with pins pressed in as by default.
-    pub const AFFERENTS: Self = Self::Afferents { preindent_mm: fingertip::PREINDENT_MM };
+    pub const AFFERENTS: Self = Self::Afferents { preindent_mm: afferents::PREINDENT_MM };
 
     /// The model with this name; `membrane` holds the parameters of the first model.
     #[must_use]
@@ -116,8 +116,8 @@ impl Finger {
     #[must_use]
     pub fn new(model: SkinModel, seed: u64) -> Self {
         let afferents = match model {
-            SkinModel::Membrane(_) => afferent::population(seed).into_iter().map(rapid).collect(),
-            SkinModel::Afferents { .. } => fingertip::population(seed),
+            SkinModel::Membrane(_) => membrane::population(seed).into_iter().map(rapid).collect(),
+            SkinModel::Afferents { .. } => afferents::population(seed),
         };
         Self { model, afferents }
     }
@@ -185,7 +185,7 @@ impl Finger {
             }
             (SkinModel::Afferents { preindent_mm }, _) => {
                 let scene = self.scene(stimulus, *preindent_mm)?;
-                let answer = fingertip::simulate(&scene, Keep::Spikes, &|_| ())?;
+                let answer = afferents::simulate(&scene, Keep::Spikes, &|_| ())?;
                 Ok(answer.spikes_s.expect("spikes are kept"))
             }
         }
@@ -206,7 +206,7 @@ impl Finger {
             }
             (SkinModel::Afferents { preindent_mm }, _) => {
                 let scene = self.scene(stimulus, *preindent_mm)?;
-                Ok(fingertip::simulate(&scene, Keep::Rates, &|_| ())?.counts)
+                Ok(afferents::simulate(&scene, Keep::Rates, &|_| ())?.counts)
             }
         }
     }
@@ -227,17 +227,17 @@ impl Finger {
     }
 
     /// A scene of the second model.
-    fn scene(&self, stimulus: &Stimulus<'_>, preindent_mm: f64) -> Result<fingertip::Scene, SceneError> {
+    fn scene(&self, stimulus: &Stimulus<'_>, preindent_mm: f64) -> Result<afferents::Scene, SceneError> {
         let Stimulus { duration_s, noise_seed, .. } = *stimulus;
         let afferents = self.afferents.clone();
         match stimulus.moved {
             Moved::Drives(drives, gain) => {
-                let unused = AfferentModel::default_for(afferent::Rectify::default(), 0.0);
+                let unused = AfferentModel::default_for(membrane::Rectify::default(), 0.0);
                 let motors = self.motors(stimulus, (drives, gain), Vec::new(), unused)?;
-                fingertip::Scene::of_motors(&motors, preindent_mm, afferents, true)
+                afferents::Scene::of_motors(&motors, preindent_mm, afferents, true)
             }
             Moved::Ramps(ramps) => {
-                fingertip::Scene::of_ramps(ramps, duration_s, noise_seed, preindent_mm, afferents, true)
+                afferents::Scene::of_ramps(ramps, duration_s, noise_seed, preindent_mm, afferents, true)
             }
         }
     }
@@ -251,7 +251,7 @@ const fn rapid(at: Position) -> Afferent {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::afferent::{POPULATION_NOISE_SD, Rectify};
+    use crate::membrane::{POPULATION_NOISE_SD, Rectify};
     use meissner_array::motor::Ramp;
     use meissner_array::pattern::Pattern;
     use meissner_array::strokes::{StrokeOptions, Strokes};
@@ -316,7 +316,7 @@ mod tests {
         };
         assert_eq!(places(&membrane), places(&afferents));
         assert_eq!((membrane.afferents().len(), afferents.afferents().len()), (306, 566));
-        let at = afferent::population(7)[5];
+        let at = membrane::population(7)[5];
         assert_eq!(places(&membrane)[5], Position { x_mm: at.x_mm + 1.0, y_mm: at.y_mm - 2.0 });
         assert_eq!(afferents.of_class(Class::Pc).count(), 60);
     }

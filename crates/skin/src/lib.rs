@@ -2,23 +2,23 @@
 //!
 //! An afferent is a nerve fibre with its receptors; its spikes are what the model computes. The data path:
 //!
-//! 1. [`afferent`]: the parameters of an afferent, its receptive field, and a population on the fingertip.
+//! 1. [`membrane`]: the parameters of an afferent, its receptive field, and a population on the fingertip.
 //! 2. `scene`: a [`Scene`] holds the drives of the motors, and the afferents with their places and parameters.
 //! 3. `breakpoints`: a motor's strokes become the breakpoints of its velocity. Between two breakpoints the velocity
 //!    is a straight line. `track` keeps what one motor does, `blocks` merges the motors in order of time, `sampler`
 //!    puts the velocity on a grid of steps.
-//! 4. `membrane`: the leaky membrane in closed form, and the threshold. `silence` proves which afferents cannot
-//!    reach it.
+//! 4. `membrane::equation`: the leaky membrane in closed form, and the threshold. `membrane::silence` proves which
+//!    afferents cannot reach it.
 //! 5. From there two methods lead to spikes. `exact` goes from breakpoint to breakpoint, eight afferents at a time;
-//!    where a threshold may be reached, `neuron` solves for the crossing. It has no time step. `stepped` takes a
+//!    where a threshold may be reached, `membrane::neuron` solves for the crossing. It has no time step. `stepped` takes a
 //!    fixed step, with forward Euler as in the paper or with the exact propagator of the leak.
 //! 6. `engine` shares the afferents out over groups and threads. [`simulate`] gives the [`Answer`].
 //!
 //! On top of that, an [`Evaluator`] simulates a scene again when some of its motors change, [`choose`] finds the cheapest method
 //! for an allowed error, and [`simulate_ramps`] takes measured bursts of motors ([`Ramps`]) instead of drives.
 //!
-//! [`fingertip`] is a second model with modules of its own: skin mechanics, and SA1, RA and PC afferents. An [`AnyScene`] is a
-//! scene of either model. A [`Finger`] of either model responds to drives and to ramps: begin with it if you need both models.
+//! The above is the model `membrane`. [`afferents`] is a second model with modules of its own: skin mechanics, and SA1, RA and PC afferents. An [`AnyScene`] is a
+//! scene of either model, and reads the files. A [`Finger`] of either model responds to drives and to ramps: begin with it if you need both models.
 //!
 //! Both methods use the same noise, so they can be compared spike by spike. Work is skipped only if the answer is known without it
 //! ([`Skipped`]): motors at rest, afferents out of reach or provably silent, a state that repeats itself (`cycle`).
@@ -67,9 +67,10 @@
 //! - Vega-Bermudez & Johnson 1999: F. Vega-Bermudez and K. O. Johnson, "SA1 and RA receptive fields, response
 //!   variability, and population responses mapped with a probe array", *Journal of Neurophysiology* 81, 2701-2710, 1999.
 
-pub mod afferent;
-pub mod fingertip;
+pub mod afferents;
+pub mod membrane;
 
+mod any_scene;
 mod blocks;
 mod breakpoints;
 mod choose;
@@ -79,13 +80,10 @@ mod evaluator;
 mod exact;
 mod finger;
 mod member;
-mod membrane;
 mod method;
-mod neuron;
 mod ramps;
 mod sampler;
 mod scene;
-mod silence;
 mod simd;
 mod simulation;
 mod stepped;
@@ -94,6 +92,7 @@ mod tests;
 mod time;
 mod track;
 
+pub use any_scene::{AnyScene, MAX_JSON_BYTES, MAX_TOML_BYTES};
 pub use choose::{Choice, choose};
 pub use engine::Skipped;
 pub use evaluator::{Candidate, Evaluator};
@@ -104,7 +103,7 @@ pub use method::{
     Stepping,
 };
 pub use ramps::{Ramps, RampsError, simulate_ramps};
-pub use scene::{AnyScene, MAX_ALPHA_PER_UM, MAX_JSON_BYTES, MAX_TOML_BYTES, ModelName, Problem};
+pub use scene::{MAX_ALPHA_PER_UM, ModelName, Problem};
 pub use scene::{RawAfferent, Scene, SceneError};
 pub use scene::{TwoNames, as_written, check_model, one_name};
 pub use simulation::{Answer, simulate};

@@ -3,8 +3,8 @@
 //! [`by_place`] orders afferents so that neighbours follow each other, and [`grouped`] cuts them into groups for the vectors of a
 //! processor. Then mostly the same motors reach all afferents of a group.
 
-use crate::afferent::{self, MIN_THRESHOLD, Position};
-use crate::membrane::Membrane;
+use crate::membrane::equation::Membrane;
+use crate::membrane::{self, MIN_THRESHOLD, Position};
 use crate::method::Options;
 use crate::scene::Scene;
 use firmware_protocol::stroke::MOTORS;
@@ -58,7 +58,7 @@ pub(crate) fn motors_of(members: &[Member]) -> u32 {
 /// An afferent's weight of a motor. The model is linear in a motor's displacement, so the weight includes the motor's gain. The
 /// velocity then stays a whole number, which keeps everything exact. Whether a weight counts as 0 does not depend on the gain.
 pub(crate) fn weight(scene: &Scene, options: &Options, number: u32, motor: u8) -> f64 {
-    let weight = afferent::weight(scene.afferents()[number as usize], motor, scene.model().sigma_mm);
+    let weight = membrane::weight(scene.afferents()[number as usize], motor, scene.model().sigma_mm);
     if weight < options.min_weight { 0.0 } else { weight * scene.gains()[usize::from(motor)] }
 }
 

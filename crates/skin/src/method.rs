@@ -2,7 +2,7 @@
 //!
 //! [`Method::check`] refuses a method that cannot simulate a scene, before any work is done.
 
-use crate::afferent::MIN_WEIGHT;
+use crate::membrane::MIN_WEIGHT;
 use crate::scene::Scene;
 use crate::time::end;
 use meissner_array::units::HALF_TICKS_PER_S;

@@ -9,9 +9,9 @@
 //!
 //! Invariant: a lane's arithmetic depends only on its afferent, not on the vector's width.
 
-use crate::afferent::{MIN_THRESHOLD, Rectify};
 use crate::member::Member;
-use crate::membrane::{Membrane, phi2};
+use crate::membrane::equation::{Membrane, phi2};
+use crate::membrane::{MIN_THRESHOLD, Rectify};
 use crate::method::Integrator;
 use crate::sampler::TILE;
 use crate::simd::{Aligned, Number};

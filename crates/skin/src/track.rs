@@ -8,10 +8,10 @@
 //! Invariant: a track depends on its motor's drives or ramps, the scene's duration and membrane, and the method.
 
 use crate::breakpoints::{Breakpoint, Breakpoints};
+use crate::membrane::silence::Bound;
 use crate::method::Method;
 use crate::sampler::{Sampler, TILE};
 use crate::scene::Scene;
-use crate::silence::Bound;
 use crate::simd::Number;
 use crate::time::end;
 use firmware_protocol::stroke::MOTORS;

@@ -1,7 +1,7 @@
 //! A scene changed motor by motor, and every candidate, has the answer of a fresh simulation.
 
 use meissner_array::pattern::Drive;
-use meissner_skin::afferent::{AfferentModel, MIN_WEIGHT, Position, Rectify};
+use meissner_skin::membrane::{AfferentModel, MIN_WEIGHT, Position, Rectify};
 use meissner_skin::{
     Evaluator, Integrator, Method, Options, Precision, SEARCH_MIN_WEIGHT, Scene, Stepping, simulate,
 };

@@ -14,7 +14,7 @@ mod sizes;
 
 use meissner_array::geometry;
 use meissner_array::pattern::Drive;
-use meissner_skin::afferent::{AfferentModel, Position, Rectify};
+use meissner_skin::membrane::{AfferentModel, Position, Rectify};
 use meissner_skin::{Integrator, Method, Options, Precision, Scene, Stepping, simulate};
 use meissner_test_support::both::for_oracle;
 use meissner_test_support::oracle;

@@ -1,6 +1,6 @@
 //! A motor's gain scales its effect on the skin, by every method.
 
-use meissner_skin::afferent::AfferentModel;
+use meissner_skin::membrane::AfferentModel;
 use meissner_skin::{
     Answer, Evaluator, Integrator, Method, Options, Precision, Scene, Stepping, simulate as solve,
 };

@@ -1,7 +1,7 @@
 //! An afferent's answer depends only on the scene, to the last bit, and not on how it is computed.
 
 use meissner_array::pattern::Drive;
-use meissner_skin::afferent::{AfferentModel, Position, Rectify, population};
+use meissner_skin::membrane::{AfferentModel, Position, Rectify, population};
 use meissner_skin::{
     Answer, Integrator, Keep, Method, Options, Precision, Scene, Skipped, Stepping, simulate as solve,
 };

@@ -4,8 +4,8 @@
 
 use meissner_array::pattern::Drive;
 use meissner_array::random::uniform;
-use meissner_skin::afferent::{AfferentModel, Rectify};
-use meissner_skin::fingertip::{Class, NearEvaluator, PREINDENT_MM, Scene, population, simulate};
+use meissner_skin::afferents::{Class, NearEvaluator, PREINDENT_MM, Scene, population, simulate};
+use meissner_skin::membrane::{AfferentModel, Rectify};
 use meissner_skin::{Keep, Scene as MembraneScene};
 use meissner_test_support::patterns::drive;
 

@@ -1,7 +1,7 @@
 //! Scene files: the same scene in both languages and by both names, and one line for every mistake.
 
 use meissner_input::document;
-use meissner_skin::afferent::{AfferentModel, Rectify, population};
+use meissner_skin::membrane::{AfferentModel, Rectify, population};
 use meissner_skin::{MAX_JSON_BYTES, MAX_TOML_BYTES, Problem, Scene};
 use meissner_test_support::documents::{assert_changes_refused, assert_documents_refused, in_one_line};
 use proptest::prelude::*;

@@ -1,6 +1,8 @@
 //! The tests of this crate: one binary, one module per theme.
 #![expect(clippy::unwrap_used, reason = "a test that panics has failed")]
 
+/// The second model: reference spikes, scene files, independence, extremes.
+mod afferents;
 /// The chosen method stays within the allowed error.
 mod choose;
 /// The stepped methods converge to the exact one as the step shrinks.
@@ -9,8 +11,6 @@ mod convergence;
 mod evaluator;
 /// Extreme scenes, by every method: each has one right answer.
 mod extremes;
-/// The second model: reference spikes, scene files, independence, extremes.
-mod fingertip;
 /// Motors with gains.
 mod gains;
 /// The same bits with any threads, order of afferents and blocks, and with and without skipping.

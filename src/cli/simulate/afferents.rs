@@ -5,7 +5,7 @@ use crate::cli::output::give;
 use crate::cli::{progress, text};
 use anyhow::Result;
 use clap::error::ErrorKind;
-use meissner_skin::fingertip::{Afferent, Class, LOWER_PER_CM2, SAMPLE_US, Scene, UPPER_PER_CM2, simulate};
+use meissner_skin::afferents::{Afferent, Class, LOWER_PER_CM2, SAMPLE_US, Scene, UPPER_PER_CM2, simulate};
 use meissner_skin::{Keep, ModelName, Precision};
 use serde::Serialize;
 use std::process::ExitCode;

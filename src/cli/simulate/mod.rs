@@ -13,7 +13,7 @@ use anyhow::{Result, anyhow};
 use clap::error::ErrorKind;
 use clap::{Args, ValueEnum};
 use meissner_report::{Count, MethodLabel, Reason};
-use meissner_skin::afferent::Position;
+use meissner_skin::membrane::Position;
 use meissner_skin::{
     Answer, AnyScene, Integrator, Keep, MAX_JSON_BYTES, Method, ModelName, Options, Precision, Scene,
     Stepping, choose, simulate,

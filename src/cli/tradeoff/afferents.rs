@@ -7,7 +7,7 @@ use crate::cli::text::{columns, number};
 use anyhow::Result;
 use clap::error::ErrorKind;
 use meissner_report::{AfferentsRow, AfferentsTradeoff, Extreme, afferents_tradeoff};
-use meissner_skin::fingertip::{SAMPLE_US, Scene};
+use meissner_skin::afferents::{SAMPLE_US, Scene};
 use std::process::ExitCode;
 
 pub(super) fn compare(asked: &MethodTradeoff, scene: &Scene) -> Result<ExitCode> {

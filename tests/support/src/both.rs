@@ -4,7 +4,7 @@ use crate::oracle;
 use meissner_array::pattern::Drive;
 use meissner_array::random::Normals;
 use meissner_skin::Scene;
-use meissner_skin::afferent::{AfferentModel, Position, Rectify};
+use meissner_skin::membrane::{AfferentModel, Position, Rectify};
 
 /// Turns an oracle's scene into one of the simulator's, and draws its noise for the oracle.
 pub fn both(scene: oracle::Scene, noise_sd: f64, seed: u64) -> (oracle::Scene, Scene) {

@@ -3,7 +3,7 @@
 use meissner_array::pattern::Drive;
 use meissner_array::random::uniform;
 use meissner_skin::Scene;
-use meissner_skin::afferent::{AfferentModel, Position, Rectify, population};
+use meissner_skin::membrane::{AfferentModel, Position, Rectify, population};
 
 /// A source of random numbers.
 pub struct Random {

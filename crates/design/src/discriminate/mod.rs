@@ -28,7 +28,7 @@ use observer::{independent, linear};
 
 use meissner_array::pattern::Pattern;
 use meissner_array::random;
-use meissner_skin::fingertip::Class;
+use meissner_skin::afferents::Class;
 use meissner_skin::{Finger, FingerError, SkinModel, Stimulus};
 use observer::Trials;
 use rayon::prelude::*;

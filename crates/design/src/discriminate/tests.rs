@@ -2,7 +2,7 @@
 
 use super::*;
 use meissner_array::pattern::Drive;
-use meissner_skin::afferent::{AfferentModel, POPULATION_NOISE_SD, Rectify};
+use meissner_skin::membrane::{AfferentModel, POPULATION_NOISE_SD, Rectify};
 
 fn pattern(name: &str, motors: &[u8], amplitude_um: f64) -> Pattern {
     let drive = |&motor: &u8| Drive {

@@ -10,8 +10,9 @@
 
 use crate::aim::{Standing, Step};
 use crate::moves;
-use crate::point::{Point, Space};
+use crate::point::Point;
 use crate::search::{Ended, Limit, Spent};
+use crate::space::Space;
 use firmware_protocol::stroke::MOTORS;
 use meissner_array::random;
 use std::collections::HashSet;

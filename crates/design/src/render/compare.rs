@@ -12,7 +12,7 @@ use crate::point::Point;
 use crate::search::{Brief, Ended, Limit, resume};
 use crate::target::{Frame, Target};
 use meissner_array::pattern::Drive;
-use meissner_skin::{MethodError, ModelName, afferent};
+use meissner_skin::{MethodError, ModelName, membrane};
 use serde::{Deserialize, Serialize};
 use std::ops::ControlFlow;
 use std::time::Instant;
@@ -87,7 +87,7 @@ fn compare(
 ) -> Result<Option<LiveComparison>, MethodError> {
     let frame = Frame { shape: sample.pose.of(target.shape()), start_s: None, stop_s: None };
     let (seeds, noise_seed) = (populations(target, of.robust), target.population_seed());
-    let places: Vec<_> = seeds.iter().map(|&seed| afferent::population(seed)).collect();
+    let places: Vec<_> = seeds.iter().map(|&seed| membrane::population(seed)).collect();
     if Populations::new(of.goal, &frame.shape, target.reach_mm(), &places).counting().next().is_none() {
         return Ok(None);
     }

@@ -25,16 +25,17 @@ use crate::goal::Goal;
 use crate::make::populations;
 use crate::naive::Rule;
 use crate::objective::{Fidelity, Populations, Score, Task};
-use crate::point::{Point, Setting, Space, Vibration};
+use crate::point::{Point, Vibration};
 use crate::search::{Ended, Limit, SEARCH_MIN_SHARES, Spent};
 use crate::shape::Shape;
+use crate::space::{Setting, Space};
 use crate::target::{Frame, Target};
 use climb::{Climb, Meter};
 use firmware_protocol::stroke::MOTORS;
 use meissner_array::geometry::{PITCH_MM, position_mm};
 use meissner_array::pattern::Drive;
 use meissner_skin::MethodError;
-use meissner_skin::afferent::{self, PAD_LENGTH_MM, Position};
+use meissner_skin::membrane::{self, PAD_LENGTH_MM, Position};
 use serde::{Deserialize, Serialize};
 use std::collections::HashSet;
 use std::sync::Arc;
@@ -224,7 +225,7 @@ impl Renderer {
     pub fn new(target: &Target, brief: LiveBrief) -> Result<Self, RenderError> {
         still(target)?;
         let seeds = populations(target, brief.robust);
-        let places: Vec<_> = seeds.iter().map(|&seed| afferent::population(seed)).collect();
+        let places: Vec<_> = seeds.iter().map(|&seed| membrane::population(seed)).collect();
         let frame = &target.frames()[0];
         let noise_seed = target.population_seed();
         let task = Task { goal: brief.goal, target, frame, populations: &seeds, noise_seed };

@@ -10,8 +10,8 @@ use crate::target::motion::{Frame, Motion};
 use meissner_array::pattern::{self, AMPLITUDE_RANGE, AMPLITUDE_UM, MAX_SECONDS};
 use meissner_input::document::in_range;
 use meissner_input::message::quote;
-use meissner_skin::afferent::{self, AfferentModel, PAD_LENGTH_MM};
 use meissner_skin::check_model;
+use meissner_skin::membrane::{self, AfferentModel, PAD_LENGTH_MM};
 
 /// The shortest refractory time for a moving target, s. With the longest motion it bounds the spikes that are kept.
 const LEAST_REFRACTORY_S: f64 = 0.0005;
@@ -126,7 +126,7 @@ impl Target {
     }
 
     fn check_partitions(&self) -> Result<(), KeyError> {
-        let (afferents, reach_mm) = (afferent::population(self.population_seed), self.reach_mm);
+        let (afferents, reach_mm) = (membrane::population(self.population_seed), self.reach_mm);
         for (index, frame) in self.frames.iter().enumerate() {
             let partition = Partition::of(&frame.shape, reach_mm, &afferents);
             let (of, frame) = (afferents.len(), self.frame_number(index));
@@ -175,7 +175,7 @@ mod tests {
         let shape = Shape::Polyline(vec![[-3.0, 0.0], [3.0, 0.0]]);
         assert_eq!(target.frames(), [Frame { shape, start_s: None, stop_s: None }]);
         assert_eq!((target.reach_mm(), target.amplitude_um(), target.duration_s()), (1.5, 80.0, 5.0));
-        assert_eq!((target.population_seed(), target.model().noise_sd), (0, afferent::POPULATION_NOISE_SD));
+        assert_eq!((target.population_seed(), target.model().noise_sd), (0, membrane::POPULATION_NOISE_SD));
     }
 
     #[test]
@@ -227,7 +227,7 @@ mod tests {
         let line = target.with_population_seed(u64::MAX).unwrap_err().to_string();
         assert_eq!(line, "`population.seed` is 1.8446744073709552e19: must be 0 to 9223372036854775807");
         // This place has an afferent in one population, but not in the other.
-        let at = afferent::population(1)[0];
+        let at = membrane::population(1)[0];
         let rest = format!("shape = \"dots\"\npoints = [[{}, {}]]\nreach_mm = 0.01\n", at.x_mm, at.y_mm);
         let narrow = read(&format!("{rest}population.seed = 1"));
         let line = narrow.with_population_seed(2).unwrap_err().to_string();

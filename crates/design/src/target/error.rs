@@ -8,7 +8,7 @@ use crate::target::limits::MAX_BYTES;
 use meissner_input::document::{self, in_range};
 use meissner_input::message::short_number;
 use meissner_skin::TwoNames;
-use meissner_skin::afferent::{PAD_LENGTH_MM, PAD_WIDTH_MM};
+use meissner_skin::membrane::{PAD_LENGTH_MM, PAD_WIDTH_MM};
 use std::ops::RangeInclusive;
 
 /// The error of a refused target.

@@ -14,7 +14,7 @@ use crate::target::motion::{Frame, Motion};
 use meissner_array::pattern::Pattern;
 use meissner_input::document::{CommonProblem, Table, from_json, from_toml, given, in_range, line_of};
 use meissner_input::message::quote;
-use meissner_skin::afferent;
+use meissner_skin::membrane;
 use meissner_skin::{RawAfferent, as_written, one_name};
 use serde::de::{Error, IgnoredAny, SeqAccess, Visitor};
 use serde::{Deserialize, Deserializer};
@@ -256,7 +256,7 @@ impl RawTarget {
             amplitude_um: self.amplitude_um.unwrap_or(AMPLITUDE_UM),
             duration_s,
             population_seed: self.population.map_or(0, |Table(raw)| raw.seed),
-            model: raw.model(afferent::POPULATION_NOISE_SD),
+            model: raw.model(membrane::POPULATION_NOISE_SD),
             motion,
             frames,
         };

@@ -11,7 +11,7 @@ use crate::figures::table::number;
 use firmware_protocol::stroke::MOTORS;
 use meissner_array::geometry::{self, COLUMNS, ROWS};
 use meissner_array::pattern::Drive;
-use meissner_skin::afferent::{PAD_LENGTH_MM, PAD_WIDTH_MM, Position};
+use meissner_skin::membrane::{PAD_LENGTH_MM, PAD_WIDTH_MM, Position};
 
 const INK: &str = "#222222";
 const FAINT: &str = "#bbbbbb";

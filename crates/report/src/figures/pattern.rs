@@ -19,7 +19,7 @@ use meissner_array::pattern::{Drive, Pattern};
 use meissner_array::power::{CAPACITANCE_NF, current_ma, rail_pulses};
 use meissner_array::strokes::{DriveAmplitude, StrokeOptions, Strokes, amplitudes};
 use meissner_design::{Frame, Target, Verdict};
-use meissner_skin::afferent::{AfferentModel, POPULATION_NOISE_SD, Position, Rectify, population};
+use meissner_skin::membrane::{AfferentModel, POPULATION_NOISE_SD, Position, Rectify, population};
 use meissner_skin::{Keep, Method, Options, Scene, simulate};
 use serde::Serialize;
 use std::collections::HashMap;

@@ -16,7 +16,7 @@ use firmware_protocol::tick::TICK_HZ;
 use meissner_array::geometry;
 use meissner_array::pattern::{AMPLITUDE_UM, Drive};
 use meissner_array::units::UM_PER_PULSE;
-use meissner_skin::afferent::{AfferentModel, POPULATION_NOISE_SD, Position, Rectify};
+use meissner_skin::membrane::{AfferentModel, POPULATION_NOISE_SD, Position, Rectify};
 use meissner_skin::{Method, Options, Scene, simulate};
 use rayon::prelude::*;
 use serde::Serialize;

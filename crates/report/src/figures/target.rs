@@ -7,7 +7,7 @@
 use crate::figures::baselines::Compared;
 use crate::figures::map::Aim;
 use meissner_design::{Frame, Partition, Target, Verdict};
-use meissner_skin::afferent::Position;
+use meissner_skin::membrane::Position;
 use serde::Serialize;
 
 /// The most frames that are drawn.
@@ -93,7 +93,7 @@ pub(super) fn drawn(frames: usize) -> Vec<usize> {
 mod tests {
     use super::*;
     use meissner_design::shipped;
-    use meissner_skin::afferent::population;
+    use meissner_skin::membrane::population;
 
     #[test]
     fn the_first_the_last_and_two_between_are_drawn() {

@@ -11,7 +11,7 @@ use super::tradeoff::timed;
 use firmware_protocol::stroke::MOTORS;
 use meissner_array::geometry::position_mm;
 use meissner_design::SEARCH_MIN_SHARES;
-use meissner_skin::fingertip::{Afferent, Class, NearEvaluator, PREINDENT_MM, Scene, population, simulate};
+use meissner_skin::afferents::{Afferent, Class, NearEvaluator, PREINDENT_MM, Scene, population, simulate};
 use meissner_skin::{AnyScene, Keep, MethodError, ModelName};
 use serde::Serialize;
 use serde_json::json;
@@ -198,7 +198,7 @@ fn extremes() -> Vec<(&'static str, Scene)> {
     let [x_mm, y_mm] = position_mm(9);
     // Afferents below the pin's rim, where the pressure under a flat punch has a pole.
     let edge = Class::ALL.map(|class| {
-        let at = meissner_skin::afferent::Position { x_mm: x_mm + 0.5, y_mm };
+        let at = meissner_skin::membrane::Position { x_mm: x_mm + 0.5, y_mm };
         Afferent { class, row: 0, at }
     });
     let many = (0..).flat_map(population).take(MANY).collect();

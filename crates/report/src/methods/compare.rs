@@ -103,7 +103,7 @@ fn trains(answer: &Answer) -> &[Vec<f64>] {
 mod tests {
     use super::*;
     use meissner_skin::Skipped;
-    use meissner_skin::afferent::{AfferentModel, Position, Rectify};
+    use meissner_skin::membrane::{AfferentModel, Position, Rectify};
 
     fn answer(spikes_s: &[&[f64]]) -> Answer {
         Answer {

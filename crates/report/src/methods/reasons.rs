@@ -3,7 +3,7 @@
 //! Invariant: each count above 0 has a reason; counts of 0 are left out.
 
 use meissner_skin::Skipped;
-use meissner_skin::afferent::MIN_WEIGHT;
+use meissner_skin::membrane::MIN_WEIGHT;
 use serde::Serialize;
 use std::borrow::Cow;
 

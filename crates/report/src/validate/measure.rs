@@ -8,7 +8,7 @@ use super::LOCKED;
 use super::probe::{COUNTED_S, Placed, can_give, press, sine, spikes_s};
 use crate::progress::Parts;
 use meissner_skin::ModelName;
-use meissner_skin::fingertip::Class;
+use meissner_skin::afferents::Class;
 use rayon::prelude::*;
 use serde::Serialize;
 use serde_json::{Value, json};

@@ -28,7 +28,7 @@ pub use measure::Curve;
 use case::Judged;
 use measure::{Measured, measure};
 use meissner_skin::ModelName;
-use meissner_skin::fingertip::Class;
+use meissner_skin::afferents::Class;
 
 const FREEMAN: &str = "Freeman & Johnson 1982";
 const JOHANSSON: &str = "Johansson et al. 1982";

@@ -2,8 +2,8 @@
 
 use crate::cycle::{Cycle, Periods};
 use crate::member::Member;
-use crate::membrane::Membrane;
-use crate::neuron::Instant;
+use crate::membrane::equation::Membrane;
+use crate::membrane::neuron::Instant;
 use crate::simd::Aligned;
 use firmware_protocol::stroke::MOTORS;
 use meissner_array::random::Normals;

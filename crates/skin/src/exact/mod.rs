@@ -3,7 +3,7 @@
 //! A [`Group`] holds the state of eight afferents (`group`). `vectors` takes it from breakpoint to breakpoint. Each lane is one
 //! afferent, and it goes only to the breakpoints of the motors that reach it. So it depends only on its own motors, not on its
 //! neighbours or on the number of lanes of the processor. A lane that might reach its threshold within a segment leaves the vector
-//! for [`Neuron`](crate::neuron::Neuron).
+//! for [`Neuron`](crate::membrane::neuron::Neuron).
 //!
 //! Weights are rounded to whole numbers of 37 bits, and so are their products with the slope change of a breakpoint. (A slope
 //! change is 1 or -1, or a share of that if bursts differ in their travel.) So every slope and every sum of inputs is a whole
@@ -18,7 +18,7 @@ mod vectors;
 pub(crate) use group::{Group, LANES, MAX_BUFFERED};
 
 use crate::breakpoints::Breakpoint;
-use crate::membrane::Membrane;
+use crate::membrane::equation::Membrane;
 use group::Repetition;
 use pulp::Arch;
 use vectors::Pass;

@@ -1,10 +1,10 @@
 //! The exact method in the processor's vector instructions.
 
 use super::group::{Group, LANES, Row};
-use crate::afferent::{MIN_THRESHOLD, Rectify};
 use crate::breakpoints::Breakpoint;
-use crate::membrane::{Membrane, SERIES, SERIES_ENDS, SHORT, SHORT_SERIES_ENDS};
-use crate::neuron::{Instant, Neuron, Segment};
+use crate::membrane::equation::{Membrane, SERIES, SERIES_ENDS, SHORT, SHORT_SERIES_ENDS};
+use crate::membrane::neuron::{Instant, Neuron, Segment};
+use crate::membrane::{MIN_THRESHOLD, Rectify};
 use crate::simd::{Aligned, bits};
 use pulp::{Simd, WithSimd};
 

@@ -2,7 +2,7 @@
 //!
 //! Invariant: a model that [`check_model`] accepts causes no overflow in the simulator.
 
-use crate::afferent::{AfferentModel, Rectify};
+use crate::membrane::{AfferentModel, Rectify};
 use meissner_input::document::{KeyError, in_range};
 use meissner_input::message::quote;
 use serde::de::{Error, Visitor};

@@ -2,7 +2,7 @@
 
 use super::afferent::{check_model, seconds};
 use super::error::{KeyError, Problem, SceneError};
-use crate::afferent::{AfferentModel, Position};
+use crate::membrane::{AfferentModel, Position};
 use firmware_protocol::stroke::MOTORS;
 use meissner_array::motor::MotorError;
 use meissner_array::pattern::{self, Drive};
@@ -192,7 +192,7 @@ fn check_drive(drive: &Drive) -> Result<(), KeyError> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::afferent::Rectify;
+    use crate::membrane::Rectify;
 
     const DRIVE: Drive =
         Drive { motor: 3, frequency_hz: 60.0, amplitude_um: 80.0, phase: 0.0, start_s: None, stop_s: None };

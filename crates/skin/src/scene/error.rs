@@ -45,8 +45,8 @@ pub enum Problem {
     PinsOnly,
     #[error("is {row}: {class} afferents have the rows 0 to {most}")]
     Row { row: u64, class: &'static str, most: usize },
-    #[error("there are {pins} pins: must be at most {}", crate::fingertip::MAX_PINS)]
-    ManyPins { pins: usize },
+    #[error("there are {pins} pins: must be at most {most}")]
+    ManyPins { pins: usize, most: usize },
     #[error(
         "lies within a radius, 0.5 mm, of pins[{first}]: their loads cannot be told apart; move one of them"
     )]
@@ -56,4 +56,4 @@ pub enum Problem {
 }
 
 /// A problem whose place in the file is not complete yet.
-pub(super) type KeyError = document::KeyError<Problem>;
+pub(crate) type KeyError = document::KeyError<Problem>;

@@ -1,6 +1,6 @@
 //! Scenes: which motors vibrate, for how long, and which afferents are simulated.
 //!
-//! [`Scene::read`] reads a TOML or JSON file (`file`); [`Scene::new`] builds a scene (`checked`). Its drives may be faster and
+//! `file` has the keys of a file, which [`Scene::read`] reads; [`Scene::new`] builds a scene (`checked`). Its drives may be faster and
 //! larger than a pattern's: a model has no current limit. All afferents of a scene have the same parameters. A gain may scale a
 //! motor's travel; files have no key for it. Scenes that are made from one another share their afferents, because an optimiser
 //! makes thousands of scenes.
@@ -17,7 +17,7 @@ mod names;
 pub use afferent::{MAX_ALPHA_PER_UM, RawAfferent, check_model};
 pub(crate) use checked::MAX_GAIN;
 pub use checked::Scene;
+pub(crate) use error::KeyError;
 pub use error::{Problem, SceneError};
-pub use file::{AnyScene, MAX_JSON_BYTES, MAX_TOML_BYTES};
-pub(crate) use file::{RawDrive, RawPopulation};
+pub(crate) use file::{RawDrive, RawPopulation, RawScene};
 pub use names::{ModelName, TwoNames, as_written, one_name};

@@ -2,13 +2,13 @@
 
 mod silence;
 
-use crate::afferent::{AfferentModel, Rectify, population};
 use crate::blocks::Blocks;
 use crate::cycle::periods;
 use crate::engine::run_on;
 use crate::exact::{Group, MAX_BUFFERED};
 use crate::member::Member;
-use crate::membrane::Membrane;
+use crate::membrane::equation::Membrane;
+use crate::membrane::{AfferentModel, Rectify, population};
 use crate::time::end;
 use crate::track::{Track, Tracks, of_scene};
 use crate::{Integrator, Method, Options, Precision, Ramps, Scene, Stepping};

@@ -1,12 +1,12 @@
 //! The bound that proves afferents silent, against the highest value of a membrane that never fires.
 
-use crate::afferent::{AfferentModel, Rectify};
 use crate::blocks::Blocks;
 use crate::breakpoints::Breakpoint;
-use crate::membrane::Membrane;
+use crate::membrane::equation::Membrane;
+use crate::membrane::silence::Bound;
+use crate::membrane::{AfferentModel, Rectify};
 use crate::method::Method;
 use crate::scene::Scene;
-use crate::silence::Bound;
 use crate::time::end;
 use crate::track::{Tracks, of_scene};
 use firmware_protocol::stroke::MOTORS;

@@ -8,7 +8,7 @@ use firmware_protocol::stroke::Direction;
 use firmware_protocol::tick::Tick;
 use meissner_array::motor::{HalfTick, Ramp, Shaft, SquareWave};
 use meissner_array::units::UM_PER_PULSE;
-use meissner_skin::afferent::{AfferentModel, Position, Rectify};
+use meissner_skin::membrane::{AfferentModel, Position, Rectify};
 use meissner_skin::{Integrator, Method, MethodError, Stepping};
 
 /// The sum of a shaft's rises until `t_s`, without its falls, for a wave so slow that it settles between edges.

@@ -7,7 +7,7 @@ use super::{
 use meissner_array::motor::SteadyState;
 use meissner_array::pattern::Drive;
 use meissner_array::units::UM_PER_PULSE;
-use meissner_skin::afferent::{AfferentModel, Position, Rectify};
+use meissner_skin::membrane::{AfferentModel, Position, Rectify};
 
 #[test]
 fn a_drive_at_a_thousandth_hertz_is_two_strokes_in_a_thousand_seconds() {

@@ -5,7 +5,7 @@
 //! changes; a lost or doubled spike would show on one of the two sides.
 
 use super::{as_the_oracle, drive, exact, methods, model, propagator, scene, spikes, stepped, under};
-use meissner_skin::afferent::{AfferentModel, Rectify};
+use meissner_skin::membrane::{AfferentModel, Rectify};
 use meissner_skin::{Method, Options, Scene, simulate};
 
 fn count(scene: &Scene, method: Method) -> u64 {

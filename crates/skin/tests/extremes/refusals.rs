@@ -2,7 +2,7 @@
 
 use super::{drive, methods, model, scene, under};
 use meissner_array::pattern::Drive;
-use meissner_skin::afferent::{AfferentModel, Position, Rectify};
+use meissner_skin::membrane::{AfferentModel, Position, Rectify};
 use meissner_skin::{Method, Options, Scene, choose, simulate};
 
 const NOT_FINITE: [f64; 3] = [f64::NAN, f64::INFINITY, f64::NEG_INFINITY];

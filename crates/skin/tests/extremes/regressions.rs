@@ -2,7 +2,7 @@
 
 use super::{beside, drive, model, propagator, scene, spikes, stroke_up, under};
 use meissner_array::pattern::Drive;
-use meissner_skin::afferent::{AfferentModel, Rectify, population};
+use meissner_skin::membrane::{AfferentModel, Rectify, population};
 use meissner_skin::{MAX_SPIKES, Method, Options, Precision, Scene, Stepping, choose, simulate};
 use meissner_test_support::statistics::rms;
 

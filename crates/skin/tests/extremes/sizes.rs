@@ -4,7 +4,7 @@ use super::{
     NONE, as_the_oracle, assert_close, beside, drive, exact, methods, model, propagator, scene, spikes,
     stepped, under,
 };
-use meissner_skin::afferent::{AfferentModel, Position, Rectify};
+use meissner_skin::membrane::{AfferentModel, Position, Rectify};
 use meissner_skin::{Method, Options, Skipped, choose, simulate};
 
 #[test]

@@ -6,8 +6,8 @@ use crate::plan::{Cell, Plan};
 use meissner_array::pattern::Pattern;
 use meissner_design::{ClassReadings, Plan as Comparison, discriminate};
 use meissner_skin::SkinModel;
-use meissner_skin::afferent::{AfferentModel, POPULATION_NOISE_SD, Rectify};
-use meissner_skin::fingertip::Class;
+use meissner_skin::afferents::Class;
+use meissner_skin::membrane::{AfferentModel, POPULATION_NOISE_SD, Rectify};
 
 pub(super) const COLUMNS: &[Column] = &[
     number("d_prime_counts", "d' of the ideal observer of all afferents' counts"),

@@ -21,7 +21,7 @@ use crate::figures::target::FrameRates;
 use crate::progress::Parts;
 use meissner_array::motor::SteadyState;
 use meissner_design::{Fidelity, Limit, Point, Score, Target, Verdict, YARDSTICK, shipped};
-use meissner_skin::afferent::{Position, population};
+use meissner_skin::membrane::{Position, population};
 use meissner_skin::{Method, Options, Scene, simulate};
 use rayon::prelude::*;
 use serde::Serialize;

@@ -7,7 +7,7 @@ use meissner_design::{
     Brief, Fidelity, Found, Goal, Limit, Models, Objective, Point, Score, Setting, Step, Target, Vibration,
     search,
 };
-use meissner_skin::afferent::Position;
+use meissner_skin::membrane::Position;
 use rayon::prelude::*;
 use std::ops::{ControlFlow, RangeInclusive};
 

@@ -8,7 +8,7 @@
 //!
 //! Invariant: lengths are measured from the start of a segment, never from the start of the scene.
 
-use crate::afferent::{AfferentModel, MIN_THRESHOLD, NOISE_LIMIT_SD, Rectify};
+use crate::membrane::{AfferentModel, MIN_THRESHOLD, NOISE_LIMIT_SD, Rectify};
 use meissner_array::motor::WINDOW_HALF_TICKS;
 use meissner_array::random::Normals;
 use meissner_array::units::HALF_TICKS_PER_S;
@@ -113,7 +113,7 @@ pub(crate) fn phi2(x: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::afferent::TAU_S;
+    use crate::membrane::TAU_S;
 
     /// Computed with 400 digits.
     #[test]

@@ -9,8 +9,7 @@
 //! largest counts as 0.
 
 use super::afferent::Afferent;
-use super::contact::Contact;
-use super::scene::Place;
+use super::contact::{Contact, Place};
 use super::stimulus::Field;
 use super::{ELASTICITY, POISSON};
 use firmware_protocol::stroke::MOTORS;

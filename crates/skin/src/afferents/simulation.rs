@@ -6,10 +6,10 @@
 //! Invariant: the answer for an afferent depends on the scene and its number, not on blocks, tiles, groups or threads.
 
 use super::afferent::{Afferent, Class};
-use super::contact::Contact;
+use super::contact::{Contact, Place};
 use super::motion::{Motion, tracks};
 use super::neuron::{Block, Group};
-use super::scene::{Pins, Place, Scene};
+use super::scene::{Pins, Scene};
 use super::stimulus::{Field, TILE};
 use super::{LANES, SAMPLES_PER_S};
 use crate::method::{Keep, MAX_SPIKES, MethodError};

@@ -10,8 +10,8 @@
 //! Invariant: terms are added in the order of the pins, each with one rounding.
 
 use super::afferent::{Afferent, Class};
+use super::contact::Place;
 use super::contact::spread;
-use super::scene::Place;
 use super::{LANES, PIN_RADIUS_MM, SAMPLES_PER_S};
 use pulp::Simd;
 

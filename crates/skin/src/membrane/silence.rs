@@ -7,9 +7,9 @@
 //!
 //! Invariant: every approximation here is an overestimate, so a bound is never too low.
 
-use crate::afferent::Rectify;
 use crate::breakpoints::Breakpoint;
-use crate::membrane::Membrane;
+use crate::membrane::Rectify;
+use crate::membrane::equation::Membrane;
 use firmware_protocol::stroke::MOTORS;
 
 /// Margin for rounding, here and in the simulation.

@@ -3,7 +3,7 @@
 //! Invariant: the row of an [`Afferent`] is one of its class.
 
 use super::rows::{PARAMETERS, PC, RA, SA1};
-use crate::afferent::Position;
+use crate::membrane::Position;
 use serde::{Deserialize, Serialize};
 
 /// A class of afferents.

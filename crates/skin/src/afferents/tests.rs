@@ -18,7 +18,7 @@ fn scene() -> Scene {
         Drive { start_s: Some(0.1), ..drive(14, 150.0, 80.0) },
         drive(0, 10.0, 300.0),
     ];
-    let model = crate::afferent::AfferentModel::default_for(crate::afferent::Rectify::Half, 0.0);
+    let model = crate::membrane::AfferentModel::default_for(crate::membrane::Rectify::Half, 0.0);
     let motors = MembraneScene::new(0.3, 5, drives, Vec::new(), model).unwrap();
     Scene::of_motors(&motors, 0.05, population(2), true).unwrap()
 }
@@ -49,7 +49,7 @@ fn every_width_of_vectors_and_number_of_threads_gives_the_same_spikes() {
 #[test]
 fn every_width_of_vectors_gives_the_same_near_counts() {
     let near = |duration_s, drives: &[Drive]| {
-        let model = crate::afferent::AfferentModel::default_for(crate::afferent::Rectify::Half, 0.0);
+        let model = crate::membrane::AfferentModel::default_for(crate::membrane::Rectify::Half, 0.0);
         let motors = MembraneScene::new(duration_s, 5, Vec::new(), Vec::new(), model).unwrap();
         let rapid = population(2).into_iter().filter(|afferent| afferent.class == Class::Ra).collect();
         let scene = Scene::of_motors(&motors, 0.5, rapid, true).unwrap();

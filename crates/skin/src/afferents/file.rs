@@ -7,7 +7,7 @@
 use super::afferent::Class;
 use super::population::{drawn, population};
 use super::scene::{PREINDENT_MM, Pins, Scene, SinePin};
-use crate::afferent::{AfferentModel, Position, Rectify};
+use crate::membrane::{AfferentModel, Position, Rectify};
 use crate::scene::{ModelName, Problem, RawDrive, RawPopulation, Scene as MembraneScene, one_name};
 use meissner_input::document::{self, Table};
 use serde::Deserialize;

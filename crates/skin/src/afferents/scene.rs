@@ -5,8 +5,7 @@
 
 use super::SAMPLES_PER_S;
 use super::afferent::Afferent;
-use super::contact::Contact;
-use crate::afferent::Position;
+use super::contact::{Contact, Place};
 use crate::ramps::Ramps;
 use crate::scene::{Problem, Scene as MembraneScene};
 use firmware_protocol::stroke::MOTORS;
@@ -38,20 +37,6 @@ pub struct Scene {
     pub(super) afferents: Arc<Vec<Afferent>>,
     /// Whether the afferents are a file's population.
     pub(super) population: bool,
-}
-
-/// A place on the skin.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Place {
-    pub(super) x_mm: f64,
-    pub(super) y_mm: f64,
-}
-
-impl Place {
-    pub(super) fn distance_mm(self, to: Self) -> f64 {
-        let (x, y) = (self.x_mm - to.x_mm, self.y_mm - to.y_mm);
-        (x * x + y * y).sqrt()
-    }
 }
 
 /// The pins under the finger.
@@ -246,7 +231,7 @@ impl Scene {
             range("ramp_s", *ramp_s, MAX_DURATION_S, "0 to 100000 s")?;
             range("begin_s", *begin_s, MAX_DURATION_S, "0 to 100000 s")?;
             if pins.len() > MAX_PINS {
-                return Err(KeyError::key("pins", Problem::ManyPins { pins: pins.len() }));
+                return Err(KeyError::key("pins", Problem::ManyPins { pins: pins.len(), most: MAX_PINS }));
             }
             for (index, pin) in pins.iter().enumerate() {
                 check_pin(pin).map_err(|fault| fault.within(&format!("pins[{index}]")))?;
@@ -301,11 +286,5 @@ fn check_apart(places: &[Place]) -> Result<(), KeyError> {
     match Contact::new(places) {
         Some(_) => Ok(()),
         None => Err(KeyError::key("pins", Problem::Crowded)),
-    }
-}
-
-impl From<Position> for Place {
-    fn from(at: Position) -> Self {
-        Self { x_mm: at.x_mm, y_mm: at.y_mm }
     }
 }

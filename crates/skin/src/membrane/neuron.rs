@@ -10,8 +10,8 @@
 //!
 //! Invariant: every offset lies within the segment and is measured from its start.
 
-use crate::afferent::{MIN_THRESHOLD, Rectify};
-use crate::membrane::Membrane;
+use crate::membrane::equation::Membrane;
+use crate::membrane::{MIN_THRESHOLD, Rectify};
 
 /// The solution of a crossing stops when it moves by less than this, half ticks: 6 fs.
 const SOLVED: f64 = 1e-9;
@@ -229,7 +229,7 @@ impl Line {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::afferent::AfferentModel;
+    use crate::membrane::AfferentModel;
 
     fn membrane(depth: f64) -> Membrane {
         let model = AfferentModel::default_for(Rectify::Half, 0.0);

@@ -1,6 +1,6 @@
 //! Tests the second model with reference spikes, in all forms of scenes, and at the extremes.
 
-use meissner_skin::fingertip::{Class, Scene, simulate};
+use meissner_skin::afferents::{Class, Scene, simulate};
 use meissner_skin::{AnyScene, Keep, ModelName};
 use meissner_test_support::documents::{assert_changes_refused, in_one_line};
 use serde_json::{Value, json};

@@ -6,14 +6,34 @@
 //!
 //! Invariant: no load is negative.
 
-use super::scene::Place;
 use super::{ELASTICITY, PIN_RADIUS_MM, POISSON};
+use crate::membrane::Position;
 use std::collections::HashMap;
 
 /// The number of matrices kept for sets of touching pins, because the same sets recur with every cycle of a vibration.
 const MAX_KEPT: usize = 1024;
 /// A smaller pivot, in units of a pin's own flexibility, is a rounding error: the loads of two pins cannot be told apart.
 const SMALLEST_PIVOT: f64 = 1e-9;
+
+/// A place on the skin.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Place {
+    pub(super) x_mm: f64,
+    pub(super) y_mm: f64,
+}
+
+impl Place {
+    pub(super) fn distance_mm(self, to: Self) -> f64 {
+        let (x, y) = (self.x_mm - to.x_mm, self.y_mm - to.y_mm);
+        (x * x + y * y).sqrt()
+    }
+}
+
+impl From<Position> for Place {
+    fn from(at: Position) -> Self {
+        Self { x_mm: at.x_mm, y_mm: at.y_mm }
+    }
+}
 
 /// The displacement of the skin at a distance from a pin, per load, mm per N/mm².
 pub(super) fn flexibility(distance_mm: f64) -> f64 {

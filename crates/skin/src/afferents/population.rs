@@ -3,27 +3,27 @@
 //! Invariant: the RA afferents lie where those of the first model lie, so both models are compared on the same places.
 
 use super::afferent::{Afferent, Class};
-use crate::afferent::{self, Position};
+use crate::membrane::{self, Position};
 use meissner_array::random;
 
 /// Densities of SA1, RA and PC afferents in the upper half of the pad, per cm²: those of the fingertip (Saal et al. 2017; RA also
 /// in the paper).
-pub const UPPER_PER_CM2: [f64; 3] = [70.0, afferent::UPPER_PER_CM2, 25.0];
+pub const UPPER_PER_CM2: [f64; 3] = [70.0, membrane::UPPER_PER_CM2, 25.0];
 /// The same for the lower half. RA is the paper's; SA1 and PC (C) give a finger 200 SA1 and 60 PC afferents.
-pub const LOWER_PER_CM2: [f64; 3] = [48.0, afferent::LOWER_PER_CM2, 10.5];
+pub const LOWER_PER_CM2: [f64; 3] = [48.0, membrane::LOWER_PER_CM2, 10.5];
 
 /// Separates these random numbers from others of the same seed.
 const PLACE_WORD: u64 = 7;
 const ROW_WORD: u64 = 8;
 
-/// The afferents of a fingertip: 306 RA at the places of [`afferent::population`], then 200 SA1 and 60 PC.
+/// The afferents of a fingertip: 306 RA at the places of [`membrane::population`], then 200 SA1 and 60 PC.
 #[must_use]
 pub fn population(seed: u64) -> Vec<Afferent> {
-    let rapid = afferent::population(seed).into_iter().map(|at| (Class::Ra, at));
+    let rapid = membrane::population(seed).into_iter().map(|at| (Class::Ra, at));
     let scattered = |class: Class| {
         let index = class as usize;
         let halves = [UPPER_PER_CM2[index], LOWER_PER_CM2[index]];
-        let places = afferent::scattered(seed, halves, PLACE_WORD + 16 * index as u64);
+        let places = membrane::scattered(seed, halves, PLACE_WORD + 16 * index as u64);
         places.into_iter().map(move |at| (class, at))
     };
     let all = rapid.chain(scattered(Class::Sa1)).chain(scattered(Class::Pc));
@@ -48,7 +48,7 @@ mod tests {
             let population = population(seed);
             assert_eq!(Class::ALL.map(|class| of(&population, class)), [200, 306, 60]);
             let places: Vec<_> = population[..306].iter().map(|afferent| afferent.at).collect();
-            assert_eq!(places, afferent::population(seed));
+            assert_eq!(places, membrane::population(seed));
             assert!(population.iter().all(|a| usize::from(a.row) < a.class.rows()));
             for class in Class::ALL {
                 let rows = (0..class.rows())

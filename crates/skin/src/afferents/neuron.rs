@@ -15,7 +15,7 @@ use super::afferent::{Afferent, Class, Parameters};
 use super::filter::{LowPass, Sections};
 use super::noise::Noise;
 use super::stimulus::{Field, TILE, mix, mix_together};
-use super::{LANES, scene::Place};
+use super::{LANES, contact::Place};
 use crate::simd::{Aligned, bits};
 use pulp::{Arch, Simd, WithSimd};
 use std::sync::OnceLock;
