@@ -1,7 +1,7 @@
 //! Records how late this machine wakes a thread that is due every millisecond, as the streamer's is while it plays.
 //!
-//! `cargo run --release --example record_stalls -- 60 > FILE` records for a minute; `meissner tradeoff --stream --trace FILE`
-//! reads the recording (`crates/report/src/lead/trace.rs` describes its lines).
+//! `cargo run --release --example record_stalls -- 60 > FILE` records for a minute; `lead --trace FILE` of `meissner-research`
+//! reads the recording (`research/src/lead/trace.rs` describes its lines).
 //!
 //! The thread requests SCHED_FIFO and locked memory as the streamer does. In the second half of the time two busy loops per
 //! core run beside it. Only wake-ups more than [`MIN_LATE_US`] late are written.

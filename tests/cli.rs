@@ -359,19 +359,6 @@ simulate x --max-rate-error 1 --integrator euler
 simulate x --max-rate-error 1 --precision f64
 simulate x --step-us 0.5
 tradeoff x --method exact
-tradeoff x.toml --stream
-tradeoff --stream x.toml
-tradeoff --trace x.txt
-tradeoff x.toml --trace x.txt
-tradeoff --stream --stream
-tradeoff --loop --stream
-tradeoff --loop x.toml
-tradeoff x.toml --loop
-tradeoff --loop --trace x.txt
-tradeoff --loop --stream --trace x.txt
-tradeoff --loop --loop
-tradeoff --loop --model afferents
-tradeoff --stream --model membrane
 ";
 
 #[test]

@@ -21,8 +21,6 @@ mod careless;
 mod cli;
 /// More clients than there are places, and clients that do not read.
 mod client_limits;
-/// `tradeoff --loop`: a corner of its grid within the limits, the same bytes on any cores, its document and plot.
-mod control_tradeoff;
 /// `discriminate` and `validate`: documents, files, mistakes; verdicts that follow from numbers.
 mod discriminate;
 /// `displacement`: samples of the pins as table and as document; patterns of files and stdin.
@@ -39,8 +37,6 @@ mod faults;
 mod figures;
 /// A real daemon in its own directory, and helpers for the other tests.
 mod harness;
-/// `tradeoff --stream`: the lead under recorded stalls, traces that are refused, its document and plot.
-mod lead;
 /// Live plays: updates over both sockets, vanishing clients, mistakes.
 mod live;
 /// The command `live`: lines of files and pipes, signals, and plays that the daemon ends.

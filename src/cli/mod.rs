@@ -214,7 +214,7 @@ enum Command {
     Simulate(simulate::Simulate),
     /// Find a pattern for a target shape
     Optimise(optimise::Optimise),
-    /// Compare simulation methods on this machine, leads of the streamer, or position control
+    /// Compare simulation methods on this machine: time against error
     #[command(name = "tradeoff")]
     MethodTradeoff(tradeoff::MethodTradeoff),
     /// Predict whether a finger can tell patterns apart: d', per cent correct, confusion matrix

@@ -1,10 +1,4 @@
-//! Means and standard deviations.
-
-/// The mean; 0 of no numbers.
-pub(crate) fn mean(numbers: impl Iterator<Item = f64>) -> f64 {
-    let (count, sum) = numbers.fold((0.0, 0.0), |(count, sum), number| (count + 1.0, sum + number));
-    sum / f64::max(count, 1.0)
-}
+//! Means with their standard deviations.
 
 /// Mean and sample standard deviation; the deviation of fewer than two numbers is 0.
 pub(crate) fn mean_and_sd(numbers: &[f64]) -> (f64, f64) {

@@ -25,6 +25,7 @@ mod merge;
 mod plan;
 mod run;
 mod run_file;
+mod shard;
 mod status;
 
 pub use axis::{Axis, Command, Document, Domain, Value};
@@ -34,6 +35,7 @@ pub use estimate::{Estimate, estimate};
 pub use job_array::{MOST_TASKS, TASK_S, log, most_tasks, script, tasks};
 pub use merge::{Merged, merge, pattern};
 pub use plan::{Cell, MOST_BYTES, MOST_CELLS, Plan, PlanError, PlanProblem, Program, Sources};
-pub use run::{Progress, Run, Shard};
+pub use run::{Progress, Run};
 pub use run_file::{End, HEARTBEAT, Header};
+pub use shard::Shard;
 pub use status::{RunState, RunStatus, Status, status};

@@ -9,7 +9,7 @@
 //! Invariant: no line is changed; after an error nothing more is written.
 
 use crate::directory::{Directory, ROWS, SweepError, failed, open};
-use crate::run::Shard;
+use crate::shard::Shard;
 use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
 use std::fs::File;

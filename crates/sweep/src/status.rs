@@ -5,8 +5,8 @@
 use crate::directory::{Directory, SweepError, open};
 use crate::merge::Index;
 use crate::plan::Plan;
-use crate::run::Shard;
 use crate::run_file::{self, HEARTBEAT, RunFile};
+use crate::shard::Shard;
 use serde::Serialize;
 use std::io::{Read, Seek, SeekFrom};
 use std::path::Path;

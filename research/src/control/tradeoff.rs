@@ -10,7 +10,6 @@ use meissner_array::motor::MotorError;
 use meissner_stream::MotorRun;
 use rayon::prelude::*;
 use serde::Serialize;
-use std::sync::atomic::{AtomicU64, Ordering};
 
 /// The accuracy of rest positions and amplitudes under position control.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -27,25 +26,13 @@ pub struct ControlTradeoff {
     pub recommendation: String,
 }
 
-/// Measures each cell of a grid. `progress` gets the completed share, 0 to 1, on any thread.
+/// Measures each cell of a grid.
 ///
 /// # Errors
 /// If a frequency or amplitude is out of range.
-pub fn control_tradeoff(
-    grid: &ControlGrid,
-    progress: &(dyn Fn(f64) + Sync),
-) -> Result<ControlTradeoff, MotorError> {
+pub fn control_tradeoff(grid: &ControlGrid) -> Result<ControlTradeoff, MotorError> {
     let (cells, rates) = (grid.cells(), grid.rates());
-    // The work of a cell is proportional to its samples.
-    let samples = |run: &MotorRun| grid.seconds(run) * run.telemetry_hz;
-    let all: f64 = cells.iter().chain(&rates).map(samples).sum();
-    let done = AtomicU64::new(0);
-    let row = |run: &MotorRun| {
-        let row = ControlRow::of(run, grid.seconds(run));
-        let before = done.fetch_add(samples(run) as u64, Ordering::Relaxed);
-        progress(((before as f64 + samples(run)) / all).min(1.0));
-        row
-    };
+    let row = |run: &MotorRun| ControlRow::of(run, grid.seconds(run));
     let measure =
         |runs: Vec<MotorRun>| runs.par_iter().with_max_len(1).map(row).collect::<Result<Vec<_>, _>>();
     let (rows, rates) = (measure(cells)?, measure(rates)?);

@@ -4,7 +4,6 @@
 
 use crate::lead::replay::{Replay, Run};
 use crate::lead::trace::{Summary, Trace};
-use crate::progress::Parts;
 use meissner_stream::Settings;
 use meissner_stream::queues::End;
 use rayon::prelude::*;
@@ -55,20 +54,13 @@ pub struct LeadRow {
     pub onset_late_bursts: u64,
 }
 
-/// Compares leads on a trace. `progress` gets the completed share, 0 to 1, on any thread.
+/// Compares leads on a trace.
 #[must_use]
-pub fn lead_tradeoff(trace: &Trace, leads_ms: &[f64], progress: &(dyn Fn(f64) + Sync)) -> LeadTradeoff {
-    let parts = Parts::new(3 * leads_ms.len(), progress);
+pub fn lead_tradeoff(trace: &Trace, leads_ms: &[f64]) -> LeadTradeoff {
     let row = |&lead_ms: &f64| {
-        let measure = |run: &(dyn Fn(Replay<'_>) -> Run + Sync)| {
-            let run = run(Replay::new(trace, lead_ms));
-            parts.done();
-            run
-        };
-        let (closed, (open, short)) = rayon::join(
-            || measure(&|replay| replay.long(false)),
-            || rayon::join(|| measure(&|replay| replay.long(true)), || measure(&|replay| replay.short())),
-        );
+        let replay = || Replay::new(trace, lead_ms);
+        let (closed, (open, short)) =
+            rayon::join(|| replay().long(false), || rayon::join(|| replay().long(true), || replay().short()));
         row(lead_ms, &closed, &open, &short)
     };
     let rows: Vec<_> = leads_ms.par_iter().map(row).collect();

@@ -5,18 +5,18 @@
 //! Invariant: the designed response is that of the drives without surplus, on ideal motors.
 
 use crate::stop::grid::StopCell;
-use crate::stop::tradeoff::StopError;
 use firmware_protocol::tick::Tick;
+use meissner_array::motor::MotorError;
 use meissner_array::motor::Ramp;
 use meissner_array::pattern::{Drive, Pattern};
 use meissner_array::simulated::{Pin, SimulatedMotorsConfig};
 use meissner_array::strokes::{DriveStrokes, StrokeOptions};
 use meissner_array::units::seconds_to_ticks;
-use meissner_design::{Play, Rates, YARDSTICK, predict_response};
+use meissner_design::{Play, PredictionError, Rates, YARDSTICK, predict_response};
 use serde::Serialize;
 
 /// The shipped pattern for the target [`YARDSTICK`].
-const EDGE: &str = include_str!("../../../../patterns/paper/edge-45-paper.toml");
+const EDGE: &str = include_str!("../../../patterns/paper/edge-45-paper.toml");
 
 /// Mean rate of the afferents on the edge minus that of the others, impulses/s.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
@@ -27,6 +27,23 @@ pub struct Contrasts {
     pub with_stop: f64,
     /// As played in open loop without stop and surplus.
     pub without_stop: f64,
+}
+
+/// Why a grid could not be measured.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum StopError {
+    /// A frequency or amplitude is out of range.
+    #[error(transparent)]
+    Motor(#[from] MotorError),
+    /// An amplitude of less than half a pulse.
+    #[error("amplitude {amplitude_um} um: moves no pin")]
+    Still {
+        /// The amplitude, µm.
+        amplitude_um: f64,
+    },
+    /// A response could not be predicted.
+    #[error(transparent)]
+    Prediction(#[from] PredictionError),
 }
 
 /// The shipped edge with the frequency and amplitude of a cell.

@@ -4,10 +4,9 @@
 //! than [`AGREES`], a refined theory explains why. It takes the number of played strokes into account, and that a burst after half
 //! a second of rest falls short.
 
-use crate::statistics::mean;
+use crate::mean;
 use crate::stop::grid::{StopCell, StopGrid};
-use crate::stop::response::Contrasts;
-use crate::stop::tradeoff::StopError;
+use crate::stop::response::{Contrasts, StopError};
 use firmware_protocol::stroke::MOTORS;
 use firmware_protocol::tick::Tick;
 use meissner_array::motor::{Excursion, TRANSIENT_GAIN, TRANSIENT_REST_TICKS};

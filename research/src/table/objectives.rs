@@ -1,10 +1,10 @@
 //! Prints the comparison of objectives: a table of the first model, one of both models class by class, and the targets at which a
 //! naive rule is better. `--json` has every target.
 
-use crate::cli::text::{columns, number};
-use meissner_report::{ClassRow, ObjectiveMeans, ObjectiveRow, ObjectiveTradeoff};
+use super::{columns, number};
+use meissner_research::{ClassRow, ObjectiveMeans, ObjectiveRow, ObjectiveTradeoff};
 
-pub(super) fn table(tradeoff: &ObjectiveTradeoff) -> Vec<String> {
+pub(crate) fn table(tradeoff: &ObjectiveTradeoff) -> Vec<String> {
     let head =
         ["patterns", "contrast", "normalised", "AUC", "largest gap", "named", "below naive", "search s"];
     let row = |row: &ObjectiveRow| {

@@ -1,6 +1,6 @@
 //! Measures one cell of the grid.
 
-use crate::statistics::mean;
+use crate::mean;
 use firmware_protocol::tick::TICK_HZ;
 use meissner_api::SensorFault;
 use meissner_array::motor::MotorError;

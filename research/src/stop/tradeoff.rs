@@ -2,14 +2,11 @@
 //!
 //! Invariant: the same grid gives the same figures, on every machine and any number of cores.
 
-use crate::progress::Parts;
 use crate::stop::grid::{StopCell, StopGrid};
-use crate::stop::response::{Contrasts, contrasts, edge};
+use crate::stop::response::{Contrasts, StopError, contrasts, edge};
 use crate::stop::row::{StopReason, StopRow};
-use meissner_array::motor::MotorError;
 use meissner_array::simulated::LowerStop;
 use meissner_array::strokes::StrokeOptions;
-use meissner_design::PredictionError;
 use meissner_stream::{MotorRun, rest_bound_um};
 use rayon::prelude::*;
 use serde::Serialize;
@@ -40,35 +37,13 @@ pub struct StopCount {
     pub cells: usize,
 }
 
-/// Why a grid could not be measured.
-#[derive(Clone, Debug, PartialEq, thiserror::Error)]
-pub enum StopError {
-    /// A frequency or amplitude is out of range.
-    #[error(transparent)]
-    Motor(#[from] MotorError),
-    /// An amplitude of less than half a pulse.
-    #[error("amplitude {amplitude_um} um: moves no pin")]
-    Still {
-        /// The amplitude, µm.
-        amplitude_um: f64,
-    },
-    /// A response could not be predicted.
-    #[error(transparent)]
-    Prediction(#[from] PredictionError),
-}
-
-/// Measures each cell of a grid. `progress` gets the completed share, 0 to 1, on any thread.
+/// Measures each cell of a grid.
 ///
 /// # Errors
 /// If a frequency or amplitude is out of range.
-pub fn stop_tradeoff(grid: &StopGrid, progress: &(dyn Fn(f64) + Sync)) -> Result<StopTradeoff, StopError> {
+pub fn stop_tradeoff(grid: &StopGrid) -> Result<StopTradeoff, StopError> {
     let groups = grid.groups();
-    let parts = Parts::new(groups.len(), progress);
-    let measured = groups.par_iter().with_max_len(1).map(|cells| {
-        let rows = group(cells, grid);
-        parts.done();
-        rows
-    });
+    let measured = groups.par_iter().with_max_len(1).map(|cells| group(cells, grid));
     let rows = measured.collect::<Result<Vec<_>, _>>()?.concat();
     let mut reasons: Vec<StopCount> = Vec::new();
     for row in &rows {
@@ -106,7 +81,6 @@ fn group(cells: &[StopCell], grid: &StopGrid) -> Result<Vec<StopRow>, StopError>
 mod tests {
     use super::*;
     use crate::stop::grid::StopSurplus;
-    use crate::stop::plot::plot_stop;
     use rayon::ThreadPoolBuilder;
 
     #[test]
@@ -125,7 +99,7 @@ mod tests {
         };
         let on = |threads| {
             let pool = ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-            pool.install(|| stop_tradeoff(&grid, &|_| ())).unwrap()
+            pool.install(|| stop_tradeoff(&grid)).unwrap()
         };
         let found = on(1);
         assert_eq!(found, on(3));
@@ -141,6 +115,5 @@ mod tests {
             (text["rows"][1]["surplus"].as_str(), text["rows"][0]["surplus"].as_f64()),
             (Some("auto"), Some(0.0))
         );
-        assert!(plot_stop(&found).unwrap().contains("asymmetry SD 0.02"));
     }
 }

@@ -1,9 +1,9 @@
 //! Prints the comparison of surpluses above a lower stop.
 
-use crate::cli::text::{columns, number};
-use meissner_report::{StopReason, StopRow, StopSurplus, StopTradeoff};
+use super::{columns, number};
+use meissner_research::{StopReason, StopRow, StopSurplus, StopTradeoff};
 
-pub(super) fn table(tradeoff: &StopTradeoff) -> Vec<String> {
+pub(crate) fn table(tradeoff: &StopTradeoff) -> Vec<String> {
     let head = [
         "Hz",
         "um",
@@ -106,7 +106,7 @@ fn long(reason: Option<StopReason>) -> &'static str {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use meissner_report::{StopGrid, stop_tradeoff};
+    use meissner_research::{StopGrid, stop_tradeoff};
 
     #[test]
     fn a_row_says_what_was_played_and_each_reason_has_a_sentence() {
@@ -121,7 +121,7 @@ mod tests {
             response_s: 0.1,
             ..StopGrid::default()
         };
-        let found = stop_tradeoff(&grid, &|_| ()).unwrap();
+        let found = stop_tradeoff(&grid).unwrap();
         let text = table(&found).join("\n");
         assert!(text.contains("RMS over motors and over the strokes 101 to 400"), "{text}");
         let auto = text.lines().find(|line| line.contains(" auto ")).unwrap();

@@ -6,8 +6,7 @@
 //!
 //! Invariant: the same budget gives the same figures, except for the times.
 
-use crate::progress::Parts;
-use crate::statistics::mean;
+use crate::mean;
 use meissner_array::pattern::Drive;
 use meissner_design::{
     Budget, GOALS, Goal, MakeError, Models, Named, OfClass, Quality, Request, Rule, Target, make,
@@ -121,7 +120,7 @@ pub struct CellOfClass {
 }
 
 /// Measures all objectives with searches of about `evaluations` under a model, each over eight populations. `library` gives the
-/// drives of a shipped pattern. `progress` gets the completed share, 0 to 1, on any thread.
+/// drives of a shipped pattern.
 ///
 /// # Errors
 /// If a target cannot be simulated.
@@ -129,11 +128,9 @@ pub fn objective_tradeoff(
     evaluations: u64,
     model: ModelName,
     library: &dyn Fn(&str) -> Option<Vec<Drive>>,
-    progress: &(dyn Fn(f64) + Sync),
 ) -> Result<ObjectiveTradeoff, MakeError> {
     let targets: Vec<Target> =
         shipped_names().into_iter().filter_map(shipped).filter(|target| !target.moves()).collect();
-    let parts = Parts::new(GOALS.len() * targets.len(), progress);
     let mut sets = Vec::new();
     for rule in Rule::ALL {
         let drives = targets.iter().map(|target| rule.drives(target)).collect();
@@ -146,7 +143,7 @@ pub fn objective_tradeoff(
     for goal in GOALS {
         let begun = Instant::now();
         let searched: Result<Vec<_>, _> =
-            targets.iter().map(|target| search(goal, target, evaluations, model, &parts)).collect();
+            targets.iter().map(|target| search(goal, target, evaluations, model)).collect();
         let each_s = begun.elapsed().as_secs_f64() / targets.len() as f64;
         sets.push(Set { name: goal.name(), drives: searched?, search_s: Some(each_s) });
     }
@@ -163,13 +160,7 @@ struct Set {
     search_s: Option<f64>,
 }
 
-fn search(
-    goal: Goal,
-    target: &Target,
-    evaluations: u64,
-    model: ModelName,
-    parts: &Parts<'_>,
-) -> Result<Vec<Drive>, MakeError> {
+fn search(goal: Goal, target: &Target, evaluations: u64, model: ModelName) -> Result<Vec<Drive>, MakeError> {
     let budget = Budget::Evaluations(vec![evaluations]);
     let models = match model {
         ModelName::Membrane => Models::Membrane,
@@ -177,7 +168,6 @@ fn search(
     };
     let request = Request { models, goal, robust: true, budget, ..Request::default() };
     let made = make(target, target.name(), &request, &mut |_| ControlFlow::Continue(()))?;
-    parts.done();
     Ok(made.pattern.drives().to_vec())
 }
 

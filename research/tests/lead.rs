@@ -1,15 +1,10 @@
-use crate::harness::{complaint, document, meissner, printed};
-use meissner_report::{
-    LEADS_MS, LeadRow, LeadTradeoff, MAX_TRACE_BYTES, STALLS, Trace, lead_tradeoff, plot_lead,
-};
+//! The lead under recorded stalls, and traces that are refused.
+
+use meissner_research::{LEADS_MS, LeadRow, LeadTradeoff, STALLS, Trace, lead_tradeoff};
 use meissner_stream::queues::End;
-use serde_json::Value;
-use std::fs::{self, File};
 
 fn tried(trace: &str, leads_ms: &[f64]) -> LeadTradeoff {
-    lead_tradeoff(&Trace::read(trace, "trace").unwrap(), leads_ms, &|part| {
-        assert!((0.0..=1.0).contains(&part), "{part}");
-    })
+    lead_tradeoff(&Trace::read(trace, "trace").unwrap(), leads_ms)
 }
 
 fn late(found: &LeadTradeoff) -> Vec<u64> {
@@ -101,9 +96,6 @@ fn a_stall_longer_than_the_host_watchdog_timeout_ends_the_play_and_its_lead_is_n
 
 #[test]
 fn an_invalid_trace_is_refused_in_one_line() {
-    let dir = tempfile::tempdir().unwrap();
-    let file = dir.path().join("trace.txt");
-    let complaint = || complaint(meissner().args(["tradeoff", "--stream", "--trace"]).arg(&file));
     for (text, says) in [
         ("", "trace.txt: has no duration: record one with"),
         ("seconds 0", "begin with `seconds N`, 1 to 3600"),
@@ -123,45 +115,7 @@ fn an_invalid_trace_is_refused_in_one_line() {
         ("seconds 9\n5000 3000\n8000 300", "trace.txt:3: was due at 8000 us: must be after 8000"),
         ("seconds 9\n18446744073709551616 3000", "is no late wake-up"),
     ] {
-        fs::write(&file, text).unwrap();
-        let line = complaint();
-        assert!(line.contains(says), "{text:?}: {line}");
+        let line = Trace::read(text, "trace.txt").unwrap_err().to_string();
+        assert!(line.contains(says) && !line.contains('\n'), "{text:?}: {line}");
     }
-    fs::write(&file, b"seconds 9\n\xe9").unwrap();
-    assert!(complaint().contains("trace.txt: not UTF-8 text"));
-    File::create(&file).unwrap().set_len(MAX_TRACE_BYTES as u64 + 1).unwrap();
-    assert!(complaint().contains("bytes are too many: a trace file has at most"));
-    fs::remove_file(&file).unwrap();
-    assert!(complaint().contains("trace.txt: cannot be read; name a trace file"));
-}
-
-#[test]
-fn the_command_and_the_library_give_the_same_document_and_plot() {
-    let dir = tempfile::tempdir().unwrap();
-    let (trace, svg) = (dir.path().join("trace.txt"), dir.path().join("lead.svg"));
-    fs::write(&trace, STALL).unwrap();
-    let command = || {
-        let mut command = meissner();
-        command.args(["tradeoff", "--stream", "--trace"]).arg(&trace);
-        command
-    };
-    let found: Value = document(command().args(["--json", "--plot"]).arg(&svg));
-    let drawn = fs::read_to_string(&svg).unwrap();
-    let leads: Vec<_> =
-        found["rows"].as_array().unwrap().iter().map(|row| row["lead_ms"].as_f64().unwrap()).collect();
-    assert_eq!(leads, LEADS_MS);
-    assert_eq!((&found["trace"]["seconds"], &found["trace"]["longest_us"]), (&1.into(), &25_000.into()));
-    let library = tried(STALL, &LEADS_MS);
-    assert_eq!(serde_json::to_value(&library).unwrap(), found);
-    assert_eq!(plot_lead(&library).unwrap(), drawn);
-    for label in
-        ["late, percent", "onset latency, ms", "bytes per burst", "loop on", "open loop", "99th percentile"]
-    {
-        assert!(drawn.contains(label), "{label}");
-    }
-    let text = printed(command().arg("--plot").arg(&svg));
-    assert!(text.contains("1 s of recorded stalls: 1 wake-ups came late, 1 by more than 5 ms"), "{text}");
-    assert!(text.contains(found["recommendation"].as_str().unwrap()), "{text}");
-    assert!(text.trim_end().ends_with(&format!("\nplot  {}", svg.display())), "{text}");
-    assert!(plot_lead(&LeadTradeoff { rows: Vec::new(), ..library }).unwrap().starts_with("<svg"));
 }

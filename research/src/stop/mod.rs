@@ -3,10 +3,9 @@
 //! [`stop_tradeoff`] plays every cell of a [`StopGrid`] (`grid`) on simulated motors with a lower stop. Each cell gives a
 //! [`StopRow`] (`row`). It holds the rest error beside that of [`ReflectedWalk`](meissner_array::reflected_walk::ReflectedWalk),
 //! and the reason for a difference; the amplitude reached; and the predicted response to an edge, with and without the stop
-//! (`response`). `plot` draws.
+//! (`response`).
 
 mod grid;
-mod plot;
 mod response;
 mod row;
 mod tradeoff;
@@ -14,7 +13,6 @@ mod tradeoff;
 mod trials;
 
 pub use grid::{StopCell, StopGrid, StopSurplus};
-pub use plot::plot_stop;
-pub use response::Contrasts;
+pub use response::{Contrasts, StopError};
 pub use row::{StopReason, StopRow};
-pub use tradeoff::{StopCount, StopError, StopTradeoff, stop_tradeoff};
+pub use tradeoff::{StopCount, StopTradeoff, stop_tradeoff};

@@ -1,0 +1,46 @@
+//! Comparisons behind the figures of the book, which a user of the display does not need. `main` prints them.
+//!
+//! - `lead`: [`lead_tradeoff`] compares leads of the streamer under recorded stalls.
+//! - `control`: [`control_tradeoff`] measures rest errors under position control against the least possible.
+//! - `stop`: [`stop_tradeoff`] measures rest errors above a lower stop against the theory.
+//! - `objectives`: [`objective_tradeoff`] compares the objectives of a search with each other and with the naive rules.
+//! - `sixty_hertz` has the drives that `lead` and `control` play.
+//!
+//! Simulation methods are compared by `meissner tradeoff`, which users need to choose one.
+//!
+//! Invariant: results depend on the request alone. Only the times of searches depend on the machine.
+//!
+//! ```
+//! use meissner_research::{Trace, lead_tradeoff};
+//!
+//! // In this second a thread due at 500 ms woke up 25 ms late: a lead of 50 ms is enough.
+//! let trace = Trace::read("seconds 1\n500000 25000\n", "trace.txt")?;
+//! assert_eq!(lead_tradeoff(&trace, &[50.0]).rows[0].late_bursts, 0);
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+
+mod control;
+mod lead;
+mod objectives;
+mod sixty_hertz;
+mod stop;
+
+pub use control::{
+    Bias, ControlGrid, ControlRow, ControlSummary, ControlTradeoff, Verdict, Wire, WireRow, Worst,
+    control_tradeoff,
+};
+pub use lead::{LEADS_MS, LeadRow, LeadTradeoff, STALLS, Summary, Trace, TraceError, lead_tradeoff};
+pub use objectives::{
+    BelowNaive, CellOfClass, ClassRow, ObjectiveCell, ObjectiveMeans, ObjectiveRow, ObjectiveTradeoff,
+    objective_tradeoff,
+};
+pub use stop::{
+    Contrasts, StopCell, StopCount, StopError, StopGrid, StopReason, StopRow, StopSurplus, StopTradeoff,
+    stop_tradeoff,
+};
+
+/// The mean; 0 of no numbers.
+fn mean(numbers: impl Iterator<Item = f64>) -> f64 {
+    let (count, sum) = numbers.fold((0.0, 0.0), |(count, sum), number| (count + 1.0, sum + number));
+    sum / f64::max(count, 1.0)
+}
