@@ -2,8 +2,8 @@
 //!
 //! Invariant: a command is carried out once, in the epoch that it begins; strokes and amendments of another epoch change nothing.
 
+use crate::controller::Controller;
 use crate::controller::taking::Next;
-use crate::controller::{Controller, newer};
 use crate::limits::Refusal;
 use crate::message::{Cause, HostMessage, Op, State};
 
@@ -14,18 +14,18 @@ impl Controller {
             self.open(session);
             return;
         }
-        if self.session.is_none() {
+        if !self.session.is_open() {
             self.pending.no_session = true;
             return;
         }
-        self.taking.epoch = self.epoch;
+        self.taking.epoch = self.session.epoch();
         if let HostMessage::Strokes { epoch, seq, seen, mark, withdraw, base, batch } = message {
             // It is handled when all its strokes could be read.
             let head = Next { seq, mark, withdraw, base: base.near(self.now) };
             self.unpack_first(head, Some((epoch, seen)), batch);
             return;
         }
-        self.last_heard = self.now;
+        self.session.heard(self.now);
         // These two have an answer of their own.
         self.pending.status |= !matches!(message, HostMessage::Board { .. } | HostMessage::SelfTest { .. });
         match message {
@@ -33,7 +33,7 @@ impl Controller {
             HostMessage::Board { window } => self.reporting.ask(window),
             HostMessage::SelfTest { run } => self.ask_test(run),
             HostMessage::Ping { token, seen } => {
-                self.token = token;
+                self.session.ping(token);
                 self.reports.seen(seen, self.now);
             }
             HostMessage::Control { epoch, seen, op } => {
@@ -41,7 +41,7 @@ impl Controller {
                 self.control(epoch, op);
             }
             HostMessage::Amend { epoch, generation, base, items } => {
-                if epoch == self.epoch {
+                if epoch == self.session.epoch() {
                     self.taking.amend(generation, base.near(self.now), items);
                 }
             }
@@ -51,14 +51,13 @@ impl Controller {
     /// Opens a session, unless it is open already.
     pub(super) fn open(&mut self, session: u32) {
         self.pending.hello = true;
-        self.last_heard = self.now;
-        if self.session == Some(session) {
+        self.session.heard(self.now);
+        if self.session.id() == Some(session) {
             return;
         }
         self.disarm(Cause::NewHost);
-        self.session = Some(session);
-        self.begin_epoch(self.epoch.wrapping_add(1));
-        self.refusal = None;
+        self.session.open(session);
+        self.begin_stream();
         self.reports.clear();
         self.reporting.forget_requests();
         self.marks.clear();
@@ -66,15 +65,17 @@ impl Controller {
 
     /// Carries out a command if its epoch is new.
     pub(super) fn control(&mut self, epoch: u16, op: Op) {
-        if newer(epoch, self.epoch) {
-            self.begin_epoch(epoch);
+        if self.session.begin(epoch) {
+            self.begin_stream();
             self.reporting.end_test();
-            self.refusal = self.perform(op).err();
+            let refusal = self.perform(op).err();
+            self.session.carried_out(refusal);
         }
     }
 
-    fn begin_epoch(&mut self, epoch: u16) {
-        (self.epoch, self.next_seq) = (epoch, 0);
+    /// The ordered stream begins again, with an epoch.
+    fn begin_stream(&mut self) {
+        self.next_seq = 0;
         self.reorder.clear();
         (self.kept, self.generation) = (0, None);
     }

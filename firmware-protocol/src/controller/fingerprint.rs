@@ -15,11 +15,8 @@ impl Controller {
     pub fn fingerprint(&self, hasher: &mut impl Hasher) {
         let Self {
             identity: _,
-            decoder,
+            inbox,
             session,
-            token,
-            epoch,
-            refusal,
             next_seq,
             kept,
             generation,
@@ -36,8 +33,6 @@ impl Controller {
             outstanding,
             outstanding_pushes,
             travel,
-            host_timeout,
-            last_heard,
             now,
             counters,
             started: _,
@@ -57,10 +52,10 @@ impl Controller {
             next_end,
             off_until,
         } = self;
-        (decoder, session, token, epoch, refusal, next_seq).hash(hasher);
+        (inbox, session, next_seq).hash(hasher);
         (kept, generation, reorder, taking, pending, reports).hash(hasher);
         (state, cause, then, position_known, seeks).hash(hasher);
-        (outstanding, outstanding_pushes, travel, host_timeout, last_heard, now).hash(hasher);
+        (outstanding, outstanding_pushes, travel, now).hash(hasher);
         (counters, reporting, pool, density, on_time, pushing).hash(hasher);
         marks.iter().for_each(|mark| mark.hash(hasher));
         marks.len().hash(hasher);

@@ -15,16 +15,18 @@ mod completion;
 mod density;
 mod drivers;
 mod fingerprint;
+mod inbox;
 mod lines;
 mod motion;
 mod pool;
 mod reorder;
 mod reports;
+mod session;
 mod stream;
 mod taking;
 
-use crate::frame::{self, Decoder, FrameError, MAX_FRAME};
-use crate::limits::{self, OnTime, PowerLimits, Pushing, Refusal};
+use crate::frame::{self, FrameError, MAX_FRAME};
+use crate::limits::{self, OnTime, PowerLimits, Pushing};
 use crate::message::{Cause, Counters, Cut, DeviceHello, DeviceMessage, Op, Report, State, Status, Trigger};
 use crate::stroke::{Lines, MOTORS};
 use crate::tick::{TICK_HZ, Tick, WireTick};
@@ -32,6 +34,7 @@ use board::Reporting;
 use density::Density;
 use drivers::Drivers;
 pub use drivers::{DRIVER_LEAD, DRIVER_TAIL};
+use inbox::Inbox;
 use lines::{TriggerOutput, Window};
 pub use pool::POOL;
 use pool::{Pool, Slot};
@@ -39,6 +42,7 @@ pub use reorder::REORDER_WINDOW;
 use reorder::ReorderBuffer;
 pub use reports::REPORTS;
 use reports::Reports;
+use session::Session;
 use taking::Taking;
 
 /// Most ticks rendered ahead. A stroke that begins before the rendered end is late. While the drivers are off, so is one that
@@ -49,8 +53,6 @@ pub const HORIZON: u32 = 64;
 pub const BLOCK: u32 = HORIZON / 4;
 /// Most ticks from now to a stroke's down burst.
 const FARTHEST: i64 = 1 << 30;
-/// The longest host watchdog timeout.
-const MAX_HOST_TIMEOUT: u32 = 10 * TICK_HZ;
 /// Most marks that are queued and have not passed.
 const MAX_MARKS: usize = 8;
 
@@ -97,11 +99,8 @@ impl Pending {
 #[derive(Clone, Debug)]
 pub struct Controller {
     identity: Identity,
-    decoder: Decoder,
-    session: Option<u32>,
-    token: u16,
-    epoch: u16,
-    refusal: Option<Refusal>,
+    inbox: Inbox,
+    session: Session,
     next_seq: u16,
     /// Motors whose strokes are late until a frame withdraws again from them, because it came too late the last time.
     kept: u32,
@@ -125,8 +124,6 @@ pub struct Controller {
     outstanding_pushes: [u16; MOTORS],
     /// Net pulses of moves since the pins were last at rest.
     travel: [i16; MOTORS],
-    host_timeout: u32,
-    last_heard: Tick,
     now: Tick,
     counters: Counters,
     /// The clock at the start.
@@ -172,11 +169,8 @@ impl Controller {
     pub const fn starting_at(identity: Identity, now: Tick) -> Self {
         Self {
             identity,
-            decoder: Decoder::new(),
-            session: None,
-            token: 0,
-            epoch: 0,
-            refusal: None,
+            inbox: Inbox::EMPTY,
+            session: Session::new(now),
             next_seq: 0,
             kept: 0,
             generation: None,
@@ -193,8 +187,6 @@ impl Controller {
             outstanding: [0; MOTORS],
             outstanding_pushes: [0; MOTORS],
             travel: [0; MOTORS],
-            host_timeout: MAX_HOST_TIMEOUT,
-            last_heard: now,
             now,
             counters: Counters::NONE,
             started: now,
@@ -267,7 +259,7 @@ impl Controller {
     /// The present epoch while a session is open. An e-stop takes effect if its epoch is [`newer`].
     #[must_use]
     pub fn epoch(&self) -> Option<u16> {
-        self.session.map(|_| self.epoch)
+        self.session.is_open().then(|| self.session.epoch())
     }
 
     /// Carries out an e-stop that the shell has found ([`crate::urgent`]), ahead of the bytes before it. When the frame itself is
@@ -277,7 +269,7 @@ impl Controller {
         self.pass(now);
         // An earlier call may have passed a time slightly ahead of the lines. Nothing after `now` was played.
         self.off_from(Cause::EStop, (now + 1).min(self.rendered));
-        if self.session.is_some() {
+        if self.session.is_open() {
             self.control(epoch, Op::EStop);
         }
     }
@@ -306,9 +298,9 @@ impl Controller {
 
     /// Decodes the next frame of `bytes`, if they end one.
     fn next_frame(&mut self, bytes: &mut &[u8]) -> bool {
-        match self.decoder.next(bytes) {
+        match self.inbox.decode(bytes) {
             None => return false,
-            Some(Ok(body)) => self.taking.keep(body),
+            Some(Ok(())) => {}
             Some(Err(FrameError::Version(_))) => self.pending.hello = true,
             Some(Err(_)) => self.counters.bad_frames += 1,
         }
@@ -336,7 +328,7 @@ impl Controller {
         self.now = self.now.max(now);
         self.settle();
         let listening = self.state == State::Armed || self.state == State::Returning;
-        if listening && self.now - self.last_heard > self.host_timeout.into() {
+        if listening && self.session.is_silent(self.now) {
             self.disarm(Cause::HostTimeout);
         }
     }
@@ -345,10 +337,10 @@ impl Controller {
     pub fn link_lost(&mut self, now: Tick) {
         self.pass(now);
         self.disarm(Cause::LinkLost);
-        self.session = None;
+        self.session.close();
         self.pending = Pending::NONE;
         self.reporting.forget_requests();
-        self.decoder.reset();
+        self.inbox.reset();
     }
 
     /// Turns all lines off at once and latches, because of the device's own fault.
@@ -367,7 +359,7 @@ impl Controller {
 
     /// Displacements of all pins in 0.01 µm, sampled at `tick`. Sent while armed; replaces a sample that is not sent yet.
     pub fn telemetry(&mut self, tick: Tick, y: [i32; MOTORS]) {
-        if self.session.is_some() && matches!(self.state, State::Armed | State::Returning) {
+        if self.session.is_open() && matches!(self.state, State::Armed | State::Returning) {
             self.pending.telemetry = Some((tick.wire(), y));
         }
     }
@@ -384,12 +376,10 @@ impl Controller {
             DeviceMessage::Hello(self.hello())
         } else if core::mem::take(&mut pending.no_session) {
             DeviceMessage::NoSession
-        } else if self.session.is_none() {
+        } else if !self.session.is_open() {
             return 0;
         } else if core::mem::take(&mut pending.status) {
-            let status = self.status();
-            self.token = 0;
-            DeviceMessage::Status(status)
+            DeviceMessage::Status(self.status())
         } else if let Some((number, report)) = self.reports.next(self.now) {
             DeviceMessage::Report { number, report }
         } else if let Some(answer) = self.next_answer() {
@@ -405,7 +395,7 @@ impl Controller {
 
     fn hello(&self) -> DeviceHello {
         DeviceHello {
-            session: self.session.unwrap_or(0),
+            session: self.session.id().unwrap_or(0),
             firmware: self.identity.firmware,
             build: self.identity.build,
             boot: self.identity.boot,
@@ -417,18 +407,18 @@ impl Controller {
             limits: PowerLimits::NONE,
             features: self.identity.features,
             tick: self.now.0,
-            epoch: self.epoch,
+            epoch: self.session.epoch(),
             reports: self.reports.read(),
             last_cut: self.last_cut,
         }
     }
 
-    fn status(&self) -> Status {
+    fn status(&mut self) -> Status {
         Status {
-            token: self.token,
+            token: self.session.take_token(),
             tick: self.now.wire(),
-            epoch: self.epoch,
-            refusal: self.refusal,
+            epoch: self.session.epoch(),
+            refusal: self.session.refusal(),
             next_seq: self.next_seq,
             out_of_order: self.reorder.mask(self.next_seq),
             credits: self.credits(),

@@ -3,8 +3,8 @@
 //! Invariant: it begins at the rendered end or when the drivers are ready, while no stroke of a play is queued. Bursts that the limits
 //! on motors at once keep apart follow each other without a pause.
 
+use crate::controller::Controller;
 use crate::controller::pool::{Kind, Slot};
-use crate::controller::{Controller, MAX_HOST_TIMEOUT};
 use crate::limits::{MAX_SEEK, MAX_TRAVEL, PowerLimits, Refusal, WHOLE_TRAVEL, least_seek};
 use crate::message::{Cause, LowerStop, State};
 use crate::stroke::{Direction, MOTORS, Stroke};
@@ -33,7 +33,7 @@ impl Controller {
         if !self.position_known && !self.seeks {
             return Err(Refusal::PositionUnknown);
         }
-        self.host_timeout = host_timeout.min(MAX_HOST_TIMEOUT);
+        self.session.set_host_timeout(host_timeout);
         self.cause = Cause::Request;
         if self.seeks {
             return Ok(());

@@ -25,10 +25,10 @@ impl Controller {
             Ok(None) => {}
             Ok(Some(Packed { head, received: None, .. })) => self.taking.next = Some(head),
             Ok(Some(Packed { head, received: Some((epoch, seen)), .. })) => {
-                self.last_heard = self.now;
+                self.session.heard(self.now);
                 self.pending.status = true;
                 self.reports.seen(seen, self.now);
-                if epoch == self.epoch {
+                if epoch == self.session.epoch() {
                     self.stream(head);
                 }
             }
@@ -50,7 +50,7 @@ impl Controller {
         let Some(frame) = self.reorder.take(self.next_seq) else { return false };
         // Without room the frame is forgotten; the host sends it again.
         if self.has_room(&frame.head) {
-            self.taking.epoch = self.epoch;
+            self.taking.epoch = self.session.epoch();
             self.pending.status = true;
             self.unpack_first(frame.head, None, &frame.batch);
         }

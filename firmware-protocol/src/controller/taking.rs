@@ -1,13 +1,13 @@
-//! The part of the newest frame that is decoded and not taken yet: its body, then its strokes or amendments.
+//! The part of the newest frame that is read and not taken yet: its strokes or amendments.
 //!
 //! Taking a long frame whole would leave the chip little time to render lines. So the controller takes it in pieces
-//! ([`Controller::take`]). There is a place for one frame: the next one is decoded when this one is taken.
+//! ([`Controller::take`]).
 //!
 //! Invariant: a play's first frame is judged and taken in one piece, so that it is taken whole or not at all.
 
 use crate::batch::{Amendments, BATCH_BYTES, Batch, MAX_BATCH, Malformed, Place, unpack};
 use crate::controller::Controller;
-use crate::frame::{self, MAX_FRAME};
+use crate::frame;
 use crate::limits::Refusal;
 use crate::message::{Mark, MarkKind, Report, State, Withdraw};
 use crate::stroke::{MOTORS, Stroke};
@@ -48,10 +48,7 @@ pub(super) struct Packed {
 
 #[derive(Clone, Debug)]
 pub(super) struct Taking {
-    body: [u8; MAX_FRAME],
-    /// Length of the body that is not read yet.
-    len: usize,
-    /// The epoch in which it was read. A command may begin another before all is taken.
+    /// The epoch in which the frame was read. A command may begin another before all is taken.
     pub(super) epoch: u16,
     /// The packed strokes or amendments of the frame.
     items: heapless::Vec<u8, BATCH_BYTES>,
@@ -85,8 +82,6 @@ impl Hash for Taking {
     /// Leaves out what is taken: once nothing of a frame is left, its strokes are not read again.
     fn hash<H: Hasher>(&self, hasher: &mut H) {
         let Self {
-            body,
-            len,
             epoch,
             items,
             packed,
@@ -103,7 +98,6 @@ impl Hash for Taking {
             kept,
             amending,
         } = self;
-        body.get(..*len).hash(hasher);
         if packed.is_some() {
             (epoch, items, packed, strokes).hash(hasher);
         }
@@ -121,8 +115,6 @@ impl Hash for Taking {
 
 impl Taking {
     pub(super) const NOTHING: Self = Self {
-        body: [0; MAX_FRAME],
-        len: 0,
         epoch: 0,
         items: heapless::Vec::new(),
         packed: None,
@@ -139,14 +131,6 @@ impl Taking {
         kept: 0,
         amending: None,
     };
-
-    /// Keeps the body of a frame.
-    pub(super) fn keep(&mut self, body: &[u8]) {
-        if let Some(place) = self.body.get_mut(..body.len()) {
-            place.copy_from_slice(body);
-            self.len = body.len();
-        }
-    }
 
     /// Keeps the amendments of a message.
     pub(super) fn amend(&mut self, generation: u16, base: Tick, items: &[u8]) {
@@ -185,12 +169,15 @@ impl Taking {
 impl Controller {
     /// Takes a piece of the frame that was decoded last. Returns `false` if nothing is left of it.
     pub(super) fn take(&mut self) -> bool {
-        if self.taking.len > 0 {
-            self.take_message();
+        if let Some((body, len)) = self.inbox.take() {
+            match frame::read(Ok(&body[..len])) {
+                Ok(message) => self.handle(message),
+                Err(_) => self.counters.bad_frames += 1,
+            }
             return true;
         }
         // An e-stop may have begun an epoch since, ahead of the bytes before it.
-        if self.taking.epoch != self.epoch {
+        if self.taking.epoch != self.session.epoch() {
             (self.taking.packed, self.taking.next, self.taking.seq) = (None, None, None);
             self.taking.amending = None;
         }
@@ -208,15 +195,6 @@ impl Controller {
             return true;
         }
         self.take_amendments()
-    }
-
-    fn take_message(&mut self) {
-        let body = self.taking.body;
-        let len = core::mem::take(&mut self.taking.len);
-        match frame::read(Ok(&body[..len])) {
-            Ok(message) => self.handle(message),
-            Err(_) => self.counters.bad_frames += 1,
-        }
     }
 
     /// Takes the head of the next frame of the ordered stream.
