@@ -50,7 +50,7 @@ impl Span {
 impl Controller {
     /// Whether `stroke`, which begins at the rendered end or has begun, keeps the limits.
     pub(super) fn check_at_once(&self, stroke: &Stroke) -> Result<(), Refusal> {
-        let PowerLimits { rail_at_once, chip_at_once, .. } = self.on_time.limits();
+        let PowerLimits { rail_at_once, chip_at_once, .. } = self.allowance.limits();
         if usize::from(rail_at_once) < MOTORS_PER_RAIL
             && !self.fits::<MOTORS_PER_RAIL>(stroke, rail_at_once.into())
         {
@@ -89,7 +89,7 @@ impl Controller {
     /// Schedules the down bursts of the motors in `waiting` in turns from `ready` on, after the bursts that run. They take at
     /// most [`PowerLimits::turns`] times the longest burst.
     pub(super) fn take_turns(&mut self, waiting: u32, ready: Tick) {
-        let limits = self.on_time.limits();
+        let limits = self.allowance.limits();
         if limits.turns() == 1 {
             // All of them are planned from `ready` on, and may begin then.
             return;

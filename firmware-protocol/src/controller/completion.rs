@@ -2,8 +2,8 @@
 //!
 //! Every slot leaves the pool here, counted once as played or dropped.
 
+use crate::controller::changes::Changes;
 use crate::controller::drivers::Drivers;
-use crate::controller::lines::{TriggerOutput, Window};
 use crate::controller::pool::Kind;
 use crate::controller::{Controller, NEVER};
 use crate::message::{Cause, Cut, Report, State};
@@ -68,8 +68,7 @@ impl Controller {
                 let (pushes, pushed) = (slot.pushes, slot.pushed_before(at));
                 if let Some(charged) = slot.charged {
                     let played = u32::from(up) + u32::from(down);
-                    self.on_time.end(self.rendered, motor, charged.into(), played);
-                    self.pushing.end(self.rendered, motor, pushes.into(), pushed.into());
+                    self.allowance.end(self.rendered, motor, (charged, played), (pushes, pushed));
                 }
                 self.travel[motor] -= slot.shift_undone(at).cast_signed();
                 let begun = slot.begun(at);
@@ -92,8 +91,9 @@ impl Controller {
                 }
             }
         }
-        (self.waiting, self.window) = (0, Window::before(self.rendered));
-        (self.trigger_output, self.drivers) = (TriggerOutput::LOW, Drivers::OFF);
+        self.changes = Changes::none(self.rendered);
+        self.marks.turn_off();
+        self.drivers = Drivers::OFF;
         // A seek that was not finished leaves the position unknown.
         self.seeks = false;
         self.lines = Lines::OFF;
@@ -103,7 +103,7 @@ impl Controller {
     }
 
     fn finish_cut(&mut self, cause: Cause, returns: bool, flushed: u16, outstanding: u32, at: Tick) {
-        self.marks.retain(|&(mark, _)| mark < at);
+        self.marks.keep_before(at);
         self.cause = cause;
         self.report_cut(cause, returns, flushed, outstanding, at);
     }
@@ -125,14 +125,8 @@ impl Controller {
     /// Books what was played before now, in order of time. What is not rendered was not played.
     pub(super) fn settle(&mut self) {
         let now = self.now.min(self.rendered);
-        while let Some(&(mark, trigger)) = self.marks.front().filter(|(mark, _)| *mark <= now) {
+        while let Some(mark) = self.marks.pass(now, self.rendered) {
             self.settle_strokes(mark);
-            self.marks.pop_front();
-            if mark == self.rendered
-                && let Some(trigger) = trigger
-            {
-                self.trigger_output.begin(mark, trigger);
-            }
             self.report(Report::Onset { tick: mark.wire(), counters: self.counters });
         }
         self.settle_strokes(now);
@@ -159,9 +153,8 @@ impl Controller {
                     break;
                 }
                 if let Some(charged) = slot.charged {
-                    self.on_time.end(self.rendered, motor, charged.into(), slot.stroke.pulses());
-                    let pushes = slot.pushes.into();
-                    self.pushing.end(self.rendered, motor, pushes, pushes);
+                    let (played, pushes) = (slot.stroke.pulses(), slot.pushes);
+                    self.allowance.end(self.rendered, motor, (charged, played), (pushes, pushes));
                 }
                 if slot.kind == Kind::Play {
                     let played = [slot.stroke.up_pulses, slot.stroke.down_pulses];

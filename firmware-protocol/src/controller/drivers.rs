@@ -37,7 +37,8 @@ impl Controller {
             self.drivers.tail_end = now + ticks + u64::from(DRIVER_TAIL);
             ticks
         } else {
-            let next = self.next_burst();
+            // All lines are quiet, so the next change is a burst.
+            let next = self.changes.first(now.0 as u32);
             if next <= lead {
                 ticks
             } else if now < self.drivers.tail_end {
@@ -49,13 +50,6 @@ impl Controller {
         };
         self.drivers.since = self.drivers.since.or(Some(now));
         (true, ticks)
-    }
-
-    /// Ticks from the rendered end to the next burst, while all lines are quiet.
-    fn next_burst(&self) -> u64 {
-        let now = self.rendered.0 as u32;
-        let waiting = self.changes.iter().enumerate().filter(|&(motor, _)| self.waiting >> motor & 1 == 1);
-        waiting.map(|(_, change)| change.wrapping_sub(now)).min().map_or(u64::MAX, u64::from)
     }
 
     /// The first tick at which a burst that is queued now may begin: the rendered end, or later if the drivers must start up

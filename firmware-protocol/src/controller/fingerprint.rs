@@ -6,7 +6,6 @@
 
 use crate::controller::Controller;
 use crate::controller::drivers::Drivers;
-use crate::controller::lines::TriggerOutput;
 use core::hash::{Hash, Hasher};
 
 impl Controller {
@@ -39,16 +38,11 @@ impl Controller {
             reporting,
             pool,
             marks,
-            trigger_output: TriggerOutput { cells, width, cell_end },
             drivers: Drivers { since, tail_end },
-            density,
-            on_time,
-            pushing,
+            allowance,
             rendered,
             lines,
             changes,
-            waiting,
-            window,
             next_end,
             off_until,
         } = self;
@@ -56,15 +50,8 @@ impl Controller {
         (kept, generation, reorder, taking, pending, reports).hash(hasher);
         (state, cause, then, position_known, seeks).hash(hasher);
         (outstanding, outstanding_pushes, travel, now).hash(hasher);
-        (counters, reporting, pool, density, on_time, pushing).hash(hasher);
-        marks.iter().for_each(|mark| mark.hash(hasher));
-        marks.len().hash(hasher);
-        if *cells != 0 {
-            (cells, width, cell_end).hash(hasher);
-        }
-        (since, (*tail_end).max(*rendered), rendered, lines, waiting, window).hash(hasher);
-        let changes = changes.iter().enumerate().filter(|&(motor, _)| waiting >> motor & 1 == 1);
-        changes.for_each(|change| change.hash(hasher));
+        (counters, reporting, pool, allowance, marks).hash(hasher);
+        (since, (*tail_end).max(*rendered), rendered, lines, changes).hash(hasher);
         (next_end, (*off_until).max(*now)).hash(hasher);
     }
 }

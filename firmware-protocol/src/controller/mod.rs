@@ -8,8 +8,10 @@
 //! Invariant: the lines follow from the queued slots alone, and a slot changes only ahead of the rendered end. So the
 //! number of pulses played is known after any cut, flush or amendment.
 
+mod allowance;
 mod at_once;
 mod board;
+mod changes;
 mod commands;
 mod completion;
 mod density;
@@ -17,6 +19,7 @@ mod drivers;
 mod fingerprint;
 mod inbox;
 mod lines;
+mod marks;
 mod motion;
 mod pool;
 mod reorder;
@@ -26,16 +29,17 @@ mod stream;
 mod taking;
 
 use crate::frame::{self, FrameError, MAX_FRAME};
-use crate::limits::{self, OnTime, PowerLimits, Pushing};
-use crate::message::{Cause, Counters, Cut, DeviceHello, DeviceMessage, Op, Report, State, Status, Trigger};
+use crate::limits::{self, PowerLimits};
+use crate::message::{Cause, Counters, Cut, DeviceHello, DeviceMessage, Op, Report, State, Status};
 use crate::stroke::{Lines, MOTORS};
 use crate::tick::{TICK_HZ, Tick, WireTick};
+use allowance::Allowance;
 use board::Reporting;
-use density::Density;
+use changes::Changes;
 use drivers::Drivers;
 pub use drivers::{DRIVER_LEAD, DRIVER_TAIL};
 use inbox::Inbox;
-use lines::{TriggerOutput, Window};
+use marks::Marks;
 pub use pool::POOL;
 use pool::{Pool, Slot};
 pub use reorder::REORDER_WINDOW;
@@ -53,8 +57,6 @@ pub const HORIZON: u32 = 64;
 pub const BLOCK: u32 = HORIZON / 4;
 /// Most ticks from now to a stroke's down burst.
 const FARTHEST: i64 = 1 << 30;
-/// Most marks that are queued and have not passed.
-const MAX_MARKS: usize = 8;
 
 /// What the shell tells the controller about the device, for the handshake.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -131,19 +133,12 @@ pub struct Controller {
     reporting: Reporting,
 
     pool: Pool,
-    marks: heapless::Deque<(Tick, Option<Trigger>), MAX_MARKS>,
-    trigger_output: TriggerOutput,
+    marks: Marks,
     drivers: Drivers,
-    density: Density,
-    on_time: OnTime,
-    pushing: Pushing,
+    allowance: Allowance,
     rendered: Tick,
     lines: Lines,
-    /// Per motor, the low half of the tick at which its line changes next, if its bit in `waiting` is set. Small, because
-    /// the loop over all lines takes most of the chip's time.
-    changes: [u32; MOTORS],
-    waiting: u32,
-    window: Window,
+    changes: Changes,
     /// No stroke ends before this tick.
     next_end: Tick,
     /// End of what was rendered before an e-stop.
@@ -192,17 +187,12 @@ impl Controller {
             started: now,
             reporting: Reporting::NONE,
             pool: Pool::new(),
-            marks: heapless::Deque::new(),
-            trigger_output: TriggerOutput::LOW,
+            marks: Marks::NONE,
             drivers: Drivers::OFF,
-            density: Density::NOTHING,
-            on_time: OnTime::new(now),
-            pushing: Pushing::new(now),
+            allowance: Allowance::new(now),
             rendered: now,
             lines: Lines::OFF,
-            changes: [0; MOTORS],
-            waiting: 0,
-            window: Window::before(now),
+            changes: Changes::none(now),
             next_end: NEVER,
             off_until: now,
         }
@@ -234,7 +224,7 @@ impl Controller {
     /// The limits that the last `arm` set.
     #[must_use]
     pub fn limits(&self) -> PowerLimits {
-        self.on_time.limits()
+        self.allowance.limits()
     }
 
     /// The rendered end: the first tick not rendered yet.

@@ -22,8 +22,7 @@ impl Controller {
             return Err(Refusal::State);
         }
         let LowerStop { pulses_per_s, seek } = lower_stop.unwrap_or(LowerStop { pulses_per_s: 0, seek: 0 });
-        self.pushing.set_limit(pulses_per_s);
-        self.on_time.set_limits(PowerLimits::NONE.min(limits));
+        self.allowance.set_limits(PowerLimits::NONE.min(limits), pulses_per_s);
         if seek > 0 {
             self.seek(seek)?;
         } else if assume_rest {
@@ -47,7 +46,7 @@ impl Controller {
                 let pushes = core::mem::take(&mut self.outstanding_pushes[motor]);
                 if pulses > 0 {
                     waiting |= 1 << motor;
-                    self.count_internal(motor, pulses, pushes);
+                    self.allowance.count(self.rendered, motor, pulses, pushes);
                     self.queue_internal(Kind::Internal, motor as u8, Direction::Down, pulses, pushes);
                 }
             }
@@ -62,12 +61,6 @@ impl Controller {
     fn forget_heights(&mut self) {
         (self.outstanding, self.outstanding_pushes) = ([0; MOTORS], [0; MOTORS]);
         self.travel = [0; MOTORS];
-    }
-
-    /// Counts a burst that no limit refuses: a return or a seek.
-    fn count_internal(&mut self, motor: usize, pulses: u16, pushes: u16) {
-        self.on_time.count(self.rendered, motor, pulses.into());
-        self.pushing.count(self.rendered, motor, pushes.into());
     }
 
     /// Queues a burst at [`Controller::ready`] that belongs to no play and was counted; `pushes` of its pulses are against the lower
@@ -89,7 +82,7 @@ impl Controller {
         if self.state != State::Armed || !self.pool.is_empty() {
             return Err(Refusal::State);
         }
-        let has_stop = self.pushing.is_allowed();
+        let has_stop = self.allowance.has_stop();
         let travel = self.travel.get_mut(usize::from(motor)).ok_or(Refusal::Motor)?;
         let signed = if direction == Direction::Up { i32::from(pulses) } else { -i32::from(pulses) };
         // The pin can be below rest only if there was no stop before.
@@ -99,13 +92,9 @@ impl Controller {
             return Err(Refusal::Travel);
         }
         if pulses > 0 {
-            let (charge, index) = (u32::from(pulses), usize::from(motor));
             // At most the pulses of the move.
             let pushes = if has_stop { (-sum).max(0) as u16 } else { 0 };
-            self.on_time.begin(self.rendered, index, charge)?;
-            self.pushing
-                .begin(self.rendered, index, pushes.into())
-                .inspect_err(|_| self.on_time.end(self.rendered, index, charge, 0))?;
+            self.allowance.begin(self.rendered, motor.into(), pulses.into(), pushes)?;
             *travel = sum as i16 + pushes.cast_signed();
             self.queue_internal(Kind::Internal, motor, direction, pulses, pushes);
         }
@@ -126,13 +115,13 @@ impl Controller {
             return Err(Refusal::Travel);
         }
         let charge = u32::from(pulses);
-        if !self.pushing.allows_all(self.rendered, charge) {
+        if !self.allowance.allows_pushes(self.rendered, charge) {
             return Err(Refusal::Pushing);
         }
         (self.position_known, self.seeks) = (false, true);
         self.forget_heights();
         for motor in 0..MOTORS {
-            self.count_internal(motor, pulses, pulses);
+            self.allowance.count(self.rendered, motor, pulses, pulses);
             self.queue_internal(Kind::Seek, motor as u8, Direction::Down, pulses, pulses);
         }
         self.take_turns((1 << MOTORS) - 1, self.ready());

@@ -69,7 +69,7 @@ impl Controller {
             return Err(Refusal::NotArmed);
         }
         limits::check(stroke)?;
-        if stroke.down_pulses > stroke.up_pulses && !self.pushing.is_allowed() {
+        if stroke.down_pulses > stroke.up_pulses && !self.allowance.has_stop() {
             return Err(Refusal::Pushing);
         }
         if stroke.up >= self.ready() && stroke.down.since(self.now) > FARTHEST {
@@ -112,7 +112,7 @@ impl Controller {
         let is_high = (self.lines.up | self.lines.down) & bit != 0;
         if self.pool.current(motor.into()).is_none() && !is_high {
             // The line waits for the withdrawn stroke no longer, nor do the drivers.
-            self.waiting &= !bit;
+            self.changes.forget(motor.into());
         }
         true
     }
@@ -130,7 +130,7 @@ impl Controller {
         let slot = self.pool.get(index)?;
         let room_after = self.pool.get(slot.next).map_or(NEVER, |next| next.stroke.up);
         let rendered = self.rendered;
-        let has_stop = self.pushing.is_allowed();
+        let has_stop = self.allowance.has_stop();
         let slot = self.pool.get_mut(index)?;
         let half = usize::from(item.direction == Direction::Down);
         let burst = slot.stroke.bursts()[half];
@@ -157,7 +157,9 @@ impl Controller {
         if let Some(charged) = &mut slot.charged
             && stroke.pulses() > u32::from(*charged)
         {
-            self.on_time.begin(rendered, item.motor.into(), stroke.pulses() - u32::from(*charged)).ok()?;
+            self.allowance
+                .lengthen(rendered, item.motor.into(), stroke.pulses() - u32::from(*charged))
+                .ok()?;
             *charged = charge(&stroke);
         }
         slot.generation[half] = Some(generation);

@@ -208,8 +208,7 @@ impl Controller {
             // No stroke begins before the base.
             let ready = self.ready();
             if base >= ready {
-                // There was room when the frame was read.
-                let _ = self.marks.push_back((base, mark.trigger));
+                self.marks.push(base, mark.trigger);
             } else {
                 self.report(Report::OnsetRefused { seq, rendered: ready.wire() });
                 if mark.kind == MarkKind::Play {

@@ -1,0 +1,74 @@
+//! What motors may still begin, counted over time: density, pulses of a sliding second, pulses against a lower stop.
+//!
+//! How many motors may have pulses in the same tick follows from the slots, and is checked beside them. Invariant: what was
+//! counted when it began is ended once, with what was played of it.
+
+use crate::controller::density::Density;
+use crate::limits::{OnTime, PowerLimits, Pushing, Refusal};
+use crate::tick::Tick;
+
+#[derive(Clone, Debug, Hash)]
+pub(super) struct Allowance {
+    density: Density,
+    on_time: OnTime,
+    pushing: Pushing,
+}
+
+impl Allowance {
+    pub(super) const fn new(now: Tick) -> Self {
+        Self { density: Density::NOTHING, on_time: OnTime::new(now), pushing: Pushing::new(now) }
+    }
+
+    /// Sets the limits of an arming. The pulses counted so far stay.
+    pub(super) fn set_limits(&mut self, limits: PowerLimits, pushes_per_s: u32) {
+        self.pushing.set_limit(pushes_per_s);
+        self.on_time.set_limits(limits);
+    }
+
+    pub(super) fn limits(&self) -> PowerLimits {
+        self.on_time.limits()
+    }
+
+    /// Whether the pins have a lower stop that they may push against.
+    pub(super) fn has_stop(&self) -> bool {
+        self.pushing.is_allowed()
+    }
+
+    /// Whether every motor may push `pulses` more.
+    pub(super) fn allows_pushes(&mut self, now: Tick, pulses: u32) -> bool {
+        self.pushing.allows_all(now, pulses)
+    }
+
+    /// The next block begins.
+    pub(super) fn next_block(&mut self) {
+        self.density.next_block();
+    }
+
+    /// One more stroke of a play begins in this block.
+    pub(super) fn begin_stroke(&mut self) -> Result<(), Refusal> {
+        self.density.begin()
+    }
+
+    /// Counts `pulses`, of which `pushes` are against the stop, or nothing if a limit refuses them.
+    pub(super) fn begin(&mut self, now: Tick, motor: usize, pulses: u32, pushes: u16) -> Result<(), Refusal> {
+        self.on_time.begin(now, motor, pulses)?;
+        self.pushing.begin(now, motor, pushes.into()).inspect_err(|_| self.on_time.end(now, motor, pulses, 0))
+    }
+
+    /// Counts the pulses by which an amendment makes a stroke longer.
+    pub(super) fn lengthen(&mut self, now: Tick, motor: usize, pulses: u32) -> Result<(), Refusal> {
+        self.on_time.begin(now, motor, pulses)
+    }
+
+    /// Counts a burst that no limit refuses.
+    pub(super) fn count(&mut self, now: Tick, motor: usize, pulses: u16, pushes: u16) {
+        self.on_time.count(now, motor, pulses.into());
+        self.pushing.count(now, motor, pushes.into());
+    }
+
+    /// Ends what was counted: pulses, and pushes, each as counted and as played.
+    pub(super) fn end(&mut self, now: Tick, motor: usize, pulses: (u16, u32), pushes: (u16, u16)) {
+        self.on_time.end(now, motor, pulses.0.into(), pulses.1);
+        self.pushing.end(now, motor, pushes.0.into(), pushes.1.into());
+    }
+}

@@ -1,0 +1,141 @@
+//! When which line changes next, so that rendering looks at a line only then.
+//!
+//! Ticks are low halves, because the loop over all lines takes most of the chip's time. Invariant: a line whose slots change it
+//! at some tick waits for that tick or an earlier one.
+
+use crate::controller::BLOCK;
+use crate::stroke::MOTORS;
+use crate::tick::Tick;
+use core::hash::{Hash, Hasher};
+
+#[derive(Clone, Debug)]
+pub(super) struct Changes {
+    /// Per motor, the tick at which its line changes next, if its bit in `waiting` is set.
+    at: [u32; MOTORS],
+    waiting: u32,
+    window: Window,
+}
+
+impl Hash for Changes {
+    fn hash<H: Hasher>(&self, hasher: &mut H) {
+        (self.waiting, &self.window).hash(hasher);
+        self.all_waiting().for_each(|change| change.hash(hasher));
+    }
+}
+
+impl Changes {
+    /// No line changes. The window ends at `now`.
+    pub(super) const fn none(now: Tick) -> Self {
+        Self { at: [0; MOTORS], waiting: 0, window: Window::before(now) }
+    }
+
+    /// Notes that the line of `motor` has to be looked at in tick `low` or before.
+    pub(super) fn by(&mut self, motor: usize, low: u32) {
+        let bit = 1 << motor;
+        if self.waiting & bit == 0 || self.at[motor].wrapping_sub(low).cast_signed() > 0 {
+            self.at[motor] = low;
+        }
+        self.waiting |= bit;
+        self.window.add(bit, low);
+    }
+
+    /// Sets the tick at which the line of `motor`, which waits, changes next.
+    pub(super) fn next(&mut self, motor: usize, low: u32) {
+        self.at[motor] = low;
+        self.window.add(1 << motor, low);
+    }
+
+    /// The line of `motor` changes no more.
+    pub(super) fn forget(&mut self, motor: usize) {
+        self.waiting &= !(1 << motor);
+    }
+
+    /// Whether the window has to be opened before the tick `now` is rendered.
+    pub(super) fn is_over(&self, now: u32) -> bool {
+        now.wrapping_sub(self.window.begin) >= BLOCK
+    }
+
+    /// Moves the window to `now`.
+    #[inline(never)]
+    pub(super) fn open(&mut self, now: u32) {
+        self.window = Window { begin: now, ..Window::CLOSED };
+        let (mut waiting, mut bit) = (self.waiting, 1);
+        for change in &self.at {
+            if waiting & 1 == 1 {
+                // A change that is overdue happens now.
+                let ahead = change.wrapping_sub(now).cast_signed().max(0).cast_unsigned();
+                self.window.add(bit, now.wrapping_add(ahead));
+            }
+            waiting >>= 1;
+            bit <<= 1;
+        }
+    }
+
+    /// Removes the lines that may change in the tick `now`, within the window.
+    pub(super) fn take(&mut self, now: u32) -> u32 {
+        self.window.take(now)
+    }
+
+    /// Ticks from `now` in which no line changes, at least 1, within the window.
+    pub(super) fn quiet(&self, now: u32) -> u32 {
+        self.window.quiet(now)
+    }
+
+    /// Ticks from `now` to the next change, while none is overdue.
+    pub(super) fn first(&self, now: u32) -> u64 {
+        self.all_waiting().map(|(_, change)| change.wrapping_sub(now)).min().map_or(u64::MAX, u64::from)
+    }
+
+    fn all_waiting(&self) -> impl Iterator<Item = (usize, &u32)> {
+        self.at.iter().enumerate().filter(|&(motor, _)| self.waiting >> motor & 1 == 1)
+    }
+}
+
+/// The lines that may change in the next ticks, tick by tick, so that rendering a block looks at all lines only once. Ticks are
+/// low halves.
+#[derive(Clone, Debug, Hash)]
+struct Window {
+    /// The first tick.
+    begin: u32,
+    /// The lines that may change in each tick.
+    lines: [u32; BLOCK as usize],
+    /// Bit i: lines may change in tick i.
+    some: u32,
+}
+
+impl Window {
+    /// A window that has to be opened before the next tick is rendered.
+    const CLOSED: Self = Self { begin: 0, lines: [0; BLOCK as usize], some: 0 };
+
+    /// A window that ends at `now`.
+    const fn before(now: Tick) -> Self {
+        Self { begin: (now.0 as u32).wrapping_sub(BLOCK), ..Self::CLOSED }
+    }
+
+    /// Notes that the line of `bit` changes at `tick`, if the window includes that tick.
+    fn add(&mut self, bit: u32, tick: u32) {
+        let at = tick.wrapping_sub(self.begin);
+        if let Some(lines) = self.lines.get_mut(at as usize) {
+            *lines |= bit;
+            self.some |= 1 << at;
+        }
+    }
+
+    /// Removes the lines of the tick `now`.
+    fn take(&mut self, now: u32) -> u32 {
+        let at = now.wrapping_sub(self.begin);
+        self.some &= !(1 << (at % BLOCK));
+        self.lines.get_mut(at as usize).map_or(0, core::mem::take)
+    }
+
+    /// Ticks from `now` in which no line changes, at least 1, within the window.
+    fn quiet(&self, now: u32) -> u32 {
+        let at = now.wrapping_sub(self.begin) % BLOCK;
+        let (mut ticks, mut later) = (1, self.some >> at >> 1);
+        while later & 1 == 0 && at + ticks < BLOCK {
+            later >>= 1;
+            ticks += 1;
+        }
+        ticks
+    }
+}

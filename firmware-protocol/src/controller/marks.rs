@@ -1,0 +1,119 @@
+//! The marks of a play that have not passed, and the trigger output that they drive.
+//!
+//! Invariant: a mark passes once, in order of time. The trigger output gives the cells of the newest trigger that was reached.
+
+use crate::controller::NEVER;
+use crate::message::Trigger;
+use crate::tick::Tick;
+use core::hash::{Hash, Hasher};
+
+/// Most marks that are queued and have not passed.
+const MAX_MARKS: usize = 8;
+
+#[derive(Clone, Debug)]
+pub(super) struct Marks {
+    queue: heapless::Deque<(Tick, Option<Trigger>), MAX_MARKS>,
+    output: TriggerOutput,
+}
+
+impl Hash for Marks {
+    fn hash<H: Hasher>(&self, hasher: &mut H) {
+        let Self { queue, output: TriggerOutput { cells, width, cell_end } } = self;
+        queue.iter().for_each(|mark| mark.hash(hasher));
+        queue.len().hash(hasher);
+        if *cells != 0 {
+            (cells, width, cell_end).hash(hasher);
+        }
+    }
+}
+
+impl Marks {
+    pub(super) const NONE: Self = Self { queue: heapless::Deque::new(), output: TriggerOutput::LOW };
+
+    pub(super) fn is_full(&self) -> bool {
+        self.queue.is_full()
+    }
+
+    /// Queues a mark. There was room when its frame was read.
+    pub(super) fn push(&mut self, at: Tick, trigger: Option<Trigger>) {
+        let _ = self.queue.push_back((at, trigger));
+    }
+
+    pub(super) fn clear(&mut self) {
+        self.queue.clear();
+    }
+
+    /// Forgets the marks from `at` on.
+    pub(super) fn keep_before(&mut self, at: Tick) {
+        self.queue.retain(|&(mark, _)| mark < at);
+    }
+
+    /// Sets the trigger output low.
+    pub(super) fn turn_off(&mut self) {
+        self.output = TriggerOutput::LOW;
+    }
+
+    /// The oldest mark, if it lies at `now` or before; once. One at the rendered end begins its trigger there.
+    pub(super) fn pass(&mut self, now: Tick, rendered: Tick) -> Option<Tick> {
+        let &(mark, trigger) = self.queue.front().filter(|(mark, _)| *mark <= now)?;
+        self.queue.pop_front();
+        if mark == rendered
+            && let Some(trigger) = trigger
+        {
+            self.output.begin(mark, trigger);
+        }
+        Some(mark)
+    }
+
+    /// Whether the trigger is high at `now`, the rendered end, and the tick until which it stays so.
+    pub(super) fn level(&mut self, now: Tick) -> (bool, Tick) {
+        if self.queue.is_empty() && self.output.cells == 0 {
+            return (false, NEVER);
+        }
+        let mut next = NEVER;
+        for &(mark, trigger) in &self.queue {
+            if mark > now {
+                next = next.min(mark);
+            } else if mark == now
+                && let Some(trigger) = trigger
+            {
+                self.output.begin(now, trigger);
+            }
+        }
+        let (high, until) = self.output.level(now);
+        (high, next.min(until))
+    }
+}
+
+/// The trigger output: the cells of a pulse or a code, one after the other.
+#[derive(Clone, Debug)]
+struct TriggerOutput {
+    /// Bit 0 is the present cell, bit 1 the next one.
+    cells: u16,
+    /// Ticks of a cell.
+    width: u16,
+    /// The end of the present cell.
+    cell_end: Tick,
+}
+
+impl TriggerOutput {
+    /// An output that is low.
+    const LOW: Self = Self { cells: 0, width: 1, cell_end: Tick(0) };
+
+    /// Begins at `now`; ends what is on its way.
+    fn begin(&mut self, now: Tick, trigger: Trigger) {
+        // The start cell, then the code's bits. A code has no high cell after them.
+        self.cells = 1 | u16::from(trigger.code) << 1;
+        self.width = trigger.width.max(1);
+        self.cell_end = now + u64::from(self.width);
+    }
+
+    /// Whether it is high at `now`, and the tick until which its cell lasts.
+    fn level(&mut self, now: Tick) -> (bool, Tick) {
+        while self.cells != 0 && self.cell_end <= now {
+            self.cells >>= 1;
+            self.cell_end = self.cell_end + u64::from(self.width);
+        }
+        if self.cells == 0 { (false, NEVER) } else { (self.cells & 1 == 1, self.cell_end) }
+    }
+}
