@@ -38,7 +38,10 @@ impl Inbox {
     /// The body that is not read yet, and its length; once.
     pub(super) fn take(&mut self) -> Option<([u8; MAX_FRAME], usize)> {
         let len = core::mem::take(&mut self.len);
-        (len > 0).then(|| (self.body, len))
+        if len == 0 {
+            return None;
+        }
+        Some((self.body, len))
     }
 
     /// Forgets a frame that has begun.
