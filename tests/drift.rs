@@ -1,7 +1,7 @@
 //! Drift: `status`, plays that end or are refused at the limit without telemetry, and the level check of `assume_rest`.
 
 use crate::harness::{Daemon, PATIENT, complaint, ended, printed, refusal, wait_until};
-use meissner_api::{ErrorSource, Status};
+use meissner_api::{EndCause, ErrorSource, Status};
 use meissner_client::Client;
 use serde_json::{Value, json};
 use std::fs;
@@ -18,7 +18,7 @@ fn a_drifting_array_ends_plays_refuses_them_and_asks_for_a_check() {
     let mut events = client.events().unwrap();
     let _: Value = client.post("/v1/play", &json!({"pattern": "pin-60", "seconds": 10.0})).unwrap();
     let receipt = ended(&mut events);
-    assert_eq!((receipt.state.name(), receipt.cause.as_deref()), ("stopped", Some("drift-limit")));
+    assert_eq!((receipt.state.name(), receipt.cause.as_ref()), ("stopped", Some(&EndCause::DriftLimit)));
     let text = printed(daemon.meissner().arg("receipt"));
     assert!(text.contains("a pin may be farther from rest than `drift_limit_um`"), "{text}");
     let status: Value = client.get("/v1/status").unwrap();

@@ -56,7 +56,10 @@ fn an_export_has_one_row_per_play() {
         );
         assert_eq!(
             (of("state"), of("cause")),
-            (receipt.state.name().into(), receipt.cause.clone().unwrap_or_default())
+            (
+                receipt.state.name().into(),
+                receipt.cause.as_ref().map_or_else(String::new, ToString::to_string)
+            )
         );
         assert!(of("reported_after_s").parse::<f64>().unwrap() < 20.0 && !of("session_ended").is_empty());
     }

@@ -3,7 +3,7 @@
 use crate::harness::{Daemon, PATIENT, TIMEOUT, assert_accounts, ended, next, problem, wait_until};
 use crate::searches::children;
 use meissner_api::{
-    Event, LiveAccepted, LiveAnswer, LiveApplied, LiveContrast, ReachedContrast, Receipt, Status,
+    EndCause, Event, LiveAccepted, LiveAnswer, LiveApplied, LiveContrast, ReachedContrast, Receipt, Status,
 };
 use serde_json::{Value, json};
 use std::io::{BufRead, BufReader, Write};
@@ -87,7 +87,7 @@ fn updates_over_the_socket_are_applied_and_counted() {
     lines.send(&json!({"seq": 52}));
     assert_eq!(lines.applied(52).ticks, vec![None; 24]);
     lines.send(&json!({"seq": 53, "end": true}));
-    assert_eq!(lines.answer().ended.as_deref(), Some("stop"));
+    assert_eq!(lines.answer().ended.as_ref().map(EndCause::text), Some("stop"));
     assert_eq!(lines.line(), "", "the daemon closes the connection");
     let receipt = ended(&mut events);
     let live = receipt.live.unwrap();
@@ -110,18 +110,18 @@ fn a_client_that_vanishes_ends_the_play() {
     // The client closes the connection.
     let accepted = start(&daemon, json!({"drives": [drive(9, 80.0)]}));
     drop(Lines::open(&daemon, &accepted.path));
-    assert_eq!(ended(&mut events).cause.as_deref(), Some("stop"));
+    assert_eq!(ended(&mut events).cause.as_ref(), Some(&EndCause::Stop));
     // The client sends nothing more.
     let accepted = start(&daemon, request());
     let mut lines = Lines::open(&daemon, &accepted.path);
     lines.send(&json!({"seq": 1}));
     lines.applied(1);
-    assert_eq!(ended(&mut events).cause.as_deref(), Some("client-silent"));
-    assert_eq!(lines.answer().ended.as_deref(), Some("client-silent"));
+    assert_eq!(ended(&mut events).cause.as_ref(), Some(&EndCause::ClientSilent));
+    assert_eq!(lines.answer().ended.as_ref().map(EndCause::text), Some("client-silent"));
     // The client never connects.
     let accepted = start(&daemon, request());
     let receipt = ended(&mut events);
-    assert_eq!((receipt.id, receipt.cause.as_deref()), (accepted.id, Some("client-silent")));
+    assert_eq!((receipt.id, receipt.cause.as_ref()), (accepted.id, Some(&EndCause::ClientSilent)));
     assert_eq!(receipt.live.unwrap().updates, 0);
 }
 
@@ -167,7 +167,7 @@ fn bad_messages_change_nothing_and_say_why() {
     assert_eq!(problem(client.post("/v1/play", &play)).code, "behind-endless");
     assert_eq!(refused(&mut client, json!({"drives": [drive(9, 20.0)]})).code, "playing");
     let _: Status = client.post("/v1/stop", &json!({})).unwrap();
-    assert_eq!(lines.answer().ended.as_deref(), Some("stop"));
+    assert_eq!(lines.answer().ended.as_ref().map(EndCause::text), Some("stop"));
 }
 
 #[test]
@@ -195,7 +195,7 @@ fn updates_over_tcp_come_through_a_websocket() {
     socket.close(None).unwrap();
     while socket.read().is_ok() {}
     let receipt = ended(&mut events);
-    assert_eq!((receipt.cause.as_deref(), receipt.live.unwrap().applied), (Some("stop"), 20));
+    assert_eq!((receipt.cause.as_ref(), receipt.live.unwrap().applied), (Some(&EndCause::Stop), 20));
 }
 
 /// An edge that moves and turns: each pose becomes drives, or gives way to a newer one.
@@ -366,7 +366,7 @@ fn an_emergency_stop_and_the_end_of_the_daemon_end_it() {
     lines.send(&json!({"seq": 1}));
     lines.applied(1);
     let _: Status = daemon.client().post("/v1/estop", &json!({})).unwrap();
-    assert_eq!(lines.answer().ended.as_deref(), Some("estop"));
+    assert_eq!(lines.answer().ended.as_ref().map(EndCause::text), Some("estop"));
     let _: Status = daemon.client().post("/v1/reset", &json!({})).unwrap();
     daemon.armed();
     let accepted = start(&daemon, json!({"drives": [drive(9, 80.0)]}));
@@ -376,5 +376,5 @@ fn an_emergency_stop_and_the_end_of_the_daemon_end_it() {
     let reader = thread::spawn(move || lines.answer());
     thread::sleep(Duration::from_millis(20));
     assert!(daemon.end().success());
-    assert_eq!(reader.join().unwrap().ended.as_deref(), Some("shutdown"));
+    assert_eq!(reader.join().unwrap().ended.as_ref().map(EndCause::text), Some("shutdown"));
 }

@@ -2,7 +2,7 @@
 //! as their lines come.
 
 use crate::harness::{Daemon, PROGRAM, complaint, ended, meissner, wait_until};
-use meissner_api::{Receipt, Status};
+use meissner_api::{EndCause, Receipt, Status};
 use rustix::process::{Pid, Signal, kill_process};
 use serde_json::json;
 use std::fs::{self, File};
@@ -120,7 +120,7 @@ fn a_file_of_poses_moves_a_target_line_by_line() {
     assert_eq!((updates.updates, updates.applied + updates.merged), (22, 22), "{updates:?}");
     assert!(updates.applied > 1);
     assert_eq!((shown.trial, shown.labels["what"].as_str()), (Some(7), "file"));
-    assert_eq!((shown.trigger.unwrap().code, shown.cause.as_deref()), (Some(9), Some("stop")));
+    assert_eq!((shown.trigger.unwrap().code, shown.cause.as_ref()), (Some(9), Some(&EndCause::Stop)));
     assert_eq!(receipt(&daemon, shown.id).live, shown.live);
 }
 
@@ -196,7 +196,7 @@ fn a_bad_line_ends_the_play_and_says_where() {
         "meissner: stdin: line 4: `1 2 x` is not a pose: write X_MM Y_MM [DEGREES], or a JSON object\n"
     );
     assert!(out.contains("state") && out.contains("updates"), "the receipt: {out}");
-    assert_eq!((receipt(&daemon, id).cause.as_deref(), is_playing(&daemon)), (Some("stop"), false));
+    assert_eq!((receipt(&daemon, id).cause.as_ref(), is_playing(&daemon)), (Some(&EndCause::Stop), false));
     // After a bad first line nothing was played.
     let first =
         complaint(daemon.meissner().args(["live", "edge-45", "--follow", "stdin"]).write_stdin("x,y\n"));
@@ -225,7 +225,10 @@ fn signals_end_the_play_and_print_the_receipt() {
         let (exit, out, err) = piped.wait();
         assert_eq!((exit, err.as_str()), (code, ""));
         assert!(out.contains(&format!("{id} of live\n")) && out.contains("\nupdates "), "the receipt: {out}");
-        assert_eq!((receipt(&daemon, id).cause.as_deref(), is_playing(&daemon)), (Some("stop"), false));
+        assert_eq!(
+            (receipt(&daemon, id).cause.as_ref(), is_playing(&daemon)),
+            (Some(&EndCause::Stop), false)
+        );
     }
     // Before the first line there is no play to end.
     let last = daemon.client().get::<Receipt>("/v1/plays/last").unwrap().id;
@@ -281,7 +284,7 @@ fn a_silent_pipe_ends_the_play_unless_it_is_kept_alive() {
     let id = silent.id;
     let (code, _, err) = silent.wait();
     assert!(code == 1 && err.contains("stdin was silent for longer than 300 ms; --timeout-ms"), "{err}");
-    assert_eq!(receipt(&daemon, id).cause.as_deref(), Some("client-silent"));
+    assert_eq!(receipt(&daemon, id).cause.as_ref(), Some(&EndCause::ClientSilent));
     let kept = Piped::start(&daemon, &["--timeout-ms", "3000", "--keep-alive"], &drive(60.0, 40.0));
     let id = kept.id;
     // This is longer than the daemon waits for a first message, and longer than the allowed silence.
@@ -306,7 +309,7 @@ fn a_command_that_hangs_ends_its_play() {
     let mut child = live_into(&daemon, &args, Stdio::piped(), full.into());
     let mut input = child.stdin.take().unwrap();
     writeln!(input, "{}", drive(60.0, 40.0)).unwrap();
-    assert_eq!(ended(&mut events).cause.as_deref(), Some("client-silent"));
+    assert_eq!(ended(&mut events).cause.as_ref(), Some(&EndCause::ClientSilent));
     let reading = thread::spawn(move || {
         let mut out = String::new();
         reader.read_to_string(&mut out).map(|_| out)

@@ -3,7 +3,7 @@
 use crate::harness::{
     Daemon, PATIENT, complaint, document, ended, printed, problem, refusal, wait_until, write_pattern,
 };
-use meissner_api::{PlayState, Status};
+use meissner_api::{EndCause, PlayState, Status};
 use rustix::process::Signal;
 use serde_json::{Value, json};
 use std::fs;
@@ -56,7 +56,7 @@ fn a_play_without_end_is_stopped_before_the_limit_and_the_queue_with_it() {
         .clone();
     let receipt = ended(&mut events);
     assert_eq!((receipt.id, receipt.state), (id.as_u64().unwrap(), PlayState::Stopped));
-    assert_eq!(receipt.cause.as_deref(), Some("participant-limit"));
+    assert_eq!(receipt.cause.as_ref(), Some(&EndCause::ParticipantLimit));
     let status: Status = client.get("/v1/status").unwrap();
     let limits = status.participant.unwrap();
     assert!(

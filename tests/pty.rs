@@ -2,7 +2,7 @@
 
 use crate::harness::{Daemon, assert_accounts, complaint, document, printed, wait_until};
 use firmware_protocol::message::{Cause, State};
-use meissner_api::{Receipt, Status};
+use meissner_api::{EndCause, Receipt, Status};
 use meissner_array::simulated::SimulatedMotorsConfig;
 use meissner_client::estop_socket;
 use meissner_stream::device::{PtyMock, WallMock};
@@ -105,7 +105,7 @@ fn a_board_that_is_plugged_in_again_is_found_and_disarmed() {
     drop(first);
     until(&|status| !status.is_connected());
     let receipt: Receipt = client.get("/v1/plays/last").unwrap();
-    assert_eq!(receipt.cause.as_deref(), Some("the device was unplugged"));
+    assert_eq!(receipt.cause.as_ref(), Some(&EndCause::Unplugged));
     let bursts = receipt.bursts.unwrap();
     assert_eq!(bursts.planned, bursts.played + bursts.late + bursts.dropped + bursts.refused);
 

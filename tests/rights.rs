@@ -5,7 +5,7 @@ use crate::harness::{
     Daemon, PATIENT, TIMEOUT, began, directory, ended, next, printed, problem, refusal, wait_until,
 };
 use meissner_api::{
-    Event, LiveAccepted, LiveAnswer, Method, PlayState, Receipt, Role, Route, SearchState, Session,
+    EndCause, Event, LiveAccepted, LiveAnswer, Method, PlayState, Receipt, Role, Route, SearchState, Session,
     SessionStarted, Status, TokenCreated, TokenList,
 };
 use meissner_client::Client;
@@ -274,7 +274,7 @@ impl Live {
     }
 
     /// Sends updates without a pause; returns how many the device has had, and how the play ended.
-    fn until_it_ends(mut self) -> (u64, Option<String>) {
+    fn until_it_ends(mut self) -> (u64, Option<EndCause>) {
         let mut applied = 0;
         loop {
             self.send();
@@ -305,16 +305,16 @@ fn a_revoked_tokens_live_play_takes_no_update_more() {
     revoke(&daemon, &operate);
     // After the answer to the revocation no update is applied.
     let (applied, cause) = live.until_it_ends();
-    assert_eq!((applied, cause.as_deref()), (0, Some("revoked")));
+    assert_eq!((applied, cause.as_ref()), (0, Some(&EndCause::Revoked)));
     let receipt = ended(&mut events);
-    assert_eq!((receipt.state, receipt.cause.as_deref()), (PlayState::Stopped, Some("revoked")));
+    assert_eq!((receipt.state, receipt.cause.as_ref()), (PlayState::Stopped, Some(&EndCause::Revoked)));
     // The same for a connection of another token than the play's.
     let [one, two] = [(); 2].map(|()| create(&daemon, Role::Operate));
     let started =
         ask(&address, "POST /v1/live", &bearer(&one.token), "{\"drives\": [], \"timeout_ms\": 20000}");
     assert_eq!(started.0, 202, "{started:?}");
     revoke(&daemon, &one);
-    assert_eq!(ended(&mut events).cause.as_deref(), Some("revoked"), "it has no connection yet");
+    assert_eq!(ended(&mut events).cause.as_ref(), Some(&EndCause::Revoked), "it has no connection yet");
     assert_eq!(ask(&address, "POST /v1/stop", &bearer(&two.token), "{}").0, 200);
 }
 
@@ -360,7 +360,10 @@ fn a_revocation_ends_what_is_open_and_what_waits() {
     }
     assert!(cancelled);
     assert_eq!((receipts[0].id, receipts[0].state), (own["id"].as_u64().unwrap(), PlayState::Done));
-    assert_eq!((receipts[1].state, receipts[1].cause.as_deref()), (PlayState::Stopped, Some("revoked")));
+    assert_eq!(
+        (receipts[1].state, receipts[1].cause.as_ref()),
+        (PlayState::Stopped, Some(&EndCause::Revoked))
+    );
     assert!(receipts[1].onset.is_none(), "it never began");
     // One that runs, without an end.
     let token = create(&daemon, Role::Operate);
@@ -368,7 +371,7 @@ fn a_revocation_ends_what_is_open_and_what_waits() {
     assert_eq!(ask(&address, "POST /v1/play", &bearer(&token.token), endless).0, 202);
     began(&mut events);
     revoke(&daemon, &token);
-    assert_eq!(ended(&mut events).cause.as_deref(), Some("revoked"));
+    assert_eq!(ended(&mut events).cause.as_ref(), Some(&EndCause::Revoked));
     assert_eq!(client.get::<Status>("/v1/status").unwrap().state, "armed");
 }
 
@@ -390,9 +393,9 @@ fn an_owner_who_comes_back_ends_what_strangers_play() {
     let id = live.id;
     let _: Status = owner.get("/v1/status").unwrap();
     let (_, cause) = live.until_it_ends();
-    assert_eq!(cause.as_deref(), Some("owner-returned"));
+    assert_eq!(cause.as_ref(), Some(&EndCause::OwnerReturned));
     let receipt = ended(&mut events);
-    assert_eq!((receipt.id, receipt.cause.as_deref()), (id, Some("owner-returned")));
+    assert_eq!((receipt.id, receipt.cause.as_ref()), (id, Some(&EndCause::OwnerReturned)));
     // The owner's own play goes on, and the other client's queued play does not begin.
     released(&mut events);
     let mut stranger = daemon.client();
@@ -406,7 +409,7 @@ fn an_owner_who_comes_back_ends_what_strangers_play() {
         (receipt.id, receipt.cause)
     };
     assert_eq!(ends(), (own["id"].as_u64().unwrap(), None));
-    assert_eq!(ends().1.as_deref(), Some("owner-returned"));
+    assert_eq!(ends().1, Some(EndCause::OwnerReturned));
 }
 
 #[test]
@@ -442,7 +445,7 @@ fn two_daemons_with_one_file_know_the_same_tokens() {
     }
     revoke(&a, &made[0]);
     assert_eq!(ask(&at_b, "POST /v1/play", &headers, "{\"pattern\": \"pin-60\"}").0, 401);
-    assert_eq!(ended(&mut events).cause.as_deref(), Some("revoked"));
+    assert_eq!(ended(&mut events).cause.as_ref(), Some(&EndCause::Revoked));
     // The token stays revoked when the other daemon writes the file, or restarts.
     create(&b, Role::Observe);
     assert!(!ids(&a).contains(&made[0].info.id) && ids(&a).len() == 3);
@@ -481,7 +484,7 @@ fn silence_stops_and_disarms() {
     });
     assert_eq!(silent(&mut events), 5.0);
     let receipt = ended(&mut events);
-    assert_eq!((receipt.state, receipt.cause.as_deref()), (PlayState::Stopped, Some("owner-silent")));
+    assert_eq!((receipt.state, receipt.cause.as_ref()), (PlayState::Stopped, Some(&EndCause::OwnerSilent)));
     read.join().unwrap();
     assert_eq!(command(&daemon, &["status"])["armed"], Value::Null);
     assert!(daemon.log().contains("was silent for too long"), "{}", daemon.log());
@@ -489,7 +492,7 @@ fn silence_stops_and_disarms() {
     command(&daemon, &["arm", "--silence", "5"]);
     command(&daemon, &["play", "pin-60", "--seconds", "300"]);
     assert_eq!(silent(&mut events), 5.0);
-    assert_eq!(ended(&mut events).cause.as_deref(), Some("owner-silent"));
+    assert_eq!(ended(&mut events).cause.as_ref(), Some(&EndCause::OwnerSilent));
     // Clients that state another silence, and none.
     let status = command(&daemon, &["arm", "--unattended"]);
     assert_eq!((&status["armed"]["silence_s"], &status["armed"]["left_s"]), (&Value::Null, &Value::Null));
@@ -535,7 +538,7 @@ fn a_command_that_waits_keeps_the_motors_armed_until_it_is_killed() {
     child.kill().unwrap();
     child.wait().unwrap();
     assert_eq!(silent(&mut events), 5.0);
-    assert_eq!(ended(&mut events).cause.as_deref(), Some("owner-silent"));
+    assert_eq!(ended(&mut events).cause.as_ref(), Some(&EndCause::OwnerSilent));
 }
 
 #[test]

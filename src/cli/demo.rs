@@ -17,7 +17,7 @@ use crate::store::Store;
 use anyhow::{Context, Result, bail};
 use firmware_protocol::stroke::MOTORS;
 use meissner_api::{
-    ArmRequest, BurstCounts, DurationRecord, LinkTraffic, OrderedCounts, PlayAccepted, PlayRequest,
+    ArmRequest, BurstCounts, DurationRecord, EndCause, LinkTraffic, OrderedCounts, PlayAccepted, PlayRequest,
     PredictedResponse, PulseCounts, Rates, Realtime, Receipt, Status,
 };
 use meissner_array::pattern::Pattern;
@@ -43,7 +43,7 @@ struct Report {
     seconds: f64,
     device: String,
     state: &'static str,
-    cause: Option<String>,
+    cause: Option<EndCause>,
     cut_after_ms: Option<f64>,
     duration_ms: DurationRecord,
     ordered: Option<OrderedCounts>,
@@ -275,7 +275,7 @@ fn summary(report: &Report) -> String {
                 report.pattern,
                 report.seconds,
                 report.device,
-                end_text(report.state, report.cause.as_deref(), report.cut_after_ms)
+                end_text(report.state, report.cause.as_ref(), report.cut_after_ms)
             ),
         ),
         ("duration", text::duration(&report.duration_ms)),

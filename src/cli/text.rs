@@ -10,12 +10,12 @@ pub(super) use receipt::{
 
 use crate::doctor::device::{NO_TELEMETRY, SHORT_PLAYS};
 use crate::doctor::rights::SLOW_ESTOP;
-use crate::receipts::{HOST_TIMEOUT, end_text};
+use crate::receipts::end_text;
 use comfy_table::presets::{NOTHING, UTF8_FULL};
 use comfy_table::{CellAlignment, Table};
 use meissner_api::{
-    ArmedStatus, BoardRecord, BoardStatus, ErrorSource, Event, ItemState, NO_DEVICE, ParticipantStatus,
-    Receipt, Session, Status,
+    ArmedStatus, BoardRecord, BoardStatus, EndCause, ErrorSource, Event, ItemState, NO_DEVICE,
+    ParticipantStatus, Receipt, Session, Status,
 };
 use meissner_array::geometry::{COLUMNS, ROWS};
 use meissner_array::pattern::Drive;
@@ -53,7 +53,9 @@ pub(super) fn state(status: &Status) -> String {
     let Status { state, cause, lease_ms, .. } = status;
     match cause.as_str() {
         _ if state == NO_DEVICE => "no device".to_owned(),
-        HOST_TIMEOUT => format!("{state}: the PC was silent for more than {lease_ms} ms"),
+        cause if cause == EndCause::HostTimeout.text() => {
+            format!("{state}: the PC was silent for more than {lease_ms} ms")
+        }
         cause => format!("{state} ({cause})"),
     }
 }
@@ -250,7 +252,7 @@ pub(super) fn event(event: &Event) -> String {
         }
         Event::Ended { receipt } => {
             let Receipt { id, state, cause, cut_after_ms, .. } = &**receipt;
-            format!("ended: {id} {}", end_text(state.name(), cause.as_deref(), *cut_after_ms))
+            format!("ended: {id} {}", end_text(state.name(), cause.as_ref(), *cut_after_ms))
         }
         Event::PredictedResponse { id, prediction } => {
             format!("{PREDICTED}: {id}, {}", receipt::predicted(prediction).unwrap_or_default())

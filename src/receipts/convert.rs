@@ -3,7 +3,7 @@
 use firmware_protocol::board::{Board, OUTPUTS, Reset};
 use firmware_protocol::limits::Refusal;
 use firmware_protocol::message::{DeviceHello, State};
-use meissner_api::{BoardRecord, BoardStatus, CalibrateRequest, Code, DeviceInfo, Problem};
+use meissner_api::{BoardRecord, BoardStatus, CalibrateRequest, Code, DeviceInfo, EndCause, Problem};
 use meissner_array::strokes::Fit;
 use meissner_stream::PlayBoard;
 use meissner_stream::calibrate::{Plan, laser_plan};
@@ -74,12 +74,6 @@ pub(super) const fn board_record(board: PlayBoard) -> BoardRecord {
     BoardRecord { slack_ticks: slack, stalls, usb_recoveries, output_faults }
 }
 
-/// The API's cause of a state or an end after the host watchdog timed out.
-pub const HOST_TIMEOUT: &str = "lease";
-
-/// The cause of a play's end when one of its pins may be too far from rest.
-pub(super) const DRIFT_LIMIT: &str = meissner_stream::DRIFT_LIMIT;
-
 /// The fit that a request asks for.
 #[must_use]
 pub const fn fit(asked: meissner_api::Fit) -> Fit {
@@ -91,14 +85,14 @@ pub const fn fit(asked: meissner_api::Fit) -> Fit {
 
 /// How a play ended, in words: its state, its cause, and how long after the onset it was cut.
 #[must_use]
-pub fn end_text(state: &str, cause: Option<&str>, cut_after_ms: Option<f64>) -> String {
+pub fn end_text(state: &str, cause: Option<&EndCause>, cut_after_ms: Option<f64>) -> String {
     let cut = cut_after_ms.map_or_else(String::new, |ms| format!(", cut {ms:.1} ms after the onset"));
     match cause {
         None => state.to_owned(),
-        Some(HOST_TIMEOUT) => {
+        Some(EndCause::HostTimeout) => {
             format!("{state}: the PC was silent for longer than the host watchdog timeout{cut}")
         }
-        Some(DRIFT_LIMIT) => {
+        Some(EndCause::DriftLimit) => {
             format!(
                 "{state}: a pin may be farther from rest than `drift_limit_um`; see `meissner status`{cut}"
             )
@@ -161,12 +155,12 @@ mod tests {
     #[test]
     fn an_end_names_its_cause() {
         assert_eq!(end_text("done", None, None), "done");
-        assert_eq!(end_text("stopped", Some("estop"), None), "stopped (estop)");
+        assert_eq!(end_text("stopped", Some(&EndCause::EStop), None), "stopped (estop)");
         assert_eq!(
-            end_text("stopped", Some("stop"), Some(812.34)),
+            end_text("stopped", Some(&EndCause::Stop), Some(812.34)),
             "stopped (stop), cut 812.3 ms after the onset"
         );
-        let silent = end_text("stopped", Some(HOST_TIMEOUT), Some(1200.0));
+        let silent = end_text("stopped", Some(&EndCause::HostTimeout), Some(1200.0));
         assert!(
             silent.starts_with("stopped: the PC was silent")
                 && silent.ends_with("cut 1200.0 ms after the onset")

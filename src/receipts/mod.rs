@@ -17,8 +17,7 @@ mod order;
 mod prediction;
 
 pub use convert::{
-    HOST_TIMEOUT, board_status, calibration_plan, device_info, end_text, fit, outputs, refusal, reset_name,
-    state_name,
+    board_status, calibration_plan, device_info, end_text, fit, outputs, refusal, reset_name, state_name,
 };
 pub use items::PlannedItem;
 pub use measured_bursts::{KEPT_S, MeasuredBursts};
@@ -34,7 +33,7 @@ use meissner_api::{
     RefusedStroke, RunningPlay,
 };
 use meissner_array::units::{ns_to_ms, ticks_to_ms};
-use meissner_stream::cause_text;
+use meissner_stream::end_cause;
 use meissner_stream::queues::Onset;
 use meissner_stream::queues::{Outcome, Snapshot, StreamEvent, refusal_text};
 use meissner_stream::time::HostInstant;
@@ -67,12 +66,12 @@ pub struct Totals {
 }
 
 /// The device's state as the API names it.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq)]
 pub struct DeviceState {
     /// The controller's state, or `no-device`.
     pub state: &'static str,
     /// Why.
-    pub cause: &'static str,
+    pub cause: String,
     /// `known` or `unknown`.
     pub position: &'static str,
 }
@@ -156,7 +155,7 @@ impl Receipts {
             }
             StreamEvent::Disconnected { reason, .. } => {
                 self.hello = None;
-                Some(Event::Disconnected { reason: (*reason).to_owned() })
+                Some(Event::Disconnected { reason: reason.clone() })
             }
             StreamEvent::Snapshot(snapshot) => {
                 self.snapshot = Some(*snapshot);
@@ -312,9 +311,9 @@ impl Receipts {
         match &self.snapshot {
             Some(at) if at.connected || at.state == State::Faulted => {
                 let position = if at.connected && at.position_known { "known" } else { "unknown" };
-                DeviceState { state: state_name(at.state), cause: cause_text(at.cause), position }
+                DeviceState { state: state_name(at.state), cause: end_cause(at.cause).to_string(), position }
             }
-            _ => DeviceState { state: NO_DEVICE, cause: NO_DEVICE, position: "unknown" },
+            _ => DeviceState { state: NO_DEVICE, cause: NO_DEVICE.to_owned(), position: "unknown" },
         }
     }
 
@@ -333,7 +332,7 @@ impl Receipts {
         let DeviceState { state, cause, position } = self.device_state();
         Event::State {
             state: state.to_owned(),
-            cause: cause.to_owned(),
+            cause,
             position: position.to_owned(),
             tick: self.clock(now).map_or(0, |(tick, _)| tick.0),
             play: self.running(),
@@ -359,7 +358,7 @@ fn complete(receipt: &mut Receipt, outcome: &Outcome) {
         began(receipt, onset);
     }
     receipt.state = outcome.end.into();
-    receipt.cause = outcome.cause.map(str::to_owned);
+    receipt.cause = outcome.cause.clone();
     receipt.bursts = Some(outcome.bursts);
     receipt.pulses = Some(outcome.pulses);
     receipt.estimated = outcome.estimated;

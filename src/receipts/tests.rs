@@ -4,7 +4,7 @@ use super::*;
 use firmware_protocol::limits::{PowerLimits, Refusal};
 use firmware_protocol::message::Cause;
 use firmware_protocol::stroke::MOTORS;
-use meissner_api::{ErrorSource, LateCause};
+use meissner_api::{EndCause, ErrorSource, LateCause};
 use meissner_array::pattern::Pattern;
 use meissner_array::strokes::{StrokeOptions, Strokes};
 use meissner_stream::link::{BadFrames, Clock, Contradictions};
@@ -76,7 +76,7 @@ fn ended(id: u64, end: End) -> StreamEvent {
     let play = Play::new(id, strokes);
     let outcome = Outcome {
         end,
-        cause: (end != End::Done).then_some("stop"),
+        cause: (end != End::Done).then_some(EndCause::Stop),
         onset: Some(onset()),
         bursts: BurstCounts {
             planned: 10,
@@ -101,7 +101,7 @@ fn ended(id: u64, end: End) -> StreamEvent {
     StreamEvent::PlayEnded { id, outcome }
 }
 
-fn standing(receipts: &Receipts) -> (&str, &str, &str) {
+fn standing(receipts: &Receipts) -> (&str, String, &str) {
     let DeviceState { state, cause, position } = receipts.device_state();
     (state, cause, position)
 }
@@ -130,7 +130,7 @@ fn a_play_goes_from_queued_to_its_receipt() {
     receipts.apply(&StreamEvent::StrokeRefused { id: 1, motor: 3, up, reason: Refusal::MotorOnTime });
     let Some(Event::Ended { receipt }) = receipts.apply(&ended(1, End::Stopped)) else { panic!() };
     assert_eq!(Some(&*receipt), receipts.receipt(1));
-    assert_eq!((receipt.state, receipt.cause.as_deref()), (PlayState::Stopped, Some("stop")));
+    assert_eq!((receipt.state, receipt.cause.as_ref()), (PlayState::Stopped, Some(&EndCause::Stop)));
     assert_eq!((receipt.lateness.strokes.len(), receipt.refusals.len()), (1, 1));
     assert_eq!(receipt.wire.unwrap().bytes_per_burst, Some(5.5));
     let board = receipt.board.unwrap();
@@ -180,11 +180,11 @@ fn receipts_and_lists_are_bounded() {
 #[test]
 fn the_state_without_a_device_says_so_but_an_estop_is_latched() {
     let mut receipts = Receipts::default();
-    assert_eq!(standing(&receipts), ("no-device", "no-device", "unknown"));
+    assert_eq!(standing(&receipts), ("no-device", "no-device".to_owned(), "unknown"));
     receipts.apply(&StreamEvent::Snapshot(snapshot(false, State::Disarmed, None)));
     assert_eq!(standing(&receipts).0, "no-device");
     receipts.apply(&StreamEvent::Snapshot(snapshot(false, State::Faulted, None)));
-    assert_eq!(standing(&receipts), ("faulted", "request", "unknown"));
+    assert_eq!(standing(&receipts), ("faulted", "request".to_owned(), "unknown"));
     receipts.set_device_kind("mock".to_owned());
     let event = receipts.apply(&StreamEvent::Connected(hello())).unwrap();
     let json = serde_json::to_value(&event).unwrap();
@@ -193,7 +193,7 @@ fn the_state_without_a_device_says_so_but_an_estop_is_latched() {
         (&json["device"]["firmware"], &json["device"]["build"]),
         (&"0.1.2".into(), &"deadbeef".into())
     );
-    receipts.apply(&StreamEvent::Disconnected { reason: "unplugged", device: None });
+    receipts.apply(&StreamEvent::Disconnected { reason: EndCause::Unplugged, device: None });
     assert!(receipts.device().is_none());
 }
 
@@ -217,7 +217,7 @@ fn every_events_name_is_its_json_tag() {
     for event in [
         receipts.state_event(HostInstant::from_ns(0)),
         Event::Connected { device: device_info("mock", &hello()) },
-        Event::Disconnected { reason: String::new() },
+        Event::Disconnected { reason: String::new().into() },
         Event::Queued { id: 1, pattern: String::new(), seconds: None },
         Event::Began { id: 1, onset: onset().into() },
         Event::Late { id: 1, stroke },

@@ -5,6 +5,7 @@
 //!
 //! Invariant: [`Event::name`] is the `event` key of its JSON.
 
+use crate::end_cause::EndCause;
 use crate::live_record::LiveContrast;
 use crate::prediction::{Prediction, PredictionKeys};
 use crate::receipt::{LateStroke, OnsetRecord, Receipt, RefusedStroke};
@@ -81,7 +82,8 @@ pub enum Event {
     #[schema(examples(json!({"event": "disconnected", "reason": "the device does not answer any more"})))]
     Disconnected {
         /// Why, in one line.
-        reason: String,
+        #[schema(value_type = String)]
+        reason: EndCause,
     },
     /// A play was queued.
     #[schema(examples(json!({"event": "queued", "id": 7, "pattern": "edge-45", "seconds": 2.0})))]

@@ -11,6 +11,7 @@
 //! - [`sequence`], [`trigger`]: sequences of patterns, and the trigger output, in requests and in receipts.
 //! - [`status`], [`receipt`], [`pattern`], [`calibration`]: what the daemon answers; [`prediction`]: the afferents' predicted
 //!   response, in receipts; [`board`]: the device's counters in status and receipt.
+//! - [`end_cause`]: why a play ended before its end.
 //! - [`live`], [`live_record`]: live plays with the messages of their connections, and their part of a receipt.
 //! - [`doctor`]: the problems that the daemon finds on its machine, with advice.
 //! - [`target`], [`search`]: target shapes on the skin, and searches for their patterns.
@@ -41,6 +42,7 @@ pub mod board;
 mod body;
 pub mod calibration;
 pub mod doctor;
+pub mod end_cause;
 pub mod event;
 pub mod live;
 pub mod live_record;
@@ -63,6 +65,7 @@ pub use board::{BoardRecord, BoardStatus};
 pub use body::{Labels, MAX_AT_MS, is_sha256};
 pub use calibration::{CalibratedMotor, CalibrationReport, FittedLine, MeasuredPoint, Provenance};
 pub use doctor::{DoctorReport, Finding, Level};
+pub use end_cause::EndCause;
 pub use event::{Event, MAX_ITEMS_LISTED, SensorFault};
 pub use live::{
     LIVE_TARGET_LEAST_HZ, LIVE_TIMEOUT_MS, LIVE_UPDATES_HZ, LIVE_UPGRADE, LiveAccepted, LiveAnswer,

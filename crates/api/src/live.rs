@@ -4,6 +4,7 @@
 //! [`LiveAnswer`], not always in their order.
 
 use crate::body::{bad, check_labels, check_scale, check_trigger, null_as_default, problem, read};
+use crate::end_cause::EndCause;
 use crate::problem::Problem;
 use crate::request::LatePolicy;
 use crate::search::{SearchModel, SearchObjective, SearchSetting, target_schema};
@@ -196,7 +197,8 @@ pub struct LiveAnswer {
     pub problem: Option<Problem>,
     /// The play is over. The daemon closes the connection.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub ended: Option<String>,
+    #[schema(value_type = Option<String>)]
+    pub ended: Option<EndCause>,
 }
 
 fn check_drives(drives: &[LiveDrive]) -> Result<(), Problem> {

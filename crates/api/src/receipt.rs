@@ -6,6 +6,7 @@
 //! Invariant: in the receipt of an ended play, `planned = played + late + dropped + refused + replaced`, as the streamer counted.
 
 use crate::board::BoardRecord;
+use crate::end_cause::EndCause;
 use crate::live_record::LiveRecord;
 use crate::pattern::ReachedDrive;
 use crate::prediction::{Prediction, PredictionKeys};
@@ -383,8 +384,8 @@ pub struct Receipt {
     /// Where the play stands.
     pub state: PlayState,
     /// Why the play ended; null if it is not over or came to its end.
-    #[schema(required)]
-    pub cause: Option<String>,
+    #[schema(required, value_type = Option<String>)]
+    pub cause: Option<EndCause>,
     /// When the play began; null before.
     #[schema(required)]
     pub onset: Option<OnsetRecord>,

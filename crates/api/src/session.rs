@@ -6,6 +6,7 @@
 //! Invariant: names and labels have no control characters, and at most the characters stated here.
 
 use crate::body::{check_labels, check_text, read};
+use crate::end_cause::EndCause;
 use crate::problem::Problem;
 use crate::receipt::{BurstCounts, MAX_LISTED, OrderedCounts, PulseCounts};
 use crate::request::{Fit, LatePolicy};
@@ -186,8 +187,8 @@ pub struct RecordedPlay {
     /// `done`, `stopped` or `aborted`; `unknown` if its end is missing from the record.
     pub state: String,
     /// Why it ended; null if it is done or that is not known.
-    #[schema(required)]
-    pub cause: Option<String>,
+    #[schema(required, value_type = Option<String>)]
+    pub cause: Option<EndCause>,
     /// The tick at which the play began, ticks of 1/85000 s; null if it never began.
     #[schema(required, minimum = 0)]
     pub onset_tick: Option<u64>,

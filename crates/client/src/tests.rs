@@ -190,7 +190,7 @@ fn a_live_play_numbers_its_messages_and_reads_answers_until_the_end() {
     let timeout = Duration::from_secs(10);
     let merged = LiveAnswer { seq: Some(1), merged_into: Some(2), ..LiveAnswer::default() };
     assert_eq!(play.next(timeout).unwrap(), Some(merged));
-    assert_eq!(play.next(timeout).unwrap().unwrap().ended.as_deref(), Some("stop"));
+    assert_eq!(play.next(timeout).unwrap().unwrap().ended, Some(meissner_api::EndCause::Stop));
     assert_eq!(play.next(timeout).unwrap(), None);
     drop(play);
     assert_eq!(daemon.join().unwrap(), "{\"seq\":1,\"scale\":0.5}\n{\"seq\":2,\"end\":true}\n");

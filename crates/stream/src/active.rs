@@ -14,7 +14,7 @@ use crate::time::HostInstant;
 use firmware_protocol::message::{Counters, Trigger};
 use firmware_protocol::stroke::Stroke;
 use firmware_protocol::tick::Tick;
-use meissner_api::{BurstCounts, LateCause, LateCounts, PulseCounts};
+use meissner_api::{BurstCounts, EndCause, LateCause, LateCounts, PulseCounts};
 use std::time::Duration;
 
 /// The progress of a play.
@@ -54,8 +54,8 @@ pub(super) struct Active {
     pub(super) undecided: u64,
     /// The end of the last stroke sent.
     pub(super) last_end: Tick,
-    /// How and why the play was cut, if it was.
-    pub(super) cut: Option<(End, &'static str)>,
+    /// Why the play was cut, if it was.
+    pub(super) cut: Option<EndCause>,
     /// The device's counters at the onset, once it has passed.
     pub(super) counters_at_onset: Option<Counters>,
     /// What the board's reports say of it.
@@ -324,7 +324,6 @@ impl Active {
         let replaced = since(|counters| counters.replaced).min(planned.saturating_sub(late + refused));
         let played = since(|counters| counters.played).min(planned.saturating_sub(late + refused + replaced));
         let dropped = planned.saturating_sub(late + refused + replaced + played);
-        let (end, cause) = self.cut.map_or((End::Done, None), |(end, cause)| (end, Some(cause)));
         let bursts = BurstCounts {
             planned,
             played,
@@ -335,8 +334,8 @@ impl Active {
             amended: since(|counters| counters.amended).min(played),
         };
         let outcome = Outcome {
-            end,
-            cause,
+            end: End::by(self.cut.as_ref()),
+            cause: self.cut,
             onset: self.actual_onset,
             offset,
             cut_after: cut.zip(self.actual_onset).map(|(at, onset)| at - onset.actual),

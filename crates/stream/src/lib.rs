@@ -73,5 +73,5 @@ pub use motor_run::{MotorRun, Period};
 pub use settings::{LowerStopSettings, Settings};
 pub use simulation::{SimulatedPlay, Simulation, SimulationError, simulate_play};
 pub use source::Source;
-pub use streamer::{ANOTHER_DEVICE, DRIFT_LIMIT, Streamer, cause_text};
+pub use streamer::{Streamer, end_cause};
 pub use thread::{request_realtime, spawn};

@@ -18,6 +18,7 @@ use firmware_protocol::frame::MAX_FRAME;
 use firmware_protocol::message::DeviceMessage;
 use firmware_protocol::stroke::MOTORS;
 use firmware_protocol::tick::Tick;
+use meissner_api::EndCause;
 use meissner_array::pattern::Pattern;
 use meissner_array::simulated::{RestStats, SimulatedMotorsConfig, SimulatedMotorsError};
 use meissner_array::strokes::{StrokeOptions, Strokes, StrokesError};
@@ -111,7 +112,7 @@ impl Simulation {
         self.mock.unplug();
         self.to_device.clear();
         self.to_host.clear();
-        self.streamer.disconnect(self.now, "unplugged", &mut self.events);
+        self.streamer.disconnect(self.now, EndCause::Unplugged, &mut self.events);
     }
 
     /// Replaces the device by one that has just been switched on, with another boot id: its clock begins again.

@@ -13,7 +13,7 @@ use crate::settings::Settings;
 use crate::streamer::Streamer;
 use crate::time::HostInstant;
 use firmware_protocol::frame::MAX_FRAME;
-use meissner_api::Realtime;
+use meissner_api::{EndCause, Realtime};
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::mm::{MlockAllFlags, mlockall};
 use std::hash::{BuildHasher, RandomState};
@@ -91,7 +91,7 @@ impl Loop {
             self.sleep();
         }
         if let Some(device) = self.device.take() {
-            self.queues.event(StreamEvent::Disconnected { reason: "shutdown", device: Some(device) });
+            self.queues.event(StreamEvent::Disconnected { reason: EndCause::Shutdown, device: Some(device) });
         }
         self.queues.event(StreamEvent::ThreadEnded);
         self.queues.wake_listener();
@@ -127,7 +127,7 @@ impl Loop {
                 self.write(now)
             });
             if wrote.is_err() {
-                self.streamer.disconnect(now, "the device was unplugged", &mut self.queues);
+                self.streamer.disconnect(now, EndCause::Unplugged, &mut self.queues);
             }
             if let Some(reason) = self.streamer.take_disconnect_reason() {
                 self.give_back(reason);
@@ -170,7 +170,7 @@ impl Loop {
         read_all(read, HostInstant::now, |now, bytes| streamer.receive(now, bytes, queues))
     }
 
-    fn give_back(&mut self, reason: &'static str) {
+    fn give_back(&mut self, reason: EndCause) {
         if let Some(device) = self.device.take() {
             (self.unsent, self.stuck_since) = (0..0, None);
             self.queues.event(StreamEvent::Disconnected { reason, device: Some(device) });

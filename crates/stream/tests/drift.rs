@@ -3,7 +3,7 @@
 
 use firmware_protocol::message::State;
 use firmware_protocol::stroke::MOTORS;
-use meissner_api::ErrorSource;
+use meissner_api::{EndCause, ErrorSource};
 use meissner_array::pattern::Pattern;
 use meissner_array::random::normal;
 use meissner_array::simulated::SimulatedMotorsConfig;
@@ -57,14 +57,14 @@ fn trial() -> Pattern {
 }
 
 /// How and why a play ended.
-type Ended = (End, Option<&'static str>);
+type Ended = (End, Option<EndCause>);
 
 /// Plays a trial and waits for two seconds, as a person takes for an answer.
 fn play_trial(rig: &mut Rig) -> (Option<Result<(), CommandError>>, Snapshot, Vec<Ended>) {
     let ticket = rig.start(&trial(), None);
     rig.run_ms(2000);
     let events = rig.take_events();
-    let ends = outcomes(&events).iter().map(|outcome| (outcome.end, outcome.cause)).collect();
+    let ends = outcomes(&events).iter().map(|outcome| (outcome.end, outcome.cause.clone())).collect();
     (answer(&events, ticket), last_snapshot(&events), ends)
 }
 
@@ -100,7 +100,7 @@ fn forty_trials_without_telemetry_are_refused_at_the_limit_with_the_reason() {
             match answer {
                 Some(Ok(())) => match ends[..] {
                     [(End::Done, None)] => whole += 1,
-                    [(End::Stopped, Some("drift-limit"))] => cut += 1,
+                    [(End::Stopped, Some(EndCause::DriftLimit))] => cut += 1,
                     _ => panic!("{ends:?}"),
                 },
                 Some(Err(refusal @ CommandError::DriftLimit { um, limit_um: 150 })) => {

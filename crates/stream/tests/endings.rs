@@ -5,7 +5,7 @@
 use firmware_protocol::controller::Run;
 use firmware_protocol::message::DeviceMessage;
 use firmware_protocol::tick::Tick;
-use meissner_api::ErrorSource;
+use meissner_api::{EndCause, ErrorSource};
 use meissner_array::pattern::Pattern;
 use meissner_array::simulated::SimulatedMotorsConfig;
 use meissner_array::units::{duration_to_ticks, ticks_to_seconds};
@@ -108,13 +108,13 @@ fn a_play_that_is_cancelled_ends_alone_unless_it_has_begun() {
     };
     let ids = [1.0, 2.0, 1.5].map(|seconds| start(&mut rig, seconds));
     rig.run_ms(300);
-    rig.send(Command::Cancel { id: ids[1], cause: "revoked" });
-    rig.send(Command::Cancel { id: 99, cause: "revoked" });
+    rig.send(Command::Cancel { id: ids[1], cause: EndCause::Revoked });
+    rig.send(Command::Cancel { id: 99, cause: EndCause::Revoked });
     rig.run_ms(1);
     rig.take_events();
     // The daemon answers a report with the same order: one that changes nothing must make no report.
     for id in [ids[1], 99] {
-        rig.send(Command::Cancel { id, cause: "revoked" });
+        rig.send(Command::Cancel { id, cause: EndCause::Revoked });
     }
     let mut now = rig.now() + Duration::from_micros(1);
     let mut told = Vec::<StreamEvent>::new();
@@ -124,17 +124,18 @@ fn a_play_that_is_cancelled_ends_alone_unless_it_has_begun() {
     }
     assert!(!told.iter().any(|event| matches!(event, StreamEvent::Snapshot(_))), "{told:?}");
     rig.run_ms(3_500);
-    let ends: Vec<_> = rig.outcomes().iter().map(|of| (of.end, of.cause, of.onset.is_some())).collect();
+    let ends: Vec<_> =
+        rig.outcomes().iter().map(|of| (of.end, of.cause.clone(), of.onset.is_some())).collect();
     assert_eq!(
         ends,
-        [(End::Done, None, true), (End::Stopped, Some("revoked"), false), (End::Done, None, true)]
+        [(End::Done, None, true), (End::Stopped, Some(EndCause::Revoked), false), (End::Done, None, true)]
     );
     let ids = [2.0, 1.0].map(|seconds| start(&mut rig, seconds));
     rig.run_ms(300);
-    rig.send(Command::Cancel { id: ids[0], cause: "revoked" });
+    rig.send(Command::Cancel { id: ids[0], cause: EndCause::Revoked });
     rig.run_ms(300);
-    let ends: Vec<_> = rig.outcomes().iter().map(|of| (of.end, of.cause)).collect();
-    assert_eq!(ends, [(End::Stopped, Some("revoked")), (End::Stopped, Some("stop"))]);
+    let ends: Vec<_> = rig.outcomes().iter().map(|of| (of.end, of.cause.clone())).collect();
+    assert_eq!(ends, [(End::Stopped, Some(EndCause::Revoked)), (End::Stopped, Some(EndCause::Stop))]);
 }
 
 /// The device cuts up to 64 ticks ahead, so it may report an onset after the cut.
@@ -170,7 +171,7 @@ fn after_an_e_stop_the_offset_is_when_the_lines_went_off() {
         rig.send(Command::EStop);
         rig.run_ms(100);
         let outcome = rig.outcomes().remove(0);
-        assert_eq!((outcome.end, outcome.cause), (End::Stopped, Some("estop")));
+        assert_eq!((outcome.end, outcome.cause.clone()), (End::Stopped, Some(EndCause::EStop)));
         let after = offset_after_lines(&mut rig, &outcome, "e-stop");
         assert!((0..=1).contains(&after), "phase {phase}: {after} ticks after the lines");
     }
@@ -219,7 +220,7 @@ fn a_silent_host_learns_after_how_long_the_play_was_cut() {
     rig.stall(700 * MS);
     rig.run_ms(1000);
     let outcome = rig.outcomes().remove(0);
-    assert_eq!((outcome.end, outcome.cause), (End::Stopped, Some("lease")));
+    assert_eq!((outcome.end, outcome.cause.clone()), (End::Stopped, Some(EndCause::HostTimeout)));
     assert_offset(&mut rig, &outcome, "lease");
     let heard = duration_to_ticks(silent.since(outcome.onset.unwrap().at));
     let cut = outcome.cut_after.unwrap();

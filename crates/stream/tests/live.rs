@@ -2,6 +2,7 @@
 
 use firmware_protocol::stroke::{MOTORS, Stroke};
 use firmware_protocol::tick::Tick;
+use meissner_api::EndCause;
 use meissner_array::motor::SquareWave;
 use meissner_array::strokes::LiveStrokes;
 use meissner_array::units::ticks_to_ms;
@@ -251,7 +252,7 @@ fn a_silent_client_ends_the_play_and_an_update_without_drives_keeps_it() {
     live.run(400 * MS);
     live.update([None; MOTORS]);
     let outcome = into_outcomes(live.events).pop().expect("it ended");
-    assert_eq!((outcome.end, outcome.cause), (End::Stopped, Some("client-silent")));
+    assert_eq!((outcome.end, outcome.cause.clone()), (End::Stopped, Some(EndCause::ClientSilent)));
     assert_closed(&outcome);
     let late = live.rig.take_events();
     assert!(

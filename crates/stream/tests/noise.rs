@@ -14,7 +14,7 @@ struct Tried {
     armed: bool,
     bursts: (u64, u64),
     /// Why the link was lost, each time.
-    lost: Vec<&'static str>,
+    lost: Vec<String>,
 }
 
 fn try_play(pattern: &str, byte_loss: f64, seed: u64) -> Tried {
@@ -24,7 +24,7 @@ fn try_play(pattern: &str, byte_loss: f64, seed: u64) -> Tried {
         for _ in 0..ms / 10 {
             rig.run_ms(10);
             if let Some(reason) = rig.streamer.take_disconnect_reason() {
-                tried.lost.push(reason);
+                tried.lost.push(reason.to_string());
                 rig.run_ms(REOPENED_MS);
                 rig.connect();
                 let _ = rig.streamer.take_disconnect_reason();
@@ -80,7 +80,7 @@ fn a_line_that_loses_a_byte_in_ten_is_named_with_what_it_damages() {
         lucky += u32::from(tried.armed || tried.lost.is_empty());
         lost += tried.lost.len();
         let is_named =
-            |reason: &&&str| reason.starts_with("the line damages 9") && reason.contains("shielded cable");
+            |reason: &&String| reason.starts_with("the line damages 9") && reason.contains("shielded cable");
         named += tried.lost.iter().filter(is_named).count();
     }
     assert!(lucky <= 1, "{lucky} of 20 tries armed, or stayed connected");

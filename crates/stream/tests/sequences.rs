@@ -5,6 +5,7 @@ use firmware_protocol::limits::PowerLimits;
 use firmware_protocol::message::Trigger;
 use firmware_protocol::stroke::Lines;
 use firmware_protocol::tick::Tick;
+use meissner_api::EndCause;
 use meissner_array::pattern::{Drive, Pattern};
 use meissner_array::strokes::{Sequence, Start, StrokeOptions};
 use meissner_stream::queues::{Command, End, Item, Outcome, Play};
@@ -95,7 +96,7 @@ fn a_thousand_pauses_are_exact_to_the_tick() {
     let items = (0..=1000).map(|item| (&taps[item % 2], 0.02, gap_ms(item), code(item)));
     let mut rig = Rig::armed(Line::default(), 1);
     let outcome = play(&mut rig, sequence(items), Duration::from_secs(60));
-    assert_eq!((outcome.end, outcome.cause), (End::Done, None));
+    assert_eq!((outcome.end, outcome.cause.clone()), (End::Done, None));
     assert_eq!(outcome.bursts.played, outcome.bursts.planned);
     let trace = rig.mock.take_trace();
     let trains = trains(&trace, 600);
@@ -245,7 +246,11 @@ fn an_item_whose_strokes_never_reached_the_device_has_not_ended() {
         rig.run_ms(360);
         rig.set_line(Line::default());
         let outcome = rig.run_to_end(1, 3000 * MS).unwrap();
-        assert_eq!((outcome.end, outcome.cause), (End::Stopped, Some("lease")), "{outcome:?}");
+        assert_eq!(
+            (outcome.end, outcome.cause.clone()),
+            (End::Stopped, Some(EndCause::HostTimeout)),
+            "{outcome:?}"
+        );
         rig::assert_closed(&outcome);
         let last = trains(&rig.mock.take_trace(), 2000).last().unwrap().1;
         let planned = outcome.onset.unwrap().actual + outcome.play.strokes.end().unwrap();

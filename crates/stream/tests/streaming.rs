@@ -7,7 +7,7 @@ use firmware_protocol::limits::PowerLimits;
 use firmware_protocol::message::State;
 use firmware_protocol::stroke::Lines;
 use firmware_protocol::tick::Tick;
-use meissner_api::{LateCause, LatePolicy};
+use meissner_api::{EndCause, LateCause, LatePolicy};
 use meissner_array::pattern::{Drive, Pattern};
 use meissner_array::simulated::SimulatedMotorsConfig;
 use meissner_stream::device::mock::Mock;
@@ -207,7 +207,7 @@ fn a_stall_longer_than_the_lead_drops_late_strokes_whole_and_the_play_goes_on() 
 #[test]
 fn a_stall_longer_than_the_lead_ends_the_play_if_it_asks_for_that() {
     let (mut rig, outcome, late) = stalled(LatePolicy::Abort, 180 * MS);
-    assert_eq!((outcome.end, outcome.cause), (End::Aborted, Some("late strokes")));
+    assert_eq!((outcome.end, outcome.cause.clone()), (End::Aborted, Some(EndCause::LateStrokes)));
     assert!(!late.is_empty());
     rig::assert_closed(&outcome);
     let played = rig::bursts_on_the_lines(&rig.mock.take_trace());
@@ -218,7 +218,7 @@ fn a_stall_longer_than_the_lead_ends_the_play_if_it_asks_for_that() {
 #[test]
 fn a_stall_longer_than_the_watchdog_timeout_returns_the_pins_and_disarms() {
     let (mut rig, outcome, _) = stalled(LatePolicy::Drop, 700 * MS);
-    assert_eq!((outcome.end, outcome.cause), (End::Stopped, Some("lease")));
+    assert_eq!((outcome.end, outcome.cause.clone()), (End::Stopped, Some(EndCause::HostTimeout)));
     rig::assert_closed(&outcome);
     let played = rig::bursts_on_the_lines(&rig.mock.take_trace());
     assert_eq!((played.net, outcome.pulses.played), ([0; 24], played.pulses));
@@ -243,7 +243,7 @@ fn an_e_stop_with_the_lead_full_leaves_no_line_high_and_arming_returns_the_pins(
         rig.run_ms(500);
         assert!(rig.mock.take_trace().iter().all(|(_, run)| run.lines == rig::OFF));
         let outcome = rig.outcomes().remove(0);
-        assert_eq!((outcome.end, outcome.cause), (End::Stopped, Some("estop")));
+        assert_eq!((outcome.end, outcome.cause.clone()), (End::Stopped, Some(EndCause::EStop)));
         rig::assert_closed(&outcome);
         let outstanding: u16 = (0..24).map(|motor| rig.mock.controller().outstanding(motor)).sum();
         rig.send(Command::Reset { estops_seen: u64::MAX });
@@ -265,7 +265,7 @@ fn pulling_the_cable_ends_the_play_and_the_device_comes_back_disarmed() {
     rig.unplug();
     rig.run_ms(100);
     let outcome = rig.outcomes().remove(0);
-    assert_eq!((outcome.end, outcome.cause), (End::Stopped, Some("unplugged")));
+    assert_eq!((outcome.end, outcome.cause.clone()), (End::Stopped, Some(EndCause::Unplugged)));
     rig::assert_closed(&outcome);
     let played = rig::bursts_on_the_lines(&rig.mock.take_trace());
     assert_eq!((played.net, played.count), ([0; 24], outcome.bursts.played));

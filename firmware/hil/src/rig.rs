@@ -18,6 +18,7 @@ pub use cable::Faults;
 use firmware_protocol::frame::{MAX_FRAME, encode};
 use firmware_protocol::message::HostMessage;
 use firmware_protocol::tick::Tick;
+use meissner_api::EndCause;
 use meissner_stream::link::LineRate;
 use meissner_stream::queues::{Command, Outcome, Request, StreamEvent};
 use meissner_stream::time::HostInstant;
@@ -305,7 +306,7 @@ impl Rig {
         self.connected = false;
         self.cable.clear();
         self.tap.broken();
-        self.streamer.disconnect(self.host_time(), why, &mut self.notices);
+        self.streamer.disconnect(self.host_time(), EndCause::Other(why.into()), &mut self.notices);
     }
 
     /// Plugs the cable in, or out with all bytes that are under way.
@@ -342,7 +343,7 @@ impl Rig {
         self.dead = dead;
         if dead {
             self.connected = false;
-            self.streamer.disconnect(self.host_time(), "killed", &mut self.notices);
+            self.streamer.disconnect(self.host_time(), EndCause::Other("killed".into()), &mut self.notices);
         }
     }
 

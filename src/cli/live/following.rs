@@ -11,7 +11,7 @@ use super::pace::Pace;
 use super::signals::Signals;
 use crate::cli::progress::Updates;
 use anyhow::{Result, anyhow, bail};
-use meissner_api::{Code, LiveAnswer, LiveApplied, LiveMessage, LivePose};
+use meissner_api::{Code, EndCause, LiveAnswer, LiveApplied, LiveMessage, LivePose};
 use meissner_array::units::ticks_to_ms;
 use meissner_client::{ClientError, LivePlay};
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
@@ -37,7 +37,7 @@ pub(super) enum End {
     /// This process was asked to end, by the signal of this number.
     Signal(u8),
     /// The daemon has ended it, for this cause; without one the connection broke.
-    Daemon(Option<String>),
+    Daemon(Option<EndCause>),
     /// A source or a connection that cannot be read.
     Failed(anyhow::Error),
 }
@@ -166,7 +166,7 @@ impl<'a> Following<'a> {
             End::Daemon(_) => end,
             // Without a cause from the daemon, the receipt has the reason.
             End::Source => match self.finish() {
-                Some(cause) if cause != "stop" => End::Daemon(Some(cause)),
+                Some(cause) if cause != EndCause::Stop => End::Daemon(Some(cause)),
                 _ => End::Source,
             },
             End::Signal(_) | End::Failed(_) => {
@@ -280,7 +280,7 @@ impl<'a> Following<'a> {
     }
 
     /// Ends the play, unless it is over; returns the daemon's cause if it comes in time.
-    fn finish(&mut self) -> Option<String> {
+    fn finish(&mut self) -> Option<EndCause> {
         let end = LiveMessage { end: true, ..LiveMessage::default() };
         // If the connection is closed, the play is over; if sending blocks, closing the connection ends the play.
         if self.play.send(end).is_err() {

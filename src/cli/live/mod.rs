@@ -24,7 +24,7 @@ use device::Input;
 use following::{End, Following, Source};
 use lines::Lines;
 use meissner_api::{
-    LIVE_TIMEOUT_MS, LIVE_UPDATES_HZ, LiveMessage, LiveRequest, PlayState, Receipt, SearchModel,
+    EndCause, LIVE_TIMEOUT_MS, LIVE_UPDATES_HZ, LiveMessage, LiveRequest, PlayState, Receipt, SearchModel,
     SearchObjective, SearchSetting, Status,
 };
 use meissner_client::Client;
@@ -197,7 +197,7 @@ pub(super) fn run(asked: &Live) -> Result<ExitCode> {
         End::Signal(signal) => Ok(exit_code(signal)),
         End::Source => {
             let receipt = receipt?;
-            if receipt.cause.as_deref() != Some("stop") {
+            if receipt.cause != Some(EndCause::Stop) {
                 return Err(ended_by_daemon(asked, id, None, Some(&receipt)));
             }
             // Strokes that the end of the play has cut count as dropped.
@@ -228,22 +228,27 @@ fn receipt(client: &mut Client, id: u64) -> Result<Receipt> {
 }
 
 /// Why the daemon ended a play, and what to do.
-fn ended_by_daemon(asked: &Live, id: u64, cause: Option<String>, receipt: Option<&Receipt>) -> anyhow::Error {
+fn ended_by_daemon(
+    asked: &Live,
+    id: u64,
+    cause: Option<EndCause>,
+    receipt: Option<&Receipt>,
+) -> anyhow::Error {
     let cause = receipt.and_then(|receipt| receipt.cause.clone()).or(cause);
-    let why = match cause.as_deref() {
+    let why = match cause.as_ref() {
         None if receipt
             .is_some_and(|receipt| matches!(receipt.state, PlayState::Queued | PlayState::Running)) =>
         {
             return anyhow!("play {id} was to end, and has not yet: `meissner stop` ends it");
         }
         None => return anyhow!("the daemon ended while play {id} was running: see its log"),
-        Some("stop") => "another client stopped it".to_owned(),
-        Some("estop") => "an emergency stop; find out why, then `meissner reset`".to_owned(),
-        Some("client-silent") if asked.follow == Follow::Stdin && !asked.keep_alive => format!(
+        Some(EndCause::Stop) => "another client stopped it".to_owned(),
+        Some(EndCause::EStop) => "an emergency stop; find out why, then `meissner reset`".to_owned(),
+        Some(EndCause::ClientSilent) if asked.follow == Follow::Stdin && !asked.keep_alive => format!(
             "stdin was silent for longer than {} ms; --timeout-ms allows more, --keep-alive any time",
             asked.timeout_ms()
         ),
-        Some("client-silent") => {
+        Some(EndCause::ClientSilent) => {
             format!(
                 "the daemon heard nothing for {} ms; was this machine busy, or the command suspended?",
                 asked.timeout_ms()

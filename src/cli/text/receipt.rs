@@ -13,7 +13,7 @@ use meissner_api::{
 pub(in crate::cli) fn receipt(receipt: &Receipt) -> String {
     let mut lines = vec![
         ("play", format!("{} of {}", receipt.id, receipt.pattern)),
-        ("state", end_text(receipt.state.name(), receipt.cause.as_deref(), receipt.cut_after_ms)),
+        ("state", end_text(receipt.state.name(), receipt.cause.as_ref(), receipt.cut_after_ms)),
     ];
     if let (Some(onset), Some(ms)) = (&receipt.onset, receipt.onset_latency_ms) {
         lines.push(("onset", format!("tick {}, {ms:.2} ms after the request", onset.actual_tick)));
@@ -240,7 +240,7 @@ mod tests {
     fn full() -> Receipt {
         let mut receipt = Receipt::new(41, "edge", "00ff", Some(2.3));
         receipt.state = PlayState::Stopped;
-        receipt.cause = Some("lease".to_owned());
+        receipt.cause = Some(meissner_api::EndCause::HostTimeout);
         receipt.cut_after_ms = Some(1203.47);
         receipt.onset = Some(OnsetRecord {
             requested_tick: 6_442_460_000,

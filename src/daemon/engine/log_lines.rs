@@ -3,8 +3,7 @@
 use crate::daemon::engine::Engine;
 use crate::receipts::end_text;
 use jiff::{SignedDuration, Timestamp, Zoned};
-use meissner_api::{Event, PlayState, Receipt};
-use meissner_stream::ANOTHER_DEVICE;
+use meissner_api::{EndCause, Event, PlayState, Receipt};
 use meissner_stream::time::HostInstant;
 use std::fmt::Write;
 use tracing::{info, warn};
@@ -17,9 +16,9 @@ impl Engine {
                 let (kind, firmware, boot) = (&*device.kind, &*device.firmware, device.boot);
                 info!(kind, firmware, boot, "device connected: {kind}, firmware {firmware}, boot {boot}");
             }
-            Event::Disconnected { reason } if reason == ANOTHER_DEVICE => info!("{reason}"),
+            Event::Disconnected { reason } if *reason == EndCause::AnotherDevice => info!("{reason}"),
             Event::Disconnected { reason } => {
-                warn!(cause = reason, "device disconnected: {reason}; the daemon looks for it again");
+                warn!(cause = reason.text(), "device disconnected: {reason}; the daemon looks for it again");
             }
             Event::Ended { receipt } => self.log_play(receipt),
             Event::SensorFault { motor, fault } => {
@@ -59,7 +58,8 @@ impl Engine {
     fn log_play(&self, receipt: &Receipt) {
         let client = self.take_client(receipt.id);
         let user = client.map_or_else(|| "the daemon".to_owned(), |client| self.names.user(client.uid));
-        let (id, pattern, cause) = (receipt.id, &*receipt.pattern, receipt.cause.as_deref());
+        let (id, pattern, cause) =
+            (receipt.id, &*receipt.pattern, receipt.cause.as_ref().map(EndCause::text));
         let (uid, tick) = (client.map(|client| client.uid), receipt.onset.map(|onset| onset.actual_tick));
         let wall = Timestamp::now().to_zoned(self.names.zone.clone());
         let outcome = outcome(receipt, HostInstant::now(), &wall);
@@ -71,7 +71,7 @@ impl Engine {
 
 /// The outcome of a play that has just ended, in words.
 fn outcome(receipt: &Receipt, now: HostInstant, wall: &Zoned) -> String {
-    let mut text = end_text(receipt.state.name(), receipt.cause.as_deref(), receipt.cut_after_ms);
+    let mut text = end_text(receipt.state.name(), receipt.cause.as_ref(), receipt.cut_after_ms);
     let Some(onset) = receipt.onset else { return text + ", it did not begin" };
     let began = HostInstant::from_ns(onset.monotonic_ns);
     let (since, until) = (now.since(began), began.since(now));
@@ -114,7 +114,7 @@ mod tests {
         let now = HostInstant::from_ns(20_126_544_000);
         let mut receipt = Receipt::new(3, "edge-45", "0", Some(5.0));
         receipt.state = PlayState::Stopped;
-        receipt.cause = Some("stop".to_owned());
+        receipt.cause = Some(EndCause::Stop);
         assert_eq!(outcome(&receipt, now, &wall), "stopped (stop), it did not begin");
         let (requested_tick, actual_tick, monotonic_ns, uncertainty_ns) =
             (0, 123_456, 15_000_000_000, 11_001);
@@ -140,10 +140,10 @@ mod tests {
         let (simulated, telemetry) = (true, true);
         let device = DeviceInfo { kind: odd(), firmware: odd(), build: odd(), boot: 1, simulated, telemetry };
         let mut receipt = Receipt::new(3, &odd(), &odd(), None);
-        receipt.cause = Some(odd());
+        receipt.cause = Some(odd().into());
         let events = [
             Event::Connected { device },
-            Event::Disconnected { reason: odd() },
+            Event::Disconnected { reason: odd().into() },
             Event::Ended { receipt: Box::new(receipt) },
             Event::Calibrated { id: 1, motors: vec![1], problem: Some(odd()) },
         ];

@@ -28,7 +28,7 @@ impl Engine {
         };
         Status {
             state: state.to_owned(),
-            cause: cause.to_owned(),
+            cause,
             armed: daemon.armed.status(),
             estops: self.estops.switch.newest(),
             position: position.to_owned(),

@@ -132,7 +132,7 @@ impl Engine {
         let lost = right.ended().await;
         loop {
             // Repeat, in case too many commands waited before.
-            self.lock().cancel_play(id, lost.cause);
+            self.lock().cancel_play(id, lost.cause.clone());
             tokio::time::sleep(END_AGAIN).await;
         }
     }

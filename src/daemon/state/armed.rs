@@ -7,13 +7,10 @@
 //! Invariant: while motors are armed there is a holder, except between the device's answer and the next event.
 
 use crate::daemon::state::{Asker, Caller, Reply, State};
-use meissner_api::{ArmedStatus, Event, Problem};
+use meissner_api::{ArmedStatus, EndCause, Event, Problem};
 use meissner_stream::queues::{Command, StreamEvent};
 use meissner_stream::time::HostInstant;
 use std::time::Duration;
-
-/// The cause of a play's end when its client was silent.
-const SILENT: &str = "owner-silent";
 
 /// See the module.
 #[derive(Debug, Default)]
@@ -160,9 +157,9 @@ impl State {
     pub(super) fn follow_armed(&mut self, streamed: &mut StreamEvent) {
         match streamed {
             StreamEvent::PlayEnded { outcome, .. }
-                if self.armed.was_silent && outcome.cause == Some("disarm") =>
+                if self.armed.was_silent && outcome.cause == Some(EndCause::Disarm) =>
             {
-                outcome.cause = Some(SILENT);
+                outcome.cause = Some(EndCause::OwnerSilent);
             }
             _ => {}
         }

@@ -1,6 +1,7 @@
 //! The connection to the device: its state, or why there is none, and the channel to the thread that opens devices.
 
 use crossbeam_channel::Sender;
+use meissner_api::EndCause;
 use meissner_stream::device::Device;
 use meissner_stream::device::mock::TruePositions;
 use std::sync::Arc;
@@ -21,7 +22,7 @@ pub(in crate::daemon) struct Connection {
     /// The true positions of simulated motors.
     pub(in crate::daemon) true_positions: Option<Arc<TruePositions>>,
     /// Why the device was lost, until one answers again.
-    lost: Option<&'static str>,
+    lost: Option<EndCause>,
     /// Why no device is connected, by the last try.
     pub(in crate::daemon) missing: Option<String>,
     /// Whether a client has requested to arm, with or without a device.
@@ -47,8 +48,8 @@ impl Connection {
     }
 
     /// Notes that the device of that kind is gone. Returns whether the reason is new.
-    pub(super) fn lost(&mut self, kind: &str, reason: &'static str) -> bool {
+    pub(super) fn lost(&mut self, kind: &str, reason: &EndCause) -> bool {
         self.missing = Some(format!("{kind}: {reason}"));
-        self.lost.replace(reason) != Some(reason)
+        self.lost.replace(reason.clone()).as_ref() != Some(reason)
     }
 }

@@ -12,7 +12,7 @@ use crate::daemon::state::State;
 use crate::exposure::{Account, Limit, Now, Onset, ParticipantLimits, Vibration};
 use firmware_protocol::tick::TICK_HZ;
 use jiff::civil::Date;
-use meissner_api::{Code, Problem};
+use meissner_api::{Code, EndCause, Problem};
 use meissner_array::units::ticks_to_seconds;
 use meissner_stream::queues::{At, Command, End, StreamEvent};
 use meissner_stream::time::HostInstant;
@@ -22,8 +22,6 @@ use std::time::Duration;
 use tokio::sync::oneshot::Receiver;
 use tokio::sync::oneshot::error::TryRecvError;
 
-/// The cause of a play's end that a limit ordered.
-pub(in crate::daemon) const CAUSE: &str = "participant-limit";
 /// How often the sums are saved during a play: half of the time that the file reserves for a play without end.
 const SAVE_EVERY: Duration = Duration::from_secs(5);
 
@@ -185,8 +183,8 @@ impl State {
                     }
                 });
                 self.exposure.account.ended(*id, played_s, now);
-                if self.exposure.stopped.remove(id) && outcome.cause == Some("stop") {
-                    outcome.cause = Some(CAUSE);
+                if self.exposure.stopped.remove(id) && outcome.cause == Some(EndCause::Stop) {
+                    outcome.cause = Some(EndCause::ParticipantLimit);
                 }
                 let _ = self.save_exposure(now);
             }

@@ -10,7 +10,7 @@ use crate::daemon::state::render_job::{Job, pose};
 use crate::daemon::state::session::random_hex;
 use firmware_protocol::limits::{MOTORS_PER_CHIP, MOTORS_PER_RAIL, RAILS};
 use firmware_protocol::stroke::MOTORS;
-use meissner_api::{Code, LiveAnswer, LiveApplied, LiveContrast, LiveDrive, LiveMessage, Problem};
+use meissner_api::{Code, EndCause, LiveAnswer, LiveApplied, LiveContrast, LiveDrive, LiveMessage, Problem};
 use meissner_array::motor::SquareWave;
 use meissner_array::pattern::Drive;
 use meissner_array::power::Group;
@@ -241,7 +241,7 @@ impl LivePlays {
                 if let Some(poses) = &play.poses {
                     poses.close();
                 }
-                let ended = Some(outcome.cause.unwrap_or("done").to_owned());
+                let ended = outcome.cause.clone().or_else(|| Some(EndCause::Other("done".into())));
                 play.answer(LiveAnswer { ended, ..LiveAnswer::default() });
             }
             _ => {}

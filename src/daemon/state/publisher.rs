@@ -101,7 +101,7 @@ mod tests {
         let refused = RefusedStroke { motor: 23, tick: most, reason };
         let receipt = Receipt {
             state: PlayState::Stopped,
-            cause: Some("x".repeat(64)),
+            cause: Some("x".repeat(64).into()),
             onset: Some(OnsetRecord {
                 requested_tick: most,
                 actual_tick: most,

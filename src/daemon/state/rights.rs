@@ -10,17 +10,15 @@
 
 use crate::daemon::network::{NOT_VALID, READS_ONLY, TokenStore};
 use crate::daemon::state::{Asker, Caller, State};
-use meissner_api::access::{Access, SessionRule};
+use meissner_api::{
+    EndCause,
+    access::{Access, SessionRule},
+};
 use meissner_api::{Problem, Role, Route};
 use meissner_stream::queues::Command;
 use std::collections::HashMap;
 use std::sync::Arc;
 use tokio::sync::watch;
-
-/// The cause of a play's end when the access token of its order was revoked.
-const REVOKED: &str = "revoked";
-/// The cause of the end of another client's play when the owner of an exclusive session has come back.
-const OWNER_RETURNED: &str = "owner-returned";
 
 /// See the module.
 #[derive(Debug)]
@@ -71,7 +69,7 @@ impl Rights {
 pub(in crate::daemon) struct NoRight {
     pub(in crate::daemon) problem: Problem,
     /// The cause in the receipt of a play that ends for this reason.
-    pub(in crate::daemon) cause: &'static str,
+    pub(in crate::daemon) cause: EndCause,
 }
 
 /// The access that a play or search needs to go on: a client may let it go on even when its own session is over.
@@ -85,7 +83,7 @@ pub(in crate::daemon) const fn going_on(access: Access) -> Access {
 impl State {
     /// Refuses an action that this client may not, or may no longer, take.
     pub(in crate::daemon) fn check_right(&self, caller: &Caller, access: Access) -> Result<(), NoRight> {
-        let lost = |problem: Problem| NoRight { problem, cause: REVOKED };
+        let lost = |problem: Problem| NoRight { problem, cause: EndCause::Revoked };
         match caller.access.map(|id| self.rights.tokens.role(id)) {
             Some(None) => return Err(lost(NOT_VALID.into())),
             Some(Some(Role::Observe)) if access.role == Role::Operate => return Err(lost(READS_ONLY.into())),
@@ -99,7 +97,7 @@ impl State {
                 self.sessions.check_owner(session).and_then(|()| self.sessions.check_running(session))
             }
         };
-        checked.map_err(|problem| NoRight { problem, cause: OWNER_RETURNED })
+        checked.map_err(|problem| NoRight { problem, cause: EndCause::OwnerReturned })
     }
 
     /// Refuses a change by a client that may no longer make it: since its request came, a session may have begun, or its token may
@@ -141,7 +139,7 @@ impl State {
     }
 
     /// Ends a play for this cause. If too many commands wait, the streamer's next report orders it again.
-    pub(in crate::daemon) fn cancel_play(&mut self, id: u64, cause: &'static str) {
+    pub(in crate::daemon) fn cancel_play(&mut self, id: u64, cause: EndCause) {
         let _ = self.commands.send_unanswered(Command::Cancel { id, cause });
     }
 }

@@ -10,8 +10,8 @@ use crate::session_record::utc_now;
 use firmware_protocol::stroke::Direction;
 use firmware_protocol::tick::Tick;
 use meissner_api::{
-    CalibratedMotor, CalibrationReport, Code, DeviceInfo, FittedLine, MeasuredPoint, PlayState, Problem,
-    Receipt,
+    CalibratedMotor, CalibrationReport, Code, DeviceInfo, EndCause, FittedLine, MeasuredPoint, PlayState,
+    Problem, Receipt,
 };
 use meissner_stream::calibrate::{
     Calibration, Fit, FitPoint, MAX_BYTES, MotorFit, Plan, fit, travels_by_telemetry,
@@ -66,7 +66,7 @@ impl CalibrationRun {
         let onset = match receipt.onset {
             Some(onset) if receipt.state == PlayState::Done => Tick(onset.actual_tick),
             _ => {
-                let why = receipt.cause.as_deref().unwrap_or("it did not begin");
+                let why = receipt.cause.as_ref().map_or("it did not begin", EndCause::text);
                 return Err(format!(
                     "the calibration was cut ({why}): nothing was stored; let it play to its end"
                 ));

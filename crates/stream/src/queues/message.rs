@@ -13,7 +13,7 @@ use firmware_protocol::limits::Refusal;
 use firmware_protocol::message::DeviceHello;
 use firmware_protocol::stroke::MOTORS;
 use firmware_protocol::tick::Tick;
-use meissner_api::{LateCause, LateCounts, SensorFault};
+use meissner_api::{EndCause, LateCause, LateCounts, SensorFault};
 
 /// A command with a ticket; [`StreamEvent::Answer`] carries the same ticket.
 #[derive(Debug)]
@@ -44,7 +44,7 @@ pub enum Command {
         /// Which play.
         id: u64,
         /// Its cause in the receipt.
-        cause: &'static str,
+        cause: EndCause,
     },
     /// End the running play and clear the queue; stay armed.
     Stop,
@@ -89,8 +89,8 @@ pub enum StreamEvent {
     Connected(DeviceHello),
     /// The device is gone.
     Disconnected {
-        /// Why, in words.
-        reason: &'static str,
+        /// Why.
+        reason: EndCause,
         /// To be dropped outside the thread.
         device: Option<Box<Device>>,
     },

@@ -11,7 +11,9 @@ use firmware_protocol::board::Board;
 use firmware_protocol::message::{Cause, State};
 use firmware_protocol::stroke::MOTORS;
 use firmware_protocol::tick::Tick;
-use meissner_api::{BurstCounts, ErrorSource, LateCounts, OffsetRecord, OnsetRecord, PlayState, PulseCounts};
+use meissner_api::{
+    BurstCounts, EndCause, ErrorSource, LateCounts, OffsetRecord, OnsetRecord, PlayState, PulseCounts,
+};
 
 /// How a play ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
@@ -23,6 +25,16 @@ pub enum End {
     Stopped,
     /// By late strokes under `LatePolicy::Abort`, or an onset missed.
     Aborted,
+}
+
+impl End {
+    pub(crate) fn by(cause: Option<&EndCause>) -> Self {
+        match cause {
+            None => Self::Done,
+            Some(cause) if cause.is_abort() => Self::Aborted,
+            Some(_) => Self::Stopped,
+        }
+    }
 }
 
 impl From<End> for PlayState {
@@ -99,7 +111,7 @@ pub struct Outcome {
     /// How it ended.
     pub end: End,
     /// Why, unless it is done.
-    pub cause: Option<&'static str>,
+    pub cause: Option<EndCause>,
     /// When it began; `None`: never.
     pub onset: Option<Onset>,
     /// When its last pulse was over; `None`: nothing was played, or the link was lost before the device reported it.

@@ -5,13 +5,14 @@
 use crate::active::{Active, FIRST_MARGIN, Phase};
 use crate::link::Session;
 use crate::queues::{
-    At, Command, CommandError, ESTOP_TICKETS, Emit, End, MAX_QUEUED_PLAYS, Play, Request, StreamEvent,
+    At, Command, CommandError, ESTOP_TICKETS, Emit, MAX_QUEUED_PLAYS, Play, Request, StreamEvent,
 };
 use crate::streamer::{ANSWER_WITHIN, MAX_PENDING_OPS, OpResult, PendingOp, Streamer, answer, cuts_play};
 use crate::time::HostInstant;
 use firmware_protocol::message::{Cause, LowerStop, Op, State};
 use firmware_protocol::stroke::MOTORS;
 use firmware_protocol::tick::Tick;
+use meissner_api::EndCause;
 use meissner_array::units::{UM_PER_PULSE, duration_to_ticks, ms_in_ticks};
 use std::time::Duration;
 
@@ -109,7 +110,7 @@ impl Streamer {
             Command::Shutdown => {
                 self.closing = Some((ticket, now));
                 self.wants_armed = false;
-                self.cut_all(End::Stopped, "shutdown");
+                self.cut_all(EndCause::Shutdown);
                 self.end_homing(Err(CommandError::Returning), emit);
                 if self.session.is_some() {
                     self.queue_op(now, 0, Op::Disarm(Cause::Shutdown), emit);
@@ -163,7 +164,7 @@ impl Streamer {
             Err(refused) => Err((refused, play)),
             Ok((requested, margin)) => {
                 if play.replace && self.plays.iter().any(|active| active.cut.is_none()) {
-                    self.cut_all(End::Stopped, "replaced");
+                    self.cut_all(EndCause::Replaced);
                     self.pending_ops.push_back(PendingOp { ticket: 0, op: Op::Stop, since: now });
                 }
                 self.plays.push_back(Active::new(play, given, requested, margin));
@@ -262,31 +263,31 @@ impl Streamer {
         if self.pending_ops.len() == MAX_PENDING_OPS {
             return Err(CommandError::Returning);
         }
-        self.cut_all(End::Stopped, "stop");
+        self.cut_all(EndCause::Stop);
         Ok(Some(Op::Stop))
     }
 
     /// Ends one play. A play that waits is ended without an operation, because an operation would cut the plays before it.
-    fn cancel(&mut self, id: u64, cause: &'static str) -> OpResult {
+    fn cancel(&mut self, id: u64, cause: EndCause) -> OpResult {
         let found = self.plays.iter_mut().find(|active| active.play.id == id && active.cut.is_none());
         let Some(active) = found else { return Ok(None) };
         let waits = active.phase == Phase::Waiting && active.play.live.is_none();
         if !waits && self.pending_ops.len() == MAX_PENDING_OPS {
             return Err(CommandError::Returning);
         }
-        active.cut = Some((End::Stopped, cause));
+        active.cut = Some(cause);
         if waits {
             active.onset = None;
             return Ok(None);
         }
-        self.cut_all(End::Stopped, "stop");
+        self.cut_all(EndCause::Stop);
         Ok(Some(Op::Stop))
     }
 
     fn disarm(&mut self) -> OpResult {
         self.ready()?;
         self.wants_armed = false;
-        self.cut_all(End::Stopped, "disarm");
+        self.cut_all(EndCause::Disarm);
         Ok(Some(Op::Disarm(Cause::Request)))
     }
 
@@ -361,7 +362,7 @@ impl Streamer {
         self.last_estop = self.last_estop.max(ticket.saturating_sub(ESTOP_TICKETS));
         self.resets_own_e_stop = false;
         self.wants_armed = false;
-        self.cut_all(End::Stopped, "estop");
+        self.cut_all(EndCause::EStop);
         self.end_homing(Err(CommandError::Returning), emit);
         self.end_seek(Err(CommandError::Faulted), emit);
         self.snapshot_due = now;
@@ -463,7 +464,7 @@ impl Streamer {
             self.pending_ops.remove(index);
             if matches!(op, Op::Arm { .. }) {
                 self.wants_armed = false;
-                self.cut_all(End::Stopped, "not armed in time");
+                self.cut_all(EndCause::NotArmed);
             }
         }
         let (Some(first), Some(session)) = (self.pending_ops.front_mut(), &mut self.session) else { return };
@@ -473,7 +474,7 @@ impl Streamer {
                 first.op = Op::Disarm(Cause::Request);
                 self.wants_armed = false;
                 session.command(first.op);
-                self.cut_all(End::Stopped, "not armed in time");
+                self.cut_all(EndCause::NotArmed);
             }
         }
     }

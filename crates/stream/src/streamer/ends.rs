@@ -4,11 +4,12 @@
 
 use crate::active::{Active, Ending, Phase};
 use crate::link::{Clock, Contradiction, Session};
-use crate::queues::{CommandError, Emit, End, Offset, StreamEvent};
+use crate::queues::{CommandError, Emit, Offset, StreamEvent};
 use crate::streamer::{ANSWER_WITHIN, Streamer, answer};
 use crate::time::HostInstant;
 use firmware_protocol::message::{Counters, State};
 use firmware_protocol::tick::Tick;
+use meissner_api::EndCause;
 use meissner_array::units::TICKS_PER_S;
 
 /// The device reports a play's onset and all strokes within this time after its end, ticks, or withholds reports.
@@ -16,9 +17,9 @@ const REPORTED_WITHIN: u64 = 5 * TICKS_PER_S;
 
 impl Streamer {
     /// Cuts all plays, for this reason unless they have one already.
-    pub(super) fn cut_all(&mut self, end: End, cause: &'static str) {
+    pub(super) fn cut_all(&mut self, cause: EndCause) {
         for active in &mut self.plays {
-            active.cut = active.cut.or(Some((end, cause)));
+            active.cut.get_or_insert_with(|| cause.clone());
         }
     }
 

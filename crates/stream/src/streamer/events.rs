@@ -5,15 +5,15 @@
 use crate::active::{Active, FIRST_MARGIN, Phase};
 use crate::control::Cutting;
 use crate::link::{Event, LostReason, Verdict};
-use crate::queues::{CommandError, Emit, End, Onset, Stamp, StreamEvent};
+use crate::queues::{CommandError, Emit, Onset, Stamp, StreamEvent};
 use crate::streamer::homing::seeks;
-use crate::streamer::{IDLE_PING, Streamer, answer, cause_text, cuts_play};
+use crate::streamer::{IDLE_PING, Streamer, answer, cuts_play, end_cause};
 use crate::time::HostInstant;
 use firmware_protocol::controller::HORIZON;
 use firmware_protocol::message::{Cause, Counters, DeviceHello, Op, State, Status};
 use firmware_protocol::stroke::Stroke;
 use firmware_protocol::tick::Tick;
-use meissner_api::{LateCause, LatePolicy};
+use meissner_api::{EndCause, LateCause, LatePolicy};
 use meissner_array::units::{duration_to_ticks, ms_to_duration, ticks_to_ms};
 use std::collections::VecDeque;
 use std::time::Duration;
@@ -51,7 +51,7 @@ impl Streamer {
                 // The session has sent an e-stop of its own. Only the next session resets it.
                 self.resets_own_e_stop =
                     matches!(reason, LostReason::Contradicts(_)) && self.state() != State::Faulted;
-                self.disconnect(now, reason.text(), emit);
+                self.disconnect(now, EndCause::Other(reason.text().into()), emit);
             }
             Event::Contradiction(how) => emit.event(StreamEvent::Contradiction(how)),
             Event::Control(result) => {
@@ -59,7 +59,7 @@ impl Streamer {
                 if let Some(done) = self.pending_ops.pop_front() {
                     if result.is_err() && !matches!(done.op, Op::Move { .. } | Op::Seek { .. }) {
                         self.wants_armed = false;
-                        self.cut_all(End::Stopped, "the device refused the command before it");
+                        self.cut_all(EndCause::CommandRefused);
                     }
                     // The client must see the new state when it gets the answer.
                     emit.event(StreamEvent::Snapshot(self.snapshot(now)));
@@ -79,7 +79,7 @@ impl Streamer {
                         && !matches!(status.state, State::Armed | State::Returning)
                     {
                         self.wants_armed = false;
-                        self.cut_all(End::Stopped, cause_text(status.cause));
+                        self.cut_all(end_cause(status.cause));
                     }
                 }
             }
@@ -97,7 +97,7 @@ impl Streamer {
                 self.cut_at(Cutting { at, returns: cut.returns });
                 // A report from before the device was armed again does not concern the present play.
                 if !matches!(cut.cause, Cause::Stop | Cause::Request) && self.state() != State::Armed {
-                    self.cut_all(End::Stopped, cause_text(cut.cause));
+                    self.cut_all(end_cause(cut.cause));
                 }
                 if let Some(clock) = self.session.as_ref().and_then(|session| session.clock().estimate()) {
                     self.plays.iter_mut().for_each(|active| active.was_cut(at, &clock));
@@ -184,7 +184,7 @@ impl Streamer {
         }
         if !armed && self.pending_ops.is_empty() {
             self.wants_armed = false;
-            self.cut_all(End::Stopped, cause_text(status.cause));
+            self.cut_all(end_cause(status.cause));
             self.cut_control(now);
             self.end_homing(Err(CommandError::Disarmed), emit);
         }
@@ -243,7 +243,7 @@ impl Streamer {
         let (motor, up) = (stroke.motor, stroke.up);
         emit.event(StreamEvent::StrokeLate { id, motor, up, late_ms, cause, counts });
         if policy == LatePolicy::Abort && !cut {
-            self.cut_all(End::Aborted, "late strokes");
+            self.cut_all(EndCause::LateStrokes);
             self.abort(now, emit);
         }
     }
@@ -261,7 +261,7 @@ impl Streamer {
         active.margin *= 2;
         if active.is_fixed() || active.margin > longest {
             active.late_as_a_whole(late_ms);
-            active.cut = active.cut.or(Some((End::Aborted, "the onset could not be kept")));
+            active.cut.get_or_insert(EndCause::OnsetMissed);
         }
         if let Some(onset) = onset {
             self.control.withdraw_from(onset);

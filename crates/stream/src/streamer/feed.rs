@@ -6,13 +6,13 @@
 //! Invariant: nothing follows a play's first frame before the device has accepted it.
 
 use crate::active::{Active, Phase};
-use crate::queues::{At, Emit, End};
+use crate::queues::{At, Emit};
 use crate::settings::batch_ticks;
 use crate::streamer::Streamer;
 use crate::time::HostInstant;
 use firmware_protocol::message::State;
 use firmware_protocol::tick::Tick;
-use meissner_api::LateCause;
+use meissner_api::{EndCause, LateCause};
 use meissner_array::units::{duration_to_ticks, ms_in_ticks};
 use std::time::Duration;
 
@@ -41,7 +41,7 @@ enum Start {
     /// Later than the horizon.
     Later,
     /// Not at all, for this reason.
-    Never(&'static str),
+    Never(EndCause),
 }
 
 impl Streamer {
@@ -73,7 +73,7 @@ impl Streamer {
                     Start::Later => break,
                     Start::Never(why) => {
                         let active = &mut self.plays[index];
-                        (active.cut, active.onset) = (Some((End::Aborted, why)), None);
+                        (active.cut, active.onset) = (Some(why), None);
                         continue;
                     }
                 },
@@ -87,8 +87,7 @@ impl Streamer {
                 },
                 Fed::Horizon | Fed::Blocked => break,
                 Fed::Broken => {
-                    let why = "the compiled strokes failed their own check: a bug, please report it";
-                    self.plays[index].cut = Some((End::Aborted, why));
+                    self.plays[index].cut = Some(EndCause::BrokenStrokes);
                     self.abort(now, emit);
                     break;
                 }
@@ -104,16 +103,14 @@ impl Streamer {
         let active = &self.plays[index];
         // A play sent together with the arm was taken before the link probe measured the line.
         if self.session.as_ref().is_some_and(|session| self.margin(session, &active.play).is_err()) {
-            return Start::Never("the line does not carry the pattern");
+            return Start::Never(EndCause::LineTooSlow);
         }
         let mut before = self.plays.iter().take(index).rev().filter(|active| active.cut.is_none());
         let previous_end = before.next().and_then(Active::end);
         match choose_onset(active, previous_end, tick) {
             Some(onset) if onset > horizon => Start::Later,
             // The play before it began later than predicted when this one was taken.
-            Some(onset) if previous_end.is_some_and(|end| onset < end) => {
-                Start::Never("the onset could not be kept")
-            }
+            Some(onset) if previous_end.is_some_and(|end| onset < end) => Start::Never(EndCause::OnsetMissed),
             Some(onset) => Start::At(onset),
             None => Start::Later,
         }

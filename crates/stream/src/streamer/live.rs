@@ -9,7 +9,7 @@
 //! Invariant: an update that is taken comes back in one [`StreamEvent::LiveUpdated`], at the latest when its play ends.
 
 use crate::active::{Active, Phase};
-use crate::queues::{Applied, CommandError, Emit, End, LiveResult, LiveUpdate, StreamEvent};
+use crate::queues::{Applied, CommandError, Emit, LiveResult, LiveUpdate, StreamEvent};
 use crate::settings::batch_ticks;
 use crate::streamer::Streamer;
 use crate::streamer::feed::unsent;
@@ -18,7 +18,7 @@ use firmware_protocol::controller::{BLOCK, DRIVER_LEAD, HORIZON};
 use firmware_protocol::message::{Op, State};
 use firmware_protocol::stroke::{MOTORS, Stroke};
 use firmware_protocol::tick::Tick;
-use meissner_api::LateCause;
+use meissner_api::{EndCause, LateCause};
 use meissner_array::units::{TICKS_PER_MS, duration_to_ticks, ms_in_ticks};
 use std::time::Duration;
 
@@ -29,8 +29,6 @@ const MOST_SPARE: u64 = 50 * TICKS_PER_MS;
 const LEAST_SPARE: u64 = TICKS_PER_MS / 4;
 /// A client has so long to send its first update.
 const CONNECTS_WITHIN: Duration = Duration::from_secs(2);
-/// The cause of a live play's end when its client is silent.
-const CLIENT_SILENT: &str = "client-silent";
 
 /// The updates of the live play that is playing.
 #[derive(Debug, Default)]
@@ -103,7 +101,7 @@ impl Streamer {
         if !self.plays.iter().any(|active| is_live(active, id)) {
             return Ok(None);
         }
-        self.cut_all(End::Stopped, "stop");
+        self.cut_all(EndCause::Stop);
         Ok(Some(Op::Stop))
     }
 
@@ -118,7 +116,7 @@ impl Streamer {
         let (id, timeout) = (self.plays[at].play.id, self.plays[at].play.live.unwrap_or_default());
         self.follow(id, now, timeout, emit);
         if now >= self.live.deadline && self.no_op_pending() {
-            self.cut_all(End::Stopped, CLIENT_SILENT);
+            self.cut_all(EndCause::ClientSilent);
             self.queue_op(now, 0, Op::Stop, emit);
             return;
         }

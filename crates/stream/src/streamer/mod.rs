@@ -17,7 +17,7 @@ mod live;
 use crate::active::{Active, Phase};
 use crate::control::PositionControl;
 use crate::link::{Event, LineRate, Session};
-use crate::queues::{CommandError, Emit, End, MAX_QUEUED_PLAYS, Snapshot, StreamEvent};
+use crate::queues::{CommandError, Emit, MAX_QUEUED_PLAYS, Snapshot, StreamEvent};
 use crate::settings::Settings;
 use crate::time::HostInstant;
 use firmware_protocol::board::Board;
@@ -27,6 +27,7 @@ use firmware_protocol::stroke::MOTORS;
 use firmware_protocol::tick::Tick;
 use homing::Seek;
 use live::Live;
+use meissner_api::EndCause;
 use meissner_array::units::{ticks_to_ms, ticks_to_seconds};
 use std::collections::VecDeque;
 use std::time::Duration;
@@ -69,11 +70,6 @@ struct Homing {
     until: Tick,
 }
 
-/// The cause of a play's end when a pin that it drives may be too far from rest.
-pub const DRIFT_LIMIT: &str = "drift-limit";
-/// The reason of a disconnect when another device takes its place.
-pub const ANOTHER_DEVICE: &str = "another device was opened";
-
 /// The streamer of one device.
 #[derive(Debug)]
 pub struct Streamer {
@@ -103,7 +99,7 @@ pub struct Streamer {
     in_flight: bool,
     /// Whether the device is armed, or will be after the pending operations.
     wants_armed: bool,
-    disconnect_reason: Option<&'static str>,
+    disconnect_reason: Option<EndCause>,
     pub(super) plays: VecDeque<Active>,
     pub(super) control: PositionControl,
     /// Strokes are sent up to this tick.
@@ -171,18 +167,18 @@ impl Streamer {
 
     /// A device was opened: starts a session with this random id.
     pub fn connect(&mut self, now: HostInstant, id: u32, rate: LineRate, emit: &mut dyn Emit) {
-        self.disconnect(now, ANOTHER_DEVICE, emit);
+        self.disconnect(now, EndCause::AnotherDevice, emit);
         self.session = Some(Session::new(id, rate, now));
     }
 
     /// The device is gone: ends all plays with the counts known.
-    pub fn disconnect(&mut self, now: HostInstant, cause: &'static str, emit: &mut dyn Emit) {
+    pub fn disconnect(&mut self, now: HostInstant, cause: EndCause, emit: &mut dyn Emit) {
         let stopped = self.session.as_ref().and_then(Session::e_stopped_at);
         let lost = self.tick_at(stopped.unwrap_or(now));
         let Some(session) = self.session.take() else { return };
-        self.disconnect_reason = Some(cause);
+        self.disconnect_reason = Some(cause.clone());
         self.wants_armed = false;
-        self.cut_all(End::Stopped, cause);
+        self.cut_all(cause);
         self.forget_live(emit);
         let counters = self.status.map(|(status, tick)| {
             let lost = lost.unwrap_or(tick);
@@ -217,7 +213,7 @@ impl Streamer {
     }
 
     /// Takes the reason of the last disconnect.
-    pub fn take_disconnect_reason(&mut self) -> Option<&'static str> {
+    pub fn take_disconnect_reason(&mut self) -> Option<EndCause> {
         self.disconnect_reason.take()
     }
 
@@ -298,7 +294,7 @@ impl Streamer {
             runs && self.control.dead_reckoning_um(tick, active.play.strokes.motors()) > limit_um
         };
         if self.no_op_pending() && self.plays.iter().any(is_over) {
-            self.cut_all(End::Stopped, DRIFT_LIMIT);
+            self.cut_all(EndCause::DriftLimit);
             self.queue_op(now, 0, Op::Stop, emit);
         }
     }
@@ -408,22 +404,22 @@ const fn cuts_play(op: &Op) -> bool {
     matches!(op, Op::Stop | Op::Disarm(_) | Op::EStop)
 }
 
-/// The name of a cause in events, receipts and the API.
+/// The controller's cause as events, receipts and the API name it.
 #[must_use]
-pub fn cause_text(cause: Cause) -> &'static str {
+pub const fn end_cause(cause: Cause) -> EndCause {
     match cause {
-        Cause::Boot => "boot",
-        Cause::Request => "request",
-        Cause::Stop => "stop",
-        Cause::Shutdown => "shutdown",
-        Cause::Abort => "abort",
-        Cause::EStop => "estop",
-        Cause::HostTimeout => "lease",
-        Cause::LinkLost => "link-lost",
-        Cause::NewHost => "new-host",
-        Cause::Starved => "starved",
-        Cause::Panic => "panic",
-        Cause::Watchdog => "watchdog",
-        Cause::Output => "output",
+        Cause::Boot => EndCause::Boot,
+        Cause::Request => EndCause::Request,
+        Cause::Stop => EndCause::Stop,
+        Cause::Shutdown => EndCause::Shutdown,
+        Cause::Abort => EndCause::Abort,
+        Cause::EStop => EndCause::EStop,
+        Cause::HostTimeout => EndCause::HostTimeout,
+        Cause::LinkLost => EndCause::LinkLost,
+        Cause::NewHost => EndCause::NewHost,
+        Cause::Starved => EndCause::Starved,
+        Cause::Panic => EndCause::Panic,
+        Cause::Watchdog => EndCause::Watchdog,
+        Cause::Output => EndCause::Output,
     }
 }

@@ -5,7 +5,7 @@ use crate::log::{Log, Train};
 use crate::scenario::{Scenario, Share};
 use firmware_protocol::tick::Tick;
 use meissner_stream::Source;
-use meissner_stream::cause_text;
+use meissner_stream::end_cause;
 use meissner_stream::queues::{End, Outcome, StreamEvent};
 
 /// What the lines have to do if all strokes are played from `onset` on.
@@ -59,8 +59,11 @@ pub(super) fn check(
     if scenario.plays.len() != plays.len() {
         wrong.push(format!("{} plays were ordered, {} are expected", plays.len(), scenario.plays.len()));
     }
-    let cuts: Vec<_> =
-        boots.iter().flat_map(|boot| &boot.expected.cuts).map(|cut| cause_text(cut.cause)).collect();
+    let cuts: Vec<_> = boots
+        .iter()
+        .flat_map(|boot| &boot.expected.cuts)
+        .map(|cut| end_cause(cut.cause).to_string())
+        .collect();
     if cuts != scenario.cuts {
         wrong.push(format!("cuts {cuts:?}, expected {:?}", scenario.cuts));
     }

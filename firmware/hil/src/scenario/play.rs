@@ -12,7 +12,7 @@ use firmware_protocol::message::HostMessage;
 use firmware_protocol::stroke::{Direction, Stroke};
 use firmware_protocol::tick::Tick;
 use meissner_array::strokes::{StrokeOptions, Strokes};
-use meissner_stream::cause_text;
+use meissner_stream::end_cause;
 use meissner_stream::queues::{At, Command, Play, StreamEvent};
 
 /// Most ms from a boot to the handshake.
@@ -180,13 +180,13 @@ impl Runner<'_> {
         };
         let state =
             status.map_or("unheard".to_owned(), |status| format!("{:?}", status.state).to_lowercase());
-        let cause = status.map_or("none", |status| cause_text(status.cause));
+        let cause = status.map_or("none".to_owned(), |status| end_cause(status.cause).to_string());
         if let Some(wanted) = &check.state {
             wrong("state", wanted.clone(), state);
         }
         let on_chip = matches!(self.rig.bench, crate::bench::Bench::Chip(_));
         if let Some(wanted) = check.chip_cause.as_ref().filter(|_| on_chip).or(check.cause.as_ref()) {
-            wrong("cause", wanted.clone(), cause.to_owned());
+            wrong("cause", wanted.clone(), cause);
         }
         if let Some(wanted) = check.position_known {
             let found = status.is_some_and(|status| status.position_known);
