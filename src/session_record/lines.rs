@@ -9,7 +9,6 @@
 //! Bounds: one line of [`MAX_LINE`] for each file whose numbers overlap those of others; [`MAX_LISTED`] named problems.
 
 use super::days;
-use super::reader::RecordError;
 use crate::file::open_regular;
 use jiff::civil::Date;
 use meissner_api::MAX_LISTED;
@@ -25,6 +24,14 @@ use std::path::{Path, PathBuf};
 pub(super) const MAX_LINE: usize = 256 << 10;
 /// The highest number: every JSON reader can hold it.
 pub(super) const MAX_NUMBER: u64 = (1 << 53) - 1;
+
+/// The directory of the record cannot be read.
+#[derive(Debug, thiserror::Error)]
+#[error("the session record in {} cannot be read: {source}; check that it is there and that the daemon may read it", .dir.display())]
+pub struct RecordError {
+    dir: PathBuf,
+    source: io::Error,
+}
 
 /// The place and kind of a line.
 #[derive(Debug, Deserialize, PartialEq, Eq)]

@@ -10,6 +10,7 @@
 //! Invariants: nothing waits for the disk; every line of a file that was closed or opened again parses; lines of one daemon are in
 //! the order of `CLOCK_MONOTONIC`, and all lines in the order of their numbers; missing entries are counted.
 
+mod account;
 mod budget;
 mod days;
 mod entry;
@@ -26,6 +27,7 @@ mod writer;
 pub use budget::BYTES_PER_DAY;
 pub use entry::{CommandEntry, Entry, NetworkPeer, Note, Peer, TokenId};
 pub use ledger::SessionLosses;
+pub use lines::RecordError;
 pub use texts::{keeps_text, read_text};
 pub use users::Users;
 pub use writer::{Location, SYNC_AFTER, local_time, utc_now};

@@ -6,7 +6,7 @@
 //! Bounds: `MAX_SESSIONS`, and those of `lines`.
 
 use super::ledger::SessionLosses;
-use super::lines::{self, Head, Seen, Source};
+use super::lines::{self, Head, RecordError, Seen, Source};
 use super::numbers;
 use crate::receipts::largest_um;
 use jiff::civil::Date;
@@ -19,19 +19,10 @@ use meissner_array::units::ticks_to_ms;
 use serde::Deserialize;
 use serde_json::Value;
 use std::collections::{BTreeMap, VecDeque};
-use std::io;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 /// Sessions in a list, at most: the newest.
 pub const MAX_SESSIONS: usize = 10_000;
-
-/// The directory of the record cannot be read.
-#[derive(Debug, thiserror::Error)]
-#[error("the session record in {} cannot be read: {source}; check that it is there and that the daemon may read it", .dir.display())]
-pub struct RecordError {
-    pub(super) dir: PathBuf,
-    pub(super) source: io::Error,
-}
 
 /// Whether a line holds a text.
 fn has(line: &[u8], text: &str) -> bool {

@@ -5,12 +5,13 @@
 //! missing ones.
 //!
 //! Each entry has the number after that of the entry before it, independent of clocks: see [`super::numbers`]. An entry without a
-//! line leaves a gap in the numbers.
+//! line leaves a gap in the numbers; see [`super::account`].
 //!
 //! Invariants: after each call the file ends with a whole line, or is not open; numbers in a directory only grow.
 
+use super::account::Account;
 use super::days;
-use super::entry::{Entry, Note};
+use super::entry::Entry;
 use super::json;
 use super::ledger::{Counts, Ledger, Tag};
 use super::numbers;
@@ -31,7 +32,7 @@ use std::io::{self, Write};
 use std::mem;
 use std::os::unix::fs::{DirBuilderExt, MetadataExt, OpenOptionsExt};
 use std::path::{Path, PathBuf};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 use tracing::{info, warn};
 
@@ -39,8 +40,6 @@ use tracing::{info, warn};
 pub const SYNC_AFTER: Duration = Duration::from_millis(500);
 /// Time between tries on a disk that failed.
 const RETRY_AFTER: Duration = Duration::from_secs(1);
-/// The most bytes of whole sessions in a line that reports missing entries.
-const MAX_SESSIONS: u64 = 128 << 10;
 
 /// The form of times: local, with the offset from UTC.
 const TIME: &str = "%Y-%m-%dT%H:%M:%S%.6f%:z";
@@ -160,20 +159,7 @@ pub(super) struct Writer {
     held: Option<BTreeSet<Date>>,
     /// The offset of the record's numbers from the daemon's; none: the record was not opened yet.
     ahead: Option<u64>,
-    /// The newest entry, written or lost.
-    newest: u64,
-    /// The first entry that has no line, and that no line reports.
-    next: u64,
-    /// Missing entries that no line reports yet.
-    missing: Counts,
-    /// The same for an earlier daemon: a torn line.
-    torn: u64,
-    /// The value of `next` when lines were last made durable, and since then the entries that have lines, and those that a line
-    /// reports.
-    durable: u64,
-    unsynced: Vec<Tag>,
-    told: (Counts, u64),
-    ledger: Arc<Mutex<Ledger>>,
+    account: Account,
     /// Why nothing can be written, for the status.
     problem: Arc<Mutex<Option<String>>>,
     retry_after: Duration,
@@ -195,14 +181,7 @@ impl Writer {
             removal: Removal::default(),
             held: None,
             ahead: None,
-            newest: 0,
-            next: 1,
-            missing: Counts::default(),
-            torn: 0,
-            durable: 1,
-            unsynced: Vec::new(),
-            told: (Counts::default(), 0),
-            ledger: Arc::default(),
+            account: Account::default(),
             retry_after: RETRY_AFTER,
             failing: None,
             due: None,
@@ -223,17 +202,13 @@ impl Writer {
     #[cfg(test)]
     pub(super) fn write_next(&mut self, stamp: Stamp, entry: Entry) {
         let tag = Tag { session: None, name: entry.kind().2 };
-        let (number, missed) = (self.newest + 1, Counts::default());
+        let (number, missed) = (self.account.newest() + 1, Counts::default());
         self.write(Added { stamp, number, missed, tag, entry });
     }
 
     /// The ledger of lost entries, shared with the queue.
     pub(super) fn ledger(&self) -> Arc<Mutex<Ledger>> {
-        Arc::clone(&self.ledger)
-    }
-
-    fn lock_ledger(&self) -> MutexGuard<'_, Ledger> {
-        self.ledger.lock().unwrap_or_else(PoisonError::into_inner)
+        self.account.ledger()
     }
 
     fn set_problem(&self, problem: Option<String>) {
@@ -247,8 +222,7 @@ impl Writer {
 
     /// When [`Self::wake`] has work: lines to make durable, or a disk to try again.
     pub(super) fn due(&self) -> Option<Instant> {
-        let is_missing = self.next <= self.newest || self.torn > 0;
-        self.due.into_iter().chain(self.failing.filter(|_| is_missing)).min()
+        self.due.into_iter().chain(self.failing.filter(|_| self.account.has_missing())).min()
     }
 
     /// Does the work that is due.
@@ -263,8 +237,7 @@ impl Writer {
 
     /// Notes that the entries up to this one did not fit into the queue.
     pub(super) fn miss(&mut self, number: u64, missed: Counts) {
-        self.missing.merge(missed);
-        self.newest = number;
+        self.account.see(number, missed);
         if !self.waits_for_retry() {
             self.tell();
         }
@@ -273,8 +246,7 @@ impl Writer {
     /// Writes an entry.
     pub(super) fn write(&mut self, added: Added) {
         let Added { stamp, number, missed, tag, entry } = added;
-        self.missing.merge(missed);
-        self.newest = number;
+        self.account.see(number, missed);
         let session = entry.bounds_session().map(|session| session.reason.is_none());
         if session == Some(true) {
             self.held = Some(BTreeSet::new());
@@ -284,10 +256,9 @@ impl Writer {
             self.held = None;
         }
         match written {
-            Ok(true) => self.unsynced.push(tag),
+            Ok(true) => self.account.written(number, tag),
             lost => {
-                self.lock_ledger().lose(&tag);
-                self.missing.add(tag, 1);
+                self.account.lose(tag);
                 lost.err().into_iter().for_each(|failure| self.fail(&failure));
             }
         }
@@ -301,7 +272,8 @@ impl Writer {
     fn tell(&mut self) {
         let stamp = Stamp::now();
         let time = self.zoned(stamp);
-        let told = self.open_day(time.date()).and_then(|()| self.tell_missing(&time, stamp, self.newest));
+        let told =
+            self.open_day(time.date()).and_then(|()| self.tell_missing(&time, stamp, self.account.newest()));
         match told {
             Ok(()) => self.recover(),
             Err(failure) => self.fail(&failure),
@@ -312,7 +284,7 @@ impl Writer {
     fn recover(&mut self) {
         if self.failing.take().is_some() {
             self.set_problem(None);
-            let (dir, lost) = (self.location.dir.display(), self.lock_ledger().lost());
+            let (dir, lost) = (self.location.dir.display(), self.account.lost());
             info!("the session record in {dir} is written again; {lost} entries are missing since the start");
         }
     }
@@ -348,22 +320,13 @@ impl Writer {
             return;
         }
         let Some(open) = &self.open else { return };
-        let (unsynced, told) = (mem::take(&mut self.unsynced), mem::take(&mut self.told));
         if let Err(source) = (self.disk.sync)(&open.file) {
             let failure = Failure { path: open.path.clone(), source };
-            // The system may have lost these lines.
             self.open = None;
-            self.lock_ledger().take_back(&told.0);
-            self.missing.merge(told.0);
-            self.torn += told.1;
-            for tag in unsynced {
-                self.lock_ledger().lose(&tag);
-                self.missing.add(tag, 1);
-            }
-            self.next = self.durable;
+            self.account.synced(false);
             self.fail(&failure);
         } else {
-            self.durable = self.next;
+            self.account.synced(true);
             self.save_count();
         }
     }
@@ -372,7 +335,7 @@ impl Writer {
     fn save_count(&self) {
         if let Some(ahead) = self.ahead.filter(|_| self.lock.is_some()) {
             // If the disk does not even take this, the status already shows the problem.
-            let _ = numbers::save(&self.location.dir, self.newest.wrapping_add(ahead));
+            let _ = numbers::save(&self.location.dir, self.account.newest().wrapping_add(ahead));
         }
     }
 
@@ -381,18 +344,19 @@ impl Writer {
         self.sync();
         self.save_count();
         (self.location, self.open, self.lock, self.failing) = (location, None, None, None);
-        (self.ahead, self.torn) = (None, 0);
+        self.ahead = None;
+        self.account.set_torn(false);
         self.set_problem(None);
     }
 
     /// Makes the last lines durable and closes.
     pub(super) fn finish(mut self) {
-        if self.next <= self.newest && !self.waits_for_retry() {
+        if self.account.newest() > self.account.settled() && !self.waits_for_retry() {
             self.tell();
         }
         self.sync();
         self.save_count();
-        if let missing @ 1.. = self.newest + 1 - self.next {
+        if let missing @ 1.. = self.account.newest() - self.account.settled() {
             let dir = self.location.dir.display();
             warn!("{missing} entries are missing at the end of the session record in {dir}");
         }
@@ -419,7 +383,6 @@ impl Writer {
         self.open_day(time.date())?;
         self.tell_missing(&time, stamp, number - 1)?;
         self.append(&time, stamp, number, entry)?;
-        self.next = number + 1;
         self.list_day(stamp);
         self.recover();
         Ok(true)
@@ -427,25 +390,10 @@ impl Writer {
 
     /// Writes a line about the missing entries up to this one, if there are any.
     fn tell_missing(&mut self, time: &Zoned, stamp: Stamp, upto: u64) -> Result<(), Failure> {
-        let entries = upto + 1 - self.next + self.torn;
-        if entries == 0 {
-            return Ok(());
-        }
-        let mut sessions = self.lock_ledger().report(&self.missing);
-        let mut room = MAX_SESSIONS;
-        sessions.retain(|session| {
-            room = room.saturating_sub(json::bytes(session));
-            room > 0
-        });
-        let lost = Note::Lost { entries, of: self.missing.rows(), sessions }.into();
-        if let Err(failure) = self.append(time, stamp, upto, &lost) {
-            self.lock_ledger().take_back(&self.missing);
-            return Err(failure);
-        }
-        self.told.0.merge(self.missing.take());
-        self.told.1 += mem::take(&mut self.torn);
-        self.next = upto + 1;
-        Ok(())
+        let Some(lost) = self.account.report(upto) else { return Ok(()) };
+        let written = self.append(time, stamp, upto, &lost);
+        self.account.reported(upto, written.is_ok());
+        written
     }
 
     /// Lists the day of the open file once it has a line, and removes old files.
@@ -516,7 +464,7 @@ impl Writer {
         if is_first {
             // An earlier daemon may have lost its last entries, which leaves a gap.
             (written, counted) = numbers::newest(dir).map_err(at(dir))?;
-            self.ahead = Some(written.max(counted).wrapping_sub(self.next - 1));
+            self.ahead = Some(written.max(counted).wrapping_sub(self.account.settled()));
         }
         let (open, cut) = open(dir, lock, day)?;
         if cut > 0 {
@@ -524,7 +472,7 @@ impl Writer {
         }
         if is_first && cut > 0 && counted <= written {
             // The content of the torn line is lost.
-            self.torn = 1;
+            self.account.set_torn(true);
             self.ahead = self.ahead.map(|ahead| ahead.wrapping_add(1));
         }
         self.open = Some(open);
