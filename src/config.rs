@@ -8,8 +8,10 @@
 
 mod array;
 mod network;
+mod problem;
 
 pub use network::Listen;
+pub use problem::{ConfigError, Problem};
 
 use crate::exposure::ParticipantLimits;
 use crate::file::read_regular;
@@ -20,10 +22,11 @@ use meissner_api::request::SILENCE_S;
 use meissner_array::pattern::AMPLITUDE_UM;
 use meissner_array::simulated::{LowerStop, SimulatedMotorsConfig, SimulatedMotorsError};
 use meissner_client::default_socket;
-use meissner_input::document::{self, DocumentError, Table, from_toml, in_range};
+use meissner_input::document::{Table, from_toml, in_range};
 use meissner_input::message::quote;
 use meissner_stream::Settings;
-use meissner_stream::device::{Spec, SpecError};
+use meissner_stream::device::Spec;
+use problem::{KeyError, checked};
 use serde::Deserialize;
 use std::env;
 use std::io;
@@ -44,7 +47,11 @@ const SESSION_SILENCE_S: f64 = 120.0;
 /// The default of `armed_silence_s`: longer than a break between blocks of an experiment, since older clients cannot say how long they are silent.
 const ARMED_SILENCE_S: f64 = 600.0;
 /// The longest time they can be kept, days.
-const MAX_LOGBOOK_DAYS: u32 = 36_500;
+const MAX_LOGBOOK_DAYS: f64 = 36_500.0;
+/// The range of the errors of dead reckoning at which the daemon warns, and refuses plays, um.
+const DRIFT_UM: RangeInclusive<f64> = 1.0..=10_000.0;
+/// The range of the end stops' distance from rest, um.
+const END_STOP_UM: RangeInclusive<f64> = 0.0..=10_000.0;
 /// The range of a participant's largest amplitude, um: as a pattern's.
 const LIMIT_UM: RangeInclusive<f64> = 1.0..=*AMPLITUDE_UM.end();
 /// The range of a participant's times, s: up to a day.
@@ -154,44 +161,6 @@ impl Source {
     }
 }
 
-/// A configuration that cannot be used.
-#[derive(Debug, thiserror::Error)]
-pub enum ConfigError {
-    /// The file cannot be read.
-    #[error("{}: {source}; name a readable file with --config", .file.display())]
-    Read {
-        /// The file.
-        file: PathBuf,
-        /// The system's error.
-        source: io::Error,
-    },
-    /// Its text is refused.
-    #[error(transparent)]
-    Refused(#[from] DocumentError<Problem>),
-}
-
-/// A problem of one key, besides those that all documents share.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[expect(missing_docs, reason = "the messages say it")]
-pub enum Problem {
-    #[error("is {found}: {source}")]
-    Device { found: String, source: SpecError },
-    #[error("is empty: name one, or leave the key out")]
-    EmptyPath,
-    #[error("holds a control character: name a path without one")]
-    ControlCharacter,
-    #[error("is {found}: must be an address and a port, as \"127.0.0.1:8765\", or \"none\"")]
-    Listen { found: String },
-    #[error("is {found}: must be a host's name, without port and path")]
-    Host { found: String },
-    #[error("is {found}: must be \"remote\" or \"always\"")]
-    ListenToken { found: String },
-    #[error("is {found}: must be a number of um, or \"auto\"")]
-    Surplus { found: String },
-}
-
-type KeyError = document::KeyError<Problem>;
-
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct RawConfig {
@@ -231,22 +200,13 @@ struct RawParticipant {
 impl RawParticipant {
     fn check(self) -> Result<ParticipantLimits, KeyError> {
         let default = ParticipantLimits::default();
-        let limit = |key: &str, found: Option<f64>, default: f64, range: RangeInclusive<f64>, unit: &str| {
-            let found = found.unwrap_or(default);
-            let text = format!("{} to {} {unit}", range.start(), range.end());
-            in_range(&format!("participant.{key}"), found, range.contains(&found), text).map(|()| found)
-        };
-        let seconds = |key, found, default| limit(key, found, default, LIMIT_S, "s");
+        let seconds =
+            |key, found, default| checked(&format!("participant.{key}"), found, default, LIMIT_S, "s");
+        let (um, pause) = ("participant.max_amplitude_um", "participant.pause_s");
         Ok(ParticipantLimits {
-            max_amplitude_um: limit(
-                "max_amplitude_um",
-                self.max_amplitude_um,
-                default.max_amplitude_um,
-                LIMIT_UM,
-                "um",
-            )?,
+            max_amplitude_um: checked(um, self.max_amplitude_um, default.max_amplitude_um, LIMIT_UM, "um")?,
             max_continuous_s: seconds("max_continuous_s", self.max_continuous_s, default.max_continuous_s)?,
-            pause_s: limit("pause_s", self.pause_s, default.pause_s, PAUSE_S, "s")?,
+            pause_s: checked(pause, self.pause_s, default.pause_s, PAUSE_S, "s")?,
             max_session_s: seconds("max_session_s", self.max_session_s, default.max_session_s)?,
             max_day_s: seconds("max_day_s", self.max_day_s, default.max_day_s)?,
         })
@@ -291,38 +251,31 @@ impl RawConfig {
         check_path("patterns_dir", self.patterns_dir.as_deref())?;
         check_path("calibration", self.calibration.as_deref())?;
         check_path("logbook_dir", self.logbook_dir.as_deref())?;
-        let logbook_days = self.logbook_days.unwrap_or(LOGBOOK_DAYS);
-        let good = logbook_days <= MAX_LOGBOOK_DAYS;
-        in_range("logbook_days", logbook_days.into(), good, format!("0 to {MAX_LOGBOOK_DAYS} days"))?;
-        let lead_ms = self.lead_ms.unwrap_or(Settings::default().lead_ms);
-        let range = format!("{} to {} ms", LEAD_MS.start(), LEAD_MS.end());
-        in_range("lead_ms", lead_ms, LEAD_MS.contains(&lead_ms), range)?;
+        let days = self.logbook_days.map(f64::from);
+        let days = checked("logbook_days", days, LOGBOOK_DAYS.into(), 0.0..=MAX_LOGBOOK_DAYS, "days")?;
+        let default = Settings::default();
+        let lead_ms = checked("lead_ms", self.lead_ms, default.lead_ms, LEAD_MS, "ms")?;
         let lease_ms = self.lease_ms.unwrap_or(Settings::for_lead(lead_ms).lease_ms);
         let least = lead_ms + MIN_LEASE_OVER_LEAD_MS;
         let range = format!("{least} to {MAX_LEASE_MS} ms, at least lead_ms + {MIN_LEASE_OVER_LEAD_MS}");
         in_range("lease_ms", lease_ms, (least..=MAX_LEASE_MS).contains(&lease_ms), range)?;
-        let drift_warning_um = self.drift_warning_um.unwrap_or(Settings::default().drift_warning_um.into());
-        let good = (1.0..=10_000.0).contains(&drift_warning_um);
-        in_range("drift_warning_um", drift_warning_um, good, "1 to 10000 um")?;
-        let drift_warning_um = drift_warning_um as f32;
-        let drift_limit_um = self.drift_limit_um.unwrap_or(Settings::default().drift_limit_um.into());
-        let good = (1.0..=10_000.0).contains(&drift_limit_um);
-        in_range("drift_limit_um", drift_limit_um, good, "1 to 10000 um")?;
-        let drift_limit_um = drift_limit_um as f32;
+        let drift = |key, found, default: f32| {
+            checked(key, found, default.into(), DRIFT_UM, "um").map(|um| um as f32)
+        };
+        let drift_warning_um = drift("drift_warning_um", self.drift_warning_um, default.drift_warning_um)?;
+        let drift_limit_um = drift("drift_limit_um", self.drift_limit_um, default.drift_limit_um)?;
         let Table(limits) = self.limits.unwrap_or(Table(RawLimits::default()));
         let none = PowerLimits::NONE;
-        let limit = |key: &str, found: Option<u32>, most: u32| {
-            let found = found.unwrap_or(most);
-            let good = (1..=most).contains(&found);
-            in_range(key, found.into(), good, format!("1 to {most} pulses/s")).map(|()| found)
+        let limit = |key, found: Option<u32>, most: u32| {
+            let range = 1.0..=f64::from(most);
+            checked(key, found.map(f64::from), most.into(), range, "pulses/s").map(|found| found as u32)
         };
         let motor = limit("limits.motor_pulses_per_s", limits.motor_pulses_per_s, none.motor)?;
         let rail = limit("limits.rail_pulses_per_s", limits.rail_pulses_per_s, none.rail)?;
-        let session_silence_s = self.session_silence_s.unwrap_or(SESSION_SILENCE_S);
-        let good = (0.1..=3600.0).contains(&session_silence_s);
-        in_range("session_silence_s", session_silence_s, good, "0.1 to 3600 s")?;
-        let armed_silence_s = self.armed_silence_s.unwrap_or(ARMED_SILENCE_S);
-        in_range("armed_silence_s", armed_silence_s, SILENCE_S.contains(&armed_silence_s), "1 to 86400 s")?;
+        let (silence, range) = (self.session_silence_s, 0.1..=3600.0);
+        let session_silence_s = checked("session_silence_s", silence, SESSION_SILENCE_S, range, "s")?;
+        let silence = self.armed_silence_s;
+        let armed_silence_s = checked("armed_silence_s", silence, ARMED_SILENCE_S, SILENCE_S, "s")?;
         let Table(participant) = self.participant.unwrap_or(Table(RawParticipant::default()));
         let participant = participant.check()?;
         let Table(mut mock) = self.mock.unwrap_or(Table(SimulatedMotorsConfig::default()));
@@ -330,9 +283,7 @@ impl RawConfig {
             in_range(&format!("mock.{key}"), found, false, format!("0 to {most}"))?;
         }
         // The simulated array's own end stops, unless the file names those of the motors.
-        let end_stop_um = self.end_stop_um.unwrap_or(mock.end_stop_um);
-        let good = (0.0..=10_000.0).contains(&end_stop_um);
-        in_range("end_stop_um", end_stop_um, good, "0 to 10000 um")?;
+        let end_stop_um = checked("end_stop_um", self.end_stop_um, mock.end_stop_um, END_STOP_UM, "um")?;
         let stop_pulses_per_s = limits.stop_pulses_per_s;
         let Table(array) = self.array.unwrap_or(Table(RawArray::default()));
         let limits = array.limits(PowerLimits { motor, rail, ..none })?;
@@ -359,7 +310,7 @@ impl RawConfig {
             tokens: self.tokens.or_else(|| beside(&patterns, TOKENS)),
             calibration: self.calibration.or_else(|| beside(&patterns, CALIBRATION)),
             patterns,
-            logbook: keep(self.logbook_dir, logbook_days),
+            logbook: keep(self.logbook_dir, days as u32),
             session_silence_s,
             armed_silence_s,
             participant,

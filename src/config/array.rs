@@ -2,8 +2,7 @@
 //!
 //! Invariant: moving the pins down to a lower stop stays within the limit on pushing.
 
-use super::KeyError;
-use super::Problem;
+use super::problem::{KeyError, Problem, checked};
 use firmware_protocol::limits::{MAX_PUSHES_PER_S, MAX_SEEK, PowerLimits};
 use meissner_array::simulated::LowerStop;
 use meissner_input::document::in_range;
@@ -70,9 +69,8 @@ impl RawArray {
                 Some(um)
             }
         };
-        let rest_error_um = self.rest_error_um.unwrap_or(default.rest_error_um);
-        let range = format!("{} to {} um", REST_ERROR_UM.start(), REST_ERROR_UM.end());
-        in_range("array.rest_error_um", rest_error_um, REST_ERROR_UM.contains(&rest_error_um), range)?;
+        let (key, default_um) = ("array.rest_error_um", default.rest_error_um);
+        let rest_error_um = checked(key, self.rest_error_um, default_um, REST_ERROR_UM, "um")?;
         let found = pulses_per_s.unwrap_or(MAX_PUSHES_PER_S);
         let has_stop = self.lower_stop == Some(LowerStop::AtRest);
         let least = if has_stop { settings.seek_pulses().into() } else { 1 };

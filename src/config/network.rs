@@ -1,6 +1,6 @@
 //! The keys `listen`, `listen_hosts` and `listen_token`, for network clients.
 
-use super::{KeyError, Problem};
+use super::problem::{KeyError, Problem};
 use meissner_input::message::quote;
 use std::net::SocketAddr;
 
