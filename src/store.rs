@@ -7,32 +7,33 @@
 //!
 //! Invariant: a file of the directory is replaced atomically, and only by one that parses and has the file's name.
 
+mod folder;
 mod in_use;
 mod targets;
 
+pub use folder::{FileError, MAX_FILES};
+pub(crate) use folder::{hash, hexadecimal};
 pub use targets::{StoredTarget, TargetStoreError, target_json};
 
-use crate::file::{self, open_regular};
 use crate::receipts::Order;
+use folder::{Folder, Make, check_name, check_new_name};
 use in_use::InUse;
 use include_dir::{Dir, include_dir};
 use meissner_api::{MAX_LISTED, PatternList, PatternSummary, RailLoad, ReachedDrive};
-use meissner_array::pattern::{MAX_FILE_BYTES, Pattern, PatternError, is_name, is_new_name};
+use meissner_array::pattern::{MAX_FILE_BYTES, Pattern, PatternError};
 use meissner_array::power::{CAPACITANCE_NF, RailPulses, current_ma, rail_pulses};
 use meissner_array::strokes::{StrokeOptions, Strokes};
 use meissner_input::message::quote;
 use serde::Serialize;
-use sha2::{Digest, Sha256};
 use std::collections::BTreeMap;
-use std::fs::{self, File};
-use std::io::{self, Read};
+use std::io;
 use std::path::{Path, PathBuf};
-use std::sync::{Arc, Mutex, OnceLock, PoisonError};
+use std::sync::{Arc, OnceLock};
 
 static LIBRARY: Dir<'_> = include_dir!("$CARGO_MANIFEST_DIR/patterns");
 
-/// Most files of the directory that are read.
-pub const MAX_FILES: usize = 10_000;
+/// The folder of the pattern directory for targets.
+const FOLDER: &str = "targets";
 /// The most names offered for an unknown one.
 const OFFERED: usize = 3;
 
@@ -61,20 +62,6 @@ pub enum StoreError {
     /// A pattern that does not parse.
     #[error(transparent)]
     Pattern(#[from] PatternError),
-    /// The file's name and the name in it differ.
-    #[error("{}: `name` is `{inside}`: must be the name it is stored under; change one of them", quote(.name))]
-    Name {
-        /// The name it was to be stored under.
-        name: String,
-        /// The name in the text.
-        inside: String,
-    },
-    /// A name that a command line would misread.
-    #[error("{}: a new name begins with a letter or a digit: a command line takes `-` for stdin or an option", quote(.name))]
-    NewName {
-        /// The name it was to be stored under.
-        name: String,
-    },
     /// The library is read-only.
     #[error("`{name}` is part of the library and cannot be {change}: choose another name")]
     InLibrary {
@@ -101,23 +88,9 @@ pub enum StoreError {
         /// What to change.
         why: String,
     },
-    /// A file that is not UTF-8 text.
-    #[error("{}: not UTF-8 text: write patterns as TOML in UTF-8", .path.display())]
-    NotText {
-        /// The file.
-        path: PathBuf,
-    },
-    /// No directory to write to.
-    #[error("there is no pattern directory: set patterns_dir in the daemon's configuration")]
-    NoDirectory,
-    /// The disk or the permissions.
-    #[error("{}: {source}; check that it exists, that the disk has space and that the daemon may use it", .path.display())]
-    Io {
-        /// Where.
-        path: PathBuf,
-        /// The system's error.
-        source: io::Error,
-    },
+    /// Another reason, of any file.
+    #[error(transparent)]
+    File(#[from] FileError),
 }
 
 fn offer(nearest: &[String]) -> String {
@@ -159,10 +132,8 @@ struct Details<'a> {
 pub struct Store {
     library: BTreeMap<String, Stored>,
     in_use: InUse,
-    dir: Option<PathBuf>,
-    make_dir: bool,
-    /// Held while a file is replaced or removed, so that the answer names the file that was there.
-    writing: Mutex<()>,
+    folder: Folder,
+    targets: Folder,
 }
 
 /// A pattern that was stored.
@@ -180,18 +151,22 @@ impl Store {
     /// # Errors
     /// If a file of the library does not parse, which a test excludes.
     pub fn new(dir: Option<PathBuf>, make_dir: bool) -> Result<Self, StoreError> {
+        let make = |make_not| if make_dir { Make::All } else { make_not };
+        // A configured directory must exist; only the folder of targets in it is made.
+        let targets = Folder::new(dir.as_ref().map(|dir| dir.join(FOLDER)), make(Make::Folder), "targets");
+        let folder = Folder::new(dir, make(Make::Nothing), "patterns");
         let mut library = BTreeMap::new();
         let paper = LIBRARY.dirs().flat_map(Dir::files);
         for file in LIBRARY.files().chain(paper) {
             let path = file.path();
             if path.extension().is_some_and(|extension| extension == "toml") {
                 let contents = file.contents();
-                let pattern = Arc::new(parse(contents, path)?);
+                let pattern = Arc::new(parse(folder.text(contents, path)?, path)?);
                 let stored = Stored::new(pattern, contents, true);
                 library.insert(stored.pattern.name().to_owned(), stored);
             }
         }
-        Ok(Self { library, in_use: InUse::default(), dir, make_dir, writing: Mutex::default() })
+        Ok(Self { library, in_use: InUse::default(), folder, targets })
     }
 
     /// Checks that the directory can be read.
@@ -199,7 +174,7 @@ impl Store {
     /// # Errors
     /// If it cannot.
     pub fn check_dir(&self) -> Result<(), StoreError> {
-        self.file_names().map(drop)
+        Ok(self.folder.names().map(drop)?)
     }
 
     /// The pattern of that name, if it is part of the library. Does not read the disk.
@@ -216,14 +191,10 @@ impl Store {
         if let Some(stored) = self.library(name) {
             return Ok(stored.clone());
         }
-        let path = self.path(name).ok_or_else(|| self.unknown(name))?;
-        match read(&path) {
-            Err(StoreError::Io { source, .. }) if source.kind() == io::ErrorKind::NotFound => {
-                Err(self.unknown(name))
-            }
-            Err(other) => Err(other),
-            Ok(bytes) => named(name, self.parse(&bytes, &path)?),
-        }
+        let Some((path, bytes)) = self.folder.read(name, MAX_FILE_BYTES)? else {
+            return Err(self.unknown(name));
+        };
+        named(name, self.parse(&bytes, &path)?)
     }
 
     /// The pattern of that name whose text has this SHA-256: the stored one, or else the text that `kept` finds.
@@ -248,7 +219,7 @@ impl Store {
     /// The pattern in a file of the directory.
     fn parse(&self, bytes: &[u8], path: &Path) -> Result<Stored, StoreError> {
         let sha256 = hash(bytes);
-        let pattern = self.in_use.get(&sha256, || parse(bytes, path))?;
+        let pattern = self.in_use.get(&sha256, || parse(self.folder.text(bytes, path)?, path))?;
         Ok(Stored::new(pattern, bytes, false))
     }
 
@@ -257,7 +228,7 @@ impl Store {
     pub fn list(&self) -> PatternList {
         let mut list = PatternList::default();
         list.patterns.extend(self.library.values().map(Stored::entry));
-        let names = self.file_names().unwrap_or_else(|error| {
+        let names = self.folder.names().unwrap_or_else(|error| {
             list.errors.push(error.to_string());
             Vec::new()
         });
@@ -296,26 +267,12 @@ impl Store {
         }
         let stored = self.parse(text.as_bytes(), Path::new(&format!("{name}.toml")))?;
         let stored = named(name, stored)?;
-        if !is_new_name(name) {
-            return Err(StoreError::NewName { name: name.to_owned() });
-        }
+        check_new_name(name)?;
         if let Some(why) = stored.run().empty() {
             return Err(StoreError::Empty { name: name.to_owned(), why: why.to_owned() });
         }
-        let (Some(dir), Some(path)) = (&self.dir, self.path(name)) else {
-            return Err(StoreError::NoDirectory);
-        };
-        let _writing = self.writing.lock().unwrap_or_else(PoisonError::into_inner);
-        if self.make_dir {
-            file::make_dirs(dir, file::LISTED_BY_ALL)
-                .map_err(|source| StoreError::Io { path: dir.clone(), source })?;
-        }
-        let replaced = present(&path)?;
-        if let Some(sha256) = replaced.clone().filter(|_| !replace) {
-            return Err(StoreError::Exists { name: name.to_owned(), sha256 });
-        }
-        file::replace(&path, text.as_bytes(), file::READABLE_BY_ALL)
-            .map_err(|source| StoreError::Io { path, source })?;
+        let taken = |sha256| StoreError::Exists { name: name.to_owned(), sha256 };
+        let replaced = self.folder.put(name, text, replace, taken)?;
         Ok(Put { stored, replaced })
     }
 
@@ -327,39 +284,11 @@ impl Store {
         if self.library.contains_key(name) {
             return Err(StoreError::InLibrary { name: name.to_owned(), change: "removed" });
         }
-        let (Some(dir), Some(path)) = (&self.dir, self.path(name)) else { return Err(self.unknown(name)) };
-        let _writing = self.writing.lock().unwrap_or_else(PoisonError::into_inner);
-        let sha256 = present(&path)?.ok_or_else(|| self.unknown(name))?;
-        let removed = fs::remove_file(&path).and_then(|()| File::open(dir)?.sync_all());
-        removed.map(|()| sha256).map_err(|source| StoreError::Io { path, source })
-    }
-
-    /// The file of a pattern; `None` if the name is not valid, so that no path leads out of the directory.
-    fn path(&self, name: &str) -> Option<PathBuf> {
-        is_name(name).then_some(())?;
-        Some(self.dir.as_ref()?.join(format!("{name}.toml")))
-    }
-
-    fn file_names(&self) -> Result<Vec<String>, StoreError> {
-        let Some(dir) = &self.dir else { return Ok(Vec::new()) };
-        let entries = match fs::read_dir(dir) {
-            Err(error) if error.kind() == io::ErrorKind::NotFound && self.make_dir => return Ok(Vec::new()),
-            entries => entries.map_err(|source| StoreError::Io { path: dir.clone(), source })?,
-        };
-        let mut names: Vec<String> = entries
-            .filter_map(|entry| {
-                entry.ok()?.file_name().into_string().ok()?.strip_suffix(".toml").map(str::to_owned)
-            })
-            // Skip temporary files of editors and of `replace`.
-            .filter(|name| !name.starts_with('.'))
-            .take(MAX_FILES)
-            .collect();
-        names.sort_unstable();
-        Ok(names)
+        self.folder.remove(name)?.ok_or_else(|| self.unknown(name))
     }
 
     fn unknown(&self, name: &str) -> StoreError {
-        let mut names = self.file_names().unwrap_or_default();
+        let mut names = self.folder.names().unwrap_or_default();
         names.extend(self.library.keys().cloned());
         // Compare the beginning only: time and memory grow with each letter.
         let asked: String = name.chars().take(64).collect();
@@ -445,25 +374,12 @@ impl Stored {
 }
 
 fn named(name: &str, stored: Stored) -> Result<Stored, StoreError> {
-    if stored.pattern.name() == name {
-        return Ok(stored);
-    }
-    Err(StoreError::Name { name: name.to_owned(), inside: stored.pattern.name().to_owned() })
+    check_name(name, stored.pattern.name())?;
+    Ok(stored)
 }
 
-fn parse(bytes: &[u8], path: &Path) -> Result<Pattern, StoreError> {
-    let text = std::str::from_utf8(bytes).map_err(|_| StoreError::NotText { path: path.to_owned() })?;
+fn parse(text: &str, path: &Path) -> Result<Pattern, StoreError> {
     Ok(Pattern::parse(text, &path.display().to_string())?)
-}
-
-/// SHA-256 in hexadecimal.
-pub(crate) fn hash(bytes: &[u8]) -> String {
-    hexadecimal(&Sha256::digest(bytes))
-}
-
-/// Bytes in hexadecimal.
-pub(crate) fn hexadecimal(bytes: &[u8]) -> String {
-    bytes.iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
 /// The first [`MAX_LISTED`] lines, and how many more there are.
@@ -474,26 +390,6 @@ fn first(mut lines: Vec<String>, of_what: &str) -> Vec<String> {
         lines.push(format!("{more} more {of_what}"));
     }
     lines
-}
-
-/// The file's bytes, cut at one more than a pattern may have, which the parser refuses.
-fn read(path: &Path) -> Result<Vec<u8>, StoreError> {
-    let read = || {
-        let mut bytes = Vec::new();
-        open_regular(path)?.take(MAX_FILE_BYTES as u64 + 1).read_to_end(&mut bytes)?;
-        Ok(bytes)
-    };
-    read().map_err(|source| StoreError::Io { path: path.to_owned(), source })
-}
-
-/// SHA-256 of the file, if it exists.
-fn present(path: &Path) -> Result<Option<String>, StoreError> {
-    let mut hasher = Sha256::new();
-    match open_regular(path).and_then(|mut file| io::copy(&mut file, &mut hasher)) {
-        Ok(_) => Ok(Some(hexadecimal(&hasher.finalize()))),
-        Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(None),
-        Err(source) => Err(StoreError::Io { path: path.to_owned(), source }),
-    }
 }
 
 /// The current of each rail in a pattern, for motors of unknown capacitance.

@@ -5,21 +5,13 @@
 //!
 //! Invariant: a file is replaced atomically, and only by a target of the file's name.
 
-use crate::file::{LISTED_BY_ALL, READABLE_BY_ALL, make_dirs, open_regular, replace};
-use crate::store::{MAX_FILES, Store, StoreError, first, hash, offer, present};
+use super::folder::{FileError, check_name, check_new_name};
+use super::{FOLDER, Store, first, hash, offer};
 use meissner_api::{TargetDetails, TargetList, TargetSummary};
-use meissner_array::pattern::{is_name, is_new_name};
 use meissner_design::{MAX_BYTES, Shape, Target, TargetError, shipped, shipped_names};
 use meissner_input::message::{nearest, quote};
 use serde_json::Value;
-use std::fs::{self, DirBuilder, File};
-use std::io::{self, Read};
-use std::os::unix::fs::DirBuilderExt;
-use std::path::{Path, PathBuf};
-use std::sync::PoisonError;
-
-/// The folder of the pattern directory.
-const FOLDER: &str = "targets";
+use std::path::Path;
 
 /// Why a target is refused.
 #[derive(Debug, thiserror::Error)]
@@ -35,20 +27,6 @@ pub enum TargetStoreError {
     /// A file that is not a target.
     #[error(transparent)]
     Target(#[from] TargetError),
-    /// The file's name and the name in it differ.
-    #[error("{}: `name` is `{inside}`: must be the name it is stored under; change one of them", quote(.name))]
-    Name {
-        /// The name it was to be stored under.
-        name: String,
-        /// The name in the text.
-        inside: String,
-    },
-    /// A name that a command line would misread.
-    #[error("{}: a new name begins with a letter or a digit: a command line takes `-` for stdin or an option", quote(.name))]
-    NewName {
-        /// The name it was to be stored under.
-        name: String,
-    },
     /// Built-in targets are read-only.
     #[error("`{name}` is built in and cannot be {change}: choose another name")]
     BuiltIn {
@@ -67,23 +45,9 @@ pub enum TargetStoreError {
         /// SHA-256 of its file.
         sha256: String,
     },
-    /// A file that is not UTF-8 text.
-    #[error("{}: not UTF-8 text: write targets as TOML in UTF-8", .path.display())]
-    NotText {
-        /// The file.
-        path: PathBuf,
-    },
-    /// No directory to write to.
-    #[error("there is no pattern directory: set patterns_dir in the daemon's configuration")]
-    NoDirectory,
-    /// The disk or the permissions.
-    #[error("{}: {source}; check that it exists, that the disk has space and that the daemon may use it", .path.display())]
-    Io {
-        /// Where.
-        path: PathBuf,
-        /// The system's error.
-        source: io::Error,
-    },
+    /// Another reason, of any file.
+    #[error(transparent)]
+    File(#[from] FileError),
 }
 
 /// A target of the store.
@@ -146,14 +110,10 @@ impl Store {
         if let Some(built_in) = built_in(name) {
             return Ok(built_in);
         }
-        let path = self.target_path(name).ok_or_else(|| self.unknown_target(name))?;
-        match read(&path) {
-            Err(TargetStoreError::Io { source, .. }) if source.kind() == io::ErrorKind::NotFound => {
-                Err(self.unknown_target(name))
-            }
-            Err(other) => Err(other),
-            Ok(bytes) => parse(name, &bytes, &path),
-        }
+        let Some((path, bytes)) = self.targets.read(name, MAX_BYTES)? else {
+            return Err(self.unknown_target(name));
+        };
+        self.parse_target(name, &bytes, &path)
     }
 
     /// All targets, and a line for each file that cannot be read as one.
@@ -162,7 +122,7 @@ impl Store {
         let names = shipped_names();
         let mut targets: Vec<_> = names.iter().filter_map(|name| Some(built_in(name)?.entry())).collect();
         let mut errors = Vec::new();
-        for name in self.target_names() {
+        for name in self.targets.names().unwrap_or_default() {
             if names.contains(&name.as_str()) {
                 errors.push(format!("{FOLDER}/{name}.toml: `{name}` is built in: rename the file's target"));
                 continue;
@@ -193,25 +153,10 @@ impl Store {
         if built_in(name).is_some() {
             return Err(TargetStoreError::BuiltIn { name: name.to_owned(), change: "overwritten" });
         }
-        let stored = parse(name, text.as_bytes(), Path::new(&format!("{name}.toml")))?;
-        if !is_new_name(name) {
-            return Err(TargetStoreError::NewName { name: name.to_owned() });
-        }
-        let Some(path) = self.target_path(name) else { return Err(TargetStoreError::NoDirectory) };
-        let _writing = self.writing.lock().unwrap_or_else(PoisonError::into_inner);
-        let io = |path: &Path| {
-            let path = path.to_owned();
-            move |source| TargetStoreError::Io { path, source }
-        };
-        let folder = path.parent().ok_or(TargetStoreError::NoDirectory)?;
-        // A configured directory must exist; only the folder in it is made.
-        let made = if self.make_dir { make_dirs(folder, LISTED_BY_ALL) } else { make_folder(folder) };
-        made.map_err(io(folder))?;
-        let replaced = present(&path).map_err(of_disk).map_err(io(&path))?;
-        if let Some(sha256) = replaced.clone().filter(|_| !replace) {
-            return Err(TargetStoreError::Exists { name: name.to_owned(), sha256 });
-        }
-        self::replace(&path, text.as_bytes(), READABLE_BY_ALL).map_err(io(&path))?;
+        let stored = self.parse_target(name, text.as_bytes(), Path::new(&format!("{name}.toml")))?;
+        check_new_name(name)?;
+        let taken = |sha256| TargetStoreError::Exists { name: name.to_owned(), sha256 };
+        let replaced = self.targets.put(name, text, replace, taken)?;
         Ok((stored, replaced))
     }
 
@@ -223,52 +168,19 @@ impl Store {
         if built_in(name).is_some() {
             return Err(TargetStoreError::BuiltIn { name: name.to_owned(), change: "removed" });
         }
-        let path = self.target_path(name).ok_or_else(|| self.unknown_target(name))?;
-        let _writing = self.writing.lock().unwrap_or_else(PoisonError::into_inner);
-        let failed = |source| TargetStoreError::Io { path: path.clone(), source };
-        let sha256 = present(&path).map_err(of_disk).map_err(failed)?;
-        let sha256 = sha256.ok_or_else(|| self.unknown_target(name))?;
-        let folder = path.parent().unwrap_or(&path);
-        fs::remove_file(&path).and_then(|()| File::open(folder)?.sync_all()).map_err(failed)?;
-        Ok(sha256)
+        self.targets.remove(name)?.ok_or_else(|| self.unknown_target(name))
     }
 
-    /// The file of a target; `None` if the name is not valid, so that no path leads out of the folder.
-    fn target_path(&self, name: &str) -> Option<PathBuf> {
-        is_name(name).then_some(())?;
-        Some(self.dir.as_ref()?.join(FOLDER).join(format!("{name}.toml")))
-    }
-
-    fn target_names(&self) -> Vec<String> {
-        let entries = self.dir.iter().flat_map(|dir| fs::read_dir(dir.join(FOLDER))).flatten();
-        let mut names: Vec<String> = entries
-            .filter_map(|entry| entry.ok()?.file_name().to_str()?.strip_suffix(".toml").map(str::to_owned))
-            .filter(|name| !name.starts_with('.'))
-            .take(MAX_FILES)
-            .collect();
-        names.sort_unstable();
-        names
+    fn parse_target(&self, name: &str, bytes: &[u8], path: &Path) -> Result<StoredTarget, TargetStoreError> {
+        let target = Target::read(self.targets.text(bytes, path)?, &path.display().to_string())?;
+        check_name(name, target.name())?;
+        Ok(StoredTarget { target, sha256: hash(bytes), library: false })
     }
 
     fn unknown_target(&self, name: &str) -> TargetStoreError {
-        let own = self.target_names();
+        let own = self.targets.names().unwrap_or_default();
         let known: Vec<&str> = shipped_names().into_iter().chain(own.iter().map(String::as_str)).collect();
         TargetStoreError::Unknown { name: name.to_owned(), nearest: vec![nearest(&known, name).to_owned()] }
-    }
-}
-
-/// The system's error.
-fn of_disk(error: StoreError) -> io::Error {
-    match error {
-        StoreError::Io { source, .. } => source,
-        other => io::Error::other(other.to_string()),
-    }
-}
-
-fn make_folder(folder: &Path) -> io::Result<()> {
-    match DirBuilder::new().mode(LISTED_BY_ALL).create(folder) {
-        Err(error) if error.kind() == io::ErrorKind::AlreadyExists => Ok(()),
-        made => made,
     }
 }
 
@@ -278,29 +190,10 @@ fn built_in(name: &str) -> Option<StoredTarget> {
     Some(StoredTarget { target, sha256, library: true })
 }
 
-fn parse(name: &str, bytes: &[u8], path: &Path) -> Result<StoredTarget, TargetStoreError> {
-    let not_text = |_| TargetStoreError::NotText { path: path.to_owned() };
-    let text = std::str::from_utf8(bytes).map_err(not_text)?;
-    let target = Target::read(text, &path.display().to_string())?;
-    if target.name() != name {
-        return Err(TargetStoreError::Name { name: name.to_owned(), inside: target.name().to_owned() });
-    }
-    Ok(StoredTarget { target, sha256: hash(bytes), library: false })
-}
-
-/// The file's bytes, cut at one more than a target may have, which the parser refuses.
-fn read(path: &Path) -> Result<Vec<u8>, TargetStoreError> {
-    let read = || {
-        let mut bytes = Vec::new();
-        open_regular(path)?.take(MAX_BYTES as u64 + 1).read_to_end(&mut bytes)?;
-        Ok(bytes)
-    };
-    read().map_err(|source| TargetStoreError::Io { path: path.to_owned(), source })
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
+    use std::fs;
 
     const TEXT: &str = "name = \"my-edge\"\nshape = \"segment\"\npoints = [[-4, 0], [4, 0]]\n";
 

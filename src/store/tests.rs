@@ -2,6 +2,7 @@
 
 use super::*;
 use meissner_api::PatternDetails;
+use std::fs;
 
 const TEXT: &str = "format = 1\nname = \"my-edge\"\nduration_s = 1.0\n\n[[drive]]\nmotor = 9\nfrequency_hz = 60.0\n\
                     amplitude_um = 40.0\n\n";
@@ -125,13 +126,13 @@ fn an_unknown_name_offers_the_nearest_and_no_name_leads_out() {
         assert!(matches!(line, StoreError::Unknown { .. }));
         assert!(!line.to_string().contains('\n') && line.to_string().len() < 400);
     }
-    assert!(matches!(store.put("../x", TEXT, false), Err(StoreError::Name { .. })));
+    assert!(matches!(store.put("../x", TEXT, false), Err(StoreError::File(FileError::Name { .. }))));
 }
 
 #[test]
 fn what_is_no_pattern_of_that_name_is_not_stored() {
     let (dir, store) = store();
-    assert!(matches!(store.put("edge", TEXT, false), Err(StoreError::Name { .. })));
+    assert!(matches!(store.put("edge", TEXT, false), Err(StoreError::File(FileError::Name { .. }))));
     let error = store.put("edge", "name = 3", false).unwrap_err();
     assert!(error.to_string().starts_with("edge.toml:"), "{error}");
     let large = "#".repeat(MAX_FILE_BYTES + 1);
@@ -148,10 +149,10 @@ fn a_directory_that_cannot_be_read_is_a_line() {
     let store = Store::new(Some(file.path().to_owned()), false).unwrap();
     assert!(store.check_dir().unwrap_err().to_string().contains(&file.path().display().to_string()));
     assert_eq!(store.list().errors.len(), 1);
-    assert!(matches!(store.put("my-edge", TEXT, false), Err(StoreError::Io { .. })));
+    assert!(matches!(store.put("my-edge", TEXT, false), Err(StoreError::File(FileError::Io { .. }))));
     assert!(matches!(
         Store::new(None, false).unwrap().put("my-edge", TEXT, false),
-        Err(StoreError::NoDirectory)
+        Err(StoreError::File(FileError::NoDirectory))
     ));
 }
 
@@ -237,7 +238,7 @@ fn no_new_name_begins_with_a_dash_and_old_ones_stay() {
     for name in ["-", "--help", "-x"] {
         let text = TEXT.replace("my-edge", name);
         let error = store.put(name, &text, false).unwrap_err();
-        assert!(matches!(error, StoreError::NewName { .. }), "{name}: {error}");
+        assert!(matches!(error, StoreError::File(FileError::NewName { .. })), "{name}: {error}");
         assert!(error.to_string().contains("begins with a letter or a digit"), "{error}");
         fs::write(dir.path().join(format!("{name}.toml")), &text).unwrap();
         assert!(store.list().patterns.iter().any(|pattern| pattern.name == name));
@@ -247,6 +248,10 @@ fn no_new_name_begins_with_a_dash_and_old_ones_stay() {
         assert!(store.put(name, &TEXT.replace("my-edge", name), false).is_err(), "{name}");
     }
     let put = |name: &str| store.put_target(name, &TARGET.replace("NAME", name), false);
-    assert!(matches!(put("--help"), Err(TargetStoreError::NewName { .. })), "{:?}", put("--help"));
+    assert!(
+        matches!(put("--help"), Err(TargetStoreError::File(FileError::NewName { .. }))),
+        "{:?}",
+        put("--help")
+    );
     assert!(put("help").is_ok());
 }

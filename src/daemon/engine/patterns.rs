@@ -33,13 +33,10 @@ impl From<StoreError> for Problem {
     fn from(error: StoreError) -> Self {
         let code = match &error {
             StoreError::Unknown { .. } | StoreError::OtherText { .. } => Code::NotFound,
-            StoreError::Pattern(_)
-            | StoreError::Name { .. }
-            | StoreError::NewName { .. }
-            | StoreError::NotText { .. } => Code::BadPattern,
+            StoreError::File(error) if error.is_of_disk() => Code::Store,
+            StoreError::Pattern(_) | StoreError::File(_) => Code::BadPattern,
             StoreError::Empty { .. } => Code::Empty,
             StoreError::InLibrary { .. } | StoreError::Exists { .. } => Code::Exists,
-            StoreError::NoDirectory | StoreError::Io { .. } => Code::Store,
         };
         Self::new(code, error.to_string())
     }

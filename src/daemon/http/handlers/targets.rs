@@ -22,12 +22,9 @@ impl From<TargetStoreError> for Problem {
     fn from(error: TargetStoreError) -> Self {
         let code = match &error {
             TargetStoreError::Unknown { .. } => Code::NotFound,
-            TargetStoreError::Target(_)
-            | TargetStoreError::Name { .. }
-            | TargetStoreError::NewName { .. }
-            | TargetStoreError::NotText { .. } => Code::BadTarget,
+            TargetStoreError::File(error) if error.is_of_disk() => Code::Store,
+            TargetStoreError::Target(_) | TargetStoreError::File(_) => Code::BadTarget,
             TargetStoreError::BuiltIn { .. } | TargetStoreError::Exists { .. } => Code::Exists,
-            TargetStoreError::NoDirectory | TargetStoreError::Io { .. } => Code::Store,
         };
         Self::new(code, error.to_string())
     }
