@@ -58,7 +58,7 @@ use tracing::Level;
 
 /// Real-time driver daemon for piezo pin-array tactile displays.
 #[derive(Debug, Parser)]
-#[command(name = "meissner", version)]
+#[command(name = "meissner", version, max_term_width = 100)]
 struct Cli {
     #[command(subcommand)]
     command: Command,
@@ -377,5 +377,21 @@ mod tests {
     #[test]
     fn the_command_line_is_consistent() {
         super::command().debug_assert();
+    }
+
+    /// A terminal of 100 columns breaks no line of any help.
+    #[test]
+    fn every_help_fits_100_columns() {
+        fn check(command: &mut clap::Command) {
+            for help in [command.render_help(), command.render_long_help()].map(|help| help.to_string()) {
+                for line in help.lines() {
+                    assert!(line.chars().count() <= 100, "{}: {line}", command.get_name());
+                }
+            }
+            command.get_subcommands_mut().for_each(check);
+        }
+        let mut command = super::command();
+        command.build();
+        check(&mut command);
     }
 }
