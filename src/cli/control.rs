@@ -10,7 +10,6 @@ use super::ending::Ending;
 use super::output::{give, say, shown};
 use super::progress::Progress;
 use super::text;
-use crate::daemon;
 use anyhow::{Result, bail};
 use clap::Args;
 use meissner_api::{ArmRequest, Code, Event, Fit, PlayAccepted, PlayRequest, Receipt, ResetRequest, Status};
@@ -22,7 +21,6 @@ use std::process::ExitCode;
 use std::sync::mpsc;
 use std::thread;
 use std::time::{Duration, Instant};
-use tokio::signal::unix::{SignalKind, signal};
 
 /// How long to wait for the predicted response after a play. After a long play on a busy machine it takes longer; the receipt shows
 /// it later.
@@ -236,33 +234,6 @@ pub(super) fn play(play: &Play) -> Result<ExitCode> {
     let receipt = with_prediction(&mut client, &mut events, receipt, PREDICTION_TIMEOUT);
     give(json, &receipt, || text::receipt(&receipt))?;
     Ok(if receipt.all_played() { ExitCode::SUCCESS } else { ExitCode::FAILURE })
-}
-
-/// Calls `work` at every Ctrl-C from now on, on a separate thread.
-pub(super) fn on_interrupt(mut work: impl FnMut() + Send + 'static) -> Result<()> {
-    on_signals([SignalKind::interrupt()], move |_| work())
-}
-
-/// Calls `work` with the number of each of these signals from now on, on a separate thread.
-pub(super) fn on_signals<const N: usize>(
-    kinds: [SignalKind; N],
-    mut work: impl FnMut(i32) + Send + 'static,
-) -> Result<()> {
-    let runtime = daemon::runtime()?;
-    let (sender, mut signals) = tokio::sync::mpsc::channel(N);
-    for kind in kinds {
-        let mut source = runtime.block_on(async { signal(kind) })?;
-        let sender = sender.clone();
-        runtime.spawn(async move {
-            while source.recv().await.is_some() && sender.send(kind.as_raw_value()).await.is_ok() {}
-        });
-    }
-    thread::Builder::new().name("interrupt".into()).spawn(move || {
-        while let Some(number) = runtime.block_on(signals.recv()) {
-            work(number);
-        }
-    })?;
-    Ok(())
 }
 
 fn length(client: &mut Client, request: &PlayRequest) -> Result<Option<f64>> {

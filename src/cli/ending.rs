@@ -5,8 +5,8 @@
 //! Invariant: the command sends no order after its stop.
 
 use super::arguments::ClientOptions;
-use super::control::on_signals;
 use super::gate::Gate;
+use crate::daemon;
 use anyhow::Result;
 use meissner_client::ClientError;
 use serde_json::{Value, json};
@@ -14,7 +14,8 @@ use std::io::{self, Write};
 use std::process;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use tokio::signal::unix::SignalKind;
+use std::thread;
+use tokio::signal::unix::{SignalKind, signal};
 
 /// The signals that tell a command to end.
 pub(super) const SIGNALS: [fn() -> SignalKind; 3] =
@@ -59,4 +60,31 @@ impl Ending {
         self.gate.wait_if_stopping();
         self.over.store(true, Ordering::Relaxed);
     }
+}
+
+/// Calls `work` at every Ctrl-C from now on, on a separate thread.
+pub(super) fn on_interrupt(mut work: impl FnMut() + Send + 'static) -> Result<()> {
+    on_signals([SignalKind::interrupt()], move |_| work())
+}
+
+/// Calls `work` with the number of each of these signals from now on, on a separate thread.
+pub(super) fn on_signals<const N: usize>(
+    kinds: [SignalKind; N],
+    mut work: impl FnMut(i32) + Send + 'static,
+) -> Result<()> {
+    let runtime = daemon::runtime()?;
+    let (sender, mut signals) = tokio::sync::mpsc::channel(N);
+    for kind in kinds {
+        let mut source = runtime.block_on(async { signal(kind) })?;
+        let sender = sender.clone();
+        runtime.spawn(async move {
+            while source.recv().await.is_some() && sender.send(kind.as_raw_value()).await.is_ok() {}
+        });
+    }
+    thread::Builder::new().name("interrupt".into()).spawn(move || {
+        while let Some(number) = runtime.block_on(signals.recv()) {
+            work(number);
+        }
+    })?;
+    Ok(())
 }

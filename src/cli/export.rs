@@ -8,7 +8,6 @@
 
 use super::arguments::ClientOptions;
 use super::output::{say_file, tell};
-use super::session::warn_unreadable;
 use crate::file::dir_of;
 use crate::session_record::json;
 use anyhow::{Context, Result, bail};
@@ -23,56 +22,74 @@ use std::time::Duration;
 /// How long to wait while the daemon reads its record.
 pub(super) const TIMEOUT: Duration = Duration::from_secs(60);
 
+/// A column: its name, and its field in the row of a play.
+type Column = (&'static str, fn(&Session, &RecordedPlay) -> String);
+
 /// The columns.
-pub(super) const COLUMNS: [&str; 47] = [
-    "session",
-    "participant",
-    "experiment",
-    "seed",
-    "session_labels",
-    "trial",
-    "labels",
-    "play",
-    "user",
-    "pattern",
-    "pattern_sha256",
-    "seconds",
-    "state",
-    "cause",
-    "onset_tick",
-    "onset_monotonic_ns",
-    "onset_uncertainty_ns",
-    "onset_wall_ns",
-    "reported_after_s",
-    "bursts_planned",
-    "bursts_played",
-    "bursts_late",
-    "bursts_dropped",
-    "bursts_refused",
-    "bursts_amended",
-    "pulses_planned",
-    "pulses_played",
-    "worst_late_ms",
-    "rest_error_max_um",
-    "session_started",
-    "session_ended",
-    "item",
-    "scale",
-    "ordered_um",
-    "reached_um",
-    "ordered_ms",
-    "played_ms",
-    "cut_after_ms",
-    "offset_tick",
-    "offset_monotonic_ns",
-    "trigger_tick",
-    "trigger_code",
-    "trigger_ms",
-    "late_strokes",
-    "refused_strokes",
-    "fit",
-    "estimated",
+const COLUMNS: [Column; 47] = [
+    ("session", |session, _| session.id.clone()),
+    ("participant", |session, _| session.participant.clone()),
+    ("experiment", |session, _| field(session.experiment.as_ref())),
+    ("seed", |session, _| field(session.seed)),
+    ("session_labels", |session, _| labels(&session.labels)),
+    ("trial", |_, play| field(play.trial)),
+    ("labels", |_, play| labels(&play.labels)),
+    ("play", |_, play| play.play.to_string()),
+    ("user", |_, play| field(play.user.as_ref())),
+    ("pattern", |_, play| play.pattern.clone()),
+    ("pattern_sha256", |_, play| field(play.pattern_sha256.as_ref())),
+    ("seconds", |_, play| field(play.seconds)),
+    ("state", |_, play| play.state.clone()),
+    ("cause", |_, play| field(play.cause.as_ref())),
+    ("onset_tick", |_, play| field(play.onset_tick)),
+    ("onset_monotonic_ns", |_, play| field(play.onset_monotonic_ns)),
+    ("onset_uncertainty_ns", |_, play| field(play.onset_uncertainty_ns)),
+    ("onset_wall_ns", |_, play| field(play.onset_wall_ns)),
+    ("reported_after_s", |_, play| field(play.reported_after_s)),
+    ("bursts_planned", |_, play| field(play.bursts.map(|bursts| bursts.planned))),
+    ("bursts_played", |_, play| field(play.bursts.map(|bursts| bursts.played))),
+    ("bursts_late", |_, play| field(play.bursts.map(|bursts| bursts.late))),
+    ("bursts_dropped", |_, play| field(play.bursts.map(|bursts| bursts.dropped))),
+    ("bursts_refused", |_, play| field(play.bursts.map(|bursts| bursts.refused))),
+    ("bursts_amended", |_, play| field(play.bursts.map(|bursts| bursts.amended))),
+    ("pulses_planned", |_, play| field(play.pulses.map(|pulses| pulses.planned))),
+    ("pulses_played", |_, play| field(play.pulses.map(|pulses| pulses.played))),
+    ("worst_late_ms", |_, play| field(play.worst_late_ms)),
+    ("rest_error_max_um", |_, play| field(play.rest_error_max_um)),
+    ("session_started", |session, _| session.started.clone()),
+    ("session_ended", |session, _| field(session.ended.as_ref())),
+    ("item", |_, play| field(play.item)),
+    ("scale", |_, play| field(play.scale)),
+    ("ordered_um", |_, play| field(play.ordered_um)),
+    ("reached_um", |_, play| field(play.reached_um)),
+    ("ordered_ms", |_, play| field(play.ordered_ms)),
+    ("played_ms", |_, play| field(play.played_ms)),
+    ("cut_after_ms", |_, play| field(play.cut_after_ms)),
+    ("offset_tick", |_, play| field(play.offset_tick)),
+    ("offset_monotonic_ns", |_, play| field(play.offset_monotonic_ns)),
+    ("trigger_tick", |_, play| field(play.trigger.map(|trigger| trigger.tick))),
+    ("trigger_code", |_, play| field(play.trigger.and_then(|trigger| trigger.code))),
+    ("trigger_ms", |_, play| field(play.trigger.map(|trigger| trigger.width_ms))),
+    ("late_strokes", |_, play| field(play.late_strokes)),
+    ("refused_strokes", |_, play| field(play.refused_strokes)),
+    ("fit", |_, play| {
+        match play.fit {
+            Fit::Whole => "whole",
+            Fit::Cover => "cover",
+        }
+        .to_owned()
+    }),
+    ("estimated", |_, play| play.estimated.to_string()),
 ];
+
+/// The field of a value that may not be known.
+fn field(value: Option<impl ToString>) -> String {
+    value.map_or_else(String::new, |value| value.to_string())
+}
+
+fn labels(labels: &Labels) -> String {
+    labels.iter().map(|(key, value)| format!("{key}={value}")).collect::<Vec<_>>().join(";")
+}
 
 pub(super) fn run(
     options: &ClientOptions,
@@ -110,6 +127,16 @@ fn json_line(exported: &SessionPlays) -> Result<String> {
     json::write(&mut line, exported)?;
     line.push(b'\n');
     Ok(String::from_utf8(line)?)
+}
+
+/// Says on stderr which parts of the record cannot be read.
+pub(super) fn warn_unreadable(count: u64, problems: &[String]) {
+    for problem in problems {
+        tell(&format!("warning: {problem}"));
+    }
+    if let more @ 1.. = count.saturating_sub(problems.len() as u64) {
+        tell(&format!("warning: {more} more lines of the session record cannot be read"));
+    }
 }
 
 /// Says on stderr what is missing.
@@ -155,73 +182,10 @@ fn read(client: &mut Client, id: &str) -> Result<SessionPlays> {
 
 fn table(exported: &SessionPlays) -> Result<String> {
     let mut csv = Writer::from_writer(Vec::new());
-    csv.write_record(COLUMNS)?;
+    csv.write_record(COLUMNS.map(|(name, _)| name))?;
     // A sequence as a whole is not a stimulus. A sequence without items keeps its row, to show that it was ordered.
     for play in exported.plays.iter().filter(|play| play.items == 0) {
-        csv.write_record(row(&exported.session, play))?;
+        csv.write_record(COLUMNS.map(|(_, field)| field(&exported.session, play)))?;
     }
     Ok(String::from_utf8(csv.into_inner()?)?)
-}
-
-fn row(session: &Session, play: &RecordedPlay) -> [String; COLUMNS.len()] {
-    fn field(value: Option<impl ToString>) -> String {
-        value.map_or_else(String::new, |value| value.to_string())
-    }
-    let labels = |labels: &Labels| {
-        labels.iter().map(|(key, value)| format!("{key}={value}")).collect::<Vec<_>>().join(";")
-    };
-    let (bursts, pulses) = (play.bursts, play.pulses);
-    [
-        session.id.clone(),
-        session.participant.clone(),
-        field(session.experiment.as_ref()),
-        field(session.seed),
-        labels(&session.labels),
-        field(play.trial),
-        labels(&play.labels),
-        play.play.to_string(),
-        field(play.user.as_ref()),
-        play.pattern.clone(),
-        field(play.pattern_sha256.as_ref()),
-        field(play.seconds),
-        play.state.clone(),
-        field(play.cause.as_ref()),
-        field(play.onset_tick),
-        field(play.onset_monotonic_ns),
-        field(play.onset_uncertainty_ns),
-        field(play.onset_wall_ns),
-        field(play.reported_after_s),
-        field(bursts.map(|bursts| bursts.planned)),
-        field(bursts.map(|bursts| bursts.played)),
-        field(bursts.map(|bursts| bursts.late)),
-        field(bursts.map(|bursts| bursts.dropped)),
-        field(bursts.map(|bursts| bursts.refused)),
-        field(bursts.map(|bursts| bursts.amended)),
-        field(pulses.map(|pulses| pulses.planned)),
-        field(pulses.map(|pulses| pulses.played)),
-        field(play.worst_late_ms),
-        field(play.rest_error_max_um),
-        session.started.clone(),
-        field(session.ended.as_ref()),
-        field(play.item),
-        field(play.scale),
-        field(play.ordered_um),
-        field(play.reached_um),
-        field(play.ordered_ms),
-        field(play.played_ms),
-        field(play.cut_after_ms),
-        field(play.offset_tick),
-        field(play.offset_monotonic_ns),
-        field(play.trigger.map(|trigger| trigger.tick)),
-        field(play.trigger.and_then(|trigger| trigger.code)),
-        field(play.trigger.map(|trigger| trigger.width_ms)),
-        field(play.late_strokes),
-        field(play.refused_strokes),
-        match play.fit {
-            Fit::Whole => "whole",
-            Fit::Cover => "cover",
-        }
-        .to_owned(),
-        if play.estimated { "true" } else { "false" }.to_owned(),
-    ]
 }

@@ -7,7 +7,7 @@
 //! Invariant: an existing file is replaced only by a whole pattern.
 
 use super::arguments::{MODELS, OBJECTIVES, Output, SETTINGS, choice, positive};
-use super::control::on_interrupt;
+use super::ending::on_interrupt;
 use super::output::{is_broken_pipe, say, say_file, say_json, tell};
 use super::progress::Search;
 use super::{files, library, text};

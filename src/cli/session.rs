@@ -172,7 +172,7 @@ fn leave() -> Result<ExitCode> {
 
 fn list(options: &ClientOptions) -> Result<ExitCode> {
     let list: SessionList = options.client()?.get("/v1/sessions")?;
-    warn_unreadable(list.unreadable, &list.problems);
+    export::warn_unreadable(list.unreadable, &list.problems);
     give(options.output.json, &list, || {
         let row = |session: &api::Session| {
             let stands = session.reason.clone().unwrap_or_else(|| "runs".to_owned());
@@ -193,14 +193,4 @@ fn list(options: &ClientOptions) -> Result<ExitCode> {
             }
         }
     })
-}
-
-/// Says on stderr which parts of the record cannot be read.
-pub(super) fn warn_unreadable(count: u64, problems: &[String]) {
-    for problem in problems {
-        tell(&format!("warning: {problem}"));
-    }
-    if let more @ 1.. = count.saturating_sub(problems.len() as u64) {
-        tell(&format!("warning: {more} more lines of the session record cannot be read"));
-    }
 }

@@ -5,7 +5,7 @@
 //!
 //! Invariant: a file that cannot be true never counts as sums of 0; the account is then unknown until a good file is read.
 
-use super::rule::Stretch;
+use super::vibration::Stretch;
 use super::{Account, FILE, Live, Now, Sums, add, key, seconds};
 use jiff::civil::Date;
 use jiff::{SignedDuration, Timestamp};

@@ -25,10 +25,11 @@ use jiff::civil::Date;
 use jiff::{SignedDuration, Timestamp, Zoned};
 use meissner_api::ParticipantStatus;
 use meissner_stream::time::HostInstant;
-use rule::{EARLY_S, Order, Pending, ROUNDING_S, SoFar, Stretch, judge};
+use rule::{EARLY_S, Order, Pending, SoFar, judge};
 use rustix::time::{ClockId, clock_gettime};
 use std::collections::BTreeMap;
 use std::sync::OnceLock;
+use vibration::{ROUNDING_S, Stretch};
 
 /// The file of the sums, in the directory of the session record.
 pub const FILE: &str = "exposure.json";

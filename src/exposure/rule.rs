@@ -5,7 +5,8 @@
 //!
 //! Invariant: a play that fits exceeds no limit, whatever else is played between the decision and its end.
 
-use super::{Limit, ParticipantLimits, Vibration};
+use super::limits::{Limit, ParticipantLimits};
+use super::vibration::{ROUNDING_S, Stretch, Vibration};
 
 /// The time between two reports of a running play, s.
 pub(super) const REPORT_S: f64 = 0.1;
@@ -14,50 +15,10 @@ pub(super) const REPORT_S: f64 = 0.1;
 pub(super) const EARLY_S: f64 = REPORT_S + 0.02 + 0.3;
 /// The least remaining time for a play without end, s.
 const LEAST_S: f64 = EARLY_S + REPORT_S;
-/// The tolerance of sums, s: more than the accumulated rounding errors.
-pub(super) const ROUNDING_S: f64 = 1e-6;
 /// How long a replaced play may still vibrate, and how much later than planned a play that waits may end, s.
 const LATE_S: f64 = 0.1;
 /// The uncertainty of an onset, s, because the device's clock is estimated.
 const CLOCK_S: f64 = 0.01;
-
-/// Vibration since the last pause.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Stretch {
-    /// How long pins have vibrated, s.
-    pub used_s: f64,
-    /// When they last vibrated, s.
-    pub until_s: f64,
-}
-
-impl Default for Stretch {
-    fn default() -> Self {
-        Self::NONE
-    }
-}
-
-impl Stretch {
-    /// Nothing has vibrated yet.
-    pub const NONE: Self = Self { used_s: 0.0, until_s: f64::NEG_INFINITY };
-
-    /// Whether a pause is over at `at_s`.
-    #[must_use]
-    pub fn is_over(&self, at_s: f64, pause_s: f64) -> bool {
-        at_s - self.until_s >= pause_s - ROUNDING_S
-    }
-
-    /// The stretch after vibration from `from_s` to `to_s`.
-    #[must_use]
-    pub fn with(self, from_s: f64, to_s: f64, pause_s: f64) -> Self {
-        Self { used_s: self.used_at(from_s, pause_s) + to_s - from_s, until_s: self.until_s.max(to_s) }
-    }
-
-    /// The earlier vibration that counts for vibration beginning at `at_s`, s.
-    #[must_use]
-    pub fn used_at(&self, at_s: f64, pause_s: f64) -> f64 {
-        if self.is_over(at_s, pause_s) { 0.0 } else { self.used_s }
-    }
-}
 
 /// When a play begins.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -1,9 +1,50 @@
-//! When a play vibrates: the spans of its pattern in which at least one drive moves a pin.
+//! When a play vibrates: the spans of its pattern in which at least one drive moves a pin. What has vibrated since the last pause
+//! is a [`Stretch`].
 //!
 //! Invariant: spans are in order, do not touch, and lie within one repeat of the pattern.
 
-use super::rule::Stretch;
 use meissner_array::pattern::Pattern;
+
+/// The tolerance of sums, s: more than the accumulated rounding errors.
+pub(super) const ROUNDING_S: f64 = 1e-6;
+
+/// Vibration since the last pause.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Stretch {
+    /// How long pins have vibrated, s.
+    pub used_s: f64,
+    /// When they last vibrated, s.
+    pub until_s: f64,
+}
+
+impl Default for Stretch {
+    fn default() -> Self {
+        Self::NONE
+    }
+}
+
+impl Stretch {
+    /// Nothing has vibrated yet.
+    pub const NONE: Self = Self { used_s: 0.0, until_s: f64::NEG_INFINITY };
+
+    /// Whether a pause is over at `at_s`.
+    #[must_use]
+    pub fn is_over(&self, at_s: f64, pause_s: f64) -> bool {
+        at_s - self.until_s >= pause_s - ROUNDING_S
+    }
+
+    /// The stretch after vibration from `from_s` to `to_s`.
+    #[must_use]
+    pub fn with(self, from_s: f64, to_s: f64, pause_s: f64) -> Self {
+        Self { used_s: self.used_at(from_s, pause_s) + to_s - from_s, until_s: self.until_s.max(to_s) }
+    }
+
+    /// The earlier vibration that counts for vibration beginning at `at_s`, s.
+    #[must_use]
+    pub fn used_at(&self, at_s: f64, pause_s: f64) -> f64 {
+        if self.is_over(at_s, pause_s) { 0.0 } else { self.used_s }
+    }
+}
 
 /// The vibration of a play, in seconds from its onset.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -25,14 +66,7 @@ impl Vibration {
         let mut drives: Vec<(f64, f64)> =
             moving.map(|drive| (drive.start_s.unwrap_or(0.0), drive.stop_s.unwrap_or(end))).collect();
         drives.sort_by(|a, b| a.0.total_cmp(&b.0));
-        let mut spans: Vec<(f64, f64)> = Vec::new();
-        for (start, stop) in drives {
-            match spans.last_mut() {
-                Some(last) if start <= last.1 => last.1 = last.1.max(stop),
-                _ => spans.push((start, stop)),
-            }
-        }
-        Self { spans, repeat_s: pattern.duration_s(), end_s }
+        Self { repeat_s: pattern.duration_s(), end_s, ..Self::of_spans(drives) }
     }
 
     /// Vibration from the onset on, without end.

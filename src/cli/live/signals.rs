@@ -2,7 +2,7 @@
 //!
 //! The second signal ends this process at once; its connection closes, and the daemon ends the play.
 
-use crate::cli::control::on_signals;
+use crate::cli::ending::on_signals;
 use anyhow::Result;
 use std::io::{Read, Write};
 use std::os::fd::{AsFd, BorrowedFd};

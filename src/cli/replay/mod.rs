@@ -14,8 +14,8 @@ mod plan;
 mod rows;
 
 use super::arguments::{ClientOptions, positive};
-use super::control::on_signals;
 use super::ending::SIGNALS;
+use super::ending::on_signals;
 use super::export::{TIMEOUT, lacks};
 use super::gate::Gate;
 use super::output::{give, say, say_json, tell};

@@ -9,7 +9,7 @@ mod cluster;
 mod sources;
 
 use super::arguments::Output;
-use super::control::on_signals;
+use super::ending::on_signals;
 use super::output::{give, say};
 use super::progress::{self, Cells};
 use super::{files, text};
