@@ -13,8 +13,7 @@ use super::{control, files, laser, session_token, text};
 use crate::receipts::calibration_plan;
 use anyhow::{Result, bail};
 use clap::Args;
-use meissner_api::Event;
-use meissner_api::{CalibrateRequest, CalibratedMotor, CalibrationReport, PlayAccepted};
+use meissner_api::{CalibrateRequest, CalibratedMotor, CalibrationReport, Event, PlayAccepted};
 use meissner_client::Events;
 use meissner_stream::calibrate::{LengthUnit, TimeUnit, Units};
 use std::path::{Path, PathBuf};
@@ -71,26 +70,18 @@ pub(super) fn run(asked: &Calibrate) -> Result<ExitCode> {
             options: &asked.options,
         });
     }
-    if let Some(plan) = plan {
-        let Calibrate { motor, repetitions, ref pulses, .. } = *asked;
-        let request = CalibrateRequest {
-            motor,
-            pulses: pulses.clone(),
-            repetitions,
-            laser: true,
-            session: session_token::session(),
-        };
-        return laser::play(&request, asked.out.as_deref().unwrap_or(plan), &asked.options);
-    }
-    let out = asked.out.as_deref().map(files::beside).transpose()?;
     let Calibrate { motor, repetitions, ref pulses, .. } = *asked;
     let request = CalibrateRequest {
         motor,
         pulses: pulses.clone(),
         repetitions,
-        laser: false,
+        laser: plan.is_some(),
         session: session_token::session(),
     };
+    if let Some(plan) = plan {
+        return laser::play(&request, asked.out.as_deref().unwrap_or(plan), &asked.options);
+    }
+    let out = asked.out.as_deref().map(files::beside).transpose()?;
     let plan = calibration_plan(&request)?;
     let mut client = asked.options.client()?;
     let mut events = client.events()?;

@@ -67,8 +67,8 @@ struct Report {
 
 #[derive(Debug, Serialize)]
 struct WireReport {
-    bytes_to_device: u64,
-    bytes_per_burst: Option<f64>,
+    #[serde(flatten)]
+    traffic: LinkTraffic,
     bytes_per_burst_open_loop: Option<f64>,
 }
 
@@ -223,7 +223,7 @@ fn report(
     let open = compare(config, request, &pattern, false)?;
     let stopped = if sensorless { Some(compare(config, request, &pattern, true)?) } else { None };
     let status: Status = client.get("/v1/status")?;
-    let wire = receipt.wire.unwrap_or(LinkTraffic::new(0, 0));
+    let traffic = receipt.wire.unwrap_or(LinkTraffic::new(0, 0));
     let surplus = config.settings.surplus(&[Gains::default(); MOTORS]);
     let drives = pattern.drives().iter();
     let expected = status.motors.iter().filter(|motor| motor.rest_error_um > 0.0);
@@ -240,11 +240,7 @@ fn report(
         ordered: receipt.ordered,
         bursts: receipt.bursts.unwrap_or_default(),
         pulses: receipt.pulses.unwrap_or_default(),
-        wire: WireReport {
-            bytes_to_device: wire.bytes_to_device,
-            bytes_per_burst: wire.bytes_per_burst,
-            bytes_per_burst_open_loop: open.bytes_per_burst,
-        },
+        wire: WireReport { traffic, bytes_per_burst_open_loop: open.bytes_per_burst },
         onset_latency_ms: receipt.onset_latency_ms,
         lead_ms: status.lead_ms,
         sensorless,
@@ -285,8 +281,8 @@ fn summary(report: &Report) -> String {
             "wire",
             format!(
                 "{} bytes, {} per burst; {} without feedback",
-                wire.bytes_to_device,
-                text::number(wire.bytes_per_burst, 2),
+                wire.traffic.bytes_to_device,
+                text::number(wire.traffic.bytes_per_burst, 2),
                 text::number(wire.bytes_per_burst_open_loop, 2)
             ),
         ),

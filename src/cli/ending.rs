@@ -6,20 +6,16 @@
 
 use super::arguments::ClientOptions;
 use super::gate::Gate;
+use super::output::tell;
 use crate::daemon;
 use anyhow::Result;
-use meissner_client::ClientError;
+use meissner_client::{Client, ClientError};
 use serde_json::{Value, json};
-use std::io::{self, Write};
 use std::process;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread;
 use tokio::signal::unix::{SignalKind, signal};
-
-/// The signals that tell a command to end.
-pub(super) const SIGNALS: [fn() -> SignalKind; 3] =
-    [SignalKind::interrupt, SignalKind::terminate, SignalKind::hangup];
 
 /// See the module.
 #[derive(Debug, Default)]
@@ -31,20 +27,28 @@ pub(super) struct Ending {
 impl Ending {
     /// Stops the display at a signal from now on, and ends this process with 128 and the signal's number.
     pub(super) fn listen(options: &ClientOptions) -> Result<Self> {
+        Self::listen_as(options, "stopped: see `meissner receipt`", "not stopped")
+    }
+
+    /// As [`Self::listen`], with the texts for a display that was stopped, and for one that was not.
+    pub(super) fn listen_as(
+        options: &ClientOptions,
+        stopped: &'static str,
+        failed: &'static str,
+    ) -> Result<Self> {
         let ending = Self::default();
         let (gate, over) = (Arc::clone(&ending.gate), Arc::clone(&ending.over));
         let mut client = options.client()?;
-        on_signals(SIGNALS.map(|kind| kind()), move |number| {
+        on_signals(move |number| {
             let said = if over.load(Ordering::Relaxed) {
                 "the play is over: see `meissner receipt`".to_owned()
             } else {
-                match gate.stop(|| client.post::<Value>("/v1/stop", &json!({}))) {
-                    Ok(_) => "stopped: see `meissner receipt`".to_owned(),
-                    Err(error) => format!("not stopped: {error}"),
+                match gate.stop(|| stop(&mut client)) {
+                    Ok(_) => stopped.to_owned(),
+                    Err(error) => format!("{failed}: {error}"),
                 }
             };
-            // If stderr is closed, no one can read the message.
-            let _ = writeln!(io::stderr(), "{said}");
+            tell(&said);
             process::exit(128 + number);
         })?;
         Ok(ending)
@@ -55,23 +59,39 @@ impl Ending {
         self.gate.order(send).unwrap_or_else(|| Gate::wait_for_end())
     }
 
+    /// Stops the display after an error of this command.
+    pub(super) fn stop(&self, client: &mut Client) -> Result<Value, ClientError> {
+        self.gate.stop(|| stop(client))
+    }
+
+    /// While a signal stops the display, blocks the caller until the process ends.
+    pub(super) fn wait_if_stopping(&self) {
+        self.gate.wait_if_stopping();
+    }
+
     /// Notes that the play is over: a signal no longer stops the display, and a play that a signal has cut is not reported.
     pub(super) fn set_over(&self) {
-        self.gate.wait_if_stopping();
+        self.wait_if_stopping();
         self.over.store(true, Ordering::Relaxed);
     }
 }
 
-/// Calls `work` at every Ctrl-C from now on, on a separate thread.
-pub(super) fn on_interrupt(mut work: impl FnMut() + Send + 'static) -> Result<()> {
-    on_signals([SignalKind::interrupt()], move |_| work())
+/// Stops the display.
+fn stop(client: &mut Client) -> Result<Value, ClientError> {
+    client.post("/v1/stop", &json!({}))
 }
 
-/// Calls `work` with the number of each of these signals from now on, on a separate thread.
-pub(super) fn on_signals<const N: usize>(
-    kinds: [SignalKind; N],
-    mut work: impl FnMut(i32) + Send + 'static,
-) -> Result<()> {
+/// Calls `work` at every Ctrl-C from now on, on a separate thread.
+pub(super) fn on_interrupt(mut work: impl FnMut() + Send + 'static) -> Result<()> {
+    on([SignalKind::interrupt()], move |_| work())
+}
+
+/// Calls `work` with the number of each signal that tells a command to end from now on, on a separate thread.
+pub(super) fn on_signals(work: impl FnMut(i32) + Send + 'static) -> Result<()> {
+    on([SignalKind::interrupt(), SignalKind::terminate(), SignalKind::hangup()], work)
+}
+
+fn on<const N: usize>(kinds: [SignalKind; N], mut work: impl FnMut(i32) + Send + 'static) -> Result<()> {
     let runtime = daemon::runtime()?;
     let (sender, mut signals) = tokio::sync::mpsc::channel(N);
     for kind in kinds {

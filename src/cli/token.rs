@@ -2,12 +2,12 @@
 //!
 //! `create` prints the token alone on stdout, so that a script can keep it; the daemon does not show it again.
 
-use super::arguments::ClientOptions;
+use super::arguments::{ClientOptions, choice};
 use super::output::give;
 use super::text;
 use anyhow::Result;
-use clap::{Subcommand, ValueEnum};
-use meissner_api::{self as api, TokenCreated, TokenInfo, TokenList, TokenRequest};
+use clap::Subcommand;
+use meissner_api::{Role, TokenCreated, TokenInfo, TokenList, TokenRequest};
 use meissner_client::escape;
 use std::io::{self, Write};
 use std::process::ExitCode;
@@ -16,8 +16,8 @@ use std::process::ExitCode;
 pub(super) enum Token {
     /// Create an access token and print it: the only time that it is shown
     Create {
-        /// Let a client with the token read (observe) or do everything (operate)
-        #[arg(long, value_name = "ROLE")]
+        /// Choose what a client with the token may do
+        #[arg(long, value_name = "ROLE", value_parser = choice::<Role>(&[("observe", "Read"), ("operate", "Do everything but create and revoke tokens")]))]
         role: Role,
         /// Name who or what uses the token
         #[arg(long, value_name = "NAME")]
@@ -36,21 +36,10 @@ pub(super) enum Token {
     },
 }
 
-/// What a client with a token may do.
-#[derive(Clone, Copy, Debug, ValueEnum)]
-pub(super) enum Role {
-    Observe,
-    Operate,
-}
-
 pub(super) fn run(asked: &Token) -> Result<ExitCode> {
     match asked {
         Token::Create { role, name, options } => {
-            let role = match role {
-                Role::Observe => api::Role::Observe,
-                Role::Operate => api::Role::Operate,
-            };
-            let request = TokenRequest { role, name: name.clone() };
+            let request = TokenRequest { role: *role, name: name.clone() };
             let created: TokenCreated = options.client()?.post("/v1/tokens", &request)?;
             if !options.output.json {
                 let TokenInfo { id, role, .. } = &created.info;

@@ -28,14 +28,10 @@ const DIRECT_PORT: &str = "use a USB port of the machine itself";
 /// The measurements of a device.
 #[derive(Debug, Serialize)]
 pub(super) struct Examined {
-    kind: String,
+    #[serde(flatten)]
+    pub(super) device: DeviceInfo,
     serial_number: Option<String>,
-    firmware: String,
-    build: String,
     protocol: u8,
-    boot: u32,
-    pub(super) simulated: bool,
-    telemetry: bool,
     pool: u16,
     horizon_ticks: u8,
     round_trip: RoundTripStats,
@@ -95,16 +91,10 @@ fn taken(error: &DeviceError) -> Option<PathBuf> {
 }
 
 fn examined(kind: &str, serial_number: Option<String>, checked: &LinkReport) -> Examined {
-    let DeviceInfo { kind, firmware, build, boot, simulated, telemetry } = device_info(kind, &checked.hello);
     Examined {
-        kind,
+        device: device_info(kind, &checked.hello),
         serial_number,
-        firmware,
-        build,
         protocol: PROTOCOL,
-        boot,
-        simulated,
-        telemetry,
         pool: checked.hello.pool,
         horizon_ticks: checked.hello.horizon,
         round_trip: checked.round_trip,
@@ -118,11 +108,12 @@ fn examined(kind: &str, serial_number: Option<String>, checked: &LinkReport) -> 
 fn judged(at: &Examined) -> Vec<Finding> {
     let serial =
         at.serial_number.as_deref().map_or_else(String::new, |serial| format!(", serial number {serial}"));
+    let DeviceInfo { kind, firmware, build, boot, .. } = &at.device;
     let who = format!(
-        "{}{serial}, firmware {} ({}), protocol {}, boot {}, {} slots, horizon {} ticks",
-        at.kind, at.firmware, at.build, at.protocol, at.boot, at.pool, at.horizon_ticks
+        "{kind}{serial}, firmware {firmware} ({build}), protocol {}, boot {boot}, {} slots, horizon {} ticks",
+        at.protocol, at.pool, at.horizon_ticks
     );
-    let who = simulated(at.simulated, who, "name a board with --device");
+    let who = simulated(at.device.simulated, who, "name a board with --device");
 
     let trip = at.round_trip;
     let found = format!(
@@ -165,6 +156,6 @@ fn judged(at: &Examined) -> Vec<Finding> {
     };
     let drift = Finding::new("drift", level, found, advice);
     let mut findings = vec![who, trip, line, drift];
-    findings.extend(telemetry(at.telemetry));
+    findings.extend(telemetry(at.device.telemetry));
     findings
 }

@@ -86,7 +86,7 @@ pub(super) fn run(
         Some(spec) => board::examine(root, &spec, self_test, &mut findings),
     };
     let simulated = match &device {
-        Some(examined) => examined.simulated,
+        Some(examined) => examined.device.simulated,
         None => daemons.and_then(|status| status.device).is_some_and(|device| device.simulated),
     };
     let report = Report { report: findings.into(), wake_up, device };

@@ -8,7 +8,6 @@ use std::io::{Read, Write};
 use std::os::fd::{AsFd, BorrowedFd};
 use std::os::unix::net::UnixStream;
 use std::process;
-use tokio::signal::unix::SignalKind;
 
 #[derive(Debug)]
 pub(super) struct Signals(UnixStream);
@@ -18,17 +17,14 @@ impl Signals {
         let (from, mut to) = UnixStream::pair()?;
         from.set_nonblocking(true)?;
         let mut again = false;
-        on_signals(
-            [SignalKind::interrupt(), SignalKind::terminate(), SignalKind::hangup()],
-            move |number| {
-                if again {
-                    process::exit(128 + number);
-                }
-                again = true;
-                // The write fails only if this process is ending. A signal's number fits into a byte.
-                let _ = to.write_all(&[number as u8]);
-            },
-        )?;
+        on_signals(move |number| {
+            if again {
+                process::exit(128 + number);
+            }
+            again = true;
+            // The write fails only if this process is ending. A signal's number fits into a byte.
+            let _ = to.write_all(&[number as u8]);
+        })?;
         Ok(Self(from))
     }
 

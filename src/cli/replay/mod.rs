@@ -14,11 +14,9 @@ mod plan;
 mod rows;
 
 use super::arguments::{ClientOptions, positive};
-use super::ending::SIGNALS;
-use super::ending::on_signals;
+use super::ending::Ending;
 use super::export::{TIMEOUT, lacks};
-use super::gate::Gate;
-use super::output::{give, say, say_json, tell};
+use super::output::{give, say, say_json};
 use super::text;
 use anyhow::{Context, Result, anyhow, bail};
 use clap::Args;
@@ -28,10 +26,9 @@ use meissner_array::units::{TICKS_PER_MS, ticks_to_ms, ticks_to_seconds};
 use meissner_client::{Client, ClientError, escape};
 use plan::{Order, Planner, Recorded, Skip, Step};
 use rows::Rows;
-use serde_json::{Value, json};
+use serde_json::json;
 use std::collections::VecDeque;
-use std::process::{self, ExitCode};
-use std::sync::Arc;
+use std::process::ExitCode;
 use std::thread;
 use std::time::Duration;
 
@@ -41,6 +38,9 @@ const START_AFTER: u64 = 1000 * TICKS_PER_MS;
 const AHEAD: u64 = 5000 * TICKS_PER_MS;
 /// Pending orders, at most: the daemon queues 16 behind the running play.
 const MOST_AHEAD: usize = 12;
+/// What a replay says that a signal ends: it must not go on unattended.
+const STOPPED: &str = "the replay has ended, and its play was stopped";
+const NOT_STOPPED: &str = "the replay has ended, but its play was not stopped";
 /// How long to wait for a receipt at a time.
 const WAIT_S: f64 = 1.0;
 
@@ -79,9 +79,8 @@ pub(super) fn run(asked: &Replay) -> Result<ExitCode> {
     let plays = check(asked, &session.id)?;
     let mut player = Player::new(client, plays, &session.id, asked)?;
     player.summary.missing = missing(asked, &session.id)?;
-    stop_on_signals(&asked.options, Arc::clone(&player.gate))?;
     let played = player.play(plan_all(asked, &session.id)?);
-    player.gate.wait_if_stopping();
+    player.ending.wait_if_stopping();
     if let Err(error) = played {
         player.summary.ended_early = Some(player.end_early(&error));
     }
@@ -195,7 +194,7 @@ struct UnderWay {
 /// Plays the steps and compares their receipts.
 struct Player {
     client: Client,
-    gate: Arc<Gate>,
+    ending: Ending,
     json: bool,
     tolerance_um: f32,
     /// The tick of the first onset, and the boot it belongs to.
@@ -217,7 +216,7 @@ impl Player {
         }
         Ok(Self {
             client,
-            gate: Arc::default(),
+            ending: Ending::listen_as(&asked.options, STOPPED, NOT_STOPPED)?,
             json: asked.options.output.json,
             tolerance_um: asked.rest_tolerance_um as f32,
             base: None,
@@ -304,7 +303,7 @@ impl Player {
     fn send(&mut self, order: &Order, at_tick: Option<u64>, boot: u32) -> Result<u64, ClientError> {
         let boot = Some(boot);
         let client = &mut self.client;
-        let sent = self.gate.order(|| -> Result<PlayAccepted, ClientError> {
+        let sent = self.ending.order(|| -> Result<PlayAccepted, ClientError> {
             match order {
                 Order::Play(request) => {
                     let mut request = request.clone();
@@ -318,16 +317,12 @@ impl Player {
                 }
             }
         });
-        match sent {
-            Some(accepted) => Ok(accepted?.id),
-            None => Gate::wait_for_end(),
-        }
+        Ok(sent?.id)
     }
 
     /// Stops the pending plays after an error, and returns why the replay ended.
     fn end_early(&mut self, error: &anyhow::Error) -> String {
-        let client = &mut self.client;
-        match self.gate.stop(|| stop(client)) {
+        match self.ending.stop(&mut self.client) {
             Ok(_) => error.to_string(),
             Err(failed) => format!("{error}; its plays were not stopped: {failed}"),
         }
@@ -353,7 +348,7 @@ impl Player {
             }
             receipts.push(receipt);
         }
-        self.gate.wait_if_stopping();
+        self.ending.wait_if_stopping();
         let Some(UnderWay { step, .. }) = self.under_way.pop_front() else { return Ok(()) };
         let first = receipts.first().and_then(|receipt| receipt.onset);
         let late = step.orders.first().map_or(0, |(start, _)| *start);
@@ -370,24 +365,6 @@ impl Player {
         }
         Ok(())
     }
-}
-
-/// Stops the display.
-fn stop(client: &mut Client) -> Result<Value, ClientError> {
-    client.post("/v1/stop", &json!({}))
-}
-
-/// Stops the display at Ctrl-C, SIGTERM and SIGHUP, and ends this process: a replay must not go on unattended.
-fn stop_on_signals(options: &ClientOptions, gate: Arc<Gate>) -> Result<()> {
-    let mut client = options.client()?;
-    on_signals(SIGNALS.map(|kind| kind()), move |number| {
-        let said = match gate.stop(|| stop(&mut client)) {
-            Ok(_) => "the replay has ended, and its play was stopped".to_owned(),
-            Err(error) => format!("the replay has ended, but its play was not stopped: {error}"),
-        };
-        tell(&said);
-        process::exit(128 + number);
-    })
 }
 
 fn gaps(summary: &Summary) -> String {

@@ -27,7 +27,6 @@ use std::path::{Path, PathBuf};
 use std::process::{self, ExitCode};
 use std::sync::Arc;
 use std::thread::available_parallelism;
-use tokio::signal::unix::SignalKind;
 
 #[derive(Debug, Args)]
 pub(super) struct Sweep {
@@ -197,8 +196,7 @@ fn here(asked: &Sweep, plan: Plan, dir: &Path) -> Result<ExitCode> {
     let run = Arc::new(Run::begin(&directory, Arc::new(plan), shard, meissner_sweep::log(variable))?);
     let stopped = Arc::clone(&run);
     let place = files::shown(dir);
-    let signals = [SignalKind::interrupt(), SignalKind::terminate(), SignalKind::hangup()];
-    on_signals(signals, move |number| {
+    on_signals(move |number| {
         let name = match number {
             2 => "SIGINT",
             15 => "SIGTERM",
