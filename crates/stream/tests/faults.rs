@@ -6,22 +6,18 @@
 use firmware_protocol::message::State;
 use firmware_protocol::stroke::{MOTORS, Stroke};
 use firmware_protocol::tick::Tick;
-use meissner_api::ErrorSource;
 use meissner_array::simulated::SimulatedMotorsConfig;
 use meissner_fault_cases::{
-    Case, Evidence, Kind, ONSET, Observed, Order, PATTERNS, PLAY, Seen, What, Worst, bytes, cases, high_until,
+    Case, Evidence, Kind, ONSET, Observed, Order, PATTERNS, PLAY, Seen, Shown, What, bytes, cases,
+    high_until, jobs, run,
 };
 use meissner_stream::Line;
-use meissner_stream::link::BadFrames;
-use meissner_stream::queues::{At, Command, End, Outcome, Snapshot, StreamEvent};
+use meissner_stream::queues::{At, Command, End, Outcome, StreamEvent};
 use meissner_stream::time::HostInstant;
 use meissner_test_support::rig::{self, Rig, answer, assert_closed, bursts_on_the_lines};
 use std::fmt::Write as _;
 use std::fs;
 use std::path::Path;
-use std::sync::OnceLock;
-use std::sync::atomic::{AtomicUsize, Ordering};
-use std::thread;
 use std::time::Duration;
 
 const MS: Duration = Duration::from_millis(1);
@@ -111,11 +107,7 @@ impl Player<'_> {
             }
             What::Order(order) => {
                 self.estopped |= matches!(order, Order::Estop);
-                self.rig.send(match order {
-                    Order::Stop => Command::Stop,
-                    Order::Disarm => Command::Disarm,
-                    Order::Estop => Command::EStop,
-                });
+                self.rig.send(order.command());
             }
         }
     }
@@ -150,36 +142,13 @@ impl Player<'_> {
     }
 
     fn observed(&self) -> Observed {
-        let snapshots = self.events.iter().filter_map(|event| match event {
-            StreamEvent::Snapshot(snapshot) => Some(snapshot),
-            _ => None,
-        });
-        let snapshots: Vec<&Snapshot> = snapshots.filter(|snapshot| snapshot.connected).collect();
-        let unread = |frames: BadFrames| frames.crc + frames.malformed + frames.too_long;
-        let rates = snapshots.windows(8).map(|some| {
-            let (first, last) = (some[0], some[7]);
-            let ticks = last.tick.since(first.tick) as f64;
-            1e6 * (ticks / 85_000.0 / last.at.since(first.at).as_secs_f64() - 1.0).abs()
-        });
-        let set_aside = self.events.iter().filter(|event| matches!(event, StreamEvent::SensorFault { .. }));
         Observed {
-            resent: snapshots.iter().map(|snapshot| snapshot.retransmitted).max().unwrap_or(0),
-            unread: snapshots.iter().map(|snapshot| unread(snapshot.bad_frames)).max().unwrap_or(0),
             unread_by_device: self.rig.mock.controller().counters().bad_frames,
             contradictions: self.rig.contradictions(),
-            rate_ppm: rates.fold(0.0, f64::max),
-            sensors_set_aside: set_aside.count() as u64,
             harmed: self.rig.harmed_frames(),
-            unmeasured: snapshots.iter().map(|snapshot| unmeasured(snapshot)).max().unwrap_or(0),
+            ..Observed::told(&self.events)
         }
     }
-}
-
-/// Motors whose position is known by dead reckoning only, in the second half of a play.
-fn unmeasured(snapshot: &Snapshot) -> u64 {
-    let half = PLAY.as_secs_f64() / 2.0;
-    let sources = snapshot.source.iter().filter(|source| matches!(source, ErrorSource::DeadReckoning));
-    if snapshot.play.is_some_and(|(_, played_s)| played_s > half) { sources.count() as u64 } else { 0 }
 }
 
 fn play(kind: &Kind<'_>, pattern: &str, seed: u64) -> Result<(Seen, Observed), String> {
@@ -276,45 +245,16 @@ fn recovers(player: &mut Player<'_>) -> Result<(), String> {
     }
 }
 
-/// Each kind with each pattern, on as many threads as there are processors.
-fn play_all(kinds: &[Kind<'_>]) -> Vec<[Result<(Seen, Observed), String>; PATTERNS.len()]> {
-    let next = AtomicUsize::new(0);
-    let shown: Vec<_> = kinds.iter().map(|_| OnceLock::new()).collect();
-    thread::scope(|scope| {
-        for _ in 0..thread::available_parallelism().map_or(1, usize::from) {
-            scope.spawn(|| {
-                while let Some((kind, shown)) = {
-                    let at = next.fetch_add(1, Ordering::Relaxed);
-                    kinds.get(at).zip(shown.get(at))
-                } {
-                    let mut seed = 0;
-                    let all = PATTERNS.map(|pattern| {
-                        seed += 1;
-                        play(kind, pattern, seed)
-                    });
-                    shown.set(all).expect("each is played once");
-                }
-            });
-        }
-    });
-    shown.into_iter().map(|shown| shown.into_inner().expect("all were played")).collect()
-}
-
 #[test]
 fn every_fault_ends_as_its_case_says() {
     let cases = cases();
     let kinds: Vec<Kind<'_>> = cases.iter().flat_map(Case::kinds).collect();
     let (mut table, mut problems, mut before) = (String::new(), Vec::new(), "");
-    for (kind, shown) in kinds.iter().zip(play_all(&kinds)) {
-        let mut worst = Worst::default();
-        for (seen, pattern) in shown.into_iter().zip(PATTERNS) {
-            match seen {
-                Ok((seen, _)) => worst.add(&seen),
-                Err(problem) => {
-                    problems.push(format!("{}, {}, {pattern}: {problem}", kind.case.name, kind.label()));
-                }
-            }
-        }
+    let play = |kind: &Kind<'_>, pattern: &str, seed| play(kind, pattern, seed).map(|(seen, _)| seen);
+    for (kind, Shown { worst, problems: of_kind }) in
+        kinds.iter().zip(run(&kinds, &PATTERNS, jobs(), play, |_| ()))
+    {
+        problems.extend(of_kind);
         let Case { name, why, .. } = kind.case;
         let (value, ends, safe, lost) = (kind.label(), worst.ends(), worst.safe(), worst.lost());
         let why = if before == name { "" } else { why };

@@ -2,10 +2,10 @@
 //!
 //! `tests/faults/run chip` plays all of them on the chip.
 
-use meissner_fault_cases::{Case, Ends, Evidence, Kind, PATTERNS, Seen, cases};
+use meissner_fault_cases::{Case, Ends, Evidence, Kind, PATTERNS, Seen, cases, jobs, run};
 use meissner_hil::bench::Which;
 use meissner_hil::bench::chip::ChipOptions;
-use meissner_hil::faults::{On, Plan, jobs, not_possible, play, run};
+use meissner_hil::faults::{not_possible, play};
 
 /// The case of a name, which may end with the label of a kind: `estop, down`.
 fn case(name: &str) -> Case {
@@ -54,8 +54,8 @@ fn every_kind_on_the_mock() {
     let kinds: Vec<Kind<'_>> =
         cases.iter().flat_map(Case::kinds).filter(|kind| not_possible(kind).is_none()).collect();
     assert!(kinds.len() >= 60, "{} kinds", kinds.len());
-    let plan = Plan { on: On::Mock, patterns: &PATTERNS[..1], jobs: jobs(), until: None };
-    let shown = run(&plan, &kinds, |_| ());
+    let on_the_mock = |kind: &Kind<'_>, pattern: &str, seed| play(&Which::Mock(seed), kind, pattern, seed);
+    let shown = run(&kinds, &PATTERNS[..1], jobs(), on_the_mock, |_| ());
     let problems: Vec<String> = shown.into_iter().flat_map(|shown| shown.problems).collect();
     assert!(problems.is_empty(), "{}", problems.join("\n"));
 }

@@ -1,4 +1,4 @@
-//! The format of a case file: what happens when, and what must be true after.
+//! The format of a case: what happens when, and what must be true after.
 //!
 //! Unknown keys are errors. A number may be written as `"value"`: then it is each of the case's values, a kind of its own.
 
@@ -7,16 +7,17 @@ use firmware_protocol::message::{DeviceMessage, State};
 use firmware_protocol::stroke::{MOTORS, Stroke};
 use firmware_protocol::tick::{TICK_HZ, Tick};
 use meissner_stream::Line;
+use meissner_stream::queues::Command;
 use serde::de::Error as _;
 use serde::{Deserialize, Deserializer};
 use std::collections::VecDeque;
 use std::time::Duration;
 
-/// A case file.
+/// A case: a table of a file of `tests/faults`.
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Case {
-    /// The file's name.
+    /// The table's name.
     #[serde(skip)]
     pub name: String,
     /// What the case stands for in a lab.
@@ -234,6 +235,16 @@ pub enum Order {
     Stop,
     Disarm,
     Estop,
+}
+
+impl Order {
+    pub fn command(self) -> Command {
+        match self {
+            Self::Stop => Command::Stop,
+            Self::Disarm => Command::Disarm,
+            Self::Estop => Command::EStop,
+        }
+    }
 }
 
 #[derive(Clone, Copy, Debug, Deserialize)]

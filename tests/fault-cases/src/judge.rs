@@ -2,10 +2,13 @@
 //!
 //! A runner fills in [`Seen`] from the recorded lines and the receipt, and [`Observed`] from what host and device counted.
 
+use crate::PLAY;
 use crate::case::{Ends, Evidence, Expect};
 use firmware_protocol::controller::Run;
 use firmware_protocol::stroke::Lines;
 use firmware_protocol::tick::Tick;
+use meissner_api::ErrorSource;
+use meissner_stream::queues::{Snapshot, StreamEvent};
 
 /// What became of the play.
 #[derive(Clone, Copy, Debug)]
@@ -45,6 +48,35 @@ pub struct Observed {
 }
 
 impl Observed {
+    /// What the streamer has told.
+    pub fn told(events: &[StreamEvent]) -> Self {
+        let snapshots = events.iter().filter_map(|event| match event {
+            StreamEvent::Snapshot(snapshot) if snapshot.connected => Some(snapshot),
+            _ => None,
+        });
+        let snapshots: Vec<&Snapshot> = snapshots.collect();
+        let most =
+            |count: fn(&Snapshot) -> u64| snapshots.iter().map(|snapshot| count(snapshot)).max().unwrap_or(0);
+        let count = |is: fn(&StreamEvent) -> bool| events.iter().filter(|event| is(event)).count() as u64;
+        let rates = snapshots.windows(8).map(|some| {
+            let (first, last) = (some[0], some[7]);
+            let ticks = last.tick.since(first.tick) as f64;
+            1e6 * (ticks / 85_000.0 / last.at.since(first.at).as_secs_f64() - 1.0).abs()
+        });
+        Self {
+            resent: most(|snapshot| snapshot.retransmitted),
+            unread: most(|snapshot| {
+                let frames = snapshot.bad_frames;
+                frames.crc + frames.malformed + frames.too_long
+            }),
+            contradictions: count(|event| matches!(event, StreamEvent::Contradiction(_))),
+            rate_ppm: rates.fold(0.0, f64::max),
+            sensors_set_aside: count(|event| matches!(event, StreamEvent::SensorFault { .. })),
+            unmeasured: most(unmeasured),
+            ..Self::default()
+        }
+    }
+
     pub fn shows(&self, evidence: Evidence) -> bool {
         match evidence {
             Evidence::Resent => self.resent > 0,
@@ -94,6 +126,13 @@ impl Expect {
         }
         Ok(())
     }
+}
+
+/// Motors whose position is known by dead reckoning only, in the second half of a play.
+fn unmeasured(snapshot: &Snapshot) -> u64 {
+    let half = PLAY.as_secs_f64() / 2.0;
+    let sources = snapshot.source.iter().filter(|source| matches!(source, ErrorSource::DeadReckoning));
+    if snapshot.play.is_some_and(|(_, played_s)| played_s > half) { sources.count() as u64 } else { 0 }
 }
 
 /// Milliseconds from the fault to the last pulse.

@@ -8,6 +8,7 @@
 //! - [`judge`]: what a run has shown, and whether that is what the case expects.
 //! - [`bytes`]: what a device must never send.
 //! - [`page`]: the rows of the book.
+//! - [`plays`]: kinds with patterns, many at once.
 //!
 //! Invariant: nothing here knows how a runner makes time pass.
 
@@ -18,16 +19,20 @@ pub mod bytes;
 pub mod case;
 pub mod judge;
 pub mod page;
+pub mod plays;
 
 pub use case::{
     Case, Ends, Evidence, Expect, Fault, Kind, Lie, LineFault, Moment, Number, OfKind, Order, Phase,
     Telemetry, To, What,
 };
 pub use judge::{Observed, Seen, Worst, high_until};
+pub use plays::{Shown, jobs, report, run};
 
+use std::collections::BTreeMap;
 use std::fs;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::time::Duration;
+use toml::{Table, Value};
 
 /// One amplitude everywhere; bursts at many phases; motors that follow each other.
 pub const PATTERNS: [&str; 3] = ["pin-60", "edge-45", "wave"];
@@ -38,18 +43,40 @@ pub const ONSET: u64 = 17_000;
 /// Ticks from the onset on in which no phase is looked for.
 pub const PHASE_AFTER: u64 = 42_500;
 
-/// All cases, by their names.
+/// All cases, by their names: a table each in the files of `tests/faults`.
 pub fn cases() -> Vec<Case> {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../faults");
-    let mut files: Vec<PathBuf> = fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path()).collect();
-    files.sort();
-    let read = |path: PathBuf| {
-        let name = path.file_stem().unwrap().to_string_lossy().into_owned();
-        let case = toml::from_str(&fs::read_to_string(&path).unwrap());
-        let case = case.unwrap_or_else(|error| panic!("tests/faults/{name}.toml: {error}"));
+    let files = fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path());
+    let files = files.filter(|path| path.extension().is_some_and(|ext| ext == "toml"));
+    let mut cases: Vec<Case> = files.flat_map(|path| family(&fs::read_to_string(path).unwrap())).collect();
+    cases.sort_by(|a, b| a.name.cmp(&b.name));
+    assert!(cases.is_sorted_by(|a, b| a.name < b.name), "a name stands twice in tests/faults");
+    cases
+}
+
+/// The cases of a file. Each has what the table `each` has, unless it says otherwise; the faults of `each` come after its own.
+fn family(text: &str) -> Vec<Case> {
+    let mut tables: BTreeMap<String, Table> = toml::from_str(text).unwrap();
+    let each = tables.remove("each").unwrap_or_default();
+    let case = |(name, mut table): (String, Table)| {
+        inherit(&mut table, &each);
+        let case = table.try_into().unwrap_or_else(|error| panic!("tests/faults: {name}: {error}"));
         Case { name, ..case }
     };
-    files.into_iter().filter(|path| path.extension().is_some_and(|ext| ext == "toml")).map(read).collect()
+    tables.into_iter().map(case).collect()
+}
+
+fn inherit(own: &mut Table, each: &Table) {
+    for (key, value) in each {
+        match (own.get_mut(key), value) {
+            (None, _) => drop(own.insert(key.clone(), value.clone())),
+            (Some(Value::Table(own)), Value::Table(each)) => inherit(own, each),
+            (Some(Value::Array(own)), Value::Array(each)) if key == "fault" => {
+                own.extend(each.iter().cloned())
+            }
+            _ => {}
+        }
+    }
 }
 
 /// The kinds of the cases with these names, or of all of them if there are none; a line about a name that is unknown.

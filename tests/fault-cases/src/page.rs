@@ -5,6 +5,7 @@
 
 use crate::case::{Case, Kind};
 use crate::judge::Worst;
+use crate::plays::Shown;
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
 use std::fs;
@@ -30,6 +31,12 @@ pub enum Cell {
     NotPossible(&'static str),
     /// It was not as its case says.
     Failed,
+}
+
+impl From<&Shown> for Cell {
+    fn from(shown: &Shown) -> Self {
+        if shown.problems.is_empty() { Self::Worst(shown.worst.clone()) } else { Self::Failed }
+    }
 }
 
 impl Cell {

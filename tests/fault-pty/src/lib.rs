@@ -9,7 +9,6 @@
 //!
 //! Invariant: no daemon outlives the run, whether it is stopped or not.
 
-#![expect(missing_docs, missing_debug_implementations, reason = "only tests use it")]
 #![expect(clippy::unwrap_used, clippy::missing_panics_doc, reason = "a test that panics has failed")]
 
 mod board;
@@ -17,14 +16,12 @@ mod daemon;
 mod player;
 mod watch;
 
-use meissner_fault_cases::{Kind, Seen, Worst};
+use meissner_fault_cases::{Kind, Seen, Shown};
 use meissner_stream::device::priority::{BELOW_STREAMER, fifo};
 use meissner_stream::time::HostInstant;
 use player::play;
 use std::path::Path;
-use std::sync::Mutex;
-use std::sync::atomic::{AtomicUsize, Ordering};
-use std::thread;
+use std::sync::atomic::{AtomicU32, Ordering};
 use std::time::Duration;
 use watch::Watch;
 
@@ -36,59 +33,24 @@ const STOOD_STILL: Duration = Duration::from_millis(10);
 /// A play that failed while the machine stood still says nothing about the daemon, and is played again, so many times in all.
 const TRIES: u32 = 5;
 
-/// How to run.
-#[derive(Clone, Copy)]
-pub struct Plan<'a> {
-    /// The program `meissner`.
-    pub program: &'a Path,
-    pub patterns: &'a [&'a str],
-    /// Plays at once.
-    pub jobs: usize,
-}
-
-/// What a kind has shown.
-#[derive(Clone, Debug, Default)]
-pub struct Shown {
-    pub worst: Worst,
-    pub problems: Vec<String>,
-    /// Plays that failed while the machine stood still, and were played again.
-    pub repeated: u32,
-}
-
-/// Plays each kind with each pattern; `tell` hears of each that is over.
-pub fn run(plan: &Plan<'_>, kinds: &[Kind<'_>], tell: impl Fn(&str) + Sync) -> Vec<Shown> {
-    let shown: Vec<_> = kinds.iter().map(|_| Mutex::new(Shown::default())).collect();
-    let plays: Vec<_> = (0..kinds.len())
-        .flat_map(|kind| plan.patterns.iter().zip(1..).map(move |(pattern, seed)| (kind, *pattern, seed)))
-        .collect();
-    let next = AtomicUsize::new(0);
-    let watch = Watch::start();
-    thread::scope(|scope| {
-        for _ in 0..plan.jobs.min(plays.len()) {
-            scope.spawn(|| {
-                // A fault has to come when its case says. Without real-time priority it comes when it can.
-                let _ = fifo(BELOW_STREAMER - 1);
-                while let Some(&(at, pattern, seed)) = plays.get(next.fetch_add(1, Ordering::Relaxed)) {
-                    let kind = &kinds[at];
-                    let (seen, repeated) = try_to_play(plan.program, &watch, kind, pattern, seed);
-                    let name = format!("{} {}, {pattern}", kind.case.name, kind.label());
-                    let mut shown = shown[at].lock().unwrap();
-                    shown.repeated += repeated;
-                    match seen {
-                        Ok(seen) => {
-                            tell(&format!("{name}: {seen:?}"));
-                            shown.worst.add(&seen);
-                        }
-                        Err(problem) => {
-                            tell(&format!("{name}: FAILED: {problem}"));
-                            shown.problems.push(format!("{name}: {problem}"));
-                        }
-                    }
-                }
-            });
-        }
-    });
-    shown.into_iter().map(|shown| shown.into_inner().unwrap()).collect()
+/// Plays each kind with each pattern, `jobs` at once; `tell` hears of each that is over. Returns also how many plays failed while
+/// the machine stood still, and were played again.
+pub fn run(
+    program: &Path,
+    patterns: &[&str],
+    jobs: usize,
+    kinds: &[Kind<'_>],
+    tell: impl Fn(&str) + Sync,
+) -> (Vec<Shown>, u32) {
+    let (watch, all_repeated) = (Watch::start(), AtomicU32::new(0));
+    let play = |kind: &Kind<'_>, pattern: &str, seed| {
+        // A fault has to come when its case says. Without real-time priority it comes when it can.
+        let _ = fifo(BELOW_STREAMER - 1);
+        let (seen, repeated) = try_to_play(program, &watch, kind, pattern, seed);
+        all_repeated.fetch_add(repeated, Ordering::Relaxed);
+        seen
+    };
+    (meissner_fault_cases::run(kinds, patterns, jobs, play, tell), all_repeated.into_inner())
 }
 
 /// Returns also how often it was played again.

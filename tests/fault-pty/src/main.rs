@@ -4,8 +4,8 @@
 
 use clap::Parser;
 use meissner_fault_cases::page::{Account, Cell, Target, path, renew, row_of};
-use meissner_fault_cases::{PATTERNS, cases, kinds_of};
-use meissner_fault_pty::{ALLOWANCE_MS, Plan, run};
+use meissner_fault_cases::{PATTERNS, cases, kinds_of, report};
+use meissner_fault_pty::{ALLOWANCE_MS, run};
 use std::num::NonZeroUsize;
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -37,25 +37,16 @@ fn main() -> ExitCode {
         }
     };
     let begun = Instant::now();
-    let plan = Plan { program: &program, patterns: &PATTERNS, jobs: jobs.get() };
-    let shown = run(&plan, &kinds, |line| println!("{line}"));
-    let problems: Vec<&String> = shown.iter().flat_map(|shown| &shown.problems).collect();
-    let repeated: u32 = shown.iter().map(|shown| shown.repeated).sum();
+    let (shown, repeated) = run(&program, &PATTERNS, jobs.get(), &kinds, |line| println!("{line}"));
     let plays = kinds.len() * PATTERNS.len();
     println!(
         "{} kinds, {plays} plays in {:.0} s, {repeated} played again because the machine stood still",
         kinds.len(),
         begun.elapsed().as_secs_f64()
     );
-    for problem in &problems {
-        println!("failed: {problem}");
-    }
+    let is_good = report(&shown);
     if let Some([date, commit]) = account.as_deref() {
-        let cells = kinds.iter().zip(&shown).map(|(kind, shown)| {
-            let cell =
-                if shown.problems.is_empty() { Cell::Worst(shown.worst.clone()) } else { Cell::Failed };
-            (row_of(kind), cell)
-        });
+        let cells = kinds.iter().zip(&shown).map(|(kind, shown)| (row_of(kind), Cell::from(shown)));
         let remark = format!(
             "{} kinds, {plays} plays; bounds on time and {ALLOWANCE_MS} ms; {repeated} plays were repeated because the machine \
              stood still",
@@ -67,5 +58,5 @@ fn main() -> ExitCode {
             return ExitCode::FAILURE;
         }
     }
-    if problems.is_empty() { ExitCode::SUCCESS } else { ExitCode::FAILURE }
+    if is_good { ExitCode::SUCCESS } else { ExitCode::FAILURE }
 }

@@ -15,7 +15,7 @@ use meissner_array::strokes::{StrokeOptions, Strokes};
 use meissner_array::units::duration_to_ticks;
 use meissner_fault_cases::{Kind, ONSET, Observed, Order, PLAY, Seen, What, bytes};
 use meissner_stream::faulty::Line;
-use meissner_stream::queues::{At, Command, Outcome, Play, Snapshot, StreamEvent};
+use meissner_stream::queues::{At, Command, Outcome, Play, StreamEvent};
 use std::time::Duration;
 
 /// Most ms from the start of a board, or the end of a fault, until the host has greeted it.
@@ -164,11 +164,7 @@ impl Player {
             What::Telemetry(_) => return Err("the board has no sensor".to_owned()),
             What::Order(order) => {
                 self.estopped |= matches!(order, Order::Estop);
-                self.rig.order(match order {
-                    Order::Stop => Command::Stop,
-                    Order::Disarm => Command::Disarm,
-                    Order::Estop => Command::EStop,
-                });
+                self.rig.order(order.command());
             }
         }
         Ok(())
@@ -285,31 +281,10 @@ impl Player {
 
     /// What host and device have counted so far.
     fn observed(&self) -> Observed {
-        let snapshots = self.rig.notices.iter().filter_map(|event| match event {
-            StreamEvent::Snapshot(snapshot) if snapshot.connected => Some(snapshot),
-            _ => None,
-        });
-        let snapshots: Vec<&Snapshot> = snapshots.collect();
-        let most =
-            |count: fn(&Snapshot) -> u64| snapshots.iter().map(|snapshot| count(snapshot)).max().unwrap_or(0);
-        let rates = snapshots.windows(8).map(|some| {
-            let (first, last) = (some[0], some[7]);
-            let ticks = last.tick.since(first.tick) as f64;
-            1e6 * (ticks / 85_000.0 / last.at.since(first.at).as_secs_f64() - 1.0).abs()
-        });
-        let contradictions =
-            self.rig.notices.iter().filter(|event| matches!(event, StreamEvent::Contradiction(_)));
         Observed {
-            resent: most(|snapshot| snapshot.retransmitted),
-            unread: most(|snapshot| {
-                let frames = snapshot.bad_frames;
-                frames.crc + frames.malformed + frames.too_long
-            }),
             unread_by_device: self.unread_by_device(),
-            contradictions: contradictions.count() as u64,
-            rate_ppm: rates.fold(0.0, f64::max),
             harmed: self.rig.harmed_frames(),
-            ..Observed::default()
+            ..Observed::told(&self.rig.notices)
         }
     }
 }

@@ -1,0 +1,76 @@
+//! Plays kinds with patterns, many at once, and keeps what they have shown.
+//!
+//! Invariant: what is shown does not depend on which play ends first.
+
+use crate::case::Kind;
+use crate::judge::{Seen, Worst};
+use std::sync::OnceLock;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::thread;
+
+/// What a kind has shown.
+#[derive(Clone, Debug, Default)]
+pub struct Shown {
+    /// Over the patterns.
+    pub worst: Worst,
+    /// What was not as expected.
+    pub problems: Vec<String>,
+}
+
+/// As many plays at once as there are processors.
+pub fn jobs() -> usize {
+    thread::available_parallelism().map_or(1, usize::from)
+}
+
+/// Plays each kind with each pattern, whose number is the seed, `jobs` at once; `tell` hears of each play that is over.
+pub fn run(
+    kinds: &[Kind<'_>],
+    patterns: &[&str],
+    jobs: usize,
+    play: impl Fn(&Kind<'_>, &str, u64) -> Result<Seen, String> + Sync,
+    tell: impl Fn(&str) + Sync,
+) -> Vec<Shown> {
+    let plays: Vec<_> = kinds
+        .iter()
+        .flat_map(|kind| patterns.iter().zip(1..).map(move |(pattern, seed)| (kind, *pattern, seed)))
+        .map(|play| (play, OnceLock::new()))
+        .collect();
+    let next = AtomicUsize::new(0);
+    thread::scope(|scope| {
+        for _ in 0..jobs.min(plays.len()) {
+            scope.spawn(|| {
+                while let Some(((kind, pattern, seed), seen)) =
+                    plays.get(next.fetch_add(1, Ordering::Relaxed))
+                {
+                    let name = format!("{}, {}, {pattern}", kind.case.name, kind.label());
+                    let result = play(kind, pattern, *seed).map_err(|problem| format!("{name}: {problem}"));
+                    tell(&match &result {
+                        Ok(seen) => format!("{name}: {seen:?}"),
+                        Err(problem) => format!("FAILED: {problem}"),
+                    });
+                    seen.set(result).unwrap();
+                }
+            });
+        }
+    });
+    let mut seen = plays.into_iter().map(|(_, seen)| seen.into_inner().unwrap());
+    let of_kind = |_| {
+        let mut shown = Shown::default();
+        for seen in seen.by_ref().take(patterns.len()) {
+            match seen {
+                Ok(seen) => shown.worst.add(&seen),
+                Err(problem) => shown.problems.push(problem),
+            }
+        }
+        shown
+    };
+    kinds.iter().map(of_kind).collect()
+}
+
+/// Prints what was not as expected; returns whether all was.
+pub fn report(shown: &[Shown]) -> bool {
+    let mut problems = shown.iter().flat_map(|shown| &shown.problems).peekable();
+    let is_good = problems.peek().is_none();
+    problems.for_each(|problem| println!("failed: {problem}"));
+    is_good
+}
