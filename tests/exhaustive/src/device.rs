@@ -4,7 +4,7 @@
 //! Each message that the host can send is sent in time, late, or not at all, and comes again later. From every state that is reached the
 //! checks let the host fall silent until the device rests, compare all counts, and then lead a new host to a play.
 
-use crate::shell::{Broken, Shell, USED, never};
+use crate::shell::{Broken, Shell, USED, after, never};
 use firmware_protocol::batch::{Amendment, BATCH_BYTES, Packer};
 use firmware_protocol::controller::newer;
 use firmware_protocol::frame::{self, Decoder, MAX_FRAME};
@@ -17,7 +17,6 @@ use firmware_protocol::stroke::{Direction, MOTORS, Stroke};
 use firmware_protocol::tick::Tick;
 use stateright::{Model, Property};
 use std::hash::{Hash, Hasher};
-use std::panic::{AssertUnwindSafe, catch_unwind};
 
 /// How far the exploration goes.
 #[derive(Clone, Copy, Debug)]
@@ -140,8 +139,65 @@ struct Replacing {
     kept: u32,
 }
 
+/// Where the host is in its session with the device.
+#[derive(Clone, Copy, Debug, Default, Hash)]
+struct Host {
+    session: u32,
+    epoch: u16,
+    seq: u16,
+    generation: u16,
+    /// The last report it has read.
+    seen: u16,
+    /// The last stroke that was sent of motor 0.
+    last: Option<Stroke>,
+    status: Option<Status>,
+}
+
+impl Host {
+    fn next_epoch(&mut self) {
+        self.epoch = self.epoch.wrapping_add(1);
+        (self.seq, self.generation) = (0, 0);
+    }
+
+    fn control(&mut self, op: Op) -> Vec<u8> {
+        self.next_epoch();
+        encoded(&HostMessage::Control { epoch: self.epoch, seen: self.seen, op })
+    }
+
+    fn amendment(&mut self, direction: Direction, change: i16) -> Option<Vec<u8>> {
+        let stroke = self.last?;
+        self.generation = self.generation.wrapping_add(1);
+        let pulses = stroke.bursts()[direction as usize].pulses.saturating_add_signed(change);
+        let mut items = Packer::<BATCH_BYTES>::new(stroke.up);
+        let packed = items.amendment(&Amendment { motor: 0, up: stroke.up, direction, pulses });
+        assert!(packed.is_ok(), "one amendment fits");
+        let (epoch, generation, base) = (self.epoch, self.generation, stroke.up.wire());
+        Some(encoded(&HostMessage::Amend { epoch, generation, base, items: items.bytes() }))
+    }
+}
+
+/// What the counts at rest must add up to.
+#[derive(Clone, Copy, Debug, Default, Hash)]
+struct Account {
+    /// Bursts of frames that were taken; and of those that were perhaps taken in part.
+    taken: u64,
+    torn: u64,
+    /// Whether pins were moved, returned by an `arm`, and strokes amended: then fewer sums are exact.
+    moved: bool,
+    returned: bool,
+    amended: bool,
+}
+
+/// What the device has counted when it rests. It follows from the other fields of a scene, and makes no other state.
+#[derive(Clone, Copy, Debug)]
+struct End(Counters);
+
+impl Hash for End {
+    fn hash<H: Hasher>(&self, _: &mut H) {}
+}
+
 /// The device, and what its host has said.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Hash)]
 pub struct Scene {
     /// The device.
     pub shell: Shell,
@@ -151,31 +207,17 @@ pub struct Scene {
     faults: u8,
     /// The shell may not have taken all of the last frame.
     pieces: bool,
-    session: u32,
-    epoch: u16,
-    seq: u16,
-    generation: u16,
-    seen: u16,
-    /// The last stroke that was sent of motor 0.
-    last: Option<Stroke>,
+    host: Host,
     /// The last messages, the newest first.
     said: Vec<Vec<u8>>,
     /// Frames of strokes of the present epoch that were heard and not acknowledged.
     heard: Vec<Heard>,
     /// The last frame that replaces, until it is taken.
     replacing: Option<Replacing>,
-    /// Bursts of frames that were taken; and of those that were perhaps taken in part.
-    taken: u64,
-    torn: u64,
-    /// Whether pins were moved, returned by an `arm`, and strokes amended: then fewer sums are exact.
-    moved: bool,
-    returned: bool,
-    amended: bool,
-    status: Option<Status>,
+    account: Account,
     /// When the device heard a frame last.
     last_heard: u64,
-    /// What the device has counted when it rests. It follows from the other fields.
-    end: Counters,
+    end: End,
 }
 
 const HOST_TIMEOUT: u32 = 200;
@@ -194,68 +236,25 @@ fn hash_of(scene: &Scene) -> u64 {
     hasher.finish()
 }
 
-impl Hash for Scene {
-    fn hash<H: Hasher>(&self, hasher: &mut H) {
-        let Self {
-            shell,
-            begun,
-            events,
-            faults,
-            pieces,
-            session,
-            epoch,
-            seq,
-            generation,
-            seen,
-            last,
-            said,
-            heard,
-            replacing,
-            taken,
-            torn,
-            moved,
-            returned,
-            amended,
-            status,
-            last_heard,
-            end: _,
-        } = self;
-        shell.hash(hasher);
-        (begun, events, faults, pieces, session, epoch, seq, generation, seen).hash(hasher);
-        (last, said, heard, replacing, taken, torn, moved, returned, amended, last_heard, status)
-            .hash(hasher);
-    }
-}
-
 impl Scene {
     fn new(one_at_once: bool) -> Self {
         let mut shell = Shell::new(1);
         shell.one_at_once = one_at_once;
+        let now = shell.now;
         let mut scene = Self {
             shell,
-            begun: 0,
+            begun: now,
             events: 0,
             faults: 0,
             pieces: false,
-            session: 1,
-            epoch: 0,
-            seq: 0,
-            generation: 0,
-            seen: 0,
-            last: None,
+            host: Host::default(),
             said: Vec::new(),
             heard: Vec::new(),
             replacing: None,
-            taken: 0,
-            torn: 0,
-            moved: false,
-            returned: false,
-            amended: false,
-            status: None,
-            last_heard: 0,
-            end: Counters::NONE,
+            account: Account::default(),
+            last_heard: now,
+            end: End(Counters::NONE),
         };
-        (scene.last_heard, scene.begun) = (scene.shell.now, scene.shell.now);
         scene.hello(1);
         scene
     }
@@ -289,11 +288,11 @@ impl Scene {
             let Some(body) = decoder.next(&mut &out[..len]) else { break };
             match frame::read(body) {
                 Ok(DeviceMessage::Hello(hello)) => {
-                    (self.epoch, self.seq, self.seen) = (hello.epoch, 0, hello.reports);
+                    (self.host.epoch, self.host.seq, self.host.seen) = (hello.epoch, 0, hello.reports);
                 }
-                Ok(DeviceMessage::Status(status)) => self.status = Some(status),
-                Ok(DeviceMessage::Report { number, report }) if number == self.seen.wrapping_add(1) => {
-                    self.seen = number;
+                Ok(DeviceMessage::Status(status)) => self.host.status = Some(status),
+                Ok(DeviceMessage::Report { number, report }) if number == self.host.seen.wrapping_add(1) => {
+                    self.host.seen = number;
                     if let Report::Verdict { seq, kept, .. } = report
                         && let Some(replacing) = self.replacing.as_mut().filter(|frame| frame.seq == seq)
                     {
@@ -312,7 +311,7 @@ impl Scene {
     }
 
     fn hello(&mut self, session: u32) {
-        self.session = session;
+        self.host.session = session;
         let bytes = encoded(&HostMessage::Hello { session });
         self.bytes(&bytes);
         self.take_all();
@@ -320,7 +319,7 @@ impl Scene {
     }
 
     fn ping(&mut self) {
-        self.bytes(&encoded(&HostMessage::Ping { token: 1, seen: self.seen }));
+        self.bytes(&encoded(&HostMessage::Ping { token: 1, seen: self.host.seen }));
         self.take_all();
     }
 
@@ -345,10 +344,10 @@ impl Scene {
         }
         let now = self.tick();
         if ahead && self.shell.device.clone().advance(now) {
-            self.torn += self.heard.drain(..).map(|heard| heard.bursts).sum::<u64>();
+            self.account.torn += self.heard.drain(..).map(|heard| heard.bursts).sum::<u64>();
             return;
         }
-        self.taken += self.caught_up().acknowledged();
+        self.account.taken += self.caught_up().acknowledged();
         self.heard.clear();
     }
 
@@ -358,7 +357,7 @@ impl Scene {
             return;
         }
         let caught_up = self.caught_up();
-        let status = caught_up.status;
+        let status = caught_up.host.status;
         let frame = caught_up.replacing.filter(|frame| {
             status.is_some_and(|status| status.epoch == frame.epoch && frame.seq < status.next_seq)
         });
@@ -385,16 +384,10 @@ impl Scene {
 
     /// Bursts of the frames heard in this epoch that the device has acknowledged.
     fn acknowledged(&self) -> u64 {
-        let Some(status) = self.status else { return 0 };
+        let Some(status) = self.host.status else { return 0 };
         let taken =
             self.heard.iter().filter(|heard| heard.epoch == status.epoch && heard.seq < status.next_seq);
         taken.map(|heard| heard.bursts).sum()
-    }
-
-    fn control(&mut self, op: Op) -> Vec<u8> {
-        self.epoch = self.epoch.wrapping_add(1);
-        (self.seq, self.generation) = (0, 0);
-        encoded(&HostMessage::Control { epoch: self.epoch, seen: self.seen, op })
     }
 
     fn frame(&mut self, mark: Option<MarkKind>, motors: u32, base: u64, strokes: &[Stroke]) -> Vec<u8> {
@@ -402,7 +395,7 @@ impl Scene {
         if motors != 0 {
             let (old, new) = (self.shell.asked_from(motors, base), strokes.to_vec());
             let rendered = self.shell.device.rendered().0;
-            let (epoch, seq) = (self.epoch, self.seq);
+            let (epoch, seq) = (self.host.epoch, self.host.seq);
             self.replacing = Some(Replacing { epoch, seq, motors, base, old, new, rendered, kept: 0 });
         }
         for stroke in strokes {
@@ -411,11 +404,11 @@ impl Scene {
             self.shell.ask(*stroke);
         }
         let mark = mark.map(|kind| Mark { kind, trigger: Some(Trigger { width: 3, code: 0 }) });
-        let withdraw = Some(Withdraw { motors, generation: self.generation }).filter(|_| motors != 0);
-        let (epoch, seq, seen) = (self.epoch, self.seq, self.seen);
-        self.seq = self.seq.wrapping_add(1);
+        let withdraw = Some(Withdraw { motors, generation: self.host.generation }).filter(|_| motors != 0);
+        let (epoch, seq, seen) = (self.host.epoch, self.host.seq, self.host.seen);
+        self.host.seq = self.host.seq.wrapping_add(1);
         if let Some(stroke) = strokes.iter().rev().find(|stroke| stroke.motor == 0) {
-            self.last = Some(*stroke);
+            self.host.last = Some(*stroke);
         }
         encoded(&HostMessage::Strokes {
             epoch,
@@ -428,36 +421,25 @@ impl Scene {
         })
     }
 
-    fn amendment(&mut self, direction: Direction, change: i16) -> Option<Vec<u8>> {
-        let stroke = self.last?;
-        self.generation = self.generation.wrapping_add(1);
-        let pulses = stroke.bursts()[direction as usize].pulses.saturating_add_signed(change);
-        let mut items = Packer::<BATCH_BYTES>::new(stroke.up);
-        let packed = items.amendment(&Amendment { motor: 0, up: stroke.up, direction, pulses });
-        assert!(packed.is_ok(), "one amendment fits");
-        let (epoch, generation, base) = (self.epoch, self.generation, stroke.up.wire());
-        Some(encoded(&HostMessage::Amend { epoch, generation, base, items: items.bytes() }))
-    }
-
     /// The bytes of what the host says now. `None` if it has no reason to.
     fn words(&mut self, say: Say) -> Option<Vec<u8>> {
         let ready = self.ready();
         Some(match say {
             Say::Arm => {
-                let assume_rest = self.status.is_none_or(|status| !status.position_known);
+                let assume_rest = self.host.status.is_none_or(|status| !status.position_known);
                 let rail_at_once = if self.shell.one_at_once { 1 } else { PowerLimits::NONE.rail_at_once };
                 let (host_timeout, limits) =
                     (HOST_TIMEOUT, PowerLimits { rail_at_once, ..PowerLimits::NONE });
-                self.control(Op::Arm { assume_rest, host_timeout, limits, lower_stop: None })
+                self.host.control(Op::Arm { assume_rest, host_timeout, limits, lower_stop: None })
             }
-            Say::Disarm => self.control(Op::Disarm(Cause::Shutdown)),
-            Say::Stop => self.control(Op::Stop),
-            Say::EStop => self.control(Op::EStop),
-            Say::Reset => self.control(Op::Reset),
+            Say::Disarm => self.host.control(Op::Disarm(Cause::Shutdown)),
+            Say::Stop => self.host.control(Op::Stop),
+            Say::EStop => self.host.control(Op::EStop),
+            Say::Reset => self.host.control(Op::Reset),
             Say::Move => {
-                self.moved = true;
+                self.account.moved = true;
                 self.shell.ask_move(0, Direction::Up);
-                self.control(Op::Move { motor: 0, direction: Direction::Up, pulses: 1 })
+                self.host.control(Op::Move { motor: 0, direction: Direction::Up, pulses: 1 })
             }
             Say::Onset => {
                 let first = if self.shell.one_at_once { around(0, ready) } else { short(0, ready) };
@@ -467,23 +449,23 @@ impl Scene {
                 self.frame(Some(MarkKind::Play), 0, ready - 1, &[short(0, ready - 1), long(1, ready + 3)])
             }
             Say::Next => {
-                let at = self.last.map_or(ready, |last| last.end().0.max(ready));
+                let at = self.host.last.map_or(ready, |last| last.end().0.max(ready));
                 self.frame(Some(MarkKind::Item), 0, at, &[short(0, at)])
             }
             Say::Late => self.frame(None, 0, ready - 1, &[short(0, ready - 1), short(1, ready)]),
             Say::Replace => {
-                let at = self.last?.up.0;
+                let at = self.host.last?.up.0;
                 let long = Stroke { up_pulses: 3, down: Tick(at + 4), down_pulses: 3, ..short(0, at) };
                 self.frame(None, 1, at, &[long])
             }
             Say::ReplaceLater => {
-                let at = self.last?.up.0;
+                let at = self.host.last?.up.0;
                 self.frame(None, 1, at, &[short(0, at.max(ready))])
             }
             Say::Withdraw => self.frame(None, 3, ready, &[]),
-            Say::AmendUp => self.amendment(Direction::Up, 1)?,
-            Say::AmendDown => self.amendment(Direction::Down, -1)?,
-            Say::Ping => encoded(&HostMessage::Ping { token: 1, seen: self.seen }),
+            Say::AmendUp => self.host.amendment(Direction::Up, 1)?,
+            Say::AmendDown => self.host.amendment(Direction::Down, -1)?,
+            Say::Ping => encoded(&HostMessage::Ping { token: 1, seen: self.host.seen }),
         })
     }
 
@@ -500,7 +482,7 @@ impl Scene {
                     Op::EStop => self.goes_off(),
                     Op::Arm { .. } if self.shell.device.state() == Armed::Disarmed => {
                         self.shell.off_since = None;
-                        self.returned |=
+                        self.account.returned |=
                             (0..MOTORS as u8).any(|motor| self.shell.device.outstanding(motor) > 0);
                     }
                     _ => {}
@@ -514,7 +496,7 @@ impl Scene {
                     self.heard.push(heard);
                 }
             }
-            HostMessage::Amend { .. } => self.amended = true,
+            HostMessage::Amend { .. } => self.account.amended = true,
             _ => {}
         }
         if device.is_some() {
@@ -575,9 +557,8 @@ impl Scene {
             Step::Urgent => {
                 self.close_epoch(true);
                 self.goes_off();
-                self.epoch = self.epoch.wrapping_add(1);
-                (self.seq, self.generation) = (0, 0);
-                self.shell.device.e_stop(now, self.epoch);
+                self.host.next_epoch();
+                self.shell.device.e_stop(now, self.host.epoch);
                 self.shell.drivers_off();
                 self.drain();
             }
@@ -594,7 +575,7 @@ impl Scene {
             }
             Step::Hello => {
                 self.close_epoch(false);
-                self.hello(self.session + 1);
+                self.hello(self.host.session + 1);
             }
             Step::Piece => {
                 self.pieces = self.shell.device.advance(now);
@@ -659,7 +640,7 @@ impl Scene {
         end.take_all();
         // A silent host reads no statuses: what was taken is known before.
         let caught_up = end.caught_up();
-        let taken = end.taken + caught_up.acknowledged();
+        let taken = end.account.taken + caught_up.acknowledged();
         while end.shell.now < silent_until {
             end.shell.tick();
         }
@@ -668,18 +649,18 @@ impl Scene {
             return Some(Broken::Watchdog);
         }
         let counters = device.counters();
-        self.end = counters;
+        self.end = End(counters);
         let counted =
             counters.played + counters.late + counters.dropped + counters.refused + counters.replaced;
         let pulses: u64 = end.shell.seen.iter().flatten().map(|&seen| u64::from(seen)).sum();
-        let internal = self.moved || self.returned;
-        if !(taken..=taken + end.torn).contains(&counted)
+        let internal = self.account.moved || self.account.returned;
+        if !(taken..=taken + end.account.torn).contains(&counted)
             || pulses < counters.pulses
             || (!internal && pulses != counters.pulses)
         {
             return Some(Broken::Counts);
         }
-        if !self.moved && !self.amended {
+        if !self.account.moved && !self.account.amended {
             for motor in 0..USED {
                 let [up, down] = end.shell.seen[motor];
                 if up != down + u32::from(device.outstanding(motor as u8)) {
@@ -789,22 +770,7 @@ impl Model for Device {
     }
 
     fn next_state(&self, scene: &Scene, step: Step) -> Option<Scene> {
-        let mut next = scene.clone();
-        let done = catch_unwind(AssertUnwindSafe(|| next.apply(step, &self.0)));
-        match done {
-            Ok(None) => return None,
-            Ok(Some(())) => {}
-            Err(_) => {
-                next = scene.clone();
-                next.shell.breaks(Broken::Panic);
-            }
-        }
-        if let Some(broken) =
-            catch_unwind(AssertUnwindSafe(|| next.judge_end())).unwrap_or(Some(Broken::Panic))
-        {
-            next.shell.breaks(broken);
-        }
-        Some(next)
+        after(scene, |scene| &mut scene.shell, |next| next.apply(step, &self.0), Scene::judge_end)
     }
 
     fn properties(&self) -> Vec<Property<Self>> {
@@ -821,14 +787,14 @@ impl Model for Device {
             never!(AtOnce, "never more motors of a rail than the limit have pulses at once"),
             never!(Panic, "no panic"),
             // These show that the exploration reaches states in which the properties above can fail.
-            Property::sometimes("strokes are played", |_, scene: &Scene| scene.end.played > 0),
-            Property::sometimes("strokes are dropped", |_, scene: &Scene| scene.end.dropped > 0),
-            Property::sometimes("strokes are late", |_, scene: &Scene| scene.end.late > 0),
-            Property::sometimes("strokes are refused", |_, scene: &Scene| scene.end.refused > 0),
-            Property::sometimes("strokes are replaced", |_, scene: &Scene| scene.end.replaced > 0),
-            Property::sometimes("bursts are amended", |_, scene: &Scene| scene.end.amended > 0),
+            Property::sometimes("strokes are played", |_, scene: &Scene| scene.end.0.played > 0),
+            Property::sometimes("strokes are dropped", |_, scene: &Scene| scene.end.0.dropped > 0),
+            Property::sometimes("strokes are late", |_, scene: &Scene| scene.end.0.late > 0),
+            Property::sometimes("strokes are refused", |_, scene: &Scene| scene.end.0.refused > 0),
+            Property::sometimes("strokes are replaced", |_, scene: &Scene| scene.end.0.replaced > 0),
+            Property::sometimes("bursts are amended", |_, scene: &Scene| scene.end.0.amended > 0),
             Property::sometimes("amendments are ignored", |_, scene: &Scene| {
-                scene.end.amendments_ignored > 0
+                scene.end.0.amendments_ignored > 0
             }),
             Property::sometimes("a pin stays up", |_, scene: &Scene| scene.shell.device.outstanding(1) > 0),
         ]

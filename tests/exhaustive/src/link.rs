@@ -4,7 +4,7 @@
 //! From every state that is reached the line becomes good: then session and device must come to agree, and every stroke must have its
 //! verdict, and be on the lines if it was accepted.
 
-use crate::shell::{Broken, Shell, never};
+use crate::shell::{Broken, Shell, after, never};
 use firmware_protocol::batch::Amendment;
 use firmware_protocol::frame::MAX_FRAME;
 use firmware_protocol::limits::PowerLimits;
@@ -17,7 +17,6 @@ use stateright::{Model, Property};
 use std::collections::VecDeque;
 use std::fmt::{self, Write};
 use std::hash::{DefaultHasher, Hash, Hasher};
-use std::panic::{AssertUnwindSafe, catch_unwind};
 
 /// How far the exploration goes.
 #[derive(Clone, Copy, Debug)]
@@ -576,21 +575,7 @@ impl Model for Link {
     }
 
     fn next_state(&self, pair: &Pair, step: Step) -> Option<Pair> {
-        let mut next = pair.clone();
-        match catch_unwind(AssertUnwindSafe(|| next.apply(step))) {
-            Ok(None) => return None,
-            Ok(Some(())) => {}
-            Err(_) => {
-                next = pair.clone();
-                next.shell.breaks(Broken::Panic);
-            }
-        }
-        if let Some(broken) =
-            catch_unwind(AssertUnwindSafe(|| next.judge_end())).unwrap_or(Some(Broken::Panic))
-        {
-            next.shell.breaks(broken);
-        }
-        Some(next)
+        after(pair, |pair| &mut pair.shell, |next| next.apply(step), Pair::judge_end)
     }
 
     fn properties(&self) -> Vec<Property<Self>> {

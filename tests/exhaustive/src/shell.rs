@@ -9,6 +9,7 @@ use firmware_protocol::stroke::{Direction, Lines, Stroke};
 use firmware_protocol::tick::Tick;
 use std::collections::VecDeque;
 use std::hash::{Hash, Hasher};
+use std::panic::{AssertUnwindSafe, catch_unwind};
 
 /// The motors that are used: enough for two that share a frame and a trigger.
 pub const USED: usize = 2;
@@ -51,6 +52,26 @@ macro_rules! never {
     };
 }
 pub(crate) use never;
+
+/// The state after a step that can be, with what the step or the judgement of its end has broken. A panic breaks it, too.
+pub(crate) fn after<S: Clone>(
+    before: &S,
+    shell: fn(&mut S) -> &mut Shell,
+    apply: impl FnOnce(&mut S) -> Option<()>,
+    judge: fn(&mut S) -> Option<Broken>,
+) -> Option<S> {
+    let mut next = before.clone();
+    match catch_unwind(AssertUnwindSafe(|| apply(&mut next))) {
+        Ok(done) => done?,
+        Err(_) => {
+            next = before.clone();
+            shell(&mut next).breaks(Broken::Panic);
+        }
+    }
+    let broken = catch_unwind(AssertUnwindSafe(|| judge(&mut next))).unwrap_or(Some(Broken::Panic));
+    broken.into_iter().for_each(|broken| shell(&mut next).breaks(broken));
+    Some(next)
+}
 
 /// A controller with its outputs, and what was seen on them.
 #[derive(Clone, Debug)]
