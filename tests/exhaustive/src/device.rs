@@ -4,6 +4,8 @@
 //! Each message that the host can send is sent in time, late, or not at all, and comes again later. From every state that is reached the
 //! checks let the host fall silent until the device rests, compare all counts, and then lead a new host to a play.
 
+#![expect(clippy::derived_hash_with_manual_eq, reason = "scenes are equal if their hashes are")]
+
 use crate::shell::{Broken, Shell, USED, after, never};
 use firmware_protocol::batch::{Amendment, BATCH_BYTES, Packer};
 use firmware_protocol::controller::newer;

@@ -72,7 +72,7 @@ fn inherit(own: &mut Table, each: &Table) {
             (None, _) => drop(own.insert(key.clone(), value.clone())),
             (Some(Value::Table(own)), Value::Table(each)) => inherit(own, each),
             (Some(Value::Array(own)), Value::Array(each)) if key == "fault" => {
-                own.extend(each.iter().cloned())
+                own.extend(each.iter().cloned());
             }
             _ => {}
         }

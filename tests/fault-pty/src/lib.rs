@@ -9,7 +9,7 @@
 //!
 //! Invariant: no daemon outlives the run, whether it is stopped or not.
 
-#![expect(clippy::unwrap_used, clippy::missing_panics_doc, reason = "a test that panics has failed")]
+#![expect(clippy::unwrap_used, reason = "a test that panics has failed")]
 
 mod board;
 mod daemon;
