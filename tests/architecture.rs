@@ -232,7 +232,7 @@ fn every_file_that_the_page_names_exists() {
     assert!(named > 200, "{named}");
 }
 
-/// A folder of modules has a job, so the page says where to change it.
+/// A folder of modules has a job, so the page says where to change it. Folders `tests` hold unit tests.
 #[test]
 fn every_folder_of_modules_is_named() {
     let page = page();
@@ -246,7 +246,7 @@ fn every_folder_of_modules_is_named() {
     let missing: Vec<String> = folders
         .iter()
         .map(|file| file.parent().unwrap().strip_prefix(ROOT).unwrap().to_str().unwrap().to_owned())
-        .filter(|folder| !page.contains(folder))
+        .filter(|folder| !page.contains(folder) && !folder.ends_with("/tests"))
         .collect();
     assert!(missing.is_empty(), "{PAGE} does not name {missing:?}");
 }
