@@ -26,10 +26,11 @@ mod sixty_hertz;
 mod stop;
 
 pub use control::{
-    Bias, ControlGrid, ControlRow, ControlSummary, ControlTradeoff, Verdict, Wire, WireRow, Worst,
-    control_tradeoff,
+    ControlGrid, ControlRow, ControlSummary, ControlTradeoff, Verdict, Wire, WireRow, Worst, control_tradeoff,
 };
-pub use lead::{LEADS_MS, LeadRow, LeadTradeoff, STALLS, Summary, Trace, TraceError, lead_tradeoff};
+pub use lead::{
+    LEADS_MS, LeadRow, LeadTradeoff, MAX_TRACE_BYTES, STALLS, Summary, Trace, TraceError, lead_tradeoff,
+};
 pub use objectives::{
     BelowNaive, CellOfClass, ClassRow, ObjectiveCell, ObjectiveMeans, ObjectiveRow, ObjectiveTradeoff,
     objective_tradeoff,

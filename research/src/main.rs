@@ -2,16 +2,18 @@
 
 mod table;
 
-use anyhow::{Context, Result};
+use anyhow::Result;
 use clap::{Parser, Subcommand};
+use meissner::cli::{give, text_of_file};
 use meissner::store::Store;
 use meissner_research::{
-    ControlGrid, LEADS_MS, STALLS, StopGrid, Trace, control_tradeoff, lead_tradeoff, objective_tradeoff,
-    stop_tradeoff,
+    ControlGrid, LEADS_MS, MAX_TRACE_BYTES, STALLS, StopGrid, Trace, control_tradeoff, lead_tradeoff,
+    objective_tradeoff, stop_tradeoff,
 };
 use meissner_skin::ModelName;
 use serde::Serialize;
 use std::path::PathBuf;
+use std::process::ExitCode;
 
 /// Comparisons behind the figures of the book. `meissner tradeoff` compares simulation methods.
 #[derive(Debug, Parser)]
@@ -46,29 +48,29 @@ enum What {
 /// Evaluations of each search; more would hardly improve the result.
 const EVALUATIONS: u64 = 1000;
 
-fn main() -> Result<()> {
+fn main() -> Result<ExitCode> {
     let Arguments { what, json } = Arguments::parse();
     match what {
         What::Lead { trace: None } => {
-            give(json, &lead_tradeoff(&Trace::read(STALLS, "stalls.txt")?, &LEADS_MS), table::lead::table)
+            let trace = Trace::read(STALLS, "stalls.txt")?;
+            print(json, &lead_tradeoff(&trace, &LEADS_MS), table::lead::table)
         }
         What::Lead { trace: Some(file) } => {
-            let name = file.to_string_lossy();
-            let text = std::fs::read_to_string(&file).with_context(|| name.to_string())?;
-            give(json, &lead_tradeoff(&Trace::read(&text, &name)?, &LEADS_MS), table::lead::table)
+            let text = text_of_file(&file, MAX_TRACE_BYTES, "trace")?;
+            let trace = Trace::read(&text, &file.to_string_lossy())?;
+            print(json, &lead_tradeoff(&trace, &LEADS_MS), table::lead::table)
         }
-        What::Loop => give(json, &control_tradeoff(&ControlGrid::default())?, table::control::table),
-        What::Stop => give(json, &stop_tradeoff(&StopGrid::default())?, table::stop::table),
+        What::Loop => print(json, &control_tradeoff(&ControlGrid::default())?, table::control::table),
+        What::Stop => print(json, &stop_tradeoff(&StopGrid::default())?, table::stop::table),
         What::Objectives { afferents } => {
             let store = Store::new(None, false)?;
             let library = |name: &str| store.library(name).map(|stored| stored.pattern.drives().to_vec());
             let model = if afferents { ModelName::Afferents } else { ModelName::Membrane };
-            give(json, &objective_tradeoff(EVALUATIONS, model, &library)?, table::objectives::table)
+            print(json, &objective_tradeoff(EVALUATIONS, model, &library)?, table::objectives::table)
         }
     }
 }
 
-fn give<T: Serialize>(json: bool, found: &T, table: impl FnOnce(&T) -> Vec<String>) -> Result<()> {
-    println!("{}", if json { serde_json::to_string(found)? } else { table(found).join("\n") });
-    Ok(())
+fn print<T: Serialize>(json: bool, found: &T, table: fn(&T) -> Vec<String>) -> Result<ExitCode> {
+    give(json, found, || table(found).join("\n"))
 }

@@ -1,7 +1,9 @@
 //! The lead under recorded stalls, and traces that are refused.
 
-use meissner_research::{LEADS_MS, LeadRow, LeadTradeoff, STALLS, Trace, lead_tradeoff};
+use meissner_research::{LEADS_MS, LeadRow, LeadTradeoff, MAX_TRACE_BYTES, STALLS, Trace, lead_tradeoff};
 use meissner_stream::queues::End;
+use std::fs::{self, File};
+use std::process::Command;
 
 fn tried(trace: &str, leads_ms: &[f64]) -> LeadTradeoff {
     lead_tradeoff(&Trace::read(trace, "trace").unwrap(), leads_ms)
@@ -118,4 +120,22 @@ fn an_invalid_trace_is_refused_in_one_line() {
         let line = Trace::read(text, "trace.txt").unwrap_err().to_string();
         assert!(line.contains(says) && !line.contains('\n'), "{text:?}: {line}");
     }
+}
+
+#[test]
+fn a_file_that_is_no_text_is_refused_in_one_line() {
+    let file = std::env::temp_dir().join(format!("trace-{}.txt", std::process::id()));
+    let complaint = || {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_meissner-research"));
+        let output = command.args(["lead", "--trace"]).arg(&file).output().unwrap();
+        let line = String::from_utf8(output.stderr).unwrap();
+        assert!(!output.status.success() && line.lines().count() == 1, "{line}");
+        line
+    };
+    fs::write(&file, b"seconds 9\n\xe9").unwrap();
+    assert!(complaint().contains(".txt: not UTF-8 text"));
+    File::create(&file).unwrap().set_len(MAX_TRACE_BYTES + 1).unwrap();
+    assert!(complaint().contains("bytes are too many: a trace file has at most"));
+    fs::remove_file(&file).unwrap();
+    assert!(complaint().contains(".txt: cannot be read; name a trace file"));
 }

@@ -27,7 +27,10 @@ pub(super) fn is_file(argument: &str) -> bool {
 }
 
 /// Reads a file of at most `most` bytes; errors call it a `kind` file.
-pub(super) fn text(place: &Path, most: u64, kind: &str) -> Result<String> {
+///
+/// # Errors
+/// It is too large, cannot be read, or is not UTF-8 text: in one line.
+pub fn text(place: &Path, most: u64, kind: &str) -> Result<String> {
     let at = shown(place);
     if let Ok(found) = fs::metadata(place)
         && found.is_file()

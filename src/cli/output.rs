@@ -34,7 +34,10 @@ pub(super) fn tell(text: &str) {
 }
 
 /// Prints the answer: as a document, or as text. A closed stdout is not an error: the exit code depends only on the answer.
-pub(super) fn give(json: bool, document: &impl Serialize, text: impl FnOnce() -> String) -> Result<ExitCode> {
+///
+/// # Errors
+/// Stdout cannot be written.
+pub fn give(json: bool, document: &impl Serialize, text: impl FnOnce() -> String) -> Result<ExitCode> {
     match if json { say_json(document) } else { say(&text()) } {
         Err(error) if !is_broken_pipe(&error) => Err(error),
         _ => Ok(ExitCode::SUCCESS),

@@ -13,6 +13,6 @@ mod wire;
 
 pub use grid::ControlGrid;
 pub use row::{ControlRow, Verdict};
-pub use summary::{Bias, ControlSummary, Worst};
+pub use summary::{ControlSummary, Worst};
 pub use tradeoff::{ControlTradeoff, control_tradeoff};
 pub use wire::{Wire, WireRow};

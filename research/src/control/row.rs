@@ -42,9 +42,6 @@ pub struct ControlRow {
     pub rest_rms_um: f64,
     /// The least possible rest error at `delay_ms` and the planned amplitude, µm.
     pub bound_um: f64,
-    /// The bound for samples a millisecond fresher, µm. The controller settles a burst's count at a wake-up, up to a millisecond
-    /// early; here samples also arrive at wake-ups.
-    pub strict_bound_um: f64,
     /// The limit of [`Self::rest_rms_um`].
     pub limit_um: f64,
     /// The relative error of the mean amplitude: top minus the mean of the rests beside it.
@@ -88,10 +85,7 @@ impl ControlRow {
         let half_period_um = f64::from(TICK_HZ) / 2.0 / run.frequency_hz * UM_PER_PULSE;
         let room = half_period_um / planned_um;
         let rest_rms_um = mean(periods.iter().map(|period| period.rest_um.powi(2))).sqrt();
-        let bound = |delay_ms: f64| {
-            rest_bound_um(run.frequency_hz, planned_um, run.scatter, delay_ms, run.telemetry_hz)
-        };
-        let bound_um = bound(delay_ms);
+        let bound_um = rest_bound_um(run.frequency_hz, planned_um, run.scatter, delay_ms, run.telemetry_hz);
         let limit_um = match run.scatter {
             0.0 => CALM_UM,
             ..=SCATTER => RATIO * bound_um,
@@ -124,7 +118,6 @@ impl ControlRow {
             room,
             rest_rms_um,
             bound_um,
-            strict_bound_um: bound(delay_ms - 1.0),
             limit_um,
             amplitude_error,
             amplitude_se,
@@ -144,11 +137,6 @@ impl ControlRow {
     pub(super) fn amplitude_beyond(&self) -> f64 {
         self.amplitude_limit
             .map_or(0.0, |limit| self.amplitude_error.abs() - limit - CHANCE * self.amplitude_se)
-    }
-
-    /// Whether the rest error exceeds the limit that follows from the strict bound.
-    pub(super) fn misses_strictly(&self) -> bool {
-        self.rest_rms_um > self.limit_um * (self.strict_bound_um / self.bound_um)
     }
 
     /// The largest ratio of an error to its limit; above 1 the cell misses.

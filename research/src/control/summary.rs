@@ -24,31 +24,14 @@ pub struct ControlSummary {
     pub miss: usize,
     /// Rest errors beyond their limit.
     pub rest_misses: usize,
-    /// Rest errors beyond the limit that follows from [`ControlRow::strict_bound_um`].
-    pub strict_rest_misses: usize,
     /// Amplitudes beyond their limit by more than chance.
     pub amplitude_misses: usize,
     /// Cells with a sensor fault, although the telemetry is sound.
     pub doubts: usize,
     /// Whether cells that differ only by their lead have the same figures, bit for bit.
     pub leads_alike: bool,
-    /// The mean error of amplitudes, by scatter.
-    pub biases: Vec<Bias>,
     /// The worst cell of each frequency and scatter.
     pub worst: Vec<Worst>,
-}
-
-/// The mean relative error of all amplitudes at one scatter.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct Bias {
-    /// The scatter of these cells.
-    pub scatter: f64,
-    /// The number of cells with room, at one lead.
-    pub cells: usize,
-    /// Their mean error.
-    pub amplitude_error: f64,
-    /// Its standard error.
-    pub amplitude_se: f64,
 }
 
 /// The worst of the cells of a frequency and a scatter.
@@ -103,34 +86,12 @@ impl ControlSummary {
             chance: count(&|row| row.verdict == Verdict::Chance),
             miss: count(&|row| !chance_or_holds(row)),
             rest_misses: count(&rest),
-            strict_rest_misses: count(&ControlRow::misses_strictly),
             amplitude_misses: count(&|row| row.amplitude_beyond() > 0.0),
             doubts: count(&|row| row.doubt.is_some()),
-            biases: biases(rows),
             leads_alike: rows.iter().all(same),
             worst,
         }
     }
-}
-
-fn biases(rows: &[ControlRow]) -> Vec<Bias> {
-    let mut biases: Vec<Bias> = Vec::new();
-    let lead_ms = rows.first().map(|row| row.run.lead_ms);
-    for row in rows.iter().filter(|row| Some(row.run.lead_ms) == lead_ms && row.amplitude_limit.is_some()) {
-        let at = biases.iter().position(|bias| bias.scatter == row.run.scatter).unwrap_or(biases.len());
-        if at == biases.len() {
-            biases.push(Bias { scatter: row.run.scatter, cells: 0, amplitude_error: 0.0, amplitude_se: 0.0 });
-        }
-        let bias = &mut biases[at];
-        bias.cells += 1;
-        bias.amplitude_error += row.amplitude_error;
-        bias.amplitude_se += row.amplitude_se.powi(2);
-    }
-    for bias in &mut biases {
-        bias.amplitude_error /= bias.cells as f64;
-        bias.amplitude_se = bias.amplitude_se.sqrt() / bias.cells as f64;
-    }
-    biases
 }
 
 impl Worst {

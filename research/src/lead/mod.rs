@@ -8,5 +8,5 @@ mod replay;
 mod trace;
 mod tradeoff;
 
-pub use trace::{STALLS, Summary, Trace, TraceError};
+pub use trace::{MAX_TRACE_BYTES, STALLS, Summary, Trace, TraceError};
 pub use tradeoff::{LEADS_MS, LeadRow, LeadTradeoff, lead_tradeoff};

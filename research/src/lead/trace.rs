@@ -15,6 +15,8 @@ use std::time::Duration;
 
 /// The shipped trace, recorded on a virtual machine whose host sometimes steals time.
 pub const STALLS: &str = include_str!("../../../traces/stalls.txt");
+/// The largest trace file, bytes.
+pub const MAX_TRACE_BYTES: u64 = 1 << 20;
 /// The longest trace, s.
 const MAX_SECONDS: u64 = 3600;
 /// The latest wake-up, µs: the longest host watchdog timeout.

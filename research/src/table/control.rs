@@ -1,7 +1,7 @@
 //! Prints the comparison of position control: the worst settings, and those that miss their limit.
 
-use super::{columns, number};
-use meissner_research::{Bias, ControlRow, ControlTradeoff, Verdict, WireRow, Worst};
+use meissner::cli::{columns, number};
+use meissner_research::{ControlRow, ControlTradeoff, Verdict, WireRow, Worst};
 
 /// Most settings that miss their limit and get a line.
 const LISTED: usize = 8;
@@ -60,16 +60,6 @@ pub(crate) fn table(tradeoff: &ControlTradeoff) -> Vec<String> {
             summary.doubts
         ),
     ];
-    lines.push(format!(
-        "If samples were a millisecond fresher, as they can be between two wake-ups, {} rest errors would exceed the limit.",
-        summary.strict_rest_misses
-    ));
-    let bias = |bias: &Bias| {
-        let (mean, error) = (100.0 * bias.amplitude_error, 100.0 * bias.amplitude_se);
-        format!("{mean:+.2} % at scatter {} (+-{error:.2})", bias.scatter)
-    };
-    let biases: Vec<_> = summary.biases.iter().map(bias).collect();
-    lines.push(format!("On average, unsaturated amplitudes are off by {}.", biases.join(", ")));
     lines.extend(worst_cells(tradeoff));
     let head = ["Hz", "samples/s", "rest um", "bound um", "ratio"];
     let row = |row: &ControlRow| {

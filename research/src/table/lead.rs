@@ -1,6 +1,6 @@
 //! Prints the comparison of leads.
 
-use super::{columns, number};
+use meissner::cli::{columns, number};
 use meissner_research::{LeadRow, LeadTradeoff};
 use meissner_stream::queues::End;
 

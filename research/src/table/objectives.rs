@@ -1,7 +1,7 @@
 //! Prints the comparison of objectives: a table of the first model, one of both models class by class, and the targets at which a
 //! naive rule is better. `--json` has every target.
 
-use super::{columns, number};
+use meissner::cli::{columns, number};
 use meissner_research::{ClassRow, ObjectiveMeans, ObjectiveRow, ObjectiveTradeoff};
 
 pub(crate) fn table(tradeoff: &ObjectiveTradeoff) -> Vec<String> {

@@ -1,6 +1,6 @@
 //! Prints the comparison of surpluses above a lower stop.
 
-use super::{columns, number};
+use meissner::cli::{columns, number};
 use meissner_research::{StopReason, StopRow, StopSurplus, StopTradeoff};
 
 pub(crate) fn table(tradeoff: &StopTradeoff) -> Vec<String> {
