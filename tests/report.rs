@@ -407,19 +407,19 @@ fn expensive_steps_are_left_out_and_named() {
 
 #[test]
 fn a_plot_depends_on_the_figures_alone_and_has_labels() {
-    let svg = plot(&COMPARED).unwrap();
-    assert_eq!(svg, plot(&COMPARED).unwrap());
-    for label in ["euler f32", "euler f64", "propagator f32", "propagator f64", "exact", "\n0\n"] {
+    let svg = plot(&COMPARED);
+    assert_eq!(svg, plot(&COMPARED));
+    for label in ["euler f32", "euler f64", "propagator f32", "propagator f64", "exact", ">0<"] {
         assert!(svg.contains(label), "{label}");
     }
     // Labels are left out where points crowd; which ones depends on the times.
-    assert!(svg.matches(" µs\n").count() > 4, "{svg}");
+    assert!(svg.matches(" µs<").count() > 4, "{svg}");
     let empty = MethodTradeoff { rows: Vec::new(), ..COMPARED.clone() };
-    assert!(plot(&empty).unwrap().starts_with("<svg"), "nothing to draw is drawn");
+    assert!(plot(&empty).starts_with("<svg"), "nothing to draw is drawn");
     let nothing = Scene::read("duration_s = 0\nreceptors = []", "-").unwrap();
     let nothing = tradeoff(&nothing, &|_| ()).unwrap();
     assert!(nothing.recommendation.contains("nothing to compare"));
-    plot(&nothing).unwrap();
+    plot(&nothing);
 }
 
 #[test]

@@ -103,7 +103,7 @@ pub(super) fn fit(asked: &Fit<'_>) -> Result<ExitCode> {
     let found = fit_recording(&plan, &recording).map_err(|error| at(asked.recording, &error))?;
     let new = found.calibration(&plan).map_err(|error| at(asked.plan, &error))?;
     if let Some(plot) = plot {
-        plot.write(&plot_laser(&found)?)?;
+        plot.write(&plot_laser(&found))?;
     }
     let file = match asked.out {
         Some(out) => add_to(out, new)?,

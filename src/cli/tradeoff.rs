@@ -42,7 +42,7 @@ pub(super) fn run(asked: &MethodTradeoff) -> Result<ExitCode> {
     let plot = asked.plot.as_deref().map(files::beside).transpose()?;
     let found = progress::metered(|at| meissner_report::tradeoff(&scene, at))?;
     if let Some(plot) = plot {
-        plot.write(&meissner_report::plot(&found)?)?;
+        plot.write(&meissner_report::plot(&found))?;
     }
     give(asked.output.json, &found, || {
         let mut lines = methods_table(&found);

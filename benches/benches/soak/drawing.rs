@@ -1,17 +1,20 @@
 //! The samples as a table and as a drawing.
 
 use crate::{Counts, Done, Sample};
-use plotters::prelude::*;
+use meissner_report::chart::{Axis, Chart, Dot, Point, Scale, Series, stacked};
 use std::fmt::Write as _;
 use std::fs;
 use std::path::Path;
 
 type Figure = fn(&Sample) -> f64;
 
+/// The height of a figure, px.
+const HEIGHT: u16 = 220;
+
 /// Writes both to a folder.
 pub(crate) fn keep(out: &Path, samples: &[Sample], bounds: &[(f64, &str)]) -> Done {
     fs::write(out.join("soak.csv"), csv(samples, bounds))?;
-    draw(&out.join("soak.svg"), samples, bounds)
+    Ok(fs::write(out.join("soak.svg"), drawn(samples, bounds))?)
 }
 
 fn csv(samples: &[Sample], bounds: &[(f64, &str)]) -> String {
@@ -32,8 +35,8 @@ fn csv(samples: &[Sample], bounds: &[(f64, &str)]) -> String {
     text
 }
 
-/// Draws the samples, one figure above the other; a line where each phase begins.
-fn draw(path: &Path, samples: &[Sample], bounds: &[(f64, &str)]) -> Done {
+/// Draws the samples, one figure above the other; a ring where each phase begins.
+fn drawn(samples: &[Sample], bounds: &[(f64, &str)]) -> String {
     let figures: [(&str, Figure); 6] = [
         ("longest stall of the machine in this phase so far, ms", |sample| sample.counts.stall_ms),
         ("bursts late or lost, of all plays so far", |sample| {
@@ -45,28 +48,23 @@ fn draw(path: &Path, samples: &[Sample], bounds: &[(f64, &str)]) -> Done {
         ("error that the receipt allows for, µs", |sample| sample.counts.allowed_us),
     ];
     let end = samples.last().map_or(1.0, |sample| sample.minute);
-    let whole = SVGBackend::new(path, (960, 170 * figures.len() as u32)).into_drawing_area();
-    whole.fill(&WHITE)?;
-    for ((name, of), area) in figures.iter().zip(whole.split_evenly((figures.len(), 1))) {
+    let charts = figures.map(|(name, of)| {
         let values = || samples.iter().map(of);
         let (low, high) =
             values().fold((0.0, 1.0), |(low, high): (f64, f64), value| (low.min(value), high.max(value)));
-        let mut chart = ChartBuilder::on(&area)
-            .caption(name, ("sans-serif", 14))
-            .margin(8)
-            .x_label_area_size(32)
-            .y_label_area_size(50)
-            .build_cartesian_2d(0.0..end, low * 1.1..high * 1.1)?;
-        chart.configure_mesh().x_desc("minutes").max_light_lines(0).x_labels(13).y_labels(4).draw()?;
-        for (at, load) in bounds {
-            chart.draw_series([PathElement::new(
-                [(*at, low * 1.1), (*at, high * 1.1)],
-                RGBColor(200, 200, 200),
-            )])?;
-            let text = Text::new((*load).to_owned(), (*at, high * 1.08), ("sans-serif", 9).into_font());
-            chart.draw_series([text])?;
+        let phases = Series {
+            points: bounds.iter().map(|&(x, _)| Point { x, y: high * 1.1, sd: 0.0 }).collect(),
+            labels: bounds.iter().map(|(_, load)| (*load).to_owned()).collect(),
+            dot: Dot::Ring,
+            ..Series::line("phase", Vec::new())
+        };
+        let measured = samples.iter().map(|sample| (sample.minute, of(sample))).collect();
+        Chart {
+            title: Some(name),
+            x: Axis { name: "minutes", scale: Scale::linear(0.0, end) },
+            y: Axis { name: "", scale: Scale::linear(low * 1.1, high * 1.1) },
+            series: vec![phases, Series::line("measured", measured)],
         }
-        chart.draw_series(LineSeries::new(samples.iter().map(|sample| (sample.minute, of(sample))), BLUE))?;
-    }
-    Ok(whole.present()?)
+    });
+    stacked(&charts, HEIGHT)
 }

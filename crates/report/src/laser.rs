@@ -4,7 +4,7 @@
 //!
 //! Invariant: the same fit makes the same bytes; a chart has at most [`MOST_POINTS`] points, even of a long recording.
 
-use crate::chart::{Axis, Chart, Dot, PlotError, Point, Scale, Series, stacked};
+use crate::chart::{Axis, Chart, Dot, HEIGHT, Point, Scale, Series, stacked};
 use meissner_stream::calibrate::{LaserFit, TracePoint};
 
 /// A longer line is drawn as this many pairs of lowest and highest values.
@@ -13,10 +13,8 @@ const MOST_POINTS: usize = 2000;
 const NEAR_S: f64 = 0.5;
 
 /// Draws a fit; returns the text of an SVG file.
-///
-/// # Errors
-/// If the drawing library fails.
-pub fn plot_laser(fit: &LaserFit) -> Result<String, PlotError> {
+#[must_use]
+pub fn plot_laser(fit: &LaserFit) -> String {
     let all = &fit.trace;
     let measured = |point: &TracePoint| point.measured_um;
     let fitted = |point: &TracePoint| point.fitted_um;
@@ -27,18 +25,25 @@ pub fn plot_laser(fit: &LaserFit) -> Result<String, PlotError> {
     let rings = Series { points: points.collect(), dot: Dot::Ring, ..Series::line("measured", Vec::new()) };
     let model = near.iter().map(|point| (point.seconds, point.fitted_um)).collect();
     let noise = format!("Residuals: noise {:.3} µm", fit.noise_um);
-    stacked(&[
-        chart(
-            &title,
-            "displacement, µm",
-            vec![
-                Series::line("measured", envelope(all, measured)),
-                Series::line("fitted", envelope(all, fitted)),
-            ],
-        ),
-        chart("The highest stroke from near", "displacement, µm", vec![rings, Series::line("fitted", model)]),
-        chart(&noise, "measured − fitted, µm", vec![Series::line("residual", envelope(all, residual))]),
-    ])
+    stacked(
+        &[
+            chart(
+                &title,
+                "displacement, µm",
+                vec![
+                    Series::line("measured", envelope(all, measured)),
+                    Series::line("fitted", envelope(all, fitted)),
+                ],
+            ),
+            chart(
+                "The highest stroke from near",
+                "displacement, µm",
+                vec![rings, Series::line("fitted", model)],
+            ),
+            chart(&noise, "measured − fitted, µm", vec![Series::line("residual", envelope(all, residual))]),
+        ],
+        HEIGHT,
+    )
 }
 
 /// The samples about the highest one.

@@ -8,22 +8,22 @@
 //! - `laser`: [`plot_laser`] draws a recording of a pin beside the motor's fit.
 //! - `sweep`: [`sweep_page`] shows the marginals and the Pareto front of a sweep.
 //! - `validate`: [`validate()`] compares both models of the skin with published figures.
-//! - `chart` draws lines and points on axes, `sixty_hertz` is the standard scene, `progress` and `statistics` are small
+//! - `svg` writes drawings, [`chart`] draws lines and points on axes, `sixty_hertz` is the standard scene, `progress` and `statistics` are small
 //!   helpers of all parts.
 //!
 //! Invariant: results depend on the request alone. Only wall times, and figures derived from them, depend on the machine.
 
-mod chart;
+pub mod chart;
 pub mod figures;
 mod laser;
 mod methods;
 mod progress;
 mod sixty_hertz;
 mod statistics;
+mod svg;
 mod sweep;
 mod validate;
 
-pub use chart::PlotError;
 pub use laser::plot_laser;
 pub use methods::{
     AfferentsRow, AfferentsTradeoff, Count, Difference, Extreme, LeftOut, MATCH_S, MOST_STEPS, MethodLabel,

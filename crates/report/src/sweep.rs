@@ -6,8 +6,8 @@
 //! Invariant: the same numbers make the same bytes, and every drawing shows the baseline.
 
 use crate::figures::page::STYLE;
-use crate::figures::svg::{Anchor, Drawing, Paint, escape};
 use crate::figures::table::{number, table};
+use crate::svg::{Anchor, Drawing, Paint, escape};
 
 /// Colours of the pattern and of up to two baselines, which red-green blind people can tell apart; of text and of axes.
 const COLORS: [&str; 3] = ["#0072b2", "#d55e00", "#009e73"];

@@ -8,95 +8,81 @@
 mod labels;
 mod scale;
 
-pub(crate) use scale::{Axis, Scale};
+pub use scale::{Axis, Scale};
 
+use crate::svg::{Anchor, Drawing, Paint};
 use labels::Place;
-use plotters::coord::Shift;
-use plotters::element::DashedPathElement;
-use plotters::prelude::*;
-use plotters::style::text_anchor::{HPos, Pos, VPos};
 use scale::{BREAK, STRIP};
-use std::fmt::Display;
+use std::ops::Range;
 
-/// The size of a chart, px.
-const SIZE: (u32, u32) = (960, 560);
-/// Sizes of text: titles, names of axes, marks and the legend, labels of points. The drawing library writes them divided by 1.24:
-/// 16, 13, 12 and 11 px.
-const TITLE: u32 = 20;
-const NAME: u32 = 16;
-const MARK: u32 = 15;
-const LABEL: u32 = 14;
-const FONT: &str = "sans-serif";
+/// The width of a chart, and the height of one that stands alone, px.
+const WIDTH: i32 = 960;
+pub(crate) const HEIGHT: u16 = 560;
+/// Sizes of text, px: titles, names of axes, marks and the legend, labels of points.
+const TITLE: u32 = 16;
+const NAME: u32 = 13;
+const MARK: u32 = 12;
+const LABEL: u32 = 11;
 /// Free space around everything, px.
 const MARGIN: i32 = 16;
-/// Spaces left of and below the axes, px.
-const LEFT: u32 = 64;
-const BELOW: u32 = 44;
+/// Spaces above the axes for a title, left of them and below them, px.
+const ABOVE: i32 = 28;
+const LEFT: i32 = 64;
+const BELOW: i32 = 44;
+/// From the middle of a line of text down to its base line, px.
+const BASE: i32 = 4;
 /// The legend: width of a line's sample and of a character, and the distance of rows, px.
 const SAMPLE: i32 = 34;
 const CHARACTER: f64 = 6.6;
 const ROW: i32 = 20;
-/// Colours that red-green blind people can tell apart (Okabe and Ito).
-const COLORS: [RGBColor; 6] = [
-    RGBColor(0, 0, 0),
-    RGBColor(0, 114, 178),
-    RGBColor(213, 94, 0),
-    RGBColor(0, 158, 115),
-    RGBColor(204, 121, 167),
-    RGBColor(230, 159, 0),
+/// The most marks of an axis, and their least distance, px.
+const MARKS: usize = 11;
+const APART: usize = 30;
+const INK: &str = "#000000";
+const PAPER: &str = "#ffffff";
+const GRID: &str = "#e4e4e4";
+/// How series are drawn, in order: colours that red-green blind people can tell apart (Okabe and Ito), dash and gap of the line, px,
+/// and the corners of the marker about its point, px. The first is a solid line with discs.
+const LOOKS: [Look; 6] = [
+    Look { color: INK, dash: "", marker: &[] },
+    Look { color: "#0072b2", dash: "8 4", marker: &[(-3, -3), (3, -3), (3, 3), (-3, 3)] },
+    Look { color: "#d55e00", dash: "3 3", marker: &[(0, -5), (4, 3), (-4, 3)] },
+    Look { color: "#009e73", dash: "14 5", marker: &[(0, -5), (4, 0), (0, 5), (-4, 0)] },
+    Look { color: "#cc79a7", dash: "6 8", marker: &[(0, 5), (4, -3), (-4, -3)] },
+    Look { color: "#e69f00", dash: "2 6", marker: &[(-5, -2), (0, -5), (5, -2), (3, 4), (-3, 4)] },
 ];
-/// Dash and gap of each series, px; the first has a solid line.
-const DASHES: [Option<(i32, i32)>; 6] =
-    [None, Some((8, 4)), Some((3, 3)), Some((14, 5)), Some((6, 8)), Some((2, 6))];
-/// A line with more points is drawn solid, because the drawing library makes an element of every dash.
-const MOST_DASHED: usize = 500;
-/// The corners of each series' marker about its point, px; the first is a disc.
-const MARKERS: [&[(i32, i32)]; 6] = [
-    &[],
-    &[(-3, -3), (3, -3), (3, 3), (-3, 3)],
-    &[(0, -5), (4, 3), (-4, 3)],
-    &[(0, -5), (4, 0), (0, 5), (-4, 0)],
-    &[(0, 5), (4, -3), (-4, -3)],
-    &[(-5, -2), (0, -5), (5, -2), (3, 4), (-3, 4)],
-];
-
-/// A chart could not be drawn: our bug.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("internal error: the plot cannot be drawn: {message}")]
-pub struct PlotError {
-    /// The error of the drawing library.
-    pub message: String,
-}
-
-impl PlotError {
-    pub(crate) fn new(error: impl Display) -> Self {
-        Self { message: error.to_string() }
-    }
-}
 
 /// A chart.
-pub(crate) struct Chart<'a> {
+#[derive(Clone, Debug)]
+pub struct Chart<'a> {
     /// None where a caption serves as the title.
-    pub(crate) title: Option<&'a str>,
-    pub(crate) x: Axis<'a>,
-    pub(crate) y: Axis<'a>,
-    pub(crate) series: Vec<Series>,
+    pub title: Option<&'a str>,
+    /// The axis from left to right.
+    pub x: Axis<'a>,
+    /// The axis upwards.
+    pub y: Axis<'a>,
+    /// What is drawn; the later over the earlier.
+    pub series: Vec<Series>,
 }
 
 /// A line and its points.
 #[derive(Clone, Debug)]
-pub(crate) struct Series {
-    pub(crate) name: String,
-    pub(crate) line: Vec<(f64, f64)>,
-    pub(crate) points: Vec<Point>,
-    pub(crate) dot: Dot,
+pub struct Series {
+    /// Its name in the legend.
+    pub name: String,
+    /// The corners of the line; none without a line.
+    pub line: Vec<(f64, f64)>,
+    /// The points.
+    pub points: Vec<Point>,
+    /// How each point is drawn.
+    pub dot: Dot,
     /// Empty, or a label for each point. A label that would cover another one is left out.
-    pub(crate) labels: Vec<String>,
+    pub labels: Vec<String>,
 }
 
 /// How a point is drawn.
 #[derive(Clone, Copy, Debug)]
-pub(crate) enum Dot {
+pub enum Dot {
     /// Filled, in the series' shape, with its error bar.
     Filled,
     /// Open, so that many can be told apart; without an error bar.
@@ -107,16 +93,19 @@ pub(crate) enum Dot {
 
 /// A measured point.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Point {
-    pub(crate) x: f64,
-    pub(crate) y: f64,
+pub struct Point {
+    /// Its place on the x axis.
+    pub x: f64,
+    /// Its place on the y axis.
+    pub y: f64,
     /// Half the length of the error bar.
-    pub(crate) sd: f64,
+    pub sd: f64,
 }
 
 impl Series {
     /// A line without points.
-    pub(crate) fn line(name: impl Into<String>, line: Vec<(f64, f64)>) -> Self {
+    #[must_use]
+    pub fn line(name: impl Into<String>, line: Vec<(f64, f64)>) -> Self {
         Self { name: name.into(), line, points: Vec::new(), dot: Dot::Filled, labels: Vec::new() }
     }
 
@@ -127,149 +116,154 @@ impl Series {
     }
 }
 
-/// Draws a chart; returns the text of an SVG file.
-pub(crate) fn draw(chart: &Chart<'_>) -> Result<String, PlotError> {
-    stacked(std::slice::from_ref(chart))
+/// A place in the drawing, px.
+type Pixel = (i32, i32);
+
+fn float((x, y): Pixel) -> (f64, f64) {
+    (x.into(), y.into())
 }
 
-/// Draws charts, one above the other; returns the text of an SVG file.
-pub(crate) fn stacked(charts: &[Chart<'_>]) -> Result<String, PlotError> {
-    let mut svg = String::new();
-    let whole = SVGBackend::with_string(&mut svg, (SIZE.0, SIZE.1 * charts.len() as u32)).into_drawing_area();
-    whole.fill(&WHITE).map_err(PlotError::new)?;
+/// Draws a chart; returns the text of an SVG file.
+pub(crate) fn draw(chart: &Chart<'_>) -> String {
+    stacked(std::slice::from_ref(chart), HEIGHT)
+}
+
+/// Draws charts of this height, px, one above the other; returns the text of an SVG file.
+#[must_use]
+pub fn stacked(charts: &[Chart<'_>], height: u16) -> String {
+    let height = i32::from(height);
+    let mut drawing = Drawing::new(WIDTH.into(), f64::from(height) * charts.len() as f64);
     // One column of legends, so that axes of stacked charts line up.
     let names = charts.iter().flat_map(|chart| &chart.series).map(|series| series.name.chars().count());
     #[expect(clippy::cast_possible_truncation, reason = "pixels")]
     let legend = SAMPLE + MARGIN + (names.max().unwrap_or(0) as f64 * CHARACTER).ceil() as i32;
-    for (chart, area) in charts.iter().zip(whole.split_evenly((charts.len(), 1))) {
-        axes_and_series(chart, &area, &whole, legend).map_err(PlotError::new)?;
+    for (chart, row) in charts.iter().zip(0..) {
+        let top = row * height;
+        let above = if chart.title.is_some() { ABOVE } else { 0 };
+        let x = MARGIN + LEFT..WIDTH - legend;
+        chart.draw(&mut drawing, x, top + MARGIN + above..top + height - MARGIN - BELOW);
     }
-    whole.present().map_err(PlotError::new)?;
-    drop(whole);
-    Ok(svg)
+    drawing.finish()
 }
 
-type Area<'a> = DrawingArea<SVGBackend<'a>, Shift>;
-type Drawn = Result<(), DrawingAreaErrorKind<std::io::Error>>;
-
-/// Draws a chart in its area. `whole` is the drawing, in whose pixels labels and legends are placed.
-fn axes_and_series<'a>(chart: &Chart<'_>, area: &Area<'a>, whole: &Area<'a>, legend: i32) -> Drawn {
-    let mut builder = ChartBuilder::on(area);
-    builder.margin(MARGIN).margin_right(legend).x_label_area_size(BELOW).y_label_area_size(LEFT);
-    if let Some(title) = chart.title {
-        builder.caption(title, (FONT, TITLE));
-    }
-    let mut context = builder.build_cartesian_2d(chart.x.scale, chart.y.scale)?;
-    context
-        .configure_mesh()
-        .max_light_lines(0)
-        .bold_line_style(RGBColor(228, 228, 228))
-        .axis_desc_style((FONT, NAME))
-        .label_style((FONT, MARK))
-        .x_desc(chart.x.name)
-        .y_desc(chart.y.name)
-        .draw()?;
-    let (x, y) = context.plotting_area().get_pixel_range();
-    if let Some(below) = chart.y.scale.below {
-        draw_break(whole, x.start, y.start..y.end, below)?;
-    }
-    let pixel = |x: f64, y: f64| context.backend_coord(&(x, y));
-    for (look, series) in looks().zip(&chart.series) {
-        // No line crosses the break.
-        let strip = |y: f64| chart.y.scale.is_below(y);
-        for part in series.line.chunk_by(|a, b| strip(a.1) == strip(b.1)) {
-            look.draw_line(whole, part.iter().map(|&(x, y)| pixel(x, y)).collect())?;
+impl Chart<'_> {
+    /// Draws the chart with its axes in this range of pixels.
+    fn draw(&self, drawing: &mut Drawing, x: Range<i32>, y: Range<i32>) {
+        self.draw_axes(drawing, &x, &y);
+        let pixel = |at: (f64, f64)| {
+            (self.x.scale.pixel(at.0, x.start, x.end), self.y.scale.pixel(at.1, y.end, y.start))
+        };
+        let looks = || LOOKS.iter().cycle();
+        for (look, series) in looks().zip(&self.series) {
+            // No line crosses the break.
+            let strip = |y: f64| self.y.scale.is_below(y);
+            for part in series.line.chunk_by(|a, b| strip(a.1) == strip(b.1)) {
+                look.draw_line(drawing, &part.iter().map(|&at| float(pixel(at))).collect::<Vec<_>>());
+            }
+            for &Point { x, y, sd } in series.points.iter().filter(|point| point.sd > 0.0) {
+                drawing.line(&[pixel((x, y - sd)), pixel((x, y + sd))].map(float), 1.0, look.color);
+            }
         }
-        for &Point { x, y, sd } in series.points.iter().filter(|point| point.sd > 0.0) {
-            whole
-                .draw(&PathElement::new([pixel(x, y - sd), pixel(x, y + sd)], look.color.stroke_width(1)))?;
+        // Draw markers last, so that no line covers one.
+        let place = |point: &Point| pixel((point.x, point.y));
+        let placed: Vec<Vec<Pixel>> =
+            self.series.iter().map(|series| series.points.iter().map(place).collect()).collect();
+        for ((look, series), places) in looks().zip(&self.series).zip(&placed) {
+            for &at in places {
+                look.draw_marker(drawing, at, series.dot);
+            }
         }
-    }
-    // Draw markers last, so that no line covers one.
-    let place = |point: &Point| pixel(point.x, point.y);
-    let placed: Vec<Vec<(i32, i32)>> =
-        chart.series.iter().map(|series| series.points.iter().map(place).collect()).collect();
-    for ((look, series), places) in looks().zip(&chart.series).zip(&placed) {
-        for &at in places {
-            look.draw_marker(whole, at, series.dot)?;
-        }
-    }
-    let labelled: Vec<_> = (chart.series.iter().zip(&placed).zip(looks()))
-        .flat_map(|((series, places), look)| {
+        let labelled = (self.series.iter().zip(&placed).zip(looks())).flat_map(|((series, places), look)| {
             places.iter().zip(&series.labels).map(move |(&at, text)| ((at, text.as_str()), look.color))
-        })
-        .collect();
-    let (texts, colors): (Vec<_>, Vec<_>) = labelled.into_iter().unzip();
-    let lines: Vec<Vec<(i32, i32)>> = (chart.series.iter())
-        .filter(|_| !texts.is_empty())
-        .map(|series| series.line.iter().map(|&(x, y)| pixel(x, y)).collect())
-        .collect();
-    let found = labels::place(&texts, &placed.concat(), &lines, [x.start, y.start, x.end, y.end]);
-    for ((at, (_, text)), color) in found.into_iter().zip(texts).zip(colors) {
-        let Some([left, top, ..]): Option<Place> = at else { continue };
-        whole.draw(&Text::new(text.to_owned(), (left, top + 1), (FONT, LABEL).into_font().color(&color)))?;
-    }
-    for (row, (look, series)) in (0..).zip(looks().zip(&chart.series)) {
-        let (x, y) = (x.end + MARGIN / 2, y.start + MARGIN / 2 + ROW * row);
-        if !series.line.is_empty() {
-            look.draw_line(whole, vec![(x, y), (x + SAMPLE - 8, y)])?;
+        });
+        let (texts, colors): (Vec<_>, Vec<_>) = labelled.unzip();
+        let lines: Vec<Vec<Pixel>> = (self.series.iter())
+            .filter(|_| !texts.is_empty())
+            .map(|series| series.line.iter().map(|&at| pixel(at)).collect())
+            .collect();
+        let found = labels::place(&texts, &placed.concat(), &lines, [x.start, y.start, x.end, y.end]);
+        for ((at, (_, text)), color) in found.into_iter().zip(texts).zip(colors) {
+            let Some([left, _, _, bottom]): Option<Place> = at else { continue };
+            drawing.words(float((left, bottom - 2)), LABEL, Anchor::Start, color, text);
         }
-        if !series.points.is_empty() {
-            look.draw_marker(whole, (x + SAMPLE / 2 - 4, y), series.dot)?;
+        for (row, (look, series)) in (0..).zip(looks().zip(&self.series)) {
+            let (x, y) = (x.end + MARGIN / 2, y.start + MARGIN / 2 + ROW * row);
+            if !series.line.is_empty() {
+                look.draw_line(drawing, &[(x, y), (x + SAMPLE - 8, y)].map(float));
+            }
+            if !series.points.is_empty() {
+                look.draw_marker(drawing, (x + SAMPLE / 2 - 4, y), series.dot);
+            }
+            drawing.words(float((x + SAMPLE, y + BASE)), MARK, Anchor::Start, INK, &series.name);
         }
-        let style = (FONT, MARK).into_text_style(whole).pos(Pos::new(HPos::Left, VPos::Center));
-        whole.draw(&Text::new(series.name.clone(), (x + SAMPLE, y), style))?;
     }
-    Ok(())
+
+    /// Draws the title, and the axes with their names, marks and grid.
+    fn draw_axes(&self, drawing: &mut Drawing, x: &Range<i32>, y: &Range<i32>) {
+        let most = |range: &Range<i32>| (range.len() / APART).clamp(1, MARKS);
+        let middle = (i32::midpoint(x.start, x.end), i32::midpoint(y.start, y.end));
+        if let Some(title) = self.title {
+            drawing.words(float((WIDTH / 2, y.start - MARGIN / 2)), TITLE, Anchor::Middle, INK, title);
+        }
+        for mark in self.x.scale.marks(most(x)) {
+            let at = self.x.scale.pixel(mark, x.start, x.end);
+            drawing.line(&[(at, y.start), (at, y.end)].map(float), 1.0, GRID);
+            drawing.words(float((at, y.end + 18)), MARK, Anchor::Middle, INK, &scale::text(mark));
+        }
+        for mark in self.y.scale.marks(most(y)) {
+            let at = self.y.scale.pixel(mark, y.end, y.start);
+            drawing.line(&[(x.start, at), (x.end, at)].map(float), 1.0, GRID);
+            drawing.words(float((x.start - 8, at + BASE)), MARK, Anchor::End, INK, &scale::text(mark));
+        }
+        drawing.line(&[(x.start, y.start), (x.start, y.end), (x.end, y.end)].map(float), 1.0, INK);
+        drawing.words(float((middle.0, y.end + BELOW - BASE)), NAME, Anchor::Middle, INK, self.x.name);
+        drawing.turned(float((MARGIN + NAME as i32, middle.1)), NAME, Anchor::Middle, INK, self.y.name);
+        if let Some(below) = self.y.scale.below {
+            draw_break(drawing, x.start, y, below);
+        }
+    }
 }
 
 /// Breaks the y axis at `x`: two strokes across it, and the label of the strip below.
-fn draw_break(whole: &Area<'_>, x: i32, y: std::ops::Range<i32>, below: &str) -> Drawn {
+fn draw_break(drawing: &mut Drawing, x: i32, y: &Range<i32>, below: &str) {
     #[expect(clippy::cast_possible_truncation, reason = "pixels")]
     let at = |share: f64| y.end - (share * f64::from(y.end - y.start)).round() as i32;
     let middle = at(BREAK);
-    whole.draw(&Rectangle::new([(x - 4, middle - 3), (x + 4, middle + 3)], WHITE.filled()))?;
+    drawing.rectangle(float((x - 4, middle - 3)), (8.0, 6.0), Paint { fill: PAPER, stroke: "none" });
     for offset in [-3, 3] {
         let stroke = [(x - 6, middle + offset + 3), (x + 6, middle + offset - 3)];
-        whole.draw(&PathElement::new(stroke, BLACK.stroke_width(1)))?;
+        drawing.line(&stroke.map(float), 1.0, INK);
     }
-    let style = (FONT, MARK).into_text_style(whole).pos(Pos::new(HPos::Right, VPos::Center));
-    whole.draw(&Text::new(below.to_owned(), (x - 8, at(STRIP)), style))
+    drawing.words(float((x - 8, at(STRIP) + BASE)), MARK, Anchor::End, INK, below);
 }
 
 /// How a series is drawn.
-#[derive(Clone, Copy)]
 struct Look {
-    color: RGBColor,
-    dash: Option<(i32, i32)>,
-    marker: &'static [(i32, i32)],
-}
-
-/// The looks of series, in order.
-fn looks() -> impl Iterator<Item = Look> {
-    let looks = COLORS.into_iter().zip(DASHES).zip(MARKERS);
-    looks.map(|((color, dash), marker)| Look { color, dash, marker }).cycle()
+    color: &'static str,
+    dash: &'static str,
+    marker: &'static [Pixel],
 }
 
 impl Look {
-    fn draw_line(&self, whole: &Area<'_>, pixels: Vec<(i32, i32)>) -> Drawn {
-        let style = self.color.stroke_width(2);
-        match self.dash.filter(|_| pixels.len() <= MOST_DASHED) {
-            Some((size, gap)) => whole.draw(&DashedPathElement::new(pixels, size, gap, style)),
-            None => whole.draw(&PathElement::new(pixels, style)),
+    fn draw_line(&self, drawing: &mut Drawing, points: &[(f64, f64)]) {
+        if self.dash.is_empty() {
+            drawing.line(points, 2.0, self.color);
+        } else {
+            drawing.dashed(points, 2.0, self.color, self.dash);
         }
     }
 
-    fn draw_marker(&self, whole: &Area<'_>, at: (i32, i32), dot: Dot) -> Drawn {
-        let corners = |of: &[(i32, i32)]| of.iter().map(|(x, y)| (at.0 + x, at.1 + y)).collect::<Vec<_>>();
+    fn draw_marker(&self, drawing: &mut Drawing, at: Pixel, dot: Dot) {
+        let (open, filled) =
+            (Paint { fill: "none", stroke: self.color }, Paint { fill: self.color, stroke: "none" });
         match (dot, self.marker) {
-            (Dot::Ring, _) => whole.draw(&Circle::new(at, 3, self.color.stroke_width(1))),
-            (Dot::Square, _) => whole.draw(&Rectangle::new(
-                [(at.0 - 3, at.1 - 3), (at.0 + 3, at.1 + 3)],
-                self.color.stroke_width(1),
-            )),
-            (Dot::Filled, []) => whole.draw(&Circle::new(at, 4, self.color.filled())),
-            (Dot::Filled, marker) => whole.draw(&Polygon::new(corners(marker), self.color.filled())),
+            (Dot::Ring, _) => drawing.circle(float(at), 3.0, open),
+            (Dot::Square, _) => drawing.rectangle(float((at.0 - 3, at.1 - 3)), (6.0, 6.0), open),
+            (Dot::Filled, []) => drawing.circle(float(at), 4.0, filled),
+            (Dot::Filled, marker) => {
+                let corners: Vec<_> = marker.iter().map(|(x, y)| float((at.0 + x, at.1 + y))).collect();
+                drawing.polygon(&corners, self.color);
+            }
         }
     }
 }

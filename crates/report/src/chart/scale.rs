@@ -3,26 +3,24 @@
 //! Axes are linear or logarithmic, with marks in steps of 1, 2 and 5. A broken axis has a strip below its range for the values that
 //! do not fit, such as zeros on a logarithmic axis.
 
-use plotters::coord::ranged1d::{KeyPointHint, NoDefaultFormatting, Ranged, ValueFormatter};
-use std::ops::Range;
-
 /// An axis.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Axis<'a> {
+pub struct Axis<'a> {
     /// The quantity and its unit.
-    pub(crate) name: &'a str,
-    pub(crate) scale: Scale,
+    pub name: &'a str,
+    /// Its range and marks.
+    pub scale: Scale,
 }
 
 /// The range of an axis. A value outside is drawn at its edge.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Scale {
-    pub(crate) from: f64,
-    pub(crate) to: f64,
+pub struct Scale {
+    from: f64,
+    to: f64,
     /// A logarithmic range is above 0.
-    pub(crate) logarithmic: bool,
+    logarithmic: bool,
     /// The label of the strip below the break; none without a break.
-    pub(crate) below: Option<&'static str>,
+    pub(super) below: Option<&'static str>,
 }
 
 /// Where the strip lies, the break and the range's lower end, as shares of a broken axis.
@@ -31,7 +29,9 @@ pub(super) const BREAK: f64 = 0.075;
 const ABOVE: f64 = 0.11;
 
 impl Scale {
-    pub(crate) const fn linear(from: f64, to: f64) -> Self {
+    /// A linear axis.
+    #[must_use]
+    pub const fn linear(from: f64, to: f64) -> Self {
         Self { from, to, logarithmic: false, below: None }
     }
 
@@ -68,8 +68,14 @@ impl Scale {
         if self.below.is_some() { ABOVE + (1.0 - ABOVE) * share } else { share }
     }
 
+    /// Where a value lies between the pixels of the axis' ends.
+    #[expect(clippy::cast_possible_truncation, reason = "pixels")]
+    pub(super) fn pixel(&self, value: f64, from: i32, to: i32) -> i32 {
+        from + (self.share(value) * f64::from(to - from)).round() as i32
+    }
+
     /// The marks: 1, 2 and 5 of each decade, decades alone if these are more than `most`, or multiples of such a step.
-    fn marks(&self, most: usize) -> Vec<f64> {
+    pub(super) fn marks(&self, most: usize) -> Vec<f64> {
         const STEPS: [f64; 3] = [1.0, 2.0, 5.0];
         let steps = |of: &[f64]| -> Vec<f64> {
             let steps = (-9..=9).flat_map(|decade| of.iter().map(move |step| format!("{step}e{decade}")));
@@ -90,29 +96,10 @@ impl Scale {
     }
 }
 
-impl Ranged for Scale {
-    type FormatOption = NoDefaultFormatting;
-    type ValueType = f64;
-
-    #[expect(clippy::cast_possible_truncation, reason = "pixels")]
-    fn map(&self, value: &f64, limit: (i32, i32)) -> i32 {
-        limit.0 + (self.share(*value) * f64::from(limit.1 - limit.0)).round() as i32
-    }
-
-    fn key_points<Hint: KeyPointHint>(&self, hint: Hint) -> Vec<f64> {
-        self.marks(hint.max_num_points().min(20))
-    }
-
-    fn range(&self) -> Range<f64> {
-        self.from..self.to
-    }
-}
-
-impl ValueFormatter<f64> for Scale {
-    fn format(value: &f64) -> String {
-        // Multiples of a step may differ from round numbers in their last bits.
-        format!("{}", (value * 1e9).round() / 1e9)
-    }
+/// A mark as text.
+pub(super) fn text(mark: f64) -> String {
+    // Multiples of a step may differ from round numbers in their last bits.
+    format!("{}", (mark * 1e9).round() / 1e9)
 }
 
 #[cfg(test)]
@@ -130,8 +117,8 @@ mod tests {
         );
         let linear = Scale::linear(0.0, 300.0);
         assert_eq!(linear.marks(10), [0.0, 50.0, 100.0, 150.0, 200.0, 250.0, 300.0]);
-        assert_eq!((linear.share(75.0), linear.map(&150.0, (10, 110))), (0.25, 60));
-        assert_eq!(Scale::format(&(0.1 + 0.2)), "0.3");
+        assert_eq!((linear.share(75.0), linear.pixel(150.0, 10, 110)), (0.25, 60));
+        assert_eq!(text(0.1 + 0.2), "0.3");
     }
 
     #[test]

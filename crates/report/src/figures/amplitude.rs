@@ -109,7 +109,7 @@ pub(super) fn section(progress: &(dyn Fn(f64) + Sync)) -> Result<(Section, Ampli
 /// The lower end of the amplitude axis, µm.
 const LEAST_UM: f64 = 0.5;
 
-fn plot(rows: &[Row]) -> Result<String, FiguresError> {
+fn plot(rows: &[Row]) -> Result<String, MotorError> {
     let last = f64::from(LINE - 1);
     let mut line_hz: Vec<f64> = (0..LINE).map(|n| 300_f64.powf(f64::from(n) / last)).collect();
     line_hz.push(1.0 / WINDOW_S);
@@ -130,7 +130,7 @@ fn plot(rows: &[Row]) -> Result<String, FiguresError> {
         },
         series: series.collect::<Result<_, MotorError>>()?,
     };
-    Ok(draw(&chart)?)
+    Ok(draw(&chart))
 }
 
 fn rows(progress: &(dyn Fn(f64) + Sync)) -> Result<Vec<Row>, FiguresError> {

@@ -5,8 +5,8 @@
 //! Invariant: every cell shows its number, so no reader depends on the colours.
 
 use crate::figures::color::{color, ink};
-use crate::figures::svg::{Anchor, Drawing, Paint};
 use crate::figures::table::{csv, number};
+use crate::svg::{Anchor, Drawing, Paint};
 use meissner_design::Confusion;
 
 const INK: &str = "#222222";

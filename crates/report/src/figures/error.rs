@@ -1,6 +1,5 @@
 //! The error of a report.
 
-use crate::chart::PlotError;
 use meissner_array::motor::MotorError;
 use meissner_array::simulated::SimulatedMotorsError;
 use meissner_array::strokes::StrokesError;
@@ -12,8 +11,6 @@ use meissner_stream::calibrate::FitProblem;
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[expect(missing_docs, reason = "the messages say it")]
 pub enum FiguresError {
-    #[error(transparent)]
-    Plot(#[from] PlotError),
     #[error("internal error: {0}")]
     Motor(#[from] MotorError),
     #[error("internal error: {0}")]

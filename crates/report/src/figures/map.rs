@@ -6,8 +6,8 @@
 //! Invariant: every panel shows every motor, on or off.
 
 use crate::figures::color::{color, ink};
-use crate::figures::svg::{Anchor, Drawing, Paint};
 use crate::figures::table::number;
+use crate::svg::{Anchor, Drawing, Paint};
 use firmware_protocol::stroke::MOTORS;
 use meissner_array::geometry::{self, COLUMNS, ROWS};
 use meissner_array::pattern::Drive;

@@ -19,7 +19,6 @@ mod pattern;
 mod pulses;
 mod rate;
 mod segments;
-pub(crate) mod svg;
 pub(crate) mod table;
 mod target;
 

@@ -5,7 +5,7 @@
 //!
 //! Invariant: every file that a section names is one of its files.
 
-use crate::figures::svg::escape;
+use crate::svg::escape;
 
 /// The file name of the page.
 pub const INDEX: &str = "index.html";

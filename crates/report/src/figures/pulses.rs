@@ -78,7 +78,7 @@ pub(super) fn section() -> Result<(Section, Pulses), FiguresError> {
         number(meissner_stream::calibrate::GROUP_S),
         number(transient_gain),
     );
-    section.figure("pulses", plot(&plan, &drawn)?, Some(numbers(&drawn)), &caption, "meissner report");
+    section.figure("pulses", plot(&plan, &drawn), Some(numbers(&drawn)), &caption, "meissner report");
     section.say(&format!(
         "For the {} measured bursts of all {MOTORS} motors the fitted slope is {} µm per pulse (standard error {}), {} of \
          the model's 0.95/7, with an offset of {} µm. Bursts scatter around it by {} % of their travel (the paper: \
@@ -137,7 +137,7 @@ fn numbers(bursts: &[BurstTravel]) -> String {
     csv("start_s,up,settling,pulses,travel_um", bursts.iter().map(row))
 }
 
-fn plot(plan: &Plan, bursts: &[BurstTravel]) -> Result<String, FiguresError> {
+fn plot(plan: &Plan, bursts: &[BurstTravel]) -> String {
     let of = |warm_up: bool| bursts.iter().filter(move |travel| travel.warm_up == warm_up);
     let point = |burst: &BurstTravel| {
         let aside = if burst.direction == Direction::Up { -ASIDE } else { ASIDE };
@@ -163,5 +163,5 @@ fn plot(plan: &Plan, bursts: &[BurstTravel]) -> Result<String, FiguresError> {
             series("mean and standard deviation", plan.pulses().iter().map(mean).collect(), Dot::Filled),
         ],
     };
-    Ok(draw(&chart)?)
+    draw(&chart)
 }

@@ -125,7 +125,7 @@ pub(super) fn section(progress: &(dyn Fn(f64) + Sync)) -> Result<(Section, Rate)
         &by_amplitude,
         |row| format!("{} Hz", row.frequency_hz),
         |row| row.amplitude_um,
-    )?;
+    );
     let row = |row: &Row| {
         let Row { frequency_hz, amplitude_um, rate_hz, sd_hz } = row;
         format!("{frequency_hz},{amplitude_um},{rate_hz:.4},{sd_hz:.4}")
@@ -154,7 +154,7 @@ pub(super) fn section(progress: &(dyn Fn(f64) + Sync)) -> Result<(Section, Rate)
         &by_frequency,
         |row| format!("{} µm", row.amplitude_um),
         |row| row.frequency_hz,
-    )?;
+    );
     let row = |row: &Row| {
         let Row { frequency_hz, amplitude_um, rate_hz, sd_hz } = row;
         format!("{amplitude_um},{frequency_hz},{rate_hz:.4},{sd_hz:.4}")
@@ -256,18 +256,13 @@ fn plateaus(plateaus: &[Plateau]) -> String {
 }
 
 /// Draws the rates of each group, which `name` names, against `x`.
-fn plot(
-    x: Axis<'_>,
-    rows: &[Row],
-    name: impl Fn(&Row) -> String,
-    place: impl Fn(&Row) -> f64,
-) -> Result<String, FiguresError> {
+fn plot(x: Axis<'_>, rows: &[Row], name: impl Fn(&Row) -> String, place: impl Fn(&Row) -> f64) -> String {
     let groups = rows.chunk_by(|a, b| name(a) == name(b));
     let series = groups
         .map(|rows| Series::line(name(&rows[0]), rows.iter().map(|row| (place(row), row.rate_hz)).collect()));
     let highest = rows.iter().map(|row| row.rate_hz).fold(0.0, f64::max);
     let y = Axis { name: "rate, impulses/s", scale: Scale::fifties(0.0, highest) };
-    Ok(draw(&Chart { title: None, x, y, series: series.collect() })?)
+    draw(&Chart { title: None, x, y, series: series.collect() })
 }
 
 #[cfg(test)]

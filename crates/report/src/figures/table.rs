@@ -4,7 +4,7 @@
 //!
 //! Invariant: every cell is escaped.
 
-use crate::figures::svg::escape;
+use crate::svg::escape;
 use toml::{Table, Value};
 
 /// The key of the provenance with the pattern's robustness.

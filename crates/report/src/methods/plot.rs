@@ -4,14 +4,12 @@
 //!
 //! Invariant: the same figures make the same bytes.
 
-use crate::chart::{Axis, Chart, PlotError, Scale, Series, draw};
+use crate::chart::{Axis, Chart, Scale, Series, draw};
 use crate::methods::tradeoff::{MethodTradeoff, Row};
 
 /// Draws a comparison of methods; returns the text of an SVG file.
-///
-/// # Errors
-/// If the drawing library fails.
-pub fn plot(tradeoff: &MethodTradeoff) -> Result<String, PlotError> {
+#[must_use]
+pub fn plot(tradeoff: &MethodTradeoff) -> String {
     let exact = tradeoff.rows.iter().find(|row| row.method.step_us.is_none()).and_then(Row::time_and_error);
     let exact = exact.map(|(time, _)| Series::marked("exact, without steps", vec![(time, 0.0)]));
     let series: Vec<Series> = exact.into_iter().chain(series(&tradeoff.rows)).collect();

@@ -76,7 +76,7 @@ pub(super) fn numbers(rows: &[ByAmplitude]) -> String {
     csv("amplitude_um,near_median_hz,cost_hz,cost_at_60_hz,saturated_from_hz", rows.iter().map(row))
 }
 
-pub(super) fn plot(rows: &[ByAmplitude]) -> Result<String, FiguresError> {
+pub(super) fn plot(rows: &[ByAmplitude]) -> String {
     let found: Vec<(f64, f64)> = rows.iter().map(|row| (row.amplitude_um, row.near_hz)).collect();
     let most_um = rows.iter().fold(0.0_f64, |most, row| most.max(row.amplitude_um)) + 20.0;
     let highest = rows.iter().fold(PAPER_HZ, |highest, row| highest.max(row.near_hz));
@@ -89,7 +89,7 @@ pub(super) fn plot(rows: &[ByAmplitude]) -> Result<String, FiguresError> {
             Series::line(format!("the paper: {PAPER_HZ} Hz"), vec![(0.0, PAPER_HZ), (most_um, PAPER_HZ)]),
         ],
     };
-    Ok(draw(&chart)?)
+    draw(&chart)
 }
 
 pub(super) fn in_rows(rows: &[ByAmplitude]) -> String {

@@ -142,10 +142,10 @@ fn make(progress: &(dyn Fn(f64) + Sync)) -> Result<(Section, Edge), FiguresError
     let numbers = rates_csv(&afferents, &before, &after);
     put("edge-rates", pads(&both), Some(numbers), about_rates(&figures));
     let end = figures.evaluations;
-    put("edge-cost", cost_plot(&records, end)?, Some(cost_csv(&records, end)), about_cost(&figures));
+    put("edge-cost", cost_plot(&records, end), Some(cost_csv(&records, end)), about_cost(&figures));
     let numbers = amplitudes::numbers(&figures.by_amplitude);
     let caption = amplitudes::about(&figures.by_amplitude);
-    put("edge-amplitudes", amplitudes::plot(&figures.by_amplitude)?, Some(numbers), caption);
+    put("edge-amplitudes", amplitudes::plot(&figures.by_amplitude), Some(numbers), caption);
     section.table("The search at other amplitudes", &amplitudes::in_rows(&figures.by_amplitude));
     Ok((section, figures))
 }
@@ -256,7 +256,7 @@ fn cost_csv(records: &[Record], end: u64) -> String {
     csv("evaluations,cost_hz,on_hz,off_hz,near_median_hz", records.iter().copied().chain(last).map(row))
 }
 
-fn cost_plot(records: &[Record], end: u64) -> Result<String, FiguresError> {
+fn cost_plot(records: &[Record], end: u64) -> String {
     let mut line: Vec<(f64, f64)> = Vec::new();
     let last = records.last().map(|last| (end, last.score.cost_hz()));
     for (evaluations, cost_hz) in
@@ -280,5 +280,5 @@ fn cost_plot(records: &[Record], end: u64) -> Result<String, FiguresError> {
             Series { points: near_paper.map(mark).collect(), ..Series::line(marked, Vec::new()) },
         ],
     };
-    Ok(draw(&chart)?)
+    draw(&chart)
 }

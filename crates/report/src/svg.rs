@@ -1,4 +1,4 @@
-//! A drawing of circles, lines and text as SVG, for maps.
+//! A drawing of shapes, lines and text as SVG, for maps and charts.
 //!
 //! Coordinates are pixels from the upper left corner. Numbers are written with two decimals.
 //!
@@ -27,6 +27,7 @@ pub(crate) fn escape(text: &str) -> String {
 pub(crate) enum Anchor {
     Start,
     Middle,
+    End,
 }
 
 /// An unfinished drawing.
@@ -69,32 +70,51 @@ impl Drawing {
 
     /// An open line from point to point.
     pub(crate) fn line(&mut self, points: &[(f64, f64)], width: f64, color: &str) {
-        let points = points.iter().map(|(x, y)| format!("{x:.2},{y:.2}")).collect::<Vec<_>>().join(" ");
+        let points = listed(points);
         self.element(&format!(
             r#"<polyline points="{points}" fill="none" stroke="{color}" stroke-width="{width}" stroke-linecap="round"/>"#
         ));
     }
 
-    pub(crate) fn words(&mut self, (x, y): (f64, f64), size: u32, anchor: Anchor, color: &str, words: &str) {
-        let anchor = match anchor {
-            Anchor::Start => "start",
-            Anchor::Middle => "middle",
-        };
-        let words = escape(words);
+    /// An open line of dashes; `dash` lists their lengths and those of the gaps, px.
+    pub(crate) fn dashed(&mut self, points: &[(f64, f64)], width: f64, color: &str, dash: &str) {
+        let points = listed(points);
         self.element(&format!(
-            r#"<text x="{x:.2}" y="{y:.2}" font-size="{size}" text-anchor="{anchor}" fill="{color}">{words}</text>"#
+            r#"<polyline points="{points}" fill="none" stroke="{color}" stroke-width="{width}" stroke-dasharray="{dash}"/>"#
         ));
+    }
+
+    /// A filled shape with these corners.
+    pub(crate) fn polygon(&mut self, corners: &[(f64, f64)], color: &str) {
+        self.element(&format!(r#"<polygon points="{}" fill="{color}"/>"#, listed(corners)));
+    }
+
+    pub(crate) fn words(&mut self, at: (f64, f64), size: u32, anchor: Anchor, color: &str, words: &str) {
+        self.text(at, size, anchor, color, words, "");
     }
 
     /// Text that runs upwards.
     pub(crate) fn turned(&mut self, (x, y): (f64, f64), size: u32, anchor: Anchor, color: &str, words: &str) {
+        self.text((x, y), size, anchor, color, words, &format!(r#" transform="rotate(-90 {x:.2} {y:.2})""#));
+    }
+
+    fn text(
+        &mut self,
+        (x, y): (f64, f64),
+        size: u32,
+        anchor: Anchor,
+        color: &str,
+        words: &str,
+        transform: &str,
+    ) {
         let anchor = match anchor {
             Anchor::Start => "start",
             Anchor::Middle => "middle",
+            Anchor::End => "end",
         };
         let words = escape(words);
         self.element(&format!(
-            r#"<text x="{x:.2}" y="{y:.2}" font-size="{size}" text-anchor="{anchor}" fill="{color}" transform="rotate(-90 {x:.2} {y:.2})">{words}</text>"#
+            r#"<text x="{x:.2}" y="{y:.2}" font-size="{size}" text-anchor="{anchor}" fill="{color}"{transform}>{words}</text>"#
         ));
     }
 
@@ -113,6 +133,10 @@ impl Drawing {
 "##
         )
     }
+}
+
+fn listed(points: &[(f64, f64)]) -> String {
+    points.iter().map(|(x, y)| format!("{x:.2},{y:.2}")).collect::<Vec<_>>().join(" ")
 }
 
 #[cfg(test)]
