@@ -32,7 +32,7 @@ after(async () => {
   await endAll();
 });
 
-test("a person arms, plays, stops in an emergency, and resets", async () => {
+test("a person arms, plays, stops in an emergency, and resets (smoke)", async () => {
   const daemon = await new Daemon().start();
   const page = await open(daemon);
   await arm(page);
@@ -212,7 +212,7 @@ test("the keyboard alone designs a target", async () => {
   await shows(page, "alert", "`reach_mm` is 24: all 306 afferents are within reach");
 });
 
-test("a shape that is dragged plays live, and a window out of sight ends it", async () => {
+test("a shape that is dragged plays live, and a window out of sight ends it (smoke)", async () => {
   const daemon = await new Daemon("lead_ms = 100\n").start();
   const page = await open(daemon);
   await arm(page);

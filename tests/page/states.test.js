@@ -62,7 +62,7 @@ test("what stands beside E-STOP follows the state", async () => {
   await shows(page, "estop-note", "All lines are off.");
 });
 
-test("a state that is older than a second is not known, and an answer that was held up is no news", async () => {
+test("a state that is older than a second is not known, and an answer that was held up is no news (smoke)", async () => {
   const daemon = await new Daemon().start();
   await networked(daemon, async (network) => {
     const page = await open(network);
@@ -163,7 +163,7 @@ test("an empty field orders nothing, and says so beside itself", async () => {
   assert.equal((await daemon.status()).play.id, 1);
 });
 
-test("an emergency stop is sent again until the daemon says that the lines are off", async () => {
+test("an emergency stop is sent again until the daemon says that the lines are off (smoke)", async () => {
   const daemon = await new Daemon().start();
   // A proxy or gateway may answer in the daemon's place.
   const fates = {

@@ -5,6 +5,7 @@ use firmware_protocol::tick::Tick;
 use meissner_array::units::TICKS_PER_S;
 use meissner_stream::Line;
 use meissner_stream::queues::{Command, End, StreamEvent};
+use meissner_test_support::at_length;
 use meissner_test_support::rig::{self, Rig, answer, assert_closed};
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
@@ -210,7 +211,7 @@ fn leaves<'a>(value: &'a mut Value, into: &mut Vec<&'a mut Value>) {
 fn whatever_field_lies_how_often_the_daemons_side_works_on_or_connects_again() {
     for per_mille in [10, 100, 1000] {
         let (mut doubted, mut lost, mut plays) = (0, 0, 0);
-        for seed in 0..8 {
+        for seed in 0..at_length(2, 8) {
             let mut rig = Rig::new(Line::default(), 100 + seed);
             let mut random = ChaCha8Rng::seed_from_u64(seed);
             rig.run_ms(500 * (seed % 2));
