@@ -331,8 +331,8 @@ BREAKS = {
 @pytest.mark.parametrize("what", BREAKS)
 def test_a_program_that_lives_and_says_nothing_stays_armed(daemon: meissner.Daemon, what: str) -> None:
     """A sign of life is seen by the time that is left: it grows again and again."""
-    with script(BREAKS[what], daemon.socket, silence=60.0), meissner.connect(daemon.socket) as watcher:
-        deadline, grown, before = time.monotonic() + 2 * PATIENT, 0, 60.0
+    with script(BREAKS[what], daemon.socket, silence=16.0), meissner.connect(daemon.socket) as watcher:
+        deadline, grown, before = time.monotonic() + 2 * PATIENT, 0, 16.0
         while grown < 2:
             state = watcher.status()
             assert state.state == "armed"

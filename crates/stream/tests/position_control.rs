@@ -112,7 +112,7 @@ fn forty_settings_rest_near_the_bound() {
 /// Twelve minutes of device time, or an hour, at each corner of the settings.
 #[test]
 fn the_last_minutes_at_each_corner_are_as_good_as_the_first() {
-    let minutes = at_length(12, 60);
+    let long = at_length(12, 60);
     let base = MotorRun::default();
     let corners = [
         ("slow and small", MotorRun { frequency_hz: 1.0, amplitude_um: 2.0, ..base }),
@@ -143,12 +143,12 @@ fn the_last_minutes_at_each_corner_are_as_good_as_the_first() {
                 panic!("{name}: {why:?}");
             }
         };
-        fault = motor_run.run(60.0 * minutes as f64, |_, y| Some(y), tell).unwrap();
+        fault = motor_run.run(60.0 * long as f64, |_, y| Some(y), tell).unwrap();
         assert_eq!(fault, None, "{name}");
         let rms: Vec<f64> = minutes.iter().map(|(count, sum)| (sum / *count as f64).sqrt()).collect();
-        assert_eq!(rms.len(), minutes, "{name}");
-        let some = minutes / 6;
-        let (first, last) = (mean(&rms[1..=some]), mean(&rms[minutes - some..]));
+        assert_eq!(rms.len(), long, "{name}");
+        let some = long / 6;
+        let (first, last) = (mean(&rms[1..=some]), mean(&rms[long - some..]));
         assert!(last <= 1.25 * first + UM_PER_PULSE / 2.0, "{name}: from {first} to {last} um rms");
     }
 }

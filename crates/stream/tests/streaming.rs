@@ -15,6 +15,7 @@ use meissner_stream::link::LineRate;
 use meissner_stream::queues::{At, Command, CommandError, End, Play, Request, StreamEvent};
 use meissner_stream::time::HostInstant;
 use meissner_stream::{Line, Settings, Streamer};
+use meissner_test_support::at_length;
 use meissner_test_support::patterns::{self, drive};
 use meissner_test_support::rig::{self, Rig, bad_line};
 use proptest::prelude::*;
@@ -374,7 +375,7 @@ fn the_streamer_allocates_nothing_while_it_plays() {
 /// the one after.
 #[test]
 fn a_play_without_strokes_separates_its_neighbours() {
-    for seed in 100..140 {
+    for seed in 100..at_length(110, 140) {
         let mut rig = Rig::armed(Line::default(), seed);
         let play = |rig: &mut Rig, pattern: &str, ms: f64| {
             rig.start_with(&rig::pattern(pattern), Some(ms / 1000.0), |play| play.replace = true);
