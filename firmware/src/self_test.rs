@@ -11,7 +11,7 @@ use crate::wave;
 use core::ptr;
 use embassy_rp::pac;
 use firmware_protocol::batch::{self, Strokes};
-use firmware_protocol::board::{self as protocol, LineTest, RamTest, SelfTest, WaveTest};
+use firmware_protocol::board::{LineTest, RamTest, SelfTest, WaveTest};
 use firmware_protocol::frame::{self, Decoder, MAX_FRAME};
 use firmware_protocol::message::HostMessage;
 use firmware_protocol::stroke::MOTORS;
