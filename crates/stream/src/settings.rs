@@ -1,9 +1,8 @@
 //! The settings of the streamer, and the length of a batch that follows from them.
 
-use crate::control::{ASYMMETRY, Gains};
+use crate::control::Gains;
 use firmware_protocol::limits::{MAX_PUSHES_PER_S, MAX_SEEK, PowerLimits, WHOLE_TRAVEL};
 use firmware_protocol::stroke::MOTORS;
-use meissner_array::reflected_walk::Spread;
 use meissner_array::strokes::{AutoSurplus, Surplus};
 use meissner_array::units::{UM_PER_PULSE, ms_in_ticks, ticks_to_seconds};
 use std::time::Duration;
@@ -55,13 +54,7 @@ impl LowerStopSettings {
         if let Some(um) = self.surplus_um {
             return Surplus::Fixed(um);
         }
-        let spread = gains.each_ref().map(|gains| {
-            if gains.are_calibrated() {
-                Spread::measured(gains.scatter, gains.mean, gains.sd)
-            } else {
-                Spread::uncalibrated(gains.scatter, ASYMMETRY)
-            }
-        });
+        let spread = gains.each_ref().map(Gains::spread);
         Surplus::Auto(Box::new(AutoSurplus { spread, rest_error_um: self.rest_error_um }))
     }
 }

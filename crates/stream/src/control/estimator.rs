@@ -16,6 +16,7 @@
 use firmware_protocol::stroke::{Burst, Direction};
 use firmware_protocol::tick::Tick;
 use meissner_array::motor::{HalfTick, Ramp, TRANSIENT_GAIN, TRANSIENT_REST_TICKS, WINDOW_HALF_TICKS};
+use meissner_array::reflected_walk::Spread;
 use meissner_array::units::UM_PER_PULSE;
 
 /// Bursts in the window at once: five at 300 Hz. With more, the oldest counts as over.
@@ -36,6 +37,8 @@ const SCATTER_MEMORY: f64 = 150.0;
 const LEAST_SCATTER: f64 = 0.002;
 /// Gain of a motor without calibration, one standard deviation.
 const GAIN_SD: f64 = 0.2;
+/// Asymmetry of the gains up and down without calibration, one standard deviation.
+pub(crate) const ASYMMETRY: f64 = 0.02;
 /// Random walk of a gain per burst, one standard deviation: motors warm up.
 const GAIN_WANDER: f64 = 2e-4;
 /// Variance of a sample, µm²: the quantum of 0.01 µm, plus 0.01 µm for model errors.
@@ -69,6 +72,15 @@ impl Gains {
     /// Whether they come from a calibration.
     pub(crate) fn are_calibrated(&self) -> bool {
         *self != Self::default()
+    }
+
+    /// How much bursts of these gains differ.
+    pub(crate) fn spread(&self) -> Spread {
+        if self.are_calibrated() {
+            Spread::measured(self.scatter, self.mean, self.sd)
+        } else {
+            Spread::uncalibrated(self.scatter, ASYMMETRY)
+        }
     }
 }
 

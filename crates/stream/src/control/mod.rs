@@ -17,7 +17,6 @@ mod queued;
 mod replacement;
 mod telemetry_monitor;
 
-pub(crate) use burst_controller::ASYMMETRY;
 pub(super) use burst_controller::{BurstController, FINALISE_AT, LONGEST_AGE};
 pub use estimator::{Gains, MeasuredBurst};
 pub(super) use queued::Cutting;

@@ -28,7 +28,6 @@ mod correct;
 mod rest;
 
 pub(crate) use correct::FINALISE_AT;
-pub(crate) use rest::ASYMMETRY;
 
 use super::estimator::{Estimator, Gains, Travel, gain_index};
 use super::queued::{Correction, Cutting, Forgotten, Queued};

@@ -3,14 +3,11 @@
 //! Invariant: with a lower stop no pin is taken for lower than rest.
 
 use super::BurstController;
-use crate::control::estimator::{Gains, after_rest, gain_index, sign};
+use crate::control::estimator::{ASYMMETRY, Gains, after_rest, gain_index, sign};
 use firmware_protocol::stroke::Direction;
 use firmware_protocol::tick::Tick;
 use meissner_array::reflected_walk::{ReflectedWalk, Spread};
 use meissner_array::units::UM_PER_PULSE;
-
-/// Asymmetry of the gains up and down without calibration, one standard deviation.
-pub(crate) const ASYMMETRY: f64 = 0.02;
 
 impl BurstController {
     /// The device has flushed the queue and returns the pin.
