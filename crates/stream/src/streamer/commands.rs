@@ -1,13 +1,11 @@
 //! Executes commands: decides which are possible now, and sends their operations to the device one at a time.
 //!
-//! [`Streamer::execute`] takes each request; [`Streamer::expire`] answers those that the device does not answer in time.
+//! [`Streamer::execute`] takes each request; `operations` answers those that the device does not answer in time.
 
 use crate::active::{Active, FIRST_MARGIN, Phase};
 use crate::link::Session;
-use crate::queues::{
-    At, Command, CommandError, ESTOP_TICKETS, Emit, MAX_QUEUED_PLAYS, Play, Request, StreamEvent,
-};
-use crate::streamer::{ANSWER_WITHIN, MAX_PENDING_OPS, OpResult, PendingOp, Streamer, answer, cuts_play};
+use crate::queues::{At, Command, CommandError, Emit, MAX_QUEUED_PLAYS, Play, Request, StreamEvent};
+use crate::streamer::{ANSWER_WITHIN, OpResult, Streamer, answer, cuts_play};
 use crate::time::HostInstant;
 use firmware_protocol::message::{Cause, LowerStop, Op, State};
 use firmware_protocol::stroke::MOTORS;
@@ -53,7 +51,7 @@ impl Streamer {
             Command::Arm { .. } | Command::ArmUnchecked | Command::Reset { .. } if stale => {
                 Err(CommandError::Timeout)
             }
-            Command::Play(play) => match self.play(now, given, play) {
+            Command::Play(play) => match self.play(now, given, play, emit) {
                 Ok(()) => Ok(None),
                 Err((refused, play)) => {
                     answer(ticket, Err(refused), emit);
@@ -101,15 +99,15 @@ impl Streamer {
             Command::Configure(settings) => {
                 self.next_settings = settings;
                 // An armed device keeps its settings until it is armed again.
-                if !self.wants_armed && !matches!(self.state(), State::Armed | State::Returning) {
+                if !self.operations.wants_armed() && !matches!(self.state(), State::Armed | State::Returning)
+                {
                     self.apply_settings();
                 }
                 Ok(None)
             }
             Command::Disarm => self.disarm(),
             Command::Shutdown => {
-                self.closing = Some((ticket, now));
-                self.wants_armed = false;
+                self.operations.shut_down(now, ticket);
                 self.cut_all(EndCause::Shutdown);
                 self.end_homing(Err(CommandError::Returning), emit);
                 if self.session.is_some() {
@@ -132,13 +130,13 @@ impl Streamer {
                 }
             }
         }
-        self.snapshot_due = now;
+        self.reports.hasten(now);
     }
 
     /// Whether the device can take commands; they wait for a handshake under way.
     fn ready(&self) -> Result<(), CommandError> {
         match (&self.session, self.state()) {
-            (None, _) if !self.latched => Err(CommandError::NoDevice),
+            (None, _) if !self.latch.is_closed() => Err(CommandError::NoDevice),
             (_, State::Faulted) => Err(CommandError::Faulted),
             _ => Ok(()),
         }
@@ -148,7 +146,7 @@ impl Streamer {
     pub(super) fn takes_plays(&self) -> Result<(), CommandError> {
         self.ready()?;
         match self.state() {
-            _ if self.wants_armed => Ok(()),
+            _ if self.operations.wants_armed() => Ok(()),
             State::Returning => Err(CommandError::Returning),
             _ => Err(CommandError::Disarmed),
         }
@@ -159,13 +157,15 @@ impl Streamer {
         now: HostInstant,
         given: HostInstant,
         play: Box<Play>,
+        emit: &mut dyn Emit,
     ) -> Result<(), (CommandError, Box<Play>)> {
         match self.place(now, &play) {
             Err(refused) => Err((refused, play)),
             Ok((requested, margin)) => {
                 if play.replace && self.plays.iter().any(|active| active.cut.is_none()) {
                     self.cut_all(EndCause::Replaced);
-                    self.pending_ops.push_back(PendingOp { ticket: 0, op: Op::Stop, since: now });
+                    // Sent with the next step.
+                    self.operations.queue(now, 0, Op::Stop, emit);
                 }
                 self.plays.push_back(Active::new(play, given, requested, margin));
                 Ok(())
@@ -178,7 +178,7 @@ impl Streamer {
     /// # Errors
     /// If the line does not carry the play.
     pub(super) fn margin(&self, session: &Session, play: &Play) -> Result<Duration, CommandError> {
-        let closed_loop = !play.open_loop && self.control.corrects(self.telemetry);
+        let closed_loop = !play.open_loop && self.control.corrects(self.known.sends_telemetry());
         let required = if closed_loop { play.bandwidth.closed } else { play.bandwidth.open };
         match session.rate_left(required.frames) {
             Some(carries) if required.rate > carries => {
@@ -203,7 +203,7 @@ impl Streamer {
             return Err(CommandError::NoDevice);
         };
         let queued = || self.plays.iter().filter(|active| active.cut.is_none() && !play.replace);
-        let held = self.plays.len() > 2 * MAX_QUEUED_PLAYS || self.pending_ops.len() == MAX_PENDING_OPS;
+        let held = self.plays.len() > 2 * MAX_QUEUED_PLAYS || self.operations.is_full();
         if queued().count() > MAX_QUEUED_PLAYS || held {
             return Err(CommandError::QueueFull);
         }
@@ -260,7 +260,7 @@ impl Streamer {
 
     fn stop(&mut self) -> OpResult {
         self.ready()?;
-        if self.pending_ops.len() == MAX_PENDING_OPS {
+        if self.operations.is_full() {
             return Err(CommandError::Returning);
         }
         self.cut_all(EndCause::Stop);
@@ -272,7 +272,7 @@ impl Streamer {
         let found = self.plays.iter_mut().find(|active| active.play.id == id && active.cut.is_none());
         let Some(active) = found else { return Ok(None) };
         let waits = active.phase == Phase::Waiting && active.play.live.is_none();
-        if !waits && self.pending_ops.len() == MAX_PENDING_OPS {
+        if !waits && self.operations.is_full() {
             return Err(CommandError::Returning);
         }
         active.cut = Some(cause);
@@ -286,7 +286,7 @@ impl Streamer {
 
     fn disarm(&mut self) -> OpResult {
         self.ready()?;
-        self.wants_armed = false;
+        self.operations.want_armed(false);
         self.cut_all(EndCause::Disarm);
         Ok(Some(Op::Disarm(Cause::Request)))
     }
@@ -296,7 +296,7 @@ impl Streamer {
         let assume_rest = rest != Rest::Known;
         // An operation begins a new epoch: do not send one between a play and its strokes for nothing.
         match self.state() {
-            State::Armed if self.wants_armed => {
+            State::Armed if self.operations.wants_armed() => {
                 if assume_rest {
                     if !self.plays.is_empty() || self.homing.is_some() {
                         return Err(CommandError::Playing);
@@ -305,13 +305,15 @@ impl Streamer {
                 }
                 return Ok(None);
             }
-            State::Armed | State::Returning if !self.wants_armed => return Err(CommandError::Returning),
+            State::Armed | State::Returning if !self.operations.wants_armed() => {
+                return Err(CommandError::Returning);
+            }
             State::Returning => return Ok(None),
-            _ if self.wants_armed => return Err(CommandError::Returning),
+            _ if self.operations.wants_armed() => return Err(CommandError::Returning),
             _ => {}
         }
         self.take_rest(now, rest)?;
-        self.wants_armed = true;
+        self.operations.want_armed(true);
         self.apply_settings();
         self.control.clear_faults();
         let host_timeout = ms_in_ticks(self.settings.lease_ms).round() as u32;
@@ -341,8 +343,11 @@ impl Streamer {
         self.control.reckon_to(tick);
         let reckoned_um = self.control.dead_reckoning_um(tick, 0..MOTORS as u8);
         // An emergency stop leaves pins up: one of them may have all of these pulses. A lower stop brings them home.
-        let up =
-            self.status.filter(|_| self.settings.lower_stop.is_none()).map_or(0, |(at, _)| at.outstanding);
+        let up = self
+            .known
+            .status()
+            .filter(|_| self.settings.lower_stop.is_none())
+            .map_or(0, |(at, _)| at.outstanding);
         let um = reckoned_um.max(up as f32 * UM_PER_PULSE as f32);
         if um <= LEVEL_CHECK_UM {
             return Ok(());
@@ -356,126 +361,43 @@ impl Streamer {
         self.control.configure(&self.settings);
     }
 
-    /// Overtakes all other operations. If an earlier emergency stop is on its way, one answer of the device is for both.
+    /// Overtakes all other operations.
     fn emergency_stop(&mut self, now: HostInstant, ticket: u64, emit: &mut dyn Emit) {
-        self.latched = true;
-        self.last_estop = self.last_estop.max(ticket.saturating_sub(ESTOP_TICKETS));
-        self.resets_own_e_stop = false;
-        self.wants_armed = false;
+        self.latch.close(ticket);
         self.cut_all(EndCause::EStop);
         self.end_homing(Err(CommandError::Returning), emit);
         self.end_seek(Err(CommandError::Faulted), emit);
-        self.snapshot_due = now;
-        let waits = self.pending_ops.front().is_some_and(|first| first.op == Op::EStop);
-        while self.pending_ops.len() > usize::from(waits) {
-            let Some(waiting) = self.pending_ops.pop_back() else { break };
-            answer(waiting.ticket, Err(CommandError::Faulted), emit);
-        }
-        match self.pending_ops.front_mut() {
-            // Of the switch's tickets, the answer to the newest answers all.
-            Some(first) => {
-                let earlier = std::mem::replace(&mut first.ticket, ticket);
-                match earlier {
-                    // Nothing waited for it any more: the later one has its own time.
-                    0 => first.since = now,
-                    1..ESTOP_TICKETS => answer(earlier, Err(CommandError::Faulted), emit),
-                    _ => {}
-                }
-            }
-            None if self.session.is_some() => {
-                self.in_flight = false;
-                self.queue_op(now, ticket, Op::EStop, emit);
-            }
-            // Latched, for a device that comes later.
-            None if ticket < ESTOP_TICKETS => answer(ticket, Ok(()), emit),
-            None => answer(ticket, Err(CommandError::NoDevice), emit),
+        self.reports.hasten(now);
+        if self.operations.overtake(now, ticket, self.session.is_some(), emit) {
+            self.send_next_op();
         }
     }
 
     fn reset(&mut self, estops_seen: u64) -> OpResult {
-        if self.last_estop > estops_seen {
-            return Err(CommandError::Faulted);
-        }
         let faulted = self.state() == State::Faulted;
-        self.latched = false;
+        self.latch.open(estops_seen)?;
         let open = self.session.as_ref().is_some_and(Session::can_command);
         Ok((open && faulted).then_some(Op::Reset))
     }
 
     /// Queues an operation for the device, which `ticket` waits for.
     pub(super) fn queue_op(&mut self, given: HostInstant, ticket: u64, op: Op, emit: &mut dyn Emit) {
-        if matches!(op, Op::Disarm(_)) {
-            // A disarm makes pending operations pointless, and must not wait for them.
-            while self.pending_ops.len() > usize::from(self.in_flight) {
-                let Some(waiting) = self.pending_ops.pop_back() else { break };
-                answer(waiting.ticket, Err(CommandError::Returning), emit);
-            }
+        if self.operations.queue(given, ticket, op, emit) {
+            self.send_next_op();
         }
-        if self.pending_ops.len() == MAX_PENDING_OPS {
-            answer(ticket, Err(CommandError::Timeout), emit);
-            return;
-        }
-        self.pending_ops.push_back(PendingOp { ticket, op, since: given });
-        self.send_next_op();
     }
 
     /// A play aborts: returns the pins and disarms.
     pub(super) fn abort(&mut self, now: HostInstant, emit: &mut dyn Emit) {
-        self.wants_armed = false;
+        self.operations.want_armed(false);
         self.queue_op(now, 0, Op::Disarm(Cause::Abort), emit);
-    }
-
-    /// Whether no operation is pending.
-    pub(super) fn no_op_pending(&self) -> bool {
-        self.pending_ops.is_empty()
     }
 
     /// Sends the next operation if none is in flight.
     pub(super) fn send_next_op(&mut self) {
-        let Some(session) = self.session.as_mut().filter(|session| session.can_command()) else { return };
-        if let (false, Some(first)) = (self.in_flight, self.pending_ops.front()) {
-            // The link probe measures the line while nothing can move.
-            if matches!(first.op, Op::Arm { .. }) && !session.is_probed() {
-                return;
-            }
-            self.in_flight = true;
-            if cuts_play(&first.op) {
-                self.control.will_be_cut();
-            }
-            session.command(first.op);
-        }
-    }
-
-    /// Answers operations that took too long with a timeout.
-    ///
-    /// A late arm must not enable motors when nobody expects it: an arm or reset not sent yet is removed, and an arm already
-    /// sent is replaced by a disarm. Everything else is sent until the device answers.
-    pub(super) fn expire(&mut self, now: HostInstant, emit: &mut dyn Emit) {
-        let mut index = usize::from(self.in_flight);
-        while let Some(waiting) =
-            self.pending_ops.get_mut(index).filter(|it| now.since(it.since) >= ANSWER_WITHIN)
-        {
-            answer(std::mem::take(&mut waiting.ticket), Err(CommandError::Timeout), emit);
-            let op = waiting.op;
-            if !matches!(op, Op::Arm { .. } | Op::Reset) {
-                index += 1;
-                continue;
-            }
-            self.pending_ops.remove(index);
-            if matches!(op, Op::Arm { .. }) {
-                self.wants_armed = false;
-                self.cut_all(EndCause::NotArmed);
-            }
-        }
-        let (Some(first), Some(session)) = (self.pending_ops.front_mut(), &mut self.session) else { return };
-        if now.since(first.since) >= ANSWER_WITHIN {
-            answer(std::mem::take(&mut first.ticket), Err(CommandError::Timeout), emit);
-            if matches!(first.op, Op::Arm { .. }) {
-                first.op = Op::Disarm(Cause::Request);
-                self.wants_armed = false;
-                session.command(first.op);
-                self.cut_all(EndCause::NotArmed);
-            }
+        let sent = self.session.as_mut().and_then(|session| self.operations.send_next(session));
+        if sent.is_some_and(|op| cuts_play(&op)) {
+            self.control.will_be_cut();
         }
     }
 }

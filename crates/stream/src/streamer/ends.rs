@@ -4,9 +4,8 @@
 
 use crate::active::{Active, Ending, Phase};
 use crate::link::{Clock, Contradiction, Session};
-use crate::queues::{CommandError, Emit, Offset, StreamEvent};
-use crate::streamer::{ANSWER_WITHIN, Streamer, answer};
-use crate::time::HostInstant;
+use crate::queues::{Emit, Offset, StreamEvent};
+use crate::streamer::Streamer;
 use firmware_protocol::message::{Counters, State};
 use firmware_protocol::tick::Tick;
 use meissner_api::EndCause;
@@ -58,10 +57,10 @@ impl Streamer {
             // A play without strokes never starts: the counters at the next onset separate its neighbours.
             let later = || self.plays.iter().skip(1);
             let next_counters = later().find_map(|next| next.counters_at_onset);
-            let Some((status, at)) = &self.status else { return };
+            let Some((status, at)) = self.known.status() else { return };
             let after = if first.cut.is_some() {
-                let settled = !self.in_flight
-                    && self.pending_ops.is_empty()
+                let settled = !self.operations.is_in_flight()
+                    && self.operations.is_empty()
                     && session.is_answered()
                     && status.state != State::Returning;
                 (settled || first.phase == Phase::Waiting).then_some(status.counters)
@@ -70,7 +69,7 @@ impl Streamer {
                 let decided = first.phase == Phase::Streamed && first.undecided == 0;
                 // Counters that include all of this play and nothing of the next.
                 let next_onset = later().find_map(|next| next.onset).unwrap_or(Tick(u64::MAX));
-                let now_known = (*at >= end && *at < next_onset && first.counters_at_onset.is_some())
+                let now_known = (at >= end && at < next_onset && first.counters_at_onset.is_some())
                     .then_some(status.counters);
                 next_counters.or(now_known).filter(|_| decided && tick >= end && session.known_to() >= end)
             };
@@ -110,25 +109,19 @@ impl Streamer {
             first.cut.is_some()
                 || (first.phase == Phase::Streamed && first.end().is_some_and(|end| tick >= end))
         });
-        if over || returning || self.closing.is_some() {
+        if over || returning || self.operations.is_closing() {
             session.request_status();
         }
     }
 
-    /// Ends the thread once the device is off, or after a timeout.
-    pub(super) fn close(&mut self, now: HostInstant, emit: &mut dyn Emit) {
-        let Some((ticket, since)) = self.closing else { return };
-        let off = match (&self.session, &self.status) {
+    /// Whether the device is off and nothing is under way, or there is none.
+    pub(super) fn is_off(&self) -> bool {
+        match (&self.session, self.known.status()) {
             (Some(session), Some((status, _))) => {
                 let quiet = matches!(status.state, State::Disarmed | State::Faulted);
-                quiet && session.is_answered() && self.pending_ops.is_empty() && self.plays.is_empty()
+                quiet && session.is_answered() && self.operations.is_empty() && self.plays.is_empty()
             }
             _ => true,
-        };
-        if off || now.since(since) >= ANSWER_WITHIN {
-            self.closing = None;
-            self.closed = true;
-            answer(ticket, if off { Ok(()) } else { Err(CommandError::Timeout) }, emit);
         }
     }
 }

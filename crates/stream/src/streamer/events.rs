@@ -10,7 +10,7 @@ use crate::streamer::homing::seeks;
 use crate::streamer::{IDLE_PING, Streamer, answer, cuts_play, end_cause};
 use crate::time::HostInstant;
 use firmware_protocol::controller::HORIZON;
-use firmware_protocol::message::{Cause, Counters, DeviceHello, Op, State, Status};
+use firmware_protocol::message::{Cause, Counters, Op, State, Status};
 use firmware_protocol::stroke::Stroke;
 use firmware_protocol::tick::Tick;
 use meissner_api::{EndCause, LateCause, LatePolicy};
@@ -39,26 +39,24 @@ impl Streamer {
     fn event(&mut self, now: HostInstant, event: Event, emit: &mut dyn Emit) {
         match event {
             Event::Opened(hello) => {
-                self.telemetry = hello.features & DeviceHello::TELEMETRY != 0;
-                self.control.connected(self.telemetry);
-                self.boot = Some(hello.boot);
+                self.known.opened(&hello);
+                self.control.connected(self.known.sends_telemetry());
                 emit.event(StreamEvent::Connected(hello));
-                if self.latched {
+                if self.latch.is_closed() {
                     self.queue_op(now, 0, Op::EStop, emit);
                 }
             }
             Event::Lost(reason) => {
                 // The session has sent an e-stop of its own. Only the next session resets it.
-                self.resets_own_e_stop =
-                    matches!(reason, LostReason::Contradicts(_)) && self.state() != State::Faulted;
+                let own = matches!(reason, LostReason::Contradicts(_)) && self.state() != State::Faulted;
+                self.latch.session_over(own);
                 self.disconnect(now, EndCause::Other(reason.text().into()), emit);
             }
             Event::Contradiction(how) => emit.event(StreamEvent::Contradiction(how)),
             Event::Control(result) => {
-                self.in_flight = false;
-                if let Some(done) = self.pending_ops.pop_front() {
+                if let Some(done) = self.operations.answered() {
                     if result.is_err() && !matches!(done.op, Op::Move { .. } | Op::Seek { .. }) {
-                        self.wants_armed = false;
+                        self.operations.want_armed(false);
                         self.cut_all(EndCause::CommandRefused);
                     }
                     // The client must see the new state when it gets the answer.
@@ -75,10 +73,10 @@ impl Streamer {
                     }
                     self.moved(now, done.op, result.map_err(CommandError::Device), emit);
                     // The device may have disarmed in the meantime.
-                    if let (true, Some((status, _))) = (self.pending_ops.is_empty(), self.status)
+                    if let (true, Some((status, _))) = (self.operations.is_empty(), self.known.status())
                         && !matches!(status.state, State::Armed | State::Returning)
                     {
-                        self.wants_armed = false;
+                        self.operations.want_armed(false);
                         self.cut_all(end_cause(status.cause));
                     }
                 }
@@ -107,7 +105,7 @@ impl Streamer {
                     self.cut_control(now);
                 }
                 self.undo_move(now);
-                self.snapshot_due = now;
+                self.reports.hasten(now);
             }
             Event::StrokeRefused { motor, up, reason } => {
                 self.control.refused_as_begun(motor, up);
@@ -119,7 +117,7 @@ impl Streamer {
                 }
             }
             Event::Board(board) => {
-                self.board = Some(board);
+                self.known.board_heard(board);
                 self.plays.iter_mut().for_each(|active| active.board.heard(board));
             }
             // The streamer asks for none.
@@ -136,7 +134,7 @@ impl Streamer {
     /// The device has flushed its queue, at most the render horizon after its last status: counts what was played until now.
     fn cut_control(&mut self, now: HostInstant) {
         let now = self.tick_at(now);
-        let reported = self.status.map(|(_, tick)| tick + u64::from(HORIZON));
+        let reported = self.known.status().map(|(_, tick)| tick + u64::from(HORIZON));
         self.control.cut(reported.or(now).unwrap_or_default(), now);
     }
 
@@ -154,27 +152,19 @@ impl Streamer {
     }
 
     fn status(&mut self, now: HostInstant, status: Status, tick: Tick, emit: &mut dyn Emit) {
-        let before = self.status.replace((status, tick)).map(|(status, _)| status);
-        if before.is_none() {
-            self.check_past(&status);
-        }
+        let changed = self.known.heard(status, tick, &mut self.control);
         self.control.counters_heard(tick);
-        self.resets_own_e_stop &= (status.state, status.cause) == (State::Faulted, Cause::EStop);
-        if self.resets_own_e_stop && !self.latched && self.no_op_pending() {
+        if self.latch.resets_own(&status) && self.operations.is_empty() {
             self.queue_op(now, 0, Op::Reset, emit);
         }
         self.settle_seek(now, emit);
-        if status.state == State::Armed && !self.in_flight {
+        if status.state == State::Armed && !self.operations.is_in_flight() {
             self.control.at_rest(tick);
         }
-        let changed = before.is_none_or(|before| {
-            (before.state, before.cause, before.position_known, before.outstanding)
-                != (status.state, status.cause, status.position_known, status.outstanding)
-        });
         if !changed {
             return;
         }
-        self.snapshot_due = now;
+        self.reports.hasten(now);
         let armed = matches!(status.state, State::Armed | State::Returning);
         let host_timeout = ms_to_duration(self.settings.lease_ms);
         if let Some(session) = &mut self.session {
@@ -182,21 +172,12 @@ impl Streamer {
             // If this status was a lie, the next one contradicts it while the device is still fed.
             session.request_status();
         }
-        if !armed && self.pending_ops.is_empty() {
-            self.wants_armed = false;
+        if !armed && self.operations.is_empty() {
+            self.operations.want_armed(false);
             self.cut_all(end_cause(status.cause));
             self.cut_control(now);
             self.end_homing(Err(CommandError::Disarmed), emit);
         }
-    }
-
-    /// A device that knows where its pins are has moved them. If that was not this streamer's doing, nothing tells how far they
-    /// have drifted since.
-    fn check_past(&mut self, status: &Status) {
-        if !self.telemetry && status.position_known && self.reckoned_boot != self.boot {
-            self.control.lose_rest();
-        }
-        self.reckoned_boot = self.boot;
     }
 
     fn verdict(&mut self, now: HostInstant, stroke: &Stroke, verdict: Verdict, emit: &mut dyn Emit) {
@@ -267,7 +248,7 @@ impl Streamer {
             self.control.withdraw_from(onset);
         }
         self.fed_until = rendered;
-        self.snapshot_due = now;
+        self.reports.hasten(now);
     }
 
     fn onset(&mut self, tick: Tick, counters: Counters, emit: &mut dyn Emit) {

@@ -48,7 +48,7 @@ impl Streamer {
     /// Sends all strokes due at `tick`.
     pub(super) fn feed(&mut self, now: HostInstant, tick: Tick, emit: &mut dyn Emit) {
         let Some(session) = &self.session else { return };
-        if self.state() != State::Armed || !self.no_op_pending() {
+        if self.state() != State::Armed || !self.operations.is_empty() {
             return;
         }
         let lead = ms_in_ticks(self.settings.lead_ms) as u64;
@@ -122,7 +122,7 @@ impl Streamer {
         let active = &mut self.plays[index];
         active.offer(onset, wire);
         if let Some(session) = &mut self.session {
-            active.board.begins(session.ask_board(), self.board);
+            active.board.begins(session.ask_board(), self.known.board());
             session.begin(onset, active.trigger());
         }
     }

@@ -56,13 +56,15 @@ impl Streamer {
     /// Starts homing.
     pub(super) fn home(&mut self, ticket: u64) -> OpResult {
         self.takes_plays()?;
-        if self.state() != State::Armed || !self.no_op_pending() || self.homing.is_some() {
+        if self.state() != State::Armed || !self.operations.is_empty() || self.homing.is_some() {
             return Err(CommandError::Returning);
         }
         if !self.plays.is_empty() {
             return Err(CommandError::Playing);
         }
-        let Some(tick) = self.status.map(|(_, tick)| tick) else { return Err(CommandError::NoDevice) };
+        let Some(tick) = self.known.status().map(|(_, tick)| tick) else {
+            return Err(CommandError::NoDevice);
+        };
         if (0..MOTORS as u8).all(|motor| self.control.offset_um(motor, tick).is_none()) {
             return Err(CommandError::NoPositionEstimate);
         }
@@ -81,7 +83,7 @@ impl Streamer {
     /// Homes all pins by driving them down to the lower stop.
     pub(super) fn home_by_stop(&self) -> OpResult {
         self.takes_plays()?;
-        if self.state() != State::Armed || !self.no_op_pending() {
+        if self.state() != State::Armed || !self.operations.is_empty() {
             return Err(CommandError::Returning);
         }
         if !self.plays.is_empty() {
@@ -92,13 +94,12 @@ impl Streamer {
 
     /// Whether pins are on their way home, or about to be.
     pub(super) fn is_homing(&self) -> bool {
-        let asked = self.pending_ops.iter().any(|pending| matches!(pending.op, Op::Seek { .. }));
-        asked || self.homing.is_some() || self.seek.is_some_and(|seek| seek.homes)
+        self.operations.will_seek() || self.homing.is_some() || self.seek.is_some_and(|seek| seek.homes)
     }
 
     /// Whether arming has to seek the lower stop: nothing tells where pins are, or something may have moved them.
     pub(super) fn needs_seek(&self, now: HostInstant) -> bool {
-        let is_known = self.status.is_some_and(|(status, _)| status.position_known);
+        let is_known = self.known.status().is_some_and(|(status, _)| status.position_known);
         !is_known || self.last_seek.is_none_or(|last| now.since(last) >= SEEK_EVERY)
     }
 
@@ -117,7 +118,8 @@ impl Streamer {
 
     /// Once a seek is over, pins are at rest; answers the request that waits for it.
     pub(super) fn settle_seek(&mut self, now: HostInstant, emit: &mut dyn Emit) {
-        let Some((status, _)) = self.status.filter(|(status, _)| status.state != State::Returning) else {
+        let Some((status, _)) = self.known.status().filter(|(status, _)| status.state != State::Returning)
+        else {
             return;
         };
         if self.seek.is_none() {
@@ -174,7 +176,7 @@ impl Streamer {
 
     /// Sends the next move when the last one is over.
     pub(super) fn step_homing(&mut self, now: HostInstant, tick: Tick, emit: &mut dyn Emit) {
-        if self.homing.is_none() || self.state() != State::Armed || !self.no_op_pending() {
+        if self.homing.is_none() || self.state() != State::Armed || !self.operations.is_empty() {
             return;
         }
         let Some(homing) = self.homing.as_mut().filter(|homing| !homing.moving && tick >= homing.until)

@@ -115,7 +115,7 @@ impl Streamer {
         };
         let (id, timeout) = (self.plays[at].play.id, self.plays[at].play.live.unwrap_or_default());
         self.follow(id, now, timeout, emit);
-        if now >= self.live.deadline && self.no_op_pending() {
+        if now >= self.live.deadline && self.operations.is_empty() {
             self.cut_all(EndCause::ClientSilent);
             self.queue_op(now, 0, Op::Stop, emit);
             return;
@@ -124,7 +124,7 @@ impl Streamer {
         let active = &self.plays[at];
         let begun = active.phase == Phase::Streaming && active.counters_at_onset.is_some();
         let streams = begun && self.state() == State::Armed;
-        if streams && self.no_op_pending() && self.live.sent.is_none() {
+        if streams && self.operations.is_empty() && self.live.sent.is_none() {
             self.send_update(now, at, tick, emit);
         }
     }

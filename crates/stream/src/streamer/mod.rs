@@ -12,7 +12,11 @@ mod ends;
 mod events;
 mod feed;
 mod homing;
+mod known;
+mod latch;
 mod live;
+mod operations;
+mod reports;
 
 use crate::active::{Active, Phase};
 use crate::control::PositionControl;
@@ -20,20 +24,20 @@ use crate::link::{Event, LineRate, Session};
 use crate::queues::{CommandError, Emit, MAX_QUEUED_PLAYS, Snapshot, StreamEvent};
 use crate::settings::Settings;
 use crate::time::HostInstant;
-use firmware_protocol::board::Board;
 use firmware_protocol::frame::MAX_FRAME;
-use firmware_protocol::message::{Cause, Counters, Op, State, Status};
-use firmware_protocol::stroke::MOTORS;
+use firmware_protocol::message::{Cause, Counters, Op, State};
 use firmware_protocol::tick::Tick;
 use homing::Seek;
+use known::Known;
+use latch::Latch;
 use live::Live;
 use meissner_api::EndCause;
 use meissner_array::units::{ticks_to_ms, ticks_to_seconds};
+use operations::Operations;
+use reports::Reports;
 use std::collections::VecDeque;
 use std::time::Duration;
 
-/// Most operations that wait for the device.
-const MAX_PENDING_OPS: usize = 8;
 /// How long an answer may take.
 const ANSWER_WITHIN: Duration = Duration::from_secs(1);
 /// How often the streamer wakes up while anything is going on.
@@ -45,14 +49,6 @@ const IDLE_PING: Duration = Duration::from_secs(1);
 
 /// A command's result: refused, done at once (`None`), or an operation for the device.
 type OpResult = Result<Option<Op>, CommandError>;
-
-/// An operation for the device, and the request that waits for it.
-#[derive(Clone, Copy, Debug)]
-struct PendingOp {
-    ticket: u64,
-    op: Op,
-    since: HostInstant,
-}
 
 /// A homing under way.
 #[derive(Clone, Copy, Debug)]
@@ -78,27 +74,9 @@ pub struct Streamer {
     next_settings: Settings,
     pub(super) session: Option<Session>,
     events: VecDeque<Event>,
-    /// The device's last status and its tick.
-    status: Option<(Status, Tick)>,
-    /// Its last board report.
-    board: Option<Board>,
-    /// An emergency stop is latched, also for a device that comes later.
-    latched: bool,
-    /// The number of the newest emergency stop.
-    last_estop: u64,
-    /// The last session sent an e-stop because the device contradicted itself: the next one resets it.
-    resets_own_e_stop: bool,
-    /// The device sends telemetry.
-    telemetry: bool,
-    /// The device's boot, and the boot that the estimates of positions belong to.
-    boot: Option<u32>,
-    reckoned_boot: Option<u32>,
-    /// Operations for the device, oldest first.
-    pending_ops: VecDeque<PendingOp>,
-    /// The first pending operation is sent and not answered.
-    in_flight: bool,
-    /// Whether the device is armed, or will be after the pending operations.
-    wants_armed: bool,
+    known: Known,
+    latch: Latch,
+    operations: Operations,
     disconnect_reason: Option<EndCause>,
     pub(super) plays: VecDeque<Active>,
     pub(super) control: PositionControl,
@@ -113,16 +91,8 @@ pub struct Streamer {
     last_seek: Option<HostInstant>,
     /// The last move, if it went up: motor, pulses, its end.
     last_move: Option<(u8, u16, Tick)>,
-    /// Motors whose sensor fault is reported.
-    reported_faults: [bool; MOTORS],
-    reported_drift: bool,
     live: Live,
-    closing: Option<(u64, HostInstant)>,
-    closed: bool,
-    snapshot_due: HostInstant,
-    /// Whether the last snapshot showed a device, and which line rate.
-    reported_connected: bool,
-    reported_line_rate: Option<u32>,
+    reports: Reports,
 }
 
 impl Streamer {
@@ -134,17 +104,9 @@ impl Streamer {
             next_settings: settings,
             session: None,
             events: VecDeque::with_capacity(4096),
-            status: None,
-            board: None,
-            latched: false,
-            last_estop: 0,
-            resets_own_e_stop: false,
-            telemetry: false,
-            boot: None,
-            reckoned_boot: None,
-            pending_ops: VecDeque::with_capacity(MAX_PENDING_OPS),
-            in_flight: false,
-            wants_armed: false,
+            known: Known::default(),
+            latch: Latch::default(),
+            operations: Operations::new(),
             disconnect_reason: None,
             plays: VecDeque::with_capacity(2 * MAX_QUEUED_PLAYS + 2),
             control: PositionControl::new(&settings),
@@ -154,14 +116,8 @@ impl Streamer {
             seek: None,
             last_seek: None,
             last_move: None,
-            reported_faults: [false; MOTORS],
-            reported_drift: false,
             live: Live::default(),
-            closing: None,
-            closed: false,
-            snapshot_due: HostInstant::default(),
-            reported_connected: false,
-            reported_line_rate: None,
+            reports: Reports::default(),
         }
     }
 
@@ -177,39 +133,32 @@ impl Streamer {
         let lost = self.tick_at(stopped.unwrap_or(now));
         let Some(session) = self.session.take() else { return };
         self.disconnect_reason = Some(cause.clone());
-        self.wants_armed = false;
         self.cut_all(cause);
         self.forget_live(emit);
-        let counters = self.status.map(|(status, tick)| {
+        let counters = self.known.status().map(|(status, tick)| {
             let lost = lost.unwrap_or(tick);
             let (bursts, pulses) = self.control.played_since_counters(tick, lost, stopped.is_some());
             let counters = status.counters;
             Counters { played: counters.played + bursts, pulses: counters.pulses + pulses, ..counters }
         });
-        let lost = lost.or(self.status.map(|(_, tick)| tick)).unwrap_or_default();
+        let lost = lost.or(self.known.status().map(|(_, tick)| tick)).unwrap_or_default();
         self.control.reckon_to(lost);
         self.close_all(counters, Some((&session, lost)), emit);
-        while let Some(waiting) = self.pending_ops.pop_front() {
-            answer(waiting.ticket, Err(CommandError::NoDevice), emit);
-        }
+        self.operations.disconnected(emit);
         self.end_homing(Err(CommandError::NoDevice), emit);
         self.end_seek(Err(CommandError::NoDevice), emit);
         self.last_seek = None;
-        self.in_flight = false;
-        (self.status, self.board) = (None, None);
+        self.known.closed();
         self.control.cut(lost, None);
         (self.fed_until, self.short_of_credits) = (Tick(0), false);
-        if let Some((ticket, _)) = self.closing.take() {
-            self.closed = true;
-            answer(ticket, Ok(()), emit);
-        }
-        self.snapshot_due = now;
+        self.operations.close(now, true, emit);
+        self.reports.hasten(now);
     }
 
     /// Whether the shutdown is complete.
     #[must_use]
-    pub fn is_closed(&self) -> bool {
-        self.closed
+    pub const fn is_closed(&self) -> bool {
+        self.operations.is_closed()
     }
 
     /// Takes the reason of the last disconnect.
@@ -225,12 +174,12 @@ impl Streamer {
 
     /// Whether a device has answered the handshake and reported its status.
     fn is_connected(&self) -> bool {
-        self.status.is_some() && self.session.as_ref().is_some_and(Session::can_command)
+        self.known.status().is_some() && self.session.as_ref().is_some_and(Session::can_command)
     }
 
     pub(super) fn state(&self) -> State {
-        match &self.status {
-            _ if self.latched => State::Faulted,
+        match self.known.status() {
+            _ if self.latch.is_closed() => State::Faulted,
             Some((status, _)) => status.state,
             None => State::Disarmed,
         }
@@ -244,7 +193,9 @@ impl Streamer {
         }
         self.handle_link_events(now, emit);
         self.send_next_op();
-        self.expire(now, emit);
+        if self.operations.expire(now, self.session.as_mut(), emit) {
+            self.cut_all(EndCause::NotArmed);
+        }
         if let Some(tick) = self.tick_at(now) {
             self.step_homing(now, tick, emit);
             self.step_live(now, tick, emit);
@@ -259,22 +210,20 @@ impl Streamer {
         } else if self.session.is_none() {
             self.close_all(None, None, emit);
         }
-        self.close(now, emit);
+        self.operations.close(now, self.is_off(), emit);
         let connected = self.is_connected();
         let line = self.session.as_ref().and_then(Session::capacity);
-        if now >= self.snapshot_due || connected != self.reported_connected || line != self.reported_line_rate
-        {
-            (self.reported_connected, self.reported_line_rate) = (connected, line);
-            let playing = !self.plays.is_empty() || self.state() == State::Returning;
-            let far = if playing { SNAPSHOT_EVERY } else { IDLE_PING };
-            self.snapshot_due = now + far;
-            self.report_warnings(now, emit);
+        let playing = !self.plays.is_empty() || self.state() == State::Returning;
+        let every = if playing { SNAPSHOT_EVERY } else { IDLE_PING };
+        if self.reports.take_due(now, connected, line, every) {
+            let tick = self.tick_at(now).unwrap_or_default();
+            self.reports.warn(&self.control, tick, self.settings.drift_warning_um, emit);
             emit.event(StreamEvent::Snapshot(self.snapshot(now)));
         }
     }
 
     fn correct(&mut self, tick: Tick) {
-        let idle = self.in_flight || self.state() != State::Armed;
+        let idle = self.operations.is_in_flight() || self.state() != State::Armed;
         // After the last e-stop to a device that is not trusted, nothing counts as played.
         let Some(session) = self.session.as_mut().filter(|session| !idle && session.can_command()) else {
             return;
@@ -293,28 +242,10 @@ impl Streamer {
             let runs = active.cut.is_none() && active.onset.is_some_and(|onset| onset <= tick);
             runs && self.control.dead_reckoning_um(tick, active.play.strokes.motors()) > limit_um
         };
-        if self.no_op_pending() && self.plays.iter().any(is_over) {
+        if self.operations.is_empty() && self.plays.iter().any(is_over) {
             self.cut_all(EndCause::DriftLimit);
             self.queue_op(now, 0, Op::Stop, emit);
         }
-    }
-
-    /// Reports new sensor faults and drift.
-    fn report_warnings(&mut self, now: HostInstant, emit: &mut dyn Emit) {
-        for ((reported, fault), motor) in self.reported_faults.iter_mut().zip(self.control.faults()).zip(0..)
-        {
-            if let Some(fault) = fault.filter(|_| !*reported) {
-                emit.event(StreamEvent::SensorFault { motor, fault });
-            }
-            *reported = fault.is_some();
-        }
-        let tick = self.tick_at(now).unwrap_or_default();
-        let um = self.control.dead_reckoning_um(tick, 0..MOTORS as u8);
-        let drifted = um > self.settings.drift_warning_um;
-        if drifted && !self.reported_drift {
-            emit.event(StreamEvent::DriftWarning { um });
-        }
-        self.reported_drift = drifted;
     }
 
     fn snapshot(&self, now: HostInstant) -> Snapshot {
@@ -322,7 +253,7 @@ impl Streamer {
         let tick = self.tick_at(now).unwrap_or_default();
         let traffic = self.session.as_ref().map(Session::traffic).unwrap_or_default();
         let rest = self.control.rest_error_um(tick);
-        let status = self.status.map(|(status, _)| status);
+        let status = self.known.status().map(|(status, _)| status);
         let running = self.plays.iter().rev().find(|active| {
             active.cut.is_none() && active.started().is_some_and(|onset| onset.actual <= tick)
         });
@@ -335,7 +266,7 @@ impl Streamer {
             at: now,
             connected: self.is_connected(),
             state: self.state(),
-            cause: if self.latched {
+            cause: if self.latch.is_closed() {
                 Cause::EStop
             } else {
                 status.map_or(Cause::Boot, |status| status.cause)
@@ -355,7 +286,7 @@ impl Streamer {
             retransmitted: traffic.retransmitted,
             bad_frames: traffic.bad,
             contradictions: traffic.contradictions,
-            board: self.board,
+            board: self.known.board(),
             device_bad_frames: status.map_or(0, |status| status.counters.bad_frames),
         }
     }
@@ -379,17 +310,17 @@ impl Streamer {
     #[must_use]
     pub fn wake_at(&self, now: HostInstant) -> HostInstant {
         let quiet = self.plays.is_empty()
-            && self.pending_ops.is_empty()
+            && self.operations.is_empty()
             && self.homing.is_none()
-            && self.closing.is_none()
+            && !self.operations.is_closing()
             && self.state() != State::Returning;
-        let Some(session) = &self.session else {
-            // The disconnect is still to be reported.
-            let far = if self.reported_connected { Duration::ZERO } else { Duration::from_secs(3600) };
-            return now + far;
-        };
-        let next = session.wake_at(now).min(self.snapshot_due);
-        if quiet && session.is_open() { next } else { next.min(now + BUSY_EVERY) }
+        let session = self.session.as_ref();
+        let next = self.reports.wake_at(now, session.map(|session| session.wake_at(now)));
+        if session.is_none_or(|session| quiet && session.is_open()) {
+            next
+        } else {
+            next.min(now + BUSY_EVERY)
+        }
     }
 }
 

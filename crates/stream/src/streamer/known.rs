@@ -1,0 +1,67 @@
+//! What the device has said of itself: its boot, its last status, its last board report.
+//!
+//! It decides nothing but whether a status is news, and whether the device can have moved its pins unseen.
+//!
+//! Invariant: status and board report are of the present session; the boot that estimates of positions belong to outlasts it.
+
+use crate::control::PositionControl;
+use firmware_protocol::board::Board;
+use firmware_protocol::message::{DeviceHello, Status};
+use firmware_protocol::tick::Tick;
+
+/// See the module.
+#[derive(Debug, Default)]
+pub(super) struct Known {
+    /// The last status and its tick.
+    status: Option<(Status, Tick)>,
+    board: Option<Board>,
+    telemetry: bool,
+    boot: Option<u32>,
+    /// The boot that the estimates of positions belong to.
+    reckoned_boot: Option<u32>,
+}
+
+impl Known {
+    /// The device has answered the handshake.
+    pub(super) const fn opened(&mut self, hello: &DeviceHello) {
+        self.telemetry = hello.features & DeviceHello::TELEMETRY != 0;
+        self.boot = Some(hello.boot);
+    }
+
+    /// The device is gone.
+    pub(super) const fn closed(&mut self) {
+        (self.status, self.board) = (None, None);
+    }
+
+    pub(super) const fn status(&self) -> Option<(Status, Tick)> {
+        self.status
+    }
+
+    pub(super) const fn board(&self) -> Option<Board> {
+        self.board
+    }
+
+    pub(super) const fn sends_telemetry(&self) -> bool {
+        self.telemetry
+    }
+
+    pub(super) const fn board_heard(&mut self, board: Board) {
+        self.board = Some(board);
+    }
+
+    /// Takes a status; returns whether it differs from the one before.
+    ///
+    /// A device that knows where its pins are has moved them. If that was not this streamer's doing, nothing tells how far they
+    /// have drifted since.
+    pub(super) fn heard(&mut self, status: Status, tick: Tick, control: &mut PositionControl) -> bool {
+        let Some((before, _)) = self.status.replace((status, tick)) else {
+            if !self.telemetry && status.position_known && self.reckoned_boot != self.boot {
+                control.lose_rest();
+            }
+            self.reckoned_boot = self.boot;
+            return true;
+        };
+        let key = |of: &Status| (of.state, of.cause, of.position_known, of.outstanding);
+        key(&before) != key(&status)
+    }
+}
