@@ -85,11 +85,10 @@ impl Streamer {
             Command::Arm { assume_rest: false } => self.arm(now, Rest::Known),
             Command::Arm { assume_rest: true } => self.arm(now, Rest::Checked),
             Command::ArmUnchecked => self.arm(now, Rest::Unchecked),
-            Command::Home if self.settings.lower_stop.is_some() => self.home_by_stop(),
             Command::Home => match self.home(ticket) {
                 // The answer comes when the pins are home.
-                Ok(_) => return,
-                Err(refused) => Err(refused),
+                Ok(None) => return,
+                taken => taken,
             },
             Command::SetGains(gains) => {
                 self.control.set_gains(&gains);
@@ -109,7 +108,7 @@ impl Streamer {
             Command::Shutdown => {
                 self.operations.shut_down(now, ticket);
                 self.cut_all(EndCause::Shutdown);
-                self.end_homing(Err(CommandError::Returning), emit);
+                self.homing.end(Err(CommandError::Returning), emit);
                 if self.session.is_some() {
                     self.queue_op(now, 0, Op::Disarm(Cause::Shutdown), emit);
                 }
@@ -118,7 +117,7 @@ impl Streamer {
         };
         match taken {
             Ok(Some(op)) => {
-                self.end_homing(Err(CommandError::Returning), emit);
+                self.homing.end(Err(CommandError::Returning), emit);
                 self.queue_op(given, ticket, op, emit);
             }
             Ok(None) => answer(ticket, Ok(()), emit),
@@ -196,7 +195,7 @@ impl Streamer {
     /// Decides whether a play can be queued; returns the onset it asks for and its first margin.
     fn place(&self, now: HostInstant, play: &Play) -> Result<(Option<Tick>, Duration), CommandError> {
         self.takes_plays()?;
-        if self.is_homing() {
+        if self.operations.will_seek() || self.homing.is_under_way() {
             return Err(CommandError::Returning);
         }
         let (Some(session), Some(tick)) = (&self.session, self.tick_at(now)) else {
@@ -284,6 +283,28 @@ impl Streamer {
         Ok(Some(Op::Stop))
     }
 
+    /// Homes all pins: by one seek of the lower stop, or by moves, which the streamer then sends by and by.
+    fn home(&mut self, ticket: u64) -> OpResult {
+        self.takes_plays()?;
+        let by_stop = self.settings.lower_stop.is_some();
+        let busy = !self.operations.is_empty() || (!by_stop && self.homing.is_moving());
+        if self.state() != State::Armed || busy {
+            return Err(CommandError::Returning);
+        }
+        if !self.plays.is_empty() {
+            return Err(CommandError::Playing);
+        }
+        if by_stop {
+            return Ok(Some(Op::Seek { pulses: self.settings.seek_pulses() }));
+        }
+        let Some((_, tick)) = self.known.status() else { return Err(CommandError::NoDevice) };
+        if (0..MOTORS as u8).all(|motor| self.control.offset_um(motor, tick).is_none()) {
+            return Err(CommandError::NoPositionEstimate);
+        }
+        self.homing.begin(ticket, tick);
+        Ok(None)
+    }
+
     fn disarm(&mut self) -> OpResult {
         self.ready()?;
         self.operations.want_armed(false);
@@ -298,7 +319,7 @@ impl Streamer {
         match self.state() {
             State::Armed if self.operations.wants_armed() => {
                 if assume_rest {
-                    if !self.plays.is_empty() || self.homing.is_some() {
+                    if !self.plays.is_empty() || self.homing.is_moving() {
                         return Err(CommandError::Playing);
                     }
                     self.take_rest(now, rest)?;
@@ -317,8 +338,9 @@ impl Streamer {
         self.apply_settings();
         self.control.clear_faults();
         let host_timeout = ms_in_ticks(self.settings.lease_ms).round() as u32;
+        let is_known = self.known.status().is_some_and(|(status, _)| status.position_known);
         let lower_stop = self.settings.lower_stop.map(|stop| {
-            let seek = if self.needs_seek(now) { self.settings.seek_pulses() } else { 0 };
+            let seek = if !is_known || self.homing.needs_seek(now) { self.settings.seek_pulses() } else { 0 };
             LowerStop { pulses_per_s: stop.pulses_per_s, seek }
         });
         Ok(Some(Op::Arm { assume_rest, host_timeout, limits: self.settings.limits, lower_stop }))
@@ -365,8 +387,8 @@ impl Streamer {
     fn emergency_stop(&mut self, now: HostInstant, ticket: u64, emit: &mut dyn Emit) {
         self.latch.close(ticket);
         self.cut_all(EndCause::EStop);
-        self.end_homing(Err(CommandError::Returning), emit);
-        self.end_seek(Err(CommandError::Faulted), emit);
+        self.homing.end(Err(CommandError::Returning), emit);
+        self.homing.end_seek(Err(CommandError::Faulted), emit);
         self.reports.hasten(now);
         if self.operations.overtake(now, ticket, self.session.is_some(), emit) {
             self.send_next_op();

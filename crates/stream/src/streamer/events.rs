@@ -63,15 +63,19 @@ impl Streamer {
                     emit.event(StreamEvent::Snapshot(self.snapshot(now)));
                     if result.is_ok() && seeks(&done.op) {
                         // The answer comes when the pins are at the stop.
-                        self.begin_seek(done.ticket, &done.op, emit);
-                        self.settle_seek(now, emit);
+                        self.homing.begin_seek(done.ticket, &done.op, emit);
+                        if let Some((status, _)) = self.known.status() {
+                            self.homing.settle_seek(now, &status, &mut self.control, emit);
+                        }
                     } else {
                         answer(done.ticket, result.map_err(CommandError::Device), emit);
                     }
                     if cuts_play(&done.op) {
                         self.cut_control(now);
                     }
-                    self.moved(now, done.op, result.map_err(CommandError::Device), emit);
+                    let (tick, result) =
+                        (self.tick_at(now).unwrap_or_default(), result.map_err(CommandError::Device));
+                    self.homing.moved(tick, done.op, result, &mut self.control, emit);
                     // The device may have disarmed in the meantime.
                     if let (true, Some((status, _))) = (self.operations.is_empty(), self.known.status())
                         && !matches!(status.state, State::Armed | State::Returning)
@@ -104,7 +108,7 @@ impl Streamer {
                 if self.state() != State::Armed || self.control.is_idle() {
                     self.cut_control(now);
                 }
-                self.undo_move(now);
+                self.homing.undo_move(self.tick_at(now).unwrap_or_default(), &mut self.control);
                 self.reports.hasten(now);
             }
             Event::StrokeRefused { motor, up, reason } => {
@@ -157,7 +161,7 @@ impl Streamer {
         if self.latch.resets_own(&status) && self.operations.is_empty() {
             self.queue_op(now, 0, Op::Reset, emit);
         }
-        self.settle_seek(now, emit);
+        self.homing.settle_seek(now, &status, &mut self.control, emit);
         if status.state == State::Armed && !self.operations.is_in_flight() {
             self.control.at_rest(tick);
         }
@@ -176,7 +180,7 @@ impl Streamer {
             self.operations.want_armed(false);
             self.cut_all(end_cause(status.cause));
             self.cut_control(now);
-            self.end_homing(Err(CommandError::Disarmed), emit);
+            self.homing.end(Err(CommandError::Disarmed), emit);
         }
     }
 

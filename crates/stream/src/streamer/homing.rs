@@ -1,19 +1,20 @@
 //! Homing: moves each pin back to its rest position, between plays.
 //!
-//! [`Streamer::home`] starts it; [`Streamer::step_homing`] sends one move after the other, since each move is an operation of its
+//! [`Homing::begin`] starts it; [`Homing::step`] gives one move after the other, since each move is an operation of its
 //! own. With telemetry it repeats until every pin is within [`NEAR_UM`] or after [`ROUNDS`] rounds: each move scatters
 //! by a tenth of its travel. The first move is small: if telemetry does not show it as expected, that is a sensor
 //! fault, and the motor is not moved again. Without telemetry a calibrated motor moves once, by the offset that its
 //! gains predict; the scatter stays. A motor without either does not move. On an array with a lower stop none of this is needed:
-//! one seek drives all pins down to the stop ([`Streamer::home_by_stop`]).
+//! one seek drives all pins down to the stop ([`Op::Seek`]).
 //!
 //! Invariant: the answer is an error unless every pin is home.
 
+use crate::control::PositionControl;
 use crate::queues::{CommandError, Emit};
-use crate::streamer::{Homing, OpResult, Streamer, answer};
+use crate::streamer::answer;
 use crate::time::HostInstant;
 use firmware_protocol::limits::{MAX_TRAVEL, Refusal};
-use firmware_protocol::message::{Op, State};
+use firmware_protocol::message::{Op, State, Status};
 use firmware_protocol::stroke::{Direction, MOTORS};
 use firmware_protocol::tick::Tick;
 use meissner_array::motor::WINDOW_TICKS;
@@ -35,13 +36,40 @@ const SILENT: u64 = TICKS_PER_S / 2;
 /// Arming again within this time does not seek again: it costs pulses against the stop, which are limited.
 const SEEK_EVERY: Duration = Duration::from_secs(1);
 
+/// A homing under way, pin by pin.
+#[derive(Clone, Copy, Debug)]
+struct Rounds {
+    ticket: u64,
+    round: u8,
+    motor: u8,
+    /// A pin was moved in this round.
+    moved: bool,
+    /// A pin is farther off than moves may take it.
+    beyond: bool,
+    /// A move is sent and not answered.
+    moving: bool,
+    /// When the last move is over and visible.
+    until: Tick,
+}
+
 /// A seek of the lower stop that the device has begun.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Seek {
+struct Seek {
     /// The request that waits for its end.
-    pub(super) ticket: u64,
+    ticket: u64,
     /// It brings pins home; otherwise it is part of an `arm`, which plays may follow.
-    pub(super) homes: bool,
+    homes: bool,
+}
+
+/// What brings pins home on one device: see the module.
+#[derive(Debug, Default)]
+pub(super) struct Homing {
+    rounds: Option<Rounds>,
+    seek: Option<Seek>,
+    /// When the last seek of this connection was over.
+    last_seek: Option<HostInstant>,
+    /// The last move, if it went up: motor, pulses, its end.
+    last_move: Option<(u8, u16, Tick)>,
 }
 
 /// Whether an operation seeks the lower stop.
@@ -52,55 +80,33 @@ pub(super) fn seeks(op: &Op) -> bool {
     }
 }
 
-impl Streamer {
-    /// Starts homing.
-    pub(super) fn home(&mut self, ticket: u64) -> OpResult {
-        self.takes_plays()?;
-        if self.state() != State::Armed || !self.operations.is_empty() || self.homing.is_some() {
-            return Err(CommandError::Returning);
-        }
-        if !self.plays.is_empty() {
-            return Err(CommandError::Playing);
-        }
-        let Some(tick) = self.known.status().map(|(_, tick)| tick) else {
-            return Err(CommandError::NoDevice);
-        };
-        if (0..MOTORS as u8).all(|motor| self.control.offset_um(motor, tick).is_none()) {
-            return Err(CommandError::NoPositionEstimate);
-        }
-        self.homing = Some(Homing {
-            ticket,
-            round: 0,
-            motor: 0,
-            moved: false,
-            beyond: false,
-            moving: false,
-            until: tick,
-        });
-        Ok(None)
+impl Homing {
+    /// Starts to move pin after pin; `ticket` waits for the end.
+    pub(super) const fn begin(&mut self, ticket: u64, tick: Tick) {
+        let (moved, beyond, moving) = (false, false, false);
+        self.rounds = Some(Rounds { ticket, round: 0, motor: 0, moved, beyond, moving, until: tick });
     }
 
-    /// Homes all pins by driving them down to the lower stop.
-    pub(super) fn home_by_stop(&self) -> OpResult {
-        self.takes_plays()?;
-        if self.state() != State::Armed || !self.operations.is_empty() {
-            return Err(CommandError::Returning);
-        }
-        if !self.plays.is_empty() {
-            return Err(CommandError::Playing);
-        }
-        Ok(Some(Op::Seek { pulses: self.settings.seek_pulses() }))
+    /// Whether pins are moved one by one.
+    pub(super) const fn is_moving(&self) -> bool {
+        self.rounds.is_some()
     }
 
-    /// Whether pins are on their way home, or about to be.
-    pub(super) fn is_homing(&self) -> bool {
-        self.operations.will_seek() || self.homing.is_some() || self.seek.is_some_and(|seek| seek.homes)
+    /// Whether pins are on their way home.
+    pub(super) fn is_under_way(&self) -> bool {
+        self.is_moving() || self.seek.is_some_and(|seek| seek.homes)
     }
 
-    /// Whether arming has to seek the lower stop: nothing tells where pins are, or something may have moved them.
+    /// Answers the request for moves, if there is one.
+    pub(super) fn end(&mut self, result: Result<(), CommandError>, emit: &mut dyn Emit) {
+        if let Some(rounds) = self.rounds.take() {
+            answer(rounds.ticket, result, emit);
+        }
+    }
+
+    /// Whether the last seek is so long ago that something may have moved pins since.
     pub(super) fn needs_seek(&self, now: HostInstant) -> bool {
-        let is_known = self.known.status().is_some_and(|(status, _)| status.position_known);
-        !is_known || self.last_seek.is_none_or(|last| now.since(last) >= SEEK_EVERY)
+        self.last_seek.is_none_or(|last| now.since(last) >= SEEK_EVERY)
     }
 
     /// The device has begun the seek that `op` asks for.
@@ -116,106 +122,102 @@ impl Streamer {
         }
     }
 
-    /// Once a seek is over, pins are at rest; answers the request that waits for it.
-    pub(super) fn settle_seek(&mut self, now: HostInstant, emit: &mut dyn Emit) {
-        let Some((status, _)) = self.known.status().filter(|(status, _)| status.state != State::Returning)
-        else {
-            return;
-        };
-        if self.seek.is_none() {
+    /// Once this status shows that a seek is over, pins are at rest; answers the request that waits for it.
+    pub(super) fn settle_seek(
+        &mut self,
+        now: HostInstant,
+        status: &Status,
+        control: &mut PositionControl,
+        emit: &mut dyn Emit,
+    ) {
+        if self.seek.is_none() || status.state == State::Returning {
             return;
         }
         if status.position_known {
             self.last_seek = Some(now);
-            self.control.assume_rest();
+            control.assume_rest();
         }
         let armed = status.position_known && status.state == State::Armed;
         self.end_seek(if armed { Ok(()) } else { Err(CommandError::Returning) }, emit);
     }
 
-    /// The device has answered a move, possibly of a homing that has ended.
+    /// The device has answered a move that it began at `start`, possibly one of a homing that has ended.
     pub(super) fn moved(
         &mut self,
-        now: HostInstant,
+        start: Tick,
         op: Op,
         result: Result<(), CommandError>,
+        control: &mut PositionControl,
         emit: &mut dyn Emit,
     ) {
         let Op::Move { motor, direction, pulses } = op else { return };
-        let start = self.tick_at(now).unwrap_or_default();
         let over = start + u64::from(pulses) + SETTLED;
         if result.is_ok() {
-            self.control.moved(motor, direction, pulses, start, over);
+            control.moved(motor, direction, pulses, start, over);
             self.last_move = Some((motor, pulses, over)).filter(|_| direction == Direction::Up);
         }
-        let Some(homing) = &mut self.homing else { return };
-        homing.moving = false;
-        homing.motor += 1;
+        let Some(rounds) = &mut self.rounds else { return };
+        rounds.moving = false;
+        rounds.motor += 1;
         match result {
-            Ok(()) => (homing.moved, homing.until) = (true, over),
+            Ok(()) => (rounds.moved, rounds.until) = (true, over),
             // The other pins can still come home.
-            Err(CommandError::Device(Refusal::Travel)) => homing.beyond = true,
-            Err(refused) => self.end_homing(Err(refused), emit),
+            Err(CommandError::Device(Refusal::Travel)) => rounds.beyond = true,
+            Err(refused) => self.end(Err(refused), emit),
         }
     }
 
-    /// The device was cut: it takes back a move upwards that was under way.
-    pub(super) fn undo_move(&mut self, now: HostInstant) {
-        let tick = self.tick_at(now).unwrap_or_default();
+    /// The device was cut: it takes back a move upwards that was under way at `tick`.
+    pub(super) fn undo_move(&mut self, tick: Tick, control: &mut PositionControl) {
         if let Some((motor, pulses, over)) = self.last_move.take().filter(|&(_, _, over)| tick < over) {
-            self.control.moved(motor, Direction::Down, pulses, tick, over + u64::from(pulses));
+            control.moved(motor, Direction::Down, pulses, tick, over + u64::from(pulses));
         }
     }
 
-    /// Answers a homing, if there is one.
-    pub(super) fn end_homing(&mut self, result: Result<(), CommandError>, emit: &mut dyn Emit) {
-        if let Some(homing) = self.homing.take() {
-            answer(homing.ticket, result, emit);
-        }
+    /// The device is gone.
+    pub(super) fn disconnected(&mut self, emit: &mut dyn Emit) {
+        self.end(Err(CommandError::NoDevice), emit);
+        self.end_seek(Err(CommandError::NoDevice), emit);
+        self.last_seek = None;
     }
 
-    /// Sends the next move when the last one is over.
-    pub(super) fn step_homing(&mut self, now: HostInstant, tick: Tick, emit: &mut dyn Emit) {
-        if self.homing.is_none() || self.state() != State::Armed || !self.operations.is_empty() {
-            return;
-        }
-        let Some(homing) = self.homing.as_mut().filter(|homing| !homing.moving && tick >= homing.until)
-        else {
-            return;
-        };
-        while usize::from(homing.motor) < MOTORS {
+    /// The next move, when the last one is over; the answer, when there is none left.
+    pub(super) fn step(&mut self, tick: Tick, control: &PositionControl, emit: &mut dyn Emit) -> Option<Op> {
+        let rounds = self.rounds.as_mut().filter(|rounds| !rounds.moving && tick >= rounds.until)?;
+        while usize::from(rounds.motor) < MOTORS {
             // Without telemetry a second round cannot improve anything.
-            let known = self.control.offset_um(homing.motor, tick);
-            let known = known.filter(|&(_, measured)| measured || homing.round == 0);
+            let known = control.offset_um(rounds.motor, tick);
+            let known = known.filter(|&(_, measured)| measured || rounds.round == 0);
             if let Some((um, measured)) = known.filter(|(um, _)| um.abs() > NEAR_UM) {
                 let direction = if um > 0.0 { Direction::Down } else { Direction::Up };
-                let most = if measured && homing.round == 0 { FIRST_UM } else { f64::INFINITY };
+                let most = if measured && rounds.round == 0 { FIRST_UM } else { f64::INFINITY };
                 let pulses = (um.abs().min(most)
-                    / (UM_PER_PULSE * self.control.move_gain(homing.motor, direction, tick)))
+                    / (UM_PER_PULSE * control.move_gain(rounds.motor, direction, tick)))
                 .round();
                 let pulses = pulses.clamp(1.0, MAX_TRAVEL.into()) as u16;
-                homing.moving = true;
-                let op = Op::Move { motor: homing.motor, direction, pulses };
-                self.queue_op(now, 0, op, emit);
-                return;
+                rounds.moving = true;
+                let op = Op::Move { motor: rounds.motor, direction, pulses };
+                return Some(op);
             }
-            homing.motor += 1;
+            rounds.motor += 1;
         }
-        if !homing.moved || homing.round + 1 == ROUNDS {
+        if !rounds.moved || rounds.round + 1 == ROUNDS {
             let far = (0..MOTORS as u8).any(|motor| {
-                let off = self.control.offset_um(motor, tick);
-                self.control.is_faulted(motor) || off.is_some_and(|(um, _)| um.abs() > NEAR_ENOUGH_UM)
+                let off = control.offset_um(motor, tick);
+                control.is_faulted(motor) || off.is_some_and(|(um, _)| um.abs() > NEAR_ENOUGH_UM)
             });
-            let result = match (homing.beyond, far) {
+            let result = match (rounds.beyond, far) {
                 (true, _) => Err(CommandError::Device(Refusal::Travel)),
                 (false, true) => Err(CommandError::NotHome),
                 (false, false) => Ok(()),
             };
-            return self.end_homing(result, emit);
+            self.end(result, emit);
+            return None;
         }
         // The next round needs telemetry from after the last move.
-        if self.control.sampled_after(homing.until) || tick >= homing.until + SILENT {
-            (homing.round, homing.motor, homing.moved) = (homing.round + 1, 0, false);
+        if control.sampled_after(rounds.until) || tick >= rounds.until + SILENT {
+            (rounds.round, rounds.motor, rounds.moved) = (rounds.round + 1, 0, false);
         }
+        None
     }
 }

@@ -27,7 +27,7 @@ use crate::time::HostInstant;
 use firmware_protocol::frame::MAX_FRAME;
 use firmware_protocol::message::{Cause, Counters, Op, State};
 use firmware_protocol::tick::Tick;
-use homing::Seek;
+use homing::Homing;
 use known::Known;
 use latch::Latch;
 use live::Live;
@@ -50,22 +50,6 @@ const IDLE_PING: Duration = Duration::from_secs(1);
 /// A command's result: refused, done at once (`None`), or an operation for the device.
 type OpResult = Result<Option<Op>, CommandError>;
 
-/// A homing under way.
-#[derive(Clone, Copy, Debug)]
-struct Homing {
-    ticket: u64,
-    round: u8,
-    motor: u8,
-    /// A pin was moved in this round.
-    moved: bool,
-    /// A pin is farther off than moves may take it.
-    beyond: bool,
-    /// A move is sent and not answered.
-    moving: bool,
-    /// When the last move is over and visible.
-    until: Tick,
-}
-
 /// The streamer of one device.
 #[derive(Debug)]
 pub struct Streamer {
@@ -84,13 +68,7 @@ pub struct Streamer {
     pub(super) fed_until: Tick,
     /// The next stroke waits for credits.
     pub(super) short_of_credits: bool,
-    homing: Option<Homing>,
-    /// A seek of the lower stop under way.
-    seek: Option<Seek>,
-    /// When the last seek of this connection was over.
-    last_seek: Option<HostInstant>,
-    /// The last move, if it went up: motor, pulses, its end.
-    last_move: Option<(u8, u16, Tick)>,
+    homing: Homing,
     live: Live,
     reports: Reports,
 }
@@ -112,10 +90,7 @@ impl Streamer {
             control: PositionControl::new(&settings),
             fed_until: Tick(0),
             short_of_credits: false,
-            homing: None,
-            seek: None,
-            last_seek: None,
-            last_move: None,
+            homing: Homing::default(),
             live: Live::default(),
             reports: Reports::default(),
         }
@@ -145,9 +120,7 @@ impl Streamer {
         self.control.reckon_to(lost);
         self.close_all(counters, Some((&session, lost)), emit);
         self.operations.disconnected(emit);
-        self.end_homing(Err(CommandError::NoDevice), emit);
-        self.end_seek(Err(CommandError::NoDevice), emit);
-        self.last_seek = None;
+        self.homing.disconnected(emit);
         self.known.closed();
         self.control.cut(lost, None);
         (self.fed_until, self.short_of_credits) = (Tick(0), false);
@@ -197,7 +170,12 @@ impl Streamer {
             self.cut_all(EndCause::NotArmed);
         }
         if let Some(tick) = self.tick_at(now) {
-            self.step_homing(now, tick, emit);
+            if self.state() == State::Armed
+                && self.operations.is_empty()
+                && let Some(op) = self.homing.step(tick, &self.control, emit)
+            {
+                self.queue_op(now, 0, op, emit);
+            }
             self.step_live(now, tick, emit);
             self.feed(now, tick, emit);
             self.correct(tick);
@@ -311,7 +289,7 @@ impl Streamer {
     pub fn wake_at(&self, now: HostInstant) -> HostInstant {
         let quiet = self.plays.is_empty()
             && self.operations.is_empty()
-            && self.homing.is_none()
+            && !self.homing.is_moving()
             && !self.operations.is_closing()
             && self.state() != State::Returning;
         let session = self.session.as_ref();
