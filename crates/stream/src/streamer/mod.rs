@@ -2,7 +2,8 @@
 //!
 //! Its owner calls [`Streamer::execute`] with requests and [`Streamer::receive`] with bytes, then [`Streamer::step`] and
 //! [`Streamer::transmit`]. `commands` executes, `feed` sends strokes, `live` replaces those of live plays, `events` handles
-//! reports, `homing` moves pins back to rest, and `ends` ends plays.
+//! reports, and `ends` ends plays. Parts own what they decide: `operations` the commands under way, `latch` the emergency stop,
+//! `known` what the device said, `homing` the way back to rest, `reports` when a snapshot is due.
 //!
 //! Invariant: each play taken ends with exactly one [`StreamEvent::PlayEnded`], and each request with a ticket gets exactly
 //! one answer. Nothing here allocates, except for a new session.

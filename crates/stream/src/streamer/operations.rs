@@ -151,7 +151,7 @@ impl Operations {
         gave_up
     }
 
-    /// The device is gone: nothing answers any more, and a shutdown is complete.
+    /// The device is gone: nothing answers any more.
     pub(super) fn disconnected(&mut self, emit: &mut dyn Emit) {
         self.in_flight = false;
         self.wants_armed = false;
