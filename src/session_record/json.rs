@@ -86,20 +86,20 @@ mod tests {
         let device = DeviceInfo { kind: odd(), firmware: odd(), build: odd(), boot: 1, simulated, telemetry };
         let mut receipt = Receipt::new(3, ODD, ODD, None);
         receipt.cause = Some(odd().into());
-        let prediction = Prediction { response: None, unknown: Some(odd().into()) };
+        let prediction = Prediction { response: None, unknown: Some(odd()) };
         let events = [
             (Event::Connected { device }, 3),
             (Event::Disconnected { reason: odd().into() }, 1),
             (Event::Queued { id: 1, pattern: odd(), seconds: None }, 1),
             (Event::Ended { receipt: Box::new(receipt) }, 3),
             (Event::PredictedResponse { id: 1, prediction }, 2),
-            (Event::Calibrated { id: 1, motors: vec![1], problem: Some(odd().into()) }, 1),
+            (Event::Calibrated { id: 1, motors: vec![1], problem: Some(odd()) }, 1),
         ];
         let notes = [
             (Note::Command(command), 4),
             (Note::DaemonStarted { version: "1", pid: 1, wanted: odd() }, 1),
-            (Note::DaemonEnded { problem: Some(odd().into()) }, 1),
-            (Note::Reloaded { changed: vec![odd()], problem: Some(odd().into()) }, 2),
+            (Note::DaemonEnded { problem: Some(odd()) }, 1),
+            (Note::Reloaded { changed: vec![odd()], problem: Some(odd()) }, 2),
         ];
         let events = events.into_iter().map(|(event, odd)| (Entry::of(&event, None).unwrap(), odd));
         for (entry, count) in events.chain(notes.into_iter().map(|(note, odd)| (note.into(), odd))) {

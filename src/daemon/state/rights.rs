@@ -69,7 +69,7 @@ impl Rights {
 pub(in crate::daemon) struct NoRight {
     pub(in crate::daemon) problem: Problem,
     /// The cause in the receipt of a play that ends for this reason.
-    pub(in crate::daemon) cause: EndCause,
+    pub(in crate::daemon) cause: &'static EndCause,
 }
 
 /// The access that a play or search needs to go on: a client may let it go on even when its own session is over.
@@ -83,7 +83,7 @@ pub(in crate::daemon) const fn going_on(access: Access) -> Access {
 impl State {
     /// Refuses an action that this client may not, or may no longer, take.
     pub(in crate::daemon) fn check_right(&self, caller: &Caller, access: Access) -> Result<(), NoRight> {
-        let lost = |problem: Problem| NoRight { problem, cause: EndCause::Revoked };
+        let lost = |problem: Problem| NoRight { problem, cause: &EndCause::Revoked };
         match caller.access.map(|id| self.rights.tokens.role(id)) {
             Some(None) => return Err(lost(NOT_VALID.into())),
             Some(Some(Role::Observe)) if access.role == Role::Operate => return Err(lost(READS_ONLY.into())),
@@ -97,7 +97,7 @@ impl State {
                 self.sessions.check_owner(session).and_then(|()| self.sessions.check_running(session))
             }
         };
-        checked.map_err(|problem| NoRight { problem, cause: EndCause::OwnerReturned })
+        checked.map_err(|problem| NoRight { problem, cause: &EndCause::OwnerReturned })
     }
 
     /// Refuses a change by a client that may no longer make it: since its request came, a session may have begun, or its token may
@@ -126,7 +126,7 @@ impl State {
     /// Ends the plays and the search of clients that may not order them any more.
     pub(super) fn end_forbidden(&mut self) {
         let needs = going_on(Route::Play.access());
-        let forbidden = |caller: &Caller| self.check_right(caller, needs).err().map(|no| no.cause);
+        let forbidden = |caller: &Caller| self.check_right(caller, needs).err().map(|no| no.cause.clone());
         let plays: Vec<_> =
             self.rights.plays.iter().filter_map(|(&id, caller)| Some((id, forbidden(caller)?))).collect();
         let ends_search = self.searches.caller().and_then(forbidden).is_some();
