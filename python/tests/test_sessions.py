@@ -121,7 +121,9 @@ def test_leaving_a_session_that_is_over_touches_no_other_one(m: meissner.Client,
         following = other.session("P08")
         play = other.play("pin-60", endless=True)
         _ = 1 / 0
-    state = other.status()
+    # The play begins some milliseconds after the daemon has accepted it.
+    while (state := other.status()).raw["queued"]:
+        pass
     assert (state.playing, state.raw["session"]["id"]) == (play.id, following.id)
     other.stop()
     following.end()

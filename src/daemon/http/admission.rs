@@ -1,7 +1,7 @@
 //! The gate in front of every route.
 
 use crate::daemon::http::answer::ErrorResponse;
-use crate::daemon::http::body::read_command;
+use crate::daemon::http::body;
 use crate::daemon::network::{Checked, Gate, Head, Refusal};
 use crate::daemon::sockets::activity::Activity;
 use crate::daemon::state::Caller;
@@ -14,11 +14,8 @@ use axum::response::{IntoResponse, Response};
 use meissner_api::{Code, Problem, Route};
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
-use std::time::Duration;
 
 const CROSS_ORIGIN_RESOURCE_POLICY: HeaderName = HeaderName::from_static("cross-origin-resource-policy");
-/// How long to wait for the body of a request that is refused.
-const BODY: Duration = Duration::from_millis(100);
 
 /// Refuses a request that the gate does not admit. For all others it passes the sender to the handler: a [`Caller`] and its
 /// [`Peer`].
@@ -56,8 +53,7 @@ pub(super) async fn layer(State(gate): State<Arc<Gate>>, mut request: Request, n
     };
     // Keep refusals out of the session record, so that a flood of them does not fill it.
     gate.count_denied();
-    // Read the body, so that the client finds the answer and not a closed connection.
-    let _ = tokio::time::timeout(BODY, read_command(request.into_body())).await;
+    body::discard(request.into_body()).await;
     let is_unauthorized = refusal.status == StatusCode::UNAUTHORIZED.as_u16();
     let mut response = with_headers(ErrorResponse(refusal).into_response());
     if is_unauthorized {

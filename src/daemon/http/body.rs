@@ -14,6 +14,8 @@ const TIMEOUT: Duration = Duration::from_secs(10);
 const GRACE: Duration = Duration::from_secs(2);
 /// The lowest accepted rate, bytes/s: the longest body takes [`TIMEOUT`] minus the grace.
 const RATE: u32 = 128 << 10;
+/// How long to wait for the body of a request that is refused.
+const DISCARDED: Duration = Duration::from_millis(100);
 /// How often the daemon checks whether a body is late.
 const LOOK_EVERY: Duration = Duration::from_millis(100);
 /// Places for large bodies that arrive or are processed: each holds a file, and further ones wait.
@@ -34,6 +36,11 @@ const MAX_SKIPPED: usize = 32 << 20;
 /// Reads a command's body.
 pub(in crate::daemon) async fn read_command(body: Body) -> Result<Vec<u8>, Problem> {
     read(body, MAX_COMMAND).await
+}
+
+/// Reads the body of a request that is refused, for a moment: its client then finds the answer, and not a closed connection.
+pub(in crate::daemon) async fn discard(body: Body) {
+    let _ = timeout(DISCARDED, read_command(body)).await;
 }
 
 /// How long a body may take of which `length` bytes have come.

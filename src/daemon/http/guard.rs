@@ -7,6 +7,7 @@
 use crate::daemon::engine::right::{Answering, Right};
 use crate::daemon::http::answer::ErrorResponse;
 use crate::daemon::http::app::App;
+use crate::daemon::http::body;
 use crate::daemon::http::request_log::LoggedRequest;
 use crate::daemon::state::{Asker, Caller, NoRight, going_on};
 use axum::extract::{Extension, Request, State};
@@ -32,6 +33,7 @@ pub(super) async fn guard(
         (state.check_right(&caller, access), state.commands.breaks())
     };
     if let Err(NoRight { problem, .. }) = checked {
+        body::discard(request.into_body()).await;
         let refused = ErrorResponse::from(problem);
         return if route.method() == Method::Get {
             refused.into_response()

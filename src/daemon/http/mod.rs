@@ -25,6 +25,7 @@ use crate::daemon::http::handlers::{
 };
 use crate::daemon::page;
 use axum::Router;
+use axum::body::Body;
 use axum::http::{Method, Uri};
 use axum::middleware::from_fn_with_state;
 use axum::routing::{MethodFilter, MethodRouter, on};
@@ -95,7 +96,8 @@ fn handler(route: Route) -> MethodRouter<App> {
     }
 }
 
-async fn no_route(uri: Uri) -> ErrorResponse {
+async fn no_route(uri: Uri, body: Body) -> ErrorResponse {
+    body::discard(body).await;
     let path: String = uri.path().chars().take(100).collect();
     ErrorResponse(Problem::new(
         Code::NotFound,
@@ -103,7 +105,8 @@ async fn no_route(uri: Uri) -> ErrorResponse {
     ))
 }
 
-async fn no_method(method: Method, uri: Uri) -> ErrorResponse {
+async fn no_method(method: Method, uri: Uri, body: Body) -> ErrorResponse {
+    body::discard(body).await;
     let path: String = uri.path().chars().take(100).collect();
     ErrorResponse(Problem::new(
         Code::MethodNotAllowed,
