@@ -9,7 +9,7 @@
 //! 1. `shape`: a [`Shape`], and the distance of a place from it. `braille`: the dots of a Braille character.
 //! 2. `partition`: a [`Partition`] of afferents into ON and OFF; rates give its [`Verdict`].
 //! 3. `target`: reads and checks target files; cuts a moving target into [`Frame`]s.
-//! 4. `shipped`: the targets that are built in, among them the [`YARDSTICK`].
+//! 4. `shipped`: reads the targets that are built in, the files of `targets/`, among them the [`YARDSTICK`].
 //! 5. `point`: a [`Point`] says how each motor vibrates. `space`: a [`Space`] is the set of points that a search may choose. `at_once`: an
 //!    [`AtOnce`] keeps points within a limit on the motors of a rail that have pulses at once.
 //! 6. `objective`: an [`Objective`] simulates the value of points under one model. `aim`: what a search maximises, under

@@ -31,7 +31,7 @@ use toml::{Table, Value};
 
 /// The number of populations of a robust pattern: the target's seed and those that follow.
 pub const ROBUST_POPULATIONS: u64 = 8;
-/// The version of the models, as the provenance names it.
+/// The version of the models, as the provenance names it: raise it when a model gives other figures.
 pub const MODEL: i64 = 1;
 
 /// How long to search.

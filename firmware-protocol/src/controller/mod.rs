@@ -76,7 +76,7 @@ pub struct Identity {
 pub struct Run {
     /// The lines in each of these ticks.
     pub lines: Lines,
-    /// The trigger output, which a [`Trigger`] drives from a mark on.
+    /// The trigger output, which a [`Trigger`](crate::message::Trigger) drives from a mark on.
     pub trigger: bool,
     /// Whether the drivers are enabled.
     pub drivers: bool,

@@ -1,4 +1,5 @@
-//! Compares the rest error of pins above a lower stop, without a sensor, with the theory, over a grid of settings.
+//! Compares the rest error of pins above a lower stop, without a sensor, with the theory, over a grid of frequency, amplitude, scatter,
+//! asymmetry and surplus.
 //!
 //! [`stop_tradeoff`] plays every cell of a [`StopGrid`] (`grid`) on simulated motors with a lower stop. Each cell gives a
 //! [`StopRow`] (`row`). It holds the rest error beside that of [`ReflectedWalk`](meissner_array::reflected_walk::ReflectedWalk),

@@ -3,7 +3,7 @@
 //! A burst ramps the shaft's commanded position r by [`UM_PER_PULSE`](crate::units::UM_PER_PULSE) per tick. The shaft's
 //! displacement is the moving average of r over 4.3 ms ([`Shaft`]). A drive is a square wave whose edges are rounded to ticks
 //! ([`SquareWave`]); [`SteadyState`] gives its steady amplitude, [`hand_vibration`] its weighted acceleration. This is the ideal motor: scatter, asymmetry and end stops
-//! are in [`simulated`](crate::simulated).
+//! are in [`simulated`](crate::simulated). The model's numbers are in `model`.
 //!
 //! Invariant: instants are integers (half ticks), so equal instants compare equal, nothing is lost however late it is,
 //! and a shaft whose pulses cancel rests at exactly 0.

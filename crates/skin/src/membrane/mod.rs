@@ -1,7 +1,7 @@
 //! The first model, `membrane`: RA afferents, their parameters and receptive fields, where they lie in the fingertip, and
 //! the equation of their membrane.
 //!
-//! [`AfferentModel`] holds the parameters of an afferent. Its receptive field ([`weight`]) is a Gaussian of the distance
+//! `model` has the parameters of an afferent ([`AfferentModel`]) and its receptive field ([`weight`]), a Gaussian of the distance
 //! between the afferent and a pin. [`population`] places the afferents of a fingertip.
 //!
 //! `equation` is the membrane in closed form. `neuron` finds the instant at which it reaches the threshold, and `silence` proves

@@ -2,6 +2,9 @@
 //!
 //! Times are those of the device's clock since its boot; after a failure of the core, since the next boot. Onsets are
 //! converted to ticks, so both benches use the same. Unknown keys are errors.
+//!
+//! `play` plays a scenario and holds what its boots put on the pins until they are judged. `outcome` checks the plays, and `compare` the
+//! mock against the chip.
 
 mod compare;
 mod outcome;
