@@ -12,7 +12,7 @@ use meissner_api::{
 };
 use meissner_array::pattern::Pattern;
 use meissner_design::Target;
-use meissner_report::Trace;
+use meissner_research::Trace;
 use meissner_skin::AnyScene;
 use meissner_stream::calibrate::{Calibration, PlayedPlan, Recording, Units};
 use meissner_stream::device::Spec;
