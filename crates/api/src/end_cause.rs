@@ -16,7 +16,7 @@ macro_rules! causes {
         #[derive(Clone, Debug, PartialEq, Eq)]
         pub enum EndCause {
             $($(#[$doc])* $name,)*
-            /// Why a link was lost, in words, or a cause of another version. No program decides by it.
+            /// Why a link was lost, in words; that a live play is done; or a cause of another version. No program decides by it.
             Other(Cow<'static, str>),
         }
 

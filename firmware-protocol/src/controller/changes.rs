@@ -18,7 +18,8 @@ pub(super) struct Changes {
 
 impl Hash for Changes {
     fn hash<H: Hasher>(&self, hasher: &mut H) {
-        (self.waiting, &self.window).hash(hasher);
+        let Self { at: _, waiting, window } = self;
+        (waiting, window).hash(hasher);
         self.all_waiting().for_each(|change| change.hash(hasher));
     }
 }
