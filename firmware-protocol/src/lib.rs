@@ -156,7 +156,7 @@
 //! | `Report`: `number` | the next one | ignored: the device repeats what is missing |
 //! | `Verdict`, `OnsetRefused` | a frame sent and not judged; strokes of that frame, each late or refused; motors it withdraws from; a frame with a mark whose base is before `rendered` | contradiction `report` |
 //! | `Onset`: `tick` | a mark sent and not reported | contradiction `report` |
-//! | `Cut`: `flushed`, `outstanding` | at most `pool`; as in `Status` | contradiction `report` |
+//! | `Cut`: `flushed`, `outstanding`, `return_ticks` | at most `pool`; as in `Status`; at most 2 s | contradiction `report` |
 //! | `Refused`: `motor`, `reason` | 0 to 23; a limit on on-time, on motors at once or on pushing | contradiction `report` |
 //! | `Board`: `window` | the newest request | ignored: an answer to one before |
 //! | `Board`: `slack`, `slack_since_boot` | at most `horizon`; the second does not grow, and is not above the first | contradiction `board` |

@@ -408,8 +408,9 @@ pub struct Cut {
     pub cause: Cause,
     /// The first tick in which nothing of the queue was played.
     pub at: WireTick,
-    /// Whether the pins return from this tick on. After an e-stop or a fault they stay where they are.
-    pub returns: bool,
+    /// How many ticks after `at` the pins are back, with the last pulse of the return. `None`: they stay where they are, after an
+    /// e-stop or a fault.
+    pub return_ticks: Option<u32>,
     /// Strokes flushed before they began.
     pub flushed: u16,
     /// Outstanding return pulses at this tick.

@@ -11,7 +11,7 @@ use firmware_protocol::controller::{
 use firmware_protocol::frame::{Decoder, MAX_FRAME, encode};
 use firmware_protocol::limits::{MAX_PUSHES_PER_S, MOTORS_PER_CHIP, MOTORS_PER_RAIL, PowerLimits};
 use firmware_protocol::message::{
-    Cause, DeviceMessage, HostMessage, LowerStop, Mark, MarkKind, Op, Report, State, Status, Trigger,
+    Cause, Cut, DeviceMessage, HostMessage, LowerStop, Mark, MarkKind, Op, Report, State, Status, Trigger,
     Withdraw,
 };
 use firmware_protocol::stroke::{Burst, Direction, Line, Lines, MOTORS, Stroke};
@@ -416,6 +416,17 @@ impl Bench {
             }
         }
         reports
+    }
+
+    /// The last report: a cut. What it says of the return is what was on the lines.
+    pub(crate) fn last_cut(&self) -> Cut {
+        let Report::Cut(cut) = self.last_report() else { panic!("{:?} is no cut", self.last_report()) };
+        if let Some(ticks) = cut.return_ticks {
+            let at = cut.at.near(Tick(self.now)).0;
+            let over = self.last_pulse().map_or(at, |last| at.max(last + 1));
+            assert_eq!(at + u64::from(ticks), over, "{cut:?}");
+        }
+        cut
     }
 
     pub(crate) fn last_report(&self) -> Report {

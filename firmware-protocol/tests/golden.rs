@@ -1,4 +1,4 @@
-//! The bytes of version 5 on the wire. Never edit them: a changed byte is a new version.
+//! The bytes of version 6 on the wire. Never edit them: a changed byte is a new version.
 
 use crate::bench::{ONSET, frame, pack, stroke};
 use firmware_protocol::batch::{Amendment, BATCH_BYTES, Packer};
@@ -30,7 +30,7 @@ const COUNTERS: Counters = Counters {
 const CUT: Cut = Cut {
     cause: Cause::HostTimeout,
     at: WireTick([1, 2, 3, 4]),
-    returns: true,
+    return_ticks: Some(1_200),
     flushed: 300,
     outstanding: 77,
 };
@@ -132,22 +132,22 @@ fn from_the_host() {
         batch: &[],
     };
     let cases = [
-        (HostMessage::Hello { session: 0xdead_beef }, "02050aeffdb6f50d4a8575c700"),
-        (HostMessage::Ping { token: 513, seen: 0 }, "050501810405bbabe53200"),
-        (control(arm(None)), "0605020790030d019cc701a09c0190bf050301059170fe2000"),
+        (HostMessage::Hello { session: 0xdead_beef }, "02060aeffdb6f50dd79f9df600"),
+        (HostMessage::Ping { token: 513, seen: 0 }, "0506018104056bd1457500"),
+        (control(arm(None)), "0606020790030d019cc701a09c0190bf0503010538f6a88300"),
         (
             control(arm(Some(LowerStop { pulses_per_s: 17_000, seek: 7_400 }))),
-            "06050207900317019cc701a09c0190bf05030101e88401e83955c6061200",
+            "06060207900317019cc701a09c0190bf05030101e88401e8397d6f184a00",
         ),
-        (control(Op::Seek { pulses: 7_400 }), "0d050207900306e8393cf5c4a900"),
-        (control(Op::Disarm(Cause::Shutdown)), "0c05020790030103c4b2a80f00"),
-        (control(Op::Disarm(Cause::Abort)), "0c050207900301046727cc9100"),
-        (control(Op::Stop), "0b050207900302d6d1283e00"),
-        (control(Op::EStop), "0b05020790030340e12f4900"),
-        (control(Op::Reset), "0b050207900304e3744bd700"),
+        (control(Op::Seek { pulses: 7_400 }), "0d060207900306e839dff24b2700"),
+        (control(Op::Disarm(Cause::Shutdown)), "0c0602079003010359a8403e00"),
+        (control(Op::Disarm(Cause::Abort)), "0c06020790030104fa3d24a000"),
+        (control(Op::Stop), "0b06020790030278a3bcb800"),
+        (control(Op::EStop), "0b060207900303ee93bbcf00"),
+        (control(Op::Reset), "0b0602079003044d06df5100"),
         (
             control(Op::Move { motor: 5, direction: Direction::Down, pulses: 1_000 }),
-            "0f0502079003050501e8070d7ff3be00",
+            "0f0602079003050501e8070ec4c45500",
         ),
         (
             HostMessage::Strokes {
@@ -159,10 +159,10 @@ fn from_the_host() {
                 base,
                 batch: strokes.bytes(),
             },
-            "040503070301010401d20601070df0edfe1340109301b104373bb1040604e58c06b81706012e438e3300",
+            "040603070301010401d20601070df0edfe1340109301b104373bb1040604e58c06b8170601d0386e5700",
         ),
-        (marked(coded), "0b050307010101010155c8050df0edfe053512912a00"),
-        (marked(silent), "070503070101010101050df0edfe05806f8ef000"),
+        (marked(coded), "0b060307010101010155c8050df0edfe05c7a6590300"),
+        (marked(silent), "070603070101010101050df0edfe055b4aef8c00"),
         (
             HostMessage::Strokes {
                 epoch: 7,
@@ -173,7 +173,7 @@ fn from_the_host() {
                 base,
                 batch: &[],
             },
-            "0605030702010c0181808004ac020df0edfe05ffb9eba900",
+            "0606030702010c0181808004ac020df0edfe059d646d4300",
         ),
         (
             HostMessage::Strokes {
@@ -185,14 +185,14 @@ fn from_the_host() {
                 base,
                 batch: &[],
             },
-            "08050307ffff030101050df0edfe05d8b7e2c700",
+            "08060307ffff030101050df0edfe05039283bb00",
         ),
         (
             HostMessage::Amend { epoch: 7, generation: 1_000, base, items: items.bytes() },
-            "18050407e8070df0edfe09099216970137218f0165a88c7900",
+            "18060407e8070df0edfe09099216970137218f01cc2edada00",
         ),
-        (HostMessage::Board { window: 300 }, "090505ac020c7fedfc00"),
-        (HostMessage::SelfTest { run: 65_535 }, "0a0506ffff0394bf1c9f00"),
+        (HostMessage::Board { window: 300 }, "090605ac02e2d058ee00"),
+        (HostMessage::SelfTest { run: 65_535 }, "0a0606ffff0344c5bcd800"),
     ];
     for (message, hex) in cases {
         golden(&message, hex, &mut Vec::new());
@@ -211,44 +211,44 @@ fn from_the_device() {
     let cases = [
         (
             DeviceMessage::Hello(HELLO),
-            "02050beffdb6f50d010203cafe1b016318889805800840b817889805b0901f060203b0b4e4fe0f010f01060102030401ac024d263b3d7f00",
+            "02060beffdb6f50d010203cafe1b016318889805800840b817889805b0901f060203b0b4e4fe0f011101060102030401b009ac024d6f1b336900",
         ),
         (
             DeviceMessage::Hello(DeviceHello { last_cut: None, ..HELLO }),
-            "02050beffdb6f50d010203cafe1b016318889805800840b817889805b0901f060203b0b4e4fe0f010105efd6826200",
+            "02060beffdb6f50d010203cafe1b016318889805800840b817889805b0901f060203b0b4e4fe0f0101054d61cb8100",
         ),
-        (DeviceMessage::NoSession, "0705012cd6a94b00"),
+        (DeviceMessage::NoSession, "070601ef85846000"),
         (
             DeviceMessage::Status(STATUS),
-            "0605028104ff04fe7f020aac02058008050101011001a6020304050a0607080928fd876500",
+            "0606028104ff04fe7f020aac02058008050101011001a6020304050a060708095bc4af7600",
         ),
         (
             status(State::Disarmed, Cause::Boot, Some(Refusal::PositionUnknown)),
-            "0605028104ff0cfe7f02010aac02058008050102011001a6020304050a06070809eb0986c300",
+            "0606028104ff0cfe7f02010aac02058008050102011001a6020304050a060708095401990a00",
         ),
         (
             status(State::Returning, Cause::LinkLost, Some(Refusal::State)),
-            "0605028104ff0ffe7f02010bac02058008050207011001a6020304050a060708097a76e51900",
+            "0606028104ff0ffe7f02010bac02058008050207011001a6020304050a06070809c57efad000",
         ),
         (
             status(State::Returning, Cause::NewHost, Some(Refusal::Travel)),
-            "0605028104ff0ffe7f02010cac02058008050208011001a6020304050a06070809ccfca82a00",
+            "0606028104ff0ffe7f02010cac02058008050208011001a6020304050a0607080973f4b7e300",
         ),
         (
             status(State::Faulted, Cause::EStop, None),
-            "0605028104ff04fe7f020aac02058008050305011001a6020304050a06070809a2c3add400",
+            "0606028104ff04fe7f020aac02058008050305011001a6020304050a06070809d1fa85c700",
         ),
         (
             status(State::Faulted, Cause::Starved, None),
-            "0605028104ff04fe7f020aac02058008050309011001a6020304050a060708098f5258fe00",
+            "0606028104ff04fe7f020aac02058008050309011001a6020304050a06070809fc6b70ed00",
         ),
         (
             status(State::Faulted, Cause::Output, None),
-            "0605028104ff04fe7f020aac0205800805030c011001a6020304050a06070809e23cfb7a00",
+            "0606028104ff04fe7f020aac0205800805030c011001a6020304050a060708099105d36900",
         ),
         (
             status(State::Faulted, Cause::Panic, Some(Refusal::Malformed)),
-            "0605028104ff0ffe7f02010dac0205800805030a011001a6020304050a060708094987156500",
+            "0606028104ff0ffe7f02010dac0205800805030a011001a6020304050a06070809f68f0aac00",
         ),
         (
             report(Report::Verdict {
@@ -259,36 +259,36 @@ fn from_the_device() {
                 reason: Some(Refusal::NotArmed),
                 rendered,
             }),
-            "050503c80113ac0201808080808080808080018180800401094df0edfe9fb4ddf100",
+            "050603c80113ac0201808080808080808080018180800401094df0edfeb8b303f300",
         ),
-        (report(Report::OnsetRefused { seq: 1, rendered }), "0f0503c80101014df0edfe5e9349a800"),
+        (report(Report::OnsetRefused { seq: 1, rendered }), "0f0603c80101014df0edfe5d287e4300"),
         (
             report(Report::Onset { tick: rendered, counters: COUNTERS }),
-            "190503c801024df0edfe01a6020304050a06070809dab0fa2500",
+            "190603c801024df0edfe01a6020304050a0607080910fd538a00",
         ),
-        (report(Report::Cut(CUT)), "130503c80103060102030401ac024dd4917d9d00"),
+        (report(Report::Cut(CUT)), "150603c80103060102030401b009ac024d038027ea00"),
         (
-            report(Report::Cut(Cut { cause: Cause::Stop, returns: false, ..CUT })),
-            "0b0503c80103020102030408ac024dbda72d7800",
+            report(Report::Cut(Cut { cause: Cause::Stop, return_ticks: None, ..CUT })),
+            "0b0603c80103020102030408ac024d66824c0400",
         ),
-        (refused(Refusal::Motor), "100503c80104110df0edfe010e9f632000"),
-        (refused(Refusal::UpPulses), "100503c80104110df0edfe02b4ce6ab900"),
-        (refused(Refusal::Bursts), "100503c80104110df0edfe0322fe6dce00"),
-        (refused(Refusal::Unbalanced), "100503c80104110df0edfe04816b095000"),
-        (refused(Refusal::Overlap), "100503c80104110df0edfe05175b0e2700"),
-        (refused(Refusal::TooFar), "100503c80104110df0edfe06ad0a07be00"),
-        (refused(Refusal::PoolFull), "0e0503c80104110df0edfe073b3a02c900"),
-        (refused(Refusal::MotorOnTime), "100503c80104110df0edfe08aa27bf5900"),
-        (refused(Refusal::Pushing), "100503c80104110df0edfe0e9f82dcb000"),
-        (refused(Refusal::RailAtOnce), "100503c80104110df0edfe0f09b2dbc700"),
-        (refused(Refusal::ChipAtOnce), "100503c80104110df0edfe10fcbfd34a00"),
-        (refused(Refusal::Dense), "100503c80104110df0edfe116a8fd43d00"),
-        (refused(Refusal::RailOnTime), "100503c80104110df0edfe093c17b82e00"),
+        (refused(Refusal::Motor), "100603c80104110df0edfe010ff981b900"),
+        (refused(Refusal::UpPulses), "100603c80104110df0edfe02b5a8882000"),
+        (refused(Refusal::Bursts), "100603c80104110df0edfe0323988f5700"),
+        (refused(Refusal::Unbalanced), "100603c80104110df0edfe04800debc900"),
+        (refused(Refusal::Overlap), "100603c80104110df0edfe05163decbe00"),
+        (refused(Refusal::TooFar), "100603c80104110df0edfe06ac6ce52700"),
+        (refused(Refusal::PoolFull), "100603c80104110df0edfe073a5ce25000"),
+        (refused(Refusal::MotorOnTime), "100603c80104110df0edfe08ab415dc000"),
+        (refused(Refusal::Pushing), "100603c80104110df0edfe0e9ee43e2900"),
+        (refused(Refusal::RailAtOnce), "100603c80104110df0edfe0f08d4395e00"),
+        (refused(Refusal::ChipAtOnce), "100603c80104110df0edfe10fdd931d300"),
+        (refused(Refusal::Dense), "100603c80104110df0edfe116be936a400"),
+        (refused(Refusal::RailOnTime), "100603c80104110df0edfe093d715ab700"),
         (
             DeviceMessage::Telemetry { tick: rendered, y },
-            "0905044df0edfe0201010101010101010101010101010101010101010c807dffffffff0fe384703800",
+            "0906044df0edfe0201010101010101010101010101010101010101010c807dffffffff0ffabaa3b300",
         ),
-        (DeviceMessage::Board(BOARD), "1b0505ac020480a305011a011901010102030180808010cdedcc3700"),
+        (DeviceMessage::Board(BOARD), "1b0605ac020480a305011a0119010101020301808080108d40b40e00"),
         (
             DeviceMessage::Board(Board {
                 reset: Reset::Program,
@@ -299,16 +299,16 @@ fn from_the_device() {
                 high_at_boot: None,
                 ..BOARD
             }),
-            "090505ac020680a305010101020305e2083b5b00",
+            "090605ac020680a305010101020305392d5a2700",
         ),
-        (test(SelfTestState::Refused), "050506ac020537e1fdc900"),
-        (test(SelfTestState::Running), "0a0506ac0201a1d1fabe00"),
-        (test(SelfTestState::Ended), "0a0506ac02021b80f32700"),
+        (test(SelfTestState::Refused), "050606ac0205e79b5d8e00"),
+        (test(SelfTestState::Running), "0a0606ac020171ab5af900"),
+        (test(SelfTestState::Ended), "0a0606ac0202cbfa536000"),
         (
             test(SelfTestState::Done(TESTED)),
-            "270506ac02030101020c01020301a08d06b442d08902018080040180808c8002019e016d19c59400",
+            "270606ac02030101020c01020301a08d06b442d08902018080040180808c8002019e0137ea43f900",
         ),
-        (test(SelfTestState::Done(SelfTest::default())), "060506ac020301010105a73a92e000"),
+        (test(SelfTestState::Done(SelfTest::default())), "060606ac02030101010562061fd900"),
     ];
     for (message, hex) in cases {
         golden(&message, hex, &mut Vec::new());
@@ -334,7 +334,13 @@ fn messages_fit() {
     let limits =
         PowerLimits { motor: u32::MAX, rail: u32::MAX, rail_at_once: u8::MAX, chip_at_once: u8::MAX };
     let tick = WireTick([0; 4]);
-    let cut = Cut { cause: Cause::Panic, at: tick, returns: true, flushed: u16::MAX, outstanding: u32::MAX };
+    let cut = Cut {
+        cause: Cause::Panic,
+        at: tick,
+        return_ticks: Some(u32::MAX),
+        flushed: u16::MAX,
+        outstanding: u32::MAX,
+    };
     let reason = Refusal::Malformed;
     let status = Status {
         token: u16::MAX,
@@ -425,5 +431,5 @@ fn a_steady_play_takes_less_than_six_bytes_per_burst() {
         batch: packer.bytes(),
     });
     assert!(frame.len() > FRAME_OVERHEAD && frame.len() as u64 <= 6 * 2 * k, "{} for {k}", frame.len());
-    assert_eq!(PROTOCOL, 5);
+    assert_eq!(PROTOCOL, 6);
 }

@@ -6,7 +6,7 @@ mod at_once;
 mod bench;
 /// Board reports and self-tests.
 mod board;
-/// The bytes of version 5.
+/// The bytes of version 6.
 mod golden;
 mod interruptions;
 /// Sequence numbers, epochs, sessions and reports on a bad line.

@@ -314,7 +314,7 @@ impl World {
             3 => Report::Cut(Cut {
                 cause: cause(input),
                 at: rendered,
-                returns: flag(input),
+                return_ticks: flag(input).then(|| word(input).into()),
                 flushed: word(input) % 600,
                 outstanding: word(input).into(),
             }),

@@ -3,14 +3,15 @@
 //! Each test plays in virtual time and looks for the last pulse on the recorded lines.
 
 use firmware_protocol::controller::Run;
+use firmware_protocol::limits::PowerLimits;
 use firmware_protocol::message::DeviceMessage;
 use firmware_protocol::tick::Tick;
 use meissner_api::{EndCause, ErrorSource};
-use meissner_array::pattern::Pattern;
+use meissner_array::pattern::{Drive, Pattern};
 use meissner_array::simulated::SimulatedMotorsConfig;
 use meissner_array::units::{duration_to_ticks, ticks_to_seconds};
-use meissner_stream::Line;
 use meissner_stream::queues::{At, Command, End, Outcome, StreamEvent};
+use meissner_stream::{Line, Settings};
 use meissner_test_support::patterns::{drive, pattern};
 use meissner_test_support::rig::{self, Rig, bad_line};
 use std::time::Duration;
@@ -97,6 +98,55 @@ fn the_offset_of_a_stopped_play_includes_the_return() {
     }
 }
 
+/// Of a rail whose motors may not have pulses at once, and of a motor whose drivers are off in its pauses.
+fn slow_returns() -> [(Pattern, PowerLimits); 2] {
+    let turns = [0, 1, 2].map(|motor| Drive { phase: 0.1 * f64::from(motor), ..drive(motor, 10.0, 80.0) });
+    let one = PowerLimits { rail_at_once: 1, chip_at_once: 1, ..PowerLimits::NONE };
+    [
+        (pattern("turns", Some(5.0), turns), one),
+        (pattern("pauses", Some(5.0), [drive(2, 10.0, 80.0)]), PowerLimits::NONE),
+    ]
+}
+
+#[test]
+fn the_offset_of_a_stopped_play_includes_what_the_return_waits_for() {
+    for (pattern, limits) in slow_returns() {
+        let mut waited = 0;
+        for phase in 0..20 {
+            let mut rig = Rig::with(Settings { limits, ..Settings::default() }, Line::default(), 3);
+            rig.arm();
+            rig.start(&pattern, None);
+            rig.run(400 * MS + phase * 5 * MS);
+            rig.send(Command::Stop);
+            rig.run_ms(150);
+            let outcome = rig.outcomes().remove(0);
+            let (cut, onset) = (outcome.cut_after.unwrap(), outcome.onset.unwrap().actual);
+            waited = waited.max(outcome.offset.unwrap().tick.since(onset + cut));
+            assert_offset(&mut rig, &outcome, &format!("{} at phase {phase}", pattern.name()));
+        }
+        assert!(waited > 600, "{waited}");
+    }
+}
+
+#[test]
+fn an_e_stop_in_the_return_of_a_stopped_play_is_its_offset() {
+    let [(pattern, limits), _] = slow_returns();
+    for ms in 3..12 {
+        let mut rig = Rig::with(Settings { limits, ..Settings::default() }, Line::default(), 3);
+        rig.arm();
+        rig.start(&pattern, None);
+        rig.run_ms(435);
+        rig.send(Command::Stop);
+        rig.run_ms(ms);
+        rig.send(Command::EStop);
+        rig.run_ms(100);
+        let outcome = rig.outcomes().remove(0);
+        assert_eq!(outcome.cause, Some(EndCause::Stop));
+        let after = offset_after_lines(&mut rig, &outcome, "e-stop in the return");
+        assert!((0..=1).contains(&after), "{ms} ms: {after} ticks after the lines");
+    }
+}
+
 /// Of three plays the middle one is cancelled while it waits: the others are whole. One that has begun takes those behind it along.
 #[test]
 fn a_play_that_is_cancelled_ends_alone_unless_it_has_begun() {
@@ -147,7 +197,6 @@ fn a_play_that_is_stopped_as_it_begins_knows_its_cut() {
         let at = rig.mock.now() + 42_500;
         rig.start_with(&mixed(None), Some(1.0), |play| play.at = At::Tick(at));
         rig.run(494 * MS + step * MS / 2);
-        rig.mock.take_trace();
         rig.send(Command::Stop);
         rig.run_ms(100);
         let outcome = rig.outcomes().remove(0);

@@ -116,7 +116,9 @@ impl Controller {
         outstanding: u32,
         at: Tick,
     ) {
-        let cut = Cut { cause, at: at.wire(), returns, flushed, outstanding };
+        let ends = (0..MOTORS).filter_map(|motor| self.pool.current(motor)).map(|slot| slot.stroke.end());
+        let return_ticks = returns.then(|| ends.fold(at, Tick::max).since(at) as u32);
+        let cut = Cut { cause, at: at.wire(), return_ticks, flushed, outstanding };
         self.last_cut = Some(cut);
         self.report(Report::Cut(cut));
         self.pending.status = true;

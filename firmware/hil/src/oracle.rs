@@ -37,8 +37,8 @@ pub struct CutAt {
     pub cause: Cause,
     /// The first tick in which nothing of the queue was played.
     pub at: Tick,
-    /// Whether pins were returned.
-    pub returns: bool,
+    /// How many ticks the return took from `at` on; `None` if the pins stayed.
+    pub return_ticks: Option<u32>,
     /// Outstanding return pulses.
     pub outstanding: u32,
 }
@@ -307,24 +307,31 @@ impl Oracle {
 
     /// Cuts the strokes of events before `limit`.
     fn cut(&mut self, tap: &Tap, cut: &Cut, limit: usize) {
-        let Cut { cause, returns, outstanding, .. } = *cut;
+        let Cut { cause, return_ticks, outstanding, .. } = *cut;
         let at = tap.tick(cut.at);
-        let cut = CutAt { cause, at, returns, outstanding };
+        let cut = CutAt { cause, at, return_ticks, outstanding };
         if self.out.cuts.contains(&cut) {
             return;
         }
         self.out.cuts.push(cut);
-        let found = if returns { self.cut_and_return(at, limit) } else { self.force(at, limit) };
-        if found != outstanding {
+        let (found, took) = if return_ticks.is_some() {
+            let (found, over) = self.cut_and_return(at, limit);
+            (found, Some((over - at) as u32))
+        } else {
+            (self.force(at, limit), None)
+        };
+        if (found, took) != (outstanding, return_ticks) {
             let text = format!(
-                "{cause:?} at tick BOOT+{}: the device reports {outstanding} outstanding return pulses, the strokes give {found}",
+                "{cause:?} at tick BOOT+{}: the device reports {outstanding} outstanding return pulses and a return of {return_ticks:?} \
+                 ticks, the strokes give {found} and {took:?}",
                 at.since(Tick::BOOT)
             );
             self.out.contradictions.push(text);
         }
     }
 
-    fn cut_and_return(&mut self, at: Tick, limit: usize) -> u32 {
+    /// The outstanding return pulses, and when the last of them is over.
+    fn cut_and_return(&mut self, at: Tick, limit: usize) -> (u32, Tick) {
         let ready = self.ready(at);
         let (mut outstanding, mut waiting) = (0, Vec::new());
         let cut = |(_, live): &(usize, &mut Live)| live.plays() && live.order < limit;
@@ -371,7 +378,8 @@ impl Oracle {
             }
         }
         self.take_turns(at, ready, limit, &waiting);
-        outstanding
+        let returned = self.live.iter().filter(|live| live.plays() && live.order < limit);
+        (outstanding, returned.map(|live| live.stroke.end()).fold(at, Tick::max))
     }
 
     /// Schedules the bursts of `waiting` in turns from `ready` on. A rail has as many places as bursts may run at once: each
@@ -544,7 +552,7 @@ mod tests {
             strokes: strokes.to_vec(),
         };
         let at = (Tick::BOOT + 600).wire();
-        let cut = Cut { cause: Cause::HostTimeout, at, returns: true, flushed: 0, outstanding: 70 };
+        let cut = Cut { cause: Cause::HostTimeout, at, return_ticks: Some(40), flushed: 0, outstanding: 70 };
         let mut tap = Tap::default();
         tap.events =
             vec![(0, Event::Control(1, arm)), (0, Event::Batch(batch)), (0, Event::Report(Report::Cut(cut)))];
@@ -565,7 +573,13 @@ mod tests {
                 Op::Arm { assume_rest: false, host_timeout: 25_500, limits: PowerLimits::NONE, lower_stop };
             let outstanding = MOTORS as u32 * u32::from(seek);
             let at = (Tick::BOOT + 1_000).wire();
-            let cut = Cut { cause: Cause::Request, at, returns: true, flushed: 0, outstanding };
+            let cut = Cut {
+                cause: Cause::Request,
+                at,
+                return_ticks: Some(43 + u32::from(seek)),
+                flushed: 0,
+                outstanding,
+            };
             let mut tap = Tap::default();
             tap.events = vec![(0, Event::Control(1, arm)), (0, Event::Report(Report::Cut(cut)))];
             let expected = expect(&tap, None);

@@ -29,13 +29,13 @@ pub(super) struct Correction {
     pub(super) rest_um: f32,
 }
 
-/// When the device cut what it played, and whether it then returned the pins.
+/// When the device cut what it played, and when the pins were back.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Cutting {
     /// The first tick in which nothing of the queue was played.
     pub(crate) at: Tick,
-    /// Whether the pins return from then on; after an e-stop or a fault they stay where they are.
-    pub(crate) returns: bool,
+    /// When the last pulse of the return was over; after an e-stop or a fault there is none.
+    pub(crate) returned: Option<Tick>,
 }
 
 /// Too many strokes began between the cut and the report of it.
@@ -54,21 +54,16 @@ impl Queued {
         until: Tick(0),
     };
 
-    /// When its last pulse is over, if the device cut it after it had begun. A return plays as many pulses as the up burst has
-    /// played plus the surplus, or the rest of the down burst.
+    /// When its last pulse is over, if the device cut it after it had begun. A return is over with the last one's.
     pub(super) fn over_at(&self, cut: Cutting) -> Tick {
-        let Cutting { at, returns } = cut;
+        let Cutting { at, returned } = cut;
         let [up, down] = self.stroke.bursts();
-        let whole = self.stroke.end();
-        if whole <= at {
-            whole
-        } else if at < up.end() {
-            let surplus = self.planned[1].saturating_sub(self.planned[0]);
-            if returns { at + (at - up.start) + u64::from(surplus) } else { at }
+        if down.end() <= at {
+            down.end()
+        } else if let Some(returned) = returned {
+            returned
         } else if at < down.start {
-            if returns { at + u64::from(down.pulses) } else { up.end() }
-        } else if returns {
-            whole
+            up.end().min(at)
         } else {
             at
         }

@@ -96,7 +96,7 @@ impl Streamer {
             }
             Event::Onset { tick, counters } => self.onset(tick, counters, emit),
             Event::Cut { cut, at } => {
-                self.cut_at(Cutting { at, returns: cut.returns });
+                self.cut_at(Cutting { at, returned: cut.return_ticks.map(|ticks| at + u64::from(ticks)) });
                 // A report from before the device was armed again does not concern the present play.
                 if !matches!(cut.cause, Cause::Stop | Cause::Request) && self.state() != State::Armed {
                     self.cut_all(end_cause(cut.cause));
@@ -142,11 +142,15 @@ impl Streamer {
         self.control.cut(reported.or(now).unwrap_or_default(), now);
     }
 
-    /// The device has cut the plays that had begun. It may report the onset of the last one later: it cuts up to the render
-    /// horizon ahead.
+    /// The device has cut the plays that had begun, or their return. It may report the onset of the last one later: it cuts up to
+    /// the render horizon ahead.
     fn cut_at(&mut self, cut: Cutting) {
-        let sent = |active: &&mut Active| active.phase != Phase::Waiting && active.cut_at.is_none();
+        let sent = |active: &&mut Active| active.phase != Phase::Waiting;
         for active in self.plays.iter_mut().filter(sent) {
+            if let Some((_, over)) = &mut active.cut_at {
+                *over = over.map(|over| over.min(cut.at));
+                continue;
+            }
             let Some(onset) = active.onset.filter(|&onset| onset < cut.at) else { continue };
             if active.end().is_none_or(|end| end > cut.at) {
                 let over = self.control.over_at(onset, active.until(), Some(cut));

@@ -100,7 +100,9 @@ fn as_compiled(outcome: &Outcome, boots: &[Judged]) -> Result<(), String> {
 
 /// Every pin is where it began, counted in pulses; a pulse that an e-stop has cut off may be missing in the recording.
 fn returned(boots: &[Judged]) -> Result<(), String> {
-    let cut_off = boots.iter().flat_map(|boot| &boot.expected.cuts).filter(|cut| !cut.returns).count() as i64;
+    let cut_off =
+        boots.iter().flat_map(|boot| &boot.expected.cuts).filter(|cut| cut.return_ticks.is_none()).count()
+            as i64;
     let mut net = [0_i64; MOTORS];
     for (net, line) in net.iter_mut().zip(boots.iter().flat_map(|boot| &boot.log.lines)) {
         for train in line {
@@ -129,8 +131,12 @@ mod tests {
         let train = |start, direction, pulses| Train { start: Tick(start), direction, pulses };
         let log =
             Log::of(vec![(3, train(1_000, Direction::Up, 20)), (3, train(1_100, Direction::Down, 20 - up))]);
-        let cuts =
-            returns.map(|returns| CutAt { cause: Cause::EStop, at: Tick(1_120), returns, outstanding: 0 });
+        let cuts = returns.map(|returns| CutAt {
+            cause: Cause::EStop,
+            at: Tick(1_120),
+            return_ticks: returns.then_some(0),
+            outstanding: 0,
+        });
         let expected = Expected { cuts: cuts.into_iter().collect(), ..Expected::default() };
         Judged { findings: Vec::new(), log, expected, grid: Grid { origin: 0 } }
     }

@@ -393,8 +393,10 @@ impl DeviceKnowledge {
                 }
                 self.check_pace(&counters, tick).map(|()| tick)
             }
-            Report::Cut(Cut { at, flushed, outstanding, .. }) => {
-                let fits = flushed <= self.pool && outstanding <= MOTORS as u32 * u32::from(u16::MAX);
+            Report::Cut(Cut { at, flushed, outstanding, return_ticks, .. }) => {
+                let fits = flushed <= self.pool
+                    && outstanding <= MOTORS as u32 * u32::from(u16::MAX)
+                    && return_ticks.is_none_or(|ticks| u64::from(ticks) <= LONGEST_RETURN);
                 if fits { self.tick_within(clock, at, self.horizon) } else { Err(Contradiction::Report) }
             }
             Report::Refused { motor, up, reason } => {
