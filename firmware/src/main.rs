@@ -9,8 +9,9 @@
 //!  hangs: the shell finds one of the tasks (beat), a task finds one of the USB controller (revive)
 //! ```
 //! Priorities: clock and USB interrupts above the shell, the shell above the tasks. Modules use only those below them:
-//! `fault`, `shell`, `self_test`, `usb`, `estop`, `revive`, `wave`, `wake`, `beat`, `counters` and `board`. The documentation of
-//! `firmware_protocol` is the specification; nothing here decides what a line does.
+//! `fault`, `shell`, `self_test`, `usb`, `control` (ends given-up control transfers), `cable` (whether 5 V are there), `estop`,
+//! `revive`, `wave`, `wake`, `beat`, `counters` and `board`. The documentation of `firmware_protocol` is the specification; nothing
+//! here decides what a line does.
 
 #![no_std]
 #![no_main]

@@ -378,8 +378,10 @@ impl Oracle {
             }
         }
         self.take_turns(at, ready, limit, &waiting);
-        let returned = self.live.iter().filter(|live| live.plays() && live.order < limit);
-        (outstanding, returned.map(|live| live.stroke.end()).fold(at, Tick::max))
+        let cut =
+            |&(index, live): &(usize, &Live)| waiting.contains(&index) || live.plays() && live.order < limit;
+        let ends = self.live.iter().enumerate().filter(cut).map(|(_, live)| live.stroke.end());
+        (outstanding, ends.fold(at, Tick::max))
     }
 
     /// Schedules the bursts of `waiting` in turns from `ready` on. A rail has as many places as bursts may run at once: each
@@ -552,7 +554,7 @@ mod tests {
             strokes: strokes.to_vec(),
         };
         let at = (Tick::BOOT + 600).wire();
-        let cut = Cut { cause: Cause::HostTimeout, at, return_ticks: Some(40), flushed: 0, outstanding: 70 };
+        let cut = Cut { cause: Cause::HostTimeout, at, return_ticks: Some(50), flushed: 0, outstanding: 70 };
         let mut tap = Tap::default();
         tap.events =
             vec![(0, Event::Control(1, arm)), (0, Event::Batch(batch)), (0, Event::Report(Report::Cut(cut)))];

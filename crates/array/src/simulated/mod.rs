@@ -10,6 +10,8 @@
 //! [`SimulatedMotors::telemetry`] returns them when they are as old as configured. The queue holds the samples that are not due yet
 //! and [`SPARE_SAMPLES`] more; beyond that it drops the oldest.
 //!
+//! `config` has the settings, `pin` moves one pin, `rest` sums up how far pins are from rest.
+//!
 //! Invariant: the result does not depend on how a segment is cut into calls.
 
 mod config;
