@@ -117,7 +117,8 @@ pub fn document() -> Value {
 /// A number that may be left out is not null: see [`meissner_input::document::given`].
 fn refuse_null(schema: &mut Value) {
     let required = schema["required"].as_array().cloned().unwrap_or_default();
-    for (key, property) in schema["properties"].as_object_mut().into_iter().flatten() {
+    // `schema["properties"]` would write a null into a schema that has none.
+    for (key, property) in schema.get_mut("properties").and_then(Value::as_object_mut).into_iter().flatten() {
         let kinds = property["type"].as_array().cloned().unwrap_or_default();
         let is_number = kinds.iter().any(|kind| kind == "number" || kind == "integer");
         if is_number && !required.iter().any(|name| name == key) {
@@ -149,8 +150,8 @@ fn described(route: Route, operation: &Operation, example: &dyn Fn(&str) -> Valu
         "summary": operation.summary,
         "description": operation.description,
     });
-    if let (Some(text), Some((_, name))) = (operation.parameter, operation.path.split_once('{')) {
-        let name = name.trim_end_matches('}');
+    let name = operation.path.split_once('{').and_then(|(_, rest)| rest.split_once('}'));
+    if let (Some(text), Some((name, _))) = (operation.parameter, name) {
         out["parameters"] = json!([
             {"name": name, "in": "path", "required": true, "description": text, "schema": {"type": "string"}}
         ]);

@@ -81,7 +81,6 @@ pub struct TokenCreated {
 
 /// A token without its secret.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
-#[serde(deny_unknown_fields)]
 #[schema(examples(json!({
     "id": "5f3a9c01", "role": "observe", "name": "screen in the corridor", "created": "2026-11-23T10:00:00Z"
 })))]
