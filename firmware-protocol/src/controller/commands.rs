@@ -15,7 +15,7 @@ impl Controller {
             return;
         }
         if !self.session.is_open() {
-            self.pending.no_session = true;
+            self.reporting.send_no_session();
             return;
         }
         self.taking.epoch = self.session.epoch();
@@ -27,17 +27,19 @@ impl Controller {
         }
         self.session.heard(self.now);
         // These two have an answer of their own.
-        self.pending.status |= !matches!(message, HostMessage::Board { .. } | HostMessage::SelfTest { .. });
+        if !matches!(message, HostMessage::Board { .. } | HostMessage::SelfTest { .. }) {
+            self.reporting.send_status();
+        }
         match message {
             HostMessage::Hello { .. } | HostMessage::Strokes { .. } => {}
-            HostMessage::Board { window } => self.reporting.ask(window),
-            HostMessage::SelfTest { run } => self.ask_test(run),
+            HostMessage::Board { window } => self.board.ask(window),
+            HostMessage::SelfTest { run } => self.board.ask_test(run, self.state == State::Disarmed),
             HostMessage::Ping { token, seen } => {
                 self.session.ping(token);
-                self.reports.seen(seen, self.now);
+                self.reporting.seen(seen, self.now);
             }
             HostMessage::Control { epoch, seen, op } => {
-                self.reports.seen(seen, self.now);
+                self.reporting.seen(seen, self.now);
                 self.control(epoch, op);
             }
             HostMessage::Amend { epoch, generation, base, items } => {
@@ -50,7 +52,7 @@ impl Controller {
 
     /// Opens a session, unless it is open already.
     pub(super) fn open(&mut self, session: u32) {
-        self.pending.hello = true;
+        self.reporting.send_hello();
         self.session.heard(self.now);
         if self.session.id() == Some(session) {
             return;
@@ -58,8 +60,8 @@ impl Controller {
         self.disarm(Cause::NewHost);
         self.session.open(session);
         self.begin_stream();
-        self.reports.clear();
-        self.reporting.forget_requests();
+        self.reporting.forget_reports();
+        self.board.forget_requests();
         self.marks.clear();
     }
 
@@ -67,7 +69,7 @@ impl Controller {
     pub(super) fn control(&mut self, epoch: u16, op: Op) {
         if self.session.begin(epoch) {
             self.begin_stream();
-            self.reporting.end_test();
+            self.board.end_test();
             let refusal = self.perform(op).err();
             self.session.carried_out(refusal);
         }

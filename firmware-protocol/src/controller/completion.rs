@@ -35,7 +35,7 @@ impl Controller {
             }
             let strokes = self.pool.flush(motor, begun);
             flushed += strokes;
-            self.counters.dropped += 2 * u64::from(strokes);
+            self.reporting.count().dropped += 2 * u64::from(strokes);
             self.change_by(motor, at);
         }
         self.take_turns(waiting, ready);
@@ -55,14 +55,14 @@ impl Controller {
         if self.state == State::Faulted {
             return;
         }
-        self.reporting.off(cause);
+        self.board.off(cause);
         self.settle_strokes(at);
         let mut flushed = 0;
         for motor in 0..MOTORS {
             // Most slots are not rendered yet; they are flushed together.
             let strokes = self.pool.flush(motor, true);
             flushed += strokes;
-            self.counters.dropped += 2 * u64::from(strokes);
+            self.reporting.count().dropped += 2 * u64::from(strokes);
             while let Some(slot) = self.pool.pop(motor) {
                 let [up, down] = slot.played_before(at);
                 let (pushes, pushed) = (slot.pushes, slot.pushed_before(at));
@@ -84,9 +84,9 @@ impl Controller {
                 }
                 if slot.kind == Kind::Play {
                     let bursts = u64::from(begun) + u64::from(begun && slot.stroke.down < at);
-                    self.counters.played += bursts;
-                    self.counters.dropped += 2 - bursts;
-                    self.counters.pulses += u64::from(up) + u64::from(down);
+                    self.reporting.count().played += bursts;
+                    self.reporting.count().dropped += 2 - bursts;
+                    self.reporting.count().pulses += u64::from(up) + u64::from(down);
                     flushed += u16::from(!begun);
                 }
             }
@@ -116,10 +116,7 @@ impl Controller {
         outstanding: u32,
         at: Tick,
     ) {
-        let cut = Cut { cause, at: at.wire(), returns, flushed, outstanding };
-        self.last_cut = Some(cut);
-        self.report(Report::Cut(cut));
-        self.pending.status = true;
+        self.reporting.report_cut(Cut { cause, at: at.wire(), returns, flushed, outstanding });
     }
 
     /// Books what was played before now, in order of time. What is not rendered was not played.
@@ -127,13 +124,13 @@ impl Controller {
         let now = self.now.min(self.rendered);
         while let Some(mark) = self.marks.pass(now, self.rendered) {
             self.settle_strokes(mark);
-            self.report(Report::Onset { tick: mark.wire(), counters: self.counters });
+            self.reporting.report(Report::Onset { tick: mark.wire(), counters: self.reporting.counters() });
         }
         self.settle_strokes(now);
         if self.state == State::Returning && self.pool.is_empty() {
             self.state = self.then;
             self.position_known |= core::mem::take(&mut self.seeks);
-            self.pending.status = true;
+            self.reporting.send_status();
         }
     }
 
@@ -158,12 +155,12 @@ impl Controller {
                 }
                 if slot.kind == Kind::Play {
                     let played = [slot.stroke.up_pulses, slot.stroke.down_pulses];
-                    self.counters.played += 2;
-                    self.counters.pulses += u64::from(played[0]) + u64::from(played[1]);
+                    self.reporting.count().played += 2;
+                    self.reporting.count().pulses += u64::from(played[0]) + u64::from(played[1]);
                     if !slot.cut {
                         let changed = played.iter().zip(slot.planned);
                         let changed = changed.filter(|&(&played, planned)| played != planned);
-                        self.counters.amended += changed.count() as u64;
+                        self.reporting.count().amended += changed.count() as u64;
                     }
                 }
                 self.pool.drop_head(motor);

@@ -21,9 +21,8 @@ impl Controller {
             generation,
             reorder,
             taking,
-            pending,
-            reports,
-            last_cut: _,
+            reporting,
+            board,
             state,
             cause,
             then,
@@ -33,9 +32,6 @@ impl Controller {
             outstanding_pushes,
             travel,
             now,
-            counters,
-            started: _,
-            reporting,
             pool,
             marks,
             drivers: Drivers { since, tail_end },
@@ -47,10 +43,10 @@ impl Controller {
             off_until,
         } = self;
         (inbox, session, next_seq).hash(hasher);
-        (kept, generation, reorder, taking, pending, reports).hash(hasher);
+        (kept, generation, reorder, taking, reporting, board).hash(hasher);
         (state, cause, then, position_known, seeks).hash(hasher);
         (outstanding, outstanding_pushes, travel, now).hash(hasher);
-        (counters, reporting, pool, allowance, marks).hash(hasher);
+        (pool, allowance, marks).hash(hasher);
         (since, (*tail_end).max(*rendered), rendered, lines, changes).hash(hasher);
         (next_end, (*off_until).max(*now)).hash(hasher);
     }

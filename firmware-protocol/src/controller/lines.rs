@@ -68,8 +68,8 @@ impl Controller {
                         slot.kind = Kind::Void;
                         slot.stroke = Stroke { up_pulses: 0, down: up, down_pulses: 0, ..slot.stroke };
                         self.next_end = self.next_end.min(up);
-                        self.counters.refused += 2;
-                        self.report(Report::Refused { motor: motor as u8, up: up.wire(), reason });
+                        self.reporting.count().refused += 2;
+                        self.reporting.report(Report::Refused { motor: motor as u8, up: up.wire(), reason });
                         continue;
                     }
                 }

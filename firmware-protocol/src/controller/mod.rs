@@ -23,18 +23,19 @@ mod marks;
 mod motion;
 mod pool;
 mod reorder;
-mod reports;
+mod reporting;
 mod session;
 mod stream;
 mod taking;
 
+use crate::board::{Measures, SelfTest};
 use crate::frame::{self, FrameError, MAX_FRAME};
 use crate::limits::{self, PowerLimits};
-use crate::message::{Cause, Counters, Cut, DeviceHello, DeviceMessage, Op, Report, State, Status};
+use crate::message::{Cause, Counters, DeviceHello, DeviceMessage, Op, State, Status};
 use crate::stroke::{Lines, MOTORS};
-use crate::tick::{TICK_HZ, Tick, WireTick};
+use crate::tick::{TICK_HZ, Tick};
 use allowance::Allowance;
-use board::Reporting;
+use board::BoardRequests;
 use changes::Changes;
 use drivers::Drivers;
 pub use drivers::{DRIVER_LEAD, DRIVER_TAIL};
@@ -44,8 +45,8 @@ pub use pool::POOL;
 use pool::{Pool, Slot};
 pub use reorder::REORDER_WINDOW;
 use reorder::ReorderBuffer;
-pub use reports::REPORTS;
-use reports::Reports;
+pub use reporting::REPORTS;
+use reporting::{Due, Reporting};
 use session::Session;
 use taking::Taking;
 
@@ -84,19 +85,6 @@ pub struct Run {
     pub ticks: u32,
 }
 
-/// What is to be sent besides reports.
-#[derive(Clone, Debug, Hash)]
-struct Pending {
-    hello: bool,
-    no_session: bool,
-    status: bool,
-    telemetry: Option<(WireTick, [i32; MOTORS])>,
-}
-
-impl Pending {
-    const NONE: Self = Self { hello: false, no_session: false, status: false, telemetry: None };
-}
-
 /// The controller of one array.
 #[derive(Clone, Debug)]
 pub struct Controller {
@@ -110,9 +98,8 @@ pub struct Controller {
     generation: Option<u16>,
     reorder: ReorderBuffer,
     taking: Taking,
-    pending: Pending,
-    reports: Reports,
-    last_cut: Option<Cut>,
+    reporting: Reporting,
+    board: BoardRequests,
 
     state: State,
     cause: Cause,
@@ -127,10 +114,6 @@ pub struct Controller {
     /// Net pulses of moves since the pins were last at rest.
     travel: [i16; MOTORS],
     now: Tick,
-    counters: Counters,
-    /// The clock at the start.
-    started: Tick,
-    reporting: Reporting,
 
     pool: Pool,
     marks: Marks,
@@ -171,9 +154,8 @@ impl Controller {
             generation: None,
             reorder: ReorderBuffer::new(),
             taking: Taking::NOTHING,
-            pending: Pending::NONE,
-            reports: Reports::new(),
-            last_cut: None,
+            reporting: Reporting::NOTHING,
+            board: BoardRequests::none(now),
             state: State::Disarmed,
             cause: Cause::Boot,
             then: State::Disarmed,
@@ -183,9 +165,6 @@ impl Controller {
             outstanding_pushes: [0; MOTORS],
             travel: [0; MOTORS],
             now,
-            counters: Counters::NONE,
-            started: now,
-            reporting: Reporting::NONE,
             pool: Pool::new(),
             marks: Marks::NONE,
             drivers: Drivers::OFF,
@@ -218,7 +197,7 @@ impl Controller {
     /// Counts since boot.
     #[must_use]
     pub fn counters(&self) -> Counters {
-        self.counters
+        self.reporting.counters()
     }
 
     /// The limits that the last `arm` set.
@@ -291,8 +270,8 @@ impl Controller {
         match self.inbox.decode(bytes) {
             None => return false,
             Some(Ok(())) => {}
-            Some(Err(FrameError::Version(_))) => self.pending.hello = true,
-            Some(Err(_)) => self.counters.bad_frames += 1,
+            Some(Err(FrameError::Version(_))) => self.reporting.send_hello(),
+            Some(Err(_)) => self.reporting.count().bad_frames += 1,
         }
         true
     }
@@ -328,8 +307,8 @@ impl Controller {
         self.pass(now);
         self.disarm(Cause::LinkLost);
         self.session.close();
-        self.pending = Pending::NONE;
-        self.reporting.forget_requests();
+        self.reporting.forget_answers();
+        self.board.forget_requests();
         self.inbox.reset();
     }
 
@@ -350,34 +329,49 @@ impl Controller {
     /// Displacements of all pins in 0.01 µm, sampled at `tick`. Sent while armed; replaces a sample that is not sent yet.
     pub fn telemetry(&mut self, tick: Tick, y: [i32; MOTORS]) {
         if self.session.is_open() && matches!(self.state, State::Armed | State::Returning) {
-            self.pending.telemetry = Some((tick.wire(), y));
+            self.reporting.send_telemetry(tick, y);
         }
+    }
+
+    /// Takes the slack of a block that was rendered while the lines are enabled: the ticks until its first word is fetched.
+    pub fn rendered_with(&mut self, slack: u32) {
+        self.board.rendered_with(slack);
+    }
+
+    /// Whether a board report is about to be sent: then [`Self::measured`] is worth its time.
+    #[must_use]
+    pub fn wants_measures(&self) -> bool {
+        self.board.wants_measures()
+    }
+
+    /// Takes what the shell has measured.
+    pub fn measured(&mut self, measures: Measures) {
+        self.board.measured(measures);
+    }
+
+    /// Whether the shell is to carry out a self-test. When this becomes false, it sets the lines low first and then goes on.
+    #[must_use]
+    pub fn is_testing(&self) -> bool {
+        self.board.is_testing()
+    }
+
+    /// Takes the result of the self-test.
+    pub fn tested(&mut self, result: SelfTest) {
+        self.board.tested(result);
     }
 
     /// Writes the next frame to send into `out` and returns its length, or 0 if there is none.
     pub fn transmit(&mut self, now: Tick, out: &mut [u8; MAX_FRAME]) -> usize {
         self.now = self.now.max(now);
-        if self.pending.status {
+        if self.reporting.is_status_due() {
             // Strokes may have ended since the last pass: the status has this tick, so it counts them.
             self.settle();
         }
-        let pending = &mut self.pending;
-        let message = if core::mem::take(&mut pending.hello) {
-            DeviceMessage::Hello(self.hello())
-        } else if core::mem::take(&mut pending.no_session) {
-            DeviceMessage::NoSession
-        } else if !self.session.is_open() {
-            return 0;
-        } else if core::mem::take(&mut pending.status) {
-            DeviceMessage::Status(self.status())
-        } else if let Some((number, report)) = self.reports.next(self.now) {
-            DeviceMessage::Report { number, report }
-        } else if let Some(answer) = self.next_answer() {
-            answer
-        } else if let Some((tick, y)) = self.pending.telemetry.take() {
-            DeviceMessage::Telemetry { tick, y }
-        } else {
-            return 0;
+        let message = match self.reporting.next(self.now, self.session.is_open(), &mut self.board) {
+            None => return 0,
+            Some(Due::Hello) => DeviceMessage::Hello(self.hello()),
+            Some(Due::Status) => DeviceMessage::Status(self.status()),
+            Some(Due::Message(message)) => message,
         };
         // Every message fits a frame: see `messages_fit` in the tests.
         frame::encode(&message, out).unwrap_or(0)
@@ -398,8 +392,8 @@ impl Controller {
             features: self.identity.features,
             tick: self.now.0,
             epoch: self.session.epoch(),
-            reports: self.reports.read(),
-            last_cut: self.last_cut,
+            reports: self.reporting.reports().read(),
+            last_cut: self.reporting.last_cut(),
         }
     }
 
@@ -412,29 +406,23 @@ impl Controller {
             next_seq: self.next_seq,
             out_of_order: self.reorder.mask(self.next_seq),
             credits: self.credits(),
-            reports: self.reports.made(),
+            reports: self.reporting.reports().made(),
             state: self.state,
             cause: self.cause,
             position_known: self.position_known,
             outstanding: self.outstanding_total(),
-            counters: self.counters,
+            counters: self.reporting.counters(),
         }
     }
 
     /// Stroke slots that the host may fill. Each refused stroke takes one until the host has seen its report: so there
     /// is always a place for the next report.
     fn credits(&self) -> u16 {
-        self.pool.free().saturating_sub(self.reports.refused())
+        self.pool.free().saturating_sub(self.reporting.reports().refused())
     }
 
     fn outstanding_total(&self) -> u32 {
         self.outstanding.iter().map(|&outstanding| u32::from(outstanding)).sum()
-    }
-
-    fn report(&mut self, report: Report) {
-        if !self.reports.push(report) {
-            self.counters.reports_lost += 1;
-        }
     }
 
     fn queue(&mut self, slot: Slot) -> bool {

@@ -4,7 +4,7 @@
 
 use crate::batch::{Amendment, Malformed};
 use crate::controller::pool::{Kind, Slot, charge};
-use crate::controller::reports::RESERVE;
+use crate::controller::reporting::RESERVE;
 use crate::controller::taking::{Next, Packed};
 use crate::controller::{Controller, FARTHEST, NEVER, newer};
 use crate::limits::{self, Refusal};
@@ -26,13 +26,13 @@ impl Controller {
             Ok(Some(Packed { head, received: None, .. })) => self.taking.next = Some(head),
             Ok(Some(Packed { head, received: Some((epoch, seen)), .. })) => {
                 self.session.heard(self.now);
-                self.pending.status = true;
-                self.reports.seen(seen, self.now);
+                self.reporting.send_status();
+                self.reporting.seen(seen, self.now);
                 if epoch == self.session.epoch() {
                     self.stream(head);
                 }
             }
-            Err(Malformed) => self.counters.bad_frames += 1,
+            Err(Malformed) => self.reporting.count().bad_frames += 1,
         }
     }
 
@@ -51,7 +51,7 @@ impl Controller {
         // Without room the frame is forgotten; the host sends it again.
         if self.has_room(&frame.head) {
             self.taking.epoch = self.session.epoch();
-            self.pending.status = true;
+            self.reporting.send_status();
             self.unpack_first(frame.head, None, &frame.batch);
         }
         true
@@ -60,7 +60,7 @@ impl Controller {
     /// Whether there is room for a frame's reports and its mark.
     fn has_room(&self, head: &Next) -> bool {
         let reports = RESERVE + usize::from(head.mark.is_some());
-        self.reports.free() > reports && (head.mark.is_none() || !self.marks.is_full())
+        self.reporting.reports().free() > reports && (head.mark.is_none() || !self.marks.is_full())
     }
 
     /// Judges a stroke by itself. `Ok(false)` if it is late.
@@ -108,7 +108,7 @@ impl Controller {
             return false;
         };
         self.kept &= !bit;
-        self.counters.replaced += 2 * u64::from(strokes);
+        self.reporting.count().replaced += 2 * u64::from(strokes);
         let is_high = (self.lines.up | self.lines.down) & bit != 0;
         if self.pool.current(motor.into()).is_none() && !is_high {
             // The line waits for the withdrawn stroke no longer, nor do the drivers.

@@ -172,7 +172,7 @@ impl Controller {
         if let Some((body, len)) = self.inbox.take() {
             match frame::read(Ok(&body[..len])) {
                 Ok(message) => self.handle(message),
-                Err(_) => self.counters.bad_frames += 1,
+                Err(_) => self.reporting.count().bad_frames += 1,
             }
             return true;
         }
@@ -210,7 +210,7 @@ impl Controller {
             if base >= ready {
                 self.marks.push(base, mark.trigger);
             } else {
-                self.report(Report::OnsetRefused { seq, rendered: ready.wire() });
+                self.reporting.report(Report::OnsetRefused { seq, rendered: ready.wire() });
                 if mark.kind == MarkKind::Play {
                     return;
                 }
@@ -262,13 +262,17 @@ impl Controller {
                 Ok(false) => {
                     let is_kept = self.kept >> stroke.motor & 1 == 1;
                     // The old strokes are played in its place.
-                    *(if is_kept { &mut self.counters.replaced } else { &mut self.counters.late }) += 2;
+                    *(if is_kept {
+                        &mut self.reporting.count().replaced
+                    } else {
+                        &mut self.reporting.count().late
+                    }) += 2;
                     self.taking.late |= 1 << at;
                     let ready = self.ready();
                     self.taking.missed.get_or_insert(ready);
                 }
                 Err(refusal) => {
-                    self.counters.refused += 2;
+                    self.reporting.count().refused += 2;
                     self.taking.refused |= 1 << at;
                     self.taking.reason = self.taking.reason.or(Some(refusal));
                 }
@@ -282,7 +286,7 @@ impl Controller {
         self.taking.seq = None;
         if late | refused != 0 || kept != 0 {
             let rendered = missed.unwrap_or(self.rendered).wire();
-            self.report(Report::Verdict { seq, late, refused, kept, reason, rendered });
+            self.reporting.report(Report::Verdict { seq, late, refused, kept, reason, rendered });
         }
     }
 
@@ -307,7 +311,7 @@ impl Controller {
             (read, at) = (items.len() - left.rest().len(), left.at());
             self.note_generation(generation);
             if item.ok().and_then(|item| self.amend(generation, &item)).is_none() {
-                self.counters.amendments_ignored += 1;
+                self.reporting.count().amendments_ignored += 1;
             }
         }
         self.taking.amending = Some((generation, read, at));
