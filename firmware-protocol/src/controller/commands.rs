@@ -33,7 +33,7 @@ impl Controller {
         match message {
             HostMessage::Hello { .. } | HostMessage::Strokes { .. } => {}
             HostMessage::Board { window } => self.board.ask(window),
-            HostMessage::SelfTest { run } => self.board.ask_test(run, self.state == State::Disarmed),
+            HostMessage::SelfTest { run } => self.board.ask_test(run, self.motion.state() == State::Disarmed),
             HostMessage::Ping { token, seen } => {
                 self.session.ping(token);
                 self.reporting.seen(seen, self.now);
@@ -62,7 +62,7 @@ impl Controller {
         self.begin_stream();
         self.reporting.forget_reports();
         self.board.forget_requests();
-        self.marks.clear();
+        self.player.forget_marks();
     }
 
     /// Carries out a command if its epoch is new.
@@ -83,33 +83,19 @@ impl Controller {
     }
 
     fn perform(&mut self, op: Op) -> Result<(), Refusal> {
+        let Self { motion, player, reporting, .. } = self;
         match op {
             Op::Arm { assume_rest, host_timeout, limits, lower_stop } => {
-                self.arm(assume_rest, host_timeout, limits, lower_stop)
+                motion.arm(assume_rest, limits, lower_stop, player, reporting)?;
+                self.session.set_host_timeout(host_timeout);
             }
-            Op::Disarm(cause) => {
-                self.disarm(cause);
-                Ok(())
-            }
-            Op::Stop => {
-                if self.state == State::Armed {
-                    self.cut(Cause::Stop, State::Armed);
-                }
-                Ok(())
-            }
-            Op::EStop => {
-                self.off(Cause::EStop);
-                Ok(())
-            }
-            Op::Reset => {
-                if self.state == State::Faulted {
-                    (self.state, self.cause) = (State::Disarmed, Cause::Request);
-                }
-                Ok(())
-            }
-            Op::Move { motor, direction, pulses } => self.shift(motor, direction, pulses),
-            Op::Seek { pulses } if self.state == State::Armed && self.pool.is_empty() => self.seek(pulses),
-            Op::Seek { .. } => Err(Refusal::State),
+            Op::Disarm(cause) => self.disarm(cause),
+            Op::Stop => motion.stop(self.now, player, reporting),
+            Op::EStop => self.off(Cause::EStop),
+            Op::Reset => motion.reset(),
+            Op::Move { motor, direction, pulses } => motion.shift(motor, direction, pulses, player)?,
+            Op::Seek { pulses } => motion.seek(pulses, player, reporting)?,
         }
+        Ok(())
     }
 }

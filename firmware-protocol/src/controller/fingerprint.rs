@@ -5,7 +5,6 @@
 //! code names every field of the controller, so a new field does not compile until somebody has decided about it.
 
 use crate::controller::Controller;
-use crate::controller::drivers::Drivers;
 use core::hash::{Hash, Hasher};
 
 impl Controller {
@@ -23,31 +22,13 @@ impl Controller {
             taking,
             reporting,
             board,
-            state,
-            cause,
-            then,
-            position_known,
-            seeks,
-            outstanding,
-            outstanding_pushes,
-            travel,
+            motion,
+            player,
             now,
-            pool,
-            marks,
-            drivers: Drivers { since, tail_end },
-            allowance,
-            rendered,
-            lines,
-            changes,
-            next_end,
-            off_until,
         } = self;
         (inbox, session, next_seq).hash(hasher);
         (kept, generation, reorder, taking, reporting, board).hash(hasher);
-        (state, cause, then, position_known, seeks).hash(hasher);
-        (outstanding, outstanding_pushes, travel, now).hash(hasher);
-        (pool, allowance, marks).hash(hasher);
-        (since, (*tail_end).max(*rendered), rendered, lines, changes).hash(hasher);
-        (next_end, (*off_until).max(*now)).hash(hasher);
+        motion.fingerprint(*now, hasher);
+        (player, now).hash(hasher);
     }
 }

@@ -8,20 +8,12 @@
 //! Invariant: the lines follow from the queued slots alone, and a slot changes only ahead of the rendered end. So the
 //! number of pulses played is known after any cut, flush or amendment.
 
-mod allowance;
-mod at_once;
 mod board;
-mod changes;
 mod commands;
-mod completion;
-mod density;
-mod drivers;
 mod fingerprint;
 mod inbox;
-mod lines;
-mod marks;
 mod motion;
-mod pool;
+mod player;
 mod reorder;
 mod reporting;
 mod session;
@@ -34,15 +26,11 @@ use crate::limits::{self, PowerLimits};
 use crate::message::{Cause, Counters, DeviceHello, DeviceMessage, Op, State, Status};
 use crate::stroke::{Lines, MOTORS};
 use crate::tick::{TICK_HZ, Tick};
-use allowance::Allowance;
 use board::BoardRequests;
-use changes::Changes;
-use drivers::Drivers;
-pub use drivers::{DRIVER_LEAD, DRIVER_TAIL};
 use inbox::Inbox;
-use marks::Marks;
-pub use pool::POOL;
-use pool::{Pool, Slot};
+use motion::Motion;
+use player::Player;
+pub use player::{DRIVER_LEAD, DRIVER_TAIL, POOL};
 pub use reorder::REORDER_WINDOW;
 use reorder::ReorderBuffer;
 pub use reporting::REPORTS;
@@ -101,34 +89,10 @@ pub struct Controller {
     reporting: Reporting,
     board: BoardRequests,
 
-    state: State,
-    cause: Cause,
-    /// The state after a return.
-    then: State,
-    position_known: bool,
-    /// All pins are being driven down to the lower stop.
-    seeks: bool,
-    outstanding: [u16; MOTORS],
-    /// How many of the outstanding return pulses push against the lower stop.
-    outstanding_pushes: [u16; MOTORS],
-    /// Net pulses of moves since the pins were last at rest.
-    travel: [i16; MOTORS],
+    motion: Motion,
+    player: Player,
     now: Tick,
-
-    pool: Pool,
-    marks: Marks,
-    drivers: Drivers,
-    allowance: Allowance,
-    rendered: Tick,
-    lines: Lines,
-    changes: Changes,
-    /// No stroke ends before this tick.
-    next_end: Tick,
-    /// End of what was rendered before an e-stop.
-    off_until: Tick,
 }
-
-const NEVER: Tick = Tick(u64::MAX);
 
 impl Identity {
     /// All zero.
@@ -156,42 +120,28 @@ impl Controller {
             taking: Taking::NOTHING,
             reporting: Reporting::NOTHING,
             board: BoardRequests::none(now),
-            state: State::Disarmed,
-            cause: Cause::Boot,
-            then: State::Disarmed,
-            position_known: false,
-            seeks: false,
-            outstanding: [0; MOTORS],
-            outstanding_pushes: [0; MOTORS],
-            travel: [0; MOTORS],
+            motion: Motion::new(now),
+            player: Player::new(now),
             now,
-            pool: Pool::new(),
-            marks: Marks::NONE,
-            drivers: Drivers::OFF,
-            allowance: Allowance::new(now),
-            rendered: now,
-            lines: Lines::OFF,
-            changes: Changes::none(now),
-            next_end: NEVER,
-            off_until: now,
         }
     }
 
     /// Sets the identity and the reason of the start (a panic, the watchdog), for a shell that learns them later.
     pub fn introduce(&mut self, identity: Identity, cause: Cause) {
-        (self.identity, self.cause) = (identity, cause);
+        self.identity = identity;
+        self.motion.set_cause(cause);
     }
 
     /// The state of the controller.
     #[must_use]
     pub fn state(&self) -> State {
-        self.state
+        self.motion.state()
     }
 
     /// Why it is in that state.
     #[must_use]
     pub fn cause(&self) -> Cause {
-        self.cause
+        self.motion.cause()
     }
 
     /// Counts since boot.
@@ -203,26 +153,38 @@ impl Controller {
     /// The limits that the last `arm` set.
     #[must_use]
     pub fn limits(&self) -> PowerLimits {
-        self.allowance.limits()
+        self.player.limits()
     }
 
     /// The rendered end: the first tick not rendered yet.
     #[must_use]
     pub fn rendered(&self) -> Tick {
-        self.rendered
+        self.player.rendered()
     }
 
     /// Outstanding return pulses of a motor's pin after an e-stop or a fault.
     #[must_use]
     pub fn outstanding(&self, motor: u8) -> u16 {
-        self.outstanding.get(usize::from(motor)).copied().unwrap_or(0)
+        self.motion.pins().outstanding(motor)
+    }
+
+    /// The first tick at which a burst that is queued now may begin: the rendered end, or later if the drivers must start up
+    /// first.
+    #[must_use]
+    pub fn ready(&self) -> Tick {
+        self.player.ready()
+    }
+
+    /// Renders the outputs from the rendered end on, for `max` ticks or until one changes.
+    pub fn render(&mut self, max: u32) -> Run {
+        self.player.render(max, &mut self.reporting)
     }
 
     /// Whether the shell must hold all lines low at `now`, whatever was rendered. The tick that was being played when this
     /// became true counts as played.
     #[must_use]
     pub fn forced_off(&self, now: Tick) -> bool {
-        self.state == State::Faulted || now < self.off_until
+        self.motion.forced_off(now)
     }
 
     /// The present epoch while a session is open. An e-stop takes effect if its epoch is [`newer`].
@@ -237,7 +199,7 @@ impl Controller {
     pub fn e_stop(&mut self, now: Tick, epoch: u16) {
         self.pass(now);
         // An earlier call may have passed a time slightly ahead of the lines. Nothing after `now` was played.
-        self.off_from(Cause::EStop, (now + 1).min(self.rendered));
+        self.off_from(Cause::EStop, (now + 1).min(self.player.rendered()));
         if self.session.is_open() {
             self.control(epoch, Op::EStop);
         }
@@ -296,8 +258,7 @@ impl Controller {
     fn pass(&mut self, now: Tick) {
         self.now = self.now.max(now);
         self.settle();
-        let listening = self.state == State::Armed || self.state == State::Returning;
-        if listening && self.session.is_silent(self.now) {
+        if self.motion.is_active() && self.session.is_silent(self.now) {
             self.disarm(Cause::HostTimeout);
         }
     }
@@ -322,13 +283,13 @@ impl Controller {
     /// that may not have been on the pins: from it on, strokes that have not ended count as not played. The position is
     /// unknown then.
     pub fn output_failed(&mut self, followed: Tick) {
-        self.off_from(Cause::Output, followed.min(self.now + 1).min(self.rendered));
-        self.position_known = false;
+        self.off_from(Cause::Output, followed.min(self.now + 1).min(self.player.rendered()));
+        self.motion.lose_position();
     }
 
     /// Displacements of all pins in 0.01 µm, sampled at `tick`. Sent while armed; replaces a sample that is not sent yet.
     pub fn telemetry(&mut self, tick: Tick, y: [i32; MOTORS]) {
-        if self.session.is_open() && matches!(self.state, State::Armed | State::Returning) {
+        if self.session.is_open() && self.motion.is_active() {
             self.reporting.send_telemetry(tick, y);
         }
     }
@@ -398,6 +359,7 @@ impl Controller {
     }
 
     fn status(&mut self) -> Status {
+        let pins = self.motion.pins();
         Status {
             token: self.session.take_token(),
             tick: self.now.wire(),
@@ -405,36 +367,35 @@ impl Controller {
             refusal: self.session.refusal(),
             next_seq: self.next_seq,
             out_of_order: self.reorder.mask(self.next_seq),
-            credits: self.credits(),
+            credits: self.player.credits(&self.reporting),
             reports: self.reporting.reports().made(),
-            state: self.state,
-            cause: self.cause,
-            position_known: self.position_known,
-            outstanding: self.outstanding_total(),
+            state: self.motion.state(),
+            cause: self.motion.cause(),
+            position_known: pins.position_known(),
+            outstanding: pins.outstanding_total(),
             counters: self.reporting.counters(),
         }
     }
 
-    /// Stroke slots that the host may fill. Each refused stroke takes one until the host has seen its report: so there
-    /// is always a place for the next report.
-    fn credits(&self) -> u16 {
-        self.pool.free().saturating_sub(self.reporting.reports().refused())
+    fn disarm(&mut self, cause: Cause) {
+        self.motion.disarm(cause, self.now, &mut self.player, &mut self.reporting);
     }
 
-    fn outstanding_total(&self) -> u32 {
-        self.outstanding.iter().map(|&outstanding| u32::from(outstanding)).sum()
+    /// Turns all lines off after the tick being played, for an e-stop or a fault.
+    fn off(&mut self, cause: Cause) {
+        self.off_from(cause, (self.now + 1).min(self.player.rendered()));
     }
 
-    fn queue(&mut self, slot: Slot) -> bool {
-        let motor = usize::from(slot.stroke.motor);
-        let idle = self.pool.current(motor).is_none();
-        let queued = self.pool.push(slot);
-        if idle && queued {
-            // The line may not have been brought to the rendered end since its last stroke ended.
-            self.change_by(motor, slot.stroke.up);
+    /// Turns all lines off; nothing from `at` on was played.
+    fn off_from(&mut self, cause: Cause, at: Tick) {
+        if self.motion.off_from(cause, at, &mut self.player, &mut self.reporting) {
+            self.board.off(cause);
         }
-        self.next_end = self.next_end.min(slot.stroke.end());
-        queued
+    }
+
+    /// Books what was played before now.
+    fn settle(&mut self) {
+        self.motion.settle(self.now, &mut self.player, &mut self.reporting);
     }
 }
 

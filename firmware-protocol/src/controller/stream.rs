@@ -2,14 +2,13 @@
 //!
 //! [`Controller::unpack`] prepares frames in order and buffers the others; [`Controller::take`] takes them.
 
-use crate::batch::{Amendment, Malformed};
-use crate::controller::pool::{Kind, Slot, charge};
+use crate::batch::Malformed;
+use crate::controller::player::NEVER;
 use crate::controller::reporting::RESERVE;
 use crate::controller::taking::{Next, Packed};
-use crate::controller::{Controller, FARTHEST, NEVER, newer};
-use crate::limits::{self, Refusal};
-use crate::message::State;
-use crate::stroke::{Direction, Stroke};
+use crate::controller::{Controller, newer};
+use crate::limits::Refusal;
+use crate::stroke::Stroke;
 use crate::tick::Tick;
 
 impl Controller {
@@ -60,22 +59,15 @@ impl Controller {
     /// Whether there is room for a frame's reports and its mark.
     fn has_room(&self, head: &Next) -> bool {
         let reports = RESERVE + usize::from(head.mark.is_some());
-        self.reporting.reports().free() > reports && (head.mark.is_none() || !self.marks.is_full())
+        self.reporting.reports().free() > reports && (head.mark.is_none() || self.player.takes_mark())
     }
 
     /// Judges a stroke by itself. `Ok(false)` if it is late.
     fn judge(&self, stroke: &Stroke) -> Result<bool, Refusal> {
-        if self.state != State::Armed {
+        if !self.motion.is_armed() {
             return Err(Refusal::NotArmed);
         }
-        limits::check(stroke)?;
-        if stroke.down_pulses > stroke.up_pulses && !self.allowance.has_stop() {
-            return Err(Refusal::Pushing);
-        }
-        if stroke.up >= self.ready() && stroke.down.since(self.now) > FARTHEST {
-            return Err(Refusal::TooFar);
-        }
-        Ok(stroke.up >= self.ready())
+        self.player.judge(stroke, self.now)
     }
 
     /// Queues a stroke. `Ok(false)` if it is late.
@@ -83,15 +75,8 @@ impl Controller {
         if !self.judge(stroke)? || self.kept >> stroke.motor & 1 == 1 {
             return Ok(false);
         }
-        if self.pool.end(stroke.motor.into()).is_some_and(|end| stroke.up < end) {
-            return Err(Refusal::Overlap);
-        }
-        if stroke.up < self.pool.last_up(stroke.motor.into()) + limits::LEAST_APART {
-            return Err(Refusal::Dense);
-        }
-        let room = self.credits() > 0;
-        let slot = Slot { generation: [self.generation; 2], ..Slot::new(*stroke, Kind::Play) };
-        if room && self.queue(slot) { Ok(true) } else { Err(Refusal::PoolFull) }
+        self.player.append(stroke, self.generation, &self.reporting)?;
+        Ok(true)
     }
 
     /// Withdraws the strokes of `motor` from `from` on, if none of them has begun and `first`, the stroke that takes their place,
@@ -99,21 +84,15 @@ impl Controller {
     /// it has withdrawn them.
     pub(super) fn withdraw(&mut self, motor: u8, from: Tick, first: Option<&Stroke>) -> bool {
         let bit = 1 << motor;
-        let usable = first.map_or(self.state == State::Armed, |first| self.judge(first) == Ok(true));
+        let usable = first.map_or(self.motion.is_armed(), |first| self.judge(first) == Ok(true));
         let next = first.map_or(NEVER, |first| first.up);
-        let withdrawn =
-            if usable { self.pool.withdraw(motor.into(), from, next, self.rendered) } else { None };
+        let withdrawn = if usable { self.player.withdraw(motor, from, next) } else { None };
         let Some(strokes) = withdrawn else {
             self.kept |= bit;
             return false;
         };
         self.kept &= !bit;
         self.reporting.count().replaced += 2 * u64::from(strokes);
-        let is_high = (self.lines.up | self.lines.down) & bit != 0;
-        if self.pool.current(motor.into()).is_none() && !is_high {
-            // The line waits for the withdrawn stroke no longer, nor do the drivers.
-            self.changes.forget(motor.into());
-        }
         true
     }
 
@@ -122,53 +101,5 @@ impl Controller {
         if self.generation.is_none_or(|old| newer(generation, old)) {
             self.generation = Some(generation);
         }
-    }
-
-    /// Changes the pulse count of a burst that is not rendered yet. `None` if the amendment is ignored.
-    pub(super) fn amend(&mut self, generation: u16, item: &Amendment) -> Option<()> {
-        let index = self.pool.find(item.motor.into(), item.up)?;
-        let slot = self.pool.get(index)?;
-        let room_after = self.pool.get(slot.next).map_or(NEVER, |next| next.stroke.up);
-        let rendered = self.rendered;
-        let has_stop = self.allowance.has_stop();
-        let slot = self.pool.get_mut(index)?;
-        let half = usize::from(item.direction == Direction::Down);
-        let burst = slot.stroke.bursts()[half];
-        let room = if half == 0 { slot.stroke.down } else { room_after };
-        let newest = slot.generation[half].is_none_or(|old| newer(generation, old));
-        let fits = limits::within_correction(slot.planned[half], item.pulses)
-            && burst.start + u64::from(item.pulses) <= room
-            && (1..=[limits::MAX_UP_PULSES, limits::MAX_DOWN_PULSES][half]).contains(&item.pulses)
-            && (half == 0 || !has_stop || item.pulses <= slot.planned[1]);
-        if self.state != State::Armed || slot.kind != Kind::Play || burst.start < rendered || !newest || !fits
-        {
-            return None;
-        }
-        let mut stroke = slot.stroke;
-        match item.direction {
-            Direction::Up => stroke.up_pulses = item.pulses,
-            Direction::Down => stroke.down_pulses = item.pulses,
-        }
-        // Even a length that the stroke had before may break a limit on motors at once: another stroke may have begun since.
-        if slot.charged.is_some() && item.pulses > burst.pulses {
-            self.check_at_once(&stroke).ok()?;
-        }
-        let slot = self.pool.get_mut(index)?;
-        if let Some(charged) = &mut slot.charged
-            && stroke.pulses() > u32::from(*charged)
-        {
-            self.allowance
-                .lengthen(rendered, item.motor.into(), stroke.pulses() - u32::from(*charged))
-                .ok()?;
-            *charged = charge(&stroke);
-        }
-        slot.generation[half] = Some(generation);
-        slot.stroke = stroke;
-        if has_stop && half == 0 {
-            // The up burst is not rendered, so the stroke is not counted yet.
-            slot.raise_pushes(item.pulses);
-        }
-        self.next_end = self.next_end.min(stroke.end());
-        Some(())
     }
 }

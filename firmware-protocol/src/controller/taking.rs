@@ -9,7 +9,7 @@ use crate::batch::{Amendments, BATCH_BYTES, Batch, MAX_BATCH, Malformed, Place, 
 use crate::controller::Controller;
 use crate::frame;
 use crate::limits::Refusal;
-use crate::message::{Mark, MarkKind, Report, State, Withdraw};
+use crate::message::{Mark, MarkKind, Report, Withdraw};
 use crate::stroke::{MOTORS, Stroke};
 use crate::tick::Tick;
 use core::hash::{Hash, Hasher};
@@ -203,12 +203,12 @@ impl Controller {
         // The frame may have been repeated before its buffered copy was taken.
         let _ = self.reorder.take(seq);
         if let Some(mark) = mark
-            && self.state == State::Armed
+            && self.motion.is_armed()
         {
             // No stroke begins before the base.
-            let ready = self.ready();
+            let ready = self.player.ready();
             if base >= ready {
-                self.marks.push(base, mark.trigger);
+                self.player.push_mark(base, mark.trigger);
             } else {
                 self.reporting.report(Report::OnsetRefused { seq, rendered: ready.wire() });
                 if mark.kind == MarkKind::Play {
@@ -231,7 +231,7 @@ impl Controller {
             taking.withdraw = withdraw.motors & ALL_MOTORS;
             self.note_generation(withdraw.generation);
         }
-        let is_short = self.taking.strokes.len() <= STROKES || self.pool.is_empty();
+        let is_short = self.taking.strokes.len() <= STROKES || self.player.is_empty();
         if begins_play || (is_short && self.taking.withdraw == 0) {
             self.take_strokes(seq, MAX_BATCH);
         }
@@ -268,7 +268,7 @@ impl Controller {
                         &mut self.reporting.count().late
                     }) += 2;
                     self.taking.late |= 1 << at;
-                    let ready = self.ready();
+                    let ready = self.player.ready();
                     self.taking.missed.get_or_insert(ready);
                 }
                 Err(refusal) => {
@@ -285,18 +285,18 @@ impl Controller {
         let &Taking { late, missed, refused, reason, kept, .. } = &self.taking;
         self.taking.seq = None;
         if late | refused != 0 || kept != 0 {
-            let rendered = missed.unwrap_or(self.rendered).wire();
+            let rendered = missed.unwrap_or(self.player.rendered()).wire();
             self.reporting.report(Report::Verdict { seq, late, refused, kept, reason, rendered });
         }
     }
 
     /// Withdraws from one motor what `first` replaces. Returns the length of its queue.
     fn take_withdrawal(&mut self, motor: u8, first: Option<&Stroke>) -> u16 {
-        let len = self.pool.len(motor.into());
+        let len = self.player.len(motor);
         self.taking.withdraw &= !(1 << motor);
         if !self.withdraw(motor, self.taking.from, first) {
             self.taking.kept |= 1 << motor;
-            let ready = self.ready();
+            let ready = self.player.ready();
             self.taking.missed.get_or_insert(ready);
         }
         len
@@ -310,7 +310,8 @@ impl Controller {
             let Some(item) = left.next() else { return true };
             (read, at) = (items.len() - left.rest().len(), left.at());
             self.note_generation(generation);
-            if item.ok().and_then(|item| self.amend(generation, &item)).is_none() {
+            let item = item.ok().filter(|_| self.motion.is_armed());
+            if item.and_then(|item| self.player.amend(generation, &item)).is_none() {
                 self.reporting.count().amendments_ignored += 1;
             }
         }

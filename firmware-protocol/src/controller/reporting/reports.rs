@@ -8,8 +8,8 @@
 //! Invariant: each report after the last one seen is in exactly one of the two queues. A number that `ring` does not hold is
 //! that of a refused stroke.
 
+use crate::controller::POOL;
 use crate::controller::newer;
-use crate::controller::pool::POOL;
 use crate::limits::Refusal;
 use crate::message::Report;
 use crate::tick::{TICK_HZ, Tick, WireTick};

@@ -18,7 +18,7 @@ pub(super) const NONE: u16 = u16::MAX;
 
 /// The purpose of a slot's stroke.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub(super) enum Kind {
+pub(in crate::controller) enum Kind {
     /// A stroke of a play.
     Play,
     /// A stroke of a play that was refused when it was to begin. It plays nothing.

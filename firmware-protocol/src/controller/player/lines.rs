@@ -1,16 +1,18 @@
 //! Renders the lines from the slots.
 //!
-//! [`Controller::render`] looks at a line only when it changes, and computes in 32 bits where it can: it takes most of the chip's time.
+//! [`Player::render`] looks at a line only when it changes, and computes in 32 bits where it can: it takes most of the chip's time.
 
-use crate::controller::pool::{Kind, charge};
-use crate::controller::{Controller, Run};
+use crate::controller::Run;
+use crate::controller::player::Player;
+use crate::controller::player::pool::{Kind, charge};
+use crate::controller::reporting::Reporting;
 use crate::message::Report;
 use crate::stroke::{Line, Stroke};
 use crate::tick::Tick;
 
-impl Controller {
+impl Player {
     /// Renders the outputs from the rendered end on, for `max` ticks or until one changes.
-    pub fn render(&mut self, max: u32) -> Run {
+    pub(in crate::controller) fn render(&mut self, max: u32, reporting: &mut Reporting) -> Run {
         if max == 0 {
             // Do not bring lines to a tick that is not rendered: it can still be amended.
             return Run { lines: self.lines, trigger: false, drivers: false, ticks: 0 };
@@ -31,7 +33,7 @@ impl Controller {
                 continue;
             }
             if due & 1 == 1 {
-                self.step(motor);
+                self.step(motor, reporting);
             }
             due >>= 1;
             motor += 1;
@@ -50,7 +52,7 @@ impl Controller {
 
     /// Sets one line to what its slots give for the rendered end.
     #[inline(never)]
-    fn step(&mut self, motor: usize) {
+    fn step(&mut self, motor: usize, reporting: &mut Reporting) {
         let now = self.rendered;
         let present = loop {
             let index = self.pool.queues[motor].cursor;
@@ -68,8 +70,8 @@ impl Controller {
                         slot.kind = Kind::Void;
                         slot.stroke = Stroke { up_pulses: 0, down: up, down_pulses: 0, ..slot.stroke };
                         self.next_end = self.next_end.min(up);
-                        self.reporting.count().refused += 2;
-                        self.reporting.report(Report::Refused { motor: motor as u8, up: up.wire(), reason });
+                        reporting.count().refused += 2;
+                        reporting.report(Report::Refused { motor: motor as u8, up: up.wire(), reason });
                         continue;
                     }
                 }
