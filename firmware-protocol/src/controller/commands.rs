@@ -3,7 +3,7 @@
 //! Invariant: a command is carried out once, in the epoch that it begins; strokes and amendments of another epoch change nothing.
 
 use crate::controller::Controller;
-use crate::controller::taking::Next;
+use crate::controller::stream::Next;
 use crate::limits::Refusal;
 use crate::message::{Cause, HostMessage, Op, State};
 
@@ -18,11 +18,11 @@ impl Controller {
             self.reporting.send_no_session();
             return;
         }
-        self.taking.epoch = self.session.epoch();
         if let HostMessage::Strokes { epoch, seq, seen, mark, withdraw, base, batch } = message {
             // It is handled when all its strokes could be read.
             let head = Next { seq, mark, withdraw, base: base.near(self.now) };
-            self.unpack_first(head, Some((epoch, seen)), batch);
+            let (stream, mut parts) = self.stream();
+            stream.receive(head, (epoch, seen), batch, &mut parts);
             return;
         }
         self.session.heard(self.now);
@@ -44,7 +44,7 @@ impl Controller {
             }
             HostMessage::Amend { epoch, generation, base, items } => {
                 if epoch == self.session.epoch() {
-                    self.taking.amend(generation, base.near(self.now), items);
+                    self.stream.receive_amendments(epoch, generation, base.near(self.now), items);
                 }
             }
         }
@@ -59,7 +59,7 @@ impl Controller {
         }
         self.disarm(Cause::NewHost);
         self.session.open(session);
-        self.begin_stream();
+        self.stream.begin();
         self.reporting.forget_reports();
         self.board.forget_requests();
         self.player.forget_marks();
@@ -68,18 +68,11 @@ impl Controller {
     /// Carries out a command if its epoch is new.
     pub(super) fn control(&mut self, epoch: u16, op: Op) {
         if self.session.begin(epoch) {
-            self.begin_stream();
+            self.stream.begin();
             self.board.end_test();
             let refusal = self.perform(op).err();
             self.session.carried_out(refusal);
         }
-    }
-
-    /// The ordered stream begins again, with an epoch.
-    fn begin_stream(&mut self) {
-        self.next_seq = 0;
-        self.reorder.clear();
-        (self.kept, self.generation) = (0, None);
     }
 
     fn perform(&mut self, op: Op) -> Result<(), Refusal> {

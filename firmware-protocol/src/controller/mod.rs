@@ -14,11 +14,9 @@ mod fingerprint;
 mod inbox;
 mod motion;
 mod player;
-mod reorder;
 mod reporting;
 mod session;
 mod stream;
-mod taking;
 
 use crate::board::{Measures, SelfTest};
 use crate::frame::{self, FrameError, MAX_FRAME};
@@ -31,12 +29,11 @@ use inbox::Inbox;
 use motion::Motion;
 use player::Player;
 pub use player::{DRIVER_LEAD, DRIVER_TAIL, POOL};
-pub use reorder::REORDER_WINDOW;
-use reorder::ReorderBuffer;
 pub use reporting::REPORTS;
 use reporting::{Due, Reporting};
 use session::Session;
-use taking::Taking;
+pub use stream::REORDER_WINDOW;
+use stream::{Parts, Stream};
 
 /// Most ticks rendered ahead. A stroke that begins before the rendered end is late. While the drivers are off, so is one that
 /// begins less than [`DRIVER_LEAD`] after it.
@@ -79,13 +76,7 @@ pub struct Controller {
     identity: Identity,
     inbox: Inbox,
     session: Session,
-    next_seq: u16,
-    /// Motors whose strokes are late until a frame withdraws again from them, because it came too late the last time.
-    kept: u32,
-    /// The newest amendment of this epoch that the device knows of.
-    generation: Option<u16>,
-    reorder: ReorderBuffer,
-    taking: Taking,
+    stream: Stream,
     reporting: Reporting,
     board: BoardRequests,
 
@@ -113,11 +104,7 @@ impl Controller {
             identity,
             inbox: Inbox::EMPTY,
             session: Session::new(now),
-            next_seq: 0,
-            kept: 0,
-            generation: None,
-            reorder: ReorderBuffer::new(),
-            taking: Taking::NOTHING,
+            stream: Stream::NOTHING,
             reporting: Reporting::NOTHING,
             board: BoardRequests::none(now),
             motion: Motion::new(now),
@@ -365,8 +352,8 @@ impl Controller {
             tick: self.now.wire(),
             epoch: self.session.epoch(),
             refusal: self.session.refusal(),
-            next_seq: self.next_seq,
-            out_of_order: self.reorder.mask(self.next_seq),
+            next_seq: self.stream.next_seq(),
+            out_of_order: self.stream.out_of_order(),
             credits: self.player.credits(&self.reporting),
             reports: self.reporting.reports().made(),
             state: self.motion.state(),
@@ -375,6 +362,31 @@ impl Controller {
             outstanding: pins.outstanding_total(),
             counters: self.reporting.counters(),
         }
+    }
+
+    /// Takes a piece of the frame that was decoded last. Returns `false` if nothing is left of it.
+    fn take(&mut self) -> bool {
+        if let Some((body, len)) = self.inbox.take() {
+            match frame::read(Ok(&body[..len])) {
+                Ok(message) => self.handle(message),
+                Err(_) => self.reporting.count().bad_frames += 1,
+            }
+            return true;
+        }
+        let (stream, mut parts) = self.stream();
+        stream.take(&mut parts)
+    }
+
+    /// Prepares one buffered frame if it is next in order.
+    fn follow(&mut self) -> bool {
+        let (stream, mut parts) = self.stream();
+        stream.follow(&mut parts)
+    }
+
+    /// The stream, and the parts that it works on.
+    fn stream(&mut self) -> (&mut Stream, Parts<'_>) {
+        let Self { stream, session, motion, player, reporting, now, .. } = self;
+        (stream, Parts { now: *now, armed: motion.is_armed(), player, reporting, session })
     }
 
     fn disarm(&mut self, cause: Cause) {
