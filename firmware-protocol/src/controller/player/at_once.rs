@@ -104,8 +104,7 @@ pub(super) fn take_turns(pool: &mut Pool, limits: PowerLimits, waiting: u32, rea
                 if place(pool, waiting, motor) != order {
                     continue;
                 }
-                let index = pool.queues[motor].cursor;
-                let Some(slot) = pool.get_mut(index) else { continue };
+                let Some(slot) = pool.current_mut(motor) else { continue };
                 let chip = at / MOTORS_PER_CHIP;
                 let pulses = slot.stroke.down_pulses.into();
                 if order == 0 {

@@ -33,8 +33,7 @@ impl Player {
         let (at, ready) = (self.rendered, self.ready());
         let (mut flushed, mut outstanding, mut waiting) = (0, 0, 0);
         for motor in 0..MOTORS {
-            let index = self.pool.queues[motor].cursor;
-            let Some(slot) = self.pool.get_mut(index) else { continue };
+            let Some(slot) = self.pool.current_mut(motor) else { continue };
             undo(motor, slot.shift_undone(at));
             let begun = slot.begun(at);
             if begun {
@@ -122,23 +121,30 @@ impl Player {
                     self.next_end = self.next_end.min(end);
                     break;
                 }
-                if let Some(charged) = slot.charged {
-                    let (played, pushes) = (slot.stroke.pulses(), slot.pushes);
-                    self.allowance.end(self.rendered, motor, (charged, played), (pushes, pushes));
-                }
-                if slot.kind == Kind::Play {
-                    let played = [slot.stroke.up_pulses, slot.stroke.down_pulses];
-                    let counters = reporting.count();
-                    counters.played += 2;
-                    counters.pulses += u64::from(played[0]) + u64::from(played[1]);
-                    if !slot.cut {
-                        let changed = played.iter().zip(slot.planned);
-                        let changed = changed.filter(|&(&played, planned)| played != planned);
-                        counters.amended += changed.count() as u64;
-                    }
-                }
-                self.pool.drop_head(motor);
+                self.complete(motor, reporting);
             }
         }
+    }
+
+    /// Books the oldest stroke of a motor as played. Not inlined: it is needed less often than [`Self::settle_strokes`].
+    #[inline(never)]
+    fn complete(&mut self, motor: usize, reporting: &mut Reporting) {
+        let Some(slot) = self.pool.head(motor) else { return };
+        if let Some(charged) = slot.charged {
+            let (played, pushes) = (slot.stroke.pulses(), slot.pushes);
+            self.allowance.end(self.rendered, motor, (charged, played), (pushes, pushes));
+        }
+        if slot.kind == Kind::Play {
+            let played = [slot.stroke.up_pulses, slot.stroke.down_pulses];
+            let counters = reporting.count();
+            counters.played += 2;
+            counters.pulses += u64::from(played[0]) + u64::from(played[1]);
+            if !slot.cut {
+                let changed = played.iter().zip(slot.planned);
+                let changed = changed.filter(|&(&played, planned)| played != planned);
+                counters.amended += changed.count() as u64;
+            }
+        }
+        self.pool.drop_head(motor);
     }
 }

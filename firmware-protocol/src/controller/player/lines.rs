@@ -55,36 +55,14 @@ impl Player {
     fn step(&mut self, motor: usize, reporting: &mut Reporting) {
         let now = self.rendered;
         let present = loop {
-            let index = self.pool.queues[motor].cursor;
-            let Some(slot) = self.pool.get_mut(index) else { break None };
+            let Some(slot) = self.pool.current(motor) else { break None };
             if slot.kind == Kind::Play && slot.charged.is_none() && slot.stroke.up <= now {
-                let (stroke, pushes) = (slot.stroke, slot.pushes);
-                let pulses = stroke.pulses();
-                let begun = self.allowance.begin_stroke().and_then(|()| self.check_at_once(&stroke));
-                let begun = begun.and_then(|()| self.allowance.begin(now, motor, pulses, pushes));
-                let Some(slot) = self.pool.get_mut(index) else { break None };
-                match begun {
-                    Ok(()) => slot.charged = Some(charge(&slot.stroke)),
-                    Err(reason) => {
-                        let up = slot.stroke.up;
-                        slot.kind = Kind::Void;
-                        slot.stroke = Stroke { up_pulses: 0, down: up, down_pulses: 0, ..slot.stroke };
-                        self.next_end = self.next_end.min(up);
-                        reporting.count().refused += 2;
-                        reporting.report(Report::Refused { motor: motor as u8, up: up.wire(), reason });
-                        continue;
-                    }
-                }
-            }
-            let Some(slot) = self.pool.get_mut(index) else { break None };
-            if let Some(present) = slot.at(now) {
+                self.begin(motor, reporting);
+            } else if let Some(present) = slot.at(now) {
                 break Some(present);
+            } else {
+                self.end(motor);
             }
-            if let Some(charged) = slot.charged.take() {
-                let (played, pushes) = (slot.stroke.pulses(), slot.pushes);
-                self.allowance.end(now, motor, (charged, played), (pushes, pushes));
-            }
-            self.pool.advance(motor);
         };
         let bit = 1 << motor;
         self.lines.up &= !bit;
@@ -97,5 +75,37 @@ impl Player {
             *self.lines.mask_mut(direction) |= bit;
         }
         self.changes.next(motor, (now.0 as u32).wrapping_add(ticks));
+    }
+
+    /// Begins the next stroke of a motor, or refuses it. Not inlined, like [`Self::end`]: most steps need neither.
+    #[inline(never)]
+    fn begin(&mut self, motor: usize, reporting: &mut Reporting) {
+        let Some(slot) = self.pool.current(motor) else { return };
+        let (stroke, pushes) = (slot.stroke, slot.pushes);
+        let begun = self.allowance.begin_stroke().and_then(|()| self.check_at_once(&stroke));
+        let begun = begun.and_then(|()| self.allowance.begin(self.rendered, motor, stroke.pulses(), pushes));
+        let Some(slot) = self.pool.current_mut(motor) else { return };
+        match begun {
+            Ok(()) => slot.charged = Some(charge(&stroke)),
+            Err(reason) => {
+                let up = stroke.up;
+                slot.kind = Kind::Void;
+                slot.stroke = Stroke { up_pulses: 0, down: up, down_pulses: 0, ..stroke };
+                self.next_end = self.next_end.min(up);
+                reporting.count().refused += 2;
+                reporting.report(Report::Refused { motor: motor as u8, up: up.wire(), reason });
+            }
+        }
+    }
+
+    /// Goes on to the next stroke of a motor.
+    #[inline(never)]
+    fn end(&mut self, motor: usize) {
+        let Some(slot) = self.pool.current_mut(motor) else { return };
+        if let Some(charged) = slot.charged.take() {
+            let (played, pushes) = (slot.stroke.pulses(), slot.pushes);
+            self.allowance.end(self.rendered, motor, (charged, played), (pushes, pushes));
+        }
+        self.pool.advance(motor);
     }
 }

@@ -47,7 +47,9 @@ use pool::{Pool, Slot};
 /// A tick that does not come.
 pub(super) const NEVER: Tick = Tick(u64::MAX);
 
+/// In this order, what rendering uses most lies where the chip's short loads reach it.
 #[derive(Clone, Debug)]
+#[repr(C)]
 pub(super) struct Player {
     /// The first tick not rendered yet.
     rendered: Tick,

@@ -137,11 +137,13 @@ impl Reporting {
         if take(&mut pending.status) {
             return Some(Due::Status);
         }
-        let report = self.reports.next(now).map(|(number, report)| DeviceMessage::Report { number, report });
-        let message = report.or_else(|| board.next_answer(now)).or_else(|| {
-            let (tick, y) = self.pending.telemetry.take()?;
-            Some(DeviceMessage::Telemetry { tick, y })
-        });
-        message.map(Due::Message)
+        if let Some((number, report)) = self.reports.next(now) {
+            return Some(Due::Message(DeviceMessage::Report { number, report }));
+        }
+        if let Some(answer) = board.next_answer(now) {
+            return Some(Due::Message(answer));
+        }
+        let (tick, y) = self.pending.telemetry.take()?;
+        Some(Due::Message(DeviceMessage::Telemetry { tick, y }))
     }
 }
