@@ -11,9 +11,8 @@ impl Controller {
     /// Adds to `hasher` what the controller will do from now on. It leaves out what is only for people: the identity, the time since
     /// the start, the last cut in the handshake.
     pub fn fingerprint(&self, hasher: &mut impl Hasher) {
-        let Self { identity: _, inbox, session, stream, reporting, board, motion, player, now } = self;
-        (inbox, session, stream, reporting, board).hash(hasher);
+        let Self { identity: _, inbox, session, stream, motion, player, reporting, board, now } = self;
+        (inbox, session, stream, player, reporting, board, now).hash(hasher);
         motion.fingerprint(*now, hasher);
-        (player, now).hash(hasher);
     }
 }

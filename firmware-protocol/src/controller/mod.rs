@@ -5,8 +5,21 @@
 //! [`HORIZON`] ticks ahead, and sends what [`Controller::transmit`] writes. While [`Controller::forced_off`] is true it
 //! holds all lines low. The rules are in the crate's documentation.
 //!
-//! Invariant: the lines follow from the queued slots alone, and a slot changes only ahead of the rendered end. So the
-//! number of pulses played is known after any cut, flush or amendment.
+//! The controller passes time, bytes and messages to its parts. Each owns its fields; calls go from the upper parts to the lower:
+//!
+//! | part | what it does |
+//! |---|---|
+//! | `inbox` | decodes the bytes of the host into the next frame |
+//! | `commands` | hands each message to the part that handles it |
+//! | `session` | keeps the session, its epoch, and whether the host is heard |
+//! | `stream` | takes frames of strokes in order, and amendments |
+//! | `motion` | has the state, and drives pins outside of plays: returns, moves, seeks |
+//! | `player` | queues strokes, renders the lines from them, books what was played |
+//! | `reporting` | has the counts, the reports and the answers that are to be sent |
+//! | `board` | answers requests for the board report and for a self-test |
+//! | `fingerprint` | hashes what the controller will do, for programs that explore all orders |
+//!
+//! Invariant: only the player changes lines, only the motion changes the state, and time never goes backward.
 
 mod board;
 mod commands;
@@ -77,11 +90,10 @@ pub struct Controller {
     inbox: Inbox,
     session: Session,
     stream: Stream,
-    reporting: Reporting,
-    board: BoardRequests,
-
     motion: Motion,
     player: Player,
+    reporting: Reporting,
+    board: BoardRequests,
     now: Tick,
 }
 
@@ -105,10 +117,10 @@ impl Controller {
             inbox: Inbox::EMPTY,
             session: Session::new(now),
             stream: Stream::NOTHING,
-            reporting: Reporting::NOTHING,
-            board: BoardRequests::none(now),
             motion: Motion::new(now),
             player: Player::new(now),
+            reporting: Reporting::NOTHING,
+            board: BoardRequests::none(now),
             now,
         }
     }

@@ -67,18 +67,14 @@ impl Stream {
         self.reorder.mask(self.next_seq)
     }
 
-    /// Begins to unpack a frame; `received` has its epoch and the reports that the host has seen.
-    pub(super) fn receive(&mut self, head: Next, received: (u16, u16), batch: &[u8], parts: &mut Parts<'_>) {
-        self.unpack_first(head, Some(received), batch, parts);
-    }
-
     /// Begins to take the amendments of a message of this epoch.
     pub(super) fn receive_amendments(&mut self, epoch: u16, generation: u16, base: Tick, items: &[u8]) {
         self.taking.amend(epoch, generation, base, items);
     }
 
-    /// Unpacks the first piece of a frame of the ordered stream.
-    fn unpack_first(
+    /// Unpacks the first piece of a frame. `received` has its epoch and the reports that the host has seen, unless the frame was
+    /// buffered.
+    pub(super) fn receive(
         &mut self,
         head: Next,
         received: Option<(u16, u16)>,
@@ -89,7 +85,7 @@ impl Stream {
         self.unpack(packed, parts);
     }
 
-    /// Unpacks a piece of a frame of the ordered stream. One that cannot be read to its end changes nothing.
+    /// Unpacks a piece of a frame. One that cannot be read to its end changes nothing.
     fn unpack(&mut self, packed: Packed, parts: &mut Parts<'_>) {
         match self.taking.unpack_piece(packed) {
             Ok(None) => {}
@@ -121,7 +117,7 @@ impl Stream {
         // Without room the frame is forgotten; the host sends it again.
         if parts.has_room(&frame.head) {
             parts.reporting.send_status();
-            self.unpack_first(frame.head, None, &frame.batch, parts);
+            self.receive(frame.head, None, &frame.batch, parts);
         }
         true
     }
