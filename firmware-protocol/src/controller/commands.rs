@@ -3,7 +3,7 @@
 //! Invariant: a command is carried out once, in the epoch that it begins; strokes and amendments of another epoch change nothing.
 
 use crate::controller::Controller;
-use crate::controller::taking::Next;
+use crate::controller::stream::Next;
 use crate::limits::Refusal;
 use crate::message::{Cause, HostMessage, Op, State};
 
@@ -15,34 +15,36 @@ impl Controller {
             return;
         }
         if !self.session.is_open() {
-            self.pending.no_session = true;
+            self.reporting.send_no_session();
             return;
         }
-        self.taking.epoch = self.session.epoch();
         if let HostMessage::Strokes { epoch, seq, seen, mark, withdraw, base, batch } = message {
             // It is handled when all its strokes could be read.
             let head = Next { seq, mark, withdraw, base: base.near(self.now) };
-            self.unpack_first(head, Some((epoch, seen)), batch);
+            let (stream, mut parts) = self.stream();
+            stream.receive(head, Some((epoch, seen)), batch, &mut parts);
             return;
         }
         self.session.heard(self.now);
         // These two have an answer of their own.
-        self.pending.status |= !matches!(message, HostMessage::Board { .. } | HostMessage::SelfTest { .. });
+        if !matches!(message, HostMessage::Board { .. } | HostMessage::SelfTest { .. }) {
+            self.reporting.send_status();
+        }
         match message {
             HostMessage::Hello { .. } | HostMessage::Strokes { .. } => {}
-            HostMessage::Board { window } => self.reporting.ask(window),
-            HostMessage::SelfTest { run } => self.ask_test(run),
+            HostMessage::Board { window } => self.board.ask(window),
+            HostMessage::SelfTest { run } => self.board.ask_test(run, self.motion.state() == State::Disarmed),
             HostMessage::Ping { token, seen } => {
                 self.session.ping(token);
-                self.reports.seen(seen, self.now);
+                self.reporting.seen(seen, self.now);
             }
             HostMessage::Control { epoch, seen, op } => {
-                self.reports.seen(seen, self.now);
+                self.reporting.seen(seen, self.now);
                 self.control(epoch, op);
             }
             HostMessage::Amend { epoch, generation, base, items } => {
                 if epoch == self.session.epoch() {
-                    self.taking.amend(generation, base.near(self.now), items);
+                    self.stream.receive_amendments(epoch, generation, base.near(self.now), items);
                 }
             }
         }
@@ -50,64 +52,43 @@ impl Controller {
 
     /// Opens a session, unless it is open already.
     pub(super) fn open(&mut self, session: u32) {
-        self.pending.hello = true;
+        self.reporting.send_hello();
         self.session.heard(self.now);
         if self.session.id() == Some(session) {
             return;
         }
         self.disarm(Cause::NewHost);
         self.session.open(session);
-        self.begin_stream();
-        self.reports.clear();
-        self.reporting.forget_requests();
-        self.marks.clear();
+        self.stream.begin();
+        self.reporting.forget_reports();
+        self.board.forget_requests();
+        self.player.forget_marks();
     }
 
     /// Carries out a command if its epoch is new.
     pub(super) fn control(&mut self, epoch: u16, op: Op) {
         if self.session.begin(epoch) {
-            self.begin_stream();
-            self.reporting.end_test();
+            self.stream.begin();
+            self.board.end_test();
             let refusal = self.perform(op).err();
             self.session.carried_out(refusal);
         }
     }
 
-    /// The ordered stream begins again, with an epoch.
-    fn begin_stream(&mut self) {
-        self.next_seq = 0;
-        self.reorder.clear();
-        (self.kept, self.generation) = (0, None);
-    }
-
     fn perform(&mut self, op: Op) -> Result<(), Refusal> {
+        let Self { motion, player, reporting, .. } = self;
         match op {
             Op::Arm { assume_rest, host_timeout, limits, lower_stop } => {
-                self.arm(assume_rest, host_timeout, limits, lower_stop)
+                motion.arm(assume_rest, limits, lower_stop, player, reporting)?;
+                self.session.set_host_timeout(host_timeout);
             }
-            Op::Disarm(cause) => {
-                self.disarm(cause);
-                Ok(())
-            }
-            Op::Stop => {
-                if self.state == State::Armed {
-                    self.cut(Cause::Stop, State::Armed);
-                }
-                Ok(())
-            }
-            Op::EStop => {
-                self.off(Cause::EStop);
-                Ok(())
-            }
-            Op::Reset => {
-                if self.state == State::Faulted {
-                    (self.state, self.cause) = (State::Disarmed, Cause::Request);
-                }
-                Ok(())
-            }
-            Op::Move { motor, direction, pulses } => self.shift(motor, direction, pulses),
-            Op::Seek { pulses } if self.state == State::Armed && self.pool.is_empty() => self.seek(pulses),
-            Op::Seek { .. } => Err(Refusal::State),
+            Op::Disarm(cause) => self.disarm(cause),
+            Op::Stop => motion.stop(self.now, player, reporting),
+            Op::EStop => self.off(Cause::EStop),
+            Op::Reset => motion.reset(),
+            Op::Move { motor, direction, pulses } => motion.shift(motor, direction, pulses, player)?,
+            Op::Seek { pulses } => motion.seek(pulses, player, reporting)?,
         }
+        Ok(())
     }
 }

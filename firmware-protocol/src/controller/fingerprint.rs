@@ -5,53 +5,14 @@
 //! code names every field of the controller, so a new field does not compile until somebody has decided about it.
 
 use crate::controller::Controller;
-use crate::controller::drivers::Drivers;
 use core::hash::{Hash, Hasher};
 
 impl Controller {
     /// Adds to `hasher` what the controller will do from now on. It leaves out what is only for people: the identity, the time since
     /// the start, the last cut in the handshake.
     pub fn fingerprint(&self, hasher: &mut impl Hasher) {
-        let Self {
-            identity: _,
-            inbox,
-            session,
-            next_seq,
-            kept,
-            generation,
-            reorder,
-            taking,
-            pending,
-            reports,
-            last_cut: _,
-            state,
-            cause,
-            then,
-            position_known,
-            seeks,
-            outstanding,
-            outstanding_pushes,
-            travel,
-            now,
-            counters,
-            started: _,
-            reporting,
-            pool,
-            marks,
-            drivers: Drivers { since, tail_end },
-            allowance,
-            rendered,
-            lines,
-            changes,
-            next_end,
-            off_until,
-        } = self;
-        (inbox, session, next_seq).hash(hasher);
-        (kept, generation, reorder, taking, pending, reports).hash(hasher);
-        (state, cause, then, position_known, seeks).hash(hasher);
-        (outstanding, outstanding_pushes, travel, now).hash(hasher);
-        (counters, reporting, pool, allowance, marks).hash(hasher);
-        (since, (*tail_end).max(*rendered), rendered, lines, changes).hash(hasher);
-        (next_end, (*off_until).max(*now)).hash(hasher);
+        let Self { identity: _, inbox, session, stream, motion, player, reporting, board, now } = self;
+        (inbox, session, stream, player, reporting, board, now).hash(hasher);
+        motion.fingerprint(*now, hasher);
     }
 }

@@ -5,49 +5,48 @@
 //! [`HORIZON`] ticks ahead, and sends what [`Controller::transmit`] writes. While [`Controller::forced_off`] is true it
 //! holds all lines low. The rules are in the crate's documentation.
 //!
-//! Invariant: the lines follow from the queued slots alone, and a slot changes only ahead of the rendered end. So the
-//! number of pulses played is known after any cut, flush or amendment.
+//! The controller passes time, bytes and messages to its parts. Each owns its fields; calls go from the upper parts to the lower:
+//!
+//! | part | what it does |
+//! |---|---|
+//! | `inbox` | decodes the bytes of the host into the next frame |
+//! | `commands` | hands each message to the part that handles it |
+//! | `session` | keeps the session, its epoch, and whether the host is heard |
+//! | `stream` | takes frames of strokes in order, and amendments |
+//! | `motion` | has the state, and drives pins outside of plays: returns, moves, seeks |
+//! | `player` | queues strokes, renders the lines from them, books what was played |
+//! | `reporting` | has the counts, the reports and the answers that are to be sent |
+//! | `board` | answers requests for the board report and for a self-test |
+//! | `fingerprint` | hashes what the controller will do, for programs that explore all orders |
+//!
+//! Invariant: only the player changes lines, only the motion changes the state, and time never goes backward.
 
-mod allowance;
-mod at_once;
 mod board;
-mod changes;
 mod commands;
-mod completion;
-mod density;
-mod drivers;
 mod fingerprint;
 mod inbox;
-mod lines;
-mod marks;
 mod motion;
-mod pool;
-mod reorder;
-mod reports;
+mod player;
+mod reporting;
 mod session;
 mod stream;
-mod taking;
 
+use crate::board::{Measures, SelfTest};
 use crate::frame::{self, FrameError, MAX_FRAME};
 use crate::limits::{self, PowerLimits};
-use crate::message::{Cause, Counters, Cut, DeviceHello, DeviceMessage, Op, Report, State, Status};
+use crate::message::{Cause, Counters, DeviceHello, DeviceMessage, Op, State, Status};
 use crate::stroke::{Lines, MOTORS};
-use crate::tick::{TICK_HZ, Tick, WireTick};
-use allowance::Allowance;
-use board::Reporting;
-use changes::Changes;
-use drivers::Drivers;
-pub use drivers::{DRIVER_LEAD, DRIVER_TAIL};
+use crate::tick::{TICK_HZ, Tick};
+use board::BoardRequests;
 use inbox::Inbox;
-use marks::Marks;
-pub use pool::POOL;
-use pool::{Pool, Slot};
-pub use reorder::REORDER_WINDOW;
-use reorder::ReorderBuffer;
-pub use reports::REPORTS;
-use reports::Reports;
+use motion::Motion;
+use player::Player;
+pub use player::{DRIVER_LEAD, DRIVER_TAIL, POOL};
+pub use reporting::REPORTS;
+use reporting::{Due, Reporting};
 use session::Session;
-use taking::Taking;
+pub use stream::REORDER_WINDOW;
+use stream::{Parts, Stream};
 
 /// Most ticks rendered ahead. A stroke that begins before the rendered end is late. While the drivers are off, so is one that
 /// begins less than [`DRIVER_LEAD`] after it.
@@ -84,68 +83,19 @@ pub struct Run {
     pub ticks: u32,
 }
 
-/// What is to be sent besides reports.
-#[derive(Clone, Debug, Hash)]
-struct Pending {
-    hello: bool,
-    no_session: bool,
-    status: bool,
-    telemetry: Option<(WireTick, [i32; MOTORS])>,
-}
-
-impl Pending {
-    const NONE: Self = Self { hello: false, no_session: false, status: false, telemetry: None };
-}
-
 /// The controller of one array.
 #[derive(Clone, Debug)]
 pub struct Controller {
     identity: Identity,
     inbox: Inbox,
     session: Session,
-    next_seq: u16,
-    /// Motors whose strokes are late until a frame withdraws again from them, because it came too late the last time.
-    kept: u32,
-    /// The newest amendment of this epoch that the device knows of.
-    generation: Option<u16>,
-    reorder: ReorderBuffer,
-    taking: Taking,
-    pending: Pending,
-    reports: Reports,
-    last_cut: Option<Cut>,
-
-    state: State,
-    cause: Cause,
-    /// The state after a return.
-    then: State,
-    position_known: bool,
-    /// All pins are being driven down to the lower stop.
-    seeks: bool,
-    outstanding: [u16; MOTORS],
-    /// How many of the outstanding return pulses push against the lower stop.
-    outstanding_pushes: [u16; MOTORS],
-    /// Net pulses of moves since the pins were last at rest.
-    travel: [i16; MOTORS],
-    now: Tick,
-    counters: Counters,
-    /// The clock at the start.
-    started: Tick,
+    stream: Stream,
+    motion: Motion,
+    player: Player,
     reporting: Reporting,
-
-    pool: Pool,
-    marks: Marks,
-    drivers: Drivers,
-    allowance: Allowance,
-    rendered: Tick,
-    lines: Lines,
-    changes: Changes,
-    /// No stroke ends before this tick.
-    next_end: Tick,
-    /// End of what was rendered before an e-stop.
-    off_until: Tick,
+    board: BoardRequests,
+    now: Tick,
 }
-
-const NEVER: Tick = Tick(u64::MAX);
 
 impl Identity {
     /// All zero.
@@ -166,84 +116,74 @@ impl Controller {
             identity,
             inbox: Inbox::EMPTY,
             session: Session::new(now),
-            next_seq: 0,
-            kept: 0,
-            generation: None,
-            reorder: ReorderBuffer::new(),
-            taking: Taking::NOTHING,
-            pending: Pending::NONE,
-            reports: Reports::new(),
-            last_cut: None,
-            state: State::Disarmed,
-            cause: Cause::Boot,
-            then: State::Disarmed,
-            position_known: false,
-            seeks: false,
-            outstanding: [0; MOTORS],
-            outstanding_pushes: [0; MOTORS],
-            travel: [0; MOTORS],
+            stream: Stream::NOTHING,
+            motion: Motion::new(now),
+            player: Player::new(now),
+            reporting: Reporting::NOTHING,
+            board: BoardRequests::none(now),
             now,
-            counters: Counters::NONE,
-            started: now,
-            reporting: Reporting::NONE,
-            pool: Pool::new(),
-            marks: Marks::NONE,
-            drivers: Drivers::OFF,
-            allowance: Allowance::new(now),
-            rendered: now,
-            lines: Lines::OFF,
-            changes: Changes::none(now),
-            next_end: NEVER,
-            off_until: now,
         }
     }
 
     /// Sets the identity and the reason of the start (a panic, the watchdog), for a shell that learns them later.
     pub fn introduce(&mut self, identity: Identity, cause: Cause) {
-        (self.identity, self.cause) = (identity, cause);
+        self.identity = identity;
+        self.motion.set_cause(cause);
     }
 
     /// The state of the controller.
     #[must_use]
     pub fn state(&self) -> State {
-        self.state
+        self.motion.state()
     }
 
     /// Why it is in that state.
     #[must_use]
     pub fn cause(&self) -> Cause {
-        self.cause
+        self.motion.cause()
     }
 
     /// Counts since boot.
     #[must_use]
     pub fn counters(&self) -> Counters {
-        self.counters
+        self.reporting.counters()
     }
 
     /// The limits that the last `arm` set.
     #[must_use]
     pub fn limits(&self) -> PowerLimits {
-        self.allowance.limits()
+        self.player.limits()
     }
 
     /// The rendered end: the first tick not rendered yet.
     #[must_use]
     pub fn rendered(&self) -> Tick {
-        self.rendered
+        self.player.rendered()
     }
 
     /// Outstanding return pulses of a motor's pin after an e-stop or a fault.
     #[must_use]
     pub fn outstanding(&self, motor: u8) -> u16 {
-        self.outstanding.get(usize::from(motor)).copied().unwrap_or(0)
+        self.motion.pins().outstanding(motor)
+    }
+
+    /// The first tick at which a burst that is queued now may begin: the rendered end, or later if the drivers must start up
+    /// first.
+    #[must_use]
+    pub fn ready(&self) -> Tick {
+        self.player.ready()
+    }
+
+    /// Renders the outputs from the rendered end on, for `max` ticks or until one changes.
+    pub fn render(&mut self, max: u32) -> Run {
+        self.player.render(max, &mut self.reporting)
     }
 
     /// Whether the shell must hold all lines low at `now`, whatever was rendered. The tick that was being played when this
     /// became true counts as played.
     #[must_use]
     pub fn forced_off(&self, now: Tick) -> bool {
-        self.state == State::Faulted || now < self.off_until
+        self.motion.forced_off(now)
     }
 
     /// The present epoch while a session is open. An e-stop takes effect if its epoch is [`newer`].
@@ -258,7 +198,7 @@ impl Controller {
     pub fn e_stop(&mut self, now: Tick, epoch: u16) {
         self.pass(now);
         // An earlier call may have passed a time slightly ahead of the lines. Nothing after `now` was played.
-        self.off_from(Cause::EStop, (now + 1).min(self.rendered));
+        self.off_from(Cause::EStop, (now + 1).min(self.player.rendered()));
         if self.session.is_open() {
             self.control(epoch, Op::EStop);
         }
@@ -291,8 +231,8 @@ impl Controller {
         match self.inbox.decode(bytes) {
             None => return false,
             Some(Ok(())) => {}
-            Some(Err(FrameError::Version(_))) => self.pending.hello = true,
-            Some(Err(_)) => self.counters.bad_frames += 1,
+            Some(Err(FrameError::Version(_))) => self.reporting.send_hello(),
+            Some(Err(_)) => self.reporting.count().bad_frames += 1,
         }
         true
     }
@@ -317,8 +257,7 @@ impl Controller {
     fn pass(&mut self, now: Tick) {
         self.now = self.now.max(now);
         self.settle();
-        let listening = self.state == State::Armed || self.state == State::Returning;
-        if listening && self.session.is_silent(self.now) {
+        if self.motion.is_active() && self.session.is_silent(self.now) {
             self.disarm(Cause::HostTimeout);
         }
     }
@@ -328,8 +267,8 @@ impl Controller {
         self.pass(now);
         self.disarm(Cause::LinkLost);
         self.session.close();
-        self.pending = Pending::NONE;
-        self.reporting.forget_requests();
+        self.reporting.forget_answers();
+        self.board.forget_requests();
         self.inbox.reset();
     }
 
@@ -343,41 +282,56 @@ impl Controller {
     /// that may not have been on the pins: from it on, strokes that have not ended count as not played. The position is
     /// unknown then.
     pub fn output_failed(&mut self, followed: Tick) {
-        self.off_from(Cause::Output, followed.min(self.now + 1).min(self.rendered));
-        self.position_known = false;
+        self.off_from(Cause::Output, followed.min(self.now + 1).min(self.player.rendered()));
+        self.motion.lose_position();
     }
 
     /// Displacements of all pins in 0.01 µm, sampled at `tick`. Sent while armed; replaces a sample that is not sent yet.
     pub fn telemetry(&mut self, tick: Tick, y: [i32; MOTORS]) {
-        if self.session.is_open() && matches!(self.state, State::Armed | State::Returning) {
-            self.pending.telemetry = Some((tick.wire(), y));
+        if self.session.is_open() && self.motion.is_active() {
+            self.reporting.send_telemetry(tick, y);
         }
+    }
+
+    /// Takes the slack of a block that was rendered while the lines are enabled: the ticks until its first word is fetched.
+    pub fn rendered_with(&mut self, slack: u32) {
+        self.board.rendered_with(slack);
+    }
+
+    /// Whether a board report is about to be sent: then [`Self::measured`] is worth its time.
+    #[must_use]
+    pub fn wants_measures(&self) -> bool {
+        self.board.wants_measures()
+    }
+
+    /// Takes what the shell has measured.
+    pub fn measured(&mut self, measures: Measures) {
+        self.board.measured(measures);
+    }
+
+    /// Whether the shell is to carry out a self-test. When this becomes false, it sets the lines low first and then goes on.
+    #[must_use]
+    pub fn is_testing(&self) -> bool {
+        self.board.is_testing()
+    }
+
+    /// Takes the result of the self-test.
+    pub fn tested(&mut self, result: SelfTest) {
+        self.board.tested(result);
     }
 
     /// Writes the next frame to send into `out` and returns its length, or 0 if there is none.
     pub fn transmit(&mut self, now: Tick, out: &mut [u8; MAX_FRAME]) -> usize {
         self.now = self.now.max(now);
-        if self.pending.status {
+        if self.reporting.is_status_due() {
             // Strokes may have ended since the last pass: the status has this tick, so it counts them.
             self.settle();
         }
-        let pending = &mut self.pending;
-        let message = if core::mem::take(&mut pending.hello) {
-            DeviceMessage::Hello(self.hello())
-        } else if core::mem::take(&mut pending.no_session) {
-            DeviceMessage::NoSession
-        } else if !self.session.is_open() {
-            return 0;
-        } else if core::mem::take(&mut pending.status) {
-            DeviceMessage::Status(self.status())
-        } else if let Some((number, report)) = self.reports.next(self.now) {
-            DeviceMessage::Report { number, report }
-        } else if let Some(answer) = self.next_answer() {
-            answer
-        } else if let Some((tick, y)) = self.pending.telemetry.take() {
-            DeviceMessage::Telemetry { tick, y }
-        } else {
-            return 0;
+        let message = match self.reporting.next(self.now, self.session.is_open(), &mut self.board) {
+            None => return 0,
+            Some(Due::Hello) => DeviceMessage::Hello(self.hello()),
+            Some(Due::Status) => DeviceMessage::Status(self.status()),
+            Some(Due::Message(message)) => message,
         };
         // Every message fits a frame: see `messages_fit` in the tests.
         frame::encode(&message, out).unwrap_or(0)
@@ -398,55 +352,74 @@ impl Controller {
             features: self.identity.features,
             tick: self.now.0,
             epoch: self.session.epoch(),
-            reports: self.reports.read(),
-            last_cut: self.last_cut,
+            reports: self.reporting.reports().read(),
+            last_cut: self.reporting.last_cut(),
         }
     }
 
     fn status(&mut self) -> Status {
+        let pins = self.motion.pins();
         Status {
             token: self.session.take_token(),
             tick: self.now.wire(),
             epoch: self.session.epoch(),
             refusal: self.session.refusal(),
-            next_seq: self.next_seq,
-            out_of_order: self.reorder.mask(self.next_seq),
-            credits: self.credits(),
-            reports: self.reports.made(),
-            state: self.state,
-            cause: self.cause,
-            position_known: self.position_known,
-            outstanding: self.outstanding_total(),
-            counters: self.counters,
+            next_seq: self.stream.next_seq(),
+            out_of_order: self.stream.out_of_order(),
+            credits: self.player.credits(&self.reporting),
+            reports: self.reporting.reports().made(),
+            state: self.motion.state(),
+            cause: self.motion.cause(),
+            position_known: pins.position_known(),
+            outstanding: pins.outstanding_total(),
+            counters: self.reporting.counters(),
         }
     }
 
-    /// Stroke slots that the host may fill. Each refused stroke takes one until the host has seen its report: so there
-    /// is always a place for the next report.
-    fn credits(&self) -> u16 {
-        self.pool.free().saturating_sub(self.reports.refused())
+    /// Takes a piece of the frame that was decoded last. Returns `false` if nothing is left of it.
+    fn take(&mut self) -> bool {
+        if let Some((body, len)) = self.inbox.take() {
+            match frame::read(Ok(&body[..len])) {
+                Ok(message) => self.handle(message),
+                Err(_) => self.reporting.count().bad_frames += 1,
+            }
+            return true;
+        }
+        let (stream, mut parts) = self.stream();
+        stream.take(&mut parts)
     }
 
-    fn outstanding_total(&self) -> u32 {
-        self.outstanding.iter().map(|&outstanding| u32::from(outstanding)).sum()
+    /// Prepares one buffered frame if it is next in order.
+    fn follow(&mut self) -> bool {
+        let (stream, mut parts) = self.stream();
+        stream.follow(&mut parts)
     }
 
-    fn report(&mut self, report: Report) {
-        if !self.reports.push(report) {
-            self.counters.reports_lost += 1;
+    /// The stream, and the parts that it works on.
+    fn stream(&mut self) -> (&mut Stream, Parts<'_>) {
+        let Self { stream, session, motion, player, reporting, now, .. } = self;
+        (stream, Parts { now: *now, armed: motion.is_armed(), player, reporting, session })
+    }
+
+    fn disarm(&mut self, cause: Cause) {
+        self.motion.disarm(cause, self.now, &mut self.player, &mut self.reporting);
+    }
+
+    /// Turns all lines off after the tick being played, for an e-stop or a fault.
+    fn off(&mut self, cause: Cause) {
+        self.off_from(cause, (self.now + 1).min(self.player.rendered()));
+    }
+
+    /// Turns all lines off; nothing from `at` on was played.
+    fn off_from(&mut self, cause: Cause, at: Tick) {
+        if self.motion.off_from(cause, at, &mut self.player, &mut self.reporting) {
+            self.board.off(cause);
         }
     }
 
-    fn queue(&mut self, slot: Slot) -> bool {
-        let motor = usize::from(slot.stroke.motor);
-        let idle = self.pool.current(motor).is_none();
-        let queued = self.pool.push(slot);
-        if idle && queued {
-            // The line may not have been brought to the rendered end since its last stroke ended.
-            self.change_by(motor, slot.stroke.up);
-        }
-        self.next_end = self.next_end.min(slot.stroke.end());
-        queued
+    /// Books what was played before now.
+    fn settle(&mut self) {
+        self.motion.settle(self.now, &mut self.player, &mut self.reporting);
     }
 }
 

@@ -3,7 +3,7 @@
 //! How many motors may have pulses in the same tick follows from the slots, and is checked beside them. Invariant: what was
 //! counted when it began is ended once, with what was played of it.
 
-use crate::controller::density::Density;
+use crate::controller::player::density::Density;
 use crate::limits::{OnTime, PowerLimits, Pushing, Refusal};
 use crate::tick::Tick;
 

@@ -8,8 +8,8 @@
 //! Invariant: each report after the last one seen is in exactly one of the two queues. A number that `ring` does not hold is
 //! that of a refused stroke.
 
+use crate::controller::POOL;
 use crate::controller::newer;
-use crate::controller::pool::POOL;
 use crate::limits::Refusal;
 use crate::message::Report;
 use crate::tick::{TICK_HZ, Tick, WireTick};
@@ -18,7 +18,7 @@ use core::hash::{Hash, Hasher};
 /// Most unseen reports besides refused strokes; also the most reports sent and not seen yet.
 pub const REPORTS: usize = 32;
 /// Places reserved for queued onsets and for cuts.
-pub(super) const RESERVE: usize = 12;
+pub(in crate::controller) const RESERVE: usize = 12;
 /// Ticks after which unseen reports are repeated, once the host is heard again.
 const REPEAT: u64 = TICK_HZ as u64 / 100;
 
@@ -31,7 +31,7 @@ struct RefusedStroke {
 }
 
 #[derive(Clone, Debug)]
-pub(super) struct Reports {
+pub(in crate::controller) struct Reports {
     /// Reports with their numbers.
     ring: heapless::Deque<(u16, Report), REPORTS>,
     refused: heapless::Deque<RefusedStroke, POOL>,
@@ -78,12 +78,12 @@ impl Reports {
         kept
     }
 
-    pub(super) fn made(&self) -> u16 {
+    pub(in crate::controller) fn made(&self) -> u16 {
         self.made
     }
 
     /// Number of the last report that the host has read or that was cleared.
-    pub(super) fn read(&self) -> u16 {
+    pub(in crate::controller) fn read(&self) -> u16 {
         self.made.wrapping_sub(self.unseen() as u16)
     }
 
@@ -91,12 +91,12 @@ impl Reports {
         self.ring.len() + self.refused.len()
     }
 
-    pub(super) fn free(&self) -> usize {
+    pub(in crate::controller) fn free(&self) -> usize {
         REPORTS - self.ring.len()
     }
 
     /// Refused strokes that the host has not seen.
-    pub(super) fn refused(&self) -> u16 {
+    pub(in crate::controller) fn refused(&self) -> u16 {
         self.refused.len() as u16
     }
 

@@ -2,7 +2,7 @@
 //!
 //! Invariant: a mark passes once, in order of time. The trigger output gives the cells of the newest trigger that was reached.
 
-use crate::controller::NEVER;
+use crate::controller::player::NEVER;
 use crate::message::Trigger;
 use crate::tick::Tick;
 use core::hash::{Hash, Hasher};

@@ -18,7 +18,7 @@ pub(super) const NONE: u16 = u16::MAX;
 
 /// The purpose of a slot's stroke.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub(super) enum Kind {
+pub(in crate::controller) enum Kind {
     /// A stroke of a play.
     Play,
     /// A stroke of a play that was refused when it was to begin. It plays nothing.
@@ -159,13 +159,14 @@ pub(super) struct Queue {
     passed: Tick,
 }
 
-/// All slots, and the motors' queues.
+/// All slots, and the motors' queues before them.
 #[derive(Clone, Debug)]
+#[repr(C)]
 pub(super) struct Pool {
-    slots: [Slot; POOL],
     free: u16,
     used: u16,
     pub(super) queues: [Queue; MOTORS],
+    slots: [Slot; POOL],
 }
 
 impl Hash for Pool {
@@ -216,6 +217,10 @@ impl Pool {
     /// The slot of `motor` that is being rendered.
     pub(super) fn current(&self, motor: usize) -> Option<&Slot> {
         self.get(self.queues[motor].cursor)
+    }
+
+    pub(super) fn current_mut(&mut self, motor: usize) -> Option<&mut Slot> {
+        self.get_mut(self.queues[motor].cursor)
     }
 
     /// The oldest slot of `motor`.

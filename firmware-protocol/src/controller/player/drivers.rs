@@ -1,12 +1,12 @@
 //! Enables the drivers around bursts only: an enabled driver whose line is low leaves 30 V of DC across its piezo.
 //!
 //! While a line has pulses this costs next to nothing. On quiet lines it looks for the next burst, which is known in time because
-//! no burst begins earlier than [`Controller::ready`] says.
+//! no burst begins earlier than [`Player::ready`] says.
 //!
 //! Invariant: while the drivers are enabled, some line has a pulse, had its last one less than [`DRIVER_TAIL`] ticks ago, or
 //! has its next burst within [`DRIVER_LEAD`] ticks. A stroke that a limit refuses when it is to begin counts as a burst here.
 
-use crate::controller::Controller;
+use crate::controller::player::Player;
 use crate::tick::Tick;
 
 /// Ticks from the drivers' enable to the first pulse: 0.5 ms. The 30 V supplies stay on, so only the bridges and their bias
@@ -28,7 +28,7 @@ impl Drivers {
     pub(super) const OFF: Self = Self { since: None, tail_end: Tick(0) };
 }
 
-impl Controller {
+impl Player {
     /// Whether the drivers are enabled at the rendered end, and for how many of the next `ticks` this stays so. No line changes
     /// in these ticks.
     pub(super) fn enable_drivers(&mut self, ticks: u64) -> (bool, u64) {
@@ -54,8 +54,7 @@ impl Controller {
 
     /// The first tick at which a burst that is queued now may begin: the rendered end, or later if the drivers must start up
     /// first.
-    #[must_use]
-    pub fn ready(&self) -> Tick {
+    pub(in crate::controller) fn ready(&self) -> Tick {
         let enabled = self.drivers.since.unwrap_or(self.rendered);
         self.rendered.max(enabled + u64::from(DRIVER_LEAD))
     }

@@ -1,15 +1,14 @@
 //! The part of the newest frame that is read and not taken yet: its strokes or amendments.
 //!
 //! Taking a long frame whole would leave the chip little time to render lines. So the controller takes it in pieces
-//! ([`Controller::take`]).
+//! ([`Stream::take`]).
 //!
 //! Invariant: a play's first frame is judged and taken in one piece, so that it is taken whole or not at all.
 
 use crate::batch::{Amendments, BATCH_BYTES, Batch, MAX_BATCH, Malformed, Place, unpack};
-use crate::controller::Controller;
-use crate::frame;
+use crate::controller::stream::{Parts, Stream};
 use crate::limits::Refusal;
-use crate::message::{Mark, MarkKind, Report, State, Withdraw};
+use crate::message::{Mark, MarkKind, Report, Withdraw};
 use crate::stroke::{MOTORS, Stroke};
 use crate::tick::Tick;
 use core::hash::{Hash, Hasher};
@@ -30,11 +29,11 @@ const ALL_MOTORS: u32 = (1 << MOTORS) - 1;
 
 /// The head of the next frame of the ordered stream.
 #[derive(Clone, Copy, Debug, Hash)]
-pub(super) struct Next {
-    pub(super) seq: u16,
-    pub(super) mark: Option<Mark>,
-    pub(super) withdraw: Option<Withdraw>,
-    pub(super) base: Tick,
+pub(in crate::controller) struct Next {
+    pub(in crate::controller) seq: u16,
+    pub(in crate::controller) mark: Option<Mark>,
+    pub(in crate::controller) withdraw: Option<Withdraw>,
+    pub(in crate::controller) base: Tick,
 }
 
 /// A frame of the ordered stream whose strokes are being unpacked.
@@ -49,7 +48,7 @@ pub(super) struct Packed {
 #[derive(Clone, Debug)]
 pub(super) struct Taking {
     /// The epoch in which the frame was read. A command may begin another before all is taken.
-    pub(super) epoch: u16,
+    epoch: u16,
     /// The packed strokes or amendments of the frame.
     items: heapless::Vec<u8, BATCH_BYTES>,
     /// The frame whose strokes are being unpacked.
@@ -133,13 +132,21 @@ impl Taking {
     };
 
     /// Keeps the amendments of a message.
-    pub(super) fn amend(&mut self, generation: u16, base: Tick, items: &[u8]) {
+    pub(super) fn amend(&mut self, epoch: u16, generation: u16, base: Tick, items: &[u8]) {
+        self.epoch = epoch;
         self.keep_items(items);
         self.amending = Some((generation, 0, base));
     }
 
     /// Keeps the packed strokes of a frame.
-    pub(super) fn begin(&mut self, head: Next, received: Option<(u16, u16)>, batch: &[u8]) -> Packed {
+    pub(super) fn begin(
+        &mut self,
+        epoch: u16,
+        head: Next,
+        received: Option<(u16, u16)>,
+        batch: &[u8],
+    ) -> Packed {
+        self.epoch = epoch;
         self.keep_items(batch);
         self.strokes.clear();
         Packed { head, received, place: Place::new(head.base) }
@@ -166,51 +173,44 @@ impl Taking {
     }
 }
 
-impl Controller {
-    /// Takes a piece of the frame that was decoded last. Returns `false` if nothing is left of it.
-    pub(super) fn take(&mut self) -> bool {
-        if let Some((body, len)) = self.inbox.take() {
-            match frame::read(Ok(&body[..len])) {
-                Ok(message) => self.handle(message),
-                Err(_) => self.counters.bad_frames += 1,
-            }
-            return true;
-        }
+impl Stream {
+    /// Takes a piece of the frame that was received last. Returns `false` if nothing is left of it.
+    pub(in crate::controller) fn take(&mut self, parts: &mut Parts<'_>) -> bool {
         // An e-stop may have begun an epoch since, ahead of the bytes before it.
-        if self.taking.epoch != self.session.epoch() {
+        if self.taking.epoch != parts.session.epoch() {
             (self.taking.packed, self.taking.next, self.taking.seq) = (None, None, None);
             self.taking.amending = None;
         }
         if let Some(packed) = self.taking.packed.take() {
-            self.unpack(packed);
+            self.unpack(packed, parts);
             return true;
         }
         if let Some(next) = self.taking.next.take() {
-            self.take_head(next);
+            self.take_head(next, parts);
             return true;
         }
         if let Some(seq) = self.taking.seq {
             let replaces = self.taking.withdraw != 0;
-            self.take_strokes(seq, if replaces { REPLACING } else { STROKES });
+            self.take_strokes(seq, if replaces { REPLACING } else { STROKES }, parts);
             return true;
         }
-        self.take_amendments()
+        self.take_amendments(parts)
     }
 
     /// Takes the head of the next frame of the ordered stream.
-    fn take_head(&mut self, Next { seq, mark, withdraw, base }: Next) {
+    fn take_head(&mut self, Next { seq, mark, withdraw, base }: Next, parts: &mut Parts<'_>) {
         self.next_seq = seq.wrapping_add(1);
         // The frame may have been repeated before its buffered copy was taken.
         let _ = self.reorder.take(seq);
         if let Some(mark) = mark
-            && self.state == State::Armed
+            && parts.armed
         {
             // No stroke begins before the base.
-            let ready = self.ready();
+            let ready = parts.player.ready();
             if base >= ready {
-                self.marks.push(base, mark.trigger);
+                parts.player.push_mark(base, mark.trigger);
             } else {
-                self.report(Report::OnsetRefused { seq, rendered: ready.wire() });
+                parts.reporting.report(Report::OnsetRefused { seq, rendered: ready.wire() });
                 if mark.kind == MarkKind::Play {
                     return;
                 }
@@ -231,15 +231,15 @@ impl Controller {
             taking.withdraw = withdraw.motors & ALL_MOTORS;
             self.note_generation(withdraw.generation);
         }
-        let is_short = self.taking.strokes.len() <= STROKES || self.pool.is_empty();
+        let is_short = self.taking.strokes.len() <= STROKES || parts.player.is_empty();
         if begins_play || (is_short && self.taking.withdraw == 0) {
-            self.take_strokes(seq, MAX_BATCH);
+            self.take_strokes(seq, MAX_BATCH, parts);
         }
     }
 
     /// Takes at most `most` strokes. Each is counted at once, because an e-stop may end the frame between two pieces. A motor's
     /// strokes are withdrawn in the moment in which the first stroke that replaces them is queued.
-    fn take_strokes(&mut self, seq: u16, most: usize) {
+    fn take_strokes(&mut self, seq: u16, most: usize, parts: &mut Parts<'_>) {
         let mut searched = 0;
         for _ in 0..most {
             if searched >= SEARCHED {
@@ -251,24 +251,28 @@ impl Controller {
                 if self.taking.withdraw == 0 {
                     break;
                 }
-                searched += self.take_withdrawal(self.taking.withdraw.trailing_zeros() as u8, None);
+                searched += self.take_withdrawal(self.taking.withdraw.trailing_zeros() as u8, None, parts);
                 continue;
             };
             if self.taking.withdraw >> stroke.motor & 1 == 1 {
-                searched += self.take_withdrawal(stroke.motor, Some(&stroke));
+                searched += self.take_withdrawal(stroke.motor, Some(&stroke), parts);
             }
-            match self.accept(&stroke) {
+            match self.accept(&stroke, parts) {
                 Ok(true) => {}
                 Ok(false) => {
                     let is_kept = self.kept >> stroke.motor & 1 == 1;
                     // The old strokes are played in its place.
-                    *(if is_kept { &mut self.counters.replaced } else { &mut self.counters.late }) += 2;
+                    *(if is_kept {
+                        &mut parts.reporting.count().replaced
+                    } else {
+                        &mut parts.reporting.count().late
+                    }) += 2;
                     self.taking.late |= 1 << at;
-                    let ready = self.ready();
+                    let ready = parts.player.ready();
                     self.taking.missed.get_or_insert(ready);
                 }
                 Err(refusal) => {
-                    self.counters.refused += 2;
+                    parts.reporting.count().refused += 2;
                     self.taking.refused |= 1 << at;
                     self.taking.reason = self.taking.reason.or(Some(refusal));
                 }
@@ -281,24 +285,24 @@ impl Controller {
         let &Taking { late, missed, refused, reason, kept, .. } = &self.taking;
         self.taking.seq = None;
         if late | refused != 0 || kept != 0 {
-            let rendered = missed.unwrap_or(self.rendered).wire();
-            self.report(Report::Verdict { seq, late, refused, kept, reason, rendered });
+            let rendered = missed.unwrap_or(parts.player.rendered()).wire();
+            parts.reporting.report(Report::Verdict { seq, late, refused, kept, reason, rendered });
         }
     }
 
     /// Withdraws from one motor what `first` replaces. Returns the length of its queue.
-    fn take_withdrawal(&mut self, motor: u8, first: Option<&Stroke>) -> u16 {
-        let len = self.pool.len(motor.into());
+    fn take_withdrawal(&mut self, motor: u8, first: Option<&Stroke>, parts: &mut Parts<'_>) -> u16 {
+        let len = parts.player.len(motor);
         self.taking.withdraw &= !(1 << motor);
-        if !self.withdraw(motor, self.taking.from, first) {
+        if !self.withdraw(motor, self.taking.from, first, parts) {
             self.taking.kept |= 1 << motor;
-            let ready = self.ready();
+            let ready = parts.player.ready();
             self.taking.missed.get_or_insert(ready);
         }
         len
     }
 
-    fn take_amendments(&mut self) -> bool {
+    fn take_amendments(&mut self, parts: &mut Parts<'_>) -> bool {
         let Some((generation, mut read, mut at)) = self.taking.amending.take() else { return false };
         for _ in 0..AMENDMENTS {
             let items = &self.taking.items;
@@ -306,8 +310,9 @@ impl Controller {
             let Some(item) = left.next() else { return true };
             (read, at) = (items.len() - left.rest().len(), left.at());
             self.note_generation(generation);
-            if item.ok().and_then(|item| self.amend(generation, &item)).is_none() {
-                self.counters.amendments_ignored += 1;
+            let item = item.ok().filter(|_| parts.armed);
+            if item.and_then(|item| parts.player.amend(generation, &item)).is_none() {
+                parts.reporting.count().amendments_ignored += 1;
             }
         }
         self.taking.amending = Some((generation, read, at));

@@ -3,7 +3,7 @@
 //! The controller takes a buffered frame when all frames before it have arrived. At most [`REORDER_WINDOW`] are buffered.
 
 use crate::batch::BATCH_BYTES;
-use crate::controller::taking::Next;
+use crate::controller::stream::taking::Next;
 
 /// Most frames buffered: those that follow the next in order.
 pub const REORDER_WINDOW: usize = 8;

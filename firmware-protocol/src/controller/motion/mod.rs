@@ -1,0 +1,247 @@
+//! The state of the device, how it leaves it, and motion that belongs to no play: returns, moves of a pin, seeks of the lower stop.
+//!
+//! Invariant: a fault or an e-stop latches until a reset. Pins are driven down only while the state is `Returning`, and moves, returns
+//! and seeks begin while no stroke of a play is queued.
+
+mod pins;
+
+use crate::controller::player::{Kind, Player};
+use crate::controller::reporting::Reporting;
+use crate::limits::{MAX_SEEK, PowerLimits, Refusal};
+use crate::message::{Cause, Cut, LowerStop, State};
+use crate::stroke::{Direction, MOTORS};
+use crate::tick::Tick;
+use core::hash::{Hash, Hasher};
+use pins::{Pins, total};
+
+#[derive(Clone, Debug)]
+pub(super) struct Motion {
+    state: State,
+    cause: Cause,
+    /// The state after a return.
+    then: State,
+    /// End of what was rendered before an e-stop.
+    off_until: Tick,
+    pins: Pins,
+}
+
+impl Motion {
+    /// Disarmed since the start at `now`.
+    pub(super) const fn new(now: Tick) -> Self {
+        Self {
+            state: State::Disarmed,
+            cause: Cause::Boot,
+            then: State::Disarmed,
+            off_until: now,
+            pins: Pins::UNKNOWN,
+        }
+    }
+
+    /// Adds to `hasher` what it will do from `now` on.
+    pub(super) fn fingerprint(&self, now: Tick, hasher: &mut impl Hasher) {
+        let Self { state, cause, then, off_until, pins } = self;
+        (state, cause, then, (*off_until).max(now), pins).hash(hasher);
+    }
+
+    pub(super) fn state(&self) -> State {
+        self.state
+    }
+
+    pub(super) fn cause(&self) -> Cause {
+        self.cause
+    }
+
+    pub(super) fn set_cause(&mut self, cause: Cause) {
+        self.cause = cause;
+    }
+
+    pub(super) fn is_armed(&self) -> bool {
+        self.state == State::Armed
+    }
+
+    /// Whether it needs a host: armed or returning.
+    pub(super) fn is_active(&self) -> bool {
+        matches!(self.state, State::Armed | State::Returning)
+    }
+
+    pub(super) fn forced_off(&self, now: Tick) -> bool {
+        self.state == State::Faulted || now < self.off_until
+    }
+
+    pub(super) fn pins(&self) -> &Pins {
+        &self.pins
+    }
+
+    /// Nobody knows any more where the pins are.
+    pub(super) fn lose_position(&mut self) {
+        self.pins.lose_position();
+    }
+
+    /// Returns, then disarms.
+    pub(super) fn disarm(&mut self, cause: Cause, now: Tick, player: &mut Player, reporting: &mut Reporting) {
+        match self.state {
+            State::Armed => self.cut(cause, State::Disarmed, now, player, reporting),
+            State::Returning => (self.then, self.cause) = (State::Disarmed, cause),
+            State::Disarmed | State::Faulted => {}
+        }
+    }
+
+    /// Returns, and stays armed.
+    pub(super) fn stop(&mut self, now: Tick, player: &mut Player, reporting: &mut Reporting) {
+        if self.is_armed() {
+            self.cut(Cause::Stop, State::Armed, now, player, reporting);
+        }
+    }
+
+    fn cut(&mut self, cause: Cause, then: State, now: Tick, player: &mut Player, reporting: &mut Reporting) {
+        let at = player.rendered().wire();
+        let (flushed, outstanding) =
+            player.cut(reporting, |motor, undone| self.pins.take_back(motor, undone));
+        let return_ticks = Some(player.return_ticks());
+        self.finish_cut(Cut { cause, at, return_ticks, flushed, outstanding }, reporting);
+        (self.state, self.then) = (State::Returning, then);
+        self.settle(now, player, reporting);
+    }
+
+    /// Turns all lines off; nothing from `at` on was played. Returns whether they were not off before.
+    pub(super) fn off_from(
+        &mut self,
+        cause: Cause,
+        at: Tick,
+        player: &mut Player,
+        reporting: &mut Reporting,
+    ) -> bool {
+        if self.state == State::Faulted {
+            return false;
+        }
+        let flushed = player.turn_off(at, reporting, |motor, left| self.pins.leave(motor, &left));
+        self.pins.abort_seek();
+        self.off_until = player.rendered();
+        self.state = State::Faulted;
+        let outstanding = self.pins.outstanding_total();
+        self.finish_cut(Cut { cause, at: at.wire(), return_ticks: None, flushed, outstanding }, reporting);
+        true
+    }
+
+    fn finish_cut(&mut self, cut: Cut, reporting: &mut Reporting) {
+        self.cause = cut.cause;
+        reporting.report_cut(cut);
+    }
+
+    /// Leaves the latched state.
+    pub(super) fn reset(&mut self) {
+        if self.state == State::Faulted {
+            (self.state, self.cause) = (State::Disarmed, Cause::Request);
+        }
+    }
+
+    /// Books what was played before `now`. A return is over when nothing is queued.
+    pub(super) fn settle(&mut self, now: Tick, player: &mut Player, reporting: &mut Reporting) {
+        player.settle(now, reporting);
+        if self.state == State::Returning && player.is_empty() {
+            self.state = self.then;
+            self.pins.finish_seek();
+            reporting.send_status();
+        }
+    }
+
+    /// Plays the outstanding return pulses or seeks the lower stop, then takes strokes.
+    pub(super) fn arm(
+        &mut self,
+        assume_rest: bool,
+        limits: PowerLimits,
+        lower_stop: Option<LowerStop>,
+        player: &mut Player,
+        reporting: &mut Reporting,
+    ) -> Result<(), Refusal> {
+        if self.state != State::Disarmed {
+            return Err(Refusal::State);
+        }
+        let LowerStop { pulses_per_s, seek } = lower_stop.unwrap_or(LowerStop { pulses_per_s: 0, seek: 0 });
+        player.set_limits(PowerLimits::NONE.min(limits), pulses_per_s);
+        if seek > 0 {
+            return self.begin_seek(seek, player, reporting);
+        }
+        if assume_rest {
+            self.pins.assume_rest();
+        }
+        if !self.pins.position_known() {
+            return Err(Refusal::PositionUnknown);
+        }
+        (self.state, self.cause) = (State::Armed, Cause::Request);
+        if self.pins.outstanding_total() > 0 {
+            let [pulses, pushes] = self.pins.take_outstanding();
+            self.drive_down(Kind::Internal, &pulses, &pushes, player, reporting);
+        }
+        Ok(())
+    }
+
+    /// Drives each pin down by its `pulses`, then takes strokes; `pushes` of them are against the lower stop.
+    fn drive_down(
+        &mut self,
+        kind: Kind,
+        pulses: &[u16; MOTORS],
+        pushes: &[u16; MOTORS],
+        player: &mut Player,
+        reporting: &mut Reporting,
+    ) {
+        player.drive_down(kind, pulses, pushes);
+        (self.state, self.then) = (State::Returning, State::Armed);
+        let (at, outstanding) = (player.rendered().wire(), total(pulses));
+        let return_ticks = Some(player.return_ticks());
+        self.finish_cut(Cut { cause: Cause::Request, at, return_ticks, flushed: 0, outstanding }, reporting);
+    }
+
+    /// Shifts the rest position of a pin by one burst. At a lower stop a pin goes no further down: the pulses left push.
+    pub(super) fn shift(
+        &mut self,
+        motor: u8,
+        direction: Direction,
+        pulses: u16,
+        player: &mut Player,
+    ) -> Result<(), Refusal> {
+        if !self.is_idle(player) {
+            return Err(Refusal::State);
+        }
+        let (travel, pushes) = self.pins.shifted(motor, direction, pulses, player.has_stop())?;
+        if pulses > 0 {
+            player.drive(motor, direction, pulses, pushes)?;
+            self.pins.set_travel(motor, travel);
+        }
+        Ok(())
+    }
+
+    fn is_idle(&self, player: &Player) -> bool {
+        self.is_armed() && player.is_empty()
+    }
+
+    /// Drives all pins down to the lower stop. Once they are there, the position is known and no return pulses are outstanding.
+    pub(super) fn seek(
+        &mut self,
+        pulses: u16,
+        player: &mut Player,
+        reporting: &mut Reporting,
+    ) -> Result<(), Refusal> {
+        if !self.is_idle(player) {
+            return Err(Refusal::State);
+        }
+        self.begin_seek(pulses, player, reporting)
+    }
+
+    fn begin_seek(
+        &mut self,
+        pulses: u16,
+        player: &mut Player,
+        reporting: &mut Reporting,
+    ) -> Result<(), Refusal> {
+        if !(self.pins.least_seek()..=MAX_SEEK).contains(&pulses) {
+            return Err(Refusal::Travel);
+        }
+        if !player.allows_pushes(pulses) {
+            return Err(Refusal::Pushing);
+        }
+        self.pins.begin_seek();
+        self.drive_down(Kind::Seek, &[pulses; MOTORS], &[pulses; MOTORS], player, reporting);
+        Ok(())
+    }
+}

@@ -1,0 +1,149 @@
+//! What the controller says besides answers about the board: answers that are due, reports, counts.
+//!
+//! The other parts say what is to be sent; [`Reporting::next`] gives the most urgent message of it.
+//!
+//! Invariant: each answer that is due is sent once, and [`Counters::reports_lost`] counts each report that finds no place.
+
+mod reports;
+
+use crate::controller::board::BoardRequests;
+use crate::message::{Counters, Cut, DeviceMessage, Report};
+use crate::stroke::MOTORS;
+use crate::tick::{Tick, WireTick};
+use core::hash::{Hash, Hasher};
+pub use reports::REPORTS;
+pub(super) use reports::RESERVE;
+use reports::Reports;
+
+#[derive(Clone, Debug)]
+pub(super) struct Reporting {
+    counters: Counters,
+    pending: Pending,
+    last_cut: Option<Cut>,
+    reports: Reports,
+}
+
+/// What is to be sent besides reports.
+#[derive(Clone, Debug, Hash)]
+struct Pending {
+    hello: bool,
+    no_session: bool,
+    status: bool,
+    telemetry: Option<(WireTick, [i32; MOTORS])>,
+}
+
+impl Pending {
+    const NONE: Self = Self { hello: false, no_session: false, status: false, telemetry: None };
+}
+
+/// What is to be sent next. The controller writes the first two, because they tell of all its parts.
+pub(super) enum Due {
+    Hello,
+    Status,
+    Message(DeviceMessage),
+}
+
+impl Hash for Reporting {
+    /// Leaves out the last cut in the handshake, which is only for people.
+    fn hash<H: Hasher>(&self, hasher: &mut H) {
+        let Self { counters, pending, last_cut: _, reports } = self;
+        (counters, pending, reports).hash(hasher);
+    }
+}
+
+impl Reporting {
+    pub(super) const NOTHING: Self =
+        Self { counters: Counters::NONE, pending: Pending::NONE, last_cut: None, reports: Reports::new() };
+
+    pub(super) fn counters(&self) -> Counters {
+        self.counters
+    }
+
+    /// The counters, to count something.
+    pub(super) fn count(&mut self) -> &mut Counters {
+        &mut self.counters
+    }
+
+    pub(super) fn report(&mut self, report: Report) {
+        if !self.reports.push(report) {
+            self.counters.reports_lost += 1;
+        }
+    }
+
+    /// Reports a cut, in the next status and handshake, too.
+    pub(super) fn report_cut(&mut self, cut: Cut) {
+        self.last_cut = Some(cut);
+        self.report(Report::Cut(cut));
+        self.send_status();
+    }
+
+    pub(super) fn last_cut(&self) -> Option<Cut> {
+        self.last_cut
+    }
+
+    pub(super) fn reports(&self) -> &Reports {
+        &self.reports
+    }
+
+    /// The host has read all reports up to `seen` and is alive.
+    pub(super) fn seen(&mut self, seen: u16, now: Tick) {
+        self.reports.seen(seen, now);
+    }
+
+    pub(super) fn send_hello(&mut self) {
+        self.pending.hello = true;
+    }
+
+    pub(super) fn send_no_session(&mut self) {
+        self.pending.no_session = true;
+    }
+
+    pub(super) fn send_status(&mut self) {
+        self.pending.status = true;
+    }
+
+    /// Replaces a sample that is not sent yet.
+    pub(super) fn send_telemetry(&mut self, tick: Tick, y: [i32; MOTORS]) {
+        self.pending.telemetry = Some((tick.wire(), y));
+    }
+
+    pub(super) fn is_status_due(&self) -> bool {
+        self.pending.status
+    }
+
+    /// Forgets the reports, for a new session.
+    pub(super) fn forget_reports(&mut self) {
+        self.reports.clear();
+    }
+
+    /// Forgets what is due besides reports, because nobody listens.
+    pub(super) fn forget_answers(&mut self) {
+        self.pending = Pending::NONE;
+    }
+
+    /// The message to send next. Without a session there are only two.
+    pub(super) fn next(&mut self, now: Tick, session: bool, board: &mut BoardRequests) -> Option<Due> {
+        use core::mem::take;
+        let pending = &mut self.pending;
+        if take(&mut pending.hello) {
+            return Some(Due::Hello);
+        }
+        if take(&mut pending.no_session) {
+            return Some(Due::Message(DeviceMessage::NoSession));
+        }
+        if !session {
+            return None;
+        }
+        if take(&mut pending.status) {
+            return Some(Due::Status);
+        }
+        if let Some((number, report)) = self.reports.next(now) {
+            return Some(Due::Message(DeviceMessage::Report { number, report }));
+        }
+        if let Some(answer) = board.next_answer(now) {
+            return Some(Due::Message(answer));
+        }
+        let (tick, y) = self.pending.telemetry.take()?;
+        Some(Due::Message(DeviceMessage::Telemetry { tick, y }))
+    }
+}
