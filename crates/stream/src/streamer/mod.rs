@@ -208,8 +208,7 @@ impl Streamer {
             return;
         };
         // Plays are fed in order: unsent strokes belong to the last play being fed, or come after it.
-        let fed =
-            self.plays.iter().rev().find(|active| active.cut.is_none() && active.phase != Phase::Waiting);
+        let fed = self.plays.iter().rev().find(|active| !active.is_cut() && active.phase() != Phase::Waiting);
         let free = |motor| fed.map_or(tick, |active| active.free_until(motor));
         self.control.correct(tick, free, |item| session.amend(item));
     }
@@ -218,8 +217,8 @@ impl Streamer {
     fn end_drifted(&mut self, now: HostInstant, tick: Tick, emit: &mut dyn Emit) {
         let limit_um = self.settings.drift_limit_um;
         let is_over = |active: &Active| {
-            let runs = active.cut.is_none() && active.onset.is_some_and(|onset| onset <= tick);
-            runs && self.control.dead_reckoning_um(tick, active.play.strokes.motors()) > limit_um
+            let runs = !active.is_cut() && active.onset().is_some_and(|onset| onset <= tick);
+            runs && self.control.dead_reckoning_um(tick, active.play().strokes.motors()) > limit_um
         };
         if self.operations.is_empty() && self.plays.iter().any(is_over) {
             self.cut_all(EndCause::DriftLimit);
@@ -233,12 +232,13 @@ impl Streamer {
         let traffic = self.session.as_ref().map(Session::traffic).unwrap_or_default();
         let rest = self.control.rest_error_um(tick);
         let status = self.known.status().map(|(status, _)| status);
-        let running = self.plays.iter().rev().find(|active| {
-            active.cut.is_none() && active.started().is_some_and(|onset| onset.actual <= tick)
-        });
+        let running =
+            self.plays.iter().rev().find(|active| {
+                !active.is_cut() && active.started().is_some_and(|onset| onset.actual <= tick)
+            });
         let played = |active: &Active| {
-            let since = active.onset.map_or(0, |onset| tick - onset);
-            (active.play.id, ticks_to_seconds(since))
+            let since = active.onset().map_or(0, |onset| tick - onset);
+            (active.play().id, ticks_to_seconds(since))
         };
         let lead = ticks_to_ms(self.fed_until - tick);
         Snapshot {
