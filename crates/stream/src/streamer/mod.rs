@@ -54,21 +54,21 @@ type OpResult = Result<Option<Op>, CommandError>;
 /// The streamer of one device.
 #[derive(Debug)]
 pub struct Streamer {
-    pub(super) settings: Settings,
+    settings: Settings,
     /// The settings from the next `arm` on.
     next_settings: Settings,
-    pub(super) session: Option<Session>,
+    session: Option<Session>,
     events: VecDeque<Event>,
     known: Known,
     latch: Latch,
     operations: Operations,
     disconnect_reason: Option<EndCause>,
-    pub(super) plays: VecDeque<Active>,
-    pub(super) control: PositionControl,
+    plays: VecDeque<Active>,
+    control: PositionControl,
     /// Strokes are sent up to this tick.
-    pub(super) fed_until: Tick,
+    fed_until: Tick,
     /// The next stroke waits for credits.
-    pub(super) short_of_credits: bool,
+    short_of_credits: bool,
     homing: Homing,
     live: Live,
     reports: Reports,
