@@ -229,7 +229,6 @@ impl Streamer {
     fn snapshot(&self, now: HostInstant) -> Snapshot {
         let open = self.session.as_ref().filter(|session| session.is_open());
         let tick = self.tick_at(now).unwrap_or_default();
-        let traffic = self.session.as_ref().map(Session::traffic).unwrap_or_default();
         let rest = self.control.rest_error_um(tick);
         let status = self.known.status().map(|(status, _)| status);
         let running =
@@ -260,11 +259,7 @@ impl Streamer {
             source: rest.map(|(_, source)| source),
             pins_seen: self.control.sees_all(),
             line_bytes_per_s: self.session.as_ref().and_then(Session::capacity),
-            bytes_out: traffic.bytes_out,
-            bytes_in: traffic.bytes_in,
-            retransmitted: traffic.retransmitted,
-            bad_frames: traffic.bad,
-            contradictions: traffic.contradictions,
+            traffic: self.session.as_ref().map(Session::traffic).unwrap_or_default(),
             board: self.known.board(),
             device_bad_frames: status.map_or(0, |status| status.counters.bad_frames),
         }
