@@ -7,7 +7,7 @@ use firmware_protocol::stroke::MOTORS;
 use meissner_api::{EndCause, ErrorSource, LateCause};
 use meissner_array::pattern::Pattern;
 use meissner_array::strokes::{StrokeOptions, Strokes};
-use meissner_stream::link::{BadFrames, Clock, Contradictions};
+use meissner_stream::link::{Clock, Traffic};
 use meissner_stream::queues::{End, Offset, Onset, Play};
 use meissner_stream::{PlayBoard, Settings};
 
@@ -49,11 +49,7 @@ fn snapshot(connected: bool, state: State, play: Option<(u64, f64)>) -> Snapshot
         source: [ErrorSource::None; MOTORS],
         pins_seen: true,
         line_bytes_per_s: None,
-        bytes_out: 0,
-        bytes_in: 0,
-        retransmitted: 0,
-        bad_frames: BadFrames::default(),
-        contradictions: Contradictions::default(),
+        traffic: Traffic::default(),
         board: None,
         device_bad_frames: 0,
     }

@@ -156,7 +156,7 @@ fn measuring_is_bounded_and_deterministic() {
             let mut rig = Rig::new(line, 8);
             rig.run_ms(900);
             let last = last_snapshot(&rig.take_events());
-            (last.line_bytes_per_s, last.bytes_out)
+            (last.line_bytes_per_s, last.traffic.bytes_out)
         };
         let (carried, bytes) = run();
         assert!(carried.is_some() && bytes < 12_000, "{line:?}: {carried:?}, {bytes} bytes");

@@ -58,7 +58,7 @@ impl Engine {
                 .filter(|at| at.connected)
                 .and_then(|at| at.board)
                 .map(|board| board_status(&board)),
-            contradictions: snapshot.map_or(0, |at| at.contradictions.total()),
+            contradictions: snapshot.map_or(0, |at| at.traffic.contradictions.total()),
             motors: snapshot
                 .map(|at| at.rest_error_um.iter().zip(&at.source).zip(0..).map(motor).collect())
                 .unwrap_or_default(),

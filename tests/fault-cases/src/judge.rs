@@ -64,9 +64,9 @@ impl Observed {
             1e6 * (ticks / 85_000.0 / last.at.since(first.at).as_secs_f64() - 1.0).abs()
         });
         Self {
-            resent: most(|snapshot| snapshot.retransmitted),
+            resent: most(|snapshot| snapshot.traffic.retransmitted),
             unread: most(|snapshot| {
-                let frames = snapshot.bad_frames;
+                let frames = snapshot.traffic.bad;
                 frames.crc + frames.malformed + frames.too_long
             }),
             contradictions: count(|event| matches!(event, StreamEvent::Contradiction(_))),

@@ -3,7 +3,7 @@
 //! The streamer fills them; the daemon turns them into the API's types.
 
 use crate::board::PlayBoard;
-use crate::link::{BadFrames, ClockEstimate, Contradictions};
+use crate::link::{ClockEstimate, Traffic};
 use crate::queues::play::Play;
 use crate::settings::Settings;
 use crate::time::HostInstant;
@@ -169,16 +169,8 @@ pub struct Snapshot {
     pub pins_seen: bool,
     /// Measured capacity of the line, bytes/s; `None` before the link probe.
     pub line_bytes_per_s: Option<u32>,
-    /// Bytes sent to the device since it was connected.
-    pub bytes_out: u64,
-    /// Bytes received since then.
-    pub bytes_in: u64,
-    /// Frames sent again.
-    pub retransmitted: u64,
-    /// Frames from the device that the host could not read since it was connected.
-    pub bad_frames: BadFrames,
-    /// Undamaged messages from the device that cannot be true, since it was connected.
-    pub contradictions: Contradictions,
+    /// Bytes and frames since the device was connected.
+    pub traffic: Traffic,
     /// The last board report since it was connected.
     pub board: Option<Board>,
     /// Frames from the host that the device could not read since it was switched on.

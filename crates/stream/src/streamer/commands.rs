@@ -70,7 +70,7 @@ impl Streamer {
             Command::EndLive(id) => self.end_live(id),
             // Nothing changes, so no report is due: the daemon answers each report with the same order.
             Command::Cancel { id, .. }
-                if !self.plays.iter().any(|active| active.play.id == id && active.cut.is_none()) =>
+                if !self.plays.iter().any(|active| active.play().id == id && !active.is_cut()) =>
             {
                 answer(ticket, Ok(()), emit);
                 return;
@@ -161,7 +161,7 @@ impl Streamer {
         match self.place(now, &play) {
             Err(refused) => Err((refused, play)),
             Ok((requested, margin)) => {
-                if play.replace && self.plays.iter().any(|active| active.cut.is_none()) {
+                if play.replace && self.plays.iter().any(|active| !active.is_cut()) {
                     self.cut_all(EndCause::Replaced);
                     // Sent with the next step.
                     self.operations.queue(now, 0, Op::Stop, emit);
@@ -201,7 +201,7 @@ impl Streamer {
         let (Some(session), Some(tick)) = (&self.session, self.tick_at(now)) else {
             return Err(CommandError::NoDevice);
         };
-        let queued = || self.plays.iter().filter(|active| active.cut.is_none() && !play.replace);
+        let queued = || self.plays.iter().filter(|active| !active.is_cut() && !play.replace);
         let held = self.plays.len() > 2 * MAX_QUEUED_PLAYS || self.operations.is_full();
         if queued().count() > MAX_QUEUED_PLAYS || held {
             return Err(CommandError::QueueFull);
@@ -211,7 +211,7 @@ impl Streamer {
             return Err(CommandError::Playing);
         }
         let last = queued().next_back();
-        if last.is_some_and(|last| last.play.strokes.end().is_none()) {
+        if last.is_some_and(|last| last.play().strokes.end().is_none()) {
             return Err(CommandError::BehindEndless);
         }
         self.check_drift(tick, play)?;
@@ -239,7 +239,7 @@ impl Streamer {
         let free = queued().fold(tick, |free, active| {
             active
                 .end()
-                .unwrap_or(free + duration_to_ticks(FIRST_MARGIN) + active.play.strokes.end().unwrap_or(0))
+                .unwrap_or(free + duration_to_ticks(FIRST_MARGIN) + active.play().strokes.end().unwrap_or(0))
         });
         if requested < free {
             return Err(CommandError::Overlaps);
@@ -268,17 +268,17 @@ impl Streamer {
 
     /// Ends one play. A play that waits is ended without an operation, because an operation would cut the plays before it.
     fn cancel(&mut self, id: u64, cause: EndCause) -> OpResult {
-        let found = self.plays.iter_mut().find(|active| active.play.id == id && active.cut.is_none());
+        let found = self.plays.iter_mut().find(|active| active.play().id == id && !active.is_cut());
         let Some(active) = found else { return Ok(None) };
-        let waits = active.phase == Phase::Waiting && active.play.live.is_none();
+        let waits = active.phase() == Phase::Waiting && active.play().live.is_none();
         if !waits && self.operations.is_full() {
             return Err(CommandError::Returning);
         }
-        active.cut = Some(cause);
         if waits {
-            active.onset = None;
+            active.cut_unsent(cause);
             return Ok(None);
         }
+        active.cut(cause);
         self.cut_all(EndCause::Stop);
         Ok(Some(Op::Stop))
     }

@@ -17,8 +17,8 @@ const REPORTED_WITHIN: u64 = 5 * TICKS_PER_S;
 impl Streamer {
     /// Cuts all plays, for this reason unless they have one already.
     pub(super) fn cut_all(&mut self, cause: EndCause) {
-        for active in &mut self.plays {
-            active.cut.get_or_insert_with(|| cause.clone());
+        for active in self.plays.iter_mut().filter(|active| !active.is_cut()) {
+            active.cut(cause.clone());
         }
     }
 
@@ -33,12 +33,12 @@ impl Streamer {
         let wire = link.map_or(0, |(session, _)| session.traffic().bytes_out);
         let rest = self.control.rest_error_um(lost.unwrap_or_default()).into();
         while let Some(active) = self.plays.pop_front() {
-            let next = self.plays.iter().find_map(|next| next.counters_at_onset);
+            let next = self.plays.iter().find_map(Active::counters_at_onset);
             let (after, estimated) = (next.or(after), next.is_none() && lost.is_some());
-            let over = active.cut_at.and_then(|(_, over)| over);
+            let over = active.cut_at().and_then(|(_, over)| over);
             let offset = over.zip(link).map(|(tick, (session, _))| offset(session.clock(), tick));
             let lost = lost.filter(|&lost| active.until() > lost);
-            let cut = active.cut_at.map(|(cut, _)| cut.at).or(lost);
+            let cut = active.cut_at().map(|(at, _)| at).or(lost);
             let (id, outcome) = active.close(Ending { after, wire, offset, cut, rest, estimated });
             emit.event(StreamEvent::PlayEnded { id, outcome });
         }
@@ -49,55 +49,56 @@ impl Streamer {
         let returning = self.state() == State::Returning;
         let Some(session) = &mut self.session else { return };
         // Asks as soon as the play is over, so that the answer comes with the last status.
-        let is_over = |first: &&mut Active| first.cut.is_none() && first.end().is_some_and(|end| tick >= end);
+        let is_over = |first: &&mut Active| !first.is_cut() && first.end().is_some_and(|end| tick >= end);
         if let Some(first) = self.plays.front_mut().filter(is_over) {
-            first.board.ends(tick, || session.ask_board());
+            first.board().ends(tick, || session.ask_board());
         }
         while let Some(first) = self.plays.front() {
             // A play without strokes never starts: the counters at the next onset separate its neighbours.
             let later = || self.plays.iter().skip(1);
-            let next_counters = later().find_map(|next| next.counters_at_onset);
+            let next_counters = later().find_map(Active::counters_at_onset);
             let Some((status, at)) = self.known.status() else { return };
-            let after = if first.cut.is_some() {
+            let after = if first.is_cut() {
                 let settled = !self.operations.is_in_flight()
                     && self.operations.is_empty()
                     && session.is_answered()
                     && status.state != State::Returning;
-                (settled || first.phase == Phase::Waiting).then_some(status.counters)
+                (settled || first.phase() == Phase::Waiting).then_some(status.counters)
             } else {
-                let end = first.end().map_or(first.last_end, |end| end.max(first.last_end));
-                let decided = first.phase == Phase::Streamed && first.undecided == 0;
+                let end = first.end().map_or(first.last_end(), |end| end.max(first.last_end()));
                 // Counters that include all of this play and nothing of the next.
-                let next_onset = later().find_map(|next| next.onset).unwrap_or(Tick(u64::MAX));
-                let now_known = (at >= end && at < next_onset && first.counters_at_onset.is_some())
+                let next_onset = later().find_map(Active::onset).unwrap_or(Tick(u64::MAX));
+                let now_known = (at >= end && at < next_onset && first.counters_at_onset().is_some())
                     .then_some(status.counters);
-                next_counters.or(now_known).filter(|_| decided && tick >= end && session.known_to() >= end)
+                next_counters
+                    .or(now_known)
+                    .filter(|_| first.is_decided() && tick >= end && session.known_to() >= end)
             };
             let Some(after) = after else {
                 let end = first.end().filter(|&end| tick >= end + REPORTED_WITHIN);
-                if first.cut.is_none() && end.is_some() {
+                if !first.is_cut() && end.is_some() {
                     let events = &mut self.events;
                     session.distrust(Contradiction::Reports, &mut |event| events.push_back(event));
                 }
                 break;
             };
             let Some(first) = self.plays.front_mut() else { break };
-            if first.phase != Phase::Waiting && !first.board.ends(tick, || session.ask_board()) {
+            if first.phase() != Phase::Waiting && !first.board().ends(tick, || session.ask_board()) {
                 break;
             }
             let wire = session.traffic().bytes_out;
             // The estimates are those of the play's end: no burst of the next play counts yet.
-            let end = if first.cut.is_some() { None } else { first.end() };
-            self.control.reckon_to(end.map_or(tick, |end| end.max(first.last_end)));
+            let end = if first.is_cut() { None } else { first.end() };
+            self.control.reckon_to(end.map_or(tick, |end| end.max(first.last_end())));
             let Some(active) = self.plays.pop_front() else { break };
-            let over = match (active.cut_at, active.started()) {
+            let over = match (active.cut_at(), active.started()) {
                 (Some((_, over)), _) => over,
                 (None, Some(onset)) => self.control.over_at(onset.actual, active.until(), None),
                 (None, None) => None,
             };
             // Not yet: the device has lost the report of a cut.
             let over = over.filter(|&over| over <= tick);
-            let cut = active.cut_at.map(|(cut, _)| cut.at);
+            let cut = active.cut_at().map(|(at, _)| at);
             let rest = self.control.rest_error_um(tick).into();
             let offset = over.map(|over| offset(session.clock(), over));
             let after = Some(next_counters.unwrap_or(after));
@@ -106,8 +107,7 @@ impl Streamer {
             emit.event(StreamEvent::PlayEnded { id, outcome });
         }
         let over = self.plays.front().is_some_and(|first| {
-            first.cut.is_some()
-                || (first.phase == Phase::Streamed && first.end().is_some_and(|end| tick >= end))
+            first.is_cut() || (first.phase() == Phase::Streamed && first.end().is_some_and(|end| tick >= end))
         });
         if over || returning || self.operations.is_closing() {
             session.request_status();

@@ -5,7 +5,7 @@
 use crate::active::{Active, FIRST_MARGIN, Phase};
 use crate::control::Cutting;
 use crate::link::{Event, LostReason, Verdict};
-use crate::queues::{CommandError, Emit, Onset, Stamp, StreamEvent};
+use crate::queues::{CommandError, Emit, Stamp, StreamEvent};
 use crate::streamer::homing::seeks;
 use crate::streamer::{IDLE_PING, Streamer, answer, cuts_play, end_cause};
 use crate::time::HostInstant;
@@ -90,8 +90,8 @@ impl Streamer {
             Event::Replaced { motors, kept } => self.replaced(motors, kept, emit),
             Event::OnsetRefused { rendered } => self.onset_refused(now, rendered),
             Event::OnsetAccepted => {
-                if let Some(active) = self.plays.iter_mut().find(|active| active.phase == Phase::Offered) {
-                    active.phase = Phase::Streaming;
+                if let Some(active) = self.plays.iter_mut().find(|active| active.phase() == Phase::Offered) {
+                    active.onset_accepted();
                 }
             }
             Event::Onset { tick, counters } => self.onset(tick, counters, emit),
@@ -116,13 +116,13 @@ impl Streamer {
                 let Self { plays, control, .. } = self;
                 if let Some(active) = owner(plays, up) {
                     active.refused_as_begun(up, |span| control.span(span));
-                    let id = active.play.id;
+                    let id = active.play().id;
                     emit.event(StreamEvent::StrokeRefused { id, motor, up, reason });
                 }
             }
             Event::Board(board) => {
                 self.known.board_heard(board);
-                self.plays.iter_mut().for_each(|active| active.board.heard(board));
+                self.plays.iter_mut().for_each(|active| active.board().heard(board));
             }
             // The streamer asks for none.
             Event::SelfTest(_) => {}
@@ -145,16 +145,15 @@ impl Streamer {
     /// The device has cut the plays that had begun, or their return. It may report the onset of the last one later: it cuts up to
     /// the render horizon ahead.
     fn cut_at(&mut self, cut: Cutting) {
-        let sent = |active: &&mut Active| active.phase != Phase::Waiting;
-        for active in self.plays.iter_mut().filter(sent) {
-            if let Some((_, over)) = &mut active.cut_at {
-                *over = over.map(|over| over.min(cut.at));
+        for active in self.plays.iter_mut().filter(|active| active.phase() != Phase::Waiting) {
+            if active.cut_at().is_some() {
+                active.note_return_cut_at(cut.at);
                 continue;
             }
-            let Some(onset) = active.onset.filter(|&onset| onset < cut.at) else { continue };
+            let Some(onset) = active.onset().filter(|&onset| onset < cut.at) else { continue };
             if active.end().is_none_or(|end| end > cut.at) {
                 let over = self.control.over_at(onset, active.until(), Some(cut));
-                active.cut_at = Some((cut, over));
+                active.note_cut_at(cut.at, over);
             }
         }
     }
@@ -205,7 +204,7 @@ impl Streamer {
         }
         let Some(active) = owner(&mut self.plays, up) else { return };
         active.decided(stroke, verdict == Verdict::Accepted);
-        let id = active.play.id;
+        let id = active.play().id;
         match verdict {
             Verdict::Accepted | Verdict::Superseded => {}
             Verdict::Refused(reason) => {
@@ -228,7 +227,7 @@ impl Streamer {
         let late_ms = ticks_to_ms(free - stroke.up);
         let Some(active) = owner(&mut self.plays, stroke.up) else { return };
         let counts = active.late(stroke.up, late_ms, cause);
-        let (id, policy, cut) = (active.play.id, active.play.late, active.cut.is_some());
+        let (id, policy, cut) = (active.play().id, active.play().late, active.is_cut());
         let (motor, up) = (stroke.motor, stroke.up);
         emit.event(StreamEvent::StrokeLate { id, motor, up, late_ms, cause, counts });
         if policy == LatePolicy::Abort && !cut {
@@ -239,20 +238,10 @@ impl Streamer {
 
     fn onset_refused(&mut self, now: HostInstant, rendered: Tick) {
         let longest = ms_to_duration(self.settings.lead_ms).max(FIRST_MARGIN * 32);
-        let Some(active) = self.plays.iter_mut().find(|active| active.phase == Phase::Offered) else {
+        let Some(active) = self.plays.iter_mut().find(|active| active.phase() == Phase::Offered) else {
             return;
         };
-        let late = active.onset.map_or(0, |onset| rendered - onset);
-        let late_ms = ticks_to_ms(late);
-        active.phase = Phase::Waiting;
-        active.undecided = 0;
-        let onset = active.onset.take();
-        active.margin *= 2;
-        if active.is_fixed() || active.margin > longest {
-            active.late_as_a_whole(late_ms);
-            active.cut.get_or_insert(EndCause::OnsetMissed);
-        }
-        if let Some(onset) = onset {
+        if let Some(onset) = active.onset_refused(rendered, longest) {
             self.control.withdraw_from(onset);
         }
         self.fed_until = rendered;
@@ -266,17 +255,10 @@ impl Streamer {
         for active in &mut self.plays {
             active.reported(stamp);
         }
-        let Some(active) = self.plays.iter_mut().find(|active| active.onset == Some(tick)) else { return };
-        let onset = Onset {
-            requested: active.requested.unwrap_or(tick),
-            actual: tick,
-            at: stamp.at,
-            uncertainty_ns: stamp.uncertainty_ns,
-            latency_ns: stamp.at.since(active.issued_at).as_nanos() as u64,
-        };
+        let Some(active) = self.plays.iter_mut().find(|active| active.onset() == Some(tick)) else { return };
         self.control.reckon_to(tick);
-        active.began(onset, counters, self.control.rest_error_um(tick).into());
-        emit.event(StreamEvent::PlayStarted { id: active.play.id, onset });
+        let onset = active.began(stamp, counters, self.control.rest_error_um(tick).into());
+        emit.event(StreamEvent::PlayStarted { id: active.play().id, onset });
     }
 }
 
@@ -285,5 +267,5 @@ fn owner(plays: &mut VecDeque<Active>, up: Tick) -> Option<&mut Active> {
     plays
         .iter_mut()
         .rev()
-        .find(|active| active.phase != Phase::Waiting && active.onset.is_some_and(|onset| onset <= up))
+        .find(|active| active.phase() != Phase::Waiting && active.onset().is_some_and(|onset| onset <= up))
 }

@@ -13,7 +13,7 @@ use crate::time::HostInstant;
 use firmware_protocol::message::State;
 use firmware_protocol::tick::Tick;
 use meissner_api::{EndCause, LateCause};
-use meissner_array::units::{duration_to_ticks, ms_in_ticks};
+use meissner_array::units::ms_in_ticks;
 use std::time::Duration;
 
 /// The host polls a full device this often. Its strokes last longer, and keep-alives may be seconds apart.
@@ -54,8 +54,8 @@ impl Streamer {
         let lead = ms_in_ticks(self.settings.lead_ms) as u64;
         let batch = batch_ticks(&self.settings);
         let mut unfed =
-            self.plays.iter().filter(|active| active.cut.is_none() && active.phase != Phase::Streamed);
-        let fresh = unfed.next().is_some_and(|active| active.phase == Phase::Waiting);
+            self.plays.iter().filter(|active| !active.is_cut() && active.phase() != Phase::Streamed);
+        let fresh = unfed.next().is_some_and(|active| active.phase() == Phase::Waiting);
         let blocked = !session.has_room();
         if blocked || (!fresh && self.fed_until >= tick + lead) {
             return;
@@ -63,8 +63,8 @@ impl Streamer {
         let horizon = tick + lead + batch;
         for index in 0..self.plays.len() {
             let active = &self.plays[index];
-            match active.phase {
-                _ if active.cut.is_some() => continue,
+            match active.phase() {
+                _ if active.is_cut() => continue,
                 Phase::Streamed => continue,
                 Phase::Offered => break,
                 Phase::Streaming => {}
@@ -72,22 +72,21 @@ impl Streamer {
                     Start::At(onset) => self.start(index, onset),
                     Start::Later => break,
                     Start::Never(why) => {
-                        let active = &mut self.plays[index];
-                        (active.cut, active.onset) = (Some(why), None);
+                        self.plays[index].cut_unsent(why);
                         continue;
                     }
                 },
             }
             match self.send_strokes(now, index, tick, horizon, emit) {
-                Fed::Exhausted => match self.plays[index].phase {
-                    Phase::Streaming => self.plays[index].phase = Phase::Streamed,
+                Fed::Exhausted => match self.plays[index].phase() {
+                    Phase::Streaming => self.plays[index].all_sent(),
                     // The onset frame still waits for its verdict.
                     Phase::Offered => break,
                     Phase::Waiting | Phase::Streamed => {}
                 },
                 Fed::Horizon | Fed::Blocked => break,
                 Fed::Broken => {
-                    self.plays[index].cut = Some(EndCause::BrokenStrokes);
+                    self.plays[index].cut(EndCause::BrokenStrokes);
                     self.abort(now, emit);
                     break;
                 }
@@ -102,10 +101,10 @@ impl Streamer {
     fn onset_of(&self, index: usize, tick: Tick, horizon: Tick) -> Start {
         let active = &self.plays[index];
         // A play sent together with the arm was taken before the link probe measured the line.
-        if self.session.as_ref().is_some_and(|session| self.margin(session, &active.play).is_err()) {
+        if self.session.as_ref().is_some_and(|session| self.margin(session, active.play()).is_err()) {
             return Start::Never(EndCause::LineTooSlow);
         }
-        let mut before = self.plays.iter().take(index).rev().filter(|active| active.cut.is_none());
+        let mut before = self.plays.iter().take(index).rev().filter(|active| !active.is_cut());
         let previous_end = before.next().and_then(Active::end);
         match choose_onset(active, previous_end, tick) {
             Some(onset) if onset > horizon => Start::Later,
@@ -122,7 +121,7 @@ impl Streamer {
         let active = &mut self.plays[index];
         active.offer(onset, wire);
         if let Some(session) = &mut self.session {
-            active.board.begins(session.ask_board(), self.known.board());
+            active.board().begins(session.ask_board(), self.known.board());
             session.begin(onset, active.trigger());
         }
     }
@@ -141,14 +140,12 @@ impl Streamer {
                 return Fed::Blocked;
             };
             // A later item begins with a frame of its own, before its first stroke is due.
-            if active.next.is_none()
-                && let Some(onset) = active.play.strokes.next_onset()
-            {
+            if let Some(onset) = active.next_onset() {
                 if onset >= horizon {
                     (self.fed_until, self.short_of_credits) = (horizon, false);
                     return Fed::Horizon;
                 }
-                let accepted = active.phase == Phase::Streaming;
+                let accepted = active.phase() == Phase::Streaming;
                 if !accepted || !session.has_room() || active.onsets_ahead(tick, MAX_ONSETS) == MAX_ONSETS {
                     self.fed_until = onset;
                     return Fed::Blocked;
@@ -156,36 +153,32 @@ impl Streamer {
                 session.mark(onset, active.send_next_item());
                 continue;
             }
-            if active.next.is_none() {
-                active.next = match active.play.strokes.next() {
-                    // All motors of a live play are silent.
-                    None if active.play.live.is_some() => {
-                        (self.fed_until, self.short_of_credits) = (horizon, false);
-                        return Fed::Horizon;
-                    }
-                    None => {
-                        self.fed_until = self.fed_until.max(horizon);
-                        return Fed::Exhausted;
-                    }
-                    Some(Err(_)) => return Fed::Broken,
-                    Some(Ok(stroke)) => Some(stroke),
-                };
-            }
-            let Some(stroke) = active.next else { continue };
+            let stroke = match active.next_stroke() {
+                // All motors of a live play are silent.
+                Ok(None) if active.play().live.is_some() => {
+                    (self.fed_until, self.short_of_credits) = (horizon, false);
+                    return Fed::Horizon;
+                }
+                Ok(None) => {
+                    self.fed_until = self.fed_until.max(horizon);
+                    return Fed::Exhausted;
+                }
+                Err(_) => return Fed::Broken,
+                Ok(Some(stroke)) => stroke,
+            };
             if stroke.up >= horizon {
                 self.fed_until = horizon;
                 self.short_of_credits = false;
                 return Fed::Horizon;
             }
-            let is_late = stroke.up < tick && active.phase == Phase::Streaming;
+            let is_late = stroke.up < tick && active.phase() == Phase::Streaming;
             if is_late && !self.live.is_undecided(stroke.motor) {
                 // Too late: the device would only reject it. While it may keep the motor's old strokes, it decides whether this one
                 // is missing, or an old one is played in its place.
                 let cause = unsent(self.short_of_credits);
                 active.plan(&stroke, false);
-                active.next = None;
                 self.late(now, &stroke, tick, cause, emit);
-                if self.plays[index].cut.is_some() {
+                if self.plays[index].is_cut() {
                     return Fed::Blocked;
                 }
                 continue;
@@ -198,9 +191,8 @@ impl Streamer {
                 self.fed_until = stroke.up;
                 return Fed::Blocked;
             }
-            self.control.sent(&stroke, !active.play.open_loop, active.until());
+            self.control.sent(&stroke, !active.play().open_loop, active.until());
             active.plan(&stroke, true);
-            active.next = None;
         }
     }
 }
@@ -212,9 +204,9 @@ pub(super) const fn unsent(short_of_credits: bool) -> LateCause {
 
 /// The onset of a waiting play: as asked for, at the end of the play before it, or as soon as the link allows.
 fn choose_onset(active: &Active, previous_end: Option<Tick>, tick: Tick) -> Option<Tick> {
-    let soonest = tick + duration_to_ticks(active.margin);
-    match active.play.at {
+    let soonest = active.soonest(tick);
+    match active.play().at {
         At::Next => Some(previous_end.map_or(soonest, |end| end.max(soonest))),
-        At::Tick(_) | At::Monotonic(_) | At::After(_) => active.onset,
+        At::Tick(_) | At::Monotonic(_) | At::After(_) => active.onset(),
     }
 }

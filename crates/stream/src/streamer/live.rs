@@ -62,7 +62,7 @@ fn motors(mask: u32) -> impl Iterator<Item = u8> {
 }
 
 fn is_live(active: &Active, id: u64) -> bool {
-    active.play.id == id && active.cut.is_none() && active.play.live.is_some()
+    active.play().id == id && !active.is_cut() && active.play().live.is_some()
 }
 
 impl Streamer {
@@ -90,7 +90,7 @@ impl Streamer {
     /// The client of a live play is there. Returns whether the play is.
     pub(super) fn keep_live(&mut self, now: HostInstant, id: u64, emit: &mut dyn Emit) -> bool {
         let Some(active) = self.plays.iter().find(|active| is_live(active, id)) else { return false };
-        let timeout = active.play.live.unwrap_or_default();
+        let timeout = active.play().live.unwrap_or_default();
         self.follow(id, now, timeout, emit);
         self.live.deadline = now + timeout;
         true
@@ -107,13 +107,12 @@ impl Streamer {
 
     /// Ends the live play whose client is silent, and sends the update that waits.
     pub(super) fn step_live(&mut self, now: HostInstant, tick: Tick, emit: &mut dyn Emit) {
-        let Some(at) =
-            self.plays.iter().position(|active| active.play.live.is_some() && active.cut.is_none())
+        let Some(at) = self.plays.iter().position(|active| active.play().live.is_some() && !active.is_cut())
         else {
             self.forget_live(emit);
             return;
         };
-        let (id, timeout) = (self.plays[at].play.id, self.plays[at].play.live.unwrap_or_default());
+        let (id, timeout) = (self.plays[at].play().id, self.plays[at].play().live.unwrap_or_default());
         self.follow(id, now, timeout, emit);
         if now >= self.live.deadline && self.operations.is_empty() {
             self.cut_all(EndCause::ClientSilent);
@@ -122,7 +121,7 @@ impl Streamer {
         }
         // Not before the device has reported its counters at the onset: what is replaced until then would count as before it.
         let active = &self.plays[at];
-        let begun = active.phase == Phase::Streaming && active.counters_at_onset.is_some();
+        let begun = active.phase() == Phase::Streaming && active.started().is_some();
         let streams = begun && self.state() == State::Armed;
         if streams && self.operations.is_empty() && self.live.sent.is_none() {
             self.send_update(now, at, tick, emit);
@@ -157,11 +156,11 @@ impl Streamer {
         let Some(mut update) = self.live.waiting.take() else { return };
         self.miss_strokes(now, at, from, emit);
         let (Some(session), active) = (&mut self.session, &mut self.plays[at]) else { return };
-        if active.cut.is_some() {
+        if active.is_cut() {
             self.live.waiting = Some(update);
             return;
         }
-        let Some(strokes) = active.play.strokes.live() else { return };
+        let Some(strokes) = active.live_strokes() else { return };
         let from = from.max(strokes.onset());
         // What the device does not hold must be sent, even if it is as before.
         let changes =
@@ -204,7 +203,7 @@ impl Streamer {
     /// Sends the first stroke of each of these motors, in one frame or two: with it the device withdraws the motor's old ones.
     fn push_firsts(&mut self, at: usize, of: u32) {
         let (Some(session), active) = (&mut self.session, &mut self.plays[at]) else { return };
-        let Some(strokes) = active.play.strokes.live() else { return };
+        let Some(strokes) = active.live_strokes() else { return };
         let ups = motors(of).filter_map(|motor| Some((strokes.next_up(motor)?, motor)));
         let mut firsts: heapless::Vec<(Tick, u8), MOTORS> = ups.collect();
         firsts.sort_unstable();
@@ -219,7 +218,7 @@ impl Streamer {
             let _ = pushed.push(stroke);
         }
         for stroke in pushed {
-            self.control.sent(&stroke, !active.play.open_loop, active.until());
+            self.control.sent(&stroke, !active.play().open_loop, active.until());
             active.plan(&stroke, true);
         }
     }
@@ -228,15 +227,13 @@ impl Streamer {
     /// old strokes of a motor that the device kept: since it was asked to replace these, it takes none.
     fn miss_strokes(&mut self, now: HostInstant, at: usize, from: Tick, emit: &mut dyn Emit) {
         let active = &mut self.plays[at];
-        if let (Some(next), Some(strokes)) = (active.next.take(), active.play.strokes.live()) {
-            strokes.put_back(&next);
-        }
+        active.put_back_next();
         for motor in motors(u32::MAX) {
             let is_kept = self.live.kept >> motor & 1 == 1;
             let cause = if is_kept { LateCause::Link } else { unsent(self.short_of_credits) };
             loop {
                 let active = &mut self.plays[at];
-                let Some(strokes) = active.play.strokes.live() else { return };
+                let Some(strokes) = active.live_strokes() else { return };
                 let missed = strokes.next_up(motor).filter(|&up| up < from);
                 let Some(Ok(stroke)) = missed.and_then(|_| strokes.next_of(motor)) else { break };
                 active.plan(&stroke, false);
@@ -253,10 +250,8 @@ impl Streamer {
         else {
             return;
         };
-        if let Some(strokes) = active.play.strokes.live() {
-            if let Some(next) = active.next.take() {
-                strokes.put_back(&next);
-            }
+        active.put_back_next();
+        if let Some(strokes) = active.live_strokes() {
             motors(kept).for_each(|motor| strokes.revert(motor));
         }
         let live = &mut self.live;

@@ -54,21 +54,21 @@ type OpResult = Result<Option<Op>, CommandError>;
 /// The streamer of one device.
 #[derive(Debug)]
 pub struct Streamer {
-    pub(super) settings: Settings,
+    settings: Settings,
     /// The settings from the next `arm` on.
     next_settings: Settings,
-    pub(super) session: Option<Session>,
+    session: Option<Session>,
     events: VecDeque<Event>,
     known: Known,
     latch: Latch,
     operations: Operations,
     disconnect_reason: Option<EndCause>,
-    pub(super) plays: VecDeque<Active>,
-    pub(super) control: PositionControl,
+    plays: VecDeque<Active>,
+    control: PositionControl,
     /// Strokes are sent up to this tick.
-    pub(super) fed_until: Tick,
+    fed_until: Tick,
     /// The next stroke waits for credits.
-    pub(super) short_of_credits: bool,
+    short_of_credits: bool,
     homing: Homing,
     live: Live,
     reports: Reports,
@@ -208,8 +208,7 @@ impl Streamer {
             return;
         };
         // Plays are fed in order: unsent strokes belong to the last play being fed, or come after it.
-        let fed =
-            self.plays.iter().rev().find(|active| active.cut.is_none() && active.phase != Phase::Waiting);
+        let fed = self.plays.iter().rev().find(|active| !active.is_cut() && active.phase() != Phase::Waiting);
         let free = |motor| fed.map_or(tick, |active| active.free_until(motor));
         self.control.correct(tick, free, |item| session.amend(item));
     }
@@ -218,8 +217,8 @@ impl Streamer {
     fn end_drifted(&mut self, now: HostInstant, tick: Tick, emit: &mut dyn Emit) {
         let limit_um = self.settings.drift_limit_um;
         let is_over = |active: &Active| {
-            let runs = active.cut.is_none() && active.onset.is_some_and(|onset| onset <= tick);
-            runs && self.control.dead_reckoning_um(tick, active.play.strokes.motors()) > limit_um
+            let runs = !active.is_cut() && active.onset().is_some_and(|onset| onset <= tick);
+            runs && self.control.dead_reckoning_um(tick, active.play().strokes.motors()) > limit_um
         };
         if self.operations.is_empty() && self.plays.iter().any(is_over) {
             self.cut_all(EndCause::DriftLimit);
@@ -230,15 +229,15 @@ impl Streamer {
     fn snapshot(&self, now: HostInstant) -> Snapshot {
         let open = self.session.as_ref().filter(|session| session.is_open());
         let tick = self.tick_at(now).unwrap_or_default();
-        let traffic = self.session.as_ref().map(Session::traffic).unwrap_or_default();
         let rest = self.control.rest_error_um(tick);
         let status = self.known.status().map(|(status, _)| status);
-        let running = self.plays.iter().rev().find(|active| {
-            active.cut.is_none() && active.started().is_some_and(|onset| onset.actual <= tick)
-        });
+        let running =
+            self.plays.iter().rev().find(|active| {
+                !active.is_cut() && active.started().is_some_and(|onset| onset.actual <= tick)
+            });
         let played = |active: &Active| {
-            let since = active.onset.map_or(0, |onset| tick - onset);
-            (active.play.id, ticks_to_seconds(since))
+            let since = active.onset().map_or(0, |onset| tick - onset);
+            (active.play().id, ticks_to_seconds(since))
         };
         let lead = ticks_to_ms(self.fed_until - tick);
         Snapshot {
@@ -260,11 +259,7 @@ impl Streamer {
             source: rest.map(|(_, source)| source),
             pins_seen: self.control.sees_all(),
             line_bytes_per_s: self.session.as_ref().and_then(Session::capacity),
-            bytes_out: traffic.bytes_out,
-            bytes_in: traffic.bytes_in,
-            retransmitted: traffic.retransmitted,
-            bad_frames: traffic.bad,
-            contradictions: traffic.contradictions,
+            traffic: self.session.as_ref().map(Session::traffic).unwrap_or_default(),
             board: self.known.board(),
             device_bad_frames: status.map_or(0, |status| status.counters.bad_frames),
         }

@@ -121,19 +121,19 @@ fn text(receipts: &Receipts, clients: &Counts) -> String {
     text.counter(
         "sent_bytes_total",
         "Bytes sent; restarts when a device is connected.",
-        &of(|at| at.bytes_out),
+        &of(|at| at.traffic.bytes_out),
     );
     text.counter(
         "received_bytes_total",
         "Bytes received; restarts when a device is connected.",
-        &of(|at| at.bytes_in),
+        &of(|at| at.traffic.bytes_in),
     );
     text.counter(
         "retransmitted_frames_total",
         "Frames retransmitted; restarts when a device is connected.",
-        &of(|at| at.retransmitted),
+        &of(|at| at.traffic.retransmitted),
     );
-    let bad = snapshot.map(|at| at.bad_frames).unwrap_or_default();
+    let bad = snapshot.map(|at| at.traffic.bad).unwrap_or_default();
     let kinds: [(_, &dyn Display); 4] = [
         ("{kind=\"too_long\"}", &bad.too_long),
         ("{kind=\"malformed\"}", &bad.malformed),
@@ -146,7 +146,7 @@ fn text(receipts: &Receipts, clients: &Counts) -> String {
         "Frames from the device that the host could not read, by kind; restarts when a device is connected.",
         kinds,
     );
-    let contradictions = snapshot.map(|at| at.contradictions).unwrap_or_default();
+    let contradictions = snapshot.map(|at| at.traffic.contradictions).unwrap_or_default();
     let kinds =
         Contradiction::ALL.map(|kind| (format!("{{kind=\"{}\"}}", kind.name()), contradictions.of(kind)));
     text.family(

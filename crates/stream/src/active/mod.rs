@@ -1,20 +1,29 @@
 //! The state of one play that the streamer has taken, and the account of its bursts.
 //!
-//! The streamer counts strokes planned, late and refused in [`Active`]; [`Active::close`] makes the [`Outcome`].
+//! The streamer tells [`Active`] what it sends and what the device reports; [`Active::close`] makes the [`Outcome`]. Parts own what
+//! they count: `sent` how far the strokes are sent, `account` what became of them, `cut` why the play was cut.
 //!
-//! Invariant: `planned = played + late + dropped + refused + replaced`. The device reports each late and each refused stroke, and counts
-//! the bursts played between the play's onset and its end. The rest was dropped. An item has ended only once the device has accepted
-//! or rejected all its strokes and is known to have come to the end of the last.
+//! Invariant: an item has ended only once the device has accepted or rejected all its strokes and is known to have come to the end
+//! of the last. A play that waits has an onset only if its client asked for one.
+
+mod account;
+mod cut;
+mod sent;
 
 use crate::board::BoardAccount;
-use crate::control::{Cutting, Span};
+use crate::control::Span;
 use crate::link::ClockEstimate;
 use crate::queues::{At, End, Item, Offset, Onset, Outcome, Play, RestErrors, Stamp};
 use crate::time::HostInstant;
+use account::{Account, Begun};
+use cut::Cut;
 use firmware_protocol::message::{Counters, Trigger};
 use firmware_protocol::stroke::Stroke;
 use firmware_protocol::tick::Tick;
-use meissner_api::{BurstCounts, EndCause, LateCause, LateCounts, PulseCounts};
+use meissner_api::{EndCause, LateCause, LateCounts};
+use meissner_array::strokes::{LiveStrokes, StrokesError};
+use meissner_array::units::{duration_to_ticks, ticks_to_ms};
+use sent::Sent;
 use std::time::Duration;
 
 /// The progress of a play.
@@ -32,44 +41,21 @@ pub(super) enum Phase {
 
 #[derive(Debug)]
 pub(super) struct Active {
-    pub(super) play: Box<Play>,
-    pub(super) phase: Phase,
+    play: Box<Play>,
+    phase: Phase,
     /// When the client issued the command.
-    pub(super) issued_at: HostInstant,
+    issued_at: HostInstant,
     /// The tick of pattern time 0, once chosen.
-    pub(super) onset: Option<Tick>,
+    onset: Option<Tick>,
     /// The onset first chosen or asked for.
-    pub(super) requested: Option<Tick>,
+    requested: Option<Tick>,
     /// How far ahead of now the next onset is tried.
-    pub(super) margin: Duration,
-    /// The next stroke to send.
-    pub(super) next: Option<Stroke>,
-    /// The item whose strokes are being sent.
-    sending: usize,
+    margin: Duration,
     /// The first item that is not known to have ended.
     ending: usize,
-    /// The device has reported when it cut the play.
-    cut_reported: bool,
-    /// Strokes sent without a verdict.
-    pub(super) undecided: u64,
-    /// The end of the last stroke sent.
-    pub(super) last_end: Tick,
-    /// Why the play was cut, if it was.
-    pub(super) cut: Option<EndCause>,
-    /// The device's counters at the onset, once it has passed.
-    pub(super) counters_at_onset: Option<Counters>,
-    /// What the board's reports say of it.
-    pub(super) board: BoardAccount,
-    /// When the device cut it, once it has reported that, and when its last pulse was over.
-    pub(super) cut_at: Option<(Cutting, Option<Tick>)>,
-    actual_onset: Option<Onset>,
-    rest_at_onset: Option<RestErrors>,
-    planned_strokes: u64,
-    planned_pulses: u64,
-    late_strokes: u64,
-    refused_strokes: u64,
-    lateness: LateCounts,
-    wire_from: u64,
+    sent: Sent,
+    cut: Cut,
+    account: Account,
 }
 
 /// What is known of a play at its end.
@@ -106,25 +92,38 @@ impl Active {
             onset: requested,
             requested,
             margin,
-            next: None,
-            sending: 0,
             ending: 0,
-            cut_reported: false,
-            undecided: 0,
-            last_end: Tick(0),
-            cut: None,
-            counters_at_onset: None,
-            board: BoardAccount::default(),
-            cut_at: None,
-            actual_onset: None,
-            rest_at_onset: None,
-            planned_strokes: 0,
-            planned_pulses: 0,
-            late_strokes: 0,
-            refused_strokes: 0,
-            lateness: LateCounts::default(),
-            wire_from: 0,
+            sent: Sent::nothing(Tick(0)),
+            cut: Cut::default(),
+            account: Account::default(),
         }
+    }
+
+    pub(super) fn play(&self) -> &Play {
+        &self.play
+    }
+
+    pub(super) const fn phase(&self) -> Phase {
+        self.phase
+    }
+
+    pub(super) const fn onset(&self) -> Option<Tick> {
+        self.onset
+    }
+
+    /// The drives that may change, if this is a live play.
+    pub(super) fn live_strokes(&mut self) -> Option<&mut LiveStrokes> {
+        self.play.strokes.live()
+    }
+
+    /// What the board's reports say of it.
+    pub(super) const fn board(&mut self) -> &mut BoardAccount {
+        self.account.board()
+    }
+
+    /// The earliest onset that can be tried at `tick`.
+    pub(super) fn soonest(&self, tick: Tick) -> Tick {
+        tick + duration_to_ticks(self.margin)
     }
 
     /// Starts to stream at `onset`, for the first time or again.
@@ -133,13 +132,35 @@ impl Active {
         self.onset = Some(onset);
         self.requested = self.requested.or(Some(onset));
         self.play.strokes.begin(onset);
-        (self.next, self.undecided, self.last_end) = (None, 0, onset);
-        (self.sending, self.ending) = (0, 0);
+        (self.sent, self.ending) = (Sent::nothing(onset), 0);
         for (item, onset) in self.play.items.iter_mut().zip(self.play.strokes.onsets()) {
             *item = Item { onset, last_end: onset, ..Item::new(item.trigger) };
         }
-        (self.planned_strokes, self.planned_pulses) = (0, 0);
-        self.wire_from = wire;
+        self.account.offer(wire);
+    }
+
+    /// The device has accepted the onset.
+    pub(super) const fn onset_accepted(&mut self) {
+        self.phase = Phase::Streaming;
+    }
+
+    /// The device has refused the onset: it had rendered up to `rendered`. The next is tried farther ahead, unless the client asked for
+    /// this one or the margin exceeds `longest`. Returns the onset.
+    pub(super) fn onset_refused(&mut self, rendered: Tick, longest: Duration) -> Option<Tick> {
+        let onset = self.onset.take();
+        self.phase = Phase::Waiting;
+        self.sent.all_rejected();
+        self.margin *= 2;
+        if self.play.at != At::Next || self.margin > longest {
+            self.account.all_late(ticks_to_ms(onset.map_or(0, |onset| rendered - onset)));
+            self.cut.order(EndCause::OnsetMissed);
+        }
+        onset
+    }
+
+    /// All strokes are sent.
+    pub(super) const fn all_sent(&mut self) {
+        self.phase = Phase::Streamed;
     }
 
     /// The first tick after the play, if it has an end and an onset.
@@ -152,11 +173,35 @@ impl Active {
         self.end().unwrap_or(Tick(u64::MAX))
     }
 
+    /// The end of the last stroke sent.
+    pub(super) const fn last_end(&self) -> Tick {
+        self.sent.last_end()
+    }
+
+    /// Whether all strokes are sent, and the device has accepted or rejected each.
+    pub(super) fn is_decided(&self) -> bool {
+        self.phase == Phase::Streamed && self.sent.is_decided()
+    }
+
     /// The earliest tick at which a stroke of `motor` that is not sent yet may begin.
     pub(super) fn free_until(&self, motor: u8) -> Tick {
-        let next = self.next.filter(|next| next.motor == motor).map(|next| next.up);
-        let up = next.or_else(|| self.play.strokes.next_up(motor));
-        up.or_else(|| self.end()).unwrap_or(self.last_end)
+        let up = self.sent.next_up(motor).or_else(|| self.play.strokes.next_up(motor));
+        up.or_else(|| self.end()).unwrap_or(self.last_end())
+    }
+
+    /// The next stroke to send; `None`: there is none for now.
+    pub(super) fn next_stroke(&mut self) -> Result<Option<Stroke>, StrokesError> {
+        self.sent.next(&mut self.play.strokes)
+    }
+
+    /// Puts the next stroke back, if this is a live play: its drive changes.
+    pub(super) fn put_back_next(&mut self) {
+        self.sent.put_back(&mut self.play.strokes);
+    }
+
+    /// When the next item begins, if all strokes of the present one are sent.
+    pub(super) fn next_onset(&self) -> Option<Tick> {
+        self.sent.next_onset(&self.play.strokes)
     }
 
     /// What the trigger output gives at the play's onset.
@@ -169,13 +214,13 @@ impl Active {
     /// Goes on to the strokes of the next item; returns its trigger.
     pub(super) fn send_next_item(&mut self) -> Option<Trigger> {
         self.play.strokes.next_item();
-        self.sending = self.play.strokes.item();
-        self.play.items.get(self.sending).and_then(|item| item.trigger)
+        self.sent.begin_item(self.play.strokes.item());
+        self.play.items.get(self.sent.item()).and_then(|item| item.trigger)
     }
 
     /// How many onsets of items are sent and still to come at `tick`. It counts no further than `most`.
     pub(super) fn onsets_ahead(&self, tick: Tick, most: usize) -> usize {
-        let sent = self.play.items.iter().take(self.sending + 1).rev().take(most);
+        let sent = self.play.items.iter().take(self.sent.item() + 1).rev().take(most);
         sent.take_while(|item| item.onset >= tick).count()
     }
 
@@ -197,7 +242,7 @@ impl Active {
 
     /// Notes the ends of items, unless the play is cut: the device is known to have come to `known_to`.
     pub(super) fn note_ends(&mut self, known_to: Tick, clock: &ClockEstimate) {
-        if self.cut.is_none() && !self.cut_reported {
+        if self.cut.is_open() {
             self.note_ends_until(known_to, clock);
         }
     }
@@ -205,7 +250,7 @@ impl Active {
     /// The device has reported a cut at `tick`. A report from before the onset concerns another play.
     pub(super) fn was_cut(&mut self, tick: Tick, clock: &ClockEstimate) {
         let concerned = self.onset.is_some_and(|onset| onset < tick);
-        if concerned && !std::mem::replace(&mut self.cut_reported, true) {
+        if concerned && self.cut.report() {
             self.note_ends_until(tick, clock);
             let ended = self.play.items.iter_mut().take(self.ending);
             for item in ended.rev().take_while(|item| item.last_end > tick) {
@@ -215,11 +260,12 @@ impl Active {
     }
 
     fn note_ends_until(&mut self, tick: Tick, clock: &ClockEstimate) {
-        let begun = self.play.items.get(self.sending).is_some_and(|item| item.planned > 0);
-        let all = begun && self.next.is_none() && self.play.strokes.next_onset().is_some();
+        let sending = self.sent.item();
+        let begun = self.play.items.get(sending).is_some_and(|item| item.planned > 0);
+        let all = begun && self.next_onset().is_some();
         let sent = match self.phase {
             Phase::Streamed => self.play.items.len(),
-            _ => self.sending + usize::from(all),
+            _ => sending + usize::from(all),
         };
         let items = self.play.items.iter_mut().take(sent).skip(self.ending);
         for item in items.take_while(|item| item.undecided == 0 && item.last_end <= tick) {
@@ -228,18 +274,41 @@ impl Active {
         }
     }
 
-    /// Whether the client asked for an onset.
-    pub(super) fn is_fixed(&self) -> bool {
-        self.play.at != At::Next
+    /// Cuts the play for this cause, unless it is cut.
+    pub(super) fn cut(&mut self, cause: EndCause) {
+        self.cut.order(cause);
+    }
+
+    /// Cuts the play before anything of it is sent: it has no onset.
+    pub(super) fn cut_unsent(&mut self, cause: EndCause) {
+        self.cut.order(cause);
+        self.onset = None;
+    }
+
+    pub(super) const fn is_cut(&self) -> bool {
+        self.cut.is_ordered()
+    }
+
+    /// The device cut the play at this time, and its last pulse was over at `over`. The first report stays.
+    pub(super) fn note_cut_at(&mut self, at: Tick, over: Option<Tick>) {
+        self.cut.note_at(at, over);
+    }
+
+    /// The device cut the return at this time, too.
+    pub(super) fn note_return_cut_at(&mut self, at: Tick) {
+        self.cut.note_return_at(at);
+    }
+
+    /// When the device cut the play, once it has reported that, and when its last pulse was over.
+    pub(super) const fn cut_at(&self) -> Option<(Tick, Option<Tick>)> {
+        self.cut.at()
     }
 
     /// Counts a stroke sent, or too late to be sent.
     pub(super) fn plan(&mut self, stroke: &Stroke, sent: bool) {
-        self.undecided += u64::from(sent);
-        self.planned_strokes += 1;
-        self.planned_pulses += u64::from(stroke.up_pulses) + u64::from(stroke.down_pulses);
-        self.last_end = self.last_end.max(stroke.end());
-        if let Some(item) = self.play.items.get_mut(self.sending) {
+        self.sent.count(stroke, sent);
+        self.account.plan(stroke);
+        if let Some(item) = self.play.items.get_mut(self.sent.item()) {
             item.planned += 1;
             item.undecided += u32::from(sent);
         }
@@ -247,7 +316,7 @@ impl Active {
 
     /// The device has accepted or rejected a stroke sent.
     pub(super) fn decided(&mut self, stroke: &Stroke, accepted: bool) {
-        self.undecided = self.undecided.saturating_sub(1);
+        self.sent.decided();
         let Some(item) = self.item_at(stroke.up) else { return };
         item.undecided = item.undecided.saturating_sub(1);
         if accepted {
@@ -274,80 +343,61 @@ impl Active {
 
     /// Counts a late stroke; returns the counts so far.
     pub(super) fn late(&mut self, up: Tick, late_ms: f64, cause: LateCause) -> LateCounts {
-        self.late_strokes += 1;
         if let Some(item) = self.item_at(up) {
             item.late += 1;
         }
-        self.lateness.worst_ms = self.lateness.worst_ms.max(late_ms);
-        match cause {
-            LateCause::Host => self.lateness.host += 1,
-            LateCause::Link => self.lateness.link += 1,
-            LateCause::Device => self.lateness.device += 1,
-        }
-        self.lateness
-    }
-
-    /// Counts all strokes as late: the device refused the onset.
-    pub(super) fn late_as_a_whole(&mut self, late_ms: f64) {
-        self.late_strokes = self.planned_strokes;
-        self.lateness.link = self.planned_strokes;
-        self.lateness.worst_ms = late_ms;
+        self.account.late(late_ms, cause)
     }
 
     pub(super) fn refused(&mut self, up: Tick) {
-        self.refused_strokes += 1;
+        self.account.refused();
         if let Some(item) = self.item_at(up) {
             item.refused += 1;
         }
     }
 
-    /// The onset has passed, with these rest errors.
-    pub(super) fn began(&mut self, onset: Onset, counters: Counters, rest: RestErrors) {
-        self.counters_at_onset = Some(counters);
-        self.actual_onset = Some(onset);
-        self.rest_at_onset = Some(rest);
+    /// The onset has passed, with these counters of the device and these rest errors.
+    pub(super) fn began(&mut self, stamp: Stamp, counters: Counters, rest: RestErrors) -> Onset {
+        let Stamp { tick, at, uncertainty_ns } = stamp;
+        let latency_ns = at.since(self.issued_at).as_nanos() as u64;
+        let requested = self.requested.unwrap_or(tick);
+        let onset = Onset { requested, actual: tick, at, uncertainty_ns, latency_ns };
+        self.account.begin(Begun { onset, counters, rest });
+        onset
     }
 
+    /// The onset, once it has passed.
     pub(super) fn started(&self) -> Option<Onset> {
-        self.actual_onset
+        self.account.begun().map(|begun| begun.onset)
+    }
+
+    /// The device's counters at the onset, once it has passed.
+    pub(super) fn counters_at_onset(&self) -> Option<Counters> {
+        self.account.begun().map(|begun| begun.counters)
     }
 
     /// Closes the account with what is known at its end.
     pub(super) fn close(self, ending: Ending) -> (u64, Outcome) {
         let Ending { after, wire, offset, cut, rest, estimated } = ending;
-        let since = |now: fn(&Counters) -> u64| match (&after, &self.counters_at_onset) {
-            (Some(after), Some(counters_at_onset)) => now(after).saturating_sub(now(counters_at_onset)),
-            _ => 0,
-        };
-        let planned = 2 * self.planned_strokes;
-        let (late, refused) = (2 * self.late_strokes, 2 * self.refused_strokes);
-        let replaced = since(|counters| counters.replaced).min(planned.saturating_sub(late + refused));
-        let played = since(|counters| counters.played).min(planned.saturating_sub(late + refused + replaced));
-        let dropped = planned.saturating_sub(late + refused + replaced + played);
-        let bursts = BurstCounts {
-            planned,
-            played,
-            late,
-            dropped,
-            refused,
-            replaced,
-            amended: since(|counters| counters.amended).min(played),
-        };
+        let Self { play, phase, onset, mut account, cut: why, .. } = self;
+        let (cause, board) = (why.into_cause(), account.board().close());
+        let begun = account.begun();
+        let started = begun.map(|begun| begun.onset);
         let outcome = Outcome {
-            end: End::by(self.cut.as_ref()),
-            cause: self.cut,
-            onset: self.actual_onset,
+            end: End::by(cause.as_ref()),
+            cause,
+            onset: started,
             offset,
-            cut_after: cut.zip(self.actual_onset).map(|(at, onset)| at - onset.actual),
-            bursts,
-            pulses: PulseCounts { planned: self.planned_pulses, played: since(|counters| counters.pulses) },
-            estimated: estimated && self.phase != Phase::Waiting,
-            lateness: self.lateness,
-            board: self.board.close(),
-            wire_bytes: if self.onset.is_some() { wire.saturating_sub(self.wire_from) } else { 0 },
-            rest_at_onset: self.rest_at_onset,
+            cut_after: cut.zip(started).map(|(at, onset)| at - onset.actual),
+            bursts: account.bursts(after.as_ref()),
+            pulses: account.pulses(after.as_ref()),
+            estimated: estimated && phase != Phase::Waiting,
+            lateness: account.lateness(),
+            board,
+            wire_bytes: if onset.is_some() { account.wire_bytes(wire) } else { 0 },
+            rest_at_onset: begun.map(|begun| begun.rest),
             rest_at_end: rest,
-            play: self.play,
+            play,
         };
         (outcome.play.id, outcome)
     }

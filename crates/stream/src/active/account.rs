@@ -1,0 +1,194 @@
+//! The account of a play's strokes: planned, late and refused ones as the streamer counts them, the others as the device counts.
+//!
+//! The streamer counts each stroke ([`Account::plan`], [`Account::late`], [`Account::refused`]) and notes the device's counters at
+//! the onset ([`Account::begin`]). [`Account::bursts`] closes it with the counters after the play.
+//!
+//! Invariant: `planned = played + late + dropped + refused + replaced`. The device reports each late and each refused stroke, and
+//! counts the bursts played between the play's onset and its end. The rest was dropped.
+
+use crate::board::BoardAccount;
+use crate::queues::{Onset, RestErrors};
+use firmware_protocol::message::Counters;
+use firmware_protocol::stroke::Stroke;
+use meissner_api::{BurstCounts, LateCause, LateCounts, PulseCounts};
+
+/// What is known once the onset has passed.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Begun {
+    pub(super) onset: Onset,
+    /// The device's counters at the onset.
+    pub(super) counters: Counters,
+    pub(super) rest: RestErrors,
+}
+
+/// See the module.
+#[derive(Debug, Default)]
+pub(super) struct Account {
+    begun: Option<Begun>,
+    board: BoardAccount,
+    planned_strokes: u64,
+    planned_pulses: u64,
+    late_strokes: u64,
+    refused_strokes: u64,
+    lateness: LateCounts,
+    /// Bytes sent to the device before the play.
+    wire_from: u64,
+}
+
+impl Account {
+    /// The play is offered, perhaps again: all its strokes will be planned.
+    pub(super) const fn offer(&mut self, wire: u64) {
+        (self.planned_strokes, self.planned_pulses) = (0, 0);
+        self.wire_from = wire;
+    }
+
+    /// The onset has passed.
+    pub(super) const fn begin(&mut self, begun: Begun) {
+        self.begun = Some(begun);
+    }
+
+    pub(super) const fn begun(&self) -> Option<&Begun> {
+        self.begun.as_ref()
+    }
+
+    pub(super) const fn board(&mut self) -> &mut BoardAccount {
+        &mut self.board
+    }
+
+    pub(super) fn plan(&mut self, stroke: &Stroke) {
+        self.planned_strokes += 1;
+        self.planned_pulses += u64::from(stroke.up_pulses) + u64::from(stroke.down_pulses);
+    }
+
+    /// Counts a late stroke; returns the counts so far.
+    pub(super) const fn late(&mut self, late_ms: f64, cause: LateCause) -> LateCounts {
+        self.late_strokes += 1;
+        self.lateness.worst_ms = self.lateness.worst_ms.max(late_ms);
+        match cause {
+            LateCause::Host => self.lateness.host += 1,
+            LateCause::Link => self.lateness.link += 1,
+            LateCause::Device => self.lateness.device += 1,
+        }
+        self.lateness
+    }
+
+    /// Counts all strokes as late: the device refused the onset.
+    pub(super) const fn all_late(&mut self, late_ms: f64) {
+        self.late_strokes = self.planned_strokes;
+        self.lateness.link = self.planned_strokes;
+        self.lateness.worst_ms = late_ms;
+    }
+
+    pub(super) const fn refused(&mut self) {
+        self.refused_strokes += 1;
+    }
+
+    pub(super) const fn lateness(&self) -> LateCounts {
+        self.lateness
+    }
+
+    /// Bytes sent since the offer, of `wire` so far.
+    pub(super) const fn wire_bytes(&self, wire: u64) -> u64 {
+        wire.saturating_sub(self.wire_from)
+    }
+
+    /// What a counter has counted since the onset; nothing if either end is not known.
+    fn since(&self, after: Option<&Counters>, counter: fn(&Counters) -> u64) -> u64 {
+        let counts = after.zip(self.begun());
+        counts.map_or(0, |(after, begun)| counter(after).saturating_sub(counter(&begun.counters)))
+    }
+
+    /// The bursts, with the device's counters `after` the play.
+    pub(super) fn bursts(&self, after: Option<&Counters>) -> BurstCounts {
+        let since = |counter| self.since(after, counter);
+        let planned = 2 * self.planned_strokes;
+        let (late, refused) = (2 * self.late_strokes, 2 * self.refused_strokes);
+        let replaced = since(|counters| counters.replaced).min(planned.saturating_sub(late + refused));
+        let played = since(|counters| counters.played).min(planned.saturating_sub(late + refused + replaced));
+        let dropped = planned.saturating_sub(late + refused + replaced + played);
+        let amended = since(|counters| counters.amended).min(played);
+        BurstCounts { planned, played, late, dropped, refused, replaced, amended }
+    }
+
+    /// The pulses, with the device's counters `after` the play.
+    pub(super) fn pulses(&self, after: Option<&Counters>) -> PulseCounts {
+        PulseCounts { planned: self.planned_pulses, played: self.since(after, |counters| counters.pulses) }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::time::HostInstant;
+    use firmware_protocol::stroke::MOTORS;
+    use firmware_protocol::tick::Tick;
+    use meissner_api::ErrorSource;
+    use proptest::prelude::*;
+
+    const STROKE: Stroke = Stroke { motor: 3, up: Tick(0), up_pulses: 40, down: Tick(90), down_pulses: 41 };
+
+    fn begun(counters: Counters) -> Begun {
+        let onset = Onset {
+            requested: Tick(0),
+            actual: Tick(0),
+            at: HostInstant::default(),
+            uncertainty_ns: 0,
+            latency_ns: 0,
+        };
+        let rest = RestErrors { um: [0.0; MOTORS], source: [ErrorSource::default(); MOTORS] };
+        Begun { onset, counters, rest }
+    }
+
+    fn planned(strokes: u64) -> Account {
+        let mut account = Account::default();
+        (0..strokes).for_each(|_| account.plan(&STROKE));
+        account
+    }
+
+    proptest! {
+        /// Even if the device's counters contradict the strokes sent, or are of another boot.
+        #[test]
+        fn each_planned_burst_has_one_fate(
+            strokes in 0u64..40, late in 0u64..20, refused in 0u64..20,
+            before in prop::array::uniform3(0u64..100), after in prop::array::uniform3(0u64..200),
+        ) {
+            let mut account = planned(strokes);
+            let late = late.min(strokes);
+            let refused = refused.min(strokes - late);
+            (0..late).for_each(|_| _ = account.late(1.0, LateCause::Link));
+            (0..refused).for_each(|_| account.refused());
+            let [before, after] = [before, after].map(|[played, replaced, amended]| {
+                Counters { played, replaced, amended, ..Counters::NONE }
+            });
+            account.begin(begun(before));
+            for after in [Some(&after), None] {
+                let bursts = account.bursts(after);
+                let fates = bursts.played + bursts.late + bursts.dropped + bursts.refused + bursts.replaced;
+                prop_assert_eq!((bursts.planned, fates), (2 * strokes, 2 * strokes));
+                prop_assert!(bursts.amended <= bursts.played);
+            }
+        }
+    }
+
+    #[test]
+    fn a_play_offered_again_plans_its_strokes_again() {
+        let mut account = planned(3);
+        account.all_late(2.0);
+        assert_eq!((account.bursts(None).late, account.lateness().link), (6, 3));
+        account.offer(1000);
+        account.plan(&STROKE);
+        assert_eq!((account.bursts(None).planned, account.pulses(None).planned), (2, 81));
+        assert_eq!(account.wire_bytes(1200), 200);
+    }
+
+    #[test]
+    fn only_what_the_device_counts_after_the_onset_was_played() {
+        let counters = |played, pulses| Counters { played, pulses, ..Counters::NONE };
+        let mut account = planned(2);
+        let after = counters(13, 700);
+        assert_eq!((account.bursts(Some(&after)).played, account.pulses(Some(&after)).played), (0, 0));
+        account.begin(begun(counters(10, 580)));
+        assert_eq!((account.bursts(Some(&after)).played, account.pulses(Some(&after)).played), (3, 120));
+        assert_eq!(account.bursts(Some(&after)).dropped, 1);
+    }
+}

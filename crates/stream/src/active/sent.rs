@@ -1,0 +1,122 @@
+//! How far the strokes of a play are sent.
+//!
+//! The streamer looks at the next stroke ([`Sent::next`]), counts it once it is sent or too late ([`Sent::count`]), and counts each
+//! verdict ([`Sent::decided`]).
+//!
+//! Invariant: a stroke taken from the source is the next one until it is counted or put back.
+
+use crate::source::Source;
+use firmware_protocol::stroke::Stroke;
+use firmware_protocol::tick::Tick;
+use meissner_array::strokes::StrokesError;
+
+/// See the module.
+#[derive(Debug)]
+pub(super) struct Sent {
+    /// The next stroke, once it is taken from the source.
+    next: Option<Stroke>,
+    /// The item whose strokes are being sent.
+    item: usize,
+    /// Strokes sent without a verdict.
+    undecided: u64,
+    /// The end of the last stroke counted.
+    last_end: Tick,
+}
+
+impl Sent {
+    /// Nothing is sent of a play that begins at `onset`.
+    pub(super) const fn nothing(onset: Tick) -> Self {
+        Self { next: None, item: 0, undecided: 0, last_end: onset }
+    }
+
+    /// The next stroke to send; `None`: the source has no more for now.
+    pub(super) fn next(&mut self, source: &mut Source) -> Result<Option<Stroke>, StrokesError> {
+        if self.next.is_none() {
+            self.next = source.next().transpose()?;
+        }
+        Ok(self.next)
+    }
+
+    /// Puts the next stroke of a live play back: its drive changes.
+    pub(super) fn put_back(&mut self, source: &mut Source) {
+        if let Some(strokes) = source.live()
+            && let Some(next) = self.next.take()
+        {
+            strokes.put_back(&next);
+        }
+    }
+
+    /// The start of the next stroke, if it is taken from the source and of this motor.
+    pub(super) fn next_up(&self, motor: u8) -> Option<Tick> {
+        self.next.filter(|next| next.motor == motor).map(|next| next.up)
+    }
+
+    /// When the next item begins, if all strokes of the present one are counted.
+    pub(super) fn next_onset(&self, source: &Source) -> Option<Tick> {
+        if self.next.is_some() { None } else { source.next_onset() }
+    }
+
+    /// The strokes of this item follow.
+    pub(super) const fn begin_item(&mut self, item: usize) {
+        self.item = item;
+    }
+
+    pub(super) const fn item(&self) -> usize {
+        self.item
+    }
+
+    /// Counts a stroke that is sent, or too late to be `sent`.
+    pub(super) fn count(&mut self, stroke: &Stroke, sent: bool) {
+        self.next = None;
+        self.undecided += u64::from(sent);
+        self.last_end = self.last_end.max(stroke.end());
+    }
+
+    /// The device has accepted or rejected a stroke.
+    pub(super) const fn decided(&mut self) {
+        self.undecided = self.undecided.saturating_sub(1);
+    }
+
+    /// The device has rejected all strokes.
+    pub(super) const fn all_rejected(&mut self) {
+        self.undecided = 0;
+    }
+
+    pub(super) const fn is_decided(&self) -> bool {
+        self.undecided == 0
+    }
+
+    pub(super) const fn last_end(&self) -> Tick {
+        self.last_end
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use firmware_protocol::stroke::MOTORS;
+    use meissner_array::motor::SquareWave;
+    use meissner_array::strokes::LiveStrokes;
+
+    #[test]
+    fn a_stroke_is_the_next_until_it_is_counted_or_put_back() {
+        let wave = SquareWave::new(60.0, 80.0, 0.0).expect("a drive");
+        let mut source = Source::Live(Box::new(LiveStrokes::new([wave; MOTORS])));
+        source.begin(Tick(100));
+        let mut sent = Sent::nothing(Tick(100));
+        let first = sent.next(&mut source).expect("no limit is broken").expect("a stroke");
+        assert_eq!(sent.next(&mut source), Ok(Some(first)));
+        assert_eq!(sent.next_up(first.motor), Some(first.up));
+        sent.put_back(&mut source);
+        assert_eq!(sent.next_up(first.motor), None);
+        assert_eq!(sent.next(&mut source), Ok(Some(first)), "it was not lost");
+        sent.count(&first, true);
+        assert!(!sent.is_decided());
+        let second = sent.next(&mut source).expect("no limit is broken").expect("a stroke");
+        assert_ne!(second, first);
+        sent.count(&second, false);
+        assert_eq!(sent.last_end(), first.end().max(second.end()));
+        sent.decided();
+        assert!(sent.is_decided(), "a stroke that was not sent gets no verdict");
+    }
+}
