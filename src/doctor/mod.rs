@@ -3,7 +3,9 @@
 //! `meissner doctor` makes them for the machine it runs on and the daemon it reaches; `GET /v1/doctor` makes them inside the daemon
 //! ([`check`]). Checks of the user's rights, of timers and of a device without a daemon belong to the command (`cli/doctor`).
 //!
-//! - [`host`], [`service`], [`port`]: the machine. - [`rights`], [`daemon`]: a daemon, by its status. - [`device`]: its device.
+//! - [`host`] (processors), [`service`] (its unit), [`port`] (what the system does to boards): the machine.
+//! - [`rights`] (real time), [`daemon`] (version, session record, network): a daemon, by its status.
+//! - [`device`]: its device.
 //!
 //! Invariant: a check that cannot see what it is to judge reports that. Nothing here moves, changes or repairs anything.
 

@@ -4,7 +4,7 @@
 //! the events that this returns. Nothing here reads a clock or sends anything.
 //!
 //! A new field of a receipt needs three edits: the field (`crates/api/src/receipt.rs`), the code that fills it
-//! (`began`, `complete` or [`Receipts::apply`] here), and the code that prints it (`src/cli/text.rs`).
+//! (`began`, `complete` or [`Receipts::apply`] here), and the code that prints it (`src/cli/text/receipt.rs`).
 //!
 //! Invariant: every accepted play has exactly one receipt, until [`KEPT`] later plays have ended. The receipts of queued and
 //! running plays are all kept; the streamer bounds their number.

@@ -1,7 +1,7 @@
 //! `sweep`: runs the cells of a plan, here or as a job array of a cluster, and joins the results of all runs. It needs no daemon.
 //!
-//! [`run`] chooses what to do: `here` computes cells on this machine's cores, `cluster` submits them, `dry_run` estimates their
-//! time. The status, the merge and the pattern of a cell need only the directory. `sources` finds the documents that a plan names.
+//! [`run`] chooses what to do: compute cells on this machine's cores, estimate their time, or submit them (module `cluster`). The
+//! status, the merge and the pattern of a cell need only the directory. `sources` finds the documents that a plan names.
 //!
 //! Invariant: every finished cell is kept when a run ends for any reason, and the same command computes the rest.
 
