@@ -1,6 +1,7 @@
 //! Boards: found, missing, in use, or something else; and the doctor's report about them.
 
 use crate::harness::{Daemon, complaint, document, meissner, printed, wait_until};
+use firmware_protocol::frame::PROTOCOL;
 use meissner_api::Status;
 use meissner_array::simulated::SimulatedMotorsConfig;
 use meissner_stream::device::{self, DeviceError, PtyMock, Spec, WallMock};
@@ -55,7 +56,7 @@ fn the_doctor_measures_a_device() {
         // The figures depend on the machine; tests in virtual time check them.
         assert!(number("/throughput_bytes_per_s") > 0.0 && number("/drift/seconds") > 0.0, "{report}");
         assert!(number("/drift/ppm").is_finite() && number("/drift/uncertainty_ppm").is_finite(), "{report}");
-        assert!(measured["protocol"] == 5 && number("/pool") >= 1024.0, "{report}");
+        assert!(measured["protocol"] == PROTOCOL && number("/pool") >= 1024.0, "{report}");
         for what in
             ["SCHED_FIFO", "mlockall", "timers", "daemon", "device", "round trip", "line", "drift", "board"]
         {

@@ -21,6 +21,7 @@ use meissner_stream::device::priority::{BELOW_STREAMER, fifo};
 use meissner_stream::time::HostInstant;
 use player::play;
 use std::path::Path;
+use std::sync::Mutex;
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::time::Duration;
 use watch::Watch;
@@ -31,26 +32,57 @@ pub const ALLOWANCE_MS: f64 = 60.0;
 /// A thread that did not run for so long has shown that the machine stood still, or had too much to do.
 const STOOD_STILL: Duration = Duration::from_millis(10);
 /// A play that failed while the machine stood still says nothing about the daemon, and is played again, so many times in all.
-const TRIES: u32 = 5;
+const TRIES: u32 = 10;
+/// First the machine has to run without a pause for [`CALM`]. This is the longest wait for that.
+const LONGEST_WAIT: Duration = Duration::from_secs(20);
+const CALM: Duration = Duration::from_millis(500);
 
-/// Plays each kind with each pattern, `jobs` at once; `tell` hears of each that is over. Returns also how many plays failed while
-/// the machine stood still, and were played again.
+/// What became of all plays.
+#[derive(Debug)]
+pub struct Ran {
+    /// What each kind has shown.
+    pub shown: Vec<Shown>,
+    /// How many plays failed while the machine stood still, and were played again.
+    pub repeated: u32,
+    /// Of plays that never had a machine that ran on: what was not as expected. It says nothing about the daemon.
+    pub unjudged: Vec<String>,
+}
+
+/// Plays each kind with each pattern, `jobs` at once; `tell` hears of each that is over.
 pub fn run(
     program: &Path,
     patterns: &[&str],
     jobs: usize,
     kinds: &[Kind<'_>],
     tell: impl Fn(&str) + Sync,
-) -> (Vec<Shown>, u32) {
-    let (watch, all_repeated) = (Watch::start(), AtomicU32::new(0));
+) -> Ran {
+    let (watch, all_repeated, unjudged) = (Watch::start(), AtomicU32::new(0), Mutex::new(Vec::new()));
     let play = |kind: &Kind<'_>, pattern: &str, seed| {
         // A fault has to come when its case says. Without real-time priority it comes when it can.
         let _ = fifo(BELOW_STREAMER - 1);
         let (seen, repeated) = try_to_play(program, &watch, kind, pattern, seed);
         all_repeated.fetch_add(repeated, Ordering::Relaxed);
-        seen
+        seen.map_err(|Failure { problem, judged }| {
+            if !judged {
+                unjudged.lock().unwrap().push(problem.clone());
+            }
+            problem
+        })
     };
-    (meissner_fault_cases::run(kinds, patterns, jobs, play, tell), all_repeated.into_inner())
+    let mut shown = meissner_fault_cases::run(kinds, patterns, jobs, play, tell);
+    let unjudged = unjudged.into_inner().unwrap();
+    for shown in &mut shown {
+        // A problem begins with the names of its kind and pattern.
+        shown.problems.retain(|problem| !unjudged.iter().any(|of| problem.ends_with(of)));
+    }
+    Ran { shown, repeated: all_repeated.into_inner(), unjudged }
+}
+
+/// Why a play failed.
+struct Failure {
+    problem: String,
+    /// The machine did not stand still meanwhile.
+    judged: bool,
 }
 
 /// Returns also how often it was played again.
@@ -60,7 +92,7 @@ fn try_to_play(
     kind: &Kind<'_>,
     pattern: &str,
     seed: u64,
-) -> (Result<Seen, String>, u32) {
+) -> (Result<Seen, Failure>, u32) {
     let mut repeated = 0;
     loop {
         let begun = HostInstant::now();
@@ -68,10 +100,16 @@ fn try_to_play(
         let stood_still = late.max(watch.worst_since(begun));
         let is_last = repeated + 1 == TRIES;
         match seen {
-            Err(_) if stood_still > STOOD_STILL && !is_last => repeated += 1,
+            Err(_) if stood_still > STOOD_STILL && !is_last => {
+                repeated += 1;
+                watch.wait_until_calm(CALM, STOOD_STILL, LONGEST_WAIT);
+            }
             seen => {
-                let remark = |problem| format!("{problem} (the machine stood still for {stood_still:?})");
-                return (seen.map_err(remark), repeated);
+                let failure = |problem| Failure {
+                    problem: format!("{problem} (the machine stood still for {stood_still:?})"),
+                    judged: stood_still <= STOOD_STILL,
+                };
+                return (seen.map_err(failure), repeated);
             }
         }
     }

@@ -57,6 +57,18 @@ impl Watch {
         let late = self.shared.late.lock().unwrap();
         late.iter().filter(|(at, _)| *at >= begun).map(|(_, late)| *late).max().unwrap_or_default()
     }
+
+    /// Waits until the machine has not stood still for longer than `most` during `calm`, but no longer than `longest`.
+    pub(crate) fn wait_until_calm(&self, calm: Duration, most: Duration, longest: Duration) {
+        let begun = HostInstant::now();
+        loop {
+            let since = HostInstant::now();
+            thread::sleep(calm);
+            if self.worst_since(since) <= most || HostInstant::now().since(begun) > longest {
+                return;
+            }
+        }
+    }
 }
 
 impl Drop for Watch {
