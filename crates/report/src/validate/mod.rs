@@ -1,7 +1,7 @@
 //! Compares both models of the skin with published figures and reference spikes.
 //!
 //! [`validate`] measures each [`Case`] with both models and judges the result. `probe` moves one pin under afferents of either
-//! model, `measure` turns spikes into thresholds, plateaus and areas, `case` holds the published figures and the tolerances.
+//! model, `measure` turns spikes into thresholds, plateaus and areas, `case` judges; the published figures and the tolerances are here.
 //!
 //! The stimuli are those of the recordings: a sine of a single pin, or a pin pressed in once. There is no noise, so a threshold is
 //! a definite amplitude. A figure is the median over the recorded afferents.
