@@ -251,7 +251,7 @@ fn every_fault_ends_as_its_case_says() {
     let kinds: Vec<Kind<'_>> = cases.iter().flat_map(Case::kinds).collect();
     let (mut table, mut problems, mut before) = (String::new(), Vec::new(), "");
     let play = |kind: &Kind<'_>, pattern: &str, seed| play(kind, pattern, seed).map(|(seen, _)| seen);
-    for (kind, Shown { worst, problems: of_kind }) in
+    for (kind, Shown { worst, problems: of_kind, .. }) in
         kinds.iter().zip(run(&kinds, &PATTERNS, jobs(), play, |_| ()))
     {
         problems.extend(of_kind);

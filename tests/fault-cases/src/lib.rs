@@ -26,7 +26,7 @@ pub use case::{
     Telemetry, To, What,
 };
 pub use judge::{Observed, Seen, Worst, high_until};
-pub use plays::{Shown, jobs, report, run};
+pub use plays::{Failure, Shown, jobs, report, run};
 
 use std::collections::BTreeMap;
 use std::fs;

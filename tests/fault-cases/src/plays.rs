@@ -15,6 +15,23 @@ pub struct Shown {
     pub worst: Worst,
     /// What was not as expected.
     pub problems: Vec<String>,
+    /// The same of plays that say nothing about the program.
+    pub unjudged: Vec<String>,
+}
+
+/// What was not as expected of a play.
+#[derive(Debug)]
+pub struct Failure {
+    /// In words.
+    pub problem: String,
+    /// Whether it says something about the program: the machine did not stand still meanwhile.
+    pub judged: bool,
+}
+
+impl From<String> for Failure {
+    fn from(problem: String) -> Self {
+        Self { problem, judged: true }
+    }
 }
 
 /// As many plays at once as there are processors.
@@ -23,11 +40,11 @@ pub fn jobs() -> usize {
 }
 
 /// Plays each kind with each pattern, whose number is the seed, `jobs` at once; `tell` hears of each play that is over.
-pub fn run(
+pub fn run<E: Into<Failure>>(
     kinds: &[Kind<'_>],
     patterns: &[&str],
     jobs: usize,
-    play: impl Fn(&Kind<'_>, &str, u64) -> Result<Seen, String> + Sync,
+    play: impl Fn(&Kind<'_>, &str, u64) -> Result<Seen, E> + Sync,
     tell: impl Fn(&str) + Sync,
 ) -> Vec<Shown> {
     let plays: Vec<_> = kinds
@@ -43,10 +60,14 @@ pub fn run(
                     plays.get(next.fetch_add(1, Ordering::Relaxed))
                 {
                     let name = format!("{}, {}, {pattern}", kind.case.name, kind.label());
-                    let result = play(kind, pattern, *seed).map_err(|problem| format!("{name}: {problem}"));
+                    let result = play(kind, pattern, *seed).map_err(|failure| {
+                        let Failure { problem, judged } = failure.into();
+                        Failure { problem: format!("{name}: {problem}"), judged }
+                    });
                     tell(&match &result {
                         Ok(seen) => format!("{name}: {seen:?}"),
-                        Err(problem) => format!("FAILED: {problem}"),
+                        Err(Failure { problem, judged: true }) => format!("FAILED: {problem}"),
+                        Err(Failure { problem, judged: false }) => format!("not judged: {problem}"),
                     });
                     seen.set(result).unwrap();
                 }
@@ -59,7 +80,8 @@ pub fn run(
         for seen in seen.by_ref().take(patterns.len()) {
             match seen {
                 Ok(seen) => shown.worst.add(&seen),
-                Err(problem) => shown.problems.push(problem),
+                Err(Failure { problem, judged: true }) => shown.problems.push(problem),
+                Err(Failure { problem, judged: false }) => shown.unjudged.push(problem),
             }
         }
         shown
@@ -67,10 +89,11 @@ pub fn run(
     kinds.iter().map(of_kind).collect()
 }
 
-/// Prints what was not as expected; returns whether all was.
+/// Prints what was not as expected; returns whether all was, in plays that were all judged.
 pub fn report(shown: &[Shown]) -> bool {
-    let mut problems = shown.iter().flat_map(|shown| &shown.problems).peekable();
-    let is_good = problems.peek().is_none();
-    problems.for_each(|problem| println!("failed: {problem}"));
-    is_good
+    for Shown { problems, unjudged, .. } in shown {
+        problems.iter().for_each(|problem| println!("failed: {problem}"));
+        unjudged.iter().for_each(|problem| println!("not judged: {problem}"));
+    }
+    shown.iter().all(|shown| shown.problems.is_empty() && shown.unjudged.is_empty())
 }

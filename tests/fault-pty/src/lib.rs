@@ -16,12 +16,11 @@ mod daemon;
 mod player;
 mod watch;
 
-use meissner_fault_cases::{Kind, Seen, Shown};
+use meissner_fault_cases::{Failure, Kind, Seen, Shown};
 use meissner_stream::device::priority::{BELOW_STREAMER, fifo};
 use meissner_stream::time::HostInstant;
 use player::play;
 use std::path::Path;
-use std::sync::Mutex;
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::time::Duration;
 use watch::Watch;
@@ -37,52 +36,24 @@ const TRIES: u32 = 10;
 const LONGEST_WAIT: Duration = Duration::from_secs(20);
 const CALM: Duration = Duration::from_millis(500);
 
-/// What became of all plays.
-#[derive(Debug)]
-pub struct Ran {
-    /// What each kind has shown.
-    pub shown: Vec<Shown>,
-    /// How many plays failed while the machine stood still, and were played again.
-    pub repeated: u32,
-    /// Of plays that never had a machine that ran on: what was not as expected. It says nothing about the daemon.
-    pub unjudged: Vec<String>,
-}
-
-/// Plays each kind with each pattern, `jobs` at once; `tell` hears of each that is over.
+/// Plays each kind with each pattern, `jobs` at once; `tell` hears of each that is over. Returns also how many plays failed while
+/// the machine stood still, and were played again. One whose every try did is not judged.
 pub fn run(
     program: &Path,
     patterns: &[&str],
     jobs: usize,
     kinds: &[Kind<'_>],
     tell: impl Fn(&str) + Sync,
-) -> Ran {
-    let (watch, all_repeated, unjudged) = (Watch::start(), AtomicU32::new(0), Mutex::new(Vec::new()));
+) -> (Vec<Shown>, u32) {
+    let (watch, all_repeated) = (Watch::start(), AtomicU32::new(0));
     let play = |kind: &Kind<'_>, pattern: &str, seed| {
         // A fault has to come when its case says. Without real-time priority it comes when it can.
         let _ = fifo(BELOW_STREAMER - 1);
         let (seen, repeated) = try_to_play(program, &watch, kind, pattern, seed);
         all_repeated.fetch_add(repeated, Ordering::Relaxed);
-        seen.map_err(|Failure { problem, judged }| {
-            if !judged {
-                unjudged.lock().unwrap().push(problem.clone());
-            }
-            problem
-        })
+        seen
     };
-    let mut shown = meissner_fault_cases::run(kinds, patterns, jobs, play, tell);
-    let unjudged = unjudged.into_inner().unwrap();
-    for shown in &mut shown {
-        // A problem begins with the names of its kind and pattern.
-        shown.problems.retain(|problem| !unjudged.iter().any(|of| problem.ends_with(of)));
-    }
-    Ran { shown, repeated: all_repeated.into_inner(), unjudged }
-}
-
-/// Why a play failed.
-struct Failure {
-    problem: String,
-    /// The machine did not stand still meanwhile.
-    judged: bool,
+    (meissner_fault_cases::run(kinds, patterns, jobs, play, tell), all_repeated.into_inner())
 }
 
 /// Returns also how often it was played again.

@@ -57,7 +57,7 @@ impl Account {
 
     pub(super) fn plan(&mut self, stroke: &Stroke) {
         self.planned_strokes += 1;
-        self.planned_pulses += u64::from(stroke.up_pulses) + u64::from(stroke.down_pulses);
+        self.planned_pulses += u64::from(stroke.pulses());
     }
 
     /// Counts a late stroke; returns the counts so far.
