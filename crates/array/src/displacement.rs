@@ -1,21 +1,17 @@
 //! Samples the displacement of the pins that a play moves, by ideal motors.
 //!
 //! Pins follow the strokes exactly: full travel, no scatter, and no surplus, because the lower stop absorbs it. The samples begin
-//! where the caller asks and go on until every pin rests again, 4.3 ms after the last pulse. They are computed one by one, so the
+//! where the caller asks and go on until every pin rests again, a window after the last pulse. They are computed one by one, so the
 //! memory does not grow with the play.
 //!
 //! Invariant: equal strokes give equal samples, and the samples of plays that touch add up.
 
-use crate::motor::{HalfTick, Ramp, Shaft, WINDOW_HALF_TICKS};
+use crate::motor::{HalfTick, Ramp, Shaft};
+use crate::spec::MotorSpec;
 use crate::strokes::{Strokes, StrokesError};
-use crate::units::{HALF_TICKS_PER_S, TICKS_PER_S};
 use firmware_protocol::stroke::{Direction, Stroke};
 use std::collections::VecDeque;
 use std::iter::Peekable;
-use std::ops::RangeInclusive;
-
-/// Rates at which displacement can be sampled, Hz.
-pub const RATE_HZ: RangeInclusive<f64> = 1.0..=TICKS_PER_S as f64;
 
 /// The samples of a play: for each the displacement of [`Self::motors`], µm.
 #[derive(Debug)]
@@ -25,26 +21,39 @@ pub struct Displacement {
     pins: Vec<Pin>,
     first_s: f64,
     rate_hz: f64,
+    half_ticks_per_s: f64,
+    motor: &'static MotorSpec,
     number: u64,
     rest_from: HalfTick,
 }
 
 /// A pin, and the ramps that it has not begun.
-#[derive(Debug, Default)]
+#[derive(Debug)]
 struct Pin {
     shaft: Shaft,
     ahead: VecDeque<Ramp>,
 }
 
 impl Displacement {
-    /// Samples these strokes `rate_hz` times a second, the first time `first_s` after pattern time 0. The rate must be in
-    /// [`RATE_HZ`], and `first_s` 0 or more.
+    /// Samples these strokes `rate_hz` times a second, the first time `first_s` after pattern time 0. The rate must be
+    /// at least 1 Hz and at most the tick rate, and `first_s` 0 or more.
     #[must_use]
     pub fn new(strokes: Strokes, rate_hz: f64, first_s: f64) -> Self {
         let motors: Vec<u8> = strokes.motors().collect();
-        let pins = motors.iter().map(|_| Pin::default()).collect();
-        let rest_from = HalfTick(0);
-        Self { strokes: strokes.peekable(), motors, pins, first_s, rate_hz, number: 0, rest_from }
+        let motor = strokes.array().spec().motor();
+        let pins = motors.iter().map(|_| Pin { shaft: Shaft::new(motor), ahead: VecDeque::new() }).collect();
+        let (rest_from, half_ticks_per_s) = (HalfTick(0), strokes.array().rate().half_ticks_per_s());
+        Self {
+            strokes: strokes.peekable(),
+            motors,
+            pins,
+            first_s,
+            rate_hz,
+            half_ticks_per_s,
+            motor,
+            number: 0,
+            rest_from,
+        }
     }
 
     /// The motors of the pins, in order.
@@ -62,16 +71,16 @@ impl Displacement {
     )]
     fn at(&self) -> HalfTick {
         let seconds = self.first_s + self.number as f64 / self.rate_hz;
-        HalfTick((seconds * HALF_TICKS_PER_S + 0.5) as u64)
+        HalfTick((seconds * self.half_ticks_per_s + 0.5) as u64)
     }
 
     fn take(&mut self, stroke: &Stroke) {
-        self.rest_from = self.rest_from.max(HalfTick(2 * stroke.end().0 + WINDOW_HALF_TICKS));
+        self.rest_from = self.rest_from.max(HalfTick(2 * stroke.end().0 + self.motor.window_half_ticks));
         let place = self.motors.binary_search(&stroke.motor).expect("only these motors have strokes");
         // The stop absorbs the surplus, so both bursts count with the length of the up burst.
-        let pulses = stroke.up_pulses.into();
+        let (pulses, um_per_pulse) = (stroke.up_pulses.into(), self.motor.um_per_pulse);
         let ramps = [(stroke.up, Direction::Up), (stroke.down, Direction::Down)];
-        self.pins[place].ahead.extend(ramps.map(|(start, way)| Ramp::new(start, pulses, way, 1.0)));
+        self.pins[place].ahead.extend(ramps.map(|(start, way)| Ramp::new(start, pulses, way, um_per_pulse)));
     }
 }
 
@@ -134,7 +143,8 @@ mod tests {
         let highest = |pin: usize, from: usize, to: usize| {
             rows[from..to].iter().map(|row| row[pin]).fold(0.0, f64::max)
         };
-        let reached = SteadyState::of(60.0, 80.0).unwrap().played_peak_to_peak_um;
+        let reached =
+            SteadyState::of(crate::spec::Array::paper(), 60.0, 80.0).unwrap().played_peak_to_peak_um;
         // The first stroke starts from rest and reaches higher than the steady vibration.
         assert!((reached..80.0).contains(&highest(1, 0, 1_050)), "{}", highest(1, 0, 1_050));
         assert!((reached..80.0).contains(&highest(0, 2_000, rows.len())));

@@ -2,13 +2,13 @@
 //!
 //! The modules, in the order of the data path:
 //!
-//! 1. [`geometry`]: where the 24 pins stand.
+//! 1. [`spec`]: the description of an array: pins, carrier, wiring, motors; [`per_motor`]: a value for each motor.
 //! 2. [`pattern`]: reads and checks pattern files: which pins vibrate, at which frequency, amplitude and phase, and when.
 //! 3. [`reflected_walk`]: theory of the rest error of a pin above a lower stop, and the surplus that keeps it small.
 //! 4. [`strokes`]: compiles a pattern to strokes at exact ticks. The streamer, the simulated motors and the skin model all use it.
 //! 5. [`motor`]: the model of an ideal motor: a square wave becomes bursts of pulses, bursts become displacement.
 //! 6. [`displacement`]: samples of the pins' displacement in a play, by ideal motors.
-//! 7. [`simulated`]: 24 simulated motors with scatter, asymmetry, end stops and telemetry.
+//! 7. [`simulated`]: the simulated motors of an array, with scatter, asymmetry, end stops and telemetry.
 //! 8. [`power`]: how many motors have pulses at once, and the current of a rail.
 //!
 //! [`units`] converts seconds, ticks and micrometres. [`random`] makes random numbers that depend on a key alone.
@@ -18,6 +18,7 @@
 //! ```
 //! use meissner_array::motor::{HalfTick, Shaft};
 //! use meissner_array::pattern::Pattern;
+//! use meissner_array::spec::Array;
 //! use meissner_array::strokes::{DriveStrokes, StrokeOptions, Strokes};
 //!
 //! let text = r#"
@@ -35,21 +36,23 @@
 //! assert_eq!((strokes[0].up_pulses, strokes[1].up.0), (589, 1417));
 //!
 //! // The displacement of the pin's shaft when the first burst up is over, and 4.3 ms later.
-//! let mut shaft = Shaft::default();
-//! let first = DriveStrokes::of(&pattern.drives()[0])?.next().unwrap();
-//! shaft.push(first.ramps()[0]);
+//! let array = Array::paper();
+//! let mut shaft = Shaft::new(array.motor());
+//! let first = DriveStrokes::of(array, &pattern.drives()[0])?.next().unwrap();
+//! shaft.push(first.ramps(array.motor().um_per_pulse)[0]);
 //! assert!(shaft.displacement_um(HalfTick(2 * 589)) < 60.0);
 //! assert!((shaft.displacement_um(HalfTick(2 * 589 + 731)) - 80.0).abs() < 0.1);
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
 pub mod displacement;
-pub mod geometry;
 pub mod motor;
 pub mod pattern;
+pub mod per_motor;
 pub mod power;
 pub mod random;
 pub mod reflected_walk;
 pub mod simulated;
+pub mod spec;
 pub mod strokes;
 pub mod units;

@@ -5,14 +5,13 @@
 //!
 //! Invariant: counts are exact in every tick; of two bursts that touch, the first has ended when the second begins.
 
+use crate::spec::{Array, ArraySpec};
 use crate::strokes::Strokes;
-use crate::units::TICKS_PER_S;
-use firmware_protocol::limits::{MOTORS_PER_CHIP, MOTORS_PER_RAIL, PowerLimits, RAILS};
-use firmware_protocol::stroke::{MOTORS, Stroke};
-use firmware_protocol::tick::{TICK_HZ, Tick};
+use firmware_protocol::limits::PowerLimits;
+use firmware_protocol::stroke::Stroke;
+use firmware_protocol::tick::Tick;
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
-use std::fmt;
 
 /// The supply of a rail, V.
 pub const RAIL_V: f64 = 30.0;
@@ -21,31 +20,57 @@ pub const RAIL_V: f64 = 30.0;
 pub const CAPACITANCE_NF: f64 = 3.0;
 /// How much of a play [`rail_pulses`] counts, s.
 pub const SHOWN_S: u64 = 10;
-const CHIPS: usize = MOTORS / MOTORS_PER_CHIP;
 
 /// Mean current of a motor with pulses, mA. Its bridge reverses the voltage twice in a period, and the rail supplies the charge
 /// 2·C·V each time, so I = 4·C·V·f.
 #[must_use]
-pub fn current_ma(capacitance_nf: f64) -> f64 {
-    4.0 * capacitance_nf * 1e-9 * RAIL_V * f64::from(TICK_HZ) * 1e3
+pub fn current_ma(array: Array, capacitance_nf: f64) -> f64 {
+    4.0 * capacitance_nf * 1e-9 * RAIL_V * f64::from(array.rate().hz()) * 1e3
 }
 
 /// Motors that share a supply or a driver chip.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Group {
-    /// The six motors of a 30 V supply.
+    /// The motors of a supply.
     Rail(u8),
-    /// The two motors of a driver chip.
+    /// The motors of a driver chip.
     Chip(u8),
 }
 
-impl fmt::Display for Group {
-    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let (name, number, size) = match *self {
-            Self::Rail(number) => ("rail", number, MOTORS_PER_RAIL as u8),
-            Self::Chip(number) => ("driver chip", number, MOTORS_PER_CHIP as u8),
+impl Group {
+    /// Its motors.
+    ///
+    /// # Panics
+    /// If the array has no such group.
+    #[must_use]
+    pub fn motors(self, array: &ArraySpec) -> &[u8] {
+        let (groups, number) = match self {
+            Self::Rail(number) => (array.rails(), number),
+            Self::Chip(number) => (array.chips(), number),
         };
-        write!(out, "{name} {number} (motors {} to {})", number * size, (number + 1) * size - 1)
+        &groups.members()[usize::from(number)]
+    }
+
+    /// Its name, its number and its motors in words: `rail 0 (motors 0 to 5)`.
+    ///
+    /// # Panics
+    /// If the array has no such group.
+    #[must_use]
+    pub fn in_words(self, array: &ArraySpec) -> String {
+        let (name, number) = match self {
+            Self::Rail(number) => ("rail", number),
+            Self::Chip(number) => ("driver chip", number),
+        };
+        let motors = self.motors(array);
+        let list = || motors.iter().map(u8::to_string).collect::<Vec<_>>().join(", ");
+        let motors = match motors {
+            [motor] => format!("motor {motor}"),
+            [first, .., last] if motors.windows(2).all(|pair| pair[0] + 1 == pair[1]) => {
+                format!("motors {first} to {last}")
+            }
+            _ => format!("motors {}", list()),
+        };
+        format!("{name} {number} ({motors})")
     }
 }
 
@@ -74,30 +99,35 @@ pub struct RailPulses {
 /// See the module.
 #[derive(Clone, Debug)]
 pub struct PulsingMotors {
+    array: Array,
     limits: PowerLimits,
     /// Future starts and ends of bursts: tick, whether a burst starts, motor.
     edges: BinaryHeap<Reverse<(u64, bool, u8)>>,
-    rails: [RailPulses; RAILS],
-    on_rail: [u8; RAILS],
-    on_chip: [u8; CHIPS],
+    rails: Vec<RailPulses>,
+    on_rail: Vec<u8>,
+    on_chip: Vec<u8>,
     too_many: Option<TooMany>,
 }
 
 impl PulsingMotors {
     /// A count without strokes. [`Self::too_many`] compares with these limits.
     #[must_use]
-    pub fn new(limits: PowerLimits) -> Self {
+    pub fn new(array: Array, limits: PowerLimits) -> Self {
         Self {
+            array,
             limits,
             edges: BinaryHeap::new(),
-            rails: [RailPulses::default(); RAILS],
-            on_rail: [0; RAILS],
-            on_chip: [0; CHIPS],
+            rails: vec![RailPulses::default(); array.rails().count()],
+            on_rail: vec![0; array.rails().count()],
+            on_chip: vec![0; array.chips().count()],
             too_many: None,
         }
     }
 
     /// Takes the next stroke.
+    ///
+    /// # Panics
+    /// If the array has no such motor.
     pub fn push(&mut self, stroke: &Stroke) {
         // No later stroke begins before this one.
         self.pass(stroke.up.0);
@@ -105,9 +135,7 @@ impl PulsingMotors {
             self.edges.push(Reverse((burst.start.0, true, stroke.motor)));
             self.edges.push(Reverse((burst.end().0, false, stroke.motor)));
         }
-        if let Some(rail) = self.rails.get_mut(usize::from(stroke.motor) / MOTORS_PER_RAIL) {
-            rail.pulses += u64::from(stroke.pulses());
-        }
+        self.rails[self.array.rails().of(stroke.motor)].pulses += u64::from(stroke.pulses());
     }
 
     /// Counts what begins and ends before `tick`.
@@ -116,7 +144,7 @@ impl PulsingMotors {
             && at < tick
         {
             self.edges.pop();
-            let (rail, chip) = (usize::from(motor) / MOTORS_PER_RAIL, usize::from(motor) / MOTORS_PER_CHIP);
+            let (rail, chip) = (self.array.rails().of(motor), self.array.chips().of(motor));
             if !begins {
                 self.on_rail[rail] -= 1;
                 self.on_chip[chip] -= 1;
@@ -145,7 +173,7 @@ impl PulsingMotors {
 
     /// Counts the rest; returns the pulses of each rail, and the first tick that breaks the limits.
     #[must_use]
-    pub fn finish(mut self) -> ([RailPulses; RAILS], Option<TooMany>) {
+    pub fn finish(mut self) -> (Vec<RailPulses>, Option<TooMany>) {
         self.pass(u64::MAX);
         (self.rails, self.too_many)
     }
@@ -161,12 +189,12 @@ impl RailPulses {
 
 /// The pulses of each rail in the first [`SHOWN_S`] of these strokes, or up to their end, and the number of ticks covered.
 #[must_use]
-pub fn rail_pulses(strokes: &Strokes) -> ([RailPulses; RAILS], u64) {
+pub fn rail_pulses(strokes: &Strokes) -> (Vec<RailPulses>, u64) {
     let mut strokes = strokes.clone();
     strokes.begin(Tick(0));
-    let most = SHOWN_S * TICKS_PER_S;
+    let most = SHOWN_S * strokes.array().rate().per_s();
     let ticks = strokes.end().unwrap_or(most).min(most);
-    let mut motors = PulsingMotors::new(PowerLimits::NONE);
+    let mut motors = PulsingMotors::new(strokes.array(), PowerLimits::NONE);
     for stroke in strokes.map_while(Result::ok).take_while(|stroke| stroke.up.0 < ticks) {
         motors.push(&stroke);
     }
@@ -181,10 +209,13 @@ mod tests {
     #[test]
     fn a_motor_of_3_nf_draws_31_ma() {
         // 4 · 3 nF · 30 V · 85 kHz.
-        assert!((current_ma(3.0) - 30.6).abs() < 1e-9);
-        assert!((current_ma(7.0) - 71.4).abs() < 1e-9 && (current_ma(20.0) - 204.0).abs() < 1e-9);
+        assert!((current_ma(Array::paper(), 3.0) - 30.6).abs() < 1e-9);
+        assert!(
+            (current_ma(Array::paper(), 7.0) - 71.4).abs() < 1e-9
+                && (current_ma(Array::paper(), 20.0) - 204.0).abs() < 1e-9
+        );
         // Two motors at the 70 kHz of the typical application: 50 mA.
-        let typical_ma = 2.0 * current_ma(CAPACITANCE_NF) * 70.0 / 85.0;
+        let typical_ma = 2.0 * current_ma(Array::paper(), CAPACITANCE_NF) * 70.0 / 85.0;
         assert!((typical_ma - 50.0).abs() < 1.0, "{typical_ma}");
     }
 
@@ -197,7 +228,7 @@ mod tests {
             chip_at_once in 1u8..=2,
         ) {
             let limits = PowerLimits { rail_at_once, chip_at_once, ..PowerLimits::NONE };
-            let (mut up, mut free) = (0, [0; MOTORS]);
+            let (mut up, mut free) = (0, [0; 24]);
             let mut strokes = Vec::new();
             for (motor, after, pulses, hold) in sent {
                 up += after;
@@ -208,11 +239,11 @@ mod tests {
                 strokes.push(stroke);
             }
             strokes.sort_by_key(|stroke| (stroke.up, stroke.motor));
-            let mut counted = PulsingMotors::new(limits);
+            let mut counted = PulsingMotors::new(Array::paper(), limits);
             strokes.iter().for_each(|stroke| counted.push(stroke));
             let (rails, too_many) = counted.finish();
             let end = strokes.iter().map(|stroke| stroke.end().0).max().unwrap_or(0);
-            let (mut most, mut first) = ([0; RAILS], None);
+            let (mut most, mut first) = ([0; 4], None);
             for tick in 0..end {
                 let on = |motors: std::ops::Range<u8>| strokes.iter().filter(|stroke| motors.contains(&stroke.motor)
                     && stroke.bursts().iter().any(|burst| (burst.start.0..burst.end().0).contains(&tick))).count() as u8;
@@ -223,7 +254,7 @@ mod tests {
                     || (0..12_u8).any(|chip| on(2 * chip..2 * chip + 2) > chip_at_once);
                 first = first.or(breaks.then_some(tick));
             }
-            prop_assert_eq!(rails.map(|rail| rail.most_at_once), most);
+            prop_assert_eq!(rails.iter().map(|rail| rail.most_at_once).collect::<Vec<_>>(), most);
             prop_assert_eq!(too_many.map(|found| found.tick), first);
             let pulses: u64 = strokes.iter().map(|stroke| u64::from(stroke.pulses())).sum();
             prop_assert_eq!(rails.iter().map(|rail| rail.pulses).sum::<u64>(), pulses);

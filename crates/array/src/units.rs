@@ -1,70 +1,92 @@
 //! Converts between seconds, milliseconds, ticks and pulses.
 //!
 //! Device time is [`Tick`](firmware_protocol::tick::Tick), pattern time is seconds in `f64`, the host's time is a [`Duration`].
-//! Every crate of the host converts with these functions. They differ in how they treat a fraction of a tick: [`seconds_to_ticks`]
-//! rounds, [`duration_to_ticks`] drops it, [`seconds_in_ticks`] and [`ms_in_ticks`] keep it. (None of them corrects for the
+//! Every crate of the host converts with a [`TickRate`], which the array's description gives. Its methods differ in how they treat a
+//! fraction of a tick: [`TickRate::seconds_to_ticks`] rounds, [`TickRate::duration_to_ticks`] drops it, [`TickRate::seconds_in_ticks`]
+//! and [`TickRate::ms_in_ticks`] keep it. (None of them corrects for the
 //! difference of the device's and the host's clock: the clock model of the link does.)
 //!
 //! Invariant: the order of operations in each function is part of its definition, so results are the same bit for bit.
 
-use firmware_protocol::tick::TICK_HZ;
 use std::time::Duration;
 
-/// Travel of a shaft per pulse, µm: the slope of Fig. 3 of Gwak, Park & Kim.
-pub const UM_PER_PULSE: f64 = 0.95 / 7.0;
+/// Ticks per second of an array's device: the rate of its pulses.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct TickRate(u32);
 
-/// Ticks of a second.
-pub const TICKS_PER_S: u64 = TICK_HZ as u64;
+impl TickRate {
+    /// So many ticks per second.
+    #[must_use]
+    pub const fn new(hz: u32) -> Self {
+        Self(hz)
+    }
 
-/// Ticks of a millisecond, a whole number.
-pub const TICKS_PER_MS: u64 = TICKS_PER_S / 1000;
+    /// Ticks per second.
+    #[must_use]
+    pub const fn hz(self) -> u32 {
+        self.0
+    }
 
-/// Half ticks of a second: the motor model counts in half ticks.
-pub const HALF_TICKS_PER_S: f64 = 2.0 * TICK_HZ as f64;
+    /// Ticks of a second.
+    #[must_use]
+    pub const fn per_s(self) -> u64 {
+        self.0 as u64
+    }
 
-const _: () = assert!(TICKS_PER_MS * 1000 == TICKS_PER_S);
+    /// Half ticks of a second: the motor model counts in half ticks.
+    #[must_use]
+    pub const fn half_ticks_per_s(self) -> f64 {
+        2.0 * self.0 as f64
+    }
 
-/// The tick nearest to `seconds`, halves up: `floor(seconds * 85000 + 0.5)`. Negative or NaN: 0.
-#[must_use]
-#[expect(
-    clippy::cast_possible_truncation,
-    clippy::cast_sign_loss,
-    reason = "the cast is the floor, and saturates"
-)]
-pub fn seconds_to_ticks(seconds: f64) -> u64 {
-    (seconds_in_ticks(seconds) + 0.5) as u64
-}
+    /// The first tick at least `ms` milliseconds after tick 0.
+    #[must_use]
+    pub const fn of_ms(self, ms: u64) -> u64 {
+        (ms * self.per_s()).div_ceil(1000)
+    }
 
-/// The whole ticks of a duration.
-#[must_use]
-pub fn duration_to_ticks(duration: Duration) -> u64 {
-    let ticks = duration.as_nanos() * u128::from(TICK_HZ) / 1_000_000_000;
-    u64::try_from(ticks).unwrap_or(u64::MAX)
-}
+    /// The tick nearest to `seconds`, halves up: `floor(seconds * hz + 0.5)`. Negative or NaN: 0.
+    #[must_use]
+    #[expect(
+        clippy::cast_possible_truncation,
+        clippy::cast_sign_loss,
+        reason = "the cast is the floor, and saturates"
+    )]
+    pub fn seconds_to_ticks(self, seconds: f64) -> u64 {
+        (self.seconds_in_ticks(seconds) + 0.5) as u64
+    }
 
-/// `seconds` as a number of ticks, not rounded.
-#[must_use]
-pub const fn seconds_in_ticks(seconds: f64) -> f64 {
-    seconds * TICK_HZ as f64
-}
+    /// The whole ticks of a duration.
+    #[must_use]
+    pub fn duration_to_ticks(self, duration: Duration) -> u64 {
+        let ticks = duration.as_nanos() * u128::from(self.0) / 1_000_000_000;
+        u64::try_from(ticks).unwrap_or(u64::MAX)
+    }
 
-/// `ms` milliseconds as a number of ticks, not rounded.
-#[must_use]
-pub const fn ms_in_ticks(ms: f64) -> f64 {
-    ms * TICK_HZ as f64 / 1000.0
-}
+    /// `seconds` as a number of ticks, not rounded.
+    #[must_use]
+    pub const fn seconds_in_ticks(self, seconds: f64) -> f64 {
+        seconds * self.0 as f64
+    }
 
-/// Ticks as seconds.
-#[must_use]
-#[expect(clippy::cast_precision_loss, reason = "2^53 ticks last 3 000 years")]
-pub const fn ticks_to_seconds(ticks: u64) -> f64 {
-    ticks as f64 / TICK_HZ as f64
-}
+    /// `ms` milliseconds as a number of ticks, not rounded.
+    #[must_use]
+    pub const fn ms_in_ticks(self, ms: f64) -> f64 {
+        ms * self.0 as f64 / 1000.0
+    }
 
-/// Ticks as milliseconds.
-#[must_use]
-pub const fn ticks_to_ms(ticks: u64) -> f64 {
-    ticks_to_seconds(ticks) * 1000.0
+    /// Ticks as seconds.
+    #[must_use]
+    #[expect(clippy::cast_precision_loss, reason = "2^53 ticks last 3 000 years")]
+    pub const fn ticks_to_seconds(self, ticks: u64) -> f64 {
+        ticks as f64 / self.0 as f64
+    }
+
+    /// Ticks as milliseconds.
+    #[must_use]
+    pub const fn ticks_to_ms(self, ticks: u64) -> f64 {
+        self.ticks_to_seconds(ticks) * 1000.0
+    }
 }
 
 /// Nanoseconds as milliseconds.
@@ -87,26 +109,31 @@ pub fn ms_to_duration(ms: f64) -> Duration {
 mod tests {
     use super::*;
 
+    const RATE: TickRate = TickRate::new(85_000);
+
     #[test]
     fn seconds_round_to_the_nearest_tick_halves_up() {
-        assert_eq!(seconds_to_ticks(1.0), 85_000);
-        assert_eq!(seconds_to_ticks(0.5 / 85_000.0), 1);
-        assert_eq!(seconds_to_ticks(0.49 / 85_000.0), 0);
-        assert_eq!(seconds_to_ticks(-1.0), 0);
-        assert_eq!(seconds_to_ticks(f64::NAN), 0);
+        assert_eq!(RATE.seconds_to_ticks(1.0), 85_000);
+        assert_eq!(RATE.seconds_to_ticks(0.5 / 85_000.0), 1);
+        assert_eq!(RATE.seconds_to_ticks(0.49 / 85_000.0), 0);
+        assert_eq!(RATE.seconds_to_ticks(-1.0), 0);
+        assert_eq!(RATE.seconds_to_ticks(f64::NAN), 0);
     }
 
     #[test]
     fn a_duration_rounds_down_and_never_overflows() {
-        assert_eq!(duration_to_ticks(Duration::from_secs(1)), 85_000);
-        assert_eq!(duration_to_ticks(Duration::from_nanos(11_764)), 0);
-        assert_eq!(duration_to_ticks(Duration::from_nanos(11_765)), 1);
-        assert_eq!(duration_to_ticks(Duration::MAX), u64::MAX);
+        assert_eq!(RATE.duration_to_ticks(Duration::from_secs(1)), 85_000);
+        assert_eq!(RATE.duration_to_ticks(Duration::from_nanos(11_764)), 0);
+        assert_eq!(RATE.duration_to_ticks(Duration::from_nanos(11_765)), 1);
+        assert_eq!(RATE.duration_to_ticks(Duration::MAX), u64::MAX);
     }
 
     #[test]
     fn ticks_and_milliseconds_convert_both_ways() {
-        assert_eq!((ms_in_ticks(2.5), ticks_to_ms(170), ticks_to_seconds(85_000)), (212.5, 2.0, 1.0));
+        assert_eq!(
+            (RATE.ms_in_ticks(2.5), RATE.ticks_to_ms(170), RATE.ticks_to_seconds(85_000)),
+            (212.5, 2.0, 1.0)
+        );
         assert_eq!((ns_to_ms(2_500_000), ms_to_duration(2.5)), (2.5, Duration::from_micros(2_500)));
     }
 }

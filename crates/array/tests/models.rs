@@ -4,6 +4,7 @@ use crate::simulated::play;
 use firmware_protocol::tick::Tick;
 use meissner_array::motor::{HalfTick, Shaft, SquareWave, SteadyState};
 use meissner_array::simulated::{SimulatedMotors, SimulatedMotorsConfig};
+use meissner_array::spec::Array;
 use meissner_array::strokes::{StrokeOptions, Strokes};
 use meissner_test_support::patterns::{self, drive};
 use serde::Deserialize;
@@ -27,10 +28,12 @@ fn a_drive_moves_the_shaft_like_the_reference_trace() {
     let traces: Vec<Trace> = serde_json::from_str(include_str!("data/motor_trace.json")).unwrap();
     assert_eq!(traces.len(), 6);
     for Trace { drive, t_s, y_um } in traces {
-        let wave = SquareWave::new(drive.frequency_hz, drive.amplitude_um, drive.phase).unwrap();
-        let mut ramps = wave.excursions().flat_map(|excursion| excursion.ramps());
+        let wave =
+            SquareWave::new(Array::paper(), drive.frequency_hz, drive.amplitude_um, drive.phase).unwrap();
+        let mut ramps =
+            wave.excursions().flat_map(|excursion| excursion.ramps(Array::paper().motor().um_per_pulse));
         let mut next = ramps.next().unwrap();
-        let mut shaft = Shaft::default();
+        let mut shaft = Shaft::new(Array::paper().motor());
         for (t_s, y_um) in t_s.into_iter().zip(y_um) {
             let at = HalfTick((t_s * 170_000.0).round() as u64);
             while HalfTick::from(next.start) <= at {
@@ -57,7 +60,7 @@ fn amplitudes() -> Vec<[f64; 3]> {
 #[test]
 fn the_closed_form_and_the_played_drive_have_the_reference_amplitude() {
     for [hz, um, expected] in amplitudes() {
-        let steady = SteadyState::of(hz, um).unwrap();
+        let steady = SteadyState::of(Array::paper(), hz, um).unwrap();
         assert!((steady.peak_to_peak_um - expected).abs() < 1e-6, "{hz} Hz, {um} um: {steady:?}");
         assert!((steady.played_peak_to_peak_um - expected).abs() <= 0.15, "{hz} Hz, {um} um: {steady:?}");
     }
@@ -70,7 +73,7 @@ fn simulated_motors_without_scatter_have_the_reference_amplitude() {
         let pattern = patterns::pattern("amplitudes", None, drives);
         let mut strokes = Strokes::new(&pattern, &StrokeOptions::lasting(2.1)).unwrap();
         let config = SimulatedMotorsConfig { telemetry_hz: 10_000, ..SimulatedMotorsConfig::ideal() };
-        let mut motors = SimulatedMotors::new(config, Tick::BOOT).unwrap();
+        let mut motors = SimulatedMotors::new(Array::paper(), config, Tick::BOOT).unwrap();
         strokes.begin(Tick::BOOT);
         let mut ranges = [(i32::MAX, i32::MIN); 24];
         play(&mut motors, strokes, 2 * 85_000, |motors| {
@@ -94,7 +97,7 @@ fn simulated_motors_without_scatter_have_the_reference_amplitude() {
 fn nothing_moves_at_multiples_of_the_window_s_frequency() {
     for multiple in 1..=20 {
         for um in [1.0, 20.0, 80.0, 400.0] {
-            let steady = SteadyState::of(f64::from(multiple) * 85_000.0 / 365.5, um).unwrap();
+            let steady = SteadyState::of(Array::paper(), f64::from(multiple) * 85_000.0 / 365.5, um).unwrap();
             assert!(steady.peak_to_peak_um < 1e-9, "{multiple} / W, {um} um: {steady:?}");
             assert!(steady.played_peak_to_peak_um <= 0.15, "{multiple} / W, {um} um: {steady:?}");
         }

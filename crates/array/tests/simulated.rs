@@ -6,8 +6,9 @@ use meissner_array::pattern::Drive;
 use meissner_array::simulated::{
     LowerStop, Pin, RestStats, SPARE_SAMPLES, SimulatedMotors, SimulatedMotorsConfig,
 };
+use meissner_array::spec::Array;
 use meissner_array::strokes::{StrokeOptions, Strokes, StrokesError, Surplus};
-use meissner_array::units::UM_PER_PULSE;
+use meissner_test_support::paper::UM_PER_PULSE;
 use meissner_test_support::patterns;
 use meissner_test_support::statistics::{mean, rms, sd};
 
@@ -76,7 +77,8 @@ fn pulse(motors: &mut SimulatedMotors, direction: Direction, ticks: u64) {
 fn a_month_later_motors_move_as_at_the_start() {
     let run = |onset: Tick| {
         let drives = (0..24).map(|motor| drive(motor, 7.3 + 11.0 * f64::from(motor), 80.0)).collect();
-        let mut motors = SimulatedMotors::new(SimulatedMotorsConfig::ideal(), Tick(0)).unwrap();
+        let mut motors =
+            SimulatedMotors::new(Array::paper(), SimulatedMotorsConfig::ideal(), Tick(0)).unwrap();
         motors.advance(Lines::OFF, onset.0);
         let mut seen = Vec::new();
         play(&mut motors, strokes(drives, 10.0, onset), 10 * SECOND, |motors| {
@@ -97,7 +99,7 @@ fn a_month_later_motors_move_as_at_the_start() {
 #[test]
 fn after_a_month_of_strokes_the_pin_is_at_rest() {
     let config = SimulatedMotorsConfig { telemetry_hz: 0, ..SimulatedMotorsConfig::ideal() };
-    let mut motors = SimulatedMotors::new(config, Tick::BOOT).unwrap();
+    let mut motors = SimulatedMotors::new(Array::paper(), config, Tick::BOOT).unwrap();
     for stroke in strokes(vec![drive(5, 1.0, 80.0)], 30.0 * 86_400.0, Tick::BOOT) {
         for burst in stroke.unwrap().bursts() {
             motors.advance(Lines::OFF, burst.start - motors.now());
@@ -118,6 +120,7 @@ fn a_burst_left_out_changes_no_other_burst() {
         .collect();
     let travels = |bursts: &[(u8, Burst)]| {
         let mut motors = SimulatedMotors::new(
+            Array::paper(),
             SimulatedMotorsConfig { seed: 11, ..SimulatedMotorsConfig::default() },
             Tick::BOOT,
         )
@@ -150,7 +153,7 @@ fn gains_scatter_as_configured_and_the_first_burst_after_rest_falls_short() {
         ..SimulatedMotorsConfig::default()
     };
     let gains = |pause: u64| {
-        let mut motors = SimulatedMotors::new(config, Tick::BOOT).unwrap();
+        let mut motors = SimulatedMotors::new(Array::paper(), config, Tick::BOOT).unwrap();
         let gains: Vec<f64> = (0..2000)
             .map(|i| {
                 motors.advance(Lines::OFF, pause);
@@ -171,7 +174,7 @@ fn gains_scatter_as_configured_and_the_first_burst_after_rest_falls_short() {
 #[test]
 fn each_motor_has_an_asymmetry_of_its_own() {
     let config = SimulatedMotorsConfig { asymmetry_sd: 0.02, ..SimulatedMotorsConfig::ideal() };
-    let mut motors = SimulatedMotors::new(config, Tick::BOOT).unwrap();
+    let mut motors = SimulatedMotors::new(Array::paper(), config, Tick::BOOT).unwrap();
     motors.advance(Lines { up: 0xff_ffff, down: 0 }, 1000);
     let up: Vec<f64> = (0..24).map(|motor| motors.position_um(motor)).collect();
     motors.advance(Lines { up: 0, down: 0xff_ffff }, 1000);
@@ -184,7 +187,7 @@ fn each_motor_has_an_asymmetry_of_its_own() {
 #[test]
 fn a_pin_stays_at_its_end_stop_and_leaves_it_at_once() {
     let config = SimulatedMotorsConfig { end_stop_um: 10.05, ..SimulatedMotorsConfig::ideal() };
-    let mut motors = SimulatedMotors::new(config, Tick::BOOT).unwrap();
+    let mut motors = SimulatedMotors::new(Array::paper(), config, Tick::BOOT).unwrap();
     pulse(&mut motors, Direction::Up, 74);
     assert!((motors.position_um(5) - 74.0 * UM_PER_PULSE).abs() < 1e-12);
     pulse(&mut motors, Direction::Up, 1);
@@ -207,7 +210,7 @@ fn a_pin_stays_at_its_end_stop_and_leaves_it_at_once() {
 #[test]
 fn a_pin_stays_on_its_lower_stop_does_not_bounce_and_leaves_it_with_the_first_pulse() {
     let config = SimulatedMotorsConfig { lower_stop: LowerStop::AtRest, ..SimulatedMotorsConfig::ideal() };
-    let mut motors = SimulatedMotors::new(config, Tick::BOOT).unwrap();
+    let mut motors = SimulatedMotors::new(Array::paper(), config, Tick::BOOT).unwrap();
     pulse(&mut motors, Direction::Down, 500);
     assert_eq!((motors.position_um(5), motors.pushed_pulses(5), motors.pushed_pulses(6)), (0.0, 500, 0));
     pulse(&mut motors, Direction::Up, 1);
@@ -242,10 +245,10 @@ fn the_stop_takes_the_surplus_in_any_pieces() {
     };
     let surplus = StrokeOptions { surplus: Surplus::Fixed(15.0), ..StrokeOptions::lasting(2.0) };
     let pattern = patterns::pattern("test", None, vec![drive(5, 60.0, 80.0)]);
-    let mut pin = Pin::new(&config, 5);
+    let mut pin = Pin::new(Array::paper(), &config, 5);
     let (mut whole, mut pieces) = (
-        SimulatedMotors::new(config, Tick::BOOT).unwrap(),
-        SimulatedMotors::new(config, Tick::BOOT).unwrap(),
+        SimulatedMotors::new(Array::paper(), config, Tick::BOOT).unwrap(),
+        SimulatedMotors::new(Array::paper(), config, Tick::BOOT).unwrap(),
     );
     let mut strokes = Strokes::new(&pattern, &surplus).unwrap();
     strokes.begin(Tick::BOOT);
@@ -272,8 +275,8 @@ fn steps_of_any_length_give_the_same_motion() {
         [one_burst(Direction::Up, Tick::BOOT + 10, 600), one_burst(Direction::Down, Tick::BOOT + 700, 1000)];
     let end = Tick::BOOT + 3000;
     let (mut whole, mut pieces) = (
-        SimulatedMotors::new(config, Tick::BOOT).unwrap(),
-        SimulatedMotors::new(config, Tick::BOOT).unwrap(),
+        SimulatedMotors::new(Array::paper(), config, Tick::BOOT).unwrap(),
+        SimulatedMotors::new(Array::paper(), config, Tick::BOOT).unwrap(),
     );
     let mut whole_samples = Vec::new();
     play_bursts(&mut whole, bursts, end, |motors| {
@@ -298,7 +301,7 @@ fn steps_of_any_length_give_the_same_motion() {
 #[test]
 fn telemetry_comes_on_time_and_only_the_newest_samples_are_kept() {
     let config = SimulatedMotorsConfig { telemetry_age_ms: 5, ..SimulatedMotorsConfig::ideal() };
-    let mut motors = SimulatedMotors::new(config, Tick::BOOT).unwrap();
+    let mut motors = SimulatedMotors::new(Array::paper(), config, Tick::BOOT).unwrap();
     pulse(&mut motors, Direction::Up, 85 + 5 * 85 - 1);
     assert_eq!(motors.telemetry(), None);
     pulse(&mut motors, Direction::Up, 1);
@@ -325,7 +328,7 @@ fn a_setting_out_of_range_is_refused_in_one_line() {
         SimulatedMotorsConfig { telemetry_hz: 85_000, ..SimulatedMotorsConfig::default() },
         SimulatedMotorsConfig { telemetry_age_ms: 1_001, ..SimulatedMotorsConfig::default() },
     ] {
-        let line = SimulatedMotors::new(config, Tick(0)).unwrap_err().to_string();
+        let line = SimulatedMotors::new(Array::paper(), config, Tick(0)).unwrap_err().to_string();
         assert!(line.starts_with("mock.") && line.contains("must be 0 to"), "{line}");
     }
 }

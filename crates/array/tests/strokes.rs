@@ -6,10 +6,11 @@ use firmware_protocol::tick::Tick;
 use meissner_array::motor::SquareWave;
 use meissner_array::pattern::{Drive, Pattern};
 use meissner_array::reflected_walk::Spread;
+use meissner_array::spec::Array;
 use meissner_array::strokes::{
     AutoSurplus, Fit, Ordered, StrokeOptions, Strokes, StrokesError, Surplus, ordered, reached,
 };
-use meissner_array::units::UM_PER_PULSE;
+use meissner_test_support::paper::UM_PER_PULSE;
 use meissner_test_support::patterns::{self, drive};
 use proptest::prelude::*;
 
@@ -168,7 +169,7 @@ proptest! {
     #[test]
     fn an_edge_is_the_nearest_tick_a_month_in(n in 103..307_200_i128, p in 0..4096_i128, h in 0..1_600_000_000_i128) {
         // Frequencies of n/1024 and phases of p/4096 are exact in f64; so is the tick wanted, as a fraction.
-        let wave = SquareWave::new(n as f64 / 1024.0, 1.0, p as f64 / 4096.0).unwrap();
+        let wave = SquareWave::new(Array::paper(), n as f64 / 1024.0, 1.0, p as f64 / 4096.0).unwrap();
         let tick = i128::from(wave.edge(h as u64));
         let (numerator, denominator) = ((h * 2048 + p) * 85_000 * 1024, 4096 * n);
         prop_assert!((tick * denominator - numerator).abs() * 1000 <= 501 * denominator);

@@ -13,6 +13,7 @@
 pub mod both;
 pub mod documents;
 pub mod oracle;
+pub mod paper;
 pub mod patterns;
 pub mod played;
 pub mod random;

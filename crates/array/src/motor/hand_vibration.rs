@@ -1,14 +1,14 @@
 //! Hand-transmitted vibration of one pin, by the frequency weighting of ISO 5349-1. Ethics boards know this figure.
 //!
 //! The weighting is that of annex A: a band limit from 6.31 to 1258.9 Hz, and a transition from acceleration to velocity at 15.915
-//! Hz. The motion is the drive's as commanded, at constant velocity during bursts; the motor's averaging over 4.3 ms only lowers
+//! Hz. The motion is the drive's as commanded, at constant velocity during bursts; the motor's averaging only lowers
 //! the result. The standard is about tools that a hand grips; `docs/explanation/participants.md` says what it can tell about pins.
 //!
 //! Invariant: above 16 Hz the result hardly exceeds 2π · 16 Hz times the velocity of a burst, at any drive.
 
 use super::model::MotorError;
 use super::wave::SquareWave;
-use crate::units::{TICKS_PER_S, UM_PER_PULSE};
+use crate::spec::Array;
 use std::f64::consts::{PI, SQRT_2, TAU};
 
 /// Harmonics above this frequency weigh less than a thousandth, Hz.
@@ -35,11 +35,15 @@ pub fn weighting(hz: f64) -> f64 {
 ///
 /// # Errors
 /// The first argument that is out of range.
-pub fn weighted_acceleration_m_s2(frequency_hz: f64, amplitude_um: f64) -> Result<f64, MotorError> {
-    let wave = SquareWave::new(frequency_hz, amplitude_um, 0.0)?;
-    let velocity_m_s = UM_PER_PULSE * TICKS_PER_S as f64 * 1e-6;
+pub fn weighted_acceleration_m_s2(
+    array: Array,
+    frequency_hz: f64,
+    amplitude_um: f64,
+) -> Result<f64, MotorError> {
+    let wave = SquareWave::new(array, frequency_hz, amplitude_um, 0.0)?;
+    let velocity_m_s = array.motor().um_per_pulse * f64::from(array.rate().hz()) * 1e-6;
     // A burst's share of the period. Up and down bursts are half a period apart, so even harmonics vanish.
-    let share = f64::from(wave.pulses()) / TICKS_PER_S as f64 * frequency_hz;
+    let share = f64::from(wave.pulses()) / f64::from(array.rate().hz()) * frequency_hz;
     let harmonic = |number: u32| {
         let (k, hz) = (f64::from(number), f64::from(number) * frequency_hz);
         let velocity = 4.0 * velocity_m_s / (PI * k) * (PI * k * share).sin() / SQRT_2;
@@ -72,11 +76,11 @@ mod tests {
 
     #[test]
     fn no_drive_exceeds_the_velocity_of_a_burst() {
-        let velocity_m_s = UM_PER_PULSE * 85_000.0 * 1e-6;
+        let velocity_m_s = 0.95 / 7.0 * 85_000.0 * 1e-6;
         let bound = TAU * 16.0 * velocity_m_s;
         for hz in [5.0, 10.0, 20.0, 60.0, 120.0, 250.0, 300.0] {
             for um in [1.0, 20.0, 80.0, 200.0, 400.0] {
-                let found = weighted_acceleration_m_s2(hz, um).unwrap();
+                let found = weighted_acceleration_m_s2(Array::paper(), hz, um).unwrap();
                 assert!((0.0..1.05 * bound).contains(&found), "{hz} Hz, {um} um: {found} of {bound}");
             }
         }
@@ -86,8 +90,8 @@ mod tests {
     #[test]
     fn a_saturated_drive_is_a_square_wave_of_velocity() {
         // 200 Hz and 400 um: the pin moves all the time, so its velocity is that of a burst.
-        let found = weighted_acceleration_m_s2(200.0, 400.0).unwrap();
-        let velocity_m_s = UM_PER_PULSE * 85_000.0 * 1e-6;
+        let found = weighted_acceleration_m_s2(Array::paper(), 200.0, 400.0).unwrap();
+        let velocity_m_s = 0.95 / 7.0 * 85_000.0 * 1e-6;
         let first = 4.0 / PI / SQRT_2 * velocity_m_s * TAU * 200.0 * weighting(200.0);
         assert!((first..1.15 * first).contains(&found), "{found} and {first}");
     }

@@ -1,9 +1,9 @@
 //! The motor model: a square-wave drive becomes bursts of pulses, and bursts become the displacement of a shaft.
 //!
-//! A burst ramps the shaft's commanded position r by [`UM_PER_PULSE`](crate::units::UM_PER_PULSE) per tick. The shaft's
-//! displacement is the moving average of r over 4.3 ms ([`Shaft`]). A drive is a square wave whose edges are rounded to ticks
+//! A burst ramps the shaft's commanded position r by [`um_per_pulse`](crate::spec::MotorSpec) per tick. The shaft's
+//! displacement is the moving average of r over the motor's window ([`Shaft`]). A drive is a square wave whose edges are rounded to ticks
 //! ([`SquareWave`]); [`SteadyState`] gives its steady amplitude, [`hand_vibration`] its weighted acceleration. This is the ideal motor: scatter, asymmetry and end stops
-//! are in [`simulated`](crate::simulated). The model's numbers are in `model`.
+//! are in [`simulated`](crate::simulated). The motor's numbers are in the array's description ([`spec`](crate::spec)).
 //!
 //! Invariant: instants are integers (half ticks), so equal instants compare equal, nothing is lost however late it is,
 //! and a shaft whose pulses cancel rests at exactly 0.
@@ -14,10 +14,7 @@ mod shaft;
 mod steady;
 mod wave;
 
-pub use model::{
-    MAX_AMPLITUDE_UM, MAX_FREQUENCY_HZ, MotorError, TRANSIENT_GAIN, TRANSIENT_REST_TICKS, WINDOW_HALF_TICKS,
-    WINDOW_LENGTH_TICKS, WINDOW_TICKS,
-};
+pub use model::{MAX_AMPLITUDE_UM, MotorError};
 pub use shaft::{HalfTick, Ramp, Shaft};
 pub use steady::SteadyState;
 pub use wave::{Excursion, Excursions, SquareWave};

@@ -1,22 +1,16 @@
 //! The exact displacement of a shaft, from the ramps of its commanded position.
 //!
-//! `y(t) = (1/W) ∫ r` over the last W = 365.5 ticks. The share of a ramp in that integral is a polynomial in whole half ticks since
+//! `y(t) = (1/W) ∫ r` over the window W of the motor, a whole number of half ticks. The share of a ramp in that integral is a polynomial in whole half ticks since
 //! the ramp's start, so it is an integer until it is multiplied by the ramp's speed. Its precision does not depend on how late it
 //! is. A ramp that ended W ago is added to a base and dropped.
 //!
 //! Push ramps in order of time, and ask only about instants from the start of the newest ramp on. This bounds the memory: the
-//! shortest ramp is one pulse, so [`MAX_RAMPS`] fill the window.
+//! shortest ramp is one pulse, so the window holds one ramp per tick, the one at its far edge and the newest.
 
-use super::model::WINDOW_HALF_TICKS;
-use crate::units::UM_PER_PULSE;
+use crate::spec::MotorSpec;
 use firmware_protocol::stroke::Direction;
 use firmware_protocol::tick::Tick;
 use std::collections::VecDeque;
-
-/// Ramps that can matter at once: one per tick of the window, the one at its far edge, the newest.
-const MAX_RAMPS: usize = WINDOW_HALF_TICKS as usize / 2 + 3;
-
-const WINDOW: i64 = WINDOW_HALF_TICKS.cast_signed();
 
 /// An instant of device time in half ticks: all breakpoints of the model are multiples of one.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
@@ -42,17 +36,17 @@ pub struct Ramp {
     pub start: Tick,
     /// How long it lasts.
     pub ticks: u32,
-    /// Speed, positive towards the finger: [`UM_PER_PULSE`] times a gain.
+    /// Speed, positive towards the finger: the travel per pulse times a gain.
     pub um_per_tick: f64,
 }
 
 impl Ramp {
-    /// `ticks` pulses from `start` on, played with a gain; 1 is the ideal motor.
+    /// `ticks` pulses from `start` on, each with this travel.
     #[must_use]
-    pub fn new(start: Tick, ticks: u32, direction: Direction, gain: f64) -> Self {
+    pub fn new(start: Tick, ticks: u32, direction: Direction, um_per_pulse: f64) -> Self {
         let um_per_tick = match direction {
-            Direction::Up => UM_PER_PULSE * gain,
-            Direction::Down => -UM_PER_PULSE * gain,
+            Direction::Up => um_per_pulse,
+            Direction::Down => -um_per_pulse,
         };
         Self { start, ticks, um_per_tick }
     }
@@ -83,26 +77,26 @@ impl Ramp {
         after.clamp(0, self.half_ticks())
     }
 
-    /// The ramp's share in the displacement at an instant, µm.
+    /// The ramp's share in the displacement at an instant, µm, for a window of so many half ticks.
     #[must_use]
-    pub fn share_um(&self, at: HalfTick) -> f64 {
-        self.share_after(at.since(self.start.into()))
+    pub fn share_um(&self, at: HalfTick, window_half_ticks: u64) -> f64 {
+        self.share_after(at.since(self.start.into()), window_half_ticks.cast_signed())
     }
 
     /// The ramp's share in the displacement, `after` half ticks after its start, µm: the mean of its travel over the window. Here
     /// `before` is the part that lies before the window.
     #[expect(clippy::cast_precision_loss, reason = "below 2^44")]
-    fn share_after(&self, after: i64) -> f64 {
-        let before = self.done(after.saturating_sub(WINDOW));
+    fn share_after(&self, after: i64, window: i64) -> f64 {
+        let before = self.done(after.saturating_sub(window));
         let left = self.half_ticks() - before;
         if left == 0 {
             return self.travel_um();
         }
-        let inside = after.clamp(0, WINDOW);
+        let inside = after.clamp(0, window);
         let done = inside.min(left);
-        let twice_area = 2 * WINDOW * before + done * (2 * inside - done);
+        let twice_area = 2 * window * before + done * (2 * inside - done);
         // A factor 1/2 for the doubled area, and one for half ticks.
-        self.um_per_tick * (twice_area as f64 / (4 * WINDOW) as f64)
+        self.um_per_tick * (twice_area as f64 / (4 * window) as f64)
     }
 }
 
@@ -111,15 +105,18 @@ impl Ramp {
 pub struct Shaft {
     base_um: f64,
     ramps: VecDeque<Ramp>,
-}
-
-impl Default for Shaft {
-    fn default() -> Self {
-        Self { base_um: 0.0, ramps: VecDeque::with_capacity(MAX_RAMPS) }
-    }
+    /// The window, half ticks.
+    window: i64,
 }
 
 impl Shaft {
+    /// The shaft of such a motor, at rest at 0.
+    #[must_use]
+    pub fn new(motor: &MotorSpec) -> Self {
+        let window = motor.window_half_ticks.cast_signed();
+        Self { base_um: 0.0, ramps: VecDeque::with_capacity(most_ramps(window)), window }
+    }
+
     /// Returns to rest at 0. Keeps the memory.
     pub fn reset(&mut self) {
         self.base_um = 0.0;
@@ -134,7 +131,7 @@ impl Shaft {
             return;
         }
         while let Some(oldest) = self.ramps.front()
-            && ramp.start.since(oldest.end()) * 2 >= WINDOW
+            && ramp.start.since(oldest.end()) * 2 >= self.window
         {
             self.base_um += oldest.travel_um();
             self.ramps.pop_front();
@@ -148,7 +145,7 @@ impl Shaft {
         } else {
             self.ramps.push_back(ramp);
         }
-        debug_assert!(self.ramps.len() <= MAX_RAMPS);
+        debug_assert!(self.ramps.len() <= most_ramps(self.window));
     }
 
     /// The commanded position r, µm.
@@ -163,7 +160,9 @@ impl Shaft {
     /// The displacement y: the mean of r over the window that ends `at`, µm.
     #[must_use]
     pub fn displacement_um(&self, at: HalfTick) -> f64 {
-        self.ramps.iter().fold(self.base_um, |sum, ramp| sum + ramp.share_um(at))
+        self.ramps
+            .iter()
+            .fold(self.base_um, |sum, ramp| sum + ramp.share_after(at.since(ramp.start.into()), self.window))
     }
 
     /// dy/dt = (r(t) - r(t - W)) / W, µm per tick. Linear between the starts and ends of ramps and W after each.
@@ -172,27 +171,41 @@ impl Shaft {
     pub fn velocity_um_per_tick(&self, at: HalfTick) -> f64 {
         let change = self.ramps.iter().fold(0.0, |sum, ramp| {
             let after = at.since(ramp.start.into());
-            sum + ramp.um_per_tick * (ramp.done(after) - ramp.done(after - WINDOW)) as f64
+            sum + ramp.um_per_tick * (ramp.done(after) - ramp.done(after - self.window)) as f64
         });
-        change / WINDOW as f64
+        change / self.window as f64
     }
+}
+
+/// Ramps that can matter at once: one per tick of the window, the one at its far edge, the newest.
+const fn most_ramps(window: i64) -> usize {
+    window.unsigned_abs() as usize / 2 + 3
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::spec::Array;
+
+    /// The paper's: 0.95 µm for 7 pulses, 4.3 ms.
+    const UM_PER_PULSE: f64 = 0.95 / 7.0;
+    const WINDOW_HALF_TICKS: u64 = 731;
+
+    fn shaft() -> Shaft {
+        Shaft::new(Array::paper().motor())
+    }
 
     fn up(start: u64, ticks: u32) -> Ramp {
-        Ramp::new(Tick(start), ticks, Direction::Up, 1.0)
+        Ramp::new(Tick(start), ticks, Direction::Up, UM_PER_PULSE)
     }
 
     fn down(start: u64, ticks: u32) -> Ramp {
-        Ramp::new(Tick(start), ticks, Direction::Down, 1.0)
+        Ramp::new(Tick(start), ticks, Direction::Down, UM_PER_PULSE)
     }
 
     #[test]
     fn a_shaft_moves_as_the_mean_of_its_ramps_and_comes_back_to_exactly_zero() {
-        let mut shaft = Shaft::default();
+        let mut shaft = shaft();
         shaft.push(up(100, 100));
         assert_eq!(shaft.displacement_um(HalfTick(200)), 0.0);
         // The integral of a ramp of 100 ticks, 60 ticks in: 60²/2 of 365.5.
@@ -211,7 +224,7 @@ mod tests {
 
     #[test]
     fn a_ramp_in_pieces_is_one_ramp() {
-        let (mut whole, mut pieces) = (Shaft::default(), Shaft::default());
+        let (mut whole, mut pieces) = (shaft(), shaft());
         whole.push(up(10, 500));
         (0..500).for_each(|tick| pieces.push(up(10 + tick, 1)));
         let at = HalfTick(1021);
@@ -220,12 +233,12 @@ mod tests {
 
     #[test]
     fn the_shortest_ramps_fill_the_window_and_no_more() {
-        let mut shaft = Shaft::default();
+        let mut shaft = shaft();
         let room = shaft.ramps.capacity();
         for tick in 0..10_000 {
             shaft.push(if tick % 2 == 0 { up(tick, 1) } else { down(tick, 1) });
         }
-        assert!(shaft.ramps.len() <= MAX_RAMPS && shaft.ramps.capacity() == room);
+        assert!(shaft.ramps.len() <= most_ramps(731) && shaft.ramps.capacity() == room);
         assert!((shaft.displacement_um(HalfTick(20_000)) - UM_PER_PULSE / 2.0).abs() < 1e-3);
     }
 }

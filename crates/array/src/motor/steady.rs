@@ -7,11 +7,10 @@
 //!
 //! Invariant: both amplitudes are exact up to f64; neither is sampled.
 
-use super::model::{MotorError, WINDOW_HALF_TICKS, WINDOW_LENGTH_TICKS, WINDOW_TICKS};
+use super::model::MotorError;
 use super::shaft::{HalfTick, Shaft};
 use super::wave::SquareWave;
-use crate::units::UM_PER_PULSE;
-use firmware_protocol::tick::TICK_HZ;
+use crate::spec::Array;
 use serde::Serialize;
 use std::collections::BTreeSet;
 
@@ -37,19 +36,19 @@ impl SteadyState {
     ///
     /// # Errors
     /// The first argument that is out of range.
-    pub fn ideal_um(frequency_hz: f64, amplitude_um: f64) -> Result<f64, MotorError> {
-        SquareWave::new(frequency_hz, amplitude_um, 0.0)?;
-        Ok(ideal(frequency_hz, amplitude_um))
+    pub fn ideal_um(array: Array, frequency_hz: f64, amplitude_um: f64) -> Result<f64, MotorError> {
+        SquareWave::new(array, frequency_hz, amplitude_um, 0.0)?;
+        Ok(ideal(array, frequency_hz, amplitude_um))
     }
 
     /// The steady state of a drive of `amplitude_um` peak to peak.
     ///
     /// # Errors
     /// The first argument that is out of range.
-    pub fn of(frequency_hz: f64, amplitude_um: f64) -> Result<Self, MotorError> {
-        let wave = SquareWave::new(frequency_hz, amplitude_um, 0.0)?;
+    pub fn of(array: Array, frequency_hz: f64, amplitude_um: f64) -> Result<Self, MotorError> {
+        let wave = SquareWave::new(array, frequency_hz, amplitude_um, 0.0)?;
         Ok(Self {
-            peak_to_peak_um: ideal(frequency_hz, amplitude_um),
+            peak_to_peak_um: ideal(array, frequency_hz, amplitude_um),
             pulses: wave.pulses(),
             played_peak_to_peak_um: played(&wave),
             saturated: wave.pulses() < wave.wanted_pulses(),
@@ -58,30 +57,33 @@ impl SteadyState {
 }
 
 /// `(2/W)(A x - v max(0, x - p)²)`: half-window x, half-plateau p, slope v; times in ticks.
-fn ideal(frequency_hz: f64, amplitude_um: f64) -> f64 {
-    let window = WINDOW_LENGTH_TICKS;
-    let period = f64::from(TICK_HZ) / frequency_hz;
-    let reached = amplitude_um.min(UM_PER_PULSE * period / 2.0);
-    let plateau = (period / 2.0 - reached / UM_PER_PULSE) / 2.0;
+fn ideal(array: Array, frequency_hz: f64, amplitude_um: f64) -> f64 {
+    let slope = array.motor().um_per_pulse;
+    let window = array.motor().window_ticks();
+    let period = f64::from(array.rate().hz()) / frequency_hz;
+    let reached = amplitude_um.min(slope * period / 2.0);
+    let plateau = (period / 2.0 - reached / slope) / 2.0;
     let cycles = window / period;
     let seen = (cycles - cycles.floor()) * period / 2.0;
     // Windows of T - w and w give the same, mirrored.
     let seen = seen.min(period / 2.0 - seen);
-    2.0 / window * (reached * seen - UM_PER_PULSE * (seen - plateau).max(0.0).powi(2))
+    2.0 / window * (reached * seen - slope * (seen - plateau).max(0.0).powi(2))
 }
 
 fn played(wave: &SquareWave) -> f64 {
+    let array = wave.array();
+    let motor = array.motor();
     let rest = wave.half_period_ticks().saturating_sub(wave.wanted_pulses().into());
-    if rest >= WINDOW_TICKS {
+    if rest >= motor.settled_ticks() {
         // Every plateau outlasts the window.
-        return f64::from(wave.wanted_pulses()) * UM_PER_PULSE;
+        return f64::from(wave.wanted_pulses()) * motor.um_per_pulse;
     }
-    let settled = HalfTick(2 * wave.edge(0) + WINDOW_HALF_TICKS);
-    let mut shaft = Shaft::default();
+    let settled = HalfTick(2 * wave.edge(0) + motor.window_half_ticks);
+    let mut shaft = Shaft::new(motor);
     let mut breakpoints = BTreeSet::new();
     let mut range = Range::default();
     for excursion in wave.excursions().take(PERIODS) {
-        for ramp in excursion.ramps() {
+        for ramp in excursion.ramps(motor.um_per_pulse) {
             let ends = [HalfTick::from(ramp.start), ramp.end().into()];
             while let Some(at) = breakpoints.pop_first() {
                 if at > ends[0] {
@@ -94,7 +96,7 @@ fn played(wave: &SquareWave) -> f64 {
             }
             shaft.push(ramp);
             breakpoints.extend(ends);
-            breakpoints.extend(ends.map(|end| HalfTick(end.0 + WINDOW_HALF_TICKS)));
+            breakpoints.extend(ends.map(|end| HalfTick(end.0 + motor.window_half_ticks)));
         }
     }
     range.highest - range.lowest
@@ -138,17 +140,17 @@ mod tests {
 
     #[test]
     fn a_full_speed_triangle_at_300_hz_is_a_few_micrometres() {
-        let steady = SteadyState::of(300.0, 400.0).unwrap();
+        let steady = SteadyState::of(Array::paper(), 300.0, 400.0).unwrap();
         assert!((steady.peak_to_peak_um - 3.07).abs() < 0.005, "{steady:?}");
         assert!(steady.saturated && steady.pulses == 141);
     }
 
     #[test]
     fn a_slow_drive_has_its_amplitude_in_whole_pulses() {
-        let steady = SteadyState::of(10.0, 9.5).unwrap();
+        let steady = SteadyState::of(Array::paper(), 10.0, 9.5).unwrap();
         assert!((steady.peak_to_peak_um - 9.5).abs() < 1e-12 && !steady.saturated && steady.pulses == 70);
         assert!((steady.played_peak_to_peak_um - 9.5).abs() < 1e-12);
-        assert_eq!(SteadyState::of(1e-300, 1e6).unwrap().pulses, 7_368_421);
-        assert_eq!(SteadyState::of(60.0, 0.0).unwrap().played_peak_to_peak_um, 0.0);
+        assert_eq!(SteadyState::of(Array::paper(), 1e-300, 1e6).unwrap().pulses, 7_368_421);
+        assert_eq!(SteadyState::of(Array::paper(), 60.0, 0.0).unwrap().played_peak_to_peak_um, 0.0);
     }
 }

@@ -9,16 +9,17 @@
 //!
 //! Invariant: the down burst of an excursion has as many pulses as the up burst plus the surplus; the two do not overlap.
 
-use super::model::{MAX_AMPLITUDE_UM, MAX_FREQUENCY_HZ, MotorError, TRANSIENT_GAIN, TRANSIENT_REST_TICKS};
+use super::model::{MAX_AMPLITUDE_UM, MotorError};
 use super::shaft::Ramp;
-use crate::units::UM_PER_PULSE;
+use crate::spec::Array;
 use firmware_protocol::limits;
 use firmware_protocol::stroke::{Direction, Stroke};
-use firmware_protocol::tick::{TICK_HZ, Tick};
+use firmware_protocol::tick::Tick;
 
 /// A square-wave drive of one motor, in ticks of its own time.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SquareWave {
+    array: Array,
     frequency_hz: f64,
     phase: f64,
     pulses: u32,
@@ -50,12 +51,12 @@ impl Excursion {
         Stroke { motor, up, up_pulses, down, down_pulses }
     }
 
-    /// The ramps of both bursts on an ideal motor, from tick 0 on. The stop absorbs the whole surplus, so the surplus moves
-    /// nothing.
+    /// The ramps of both bursts on an ideal motor with this travel per pulse, from tick 0 on. The stop absorbs the whole surplus, so
+    /// the surplus moves nothing.
     #[must_use]
-    pub fn ramps(&self) -> [Ramp; 2] {
+    pub fn ramps(&self, um_per_pulse: f64) -> [Ramp; 2] {
         [(self.up, Direction::Up), (self.down, Direction::Down)]
-            .map(|(start, direction)| Ramp::new(Tick(start), self.pulses, direction, 1.0))
+            .map(|(start, direction)| Ramp::new(Tick(start), self.pulses, direction, um_per_pulse))
     }
 
     /// The first tick after the down burst. Saturates.
@@ -66,7 +67,7 @@ impl Excursion {
 }
 
 impl SquareWave {
-    /// A drive of `amplitude_um` peak to peak whose edge 0 lies `phase` cycles after its time 0.
+    /// A drive of a motor of this array, of `amplitude_um` peak to peak, whose edge 0 lies `phase` cycles after its time 0.
     ///
     /// # Errors
     /// The first argument that is out of range.
@@ -75,9 +76,11 @@ impl SquareWave {
         clippy::cast_sign_loss,
         reason = "the cast is the floor; at most 7.4e6"
     )]
-    pub fn new(frequency_hz: f64, amplitude_um: f64, phase: f64) -> Result<Self, MotorError> {
-        if !(frequency_hz > 0.0 && frequency_hz <= MAX_FREQUENCY_HZ) {
-            return Err(MotorError::Frequency { hz: frequency_hz });
+    pub fn new(array: Array, frequency_hz: f64, amplitude_um: f64, phase: f64) -> Result<Self, MotorError> {
+        // One pulse up and one pulse down in turn.
+        let most_hz = f64::from(array.rate().hz()) / 2.0;
+        if !(frequency_hz > 0.0 && frequency_hz <= most_hz) {
+            return Err(MotorError::Frequency { hz: frequency_hz, most_hz });
         }
         if !(0.0..=MAX_AMPLITUDE_UM).contains(&amplitude_um) {
             return Err(MotorError::Amplitude { um: amplitude_um });
@@ -85,8 +88,8 @@ impl SquareWave {
         if !(0.0..1.0).contains(&phase) {
             return Err(MotorError::Phase { cycles: phase });
         }
-        let pulses = (amplitude_um / UM_PER_PULSE + 0.5) as u32;
-        Ok(Self { frequency_hz, phase, pulses, surplus: 0 })
+        let pulses = (amplitude_um / array.motor().um_per_pulse + 0.5) as u32;
+        Ok(Self { array, frequency_hz, phase, pulses, surplus: 0 })
     }
 
     /// The same drive with down bursts that are longer than their up bursts. `surplus` gives the additional pulses for a number of
@@ -115,6 +118,12 @@ impl SquareWave {
     #[must_use]
     pub fn surplus(&self, pulses: u32) -> u32 {
         if self.surplus == 0 { 0 } else { self.surplus.min(most_surplus(pulses)) }
+    }
+
+    /// The array of its motor.
+    #[must_use]
+    pub const fn array(&self) -> Array {
+        self.array
     }
 
     /// Its frequency, Hz.
@@ -148,11 +157,12 @@ impl SquareWave {
         u32::try_from(self.half_period_ticks()).map_or(self.pulses, |room| room.min(self.pulses))
     }
 
-    /// The mean gain of its bursts after the first: below about 1 Hz each begins after half a second of rest, and falls short.
+    /// The mean gain of its bursts after the first: if each begins after a long rest (below about 1 Hz), all fall short.
     #[must_use]
     pub fn mean_gain(&self) -> f64 {
         let rest = self.half_period_ticks().saturating_sub(self.pulses().into());
-        if rest >= TRANSIENT_REST_TICKS { TRANSIENT_GAIN } else { 1.0 }
+        let motor = self.array.motor();
+        if rest >= motor.transient_rest_ticks { motor.transient_gain } else { 1.0 }
     }
 
     /// Half a period in ticks, rounded down. The added billionth keeps a whole number of ticks whole despite the rounding of `f64`.
@@ -162,7 +172,7 @@ impl SquareWave {
         reason = "the cast is the floor, and saturates"
     )]
     pub(super) fn half_period_ticks(&self) -> u64 {
-        (f64::from(TICK_HZ) / 2.0 / self.frequency_hz + 1e-9) as u64
+        (f64::from(self.array.rate().hz()) / 2.0 / self.frequency_hz + 1e-9) as u64
     }
 
     /// A period in ticks, rounded down as [`Self::half_period_ticks`].
@@ -172,7 +182,7 @@ impl SquareWave {
         reason = "the cast is the floor, and saturates"
     )]
     fn period_ticks(&self) -> u64 {
-        (f64::from(TICK_HZ) / self.frequency_hz + 1e-9) as u64
+        (f64::from(self.array.rate().hz()) / self.frequency_hz + 1e-9) as u64
     }
 
     /// The tick of edge `h`; even edges go up, odd edges down.
@@ -184,7 +194,7 @@ impl SquareWave {
         reason = "the cast is the floor, and saturates; 2^53 edges last 3 000 years"
     )]
     pub fn edge(&self, h: u64) -> u64 {
-        (((h as f64 / 2.0 + self.phase) * f64::from(TICK_HZ)) / self.frequency_hz + 0.5) as u64
+        (((h as f64 / 2.0 + self.phase) * f64::from(self.array.rate().hz())) / self.frequency_hz + 0.5) as u64
     }
 
     /// The drive's excursions from its beginning, without end.
@@ -261,22 +271,24 @@ mod tests {
 
     #[test]
     fn a_slow_drive_plays_all_its_pulses_and_a_fast_one_as_many_as_fit() {
-        let slow = SquareWave::new(60.0, 20.0, 0.0).unwrap();
+        let slow = SquareWave::new(Array::paper(), 60.0, 20.0, 0.0).unwrap();
         assert_eq!((slow.wanted_pulses(), slow.pulses()), (147, 147));
         let first: Vec<_> = slow.excursions().take(2).collect();
         assert_eq!(first[0], Excursion { up: 0, down: 708, pulses: 147, surplus: 0 });
         assert_eq!(first[1], Excursion { up: 1417, down: 2125, pulses: 147, surplus: 0 });
-        let fast = SquareWave::new(300.0, 80.0, 0.0).unwrap();
+        let fast = SquareWave::new(Array::paper(), 300.0, 80.0, 0.0).unwrap();
         assert_eq!((fast.wanted_pulses(), fast.pulses()), (589, 141));
         assert!(fast.excursions().take(1000).all(|e| (141..=142).contains(&e.pulses)));
-        let fastest = SquareWave::new(42_500.0, 80.0, 0.0).unwrap();
+        let fastest = SquareWave::new(Array::paper(), 42_500.0, 80.0, 0.0).unwrap();
         assert!(fastest.excursions().take(1000).all(|e| e.pulses == 1 && e.end() == e.up + 2));
     }
 
     #[test]
     fn a_surplus_moves_the_down_burst_forward_and_then_takes_pulses_from_both() {
-        let wave = |hz, um, surplus| SquareWave::new(hz, um, 0.3).unwrap().with_surplus(|_| surplus);
-        let plain: Vec<_> = SquareWave::new(60.0, 80.0, 0.3).unwrap().excursions().take(200).collect();
+        let wave =
+            |hz, um, surplus| SquareWave::new(Array::paper(), hz, um, 0.3).unwrap().with_surplus(|_| surplus);
+        let plain: Vec<_> =
+            SquareWave::new(Array::paper(), 60.0, 80.0, 0.3).unwrap().excursions().take(200).collect();
         // 589 pulses in half a period of 708 ticks: 100 more fit behind the down edge, 177 do not.
         for (surplus, earlier) in [(100, 0), (150, 31), (10_000, 57)] {
             let longest = surplus.min(176);
@@ -297,8 +309,8 @@ mod tests {
                 assert!(pulses == 0 || more == surplus.min(most_surplus(pulses)), "{hz}: {pulses} {more}");
                 end = down + u64::from(pulses + more);
             }
-            let full = SquareWave::new(hz, um, 0.3).unwrap().pulses();
-            let most = f64::from(TICK_HZ) / hz;
+            let full = SquareWave::new(Array::paper(), hz, um, 0.3).unwrap().pulses();
+            let most = 85_000.0 / hz;
             let both = |pulses: u32| f64::from(2 * pulses + surplus.min(most_surplus(pulses)));
             assert!(
                 both(wave.pulses()) <= most
@@ -309,7 +321,8 @@ mod tests {
 
     #[test]
     fn an_excursion_is_found_by_its_number() {
-        let excursions = SquareWave::new(233.3, 19.0, 0.7).unwrap().with_surplus(|_| 20).excursions();
+        let excursions =
+            SquareWave::new(Array::paper(), 233.3, 19.0, 0.7).unwrap().with_surplus(|_| 20).excursions();
         for (number, excursion) in excursions.clone().take(500).enumerate() {
             assert_eq!(excursions.number(number as u64), excursion);
         }
@@ -318,13 +331,13 @@ mod tests {
     #[test]
     fn an_impossible_drive_is_refused_in_one_line() {
         let refused = [
-            SquareWave::new(0.0, 1.0, 0.0),
-            SquareWave::new(42_500.1, 1.0, 0.0),
-            SquareWave::new(f64::NAN, 1.0, 0.0),
-            SquareWave::new(60.0, -1.0, 0.0),
-            SquareWave::new(60.0, f64::INFINITY, 0.0),
-            SquareWave::new(60.0, 1.0, 1.0),
-            SquareWave::new(60.0, 1.0, f64::NAN),
+            SquareWave::new(Array::paper(), 0.0, 1.0, 0.0),
+            SquareWave::new(Array::paper(), 42_500.1, 1.0, 0.0),
+            SquareWave::new(Array::paper(), f64::NAN, 1.0, 0.0),
+            SquareWave::new(Array::paper(), 60.0, -1.0, 0.0),
+            SquareWave::new(Array::paper(), 60.0, f64::INFINITY, 0.0),
+            SquareWave::new(Array::paper(), 60.0, 1.0, 1.0),
+            SquareWave::new(Array::paper(), 60.0, 1.0, f64::NAN),
         ];
         for wave in refused {
             let line = wave.unwrap_err().to_string();

@@ -3,10 +3,9 @@
 //! Invariant: [`Drive::check`] accepts only values within the ranges of `limits` and within the pattern's duration.
 
 use super::error::{KeyError, Problem};
-use super::limits::{AMPLITUDE_RANGE, AMPLITUDE_UM, FREQUENCY_HZ, MAX_SECONDS};
+use super::limits::{FREQUENCY_HZ, MAX_SECONDS};
 use crate::motor::{MotorError, SquareWave};
-use crate::units::UM_PER_PULSE;
-use firmware_protocol::stroke::MOTORS;
+use crate::spec::Array;
 use meissner_input::document::in_range;
 use serde::{Deserialize, Serialize};
 use std::fmt;
@@ -14,11 +13,11 @@ use std::fmt;
 /// A square wave on one motor.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Drive {
-    /// 0..24, `4 * row + column`.
+    /// One of the array.
     pub motor: u8,
     /// Within [`FREQUENCY_HZ`].
     pub frequency_hz: f64,
-    /// Peak to peak, within [`AMPLITUDE_UM`]; 0: the motor is off.
+    /// Peak to peak, up to the travel of the array's motors; 0: the motor is off.
     pub amplitude_um: f64,
     /// Cycles by which the first upward edge comes after the start, in [0, 1).
     pub phase: f64,
@@ -35,8 +34,8 @@ impl Drive {
     ///
     /// # Errors
     /// If a number is out of the motor's range, which in a checked pattern none is.
-    pub fn wave(&self) -> Result<SquareWave, MotorError> {
-        SquareWave::new(self.frequency_hz, self.amplitude_um, self.phase)
+    pub fn wave(&self, array: Array) -> Result<SquareWave, MotorError> {
+        SquareWave::new(array, self.frequency_hz, self.amplitude_um, self.phase)
     }
 
     /// When the drive begins, s of pattern time.
@@ -45,12 +44,13 @@ impl Drive {
         self.start_s.unwrap_or(0.0)
     }
 
-    pub(super) fn check(&self, duration_s: Option<f64>) -> Result<(), KeyError> {
-        in_range("motor", self.motor.into(), usize::from(self.motor) < MOTORS, "0 to 23")?;
+    pub(super) fn check(&self, array: Array, duration_s: Option<f64>) -> Result<(), KeyError> {
+        in_range("motor", self.motor.into(), array.has(self.motor), array.motor_range())?;
         let hz = self.frequency_hz;
         in_range("frequency_hz", hz, FREQUENCY_HZ.contains(&hz), "0.1 to 300 Hz")?;
         let um = self.amplitude_um;
-        in_range("amplitude_um", um, AMPLITUDE_UM.contains(&um), AMPLITUDE_RANGE)?;
+        let most_um = array.motor().travel_um;
+        in_range("amplitude_um", um, (0.0..=most_um).contains(&um), format!("0 to {most_um} um"))?;
         in_range("phase", self.phase, (0.0..1.0).contains(&self.phase), "at least 0 and below 1")?;
         for (key, time) in [("start_s", self.start_s), ("stop_s", self.stop_s)] {
             let Some(found) = time else { continue };
@@ -78,6 +78,8 @@ pub struct Warning {
     pub drive: usize,
     /// Its settings.
     pub settings: Drive,
+    /// The amplitude that fits, µm.
+    pub reachable_um: f64,
     /// Pulses that its amplitude asks for.
     pub wanted_pulses: u32,
     /// Pulses that fit.
@@ -88,7 +90,7 @@ impl fmt::Display for Warning {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Drive { motor, frequency_hz, amplitude_um, .. } = self.settings;
         let (wanted, fit) = (self.wanted_pulses, self.reachable_pulses);
-        let um = f64::from(fit) * UM_PER_PULSE;
+        let um = self.reachable_um;
         write!(
             f,
             "drive {} (motor {motor}) is saturated: {amplitude_um} um at {frequency_hz} Hz wants {wanted} ",

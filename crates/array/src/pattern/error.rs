@@ -5,6 +5,7 @@
 //! Invariant: the display of a [`PatternError`] holds no line break.
 
 use super::limits::{FORMAT, MAX_DRIVES, MAX_FILE_BYTES};
+use crate::spec::UnknownArray;
 use meissner_input::document::{self, DocumentError, Place};
 use std::fmt;
 
@@ -57,6 +58,8 @@ pub enum Problem {
     TooManyDrives { count: usize },
     #[error("holds more than {most} {what}: leave some out, or keep them in a file of their own")]
     LargeProvenance { what: &'static str, most: usize },
+    #[error("is unknown: {0}")]
+    Array(UnknownArray),
     #[error("holds a date at {key}: leave it out, or quote it as a string")]
     Date { key: String },
 }

@@ -9,7 +9,7 @@ use super::Pattern;
 use super::drive::Drive;
 use super::error::{KeyError, PatternError, Problem};
 use super::limits::{FORMAT, MAX_FILE_BYTES, MAX_SIZE};
-use firmware_protocol::stroke::MOTORS;
+use crate::spec::Array;
 use meissner_input::document::{Table, check_size, from_toml, in_range};
 use serde::Deserialize;
 use serde::de::IgnoredAny;
@@ -34,12 +34,20 @@ fn read(text: &str) -> Result<Pattern, KeyError> {
     if format != i64::from(FORMAT) {
         return Err(KeyError::key("format", Problem::Format { found: format }));
     }
-    let Table(RawPattern { format: _, name, duration_s, drive, provenance }) = from_toml(text, wanted)?;
+    let Table(RawPattern { format: _, name, array, duration_s, drive, provenance }) =
+        from_toml(text, wanted)?;
+    let array = match array {
+        None => Array::paper(),
+        Some(name) => {
+            Array::named(&name).map_err(|unknown| KeyError::key("array", Problem::Array(unknown)))?
+        }
+    };
     let drives = drive.into_iter().enumerate();
-    let drives = drives
-        .map(|(index, Table(raw))| raw.drive().map_err(|error| error.within(&format!("drive[{index}]"))));
+    let drives = drives.map(|(index, Table(raw))| {
+        raw.drive(array).map_err(|error| error.within(&format!("drive[{index}]")))
+    });
     let drives = drives.collect::<Result<_, _>>()?;
-    let pattern = Pattern { format: FORMAT, name, duration_s, drives, provenance };
+    let pattern = Pattern { format: FORMAT, name, array, duration_s, drives, provenance };
     pattern.check()?;
     Ok(pattern)
 }
@@ -48,9 +56,9 @@ fn wanted(key: &str) -> &'static str {
     match key {
         "format" => "format = 1",
         "name" => "name = \"...\", as the file is called",
-        "motor" => "the motor's number, 0 to 23",
+        "motor" => "the motor's number, from 0 on",
         "frequency_hz" => "a frequency, 0.1 to 300 Hz",
-        _ => "an amplitude, 0 to 400 um peak to peak",
+        _ => "an amplitude, um peak to peak",
     }
 }
 
@@ -65,6 +73,7 @@ struct RawPattern {
     #[expect(dead_code, reason = "was read before")]
     format: IgnoredAny,
     name: String,
+    array: Option<String>,
     duration_s: Option<f64>,
     #[serde(default)]
     drive: Vec<Table<RawDrive>>,
@@ -86,10 +95,10 @@ struct RawDrive {
 
 impl RawDrive {
     #[expect(clippy::cast_precision_loss, reason = "only shown")]
-    fn drive(self) -> Result<Drive, KeyError> {
+    fn drive(self, array: Array) -> Result<Drive, KeyError> {
         let Self { motor, frequency_hz, amplitude_um, phase, start_s, stop_s } = self;
-        let good = (0..MOTORS as i64).contains(&motor);
-        in_range("motor", motor as f64, good, "0 to 23")?;
+        let good = (0..array.motors() as i64).contains(&motor);
+        in_range("motor", motor as f64, good, array.motor_range())?;
         Ok(Drive { motor: motor as u8, frequency_hz, amplitude_um, phase, start_s, stop_s })
     }
 }

@@ -5,7 +5,7 @@ use std::ops::RangeInclusive;
 
 /// The version of the file format this program reads and writes.
 pub const FORMAT: u8 = 1;
-/// The most drives of one pattern: 170 one after the other on every motor.
+/// The most drives of one pattern: 64 one after the other on each of 64 motors.
 pub const MAX_DRIVES: usize = 4096;
 /// The most bytes of a pattern file; [`MAX_DRIVES`] written out take less.
 pub const MAX_FILE_BYTES: usize = 1 << 20;
@@ -22,9 +22,5 @@ pub(super) const MAX_SIZE: Size =
     Size { tokens: 1 << 19, tables: 2 * MAX_DRIVES, values: 6 * MAX_DRIVES + MAX_PROVENANCE_VALUES + 4 };
 /// The latest time in a pattern, s: three years, far below where `f64` seconds no longer distinguish ticks.
 pub const MAX_SECONDS: f64 = 1e8;
-/// Frequencies of a drive, Hz: the paper's motors vibrate up to 300 Hz.
+/// Frequencies of a drive, Hz: the paper's motors vibrate up to 300 Hz. The controller takes no more than 1 000 strokes a second.
 pub const FREQUENCY_HZ: RangeInclusive<f64> = 0.1..=300.0;
-/// Amplitudes of a drive, µm peak to peak: they stay below the controller's limit of 3 000 pulses.
-pub const AMPLITUDE_UM: RangeInclusive<f64> = 0.0..=400.0;
-/// [`AMPLITUDE_UM`] in messages.
-pub const AMPLITUDE_RANGE: &str = "0 to 400 um";

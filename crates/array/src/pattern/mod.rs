@@ -4,6 +4,8 @@
 //! [`Pattern::parse`] reads its TOML file and [`Pattern::to_toml`] writes it, without comments; the API shows the same keys as
 //! JSON. [`strokes`](crate::strokes) compiles a pattern to strokes.
 //!
+//! A pattern is for an array, whose name it holds; without one it is for the paper's.
+//!
 //! `start_s` and `stop_s` of a drive are optional: without `start_s` the drive begins with the pattern, without
 //! `stop_s` it ends with it. Neither may lie beyond the duration.
 //!
@@ -18,11 +20,11 @@ mod provenance;
 pub use drive::{Drive, Warning, overlap};
 pub use error::{PatternError, Problem};
 pub use limits::{
-    AMPLITUDE_RANGE, AMPLITUDE_UM, FORMAT, FREQUENCY_HZ, MAX_DRIVES, MAX_FILE_BYTES, MAX_PROVENANCE_DEPTH,
-    MAX_PROVENANCE_TABLES, MAX_PROVENANCE_TEXT, MAX_PROVENANCE_VALUES, MAX_SECONDS,
+    FORMAT, FREQUENCY_HZ, MAX_DRIVES, MAX_FILE_BYTES, MAX_PROVENANCE_DEPTH, MAX_PROVENANCE_TABLES,
+    MAX_PROVENANCE_TEXT, MAX_PROVENANCE_VALUES, MAX_SECONDS,
 };
 
-use crate::units::seconds_to_ticks;
+use crate::spec::Array;
 use error::KeyError;
 use meissner_input::document::in_range;
 use meissner_input::message::quote;
@@ -33,6 +35,8 @@ use serde::Serialize;
 pub struct Pattern {
     format: u8,
     name: String,
+    #[serde(skip_serializing_if = "is_default")]
+    array: Array,
     #[serde(skip_serializing_if = "Option::is_none")]
     duration_s: Option<f64>,
     #[serde(rename = "drive", skip_serializing_if = "Vec::is_empty")]
@@ -42,17 +46,18 @@ pub struct Pattern {
 }
 
 impl Pattern {
-    /// Makes a pattern. `provenance` says what made it: target, seed, setting, method and so on.
+    /// Makes a pattern for an array. `provenance` says what made it: target, seed, setting, method and so on.
     ///
     /// # Errors
     /// The first problem, with the pattern's name in place of a file's.
     pub fn new(
+        array: Array,
         name: &str,
         duration_s: Option<f64>,
         drives: Vec<Drive>,
         provenance: toml::Table,
     ) -> Result<Self, PatternError> {
-        let pattern = Self { format: FORMAT, name: name.to_owned(), duration_s, drives, provenance };
+        let pattern = Self { format: FORMAT, name: name.to_owned(), array, duration_s, drives, provenance };
         pattern.check().map_err(|error| PatternError(error.in_file(Some(name))))?;
         Ok(pattern)
     }
@@ -68,6 +73,12 @@ impl Pattern {
     #[must_use]
     pub fn name(&self) -> &str {
         &self.name
+    }
+
+    /// The array that it is for.
+    #[must_use]
+    pub const fn array(&self) -> Array {
+        self.array
     }
 
     /// How long one repeat lasts, s; without it the pattern is endless.
@@ -99,11 +110,12 @@ impl Pattern {
     #[must_use]
     pub fn warnings(&self) -> Vec<Warning> {
         let warning = |(index, drive): (usize, &Drive)| {
-            let wave = drive.wave().ok()?;
+            let wave = drive.wave(self.array).ok()?;
             let (wanted_pulses, reachable_pulses) = (wave.wanted_pulses(), wave.pulses());
             (reachable_pulses < wanted_pulses).then_some(Warning {
                 drive: index + 1,
                 settings: *drive,
+                reachable_um: f64::from(reachable_pulses) * self.array.motor().um_per_pulse,
                 wanted_pulses,
                 reachable_pulses,
             })
@@ -116,15 +128,17 @@ impl Pattern {
             return Err(KeyError::key("name", Problem::Name { found: quote(&self.name) }));
         }
         if let Some(found) = self.duration_s {
-            let good = found <= MAX_SECONDS && seconds_to_ticks(found) > 0;
-            let range = "at least one tick (1/85000 s) and at most 100000000 s";
+            let good = found <= MAX_SECONDS && self.array.rate().seconds_to_ticks(found) > 0;
+            let range = format!("at least one tick (1/{} s) and at most 100000000 s", self.array.rate().hz());
             in_range("duration_s", found, good, range)?;
         }
         if self.drives.len() > MAX_DRIVES {
             return Err(KeyError::key("drive", Problem::TooManyDrives { count: self.drives.len() }));
         }
         for (index, drive) in self.drives.iter().enumerate() {
-            drive.check(self.duration_s).map_err(|error| error.within(&format!("drive[{index}]")))?;
+            drive
+                .check(self.array, self.duration_s)
+                .map_err(|error| error.within(&format!("drive[{index}]")))?;
         }
         provenance::check(&self.provenance).map_err(|problem| KeyError::key("provenance", problem))?;
         if let Some((first, second)) = overlap(&self.drives) {
@@ -134,6 +148,11 @@ impl Pattern {
         }
         Ok(())
     }
+}
+
+/// Whether it is the array of patterns that name none.
+fn is_default(array: &Array) -> bool {
+    *array == Array::paper()
 }
 
 /// Whether `name` is a valid name of a pattern or a target: 1 to 64 of a-z, 0-9 and -.
@@ -158,7 +177,7 @@ mod tests {
     }
 
     fn pattern(drives: Vec<Drive>) -> Result<Pattern, PatternError> {
-        Pattern::new("test", Some(2.0), drives, toml::Table::new())
+        Pattern::new(Array::paper(), "test", Some(2.0), drives, toml::Table::new())
     }
 
     #[test]

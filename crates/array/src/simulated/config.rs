@@ -1,6 +1,6 @@
 //! The settings of the simulated array.
 
-use crate::motor::TRANSIENT_GAIN;
+use crate::spec::Array;
 use serde::{Deserialize, Serialize};
 
 /// The highest rate of telemetry, samples per second.
@@ -50,7 +50,7 @@ impl Default for SimulatedMotorsConfig {
             seed: 0,
             gain_sd: 0.10,
             asymmetry_sd: 0.02,
-            transient_gain: TRANSIENT_GAIN,
+            transient_gain: Array::paper().motor().transient_gain,
             end_stop_um: 500.0,
             lower_stop: LowerStop::None,
             telemetry_hz: 1000,

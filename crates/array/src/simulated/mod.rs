@@ -1,4 +1,4 @@
-//! The simulated array: 24 motors under the lines that a controller drives.
+//! The simulated array: motors under the lines that a controller drives.
 //!
 //! The simulation receives line levels, as real motors do, and finds the bursts in them. The real travel of a burst is its ideal
 //! travel times a random gain. The key of that number is the seed, motor, start tick and direction, so one burst more or less
@@ -24,8 +24,9 @@ pub use config::{
 pub use pin::Pin;
 pub use rest::RestStats;
 
-use crate::units::{TICKS_PER_MS, TICKS_PER_S};
-use firmware_protocol::stroke::{Direction, Lines, MOTORS};
+use crate::per_motor::PerMotor;
+use crate::spec::Array;
+use firmware_protocol::stroke::{Direction, Lines};
 use firmware_protocol::tick::Tick;
 use std::collections::VecDeque;
 
@@ -37,19 +38,20 @@ pub struct Sample {
     /// When it was taken.
     pub tick: Tick,
     /// Displacements in 0.01 µm.
-    pub y: [i32; MOTORS],
+    pub y: PerMotor<i32>,
 }
 
 /// The simulated array.
 #[derive(Debug)]
 pub struct SimulatedMotors {
+    array: Array,
     config: SimulatedMotorsConfig,
     start: Tick,
     now: Tick,
     /// The lines up to now.
     lines: Lines,
-    pins: [Pin; MOTORS],
-    /// Number of the next sample; number n is taken `n * 85000 / telemetry_hz` ticks after the start.
+    pins: Vec<Pin>,
+    /// Number of the next sample; number n is taken `n * tick_hz / telemetry_hz` ticks after the start.
     next_sample: u64,
     samples: VecDeque<Sample>,
 }
@@ -59,14 +61,19 @@ impl SimulatedMotors {
     ///
     /// # Errors
     /// The first setting out of its range.
-    pub fn new(config: SimulatedMotorsConfig, start: Tick) -> Result<Self, SimulatedMotorsError> {
+    pub fn new(
+        array: Array,
+        config: SimulatedMotorsConfig,
+        start: Tick,
+    ) -> Result<Self, SimulatedMotorsError> {
         config.check()?;
         let mut motors = Self {
+            array,
             config,
             start,
             now: start,
             lines: Lines::OFF,
-            pins: std::array::from_fn(|motor| Pin::new(&config, motor as u64)),
+            pins: array.numbers().map(|motor| Pin::new(array, &config, motor.into())).collect(),
             next_sample: 1,
             samples: VecDeque::new(),
         };
@@ -92,7 +99,8 @@ impl SimulatedMotors {
             return;
         }
         // As `Lines::line` reads them: a motor with both lines on goes down.
-        let lines = Lines { up: lines.up & !lines.down & ALL, down: lines.down & ALL };
+        let all = every_bit(self.array.motors());
+        let lines = Lines { up: lines.up & !lines.down & all, down: lines.down & all };
         self.switch(lines);
         let end = self.now + ticks;
         while self.now < end {
@@ -140,14 +148,14 @@ impl SimulatedMotors {
 
     /// The oldest sample that is due, if any. After each `advance`, call this until it returns none.
     pub fn telemetry(&mut self) -> Option<Sample> {
-        let age = u64::from(self.config.telemetry_age_ms) * TICKS_PER_MS;
+        let age = self.array.rate().of_ms(self.config.telemetry_age_ms.into());
         let due = self.samples.front().is_some_and(|sample| sample.tick + age <= self.now);
         if due { self.samples.pop_front() } else { None }
     }
 
     /// Rest errors of each pin at the ends of its down bursts since the last call.
-    pub fn take_rest_stats(&mut self) -> [RestStats; MOTORS] {
-        std::array::from_fn(|motor| std::mem::take(&mut self.pins[motor].rest))
+    pub fn take_rest_stats(&mut self) -> PerMotor<RestStats> {
+        PerMotor::from_fn(self.array, |motor| std::mem::take(&mut self.pins[usize::from(motor)].rest))
     }
 
     /// Ends and begins bursts where the lines change.
@@ -174,13 +182,14 @@ impl SimulatedMotors {
 
     fn sample_tick(&self, number: u64) -> Option<Tick> {
         let hz = u64::from(self.config.telemetry_hz);
-        (hz > 0).then(|| self.start + number * TICKS_PER_S / hz)
+        (hz > 0).then(|| self.start + number * self.array.rate().per_s() / hz)
     }
 
     /// Takes the samples up to now, except those that the queue would drop at once.
     fn take_samples(&mut self) {
         let bound = self.queue_bound();
-        let newest = (self.now - self.start) * u64::from(self.config.telemetry_hz) / TICKS_PER_S;
+        let newest =
+            (self.now - self.start) * u64::from(self.config.telemetry_hz) / self.array.rate().per_s();
         self.next_sample = self.next_sample.max((newest + 1).saturating_sub(bound as u64));
         while let Some(tick) = self.sample_tick(self.next_sample)
             && tick <= self.now
@@ -188,15 +197,17 @@ impl SimulatedMotors {
             if self.samples.len() == bound {
                 self.samples.pop_front();
             }
-            let y = std::array::from_fn(|motor| self.pins[motor].quanta(tick));
+            let y = PerMotor::from_fn(self.array, |motor| self.pins[usize::from(motor)].quanta(tick));
             self.samples.push_back(Sample { tick, y });
             self.next_sample += 1;
         }
     }
 }
 
-/// Every motor's bit.
-const ALL: u32 = (1 << MOTORS) - 1;
+/// The bits of so many motors.
+const fn every_bit(motors: usize) -> u32 {
+    u32::MAX >> (32 - motors)
+}
 
 /// The motors in a mask.
 fn motors(mut mask: u32) -> impl Iterator<Item = usize> {

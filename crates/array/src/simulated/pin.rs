@@ -7,9 +7,9 @@
 
 use super::config::{LowerStop, SimulatedMotorsConfig};
 use super::rest::RestStats;
-use crate::motor::{Ramp, Shaft, TRANSIENT_REST_TICKS};
+use crate::motor::{Ramp, Shaft};
 use crate::random;
-use crate::units::UM_PER_PULSE;
+use crate::spec::{Array, MotorSpec};
 use firmware_protocol::stroke::{self, Direction};
 use firmware_protocol::tick::Tick;
 
@@ -30,6 +30,7 @@ const ASYMMETRY_KEY: u64 = 2;
 #[derive(Debug)]
 pub struct Pin {
     config: SimulatedMotorsConfig,
+    spec: &'static MotorSpec,
     motor: u64,
     pub(super) shaft: Shaft,
     pub(super) rest: RestStats,
@@ -55,13 +56,15 @@ struct Burst {
 }
 
 impl Pin {
-    /// A pin of this motor, at rest at 0.
+    /// A pin of this motor of an array, at rest at 0.
     #[must_use]
-    pub fn new(config: &SimulatedMotorsConfig, motor: u64) -> Self {
+    pub fn new(array: Array, config: &SimulatedMotorsConfig, motor: u64) -> Self {
+        let spec = array.spec().motor();
         Self {
             config: *config,
+            spec,
             motor,
-            shaft: Shaft::default(),
+            shaft: Shaft::new(spec),
             rest: RestStats::default(),
             asymmetry: config.asymmetry_sd * random::normal([config.seed, motor, 0, ASYMMETRY_KEY]),
             last_end: None,
@@ -123,7 +126,7 @@ impl Pin {
     #[expect(clippy::cast_precision_loss, reason = "a number of pulses within the travel")]
     pub(super) fn begin(&mut self, now: Tick, direction: Direction) {
         let (config, motor) = (self.config, self.motor);
-        let rested = self.last_end.is_none_or(|end| now - end >= TRANSIENT_REST_TICKS);
+        let rested = self.last_end.is_none_or(|end| now - end >= self.spec.transient_rest_ticks);
         let mean = if rested { config.transient_gain } else { 1.0 };
         let scatter = match config.gain_sd {
             0.0 => 0.0,
@@ -139,7 +142,7 @@ impl Pin {
             _ => config.end_stop_um,
         };
         // Pulses at this gain up to the stop ahead. At a gain of 0 the number has no limit.
-        let room = ((stop_um - position) / UM_PER_PULSE).max(0.0);
+        let room = ((stop_um - position) / self.spec.um_per_pulse).max(0.0);
         let free = (room / gain) as u64;
         let last_gain = (room - free as f64 * gain).max(0.0);
         self.burst = Burst { direction, gain, free, last_gain };
@@ -151,10 +154,10 @@ impl Pin {
         let full = ticks.min(free);
         // If 14 hours of pulses do not reach a stop, the gain is 0.
         let ramp_ticks = u32::try_from(full).unwrap_or(u32::MAX);
-        self.shaft.push(Ramp::new(now, ramp_ticks, direction, gain));
+        self.shaft.push(Ramp::new(now, ramp_ticks, direction, self.spec.um_per_pulse * gain));
         self.burst.free -= full;
         if full < ticks && last_gain > 0.0 {
-            self.shaft.push(Ramp::new(now + full, 1, direction, last_gain));
+            self.shaft.push(Ramp::new(now + full, 1, direction, self.spec.um_per_pulse * last_gain));
             self.burst.last_gain = 0.0;
         }
         if direction == Direction::Down && self.config.lower_stop == LowerStop::AtRest {

@@ -10,7 +10,7 @@
 use super::options::StrokeOptions;
 use crate::motor::{Excursion, Excursions, MotorError, SquareWave};
 use crate::pattern::Drive;
-use crate::units::seconds_to_ticks;
+use crate::spec::Array;
 
 /// A tick that does not come.
 pub(super) const NEVER: u64 = u64::MAX;
@@ -28,25 +28,27 @@ impl DriveStrokes {
     ///
     /// # Errors
     /// If a number is out of the motor's range, which in a checked pattern none is.
-    pub fn of(drive: &Drive) -> Result<Self, MotorError> {
-        Ok(Self::playing(drive, drive.wave()?))
+    pub fn of(array: Array, drive: &Drive) -> Result<Self, MotorError> {
+        Ok(Self::playing(drive, drive.wave(array)?))
     }
 
     /// The strokes of a drive with the scale and the surplus of these options.
     ///
     /// # Errors
     /// As [`Self::of`].
-    pub fn with(drive: &Drive, options: &StrokeOptions) -> Result<Self, MotorError> {
-        let wave = SquareWave::new(drive.frequency_hz, drive.amplitude_um * options.scale, drive.phase)?;
+    pub fn with(array: Array, drive: &Drive, options: &StrokeOptions) -> Result<Self, MotorError> {
+        let wave =
+            SquareWave::new(array, drive.frequency_hz, drive.amplitude_um * options.scale, drive.phase)?;
         let gain = wave.mean_gain();
-        let surplus = |pulses| options.surplus.pulses(drive.motor, pulses, gain);
+        let surplus = |pulses| options.surplus.pulses(array, drive.motor, pulses, gain);
         Ok(Self::playing(drive, wave.with_surplus(surplus)))
     }
 
     fn playing(drive: &Drive, wave: SquareWave) -> Self {
-        let stop = drive.stop_s.map_or(NEVER, seconds_to_ticks);
+        let rate = wave.array().rate();
+        let stop = drive.stop_s.map_or(NEVER, |stop_s| rate.seconds_to_ticks(stop_s));
         Self {
-            start: seconds_to_ticks(drive.start()),
+            start: rate.seconds_to_ticks(drive.start()),
             stop: if wave.moves() { stop } else { 0 },
             excursions: wave.excursions(),
         }

@@ -1,7 +1,7 @@
 //! Errors of compiling a pattern to strokes.
 
 use crate::motor::MotorError;
-use crate::pattern::{AMPLITUDE_RANGE, MAX_SECONDS};
+use crate::pattern::MAX_SECONDS;
 use firmware_protocol::limits::Refusal;
 use firmware_protocol::stroke::Stroke;
 
@@ -21,10 +21,12 @@ pub enum StrokesError {
         scale: f64,
     },
     /// A surplus outside its range.
-    #[error("surplus {um} um: must be {AMPLITUDE_RANGE}")]
+    #[error("surplus {um} um: must be 0 to {most_um} um")]
     Surplus {
         /// The surplus that was refused.
         um: f64,
+        /// The largest one.
+        most_um: f64,
     },
     /// A rest error that no surplus can keep.
     #[error("rest error {um} um: must be above 0")]

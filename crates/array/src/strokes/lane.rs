@@ -12,7 +12,8 @@ use super::options::{Fit, StrokeOptions};
 use super::repeat::Repeat;
 use crate::motor::Excursion;
 use crate::pattern::{Drive, Pattern};
-use crate::units::seconds_to_ticks;
+use crate::spec::Array;
+use crate::units::TickRate;
 use firmware_protocol::stroke::Stroke;
 use firmware_protocol::tick::Tick;
 use std::sync::Arc;
@@ -30,6 +31,7 @@ struct Segment {
 #[derive(Clone, Debug)]
 pub(super) struct Lane {
     motor: u8,
+    rate: TickRate,
     /// Clones share the segments: counting a play's bytes takes a clone.
     segments: Arc<[Segment]>,
     duration_s: Option<f64>,
@@ -52,14 +54,15 @@ pub(super) struct Lane {
 impl Segment {
     /// The drive's segment, if at least one stroke fits into it in the longest repeat, or in the last.
     fn of(
+        array: Array,
         drive: &Drive,
         duration_s: Option<f64>,
         options: &StrokeOptions,
     ) -> Result<Option<Self>, StrokesError> {
-        let strokes = DriveStrokes::with(drive, options)
+        let strokes = DriveStrokes::with(array, drive, options)
             .map_err(|source| StrokesError::Drive { motor: drive.motor, source })?;
         // The starts of two repeats, each rounded to a tick, lie at most one tick further apart than the duration.
-        let longest = duration_s.map_or(NEVER, |duration_s| seconds_to_ticks(duration_s) + 1);
+        let longest = duration_s.map_or(NEVER, |duration_s| array.rate().seconds_to_ticks(duration_s) + 1);
         let first_end = strokes.shifted(0, longest).next().map(|first| first.end());
         let in_last = options.fit == Fit::Cover && strokes.clone().next().is_some();
         let first_end = first_end.or(in_last.then_some(NEVER));
@@ -74,15 +77,17 @@ impl Lane {
         pattern: &Pattern,
         options: &StrokeOptions,
     ) -> Result<Option<Self>, StrokesError> {
-        let duration_s = pattern.duration_s();
+        let (array, duration_s) = (pattern.array(), pattern.duration_s());
+        let rate = array.rate();
         let drives = pattern.drives().iter().filter(|drive| drive.motor == motor);
         let segments =
-            drives.map(|drive| Segment::of(drive, duration_s, options)).filter_map(Result::transpose);
+            drives.map(|drive| Segment::of(array, drive, duration_s, options)).filter_map(Result::transpose);
         let mut segments = segments.collect::<Result<Vec<_>, _>>()?;
         segments.sort_by_key(|segment| segment.strokes.start());
         let Some(first) = segments.first() else { return Ok(None) };
         Ok(Some(Self {
             motor,
+            rate,
             shortest: segments.iter().map(|segment| segment.first_end).fold(NEVER, u64::min),
             strokes: first.strokes.clone(),
             segments: segments.into(),
@@ -90,7 +95,7 @@ impl Lane {
             fit: options.fit,
             end: NEVER,
             covered: None,
-            repeat: Repeat::of(0, duration_s),
+            repeat: Repeat::of(0, duration_s, rate),
             segment: 0,
             next: Excursion { up: 0, down: 0, pulses: 0, surplus: 0 },
         }))
@@ -100,7 +105,7 @@ impl Lane {
     pub(super) fn changes_are_apart(&self, ticks: u64) -> bool {
         // Beginnings of repeats are rounded to a tick.
         self.segments.len() == 1
-            && self.duration_s.is_none_or(|duration_s| seconds_to_ticks(duration_s) > ticks)
+            && self.duration_s.is_none_or(|duration_s| self.rate.seconds_to_ticks(duration_s) > ticks)
     }
 
     pub(super) const fn motor(&self) -> u8 {
@@ -110,7 +115,7 @@ impl Lane {
     /// Goes back to the beginning of a play that ends at `end`; returns when the first stroke goes up.
     pub(super) fn begin(&mut self, end: u64) -> u64 {
         (self.end, self.covered) = (end, self.last_repeat(end));
-        self.repeat = Repeat::of(0, self.duration_s);
+        self.repeat = Repeat::of(0, self.duration_s, self.rate);
         self.walk(0);
         self.advance()
     }
@@ -128,7 +133,7 @@ impl Lane {
     }
 
     fn last_repeat(&self, end: u64) -> Option<Repeat> {
-        (self.fit == Fit::Cover && end != NEVER).then(|| Repeat::last(self.duration_s, end))
+        (self.fit == Fit::Cover && end != NEVER).then(|| Repeat::last(self.duration_s, self.rate, end))
     }
 
     /// When the last stroke of a play with [`Fit::Cover`] and this `end` has ended.
@@ -168,12 +173,12 @@ impl Lane {
             return None;
         }
         let Some(last) = self.covered else {
-            return Some(self.repeat.next(self.shortest, self.duration_s, self.end));
+            return Some(self.repeat.next(self.shortest, self.duration_s, self.rate, self.end));
         };
         if self.shortest == NEVER {
             return Some(last);
         }
-        let next = self.repeat.next(self.shortest, self.duration_s, self.end);
+        let next = self.repeat.next(self.shortest, self.duration_s, self.rate, self.end);
         Some(if next.number < last.number { next } else { last })
     }
 

@@ -8,9 +8,9 @@
 
 use super::error::StrokesError;
 use crate::motor::SquareWave;
-use crate::units::{seconds_to_ticks, ticks_to_seconds};
+use crate::per_motor::PerMotor;
 use firmware_protocol::limits;
-use firmware_protocol::stroke::{MOTORS, Stroke};
+use firmware_protocol::stroke::Stroke;
 use firmware_protocol::tick::Tick;
 
 /// The drive of one motor from a tick on.
@@ -34,7 +34,8 @@ impl Oscillator {
     /// The first excursion that goes up at `tick` or later.
     fn first_from(&self, tick: Tick) -> u64 {
         let tick = tick.max(self.begin);
-        let periods = ticks_to_seconds(tick - self.zero) * self.wave.frequency_hz() - self.wave.phase();
+        let periods = self.wave.array().rate().ticks_to_seconds(tick - self.zero) * self.wave.frequency_hz()
+            - self.wave.phase();
         // Rounding shifts edges by less than a period.
         let mut number = (periods.max(1.0) - 1.0) as u64;
         while self.up(number) < tick {
@@ -52,7 +53,7 @@ impl Oscillator {
             return Self { next: same.first_from(begin), ..same };
         }
         let shift = (wave.phase() - self.wave.phase()).rem_euclid(1.0);
-        let shift = seconds_to_ticks(shift / wave.frequency_hz());
+        let shift = wave.array().rate().seconds_to_ticks(shift / wave.frequency_hz());
         // A device's clock starts hours after 0, so the subtraction does not saturate.
         Self { wave, zero: Tick((begin + shift) - Tick(wave.edge(0))), begin, next: 0 }
     }
@@ -67,18 +68,18 @@ impl Oscillator {
 #[derive(Clone, Debug)]
 pub struct LiveStrokes {
     onset: Tick,
-    initial: [SquareWave; MOTORS],
-    motors: [Oscillator; MOTORS],
+    initial: PerMotor<SquareWave>,
+    motors: PerMotor<Oscillator>,
     /// The motors' drives before the last change, until it is confirmed.
-    before: [Oscillator; MOTORS],
+    before: PerMotor<Oscillator>,
     /// Motors that pause, bit by bit.
-    paused: u32,
+    paused: u64,
 }
 
 impl LiveStrokes {
     /// The strokes of these drives.
     #[must_use]
-    pub fn new(waves: [SquareWave; MOTORS]) -> Self {
+    pub fn new(waves: PerMotor<SquareWave>) -> Self {
         let motors = waves.map(|wave| Oscillator { wave, zero: Tick(0), begin: Tick(0), next: 0 });
         Self { onset: Tick(0), initial: waves, motors, before: motors, paused: 0 }
     }
@@ -159,7 +160,10 @@ impl Iterator for LiveStrokes {
 
     fn next(&mut self) -> Option<Self::Item> {
         let plays = |motor: &u8| self.paused >> motor & 1 == 0;
-        let ups = (0..MOTORS as u8).filter(plays).filter_map(|motor| Some((self.next_up(motor)?, motor)));
+        let ups = (0..)
+            .take(self.motors.len())
+            .filter(plays)
+            .filter_map(|motor| Some((self.next_up(motor)?, motor)));
         let (_, motor) = ups.min()?;
         self.next_of(motor)
     }
@@ -168,16 +172,17 @@ impl Iterator for LiveStrokes {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::spec::Array;
     use proptest::prelude::*;
 
     const ONSET: Tick = Tick::BOOT;
 
     fn wave(frequency_hz: f64, amplitude_um: f64, phase: f64) -> SquareWave {
-        SquareWave::new(frequency_hz, amplitude_um, phase).unwrap()
+        SquareWave::new(Array::paper(), frequency_hz, amplitude_um, phase).unwrap()
     }
 
     fn live(wave: SquareWave) -> LiveStrokes {
-        let mut strokes = LiveStrokes::new([wave; MOTORS]);
+        let mut strokes = LiveStrokes::new(PerMotor::all(Array::paper(), wave));
         strokes.begin(ONSET);
         strokes
     }

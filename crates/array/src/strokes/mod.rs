@@ -28,14 +28,15 @@ pub use live::LiveStrokes;
 pub use options::{AutoSurplus, Fit, StrokeOptions, Surplus};
 pub use reached::{Ordered, Reached, ordered, reached};
 pub use sequence::{
-    CompiledItem, MAX_ITEMS, MAX_SEQUENCE_DRIVES, MIN_ITEM_INTERVAL, Sequence, SequenceError, Start,
+    CompiledItem, MAX_ITEMS, MAX_SEQUENCE_DRIVES, MIN_ITEM_INTERVAL_MS, Sequence, SequenceError, Start,
 };
 pub use shortfall::{DriveAmplitude, LEAST_SHARE, LEAST_UM, Shortfall, amplitudes};
 
 use crate::pattern::Pattern;
-use crate::units::seconds_to_ticks;
+use crate::per_motor::PerMotor;
+use crate::spec::Array;
 use firmware_protocol::limits;
-use firmware_protocol::stroke::{MOTORS, Stroke};
+use firmware_protocol::stroke::Stroke;
 use firmware_protocol::tick::Tick;
 use run::Run;
 use std::sync::Arc;
@@ -43,7 +44,8 @@ use std::sync::Arc;
 /// The strokes of a pattern or a sequence, in order of (up tick, motor). After an error the iterator ends.
 #[derive(Clone, Debug)]
 pub struct Strokes {
-    /// The compiled patterns.
+    array: Array,
+    /// The compiled patterns, all for this array.
     runs: Vec<Run>,
     /// The items, in order of time; at least one.
     items: Arc<[Item]>,
@@ -56,9 +58,9 @@ pub struct Strokes {
     /// Up tick and motor of the last stroke that was returned.
     last: (Tick, u8),
     /// Until when each motor is busy.
-    busy: [Tick; MOTORS],
+    busy: PerMotor<Tick>,
     /// The motors that any pattern drives, kept because the streamer asks at every step.
-    driven: [bool; MOTORS],
+    driven: PerMotor<bool>,
 }
 
 /// A pattern's place within the strokes, ticks from the onset.
@@ -81,14 +83,13 @@ impl Strokes {
         let end = ordered_end(pattern, options.seconds);
         let covered = end.and_then(|end| run.covers_until(end));
         let item = Item { start: 0, end: end.unwrap_or(drive::NEVER), run: 0 };
-        Ok(Self::of(vec![run], [item].into(), end.max(covered)))
+        Ok(Self::of(pattern.array(), vec![run], [item].into(), end.max(covered)))
     }
 
-    fn of(runs: Vec<Run>, items: Arc<[Item]>, end: Option<u64>) -> Self {
-        let (item, onset, last, busy) = (0, Tick(0), (Tick(0), 0), [Tick(0); MOTORS]);
-        let drives = |motor| runs.iter().any(|run| run.drives(motor as u8));
-        let driven = std::array::from_fn(drives);
-        let mut strokes = Self { runs, items, item, pausing: false, end, onset, last, busy, driven };
+    fn of(array: Array, runs: Vec<Run>, items: Arc<[Item]>, end: Option<u64>) -> Self {
+        let (item, onset, last, busy) = (0, Tick(0), (Tick(0), 0), PerMotor::all(array, Tick(0)));
+        let driven = PerMotor::from_fn(array, |motor| runs.iter().any(|run| run.drives(motor)));
+        let mut strokes = Self { array, runs, items, item, pausing: false, end, onset, last, busy, driven };
         strokes.begin(Tick(0));
         strokes
     }
@@ -97,7 +98,7 @@ impl Strokes {
     pub fn begin(&mut self, onset: Tick) {
         self.onset = onset;
         self.last = (onset, 0);
-        self.busy = [onset; MOTORS];
+        self.busy.fill(onset);
         self.begin_item(0);
         self.pausing = self.items[0].start > 0;
     }
@@ -106,6 +107,12 @@ impl Strokes {
         (self.item, self.pausing) = (item, false);
         let Item { start, end, run } = self.items[item];
         self.runs[run].begin(end - start);
+    }
+
+    /// The array that they are for.
+    #[must_use]
+    pub const fn array(&self) -> Array {
+        self.array
     }
 
     /// How many items there are; one for a pattern.
@@ -156,7 +163,7 @@ impl Strokes {
 
     /// The motors that they drive, in order.
     pub fn motors(&self) -> impl Iterator<Item = u8> {
-        (0..).zip(&self.driven).filter(|(_, driven)| **driven).map(|(motor, _)| motor)
+        (0..).zip(&*self.driven).filter(|(_, driven)| **driven).map(|(motor, _)| motor)
     }
 
     /// Whether each motor has one drive in a pattern, and both the repeats of a pattern and the items begin at least so many ticks apart.
@@ -188,7 +195,9 @@ impl Strokes {
         if stroke.up_pulses.checked_add(surplus) != Some(stroke.down_pulses) {
             return Err(StrokesError::Unbalanced { stroke });
         }
-        let busy = &mut self.busy[usize::from(stroke.motor)];
+        let refusal = limits::Refusal::Motor;
+        let busy =
+            self.busy.get_mut(usize::from(stroke.motor)).ok_or(StrokesError::Limit { stroke, refusal })?;
         let place = (stroke.up, stroke.motor);
         if stroke.up < *busy || place < self.last {
             return Err(StrokesError::Order { stroke });
@@ -230,7 +239,7 @@ impl Strokes {
 /// without end.
 #[must_use]
 pub fn ordered_end(pattern: &Pattern, seconds: Option<f64>) -> Option<u64> {
-    seconds.or_else(|| lasts_s(pattern)).map(seconds_to_ticks)
+    seconds.or_else(|| lasts_s(pattern)).map(|seconds| pattern.array().rate().seconds_to_ticks(seconds))
 }
 
 /// How long a pattern lasts, s; `None`: without end.

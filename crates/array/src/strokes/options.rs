@@ -3,10 +3,10 @@
 //! Invariant: the default options change nothing; every number is checked by [`StrokeOptions::check`].
 
 use super::error::StrokesError;
-use crate::pattern::{AMPLITUDE_UM, MAX_SECONDS};
+use crate::pattern::MAX_SECONDS;
+use crate::per_motor::PerMotor;
 use crate::reflected_walk::{Spread, surplus_um};
-use crate::units::UM_PER_PULSE;
-use firmware_protocol::stroke::MOTORS;
+use crate::spec::Array;
 
 /// How a play differs from its pattern.
 #[derive(Clone, Debug, PartialEq)]
@@ -49,7 +49,7 @@ pub enum Surplus {
 #[derive(Clone, Debug, PartialEq)]
 pub struct AutoSurplus {
     /// The spread of each motor's bursts.
-    pub spread: [Spread; MOTORS],
+    pub spread: PerMotor<Spread>,
     /// Root mean square of the rest error that is allowed, µm, above 0.
     pub rest_error_um: f64,
 }
@@ -67,7 +67,7 @@ impl StrokeOptions {
         Self { seconds: seconds.into(), ..Self::default() }
     }
 
-    pub(super) fn check(&self) -> Result<(), StrokesError> {
+    pub(super) fn check(&self, array: Array) -> Result<(), StrokesError> {
         if let Some(seconds) = self.seconds
             && !(0.0..=MAX_SECONDS).contains(&seconds)
         {
@@ -77,7 +77,9 @@ impl StrokeOptions {
             return Err(StrokesError::Scale { scale: self.scale });
         }
         match &self.surplus {
-            Surplus::Fixed(um) if !AMPLITUDE_UM.contains(um) => Err(StrokesError::Surplus { um: *um }),
+            Surplus::Fixed(um) if !(0.0..=array.motor().travel_um).contains(um) => {
+                Err(StrokesError::Surplus { um: *um, most_um: array.motor().travel_um })
+            }
             Surplus::Auto(auto) if !(auto.rest_error_um > 0.0 && auto.rest_error_um.is_finite()) => {
                 Err(StrokesError::RestError { um: auto.rest_error_um })
             }
@@ -113,9 +115,10 @@ impl Surplus {
 
     /// [`Self::um`] in whole pulses, rounded up, for bursts of so many pulses with this mean gain.
     #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "the cast saturates")]
-    pub(super) fn pulses(&self, motor: u8, pulses: u32, gain: f64) -> u32 {
-        let um = self.um_at_gain(motor, f64::from(pulses) * UM_PER_PULSE, gain);
+    pub(super) fn pulses(&self, array: Array, motor: u8, pulses: u32, gain: f64) -> u32 {
+        let um_per_pulse = array.motor().um_per_pulse;
+        let um = self.um_at_gain(motor, f64::from(pulses) * um_per_pulse, gain);
         // The billionth keeps a whole number of pulses whole despite the rounding of `f64`.
-        (um / UM_PER_PULSE - 1e-9).ceil() as u32
+        (um / um_per_pulse - 1e-9).ceil() as u32
     }
 }

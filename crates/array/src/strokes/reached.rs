@@ -11,7 +11,7 @@ use super::error::StrokesError;
 use super::options::{Fit, StrokeOptions};
 use super::repeat::Repeat;
 use crate::pattern::Pattern;
-use crate::units::{UM_PER_PULSE, seconds_in_ticks};
+use crate::units::TickRate;
 
 /// What a drive reaches in a play.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -78,15 +78,16 @@ struct Part {
 
 /// The strokes of each drive, in the order of the pattern.
 fn played(pattern: &Pattern, options: &StrokeOptions) -> Result<Vec<Played>, StrokesError> {
-    options.check()?;
+    let array = pattern.array();
+    options.check(array)?;
     let end = super::ordered_end(pattern, options.seconds);
     let drives = pattern.drives().iter().map(|drive| {
-        let strokes = DriveStrokes::with(drive, options)
+        let strokes = DriveStrokes::with(array, drive, options)
             .map_err(|source| StrokesError::Drive { motor: drive.motor, source })?;
         let parts = if strokes.clone().next().is_none() {
             Some([Part::default(); 3])
         } else if let Some(end) = end {
-            Some(parts(&strokes, pattern.duration_s(), end, options.fit))
+            Some(parts(&strokes, array.rate(), pattern.duration_s(), end, options.fit))
         } else {
             let only = || Part { repeats: 1, strokes: strokes.begun_before(NEVER), last: 0 };
             drive.stop_s.map(|_| [Part::default(), Part::default(), only()])
@@ -101,9 +102,10 @@ fn played(pattern: &Pattern, options: &StrokeOptions) -> Result<Vec<Played>, Str
 /// # Errors
 /// If an option is outside its range.
 pub fn reached(pattern: &Pattern, options: &StrokeOptions) -> Result<Vec<Reached>, StrokesError> {
+    let um_per_pulse = pattern.array().motor().um_per_pulse;
     let drives = played(pattern, options)?.into_iter().map(|Played { strokes, parts }| {
         let first = strokes.number(0);
-        let um = |pulses| f64::from(pulses) * UM_PER_PULSE;
+        let um = |pulses| f64::from(pulses) * um_per_pulse;
         let (amplitude_um, surplus_um) =
             if first.pulses > 0 { (um(first.pulses), um(first.surplus)) } else { (0.0, 0.0) };
         let count = parts.map(|parts| parts.iter().map(|part| part.repeats * part.strokes).sum());
@@ -121,11 +123,11 @@ pub fn reached(pattern: &Pattern, options: &StrokeOptions) -> Result<Vec<Reached
     clippy::cast_sign_loss,
     reason = "the cast is the floor of a checked duration"
 )]
-fn parts(strokes: &DriveStrokes, duration_s: Option<f64>, end: u64, fit: Fit) -> [Part; 3] {
-    let last = Repeat::last(duration_s, end);
-    let short = duration_s.map_or(0, |duration_s| seconds_in_ticks(duration_s) as u64);
+fn parts(strokes: &DriveStrokes, rate: TickRate, duration_s: Option<f64>, end: u64, fit: Fit) -> [Part; 3] {
+    let last = Repeat::last(duration_s, rate, end);
+    let short = duration_s.map_or(0, |duration_s| rate.seconds_in_ticks(duration_s) as u64);
     let longer_before =
-        |number: u64| Repeat::of(number, duration_s).start.saturating_sub(number * short).min(number);
+        |number: u64| Repeat::of(number, duration_s, rate).start.saturating_sub(number * short).min(number);
     let longer = longer_before(last.number);
     let in_repeat = |ticks| strokes.shifted(0, ticks).begun_before(NEVER);
     let in_last = match fit {
@@ -137,7 +139,7 @@ fn parts(strokes: &DriveStrokes, duration_s: Option<f64>, end: u64, fit: Fit) ->
             return Part::default();
         }
         let number = last_repeat(last.number, is_one);
-        Part { repeats, strokes: in_repeat(ticks), last: Repeat::of(number, duration_s).start }
+        Part { repeats, strokes: in_repeat(ticks), last: Repeat::of(number, duration_s, rate).start }
     };
     [
         // `number` is at most the last repeat of this kind if fewer of the kind lie before it than before the last repeat.

@@ -7,7 +7,9 @@ use super::error::StrokesError;
 use super::lane::Lane;
 use super::options::StrokeOptions;
 use crate::pattern::Pattern;
-use firmware_protocol::stroke::{MOTORS, Stroke};
+use crate::per_motor::PerMotor;
+use crate::spec::Array;
+use firmware_protocol::stroke::Stroke;
 use firmware_protocol::tick::Tick;
 
 /// See the module.
@@ -15,16 +17,18 @@ use firmware_protocol::tick::Tick;
 pub(super) struct Run {
     lanes: Vec<Lane>,
     /// When the next stroke of each lane goes up, in pattern time; [`NEVER`] if there is none.
-    ups: [u64; MOTORS],
+    ups: PerMotor<u64>,
+    array: Array,
 }
 
 impl Run {
     /// Compiles a pattern; there is no stroke before [`Self::begin`].
     pub(super) fn of(pattern: &Pattern, options: &StrokeOptions) -> Result<Self, StrokesError> {
-        options.check()?;
+        let array = pattern.array();
+        options.check(array)?;
         let lanes =
-            (0..MOTORS as u8).map(|motor| Lane::of(motor, pattern, options)).filter_map(Result::transpose);
-        Ok(Self { lanes: lanes.collect::<Result<_, _>>()?, ups: [NEVER; MOTORS] })
+            array.numbers().map(|motor| Lane::of(motor, pattern, options)).filter_map(Result::transpose);
+        Ok(Self { lanes: lanes.collect::<Result<_, _>>()?, ups: PerMotor::all(array, NEVER), array })
     }
 
     /// Begins, or begins again, a play that ends at `end`, in pattern time.
@@ -52,7 +56,7 @@ impl Run {
     }
 
     pub(super) fn end_here(&mut self) {
-        self.ups = [NEVER; MOTORS];
+        self.ups = PerMotor::all(self.array, NEVER);
     }
 
     /// When the next stroke of `motor` goes up, in pattern time.

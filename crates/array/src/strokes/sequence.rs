@@ -6,21 +6,21 @@
 //!
 //! Invariant: items are in order of time, do not overlap, and each has a stroke.
 
-use super::drive::NEVER;
 use super::error::StrokesError;
 use super::options::StrokeOptions;
 use super::run::Run;
 use super::{Item, Strokes, lasts_s};
 use crate::pattern::{MAX_DRIVES, MAX_SECONDS, Pattern};
-use crate::units::{TICKS_PER_MS, ticks_to_seconds};
+use crate::spec::Array;
+use crate::units::TickRate;
 
 /// Items of a sequence, at most: an hour of trials of less than a second.
 pub const MAX_ITEMS: usize = 4096;
 /// Drives of the patterns that a sequence compiles, at most: as many as one pattern may have. A pattern counts once for each scale
 /// and fit that it is played with.
 pub const MAX_SEQUENCE_DRIVES: usize = MAX_DRIVES;
-/// Ticks from the onset of an item to the next, at least: 5 ms. A device keeps at most 8 future onsets.
-pub const MIN_ITEM_INTERVAL: u64 = 5 * TICKS_PER_MS;
+/// From the onset of an item to the next, at least, ms. A device keeps at most 8 future onsets.
+pub const MIN_ITEM_INTERVAL_MS: u64 = 5;
 /// The longest sequence, ns.
 const LONGEST_NS: u64 = MAX_SECONDS as u64 * NS_PER_S;
 const NS_PER_S: u64 = 1_000_000_000;
@@ -66,10 +66,10 @@ pub enum SequenceError {
     #[error("no stroke fits: give it more `seconds`, or another `scale`")]
     Empty,
     /// It begins before the end of the one before.
-    #[error("it begins {:.3} ms before the item before it has ended: begin it later", ticks_to_seconds(*.ticks) * 1e3)]
+    #[error("it begins {:.3} ms before the item before it has ended: begin it later", *.ms)]
     Overlaps {
-        /// How much earlier, ticks.
-        ticks: u64,
+        /// How much earlier, ms.
+        ms: f64,
     },
     /// It begins too soon after the onset of the one before.
     #[error("it begins less than 5 ms after the onset of the item before it: begin it later")]
@@ -77,8 +77,9 @@ pub enum SequenceError {
 }
 
 /// See the module.
-#[derive(Debug, Default)]
+#[derive(Debug)]
 pub struct Sequence {
+    array: Array,
     runs: Vec<Run>,
     /// How long the patterns last, s; `None`: without end.
     lasting: Vec<Option<f64>>,
@@ -90,6 +91,13 @@ pub struct Sequence {
 }
 
 impl Sequence {
+    /// No items, for this array.
+    #[must_use]
+    pub fn new(array: Array) -> Self {
+        let (runs, lasting, items) = (Vec::new(), Vec::new(), Vec::new());
+        Self { array, runs, lasting, items, drives: 0, end_ns: 0, end: 0 }
+    }
+
     /// Compiles a pattern with a scale, a fit and a surplus. Its items have their own durations.
     ///
     /// # Errors
@@ -125,12 +133,13 @@ impl Sequence {
         let after = if matches!(start, Start::Gap(_)) { self.end_ns } else { 0 };
         let start_ns = after.checked_add(ns(ms)?).filter(|&ns| ns <= LONGEST_NS);
         let start_ns = start_ns.ok_or(SequenceError::Time { ms })?;
-        let start = ticks(start_ns);
+        let rate = self.array.rate();
+        let start = ticks(rate, start_ns);
         if let Some(before) = self.items.last() {
             if start < self.end {
-                return Err(SequenceError::Overlaps { ticks: self.end - start });
+                return Err(SequenceError::Overlaps { ms: rate.ticks_to_seconds(self.end - start) * 1e3 });
             }
-            if start - before.start < MIN_ITEM_INTERVAL {
+            if start - before.start < rate.of_ms(MIN_ITEM_INTERVAL_MS) {
                 return Err(SequenceError::TooClose);
             }
         }
@@ -138,7 +147,7 @@ impl Sequence {
         let seconds = seconds.or(self.lasting[run]).ok_or(SequenceError::Endless)?;
         let ms = seconds * 1e3;
         let mut end_ns = start_ns.checked_add(ns(ms)?).filter(|&ns| ns <= LONGEST_NS);
-        let end = ticks(end_ns.ok_or(SequenceError::Time { ms })?);
+        let end = ticks(rate, end_ns.ok_or(SequenceError::Time { ms })?);
         let strokes = &mut self.runs[run];
         strokes.begin(end - start);
         if strokes.is_over() {
@@ -146,7 +155,7 @@ impl Sequence {
         }
         let covered = strokes.covers_until(end - start).map_or(0, |covered| start + covered);
         if covered > end {
-            end_ns = Some(first_ns(covered));
+            end_ns = Some(first_ns(rate, covered));
         }
         self.items.push(Item { start, end, run });
         (self.end_ns, self.end) = (end_ns.unwrap_or(LONGEST_NS), end.max(covered));
@@ -161,7 +170,8 @@ impl Sequence {
     /// The strokes of all items; `None` without items.
     #[must_use]
     pub fn strokes(self) -> Option<Strokes> {
-        (!self.items.is_empty()).then(|| Strokes::of(self.runs, self.items.into(), Some(self.end)))
+        (!self.items.is_empty())
+            .then(|| Strokes::of(self.array, self.runs, self.items.into(), Some(self.end)))
     }
 }
 
@@ -172,17 +182,19 @@ fn ns(ms: f64) -> Result<u64, SequenceError> {
     if good { Ok((ms * 1e6).round() as u64) } else { Err(SequenceError::Time { ms }) }
 }
 
-/// The tick nearest to a time from the onset, halves up: `floor(ns * 85 / 1000000 + 1/2)`, in whole numbers.
-fn ticks(ns: u64) -> u64 {
-    (ns * TICKS_PER_MS + 500_000) / 1_000_000
+/// The tick nearest to a time from the onset, halves up: `floor(ns * tick_hz / 10^9 + 1/2)`, in whole numbers.
+#[expect(clippy::cast_possible_truncation, reason = "2^64 ticks are far beyond the longest sequence")]
+fn ticks(rate: TickRate, ns: u64) -> u64 {
+    let (billion, hz) = (u128::from(NS_PER_S), u128::from(rate.hz()));
+    ((u128::from(ns) * hz + billion / 2) / billion) as u64
 }
 
 /// The first nanosecond whose nearest tick is not before this one.
-fn first_ns(tick: u64) -> u64 {
-    (tick * 1_000_000).saturating_sub(500_000).div_ceil(TICKS_PER_MS)
+#[expect(clippy::cast_possible_truncation, reason = "as above")]
+fn first_ns(rate: TickRate, tick: u64) -> u64 {
+    let (billion, hz) = (u128::from(NS_PER_S), u128::from(rate.hz()));
+    (u128::from(tick) * billion).saturating_sub(billion / 2).div_ceil(hz) as u64
 }
-
-const _: () = assert!(LONGEST_NS < NEVER / TICKS_PER_MS / 2);
 
 #[cfg(test)]
 mod tests {
@@ -200,7 +212,7 @@ mod tests {
 
     #[test]
     fn each_sum_of_times_becomes_a_tick_once() {
-        let mut sequence = Sequence::default();
+        let mut sequence = Sequence::new(Array::paper());
         let tap = pattern("tap", 5, 100.0, Some(0.0333));
         let tap = sequence.compile(&tap, &StrokeOptions::default()).unwrap();
         // 0.1 ms are 8.5 ticks: rounded one by one, 1 000 of them would be 500 ticks too long.
@@ -218,7 +230,7 @@ mod tests {
 
     #[test]
     fn what_cannot_be_played_is_refused_and_changes_nothing() {
-        let mut sequence = Sequence::default();
+        let mut sequence = Sequence::new(Array::paper());
         let options = StrokeOptions::default();
         let [tap, endless, slow] =
             [("tap", 100.0, Some(0.1)), ("endless", 100.0, None), ("slow", 0.1, Some(1.0))]
@@ -228,7 +240,7 @@ mod tests {
         assert_eq!(refused(endless, None, Start::Gap(0.0)), SequenceError::Endless);
         assert_eq!(refused(slow, None, Start::Gap(0.0)), SequenceError::Empty);
         assert_eq!(refused(tap, Some(0.0), Start::Gap(0.0)), SequenceError::Empty);
-        assert_eq!(refused(tap, None, Start::At(99.9)), SequenceError::Overlaps { ticks: 8 });
+        assert_eq!(refused(tap, None, Start::At(99.9)), SequenceError::Overlaps { ms: 8.0 / 85_000.0 * 1e3 });
         assert_eq!(refused(tap, None, Start::Gap(-1.0)), SequenceError::Time { ms: -1.0 });
         assert!(matches!(refused(tap, None, Start::Gap(f64::NAN)), SequenceError::Time { .. }));
         assert!(matches!(refused(tap, Some(2e8), Start::Gap(0.0)), SequenceError::Time { .. }));
@@ -247,12 +259,12 @@ mod tests {
         let long = Pattern::new("long", None, (0..MAX_DRIVES).map(drive).collect(), toml::Table::new());
         assert_eq!(sequence.compile(&long.unwrap(), &options), Err(SequenceError::TooManyDrives));
         assert_eq!(sequence.strokes().unwrap().items(), 2);
-        assert!(Sequence::default().strokes().is_none());
+        assert!(Sequence::new(Array::paper()).strokes().is_none());
     }
 
     #[test]
     fn a_sequence_has_a_bounded_number_of_items_and_takes_little_memory() {
-        let mut sequence = Sequence::default();
+        let mut sequence = Sequence::new(Array::paper());
         let tap = sequence.compile(&pattern("tap", 5, 100.0, Some(0.01)), &StrokeOptions::default()).unwrap();
         for _ in 0..MAX_ITEMS {
             sequence.add(tap, None, Start::Gap(0.0)).unwrap();
@@ -281,7 +293,7 @@ mod tests {
                     Drive { phase: 0.3, ..pattern("y", 7, 33.0, None).drives()[0] },
                 ], toml::Table::new()).unwrap(),
             ];
-            let mut sequence = Sequence::default();
+            let mut sequence = Sequence::new(Array::paper());
             let options = [Fit::Whole, Fit::Cover].map(|fit| StrokeOptions { fit, ..StrokeOptions::default() });
             let compiled = patterns.each_ref().map(|pattern| {
                 options.each_ref().map(|options| sequence.compile(pattern, options).unwrap())
@@ -291,7 +303,7 @@ mod tests {
                 let compiled = compiled[which][usize::from(covers)];
                 if sequence.add(compiled, Some(seconds), Start::Gap(gap_ms)).is_ok() {
                     let Item { start, end, .. } = sequence.items[sequence.items.len() - 1];
-                    let seconds = ticks_to_seconds(end - start);
+                    let seconds = Array::paper().rate().ticks_to_seconds(end - start);
                     let options = StrokeOptions { seconds: Some(seconds), ..options[usize::from(covers)].clone() };
                     let mut alone = Strokes::new(&patterns[which], &options).unwrap();
                     alone.begin(Tick(onset + start));

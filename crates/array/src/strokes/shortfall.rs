@@ -9,7 +9,7 @@ use super::options::StrokeOptions;
 use super::reached::{Reached, reached};
 use crate::motor::SteadyState;
 use crate::pattern::{Drive, Pattern};
-use crate::units::UM_PER_PULSE;
+use crate::spec::Array;
 use std::fmt;
 
 /// A motion below this counts as none, µm: seven pulses.
@@ -31,6 +31,8 @@ pub enum Shortfall {
 /// A drive's ordered and reached amplitude in a play.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DriveAmplitude {
+    /// The array of its motor.
+    pub array: Array,
     /// The drive, counted from 1.
     pub drive: usize,
     /// Its settings.
@@ -49,12 +51,13 @@ pub struct DriveAmplitude {
 /// If an option is outside its range.
 pub fn amplitudes(pattern: &Pattern, options: &StrokeOptions) -> Result<Vec<DriveAmplitude>, StrokesError> {
     let drives = pattern.drives().iter().zip(reached(pattern, options)?).zip(1..);
+    let array = pattern.array();
     let amplitude = |((settings, reached), drive): ((&Drive, Reached), usize)| {
         let um = if reached.strokes == Some(0) { 0.0 } else { reached.amplitude_um };
-        let reached_um = SteadyState::ideal_um(settings.frequency_hz, um)
+        let reached_um = SteadyState::ideal_um(array, settings.frequency_hz, um)
             .map_err(|source| StrokesError::Drive { motor: settings.motor, source })?;
         let ordered_um = settings.amplitude_um * options.scale;
-        Ok(DriveAmplitude { drive, settings: *settings, ordered_um, reached_um, reached })
+        Ok(DriveAmplitude { array, drive, settings: *settings, ordered_um, reached_um, reached })
     };
     drives.map(amplitude).collect()
 }
@@ -80,9 +83,10 @@ impl fmt::Display for DriveAmplitude {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self { drive, settings: Drive { motor, frequency_hz, .. }, ordered_um, reached_um, .. } = self;
         let Some(shortfall) = self.shortfall() else { return Ok(()) };
+        let um_per_pulse = self.array.motor().um_per_pulse;
         write!(f, "drive {drive} (motor {motor}) ")?;
         match shortfall {
-            Shortfall::NoStroke if *ordered_um < UM_PER_PULSE / 2.0 => {
+            Shortfall::NoStroke if *ordered_um < um_per_pulse / 2.0 => {
                 write!(f, "gives no stroke: {ordered_um} um is less than half a pulse; raise its amplitude")
             }
             Shortfall::NoStroke => write!(
@@ -95,7 +99,7 @@ impl fmt::Display for DriveAmplitude {
             }
             Shortfall::Low => {
                 // Rounding to whole pulses changes the amplitude by less than this.
-                let saturated = self.reached.amplitude_um < ordered_um - UM_PER_PULSE;
+                let saturated = self.reached.amplitude_um < ordered_um - um_per_pulse;
                 write!(
                     f,
                     "{} {reached_um:.1} of {ordered_um} um ({:.0} %) at {frequency_hz} Hz; lower frequency_hz or its amplitude",
@@ -165,7 +169,7 @@ mod tests {
         };
         let pattern = Pattern::new("test", None, vec![drive], toml::Table::new()).unwrap();
         let found = amplitudes(&pattern, &StrokeOptions::default()).unwrap()[0];
-        let steady = SteadyState::of(60.0, 80.0).unwrap();
+        let steady = SteadyState::of(Array::paper(), 60.0, 80.0).unwrap();
         assert!((found.reached_um - steady.played_peak_to_peak_um).abs() < 0.2, "{found:?} {steady:?}");
         assert!(found.reached_um < 75.0 && found.shortfall().is_none(), "{found:?}");
     }
