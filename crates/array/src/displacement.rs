@@ -116,6 +116,7 @@ mod tests {
     use super::*;
     use crate::motor::SteadyState;
     use crate::pattern::{Drive, Pattern};
+    use crate::spec::Array;
     use crate::strokes::{StrokeOptions, Surplus};
 
     fn two_pins() -> Pattern {
@@ -128,7 +129,7 @@ mod tests {
             stop_s,
         };
         let drives = vec![drive(9, 0.0, None, Some(0.1)), drive(4, 0.5, Some(0.2), Some(0.3))];
-        Pattern::new("two", Some(0.3), drives, toml::Table::new()).unwrap()
+        Pattern::new(Array::paper(), "two", Some(0.3), drives, toml::Table::new()).unwrap()
     }
 
     fn sampled(options: &StrokeOptions, rate_hz: f64, first_s: f64) -> Vec<Vec<f64>> {
@@ -143,8 +144,7 @@ mod tests {
         let highest = |pin: usize, from: usize, to: usize| {
             rows[from..to].iter().map(|row| row[pin]).fold(0.0, f64::max)
         };
-        let reached =
-            SteadyState::of(crate::spec::Array::paper(), 60.0, 80.0).unwrap().played_peak_to_peak_um;
+        let reached = SteadyState::of(Array::paper(), 60.0, 80.0).unwrap().played_peak_to_peak_um;
         // The first stroke starts from rest and reaches higher than the steady vibration.
         assert!((reached..80.0).contains(&highest(1, 0, 1_050)), "{}", highest(1, 0, 1_050));
         assert!((reached..80.0).contains(&highest(0, 2_000, rows.len())));

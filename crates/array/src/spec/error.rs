@@ -21,7 +21,7 @@ pub enum Problem {
     #[error("are {pins} pins: must be 1 to {MAX_MOTORS}")]
     TooManyPins { pins: usize },
     #[error(
-        "{first} and {second} overlap: their middles are {distance_mm:.2} mm apart, their radius is {radius_mm} mm; move one"
+        "are too near: {first} and {second} overlap, their middles are {distance_mm:.2} mm apart, their radius is {radius_mm} mm; move one"
     )]
     Overlap { first: usize, second: usize, distance_mm: f64, radius_mm: f64 },
     #[error("up is {up} and down is {down}: up must be below down")]

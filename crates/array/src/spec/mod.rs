@@ -274,3 +274,181 @@ impl Groups {
         self.members.iter().map(Vec::len).max().unwrap_or(0)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const GOOD: &str = r#"
+name = "mine"
+pins = { rows = 2, columns = 3, pitch_mm = 1.8 }
+tick_hz = 70000
+duty = { up = 0.25, down = 0.75 }
+rails = [[0, 1, 2, 3, 4], [5]]
+chips = [[0, 4], [1, 2], [3], [5]]
+[motor]
+step_um = 0.2
+window_ms = 3.0
+travel_um = 300.0
+most_pulses = 2000
+"#;
+
+    #[test]
+    fn a_description_gives_pins_wiring_and_motors() {
+        let array = ArraySpec::parse(GOOD, "mine.toml").unwrap();
+        assert_eq!(
+            (array.name(), array.motors(), array.numbers(), array.rate().hz()),
+            ("mine", 6, 0..6, 70_000)
+        );
+        assert_eq!(array.position_mm(0), [-1.8, 0.9]);
+        assert_eq!(array.position_mm(5), [1.8, -0.9]);
+        assert_eq!((array.rails().of(5), array.rails().count(), array.rails().largest()), (1, 2, 5));
+        assert_eq!(
+            (array.chips().of(4), array.chips().of(2), array.chips().members()[2].as_slice()),
+            (0, 1, &[3][..])
+        );
+        let motor = array.motor();
+        assert_eq!((motor.window_half_ticks, motor.window_ticks(), motor.settled_ticks()), (420, 210.0, 210));
+        assert_eq!((motor.least_pulses, motor.seek_pulses, motor.transient_gain), (1, 13_800, 1.0));
+        assert_eq!(array.nearest_to([1.0, 1.0]), (2, (0.8_f64 * 0.8 + 0.01).sqrt()));
+        let places = GOOD.replace(
+            "pins = { rows = 2, columns = 3, pitch_mm = 1.8 }",
+            "pins = { positions_mm = [[0.0, 0.0], [3.0, 0.0], [0.0, 2.5], [9.0, 9.0], [-4.0, 1.0], [-4.0, -4.0]], radius_mm = 0.4 }",
+        );
+        let places = ArraySpec::parse(&places, "mine.toml").unwrap();
+        assert_eq!((places.grid(), places.pitch_mm(), places.pin_radius_mm()), (None, 2.5, 0.4));
+        assert_ne!(places.hash(), array.hash());
+    }
+
+    #[test]
+    fn the_papers_array_has_the_papers_numbers() {
+        let array = Array::paper();
+        assert_eq!((array.motors(), array.rate().hz(), array.pitch_mm()), (24, 85_000, 2.9));
+        for (motor, place) in
+            [(0, [-4.35, 7.25]), (3, [4.35, 7.25]), (20, [-4.35, -7.25]), (23, [4.35, -7.25])]
+        {
+            let [x, y] = array.position_mm(motor);
+            assert!((x - place[0]).abs() < 1e-12 && (y - place[1]).abs() < 1e-12, "{motor}: {x} {y}");
+        }
+        assert_eq!(
+            (array.rails().count(), array.rails().of(6), array.chips().count(), array.chips().of(23)),
+            (4, 1, 12, 11)
+        );
+        let motor = array.motor();
+        assert_eq!(motor.um_per_pulse.to_bits(), (0.95_f64 / 7.0).to_bits());
+        assert_eq!(
+            (motor.window_half_ticks, motor.settled_ticks(), motor.transient_rest_ticks),
+            (731, 366, 42_500)
+        );
+        // 11.5 mm/s.
+        assert!((motor.um_per_pulse * 85.0 - 11.5).abs() < 0.05);
+    }
+
+    #[test]
+    fn a_hash_is_of_values_and_not_of_the_text() {
+        let hash = |text: &str| ArraySpec::parse(text, "mine.toml").unwrap().hash();
+        assert_eq!(
+            hash(GOOD),
+            hash(&GOOD.replace("0.25, down", "0.250,   down").replace("[motor]", "# mine\n[motor]"))
+        );
+        for (from, to) in [
+            ("70000", "70001"),
+            ("0.25", "0.26"),
+            ("[3], [5]", "[5], [3]"),
+            ("1.8", "1.9"),
+            ("2000", "2001"),
+            ("mine", "ours"),
+        ] {
+            assert_ne!(hash(GOOD), hash(&GOOD.replace(from, to)), "{from}");
+        }
+    }
+
+    #[test]
+    fn each_bad_description_is_refused_in_one_line_with_its_key() {
+        let most = GOOD.replace("rows = 2, columns = 3", "rows = 5, columns = 13");
+        let cases = [
+            ("pitch_mm = 1.8", "pitch_mm = 0.9", "mine.toml:3: `pins` are too near: 0 and 1 overlap"),
+            ("rows = 2, columns = 3, pitch_mm = 1.8", "rows = 2", "mine.toml:3: `pins` needs either rows"),
+            (
+                "rows = 2, columns = 3, pitch_mm = 1.8",
+                "positions_mm = []",
+                "mine.toml:3: `pins` are 0 pins: must be 1 to 64",
+            ),
+            (
+                "rows = 2, columns = 3, pitch_mm = 1.8",
+                "positions_mm = [[0.0, 99.0]]",
+                "`pins.positions_mm[0]` is 99: must be",
+            ),
+            ("rows = 2", "rows = 0", "`pins` are 0 pins"),
+            (
+                "[[0, 4], [1, 2]",
+                "[[0, 4], [1, 2, 4]",
+                "mine.toml:7: `chips[1]` has motor 4, as chips[0] has: a motor",
+            ),
+            (
+                "[[0, 4], [1, 2], [3], [5]]",
+                "[[0, 4], [1, 2], [3, 5]]",
+                "`chips[2]` has motors 3 and 5, which are on different rails",
+            ),
+            ("[[0, 4], [1, 2], [3], [5]]", "[[0, 4], [1, 2], [5]]", "`chips` have no motor 3: add it"),
+            ("[5]]\nchips", "[6]]\nchips", "`rails[1]` has motor 6: the array has motors 0 to 5"),
+            ("[5]]\nchips", "[]]\nchips", "`rails[1]` has no motors"),
+            ("up = 0.25", "up = 0.0", "`duty.up` is 0: must be 0.02 to 0.98"),
+            ("up = 0.25", "up = 0.75", "`duty`: up is 0.75 and down is 0.75: up must be below"),
+            (
+                "tick_hz = 70000",
+                "tick_hz = 4294967295",
+                "`tick_hz` is 4294967295: must be 20000 to 200000 Hz",
+            ),
+            ("tick_hz = 70000", "tick_hz = 4294967296", "`tick_hz`"),
+            ("tick_hz = 70000\n", "", "`tick_hz` is missing: add the carrier"),
+            ("window_ms = 3.0", "window_ms = nan", "`motor.window_ms` is NaN: must be 0.1 to 50 ms"),
+            ("step_um = 0.2", "step_um = 0.1", "`motor.most_pulses` is 2000: 300 um are 3000 pulses"),
+            ("most_pulses = 2000", "most_pulses = 60000", "`motor.most_pulses` is 60000: must be 1 to 12000"),
+            (
+                "most_pulses = 2000",
+                "most_pulses = 2000\nseek_pulses = 2000",
+                "`motor.seek_pulses` is 2000: from its highest place",
+            ),
+            ("name = \"mine\"", "name = \"My array\"", "`name` is `My array`: must be 1 to 32 of a-z"),
+            ("tick_hz", "carrier = 1\ntick_hz", "unknown key `carrier`"),
+        ];
+        let cases = cases.map(|(from, to, says)| (GOOD.replacen(from, to, 1), says));
+        for (text, says) in cases.into_iter().chain([(most, "`pins` are 65 pins: must be 1 to 64")]) {
+            assert_ne!(text, GOOD, "{says}");
+            let line = ArraySpec::parse(&text, "mine.toml").unwrap_err().to_string();
+            assert!(line.contains(says) && !line.contains('\n'), "{line}\ninstead of {says}");
+        }
+    }
+
+    #[test]
+    fn a_name_stands_for_one_description() {
+        let spec = |text: &str| ArraySpec::parse(text, "mine.toml").unwrap();
+        let mine = GOOD.replace("mine", "known-once");
+        let array = Array::known(spec(&mine)).unwrap();
+        assert_eq!(Array::known(spec(&mine)), Ok(array));
+        assert_eq!(Array::named("known-once"), Ok(array));
+        let other = spec(&mine.replace("70000", "71000"));
+        assert!(Array::known(other).unwrap_err().to_string().contains("another name"));
+        let line = Array::named("nobodys").unwrap_err().to_string();
+        assert!(
+            line.starts_with("no array is called `nobodys`: known are tula35-6x4, ubi-pen-3x3, "),
+            "{line}"
+        );
+        assert_eq!((names()[0], Array::default()), ("tula35-6x4", Array::paper()));
+    }
+
+    #[test]
+    fn a_new_array_is_read_as_asked_for_and_has_the_default_motors() {
+        let new = NewArray { name: "lab-3".into(), rows: 3, columns: 3, pitch_mm: 1.8, tick_hz: None };
+        let array = ArraySpec::parse(&new.to_toml(), "lab-3.toml").unwrap();
+        assert_eq!(
+            (array.name(), array.motors(), array.pitch_mm(), array.rate()),
+            ("lab-3", 9, 1.8, Array::paper().rate())
+        );
+        assert_eq!((array.motor(), array.duty()), (Array::paper().motor(), Array::paper().duty()));
+        assert_eq!((array.rails().members()[1].as_slice(), array.chips().count()), (&[6, 7, 8][..], 5));
+        let slow = ArraySpec::parse(&NewArray { tick_hz: Some(70_000), ..new }.to_toml(), "").unwrap();
+        assert_eq!((slow.rate().hz(), slow.motor().window_half_ticks), (70_000, 602));
+    }
+}

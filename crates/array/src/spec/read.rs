@@ -168,7 +168,7 @@ impl RawPins {
                 (grid.positions_mm(), Some(grid))
             }
             (None, None, None, Some(positions_mm)) => (positions_mm, None),
-            _ => return Err(KeyError { path: String::new(), ..KeyError::whole(None, Problem::Pins) }),
+            _ => return Err(KeyError::whole(None, Problem::Pins)),
         };
         count(positions_mm.len())?;
         for (pin, place) in positions_mm.iter().enumerate() {

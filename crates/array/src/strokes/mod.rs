@@ -263,7 +263,8 @@ mod tests {
             start_s: None,
             stop_s: None,
         };
-        let pattern = Pattern::new("test", Some(1.0), vec![drive], toml::Table::new()).unwrap();
+        let pattern =
+            Pattern::new(Array::paper(), "test", Some(1.0), vec![drive], toml::Table::new()).unwrap();
         Strokes::new(&pattern, &StrokeOptions::default()).unwrap()
     }
 

@@ -7,8 +7,6 @@ use super::error::StrokesError;
 use super::lane::Lane;
 use super::options::StrokeOptions;
 use crate::pattern::Pattern;
-use crate::per_motor::PerMotor;
-use crate::spec::Array;
 use firmware_protocol::stroke::Stroke;
 use firmware_protocol::tick::Tick;
 
@@ -17,8 +15,7 @@ use firmware_protocol::tick::Tick;
 pub(super) struct Run {
     lanes: Vec<Lane>,
     /// When the next stroke of each lane goes up, in pattern time; [`NEVER`] if there is none.
-    ups: PerMotor<u64>,
-    array: Array,
+    ups: Vec<u64>,
 }
 
 impl Run {
@@ -28,7 +25,8 @@ impl Run {
         options.check(array)?;
         let lanes =
             array.numbers().map(|motor| Lane::of(motor, pattern, options)).filter_map(Result::transpose);
-        Ok(Self { lanes: lanes.collect::<Result<_, _>>()?, ups: PerMotor::all(array, NEVER), array })
+        let lanes = lanes.collect::<Result<Vec<_>, _>>()?;
+        Ok(Self { ups: vec![NEVER; lanes.len()], lanes })
     }
 
     /// Begins, or begins again, a play that ends at `end`, in pattern time.
@@ -44,7 +42,7 @@ impl Run {
     }
 
     pub(super) fn is_over(&self) -> bool {
-        self.ups[..self.lanes.len()].iter().all(|&up| up == NEVER)
+        self.ups.iter().all(|&up| up == NEVER)
     }
 
     pub(super) fn drives(&self, motor: u8) -> bool {
@@ -56,7 +54,7 @@ impl Run {
     }
 
     pub(super) fn end_here(&mut self) {
-        self.ups = PerMotor::all(self.array, NEVER);
+        self.ups.fill(NEVER);
     }
 
     /// When the next stroke of `motor` goes up, in pattern time.
@@ -70,7 +68,7 @@ impl Run {
     pub(super) fn next(&mut self, onset: Tick) -> Option<(Stroke, u16)> {
         // Lanes are in order of motor, so among equal ticks the first has the lowest motor number.
         let (mut first, mut earliest) = (0, NEVER);
-        for (index, &up) in self.ups[..self.lanes.len()].iter().enumerate() {
+        for (index, &up) in self.ups.iter().enumerate() {
             if up < earliest {
                 (first, earliest) = (index, up);
             }

@@ -207,7 +207,7 @@ mod tests {
     fn pattern(name: &str, motor: u8, frequency_hz: f64, duration_s: Option<f64>) -> Pattern {
         let drive =
             Drive { motor, frequency_hz, amplitude_um: 20.0, phase: 0.0, start_s: None, stop_s: None };
-        Pattern::new(name, duration_s, vec![drive], toml::Table::new()).unwrap()
+        Pattern::new(Array::paper(), name, duration_s, vec![drive], toml::Table::new()).unwrap()
     }
 
     #[test]
@@ -256,7 +256,13 @@ mod tests {
             start_s: Some(n as f64),
             stop_s: Some(n as f64 + 1.0),
         };
-        let long = Pattern::new("long", None, (0..MAX_DRIVES).map(drive).collect(), toml::Table::new());
+        let long = Pattern::new(
+            Array::paper(),
+            "long",
+            None,
+            (0..MAX_DRIVES).map(drive).collect(),
+            toml::Table::new(),
+        );
         assert_eq!(sequence.compile(&long.unwrap(), &options), Err(SequenceError::TooManyDrives));
         assert_eq!(sequence.strokes().unwrap().items(), 2);
         assert!(Sequence::new(Array::paper()).strokes().is_none());
@@ -288,7 +294,7 @@ mod tests {
             let patterns = [
                 pattern("a", 5, 61.7, None),
                 pattern("b", 6, 100.0, Some(0.07)),
-                Pattern::new("c", None, vec![
+                Pattern::new(Array::paper(), "c", None, vec![
                     pattern("x", 5, 90.0, None).drives()[0],
                     Drive { phase: 0.3, ..pattern("y", 7, 33.0, None).drives()[0] },
                 ], toml::Table::new()).unwrap(),

@@ -133,7 +133,7 @@ mod tests {
             drive(4, 300.0, 80.0, None),
             drive(5, 60.0, 0.0, None),
         ];
-        let pattern = Pattern::new("test", Some(1.0), drives, toml::Table::new()).unwrap();
+        let pattern = Pattern::new(Array::paper(), "test", Some(1.0), drives, toml::Table::new()).unwrap();
         let of = |options| {
             let found = amplitudes(&pattern, &options).unwrap();
             found.iter().map(|drive| (drive.shortfall(), drive.to_string())).collect::<Vec<_>>()
@@ -167,7 +167,7 @@ mod tests {
             start_s: None,
             stop_s: None,
         };
-        let pattern = Pattern::new("test", None, vec![drive], toml::Table::new()).unwrap();
+        let pattern = Pattern::new(Array::paper(), "test", None, vec![drive], toml::Table::new()).unwrap();
         let found = amplitudes(&pattern, &StrokeOptions::default()).unwrap()[0];
         let steady = SteadyState::of(Array::paper(), 60.0, 80.0).unwrap();
         assert!((found.reached_um - steady.played_peak_to_peak_um).abs() < 0.2, "{found:?} {steady:?}");

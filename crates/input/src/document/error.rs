@@ -47,7 +47,7 @@ impl Place {
 
 /// Whether the text of a problem continues a sentence that begins with the key.
 fn reads_on(problem: &str) -> bool {
-    problem.starts_with("is ") || problem.starts_with("holds ")
+    ["is ", "are ", "has ", "have ", "holds ", "needs "].iter().any(|verb| problem.starts_with(verb))
 }
 
 /// A problem that any document can have, and what to do.
@@ -137,7 +137,8 @@ impl<P> KeyError<P> {
     /// Adds the table that the key belongs to.
     #[must_use]
     pub fn within(self, parent: &str) -> Self {
-        Self { path: format!("{parent}.{}", self.path), ..self }
+        let dot = if self.path.is_empty() { "" } else { "." };
+        Self { path: format!("{parent}{dot}{}", self.path), ..self }
     }
 }
 
