@@ -68,6 +68,7 @@ impl Route {
             | Self::StoreCalibration
             | Self::SessionEnd => Access::CHANGES,
             Self::Status
+            | Self::Array
             | Self::Doctor
             | Self::Receipt
             | Self::Events

@@ -14,7 +14,7 @@ pub struct BoardStatus {
     pub reset: String,
     /// Time since then, s.
     pub uptime_s: u32,
-    /// Least time left to render since then, ticks of 1/85000 s; null: nothing was rendered while armed, or it is not measured. A board
+    /// Least time left to render since then, ticks; null: nothing was rendered while armed, or it is not measured. A board
     /// has at most 45; at 0 it turns its lines off.
     #[schema(required)]
     pub slack_ticks: Option<u8>,
@@ -26,16 +26,16 @@ pub struct BoardStatus {
     pub usb_recoveries: Option<u32>,
     /// Times that its outputs failed and it turned its lines off (causes `starved` and `output`).
     pub output_faults: u32,
-    /// Outputs that were high at its start, before anything drove them: motors by number, 24 for the trigger, 25 for the driver enable.
+    /// Outputs that were high at its start, before anything drove them: motors by number, 64 for the trigger, 65 for the driver enable.
     /// Null: not measured. A sound board has none.
-    #[schema(required, max_items = 26)]
+    #[schema(required, max_items = 66)]
     pub high_at_boot: Option<Vec<u8>>,
 }
 
 /// What occurred on the device while a play ran: from the last report before it to the first one after.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 pub struct BoardRecord {
-    /// Least time left to render, ticks of 1/85000 s; null: not measured.
+    /// Least time left to render, ticks; null: not measured.
     #[schema(required)]
     pub slack_ticks: Option<u8>,
     /// Times that the firmware's tasks stood still for too long; null: not measured.

@@ -68,8 +68,8 @@ pub struct FittedLine {
 /// What a calibration measured of one motor. A gain is the measured travel per pulse over the motor model's.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct CalibratedMotor {
-    /// The motor's number, 4 × row + column.
-    #[schema(minimum = 0, maximum = 23)]
+    /// The motor's number.
+    #[schema(minimum = 0, maximum = 63)]
     pub motor: u8,
     /// Gain upwards, a ratio.
     #[schema(minimum = 0.0)]
@@ -132,7 +132,7 @@ pub struct CalibrationReport {
     #[schema(required)]
     pub unused: Option<String>,
     /// The calibrated motors; a motor that is missing here has a gain of 1.
-    #[schema(max_items = 24)]
+    #[schema(max_items = 64)]
     pub motors: Vec<CalibratedMotor>,
     /// How the calibration was measured.
     pub provenance: Provenance,

@@ -61,7 +61,7 @@ pub enum Event {
         cause: String,
         /// Whether the device knows where its pins are: `known` or `unknown`.
         position: String,
-        /// The device's clock, ticks of 1/85000 s; 0 without a device.
+        /// The device's clock, ticks; 0 without a device.
         tick: u64,
         /// The running play; null without one.
         #[schema(required)]
@@ -206,8 +206,8 @@ pub enum Event {
     #[serde(rename = "doubted")]
     #[schema(examples(json!({"event": "doubted", "motor": 3, "doubt": "jumps"})))]
     SensorFault {
-        /// The motor's number, 4 × row + column.
-        #[schema(minimum = 0, maximum = 23)]
+        /// The motor's number.
+        #[schema(minimum = 0, maximum = 63)]
         motor: u8,
         /// Why.
         #[serde(rename = "doubt")]

@@ -38,6 +38,7 @@
 #![recursion_limit = "256"]
 
 pub mod access;
+pub mod array;
 pub mod board;
 mod body;
 pub mod calibration;
@@ -61,6 +62,7 @@ pub mod target;
 pub mod token;
 pub mod trigger;
 
+pub use array::{ArrayDetails, ArrayDuty, ArrayGrid, ArrayMotor};
 pub use board::{BoardRecord, BoardStatus};
 pub use body::{Labels, MAX_AT_MS, is_sha256};
 pub use calibration::{CalibratedMotor, CalibrationReport, FittedLine, MeasuredPoint, Provenance};
@@ -83,7 +85,7 @@ pub use receipt::{
     OrderedCounts, PlayState, PulseCounts, Receipt, RefusedStroke,
 };
 pub use request::{
-    ArmRequest, CalibrateRequest, Fit, LatePolicy, MAX_BODY, MAX_WAIT_S, PlayRequest, ResetRequest,
+    ArmRequest, CalibrateRequest, Fit, LatePolicy, MAX_BODY, MAX_WAIT_S, Mapping, PlayRequest, ResetRequest,
     parse_empty,
 };
 pub use route::{Method, Route};

@@ -3,6 +3,7 @@
 //! The daemon serves [`document`] at `GET /v1/openapi.json`; the book holds a page made from it. Descriptions are
 //! the types' doc comments, so those give units and meaning; examples stand beside the types.
 
+use crate::array::ArrayDetails;
 use crate::problem::{Code, Problem};
 use crate::route::{Answer, Body, Method, Operation, Query, Route};
 use crate::{
@@ -19,6 +20,7 @@ use utoipa::OpenApi;
 /// The schemas; those that they refer to come along.
 #[derive(OpenApi)]
 #[openapi(components(schemas(
+    ArrayDetails,
     ArmRequest,
     ResetRequest,
     CalibrateRequest,
@@ -79,7 +81,8 @@ const ABOUT: &str = "HTTP/1.1 over the daemon's Unix socket: `$MEISSNER_SOCKET`,
                      needs an access token (`unauthorized`, `forbidden`). The body of a command has at \
                      most 16 KiB. A key that is null counts as absent, but a number may not be null; an unknown key is an error. Every error, also of an unknown \
                      address (`not-found`) or method (`method-not-allowed`), is `application/problem+json` with a stable `code`. \
-                     Times: `_s` is seconds, `_ms` milliseconds, a tick 1/85000 s on the device's clock.";
+                     Times: `_s` is seconds, `_ms` milliseconds, ticks are those of the device's clock: `GET /v1/array` has their number \
+                     per second (`tick_hz`), the motors' numbers, where their pins stand, and their largest amplitude.";
 
 /// The document.
 #[must_use]

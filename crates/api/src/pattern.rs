@@ -12,6 +12,10 @@ use utoipa::ToSchema;
 pub struct PatternSummary {
     /// The pattern's name: a-z, 0-9 and `-`, at most 64 characters.
     pub name: String,
+    /// The array that the pattern is for.
+    #[serde(default)]
+    #[schema(required)]
+    pub array: String,
     /// Whether the pattern belongs to the built-in library, which cannot be overwritten.
     pub library: bool,
     /// Duration of one run, s; null: the pattern has no end.
@@ -46,8 +50,8 @@ pub struct ReachedDrive {
     /// The drive's place in the pattern, from 1.
     #[schema(minimum = 1, maximum = 4096)]
     pub drive: usize,
-    /// The motor's number, 4 × row + column.
-    #[schema(minimum = 0, maximum = 23)]
+    /// The motor's number.
+    #[schema(minimum = 0, maximum = 63)]
     pub motor: u8,
     /// Amplitude as ordered, peak to peak, µm.
     #[schema(minimum = 0.0)]
@@ -89,7 +93,7 @@ pub struct RailLoad {
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, ToSchema)]
 #[schema(examples(json!({
     "patterns": [{
-        "name": "edge-45", "library": true, "duration_s": null, "drives": 12, "drives_moving": 12,
+        "name": "edge-45", "array": "tula35-6x4", "library": true, "duration_s": null, "drives": 12, "drives_moving": 12,
         "sha256": "9f86d081884c7d659a2feaa0c55ad015a3bf4f1b2b0b822cd15d6c15b0f00a08",
         "compiled_ms": null, "reached_min_um": 69.2, "reached_max_um": 69.2
     }],
@@ -139,9 +143,9 @@ pub struct PatternDetails {
     #[serde(default)]
     #[schema(required, max_items = 4096)]
     pub drives: Vec<ReachedDrive>,
-    /// What each 30 V rail draws.
+    /// What each rail draws.
     #[serde(default)]
-    #[schema(required, max_items = 4)]
+    #[schema(required, max_items = 64)]
     pub rails: Vec<RailLoad>,
     /// One line for each thing that may not be meant, for example a drive that does not reach its amplitude: the first 100, and how many more.
     pub warnings: Vec<String>,
@@ -156,6 +160,9 @@ pub struct PatternFile {
     pub format: u8,
     /// The pattern's name: a-z, 0-9 and `-`, at most 64 characters.
     pub name: String,
+    /// The array that the pattern is for; without it `tula35-6x4`, the paper's.
+    #[serde(default)]
+    pub array: Option<String>,
     /// Duration of one run, s; without it the pattern has no end.
     #[schema(minimum = 0.0, maximum = 1e8)]
     pub duration_s: Option<f64>,
@@ -172,14 +179,14 @@ pub struct PatternFile {
 #[derive(Clone, Debug, PartialEq, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct PatternDrive {
-    /// The motor's number, 4 × row + column.
-    #[schema(minimum = 0, maximum = 23)]
+    /// The motor's number.
+    #[schema(minimum = 0, maximum = 63)]
     pub motor: u8,
     /// Frequency, Hz.
     #[schema(minimum = 0.1, maximum = 300.0)]
     pub frequency_hz: f64,
     /// Amplitude peak to peak, µm; 0 is off.
-    #[schema(minimum = 0.0, maximum = 400.0)]
+    #[schema(minimum = 0.0, maximum = 5000.0)]
     pub amplitude_um: f64,
     /// Delay of the first upward edge after the drive's start, cycles.
     #[schema(minimum = 0.0, exclusive_maximum = 1.0)]

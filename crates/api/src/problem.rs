@@ -24,6 +24,8 @@ pub enum Code {
     BadPattern,
     /// The text is not a valid target, or not one of this name.
     BadTarget,
+    /// The pattern is for another array than the daemon's, and `map` was not given.
+    OtherArray,
     /// The pattern, or the play of it, has no stroke.
     Empty,
     /// There is no such route, pattern, play or calibration.
@@ -127,6 +129,7 @@ impl Code {
         Self::Playing,
         Self::NoPositionEstimate,
         Self::NotHome,
+        Self::OtherArray,
         Self::ParticipantLimit,
         Self::SessionExclusive,
         Self::SessionRunning,
@@ -166,6 +169,7 @@ impl Code {
             Self::BadRequest => ("bad-request", 400, "The request cannot be read"),
             Self::BadPattern => ("bad-pattern", 422, "Not a valid pattern"),
             Self::BadTarget => ("bad-target", 422, "Not a valid target"),
+            Self::OtherArray => ("other-array", 409, "The pattern is for another array"),
             Self::Empty => ("empty", 422, "Nothing would be played"),
             Self::NotFound => ("not-found", 404, "There is no such thing"),
             Self::Unauthorized => ("unauthorized", 401, "An access token is needed"),

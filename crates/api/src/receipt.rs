@@ -66,9 +66,9 @@ impl PlayState {
 /// When a play began, on the device's clock and on the host's.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 pub struct OnsetRecord {
-    /// The tick that was first asked for, ticks of 1/85000 s.
+    /// The tick that was first asked for, ticks.
     pub requested_tick: u64,
-    /// The tick at which the play began, ticks of 1/85000 s.
+    /// The tick at which the play began, ticks.
     pub actual_tick: u64,
     /// The same instant on the host's `CLOCK_MONOTONIC`, ns.
     pub monotonic_ns: u64,
@@ -80,7 +80,7 @@ pub struct OnsetRecord {
 /// Corrections count as sent: if the line lost the last one, the tick is off by its pulses.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 pub struct OffsetRecord {
-    /// The first tick after the last pulse, ticks of 1/85000 s.
+    /// The first tick after the last pulse, ticks.
     pub tick: u64,
     /// The same instant on the host's `CLOCK_MONOTONIC`, ns.
     pub monotonic_ns: u64,
@@ -144,8 +144,8 @@ impl ErrorSource {
 /// The estimated rest errors of a driven motor. By dead reckoning: one standard deviation, at most the distance of the end stops.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct MotorRestError {
-    /// The motor's number, 4 × row + column.
-    #[schema(minimum = 0, maximum = 23)]
+    /// The motor's number.
+    #[schema(minimum = 0, maximum = 63)]
     pub motor: u8,
     /// At the play's onset, µm; null if it never began.
     #[schema(required)]
@@ -162,10 +162,10 @@ pub struct MotorRestError {
 /// A stroke that came too late.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct LateStroke {
-    /// The motor's number, 4 × row + column.
-    #[schema(minimum = 0, maximum = 23)]
+    /// The motor's number.
+    #[schema(minimum = 0, maximum = 63)]
     pub motor: u8,
-    /// Start of the stroke's upward burst, ticks of 1/85000 s.
+    /// Start of the stroke's upward burst, ticks.
     pub tick: u64,
     /// How late the stroke came, ms.
     #[schema(minimum = 0.0)]
@@ -177,10 +177,10 @@ pub struct LateStroke {
 /// A stroke that the device refused.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 pub struct RefusedStroke {
-    /// The motor's number, 4 × row + column.
-    #[schema(minimum = 0, maximum = 23)]
+    /// The motor's number.
+    #[schema(minimum = 0, maximum = 63)]
     pub motor: u8,
-    /// Start of the stroke's upward burst, ticks of 1/85000 s.
+    /// Start of the stroke's upward burst, ticks.
     pub tick: u64,
     /// Why the device refused it.
     pub reason: String,
@@ -278,7 +278,7 @@ impl LinkTraffic {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 #[schema(examples(json!({
     "id": 7, "pattern": "edge-45",
-    "pattern_sha256": "9f86d081884c7d659a2feaa0c55ad015a3bf4f1b2b0b822cd15d6c15b0f00a08",
+    "pattern_sha256": "9f86d081884c7d659a2feaa0c55ad015a3bf4f1b2b0b822cd15d6c15b0f00a08", "mapped_from": null,
     "seconds": 2.0, "scale": 1.0, "fit": "whole", "session": "20261122T083000Z-9f3c", "trial": 12,
     "labels": {"condition": "a"}, "late_policy": "drop", "open_loop": false, "state": "done", "cause": null,
     "onset": {
@@ -350,6 +350,10 @@ pub struct Receipt {
     pub pattern: String,
     /// SHA-256 of the pattern's file, in hexadecimal.
     pub pattern_sha256: String,
+    /// The array that the pattern is for, if the play mapped it to the daemon's array by position; null: it did not.
+    #[serde(default)]
+    #[schema(required)]
+    pub mapped_from: Option<String>,
     /// Requested duration, s; null: as long as the pattern lasts.
     #[schema(required, minimum = 0.0, maximum = 1e8)]
     pub seconds: Option<f64>,
@@ -483,6 +487,7 @@ impl Receipt {
             id,
             pattern: pattern.to_owned(),
             pattern_sha256: pattern_sha256.to_owned(),
+            mapped_from: None,
             seconds,
             fit: Fit::default(),
             session: None,

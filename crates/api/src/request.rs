@@ -39,7 +39,10 @@ pub struct PlayRequest {
     #[serde(default, deserialize_with = "given", skip_serializing_if = "Option::is_none")]
     #[schema(minimum = 0.0, maximum = 1.0)]
     pub scale: Option<f64>,
-    /// Onset on the device's clock, ticks of 1/85000 s. Excludes `at_ms` and `at_monotonic_ns`.
+    /// What to do with a pattern for another array: without it the daemon refuses the pattern.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub map: Option<Mapping>,
+    /// Onset on the device's clock, ticks. Excludes `at_ms` and `at_monotonic_ns`.
     #[serde(default, deserialize_with = "given", skip_serializing_if = "Option::is_none")]
     pub at_tick: Option<u64>,
     /// Delay from the request to the onset, ms. Excludes `at_tick` and `at_monotonic_ns`.
@@ -82,6 +85,15 @@ pub struct PlayRequest {
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schema(schema_with = trigger::schema)]
     pub trigger: Option<TriggerRequest>,
+}
+
+/// How a pattern for another array is played: `nearest`, each pin follows the nearest pin of the pattern's array that is at most one
+/// pitch of that array away, and the other pins rest.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "lowercase")]
+pub enum Mapping {
+    /// By position.
+    Nearest,
 }
 
 /// Which strokes a play has at its end: those that have ended by then (`whole`), or those that begin before (`cover`), which it then
@@ -206,9 +218,9 @@ impl ResetRequest {
 #[serde(deny_unknown_fields)]
 #[schema(examples(json!({"motor": 3, "pulses": [14, 70, 140], "repetitions": 4})))]
 pub struct CalibrateRequest {
-    /// The one motor to calibrate, 4 × row + column; without it, all motors.
+    /// The one motor to calibrate; without it, all motors.
     #[serde(default, deserialize_with = "given", skip_serializing_if = "Option::is_none")]
-    #[schema(minimum = 0, maximum = 23)]
+    #[schema(minimum = 0, maximum = 63)]
     pub motor: Option<u8>,
     /// Burst lengths, pulses, at least two different ones, each 7 to 200; without it 14, 28, ... 140.
     #[serde(default, deserialize_with = "given", skip_serializing_if = "Option::is_none")]

@@ -21,6 +21,7 @@ pub enum Route {
     Disarm,
     Home,
     Status,
+    Array,
     Doctor,
     Receipt,
     Events,
@@ -167,6 +168,7 @@ const PLAY: &[Code] = &[
     Code::NotFound,
     Code::BadPattern,
     Code::Empty,
+    Code::OtherArray,
     Code::StaleBoot,
     Code::ParticipantLimit,
     Code::BehindEndless,
@@ -195,7 +197,7 @@ const STATUS: Answer = Answer::Json("Status");
 
 impl Route {
     /// Every route.
-    pub const ALL: [Self; 38] = [
+    pub const ALL: [Self; 39] = [
         Self::Play,
         Self::Sequence,
         Self::Live,
@@ -207,6 +209,7 @@ impl Route {
         Self::Disarm,
         Self::Home,
         Self::Status,
+        Self::Array,
         Self::Doctor,
         Self::Receipt,
         Self::Events,
@@ -411,6 +414,12 @@ impl Route {
                 description: "All parts belong to one instant.",
                 answer: STATUS,
                 ..Operation::get("/v1/status")
+            },
+            Self::Array => Operation {
+                summary: "Show the array: where its pins stand, its carrier, wiring and motors",
+                description: "It is the description that the daemon was started with. It does not change while the daemon runs.",
+                answer: Answer::Json("ArrayDetails"),
+                ..Operation::get("/v1/array")
             },
             Self::Doctor => Operation {
                 summary: "Check what could keep the machine or its device from playing",

@@ -9,7 +9,7 @@ use crate::body::{
     bad, check_labels, check_onset, check_scale, check_sha256, check_trigger, null_as_default, read,
 };
 use crate::problem::Problem;
-use crate::request::LatePolicy;
+use crate::request::{LatePolicy, Mapping};
 use crate::trigger::{self, TriggerRecord, TriggerRequest};
 use meissner_input::document::{self, given};
 use serde::de::{Error, SeqAccess, Visitor};
@@ -42,7 +42,10 @@ pub struct SequenceRequest {
     /// What status, events and receipt call the sequence, as a pattern's name; without it `sequence`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub name: Option<String>,
-    /// Onset on the device's clock, ticks of 1/85000 s. Excludes `at_ms` and `at_monotonic_ns`.
+    /// What to do with patterns for another array: without it the daemon refuses them.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub map: Option<Mapping>,
+    /// Onset on the device's clock, ticks. Excludes `at_ms` and `at_monotonic_ns`.
     #[serde(default, deserialize_with = "given", skip_serializing_if = "Option::is_none")]
     pub at_tick: Option<u64>,
     /// Delay from the request to the onset, ms. Excludes `at_tick` and `at_monotonic_ns`.
@@ -221,7 +224,7 @@ impl ItemState {
 /// A device tick, and when it came on the host's clock.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 pub struct InstantRecord {
-    /// The tick, ticks of 1/85000 s.
+    /// The tick, ticks.
     pub tick: u64,
     /// The same instant on the host's `CLOCK_MONOTONIC`, ns.
     pub monotonic_ns: u64,
@@ -249,7 +252,7 @@ pub struct ItemRecord {
     #[serde(default)]
     #[schema(required, minimum = 0.0)]
     pub reached_um: f64,
-    /// When it was to begin, ticks of 1/85000 s from the sequence's onset.
+    /// When it was to begin, ticks from the sequence's onset.
     #[serde(default)]
     #[schema(required)]
     pub planned_onset_ticks: u64,
@@ -262,7 +265,7 @@ pub struct ItemRecord {
     /// The item's onset, as the device reported it; null if it has not begun, or if the device learned of it too late.
     #[schema(required)]
     pub onset: Option<InstantRecord>,
-    /// Start of its first pulse, ticks of 1/85000 s; later than the onset if no drive begins with a stroke or the
+    /// Start of its first pulse, ticks; later than the onset if no drive begins with a stroke or the
     /// first strokes were late or refused. Null if the device accepted none.
     #[schema(required)]
     pub first_pulse_tick: Option<u64>,

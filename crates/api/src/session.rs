@@ -189,7 +189,7 @@ pub struct RecordedPlay {
     /// Why it ended; null if it is done or that is not known.
     #[schema(required, value_type = Option<String>)]
     pub cause: Option<EndCause>,
-    /// The tick at which the play began, ticks of 1/85000 s; null if it never began.
+    /// The tick at which the play began, ticks; null if it never began.
     #[schema(required, minimum = 0)]
     pub onset_tick: Option<u64>,
     /// The onset on the host's `CLOCK_MONOTONIC`, ns.
@@ -269,7 +269,7 @@ pub struct RecordedPlay {
     #[serde(default)]
     #[schema(required, minimum = 0.0)]
     pub cut_after_ms: Option<f64>,
-    /// When the last pulse was over, ticks of 1/85000 s.
+    /// When the last pulse was over, ticks.
     #[serde(default)]
     #[schema(required, minimum = 0)]
     pub offset_tick: Option<u64>,
@@ -285,7 +285,7 @@ pub struct RecordedPlay {
     #[serde(default)]
     #[schema(required)]
     pub ordered: Option<OrderedCounts>,
-    /// When the item was to begin, ticks of 1/85000 s from the sequence's onset; null of a play as a whole.
+    /// When the item was to begin, ticks from the sequence's onset; null of a play as a whole.
     #[serde(default)]
     #[schema(required, minimum = 0)]
     pub planned_onset_ticks: Option<u64>,

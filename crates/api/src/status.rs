@@ -102,10 +102,10 @@ pub struct MotorStatus {
 /// The clocks of device and host at one instant.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct ClockSample {
-    /// The device's clock, ticks of 1/85000 s since the device's start.
+    /// The device's clock, ticks since the device's start.
     pub tick: u64,
     /// Nominal rate of the device's clock, Hz.
-    #[schema(minimum = 85000)]
+    #[schema(minimum = 20000, maximum = 200000)]
     pub tick_hz: u32,
     /// The host's `CLOCK_MONOTONIC`, ns.
     pub monotonic_ns: u64,
@@ -179,6 +179,7 @@ pub struct ArmedStatus {
     "device": {
         "kind": "mock", "firmware": "0.1.0", "build": "6d656973", "boot": 305419896, "simulated": true, "telemetry": true
     },
+    "array": "tula35-6x4",
     "device_identity": "seed 0, gain_sd 0.1, asymmetry_sd 0.02, transient_gain 0.8, end_stop_um 500",
     "wanted": "mock", "missing": null,
     "play": {"id": 7, "pattern": "edge-45", "played_s": 0.52},
@@ -225,6 +226,10 @@ pub struct Status {
     /// The connected device; null without one.
     #[schema(required)]
     pub device: Option<DeviceInfo>,
+    /// The array that the daemon drives, as `GET /v1/array` shows it.
+    #[serde(default)]
+    #[schema(required)]
+    pub array: String,
     /// Which device a calibration belongs to: a board's serial number, or a simulated array's seed and settings; empty before
     /// a device is opened.
     #[serde(default)]
@@ -243,7 +248,7 @@ pub struct Status {
     pub play: Option<RunningPlay>,
     /// The plays that wait, in their order.
     pub queued: Vec<QueuedPlay>,
-    /// The device's clock now, ticks of 1/85000 s since the device's start; null without a device.
+    /// The device's clock now, ticks since the device's start; null without a device.
     #[schema(required)]
     pub tick: Option<u64>,
     /// Uncertainty of `tick`, µs; null without a device.
@@ -275,7 +280,7 @@ pub struct Status {
     #[schema(required, minimum = 0.0)]
     pub drift_limit_um: f32,
     /// The motors, by number; empty until a device has connected.
-    #[schema(max_items = 24)]
+    #[schema(max_items = 64)]
     pub motors: Vec<MotorStatus>,
     /// When the calibration in use was measured, UTC; null if none is used.
     #[serde(default)]

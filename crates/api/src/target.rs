@@ -99,7 +99,7 @@ pub struct TargetFile {
     #[schema(minimum = 0.0, maximum = 24.0)]
     pub reach_mm: Option<f64>,
     /// The amplitude of all motors, peak to peak, µm; without it 80.
-    #[schema(minimum = 0.0, maximum = 400.0)]
+    #[schema(minimum = 0.0, maximum = 5000.0)]
     pub amplitude_um: Option<f64>,
     /// The duration of a pattern for it, s; without it 5. Not with `motion`.
     #[schema(minimum = 0.001, maximum = 1e8)]

@@ -110,7 +110,7 @@ pub(crate) fn schema() -> Schema {
 /// What the trigger output gave, as the device reported it.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct TriggerRecord {
-    /// The tick at which the output rose, ticks of 1/85000 s.
+    /// The tick at which the output rose, ticks.
     pub tick: u64,
     /// Width of the pulse, or of each of the ten cells of a code, ms.
     #[schema(minimum = 0.0)]

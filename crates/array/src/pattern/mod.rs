@@ -4,7 +4,7 @@
 //! [`Pattern::parse`] reads its TOML file and [`Pattern::to_toml`] writes it, without comments; the API shows the same keys as
 //! JSON. [`strokes`](crate::strokes) compiles a pattern to strokes.
 //!
-//! A pattern is for an array, whose name it holds; without one it is for the paper's.
+//! A pattern is for an array, whose name it holds; without one it is for the paper's. [`Pattern::mapped_to`] puts it on another.
 //!
 //! `start_s` and `stop_s` of a drive are optional: without `start_s` the drive begins with the pattern, without
 //! `stop_s` it ends with it. Neither may lie beyond the duration.
@@ -15,10 +15,12 @@ mod drive;
 mod error;
 mod file;
 mod limits;
+mod map;
 mod provenance;
 
 pub use drive::{Drive, Warning, overlap};
 pub use error::{PatternError, Problem};
+pub use map::Mapped;
 pub use limits::{
     FORMAT, FREQUENCY_HZ, MAX_DRIVES, MAX_FILE_BYTES, MAX_PROVENANCE_DEPTH, MAX_PROVENANCE_TABLES,
     MAX_PROVENANCE_TEXT, MAX_PROVENANCE_VALUES, MAX_SECONDS,

@@ -1,0 +1,99 @@
+//! A pattern of one array on the pins of another.
+//!
+//! Invariant: each pin follows at most one pin of the pattern's array, so drives of a motor never meet those of another.
+
+use super::{Drive, Pattern, PatternError};
+use crate::spec::Array;
+
+/// A pattern that was mapped by position, and what became of its pins.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Mapped {
+    /// The pattern for the other array, with the same name, times and provenance.
+    pub pattern: Pattern,
+    /// The array that it was for.
+    pub from: Array,
+    /// Pins of the new array that follow a pin that the pattern drives.
+    pub driven: usize,
+    /// Motors that the pattern drives and that no pin follows.
+    pub lost: Vec<u8>,
+}
+
+impl Pattern {
+    /// The pattern on another array: each pin follows the nearest pin of the pattern's own array, if that is at most one pitch of
+    /// that array away; other pins rest.
+    ///
+    /// # Errors
+    /// If a drive is not one of the other array's motors: its amplitude is beyond their travel.
+    pub fn mapped_to(&self, array: Array) -> Result<Mapped, PatternError> {
+        let from = self.array;
+        let mut followed = vec![false; from.motors()];
+        let (mut drives, mut driven) = (Vec::new(), 0);
+        for motor in array.numbers() {
+            let (nearest, distance_mm) = from.nearest_to(array.position_mm(motor));
+            if distance_mm > from.pitch_mm() {
+                continue;
+            }
+            followed[usize::from(nearest)] = true;
+            let own = self.drives.iter().filter(|drive| drive.motor == nearest);
+            let before = drives.len();
+            drives.extend(own.map(|drive| Drive { motor, ..*drive }));
+            driven += usize::from(drives.len() > before);
+        }
+        let is_lost = |motor: &u8| {
+            !followed[usize::from(*motor)] && self.drives.iter().any(|drive| drive.motor == *motor)
+        };
+        let lost = from.numbers().filter(is_lost).collect();
+        let pattern = Self::new(array, &self.name, self.duration_s, drives, self.provenance.clone())?;
+        Ok(Mapped { pattern, from, driven, lost })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn drive(motor: u8) -> Drive {
+        Drive { motor, frequency_hz: 60.0, amplitude_um: 80.0, phase: 0.0, start_s: None, stop_s: None }
+    }
+
+    fn array(name: &str) -> Array {
+        Array::named(name).unwrap()
+    }
+
+    fn motors(mapped: &Mapped) -> Vec<u8> {
+        mapped.pattern.drives().iter().map(|drive| drive.motor).collect()
+    }
+
+    #[test]
+    fn each_pin_follows_the_nearest_one() {
+        let all = (0..24).map(drive).collect();
+        let all = Pattern::new(Array::paper(), "all", Some(1.0), all, toml::Table::new()).unwrap();
+        let small = all.mapped_to(array("ubi-pen-3x3")).unwrap();
+        assert_eq!((motors(&small), small.driven, small.from), ((0..9).collect(), 9, Array::paper()));
+        // The rows of nine pins lie at 3, 0 and -3 mm: near the paper's rows at 4.35, 1.45, -1.45 and -4.35 mm.
+        assert!(small.lost.iter().all(|motor| !(4..20).contains(motor) || motor % 4 == 3 || *motor >= 12), "{:?}", small.lost);
+        assert_eq!(small.pattern.array(), array("ubi-pen-3x3"));
+        let same = all.mapped_to(Array::paper()).unwrap();
+        assert_eq!((same.pattern, same.driven, same.lost), (all, 24, vec![]));
+    }
+
+    #[test]
+    fn pins_outside_the_patterns_array_rest() {
+        let middle = Pattern::new(array("tula35-2x3"), "middle", None, vec![drive(1)], toml::Table::new()).unwrap();
+        let mapped = middle.mapped_to(Array::paper()).unwrap();
+        // Pin 1 is at (0, 1.45) mm; these two are equally near to it and to the pins beside it, and follow the first.
+        let near: Vec<_> = motors(&mapped);
+        assert!(near.iter().all(|motor| Array::paper().position_mm(*motor)[1] > 0.0 && mapped.driven == near.len()));
+        assert!(!near.is_empty() && near.len() < 6, "{near:?}");
+    }
+
+    #[test]
+    fn an_amplitude_beyond_the_other_motors_is_refused() {
+        let text = "name = \"short\"\npins = { rows = 1, columns = 1, pitch_mm = 2.0 }\ntick_hz = 85000\nduty = { up = 0.2, down = 0.8 }\n\
+                    [motor]\nstep_um = 0.1\nwindow_ms = 4.0\ntravel_um = 50.0\nmost_pulses = 500\n";
+        let short = Array::known(crate::spec::ArraySpec::parse(text, "short.toml").unwrap()).unwrap();
+        let high = Pattern::new(Array::paper(), "high", None, vec![drive(9)], toml::Table::new()).unwrap();
+        let line = high.mapped_to(short).unwrap_err().to_string();
+        assert!(line.contains("amplitude_um") && line.contains("0 to 50 um"), "{line}");
+    }
+}
