@@ -1,4 +1,4 @@
-//! Meissner drives a tactile display of 24 piezo pins: it plays patterns on the motors, tick by tick, and predicts the response of
+//! Meissner drives a tactile display of piezo pins: it plays patterns on the motors, tick by tick, and predicts the response of
 //! the skin's afferents. This crate is the program: the daemon and the commands. The other crates implement the parts, from file to
 //! motor.
 //!
@@ -12,7 +12,7 @@
 //!    [`meissner_api`] the JSON types, errors and events of both sides. Located errors of all input come from [`meissner_input`].
 //! 4. **Play** → `daemon/plays` compiles the pattern to strokes ([`meissner_array::strokes`]), evaluates the bandwidth it needs,
 //!    opens its receipt and sends it to the streamer.
-//! 5. **Stroke**: one excursion of one pin, an up burst and the down burst that undoes it, at exact ticks of 1/85 000 s.
+//! 5. **Stroke**: one excursion of one pin, an up burst and the down burst that undoes it, at exact ticks.
 //!    [`firmware_protocol::stroke`] defines it once for streamer, controller and simulators.
 //! 6. **Streamer** ([`meissner_stream`], a real-time thread) → chooses the onset, keeps the controller fed `lead_ms` ahead, and
 //!    corrects each burst from telemetry shortly before it begins (`control`). It accounts for every burst.
@@ -43,7 +43,7 @@
 //! # Modules
 //!
 //! `docs/explanation/architecture.md` says which file to open for which change.
-//! The modules of this crate: [`log`](mod@log), `file`, [`exposure`], [`session_record`],
+//! The modules of this crate: [`log`](mod@log), `file`, [`array`], [`exposure`], [`session_record`],
 //! [`receipts`], [`store`], [`search`], [`config`], `doctor`, [`daemon`], [`cli`]. Tests run streamer, link,
 //! controller and simulated motors in virtual time ([`meissner_stream::Simulation`]): the same code without a clock.
 //!
@@ -59,6 +59,7 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
+pub mod array;
 pub mod cli;
 pub mod config;
 pub mod daemon;

@@ -1,14 +1,16 @@
 //! Arguments that several commands share, and the types of their values.
 
 use super::session_token;
+use crate::array::{FindError, find};
 use anyhow::Result;
 use clap::Args;
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use meissner_api::{LatePolicy, TriggerRequest, TriggerShape};
+use meissner_array::spec::Array;
 use meissner_client::{Client, Endpoint};
 use serde::de::DeserializeOwned;
 use std::collections::BTreeMap;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
 /// The options of every command that asks a daemon.
@@ -130,6 +132,11 @@ pub(super) const SETTINGS: &[(&str, &str)] = &[
 pub(super) fn positive(text: &str) -> Result<f64, &'static str> {
     let number = text.parse().ok().filter(|number: &f64| number.is_finite() && *number >= 0.0);
     number.ok_or("must be a number, 0 or more")
+}
+
+/// An array: the name of a known description, or a file.
+pub(super) fn array(text: &str) -> Result<Array, FindError> {
+    find(text, Path::new(""))
 }
 
 /// How long to measure, s.

@@ -9,6 +9,7 @@
 //! Invariant: names and flags are stable; there are no placeholders for future commands.
 
 mod arguments;
+mod array;
 mod calibrate;
 mod control;
 mod demo;
@@ -237,6 +238,9 @@ enum Command {
     },
     /// Draw figures of the models and of patterns, as SVG and CSV, and a page that shows them
     Report(report::Report),
+    /// Draw an array, or write the description of a new one
+    #[command(subcommand)]
+    Array(array::Array),
     /// Check what could keep this machine or its device from playing; exit 0 only if nothing does
     Doctor {
         /// Check this device, named as for `daemon` [default: the daemon's, else the first board]
@@ -317,6 +321,7 @@ fn run(command: Command) -> Result<ExitCode> {
         Command::Motor { frequency_hz, amplitude_um, hours, output } => {
             library::motor(frequency_hz, amplitude_um, hours, output.json)
         }
+        Command::Array(asked) => array::run(asked),
         Command::Displacement(asked) => displacement::run(&asked),
         Command::Simulate(asked) => simulate::run(&asked),
         Command::Optimise(asked) => optimise::run(&asked),
