@@ -1,8 +1,8 @@
 //! The daemon's configuration: a TOML file in which every key is optional.
 //!
 //! It names the device, the socket, the directories of patterns and session records, how far ahead the streamer feeds the
-//! controller, and a site's limits. [`Config::read`] reads it; missing keys have their defaults. The controller fixes the motors'
-//! wiring: it cannot be configured. This module opens no file but the configuration.
+//! controller, and a site's limits. [`Config::read`] reads it; missing keys have their defaults. The motors' wiring is in the
+//! description of the array, which it names. This module opens no file but the configuration.
 //!
 //! Invariant: every value of a [`Config`] that was read is within the ranges written here; an unknown key is an error.
 
@@ -14,12 +14,12 @@ pub use network::Listen;
 pub use problem::{ConfigError, Problem};
 
 use crate::exposure::ParticipantLimits;
-use crate::file::read_regular;
+use crate::file::{dir_of, read_regular};
 use crate::session_record::Location;
 use array::RawArray;
 use firmware_protocol::limits::PowerLimits;
 use meissner_api::request::SILENCE_S;
-use meissner_array::pattern::AMPLITUDE_UM;
+use meissner_array::spec::Array;
 use meissner_array::simulated::{LowerStop, SimulatedMotorsConfig, SimulatedMotorsError};
 use meissner_client::default_socket;
 use meissner_input::document::{Table, from_toml, in_range};
@@ -52,8 +52,6 @@ const MAX_LOGBOOK_DAYS: f64 = 36_500.0;
 const DRIFT_UM: RangeInclusive<f64> = 1.0..=10_000.0;
 /// The range of the end stops' distance from rest, um.
 const END_STOP_UM: RangeInclusive<f64> = 0.0..=10_000.0;
-/// The range of a participant's largest amplitude, um: as a pattern's.
-const LIMIT_UM: RangeInclusive<f64> = 1.0..=*AMPLITUDE_UM.end();
 /// The range of a participant's times, s: up to a day.
 const LIMIT_S: RangeInclusive<f64> = 0.1..=86_400.0;
 /// The range of a pause, s.
@@ -118,7 +116,7 @@ impl Default for Config {
             session_silence_s: SESSION_SILENCE_S,
             armed_silence_s: ARMED_SILENCE_S,
             participant: ParticipantLimits::default(),
-            settings: Settings::default(),
+            settings: Settings::of(Array::default()),
             mock: SimulatedMotorsConfig::default(),
         }
     }
@@ -131,6 +129,8 @@ pub struct Source {
     pub file: Option<PathBuf>,
     /// Replaces the `device` of the file.
     pub device: Option<Spec>,
+    /// Replaces the array of the file.
+    pub array: Option<Array>,
     /// Replaces the `socket` of the file.
     pub socket: Option<PathBuf>,
     /// Replaces the `listen` of the file.
@@ -147,7 +147,7 @@ impl Source {
     pub fn read(&self) -> Result<Config, ConfigError> {
         let file = self.file.as_deref();
         let text = file.map_or_else(|| Ok(String::new()), read_text)?;
-        let mut config = parse(&text, file.unwrap_or(Path::new("")), self.listen)?;
+        let mut config = parse(&text, file.unwrap_or(Path::new("")), self.listen, self.array)?;
         if let Some(device) = &self.device {
             config.device = device.clone();
         }
@@ -198,13 +198,13 @@ struct RawParticipant {
 }
 
 impl RawParticipant {
-    fn check(self) -> Result<ParticipantLimits, KeyError> {
-        let default = ParticipantLimits::default();
+    fn check(self, array: Array) -> Result<ParticipantLimits, KeyError> {
+        let (default, travel_um) = (ParticipantLimits::default(), array.motor().travel_um);
         let seconds =
             |key, found, default| checked(&format!("participant.{key}"), found, default, LIMIT_S, "s");
         let (um, pause) = ("participant.max_amplitude_um", "participant.pause_s");
         Ok(ParticipantLimits {
-            max_amplitude_um: checked(um, self.max_amplitude_um, default.max_amplitude_um, LIMIT_UM, "um")?,
+            max_amplitude_um: checked(um, self.max_amplitude_um, default.max_amplitude_um.min(travel_um), 1.0..=travel_um, "um")?,
             max_continuous_s: seconds("max_continuous_s", self.max_continuous_s, default.max_continuous_s)?,
             pause_s: checked(pause, self.pause_s, default.pause_s, PAUSE_S, "s")?,
             max_session_s: seconds("max_session_s", self.max_session_s, default.max_session_s)?,
@@ -227,7 +227,7 @@ impl Config {
     /// # Errors
     /// The first problem, in one line.
     pub fn read(file: &Path) -> Result<Self, ConfigError> {
-        parse(&read_text(file)?, file, None)
+        parse(&read_text(file)?, file, None, None)
     }
 
     /// Reads the text of a configuration; `file` is its name in errors.
@@ -235,12 +235,15 @@ impl Config {
     /// # Errors
     /// The first problem, in one line.
     pub fn parse(text: &str, file: &Path) -> Result<Self, ConfigError> {
-        parse(text, file, None)
+        parse(text, file, None, None)
     }
 }
 
 impl RawConfig {
-    fn check(self) -> Result<Config, KeyError> {
+    /// `folder` is where paths of descriptions begin.
+    fn check(self, array: Option<Array>, folder: &Path) -> Result<Config, KeyError> {
+        let Table(raw_array) = self.array.unwrap_or(Table(RawArray::default()));
+        let array = array.map_or_else(|| raw_array.description(folder), Ok)?;
         let device = self.device.as_deref().map_or(Ok(Spec::Auto), |found| {
             let problem = |source| Problem::Device { found: quote(found), source };
             found.parse().map_err(|source| KeyError::key("device", problem(source)))
@@ -253,9 +256,9 @@ impl RawConfig {
         check_path("logbook_dir", self.logbook_dir.as_deref())?;
         let days = self.logbook_days.map(f64::from);
         let days = checked("logbook_days", days, LOGBOOK_DAYS.into(), 0.0..=MAX_LOGBOOK_DAYS, "days")?;
-        let default = Settings::default();
+        let default = Settings::of(array);
         let lead_ms = checked("lead_ms", self.lead_ms, default.lead_ms, LEAD_MS, "ms")?;
-        let lease_ms = self.lease_ms.unwrap_or(Settings::for_lead(lead_ms).lease_ms);
+        let lease_ms = self.lease_ms.unwrap_or(Settings::for_lead(array, lead_ms).lease_ms);
         let least = lead_ms + MIN_LEASE_OVER_LEAD_MS;
         let range = format!("{least} to {MAX_LEASE_MS} ms, at least lead_ms + {MIN_LEASE_OVER_LEAD_MS}");
         in_range("lease_ms", lease_ms, (least..=MAX_LEASE_MS).contains(&lease_ms), range)?;
@@ -265,19 +268,26 @@ impl RawConfig {
         let drift_warning_um = drift("drift_warning_um", self.drift_warning_um, default.drift_warning_um)?;
         let drift_limit_um = drift("drift_limit_um", self.drift_limit_um, default.drift_limit_um)?;
         let Table(limits) = self.limits.unwrap_or(Table(RawLimits::default()));
-        let none = PowerLimits::NONE;
+        // Every motor may begin a pulse in every tick.
+        let hz = array.rate().hz();
+        let most = PowerLimits {
+            motor: hz,
+            rail: hz * array.rails().largest() as u32,
+            rail_at_once: array.rails().largest() as u8,
+            chip_at_once: array.chips().largest() as u8,
+        };
         let limit = |key, found: Option<u32>, most: u32| {
             let range = 1.0..=f64::from(most);
             checked(key, found.map(f64::from), most.into(), range, "pulses/s").map(|found| found as u32)
         };
-        let motor = limit("limits.motor_pulses_per_s", limits.motor_pulses_per_s, none.motor)?;
-        let rail = limit("limits.rail_pulses_per_s", limits.rail_pulses_per_s, none.rail)?;
+        let motor = limit("limits.motor_pulses_per_s", limits.motor_pulses_per_s, most.motor)?;
+        let rail = limit("limits.rail_pulses_per_s", limits.rail_pulses_per_s, most.rail)?;
         let (silence, range) = (self.session_silence_s, 0.1..=3600.0);
         let session_silence_s = checked("session_silence_s", silence, SESSION_SILENCE_S, range, "s")?;
         let silence = self.armed_silence_s;
         let armed_silence_s = checked("armed_silence_s", silence, ARMED_SILENCE_S, SILENCE_S, "s")?;
         let Table(participant) = self.participant.unwrap_or(Table(RawParticipant::default()));
-        let participant = participant.check()?;
+        let participant = participant.check(array)?;
         let Table(mut mock) = self.mock.unwrap_or(Table(SimulatedMotorsConfig::default()));
         if let Err(SimulatedMotorsError { key, found, most }) = mock.check() {
             in_range(&format!("mock.{key}"), found, false, format!("0 to {most}"))?;
@@ -285,10 +295,10 @@ impl RawConfig {
         // The simulated array's own end stops, unless the file names those of the motors.
         let end_stop_um = checked("end_stop_um", self.end_stop_um, mock.end_stop_um, END_STOP_UM, "um")?;
         let stop_pulses_per_s = limits.stop_pulses_per_s;
-        let Table(array) = self.array.unwrap_or(Table(RawArray::default()));
-        let limits = array.limits(PowerLimits { motor, rail, ..none })?;
+        let limits = raw_array.limits(PowerLimits { motor, rail, ..most })?;
         let end_stop_um = end_stop_um as f32;
         let settings = Settings {
+            array,
             lead_ms,
             lease_ms,
             limits,
@@ -297,7 +307,7 @@ impl RawConfig {
             end_stop_um,
             lower_stop: None,
         };
-        let lower_stop = array.check(stop_pulses_per_s, &settings)?;
+        let lower_stop = raw_array.check(stop_pulses_per_s, &settings)?;
         if lower_stop.is_some() {
             // Simulate an array like the site's.
             mock.lower_stop = LowerStop::AtRest;
@@ -374,13 +384,18 @@ fn read_text(file: &Path) -> Result<String, ConfigError> {
     String::from_utf8(bytes).map_err(|_| wrong(io::Error::other("not UTF-8 text")))
 }
 
-/// Reads the text of a configuration; `listen` replaces its address. The keys beside it apply to both addresses.
-fn parse(text: &str, file: &Path, listen: Option<SocketAddr>) -> Result<Config, ConfigError> {
+/// Reads the text of a configuration; `listen` replaces its address, and `array` its array. The keys beside them apply to both.
+fn parse(
+    text: &str,
+    file: &Path,
+    listen: Option<SocketAddr>,
+    array: Option<Array>,
+) -> Result<Config, ConfigError> {
     // Every key may be left out.
     let wanted = |_: &str| "it";
     let config = from_toml(text, wanted).and_then(|Table(mut raw): Table<RawConfig>| {
         raw.listen = listen.map(|address| address.to_string()).or(raw.listen);
-        raw.check()
+        raw.check(array, dir_of(file))
     });
     Ok(config.map_err(|fault: KeyError| fault.in_text(text).in_file(Some(&file.display().to_string())))?)
 }

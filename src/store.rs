@@ -19,9 +19,10 @@ use crate::receipts::Order;
 use folder::{Folder, Make, check_name, check_new_name};
 use in_use::InUse;
 use include_dir::{Dir, include_dir};
-use meissner_api::{MAX_LISTED, PatternList, PatternSummary, RailLoad, ReachedDrive};
+use meissner_api::{MAX_LISTED, Mapping, PatternList, PatternSummary, RailLoad, ReachedDrive};
 use meissner_array::pattern::{MAX_FILE_BYTES, Pattern, PatternError};
 use meissner_array::power::{CAPACITANCE_NF, RailPulses, current_ma, rail_pulses};
+use meissner_array::spec::Array;
 use meissner_array::strokes::{StrokeOptions, Strokes};
 use meissner_input::message::quote;
 use serde::Serialize;
@@ -87,6 +88,19 @@ pub enum StoreError {
         name: String,
         /// What to change.
         why: String,
+    },
+    /// A pattern for another array.
+    #[error(
+        "{} is for the array {}, and this one is {}: `--map nearest`, or `\"map\": \"nearest\"`, plays it by the pins' positions; \
+         `meissner optimise --array {}` makes one for this array", quote(.name), .its, .this, .this
+    )]
+    OtherArray {
+        /// Its name.
+        name: String,
+        /// The name of its array.
+        its: String,
+        /// The name of this one.
+        this: String,
     },
     /// Another reason, of any file.
     #[error(transparent)]
@@ -322,6 +336,24 @@ impl Stored {
         }
     }
 
+    /// The pattern on an array; and if it was mapped, the name of the array that it is for. The text stays that of the file.
+    ///
+    /// # Errors
+    /// [`StoreError::OtherArray`] if it is for another array and is not to be mapped; [`StoreError::Pattern`] if that array's motors
+    /// do not go as far.
+    pub fn on(self, array: Array, map: Option<Mapping>) -> Result<(Self, Option<String>), StoreError> {
+        let its = self.pattern.array();
+        if its == array {
+            return Ok((self, None));
+        }
+        let Some(Mapping::Nearest) = map else {
+            let [its, this] = [its, array].map(|array| array.name().to_owned());
+            return Err(StoreError::OtherArray { name: self.pattern.name().to_owned(), its, this });
+        };
+        let pattern = Arc::new(self.pattern.mapped_to(array)?.pattern);
+        Ok((Self { pattern, json: Arc::default(), run: Arc::default(), ..self }, Some(its.name().to_owned())))
+    }
+
     /// The order for one run of the pattern.
     #[must_use]
     pub fn run(&self) -> &Order {
@@ -361,6 +393,7 @@ impl Stored {
         let reached = || drives.iter().map(|drive| drive.reached_um);
         PatternSummary {
             name: self.pattern.name().to_owned(),
+            array: self.pattern.array().name().to_owned(),
             library: self.library,
             duration_s: self.pattern.duration_s(),
             drives: self.pattern.drives().len(),
@@ -399,7 +432,7 @@ fn rail_loads(pattern: &Pattern) -> Vec<RailLoad> {
     let (rails, ticks) = rail_pulses(&strokes);
     let load = |(rail, pulses): (u8, RailPulses)| {
         let (most_at_once, mean_at_once) = (pulses.most_at_once, pulses.mean_at_once(ticks));
-        let one_ma = current_ma(CAPACITANCE_NF);
+        let one_ma = current_ma(pattern.array(), CAPACITANCE_NF);
         RailLoad {
             rail,
             most_at_once,

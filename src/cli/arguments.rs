@@ -134,6 +134,14 @@ pub(super) fn positive(text: &str) -> Result<f64, &'static str> {
     number.ok_or("must be a number, 0 or more")
 }
 
+/// The array of a command that needs no daemon.
+#[derive(Clone, Copy, Debug, Args)]
+pub(super) struct ArrayOption {
+    /// Use the array ARRAY: a name, or the file of a description
+    #[arg(long, value_name = "ARRAY", default_value = "tula35-6x4", value_parser = array)]
+    pub(super) array: Array,
+}
+
 /// An array: the name of a known description, or a file.
 pub(super) fn array(text: &str) -> Result<Array, FindError> {
     find(text, Path::new(""))

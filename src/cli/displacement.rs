@@ -9,7 +9,7 @@ use crate::store::Store;
 use anyhow::{Result, anyhow, bail};
 use clap::Args;
 use meissner_api::Fit;
-use meissner_array::displacement::{Displacement as Samples, RATE_HZ};
+use meissner_array::displacement::Displacement as Samples;
 use meissner_array::pattern::{MAX_FILE_BYTES, Pattern};
 use meissner_array::strokes::{StrokeOptions, Strokes};
 use std::io::{self, BufWriter, Read, Write};
@@ -30,19 +30,14 @@ pub(super) struct Displacement {
     /// Multiply the amplitude of every drive by X, 0 to 1
     #[arg(long, value_name = "X", default_value_t = 1.0, allow_negative_numbers = true, value_parser = positive)]
     scale: f64,
-    /// Take F samples a second, 1 to 85000
-    #[arg(long, value_name = "F", default_value_t = 1000.0, allow_negative_numbers = true, value_parser = rate)]
+    /// Take F samples a second, 1 to the array's tick rate
+    #[arg(long, value_name = "F", default_value_t = 1000.0, allow_negative_numbers = true, value_parser = positive)]
     rate_hz: f64,
     /// Take the first sample S seconds after the onset
     #[arg(long, value_name = "S", default_value_t = 0.0, allow_negative_numbers = true, value_parser = positive)]
     first_s: f64,
     #[command(flatten)]
     output: Output,
-}
-
-fn rate(text: &str) -> Result<f64, &'static str> {
-    let number = text.parse().ok().filter(|number| RATE_HZ.contains(number));
-    number.ok_or("must be a number, 1 to 85000")
 }
 
 pub(super) fn run(asked: &Displacement) -> Result<ExitCode> {
@@ -53,6 +48,10 @@ pub(super) fn run(asked: &Displacement) -> Result<ExitCode> {
         fit: fit(asked.fit),
         ..StrokeOptions::default()
     };
+    let most_hz = pattern.array().rate().hz();
+    if !(1.0..=f64::from(most_hz)).contains(&asked.rate_hz) {
+        bail!("--rate-hz {}: must be a number, 1 to {most_hz}", asked.rate_hz);
+    }
     let strokes = Strokes::new(&pattern, &options)?;
     if strokes.end().is_none() {
         bail!("`{}` has no end: say for how long with --seconds", pattern.name());

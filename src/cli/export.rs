@@ -26,7 +26,7 @@ pub(super) const TIMEOUT: Duration = Duration::from_secs(60);
 type Column = (&'static str, fn(&Session, &RecordedPlay) -> String);
 
 /// The columns.
-const COLUMNS: [Column; 47] = [
+const COLUMNS: [Column; 50] = [
     ("session", |session, _| session.id.clone()),
     ("participant", |session, _| session.participant.clone()),
     ("experiment", |session, _| field(session.experiment.as_ref())),
@@ -80,6 +80,9 @@ const COLUMNS: [Column; 47] = [
         .to_owned()
     }),
     ("estimated", |_, play| play.estimated.to_string()),
+    ("array", |_, play| play.array.clone()),
+    ("tick_hz", |_, play| play.tick_hz.to_string()),
+    ("mapped_from", |_, play| field(play.mapped_from.as_ref())),
 ];
 
 /// The field of a value that may not be known.

@@ -11,6 +11,7 @@ use meissner_api::{ImportedPattern, RemovedPattern};
 use meissner_array::motor::SteadyState;
 use meissner_array::motor::hand_vibration::{daily_exposure_m_s2, weighted_acceleration_m_s2};
 use meissner_array::pattern::{MAX_FILE_BYTES, Pattern};
+use meissner_array::spec::Array;
 use meissner_client::escape;
 use serde::Serialize;
 use serde_json::Value;
@@ -106,9 +107,15 @@ struct MotorReport {
     daily_exposure_m_s2: f64,
 }
 
-pub(super) fn motor(frequency_hz: f64, amplitude_um: f64, hours: f64, json: bool) -> Result<ExitCode> {
-    let steady = SteadyState::of(frequency_hz, amplitude_um)?;
-    let weighted = weighted_acceleration_m_s2(frequency_hz, amplitude_um)?;
+pub(super) fn motor(
+    array: Array,
+    frequency_hz: f64,
+    amplitude_um: f64,
+    hours: f64,
+    json: bool,
+) -> Result<ExitCode> {
+    let steady = SteadyState::of(array, frequency_hz, amplitude_um)?;
+    let weighted = weighted_acceleration_m_s2(array, frequency_hz, amplitude_um)?;
     let daily = daily_exposure_m_s2(weighted, hours);
     let saturated = if steady.saturated { ", saturated: a period is too short for more" } else { "" };
     let report =

@@ -48,7 +48,7 @@ use crate::config::Source;
 use crate::daemon::{self, Daemon, DaemonError, Exit, Signals};
 use crate::{log, search};
 use anyhow::{Result, anyhow};
-use arguments::{ClientOptions, Output, hours, measured, positive};
+use arguments::{ArrayOption, ClientOptions, Output, array, hours, measured, positive};
 use clap::{CommandFactory, Parser, Subcommand};
 use meissner_api::ArmRequest;
 use meissner_stream::device::Spec;
@@ -78,6 +78,8 @@ enum Command {
         /// Play for S seconds
         #[arg(long, value_name = "S", default_value_t = 5.0, allow_negative_numbers = true, value_parser = positive)]
         seconds: f64,
+        #[command(flatten)]
+        array: ArrayOption,
         /// Play without corrections from telemetry
         #[arg(long)]
         open_loop: bool,
@@ -99,6 +101,9 @@ enum Command {
         /// configuration's, else auto]
         #[arg(long, value_name = "DEVICE")]
         device: Option<Spec>,
+        /// Drive the array ARRAY: a name, or the file of a description [default: the configuration's, else the paper's]
+        #[arg(long, value_name = "ARRAY", value_parser = array)]
+        array: Option<meissner_array::spec::Array>,
         /// Listen for clients at PATH [default: the configuration's, else $MEISSNER_SOCKET, else
         /// $XDG_RUNTIME_DIR/meissner.sock, else /run/meissner/meissner.sock]
         #[arg(long, value_name = "PATH")]
@@ -203,6 +208,8 @@ enum Command {
     Token(token::Token),
     /// Compute the steady state of a drive by the motor model, and its daily exposure
     Motor {
+        #[command(flatten)]
+        array: ArrayOption,
         /// Drive with F Hz
         #[arg(long, value_name = "F", allow_negative_numbers = true)]
         frequency_hz: f64,
@@ -290,11 +297,11 @@ pub fn main() -> ExitCode {
 
 fn run(command: Command) -> Result<ExitCode> {
     match command {
-        Command::Demo { seconds, open_loop, sensorless, output } => {
-            demo::run(seconds, open_loop, sensorless, output.json)
+        Command::Demo { seconds, array, open_loop, sensorless, output } => {
+            demo::run(seconds, array.array, open_loop, sensorless, output.json)
         }
-        Command::Daemon { config, check_config: check, device, socket, listen, no_record } => {
-            let source = Source { file: config, device, socket, listen, no_record };
+        Command::Daemon { config, check_config: check, device, array, socket, listen, no_record } => {
+            let source = Source { file: config, device, array, socket, listen, no_record };
             if check { check_config(&source) } else { serve(source) }
         }
         Command::Play(play) => control::play(&play),
@@ -318,8 +325,8 @@ fn run(command: Command) -> Result<ExitCode> {
         Command::Receipt { id, options } => watch::receipt(&options, id),
         Command::Session(asked) => session::run(&asked),
         Command::Token(asked) => token::run(&asked),
-        Command::Motor { frequency_hz, amplitude_um, hours, output } => {
-            library::motor(frequency_hz, amplitude_um, hours, output.json)
+        Command::Motor { array, frequency_hz, amplitude_um, hours, output } => {
+            library::motor(array.array, frequency_hz, amplitude_um, hours, output.json)
         }
         Command::Array(asked) => array::run(asked),
         Command::Displacement(asked) => displacement::run(&asked),

@@ -3,12 +3,15 @@
 //! Invariant: moving the pins down to a lower stop stays within the limit on pushing.
 
 use super::problem::{KeyError, Problem, checked};
-use firmware_protocol::limits::{MAX_PUSHES_PER_S, MAX_SEEK, PowerLimits};
+use crate::array::find;
+use firmware_protocol::limits::PowerLimits;
 use meissner_array::simulated::LowerStop;
+use meissner_array::spec::Array;
 use meissner_input::document::in_range;
 use meissner_input::message::quote;
 use meissner_stream::{LowerStopSettings, Settings};
 use serde::Deserialize;
+use std::path::Path;
 
 /// Largest fixed surplus, µm, and the range of the rest error, µm.
 const MAX_SURPLUS_UM: f64 = 120.0;
@@ -19,6 +22,7 @@ const AUTO: &str = "auto";
 #[derive(Default, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct RawArray {
+    description: Option<String>,
     lower_stop: Option<LowerStop>,
     surplus_um: Option<RawSurplus>,
     rest_error_um: Option<f64>,
@@ -34,7 +38,16 @@ enum RawSurplus {
 }
 
 impl RawArray {
-    /// `limits` with those on motors at once.
+    /// The array that the site has: a known one by its name, or that of a file in `folder`.
+    pub(super) fn description(&self, folder: &Path) -> Result<Array, KeyError> {
+        let Some(text) = &self.description else { return Ok(Array::default()) };
+        find(text, folder).map_err(|error| {
+            let problem = Problem::Array { found: quote(text), error: error.to_string() };
+            KeyError::key("array.description", problem)
+        })
+    }
+
+    /// `limits` with those on motors at once, which are at most as in it.
     pub(super) fn limits(&self, limits: PowerLimits) -> Result<PowerLimits, KeyError> {
         let check = |key: &str, found: Option<u32>, none: u8| {
             let found = found.unwrap_or(none.into());
@@ -43,9 +56,9 @@ impl RawArray {
             Ok(found as u8)
         };
         let rail_at_once =
-            check("rail_motors_at_once", self.rail_motors_at_once, PowerLimits::NONE.rail_at_once)?;
+            check("rail_motors_at_once", self.rail_motors_at_once, limits.rail_at_once)?;
         let chip_at_once =
-            check("chip_motors_at_once", self.chip_motors_at_once, PowerLimits::NONE.chip_at_once)?;
+            check("chip_motors_at_once", self.chip_motors_at_once, limits.chip_at_once)?;
         Ok(PowerLimits { rail_at_once, chip_at_once, ..limits })
     }
 
@@ -55,7 +68,8 @@ impl RawArray {
         pulses_per_s: Option<u32>,
         settings: &Settings,
     ) -> Result<Option<LowerStopSettings>, KeyError> {
-        let default = LowerStopSettings::default();
+        let default = LowerStopSettings::of(settings.array);
+        let (most_pushes, seek_pulses) = (default.pulses_per_s, settings.array.motor().seek_pulses);
         let surplus_um = match self.surplus_um {
             None => None,
             Some(RawSurplus::Word(word)) if word == AUTO => None,
@@ -71,14 +85,15 @@ impl RawArray {
         };
         let (key, default_um) = ("array.rest_error_um", default.rest_error_um);
         let rest_error_um = checked(key, self.rest_error_um, default_um, REST_ERROR_UM, "um")?;
-        let found = pulses_per_s.unwrap_or(MAX_PUSHES_PER_S);
+        let found = pulses_per_s.unwrap_or(most_pushes);
         let has_stop = self.lower_stop == Some(LowerStop::AtRest);
         let least = if has_stop { settings.seek_pulses().into() } else { 1 };
-        let good = (least..=MAX_PUSHES_PER_S).contains(&found);
-        let range = format!("{least} to {MAX_PUSHES_PER_S} pulses/s: a seek of the lower stop takes {least}");
+        let good = (least..=most_pushes).contains(&found);
+        let range = format!("{least} to {most_pushes} pulses/s: a seek of the lower stop takes {least}");
         in_range("limits.stop_pulses_per_s", found.into(), good, range)?;
-        if has_stop && settings.seek_pulses() == MAX_SEEK {
-            let range = "at most 1150 um with a lower stop, which is sought from twice as far";
+        if has_stop && settings.seek_pulses() == seek_pulses {
+            let most_um = (f64::from(seek_pulses) / 2.0 * settings.array.motor().um_per_pulse).floor();
+            let range = format!("at most {most_um} um with a lower stop, which is sought from twice as far");
             in_range("end_stop_um", settings.end_stop_um.into(), false, range)?;
         }
         let stop = LowerStopSettings { surplus_um, rest_error_um, pulses_per_s: found };

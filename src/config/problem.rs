@@ -40,6 +40,8 @@ pub enum Problem {
     Host { found: String },
     #[error("is {found}: must be \"remote\" or \"always\"")]
     ListenToken { found: String },
+    #[error("is {found}: {error}")]
+    Array { found: String, error: String },
     #[error("is {found}: must be a number of um, or \"auto\"")]
     Surplus { found: String },
 }

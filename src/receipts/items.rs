@@ -4,7 +4,7 @@
 //! end, and no stroke was late or refused.
 
 use meissner_api::{InstantRecord, ItemRecord, ItemState, TriggerRecord};
-use meissner_array::units::ticks_to_ms;
+use meissner_array::units::TickRate;
 use meissner_stream::queues::{Item, Stamp};
 use std::sync::Arc;
 
@@ -24,11 +24,11 @@ pub struct PlannedItem {
 }
 
 /// The records of all items.
-pub(super) fn records(planned: &[PlannedItem], items: &[Item]) -> Arc<[ItemRecord]> {
-    planned.iter().zip(items).map(|(planned, item)| record(planned, item)).collect()
+pub(super) fn records(planned: &[PlannedItem], items: &[Item], rate: TickRate) -> Arc<[ItemRecord]> {
+    planned.iter().zip(items).map(|(planned, item)| record(planned, item, rate)).collect()
 }
 
-fn record(planned: &PlannedItem, item: &Item) -> ItemRecord {
+fn record(planned: &PlannedItem, item: &Item, rate: TickRate) -> ItemRecord {
     let state = match (item.began, item.ended) {
         (Some(_), Some(_)) if item.late == 0 && item.refused == 0 => ItemState::Played,
         (_, Some(_)) => ItemState::Incomplete,
@@ -42,12 +42,12 @@ fn record(planned: &PlannedItem, item: &Item) -> ItemRecord {
         ordered_um: planned.amplitude_um[0],
         reached_um: planned.amplitude_um[1],
         planned_onset_ticks: planned.span.0,
-        ordered_ms: ticks_to_ms(planned.span.1 - planned.span.0),
+        ordered_ms: rate.ticks_to_ms(planned.span.1 - planned.span.0),
         state,
         onset: item.began.map(instant),
         first_pulse_tick: item.first_up.filter(|_| state != ItemState::NotBegun).map(|tick| tick.0),
         offset: item.ended.filter(|_| item.first_up.is_some()).map(instant),
-        trigger: trigger(item),
+        trigger: trigger(item, rate),
         late_strokes: item.late,
         refused_strokes: item.refused,
     }
@@ -59,8 +59,8 @@ fn instant(stamp: Stamp) -> InstantRecord {
 }
 
 /// The trigger output's pulse at an item's onset, once the device has reported it.
-pub(super) fn trigger(item: &Item) -> Option<TriggerRecord> {
+pub(super) fn trigger(item: &Item, rate: TickRate) -> Option<TriggerRecord> {
     let (tick, trigger) = (item.began?.tick.0, item.trigger?);
     let code = (trigger.code > 0).then_some(trigger.code);
-    Some(TriggerRecord { tick, width_ms: ticks_to_ms(trigger.width.into()), code })
+    Some(TriggerRecord { tick, width_ms: rate.ticks_to_ms(trigger.width.into()), code })
 }

@@ -3,7 +3,7 @@
 //! Invariant: the memory does not grow with the updates, because durations are counted in classes of a tenth of a millisecond.
 
 use meissner_api::{LiveRecord, UpdateTimes};
-use meissner_array::units::ticks_to_ms;
+use meissner_array::units::TickRate;
 use meissner_stream::queues::{Applied, LiveResult, LiveUpdate};
 
 /// Classes of a tenth of a millisecond; longer durations count in the last one.
@@ -63,14 +63,14 @@ pub(super) struct LiveAccount {
 
 impl LiveAccount {
     /// Counts the result of an update.
-    pub(super) fn add(&mut self, update: &LiveUpdate) {
+    pub(super) fn add(&mut self, update: &LiveUpdate, rate: TickRate) {
         self.record.updates += 1;
         match update.result {
             LiveResult::Merged { .. } => self.record.merged += 1,
             LiveResult::Applied(Applied { received, replaced, motors, repeats }) => {
                 self.record.applied += 1;
                 self.record.repeats += u64::from(repeats);
-                let since = |tick| ticks_to_ms(tick - received);
+                let since = |tick| rate.ticks_to_ms(tick - received);
                 let (first, last) = (motors.iter().flatten().min(), motors.iter().flatten().max());
                 if let (Some(&first), Some(&last)) = (first, last) {
                     self.decided.add(since(replaced));

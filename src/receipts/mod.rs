@@ -32,7 +32,8 @@ use meissner_api::{
     MotorRestError, NO_DEVICE, OrderedCounts, PlayState, PredictedResponse, Prediction, PulseCounts, Receipt,
     RefusedStroke, RunningPlay,
 };
-use meissner_array::units::{ns_to_ms, ticks_to_ms};
+use meissner_array::spec::Array;
+use meissner_array::units::{TickRate, ns_to_ms};
 use meissner_stream::end_cause;
 use meissner_stream::queues::Onset;
 use meissner_stream::queues::{Outcome, Snapshot, StreamEvent, refusal_text};
@@ -77,8 +78,9 @@ pub struct DeviceState {
 }
 
 /// See the module.
-#[derive(Debug, Default)]
+#[derive(Debug)]
 pub struct Receipts {
+    array: Array,
     kind: String,
     hello: Option<DeviceHello>,
     snapshot: Option<Snapshot>,
@@ -95,12 +97,30 @@ pub struct Receipts {
 }
 
 impl Receipts {
+    /// No plays yet, on this array.
+    #[must_use]
+    pub fn new(array: Array) -> Self {
+        Self {
+            array,
+            kind: String::new(),
+            hello: None,
+            snapshot: None,
+            sent: Vec::new(),
+            live: Vec::new(),
+            finished: VecDeque::new(),
+            planned: HashMap::new(),
+            updates: HashMap::new(),
+            totals: Totals::default(),
+        }
+    }
+
     /// Adds a play that is about to be sent to the streamer.
     pub fn add(&mut self, receipt: Receipt) {
         if receipt.live.is_some() {
             self.updates.insert(receipt.id, LiveAccount::default());
         }
-        self.sent.push(receipt);
+        let (array, tick_hz) = (self.array.name().to_owned(), self.array.rate().hz());
+        self.sent.push(Receipt { array, tick_hz, ..receipt });
     }
 
     /// Sets the plan of the items of a sequence that was added.
@@ -183,7 +203,7 @@ impl Receipts {
             }
             StreamEvent::LiveUpdated(update) => {
                 if let Some(account) = self.updates.get_mut(&update.id) {
-                    account.add(update);
+                    account.add(update, self.array.rate());
                 }
                 None
             }
@@ -202,14 +222,15 @@ impl Receipts {
     fn ended(&mut self, id: u64, outcome: &Outcome) -> Option<Event> {
         let at = self.live.iter().position(|receipt| receipt.id == id)?;
         let mut receipt = self.live.remove(at);
-        complete(&mut receipt, outcome);
+        let rate = self.array.rate();
+        complete(&mut receipt, outcome, rate);
         if let (Some(live), Some(account)) = (&mut receipt.live, self.updates.remove(&id)) {
             *live = account.record();
         }
         self.totals.add(outcome);
         let event = Event::Ended { receipt: Box::new(receipt.clone()) };
         // Only the receipt gets the items, because an event must be short.
-        receipt.items = self.planned.remove(&id).map(|planned| items::records(&planned, &outcome.play.items));
+        receipt.items = self.planned.remove(&id).map(|planned| items::records(&planned, &outcome.play.items, rate));
         let count = |receipt: &Receipt| receipt.items.as_ref().map_or(0, |items| items.len());
         let mut kept = count(&receipt) + self.finished.iter().map(count).sum::<usize>();
         while self.finished.len() >= KEPT || kept > KEPT_ITEMS {
@@ -353,7 +374,7 @@ fn list<T>(strokes: &mut Vec<T>, stroke: T) {
     }
 }
 
-fn complete(receipt: &mut Receipt, outcome: &Outcome) {
+fn complete(receipt: &mut Receipt, outcome: &Outcome, rate: TickRate) {
     if let Some(onset) = outcome.onset {
         began(receipt, onset);
     }
@@ -362,14 +383,14 @@ fn complete(receipt: &mut Receipt, outcome: &Outcome) {
     receipt.bursts = Some(outcome.bursts);
     receipt.pulses = Some(outcome.pulses);
     receipt.estimated = outcome.estimated;
-    receipt.trigger = outcome.play.items.first().and_then(items::trigger);
+    receipt.trigger = outcome.play.items.first().and_then(|item| items::trigger(item, rate));
     receipt.lateness.counts = outcome.lateness;
     receipt.wire = Some(LinkTraffic::new(outcome.wire_bytes, outcome.bursts.planned));
     receipt.board = outcome.board.map(convert::board_record);
     receipt.offset = outcome.offset.map(Into::into);
-    receipt.cut_after_ms = outcome.cut_after.map(ticks_to_ms);
+    receipt.cut_after_ms = outcome.cut_after.map(|ticks| rate.ticks_to_ms(ticks));
     receipt.duration_ms.played =
-        outcome.offset.zip(outcome.onset).map(|(offset, onset)| ticks_to_ms(offset.tick - onset.actual));
+        outcome.offset.zip(outcome.onset).map(|(offset, onset)| rate.ticks_to_ms(offset.tick - onset.actual));
     let (onset, end) = (&outcome.rest_at_onset, &outcome.rest_at_end);
     receipt.rest_error_um = Some(end.um.to_vec());
     let driven = (0..).zip(end.um).zip(end.source);

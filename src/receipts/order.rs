@@ -10,7 +10,6 @@ use meissner_api::{
 };
 use meissner_array::pattern::Pattern;
 use meissner_array::strokes::{self, DriveAmplitude, StrokeOptions, StrokesError, amplitudes};
-use meissner_array::units::{ticks_to_ms, ticks_to_seconds};
 use std::collections::BTreeMap;
 
 /// See the module.
@@ -32,12 +31,12 @@ impl Order {
     /// # Errors
     /// If an option is outside its range.
     pub fn of(pattern: &Pattern, options: &StrokeOptions) -> Result<Self, StrokesError> {
-        let found = amplitudes(pattern, options)?;
+        let (found, rate) = (amplitudes(pattern, options)?, pattern.array().rate());
         let ends = found.iter().all(|drive| drive.reached.strokes.is_some());
         let over = found.iter().filter_map(|drive| drive.reached.over).max();
         Ok(Self {
-            ordered_ms: strokes::ordered_end(pattern, options.seconds).map(ticks_to_ms),
-            compiled_ms: ends.then(|| ticks_to_ms(over.unwrap_or(0))),
+            ordered_ms: strokes::ordered_end(pattern, options.seconds).map(|end| rate.ticks_to_ms(end)),
+            compiled_ms: ends.then(|| rate.ticks_to_ms(over.unwrap_or(0))),
             drives: found.iter().map(reached).collect(),
             warnings: warnings(pattern, &found),
         })
@@ -96,7 +95,7 @@ pub fn counts(pattern: &Pattern, options: &StrokeOptions) -> Option<OrderedCount
 /// The bursts and pulses of the strokes of an endless play that begin in its first `ticks`.
 #[must_use]
 pub fn counts_until(pattern: &Pattern, options: &StrokeOptions, ticks: u64) -> Option<OrderedCounts> {
-    let seconds = Some(ticks_to_seconds(ticks));
+    let seconds = Some(pattern.array().rate().ticks_to_seconds(ticks));
     let options = StrokeOptions { seconds, fit: strokes::Fit::Cover, ..options.clone() };
     counted(pattern, &options, WALKED_AT_END)
 }

@@ -7,14 +7,14 @@
 //!
 //! Invariant: a [`PredictedResponse`] is about bursts of which at most one in a hundred is unmeasured.
 
-use firmware_protocol::limits::MAX_DOWN_PULSES;
+use firmware_protocol::limits::correction;
 use firmware_protocol::stroke::Direction;
 use firmware_protocol::tick::Tick;
 use meissner_api::{AfferentClass, ClassResponse, PlayState, PredictedResponse, Rates, Receipt};
-use meissner_array::motor::{Ramp, WINDOW_TICKS};
+use meissner_array::motor::Ramp;
 use meissner_array::pattern::Pattern;
 use meissner_array::strokes::{StrokeOptions, Strokes, StrokesError, Surplus};
-use meissner_array::units::{UM_PER_PULSE, seconds_to_ticks, ticks_to_seconds};
+use meissner_array::spec::{Array, MotorSpec};
 use meissner_design::{MOST_OBSERVED_S, PredictionError};
 use meissner_skin::afferents::Class;
 use meissner_stream::queues::MeasuredBurst;
@@ -23,7 +23,10 @@ use std::collections::{HashMap, HashSet};
 /// At most one burst in this many may be unmeasured.
 const ONE_IN: u64 = 100;
 /// The time left out at the end of a cut play, ticks: the longest corrected burst, and the motor's window.
-const CUT: u64 = MAX_DOWN_PULSES as u64 + WINDOW_TICKS;
+fn cut(motor: &MotorSpec) -> u64 {
+    u64::from(motor.most_pulses + correction(motor.most_pulses)) + motor.settled_ticks()
+}
+
 /// Largest standard deviation of a measurement that counts: a share of an ideal motor's travel, plus µm. Half of the scatter of
 /// bursts.
 const MAX_SD: (f64, f64) = (0.05, 0.02);
@@ -98,10 +101,14 @@ impl<'p> PlayedPattern<'p> {
         })
     }
 
+    fn array(&self) -> Array {
+        self.pattern.array()
+    }
+
     /// The first tick that does not count.
     #[must_use]
     pub fn until(&self) -> Tick {
-        self.onset + seconds_to_ticks(MOST_OBSERVED_S)
+        self.onset + self.array().rate().seconds_to_ticks(MOST_OBSERVED_S)
     }
 
     /// Predicts the response from these bursts; bursts of other plays are ignored. Takes some seconds per minute of a shipped
@@ -110,18 +117,20 @@ impl<'p> PlayedPattern<'p> {
     /// # Errors
     /// Why there is no prediction.
     pub fn response(&self, bursts: &[MeasuredBurst]) -> Result<PredictedResponse, NoPrediction> {
+        let array = self.array();
+        let um_per_pulse = array.motor().um_per_pulse;
         let mut strokes = Strokes::new(self.pattern, &self.options)?;
         let mut until = strokes.end().map_or(self.until(), |end| self.until().min(self.onset + end));
         strokes.begin(self.onset);
         let measured: HashMap<(u8, Tick), &MeasuredBurst> = bursts
             .iter()
-            .filter(|burst| is_known(burst))
+            .filter(|burst| is_known(burst, um_per_pulse))
             .map(|burst| ((burst.motor, burst.start), burst))
             .collect();
         if self.cut {
             let last = measured.keys().map(|(_, start)| *start).filter(|&start| start < until).max();
             until = last
-                .map(|last| Tick(last.0 - CUT.min(last.0)))
+                .map(|last| Tick(last.0 - cut(array.motor()).min(last.0)))
                 .filter(|&until| until > self.onset)
                 .ok_or(NoPrediction::Cut)?;
         }
@@ -139,7 +148,7 @@ impl<'p> PlayedPattern<'p> {
                 match measured.get(&(stroke.motor, burst.start)) {
                     Some(&&MeasuredBurst { start, pulses, travel_um, direction, .. }) => {
                         let stops = direction == Direction::Down && stroke.down_pulses > stroke.up_pulses;
-                        let most = if stops { pulses_to_stop(travel_um) } else { pulses };
+                        let most = if stops { pulses_to_stop(travel_um, um_per_pulse) } else { pulses };
                         let ticks = pulses.min(most).into();
                         ramps.push((stroke.motor, Ramp::travelled(start, ticks, travel_um.into())));
                     }
@@ -151,7 +160,7 @@ impl<'p> PlayedPattern<'p> {
         if missing * ONE_IN > planned {
             return Err(NoPrediction::Unmeasured { missing, bursts: planned });
         }
-        let observed_s = ticks_to_seconds(until - self.onset);
+        let observed_s = array.rate().ticks_to_seconds(until - self.onset);
         let (pattern, onset) = (self.pattern, self.onset);
         // The design has no surplus.
         let options = StrokeOptions { surplus: Surplus::None, ..self.options.clone() };
@@ -187,13 +196,13 @@ const fn rates(of: meissner_design::Rates) -> Rates {
 
 /// The pulses that a motor needs for this travel. Then the lower stop ends the motion, and the motor slips for the rest of the
 /// burst.
-fn pulses_to_stop(travel_um: f32) -> u16 {
+fn pulses_to_stop(travel_um: f32, um_per_pulse: f64) -> u16 {
     // The cast saturates.
-    (f64::from(travel_um.abs()) / UM_PER_PULSE).round().max(1.0) as u16
+    (f64::from(travel_um.abs()) / um_per_pulse).round().max(1.0) as u16
 }
 
 /// Whether telemetry has measured the burst: if not, the streamer reports its own estimate, with a large deviation.
-fn is_known(burst: &MeasuredBurst) -> bool {
+fn is_known(burst: &MeasuredBurst, um_per_pulse: f64) -> bool {
     let (share, um) = MAX_SD;
-    f64::from(burst.sd_um) <= share * f64::from(burst.pulses) * UM_PER_PULSE + um
+    f64::from(burst.sd_um) <= share * f64::from(burst.pulses) * um_per_pulse + um
 }

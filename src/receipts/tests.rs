@@ -3,7 +3,6 @@
 use super::*;
 use firmware_protocol::limits::{PowerLimits, Refusal};
 use firmware_protocol::message::Cause;
-use firmware_protocol::stroke::MOTORS;
 use meissner_api::{EndCause, ErrorSource, LateCause};
 use meissner_array::pattern::Pattern;
 use meissner_array::strokes::{StrokeOptions, Strokes};
@@ -18,7 +17,7 @@ fn hello() -> DeviceHello {
         build: [0xde, 0xad, 0xbe, 0xef],
         boot: 7,
         motors: 24,
-        tick_hz: firmware_protocol::tick::TICK_HZ,
+        tick_hz: TICK_HZ,
         pool: 1024,
         horizon: 64,
         max_up_pulses: 3000,
@@ -67,7 +66,7 @@ fn onset() -> Onset {
 }
 
 fn ended(id: u64, end: End) -> StreamEvent {
-    let pattern = Pattern::new("nothing", Some(1.0), Vec::new(), toml::Table::new()).unwrap();
+    let pattern = Pattern::new(Array::paper(), "nothing", Some(1.0), Vec::new(), toml::Table::new()).unwrap();
     let strokes = Strokes::new(&pattern, &StrokeOptions::default()).unwrap();
     let play = Play::new(id, strokes);
     let outcome = Outcome {
@@ -109,7 +108,7 @@ fn take(receipts: &mut Receipts, id: u64) {
 
 #[test]
 fn a_play_goes_from_queued_to_its_receipt() {
-    let mut receipts = Receipts::default();
+    let mut receipts = Receipts::new(Array::paper());
     take(&mut receipts, 1);
     take(&mut receipts, 2);
     assert_eq!(receipts.queued().map(|receipt| receipt.id).collect::<Vec<_>>(), [1, 2]);
@@ -142,7 +141,7 @@ fn a_play_goes_from_queued_to_its_receipt() {
 
 #[test]
 fn a_play_that_was_not_accepted_leaves_nothing() {
-    let mut receipts = Receipts::default();
+    let mut receipts = Receipts::new(Array::paper());
     receipts.add(Receipt::new(1, "a", "", None));
     assert!(receipts.receipt(1).is_none(), "not before it is accepted");
     assert_eq!(receipts.settle(1, false), None);
@@ -152,7 +151,7 @@ fn a_play_that_was_not_accepted_leaves_nothing() {
 
 #[test]
 fn receipts_and_lists_are_bounded() {
-    let mut receipts = Receipts::default();
+    let mut receipts = Receipts::new(Array::paper());
     for id in 1..=KEPT as u64 + 5 {
         take(&mut receipts, id);
         for link in 1..=MAX_LISTED as u64 + 1 {
@@ -175,7 +174,7 @@ fn receipts_and_lists_are_bounded() {
 
 #[test]
 fn the_state_without_a_device_says_so_but_an_estop_is_latched() {
-    let mut receipts = Receipts::default();
+    let mut receipts = Receipts::new(Array::paper());
     assert_eq!(standing(&receipts), ("no-device", "no-device".to_owned(), "unknown"));
     receipts.apply(&StreamEvent::Snapshot(snapshot(false, State::Disarmed, None)));
     assert_eq!(standing(&receipts).0, "no-device");
@@ -195,7 +194,7 @@ fn the_state_without_a_device_says_so_but_an_estop_is_latched() {
 
 #[test]
 fn the_clock_is_carried_on_between_snapshots() {
-    let mut receipts = Receipts::default();
+    let mut receipts = Receipts::new(Array::paper());
     receipts.apply(&StreamEvent::Snapshot(snapshot(true, State::Armed, None)));
     let (tick, uncertainty_us) = receipts.clock(HostInstant::from_ns(3_000_000_000)).unwrap();
     assert_eq!(tick, Tick(1000 + 170_000));
@@ -209,7 +208,7 @@ fn the_clock_is_carried_on_between_snapshots() {
 fn every_events_name_is_its_json_tag() {
     let stroke = LateStroke { motor: 1, tick: 2, late_ms: 3.0, cause: LateCause::Host };
     let refused = RefusedStroke { motor: 1, tick: 2, reason: "x".to_owned() };
-    let receipts = Receipts::default();
+    let receipts = Receipts::new(Array::paper());
     for event in [
         receipts.state_event(HostInstant::from_ns(0)),
         Event::Connected { device: device_info("mock", &hello()) },

@@ -15,7 +15,7 @@ use meissner_api::{
     ItemRecord, ItemState, MAX_LISTED, MAX_ROWS, MAX_SEQUENCE_ITEMS, Receipt, RecordedPlay, Session,
     SessionPlays,
 };
-use meissner_array::units::ticks_to_ms;
+use meissner_array::units::TickRate;
 use serde::Deserialize;
 use serde_json::Value;
 use std::collections::{BTreeMap, VecDeque};
@@ -496,6 +496,9 @@ fn played(entry: &Value, receipt: Receipt) -> RecordedPlay {
         labels: receipt.labels,
         pattern: receipt.pattern,
         pattern_sha256: Some(receipt.pattern_sha256),
+        array: receipt.array,
+        tick_hz: receipt.tick_hz,
+        mapped_from: receipt.mapped_from,
         seconds: receipt.seconds,
         state: receipt.state.name().to_owned(),
         cause: receipt.cause,
@@ -563,7 +566,7 @@ fn part(whole: &RecordedPlay, number: u64, item: &ItemRecord) -> RecordedPlay {
         reached_um: Some(item.reached_um),
         scale: Some(item.scale),
         ordered_ms: Some(item.ordered_ms),
-        played_ms: played.map(ticks_to_ms),
+        played_ms: played.map(|ticks| TickRate::new(whole.tick_hz).ticks_to_ms(ticks)),
         cut_after_ms: None,
         offset_tick: offset.map(|offset| offset.tick),
         offset_monotonic_ns: offset.map(|offset| offset.monotonic_ns),

@@ -278,7 +278,7 @@ impl LinkTraffic {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 #[schema(examples(json!({
     "id": 7, "pattern": "edge-45",
-    "pattern_sha256": "9f86d081884c7d659a2feaa0c55ad015a3bf4f1b2b0b822cd15d6c15b0f00a08", "mapped_from": null,
+    "pattern_sha256": "9f86d081884c7d659a2feaa0c55ad015a3bf4f1b2b0b822cd15d6c15b0f00a08", "array": "tula35-6x4", "tick_hz": 85000, "mapped_from": null,
     "seconds": 2.0, "scale": 1.0, "fit": "whole", "session": "20261122T083000Z-9f3c", "trial": 12,
     "labels": {"condition": "a"}, "late_policy": "drop", "open_loop": false, "state": "done", "cause": null,
     "onset": {
@@ -350,6 +350,14 @@ pub struct Receipt {
     pub pattern: String,
     /// SHA-256 of the pattern's file, in hexadecimal.
     pub pattern_sha256: String,
+    /// The array that was driven.
+    #[serde(default = "paper_array")]
+    #[schema(required)]
+    pub array: String,
+    /// Ticks per second of its device, in which the receipt's ticks count.
+    #[serde(default = "paper_tick_hz")]
+    #[schema(required, minimum = 20000, maximum = 200_000)]
+    pub tick_hz: u32,
     /// The array that the pattern is for, if the play mapped it to the daemon's array by position; null: it did not.
     #[serde(default)]
     #[schema(required)]
@@ -479,14 +487,26 @@ pub struct Receipt {
     pub prediction: Prediction,
 }
 
+/// The array of receipts from before arrays had names.
+pub(crate) fn paper_array() -> String {
+    "tula35-6x4".to_owned()
+}
+
+/// Its tick rate.
+pub(crate) const fn paper_tick_hz() -> u32 {
+    85_000
+}
+
 impl Receipt {
-    /// The receipt of a play that was just requested.
+    /// The receipt of a play that was just requested. Its array is the paper's until another is set.
     #[must_use]
     pub fn new(id: u64, pattern: &str, pattern_sha256: &str, seconds: Option<f64>) -> Self {
         Self {
             id,
             pattern: pattern.to_owned(),
             pattern_sha256: pattern_sha256.to_owned(),
+            array: paper_array(),
+            tick_hz: paper_tick_hz(),
             mapped_from: None,
             seconds,
             fit: Fit::default(),

@@ -8,7 +8,7 @@
 use crate::body::{check_labels, check_text, read};
 use crate::end_cause::EndCause;
 use crate::problem::Problem;
-use crate::receipt::{BurstCounts, MAX_LISTED, OrderedCounts, PulseCounts};
+use crate::receipt::{BurstCounts, MAX_LISTED, OrderedCounts, PulseCounts, paper_array, paper_tick_hz};
 use crate::request::{Fit, LatePolicy};
 use crate::trigger::TriggerRecord;
 use meissner_input::document::given;
@@ -181,6 +181,18 @@ pub struct RecordedPlay {
     /// SHA-256 of the pattern's file, in hexadecimal; null if the play's end is missing.
     #[schema(required)]
     pub pattern_sha256: Option<String>,
+    /// The array that was driven.
+    #[serde(default = "paper_array")]
+    #[schema(required)]
+    pub array: String,
+    /// Ticks per second of its device, in which the row's ticks count.
+    #[serde(default = "paper_tick_hz")]
+    #[schema(required, minimum = 20000, maximum = 200_000)]
+    pub tick_hz: u32,
+    /// The array that the pattern is for, if it was mapped by position; null: it was not.
+    #[serde(default)]
+    #[schema(required)]
+    pub mapped_from: Option<String>,
     /// Requested duration, s; null: as long as the pattern lasts.
     #[schema(required, minimum = 0.0)]
     pub seconds: Option<f64>,

@@ -7,7 +7,6 @@ use crate::receipts::{board_status, outputs};
 use firmware_protocol::board::{
     Board, ENABLE, LineTest, RamTest, Reset, SelfTest, SelfTestState, TRIGGER, WaveTest,
 };
-use firmware_protocol::tick::TICK_HZ;
 use meissner_api::{Finding, Level};
 use serde::Serialize;
 
@@ -28,7 +27,7 @@ const WORST_CASE_TICKS: f64 = 20.0;
 /// A self-test's figures, as the board sent them.
 #[derive(Debug, Serialize)]
 pub(super) struct Measured {
-    /// Lines that are stuck, as numbers of motors; 24 is the trigger, 25 the driver enable.
+    /// Lines that are stuck, as numbers of motors; 64 is the trigger, 65 the driver enable.
     stuck_high: Option<Vec<u8>>,
     stuck_low: Option<Vec<u8>>,
     shorted: Option<Vec<u8>>,
@@ -39,13 +38,13 @@ pub(super) struct Measured {
 }
 
 impl Measured {
-    pub(super) fn of(state: SelfTestState) -> Option<Self> {
+    pub(super) fn of(state: SelfTestState, tick_hz: u32) -> Option<Self> {
         let SelfTestState::Done(SelfTest { lines, wave, ram, work_us }) = state else { return None };
         Some(Self {
             stuck_high: lines.map(|lines| outputs(lines.stuck_high)),
             stuck_low: lines.map(|lines| outputs(lines.stuck_low)),
             shorted: lines.map(|lines| outputs(lines.shorted)),
-            clock_ppm: wave.map(|wave| clock_ppm(&wave)),
+            clock_ppm: wave.map(|wave| clock_ppm(&wave, tick_hz)),
             ram_bytes: ram.map(|ram| ram.bytes),
             ram_bad: ram.and_then(|ram| ram.bad),
             work_us,
@@ -63,8 +62,8 @@ fn named(mask: u32) -> String {
     outputs(mask).into_iter().map(name).collect::<Vec<_>>().join(", ")
 }
 
-fn clock_ppm(wave: &WaveTest) -> f64 {
-    let ticks = f64::from(wave.timer_us) * f64::from(TICK_HZ) / 1e6;
+fn clock_ppm(wave: &WaveTest, tick_hz: u32) -> f64 {
+    let ticks = f64::from(wave.timer_us) * f64::from(tick_hz) / 1e6;
     (f64::from(wave.ticks) / ticks - 1.0) * 1e6
 }
 
@@ -88,13 +87,13 @@ pub(super) fn of_report(board: &Board) -> Vec<Finding> {
 }
 
 /// How the self-test ended, and each of its checks.
-pub(super) fn judged(state: SelfTestState) -> Vec<Finding> {
+pub(super) fn judged(state: SelfTestState, motors: u8, tick_hz: u32) -> Vec<Finding> {
     match state {
         SelfTestState::Done(test) => {
             let SelfTest { lines, wave, ram, work_us } = test;
             vec![
-                lines.map_or_else(|| missing("lines"), |lines| of_lines(&lines)),
-                wave.map_or_else(|| missing("waveform"), |wave| of_wave(&wave)),
+                lines.map_or_else(|| missing("lines"), |lines| of_lines(&lines, motors)),
+                wave.map_or_else(|| missing("waveform"), |wave| of_wave(&wave, tick_hz)),
                 ram.map_or_else(|| missing("memory"), of_ram),
                 work_us.map_or_else(|| missing("speed"), of_work),
             ]
@@ -116,7 +115,7 @@ fn missing(what: &'static str) -> Finding {
     Finding::warn(what, "not on this device", "name a board with --device")
 }
 
-fn of_lines(lines: &LineTest) -> Finding {
+fn of_lines(lines: &LineTest, motors: u8) -> Finding {
     let LineTest { stuck_high, stuck_low, shorted, pair } = *lines;
     let mut faults = Vec::new();
     if stuck_high != 0 {
@@ -131,14 +130,14 @@ fn of_lines(lines: &LineTest) -> Finding {
         faults.push(format!("connected with each other: {}{first}", named(shorted)));
     }
     if faults.is_empty() {
-        return Finding::ok("lines", "24 lines and the trigger go high and low, each alone");
+        return Finding::ok("lines", format!("{motors} lines and the trigger go high and low, each alone"));
     }
     let advice = "pull the plug with these lines and run this again: is it the board or the cable? Do not switch the 30 V on";
     Finding::fail("lines", faults.join("; "), advice)
 }
 
-fn of_wave(wave: &WaveTest) -> Finding {
-    let ppm = clock_ppm(wave);
+fn of_wave(wave: &WaveTest, tick_hz: u32) -> Finding {
+    let ppm = clock_ppm(wave, tick_hz);
     let apart = f64::from(wave.words) - WORDS * f64::from(wave.ticks);
     let good = ppm.abs() <= SAME_CLOCK_PPM && apart.abs() <= READ_APART && wave.timer_us > 0;
     let found = format!(
@@ -195,7 +194,7 @@ mod tests {
     };
 
     fn levels(test: SelfTest) -> Vec<Level> {
-        judged(SelfTestState::Done(test)).into_iter().map(|finding| finding.level).collect()
+        judged(SelfTestState::Done(test), 24, 85_000).into_iter().map(|finding| finding.level).collect()
     }
 
     #[test]
@@ -226,7 +225,7 @@ mod tests {
     fn a_device_without_checks_passes_none() {
         assert_eq!(levels(SelfTest::default()), [Level::Warn; 4]);
         for state in [SelfTestState::Refused, SelfTestState::Ended] {
-            assert!(judged(state).iter().all(|finding| finding.level == Level::Fail));
+            assert!(judged(state, 24, 85_000).iter().all(|finding| finding.level == Level::Fail));
         }
     }
 

@@ -25,7 +25,7 @@ pub(super) struct Input {
 
 impl Input {
     /// The first mouse.
-    pub(super) fn mouse(mm_per_count: f64) -> Result<Self> {
+    pub(super) fn mouse(mm_per_count: f64, most_mm: [f64; 2]) -> Result<Self> {
         let is_mouse = |device: &Device| {
             device.supported_relative_axes().is_some_and(|axes| {
                 axes.contains(RelativeAxisCode::REL_X) && axes.contains(RelativeAxisCode::REL_Y)
@@ -35,11 +35,11 @@ impl Input {
         // The system lists them in no order; sort so that `event10` comes after `event9`.
         let first = mice.min_by_key(|(path, _)| (path.as_os_str().len(), path.clone()));
         let (path, device) = first.ok_or_else(|| no_mouse(Path::new(DEVICES)))?;
-        Self::of(path, device, mm_per_count)
+        Self::of(path, device, mm_per_count, most_mm)
     }
 
     /// The device at `path`.
-    pub(super) fn open(path: &Path, mm_per_count: f64) -> Result<Self> {
+    pub(super) fn open(path: &Path, mm_per_count: f64, most_mm: [f64; 2]) -> Result<Self> {
         let device = Device::open(path).map_err(|error| match error.kind() {
             io::ErrorKind::PermissionDenied => anyhow!("{}: you may not read it: {}", path.display(), join()),
             _ => anyhow!(
@@ -47,10 +47,10 @@ impl Input {
                 path.display()
             ),
         })?;
-        Self::of(path.to_owned(), device, mm_per_count)
+        Self::of(path.to_owned(), device, mm_per_count, most_mm)
     }
 
-    fn of(path: PathBuf, device: Device, mm_per_count: f64) -> Result<Self> {
+    fn of(path: PathBuf, device: Device, mm_per_count: f64, most_mm: [f64; 2]) -> Result<Self> {
         let has = |axis| device.supported_relative_axes().is_some_and(|axes| axes.contains(axis));
         let followed = [
             RelativeAxisCode::REL_X,
@@ -76,7 +76,7 @@ impl Input {
             );
         }
         let ranges = found.map(|info| info.map(|info| Range { least: info.minimum(), most: info.maximum() }));
-        let mut follower = Follower::new(mm_per_count, ranges);
+        let mut follower = Follower::new(mm_per_count, most_mm, ranges);
         let [x, y] = found.map(|info| info.map(|info| info.value()));
         follower.place(x, y);
         Ok(Self { path, device, follower })

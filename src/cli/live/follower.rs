@@ -8,14 +8,9 @@
 
 use evdev::{AbsoluteAxisCode, EventSummary, InputEvent, RelativeAxisCode};
 use meissner_api::LivePose;
-use meissner_array::geometry::{COLUMNS, PITCH_MM, ROWS};
 
 /// How far a notch of a wheel or knob turns the shape, degrees.
 const NOTCH_DEG: f64 = 5.0;
-/// The largest shift across the finger, mm: to the outermost pins.
-const MOST_X_MM: f64 = (COLUMNS - 1) as f64 / 2.0 * PITCH_MM;
-/// The same along the finger, mm.
-const MOST_Y_MM: f64 = (ROWS - 1) as f64 / 2.0 * PITCH_MM;
 
 /// The range of an absolute axis.
 #[derive(Clone, Copy, Debug)]
@@ -35,14 +30,16 @@ impl Range {
 #[derive(Debug)]
 pub(super) struct Follower {
     mm_per_count: f64,
+    /// The largest shift across and along the finger, mm: to the outermost pins.
+    most_mm: [f64; 2],
     /// The ranges of the axes X and Y, if the device has them.
     ranges: [Option<Range>; 2],
     pose: LivePose,
 }
 
 impl Follower {
-    pub(super) fn new(mm_per_count: f64, ranges: [Option<Range>; 2]) -> Self {
-        Self { mm_per_count, ranges, pose: LivePose::default() }
+    pub(super) fn new(mm_per_count: f64, most_mm: [f64; 2], ranges: [Option<Range>; 2]) -> Self {
+        Self { mm_per_count, most_mm, ranges, pose: LivePose::default() }
     }
 
     /// Where the shape is.
@@ -69,19 +66,20 @@ impl Follower {
     }
 
     fn shift(&mut self, x: i32, y: i32) {
+        let [most_x, most_y] = self.most_mm;
         let LivePose { x_mm, y_mm, .. } = &mut self.pose;
-        *x_mm = (*x_mm + f64::from(x) * self.mm_per_count).clamp(-MOST_X_MM, MOST_X_MM);
-        *y_mm = (*y_mm - f64::from(y) * self.mm_per_count).clamp(-MOST_Y_MM, MOST_Y_MM);
+        *x_mm = (*x_mm + f64::from(x) * self.mm_per_count).clamp(-most_x, most_x);
+        *y_mm = (*y_mm - f64::from(y) * self.mm_per_count).clamp(-most_y, most_y);
     }
 
     /// Puts the shape where the absolute axes are.
     pub(super) fn place(&mut self, x: Option<i32>, y: Option<i32>) {
         let [x_range, y_range] = self.ranges;
         if let (Some(value), Some(range)) = (x, x_range) {
-            self.pose.x_mm = range.part(value) * MOST_X_MM;
+            self.pose.x_mm = range.part(value) * self.most_mm[0];
         }
         if let (Some(value), Some(range)) = (y, y_range) {
-            self.pose.y_mm = -range.part(value) * MOST_Y_MM;
+            self.pose.y_mm = -range.part(value) * self.most_mm[1];
         }
     }
 
@@ -115,7 +113,7 @@ mod tests {
 
     #[test]
     fn a_mouse_shifts_the_shape_and_its_wheel_turns_it() {
-        let mouse = || Follower::new(0.02, [None; 2]);
+        let mouse = || Follower::new(0.02, [4.35, 7.25], [None; 2]);
         let report = InputEvent::new(EventType::SYNCHRONIZATION.0, 0, 0);
         let button = InputEvent::new(EventType::KEY.0, 0x110, 1);
         let moved = [relative(X, 50), relative(Y, -100), report, button, relative(X, -10), report];
@@ -128,7 +126,7 @@ mod tests {
 
     #[test]
     fn the_shape_stays_on_the_array() {
-        let mouse = Follower::new(0.02, [None; 2]);
+        let mouse = Follower::new(0.02, [4.35, 7.25], [None; 2]);
         let far = [relative(X, 10_000), relative(Y, i32::MAX), relative(X, -50)];
         // The shape leaves the edge at once when the mouse turns back.
         assert_eq!(after(mouse, &far), [3.35, -7.25, 0.0]);
@@ -137,7 +135,7 @@ mod tests {
     #[test]
     fn a_tablets_area_is_the_arrays() {
         let tablet = || {
-            Follower::new(0.02, [Some(Range { least: 100, most: 300 }), Some(Range { least: 0, most: 10 })])
+            Follower::new(0.02, [4.35, 7.25], [Some(Range { least: 100, most: 300 }), Some(Range { least: 0, most: 10 })])
         };
         let at = |x, y| {
             after(tablet(), &[absolute(AbsoluteAxisCode::ABS_X, x), absolute(AbsoluteAxisCode::ABS_Y, y)])
@@ -148,7 +146,7 @@ mod tests {
         assert_eq!(at(999, -1), [4.35, 7.25, 0.0], "beyond its own range");
         let pressure = absolute(AbsoluteAxisCode::ABS_PRESSURE, 7);
         assert_eq!(after(tablet(), &[pressure]), [0.0, 0.0, 0.0]);
-        let flat = Follower::new(0.02, [Some(Range { least: 5, most: 5 }), None]);
+        let flat = Follower::new(0.02, [4.35, 7.25], [Some(Range { least: 5, most: 5 }), None]);
         assert_eq!(after(flat, &[absolute(AbsoluteAxisCode::ABS_X, 5)]), [0.0; 3]);
     }
 }

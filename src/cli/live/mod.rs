@@ -131,16 +131,21 @@ impl Live {
         Ok(LiveRequest::parse(&serde_json::to_vec(&request)?)?)
     }
 
-    fn source(&self) -> Result<Source> {
+    fn source(&self, array: &ArrayDetails) -> Result<Source> {
         if self.target.is_none() && self.follow != Follow::Stdin {
             let message =
                 "name a TARGET: an input device moves a shape. Only the lines of stdin can give drives\n";
             return Err(clap::Error::raw(ErrorKind::MissingRequiredArgument, message).into());
         }
+        // To the outermost pins.
+        let most_mm = || {
+            let most = |axis: usize| array.positions_mm.iter().map(|place| place[axis].abs()).fold(0.0, f64::max);
+            [most(0), most(1)]
+        };
         Ok(match &self.follow {
             Follow::Stdin => Source::Lines(Lines::stdin(self.target.is_some())?),
-            Follow::Mouse => Source::Input(Input::mouse(self.mm_per_count)?.into()),
-            Follow::Device(path) => Source::Input(Input::open(path, self.mm_per_count)?.into()),
+            Follow::Mouse => Source::Input(Input::mouse(self.mm_per_count, most_mm())?.into()),
+            Follow::Device(path) => Source::Input(Input::open(path, self.mm_per_count, most_mm())?.into()),
         })
     }
 
@@ -161,12 +166,12 @@ fn target(argument: &str) -> Result<Value> {
 }
 
 pub(super) fn run(asked: &Live) -> Result<ExitCode> {
-    let mut source = asked.source()?;
     let mut request = asked.request()?;
     let signals = Signals::listen()?;
     let mut client = asked.options.client()?;
     // Fail before waiting for the source's first line if there is no daemon.
-    let _: Status = client.get("/v1/status")?;
+    let array: ArrayDetails = client.get("/v1/array")?;
+    let mut source = asked.source(&array)?;
     let first = match source.first(&signals)? {
         Ok(first) => first,
         Err(signal) => return Ok(exit_code(signal)),

@@ -21,10 +21,10 @@ use super::text;
 use anyhow::{Context, Result, anyhow, bail};
 use clap::Args;
 use compare::{MAX_LISTED, Onset, Skipped, Summary, compare};
-use meissner_api::{Code, PlayAccepted, Receipt, SessionPlays, Status};
-use meissner_array::units::{TICKS_PER_MS, ticks_to_ms, ticks_to_seconds};
+use meissner_api::{ArrayDetails, Code, PlayAccepted, Receipt, RecordedPlay, SessionPlays, Status};
+use meissner_array::units::TickRate;
 use meissner_client::{Client, ClientError, escape};
-use plan::{Order, Planner, Recorded, Skip, Step};
+use plan::{Order, Planner, Recorded, Skip, Step, rate};
 use rows::Rows;
 use serde_json::json;
 use std::collections::VecDeque;
@@ -32,10 +32,10 @@ use std::process::ExitCode;
 use std::thread;
 use std::time::Duration;
 
-/// Time from the last check to the first onset, ticks: 1 s.
-const START_AFTER: u64 = 1000 * TICKS_PER_MS;
-/// How long before its onset an order is sent, ticks: 5 s, so that a stall of this process delays no play.
-const AHEAD: u64 = 5000 * TICKS_PER_MS;
+/// Time from the last check to the first onset, s.
+const START_AFTER_S: u64 = 1;
+/// How long before its onset an order is sent, s: a stall of this process then delays no play.
+const AHEAD_S: u64 = 5;
 /// Pending orders, at most: the daemon queues 16 behind the running play.
 const MOST_AHEAD: usize = 12;
 /// What a replay says that a signal ends: it must not go on unattended.
@@ -84,9 +84,9 @@ pub(super) fn run(asked: &Replay) -> Result<ExitCode> {
     if let Err(error) = played {
         player.summary.ended_early = Some(player.end_early(&error));
     }
-    let Player { summary, .. } = player;
+    let Player { summary, rate, .. } = player;
     let same = summary.is_same();
-    give(asked.options.output.json, &summary, || summary_text(&summary))?;
+    give(asked.options.output.json, &summary, || summary_text(&summary, rate))?;
     Ok(if same { ExitCode::SUCCESS } else { ExitCode::FAILURE })
 }
 
@@ -141,7 +141,7 @@ fn check(asked: &Replay, id: &str) -> Result<u64> {
 /// Prints the plan.
 fn dry_run(asked: &Replay, id: &str) -> Result<ExitCode> {
     let json = asked.options.output.json;
-    let (mut steps, mut plays, mut skipped, mut missing, mut end) = (Vec::new(), 0u64, 0u64, 0u64, 0);
+    let (mut steps, mut plays, mut skipped, mut missing, mut end_s) = (Vec::new(), 0u64, 0u64, 0u64, 0.0f64);
     for row in plan_all(asked, id)? {
         let (recorded, planned) = row?;
         let play = &recorded.play;
@@ -153,7 +153,8 @@ fn dry_run(asked: &Replay, id: &str) -> Result<ExitCode> {
         missing += u64::from(matches!(planned, Err(Skip::NoText { .. })));
         skipped += u64::from(planned.is_err());
         let start = planned.as_ref().ok().map(|step| step.start);
-        end = end.max(start.unwrap_or(0));
+        let start_s = start.map(|start| rate(play).ticks_to_seconds(start));
+        end_s = end_s.max(start_s.unwrap_or(0.0));
         if json && steps.len() < MAX_LISTED {
             steps.push(json!({
                 "play": play.play, "pattern": play.pattern, "pattern_sha256": play.pattern_sha256,
@@ -162,7 +163,7 @@ fn dry_run(asked: &Replay, id: &str) -> Result<ExitCode> {
             }));
         } else if !json {
             let start =
-                start.map_or_else(|| "-".to_owned(), |start| format!("{:.6} s", ticks_to_seconds(start)));
+                start_s.map_or_else(|| "-".to_owned(), |start_s| format!("{start_s:.6} s"));
             let lasts = play.ordered_ms.map_or_else(String::new, |ms| format!(", {:.3} s", ms / 1e3));
             let items = if play.items > 0 { format!(", {} items", play.items) } else { String::new() };
             let about = if about.is_empty() { about } else { format!("; {about}") };
@@ -172,14 +173,13 @@ fn dry_run(asked: &Replay, id: &str) -> Result<ExitCode> {
     let lacks = self::missing(asked, id)?;
     let document = json!({
         "session": id, "plays": plays, "not_played": skipped, "texts_missing": missing, "missing": lacks,
-        "last_onset_s": ticks_to_seconds(end), "steps": steps
+        "last_onset_s": end_s, "steps": steps
     });
     if json {
         say_json(&document)?;
     } else {
         say(&format!(
-            "{plays} plays, {skipped} of them not played; the last onset is at {:.3} s",
-            ticks_to_seconds(end)
+            "{plays} plays, {skipped} of them not played; the last onset is at {end_s:.3} s"
         ))?;
     }
     Ok(if missing == 0 && lacks.is_none() { ExitCode::SUCCESS } else { ExitCode::FAILURE })
@@ -197,6 +197,9 @@ struct Player {
     ending: Ending,
     json: bool,
     tolerance_um: f32,
+    /// The array of the daemon, and its tick rate.
+    array: String,
+    rate: TickRate,
     /// The tick of the first onset, and the boot it belongs to.
     base: Option<(u64, u32)>,
     under_way: VecDeque<UnderWay>,
@@ -214,8 +217,11 @@ impl Player {
         if status.play.is_some() || !status.queued.is_empty() {
             bail!("a play runs or waits: wait for its end, or `meissner stop`");
         }
+        let array: ArrayDetails = client.get("/v1/array")?;
         Ok(Self {
             client,
+            array: array.name,
+            rate: TickRate::new(array.tick_hz),
             ending: Ending::listen_as(&asked.options, STOPPED, NOT_STOPPED)?,
             json: asked.options.output.json,
             tolerance_um: asked.rest_tolerance_um as f32,
@@ -258,14 +264,18 @@ impl Player {
 
     /// Waits until a step is due, and sends its orders.
     fn order(&mut self, step: Step) -> Result<()> {
+        let RecordedPlay { play, array, .. } = &step.recorded.play;
+        if *array != self.array {
+            bail!("play {play} was recorded on the array {array}, and the daemon drives {}", self.array);
+        }
         let (base, boot) = match self.base {
             Some(base) => base,
             None => {
                 let (now, boot) = self.now()?;
-                *self.base.insert((now + START_AFTER, boot))
+                *self.base.insert((now + START_AFTER_S * self.rate.per_s(), boot))
             }
         };
-        while self.under_way.len() >= MOST_AHEAD || self.now()?.0 + AHEAD < base + step.start {
+        while self.under_way.len() >= MOST_AHEAD || self.now()?.0 + AHEAD_S * self.rate.per_s() < base + step.start {
             match self.under_way.is_empty() {
                 true => thread::sleep(Duration::from_secs_f64(WAIT_S / 4.0)),
                 false => self.follow_oldest()?,
@@ -367,10 +377,10 @@ impl Player {
     }
 }
 
-fn gaps(summary: &Summary) -> String {
+fn gaps(summary: &Summary, rate: TickRate) -> String {
     let error = match summary.gap_error_max_ticks {
         0 => "as recorded, to the tick".to_owned(),
-        ticks => format!("off by {ticks} ticks at most, {:.3} ms", ticks_to_ms(ticks)),
+        ticks => format!("off by {ticks} ticks at most, {:.3} ms", rate.ticks_to_ms(ticks)),
     };
     match summary.gaps_by_host_clock {
         0 => error,
@@ -378,13 +388,13 @@ fn gaps(summary: &Summary) -> String {
     }
 }
 
-fn summary_text(summary: &Summary) -> String {
+fn summary_text(summary: &Summary, rate: TickRate) -> String {
     let Summary { plays, replayed, skipped, differing, .. } = summary;
     let mut lines = vec![
         ("session", summary.session.clone()),
         ("replayed", format!("{replayed} of {plays} plays, {skipped} not played")),
         ("as recorded", format!("{}, {differing} differ", replayed - differing)),
-        ("gaps", gaps(summary)),
+        ("gaps", gaps(summary, rate)),
         (
             "largest rest error",
             format!(

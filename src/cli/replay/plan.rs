@@ -6,9 +6,9 @@
 //! Invariant: a step orders the recorded play, at the recorded distance from the step before.
 
 use meissner_api::{
-    Fit, PlayRequest, RecordedPlay, SequenceItem, SequenceRequest, TriggerRequest, TriggerShape,
+    Fit, Mapping, PlayRequest, RecordedPlay, SequenceItem, SequenceRequest, TriggerRequest, TriggerShape,
 };
-use meissner_array::units::{ms_in_ticks, ns_to_ms, ticks_to_ms};
+use meissner_array::units::{TickRate, ns_to_ms};
 
 /// Items in one order: with the SHA-256 of each they fit into a request.
 const MAX_ITEMS: usize = 2000;
@@ -95,7 +95,7 @@ impl Planner {
             }
             Some((start, _, _, ns)) => {
                 let ns = ns.zip(play.onset_monotonic_ns).map_or(0, |(last, now)| now.saturating_sub(last));
-                (start + whole(ms_in_ticks(ns_to_ms(ns))), false)
+                (start + whole(rate(play).ms_in_ticks(ns_to_ms(ns))), false)
             }
         };
         if !is_exact {
@@ -110,6 +110,16 @@ impl Planner {
         let note = (!notes.is_empty()).then(|| notes.join("; "));
         Ok(Step { recorded, start, is_exact, orders, is_whole, note })
     }
+}
+
+/// The tick rate of a recorded play.
+pub(super) const fn rate(play: &RecordedPlay) -> TickRate {
+    TickRate::new(play.tick_hz)
+}
+
+/// How a recorded play's pattern came to its array.
+fn map(play: &RecordedPlay) -> Option<Mapping> {
+    play.mapped_from.as_ref().map(|_| Mapping::Nearest)
 }
 
 /// A whole number of ticks.
@@ -187,13 +197,14 @@ fn sequence(recorded: &Recorded, notes: &mut Vec<String>) -> Result<Vec<(u64, Or
                 seconds: item.seconds,
                 scale: item.scale,
                 gap_ms: None,
-                start_ms: Some(ticks_to_ms(onset)),
+                start_ms: Some(rate(play).ticks_to_ms(onset)),
                 trigger: trigger(item),
             })
         });
         let request = SequenceRequest {
             items: items.collect::<Result<_, Skip>>()?,
             name: Some(play.pattern.clone()),
+            map: map(play),
             late: play.late_policy,
             open_loop: play.open_loop,
             trial: play.trial,
@@ -216,7 +227,10 @@ pub(super) mod tests {
     use super::*;
     use meissner_api::TriggerRecord;
     use meissner_array::pattern::Pattern;
+    use meissner_array::spec::Array;
     use meissner_array::strokes::{Sequence, Start, StrokeOptions};
+
+    const RATE: TickRate = TickRate::new(85_000);
 
     pub(in crate::cli::replay) fn play(play: u64, onset: u64) -> Recorded {
         let play = RecordedPlay {
@@ -224,6 +238,7 @@ pub(super) mod tests {
             pattern: "pin-60".to_owned(),
             pattern_sha256: Some("0".repeat(64)),
             pattern_kept: true,
+            tick_hz: 85_000,
             seconds: Some(0.5),
             scale: Some(0.5),
             state: "done".to_owned(),
@@ -316,11 +331,11 @@ pub(super) mod tests {
             start_s: None,
             stop_s: None,
         };
-        let pattern = Pattern::new("pin-60", None, vec![drive], toml::Table::new()).unwrap();
+        let pattern = Pattern::new(Array::paper(), "pin-60", None, vec![drive], toml::Table::new()).unwrap();
         for (items, step) in [(40, 2_551), (4_096, 2_833)] {
             let mut recorded = with_items(3, 1 << 40, items, step);
             for item in &mut recorded.items {
-                item.seconds = Some(ticks_to_ms(1_701) / 1e3);
+                item.seconds = Some(RATE.ticks_to_ms(1_701) / 1e3);
             }
             let planned = Planner::default().plan(recorded).unwrap();
             assert_eq!(planned.orders.len() as u64, items.div_ceil(MAX_ITEMS as u64));
@@ -328,7 +343,7 @@ pub(super) mod tests {
             for (start, order) in &planned.orders {
                 let Order::Sequence(request) = order else { panic!("{order:?}") };
                 assert!(serde_json::to_vec(request).unwrap().len() < meissner_api::MAX_BODY * 9 / 10);
-                let mut sequence = Sequence::default();
+                let mut sequence = Sequence::new(Array::paper());
                 let run = sequence.compile(&pattern, &StrokeOptions::default()).unwrap();
                 for item in &request.items {
                     sequence.add(run, item.seconds, Start::At(item.start_ms.unwrap())).unwrap();
@@ -347,7 +362,7 @@ pub(super) mod tests {
         let (start, Order::Sequence(request)) = &planned.orders[0] else { panic!() };
         assert_eq!(
             (*start, request.items.len(), request.items[1].start_ms),
-            (6_000, 3, Some(ticks_to_ms(3_000)))
+            (6_000, 3, Some(RATE.ticks_to_ms(3_000)))
         );
         (holed.play.items, holed.play.state) = (0, "stopped".to_owned());
         holed.items.clear();

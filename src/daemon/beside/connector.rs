@@ -13,7 +13,7 @@
 use crate::daemon::engine::Engine;
 use crate::daemon::state::{ConnectorMessage, State};
 use crossbeam_channel::{Receiver, RecvError, Sender, bounded, never, select};
-use firmware_protocol::stroke::MOTORS;
+use meissner_array::per_motor::PerMotor;
 use meissner_array::simulated::SimulatedMotorsConfig;
 use meissner_stream::Gains;
 use meissner_stream::device::{self, Device, Spec};
@@ -229,11 +229,12 @@ impl Engine {
 }
 
 fn hand_over(mut state: MutexGuard<'_, State>, device: Box<Device>) -> Result<(), Box<Device>> {
+    let array = state.settings.array;
     let gains = state.calibration.in_use().map(|stored| stored.calibration.gains());
     // No reset is needed if no gains were set.
     if gains.is_some() || state.calibration.gains_set {
         state.calibration.gains_set = gains.is_some();
-        if state.commands.set_gains(gains.unwrap_or_else(|| [Gains::default(); MOTORS])).is_err() {
+        if state.commands.set_gains(gains.unwrap_or_else(|| PerMotor::all(array, Gains::default()))).is_err() {
             return Err(device);
         }
     }

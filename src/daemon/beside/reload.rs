@@ -78,6 +78,9 @@ fn apply(
     const STAYS: &str = "the configuration stays as it was";
     let new = source.read().map_err(|error| format!("{error}; {STAYS}"))?;
     let file = source.file.as_ref().map_or_else(String::new, |file| format!("{}: ", file.display()));
+    if new.settings.array != running.settings.array {
+        return Err(format!("{file}`array.description` changes only with a restart of the daemon; {STAYS}"));
+    }
     let new_store = check(&new).map_err(|error| format!("{file}{error}; {STAYS}"))?;
     if new.patterns != running.patterns {
         store.replace(new_store);
@@ -88,7 +91,7 @@ fn apply(
         let busy = |_| "too many commands wait for the device: reload the configuration again".to_owned();
         engine.configure(new.settings).map_err(busy)?;
         running.settings = new.settings;
-        let Settings { lead_ms, lease_ms, drift_warning_um, drift_limit_um, end_stop_um, limits, lower_stop } =
+        let Settings { lead_ms, lease_ms, drift_warning_um, drift_limit_um, end_stop_um, limits, lower_stop, array: _ } =
             new.settings;
         let array = lower_stop.map_or("no lower stop".to_owned(), |stop| {
             let surplus = stop.surplus_um.map_or("auto".to_owned(), |um| format!("{um} um"));

@@ -79,7 +79,7 @@ impl Engine {
         let estops = Arc::new(EStops::new(commands.estop_switch()));
         let state = State {
             commands: Commands::new(commands, estops.switch.clone()),
-            plays: Plays::default(),
+            plays: Plays::new(settings.array),
             calibration: Calibration::new(calibration),
             connection: Connection::default(),
             publisher: Publisher::new(SessionRecord::none()),

@@ -36,6 +36,7 @@ impl From<StoreError> for Problem {
             StoreError::File(error) if error.is_of_disk() => Code::Store,
             StoreError::Pattern(_) | StoreError::File(_) => Code::BadPattern,
             StoreError::Empty { .. } => Code::Empty,
+            StoreError::OtherArray { .. } => Code::OtherArray,
             StoreError::InLibrary { .. } | StoreError::Exists { .. } => Code::Exists,
         };
         Self::new(code, error.to_string())

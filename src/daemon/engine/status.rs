@@ -5,7 +5,6 @@
 use crate::daemon::engine::Engine;
 use crate::exposure::Now;
 use crate::receipts::{DeviceState, board_status};
-use firmware_protocol::tick::TICK_HZ;
 use meissner_api::{ClockSample, MotorStatus, QueuedPlay, Status};
 use meissner_stream::time::HostInstant;
 use std::fmt::Write as _;
@@ -33,6 +32,7 @@ impl Engine {
             estops: self.estops.switch.newest(),
             position: position.to_owned(),
             device: receipts.device(),
+            array: daemon.settings.array.name().to_owned(),
             device_identity: daemon.calibration.identity.clone(),
             requested_device: self.wanted.clone(),
             no_device_reason: daemon.connection.missing.clone(),
@@ -45,7 +45,7 @@ impl Engine {
             clock_uncertainty_us: clock.map(|(_, uncertainty_us)| uncertainty_us),
             clock: clock.map(|(tick, uncertainty_us)| ClockSample {
                 tick: tick.0,
-                tick_hz: TICK_HZ,
+                tick_hz: daemon.settings.array.rate().hz(),
                 monotonic_ns: now.as_ns(),
                 wall_ns,
                 uncertainty_us,

@@ -48,7 +48,7 @@ impl Engine {
         let options =
             StrokeOptions { scale: request.scale.unwrap_or(1.0), surplus, ..StrokeOptions::default() };
         let most_hz = request.most_hz();
-        let mut live = LivePlay::new(&request.drives, options, most_hz)?;
+        let mut live = LivePlay::new(settings.array, &request.drives, options, most_hz)?;
         let prepared = match target {
             Some(target) => {
                 let (prepared, drives) = prepare(request, target).await?;
@@ -78,7 +78,7 @@ impl Engine {
         receipt.prediction.unknown = Some(NoPrediction::Live.to_string());
         let compiled = Compiled {
             strokes: Source::Live(Box::new(LiveStrokes::new(waves))),
-            items: vec![Item::new(trigger(request.trigger))],
+            items: vec![Item::new(trigger(request.trigger, settings.array.rate()))],
             live: Some(timeout),
             bandwidth,
             settings,

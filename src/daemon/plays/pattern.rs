@@ -12,7 +12,6 @@ use crate::session_record::Peer;
 use crate::store::Stored;
 use meissner_api::{Code, PlayAccepted, PlayRequest, Problem, Receipt};
 use meissner_array::strokes::{StrokeOptions, Strokes, Surplus};
-use meissner_array::units::ticks_to_seconds;
 use meissner_stream::queues::Item;
 use meissner_stream::{Bandwidth, Settings};
 use std::sync::Arc;
@@ -26,6 +25,7 @@ impl Compiled {
         (settings, surplus): (Settings, Surplus),
         client: Peer,
     ) -> Result<Self, Problem> {
+        let (stored, mapped_from) = stored.on(settings.array, request.map)?;
         let scale = request.scale.unwrap_or(1.0);
         let options = StrokeOptions {
             surplus,
@@ -42,14 +42,14 @@ impl Compiled {
             return Err(Problem::new(Code::Empty, format!("`{name}`: no stroke would be played: {why}")));
         }
         let receipt = terms.receipt(name, &stored.sha256, request.seconds);
-        let mut receipt = Receipt { scale: Some(scale), ..receipt };
+        let mut receipt = Receipt { scale: Some(scale), mapped_from, ..receipt };
         let amplitudes = stored.pattern.drives().iter().map(|drive| drive.amplitude_um * scale);
         let largest = (amplitudes.fold(0.0, f64::max), request.pattern.clone());
         // Count on another thread: a long pattern has a hundred thousand strokes, and other commands must not wait.
         let (pattern, counted) = (Arc::clone(&stored.pattern), options.clone());
         let (fits, bandwidth, vibration, counts, strokes) = PLAYS
             .computing(move || {
-                let end_s = strokes.end().map(ticks_to_seconds);
+                let end_s = strokes.end().map(|end| strokes.array().rate().ticks_to_seconds(end));
                 let vibration = Vibration::of(&pattern, end_s);
                 let bandwidth = Bandwidth::of(&strokes, &settings);
                 let fits = check_limits(&strokes, &settings);
@@ -61,7 +61,7 @@ impl Compiled {
         let Stored { pattern, sha256, text, .. } = stored;
         Ok(Self {
             strokes: strokes.into(),
-            items: vec![Item::new(trigger(request.trigger))],
+            items: vec![Item::new(trigger(request.trigger, settings.array.rate()))],
             live: None,
             bandwidth,
             settings,

@@ -20,7 +20,7 @@ use meissner_api::{Code, Fit, OrderedCounts, PlayAccepted, Problem, SequenceItem
 use meissner_array::strokes::{
     CompiledItem, Sequence, SequenceError, Start, StrokeOptions, Strokes, Surplus,
 };
-use meissner_array::units::{ticks_to_ms, ticks_to_seconds};
+use meissner_array::units::TickRate;
 use meissner_stream::queues::Item;
 use meissner_stream::{Bandwidth, Settings};
 use std::collections::HashMap;
@@ -64,7 +64,7 @@ impl Compiled {
         find: impl Fn(String, Option<String>) -> F,
     ) -> Result<Self, Problem> {
         let mut preparing = Preparing {
-            sequence: Sequence::default(),
+            sequence: Sequence::new(settings.array),
             bandwidth: Bandwidth::default(),
             warnings: Vec::new(),
             largest: (0.0, String::new()),
@@ -76,13 +76,15 @@ impl Compiled {
         }
         let mut used: HashMap<(&str, Option<&str>), Used> = HashMap::new();
         let (mut planned, mut placed) = (Vec::new(), Vec::new());
-        let (mut texts, mut held) = (Vec::new(), 0);
+        let (mut texts, mut held, mut mapped_from) = (Vec::new(), 0, None);
         for (number, item) in request.items.iter().enumerate() {
             let at = |problem| at_item(number, problem);
             let text = text(item);
             if let Entry::Vacant(new) = used.entry(text) {
                 let found = find(item.pattern.clone(), item.pattern_sha256.clone()).await;
                 let (stored, _place) = found.map_err(at)?;
+                let (stored, mapped) = stored.on(settings.array, request.map).map_err(|error| at(error.into()))?;
+                mapped_from = mapped_from.or(mapped);
                 let items = by_text.remove(&text).unwrap_or_default();
                 let (sha256, name) = (stored.sha256.as_str().into(), item.pattern.as_str().into());
                 if held + stored.text.len() <= MAX_TEXTS {
@@ -124,17 +126,18 @@ impl Compiled {
             .await?;
         added?;
         let Preparing { sequence, bandwidth, warnings, largest, .. } = preparing;
-        let items: Vec<Item> = request.items.iter().map(|item| Item::new(trigger(item.trigger))).collect();
+        let rate = settings.array.rate();
+        let items: Vec<Item> = request.items.iter().map(|item| Item::new(trigger(item.trigger, rate))).collect();
         for (item, span) in planned.iter_mut().zip(sequence.spans()) {
             item.span = span;
         }
         let spans: Vec<(f64, f64)> =
-            sequence.spans().map(|(start, end)| (ticks_to_seconds(start), ticks_to_seconds(end))).collect();
+            sequence.spans().map(|(start, end)| (rate.ticks_to_seconds(start), rate.ticks_to_seconds(end))).collect();
         // A checked request has at least one item.
         let strokes = sequence
             .strokes()
             .ok_or_else(|| Problem::new(Code::BadRequest, "`items` is empty: add an item"))?;
-        check_triggers(&strokes, &items)?;
+        check_triggers(&strokes, &items, rate)?;
         let (fits, bandwidth, counts, strokes) = PLAYS
             .computing(move || {
                 let bandwidth = Bandwidth::of(&strokes, &settings).max(bandwidth);
@@ -143,10 +146,11 @@ impl Compiled {
             })
             .await?;
         fits?;
-        let length_ms = strokes.end().map(ticks_to_ms);
+        let length_ms = strokes.end().map(|end| rate.ticks_to_ms(end));
         let order = Order { ordered_ms: length_ms, compiled_ms: length_ms, drives: Vec::new(), warnings };
         let name = request.name.as_deref().unwrap_or(NAME);
         let mut receipt = terms.receipt(name, &sha256(&request.items), length_ms.map(|ms| ms / 1e3));
+        receipt.mapped_from = mapped_from;
         order.enter(&mut receipt, Fit::Whole, counts);
         receipt.prediction.unknown = Some(NoPrediction::Sequence.to_string());
         Ok(Self {
@@ -222,7 +226,7 @@ fn refused(error: &SequenceError) -> Problem {
 }
 
 /// Refuses a trigger that would still be on its way when the next one begins.
-fn check_triggers(strokes: &Strokes, items: &[Item]) -> Result<(), Problem> {
+fn check_triggers(strokes: &Strokes, items: &[Item], rate: TickRate) -> Result<(), Problem> {
     let mut strokes = strokes.clone();
     strokes.begin(Tick(0));
     let mut before: Option<(usize, u64)> = None;
@@ -231,7 +235,7 @@ fn check_triggers(strokes: &Strokes, items: &[Item]) -> Result<(), Problem> {
         if let Some((earlier, end)) = before
             && onset.0 <= end
         {
-            let over_ms = ticks_to_ms(end - onset.0 + 1);
+            let over_ms = rate.ticks_to_ms(end - onset.0 + 1);
             let detail = format!(
                 "`items[{earlier}]`: its trigger lasts {over_ms:.2} ms too long for that of `items[{number}]`: give it a smaller \
                  `width_ms`, or one of both `\"trigger\": false`"

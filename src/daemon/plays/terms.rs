@@ -7,7 +7,7 @@ use firmware_protocol::tick::Tick;
 use meissner_api::{
     Labels, LatePolicy, LiveRequest, PlayRequest, Receipt, SequenceRequest, TriggerRequest, TriggerShape,
 };
-use meissner_array::units::ms_in_ticks;
+use meissner_array::units::TickRate;
 use meissner_stream::queues::At;
 use meissner_stream::time::HostInstant;
 
@@ -85,13 +85,13 @@ fn onset(tick: Option<u64>, ms: Option<f64>, monotonic_ns: Option<u64>) -> At {
 
 /// The trigger output's pulse for a request.
 #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "checked: half a second at most")]
-pub(super) fn trigger(request: Option<TriggerRequest>) -> Option<Trigger> {
+pub(super) fn trigger(request: Option<TriggerRequest>, rate: TickRate) -> Option<Trigger> {
     let shape = match request {
         Some(TriggerRequest::Off) => return None,
         Some(TriggerRequest::On(shape)) => shape,
         None => TriggerShape::default(),
     };
-    let width = ms_in_ticks(shape.width_ms()).round() as u16;
+    let width = rate.ms_in_ticks(shape.width_ms()).round() as u16;
     Some(Trigger { width, code: shape.code.unwrap_or(0) })
 }
 

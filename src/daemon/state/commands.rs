@@ -6,8 +6,8 @@
 //!
 //! Invariant: each call gets an answer, or an error that there is none.
 
-use firmware_protocol::stroke::MOTORS;
 use meissner_api::{Code, Problem};
+use meissner_array::per_motor::PerMotor;
 use meissner_stream::Gains;
 use meissner_stream::queues::{Command, CommandError, CommandQueue, ESTOP_TICKETS, EStopSwitch, Request};
 use meissner_stream::time::HostInstant;
@@ -123,7 +123,7 @@ impl Commands {
     }
 
     /// Makes the streamer correct bursts by these gains.
-    pub(in crate::daemon) fn set_gains(&mut self, gains: [Gains; MOTORS]) -> Result<(), Command> {
+    pub(in crate::daemon) fn set_gains(&mut self, gains: PerMotor<Gains>) -> Result<(), Command> {
         self.send_unanswered(Command::SetGains(Box::new(gains)))
     }
 

@@ -10,10 +10,8 @@
 
 use crate::daemon::state::State;
 use crate::exposure::{Account, Limit, Now, Onset, ParticipantLimits, Vibration};
-use firmware_protocol::tick::TICK_HZ;
 use jiff::civil::Date;
 use meissner_api::{Code, EndCause, Problem};
-use meissner_array::units::ticks_to_seconds;
 use meissner_stream::queues::{At, Command, End, StreamEvent};
 use meissner_stream::time::HostInstant;
 use std::collections::HashSet;
@@ -140,7 +138,7 @@ impl State {
             // Without a clock the time of this tick is unknown.
             At::Tick(tick) => {
                 self.plays.receipts.clock(now.at).map_or(Onset::Next, |(at, uncertainty_us)| {
-                    let ahead_s = (tick.0 as f64 - at.0 as f64) / f64::from(TICK_HZ);
+                    let ahead_s = (tick.0 as f64 - at.0 as f64) / f64::from(self.settings.array.rate().hz());
                     Onset::At(at_s + ahead_s - uncertainty_us / 1e6)
                 })
             }
@@ -171,14 +169,14 @@ impl State {
                 }
             }
             StreamEvent::PlayEnded { id, outcome } => {
-                let now = Now::read();
+                let (now, rate) = (Now::read(), self.settings.array.rate());
                 let played_s = outcome.onset.map_or(Some(0.0), |onset| {
                     self.exposure.account.began(*id, onset.at);
                     let until_now_s = now.at.since(onset.at).as_secs_f64();
                     match outcome.end {
                         End::Done => None,
                         End::Stopped | End::Aborted => {
-                            Some(outcome.cut_after.map_or(until_now_s, ticks_to_seconds))
+                            Some(outcome.cut_after.map_or(until_now_s, |ticks| rate.ticks_to_seconds(ticks)))
                         }
                     }
                 });

@@ -2,11 +2,9 @@
 //!
 //! It knows the settings alone; what else the device cannot take, the streamer refuses.
 
-use firmware_protocol::limits::MAX_DENSE;
 use meissner_api::{Code, Problem};
 use meissner_array::power::{Group, TooMany};
 use meissner_array::strokes::Strokes;
-use meissner_array::units::ticks_to_seconds;
 use meissner_stream::{Dense, Overpush, Settings, find_dense, find_overpush, find_too_many};
 
 /// Refuses a play with strokes that the controller would refuse.
@@ -17,9 +15,9 @@ pub(in crate::daemon) fn check_limits(strokes: &Strokes, settings: &Settings) ->
 }
 
 fn check_density(strokes: &Strokes) -> Result<(), Problem> {
-    let Some(Dense { at_s }) = find_dense(strokes) else { return Ok(()) };
+    let Some(Dense { at_s, most }) = find_dense(strokes) else { return Ok(()) };
     let detail = format!(
-        "more than {MAX_DENSE} strokes of all motors would begin within 10 ms, first after {at_s:.4} s; the controller allows no more: \
+        "more than {most} strokes of all motors would begin within 10 ms, first after {at_s:.4} s; the controller allows no more: \
          make drives, repeats or items longer, or drive fewer motors"
     );
     Err(Problem::new(Code::TooDense, detail))
@@ -41,7 +39,7 @@ fn check_at_once(strokes: &Strokes, settings: &Settings) -> Result<(), Problem> 
     let Some(TooMany { group, tick, at_once }) = find_too_many(strokes, settings.limits) else {
         return Ok(());
     };
-    let at_s = ticks_to_seconds(tick);
+    let at_s = strokes.array().rate().ticks_to_seconds(tick);
     Err(too_many(group, &format!("{at_once} motors with pulses at once, first after {at_s:.4} s"), settings))
 }
 
@@ -52,8 +50,9 @@ pub(in crate::daemon) fn too_many(group: Group, has: &str, settings: &Settings) 
         Group::Chip(_) => ("chip", settings.limits.chip_at_once),
     };
     let detail = format!(
-        "{group} would have {has}; `array.{key}_motors_at_once` allows {most}: play fewer motors of it, smaller amplitudes or other \
-         phases (docs/how-to/power.md)"
+        "{} would have {has}; `array.{key}_motors_at_once` allows {most}: play fewer motors of it, smaller amplitudes or other \
+         phases (docs/how-to/power.md)",
+        group.in_words(&settings.array)
     );
     Problem::new(Code::PowerLimit, detail)
 }

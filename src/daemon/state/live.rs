@@ -8,12 +8,12 @@ use crate::daemon::state::limits::too_many;
 use crate::daemon::state::poses::Poses;
 use crate::daemon::state::render_job::{Job, pose};
 use crate::daemon::state::session::random_hex;
-use firmware_protocol::limits::{MOTORS_PER_CHIP, MOTORS_PER_RAIL, RAILS};
-use firmware_protocol::stroke::MOTORS;
 use meissner_api::{Code, EndCause, LiveAnswer, LiveApplied, LiveContrast, LiveDrive, LiveMessage, Problem};
 use meissner_array::motor::SquareWave;
 use meissner_array::pattern::Drive;
+use meissner_array::per_motor::PerMotor;
 use meissner_array::power::Group;
+use meissner_array::spec::Array;
 use meissner_array::strokes::{DriveStrokes, StrokeOptions};
 use meissner_design::RenderError;
 use meissner_stream::Settings;
@@ -21,7 +21,6 @@ use meissner_stream::queues::{Applied, Command, LiveResult, LiveUpdate, StreamEv
 use meissner_stream::time::HostInstant;
 use rustix::process::{Pid, Signal, kill_process};
 use std::collections::HashMap;
-use std::ops::Range;
 use std::sync::Arc;
 use tokio::sync::mpsc;
 
@@ -34,7 +33,8 @@ const ANSWERS: usize = 4 * UNDER_WAY;
 #[derive(Debug)]
 pub(in crate::daemon) struct LivePlay {
     key: String,
-    drives: [LiveDrive; MOTORS],
+    array: Array,
+    drives: PerMotor<LiveDrive>,
     /// Scale and surplus of its strokes.
     options: StrokeOptions,
     most_hz: f64,
@@ -61,6 +61,7 @@ impl LivePlay {
     /// # Errors
     /// If a drive is too fast, or the system gives no random numbers.
     pub(in crate::daemon) fn new(
+        array: Array,
         drives: &[LiveDrive],
         options: StrokeOptions,
         most_hz: f64,
@@ -69,14 +70,15 @@ impl LivePlay {
             || Problem::new(Code::Store, "the system gives no random numbers for the key: try again");
         let key = random_hex::<16>().ok_or_else(no_numbers)?;
         let silent = |motor| LiveDrive {
-            motor: motor as u8,
+            motor,
             frequency_hz: most_hz.min(60.0),
             amplitude_um: 0.0,
             phase: 0.0,
         };
-        let silent = std::array::from_fn(silent);
+        let silent = PerMotor::from_fn(array, silent);
         let mut new = Self {
             key,
+            array,
             drives: silent,
             options,
             most_hz,
@@ -105,6 +107,17 @@ impl LivePlay {
             let detail = format!(
                 "motor {motor} at {hz} Hz: the play was started for at most {most_hz} Hz: start it with a higher `max_frequency_hz`"
             );
+            return Err(Problem::new(Code::BadRequest, detail));
+        }
+        let travel_um = self.array.motor().travel_um;
+        let wrong = |LiveDrive { motor, amplitude_um, .. }: &LiveDrive| {
+            if !self.array.has(*motor) {
+                return Some(format!("motor {motor}: the array has motors {}", self.array.motor_range()));
+            }
+            (*amplitude_um > travel_um)
+                .then(|| format!("motor {motor} with {amplitude_um} um: must be 0 to {travel_um} um"))
+        };
+        if let Some(detail) = drives.iter().find_map(wrong) {
             return Err(Problem::new(Code::BadRequest, detail));
         }
         for drive in drives {
@@ -148,18 +161,15 @@ impl LivePlay {
     /// Refuses drives that move more motors than may have pulses at once. Phases are ignored, because they shift with each change.
     pub(in crate::daemon) fn check_at_once(&self, settings: &Settings) -> Result<(), Problem> {
         let limits = settings.limits;
-        let moving = |motors: Range<usize>| {
-            self.drives[motors].iter().filter(|drive| drive.amplitude_um * self.options.scale > 0.0).count()
-        };
-        let rails = (0..RAILS).map(|rail| (Group::Rail(rail as u8), rail * MOTORS_PER_RAIL, MOTORS_PER_RAIL));
-        let chips = (0..MOTORS / MOTORS_PER_CHIP)
-            .map(|chip| (Group::Chip(chip as u8), chip * MOTORS_PER_CHIP, MOTORS_PER_CHIP));
-        for (group, first, size) in rails.chain(chips) {
+        let moves = |motor: &&u8| self.drives[usize::from(**motor)].amplitude_um * self.options.scale > 0.0;
+        let rails = (0..).take(self.array.rails().count()).map(Group::Rail);
+        let chips = (0..).take(self.array.chips().count()).map(Group::Chip);
+        for group in rails.chain(chips) {
             let most = match group {
                 Group::Rail(_) => limits.rail_at_once,
                 Group::Chip(_) => limits.chip_at_once,
             };
-            let found = moving(first..first + size);
+            let found = group.motors(&self.array).iter().filter(moves).count();
             if found > usize::from(most) {
                 return Err(too_many(group, &format!("{found} moving motors in a live play"), settings));
             }
@@ -171,16 +181,16 @@ impl LivePlay {
     ///
     /// # Errors
     /// If a drive is out of the motor's range, which a checked one is not.
-    pub(in crate::daemon) fn waves(&self) -> Result<[SquareWave; MOTORS], Problem> {
+    pub(in crate::daemon) fn waves(&self) -> Result<PerMotor<SquareWave>, Problem> {
         let wave = |&LiveDrive { motor, frequency_hz, amplitude_um, phase }: &LiveDrive| {
             let drive = Drive { motor, frequency_hz, amplitude_um, phase, start_s: None, stop_s: None };
-            let strokes = DriveStrokes::with(&drive, &self.options);
+            let strokes = DriveStrokes::with(self.array, &drive, &self.options);
             strokes
                 .map(|strokes| *strokes.wave())
                 .map_err(|error| Problem::new(Code::BadRequest, error.to_string()))
         };
-        let mut waves = [wave(&self.drives[0])?; MOTORS];
-        for (own, drive) in waves.iter_mut().zip(&self.drives) {
+        let mut waves = PerMotor::all(self.array, wave(&self.drives[0])?);
+        for (own, drive) in waves.iter_mut().zip(&*self.drives) {
             *own = wave(drive)?;
         }
         Ok(waves)
@@ -257,7 +267,7 @@ fn answer(update: &LiveUpdate) -> LiveAnswer {
     let seq = Some(update.number);
     match update.result {
         LiveResult::Applied(Applied { received, replaced, motors, repeats }) => {
-            let ticks = motors.map(|tick| tick.map(|tick| tick.0)).to_vec();
+            let ticks = motors.iter().map(|tick| tick.map(|tick| tick.0)).collect();
             let applied = LiveApplied { received_tick: received.0, from_tick: replaced.0, ticks, repeats };
             LiveAnswer { seq, applied: Some(applied), ..LiveAnswer::default() }
         }

@@ -50,8 +50,8 @@ pub(super) use session::{Sessions, no_session};
 
 use crate::receipts::{NoPrediction, refusal, state_name};
 use firmware_protocol::message::State as DeviceState;
-use firmware_protocol::stroke::MOTORS;
 use meissner_api::{Event, ItemState, MAX_ITEMS_LISTED, NO_DEVICE, PredictedResponse, Problem};
+use meissner_array::per_motor::PerMotor;
 use meissner_array::strokes::Surplus;
 use meissner_stream::queues::{Command, CommandError, StreamEvent};
 use meissner_stream::time::HostInstant;
@@ -203,7 +203,7 @@ impl State {
     /// The surplus of plays, from the calibration in use, if there is one.
     pub(super) fn surplus(&self) -> Surplus {
         let gains = self.calibration.in_use().map(|stored| stored.calibration.gains());
-        self.settings.surplus(&gains.unwrap_or([Gains::default(); MOTORS]))
+        self.settings.surplus(&gains.unwrap_or_else(|| PerMotor::all(self.settings.array, Gains::default())))
     }
 
     /// Refuses a play during a calibration.

@@ -6,6 +6,7 @@
 use crate::receipts::{MeasuredBursts, PlannedItem, PlayedPattern, Receipts};
 use crate::session_record::Peer;
 use meissner_api::{Event, Receipt};
+use meissner_array::spec::Array;
 use meissner_array::pattern::Pattern;
 use meissner_array::strokes::StrokeOptions;
 use meissner_stream::queues::MeasuredBurst;
@@ -46,7 +47,7 @@ struct Unpredicted {
 }
 
 /// See the module.
-#[derive(Debug, Default)]
+#[derive(Debug)]
 pub(in crate::daemon) struct Plays {
     pub(in crate::daemon) receipts: Receipts,
     pub(in crate::daemon) measured: MeasuredBursts,
@@ -58,6 +59,17 @@ pub(in crate::daemon) struct Plays {
 }
 
 impl Plays {
+    /// None yet, on this array.
+    pub(in crate::daemon) fn new(array: Array) -> Self {
+        Self {
+            receipts: Receipts::new(array),
+            measured: MeasuredBursts::new(array),
+            unpredicted: HashMap::new(),
+            clients: HashMap::new(),
+            last_id: 0,
+        }
+    }
+
     /// Gives a play an id, and adds its receipt.
     pub(in crate::daemon) fn add(&mut self, play: NewPlay) -> u64 {
         let NewPlay { receipt, items, predicted, client } = play;

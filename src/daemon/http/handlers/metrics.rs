@@ -212,7 +212,7 @@ mod tests {
 
     #[test]
     fn every_line_is_a_comment_or_a_sample() {
-        let text = text(&Receipts::default(), &Counts::default());
+        let text = text(&Receipts::new(meissner_array::spec::Array::paper()), &Counts::default());
         assert!(text.contains("meissner_state{state=\"no-device\"} 1\n"));
         assert!(text.contains("meissner_bursts_total{fate=\"late\"} 0\n"));
         assert!(text.contains("meissner_bad_frames_total{kind=\"unknown\"} 0\n"));
