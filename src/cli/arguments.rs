@@ -134,12 +134,12 @@ pub(super) fn positive(text: &str) -> Result<f64, &'static str> {
     number.ok_or("must be a number, 0 or more")
 }
 
-/// The array of a command that needs no daemon.
+/// The array of a command that needs no daemon. Patterns and targets that name it can be read then.
 #[derive(Clone, Copy, Debug, Args)]
 pub(super) struct ArrayOption {
-    /// Use the array ARRAY: a name, or the file of a description
-    #[arg(long, value_name = "ARRAY", default_value = "tula35-6x4", value_parser = array)]
-    pub(super) array: Array,
+    /// Use the array ARRAY: a name, or the file of a description [default: what the pattern or target names, else tula35-6x4]
+    #[arg(long, value_name = "ARRAY", value_parser = array)]
+    pub(super) array: Option<Array>,
 }
 
 /// An array: the name of a known description, or a file.

@@ -25,7 +25,7 @@ const TIMEOUT: Duration = Duration::from_secs(20);
 
 #[derive(Debug, Args)]
 pub(super) struct Calibrate {
-    /// Calibrate one motor, 0 to 23 [default: all]
+    /// Calibrate one motor, by its number [default: all]
     #[arg(long, value_name = "N")]
     motor: Option<u8>,
     /// Play each number of pulses N times; with the default numbers each time takes half a minute [default: 2]

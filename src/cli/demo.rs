@@ -15,16 +15,17 @@ use crate::exposure::ParticipantLimits;
 use crate::receipts::{PlayedPattern, end_text};
 use crate::store::Store;
 use anyhow::{Context, Result, bail};
-use firmware_protocol::stroke::MOTORS;
 use meissner_api::{
-    ArmRequest, BurstCounts, DurationRecord, EndCause, LinkTraffic, OrderedCounts, PlayAccepted, PlayRequest,
+    ArmRequest, BurstCounts, DurationRecord, EndCause, LinkTraffic, Mapping, OrderedCounts, PlayAccepted, PlayRequest,
     PredictedResponse, PulseCounts, Rates, Realtime, Receipt, Status,
 };
 use meissner_array::pattern::Pattern;
+use meissner_array::per_motor::PerMotor;
 use meissner_array::simulated::{LowerStop, SimulatedMotorsConfig};
+use meissner_array::spec::Array;
 use meissner_client::{Client, Events};
 use meissner_stream::device::Spec;
-use meissner_stream::{Gains, LowerStopSettings, SimulatedPlay, simulate_play};
+use meissner_stream::{Gains, LowerStopSettings, Settings, SimulatedPlay, simulate_play};
 use serde::Serialize;
 use std::collections::HashSet;
 use std::process::ExitCode;
@@ -99,7 +100,7 @@ struct ResponseReport {
     unknown: Option<String>,
 }
 
-pub(super) fn run(seconds: f64, open_loop: bool, sensorless: bool, json: bool) -> Result<ExitCode> {
+pub(super) fn run(seconds: f64, array: Array, open_loop: bool, sensorless: bool, json: bool) -> Result<ExitCode> {
     let begun = Instant::now();
     let dir =
         tempfile::tempdir().context("no temporary directory: set TMPDIR to one that can be written to")?;
@@ -111,10 +112,11 @@ pub(super) fn run(seconds: f64, open_loop: bool, sensorless: bool, json: bool) -
         logbook: None,
         // No limits: no finger lies on simulated pins.
         participant: ParticipantLimits::NONE,
+        settings: Settings::of(array),
         ..Config::default()
     };
     if sensorless {
-        config.settings.lower_stop = Some(LowerStopSettings::default());
+        config.settings.lower_stop = Some(LowerStopSettings::of(array));
         (config.mock.lower_stop, config.mock.telemetry_hz) = (LowerStop::AtRest, 0);
     }
     let hosted = Daemon::start(&config)?.host()?;
@@ -124,6 +126,7 @@ pub(super) fn run(seconds: f64, open_loop: bool, sensorless: bool, json: bool) -
         pattern: PATTERN.to_owned(),
         seconds: Some(seconds),
         open_loop,
+        map: Some(Mapping::Nearest),
         ..PlayRequest::default()
     };
     let mut events = client.events()?;
@@ -218,13 +221,14 @@ fn report(
     begun: Instant,
 ) -> Result<Report> {
     let truth = hosted.true_positions().context("internal error: the mock has no pins")?.rest();
-    let pattern = Store::new(None, false)?.get(PATTERN)?.pattern;
+    let array = config.settings.array;
+    let pattern = Store::new(None, false)?.get(PATTERN)?.on(array, request.map)?.0.pattern;
     let sensorless = config.settings.lower_stop.is_some();
     let open = compare(config, request, &pattern, false)?;
     let stopped = if sensorless { Some(compare(config, request, &pattern, true)?) } else { None };
     let status: Status = client.get("/v1/status")?;
     let traffic = receipt.wire.unwrap_or(LinkTraffic::new(0, 0));
-    let surplus = config.settings.surplus(&[Gains::default(); MOTORS]);
+    let surplus = config.settings.surplus(&PerMotor::all(array, Gains::default()));
     let drives = pattern.drives().iter();
     let expected = status.motors.iter().filter(|motor| motor.rest_error_um > 0.0);
     let squares: Vec<f64> = expected.map(|motor| f64::from(motor.rest_error_um).powi(2)).collect();

@@ -3,7 +3,7 @@
 //! A pattern is a name of the library or a file. Two patterns give d′ and the share of correct answers; with `--matrix` a set gives its
 //! confusion matrix.
 
-use super::arguments::{Output, choice};
+use super::arguments::{ArrayOption, Output, choice};
 use super::output::give;
 use super::{files, library, progress, text};
 use crate::store::Store;
@@ -67,6 +67,8 @@ pub(super) struct Discriminate {
     /// Draw the matrix as SVG to FILE
     #[arg(long, value_name = "FILE", requires = "matrix")]
     plot: Option<PathBuf>,
+    #[command(flatten)]
+    array: ArrayOption,
     #[command(flatten)]
     output: Output,
 }

@@ -2,7 +2,7 @@
 //!
 //! Rows are printed as they are computed, so the memory does not grow with the play.
 
-use super::arguments::{Output, choice, positive};
+use super::arguments::{ArrayOption, Output, choice, positive};
 use super::{files, library};
 use crate::receipts::fit;
 use crate::store::Store;
@@ -36,6 +36,8 @@ pub(super) struct Displacement {
     /// Take the first sample S seconds after the onset
     #[arg(long, value_name = "S", default_value_t = 0.0, allow_negative_numbers = true, value_parser = positive)]
     first_s: f64,
+    #[command(flatten)]
+    array: ArrayOption,
     #[command(flatten)]
     output: Output,
 }

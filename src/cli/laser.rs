@@ -30,7 +30,7 @@ pub(super) const DEFAULT_PLAN: &str = "calibration-plan.json";
 /// Plays a plan and writes what was played.
 pub(super) fn play(request: &CalibrateRequest, out: &Path, options: &ClientOptions) -> Result<ExitCode> {
     if request.motor.is_none() {
-        bail!("--motor is missing: name the one motor whose pin the laser measures, 0 to 23");
+        bail!("--motor is missing: name the one motor whose pin the laser measures");
     }
     let plan = calibration_plan(request)?;
     let file = files::beside(out)?;

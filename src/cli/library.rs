@@ -5,6 +5,7 @@
 
 use super::arguments::ClientOptions;
 use super::output::give;
+use crate::array::details;
 use super::{files, text};
 use anyhow::{Result, bail};
 use meissner_api::{ImportedPattern, RemovedPattern};
@@ -59,8 +60,15 @@ fn reached(entry: &Value) -> String {
 }
 
 pub(super) fn show(options: &ClientOptions, name: &str) -> Result<ExitCode> {
-    let shown: Value = options.client()?.get(&format!("/v1/patterns/{}", escape(name)))?;
-    give(options.output.json, &shown, || text::pattern(&shown))
+    let mut client = options.client()?;
+    let shown: Value = client.get(&format!("/v1/patterns/{}", escape(name)))?;
+    let its = shown["pattern"]["array"].as_str().map_or_else(|| Ok(Array::default()), Array::named);
+    // Its array is a shipped one, or the daemon's.
+    let array = match its {
+        Ok(array) => details(array),
+        Err(_) => client.get("/v1/array")?,
+    };
+    give(options.output.json, &shown, || text::pattern(&shown, array.grid))
 }
 
 /// Reads a pattern file: the pattern, and its text.

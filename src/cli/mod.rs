@@ -298,7 +298,7 @@ pub fn main() -> ExitCode {
 fn run(command: Command) -> Result<ExitCode> {
     match command {
         Command::Demo { seconds, array, open_loop, sensorless, output } => {
-            demo::run(seconds, array.array, open_loop, sensorless, output.json)
+            demo::run(seconds, array.array.unwrap_or_default(), open_loop, sensorless, output.json)
         }
         Command::Daemon { config, check_config: check, device, array, socket, listen, no_record } => {
             let source = Source { file: config, device, array, socket, listen, no_record };
@@ -326,7 +326,7 @@ fn run(command: Command) -> Result<ExitCode> {
         Command::Session(asked) => session::run(&asked),
         Command::Token(asked) => token::run(&asked),
         Command::Motor { array, frequency_hz, amplitude_um, hours, output } => {
-            library::motor(array.array, frequency_hz, amplitude_um, hours, output.json)
+            library::motor(array.array.unwrap_or_default(), frequency_hz, amplitude_um, hours, output.json)
         }
         Command::Array(asked) => array::run(asked),
         Command::Displacement(asked) => displacement::run(&asked),

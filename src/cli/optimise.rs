@@ -6,7 +6,7 @@
 //!
 //! Invariant: an existing file is replaced only by a whole pattern.
 
-use super::arguments::{MODELS, OBJECTIVES, Output, SETTINGS, choice, positive};
+use super::arguments::{ArrayOption, MODELS, OBJECTIVES, Output, SETTINGS, choice, positive};
 use super::ending::on_interrupt;
 use super::output::{is_broken_pipe, say, say_file, say_json, tell};
 use super::progress::Search;
@@ -63,6 +63,8 @@ pub(super) struct Optimise {
     /// Begin with the pattern in file PATTERN and improve it
     #[arg(long, value_name = "PATTERN")]
     resume: Option<PathBuf>,
+    #[command(flatten)]
+    array: ArrayOption,
     #[command(flatten)]
     output: Output,
 }

@@ -5,7 +5,7 @@
 //!
 //! Invariant: no two patterns of a report have the same name.
 
-use super::arguments::Output;
+use super::arguments::{ArrayOption, Output};
 use super::output::give;
 use super::{files, library, progress, text};
 use crate::store::Store;
@@ -26,6 +26,8 @@ pub(super) struct Report {
     /// Write to directory DIR; make it if it does not exist
     #[arg(long, value_name = "DIR", default_value = "report")]
     out: PathBuf,
+    #[command(flatten)]
+    array: ArrayOption,
     #[command(flatten)]
     output: Output,
 }

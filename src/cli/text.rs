@@ -14,10 +14,9 @@ use crate::receipts::end_text;
 use comfy_table::presets::{NOTHING, UTF8_FULL};
 use comfy_table::{CellAlignment, Table};
 use meissner_api::{
-    ArmedStatus, BoardRecord, BoardStatus, EndCause, ErrorSource, Event, ItemState, NO_DEVICE,
+    ArmedStatus, ArrayGrid, BoardRecord, BoardStatus, EndCause, ErrorSource, Event, ItemState, NO_DEVICE,
     ParticipantStatus, Receipt, Session, Status,
 };
-use meissner_array::geometry::{COLUMNS, ROWS};
 use meissner_array::pattern::Drive;
 use meissner_report::figures::segments;
 use serde_json::Value;
@@ -307,8 +306,8 @@ pub(super) fn event(event: &Event) -> String {
 /// The most maps of a pattern; the list of drives has the rest.
 const MAPS: usize = 4;
 
-/// A pattern from the daemon: the array seen from above, fingertip up, then the drives.
-pub(super) fn pattern(shown: &Value) -> String {
+/// A pattern from the daemon: the array seen from above, fingertip up, if it has rows and columns; then the drives.
+pub(super) fn pattern(shown: &Value, grid: Option<ArrayGrid>) -> String {
     let pattern = &shown["pattern"];
     let none = Vec::new();
     let drives = pattern["drive"].as_array().unwrap_or(&none);
@@ -323,15 +322,17 @@ pub(super) fn pattern(shown: &Value) -> String {
     let moving: Vec<Drive> =
         drives.iter().zip(0..).filter_map(|(file, at)| drive(file, &shown["drives"][at])).collect();
     let segments = segments(&moving, duration_s);
-    for segment in segments.iter().take(MAPS) {
+    for (segment, grid) in segments.iter().take(MAPS).zip(grid.into_iter().cycle()) {
         let when = match (segments.len(), segment.stop_s) {
             (1, _) => String::new(),
             (_, Some(stop_s)) => format!(", {} to {stop_s} s", segment.start_s),
             (_, None) => format!(", from {} s on", segment.start_s),
         };
-        let _ = writeln!(text, "fingertip{when}\n{}", map(&segment.drives));
+        let _ = writeln!(text, "fingertip{when}\n{}", map(&segment.drives, grid));
     }
-    if let more @ 1.. = segments.len().saturating_sub(MAPS) {
+    if let more @ 1.. = segments.len().saturating_sub(MAPS)
+        && grid.is_some()
+    {
         let _ = writeln!(text, "and {more} more segments, see below");
     }
     let head =
@@ -370,15 +371,16 @@ pub(super) fn pattern(shown: &Value) -> String {
 }
 
 /// The array with each motor's frequency and reached amplitude in its cell; `.` does not move.
-fn map(drives: &[Drive]) -> String {
+fn map(drives: &[Drive], grid: ArrayGrid) -> String {
     let cell = |motor: u8| match drives.iter().find(|drive| drive.motor == motor) {
         Some(drive) => format!("{motor}\n{:?} Hz\n{:.1} um", drive.frequency_hz, drive.amplitude_um),
         None => format!("{motor}\n.\n"),
     };
     let mut table = Table::new();
     table.load_style(UTF8_FULL);
-    for row in 0..ROWS {
-        table.add_row((0..COLUMNS).map(|column| cell(COLUMNS * row + column)));
+    let ArrayGrid { rows, columns, .. } = grid;
+    for row in 0..rows {
+        table.add_row((0..columns).map(|column| cell(columns * row + column)));
     }
     for column in table.column_iter_mut() {
         column.set_cell_alignment(CellAlignment::Center);

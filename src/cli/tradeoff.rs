@@ -3,7 +3,7 @@
 
 mod afferents;
 
-use super::arguments::{Output, choice};
+use super::arguments::{ArrayOption, Output, choice};
 use super::output::give;
 use super::simulate::{self, MODELS};
 use super::text::number;
@@ -17,7 +17,7 @@ use std::process::ExitCode;
 
 #[derive(Debug, Args)]
 pub(super) struct MethodTradeoff {
-    /// Compare methods on this scene: a TOML or JSON file, or - for stdin [default: 24 motors at 60 Hz, 1 s]
+    /// Compare methods on this scene: a TOML or JSON file, or - for stdin [default: all motors at 60 Hz, 1 s]
     scene: Option<PathBuf>,
     /// Choose the model of skin and afferents [default: the scene's key `model`, else membrane]
     #[arg(long, value_parser = choice::<ModelName>(MODELS))]
@@ -25,6 +25,8 @@ pub(super) struct MethodTradeoff {
     /// Draw the comparison into FILE (SVG)
     #[arg(long, value_name = "FILE")]
     plot: Option<PathBuf>,
+    #[command(flatten)]
+    array: ArrayOption,
     #[command(flatten)]
     output: Output,
 }

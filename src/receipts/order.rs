@@ -80,7 +80,7 @@ pub fn largest_um(drives: &[ReachedDrive]) -> [f64; 2] {
     [most(|drive| drive.ordered_um), most(|drive| drive.reached_um)]
 }
 
-/// The most strokes of saturated drives that are counted one by one when a play begins: 24 motors at 300 Hz for two minutes, in 30
+/// The most strokes of saturated drives that are counted one by one when a play begins: the paper's motors at 300 Hz for two minutes, in 30
 /// ms.
 const WALKED: u64 = 1 << 20;
 /// The same when an endless play ends, where other clients wait for the event loop.

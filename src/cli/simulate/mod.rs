@@ -66,6 +66,8 @@ pub(super) struct Simulate {
     #[arg(long, conflicts_with = "json")]
     csv: bool,
     #[command(flatten)]
+    array: ArrayOption,
+    #[command(flatten)]
     output: Output,
 }
 

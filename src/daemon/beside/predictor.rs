@@ -19,7 +19,7 @@ use tracing::error;
 
 /// The most waiting plays, including the current one: as many as may be queued.
 const WAITING: usize = 16;
-/// The most bursts of all waiting plays: more than a minute of 24 motors at 300 Hz, 25 MB.
+/// The most bursts of all waiting plays: more than a minute of the paper's motors at 300 Hz, 25 MB.
 const WAITING_BURSTS: usize = 1 << 20;
 /// The thread gets a ninth of the processor time of a thread with nice 0. At 19 a busy machine would hardly run it.
 const NICE: i32 = 10;

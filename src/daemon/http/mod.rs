@@ -66,6 +66,7 @@ fn handler(route: Route) -> MethodRouter<App> {
         Route::Disarm => on(method, motors::disarm),
         Route::Home => on(method, motors::home),
         Route::Status => on(method, status::status),
+        Route::Array => on(method, status::array),
         Route::Doctor => on(method, status::doctor),
         Route::Receipt => on(method, plays::receipt),
         Route::Events => on(method, events::events),

@@ -16,7 +16,7 @@ use meissner_api::{ArmRequest, Code, Event, Problem, ResetRequest, Status, parse
 use meissner_stream::queues::Command;
 use std::time::Duration;
 
-/// How long homing may take: six rounds for 24 pins that start at one end of their travel.
+/// How long homing may take: six rounds for the pins of the paper's array that start at one end of their travel.
 const HOME_TIMEOUT: Duration = Duration::from_secs(25);
 /// How long to wait for the body of an emergency stop that was carried out.
 const ESTOP_BODY: Duration = Duration::from_millis(100);

@@ -1,5 +1,6 @@
 //! The status, the doctor's report, and the OpenAPI document.
 
+use crate::array::details;
 use crate::daemon::http::answer::Answer;
 use crate::daemon::http::app::App;
 use crate::doctor::check;
@@ -8,12 +9,16 @@ use axum::Json;
 use axum::extract::{Extension, State};
 use axum::http::header::CONTENT_TYPE;
 use axum::response::{IntoResponse, Response};
-use meissner_api::{DoctorReport, Status};
+use meissner_api::{ArrayDetails, DoctorReport, Status};
 use std::path::Path;
 use std::sync::{Arc, LazyLock};
 
 pub(in crate::daemon::http) async fn status(State(app): State<App>) -> Json<Status> {
     Json(app.engine.status())
+}
+
+pub(in crate::daemon::http) async fn array(State(app): State<App>) -> Json<ArrayDetails> {
+    Json(details(app.engine.lock().settings.array))
 }
 
 pub(in crate::daemon::http) async fn doctor(
