@@ -8,9 +8,9 @@
 //! Invariant: every approximation here is an overestimate, so a bound is never too low.
 
 use crate::breakpoints::Breakpoint;
+use crate::member::Member;
 use crate::membrane::Rectify;
 use crate::membrane::equation::Membrane;
-use firmware_protocol::stroke::MOTORS;
 
 /// Margin for rounding, here and in the simulation.
 const MARGIN: f64 = 1.001;
@@ -78,9 +78,9 @@ impl Bound {
     }
 
     /// Whether an afferent can reach its first threshold under these charges of the motors.
-    pub(crate) fn reaches(&self, charges: &[f64; MOTORS], weights: &[f64; MOTORS], resting: f64) -> bool {
-        let charge: f64 = weights.iter().zip(charges).map(|(weight, charge)| weight * charge).sum();
-        self.gain * charge >= resting
+    pub(crate) fn reaches(&self, charges: &[f64], member: &Member) -> bool {
+        let charge: f64 = member.reached_by().map(|(motor, weight)| weight * charges[motor]).sum();
+        self.gain * charge >= member.threshold()
     }
 }
 
