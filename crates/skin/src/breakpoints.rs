@@ -160,7 +160,9 @@ mod tests {
 
     #[test]
     fn the_simulator_takes_the_strokes_that_are_sent() {
-        for case in 0..200 {
+        let cases =
+            crate::tests::arrays().into_iter().flat_map(|array| (0..50).map(move |case| (array, case)));
+        for (array, case) in cases {
             let mut numbers = (0..).flat_map(|number| uniform([9, case, number, 0]));
             let mut between = |low: f64, high: f64| low + (high - low) * numbers.next().unwrap();
             let mut at = 0.0;
@@ -170,21 +172,20 @@ mod tests {
                 Drive {
                     motor: 3,
                     frequency_hz: between(0.1, 300.0),
-                    amplitude_um: between(0.0, 400.0),
+                    amplitude_um: between(0.0, array.motor().travel_um),
                     phase: between(0.0, 1.0),
                     start_s: Some(start),
                     stop_s: Some(at),
                 }
             });
-            let pattern =
-                Pattern::new(Array::paper(), "test", None, drives.to_vec(), toml::Table::new()).unwrap();
+            let um_per_pulse = array.motor().um_per_pulse;
+            let pattern = Pattern::new(array, "test", None, drives.to_vec(), toml::Table::new()).unwrap();
             let sent = Strokes::new(&pattern, &StrokeOptions::default())
                 .unwrap()
                 .flat_map(|stroke| stroke.unwrap().bursts());
             let ramps: Vec<_> = sent
                 .map(|burst| Ramp::new(burst.start, burst.pulses.into(), burst.direction, um_per_pulse))
                 .collect();
-            let (array, um_per_pulse) = (Array::paper(), Array::paper().motor().um_per_pulse);
             let end = time::end(2.0, array.rate());
             let breakpoints: Vec<_> = Breakpoints::new(array, 3, &drives, end).collect();
             assert!(Breakpoints::of_ramps(array, 3, &ramps, um_per_pulse, end).eq(breakpoints), "{drives:?}");

@@ -211,7 +211,10 @@ impl<'w> Work<'w> {
             let charge =
                 |track: &Option<&Track>| track.map_or(0.0, |track| track.charge(&bound, breakpoints));
             let charges: Vec<f64> = self.tracks_of(motors).par_iter().with_min_len(4).map(charge).collect();
-            silent.retain(|&index| !bound.reaches(&charges, &members[index]));
+            silent.retain(|&index| {
+                let member = &members[index];
+                !bound.reaches(&charges, member.reached_by(), member.threshold())
+            });
         }
         let numbers = silent.iter().map(|&index| members[index].number).collect();
         let mut index = 0;

@@ -8,7 +8,6 @@
 //! Invariant: every approximation here is an overestimate, so a bound is never too low.
 
 use crate::breakpoints::Breakpoint;
-use crate::member::Member;
 use crate::membrane::Rectify;
 use crate::membrane::equation::Membrane;
 
@@ -77,10 +76,16 @@ impl Bound {
         (motor.at, motor.d) = (at, end);
     }
 
-    /// Whether an afferent can reach its first threshold under these charges of the motors.
-    pub(crate) fn reaches(&self, charges: &[f64], member: &Member) -> bool {
-        let charge: f64 = member.reached_by().map(|(motor, weight)| weight * charges[motor]).sum();
-        self.gain * charge >= member.threshold()
+    /// Whether an afferent can reach its first threshold under these charges of the motors. `weights` are its motors with their
+    /// weights.
+    pub(crate) fn reaches(
+        &self,
+        charges: &[f64],
+        weights: impl Iterator<Item = (usize, f64)>,
+        resting: f64,
+    ) -> bool {
+        let charge: f64 = weights.map(|(motor, weight)| weight * charges[motor]).sum();
+        self.gain * charge >= resting
     }
 }
 
