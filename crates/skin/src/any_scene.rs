@@ -7,6 +7,7 @@
 
 use crate::afferents;
 use crate::scene::{KeyError, ModelName, Problem, RawScene, Scene, SceneError};
+use meissner_array::spec::Array;
 use meissner_input::document::{Table, from_json, from_toml};
 use serde::Deserialize;
 
@@ -48,6 +49,15 @@ impl AnyScene {
     /// The first thing that is wrong with it, in one line.
     pub fn read(text: &str, file: &str, model: Option<ModelName>) -> Result<Self, SceneError> {
         read(text, file, model).map_err(|fault| fault.in_file(Some(file)))
+    }
+
+    /// The array under the finger.
+    #[must_use]
+    pub const fn array(&self) -> Array {
+        match self {
+            Self::Membrane(scene) => scene.array(),
+            Self::Afferents(scene) => scene.array(),
+        }
     }
 
     /// Duration, s.
@@ -93,14 +103,14 @@ fn read(text: &str, file: &str, model: Option<ModelName>) -> Result<AnyScene, Ke
         return Ok(AnyScene::Afferents(scene));
     }
     let Table(raw): Table<RawScene> = if json { from_json(text, wanted) } else { from_toml(text, wanted) }?;
-    raw.checked_scene().map(AnyScene::Membrane)
+    raw.checked_scene(|fault| if json { fault } else { fault.in_text(text) }).map(AnyScene::Membrane)
 }
 
 fn wanted(key: &str) -> &'static str {
     match key {
         "duration_s" => "how long to simulate, in s",
-        "motor" => "the motor's number, 0 to 23",
-        "frequency_hz" => "a frequency, above 0 and at most 42500 Hz",
+        "motor" => "the motor's number, from 0 on",
+        "frequency_hz" => "a frequency, above 0 and at most half the array's tick rate, Hz",
         "amplitude_um" => "an amplitude, 0 to 1000000 um peak to peak",
         _ => "a place on the skin, in mm from the array's middle",
     }

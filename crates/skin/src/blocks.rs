@@ -4,9 +4,9 @@
 //!
 //! Invariant: the order of breakpoints does not depend on the size of the blocks.
 
-use crate::breakpoints::{Breakpoint, Breakpoints, WINDOW};
+use crate::breakpoints::{Breakpoint, Breakpoints};
 use crate::track::Track;
-use meissner_array::units::HALF_TICKS_PER_S;
+use meissner_array::spec::ArraySpec;
 use rayon::prelude::*;
 
 /// Approximate number of breakpoints in a block: they fit into a processor's inner cache.
@@ -61,10 +61,11 @@ impl<'s> Source<'s> {
 }
 
 impl<'s> Blocks<'s> {
-    pub(crate) fn new(tracks: impl Iterator<Item = &'s Track>, end: f64) -> Self {
+    pub(crate) fn new(array: &ArraySpec, tracks: impl Iterator<Item = &'s Track>, end: f64) -> Self {
         let tracks: Vec<_> = tracks.collect();
         let per_s: f64 = tracks.iter().map(|track| track.breakpoints_per_s()).sum();
-        let length = (BLOCK / per_s * HALF_TICKS_PER_S).max(2.0 * WINDOW);
+        let least = 2.0 * array.motor().window_half_ticks as f64;
+        let length = (BLOCK / per_s * array.rate().half_ticks_per_s()).max(least);
         // The lists are a tenth of the work: make them in parallel, too.
         let motors = tracks.into_par_iter().map(Source::of).collect();
         Self { motors, reached: 0.0, end, length, sorter: Sorter::default() }
@@ -151,6 +152,8 @@ mod tests {
     use crate::time::end;
     use crate::track::{Tracks, of_scene};
     use meissner_array::pattern::Drive;
+    use meissner_array::spec::Array;
+    use meissner_test_support::paper::WINDOW_HALF_TICKS;
     use meissner_test_support::patterns::drive;
     use std::sync::Arc;
 
@@ -167,7 +170,8 @@ mod tests {
             Drive { stop_s: Some(0.2), ..drive(5, 200.0, 20.0) },
             drive(6, 50.0, 0.01),
         ];
-        Scene::new(0.5, 0, drives, vec![], AfferentModel::default_for(Rectify::Half, 0.0)).unwrap()
+        Scene::new(Array::paper(), 0.5, 0, drives, vec![], AfferentModel::default_for(Rectify::Half, 0.0))
+            .unwrap()
     }
 
     fn tracks() -> Tracks {
@@ -195,7 +199,10 @@ mod tests {
                 at = found.at;
                 count += 1.0;
                 // D is in half pulses, and no larger than in a window at full speed.
-                assert!(d.fract() == 0.0 && d.abs() <= WINDOW && slope.abs() <= 2.0, "{found:?}: {d}");
+                assert!(
+                    d.fract() == 0.0 && d.abs() <= WINDOW_HALF_TICKS as f64 && slope.abs() <= 2.0,
+                    "{found:?}: {d}"
+                );
             }
             assert_eq!((d, slope), (0.0, 0.0), "motor {motor}");
             assert!(count > 0.0 && count <= 0.5 * per_s + 8.0, "motor {motor}: {count} breakpoints");
@@ -204,12 +211,12 @@ mod tests {
 
     #[test]
     fn blocks_of_any_length_hold_the_same_breakpoints_in_the_same_order() {
-        let (tracks, end) = (tracks(), end(scene().duration_s()));
+        let (tracks, end) = (tracks(), end(scene().duration_s(), Array::paper().rate()));
         let all = tracks.iter().flatten().flat_map(|track| track.breakpoints());
         let mut expected: Vec<_> = all.filter(|found| found.at < end).collect();
         expected.sort_by(|a, b| a.at.total_cmp(&b.at).then(a.motor.cmp(&b.motor)));
         for length in [None, Some(1.0), Some(731.5), Some(10_000.0), Some(1e9)] {
-            let mut blocks = Blocks::new(tracks.iter().flatten().map(Arc::as_ref), end);
+            let mut blocks = Blocks::new(&Array::paper(), tracks.iter().flatten().map(Arc::as_ref), end);
             blocks.length = length.unwrap_or(blocks.length);
             // Take some motors from lists, and some not.
             for (source, track) in blocks.motors.iter_mut().zip(tracks.iter().flatten()).step_by(2) {

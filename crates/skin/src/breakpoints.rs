@@ -4,38 +4,68 @@
 //! ends of ramps and W after each. A [`Breakpoint`] says when the slope of D changes, and by how much.
 //!
 //! D is counted in half pulses and time in half ticks. So for strokes every D is a whole number, and at rest it is exactly 0. If
-//! bursts differ in their travel, D is counted in 2⁻⁴⁰ of a half pulse of the motor's fastest burst.
+//! bursts differ in their travel, D is counted in [`Parts`] of a half pulse of the motor's fastest burst.
+//!
+//! This module and [`velocity_per_d`] alone know that a shaft follows its pulses as their mean over a window W.
 //!
 //! Invariant: a motor's breakpoints are in order of time.
 
 use firmware_protocol::tick::Tick;
-use meissner_array::motor::{Excursion, Ramp, WINDOW_HALF_TICKS};
+use meissner_array::motor::{Excursion, Ramp};
 use meissner_array::pattern::Drive;
+use meissner_array::spec::{Array, MotorSpec};
 use meissner_array::strokes::DriveStrokes;
-use meissner_array::units::UM_PER_PULSE;
 use std::collections::VecDeque;
-
-/// Half ticks of the moving average.
-pub(crate) const WINDOW: f64 = WINDOW_HALF_TICKS as f64;
 
 /// An instant at which the slope of a motor's velocity changes.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Breakpoint {
     /// Half ticks since the beginning of the scene, a whole number.
     pub(crate) at: f64,
-    /// The change of the slope of D, half pulses per half tick: 1 or -1, or a whole number of 2⁻⁴⁰ where bursts
+    /// The change of the slope of D, half pulses per half tick: 1 or -1, or a whole number of parts where bursts
     /// differ in their travel.
     pub(crate) slope_change: f64,
     pub(crate) motor: u8,
 }
 
-/// The number of parts of a half pulse in which D is counted if bursts differ in their travel. Multiplied by the 731 of a full
-/// window it is far below 2⁵³, so sums are exact and rest stays 0. Rounding loses 10⁻¹² of a burst.
-const PARTS: f64 = (1_u64 << 40) as f64;
+/// The largest D of a motor, half pulses: its pulses all over the window.
+pub(crate) const fn largest_d(motor: &MotorSpec) -> u64 {
+    motor.window_half_ticks
+}
 
-/// A share rounded to whole parts.
-pub(crate) fn in_parts(share: f64) -> f64 {
-    (share * PARTS).round() / PARTS
+/// The parts of a half pulse in which D is counted if bursts differ in their travel.
+///
+/// A half pulse has 2⁴⁰, or fewer if the largest D would have more than 2⁵³: so sums are exact and rest stays 0. Rounding loses
+/// 10⁻¹² of a burst, or little more.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Parts {
+    /// How many a half pulse has, a power of 2, and its reciprocal.
+    number: f64,
+    one: f64,
+}
+
+impl Parts {
+    /// The parts for such a motor.
+    pub(crate) fn of(motor: &MotorSpec) -> Self {
+        let number = (1_u64 << (53 - bits_of(largest_d(motor))).min(40)) as f64;
+        Self { number, one: 1.0 / number }
+    }
+
+    /// A share of a half pulse, rounded to whole parts.
+    #[inline]
+    pub(crate) fn round(self, share: f64) -> f64 {
+        (share * self.number).round() * self.one
+    }
+}
+
+/// Bits that hold every whole number up to this one, and this one as a power of 2.
+pub(crate) const fn bits_of(most: u64) -> u32 {
+    most.next_power_of_two().trailing_zeros()
+}
+
+/// What a D of one half pulse makes of `scale`, which is per µm: `scale` times the velocity of the shaft, µm per half tick.
+pub(crate) fn velocity_per_d(scale: f64, motor: &MotorSpec) -> f64 {
+    scale * motor.um_per_pulse / 2.0 / motor.window_half_ticks as f64
 }
 
 /// Ramps of one motor, in order of time and without overlap.
@@ -45,6 +75,9 @@ type InOrder<'s> = Box<dyn Iterator<Item = Ramp> + Send + 's>;
 pub(crate) struct Breakpoints<'s> {
     motor: u8,
     ramps: InOrder<'s>,
+    /// Half ticks of the moving average.
+    window: f64,
+    parts: Parts,
     /// The speed that counts as half a pulse per half tick, µm.
     full_um_per_tick: f64,
     /// Breakpoints that the trailing edge has not passed yet.
@@ -55,22 +88,30 @@ pub(crate) struct Breakpoints<'s> {
 
 impl<'s> Breakpoints<'s> {
     /// The breakpoints of a motor's drives, which are in order of time. Only strokes that begin before `end`, half ticks, count.
-    pub(crate) fn new(motor: u8, drives: &'s [Drive], end: f64) -> Self {
-        let drives = drives.iter().filter_map(|drive| DriveStrokes::of(drive).ok());
+    pub(crate) fn new(array: Array, motor: u8, drives: &'s [Drive], end: f64) -> Self {
+        let um_per_pulse = array.motor().um_per_pulse;
+        let drives = drives.iter().filter_map(move |drive| DriveStrokes::of(array, drive).ok());
         let before = move |stroke: &Excursion| half_ticks(Tick(stroke.up)) < end;
         let strokes = drives.flat_map(move |strokes| strokes.take_while(before));
-        let ramps = strokes.flat_map(|stroke| stroke.ramps());
-        Self::of(motor, Box::new(ramps), UM_PER_PULSE)
+        let ramps = strokes.flat_map(move |stroke| stroke.ramps(um_per_pulse));
+        Self::of(array, motor, Box::new(ramps), um_per_pulse)
     }
 
     /// The breakpoints of ramps. Only ramps that begin before `end`, half ticks, count.
-    pub(crate) fn of_ramps(motor: u8, ramps: &'s [Ramp], full_um_per_tick: f64, end: f64) -> Self {
+    pub(crate) fn of_ramps(
+        array: Array,
+        motor: u8,
+        ramps: &'s [Ramp],
+        full_um_per_tick: f64,
+        end: f64,
+    ) -> Self {
         let before = ramps.iter().copied().take_while(move |ramp| half_ticks(ramp.start) < end);
-        Self::of(motor, Box::new(before), full_um_per_tick)
+        Self::of(array, motor, Box::new(before), full_um_per_tick)
     }
 
-    fn of(motor: u8, ramps: InOrder<'s>, full_um_per_tick: f64) -> Self {
-        Self { motor, ramps, full_um_per_tick, behind: VecDeque::new(), ahead: 0 }
+    fn of(array: Array, motor: u8, ramps: InOrder<'s>, full_um_per_tick: f64) -> Self {
+        let (window, parts) = (array.motor().window_half_ticks as f64, Parts::of(array.motor()));
+        Self { motor, ramps, window, parts, full_um_per_tick, behind: VecDeque::new(), ahead: 0 }
     }
 }
 
@@ -82,7 +123,7 @@ impl Iterator for Breakpoints<'_> {
         if self.ahead == 0
             && let Some(ramp) = self.ramps.next()
         {
-            let slope_change = in_parts(ramp.um_per_tick / self.full_um_per_tick);
+            let slope_change = self.parts.round(ramp.um_per_tick / self.full_um_per_tick);
             for (tick, slope_change) in [(ramp.start, slope_change), (ramp.end(), -slope_change)] {
                 self.behind.push_back(Breakpoint { at: half_ticks(tick), slope_change, motor: self.motor });
             }
@@ -90,7 +131,7 @@ impl Iterator for Breakpoints<'_> {
         }
         let leading = self.ahead.checked_sub(1).map(|last| self.behind[self.behind.len() - 1 - last]);
         let trailing = self.behind.front().map(|found| Breakpoint {
-            at: found.at + WINDOW,
+            at: found.at + self.window,
             slope_change: -found.slope_change,
             ..*found
         });
@@ -119,7 +160,9 @@ mod tests {
 
     #[test]
     fn the_simulator_takes_the_strokes_that_are_sent() {
-        for case in 0..200 {
+        let cases =
+            crate::tests::arrays().into_iter().flat_map(|array| (0..50).map(move |case| (array, case)));
+        for (array, case) in cases {
             let mut numbers = (0..).flat_map(|number| uniform([9, case, number, 0]));
             let mut between = |low: f64, high: f64| low + (high - low) * numbers.next().unwrap();
             let mut at = 0.0;
@@ -129,21 +172,23 @@ mod tests {
                 Drive {
                     motor: 3,
                     frequency_hz: between(0.1, 300.0),
-                    amplitude_um: between(0.0, 400.0),
+                    amplitude_um: between(0.0, array.motor().travel_um),
                     phase: between(0.0, 1.0),
                     start_s: Some(start),
                     stop_s: Some(at),
                 }
             });
-            let pattern = Pattern::new("test", None, drives.to_vec(), toml::Table::new()).unwrap();
+            let um_per_pulse = array.motor().um_per_pulse;
+            let pattern = Pattern::new(array, "test", None, drives.to_vec(), toml::Table::new()).unwrap();
             let sent = Strokes::new(&pattern, &StrokeOptions::default())
                 .unwrap()
                 .flat_map(|stroke| stroke.unwrap().bursts());
-            let ramps: Vec<_> =
-                sent.map(|burst| Ramp::new(burst.start, burst.pulses.into(), burst.direction, 1.0)).collect();
-            let end = time::end(2.0);
-            let breakpoints: Vec<_> = Breakpoints::new(3, &drives, end).collect();
-            assert!(Breakpoints::of_ramps(3, &ramps, UM_PER_PULSE, end).eq(breakpoints), "{drives:?}");
+            let ramps: Vec<_> = sent
+                .map(|burst| Ramp::new(burst.start, burst.pulses.into(), burst.direction, um_per_pulse))
+                .collect();
+            let end = time::end(2.0, array.rate());
+            let breakpoints: Vec<_> = Breakpoints::new(array, 3, &drives, end).collect();
+            assert!(Breakpoints::of_ramps(array, 3, &ramps, um_per_pulse, end).eq(breakpoints), "{drives:?}");
         }
     }
 }

@@ -11,8 +11,6 @@ use crate::member;
 use crate::method::{Integrator, Method, MethodError, Options, Precision, Stepping};
 use crate::scene::Scene;
 use crate::track::{Track, of_scene};
-use meissner_array::motor::WINDOW_HALF_TICKS;
-use meissner_array::units::HALF_TICKS_PER_S;
 use std::sync::Arc;
 
 /// A method chosen for a scene.
@@ -116,9 +114,11 @@ fn counts(scene: &Scene, numbers: &[u32], method: Method) -> Vec<u64> {
 /// The approximate number of breakpoints that some afferents pass.
 fn breakpoints(scene: &Scene, numbers: &[u32]) -> f64 {
     let options = Options::rates(Method::Exact);
+    // Each ramp has breakpoints when it has left the window, too.
+    let array = scene.array();
+    let window = array.motor().window_half_ticks as f64 / array.rate().half_ticks_per_s();
     let of_motor = |track: &Arc<Track>| {
         let reached = |number: &&u32| member::weight(scene, &options, **number, track.motor()) > 0.0;
-        let window = WINDOW_HALF_TICKS as f64 / HALF_TICKS_PER_S;
         track.breakpoints_per_s()
             * (scene.duration_s() + window)
             * numbers.iter().filter(reached).count() as f64

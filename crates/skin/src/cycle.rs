@@ -6,9 +6,10 @@
 //!
 //! Invariant: states are compared in all their bits, with times relative to their own multiple of the period.
 
-use firmware_protocol::stroke::MOTORS;
-use meissner_array::motor::WINDOW_HALF_TICKS;
+use crate::member::numbers;
 use meissner_array::pattern::Drive;
+use meissner_array::per_motor::PerMotor;
+use meissner_array::spec::{Array, ArraySpec};
 
 /// Periods after which the search for a repetition ends.
 const MAX_PERIODS: u64 = 1024;
@@ -21,23 +22,23 @@ const PARTS: usize = 7;
 pub(crate) type State = [f64; PARTS];
 
 /// The periods of a scene's motors, in ticks: 0 at rest, none if the motor does not repeat to the tick.
-pub(crate) type Periods = [Option<u64>; MOTORS];
+pub(crate) type Periods = PerMotor<Option<u64>>;
 
 /// The periods of a scene's motors until `end`, half ticks.
-pub(crate) fn periods(drives: &[Drive], end: f64) -> Periods {
-    std::array::from_fn(|motor| {
-        let mut drives = drives.iter().filter(|drive| usize::from(drive.motor) == motor);
+pub(crate) fn periods(array: Array, drives: &[Drive], end: f64) -> Periods {
+    PerMotor::from_fn(array, |motor| {
+        let mut drives = drives.iter().filter(|drive| drive.motor == motor);
         match (drives.next(), drives.next()) {
             (None, _) => Some(0),
-            (Some(drive), None) => period(drive, end),
+            (Some(drive), None) => period(array, drive, end),
             (Some(_), Some(_)) => None,
         }
     })
 }
 
 /// The shortest time, in ticks, by which each edge before `end` is followed by another of its kind.
-fn period(drive: &Drive, end: f64) -> Option<u64> {
-    let wave = drive.wave().ok()?;
+fn period(array: Array, drive: &Drive, end: f64) -> Option<u64> {
+    let wave = drive.wave(array).ok()?;
     if !wave.moves() {
         return Some(0);
     }
@@ -85,21 +86,19 @@ pub(crate) struct Comparison {
 impl<const LANES: usize> Cycle<LANES> {
     /// The search for a group that these motors reach (one bit each). None if together they do not repeat often enough before
     /// `end`.
-    pub(crate) fn new(periods: &Periods, motors: u32, end: f64) -> Option<Self> {
+    pub(crate) fn new(array: &ArraySpec, periods: &Periods, motors: u64, end: f64) -> Option<Self> {
         let mut common: u64 = 1;
-        for (motor, period) in periods.iter().enumerate() {
-            if motors >> motor & 1 == 1 {
-                match (*period)? {
-                    0 => {}
-                    period => common = least_common_multiple(common, period)?,
-                }
+        for motor in numbers(motors) {
+            match periods[motor]? {
+                0 => {}
+                period => common = least_common_multiple(common, period)?,
             }
         }
         if common == 1 {
             return None;
         }
         // Long enough that at the second multiple the window no longer covers the beginning.
-        let period = common * WINDOW_HALF_TICKS.div_ceil(common);
+        let period = common * array.motor().window_half_ticks.div_ceil(common);
         let period = 2.0 * period as f64;
         let cycle = Self {
             period,
@@ -147,7 +146,7 @@ mod tests {
     }
 
     fn of(drive: Drive, seconds: f64) -> Option<u64> {
-        periods(&[drive], seconds * 170_000.0)[usize::from(drive.motor)]
+        periods(Array::paper(), &[drive], seconds * 170_000.0)[usize::from(drive.motor)]
     }
 
     #[test]
@@ -162,16 +161,17 @@ mod tests {
         assert_eq!(of(Drive { start_s: Some(0.1), ..drive(3, 60.0) }, 10.0), None);
         assert_eq!(of(Drive { stop_s: Some(5.0), ..drive(3, 60.0) }, 10.0), None);
         let end = 10.0 * 170_000.0;
-        let periods = periods(&[drive(0, 60.0), drive(1, 50.0), drive(1, 50.0)], end);
+        let periods = periods(Array::paper(), &[drive(0, 60.0), drive(1, 50.0), drive(1, 50.0)], end);
         assert_eq!((periods[0], periods[1], periods[2]), (Some(4250), None, Some(0)));
     }
 
     #[test]
     fn a_group_repeats_with_the_motors_that_reach_it() {
         let end = 10.0 * 170_000.0;
-        let periods = periods(&[drive(0, 60.0), drive(1, 50.0), drive(2, 61.803_398)], end);
+        let periods = periods(Array::paper(), &[drive(0, 60.0), drive(1, 50.0), drive(2, 61.803_398)], end);
         assert_eq!(periods[2], None);
-        let period = |motors, end| Cycle::<8>::new(&periods, motors, end).map(|cycle| cycle.period);
+        let period =
+            |motors, end| Cycle::<8>::new(&Array::paper(), &periods, motors, end).map(|cycle| cycle.period);
         assert_eq!(period(0b01, end), Some(8500.0));
         assert_eq!(period(0b11, end), Some(17_000.0));
         assert_eq!(period(0b111, end), None);
@@ -181,9 +181,9 @@ mod tests {
 
     #[test]
     fn a_period_shorter_than_the_window_is_taken_several_times() {
-        let mut periods = [Some(0); MOTORS];
+        let mut periods = PerMotor::all(Array::paper(), Some(0));
         periods[0] = Some(100);
-        let cycle = Cycle::<8>::new(&periods, 1, 1e6).unwrap();
+        let cycle = Cycle::<8>::new(&Array::paper(), &periods, 1, 1e6).unwrap();
         // At the first comparison, at 3200 half ticks, the window holds nothing from before the first period.
         assert_eq!((cycle.period, cycle.next), (1600.0, 3200.0));
     }

@@ -18,8 +18,7 @@ use crate::scene::Scene;
 use crate::stepped::{self, Block, StepModel};
 use crate::time::end;
 use crate::track::{self, Column, Sample, Track, Tracks};
-use firmware_protocol::stroke::MOTORS;
-use meissner_array::units::HALF_TICKS_PER_S;
+use meissner_array::per_motor::PerMotor;
 use pulp::Arch;
 use rayon::prelude::*;
 use std::sync::Arc;
@@ -84,7 +83,7 @@ pub(crate) fn may_fire(scene: &Scene, numbers: &[u32], options: &Options) -> Vec
     let tracks = track::of_scene(scene, options.method);
     let work = Work::new(scene, options, &tracks, &[]);
     let members = numbers.iter().map(|&number| work.member(number));
-    let mut members: Vec<_> = members.filter(|member| member.motors() != 0).collect();
+    let mut members: Vec<_> = members.filter(|member| member.motors != 0).collect();
     work.silent(&mut members);
     members.into_iter().map(|member| member.number).collect()
 }
@@ -95,9 +94,9 @@ pub(crate) struct Work<'w> {
     arch: Arch,
     membrane: Membrane,
     end: f64,
-    tracks: [Option<&'w Track>; MOTORS],
+    tracks: PerMotor<Option<&'w Track>>,
     /// The motors that have a track, one bit each.
-    moving: u32,
+    moving: u64,
     /// The members with their weights of all motors, indexed by their numbers; empty if they are made for each run.
     kept: &'w [Member],
 }
@@ -109,8 +108,9 @@ impl<'w> Work<'w> {
         tracks: &'w Tracks,
         kept: &'w [Member],
     ) -> Self {
-        let (membrane, end) = (Membrane::of(scene.model()), end(scene.duration_s()));
-        let tracks = std::array::from_fn(|motor| tracks[motor].as_deref());
+        let array = scene.array();
+        let (membrane, end) = (Membrane::of(scene.model(), &array), end(scene.duration_s(), array.rate()));
+        let tracks = PerMotor::from_fn(array, |motor| tracks[usize::from(motor)].as_deref());
         Self { scene, options, arch: Arch::new(), membrane, end, tracks, moving: 0, kept }.counted()
     }
 
@@ -121,7 +121,7 @@ impl<'w> Work<'w> {
     }
 
     fn counted(self) -> Self {
-        let moving = self.tracks.iter().flatten().fold(0, |moving, track| moving | 1 << track.motor());
+        let moving = self.tracks.iter().flatten().fold(0, |moving, track| moving | 1_u64 << track.motor());
         Self { moving, ..self }
     }
 
@@ -132,7 +132,7 @@ impl<'w> Work<'w> {
         progress: &(dyn Fn(f64) + Sync),
         give: &mut Give<'_>,
     ) -> Result<Skipped, MethodError> {
-        let motors_at_rest = MOTORS as u32 - self.moving.count_ones();
+        let motors_at_rest = self.tracks.len() as u32 - self.moving.count_ones();
         let mut skipped = Skipped { motors_at_rest, ..Skipped::default() };
         let (mut reaching, mut kept) = (0, 0);
         let tiles = order.len().div_ceil(TILE_AFFERENTS).max(1) as f64;
@@ -155,13 +155,13 @@ impl<'w> Work<'w> {
         skipped: &mut Skipped,
         progress: &(dyn Fn(f64) + Sync),
         give: &mut Give<'_>,
-    ) -> Result<u32, MethodError> {
+    ) -> Result<u64, MethodError> {
         let mut members: Vec<_> =
             numbers.par_iter().with_min_len(64).map(|&number| self.member(number)).collect();
         let reaching = motors_of(&members);
         if self.options.skip {
             members.retain(|member| {
-                let reached = member.motors() != 0;
+                let reached = member.motors != 0;
                 if !reached {
                     skipped.afferents_out_of_reach += 1;
                     give((member.number, 0, Vec::new()));
@@ -184,12 +184,10 @@ impl<'w> Work<'w> {
 
     /// An afferent, with its weights of the motors that move.
     fn member(&self, number: u32) -> Member {
-        let moves = |motor: usize| self.moving >> motor & 1 == 1;
         let Some(kept) = self.kept.get(number as usize) else {
-            return Member::new(self.scene, self.options, &self.membrane, number, moves);
+            return Member::new(self.scene, self.options, &self.membrane, number, self.moving);
         };
-        let weights = std::array::from_fn(|motor| if moves(motor) { kept.weights[motor] } else { 0.0 });
-        Member { weights, ..kept.clone() }
+        Member { motors: kept.motors & self.moving, ..kept.clone() }
     }
 
     /// Takes out the members that cannot reach their threshold, and returns their numbers.
@@ -197,7 +195,7 @@ impl<'w> Work<'w> {
         let step = match self.options.method {
             Method::Exact => 0.0,
             Method::Stepped(stepping @ Stepping { integrator: Integrator::Propagator, .. }) => {
-                stepping.half_ticks()
+                stepping.half_ticks(self.scene.array().rate())
             }
             // Euler's method samples the input, so an integral of the input gives no bound.
             Method::Stepped(_) => return Vec::new(),
@@ -209,13 +207,13 @@ impl<'w> Work<'w> {
             if silent.is_empty() {
                 break;
             }
-            let motors = silent.iter().fold(0, |motors, &index| motors | members[index].motors());
-            let mut charges = [0.0; MOTORS];
-            charges.par_iter_mut().zip(self.tracks_of(motors)).with_min_len(4).for_each(|(charge, track)| {
-                *charge = track.map_or(0.0, |track| track.charge(&bound, breakpoints));
-            });
+            let motors = silent.iter().fold(0, |motors, &index| motors | members[index].motors);
+            let charge =
+                |track: &Option<&Track>| track.map_or(0.0, |track| track.charge(&bound, breakpoints));
+            let charges: Vec<f64> = self.tracks_of(motors).par_iter().with_min_len(4).map(charge).collect();
             silent.retain(|&index| {
-                !bound.reaches(&charges, &members[index].weights, members[index].threshold())
+                let member = &members[index];
+                !bound.reaches(&charges, member.reached_by(), member.threshold())
             });
         }
         let numbers = silent.iter().map(|&index| members[index].number).collect();
@@ -228,8 +226,9 @@ impl<'w> Work<'w> {
     }
 
     /// The tracks of some motors, given as one bit each.
-    fn tracks_of(&self, motors: u32) -> [Option<&'w Track>; MOTORS] {
-        std::array::from_fn(|motor| self.tracks[motor].filter(|_| motors >> motor & 1 == 1))
+    fn tracks_of(&self, motors: u64) -> PerMotor<Option<&'w Track>> {
+        let array = self.scene.array();
+        PerMotor::from_fn(array, |motor| self.tracks[usize::from(motor)].filter(|_| motors >> motor & 1 == 1))
     }
 
     /// Simulates members exactly; returns the afferent-seconds that were repetitions.
@@ -243,13 +242,14 @@ impl<'w> Work<'w> {
             return Ok(0.0);
         }
         let tracks = self.tracks_of(motors_of(&members));
-        let mut blocks = Blocks::new(tracks.into_iter().flatten(), self.end);
+        let array = self.scene.array();
+        let mut blocks = Blocks::new(&array, tracks.iter().copied().flatten(), self.end);
         let keep = self.options.keep == Keep::Spikes;
         let noiseless = self.options.skip && self.scene.model().noise_sd == 0.0;
-        let periods = noiseless.then(|| cycle::periods(self.scene.drives(), self.end));
+        let periods = noiseless.then(|| cycle::periods(array, self.scene.drives(), self.end));
         let (numbers, mut groups): (Vec<_>, Vec<_>) = grouped(members, exact::LANES)
             .map(|(numbers, members)| {
-                (numbers, exact::Group::new(members, &self.membrane, periods.as_ref(), self.end))
+                (numbers, exact::Group::new(&array, members, &self.membrane, periods.as_ref(), self.end))
             })
             .unzip();
         let mut block = Vec::new();
@@ -272,7 +272,7 @@ impl<'w> Work<'w> {
                 .zip(trains)
                 .for_each(|(number, (count, spikes))| give((number, count, spikes)));
         }
-        Ok(repeated / HALF_TICKS_PER_S)
+        Ok(repeated / array.rate().half_ticks_per_s())
     }
 
     fn stepped<T: Sample>(
@@ -282,21 +282,22 @@ impl<'w> Work<'w> {
         progress: &(dyn Fn(f64) + Sync),
         give: &mut Give<'_>,
     ) -> Result<(), MethodError> {
-        let length = stepping.half_ticks();
+        let length = stepping.half_ticks(self.scene.array().rate());
         let model = StepModel::new(&self.membrane, stepping.integrator, length);
         let tracks = self.tracks_of(motors_of(&members));
         let (numbers, mut groups): (Vec<_>, Vec<_>) = grouped(members, stepped::LANES)
-            .map(|(numbers, members)| (numbers, stepped::Group::<T>::new(members)))
+            .map(|(numbers, members)| (numbers, stepped::Group::<T>::new(tracks.len(), members)))
             .unzip();
         // The samples are a tenth of the work: make them in parallel, too.
-        let columns = tracks.into_par_iter().with_min_len(4).map(|track| track.and_then(Column::<T>::of));
-        let mut columns: Vec<_> = columns.collect();
+        let column = |track: &Option<&'w Track>| track.and_then(Column::<T>::of);
+        let mut columns: Vec<_> = tracks.par_iter().with_min_len(4).map(column).collect();
         let steps = (self.end / length).ceil() as u64;
         let mut first = 0;
         while first < steps && !groups.is_empty() {
             let count = (steps - first).min(STEPS);
             columns.par_iter_mut().flatten().for_each(|column| column.go_to(first, count as usize));
-            let inputs = std::array::from_fn(|motor| columns[motor].as_ref().map_or(&[][..], Column::now));
+            let inputs = columns.iter().map(|column| column.as_ref().map_or(&[][..], Column::now));
+            let inputs: Vec<&[T]> = inputs.collect();
             let block = Block {
                 model: &model,
                 membrane: &self.membrane,

@@ -13,7 +13,6 @@ use crate::membrane::equation::Membrane;
 use crate::method::{Keep, MethodError, Options};
 use crate::scene::{Scene, SceneError};
 use crate::track::{self, MAX_KEPT_BYTES, Track, Tracks};
-use firmware_protocol::stroke::MOTORS;
 use meissner_array::pattern::Drive;
 use rayon::prelude::*;
 use std::sync::Arc;
@@ -33,7 +32,7 @@ pub struct Evaluator {
 #[derive(Debug)]
 struct Afferents {
     /// Their numbers in order of place, each with the motors that reach it, one bit each.
-    order: Vec<(u32, u32)>,
+    order: Vec<(u32, u64)>,
     /// Indexed by their numbers; empty if they would take too much memory.
     members: Vec<Member>,
 }
@@ -112,8 +111,8 @@ impl Evaluator {
             !self.scene.drives().iter().filter(of_motor).eq(scene.drives().iter().filter(of_motor))
         };
         let track = |motor| (motor, Track::new(&scene, self.options.method, motor).map(Arc::new));
-        let tracks: Vec<_> = (0..MOTORS as u8).filter(differs).map(track).collect();
-        let differing = tracks.iter().fold(0, |motors, (motor, _)| motors | 1 << motor);
+        let tracks: Vec<_> = scene.array().numbers().filter(differs).map(track).collect();
+        let differing = tracks.iter().fold(0, |motors, (motor, _)| motors | 1_u64 << motor);
         let reached = self.afferents.order.iter().filter(|(_, motors)| motors & differing != 0);
         let numbers: Vec<u32> = reached.map(|&(number, _)| number).collect();
         let mut changed = Vec::with_capacity(numbers.len());
@@ -150,12 +149,12 @@ impl Evaluator {
 
 impl Afferents {
     fn new(scene: &Scene, options: &Options) -> Self {
-        let membrane = Membrane::of(scene.model());
+        let membrane = Membrane::of(scene.model(), &scene.array());
         let numbers: Vec<_> = (0..scene.afferents().len() as u32).collect();
-        let member = |number: u32| Member::new(scene, options, &membrane, number, |_| true);
-        let with_motors = |number| (number, member(number).motors());
+        let member = |number: u32| Member::new(scene, options, &membrane, number, u64::MAX);
+        let with_motors = |number| (number, member(number).motors);
         let order = by_place(scene, &numbers).into_par_iter().with_min_len(64).map(with_motors).collect();
-        let few = numbers.len() * size_of::<Member>() <= MAX_KEPT_BYTES;
+        let few = numbers.len() * (size_of::<Member>() + 8 * scene.array().motors()) <= MAX_KEPT_BYTES;
         let members =
             if few { numbers.into_par_iter().with_min_len(64).map(member).collect() } else { Vec::new() };
         Self { order, members }

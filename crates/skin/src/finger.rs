@@ -12,8 +12,9 @@ use crate::method::{Keep, Method, MethodError, Options};
 use crate::ramps::{Ramps, simulate_ramps};
 use crate::scene::{ModelName, Scene, SceneError};
 use crate::simulation::simulate;
-use firmware_protocol::stroke::MOTORS;
 use meissner_array::pattern::Drive;
+use meissner_array::per_motor::PerMotor;
+use meissner_array::spec::Array;
 
 /// A model of the skin and its afferents, with its parameters.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -37,8 +38,15 @@ pub struct Finger {
 /// What moves the pins.
 #[derive(Clone, Copy, Debug)]
 pub enum Moved<'m> {
-    /// The drives of a pattern, as motors of this gain play them: 1 is the model's.
-    Drives(&'m [Drive], f64),
+    /// The drives of a pattern.
+    Drives {
+        /// The array that the pattern is for.
+        array: Array,
+        /// The drives.
+        drives: &'m [Drive],
+        /// The gain of the motors that play them: 1 is the model's.
+        gain: f64,
+    },
     /// The bursts that motors made, at the gains they had.
     Ramps(&'m Ramps),
 }
@@ -98,10 +106,10 @@ impl SkinModel {
 }
 
 impl<'m> Stimulus<'m> {
-    /// Drives for some time, on ideal motors.
+    /// Drives of an array for some time, on ideal motors.
     #[must_use]
-    pub const fn of_drives(drives: &'m [Drive], duration_s: f64, noise_seed: u64) -> Self {
-        Self { moved: Moved::Drives(drives, 1.0), duration_s, noise_seed }
+    pub const fn of_drives(array: Array, drives: &'m [Drive], duration_s: f64, noise_seed: u64) -> Self {
+        Self { moved: Moved::Drives { array, drives, gain: 1.0 }, duration_s, noise_seed }
     }
 
     /// Bursts for some time.
@@ -172,13 +180,13 @@ impl Finger {
     /// If no scene can have such drives or such a duration, or if there are too many spikes to keep.
     pub fn spikes_s(&self, stimulus: &Stimulus<'_>) -> Result<Vec<Vec<f64>>, FingerError> {
         match (&self.model, stimulus.moved) {
-            (SkinModel::Membrane(model), Moved::Drives(drives, gain)) => {
-                let scene = self.motors(stimulus, (drives, gain), self.places(), *model)?;
+            (SkinModel::Membrane(model), Moved::Drives { array, drives, gain }) => {
+                let scene = self.motors(stimulus, (array, drives, gain), self.places(), *model)?;
                 let answer = simulate(&scene, &Options::spikes(Method::Exact), &|_| ())?;
                 Ok(answer.spikes_s.expect("spikes are kept"))
             }
             (SkinModel::Membrane(model), Moved::Ramps(ramps)) => {
-                let scene = self.motors(stimulus, (&[], 1.0), self.places(), *model)?;
+                let scene = self.motors(stimulus, (ramps.array(), &[], 1.0), self.places(), *model)?;
                 let mut spikes_s = vec![Vec::new(); self.afferents.len()];
                 simulate_ramps(&scene, ramps, &mut |number, train| spikes_s[number as usize] = train)?;
                 Ok(spikes_s)
@@ -197,8 +205,8 @@ impl Finger {
     /// If no scene can have such drives or such a duration.
     pub fn counts(&self, stimulus: &Stimulus<'_>) -> Result<Vec<u64>, FingerError> {
         match (&self.model, stimulus.moved) {
-            (SkinModel::Membrane(model), Moved::Drives(drives, gain)) => {
-                let scene = self.motors(stimulus, (drives, gain), self.places(), *model)?;
+            (SkinModel::Membrane(model), Moved::Drives { array, drives, gain }) => {
+                let scene = self.motors(stimulus, (array, drives, gain), self.places(), *model)?;
                 Ok(simulate(&scene, &Options::rates(Method::Exact), &|_| ())?.counts)
             }
             (SkinModel::Membrane(_), Moved::Ramps(_)) => {
@@ -218,12 +226,12 @@ impl Finger {
     fn motors(
         &self,
         stimulus: &Stimulus<'_>,
-        (drives, gain): (&[Drive], f64),
+        (array, drives, gain): (Array, &[Drive], f64),
         places: Vec<Position>,
         model: AfferentModel,
     ) -> Result<Scene, SceneError> {
-        Scene::new(stimulus.duration_s, stimulus.noise_seed, drives.to_vec(), places, model)?
-            .with_gains(&[gain; MOTORS])
+        Scene::new(array, stimulus.duration_s, stimulus.noise_seed, drives.to_vec(), places, model)?
+            .with_gains(&PerMotor::all(array, gain))
     }
 
     /// A scene of the second model.
@@ -231,9 +239,9 @@ impl Finger {
         let Stimulus { duration_s, noise_seed, .. } = *stimulus;
         let afferents = self.afferents.clone();
         match stimulus.moved {
-            Moved::Drives(drives, gain) => {
+            Moved::Drives { array, drives, gain } => {
                 let unused = AfferentModel::default_for(membrane::Rectify::default(), 0.0);
-                let motors = self.motors(stimulus, (drives, gain), Vec::new(), unused)?;
+                let motors = self.motors(stimulus, (array, drives, gain), Vec::new(), unused)?;
                 afferents::Scene::of_motors(&motors, preindent_mm, afferents, true)
             }
             Moved::Ramps(ramps) => {
@@ -255,6 +263,7 @@ mod tests {
     use meissner_array::motor::Ramp;
     use meissner_array::pattern::Pattern;
     use meissner_array::strokes::{StrokeOptions, Strokes};
+    use meissner_test_support::paper::UM_PER_PULSE;
     use meissner_test_support::patterns::drive;
 
     fn models() -> [SkinModel; 2] {
@@ -264,13 +273,17 @@ mod tests {
 
     /// The bursts of a second of drives, with their travel multiplied by `share`; a stimulus of half a second needs only a part.
     fn ramps(drives: &[Drive], share: f64) -> Ramps {
-        let pattern = Pattern::new("test", None, drives.to_vec(), toml::Table::new()).unwrap();
+        let pattern =
+            Pattern::new(Array::paper(), "test", None, drives.to_vec(), toml::Table::new()).unwrap();
         let strokes = Strokes::new(&pattern, &StrokeOptions::lasting(1.0)).unwrap().map(Result::unwrap);
         let ramp = |burst: firmware_protocol::stroke::Burst| {
-            Ramp::new(burst.start, burst.pulses.into(), burst.direction, share)
+            Ramp::new(burst.start, burst.pulses.into(), burst.direction, share * UM_PER_PULSE)
         };
-        Ramps::new(strokes.flat_map(|stroke| stroke.bursts().map(|burst| (stroke.motor, ramp(burst)))))
-            .unwrap()
+        Ramps::new(
+            Array::paper(),
+            strokes.flat_map(|stroke| stroke.bursts().map(|burst| (stroke.motor, ramp(burst)))),
+        )
+        .unwrap()
     }
 
     #[test]
@@ -278,14 +291,14 @@ mod tests {
         let drives = [drive(9, 60.0, 80.0), drive(14, 37.3, 120.0), drive(0, 150.0, 30.0)];
         for model in models() {
             let finger = Finger::new(model, 4);
-            let designed = finger.spikes_s(&Stimulus::of_drives(&drives, 0.5, 4)).unwrap();
+            let designed = finger.spikes_s(&Stimulus::of_drives(Array::paper(), &drives, 0.5, 4)).unwrap();
             assert!(designed.iter().map(Vec::len).sum::<usize>() > 300, "{model:?}");
             let ramps = ramps(&drives, 1.0);
             let stimulus = Stimulus::of_ramps(&ramps, 0.5, 4);
             assert!(finger.spikes_s(&stimulus).unwrap() == designed, "{model:?}");
             let counts: Vec<u64> = designed.iter().map(|train| train.len() as u64).collect();
             assert_eq!(finger.counts(&stimulus).unwrap(), counts);
-            assert_eq!(finger.counts(&Stimulus::of_drives(&drives, 0.5, 4)).unwrap(), counts);
+            assert_eq!(finger.counts(&Stimulus::of_drives(Array::paper(), &drives, 0.5, 4)).unwrap(), counts);
         }
     }
 
@@ -299,11 +312,11 @@ mod tests {
             let slow = ramps(&drives, 0.5);
             let slow = total(&Stimulus::of_ramps(&slow, 0.5, 4));
             let gained = total(&Stimulus {
-                moved: Moved::Drives(&drives, 0.5),
-                ..Stimulus::of_drives(&drives, 0.5, 4)
+                moved: Moved::Drives { array: Array::paper(), drives: &drives, gain: 0.5 },
+                ..Stimulus::of_drives(Array::paper(), &drives, 0.5, 4)
             });
             assert_eq!(slow, gained, "{model:?}");
-            let whole = total(&Stimulus::of_drives(&drives, 0.5, 4));
+            let whole = total(&Stimulus::of_drives(Array::paper(), &drives, 0.5, 4));
             assert!(slow > 0 && 10 * slow < 9 * whole, "{model:?}: {slow} of {whole}");
         }
     }
@@ -328,7 +341,7 @@ mod tests {
         let ramps = ramps(&drives, 1.0);
         let rates = |preindent_mm| {
             let finger = Finger::new(SkinModel::Afferents { preindent_mm }, 4);
-            let designed = finger.counts(&Stimulus::of_drives(&drives, 0.5, 4)).unwrap();
+            let designed = finger.counts(&Stimulus::of_drives(Array::paper(), &drives, 0.5, 4)).unwrap();
             assert_eq!(finger.counts(&Stimulus::of_ramps(&ramps, 0.5, 4)).unwrap(), designed);
             designed
         };

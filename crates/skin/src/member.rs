@@ -2,21 +2,25 @@
 //!
 //! [`by_place`] orders afferents so that neighbours follow each other, and [`grouped`] cuts them into groups for the vectors of a
 //! processor. Then mostly the same motors reach all afferents of a group.
+//!
+//! A set of motors is a mask with one bit each.
 
 use crate::membrane::equation::Membrane;
 use crate::membrane::{self, MIN_THRESHOLD, Position};
 use crate::method::Options;
 use crate::scene::Scene;
-use firmware_protocol::stroke::MOTORS;
 use meissner_array::random::Normals;
+use std::sync::Arc;
 
 /// An afferent that a method computes.
 #[derive(Clone, Debug)]
 pub(crate) struct Member {
     /// Its number in the scene.
     pub(crate) number: u32,
-    /// Its weights of the motors; 0 of a motor at rest.
-    pub(crate) weights: [f64; MOTORS],
+    /// Its weights of the motors. Only those of [`Self::motors`] count.
+    pub(crate) weights: Arc<[f64]>,
+    /// The moving motors that reach it, one bit each.
+    pub(crate) motors: u64,
     /// The resting threshold of its first interval.
     pub(crate) resting: f64,
     /// The source of its next thresholds.
@@ -24,24 +28,27 @@ pub(crate) struct Member {
 }
 
 impl Member {
-    /// An afferent of a scene, with its weights of the motors for which `of` holds.
+    /// An afferent of a scene, with its weights of these motors, given as one bit each.
     pub(crate) fn new(
         scene: &Scene,
         options: &Options,
         membrane: &Membrane,
         number: u32,
-        of: impl Fn(usize) -> bool,
+        motors: u64,
     ) -> Self {
-        let weight = |motor: usize| if of(motor) { weight(scene, options, number, motor as u8) } else { 0.0 };
+        let weight = |motor: u8| {
+            if motors >> motor & 1 == 1 { weight(scene, options, number, motor) } else { 0.0 }
+        };
+        let weights: Arc<[f64]> = scene.array().numbers().map(weight).collect();
+        let motors = weights.iter().rev().fold(0, |motors, &weight| motors << 1 | u64::from(weight > 0.0));
         let mut noise = (membrane.noise_sd > 0.0).then(|| Normals::new(scene.seed(), number.into()));
         let resting = membrane.draw(noise.as_mut());
-        Self { number, weights: std::array::from_fn(weight), resting, noise }
+        Self { number, weights, motors, resting, noise }
     }
 
-    /// The moving motors that reach it, one bit each.
-    pub(crate) fn motors(&self) -> u32 {
-        let weights = self.weights.iter().enumerate();
-        weights.fold(0, |motors, (motor, &weight)| motors | u32::from(weight > 0.0) << motor)
+    /// The motors that reach it, with their weights.
+    pub(crate) fn reached_by(&self) -> impl Iterator<Item = (usize, f64)> {
+        numbers(self.motors).map(|motor| (motor, self.weights[motor]))
     }
 
     /// The threshold of its first interval.
@@ -51,14 +58,28 @@ impl Member {
 }
 
 /// The motors that reach any of the members, one bit each.
-pub(crate) fn motors_of(members: &[Member]) -> u32 {
-    members.iter().fold(0, |motors, member| motors | member.motors())
+pub(crate) fn motors_of(members: &[Member]) -> u64 {
+    members.iter().fold(0, |motors, member| motors | member.motors)
+}
+
+/// The numbers of motors that are given as one bit each.
+#[inline]
+pub(crate) fn numbers(mut motors: u64) -> impl Iterator<Item = usize> {
+    std::iter::from_fn(move || {
+        let motor = (motors != 0).then_some(motors.trailing_zeros() as usize);
+        motors &= motors.wrapping_sub(1);
+        motor
+    })
 }
 
 /// An afferent's weight of a motor. The model is linear in a motor's displacement, so the weight includes the motor's gain. The
 /// velocity then stays a whole number, which keeps everything exact. Whether a weight counts as 0 does not depend on the gain.
 pub(crate) fn weight(scene: &Scene, options: &Options, number: u32, motor: u8) -> f64 {
-    let weight = membrane::weight(scene.afferents()[number as usize], motor, scene.model().sigma_mm);
+    let weight = membrane::weight(
+        scene.afferents()[number as usize],
+        scene.array().position_mm(motor),
+        scene.model().sigma_mm,
+    );
     if weight < options.min_weight { 0.0 } else { weight * scene.gains()[usize::from(motor)] }
 }
 

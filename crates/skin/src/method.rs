@@ -5,7 +5,7 @@
 use crate::membrane::MIN_WEIGHT;
 use crate::scene::Scene;
 use crate::time::end;
-use meissner_array::units::HALF_TICKS_PER_S;
+use meissner_array::units::TickRate;
 use serde::{Deserialize, Serialize};
 use std::ops::RangeInclusive;
 
@@ -175,8 +175,8 @@ const COUNTABLE: f64 = 8_388_608.0;
 
 impl Stepping {
     /// The step in half ticks, rounded once.
-    pub(crate) fn half_ticks(self) -> f64 {
-        f64::from(self.step_us) * HALF_TICKS_PER_S / 1e6
+    pub(crate) fn half_ticks(self, rate: TickRate) -> f64 {
+        f64::from(self.step_us) * rate.half_ticks_per_s() / 1e6
     }
 }
 
@@ -209,11 +209,11 @@ impl Method {
     }
 
     /// How far a scene is computed, half ticks: the last step is a whole one.
-    pub(crate) fn horizon(self, duration_s: f64) -> f64 {
+    pub(crate) fn horizon(self, duration_s: f64, rate: TickRate) -> f64 {
         match self {
-            Self::Exact => end(duration_s),
+            Self::Exact => end(duration_s, rate),
             Self::Stepped(stepping) => {
-                (end(duration_s) / stepping.half_ticks()).ceil() * stepping.half_ticks()
+                (end(duration_s, rate) / stepping.half_ticks(rate)).ceil() * stepping.half_ticks(rate)
             }
         }
     }

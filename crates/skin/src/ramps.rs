@@ -11,36 +11,39 @@
 //!
 //! Invariant: a motor's ramps are in order of time and do not overlap.
 
-use crate::breakpoints::in_parts;
+use crate::breakpoints::Parts;
 use crate::engine::{Train, run};
 use crate::member::by_place;
 use crate::method::{Method, MethodError, Options};
 use crate::scene::{MAX_GAIN, Scene};
 use crate::time::in_seconds;
 use crate::track::{Track, Tracks};
-use firmware_protocol::stroke::MOTORS;
 use firmware_protocol::tick::Tick;
 use meissner_array::motor::Ramp;
-use meissner_array::units::UM_PER_PULSE;
+use meissner_array::per_motor::PerMotor;
+use meissner_array::spec::Array;
 use std::sync::Arc;
 
 /// Afferents whose spikes are in memory at a time. A minute at 1 000 impulses/s takes 46 MB; at 200, 9 MB.
 const AT_A_TIME: usize = 32;
 
-/// The ramps of each motor.
-#[derive(Clone, Debug, Default, PartialEq)]
+/// The ramps of each motor of an array.
+#[derive(Clone, Debug, PartialEq)]
 pub struct Ramps {
-    motors: [Arc<Vec<Ramp>>; MOTORS],
+    array: Array,
+    motors: Vec<Arc<Vec<Ramp>>>,
 }
 
 /// Why no motor can have made some ramps.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum RampsError {
     /// There is no such motor.
-    #[error("a burst of motor {motor}: must be 0 to 23")]
+    #[error("a burst of motor {motor}: must be {}", .array.motor_range())]
     Motor {
         /// The number given.
         motor: u8,
+        /// The array.
+        array: Array,
     },
     /// A ramp begins before the one before has ended.
     #[error("a burst of motor {motor} at tick {}: must not begin before the last one has ended", .start.0)]
@@ -53,7 +56,7 @@ pub enum RampsError {
     /// A ramp is faster than the largest gain allows.
     #[error(
         "a burst of motor {motor} at tick {} moves {um_per_tick} um per pulse: must be at most {MAX_GAIN} times \
-         {UM_PER_PULSE:.4}, either way",
+         {um_per_pulse:.4}, either way",
         .start.0
     )]
     Travel {
@@ -63,54 +66,67 @@ pub enum RampsError {
         start: Tick,
         /// Its speed.
         um_per_tick: f64,
+        /// The travel of the model's motors.
+        um_per_pulse: f64,
     },
 }
 
 impl Ramps {
-    /// Takes ramps with their motors, each motor's in order of time. Ticks count from the beginning of the scene. A ramp may go up
+    /// Takes ramps with their motors of an array, each motor's in order of time. Ticks count from the beginning of the scene. A ramp may go up
     /// or down, even against the direction of its pulses. Each takes 24 bytes.
     ///
     /// # Errors
     /// The first ramp that no motor can have made.
-    pub fn new(ramps: impl IntoIterator<Item = (u8, Ramp)>) -> Result<Self, RampsError> {
-        let mut motors: [Vec<Ramp>; MOTORS] = Default::default();
+    pub fn new(array: Array, ramps: impl IntoIterator<Item = (u8, Ramp)>) -> Result<Self, RampsError> {
+        let gain = gain(array);
+        let mut motors: Vec<Vec<Ramp>> = vec![Vec::new(); array.motors()];
         for (motor, ramp) in ramps {
             let Ramp { start, um_per_tick, .. } = ramp;
-            let of_motor = motors.get_mut(usize::from(motor)).ok_or(RampsError::Motor { motor })?;
+            let of_motor = motors.get_mut(usize::from(motor)).ok_or(RampsError::Motor { motor, array })?;
             let free = of_motor.last().map_or(0, |last| last.start.0.saturating_add(last.ticks.into()));
             if start.0 < free {
                 return Err(RampsError::Order { motor, start });
             }
             if !(0.0..=MAX_GAIN).contains(&gain(um_per_tick)) {
-                return Err(RampsError::Travel { motor, start, um_per_tick });
+                let um_per_pulse = array.motor().um_per_pulse;
+                return Err(RampsError::Travel { motor, start, um_per_tick, um_per_pulse });
             }
             if ramp.ticks > 0 {
                 of_motor.push(ramp);
             }
         }
-        Ok(Self { motors: motors.map(Arc::new) })
+        Ok(Self { array, motors: motors.into_iter().map(Arc::new).collect() })
+    }
+
+    /// The array of the motors.
+    #[must_use]
+    pub const fn array(&self) -> Array {
+        self.array
     }
 
     /// The gain of each motor's fastest ramp.
-    pub(crate) fn gains(&self) -> [f64; MOTORS] {
-        std::array::from_fn(|motor| {
-            self.motors[motor].iter().map(|ramp| gain(ramp.um_per_tick)).fold(0.0, f64::max)
+    pub(crate) fn gains(&self) -> PerMotor<f64> {
+        let gain = gain(self.array);
+        PerMotor::from_fn(self.array, |motor| {
+            self.motors[usize::from(motor)].iter().map(|ramp| gain(ramp.um_per_tick)).fold(0.0, f64::max)
         })
     }
 
-    pub(crate) fn tracks(&self, gains: &[f64; MOTORS], duration_s: f64) -> Tracks {
-        std::array::from_fn(|motor| {
-            let full_um_per_tick = UM_PER_PULSE * gains[motor];
-            let track = || Track::of_ramps(motor as u8, &self.motors[motor], full_um_per_tick, duration_s);
+    pub(crate) fn tracks(&self, gains: &PerMotor<f64>, duration_s: f64) -> Tracks {
+        let track = |((motor, ramps), gain): ((u8, &Arc<Vec<Ramp>>), &f64)| {
+            let full_um_per_tick = self.array.motor().um_per_pulse * gain;
+            let track = || Track::of_ramps(self.array, motor, ramps, full_um_per_tick, duration_s);
             (full_um_per_tick > 0.0).then(|| Arc::new(track()))
-        })
+        };
+        self.array.numbers().zip(&self.motors).zip(gains).map(track).collect()
     }
 }
 
 /// The absolute speed of a ramp over the model's, rounded to whole parts: a travel divided by its pulses has rounding errors, and
 /// the model's own speed must give 1.
-fn gain(um_per_tick: f64) -> f64 {
-    in_parts(um_per_tick.abs() / UM_PER_PULSE)
+fn gain(array: Array) -> impl Fn(f64) -> f64 {
+    let (parts, um_per_pulse) = (Parts::of(array.motor()), array.motor().um_per_pulse);
+    move |um_per_tick| parts.round(um_per_tick.abs() / um_per_pulse)
 }
 
 /// Simulates a scene exactly, moved by `ramps`; its drives and gains are ignored. `give` is called with each afferent's
@@ -120,16 +136,21 @@ fn gain(um_per_tick: f64) -> f64 {
 ///
 /// # Errors
 /// If there are more than [`MAX_SPIKES`](crate::MAX_SPIKES) spikes to keep.
+///
+/// # Panics
+/// If scene and ramps are for different arrays.
 pub fn simulate_ramps(
     scene: &Scene,
     ramps: &Ramps,
     give: &mut dyn FnMut(u32, Vec<f64>),
 ) -> Result<(), MethodError> {
+    assert_eq!(scene.array(), ramps.array(), "the ramps are those of the scene's motors");
     let gains = ramps.gains();
     let (scene, tracks) = (scene.without_drives(gains), ramps.tracks(&gains, scene.duration_s()));
     let all: Vec<u32> = (0..scene.afferents().len() as u32).collect();
     for some in by_place(&scene, &all).chunks(AT_A_TIME) {
-        let mut give = |(number, _, half_ticks): Train| give(number, in_seconds(half_ticks));
+        let mut give =
+            |(number, _, half_ticks): Train| give(number, in_seconds(half_ticks, scene.array().rate()));
         run(&scene, &tracks, some, &Options::spikes(Method::Exact), &|_| (), &mut give)?;
     }
     Ok(())

@@ -8,7 +8,7 @@
 use crate::breakpoints::{Breakpoint, Breakpoints};
 use crate::method::{Integrator, Method};
 use crate::simd::Number;
-use crate::time::end;
+use meissner_array::units::TickRate;
 
 /// Steps whose input is summed at once: as many vectors as stay in registers. Samples come in whole tiles.
 pub(crate) const TILE: usize = 8;
@@ -30,15 +30,15 @@ pub(crate) struct Sampler<'s> {
 
 impl<'s> Sampler<'s> {
     /// None for a method without steps.
-    pub(crate) fn new(mut breakpoints: Breakpoints<'s>, method: Method) -> Option<Self> {
+    pub(crate) fn new(mut breakpoints: Breakpoints<'s>, method: Method, rate: TickRate) -> Option<Self> {
         let Method::Stepped(stepping) = method else { return None };
-        let (next, step, integrator) = (breakpoints.next(), stepping.half_ticks(), stepping.integrator);
+        let (next, step, integrator) = (breakpoints.next(), stepping.half_ticks(rate), stepping.integrator);
         Some(Self { breakpoints, next, at: 0.0, sum: 0.0, d: 0.0, slope: 0.0, before: 0.0, step, integrator })
     }
 
-    /// The number of steps in a scene.
-    pub(crate) fn steps(&self, duration_s: f64) -> u64 {
-        (end(duration_s) / self.step).ceil() as u64
+    /// The number of steps in a scene with this end, half ticks.
+    pub(crate) fn steps(&self, end: f64) -> u64 {
+        (end / self.step).ceil() as u64
     }
 
     /// Fills in the samples of `steps` steps from number `first` on, half pulses: for Euler the velocity at the step's start, for

@@ -42,7 +42,7 @@ pub fn simulate(
     let mut give = |(number, count, half_ticks): Train| {
         counts[number as usize] = count;
         if let Some(spikes) = spikes.get_mut(number as usize) {
-            *spikes = in_seconds(half_ticks);
+            *spikes = in_seconds(half_ticks, scene.array().rate());
         }
     };
     let skipped = engine::run(scene, &tracks, &numbers, options, progress, &mut give)?;

@@ -15,7 +15,6 @@ use crate::membrane::{MIN_THRESHOLD, Rectify};
 use crate::method::Integrator;
 use crate::sampler::TILE;
 use crate::simd::{Aligned, Number};
-use firmware_protocol::stroke::MOTORS;
 use meissner_array::random::Normals;
 use pulp::{Arch, Simd, WithSimd};
 use std::array;
@@ -68,8 +67,10 @@ impl StepModel {
 /// The state of up to sixteen afferents.
 #[derive(Debug)]
 pub(crate) struct Group<T> {
-    weights: [Row<T>; MOTORS],
-    motors: u32,
+    /// By motor.
+    weights: Vec<Row<T>>,
+    /// The motors that reach any of them, one bit each.
+    motors: u64,
     p: Row<T>,
     /// Steps since the last spike: whole numbers plus the part of a step after the spike.
     since: Row<T>,
@@ -86,10 +87,10 @@ struct Lane {
 }
 
 impl<T: Number> Group<T> {
-    pub(crate) fn new(members: Vec<Member>) -> Self {
+    pub(crate) fn new(motors: usize, members: Vec<Member>) -> Self {
         assert!(members.len() <= LANES);
         let mut group = Self {
-            weights: [Aligned([T::default(); LANES]); MOTORS],
+            weights: vec![Aligned([T::default(); LANES]); motors],
             motors: 0,
             p: Aligned([T::default(); LANES]),
             since: Aligned([T::of(NEVER); LANES]),
@@ -98,10 +99,8 @@ impl<T: Number> Group<T> {
             lanes: Vec::with_capacity(members.len()),
         };
         for (lane, member) in members.into_iter().enumerate() {
-            for (motor, &weight) in member.weights.iter().enumerate() {
-                group.weights[motor][lane] = T::of(weight);
-                group.motors |= u32::from(weight > 0.0) << motor;
-            }
+            group.motors |= member.motors;
+            member.reached_by().for_each(|(motor, weight)| group.weights[motor][lane] = T::of(weight));
             group.resting[lane] = T::of(member.resting);
             group.lanes.push(Lane { noise: member.noise, spikes: Vec::new(), count: 0 });
         }
@@ -129,7 +128,7 @@ pub(crate) struct Block<'b, T> {
     pub(crate) model: &'b StepModel,
     pub(crate) membrane: &'b Membrane,
     /// The velocity of each motor that reaches any afferent, per step, in whole tiles.
-    pub(crate) inputs: &'b [&'b [T]; MOTORS],
+    pub(crate) inputs: &'b [&'b [T]],
     pub(crate) first: u64,
     pub(crate) steps: usize,
     pub(crate) until: f64,

@@ -14,10 +14,9 @@ use crate::sampler::{Sampler, TILE};
 use crate::scene::Scene;
 use crate::simd::Number;
 use crate::time::end;
-use firmware_protocol::stroke::MOTORS;
 use meissner_array::motor::Ramp;
 use meissner_array::pattern::Drive;
-use meissner_array::units::HALF_TICKS_PER_S;
+use meissner_array::spec::Array;
 use std::sync::{Arc, OnceLock};
 
 /// The most bytes that all tracks of a scene keep: a minute of fast strokes or of steps. An evaluator keeps the same amount for its
@@ -25,11 +24,12 @@ use std::sync::{Arc, OnceLock};
 pub(crate) const MAX_KEPT_BYTES: usize = 16 << 20;
 
 /// The tracks of a scene's motors; none if the motor never moves.
-pub(crate) type Tracks = [Option<Arc<Track>>; MOTORS];
+pub(crate) type Tracks = Vec<Option<Arc<Track>>>;
 
 /// One motor's part in a scene.
 #[derive(Debug)]
 pub(crate) struct Track {
+    array: Array,
     motor: u8,
     moved_by: MovedBy,
     duration_s: f64,
@@ -75,13 +75,14 @@ impl Sample for f64 {
 
 /// The tracks of a scene.
 pub(crate) fn of_scene(scene: &Scene, method: Method) -> Tracks {
-    std::array::from_fn(|motor| Track::new(scene, method, motor as u8).map(Arc::new))
+    scene.array().numbers().map(|motor| Track::new(scene, method, motor).map(Arc::new)).collect()
 }
 
 impl Track {
     /// A motor's track, if it moves.
     pub(crate) fn new(scene: &Scene, method: Method, motor: u8) -> Option<Self> {
-        let moves = |drive: &&Drive| drive.wave().is_ok_and(|wave| wave.moves());
+        let array = scene.array();
+        let moves = |drive: &&Drive| drive.wave(array).is_ok_and(|wave| wave.moves());
         let of_motor = scene.drives().iter().filter(|drive| drive.motor == motor);
         let mut drives: Vec<_> = of_motor.filter(moves).copied().collect();
         drives.sort_by(|a, b| a.start().total_cmp(&b.start()));
@@ -89,25 +90,34 @@ impl Track {
         let breakpoints_per_s = drives.iter().map(|drive| 8.0 * drive.frequency_hz).fold(0.0, f64::max);
         let moved_by = MovedBy::Drives(drives);
         (breakpoints_per_s > 0.0)
-            .then(|| Self::moved(motor, moved_by, breakpoints_per_s, scene.duration_s(), method))
+            .then(|| Self::moved(array, motor, moved_by, breakpoints_per_s, scene.duration_s(), method))
     }
 
     /// The track of a motor that made some ramps, for the exact method.
     pub(crate) fn of_ramps(
+        array: Array,
         motor: u8,
         ramps: &Arc<Vec<Ramp>>,
         full_um_per_tick: f64,
         duration_s: f64,
     ) -> Self {
         // A ramp has four breakpoints, within the scene or the window after it.
-        let breakpoints_per_s = 4.0 * ramps.len() as f64 / duration_s.max(1.0 / HALF_TICKS_PER_S);
+        let breakpoints_per_s =
+            4.0 * ramps.len() as f64 / duration_s.max(1.0 / array.rate().half_ticks_per_s());
         let moved_by = MovedBy::Ramps(Arc::clone(ramps), full_um_per_tick);
-        Self::moved(motor, moved_by, breakpoints_per_s, duration_s, Method::Exact)
+        Self::moved(array, motor, moved_by, breakpoints_per_s, duration_s, Method::Exact)
     }
 
-    fn moved(motor: u8, moved_by: MovedBy, breakpoints_per_s: f64, duration_s: f64, method: Method) -> Self {
+    fn moved(
+        array: Array,
+        motor: u8,
+        moved_by: MovedBy,
+        breakpoints_per_s: f64,
+        duration_s: f64,
+        method: Method,
+    ) -> Self {
         let (list, samples, charge) = (OnceLock::new(), Samples::default(), OnceLock::new());
-        Self { motor, moved_by, duration_s, breakpoints_per_s, method, list, samples, charge }
+        Self { array, motor, moved_by, duration_s, breakpoints_per_s, method, list, samples, charge }
     }
 
     pub(crate) const fn motor(&self) -> u8 {
@@ -121,11 +131,11 @@ impl Track {
 
     /// All breakpoints, made as they are read.
     pub(crate) fn breakpoints(&self) -> Breakpoints<'_> {
-        let end = end(self.duration_s);
+        let end = end(self.duration_s, self.array.rate());
         match &self.moved_by {
-            MovedBy::Drives(drives) => Breakpoints::new(self.motor, drives, end),
+            MovedBy::Drives(drives) => Breakpoints::new(self.array, self.motor, drives, end),
             MovedBy::Ramps(ramps, full_um_per_tick) => {
-                Breakpoints::of_ramps(self.motor, ramps, *full_um_per_tick, end)
+                Breakpoints::of_ramps(self.array, self.motor, ramps, *full_um_per_tick, end)
             }
         }
     }
@@ -133,20 +143,25 @@ impl Track {
     /// All breakpoints as a list, if they are few enough to keep.
     pub(crate) fn list(&self) -> Option<&[Breakpoint]> {
         let few = self.breakpoints_per_s * self.duration_s * size_of::<Breakpoint>() as f64
-            <= (MAX_KEPT_BYTES / MOTORS) as f64;
+            <= self.most_kept_bytes() as f64;
         few.then(|| &**self.list.get_or_init(|| self.breakpoints().collect()))
+    }
+
+    /// Its share of the bytes that all tracks keep.
+    fn most_kept_bytes(&self) -> usize {
+        MAX_KEPT_BYTES / self.array.motors()
     }
 
     /// None for a method without steps.
     pub(crate) fn sampler(&self) -> Option<Sampler<'_>> {
-        Sampler::new(self.breakpoints(), self.method)
+        Sampler::new(self.breakpoints(), self.method, self.array.rate())
     }
 
     /// The samples of all steps, in whole tiles, if they are few enough to keep.
     pub(crate) fn samples<T: Sample>(&self) -> Option<&[T]> {
         let mut sampler = self.sampler()?;
-        let steps = sampler.steps(self.duration_s);
-        let few = steps * size_of::<T>() as u64 <= (MAX_KEPT_BYTES / MOTORS) as u64;
+        let steps = sampler.steps(end(self.duration_s, self.array.rate()));
+        let few = steps * size_of::<T>() as u64 <= self.most_kept_bytes() as u64;
         few.then(|| {
             &**T::kept(&self.samples).get_or_init(|| {
                 let mut samples = Vec::with_capacity((steps as usize).next_multiple_of(TILE));
@@ -158,7 +173,7 @@ impl Track {
 
     /// The highest charge on a membrane at weight 1 within at least the first `count` breakpoints.
     pub(crate) fn charge(&self, bound: &Bound, count: usize) -> f64 {
-        let horizon = self.method.horizon(self.duration_s);
+        let horizon = self.method.horizon(self.duration_s, self.array.rate());
         let all = count as f64 >= self.breakpoints_per_s * self.duration_s;
         let before = self.breakpoints().take_while(|found| found.at < horizon);
         match self.charge.get() {

@@ -18,8 +18,9 @@ fn spikes(scene: &Scene, method: Method) -> Vec<Vec<f64>> {
 /// One motor, afferents around it, and the number of well-conditioned leading spikes of each.
 fn scene(seed: u64, rectify: oracle::Rectify) -> (Scene, Vec<usize>) {
     let mut random = Random::new(seed);
-    let motor = random.below(24);
-    let pin = (((motor % 4) as f64 - 1.5) * 2.9, (2.5 - (motor / 4) as f64) * 2.9);
+    let array = oracle::Array::paper();
+    let motor = random.below(array.pins.len());
+    let pin = array.pins[motor];
     let drive = oracle::Drive {
         motor,
         frequency_hz: random.between(20.0, 100.0),
@@ -40,7 +41,7 @@ fn scene(seed: u64, rectify: oracle::Rectify) -> (Scene, Vec<usize>) {
     let afferents =
         (0..8).map(|_| (pin.0 + random.between(-1.0, 1.0), pin.1 + random.between(-1.0, 1.0))).collect();
     let scene =
-        oracle::Scene { duration_s: 0.15, drives: vec![drive], afferents, model, offsets: Vec::new() };
+        oracle::Scene { array, duration_s: 0.15, drives: vec![drive], afferents, model, offsets: Vec::new() };
     let (theirs, ours) = both::both(scene, 0.0, seed);
     let steep =
         |train: &oracle::Train| train.spikes.iter().take_while(|spike| spike.margin > STEEP).count().min(4);

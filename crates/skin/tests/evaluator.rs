@@ -1,10 +1,13 @@
 //! A scene changed motor by motor, and every candidate, has the answer of a fresh simulation.
 
 use meissner_array::pattern::Drive;
+use meissner_array::per_motor::PerMotor;
+use meissner_array::spec::Array;
 use meissner_skin::membrane::{AfferentModel, MIN_WEIGHT, Position, Rectify};
 use meissner_skin::{
     Evaluator, Integrator, Method, Options, Precision, SEARCH_MIN_WEIGHT, Scene, Stepping, simulate,
 };
+use meissner_test_support::paper::MOTORS;
 use meissner_test_support::patterns::drive;
 use meissner_test_support::random::Random;
 use rayon::prelude::*;
@@ -41,7 +44,7 @@ fn changed(random: &mut Random, motor: u8, now: Option<Drive>) -> Vec<Drive> {
 fn short(random: &mut Random, seed: u64, populations: f64) -> Scene {
     let scene = random.scene(populations);
     let model = AfferentModel { noise_sd: [0.0, 0.05][seed as usize % 2], ..*scene.model() };
-    Scene::new(0.4, seed, scene.drives().to_vec(), scene.afferents().to_vec(), model).unwrap()
+    Scene::new(Array::paper(), 0.4, seed, scene.drives().to_vec(), scene.afferents().to_vec(), model).unwrap()
 }
 
 #[test]
@@ -53,7 +56,7 @@ fn after_any_changes_the_answer_is_that_of_a_fresh_simulation() {
         let mut evaluator = Evaluator::new(scene.clone(), options).unwrap();
         let mut reused = 0;
         for _ in 0..15 {
-            let motor = random.below(24) as u8;
+            let motor = random.below(MOTORS) as u8;
             let now = scene.drives().iter().copied().find(|drive| drive.motor == motor);
             let drives = changed(&mut random, motor, now);
             scene = scene.with_motor(motor, &drives).unwrap();
@@ -72,7 +75,7 @@ fn evaluated(seed: u64) -> (Random, Evaluator, Options) {
     let mut random = Random::new(seed);
     let mut scene = short(&mut random, seed, 0.7);
     if random.chance(0.3) {
-        scene = scene.with_gains(&std::array::from_fn(|_| random.between(0.8, 1.2))).unwrap();
+        scene = scene.with_gains(&PerMotor::from_fn(Array::paper(), |_| random.between(0.8, 1.2))).unwrap();
     }
     let method = methods()[seed as usize % 3];
     let min_weight = if random.chance(0.5) { SEARCH_MIN_WEIGHT } else { MIN_WEIGHT };
@@ -84,7 +87,7 @@ fn evaluated(seed: u64) -> (Random, Evaluator, Options) {
 fn tried(random: &mut Random, drives: &[Drive]) -> Vec<Drive> {
     let mut drives = drives.to_vec();
     for _ in 0..random.below(4) {
-        let motor = random.below(24) as u8;
+        let motor = random.below(MOTORS) as u8;
         let now = drives.iter().copied().find(|drive| drive.motor == motor);
         drives.retain(|drive| drive.motor != motor);
         match random.below(4) {
@@ -156,7 +159,9 @@ fn a_refused_change_leaves_everything_as_it_was() {
     let drive = drive(9, 60.0, 80.0);
     let afferents = vec![Position { x_mm: -1.5, y_mm: 1.5 }, Position { x_mm: 4.0, y_mm: -7.0 }];
     let model = AfferentModel::default_for(Rectify::Half, 0.05);
-    let scene = Scene::new(0.5, 1, vec![drive, Drive { motor: 23, ..drive }], afferents, model).unwrap();
+    let scene =
+        Scene::new(Array::paper(), 0.5, 1, vec![drive, Drive { motor: 23, ..drive }], afferents, model)
+            .unwrap();
     for method in methods() {
         let mut evaluator = Evaluator::new(scene.clone(), Options::rates(method)).unwrap();
         let before = evaluator.counts().to_vec();
@@ -166,7 +171,7 @@ fn a_refused_change_leaves_everything_as_it_was() {
             (9, vec![Drive { phase: 1.0, ..drive }]),
             (9, vec![drive, drive]),
             (23, vec![Drive { start_s: Some(0.2), stop_s: Some(0.1), ..drive }]),
-            (24, vec![drive]),
+            (MOTORS as u8, vec![drive]),
         ] {
             evaluator.set_motor(motor, &drives).unwrap_err();
             assert_eq!((evaluator.scene(), evaluator.counts()), (&scene, &before[..]));

@@ -12,8 +12,8 @@ mod refusals;
 mod regressions;
 mod sizes;
 
-use meissner_array::geometry;
 use meissner_array::pattern::Drive;
+use meissner_array::spec::Array;
 use meissner_skin::membrane::{AfferentModel, Position, Rectify};
 use meissner_skin::{Integrator, Method, Options, Precision, Scene, Stepping, simulate};
 use meissner_test_support::both::for_oracle;
@@ -30,7 +30,7 @@ fn model(rectify: Rectify) -> AfferentModel {
 
 /// The position `right_mm` to the right of a pin.
 fn beside(motor: u8, right_mm: f64) -> Position {
-    let [x_mm, y_mm] = geometry::position_mm(motor);
+    let [x_mm, y_mm] = Array::paper().position_mm(motor);
     Position { x_mm: x_mm + right_mm, y_mm }
 }
 
@@ -39,7 +39,7 @@ fn under(motor: u8) -> Position {
 }
 
 fn scene(duration_s: f64, drives: &[Drive], afferents: &[Position], model: AfferentModel) -> Scene {
-    Scene::new(duration_s, 7, drives.to_vec(), afferents.to_vec(), model).unwrap()
+    Scene::new(Array::paper(), duration_s, 7, drives.to_vec(), afferents.to_vec(), model).unwrap()
 }
 
 /// One stroke up at time 0, so that a sensitive afferent spikes as often as it can.

@@ -1,9 +1,12 @@
 //! A motor's gain scales its effect on the skin, by every method.
 
+use meissner_array::per_motor::PerMotor;
+use meissner_array::spec::Array;
 use meissner_skin::membrane::AfferentModel;
 use meissner_skin::{
     Answer, Evaluator, Integrator, Method, Options, Precision, Scene, Stepping, simulate as solve,
 };
+use meissner_test_support::paper::MOTORS;
 use meissner_test_support::random::Random;
 use meissner_test_support::{both, oracle};
 
@@ -17,8 +20,8 @@ fn answer(scene: &Scene, method: Method) -> Answer {
     solve(scene, &Options::spikes(method), &|_| ()).unwrap()
 }
 
-fn spread(random: &mut Random) -> [f64; 24] {
-    std::array::from_fn(|_| random.between(0.5, 2.0))
+fn spread(random: &mut Random) -> PerMotor<f64> {
+    PerMotor::from_fn(Array::paper(), |_| random.between(0.5, 2.0))
 }
 
 #[test]
@@ -44,8 +47,9 @@ fn the_same_gain_of_all_motors_is_alpha() {
         let gain = [0.5, 2.0][seed as usize % 2];
         let model = AfferentModel { alpha_per_um: gain * scene.model().alpha_per_um, ..*scene.model() };
         let (drives, afferents) = (scene.drives().to_vec(), scene.afferents().to_vec());
-        let louder = Scene::new(scene.duration_s(), scene.seed(), drives, afferents, model).unwrap();
-        let gained = scene.with_gains(&[gain; 24]).unwrap();
+        let louder =
+            Scene::new(Array::paper(), scene.duration_s(), scene.seed(), drives, afferents, model).unwrap();
+        let gained = scene.with_gains(&PerMotor::all(Array::paper(), gain)).unwrap();
         for method in METHODS {
             let (louder, gained) = (answer(&louder, method), answer(&gained, method));
             assert_eq!(louder.counts, gained.counts, "seed {seed}, {method:?}");
@@ -60,7 +64,7 @@ fn a_gain_of_0_is_a_motor_left_out_and_of_1_none() {
         let mut random = Random::new(seed);
         let scene = random.scene(0.5);
         let motor = scene.drives()[random.below(scene.drives().len())].motor;
-        let mut gains = [1.0; 24];
+        let mut gains = PerMotor::all(Array::paper(), 1.0);
         for method in METHODS {
             let plain = answer(&scene, method);
             assert_eq!(answer(&scene.with_gains(&gains).unwrap(), method), plain);
@@ -80,13 +84,13 @@ fn a_gain_of_0_is_a_motor_left_out_and_of_1_none() {
 fn skipping_takes_gains_into_account() {
     for seed in 0..9 {
         let mut random = Random::new(seed);
-        let gains = std::array::from_fn(|_| random.log_between(0.01, 10.0));
+        let gains = PerMotor::from_fn(Array::paper(), |_| random.log_between(0.01, 10.0));
         let scene = random.scene(0.5).with_gains(&gains).unwrap();
         let options = Options::rates(METHODS[seed as usize % 3]);
         let all = solve(&scene, &Options { skip: false, ..options }, &|_| ()).unwrap();
         let mut evaluator = Evaluator::new(scene.clone(), options).unwrap();
         assert_eq!(evaluator.counts(), all.counts, "seed {seed}");
-        let motor = random.below(24) as u8;
+        let motor = random.below(MOTORS) as u8;
         let drive = random.drive(motor);
         evaluator.set_motor(motor, &[drive]).unwrap();
         let changed = scene.with_motor(motor, &[drive]).unwrap();

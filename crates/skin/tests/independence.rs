@@ -1,6 +1,7 @@
 //! An afferent's answer depends only on the scene, to the last bit, and not on how it is computed.
 
 use meissner_array::pattern::Drive;
+use meissner_array::spec::Array;
 use meissner_skin::membrane::{AfferentModel, Position, Rectify, population};
 use meissner_skin::{
     Answer, Integrator, Keep, Method, Options, Precision, Scene, Skipped, Stepping, simulate as solve,
@@ -34,14 +35,22 @@ fn long(noise_sd: f64) -> Scene {
     let drives =
         (0..24).map(|motor| Drive { frequency_hz: random.between(100.0, 300.0), ..random.drive(motor) });
     let afferents = population(5).into_iter().step_by(10).collect();
-    Scene::new(4.0, 5, drives.collect(), afferents, AfferentModel::default_for(Rectify::Half, noise_sd))
-        .unwrap()
+    Scene::new(
+        Array::paper(),
+        4.0,
+        5,
+        drives.collect(),
+        afferents,
+        AfferentModel::default_for(Rectify::Half, noise_sd),
+    )
+    .unwrap()
 }
 
 /// The scene with other afferents and without noise, which is keyed by their numbers.
 fn with_afferents(scene: &Scene, afferents: Vec<Position>) -> Scene {
     let model = AfferentModel { noise_sd: 0.0, ..*scene.model() };
-    Scene::new(scene.duration_s(), scene.seed(), scene.drives().to_vec(), afferents, model).unwrap()
+    Scene::new(Array::paper(), scene.duration_s(), scene.seed(), scene.drives().to_vec(), afferents, model)
+        .unwrap()
 }
 
 /// The scenes without noise, with the bits of each method.
@@ -118,7 +127,7 @@ fn the_length_of_blocks_changes_nothing() {
     for noise_sd in [0.0, 0.05] {
         let scene = |drives| {
             let model = AfferentModel::default_for(Rectify::Half, noise_sd);
-            Scene::new(3.0, 1, drives, afferents.clone(), model).unwrap()
+            Scene::new(Array::paper(), 3.0, 1, drives, afferents.clone(), model).unwrap()
         };
         let expected = bits(&spikes(&scene(vec![near]), Method::Exact));
         assert!(expected.iter().all(|(count, _)| *count > 100));
@@ -146,7 +155,8 @@ fn kept_breakpoints_and_samples_change_nothing() {
     ] {
         let until = |duration_s| {
             let model = AfferentModel::default_for(Rectify::Half, 0.05);
-            let scene = Scene::new(duration_s, 3, drives.clone(), afferents.clone(), model).unwrap();
+            let scene =
+                Scene::new(Array::paper(), duration_s, 3, drives.clone(), afferents.clone(), model).unwrap();
             let trains = spikes(&scene, method).spikes_s.unwrap().into_iter();
             trains.map(|train| train.into_iter().filter(|&t| t < 0.7).collect()).collect()
         };
@@ -197,7 +207,8 @@ fn repeated_s(copies: usize, rectify: Rectify, frequencies_hz: &[f64]) -> f64 {
     let at = |place: u32| Position { x_mm: -1.45 + 0.2 * f64::from(place), y_mm: 1.5 };
     let model = AfferentModel::default_for(rectify, 0.0);
     let repeated = (0..12).map(|place| {
-        let scene = Scene::new(10.0, 0, drives.clone(), vec![at(place); copies], model).unwrap();
+        let scene =
+            Scene::new(Array::paper(), 10.0, 0, drives.clone(), vec![at(place); copies], model).unwrap();
         both_ways(&scene, Method::Exact).repeated_afferent_s
     });
     repeated.sum()
@@ -235,7 +246,7 @@ fn periodic_scenes_of_a_finger_are_the_same_with_and_without_repetition() {
         ] {
             let afferents = population(2).into_iter().step_by(3).collect();
             let model = AfferentModel::default_for(rectify, 0.0);
-            let scene = Scene::new(9.77, 0, drives, afferents, model).unwrap();
+            let scene = Scene::new(Array::paper(), 9.77, 0, drives, afferents, model).unwrap();
             both_ways(&scene, Method::Exact);
         }
     }

@@ -4,6 +4,7 @@
 
 use meissner_array::pattern::Drive;
 use meissner_array::random::uniform;
+use meissner_array::spec::Array;
 use meissner_skin::afferents::{Class, NearEvaluator, PREINDENT_MM, Scene, population, simulate};
 use meissner_skin::membrane::{AfferentModel, Rectify};
 use meissner_skin::{Keep, Scene as MembraneScene};
@@ -15,7 +16,7 @@ const MIN_SHARE: f64 = 0.01;
 
 fn scene(duration_s: f64, preindent_mm: f64, noise: bool) -> Scene {
     let unused = AfferentModel::default_for(Rectify::Half, 0.0);
-    let motors = MembraneScene::new(duration_s, 5, Vec::new(), Vec::new(), unused).unwrap();
+    let motors = MembraneScene::new(Array::paper(), duration_s, 5, Vec::new(), Vec::new(), unused).unwrap();
     let rapid = population(3).into_iter().filter(|afferent| afferent.class == Class::Ra).collect();
     Scene::of_motors(&motors, preindent_mm, rapid, noise).unwrap()
 }

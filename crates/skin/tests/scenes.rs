@@ -126,6 +126,7 @@ duration_s = 2 => duration_s = 2⏎duration_s = 2 => 2: not TOML: duplicate key�
 duration_s = 2 => duration_s = 2⏎"a\nb" = 2 => 2: unknown key `a\nb`…did you mean
 duration_s = 2 => duration_s = 2⏎"" = 2 => 2: unknown key ``…did you mean
 duration_s = 2 => duration_s =  => 1: not TOML…
+seed = 5 => array = "6x4" => 2: `array` is unknown: no array is called `6x4`…tula35-6x4
 seed = 5 => seed = -5 => 2: `seed` is integer `-5`…a whole number, 0 or more
 seed = 5 => seed = 5.0 => 2: `seed` is floating point `5.0`…a whole number
 seed = 5 => population.seed = 5 => `receptors` and `population` are both…leave one out
@@ -133,12 +134,13 @@ seed = 5 => population = 5 => 2: `population` is integer `5`…a table
 seed = 5 => population.seeds = 5 => 2: `population`: unknown key `seeds`…`seed`?
 [[receptors]]⏎x_mm = 5.354⏎y_mm = -1.901 =>  => neither `afferents` (or `receptors`…add one
 motor = 3 => motor = 24 => 7: `drives[0].motor` is 24…must be 0 to 23
+seed = 5⏎spikes_s = [[1, 2], "whatever"]⏎promised_spikes = 3⏎⏎[[drives]]⏎motor = 3 => array = "tula35-2x3"⏎[[drives]]⏎motor = 6 => 4: `drives[0].motor` is 6…must be 0 to 5
 motor = 3 => motor = -1 => 7: `drives[0].motor` is -1…must be 0 to 23
 motor = 3 => motor = 300 => 7: `drives[0].motor` is 300…must be 0 to 23
-motor = 3 => motor = 99999999999999999999 => 7: `drives[0].motor` is 99999…must be 0 to 23
-motor = 3 => motor = 3.0 => 7: `drives[0].motor` is floating…a whole number, 0 to 23
-motor = 3 => motor = [3] => 7: `drives[0].motor` is sequence…a whole number, 0 to 23
-motor = 3 =>  => 6: `drives[0].motor` is missing…0 to 23
+motor = 3 => motor = 99999999999999999999 => 7: `drives[0].motor` is 1e20: must be 0 to 23
+motor = 3 => motor = 3.0 => 7: `drives[0].motor` is floating…a whole number, from 0 on
+motor = 3 => motor = [3] => 7: `drives[0].motor` is sequence…a whole number, from 0 on
+motor = 3 =>  => 6: `drives[0].motor` is missing…from 0 on
 motor = 3 => motr = 3 => 7: `drives[0]`: unknown key `motr`…did you mean `motor`?
 105.327 => 42500.1 => `drives[0].frequency_hz`: frequency 42500.1 Hz…at most 42500 Hz
 amplitude_um = 80 => amplitude_um = -1 => `drives[0].amplitude_um`: amplitude -1 um…0 to
@@ -182,8 +184,8 @@ const JSON_MISTAKES: &str = r#"
 {"seed": -1} => 1: `seed` is integer `-1`: must be a whole number, 0 or more…
 {"drives": {}} => 1: `drives` is map: must be a list…
 {"drives": [[3, 60, 80]]} => 1: `drives[0]` is sequence: must be a table…
-{"drives": [{"motor": 1e20}]} => …`drives[0].motor` is 1e20: must be 0 to 23…
-{"drives": [{"motor": 256}]} => …`drives[0].motor` is 256: must be 0 to 23…
+{"duration_s": 1, "receptors": [], "drives": [{"motor": 1e20, "frequency_hz": 60, "amplitude_um": 80}]} => …`drives[0].motor` is 1e20: must be 0 to 23…
+{"duration_s": 1, "receptors": [], "drives": [{"motor": 256, "frequency_hz": 60, "amplitude_um": 80}]} => …`drives[0].motor` is 256: must be 0 to 23…
 {"drives": [{"motor": 1,⏎"motor": 1}]} => 2: `drives[0].motor` is there twice…
 {"receptors": [{"x_mm": 1}, 2]} => 1: `receptors[0].y_mm` is missing…
 {"receptors": [[1, 2]]} => …`receptors[0]` is sequence: must be a table…

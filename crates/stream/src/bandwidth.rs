@@ -16,11 +16,11 @@
 use crate::settings::{Settings, batch_ticks};
 use crate::source::Source;
 use firmware_protocol::batch::{BATCH_BYTES, Packer};
-use firmware_protocol::stroke::MOTORS;
 use firmware_protocol::tick::Tick;
 use meissner_array::motor::{MotorError, SquareWave};
+use meissner_array::per_motor::PerMotor;
 use meissner_array::strokes::{LiveStrokes, Strokes};
-use meissner_array::units::{TICKS_PER_MS, TICKS_PER_S, ms_in_ticks, ticks_to_seconds};
+use meissner_array::units::TickRate;
 use std::time::Duration;
 
 /// Length of a play that counts, s: after a minute few plays do anything new.
@@ -36,8 +36,8 @@ const LEAST_UM: f64 = 40.0;
 /// Most bytes of an amendment message without items (header, first up tick), and of an item: up tick within 12 s, count.
 const AMEND_FRAME_BYTES: usize = 21;
 const AMEND_BYTES: usize = 6;
-/// The streamer wakes up this often while telemetry comes, ticks: bursts of one such slot share a message.
-const AMEND_SLOT: u64 = TICKS_PER_MS / 2;
+/// The streamer wakes up so often in a millisecond while telemetry comes: bursts of one such slot share a message.
+const AMEND_SLOTS_PER_MS: u64 = 2;
 /// Most bytes of a keep-alive, and how many there are per host watchdog timeout.
 const KEEP_BYTES: f64 = 14.0;
 const KEEPS: f64 = 5.0;
@@ -85,17 +85,18 @@ impl Bandwidth {
     /// # Errors
     /// If the frequency is out of a motor's range.
     pub fn of_live(most_hz: f64, updates_hz: f64, settings: &Settings) -> Result<Self, MotorError> {
-        let silent = SquareWave::new(most_hz, 0.0, 0.0)?;
-        let mut waves = [silent; MOTORS];
+        let array = settings.array;
+        let silent = SquareWave::new(array, most_hz, 0.0, 0.0)?;
+        let mut waves = PerMotor::all(array, silent);
         // Neighbouring strokes differ, so that the packer cannot shorten them.
         for (motor, wave) in waves.iter_mut().enumerate() {
             let motor = motor as f64;
-            *wave = SquareWave::new(most_hz, LEAST_UM + motor, motor / MOTORS as f64)?;
+            *wave = SquareWave::new(array, most_hz, LEAST_UM + motor, motor / array.motors() as f64)?;
         }
         let mut strokes = LiveStrokes::new(waves);
         let mut whole = Self::of_source(Source::Live(Box::new(strokes.clone())), settings);
         strokes.begin(Tick(0));
-        let ahead = Tick(ms_in_ticks(settings.lead_ms) as u64 + batch_ticks(settings));
+        let ahead = Tick(array.rate().ms_in_ticks(settings.lead_ms) as u64 + batch_ticks(settings));
         let (mut frame, mut bytes, mut frames) = (Packer::<BATCH_BYTES>::new(Tick(0)), 0, 0_u32);
         while let Some(Ok(stroke)) = strokes.next()
             && stroke.up < ahead
@@ -117,14 +118,16 @@ impl Bandwidth {
 
     fn of_source(mut strokes: Source, settings: &Settings) -> Self {
         let batch = batch_ticks(settings).max(1);
+        let rate = strokes.array().rate();
+        let (counted, amend_slot) = (COUNTED_S * rate.per_s(), rate.of_ms(1) / AMEND_SLOTS_PER_MS);
         strokes.begin(Tick(0));
-        let [mut bytes, mut amendments, mut frames] = [(); 3].map(|()| Sums::new(batch));
+        let [mut bytes, mut amendments, mut frames] = [(); 3].map(|()| Sums::new(batch, rate));
         let mut full = Packer::<BATCH_BYTES>::new(Tick(0));
         let mut slots = Vec::new();
         let mut frame = Packer::<BATCH_BYTES>::new(Tick(0));
         let mut framed = u64::MAX;
         loop {
-            if let Some(onset) = strokes.next_onset().filter(|onset| onset.0 < COUNTED_S * TICKS_PER_S) {
+            if let Some(onset) = strokes.next_onset().filter(|onset| onset.0 < counted) {
                 // Each item begins with a frame of its own.
                 bytes.add(onset.0, FRAME_BYTES + MARK_BYTES);
                 (frame, framed) = (Packer::new(onset), onset.0 / batch);
@@ -132,7 +135,7 @@ impl Bandwidth {
                 strokes.next_item();
             }
             let Some(Ok(stroke)) = strokes.next() else { break };
-            if stroke.up.0 >= COUNTED_S * TICKS_PER_S {
+            if stroke.up.0 >= counted {
                 break;
             }
             let (at, before) = (stroke.up.0, frame.bytes().len());
@@ -150,7 +153,7 @@ impl Bandwidth {
                 frames.add(at, 1);
             }
             for burst in stroke.bursts() {
-                let slot = (burst.start.0 / AMEND_SLOT) as usize;
+                let slot = (burst.start.0 / amend_slot) as usize;
                 slots.resize(slots.len().max(slot + 1), false);
                 let shared = std::mem::replace(&mut slots[slot], true);
                 amendments.add(burst.start.0, AMEND_BYTES + if shared { 0 } else { AMEND_FRAME_BYTES });
@@ -168,12 +171,14 @@ impl Bandwidth {
 /// Bytes per batch.
 struct Sums {
     batch: u64,
+    /// Of the ticks.
+    rate: TickRate,
     sums: Vec<usize>,
 }
 
 impl Sums {
-    fn new(batch: u64) -> Self {
-        Self { batch, sums: Vec::new() }
+    fn new(batch: u64, rate: TickRate) -> Self {
+        Self { batch, rate, sums: Vec::new() }
     }
 
     fn add(&mut self, tick: u64, bytes: usize) {
@@ -184,7 +189,7 @@ impl Sums {
 
     /// Whether a line of `rate` per second, with at least `before` always waiting, is never behind by more than `slack_s`.
     fn fits(&self, rate: f64, before: f64, slack_s: f64) -> bool {
-        let drained = rate * self.batch as f64 / TICKS_PER_S as f64;
+        let drained = rate * self.batch as f64 / self.rate.per_s() as f64;
         let mut waiting = before;
         self.sums.iter().all(|&bytes| {
             waiting += bytes as f64;
@@ -210,7 +215,7 @@ impl Sums {
     }
 
     fn requirement(&self, frames: u32, settings: &Settings) -> Requirement {
-        let batch = Duration::from_secs_f64(ticks_to_seconds(self.batch));
+        let batch = Duration::from_secs_f64(self.rate.ticks_to_seconds(self.batch));
         if self.sums.is_empty() {
             return Requirement { batch, ..Requirement::default() };
         }

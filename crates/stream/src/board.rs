@@ -7,10 +7,10 @@
 
 use firmware_protocol::board::Board;
 use firmware_protocol::tick::Tick;
-use meissner_array::units::TICKS_PER_MS;
+use meissner_array::units::TickRate;
 
-/// How long a receipt waits for the report after a play. If it takes longer, the line is broken.
-const WITHIN: u64 = 200 * TICKS_PER_MS;
+/// How long a receipt waits for the report after a play, ms. If it takes longer, the line is broken.
+const WITHIN_MS: u64 = 200;
 
 /// What the device counted while a play ran. `None`: the device does not measure it.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -47,9 +47,9 @@ impl BoardAccount {
 
     /// The play is over at `tick`; `ask` asks for a report. Returns whether to stop waiting: the account is complete, or never
     /// will be.
-    pub(super) fn ends(&mut self, tick: Tick, ask: impl FnOnce() -> u16) -> bool {
+    pub(super) fn ends(&mut self, tick: Tick, rate: TickRate, ask: impl FnOnce() -> u16) -> bool {
         let (_, since) = *self.until.get_or_insert_with(|| (ask(), tick));
-        self.after.is_some() || tick >= since + WITHIN
+        self.after.is_some() || tick >= since + rate.of_ms(WITHIN_MS)
     }
 
     /// A report has come.
@@ -88,6 +88,7 @@ impl BoardAccount {
 mod tests {
     use super::*;
     use firmware_protocol::board::Reset;
+    use meissner_test_support::paper::RATE;
 
     fn report(window: u16, slack: Option<u8>, stalls: u32) -> Board {
         Board {
@@ -109,11 +110,11 @@ mod tests {
         account.begins(u16::MAX, Some(report(u16::MAX - 1, Some(1), 1)));
         account.heard(report(u16::MAX, Some(2), 3));
         account.heard(report(0, Some(30), 4));
-        assert!(!account.ends(Tick(100), || 2));
+        assert!(!account.ends(Tick(100), RATE, || 2));
         account.heard(report(1, Some(28), 5));
-        assert!(!account.ends(Tick(101), || unreachable!("asked once")) && account.close().is_none());
+        assert!(!account.ends(Tick(101), RATE, || unreachable!("asked once")) && account.close().is_none());
         account.heard(report(2, None, 6));
-        assert!(account.ends(Tick(102), || unreachable!("asked once")));
+        assert!(account.ends(Tick(102), RATE, || unreachable!("asked once")));
         account.heard(report(3, Some(3), 9));
         let closed = account.close().expect("a complete account");
         assert_eq!((closed.slack, closed.stalls, closed.usb_recoveries), (Some(28), Some(3), None));
@@ -126,7 +127,7 @@ mod tests {
         for second in 1..=86_400_u32 {
             account.heard(report(second as u16, Some(if second == 1 { 20 } else { 30 }), 1 + second));
         }
-        account.ends(Tick(1), || 86_401_u32 as u16);
+        account.ends(Tick(1), RATE, || 86_401_u32 as u16);
         account.heard(report(86_401_u32 as u16, Some(25), 90_000));
         let closed = account.close().expect("a complete account");
         assert_eq!((closed.slack, closed.stalls), (Some(20), Some(89_999)));
@@ -136,7 +137,9 @@ mod tests {
     fn a_receipt_does_not_wait_for_ever() {
         let mut account = BoardAccount::default();
         account.begins(4, None);
-        assert!(!account.ends(Tick(0), || 5) && !account.ends(Tick(WITHIN - 1), || 5));
-        assert!(account.ends(Tick(WITHIN), || 5) && account.close().is_none());
+        assert!(
+            !account.ends(Tick(0), RATE, || 5) && !account.ends(Tick(RATE.of_ms(WITHIN_MS) - 1), RATE, || 5)
+        );
+        assert!(account.ends(Tick(RATE.of_ms(WITHIN_MS)), RATE, || 5) && account.close().is_none());
     }
 }

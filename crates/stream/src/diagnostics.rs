@@ -12,7 +12,8 @@ use crate::time::HostInstant;
 use firmware_protocol::board::{Board, SelfTestState};
 use firmware_protocol::frame::MAX_FRAME;
 use firmware_protocol::message::DeviceHello;
-use firmware_protocol::tick::TICK_HZ;
+use meissner_array::spec::Array;
+use meissner_array::units::TickRate;
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use std::hash::{BuildHasher, RandomState};
 use std::io;
@@ -107,15 +108,15 @@ impl LinkReportError {
     }
 }
 
-/// Measures the link of `device`; blocks for some seconds. With `self_test`, the device then tests itself.
+/// Measures the link of `device`, which should drive this array; blocks for some seconds. With `self_test`, the device then tests itself.
 ///
 /// # Errors
 /// If it is no board, goes away or answers too slowly.
-pub fn measure(device: &mut Device, self_test: bool) -> Result<LinkReport, LinkReportError> {
+pub fn measure(device: &mut Device, array: Array, self_test: bool) -> Result<LinkReport, LinkReportError> {
     let begun = HostInstant::now();
     let id = RandomState::new().hash_one(begun.as_ns()) as u32;
     let mut run = Measurement {
-        session: Session::new(id, device.rate(), begun),
+        session: Session::new(array, id, device.rate(), begun),
         hello: None,
         lost: None,
         trips: Vec::new(),
@@ -152,7 +153,7 @@ pub fn measure(device: &mut Device, self_test: bool) -> Result<LinkReport, LinkR
         hello,
         round_trip: round_trip(&run.trips),
         throughput_bytes_per_s: run.session.capacity(),
-        drift: drift(&run.trips),
+        drift: drift(&run.trips, array.rate()),
         board,
         self_test: run.self_test,
     })
@@ -246,7 +247,8 @@ fn round_trip(trips: &[RoundTrip]) -> RoundTripStats {
 }
 
 /// Fits a line through (host time, tick) of the round trips that nothing delayed, at least [`MIN_POINTS`] of them.
-fn drift(trips: &[RoundTrip]) -> Drift {
+fn drift(trips: &[RoundTrip], rate: TickRate) -> Drift {
+    let hz = f64::from(rate.hz());
     let ends = trips.first().zip(trips.last());
     let seconds = ends.map_or(0.0, |(first, last)| last.sent.since(first.sent).as_secs_f64());
     let half_s = |trip: &RoundTrip| trip.received.since(trip.sent).as_secs_f64() / 2.0;
@@ -265,7 +267,7 @@ fn drift(trips: &[RoundTrip]) -> Drift {
             // It may have waited on either side for all the time that it took beyond the shortest.
             error2 += (half_s(trip) - shortest).powi(2);
             let at = trip.sent.ns_since(first.sent) * 1e-9 + half_s(trip);
-            (at, trip.tick.since(first.tick) as f64 / f64::from(TICK_HZ))
+            (at, trip.tick.since(first.tick) as f64 / hz)
         })
         .collect();
     let count = points.len() as f64;
@@ -277,7 +279,7 @@ fn drift(trips: &[RoundTrip]) -> Drift {
     let slope = tk / tt;
     // Points may lie on a line by chance: their error is at least each point's bound, and a tick's width.
     let residual = sum(&|t, k| (k - slope * t).powi(2)) / (count - 2.0);
-    let bound = error2 / count + f64::from(TICK_HZ).recip().powi(2) / 12.0;
+    let bound = error2 / count + hz.recip().powi(2) / 12.0;
     Drift {
         ppm: (slope - 1.0) * 1e6,
         uncertainty_ppm: 2.0 * (residual.max(bound) / tt).sqrt() * 1e6,
@@ -289,6 +291,7 @@ fn drift(trips: &[RoundTrip]) -> Drift {
 mod tests {
     use super::*;
     use firmware_protocol::tick::Tick;
+    use meissner_test_support::paper::{RATE, TICK_HZ};
 
     #[test]
     fn delayed_round_trips_do_not_hide_a_fast_clock() {
@@ -301,7 +304,7 @@ mod tests {
                 RoundTrip { sent: HostInstant::from_ns(sent), tick: Tick(ticks as u64), received }
             })
             .collect();
-        let drift = drift(&trips);
+        let drift = drift(&trips, RATE);
         assert!((drift.ppm - 35.0).abs() <= drift.uncertainty_ppm.max(1.5), "{drift:?}");
         assert!(drift.uncertainty_ppm < 5.0 && drift.seconds > 2.0, "{drift:?}");
         let trip = round_trip(&trips);
@@ -319,7 +322,7 @@ mod tests {
                 RoundTrip { sent: HostInstant::from_ns(sent), tick: Tick(ticks as u64), received }
             })
             .collect();
-        drift(&trips)
+        drift(&trips, RATE)
     }
 
     #[test]
@@ -363,7 +366,7 @@ mod tests {
             let sent = HostInstant::from_ns(1_000_000_000 + i * 100_000_000);
             RoundTrip { sent, tick: Tick(1_000_000 + i * 8_500), received: sent + Duration::from_micros(200) }
         };
-        let of = |count| drift(&(0..count).map(trip).collect::<Vec<_>>());
+        let of = |count| drift(&(0..count).map(trip).collect::<Vec<_>>(), RATE);
         assert!(of(0).ppm.is_nan() && of(1).uncertainty_ppm.is_nan() && of(23).uncertainty_ppm.is_nan());
         assert!(of(24).uncertainty_ppm > 0.5 && of(24).ppm.abs() < 0.1, "{:?}", of(24));
     }

@@ -9,8 +9,8 @@
 use crate::time::HostInstant;
 use firmware_protocol::frame::{self, Decoder, MAX_FRAME};
 use firmware_protocol::message::DeviceMessage;
-use firmware_protocol::tick::{TICK_HZ, Tick};
-use meissner_array::units::duration_to_ticks;
+use firmware_protocol::tick::Tick;
+use meissner_array::units::TickRate;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 use std::fmt;
@@ -155,6 +155,8 @@ impl Liar {
 /// A device's clock, by the host's. It may run fast or slow, and more so from second to second.
 #[derive(Clone, Copy, Debug)]
 pub struct DeviceClock {
+    /// How fast it should run.
+    rate: TickRate,
     /// An instant, and the device's clock then.
     at: HostInstant,
     tick: Tick,
@@ -164,10 +166,10 @@ pub struct DeviceClock {
 }
 
 impl DeviceClock {
-    /// A clock that starts at [`Tick::BOOT`] and runs right.
+    /// A clock of this rate that starts at [`Tick::BOOT`] and runs right.
     #[must_use]
-    pub const fn started(at: HostInstant) -> Self {
-        Self { at, tick: Tick::BOOT, fast: 0.0, drift_per_s: 0.0 }
+    pub const fn started(rate: TickRate, at: HostInstant) -> Self {
+        Self { rate, at, tick: Tick::BOOT, fast: 0.0, drift_per_s: 0.0 }
     }
 
     /// The same crystal, in a device that starts again.
@@ -181,8 +183,9 @@ impl DeviceClock {
     pub fn tick_at(&self, at: HostInstant) -> Tick {
         let passed = at.since(self.at);
         let seconds = passed.as_secs_f64();
-        let extra = (seconds * (self.fast + self.drift_per_s * seconds / 2.0) * f64::from(TICK_HZ)) as i64;
-        Tick((self.tick + duration_to_ticks(passed)).0.saturating_add_signed(extra))
+        let extra =
+            (seconds * (self.fast + self.drift_per_s * seconds / 2.0) * f64::from(self.rate.hz())) as i64;
+        Tick((self.tick + self.rate.duration_to_ticks(passed)).0.saturating_add_signed(extra))
     }
 
     fn error_ppm(&self, at: HostInstant) -> f64 {
@@ -191,7 +194,7 @@ impl DeviceClock {
 
     /// From here on it runs fast by so many millionths, or slow.
     pub fn set_error(&mut self, now: HostInstant, ppm: f64) {
-        *self = Self { at: now, tick: self.tick_at(now), fast: ppm / 1e6, drift_per_s: 0.0 };
+        *self = Self { rate: self.rate, at: now, tick: self.tick_at(now), fast: ppm / 1e6, drift_per_s: 0.0 };
     }
 
     /// From here on its error changes by so many millionths each second, as with the temperature.
@@ -202,13 +205,14 @@ impl DeviceClock {
 
     /// It goes on by `time` at once, as while the host is suspended.
     pub fn jump(&mut self, time: Duration) {
-        self.tick = self.tick + duration_to_ticks(time);
+        self.tick = self.tick + self.rate.duration_to_ticks(time);
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use meissner_test_support::paper::RATE;
 
     #[test]
     fn a_line_that_holds_delivers_everything_at_once_in_order() {
@@ -227,7 +231,7 @@ mod tests {
     #[test]
     fn a_clock_that_drifts_gains_with_the_square_of_time() {
         let begin = HostInstant::from_ns(7_000_000_000);
-        let mut clock = DeviceClock::started(begin);
+        let mut clock = DeviceClock::started(RATE, begin);
         clock.drift(begin, 200.0);
         let after = |clock: &DeviceClock, seconds| {
             let right = Tick::BOOT + 85_000 * seconds;

@@ -4,25 +4,24 @@
 //! thousands of settings: a day of device time takes seconds. Controller and pin are those of a real play; the
 //! deadline for corrections includes the delay of the link.
 
-use crate::control::{BurstController, FINALISE_AT, Gains, LONGEST_AGE};
-use firmware_protocol::limits::MAX_UP_PULSES;
+use crate::control::{BurstController, Gains, Times};
 use firmware_protocol::stroke::{Burst, Direction, Stroke};
 use firmware_protocol::tick::Tick;
 use meissner_api::SensorFault;
 use meissner_array::motor::{Excursion, MotorError};
 use meissner_array::pattern::Drive;
 use meissner_array::simulated::{Pin, SimulatedMotorsConfig};
+use meissner_array::spec::Array;
 use meissner_array::strokes::DriveStrokes;
-use meissner_array::units::{TICKS_PER_MS, UM_PER_PULSE, seconds_in_ticks, seconds_to_ticks, ticks_to_ms};
 use serde::Serialize;
 use std::collections::VecDeque;
-
-/// The loop wakes up every millisecond.
-const WAKE_UP: u64 = TICKS_PER_MS;
 
 /// The settings of a run. Documents hold those that a grid varies.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct MotorRun {
+    /// The array of the motor.
+    #[serde(skip)]
+    pub array: Array,
     /// Of the square wave.
     pub frequency_hz: f64,
     /// Of the square wave, peak to peak.
@@ -37,7 +36,7 @@ pub struct MotorRun {
     pub scatter: f64,
     /// Gain up minus gain down; their mean is 1.
     pub asymmetry: f64,
-    /// Mean gain of a burst after half a second of rest.
+    /// Mean gain of a burst after a rest.
     #[serde(skip)]
     pub transient_gain: f64,
     /// Position of the pin at the beginning, µm.
@@ -54,10 +53,12 @@ pub struct MotorRun {
     pub gains: Gains,
 }
 
-impl Default for MotorRun {
-    /// The paper's motor at 60 Hz and 80 µm, with the mock's telemetry.
-    fn default() -> Self {
+impl MotorRun {
+    /// A motor of this array at 60 Hz and 80 µm, with the mock's telemetry.
+    #[must_use]
+    pub fn of(array: Array) -> Self {
         Self {
+            array,
             frequency_hz: 60.0,
             amplitude_um: 80.0,
             lead_ms: 100.0,
@@ -65,7 +66,7 @@ impl Default for MotorRun {
             telemetry_hz: 1000.0,
             scatter: 0.1,
             asymmetry: 0.02,
-            transient_gain: SimulatedMotorsConfig::default().transient_gain,
+            transient_gain: array.motor().transient_gain,
             offset_um: 0.0,
             seed: 0,
             closed: true,
@@ -93,7 +94,7 @@ impl MotorRun {
     /// Least time from the newest sample that a burst's count can use to the burst, ms.
     #[must_use]
     pub fn delay_ms(&self) -> f64 {
-        self.age_ms + ticks_to_ms(FINALISE_AT)
+        self.age_ms + self.array.rate().ticks_to_ms(Times::of(self.array).finalise_at)
     }
 
     /// Plays for `seconds` and calls `on_period` with each period; `alter` may change or drop samples (tick, 0.01 µm).
@@ -107,30 +108,36 @@ impl MotorRun {
         mut alter: impl FnMut(Tick, i32) -> Option<i32>,
         mut on_period: impl FnMut(&Period),
     ) -> Result<Option<SensorFault>, MotorError> {
-        let Self { frequency_hz, amplitude_um, .. } = *self;
+        let Self { array, frequency_hz, amplitude_um, .. } = *self;
+        let (rate, times) = (array.rate(), Times::of(array));
         let drive = Drive { motor: 0, frequency_hz, amplitude_um, phase: 0.0, start_s: None, stop_s: None };
         // The first stroke is late enough to be corrected.
-        let strokes = DriveStrokes::of(&drive)?.shifted(2 * FINALISE_AT, u64::MAX);
+        let strokes = DriveStrokes::of(array, &drive)?.shifted(2 * times.finalise_at, u64::MAX);
         let Self { seed, scatter: gain_sd, transient_gain, .. } = *self;
         let config =
             SimulatedMotorsConfig { seed, gain_sd, transient_gain, ..SimulatedMotorsConfig::default() };
-        let pin = Pin::new(&config, 0).with_asymmetry(self.asymmetry).at(self.offset_um);
-        let mut controller = BurstController::new(&self.gains);
+        let pin = Pin::new(array, &config, 0).with_asymmetry(self.asymmetry).at(self.offset_um);
+        let mut controller = BurstController::new(array, &self.gains);
         let start = Tick::BOOT;
-        let end = start + seconds_to_ticks(seconds);
-        let (lead, age) = (seconds_to_ticks(self.lead_ms / 1000.0), seconds_to_ticks(self.age_ms / 1000.0));
+        let end = start + rate.seconds_to_ticks(seconds);
+        let (lead, age) =
+            (rate.seconds_to_ticks(self.lead_ms / 1000.0), rate.seconds_to_ticks(self.age_ms / 1000.0));
         let mut strokes = strokes.map(|stroke| {
-            let pulses = stroke.pulses.min(MAX_UP_PULSES.into());
+            let pulses = stroke.pulses.min(array.motor().most_pulses.into());
             Excursion { pulses, ..stroke }.stroke(0, start)
         });
         let mut next = strokes.next();
-        let mut motor = Motor { pin, queue: VecDeque::new(), half: 0, top_um: 0.0 };
+        let um_per_pulse = array.motor().um_per_pulse;
+        let mut motor = Motor { pin, um_per_pulse, queue: VecDeque::new(), half: 0, top_um: 0.0 };
         let mut samples: VecDeque<(Tick, i32)> = VecDeque::new();
         let (mut sampled, mut number, mut now) = (start, 0_u64, start);
-        let sample_tick = |number: u64| start + (seconds_in_ticks(number as f64) / self.telemetry_hz) as u64;
+        let sample_tick =
+            |number: u64| start + (rate.seconds_in_ticks(number as f64) / self.telemetry_hz) as u64;
+        // The loop wakes up every millisecond.
+        let wake_up = rate.of_ms(1);
         while now < end {
-            now = now + WAKE_UP;
-            while let Some(stroke) = next.filter(|stroke| stroke.up < now + lead.max(2 * FINALISE_AT)) {
+            now = now + wake_up;
+            while let Some(stroke) = next.filter(|stroke| stroke.up < now + lead.max(2 * times.finalise_at)) {
                 controller.sent(&stroke, self.closed, end, |_, _| ());
                 controller.accepted(stroke.up);
                 motor.queue.push_back((stroke, stroke.up_pulses));
@@ -155,9 +162,9 @@ impl MotorRun {
                 controller.telemetry(tick, f64::from(y) * 0.01, |_| ());
                 sampled = tick;
             }
-            if controller.next().is_some_and(|next| next <= now + FINALISE_AT) {
+            if controller.next().is_some_and(|next| next <= now + times.finalise_at) {
                 let free = || next.map_or(end, |stroke| stroke.up);
-                let fresh = now - sampled <= LONGEST_AGE;
+                let fresh = now - sampled <= times.longest_age;
                 let amend = |up, direction, pulses| motor.amend(up, direction, pulses);
                 controller.correct(now, free, fresh, true, amend);
             }
@@ -169,6 +176,7 @@ impl MotorRun {
 /// The simulated device: strokes as they will be played, and the pin.
 struct Motor {
     pin: Pin,
+    um_per_pulse: f64,
     /// Strokes with their planned pulses.
     queue: VecDeque<(Stroke, u16)>,
     /// The next burst of the first stroke: 0 up, 1 down.
@@ -193,7 +201,7 @@ impl Motor {
         let (stroke, planned) = self.queue.pop_front()?;
         Some(Period {
             up: stroke.up - start,
-            planned_um: f64::from(planned) * UM_PER_PULSE,
+            planned_um: f64::from(planned) * self.um_per_pulse,
             top_um: self.top_um,
             rest_um: um,
             pulses: [stroke.up_pulses, stroke.down_pulses],
@@ -215,17 +223,30 @@ impl Motor {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use meissner_array::pattern::Pattern;
+    use meissner_array::spec::names;
     use meissner_array::strokes::{StrokeOptions, Strokes};
-    use meissner_test_support::patterns::{drive, pattern};
+    use meissner_test_support::patterns::drive;
 
     #[test]
     fn a_run_plays_the_strokes_that_a_pattern_sends() {
+        for array in names().into_iter().map(|name| Array::named(name).unwrap()) {
+            assert_plays_the_strokes(array);
+        }
+    }
+
+    fn assert_plays_the_strokes(array: Array) {
         for (frequency_hz, amplitude_um) in [(60.0, 80.0), (7.3, 400.0), (299.0, 30.0), (150.1, 3.3)] {
-            let run = MotorRun { frequency_hz, amplitude_um, closed: false, ..MotorRun::default() };
+            let run = MotorRun { frequency_hz, amplitude_um, closed: false, ..MotorRun::of(array) };
             let mut played = Vec::new();
-            run.run(1.0, |_, y| Some(y), |period| played.push((period.up - 2 * FINALISE_AT, period.pulses)))
-                .unwrap();
-            let pattern = pattern("test", None, [drive(0, frequency_hz, amplitude_um)]);
+            run.run(
+                1.0,
+                |_, y| Some(y),
+                |period| played.push((period.up - 2 * Times::of(array).finalise_at, period.pulses)),
+            )
+            .unwrap();
+            let drives = vec![drive(0, frequency_hz, amplitude_um)];
+            let pattern = Pattern::new(array, "test", None, drives, toml::Table::new()).unwrap();
             let sent = Strokes::new(&pattern, &StrokeOptions::lasting(1.0)).unwrap().map(Result::unwrap);
             let sent: Vec<_> =
                 sent.map(|stroke| (stroke.up.0, [stroke.up_pulses, stroke.down_pulses])).collect();

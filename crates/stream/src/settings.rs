@@ -1,15 +1,17 @@
 //! The settings of the streamer, and the length of a batch that follows from them.
 
 use crate::control::Gains;
-use firmware_protocol::limits::{MAX_PUSHES_PER_S, MAX_SEEK, PowerLimits, WHOLE_TRAVEL};
-use firmware_protocol::stroke::MOTORS;
+use firmware_protocol::limits::{PowerLimits, correction};
+use meissner_array::per_motor::PerMotor;
+use meissner_array::spec::Array;
 use meissner_array::strokes::{AutoSurplus, Surplus};
-use meissner_array::units::{UM_PER_PULSE, ms_in_ticks, ticks_to_seconds};
 use std::time::Duration;
 
 /// The streamer's settings.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Settings {
+    /// The array that is driven. The settings of a running streamer cannot change it.
+    pub array: Array,
     /// How far ahead of now strokes are sent, ms.
     pub lead_ms: f64,
     /// Host watchdog timeout: after such a silence the device returns the pins and disarms, ms; at least the lead + 50.
@@ -37,12 +39,6 @@ pub struct LowerStopSettings {
     pub pulses_per_s: u32,
 }
 
-impl Default for LowerStopSettings {
-    fn default() -> Self {
-        Self { surplus_um: None, rest_error_um: REST_ERROR_UM, pulses_per_s: MAX_PUSHES_PER_S }
-    }
-}
-
 /// Rest error that the surplus allows by default, µm: less than position control reaches with telemetry at 10 % scatter (8 µm).
 const REST_ERROR_UM: f64 = 5.0;
 /// A seek of the stop goes this many times as far as from end stop to rest: the first burst after rest reaches 80 %, and a
@@ -50,11 +46,18 @@ const REST_ERROR_UM: f64 = 5.0;
 const SEEK_MARGIN: f64 = 2.0;
 
 impl LowerStopSettings {
-    fn surplus(&self, gains: &[Gains; MOTORS]) -> Surplus {
+    /// The settings without further configuration: a motor of this array may push for three tenths of its pulses, as long as the
+    /// controller allows.
+    #[must_use]
+    pub fn of(array: Array) -> Self {
+        Self { surplus_um: None, rest_error_um: REST_ERROR_UM, pulses_per_s: array.rate().hz() * 3 / 10 }
+    }
+
+    fn surplus(&self, gains: &PerMotor<Gains>) -> Surplus {
         if let Some(um) = self.surplus_um {
             return Surplus::Fixed(um);
         }
-        let spread = gains.each_ref().map(Gains::spread);
+        let spread = gains.map(|gains| gains.spread());
         Surplus::Auto(Box::new(AutoSurplus { spread, rest_error_um: self.rest_error_um }))
     }
 }
@@ -66,11 +69,18 @@ const END_STOP_UM: f32 = 500.0;
 const LEASE_OVER_LEAD_MS: f64 = 200.0;
 
 impl Settings {
+    /// The settings of an array without further configuration: a lead of 100 ms, because stock kernels stall for 25 ms.
+    #[must_use]
+    pub const fn of(array: Array) -> Self {
+        Self::for_lead(array, 100.0)
+    }
+
     /// The settings that a lead of `lead_ms` has without further configuration.
     #[must_use]
-    pub const fn for_lead(lead_ms: f64) -> Self {
+    pub const fn for_lead(array: Array, lead_ms: f64) -> Self {
         let lease_ms = lead_ms + LEASE_OVER_LEAD_MS;
         Self {
+            array,
             lead_ms,
             lease_ms,
             limits: PowerLimits::NONE,
@@ -83,24 +93,35 @@ impl Settings {
 
     /// The surplus of plays on motors with these gains: none without a lower stop.
     #[must_use]
-    pub fn surplus(&self, gains: &[Gains; MOTORS]) -> Surplus {
+    pub fn surplus(&self, gains: &PerMotor<Gains>) -> Surplus {
         self.lower_stop.map_or(Surplus::None, |stop| stop.surplus(gains))
     }
 
-    /// Pulses that take every pin to the lower stop, from wherever it is. The controller never refuses a seek of at least
-    /// [`WHOLE_TRAVEL`] as too short.
+    /// Pulses that take every pin to the lower stop, from wherever it is. The controller never refuses a seek as too short that
+    /// goes as far as moves and a stroke can take a pin.
     #[must_use]
     pub fn seek_pulses(&self) -> u16 {
-        let pulses = SEEK_MARGIN * f64::from(self.end_stop_um) / UM_PER_PULSE;
+        let motor = self.array.motor();
+        let pulses = SEEK_MARGIN * f64::from(self.end_stop_um) / motor.um_per_pulse;
+        let whole_travel = 2 * motor.most_pulses + correction(motor.most_pulses);
         // The cast saturates.
-        (pulses.ceil() as u16).clamp(WHOLE_TRAVEL, MAX_SEEK)
+        (pulses.ceil() as u16).clamp(whole_travel, motor.seek_pulses)
     }
 
     /// How long arming takes at most to seek the lower stop: the motors of a rail may have to take turns.
     #[must_use]
     pub fn seek_time(&self) -> Duration {
         let pulses = self.lower_stop.map_or(0, |_| self.seek_pulses());
-        Duration::from_secs_f64(ticks_to_seconds(pulses.into()) * f64::from(self.limits.turns()))
+        Duration::from_secs_f64(
+            self.array.rate().ticks_to_seconds(pulses.into()) * f64::from(self.limits.turns()),
+        )
+    }
+
+    /// Whether some limit is below what the array's motors can reach.
+    pub(crate) fn is_limited(&self) -> bool {
+        let (PowerLimits { motor, rail, .. }, hz) = (self.limits, self.array.rate().per_s());
+        let whole_rail = self.array.rails().largest() as u64 * hz;
+        u64::from(motor) < hz || u64::from(rail) < whole_rail || limits_at_once(self.array, self.limits)
     }
 
     /// The half of the lead that is for stalls of the PC, ms. The other half is for the line.
@@ -110,11 +131,10 @@ impl Settings {
     }
 }
 
-impl Default for Settings {
-    /// A lead of 100 ms: stock kernels stall for 25 ms.
-    fn default() -> Self {
-        Self::for_lead(100.0)
-    }
+/// Whether more motors of a rail or a driver chip could have pulses at once than these limits allow.
+pub(crate) fn limits_at_once(array: Array, limits: PowerLimits) -> bool {
+    usize::from(limits.rail_at_once) < array.rails().largest()
+        || usize::from(limits.chip_at_once) < array.chips().largest()
 }
 
 /// Longest batch of strokes, ms: a frame carries many strokes.
@@ -122,19 +142,45 @@ const LONGEST_BATCH_MS: f64 = 12.5;
 
 /// Length of a batch of strokes, ticks.
 pub(crate) fn batch_ticks(settings: &Settings) -> u64 {
-    ms_in_ticks((settings.lead_ms / 4.0).min(LONGEST_BATCH_MS)) as u64
+    settings.array.rate().ms_in_ticks((settings.lead_ms / 4.0).min(LONGEST_BATCH_MS)) as u64
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use firmware_protocol::limits::{MAX_SEEK, WHOLE_TRAVEL};
+    use meissner_array::spec::names;
 
     #[test]
     fn no_seek_is_too_short_for_the_controller() {
         for (end_stop_um, pulses) in
             [(0.0, WHOLE_TRAVEL), (90.0, WHOLE_TRAVEL), (500.0, 7_369), (5_000.0, MAX_SEEK)]
         {
-            assert_eq!(Settings { end_stop_um, ..Settings::default() }.seek_pulses(), pulses);
+            assert_eq!(Settings { end_stop_um, ..Settings::of(Array::paper()) }.seek_pulses(), pulses);
         }
+    }
+
+    #[test]
+    fn limits_count_from_what_the_array_reaches_downwards() {
+        for array in names().into_iter().map(|name| Array::named(name).unwrap()) {
+            let (hz, rail, chip) = (array.rate().hz(), array.rails().largest(), array.chips().largest());
+            let all = PowerLimits {
+                motor: hz,
+                rail: rail as u32 * hz,
+                rail_at_once: rail as u8,
+                chip_at_once: chip as u8,
+            };
+            let is_limited = |limits| Settings { limits, ..Settings::of(array) }.is_limited();
+            assert!(!is_limited(all), "{array:?}");
+            for less in [
+                PowerLimits { motor: all.motor - 1, ..all },
+                PowerLimits { rail: all.rail - 1, ..all },
+                PowerLimits { rail_at_once: all.rail_at_once - 1, ..all },
+                PowerLimits { chip_at_once: all.chip_at_once - 1, ..all },
+            ] {
+                assert!(is_limited(less), "{array:?}: {less:?}");
+            }
+        }
+        assert!(!Settings::of(Array::paper()).is_limited());
     }
 }

@@ -16,13 +16,13 @@ use crate::streamer::Streamer;
 use crate::time::HostInstant;
 use firmware_protocol::frame::MAX_FRAME;
 use firmware_protocol::message::DeviceMessage;
-use firmware_protocol::stroke::MOTORS;
 use firmware_protocol::tick::Tick;
 use meissner_api::EndCause;
 use meissner_array::pattern::Pattern;
+use meissner_array::per_motor::PerMotor;
 use meissner_array::simulated::{RestStats, SimulatedMotorsConfig, SimulatedMotorsError};
+use meissner_array::spec::Array;
 use meissner_array::strokes::{StrokeOptions, Strokes, StrokesError};
-use meissner_array::units::ticks_to_seconds;
 use std::time::Duration;
 
 /// The streamer wakes up this often.
@@ -37,6 +37,7 @@ const MEASURED_WITHIN: Duration = Duration::from_millis(100);
 /// A streamer and a mock in virtual time.
 #[derive(Debug)]
 pub struct Simulation {
+    array: Array,
     /// The streamer.
     pub streamer: Streamer,
     /// The device.
@@ -86,10 +87,11 @@ impl Simulation {
         seed: u64,
     ) -> Result<Self, SimulatedMotorsError> {
         let mut new = Self {
+            array: settings.array,
             streamer: Streamer::new(settings),
-            mock: Mock::new(*motors, seed as u32)?,
+            mock: Mock::new(settings.array, *motors, seed as u32)?,
             now: STARTED,
-            clock: DeviceClock::started(STARTED),
+            clock: DeviceClock::started(settings.array.rate(), STARTED),
             hangs: false,
             to_device: Direction::new(line, seed ^ 0x5eed),
             to_host: Direction::new(Line { bytes_per_s: 0, ..line }, seed ^ 0xfeed),
@@ -121,7 +123,7 @@ impl Simulation {
     /// If the settings of the simulated motors are out of range.
     pub fn restart(&mut self, motors: &SimulatedMotorsConfig, boot: u32) -> Result<(), SimulatedMotorsError> {
         self.unplug();
-        self.mock = Mock::new(*motors, boot)?;
+        self.mock = Mock::new(self.array, *motors, boot)?;
         self.clock.restart(self.now);
         self.hangs = false;
         self.connect();
@@ -343,6 +345,14 @@ pub enum SimulationError {
     /// The pattern could not be compiled.
     #[error(transparent)]
     Strokes(#[from] StrokesError),
+    /// The pattern is for another array.
+    #[error("pattern `{pattern}` is not for the array {array}: choose a pattern that is")]
+    OtherArray {
+        /// The pattern's name.
+        pattern: String,
+        /// The array of the simulation.
+        array: &'static str,
+    },
     /// The pattern has no end, and no length was given.
     #[error("pattern `{0}` has no end: say how many seconds")]
     Endless(String),
@@ -354,7 +364,7 @@ pub enum SimulationError {
 /// Plays `pattern` for `seconds` (or to its end) on a new mock over a perfect line, in virtual time.
 ///
 /// # Errors
-/// If it cannot be compiled or has no end.
+/// If it is for another array, cannot be compiled or has no end.
 pub fn simulate_play(
     pattern: &Pattern,
     seconds: Option<f64>,
@@ -362,7 +372,11 @@ pub fn simulate_play(
     settings: Settings,
     open_loop: bool,
 ) -> Result<SimulatedPlay, SimulationError> {
-    let surplus = settings.surplus(&[Gains::default(); MOTORS]);
+    if pattern.array() != settings.array {
+        let (pattern, array) = (pattern.name().to_owned(), settings.array.spec().name());
+        return Err(SimulationError::OtherArray { pattern, array });
+    }
+    let surplus = settings.surplus(&PerMotor::all(settings.array, Gains::default()));
     let options = StrokeOptions { surplus, ..StrokeOptions::lasting(seconds) };
     let strokes = Strokes::new(pattern, &options)?;
     let name = || pattern.name().to_owned();
@@ -376,7 +390,7 @@ pub fn simulate_play(
     let bandwidth = Bandwidth::of(&strokes, &settings);
     let play = Play { open_loop, bandwidth, ..Play::new(1, strokes) };
     simulation.send(Command::Play(Box::new(play)));
-    let length = Duration::from_secs_f64(ticks_to_seconds(end));
+    let length = Duration::from_secs_f64(settings.array.rate().ticks_to_seconds(end));
     let outcome = simulation.run_to_end(1, length + Duration::from_secs(2));
     let outcome = outcome.ok_or_else(|| SimulationError::NoEnd(name()))?;
     // Telemetry still has to measure the last bursts.

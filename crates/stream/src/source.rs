@@ -1,7 +1,8 @@
 //! Where the strokes of a play come from: a compiled pattern or sequence, or drives that change while it runs.
 
-use firmware_protocol::stroke::{MOTORS, Stroke};
+use firmware_protocol::stroke::Stroke;
 use firmware_protocol::tick::Tick;
+use meissner_array::spec::Array;
 use meissner_array::strokes::{LiveStrokes, Strokes, StrokesError};
 
 /// The strokes of a play.
@@ -20,6 +21,15 @@ impl From<Strokes> for Source {
 }
 
 impl Source {
+    /// The array that they are for.
+    #[must_use]
+    pub fn array(&self) -> Array {
+        match self {
+            Self::Compiled(strokes) => strokes.array(),
+            Self::Live(strokes) => strokes.wave(0).array(),
+        }
+    }
+
     /// Begins, or begins again, at `onset`.
     pub fn begin(&mut self, onset: Tick) {
         match self {
@@ -88,7 +98,7 @@ impl Source {
 
     /// The motors that they may drive, in order.
     pub fn motors(&self) -> impl Iterator<Item = u8> {
-        (0..MOTORS as u8).filter(|&motor| self.drives(motor))
+        self.array().numbers().filter(|&motor| self.drives(motor))
     }
 
     /// The drives that may change, if these are of a live play.

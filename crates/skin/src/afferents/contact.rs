@@ -1,12 +1,12 @@
 //! Computes the loads of flat round pins from their indentations of the skin, an elastic half space (Sneddon 1946).
 //!
-//! The loads P of the pins give the profile D·P of the skin under them, with D from [`flexibility`]. A pin can only press: a pin
+//! The loads P of the pins give the profile D·P of the skin under them, with D from [`FlatPins::flexibility`]. A pin can only press: a pin
 //! whose load would pull the skin has lost contact. Its load is 0, and the other pins carry the rest. So the loads follow from the
 //! indentations alone, sample by sample. While all pins touch, one matrix gives them.
 //!
 //! Invariant: no load is negative.
 
-use super::{ELASTICITY, PIN_RADIUS_MM, POISSON};
+use super::{ELASTICITY, POISSON};
 use crate::membrane::Position;
 use std::collections::HashMap;
 
@@ -35,17 +35,26 @@ impl From<Position> for Place {
     }
 }
 
-/// The displacement of the skin at a distance from a pin, per load, mm per N/mm².
-pub(super) fn flexibility(distance_mm: f64) -> f64 {
-    (1.0 - POISSON * POISSON) / ELASTICITY * spread(distance_mm)
+/// Flat round pins of the same radius.
+#[derive(Clone, Debug)]
+pub(super) struct FlatPins {
+    pub(super) places: Vec<Place>,
+    pub(super) radius_mm: f64,
 }
 
-/// The share of a pin's load that reaches a distance: asin(a/r)/(πa), and 1/(2a) under the pin.
-pub(super) fn spread(distance_mm: f64) -> f64 {
-    if distance_mm <= PIN_RADIUS_MM {
-        1.0 / (2.0 * PIN_RADIUS_MM)
-    } else {
-        libm::asin(PIN_RADIUS_MM / distance_mm) / (std::f64::consts::PI * PIN_RADIUS_MM)
+impl FlatPins {
+    /// The displacement of the skin at a distance from a pin, per load, mm per N/mm².
+    fn flexibility(&self, distance_mm: f64) -> f64 {
+        (1.0 - POISSON * POISSON) / ELASTICITY * self.spread(distance_mm)
+    }
+
+    /// The share of a pin's load that reaches a distance r: asin(a/r)/(πa) with the pin's radius a, and 1/(2a) under the pin.
+    pub(super) fn spread(&self, distance_mm: f64) -> f64 {
+        if distance_mm <= self.radius_mm {
+            1.0 / (2.0 * self.radius_mm)
+        } else {
+            libm::asin(self.radius_mm / distance_mm) / (std::f64::consts::PI * self.radius_mm)
+        }
     }
 }
 
@@ -55,7 +64,7 @@ type Stiffness = Vec<f64>;
 /// The pins in contact with the skin.
 #[derive(Clone, Debug)]
 pub(super) struct Contact {
-    places: Vec<Place>,
+    pins: FlatPins,
     /// The matrix of all pins.
     whole: Stiffness,
     /// The matrices for sets of touching pins, by the pins' numbers.
@@ -66,14 +75,15 @@ pub(super) struct Contact {
 
 impl Contact {
     /// None if the loads of two pins cannot be told apart.
-    pub(super) fn new(places: &[Place]) -> Option<Self> {
-        let all: Vec<u16> = (0..places.len() as u16).collect();
-        let whole = stiffness(places, &all)?;
-        Some(Self { places: places.to_vec(), whole, kept: HashMap::new(), lost: vec![0; places.len()] })
+    pub(super) fn new(pins: &FlatPins) -> Option<Self> {
+        let count = pins.places.len();
+        let all: Vec<u16> = (0..count as u16).collect();
+        let whole = stiffness(pins, &all)?;
+        Some(Self { pins: pins.clone(), whole, kept: HashMap::new(), lost: vec![0; count] })
     }
 
     pub(super) fn pins(&self) -> usize {
-        self.places.len()
+        self.pins.places.len()
     }
 
     /// The change of a pin's load per indentation by pin `of` while all touch, N/mm².
@@ -122,7 +132,7 @@ impl Contact {
                 if self.kept.len() >= MAX_KEPT {
                     self.kept.clear();
                 }
-                let fewer = stiffness(&self.places, &touching).expect("fewer pins are told apart, too");
+                let fewer = stiffness(&self.pins, &touching).expect("fewer pins are told apart, too");
                 self.kept.insert(touching.clone(), fewer);
             }
             let rows = self.kept[&touching].chunks_exact(touching.len().max(1));
@@ -139,17 +149,17 @@ impl Contact {
 }
 
 /// The inverse of D for some pins, by Gauss–Jordan elimination with pivots. None if D is singular.
-fn stiffness(places: &[Place], pins: &[u16]) -> Option<Stiffness> {
+fn stiffness(of: &FlatPins, pins: &[u16]) -> Option<Stiffness> {
     let count = pins.len();
-    let own = flexibility(0.0);
-    let place = |pin: u16| places[usize::from(pin)];
+    let own = of.flexibility(0.0);
+    let place = |pin: u16| of.places[usize::from(pin)];
     // D beside the unit matrix.
     let mut rows: Vec<Vec<f64>> = pins
         .iter()
         .enumerate()
         .map(|(index, &pin)| {
-            let of = pins.iter().map(|&other| flexibility(place(pin).distance_mm(place(other))));
-            of.chain((0..count).map(|column| f64::from(u8::from(column == index)))).collect()
+            let row = pins.iter().map(|&other| of.flexibility(place(pin).distance_mm(place(other))));
+            row.chain((0..count).map(|column| f64::from(u8::from(column == index)))).collect()
         })
         .collect();
     for column in 0..count {
@@ -173,22 +183,30 @@ fn stiffness(places: &[Place], pins: &[u16]) -> Option<Stiffness> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use meissner_array::geometry;
+    use meissner_array::spec::Array;
 
     fn array() -> Vec<Place> {
-        (0..24).map(geometry::position_mm).map(|[x_mm, y_mm]| Place { x_mm, y_mm }).collect()
+        Array::paper().positions_mm().iter().map(|&[x_mm, y_mm]| Place { x_mm, y_mm }).collect()
+    }
+
+    fn pins(places: &[Place]) -> FlatPins {
+        FlatPins { places: places.to_vec(), radius_mm: 0.5 }
     }
 
     fn loads(places: &[Place], indentations_mm: &[f64]) -> Vec<f64> {
         let mut loads = vec![Vec::new(); places.len()];
         let columns: Vec<_> = indentations_mm.iter().map(|&mm| vec![mm]).collect();
-        Contact::new(places).unwrap().loads(&columns, &mut loads);
+        Contact::new(&pins(places)).unwrap().loads(&columns, &mut loads);
         loads.into_iter().map(|load| load[0]).collect()
     }
 
     fn profile_mm(places: &[Place], loads: &[f64]) -> Vec<f64> {
         let under = |at: &Place| {
-            places.iter().zip(loads).map(|(pin, load)| load * flexibility(at.distance_mm(*pin))).sum()
+            places
+                .iter()
+                .zip(loads)
+                .map(|(pin, load)| load * pins(places).flexibility(at.distance_mm(*pin)))
+                .sum()
         };
         places.iter().map(under).collect()
     }
@@ -236,8 +254,8 @@ mod tests {
     #[test]
     fn two_pins_at_one_place_are_refused() {
         let at = |x_mm| Place { x_mm, y_mm: 0.0 };
-        assert!(Contact::new(&[at(0.0), at(0.4)]).is_none());
-        assert!(Contact::new(&[at(0.0), at(0.6)]).is_some());
+        assert!(Contact::new(&pins(&[at(0.0), at(0.4)])).is_none());
+        assert!(Contact::new(&pins(&[at(0.0), at(0.6)])).is_some());
     }
 
     /// When a set of pins recurs, the answer is that of a fresh solution.
@@ -248,7 +266,7 @@ mod tests {
             .map(|pin| (0..3000).map(|n| meissner_array::random::uniform([n, pin, 0, 98])[0] - 0.2).collect())
             .collect();
         let mut together = vec![Vec::new(); 24];
-        Contact::new(&places).unwrap().loads(&columns, &mut together);
+        Contact::new(&pins(&places)).unwrap().loads(&columns, &mut together);
         for sample in (0..3000).step_by(500) {
             let at: Vec<f64> = columns.iter().map(|column| column[sample]).collect();
             let alone = loads(&places, &at);

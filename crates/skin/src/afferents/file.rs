@@ -8,7 +8,7 @@ use super::afferent::Class;
 use super::population::{drawn, population};
 use super::scene::{PREINDENT_MM, Pins, Scene, SinePin};
 use crate::membrane::{AfferentModel, Position, Rectify};
-use crate::scene::{ModelName, Problem, RawDrive, RawPopulation, Scene as MembraneScene, one_name};
+use crate::scene::{self, ModelName, Problem, RawDrive, RawPopulation, Scene as MembraneScene, one_name};
 use meissner_input::document::{self, Table};
 use serde::Deserialize;
 use serde::de::IgnoredAny;
@@ -27,6 +27,7 @@ const BEGIN_S: f64 = 0.4;
 pub(crate) struct RawScene {
     #[serde(rename = "model")]
     _model: Option<ModelName>,
+    array: Option<String>,
     duration_s: f64,
     #[serde(default)]
     seed: u64,
@@ -78,6 +79,7 @@ pub(crate) fn read(raw: RawScene) -> Result<Scene, KeyError> {
     }
     let (afferents, list) = one_name(("afferents", raw.afferents), ("receptors", raw.receptors))
         .map_err(|two| own(two.into()))?;
+    let array = scene::array(raw.array.as_deref())?;
     let seed = raw.seed;
     let (afferents, by_itself) = match (afferents, raw.population) {
         (Some(afferents), None) => {
@@ -121,9 +123,10 @@ pub(crate) fn read(raw: RawScene) -> Result<Scene, KeyError> {
                     return Err(KeyError::key(key, Problem::PinsOnly));
                 }
             }
-            let drives = drives.unwrap_or_default().into_iter().map(|Table(raw)| raw.into()).collect();
+            let drives = scene::drives(array, drives.unwrap_or_default())?;
             let model = AfferentModel::default_for(Rectify::default(), 0.0);
             Pins::Motors(Box::new(MembraneScene::without_afferents_from(
+                array,
                 raw.duration_s,
                 raw.seed,
                 drives,
@@ -132,6 +135,7 @@ pub(crate) fn read(raw: RawScene) -> Result<Scene, KeyError> {
         }
     };
     let scene = Scene {
+        array,
         duration_s: raw.duration_s,
         seed: raw.seed,
         preindent_mm: raw.preindent_mm.unwrap_or(PREINDENT_MM),

@@ -9,38 +9,36 @@
 //! largest counts as 0.
 
 use super::afferent::Afferent;
-use super::contact::{Contact, Place};
+use super::contact::{Contact, FlatPins};
 use super::stimulus::Field;
 use super::{ELASTICITY, POISSON};
-use firmware_protocol::stroke::MOTORS;
+use meissner_array::per_motor::PerMotor;
 
 /// A motor may move its pin further than ordered by this factor, because strokes are whole pulses.
 const ROUNDING: f64 = 1.02;
 
 /// An afferent's weights of each motor's velocity, N/mm⁴ per mm/s.
-#[derive(Clone, Copy, Debug)]
+#[derive(Debug)]
 pub(super) struct Influence {
-    /// The weight of the velocity at a sample.
-    pub(super) now: [f32; MOTORS],
-    /// The weight of the velocity one sample before.
-    pub(super) before: [f32; MOTORS],
+    /// By motor: the weight of the velocity at a sample, and that of the velocity one sample before.
+    pub(super) weights: Vec<[f32; 2]>,
     /// The motors whose influence counts, one bit each.
-    pub(super) motors: u32,
+    pub(super) motors: u64,
 }
 
 impl Influence {
     /// The influence of motors with these gains. An influence below `min_share` of a pin's influence at its own place counts as 0.
     pub(super) fn new(
         afferent: &Afferent,
-        pins: &[Place],
+        pins: &FlatPins,
         contact: &Contact,
-        gains: &[f64; MOTORS],
+        gains: &PerMotor<f64>,
         min_share: f64,
     ) -> Self {
         let field = Field::new(afferent, pins);
         let depth_mm = afferent.class.depth_mm();
         let largest = ELASTICITY / ((1.0 - POISSON * POISSON) * depth_mm * depth_mm);
-        let mut influence = Self { now: [0.0; MOTORS], before: [0.0; MOTORS], motors: 0 };
+        let mut influence = Self { weights: vec![[0.0; 2]; gains.len()], motors: 0 };
         for (motor, gain) in gains.iter().enumerate() {
             let (mut sum, mut delayed) = (0.0, 0.0);
             for (pin, (weight, &delay)) in field.moving.iter().zip(&field.delays).enumerate() {
@@ -49,8 +47,7 @@ impl Influence {
                 delayed += share * f64::from(delay);
             }
             if gain * sum.abs() >= min_share * largest {
-                influence.now[motor] = (gain * (sum - delayed)) as f32;
-                influence.before[motor] = (gain * delayed) as f32;
+                influence.weights[motor] = [(gain * (sum - delayed)) as f32, (gain * delayed) as f32];
                 influence.motors |= 1 << motor;
             }
         }
@@ -61,16 +58,17 @@ impl Influence {
 /// Whether all pins always touch the skin, for any drives of motors with these gains at this amplitude.
 pub(super) fn all_touch(
     contact: &Contact,
-    gains: &[f64; MOTORS],
+    gains: &PerMotor<f64>,
     preindent_mm: f64,
     amplitude_um: f64,
 ) -> bool {
     let highest_mm = 1e-3 * amplitude_um * ROUNDING;
-    (0..MOTORS).all(|pin| {
-        let rest: f64 = (0..MOTORS).map(|of| preindent_mm * contact.stiffness(pin, of)).sum();
+    (0..contact.pins()).all(|pin| {
+        let rest: f64 = (0..contact.pins()).map(|of| preindent_mm * contact.stiffness(pin, of)).sum();
         // The worst case: every motor that relieves the pin is up, every other is down.
-        let relief: f64 =
-            (0..MOTORS).map(|of| (gains[of] * highest_mm * contact.stiffness(pin, of)).min(0.0)).sum();
+        let relief: f64 = (0..contact.pins())
+            .map(|of| (gains[of] * highest_mm * contact.stiffness(pin, of)).min(0.0))
+            .sum();
         rest + relief > 0.0
     })
 }

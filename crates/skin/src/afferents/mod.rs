@@ -65,8 +65,6 @@ pub const SAMPLE_US: u32 = 200;
 const SAMPLES_PER_S: f64 = 5000.0;
 /// Afferents in a group: the widest vector of `f64`.
 const LANES: usize = 8;
-/// Radius of a pin, mm.
-const PIN_RADIUS_MM: f64 = 0.5;
 /// Young's modulus of the skin, N/mm² (Saal et al. 2017).
 const ELASTICITY: f64 = 0.05;
 /// Poisson's ratio of the skin (Saal et al. 2017).

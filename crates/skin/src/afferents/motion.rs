@@ -1,19 +1,19 @@
 //! The indentation of every pin, sample by sample.
 //!
-//! Pins move as sines of a formula, or as the motors of an array do. A motor's samples are exact: a sample is 34 half ticks,
-//! and the mean velocity over it comes from the breakpoints in closed form.
+//! Pins move as sines of a formula, or as the motors of an array do. A motor's samples are exact: the mean velocity over a sample
+//! comes from the breakpoints in closed form.
 //!
 //! Invariant: a pin's indentation at a sample does not depend on how many samples are requested at a time.
 
 use super::scene::{Pins, Scene, SinePin};
 use super::{SAMPLE_US, SAMPLES_PER_S};
+use crate::breakpoints::velocity_per_d;
 use crate::method::{Integrator, Method, Precision, Stepping};
 use crate::sampler::Sampler;
 use crate::scene::Scene as MembraneScene;
 use crate::track::{Track, Tracks, of_scene};
-use firmware_protocol::stroke::MOTORS;
-use meissner_array::motor::WINDOW_HALF_TICKS;
-use meissner_array::units::{HALF_TICKS_PER_S, UM_PER_PULSE};
+use meissner_array::per_motor::PerMotor;
+use meissner_array::spec::ArraySpec;
 use std::f64::consts::TAU;
 use std::sync::Arc;
 
@@ -23,9 +23,10 @@ const MEANS: Method = Method::Stepped(Stepping {
     integrator: Integrator::Propagator,
     precision: Precision::F64,
 });
-/// Converts the mean D over a sample, half pulses, to the path of a pin, mm: D/W in half pulses per half tick.
-const MM_PER_MEAN: f64 =
-    1e-3 * UM_PER_PULSE / 2.0 / WINDOW_HALF_TICKS as f64 * (HALF_TICKS_PER_S / SAMPLES_PER_S);
+/// Converts the mean D over a sample, half pulses, to the path of a pin, mm.
+fn mm_per_mean(array: &ArraySpec) -> f64 {
+    velocity_per_d(1e-3, array.motor()) * (array.rate().half_ticks_per_s() / SAMPLES_PER_S)
+}
 
 /// The pins of a scene, from its beginning on.
 pub(super) struct Motion<'s> {
@@ -36,7 +37,7 @@ pub(super) struct Motion<'s> {
 
 enum MovedBy<'s> {
     Sines { pins: &'s [SinePin], ramp_s: f64, begin_s: f64 },
-    Motors(Vec<Motor<'s>>),
+    Motors { motors: Vec<Motor<'s>>, mm_per_mean: f64 },
 }
 
 struct Motor<'s> {
@@ -50,7 +51,7 @@ struct Motor<'s> {
 /// The tracks of a scene whose pins are motors.
 pub(super) fn tracks(scene: &Scene) -> Tracks {
     match scene.pins() {
-        Pins::Sines { .. } => Tracks::default(),
+        Pins::Sines { .. } => Vec::new(),
         Pins::Motors(motors) => of_scene(motors, MEANS),
         Pins::Ramps(ramps) => ramps.tracks(&ramps.gains(), scene.duration_s()),
     }
@@ -59,28 +60,29 @@ pub(super) fn tracks(scene: &Scene) -> Tracks {
 /// A motor's displacement above its rest at each sample of a scene, mm at a gain of 1. Empty if it never moves.
 pub(super) fn displacements_mm(motors: &MembraneScene, motor: u8, samples: usize) -> Vec<f64> {
     let track = Track::new(motors, MEANS, motor);
-    let Some(mut sampler) = track.as_ref().and_then(|track| Sampler::new(track.breakpoints(), MEANS)) else {
-        return Vec::new();
-    };
+    let Some(mut sampler) = track.as_ref().and_then(Track::sampler) else { return Vec::new() };
+    let mm_per_mean = mm_per_mean(&motors.array());
     let mut means: Vec<f64> = Vec::new();
     sampler.fill(0, samples, &mut means);
     let mut at_mm = 0.0;
     let mut found = Vec::with_capacity(samples);
     for mean in &means[..samples] {
         found.push(at_mm);
-        at_mm += mean * MM_PER_MEAN;
+        at_mm += mean * mm_per_mean;
     }
     found
 }
 
 impl<'s> Motion<'s> {
     pub(super) fn new(scene: &'s Scene, tracks: &'s Tracks) -> Self {
-        let motors = |gains: &[f64; MOTORS]| {
+        let rate = scene.array().rate();
+        let motors = |gains: &PerMotor<f64>| {
             let motor = |(track, &gain): (&'s Option<Arc<Track>>, &f64)| {
-                let sampler = track.as_ref().and_then(|track| Sampler::new(track.breakpoints(), MEANS));
+                let sampler = track.as_ref().and_then(|track| Sampler::new(track.breakpoints(), MEANS, rate));
                 Motor { sampler, gain, at_mm: 0.0, samples: Vec::new() }
             };
-            MovedBy::Motors(tracks.iter().zip(gains).map(motor).collect())
+            let motors = tracks.iter().zip(gains).map(motor).collect();
+            MovedBy::Motors { motors, mm_per_mean: mm_per_mean(&scene.array()) }
         };
         let moved_by = match scene.pins() {
             Pins::Sines { pins, ramp_s, begin_s } => {
@@ -108,7 +110,7 @@ impl<'s> Motion<'s> {
                     }));
                 }
             }
-            MovedBy::Motors(motors) => {
+            MovedBy::Motors { motors, mm_per_mean } => {
                 for (motor, column) in motors.iter_mut().zip(columns) {
                     let Some(sampler) = &mut motor.sampler else {
                         column.resize(column.len() + samples, preindent_mm);
@@ -117,7 +119,7 @@ impl<'s> Motion<'s> {
                     sampler.fill(first, samples, &mut motor.samples);
                     for mean in &motor.samples[..samples] {
                         column.push(preindent_mm + motor.gain * motor.at_mm);
-                        motor.at_mm += mean * MM_PER_MEAN;
+                        motor.at_mm += mean * *mm_per_mean;
                     }
                 }
             }

@@ -24,8 +24,8 @@ use super::noise;
 use super::scene::{Pins, Scene};
 use super::stimulus::TILE;
 use super::waveform::{Motion, Waveform, Waveforms, motion};
+use crate::member::numbers;
 use crate::scene::{Scene as MembraneScene, SceneError};
-use firmware_protocol::stroke::MOTORS;
 use meissner_array::pattern::Drive;
 use pulp::Arch;
 use rayon::prelude::*;
@@ -35,7 +35,7 @@ use std::sync::{Arc, OnceLock};
 #[derive(Clone, Debug)]
 pub struct NearEvaluator {
     finger: Arc<Finger>,
-    motions: [Motion; MOTORS],
+    motions: Vec<Motion>,
     /// Shared with its candidates: the pointer identifies them.
     counts: Arc<Vec<u64>>,
 }
@@ -46,7 +46,7 @@ pub struct NearEvaluator {
 pub struct NearCandidate {
     /// The scene of the motors.
     motors: MembraneScene,
-    motions: [Motion; MOTORS],
+    motions: Vec<Motion>,
     /// The counts of the drives it was made from.
     from: Arc<Vec<u64>>,
     changed: Vec<(u32, u64)>,
@@ -75,7 +75,7 @@ struct Member {
 
 /// Motors that move alike, one bit each, and their waveform.
 struct Unison {
-    motors: u32,
+    motors: u64,
     first: u8,
     waveform: Arc<OnceLock<Waveform>>,
 }
@@ -90,8 +90,8 @@ impl NearEvaluator {
     pub fn new(scene: &Scene, amplitude_um: f64, min_share: f64) -> Option<Self> {
         let Pins::Motors(motors) = scene.pins() else { panic!("motors move the pins of a search") };
         assert!(scene.afferents().iter().all(|of| of.class == Class::Ra), "a search asks RA afferents");
-        let (places, gains) = (scene.places(), motors.gains());
-        let contact = Contact::new(&places).expect("the pins of the array are told apart");
+        let (pins, gains) = (scene.flat_pins(), motors.gains());
+        let contact = Contact::new(&pins).expect("the pins of the array are told apart");
         if !all_touch(&contact, gains, scene.preindent_mm(), amplitude_um) {
             return None;
         }
@@ -106,7 +106,7 @@ impl NearEvaluator {
                 vec![Vec::new(); chunk.len()]
             };
             let member = |(&(number, afferent), noise): (&(u32, Afferent), Vec<u8>)| {
-                let influence = Influence::new(&afferent, &places, &contact, gains, min_share);
+                let influence = Influence::new(&afferent, &pins, &contact, gains, min_share);
                 (usize::from(afferent.row), Member { number, influence, noise })
             };
             chunk.iter().zip(noise).map(member).collect()
@@ -121,8 +121,8 @@ impl NearEvaluator {
             members,
             waveforms: Waveforms::new(samples),
         };
-        let counts = Arc::new(vec![0; finger.afferents]);
-        Some(Self { finger: Arc::new(finger), motions: Default::default(), counts })
+        let (counts, motions) = (Arc::new(vec![0; finger.afferents]), vec![Motion::new(); gains.len()]);
+        Some(Self { finger: Arc::new(finger), motions, counts })
     }
 
     /// The answer with these drives in place of its own.
@@ -139,12 +139,11 @@ impl NearEvaluator {
     }
 
     fn candidate(&self, arch: Arch, motors: MembraneScene) -> NearCandidate {
-        let of_motor =
-            |motor: usize| motion(motors.drives().iter().filter(|drive| usize::from(drive.motor) == motor));
-        let motions: [Motion; MOTORS] = std::array::from_fn(of_motor);
+        let of_motor = |motor| motion(motors.drives().iter().filter(|drive| drive.motor == motor));
+        let motions: Vec<Motion> = motors.array().numbers().map(of_motor).collect();
         let pairs = self.motions.iter().zip(&motions).enumerate();
         let differing =
-            pairs.filter(|(_, (old, new))| old != new).fold(0, |bits, (motor, _)| bits | 1 << motor);
+            pairs.filter(|(_, (old, new))| old != new).fold(0, |bits, (motor, _)| bits | 1_u64 << motor);
         let changed = self.finger.counts(arch, &motors, &motions, differing);
         NearCandidate { motors, motions, from: Arc::clone(&self.counts), changed }
     }
@@ -190,11 +189,11 @@ impl Finger {
         &self,
         arch: Arch,
         motors: &MembraneScene,
-        motions: &[Motion; MOTORS],
-        differing: u32,
+        motions: &[Motion],
+        differing: u64,
     ) -> Vec<(u32, u64)> {
         let unisons = self.unisons(motions);
-        let waveforms: Vec<(u32, &Waveform)> = unisons
+        let waveforms: Vec<(u64, &Waveform)> = unisons
             .iter()
             .map(|of| (of.motors, self.waveforms.fill(&of.waveform, motors, of.first)))
             .collect();
@@ -213,7 +212,7 @@ impl Finger {
     }
 
     /// The motors that move, by their motion, in the order of their first motor.
-    fn unisons(&self, motions: &[Motion; MOTORS]) -> Vec<Unison> {
+    fn unisons(&self, motions: &[Motion]) -> Vec<Unison> {
         let mut unisons: Vec<Unison> = Vec::new();
         for (motor, motion) in motions.iter().enumerate().filter(|(_, motion)| !motion.is_empty()) {
             let alike = |of: &&mut Unison| motions[usize::from(of.first)] == *motion;
@@ -233,14 +232,14 @@ impl Finger {
 struct Packed<'p> {
     finger: &'p Finger,
     row: usize,
-    waveforms: &'p [(u32, &'p Waveform)],
+    waveforms: &'p [(u64, &'p Waveform)],
     terms: Vec<Term<'p>>,
     numbers: Vec<u32>,
     noise: Vec<&'p [u8]>,
 }
 
 impl<'p> Packed<'p> {
-    fn new(finger: &'p Finger, row: usize, waveforms: &'p [(u32, &'p Waveform)]) -> Self {
+    fn new(finger: &'p Finger, row: usize, waveforms: &'p [(u64, &'p Waveform)]) -> Self {
         let terms = waveforms.iter().map(|(_, waveform)| Term::new(waveform.column(row))).collect();
         Self { finger, row, waveforms, terms, numbers: Vec::new(), noise: Vec::new() }
     }
@@ -251,12 +250,10 @@ impl<'p> Packed<'p> {
         let mut peak = 0.0;
         for (term, (motors, waveform)) in self.terms.iter_mut().zip(self.waveforms) {
             let (mut now, mut before) = (0.0, 0.0);
-            let mut left = motors & member.influence.motors;
-            while left != 0 {
-                let motor = left.trailing_zeros() as usize;
-                left &= left - 1;
-                now += member.influence.now[motor];
-                before += member.influence.before[motor];
+            for motor in numbers(motors & member.influence.motors) {
+                let [of_now, of_before] = member.influence.weights[motor];
+                now += of_now;
+                before += of_before;
             }
             term.set(lane, now, before);
             peak += waveform.peak(self.row, now + before);

@@ -15,7 +15,7 @@ use super::afferent::{Afferent, Class, Parameters};
 use super::filter::{LowPass, Sections};
 use super::noise::Noise;
 use super::stimulus::{Field, TILE, mix, mix_together};
-use super::{LANES, contact::Place};
+use super::{LANES, contact::FlatPins};
 use crate::simd::{Aligned, bits};
 use pulp::{Arch, Simd, WithSimd};
 use std::sync::OnceLock;
@@ -130,7 +130,7 @@ impl Group {
     /// were.
     pub(super) fn new(
         members: &[(u32, Afferent)],
-        pins: &[Place],
+        pins: &FlatPins,
         seed: Option<u64>,
         loads: Option<&[f64]>,
     ) -> Self {

@@ -5,12 +5,11 @@
 
 use super::SAMPLES_PER_S;
 use super::afferent::Afferent;
-use super::contact::{Contact, Place};
+use super::contact::{Contact, FlatPins, Place};
 use crate::ramps::Ramps;
 use crate::scene::{Problem, Scene as MembraneScene};
-use firmware_protocol::stroke::MOTORS;
-use meissner_array::geometry;
 use meissner_array::pattern::Drive;
+use meissner_array::spec::Array;
 use meissner_input::document::{self, in_range};
 use std::sync::Arc;
 
@@ -29,6 +28,7 @@ type KeyError = document::KeyError<Problem>;
 /// A checked scene of the second model.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Scene {
+    pub(super) array: Array,
     pub(super) duration_s: f64,
     pub(super) seed: u64,
     pub(super) preindent_mm: f64,
@@ -78,6 +78,7 @@ impl Scene {
         noise: bool,
     ) -> Result<Self, document::DocumentError<Problem>> {
         Self {
+            array: motors.array(),
             duration_s: motors.duration_s(),
             seed: motors.seed(),
             preindent_mm,
@@ -154,9 +155,24 @@ impl Scene {
         noise: bool,
     ) -> Result<Self, document::DocumentError<Problem>> {
         let (pins, afferents) = (Pins::Ramps(Box::new(ramps.clone())), Arc::new(afferents));
-        Self { duration_s, seed, preindent_mm, noise, pins, afferents, population: false }
-            .checked()
-            .map_err(|fault| fault.in_file(None))
+        Self {
+            array: ramps.array(),
+            duration_s,
+            seed,
+            preindent_mm,
+            noise,
+            pins,
+            afferents,
+            population: false,
+        }
+        .checked()
+        .map_err(|fault| fault.in_file(None))
+    }
+
+    /// The array under the finger. Pins that move by a formula have places of their own, and its pins' radius.
+    #[must_use]
+    pub const fn array(&self) -> Array {
+        self.array
     }
 
     /// Duration, s.
@@ -199,17 +215,17 @@ impl Scene {
         &self.pins
     }
 
-    /// The places of all pins that touch the skin.
-    pub(super) fn places(&self) -> Vec<Place> {
-        match &self.pins {
+    /// All pins that touch the skin.
+    pub(super) fn flat_pins(&self) -> FlatPins {
+        let places = match &self.pins {
             Pins::Sines { pins, .. } => {
                 pins.iter().map(|pin| Place { x_mm: pin.x_mm, y_mm: pin.y_mm }).collect()
             }
-            Pins::Motors(_) | Pins::Ramps(_) => (0..MOTORS as u8)
-                .map(geometry::position_mm)
-                .map(|[x_mm, y_mm]| Place { x_mm, y_mm })
-                .collect(),
-        }
+            Pins::Motors(_) | Pins::Ramps(_) => {
+                self.array.positions_mm().iter().map(|&[x_mm, y_mm]| Place { x_mm, y_mm }).collect()
+            }
+        };
+        FlatPins { places, radius_mm: self.array.pin_radius_mm() }
     }
 
     /// The number of samples: those with a time below the duration.
@@ -236,7 +252,7 @@ impl Scene {
             for (index, pin) in pins.iter().enumerate() {
                 check_pin(pin).map_err(|fault| fault.within(&format!("pins[{index}]")))?;
             }
-            check_apart(&self.places())?;
+            check_apart(&self.flat_pins())?;
         }
         for (index, afferent) in self.afferents.iter().enumerate() {
             let Afferent { class, row, at } = *afferent;
@@ -275,15 +291,16 @@ fn check_place(x_mm: f64, y_mm: f64) -> Result<(), KeyError> {
 }
 
 /// Refuses pins whose loads cannot be told apart.
-fn check_apart(places: &[Place]) -> Result<(), KeyError> {
+fn check_apart(pins: &FlatPins) -> Result<(), KeyError> {
+    let FlatPins { places, radius_mm } = pins;
     for (second, at) in places.iter().enumerate() {
-        if let Some(first) =
-            places[..second].iter().position(|other| other.distance_mm(*at) <= super::PIN_RADIUS_MM)
-        {
-            return Err(KeyError::key(&format!("pins[{second}]"), Problem::SamePlace { first }));
+        let near = |other: &Place| other.distance_mm(*at) <= *radius_mm;
+        if let Some(first) = places[..second].iter().position(near) {
+            let problem = Problem::SamePlace { first, radius_mm: *radius_mm };
+            return Err(KeyError::key(&format!("pins[{second}]"), problem));
         }
     }
-    match Contact::new(places) {
+    match Contact::new(pins) {
         Some(_) => Ok(()),
         None => Err(KeyError::key("pins", Problem::Crowded)),
     }

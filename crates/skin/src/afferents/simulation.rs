@@ -6,7 +6,7 @@
 //! Invariant: the answer for an afferent depends on the scene and its number, not on blocks, tiles, groups or threads.
 
 use super::afferent::{Afferent, Class};
-use super::contact::{Contact, Place};
+use super::contact::{Contact, FlatPins};
 use super::motion::{Motion, tracks};
 use super::neuron::{Block, Group};
 use super::scene::{Pins, Scene};
@@ -17,7 +17,7 @@ use crate::track::Tracks;
 use pulp::Arch;
 use rayon::prelude::*;
 
-/// Samples of a block: the loads and rates of 24 pins take 0.4 MB, which a core's second cache holds.
+/// Samples of a block: the loads and rates of two dozen pins take 0.4 MB, which a core's second cache holds.
 const BLOCK: usize = 16 * TILE;
 /// Columns are longer than a block by this: at a distance of whole 4 KiB they would evict each other from the first-level cache.
 const APART: usize = 80;
@@ -69,18 +69,18 @@ pub(super) fn simulate_on(
     keep: Keep,
     progress: &(dyn Fn(f64) + Sync),
 ) -> Result<Answer, MethodError> {
-    let places = scene.places();
+    let pins = scene.flat_pins();
     let mut order: Vec<u32> = (0..scene.afferents().len() as u32).collect();
     // Groups are of one class.
     order.sort_by_key(|&number| scene.afferents()[number as usize].class);
     let mut counts = vec![0; order.len()];
     let mut spikes_s = vec![Vec::new(); if keep == Keep::Spikes { order.len() } else { 0 }];
-    let mut lost = vec![0; places.len()];
+    let mut lost = vec![0; pins.places.len()];
     let mut kept = 0;
     let tiles = order.len().div_ceil(AFFERENTS).max(1) as f64;
     for (index, tile) in order.chunks(AFFERENTS).enumerate() {
-        let mut loads = Loads::new(scene, tracks, &places);
-        let mut groups = groups(scene, &places, &loads, tile);
+        let mut loads = Loads::new(scene, tracks, &pins);
+        let mut groups = groups(scene, &pins, &loads, tile);
         loads.history = groups.iter().map(Group::history).max().unwrap_or(0);
         while let Some(next) = loads.next_block() {
             let block = Block { keep: keep == Keep::Spikes, ..next };
@@ -102,7 +102,7 @@ pub(super) fn simulate_on(
         lost = loads.contact.lost().to_vec();
     }
     if order.is_empty() {
-        let mut loads = Loads::new(scene, tracks, &places);
+        let mut loads = Loads::new(scene, tracks, &pins);
         while loads.next_block().is_some() {}
         lost = loads.contact.lost().to_vec();
     }
@@ -114,7 +114,7 @@ pub(super) fn simulate_on(
 }
 
 /// Groups of afferents, each of one class, in the order of the numbers.
-fn groups(scene: &Scene, places: &[Place], loads: &Loads<'_>, numbers: &[u32]) -> Vec<Group> {
+fn groups(scene: &Scene, pins: &FlatPins, loads: &Loads<'_>, numbers: &[u32]) -> Vec<Group> {
     let member = |&number: &u32| (number, scene.afferents()[number as usize]);
     let members: Vec<(u32, Afferent)> = numbers.iter().map(member).collect();
     let mut cuts = Vec::new();
@@ -123,7 +123,7 @@ fn groups(scene: &Scene, places: &[Place], loads: &Loads<'_>, numbers: &[u32]) -
     }
     let seed = scene.noise.then_some(scene.seed);
     let settled = loads.settled.as_deref();
-    cuts.par_iter().map(|members| Group::new(members, places, seed, settled)).collect()
+    cuts.par_iter().map(|members| Group::new(members, pins, seed, settled)).collect()
 }
 
 /// The loads of the pins, block by block.
@@ -147,9 +147,9 @@ struct Loads<'s> {
 }
 
 impl<'s> Loads<'s> {
-    fn new(scene: &'s Scene, tracks: &'s Tracks, places: &[Place]) -> Self {
-        let pins = places.len();
-        let mut contact = Contact::new(places).expect("the pins of a checked scene are told apart");
+    fn new(scene: &'s Scene, tracks: &'s Tracks, flat_pins: &FlatPins) -> Self {
+        let pins = flat_pins.places.len();
+        let mut contact = Contact::new(flat_pins).expect("the pins of a checked scene are told apart");
         let settled = (!matches!(scene.pins(), Pins::Sines { .. })).then(|| {
             let mut loads = vec![Vec::new(); pins];
             contact.loads(&vec![vec![scene.preindent_mm()]; pins], &mut loads);

@@ -10,9 +10,8 @@
 //! Invariant: terms are added in the order of the pins, each with one rounding.
 
 use super::afferent::{Afferent, Class};
-use super::contact::Place;
-use super::contact::spread;
-use super::{LANES, PIN_RADIUS_MM, SAMPLES_PER_S};
+use super::contact::{FlatPins, Place};
+use super::{LANES, SAMPLES_PER_S};
 use pulp::Simd;
 
 /// Samples that are summed at once.
@@ -34,37 +33,38 @@ pub(super) struct Field {
 }
 
 impl Field {
-    pub(super) fn new(afferent: &Afferent, pins: &[Place]) -> Self {
+    pub(super) fn new(afferent: &Afferent, pins: &FlatPins) -> Self {
         let at = Place::from(afferent.at);
         let depth_mm = afferent.class.depth_mm();
-        let distances = || pins.iter().map(|pin| at.distance_mm(*pin));
+        let distances = || pins.places.iter().map(|pin| at.distance_mm(*pin));
+        let radius_mm = pins.radius_mm;
         let held = match afferent.class {
-            Class::Sa1 => distances().map(|distance_mm| pressure(distance_mm, depth_mm)).collect(),
+            Class::Sa1 => distances().map(|distance_mm| pressure(distance_mm, depth_mm, radius_mm)).collect(),
             Class::Ra | Class::Pc => Vec::new(),
         };
         Self {
-            moving: distances().map(|distance_mm| spread(distance_mm) / (depth_mm * depth_mm)).collect(),
-            delays: distances().map(delay).collect(),
+            moving: distances().map(|distance_mm| pins.spread(distance_mm) / (depth_mm * depth_mm)).collect(),
+            delays: distances().map(|distance_mm| delay(distance_mm, radius_mm)).collect(),
             held,
         }
     }
 }
 
 /// Whole samples until a wave arrives; halves to even.
-fn delay(distance_mm: f64) -> u16 {
-    let beyond_mm = (distance_mm - PIN_RADIUS_MM).max(0.0);
+fn delay(distance_mm: f64, radius_mm: f64) -> u16 {
+    let beyond_mm = (distance_mm - radius_mm).max(0.0);
     (beyond_mm / WAVE_MM_PER_S * SAMPLES_PER_S).round_ties_even() as u16
 }
 
-/// The pressure at a depth, per load, beside a flat round punch (Sneddon 1946).
-fn pressure(distance_mm: f64, depth_mm: f64) -> f64 {
-    let (xi, rho) = (depth_mm / PIN_RADIUS_MM, distance_mm / PIN_RADIUS_MM);
+/// The pressure at a depth, per load, beside a flat round punch of a radius (Sneddon 1946).
+fn pressure(distance_mm: f64, depth_mm: f64, radius_mm: f64) -> f64 {
+    let (xi, rho) = (depth_mm / radius_mm, distance_mm / radius_mm);
     let a = rho * rho + xi * xi - 1.0;
     let r = (a * a + 4.0 * xi * xi).sqrt();
     let (theta, phi) = (libm::atan(1.0 / xi), libm::atan2(2.0 * xi, a));
     let j01 = libm::sin(phi / 2.0) / r.sqrt();
     let j02 = (1.0 + xi * xi).sqrt() * libm::sin(1.5 * phi - theta) / (r * r.sqrt());
-    (j01 + xi * j02) / (2.0 * std::f64::consts::PI * PIN_RADIUS_MM * PIN_RADIUS_MM)
+    (j01 + xi * j02) / (2.0 * std::f64::consts::PI * radius_mm * radius_mm)
 }
 
 /// The weighted sum of columns for a tile of samples. `starts` says where in `columns` each pin's tile begins.
@@ -133,7 +133,7 @@ mod tests {
             (8.5, 5),
             (1600.5, 1000),
         ] {
-            assert_eq!(delay(distance_mm), samples, "{distance_mm}");
+            assert_eq!(delay(distance_mm, 0.5), samples, "{distance_mm}");
         }
     }
 
@@ -144,8 +144,8 @@ mod tests {
             let square = (depth_mm / 0.5).powi(2);
             let expected =
                 (1.0 + 3.0 * square) / (1.0 + square).powi(2) / (2.0 * std::f64::consts::PI * 0.25);
-            assert!((pressure(0.0, depth_mm) - expected).abs() < 1e-12, "{depth_mm}");
+            assert!((pressure(0.0, depth_mm, 0.5) - expected).abs() < 1e-12, "{depth_mm}");
         }
-        assert!(pressure(20.0, 0.3).abs() < 1e-4 * pressure(0.0, 0.3));
+        assert!(pressure(20.0, 0.3, 0.5).abs() < 1e-4 * pressure(0.0, 0.3, 0.5));
     }
 }

@@ -7,6 +7,7 @@ use crate::method::Keep;
 use crate::scene::Scene as MembraneScene;
 use meissner_array::motor::{HalfTick, Shaft};
 use meissner_array::pattern::Drive;
+use meissner_array::spec::{Array, names};
 use meissner_array::strokes::DriveStrokes;
 use meissner_test_support::patterns::drive;
 use pulp::Arch;
@@ -19,7 +20,7 @@ fn scene() -> Scene {
         drive(0, 10.0, 300.0),
     ];
     let model = crate::membrane::AfferentModel::default_for(crate::membrane::Rectify::Half, 0.0);
-    let motors = MembraneScene::new(0.3, 5, drives, Vec::new(), model).unwrap();
+    let motors = MembraneScene::new(Array::paper(), 0.3, 5, drives, Vec::new(), model).unwrap();
     Scene::of_motors(&motors, 0.05, population(2), true).unwrap()
 }
 
@@ -48,12 +49,12 @@ fn every_width_of_vectors_and_number_of_threads_gives_the_same_spikes() {
 
 #[test]
 fn every_width_of_vectors_gives_the_same_near_counts() {
-    let near = |duration_s, drives: &[Drive]| {
+    let near = |array, most_um, duration_s, drives: &[Drive]| {
         let model = crate::membrane::AfferentModel::default_for(crate::membrane::Rectify::Half, 0.0);
-        let motors = MembraneScene::new(duration_s, 5, Vec::new(), Vec::new(), model).unwrap();
+        let motors = MembraneScene::new(array, duration_s, 5, Vec::new(), Vec::new(), model).unwrap();
         let rapid = population(2).into_iter().filter(|afferent| afferent.class == Class::Ra).collect();
         let scene = Scene::of_motors(&motors, 0.5, rapid, true).unwrap();
-        let evaluator = NearEvaluator::new(&scene, 100.0, 0.02).unwrap();
+        let evaluator = NearEvaluator::new(&scene, most_um, 0.02).unwrap();
         let counts = |arch| evaluator.evaluate_on(arch, drives).unwrap().counts();
         let scalar = counts(Arch::Scalar);
         for arch in crate::tests::widths() {
@@ -62,9 +63,22 @@ fn every_width_of_vectors_gives_the_same_near_counts() {
         scalar.iter().sum::<u64>()
     };
     // Not a whole number of tiles.
-    let fired = near(0.3, &[drive(9, 61.0, 80.0), drive(14, 61.0, 80.0), drive(3, 110.0, 80.0)]);
+    let fired = near(
+        Array::paper(),
+        100.0,
+        0.3,
+        &[drive(9, 61.0, 80.0), drive(14, 61.0, 80.0), drive(3, 110.0, 80.0)],
+    );
     assert!(fired > 20, "{fired}");
-    assert_eq!(near(0.0, &[drive(9, 61.0, 80.0)]), 0);
+    for name in names() {
+        let array = Array::named(name).unwrap();
+        let last = array.motors() as u8 - 1;
+        // On dense arrays larger amplitudes lift pins off the skin.
+        let drives = [drive(0, 61.0, 40.0), drive(last / 2, 61.0, 40.0), drive(last, 110.0, 40.0)];
+        let fired = near(array, 40.0, 0.3, &drives);
+        assert!(fired > 0, "{name}");
+    }
+    assert_eq!(near(Array::paper(), 100.0, 0.0, &[drive(9, 61.0, 80.0)]), 0);
 }
 
 #[test]
@@ -78,8 +92,10 @@ fn a_motors_samples_are_its_shafts_displacements() {
     }
     let super::scene::Pins::Motors(motors) = scene.pins() else { unreachable!("drives are motors") };
     for of in motors.drives() {
-        let mut shaft = Shaft::default();
-        let mut ramps = DriveStrokes::of(of).unwrap().flat_map(|stroke| stroke.ramps()).peekable();
+        let array = motors.array();
+        let (mut shaft, um_per_pulse) = (Shaft::new(array.motor()), array.motor().um_per_pulse);
+        let mut ramps =
+            DriveStrokes::of(array, of).unwrap().flat_map(|stroke| stroke.ramps(um_per_pulse)).peekable();
         for (sample, &found) in columns[usize::from(of.motor)].iter().enumerate() {
             // 17 ticks are a sample.
             let tick = 17 * sample as u64;

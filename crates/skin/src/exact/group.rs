@@ -1,17 +1,18 @@
 //! The state of a group of afferents in the exact method, with each afferent's spikes so far.
 
+use crate::breakpoints::{bits_of, largest_d};
 use crate::cycle::{Cycle, Periods};
 use crate::member::Member;
 use crate::membrane::equation::Membrane;
 use crate::membrane::neuron::Instant;
 use crate::simd::Aligned;
-use firmware_protocol::stroke::MOTORS;
 use meissner_array::random::Normals;
+use meissner_array::spec::ArraySpec;
 
 /// Afferents in a group.
 pub(crate) const LANES: usize = 8;
-/// Bits of a weight, so that 24 motors at full speed at the largest weight stay below 2⁵³.
-const WEIGHT_BITS: i32 = 37;
+/// The most bits of a weight: rounding to them is a smaller error than ignoring weights below 10⁻¹⁰.
+const WEIGHT_BITS: u32 = 37;
 /// The most spikes that a group buffers while it only counts and looks for a repetition. Beyond that it stops looking, so that
 /// counting takes no more memory for a longer scene.
 pub(crate) const MAX_BUFFERED: u64 = 1 << 14;
@@ -25,9 +26,9 @@ pub(super) type Row = Aligned<[f64; LANES]>;
 #[derive(Debug)]
 pub(crate) struct Group {
     /// The weights of each motor, whole numbers.
-    pub(super) weights: [Row; MOTORS],
+    pub(super) weights: Vec<Row>,
     /// The motors that reach any of them, one bit each.
-    pub(super) motors: u32,
+    pub(super) motors: u64,
     pub(super) gain: Row,
     /// The start of each lane's segment; the input there and its slope; the membrane.
     pub(super) at: Row,
@@ -58,14 +59,18 @@ pub(super) struct Lane {
 
 impl Group {
     pub(crate) fn new(
+        array: &ArraySpec,
         members: Vec<Member>,
         membrane: &Membrane,
         periods: Option<&Periods>,
         end: f64,
     ) -> Self {
         assert!(members.len() <= LANES);
+        // With all motors at full speed at the largest weight, the sum of inputs stays below 2⁵³.
+        let most = array.motors() as u64 * largest_d(array.motor());
+        let weight_bits = (53 - bits_of(most)).min(WEIGHT_BITS).cast_signed();
         let mut group = Self {
-            weights: [Aligned([0.0; LANES]); MOTORS],
+            weights: vec![Aligned([0.0; LANES]); array.motors()],
             motors: 0,
             gain: Aligned([0.0; LANES]),
             at: Aligned([0.0; LANES]),
@@ -81,13 +86,13 @@ impl Group {
             cycle: None,
         };
         for (lane, member) in members.into_iter().enumerate() {
-            let largest = member.weights.iter().copied().fold(0.0, f64::max);
+            let largest = member.reached_by().map(|(_, weight)| weight).fold(0.0, f64::max);
             if largest > 0.0 {
-                let scale = WEIGHT_BITS - 1 - libm::ilogb(largest);
-                for (motor, &weight) in member.weights.iter().enumerate() {
+                let scale = weight_bits - 1 - libm::ilogb(largest);
+                for (motor, weight) in member.reached_by() {
                     let whole = libm::scalbn(weight, scale).round();
                     group.weights[motor][lane] = whole;
-                    group.motors |= u32::from(whole > 0.0) << motor;
+                    group.motors |= u64::from(whole > 0.0) << motor;
                 }
                 group.gain[lane] = libm::scalbn(membrane.gain, -scale);
             }
@@ -100,7 +105,7 @@ impl Group {
                 repetition: None,
             });
         }
-        group.cycle = periods.and_then(|periods| Cycle::new(periods, group.motors, end));
+        group.cycle = periods.and_then(|periods| Cycle::new(array, periods, group.motors, end));
         group
     }
 

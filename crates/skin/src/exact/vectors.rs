@@ -48,6 +48,8 @@ impl Pass<'_> {
     #[inline(always)]
     fn rectified<S: Simd, const RECTIFY: u8, const SHARES: bool>(self, simd: S) {
         let width = S::F64_LANES.min(LANES);
+        // Out of the group, so that they stay where they are while it changes.
+        let (motors, weights) = (self.group.motors, std::mem::take(&mut self.group.weights));
         for first in (0..LANES).step_by(width) {
             if first >= self.group.lanes.len() {
                 break;
@@ -59,11 +61,11 @@ impl Pass<'_> {
                 let mut count = 0;
                 for (index, found) in breakpoints.iter().enumerate() {
                     selected[count] = index as u8;
-                    count += (self.group.motors >> found.motor & 1) as usize;
+                    count += (motors >> found.motor & 1) as usize;
                 }
                 for &index in &selected[..count] {
                     let found = &breakpoints[usize::from(index)];
-                    let weight = load::<S>(&self.group.weights[usize::from(found.motor)], first);
+                    let weight = load::<S>(&weights[usize::from(found.motor)], first);
                     let mine = simd.greater_than_f64s(weight, simd.splat_f64s(0.0));
                     vectors.advance(self.group, found.at, mine, self.keep);
                     let slope_change = simd.splat_f64s(found.slope_change);
@@ -82,6 +84,7 @@ impl Pass<'_> {
             }
             vectors.store(self.group);
         }
+        self.group.weights = weights;
     }
 }
 

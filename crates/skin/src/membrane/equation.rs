@@ -8,11 +8,10 @@
 //!
 //! Invariant: lengths are measured from the start of a segment, never from the start of the scene.
 
+use crate::breakpoints::velocity_per_d;
 use crate::membrane::{AfferentModel, MIN_THRESHOLD, NOISE_LIMIT_SD, Rectify};
-use meissner_array::motor::WINDOW_HALF_TICKS;
 use meissner_array::random::Normals;
-use meissner_array::units::HALF_TICKS_PER_S;
-use meissner_array::units::UM_PER_PULSE;
+use meissner_array::spec::ArraySpec;
 
 /// An [`AfferentModel`] in the simulator's units.
 #[derive(Clone, Copy, Debug)]
@@ -34,14 +33,15 @@ pub(crate) struct Membrane {
 }
 
 impl Membrane {
-    pub(crate) fn of(model: &AfferentModel) -> Self {
+    pub(crate) fn of(model: &AfferentModel, array: &ArraySpec) -> Self {
+        let half_ticks_per_s = array.rate().half_ticks_per_s();
         let lowered = model.hyperexcitability_s > 0.0;
-        let hyperexcitability = model.hyperexcitability_s * HALF_TICKS_PER_S;
+        let hyperexcitability = model.hyperexcitability_s * half_ticks_per_s;
         Self {
             rectify: model.rectify,
-            rate: 1.0 / (model.tau_s * HALF_TICKS_PER_S),
-            gain: model.alpha_per_um * UM_PER_PULSE / 2.0 / WINDOW_HALF_TICKS as f64,
-            refractory: model.refractory_s * HALF_TICKS_PER_S,
+            rate: 1.0 / (model.tau_s * half_ticks_per_s),
+            gain: velocity_per_d(model.alpha_per_um, array.motor()),
+            refractory: model.refractory_s * half_ticks_per_s,
             depth: if lowered { model.hyperexcitability_depth } else { 0.0 },
             lowering: hyperexcitability,
             recovery: if lowered { model.hyperexcitability_depth / hyperexcitability } else { 0.0 },
@@ -114,6 +114,8 @@ pub(crate) fn phi2(x: f64) -> f64 {
 mod tests {
     use super::*;
     use crate::membrane::TAU_S;
+    use meissner_array::spec::Array;
+    use meissner_test_support::paper::{HALF_TICKS_PER_S, UM_PER_PULSE, WINDOW_HALF_TICKS};
 
     /// Computed with 400 digits.
     #[test]
@@ -147,7 +149,7 @@ mod tests {
     fn a_segment_cut_anywhere_gives_the_same_membrane() {
         for tau_s in [1e-4, TAU_S, 1e6] {
             let model = AfferentModel { tau_s, ..AfferentModel::default_for(Rectify::Half, 0.0) };
-            let membrane = Membrane::of(&model);
+            let membrane = Membrane::of(&model, &Array::paper());
             let (p, v, k, length) = (0.3, 200.0, -0.3, 500.0);
             let whole = membrane.after(p, membrane.gain, v, k, length);
             for cut in [0.0, 1e-9, 3.0, 250.0, 499.0, 500.0] {
@@ -161,11 +163,11 @@ mod tests {
     #[test]
     fn without_input_the_membrane_decays_and_without_leak_it_integrates() {
         let model = AfferentModel::default_for(Rectify::Half, 0.0);
-        let membrane = Membrane::of(&model);
+        let membrane = Membrane::of(&model, &Array::paper());
         let tau = TAU_S * HALF_TICKS_PER_S;
         assert!((membrane.after(1.0, membrane.gain, 0.0, 0.0, tau) - (-1.0_f64).exp()).abs() < 1e-15);
         // 1 um of displacement is alpha.
-        let endless = Membrane::of(&AfferentModel { tau_s: 1e9, ..model });
+        let endless = Membrane::of(&AfferentModel { tau_s: 1e9, ..model }, &Array::paper());
         let half_pulses = WINDOW_HALF_TICKS as f64 * 2.0 / UM_PER_PULSE / 100.0;
         let found = endless.after(0.0, endless.gain, half_pulses, 0.0, 100.0);
         assert!((found / model.alpha_per_um - 1.0).abs() < 1e-9, "{found}");
@@ -173,7 +175,7 @@ mod tests {
 
     #[test]
     fn the_threshold_is_lowered_after_a_spike_and_never_below_its_least() {
-        let membrane = Membrane::of(&AfferentModel::default_for(Rectify::Half, 0.0));
+        let membrane = Membrane::of(&AfferentModel::default_for(Rectify::Half, 0.0), &Array::paper());
         assert_eq!(membrane.threshold(1.0, 0.0), 0.7);
         assert!((membrane.threshold(1.0, membrane.lowering / 2.0) - 0.85).abs() < 1e-15);
         assert_eq!(membrane.threshold(1.0, membrane.lowering * 1.001), 1.0);

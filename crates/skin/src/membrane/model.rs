@@ -1,6 +1,5 @@
 //! One afferent: its parameters, its place, and its receptive field.
 
-use meissner_array::geometry;
 use serde::{Deserialize, Serialize};
 
 /// A weight below this counts as 0 (C): at the default width a pin does not reach beyond 7.46 mm.
@@ -106,11 +105,10 @@ impl AfferentModel {
 /// Beyond this exponent a weight is certainly below [`MIN_WEIGHT`], whose logarithm is -23.03.
 const MAX_EXPONENT: f64 = 24.0;
 
-/// The weight of a motor's velocity for an afferent, `exp(-d²/2σ²)` with the distance d to the pin; exactly 0 below [`MIN_WEIGHT`].
+/// The weight of a motor's velocity for an afferent, `exp(-d²/2σ²)` with the distance d to its pin; exactly 0 below [`MIN_WEIGHT`].
 /// It uses `libm`'s exponential, so that all machines agree.
 #[must_use]
-pub fn weight(at: Position, motor: u8, sigma_mm: f64) -> f64 {
-    let [x_mm, y_mm] = geometry::position_mm(motor);
+pub fn weight(at: Position, [x_mm, y_mm]: [f64; 2], sigma_mm: f64) -> f64 {
     let (dx, dy) = (at.x_mm - x_mm, at.y_mm - y_mm);
     let exponent = (dx * dx + dy * dy) / (2.0 * sigma_mm * sigma_mm);
     // Most pins are out of reach of most afferents: skip the exponential.
@@ -132,9 +130,9 @@ mod tests {
 
     #[test]
     fn a_weight_is_one_under_the_pin_less_beside_it_and_zero_far_away() {
-        let [x_mm, y_mm] = geometry::position_mm(9);
+        let pin_mm @ [x_mm, y_mm] = [-1.45, 1.45];
         let at = |right_mm: f64, up_mm: f64| {
-            weight(Position { x_mm: x_mm + right_mm, y_mm: y_mm + up_mm }, 9, SIGMA_MM)
+            weight(Position { x_mm: x_mm + right_mm, y_mm: y_mm + up_mm }, pin_mm, SIGMA_MM)
         };
         assert_eq!(at(0.0, 0.0), 1.0);
         assert!((at(SIGMA_MM, 0.0) - (-0.5_f64).exp()).abs() < 1e-12);
@@ -148,9 +146,9 @@ mod tests {
     #[test]
     fn far_and_narrow_fields_weigh_zero_and_wide_ones_one() {
         let far = Position { x_mm: 1e6, y_mm: -1e6 };
-        assert_eq!(weight(far, 0, SIGMA_MM), 0.0);
-        assert_eq!(weight(Position { x_mm: 0.0, y_mm: 0.0 }, 0, 1e-3), 0.0);
-        assert!(weight(Position { x_mm: 0.0, y_mm: 0.0 }, 0, 1e6) > 0.999_999);
+        assert_eq!(weight(far, [-4.35, 7.25], SIGMA_MM), 0.0);
+        assert_eq!(weight(Position { x_mm: 0.0, y_mm: 0.0 }, [-4.35, 7.25], 1e-3), 0.0);
+        assert!(weight(Position { x_mm: 0.0, y_mm: 0.0 }, [-4.35, 7.25], 1e6) > 0.999_999);
     }
 
     #[test]

@@ -230,10 +230,12 @@ impl Line {
 mod tests {
     use super::*;
     use crate::membrane::AfferentModel;
+    use meissner_array::spec::Array;
 
     fn membrane(depth: f64) -> Membrane {
         let model = AfferentModel::default_for(Rectify::Half, 0.0);
-        Membrane::of(&AfferentModel { hyperexcitability_depth: depth, ..model })
+        let model = AfferentModel { hyperexcitability_depth: depth, ..model };
+        Membrane::of(&model, &Array::paper())
     }
 
     /// The offsets of the spikes in a segment, and the state after it.

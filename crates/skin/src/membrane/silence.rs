@@ -10,7 +10,6 @@
 use crate::breakpoints::Breakpoint;
 use crate::membrane::Rectify;
 use crate::membrane::equation::Membrane;
-use firmware_protocol::stroke::MOTORS;
 
 /// Margin for rounding, here and in the simulation.
 const MARGIN: f64 = 1.001;
@@ -77,9 +76,15 @@ impl Bound {
         (motor.at, motor.d) = (at, end);
     }
 
-    /// Whether an afferent can reach its first threshold under these charges of the motors.
-    pub(crate) fn reaches(&self, charges: &[f64; MOTORS], weights: &[f64; MOTORS], resting: f64) -> bool {
-        let charge: f64 = weights.iter().zip(charges).map(|(weight, charge)| weight * charge).sum();
+    /// Whether an afferent can reach its first threshold under these charges of the motors. `weights` are its motors with their
+    /// weights.
+    pub(crate) fn reaches(
+        &self,
+        charges: &[f64],
+        weights: impl Iterator<Item = (usize, f64)>,
+        resting: f64,
+    ) -> bool {
+        let charge: f64 = weights.map(|(motor, weight)| weight * charges[motor]).sum();
         self.gain * charge >= resting
     }
 }

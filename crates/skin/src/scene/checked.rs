@@ -3,43 +3,44 @@
 use super::afferent::{check_model, seconds};
 use super::error::{KeyError, Problem, SceneError};
 use crate::membrane::{AfferentModel, Position};
-use firmware_protocol::stroke::MOTORS;
 use meissner_array::motor::MotorError;
 use meissner_array::pattern::{self, Drive};
+use meissner_array::per_motor::PerMotor;
+use meissner_array::spec::Array;
 use meissner_input::document::in_range;
 use std::sync::Arc;
 
 /// A checked scene.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Scene {
+    pub(super) array: Array,
     pub(super) duration_s: f64,
     pub(super) seed: u64,
     pub(super) drives: Vec<Drive>,
     /// Shared by scenes that have the same afferents.
     pub(super) afferents: Arc<Vec<Position>>,
     pub(super) model: AfferentModel,
-    pub(super) gains: [f64; MOTORS],
+    pub(super) gains: PerMotor<f64>,
 }
 
 /// The largest gain of a motor's travel.
 pub(crate) const MAX_GAIN: f64 = 10.0;
-/// The gains of ideal motors.
-pub(super) const NO_GAINS: [f64; MOTORS] = [1.0; MOTORS];
 
 impl Scene {
-    /// Makes a scene from its parts. `afferents` are their positions; `seed` is that of the threshold noise.
+    /// Makes a scene of the motors of an array. `afferents` are their positions; `seed` is that of the threshold noise.
     ///
     /// # Errors
     /// The first thing that is wrong with it, by the key it would have in a file.
     pub fn new(
+        array: Array,
         duration_s: f64,
         seed: u64,
         drives: Vec<Drive>,
         afferents: Vec<Position>,
         model: AfferentModel,
     ) -> Result<Self, SceneError> {
-        let afferents = Arc::new(afferents);
-        Self { duration_s, seed, drives, afferents, model, gains: NO_GAINS }
+        let (afferents, gains) = (Arc::new(afferents), ideal(array));
+        Self { array, duration_s, seed, drives, afferents, model, gains }
             .checked()
             .map_err(|fault| fault.in_file(None))
     }
@@ -49,7 +50,7 @@ impl Scene {
     /// # Errors
     /// The first thing that is wrong with them, by the key it would have in a file.
     pub fn with_drives(&self, drives: Vec<Drive>) -> Result<Self, SceneError> {
-        check_drives(&drives).map_err(|fault| fault.in_file(None))?;
+        check_drives(self.array, &drives).map_err(|fault| fault.in_file(None))?;
         Ok(Self { drives, ..self.clone() })
     }
 
@@ -68,12 +69,22 @@ impl Scene {
     ///
     /// # Errors
     /// The first gain that is out of range.
-    pub fn with_gains(&self, gains: &[f64; MOTORS]) -> Result<Self, SceneError> {
+    ///
+    /// # Panics
+    /// If there are more or fewer gains than motors.
+    pub fn with_gains(&self, gains: &PerMotor<f64>) -> Result<Self, SceneError> {
+        assert_eq!(gains.len(), self.array.motors(), "a motor has a gain");
         for (motor, &gain) in gains.iter().enumerate() {
             in_range("gains", gain, (0.0..=MAX_GAIN).contains(&gain), "0 to 10")
                 .map_err(|fault| KeyError { path: format!("gains[{motor}]"), ..fault }.in_file(None))?;
         }
         Ok(Self { gains: *gains, ..self.clone() })
+    }
+
+    /// The array whose motors move the pins.
+    #[must_use]
+    pub const fn array(&self) -> Array {
+        self.array
     }
 
     /// The simulated time, s. It only ends the observation: every burst that starts before it takes place.
@@ -107,7 +118,7 @@ impl Scene {
     }
 
     /// The scene without drives, for motors that ramps move, with these gains. Such a scene has no period.
-    pub(crate) fn without_drives(&self, gains: [f64; MOTORS]) -> Self {
+    pub(crate) fn without_drives(&self, gains: PerMotor<f64>) -> Self {
         Self { drives: Vec::new(), gains, ..self.clone() }
     }
 
@@ -118,16 +129,18 @@ impl Scene {
 
     /// A scene of drives alone.
     pub(crate) fn without_afferents_from(
+        array: Array,
         duration_s: f64,
         seed: u64,
         drives: Vec<Drive>,
         model: AfferentModel,
     ) -> Result<Self, KeyError> {
-        Self { duration_s, seed, drives, afferents: Arc::default(), model, gains: NO_GAINS }.checked()
+        let (afferents, gains) = (Arc::default(), ideal(array));
+        Self { array, duration_s, seed, drives, afferents, model, gains }.checked()
     }
 
     /// The gain of each motor's travel.
-    pub(crate) const fn gains(&self) -> &[f64; MOTORS] {
+    pub(crate) const fn gains(&self) -> &PerMotor<f64> {
         &self.gains
     }
 
@@ -138,19 +151,21 @@ impl Scene {
 
     pub(super) fn checked(self) -> Result<Self, KeyError> {
         seconds("duration_s", self.duration_s)?;
-        check_drives(&self.drives)?;
+        check_drives(self.array, &self.drives)?;
         check_afferents(&self.afferents)?;
         check_model(&self.model).map_err(|fault| fault.within("afferent"))?;
         Ok(self)
     }
 }
 
-/// The range of a motor's number, for messages.
-pub(super) const MOTOR_RANGE: &str = "0 to 23";
+/// The gains of ideal motors.
+pub(super) fn ideal(array: Array) -> PerMotor<f64> {
+    PerMotor::all(array, 1.0)
+}
 
-fn check_drives(drives: &[Drive]) -> Result<(), KeyError> {
+fn check_drives(array: Array, drives: &[Drive]) -> Result<(), KeyError> {
     for (index, drive) in drives.iter().enumerate() {
-        check_drive(drive).map_err(|fault| fault.within(&format!("drives[{index}]")))?;
+        check_drive(array, drive).map_err(|fault| fault.within(&format!("drives[{index}]")))?;
     }
     let Some((first, second)) = pattern::overlap(drives) else { return Ok(()) };
     let later = &drives[second];
@@ -168,9 +183,9 @@ fn check_afferents(afferents: &[Position]) -> Result<(), KeyError> {
     Ok(())
 }
 
-fn check_drive(drive: &Drive) -> Result<(), KeyError> {
-    in_range("motor", drive.motor.into(), usize::from(drive.motor) < MOTORS, MOTOR_RANGE)?;
-    drive.wave().map_err(|source| {
+fn check_drive(array: Array, drive: &Drive) -> Result<(), KeyError> {
+    in_range("motor", drive.motor.into(), array.has(drive.motor), array.motor_range())?;
+    drive.wave(array).map_err(|source| {
         let key = match source {
             MotorError::Frequency { .. } => "frequency_hz",
             MotorError::Amplitude { .. } => "amplitude_um",
@@ -199,7 +214,7 @@ mod tests {
 
     fn scene(drives: Vec<Drive>, model: AfferentModel) -> Result<Scene, String> {
         let afferents = vec![Position { x_mm: 0.0, y_mm: -0.0 }];
-        Scene::new(1.0, 7, drives, afferents, model).map_err(|error| error.to_string())
+        Scene::new(Array::paper(), 1.0, 7, drives, afferents, model).map_err(|error| error.to_string())
     }
 
     #[test]
@@ -211,7 +226,7 @@ mod tests {
         let scene = scene(drives.clone(), model).unwrap();
         assert_eq!((scene.duration_s(), scene.seed(), scene.drives()), (1.0, 7, &drives[..]));
         assert_eq!((scene.afferents().len(), scene.model()), (1, &model));
-        Scene::new(0.0, 0, vec![], vec![], model).unwrap();
+        Scene::new(Array::paper(), 0.0, 0, vec![], vec![], model).unwrap();
     }
 
     #[test]
@@ -223,14 +238,15 @@ mod tests {
         assert!(line.starts_with("`drives[1].motor`: motor 3 is still driven by drives[0]"), "{line}");
         let line = scene(vec![], AfferentModel { tau_s: f64::NAN, ..model }).unwrap_err();
         assert_eq!(line, "`afferent.tau_s` is NaN: must be 1e-9 to 1e9 s");
-        let line = Scene::new(f64::INFINITY, 0, vec![], vec![], model).unwrap_err().to_string();
+        let line =
+            Scene::new(Array::paper(), f64::INFINITY, 0, vec![], vec![], model).unwrap_err().to_string();
         assert_eq!(line, "`duration_s` is inf: must be 0 to 1000000000 s");
     }
 
     #[test]
     fn a_changed_part_is_checked_and_the_others_stay() {
         let scene = scene(vec![DRIVE], AfferentModel::default_for(Rectify::Half, 0.05)).unwrap();
-        let mut gains = [1.0; MOTORS];
+        let mut gains = ideal(Array::paper());
         assert_eq!(scene.with_gains(&gains).unwrap(), scene);
         for wrong in [-0.1, 10.1, f64::NAN, f64::INFINITY] {
             gains[23] = wrong;

@@ -7,6 +7,7 @@
 
 use super::names::TwoNames;
 use meissner_array::motor::MotorError;
+use meissner_array::spec::UnknownArray;
 use meissner_input::document;
 use meissner_input::message::short_number;
 
@@ -25,6 +26,8 @@ pub enum Problem {
     TwoPopulations { afferents: &'static str },
     #[error(transparent)]
     TwoNames(#[from] TwoNames),
+    #[error("is unknown: {0}")]
+    Array(#[source] UnknownArray),
     #[error("{0}")]
     Wave(#[source] MotorError),
     #[error("is {}: must be above start_s, which is {}", short_number(*.stop_s), short_number(*.start_s))]
@@ -48,9 +51,9 @@ pub enum Problem {
     #[error("there are {pins} pins: must be at most {most}")]
     ManyPins { pins: usize, most: usize },
     #[error(
-        "lies within a radius, 0.5 mm, of pins[{first}]: their loads cannot be told apart; move one of them"
+        "lies within a radius, {radius_mm} mm, of pins[{first}]: their loads cannot be told apart; move one of them"
     )]
-    SamePlace { first: usize },
+    SamePlace { first: usize, radius_mm: f64 },
     #[error("stand so close that their loads cannot be told apart: leave some out, or move them apart")]
     Crowded,
 }

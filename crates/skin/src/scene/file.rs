@@ -4,14 +4,13 @@
 //! Invariant: no key is ignored, except `spikes_s` and `promised_spikes`, the answers of reference scenes.
 
 use super::afferent::RawAfferent;
-use super::checked::{MOTOR_RANGE, NO_GAINS, Scene};
+use super::checked::{Scene, ideal};
 use super::error::{KeyError, Problem};
 use super::names::{ModelName, as_written, one_name};
 use crate::membrane::{self, Position};
-use firmware_protocol::stroke::MOTORS;
 use meissner_array::pattern::Drive;
-use meissner_input::document::Table;
-use meissner_input::message::short_number;
+use meissner_array::spec::Array;
+use meissner_input::document::{Table, in_range};
 use serde::de::{Error, IgnoredAny, Unexpected, Visitor};
 use serde::{Deserialize, Deserializer};
 use std::fmt;
@@ -22,6 +21,7 @@ use std::sync::Arc;
 pub(crate) struct RawScene {
     #[serde(rename = "model")]
     _model: Option<ModelName>,
+    array: Option<String>,
     duration_s: f64,
     #[serde(default)]
     seed: u64,
@@ -43,8 +43,8 @@ pub(crate) struct RawScene {
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct RawDrive {
-    #[serde(deserialize_with = "motor")]
-    motor: u8,
+    #[serde(deserialize_with = "whole")]
+    motor: f64,
     frequency_hz: f64,
     amplitude_um: f64,
     #[serde(default)]
@@ -60,16 +60,27 @@ pub(crate) struct RawPopulation {
     pub(crate) seed: u64,
 }
 
-impl From<RawDrive> for Drive {
-    fn from(raw: RawDrive) -> Self {
+/// The array that a scene names, or the paper's.
+pub(crate) fn array(name: Option<&str>) -> Result<Array, KeyError> {
+    let unknown = |unknown| KeyError::key("array", Problem::Array(unknown));
+    name.map_or_else(|| Ok(Array::paper()), |name| Array::named(name).map_err(unknown))
+}
+
+/// The drives of motors of an array.
+pub(crate) fn drives(array: Array, raw: Vec<Table<RawDrive>>) -> Result<Vec<Drive>, KeyError> {
+    let drive = |(index, Table(raw)): (usize, Table<RawDrive>)| {
         let RawDrive { motor, frequency_hz, amplitude_um, phase, start_s, stop_s } = raw;
-        Self { motor, frequency_hz, amplitude_um, phase, start_s, stop_s }
-    }
+        let good = (0.0..array.motors() as f64).contains(&motor);
+        in_range("motor", motor, good, array.motor_range())
+            .map_err(|fault| fault.within(&format!("drives[{index}]")))?;
+        Ok(Drive { motor: motor as u8, frequency_hz, amplitude_um, phase, start_s, stop_s })
+    };
+    raw.into_iter().enumerate().map(drive).collect()
 }
 
 impl RawScene {
-    /// The scene of these keys.
-    pub(crate) fn checked_scene(self) -> Result<Scene, KeyError> {
+    /// The scene of these keys. `placed` adds the line to a problem with a key that names an array or a motor.
+    pub(crate) fn checked_scene(self, placed: impl Fn(KeyError) -> KeyError) -> Result<Scene, KeyError> {
         let own = |problem: Problem| KeyError::whole(None, problem);
         let (afferents, list) = one_name(("afferents", self.afferents), ("receptors", self.receptors))
             .map_err(|two| own(two.into()))?;
@@ -82,12 +93,14 @@ impl RawScene {
             (None, None) => return Err(own(Problem::NoAfferents)),
             (Some(_), Some(_)) => return Err(own(Problem::TwoPopulations { afferents: list })),
         };
+        let array = array(self.array.as_deref()).map_err(&placed)?;
         let scene = Scene {
+            array,
             duration_s: self.duration_s,
             seed: self.seed,
-            drives: self.drives.into_iter().map(|Table(raw)| raw.into()).collect(),
+            drives: drives(array, self.drives).map_err(&placed)?,
             afferents: Arc::new(afferents),
-            gains: NO_GAINS,
+            gains: ideal(array),
             model: afferent.map_or_else(RawAfferent::default, |Table(raw)| raw).model(noise_sd),
         };
         let written = |fault| as_written(as_written(fault, "afferents", list), "afferent", table);
@@ -95,34 +108,30 @@ impl RawScene {
     }
 }
 
-/// Reads a motor's number. It takes a whole number of any size, to refuse 24 and 300 with the same words.
-fn motor<'de, D: Deserializer<'de>>(source: D) -> Result<u8, D::Error> {
+/// Reads a motor's number. It takes a whole number of any size, so that all that are too large are refused with the same words.
+fn whole<'de, D: Deserializer<'de>>(source: D) -> Result<f64, D::Error> {
     struct Whole;
-    fn number<E: Error>(found: Option<u8>, shown: &dyn fmt::Display) -> Result<u8, E> {
-        let motor = found.filter(|&motor| usize::from(motor) < MOTORS);
-        motor.ok_or_else(|| E::custom(format_args!("is {shown}: must be {MOTOR_RANGE}")))
-    }
     impl Visitor<'_> for Whole {
-        type Value = u8;
+        type Value = f64;
         fn expecting(&self, text: &mut fmt::Formatter<'_>) -> fmt::Result {
-            write!(text, "a whole number, {MOTOR_RANGE}")
+            text.write_str("a whole number, from 0 on")
         }
-        fn visit_u64<E: Error>(self, found: u64) -> Result<u8, E> {
-            number(found.try_into().ok(), &found)
+        fn visit_u64<E: Error>(self, found: u64) -> Result<f64, E> {
+            Ok(found as f64)
         }
-        fn visit_i64<E: Error>(self, found: i64) -> Result<u8, E> {
-            number(found.try_into().ok(), &found)
+        fn visit_i64<E: Error>(self, found: i64) -> Result<f64, E> {
+            Ok(found as f64)
         }
-        fn visit_u128<E: Error>(self, found: u128) -> Result<u8, E> {
-            number(found.try_into().ok(), &found)
+        fn visit_u128<E: Error>(self, found: u128) -> Result<f64, E> {
+            Ok(found as f64)
         }
-        fn visit_i128<E: Error>(self, found: i128) -> Result<u8, E> {
-            number(found.try_into().ok(), &found)
+        fn visit_i128<E: Error>(self, found: i128) -> Result<f64, E> {
+            Ok(found as f64)
         }
         /// For JSON's whole numbers beyond 64 bits.
-        fn visit_f64<E: Error>(self, found: f64) -> Result<u8, E> {
+        fn visit_f64<E: Error>(self, found: f64) -> Result<f64, E> {
             match found.abs() >= 9e18 && found.is_finite() {
-                true => number(None, &short_number(found)),
+                true => Ok(found),
                 false => Err(E::invalid_type(Unexpected::Float(found), &self)),
             }
         }

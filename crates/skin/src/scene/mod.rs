@@ -1,7 +1,7 @@
 //! Scenes: which motors vibrate, for how long, and which afferents are simulated.
 //!
 //! `file` has the keys of a file, which [`Scene::read`] reads; [`Scene::new`] builds a scene (`checked`). Its drives may be faster and
-//! larger than a pattern's: a model has no current limit. All afferents of a scene have the same parameters. A gain may scale a
+//! larger than a pattern's: a model has no current limit. A scene belongs to an array, whose pins its motors move; a file that names none is for the paper's. All afferents of a scene have the same parameters. A gain may scale a
 //! motor's travel; files have no key for it. Scenes that are made from one another share their afferents, because an optimiser
 //! makes thousands of scenes.
 //!
@@ -19,5 +19,5 @@ pub(crate) use checked::MAX_GAIN;
 pub use checked::Scene;
 pub(crate) use error::KeyError;
 pub use error::{Problem, SceneError};
-pub(crate) use file::{RawDrive, RawPopulation, RawScene};
+pub(crate) use file::{RawDrive, RawPopulation, RawScene, array, drives};
 pub use names::{ModelName, TwoNames, as_written, one_name};

@@ -12,20 +12,34 @@ use crate::membrane::{AfferentModel, Rectify, population};
 use crate::time::end;
 use crate::track::{Track, Tracks, of_scene};
 use crate::{Integrator, Method, Options, Precision, Ramps, Scene, Stepping};
-use firmware_protocol::stroke::{Direction, MOTORS};
+use firmware_protocol::stroke::Direction;
 use firmware_protocol::tick::Tick;
-use meissner_array::motor::{HalfTick, Ramp, Shaft, WINDOW_HALF_TICKS};
+use meissner_array::motor::{HalfTick, Ramp, Shaft};
 use meissner_array::pattern::Drive;
 use meissner_array::random::uniform;
-use meissner_array::units::{HALF_TICKS_PER_S, UM_PER_PULSE};
+use meissner_array::spec::{Array, ArraySpec, names};
 use meissner_test_support::patterns::drive;
 use pulp::Arch;
 use std::sync::Arc;
 
+/// The shipped arrays, and one whose every number is another.
+pub(crate) fn arrays() -> Vec<Array> {
+    let text = r#"
+        name = "tests-of-skin"
+        pins = { positions_mm = [[0, 0], [2.5, 1], [-3, 0.5], [1, -4], [-1.5, 3]], radius_mm = 0.7 }
+        tick_hz = 44100
+        duty = { up = 0.3, down = 0.7 }
+        motor = { step_um = 0.41, window_ms = 11.7, travel_um = 300, most_pulses = 900 }
+    "#;
+    let other = Array::known(ArraySpec::parse(text, "test.toml").unwrap()).unwrap();
+    let shipped = names().into_iter().map(|name| Array::named(name).unwrap());
+    shipped.filter(|array| *array != other).chain([other]).collect()
+}
+
 /// Afferents of a fingertip over motors with random drives.
-fn scene(seed: u64) -> Scene {
+fn scene(array: Array, seed: u64) -> Scene {
     let draw = |n: u64, low: f64, high: f64| low + (high - low) * uniform([seed, n, 0, 1 << 33])[0];
-    let motors = (0..24).filter(|&motor| draw(motor, 0.0, 1.0) < 0.4);
+    let motors = (0..array.motors() as u64).filter(|&motor| draw(motor, 0.0, 1.0) < 0.4);
     let drives = motors.map(|motor| Drive {
         motor: motor as u8,
         frequency_hz: draw(100 + motor, 1.0, 300.0),
@@ -38,7 +52,7 @@ fn scene(seed: u64) -> Scene {
     let mut model = AfferentModel::default_for(rectify, [0.0, 0.05][seed as usize % 2]);
     model.tau_s = draw(400, 0.01, 0.1);
     let afferents = population(seed).into_iter().step_by(7).collect();
-    Scene::new(1.3, seed, drives.collect(), afferents, model).unwrap()
+    Scene::new(array, 1.3, seed, drives.collect(), afferents, model).unwrap()
 }
 
 /// The vector widths of this processor, without the scalar one.
@@ -72,12 +86,19 @@ fn every_width_of_vectors_gives_the_same_bits() {
         }
     }
     for seed in 0..12 {
-        let scene = scene(seed);
+        let array = Array::paper();
+        let scene = scene(array, seed);
         for &method in &methods {
             same_at_every_width(&scene, &of_scene(&scene, method), method);
         }
-        let (scene, tracks) = moved_unevenly(seed);
+        let (scene, tracks) = moved_unevenly(array, seed);
         same_at_every_width(&scene, &tracks, Method::Exact);
+    }
+    for array in arrays() {
+        let scene = scene(array, 1);
+        for &method in &methods {
+            same_at_every_width(&scene, &of_scene(&scene, method), method);
+        }
     }
 }
 
@@ -91,23 +112,24 @@ fn same_at_every_width(scene: &Scene, tracks: &Tracks, method: Method) {
 }
 
 /// A scene with bursts of any length at any speed, often several within the window.
-fn moved_unevenly(seed: u64) -> (Scene, Tracks) {
+fn moved_unevenly(array: Array, seed: u64) -> (Scene, Tracks) {
     let mut drawn = 0;
     let mut draw = |low: f64, high: f64| {
         drawn += 1;
         low + (high - low) * uniform([seed, drawn, 0, 1 << 35])[0]
     };
-    let (scene, mut ramps) = (scene(seed), Vec::new());
-    for motor in 0..24 {
+    let (scene, mut ramps) = (scene(array, seed), Vec::new());
+    for motor in array.numbers() {
         let mut start = draw(0.0, 10_000.0) as u64;
         while start < 100_000 {
             let ticks = draw(1.0, 600.0) as u32;
-            let ramp = Ramp { start: Tick(start), ticks, um_per_tick: draw(-0.3, 0.3) };
+            let ramp =
+                Ramp { start: Tick(start), ticks, um_per_tick: draw(-2.0, 2.0) * array.motor().um_per_pulse };
             ramps.push((motor, ramp));
             start = ramp.end().0 + draw(0.0, 700.0) as u64;
         }
     }
-    let ramps = Ramps::new(ramps).unwrap();
+    let ramps = Ramps::new(array, ramps).unwrap();
     let gains = ramps.gains();
     let tracks = ramps.tracks(&gains, scene.duration_s());
     (scene.without_drives(gains), tracks)
@@ -115,8 +137,9 @@ fn moved_unevenly(seed: u64) -> (Scene, Tracks) {
 
 #[test]
 fn bursts_of_any_speed_leave_every_motor_at_exactly_rest() {
-    for seed in 0..6 {
-        for track in moved_unevenly(seed).1.iter().flatten() {
+    for (array, seed) in arrays().into_iter().flat_map(|array| (0..6).map(move |seed| (array, seed))) {
+        let window = array.motor().window_half_ticks as f64;
+        for track in moved_unevenly(array, seed).1.iter().flatten() {
             let (mut at, mut d, mut slope, mut most) = (0.0, 0.0_f64, 0.0_f64, 0.0_f64);
             for found in track.breakpoints() {
                 assert!(
@@ -129,7 +152,7 @@ fn bursts_of_any_speed_leave_every_motor_at_exactly_rest() {
                 assert_eq!((d * (1_u64 << 40) as f64).fract(), 0.0);
             }
             assert_eq!((d, slope), (0.0, 0.0));
-            assert!(most > 100.0 && most <= WINDOW_HALF_TICKS as f64, "{most}");
+            assert!(most > 100.0 && most <= window, "{most}");
         }
     }
 }
@@ -160,7 +183,7 @@ fn samples_do_not_depend_on_how_many_are_read_at_a_time() {
     for seed in 1..5 {
         let integrator = [Integrator::Propagator, Integrator::Euler][seed as usize % 2];
         for step_us in [30, 500, 10_000, 176_471] {
-            let (scene, method) = (scene(seed), stepping(step_us, integrator));
+            let (scene, method) = (scene(Array::paper(), seed), stepping(step_us, integrator));
             let steps = (scene.duration_s() * 1e6 / f64::from(step_us)).ceil() as usize;
             let whole = samples(&scene, method, steps, steps);
             for at_a_time in [1, 8, 37, 256] {
@@ -180,27 +203,32 @@ fn samples_do_not_depend_on_how_many_are_read_at_a_time() {
 
 #[test]
 fn the_mean_velocity_times_the_step_is_the_shaft_s_motion() {
-    for seed in 0..6 {
-        let scene = scene(seed);
-        let (step, steps) = (85_u64, 2400);
-        let found = samples(&scene, stepping(500, Integrator::Propagator), steps, 100);
-        let um = UM_PER_PULSE / 2.0 / WINDOW_HALF_TICKS as f64 * step as f64;
+    for (array, seed) in arrays().into_iter().flat_map(|array| (0..6).map(move |seed| (array, seed))) {
+        let (scene, ticks_per_s) = (scene(array, seed), f64::from(array.rate().hz()));
+        // A whole number of half ticks.
+        let step_us = if ticks_per_s == 85_000.0 { 500 } else { 10_000 };
+        let step = (f64::from(step_us) * 1e-6 * 2.0 * ticks_per_s).round() as u64;
+        let steps = 1_200_000 / step_us as usize;
+        let found = samples(&scene, stepping(step_us, Integrator::Propagator), steps, 100);
+        let um_per_pulse = array.motor().um_per_pulse;
+        let um = um_per_pulse / 2.0 / array.motor().window_half_ticks as f64 * step as f64;
         for drive in scene.drives() {
-            let start = (drive.start() * 85_000.0).round() as u64;
-            let stop = drive.stop_s.map_or(u64::MAX, |stop| (stop * 85_000.0).round() as u64);
-            let end = scene.duration_s() * HALF_TICKS_PER_S / 2.0;
+            let start = (drive.start() * ticks_per_s).round() as u64;
+            let stop = drive.stop_s.map_or(u64::MAX, |stop| (stop * ticks_per_s).round() as u64);
+            let end = scene.duration_s() * ticks_per_s;
             let strokes = drive
-                .wave()
+                .wave(array)
                 .unwrap()
                 .excursions()
                 .take_while(|stroke| start + stroke.end() <= stop && ((start + stroke.up) as f64) < end);
             let mut ramps = strokes
                 .flat_map(|stroke| {
-                    [(stroke.up, Direction::Up), (stroke.down, Direction::Down)]
-                        .map(|(tick, direction)| Ramp::new(Tick(start + tick), stroke.pulses, direction, 1.0))
+                    [(stroke.up, Direction::Up), (stroke.down, Direction::Down)].map(|(tick, direction)| {
+                        Ramp::new(Tick(start + tick), stroke.pulses, direction, um_per_pulse)
+                    })
                 })
                 .peekable();
-            let (mut shaft, mut before) = (Shaft::default(), 0.0);
+            let (mut shaft, mut before) = (Shaft::new(array.motor()), 0.0);
             for (index, &mean) in found[usize::from(drive.motor)].iter().enumerate() {
                 let at = HalfTick((index as u64 + 1) * step);
                 while let Some(ramp) = ramps.next_if(|ramp| HalfTick::from(ramp.start) <= at) {
@@ -219,7 +247,7 @@ fn the_mean_velocity_times_the_step_is_the_shaft_s_motion() {
 fn samples_at_rest_are_zero() {
     let drive = Drive { phase: 0.123, start_s: Some(0.01), stop_s: Some(0.13), ..drive(5, 17.3, 33.0) };
     let model = AfferentModel::default_for(Rectify::Half, 0.0);
-    let scene = Scene::new(1.0, 0, vec![drive], vec![], model).unwrap();
+    let scene = Scene::new(Array::paper(), 1.0, 0, vec![drive], vec![], model).unwrap();
     for integrator in [Integrator::Euler, Integrator::Propagator] {
         for step_us in [80, 500, 590] {
             let steps = 1_000_000 / step_us as usize;
@@ -241,17 +269,20 @@ fn counted_spikes_are_buffered_within_a_bound() {
         refractory_s: 1e-4,
         ..AfferentModel::default_for(Rectify::Half, 0.0)
     };
+    let array = Array::paper();
     // Together they repeat only after 10 s.
     let scene =
-        Scene::new(60.0, 0, vec![drive(9, 10.0, 80.0), drive(10, 10.1, 80.0)], Vec::new(), model).unwrap();
-    let (membrane, end) = (Membrane::of(scene.model()), end(scene.duration_s()));
-    let mut weights = [0.0; MOTORS];
+        Scene::new(array, 60.0, 0, vec![drive(9, 10.0, 80.0), drive(10, 10.1, 80.0)], Vec::new(), model)
+            .unwrap();
+    let (membrane, end) = (Membrane::of(scene.model(), &array), end(scene.duration_s(), array.rate()));
+    let mut weights = vec![0.0; array.motors()];
     (weights[9], weights[10]) = (1.0, 0.5);
-    let member = Member { number: 0, weights, resting: 1.0, noise: None };
-    let periods = periods(scene.drives(), end);
-    let mut group = Group::new(vec![member], &membrane, Some(&periods), end);
+    let member =
+        Member { number: 0, weights: weights.into(), motors: 1 << 9 | 1 << 10, resting: 1.0, noise: None };
+    let periods = periods(array, scene.drives(), end);
+    let mut group = Group::new(&array, vec![member], &membrane, Some(&periods), end);
     let tracks = of_scene(&scene, Method::Exact);
-    let mut blocks = Blocks::new(tracks.iter().flatten().map(Arc::as_ref), end);
+    let mut blocks = Blocks::new(&array, tracks.iter().flatten().map(Arc::as_ref), end);
     let (mut block, mut most) = (Vec::new(), 0);
     while blocks.next_into(&mut block) {
         // Small blocks, as in a long scene.

@@ -8,13 +8,13 @@ use crate::membrane::{AfferentModel, Rectify};
 use crate::method::Method;
 use crate::scene::Scene;
 use crate::time::end;
-use crate::track::{Tracks, of_scene};
-use firmware_protocol::stroke::MOTORS;
+use crate::track::{Track, Tracks, of_scene};
 use meissner_array::pattern::Drive;
 use meissner_array::random::uniform;
+use meissner_array::spec::Array;
 use std::sync::Arc;
 
-fn scene(seed: u64, rectify: Rectify) -> (Scene, [f64; MOTORS]) {
+fn scene(seed: u64, rectify: Rectify) -> (Scene, Vec<f64>) {
     let draw = |n: u64, low: f64, high: f64| low + (high - low) * uniform([seed, n, 0, 1 << 34])[0];
     let motors = 1 + seed % 5;
     let drives = (0..motors).map(|motor| Drive {
@@ -27,9 +27,10 @@ fn scene(seed: u64, rectify: Rectify) -> (Scene, [f64; MOTORS]) {
     });
     let mut model = AfferentModel::default_for(rectify, 0.0);
     model.tau_s = draw(400, -7.0, 0.0).exp();
-    let weights =
-        std::array::from_fn(|m| if m < motors as usize { draw(500 + m as u64, 0.0, 1.0) } else { 0.0 });
-    (Scene::new(0.4, 0, drives.collect(), vec![], model).unwrap(), weights)
+    let weight =
+        |motor: u8| if u64::from(motor) < motors { draw(500 + u64::from(motor), 0.0, 1.0) } else { 0.0 };
+    let weights = Array::paper().numbers().map(weight).collect();
+    (Scene::new(Array::paper(), 0.4, 0, drives.collect(), vec![], model).unwrap(), weights)
 }
 
 fn tracks(scene: &Scene) -> Tracks {
@@ -39,7 +40,11 @@ fn tracks(scene: &Scene) -> Tracks {
 fn breakpoints(scene: &Scene) -> Vec<Breakpoint> {
     let (mut all, mut block) = (Vec::new(), Vec::new());
     let tracks = tracks(scene);
-    let mut blocks = Blocks::new(tracks.iter().flatten().map(Arc::as_ref), end(scene.duration_s()));
+    let mut blocks = Blocks::new(
+        &Array::paper(),
+        tracks.iter().flatten().map(Arc::as_ref),
+        end(scene.duration_s(), Array::paper().rate()),
+    );
     while blocks.next_into(&mut block) {
         all.append(&mut block);
     }
@@ -47,9 +52,9 @@ fn breakpoints(scene: &Scene) -> Vec<Breakpoint> {
 }
 
 /// The highest value of a membrane that never fires, followed in small parts of each segment.
-fn highest(scene: &Scene, weights: &[f64; MOTORS], membrane: &Membrane) -> f64 {
+fn highest(scene: &Scene, weights: &[f64], membrane: &Membrane) -> f64 {
     let (mut at, mut v, mut k, mut p, mut most) = (0.0, 0.0_f64, 0.0_f64, 0.0_f64, 0.0_f64);
-    let last = Breakpoint { at: end(scene.duration_s()), slope_change: 0.0, motor: 0 };
+    let last = Breakpoint { at: end(scene.duration_s(), Array::paper().rate()), slope_change: 0.0, motor: 0 };
     for found in breakpoints(scene).into_iter().chain([last]) {
         let part = (found.at - at) / 50.0;
         for index in 0..50 {
@@ -77,14 +82,17 @@ fn the_bound_is_never_below_the_highest_membrane_nor_far_above_that_of_one_motor
     for seed in 0..100 {
         for rectify in [Rectify::Half, Rectify::Full, Rectify::Signed] {
             let (scene, weights) = scene(seed, rectify);
-            let membrane = Membrane::of(scene.model());
+            let membrane = Membrane::of(scene.model(), &Array::paper());
             let most = highest(&scene, &weights, &membrane);
             for step in [0.0, 17.0, 850.0] {
                 let bound = Bound::new(&membrane, step);
-                let charges =
-                    tracks(&scene).map(|track| track.map_or(0.0, |track| track.charge(&bound, usize::MAX)));
-                assert!(bound.reaches(&charges, &weights, most), "seed {seed}, {rectify:?}");
-                near += u32::from(step == 0.0 && !bound.reaches(&charges, &weights, 1.1 * most));
+                let charge = |track: &Option<Arc<Track>>| {
+                    track.as_ref().map_or(0.0, |track| track.charge(&bound, usize::MAX))
+                };
+                let charges: Vec<f64> = tracks(&scene).iter().map(charge).collect();
+                let reaches = |most: f64| bound.reaches(&charges, weights.iter().copied().enumerate(), most);
+                assert!(reaches(most), "seed {seed}, {rectify:?}");
+                near += u32::from(step == 0.0 && !reaches(1.1 * most));
             }
         }
     }
@@ -94,7 +102,8 @@ fn the_bound_is_never_below_the_highest_membrane_nor_far_above_that_of_one_motor
 
 #[test]
 fn a_motor_at_rest_charges_nothing_and_fewer_breakpoints_no_more() {
-    let bound = Bound::new(&Membrane::of(&AfferentModel::default_for(Rectify::Half, 0.0)), 0.0);
+    let bound =
+        Bound::new(&Membrane::of(&AfferentModel::default_for(Rectify::Half, 0.0), &Array::paper()), 0.0);
     assert_eq!(bound.charge(std::iter::empty(), Some(1e6)), 0.0);
     for seed in 0..20 {
         for track in tracks(&scene(seed, Rectify::Half).0).iter().flatten() {

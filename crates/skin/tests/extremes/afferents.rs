@@ -7,19 +7,20 @@ use super::{
 use firmware_protocol::stroke::Direction;
 use firmware_protocol::tick::Tick;
 use meissner_array::motor::{HalfTick, Ramp, Shaft, SquareWave};
-use meissner_array::units::UM_PER_PULSE;
+use meissner_array::spec::Array;
 use meissner_skin::membrane::{AfferentModel, Position, Rectify};
 use meissner_skin::{Integrator, Method, MethodError, Stepping};
+use meissner_test_support::paper::{HALF_TICKS_PER_S, UM_PER_PULSE};
 
 /// The sum of a shaft's rises until `t_s`, without its falls, for a wave so slow that it settles between edges.
 fn risen_um(wave: SquareWave, t_s: f64) -> f64 {
-    let half_ticks = t_s * 170_000.0;
+    let half_ticks = t_s * HALF_TICKS_PER_S;
     let at = half_ticks.floor();
-    let (mut shaft, mut strokes) = (Shaft::default(), 0.0);
+    let (mut shaft, mut strokes) = (Shaft::new(Array::paper().motor()), 0.0);
     for up in wave.excursions().take_while(|up| 2.0 * up.up as f64 <= at) {
         // The shaft is down again by half a period: that part is not counted.
         let now = 2.0 * up.down as f64;
-        shaft.push(Ramp::new(Tick(up.up), up.pulses, Direction::Up, 1.0));
+        shaft.push(Ramp::new(Tick(up.up), up.pulses, Direction::Up, UM_PER_PULSE));
         if at < now {
             // Velocity is linear between half ticks.
             let here = HalfTick(at as u64);
@@ -27,7 +28,7 @@ fn risen_um(wave: SquareWave, t_s: f64) -> f64 {
             let s = half_ticks - at;
             return strokes + shaft.displacement_um(here) + v * s + (next - v) * s * s / 2.0;
         }
-        shaft.push(Ramp::new(Tick(up.down), up.pulses, Direction::Down, 1.0));
+        shaft.push(Ramp::new(Tick(up.down), up.pulses, Direction::Down, UM_PER_PULSE));
         strokes += f64::from(up.pulses) * UM_PER_PULSE;
     }
     strokes
@@ -43,7 +44,7 @@ fn without_a_leak_an_afferent_spikes_every_so_many_micrometres() {
         ..model(Rectify::Half)
     };
     let scene = scene(2.05, &[drive(9, 5.0, 80.0)], &[under(9)], leak_free);
-    let wave = SquareWave::new(5.0, 80.0, 0.0).unwrap();
+    let wave = SquareWave::new(Array::paper(), 5.0, 80.0, 0.0).unwrap();
     let found = as_the_oracle(&scene, 40).remove(0);
     assert_eq!(found.len(), (11.0 * 589.0 * UM_PER_PULSE / 20.0) as usize);
     for (&t, number) in found.iter().zip(1..) {

@@ -6,8 +6,9 @@ use super::{
 };
 use meissner_array::motor::SteadyState;
 use meissner_array::pattern::Drive;
-use meissner_array::units::UM_PER_PULSE;
+use meissner_array::spec::Array;
 use meissner_skin::membrane::{AfferentModel, Position, Rectify};
+use meissner_test_support::paper::UM_PER_PULSE;
 
 #[test]
 fn a_drive_at_a_thousandth_hertz_is_two_strokes_in_a_thousand_seconds() {
@@ -76,7 +77,7 @@ fn an_amplitude_that_does_not_fit_is_the_one_that_fits() {
 fn at_the_window_s_frequency_and_its_multiples_nothing_moves_once_settled() {
     for multiple in 1..=8 {
         let hz = f64::from(multiple) / 0.0043;
-        let steady = SteadyState::of(hz, 80.0).unwrap();
+        let steady = SteadyState::of(Array::paper(), hz, 80.0).unwrap();
         assert!(steady.peak_to_peak_um < 1e-9 && steady.played_peak_to_peak_um <= 0.15, "{steady:?}");
         let scene = scene(1.0, &[drive(9, hz, 80.0)], &[under(9)], model(Rectify::Signed));
         as_the_oracle(&scene, usize::from(multiple == 1));

@@ -2,13 +2,14 @@
 
 use super::{drive, methods, model, scene, under};
 use meissner_array::pattern::Drive;
+use meissner_array::spec::Array;
 use meissner_skin::membrane::{AfferentModel, Position, Rectify};
 use meissner_skin::{Method, Options, Scene, choose, simulate};
 
 const NOT_FINITE: [f64; 3] = [f64::NAN, f64::INFINITY, f64::NEG_INFINITY];
 
 fn refusal(duration_s: f64, drive: Drive, afferent: Position, model: AfferentModel) -> String {
-    Scene::new(duration_s, 7, vec![drive], vec![afferent], model).unwrap_err().to_string()
+    Scene::new(Array::paper(), duration_s, 7, vec![drive], vec![afferent], model).unwrap_err().to_string()
 }
 
 #[test]

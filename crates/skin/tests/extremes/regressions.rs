@@ -2,6 +2,7 @@
 
 use super::{beside, drive, model, propagator, scene, spikes, stroke_up, under};
 use meissner_array::pattern::Drive;
+use meissner_array::spec::Array;
 use meissner_skin::membrane::{AfferentModel, Rectify, population};
 use meissner_skin::{MAX_SPIKES, Method, Options, Precision, Scene, Stepping, choose, simulate};
 use meissner_test_support::statistics::rms;
@@ -66,7 +67,7 @@ fn a_method_that_misses_all_spikes_is_not_chosen() {
         .map(|motor| Drive { phase: f64::from(motor) * 0.37 % 1.0, ..drive(motor, 1000.0, 80.0) })
         .collect();
     let model = AfferentModel { alpha_per_um: 0.2, ..AfferentModel::default_for(Rectify::Half, 0.05) };
-    let scene = Scene::new(0.5, 0, drives, population(1), model).unwrap();
+    let scene = Scene::new(Array::paper(), 0.5, 0, drives, population(1), model).unwrap();
     let choice = choose(&scene, 1.0).unwrap();
     let rates = |method| simulate(&scene, &Options::rates(method), &|_| ()).unwrap().rates_hz(&scene);
     let (exact, chosen) = (rates(Method::Exact), rates(choice.method));

@@ -120,9 +120,8 @@ impl Account {
 mod tests {
     use super::*;
     use crate::time::HostInstant;
-    use firmware_protocol::stroke::MOTORS;
     use firmware_protocol::tick::Tick;
-    use meissner_api::ErrorSource;
+    use meissner_array::spec::Array;
     use proptest::prelude::*;
 
     const STROKE: Stroke = Stroke { motor: 3, up: Tick(0), up_pulses: 40, down: Tick(90), down_pulses: 41 };
@@ -135,7 +134,7 @@ mod tests {
             uncertainty_ns: 0,
             latency_ns: 0,
         };
-        let rest = RestErrors { um: [0.0; MOTORS], source: [ErrorSource::default(); MOTORS] };
+        let rest = RestErrors::none(Array::paper());
         Begun { onset, counters, rest }
     }
 

@@ -22,7 +22,7 @@ use firmware_protocol::stroke::Stroke;
 use firmware_protocol::tick::Tick;
 use meissner_api::{EndCause, LateCause, LateCounts};
 use meissner_array::strokes::{LiveStrokes, StrokesError};
-use meissner_array::units::{duration_to_ticks, ticks_to_ms};
+use meissner_array::units::TickRate;
 use sent::Sent;
 use std::time::Duration;
 
@@ -99,6 +99,10 @@ impl Active {
         }
     }
 
+    fn rate(&self) -> TickRate {
+        self.play.strokes.array().rate()
+    }
+
     pub(super) fn play(&self) -> &Play {
         &self.play
     }
@@ -123,7 +127,7 @@ impl Active {
 
     /// The earliest onset that can be tried at `tick`.
     pub(super) fn soonest(&self, tick: Tick) -> Tick {
-        tick + duration_to_ticks(self.margin)
+        tick + self.rate().duration_to_ticks(self.margin)
     }
 
     /// Starts to stream at `onset`, for the first time or again.
@@ -152,7 +156,8 @@ impl Active {
         self.sent.all_rejected();
         self.margin *= 2;
         if self.play.at != At::Next || self.margin > longest {
-            self.account.all_late(ticks_to_ms(onset.map_or(0, |onset| rendered - onset)));
+            let late = onset.map_or(0, |onset| rendered - onset);
+            self.account.all_late(self.rate().ticks_to_ms(late));
             self.cut.order(EndCause::OnsetMissed);
         }
         onset

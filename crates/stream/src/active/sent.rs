@@ -94,14 +94,15 @@ impl Sent {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use firmware_protocol::stroke::MOTORS;
     use meissner_array::motor::SquareWave;
+    use meissner_array::per_motor::PerMotor;
+    use meissner_array::spec::Array;
     use meissner_array::strokes::LiveStrokes;
 
     #[test]
     fn a_stroke_is_the_next_until_it_is_counted_or_put_back() {
-        let wave = SquareWave::new(60.0, 80.0, 0.0).expect("a drive");
-        let mut source = Source::Live(Box::new(LiveStrokes::new([wave; MOTORS])));
+        let wave = SquareWave::new(Array::paper(), 60.0, 80.0, 0.0).expect("a drive");
+        let mut source = Source::Live(Box::new(LiveStrokes::new(PerMotor::all(Array::paper(), wave))));
         source.begin(Tick(100));
         let mut sent = Sent::nothing(Tick(100));
         let first = sent.next(&mut source).expect("no limit is broken").expect("a stroke");

@@ -5,11 +5,12 @@
 //! Invariant: a [`Calibration`] passed every check here, so each of its gains lies within [`GAIN_RANGE`].
 
 use crate::calibrate::fit::{Fit, FitPoint, GAIN_RANGE, MAX_SLOPE_SE, MIN_BURSTS, MotorFit};
-use crate::calibrate::plan::{MAX_GROUPS, PULSES_RANGE, Plan, PlanError};
+use crate::calibrate::plan::{MAX_GROUPS, Plan, PlanError, pulses_range};
 use crate::control::Gains;
-use firmware_protocol::stroke::{Direction, MOTORS};
+use firmware_protocol::stroke::Direction;
 use meissner_api::Provenance;
-use meissner_array::units::UM_PER_PULSE;
+use meissner_array::per_motor::PerMotor;
+use meissner_array::spec::{Array, UnknownArray};
 use meissner_input::document::{self, in_range};
 use meissner_input::message::short_number;
 
@@ -23,7 +24,8 @@ const MAX_BURSTS: usize = 1_000_000;
 const LEAST: f64 = 1e-12;
 /// Characters of each text of the provenance.
 const MAX_WORDS: usize = 200;
-/// The largest plausible offset or travel, µm: a burst of the fewest pulses moves a pin by one, the longest by 41 at most.
+/// The largest plausible offset or travel, µm, where bursts are short: on the paper's array one of the fewest pulses moves a pin by
+/// one, the longest by 41 at most.
 const OFFSET_UM: f64 = 100.0;
 /// How far a gain may differ from its slope, and the file's model constant from ours, because another program may write fewer
 /// digits.
@@ -50,8 +52,13 @@ pub enum Problem {
     Twice { motor: u8, other: usize },
     #[error("is {}, but slope_um_per_pulse gives {}: edit neither by hand, calibrate again", short_number(*.found), short_number(*.slope))]
     Gain { found: f64, slope: f64 },
-    #[error("is {}: this version's model has {UM_PER_PULSE}, so the gains do not apply; calibrate again", short_number(*.found))]
-    Model { found: f64 },
+    #[error(
+        "is {}: the array's motors have {}, so the gains do not apply; calibrate again",
+        short_number(*.found), short_number(*.model)
+    )]
+    Model { found: f64, model: f64 },
+    #[error("names no known array: {0}")]
+    Array(#[source] UnknownArray),
     #[error("is not a valid plan: {0}")]
     Plan(#[source] PlanError),
     #[error("is {found}, but pulses and repetitions give {groups}")]
@@ -72,6 +79,7 @@ pub(super) type KeyError = document::KeyError<Problem>;
 /// The fits of the calibrated motors, and how they were made.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Calibration {
+    array: Array,
     motors: Vec<MotorFit>,
     provenance: Provenance,
 }
@@ -88,35 +96,49 @@ impl Plan {
             pulses: self.pulses().to_vec(),
             repetitions: self.repetitions(),
             groups: self.groups() as u64,
-            um_per_pulse: UM_PER_PULSE,
+            um_per_pulse: self.array().motor().um_per_pulse,
             date: None,
         }
     }
 }
 
 impl Calibration {
-    /// A calibration from these fits, in any order.
+    /// A calibration of motors of this array from these fits, in any order.
     ///
     /// # Errors
     /// The first thing that is wrong with it.
-    pub fn new(mut motors: Vec<MotorFit>, provenance: Provenance) -> Result<Self, CalibrationError> {
+    pub fn new(
+        array: Array,
+        mut motors: Vec<MotorFit>,
+        provenance: Provenance,
+    ) -> Result<Self, CalibrationError> {
         motors.sort_by_key(|fit| fit.motor);
-        Self::checked(motors, provenance).map_err(|fault| fault.in_file(None))
+        Self::checked(array, motors, provenance).map_err(|fault| fault.in_file(None))
     }
 
     /// Like [`Self::new`], but an error numbers the motors in the order given.
-    pub(super) fn checked(motors: Vec<MotorFit>, provenance: Provenance) -> Result<Self, KeyError> {
-        let mut calibration = Self { motors, provenance };
+    pub(super) fn checked(
+        array: Array,
+        motors: Vec<MotorFit>,
+        provenance: Provenance,
+    ) -> Result<Self, KeyError> {
+        let mut calibration = Self { array, motors, provenance };
         calibration.motors.iter_mut().for_each(shorten);
         calibration.check()?;
         calibration.motors.sort_by_key(|fit| fit.motor);
         Ok(calibration)
     }
 
+    /// The array of its motors.
+    #[must_use]
+    pub const fn array(&self) -> Array {
+        self.array
+    }
+
     /// The pin's travel over the model's; 1 if the motor is not calibrated.
     #[must_use]
     pub fn gain(&self, motor: u8, direction: Direction) -> f64 {
-        self.motor(motor).map_or(1.0, |fit| fit.of(direction).gain())
+        self.motor(motor).map_or(1.0, |fit| fit.of(direction).gain(self.array.motor()))
     }
 
     /// A motor's fit, if it was calibrated.
@@ -140,25 +162,26 @@ impl Calibration {
     /// This calibration with the other motors of an older one of the same device. Another device's is left out.
     #[must_use]
     pub fn with_other_motors(self, old: &Self) -> Self {
-        if old.provenance.identity != self.provenance.identity {
+        if old.array != self.array || old.provenance.identity != self.provenance.identity {
             return self;
         }
         let others = old.motors.iter().filter(|fit| self.motor(fit.motor).is_none());
         let mut motors: Vec<MotorFit> = self.motors.iter().chain(others).cloned().collect();
         motors.sort_by_key(|fit| fit.motor);
-        Self { motors, provenance: self.provenance }
+        Self { array: self.array, motors, provenance: self.provenance }
     }
 
     /// The gains for position control; an uncalibrated motor gets the default.
     #[must_use]
-    pub fn gains(&self) -> [Gains; MOTORS] {
-        std::array::from_fn(|motor| {
-            self.motor(motor as u8).map_or_else(Gains::default, |fit| {
+    pub fn gains(&self) -> PerMotor<Gains> {
+        let model = self.array.motor();
+        PerMotor::from_fn(self.array, |motor| {
+            self.motor(motor).map_or_else(Gains::default, |fit| {
                 let both = [Direction::Up, Direction::Down].map(|direction| fit.of(direction));
                 let squares = both.map(|fit| fit.relative_sd * fit.relative_sd);
                 Gains {
-                    mean: both.map(Fit::gain),
-                    sd: both.map(|fit| (fit.slope_se_um_per_pulse / UM_PER_PULSE).max(LEAST_SD)),
+                    mean: both.map(|fit| fit.gain(model)),
+                    sd: both.map(|fit| (fit.slope_se_um_per_pulse / model.um_per_pulse).max(LEAST_SD)),
                     scatter: ((squares[0] + squares[1]) / 2.0).sqrt().max(LEAST_SCATTER),
                 }
             })
@@ -171,18 +194,19 @@ impl Calibration {
         }
         for (index, fit) in self.motors.iter().enumerate() {
             let (motor, of) = (fit.motor, format!("motor[{index}]"));
-            in_range("motor", motor.into(), usize::from(motor) < MOTORS, "0 to 23")
+            in_range("motor", motor.into(), self.array.has(motor), self.array.motor_range())
                 .map_err(|fault| KeyError::from(fault).within(&of))?;
             if let Some(other) = self.motors[..index].iter().position(|other| other.motor == motor) {
                 return Err(KeyError::key("motor", Problem::Twice { motor, other }).within(&of));
             }
             let directions = [("up", &fit.up, &fit.up_points), ("down", &fit.down, &fit.down_points)];
             for (direction, fit, points) in directions {
-                let checked = fit.check().and_then(|()| check_points(points, fit.bursts));
+                let checked =
+                    fit.check(self.array).and_then(|()| check_points(self.array, points, fit.bursts));
                 checked.map_err(|fault| fault.within(direction).within(&of))?;
             }
         }
-        check_provenance(&self.provenance).map_err(|fault| fault.within("provenance"))
+        check_provenance(self.array, &self.provenance).map_err(|fault| fault.within("provenance"))
     }
 }
 
@@ -198,16 +222,26 @@ fn shorten(motor: &mut MotorFit) {
     }
 }
 
+/// The largest plausible offset or travel on this array, µm, and its range in words.
+fn most_um(array: Array) -> (f64, String) {
+    let longest_um = f64::from(*pulses_range(array).end()) * array.motor().um_per_pulse;
+    let most_um = OFFSET_UM.max(2.0 * GAIN_RANGE.end() * longest_um);
+    (most_um, format!("-{} to {0} um", short_number(most_um)))
+}
+
 /// `blocks`: the bursts of the fit.
-fn check_points(points: &[FitPoint], blocks: usize) -> Result<(), KeyError> {
+fn check_points(array: Array, points: &[FitPoint], blocks: usize) -> Result<(), KeyError> {
     if points.len() > MAX_GROUPS {
         return Err(KeyError::key("points", Problem::Points { count: points.len() }));
     }
     for (index, &FitPoint { pulses, travel_um, sd_um, bursts }) in points.iter().enumerate() {
         let key = |place| format!("points[{index}][{place}]");
-        in_range(&key(0), pulses.into(), PULSES_RANGE.contains(&pulses), "7 to 200")?;
-        in_range(&key(1), travel_um, travel_um.abs() <= OFFSET_UM, "-100 to 100 um")?;
-        in_range(&key(2), sd_um, (0.0..=OFFSET_UM).contains(&sd_um), "0 to 100 um")?;
+        let (range, (most_um, um_range)) = (pulses_range(array), most_um(array));
+        let pulses_in_words = format!("{} to {}", range.start(), range.end());
+        in_range(&key(0), pulses.into(), range.contains(&pulses), pulses_in_words)?;
+        in_range(&key(1), travel_um, travel_um.abs() <= most_um, um_range)?;
+        let sd_in_words = format!("0 to {} um", short_number(most_um));
+        in_range(&key(2), sd_um, (0.0..=most_um).contains(&sd_um), sd_in_words)?;
         in_range(&key(3), bursts as f64, (1..=MAX_BURSTS).contains(&bursts), "1 to 1000000")?;
         if let Some(before) =
             index.checked_sub(1).map(|before| points[before].pulses).filter(|&of| of >= pulses)
@@ -222,7 +256,7 @@ fn check_points(points: &[FitPoint], blocks: usize) -> Result<(), KeyError> {
     Err(KeyError::key("points", Problem::Bursts { found, blocks }))
 }
 
-fn check_provenance(provenance: &Provenance) -> Result<(), KeyError> {
+fn check_provenance(array: Array, provenance: &Provenance) -> Result<(), KeyError> {
     let Provenance { device, firmware, identity, telemetry, pulses, repetitions, groups, um_per_pulse, date } =
         provenance;
     let words = [
@@ -238,26 +272,29 @@ fn check_provenance(provenance: &Provenance) -> Result<(), KeyError> {
             return Err(KeyError::key(key, Problem::Words { count }));
         }
     }
-    let plan = Plan::new(None, pulses, *repetitions)
+    let plan = Plan::new(array, None, pulses, *repetitions)
         .map_err(|error| KeyError::key("pulses", Problem::Plan(error)))?;
     if *groups != plan.groups() as u64 {
         return Err(KeyError::key("groups", Problem::Groups { found: *groups, groups: plan.groups() }));
     }
-    let same = (um_per_pulse - UM_PER_PULSE).abs() <= ROUNDING;
+    let model = array.motor().um_per_pulse;
+    let same = (um_per_pulse - model).abs() <= ROUNDING;
     if !same {
-        return Err(KeyError::key("um_per_pulse", Problem::Model { found: *um_per_pulse }));
+        return Err(KeyError::key("um_per_pulse", Problem::Model { found: *um_per_pulse, model }));
     }
     Ok(())
 }
 
 impl Fit {
-    fn check(&self) -> Result<(), KeyError> {
+    fn check(&self, array: Array) -> Result<(), KeyError> {
+        let (model, (most_um, um_range)) = (array.motor(), most_um(array));
         let Self { slope_um_per_pulse, slope_se_um_per_pulse, offset_um, relative_sd, bursts } = *self;
-        let good = GAIN_RANGE.contains(&self.gain());
-        in_range("slope_um_per_pulse", slope_um_per_pulse, good, "0.5 to 1.5 times the model's, 0.95/7")?;
+        let good = GAIN_RANGE.contains(&self.gain(model));
+        let in_words = format!("0.5 to 1.5 times the motor's, {}", short_number(model.um_per_pulse));
+        in_range("slope_um_per_pulse", slope_um_per_pulse, good, in_words)?;
         let good = (0.0..=MAX_SLOPE_SE * slope_um_per_pulse).contains(&slope_se_um_per_pulse);
         in_range("slope_se_um_per_pulse", slope_se_um_per_pulse, good, "0 to 5 % of the slope")?;
-        in_range("offset_um", offset_um, offset_um.abs() <= OFFSET_UM, "-100 to 100 um")?;
+        in_range("offset_um", offset_um, offset_um.abs() <= most_um, um_range)?;
         in_range("relative_sd", relative_sd, (0.0..=1.0).contains(&relative_sd), "0 to 1")?;
         in_range("blocks", bursts as f64, (MIN_BURSTS..=MAX_BURSTS).contains(&bursts), "10 to 1000000")?;
         Ok(())

@@ -12,8 +12,8 @@ use crate::calibrate::calibration::{
     Calibration, CalibrationError, FORMAT, KeyError, MAX_BYTES, Problem, ROUNDING,
 };
 use crate::calibrate::fit::{Fit, FitPoint, MotorFit};
-use firmware_protocol::stroke::MOTORS;
 use meissner_api::Provenance;
+use meissner_array::spec::{Array, MotorSpec};
 use meissner_input::document::{Table, from_toml, in_range, line_of};
 use serde::{Deserialize, Serialize};
 
@@ -32,13 +32,15 @@ impl Calibration {
     pub fn to_toml(&self) -> String {
         let has_points =
             self.motors().iter().any(|fit| !fit.up_points.is_empty() || !fit.down_points.is_empty());
+        let (array, model) = (self.array(), self.array().spec().motor());
         let motor = self.motors().iter().map(|fit| RawMotor {
             motor: fit.motor.into(),
-            up: Table(RawFit::of(fit.up, &fit.up_points)),
-            down: Table(RawFit::of(fit.down, &fit.down_points)),
+            up: Table(RawFit::of(model, fit.up, &fit.up_points)),
+            down: Table(RawFit::of(model, fit.down, &fit.down_points)),
         });
         let file = RawFile {
             format: if has_points { FORMAT.into() } else { 1 },
+            array: (array != Array::default()).then(|| array.name().to_owned()),
             motor: motor.map(Table).collect(),
             provenance: Table(self.provenance().clone()),
         };
@@ -50,6 +52,9 @@ impl Calibration {
 #[serde(deny_unknown_fields)]
 struct RawFile {
     format: u64,
+    /// Without it: the paper's.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    array: Option<String>,
     motor: Vec<Table<RawMotor>>,
     provenance: Table<Provenance>,
 }
@@ -85,7 +90,7 @@ struct Version {
 fn wanted(key: &str) -> &'static str {
     match key {
         "format" => "format = 2",
-        "motor" => "a motor's number, 0 to 23, below each [[motor]]",
+        "motor" => "a motor's number, from 0 on, below each [[motor]]",
         "up" | "down" => "[motor.up] and [motor.down], the fits of both directions",
         "provenance" => "[provenance], how it was made",
         "device" | "firmware" | "identity" | "telemetry" => "its description, in quotes",
@@ -113,18 +118,26 @@ fn read(text: &str) -> Result<Calibration, KeyError> {
 
 impl RawFile {
     fn calibration(self) -> Result<Calibration, KeyError> {
-        let motors = self.motor.into_iter().enumerate();
-        let motors = motors
-            .map(|(index, Table(raw))| raw.fit().map_err(|fault| fault.within(&format!("motor[{index}]"))));
-        Calibration::checked(motors.collect::<Result<_, _>>()?, self.provenance.0)
+        let array = match self.array {
+            None => Array::default(),
+            Some(name) => {
+                Array::named(&name).map_err(|unknown| KeyError::key("array", Problem::Array(unknown)))?
+            }
+        };
+        let motors = self.motor.into_iter().enumerate().map(|(index, Table(raw))| {
+            raw.fit(array).map_err(|fault| fault.within(&format!("motor[{index}]")))
+        });
+        Calibration::checked(array, motors.collect::<Result<_, _>>()?, self.provenance.0)
     }
 }
 
 impl RawMotor {
-    fn fit(self) -> Result<MotorFit, KeyError> {
+    fn fit(self, array: Array) -> Result<MotorFit, KeyError> {
         let motor = u8::try_from(self.motor).unwrap_or(u8::MAX);
-        in_range("motor", self.motor as f64, usize::from(motor) < MOTORS, "0 to 23")?;
-        let fit = |Table(raw): Table<RawFit>, direction| raw.parts().map_err(|fault| fault.within(direction));
+        in_range("motor", self.motor as f64, array.has(motor), array.motor_range())?;
+        let fit = |Table(raw): Table<RawFit>, direction| {
+            raw.parts(array.motor()).map_err(|fault| fault.within(direction))
+        };
         let (up, up_points) = fit(self.up, "up")?;
         let (down, down_points) = fit(self.down, "down")?;
         Ok(MotorFit { motor, up, down, up_points, down_points })
@@ -132,15 +145,15 @@ impl RawMotor {
 }
 
 impl RawFit {
-    fn of(fit: Fit, points: &[FitPoint]) -> Self {
+    fn of(model: &MotorSpec, fit: Fit, points: &[FitPoint]) -> Self {
         let Fit { slope_um_per_pulse, slope_se_um_per_pulse, offset_um, relative_sd, bursts } = fit;
-        let (gain, blocks) = (fit.gain(), bursts as u64);
+        let (gain, blocks) = (fit.gain(model), bursts as u64);
         let point = |at: &FitPoint| (at.pulses, at.travel_um, at.sd_um, at.bursts as u64);
         let points = points.iter().map(point).collect();
         Self { gain, slope_um_per_pulse, slope_se_um_per_pulse, offset_um, relative_sd, blocks, points }
     }
 
-    fn parts(self) -> Result<(Fit, Vec<FitPoint>), KeyError> {
+    fn parts(self, model: &MotorSpec) -> Result<(Fit, Vec<FitPoint>), KeyError> {
         let Self { gain, slope_um_per_pulse, slope_se_um_per_pulse, offset_um, relative_sd, blocks, points } =
             self;
         let count = |bursts| usize::try_from(bursts).unwrap_or(usize::MAX);
@@ -148,7 +161,7 @@ impl RawFit {
             |(pulses, travel_um, sd_um, bursts)| FitPoint { pulses, travel_um, sd_um, bursts: count(bursts) };
         let fit =
             Fit { slope_um_per_pulse, slope_se_um_per_pulse, offset_um, relative_sd, bursts: count(blocks) };
-        let slope = fit.gain();
+        let slope = fit.gain(model);
         if (gain - slope).abs() <= ROUNDING || !slope.is_finite() {
             return Ok((fit, points.into_iter().map(point).collect()));
         }

@@ -9,8 +9,8 @@
 //! Invariant: the gain of a [`Fit`] made here lies within [`GAIN_RANGE`], and its slope is known to [`MAX_SLOPE_SE`].
 
 use crate::calibrate::travel::BurstTravel;
-use firmware_protocol::stroke::{Direction, MOTORS};
-use meissner_array::units::UM_PER_PULSE;
+use firmware_protocol::stroke::Direction;
+use meissner_array::spec::{Array, MotorSpec};
 use meissner_input::message::short_number;
 use serde::Serialize;
 use std::collections::BTreeMap;
@@ -64,7 +64,7 @@ impl FitPoint {
 /// How a motor moves its pin.
 #[derive(Clone, Debug, PartialEq)]
 pub struct MotorFit {
-    /// 0..24.
+    /// Its motor.
     pub motor: u8,
     /// Upwards.
     pub up: Fit,
@@ -101,9 +101,9 @@ pub enum FitProblem {
     #[error(
         "a pulse moves the pin by {} um, {} times the model's value, which must be {} to {}: check that the pin moves \
          freely, and that the sensor measures this motor",
-        rounded(*.slope_um), rounded(.slope_um / UM_PER_PULSE), GAIN_RANGE.start(), GAIN_RANGE.end()
+        rounded(*.slope_um), rounded(*.gain), GAIN_RANGE.start(), GAIN_RANGE.end()
     )]
-    Gain { slope_um: f64 },
+    Gain { slope_um: f64, gain: f64 },
     #[error(
         "the slope is only known to {:.0} %, from bursts that scatter by {:.0} %: measure more bursts, or numbers of \
          pulses further apart", .share * 100.0, .relative_sd * 100.0
@@ -124,17 +124,17 @@ fn rounded(number: f64) -> String {
     short_number((number * 1e4).round() / 1e4)
 }
 
-/// Fits every motor that has travels, in order of the motors. Warm-up strokes do not count.
+/// Fits every motor of this array that has travels, in order of the motors. Warm-up strokes do not count.
 ///
 /// # Errors
 /// The first motor that cannot be calibrated.
-pub fn fit(travels: &[BurstTravel]) -> Result<Vec<MotorFit>, FitError> {
+pub fn fit(array: Array, travels: &[BurstTravel]) -> Result<Vec<MotorFit>, FitError> {
     let of_motor = |motor: u8| {
         let mut of = travels.iter().filter(|travel| travel.motor == motor && !travel.warm_up);
         of.next()?;
         let fit = |direction| {
             let of = travels.iter().filter(|travel| travel.motor == motor && travel.direction == direction);
-            Fit::of(of).map_err(|problem| FitError { motor, direction, problem })
+            Fit::of(array.motor(), of).map_err(|problem| FitError { motor, direction, problem })
         };
         let points = |direction| {
             let of = travels.iter().filter(|travel| travel.motor == motor && travel.direction == direction);
@@ -151,7 +151,7 @@ pub fn fit(travels: &[BurstTravel]) -> Result<Vec<MotorFit>, FitError> {
             })
         }))
     };
-    (0..MOTORS as u8).filter_map(of_motor).collect()
+    array.numbers().filter_map(of_motor).collect()
 }
 
 /// The means of these travels by length.
@@ -171,11 +171,14 @@ fn points<'b>(travels: impl Iterator<Item = &'b BurstTravel>) -> Vec<FitPoint> {
 }
 
 impl Fit {
-    /// The line through these travels, of whatever motors and directions. Warm-up strokes do not count.
+    /// The line through these travels of such motors, of whatever motors and directions. Warm-up strokes do not count.
     ///
     /// # Errors
     /// If they give no plausible line.
-    pub fn of<'b>(travels: impl IntoIterator<Item = &'b BurstTravel>) -> Result<Self, FitProblem> {
+    pub fn of<'b>(
+        motor: &MotorSpec,
+        travels: impl IntoIterator<Item = &'b BurstTravel>,
+    ) -> Result<Self, FitProblem> {
         let travels: Vec<&BurstTravel> = travels.into_iter().filter(|travel| !travel.warm_up).collect();
         if let Some(travel) = travels.iter().find(|travel| !travel.travel_um.is_finite()) {
             return Err(FitProblem::NotFinite { tick: travel.start.0, travel_um: travel.travel_um });
@@ -197,8 +200,9 @@ impl Fit {
         let xy: f64 = points().map(|(x, y)| (x - mean_x) * (y - mean_y)).sum();
         let offset_um = xy / xx;
         let slope_um = mean_y - offset_um * mean_x;
-        if !GAIN_RANGE.contains(&(slope_um / UM_PER_PULSE)) {
-            return Err(FitProblem::Gain { slope_um });
+        let gain = slope_um / motor.um_per_pulse;
+        if !GAIN_RANGE.contains(&gain) {
+            return Err(FitProblem::Gain { slope_um, gain });
         }
         let squares: f64 = points().map(|(x, y)| (y - slope_um - offset_um * x).powi(2)).sum();
         // The line takes two degrees of freedom.
@@ -217,10 +221,10 @@ impl Fit {
         })
     }
 
-    /// The gain: the slope over the model's, [`UM_PER_PULSE`].
+    /// The gain: the slope over [the model's](MotorSpec::um_per_pulse).
     #[must_use]
-    pub fn gain(&self) -> f64 {
-        self.slope_um_per_pulse / UM_PER_PULSE
+    pub fn gain(&self, motor: &MotorSpec) -> f64 {
+        self.slope_um_per_pulse / motor.um_per_pulse
     }
 }
 
@@ -240,6 +244,7 @@ mod tests {
     use super::*;
     use firmware_protocol::tick::Tick;
     use meissner_array::random;
+    use meissner_test_support::paper::UM_PER_PULSE;
 
     /// `of_each` travels of each of these numbers of pulses, on one line, with this scatter.
     fn travels(pulses: &[u16], of_each: u64, slope: f64, offset: f64, sd: f64) -> Vec<BurstTravel> {
@@ -257,12 +262,12 @@ mod tests {
 
     #[test]
     fn slope_offset_and_scatter_are_found_again() {
-        let exact = Fit::of(&travels(&PULSES, 3, 0.13, 0.25, 0.0)).unwrap();
+        let exact = Fit::of(Array::paper().motor(), &travels(&PULSES, 3, 0.13, 0.25, 0.0)).unwrap();
         assert!((exact.slope_um_per_pulse - 0.13).abs() < 1e-12 && (exact.offset_um - 0.25).abs() < 1e-12);
         assert!(exact.relative_sd < 1e-12 && exact.slope_se_um_per_pulse < 1e-12 && exact.bursts == 12);
-        assert_eq!(exact.gain(), exact.slope_um_per_pulse / UM_PER_PULSE);
+        assert_eq!(exact.gain(Array::paper().motor()), exact.slope_um_per_pulse / UM_PER_PULSE);
 
-        let found = Fit::of(&travels(&PULSES, 500, 0.13, 0.0, 0.1)).unwrap();
+        let found = Fit::of(Array::paper().motor(), &travels(&PULSES, 500, 0.13, 0.0, 0.1)).unwrap();
         let se = found.slope_se_um_per_pulse;
         // By the formula: 0.1 · slope · sqrt(1/n + mean(1/p)² / sum((1/p - mean)²)), n = 2000.
         assert!((se / (0.13 * 0.1) - 0.03642).abs() < 0.002, "{se}");
@@ -297,7 +302,7 @@ mod tests {
                 let scatter = 1.0 + 0.1 * random::normal([6, n, m, 1]);
                 BurstTravel { travel_um: 0.13 * f64::from(travel.pulses) * scatter, ..travel }
             });
-            Fit::of(&of.collect::<Vec<_>>()).unwrap()
+            Fit::of(Array::paper().motor(), &of.collect::<Vec<_>>()).unwrap()
         });
         let fits: Vec<Fit> = fits.collect();
         let errors = fits.iter().map(|fit| (fit.slope_um_per_pulse - 0.13).powi(2));
@@ -310,15 +315,15 @@ mod tests {
     #[test]
     fn warm_up_strokes_do_not_count() {
         let mut all = travels(&PULSES, 5, 0.13, 0.0, 0.1);
-        let without = Fit::of(&all).unwrap();
+        let without = Fit::of(Array::paper().motor(), &all).unwrap();
         all.extend(
             travels(&PULSES, 5, 0.1, 0.0, 0.1)
                 .into_iter()
                 .map(|travel| BurstTravel { warm_up: true, ..travel }),
         );
-        assert_eq!(Fit::of(&all).unwrap(), without);
+        assert_eq!(Fit::of(Array::paper().motor(), &all).unwrap(), without);
         all.retain(|travel| travel.warm_up);
-        assert_eq!(fit(&all), Ok(vec![]));
+        assert_eq!(fit(Array::paper(), &all), Ok(vec![]));
     }
 
     #[test]
@@ -338,12 +343,12 @@ mod tests {
             (travels(&[69, 70], 10, 0.13, 0.0, 0.004), "the slope is only known to "),
             (travels(&PULSES, 5, 0.13, 0.0, 0.4), "from bursts that scatter by "),
         ] {
-            let line = fit(&travels).unwrap_err().to_string();
+            let line = fit(Array::paper(), &travels).unwrap_err().to_string();
             assert!(line.starts_with("motor 3, upwards: ") && line.contains(message), "{line}");
             assert!(!line.contains('\n'), "{line}");
         }
         // One direction alone gives no calibration.
-        let line = fit(&good(0.13)).unwrap_err().to_string();
+        let line = fit(Array::paper(), &good(0.13)).unwrap_err().to_string();
         assert!(line.starts_with("motor 3, downwards: 0 bursts were measured"), "{line}");
     }
 }

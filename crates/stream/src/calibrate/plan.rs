@@ -3,28 +3,28 @@
 //! [`Plan::pattern`] is what the streamer plays, open loop; [`Plan::bursts`] lists the same bursts for the measurement.
 //!
 //! A group is one warm-up stroke, then [`STROKES_PER_GROUP`] measured strokes of the same number of pulses, an eighth of a
-//! second from burst to burst. The warm-up stroke is the first after more than half a second of rest and comes out short
+//! second from burst to burst. The warm-up stroke is the first after a longer rest and comes out short
 //! (the transient of the paper's Fig. 2), so the fit leaves it out. In each round every number of pulses has one group.
 //! Neighbouring groups have distant numbers, and every other round runs backwards: a motor that slowly changes then changes
 //! for all numbers alike, and the slope does not absorb the change. Motors play side by side, but no two pulse at once.
 //!
-//! Invariant: before a measured burst its motor has rested for less than half a second.
+//! Invariant: before a measured burst its motor has rested for less than an eighth of a second.
 
-use firmware_protocol::stroke::{Burst, MOTORS};
+use firmware_protocol::stroke::Burst;
 use firmware_protocol::tick::Tick;
-use meissner_array::motor::WINDOW_TICKS;
 use meissner_array::pattern::{Drive, MAX_DRIVES, Pattern};
+use meissner_array::per_motor::PerMotor;
+use meissner_array::spec::Array;
 use meissner_array::strokes::{StrokeOptions, Strokes};
-use meissner_array::units::UM_PER_PULSE;
+use std::ops::RangeInclusive;
 
-/// Pulses of a burst: at least a micrometre, at most so many that no two motors pulse at once.
-pub const PULSES_RANGE: std::ops::RangeInclusive<u16> = 7..=200;
-/// Default numbers of pulses: from a fifth of the paper's 70 to twice it. A wide range makes the slope more certain: with 30
-/// to 110 its error would be 2.4 times that of a line through the origin, with these it is 1.5 times.
-pub const DEFAULT_PULSES: [u16; 10] = [14, 28, 42, 56, 70, 84, 98, 112, 126, 140];
+/// Most pulses of a burst, on any array.
+const MOST_PULSES: u16 = 200;
+/// Default numbers of pulses.
+const DEFAULT_NUMBERS: u16 = 10;
 /// Default rounds: they take a minute and give gains to about 1 %.
 pub const DEFAULT_REPETITIONS: u16 = 2;
-/// Groups of a plan at most: five minutes.
+/// Groups of a plan at most: five minutes. A plan of many motors has fewer, so that it is still a pattern.
 pub const MAX_GROUPS: usize = 100;
 /// Measured strokes of a group. More strokes give better slopes from fewer groups; but a pin whose directions differ by 2 %
 /// drifts by 0.2 µm a stroke, and by 2 µm with each transient.
@@ -36,22 +36,46 @@ const PLAYED_S: f64 = 2.5;
 /// Strokes per second: [`PLAYED_S`] holds a whole group, and between bursts the pin rests for 28 times the motor's window.
 const FREQUENCY_HZ: f64 = 4.0;
 
-const _: () = assert!(MAX_GROUPS * MOTORS <= MAX_DRIVES);
+/// Pulses that a burst of a plan may have on this array: at least those for which a motor's travel per pulse is known, at most so
+/// many that no two motors pulse at once, that the amplitude is allowed, and 200.
+#[must_use]
+pub fn pulses_range(array: Array) -> RangeInclusive<u16> {
+    let motor = array.motor();
+    // From the up burst of one motor to that of the next: see `Plan::pattern`.
+    let apart = f64::from(array.rate().hz()) / FREQUENCY_HZ / (2.0 * array.motors() as f64);
+    let most = apart.min(motor.pulses(motor.travel_um)).min(MOST_PULSES.into());
+    motor.least_pulses..=most as u16
+}
+
+/// The default numbers of pulses: up to twenty times the fewest, if bursts may be so long. On the paper's array they are from a fifth
+/// of the paper's 70 to twice it. A wide range makes the slope more certain: with 30 to 110 its error would be 2.4 times that of a
+/// line through the origin, with these it is 1.5 times.
+fn default_pulses(array: Array) -> Vec<u16> {
+    let range = pulses_range(array);
+    let step = range.start().saturating_mul(2).min(range.end() / DEFAULT_NUMBERS);
+    (1..=DEFAULT_NUMBERS).map(|number| number * step).filter(|pulses| range.contains(pulses)).collect()
+}
 
 /// A plan that no calibration can be made with.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum PlanError {
     /// No such motor.
-    #[error("motor {found}: must be 0 to {}", MOTORS - 1)]
+    #[error("motor {found}: must be {}", .array.motor_range())]
     Motor {
         /// As asked for.
         found: u8,
+        /// The plan's array.
+        array: Array,
     },
     /// Too few or too many pulses.
-    #[error("bursts of {found} pulses: must be {} to {}", PULSES_RANGE.start(), PULSES_RANGE.end())]
+    #[error("bursts of {found} pulses: must be {least} to {most}")]
     Pulses {
         /// As asked for.
         found: u16,
+        /// The fewest.
+        least: u16,
+        /// The most.
+        most: u16,
     },
     /// A slope needs two numbers of pulses.
     #[error("one number of pulses gives no slope: name two numbers of pulses or more")]
@@ -63,40 +87,46 @@ pub enum PlanError {
         found: u16,
     },
     /// No repetition, or too many groups in all.
-    #[error("{found} repetitions: must be 1 to {most}, so that there are at most {MAX_GROUPS} groups")]
+    #[error("{found} repetitions: must be 1 to {most}, so that there are at most {groups} groups")]
     Repetitions {
         /// As asked for.
         found: u16,
         /// Most repetitions for this many numbers of pulses.
         most: usize,
+        /// Most groups for this many motors.
+        groups: usize,
     },
 }
 
 /// The bursts that a calibration plays.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Plan {
+    array: Array,
     motor: Option<u8>,
     pulses: Vec<u16>,
     repetitions: u16,
 }
 
-impl Default for Plan {
-    fn default() -> Self {
-        Self { motor: None, pulses: DEFAULT_PULSES.to_vec(), repetitions: DEFAULT_REPETITIONS }
-    }
-}
-
 impl Plan {
-    /// A plan for one motor, or all, with bursts of these numbers of pulses, each in `repetitions` groups.
+    /// The default plan: all motors of this array.
+    ///
+    /// # Errors
+    /// If its bursts have no room for two numbers of pulses.
+    pub fn of(array: Array) -> Result<Self, PlanError> {
+        Self::new(array, None, &default_pulses(array), DEFAULT_REPETITIONS)
+    }
+
+    /// A plan for one motor of this array, or all, with bursts of these numbers of pulses, each in `repetitions` groups.
     ///
     /// # Errors
     /// The first thing that is wrong, in one line.
-    pub fn new(motor: Option<u8>, pulses: &[u16], repetitions: u16) -> Result<Self, PlanError> {
-        if let Some(found) = motor.filter(|&motor| usize::from(motor) >= MOTORS) {
-            return Err(PlanError::Motor { found });
+    pub fn new(array: Array, motor: Option<u8>, pulses: &[u16], repetitions: u16) -> Result<Self, PlanError> {
+        if let Some(found) = motor.filter(|&motor| !array.has(motor)) {
+            return Err(PlanError::Motor { found, array });
         }
-        if let Some(&found) = pulses.iter().find(|pulses| !PULSES_RANGE.contains(pulses)) {
-            return Err(PlanError::Pulses { found });
+        let range = pulses_range(array);
+        if let Some(&found) = pulses.iter().find(|pulses| !range.contains(pulses)) {
+            return Err(PlanError::Pulses { found, least: *range.start(), most: *range.end() });
         }
         if pulses.len() < 2 {
             return Err(PlanError::OneNumber);
@@ -105,17 +135,24 @@ impl Plan {
         if let Some(n) = twice {
             return Err(PlanError::Twice { found: pulses[n] });
         }
-        let most = MAX_GROUPS / pulses.len();
+        let groups = MAX_GROUPS.min(MAX_DRIVES / motor.map_or(array.motors(), |_| 1));
+        let most = groups / pulses.len();
         if !(1..=most).contains(&repetitions.into()) {
-            return Err(PlanError::Repetitions { found: repetitions, most });
+            return Err(PlanError::Repetitions { found: repetitions, most, groups });
         }
-        Ok(Self { motor, pulses: pulses.to_vec(), repetitions })
+        Ok(Self { array, motor, pulses: pulses.to_vec(), repetitions })
+    }
+
+    /// The array that it calibrates.
+    #[must_use]
+    pub const fn array(&self) -> Array {
+        self.array
     }
 
     /// The motors it calibrates.
     pub fn motors(&self) -> impl Iterator<Item = u8> + use<> {
         let of = self.motor;
-        (0..MOTORS as u8).filter(move |&motor| of.is_none_or(|of| motor == of))
+        self.array.numbers().filter(move |&motor| of.is_none_or(|of| motor == of))
     }
 
     /// Its numbers of pulses.
@@ -160,19 +197,20 @@ impl Plan {
     #[expect(clippy::missing_panics_doc, reason = "it does not happen")]
     pub fn pattern(&self) -> Pattern {
         let groups = self.order().enumerate();
+        let (um_per_pulse, motors) = (self.array.motor().um_per_pulse, self.array.motors() as f64);
         let drives = groups.flat_map(|(group, pulses)| {
             let start_s = group as f64 * GROUP_S;
             self.motors().map(move |motor| Drive {
                 motor,
                 frequency_hz: FREQUENCY_HZ,
-                amplitude_um: f64::from(pulses) * UM_PER_PULSE,
+                amplitude_um: f64::from(pulses) * um_per_pulse,
                 // All up bursts lie in one half of the cycle, all down bursts in the other.
-                phase: f64::from(motor) / (2.0 * MOTORS as f64),
+                phase: f64::from(motor) / (2.0 * motors),
                 start_s: Some(start_s),
                 stop_s: Some(start_s + PLAYED_S),
             })
         });
-        Pattern::new("calibration", Some(self.duration_s()), drives.collect(), toml::Table::new())
+        Pattern::new(self.array, "calibration", Some(self.duration_s()), drives.collect(), toml::Table::new())
             .expect("a checked plan is a pattern")
     }
 
@@ -182,11 +220,11 @@ impl Plan {
         let mut strokes =
             Strokes::new(&self.pattern(), &StrokeOptions::default()).expect("a plan's drives can be played");
         strokes.begin(onset);
-        let mut played = [0_usize; MOTORS];
+        let mut played = PerMotor::all(self.array, 0_usize);
         strokes.flat_map(move |stroke| {
             let stroke = stroke.expect("a plan's strokes are within the limits");
             let played = &mut played[usize::from(stroke.motor)];
-            let warm_up = *played % (1 + STROKES_PER_GROUP) == 0;
+            let warm_up = played.is_multiple_of(1 + STROKES_PER_GROUP);
             *played += 1;
             stroke.bursts().map(|burst| PlannedBurst { motor: stroke.motor, burst, warm_up })
         })
@@ -196,7 +234,7 @@ impl Plan {
 /// A burst of a plan.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct PlannedBurst {
-    /// Its motor, 0..24.
+    /// Its motor.
     pub motor: u8,
     /// The burst; the pin rests when it begins.
     pub burst: Burst,
@@ -205,16 +243,17 @@ pub struct PlannedBurst {
 }
 
 impl PlannedBurst {
-    /// When the pin rests again: the motor's window after the last pulse.
+    /// When the pin of this array rests again: the motor's window after the last pulse.
     #[must_use]
-    pub fn rests_at(&self) -> Tick {
-        self.burst.end() + WINDOW_TICKS
+    pub fn rests_at(&self, array: Array) -> Tick {
+        self.burst.end() + array.motor().settled_ticks()
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use meissner_array::spec::names;
 
     #[test]
     fn an_invalid_plan_is_refused_in_one_line() {
@@ -228,11 +267,28 @@ mod tests {
             (None, &[30, 70], 0, "0 repetitions: must be 1 to 50, so that there are at most 100 groups"),
             (None, &[30, 50, 70], 34, "34 repetitions: must be 1 to 33"),
         ] {
-            let line = Plan::new(motor, pulses, repetitions).unwrap_err().to_string();
+            let line = Plan::new(Array::paper(), motor, pulses, repetitions).unwrap_err().to_string();
             assert!(line.starts_with(message) && !line.contains('\n'), "{line}");
         }
-        let longest: Vec<u16> = PULSES_RANGE.take(MAX_GROUPS).collect();
-        assert_eq!(Plan::new(None, &longest, 1).unwrap().pattern().drives().len(), 2400);
-        assert_eq!(Plan::new(None, &DEFAULT_PULSES, DEFAULT_REPETITIONS), Ok(Plan::default()));
+        let longest: Vec<u16> = pulses_range(Array::paper()).take(MAX_GROUPS).collect();
+        assert_eq!(Plan::new(Array::paper(), None, &longest, 1).unwrap().pattern().drives().len(), 2400);
+        let default = Plan::of(Array::paper()).unwrap();
+        assert_eq!(default.pulses(), [14, 28, 42, 56, 70, 84, 98, 112, 126, 140]);
+    }
+
+    #[test]
+    fn plans_of_every_array_play_one_motor_at_a_time() {
+        for array in names().into_iter().map(|name| Array::named(name).unwrap()) {
+            let longest = *pulses_range(array).end();
+            for plan in
+                [Plan::of(array).unwrap(), Plan::new(array, None, &[longest, longest - 1], 1).unwrap()]
+            {
+                let mut bursts: Vec<Burst> = plan.bursts(Tick::BOOT).map(|planned| planned.burst).collect();
+                assert_eq!(bursts.len(), 2 * 10 * plan.groups() * array.motors(), "{array:?}");
+                bursts.sort_by_key(|burst| burst.start);
+                let apart = |pair: &[Burst]| pair[0].end() <= pair[1].start;
+                assert!(bursts.windows(2).all(apart), "{array:?}: {:?}", plan.pulses());
+            }
+        }
     }
 }

@@ -9,7 +9,6 @@ use crate::queues::MeasuredBurst;
 use firmware_protocol::stroke::{Burst, Direction, Lines};
 use firmware_protocol::tick::Tick;
 use meissner_array::simulated::SimulatedMotors;
-use meissner_array::units::UM_PER_PULSE;
 use std::collections::HashMap;
 
 /// The largest standard deviation of a measurement: a share of an ideal motor's travel, plus µm. It is a tenth of the bursts'
@@ -19,7 +18,7 @@ const MAX_SD: (f64, f64) = (0.01, 0.02);
 /// A burst and how far the pin travelled: one point of the paper's Fig. 2.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct BurstTravel {
-    /// 0..24.
+    /// Its motor.
     pub motor: u8,
     /// Up or down.
     pub direction: Direction,
@@ -49,9 +48,9 @@ impl BurstTravel {
 /// bursts too.
 #[must_use]
 pub fn travels_by_telemetry(plan: &Plan, onset: Tick, travels: &[MeasuredBurst]) -> Vec<BurstTravel> {
-    let (share, um) = MAX_SD;
+    let ((share, um), um_per_pulse) = (MAX_SD, plan.array().motor().um_per_pulse);
     let is_known = |travel: &&MeasuredBurst| {
-        f64::from(travel.sd_um) <= share * f64::from(travel.pulses) * UM_PER_PULSE + um
+        f64::from(travel.sd_um) <= share * f64::from(travel.pulses) * um_per_pulse + um
     };
     let found = travels.iter().filter(is_known).map(|travel| ((travel.motor, travel.start), travel));
     let found: HashMap<(u8, Tick), &MeasuredBurst> = found.collect();
@@ -77,8 +76,12 @@ pub fn travels_by_sensor(plan: &Plan, motors: &mut SimulatedMotors) -> Vec<Burst
     let bursts: Vec<PlannedBurst> = plan.bursts(motors.now()).collect();
     let events = bursts.iter().enumerate().flat_map(|(index, planned)| {
         let burst = planned.burst;
-        [(burst.start, Event::Begins), (burst.end(), Event::Ends), (planned.rests_at(), Event::Rests)]
-            .map(|(tick, event)| (tick, index, event))
+        [
+            (burst.start, Event::Begins),
+            (burst.end(), Event::Ends),
+            (planned.rests_at(plan.array()), Event::Rests),
+        ]
+        .map(|(tick, event)| (tick, index, event))
     });
     let mut events: Vec<(Tick, usize, Event)> = events.collect();
     events.sort_by_key(|&(tick, index, _)| (tick, index));
@@ -105,6 +108,7 @@ pub fn travels_by_sensor(plan: &Plan, motors: &mut SimulatedMotors) -> Vec<Burst
 #[cfg(test)]
 mod tests {
     use super::*;
+    use meissner_array::spec::Array;
 
     #[test]
     fn travel_counts_in_the_direction_of_the_burst() {
@@ -116,6 +120,6 @@ mod tests {
         assert_eq!(BurstTravel::between(&of(Direction::Up), 1.0, 10.5).travel_um, 9.5);
         assert_eq!(BurstTravel::between(&of(Direction::Down), 10.5, 1.0).travel_um, 9.5);
         // 4.3 ms are 365.5 ticks.
-        assert_eq!(of(Direction::Up).rests_at(), Tick(10 + 70 + 366));
+        assert_eq!(of(Direction::Up).rests_at(Array::paper()), Tick(10 + 70 + 366));
     }
 }

@@ -4,9 +4,9 @@
 //! other within 10 ms. Only then are the strokes counted.
 
 use super::counted;
-use firmware_protocol::limits::{DENSE_TICKS, MAX_DENSE};
+use firmware_protocol::controller::BLOCK;
+use meissner_array::spec::Array;
 use meissner_array::strokes::Strokes;
-use meissner_array::units::ticks_to_seconds;
 use std::collections::VecDeque;
 
 /// More strokes within 10 ms than may begin.
@@ -16,20 +16,28 @@ pub struct Dense {
     pub at_s: f64,
 }
 
-/// The first stroke that begins after [`MAX_DENSE`] others in [`DENSE_TICKS`]; `None`: the play keeps the limit.
+/// The controller's limit: so many ticks, 10 ms in whole blocks, and the most strokes that begin in them.
+fn limit(array: Array) -> (u64, usize) {
+    let block = u64::from(BLOCK);
+    (array.rate().per_s() / 100 / block * block, 4 * array.motors())
+}
+
+/// The first stroke that begins after too many others within 10 ms; `None`: the play keeps the limit.
 #[must_use]
 pub fn find_dense(strokes: &Strokes) -> Option<Dense> {
-    if strokes.changes_are_apart(DENSE_TICKS) { None } else { count(strokes) }
+    if strokes.changes_are_apart(limit(strokes.array()).0) { None } else { count(strokes) }
 }
 
 fn count(strokes: &Strokes) -> Option<Dense> {
-    let mut begun = VecDeque::with_capacity(MAX_DENSE.into());
+    let array = strokes.array();
+    let (ticks, most) = limit(array);
+    let mut begun = VecDeque::with_capacity(most);
     for stroke in counted(strokes) {
-        if begun.len() == usize::from(MAX_DENSE)
+        if begun.len() == most
             && let Some(first) = begun.pop_front()
-            && stroke.up - first < DENSE_TICKS
+            && stroke.up - first < ticks
         {
-            return Some(Dense { at_s: ticks_to_seconds(stroke.up.0) });
+            return Some(Dense { at_s: array.rate().ticks_to_seconds(stroke.up.0) });
         }
         begun.push_back(stroke.up);
     }

@@ -17,18 +17,17 @@ pub use pushing::{Overpush, find_overpush};
 use firmware_protocol::stroke::Stroke;
 use firmware_protocol::tick::Tick;
 use meissner_array::strokes::Strokes;
-use meissner_array::units::TICKS_PER_S;
 
 /// Length of a play without end that counts, s: after a minute few plays do anything new. Drives whose frequencies differ by less than
 /// 1/60 Hz meet later; then the controller refuses strokes.
 const COUNTED_S: u64 = 60;
-/// Strokes of a play that count, at most: 23 minutes of all motors at 60 Hz.
+/// Strokes of a play that count, at most: 23 minutes of the paper's motors at 60 Hz.
 const MAX_STROKES: usize = 2_000_000;
 
 /// The strokes that count, in ticks from the onset.
 fn counted(strokes: &Strokes) -> impl Iterator<Item = Stroke> {
     let mut strokes = strokes.clone();
     strokes.begin(Tick(0));
-    let until = strokes.end().unwrap_or(COUNTED_S * TICKS_PER_S);
+    let until = strokes.end().unwrap_or(COUNTED_S * strokes.array().rate().per_s());
     strokes.map_while(Result::ok).take(MAX_STROKES).take_while(move |stroke| stroke.up.0 < until)
 }

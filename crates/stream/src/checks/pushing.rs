@@ -5,15 +5,14 @@
 
 use super::counted;
 use firmware_protocol::limits::Pushing;
-use firmware_protocol::stroke::MOTORS;
 use firmware_protocol::tick::Tick;
+use meissner_array::per_motor::PerMotor;
 use meissner_array::strokes::Strokes;
-use meissner_array::units::ticks_to_seconds;
 
 /// A stroke that pushes too much.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Overpush {
-    /// Its motor, 0 to 23.
+    /// Its motor.
     pub motor: u8,
     /// When it begins, s from the onset.
     pub at_s: f64,
@@ -25,8 +24,9 @@ pub fn find_overpush(strokes: &Strokes, pulses_per_s: u32) -> Option<Overpush> {
     let mut pushing = Pushing::new(Tick(0));
     pushing.set_limit(pulses_per_s);
     // The end and surplus of each motor's last stroke.
-    let mut running = [None::<(Tick, u32)>; MOTORS];
-    let mut ended: Vec<(Tick, usize, u32)> = Vec::with_capacity(MOTORS);
+    let array = strokes.array();
+    let mut running = PerMotor::all(array, None::<(Tick, u32)>);
+    let mut ended: Vec<(Tick, usize, u32)> = Vec::with_capacity(array.motors());
     for stroke in counted(strokes) {
         let motor = usize::from(stroke.motor);
         for (motor, stroke_of) in running.iter_mut().enumerate() {
@@ -41,7 +41,7 @@ pub fn find_overpush(strokes: &Strokes, pulses_per_s: u32) -> Option<Overpush> {
         }
         let surplus = u32::from(stroke.down_pulses.saturating_sub(stroke.up_pulses));
         if surplus > 0 && pushing.begin(stroke.up, motor, surplus).is_err() {
-            return Some(Overpush { motor: stroke.motor, at_s: ticks_to_seconds(stroke.up.0) });
+            return Some(Overpush { motor: stroke.motor, at_s: array.rate().ticks_to_seconds(stroke.up.0) });
         }
         running[motor] = Some((stroke.end(), surplus));
     }

@@ -7,9 +7,9 @@
 //! The bound is the least mean square error of any estimate of the summed errors from these samples: no correction is
 //! better than the estimate behind it.
 
-use firmware_protocol::tick::{TICK_HZ, Tick};
+use firmware_protocol::tick::Tick;
 use meissner_array::motor::{HalfTick, Ramp};
-use meissner_array::units::{UM_PER_PULSE, seconds_in_ticks};
+use meissner_array::spec::Array;
 
 /// Telemetry's quantum, µm.
 const QUANTUM_UM: f64 = 0.01;
@@ -20,23 +20,26 @@ const SAMPLES: u64 = 150;
 /// Offsets of the sampling against the bursts, averaged.
 const PHASES: u64 = 8;
 
-/// The least root mean square of the rest error, µm.
+/// The least root mean square of the rest error of a motor of this array, µm.
 ///
 /// Bursts travel `travel_um` at `frequency_hz`; their gain has the standard deviation `scatter`. Telemetry samples
 /// `telemetry_hz` times a second; the count of a burst can use samples taken at least `delay_ms` before it. The
 /// bound includes the rounding to whole pulses.
 #[must_use]
 pub fn rest_bound_um(
+    array: Array,
     frequency_hz: f64,
     travel_um: f64,
     scatter: f64,
     delay_ms: f64,
     telemetry_hz: f64,
 ) -> f64 {
-    let rounding = UM_PER_PULSE * UM_PER_PULSE / 12.0;
+    let (um_per_pulse, window, hz) =
+        (array.motor().um_per_pulse, array.motor().window_half_ticks, f64::from(array.rate().hz()));
+    let rounding = um_per_pulse * um_per_pulse / 12.0;
     let variance = scatter * scatter * travel_um * travel_um / (1.0 - scatter * scatter);
-    let (half, every) = (f64::from(TICK_HZ) / frequency_hz / 2.0, f64::from(TICK_HZ) / telemetry_hz);
-    let delay = seconds_in_ticks(delay_ms / 1000.0);
+    let (half, every) = (hz / frequency_hz / 2.0, hz / telemetry_hz);
+    let delay = array.rate().seconds_in_ticks(delay_ms / 1000.0);
     let left = |phase: u64| {
         // The burst to correct begins at 0; times are ticks before it.
         let newest = delay + every * phase as f64 / PHASES as f64;
@@ -49,7 +52,7 @@ pub fn rest_bound_um(
         for (at, row) in information.iter_mut().enumerate() {
             row[at] = if at + 1 < count { 1.0 } else { 1e-6 };
         }
-        let ticks = (travel_um / UM_PER_PULSE).round().max(1.0) as u32;
+        let ticks = (travel_um / um_per_pulse).round().max(1.0) as u32;
         for sample in 0..SAMPLES {
             let before = newest + every * sample as f64;
             let share = |burst: u64| {
@@ -58,7 +61,7 @@ pub fn rest_bound_um(
                     return 0.0;
                 }
                 let ramp = Ramp { start: Tick(0), ticks, um_per_tick: f64::from(ticks).recip() };
-                ramp.share_um(HalfTick((2.0 * after) as u64))
+                ramp.share_um(HalfTick((2.0 * after) as u64), window)
             };
             // Directions alternate: the sign matters between bursts.
             let shares: Vec<f64> = (0..SEEN)
@@ -109,16 +112,16 @@ mod tests {
     fn the_bound_is_the_scatter_of_the_unseen_bursts() {
         // 80 um, 10 % scatter, 60 Hz, as computed by hand: q = 8.04 um, and 1, 2.4 to 3, 12 to 13 bursts.
         for (delay_ms, um) in [(5.0, 8.0), (20.0, 13.9), (100.0, 28.8)] {
-            let bound = rest_bound_um(60.0, 80.0, 0.1, delay_ms, 1000.0);
+            let bound = rest_bound_um(Array::paper(), 60.0, 80.0, 0.1, delay_ms, 1000.0);
             assert!((bound - um).abs() < 0.35, "{delay_ms} ms: {bound}");
         }
         // Without scatter the rounding is left: a pulse over the root of 12.
-        assert!((rest_bound_um(60.0, 80.0, 0.0, 5.0, 1000.0) - 0.0392).abs() < 1e-4);
+        assert!((rest_bound_um(Array::paper(), 60.0, 80.0, 0.0, 5.0, 1000.0) - 0.0392).abs() < 1e-4);
     }
 
     #[test]
     fn rare_telemetry_raises_the_bound() {
-        let at = |hz| rest_bound_um(60.0, 80.0, 0.1, 5.0, hz);
+        let at = |hz| rest_bound_um(Array::paper(), 60.0, 80.0, 0.1, 5.0, hz);
         assert!(at(1000.0) < at(100.0) && at(100.0) < at(20.0));
     }
 }

@@ -15,11 +15,11 @@
 
 use firmware_protocol::stroke::{Burst, Direction};
 use firmware_protocol::tick::Tick;
-use meissner_array::motor::{HalfTick, Ramp, TRANSIENT_GAIN, TRANSIENT_REST_TICKS, WINDOW_HALF_TICKS};
+use meissner_array::motor::{HalfTick, Ramp};
 use meissner_array::reflected_walk::Spread;
-use meissner_array::units::UM_PER_PULSE;
+use meissner_array::spec::MotorSpec;
 
-/// Bursts in the window at once: five at 300 Hz. With more, the oldest counts as over.
+/// Bursts in the window at once: those of 300 Hz in a window of up to 6.6 ms. With more, the oldest counts as over.
 const BURSTS: usize = 6;
 const STATES: usize = 3 + BURSTS;
 /// Indices into the state.
@@ -53,7 +53,7 @@ const NOWHERE: f64 = 500.0 * 500.0;
 /// Mean gains of a motor, up and down, and how well they are known.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Gains {
-    /// Travel per pulse over [`UM_PER_PULSE`], up and down.
+    /// Travel per pulse over [the model's](MotorSpec::um_per_pulse), up and down.
     pub mean: [f64; 2],
     /// One standard deviation of each.
     pub sd: [f64; 2],
@@ -99,7 +99,7 @@ pub struct MeasuredBurst {
     pub travel_um: f32,
     /// One standard deviation of that, µm.
     pub sd_um: f32,
-    /// It came after half a second of rest: the transient of the paper's Fig. 2.
+    /// It came after a rest: a transient, as in the paper's Fig. 2.
     pub rested: bool,
 }
 
@@ -112,7 +112,9 @@ pub(crate) struct Travel {
     pub(super) sd_um: f64,
     /// Travel over what an ideal motor's would be.
     pub(super) gain: f64,
-    /// It came after half a second of rest: a transient.
+    /// Distance of an ideal motor, µm.
+    pub(super) ideal_um: f64,
+    /// It came after a rest: a transient.
     pub(super) rested: bool,
     /// The lower stop ended it.
     pub(super) stopped: bool,
@@ -124,11 +126,6 @@ impl Travel {
         let Burst { start, direction, pulses } = self.burst;
         let (travel_um, sd_um) = (self.um as f32, self.sd_um as f32);
         MeasuredBurst { motor, start, direction, pulses, travel_um, sd_um, rested: self.rested }
-    }
-
-    /// Distance of an ideal motor, µm.
-    pub(super) fn um_ideal(&self) -> f64 {
-        f64::from(self.burst.pulses) * UM_PER_PULSE
     }
 }
 
@@ -153,6 +150,7 @@ struct WindowedBurst {
 /// The filter of one motor.
 #[derive(Clone, Debug)]
 pub(super) struct Estimator {
+    motor: MotorSpec,
     mean: [f64; STATES],
     covariance: [[f64; STATES]; STATES],
     window: heapless::Vec<WindowedBurst, BURSTS>,
@@ -175,15 +173,22 @@ pub(super) const fn sign(direction: Direction) -> f64 {
     }
 }
 
-/// Mean gain of a burst, relative to the motor's: less after half a second of rest since `last_end`.
-pub(super) fn after_rest(last_end: Option<Tick>, start: Tick) -> f64 {
-    if last_end.is_none_or(|end| start - end >= TRANSIENT_REST_TICKS) { TRANSIENT_GAIN } else { 1.0 }
+/// Whether a burst is a transient: the motor has rested since `last_end`. A motor without transients never rests for long enough.
+fn is_rested(motor: &MotorSpec, last_end: Option<Tick>, start: Tick) -> bool {
+    let rest_ticks = motor.transient_rest_ticks;
+    last_end.map_or(rest_ticks < u64::MAX, |end| start - end >= rest_ticks)
+}
+
+/// Mean gain of a burst, relative to the motor's: that of transients if the motor has rested since `last_end`.
+pub(super) fn after_rest(motor: &MotorSpec, last_end: Option<Tick>, start: Tick) -> f64 {
+    if is_rested(motor, last_end, start) { motor.transient_gain } else { 1.0 }
 }
 
 impl Estimator {
-    /// A motor at rest at 0 with these gains.
-    pub(super) fn new(gains: &Gains) -> Self {
+    /// Such a motor, at rest at 0, with these gains.
+    pub(super) fn new(motor: &MotorSpec, gains: &Gains) -> Self {
         let mut new = Self {
+            motor: *motor,
             mean: [0.0; STATES],
             covariance: [[0.0; STATES]; STATES],
             window: heapless::Vec::new(),
@@ -205,6 +210,11 @@ impl Estimator {
             self.covariance[at][at] = sd * sd;
         }
         (self.scatter, self.evidence) = (gains.scatter, SCATTER_WEIGHT);
+    }
+
+    /// The model of the motor.
+    pub(super) const fn motor(&self) -> &MotorSpec {
+        &self.motor
     }
 
     fn states(&self) -> usize {
@@ -280,12 +290,12 @@ impl Estimator {
     /// Adds a burst, later than all others. Returns the oldest one if it had to make room.
     pub(super) fn begin(&mut self, burst: Burst) -> Option<Travel> {
         let over = if self.window.is_full() { Some(self.merge(0)) } else { None };
-        let rest = after_rest(self.last_end, burst.start);
+        let rested = is_rested(&self.motor, self.last_end, burst.start);
+        let rest = if rested { self.motor.transient_gain } else { 1.0 };
         self.last_end = Some(burst.end());
-        let ideal = sign(burst.direction) * f64::from(burst.pulses) * UM_PER_PULSE;
+        let ideal = sign(burst.direction) * f64::from(burst.pulses) * self.motor.um_per_pulse;
         let gain = GAINS[gain_index(burst.direction)];
         self.covariance[gain][gain] += GAIN_WANDER * GAIN_WANDER;
-        let rested = rest < 1.0;
         let noise = self.scatter * self.scatter + if rested { TRANSIENT_SD * TRANSIENT_SD } else { 0.0 };
         let (new, mean) = (self.states(), ideal * rest);
         self.mean[new] = mean * self.mean[gain];
@@ -337,8 +347,8 @@ impl Estimator {
     /// Whether a burst that the lower stop ends is under way at `tick`, or the moving average still shows its motion. No
     /// signal shows when the pin stops, so such samples fit no ramp.
     pub(super) fn is_stopping(&self, tick: Tick) -> bool {
-        let at = HalfTick::from(tick);
-        self.window.iter().any(|it| it.stopped && HalfTick::from(it.burst.end()).0 + WINDOW_HALF_TICKS > at.0)
+        let (at, window) = (HalfTick::from(tick), self.motor.window_half_ticks);
+        self.window.iter().any(|it| it.stopped && HalfTick::from(it.burst.end()).0 + window > at.0)
     }
 
     /// Compares a sample, µm, with the prediction.
@@ -348,7 +358,7 @@ impl Estimator {
         let mut expected = self.mean[POSITION];
         let mut shown = 0.0;
         for (index, windowed) in self.window.iter().enumerate() {
-            let share = windowed.ramp.share_um(at);
+            let share = windowed.ramp.share_um(at, self.motor.window_half_ticks);
             shares[index] = share;
             expected += share * self.mean[3 + index];
             shown += share * windowed.ideal.abs();
@@ -389,7 +399,7 @@ impl Estimator {
     /// Merges bursts that have left the window at `at`, calling `over` with each.
     pub(super) fn forget(&mut self, at: HalfTick, mut over: impl FnMut(Travel)) {
         while let Some(first) = self.window.first()
-            && HalfTick::from(first.burst.end()).0 + WINDOW_HALF_TICKS <= at.0
+            && HalfTick::from(first.burst.end()).0 + self.motor.window_half_ticks <= at.0
         {
             over(self.merge(0));
         }
@@ -418,6 +428,7 @@ impl Estimator {
             um: travel,
             sd_um: variance.max(0.0).sqrt(),
             gain: travel / windowed.mean,
+            ideal_um: windowed.ideal.abs(),
             rested: windowed.rested,
             stopped: windowed.stopped,
         }

@@ -17,24 +17,24 @@ mod queued;
 mod replacement;
 mod telemetry_monitor;
 
-pub(super) use burst_controller::{BurstController, FINALISE_AT, LONGEST_AGE};
+pub(super) use burst_controller::{BurstController, Times};
 pub use estimator::{Gains, MeasuredBurst};
 pub(super) use queued::Cutting;
 
+use crate::queues::RestErrors;
 use crate::settings::Settings;
 pub use bound::rest_bound_um;
 use firmware_protocol::batch::Amendment;
-use firmware_protocol::limits::PowerLimits;
-use firmware_protocol::stroke::{Direction, MOTORS, Stroke};
+use firmware_protocol::stroke::{Direction, Stroke};
 use firmware_protocol::tick::Tick;
 use meissner_api::ErrorSource;
 use meissner_api::SensorFault;
-use meissner_array::motor::WINDOW_TICKS;
-use meissner_array::units::TICKS_PER_S;
+use meissner_array::per_motor::PerMotor;
+use meissner_array::spec::Array;
 use replacement::Replacement;
 
-/// Without telemetry a stroke counts as played so long after it begins, ticks: the device's verdict has come by then.
-const REPORTED: u64 = TICKS_PER_S / 20;
+/// Without telemetry a stroke counts as played so long after it begins, ms: the device's verdict has come by then.
+const REPORTED_MS: u64 = 50;
 
 /// Some of a play's strokes: those that begin at `from` or later and before `until`.
 #[derive(Clone, Copy, Debug)]
@@ -48,7 +48,9 @@ pub(super) struct Span {
 /// The position control of all motors.
 #[derive(Debug)]
 pub(super) struct PositionControl {
-    motors: [BurstController; MOTORS],
+    array: Array,
+    times: Times,
+    motors: Vec<BurstController>,
     /// The tick of the last sample.
     last_sample: Option<Tick>,
     /// Bursts up to this tick count as played without telemetry: older samples are too late.
@@ -74,13 +76,16 @@ pub(super) struct PositionControl {
 
 impl PositionControl {
     pub(super) fn new(settings: &Settings) -> Self {
+        let array = settings.array;
         let mut control = Self {
+            array,
+            times: Times::of(array),
             limited: false,
             end_stop_um: settings.end_stop_um,
             telemetry: true,
             account: Account::default(),
-            replacement: Replacement::new(),
-            motors: std::array::from_fn(|_| BurstController::new(&Gains::default())),
+            replacement: Replacement::new(array),
+            motors: array.numbers().map(|_| BurstController::new(array, &Gains::default())).collect(),
             last_sample: None,
             advanced_to: Tick(0),
             valid_from: None,
@@ -91,9 +96,14 @@ impl PositionControl {
         control
     }
 
+    /// The array whose motors it controls.
+    pub(super) const fn array(&self) -> Array {
+        self.array
+    }
+
     /// Uses the site's limits and end stops.
     pub(super) fn configure(&mut self, settings: &Settings) {
-        self.limited = settings.limits != PowerLimits::NONE;
+        self.limited = settings.is_limited();
         self.end_stop_um = settings.end_stop_um;
         self.motors.iter_mut().for_each(|motor| motor.set_lower_stop(settings.lower_stop.is_some()));
     }
@@ -124,9 +134,9 @@ impl PositionControl {
 
     /// At `tick` the device takes strokes: after a cut the pins have stopped, and telemetry shows where.
     pub(super) fn at_rest(&mut self, tick: Tick) {
-        self.valid_from = self.valid_from.or(Some(tick + WINDOW_TICKS));
+        self.valid_from = self.valid_from.or(Some(tick + self.array.motor().settled_ticks()));
         let since = *self.unseen_since.get_or_insert(tick);
-        self.seen &= tick - since <= TICKS_PER_S;
+        self.seen &= tick - since <= self.array.rate().per_s();
     }
 
     /// A device was connected, which sends telemetry or not. Its clock may have begun again.
@@ -168,13 +178,13 @@ impl PositionControl {
     }
 
     /// Uses the gains of a calibration.
-    pub(super) fn set_gains(&mut self, gains: &[Gains; MOTORS]) {
+    pub(super) fn set_gains(&mut self, gains: &PerMotor<Gains>) {
         self.motors.iter_mut().zip(gains).for_each(|(motor, gains)| motor.set_gains(gains));
     }
 
     /// The sensor fault of each motor.
-    pub(super) fn faults(&self) -> [Option<SensorFault>; MOTORS] {
-        self.motors.each_ref().map(BurstController::fault)
+    pub(super) fn faults(&self) -> impl Iterator<Item = Option<SensorFault>> {
+        self.motors.iter().map(BurstController::fault)
     }
 
     /// A pin's offset from rest, µm, and whether telemetry measured it; `None` without telemetry and calibration.
@@ -218,10 +228,11 @@ impl PositionControl {
         if self.seen {
             return 0.0;
         }
-        let all = self.rest_error_um(now);
-        let of = motors.filter_map(|motor| all.get(usize::from(motor)));
-        let reckoned = of.filter(|(_, source)| *source == ErrorSource::DeadReckoning);
-        reckoned.map(|&(um, _)| um).fold(0.0, f32::max)
+        let fresh = self.has_recent_telemetry(now);
+        let of = motors.filter_map(|motor| self.motors.get(usize::from(motor)));
+        let errors = of.map(|motor| self.error_um(motor, fresh));
+        let reckoned = errors.filter(|(_, source)| *source == ErrorSource::DeadReckoning);
+        reckoned.map(|(um, _)| um).fold(0.0, f32::max)
     }
 
     fn motor(&mut self, motor: u8) -> Option<&mut BurstController> {
@@ -267,7 +278,7 @@ impl PositionControl {
 
     /// The device has been asked to withdraw the strokes of these motors that begin at `from` or later. Until it answers,
     /// [`Self::replaced`], they count neither as queued nor as gone. Those that take their place are [`sent`](Self::sent) next.
-    pub(super) fn replace(&mut self, motors: u32, from: Tick) {
+    pub(super) fn replace(&mut self, motors: u64, from: Tick) {
         self.replacement.begin(motors, from);
         for motor in self.motors.iter_mut().zip(0..).filter(|(_, index)| motors >> index & 1 == 1) {
             motor.0.take_from(from, |queued| self.replacement.hold(queued));
@@ -276,7 +287,7 @@ impl PositionControl {
 
     /// The device has withdrawn the old strokes of `motors`, and none of the motors `kept`: the old strokes of these are queued
     /// again in place of those sent since.
-    pub(super) fn replaced(&mut self, motors: u32, kept: u32) {
+    pub(super) fn replaced(&mut self, motors: u64, kept: u64) {
         let from = self.replacement.from();
         for (motor, index) in self.motors.iter_mut().zip(0..).filter(|(_, index)| kept >> index & 1 == 1) {
             motor.take_from(from, |_| ());
@@ -344,7 +355,7 @@ impl PositionControl {
     pub(super) fn telemetry(
         &mut self,
         tick: Tick,
-        y: &[i32; MOTORS],
+        y: &PerMotor<i32>,
         known_to: Tick,
         mut over: impl FnMut(MeasuredBurst),
     ) -> bool {
@@ -376,13 +387,14 @@ impl PositionControl {
         free: impl Fn(u8) -> Tick,
         mut amend: impl FnMut(&Amendment) -> bool,
     ) {
-        let fresh = self.last_sample.is_some_and(|sampled| now - sampled <= LONGEST_AGE);
+        let fresh = self.last_sample.is_some_and(|sampled| now - sampled <= self.times.longest_age);
         if !fresh {
-            let late = if self.telemetry { LONGEST_AGE } else { REPORTED };
+            let reported = self.array.rate().of_ms(REPORTED_MS);
+            let late = if self.telemetry { self.times.longest_age } else { reported };
             self.advance_to(Tick(now.0.saturating_sub(late)));
         }
         let mut next = self.motors.iter().filter_map(BurstController::next);
-        if next.all(|next| next > now + FINALISE_AT) {
+        if next.all(|next| next > now + self.times.finalise_at) {
             return;
         }
         let may_lengthen = !self.limited;
@@ -410,22 +422,29 @@ impl PositionControl {
 
     /// Whether the last sample is less than a second old.
     fn has_recent_telemetry(&self, now: Tick) -> bool {
-        self.last_sample.is_some_and(|sampled| now - sampled <= TICKS_PER_S)
+        self.last_sample.is_some_and(|sampled| now - sampled <= self.array.rate().per_s())
     }
 
     /// Estimated rest error of each shaft, µm, and its source. By the lower stop and by dead reckoning: root
     /// mean square to expect; by dead reckoning at most the distance of the end stops, because no shaft can be farther off.
-    pub(super) fn rest_error_um(&self, now: Tick) -> [(f32, ErrorSource); MOTORS] {
+    pub(super) fn rest_error_um(&self, now: Tick) -> RestErrors {
         let fresh = self.has_recent_telemetry(now);
-        self.motors.each_ref().map(|motor| {
-            let measured = fresh && motor.fault().is_none();
-            match (measured, motor.landing_rms_um(), motor.dead_reckoning_um()) {
-                (true, _, _) => (motor.rest_um() as f32, ErrorSource::Telemetry),
-                (false, Some(landing), _) => (landing as f32, ErrorSource::LowerStop),
-                (false, None, 0.0) => (motor.rest_um() as f32, ErrorSource::None),
-                (false, None, um) => ((um as f32).min(self.end_stop_um), ErrorSource::DeadReckoning),
-            }
-        })
+        let mut errors = RestErrors::none(self.array);
+        for (motor, (um, source)) in self.motors.iter().zip(errors.um.iter_mut().zip(&mut errors.source)) {
+            (*um, *source) = self.error_um(motor, fresh);
+        }
+        errors
+    }
+
+    /// The same of one motor; `fresh`: telemetry is recent.
+    fn error_um(&self, motor: &BurstController, fresh: bool) -> (f32, ErrorSource) {
+        let measured = fresh && motor.fault().is_none();
+        match (measured, motor.landing_rms_um(), motor.dead_reckoning_um()) {
+            (true, _, _) => (motor.rest_um() as f32, ErrorSource::Telemetry),
+            (false, Some(landing), _) => (landing as f32, ErrorSource::LowerStop),
+            (false, None, 0.0) => (motor.rest_um() as f32, ErrorSource::None),
+            (false, None, um) => ((um as f32).min(self.end_stop_um), ErrorSource::DeadReckoning),
+        }
     }
 }
 

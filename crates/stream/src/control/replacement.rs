@@ -7,29 +7,29 @@
 
 use super::queued::Queued;
 use firmware_protocol::controller::POOL;
-use firmware_protocol::stroke::MOTORS;
 use firmware_protocol::tick::Tick;
+use meissner_array::spec::Array;
 
 /// The replacement under way.
 #[derive(Debug)]
 pub(super) struct Replacement {
     from: Tick,
     /// The motors without an answer.
-    motors: u32,
+    motors: u64,
     /// Their strokes, each motor's from the last to the first. The device's pool bounds them.
     strokes: Vec<Queued>,
 }
 
 impl Replacement {
-    pub(super) fn new() -> Self {
+    pub(super) fn new(array: Array) -> Self {
         // Touch every page now, as the queues do.
-        let mut strokes = vec![Queued::NOTHING; POOL + MOTORS];
+        let mut strokes = vec![Queued::NOTHING; POOL + array.motors()];
         strokes.clear();
         Self { from: Tick(0), motors: 0, strokes }
     }
 
     /// Begins a replacement of these motors' strokes.
-    pub(super) fn begin(&mut self, motors: u32, from: Tick) {
+    pub(super) fn begin(&mut self, motors: u64, from: Tick) {
         (self.motors, self.from) = (motors, from);
         self.strokes.clear();
     }
@@ -75,7 +75,7 @@ impl Replacement {
     }
 
     /// The device has answered for these motors.
-    pub(super) fn end(&mut self, motors: u32) {
+    pub(super) fn end(&mut self, motors: u64) {
         self.motors &= !motors;
         self.strokes.retain(|queued| motors >> queued.stroke.motor & 1 == 0);
     }

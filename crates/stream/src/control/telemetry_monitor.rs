@@ -14,7 +14,7 @@
 use super::estimator::{Estimator, Sample, Travel};
 use firmware_protocol::tick::Tick;
 use meissner_api::SensorFault;
-use meissner_array::units::{TICKS_PER_MS, ticks_to_seconds};
+use meissner_array::units::TickRate;
 
 /// A sample may always differ by so much, µm: a finger moves the pin it touches.
 const SLACK_UM: f64 = 2.0;
@@ -26,10 +26,10 @@ const SLACK_SHARE: f64 = 1.75;
 const JUMP: u32 = 8;
 /// Jumps above one per second that make a fault. A correction that the link loses causes one.
 const JUMPS: f64 = 5.0;
-/// Outliers within this time are one jump, ticks.
-const ONE_JUMP: u64 = 50 * TICKS_PER_MS;
-/// Corrections pause so long after an outlier, ticks.
-const SUSPENDED: u64 = 50 * TICKS_PER_MS;
+/// Outliers within this time are one jump, ms.
+const ONE_JUMP_MS: u64 = 50;
+/// Corrections pause so long after an outlier, ms.
+const SUSPENDED_MS: u64 = 50;
 /// The largest plausible standard deviation of a burst's gain. Squared deviations in this unit, capped at [`GAIN_MOST`],
 /// less [`GAIN_EXPECTED`], sum up; above [`GAIN_SUM`] it is a fault: after four bursts of a stuck sensor.
 const GAIN_SD: f64 = 0.35;
@@ -61,8 +61,10 @@ pub(super) enum Plausibility {
     Moved,
 }
 
-#[derive(Clone, Copy, Debug, Default)]
+#[derive(Clone, Copy, Debug)]
 pub(super) struct TelemetryMonitor {
+    /// Of the device's clock.
+    rate: TickRate,
     outliers: u32,
     jumps: f64,
     last_jump: Tick,
@@ -76,6 +78,27 @@ pub(super) struct TelemetryMonitor {
 }
 
 impl TelemetryMonitor {
+    /// Nothing is known yet; ticks are of this rate.
+    pub(super) const fn new(rate: TickRate) -> Self {
+        Self {
+            rate,
+            outliers: 0,
+            jumps: 0.0,
+            last_jump: Tick(0),
+            suspended_until: Tick(0),
+            gain_sum: 0.0,
+            pushed_um: 0.0,
+            pushes: 0,
+            pushed_from: 0.0,
+            fault: None,
+        }
+    }
+
+    /// Forgets everything, a fault too.
+    pub(super) const fn clear(&mut self) {
+        *self = Self::new(self.rate);
+    }
+
     /// The sensor fault, if there is one.
     pub(super) fn fault(&self) -> Option<SensorFault> {
         self.fault
@@ -93,9 +116,9 @@ impl TelemetryMonitor {
             self.outliers = 0;
             return Plausibility::Plausible;
         }
-        self.suspended_until = tick + SUSPENDED;
-        if self.outliers == 0 && tick - self.last_jump > ONE_JUMP {
-            let leak = ticks_to_seconds(tick - self.last_jump);
+        self.suspended_until = tick + self.rate.of_ms(SUSPENDED_MS);
+        if self.outliers == 0 && tick - self.last_jump > self.rate.of_ms(ONE_JUMP_MS) {
+            let leak = self.rate.ticks_to_seconds(tick - self.last_jump);
             self.jumps = (self.jumps - leak).max(0.0) + 1.0;
             self.last_jump = tick;
             if self.jumps > JUMPS {
@@ -138,7 +161,7 @@ impl TelemetryMonitor {
         if travel.stopped {
             return;
         }
-        if travel.sd_um < MEASURED * travel.um_ideal() {
+        if travel.sd_um < MEASURED * travel.ideal_um {
             let deviation = (travel.gain - nominal) / GAIN_SD;
             let square = (deviation * deviation).min(GAIN_MOST);
             self.gain_sum = (self.gain_sum + square - GAIN_EXPECTED).max(0.0);

@@ -16,6 +16,7 @@ use firmware_protocol::tick::Tick;
 use meissner_array::simulated::{
     RestStats, Sample, SimulatedMotors, SimulatedMotorsConfig, SimulatedMotorsError,
 };
+use meissner_array::spec::Array;
 use std::collections::VecDeque;
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -23,9 +24,10 @@ use std::sync::{Arc, Mutex, PoisonError};
 const BUFFER: usize = 1 << 16;
 
 /// The true positions of simulated pins, whatever telemetry says. Other threads read it while the mock runs.
-#[derive(Debug, Default)]
+#[derive(Debug)]
 pub struct TruePositions {
-    rest: Mutex<[RestStats; MOTORS]>,
+    /// Of each motor.
+    rest: Mutex<Vec<RestStats>>,
 }
 
 impl TruePositions {
@@ -67,12 +69,12 @@ impl std::fmt::Debug for Distortion {
 }
 
 impl Mock {
-    /// A mock that has just been switched on; `boot` is its boot id.
+    /// A mock of this array that has just been switched on; `boot` is its boot id.
     ///
     /// # Errors
     /// If the settings of the simulated motors are out of range.
-    pub fn new(motors: SimulatedMotorsConfig, boot: u32) -> Result<Self, SimulatedMotorsError> {
-        Self::starting_at(motors, boot, Tick::BOOT)
+    pub fn new(array: Array, motors: SimulatedMotorsConfig, boot: u32) -> Result<Self, SimulatedMotorsError> {
+        Self::starting_at(array, motors, boot, Tick::BOOT)
     }
 
     /// Like [`Self::new`], but its clock starts at `now`.
@@ -80,6 +82,7 @@ impl Mock {
     /// # Errors
     /// If the settings of the simulated motors are out of range.
     pub fn starting_at(
+        array: Array,
         motors: SimulatedMotorsConfig,
         boot: u32,
         now: Tick,
@@ -94,13 +97,15 @@ impl Mock {
         controller.measured(Measures { reset: Reset::Program, ..Measures::NONE });
         Ok(Self {
             controller,
-            motors: SimulatedMotors::new(motors, now)?,
+            motors: SimulatedMotors::new(array, motors, now)?,
             ahead: VecDeque::with_capacity(2 * HORIZON as usize),
             now,
             to_controller: Vec::with_capacity(BUFFER),
             to_host: VecDeque::with_capacity(BUFFER),
             trace: None,
-            positions: Arc::default(),
+            positions: Arc::new(TruePositions {
+                rest: Mutex::new(vec![RestStats::default(); array.motors()]),
+            }),
             distort: None,
         })
     }
@@ -212,12 +217,14 @@ impl Mock {
             {
                 continue;
             }
-            self.controller.telemetry(sample.tick, sample.y);
+            let mut y = [0; MOTORS];
+            y.iter_mut().zip(&sample.y).for_each(|(y, of)| *y = *of);
+            self.controller.telemetry(sample.tick, y);
             self.send();
         }
         if let Ok(mut rest) = self.positions.rest.try_lock() {
-            for (all, new) in rest.iter_mut().zip(self.motors.take_rest_stats()) {
-                all.merge(&new);
+            for (all, new) in rest.iter_mut().zip(&self.motors.take_rest_stats()) {
+                all.merge(new);
             }
         }
     }

@@ -43,6 +43,7 @@ use crate::link::LineRate;
 use crate::time::HostInstant;
 pub use error::DeviceError;
 use meissner_array::simulated::SimulatedMotorsConfig;
+use meissner_array::spec::Array;
 pub use pty::PtyMock;
 use rustix::fd::BorrowedFd;
 pub use serial::SerialPort;
@@ -66,12 +67,12 @@ pub enum Device {
     Usb(UsbPort),
 }
 
-/// Opens a device. It blocks as long as the system takes, so the streamer's thread must not call it.
+/// Opens a device; a simulated one has this array with these motors. It blocks as long as the system takes, so the streamer's thread must not call it.
 ///
 /// # Errors
 /// If the device cannot be opened; the error's one line says why and what to do.
-pub fn open(spec: &Spec, motors: &SimulatedMotorsConfig) -> Result<Device, DeviceError> {
-    let mock = || Ok(Device::Mock(Box::new(WallMock::new(motors, HostInstant::now())?)));
+pub fn open(spec: &Spec, array: Array, motors: &SimulatedMotorsConfig) -> Result<Device, DeviceError> {
+    let mock = || Ok(Device::Mock(Box::new(WallMock::new(array, motors, HostInstant::now())?)));
     match spec {
         Spec::Auto => match board() {
             // A board that is plugged in but cannot be opened must not be replaced by the mock silently.
@@ -81,7 +82,7 @@ pub fn open(spec: &Spec, motors: &SimulatedMotorsConfig) -> Result<Device, Devic
         Spec::Board => board(),
         Spec::Mock => mock(),
         Spec::Pty => {
-            let mock = PtyMock::spawn(WallMock::new(motors, HostInstant::now())?)?;
+            let mock = PtyMock::spawn(WallMock::new(array, motors, HostInstant::now())?)?;
             let port = SerialPort::open(mock.path())?;
             Ok(Device::Pty(port, mock))
         }

@@ -7,26 +7,29 @@ use crate::device::mock::{Mock, TruePositions};
 use crate::time::HostInstant;
 use firmware_protocol::tick::Tick;
 use meissner_array::simulated::SimulatedMotorsConfig;
-use meissner_array::units::duration_to_ticks;
+use meissner_array::spec::Array;
+use meissner_array::units::TickRate;
 use std::hash::{BuildHasher, Hasher, RandomState};
 use std::sync::Arc;
 
 /// A mock whose clock follows the host's.
 #[derive(Debug)]
 pub struct WallMock {
+    /// Of its clock.
+    rate: TickRate,
     mock: Mock,
     /// When its clock stood at [`Tick::BOOT`].
     started: HostInstant,
 }
 
 impl WallMock {
-    /// A mock that boots at `now`.
+    /// A mock of this array that boots at `now`.
     ///
     /// # Errors
     /// If the settings of the simulated motors are out of range.
-    pub fn new(motors: &SimulatedMotorsConfig, now: HostInstant) -> Result<Self, DeviceError> {
+    pub fn new(array: Array, motors: &SimulatedMotorsConfig, now: HostInstant) -> Result<Self, DeviceError> {
         let boot = RandomState::new().build_hasher().finish() as u32;
-        Ok(Self { mock: Mock::new(*motors, boot)?, started: now })
+        Ok(Self { rate: array.rate(), mock: Mock::new(array, *motors, boot)?, started: now })
     }
 
     /// The mock itself.
@@ -48,6 +51,6 @@ impl WallMock {
 
     /// Takes in the bytes that were written, and runs up to `now`.
     pub(super) fn run(&mut self, now: HostInstant) {
-        self.mock.run(Tick::BOOT + duration_to_ticks(now.since(self.started)));
+        self.mock.run(Tick::BOOT + self.rate.duration_to_ticks(now.since(self.started)));
     }
 }

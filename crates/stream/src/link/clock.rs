@@ -11,13 +11,12 @@
 //! Invariant: without a round trip there is no estimate.
 
 use crate::time::HostInstant;
-use firmware_protocol::tick::{TICK_HZ, Tick};
+use firmware_protocol::tick::Tick;
+use meissner_array::units::TickRate;
 use std::time::Duration;
 
 /// Round trips kept.
 const SAMPLES: usize = 64;
-/// Nominal ticks per nanosecond.
-const NOMINAL: f64 = TICK_HZ as f64 * 1e-9;
 /// Crystals are within 50 ppm each; a larger fitted drift is noise.
 const MAX_DRIFT: f64 = 200e-6;
 /// The largest drift of two crystals.
@@ -55,18 +54,31 @@ pub struct ClockEstimate {
 /// Estimates the device's clock.
 #[derive(Clone, Debug)]
 pub struct Clock {
+    /// The nominal rate.
+    rate: TickRate,
     samples: [Option<Sample>; SAMPLES],
     next: usize,
     fit: Option<ClockEstimate>,
 }
 
-impl Default for Clock {
-    fn default() -> Self {
-        Self { samples: [None; SAMPLES], next: 0, fit: None }
-    }
-}
-
 impl Clock {
+    /// A clock of this nominal rate, before the first round trip.
+    #[must_use]
+    pub const fn new(rate: TickRate) -> Self {
+        Self { rate, samples: [None; SAMPLES], next: 0, fit: None }
+    }
+
+    /// The nominal rate.
+    #[must_use]
+    pub const fn rate(&self) -> TickRate {
+        self.rate
+    }
+
+    /// Nominal ticks per nanosecond.
+    const fn nominal(&self) -> f64 {
+        self.rate.hz() as f64 * 1e-9
+    }
+
     /// Takes a round trip: the host asked at `sent` and received the answer, `tick`, at `received`.
     pub fn round_trip(&mut self, sent: HostInstant, tick: Tick, received: HostInstant) {
         let trip = received.since(sent);
@@ -90,7 +102,8 @@ impl Clock {
         let mean_t = good().map(|sample| point(sample).0).sum::<f64>() / count;
         let mean_k = good().map(|sample| point(sample).1).sum::<f64>() / count;
         let span = good().map(|sample| -point(sample).0).fold(0.0, f64::max);
-        let (mut rate, mut measured) = (NOMINAL, false);
+        let nominal = self.nominal();
+        let (mut rate, mut measured) = (nominal, false);
         if span >= MIN_SPAN_NS {
             let (mut sum_tk, mut sum_tt) = (0.0, 0.0);
             for sample in good() {
@@ -99,7 +112,7 @@ impl Clock {
                 sum_tt += (t - mean_t) * (t - mean_t);
             }
             let slope = sum_tk / sum_tt;
-            if (slope / NOMINAL - 1.0).abs() <= MAX_DRIFT {
+            if (slope / nominal - 1.0).abs() <= MAX_DRIFT {
                 (rate, measured) = (slope, true);
             }
         }
@@ -107,10 +120,10 @@ impl Clock {
         let phase = if measured { mean_k - rate * mean_t } else { 0.5 };
         let error_at = |sample: &Sample| {
             let (t, k) = point(sample);
-            (phase + rate * t - k).abs() / NOMINAL + sample.half_ns + 0.5 / NOMINAL
+            (phase + rate * t - k).abs() / nominal + sample.half_ns + 0.5 / nominal
         };
         let error_ns = error_at(&origin);
-        let by_drift = UNKNOWN_DRIFT + (rate / NOMINAL - 1.0).abs();
+        let by_drift = UNKNOWN_DRIFT + (rate / nominal - 1.0).abs();
         let rate_error = good()
             .filter(|sample| sample.at < origin.at)
             .map(|sample| (error_ns + error_at(sample)) / -point(sample).0)
@@ -146,7 +159,7 @@ impl Clock {
     /// The device's rate against nominal, ppm; `None` until measured.
     #[must_use]
     pub fn drift_ppm(&self) -> Option<f64> {
-        self.fit.filter(|fit| fit.measured).map(|fit| (fit.rate / NOMINAL - 1.0) * 1e6)
+        self.fit.filter(|fit| fit.measured).map(|fit| (fit.rate / self.nominal() - 1.0) * 1e6)
     }
 }
 
@@ -189,6 +202,10 @@ impl ClockEstimate {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use meissner_array::spec::{Array, names};
+    use meissner_test_support::paper::RATE;
+
+    const NOMINAL: f64 = 85_000.0 * 1e-9;
 
     /// A device whose clock runs `ppm` fast, asked over a line with a delay there and back.
     fn trip(clock: &mut Clock, ppm: f64, at_ns: u64, there_ns: u64, back_ns: u64) {
@@ -203,7 +220,7 @@ mod tests {
 
     #[test]
     fn slow_round_trips_do_not_disturb_offset_and_drift() {
-        let mut clock = Clock::default();
+        let mut clock = Clock::new(RATE);
         for i in 0..60u64 {
             // Every third answer is 20 ms late.
             let back = if i % 3 == 0 { 20_000_000 } else { 150_000 + i % 7 * 5_000 };
@@ -230,7 +247,7 @@ mod tests {
         for line in 0..60u64 {
             let (there, back, ppm) = (chance(300_000), chance(300_000), chance(201) as f64 - 100.0);
             let (jitter, every) = (1 + chance(300_000), 10_000_000 + chance(400_000_000));
-            let mut clock = Clock::default();
+            let mut clock = Clock::new(RATE);
             for i in 0..200u64 {
                 let at_ns = 1_000_000_000 + i * every;
                 trip(&mut clock, ppm, at_ns, there + chance(jitter), back + chance(jitter));
@@ -248,7 +265,7 @@ mod tests {
 
     #[test]
     fn one_round_trip_gives_an_estimate() {
-        let mut clock = Clock::default();
+        let mut clock = Clock::new(RATE);
         assert_eq!(clock.tick_at(HostInstant::from_ns(5)), None);
         trip(&mut clock, 0.0, 1_000_000, 100_000, 100_000);
         let at = HostInstant::from_ns(3_000_000);
@@ -258,7 +275,7 @@ mod tests {
 
     #[test]
     fn conversions_are_inverse_across_the_wrap() {
-        let mut clock = Clock::default();
+        let mut clock = Clock::new(RATE);
         trip(&mut clock, 0.0, 1_000_000, 0, 0);
         for tick in [Tick::BOOT + 85, Tick(1 << 32), Tick((1 << 32) + 12_345)] {
             let at = clock.instant_of(tick).unwrap();

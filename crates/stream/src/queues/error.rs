@@ -3,6 +3,7 @@
 //! The streamer answers a request with [`CommandError`]; the API shows its text.
 
 use firmware_protocol::limits::Refusal;
+use meissner_array::spec::Array;
 
 /// Most plays that wait behind the running one.
 pub const MAX_QUEUED_PLAYS: usize = 16;
@@ -32,6 +33,14 @@ pub enum CommandError {
     LevelNotChecked {
         /// The largest estimate of a motor.
         um: u32,
+    },
+    /// The play, the update or the settings are for another array than the streamer's.
+    #[error("it is for the array {}, but the array in use is {}: choose one that is made for that", .found.name(), .array.name())]
+    OtherArray {
+        /// The array that it is for.
+        found: Array,
+        /// The streamer's.
+        array: Array,
     },
     /// The controller is not armed.
     #[error("the motors are disarmed: run `meissner arm` first")]
@@ -67,8 +76,11 @@ pub enum CommandError {
     #[error("the onset asked for is too soon or already past: choose a later one")]
     TooSoon,
     /// The onset asked for is beyond the protocol's range.
-    #[error("the onset asked for is more than an hour and a half ahead: choose a sooner one")]
-    TooFar,
+    #[error("the onset asked for is more than {most_min} minutes ahead: choose a sooner one")]
+    TooFar {
+        /// The farthest onset, minutes ahead.
+        most_min: u32,
+    },
     /// The onset asked for lies within a queued play.
     #[error(
         "the onset asked for lies before the end of the plays queued: choose a later one, or use --replace"

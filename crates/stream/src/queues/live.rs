@@ -4,9 +4,10 @@
 //! the event queue is full. The sender of updates bounds how many are under way.
 
 use crate::time::HostInstant;
-use firmware_protocol::stroke::MOTORS;
 use firmware_protocol::tick::Tick;
 use meissner_array::motor::SquareWave;
+use meissner_array::per_motor::PerMotor;
+use meissner_array::spec::Array;
 
 /// New drives for a live play.
 #[derive(Debug)]
@@ -18,7 +19,7 @@ pub struct LiveUpdate {
     /// When the client's message had come.
     pub received_at: HostInstant,
     /// The new drive of each motor; `None`: as before. Without any the update only shows that the client is there.
-    pub waves: [Option<SquareWave>; MOTORS],
+    pub waves: PerMotor<Option<SquareWave>>,
     /// What became of it.
     pub result: LiveResult,
 }
@@ -36,7 +37,7 @@ pub enum LiveResult {
         /// The newer one's number.
         into: u64,
     },
-    /// The play is over, or no play has this id.
+    /// The play is over, or no play has this id, or the update is for another array.
     Over,
 }
 
@@ -49,7 +50,7 @@ pub struct Applied {
     /// tick of the last frame; earlier frames replaced strokes from earlier ticks on.
     pub replaced: Tick,
     /// The tick from which each motor has its new drive; `None`: it had it before, or gets it with a newer update.
-    pub motors: [Option<Tick>; MOTORS],
+    pub motors: PerMotor<Option<Tick>>,
     /// How often a frame came too late for some motor, and was sent again.
     pub repeats: u32,
 }
@@ -57,7 +58,7 @@ pub struct Applied {
 impl Applied {
     /// The same for all motors but those of this mask, which get their drives later.
     #[must_use]
-    pub(crate) fn without(mut self, motors: u32) -> Self {
+    pub(crate) fn without(mut self, motors: u64) -> Self {
         for (motor, from) in self.motors.iter_mut().enumerate() {
             *from = from.filter(|_| motors >> motor & 1 == 0);
         }
@@ -66,9 +67,9 @@ impl Applied {
 }
 
 impl LiveUpdate {
-    /// An update that changes nothing.
+    /// An update for a play on this array that changes nothing.
     #[must_use]
-    pub const fn new(id: u64, number: u64, received_at: HostInstant) -> Self {
-        Self { id, number, received_at, waves: [None; MOTORS], result: LiveResult::Waiting }
+    pub fn new(array: Array, id: u64, number: u64, received_at: HostInstant) -> Self {
+        Self { id, number, received_at, waves: PerMotor::all(array, None), result: LiveResult::Waiting }
     }
 }

@@ -11,9 +11,9 @@ use crate::settings::Settings;
 use crate::time::HostInstant;
 use firmware_protocol::limits::Refusal;
 use firmware_protocol::message::DeviceHello;
-use firmware_protocol::stroke::MOTORS;
 use firmware_protocol::tick::Tick;
 use meissner_api::{EndCause, LateCause, LateCounts, SensorFault};
+use meissner_array::per_motor::PerMotor;
 
 /// A command with a ticket; [`StreamEvent::Answer`] carries the same ticket.
 #[derive(Debug)]
@@ -66,8 +66,8 @@ pub enum Command {
     /// Move all pins to their rest position. The answer comes when they are there.
     Home,
     /// Use these gains of the motors.
-    SetGains(Box<[Gains; MOTORS]>),
-    /// Use these settings from the next `arm` on, or at once while disarmed.
+    SetGains(Box<PerMotor<Gains>>),
+    /// Use these settings from the next `arm` on, or at once while disarmed. Refused if they are for another array.
     Configure(Settings),
     /// Return the pins and disable the motors.
     Disarm,
@@ -76,6 +76,7 @@ pub enum Command {
 }
 
 /// What happened.
+#[expect(clippy::large_enum_variant, reason = "the thread does not allocate")]
 #[derive(Debug)]
 pub enum StreamEvent {
     /// The answer to a request.
@@ -134,7 +135,7 @@ pub enum StreamEvent {
     /// The streamer did not take this play: to be dropped outside the thread.
     PlayRejected(Box<Play>),
     /// The streamer has copied these gains: to be dropped outside the thread.
-    GainsApplied(Box<[Gains; MOTORS]>),
+    GainsApplied(Box<PerMotor<Gains>>),
     /// A play is over.
     PlayEnded {
         /// Which play.

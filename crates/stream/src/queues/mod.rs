@@ -36,7 +36,7 @@ pub use play::{At, Item, Play, Stamp};
 const COMMANDS: usize = if cfg!(loom) { 2 } else { 64 };
 /// Most events that wait.
 const EVENTS: usize = if cfg!(loom) { 4 } else { 4096 };
-/// Most measured bursts that wait: 24 motors at 300 Hz for two seconds.
+/// Most measured bursts that wait: the paper's motors at 300 Hz for two seconds.
 const MEASURED_BURSTS: usize = if cfg!(loom) { 1 } else { 1 << 15 };
 /// Late strokes, refused strokes and snapshots leave so many places free for answers and the ends of plays.
 const RESERVED: usize = if cfg!(loom) { 2 } else { 1024 };

@@ -9,11 +9,12 @@ use crate::settings::Settings;
 use crate::time::HostInstant;
 use firmware_protocol::board::Board;
 use firmware_protocol::message::{Cause, State};
-use firmware_protocol::stroke::MOTORS;
 use firmware_protocol::tick::Tick;
 use meissner_api::{
     BurstCounts, EndCause, ErrorSource, LateCounts, OffsetRecord, OnsetRecord, PlayState, PulseCounts,
 };
+use meissner_array::per_motor::PerMotor;
+use meissner_array::spec::Array;
 
 /// How a play ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
@@ -94,14 +95,16 @@ impl From<Offset> for OffsetRecord {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RestErrors {
     /// Of each motor, µm.
-    pub um: [f32; MOTORS],
+    pub um: PerMotor<f32>,
     /// Where the estimates come from.
-    pub source: [ErrorSource; MOTORS],
+    pub source: PerMotor<ErrorSource>,
 }
 
-impl From<[(f32, ErrorSource); MOTORS]> for RestErrors {
-    fn from(errors: [(f32, ErrorSource); MOTORS]) -> Self {
-        Self { um: errors.map(|(um, _)| um), source: errors.map(|(_, source)| source) }
+impl RestErrors {
+    /// No error is known.
+    #[must_use]
+    pub fn none(array: Array) -> Self {
+        Self { um: PerMotor::all(array, 0.0), source: PerMotor::all(array, ErrorSource::None) }
     }
 }
 
@@ -162,9 +165,9 @@ pub struct Snapshot {
     /// The settings in use.
     pub settings: Settings,
     /// Estimated rest error per motor, µm.
-    pub rest_error_um: [f32; MOTORS],
+    pub rest_error_um: PerMotor<f32>,
     /// Where the estimates come from.
-    pub source: [ErrorSource; MOTORS],
+    pub source: PerMotor<ErrorSource>,
     /// Telemetry shows all pins, or did until the last cut: a device sends none while it is disarmed.
     pub pins_seen: bool,
     /// Measured capacity of the line, bytes/s; `None` before the link probe.

@@ -8,10 +8,8 @@ use crate::queues::{At, Command, CommandError, Emit, MAX_QUEUED_PLAYS, Play, Req
 use crate::streamer::{ANSWER_WITHIN, OpResult, Streamer, answer, cuts_play};
 use crate::time::HostInstant;
 use firmware_protocol::message::{Cause, LowerStop, Op, State};
-use firmware_protocol::stroke::MOTORS;
 use firmware_protocol::tick::Tick;
 use meissner_api::EndCause;
-use meissner_array::units::{UM_PER_PULSE, duration_to_ticks, ms_in_ticks};
 use std::time::Duration;
 
 /// Farthest onset ahead, ticks: half of what a stroke may have, so that every wire tick is unambiguous.
@@ -95,15 +93,15 @@ impl Streamer {
                 emit.event(StreamEvent::GainsApplied(gains));
                 Ok(None)
             }
-            Command::Configure(settings) => {
+            Command::Configure(settings) => self.check_array(settings.array).map(|()| {
                 self.next_settings = settings;
                 // An armed device keeps its settings until it is armed again.
                 if !self.operations.wants_armed() && !matches!(self.state(), State::Armed | State::Returning)
                 {
                     self.apply_settings();
                 }
-                Ok(None)
-            }
+                None
+            }),
             Command::Disarm => self.disarm(),
             Command::Shutdown => {
                 self.operations.shut_down(now, ticket);
@@ -194,6 +192,7 @@ impl Streamer {
 
     /// Decides whether a play can be queued; returns the onset it asks for and its first margin.
     fn place(&self, now: HostInstant, play: &Play) -> Result<(Option<Tick>, Duration), CommandError> {
+        self.check_array(play.strokes.array())?;
         self.takes_plays()?;
         if self.operations.will_seek() || self.homing.is_under_way() {
             return Err(CommandError::Returning);
@@ -214,32 +213,34 @@ impl Streamer {
         if last.is_some_and(|last| last.play().strokes.end().is_none()) {
             return Err(CommandError::BehindEndless);
         }
+        let rate = self.rate();
+        let too_far = CommandError::TooFar { most_min: (FARTHEST / rate.per_s() / 60) as u32 };
         self.check_drift(tick, play)?;
         let margin = self.margin(session, play)?;
         let requested = match play.at {
             At::Next => return Ok((None, margin)),
             At::Tick(tick) => tick,
-            At::Monotonic(at) if duration_to_ticks(at.since(now)) > FARTHEST => {
-                return Err(CommandError::TooFar);
+            At::Monotonic(at) if rate.duration_to_ticks(at.since(now)) > FARTHEST => {
+                return Err(too_far);
             }
             At::Monotonic(at) => session.clock().estimate().ok_or(CommandError::NoDevice)?.nearest_tick(at),
             At::After(ns) => session
                 .clock()
                 .tick_at(now + Duration::from_nanos(ns))
-                .map(|at| at.max(tick + duration_to_ticks(margin)))
+                .map(|at| at.max(tick + rate.duration_to_ticks(margin)))
                 .ok_or(CommandError::NoDevice)?,
         };
-        if requested < tick + duration_to_ticks(margin) {
+        if requested < tick + rate.duration_to_ticks(margin) {
             return Err(CommandError::TooSoon);
         }
         if requested - tick > FARTHEST {
-            return Err(CommandError::TooFar);
+            return Err(too_far);
         }
         // A play without an onset follows the one before it: this is the best estimate of its end.
         let free = queued().fold(tick, |free, active| {
-            active
-                .end()
-                .unwrap_or(free + duration_to_ticks(FIRST_MARGIN) + active.play().strokes.end().unwrap_or(0))
+            active.end().unwrap_or(
+                free + rate.duration_to_ticks(FIRST_MARGIN) + active.play().strokes.end().unwrap_or(0),
+            )
         });
         if requested < free {
             return Err(CommandError::Overlaps);
@@ -298,7 +299,7 @@ impl Streamer {
             return Ok(Some(Op::Seek { pulses: self.settings.seek_pulses() }));
         }
         let Some((_, tick)) = self.known.status() else { return Err(CommandError::NoDevice) };
-        if (0..MOTORS as u8).all(|motor| self.control.offset_um(motor, tick).is_none()) {
+        if self.array().numbers().all(|motor| self.control.offset_um(motor, tick).is_none()) {
             return Err(CommandError::NoPositionEstimate);
         }
         self.homing.begin(ticket, tick);
@@ -337,7 +338,7 @@ impl Streamer {
         self.operations.want_armed(true);
         self.apply_settings();
         self.control.clear_faults();
-        let host_timeout = ms_in_ticks(self.settings.lease_ms).round() as u32;
+        let host_timeout = self.rate().ms_in_ticks(self.settings.lease_ms).round() as u32;
         let is_known = self.known.status().is_some_and(|(status, _)| status.position_known);
         let lower_stop = self.settings.lower_stop.map(|stop| {
             let seek = if !is_known || self.homing.needs_seek(now) { self.settings.seek_pulses() } else { 0 };
@@ -363,14 +364,14 @@ impl Streamer {
         }
         let tick = self.tick_at(now).unwrap_or_default();
         self.control.reckon_to(tick);
-        let reckoned_um = self.control.dead_reckoning_um(tick, 0..MOTORS as u8);
+        let reckoned_um = self.control.dead_reckoning_um(tick, self.array().numbers());
         // An emergency stop leaves pins up: one of them may have all of these pulses. A lower stop brings them home.
         let up = self
             .known
             .status()
             .filter(|_| self.settings.lower_stop.is_none())
             .map_or(0, |(at, _)| at.outstanding);
-        let um = reckoned_um.max(up as f32 * UM_PER_PULSE as f32);
+        let um = reckoned_um.max(up as f32 * self.array().motor().um_per_pulse as f32);
         if um <= LEVEL_CHECK_UM {
             return Ok(());
         }

@@ -9,10 +9,9 @@ use crate::streamer::Streamer;
 use firmware_protocol::message::{Counters, State};
 use firmware_protocol::tick::Tick;
 use meissner_api::EndCause;
-use meissner_array::units::TICKS_PER_S;
 
-/// The device reports a play's onset and all strokes within this time after its end, ticks, or withholds reports.
-const REPORTED_WITHIN: u64 = 5 * TICKS_PER_S;
+/// The device reports a play's onset and all strokes within this time after its end, s, or withholds reports.
+const REPORTED_WITHIN_S: u64 = 5;
 
 impl Streamer {
     /// Cuts all plays, for this reason unless they have one already.
@@ -31,7 +30,7 @@ impl Streamer {
     ) {
         let lost = link.map(|(_, lost)| lost);
         let wire = link.map_or(0, |(session, _)| session.traffic().bytes_out);
-        let rest = self.control.rest_error_um(lost.unwrap_or_default()).into();
+        let rest = self.control.rest_error_um(lost.unwrap_or_default());
         while let Some(active) = self.plays.pop_front() {
             let next = self.plays.iter().find_map(Active::counters_at_onset);
             let (after, estimated) = (next.or(after), next.is_none() && lost.is_some());
@@ -46,12 +45,12 @@ impl Streamer {
 
     /// Ends the plays that are over, in order.
     pub(super) fn finish(&mut self, tick: Tick, emit: &mut dyn Emit) {
-        let returning = self.state() == State::Returning;
+        let (returning, rate) = (self.state() == State::Returning, self.rate());
         let Some(session) = &mut self.session else { return };
         // Asks as soon as the play is over, so that the answer comes with the last status.
         let is_over = |first: &&mut Active| !first.is_cut() && first.end().is_some_and(|end| tick >= end);
         if let Some(first) = self.plays.front_mut().filter(is_over) {
-            first.board().ends(tick, || session.ask_board());
+            first.board().ends(tick, rate, || session.ask_board());
         }
         while let Some(first) = self.plays.front() {
             // A play without strokes never starts: the counters at the next onset separate its neighbours.
@@ -75,7 +74,7 @@ impl Streamer {
                     .filter(|_| first.is_decided() && tick >= end && session.known_to() >= end)
             };
             let Some(after) = after else {
-                let end = first.end().filter(|&end| tick >= end + REPORTED_WITHIN);
+                let end = first.end().filter(|&end| tick >= end + REPORTED_WITHIN_S * rate.per_s());
                 if !first.is_cut() && end.is_some() {
                     let events = &mut self.events;
                     session.distrust(Contradiction::Reports, &mut |event| events.push_back(event));
@@ -83,7 +82,7 @@ impl Streamer {
                 break;
             };
             let Some(first) = self.plays.front_mut() else { break };
-            if first.phase() != Phase::Waiting && !first.board().ends(tick, || session.ask_board()) {
+            if first.phase() != Phase::Waiting && !first.board().ends(tick, rate, || session.ask_board()) {
                 break;
             }
             let wire = session.traffic().bytes_out;
@@ -99,7 +98,7 @@ impl Streamer {
             // Not yet: the device has lost the report of a cut.
             let over = over.filter(|&over| over <= tick);
             let cut = active.cut_at().map(|(at, _)| at);
-            let rest = self.control.rest_error_um(tick).into();
+            let rest = self.control.rest_error_um(tick);
             let offset = over.map(|over| offset(session.clock(), over));
             let after = Some(next_counters.unwrap_or(after));
             let estimated = false;

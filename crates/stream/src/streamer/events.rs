@@ -14,7 +14,7 @@ use firmware_protocol::message::{Cause, Counters, Op, State, Status};
 use firmware_protocol::stroke::Stroke;
 use firmware_protocol::tick::Tick;
 use meissner_api::{EndCause, LateCause, LatePolicy};
-use meissner_array::units::{duration_to_ticks, ms_to_duration, ticks_to_ms};
+use meissner_array::units::ms_to_duration;
 use std::collections::VecDeque;
 use std::time::Duration;
 
@@ -87,7 +87,9 @@ impl Streamer {
             }
             Event::Status { status, tick } => self.status(now, status, tick, emit),
             Event::Stroke(stroke, verdict) => self.verdict(now, &stroke, verdict, emit),
-            Event::Replaced { motors, kept } => self.replaced(motors, kept, emit),
+            Event::Replaced { motors, kept } => {
+                self.replaced(u64::from(motors), u64::from(kept), emit);
+            }
             Event::OnsetRefused { rendered } => self.onset_refused(now, rendered),
             Event::OnsetAccepted => {
                 if let Some(active) = self.plays.iter_mut().find(|active| active.phase() == Phase::Offered) {
@@ -188,7 +190,7 @@ impl Streamer {
     }
 
     fn verdict(&mut self, now: HostInstant, stroke: &Stroke, verdict: Verdict, emit: &mut dyn Emit) {
-        let in_time = duration_to_ticks(IN_TIME);
+        let in_time = self.rate().duration_to_ticks(IN_TIME);
         let sent_tick = |sent| self.tick_at(sent).unwrap_or_default();
         let cause = match verdict {
             Verdict::Late { retransmitted: true, .. } => LateCause::Link,
@@ -224,7 +226,7 @@ impl Streamer {
         cause: LateCause,
         emit: &mut dyn Emit,
     ) {
-        let late_ms = ticks_to_ms(free - stroke.up);
+        let late_ms = self.rate().ticks_to_ms(free - stroke.up);
         let Some(active) = owner(&mut self.plays, stroke.up) else { return };
         let counts = active.late(stroke.up, late_ms, cause);
         let (id, policy, cut) = (active.play().id, active.play().late, active.is_cut());
@@ -257,7 +259,7 @@ impl Streamer {
         }
         let Some(active) = self.plays.iter_mut().find(|active| active.onset() == Some(tick)) else { return };
         self.control.reckon_to(tick);
-        let onset = active.began(stamp, counters, self.control.rest_error_um(tick).into());
+        let onset = active.began(stamp, counters, self.control.rest_error_um(tick));
         emit.event(StreamEvent::PlayStarted { id: active.play().id, onset });
     }
 }

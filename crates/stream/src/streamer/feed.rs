@@ -13,7 +13,6 @@ use crate::time::HostInstant;
 use firmware_protocol::message::State;
 use firmware_protocol::tick::Tick;
 use meissner_api::{EndCause, LateCause};
-use meissner_array::units::ms_in_ticks;
 use std::time::Duration;
 
 /// The host polls a full device this often. Its strokes last longer, and keep-alives may be seconds apart.
@@ -51,7 +50,7 @@ impl Streamer {
         if self.state() != State::Armed || !self.operations.is_empty() {
             return;
         }
-        let lead = ms_in_ticks(self.settings.lead_ms) as u64;
+        let lead = self.rate().ms_in_ticks(self.settings.lead_ms) as u64;
         let batch = batch_ticks(&self.settings);
         let mut unfed =
             self.plays.iter().filter(|active| !active.is_cut() && active.phase() != Phase::Streamed);

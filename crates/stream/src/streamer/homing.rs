@@ -13,12 +13,11 @@ use crate::control::PositionControl;
 use crate::queues::{CommandError, Emit};
 use crate::streamer::answer;
 use crate::time::HostInstant;
-use firmware_protocol::limits::{MAX_TRAVEL, Refusal};
+use firmware_protocol::limits::Refusal;
 use firmware_protocol::message::{Op, State, Status};
-use firmware_protocol::stroke::{Direction, MOTORS};
+use firmware_protocol::stroke::Direction;
 use firmware_protocol::tick::Tick;
-use meissner_array::motor::WINDOW_TICKS;
-use meissner_array::units::{TICKS_PER_MS, TICKS_PER_S, UM_PER_PULSE};
+use meissner_array::spec::Array;
 use std::time::Duration;
 
 /// A pin this near to rest is not moved, µm; one this near at the end counts as home.
@@ -28,10 +27,8 @@ const NEAR_ENOUGH_UM: f64 = 2.0;
 const FIRST_UM: f64 = 30.0;
 /// Most rounds over all motors.
 const ROUNDS: u8 = 6;
-/// Time from the end of a move until telemetry shows its result, ticks: the moving average, and a wake-up.
-const SETTLED: u64 = WINDOW_TICKS + 2 * TICKS_PER_MS;
-/// How long to wait for telemetry after a round, ticks.
-const SILENT: u64 = TICKS_PER_S / 2;
+/// How long to wait for telemetry after a round, ms.
+const SILENT_MS: u64 = 500;
 
 /// Arming again within this time does not seek again: it costs pulses against the stop, which are limited.
 const SEEK_EVERY: Duration = Duration::from_secs(1);
@@ -70,6 +67,11 @@ pub(super) struct Homing {
     last_seek: Option<HostInstant>,
     /// The last move, if it went up: motor, pulses, its end.
     last_move: Option<(u8, u16, Tick)>,
+}
+
+/// Time from the end of a move until telemetry shows its result, ticks: the moving average, and a wake-up.
+fn settled(array: Array) -> u64 {
+    array.motor().settled_ticks() + array.rate().of_ms(2)
 }
 
 /// Whether an operation seeks the lower stop.
@@ -151,7 +153,7 @@ impl Homing {
         emit: &mut dyn Emit,
     ) {
         let Op::Move { motor, direction, pulses } = op else { return };
-        let over = start + u64::from(pulses) + SETTLED;
+        let over = start + u64::from(pulses) + settled(control.array());
         if result.is_ok() {
             control.moved(motor, direction, pulses, start, over);
             self.last_move = Some((motor, pulses, over)).filter(|_| direction == Direction::Up);
@@ -184,7 +186,8 @@ impl Homing {
     /// The next move, when the last one is over; the answer, when there is none left.
     pub(super) fn step(&mut self, tick: Tick, control: &PositionControl, emit: &mut dyn Emit) -> Option<Op> {
         let rounds = self.rounds.as_mut().filter(|rounds| !rounds.moving && tick >= rounds.until)?;
-        while usize::from(rounds.motor) < MOTORS {
+        let array = control.array();
+        while array.has(rounds.motor) {
             // Without telemetry a second round cannot improve anything.
             let known = control.offset_um(rounds.motor, tick);
             let known = known.filter(|&(_, measured)| measured || rounds.round == 0);
@@ -192,9 +195,9 @@ impl Homing {
                 let direction = if um > 0.0 { Direction::Down } else { Direction::Up };
                 let most = if measured && rounds.round == 0 { FIRST_UM } else { f64::INFINITY };
                 let pulses = (um.abs().min(most)
-                    / (UM_PER_PULSE * control.move_gain(rounds.motor, direction, tick)))
+                    / (array.motor().um_per_pulse * control.move_gain(rounds.motor, direction, tick)))
                 .round();
-                let pulses = pulses.clamp(1.0, MAX_TRAVEL.into()) as u16;
+                let pulses = pulses.clamp(1.0, array.motor().most_pulses.into()) as u16;
                 rounds.moving = true;
                 let op = Op::Move { motor: rounds.motor, direction, pulses };
                 return Some(op);
@@ -202,7 +205,7 @@ impl Homing {
             rounds.motor += 1;
         }
         if !rounds.moved || rounds.round + 1 == ROUNDS {
-            let far = (0..MOTORS as u8).any(|motor| {
+            let far = array.numbers().any(|motor| {
                 let off = control.offset_um(motor, tick);
                 control.is_faulted(motor) || off.is_some_and(|(um, _)| um.abs() > NEAR_ENOUGH_UM)
             });
@@ -215,7 +218,7 @@ impl Homing {
             return None;
         }
         // The next round needs telemetry from after the last move.
-        if control.sampled_after(rounds.until) || tick >= rounds.until + SILENT {
+        if control.sampled_after(rounds.until) || tick >= rounds.until + array.rate().of_ms(SILENT_MS) {
             (rounds.round, rounds.motor, rounds.moved) = (rounds.round + 1, 0, false);
         }
         None

@@ -16,17 +16,20 @@ use crate::streamer::feed::unsent;
 use crate::time::HostInstant;
 use firmware_protocol::controller::{BLOCK, DRIVER_LEAD, HORIZON};
 use firmware_protocol::message::{Op, State};
-use firmware_protocol::stroke::{MOTORS, Stroke};
+use firmware_protocol::stroke::Stroke;
 use firmware_protocol::tick::Tick;
 use meissner_api::{EndCause, LateCause};
-use meissner_array::units::{TICKS_PER_MS, duration_to_ticks, ms_in_ticks};
+use meissner_array::per_motor::PerMotor;
+use meissner_array::spec::MAX_MOTORS;
+use meissner_array::units::TickRate;
 use std::time::Duration;
 
-/// Strokes are replaced this far ahead of the frame's arrival, ticks: what the device has rendered, its drivers, and a wake-up.
-const AHEAD: u64 = (HORIZON + BLOCK + DRIVER_LEAD) as u64 + TICKS_PER_MS / 4;
-/// How much farther at most, after frames that came too late.
-const MOST_SPARE: u64 = 50 * TICKS_PER_MS;
-const LEAST_SPARE: u64 = TICKS_PER_MS / 4;
+/// A quarter of a millisecond, ticks: room for a wake-up, and the least room for delays.
+fn wake_up(rate: TickRate) -> u64 {
+    rate.of_ms(1) / 4
+}
+/// How much farther ahead at most, after frames that came too late, ms.
+const MOST_SPARE_MS: u64 = 50;
 /// A client has so long to send its first update.
 const CONNECTS_WITHIN: Duration = Duration::from_secs(2);
 
@@ -39,11 +42,11 @@ pub(super) struct Live {
     waiting: Option<Box<LiveUpdate>>,
     sent: Option<Box<LiveUpdate>>,
     /// The motors for which the device has not answered, and those whose old strokes it kept.
-    unanswered: u32,
-    kept: u32,
+    unanswered: u64,
+    kept: u64,
     /// From which tick on the last update replaced strokes.
     replaced: Tick,
-    /// Room for delays besides [`AHEAD`], ticks: grows when a frame came too late.
+    /// Room for delays, ticks: grows when a frame came too late.
     spare: u64,
     /// The play ends if its client is silent until then.
     deadline: HostInstant,
@@ -56,9 +59,9 @@ impl Live {
     }
 }
 
-/// The bits of a mask.
-fn motors(mask: u32) -> impl Iterator<Item = u8> {
-    (0..MOTORS as u8).filter(move |motor| mask >> motor & 1 == 1)
+/// The motors in a mask.
+fn motors(mask: u64) -> impl Iterator<Item = u8> {
+    (0..MAX_MOTORS as u8).filter(move |motor| mask >> motor & 1 == 1)
 }
 
 fn is_live(active: &Active, id: u64) -> bool {
@@ -68,7 +71,10 @@ fn is_live(active: &Active, id: u64) -> bool {
 impl Streamer {
     /// Takes an update of a live play.
     pub(super) fn update_live(&mut self, now: HostInstant, update: Box<LiveUpdate>, emit: &mut dyn Emit) {
-        if !self.keep_live(now, update.id, emit) {
+        let array = self.array();
+        let fits = update.waves.len() == array.motors()
+            && update.waves.iter().flatten().all(|wave| wave.array() == array);
+        if !self.keep_live(now, update.id, emit) || !fits {
             give_back(update, LiveResult::Over, emit);
             return;
         }
@@ -148,8 +154,11 @@ impl Streamer {
     /// Sends the update that waits, and again the drives of motors whose old strokes the device kept.
     fn send_update(&mut self, now: HostInstant, at: usize, tick: Tick, emit: &mut dyn Emit) {
         let Some(session) = self.session.as_ref().filter(|session| session.has_room()) else { return };
-        let delivery = duration_to_ticks(session.delivery());
-        let from = tick + AHEAD + delivery + self.live.spare.max(LEAST_SPARE);
+        let (array, rate) = (self.array(), self.rate());
+        // What the device has rendered when the frame arrives, and the start of its drivers.
+        let ahead = u64::from(HORIZON + BLOCK + DRIVER_LEAD) + wake_up(rate);
+        let delivery = rate.duration_to_ticks(session.delivery());
+        let from = tick + ahead + delivery + self.live.spare.max(wake_up(rate));
         // A stroke before the last update's tick may belong to the drive before that one: it stays. Beyond what is sent there is
         // nothing to replace: the new strokes follow. If the link has been blocked for longer, what was due until now is missed.
         let from = from.max(self.live.replaced).min(self.fed_until.max(tick));
@@ -165,7 +174,8 @@ impl Streamer {
         // What the device does not hold must be sent, even if it is as before.
         let changes =
             |motor: u8| update.waves[usize::from(motor)].is_some_and(|wave| wave != strokes.wave(motor));
-        let changed = motors(u32::MAX)
+        let changed = array
+            .numbers()
             .filter(|&motor| changes(motor))
             .fold(self.live.kept, |mask, motor| mask | 1 << motor);
         let mut applied = match update.result {
@@ -174,14 +184,14 @@ impl Streamer {
             }
             _ => {
                 let received = session.clock().tick_at(update.received_at).unwrap_or(tick);
-                Applied { received, replaced: from, motors: [None; MOTORS], repeats: 0 }
+                Applied { received, replaced: from, motors: PerMotor::all(array, None), repeats: 0 }
             }
         };
         if changed == 0 {
             give_back(update, LiveResult::Applied(applied), emit);
             return;
         }
-        let horizon = tick + ms_in_ticks(self.settings.lead_ms) as u64 + batch_ticks(&self.settings);
+        let horizon = tick + rate.ms_in_ticks(self.settings.lead_ms) as u64 + batch_ticks(&self.settings);
         let mut silent = 0;
         for motor in motors(changed) {
             let wave = update.waves[usize::from(motor)].unwrap_or_else(|| strokes.wave(motor));
@@ -190,7 +200,7 @@ impl Streamer {
                 silent |= 1 << motor;
             }
         }
-        session.replace(from, changed, silent);
+        session.replace(from, changed as u32, silent as u32);
         self.control.replace(changed, from);
         self.push_firsts(at, changed & !silent);
         self.fed_until = from;
@@ -201,13 +211,13 @@ impl Streamer {
     }
 
     /// Sends the first stroke of each of these motors, in one frame or two: with it the device withdraws the motor's old ones.
-    fn push_firsts(&mut self, at: usize, of: u32) {
+    fn push_firsts(&mut self, at: usize, of: u64) {
         let (Some(session), active) = (&mut self.session, &mut self.plays[at]) else { return };
         let Some(strokes) = active.live_strokes() else { return };
         let ups = motors(of).filter_map(|motor| Some((strokes.next_up(motor)?, motor)));
-        let mut firsts: heapless::Vec<(Tick, u8), MOTORS> = ups.collect();
+        let mut firsts: heapless::Vec<(Tick, u8), MAX_MOTORS> = ups.collect();
         firsts.sort_unstable();
-        let mut pushed = heapless::Vec::<Stroke, MOTORS>::new();
+        let mut pushed = heapless::Vec::<Stroke, MAX_MOTORS>::new();
         for (_, motor) in firsts {
             // A stroke that breaks a limit is found again by the feed, which ends the play.
             let Some(Ok(stroke)) = strokes.next_of(motor) else { continue };
@@ -228,7 +238,7 @@ impl Streamer {
     fn miss_strokes(&mut self, now: HostInstant, at: usize, from: Tick, emit: &mut dyn Emit) {
         let active = &mut self.plays[at];
         active.put_back_next();
-        for motor in motors(u32::MAX) {
+        for motor in self.array().numbers() {
             let is_kept = self.live.kept >> motor & 1 == 1;
             let cause = if is_kept { LateCause::Link } else { unsent(self.short_of_credits) };
             loop {
@@ -243,7 +253,7 @@ impl Streamer {
     }
 
     /// The device has answered a frame of the update under way.
-    pub(super) fn replaced(&mut self, motors_done: u32, kept: u32, emit: &mut dyn Emit) {
+    pub(super) fn replaced(&mut self, motors_done: u64, kept: u64, emit: &mut dyn Emit) {
         self.control.replaced(motors_done, kept);
         let of = self.live.of;
         let Some(active) = self.plays.iter_mut().find(|active| of.is_some_and(|id| is_live(active, id)))
@@ -254,6 +264,8 @@ impl Streamer {
         if let Some(strokes) = active.live_strokes() {
             motors(kept).for_each(|motor| strokes.revert(motor));
         }
+        let rate = self.rate();
+        let (least_spare, most_spare) = (wake_up(rate), rate.of_ms(MOST_SPARE_MS));
         let live = &mut self.live;
         live.unanswered &= !(motors_done | kept);
         live.kept |= kept;
@@ -262,12 +274,12 @@ impl Streamer {
         }
         let Some(mut update) = live.sent.take() else { return };
         if live.kept == 0 {
-            live.spare = (live.spare / 2).max(LEAST_SPARE);
+            live.spare = (live.spare / 2).max(least_spare);
             let result = update.result;
             give_back(update, result, emit);
             return;
         }
-        live.spare = (2 * live.spare).clamp(LEAST_SPARE, MOST_SPARE);
+        live.spare = (2 * live.spare).clamp(least_spare, most_spare);
         match &mut live.waiting {
             // The newer one has the motors' drives, or takes over these.
             Some(newer) => {
@@ -279,8 +291,10 @@ impl Streamer {
             }
             None => {
                 // Of the others the result is known.
-                for motor in motors(!live.kept) {
-                    update.waves[usize::from(motor)] = None;
+                for (wave, motor) in update.waves.iter_mut().zip(0..) {
+                    if live.kept >> motor & 1 == 0 {
+                        *wave = None;
+                    }
                 }
                 live.waiting = Some(update);
             }

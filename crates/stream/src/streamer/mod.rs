@@ -33,7 +33,8 @@ use known::Known;
 use latch::Latch;
 use live::Live;
 use meissner_api::EndCause;
-use meissner_array::units::{ticks_to_ms, ticks_to_seconds};
+use meissner_array::spec::Array;
+use meissner_array::units::TickRate;
 use operations::Operations;
 use reports::Reports;
 use std::collections::VecDeque;
@@ -93,14 +94,28 @@ impl Streamer {
             short_of_credits: false,
             homing: Homing::default(),
             live: Live::default(),
-            reports: Reports::default(),
+            reports: Reports::new(settings.array),
         }
     }
 
     /// A device was opened: starts a session with this random id.
     pub fn connect(&mut self, now: HostInstant, id: u32, rate: LineRate, emit: &mut dyn Emit) {
         self.disconnect(now, EndCause::AnotherDevice, emit);
-        self.session = Some(Session::new(id, rate, now));
+        self.session = Some(Session::new(self.array(), id, rate, now));
+    }
+
+    const fn array(&self) -> Array {
+        self.settings.array
+    }
+
+    fn rate(&self) -> TickRate {
+        self.array().rate()
+    }
+
+    /// Refuses what is for another array.
+    fn check_array(&self, found: Array) -> Result<(), CommandError> {
+        let array = self.array();
+        if found == array { Ok(()) } else { Err(CommandError::OtherArray { found, array }) }
     }
 
     /// The device is gone: ends all plays with the counts known.
@@ -237,9 +252,9 @@ impl Streamer {
             });
         let played = |active: &Active| {
             let since = active.onset().map_or(0, |onset| tick - onset);
-            (active.play().id, ticks_to_seconds(since))
+            (active.play().id, self.rate().ticks_to_seconds(since))
         };
-        let lead = ticks_to_ms(self.fed_until - tick);
+        let lead = self.rate().ticks_to_ms(self.fed_until - tick);
         Snapshot {
             at: now,
             connected: self.is_connected(),
@@ -255,8 +270,8 @@ impl Streamer {
             play: running.map(played),
             lead_ms: if self.short_of_credits && running.is_some() { lead } else { self.settings.lead_ms },
             settings: self.settings,
-            rest_error_um: rest.map(|(um, _)| um),
-            source: rest.map(|(_, source)| source),
+            rest_error_um: rest.um,
+            source: rest.source,
             pins_seen: self.control.sees_all(),
             line_bytes_per_s: self.session.as_ref().and_then(Session::capacity),
             traffic: self.session.as_ref().map(Session::traffic).unwrap_or_default(),

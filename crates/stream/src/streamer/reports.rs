@@ -7,23 +7,30 @@
 use crate::control::PositionControl;
 use crate::queues::{Emit, StreamEvent};
 use crate::time::HostInstant;
-use firmware_protocol::stroke::MOTORS;
 use firmware_protocol::tick::Tick;
+use meissner_array::per_motor::PerMotor;
+use meissner_array::spec::Array;
 use std::time::Duration;
 
 /// What was reported last, and when the next report is due.
-#[derive(Debug, Default)]
+#[derive(Debug)]
 pub(super) struct Reports {
     due: HostInstant,
     /// Whether the last snapshot showed a device, and which line rate.
     connected: bool,
     line_rate: Option<u32>,
     /// Motors whose sensor fault is reported.
-    faults: [bool; MOTORS],
+    faults: PerMotor<bool>,
     drift: bool,
 }
 
 impl Reports {
+    /// Nothing is reported yet.
+    pub(super) fn new(array: Array) -> Self {
+        let (due, faults) = (HostInstant::default(), PerMotor::all(array, false));
+        Self { due, connected: false, line_rate: None, faults, drift: false }
+    }
+
     /// A snapshot is due now.
     pub(super) fn hasten(&mut self, now: HostInstant) {
         self.due = now;
@@ -62,7 +69,7 @@ impl Reports {
             }
             *reported = fault.is_some();
         }
-        let um = control.dead_reckoning_um(tick, 0..MOTORS as u8);
+        let um = control.dead_reckoning_um(tick, control.array().numbers());
         let drifted = um > limit_um;
         if drifted && !self.drift {
             emit.event(StreamEvent::DriftWarning { um });

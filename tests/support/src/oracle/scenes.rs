@@ -1,8 +1,11 @@
 //! The oracle's scenes: plain numbers, and random ones.
 
+use super::Array;
+
 /// A scene to simulate.
 #[derive(Clone, Debug)]
 pub struct Scene {
+    pub array: Array,
     pub duration_s: f64,
     pub drives: Vec<Drive>,
     /// The positions of the afferents, mm.
@@ -85,17 +88,23 @@ impl Random {
     }
 }
 
-/// A random scene by its seed: anything that a scene file may contain, within sensible ranges.
+/// A random scene of the paper's array by its seed: anything that a scene file may contain, within sensible ranges.
 pub fn random_scene(seed: u64) -> Scene {
+    random_scene_on(Array::paper(), seed)
+}
+
+/// A random scene of an array.
+pub fn random_scene_on(array: Array, seed: u64) -> Scene {
     let random = &mut Random(seed);
     let duration_s = random.between(0.1, 0.6);
     let rectify = [Rectify::Half, Rectify::Full, Rectify::Signed][random.below(3)];
-    let mut motors: Vec<usize> = (0..24).collect();
-    for i in (1..24).rev() {
+    let count = array.pins.len();
+    let mut motors: Vec<usize> = (0..count).collect();
+    for i in (1..count).rev() {
         motors.swap(i, random.below(i + 1));
     }
     if random.chance(0.8) {
-        motors.truncate(1 + random.below(23));
+        motors.truncate(1 + random.below(count.max(2) - 1));
     }
     let model = Model {
         rectify,
@@ -111,14 +120,33 @@ pub fn random_scene(seed: u64) -> Scene {
         hyperexcitability_depth: random.between(0.0, 1.0),
         sigma_mm: random.between(0.5, 3.0),
     };
-    let drives: Vec<Drive> =
-        motors.iter().flat_map(|&motor| random_drives(random, motor, duration_s)).collect();
-    let afferents: Vec<_> = (0..=random.below(5)).map(|_| random_afferent(random, &motors)).collect();
-    let noise_sd = if random.chance(0.4) { random.between(0.01, 0.3) } else { 0.0 };
+    let drives: Vec<Drive> = motors
+        .iter()
+        .flat_map(|&motor| random_drives(random, motor, duration_s))
+        .collect();
+    let afferents: Vec<_> = (0..=random.below(5))
+        .map(|_| random_afferent(random, &array, &motors))
+        .collect();
+    let noise_sd = if random.chance(0.4) {
+        random.between(0.01, 0.3)
+    } else {
+        0.0
+    };
     let most_spikes = (duration_s / model.refractory_s) as usize + 3;
     let offsets = if noise_sd > 0.0 { afferents.len() } else { 0 };
-    let offsets = (0..offsets).map(|_| (0..most_spikes).map(|_| noise_sd * random.normal()).collect());
-    Scene { duration_s, drives, model, offsets: offsets.collect(), afferents }
+    let offsets = (0..offsets).map(|_| {
+        (0..most_spikes)
+            .map(|_| noise_sd * random.normal())
+            .collect()
+    });
+    Scene {
+        array,
+        duration_s,
+        drives,
+        model,
+        offsets: offsets.collect(),
+        afferents,
+    }
 }
 
 /// One drive, or two of which the second begins where the first stops.
@@ -127,28 +155,37 @@ fn random_drives(random: &mut Random, motor: usize, duration_s: f64) -> Vec<Driv
         motor,
         frequency_hz: random.log_between(1.0, 1000.0),
         amplitude_um: random.log_between(1.0, 200.0),
-        phase: if random.chance(0.2) { 0.0 } else { random.between(0.0, 1.0) },
+        phase: if random.chance(0.2) {
+            0.0
+        } else {
+            random.between(0.0, 1.0)
+        },
         start_s,
         stop_s,
     };
-    let start_s = if random.chance(0.2) { random.between(0.0, 0.5 * duration_s) } else { 0.0 };
-    let stop_s = random.chance(0.3).then(|| random.between(start_s, 1.2 * duration_s));
+    let start_s = if random.chance(0.2) {
+        random.between(0.0, 0.5 * duration_s)
+    } else {
+        0.0
+    };
+    let stop_s = random
+        .chance(0.3)
+        .then(|| random.between(start_s, 1.2 * duration_s));
     let mut drives = vec![drive(random, start_s, stop_s)];
     if let Some(first_stops) = stop_s.filter(|_| random.chance(0.6)) {
-        let stop_s = random.chance(0.5).then(|| random.between(first_stops, 1.4 * duration_s));
+        let stop_s = random
+            .chance(0.5)
+            .then(|| random.between(first_stops, 1.4 * duration_s));
         drives.push(drive(random, first_stops, stop_s));
     }
     drives
 }
 
 /// Half of them anywhere, the others near a pin that moves.
-fn random_afferent(random: &mut Random, motors: &[usize]) -> (f64, f64) {
+fn random_afferent(random: &mut Random, array: &Array, motors: &[usize]) -> (f64, f64) {
     if random.chance(0.5) {
         return (random.between(-7.0, 7.0), random.between(-9.0, 9.0));
     }
-    let motor = motors[random.below(motors.len())];
-    let (column, row) = ((motor % 4) as f64, (motor / 4) as f64);
-    let x = (column - 1.5) * 2.9 + random.between(-1.5, 1.5);
-    let y = (2.5 - row) * 2.9 + random.between(-1.5, 1.5);
-    (x, y)
+    let (x, y) = array.pins[motors[random.below(motors.len())]];
+    (x + random.between(-1.5, 1.5), y + random.between(-1.5, 1.5))
 }

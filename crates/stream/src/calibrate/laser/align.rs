@@ -14,9 +14,6 @@ use crate::calibrate::laser::error::{LEAST_CORRELATION, LaserError, MAX_CLOCK_PP
 use crate::calibrate::laser::played::{PlayedBurst, PlayedPlan};
 use crate::calibrate::laser::recording::{Recording, Sample};
 use firmware_protocol::stroke::Direction;
-use firmware_protocol::tick::TICK_HZ;
-use meissner_array::motor::WINDOW_LENGTH_TICKS;
-use meissner_array::units::UM_PER_PULSE;
 use serde::Serialize;
 
 /// The bins of the search, s.
@@ -63,8 +60,10 @@ pub(super) struct Alignment {
 
 /// The middle of a burst's motion in plan time, s, and its travel by the model, µm, signed.
 fn middle(played: &PlayedPlan, burst: &PlayedBurst) -> (f64, f64) {
-    let after = (f64::from(burst.pulses) + WINDOW_LENGTH_TICKS) / 2.0 / f64::from(TICK_HZ);
-    let um = f64::from(burst.pulses) * UM_PER_PULSE;
+    let array = played.array();
+    let motor = array.motor();
+    let after = (f64::from(burst.pulses) + motor.window_ticks()) / 2.0 / f64::from(array.rate().hz());
+    let um = f64::from(burst.pulses) * motor.um_per_pulse;
     let burst = burst.burst();
     (played.seconds(burst.start) + after, if burst.direction == Direction::Up { um } else { -um })
 }

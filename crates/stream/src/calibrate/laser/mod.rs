@@ -33,29 +33,37 @@ use crate::calibrate::laser::error::{MOST_SCATTER, SLOWEST_S};
 use crate::calibrate::laser::travels::Measured;
 use crate::calibrate::plan::{Plan, PlanError};
 use firmware_protocol::stroke::Direction;
+use meissner_array::spec::Array;
 use serde::Serialize;
 
-/// Default numbers of pulses. The short burst makes the offset of the line certain, which makes its slope more certain: the
+/// Default numbers of pulses, as multiples of the fewest. The short burst makes the offset of the line certain, which makes its slope more certain: the
 /// error is 1.3 times that of a line through the origin. The others are near the paper's 70: longer ones move the pin
 /// further from rest and make nothing more certain, because scatter is a share of the travel.
-pub const LASER_PULSES: [u16; 10] = [7, 35, 42, 49, 56, 63, 70, 77, 84, 91];
+const PULSES: [u16; 10] = [1, 5, 6, 7, 8, 9, 10, 11, 12, 13];
 /// Default rounds: two and a half minutes, which give gains to 0.6 %, one standard error, at 10 % scatter.
 pub const LASER_REPETITIONS: u16 = 5;
 
 /// The share of a plan's measured bursts that a recording must cover.
 const LEAST_COVERED: f64 = 0.5;
-/// The plan for one motor and a laser, with these numbers of pulses and repetitions or the defaults.
+
+/// The plan for one motor of this array and a laser, with these numbers of pulses and repetitions or the defaults.
 ///
 /// # Errors
 /// As [`Plan::new`].
-pub fn laser_plan(motor: u8, pulses: Option<&[u16]>, repetitions: Option<u16>) -> Result<Plan, PlanError> {
-    Plan::new(Some(motor), pulses.unwrap_or(&LASER_PULSES), repetitions.unwrap_or(LASER_REPETITIONS))
+pub fn laser_plan(
+    array: Array,
+    motor: u8,
+    pulses: Option<&[u16]>,
+    repetitions: Option<u16>,
+) -> Result<Plan, PlanError> {
+    let default = PULSES.map(|times| array.motor().least_pulses.saturating_mul(times));
+    Plan::new(array, Some(motor), pulses.unwrap_or(&default), repetitions.unwrap_or(LASER_REPETITIONS))
 }
 
 /// What a recording says about a motor and about the sensor.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct LaserFit {
-    /// The motor, 0..24.
+    /// The motor.
     pub motor: u8,
     /// Travel per pulse upwards over the model's.
     pub gain_up: Figure,
@@ -99,7 +107,7 @@ impl LaserFit {
     /// # Errors
     /// If a text of the plan is too long for the file.
     pub fn calibration(&self, played: &PlayedPlan) -> Result<Calibration, CalibrationError> {
-        Calibration::new(vec![self.fit.clone()], played.provenance())
+        Calibration::new(played.array(), vec![self.fit.clone()], played.provenance())
     }
 }
 
@@ -108,7 +116,7 @@ impl LaserFit {
 /// # Errors
 /// The first thing that is wrong with the recording.
 pub fn fit_recording(played: &PlayedPlan, recording: &Recording) -> Result<LaserFit, LaserError> {
-    let motor = played.motor();
+    let (array, motor) = (played.array(), played.motor());
     let step_s = recording.median_step_s();
     if step_s > SLOWEST_S {
         return Err(LaserError::TooSlow { step_s });
@@ -123,7 +131,8 @@ pub fn fit_recording(played: &PlayedPlan, recording: &Recording) -> Result<Laser
     if (covered as f64) < LEAST_COVERED * planned as f64 {
         return Err(LaserError::TooFew { covered, planned });
     }
-    let [mut found]: [MotorFit; 1] = fit(&measured.travels)?.try_into().map_err(|_| LaserError::Nothing)?;
+    let [mut found]: [MotorFit; 1] =
+        fit(array, &measured.travels)?.try_into().map_err(|_| LaserError::Nothing)?;
     let without_noise = |direction: Direction| {
         let fit = found.of(direction);
         let noise = measured.relative_variance(direction);
@@ -141,7 +150,8 @@ pub fn fit_recording(played: &PlayedPlan, recording: &Recording) -> Result<Laser
     (found.up.relative_sd, found.down.relative_sd) = (scatter_up.value, scatter_down.value);
     let gain = |direction: Direction| {
         let fit = found.of(direction);
-        Figure { value: fit.gain(), sd: fit.slope_se_um_per_pulse / fit.slope_um_per_pulse * fit.gain() }
+        let value = fit.gain(array.motor());
+        Figure { value, sd: fit.slope_se_um_per_pulse / fit.slope_um_per_pulse * value }
     };
     Ok(LaserFit {
         motor,

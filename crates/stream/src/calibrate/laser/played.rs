@@ -4,10 +4,10 @@
 //! before each of them.
 
 use crate::calibrate::plan::{Plan, PlanError, PlannedBurst};
-use firmware_protocol::stroke::{Burst, Direction, MOTORS};
+use firmware_protocol::stroke::{Burst, Direction};
 use firmware_protocol::tick::Tick;
 use meissner_api::Provenance;
-use meissner_array::motor::WINDOW_TICKS;
+use meissner_array::spec::Array;
 use serde::{Deserialize, Serialize};
 
 /// What the provenance of a calibration calls a laser.
@@ -28,8 +28,8 @@ pub enum PlanFileError {
     Json(String),
     #[error("`format` is {found}: this version reads format {FORMAT}")]
     Format { found: u8 },
-    #[error("`motor` is {found}: must be 0 to {}", MOTORS - 1)]
-    Motor { found: u8 },
+    #[error("`motor` is {found}: must be {}", .array.motor_range())]
+    Motor { found: u8, array: Array },
     #[error("`pulses`: {0}")]
     Plan(#[from] PlanError),
     #[error("`bursts` has {found}: the plan has {planned}; do not edit it")]
@@ -82,9 +82,9 @@ impl PlayedBurst {
         Burst { start: Tick(self.tick), direction, pulses: self.pulses }
     }
 
-    /// When the pin rests again.
-    pub(super) fn rests_at(&self) -> Tick {
-        self.burst().end() + WINDOW_TICKS
+    /// When the pin of this array rests again.
+    pub(super) fn rests_at(&self, array: Array) -> Tick {
+        self.burst().end() + array.motor().settled_ticks()
     }
 }
 
@@ -93,6 +93,9 @@ impl PlayedBurst {
 #[serde(deny_unknown_fields)]
 pub struct PlayedPlan {
     format: u8,
+    /// Without it: the paper's.
+    #[serde(default, skip_serializing_if = "is_default")]
+    array: Array,
     motor: u8,
     pulses: Vec<u16>,
     repetitions: u16,
@@ -107,6 +110,11 @@ pub struct PlayedPlan {
     /// When the plan began, UTC.
     date: String,
     bursts: Vec<PlayedBurst>,
+}
+
+/// Whether it is the array of plans that name none.
+fn is_default(array: &Array) -> bool {
+    *array == Array::default()
 }
 
 /// The device that played a plan.
@@ -133,6 +141,7 @@ impl PlayedPlan {
         let bursts = plan.bursts(onset).filter(|planned| planned.motor == motor).map(PlayedBurst::from);
         Self {
             format: FORMAT,
+            array: plan.array(),
             motor,
             pulses: plan.pulses().to_vec(),
             repetitions: plan.repetitions(),
@@ -152,14 +161,14 @@ impl PlayedPlan {
     pub fn parse(text: &str) -> Result<Self, PlanFileError> {
         let read: Self =
             serde_json::from_str(text).map_err(|error| PlanFileError::Json(error.to_string()))?;
-        let Self { format, motor, ref pulses, repetitions, ref bursts, .. } = read;
+        let Self { format, array, motor, ref pulses, repetitions, ref bursts, .. } = read;
         if format != FORMAT {
             return Err(PlanFileError::Format { found: format });
         }
-        if usize::from(motor) >= MOTORS {
-            return Err(PlanFileError::Motor { found: motor });
+        if !array.has(motor) {
+            return Err(PlanFileError::Motor { found: motor, array });
         }
-        let plan = Plan::new(Some(motor), pulses, repetitions)?;
+        let plan = Plan::new(array, Some(motor), pulses, repetitions)?;
         let planned: Vec<PlayedBurst> = plan.bursts(Tick(0)).map(PlayedBurst::from).collect();
         if bursts.len() != planned.len() {
             return Err(PlanFileError::Count { found: bursts.len(), planned: planned.len() });
@@ -184,7 +193,13 @@ impl PlayedPlan {
         whole.replace("\"bursts\":[", "\"bursts\":[\n").replace("},{", "},\n{") + "\n"
     }
 
-    /// The motor, 0..24.
+    /// The array of the motor.
+    #[must_use]
+    pub const fn array(&self) -> Array {
+        self.array
+    }
+
+    /// The motor.
     #[must_use]
     pub const fn motor(&self) -> u8 {
         self.motor
@@ -205,13 +220,13 @@ impl PlayedPlan {
     /// How long it is from the first burst to the pin's last rest, s.
     #[must_use]
     pub fn duration_s(&self) -> f64 {
-        self.bursts.last().map_or(0.0, |last| self.seconds(last.rests_at()))
+        self.bursts.last().map_or(0.0, |last| self.seconds(last.rests_at(self.array)))
     }
 
     /// Time since the first burst, s.
     pub(super) fn seconds(&self, tick: Tick) -> f64 {
         let first = self.bursts.first().map_or(0, |first| first.tick);
-        meissner_array::units::ticks_to_seconds(tick.0.saturating_sub(first))
+        self.array.rate().ticks_to_seconds(tick.0.saturating_sub(first))
     }
 
     /// The provenance of a calibration by this plan and a laser.
@@ -224,7 +239,7 @@ impl PlayedPlan {
             pulses: self.pulses.clone(),
             repetitions: self.repetitions,
             groups: self.pulses.len() as u64 * u64::from(self.repetitions),
-            um_per_pulse: meissner_array::units::UM_PER_PULSE,
+            um_per_pulse: self.array.motor().um_per_pulse,
             date: Some(self.date.clone()),
         }
     }

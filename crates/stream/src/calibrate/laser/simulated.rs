@@ -9,7 +9,6 @@ use crate::calibrate::laser::played::{PlayedBurst, PlayedPlan};
 use firmware_protocol::tick::Tick;
 use meissner_array::random::{normal, uniform};
 use meissner_array::simulated::{Pin, SimulatedMotorsConfig};
-use meissner_array::units::seconds_to_ticks;
 use std::fmt::Write;
 
 /// A displacement sensor and its errors.
@@ -61,7 +60,8 @@ impl Default for Sensor {
 /// The CSV text that the sensor would record of the plan's motor in the simulated array.
 #[must_use]
 pub fn simulated_recording(played: &PlayedPlan, motors: &SimulatedMotorsConfig, sensor: &Sensor) -> String {
-    let mut pin = Pin::new(motors, played.motor().into());
+    let mut pin = Pin::new(played.array(), motors, played.motor().into());
+    let rate = played.array().rate();
     // The tick of the first burst, and how far back the recording begins.
     let onset = played.bursts().first().map_or(0, |first| first.tick);
     let mut bursts = played.bursts().iter().map(PlayedBurst::burst).peekable();
@@ -73,8 +73,8 @@ pub fn simulated_recording(played: &PlayedPlan, motors: &SimulatedMotorsConfig, 
         // The sensor counts time with its own clock.
         let since_s = elapsed_s / (1.0 + sensor.clock_error_ppm / 1e6) - sensor.before_s;
         let tick = Tick(match since_s < 0.0 {
-            true => onset.saturating_sub(seconds_to_ticks(-since_s)),
-            false => onset + seconds_to_ticks(since_s),
+            true => onset.saturating_sub(rate.seconds_to_ticks(-since_s)),
+            false => onset + rate.seconds_to_ticks(since_s),
         });
         while let Some(burst) = bursts.next_if(|burst| burst.start <= tick) {
             pin.play(burst);

@@ -13,7 +13,7 @@ use crate::calibrate::travel::BurstTravel;
 use firmware_protocol::stroke::Direction;
 use firmware_protocol::tick::Tick;
 use meissner_array::motor::{HalfTick, Ramp};
-use meissner_array::units::{HALF_TICKS_PER_S, UM_PER_PULSE};
+use meissner_array::spec::Array;
 
 /// Samples of rest before and after a burst at least.
 const MIN_SIDE: usize = 10;
@@ -36,6 +36,7 @@ pub struct TracePoint {
 /// What the recording shows.
 #[derive(Clone, Debug)]
 pub(super) struct Measured {
+    array: Array,
     pub(super) travels: Vec<BurstTravel>,
     /// The variance that noise gives each travel, µm², in the same order.
     variances: Vec<f64>,
@@ -48,6 +49,7 @@ pub(super) struct Measured {
 /// A burst with the rests on either side, in plan time, s.
 #[derive(Clone, Copy, Debug)]
 struct Window {
+    array: Array,
     burst: PlayedBurst,
     from_s: f64,
     start_s: f64,
@@ -99,30 +101,39 @@ impl Measured {
         for point in &mut trace {
             (point.measured_um, point.fitted_um) = (point.measured_um - origin, point.fitted_um - origin);
         }
-        Self { travels, variances, drift_um_per_s: drift, noise_um, pin_shift_um, trace }
+        Self {
+            array: played.array(),
+            travels,
+            variances,
+            drift_um_per_s: drift,
+            noise_um,
+            pin_shift_um,
+            trace,
+        }
     }
 
     /// The mean variance that noise gives the relative travel of measured bursts of a direction.
     pub(super) fn relative_variance(&self, direction: Direction) -> f64 {
         let of = self.travels.iter().zip(&self.variances);
         let of = of.filter(|(travel, _)| travel.direction == direction && !travel.warm_up);
+        let um_per_pulse = self.array.motor().um_per_pulse;
         let relative =
-            of.map(|(travel, variance)| variance / (f64::from(travel.pulses) * UM_PER_PULSE).powi(2));
+            of.map(|(travel, variance)| variance / (f64::from(travel.pulses) * um_per_pulse).powi(2));
         let (sum, count) = relative.fold((0.0, 0_u32), |(sum, count), one| (sum + one, count + 1));
         sum / f64::from(count.max(1))
     }
 }
 
 fn windows(played: &PlayedPlan) -> Vec<Window> {
-    let bursts = played.bursts();
+    let (array, bursts) = (played.array(), played.bursts());
     let window = |(n, burst): (usize, &PlayedBurst)| {
         let start_s = played.seconds(burst.burst().start);
-        let rests_s = played.seconds(burst.rests_at());
-        let before = n.checked_sub(1).map(|n| played.seconds(bursts[n].rests_at()));
+        let rests_s = played.seconds(burst.rests_at(array));
+        let before = n.checked_sub(1).map(|n| played.seconds(bursts[n].rests_at(array)));
         let after = bursts.get(n + 1).map(|next| played.seconds(next.burst().start));
         let from_s = before.map_or(start_s - SIDE_S, |before| before.max(start_s - SIDE_S));
         let to_s = after.map_or(rests_s + SIDE_S, |after| after.min(rests_s + SIDE_S));
-        Window { burst: *burst, from_s, start_s, rests_s, to_s }
+        Window { array, burst: *burst, from_s, start_s, rests_s, to_s }
     };
     bursts.iter().enumerate().map(window).collect()
 }
@@ -163,7 +174,8 @@ impl Window {
     fn share(&self, seconds: f64) -> f64 {
         let pulses = u32::from(self.burst.pulses);
         let ramp = Ramp::travelled(Tick(0), pulses, 1.0);
-        ramp.share_um(HalfTick(((seconds - self.start_s).max(0.0) * HALF_TICKS_PER_S).round() as u64))
+        let half_ticks = (seconds - self.start_s).max(0.0) * self.array.rate().half_ticks_per_s();
+        ramp.share_um(HalfTick(half_ticks.round() as u64), self.array.motor().window_half_ticks)
     }
 
     /// Level before the burst and travel, µm, and the variance of the travel per variance of a sample.

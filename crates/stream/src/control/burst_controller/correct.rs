@@ -5,17 +5,34 @@
 use super::BurstController;
 use crate::control::estimator::{after_rest, sign};
 use crate::control::queued::{Correction, Queued};
-use firmware_protocol::limits::{MAX_DOWN_PULSES, MAX_UP_PULSES, correction};
+use firmware_protocol::limits::correction;
 use firmware_protocol::stroke::Direction;
 use firmware_protocol::tick::Tick;
-use meissner_array::units::{TICKS_PER_MS, UM_PER_PULSE};
+use meissner_array::spec::Array;
 
-/// A correction leaves at least this long before its burst, ticks: later uses fresher telemetry, but must not be late.
-pub(super) const SEND_BY: u64 = TICKS_PER_MS * 3 / 2;
-/// A burst is finalised this long before it begins, ticks: one wake-up of 1 ms fits before [`SEND_BY`], with 0.5 ms to spare.
-pub(crate) const FINALISE_AT: u64 = SEND_BY + TICKS_PER_MS * 3 / 2;
-/// If a correction leaves anyway, those due within 2 ms leave with it: a frame costs as many bytes as three corrections.
-pub(crate) const FINALISE_EARLY: u64 = FINALISE_AT + TICKS_PER_MS * 2;
+/// The times of corrections, in ticks of an array.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Times {
+    /// A correction leaves at least this long before its burst: later uses fresher telemetry, but must not be late.
+    send_by: u64,
+    /// A burst is finalised this long before it begins: one wake-up of 1 ms fits before `send_by`, with 0.5 ms to spare.
+    pub(crate) finalise_at: u64,
+    /// If a correction leaves anyway, those due within 2 ms leave with it: a frame costs as many bytes as three corrections.
+    finalise_early: u64,
+    /// The controller neither uses nor waits for telemetry older than this.
+    pub(crate) longest_age: u64,
+}
+
+impl Times {
+    pub(crate) fn of(array: Array) -> Self {
+        let rate = array.rate();
+        let one_and_a_half_ms = rate.of_ms(3) / 2;
+        let (send_by, finalise_at) = (one_and_a_half_ms, 2 * one_and_a_half_ms);
+        let finalise_early = finalise_at + rate.of_ms(2);
+        Self { send_by, finalise_at, finalise_early, longest_age: rate.per_s() * 5 / 4 }
+    }
+}
+
 /// Without room to lengthen the down burst, the top is lowered by so many standard deviations of the scatter.
 const HEADROOM: f64 = 0.5;
 
@@ -26,11 +43,12 @@ impl BurstController {
         let burst = self.queue[at].burst(half);
         let counted = if half == 1 && self.lower_stop {
             // The burst takes the pin down to the stop from wherever it is, and no further.
-            let pulses = self.position_um() / (UM_PER_PULSE * self.estimator.gain(Direction::Down));
+            let um_per_pulse = self.um_per_pulse();
+            let pulses = self.position_um() / (um_per_pulse * self.estimator.gain(Direction::Down));
             (10.0 * pulses).round() as i64
         } else {
-            let tenths = if after_rest(self.finalised_end(), burst.start) < 1.0 { 8 } else { 10 };
-            i64::from(burst.pulses) * tenths
+            let gain = after_rest(self.estimator.motor(), self.finalised_end(), burst.start);
+            (10.0 * f64::from(burst.pulses) * gain).round() as i64
         };
         self.queue[at].counted[half] = counted;
         self.pending[half] += counted;
@@ -58,11 +76,14 @@ impl BurstController {
             let most = planned[half].saturating_add(more).min(limit);
             most.min(u16::try_from(room).unwrap_or(u16::MAX))
         };
-        let up_most = most(0, stroke.down - stroke.up, MAX_UP_PULSES);
-        let down_most = most(1, next - stroke.down, MAX_DOWN_PULSES).max(planned[1]);
+        let motor = self.estimator.motor();
+        let most_down = motor.most_pulses + correction(motor.most_pulses);
+        let up_most = most(0, stroke.down - stroke.up, motor.most_pulses);
+        let down_most = most(1, next - stroke.down, most_down).max(planned[1]);
         let burst = stroke.bursts()[half];
-        let gain = self.estimator.gain(burst.direction) * after_rest(self.finalised_end(), burst.start);
-        let position = self.position_um() / UM_PER_PULSE;
+        let gain =
+            self.estimator.gain(burst.direction) * after_rest(motor, self.finalised_end(), burst.start);
+        let position = self.position_um() / motor.um_per_pulse;
         let (way, most) = match burst.direction {
             Direction::Up if self.lower_stop => (f64::from(planned[0]) - position, up_most),
             Direction::Up => {
@@ -76,7 +97,7 @@ impl BurstController {
         let ideal = (way / gain).round().clamp(0.0, 65_535.0) as u16;
         let count = ideal.min(most).max(least);
         let more = f64::from(count) - f64::from(planned[half]);
-        (count, (count != ideal).then_some(sign(burst.direction) * more * gain * UM_PER_PULSE))
+        (count, (count != ideal).then_some(sign(burst.direction) * more * gain * motor.um_per_pulse))
     }
 
     /// When the next burst begins whose count is not final.
@@ -84,7 +105,7 @@ impl BurstController {
         self.queue.get(self.finalised / 2).map(|queued| queued.burst(self.finalised % 2).start)
     }
 
-    /// Finalises the counts of bursts that are due, and of one that begins within [`FINALISE_EARLY`].
+    /// Finalises the counts of bursts that are due, and of one that begins within [`Times::finalise_early`].
     ///
     /// Calls `amend` with each change (the stroke's up tick, direction, count); it returns whether the change was sent. No
     /// stroke yet to be queued begins before `free`. `fresh`: telemetry is recent. `may_lengthen` allows more pulses than
@@ -97,19 +118,20 @@ impl BurstController {
         may_lengthen: bool,
         mut amend: impl FnMut(Tick, Direction, u16) -> bool,
     ) {
-        let mut within = FINALISE_EARLY;
+        let Times { send_by, finalise_at, finalise_early, .. } = self.times;
+        let mut within = finalise_early;
         while let Some(queued) = self.queue.get(self.finalised / 2).copied() {
             let half = self.finalised % 2;
             let burst = queued.burst(half);
             if burst.start > now + within {
                 break;
             }
-            within = FINALISE_AT;
+            within = finalise_at;
             let measured = fresh && self.anchored && self.monitor.allows_correction(now);
             // Calibrated gains correct without telemetry too, all but the scatter.
             let reckoned = !fresh && self.is_calibrated() && self.monitor.fault().is_none();
             let corrects = queued.closed_loop && !(half == 1 && self.lower_stop);
-            if (measured || reckoned) && corrects && queued.accepted && burst.start >= now + SEND_BY {
+            if (measured || reckoned) && corrects && queued.accepted && burst.start >= now + send_by {
                 let (pulses, limited_um) = self.target_pulses(&free, may_lengthen);
                 let limited_um = limited_um.map(|um| um as f32);
                 let correction = Correction { limited_um, rest_um: self.rest_um() as f32 };

@@ -27,7 +27,7 @@
 mod correct;
 mod rest;
 
-pub(crate) use correct::FINALISE_AT;
+pub(crate) use correct::Times;
 
 use super::estimator::{Estimator, Gains, Travel, gain_index};
 use super::queued::{Correction, Cutting, Forgotten, Queued};
@@ -37,18 +37,17 @@ use firmware_protocol::stroke::Stroke;
 use firmware_protocol::tick::Tick;
 use meissner_api::SensorFault;
 use meissner_array::motor::HalfTick;
-use meissner_array::units::{TICKS_PER_S, UM_PER_PULSE};
+use meissner_array::spec::Array;
 use std::collections::VecDeque;
 
-/// The controller neither uses nor waits for telemetry older than this, ticks.
-pub(crate) const LONGEST_AGE: u64 = TICKS_PER_S * 5 / 4;
-/// Strokes of one motor that may begin in [`LONGEST_AGE`], at 300 Hz.
+/// Strokes of one motor that may begin in [`Times::longest_age`], at 300 Hz.
 const PAST: usize = 400;
 /// Strokes that a motor remembers after a cut: those that began until the device said when it cut. It says so within milliseconds.
 const CUT: usize = 8;
 /// The controller of one motor.
 #[derive(Debug)]
 pub(crate) struct BurstController {
+    times: Times,
     queue: VecDeque<Queued>,
     /// The last strokes that had begun when the queue was last cut.
     cut: heapless::Deque<Queued, CUT>,
@@ -77,20 +76,22 @@ pub(crate) struct BurstController {
 }
 
 impl BurstController {
-    pub(crate) fn new(gains: &Gains) -> Self {
+    /// The controller of a motor of this array.
+    pub(crate) fn new(array: Array, gains: &Gains) -> Self {
         let mut queue = VecDeque::with_capacity(POOL + PAST);
         // Touch every page now: pages are locked at their first touch, which must not fall into a play.
         queue.resize(queue.capacity(), Queued::NOTHING);
         queue.clear();
         Self {
+            times: Times::of(array),
             queue,
             cut: heapless::Deque::new(),
             begun: 0,
             finalised: 0,
             pending: [0; 2],
             gains: *gains,
-            estimator: Estimator::new(gains),
-            monitor: TelemetryMonitor::default(),
+            estimator: Estimator::new(array.motor(), gains),
+            monitor: TelemetryMonitor::new(array.rate()),
             anchored: false,
             move_from: None,
             lower_stop: false,
@@ -229,7 +230,7 @@ impl BurstController {
         if self.monitor.fault().is_some() {
             self.estimator.relearn(&self.gains);
         }
-        self.monitor = TelemetryMonitor::default();
+        self.monitor.clear();
     }
 
     /// Whether its gains come from a calibration.
@@ -302,11 +303,12 @@ impl BurstController {
             }
             self.begun += 1;
             if half == 1 && !self.lower_stop {
-                let um = f64::from(next.planned[0]) * UM_PER_PULSE;
+                let um_per_pulse = self.um_per_pulse();
+                let um = f64::from(next.planned[0]) * um_per_pulse;
                 self.scattered += 2.0 * (self.estimator.scatter() * um).powi(2);
                 self.reckoned_travel_um += um;
                 for (reckoned_um, counted) in self.reckoned_um.iter_mut().zip(counted) {
-                    *reckoned_um += counted as f64 / 10.0 * UM_PER_PULSE;
+                    *reckoned_um += counted as f64 / 10.0 * um_per_pulse;
                 }
             }
         }

@@ -7,17 +7,17 @@ use crate::control::estimator::{ASYMMETRY, Gains, after_rest, gain_index, sign};
 use firmware_protocol::stroke::Direction;
 use firmware_protocol::tick::Tick;
 use meissner_array::reflected_walk::{ReflectedWalk, Spread};
-use meissner_array::units::UM_PER_PULSE;
 
 impl BurstController {
     /// The device has flushed the queue and returns the pin.
     pub(crate) fn cut(&mut self) {
         let rest_um = self.rest_um();
         // A cut stroke scatters like any other.
+        let um_per_pulse = self.um_per_pulse();
         let unsure = self
             .queue
             .front()
-            .map_or(0.0, |first| self.estimator.scatter() * f64::from(first.planned[0]) * UM_PER_PULSE);
+            .map_or(0.0, |first| self.estimator.scatter() * f64::from(first.planned[0]) * um_per_pulse);
         self.queue.clear();
         (self.begun, self.finalised, self.pending) = (0, 0, [0; 2]);
         if self.lower_stop {
@@ -64,15 +64,20 @@ impl BurstController {
         self.estimator.shift(explained.sum());
     }
 
-    /// Mean gain of a move that begins at `start`: less after half a second of rest.
+    /// Travel per pulse of the ideal motor, µm.
+    pub(super) const fn um_per_pulse(&self) -> f64 {
+        self.estimator.motor().um_per_pulse
+    }
+
+    /// Mean gain of a move that begins at `start`: that of transients after a rest.
     pub(crate) fn move_gain(&self, direction: Direction, start: Tick) -> f64 {
-        self.estimator.gain(direction) * after_rest(self.estimator.last_end(), start)
+        self.estimator.gain(direction) * after_rest(self.estimator.motor(), self.estimator.last_end(), start)
     }
 
     /// A move between plays, which begins at `start`, shifts the rest position: down to a lower stop and no further.
     pub(crate) fn moved(&mut self, direction: Direction, pulses: u16, start: Tick) {
-        let rest = after_rest(self.estimator.last_end(), start);
-        let um = f64::from(pulses) * UM_PER_PULSE * self.move_gain(direction, start);
+        let rest = after_rest(self.estimator.motor(), self.estimator.last_end(), start);
+        let um = f64::from(pulses) * self.um_per_pulse() * self.move_gain(direction, start);
         self.estimator.moved(start + u64::from(pulses));
         let (shift, scatter) = (sign(direction) * um, self.estimator.scatter() * um);
         let before = self.estimator.position_um();
@@ -84,7 +89,7 @@ impl BurstController {
         self.move_from = self.anchored.then_some((before, after - before));
         self.estimator.rest_at(after, variance);
         // A move goes one way only, so the whole uncertainty of its gain counts.
-        let ideal_um = rest * f64::from(pulses) * UM_PER_PULSE;
+        let ideal_um = rest * f64::from(pulses) * self.um_per_pulse();
         let unsure = self.gains.sd[gain_index(direction)] * ideal_um;
         self.scattered += scatter * scatter + unsure * unsure;
         self.reckoned_um[gain_index(direction)] += ideal_um;
@@ -95,7 +100,7 @@ impl BurstController {
     pub(super) fn position_um(&self) -> f64 {
         let pending = |direction| {
             let tenths = self.pending[gain_index(direction)] as f64;
-            sign(direction) * tenths / 10.0 * UM_PER_PULSE * self.estimator.gain(direction)
+            sign(direction) * tenths / 10.0 * self.um_per_pulse() * self.estimator.gain(direction)
         };
         self.estimator.position_um() + pending(Direction::Up) + pending(Direction::Down)
     }
@@ -104,7 +109,7 @@ impl BurstController {
     pub(crate) fn rest_um(&self) -> f64 {
         let half = if self.finalised % 2 == 1 {
             let up = self.queue[self.finalised / 2].counted[0] as f64 / 10.0;
-            up * UM_PER_PULSE * self.estimator.gain(Direction::Up)
+            up * self.um_per_pulse() * self.estimator.gain(Direction::Up)
         } else {
             0.0
         };
@@ -128,7 +133,7 @@ impl BurstController {
 
     /// The rest error of strokes with these planned counts, from one to the next.
     pub(super) fn walk(&self, planned: &[u16; 2]) -> ReflectedWalk {
-        let [up, down] = planned.map(|pulses| f64::from(pulses) * UM_PER_PULSE);
+        let [up, down] = planned.map(|pulses| f64::from(pulses) * self.um_per_pulse());
         let Gains { mean, scatter, .. } = self.gains;
         let spread = if self.is_calibrated() {
             Spread::measured(scatter, mean, [0.0; 2])
@@ -148,12 +153,13 @@ impl BurstController {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use meissner_array::spec::Array;
 
     #[test]
     fn a_move_down_ends_at_the_lower_stop() {
         let second = |n: u64| Tick(n * 85_000);
         for lower_stop in [false, true] {
-            let mut pin = BurstController::new(&Gains::default());
+            let mut pin = BurstController::new(Array::paper(), &Gains::default());
             pin.set_lower_stop(lower_stop);
             pin.assume_rest();
             pin.moved(Direction::Up, 100, second(1));

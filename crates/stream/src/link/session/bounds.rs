@@ -14,34 +14,31 @@ use crate::link::session::contradiction::Contradiction;
 use crate::time::HostInstant;
 use firmware_protocol::board::{Board, OUTPUTS, SelfTestState};
 use firmware_protocol::controller::{REORDER_WINDOW, REPORTS};
-use firmware_protocol::limits::{MAX_DOWN_PULSES, MAX_SEEK, MAX_UP_PULSES, MOTORS_PER_RAIL, Refusal};
+use firmware_protocol::limits::{Refusal, correction};
 use firmware_protocol::message::{Cause, Counters, Cut, DeviceHello, Op, Report, State, Status};
-use firmware_protocol::stroke::MOTORS;
 use firmware_protocol::tick::{Tick, WireTick};
-use meissner_array::units::{TICKS_PER_MS, TICKS_PER_S, duration_to_ticks};
+use meissner_array::spec::Array;
+use meissner_array::units::TickRate;
 use std::collections::VecDeque;
 
 /// No device has run for longer: 26 thousand years. Arithmetic on ticks has room above it.
 const LATEST_CLOCK: Tick = Tick(1 << 56);
-/// How far a tick may lie beyond twice the clock's uncertainty.
-const CLOCK_SLACK: u64 = 3 * TICKS_PER_MS;
-/// A status that another overtook is no older than this; lines delay by milliseconds.
-const OVERTAKEN: u64 = TICKS_PER_S;
-/// A return takes at most a burst of each motor of a rail, one after the other. The longest is a seek; the rest is room for the
-/// statuses around it.
-const LONGEST_RETURN: u64 = 2 * TICKS_PER_S;
-const _: () = assert!(MOTORS_PER_RAIL as u64 * (MAX_SEEK as u64) < LONGEST_RETURN / 4 * 3);
-const _: () = assert!(MAX_DOWN_PULSES < MAX_SEEK);
-/// Between two statuses at most so much counts as spent in a return: the host did not see the rest.
-const RETURN_SEEN: u64 = 100 * TICKS_PER_MS;
+/// How far a tick may lie beyond twice the clock's uncertainty, ms.
+const CLOCK_SLACK_MS: u64 = 3;
+/// A status that another overtook is no older than this, ms; lines delay by milliseconds.
+const OVERTAKEN_MS: u64 = 1000;
+/// A return takes at most a burst of each motor of a rail, one after the other. The longest is a seek. Besides, there is so much
+/// room for the statuses around it, ms.
+const RETURN_ROOM_MS: u64 = 800;
+/// Between two statuses at most so much counts as spent in a return, ms: the host did not see the rest.
+const RETURN_SEEN_MS: u64 = 100;
 /// Marks whose reports may be on their way: as many as there are reports.
 const MARKS: usize = REPORTS;
-/// Most pulses of a stroke, which are counted when it ends.
-const STROKE_PULSES: u64 = MAX_UP_PULSES as u64 + MAX_DOWN_PULSES as u64;
 
 /// What the session knows of the device besides the stream.
 #[derive(Clone, Debug)]
 pub(super) struct DeviceKnowledge {
+    array: Array,
     pool: u16,
     horizon: u32,
     telemetry: bool,
@@ -75,8 +72,8 @@ pub(super) struct ClockReading {
 }
 
 impl ClockReading {
-    pub(super) fn new(clock: &ClockEstimate, at: HostInstant) -> Self {
-        let slack = 2 * duration_to_ticks(clock.uncertainty(at)) + CLOCK_SLACK;
+    pub(super) fn new(clock: &ClockEstimate, rate: TickRate, at: HostInstant) -> Self {
+        let slack = 2 * rate.duration_to_ticks(clock.uncertainty(at)) + rate.of_ms(CLOCK_SLACK_MS);
         Self { tick: clock.tick_at(at), slack }
     }
 
@@ -106,8 +103,9 @@ pub(super) struct Sent {
 }
 
 impl DeviceKnowledge {
-    pub(super) fn new() -> Self {
+    pub(super) fn new(array: Array) -> Self {
         Self {
+            array,
             pool: 0,
             horizon: 0,
             telemetry: false,
@@ -155,7 +153,7 @@ impl DeviceKnowledge {
     pub(super) fn status(&mut self, status: Status, tick: Tick, current: u16) {
         let before = self.status.replace((status, tick)).map_or(tick, |(_, before)| before);
         self.returning = match status.state {
-            State::Returning => self.returning + (tick - before).min(RETURN_SEEN),
+            State::Returning => self.returning + (tick - before).min(self.array.rate().of_ms(RETURN_SEEN_MS)),
             _ => 0,
         };
         self.epoch = status.epoch;
@@ -195,6 +193,23 @@ impl DeviceKnowledge {
         });
         let slack = within(board.slack) && within(board.slack_since_boot) && bounds_least(board.slack);
         if slack && outputs_exist && follows { Ok(()) } else { Err(Contradiction::Board) }
+    }
+
+    /// Most outstanding return pulses, of all motors.
+    fn most_outstanding(&self) -> u32 {
+        self.array.motors() as u32 * u32::from(u16::MAX)
+    }
+
+    /// Most pulses of a stroke, which are counted when it ends.
+    fn stroke_pulses(&self) -> u64 {
+        let most = self.array.motor().most_pulses;
+        2 * u64::from(most) + u64::from(correction(most))
+    }
+
+    /// The longest return, ticks.
+    fn longest_return(&self) -> u64 {
+        let seek = u64::from(self.array.motor().seek_pulses);
+        self.array.rails().largest() as u64 * seek + self.array.rate().of_ms(RETURN_ROOM_MS)
     }
 
     /// Whether a status that says `now` may follow what is known.
@@ -245,7 +260,7 @@ impl DeviceKnowledge {
         }
         let newest = self.status.map_or(Tick(0), |(_, tick)| tick);
         if tick < newest {
-            let overtaken = newest - tick <= OVERTAKEN;
+            let overtaken = newest - tick <= self.array.rate().of_ms(OVERTAKEN_MS);
             return if overtaken { Ok((tick, false)) } else { Err(Contradiction::Clock) };
         }
         match self.status_follows(status, tick, sent) {
@@ -278,10 +293,10 @@ impl DeviceKnowledge {
         {
             return Err(Contradiction::Reports);
         }
-        if !self.may_become(status) || status.outstanding > MOTORS as u32 * u32::from(u16::MAX) {
+        if !self.may_become(status) || status.outstanding > self.most_outstanding() {
             return Err(Contradiction::State);
         }
-        if self.returning > LONGEST_RETURN && status.state == State::Returning {
+        if self.returning > self.longest_return() && status.state == State::Returning {
             return Err(Contradiction::State);
         }
         if let Some((before, _)) = &self.status
@@ -344,7 +359,7 @@ impl DeviceKnowledge {
     fn check_pace(&self, now: &Counters, tick: Tick) -> Result<(), Contradiction> {
         let Some((before, at)) = &self.status else { return Ok(()) };
         // Each line plays at most a pulse per tick; a stroke counts at its end.
-        let most = MOTORS as u64 * ((tick - *at) + STROKE_PULSES);
+        let most = self.array.motors() as u64 * ((tick - *at) + self.stroke_pulses());
         let jumps = |count: fn(&Counters) -> u64| count(now).saturating_sub(count(&before.counters)) > most;
         let jumps = jumps(|counts| counts.pulses) || jumps(|counts| counts.played);
         if jumps { Err(Contradiction::Counters) } else { Ok(()) }
@@ -395,8 +410,8 @@ impl DeviceKnowledge {
             }
             Report::Cut(Cut { at, flushed, outstanding, return_ticks, .. }) => {
                 let fits = flushed <= self.pool
-                    && outstanding <= MOTORS as u32 * u32::from(u16::MAX)
-                    && return_ticks.is_none_or(|ticks| u64::from(ticks) <= LONGEST_RETURN);
+                    && outstanding <= self.most_outstanding()
+                    && return_ticks.is_none_or(|ticks| u64::from(ticks) <= self.longest_return());
                 if fits { self.tick_within(clock, at, self.horizon) } else { Err(Contradiction::Report) }
             }
             Report::Refused { motor, up, reason } => {
@@ -409,7 +424,7 @@ impl DeviceKnowledge {
                         | Refusal::ChipAtOnce
                         | Refusal::Dense
                 );
-                let fits = usize::from(motor) < MOTORS && limit;
+                let fits = self.array.has(motor) && limit;
                 if fits { self.tick_within(clock, up, self.horizon) } else { Err(Contradiction::Report) }
             }
         }

@@ -5,8 +5,9 @@ use crate::time::HostInstant;
 use firmware_protocol::board::{Board, SelfTestState};
 use firmware_protocol::limits::Refusal;
 use firmware_protocol::message::{Counters, Cut, DeviceHello, Status};
-use firmware_protocol::stroke::{MOTORS, Stroke};
+use firmware_protocol::stroke::Stroke;
 use firmware_protocol::tick::Tick;
+use meissner_array::per_motor::PerMotor;
 
 /// What the device decided about a stroke.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -212,7 +213,7 @@ pub enum Event {
         /// When they were sampled.
         tick: Tick,
         /// Per motor.
-        y: [i32; MOTORS],
+        y: PerMotor<i32>,
         /// The events so far name each accepted stroke before this tick that the device has refused.
         known_to: Tick,
     },

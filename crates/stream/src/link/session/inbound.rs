@@ -14,12 +14,12 @@ use crate::link::session::{Phase, Session};
 use crate::time::HostInstant;
 use firmware_protocol::board::{Board, SelfTestState};
 use firmware_protocol::message::{DeviceHello, DeviceMessage, Op, Report, Status};
-use firmware_protocol::stroke::MOTORS;
-use firmware_protocol::tick::{TICK_HZ, Tick};
+use firmware_protocol::tick::Tick;
+use meissner_array::per_motor::PerMotor;
 use std::time::Duration;
 
 /// The device learns within this time that its reports were read. Until then it sends [`REPORTS`] of them: 8 000 a second, more
-/// than 24 motors at 300 Hz can make, so none waits.
+/// than the paper's motors make at 300 Hz, so none waits.
 ///
 /// [`REPORTS`]: firmware_protocol::controller::REPORTS
 const SEEN_WITHIN: Duration = Duration::from_millis(4);
@@ -78,6 +78,7 @@ impl Session {
             DeviceMessage::SelfTest { run, state } => self.self_test(run, state, emit)?,
             DeviceMessage::Telemetry { tick, y } => {
                 let tick = self.known.read_telemetry(self.reading(now)?, tick)?;
+                let y = PerMotor::from_fn(self.array, |motor| y[usize::from(motor)]);
                 emit(Event::Telemetry { tick, y, known_to: self.known_to() });
             }
         }
@@ -98,7 +99,7 @@ impl Session {
         if hello.session != self.id {
             return Ok(());
         }
-        if usize::from(hello.motors) != MOTORS || hello.tick_hz != TICK_HZ {
+        if usize::from(hello.motors) != self.array.motors() || hello.tick_hz != self.array.rate().hz() {
             self.lose(LostReason::WrongArray, emit);
             return Ok(());
         }

@@ -60,6 +60,7 @@ use firmware_protocol::batch::Amendment;
 use firmware_protocol::message::{Mark, MarkKind, Op, Trigger};
 use firmware_protocol::stroke::Stroke;
 use firmware_protocol::tick::Tick;
+use meissner_array::spec::Array;
 use std::time::Duration;
 
 /// Interval of the hellos without an answer.
@@ -77,6 +78,7 @@ enum Phase {
 /// The host's end of one session.
 #[derive(Clone, Debug)]
 pub struct Session {
+    array: Array,
     phase: Phase,
     id: u32,
     hellos: Repetition,
@@ -92,20 +94,21 @@ pub struct Session {
 }
 
 impl Session {
-    /// A session over a line of this rate; `id` is a random number. It begins with the handshake.
+    /// A session with a device of this array, over a line of this rate; `id` is a random number. It begins with the handshake.
     #[must_use]
-    pub fn new(id: u32, rate: LineRate, now: HostInstant) -> Self {
+    pub fn new(array: Array, id: u32, rate: LineRate, now: HostInstant) -> Self {
         Self {
+            array,
             phase: Phase::Opening,
             id,
             hellos: Repetition::new(HELLO_EVERY),
             wire: Wire::default(),
             line: Line::new(rate),
-            pinger: Pinger::new(now),
+            pinger: Pinger::new(array.rate(), now),
             commands: Commands::new(),
             outbox: Outbox::new(),
             reports: Reports::new(),
-            known: DeviceKnowledge::new(),
+            known: DeviceKnowledge::new(array),
             trust: Trust::default(),
             asking: BoardRequests::new(now),
         }

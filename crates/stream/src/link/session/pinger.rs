@@ -9,6 +9,7 @@ use crate::link::session::bounds::ClockReading;
 use crate::link::session::line::RETRY;
 use crate::time::HostInstant;
 use firmware_protocol::tick::Tick;
+use meissner_array::units::TickRate;
 use std::time::Duration;
 
 /// Round trips right after the handshake, to set the clock, and the interval of their pings.
@@ -62,9 +63,9 @@ pub(super) struct Pinger {
 }
 
 impl Pinger {
-    pub(super) fn new(now: HostInstant) -> Self {
+    pub(super) fn new(rate: TickRate, now: HostInstant) -> Self {
         Self {
-            clock: Clock::default(),
+            clock: Clock::new(rate),
             token: 0,
             answered: 0,
             pinged: [(0, HostInstant::default()); PINGS],
@@ -86,7 +87,7 @@ impl Pinger {
 
     /// The device's clock at `now`; `None` before the handshake.
     pub(super) fn reading(&self, now: HostInstant) -> Option<ClockReading> {
-        Some(ClockReading::new(&self.clock.estimate()?, now))
+        Some(ClockReading::new(&self.clock.estimate()?, self.clock.rate(), now))
     }
 
     /// Whether enough round trips have set the clock.
@@ -203,6 +204,7 @@ impl Pinger {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use meissner_test_support::paper::RATE;
 
     fn at(ms: u64) -> HostInstant {
         HostInstant::from_ns(ms * 1_000_000)
@@ -210,7 +212,7 @@ mod tests {
 
     /// A pinger whose clock is set, by round trips of 1 ms.
     fn set() -> Pinger {
-        let mut pinger = Pinger::new(at(0));
+        let mut pinger = Pinger::new(RATE, at(0));
         for ms in 0..u64::from(FIRST_PINGS) {
             let token = pinger.ping(at(ms), false, false);
             pinger.heard();
@@ -222,7 +224,7 @@ mod tests {
 
     #[test]
     fn answers_find_their_pings_until_these_are_too_old() {
-        let mut pinger = Pinger::new(at(0));
+        let mut pinger = Pinger::new(RATE, at(0));
         let tokens: Vec<u16> = (0..=PINGS as u64).map(|ms| pinger.ping(at(ms), false, false)).collect();
         assert_eq!((pinger.sent_at(0), pinger.sent_at(tokens[0])), (None, None));
         assert_eq!((pinger.sent_at(tokens[1]), pinger.sent_at(tokens[PINGS])), (Some(at(1)), Some(at(64))));
@@ -231,7 +233,7 @@ mod tests {
     #[test]
     fn the_first_pings_set_the_clock() {
         let mut pinger = set();
-        assert!(pinger.is_set() && pinger.reading(at(9)).is_some() && !Pinger::new(at(0)).is_set());
+        assert!(pinger.is_set() && pinger.reading(at(9)).is_some() && !Pinger::new(RATE, at(0)).is_set());
         assert_eq!(
             (pinger.shortest(), pinger.take_round_trip().map(|trip| trip.sent)),
             (Duration::from_millis(1), Some(at(7)))
