@@ -20,11 +20,11 @@ mod provenance;
 
 pub use drive::{Drive, Warning, overlap};
 pub use error::{PatternError, Problem};
-pub use map::Mapped;
 pub use limits::{
     FORMAT, FREQUENCY_HZ, MAX_DRIVES, MAX_FILE_BYTES, MAX_PROVENANCE_DEPTH, MAX_PROVENANCE_TABLES,
     MAX_PROVENANCE_TEXT, MAX_PROVENANCE_VALUES, MAX_SECONDS,
 };
+pub use map::Mapped;
 
 use crate::spec::Array;
 use error::KeyError;

@@ -24,6 +24,8 @@ pub enum Problem {
         "are too near: {first} and {second} overlap, their middles are {distance_mm:.2} mm apart, their radius is {radius_mm} mm; move one"
     )]
     Overlap { first: usize, second: usize, distance_mm: f64, radius_mm: f64 },
+    #[error("needs either window_ms, or lag = {{ natural_hz, damping }}: how a shaft follows its pulses")]
+    Response,
     #[error("up is {up} and down is {down}: up must be below down")]
     Duty { up: f64, down: f64 },
     #[error("has no motors: leave the group out")]

@@ -15,6 +15,7 @@ pub use error::{ArrayError, Problem};
 pub use known::{Array, UnknownArray, names};
 pub use write::NewArray;
 
+use crate::motor::Response;
 use crate::units::TickRate;
 use std::ops::Range;
 
@@ -61,7 +62,9 @@ pub struct Duty {
 pub struct MotorSpec {
     /// Travel of a shaft per pulse, µm.
     pub um_per_pulse: f64,
-    /// The window of the moving average that a shaft follows its pulses with, in half ticks.
+    /// How a shaft follows its pulses.
+    pub response: Response,
+    /// The window of the moving average; of another response, how long until a shaft has followed. Half ticks.
     pub window_half_ticks: u64,
     /// The largest amplitude of a drive, µm peak to peak.
     pub travel_um: f64,

@@ -4,6 +4,7 @@
 
 use super::error::{ArrayError, KeyError, Problem};
 use super::{ArraySpec, Duty, Grid, Groups, MAX_MOTORS, MotorSpec};
+use crate::motor::Response;
 use crate::units::TickRate;
 use firmware_protocol::limits::correction;
 use meissner_input::document::{Size, Table, check_size, from_toml, in_range};
@@ -44,9 +45,10 @@ fn wanted(key: &str) -> &'static str {
         "tick_hz" => "the carrier, pulses per second: 20000 to 200000",
         "duty" => "duty = { up = 0.20, down = 0.80 }",
         "up" | "down" => "the share of a tick for which a line is high",
-        "motor" => "a table [motor] with step_um, window_ms, travel_um and most_pulses",
+        "motor" => "a table [motor] with step_um, window_ms or lag, travel_um and most_pulses",
         "step_um" => "the travel of a shaft per pulse, um",
-        "window_ms" => "the window of the moving average that a shaft follows its pulses with, ms",
+        "natural_hz" => "the undamped natural frequency of a shaft on its motor, Hz",
+        "damping" => "the damping ratio; 1 is critical",
         "travel_um" => "the largest amplitude, um peak to peak",
         "most_pulses" => "the most pulses of a burst, which bounds the travel whatever a host asks",
         "rest_s" => "the rest after which a first burst falls short, s",
@@ -87,13 +89,21 @@ struct RawDuty {
 #[serde(deny_unknown_fields)]
 struct RawMotor {
     step_um: f64,
-    window_ms: f64,
+    window_ms: Option<f64>,
+    lag: Option<Table<RawLag>>,
     travel_um: f64,
     #[serde(default = "one")]
     least_pulses: u16,
     most_pulses: u16,
     seek_pulses: Option<u16>,
     transient: Option<Table<RawTransient>>,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct RawLag {
+    natural_hz: f64,
+    damping: f64,
 }
 
 #[derive(Deserialize)]
@@ -202,9 +212,9 @@ impl Grid {
 impl RawMotor {
     #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "in range")]
     fn checked(self, rate: TickRate) -> Result<MotorSpec, KeyError> {
-        let Self { step_um, window_ms, travel_um, least_pulses, most_pulses, seek_pulses, transient } = self;
+        let Self { step_um, window_ms, lag, travel_um, least_pulses, most_pulses, seek_pulses, transient } =
+            self;
         in_range("step_um", step_um, (0.001..=10.0).contains(&step_um), "0.001 to 10 um")?;
-        in_range("window_ms", window_ms, (0.1..=50.0).contains(&window_ms), "0.1 to 50 ms")?;
         in_range("travel_um", travel_um, (1.0..=5_000.0).contains(&travel_um), "1 to 5000 um")?;
         in_range("most_pulses", most_pulses.into(), (1..=12_000).contains(&most_pulses), "1 to 12000")?;
         in_range(
@@ -232,11 +242,29 @@ impl RawMotor {
                 (rest_s, gain)
             }
         };
-        let window_half_ticks = (2.0 * rate.ms_in_ticks(window_ms) + 0.5) as u64;
+        let (response, window_half_ticks) = match (window_ms, lag) {
+            (Some(window_ms), None) => {
+                in_range("window_ms", window_ms, (0.1..=50.0).contains(&window_ms), "0.1 to 50 ms")?;
+                (Response::Average, (2.0 * rate.ms_in_ticks(window_ms) + 0.5) as u64)
+            }
+            (None, Some(Table(RawLag { natural_hz, damping }))) => {
+                in_range(
+                    "lag.natural_hz",
+                    natural_hz,
+                    (5.0..=10_000.0).contains(&natural_hz),
+                    "5 to 10000 Hz",
+                )?;
+                in_range("lag.damping", damping, (0.05..=20.0).contains(&damping), "0.05 to 20")?;
+                let lag = Response::lag(natural_hz, damping, rate.half_ticks_per_s());
+                (lag, lag.settled_half_ticks(0))
+            }
+            _ => return Err(KeyError::whole(None, Problem::Response)),
+        };
         let transient_rest_ticks = rate.seconds_to_ticks(rest_s);
         let um_per_pulse = step_um;
         Ok(MotorSpec {
             um_per_pulse,
+            response,
             window_half_ticks,
             travel_um,
             least_pulses,
