@@ -6,12 +6,12 @@
 //! Invariant: a thinned point is permitted.
 
 use crate::point::{Point, Vibration};
-use firmware_protocol::limits::{MOTORS_PER_RAIL, PowerLimits, RAILS};
+use firmware_protocol::limits::PowerLimits;
 use firmware_protocol::stroke::Stroke;
 use firmware_protocol::tick::Tick;
 use meissner_array::motor::SquareWave;
 use meissner_array::power::PulsingMotors;
-use meissner_array::units::seconds_to_ticks;
+use meissner_array::spec::Array;
 
 /// Points repeat after this time, s.
 const PERIOD_S: f64 = 10.0;
@@ -19,6 +19,8 @@ const PERIOD_S: f64 = 10.0;
 /// A limit on motors at once, for drives of an amplitude and a duration.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct AtOnce {
+    /// The array, whose rails have the limit.
+    pub array: Array,
     /// Most motors of a rail that have pulses at once.
     pub rail_motors: u8,
     /// Amplitude of the drives, µm.
@@ -38,41 +40,43 @@ impl AtOnce {
     #[must_use]
     pub fn thinned(&self, mut point: Point) -> Point {
         while let Some(rail) = self.crowded(&point) {
-            let motors = rail * MOTORS_PER_RAIL..(rail + 1) * MOTORS_PER_RAIL;
-            let Some(last) = point.0[motors].iter_mut().rev().find(|motor| motor.is_some()) else { break };
-            *last = None;
+            let moving = |motor: &&u8| point.0[usize::from(**motor)].is_some();
+            let Some(&last) = self.motors_of(rail).iter().filter(moving).max() else { break };
+            point.0[usize::from(last)] = None;
         }
         point
     }
 
+    fn motors_of(&self, rail: usize) -> &[u8] {
+        &self.array.spec().rails().members()[rail]
+    }
+
     /// A rail with too many.
     fn crowded(&self, point: &Point) -> Option<usize> {
-        (0..RAILS).find(|&rail| {
-            let first = rail * MOTORS_PER_RAIL;
-            let moving: Vec<(u8, Vibration)> = (first..first + MOTORS_PER_RAIL)
-                .filter_map(|motor| Some((motor as u8, point.0[motor]?)))
-                .collect();
+        (0..self.array.rails().count()).find(|&rail| {
+            let vibrations = self.motors_of(rail).iter().map(|&motor| (motor, point.0[usize::from(motor)]));
+            let moving: Vec<(u8, Vibration)> =
+                vibrations.filter_map(|(motor, vibration)| Some((motor, vibration?))).collect();
             moving.len() > usize::from(self.rail_motors) && self.crowds(&moving)
         })
     }
 
     fn crowds(&self, moving: &[(u8, Vibration)]) -> bool {
-        let until = seconds_to_ticks(self.duration_s.min(PERIOD_S));
+        let until = self.array.rate().seconds_to_ticks(self.duration_s.min(PERIOD_S));
         let mut strokes: Vec<Stroke> = Vec::new();
         for &(motor, vibration) in moving {
             // This always succeeds: a space's frequencies are within a motor's range.
-            let Ok(wave) = SquareWave::new(vibration.frequency_hz(), self.amplitude_um, vibration.phase())
-            else {
-                continue;
-            };
+            let (hz, phase) = (vibration.frequency_hz(), vibration.phase());
+            let Ok(wave) = SquareWave::new(self.array, hz, self.amplitude_um, phase) else { continue };
             if wave.moves() {
                 let excursions = wave.excursions().take_while(|excursion| excursion.up < until);
                 strokes.extend(excursions.map(|excursion| excursion.stroke(motor, Tick(0))));
             }
         }
         strokes.sort_unstable_by_key(|stroke| (stroke.up, stroke.motor));
-        let limits = PowerLimits { rail_at_once: self.rail_motors, ..PowerLimits::NONE };
-        let mut motors = PulsingMotors::new(limits);
+        let limits =
+            PowerLimits { rail_at_once: self.rail_motors, chip_at_once: u8::MAX, ..PowerLimits::NONE };
+        let mut motors = PulsingMotors::new(self.array, limits);
         for stroke in &strokes {
             motors.push(stroke);
             if motors.too_many().is_some() {
@@ -90,14 +94,17 @@ mod tests {
     use crate::goal::Goal;
     use crate::make::{Budget, Request, make};
     use crate::shipped::shipped;
+    use meissner_array::per_motor::PerMotor;
     use meissner_array::power::rail_pulses;
     use meissner_array::strokes::{StrokeOptions, Strokes};
     use std::ops::ControlFlow;
 
-    const LIMIT: AtOnce = AtOnce { rail_motors: 1, amplitude_um: 80.0, duration_s: 1.0 };
+    fn limit() -> AtOnce {
+        AtOnce { array: Array::paper(), rail_motors: 1, amplitude_um: 80.0, duration_s: 1.0 }
+    }
 
     fn point(of: [Option<Vibration>; 3]) -> Point {
-        let mut point = Point([None; 24]);
+        let mut point = Point(PerMotor::all(Array::paper(), None));
         point.0[6..9].copy_from_slice(&of);
         point
     }
@@ -106,15 +113,15 @@ mod tests {
     fn bursts_that_do_not_meet_are_permitted_and_others_are_thinned() {
         let at = |decihertz, percent| Some(Vibration { decihertz, percent });
         let apart = point([at(200, 0), at(200, 15), at(200, 30)]);
-        assert!(LIMIT.permits(&apart));
-        assert_eq!(LIMIT.thinned(apart), apart);
+        assert!(limit().permits(&apart));
+        assert_eq!(limit().thinned(apart), apart);
         let together = point([at(200, 0), at(200, 10), at(200, 30)]);
-        assert!(!LIMIT.permits(&together));
-        assert_eq!(LIMIT.thinned(together), point([at(200, 0), None, None]));
+        assert!(!limit().permits(&together));
+        assert_eq!(limit().thinned(together), point([at(200, 0), None, None]));
         // Bursts at frequencies that differ by a tenth of a hertz meet within ten seconds, but not within one.
         let beating = point([at(100, 0), at(101, 25), None]);
-        let longer = AtOnce { duration_s: 10.0, ..LIMIT };
-        assert!(LIMIT.permits(&beating) && !longer.permits(&beating));
+        let longer = AtOnce { duration_s: 10.0, ..limit() };
+        assert!(limit().permits(&beating) && !longer.permits(&beating));
     }
 
     #[test]

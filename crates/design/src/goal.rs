@@ -7,7 +7,6 @@
 
 use crate::partition::Partition;
 use crate::shape::Shape;
-use meissner_array::geometry::PITCH_MM;
 use meissner_skin::membrane::Position;
 use serde::{Deserialize, Serialize};
 
@@ -22,8 +21,8 @@ pub enum Goal {
     /// Mean rate of ON minus twice the root mean square of OFF, impulses/s.
     #[default]
     OffRmsTwice,
-    /// Mean rate of ON minus a mean of OFF in which near afferents weigh more, impulses/s: half at 1.45 mm beyond the reach, a quarter
-    /// at 2.9 mm.
+    /// Mean rate of ON minus a mean of OFF in which near afferents weigh more, impulses/s: half at half a pin pitch beyond the
+    /// reach, a quarter at a pitch.
     NearOff,
     /// The probability that an ON afferent fires faster than an OFF one, 0 to 1 ([`Partition::auc`]).
     Auc,
@@ -44,8 +43,6 @@ pub const GOALS: [Goal; 7] = [
     Goal::Rivals,
 ];
 
-/// A rival's shift, mm: half the pitch of the pins.
-const SHIFT_MM: f64 = PITCH_MM / 2.0;
 /// A rival's turn, degrees.
 const TURN_DEG: f64 = 15.0;
 
@@ -80,11 +77,12 @@ impl Goal {
     }
 }
 
-/// Shapes that a person may confuse with this one: shifted by half a pitch, turned by 15° about its middle, or with one dot
+/// Shapes that a person may confuse with this one: shifted by half a pin pitch, turned by 15° about its middle, or with one dot
 /// half-way between two near dots.
 #[must_use]
-pub fn rivals(shape: &Shape) -> Vec<Shape> {
-    let mut rivals: Vec<Shape> = [[SHIFT_MM, 0.0], [-SHIFT_MM, 0.0], [0.0, SHIFT_MM], [0.0, -SHIFT_MM]]
+pub fn rivals(shape: &Shape, pitch_mm: f64) -> Vec<Shape> {
+    let shift_mm = pitch_mm / 2.0;
+    let mut rivals: Vec<Shape> = [[shift_mm, 0.0], [-shift_mm, 0.0], [0.0, shift_mm], [0.0, -shift_mm]]
         .map(|by_mm| shape.moved(by_mm, 0.0))
         .to_vec();
     match shape {
@@ -132,13 +130,20 @@ pub(crate) struct Population {
 
 impl Population {
     /// The population for a shape; `None` if it has no ON or no OFF afferents.
-    pub(crate) fn new(goal: Goal, shape: &Shape, reach_mm: f64, afferents: &[Position]) -> Option<Self> {
+    pub(crate) fn new(
+        goal: Goal,
+        shape: &Shape,
+        reach_mm: f64,
+        pitch_mm: f64,
+        afferents: &[Position],
+    ) -> Option<Self> {
         let partition = Partition::of(shape, reach_mm, afferents);
         partition.has_both().then(|| {
-            let nearness = |at: &Position| libm::exp2(-(shape.distance_mm(*at) - reach_mm) / SHIFT_MM);
+            let half_mm = pitch_mm / 2.0;
+            let nearness = |at: &Position| libm::exp2(-(shape.distance_mm(*at) - reach_mm) / half_mm);
             let nearness =
                 if goal == Goal::NearOff { afferents.iter().map(nearness).collect() } else { Vec::new() };
-            let rivals = if goal == Goal::Rivals { rivals(shape) } else { Vec::new() };
+            let rivals = if goal == Goal::Rivals { rivals(shape, pitch_mm) } else { Vec::new() };
             let differ = |rival: Shape| {
                 let theirs = Partition::of(&rival, reach_mm, afferents);
                 let of = |(own, their): (&bool, &bool)| i8::from(*own) - i8::from(*their);
@@ -240,7 +245,7 @@ mod tests {
         let places = [-3.0, 3.0, 0.0, -0.2, 9.0, -9.0, 3.1, -3.1];
         let positions = places.map(|x_mm| Position { x_mm, y_mm: 0.0 });
         let shape = Shape::Dots(vec![[-3.0, 0.0], [3.0, 0.0]]);
-        Population::new(goal, &shape, 1.45, &positions).unwrap()
+        Population::new(goal, &shape, 1.45, 2.9, &positions).unwrap()
     }
 
     const APART: [u64; 8] = [60, 60, 0, 0, 0, 0, 60, 60];
@@ -277,10 +282,10 @@ mod tests {
     #[test]
     fn rivals_are_shifted_turned_and_merged() {
         let two = Shape::Dots(vec![[-3.0, 0.0], [3.0, 0.0]]);
-        assert!(rivals(&two).contains(&Shape::Dots(vec![[0.0, 0.0]])));
-        assert!(rivals(&two).contains(&Shape::Dots(vec![[-1.55, 0.0], [4.45, 0.0]])));
+        assert!(rivals(&two, 2.9).contains(&Shape::Dots(vec![[0.0, 0.0]])));
+        assert!(rivals(&two, 2.9).contains(&Shape::Dots(vec![[-1.55, 0.0], [4.45, 0.0]])));
         let edge = Shape::Polyline(vec![[1.0, 0.0], [5.0, 0.0]]);
-        let turned = rivals(&edge).into_iter().last().unwrap();
+        let turned = rivals(&edge, 2.9).into_iter().last().unwrap();
         // The rival is turned about its own middle, which stays in place.
         assert!(turned.distance_mm(Position { x_mm: 3.0, y_mm: 0.0 }) < 1e-9);
         assert!(turned.distance_mm(Position { x_mm: 5.0, y_mm: 0.0 }) > 0.4);

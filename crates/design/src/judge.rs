@@ -117,7 +117,8 @@ pub fn judge(
         let afferents = fingers.iter().flat_map(|(afferents, _)| afferents.iter().copied()).collect();
         let noise_seed = conditions.noise_seed.wrapping_add(number as u64);
         let finger = Finger::of_afferents(skin, afferents);
-        let stimulus = Stimulus { moved: Moved::Drives(drives, conditions.gain), duration_s, noise_seed };
+        let moved = Moved::Drives { array: target.array(), drives, gain: conditions.gain };
+        let stimulus = Stimulus { moved, duration_s, noise_seed };
         let spikes_s = if target.moves() { Some(played(finger.spikes_s(&stimulus))?) } else { None };
         let whole_hz: Vec<f64> = match &spikes_s {
             Some(_) => Vec::new(),

@@ -32,7 +32,7 @@
 //! use std::ops::ControlFlow;
 //!
 //! let target = shipped("dot").unwrap();
-//! let space = Setting::Default.space();
+//! let space = Setting::Default.space(target.array());
 //! let start = space.random(0);
 //! let brief =
 //!     Brief { models: Models::Membrane, goal: Goal::Contrast, target: &target, frame: &target.frames()[0], populations: &[0], noise_seed: 0, space, seed: 0 };

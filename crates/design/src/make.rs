@@ -204,16 +204,18 @@ pub fn make(
     request: &Request,
     watch: &mut dyn FnMut(Progress) -> ControlFlow<()>,
 ) -> Result<Made, MakeError> {
-    let (populations, noise_seed) = (populations(target, request.robust), target.population_seed());
+    let (array, noise_seed) = (target.array(), target.population_seed());
+    let populations = populations(target, request.robust);
     let space_of = |frame: &Frame| {
         let frame_s = frame.start_s.zip(frame.stop_s).map(|(start_s, stop_s)| stop_s - start_s);
         let limit = |rail_motors| AtOnce {
+            array,
             rail_motors,
             amplitude_um: target.amplitude_um(),
             duration_s: frame_s.unwrap_or(target.duration_s()),
         };
         let at_once = request.rail_motors_at_once.map(limit);
-        Space { at_once, ..request.setting.space().in_frame(frame, target.amplitude_um()) }
+        Space { at_once, ..request.setting.space(array).in_frame(frame, target.amplitude_um()) }
     };
     let begun = Instant::now();
     let frames = target.frames();
@@ -266,7 +268,7 @@ pub fn make(
         found.push(this);
     }
     // Score the drives unchanged: a naive rule leaves motors off even where the search may not.
-    let played = Space { may_be_off: true, ..request.setting.space() };
+    let played = Space { may_be_off: true, ..request.setting.space(array) };
     let sets: Vec<&[Drive]> = iter::once(&drives).chain(&naive).map(Vec::as_slice).collect();
     let values = goal_values(target, request, &populations, &played, &sets)?;
     let made_for = Conditions { model: request.models.first(), ..Conditions::plain(populations, noise_seed) };
@@ -289,10 +291,11 @@ pub fn make(
     }
     let (value, verdict) = (values[0], own.verdict);
     let robustness = robustness(target, &drives, &made_for)?;
-    let pattern = Pattern::new(name, Some(target.duration_s()), drives.clone(), Table::new())?;
+    let pattern = Pattern::new(array, name, Some(target.duration_s()), drives.clone(), Table::new())?;
     let pulses_per_s = pulses_per_s(&pattern)?;
     let mut made = Made { pattern, found, verdict, value, baselines, models, robustness, pulses_per_s };
     made.pattern = Pattern::new(
+        array,
         name,
         Some(target.duration_s()),
         drives,

@@ -4,13 +4,14 @@
 
 use crate::point::{Point, Vibration};
 use crate::space::Space;
-use firmware_protocol::stroke::MOTORS;
-use meissner_array::geometry;
+use meissner_array::spec::Array;
 
 /// The number of frequencies to try over the whole range.
 const SPREAD: u8 = 6;
 /// The search tries to merge unisons only if the ratio of their frequencies is below this.
 const OCTAVE: f64 = 2.0;
+/// A motor's neighbours are at most this many times as far as the nearest: on a grid those beside it, also across a corner.
+const AROUND: f64 = 1.5;
 
 /// Moves of one motor: off, to frequencies over the whole range (`jitter`, 0 to 1, shifts them), to a phase an eighth of a cycle
 /// away, and into unison with a neighbour. For the largest neighbouring unison there are four phases, so that the motor can cancel
@@ -29,7 +30,7 @@ pub(crate) fn of_motor(point: &Point, motor: usize, space: &Space, jitter: f64) 
         found.extend([-0.125, 0.125].map(|step| space.motion(vibration.frequency_hz(), phase + step)));
     }
     let mut around: Vec<(usize, Vibration)> = Vec::new();
-    for neighbour in neighbours(motor) {
+    for neighbour in neighbours(space.array, motor) {
         let Some(vibration) = point.0[neighbour] else { continue };
         if !around.iter().any(|(_, other)| other.decihertz == vibration.decihertz) {
             let size =
@@ -57,7 +58,7 @@ pub(crate) fn to_follow(point: &Point, motor: usize, space: &Space) -> Vec<Point
     if space.may_be_off && point.0[motor].is_some() {
         found.push(None);
     }
-    for neighbour in neighbours(motor) {
+    for neighbour in neighbours(space.array, motor) {
         let Some(vibration) = point.0[neighbour] else { continue };
         let phase =
             if space.phases { vibration.phase() } else { point.0[motor].map_or(0.0, Vibration::phase) };
@@ -95,12 +96,53 @@ pub(crate) fn of_unison(
     found.into_iter().map(at).collect()
 }
 
-/// The motors around a motor, up to eight.
-fn neighbours(motor: usize) -> impl Iterator<Item = usize> {
-    let place = |motor: usize| (geometry::row(motor as u8), geometry::column(motor as u8));
-    let (row, column) = place(motor);
-    (0..MOTORS).filter(move |&other| {
-        let (other_row, other_column) = place(other);
-        other != motor && row.abs_diff(other_row) <= 1 && column.abs_diff(other_column) <= 1
-    })
+/// The motors around a motor; on a grid up to eight.
+fn neighbours(array: Array, motor: usize) -> impl Iterator<Item = usize> {
+    let places = array.spec().positions_mm();
+    let [x, y] = places[motor];
+    let square = move |other: usize| {
+        let [dx, dy] = [places[other][0] - x, places[other][1] - y];
+        dx * dx + dy * dy
+    };
+    let others = (0..places.len()).filter(move |&other| other != motor);
+    let most = AROUND * AROUND * others.clone().map(square).fold(f64::INFINITY, f64::min);
+    others.filter(move |&other| square(other) <= most)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use meissner_array::spec::{ArraySpec, names};
+
+    #[test]
+    fn neighbours_on_a_grid_are_those_beside_and_across_a_corner() {
+        for array in names().into_iter().map(|name| Array::named(name).unwrap()) {
+            let columns = usize::from(array.grid().unwrap().columns);
+            for motor in 0..array.motors() {
+                let near = |a: usize, b: usize| a.abs_diff(b) <= 1;
+                let beside = (0..array.motors()).filter(|&other| {
+                    other != motor
+                        && near(other / columns, motor / columns)
+                        && near(other % columns, motor % columns)
+                });
+                assert!(neighbours(array, motor).eq(beside), "{array:?}, {motor}");
+            }
+        }
+    }
+
+    #[test]
+    fn every_motor_but_a_single_one_has_a_neighbour_wherever_the_pins_stand() {
+        let with = |name: &str, positions: &str| {
+            let text = format!(
+                "name = \"{name}\"\npins = {{ positions_mm = {positions} }}\ntick_hz = 85000\n\
+                 duty = {{ up = 0.2, down = 0.8 }}\n\
+                 motor = {{ step_um = 0.1, window_ms = 4, travel_um = 300, most_pulses = 3000 }}\n"
+            );
+            Array::known(ArraySpec::parse(&text, "test.toml").unwrap()).unwrap()
+        };
+        let ring = with("ring-of-design", "[[0, 0], [3, 0], [0, 3], [-3, 0], [0, -3], [9, 9]]");
+        let of = |motor| neighbours(ring, motor).collect::<Vec<_>>();
+        assert_eq!((of(0), of(1), of(5)), (vec![1, 2, 3, 4], vec![0, 2, 4], vec![1, 2]));
+        assert_eq!(neighbours(with("one-of-design", "[[1, 2]]"), 0).count(), 0);
+    }
 }

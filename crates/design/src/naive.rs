@@ -6,8 +6,8 @@
 use crate::point::Point;
 use crate::space::Setting;
 use crate::target::{Frame, Target};
-use meissner_array::geometry::{PITCH_MM, position_mm};
 use meissner_array::pattern::Drive;
+use meissner_array::per_motor::PerMotor;
 use meissner_skin::membrane::Position;
 use serde::Serialize;
 
@@ -20,7 +20,7 @@ const FREQUENCY_HZ: f64 = 60.0;
 pub enum Rule {
     /// Those within the target's reach of the shape.
     Reach,
-    /// Those within the pitch of the pins, 2.9 mm.
+    /// Those within the pitch of the array's pins.
     Pitch,
 }
 
@@ -40,13 +40,14 @@ impl Rule {
     /// What the motors do in a frame of a target.
     #[must_use]
     pub(crate) fn point(self, target: &Target, frame: &Frame) -> Point {
+        let array = target.array();
         let within_mm = match self {
             Self::Reach => target.reach_mm(),
-            Self::Pitch => PITCH_MM,
+            Self::Pitch => array.pitch_mm(),
         };
-        let space = Setting::Default.space().in_frame(frame, target.amplitude_um());
-        Point(std::array::from_fn(|motor| {
-            let [x_mm, y_mm] = position_mm(motor as u8);
+        let space = Setting::Default.space(array).in_frame(frame, target.amplitude_um());
+        Point(PerMotor::from_fn(array, |motor| {
+            let [x_mm, y_mm] = array.position_mm(motor);
             let near = frame.shape.distance_mm(Position { x_mm, y_mm }) <= within_mm;
             near.then(|| space.vibration(FREQUENCY_HZ, 0.0))
         }))

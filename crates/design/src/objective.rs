@@ -100,9 +100,11 @@ pub struct Objective {
 pub(crate) struct Populations(Vec<(usize, Option<Population>)>);
 
 impl Populations {
-    /// The populations at these places, for a shape.
-    pub(crate) fn new(goal: Goal, shape: &Shape, reach_mm: f64, places: &[Vec<Position>]) -> Self {
-        let of = |places: &Vec<Position>| (places.len(), Population::new(goal, shape, reach_mm, places));
+    /// The populations at these places, for a target's shape where it is.
+    pub(crate) fn new(goal: Goal, target: &Target, shape: &Shape, places: &[Vec<Position>]) -> Self {
+        let (reach_mm, pitch_mm) = (target.reach_mm(), target.array().pitch_mm());
+        let of =
+            |places: &Vec<Position>| (places.len(), Population::new(goal, shape, reach_mm, pitch_mm, places));
         Self(places.iter().map(of).collect())
     }
 
@@ -117,7 +119,7 @@ impl Populations {
 pub struct Task<'t> {
     /// The goal to maximise.
     pub goal: Goal,
-    /// The target: its reach, amplitude and afferent model.
+    /// The target: its array, reach, amplitude and afferent model.
     pub target: &'t Target,
     /// One of its frames.
     pub frame: &'t Frame,
@@ -154,7 +156,7 @@ impl Objective {
     #[must_use]
     pub fn under(model: ModelName, task: Task<'_>, fidelity: Fidelity) -> Self {
         let places: Vec<_> = task.populations.iter().map(|&seed| membrane::population(seed)).collect();
-        let Populations(of) = Populations::new(task.goal, &task.frame.shape, task.target.reach_mm(), &places);
+        let Populations(of) = Populations::new(task.goal, task.target, &task.frame.shape, &places);
         let kept = task.populations.iter().zip(of).filter(|(_, (_, population))| population.is_some());
         let (seeds, kept): (Vec<u64>, _) = kept.unzip();
         Self::over(model, Task { populations: &seeds, ..task }, Populations(kept), fidelity)
@@ -167,7 +169,7 @@ impl Objective {
         places: &[Vec<Position>],
         fidelity: Fidelity,
     ) -> Self {
-        let populations = Populations::new(task.goal, &task.frame.shape, task.target.reach_mm(), places);
+        let populations = Populations::new(task.goal, task.target, &task.frame.shape, places);
         Self::over(model, task, populations, fidelity)
     }
 
@@ -178,19 +180,20 @@ impl Objective {
 
     fn over(model: ModelName, task: Task<'_>, kept: Populations, fidelity: Fidelity) -> Self {
         let Task { goal, target, frame, populations: seeds, noise_seed } = task;
-        let duration_s = fidelity.duration_s;
+        let (array, duration_s) = (target.array(), fidelity.duration_s);
         let afferents = match model {
             ModelName::Membrane => {
                 let afferents: Vec<Position> =
                     seeds.iter().flat_map(|&seed| membrane::population(seed)).collect();
-                let scene = Scene::new(duration_s, noise_seed, Vec::new(), afferents, *target.model());
+                let scene = Scene::new(array, duration_s, noise_seed, Vec::new(), afferents, *target.model());
                 let scene = scene.expect("the parts of a checked target make a scene");
                 Afferents::Membrane(Box::new(scene), fidelity.options())
             }
             ModelName::Afferents => {
                 let all = seeds.iter().flat_map(|&seed| afferents::population(seed));
                 let rapid = all.filter(|afferent| afferent.class == Class::Ra).collect();
-                let motors = Scene::new(duration_s, noise_seed, Vec::new(), Vec::new(), *target.model());
+                let motors =
+                    Scene::new(array, duration_s, noise_seed, Vec::new(), Vec::new(), *target.model());
                 let scene = motors.and_then(|motors| {
                     afferents::Scene::of_motors(&motors, afferents::PREINDENT_MM, rapid, true)
                 });

@@ -6,8 +6,9 @@
 //!
 //! Invariant: each motor has one vibration or none.
 
-use firmware_protocol::stroke::MOTORS;
 use meissner_array::pattern::Drive;
+use meissner_array::per_motor::PerMotor;
+use std::hash::{Hash, Hasher};
 
 /// The vibration of a motor.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -19,8 +20,14 @@ pub struct Vibration {
 }
 
 /// The vibrations of all motors; `None` is off.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub struct Point(pub [Option<Vibration>; MOTORS]);
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Point(pub PerMotor<Option<Vibration>>);
+
+impl Hash for Point {
+    fn hash<H: Hasher>(&self, state: &mut H) {
+        self.0.hash(state);
+    }
+}
 
 impl Vibration {
     /// The frequency, Hz.

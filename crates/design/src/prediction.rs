@@ -16,7 +16,7 @@ use firmware_protocol::tick::Tick;
 use meissner_array::motor::Ramp;
 use meissner_array::pattern::Pattern;
 use meissner_array::strokes::{StrokeOptions, Strokes, StrokesError};
-use meissner_array::units::{seconds_in_ticks, seconds_to_ticks, ticks_to_seconds};
+use meissner_array::units::TickRate;
 use meissner_skin::afferents::Class;
 use meissner_skin::membrane::{AfferentModel, POPULATION_NOISE_SD, Position, Rectify};
 use meissner_skin::{Finger, FingerError, Ramps, RampsError, SkinModel, Stimulus};
@@ -116,23 +116,24 @@ pub fn predict_response(
 ) -> Result<PredictedResponse, PredictionError> {
     let Play { pattern, options, onset, observed_s, by_class } = play;
     let (&onset, &observed_s) = (onset, observed_s);
+    let (array, rate) = (pattern.array(), pattern.array().rate());
     let strokes = Strokes::new(pattern, options)?;
-    let lasts_s = strokes.end().map_or(f64::INFINITY, ticks_to_seconds);
+    let lasts_s = strokes.end().map_or(f64::INFINITY, |end| rate.ticks_to_seconds(end));
     let observed_s = observed_s.min(lasts_s).min(MOST_OBSERVED_S);
     // `min` would have turned NaN into a minute.
     if play.observed_s.is_nan() || observed_s <= 0.0 {
         return Err(PredictionError::Nothing { observed_s: play.observed_s });
     }
-    let end = seconds_in_ticks(observed_s);
+    let (end, um_per_pulse) = (rate.seconds_in_ticks(observed_s), array.motor().um_per_pulse);
     let mut failed = None;
     let strokes = strokes
         .map_while(|stroke| stroke.map_err(|error| failed = Some(error)).ok())
         .take_while(|stroke| (stroke.up.0 as f64) < end);
     let designed = strokes.flat_map(|stroke| {
-        let ramp = |burst: Burst| Ramp::new(burst.start, burst.pulses.into(), burst.direction, 1.0);
+        let ramp = |burst: Burst| Ramp::new(burst.start, burst.pulses.into(), burst.direction, um_per_pulse);
         stroke.bursts().map(|burst| (stroke.motor, ramp(burst)))
     });
-    let designed = Ramps::new(designed)?;
+    let designed = Ramps::new(array, designed)?;
     if let Some(error) = failed {
         return Err(error.into());
     }
@@ -140,7 +141,7 @@ pub fn predict_response(
         let start = ramp.start.0.checked_sub(onset.0).filter(|&start| (start as f64) < end)?;
         Some((motor, Ramp { start: Tick(start), ..ramp }))
     });
-    let played = Ramps::new(played)?;
+    let played = Ramps::new(array, played)?;
 
     let target = Target::made_for(pattern);
     let seed = target.as_ref().map_or(0, Target::population_seed);
@@ -191,6 +192,7 @@ struct ObservedFrames {
     /// Their numbers in the finger.
     afferents: Vec<usize>,
     observed_s: f64,
+    rate: TickRate,
     /// The time after which the frames repeat, if they do.
     repeat_s: Option<f64>,
 }
@@ -217,7 +219,8 @@ impl ObservedFrames {
         let frames = target.map_or(&[][..], Target::frames);
         let moves = target.is_some_and(Target::moves);
         let repeat_s = repeat_s.filter(|_| moves);
-        let mut found = Self { frames: Vec::new(), afferents, observed_s, repeat_s };
+        let rate = pattern.array().rate();
+        let mut found = Self { frames: Vec::new(), afferents, observed_s, rate, repeat_s };
         let observed = |frame: &Frame| {
             let (start_s, stop_s) = (frame.start_s.unwrap_or(0.0), frame.stop_s.unwrap_or(observed_s));
             let whole = |&repeat: &u64| found.begin_s(repeat) + stop_s <= observed_s;
@@ -236,8 +239,8 @@ impl ObservedFrames {
 
     /// The beginning of a repeat, at a whole tick as for strokes, s.
     fn begin_s(&self, repeat: u64) -> f64 {
-        let ticks = self.repeat_s.map_or(0, |repeat_s| seconds_to_ticks(repeat as f64 * repeat_s));
-        ticks_to_seconds(ticks)
+        let ticks = self.repeat_s.map_or(0, |repeat_s| self.rate.seconds_to_ticks(repeat as f64 * repeat_s));
+        self.rate.ticks_to_seconds(ticks)
     }
 
     /// The repeat that contains a time.

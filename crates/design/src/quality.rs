@@ -12,6 +12,7 @@ use crate::partition::{Partition, Verdict};
 use crate::shape::Shape;
 use crate::target::Target;
 use meissner_array::pattern::Drive;
+use meissner_array::spec::Array;
 use meissner_skin::afferents::{Afferent, Class};
 use meissner_skin::membrane::Position;
 use meissner_skin::{Finger, MethodError, ModelName, SkinModel, Stimulus};
@@ -100,10 +101,16 @@ fn verdicts(
 ) -> Result<[Option<Verdict>; 3], MethodError> {
     let frames = target.frames();
     let rates_hz: Vec<Vec<f64>> = if target.moves() {
-        let spikes_s = played(finger.spikes_s(&Stimulus::of_drives(drives, target.duration_s(), seed)))?;
+        let spikes_s =
+            played(finger.spikes_s(&Stimulus::of_drives(target.array(), drives, target.duration_s(), seed)))?;
         frames.iter().filter_map(|frame| frame.rates_hz(&spikes_s)).collect()
     } else {
-        vec![counts(finger, drives, seed)?.iter().map(|&count| count as f64 / STEADY_S).collect()]
+        vec![
+            counts(finger, target.array(), drives, seed)?
+                .iter()
+                .map(|&count| count as f64 / STEADY_S)
+                .collect(),
+        ]
     };
     Ok(Class::ALL.map(|class| {
         let numbers: Vec<usize> = finger.of_class(class).collect();
@@ -141,7 +148,7 @@ fn gaps(target: &Target, drives: &[Drive], model: SkinModel) -> Result<[Option<f
         }
     }
     let finger = Finger::of_afferents(model, probes);
-    let counts = counts(&finger, drives, 0)?;
+    let counts = counts(&finger, target.array(), drives, 0)?;
     let mut found = [None; 3];
     for &class in model.classes() {
         let own: Vec<u64> = finger.of_class(class).map(|number| counts[number]).collect();
@@ -187,7 +194,7 @@ pub fn name_targets(
         (0..patterns.len()).flat_map(|of| fingers.iter().map(move |&seed| (of, seed))).collect();
     let on_finger = |&(of, seed): &(usize, u64)| -> Result<[usize; 3], MethodError> {
         let finger = Finger::new(skin_model(model, &targets[of]), seed);
-        let counts = counts(&finger, &patterns[of], seed)?;
+        let counts = counts(&finger, targets[of].array(), &patterns[of], seed)?;
         Ok(Class::ALL.map(|class| {
             let numbers: Vec<usize> = finger.of_class(class).collect();
             let places: Vec<Position> = numbers.iter().map(|&number| finger.afferents()[number].at).collect();
@@ -212,6 +219,6 @@ pub fn name_targets(
 }
 
 /// Spikes per afferent during one second of the drives.
-fn counts(finger: &Finger, drives: &[Drive], seed: u64) -> Result<Vec<u64>, MethodError> {
-    played(finger.counts(&Stimulus::of_drives(drives, STEADY_S, seed)))
+fn counts(finger: &Finger, array: Array, drives: &[Drive], seed: u64) -> Result<Vec<u64>, MethodError> {
+    played(finger.counts(&Stimulus::of_drives(array, drives, STEADY_S, seed)))
 }

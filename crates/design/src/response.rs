@@ -43,7 +43,7 @@ pub fn response(target: &Target, patterns: &[&[Drive]], model: ModelName) -> Res
     }
     let duration_s = if target.moves() { target.duration_s() } else { STEADY_S };
     let rates = |drives: &&[Drive]| {
-        let counts = played(finger.counts(&Stimulus::of_drives(drives, duration_s, seed)))?;
+        let counts = played(finger.counts(&Stimulus::of_drives(target.array(), drives, duration_s, seed)))?;
         Ok(counts.iter().map(|&count| count as f64 / duration_s).collect())
     };
     Ok(Response { places, on, rates_hz: patterns.iter().map(rates).collect::<Result<_, MethodError>>()? })

@@ -31,7 +31,6 @@ use crate::objective::{Fidelity, Score, Task};
 use crate::point::Point;
 use crate::space::Space;
 use crate::target::{Frame, Target};
-use firmware_protocol::stroke::MOTORS;
 use meissner_array::random;
 use meissner_skin::{MethodError, SEARCH_MIN_WEIGHT};
 use std::collections::HashSet;
@@ -46,7 +45,7 @@ pub struct Brief<'b> {
     pub models: Models,
     /// The goal to maximise.
     pub goal: Goal,
-    /// The target: its reach, amplitude and afferent model.
+    /// The target: its array, reach, amplitude and afferent model.
     pub target: &'b Target,
     /// One of its frames.
     pub frame: &'b Frame,
@@ -355,8 +354,8 @@ impl Run<'_> {
 
     /// Tries every motor once, in random order.
     fn far(&mut self, state: &mut StageState<'_>) {
-        let mut order: Vec<usize> = (0..MOTORS).collect();
-        for last in (1..MOTORS).rev() {
+        let mut order: Vec<usize> = (0..self.brief.target.array().motors()).collect();
+        for last in (1..order.len()).rev() {
             let other = (self.random() * (last + 1) as f64) as usize;
             order.swap(last, other);
         }
@@ -369,8 +368,8 @@ impl Run<'_> {
     /// Tries every block once for each radius. Blocks that merge become one.
     fn near(&mut self, state: &mut StageState<'_>, mut radius: f64, halvings: u8) {
         for halving in 0..=halvings {
-            let mut done = 0_u32;
-            let next = |point: &Point, done: u32| {
+            let mut done = 0_u64;
+            let next = |point: &Point, done: u64| {
                 point.unisons().into_iter().find(|motors| done >> motors[0] & 1 == 0)
             };
             while let Some(motors) = next(state.standing.point(), done) {

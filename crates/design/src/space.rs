@@ -9,7 +9,9 @@ use crate::at_once::AtOnce;
 use crate::point::{Point, Vibration};
 use crate::target::Frame;
 use meissner_array::pattern::Drive;
+use meissner_array::per_motor::PerMotor;
 use meissner_array::random;
+use meissner_array::spec::Array;
 use meissner_array::strokes::DriveStrokes;
 use serde::{Deserialize, Serialize};
 use std::ops::RangeInclusive;
@@ -17,6 +19,8 @@ use std::ops::RangeInclusive;
 /// The points that a search may choose.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Space {
+    /// The array whose motors vibrate.
+    pub array: Array,
     /// Frequencies, tenths of a hertz.
     pub decihertz: RangeInclusive<u16>,
     /// Whether a motor may be off.
@@ -40,12 +44,12 @@ pub struct Window {
 
 impl Window {
     /// Whether a vibration gives a stroke in the frame.
-    fn has_stroke(&self, vibration: Vibration) -> bool {
+    fn has_stroke(&self, array: Array, vibration: Vibration) -> bool {
         let Self { start_s, stop_s, amplitude_um } = *self;
         let (frequency_hz, phase) = (vibration.frequency_hz(), vibration.phase());
         let (start_s, stop_s) = (Some(start_s), Some(stop_s));
         let drive = Drive { motor: 0, frequency_hz, amplitude_um, phase, start_s, stop_s };
-        DriveStrokes::of(&drive).is_ok_and(|mut strokes| strokes.next().is_some())
+        DriveStrokes::of(array, &drive).is_ok_and(|mut strokes| strokes.next().is_some())
     }
 }
 
@@ -64,17 +68,14 @@ pub enum Setting {
 const START_WORD: u64 = 4;
 
 impl Setting {
-    /// Its space.
+    /// Its space, for an array.
     #[must_use]
-    pub const fn space(self) -> Space {
-        match self {
-            Self::Default => {
-                Space { decihertz: 50..=1500, may_be_off: true, phases: true, window: None, at_once: None }
-            }
-            Self::AlwaysOn => {
-                Space { decihertz: 50..=3000, may_be_off: false, phases: true, window: None, at_once: None }
-            }
-        }
+    pub const fn space(self, array: Array) -> Space {
+        let (decihertz, may_be_off) = match self {
+            Self::Default => (50..=1500, true),
+            Self::AlwaysOn => (50..=3000, false),
+        };
+        Space { array, decihertz, may_be_off, phases: true, window: None, at_once: None }
     }
 }
 
@@ -91,10 +92,14 @@ impl Space {
         }
     }
 
+    /// Whether a vibration gives a stroke in the frame, if there is one.
+    fn has_stroke(&self, vibration: Vibration) -> bool {
+        self.window.is_none_or(|window| window.has_stroke(self.array, vibration))
+    }
+
     /// The lowest frequency from here on that gives a stroke at a phase.
     fn lowest(&self, from: u16, percent: u8) -> Option<u16> {
-        let has_stroke =
-            |decihertz| self.window.is_none_or(|window| window.has_stroke(Vibration { decihertz, percent }));
+        let has_stroke = |decihertz| self.has_stroke(Vibration { decihertz, percent });
         let last = *self.decihertz.end();
         // Strokes of a higher frequency end earlier, except that rounding to ticks may swap two frequencies a tenth of a hertz
         // apart.
@@ -114,7 +119,7 @@ impl Space {
     #[must_use]
     pub fn motion(&self, frequency_hz: f64, phase: f64) -> Option<Vibration> {
         let vibration = self.vibration(frequency_hz, phase);
-        if self.window.is_none_or(|window| window.has_stroke(vibration)) {
+        if self.has_stroke(vibration) {
             return Some(vibration);
         }
         let raised = || self.lowest(vibration.decihertz, vibration.percent);
@@ -153,8 +158,8 @@ impl Space {
     /// A random start: every motor is on, at phase 0.
     #[must_use]
     pub fn random(&self, seed: u64) -> Point {
-        self.thinned(Point(std::array::from_fn(|motor| {
-            let [share, _] = random::uniform([seed, motor as u64, 0, START_WORD]);
+        self.thinned(Point(PerMotor::from_fn(self.array, |motor| {
+            let [share, _] = random::uniform([seed, motor.into(), 0, START_WORD]);
             self.motion(self.frequency_hz(share), 0.0)
         })))
     }
@@ -163,8 +168,8 @@ impl Space {
     /// frame, is off if the space allows, else at the highest frequency, which moves it least.
     #[must_use]
     pub fn of_drives(&self, drives: &[Drive]) -> Point {
-        self.thinned(Point(std::array::from_fn(|motor| {
-            let of_motor = |drive: &&Drive| usize::from(drive.motor) == motor && drive.amplitude_um > 0.0;
+        self.thinned(Point(PerMotor::from_fn(self.array, |motor| {
+            let of_motor = |drive: &&Drive| drive.motor == motor && drive.amplitude_um > 0.0;
             let drive = drives.iter().find(of_motor);
             let vibration = drive.and_then(|drive| self.motion(drive.frequency_hz, drive.phase));
             let fastest = || (!self.may_be_off).then(|| self.vibration(f64::INFINITY, 0.0));

@@ -131,13 +131,13 @@ impl Responses {
         plan: &Plan,
         with_times: bool,
     ) -> Result<Self, FingerError> {
-        let drives = pattern.drives_with_ends();
+        let (array, drives) = (pattern.array(), pattern.drives_with_ends());
         let bins = plan.bins();
         let trial = |trial: usize| {
             let number = (number as u64) << 32 | trial as u64;
             let [noise, ..] = random::words([plan.seed, number, seed, NOISE_WORD]);
             // Files hold seeds of 63 bits.
-            let spikes_s = finger.spikes_s(&Stimulus::of_drives(&drives, plan.seconds, noise >> 1))?;
+            let spikes_s = finger.spikes_s(&Stimulus::of_drives(array, &drives, plan.seconds, noise >> 1))?;
             let counts = spikes_s.iter().map(|train| train.len() as u32).collect();
             let mut times = vec![0_u16; if with_times { spikes_s.len() * bins } else { 0 }];
             for (train, bins_of) in spikes_s.iter().zip(times.chunks_mut(bins)) {

@@ -13,7 +13,7 @@ fn pattern(name: &str, motors: &[u8], amplitude_um: f64) -> Pattern {
         start_s: None,
         stop_s: None,
     };
-    Pattern::new(name, None, motors.iter().map(drive).collect(), toml::Table::new()).unwrap()
+    Pattern::new(Array::paper(), name, None, motors.iter().map(drive).collect(), toml::Table::new()).unwrap()
 }
 
 fn plan(model: SkinModel) -> Plan {
@@ -82,7 +82,7 @@ fn times_tell_what_counts_do_not() {
     let at = |name, phase| {
         let drive =
             Drive { motor: 9, frequency_hz: 25.0, amplitude_um: 120.0, phase, start_s: None, stop_s: None };
-        Pattern::new(name, None, vec![drive], toml::Table::new()).unwrap()
+        Pattern::new(Array::paper(), name, None, vec![drive], toml::Table::new()).unwrap()
     };
     let plan = Plan { seconds: 0.4, ..plan(SkinModel::AFFERENTS) };
     let found = discriminate([&at("a", 0.0), &at("b", 0.25)], &plan, &|_| ()).unwrap();

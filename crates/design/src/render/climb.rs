@@ -13,7 +13,7 @@ use crate::moves;
 use crate::point::Point;
 use crate::search::{Ended, Limit, Spent};
 use crate::space::Space;
-use firmware_protocol::stroke::MOTORS;
+use meissner_array::per_motor::PerMotor;
 use meissner_array::random;
 use std::collections::HashSet;
 use std::time::Instant;
@@ -86,7 +86,7 @@ pub(super) struct Climb<'c, 's> {
     pub(super) standing: &'c mut Standing<'s>,
     pub(super) space: &'c Space,
     /// The motors that the shape comes near.
-    pub(super) near: [bool; MOTORS],
+    pub(super) near: PerMotor<bool>,
     pub(super) meter: &'c mut Meter,
     /// Seed and number of the update.
     pub(super) draw: [u64; 2],
@@ -120,7 +120,7 @@ impl Climb<'_, '_> {
     fn follow(&mut self) -> bool {
         loop {
             let point = *self.standing.point();
-            let moves = (0..MOTORS).filter(|&motor| self.near[motor] || point.0[motor].is_some());
+            let moves = (0..self.near.len()).filter(|&motor| self.near[motor] || point.0[motor].is_some());
             let points = moves.flat_map(|motor| moves::to_follow(&point, motor, self.space)).collect();
             match self.batch(points) {
                 None => return false,
@@ -133,8 +133,8 @@ impl Climb<'_, '_> {
     /// Tries every block once for each radius.
     fn blocks(&mut self) -> bool {
         for (number, radius) in RADII.into_iter().enumerate() {
-            let mut done = 0_u32;
-            let next = |point: &Point, done: u32| {
+            let mut done = 0_u64;
+            let next = |point: &Point, done: u64| {
                 point.unisons().into_iter().find(|motors| done >> motors[0] & 1 == 0)
             };
             while let Some(motors) = next(self.standing.point(), done) {
@@ -151,7 +151,7 @@ impl Climb<'_, '_> {
 
     /// Tries every motor near the shape, in random order.
     fn motors(&mut self) -> bool {
-        let mut order: Vec<usize> = (0..MOTORS).filter(|&motor| self.near[motor]).collect();
+        let mut order: Vec<usize> = (0..self.near.len()).filter(|&motor| self.near[motor]).collect();
         for last in (1..order.len()).rev() {
             let other = (self.random() * (last + 1) as f64) as usize;
             order.swap(last, other);

@@ -88,10 +88,10 @@ fn compare(
     let frame = Frame { shape: sample.pose.of(target.shape()), start_s: None, stop_s: None };
     let (seeds, noise_seed) = (populations(target, of.robust), target.population_seed());
     let places: Vec<_> = seeds.iter().map(|&seed| membrane::population(seed)).collect();
-    if Populations::new(of.goal, &frame.shape, target.reach_mm(), &places).counting().next().is_none() {
+    if Populations::new(of.goal, target, &frame.shape, &places).counting().next().is_none() {
         return Ok(None);
     }
-    let space = of.setting.space();
+    let space = of.setting.space(target.array());
     let own = space.of_drives(&sample.drives);
     let rules = Rule::ALL.map(|rule| rule.point(target, &frame));
     let task = Task { goal: of.goal, target, frame: &frame, populations: &seeds, noise_seed };

@@ -31,9 +31,9 @@ use crate::shape::Shape;
 use crate::space::{Setting, Space};
 use crate::target::{Frame, Target};
 use climb::{Climb, Meter};
-use firmware_protocol::stroke::MOTORS;
-use meissner_array::geometry::{PITCH_MM, position_mm};
 use meissner_array::pattern::Drive;
+use meissner_array::per_motor::PerMotor;
+use meissner_array::spec::Array;
 use meissner_skin::MethodError;
 use meissner_skin::membrane::{self, PAD_LENGTH_MM, Position};
 use serde::{Deserialize, Serialize};
@@ -183,8 +183,8 @@ struct Placed {
 }
 
 impl LiveBrief {
-    fn space(&self) -> Space {
-        let space = self.setting.space();
+    fn space(&self, array: Array) -> Space {
+        let space = self.setting.space(array);
         let most = self.most_decihertz.unwrap_or(u16::MAX).min(*space.decihertz.end());
         Space { decihertz: LIVE_LEAST_DECIHERTZ..=most.max(LIVE_LEAST_DECIHERTZ), ..space }
     }
@@ -230,8 +230,9 @@ impl Renderer {
         let noise_seed = target.population_seed();
         let task = Task { goal: brief.goal, target, frame, populations: &seeds, noise_seed };
         let aim = Aim::anywhere(brief.models, task, &places, LIVE_FIDELITY);
-        let space = brief.space();
-        let stood = aim.at(space.nearest(&Point([None; MOTORS])))?.into_stood();
+        let array = target.array();
+        let space = brief.space(array);
+        let stood = aim.at(space.nearest(&Point(PerMotor::all(array, None))))?.into_stood();
         let (target, rules) = (target.clone(), Vec::new());
         Ok(Self { target, brief, space, places, aim, stood, rules, renders: 0, pace_s: 0.0 })
     }
@@ -255,7 +256,7 @@ impl Renderer {
 
     fn placed(&self, pose: Pose) -> Placed {
         let shape = pose.of(self.target.shape());
-        let populations = Populations::new(self.brief.goal, &shape, self.target.reach_mm(), &self.places);
+        let populations = Populations::new(self.brief.goal, &self.target, &shape, &self.places);
         Placed { frame: Frame { shape, start_s: None, stop_s: None }, populations: Arc::new(populations) }
     }
 
@@ -353,10 +354,11 @@ impl Renderer {
 
     /// The motors no farther from the shape than its reach plus a pitch: others only move OFF afferents. All motors, if none may be
     /// off.
-    fn near(&self, shape: &Shape) -> [bool; MOTORS] {
-        let within_mm = self.target.reach_mm() + PITCH_MM;
-        std::array::from_fn(|motor| {
-            let [x_mm, y_mm] = position_mm(motor as u8);
+    fn near(&self, shape: &Shape) -> PerMotor<bool> {
+        let array = self.target.array();
+        let within_mm = self.target.reach_mm() + array.pitch_mm();
+        PerMotor::from_fn(array, |motor| {
+            let [x_mm, y_mm] = array.position_mm(motor);
             !self.space.may_be_off || shape.distance_mm(Position { x_mm, y_mm }) <= within_mm
         })
     }

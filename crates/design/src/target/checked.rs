@@ -7,7 +7,8 @@ use crate::partition::Partition;
 use crate::shape::Shape;
 use crate::target::error::{KeyError, Problem, TargetError, within};
 use crate::target::motion::{Frame, Motion};
-use meissner_array::pattern::{self, AMPLITUDE_RANGE, AMPLITUDE_UM, MAX_SECONDS};
+use meissner_array::pattern::{self, MAX_SECONDS};
+use meissner_array::spec::Array;
 use meissner_input::document::in_range;
 use meissner_input::message::quote;
 use meissner_skin::check_model;
@@ -20,6 +21,7 @@ const LEAST_REFRACTORY_S: f64 = 0.0005;
 #[derive(Clone, Debug, PartialEq)]
 pub struct Target {
     pub(super) name: String,
+    pub(super) array: Array,
     pub(super) shape: Shape,
     pub(super) reach_mm: f64,
     pub(super) amplitude_um: f64,
@@ -39,6 +41,14 @@ impl Target {
         Self { population_seed, ..self.clone() }.checked().map_err(|fault| fault.in_file(None))
     }
 
+    /// The target for another array. Its shape, its amplitude and its frames stay.
+    ///
+    /// # Errors
+    /// If the motors of that array cannot have its amplitude.
+    pub fn with_array(&self, array: Array) -> Result<Self, TargetError> {
+        Self { array, ..self.clone() }.checked().map_err(|fault| fault.in_file(None))
+    }
+
     /// The target with another amplitude, µm peak to peak.
     ///
     /// # Errors
@@ -51,6 +61,12 @@ impl Target {
     #[must_use]
     pub fn name(&self) -> &str {
         &self.name
+    }
+
+    /// The array that it is for.
+    #[must_use]
+    pub const fn array(&self) -> Array {
+        self.array
     }
 
     /// The shape; for a moving target, as it is in the middle of the motion.
@@ -108,7 +124,13 @@ impl Target {
         }
         check_shape(&self.shape)?;
         within("reach_mm", self.reach_mm, &(0.0..=PAD_LENGTH_MM), "0 to 24 mm")?;
-        within("amplitude_um", self.amplitude_um, &AMPLITUDE_UM, AMPLITUDE_RANGE)?;
+        let most_um = self.array.motor().travel_um;
+        in_range(
+            "amplitude_um",
+            self.amplitude_um,
+            (0.0..=most_um).contains(&self.amplitude_um),
+            format!("0 to {most_um} um"),
+        )?;
         match self.motion {
             None => within("duration_s", self.duration_s, &(0.001..=MAX_SECONDS), "0.001 to 100000000 s"),
             Some(motion) => motion.check(self.duration_s).map_err(|fault| fault.within("motion")),

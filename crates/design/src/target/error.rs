@@ -5,6 +5,7 @@
 //! Invariant: the text of a [`TargetError`] has no line break.
 
 use crate::target::limits::MAX_BYTES;
+use meissner_array::spec::UnknownArray;
 use meissner_input::document::{self, in_range};
 use meissner_input::message::short_number;
 use meissner_skin::TwoNames;
@@ -22,6 +23,8 @@ pub enum Problem {
     TooLarge { bytes: usize },
     #[error("is {found}: must be 1 to 64 of a-z, 0-9 and -")]
     Name { found: String },
+    #[error("is unknown: {0}")]
+    Array(#[source] UnknownArray),
     #[error("is a key of shape = {of}, and this is a {shape}: leave it out, or change `shape`")]
     Foreign { of: &'static str, shape: &'static str },
     #[error("is a list of {count}: must be {wanted}")]

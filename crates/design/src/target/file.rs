@@ -9,9 +9,10 @@ use crate::braille;
 use crate::shape::{Shape, on_pad};
 use crate::target::checked::Target;
 use crate::target::error::{KeyError, Problem, TargetError, within};
-use crate::target::limits::{FINEST_MM, MAX_BYTES, MAX_FRAMES, MAX_POINTS};
+use crate::target::limits::{FINEST_PITCHES, MAX_BYTES, MAX_FRAMES, MAX_POINTS};
 use crate::target::motion::{Frame, Motion};
 use meissner_array::pattern::Pattern;
+use meissner_array::spec::Array;
 use meissner_input::document::{CommonProblem, Table, from_json, from_toml, given, in_range, line_of};
 use meissner_input::message::quote;
 use meissner_skin::membrane;
@@ -24,8 +25,7 @@ use toml::Value;
 /// The key of a pattern's provenance under which it keeps its target.
 pub(crate) const DEFINITION: &str = "definition";
 
-/// Defaults. The amplitude is the paper's; it drives afferents well into their plateau.
-const DOT_PITCH_MM: f64 = FINEST_MM;
+/// Defaults. The amplitude is the paper's; it drives afferents well into their plateau. Motors with less travel have that.
 const REACH_MM: f64 = 1.5;
 const AMPLITUDE_UM: f64 = 80.0;
 const DURATION_S: f64 = 5.0;
@@ -52,11 +52,12 @@ impl Target {
         read().map_err(|fault: KeyError| fault.in_file(None))
     }
 
-    /// The target that a pattern was made for, if its provenance holds one that can be read.
+    /// The target that a pattern was made for, on the pattern's array, if its provenance holds one that can be read.
     #[must_use]
     pub fn made_for(pattern: &Pattern) -> Option<Self> {
         let text = toml::to_string(pattern.provenance().get(DEFINITION)?.as_table()?).ok()?;
-        Self::read(&text, DEFINITION).ok()
+        let target = Self::read(&text, DEFINITION).ok()?;
+        if target.array == pattern.array() { Some(target) } else { target.with_array(pattern.array()).ok() }
     }
 
     /// The target as a table with every key. [`Self::read`] makes an equal target of it: a polyline of two points is
@@ -90,7 +91,9 @@ impl Target {
             ("receptor", afferent.into()),
             times,
         ];
-        table(shape_keys(&self.shape).into_iter().chain(keys))
+        // A target for the default array does not name it.
+        let array = (self.array != Array::paper()).then(|| ("array", self.array.name().into()));
+        table(shape_keys(&self.shape).into_iter().chain(keys).chain(array))
     }
 }
 
@@ -147,6 +150,7 @@ fn wanted(key: &str) -> &'static str {
 #[serde(deny_unknown_fields)]
 struct RawTarget {
     name: String,
+    array: Option<String>,
     shape: Kind,
     points: Option<Vec<Point>>,
     center_mm: Option<Point>,
@@ -231,14 +235,19 @@ enum PlacedBy {
 
 impl RawTarget {
     fn target(mut self) -> Result<Target, KeyError> {
-        let (shape, placed_by) = self.shape()?;
+        let unknown = |unknown| KeyError::key("array", Problem::Array(unknown));
+        let array = self
+            .array
+            .take()
+            .map_or_else(|| Ok(Array::paper()), |name| Array::named(&name).map_err(unknown))?;
+        let (shape, placed_by) = self.shape(array)?;
         let (duration_s, motion) = match self.motion {
             None => (self.duration_s.unwrap_or(DURATION_S), None),
             Some(_) if self.duration_s.is_some() => {
                 return Err(KeyError::key("duration_s", Problem::DurationOfMotion));
             }
             Some(Table(raw)) => {
-                let motion = raw.motion(&shape).map_err(|fault| fault.within("motion"))?;
+                let motion = raw.motion(&shape, array.pitch_mm()).map_err(|fault| fault.within("motion"))?;
                 (raw.duration_s, Some(motion))
             }
         };
@@ -251,9 +260,10 @@ impl RawTarget {
         let raw = raw.map_or_else(RawAfferent::default, |Table(raw)| raw);
         let target = Target {
             name: self.name,
+            array,
             shape,
             reach_mm: self.reach_mm.unwrap_or(REACH_MM),
-            amplitude_um: self.amplitude_um.unwrap_or(AMPLITUDE_UM),
+            amplitude_um: self.amplitude_um.unwrap_or(AMPLITUDE_UM.min(array.motor().travel_um)),
             duration_s,
             population_seed: self.population.map_or(0, |Table(raw)| raw.seed),
             model: raw.model(membrane::POPULATION_NOISE_SD),
@@ -264,7 +274,7 @@ impl RawTarget {
         target.checked().map_err(|fault| as_written(fault, "afferent", written))
     }
 
-    fn shape(&mut self) -> Result<(Shape, PlacedBy), KeyError> {
+    fn shape(&mut self, array: Array) -> Result<(Shape, PlacedBy), KeyError> {
         self.check_keys()?;
         let missing = |key: &str| {
             KeyError::common(None, key.to_owned(), CommonProblem::Missing { wanted: wanted(key) })
@@ -293,7 +303,7 @@ impl RawTarget {
             }
             Kind::Braille => {
                 let text = self.character.take().ok_or_else(|| missing("character"))?;
-                let pitch_mm = self.dot_pitch_mm.unwrap_or(DOT_PITCH_MM);
+                let pitch_mm = self.dot_pitch_mm.unwrap_or(FINEST_PITCHES * array.pitch_mm());
                 within("dot_pitch_mm", pitch_mm, &(0.1..=24.0), "0.1 to 24 mm")?;
                 let dots = braille::dots(&text, pitch_mm, center_mm)
                     .ok_or_else(|| KeyError::key("character", Problem::Character { found: quote(&text) }))?;
@@ -334,12 +344,12 @@ impl RawTarget {
 }
 
 impl RawMotion {
-    fn motion(&self, shape: &Shape) -> Result<Motion, KeyError> {
+    fn motion(&self, shape: &Shape, pitch_mm: f64) -> Result<Motion, KeyError> {
         let Self { duration_s, speed_mm_s, direction_deg, turn_deg_s, frames } = *self;
         let mut motion = Motion { speed_mm_s, direction_deg, turn_deg_s, frames: MAX_FRAMES };
         motion.check(duration_s)?;
         motion.frames = match frames {
-            None => motion.enough_frames(shape, duration_s),
+            None => motion.enough_frames(shape, duration_s, pitch_mm),
             Some(count) => {
                 let frames = u8::try_from(count).ok().filter(|frames| (1..=MAX_FRAMES).contains(frames));
                 in_range("frames", count as f64, frames.is_some(), "1 to 64")?;

@@ -1,7 +1,5 @@
 //! Limits of a target.
 
-use meissner_array::geometry::PITCH_MM;
-
 /// The largest target file, bytes; [`MAX_POINTS`] written out take far less.
 pub const MAX_BYTES: usize = 64 << 10;
 /// The most points of a shape.
@@ -10,7 +8,7 @@ pub const MAX_POINTS: usize = 64;
 pub const MAX_FRAMES: u8 = 64;
 /// The longest motion, s. It is simulated as a whole, and every spike is kept.
 pub(crate) const LONGEST_S: f64 = 20.0;
-/// The finest detail that the array can show, mm: two vibrating pins need one at rest between them.
-pub(super) const FINEST_MM: f64 = 2.0 * PITCH_MM;
+/// The finest detail that an array can show, in pin pitches: two vibrating pins need one at rest between them.
+pub(super) const FINEST_PITCHES: f64 = 2.0;
 /// Lengths that differ by less are equal, mm.
 pub(super) const SAME_MM: f64 = 1e-9;

@@ -1,7 +1,7 @@
 //! Targets: a shape on the skin, its motion, and the population of afferents for which a pattern is made.
 //!
 //! [`Target::read`] reads and checks a TOML file. It gives a shape, the reach within which afferents should fire, the
-//! amplitude of all motors, a population and its afferent model, and perhaps a motion. A motion is cut into frames in
+//! amplitude of all motors, a population and its afferent model, and perhaps a motion and an array. Without one it is for the paper's. A motion is cut into frames in
 //! which the shape stands still; the file gives the shape as it is in the middle of the motion.
 //!
 //! The modules: `limits` and `error`; `motion` makes [`Frame`]s; `checked` is the [`Target`], `warnings` its doubtful

@@ -8,10 +8,9 @@
 use crate::shape::{Shape, direction};
 use crate::target::error::{KeyError, within};
 use crate::target::limits::{LONGEST_S, MAX_FRAMES, SAME_MM};
-use meissner_array::geometry::PITCH_MM;
 
-/// The largest step between frames whose number the program chooses, mm.
-const STEP_MM: f64 = PITCH_MM / 2.0;
+/// The largest step between frames whose number the program chooses, in pin pitches.
+const STEP_PITCHES: f64 = 0.5;
 
 /// The shortest frame, s: it holds a stroke or two, and bounds how often a search repeats it.
 const SHORTEST_FRAME_S: f64 = 0.01;
@@ -65,8 +64,9 @@ impl Motion {
 
     /// The number of frames for which no point moves by more than half a pin pitch from one to the next.
     #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "clamped")]
-    pub(super) fn enough_frames(&self, shape: &Shape, duration_s: f64) -> u8 {
-        let frames = ((self.path_mm(shape, duration_s) - SAME_MM) / STEP_MM).ceil();
+    pub(super) fn enough_frames(&self, shape: &Shape, duration_s: f64, pitch_mm: f64) -> u8 {
+        let step_mm = STEP_PITCHES * pitch_mm;
+        let frames = ((self.path_mm(shape, duration_s) - SAME_MM) / step_mm).ceil();
         frames.clamp(1.0, f64::from(Self::most_frames(duration_s))) as u8
     }
 

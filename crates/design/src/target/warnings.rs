@@ -3,21 +3,24 @@
 use crate::shape::{Shape, distance};
 use crate::target::checked::Target;
 use crate::target::error::number;
-use crate::target::limits::{FINEST_MM, MAX_FRAMES, SAME_MM};
-use firmware_protocol::stroke::MOTORS;
-use meissner_array::geometry::{self, PITCH_MM};
+use crate::target::limits::{FINEST_PITCHES, MAX_FRAMES, SAME_MM};
 
 impl Target {
     /// Warns of details finer than the array can show, points far from every pin, and frames too far apart.
     #[must_use]
     pub fn warnings(&self) -> Vec<String> {
-        let mut warnings = Vec::new();
+        let (mut warnings, pins) = (Vec::new(), self.array.positions_mm());
+        let pitch_mm = self.array.pitch_mm();
+        let finest_mm = FINEST_PITCHES * pitch_mm;
         let mut finer = |what: &str, mm: f64, advice: &str| {
-            if mm < FINEST_MM - SAME_MM {
+            if pins.len() == 1 && mm.is_finite() {
+                warnings.push(format!("{what} run together: the array has one pin"));
+            } else if mm < finest_mm - SAME_MM {
                 warnings.push(format!(
                     "{what} {} mm apart run together: the array separates {what} two pin pitches apart, \
-                     {FINEST_MM} mm; {advice}",
-                    number(mm)
+                     {} mm; {advice}",
+                    number(mm),
+                    number(finest_mm)
                 ));
             }
         };
@@ -33,27 +36,29 @@ impl Target {
             Shape::Polyline(_) | Shape::Disc { .. } => {}
         }
         let points = self.frames.iter().flat_map(|frame| frame.shape.points());
-        let from_pins = |&at: &[f64; 2]| {
-            let pins = (0..MOTORS as u8).map(geometry::position_mm);
-            pins.map(|pin| distance(at, pin)).fold(f64::INFINITY, f64::min)
-        };
+        let from_pins =
+            |&at: &[f64; 2]| pins.iter().map(|&pin| distance(at, pin)).fold(f64::INFINITY, f64::min);
         let farthest = points.map(|at| (from_pins(at), at)).max_by(|a, b| a.0.total_cmp(&b.0));
-        if let Some((mm, [x, y])) = farthest.filter(|(mm, _)| *mm > PITCH_MM) {
+        if let Some((mm, [x, y])) = farthest.filter(|(mm, _)| *mm > pitch_mm) {
+            let within = |axis: usize| pins.iter().map(|pin| pin[axis].abs()).fold(0.0, f64::max);
             warnings.push(format!(
                 "the point ({}, {}) is {} mm from the nearest pin: nothing moves the skin there; the pins stand within \
-                 4.35 mm of the middle across the finger and 7.25 mm along it",
+                 {} mm of the middle across the finger and {} mm along it",
                 number(*x),
                 number(*y),
-                number(mm)
+                number(mm),
+                number(within(0)),
+                number(within(1))
             ));
         }
         if let Some(motion) = &self.motion {
             let step_mm = motion.path_mm(&self.shape, self.duration_s) / f64::from(motion.frames);
-            if step_mm > PITCH_MM + SAME_MM {
+            if step_mm > pitch_mm + SAME_MM {
                 warnings.push(format!(
-                    "the shape moves by up to {} mm from frame to frame, more than a pin pitch, {PITCH_MM} mm: \
+                    "the shape moves by up to {} mm from frame to frame, more than a pin pitch, {} mm: \
                      it will seem to jump; slow it down{}",
                     number(step_mm),
+                    number(pitch_mm),
                     if motion.frames < MAX_FRAMES { ", or raise motion.frames" } else { "" }
                 ));
             }
