@@ -101,10 +101,9 @@ fn lagging(um: f64, half: f64, rise: f64, motor: &MotorSpec, omega: f64, damping
         edges.sum::<f64>()
     };
     let seen = half.min(settled + rise);
-    let highest =
-        (0..SAMPLES).map(|n| at(seen * f64::from(n) / f64::from(SAMPLES))).fold(f64::NEG_INFINITY, f64::max);
-    // The mean of the levels is half an edge below the upper one, which is 0 here.
-    2.0 * (highest + um / 2.0)
+    // The mean of the levels is half an edge below the upper one, which is 0 here. Half a period later all is the same upside down.
+    let from_mean = |n: u32| (at(seen * f64::from(n) / f64::from(SAMPLES)) + um / 2.0).abs();
+    2.0 * (0..SAMPLES).map(from_mean).fold(0.0, f64::max)
 }
 
 /// [`played`] of a motor whose displacement has no closed form.

@@ -34,8 +34,8 @@ pub fn rest_bound_um(
     delay_ms: f64,
     telemetry_hz: f64,
 ) -> f64 {
-    let (um_per_pulse, window, hz) =
-        (array.motor().um_per_pulse, array.motor().window_half_ticks, f64::from(array.rate().hz()));
+    let (motor, hz) = (array.motor(), f64::from(array.rate().hz()));
+    let um_per_pulse = motor.um_per_pulse;
     let rounding = um_per_pulse * um_per_pulse / 12.0;
     let variance = scatter * scatter * travel_um * travel_um / (1.0 - scatter * scatter);
     let (half, every) = (hz / frequency_hz / 2.0, hz / telemetry_hz);
@@ -61,7 +61,7 @@ pub fn rest_bound_um(
                     return 0.0;
                 }
                 let ramp = Ramp { start: Tick(0), ticks, um_per_tick: f64::from(ticks).recip() };
-                ramp.share_um(HalfTick((2.0 * after) as u64), window)
+                ramp.share_um(HalfTick((2.0 * after) as u64), motor)
             };
             // Directions alternate: the sign matters between bursts.
             let shares: Vec<f64> = (0..SEEN)

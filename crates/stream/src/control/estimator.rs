@@ -358,7 +358,7 @@ impl Estimator {
         let mut expected = self.mean[POSITION];
         let mut shown = 0.0;
         for (index, windowed) in self.window.iter().enumerate() {
-            let share = windowed.ramp.share_um(at, self.motor.window_half_ticks);
+            let share = windowed.ramp.share_um(at, &self.motor);
             shares[index] = share;
             expected += share * self.mean[3 + index];
             shown += share * windowed.ideal.abs();

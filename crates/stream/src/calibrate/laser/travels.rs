@@ -175,7 +175,7 @@ impl Window {
         let pulses = u32::from(self.burst.pulses);
         let ramp = Ramp::travelled(Tick(0), pulses, 1.0);
         let half_ticks = (seconds - self.start_s).max(0.0) * self.array.rate().half_ticks_per_s();
-        ramp.share_um(HalfTick(half_ticks.round() as u64), self.array.motor().window_half_ticks)
+        ramp.share_um(HalfTick(half_ticks.round() as u64), self.array.motor())
     }
 
     /// Level before the burst and travel, µm, and the variance of the travel per variance of a sample.
