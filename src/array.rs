@@ -53,6 +53,16 @@ pub fn find(text: &str, folder: &Path) -> Result<Array, FindError> {
     Array::known(spec).map_err(|problem| FindError::Name { file, problem })
 }
 
+/// The array that a daemon has shown.
+///
+/// # Errors
+/// If its description is not valid here, as that of a newer daemon may be.
+pub fn shown(details: &ArrayDetails) -> Result<Array, FindError> {
+    let file = "the daemon's array";
+    let spec = ArraySpec::parse(&details.toml, file)?;
+    Array::known(spec).map_err(|problem| FindError::Name { file: file.into(), problem })
+}
+
 /// The array as the API shows it.
 #[must_use]
 pub fn details(array: Array) -> ArrayDetails {
@@ -80,5 +90,6 @@ pub fn details(array: Array) -> ArrayDetails {
             least_pulses: motor.least_pulses,
             most_pulses: motor.most_pulses,
         },
+        toml: array.text().to_owned(),
     }
 }

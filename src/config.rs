@@ -19,8 +19,8 @@ use crate::session_record::Location;
 use array::RawArray;
 use firmware_protocol::limits::PowerLimits;
 use meissner_api::request::SILENCE_S;
-use meissner_array::spec::Array;
 use meissner_array::simulated::{LowerStop, SimulatedMotorsConfig, SimulatedMotorsError};
+use meissner_array::spec::Array;
 use meissner_client::default_socket;
 use meissner_input::document::{Table, from_toml, in_range};
 use meissner_input::message::quote;
@@ -204,7 +204,13 @@ impl RawParticipant {
             |key, found, default| checked(&format!("participant.{key}"), found, default, LIMIT_S, "s");
         let (um, pause) = ("participant.max_amplitude_um", "participant.pause_s");
         Ok(ParticipantLimits {
-            max_amplitude_um: checked(um, self.max_amplitude_um, default.max_amplitude_um.min(travel_um), 1.0..=travel_um, "um")?,
+            max_amplitude_um: checked(
+                um,
+                self.max_amplitude_um,
+                default.max_amplitude_um.min(travel_um),
+                1.0..=travel_um,
+                "um",
+            )?,
             max_continuous_s: seconds("max_continuous_s", self.max_continuous_s, default.max_continuous_s)?,
             pause_s: checked(pause, self.pause_s, default.pause_s, PAUSE_S, "s")?,
             max_session_s: seconds("max_session_s", self.max_session_s, default.max_session_s)?,

@@ -69,7 +69,10 @@ fn new(asked: New) -> Result<ExitCode> {
         opened => opened.with_context(|| format!("{shown_file} cannot be written"))?,
     };
     to.write_all(text.as_bytes()).with_context(|| format!("{shown_file} cannot be written"))?;
-    super::output::say(&format!("{}\n\nwritten to {shown_file}; change it to your wiring and motors", shown(&array)))?;
+    super::output::say(&format!(
+        "{}\n\nwritten to {shown_file}; change it to your wiring and motors",
+        shown(&array)
+    ))?;
     Ok(ExitCode::SUCCESS)
 }
 
@@ -116,16 +119,18 @@ fn shown(array: &ArraySpec) -> String {
 fn drawing(array: &ArraySpec) -> String {
     let cell_mm = array.pitch_mm() / 2.0;
     let places: Vec<(usize, usize)> = {
-        let [left, top] = array.positions_mm().iter().fold([f64::INFINITY, f64::NEG_INFINITY], |[left, top], [x, y]| {
-            [left.min(*x), top.max(*y)]
-        });
+        let [left, top] = array
+            .positions_mm()
+            .iter()
+            .fold([f64::INFINITY, f64::NEG_INFINITY], |[left, top], [x, y]| [left.min(*x), top.max(*y)]);
         let cells = |mm: f64| (mm / cell_mm).round() as usize;
         array.positions_mm().iter().map(|[x, y]| (2 * cells(x - left), cells(top - y))).collect()
     };
     let height = places.iter().map(|place| place.1).max().unwrap_or_default();
     let line = |at: usize| {
         let mut line = String::new();
-        let mut pins: Vec<_> = places.iter().zip(array.numbers()).filter(|(place, _)| place.1 == at).collect();
+        let mut pins: Vec<_> =
+            places.iter().zip(array.numbers()).filter(|(place, _)| place.1 == at).collect();
         pins.sort_unstable();
         for ((left, _), motor) in pins {
             // Pins that stand closer than the drawing can show follow each other.

@@ -10,6 +10,7 @@ use super::ending::Ending;
 use super::output::give;
 use super::progress::Progress;
 use super::{control, files, laser, session_token, text};
+use crate::array::shown;
 use crate::receipts::calibration_plan;
 use anyhow::{Result, bail};
 use clap::Args;
@@ -82,8 +83,8 @@ pub(super) fn run(asked: &Calibrate) -> Result<ExitCode> {
         return laser::play(&request, asked.out.as_deref().unwrap_or(plan), &asked.options);
     }
     let out = asked.out.as_deref().map(files::beside).transpose()?;
-    let plan = calibration_plan(&request)?;
     let mut client = asked.options.client()?;
+    let plan = calibration_plan(shown(&client.get("/v1/array")?)?, &request)?;
     let mut events = client.events()?;
     let ending = Ending::listen(&asked.options)?;
     let PlayAccepted { id, .. } = ending.order(|| client.post("/v1/calibrate", &request))?;

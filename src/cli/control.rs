@@ -12,7 +12,9 @@ use super::progress::Progress;
 use super::text;
 use anyhow::{Result, bail};
 use clap::Args;
-use meissner_api::{ArmRequest, Code, Event, Fit, PlayAccepted, PlayRequest, Receipt, ResetRequest, Status};
+use meissner_api::{
+    ArmRequest, Code, Event, Fit, Mapping, PlayAccepted, PlayRequest, Receipt, ResetRequest, Status,
+};
 use meissner_client::{Client, ClientError, Events, HOME_TIMEOUT, escape};
 use serde_json::{Value, json};
 use std::io::{self, BufRead, IsTerminal, Read, Write};
@@ -44,6 +46,9 @@ pub(super) struct Play {
     /// Choose which strokes are played at the end
     #[arg(long, default_value = "whole", value_parser = choice::<Fit>(&[("whole", "Those that have ended by then: a little shorter than asked for"), ("cover", "Those that begin before: a little longer")]))]
     fit: Fit,
+    /// Play a pattern for another array: each pin follows the nearest of the pattern's pins
+    #[arg(long, value_parser = choice::<Mapping>(&[("nearest", "By position: a pin with none within a pitch rests")]))]
+    map: Option<Mapping>,
     #[command(flatten)]
     play: PlayOptions,
     /// Wait for the end and print the receipt; exit 1 if not all was played. Ctrl-C, SIGTERM and SIGHUP stop the play (exit 130, 143, 129)
@@ -205,6 +210,7 @@ pub(super) fn play(play: &Play) -> Result<ExitCode> {
         pattern: play.name.clone(),
         pattern_sha256: None,
         seconds: play.seconds,
+        map: play.map,
         at_tick,
         at_ms,
         at_monotonic_ns,

@@ -16,8 +16,8 @@ use crate::receipts::{PlayedPattern, end_text};
 use crate::store::Store;
 use anyhow::{Context, Result, bail};
 use meissner_api::{
-    ArmRequest, BurstCounts, DurationRecord, EndCause, LinkTraffic, Mapping, OrderedCounts, PlayAccepted, PlayRequest,
-    PredictedResponse, PulseCounts, Rates, Realtime, Receipt, Status,
+    ArmRequest, BurstCounts, DurationRecord, EndCause, LinkTraffic, Mapping, OrderedCounts, PlayAccepted,
+    PlayRequest, PredictedResponse, PulseCounts, Rates, Realtime, Receipt, Status,
 };
 use meissner_array::pattern::Pattern;
 use meissner_array::per_motor::PerMotor;
@@ -100,7 +100,13 @@ struct ResponseReport {
     unknown: Option<String>,
 }
 
-pub(super) fn run(seconds: f64, array: Array, open_loop: bool, sensorless: bool, json: bool) -> Result<ExitCode> {
+pub(super) fn run(
+    seconds: f64,
+    array: Array,
+    open_loop: bool,
+    sensorless: bool,
+    json: bool,
+) -> Result<ExitCode> {
     let begun = Instant::now();
     let dir =
         tempfile::tempdir().context("no temporary directory: set TMPDIR to one that can be written to")?;

@@ -9,6 +9,7 @@ use super::ending::Ending;
 use super::output::give;
 use super::progress::Progress;
 use super::{control, files, text};
+use crate::array::shown;
 use crate::file::read_regular;
 use crate::receipts::calibration_plan;
 use crate::session_record::utc_now;
@@ -32,9 +33,9 @@ pub(super) fn play(request: &CalibrateRequest, out: &Path, options: &ClientOptio
     if request.motor.is_none() {
         bail!("--motor is missing: name the one motor whose pin the laser measures");
     }
-    let plan = calibration_plan(request)?;
     let file = files::beside(out)?;
     let mut client = options.client()?;
+    let plan = calibration_plan(shown(&client.get("/v1/array")?)?, request)?;
     let before: Status = client.get("/v1/status")?;
     let mut events = client.events()?;
     let ending = Ending::listen(options)?;

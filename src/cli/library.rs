@@ -5,8 +5,8 @@
 
 use super::arguments::ClientOptions;
 use super::output::give;
-use crate::array::details;
 use super::{files, text};
+use crate::array::details;
 use anyhow::{Result, bail};
 use meissner_api::{ImportedPattern, RemovedPattern};
 use meissner_array::motor::SteadyState;
@@ -68,7 +68,7 @@ pub(super) fn show(options: &ClientOptions, name: &str) -> Result<ExitCode> {
         Ok(array) => details(array),
         Err(_) => client.get("/v1/array")?,
     };
-    give(options.output.json, &shown, || text::pattern(&shown, array.grid))
+    give(options.output.json, &shown, || text::pattern(&shown, &array))
 }
 
 /// Reads a pattern file: the pattern, and its text.

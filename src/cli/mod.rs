@@ -253,6 +253,8 @@ enum Command {
         /// Check this device, named as for `daemon` [default: the daemon's, else the first board]
         #[arg(long, value_name = "DEVICE")]
         device: Option<Spec>,
+        #[command(flatten)]
+        array: ArrayOption,
         /// Have the board test itself: lines, waveform, memory, speed. The drivers stay off
         #[arg(long)]
         board: bool,
@@ -338,9 +340,13 @@ fn run(command: Command) -> Result<ExitCode> {
         Command::Validate(asked) => validate::run(&asked),
         Command::Manual { folder } => manual::manual(&folder).map(|()| ExitCode::SUCCESS),
         Command::Report(asked) => report::run(&asked),
-        Command::Doctor { device, board, seconds, options } => {
-            doctor::run(device, board, Duration::from_secs_f64(seconds), &options)
-        }
+        Command::Doctor { device, array, board, seconds, options } => doctor::run(
+            device,
+            array.array.unwrap_or_default(),
+            board,
+            Duration::from_secs_f64(seconds),
+            &options,
+        ),
     }
 }
 

@@ -11,6 +11,7 @@ use super::{files, library, progress, text};
 use crate::store::Store;
 use anyhow::{Result, bail};
 use clap::Args;
+use meissner_array::spec::Array;
 use meissner_report::figures::{self, Figures, INDEX, Subject};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
@@ -44,11 +45,12 @@ struct Document<'a> {
 
 #[expect(clippy::result_large_err, reason = "an error ends the program")]
 pub(super) fn run(asked: &Report) -> Result<ExitCode> {
+    let array = asked.array.array.unwrap_or_default();
     let subjects = subjects(&asked.patterns)?;
     files::directory(&asked.out)?;
     let page = files::beside(&asked.out.join(INDEX))?;
     let begun = Instant::now();
-    let report = progress::metered(|at| figures::report(&subjects, at))?;
+    let report = progress::metered(|at| figures::report(array, &subjects, at))?;
     for file in &report.files {
         files::beside(&asked.out.join(&file.name))?.write(&file.text)?;
     }
@@ -60,7 +62,7 @@ pub(super) fn run(asked: &Report) -> Result<ExitCode> {
         figures: &report.figures,
         wall_s: begun.elapsed().as_secs_f64(),
     };
-    give(asked.output.json, &document, || summary(&asked.out, &document))
+    give(asked.output.json, &document, || summary(array, &asked.out, &document))
 }
 
 /// The requested patterns in their order; all of the library if none is named.
@@ -86,7 +88,7 @@ fn subjects(asked: &[String]) -> Result<Vec<Subject>> {
     Ok(subjects)
 }
 
-fn summary(out: &Path, document: &Document<'_>) -> String {
+fn summary(array: Array, out: &Path, document: &Document<'_>) -> String {
     let Figures { pulses, amplitude, rate, acuity, edge, patterns } = document.figures;
     let mut lines = vec![
         ("page", out.join(INDEX).to_string_lossy().escape_debug().to_string()),
@@ -96,7 +98,7 @@ fn summary(out: &Path, document: &Document<'_>) -> String {
             format!(
                 "{:.4} um per pulse, {:.3} of the model; a burst scatters by {:.1} %",
                 pulses.all.slope_um_per_pulse,
-                pulses.all.gain(),
+                pulses.all.gain(array.motor()),
                 pulses.all.relative_sd * 100.0
             ),
         ),

@@ -14,10 +14,11 @@ use crate::receipts::end_text;
 use comfy_table::presets::{NOTHING, UTF8_FULL};
 use comfy_table::{CellAlignment, Table};
 use meissner_api::{
-    ArmedStatus, ArrayGrid, BoardRecord, BoardStatus, EndCause, ErrorSource, Event, ItemState, NO_DEVICE,
-    ParticipantStatus, Receipt, Session, Status,
+    ArmedStatus, ArrayDetails, ArrayGrid, BoardRecord, BoardStatus, EndCause, ErrorSource, Event, ItemState,
+    NO_DEVICE, ParticipantStatus, Receipt, Session, Status,
 };
 use meissner_array::pattern::Drive;
+use meissner_array::units::TickRate;
 use meissner_report::figures::segments;
 use serde_json::Value;
 use std::fmt::Write;
@@ -307,7 +308,8 @@ pub(super) fn event(event: &Event) -> String {
 const MAPS: usize = 4;
 
 /// A pattern from the daemon: the array seen from above, fingertip up, if it has rows and columns; then the drives.
-pub(super) fn pattern(shown: &Value, grid: Option<ArrayGrid>) -> String {
+pub(super) fn pattern(shown: &Value, array: &ArrayDetails) -> String {
+    let (grid, rate) = (array.grid, TickRate::new(array.tick_hz));
     let pattern = &shown["pattern"];
     let none = Vec::new();
     let drives = pattern["drive"].as_array().unwrap_or(&none);
@@ -321,7 +323,7 @@ pub(super) fn pattern(shown: &Value, grid: Option<ArrayGrid>) -> String {
     // The maps show what moves: each drive with the amplitude that it reaches, none without a stroke.
     let moving: Vec<Drive> =
         drives.iter().zip(0..).filter_map(|(file, at)| drive(file, &shown["drives"][at])).collect();
-    let segments = segments(&moving, duration_s);
+    let segments = segments(rate, &moving, duration_s);
     for (segment, grid) in segments.iter().take(MAPS).zip(grid.into_iter().cycle()) {
         let when = match (segments.len(), segment.stop_s) {
             (1, _) => String::new(),

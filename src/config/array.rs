@@ -55,10 +55,8 @@ impl RawArray {
             in_range(&format!("array.{key}"), found.into(), good, format!("1 to {none} motors"))?;
             Ok(found as u8)
         };
-        let rail_at_once =
-            check("rail_motors_at_once", self.rail_motors_at_once, limits.rail_at_once)?;
-        let chip_at_once =
-            check("chip_motors_at_once", self.chip_motors_at_once, limits.chip_at_once)?;
+        let rail_at_once = check("rail_motors_at_once", self.rail_motors_at_once, limits.rail_at_once)?;
+        let chip_at_once = check("chip_motors_at_once", self.chip_motors_at_once, limits.chip_at_once)?;
         Ok(PowerLimits { rail_at_once, chip_at_once, ..limits })
     }
 

@@ -111,8 +111,9 @@ impl Daemon {
         };
         engine.gate.watch_tokens(tokens_changed).map_err(system("tokens' thread"))?;
         engine.load_calibration(None);
-        let connector = connector::spawn(config.device.clone(), config.mock, Arc::clone(&engine))
-            .map_err(system("connector's thread"))?;
+        let connector =
+            connector::spawn(config.device.clone(), config.settings.array, config.mock, Arc::clone(&engine))
+                .map_err(system("connector's thread"))?;
         info!("listening on {}", bound.socket().display());
         let (config, store) = (config.clone(), SharedStore::new(store));
         Ok(Self { config, bound, tcp, engine, store, events, predictor, realtime, streamer, connector })

@@ -249,7 +249,8 @@ impl Lab {
                     stop_s: (!whole).then_some(stop_s),
                 };
                 let pattern =
-                    Pattern::new("random", Some(repeat_s), vec![drive], toml::Table::new()).unwrap();
+                    Pattern::new(Array::paper(), "random", Some(repeat_s), vec![drive], toml::Table::new())
+                        .unwrap();
                 Vibration::of(&pattern, Some(end_s).filter(|end_s| end_s.is_finite()))
             }
         };

@@ -61,7 +61,8 @@ impl Vibration {
     /// The vibration of a play of `pattern` that ends after `end_s`.
     #[must_use]
     pub fn of(pattern: &Pattern, end_s: Option<f64>) -> Self {
-        let moving = pattern.drives().iter().filter(|drive| drive.wave().is_ok_and(|wave| wave.moves()));
+        let array = pattern.array();
+        let moving = pattern.drives().iter().filter(|drive| drive.wave(array).is_ok_and(|wave| wave.moves()));
         let end = pattern.duration_s().unwrap_or(f64::INFINITY);
         let mut drives: Vec<(f64, f64)> =
             moving.map(|drive| (drive.start_s.unwrap_or(0.0), drive.stop_s.unwrap_or(end))).collect();
@@ -202,7 +203,7 @@ mod tests {
             stop_s,
         };
         let drives = drives.iter().enumerate().map(drive).collect();
-        Pattern::new("test", duration_s, drives, toml::Table::new()).unwrap()
+        Pattern::new(Array::paper(), "test", duration_s, drives, toml::Table::new()).unwrap()
     }
 
     #[test]

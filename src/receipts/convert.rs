@@ -4,9 +4,10 @@ use firmware_protocol::board::{Board, OUTPUTS, Reset};
 use firmware_protocol::limits::Refusal;
 use firmware_protocol::message::{DeviceHello, State};
 use meissner_api::{BoardRecord, BoardStatus, CalibrateRequest, Code, DeviceInfo, EndCause, Problem};
+use meissner_array::spec::Array;
 use meissner_array::strokes::Fit;
 use meissner_stream::PlayBoard;
-use meissner_stream::calibrate::{Plan, laser_plan};
+use meissner_stream::calibrate::{Plan, PlanError, laser_plan};
 use meissner_stream::queues::CommandError;
 
 /// The controller's state as the API names it.
@@ -108,6 +109,7 @@ pub fn refusal(refused: CommandError) -> Problem {
         CommandError::DriftLimit { .. } => Code::DriftLimit,
         CommandError::LevelNotChecked { .. } => Code::LevelNotChecked,
         CommandError::NoDevice => Code::NoDevice,
+        CommandError::OtherArray { .. } => Code::OtherArray,
         CommandError::Disarmed => Code::Disarmed,
         CommandError::Faulted => Code::Faulted,
         CommandError::Returning => Code::Returning,
@@ -117,7 +119,7 @@ pub fn refusal(refused: CommandError) -> Problem {
         CommandError::QueueFull => Code::QueueFull,
         CommandError::BehindEndless => Code::BehindEndless,
         CommandError::TooSoon => Code::TooSoon,
-        CommandError::TooFar => Code::BadRequest,
+        CommandError::TooFar { .. } => Code::BadRequest,
         CommandError::Overlaps => Code::Overlaps,
         CommandError::LineTooSlow { .. } => Code::LineTooSlow,
         CommandError::Device(Refusal::PositionUnknown) => Code::PositionUnknown,
@@ -131,21 +133,22 @@ pub fn refusal(refused: CommandError) -> Problem {
 ///
 /// # Errors
 /// A `bad-request` that says what is wrong.
-pub fn calibration_plan(request: &CalibrateRequest) -> Result<Plan, Problem> {
+pub fn calibration_plan(array: Array, request: &CalibrateRequest) -> Result<Plan, Problem> {
     let pulses = request.pulses.as_deref();
+    let bad = |error: PlanError| Problem::new(Code::BadRequest, error.to_string());
     let plan = match (request.laser, request.motor) {
-        (true, Some(motor)) => laser_plan(motor, pulses, request.repetitions),
+        (true, Some(motor)) => laser_plan(array, motor, pulses, request.repetitions),
         (true, None) => {
             let detail = "`motor` is missing: name the one motor whose pin the laser measures";
             return Err(Problem::new(Code::BadRequest, detail));
         }
         (false, motor) => {
-            let default = Plan::default();
+            let default = Plan::of(array).map_err(bad)?;
             let repetitions = request.repetitions.unwrap_or(default.repetitions());
-            Plan::new(motor, pulses.unwrap_or(default.pulses()), repetitions)
+            Plan::new(array, motor, pulses.unwrap_or(default.pulses()), repetitions)
         }
     };
-    plan.map_err(|error| Problem::new(Code::BadRequest, error.to_string()))
+    plan.map_err(bad)
 }
 
 #[cfg(test)]

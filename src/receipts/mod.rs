@@ -230,7 +230,8 @@ impl Receipts {
         self.totals.add(outcome);
         let event = Event::Ended { receipt: Box::new(receipt.clone()) };
         // Only the receipt gets the items, because an event must be short.
-        receipt.items = self.planned.remove(&id).map(|planned| items::records(&planned, &outcome.play.items, rate));
+        receipt.items =
+            self.planned.remove(&id).map(|planned| items::records(&planned, &outcome.play.items, rate));
         let count = |receipt: &Receipt| receipt.items.as_ref().map_or(0, |items| items.len());
         let mut kept = count(&receipt) + self.finished.iter().map(count).sum::<usize>();
         while self.finished.len() >= KEPT || kept > KEPT_ITEMS {

@@ -12,7 +12,8 @@ use utoipa::ToSchema;
     "tick_hz": 85000, "duty": {"up": 0.2, "down": 0.8},
     "rails": [[0, 1, 2, 3, 4, 5]], "chips": [[0, 1], [2, 3], [4, 5]],
     "motor": {"um_per_pulse": 0.1357142857142857, "window_ms": 4.3, "speed_mm_s": 11.5, "travel_um": 400.0, "least_pulses": 7,
-              "most_pulses": 3000}
+              "most_pulses": 3000},
+    "toml": "name = \"tula35-2x3\"\npins = { rows = 2, columns = 3, pitch_mm = 2.9 }\n"
 })))]
 pub struct ArrayDetails {
     /// The description's name.
@@ -44,6 +45,8 @@ pub struct ArrayDetails {
     pub chips: Vec<Vec<u8>>,
     /// What its motors do.
     pub motor: ArrayMotor,
+    /// The description's file, TOML.
+    pub toml: String,
 }
 
 /// Pins in rows and columns.

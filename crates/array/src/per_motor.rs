@@ -56,6 +56,14 @@ impl<T> DerefMut for PerMotor<T> {
     }
 }
 
+impl<T> IntoIterator for PerMotor<T> {
+    type Item = T;
+    type IntoIter = std::iter::Take<std::array::IntoIter<T, MAX_MOTORS>>;
+    fn into_iter(self) -> Self::IntoIter {
+        self.values.into_iter().take(usize::from(self.motors))
+    }
+}
+
 impl<'a, T> IntoIterator for &'a PerMotor<T> {
     type Item = &'a T;
     type IntoIter = std::slice::Iter<'a, T>;

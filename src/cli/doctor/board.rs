@@ -9,6 +9,7 @@ use crate::receipts::{board_status, device_info};
 use firmware_protocol::frame::PROTOCOL;
 use meissner_api::{BoardStatus, DeviceInfo, Finding, Level};
 use meissner_array::simulated::SimulatedMotorsConfig;
+use meissner_array::spec::Array;
 use meissner_stream::Settings;
 use meissner_stream::device::{self, DeviceError, Spec};
 use meissner_stream::diagnostics::{self, Drift, LinkReport, RoundTripStats};
@@ -46,10 +47,11 @@ pub(super) struct Examined {
 pub(super) fn examine(
     root: &Path,
     spec: &Spec,
+    array: Array,
     self_test: bool,
     findings: &mut Vec<Finding>,
 ) -> Option<Examined> {
-    let mut device = match device::open(spec, &SimulatedMotorsConfig::default()) {
+    let mut device = match device::open(spec, array, &SimulatedMotorsConfig::default()) {
         Ok(device) => device,
         Err(error) => {
             findings.push(Finding::fail("device", error.found(), error.advice()));
@@ -58,7 +60,7 @@ pub(super) fn examine(
         }
     };
     let (kind, serial_number) = (device.kind(), device.serial_number().map(str::to_owned));
-    let checked = diagnostics::measure(&mut device, self_test);
+    let checked = diagnostics::measure(&mut device, array, self_test);
     drop(device);
     // A program that already had the port open reads bytes meant for us.
     if let Spec::Serial(path) = spec {
@@ -124,7 +126,7 @@ fn judged(at: &Examined) -> Vec<Finding> {
         trip.count
     );
     // If the link takes more than half the lead, strokes may come late.
-    let half_lead_us = Settings::default().stall_ms() * 1000.0;
+    let half_lead_us = Settings::of(Array::default()).stall_ms() * 1000.0;
     let level = match trip.p99_us {
         us if us > half_lead_us => Level::Fail,
         us if us > CORRECTION_US => Level::Warn,

@@ -22,6 +22,7 @@ use crate::doctor::{daemon, device, machine, service};
 use anyhow::Result;
 use board::Examined;
 use meissner_api::{DoctorReport, Finding, Level, Status};
+use meissner_array::spec::Array;
 use meissner_client::ClientError;
 use meissner_client::access::CurrentUser;
 use meissner_stream::device::Spec;
@@ -40,10 +41,11 @@ struct Report {
     device: Option<Examined>,
 }
 
-/// `asked`: the device to check; without it the daemon's, else the first board. `self_test`: have the board test itself. `time`:
+/// `asked`: the device to check; without it the daemon's, else the first board; `array`: what it should be for. `self_test`: have the board test itself. `time`:
 /// how long to measure wake-ups.
 pub(super) fn run(
     asked: Option<Spec>,
+    array: Array,
     self_test: bool,
     time: Duration,
     options: &ClientOptions,
@@ -82,8 +84,8 @@ pub(super) fn run(
             }
             None
         }
-        None => board::examine(root, &Spec::Board, self_test, &mut findings),
-        Some(spec) => board::examine(root, &spec, self_test, &mut findings),
+        None => board::examine(root, &Spec::Board, array, self_test, &mut findings),
+        Some(spec) => board::examine(root, &spec, array, self_test, &mut findings),
     };
     let simulated = match &device {
         Some(examined) => examined.device.simulated,

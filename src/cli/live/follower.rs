@@ -135,7 +135,11 @@ mod tests {
     #[test]
     fn a_tablets_area_is_the_arrays() {
         let tablet = || {
-            Follower::new(0.02, [4.35, 7.25], [Some(Range { least: 100, most: 300 }), Some(Range { least: 0, most: 10 })])
+            Follower::new(
+                0.02,
+                [4.35, 7.25],
+                [Some(Range { least: 100, most: 300 }), Some(Range { least: 0, most: 10 })],
+            )
         };
         let at = |x, y| {
             after(tablet(), &[absolute(AbsoluteAxisCode::ABS_X, x), absolute(AbsoluteAxisCode::ABS_Y, y)])

@@ -12,7 +12,7 @@ use super::signals::Signals;
 use crate::cli::progress::Updates;
 use anyhow::{Result, anyhow, bail};
 use meissner_api::{Code, EndCause, LiveAnswer, LiveApplied, LiveMessage, LivePose};
-use meissner_array::units::ticks_to_ms;
+use meissner_array::units::TickRate;
 use meissner_client::{ClientError, LivePlay};
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::io::Errno;
@@ -127,6 +127,8 @@ pub(super) struct Following<'a> {
     source: Source,
     pace: Pace,
     signals: &'a Signals,
+    /// The tick rate of the device.
+    rate: TickRate,
     counts: Counts,
     shown: Updates,
     /// Where an input device has moved the shape.
@@ -136,7 +138,13 @@ pub(super) struct Following<'a> {
 }
 
 impl<'a> Following<'a> {
-    pub(super) fn new(play: &'a mut LivePlay, source: Source, pace: Pace, signals: &'a Signals) -> Self {
+    pub(super) fn new(
+        play: &'a mut LivePlay,
+        source: Source,
+        pace: Pace,
+        signals: &'a Signals,
+        rate: TickRate,
+    ) -> Self {
         let pose = match &source {
             Source::Input(input) => Some(input.pose()),
             Source::Lines(_) => None,
@@ -146,6 +154,7 @@ impl<'a> Following<'a> {
             source,
             pace,
             signals,
+            rate,
             counts: Counts::default(),
             shown: Updates::new(),
             pose,
@@ -304,7 +313,8 @@ impl<'a> Following<'a> {
         let Counts { applied: applied_count, merged, refused, decided_ms, first_stroke_ms } =
             &mut self.counts;
         if let Some(LiveApplied { received_tick, from_tick, ticks, .. }) = applied {
-            let after = |tick: u64| ticks_to_ms(tick.saturating_sub(received_tick));
+            let rate = self.rate;
+            let after = |tick: u64| rate.ticks_to_ms(tick.saturating_sub(received_tick));
             *applied_count += 1;
             *decided_ms = Some(after(from_tick));
             *first_stroke_ms = ticks.into_iter().flatten().min().map(after).or(*first_stroke_ms);

@@ -24,9 +24,10 @@ use device::Input;
 use following::{End, Following, Source};
 use lines::Lines;
 use meissner_api::{
-    EndCause, LIVE_TIMEOUT_MS, LIVE_UPDATES_HZ, LiveMessage, LiveRequest, PlayState, Receipt, SearchModel,
-    SearchObjective, SearchSetting, Status,
+    ArrayDetails, EndCause, LIVE_TIMEOUT_MS, LIVE_UPDATES_HZ, LiveMessage, LiveRequest, PlayState, Receipt,
+    SearchModel, SearchObjective, SearchSetting,
 };
+use meissner_array::units::TickRate;
 use meissner_client::Client;
 use meissner_design::{MAX_BYTES, Target};
 use pace::Pace;
@@ -139,7 +140,8 @@ impl Live {
         }
         // To the outermost pins.
         let most_mm = || {
-            let most = |axis: usize| array.positions_mm.iter().map(|place| place[axis].abs()).fold(0.0, f64::max);
+            let most =
+                |axis: usize| array.positions_mm.iter().map(|place| place[axis].abs()).fold(0.0, f64::max);
             [most(0), most(1)]
         };
         Ok(match &self.follow {
@@ -189,7 +191,7 @@ pub(super) fn run(asked: &Live) -> Result<ExitCode> {
     let timeout = Duration::from_secs_f64(asked.timeout_ms() / 1e3);
     let keep_alive = asked.keep_alive || !source.must_speak();
     let pace = Pace::new(request.updates_hz.unwrap_or(LIVE_UPDATES_HZ), timeout, keep_alive);
-    let mut following = Following::new(&mut play, source, pace, &signals);
+    let mut following = Following::new(&mut play, source, pace, &signals, TickRate::new(array.tick_hz));
     let end = following.run();
     let refused = following.summary();
     // Closing the connection ends the play, if it runs.

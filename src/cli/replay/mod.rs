@@ -162,8 +162,7 @@ fn dry_run(asked: &Replay, id: &str) -> Result<ExitCode> {
                 "items": play.items, "note": about
             }));
         } else if !json {
-            let start =
-                start_s.map_or_else(|| "-".to_owned(), |start_s| format!("{start_s:.6} s"));
+            let start = start_s.map_or_else(|| "-".to_owned(), |start_s| format!("{start_s:.6} s"));
             let lasts = play.ordered_ms.map_or_else(String::new, |ms| format!(", {:.3} s", ms / 1e3));
             let items = if play.items > 0 { format!(", {} items", play.items) } else { String::new() };
             let about = if about.is_empty() { about } else { format!("; {about}") };
@@ -178,9 +177,7 @@ fn dry_run(asked: &Replay, id: &str) -> Result<ExitCode> {
     if json {
         say_json(&document)?;
     } else {
-        say(&format!(
-            "{plays} plays, {skipped} of them not played; the last onset is at {end_s:.3} s"
-        ))?;
+        say(&format!("{plays} plays, {skipped} of them not played; the last onset is at {end_s:.3} s"))?;
     }
     Ok(if missing == 0 && lacks.is_none() { ExitCode::SUCCESS } else { ExitCode::FAILURE })
 }
@@ -275,7 +272,9 @@ impl Player {
                 *self.base.insert((now + START_AFTER_S * self.rate.per_s(), boot))
             }
         };
-        while self.under_way.len() >= MOST_AHEAD || self.now()?.0 + AHEAD_S * self.rate.per_s() < base + step.start {
+        while self.under_way.len() >= MOST_AHEAD
+            || self.now()?.0 + AHEAD_S * self.rate.per_s() < base + step.start
+        {
             match self.under_way.is_empty() {
                 true => thread::sleep(Duration::from_secs_f64(WAIT_S / 4.0)),
                 false => self.follow_oldest()?,

@@ -6,7 +6,7 @@
 
 mod afferents;
 
-use crate::cli::arguments::{Output, choice};
+use crate::cli::arguments::{ArrayOption, Output, choice};
 use crate::cli::output::give;
 use crate::cli::{files, progress, text};
 use anyhow::{Result, anyhow};

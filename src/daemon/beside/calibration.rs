@@ -118,11 +118,11 @@ impl Engine {
 
     /// The document of `GET /v1/calibration`. It takes milliseconds for a long file.
     pub(in crate::daemon) fn calibration_json(&self) -> Result<Vec<u8>, Problem> {
-        let (file, stored) = {
+        let (array, file, stored) = {
             let state = self.lock();
-            (state.calibration.file.clone(), state.calibration.stored.clone())
+            (state.settings.array, state.calibration.file.clone(), state.calibration.stored.clone())
         };
-        Ok(serde_json::to_vec(&report(file.as_ref(), &stored)?).unwrap_or_default())
+        Ok(serde_json::to_vec(&report(array, file.as_ref(), &stored)?).unwrap_or_default())
     }
 
     /// If this play was a calibration and is over, fits and stores it.

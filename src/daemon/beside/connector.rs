@@ -15,6 +15,7 @@ use crate::daemon::state::{ConnectorMessage, State};
 use crossbeam_channel::{Receiver, RecvError, Sender, bounded, never, select};
 use meissner_array::per_motor::PerMotor;
 use meissner_array::simulated::SimulatedMotorsConfig;
+use meissner_array::spec::Array;
 use meissner_stream::Gains;
 use meissner_stream::device::{self, Device, Spec};
 use meissner_stream::queues::Command;
@@ -34,19 +35,29 @@ const TRIES: usize = 10;
 /// Starts the connector. The daemon does not wait for its end: a system call may hold it.
 pub(in crate::daemon) fn spawn(
     spec: Spec,
+    array: Array,
     motors: SimulatedMotorsConfig,
     engine: Arc<Engine>,
 ) -> io::Result<Sender<ConnectorMessage>> {
     let (sender, messages) = bounded(4);
     engine.lock().connection.set_connector(sender.clone());
-    let connector =
-        Connector { spec, motors, engine, messages, plugged: never(), failure: None, opened: String::new() };
+    let connector = Connector {
+        spec,
+        array,
+        motors,
+        engine,
+        messages,
+        plugged: never(),
+        failure: None,
+        opened: String::new(),
+    };
     thread::Builder::new().name("connector".into()).spawn(move || connector.run())?;
     Ok(sender)
 }
 
 struct Connector {
     spec: Spec,
+    array: Array,
     motors: SimulatedMotorsConfig,
     engine: Arc<Engine>,
     messages: Receiver<ConnectorMessage>,
@@ -62,7 +73,7 @@ impl Connector {
     fn run(mut self) {
         self.watch();
         loop {
-            let gone = match device::open(&self.spec, &self.motors) {
+            let gone = match device::open(&self.spec, self.array, &self.motors) {
                 Ok(device) => {
                     self.note_opened(&device);
                     match self.engine.connect(Box::new(device)) {
@@ -182,7 +193,7 @@ impl Connector {
                 "it has been armed".clone_into(&mut why_not);
                 break;
             }
-            match device::open(&Spec::Board, &self.motors) {
+            match device::open(&Spec::Board, self.array, &self.motors) {
                 Ok(device) => {
                     let kind = device.kind();
                     if self.engine.replace_mock(Box::new(device)).is_ok() {
@@ -234,7 +245,8 @@ fn hand_over(mut state: MutexGuard<'_, State>, device: Box<Device>) -> Result<()
     // No reset is needed if no gains were set.
     if gains.is_some() || state.calibration.gains_set {
         state.calibration.gains_set = gains.is_some();
-        if state.commands.set_gains(gains.unwrap_or_else(|| PerMotor::all(array, Gains::default()))).is_err() {
+        if state.commands.set_gains(gains.unwrap_or_else(|| PerMotor::all(array, Gains::default()))).is_err()
+        {
             return Err(device);
         }
     }

@@ -91,8 +91,16 @@ fn apply(
         let busy = |_| "too many commands wait for the device: reload the configuration again".to_owned();
         engine.configure(new.settings).map_err(busy)?;
         running.settings = new.settings;
-        let Settings { lead_ms, lease_ms, drift_warning_um, drift_limit_um, end_stop_um, limits, lower_stop, array: _ } =
-            new.settings;
+        let Settings {
+            lead_ms,
+            lease_ms,
+            drift_warning_um,
+            drift_limit_um,
+            end_stop_um,
+            limits,
+            lower_stop,
+            array: _,
+        } = new.settings;
         let array = lower_stop.map_or("no lower stop".to_owned(), |stop| {
             let surplus = stop.surplus_um.map_or("auto".to_owned(), |um| format!("{um} um"));
             format!("a lower stop, surplus {surplus}")

@@ -83,7 +83,8 @@ impl Compiled {
             if let Entry::Vacant(new) = used.entry(text) {
                 let found = find(item.pattern.clone(), item.pattern_sha256.clone()).await;
                 let (stored, _place) = found.map_err(at)?;
-                let (stored, mapped) = stored.on(settings.array, request.map).map_err(|error| at(error.into()))?;
+                let (stored, mapped) =
+                    stored.on(settings.array, request.map).map_err(|error| at(error.into()))?;
                 mapped_from = mapped_from.or(mapped);
                 let items = by_text.remove(&text).unwrap_or_default();
                 let (sha256, name) = (stored.sha256.as_str().into(), item.pattern.as_str().into());
@@ -127,12 +128,15 @@ impl Compiled {
         added?;
         let Preparing { sequence, bandwidth, warnings, largest, .. } = preparing;
         let rate = settings.array.rate();
-        let items: Vec<Item> = request.items.iter().map(|item| Item::new(trigger(item.trigger, rate))).collect();
+        let items: Vec<Item> =
+            request.items.iter().map(|item| Item::new(trigger(item.trigger, rate))).collect();
         for (item, span) in planned.iter_mut().zip(sequence.spans()) {
             item.span = span;
         }
-        let spans: Vec<(f64, f64)> =
-            sequence.spans().map(|(start, end)| (rate.ticks_to_seconds(start), rate.ticks_to_seconds(end))).collect();
+        let spans: Vec<(f64, f64)> = sequence
+            .spans()
+            .map(|(start, end)| (rate.ticks_to_seconds(start), rate.ticks_to_seconds(end)))
+            .collect();
         // A checked request has at least one item.
         let strokes = sequence
             .strokes()

@@ -69,12 +69,8 @@ impl LivePlay {
         let no_numbers =
             || Problem::new(Code::Store, "the system gives no random numbers for the key: try again");
         let key = random_hex::<16>().ok_or_else(no_numbers)?;
-        let silent = |motor| LiveDrive {
-            motor,
-            frequency_hz: most_hz.min(60.0),
-            amplitude_um: 0.0,
-            phase: 0.0,
-        };
+        let silent =
+            |motor| LiveDrive { motor, frequency_hz: most_hz.min(60.0), amplitude_um: 0.0, phase: 0.0 };
         let silent = PerMotor::from_fn(array, silent);
         let mut new = Self {
             key,
@@ -387,6 +383,7 @@ impl State {
         changes: bool,
         change: impl FnOnce(&mut LivePlay) -> Result<(), Problem>,
     ) -> Result<(), Problem> {
+        let array = self.settings.array;
         let play = self.live.plays.get_mut(&id).ok_or_else(over)?;
         let before = (play.drives, play.options.scale, play.scaled_by, play.seq);
         let settings = self.settings;
@@ -395,7 +392,7 @@ impl State {
         let busy = || Problem::new(Code::Busy, "too many updates are under way: wait for their answers");
         let sent = changed.and_then(|waves| {
             self.check_amplitude("the live play", largest_um)?;
-            let mut update = LiveUpdate::new(id, number, received_at);
+            let mut update = LiveUpdate::new(array, id, number, received_at);
             if changes {
                 update.waves = waves.map(Some);
             }

@@ -6,8 +6,8 @@
 use crate::receipts::{MeasuredBursts, PlannedItem, PlayedPattern, Receipts};
 use crate::session_record::Peer;
 use meissner_api::{Event, Receipt};
-use meissner_array::spec::Array;
 use meissner_array::pattern::Pattern;
+use meissner_array::spec::Array;
 use meissner_array::strokes::StrokeOptions;
 use meissner_stream::queues::MeasuredBurst;
 use std::collections::HashMap;

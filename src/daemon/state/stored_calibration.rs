@@ -13,6 +13,7 @@ use meissner_api::{
     CalibratedMotor, CalibrationReport, Code, DeviceInfo, EndCause, FittedLine, MeasuredPoint, PlayState,
     Problem, Receipt,
 };
+use meissner_array::spec::Array;
 use meissner_stream::calibrate::{
     Calibration, Fit, FitPoint, MAX_BYTES, MotorFit, Plan, fit, travels_by_telemetry,
 };
@@ -63,6 +64,7 @@ impl CalibrationRun {
         device: &DeviceInfo,
         identity: &str,
     ) -> Result<Calibration, String> {
+        let array = self.plan.array();
         let onset = match receipt.onset {
             Some(onset) if receipt.state == PlayState::Done => Tick(onset.actual_tick),
             _ => {
@@ -77,15 +79,15 @@ impl CalibrationRun {
         let telemetry = if device.simulated { "plant" } else { "device" };
         let mut provenance = self.plan.provenance(kind, &firmware, identity, telemetry);
         provenance.date = Some(utc_now());
-        let fits =
-            fit(&travels_by_telemetry(&self.plan, onset, &self.bursts)).map_err(|error| error.to_string())?;
+        let fits = fit(array, &travels_by_telemetry(&self.plan, onset, &self.bursts))
+            .map_err(|error| error.to_string())?;
         if fits.is_empty() {
             return Err(format!(
                 "no burst of play {} was measured: see `meissner receipt`, then calibrate again",
                 self.id
             ));
         }
-        Calibration::new(fits, provenance).map_err(|error| error.to_string())
+        Calibration::new(array, fits, provenance).map_err(|error| error.to_string())
     }
 }
 
@@ -144,6 +146,7 @@ pub(in crate::daemon) fn write(file: &Path, calibration: &Calibration) -> Result
 
 /// The calibration for clients.
 pub(in crate::daemon) fn report(
+    array: Array,
     file: Option<&PathBuf>,
     stored: &Result<StoredCalibration, String>,
 ) -> Result<CalibrationReport, Problem> {
@@ -161,11 +164,12 @@ pub(in crate::daemon) fn report(
         bursts: fit.bursts as u64,
         points: points.iter().map(point).collect(),
     };
+    let motor_spec = array.motor();
     let motor = |fit: &MotorFit| {
         let both = [Direction::Up, Direction::Down].map(|direction| fit.of(direction));
-        let [gain_up, gain_down] = both.map(Fit::gain);
+        let [gain_up, gain_down] = both.map(|fit| fit.gain(motor_spec));
         let [gain_up_se, gain_down_se] =
-            both.map(|fit| fit.slope_se_um_per_pulse / fit.slope_um_per_pulse * fit.gain());
+            both.map(|fit| fit.slope_se_um_per_pulse / fit.slope_um_per_pulse * fit.gain(motor_spec));
         let [relative_sd_up, relative_sd_down] = both.map(|fit| fit.relative_sd);
         CalibratedMotor {
             motor: fit.motor,

@@ -25,6 +25,7 @@ pub const MAX_MOTORS: usize = 64;
 /// A checked description of an array.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ArraySpec {
+    text: String,
     name: String,
     positions_mm: Vec<[f64; 2]>,
     grid: Option<Grid>,
@@ -89,6 +90,12 @@ pub struct Groups {
 }
 
 impl ArraySpec {
+    /// The text of its file.
+    #[must_use]
+    pub fn text(&self) -> &str {
+        &self.text
+    }
+
     /// The name: 1 to 32 of a-z, 0-9 and -.
     #[must_use]
     pub fn name(&self) -> &str {

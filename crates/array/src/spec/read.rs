@@ -35,7 +35,7 @@ fn read(text: &str) -> Result<ArraySpec, KeyError> {
     }
     check_size(text, MAX_SIZE)?;
     let Table(raw) = from_toml::<Raw, _>(text, wanted)?;
-    raw.checked()
+    raw.checked(text)
 }
 
 fn wanted(key: &str) -> &'static str {
@@ -118,7 +118,7 @@ const fn one() -> u16 {
 }
 
 impl Raw {
-    fn checked(self) -> Result<ArraySpec, KeyError> {
+    fn checked(self, text: &str) -> Result<ArraySpec, KeyError> {
         let Self { name, pins: Table(pins), tick_hz, duty: Table(duty), rails, chips, motor: Table(motor) } =
             self;
         if !crate::pattern::is_new_name(&name) || name.len() > 32 {
@@ -140,8 +140,19 @@ impl Raw {
         }
         let rate = TickRate::new(tick_hz);
         let motor = motor.checked(rate).map_err(|error| error.within("motor"))?;
-        let spec =
-            ArraySpec { name, positions_mm, grid, pin_radius_mm, rate, duty, rails, chips, motor, hash: 0 };
+        let spec = ArraySpec {
+            text: text.to_owned(),
+            name,
+            positions_mm,
+            grid,
+            pin_radius_mm,
+            rate,
+            duty,
+            rails,
+            chips,
+            motor,
+            hash: 0,
+        };
         if let Some((first, second, distance_mm)) = spec.nearest_pins()
             && distance_mm < 2.0 * pin_radius_mm
         {

@@ -78,8 +78,19 @@ impl NewArray {
 impl ArraySpec {
     /// A hash of all values: FNV-1a, which tells descriptions apart; it is no protection.
     pub(super) fn content_hash(&self) -> u64 {
-        let Self { name, positions_mm, grid: _, pin_radius_mm, rate, duty, rails, chips, motor, hash: _ } =
-            self;
+        let Self {
+            text: _,
+            name,
+            positions_mm,
+            grid: _,
+            pin_radius_mm,
+            rate,
+            duty,
+            rails,
+            chips,
+            motor,
+            hash: _,
+        } = self;
         let mut text = String::new();
         // A string takes any text.
         let _ = write!(

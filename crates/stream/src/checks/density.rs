@@ -14,6 +14,8 @@ use std::collections::VecDeque;
 pub struct Dense {
     /// When the first stroke too many begins, s from the onset.
     pub at_s: f64,
+    /// How many may begin.
+    pub most: usize,
 }
 
 /// The controller's limit: so many ticks, 10 ms in whole blocks, and the most strokes that begin in them.
@@ -37,7 +39,7 @@ fn count(strokes: &Strokes) -> Option<Dense> {
             && let Some(first) = begun.pop_front()
             && stroke.up - first < ticks
         {
-            return Some(Dense { at_s: array.rate().ticks_to_seconds(stroke.up.0) });
+            return Some(Dense { at_s: array.rate().ticks_to_seconds(stroke.up.0), most });
         }
         begun.push_back(stroke.up);
     }

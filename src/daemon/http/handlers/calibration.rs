@@ -26,7 +26,8 @@ pub(in crate::daemon::http) async fn calibrate(
     let result = async {
         let request = CalibrateRequest::parse(&body::read_command(body).await?)?;
         logged.set_arguments(&request);
-        let plan = calibration_plan(&request)?;
+        let array = app.engine.lock().settings.array;
+        let plan = calibration_plan(array, &request)?;
         let accepted = app.engine.calibrate(plan, request.laser, request.session.as_deref(), peer).await?;
         logged.set_play(accepted.id);
         Ok((StatusCode::ACCEPTED, Json(accepted)))
