@@ -29,6 +29,7 @@ mod tests {
     use super::*;
     use meissner_array::pattern::{Drive, Pattern};
     use meissner_array::power::Group;
+    use meissner_array::spec::Array;
     use meissner_array::strokes::StrokeOptions;
 
     /// Strokes of motors 6 to 8, at these phases.
@@ -42,7 +43,7 @@ mod tests {
             stop_s: None,
         };
         let drives = (6..).zip(phases).map(drive).collect();
-        let pattern = Pattern::new("p", None, drives, toml::Table::new()).unwrap();
+        let pattern = Pattern::new(Array::paper(), "p", None, drives, toml::Table::new()).unwrap();
         Strokes::new(&pattern, &StrokeOptions::lasting(seconds)).unwrap()
     }
 

@@ -52,6 +52,7 @@ mod tests {
     use crate::{Settings, simulate_play};
     use meissner_array::pattern::{Drive, Pattern};
     use meissner_array::simulated::SimulatedMotorsConfig;
+    use meissner_array::spec::names;
     use meissner_array::strokes::{Sequence, Start, StrokeOptions};
     use proptest::prelude::*;
 
@@ -61,8 +62,9 @@ mod tests {
 
     /// All motors at 300 Hz, which repeats after so many ticks: one stroke of each in a repeat.
     fn repeating(ticks: u32) -> Pattern {
-        let drives = (0..24).map(|motor| drive(motor, 0.0)).collect();
-        Pattern::new("dense", Some(f64::from(ticks) / 85_000.0), drives, toml::Table::new()).unwrap()
+        let array = Array::paper();
+        let drives = array.numbers().map(|motor| drive(motor, 0.0)).collect();
+        Pattern::new(array, "dense", Some(f64::from(ticks) / 85_000.0), drives, toml::Table::new()).unwrap()
     }
 
     #[test]
@@ -79,7 +81,8 @@ mod tests {
                 "{ticks}: {found:?}"
             );
             let motors = SimulatedMotorsConfig::default();
-            let played = simulate_play(&pattern, Some(0.1), &motors, Settings::default(), true).unwrap();
+            let played =
+                simulate_play(&pattern, Some(0.1), &motors, Settings::of(Array::paper()), true).unwrap();
             let bursts = played.outcome.bursts;
             assert_eq!(bursts.refused > 0, at_s.is_some(), "{ticks}: {bursts:?}");
             assert_eq!(bursts.played + bursts.refused, bursts.planned, "{ticks}: {bursts:?}");
@@ -90,22 +93,24 @@ mod tests {
         /// A play whose strokes are not counted has no stroke too many.
         #[test]
         fn plays_whose_changes_are_apart_keep_the_limit(
+            name in prop::sample::select(names()),
             phases in prop::collection::vec(0.0f64..1.0, 1..4),
             repeats in prop_oneof![Just(None), (850u32..1_100).prop_map(Some)],
             items in prop::collection::vec((0usize..3, 848u32..1_500), 2..30),
         ) {
+            let array = Array::named(name).unwrap();
+            let seconds = |ticks: u32| array.rate().ticks_to_seconds(ticks.into());
             let pattern = |phase: f64| {
-                let drives = (0..24).map(|motor| drive(motor, phase)).collect();
-                Pattern::new("p", repeats.map(|ticks| f64::from(ticks) / 85_000.0), drives, toml::Table::new())
+                let drives = array.numbers().map(|motor| drive(motor, phase)).collect();
+                Pattern::new(array, "p", repeats.map(seconds), drives, toml::Table::new())
             };
-            let mut sequence = Sequence::default();
+            let mut sequence = Sequence::new(array);
             let compiled: Vec<_> = phases
                 .iter()
                 .map(|&phase| sequence.compile(&pattern(phase).unwrap(), &StrokeOptions::default()).unwrap())
                 .collect();
             for (at, ticks) in items {
-                let seconds = f64::from(ticks) / 85_000.0;
-                sequence.add(compiled[at % compiled.len()], Some(seconds), Start::Gap(0.0)).unwrap();
+                sequence.add(compiled[at % compiled.len()], Some(seconds(ticks)), Start::Gap(0.0)).unwrap();
             }
             let strokes = sequence.strokes().unwrap();
             prop_assert!(strokes.changes_are_apart(848) && count(&strokes).is_none());

@@ -52,6 +52,7 @@ pub fn find_overpush(strokes: &Strokes, pulses_per_s: u32) -> Option<Overpush> {
 mod tests {
     use super::*;
     use meissner_array::pattern::{Drive, Pattern};
+    use meissner_array::spec::Array;
     use meissner_array::strokes::{StrokeOptions, Surplus};
 
     /// 50 strokes per second of the motors 3 and 7, each with 74 surplus pulses.
@@ -64,7 +65,8 @@ mod tests {
             start_s: None,
             stop_s: None,
         };
-        let pattern = Pattern::new("p", None, vec![drive(3, 0.0), drive(7, 0.5)], toml::Table::new());
+        let pattern =
+            Pattern::new(Array::paper(), "p", None, vec![drive(3, 0.0), drive(7, 0.5)], toml::Table::new());
         let options = StrokeOptions { surplus: Surplus::Fixed(10.0), ..StrokeOptions::lasting(Some(3.0)) };
         Strokes::new(&pattern.unwrap(), &options).unwrap()
     }
@@ -80,7 +82,7 @@ mod tests {
             stop_s: None,
         };
         let drives = vec![drive(3, 5.0, None), drive(7, 50.0, Some(quiet_s))];
-        let pattern = Pattern::new("p", None, drives, toml::Table::new()).unwrap();
+        let pattern = Pattern::new(Array::paper(), "p", None, drives, toml::Table::new()).unwrap();
         let options = StrokeOptions { surplus: Surplus::Fixed(10.0), ..StrokeOptions::lasting(lasts_s) };
         Strokes::new(&pattern, &options).unwrap()
     }
