@@ -58,7 +58,7 @@ pub(super) struct Optimise {
     robust: bool,
     /// Let at most N motors of a 30 V rail have pulses at once, also in the naive rules; motors may then be off in every setting
     /// [default: no limit]
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u8).range(1..=6))]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u8).range(1..=64))]
     rail_motors_at_once: Option<u8>,
     /// Begin with the pattern in file PATTERN and improve it
     #[arg(long, value_name = "PATTERN")]
@@ -122,10 +122,18 @@ struct Document<'a> {
 pub(super) fn run(asked: &Optimise) -> Result<ExitCode> {
     let begun = Instant::now();
     let target = target(&asked.target)?;
+    let target = asked.array.array.map_or_else(|| Ok(target.clone()), |array| target.with_array(array))?;
     if let Some(file) = asked.file.as_deref().filter(|file| is_itself(&asked.target, file)) {
         bail!("{}: this is the target's file: write the pattern to another", files::shown(file));
     }
     let start = asked.resume.as_deref().map(library::read).transpose()?;
+    if let Some((pattern, _)) = start.as_ref().filter(|(pattern, _)| pattern.array() != target.array()) {
+        bail!(
+            "--resume: `{}` is for another array than the target: name one that is for {}",
+            pattern.name(),
+            target.array().name()
+        );
+    }
     let models = asked.model.unwrap_or(match asked.objective {
         Goal::Contrast => Models::Membrane,
         _ => Models::Both,

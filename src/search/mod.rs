@@ -39,6 +39,8 @@ static IS_PROGRAM: AtomicBool = AtomicBool::new(false);
 /// What to do.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Job {
+    /// The description of its array.
+    array: String,
     /// The target's file.
     target: String,
     task: Task,
@@ -79,7 +81,8 @@ impl Job {
 
     fn new(task: Task, target: &Target) -> Self {
         // The job contains the target as its file. Strings, numbers and tables of them can always be written.
-        Self { target: toml::to_string(&target.definition()).unwrap_or_default(), task }
+        let array = target.array().text().to_owned();
+        Self { array, target: toml::to_string(&target.definition()).unwrap_or_default(), task }
     }
 }
 

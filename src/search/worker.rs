@@ -4,6 +4,7 @@ use super::convert::verdict;
 use super::{Job, MAX_LINE, MEMORY, NICE, Report, Task, design};
 use crate::store::{Stored, target_json};
 use meissner_api::{SearchProgress, SearchRequest, SearchResponse, SearchResult, SearchVerdicts};
+use meissner_array::spec::{Array, ArraySpec};
 use meissner_design::{ByModel, Ended, Made, Models, Progress, Rule, Target, make, response};
 use meissner_skin::ModelName;
 use rayon::ThreadPoolBuilder;
@@ -42,7 +43,10 @@ pub fn work() -> ExitCode {
 
 /// Carries out a job; returns its last report.
 fn carry_out(job: &Job) -> Report {
-    let target = Target::read(&job.target, "target").map_err(|error| error.to_string());
+    // The daemon's array may be a site's own.
+    let known = ArraySpec::parse(&job.array, "array").map_err(|error| error.to_string());
+    let known = known.and_then(|spec| Array::known(spec).map_err(|problem| problem.to_string()));
+    let target = known.and_then(|_| Target::read(&job.target, "target").map_err(|error| error.to_string()));
     let done = target.and_then(|target| match &job.task {
         Task::Search(request) => search(&target, request).map(|found| Report::Done(Box::new(found))),
         Task::Compare(compare) => {

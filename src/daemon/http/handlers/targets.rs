@@ -30,15 +30,18 @@ impl From<TargetStoreError> for Problem {
     }
 }
 
-/// The target of a request, which names it or holds it.
+/// The target of a request, which names it or holds it, for the daemon's array.
 pub(super) async fn find(app: &App, target: &Value) -> Answer<Target> {
+    let array = app.engine.lock().settings.array;
+    let bad = |error| Problem::new(Code::BadTarget, format!("the target is refused: {error}"));
     if let Some(name) = target.as_str() {
         let (store, name) = (app.store.get(), name.to_owned());
-        return Ok(blocking(move || store.target(&name)).await??.target);
+        let stored = blocking(move || store.target(&name)).await??.target;
+        return Ok(stored.with_array(array).map_err(bad)?);
     }
     let text = target.to_string();
-    let bad = |error| Problem::new(Code::BadTarget, format!("the target is refused: {error}"));
-    Ok(computing(move || Target::read_json(&text)).await?.map_err(bad)?)
+    let read = move || Target::read_json(&text).and_then(|target| target.with_array(array));
+    Ok(computing(read).await?.map_err(bad)?)
 }
 
 pub(in crate::daemon::http) async fn list(State(app): State<App>) -> Answer<Response> {
