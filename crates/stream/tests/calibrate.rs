@@ -5,15 +5,16 @@ use firmware_protocol::tick::Tick;
 use meissner_api::Provenance;
 use meissner_array::random;
 use meissner_array::simulated::{SimulatedMotors, SimulatedMotorsConfig};
+use meissner_array::spec::Array;
 use meissner_array::strokes::{StrokeOptions, Strokes};
-use meissner_array::units::UM_PER_PULSE;
 use meissner_stream::calibrate::{
-    BurstTravel, Calibration, Fit, FitPoint, MAX_BYTES, MotorFit, PULSES_RANGE, Plan, PlannedBurst,
-    STROKES_PER_GROUP, fit, travels_by_sensor, travels_by_telemetry,
+    BurstTravel, Calibration, Fit, FitPoint, MAX_BYTES, MotorFit, Plan, PlannedBurst, STROKES_PER_GROUP, fit,
+    pulses_range, travels_by_sensor, travels_by_telemetry,
 };
 use meissner_stream::queues::{Command, CommandError};
 use meissner_stream::{Gains, Settings, simulate_play};
 use meissner_test_support::documents::{assert_changes_refused, in_one_line};
+use meissner_test_support::paper::UM_PER_PULSE;
 use meissner_test_support::rig::{Rig, answer};
 use meissner_test_support::statistics::mean;
 use std::collections::BTreeMap;
@@ -27,7 +28,9 @@ fn of_motor(plan: &Plan, motor: u8) -> Vec<PlannedBurst> {
 
 #[test]
 fn a_plan_plays_its_strokes_and_measures_no_burst_after_a_rest() {
-    for plan in [Plan::default(), Plan::new(Some(23), &[200, 7, 70], 3).unwrap()] {
+    for plan in
+        [Plan::of(Array::paper()).unwrap(), Plan::new(Array::paper(), Some(23), &[200, 7, 70], 3).unwrap()]
+    {
         assert_eq!(plan.pattern().warnings(), []);
         for motor in plan.motors() {
             let bursts = of_motor(&plan, motor);
@@ -40,7 +43,7 @@ fn a_plan_plays_its_strokes_and_measures_no_burst_after_a_rest() {
                 *found.entry((planned.burst.pulses, in_group)).or_insert(0) += 1;
                 let Some(before) = index.checked_sub(1) else { continue };
                 let rest = planned.burst.start - bursts[before].burst.end();
-                assert!(planned.burst.start > bursts[before].rests_at(), "{planned:?}");
+                assert!(planned.burst.start > bursts[before].rests_at(Array::paper()), "{planned:?}");
                 // Only a group's first burst comes after half a second of rest.
                 assert_eq!(rest >= HALF_SECOND, in_group == 0, "{planned:?}: {rest}");
             }
@@ -50,17 +53,17 @@ fn a_plan_plays_its_strokes_and_measures_no_burst_after_a_rest() {
             }
             assert_eq!(found, wanted, "motor {motor}");
         }
-        let end = plan.bursts(Tick(0)).map(|planned| planned.rests_at().0).max().unwrap();
+        let end = plan.bursts(Tick(0)).map(|planned| planned.rests_at(Array::paper()).0).max().unwrap();
         assert!(end < (plan.duration_s() * 85_000.0) as u64);
     }
-    assert_eq!(Plan::default().duration_s(), 60.0);
-    assert_eq!(Plan::default().motors().count(), 24);
+    assert_eq!(Plan::of(Array::paper()).unwrap().duration_s(), 60.0);
+    assert_eq!(Plan::of(Array::paper()).unwrap().motors().count(), 24);
 }
 
 #[test]
 fn every_number_of_pulses_is_played_exactly() {
-    for part in PULSES_RANGE.collect::<Vec<_>>().chunks(97) {
-        let plan = Plan::new(Some(0), part, 1).unwrap();
+    for part in pulses_range(Array::paper()).collect::<Vec<_>>().chunks(97) {
+        let plan = Plan::new(Array::paper(), Some(0), part, 1).unwrap();
         let mut found: Vec<u16> = of_motor(&plan, 0).iter().map(|planned| planned.burst.pulses).collect();
         found.sort_unstable();
         found.dedup();
@@ -70,7 +73,7 @@ fn every_number_of_pulses_is_played_exactly() {
 
 #[test]
 fn a_motor_that_slowly_changes_gives_the_same_slope() {
-    let plan = Plan::default();
+    let plan = Plan::of(Array::paper()).unwrap();
     let groups: Vec<f64> = of_motor(&plan, 5)
         .chunks(2 * (1 + STROKES_PER_GROUP))
         .map(|group| group[0].burst.pulses.into())
@@ -85,7 +88,8 @@ fn a_motor_that_slowly_changes_gives_the_same_slope() {
 
 #[test]
 fn no_two_motors_pulse_at_once() {
-    for plan in [Plan::default(), Plan::new(None, &[200, 100], 1).unwrap()] {
+    for plan in [Plan::of(Array::paper()).unwrap(), Plan::new(Array::paper(), None, &[200, 100], 1).unwrap()]
+    {
         let mut bursts: Vec<_> = plan.bursts(Tick(0)).map(|planned| planned.burst).collect();
         bursts.sort_by_key(|burst| burst.start);
         assert!(bursts.windows(2).all(|pair| pair[0].end() <= pair[1].start));
@@ -105,7 +109,8 @@ fn true_gains(config: &SimulatedMotorsConfig, motor: u8) -> [f64; 2] {
 
 fn measured(plan: &Plan, config: SimulatedMotorsConfig) -> Vec<BurstTravel> {
     let mut motors =
-        SimulatedMotors::new(SimulatedMotorsConfig { telemetry_hz: 0, ..config }, Tick::BOOT).unwrap();
+        SimulatedMotors::new(Array::paper(), SimulatedMotorsConfig { telemetry_hz: 0, ..config }, Tick::BOOT)
+            .unwrap();
     let travels = travels_by_sensor(plan, &mut motors);
     assert!((0..24).all(|motor| motors.displacement_um(motor).abs() < 0.9 * config.end_stop_um));
     assert_eq!(travels.len(), plan.bursts(Tick::BOOT).count());
@@ -120,17 +125,20 @@ fn without_scatter_the_true_gains_are_found_exactly() {
         asymmetry_sd: 0.05,
         ..SimulatedMotorsConfig::default()
     };
-    let travels = measured(&Plan::default(), config);
-    let fits = fit(&travels).unwrap();
+    let travels = measured(&Plan::of(Array::paper()).unwrap(), config);
+    let fits = fit(Array::paper(), &travels).unwrap();
     assert_eq!(fits.iter().map(|fit| fit.motor).collect::<Vec<_>>(), (0..24).collect::<Vec<_>>());
     for found in &fits {
         let truth = true_gains(&config, found.motor);
         for (fit, truth) in [found.up, found.down].iter().zip(truth) {
-            assert!((fit.gain() - truth).abs() < 1e-9 && fit.offset_um.abs() < 1e-8, "{found:?}: {truth}");
+            assert!(
+                (fit.gain(Array::paper().motor()) - truth).abs() < 1e-9 && fit.offset_um.abs() < 1e-8,
+                "{found:?}: {truth}"
+            );
             assert!(fit.relative_sd < 1e-9 && fit.bursts == 180, "{found:?}");
         }
     }
-    assert!(fits.iter().any(|fit| (fit.up.gain() - 1.0).abs() > 0.02));
+    assert!(fits.iter().any(|fit| (fit.up.gain(Array::paper().motor()) - 1.0).abs() > 0.02));
     // The fits left out the warm-up strokes: the first burst of each group is short, and only that.
     for travel in travels.iter().filter(|travel| travel.warm_up) {
         let of_model = travel.travel_um / (f64::from(travel.pulses) * UM_PER_PULSE);
@@ -144,10 +152,10 @@ fn without_scatter_the_true_gains_are_found_exactly() {
 fn with_scatter_the_gains_are_found_within_the_stated_error() {
     for seed in [0, 1] {
         let config = SimulatedMotorsConfig { seed, ..SimulatedMotorsConfig::default() };
-        for found in fit(&measured(&Plan::default(), config)).unwrap() {
+        for found in fit(Array::paper(), &measured(&Plan::of(Array::paper()).unwrap(), config)).unwrap() {
             for (fit, truth) in [found.up, found.down].iter().zip(true_gains(&config, found.motor)) {
                 let se = fit.slope_se_um_per_pulse / UM_PER_PULSE;
-                assert!((fit.gain() - truth).abs() < 4.0 * se, "{found:?}: {truth}");
+                assert!((fit.gain(Array::paper().motor()) - truth).abs() < 4.0 * se, "{found:?}: {truth}");
                 // From 180 travels at 10 %, 1.5 times that of a line through the origin.
                 assert!((0.009..0.014).contains(&se), "{found:?}");
                 assert!((fit.relative_sd - 0.1).abs() < 4.0 * 0.1 / 360_f64.sqrt(), "{found:?}");
@@ -161,15 +169,15 @@ fn with_scatter_the_gains_are_found_within_the_stated_error() {
 #[test]
 fn one_motor_is_calibrated_alone() {
     let config = SimulatedMotorsConfig::default();
-    let plan = Plan::new(Some(7), &[20, 100, 180], 2).unwrap();
-    let fits = fit(&measured(&plan, config)).unwrap();
+    let plan = Plan::new(Array::paper(), Some(7), &[20, 100, 180], 2).unwrap();
+    let fits = fit(Array::paper(), &measured(&plan, config)).unwrap();
     let [found] = &fits[..] else { panic!("{fits:?}") };
     assert_eq!((found.motor, found.up.bursts, found.down.bursts), (7, 54, 54));
 }
 
 /// The travels of a plan that the streamer plays, measured by telemetry.
 fn played(plan: &Plan, config: &SimulatedMotorsConfig) -> Vec<BurstTravel> {
-    let played = simulate_play(&plan.pattern(), None, config, Settings::default(), true).unwrap();
+    let played = simulate_play(&plan.pattern(), None, config, Settings::of(Array::paper()), true).unwrap();
     assert_eq!(played.outcome.bursts.played as usize, plan.bursts(Tick(0)).count());
     travels_by_telemetry(plan, played.outcome.onset.unwrap().actual, &played.measured_bursts)
 }
@@ -182,11 +190,14 @@ fn on_a_device_without_scatter_telemetry_finds_the_true_gains() {
         asymmetry_sd: 0.05,
         ..SimulatedMotorsConfig::default()
     };
-    let fits = fit(&played(&Plan::default(), &config)).unwrap();
+    let fits = fit(Array::paper(), &played(&Plan::of(Array::paper()).unwrap(), &config)).unwrap();
     assert_eq!(fits.len(), 24);
     for found in &fits {
         for (fit, truth) in [found.up, found.down].iter().zip(true_gains(&config, found.motor)) {
-            assert!((fit.gain() - truth).abs() < 1e-3 && fit.bursts == 180, "{found:?}: {truth}");
+            assert!(
+                (fit.gain(Array::paper().motor()) - truth).abs() < 1e-3 && fit.bursts == 180,
+                "{found:?}: {truth}"
+            );
         }
     }
 }
@@ -194,20 +205,24 @@ fn on_a_device_without_scatter_telemetry_finds_the_true_gains() {
 #[test]
 fn on_a_device_with_scatter_telemetry_finds_the_gains_within_the_stated_error() {
     let config = SimulatedMotorsConfig { seed: 2, ..SimulatedMotorsConfig::default() };
-    let fits = fit(&played(&Plan::default(), &config)).unwrap();
-    let gains = Calibration::new(fits.clone(), provenance()).unwrap().gains();
+    let fits = fit(Array::paper(), &played(&Plan::of(Array::paper()).unwrap(), &config)).unwrap();
+    let gains = Calibration::new(Array::paper(), fits.clone(), provenance()).unwrap().gains();
     for (found, gains) in fits.iter().zip(&gains) {
         for (side, truth) in true_gains(&config, found.motor).into_iter().enumerate() {
             let fit = [found.up, found.down][side];
             let se = fit.slope_se_um_per_pulse / UM_PER_PULSE;
-            assert!((fit.gain() - truth).abs() < 4.0 * se && se < 0.014, "{found:?}: {truth}");
-            assert_eq!((gains.mean[side], gains.sd[side]), (fit.gain(), se));
+            assert!(
+                (fit.gain(Array::paper().motor()) - truth).abs() < 4.0 * se && se < 0.014,
+                "{found:?}: {truth}"
+            );
+            assert_eq!((gains.mean[side], gains.sd[side]), (fit.gain(Array::paper().motor()), se));
         }
         assert!((gains.scatter - 0.1).abs() < 4.0 * 0.1 / 720_f64.sqrt(), "{gains:?}");
     }
     // A burst that was measured badly, or is not in the plan, gives no travel.
-    let plan = Plan::new(Some(7), &[20, 100], 1).unwrap();
-    let mut played = simulate_play(&plan.pattern(), None, &config, Settings::default(), true).unwrap();
+    let plan = Plan::new(Array::paper(), Some(7), &[20, 100], 1).unwrap();
+    let mut played =
+        simulate_play(&plan.pattern(), None, &config, Settings::of(Array::paper()), true).unwrap();
     let onset = played.outcome.onset.unwrap().actual;
     assert_eq!(travels_by_telemetry(&plan, onset, &played.measured_bursts).len(), 40);
     played.measured_bursts[5].sd_um = 1.0;
@@ -226,8 +241,12 @@ fn home(rig: &mut Rig) -> Option<Result<(), CommandError>> {
 #[test]
 fn home_uses_the_calibration_that_was_handed_over() {
     let config = SimulatedMotorsConfig::default();
-    let fits = fit(&measured(&Plan::new(Some(3), &[14, 70, 140], 1).unwrap(), config)).unwrap();
-    let gains = Calibration::new(fits, provenance()).unwrap().gains();
+    let fits = fit(
+        Array::paper(),
+        &measured(&Plan::new(Array::paper(), Some(3), &[14, 70, 140], 1).unwrap(), config),
+    )
+    .unwrap();
+    let gains = Calibration::new(Array::paper(), fits, provenance()).unwrap().gains();
     assert!(gains[3] != Gains::default() && gains[4] == Gains::default());
     let blind = SimulatedMotorsConfig { telemetry_hz: 0, ..config };
     let mut rig = Rig::of(&blind, 1);
@@ -238,29 +257,37 @@ fn home_uses_the_calibration_that_was_handed_over() {
 }
 
 fn provenance() -> Provenance {
-    let mut made = Plan::default().provenance("mock", "0.1.0 (build \"a\")", "seed 3", "plant, 1000 Hz");
+    let mut made = Plan::of(Array::paper()).unwrap().provenance(
+        "mock",
+        "0.1.0 (build \"a\")",
+        "seed 3",
+        "plant, 1000 Hz",
+    );
     made.date = Some("yesterday".into());
     made
 }
 
 #[test]
 fn a_file_is_read_back_as_the_same_calibration() {
-    let fits = fit(&measured(&Plan::default(), SimulatedMotorsConfig::default())).unwrap();
-    let all = Calibration::new(fits.clone(), provenance()).unwrap();
+    let fits =
+        fit(Array::paper(), &measured(&Plan::of(Array::paper()).unwrap(), SimulatedMotorsConfig::default()))
+            .unwrap();
+    let all = Calibration::new(Array::paper(), fits.clone(), provenance()).unwrap();
     let text = all.to_toml();
     assert!(text.starts_with("format = 2\n") && text.len() < MAX_BYTES, "{text}");
     assert_eq!(Calibration::parse(&text, "c.toml").as_ref(), Ok(&all), "{text}");
     assert_eq!(Calibration::parse(&format!("\u{feff}{text}"), "c.toml").as_ref(), Ok(&all));
     assert_eq!((all.motors(), all.provenance()), (&fits[..], &provenance()));
-    assert!((0..24).all(|motor| all.gain(motor, Direction::Down) == fits[usize::from(motor)].down.gain()));
+    assert!((0..24).all(|motor| all.gain(motor, Direction::Down)
+        == fits[usize::from(motor)].down.gain(Array::paper().motor())));
 
     // Of some motors, in any order; the others follow the model.
     let undated = Provenance { date: None, ..provenance() };
-    let some = Calibration::new(vec![fits[20].clone(), fits[3].clone()], undated).unwrap();
+    let some = Calibration::new(Array::paper(), vec![fits[20].clone(), fits[3].clone()], undated).unwrap();
     assert_eq!(Calibration::parse(&some.to_toml(), "c.toml").as_ref(), Ok(&some));
     assert_eq!(some.motors(), [fits[3].clone(), fits[20].clone()]);
     assert!(!some.to_toml().contains("date"));
-    assert_eq!(some.gain(20, Direction::Up), fits[20].up.gain());
+    assert_eq!(some.gain(20, Direction::Up), fits[20].up.gain(Array::paper().motor()));
     assert_eq!((some.gain(4, Direction::Up), some.motor(4)), (1.0, None));
 }
 
@@ -282,7 +309,7 @@ fn the_longest_calibration_is_written_and_read_again() {
     let of = |words: &String| words.clone();
     let (device, firmware, identity, telemetry) = (of(&words), of(&words), of(&words), of(&words));
     let made = Provenance { device, firmware, identity, telemetry, date: Some(words), ..provenance() };
-    let all = Calibration::new((0..24).map(motor).collect(), made).unwrap();
+    let all = Calibration::new(Array::paper(), (0..24).map(motor).collect(), made).unwrap();
     let text = all.to_toml();
     assert!(text.len() < MAX_BYTES && text.contains("[101, -99.999, 99.999, 10000]"), "{}", text.len());
     assert_eq!(Calibration::parse(&text, "c.toml"), Ok(all));
@@ -336,7 +363,7 @@ format = 1 => format = 3⏎new = 1 => 1: `format` is 3: this version reads forma
 format = 1 => format = "1" => 1: `format` is string "1": must be a whole number, 0 or more
 format = 1 => format = 1⏎motors = 1 => 2: unknown key `motors`: did you mean `motor`?
 motor = 3 => motr = 3 => 4: `motor[0]`: unknown key `motr`: did you mean `motor`?
-motor = 3 =>  => 3: `motor[0].motor` is missing: add a motor's number, 0 to 23, below each [[motor]]
+motor = 3 =>  => 3: `motor[0].motor` is missing: add a motor's number, from 0 on, below each [[motor]]
 motor = 3 => motor = 24 => 4: `motor[0].motor` is 24: must be 0 to 23
 motor = 3 => motor = 300 => 4: `motor[0].motor` is 300: must be 0 to 23
 motor = 3 => motor = -1 => 4: `motor[0].motor` is integer `-1`: must be a whole number, 0 or more
@@ -347,7 +374,7 @@ gain = 0.98⏎ =>  => 12: `motor[0].down.gain` is missing: add a number, as `mei
 gain = 1.05 => gain = 1.06 => 6: `motor[0].up.gain` is 1.06, but slope_um_per_pulse gives 1.05…
 gain = 1.05 => gain = nan => 6: `motor[0].up.gain` is NaN, but slope_um_per_pulse gives 1.05…
 gain = 1.05 => gain = true => 6: `motor[0].up.gain` is boolean `true`: must be a number
-gain = 1.05⏎slope_um_per_pulse = 0.1425 => gain = 1.75⏎slope_um_per_pulse = 0.2375 => 7: `motor[0].up.slope_um_per_pulse` is 0.2375: must be 0.5 to 1.5 times the model's, 0.95/7…
+gain = 1.05⏎slope_um_per_pulse = 0.1425 => gain = 1.75⏎slope_um_per_pulse = 0.2375 => 7: `motor[0].up.slope_um_per_pulse` is 0.2375: must be 0.5 to 1.5 times the model's, 0.1357142857142857
 gain = 1.05⏎slope_um_per_pulse = 0.1425 => gain = nan⏎slope_um_per_pulse = nan => 7: `motor[0].up.slope_um_per_pulse` is NaN: must be…
 slope_se_um_per_pulse = 0.001⏎offset_um = 0.01 => slope_se_um_per_pulse = 0.01⏎offset_um = 0.01 => 8: `motor[0].up.slope_se_um_per_pulse` is 0.01: must be 0 to 5 % of the slope
 offset_um = -0.01 => offset_um = -inf => 16: `motor[0].down.offset_um` is -inf: must be -100 to 100 um
@@ -367,8 +394,8 @@ repetitions = 2 => repetitions = 0 => 25: `provenance.pulses` is not a valid pla
 [14, 70] => [14, 14] => 25: `provenance.pulses` is not a valid plan: bursts of 14 pulses are listed twice: leave one out
 [14, 70] => [14, "70"] => 25: `provenance.pulses[1]` is string "70": must be a whole number, 0 to 65535
 groups = 4 => groups = 5 => 27: `provenance.groups` is 5, but pulses and repetitions give 4
-um_per_pulse = 0.1357 => um_per_pulse = 0.1358 => 28: `provenance.um_per_pulse` is 0.1358142857142857: this version's model has 0.1357142857142857…
-um_per_pulse = 0.13571428571428570 => um_per_pulse = nan => 28: `provenance.um_per_pulse` is NaN: this…
+um_per_pulse = 0.1357 => um_per_pulse = 0.1358 => 28: `provenance.um_per_pulse` is 0.1358142857142857: the array's motors have 0.1357142857142857, so the gains do not apply…
+um_per_pulse = 0.13571428571428570 => um_per_pulse = nan => 28: `provenance.um_per_pulse` is NaN: the array's…
 [provenance]⏎ => [provenance]⏎date = " => 21: not TOML: …
 [[motor]] => [motor] => 3: `motor` is map: must be a list
 "#;
@@ -384,7 +411,7 @@ fn a_mistake_is_refused_in_one_line_with_place_and_remedy() {
         (format!("{head}{motor}{motor}{made}"), ":21: `motor[1].motor` is 3, as is motor[0]: leave one out"),
         (
             format!("{head}{made}"),
-            ":1: `motor` is missing: add a motor's number, 0 to 23, below each [[motor]]",
+            ":1: `motor` is missing: add a motor's number, from 0 on, below each [[motor]]",
         ),
         (format!("{head}motor = []\n{made}"), ":3: `motor` is empty: calibrate at least one motor"),
         (
@@ -401,7 +428,8 @@ fn a_mistake_is_refused_in_one_line_with_place_and_remedy() {
 #[test]
 fn a_built_calibration_is_checked_like_a_read_one() {
     let good = Calibration::parse(FILE, "good.toml").unwrap().motors()[0].clone();
-    let line = |motors: Vec<MotorFit>, made| Calibration::new(motors, made).unwrap_err().to_string();
+    let line =
+        |motors: Vec<MotorFit>, made| Calibration::new(Array::paper(), motors, made).unwrap_err().to_string();
     assert_eq!(line(vec![], provenance()), "`motor` is empty: calibrate at least one motor");
     assert_eq!(
         line(vec![good.clone(), good.clone()], provenance()),

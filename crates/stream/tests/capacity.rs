@@ -3,6 +3,7 @@
 //! The tests look for the slowest line that each pattern is accepted on, and check that it then plays in time.
 
 use meissner_array::pattern::{Drive, Pattern};
+use meissner_array::spec::Array;
 use meissner_array::strokes::{StrokeOptions, Strokes};
 use meissner_stream::queues::CommandError;
 use meissner_stream::{Bandwidth, Line, Settings};
@@ -42,7 +43,7 @@ fn a_line_plays_up_to_its_capacity_and_refuses_more_with_numbers() {
         [rig::pattern("edge-45-paper"), rig::pattern("all-in-phase"), all_at(33.3), all_at(210.0), bursts()];
     for (pattern, open_loop) in patterns.iter().flat_map(|pattern| [(pattern, true), (pattern, false)]) {
         let strokes = Strokes::new(pattern, &StrokeOptions::lasting(4.0)).unwrap();
-        let bandwidth = Bandwidth::of(&strokes, &Settings::default());
+        let bandwidth = Bandwidth::of(&strokes, &Settings::of(Array::paper()));
         let required = if open_loop { bandwidth.open } else { bandwidth.closed };
         let wanted = required.rate;
         let mut line = wanted / 2;
@@ -97,7 +98,7 @@ fn on_a_link_that_jitters_a_play_is_in_time_or_refused_with_numbers() {
         for (pattern, seed) in patterns.iter().flat_map(|pattern| [(pattern, 1), (pattern, 2)]) {
             let line =
                 Line { bytes_per_s: 100_000, delay: MS * delay, jitter: MS * jitter, ..Line::default() };
-            let settings = Settings { lead_ms, lease_ms: 10_000.0, ..Settings::default() };
+            let settings = Settings { lead_ms, lease_ms: 10_000.0, ..Settings::of(Array::paper()) };
             let mut rig = Rig::with(settings, line, seed);
             // The probe, then the arm.
             rig.run(Duration::from_secs(2));

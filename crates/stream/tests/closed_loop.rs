@@ -4,14 +4,16 @@
 
 use firmware_protocol::limits::PowerLimits;
 use firmware_protocol::message::State;
-use firmware_protocol::stroke::{Burst, Direction, Line as Pulse, MOTORS};
+use firmware_protocol::stroke::{Burst, Direction, Line as Pulse};
 use firmware_protocol::tick::Tick;
 use meissner_api::ErrorSource;
 use meissner_array::pattern::{Drive, Pattern};
+use meissner_array::per_motor::PerMotor;
 use meissner_array::simulated::{Pin, Sample, SimulatedMotorsConfig};
-use meissner_array::units::UM_PER_PULSE;
+use meissner_array::spec::Array;
 use meissner_stream::queues::{Command, CommandError, StreamEvent};
 use meissner_stream::{Gains, Line, Settings, rest_bound_um};
+use meissner_test_support::paper::{MOTORS, UM_PER_PULSE};
 use meissner_test_support::patterns::{drive, pattern};
 use meissner_test_support::rig::{self, Rig, answer, last_snapshot};
 use std::time::Duration;
@@ -67,7 +69,7 @@ fn swapped_sensors_are_reported_and_both_motors_play_on_in_open_loop() {
     rig.run_ms(200);
     rig.send(Command::Arm { assume_rest: false });
     rig.run_ms(1500);
-    assert_eq!(last_snapshot(&rig.take_events()).source, [ErrorSource::Telemetry; MOTORS]);
+    assert_eq!(*last_snapshot(&rig.take_events()).source, [ErrorSource::Telemetry; MOTORS]);
 }
 
 /// A disarmed device sends no telemetry. The streamer still knows whether telemetry showed the pins until then. It did not if no
@@ -88,7 +90,7 @@ fn a_cut_does_not_forget_whether_telemetry_showed_the_pins() {
         let snapshot = last_snapshot(&rig.take_events());
         assert_eq!(
             (snapshot.state, snapshot.source),
-            (State::Disarmed, [ErrorSource::DeadReckoning; MOTORS])
+            (State::Disarmed, PerMotor::all(Array::paper(), ErrorSource::DeadReckoning))
         );
         snapshot.pins_seen
     };
@@ -126,7 +128,7 @@ fn arming_forgets_nothing_where_telemetry_showed_the_pins() {
         rig.send(Command::Disarm);
         rig.run_ms(500);
         let before = last_snapshot(&rig.take_events());
-        let farthest = |of: &[f32; MOTORS]| of.iter().fold(0.0, |most: f32, um| most.max(um.abs()));
+        let farthest = |of: &[f32]| of.iter().fold(0.0, |most: f32, um| most.max(um.abs()));
         assert!(before.pins_seen && farthest(&before.rest_error_um) > 60.0, "{before:?}");
         rig.mock.filter_telemetry(move |_| comes_back);
         rig.send(Command::Arm { assume_rest: true });
@@ -134,13 +136,13 @@ fn arming_forgets_nothing_where_telemetry_showed_the_pins() {
         let after = last_snapshot(&rig.take_events());
         assert_eq!((after.state, after.pins_seen), (State::Armed, comes_back));
         if comes_back {
-            assert_eq!(after.source, [ErrorSource::Telemetry; MOTORS]);
-            for (shown, motor) in after.rest_error_um.into_iter().zip(0..) {
+            assert_eq!(*after.source, [ErrorSource::Telemetry; MOTORS]);
+            for (&shown, motor) in after.rest_error_um.iter().zip(0..) {
                 let um = rig.mock.position_um(motor);
                 assert!((f64::from(shown) - um).abs() < 0.5, "motor {motor}: {shown} um shown, {um} um true");
             }
         } else {
-            assert_eq!(after.source, [ErrorSource::DeadReckoning; MOTORS]);
+            assert_eq!(*after.source, [ErrorSource::DeadReckoning; MOTORS]);
             assert_eq!(after.rest_error_um, before.rest_error_um);
         }
     }
@@ -154,8 +156,8 @@ fn a_minute_of_all_motors_is_near_the_bound_and_fits_the_wire() {
     let pattern = pattern("all", Some(60.0), drives);
     let motors = SimulatedMotorsConfig::default();
     let simulated =
-        meissner_stream::simulate_play(&pattern, None, &motors, Settings::default(), false).unwrap();
-    let bound = rest_bound_um(60.0, 80.0, motors.gain_sd, 5.5, 1000.0);
+        meissner_stream::simulate_play(&pattern, None, &motors, Settings::of(Array::paper()), false).unwrap();
+    let bound = rest_bound_um(Array::paper(), 60.0, 80.0, motors.gain_sd, 5.5, 1000.0);
     let (rms, bursts) = (simulated.rest.rms_um(), simulated.outcome.bursts);
     let bytes = simulated.outcome.wire_bytes as f64 / bursts.planned as f64;
     println!("24 motors x 60 Hz, 60 s: {rms:.2} um rms, bound {bound:.2}; {bytes:.2} bytes per burst");
@@ -208,7 +210,7 @@ fn without_telemetry_the_error_is_reckoned_and_the_streamer_warns() {
         let events = rig.take_events();
         warned += events.iter().filter(|event| matches!(event, StreamEvent::DriftWarning { .. })).count();
         let snapshot = last_snapshot(&events);
-        assert_eq!(snapshot.source, [ErrorSource::DeadReckoning; MOTORS]);
+        assert_eq!(*snapshot.source, [ErrorSource::DeadReckoning; MOTORS]);
         reckoned.push(f64::from(snapshot.rest_error_um[0]));
     }
     assert!(reckoned.windows(2).all(|two| two[1] > 1.2 * two[0]), "{reckoned:?}");
@@ -229,7 +231,7 @@ fn without_telemetry_the_estimated_error_stays_within_the_end_stops() {
         rig.start(&all_motors(seconds), None);
         rig.run_ms((seconds * 1000.0) as u64 + 1500);
         let snapshot = last_snapshot(&rig.take_events());
-        assert_eq!(snapshot.source, [ErrorSource::DeadReckoning; MOTORS]);
+        assert_eq!(*snapshot.source, [ErrorSource::DeadReckoning; MOTORS]);
         let farthest = (0..24).map(|motor| rig.mock.position_um(motor).abs()).fold(0.0, f64::max);
         println!(
             "after {seconds} s: estimate {} um, farthest pin {farthest:.0} um",
@@ -254,15 +256,15 @@ fn calibrated_gains_hold_pins_without_telemetry() {
         ..SimulatedMotorsConfig::default()
     };
     // Each motor's asymmetry is random: one stroke of known length shows it.
-    let gains: [Gains; MOTORS] = std::array::from_fn(|motor| {
-        let mut pin = Pin::new(&motors, motor as u64);
+    let gains = PerMotor::from_fn(Array::paper(), |motor| {
+        let mut pin = Pin::new(Array::paper(), &motors, motor.into());
         let burst = |start: u64, direction| Burst { start: Tick(start), direction, pulses: 1000 };
         pin.play(burst(0, Direction::Up));
         pin.play(burst(2000, Direction::Down));
         let top = pin.position_um(Tick(2000)) / (1000.0 * UM_PER_PULSE * motors.transient_gain);
         Gains { mean: [top, 2.0 - top], sd: [0.005; 2], scatter: 0.1 }
     });
-    let drift = |gains: Option<&[Gains; MOTORS]>| {
+    let drift = |gains: Option<&PerMotor<Gains>>| {
         let mut rig = Rig::of(&motors, 3);
         rig.arm();
         if let Some(gains) = gains {
@@ -347,7 +349,7 @@ fn corrections_make_the_device_refuse_nothing() {
     let six = pattern("six", Some(6.0), (0..6).map(|motor| drive(motor, 60.0, 80.0)));
     // 588 pulses up and down, 60 times a second, plus a margin for the sliding second.
     let limits = PowerLimits { motor: 74_000, ..PowerLimits::NONE };
-    let settings = Settings { limits, ..Settings::default() };
+    let settings = Settings { limits, ..Settings::of(Array::paper()) };
     let motors = SimulatedMotorsConfig::default();
     let outcome = meissner_stream::simulate_play(&six, None, &motors, settings, false).unwrap().outcome;
     assert_eq!((outcome.bursts.refused, outcome.bursts.planned), (0, outcome.bursts.played));

@@ -2,13 +2,15 @@
 //! by what they know.
 
 use firmware_protocol::message::State;
-use firmware_protocol::stroke::MOTORS;
 use meissner_api::{EndCause, ErrorSource};
 use meissner_array::pattern::Pattern;
+use meissner_array::per_motor::PerMotor;
 use meissner_array::random::normal;
 use meissner_array::simulated::SimulatedMotorsConfig;
+use meissner_array::spec::Array;
 use meissner_stream::queues::{Command, CommandError, End, Snapshot, StreamEvent};
 use meissner_stream::{Gains, Settings};
+use meissner_test_support::paper::MOTORS;
 use meissner_test_support::patterns::{drive, pattern};
 use meissner_test_support::rig::{Rig, answer, last_snapshot, outcomes};
 use meissner_test_support::statistics::rms;
@@ -20,8 +22,11 @@ fn blind(seed: u64) -> SimulatedMotorsConfig {
 /// An armed rig without telemetry; pins may drift as far as `limit_um`.
 fn rig(config: &SimulatedMotorsConfig, limit_um: f32) -> Rig {
     let mut rig = Rig::of(config, config.seed);
-    let settings =
-        Settings { end_stop_um: config.end_stop_um as f32, drift_limit_um: limit_um, ..Settings::default() };
+    let settings = Settings {
+        end_stop_um: config.end_stop_um as f32,
+        drift_limit_um: limit_um,
+        ..Settings::of(Array::paper())
+    };
     rig.send(Command::Configure(settings));
     rig.arm();
     rig
@@ -69,9 +74,9 @@ fn play_trial(rig: &mut Rig) -> (Option<Result<(), CommandError>>, Snapshot, Vec
 }
 
 /// The gains of a motor as a calibration that knows them to half a per cent would have them.
-fn true_gains(config: &SimulatedMotorsConfig) -> [Gains; MOTORS] {
-    std::array::from_fn(|motor| {
-        let asymmetry = config.asymmetry_sd * normal([config.seed, motor as u64, 0, 2]);
+fn true_gains(config: &SimulatedMotorsConfig) -> PerMotor<Gains> {
+    PerMotor::from_fn(Array::paper(), |motor| {
+        let asymmetry = config.asymmetry_sd * normal([config.seed, motor.into(), 0, 2]);
         Gains { mean: [1.0 + asymmetry / 2.0, 1.0 - asymmetry / 2.0], sd: [0.005; 2], scatter: 0.1 }
     })
 }
@@ -80,11 +85,11 @@ fn positions(rig: &Rig) -> impl Iterator<Item = f64> {
     (0..MOTORS as u8).map(|motor| rig.mock.position_um(motor))
 }
 
-fn estimates(rig: &mut Rig) -> [f64; MOTORS] {
+fn estimates(rig: &mut Rig) -> Vec<f64> {
     rig.run_ms(1100);
     let snapshot = last_snapshot(&rig.take_events());
-    assert_eq!(snapshot.source, [ErrorSource::DeadReckoning; MOTORS]);
-    snapshot.rest_error_um.map(f64::from)
+    assert_eq!(*snapshot.source, [ErrorSource::DeadReckoning; MOTORS]);
+    snapshot.rest_error_um.iter().copied().map(f64::from).collect()
 }
 
 /// Of 40 trials without telemetry and stop, the daemon plays three whole ones; the fourth ends at the limit, and the fifth is
@@ -93,7 +98,7 @@ fn estimates(rig: &mut Rig) -> [f64; MOTORS] {
 fn forty_trials_without_telemetry_are_refused_at_the_limit_with_the_reason() {
     for seed in 0..3 {
         let config = SimulatedMotorsConfig { end_stop_um: 500.0, ..blind(seed) };
-        let mut rig = rig(&config, Settings::default().drift_limit_um);
+        let mut rig = rig(&config, Settings::of(Array::paper()).drift_limit_um);
         let (mut whole, mut cut, mut refused, mut last_um) = (0, 0, 0, 0.0);
         for _ in 0..40 {
             let (answer, snapshot, ends) = play_trial(&mut rig);
@@ -209,7 +214,7 @@ fn the_estimate_outlives_disarming_and_unplugging() {
     rig.connect();
     assert!((estimates(&mut rig)[0] - um).abs() < 1e-3);
     // Another host process: the device knows where its pins are, but the host does not know their drift.
-    let mut streamer = meissner_stream::Streamer::new(Settings::default());
+    let mut streamer = meissner_stream::Streamer::new(Settings::of(Array::paper()));
     rig.unplug();
     std::mem::swap(&mut rig.streamer, &mut streamer);
     rig.connect();

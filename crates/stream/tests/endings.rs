@@ -9,9 +9,10 @@ use firmware_protocol::tick::Tick;
 use meissner_api::{EndCause, ErrorSource};
 use meissner_array::pattern::{Drive, Pattern};
 use meissner_array::simulated::SimulatedMotorsConfig;
-use meissner_array::units::{duration_to_ticks, ticks_to_seconds};
+use meissner_array::spec::Array;
 use meissner_stream::queues::{At, Command, End, Outcome, StreamEvent};
 use meissner_stream::{Line, Settings};
+use meissner_test_support::paper::RATE;
 use meissner_test_support::patterns::{drive, pattern};
 use meissner_test_support::rig::{self, Rig, bad_line};
 use std::time::Duration;
@@ -37,7 +38,7 @@ fn offset_after_lines(rig: &mut Rig, outcome: &Outcome, what: &str) -> i64 {
     let (host, device) = (found.at.since(onset.at), found.tick - onset.actual);
     let uncertainty = Duration::from_nanos(onset.uncertainty_ns + found.uncertainty_ns);
     assert!(
-        duration_to_ticks(host).abs_diff(device) <= duration_to_ticks(uncertainty),
+        RATE.duration_to_ticks(host).abs_diff(device) <= RATE.duration_to_ticks(uncertainty),
         "{what}: {outcome:?}"
     );
     found.tick.since(last_pulse_end(&trace, Tick(u64::MAX)))
@@ -113,7 +114,7 @@ fn the_offset_of_a_stopped_play_includes_what_the_return_waits_for() {
     for (pattern, limits) in slow_returns() {
         let mut waited = 0;
         for phase in 0..20 {
-            let mut rig = Rig::with(Settings { limits, ..Settings::default() }, Line::default(), 3);
+            let mut rig = Rig::with(Settings { limits, ..Settings::of(Array::paper()) }, Line::default(), 3);
             rig.arm();
             rig.start(&pattern, None);
             rig.run(400 * MS + phase * 5 * MS);
@@ -132,7 +133,7 @@ fn the_offset_of_a_stopped_play_includes_what_the_return_waits_for() {
 fn an_e_stop_in_the_return_of_a_stopped_play_is_its_offset() {
     let [(pattern, limits), _] = slow_returns();
     for ms in 3..12 {
-        let mut rig = Rig::with(Settings { limits, ..Settings::default() }, Line::default(), 3);
+        let mut rig = Rig::with(Settings { limits, ..Settings::of(Array::paper()) }, Line::default(), 3);
         rig.arm();
         rig.start(&pattern, None);
         rig.run_ms(435);
@@ -271,7 +272,7 @@ fn a_silent_host_learns_after_how_long_the_play_was_cut() {
     let outcome = rig.outcomes().remove(0);
     assert_eq!((outcome.end, outcome.cause.clone()), (End::Stopped, Some(EndCause::HostTimeout)));
     assert_offset(&mut rig, &outcome, "lease");
-    let heard = duration_to_ticks(silent.since(outcome.onset.unwrap().at));
+    let heard = RATE.duration_to_ticks(silent.since(outcome.onset.unwrap().at));
     let cut = outcome.cut_after.unwrap();
     assert!(
         cut.abs_diff(heard + 25_500) < 25 * 85,
@@ -289,7 +290,7 @@ fn a_lost_link_leaves_the_offset_unknown_and_says_when_it_was_lost() {
     rig.run_ms(100);
     let outcome = rig.outcomes().remove(0);
     assert_eq!((outcome.end, outcome.offset), (End::Stopped, None));
-    let after = duration_to_ticks(lost.since(outcome.onset.unwrap().at));
+    let after = RATE.duration_to_ticks(lost.since(outcome.onset.unwrap().at));
     assert!(outcome.cut_after.unwrap().abs_diff(after) <= 3, "{outcome:?}");
 }
 
@@ -407,7 +408,7 @@ fn plays_without_end_have_an_offset_after_a_restart_of_the_board() {
         rig.run_ms(200);
         let outcome = rig.outcomes().pop().expect("it ended");
         let played =
-            ticks_to_seconds(outcome.offset.expect("an offset").tick - outcome.onset.unwrap().actual);
+            RATE.ticks_to_seconds(outcome.offset.expect("an offset").tick - outcome.onset.unwrap().actual);
         assert!((played - seconds as f64).abs() < 0.05, "{played} s of {seconds}");
     }
 }

@@ -4,7 +4,7 @@
 //! `MEISSNER_RENEW=1 cargo test -p meissner-stream --test tests -- faults`.
 
 use firmware_protocol::message::State;
-use firmware_protocol::stroke::{MOTORS, Stroke};
+use firmware_protocol::stroke::Stroke;
 use firmware_protocol::tick::Tick;
 use meissner_array::simulated::SimulatedMotorsConfig;
 use meissner_fault_cases::{
@@ -14,6 +14,7 @@ use meissner_fault_cases::{
 use meissner_stream::Line;
 use meissner_stream::queues::{At, Command, End, Outcome, StreamEvent};
 use meissner_stream::time::HostInstant;
+use meissner_test_support::paper::MOTORS;
 use meissner_test_support::rig::{self, Rig, answer, assert_closed, bursts_on_the_lines};
 use std::fmt::Write as _;
 use std::fs;

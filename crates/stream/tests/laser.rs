@@ -3,6 +3,7 @@
 use firmware_protocol::tick::Tick;
 use meissner_array::random::{normal, uniform};
 use meissner_array::simulated::{SimulatedMotors, SimulatedMotorsConfig};
+use meissner_array::spec::Array;
 use meissner_stream::calibrate::{
     Calibration, Figure, LaserFit, Plan, PlayedOn, PlayedPlan, Recording, Sensor, Units, fit, fit_recording,
     laser_plan, simulated_recording, travels_by_sensor,
@@ -23,7 +24,7 @@ fn played_plan(plan: &Plan, motor: u8, onset: Tick) -> PlayedPlan {
 
 /// The default plan of a motor.
 fn played(motor: u8) -> PlayedPlan {
-    played_plan(&laser_plan(motor, None, None).unwrap(), motor, Tick::BOOT + 123_457)
+    played_plan(&laser_plan(Array::paper(), motor, None, None).unwrap(), motor, Tick::BOOT + 123_457)
 }
 
 fn fitted(played: &PlayedPlan, motors: &SimulatedMotorsConfig, sensor: &Sensor) -> Result<LaserFit, String> {
@@ -41,10 +42,11 @@ fn true_gains(config: &SimulatedMotorsConfig, motor: u8) -> [f64; 2] {
 /// The gains that an ideal sensor finds in the same bursts: their scatter is in them.
 fn realised_gains(config: &SimulatedMotorsConfig, plan: &Plan, motor: u8, onset: Tick) -> [f64; 2] {
     let mut motors =
-        SimulatedMotors::new(SimulatedMotorsConfig { telemetry_hz: 0, ..*config }, onset).unwrap();
+        SimulatedMotors::new(Array::paper(), SimulatedMotorsConfig { telemetry_hz: 0, ..*config }, onset)
+            .unwrap();
     let travels = travels_by_sensor(plan, &mut motors);
-    let found = fit(&travels).unwrap().into_iter().find(|fit| fit.motor == motor).unwrap();
-    [found.up.gain(), found.down.gain()]
+    let found = fit(Array::paper(), &travels).unwrap().into_iter().find(|fit| fit.motor == motor).unwrap();
+    [found.up.gain(Array::paper().motor()), found.down.gain(Array::paper().motor())]
 }
 
 /// A sensor with errors of its own: 0.1 um noise, 1 kHz, a clock that is up to 500 ppm off, and the rest at random.
@@ -73,7 +75,7 @@ fn gains_are_found_through_noise_drift_gaps_a_wrong_clock_and_a_wrong_sign() {
         for motor in [0, 9, 23] {
             let (played, sensor) = (played(motor), random_sensor(seed * 24 + u64::from(motor)));
             let found = fitted(&played, &config, &sensor).unwrap();
-            let plan = laser_plan(motor, None, None).unwrap();
+            let plan = laser_plan(Array::paper(), motor, None, None).unwrap();
             let realised = realised_gains(&config, &plan, motor, Tick::BOOT + 123_457);
             let gains = [found.gain_up, found.gain_down];
             for ((gain, truth), realised) in gains.into_iter().zip(true_gains(&config, motor)).zip(realised) {
@@ -114,7 +116,7 @@ fn gains_are_found_through_noise_drift_gaps_a_wrong_clock_and_a_wrong_sign() {
 
 /// A plan of one minute is enough for what is not about scatter.
 fn short() -> PlayedPlan {
-    let plan = laser_plan(3, Some(&[7, 35, 70, 91]), Some(2)).unwrap();
+    let plan = laser_plan(Array::paper(), 3, Some(&[7, 35, 70, 91]), Some(2)).unwrap();
     played_plan(&plan, 3, Tick::BOOT)
 }
 
@@ -162,7 +164,7 @@ fn a_calibration_by_laser_is_a_calibration_like_any_other() {
     let left: Vec<f64> = found.trace.iter().map(|point| point.measured_um - point.fitted_um).collect();
     assert!((rms(left.iter().copied()) - 0.1).abs() < 0.01 && left.len() > 20_000);
     // A second motor joins the file; one that is measured again replaces itself.
-    let plan = laser_plan(9, None, None).unwrap();
+    let plan = laser_plan(Array::paper(), 9, None, None).unwrap();
     let ninth = played_plan(&plan, 9, Tick(500));
     let second = fitted(&ninth, &steady(), &Sensor::default()).unwrap().calibration(&ninth).unwrap();
     let both = second.with_other_motors(&read);
@@ -192,7 +194,8 @@ fn bad_recordings_are_refused_in_one_line() {
     let dead = SimulatedMotorsConfig { end_stop_um: 0.0, ..steady() };
     let wild = SimulatedMotorsConfig { gain_sd: 0.48, seed: 2, ..steady() };
     let long_and_wild = fitted(&self::played(3), &wild, &good).map(drop).unwrap_err();
-    let other = played_plan(&laser_plan(3, Some(&[91, 7, 50, 28]), Some(2)).unwrap(), 3, Tick::BOOT);
+    let other =
+        played_plan(&laser_plan(Array::paper(), 3, Some(&[91, 7, 50, 28]), Some(2)).unwrap(), 3, Tick::BOOT);
     let of_other = simulated_recording(&other, &steady(), &good);
     let of_other = Recording::read(of_other.as_bytes(), Units::default()).unwrap();
     let middle = good.first_s + good.before_s + played.duration_s() / 2.0;
@@ -254,7 +257,7 @@ fn a_bad_plan_is_refused_in_one_line() {
         assert!(line.starts_with(says) && !line.contains('\n'), "{line}");
     }
     // Of a plan for all motors, too.
-    let all = Plan::new(None, &[14, 70, 140], 1).unwrap();
+    let all = Plan::new(Array::paper(), None, &[14, 70, 140], 1).unwrap();
     for motor in [0, 23] {
         let played = played_plan(&all, motor, Tick(500));
         assert_eq!(PlayedPlan::parse(&played.to_json()), Ok(played));

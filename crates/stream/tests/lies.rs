@@ -2,10 +2,10 @@
 
 use firmware_protocol::message::{DeviceMessage, State};
 use firmware_protocol::tick::Tick;
-use meissner_array::units::TICKS_PER_S;
 use meissner_stream::Line;
 use meissner_stream::queues::{Command, End, StreamEvent};
 use meissner_test_support::at_length;
+use meissner_test_support::paper::TICKS_PER_S;
 use meissner_test_support::rig::{self, Rig, answer, assert_closed};
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};

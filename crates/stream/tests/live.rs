@@ -1,16 +1,18 @@
 //! Live plays in virtual time: what the streamer acknowledges is what the lines carry, tick for tick.
 
-use firmware_protocol::stroke::{MOTORS, Stroke};
+use firmware_protocol::stroke::Stroke;
 use firmware_protocol::tick::Tick;
 use meissner_api::EndCause;
 use meissner_array::motor::SquareWave;
+use meissner_array::per_motor::PerMotor;
+use meissner_array::spec::Array;
 use meissner_array::strokes::LiveStrokes;
-use meissner_array::units::ticks_to_ms;
 use meissner_stream::queues::{
     Applied, Command, CommandError, End, LiveResult, LiveUpdate, Outcome, Play, StreamEvent,
 };
 use meissner_stream::{Bandwidth, Line, Settings, Source};
 use meissner_test_support::at_length;
+use meissner_test_support::paper::{MOTORS, RATE};
 use meissner_test_support::random::Random;
 use meissner_test_support::rig::{
     self, Rig, answer, assert_closed, assert_lines, bad_line, bursts_on_the_lines, into_outcomes, is_driven,
@@ -22,11 +24,16 @@ const MS: Duration = Duration::from_millis(1);
 const TIMEOUT: Duration = Duration::from_millis(500);
 
 fn wave(frequency_hz: f64, amplitude_um: f64, phase: f64) -> SquareWave {
-    SquareWave::new(frequency_hz, amplitude_um, phase).unwrap()
+    SquareWave::new(Array::paper(), frequency_hz, amplitude_um, phase).unwrap()
 }
 
-fn steady() -> [SquareWave; MOTORS] {
-    [wave(60.0, 80.0, 0.0); MOTORS]
+/// The same for every motor.
+fn all<T: Copy>(value: T) -> PerMotor<T> {
+    PerMotor::all(Array::paper(), value)
+}
+
+fn steady() -> PerMotor<SquareWave> {
+    all(wave(60.0, 80.0, 0.0))
 }
 
 /// A live play, and what is known of it.
@@ -34,25 +41,26 @@ struct LivePlay {
     rig: Rig,
     id: u64,
     number: u64,
-    initial: [SquareWave; MOTORS],
-    sent: Vec<[Option<SquareWave>; MOTORS]>,
+    initial: PerMotor<SquareWave>,
+    sent: Vec<PerMotor<Option<SquareWave>>>,
     events: Vec<StreamEvent>,
 }
 
 impl LivePlay {
-    fn start(line: Line, seed: u64, initial: [SquareWave; MOTORS]) -> Self {
+    fn start(line: Line, seed: u64, initial: PerMotor<SquareWave>) -> Self {
         let mut rig = Rig::armed(Line::default(), seed);
         rig.set_line(line);
         rig.mock.take_trace();
         let id = rig.start_live(initial, TIMEOUT);
         rig.run_ms(50);
-        Self { rig, id, number: 0, initial, sent: vec![[None; MOTORS]], events: vec![] }
+        Self { rig, id, number: 0, initial, sent: vec![all(None)], events: vec![] }
     }
 
-    fn update(&mut self, waves: [Option<SquareWave>; MOTORS]) {
+    fn update(&mut self, waves: PerMotor<Option<SquareWave>>) {
         self.number += 1;
         self.sent.push(waves);
-        let update = LiveUpdate { waves, ..LiveUpdate::new(self.id, self.number, self.rig.now()) };
+        let update =
+            LiveUpdate { waves, ..LiveUpdate::new(Array::paper(), self.id, self.number, self.rig.now()) };
         self.rig.send(Command::UpdateLive(Box::new(update)));
     }
 
@@ -82,7 +90,7 @@ impl LivePlay {
     /// Ends the play, when all motors have been silent for longer than the lead, and compares every line with what was
     /// acknowledged; strokes reported as late are missing.
     fn check(mut self) -> (Outcome, Vec<(u64, Applied)>) {
-        self.update([Some(wave(60.0, 0.0, 0.0)); MOTORS]);
+        self.update(all(Some(wave(60.0, 0.0, 0.0))));
         self.run(400 * MS);
         self.rig.send(Command::EndLive(self.id));
         self.run(400 * MS);
@@ -160,9 +168,9 @@ fn boundaries(live: &LiveStrokes, motor: u8, wave: SquareWave, applied: &Applied
 }
 
 /// Some motors' random drives.
-fn random_waves(random: &mut Random) -> [Option<SquareWave>; MOTORS] {
+fn random_waves(random: &mut Random) -> PerMotor<Option<SquareWave>> {
     let share = random.between(0.0, 1.0);
-    std::array::from_fn(|_| {
+    PerMotor::from_fn(Array::paper(), |_| {
         random.chance(share).then(|| {
             let hz = if random.chance(0.5) { 60.0 } else { random.between(5.0, 300.0) };
             let um = if random.chance(0.2) { 0.0 } else { random.between(5.0, 150.0) };
@@ -214,13 +222,13 @@ fn on_a_good_line_an_update_is_decided_within_three_milliseconds() {
     let mut live = LivePlay::start(Line::default(), 5, steady());
     for _ in 0..2_000 {
         let um = random.between(20.0, 100.0);
-        live.update(std::array::from_fn(|_| Some(wave(60.0, um, 0.0))));
+        live.update(all(Some(wave(60.0, um, 0.0))));
         live.run(10 * MS);
     }
     let (outcome, applied) = live.check();
     assert_eq!((outcome.bursts.late, applied.len()), (0, 2_001));
     for (number, Applied { received, replaced, motors, .. }) in &applied {
-        let decided = ticks_to_ms(*replaced - *received);
+        let decided = RATE.ticks_to_ms(*replaced - *received);
         assert!(decided <= 3.0, "update {number}: {decided} ms");
         assert!(motors.iter().flatten().all(|from| *from - *replaced <= 1_417));
     }
@@ -230,7 +238,7 @@ fn on_a_good_line_an_update_is_decided_within_three_milliseconds() {
 fn updates_that_come_too_fast_are_merged() {
     let mut live = LivePlay::start(Line { delay: 5 * MS, ..Line::default() }, 6, steady());
     for number in 0..200 {
-        let mut waves = [None; MOTORS];
+        let mut waves = all(None);
         waves[number % MOTORS] = Some(wave(60.0, number as f64 / 2.0, 0.0));
         live.update(waves);
         live.run(MS);
@@ -245,13 +253,13 @@ fn updates_that_come_too_fast_are_merged() {
 fn a_silent_client_ends_the_play_and_an_update_without_drives_keeps_it() {
     let mut live = LivePlay::start(Line::default(), 7, steady());
     for _ in 0..10 {
-        live.update([None; MOTORS]);
+        live.update(all(None));
         live.run(400 * MS);
     }
-    assert!(live.applied().iter().all(|(_, applied)| applied.motors == [None; MOTORS]));
+    assert!(live.applied().iter().all(|(_, applied)| applied.motors == all(None)));
     assert!(into_outcomes(std::mem::take(&mut live.events)).is_empty());
     live.run(400 * MS);
-    live.update([None; MOTORS]);
+    live.update(all(None));
     let outcome = into_outcomes(live.events).pop().expect("it ended");
     assert_eq!((outcome.end, outcome.cause.clone()), (End::Stopped, Some(EndCause::ClientSilent)));
     assert_closed(&outcome);
@@ -269,7 +277,7 @@ fn a_stop_or_an_e_stop_in_the_middle_of_an_update_ends_it_at_once() {
     for command in [|| Command::Stop, || Command::EStop, || Command::Disarm] {
         for wait in 0..12 {
             let mut live = LivePlay::start(Line { delay: 2 * MS, ..Line::default() }, wait, steady());
-            live.update([Some(wave(150.0, 40.0, 0.0)); MOTORS]);
+            live.update(all(Some(wave(150.0, 40.0, 0.0))));
             live.run(Duration::from_micros(500) * wait as u32);
             live.rig.send(command());
             live.run(800 * MS);
@@ -285,7 +293,7 @@ fn a_stop_or_an_e_stop_in_the_middle_of_an_update_ends_it_at_once() {
 
 #[test]
 fn a_line_that_does_not_carry_the_updates_is_refused_beforehand() {
-    let settings = Settings::default();
+    let settings = Settings::of(Array::paper());
     let needs = |hz, updates_hz| Bandwidth::of_live(hz, updates_hz, &settings).unwrap().open.rate;
     let slow = Line { bytes_per_s: 11_520, ..Line::default() };
     let update = |hz| (needs(hz, 100.0) - needs(hz, 0.0)) / 100;
@@ -319,22 +327,22 @@ fn a_live_play_that_replaces_another_one_begins_anew() {
     for wait in 0..12 {
         let mut live = LivePlay::start(Line { delay: 2 * MS, ..Line::default() }, wait, steady());
         for amplitude_um in [10.0, 20.0, 30.0] {
-            live.update([Some(wave(60.0, amplitude_um, 0.0)); MOTORS]);
+            live.update(all(Some(wave(60.0, amplitude_um, 0.0))));
             live.run(Duration::from_micros(300) * wait as u32);
         }
-        let strokes = Source::Live(Box::new(LiveStrokes::new([wave(60.0, 50.0, 0.0); MOTORS])));
+        let strokes = Source::Live(Box::new(LiveStrokes::new(all(wave(60.0, 50.0, 0.0)))));
         let play = Play { open_loop: true, live: Some(TIMEOUT), replace: true, ..Play::new(7, strokes) };
         live.rig.send(Command::Play(Box::new(play)));
         live.run(200 * MS);
         assert_eq!(live.results().len(), 3, "the first play's updates come back");
         live.rig.mock.take_trace();
         live.id = 7;
-        live.update([None; MOTORS]);
+        live.update(all(None));
         live.run(100 * MS);
         let pulses = bursts_on_the_lines(&live.rig.mock.take_trace());
         // 50 um are 368 pulses; in 100 ms each of 24 motors has 12 bursts.
         assert!(pulses.pulses.abs_diff(24 * 12 * 368) <= 48, "{wait}: {pulses:?}");
-        live.update([Some(wave(60.0, 0.0, 0.0)); MOTORS]);
+        live.update(all(Some(wave(60.0, 0.0, 0.0))));
         live.run(200 * MS);
         assert!(matches!(live.results().last(), Some((5, LiveResult::Applied(_)))));
         live.rig.send(Command::EndLive(7));
@@ -363,7 +371,7 @@ fn a_live_play_is_not_queued() {
 #[test]
 fn a_short_lead_and_a_bad_line_do_not_end_the_updates() {
     for (seed, lead_ms) in [(1, 5.0), (2, 10.0), (3, 20.0)] {
-        let settings = Settings { lead_ms, ..Settings::default() };
+        let settings = Settings { lead_ms, ..Settings::of(Array::paper()) };
         let mut rig = Rig::with(settings, Line::default(), seed);
         rig.arm();
         rig.set_line(Line { loss: 0.05, ..Line::default() });
@@ -371,8 +379,8 @@ fn a_short_lead_and_a_bad_line_do_not_end_the_updates() {
         rig.run_ms(50);
         let (mut random, mut last) = (Random::new(seed), 0);
         for number in 1..=500 {
-            let waves = [Some(wave(60.0, random.between(10.0, 100.0), 0.0)); MOTORS];
-            let update = LiveUpdate { waves, ..LiveUpdate::new(id, number, rig.now()) };
+            let waves = all(Some(wave(60.0, random.between(10.0, 100.0), 0.0)));
+            let update = LiveUpdate { waves, ..LiveUpdate::new(Array::paper(), id, number, rig.now()) };
             rig.send(Command::UpdateLive(Box::new(update)));
             rig.run_ms(10);
             for event in rig.take_events() {
@@ -394,7 +402,7 @@ fn a_short_lead_and_a_bad_line_do_not_end_the_updates() {
 fn a_cable_that_is_pulled_gives_back_the_updates() {
     let mut live = LivePlay::start(Line { delay: 3 * MS, ..Line::default() }, 3, steady());
     for _ in 0..3 {
-        live.update([Some(wave(60.0, 30.0, 0.0)); MOTORS]);
+        live.update(all(Some(wave(60.0, 30.0, 0.0))));
         live.run(MS);
     }
     live.rig.unplug();
@@ -413,7 +421,7 @@ fn many_updates_lose_no_count_and_no_memory() {
     let mut live = LivePlay::start(Line::default(), 9, steady());
     let (mut applied, mut merged) = (0_u64, 0_u64);
     for _ in 0..seconds * 200 {
-        let mut waves = [None; MOTORS];
+        let mut waves = all(None);
         waves[random.below(MOTORS)] = Some(wave(60.0, random.between(0.0, 100.0), 0.0));
         live.update(waves);
         live.sent.clear();

@@ -1,18 +1,19 @@
 //! Arrays with a lower stop: pins that rest without a sensor, seeks, and position control beside the stop.
 
 use firmware_protocol::message::State;
-use firmware_protocol::stroke::MOTORS;
 use meissner_api::ErrorSource;
 use meissner_array::pattern::{Drive, Pattern};
 use meissner_array::simulated::{LowerStop, SimulatedMotorsConfig};
+use meissner_array::spec::Array;
 use meissner_stream::queues::{Command, CommandError, StreamEvent};
 use meissner_stream::{LowerStopSettings, Settings, Streamer};
+use meissner_test_support::paper::MOTORS;
 use meissner_test_support::patterns::{drive, pattern};
 use meissner_test_support::rig::{self, Rig, answer, last_snapshot};
 use meissner_test_support::statistics::rms;
 
 fn with_stop() -> Settings {
-    Settings { lower_stop: Some(LowerStopSettings::default()), ..Settings::default() }
+    Settings { lower_stop: Some(LowerStopSettings::of(Array::paper())), ..Settings::of(Array::paper()) }
 }
 
 fn motors(telemetry_hz: u32, seed: u64) -> SimulatedMotorsConfig {
@@ -65,7 +66,7 @@ fn without_telemetry_a_minute_of_all_motors_stays_at_rest() {
         let mut rig = armed(0, seed);
         let (rms_um, _) = play(&mut rig, &all_motors(60.0, 60.0), 61_000);
         let snapshot = last_snapshot_now(&mut rig);
-        assert_eq!(snapshot.source, [ErrorSource::LowerStop; MOTORS]);
+        assert_eq!(*snapshot.source, [ErrorSource::LowerStop; MOTORS]);
         let estimate = rms(snapshot.rest_error_um.iter().map(|&um| f64::from(um)));
         println!("seed {seed}: rest {rms_um:.2} um rms, estimate {estimate:.2} um");
         assert!(rms_um < 5.0, "{rms_um} um");
@@ -117,7 +118,7 @@ fn home_seeks_the_stop_and_knows_where_pins_are() {
     rig.run_ms(100);
     assert_eq!(answer(&rig.take_events(), home), Some(Ok(())));
     assert!(rig.rest_rms_um() < 1e-9);
-    assert_eq!(last_snapshot_now(&mut rig).rest_error_um, [0.0; MOTORS]);
+    assert_eq!(*last_snapshot_now(&mut rig).rest_error_um, [0.0; MOTORS]);
     // During a play it is refused.
     rig.start(&all_motors(60.0, 1.0), None);
     rig.run_ms(100);
@@ -231,7 +232,7 @@ fn pins_are_at_rest_when_a_seek_is_over_and_not_before() {
     rig.run_ms(50);
     rig.send(Command::Arm { assume_rest: false });
     rig.run_ms(200);
-    assert_eq!(last_snapshot(&rig.take_events()).rest_error_um, [0.0; MOTORS]);
+    assert_eq!(*last_snapshot(&rig.take_events()).rest_error_um, [0.0; MOTORS]);
 }
 
 #[test]
@@ -260,8 +261,8 @@ fn a_new_daemon_does_not_take_pins_for_resting_that_it_has_not_seen() {
     let snapshot = last_snapshot_now(&mut rig);
     assert!(snapshot.position_known, "by the device");
     assert_eq!(
-        (snapshot.rest_error_um, snapshot.source),
-        ([500.0; MOTORS], [ErrorSource::LowerStop; MOTORS])
+        (&*snapshot.rest_error_um, &*snapshot.source),
+        (&[500.0; MOTORS][..], &[ErrorSource::LowerStop; MOTORS][..])
     );
 }
 

@@ -3,11 +3,12 @@
 //! The tests play in virtual time and compare position control and accounts with the simulated pins and the device's counts.
 
 use firmware_protocol::limits::PowerLimits;
-use firmware_protocol::stroke::MOTORS;
 use meissner_api::ErrorSource;
 use meissner_array::pattern::{Drive, Pattern};
+use meissner_array::spec::Array;
 use meissner_stream::queues::{Command, End, Outcome, StreamEvent};
 use meissner_stream::{Line, Settings};
+use meissner_test_support::paper::MOTORS;
 use meissner_test_support::patterns::{drive, pattern};
 use meissner_test_support::rig::{Rig, assert_closed, into_outcomes, last_snapshot};
 use std::time::Duration;
@@ -21,7 +22,7 @@ fn all_motors(frequency_hz: f64, shift: f64) -> Pattern {
 
 fn rig(motor: u32, line: Line, seed: u64) -> Rig {
     let limits = PowerLimits { motor, ..PowerLimits::NONE };
-    let mut rig = Rig::with(Settings { limits, ..Settings::default() }, line, seed);
+    let mut rig = Rig::with(Settings { limits, ..Settings::of(Array::paper()) }, line, seed);
     rig.arm();
     rig
 }

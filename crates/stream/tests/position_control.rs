@@ -5,9 +5,10 @@
 use firmware_protocol::limits::within_correction;
 use firmware_protocol::tick::Tick;
 use meissner_api::SensorFault;
-use meissner_array::units::UM_PER_PULSE;
+use meissner_array::spec::Array;
 use meissner_stream::{Gains, MotorRun, Period, rest_bound_um};
 use meissner_test_support::at_length;
+use meissner_test_support::paper::UM_PER_PULSE;
 use meissner_test_support::random::Random;
 use meissner_test_support::statistics::{mean, rms, standard_error};
 
@@ -54,6 +55,7 @@ fn check(motor_run: &MotorRun, seconds: f64) {
     let planned = result.periods[0].planned_um;
     let rms = Result::rest_rms(&result.periods);
     let bound = rest_bound_um(
+        Array::paper(),
         motor_run.frequency_hz,
         planned,
         motor_run.scatter,
@@ -103,7 +105,7 @@ fn forty_settings_rest_near_the_bound() {
             scatter: pick(&[0.0, 0.1, 0.3]),
             asymmetry: pick(&[0.0, 0.02, 0.1]),
             seed: number,
-            ..MotorRun::default()
+            ..MotorRun::of(Array::paper())
         };
         check(&motor_run, (200.0 / motor_run.frequency_hz).clamp(8.0, 150.0));
     }
@@ -113,7 +115,7 @@ fn forty_settings_rest_near_the_bound() {
 #[test]
 fn the_last_minutes_at_each_corner_are_as_good_as_the_first() {
     let long = at_length(12, 60);
-    let base = MotorRun::default();
+    let base = MotorRun::of(Array::paper());
     let corners = [
         ("slow and small", MotorRun { frequency_hz: 1.0, amplitude_um: 2.0, ..base }),
         ("slow and large", MotorRun { frequency_hz: 1.0, amplitude_um: 200.0, scatter: 0.3, ..base }),
@@ -182,7 +184,7 @@ fn an_error_dies_out_as_the_poles_say() {
                 transient_gain: 1.0,
                 offset_um: 15.0,
                 gains: certain(1.0 / (1.0 + delta)),
-                ..MotorRun::default()
+                ..MotorRun::of(Array::paper())
             };
             let left = left(motor_run, 4.0);
             // The error after each burst, and the correction intended with each.
@@ -216,7 +218,7 @@ fn an_initial_offset_is_corrected_without_overshoot() {
                     asymmetry: 0.0,
                     offset_um,
                     age_ms: 5.0,
-                    ..MotorRun::default()
+                    ..MotorRun::of(Array::paper())
                 };
                 let mut rests = Vec::new();
                 let mut planned = 0.0;
@@ -239,7 +241,7 @@ fn an_initial_offset_is_corrected_without_overshoot() {
 
 #[test]
 fn a_gap_in_telemetry_is_dead_reckoned() {
-    let motor_run = MotorRun { scatter: 0.0, asymmetry: 0.1, ..MotorRun::default() };
+    let motor_run = MotorRun { scatter: 0.0, asymmetry: 0.1, ..MotorRun::of(Array::paper()) };
     let gap = |tick: Tick, y| {
         let ms = (tick - Tick::BOOT) / 85;
         (ms % 1000 < 700).then_some(y)
@@ -272,7 +274,7 @@ fn faulty_telemetry_is_detected_and_corrects_nothing() {
     ];
     for (name, why, alter) in faults {
         for amplitude_um in [10.0, 80.0] {
-            let motor_run = MotorRun { amplitude_um, ..MotorRun::default() };
+            let motor_run = MotorRun { amplitude_um, ..MotorRun::of(Array::paper()) };
             let (mut past, mut after) = (Vec::new(), Vec::new());
             // Two seconds of true samples first.
             let sample = |tick: Tick, y| {
@@ -297,7 +299,8 @@ fn faulty_telemetry_is_detected_and_corrects_nothing() {
 /// No motor scatters this much: a sensor fault.
 #[test]
 fn implausible_scatter_is_a_sensor_fault() {
-    let motor_run = MotorRun { frequency_hz: 10.0, amplitude_um: 10.0, scatter: 0.6, ..MotorRun::default() };
+    let motor_run =
+        MotorRun { frequency_hz: 10.0, amplitude_um: 10.0, scatter: 0.6, ..MotorRun::of(Array::paper()) };
     assert_eq!(motor_run.run(60.0, |_, y| Some(y), |_| ()).unwrap(), Some(SensorFault::Scatter));
 }
 
@@ -305,7 +308,7 @@ fn implausible_scatter_is_a_sensor_fault() {
 #[test]
 fn corrections_without_effect_are_a_sensor_fault() {
     for frequency_hz in [60.0, 300.0] {
-        let motor_run = MotorRun { frequency_hz, ..MotorRun::default() };
+        let motor_run = MotorRun { frequency_hz, ..MotorRun::of(Array::paper()) };
         let drift = |tick: Tick, y: i32| Some(y + ((tick - Tick::BOOT) as f64 / 85_000.0 * 20_000.0) as i32);
         let fault = motor_run.run(30.0, drift, |_| ()).unwrap();
         assert!(fault.is_some(), "{frequency_hz} Hz");

@@ -7,6 +7,7 @@ use firmware_protocol::limits::PowerLimits;
 use firmware_protocol::message::State;
 use firmware_protocol::tick::Tick;
 use meissner_array::simulated::SimulatedMotorsConfig;
+use meissner_array::spec::Array;
 use meissner_stream::device::mock::Mock;
 use meissner_stream::link::LineRate;
 use meissner_stream::queues::{At, Command, CommandError, End, Request, StreamEvent};
@@ -86,11 +87,12 @@ fn two_arms_in_a_row_leave_it_armed_and_playing() {
 
 #[test]
 fn a_device_whose_clock_begins_anew_plays_as_the_one_before() {
-    let mut streamer = Streamer::new(Settings::default());
+    let mut streamer = Streamer::new(Settings::of(Array::paper()));
     let (mut events, mut frame, mut bytes, mut ms) =
         (Vec::<StreamEvent>::new(), [0; MAX_FRAME], [0; 4096], 0);
     for (boot, start) in [(1, Tick::BOOT + 600 * 85_000), (2, Tick::BOOT)] {
-        let mut mock = Mock::starting_at(SimulatedMotorsConfig::default(), boot, start).unwrap();
+        let mut mock =
+            Mock::starting_at(Array::paper(), SimulatedMotorsConfig::default(), boot, start).unwrap();
         streamer.connect(HostInstant::from_ns(ms * 1_000_000), boot, LineRate::USB_FULL_SPEED, &mut events);
         for since in 0..3000u64 {
             ms += 1;
@@ -124,7 +126,7 @@ fn a_device_whose_clock_begins_anew_plays_as_the_one_before() {
 #[test]
 fn tens_of_thousands_of_reports_later_verdicts_still_count() {
     let settings =
-        Settings { limits: PowerLimits { motor: 300, ..PowerLimits::NONE }, ..Settings::default() };
+        Settings { limits: PowerLimits { motor: 300, ..PowerLimits::NONE }, ..Settings::of(Array::paper()) };
     let mut rig = Rig::with(settings, Line { delay: 5 * MS, ..Line::default() }, 24);
     rig.arm();
     for round in 0..10 {
@@ -138,7 +140,7 @@ fn tens_of_thousands_of_reports_later_verdicts_still_count() {
 #[test]
 fn strokes_refused_as_they_begin_do_not_mislead_position_control() {
     let settings =
-        Settings { limits: PowerLimits { motor: 1200, ..PowerLimits::NONE }, ..Settings::default() };
+        Settings { limits: PowerLimits { motor: 1200, ..PowerLimits::NONE }, ..Settings::of(Array::paper()) };
     let rest = |open_loop| {
         let mut rig = Rig::with(settings, Line::default(), 24);
         rig.arm();

@@ -7,6 +7,7 @@ use firmware_protocol::stroke::Lines;
 use firmware_protocol::tick::Tick;
 use meissner_api::EndCause;
 use meissner_array::pattern::{Drive, Pattern};
+use meissner_array::spec::Array;
 use meissner_array::strokes::{Sequence, Start, StrokeOptions};
 use meissner_stream::queues::{Command, End, Item, Outcome, Play};
 use meissner_stream::{Bandwidth, Line, Settings};
@@ -18,7 +19,7 @@ const MS: Duration = Duration::from_millis(1);
 
 /// A sequence of patterns, each with its duration, pause before it, and trigger.
 fn sequence<'p>(items: impl IntoIterator<Item = (&'p Pattern, f64, f64, Option<Trigger>)>) -> Play {
-    let (mut sequence, mut triggers) = (Sequence::default(), Vec::new());
+    let (mut sequence, mut triggers) = (Sequence::new(Array::paper()), Vec::new());
     let mut compiled: Vec<(&Pattern, _)> = Vec::new();
     for (pattern, seconds, gap_ms, trigger) in items {
         let known = compiled.iter().find(|(of, _)| std::ptr::eq(*of, pattern)).map(|(_, item)| *item);
@@ -31,7 +32,7 @@ fn sequence<'p>(items: impl IntoIterator<Item = (&'p Pattern, f64, f64, Option<T
         triggers.push(Item::new(trigger));
     }
     let strokes = sequence.strokes().unwrap();
-    let bandwidth = Bandwidth::of(&strokes, &Settings::default());
+    let bandwidth = Bandwidth::of(&strokes, &Settings::of(Array::paper()));
     Play { items: triggers, open_loop: true, bandwidth, ..Play::new(1, strokes) }
 }
 
@@ -286,7 +287,7 @@ fn strokes_refused_as_they_begin_are_neither_first_nor_last() {
     // 59 pulses in a stroke, 1 180 in 100 ms: the second item waits until those of the first no longer count.
     let tap = tap(5);
     let limits = PowerLimits { motor: 1_000, ..PowerLimits::NONE };
-    let mut rig = Rig::with(Settings { limits, ..Settings::default() }, Line::default(), 8);
+    let mut rig = Rig::with(Settings { limits, ..Settings::of(Array::paper()) }, Line::default(), 8);
     rig.arm();
     rig.mock.take_trace();
     let items = [(&tap, 0.2, 0.0, None), (&tap, 0.6, 400.0, None)];

@@ -6,6 +6,7 @@ use firmware_protocol::limits::PowerLimits;
 use firmware_protocol::message::{Cause, DeviceMessage, Op as Command, State};
 use firmware_protocol::stroke::Stroke;
 use firmware_protocol::tick::Tick;
+use meissner_array::spec::Array;
 use meissner_stream::link::{BadFrames, Contradiction, Event, LineRate, Session, Verdict};
 use meissner_stream::time::HostInstant;
 use proptest::prelude::*;
@@ -47,7 +48,7 @@ struct Pair {
 
 impl Pair {
     fn new() -> Self {
-        let session = Session::new(7, LineRate(100_000), HostInstant::from_ns(0));
+        let session = Session::new(Array::paper(), 7, LineRate(100_000), HostInstant::from_ns(0));
         let device = Controller::new(Identity::default());
         Self { session, device, ticks: 0, events: Vec::new() }
     }
@@ -278,7 +279,7 @@ fn frames_that_cannot_be_read_are_counted_by_kind() {
     let endless = [[1; MAX_FRAME].as_slice(), &[0]].concat();
 
     let now = HostInstant::from_ns(0);
-    let mut session = Session::new(7, LineRate(100_000), now);
+    let mut session = Session::new(Array::paper(), 7, LineRate(100_000), now);
     let frames = [
         &endless,
         &not_cobs[..],

@@ -10,6 +10,7 @@ use firmware_protocol::tick::Tick;
 use meissner_api::{EndCause, LateCause, LatePolicy};
 use meissner_array::pattern::{Drive, Pattern};
 use meissner_array::simulated::SimulatedMotorsConfig;
+use meissner_array::spec::Array;
 use meissner_stream::device::mock::Mock;
 use meissner_stream::link::LineRate;
 use meissner_stream::queues::{At, Command, CommandError, End, Play, Request, StreamEvent};
@@ -153,8 +154,10 @@ fn an_arm_that_failed_has_no_effect_when_the_link_is_back() {
 
 #[test]
 fn a_site_limit_that_refuses_thousands_of_strokes_holds_no_play_up() {
-    let settings =
-        Settings { limits: PowerLimits { motor: 2_000, ..PowerLimits::NONE }, ..Settings::default() };
+    let settings = Settings {
+        limits: PowerLimits { motor: 2_000, ..PowerLimits::NONE },
+        ..Settings::of(Array::paper())
+    };
     let mut rig = Rig::with(settings, Line::default(), 24);
     rig.arm();
     for _ in 0..8 {
@@ -308,7 +311,12 @@ fn an_onset_on_the_hosts_clock_becomes_the_nearest_tick() {
     rig.run_ms(2000);
     let events = rig.take_events();
     let [soon, past, far, within] = refused.map(|ticket| rig::answer(&events, ticket).unwrap().unwrap_err());
-    let why = [CommandError::TooSoon, CommandError::TooSoon, CommandError::TooFar, CommandError::Overlaps];
+    let why = [
+        CommandError::TooSoon,
+        CommandError::TooSoon,
+        CommandError::TooFar { most_min: 105 },
+        CommandError::Overlaps,
+    ];
     assert_eq!([soon, past, far, within], why);
     let onset = rig::into_outcomes(events)[0].onset.unwrap();
     assert_eq!(onset.requested, onset.actual);
@@ -323,8 +331,8 @@ fn an_onset_on_the_hosts_clock_becomes_the_nearest_tick() {
 
 #[test]
 fn the_streamer_allocates_nothing_while_it_plays() {
-    let mut mock = Mock::new(SimulatedMotorsConfig::default(), 1).unwrap();
-    let mut streamer = Streamer::new(Settings::default());
+    let mut mock = Mock::new(Array::paper(), SimulatedMotorsConfig::default(), 1).unwrap();
+    let mut streamer = Streamer::new(Settings::of(Array::paper()));
     let mut events: Vec<StreamEvent> = Vec::with_capacity(10_000);
     let (mut now, mut frame) = (HostInstant::from_ns(0), [0; MAX_FRAME]);
     let mut bytes = [0; 4096];

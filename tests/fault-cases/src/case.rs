@@ -4,7 +4,7 @@
 
 use crate::{ONSET, PHASE_AFTER};
 use firmware_protocol::message::{DeviceMessage, State};
-use firmware_protocol::stroke::{MOTORS, Stroke};
+use firmware_protocol::stroke::Stroke;
 use firmware_protocol::tick::{TICK_HZ, Tick};
 use meissner_stream::Line;
 use meissner_stream::queues::Command;
@@ -288,21 +288,21 @@ pub enum Telemetry {
 
 impl Telemetry {
     /// What changes the readings of the sensors, each with its tick. It returns whether the device sends them.
-    pub fn fault(self, value: f64) -> impl FnMut(Tick, &mut [i32; MOTORS]) -> bool + Send + use<> {
-        let mut before: VecDeque<(Tick, [i32; MOTORS])> = VecDeque::new();
+    pub fn fault(self, value: f64) -> impl FnMut(Tick, &mut [i32]) -> bool + Send + use<> {
+        let mut before: VecDeque<(Tick, Vec<i32>)> = VecDeque::new();
         move |tick, y| {
             match self {
-                Self::Stuck => *y = [700; MOTORS],
+                Self::Stuck => y.fill(700),
                 Self::Scaled => y.iter_mut().for_each(|y| *y *= 3),
                 Self::Swapped => y.reverse(),
                 Self::Dead => return false,
                 Self::LateMs(ms) => {
                     let late = (ms.of(value) * f64::from(TICK_HZ) / 1e3) as i64;
-                    before.push_back((tick, *y));
+                    before.push_back((tick, y.to_vec()));
                     while before.get(1).is_some_and(|(then, _)| tick.since(*then) >= late) {
                         before.pop_front();
                     }
-                    *y = before[0].1;
+                    y.copy_from_slice(&before[0].1);
                 }
             }
             true

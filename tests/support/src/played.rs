@@ -13,6 +13,7 @@ pub fn by_simulated_motors(
     play: &Play<'_>,
     most_ticks: u16,
 ) -> Vec<(u8, Ramp)> {
+    let array = play.pattern.array();
     let mut strokes = Strokes::new(play.pattern, &play.options).unwrap();
     strokes.begin(play.onset);
     let bursts = strokes.flat_map(|stroke| {
@@ -29,8 +30,8 @@ pub fn by_simulated_motors(
     let mut toggles: Vec<_> = toggles.collect();
     // A line that falls and rises in one tick stays up.
     toggles.sort_by_key(|&(tick, starts, ..)| (tick, starts));
-    let mut motors = SimulatedMotors::new(config, play.onset).unwrap();
-    let (mut lines, mut from_um, mut ramps) = (Lines::OFF, [0.0; 24], Vec::new());
+    let mut motors = SimulatedMotors::new(array, config, play.onset).unwrap();
+    let (mut lines, mut from_um, mut ramps) = (Lines::OFF, vec![0.0; array.motors()], Vec::new());
     for (tick, starts, motor, Burst { start, direction, pulses }) in toggles {
         motors.advance(lines, tick - motors.now());
         let at_um = motors.position_um(motor);

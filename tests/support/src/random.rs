@@ -1,7 +1,9 @@
 //! Random numbers and random scenes by seed, for tests that compare the simulator with itself.
 
+use crate::paper::MOTORS;
 use meissner_array::pattern::Drive;
 use meissner_array::random::uniform;
+use meissner_array::spec::Array;
 use meissner_skin::Scene;
 use meissner_skin::membrane::{AfferentModel, Position, Rectify, population};
 
@@ -57,8 +59,8 @@ impl Random {
 
     /// A random scene. A share of `populations` has a whole population, the others 1 to 20 afferents on the array or near it.
     pub fn scene(&mut self, populations: f64) -> Scene {
-        let motors = self.shuffled(24);
-        let count = if self.chance(0.3) { 24 } else { 1 + self.below(24) };
+        let motors = self.shuffled(MOTORS);
+        let count = if self.chance(0.3) { MOTORS } else { 1 + self.below(MOTORS) };
         let drives = motors[..count].iter().map(|&motor| self.drive(motor as u8)).collect();
         let seed = self.below(1000) as u64;
         let afferents = if self.chance(populations) {
@@ -71,6 +73,6 @@ impl Random {
         let rectify = [Rectify::Half, Rectify::Full, Rectify::Signed][self.below(3)];
         let noise_sd = if self.chance(0.5) { 0.05 } else { 0.0 };
         let model = AfferentModel::default_for(rectify, noise_sd);
-        Scene::new(self.between(0.2, 2.0), seed, drives, afferents, model).unwrap()
+        Scene::new(Array::paper(), self.between(0.2, 2.0), seed, drives, afferents, model).unwrap()
     }
 }

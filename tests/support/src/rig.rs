@@ -1,14 +1,17 @@
-//! The rig of the streaming tests: a virtual-time simulation that records every line of the device.
+//! The rig of the streaming tests: a virtual-time simulation of the paper's array that records every line of the device.
 //!
 //! A test arms a [`Rig`], sends commands, advances time, and compares the recorded lines with the compiled strokes.
 
+use crate::paper::MOTORS;
 use crate::statistics::rms;
 use firmware_protocol::controller::Run;
-use firmware_protocol::stroke::{Burst, Direction, Line as Pulse, Lines, MOTORS, Stroke};
+use firmware_protocol::stroke::{Burst, Direction, Line as Pulse, Lines, Stroke};
 use firmware_protocol::tick::Tick;
 use meissner_array::motor::SquareWave;
 use meissner_array::pattern::Pattern;
+use meissner_array::per_motor::PerMotor;
 use meissner_array::simulated::SimulatedMotorsConfig;
+use meissner_array::spec::Array;
 use meissner_array::strokes::{LiveStrokes, StrokeOptions, Strokes, Surplus};
 use meissner_stream::queues::{Command, CommandError, Outcome, Play, Snapshot, StreamEvent};
 use meissner_stream::{Bandwidth, Gains, Line, Settings, Simulation, Source};
@@ -148,7 +151,7 @@ impl DerefMut for Rig {
 
 impl Rig {
     pub fn new(line: Line, seed: u64) -> Self {
-        Self::with(Settings::default(), line, seed)
+        Self::with(Settings::of(Array::paper()), line, seed)
     }
 
     /// A rig with these simulated motors, whose end stops it knows; records no lines. No drift limit ends a play.
@@ -156,7 +159,7 @@ impl Rig {
         let settings = Settings {
             end_stop_um: motors.end_stop_um as f32,
             drift_limit_um: f32::INFINITY,
-            ..Settings::default()
+            ..Settings::of(Array::paper())
         };
         Self::with_motors(settings, motors, seed)
     }
@@ -164,7 +167,11 @@ impl Rig {
     /// A rig with these settings and simulated motors; plays have the surplus of uncalibrated motors. Records no lines.
     pub fn with_motors(settings: Settings, motors: &SimulatedMotorsConfig, seed: u64) -> Self {
         let simulation = Simulation::new(motors, settings, Line::default(), seed).unwrap();
-        Self { simulation, surplus: settings.surplus(&[Gains::default(); MOTORS]), plays: 0 }
+        Self {
+            simulation,
+            surplus: settings.surplus(&PerMotor::all(settings.array, Gains::default())),
+            plays: 0,
+        }
     }
 
     /// A rig that records lines. No drift limit ends a play, so that a bad line or sensor does not.
@@ -235,7 +242,7 @@ impl Rig {
     }
 
     /// Starts a live play of these drives in open loop; returns its id.
-    pub fn start_live(&mut self, waves: [SquareWave; MOTORS], timeout: Duration) -> u64 {
+    pub fn start_live(&mut self, waves: PerMotor<SquareWave>, timeout: Duration) -> u64 {
         self.plays += 1;
         let strokes = Source::Live(Box::new(LiveStrokes::new(waves)));
         let play = Play { open_loop: true, live: Some(timeout), ..Play::new(self.plays, strokes) };
@@ -267,7 +274,7 @@ pub fn play(id: u64, pattern: &Pattern, seconds: Option<f64>) -> Play {
 }
 
 fn play_of(id: u64, strokes: Strokes) -> Play {
-    let bandwidth = Bandwidth::of(&strokes, &Settings::default());
+    let bandwidth = Bandwidth::of(&strokes, &Settings::of(strokes.array()));
     Play { open_loop: true, bandwidth, ..Play::new(id, strokes) }
 }
 

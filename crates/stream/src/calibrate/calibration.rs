@@ -290,7 +290,7 @@ impl Fit {
         let (model, (most_um, um_range)) = (array.motor(), most_um(array));
         let Self { slope_um_per_pulse, slope_se_um_per_pulse, offset_um, relative_sd, bursts } = *self;
         let good = GAIN_RANGE.contains(&self.gain(model));
-        let in_words = format!("0.5 to 1.5 times the motor's, {}", short_number(model.um_per_pulse));
+        let in_words = format!("0.5 to 1.5 times the model's, {}", short_number(model.um_per_pulse));
         in_range("slope_um_per_pulse", slope_um_per_pulse, good, in_words)?;
         let good = (0.0..=MAX_SLOPE_SE * slope_um_per_pulse).contains(&slope_se_um_per_pulse);
         in_range("slope_se_um_per_pulse", slope_se_um_per_pulse, good, "0 to 5 % of the slope")?;

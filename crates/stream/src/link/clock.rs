@@ -202,20 +202,21 @@ impl ClockEstimate {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use meissner_array::spec::{Array, names};
     use meissner_test_support::paper::RATE;
-
-    const NOMINAL: f64 = 85_000.0 * 1e-9;
 
     /// A device whose clock runs `ppm` fast, asked over a line with a delay there and back.
     fn trip(clock: &mut Clock, ppm: f64, at_ns: u64, there_ns: u64, back_ns: u64) {
-        let tick = true_tick(ppm, at_ns + there_ns);
+        let tick = true_tick(clock.rate, ppm, at_ns + there_ns);
         let sent = HostInstant::from_ns(at_ns);
         clock.round_trip(sent, tick, HostInstant::from_ns(at_ns + there_ns + back_ns));
     }
 
-    fn true_tick(ppm: f64, ns: u64) -> Tick {
-        Tick(Tick::BOOT.0 + (ns as f64 * NOMINAL * (1.0 + ppm * 1e-6)) as u64)
+    fn ticks_per_ns(rate: TickRate) -> f64 {
+        f64::from(rate.hz()) * 1e-9
+    }
+
+    fn true_tick(rate: TickRate, ppm: f64, ns: u64) -> Tick {
+        Tick(Tick::BOOT.0 + (ns as f64 * ticks_per_ns(rate) * (1.0 + ppm * 1e-6)) as u64)
     }
 
     #[test]
@@ -229,8 +230,8 @@ mod tests {
         assert!((clock.drift_ppm().unwrap() - 40.0).abs() < 5.0, "{:?}", clock.drift_ppm());
         for later in [7_000_000_000, 8_000_000_000u64] {
             let at = HostInstant::from_ns(later);
-            let error = clock.tick_at(at).unwrap().since(true_tick(40.0, later));
-            let bound = clock.uncertainty(at).unwrap().as_nanos() as f64 * NOMINAL + 1.0;
+            let error = clock.tick_at(at).unwrap().since(true_tick(RATE, 40.0, later));
+            let bound = clock.uncertainty(at).unwrap().as_nanos() as f64 * ticks_per_ns(RATE) + 1.0;
             assert!((error as f64).abs() <= bound, "{error} ticks off, bound {bound}");
             assert!(bound < 25.0);
         }
@@ -247,13 +248,15 @@ mod tests {
         for line in 0..60u64 {
             let (there, back, ppm) = (chance(300_000), chance(300_000), chance(201) as f64 - 100.0);
             let (jitter, every) = (1 + chance(300_000), 10_000_000 + chance(400_000_000));
-            let mut clock = Clock::new(RATE);
+            // Every third line is to a device with another carrier.
+            let rate = [RATE, TickRate::new(20_000), TickRate::new(200_000)][line as usize % 3];
+            let mut clock = Clock::new(rate);
             for i in 0..200u64 {
                 let at_ns = 1_000_000_000 + i * every;
                 trip(&mut clock, ppm, at_ns, there + chance(jitter), back + chance(jitter));
                 for later in [1_000_000, 1_000_000_000, 5_000_000_000] {
-                    let tick = true_tick(ppm, at_ns + later) + 1;
-                    let begins = (tick.0 - Tick::BOOT.0) as f64 / NOMINAL / (1.0 + ppm * 1e-6);
+                    let tick = true_tick(rate, ppm, at_ns + later) + 1;
+                    let begins = (tick.0 - Tick::BOOT.0) as f64 / ticks_per_ns(rate) / (1.0 + ppm * 1e-6);
                     let at = HostInstant::from_ns(begins.round() as u64);
                     let error = clock.instant_of(tick).unwrap().ns_since(at).abs();
                     let bound = clock.uncertainty(at).unwrap().as_nanos() as f64;
@@ -269,7 +272,7 @@ mod tests {
         assert_eq!(clock.tick_at(HostInstant::from_ns(5)), None);
         trip(&mut clock, 0.0, 1_000_000, 100_000, 100_000);
         let at = HostInstant::from_ns(3_000_000);
-        assert!(clock.tick_at(at).unwrap().since(true_tick(0.0, 3_000_000)).abs() <= 9);
+        assert!(clock.tick_at(at).unwrap().since(true_tick(RATE, 0.0, 3_000_000)).abs() <= 9);
         assert!(clock.drift_ppm().is_none());
     }
 
