@@ -4,6 +4,7 @@ use crate::harness::{Daemon, complaint, document, meissner, printed, wait_until}
 use firmware_protocol::frame::PROTOCOL;
 use meissner_api::Status;
 use meissner_array::simulated::SimulatedMotorsConfig;
+use meissner_array::spec::Array;
 use meissner_stream::device::{self, DeviceError, PtyMock, Spec, WallMock};
 use meissner_stream::time::HostInstant;
 use rustix::process::geteuid;
@@ -18,7 +19,10 @@ use std::thread::{sleep, spawn};
 use std::time::Duration;
 
 fn board() -> PtyMock {
-    PtyMock::spawn(WallMock::new(&SimulatedMotorsConfig::default(), HostInstant::now()).unwrap()).unwrap()
+    PtyMock::spawn(
+        WallMock::new(Array::paper(), &SimulatedMotorsConfig::default(), HostInstant::now()).unwrap(),
+    )
+    .unwrap()
 }
 
 /// The doctor's report on a device, go or no go: no test depends on how fast this machine is.
@@ -112,7 +116,9 @@ fn a_file_that_is_no_serial_port_is_reported() {
         assert_eq!(found["found"], format!("serial port {name}: not a serial port"));
         assert!(found["advice"].as_str().unwrap().contains("ls /dev/serial/by-id"), "{found}");
     }
-    let usb = device::open(&"usb:0123abcd".parse().unwrap(), &SimulatedMotorsConfig::default()).unwrap_err();
+    let usb =
+        device::open(&"usb:0123abcd".parse().unwrap(), Array::paper(), &SimulatedMotorsConfig::default())
+            .unwrap_err();
     assert!(
         usb.to_string().contains("`lsusb -d 1209:0001`") && usb.to_string().contains("2e8a:0003"),
         "{usb}"
@@ -164,7 +170,7 @@ fn a_daemon_without_a_device_says_which_one_it_wants() {
 #[test]
 fn the_doctor_warns_that_a_device_without_telemetry_drifts() {
     let blind = SimulatedMotorsConfig { telemetry_hz: 0, ..SimulatedMotorsConfig::default() };
-    let board = PtyMock::spawn(WallMock::new(&blind, HostInstant::now()).unwrap()).unwrap();
+    let board = PtyMock::spawn(WallMock::new(Array::paper(), &blind, HostInstant::now()).unwrap()).unwrap();
     let device = format!("serial:{}", board.path().display());
     let examined = measured(&device);
     let daemon = Daemon::with("mock", "lease_ms = 5000\n[mock]\ntelemetry_hz = 0\n");
@@ -202,7 +208,7 @@ fn a_port_has_one_user() {
         "{opened:?}"
     );
     let spec: Spec = name.parse().unwrap();
-    let refused = device::open(&spec, &SimulatedMotorsConfig::default()).unwrap_err();
+    let refused = device::open(&spec, Array::paper(), &SimulatedMotorsConfig::default()).unwrap_err();
     assert!(matches!(refused, DeviceError::InUse(_)), "{refused}");
     let report = report(&name);
     let found = finding(&report, "device").to_string();

@@ -1,7 +1,7 @@
 use meissner::store::Store;
-use meissner_array::geometry;
 use meissner_array::motor::SteadyState;
 use meissner_array::pattern::{Drive, Pattern};
+use meissner_array::spec::Array;
 use meissner_design::{Partition, Shape, Target, Verdict, YARDSTICK, shipped};
 use meissner_report::figures::{
     AMPLITUDES_UM, INDEX, PatternFigures, Report, Subject, TargetFigures, report,
@@ -24,7 +24,7 @@ static REPORT: LazyLock<Report> = LazyLock::new(|| {
     let own = [ODD, &still(), &moving(), "format = 1\nname = \"nothing\"", &many(), SHORT]
         .map(|text| ("<odd & \"name\">.toml".to_owned(), Pattern::parse(text, "test.toml").unwrap()));
     let subjects = library.chain(own).map(|(argument, pattern)| Subject { pattern, argument });
-    report(&subjects.collect::<Vec<_>>(), &|_| ()).unwrap()
+    report(Array::paper(), &subjects.collect::<Vec<_>>(), &|_| ()).unwrap()
 });
 
 fn file(name: &str) -> &'static str {
@@ -200,7 +200,7 @@ fn the_amplitude_is_the_model_s_and_simulated_motors_scatter_around_it() {
     assert_eq!((found.len(), found.len() % AMPLITUDES_UM.len()), (figures.points, 0));
     assert!(found.len() >= 100 && found[0][0] == 1.0 && found.last().unwrap()[0] == 300.0);
     for [hz, um, model_um, measured_um, sd_um] in found {
-        assert_eq!(model_um, SteadyState::of(hz, um).unwrap().peak_to_peak_um);
+        assert_eq!(model_um, SteadyState::of(Array::paper(), hz, um).unwrap().peak_to_peak_um);
         // This is the mean of 80 cycles, so half a standard deviation is more than four standard errors.
         assert!((measured_um - model_um).abs() < 0.5 * sd_um, "{hz} Hz, {um} um: {measured_um} +- {sd_um}");
         if hz <= 10.0 {
@@ -227,7 +227,7 @@ fn rate_hz(frequency_hz: f64, amplitude_um: f64) -> f64 {
     let drive = Drive { motor: 9, frequency_hz, amplitude_um, phase: 0.0, start_s: None, stop_s: None };
     let model = AfferentModel::default_for(Rectify::Half, POPULATION_NOISE_SD);
     let under = Position { x_mm: -1.45, y_mm: 1.45 };
-    let scene = Scene::new(1.0, 77, vec![drive], vec![under; 32], model).unwrap();
+    let scene = Scene::new(Array::paper(), 1.0, 77, vec![drive], vec![under; 32], model).unwrap();
     let rates = simulate(&scene, &Options::rates(Method::Exact), &|_| ()).unwrap().rates_hz(&scene);
     rates.iter().sum::<f64>() / 32.0
 }
@@ -299,7 +299,7 @@ fn a_pattern_s_rates_are_those_of_its_scene() {
     let rows = rows::<4>(file("pattern-edge-45-rates.csv"), "x_mm,y_mm,rate_hz,on");
     let drives = Store::new(None, false).unwrap().get("edge-45").unwrap().pattern.drives().to_vec();
     let model = AfferentModel::default_for(Rectify::Half, POPULATION_NOISE_SD);
-    let scene = Scene::new(1.0, 0, drives, population(0), model).unwrap();
+    let scene = Scene::new(Array::paper(), 1.0, 0, drives, population(0), model).unwrap();
     let rates = simulate(&scene, &Options::rates(Method::Exact), &|_| ()).unwrap().rates_hz(&scene);
     assert_eq!(rows.len(), 306);
     for ([x_mm, y_mm, found, _], (at, rate)) in rows.into_iter().zip(scene.afferents().iter().zip(&rates)) {
@@ -357,7 +357,7 @@ fn the_edge_is_tuned_near_60_hz_and_its_contrast_only_rises() {
 
     let shape = &target.frames()[0].shape;
     let distance = |motor| {
-        let [x_mm, y_mm] = geometry::position_mm(motor);
+        let [x_mm, y_mm] = Array::paper().position_mm(motor);
         shape.distance_mm(Position { x_mm, y_mm })
     };
     let near: Vec<u8> = (0..24).filter(|&motor| distance(motor) <= target.reach_mm()).collect();
@@ -492,7 +492,7 @@ fn a_moving_target_is_drawn_in_four_of_its_frames() {
         assert_verdict(&frames[number].verdict, &partition, &rates);
         // Pin 14 is at rest in the first half, and pin 9 does not reach the afferent nearest to pin 14, more than a millimetre
         // away.
-        let [x_mm, y_mm] = geometry::position_mm(14);
+        let [x_mm, y_mm] = Array::paper().position_mm(14);
         let pin = Shape::Dots(vec![[x_mm, y_mm]]);
         let away_mm = |row: &[f64; 6]| pin.distance_mm(Position { x_mm: row[2], y_mm: row[3] });
         let nearest = rows.iter().min_by(|a, b| away_mm(a).total_cmp(&away_mm(b))).unwrap();

@@ -1,7 +1,6 @@
 //! The netlist `firmware/netlist.csv` must agree with the firmware's outputs, and with the limits' rails and driver chips.
 
-use firmware_protocol::limits::{MOTORS_PER_CHIP, MOTORS_PER_RAIL};
-use firmware_protocol::stroke::MOTORS;
+use meissner_test_support::paper::{MOTORS, MOTORS_PER_CHIP, MOTORS_PER_RAIL};
 use std::collections::BTreeSet;
 use std::fs;
 use std::path::Path;

@@ -16,6 +16,7 @@ use meissner_api::{
     SearchState, SequenceRequest, Session, SessionList, SessionPlays, SessionRequest, SessionStarted, Status,
     StoredTarget, TargetDetails, TargetList, TokenCreated, TokenInfo, TokenList, TokenRequest, openapi,
 };
+use meissner_array::spec::{Array, MAX_MOTORS};
 use schema::check;
 use serde::de::DeserializeOwned;
 use serde_json::{Value, json};
@@ -98,8 +99,8 @@ fn every_key_has_a_description_and_every_number_its_unit_and_range() {
 
 #[test]
 fn ranges_are_those_that_the_daemon_checks() {
-    use meissner_array::pattern::{AMPLITUDE_UM, FREQUENCY_HZ, MAX_DRIVES, MAX_SECONDS};
-    use meissner_stream::calibrate::{MAX_GROUPS, PULSES_RANGE};
+    use meissner_array::pattern::{FREQUENCY_HZ, MAX_DRIVES, MAX_SECONDS};
+    use meissner_stream::calibrate::{MAX_GROUPS, pulses_range};
     let document = openapi::document();
     // A schema that flattens another is written as `allOf`; its own keys are in one of the parts.
     let property = |schema: &str, key: &str| {
@@ -115,8 +116,8 @@ fn ranges_are_those_that_the_daemon_checks() {
     let range = |value: &Value| (value["minimum"].as_f64().unwrap(), value["maximum"].as_f64().unwrap());
     let drive = |key| range(&property("PatternDrive", key));
     assert_eq!(drive("frequency_hz"), (*FREQUENCY_HZ.start(), *FREQUENCY_HZ.end()));
-    assert_eq!(drive("amplitude_um"), (*AMPLITUDE_UM.start(), *AMPLITUDE_UM.end()));
-    assert_eq!(drive("motor"), (0.0, 23.0));
+    assert_eq!(drive("amplitude_um"), (0.0, 5000.0));
+    assert_eq!(drive("motor"), (0.0, (MAX_MOTORS - 1) as f64));
     assert_eq!(drive("stop_s"), (0.0, MAX_SECONDS));
     assert_eq!(range(&property("PlayRequest", "seconds")), (0.0, MAX_SECONDS));
     assert_eq!(range(&property("PlayRequest", "at_ms")), (0.0, meissner_api::MAX_AT_MS));
@@ -124,7 +125,11 @@ fn ranges_are_those_that_the_daemon_checks() {
     assert_eq!(meissner_api::MAX_SEQUENCE_ITEMS, meissner_array::strokes::MAX_ITEMS);
     assert_eq!(property("PatternFile", "drive")["maxItems"], MAX_DRIVES);
     let pulses = property("CalibrateRequest", "pulses");
-    assert_eq!(range(&pulses["items"]), ((*PULSES_RANGE.start()).into(), (*PULSES_RANGE.end()).into()));
+    let most = meissner_array::spec::names()
+        .into_iter()
+        .map(|name| *pulses_range(Array::named(name).unwrap()).end())
+        .max();
+    assert_eq!(range(&pulses["items"]), (1.0, most.unwrap().into()));
     assert_eq!(pulses["maxItems"], MAX_GROUPS);
     assert_eq!(property("CalibrateRequest", "repetitions")["maximum"], MAX_GROUPS / 2);
     assert_eq!(property("Receipt", "refusals")["maxItems"], meissner_api::MAX_LISTED);
@@ -151,7 +156,7 @@ fn every_route_has_examples_that_parse() {
         "LiveAnswer" => parses::<LiveAnswer>(example),
         "CalibrateRequest" => {
             let request = CalibrateRequest::parse(example.to_string().as_bytes()).unwrap();
-            meissner::receipts::calibration_plan(&request).unwrap();
+            meissner::receipts::calibration_plan(Array::paper(), &request).unwrap();
         }
         "PlayAccepted" => parses::<PlayAccepted>(example),
         "Status" => parses::<Status>(example),

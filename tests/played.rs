@@ -1,18 +1,19 @@
 //! Predicted responses to simulated plays: with position control and without, cut, and unmeasured.
 
-use firmware_protocol::tick::TICK_HZ;
 use meissner::receipts::{NoPrediction, PlayedPattern};
 use meissner_array::pattern::Pattern;
 use meissner_array::simulated::SimulatedMotorsConfig;
+use meissner_array::spec::Array;
 use meissner_array::strokes::StrokeOptions;
 use meissner_design::{MOST_OBSERVED_S, Play, predict_response};
 use meissner_stream::{Settings, SimulatedPlay, simulate_play};
+use meissner_test_support::paper::TICK_HZ;
 use meissner_test_support::played::by_simulated_motors;
 use meissner_test_support::rig::pattern;
 use std::collections::HashSet;
 
 fn played(pattern: &Pattern, seconds: f64, motors: &SimulatedMotorsConfig, open_loop: bool) -> SimulatedPlay {
-    simulate_play(pattern, Some(seconds), motors, Settings::default(), open_loop).unwrap()
+    simulate_play(pattern, Some(seconds), motors, Settings::of(Array::paper()), open_loop).unwrap()
 }
 
 fn measured_play<'p>(pattern: &'p Pattern, seconds: f64, played: &SimulatedPlay) -> PlayedPattern<'p> {

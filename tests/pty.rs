@@ -4,6 +4,7 @@ use crate::harness::{Daemon, assert_accounts, complaint, document, printed, wait
 use firmware_protocol::message::{Cause, State};
 use meissner_api::{EndCause, Receipt, Status};
 use meissner_array::simulated::SimulatedMotorsConfig;
+use meissner_array::spec::Array;
 use meissner_client::estop_socket;
 use meissner_stream::device::{PtyMock, WallMock};
 use meissner_stream::time::HostInstant;
@@ -16,7 +17,8 @@ use std::time::Duration;
 
 /// A board at the far end of a terminal. It survives the daemon and records its lines.
 fn board() -> PtyMock {
-    let mut mock = WallMock::new(&SimulatedMotorsConfig::default(), HostInstant::now()).unwrap();
+    let mut mock =
+        WallMock::new(Array::paper(), &SimulatedMotorsConfig::default(), HostInstant::now()).unwrap();
     mock.mock().record();
     PtyMock::spawn(mock).unwrap()
 }

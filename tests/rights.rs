@@ -91,6 +91,7 @@ const LOCAL: Row =
 fn row(route: Route) -> Row {
     match route {
         Route::Status
+        | Route::Array
         | Route::Doctor
         | Route::Receipt
         | Route::Events

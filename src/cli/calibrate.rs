@@ -32,7 +32,7 @@ pub(super) struct Calibrate {
     /// Play each number of pulses N times; with the default numbers each time takes half a minute [default: 2]
     #[arg(long, value_name = "N")]
     repetitions: Option<u16>,
-    /// Play bursts of these numbers of pulses, 7 to 200, 3 s each [default: 14,28,42,56,70,84,98,112,126,140]
+    /// Play bursts of these numbers of pulses, up to 200, 3 s each [default: ten numbers, for the paper's motors 14,28,42,56,70,84,98,112,126,140]
     #[arg(long, value_name = "N,N,...", value_delimiter = ',')]
     pulses: Option<Vec<u16>>,
     /// Write the calibration to FILE, too; with --from, add it to FILE and do not ask a daemon

@@ -416,7 +416,10 @@ mod tests {
     use serde_json::json;
 
     fn shown(drives: &Value) -> String {
-        pattern(&json!({"pattern": {"name": "a", "duration_s": 5.0, "drive": drives}, "warnings": ["w"]}))
+        pattern(
+            &json!({"pattern": {"name": "a", "duration_s": 5.0, "drive": drives}, "warnings": ["w"]}),
+            &crate::array::details(meissner_array::spec::Array::paper()),
+        )
     }
 
     #[test]

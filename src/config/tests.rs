@@ -33,6 +33,7 @@ fn every_key_is_read() {
     assert_eq!(
         config.settings,
         Settings {
+            array: Array::paper(),
             lead_ms: 50.0,
             lease_ms: 100.0,
             limits,
@@ -50,7 +51,7 @@ fn every_key_is_read() {
     assert_eq!(with_stop.settings.lower_stop, Some(lower_stop));
     assert_eq!(with_stop.mock.lower_stop, LowerStop::AtRest);
     let auto = parse("[array]\nlower_stop = \"at_rest\"\nsurplus_um = \"auto\"").unwrap();
-    assert_eq!(auto.settings.lower_stop, Some(LowerStopSettings::default()));
+    assert_eq!(auto.settings.lower_stop, Some(LowerStopSettings::of(Array::paper())));
     // Without it, the simulated array's.
     assert_eq!(parse("mock.end_stop_um = 90").unwrap().settings.end_stop_um, 90.0);
     assert_eq!(

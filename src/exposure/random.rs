@@ -248,9 +248,14 @@ impl Lab {
                     start_s: (!whole).then_some(start_s),
                     stop_s: (!whole).then_some(stop_s),
                 };
-                let pattern =
-                    Pattern::new(Array::paper(), "random", Some(repeat_s), vec![drive], toml::Table::new())
-                        .unwrap();
+                let pattern = Pattern::new(
+                    meissner_array::spec::Array::paper(),
+                    "random",
+                    Some(repeat_s),
+                    vec![drive],
+                    toml::Table::new(),
+                )
+                .unwrap();
                 Vibration::of(&pattern, Some(end_s).filter(|end_s| end_s.is_finite()))
             }
         };

@@ -8,7 +8,9 @@ use meissner_array::pattern::{Drive, Pattern};
 fn play(end_s: Option<f64>) -> Vibration {
     let drive =
         Drive { motor: 9, frequency_hz: 60.0, amplitude_um: 80.0, phase: 0.0, start_s: None, stop_s: None };
-    let pattern = Pattern::new(Array::paper(), "test", None, vec![drive], toml::Table::new()).unwrap();
+    let pattern =
+        Pattern::new(meissner_array::spec::Array::paper(), "test", None, vec![drive], toml::Table::new())
+            .unwrap();
     Vibration::of(&pattern, end_s)
 }
 

@@ -203,7 +203,8 @@ mod tests {
             stop_s,
         };
         let drives = drives.iter().enumerate().map(drive).collect();
-        Pattern::new(Array::paper(), "test", duration_s, drives, toml::Table::new()).unwrap()
+        Pattern::new(meissner_array::spec::Array::paper(), "test", duration_s, drives, toml::Table::new())
+            .unwrap()
     }
 
     #[test]

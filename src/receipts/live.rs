@@ -98,15 +98,16 @@ impl LiveAccount {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use firmware_protocol::stroke::MOTORS;
     use firmware_protocol::tick::Tick;
+    use meissner_array::per_motor::PerMotor;
+    use meissner_array::spec::Array;
     use meissner_stream::time::HostInstant;
 
     #[test]
     fn quantiles_are_those_of_the_updates() {
         let mut account = LiveAccount::default();
         for number in 1..=100 {
-            let mut motors = [None; MOTORS];
+            let mut motors = PerMotor::all(Array::paper(), None);
             (motors[3], motors[4]) = (Some(Tick(1_000 + 850 * number)), Some(Tick(1_000 + 1_700 * number)));
             let applied = Applied {
                 received: Tick(1_000),
@@ -116,14 +117,17 @@ mod tests {
             };
             let update = LiveUpdate {
                 result: LiveResult::Applied(applied),
-                ..LiveUpdate::new(1, number, HostInstant::default())
+                ..LiveUpdate::new(Array::paper(), 1, number, HostInstant::default())
             };
-            account.add(&update);
+            account.add(&update, Array::paper().rate());
         }
-        account.add(&LiveUpdate {
-            result: LiveResult::Merged { into: 9 },
-            ..LiveUpdate::new(1, 8, HostInstant::default())
-        });
+        account.add(
+            &LiveUpdate {
+                result: LiveResult::Merged { into: 9 },
+                ..LiveUpdate::new(Array::paper(), 1, 8, HostInstant::default())
+            },
+            Array::paper().rate(),
+        );
         let record = account.record();
         assert_eq!((record.updates, record.applied, record.merged, record.repeats), (101, 100, 1, 1));
         let first = record.first_motor.unwrap();

@@ -5,10 +5,17 @@ use firmware_protocol::limits::{PowerLimits, Refusal};
 use firmware_protocol::message::Cause;
 use meissner_api::{EndCause, ErrorSource, LateCause};
 use meissner_array::pattern::Pattern;
+use meissner_array::per_motor::PerMotor;
+use meissner_array::spec::Array;
 use meissner_array::strokes::{StrokeOptions, Strokes};
 use meissner_stream::link::{Clock, Traffic};
-use meissner_stream::queues::{End, Offset, Onset, Play};
+use meissner_stream::queues::{End, Offset, Onset, Play, RestErrors};
 use meissner_stream::{PlayBoard, Settings};
+
+/// The same estimate of every motor's rest error.
+fn rest(um: f32, source: ErrorSource) -> RestErrors {
+    RestErrors { um: PerMotor::all(Array::paper(), um), source: PerMotor::all(Array::paper(), source) }
+}
 
 fn hello() -> DeviceHello {
     DeviceHello {
@@ -17,7 +24,7 @@ fn hello() -> DeviceHello {
         build: [0xde, 0xad, 0xbe, 0xef],
         boot: 7,
         motors: 24,
-        tick_hz: TICK_HZ,
+        tick_hz: 85_000,
         pool: 1024,
         horizon: 64,
         max_up_pulses: 3000,
@@ -31,7 +38,7 @@ fn hello() -> DeviceHello {
 }
 
 fn snapshot(connected: bool, state: State, play: Option<(u64, f64)>) -> Snapshot {
-    let (at, mut clock) = (HostInstant::from_ns(1_000_000_000), Clock::default());
+    let (at, mut clock) = (HostInstant::from_ns(1_000_000_000), Clock::new(Array::paper().rate()));
     clock.round_trip(at, Tick(1000), at);
     Snapshot {
         at,
@@ -43,9 +50,9 @@ fn snapshot(connected: bool, state: State, play: Option<(u64, f64)>) -> Snapshot
         clock: clock.estimate(),
         play,
         lead_ms: 100.0,
-        settings: Settings::default(),
-        rest_error_um: [0.0; MOTORS],
-        source: [ErrorSource::None; MOTORS],
+        settings: Settings::of(meissner_array::spec::Array::paper()),
+        rest_error_um: PerMotor::all(Array::paper(), 0.0),
+        source: PerMotor::all(Array::paper(), ErrorSource::None),
         pins_seen: true,
         line_bytes_per_s: None,
         traffic: Traffic::default(),
@@ -89,8 +96,8 @@ fn ended(id: u64, end: End) -> StreamEvent {
         wire_bytes: 55,
         offset: Some(Offset { tick: Tick(10_500), at: HostInstant::from_ns(100), uncertainty_ns: 9 }),
         cut_after: (end != End::Done).then_some(8_500),
-        rest_at_onset: Some([(0.25, ErrorSource::Telemetry); MOTORS].into()),
-        rest_at_end: [(0.5, ErrorSource::DeadReckoning); MOTORS].into(),
+        rest_at_onset: Some(rest(0.25, ErrorSource::Telemetry)),
+        rest_at_end: rest(0.5, ErrorSource::DeadReckoning),
         play: Box::new(play),
     };
     StreamEvent::PlayEnded { id, outcome }

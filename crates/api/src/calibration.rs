@@ -37,7 +37,7 @@ pub struct Provenance {
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct MeasuredPoint {
     /// Pulses of each burst.
-    #[schema(minimum = 7, maximum = 200)]
+    #[schema(minimum = 1, maximum = 200)]
     pub pulses: u16,
     /// Their mean travel in their direction, µm.
     pub travel_um: f64,

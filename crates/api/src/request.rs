@@ -222,7 +222,7 @@ pub struct CalibrateRequest {
     #[serde(default, deserialize_with = "given", skip_serializing_if = "Option::is_none")]
     #[schema(minimum = 0, maximum = 63)]
     pub motor: Option<u8>,
-    /// Burst lengths, pulses, at least two different ones, each 7 to 200; without it 14, 28, ... 140.
+    /// Burst lengths, pulses, at least two different ones, each from `least_pulses` of the array's motors to 200; without it ten numbers, for the paper's motors 14, 28, ... 140.
     #[serde(default, deserialize_with = "given", skip_serializing_if = "Option::is_none")]
     #[schema(schema_with = pulses_schema)]
     pub pulses: Option<Vec<u16>>,
@@ -240,9 +240,8 @@ pub struct CalibrateRequest {
 }
 
 fn pulses_schema() -> Schema {
-    let pulses = ObjectBuilder::new().schema_type(Type::Integer).minimum(Some(7)).maximum(Some(200));
-    let text =
-        "Burst lengths, pulses, at least two different ones, each 7 to 200; without it 14, 28, ... 140.";
+    let pulses = ObjectBuilder::new().schema_type(Type::Integer).minimum(Some(1)).maximum(Some(200));
+    let text = "Burst lengths, pulses, at least two different ones, each from `least_pulses` of the array's motors to 200; without it ten numbers, for the paper's motors 14, 28, ... 140.";
     ArrayBuilder::new().items(pulses).min_items(Some(2)).max_items(Some(100)).description(Some(text)).into()
 }
 

@@ -154,7 +154,7 @@ mod tests {
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("event0");
         fs::write(&path, "").unwrap();
-        let line = Input::open(&path, 0.02).unwrap_err().to_string();
+        let line = Input::open(&path, 0.02, [1.0; 2]).unwrap_err().to_string();
         assert!(
             line.starts_with(&format!("{}: cannot be opened as an input device (", path.display())),
             "{line}"

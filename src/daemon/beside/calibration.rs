@@ -175,9 +175,15 @@ mod tests {
         let dir = tempfile::tempdir().unwrap();
         let file = dir.path().join("calibration.toml");
         let (mut port, commands, _events) = queues().unwrap();
-        let engine = Engine::new(commands, Settings::default(), "mock".to_owned(), Some(file.clone()));
+        let engine = Engine::new(
+            commands,
+            Settings::of(meissner_array::spec::Array::paper()),
+            "mock".to_owned(),
+            Some(file.clone()),
+        );
+        let array = meissner_array::spec::Array::paper();
         let of = |motor| {
-            let provenance = meissner_stream::calibrate::laser_plan(motor, None, None)
+            let provenance = meissner_stream::calibrate::laser_plan(array, motor, None, None)
                 .unwrap()
                 .provenance("mock", "1", "", "laser");
             let fit = Fit {
@@ -188,7 +194,7 @@ mod tests {
                 bursts: 70,
             };
             let fit = MotorFit { motor, up: fit, down: fit, up_points: vec![], down_points: vec![] };
-            Calibration::new(vec![fit], provenance).unwrap()
+            Calibration::new(array, vec![fit], provenance).unwrap()
         };
         thread::scope(|scope| {
             for motor in 0..MOTORS {

@@ -269,9 +269,10 @@ mod tests {
     fn a_watch_that_has_ended_reports_nothing() {
         let (_port, commands, _events) = queues().unwrap();
         let spec = Spec::Serial("/nonexistent/tty".into());
-        let engine = Arc::new(Engine::new(commands, Settings::default(), spec.to_string(), None));
+        let engine = Arc::new(Engine::new(commands, Settings::of(Array::paper()), spec.to_string(), None));
         let ((arrivals, plugged), (sender, messages)) = (bounded(1), bounded(4));
         let mut connector = Connector {
+            array: Array::paper(),
             spec,
             motors: SimulatedMotorsConfig::default(),
             engine,
@@ -294,8 +295,10 @@ mod tests {
     #[test]
     fn a_board_replaces_the_mock_until_that_was_armed() {
         let (mut port, commands, _events) = queues().unwrap();
-        let engine = Engine::new(commands, Settings::default(), "auto".to_owned(), None);
-        let device = || Box::new(device::open(&Spec::Mock, &SimulatedMotorsConfig::default()).unwrap());
+        let engine = Engine::new(commands, Settings::of(Array::paper()), "auto".to_owned(), None);
+        let device = || {
+            Box::new(device::open(&Spec::Mock, Array::paper(), &SimulatedMotorsConfig::default()).unwrap())
+        };
         engine.connect(device()).unwrap();
         engine.replace_mock(device()).unwrap();
         drop(engine.send(Command::Arm { assume_rest: false }).unwrap());

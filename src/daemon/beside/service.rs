@@ -192,7 +192,12 @@ mod tests {
     #[test]
     fn no_watchdog_notification_without_a_run_of_the_streamers_loop() {
         let (port, commands, _events) = queues().unwrap();
-        let engine = Arc::new(Engine::new(commands, Settings::default(), "mock".to_owned(), None));
+        let engine = Arc::new(Engine::new(
+            commands,
+            Settings::of(meissner_array::spec::Array::paper()),
+            "mock".to_owned(),
+            None,
+        ));
         let (sender, queue) = bounded(QUEUE);
         let runtime = crate::daemon::system::runtime::runtime().unwrap();
         runtime.block_on(async {

@@ -135,7 +135,7 @@ mod tests {
     #[test]
     fn no_text_of_an_event_makes_a_line_of_its_own() {
         let odd = || "x\n2026-11-22T00:00:00Z  INFO estop by ada\r\u{1b}[2J\u{9b}\u{2028}\u{202e}".to_owned();
-        let (commands, settings) = (queues().unwrap().1, Settings::default());
+        let (commands, settings) = (queues().unwrap().1, Settings::of(meissner_array::spec::Array::paper()));
         let engine = Engine::new(commands, settings, odd(), None);
         let (simulated, telemetry) = (true, true);
         let device = DeviceInfo { kind: odd(), firmware: odd(), build: odd(), boot: 1, simulated, telemetry };

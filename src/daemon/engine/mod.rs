@@ -247,7 +247,12 @@ mod tests {
     #[test]
     fn calls_that_wait_at_the_end_are_answered() {
         let (_port, commands, _events) = queues().unwrap();
-        let engine = Engine::new(commands, Settings::default(), "mock".to_owned(), None);
+        let engine = Engine::new(
+            commands,
+            Settings::of(meissner_array::spec::Array::paper()),
+            "mock".to_owned(),
+            None,
+        );
         let home = engine.send(Command::Home).unwrap();
         let number = engine.estops.request(Origin::UNKNOWN);
         let stop = engine.lock().commands.wait_for_estop(number);
@@ -263,7 +268,12 @@ mod tests {
     #[test]
     fn a_full_queue_takes_emergency_stops_and_answers_each() {
         let (mut port, commands, mut events) = queues().unwrap();
-        let engine = Engine::new(commands, Settings::default(), "mock".to_owned(), None);
+        let engine = Engine::new(
+            commands,
+            Settings::of(meissner_array::spec::Array::paper()),
+            "mock".to_owned(),
+            None,
+        );
         let mut waiting = 0;
         let busy = loop {
             match engine.send(Command::Stop) {

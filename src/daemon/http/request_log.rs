@@ -102,7 +102,12 @@ mod tests {
         let folder = dir.path().join("logbook");
         let location = Location { dir: folder.clone(), days: 1, make_parents: false };
         let record = SessionRecord::start(Some(location), Arc::default()).unwrap();
-        let engine = Engine::new(commands, Settings::default(), "mock".to_owned(), None);
+        let engine = Engine::new(
+            commands,
+            Settings::of(meissner_array::spec::Array::paper()),
+            "mock".to_owned(),
+            None,
+        );
         let engine = Arc::new(engine.with(record.clone(), Realtime::default(), PathBuf::new()));
         drop(LoggedRequest::new(&engine, "home", Peer::local(7, 0)));
         record.close(Duration::from_secs(10));

@@ -271,7 +271,12 @@ mod tests {
             end.set_nonblocking(true).unwrap();
         }
         let (_port, commands, _events) = queues().unwrap();
-        let engine = Engine::new(commands, Settings::default(), "mock".to_owned(), None);
+        let engine = Engine::new(
+            commands,
+            Settings::of(meissner_array::spec::Array::paper()),
+            "mock".to_owned(),
+            None,
+        );
         let peer = Peer::local(1, 0);
         let orders = Orders::new(Arc::clone(&engine.estops), Arc::clone(&engine.gate), peer, None);
         let (connection, ahead, activity) =

@@ -340,7 +340,12 @@ mod tests {
 
     fn orders() -> Orders {
         let (_port, commands, _events) = queues().unwrap();
-        let engine = Engine::new(commands, Settings::default(), "mock".to_owned(), None);
+        let engine = Engine::new(
+            commands,
+            Settings::of(meissner_array::spec::Array::paper()),
+            "mock".to_owned(),
+            None,
+        );
         Orders::new(Arc::clone(&engine.estops), Arc::clone(&engine.gate), Peer::local(1, 0), None)
     }
 

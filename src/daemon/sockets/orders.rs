@@ -91,7 +91,12 @@ mod tests {
 
     fn orders() -> (Orders, Arc<EStops>) {
         let (_port, commands, _events) = queues().unwrap();
-        let engine = Engine::new(commands, Settings::default(), "mock".to_owned(), None);
+        let engine = Engine::new(
+            commands,
+            Settings::of(meissner_array::spec::Array::paper()),
+            "mock".to_owned(),
+            None,
+        );
         let estops = Arc::clone(&engine.estops);
         (Orders::new(Arc::clone(&estops), Arc::clone(&engine.gate), Peer::local(1, 0), None), estops)
     }

@@ -5,6 +5,7 @@
 //! Invariant: bytes reach the controller at the tick of the instant at which they were read, never at an earlier one: a thread that
 //! was late makes a fault look worse, not better.
 
+use meissner_array::spec::Array;
 use firmware_protocol::tick::Tick;
 use meissner_array::simulated::SimulatedMotorsConfig;
 use meissner_stream::Line;
@@ -56,7 +57,7 @@ pub(crate) struct State {
 }
 
 fn recorded(boot: u32) -> Mock {
-    let mut mock = Mock::new(SimulatedMotorsConfig::default(), boot).unwrap();
+    let mut mock = Mock::new(Array::paper(), SimulatedMotorsConfig::default(), boot).unwrap();
     mock.record();
     mock
 }
@@ -67,7 +68,7 @@ impl Board {
         let now = HostInstant::now();
         let state = State {
             mock: recorded(seed as u32),
-            clock: DeviceClock::started(now),
+            clock: DeviceClock::started(Array::paper().rate(), now),
             liar: None,
             hangs: false,
             to_device: Direction::new(Line::default(), seed ^ 0x5eed),

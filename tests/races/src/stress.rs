@@ -3,6 +3,7 @@
 //! It is for the thread sanitizer (`tests/races/run tsan`): the models stand in for rtrb, the event descriptors and the thread's loop,
 //! here they are the real ones. Every request and every emergency stop must be answered.
 
+use meissner_array::spec::Array;
 use meissner_stream::device::{self, Spec};
 use meissner_stream::queues::{
     Command, CommandQueue, ESTOP_TICKETS, EStopSwitch, EventQueue, Request, StreamEvent,
@@ -38,8 +39,8 @@ pub(crate) fn main() -> ExitCode {
 
 fn run(spec: &Spec, long: Duration) -> Result<String, String> {
     let (mut commands, events, _, streamer) =
-        spawn(Settings::default()).map_err(|error| error.to_string())?;
-    let device = device::open(spec, &Default::default()).map_err(|error| error.to_string())?;
+        spawn(Settings::of(Array::paper())).map_err(|error| error.to_string())?;
+    let device = device::open(spec, Array::paper(), &Default::default()).map_err(|error| error.to_string())?;
     let connect =
         Request { ticket: 0, issued_at: HostInstant::now(), command: Command::Connect(Box::new(device)) };
     commands.send(connect).map_err(|_| "there was no room")?;

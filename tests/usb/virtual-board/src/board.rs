@@ -7,7 +7,7 @@ use crate::descriptors::{self, NOTIFICATIONS, SERIAL, VENDOR};
 use firmware_protocol::message::State;
 use firmware_protocol::tick::Tick;
 use meissner_array::simulated::SimulatedMotorsConfig;
-use meissner_array::units::duration_to_ticks;
+use meissner_array::spec::Array;
 use meissner_stream::device::mock::Mock;
 use std::collections::VecDeque;
 use std::hash::{BuildHasher, Hasher, RandomState};
@@ -59,6 +59,7 @@ impl Board {
         Ok(Self {
             serial: serial.to_owned(),
             mock: Mock::new(
+                Array::paper(),
                 SimulatedMotorsConfig { telemetry_hz: TELEMETRY_HZ, ..SimulatedMotorsConfig::default() },
                 boot,
             )
@@ -137,7 +138,7 @@ impl Board {
     }
 
     fn pass(&mut self) {
-        self.mock.run(Tick::BOOT + duration_to_ticks(self.started.elapsed()));
+        self.mock.run(Tick::BOOT + Array::paper().rate().duration_to_ticks(self.started.elapsed()));
     }
 
     /// Plays up to now and completes the host's waiting transfers.
