@@ -9,6 +9,7 @@
 use crate::device::Device;
 use crate::link::{Budget, Event, LostReason, RoundTrip, Session};
 use crate::time::HostInstant;
+use firmware_protocol::array::Layout;
 use firmware_protocol::board::{Board, SelfTestState};
 use firmware_protocol::frame::MAX_FRAME;
 use firmware_protocol::message::DeviceHello;
@@ -115,7 +116,7 @@ pub fn measure(device: &mut Device, self_test: bool) -> Result<LinkReport, LinkR
     let begun = HostInstant::now();
     let id = RandomState::new().hash_one(begun.as_ns()) as u32;
     let mut run = Measurement {
-        session: Session::new(id, device.rate(), begun),
+        session: Session::new(id, device.rate(), Layout::PAPER, begun),
         hello: None,
         lost: None,
         trips: Vec::new(),

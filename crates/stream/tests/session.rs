@@ -1,5 +1,6 @@
 //! The session against the controller over a line that loses frames: every stroke gets one verdict.
 
+use firmware_protocol::array::Layout;
 use firmware_protocol::controller::{Controller, Identity, newer};
 use firmware_protocol::frame::{MAX_FRAME, encode};
 use firmware_protocol::limits::PowerLimits;
@@ -47,8 +48,8 @@ struct Pair {
 
 impl Pair {
     fn new() -> Self {
-        let session = Session::new(7, LineRate(100_000), HostInstant::from_ns(0));
-        let device = Controller::new(Identity::default());
+        let session = Session::new(7, LineRate(100_000), Layout::PAPER, HostInstant::from_ns(0));
+        let device = Controller::new(Identity::default(), Layout::PAPER);
         Self { session, device, ticks: 0, events: Vec::new() }
     }
 
@@ -278,7 +279,7 @@ fn frames_that_cannot_be_read_are_counted_by_kind() {
     let endless = [[1; MAX_FRAME].as_slice(), &[0]].concat();
 
     let now = HostInstant::from_ns(0);
-    let mut session = Session::new(7, LineRate(100_000), now);
+    let mut session = Session::new(7, LineRate(100_000), Layout::PAPER, now);
     let frames = [
         &endless,
         &not_cobs[..],

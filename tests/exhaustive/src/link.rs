@@ -5,6 +5,7 @@
 //! verdict, and be on the lines if it was accepted.
 
 use crate::shell::{Broken, Shell, after, never};
+use firmware_protocol::array::{Layout, MotorSet};
 use firmware_protocol::batch::Amendment;
 use firmware_protocol::frame::MAX_FRAME;
 use firmware_protocol::limits::PowerLimits;
@@ -195,7 +196,7 @@ impl Pair {
     /// A session that is open, its line measured, its device armed.
     fn armed() -> Self {
         let mut pair = Self {
-            session: Session::new(1, LineRate(100_000), HostInstant::from_ns(0)),
+            session: Session::new(1, LineRate(100_000), Layout::PAPER, HostInstant::from_ns(0)),
             sessions: 1,
             shell: Shell::new(1),
             boots: 1,
@@ -261,7 +262,7 @@ impl Pair {
                 self.has_room()?;
                 let last = self.last.filter(|_| !self.replacing)?;
                 (self.replacing, self.cut) = (true, true);
-                self.session.replace(last.up, 1, 0);
+                self.session.replace(last.up, MotorSet::from_bits(1), MotorSet::EMPTY);
                 self.push(Stroke { up_pulses: 3, down_pulses: 3, ..last })?;
                 self.session.seal();
             }
@@ -402,7 +403,7 @@ impl Pair {
     /// The streamer opens another session.
     fn reconnect(&mut self) {
         self.sessions += 1;
-        self.session = Session::new(self.sessions, LineRate(100_000), self.now());
+        self.session = Session::new(self.sessions, LineRate(100_000), Layout::PAPER, self.now());
         self.waiting.clear();
         (self.cut, self.replacing, self.last, self.newest) = (true, false, None, None);
     }

@@ -5,6 +5,7 @@
 
 use super::counted;
 use firmware_protocol::limits::Pushing;
+use firmware_protocol::array::Layout;
 use firmware_protocol::stroke::MOTORS;
 use firmware_protocol::tick::Tick;
 use meissner_array::strokes::Strokes;
@@ -22,7 +23,7 @@ pub struct Overpush {
 /// The first stroke that pushes more than `pulses_per_s` against a lower stop; `None`: all stay below.
 #[must_use]
 pub fn find_overpush(strokes: &Strokes, pulses_per_s: u32) -> Option<Overpush> {
-    let mut pushing = Pushing::new(Tick(0));
+    let mut pushing = Pushing::new(&Layout::PAPER, Tick(0));
     pushing.set_limit(pulses_per_s);
     // The end and surplus of each motor's last stroke.
     let mut running = [None::<(Tick, u32)>; MOTORS];

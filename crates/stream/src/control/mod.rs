@@ -267,7 +267,7 @@ impl PositionControl {
 
     /// The device has been asked to withdraw the strokes of these motors that begin at `from` or later. Until it answers,
     /// [`Self::replaced`], they count neither as queued nor as gone. Those that take their place are [`sent`](Self::sent) next.
-    pub(super) fn replace(&mut self, motors: u32, from: Tick) {
+    pub(super) fn replace(&mut self, motors: u64, from: Tick) {
         self.replacement.begin(motors, from);
         for motor in self.motors.iter_mut().zip(0..).filter(|(_, index)| motors >> index & 1 == 1) {
             motor.0.take_from(from, |queued| self.replacement.hold(queued));
@@ -276,7 +276,7 @@ impl PositionControl {
 
     /// The device has withdrawn the old strokes of `motors`, and none of the motors `kept`: the old strokes of these are queued
     /// again in place of those sent since.
-    pub(super) fn replaced(&mut self, motors: u32, kept: u32) {
+    pub(super) fn replaced(&mut self, motors: u64, kept: u64) {
         let from = self.replacement.from();
         for (motor, index) in self.motors.iter_mut().zip(0..).filter(|(_, index)| kept >> index & 1 == 1) {
             motor.take_from(from, |_| ());
@@ -344,7 +344,7 @@ impl PositionControl {
     pub(super) fn telemetry(
         &mut self,
         tick: Tick,
-        y: &[i32; MOTORS],
+        y: &[i32],
         known_to: Tick,
         mut over: impl FnMut(MeasuredBurst),
     ) -> bool {

@@ -15,7 +15,7 @@ use firmware_protocol::tick::Tick;
 pub(super) struct Replacement {
     from: Tick,
     /// The motors without an answer.
-    motors: u32,
+    motors: u64,
     /// Their strokes, each motor's from the last to the first. The device's pool bounds them.
     strokes: Vec<Queued>,
 }
@@ -29,7 +29,7 @@ impl Replacement {
     }
 
     /// Begins a replacement of these motors' strokes.
-    pub(super) fn begin(&mut self, motors: u32, from: Tick) {
+    pub(super) fn begin(&mut self, motors: u64, from: Tick) {
         (self.motors, self.from) = (motors, from);
         self.strokes.clear();
     }
@@ -75,7 +75,7 @@ impl Replacement {
     }
 
     /// The device has answered for these motors.
-    pub(super) fn end(&mut self, motors: u32) {
+    pub(super) fn end(&mut self, motors: u64) {
         self.motors &= !motors;
         self.strokes.retain(|queued| motors >> queued.stroke.motor & 1 == 0);
     }

@@ -7,6 +7,7 @@
 //!
 //! Invariant: it reads no clock; the same seed and bytes in give the same bytes out.
 
+use firmware_protocol::array::Layout;
 use firmware_protocol::board::{Measures, Reset, SelfTest};
 use firmware_protocol::controller::{BLOCK, Controller, HORIZON, Identity, Run};
 use firmware_protocol::frame::MAX_FRAME;
@@ -89,7 +90,7 @@ impl Mock {
         let telemetry = if motors.telemetry_hz > 0 { DeviceHello::TELEMETRY } else { 0 };
         let features = DeviceHello::SIMULATED | telemetry;
         let identity = Identity { firmware, build: *b"mock", boot, features };
-        let mut controller = Box::new(Controller::starting_at(identity, now));
+        let mut controller = Box::new(Controller::starting_at(identity, Layout::PAPER, now));
         // It renders in no time, and has no USB and no executor.
         controller.measured(Measures { reset: Reset::Program, ..Measures::NONE });
         Ok(Self {
@@ -212,7 +213,7 @@ impl Mock {
             {
                 continue;
             }
-            self.controller.telemetry(sample.tick, sample.y);
+            self.controller.telemetry(sample.tick, &sample.y);
             self.send();
         }
         if let Ok(mut rest) = self.positions.rest.try_lock() {

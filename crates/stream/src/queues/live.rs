@@ -57,7 +57,7 @@ pub struct Applied {
 impl Applied {
     /// The same for all motors but those of this mask, which get their drives later.
     #[must_use]
-    pub(crate) fn without(mut self, motors: u32) -> Self {
+    pub(crate) fn without(mut self, motors: u64) -> Self {
         for (motor, from) in self.motors.iter_mut().enumerate() {
             *from = from.filter(|_| motors >> motor & 1 == 0);
         }

@@ -12,6 +12,7 @@ use crate::time::HostInstant;
 use firmware_protocol::controller::HORIZON;
 use firmware_protocol::message::{Cause, Counters, Op, State, Status};
 use firmware_protocol::stroke::Stroke;
+use firmware_protocol::stroke::MOTORS;
 use firmware_protocol::tick::Tick;
 use meissner_api::{EndCause, LateCause, LatePolicy};
 use meissner_array::units::{duration_to_ticks, ms_to_duration, ticks_to_ms};
@@ -50,7 +51,7 @@ impl Streamer {
                 // The session has sent an e-stop of its own. Only the next session resets it.
                 let own = matches!(reason, LostReason::Contradicts(_)) && self.state() != State::Faulted;
                 self.latch.session_over(own);
-                self.disconnect(now, EndCause::Other(reason.text().into()), emit);
+                self.disconnect(now, EndCause::Other(reason.text()), emit);
             }
             Event::Contradiction(how) => emit.event(StreamEvent::Contradiction(how)),
             Event::Control(result) => {
@@ -127,7 +128,7 @@ impl Streamer {
             // The streamer asks for none.
             Event::SelfTest(_) => {}
             Event::Telemetry { tick, y, known_to } => {
-                let known = self.control.telemetry(tick, &y, known_to, |burst| emit.measured(burst));
+                let known = self.control.telemetry(tick, &y[..MOTORS], known_to, |burst| emit.measured(burst));
                 if let (false, Some(session)) = (known, &mut self.session) {
                     session.request_status();
                 }

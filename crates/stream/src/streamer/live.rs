@@ -14,6 +14,7 @@ use crate::settings::batch_ticks;
 use crate::streamer::Streamer;
 use crate::streamer::feed::unsent;
 use crate::time::HostInstant;
+use firmware_protocol::array::MotorSet;
 use firmware_protocol::controller::{BLOCK, DRIVER_LEAD, HORIZON};
 use firmware_protocol::message::{Op, State};
 use firmware_protocol::stroke::{MOTORS, Stroke};
@@ -39,8 +40,8 @@ pub(super) struct Live {
     waiting: Option<Box<LiveUpdate>>,
     sent: Option<Box<LiveUpdate>>,
     /// The motors for which the device has not answered, and those whose old strokes it kept.
-    unanswered: u32,
-    kept: u32,
+    unanswered: u64,
+    kept: u64,
     /// From which tick on the last update replaced strokes.
     replaced: Tick,
     /// Room for delays besides [`AHEAD`], ticks: grows when a frame came too late.
@@ -57,7 +58,7 @@ impl Live {
 }
 
 /// The bits of a mask.
-fn motors(mask: u32) -> impl Iterator<Item = u8> {
+fn motors(mask: u64) -> impl Iterator<Item = u8> {
     (0..MOTORS as u8).filter(move |motor| mask >> motor & 1 == 1)
 }
 
@@ -165,7 +166,7 @@ impl Streamer {
         // What the device does not hold must be sent, even if it is as before.
         let changes =
             |motor: u8| update.waves[usize::from(motor)].is_some_and(|wave| wave != strokes.wave(motor));
-        let changed = motors(u32::MAX)
+        let changed = motors(u64::MAX)
             .filter(|&motor| changes(motor))
             .fold(self.live.kept, |mask, motor| mask | 1 << motor);
         let mut applied = match update.result {
@@ -190,7 +191,7 @@ impl Streamer {
                 silent |= 1 << motor;
             }
         }
-        session.replace(from, changed, silent);
+        session.replace(from, MotorSet::from_bits(changed), MotorSet::from_bits(silent));
         self.control.replace(changed, from);
         self.push_firsts(at, changed & !silent);
         self.fed_until = from;
@@ -201,7 +202,7 @@ impl Streamer {
     }
 
     /// Sends the first stroke of each of these motors, in one frame or two: with it the device withdraws the motor's old ones.
-    fn push_firsts(&mut self, at: usize, of: u32) {
+    fn push_firsts(&mut self, at: usize, of: u64) {
         let (Some(session), active) = (&mut self.session, &mut self.plays[at]) else { return };
         let Some(strokes) = active.live_strokes() else { return };
         let ups = motors(of).filter_map(|motor| Some((strokes.next_up(motor)?, motor)));
@@ -228,7 +229,7 @@ impl Streamer {
     fn miss_strokes(&mut self, now: HostInstant, at: usize, from: Tick, emit: &mut dyn Emit) {
         let active = &mut self.plays[at];
         active.put_back_next();
-        for motor in motors(u32::MAX) {
+        for motor in motors(u64::MAX) {
             let is_kept = self.live.kept >> motor & 1 == 1;
             let cause = if is_kept { LateCause::Link } else { unsent(self.short_of_credits) };
             loop {
@@ -243,7 +244,8 @@ impl Streamer {
     }
 
     /// The device has answered a frame of the update under way.
-    pub(super) fn replaced(&mut self, motors_done: u32, kept: u32, emit: &mut dyn Emit) {
+    pub(super) fn replaced(&mut self, motors_done: MotorSet, kept: MotorSet, emit: &mut dyn Emit) {
+        let (motors_done, kept) = (motors_done.bits(), kept.bits());
         self.control.replaced(motors_done, kept);
         let of = self.live.of;
         let Some(active) = self.plays.iter_mut().find(|active| of.is_some_and(|id| is_live(active, id)))

@@ -25,6 +25,7 @@ use crate::link::{Event, LineRate, Session};
 use crate::queues::{CommandError, Emit, MAX_QUEUED_PLAYS, Snapshot, StreamEvent};
 use crate::settings::Settings;
 use crate::time::HostInstant;
+use firmware_protocol::array::Layout;
 use firmware_protocol::frame::MAX_FRAME;
 use firmware_protocol::message::{Cause, Counters, Op, State};
 use firmware_protocol::tick::Tick;
@@ -100,7 +101,7 @@ impl Streamer {
     /// A device was opened: starts a session with this random id.
     pub fn connect(&mut self, now: HostInstant, id: u32, rate: LineRate, emit: &mut dyn Emit) {
         self.disconnect(now, EndCause::AnotherDevice, emit);
-        self.session = Some(Session::new(id, rate, now));
+        self.session = Some(Session::new(id, rate, Layout::PAPER, now));
     }
 
     /// The device is gone: ends all plays with the counts known.
