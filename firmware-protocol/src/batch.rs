@@ -6,18 +6,19 @@
 //! stroke     head | varint up | [varint up_pulses] | varint held | [varint correction]
 //! amendment  head | varint up (zigzag) | varint pulses
 //! ```
-//! - `head`: bits 0–4 are the motor. In a stroke, bit 5 set means that `up_pulses` is as in the stroke before and left out;
-//!   bit 6 set means that both bursts have as many pulses and `correction` is left out. In an amendment, bit 5 is the
-//!   burst's direction (1 = down).
+//! - `head`: bits 0–5 are the motor. In a stroke, bit 6 set means that `up_pulses` is as in the stroke before and left out;
+//!   bit 7 set means that both bursts have as many pulses and `correction` is left out. In an amendment, bit 6 is the
+//!   burst's direction (1 = down), and bit 7 is not used.
 //! - `up`: ticks from the up tick of the item before; in the first item from the base tick.
 //! - `held`: ticks from the end of the up burst to the down burst.
 //! - `correction`: down pulses minus up pulses, zigzag.
 //!
 //! Varints are LEB128 of at most 5 bytes. A list that ends within an item, or with a number out of range, is [`Malformed`].
 
-use crate::frame::{self, MAX_FRAME};
+use crate::array::Layout;
+use crate::frame::{self, MAX_BODY, MAX_FRAME};
 use crate::message::HostMessage;
-use crate::stroke::{Direction, MOTORS, Stroke};
+use crate::stroke::{Direction, Stroke};
 use crate::tick::Tick;
 
 /// Most strokes in a batch; a verdict's mask has 64 bits. The chip unpacks them between two blocks of lines.
@@ -25,12 +26,19 @@ pub const MAX_BATCH: usize = 32;
 /// The strokes of a frame.
 pub(crate) type Batch = heapless::Vec<Stroke, MAX_BATCH>;
 /// Most bytes of packed items in a message: what its longest header leaves.
-pub const BATCH_BYTES: usize = 217;
+pub const BATCH_BYTES: usize = MAX_BODY - LONGEST_HEADER;
+/// The longest header, of a `Strokes` frame: variant; `epoch`, `seq`, `seen`; `mark`; `withdraw`; `base`; length of the batch.
+const LONGEST_HEADER: usize = {
+    let (varint_u16, varint_u64) = (3, 10);
+    let mark = 1 + 1 + 1 + varint_u16 + 1;
+    let withdraw = 1 + varint_u64 + varint_u16;
+    1 + 3 * varint_u16 + mark + withdraw + 4 + 2
+};
 
-const MOTOR: u8 = 0x1f;
-const SAME_PULSES: u8 = 0x20;
-const BALANCED: u8 = 0x40;
-const AMENDS_DOWN: u8 = 0x20;
+const MOTOR: u8 = 0x3f;
+const SAME_PULSES: u8 = 0x40;
+const BALANCED: u8 = 0x80;
+const AMENDS_DOWN: u8 = 0x40;
 
 /// A packed list ends within an item, or an item has a number out of range.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -350,12 +358,12 @@ pub(crate) fn unpack(
 
 /// Writes a full frame of the longest strokes, for a self-test to read; returns its length.
 #[must_use]
-pub fn longest_frame(out: &mut [u8; MAX_FRAME]) -> usize {
+pub fn longest_frame(layout: &Layout, out: &mut [u8; MAX_FRAME]) -> usize {
     let mut strokes = Packer::<BATCH_BYTES>::new(Tick(0));
     let mut at = 0;
     loop {
         // Numbers that change with each stroke, so that the packer cannot shorten them.
-        let (motor, up_pulses) = ((at * 7 % MOTORS as u64) as u8, 147 + (at % 2) as u16);
+        let (motor, up_pulses) = ((at * 7 % layout.motors() as u64) as u8, 147 + (at % 2) as u16);
         let up = Tick(59 * at);
         if strokes.stroke(&Stroke { motor, up, up_pulses, down: up + 708, down_pulses: up_pulses }).is_err() {
             break;
@@ -378,7 +386,7 @@ mod tests {
     use std::vec::Vec;
 
     fn stroke() -> impl Strategy<Value = Stroke> {
-        (0u8..32, 0u64..1 << 31, any::<u16>(), 0u64..1 << 31, any::<u16>()).prop_map(
+        (0u8..64, 0u64..1 << 31, any::<u16>(), 0u64..1 << 31, any::<u16>()).prop_map(
             |(motor, up, up_pulses, held, down_pulses)| {
                 let up = Tick(up);
                 Stroke { motor, up, up_pulses, down: up + u64::from(up_pulses) + held, down_pulses }
@@ -399,7 +407,7 @@ mod tests {
         }
 
         #[test]
-        fn amendments_come_back_as_packed(items in prop::collection::vec((0u8..32, 0u64..1 << 30, any::<bool>(), any::<u16>()), 0..20)) {
+        fn amendments_come_back_as_packed(items in prop::collection::vec((0u8..64, 0u64..1 << 30, any::<bool>(), any::<u16>()), 0..20)) {
             let mut packer = Packer::<400>::new(Tick(1 << 29));
             let items: Vec<_> = items.into_iter().map(|(motor, up, down, pulses)| Amendment {
                 motor, up: Tick(up), pulses, direction: if down { Direction::Down } else { Direction::Up },

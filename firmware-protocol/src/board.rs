@@ -3,15 +3,63 @@
 //! A host asks with `HostMessage::Board` about once a second, and with `HostMessage::SelfTest` for a test. A figure is `None` if
 //! the device does not have it.
 
-use crate::stroke::MOTORS;
+use crate::array::MotorSet;
+use core::ops::{BitOr, BitOrAssign};
 use serde::{Deserialize, Serialize};
 
-/// Outputs in a mask of outputs: bit m is the line of motor m, then [`TRIGGER`] and [`ENABLE`].
-pub const OUTPUTS: usize = MOTORS + 2;
-/// The bit of the trigger in a mask of outputs.
-pub const TRIGGER: usize = MOTORS;
-/// The bit of the driver enable in a mask of outputs.
-pub const ENABLE: usize = MOTORS + 1;
+/// An output of the device.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
+pub enum Output {
+    /// The line of this motor.
+    Line(u8),
+    /// The trigger.
+    Trigger,
+    /// The enable of the drivers.
+    Enable,
+}
+
+/// A set of outputs.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
+pub struct Outputs {
+    /// The lines of these motors.
+    pub lines: MotorSet,
+    /// The trigger.
+    pub trigger: bool,
+    /// The enable of the drivers.
+    pub enable: bool,
+}
+
+impl Outputs {
+    /// No output.
+    pub const NONE: Self = Self { lines: MotorSet::EMPTY, trigger: false, enable: false };
+
+    /// Whether no output is in it.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        *self == Self::NONE
+    }
+
+    /// The outputs, lines first.
+    pub fn iter(self) -> impl Iterator<Item = Output> + use<> {
+        let trigger = self.trigger.then_some(Output::Trigger);
+        let enable = self.enable.then_some(Output::Enable);
+        self.lines.iter().map(Output::Line).chain(trigger).chain(enable)
+    }
+}
+
+impl BitOr for Outputs {
+    type Output = Self;
+    fn bitor(self, other: Self) -> Self {
+        let (trigger, enable) = (self.trigger | other.trigger, self.enable | other.enable);
+        Self { lines: self.lines | other.lines, trigger, enable }
+    }
+}
+
+impl BitOrAssign for Outputs {
+    fn bitor_assign(&mut self, other: Self) {
+        *self = *self | other;
+    }
+}
 
 /// Why the device has started.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
@@ -53,8 +101,8 @@ pub struct Board {
     pub usb_recoveries: Option<u32>,
     /// Times that its outputs failed: lines ran out of rendered ticks, or PIO and DMA stopped following.
     pub output_faults: u32,
-    /// Outputs that were high before anything drove them, as a mask.
-    pub high_at_boot: Option<u32>,
+    /// Outputs that were high before anything drove them.
+    pub high_at_boot: Option<Outputs>,
 }
 
 /// The figures of a [`Board`] report that the shell measures, not the controller.
@@ -67,7 +115,7 @@ pub struct Measures {
     /// As in [`Board`].
     pub usb_recoveries: Option<u32>,
     /// As in [`Board`].
-    pub high_at_boot: Option<u32>,
+    pub high_at_boot: Option<Outputs>,
 }
 
 impl Measures {
@@ -102,17 +150,17 @@ pub struct SelfTest {
     pub work_us: Option<u32>,
 }
 
-/// What each output did, as masks of outputs. The test only reads the driver enable.
+/// What each output did. The test only reads the driver enable.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct LineTest {
     /// High although nothing drove them high.
-    pub stuck_high: u32,
+    pub stuck_high: Outputs,
     /// Low although they were driven high.
-    pub stuck_low: u32,
+    pub stuck_low: Outputs,
     /// High or low together with another output.
-    pub shorted: u32,
+    pub shorted: Outputs,
     /// The first such pair.
-    pub pair: Option<(u8, u8)>,
+    pub pair: Option<(Output, Output)>,
 }
 
 /// How fast the waveform ran.

@@ -13,10 +13,12 @@ use core::hash::{Hash, Hasher};
 use serde::{Deserialize, Serialize};
 
 /// The protocol's version: the first byte of every message, in all versions.
-pub const PROTOCOL: u8 = 6;
+pub const PROTOCOL: u8 = 7;
 /// Most bytes of version, body and CRC: one COBS block.
 const MAX_MESSAGE: usize = 254;
 pub(crate) const CRC_LEN: usize = 4;
+/// Most bytes of a body.
+pub(crate) const MAX_BODY: usize = MAX_MESSAGE - 1 - CRC_LEN;
 /// Most bytes of a frame: COBS code byte, message, delimiter.
 pub const MAX_FRAME: usize = 1 + MAX_MESSAGE + 1;
 /// Bytes of a frame besides its body.

@@ -6,6 +6,7 @@
 //! | module | what it holds |
 //! |---|---|
 //! | [`tick`], [`stroke`] | the unit of time, and what motors play |
+//! | [`array`] | which array it is: motors, carrier, rails, driver chips, limits |
 //! | [`batch`] | strokes and amendments, packed |
 //! | [`board`] | what a device says of itself: the board report, the self-test |
 //! | [`message`], [`frame`] | messages, and their bytes on the line |
@@ -14,12 +15,17 @@
 //! | [`limits`] | what the controller refuses, whatever the host asks |
 //!
 //! ```
+//! use firmware_protocol::array::{ArrayId, Layout, Name};
 //! use firmware_protocol::controller::{Controller, Identity};
 //! use firmware_protocol::frame::{self, Decoder, MAX_FRAME};
 //! use firmware_protocol::message::{DeviceMessage, HostMessage};
 //! use firmware_protocol::tick::Tick;
 //!
-//! let mut device = Controller::new(Identity::NONE);
+//! let rails = [0, 0, 0, 1, 1, 1];
+//! let chips = [0, 0, 1, 1, 2, 2];
+//! let id = ArrayId { name: Name::new("two-by-three").expect("a name"), motors: 6, tick_hz: 70_000, duty_up: 250, duty_down: 750, hash: 7 };
+//! let layout = Layout::new(id, &rails, &chips, 3_000, 17_000)?;
+//! let mut device = Controller::new(Identity::NONE, layout);
 //! let mut bytes = [0; MAX_FRAME];
 //! let len = frame::encode(&HostMessage::Hello { session: 7 }, &mut bytes)?;
 //! device.receive(Tick::BOOT, &bytes[..len]);
@@ -27,7 +33,7 @@
 //! let mut decoder = Decoder::new();
 //! let body = decoder.next(&mut &bytes[..len]).expect("a whole frame");
 //! let DeviceMessage::Hello(hello) = frame::read(body)? else { panic!("a hello") };
-//! assert_eq!((hello.session, hello.motors), (7, 24));
+//! assert_eq!((hello.session, hello.array), (7, id));
 //! # Ok::<(), Box<dyn core::error::Error>>(())
 //! ```
 //!
@@ -258,12 +264,15 @@
 #![no_std]
 #![forbid(unsafe_code)]
 
+pub mod array;
 pub mod batch;
 pub mod board;
 pub mod controller;
 pub mod frame;
 pub mod limits;
 pub mod message;
+#[cfg(not(feature = "pico"))]
+mod paper;
 pub mod stroke;
 pub mod tick;
 pub mod urgent;

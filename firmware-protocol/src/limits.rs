@@ -1,41 +1,17 @@
 //! Limits that the controller enforces whatever the host asks: the last guard before a finger.
 //!
-//! [`check`] accepts or refuses a whole stroke. [`correction`] bounds how far an amendment may change a burst. [`OnTime`]
+//! [`Layout::check`] accepts or refuses a whole stroke. [`correction`] bounds how far an amendment may change a burst. [`OnTime`]
 //! counts the pulses begun in any sliding second against [`PowerLimits`], [`Pushing`] those against a lower stop. How many motors may
 //! have pulses at once is in [`PowerLimits`], too; the controller keeps it.
 
-use crate::stroke::{MOTORS, Stroke};
-use crate::tick::{TICK_HZ, Tick};
+use crate::array::{CAPACITY, Layout, Ring};
+#[cfg(not(feature = "pico"))]
+pub use crate::paper::{
+    DENSE_TICKS, LEAST_APART, MAX_DENSE, MAX_DOWN_PULSES, MAX_PUSHES_PER_S, MAX_SEEK, MAX_TRAVEL, MAX_UP_PULSES,
+    MOTORS_PER_CHIP, MOTORS_PER_RAIL, RAILS, WHOLE_TRAVEL, check,
+};
+use crate::tick::Tick;
 use serde::{Deserialize, Serialize};
-
-/// Most up pulses of a stroke: 407 µm, the useful travel of the paper's motors.
-pub const MAX_UP_PULSES: u16 = 3_000;
-/// Most down pulses of a stroke, corrections included.
-pub const MAX_DOWN_PULSES: u16 = MAX_UP_PULSES + correction(MAX_UP_PULSES);
-/// Most net pulses by which moves may shift a pin from where it was at rest.
-pub const MAX_TRAVEL: u16 = 3_000;
-/// Farthest that moves and a stroke can take a pin from the lower stop, pulses: more than twice the useful travel of the paper's
-/// motors. A seek of so many pulses is always enough.
-pub const WHOLE_TRAVEL: u16 = MAX_TRAVEL + MAX_DOWN_PULSES;
-/// Most pulses of a seek of the lower stop. The paper's motors need 7 400 for 1 mm, twice the travel of our simulated ones.
-pub const MAX_SEEK: u16 = 17_000;
-/// Most pulses per sliding second that a motor may push against a lower stop: three tenths of all. Our choice, room for two seeks
-/// and a play; no data on wear were found.
-pub const MAX_PUSHES_PER_S: u32 = 25_500;
-/// Motors that share a 30 V supply (a rail).
-pub const MOTORS_PER_RAIL: usize = 6;
-/// Motors that share a driver chip: 2c and 2c + 1 are those of chip c.
-pub const MOTORS_PER_CHIP: usize = 2;
-/// Rails of the array.
-pub const RAILS: usize = MOTORS / MOTORS_PER_RAIL;
-
-/// Least ticks from the beginning of a stroke to that of the next one of its motor: 1 ms. Strokes of a pattern are at least 1.67 ms long,
-/// half a period of 300 Hz.
-pub const LEAST_APART: u64 = TICK_HZ as u64 / 1_000;
-/// Most strokes that begin within [`DENSE_TICKS`], of all motors together: 192 bursts. Each motor begins at most four at 300 Hz.
-pub const MAX_DENSE: u8 = 4 * MOTORS as u8;
-/// 10 ms, in whole blocks of what is rendered.
-pub const DENSE_TICKS: u64 = 53 * 16;
 
 /// Most pulses by which a correction may change a planned count: 30 %, at least 1.
 #[must_use]
@@ -53,21 +29,14 @@ pub const fn within_correction(planned: u16, count: u16) -> bool {
     count.abs_diff(planned) <= correction(planned)
 }
 
-/// Least pulses of a seek of a pin that is `above` pulses above the lower stop: half as many again, because a motor's first burst
-/// after half a second of rest travels 80 %, and its bursts scatter by 10 %; at most [`WHOLE_TRAVEL`].
-#[must_use]
-pub const fn least_seek(above: u16) -> u16 {
-    if above < WHOLE_TRAVEL / 3 * 2 { above + above / 2 + 1 } else { WHOLE_TRAVEL }
-}
-
 /// Why a stroke or a command was refused.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub enum Refusal {
     /// The controller is not armed.
     NotArmed,
-    /// Motor outside 0..24.
+    /// No motor of the array.
     Motor,
-    /// No up pulses, or more than [`MAX_UP_PULSES`].
+    /// No up pulses, or more than [`Layout::max_up_pulses`].
     UpPulses,
     /// The up burst runs into the down burst.
     Bursts,
@@ -87,7 +56,8 @@ pub enum Refusal {
     PositionUnknown,
     /// The state does not allow the command (arm while armed or faulted, move while strokes are queued).
     State,
-    /// The move goes beyond [`MAX_TRAVEL`]; the seek is longer than [`MAX_SEEK`], or too short to reach the lower stop.
+    /// The move goes beyond [`Layout::max_travel`]; the seek is longer than [`Layout::max_seek`], or too short to reach the lower
+    /// stop.
     Travel,
     /// The batch could not be read.
     Malformed,
@@ -97,34 +67,26 @@ pub enum Refusal {
     RailAtOnce,
     /// Too many motors of the driver chip would have pulses at once.
     ChipAtOnce,
-    /// The stroke begins less than [`LEAST_APART`] after the one before it on the same motor, or after too many of all motors
-    /// ([`MAX_DENSE`]).
+    /// The stroke begins less than [`Layout::least_apart`] after the one before it on the same motor, or after too many of all
+    /// motors ([`Layout::max_dense`]).
     Dense,
 }
 
-/// What motors, drivers and supplies bear: pulses begun in a sliding second, and motors that have pulses at once. The defaults cannot
-/// be reached; a site may lower them.
+/// What motors, drivers and supplies bear: pulses begun in a sliding second, and motors that have pulses at once. Those of
+/// [`Layout::no_limits`] cannot be reached; a site may lower them.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct PowerLimits {
     /// Per motor, pulses/s.
     pub motor: u32,
-    /// Per rail (6 motors), pulses/s.
+    /// Per rail, pulses/s.
     pub rail: u32,
-    /// Most motors of a rail with pulses in the same tick, 1 to 6; 0 counts as 1.
+    /// Most motors of a rail with pulses in the same tick; 0 counts as 1.
     pub rail_at_once: u8,
-    /// Most motors of a driver chip with pulses in the same tick, 1 or 2; 0 counts as 1.
+    /// Most motors of a driver chip with pulses in the same tick; 0 counts as 1.
     pub chip_at_once: u8,
 }
 
 impl PowerLimits {
-    /// No limit: every motor may begin a pulse in every tick.
-    pub const NONE: Self = Self {
-        motor: TICK_HZ,
-        rail: MOTORS_PER_RAIL as u32 * TICK_HZ,
-        rail_at_once: MOTORS_PER_RAIL as u8,
-        chip_at_once: MOTORS_PER_CHIP as u8,
-    };
-
     /// The lower value of each limit.
     #[must_use]
     pub fn min(self, other: Self) -> Self {
@@ -135,74 +97,40 @@ impl PowerLimits {
             chip_at_once: self.chip_at_once.min(other.chip_at_once).max(1),
         }
     }
-
-    /// A return or a seek of all pins takes at most so many times its longest burst, because motors take turns.
-    #[must_use]
-    pub const fn turns(&self) -> u8 {
-        let chips = MOTORS_PER_RAIL as u8 / MOTORS_PER_CHIP as u8;
-        let at_once = if self.chip_at_once < MOTORS_PER_CHIP as u8 && self.rail_at_once > chips {
-            chips
-        } else if self.rail_at_once == 0 {
-            1
-        } else {
-            self.rail_at_once
-        };
-        (MOTORS_PER_RAIL as u8).div_ceil(at_once)
-    }
 }
 
-/// Checks a stroke by itself: motor, pulse counts, order of its bursts.
-///
-/// # Errors
-/// The first limit it breaks.
-pub fn check(stroke: &Stroke) -> Result<(), Refusal> {
-    if usize::from(stroke.motor) >= MOTORS {
-        return Err(Refusal::Motor);
-    }
-    if stroke.up_pulses == 0 || stroke.up_pulses > MAX_UP_PULSES {
-        return Err(Refusal::UpPulses);
-    }
-    if stroke.up + u64::from(stroke.up_pulses) > stroke.down {
-        return Err(Refusal::Bursts);
-    }
-    // A stroke may push its pin against a lower stop, but not leave it higher than it was.
-    if stroke.down_pulses == stroke.up_pulses {
-        return Ok(());
-    }
-    if stroke.down_pulses < stroke.up_pulses || !within_correction(stroke.up_pulses, stroke.down_pulses) {
-        return Err(Refusal::Unbalanced);
-    }
-    Ok(())
-}
-
-/// Ticks of a bucket of the on-time count: a second has 68 buckets.
-const BUCKET: u64 = 1_250;
+/// Buckets of a second in the on-time count.
+const BUCKETS_PER_S: usize = 68;
 /// The buckets of a second, and the one being filled.
-const BUCKETS: usize = TICK_HZ as usize / BUCKET as usize + 1;
+const BUCKETS: usize = BUCKETS_PER_S + 1;
 
 /// Counts pulses per motor of the last second.
 #[derive(Clone, Debug, Hash)]
 struct SlidingSecond {
     /// Index of the bucket being filled.
     bucket: usize,
+    /// Ticks of a bucket.
+    ticks: u32,
     /// When the next bucket begins.
     next: Tick,
-    ended: [[u16; MOTORS]; BUCKETS],
-    charged: [u32; MOTORS],
+    ended: [[u16; CAPACITY]; BUCKETS],
+    charged: [u32; CAPACITY],
 }
 
 impl SlidingSecond {
-    const fn new(now: Tick) -> Self {
+    const fn new(tick_hz: u32, now: Tick) -> Self {
+        let ticks = tick_hz.div_ceil(BUCKETS_PER_S as u32);
         Self {
             bucket: 0,
-            next: Tick(now.0.saturating_add(BUCKET)),
-            ended: [[0; MOTORS]; BUCKETS],
-            charged: [0; MOTORS],
+            ticks,
+            next: Tick(now.0.saturating_add(ticks as u64)),
+            ended: [[0; CAPACITY]; BUCKETS],
+            charged: [0; CAPACITY],
         }
     }
 
     /// Pulses begun, from their first until a second after the last.
-    fn charged(&mut self, now: Tick) -> &mut [u32; MOTORS] {
+    fn charged(&mut self, now: Tick) -> &mut [u32; CAPACITY] {
         if self.next <= now {
             self.next_buckets(now);
         }
@@ -212,9 +140,10 @@ impl SlidingSecond {
     #[inline(never)]
     fn next_buckets(&mut self, now: Tick) {
         // After a long pause, one round over the buckets clears all.
-        self.next = self.next.max(Tick(now.0.saturating_sub(BUCKET * BUCKETS as u64)));
+        let ticks = u64::from(self.ticks);
+        self.next = self.next.max(Tick(now.0.saturating_sub(ticks * BUCKETS as u64)));
         while self.next <= now {
-            self.next = self.next + BUCKET;
+            self.next = self.next + ticks;
             self.bucket = if self.bucket + 1 < BUCKETS { self.bucket + 1 } else { 0 };
             let old = &mut self.ended[self.bucket];
             for (charged, ended) in self.charged.iter_mut().zip(old) {
@@ -235,23 +164,33 @@ impl SlidingSecond {
 /// Counts pulses per motor against [`PowerLimits`].
 ///
 /// A stroke counts from its first pulse until a second after its last one. So no sliding second ever holds more than the
-/// limit, but a stroke may be refused when the sum is one stroke or 15 ms below it. [`PowerLimits::NONE`] turns a
-/// limit off: a line may then pulse without rest.
+/// limit, but a stroke may be refused when the sum is one stroke or 15 ms below it. The array's own limits
+/// ([`Layout::no_limits`]) turn a limit off: a line may then pulse without rest.
 #[derive(Clone, Debug, Hash)]
 pub struct OnTime {
     limits: PowerLimits,
+    /// Whether the pulses per motor, and per rail, are limited.
+    limits_motor: bool,
+    limits_rail: bool,
     pulses: SlidingSecond,
 }
 
 impl OnTime {
-    /// An empty count at `now`.
+    /// An empty count at `now`, without limits.
     #[must_use]
-    pub const fn new(now: Tick) -> Self {
-        Self { limits: PowerLimits::NONE, pulses: SlidingSecond::new(now) }
+    pub const fn new(layout: &Layout, now: Tick) -> Self {
+        Self {
+            limits: layout.no_limits(),
+            limits_motor: false,
+            limits_rail: false,
+            pulses: SlidingSecond::new(layout.tick_hz(), now),
+        }
     }
 
     /// Sets the limits. The pulses counted so far stay.
-    pub fn set_limits(&mut self, limits: PowerLimits) {
+    pub fn set_limits(&mut self, limits: PowerLimits, layout: &Layout) {
+        let off = layout.no_limits();
+        (self.limits_motor, self.limits_rail) = (limits.motor < off.motor, limits.rail < off.rail);
         self.limits = limits;
     }
 
@@ -265,17 +204,13 @@ impl OnTime {
     ///
     /// # Errors
     /// The limit that the stroke would break; then nothing is counted.
-    pub fn begin(&mut self, now: Tick, motor: usize, pulses: u32) -> Result<(), Refusal> {
-        let (off, charged) = (PowerLimits::NONE, self.pulses.charged(now));
-        if self.limits.motor < off.motor && charged[motor] + pulses > self.limits.motor {
+    pub fn begin(&mut self, now: Tick, motor: usize, pulses: u32, layout: &Layout) -> Result<(), Refusal> {
+        let charged = self.pulses.charged(now);
+        if self.limits_motor && charged[motor] + pulses > self.limits.motor {
             return Err(Refusal::MotorOnTime);
         }
-        if self.limits.rail < off.rail {
-            let first = motor - motor % MOTORS_PER_RAIL;
-            let rail: u32 = charged[first..first + MOTORS_PER_RAIL].iter().sum();
-            if rail + pulses > self.limits.rail {
-                return Err(Refusal::RailOnTime);
-            }
+        if self.limits_rail && sum(charged, motor, layout.next_on_rail()) + pulses > self.limits.rail {
+            return Err(Refusal::RailOnTime);
         }
         charged[motor] += pulses;
         Ok(())
@@ -292,6 +227,16 @@ impl OnTime {
     }
 }
 
+/// The sum over the group of `motor`.
+fn sum(charged: &[u32; CAPACITY], motor: usize, ring: &Ring) -> u32 {
+    let (mut sum, mut other) = (charged[motor], usize::from(ring[motor]));
+    while other != motor {
+        sum += charged[other];
+        other = ring[other].into();
+    }
+    sum
+}
+
 /// Counts the pulses that a motor pushes against a lower stop: the surplus of its strokes, and seeks.
 ///
 /// It counts the pulses by which the down burst is longer than the up burst, from the stroke's first pulse until a second after
@@ -301,19 +246,22 @@ impl OnTime {
 pub struct Pushing {
     /// 0: there is no stop.
     limit: u32,
+    /// The highest limit.
+    most: u32,
     pulses: SlidingSecond,
 }
 
 impl Pushing {
     /// An empty count at `now`, without a stop.
     #[must_use]
-    pub const fn new(now: Tick) -> Self {
-        Self { limit: 0, pulses: SlidingSecond::new(now) }
+    pub const fn new(layout: &Layout, now: Tick) -> Self {
+        let most = layout.max_pushes_per_s();
+        Self { limit: 0, most, pulses: SlidingSecond::new(layout.tick_hz(), now) }
     }
 
-    /// Sets the limit, at most [`MAX_PUSHES_PER_S`]; 0 without a stop. The pulses counted so far stay.
+    /// Sets the limit, at most [`Layout::max_pushes_per_s`]; 0 without a stop. The pulses counted so far stay.
     pub fn set_limit(&mut self, pulses_per_s: u32) {
-        self.limit = pulses_per_s.min(MAX_PUSHES_PER_S);
+        self.limit = pulses_per_s.min(self.most);
     }
 
     /// Whether there is a stop.
@@ -363,24 +311,27 @@ impl Pushing {
 mod tests {
     extern crate std;
     use super::*;
+    use crate::stroke::Stroke;
     use proptest::prelude::*;
 
+    const PAPER: Layout = Layout::PAPER;
+    const WHOLE_TRAVEL: u16 = PAPER.whole_travel();
     const GOOD: Stroke = Stroke { motor: 0, up: Tick(100), up_pulses: 10, down: Tick(110), down_pulses: 10 };
 
     #[test]
     fn each_limit_of_a_stroke_is_exact() {
-        assert_eq!(check(&GOOD), Ok(()));
-        assert_eq!(check(&Stroke { motor: 23, ..GOOD }), Ok(()));
-        assert_eq!(check(&Stroke { motor: 24, ..GOOD }), Err(Refusal::Motor));
-        assert_eq!(check(&Stroke { up_pulses: 0, ..GOOD }), Err(Refusal::UpPulses));
+        assert_eq!(PAPER.check(&GOOD), Ok(()));
+        assert_eq!(PAPER.check(&Stroke { motor: 23, ..GOOD }), Ok(()));
+        assert_eq!(PAPER.check(&Stroke { motor: 24, ..GOOD }), Err(Refusal::Motor));
+        assert_eq!(PAPER.check(&Stroke { up_pulses: 0, ..GOOD }), Err(Refusal::UpPulses));
         let long = Stroke { up_pulses: 3000, down: Tick(9000), down_pulses: 3000, ..GOOD };
-        assert_eq!(check(&long), Ok(()));
+        assert_eq!(PAPER.check(&long), Ok(()));
         let longer = Stroke { up_pulses: 3001, down_pulses: 3001, ..long };
-        assert_eq!(check(&longer), Err(Refusal::UpPulses));
-        assert_eq!(check(&Stroke { down: Tick(109), ..GOOD }), Err(Refusal::Bursts));
-        assert_eq!(check(&Stroke { down_pulses: 13, ..GOOD }), Ok(()));
-        assert_eq!(check(&Stroke { down_pulses: 14, ..GOOD }), Err(Refusal::Unbalanced));
-        assert_eq!(check(&Stroke { down_pulses: 9, ..GOOD }), Err(Refusal::Unbalanced));
+        assert_eq!(PAPER.check(&longer), Err(Refusal::UpPulses));
+        assert_eq!(PAPER.check(&Stroke { down: Tick(109), ..GOOD }), Err(Refusal::Bursts));
+        assert_eq!(PAPER.check(&Stroke { down_pulses: 13, ..GOOD }), Ok(()));
+        assert_eq!(PAPER.check(&Stroke { down_pulses: 14, ..GOOD }), Err(Refusal::Unbalanced));
+        assert_eq!(PAPER.check(&Stroke { down_pulses: 9, ..GOOD }), Err(Refusal::Unbalanced));
     }
 
     #[test]
@@ -394,24 +345,24 @@ mod tests {
     #[test]
     fn a_seek_goes_beyond_the_pin_and_at_most_the_whole_travel() {
         for above in 0..=u16::MAX {
-            let least = least_seek(above);
+            let least = PAPER.least_seek(above);
             let enough = u32::from(least) > u32::from(above) * 3 / 2;
             assert!(least == WHOLE_TRAVEL || (enough && least < WHOLE_TRAVEL), "{above}: {least}");
         }
-        assert_eq!((least_seek(0), least_seek(100), least_seek(WHOLE_TRAVEL)), (1, 151, WHOLE_TRAVEL));
+        assert_eq!((PAPER.least_seek(0), PAPER.least_seek(100), PAPER.least_seek(WHOLE_TRAVEL)), (1, 151, WHOLE_TRAVEL));
     }
 
     proptest! {
         /// Compared with a plain list of bursts.
         #[test]
         fn no_sliding_second_breaks_a_limit(strokes in prop::collection::vec((0usize..6, 0u64..2000, 1u32..400), 1..300)) {
-            let limits = PowerLimits { motor: 2_000, rail: 5_000, ..PowerLimits::NONE };
-            let mut account = OnTime::new(Tick(0));
-            account.set_limits(limits);
+            let limits = PowerLimits { motor: 2_000, rail: 5_000, ..PAPER.no_limits() };
+            let mut account = OnTime::new(&PAPER, Tick(0));
+            account.set_limits(limits, &PAPER);
             let (mut now, mut bursts, mut refused) = (0, std::vec::Vec::new(), 0);
             for (motor, wait, count) in strokes {
                 now += wait;
-                if account.begin(Tick(now), motor, count).is_err() {
+                if account.begin(Tick(now), motor, count, &PAPER).is_err() {
                     refused += 1;
                     continue;
                 }
@@ -435,12 +386,12 @@ mod tests {
 
     #[test]
     fn after_a_second_of_rest_nothing_counts() {
-        let mut account = OnTime::new(Tick(0));
-        account.set_limits(PowerLimits { motor: 100, rail: 600, ..PowerLimits::NONE });
-        assert_eq!(account.begin(Tick(0), 5, 100), Ok(()));
+        let mut account = OnTime::new(&PAPER, Tick(0));
+        account.set_limits(PowerLimits { motor: 100, rail: 600, ..PAPER.no_limits() }, &PAPER);
+        assert_eq!(account.begin(Tick(0), 5, 100, &PAPER), Ok(()));
         account.end(Tick(100), 5, 100, 100);
-        assert_eq!(account.begin(Tick(84_000), 5, 1), Err(Refusal::MotorOnTime));
-        assert_eq!(account.begin(Tick(100 + 85_000 + BUCKET), 5, 100), Ok(()));
-        assert_eq!(account.begin(Tick(1 << 40), 4, 100), Ok(()));
+        assert_eq!(account.begin(Tick(84_000), 5, 1, &PAPER), Err(Refusal::MotorOnTime));
+        assert_eq!(account.begin(Tick(100 + 85_000 + 1_250), 5, 100, &PAPER), Ok(()));
+        assert_eq!(account.begin(Tick(1 << 40), 4, 100, &PAPER), Ok(()));
     }
 }

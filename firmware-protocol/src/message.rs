@@ -4,11 +4,14 @@
 //! [`WireTick`]; integers are varints (postcard). The order of fields and variants is the wire format: `tests/golden.rs`
 //! keeps the bytes of this version.
 
+use crate::array::{ArrayId, MotorSet};
 use crate::board::{Board, SelfTestState};
 use crate::limits::{PowerLimits, Refusal};
-use crate::stroke::{Direction, MOTORS};
-use crate::tick::{TICK_HZ, WireTick};
-use serde::{Deserialize, Serialize};
+use crate::stroke::Direction;
+use crate::tick::WireTick;
+use core::fmt;
+use serde::de::{Error as _, SeqAccess, Visitor};
+use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 /// From the host to the device.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
@@ -86,8 +89,8 @@ pub struct Mark {
 /// The motors whose queued strokes a frame replaces.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct Withdraw {
-    /// Bit i: motor i.
-    pub motors: u32,
+    /// Those motors.
+    pub motors: MotorSet,
     /// The generation of the host's last amendment. Amendments up to it do not concern strokes queued from now on.
     pub generation: u16,
 }
@@ -109,11 +112,6 @@ pub struct Trigger {
     /// 0: one pulse. Otherwise a start cell (high), eight cells with the bits of the code, lowest first (high is 1), and a low
     /// cell: a serial frame with one start bit and one stop bit, idle low.
     pub code: u8,
-}
-
-impl Trigger {
-    /// One pulse of 10 ms: long enough for an amplifier that samples at 200 Hz.
-    pub const PULSE: Self = Self { width: (TICK_HZ / 100) as u16, code: 0 };
 }
 
 /// What a `Control` asks for.
@@ -149,7 +147,8 @@ pub enum Op {
     },
     /// Drive all pins down to the lower stop by so many pulses: the position is known then. Only while armed with nothing queued.
     Seek {
-        /// At least [`crate::limits::least_seek`], at most [`crate::limits::MAX_SEEK`].
+        /// At least [`Layout::least_seek`](crate::array::Layout::least_seek), at most
+        /// [`Layout::max_seek`](crate::array::Layout::max_seek).
         pulses: u16,
     },
 }
@@ -223,12 +222,15 @@ pub enum DeviceMessage {
         /// What happened.
         report: Report,
     },
-    /// Displacements of all pins, from a device that senses them.
+    /// Displacements of some pins, from a device that senses them. A sample of more than [`MAX_SAMPLES`] pins takes several
+    /// messages, in order.
     Telemetry {
         /// When they were sampled.
         tick: WireTick,
-        /// Per motor, in 0.01 µm.
-        y: [i32; MOTORS],
+        /// The motor of the first one.
+        first: u8,
+        /// Per motor from that one on, in 0.01 µm.
+        y: Samples,
     },
     /// The answer to `HostMessage::Board`.
     Board(Board),
@@ -239,6 +241,69 @@ pub enum DeviceMessage {
         /// How far it is.
         state: SelfTestState,
     },
+}
+
+/// Most displacements in a message of telemetry: so many fit a frame, whatever they are.
+pub const MAX_SAMPLES: usize = 32;
+
+/// Displacements of a message of telemetry, at most [`MAX_SAMPLES`].
+#[derive(Clone, Copy, PartialEq, Eq, Hash)]
+pub struct Samples {
+    len: u8,
+    y: [i32; MAX_SAMPLES],
+}
+
+impl Samples {
+    /// The first displacements of `y`, as many as fit a message.
+    #[must_use]
+    pub fn of(y: &[i32]) -> Self {
+        let mut samples = Self { len: 0, y: [0; MAX_SAMPLES] };
+        for (place, &y) in samples.y.iter_mut().zip(y) {
+            *place = y;
+            samples.len += 1;
+        }
+        samples
+    }
+
+    /// The displacements.
+    #[must_use]
+    pub fn as_slice(&self) -> &[i32] {
+        self.y.get(..self.len.into()).unwrap_or_default()
+    }
+}
+
+impl fmt::Debug for Samples {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.as_slice().fmt(out)
+    }
+}
+
+impl Serialize for Samples {
+    fn serialize<S: Serializer>(&self, out: S) -> Result<S::Ok, S::Error> {
+        self.as_slice().serialize(out)
+    }
+}
+
+impl<'de> Deserialize<'de> for Samples {
+    fn deserialize<D: Deserializer<'de>>(from: D) -> Result<Self, D::Error> {
+        struct List;
+        impl<'de> Visitor<'de> for List {
+            type Value = Samples;
+            fn expecting(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+                write!(out, "at most {MAX_SAMPLES} displacements")
+            }
+            fn visit_seq<A: SeqAccess<'de>>(self, mut from: A) -> Result<Samples, A::Error> {
+                let mut samples = Samples::of(&[]);
+                while let Some(y) = from.next_element()? {
+                    let place = samples.y.get_mut(usize::from(samples.len));
+                    *place.ok_or_else(|| A::Error::custom("too many displacements"))? = y;
+                    samples.len += 1;
+                }
+                Ok(samples)
+            }
+        }
+        from.deserialize_seq(List)
+    }
 }
 
 /// What the device is and what it can do.
@@ -252,10 +317,8 @@ pub struct DeviceHello {
     pub build: [u8; 4],
     /// Random at every boot.
     pub boot: u32,
-    /// Number of motors.
-    pub motors: u8,
-    /// Ticks per second.
-    pub tick_hz: u32,
+    /// The array that it is built for.
+    pub array: ArrayId,
     /// Stroke slots.
     pub pool: u16,
     /// A stroke that begins this many ticks from now, or later, is never late: the render horizon and the drivers' lead.
@@ -366,8 +429,8 @@ pub enum Report {
         late: u64,
         /// Bit i: stroke i was refused.
         refused: u64,
-        /// Bit i: nothing of motor i was withdrawn. Its queued strokes stay, and those of the frame are not taken (bits of `late`).
-        kept: u32,
+        /// Motors of which nothing was withdrawn. Their queued strokes stay, and those of the frame are not taken (bits of `late`).
+        kept: MotorSet,
         /// Why the first of the refused strokes was refused.
         reason: Option<Refusal>,
         /// The earliest possible start when the device judged the first late stroke or kept the first motor. The device judges

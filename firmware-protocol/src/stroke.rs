@@ -3,18 +3,18 @@
 //! A stroke is one excursion of one pin: an up burst and the down burst that undoes it. The host compiles patterns to
 //! strokes, the controller plays them, and tests compare both with [`Stroke::ticks`]. There is no other definition.
 
+use crate::array::MotorSet;
+#[cfg(not(feature = "pico"))]
+pub use crate::paper::MOTORS;
 use crate::tick::Tick;
 use serde::{Deserialize, Serialize};
-
-/// Motors of the array; each has one line.
-pub const MOTORS: usize = 24;
 
 /// The way a pulse moves the pin.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub enum Direction {
-    /// Towards the finger: the line is high for the first 20 % of each pulse period.
+    /// Towards the finger: the line is high for the short first part of each pulse period, for example 20 %.
     Up,
-    /// Away from the finger: high for the first 80 %.
+    /// Away from the finger: high for the longer first part, for example 80 %.
     Down,
 }
 
@@ -46,10 +46,10 @@ impl Burst {
     }
 }
 
-/// One excursion of one pin. It is valid if [`crate::limits::check`] accepts it: `up + up_pulses <= down` and more.
+/// One excursion of one pin. It is valid if [`crate::array::Layout::check`] accepts it: `up + up_pulses <= down` and more.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct Stroke {
-    /// 0..24, `4 * row + column`.
+    /// Its number in the array, from 0, row by row.
     pub motor: u8,
     /// Start of the up burst.
     pub up: Tick,
@@ -99,31 +99,38 @@ impl Stroke {
     }
 }
 
-/// The states of all lines in one tick: bit `m` is motor `m`. A motor is never in both masks.
+/// The states of all lines in one tick. A motor is never in both sets.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub struct Lines {
     /// Lines that carry an up pulse.
-    pub up: u32,
+    pub up: MotorSet,
     /// Lines that carry a down pulse.
-    pub down: u32,
+    pub down: MotorSet,
 }
 
 impl Lines {
     /// Every line low.
-    pub const OFF: Self = Self { up: 0, down: 0 };
+    pub const OFF: Self = Self { up: MotorSet::EMPTY, down: MotorSet::EMPTY };
 
     /// The state of the line of `motor`.
     #[must_use]
     pub fn line(&self, motor: u8) -> Line {
-        match (self.up >> motor & 1, self.down >> motor & 1) {
-            (0, 0) => Line::Off,
-            (_, 0) => Line::Pulse(Direction::Up),
-            _ => Line::Pulse(Direction::Down),
+        match (self.up.contains(motor), self.down.contains(motor)) {
+            (false, false) => Line::Off,
+            (true, false) => Line::Pulse(Direction::Up),
+            (_, true) => Line::Pulse(Direction::Down),
         }
     }
 
-    /// The mask of one direction.
-    pub fn mask_mut(&mut self, direction: Direction) -> &mut u32 {
+    /// Lines that carry a pulse.
+    #[must_use]
+    #[inline(always)]
+    pub fn pulsing(&self) -> MotorSet {
+        self.up | self.down
+    }
+
+    /// The lines of one direction.
+    pub fn set_mut(&mut self, direction: Direction) -> &mut MotorSet {
         match direction {
             Direction::Up => &mut self.up,
             Direction::Down => &mut self.down,

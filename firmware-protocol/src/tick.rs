@@ -1,4 +1,4 @@
-//! Device time: a count of pulse periods of 1/85 000 s.
+//! Device time: a count of pulse periods, which are as long as the carrier of the array makes them.
 //!
 //! In memory a [`Tick`] has 64 bits and never wraps. On the wire a [`WireTick`] has 32 bits. [`WireTick::near`] reads it as a
 //! signed distance from a tick that the reader knows; ticks widen nowhere else.
@@ -6,8 +6,8 @@
 use core::ops::{Add, Sub};
 use serde::{Deserialize, Serialize};
 
-/// Ticks in a second: the pulse rate of the paper's drivers (85 kHz).
-pub const TICK_HZ: u32 = 85_000;
+#[cfg(not(feature = "pico"))]
+pub use crate::paper::TICK_HZ;
 
 /// A count of pulse periods on the device's clock.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
@@ -15,9 +15,9 @@ pub const TICK_HZ: u32 = 85_000;
 pub struct Tick(pub u64);
 
 impl Tick {
-    /// The first tick of every controller's clock: half a minute before the 32-bit wrap, so that every longer run
+    /// The first tick of every controller's clock: 2 550 000 ticks before the 32-bit wrap, so that every run of a few minutes
     /// crosses the wrap.
-    pub const BOOT: Self = Self((1 << 32) - 30 * TICK_HZ as u64);
+    pub const BOOT: Self = Self((1 << 32) - 2_550_000);
 
     /// The low 32 bits, as sent.
     #[must_use]
@@ -80,7 +80,7 @@ mod tests {
     }
 
     #[test]
-    fn a_run_of_half_a_minute_crosses_the_wrap() {
-        assert_eq!(Tick::BOOT.0 + 30 * u64::from(TICK_HZ), 1 << 32);
+    fn a_run_of_a_few_minutes_crosses_the_wrap() {
+        assert_eq!(Tick::BOOT.0 + 2_550_000, 1 << 32);
     }
 }

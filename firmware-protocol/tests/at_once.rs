@@ -1,15 +1,13 @@
 //! The limits on motors that have pulses at once. [`Bench`] counts them in every tick of every test here.
 
-use crate::bench::{Bench, FIRMWARE, HOST_TIMEOUT, SHELLS, STOP, Shell, stroke};
-use firmware_protocol::limits::{
-    LEAST_APART, MAX_SEEK, MOTORS_PER_CHIP, MOTORS_PER_RAIL, PowerLimits, Refusal,
-};
+use crate::bench::{FIRMWARE, HOST_TIMEOUT, LEAST_APART, MAX_SEEK, MOTORS, MOTORS_PER_CHIP, MOTORS_PER_RAIL, NO_LIMITS, SHELLS, STOP, Bench, Shell, stroke};
+use firmware_protocol::limits::{PowerLimits, Refusal};
 use firmware_protocol::message::{LowerStop, Op, Report, State};
-use firmware_protocol::stroke::{Direction, MOTORS, Stroke};
+use firmware_protocol::stroke::{Direction, Stroke};
 use proptest::prelude::*;
 
 fn at_once(rail_at_once: u8, chip_at_once: u8) -> PowerLimits {
-    PowerLimits { rail_at_once, chip_at_once, ..PowerLimits::NONE }
+    PowerLimits { rail_at_once, chip_at_once, ..NO_LIMITS }
 }
 
 fn armed(shell: Shell, limits: PowerLimits) -> Bench {

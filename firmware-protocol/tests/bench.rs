@@ -4,20 +4,34 @@
 //! controller in the tick `now`, whose lines are already out (except in [`MOCK`]). In each tick it checks the driver enable, and counts
 //! the motors of each rail and chip that have pulses at once.
 
+use firmware_protocol::array::{Layout, MotorSet};
 use firmware_protocol::batch::{Amendment, BATCH_BYTES, Packer};
-use firmware_protocol::controller::{
-    BLOCK, Controller, DRIVER_LEAD, DRIVER_TAIL, HORIZON, Identity, REORDER_WINDOW, Run,
-};
+use firmware_protocol::controller::{BLOCK, Controller, DRIVER_TAIL, HORIZON, Identity, REORDER_WINDOW, Run};
 use firmware_protocol::frame::{Decoder, MAX_FRAME, encode};
-use firmware_protocol::limits::{MAX_PUSHES_PER_S, MOTORS_PER_CHIP, MOTORS_PER_RAIL, PowerLimits};
+use firmware_protocol::limits::PowerLimits;
 use firmware_protocol::message::{
     Cause, Cut, DeviceMessage, HostMessage, LowerStop, Mark, MarkKind, Op, Report, State, Status, Trigger,
     Withdraw,
 };
-use firmware_protocol::stroke::{Burst, Direction, Line, Lines, MOTORS, Stroke};
-use firmware_protocol::tick::{TICK_HZ, Tick};
+use firmware_protocol::stroke::{Burst, Direction, Line, Lines, Stroke};
+use firmware_protocol::tick::Tick;
 use serde::Serialize;
 use std::collections::VecDeque;
+
+/// The paper's array, which the tests are about unless they name another.
+pub(crate) const PAPER: Layout = Layout::PAPER;
+pub(crate) const MOTORS: usize = PAPER.motors();
+pub(crate) const TICK_HZ: u32 = PAPER.tick_hz();
+pub(crate) const NO_LIMITS: PowerLimits = PAPER.no_limits();
+pub(crate) const MOTORS_PER_RAIL: usize = PAPER.motors_per_rail() as usize;
+pub(crate) const MOTORS_PER_CHIP: usize = PAPER.motors_per_chip() as usize;
+pub(crate) const MAX_PUSHES_PER_S: u32 = PAPER.max_pushes_per_s();
+pub(crate) const MAX_DOWN_PULSES: u16 = PAPER.max_down_pulses();
+pub(crate) const MAX_TRAVEL: u16 = PAPER.max_travel();
+pub(crate) const WHOLE_TRAVEL: u16 = PAPER.whole_travel();
+pub(crate) const MAX_SEEK: u16 = PAPER.max_seek();
+pub(crate) const LEAST_APART: u64 = PAPER.least_apart() as u64;
+pub(crate) const PULSE: Trigger = PAPER.trigger_pulse();
 
 /// How a shell renders: blocks of `block` ticks, up to `ahead` ticks from now.
 #[derive(Clone, Copy, Debug)]
@@ -35,13 +49,13 @@ pub(crate) const MOCK: Shell = Shell { ahead: 0, block: 1 };
 pub(crate) const SHELLS: [Shell; 3] = [FIRMWARE, TIGHT, MOCK];
 
 /// The mark of a play with a usual trigger.
-pub(crate) const ONSET: Mark = Mark { kind: MarkKind::Play, trigger: Some(Trigger::PULSE) };
+pub(crate) const ONSET: Mark = Mark { kind: MarkKind::Play, trigger: Some(PULSE) };
 
 /// The lower stop that [`arm`] names.
 pub(crate) const STOP: LowerStop = LowerStop { pulses_per_s: MAX_PUSHES_PER_S, seek: 0 };
 
 /// Ticks from now to [`Bench::soon`].
-pub(crate) const SOON: u64 = (HORIZON + DRIVER_LEAD) as u64 + 5;
+pub(crate) const SOON: u64 = PAPER.horizon() as u64 + 5;
 
 /// The host watchdog timeout that [`Bench::arm`] sets.
 pub(crate) const HOST_TIMEOUT: u32 = 2 * TICK_HZ;
@@ -109,12 +123,17 @@ impl Bench {
     }
 
     pub(crate) fn starting_at(shell: Shell, start: Tick) -> Self {
+        Self::of(shell, PAPER, start)
+    }
+
+    /// A bench of another array.
+    pub(crate) fn of(shell: Shell, layout: Layout, start: Tick) -> Self {
         let mut bench = Self {
-            device: Controller::starting_at(Identity { boot: 7, ..Identity::default() }, start),
+            device: Controller::starting_at(Identity { boot: 7, ..Identity::default() }, layout, start),
             now: start.0,
             start: start.0,
             shell,
-            limits: PowerLimits::NONE,
+            limits: layout.no_limits(),
             most_at_once: [0; 2],
             in_pieces: false,
             ahead: VecDeque::new(),
@@ -140,7 +159,11 @@ impl Bench {
 
     /// A tick at which a stroke that is sent now can begin, in every shell, whether the drivers are on or not.
     pub(crate) fn soon(&self) -> u64 {
-        self.now + SOON
+        self.now + u64::from(self.layout().horizon()) + 5
+    }
+
+    pub(crate) fn layout(&self) -> Layout {
+        *self.device.layout()
     }
 
     /// An armed bench with every pin at rest.
@@ -154,7 +177,7 @@ impl Bench {
 
     /// As [`Self::armed`], on an array without a lower stop: there an amendment may lengthen a down burst.
     pub(crate) fn armed_without_stop(shell: Shell) -> Self {
-        Self::without_stop(Self::new(shell), HOST_TIMEOUT, PowerLimits::NONE)
+        Self::without_stop(Self::new(shell), HOST_TIMEOUT, NO_LIMITS)
     }
 
     pub(crate) fn without_stop(mut bench: Self, host_timeout: u32, limits: PowerLimits) -> Self {
@@ -186,24 +209,31 @@ impl Bench {
         if trigger {
             self.triggered.push(self.now);
         }
-        assert_eq!(lines.up & lines.down, 0, "a line in both masks");
-        assert_eq!((lines.up | lines.down) >> MOTORS, 0, "a line that does not exist");
-        self.check_at_once(lines.up | lines.down);
+        assert!((lines.up & lines.down).is_empty(), "a line in both sets");
+        let all = self.layout().all();
+        assert!(lines.pulsing().without(all).is_empty(), "a line that does not exist");
+        self.check_at_once(lines.pulsing());
         if lines != Lines::OFF {
             self.log.push((self.now, lines));
         }
     }
 
     /// Asserts that no more motors of a rail or a chip have pulses than the limits allow.
-    fn check_at_once(&mut self, pulses: u32) {
+    fn check_at_once(&mut self, pulses: MotorSet) {
+        if pulses.is_empty() {
+            return;
+        }
         let PowerLimits { rail_at_once, chip_at_once, .. } = self.limits;
-        let groups = [(MOTORS_PER_RAIL, rail_at_once), (MOTORS_PER_CHIP, chip_at_once)];
-        for ((motors, limit), most) in groups.into_iter().zip(&mut self.most_at_once) {
-            for first in (0..MOTORS).step_by(motors) {
-                let at_once = (pulses >> first & ((1 << motors) - 1)).count_ones();
-                assert!(at_once <= limit.into(), "{at_once} of the {motors} from {first} on at {}", self.now);
-                *most = at_once.max(*most);
-            }
+        let (mut rails, mut chips) = ([0_u8; 64], [0_u8; 64]);
+        for motor in pulses.iter().map(usize::from) {
+            rails[usize::from(self.device.layout().rail(motor))] += 1;
+            chips[usize::from(self.device.layout().chip(motor))] += 1;
+        }
+        let groups = [(rails, rail_at_once), (chips, chip_at_once)];
+        for ((groups, limit), most) in groups.into_iter().zip(&mut self.most_at_once) {
+            let at_once = groups.into_iter().max().unwrap_or(0);
+            assert!(at_once <= limit, "{at_once} of a group at {}", self.now);
+            *most = u32::from(at_once).max(*most);
         }
     }
 
@@ -217,15 +247,16 @@ impl Bench {
             (self.enabled, self.enabled_idle) = (0, 0);
             return;
         }
+        let lead = self.device.layout().driver_lead();
         self.enabled += 1;
         self.enabled_ticks += 1;
         self.enabled_idle = if pulse || refuses { 0 } else { self.enabled_idle + 1 };
         assert!(
-            !pulse || self.enabled > DRIVER_LEAD,
+            !pulse || self.enabled > lead,
             "a pulse {} ticks after the enable at {at}",
             self.enabled - 1
         );
-        assert!(self.enabled_idle <= DRIVER_LEAD + DRIVER_TAIL, "drivers enabled without a pulse at {at}");
+        assert!(self.enabled_idle <= lead + DRIVER_TAIL, "drivers enabled without a pulse at {at}");
     }
 
     /// Lets one tick pass.
@@ -335,7 +366,7 @@ impl Bench {
         if let Op::Arm { limits, .. } = op
             && self.device.state() == State::Disarmed
         {
-            self.limits = PowerLimits::NONE.min(limits);
+            self.limits = self.layout().no_limits().min(limits);
         }
         self.epoch = self.epoch.wrapping_add(1);
         self.seq = 0;
@@ -343,11 +374,11 @@ impl Bench {
     }
 
     pub(crate) fn arm(&mut self, assume_rest: bool) {
-        self.control(arm(assume_rest, HOST_TIMEOUT, PowerLimits::NONE));
+        self.control(arm(assume_rest, HOST_TIMEOUT, self.layout().no_limits()));
     }
 
     pub(crate) fn limited(shell: Shell, motor: u32, rail: u32) -> Self {
-        Self::without_stop(Self::new(shell), 10 * TICK_HZ, PowerLimits { motor, rail, ..PowerLimits::NONE })
+        Self::without_stop(Self::new(shell), 10 * TICK_HZ, PowerLimits { motor, rail, ..NO_LIMITS })
     }
 
     /// Sends the next frame of the stream.
@@ -359,8 +390,8 @@ impl Bench {
     }
 
     /// Sends a frame that withdraws from `base` on what these motors have queued, and queues these strokes.
-    pub(crate) fn replace(&mut self, motors: u32, generation: u16, base: u64, strokes: &[Stroke]) {
-        let bytes = self.replacement(None, Withdraw { motors, generation }, base, strokes);
+    pub(crate) fn replace(&mut self, motors: u64, generation: u16, base: u64, strokes: &[Stroke]) {
+        let bytes = self.replacement(None, Withdraw { motors: MotorSet::from_bits(motors), generation }, base, strokes);
         self.bytes(&bytes);
         self.seq = self.status().next_seq;
     }
@@ -468,7 +499,7 @@ impl Bench {
 
     /// Pulses on all lines so far.
     pub(crate) fn total(&self) -> u64 {
-        self.log.iter().map(|(_, lines)| u64::from((lines.up | lines.down).count_ones())).sum()
+        self.log.iter().map(|(_, lines)| u64::from(lines.pulsing().len())).sum()
     }
 
     /// The last tick with a pulse.
@@ -477,7 +508,7 @@ impl Bench {
     }
 
     pub(crate) fn outstanding(&self) -> u64 {
-        (0..MOTORS as u8).map(|motor| u64::from(self.device.outstanding(motor))).sum()
+        (0..64).map(|motor| u64::from(self.device.outstanding(motor))).sum()
     }
 
     pub(crate) fn is(&self, state: State, cause: Cause) {

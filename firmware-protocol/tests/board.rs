@@ -1,10 +1,11 @@
-use crate::bench::{Bench, FIRMWARE, stroke};
+use crate::bench::{FIRMWARE, TICK_HZ, Bench, stroke};
+use firmware_protocol::array::{Layout, MotorSet};
 use firmware_protocol::batch::longest_frame;
 use firmware_protocol::batch::{MAX_BATCH, Strokes};
-use firmware_protocol::board::{Board, Measures, Reset, SelfTest, SelfTestState};
+use firmware_protocol::board::{Board, Measures, Outputs, Reset, SelfTest, SelfTestState};
 use firmware_protocol::frame::{Decoder, MAX_FRAME, read};
 use firmware_protocol::message::{Cause, DeviceMessage, HostMessage, Op, State};
-use firmware_protocol::tick::{TICK_HZ, Tick};
+use firmware_protocol::tick::Tick;
 
 impl Bench {
     /// Asks for a board report, and returns the only answer.
@@ -58,18 +59,20 @@ fn windows_of_slack_follow_each_other_whatever_is_lost() {
     assert_eq!((board.slack, board.slack_since_boot), (Some(255), Some(26)), "a new session asks anew");
 }
 
+const HIGH: Outputs = Outputs { lines: MotorSet::from_bits(4), trigger: true, enable: false };
+
 #[test]
 fn a_report_says_what_the_shell_measured_and_what_failed() {
     let mut bench = Bench::armed(FIRMWARE);
     let measures =
-        Measures { reset: Reset::RunPin, stalls: Some(2), usb_recoveries: Some(3), high_at_boot: Some(4) };
+        Measures { reset: Reset::RunPin, stalls: Some(2), usb_recoveries: Some(3), high_at_boot: Some(HIGH) };
     assert!(!bench.device.wants_measures());
     bench.device.measured(measures);
     bench.run(u64::from(TICK_HZ) * 3 / 2);
     let board = bench.ask(1);
     assert_eq!(
         (board.reset, board.stalls, board.usb_recoveries, board.high_at_boot),
-        (Reset::RunPin, Some(2), Some(3), Some(4))
+        (Reset::RunPin, Some(2), Some(3), Some(HIGH))
     );
     assert_eq!((board.uptime_s, board.output_faults), (1, 0));
     bench.device.fault(Tick(bench.now), Cause::Starved);
@@ -149,7 +152,7 @@ fn questions_feed_the_host_watchdog_and_need_a_session() {
 #[test]
 fn the_longest_frame_is_one() {
     let mut out = [0; MAX_FRAME];
-    let len = longest_frame(&mut out);
+    let len = longest_frame(&Layout::PAPER, &mut out);
     let mut decoder = Decoder::new();
     let body = decoder.next(&mut &out[..len]).expect("a whole frame");
     let Ok(HostMessage::Strokes { batch, base, .. }) = read(body) else { panic!("strokes") };

@@ -1,15 +1,17 @@
-//! The bytes of version 6 on the wire. Never edit them: a changed byte is a new version.
+//! The bytes of version 7 on the wire; `golden.py` makes them by hand. Once version 7 is released, never edit them: a changed byte is
+//! a new version.
 
-use crate::bench::{ONSET, frame, pack, stroke};
+use crate::bench::{MOTORS, NO_LIMITS, ONSET, PAPER, frame, pack, stroke};
+use firmware_protocol::array::{ArrayId, MotorSet, Name};
 use firmware_protocol::batch::{Amendment, BATCH_BYTES, Packer};
-use firmware_protocol::board::{Board, LineTest, RamTest, Reset, SelfTest, SelfTestState, WaveTest};
+use firmware_protocol::board::{Board, LineTest, Output, Outputs, RamTest, Reset, SelfTest, SelfTestState, WaveTest};
 use firmware_protocol::frame::{Decoder, FRAME_OVERHEAD, MAX_FRAME, PROTOCOL};
 use firmware_protocol::limits::{PowerLimits, Refusal};
 use firmware_protocol::message::{
-    Cause, Counters, Cut, DeviceHello, DeviceMessage, HostMessage, LowerStop, Mark, MarkKind, Op, Report,
-    State, Status, Trigger, Withdraw,
+    Cause, Counters, Cut, DeviceHello, DeviceMessage, HostMessage, LowerStop, MAX_SAMPLES, Mark, MarkKind, Op,
+    Report, Samples, State, Status, Trigger, Withdraw,
 };
-use firmware_protocol::stroke::{Direction, MOTORS};
+use firmware_protocol::stroke::Direction;
 use firmware_protocol::tick::{Tick, WireTick};
 use serde::{Deserialize, Serialize};
 use std::fmt::Debug;
@@ -54,18 +56,21 @@ const HELLO: DeviceHello = DeviceHello {
     firmware: [1, 2, 3],
     build: [0xca, 0xfe, 0, 1],
     boot: 99,
-    motors: 24,
-    tick_hz: 85_000,
+    array: ArrayId { hash: 0x0123_4567_89ab_cdef, ..*PAPER.id() },
     pool: 1024,
-    horizon: 64,
+    horizon: 107,
     max_up_pulses: 3000,
-    limits: PowerLimits::NONE,
+    limits: NO_LIMITS,
     features: DeviceHello::SIMULATED | DeviceHello::TELEMETRY,
     tick: 0xffd9_1a30,
     epoch: 1,
     reports: 0,
     last_cut: Some(CUT),
 };
+
+const fn lines(lines: u64) -> Outputs {
+    Outputs { lines: MotorSet::from_bits(lines), trigger: false, enable: false }
+}
 
 const BOARD: Board = Board {
     window: 300,
@@ -76,10 +81,15 @@ const BOARD: Board = Board {
     stalls: Some(1),
     usb_recoveries: Some(2),
     output_faults: 3,
-    high_at_boot: Some(1 << 25),
+    high_at_boot: Some(Outputs { enable: true, ..lines(1 << 23) }),
 };
 const TESTED: SelfTest = SelfTest {
-    lines: Some(LineTest { stuck_high: 1, stuck_low: 2, shorted: 12, pair: Some((2, 3)) }),
+    lines: Some(LineTest {
+        stuck_high: lines(1),
+        stuck_low: lines(2),
+        shorted: Outputs { trigger: true, enable: true, ..lines(12) },
+        pair: Some((Output::Line(2), Output::Trigger)),
+    }),
     wave: Some(WaveTest { timer_us: 100_000, ticks: 8_500, words: 34_000 }),
     ram: Some(RamTest { bytes: 65_536, bad: Some(0x2003_0000) }),
     work_us: Some(158),
@@ -107,12 +117,12 @@ fn from_the_host() {
         &[
             stroke(0, BASE, 147, 561, 147),
             stroke(23, BASE + 59, 147, 561, 150),
-            stroke(4, BASE + 100_000, 3_000, 0, 2_999),
+            stroke(63, BASE + 100_000, 3_000, 0, 2_999),
         ],
     );
     let mut items = Packer::<BATCH_BYTES>::new(Tick(BASE));
     for (motor, up, direction, pulses) in
-        [(9, BASE + 1_417, Direction::Up, 151), (23, BASE + 1_400, Direction::Down, 143)]
+        [(9, BASE + 1_417, Direction::Up, 151), (63, BASE + 1_400, Direction::Down, 143)]
     {
         items.amendment(&Amendment { motor, up: Tick(up), direction, pulses }).unwrap();
     }
@@ -132,22 +142,22 @@ fn from_the_host() {
         batch: &[],
     };
     let cases = [
-        (HostMessage::Hello { session: 0xdead_beef }, "02060aeffdb6f50dd79f9df600"),
-        (HostMessage::Ping { token: 513, seen: 0 }, "0506018104056bd1457500"),
-        (control(arm(None)), "0606020790030d019cc701a09c0190bf0503010538f6a88300"),
+        (HostMessage::Hello { session: 0xdead_beef }, "02070aeffdb6f50d6394ea5000"),
+        (HostMessage::Ping { token: 513, seen: 0 }, "050701810405dbf8254800"),
+        (control(arm(None)), "0607020790030d019cc701a09c0190bf0503010560764a5400"),
         (
             control(arm(Some(LowerStop { pulses_per_s: 17_000, seek: 7_400 }))),
-            "06060207900317019cc701a09c0190bf05030101e88401e8397d6f184a00",
+            "06070207900317019cc701a09c0190bf05030101e88401e8395a0a3dcb00",
         ),
-        (control(Op::Seek { pulses: 7_400 }), "0d060207900306e839dff24b2700"),
-        (control(Op::Disarm(Cause::Shutdown)), "0c0602079003010359a8403e00"),
-        (control(Op::Disarm(Cause::Abort)), "0c06020790030104fa3d24a000"),
-        (control(Op::Stop), "0b06020790030278a3bcb800"),
-        (control(Op::EStop), "0b060207900303ee93bbcf00"),
-        (control(Op::Reset), "0b0602079003044d06df5100"),
+        (control(Op::Seek { pulses: 7_400 }), "0d070207900306e83941f2e1eb00"),
+        (control(Op::Disarm(Cause::Shutdown)), "0c07020790030103eda3379800"),
+        (control(Op::Disarm(Cause::Abort)), "0c070207900301044e36530600"),
+        (control(Op::Stop), "0b070207900302dd70e07300"),
+        (control(Op::EStop), "0b0702079003034b40e70400"),
+        (control(Op::Reset), "0b070207900304e8d5839a00"),
         (
             control(Op::Move { motor: 5, direction: Direction::Down, pulses: 1_000 }),
-            "0f0602079003050501e8070ec4c45500",
+            "0f0702079003050501e80730af06ba00",
         ),
         (
             HostMessage::Strokes {
@@ -159,21 +169,21 @@ fn from_the_host() {
                 base,
                 batch: strokes.bytes(),
             },
-            "040603070301010401d20601070df0edfe1340109301b104373bb1040604e58c06b8170601d0386e5700",
+            "040703070301010401d20601070df0edfe1380109301b104573bb104063fe58c06b8170601484d53c300",
         ),
-        (marked(coded), "0b060307010101010155c8050df0edfe05c7a6590300"),
-        (marked(silent), "070603070101010101050df0edfe055b4aef8c00"),
+        (marked(coded), "0b070307010101010155c8050df0edfe05563731ad00"),
+        (marked(silent), "070703070101010101050df0edfe052dabe01100"),
         (
             HostMessage::Strokes {
                 epoch: 7,
                 seq: 2,
                 seen: 1,
                 mark: None,
-                withdraw: Some(Withdraw { motors: 0x0080_0001, generation: 300 }),
+                withdraw: Some(Withdraw { motors: MotorSet::from_bits(1 << 63 | 0x0080_0001), generation: 300 }),
                 base,
                 batch: &[],
             },
-            "0606030702010c0181808004ac020df0edfe059d646d4300",
+            "060703070201120181808084808080808001ac020df0edfe0592381d3900",
         ),
         (
             HostMessage::Strokes {
@@ -185,14 +195,14 @@ fn from_the_host() {
                 base,
                 batch: &[],
             },
-            "08060307ffff030101050df0edfe05039283bb00",
+            "08070307ffff030101050df0edfe0575738c2600",
         ),
         (
             HostMessage::Amend { epoch: 7, generation: 1_000, base, items: items.bytes() },
-            "18060407e8070df0edfe09099216970137218f01cc2edada00",
+            "18070407e8070df0edfe0909921697017f218f0146de985300",
         ),
-        (HostMessage::Board { window: 300 }, "090605ac02e2d058ee00"),
-        (HostMessage::SelfTest { run: 65_535 }, "0a0606ffff0344c5bcd800"),
+        (HostMessage::Board { window: 300 }, "090705ac0287b7e45600"),
+        (HostMessage::SelfTest { run: 65_535 }, "0a0706ffff03f4ecdce500"),
     ];
     for (message, hex) in cases {
         golden(&message, hex, &mut Vec::new());
@@ -211,84 +221,85 @@ fn from_the_device() {
     let cases = [
         (
             DeviceMessage::Hello(HELLO),
-            "02060beffdb6f50d010203cafe1b016318889805800840b817889805b0901f060203b0b4e4fe0f011101060102030401b009ac024d6f1b336900",
+            "02070beffdb6f50d010203cafe3301630a74756c6133352d36783418889805c801a006ef9bafcdf8acd1910180086bb817889805b0901f060203b0b4e4fe0f011101060102030401b009ac024d8ef84c7a00",
         ),
         (
             DeviceMessage::Hello(DeviceHello { last_cut: None, ..HELLO }),
-            "02060beffdb6f50d010203cafe1b016318889805800840b817889805b0901f060203b0b4e4fe0f0101054d61cb8100",
+            "02070beffdb6f50d010203cafe3301630a74756c6133352d36783418889805c801a006ef9bafcdf8acd1910180086bb817889805b0901f060203b0b4e4fe0f0101022303759900",
         ),
-        (DeviceMessage::NoSession, "070601ef85846000"),
+        (DeviceMessage::NoSession, "070701aeb49f7900"),
         (
             DeviceMessage::Status(STATUS),
-            "0606028104ff04fe7f020aac02058008050101011001a6020304050a060708095bc4af7600",
+            "0607028104ff04fe7f020aac02058008050101011001a6020304050a060708098a2c487800",
         ),
         (
             status(State::Disarmed, Cause::Boot, Some(Refusal::PositionUnknown)),
-            "0606028104ff0cfe7f02010aac02058008050102011001a6020304050a060708095401990a00",
+            "0607028104ff0cfe7f02010aac02058008050102011001a6020304050a06070809fe0443fb00",
         ),
         (
             status(State::Returning, Cause::LinkLost, Some(Refusal::State)),
-            "0606028104ff0ffe7f02010bac02058008050207011001a6020304050a06070809c57efad000",
+            "0607028104ff0ffe7f02010bac02058008050207011001a6020304050a060708096f7b202100",
         ),
         (
             status(State::Returning, Cause::NewHost, Some(Refusal::Travel)),
-            "0606028104ff0ffe7f02010cac02058008050208011001a6020304050a0607080973f4b7e300",
+            "0607028104ff0ffe7f02010cac02058008050208011001a6020304050a06070809d9f16d1200",
         ),
         (
             status(State::Faulted, Cause::EStop, None),
-            "0606028104ff04fe7f020aac02058008050305011001a6020304050a06070809d1fa85c700",
+            "0607028104ff04fe7f020aac02058008050305010c01a6020304050a06070809041262c900",
         ),
         (
             status(State::Faulted, Cause::Starved, None),
-            "0606028104ff04fe7f020aac02058008050309011001a6020304050a06070809fc6b70ed00",
+            "0607028104ff04fe7f020aac02058008050309011001a6020304050a060708092d8397e300",
         ),
         (
             status(State::Faulted, Cause::Output, None),
-            "0606028104ff04fe7f020aac0205800805030c011001a6020304050a060708099105d36900",
+            "0607028104ff04fe7f020aac0205800805030c011001a6020304050a0607080940ed346700",
         ),
         (
             status(State::Faulted, Cause::Panic, Some(Refusal::Malformed)),
-            "0606028104ff0ffe7f02010dac0205800805030a011001a6020304050a06070809f68f0aac00",
+            "0607028104ff0ffe7f02010dac0205800805030a011001a6020304050a060708095c8ad05d00",
         ),
         (
             report(Report::Verdict {
-                kept: 0x0080_0001,
+                kept: MotorSet::from_bits(1 << 63 | 0x0080_0001),
                 seq: 300,
                 late: 1,
                 refused: 1 << 63,
                 reason: Some(Refusal::NotArmed),
                 rendered,
             }),
-            "050603c80113ac0201808080808080808080018180800401094df0edfeb8b303f300",
+            "050703c80119ac0201808080808080808080018180808480808080800101094df0edfe988969bf00",
         ),
-        (report(Report::OnsetRefused { seq: 1, rendered }), "0f0603c80101014df0edfe5d287e4300"),
+        (report(Report::OnsetRefused { seq: 1, rendered }), "0f0703c80101014df0edfe6343bcac00"),
         (
             report(Report::Onset { tick: rendered, counters: COUNTERS }),
-            "190603c801024df0edfe01a6020304050a0607080910fd538a00",
+            "190703c801024df0edfe01a6020304050a0607080956c634ef00",
         ),
-        (report(Report::Cut(CUT)), "150603c80103060102030401b009ac024d038027ea00"),
+        (report(Report::Cut(CUT)), "150703c80103060102030401b009ac024d92114f4400"),
         (
             report(Report::Cut(Cut { cause: Cause::Stop, return_ticks: None, ..CUT })),
-            "0b0603c80103020102030408ac024d66824c0400",
+            "0b0703c80103020102030408ac024d1063439900",
         ),
-        (refused(Refusal::Motor), "100603c80104110df0edfe010ff981b900"),
-        (refused(Refusal::UpPulses), "100603c80104110df0edfe02b5a8882000"),
-        (refused(Refusal::Bursts), "100603c80104110df0edfe0323988f5700"),
-        (refused(Refusal::Unbalanced), "100603c80104110df0edfe04800debc900"),
-        (refused(Refusal::Overlap), "100603c80104110df0edfe05163decbe00"),
-        (refused(Refusal::TooFar), "100603c80104110df0edfe06ac6ce52700"),
-        (refused(Refusal::PoolFull), "100603c80104110df0edfe073a5ce25000"),
-        (refused(Refusal::MotorOnTime), "100603c80104110df0edfe08ab415dc000"),
-        (refused(Refusal::Pushing), "100603c80104110df0edfe0e9ee43e2900"),
-        (refused(Refusal::RailAtOnce), "100603c80104110df0edfe0f08d4395e00"),
-        (refused(Refusal::ChipAtOnce), "100603c80104110df0edfe10fdd931d300"),
-        (refused(Refusal::Dense), "100603c80104110df0edfe116be936a400"),
-        (refused(Refusal::RailOnTime), "100603c80104110df0edfe093d715ab700"),
+        (refused(Refusal::Motor), "100703c80104110df0edfe01cf260f7800"),
+        (refused(Refusal::UpPulses), "100703c80104110df0edfe02757706e100"),
+        (refused(Refusal::Bursts), "100703c80104110df0edfe03e347019600"),
+        (refused(Refusal::Unbalanced), "100703c80104110df0edfe0440d2650800"),
+        (refused(Refusal::Overlap), "100703c80104110df0edfe05d6e2627f00"),
+        (refused(Refusal::TooFar), "100703c80104110df0edfe066cb36be600"),
+        (refused(Refusal::PoolFull), "100703c80104110df0edfe07fa836c9100"),
+        (refused(Refusal::MotorOnTime), "100703c80104110df0edfe086b9ed30100"),
+        (refused(Refusal::Pushing), "100703c80104110df0edfe0e5e3bb0e800"),
+        (refused(Refusal::RailAtOnce), "100703c80104110df0edfe0fc80bb79f00"),
+        (refused(Refusal::ChipAtOnce), "100703c80104110df0edfe103d06bf1200"),
+        (refused(Refusal::Dense), "100703c80104110df0edfe11ab36b86500"),
+        (refused(Refusal::RailOnTime), "100703c80104110df0edfe09fdaed47600"),
         (
-            DeviceMessage::Telemetry { tick: rendered, y },
-            "0906044df0edfe0201010101010101010101010101010101010101010c807dffffffff0ffabaa3b300",
+            DeviceMessage::Telemetry { tick: rendered, first: 0, y: Samples::of(&y) },
+            "0707044df0edfe04180201010101010101010101010101010101010101010c807dffffffff0f36b8460400",
         ),
-        (DeviceMessage::Board(BOARD), "1b0605ac020480a305011a0119010101020301808080108d40b40e00"),
+        (DeviceMessage::Telemetry { tick: rendered, first: 32, y: Samples::of(&[-5; MAX_SAMPLES]) }, "2d07044df0edfe20200909090909090909090909090909090909090909090909090909090909090909455dd3fd00"),
+        (DeviceMessage::Board(BOARD), "170705ac020480a305011a0119010101020301808080040601c0e5255400"),
         (
             DeviceMessage::Board(Board {
                 reset: Reset::Program,
@@ -299,16 +310,16 @@ fn from_the_device() {
                 high_at_boot: None,
                 ..BOARD
             }),
-            "090605ac020680a305010101020305392d5a2700",
+            "090705ac020680a3050101010203054fcc55ba00",
         ),
-        (test(SelfTestState::Refused), "050606ac0205e79b5d8e00"),
-        (test(SelfTestState::Running), "0a0606ac020171ab5af900"),
-        (test(SelfTestState::Ended), "0a0606ac0202cbfa536000"),
+        (test(SelfTestState::Refused), "050706ac020557b23db300"),
+        (test(SelfTestState::Running), "0a0706ac0201c1823ac400"),
+        (test(SelfTestState::Ended), "0a0706ac02027bd3335d00"),
         (
             test(SelfTestState::Done(TESTED)),
-            "270606ac02030101020c01020301a08d06b442d08902018080040180808c8002019e0137ea43f900",
+            "080706ac0203010101020201050c0101011d020101a08d06b442d08902018080040180808c8002019e015b3409d800",
         ),
-        (test(SelfTestState::Done(SelfTest::default())), "060606ac02030101010562061fd900"),
+        (test(SelfTestState::Done(SelfTest::default())), "060706ac020301010105211264ce00"),
     ];
     for (message, hex) in cases {
         golden(&message, hex, &mut Vec::new());
@@ -354,10 +365,31 @@ fn messages_fit() {
         counters,
         ..STATUS
     };
+    let array = ArrayId {
+        name: Name::new("a-name-of-32-characters--longest").unwrap(),
+        motors: u8::MAX,
+        tick_hz: u32::MAX,
+        duty_up: u16::MAX,
+        duty_down: u16::MAX,
+        hash: ALL,
+    };
+    assert_eq!(array.name.as_str().len(), 32);
+    let every = Outputs { trigger: true, enable: true, ..lines(ALL) };
+    let tested = SelfTest {
+        lines: Some(LineTest {
+            stuck_high: every,
+            stuck_low: every,
+            shorted: every,
+            pair: Some((Output::Line(u8::MAX), Output::Line(u8::MAX))),
+        }),
+        wave: Some(WaveTest { timer_us: u32::MAX, ticks: u32::MAX, words: u32::MAX }),
+        ram: Some(RamTest { bytes: u32::MAX, bad: Some(u32::MAX) }),
+        work_us: Some(u32::MAX),
+    };
     let hello = DeviceHello {
         session: u32::MAX,
         boot: u32::MAX,
-        tick_hz: u32::MAX,
+        array,
         pool: u16::MAX,
         max_up_pulses: u16::MAX,
         limits,
@@ -374,7 +406,7 @@ fn messages_fit() {
         DeviceMessage::NoSession,
         DeviceMessage::Status(status),
         report(Report::Verdict {
-            kept: u32::MAX,
+            kept: MotorSet::from_bits(ALL),
             seq: u16::MAX,
             late: ALL,
             refused: ALL,
@@ -385,14 +417,15 @@ fn messages_fit() {
         report(Report::Onset { tick, counters }),
         report(Report::Cut(cut)),
         report(Report::Refused { motor: u8::MAX, up: tick, reason }),
-        DeviceMessage::Telemetry { tick, y: [i32::MIN; MOTORS] },
+        DeviceMessage::Telemetry { tick, first: u8::MAX, y: Samples::of(&[i32::MIN; MAX_SAMPLES]) },
         DeviceMessage::Board(Board {
             window: u16::MAX,
             uptime_s: u32::MAX,
             output_faults: u32::MAX,
+            high_at_boot: Some(every),
             ..BOARD
         }),
-        DeviceMessage::SelfTest { run: u16::MAX, state: SelfTestState::Done(TESTED) },
+        DeviceMessage::SelfTest { run: u16::MAX, state: SelfTestState::Done(tested) },
     ];
     let longest = device.iter().map(|message| frame(message).len()).max();
     assert!(longest.is_some_and(|longest| longest <= MAX_FRAME), "{longest:?}");
@@ -401,7 +434,7 @@ fn messages_fit() {
     let list = [0xff; BATCH_BYTES];
     let trigger = Some(Trigger { width: u16::MAX, code: u8::MAX });
     let mark = Some(Mark { kind: MarkKind::Item, trigger });
-    let withdraw = Some(Withdraw { motors: u32::MAX, generation });
+    let withdraw = Some(Withdraw { motors: MotorSet::from_bits(ALL), generation });
     let strokes = HostMessage::Strokes { epoch, seq, seen, mark, withdraw, base: tick, batch: &list };
     // The longest header and batch exactly fill a frame.
     assert_eq!(frame(&strokes).len(), MAX_FRAME);
@@ -431,5 +464,5 @@ fn a_steady_play_takes_less_than_six_bytes_per_burst() {
         batch: packer.bytes(),
     });
     assert!(frame.len() > FRAME_OVERHEAD && frame.len() as u64 <= 6 * 2 * k, "{} for {k}", frame.len());
-    assert_eq!(PROTOCOL, 6);
+    assert_eq!(PROTOCOL, 7);
 }

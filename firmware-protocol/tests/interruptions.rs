@@ -2,13 +2,12 @@
 //!
 //! [`returned`] and [`off`] state the rules a second time; the tests compare them with the lines.
 
-use crate::bench::{Bench, FIRMWARE, SHELLS, Shell, TIGHT, arm, burst, stroke};
+use crate::bench::{FIRMWARE, MOTORS, NO_LIMITS, SHELLS, TICK_HZ, TIGHT, Bench, Shell, arm, burst, stroke};
 use Direction::{Down, Up};
 use firmware_protocol::controller::POOL;
-use firmware_protocol::limits::PowerLimits;
 use firmware_protocol::message::{Cause, Op, State};
-use firmware_protocol::stroke::{Burst, Direction, MOTORS, Stroke};
-use firmware_protocol::tick::{TICK_HZ, Tick};
+use firmware_protocol::stroke::{Burst, Direction, Stroke};
+use firmware_protocol::tick::Tick;
 
 /// Each cause of a return, and the state after it.
 const RETURNS: [(Cause, State); 6] = [
@@ -127,7 +126,7 @@ fn a_host_silent_at_every_phase_returns_and_disarms() {
             let mut bench = Bench::new(shell);
             bench.hello(1);
             let host_timeout = u32::try_from(expires - bench.now).unwrap();
-            bench.control(arm(true, host_timeout, PowerLimits::NONE));
+            bench.control(arm(true, host_timeout, NO_LIMITS));
             let stroke = stroke(3, bench.soon(), 7, 6, 7);
             bench.strokes(&[stroke]);
             bench.run_to(expires);
@@ -151,7 +150,7 @@ fn a_host_silent_at_every_phase_returns_and_disarms() {
 fn a_frame_at_the_last_tick_is_in_time_and_no_host_timeout_is_longer_than_ten_seconds() {
     let mut bench = Bench::new(TIGHT);
     bench.hello(1);
-    bench.control(arm(true, 500, PowerLimits::NONE));
+    bench.control(arm(true, 500, NO_LIMITS));
     for token in 0..10 {
         bench.run(500);
         bench.ping(token);
@@ -163,7 +162,7 @@ fn a_frame_at_the_last_tick_is_in_time_and_no_host_timeout_is_longer_than_ten_se
     bench.run(101);
     bench.is(State::Disarmed, Cause::HostTimeout);
 
-    bench.control(arm(false, u32::MAX, PowerLimits::NONE));
+    bench.control(arm(false, u32::MAX, NO_LIMITS));
     bench.run(10 * u64::from(TICK_HZ));
     bench.is(State::Armed, Cause::Request);
     bench.tick();

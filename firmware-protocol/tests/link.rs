@@ -2,14 +2,14 @@
 //!
 //! Sequence numbers, epochs, sessions, reports, and frames that cannot be read.
 
-use crate::bench::{Bench, FIRMWARE, HOST_TIMEOUT, ONSET, SHELLS, frame, pack, stroke};
+use crate::bench::{FIRMWARE, HOST_TIMEOUT, NO_LIMITS, ONSET, SHELLS, TICK_HZ, Bench, frame, pack, stroke};
 use firmware_protocol::batch::MAX_BATCH;
 use firmware_protocol::controller::{POOL, REORDER_WINDOW, REPORTS};
 use firmware_protocol::frame::PROTOCOL;
-use firmware_protocol::limits::{PowerLimits, Refusal};
+use firmware_protocol::limits::Refusal;
 use firmware_protocol::message::{Cause, DeviceMessage, HostMessage, Op, Report, State};
 use firmware_protocol::stroke::{Direction, Stroke};
-use firmware_protocol::tick::{TICK_HZ, Tick};
+use firmware_protocol::tick::Tick;
 
 /// A frame of the stream with this epoch and number.
 fn strokes(bench: &Bench, epoch: u16, seq: u16, strokes: &[Stroke]) -> Vec<u8> {
@@ -253,7 +253,7 @@ fn before_a_hello_every_frame_is_answered_with_no_session_and_does_nothing() {
     let mut bench = Bench::new(FIRMWARE);
     let frames = [
         frame(&HostMessage::Ping { token: 1, seen: 0 }),
-        control(1, crate::bench::arm(true, 85_000, PowerLimits::NONE)),
+        control(1, crate::bench::arm(true, 85_000, NO_LIMITS)),
         control(2, Op::EStop),
         strokes(&bench, 0, 0, &[stroke(1, bench.soon(), 7, 6, 7)]),
         frame(&HostMessage::Amend { epoch: 0, generation: 1, base: Tick(0).wire(), items: &[] }),
@@ -428,7 +428,7 @@ fn strokes_amendments_and_cuts_cross_the_wrap_of_the_wire_tick() {
         for before in (0..260).step_by(5) {
             let start = (1 << 32) - 400;
             let bench = Bench::starting_at(shell, Tick(start));
-            let mut bench = Bench::without_stop(bench, HOST_TIMEOUT, PowerLimits::NONE);
+            let mut bench = Bench::without_stop(bench, HOST_TIMEOUT, NO_LIMITS);
             let first = stroke(1, (1 << 32) - before, 100, 60, 100);
             bench.onset(first.up.0, &[first, stroke(2, first.up.0 + 10, 9, 50, 9)]);
             bench.amend(1, &first, Direction::Down, 110);

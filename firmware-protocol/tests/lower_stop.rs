@@ -1,14 +1,13 @@
 //! Strokes with a surplus, seeks of the lower stop, and the limit on pushing.
 
-use crate::bench::{Bench, FIRMWARE, SHELLS, Shell, burst, stroke};
+use crate::bench::{FIRMWARE, MAX_PUSHES_PER_S, MAX_SEEK, MOTORS, NO_LIMITS, PAPER, SHELLS, TICK_HZ, WHOLE_TRAVEL, Bench, Shell, burst, stroke};
 use crate::strokes::verdict;
-use firmware_protocol::limits::{MAX_PUSHES_PER_S, MAX_SEEK, PowerLimits, Refusal, WHOLE_TRAVEL, least_seek};
+use firmware_protocol::limits::Refusal;
 use firmware_protocol::message::{Cause, LowerStop, Op, Report, State};
-use firmware_protocol::stroke::{Direction, MOTORS, Stroke};
-use firmware_protocol::tick::TICK_HZ;
+use firmware_protocol::stroke::{Direction, Stroke};
 
 fn arm(assume_rest: bool, lower_stop: Option<LowerStop>) -> Op {
-    Op::Arm { assume_rest, host_timeout: 10 * TICK_HZ, limits: PowerLimits::NONE, lower_stop }
+    Op::Arm { assume_rest, host_timeout: 10 * TICK_HZ, limits: NO_LIMITS, lower_stop }
 }
 
 fn stop(pulses_per_s: u32, seek: u16) -> Option<LowerStop> {
@@ -97,7 +96,7 @@ fn only_an_emergency_stop_cuts_a_seek_and_then_the_position_is_unknown() {
         // A silent host.
         let mut silent = Bench::new(shell);
         silent.hello(1);
-        let limits = PowerLimits::NONE;
+        let limits = NO_LIMITS;
         silent.control(Op::Arm {
             assume_rest: false,
             host_timeout: 150,
@@ -302,7 +301,7 @@ fn a_seek_that_may_not_reach_the_stop_is_refused_and_changes_nothing() {
         bench.control(Op::Move { motor: 5, direction: Direction::Up, pulses: 400 });
         bench.run(600);
         bench.control(Op::Seek { pulses: 600 });
-        assert_eq!((bench.status().refusal, least_seek(400)), (Some(Refusal::Travel), 601));
+        assert_eq!((bench.status().refusal, PAPER.least_seek(400)), (Some(Refusal::Travel), 601));
         // The account is as before: the pin may rise by the rest of its travel, and not more.
         bench.control(Op::Move { motor: 5, direction: Direction::Up, pulses: 2_601 });
         assert_eq!(bench.status().refusal, Some(Refusal::Travel));
@@ -314,7 +313,7 @@ fn a_seek_that_may_not_reach_the_stop_is_refused_and_changes_nothing() {
         bench.control(Op::EStop);
         bench.control(Op::Reset);
         assert_eq!(bench.device.outstanding(5), 260);
-        let least = least_seek(660);
+        let least = PAPER.least_seek(660);
         bench.control(arm(false, stop(MAX_PUSHES_PER_S, least - 1)));
         assert_eq!(bench.status().refusal, Some(Refusal::Travel));
         bench.is(State::Disarmed, Cause::Request);

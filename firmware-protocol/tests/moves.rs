@@ -1,12 +1,11 @@
 //! Moves and their travel, and on-time limits of strokes, moves and amendments.
 
-use crate::bench::{Bench, HOST_TIMEOUT, SHELLS, SOON, Shell, arm, stroke};
+use crate::bench::{HOST_TIMEOUT, NO_LIMITS, SHELLS, SOON, TICK_HZ, Bench, Shell, arm, stroke};
 use Direction::{Down, Up};
 use firmware_protocol::controller::POOL;
 use firmware_protocol::limits::{PowerLimits, Refusal};
 use firmware_protocol::message::{Cause, Op, Report, State};
 use firmware_protocol::stroke::{Direction, Stroke};
-use firmware_protocol::tick::TICK_HZ;
 
 fn shift(motor: u8, direction: Direction, pulses: u16) -> Op {
     Op::Move { motor, direction, pulses }
@@ -14,7 +13,7 @@ fn shift(motor: u8, direction: Direction, pulses: u16) -> Op {
 
 /// Arms an array that has no lower stop.
 fn arm_without_stop(bench: &mut Bench, assume_rest: bool) {
-    let limits = PowerLimits::NONE;
+    let limits = NO_LIMITS;
     bench.control(Op::Arm { assume_rest, host_timeout: HOST_TIMEOUT, limits, lower_stop: None });
 }
 
@@ -131,7 +130,7 @@ fn every_pulse_counts_once_against_on_time() {
         bench.run_to(first.end().0 - 1);
         bench.control(Op::EStop);
         bench.control(Op::Reset);
-        bench.control(arm(false, 10 * TICK_HZ, PowerLimits { motor: 28, rail: 600, ..PowerLimits::NONE }));
+        bench.control(arm(false, 10 * TICK_HZ, PowerLimits { motor: 28, rail: 600, ..NO_LIMITS }));
         // The second stroke still counts when the first no longer does; the fourth breaks the limit.
         let second = u64::from(TICK_HZ);
         for at in [80_000, second + 5_000, second + 10_000] {

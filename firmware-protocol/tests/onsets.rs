@@ -1,7 +1,8 @@
 //! The first frame of a play or of a later item: reported at its onset, with the trigger output.
 
-use crate::bench::{Bench, FIRMWARE, SHELLS, pack, stroke};
+use crate::bench::{FIRMWARE, PULSE, SHELLS, Bench, pack, stroke};
 use crate::strokes::verdict;
+use firmware_protocol::array::MotorSet;
 use firmware_protocol::controller::POOL;
 use firmware_protocol::limits::Refusal;
 use firmware_protocol::message::{Mark, MarkKind, Op, Report, State, Trigger};
@@ -44,7 +45,7 @@ fn an_onset_is_all_or_nothing_and_reported_when_it_has_passed() {
 
 #[test]
 fn the_trigger_rises_with_each_onset_and_stays_for_10_ms() {
-    let ms_10 = u64::from(Trigger::PULSE.width);
+    let ms_10 = u64::from(PULSE.width);
     for shell in SHELLS {
         let mut bench = Bench::armed(shell);
         let base = bench.soon();
@@ -147,7 +148,7 @@ fn a_late_mark_of_an_item_is_refused_alone() {
         bench.run(50);
         let ready = bench.device.ready();
         let strokes = [stroke(1, ready.0 - 1, 9, 5, 9), stroke(2, ready.0 + 20, 9, 5, 9)];
-        let item = Mark { kind: MarkKind::Item, trigger: Some(Trigger::PULSE) };
+        let item = Mark { kind: MarkKind::Item, trigger: Some(PULSE) };
         bench.frame(Some(item), ready.0 - 1, pack(ready.0 - 1, &strokes).bytes());
         bench.run(2_000);
         let rendered = ready.wire();
@@ -155,7 +156,7 @@ fn a_late_mark_of_an_item_is_refused_alone() {
             bench.reports(),
             [
                 Report::OnsetRefused { seq: 0, rendered },
-                Report::Verdict { seq: 0, late: 1, refused: 0, kept: 0, reason: None, rendered }
+                Report::Verdict { seq: 0, late: 1, refused: 0, kept: MotorSet::EMPTY, reason: None, rendered }
             ]
         );
         assert_eq!((bench.bursts(1), bench.bursts(2)), (vec![], strokes[1].bursts().into()));

@@ -1,12 +1,13 @@
 //! Random requests, faults and noise in any order: every pulse belongs to a stroke, and every pulse is counted.
 
-use crate::bench::{Bench, FIRMWARE, HOST_TIMEOUT, MOCK, STOP, Shell, TIGHT, arm, frame, pack, stroke};
+use crate::bench::{FIRMWARE, HOST_TIMEOUT, MAX_DOWN_PULSES, MAX_TRAVEL, MOCK, MOTORS, NO_LIMITS, STOP, TIGHT, WHOLE_TRAVEL, Bench, Shell, arm, frame, pack, stroke};
+use firmware_protocol::array::MotorSet;
 use firmware_protocol::controller::POOL;
-use firmware_protocol::limits::{MAX_DOWN_PULSES, MAX_TRAVEL, PowerLimits, WHOLE_TRAVEL};
+use firmware_protocol::limits::PowerLimits;
 use firmware_protocol::message::{
     Cause, DeviceMessage, HostMessage, LowerStop, Mark, MarkKind, Op as Command, State, Trigger, Withdraw,
 };
-use firmware_protocol::stroke::{Direction, MOTORS, Stroke};
+use firmware_protocol::stroke::{Direction, Stroke};
 use firmware_protocol::tick::{Tick, WireTick};
 use proptest::prelude::*;
 use proptest::test_runner::RngSeed;
@@ -102,8 +103,8 @@ fn mark() -> impl Strategy<Value = Option<Mark>> {
 }
 
 fn withdraw() -> impl Strategy<Value = Option<Withdraw>> {
-    let motors = prop_oneof![any::<u32>(), Just(u32::MAX), (0..26).prop_map(|motor| 1_u32 << motor)];
-    prop::option::of((motors, 0u16..6).prop_map(|(motors, generation)| Withdraw { motors, generation }))
+    let motors = prop_oneof![any::<u64>(), Just(u64::MAX), (0..26).prop_map(|motor| 1_u64 << motor)];
+    prop::option::of((motors, 0u16..6).prop_map(|(motors, generation)| Withdraw { motors: MotorSet::from_bits(motors), generation }))
 }
 
 fn strokes(surplus: bool) -> impl Strategy<Value = Op> {
@@ -306,7 +307,7 @@ impl World {
                 bench.send(&HostMessage::Amend { epoch, generation, base: WireTick(base), items: &items });
             }
             Op::WildControl { epoch, host_timeout } => {
-                let op = arm(false, host_timeout, PowerLimits::NONE);
+                let op = arm(false, host_timeout, NO_LIMITS);
                 bench.send(&HostMessage::Control { epoch, seen: 0, op });
                 bench.hello(u32::from(epoch) + 10);
             }
@@ -357,10 +358,10 @@ fn shells() -> impl Strategy<Value = Shell> {
 /// Limits of plays. The bench checks in every tick that the controller keeps the limits on motors at once.
 fn limits() -> impl Strategy<Value = PowerLimits> {
     let at_once =
-        |rail_at_once, chip_at_once| PowerLimits { rail_at_once, chip_at_once, ..PowerLimits::NONE };
+        |rail_at_once, chip_at_once| PowerLimits { rail_at_once, chip_at_once, ..NO_LIMITS };
     prop_oneof![
-        4 => Just(PowerLimits::NONE),
-        4 => Just(PowerLimits { motor: 300, rail: 700, ..PowerLimits::NONE }),
+        4 => Just(NO_LIMITS),
+        4 => Just(PowerLimits { motor: 300, rail: 700, ..NO_LIMITS }),
         4 => (1u8..=6, 1u8..=2).prop_map(move |(rail, chip)| at_once(rail, chip)),
     ]
 }

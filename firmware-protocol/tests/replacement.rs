@@ -1,9 +1,10 @@
 //! Frames that replace queued strokes: each motor's as a whole or not at all, none of them in part, all of them counted.
 
-use crate::bench::{Bench, FIRMWARE, MOCK, ONSET, SHELLS, SOON, stroke};
+use crate::bench::{FIRMWARE, MOCK, MOTORS, ONSET, SHELLS, SOON, Bench, stroke};
+use firmware_protocol::array::MotorSet;
 use firmware_protocol::controller::{BLOCK, POOL};
 use firmware_protocol::message::{Counters, Op, Report, Withdraw};
-use firmware_protocol::stroke::{Direction, MOTORS, Stroke};
+use firmware_protocol::stroke::{Direction, Stroke};
 use firmware_protocol::tick::Tick;
 use proptest::prelude::*;
 use proptest::test_runner::RngSeed;
@@ -28,9 +29,9 @@ fn counted(counters: Counters) -> u64 {
 }
 
 /// The motors that the verdicts so far say were kept.
-fn kept(bench: &Bench) -> Vec<u32> {
+fn kept(bench: &Bench) -> Vec<u64> {
     let kept = |report: &Report| match report {
-        Report::Verdict { kept, .. } if *kept != 0 => Some(*kept),
+        Report::Verdict { kept, .. } if !kept.is_empty() => Some(kept.bits()),
         _ => None,
     };
     bench.reports().iter().filter_map(kept).collect()
@@ -150,7 +151,7 @@ fn a_motor_without_new_strokes_falls_silent_and_the_drivers_go_off() {
         bench.strokes(strokes);
     }
     bench.run_to(old[0][3].up.0 + 1);
-    bench.replace(u32::MAX, 0, old[0][4].up.0 - 20, &[]);
+    bench.replace(u64::MAX, 0, old[0][4].up.0 - 20, &[]);
     assert_eq!(bench.status().credits, (POOL - MOTORS) as u16, "one running stroke per motor");
     let (enabled, now) = (bench.enabled_ticks, bench.now);
     bench.run(2_000);
@@ -213,7 +214,7 @@ fn an_e_stop_between_the_pieces_of_a_replacement_loses_no_count() {
         let base = bench.now + SOON + 200;
         let first = old[0].iter().find(|old| old.up.0 >= base).expect("one").up.0;
         let new: Vec<Stroke> = (0..MOTORS as u8).map(|motor| stroke(motor, first, 9, HOLD, 9)).collect();
-        let frame = bench.replacement(None, Withdraw { motors: u32::MAX, generation: 0 }, base, &new);
+        let frame = bench.replacement(None, Withdraw { motors: MotorSet::from_bits(u64::MAX), generation: 0 }, base, &new);
         bench.bytes(&frame);
         bench.run(blocks * u64::from(BLOCK));
         let epoch = bench.epoch.wrapping_add(1);
@@ -237,7 +238,7 @@ fn long_queues_are_searched_one_at_a_time() {
     }
     bench.in_pieces = true;
     let last = old[0][139].up.0;
-    bench.bytes(&bench.replacement(None, Withdraw { motors: 0b1110, generation: 0 }, last, &[]));
+    bench.bytes(&bench.replacement(None, Withdraw { motors: MotorSet::from_bits(0b1110), generation: 0 }, last, &[]));
     let mut replaced: Vec<u64> = (0..8)
         .map(|_| {
             bench.run(BLOCK.into());
@@ -278,7 +279,7 @@ fn the_first_frame_of_a_play_withdraws_nothing() {
     bench.strokes(&old);
     let new = train(2, bench.soon(), 3, PULSES);
     let base = new[0].up.0;
-    let frame = bench.replacement(Some(ONSET), Withdraw { motors: 0b10, generation: 0 }, base, &new);
+    let frame = bench.replacement(Some(ONSET), Withdraw { motors: MotorSet::from_bits(0b10), generation: 0 }, base, &new);
     bench.bytes(&frame);
     bench.run(1_000);
     assert_eq!((bench.bursts(1), bench.bursts(2)), (bursts(&old), bursts(&new)));
@@ -293,7 +294,7 @@ proptest! {
     fn whatever_is_replaced_only_whole_strokes_are_played(
         shell in prop::sample::select(SHELLS.to_vec()),
         in_pieces: bool,
-        updates in prop::collection::vec((0u64..400, 0u32..8, -80i64..300, 0u64..200, 0u64..9, 1u16..40), 1..40),
+        updates in prop::collection::vec((0u64..400, 0u64..8, -80i64..300, 0u64..200, 0u64..9, 1u16..40), 1..40),
     ) {
         let mut bench = Bench::armed(shell);
         bench.in_pieces = in_pieces && shell.ahead > 1;

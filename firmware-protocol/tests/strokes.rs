@@ -1,8 +1,9 @@
 //! Which strokes the controller accepts, and that it plays them as sent.
 
-use crate::bench::{Bench, FIRMWARE, SHELLS, SOON, stroke};
+use crate::bench::{FIRMWARE, LEAST_APART, SHELLS, SOON, Bench, stroke};
+use firmware_protocol::array::MotorSet;
 use firmware_protocol::controller::POOL;
-use firmware_protocol::limits::{LEAST_APART, Refusal};
+use firmware_protocol::limits::Refusal;
 use firmware_protocol::message::Report;
 use firmware_protocol::stroke::Stroke;
 use firmware_protocol::tick::Tick;
@@ -31,7 +32,7 @@ fn a_stroke_is_late_one_tick_before_the_drivers_are_ready_and_then_dropped_whole
                     seq: 0,
                     late: 1,
                     refused: 0,
-                    kept: 0,
+                    kept: MotorSet::EMPTY,
                     reason: None,
                     rendered: ready.wire()
                 }]

@@ -5,12 +5,13 @@
 
 use core::sync::atomic::{AtomicU32, Ordering::SeqCst};
 use embassy_time::Duration;
-use firmware_protocol::tick::{TICK_HZ, Tick};
+use crate::array::LAYOUT;
+use firmware_protocol::tick::Tick;
 
 /// Most time between two beats of a task that does nothing else.
 pub(crate) const EVERY: Duration = Duration::from_millis(2);
 /// Ticks without a beat after which the executor counts as hung: 10 ms.
-const HUNG: u64 = TICK_HZ as u64 / 100;
+const HUNG: u64 = LAYOUT.tick_hz() as u64 / 100;
 
 static BEATS: AtomicU32 = AtomicU32::new(0);
 

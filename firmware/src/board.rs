@@ -3,12 +3,16 @@
 //! One word holds all outputs: bit n is GPIO n. A word of zero is all outputs low. GPIO 23 and 24 belong to the Pico's
 //! supply; 25 is its LED.
 
-use firmware_protocol::board as protocol;
-use firmware_protocol::stroke::MOTORS;
+use crate::array::LAYOUT;
+use firmware_protocol::board::{Output, Outputs};
 
-/// The GPIO of each line. Line m drives motor m.
-pub(crate) const LINES: [u8; MOTORS] =
+/// Lines of the board that are in use.
+pub(crate) const MOTORS: usize = LAYOUT.motors();
+
+/// The GPIO of each line that the board has. Line m drives motor m; an array with fewer motors uses the first ones.
+const LINES: [u8; 24] =
     [0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15, 16, 17, 18, 19, 20, 21, 22, 26];
+const _: () = assert!(MOTORS <= LINES.len(), "the array has more motors than the board has lines");
 /// Rises with the first tick of a play, for example for an EEG amplifier.
 pub(crate) const TRIGGER: u8 = 27;
 /// Enables the bridges of all LT3572 drivers: high only around bursts.
@@ -53,7 +57,9 @@ static GPIOS: [[u32; 256]; 3] = {
             if byte >> bit & 1 == 1 {
                 let mut third = 0;
                 while third < 3 {
-                    table[third][byte] |= 1 << LINES[8 * third + bit];
+                    if 8 * third + bit < MOTORS {
+                        table[third][byte] |= 1 << LINES[8 * third + bit];
+                    }
                     third += 1;
                 }
             }
@@ -64,11 +70,41 @@ static GPIOS: [[u32; 256]; 3] = {
     table
 };
 
-/// The outputs, as the protocol's mask of outputs, of a word of GPIOs.
-pub(crate) fn outputs(gpios: u32) -> u32 {
-    let lines = LINES.iter().enumerate().fold(0, |mask, (line, gpio)| mask | (gpios >> gpio & 1) << line);
-    lines | (gpios >> TRIGGER & 1) << protocol::TRIGGER | (gpios >> ENABLE & 1) << protocol::ENABLE
+/// The output of the self-test with this number: a line, or the trigger after them.
+pub(crate) fn driven(number: usize) -> u8 {
+    LINES.get(number).copied().filter(|_| number < MOTORS).unwrap_or(TRIGGER)
 }
+
+/// The outputs of a word of GPIOs.
+pub(crate) fn outputs(gpios: u32) -> Outputs {
+    let mut outputs =
+        Outputs { trigger: gpios >> TRIGGER & 1 == 1, enable: gpios >> ENABLE & 1 == 1, ..Outputs::NONE };
+    for (line, gpio) in LINES.iter().take(MOTORS).enumerate() {
+        if gpios >> gpio & 1 == 1 {
+            outputs.lines.insert(line as u8);
+        }
+    }
+    outputs
+}
+
+/// The number of a GPIO's output in a word that [`outputs`] reads, as the protocol has it.
+pub(crate) fn output(gpio: u8) -> Output {
+    match gpio {
+        TRIGGER => Output::Trigger,
+        ENABLE => Output::Enable,
+        _ => Output::Line(LINES.iter().position(|&line| line == gpio).unwrap_or(0) as u8),
+    }
+}
+
+/// The GPIOs of all outputs that the self-test reads.
+pub(crate) const READ: u32 = {
+    let (mut word, mut line) = (ENABLED | TRIGGERED, 0);
+    while line < MOTORS {
+        word |= 1 << LINES[line];
+        line += 1;
+    }
+    word
+};
 
 /// The GPIOs of a mask of lines.
 pub(crate) fn gpios(lines: u32) -> u32 {

@@ -26,7 +26,7 @@ static RESET: AtomicU32 = AtomicU32::new(0);
 /// The reasons in the order of their numbers.
 const RESETS: [Reset; 6] =
     [Reset::Unknown, Reset::Power, Reset::RunPin, Reset::Debugger, Reset::Watchdog, Reset::Panic];
-/// Outputs that were high before anything drove them.
+/// GPIOs that were high before anything drove them.
 static HIGH_AT_BOOT: AtomicU32 = AtomicU32::new(0);
 
 /// The counters now, without the slack: the controller keeps that, window by window.
@@ -36,7 +36,7 @@ pub(crate) fn read() -> Measures {
         reset: reset.unwrap_or_default(),
         stalls: Some(STALLS.load(SeqCst)),
         usb_recoveries: Some(USB_RECOVERIES.load(SeqCst)),
-        high_at_boot: Some(HIGH_AT_BOOT.load(SeqCst)),
+        high_at_boot: Some(board::outputs(HIGH_AT_BOOT.load(SeqCst))),
     }
 }
 
@@ -58,7 +58,7 @@ pub(crate) fn started(cause: Cause) {
 
 /// Keeps which outputs are high. Called once, before anything drives them.
 pub(crate) fn look_at_outputs() {
-    HIGH_AT_BOOT.store(board::outputs(pac::SIO.gpio_in(0).read()), SeqCst);
+    HIGH_AT_BOOT.store(pac::SIO.gpio_in(0).read(), SeqCst);
 }
 
 /// Keeps the slack of a block: the ticks from the end of its rendering to the fetch of its first word. Only the shell calls it.

@@ -1,4 +1,4 @@
-//! The firmware of the board: 24 lines at 85 kHz on an RP2040, driven by the controller of `firmware_protocol`.
+//! The firmware of the board: the lines of an array on an RP2040, driven by the controller of `firmware_protocol`.
 //!
 //! ```text
 //!  USB interrupt (usb) ── e-stop (estop) ─▶ pins low at once
@@ -10,12 +10,13 @@
 //! ```
 //! Priorities: clock and USB interrupts above the shell, the shell above the tasks. Modules use only those below them:
 //! `fault`, `shell`, `self_test`, `usb`, `control` (ends given-up control transfers), `cable` (whether 5 V are there), `estop`,
-//! `revive`, `wave`, `wake`, `beat`, `counters` and `board`. The documentation of `firmware_protocol` is the specification; nothing
+//! `revive`, `wave`, `wake`, `beat`, `counters`, `board` and `array`. The documentation of `firmware_protocol` is the specification; nothing
 //! here decides what a line does.
 
 #![no_std]
 #![no_main]
 
+mod array;
 mod beat;
 mod board;
 mod cable;

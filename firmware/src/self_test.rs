@@ -6,7 +6,8 @@
 //! Invariant: the driver enable stays driven low. An e-stop that comes within a step forces all outputs low, and the step
 //! changes nothing after it ([`wave::override_pads`]).
 
-use crate::board::{self, ENABLE, LINES, TRIGGER};
+use crate::array::LAYOUT;
+use crate::board::{self, ENABLE, MOTORS};
 use crate::wave;
 use core::ptr;
 use embassy_rp::pac;
@@ -14,7 +15,6 @@ use firmware_protocol::batch::{self, Strokes};
 use firmware_protocol::board::{LineTest, RamTest, SelfTest, WaveTest};
 use firmware_protocol::frame::{self, Decoder, MAX_FRAME};
 use firmware_protocol::message::HostMessage;
-use firmware_protocol::stroke::MOTORS;
 use firmware_protocol::tick::Tick;
 
 /// The lines and the trigger.
@@ -50,10 +50,30 @@ enum Next {
     Over,
 }
 
+/// What the outputs did, as words of GPIOs.
+#[derive(Clone, Copy, Default)]
+struct Lines {
+    stuck_high: u32,
+    stuck_low: u32,
+    shorted: u32,
+    pair: Option<(u8, u8)>,
+}
+
+impl Lines {
+    fn named(&self) -> LineTest {
+        LineTest {
+            stuck_high: board::outputs(self.stuck_high),
+            stuck_low: board::outputs(self.stuck_low),
+            shorted: board::outputs(self.shorted),
+            pair: self.pair.map(|(a, b)| (board::output(a), board::output(b))),
+        }
+    }
+}
+
 /// A test under way.
 pub(crate) struct Run {
     next: Next,
-    lines: LineTest,
+    lines: Lines,
     result: SelfTest,
     frame: [u8; MAX_FRAME],
     len: usize,
@@ -63,7 +83,7 @@ impl Run {
     pub(crate) const fn new() -> Self {
         Self {
             next: Next::Line(0),
-            lines: LineTest { stuck_high: 0, stuck_low: 0, shorted: 0, pair: None },
+            lines: Lines { stuck_high: 0, stuck_low: 0, shorted: 0, pair: None },
             result: SelfTest { lines: None, wave: None, ram: None, work_us: None },
             frame: [0; MAX_FRAME],
             len: 0,
@@ -76,7 +96,7 @@ impl Run {
         self.next = match self.next {
             Next::Line(at) if at < DRIVEN => Next::Line(at + usize::from(self.line(at))),
             Next::Line(_) => {
-                self.result.lines = Some(self.lines);
+                self.result.lines = Some(self.lines.named());
                 Next::Watch { from_us: now_us(), from: wave::now(), at: wave::fetched(), words: 0 }
             }
             Next::Watch { from_us, from, at, words } => self.watch(from_us, from, at, words),
@@ -90,13 +110,13 @@ impl Run {
     /// Drives one output high and low, and reads all. First nothing drives them: what is high then is stuck. Returns whether
     /// nothing forced the outputs low meanwhile.
     fn line(&mut self, driven: usize) -> bool {
-        let gpio = LINES.get(driven).copied().unwrap_or(TRIGGER);
-        let one = 1 << driven;
+        let gpio = board::driven(driven);
+        let one = 1 << gpio;
         let rest = |at: u8| if at == ENABLE { LOW } else { UNDRIVEN };
         let levels = |state: &dyn Fn(u8) -> u32| {
             let done = wave::override_pads(state);
             cortex_m::asm::delay(SETTLE);
-            done.then(|| board::outputs(pac::SIO.gpio_in(0).read()))
+            done.then(|| pac::SIO.gpio_in(0).read() & board::READ)
         };
         let undriven = levels(&rest);
         let high = levels(&|at| if at == gpio { HIGH } else { rest(at) });
@@ -110,7 +130,8 @@ impl Run {
         }
         if with != 0 {
             self.lines.shorted |= with | one;
-            self.lines.pair.get_or_insert((driven as u8, with.trailing_zeros() as u8));
+            let other = (0..=MOTORS).map(board::driven).find(|&at| with >> at & 1 == 1).unwrap_or(ENABLE);
+            self.lines.pair.get_or_insert((gpio, other));
         }
         true
     }
@@ -150,7 +171,7 @@ impl Run {
             return Next::Ram { at: end };
         }
         self.result.ram = Some(RamTest { bytes: (end - begin) as u32, bad });
-        self.len = batch::longest_frame(&mut self.frame);
+        self.len = batch::longest_frame(&LAYOUT, &mut self.frame);
         Next::Work { tries: 0 }
     }
 

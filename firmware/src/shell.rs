@@ -6,6 +6,7 @@
 //!
 //! Invariant: the lines do what the controller has booked. A block rendered too late is a fault, and the lines are forced low.
 
+use crate::array::LAYOUT;
 use crate::self_test::Run as SelfTestRun;
 use crate::{beat, counters, estop, usb, wake, wave};
 use core::cell::UnsafeCell;
@@ -26,7 +27,7 @@ struct Owned<T>(UnsafeCell<T>);
 // SAFETY: only `start` touches the content before the interrupt is enabled, and only the interrupt after that.
 unsafe impl<T> Sync for Owned<T> {}
 /// Initialised at compile time, because to build it at run time would take most of the stack.
-static CONTROLLER: Owned<Controller> = Owned(UnsafeCell::new(Controller::new(Identity::NONE)));
+static CONTROLLER: Owned<Controller> = Owned(UnsafeCell::new(Controller::new(Identity::NONE, LAYOUT)));
 static SHELL: Owned<MaybeUninit<Shell>> = Owned(UnsafeCell::new(MaybeUninit::uninit()));
 
 struct Shell {

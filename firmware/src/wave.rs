@@ -1,6 +1,6 @@
-//! The waveform: PIO and DMA put a ring of words on the pins at 85 kHz, and SysTick counts the ticks.
+//! The waveform: PIO and DMA put a ring of words on the pins, four in each tick, and SysTick counts the ticks.
 //!
-//! A tick is four words: all pulsing lines high, only the down lines (from 20 % on), no line (from 80 % on, twice). One DMA
+//! The words of a tick: all pulsing lines high, only the down lines, no line, twice. One DMA
 //! channel feeds a block of words to the PIO, another clears them, and each starts the other. So the waveform ends
 //! without the CPU: words that are not rendered in time are zero, and zero is all outputs low. The shell decides what to
 //! render, and when that is too late.
@@ -10,6 +10,7 @@
 //! Invariant: [`now`] is the tick on the pins, even while interrupts are delayed. An e-stop freezes it ([`freeze_low`]) until
 //! the controller knows of the e-stop.
 
+use crate::array::{self, LAYOUT};
 use crate::board::{self, ARMED, ENABLED, OUTPUTS, TRIGGERED};
 use crate::wake;
 use core::cell::UnsafeCell;
@@ -20,20 +21,16 @@ use cortex_m_rt::exception;
 use embassy_rp::clocks::PllConfig;
 use embassy_rp::pac;
 use embassy_rp::pac::dma::vals::{DataSize, TreqSel};
-use embassy_rp::pio::program::pio_asm;
 use firmware_protocol::controller::{BLOCK, HORIZON, Run};
-use firmware_protocol::tick::{TICK_HZ, Tick};
+use firmware_protocol::tick::Tick;
 
 /// The Pico's crystal.
 pub(crate) const CRYSTAL_HZ: u32 = 12_000_000;
-/// Makes [`SYSTEM_HZ`] from the crystal, over 1020 MHz.
-pub(crate) const PLL: PllConfig = PllConfig { refdiv: 1, fbdiv: 85, post_div1: 4, post_div2: 2 };
-/// The system clock: exactly 1500 cycles per tick of 85 kHz.
-const SYSTEM_HZ: u32 = 127_500_000;
-const CYCLES_PER_TICK: u32 = SYSTEM_HZ / TICK_HZ;
-/// System cycles per PIO cycle. A tick has 25 PIO cycles; lines fall after 5 or 20.
-const PIO_DIVIDER: u16 = 60;
-const WORDS: usize = 4;
+/// Makes the system clock from the crystal: a whole number of its cycles is a tick (`build.rs`).
+pub(crate) const PLL: PllConfig =
+    PllConfig { refdiv: 1, fbdiv: array::PLL_FEEDBACK, post_div1: array::PLL_POST1, post_div2: array::PLL_POST2 };
+const CYCLES_PER_TICK: u32 = array::CYCLES_PER_TICK;
+const WORDS: usize = array::WORD_CYCLES.len();
 const RING_TICKS: usize = HORIZON as usize;
 /// The ring has 2 to the power of this many bytes.
 const RING_BITS: u8 = 10;
@@ -43,8 +40,18 @@ pub(crate) const FETCHED: u64 = 3;
 const FEED: usize = 0;
 const CLEAR: usize = 1;
 
-const _: () = assert!(CRYSTAL_HZ * PLL.fbdiv as u32 / (PLL.post_div1 * PLL.post_div2) as u32 == SYSTEM_HZ);
-const _: () = assert!(SYSTEM_HZ.is_multiple_of(TICK_HZ) && CYCLES_PER_TICK == 25 * PIO_DIVIDER as u32);
+const _: () = assert!(
+    CRYSTAL_HZ as u64 * PLL.fbdiv as u64
+        == LAYOUT.tick_hz() as u64 * CYCLES_PER_TICK as u64 * (PLL.post_div1 * PLL.post_div2) as u64
+);
+const _: () = {
+    let [up, down, low, rest] = array::WORD_CYCLES;
+    let (divider, tick) = (array::PIO_DIVIDER as u64, CYCLES_PER_TICK as u64);
+    let down = (up + down) as u64;
+    assert!((down + (low + rest) as u64) * divider == tick);
+    assert!(up as u64 * divider * 1_000 == LAYOUT.id().duty_up as u64 * tick);
+    assert!(down * divider * 1_000 == LAYOUT.id().duty_down as u64 * tick);
+};
 const _: () = assert!(RING_TICKS * WORDS * 4 == 1 << RING_BITS);
 const _: () = assert!(Tick::BOOT.0.is_multiple_of(BLOCK as u64));
 
@@ -72,24 +79,17 @@ static FROZEN_AT: [AtomicU32; 2] = [const { AtomicU32::new(0) }; 2];
 
 /// Sets up and starts PIO, DMA and clock. The ring is empty, so all outputs are low.
 pub(crate) fn start(syst: &mut SYST) {
-    let program = pio_asm!(
-        ".wrap_target",
-        "out pins, 32 [4]",
-        "out pins, 32 [14]",
-        "out pins, 32 [2]",
-        "out pins, 32 [1]",
-        ".wrap",
-    )
-    .program;
-    for (at, &code) in program.code.iter().enumerate() {
+    for (at, &cycles) in array::WORD_CYCLES.iter().enumerate() {
+        // Takes a cycle and so many more.
+        let code = OUT_PINS | u16::from(cycles - 1) << 8;
         pac::PIO0.instr_mem(at).write(|w| w.set_instr_mem(code));
         PROGRAM[at].store(code.into(), SeqCst);
     }
     let machine = pac::PIO0.sm(0);
-    machine.clkdiv().write(|w| w.set_int(PIO_DIVIDER));
+    machine.clkdiv().write(|w| w.set_int(array::PIO_DIVIDER));
     machine.execctrl().write(|w| {
-        w.set_wrap_bottom(program.wrap.target);
-        w.set_wrap_top(program.wrap.source);
+        w.set_wrap_bottom(0);
+        w.set_wrap_top(WORDS as u8 - 1);
     });
     machine.shiftctrl().write(|w| {
         w.set_autopull(true);
@@ -162,6 +162,8 @@ pub(crate) fn start(syst: &mut SYST) {
 }
 
 const PIO_FUNCTION: u8 = 6;
+/// The PIO's instruction `out pins, 32`.
+const OUT_PINS: u16 = 0x6000;
 
 #[exception]
 fn SysTick() {
@@ -272,9 +274,22 @@ fn running() -> Tick {
 fn tick(blocks: u64, left: u32) -> Tick {
     // The exception comes when the counter reaches 0, one cycle before it is reloaded.
     let cycles = if left == 0 { 0 } else { BLOCK_CYCLES - left };
-    // cycles / 1500, exact below 24 000.
-    Tick::BOOT + (blocks * u64::from(BLOCK) + u64::from((cycles * 11_185) >> 24))
+    Tick::BOOT + (blocks * u64::from(BLOCK) + u64::from((cycles * RECIPROCAL) >> SHIFT))
 }
+
+/// Divides the cycles of a block by those of a tick with a multiplication: the chip's core has no division.
+const RECIPROCAL: u32 = (1_u32 << SHIFT).div_ceil(CYCLES_PER_TICK);
+const SHIFT: u32 = 31 - BLOCK.ilog2();
+const _: () = {
+    // A quotient grows only at a multiple of the divisor, so it is exact if it is right there and just before.
+    let mut ticks = 1;
+    while ticks <= BLOCK {
+        let begin = ticks * CYCLES_PER_TICK;
+        assert!(begin.checked_mul(RECIPROCAL).is_some(), "the product has 32 bits");
+        assert!((begin * RECIPROCAL) >> SHIFT == ticks && ((begin - 1) * RECIPROCAL) >> SHIFT == ticks - 1);
+        ticks += 1;
+    }
+};
 
 fn join([low, high]: &[AtomicU32; 2]) -> u64 {
     u64::from(high.load(SeqCst)) << 32 | u64::from(low.load(SeqCst))
@@ -282,7 +297,7 @@ fn join([low, high]: &[AtomicU32; 2]) -> u64 {
 
 /// Puts the run that begins at `tick` into the ring. Unless `armed`, the drivers are off.
 pub(crate) fn write(tick: Tick, run: &Run, armed: bool) {
-    let (up, down) = (board::gpios(run.lines.up), board::gpios(run.lines.down));
+    let (up, down) = (board::gpios(run.lines.up.bits() as u32), board::gpios(run.lines.down.bits() as u32));
     let drivers = if run.drivers { ARMED | ENABLED } else { ARMED };
     let held = if armed { drivers } else { 0 } | if run.trigger { TRIGGERED } else { 0 };
     let words = [held | up | down, held | down, held, held];

@@ -1,8 +1,9 @@
 //! Converts the streamer's and the controller's types to the API's.
 
-use firmware_protocol::board::{Board, OUTPUTS, Reset};
+use firmware_protocol::board::{Board, Output, Outputs, Reset};
 use firmware_protocol::limits::Refusal;
 use firmware_protocol::message::{DeviceHello, State};
+use firmware_protocol::stroke::MOTORS;
 use meissner_api::{BoardRecord, BoardStatus, CalibrateRequest, Code, DeviceInfo, EndCause, Problem};
 use meissner_array::spec::Array;
 use meissner_array::strokes::Fit;
@@ -49,10 +50,15 @@ pub fn board_status(board: &Board) -> BoardStatus {
     }
 }
 
-/// The numbers of the outputs in a mask.
+/// The numbers of the outputs: those of motors, then the trigger and the driver enable.
 #[must_use]
-pub fn outputs(mask: u32) -> Vec<u8> {
-    (0..OUTPUTS as u8).filter(|&output| mask >> output & 1 == 1).collect()
+pub fn outputs(outputs: Outputs) -> Vec<u8> {
+    let number = |output| match output {
+        Output::Line(motor) => motor,
+        Output::Trigger => MOTORS as u8,
+        Output::Enable => MOTORS as u8 + 1,
+    };
+    outputs.iter().map(number).collect()
 }
 
 /// The API's name of the cause of a device's start.

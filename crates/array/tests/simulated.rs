@@ -1,5 +1,6 @@
 //! The simulated motors: scatter, end stops, telemetry, and times a month away.
 
+use firmware_protocol::array::MotorSet;
 use firmware_protocol::stroke::{Burst, Direction, Lines, Stroke};
 use firmware_protocol::tick::Tick;
 use meissner_array::pattern::Drive;
@@ -45,7 +46,7 @@ fn play_bursts(
             motors.advance(lines, tick - motors.now());
             look(motors);
         }
-        *lines.mask_mut(direction) ^= 1 << motor;
+        lines.set_mut(direction).toggle(motor);
     }
     motors.advance(Lines::OFF, end - motors.now());
     look(motors);
@@ -69,7 +70,7 @@ fn one_burst(direction: Direction, start: Tick, pulses: u16) -> (u8, Burst) {
 /// One motor, one line for so long.
 fn pulse(motors: &mut SimulatedMotors, direction: Direction, ticks: u64) {
     let mut lines = Lines::OFF;
-    *lines.mask_mut(direction) = 1 << 5;
+    lines.set_mut(direction).insert(5);
     motors.advance(lines, ticks);
 }
 
@@ -175,9 +176,9 @@ fn gains_scatter_as_configured_and_the_first_burst_after_rest_falls_short() {
 fn each_motor_has_an_asymmetry_of_its_own() {
     let config = SimulatedMotorsConfig { asymmetry_sd: 0.02, ..SimulatedMotorsConfig::ideal() };
     let mut motors = SimulatedMotors::new(Array::paper(), config, Tick::BOOT).unwrap();
-    motors.advance(Lines { up: 0xff_ffff, down: 0 }, 1000);
+    motors.advance(Lines { up: MotorSet::from_bits(0xff_ffff), down: MotorSet::EMPTY }, 1000);
     let up: Vec<f64> = (0..24).map(|motor| motors.position_um(motor)).collect();
-    motors.advance(Lines { up: 0, down: 0xff_ffff }, 1000);
+    motors.advance(Lines { up: MotorSet::EMPTY, down: MotorSet::from_bits(0xff_ffff) }, 1000);
     let ratios = up.iter().zip(0..).map(|(up, motor)| up / (up - motors.position_um(motor)) - 1.0);
     let ratios: Vec<f64> = ratios.collect();
     assert!((0.01..0.03).contains(&rms(ratios.iter().copied())), "{ratios:?}");
@@ -287,7 +288,7 @@ fn steps_of_any_length_give_the_same_motion() {
         let mut lines = Lines::OFF;
         for (motor, burst) in bursts {
             if (burst.start..burst.end()).contains(&pieces.now()) {
-                *lines.mask_mut(burst.direction) |= 1 << motor;
+                lines.set_mut(burst.direction).insert(motor);
             }
         }
         pieces.advance(lines, 1);

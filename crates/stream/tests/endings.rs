@@ -316,7 +316,7 @@ fn what_was_played_until_the_link_gives_a_device_up_is_estimated_up_to_its_e_sto
         .mock
         .take_trace()
         .iter()
-        .map(|(_, run)| u64::from((run.lines.up | run.lines.down).count_ones()) * u64::from(run.ticks))
+        .map(|(_, run)| u64::from(run.lines.pulsing().len()) * u64::from(run.ticks))
         .sum();
     // The device hears the e-stop some milliseconds after it left: 24 lines with a pulse in each tick.
     let most = 5 * 85 * 24;

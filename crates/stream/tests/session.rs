@@ -1,5 +1,6 @@
 //! The session against the controller over a line that loses frames: every stroke gets one verdict.
 
+use firmware_protocol::array::Layout;
 use firmware_protocol::controller::{Controller, Identity, newer};
 use firmware_protocol::frame::{MAX_FRAME, encode};
 use firmware_protocol::limits::PowerLimits;
@@ -48,8 +49,9 @@ struct Pair {
 
 impl Pair {
     fn new() -> Self {
-        let session = Session::new(Array::paper(), 7, LineRate(100_000), HostInstant::from_ns(0));
-        let device = Controller::new(Identity::default());
+        let array = Array::paper();
+        let session = Session::new(array, 7, LineRate(100_000), HostInstant::from_ns(0));
+        let device = Controller::new(Identity::default(), *array.layout());
         Self { session, device, ticks: 0, events: Vec::new() }
     }
 

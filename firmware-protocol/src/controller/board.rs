@@ -4,16 +4,18 @@
 //!
 //! Invariant: every block's slack is in exactly one window, and each window is answered until the host asks for the next.
 
+use crate::array::Layout;
 use crate::board::{Board, Measures, SelfTest, SelfTestState};
 use crate::message::{Cause, DeviceMessage};
-use crate::tick::{TICK_HZ, Tick};
+use crate::tick::Tick;
 use core::hash::{Hash, Hasher};
 
 /// The newest requests, and the figures that answer them.
 #[derive(Clone, Debug)]
 pub(super) struct BoardRequests {
-    /// The clock at the start.
+    /// The clock at the start, and its rate.
     started: Tick,
+    tick_hz: u32,
     /// The number of the newest request of this session, and of its newest self-test.
     window: Option<u16>,
     run: Option<u16>,
@@ -34,6 +36,7 @@ impl Hash for BoardRequests {
     fn hash<H: Hasher>(&self, hasher: &mut H) {
         let &Self {
             started: _,
+            tick_hz: _,
             window,
             run,
             board,
@@ -51,9 +54,10 @@ impl Hash for BoardRequests {
 }
 
 impl BoardRequests {
-    pub(super) const fn none(started: Tick) -> Self {
+    pub(super) const fn none(layout: &Layout, started: Tick) -> Self {
         Self {
             started,
+            tick_hz: layout.tick_hz(),
             window: None,
             run: None,
             board: false,
@@ -145,7 +149,7 @@ impl BoardRequests {
         Board {
             window: self.window.unwrap_or(0),
             reset,
-            uptime_s: ((now - self.started) / u64::from(TICK_HZ)).min(u32::MAX.into()) as u32,
+            uptime_s: ((now - self.started) / u64::from(self.tick_hz)).min(u32::MAX.into()) as u32,
             slack: self.ended,
             slack_since_boot: self.since_boot,
             stalls,

@@ -31,17 +31,20 @@ mod reporting;
 mod session;
 mod stream;
 
+use crate::array::Layout;
 use crate::board::{Measures, SelfTest};
 use crate::frame::{self, FrameError, MAX_FRAME};
-use crate::limits::{self, PowerLimits};
+use crate::limits::PowerLimits;
 use crate::message::{Cause, Counters, DeviceHello, DeviceMessage, Op, State, Status};
-use crate::stroke::{Lines, MOTORS};
-use crate::tick::{TICK_HZ, Tick};
+use crate::stroke::Lines;
+use crate::tick::Tick;
 use board::BoardRequests;
 use inbox::Inbox;
 use motion::Motion;
 use player::Player;
-pub use player::{DRIVER_LEAD, DRIVER_TAIL, POOL};
+#[cfg(not(feature = "pico"))]
+pub use crate::paper::DRIVER_LEAD;
+pub use player::{DRIVER_TAIL, POOL};
 pub use reporting::REPORTS;
 use reporting::{Due, Reporting};
 use session::Session;
@@ -49,7 +52,7 @@ pub use stream::REORDER_WINDOW;
 use stream::{Parts, Stream};
 
 /// Most ticks rendered ahead. A stroke that begins before the rendered end is late. While the drivers are off, so is one that
-/// begins less than [`DRIVER_LEAD`] after it.
+/// begins less than [`Layout::driver_lead`] after it.
 pub const HORIZON: u32 = 64;
 /// Ticks of a block. Shells render a block, aligned to [`Tick::BOOT`], as soon as it fits the horizon, so that all shells
 /// cut at the same ticks.
@@ -103,24 +106,24 @@ impl Identity {
 }
 
 impl Controller {
-    /// A controller that has just started: lines off, position unknown, clock at [`Tick::BOOT`].
+    /// A controller of an array with this layout that has just started: lines off, position unknown, clock at [`Tick::BOOT`].
     #[must_use]
-    pub const fn new(identity: Identity) -> Self {
-        Self::starting_at(identity, Tick::BOOT)
+    pub const fn new(identity: Identity, layout: Layout) -> Self {
+        Self::starting_at(identity, layout, Tick::BOOT)
     }
 
     /// Like [`Self::new`], with another start of the clock, for tests of long runs.
     #[must_use]
-    pub const fn starting_at(identity: Identity, now: Tick) -> Self {
+    pub const fn starting_at(identity: Identity, layout: Layout, now: Tick) -> Self {
         Self {
             identity,
             inbox: Inbox::EMPTY,
-            session: Session::new(now),
+            session: Session::new(&layout, now),
             stream: Stream::NOTHING,
             motion: Motion::new(now),
-            player: Player::new(now),
-            reporting: Reporting::NOTHING,
-            board: BoardRequests::none(now),
+            player: Player::new(layout, now),
+            reporting: Reporting::new(&layout),
+            board: BoardRequests::none(&layout, now),
             now,
         }
     }
@@ -147,6 +150,12 @@ impl Controller {
     #[must_use]
     pub fn counters(&self) -> Counters {
         self.reporting.counters()
+    }
+
+    /// The layout of its array.
+    #[must_use]
+    pub fn layout(&self) -> &Layout {
+        self.player.layout()
     }
 
     /// The limits that the last `arm` set.
@@ -286,10 +295,11 @@ impl Controller {
         self.motion.lose_position();
     }
 
-    /// Displacements of all pins in 0.01 µm, sampled at `tick`. Sent while armed; replaces a sample that is not sent yet.
-    pub fn telemetry(&mut self, tick: Tick, y: [i32; MOTORS]) {
+    /// Displacements of all pins in 0.01 µm, sampled at `tick`. Sent while armed. It replaces a sample of which nothing is sent
+    /// yet, and is left out while another one is sent in parts.
+    pub fn telemetry(&mut self, tick: Tick, y: &[i32]) {
         if self.session.is_open() && self.motion.is_active() {
-            self.reporting.send_telemetry(tick, y);
+            self.reporting.send_telemetry(tick, y.get(..self.layout().motors()).unwrap_or(y));
         }
     }
 
@@ -337,18 +347,19 @@ impl Controller {
         frame::encode(&message, out).unwrap_or(0)
     }
 
+    #[inline(never)]
     fn hello(&self) -> DeviceHello {
+        let layout = self.layout();
         DeviceHello {
             session: self.session.id().unwrap_or(0),
             firmware: self.identity.firmware,
             build: self.identity.build,
             boot: self.identity.boot,
-            motors: MOTORS as u8,
-            tick_hz: TICK_HZ,
+            array: *layout.id(),
             pool: POOL as u16,
-            horizon: (HORIZON + DRIVER_LEAD) as u8,
-            max_up_pulses: limits::MAX_UP_PULSES,
-            limits: PowerLimits::NONE,
+            horizon: layout.horizon(),
+            max_up_pulses: layout.max_up_pulses(),
+            limits: layout.no_limits(),
             features: self.identity.features,
             tick: self.now.0,
             epoch: self.session.epoch(),

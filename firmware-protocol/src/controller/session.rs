@@ -2,12 +2,10 @@
 //!
 //! Invariant: an epoch begins once, with the session or with a command of a newer epoch.
 
+use crate::array::Layout;
 use crate::controller::newer;
 use crate::limits::Refusal;
-use crate::tick::{TICK_HZ, Tick};
-
-/// The longest host watchdog timeout.
-const MAX_HOST_TIMEOUT: u32 = 10 * TICK_HZ;
+use crate::tick::Tick;
 
 #[derive(Clone, Debug, Hash)]
 pub(super) struct Session {
@@ -19,12 +17,22 @@ pub(super) struct Session {
     /// The token of the newest ping that is not answered yet.
     token: u16,
     host_timeout: u32,
+    max_host_timeout: u32,
     last_heard: Tick,
 }
 
 impl Session {
-    pub(super) const fn new(now: Tick) -> Self {
-        Self { id: None, epoch: 0, refusal: None, token: 0, host_timeout: MAX_HOST_TIMEOUT, last_heard: now }
+    pub(super) const fn new(layout: &Layout, now: Tick) -> Self {
+        let max_host_timeout = layout.max_host_timeout();
+        Self {
+            id: None,
+            epoch: 0,
+            refusal: None,
+            token: 0,
+            host_timeout: max_host_timeout,
+            max_host_timeout,
+            last_heard: now,
+        }
     }
 
     pub(super) fn id(&self) -> Option<u32> {
@@ -76,7 +84,7 @@ impl Session {
     }
 
     pub(super) fn set_host_timeout(&mut self, ticks: u32) {
-        self.host_timeout = ticks.min(MAX_HOST_TIMEOUT);
+        self.host_timeout = ticks.min(self.max_host_timeout);
     }
 
     pub(super) fn heard(&mut self, now: Tick) {

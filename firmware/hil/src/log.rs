@@ -81,7 +81,7 @@ impl Log {
                 Some(last) if last.1 == start => last.1 = end,
                 _ => self.drivers.push((start, end)),
             }
-            if run.lines.up | run.lines.down == 0 {
+            if run.lines.pulsing().is_empty() {
                 continue;
             }
             for motor in 0..MOTORS {

@@ -6,9 +6,10 @@
 
 use crate::log::{Log, Train};
 use crate::tap::{Batch, Event, Tap};
+use firmware_protocol::array::{Layout, MotorSet};
 use firmware_protocol::batch::Amendment;
 use firmware_protocol::controller::{DRIVER_LEAD, DRIVER_TAIL};
-use firmware_protocol::limits::{PowerLimits, WHOLE_TRAVEL, least_seek, within_correction};
+use firmware_protocol::limits::{PowerLimits, WHOLE_TRAVEL, within_correction};
 use firmware_protocol::message::{Cause, Cut, LowerStop, MarkKind, Op, Report, State, Trigger};
 use firmware_protocol::stroke::{Direction, MOTORS, Stroke};
 use firmware_protocol::tick::Tick;
@@ -112,7 +113,7 @@ struct Oracle {
     asked: u16,
     opened: usize,
     /// Frames that came too late for these motors.
-    kept: Vec<((u16, u16), u32)>,
+    kept: Vec<((u16, u16), MotorSet)>,
     /// The last command and its event.
     controls: Vec<(usize, Op)>,
     out: Expected,
@@ -202,7 +203,7 @@ impl Oracle {
     fn withdraw(&mut self, cycle: u64, batch: &Batch) {
         let begins_play = batch.mark.is_some_and(|mark| mark.kind == MarkKind::Play);
         let Some(withdraw) = batch.withdraw.filter(|_| !begins_play) else { return };
-        let named = |live: &&mut Live| withdraw.motors >> live.stroke.motor & 1 == 1;
+        let named = |live: &&mut Live| withdraw.motors.contains(live.stroke.motor);
         let from = |live: &&mut Live| live.frame.0 == batch.epoch && live.stroke.up >= batch.base;
         for live in self.live.iter_mut().filter(named).filter(from) {
             live.withdrawn.push(((batch.epoch, batch.seq), cycle));
@@ -212,7 +213,7 @@ impl Oracle {
     /// Strokes that the device has accepted although it keeps an older queue of their motor.
     fn mixed(&self, tap: &Tap) -> Vec<String> {
         let mut mixed = Vec::new();
-        for &(frame, motors) in self.kept.iter().filter(|(_, motors)| *motors != 0) {
+        for &(frame, motors) in self.kept.iter().filter(|(_, motors)| !motors.is_empty()) {
             let mut left = motors;
             let batches = tap.events.iter().filter_map(|(_, event)| match event {
                 Event::Batch(batch) => Some(batch),
@@ -222,14 +223,14 @@ impl Oracle {
                 let of = (batch.epoch, batch.seq);
                 if of != frame {
                     let ends = batch.mark.is_some_and(|mark| mark.kind == MarkKind::Play);
-                    let withdrawn = batch.withdraw.map_or(0, |withdraw| withdraw.motors);
-                    left &= if ends { 0 } else { !withdrawn };
+                    let withdrawn = batch.withdraw.map_or(MotorSet::EMPTY, |withdraw| withdraw.motors);
+                    left = if ends { MotorSet::EMPTY } else { left.without(withdrawn) };
                 }
-                if left == 0 || batch.epoch != frame.0 {
+                if left.is_empty() || batch.epoch != frame.0 {
                     break;
                 }
                 let accepted = self.live.iter().filter(|live| live.frame == of && live.alive);
-                mixed.extend(accepted.filter(|live| left >> live.stroke.motor & 1 == 1).map(|live| {
+                mixed.extend(accepted.filter(|live| left.contains(live.stroke.motor)).map(|live| {
                     let (seq, motor) = (frame.1, live.stroke.motor);
                     format!("frame {seq} keeps what motor {motor} has queued, and frame {} adds to it", of.1)
                 }));
@@ -243,7 +244,7 @@ impl Oracle {
             Report::Verdict { seq, late, refused, kept, .. } => {
                 let frame = (self.epoch, seq);
                 self.kept.push((frame, kept));
-                for live in self.live.iter_mut().filter(|live| kept >> live.stroke.motor & 1 == 1) {
+                for live in self.live.iter_mut().filter(|live| kept.contains(live.stroke.motor)) {
                     live.withdrawn.retain(|&(by, _)| by != frame);
                 }
                 let strokes = self.live.iter_mut().filter(|live| live.frame == frame);
@@ -356,7 +357,7 @@ impl Oracle {
         let seek = std::mem::take(&mut self.seek);
         // The scenarios move no pins.
         let height = self.outstanding.iter().copied().max().unwrap_or(0);
-        let least = if self.position_known { least_seek(height) } else { WHOLE_TRAVEL };
+        let least = if self.position_known { Layout::PAPER.least_seek(height) } else { WHOLE_TRAVEL };
         if seek > 0 && seek < least {
             let text = format!(
                 "the device seeks with {seek} pulses, where {least} are needed to reach the lower stop"
@@ -512,12 +513,12 @@ mod tests {
             Stroke { motor: 3, up, up_pulses, down: up + 50, down_pulses: up_pulses }
         };
         let batch = |seq, from: Option<u64>, strokes: &[Stroke]| {
-            let withdraw = from.map(|_| Withdraw { motors: 1 << 3, generation: 0 });
+            let withdraw = from.map(|_| Withdraw { motors: MotorSet::from_bits(1 << 3), generation: 0 });
             let base = Tick::BOOT + from.unwrap_or(500);
             Event::Batch(Batch { epoch: 0, seq, mark: None, withdraw, base, strokes: strokes.to_vec() })
         };
         let rendered = Tick::BOOT.wire();
-        let verdict = Report::Verdict { seq: 1, late: 1, refused: 0, kept: 1 << 3, reason: None, rendered };
+        let verdict = Report::Verdict { seq: 1, late: 1, refused: 0, kept: MotorSet::from_bits(1 << 3), reason: None, rendered };
         let old = [500, 600, 700, 800].map(|up| stroke(up, 20));
         let new = [stroke(650, 30), stroke(800, 40)];
         let mut tap = Tap::default();

@@ -3,6 +3,7 @@
 //! It uses the bench and the tap as the rig does, so the judge works on what it has sent. The line loses nothing. Between frames
 //! it pings, so that the device's statuses and reports arrive.
 
+use firmware_protocol::array::MotorSet;
 use firmware_protocol::batch::{BATCH_BYTES, Packer};
 use firmware_protocol::controller::POOL;
 use firmware_protocol::frame::{MAX_FRAME, encode};
@@ -174,7 +175,7 @@ impl Hand {
         let mut packer = Packer::<BATCH_BYTES>::new(base);
         let fits = strokes.iter().take_while(|stroke| packer.stroke(stroke).is_ok()).count();
         let (epoch, seq, seen) = (self.epoch, self.seq, self.tap.reports_read());
-        let withdraw = withdraw.map(|motors| Withdraw { motors, generation: 0 });
+        let withdraw = withdraw.map(|motors| Withdraw { motors: MotorSet::from_bits(motors.into()), generation: 0 });
         let (base, batch) = (base.wire(), packer.bytes());
         let frame =
             self.encoded(&HostMessage::Strokes { epoch, seq, seen, mark: None, withdraw, base, batch });
@@ -276,7 +277,7 @@ impl Hand {
         let mut all = Verdicts::default();
         for (_, event) in &self.tap.events[from..] {
             if let Event::Report(Report::Verdict { late, kept, .. }) = event {
-                all.kept |= kept;
+                all.kept |= kept.bits() as u32;
                 all.late += late.count_ones();
             }
         }

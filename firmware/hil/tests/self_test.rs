@@ -1,7 +1,9 @@
 //! The self-test of the board: a sound chip passes, the test finds planted faults, and an e-stop or `arm` ends it.
 
 use crate::play::{armed, job};
-use firmware_protocol::board::{ENABLE, LineTest, Reset, SelfTest, SelfTestState, TRIGGER};
+use firmware_protocol::array::MotorSet;
+use firmware_protocol::board::Output::{Line, Trigger};
+use firmware_protocol::board::{LineTest, Outputs, Reset, SelfTest, SelfTestState};
 use firmware_protocol::message::{HostMessage, State};
 use meissner_hil::bench::CpuEvent;
 use meissner_hil::bench::chip::ChipOptions;
@@ -87,18 +89,29 @@ fn a_sound_board_passes_and_is_as_before() {
     assert_eq!(state(&rig, 2), Some(SelfTestState::Refused));
 }
 
+fn of(lines: u64) -> Outputs {
+    Outputs { lines: MotorSet::from_bits(lines), ..Outputs::NONE }
+}
+
 #[test]
 fn each_fault_of_the_wiring_is_found_and_named() {
     let lines = LineTest::default();
     type Wiring = (u32, u32, &'static [[u8; 2]]);
     let faults: [(Wiring, LineTest); 6] = [
-        ((1 << 5, 0, &[]), LineTest { stuck_high: 1 << 5, ..lines }),
-        ((0, 1 << 26, &[]), LineTest { stuck_low: 1 << 23, ..lines }),
-        ((0, 0, &[[10, 11]]), LineTest { shorted: 3 << 10, pair: Some((10, 11)), ..lines }),
-        ((0, 0, &[[26, 27]]), LineTest { shorted: 1 << 23 | 1 << TRIGGER, pair: Some((23, 24)), ..lines }),
+        ((1 << 5, 0, &[]), LineTest { stuck_high: of(1 << 5), ..lines }),
+        ((0, 1 << 26, &[]), LineTest { stuck_low: of(1 << 23), ..lines }),
+        ((0, 0, &[[10, 11]]), LineTest { shorted: of(3 << 10), pair: Some((Line(10), Line(11))), ..lines }),
+        (
+            (0, 0, &[[26, 27]]),
+            LineTest {
+                shorted: Outputs { trigger: true, ..of(1 << 23) },
+                pair: Some((Line(23), Trigger)),
+                ..lines
+            },
+        ),
         // The enable is driven low, and wins.
-        ((0, 0, &[[22, 28]]), LineTest { stuck_low: 1 << 22, ..lines }),
-        ((1 << 28, 0, &[]), LineTest { stuck_high: 1 << ENABLE, ..lines }),
+        ((0, 0, &[[22, 28]]), LineTest { stuck_low: of(1 << 22), ..lines }),
+        ((1 << 28, 0, &[]), LineTest { stuck_high: Outputs { enable: true, ..Outputs::NONE }, ..lines }),
     ];
     let mut rig = disarmed();
     for ((wiring, expected), run) in faults.into_iter().zip(1..) {
@@ -155,7 +168,7 @@ fn an_e_stop_and_an_arm_end_a_self_test() {
 #[test]
 fn an_output_that_is_high_at_the_start_is_reported() {
     let mut rig = disarmed();
-    for (high, reported) in [(1 << 26 | 1 << 28, 1 << 23 | 1 << ENABLE), (0, 0)] {
+    for (high, reported) in [(1 << 26 | 1 << 28, Outputs { enable: true, ..of(1 << 23) }), (0, Outputs::NONE)] {
         rig.chip().unwrap().wiring(high, 0, &[]).unwrap();
         rig.chip().unwrap().cpu(CpuEvent::Run).unwrap();
         rig.run_to(rig.now() + 1500 * MS).unwrap();

@@ -78,7 +78,7 @@ pub(super) fn examine(
     findings.extend(judged(&examined));
     findings.extend(self_test::of_report(&checked.board));
     if let Some(state) = checked.self_test {
-        findings.extend(self_test::judged(state, checked.hello.motors, checked.hello.tick_hz));
+        findings.extend(self_test::judged(state, checked.hello.array.motors, checked.hello.array.tick_hz));
     }
     Some(examined)
 }
@@ -103,7 +103,7 @@ fn examined(kind: &str, serial_number: Option<String>, checked: &LinkReport) -> 
         throughput_bytes_per_s: checked.throughput_bytes_per_s,
         drift: checked.drift,
         board: board_status(&checked.board),
-        self_test: checked.self_test.and_then(|test| self_test::Measured::of(test, checked.hello.tick_hz)),
+        self_test: checked.self_test.and_then(|test| self_test::Measured::of(test, checked.hello.array.tick_hz)),
     }
 }
 

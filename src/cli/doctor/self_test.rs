@@ -5,7 +5,7 @@
 use crate::cli::text;
 use crate::receipts::{board_status, outputs};
 use firmware_protocol::board::{
-    Board, ENABLE, LineTest, RamTest, Reset, SelfTest, SelfTestState, TRIGGER, WaveTest,
+    Board, LineTest, Output, Outputs, RamTest, Reset, SelfTest, SelfTestState, WaveTest,
 };
 use meissner_api::{Finding, Level};
 use serde::Serialize;
@@ -52,14 +52,17 @@ impl Measured {
     }
 }
 
-/// The outputs of a mask, named as on the board.
-fn named(mask: u32) -> String {
-    let name = |output: u8| match usize::from(output) {
-        TRIGGER => "the trigger".to_owned(),
-        ENABLE => "the driver enable".to_owned(),
-        _ => format!("line {output}"),
-    };
-    outputs(mask).into_iter().map(name).collect::<Vec<_>>().join(", ")
+/// The outputs, named as on the board.
+fn named(outputs: Outputs) -> String {
+    outputs.iter().map(name).collect::<Vec<_>>().join(", ")
+}
+
+fn name(output: Output) -> String {
+    match output {
+        Output::Line(line) => format!("line {line}"),
+        Output::Trigger => "the trigger".to_owned(),
+        Output::Enable => "the driver enable".to_owned(),
+    }
 }
 
 fn clock_ppm(wave: &WaveTest, tick_hz: u32) -> f64 {
@@ -75,7 +78,7 @@ pub(super) fn of_report(board: &Board) -> Vec<Finding> {
     let advice =
         "its firmware hung or its outputs failed: power it off and on, and report this line if it comes back";
     let mut findings = vec![Finding::check("board", !hung && !failed, found, advice)];
-    if let Some(high) = board.high_at_boot.filter(|&high| high != 0) {
+    if let Some(high) = board.high_at_boot.filter(|high| !high.is_empty()) {
         let found = format!("{} high at the start, before anything drove them", named(high));
         findings.push(Finding::fail(
             "start",
@@ -118,15 +121,15 @@ fn missing(what: &'static str) -> Finding {
 fn of_lines(lines: &LineTest, motors: u8) -> Finding {
     let LineTest { stuck_high, stuck_low, shorted, pair } = *lines;
     let mut faults = Vec::new();
-    if stuck_high != 0 {
+    if !stuck_high.is_empty() {
         faults.push(format!("stuck high: {}", named(stuck_high)));
     }
-    if stuck_low != 0 {
+    if !stuck_low.is_empty() {
         faults.push(format!("stuck low: {}", named(stuck_low)));
     }
-    if shorted != 0 {
+    if !shorted.is_empty() {
         let first = pair
-            .map_or_else(String::new, |(a, b)| format!(" (first {} with {})", named(1 << a), named(1 << b)));
+            .map_or_else(String::new, |(a, b)| format!(" (first {} with {})", name(a), name(b)));
         faults.push(format!("connected with each other: {}{first}", named(shorted)));
     }
     if faults.is_empty() {
@@ -185,9 +188,15 @@ fn of_work(us: u32) -> Finding {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use firmware_protocol::array::MotorSet;
 
     const SOUND: SelfTest = SelfTest {
-        lines: Some(LineTest { stuck_high: 0, stuck_low: 0, shorted: 0, pair: None }),
+        lines: Some(LineTest {
+            stuck_high: Outputs::NONE,
+            stuck_low: Outputs::NONE,
+            shorted: Outputs::NONE,
+            pair: None,
+        }),
         wave: Some(WaveTest { timer_us: 100_000, ticks: 8_500, words: 34_010 }),
         ram: Some(RamTest { bytes: 62_000, bad: None }),
         work_us: Some(128),
@@ -200,8 +209,9 @@ mod tests {
     #[test]
     fn a_sound_board_is_go_and_each_fault_is_not() {
         assert_eq!(levels(SOUND), [Level::Ok; 4]);
-        let lines = |stuck_high, stuck_low, shorted| SelfTest {
-            lines: Some(LineTest { stuck_high, stuck_low, shorted, pair: None }),
+        let of = |lines| Outputs { lines: MotorSet::from_bits(lines), ..Outputs::NONE };
+        let lines = |high, low, shorted| SelfTest {
+            lines: Some(LineTest { stuck_high: of(high), stuck_low: of(low), shorted: of(shorted), pair: None }),
             ..SOUND
         };
         for test in [lines(1, 0, 0), lines(0, 1 << 23, 0), lines(0, 0, 3)] {
@@ -231,6 +241,7 @@ mod tests {
 
     #[test]
     fn outputs_have_names_that_a_person_finds() {
-        assert_eq!(named(1 << 5 | 1 << 24 | 1 << 25), "line 5, the trigger, the driver enable");
+        let outputs = Outputs { lines: MotorSet::from_bits(1 << 5), trigger: true, enable: true };
+        assert_eq!(named(outputs), "line 5, the trigger, the driver enable");
     }
 }

@@ -7,6 +7,7 @@
 #![expect(clippy::derived_hash_with_manual_eq, reason = "scenes are equal if their hashes are")]
 
 use crate::shell::{Broken, Shell, USED, after, never};
+use firmware_protocol::array::MotorSet;
 use firmware_protocol::batch::{Amendment, BATCH_BYTES, Packer};
 use firmware_protocol::controller::newer;
 use firmware_protocol::frame::{self, Decoder, MAX_FRAME};
@@ -298,7 +299,7 @@ impl Scene {
                     if let Report::Verdict { seq, kept, .. } = report
                         && let Some(replacing) = self.replacing.as_mut().filter(|frame| frame.seq == seq)
                     {
-                        replacing.kept |= kept;
+                        replacing.kept |= kept.bits() as u32;
                     }
                     if let Report::OnsetRefused { seq, .. } = report {
                         // A play's first frame is taken whole or not at all: its strokes count nowhere.
@@ -406,7 +407,9 @@ impl Scene {
             self.shell.ask(*stroke);
         }
         let mark = mark.map(|kind| Mark { kind, trigger: Some(Trigger { width: 3, code: 0 }) });
-        let withdraw = Some(Withdraw { motors, generation: self.host.generation }).filter(|_| motors != 0);
+        let withdraw =
+            Some(Withdraw { motors: MotorSet::from_bits(motors.into()), generation: self.host.generation })
+                .filter(|_| motors != 0);
         let (epoch, seq, seen) = (self.host.epoch, self.host.seq, self.host.seen);
         self.host.seq = self.host.seq.wrapping_add(1);
         if let Some(stroke) = strokes.iter().rev().find(|stroke| stroke.motor == 0) {

@@ -5,12 +5,14 @@
 //! verdict, and be on the lines if it was accepted.
 
 use crate::shell::{Broken, Shell, after, never};
+use firmware_protocol::array::MotorSet;
 use firmware_protocol::batch::Amendment;
 use firmware_protocol::frame::MAX_FRAME;
 use firmware_protocol::limits::PowerLimits;
 use firmware_protocol::message::{Cause, Counters, Op, State, Status};
 use firmware_protocol::stroke::{Direction, Stroke};
 use firmware_protocol::tick::Tick;
+use meissner_array::spec::Array;
 use meissner_stream::link::{Event, LineRate, Session, Verdict};
 use meissner_stream::time::HostInstant;
 use stateright::{Model, Property};
@@ -195,7 +197,7 @@ impl Pair {
     /// A session that is open, its line measured, its device armed.
     fn armed() -> Self {
         let mut pair = Self {
-            session: Session::new(1, LineRate(100_000), HostInstant::from_ns(0)),
+            session: Session::new(Array::paper(), 1, LineRate(100_000), HostInstant::from_ns(0)),
             sessions: 1,
             shell: Shell::new(1),
             boots: 1,
@@ -261,7 +263,7 @@ impl Pair {
                 self.has_room()?;
                 let last = self.last.filter(|_| !self.replacing)?;
                 (self.replacing, self.cut) = (true, true);
-                self.session.replace(last.up, 1, 0);
+                self.session.replace(last.up, MotorSet::from_bits(1), MotorSet::EMPTY);
                 self.push(Stroke { up_pulses: 3, down_pulses: 3, ..last })?;
                 self.session.seal();
             }
@@ -402,7 +404,7 @@ impl Pair {
     /// The streamer opens another session.
     fn reconnect(&mut self) {
         self.sessions += 1;
-        self.session = Session::new(self.sessions, LineRate(100_000), self.now());
+        self.session = Session::new(Array::paper(), self.sessions, LineRate(100_000), self.now());
         self.waiting.clear();
         (self.cut, self.replacing, self.last, self.newest) = (true, false, None, None);
     }

@@ -3,10 +3,12 @@
 //! The shell renders blocks ahead, takes frames in pieces, and holds the lines low while the controller says so. An event reaches the
 //! controller in the tick `now`, whose lines are already out. [`Shell::tick`] is the only thing that moves time.
 
+use firmware_protocol::array::MotorSet;
 use firmware_protocol::controller::{BLOCK, Controller, DRIVER_LEAD, DRIVER_TAIL, HORIZON, Identity, Run};
 use firmware_protocol::message::State;
 use firmware_protocol::stroke::{Direction, Lines, Stroke};
 use firmware_protocol::tick::Tick;
+use meissner_array::spec::Array;
 use std::collections::VecDeque;
 use std::hash::{Hash, Hasher};
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -145,7 +147,7 @@ impl Shell {
     pub fn starting_at(boot: u32, start: u64) -> Self {
         let identity = Identity { boot, ..Identity::NONE };
         let mut shell = Self {
-            device: Box::new(Controller::starting_at(identity, Tick(start))),
+            device: Box::new(Controller::starting_at(identity, *Array::paper().layout(), Tick(start))),
             ahead: VecDeque::with_capacity(2 * HORIZON as usize),
             now: start,
             start,
@@ -239,9 +241,9 @@ impl Shell {
         let forced = self.device.forced_off(Tick(self.now));
         let (lines, drivers) = if forced { (Lines::OFF, false) } else { (rendered.lines, rendered.drivers) };
         self.watch_drivers(lines != Lines::OFF, drivers);
-        let risen = lines.up & !self.last.up;
+        let risen = lines.up.without(self.last.up);
         self.begun
-            .extend((0..USED as u8).filter(|motor| risen >> motor & 1 == 1).map(|motor| (motor, self.now)));
+            .extend((0..USED as u8).filter(|&motor| risen.contains(motor)).map(|motor| (motor, self.now)));
         self.last = lines;
         if lines == Lines::OFF {
             return;
@@ -252,15 +254,15 @@ impl Shell {
         if self.device.state() == State::Disarmed {
             self.breaks(Broken::HighDisarmed);
         }
-        if lines.up & lines.down != 0 || (lines.up | lines.down) >> USED != 0 {
+        if !(lines.up & lines.down).is_empty() || !lines.pulsing().without(MotorSet::first(USED)).is_empty() {
             self.breaks(Broken::Unasked);
         }
-        if self.one_at_once && (lines.up | lines.down).count_ones() > 1 {
+        if self.one_at_once && lines.pulsing().len() > 1 {
             self.breaks(Broken::AtOnce);
         }
         for motor in 0..USED {
             for (direction, mask) in [(Direction::Up, lines.up), (Direction::Down, lines.down)] {
-                if mask >> motor & 1 == 1 {
+                if mask.contains(motor as u8) {
                     self.seen[motor][direction as usize] += 1;
                     if !self.is_asked(motor as u8, direction, returns) {
                         self.breaks(Broken::Unasked);

@@ -41,7 +41,7 @@ pub fn by_simulated_motors(
         } else {
             ramps.push((motor, Ramp::travelled(start, pulses.into(), at_um - *from_um)));
         }
-        *lines.mask_mut(direction) ^= 1 << motor;
+        lines.set_mut(direction).toggle(motor);
     }
     ramps
 }

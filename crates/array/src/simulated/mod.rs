@@ -26,6 +26,7 @@ pub use rest::RestStats;
 
 use crate::per_motor::PerMotor;
 use crate::spec::Array;
+use firmware_protocol::array::MotorSet;
 use firmware_protocol::stroke::{Direction, Lines};
 use firmware_protocol::tick::Tick;
 use std::collections::VecDeque;
@@ -99,16 +100,16 @@ impl SimulatedMotors {
             return;
         }
         // As `Lines::line` reads them: a motor with both lines on goes down.
-        let all = every_bit(self.array.motors());
-        let lines = Lines { up: lines.up & !lines.down & all, down: lines.down & all };
+        let all = MotorSet::first(self.array.motors());
+        let lines = Lines { up: lines.up.without(lines.down) & all, down: lines.down & all };
         self.switch(lines);
         let end = self.now + ticks;
         while self.now < end {
-            let moving = lines.up | lines.down;
+            let moving = lines.pulsing();
             // A shaft can be asked only about instants after the start of its newest ramp, so while one moves, each sample ends a
             // step. At rest the samples can wait for the end of the segment.
             let step_end = match self.sample_tick(self.next_sample) {
-                Some(sample) if moving != 0 => sample.min(end),
+                Some(sample) if !moving.is_empty() => sample.min(end),
                 _ => end,
             };
             for motor in motors(moving) {
@@ -161,16 +162,16 @@ impl SimulatedMotors {
     /// Ends and begins bursts where the lines change.
     fn switch(&mut self, lines: Lines) {
         let before = std::mem::replace(&mut self.lines, lines);
-        for motor in motors(before.up & !lines.up) {
+        for motor in motors(before.up.without(lines.up)) {
             self.pins[motor].end(self.now, Direction::Up);
         }
-        for motor in motors(before.down & !lines.down) {
+        for motor in motors(before.down.without(lines.down)) {
             self.pins[motor].end(self.now, Direction::Down);
         }
-        for motor in motors(lines.up & !before.up) {
+        for motor in motors(lines.up.without(before.up)) {
             self.pins[motor].begin(self.now, Direction::Up);
         }
-        for motor in motors(lines.down & !before.down) {
+        for motor in motors(lines.down.without(before.down)) {
             self.pins[motor].begin(self.now, Direction::Down);
         }
     }
@@ -204,16 +205,7 @@ impl SimulatedMotors {
     }
 }
 
-/// The bits of so many motors.
-const fn every_bit(motors: usize) -> u32 {
-    u32::MAX >> (32 - motors)
-}
-
-/// The motors in a mask.
-fn motors(mut mask: u32) -> impl Iterator<Item = usize> {
-    std::iter::from_fn(move || {
-        let motor = (mask != 0).then(|| mask.trailing_zeros() as usize);
-        mask &= mask.wrapping_sub(1);
-        motor
-    })
+/// The motors in a set.
+fn motors(mask: MotorSet) -> impl Iterator<Item = usize> {
+    mask.iter().map(usize::from)
 }

@@ -1,6 +1,7 @@
 //! The errors of descriptions. Each message is one line: what is wrong, where, and what to do.
 
 use super::MAX_MOTORS;
+use firmware_protocol::array::LayoutError;
 use meissner_input::document::{self, DocumentError};
 
 /// A description that was refused: what is wrong, and where.
@@ -45,7 +46,9 @@ pub enum Problem {
     #[error(
         "is {found}: from its highest place a pin needs {least} pulses; raise seek_pulses, or lower most_pulses"
     )]
-    Seek { found: u16, least: u32 },
+    Seek { found: u16, least: u16 },
+    #[error("the controller takes no such array: {error}")]
+    Layout { error: LayoutError },
 }
 
 /// A problem with a key of a description.

@@ -17,10 +17,9 @@ pub use write::NewArray;
 
 use crate::motor::Response;
 use crate::units::TickRate;
+use firmware_protocol::array::Layout;
+pub use firmware_protocol::array::MAX_MOTORS;
 use std::ops::Range;
-
-/// Most motors of an array: the protocol's masks have so many bits.
-pub const MAX_MOTORS: usize = 64;
 
 /// A checked description of an array.
 #[derive(Clone, Debug, PartialEq)]
@@ -35,7 +34,7 @@ pub struct ArraySpec {
     rails: Groups,
     chips: Groups,
     motor: MotorSpec,
-    hash: u64,
+    layout: Layout,
 }
 
 /// Pins in rows and columns; a motor's number is `columns * row + column`, and row 0 is the most distal.
@@ -220,7 +219,13 @@ impl ArraySpec {
     /// A hash of everything in the description, for devices and records to compare. Comments and the order of keys do not matter.
     #[must_use]
     pub const fn hash(&self) -> u64 {
-        self.hash
+        self.layout.id().hash
+    }
+
+    /// The array as the controller and the link know it.
+    #[must_use]
+    pub const fn layout(&self) -> &Layout {
+        &self.layout
     }
 }
 

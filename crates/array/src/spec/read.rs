@@ -6,6 +6,7 @@ use super::error::{ArrayError, KeyError, Problem};
 use super::{ArraySpec, Duty, Grid, Groups, MAX_MOTORS, MotorSpec};
 use crate::motor::Response;
 use crate::units::TickRate;
+use firmware_protocol::array::{ArrayId, Layout, Name};
 use firmware_protocol::limits::correction;
 use meissner_input::document::{Size, Table, check_size, from_toml, in_range};
 use meissner_input::message::quote;
@@ -118,6 +119,7 @@ const fn one() -> u16 {
 }
 
 impl Raw {
+    #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "in range")]
     fn checked(self, text: &str) -> Result<ArraySpec, KeyError> {
         let Self { name, pins: Table(pins), tick_hz, duty: Table(duty), rails, chips, motor: Table(motor) } =
             self;
@@ -140,8 +142,28 @@ impl Raw {
         }
         let rate = TickRate::new(tick_hz);
         let motor = motor.checked(rate).map_err(|error| error.within("motor"))?;
+        let values = format!(
+            "{name} {positions_mm:?} {pin_radius_mm:?} {tick_hz} {duty:?} {:?} {:?} {motor:?}",
+            rails.members(),
+            chips.members()
+        );
+        let of = |groups: &Groups| (0..motors as u8).map(|motor| groups.of(motor) as u8).collect::<Vec<_>>();
+        let thousandths = |share: f64| (1000.0 * share + 0.5) as u16;
+        let id = ArrayId {
+            // The name was checked.
+            name: Name::new(&name)
+                .ok_or_else(|| KeyError::key("name", Problem::Name { found: quote(&name) }))?,
+            motors: motors as u8,
+            tick_hz,
+            duty_up: thousandths(duty.up),
+            duty_down: thousandths(duty.down),
+            hash: fnv1a(&values),
+        };
+        let layout = Layout::new(id, &of(&rails), &of(&chips), motor.most_pulses, motor.seek_pulses)
+            .map_err(|error| KeyError::whole(None, Problem::Layout { error }))?;
+        let text = text.to_owned();
         let spec = ArraySpec {
-            text: text.to_owned(),
+            text,
             name,
             positions_mm,
             grid,
@@ -151,7 +173,7 @@ impl Raw {
             rails,
             chips,
             motor,
-            hash: 0,
+            layout,
         };
         if let Some((first, second, distance_mm)) = spec.nearest_pins()
             && distance_mm < 2.0 * pin_radius_mm
@@ -159,7 +181,7 @@ impl Raw {
             let problem = Problem::Overlap { first, second, distance_mm, radius_mm: pin_radius_mm };
             return Err(KeyError::key("pins", problem));
         }
-        Ok(ArraySpec { hash: spec.content_hash(), ..spec })
+        Ok(spec)
     }
 }
 
@@ -227,7 +249,7 @@ impl RawMotor {
             self;
         in_range("step_um", step_um, (0.001..=10.0).contains(&step_um), "0.001 to 10 um")?;
         in_range("travel_um", travel_um, (1.0..=5_000.0).contains(&travel_um), "1 to 5000 um")?;
-        in_range("most_pulses", most_pulses.into(), (1..=12_000).contains(&most_pulses), "1 to 12000")?;
+        in_range("most_pulses", most_pulses.into(), (1..=10_000).contains(&most_pulses), "1 to 10000")?;
         in_range(
             "least_pulses",
             least_pulses.into(),
@@ -239,10 +261,12 @@ impl RawMotor {
             let problem = Problem::Travel { found: most_pulses, travel_um, pulses };
             return Err(KeyError::key("most_pulses", problem));
         }
-        // From where moves and a stroke can take a pin at most; half as many again, for bursts that fall short.
-        let least = (2 * u32::from(most_pulses) + u32::from(correction(most_pulses))) * 3 / 2;
-        let seek_pulses = seek_pulses.unwrap_or_else(|| u16::try_from(2 * least).unwrap_or(u16::MAX));
-        if u32::from(seek_pulses) < least {
+        // From where moves and a stroke can take a pin at most.
+        let least = 2 * most_pulses + correction(most_pulses);
+        let most = i16::MAX.cast_unsigned();
+        let seek_pulses = seek_pulses.unwrap_or_else(|| most.min(2 * least));
+        in_range("seek_pulses", seek_pulses.into(), seek_pulses <= most, format!("at most {most}"))?;
+        if seek_pulses < least {
             return Err(KeyError::key("seek_pulses", Problem::Seek { found: seek_pulses, least }));
         }
         let (rest_s, transient_gain) = match transient {
@@ -285,6 +309,12 @@ impl RawMotor {
             transient_gain,
         })
     }
+}
+
+/// FNV-1a: it tells descriptions apart; it is no protection.
+fn fnv1a(text: &str) -> u64 {
+    let next = |hash: u64, byte| (hash ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3);
+    text.bytes().fold(0xcbf2_9ce4_8422_2325, next)
 }
 
 /// Checks that each motor is in exactly one group.

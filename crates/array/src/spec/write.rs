@@ -1,7 +1,4 @@
-//! Writes a description: one of a new array, and the text whose hash identifies one.
-
-use super::ArraySpec;
-use std::fmt::Write;
+//! Writes the description of a new array.
 
 /// A new array in rows and columns, with the motors of the default array.
 #[derive(Clone, Debug, PartialEq)]
@@ -72,35 +69,5 @@ impl NewArray {
             motor.seek_pulses,
             motor.transient_gain,
         )
-    }
-}
-
-impl ArraySpec {
-    /// A hash of all values: FNV-1a, which tells descriptions apart; it is no protection.
-    pub(super) fn content_hash(&self) -> u64 {
-        let Self {
-            text: _,
-            name,
-            positions_mm,
-            grid: _,
-            pin_radius_mm,
-            rate,
-            duty,
-            rails,
-            chips,
-            motor,
-            hash: _,
-        } = self;
-        let mut text = String::new();
-        // A string takes any text.
-        let _ = write!(
-            text,
-            "{name} {positions_mm:?} {pin_radius_mm:?} {} {duty:?} {:?} {:?} {motor:?}",
-            rate.hz(),
-            rails.members(),
-            chips.members()
-        );
-        text.bytes()
-            .fold(0xcbf2_9ce4_8422_2325, |hash, byte| (hash ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3))
     }
 }

@@ -204,7 +204,7 @@ fn measure(frequency_hz: f64) -> Result<[Vec<f64>; AMPLITUDES_UM.len()], Figures
     let mut lines = Lines::OFF;
     for (tick, motor, direction) in toggles {
         advance(&mut motors, lines, tick);
-        *lines.mask_mut(direction) ^= 1 << motor;
+        lines.set_mut(direction).toggle(motor);
     }
     let end = motors.now() + 2 * WINDOW_HALF_TICKS;
     advance(&mut motors, Lines::OFF, end);

@@ -99,7 +99,7 @@ pub fn travels_by_sensor(plan: &Plan, motors: &mut SimulatedMotors) -> Vec<Burst
             Event::Ends => {}
         }
         if !matches!(event, Event::Rests) {
-            *lines.mask_mut(burst.direction) ^= 1 << motor;
+            lines.set_mut(burst.direction).toggle(motor);
         }
     }
     travels

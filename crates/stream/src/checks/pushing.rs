@@ -21,7 +21,7 @@ pub struct Overpush {
 /// The first stroke that pushes more than `pulses_per_s` against a lower stop; `None`: all stay below.
 #[must_use]
 pub fn find_overpush(strokes: &Strokes, pulses_per_s: u32) -> Option<Overpush> {
-    let mut pushing = Pushing::new(Tick(0));
+    let mut pushing = Pushing::new(strokes.array().layout(), Tick(0));
     pushing.set_limit(pulses_per_s);
     // The end and surplus of each motor's last stroke.
     let array = strokes.array();

@@ -355,7 +355,7 @@ impl PositionControl {
     pub(super) fn telemetry(
         &mut self,
         tick: Tick,
-        y: &PerMotor<i32>,
+        y: &[i32],
         known_to: Tick,
         mut over: impl FnMut(MeasuredBurst),
     ) -> bool {

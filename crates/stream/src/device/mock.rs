@@ -11,7 +11,7 @@ use firmware_protocol::board::{Measures, Reset, SelfTest};
 use firmware_protocol::controller::{BLOCK, Controller, HORIZON, Identity, Run};
 use firmware_protocol::frame::MAX_FRAME;
 use firmware_protocol::message::{DeviceHello, State};
-use firmware_protocol::stroke::{Lines, MOTORS};
+use firmware_protocol::stroke::Lines;
 use firmware_protocol::tick::Tick;
 use meissner_array::simulated::{
     RestStats, Sample, SimulatedMotors, SimulatedMotorsConfig, SimulatedMotorsError,
@@ -92,7 +92,7 @@ impl Mock {
         let telemetry = if motors.telemetry_hz > 0 { DeviceHello::TELEMETRY } else { 0 };
         let features = DeviceHello::SIMULATED | telemetry;
         let identity = Identity { firmware, build: *b"mock", boot, features };
-        let mut controller = Box::new(Controller::starting_at(identity, now));
+        let mut controller = Box::new(Controller::starting_at(identity, *array.layout(), now));
         // It renders in no time, and has no USB and no executor.
         controller.measured(Measures { reset: Reset::Program, ..Measures::NONE });
         Ok(Self {
@@ -217,9 +217,7 @@ impl Mock {
             {
                 continue;
             }
-            let mut y = [0; MOTORS];
-            y.iter_mut().zip(&sample.y).for_each(|(y, of)| *y = *of);
-            self.controller.telemetry(sample.tick, y);
+            self.controller.telemetry(sample.tick, &sample.y);
             self.send();
         }
         if let Ok(mut rest) = self.positions.rest.try_lock() {

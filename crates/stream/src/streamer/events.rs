@@ -11,6 +11,7 @@ use crate::streamer::{IDLE_PING, Streamer, answer, cuts_play, end_cause};
 use crate::time::HostInstant;
 use firmware_protocol::controller::HORIZON;
 use firmware_protocol::message::{Cause, Counters, Op, State, Status};
+use firmware_protocol::stroke::MOTORS;
 use firmware_protocol::stroke::Stroke;
 use firmware_protocol::tick::Tick;
 use meissner_api::{EndCause, LateCause, LatePolicy};
@@ -50,7 +51,7 @@ impl Streamer {
                 // The session has sent an e-stop of its own. Only the next session resets it.
                 let own = matches!(reason, LostReason::Contradicts(_)) && self.state() != State::Faulted;
                 self.latch.session_over(own);
-                self.disconnect(now, EndCause::Other(reason.text().into()), emit);
+                self.disconnect(now, EndCause::Other(reason.text()), emit);
             }
             Event::Contradiction(how) => emit.event(StreamEvent::Contradiction(how)),
             Event::Control(result) => {
@@ -88,7 +89,7 @@ impl Streamer {
             Event::Status { status, tick } => self.status(now, status, tick, emit),
             Event::Stroke(stroke, verdict) => self.verdict(now, &stroke, verdict, emit),
             Event::Replaced { motors, kept } => {
-                self.replaced(u64::from(motors), u64::from(kept), emit);
+                self.replaced(motors, kept, emit);
             }
             Event::OnsetRefused { rendered } => self.onset_refused(now, rendered),
             Event::OnsetAccepted => {
@@ -129,7 +130,8 @@ impl Streamer {
             // The streamer asks for none.
             Event::SelfTest(_) => {}
             Event::Telemetry { tick, y, known_to } => {
-                let known = self.control.telemetry(tick, &y, known_to, |burst| emit.measured(burst));
+                let known =
+                    self.control.telemetry(tick, &y[..MOTORS], known_to, |burst| emit.measured(burst));
                 if let (false, Some(session)) = (known, &mut self.session) {
                     session.request_status();
                 }

@@ -14,6 +14,7 @@ use crate::settings::batch_ticks;
 use crate::streamer::Streamer;
 use crate::streamer::feed::unsent;
 use crate::time::HostInstant;
+use firmware_protocol::array::MotorSet;
 use firmware_protocol::controller::{BLOCK, DRIVER_LEAD, HORIZON};
 use firmware_protocol::message::{Op, State};
 use firmware_protocol::stroke::Stroke;
@@ -200,7 +201,7 @@ impl Streamer {
                 silent |= 1 << motor;
             }
         }
-        session.replace(from, changed as u32, silent as u32);
+        session.replace(from, MotorSet::from_bits(changed), MotorSet::from_bits(silent));
         self.control.replace(changed, from);
         self.push_firsts(at, changed & !silent);
         self.fed_until = from;
@@ -253,7 +254,8 @@ impl Streamer {
     }
 
     /// The device has answered a frame of the update under way.
-    pub(super) fn replaced(&mut self, motors_done: u64, kept: u64, emit: &mut dyn Emit) {
+    pub(super) fn replaced(&mut self, motors_done: MotorSet, kept: MotorSet, emit: &mut dyn Emit) {
+        let (motors_done, kept) = (motors_done.bits(), kept.bits());
         self.control.replaced(motors_done, kept);
         let of = self.live.of;
         let Some(active) = self.plays.iter_mut().find(|active| of.is_some_and(|id| is_live(active, id)))

@@ -5,11 +5,12 @@
 
 mod pins;
 
+use crate::array::CAPACITY;
 use crate::controller::player::{Kind, Player};
 use crate::controller::reporting::Reporting;
-use crate::limits::{MAX_SEEK, PowerLimits, Refusal};
+use crate::limits::{PowerLimits, Refusal};
 use crate::message::{Cause, Cut, LowerStop, State};
-use crate::stroke::{Direction, MOTORS};
+use crate::stroke::Direction;
 use crate::tick::Tick;
 use core::hash::{Hash, Hasher};
 use pins::{Pins, total};
@@ -158,7 +159,7 @@ impl Motion {
             return Err(Refusal::State);
         }
         let LowerStop { pulses_per_s, seek } = lower_stop.unwrap_or(LowerStop { pulses_per_s: 0, seek: 0 });
-        player.set_limits(PowerLimits::NONE.min(limits), pulses_per_s);
+        player.set_limits(limits, pulses_per_s);
         if seek > 0 {
             return self.begin_seek(seek, player, reporting);
         }
@@ -180,8 +181,8 @@ impl Motion {
     fn drive_down(
         &mut self,
         kind: Kind,
-        pulses: &[u16; MOTORS],
-        pushes: &[u16; MOTORS],
+        pulses: &[u16; CAPACITY],
+        pushes: &[u16; CAPACITY],
         player: &mut Player,
         reporting: &mut Reporting,
     ) {
@@ -203,7 +204,7 @@ impl Motion {
         if !self.is_idle(player) {
             return Err(Refusal::State);
         }
-        let (travel, pushes) = self.pins.shifted(motor, direction, pulses, player.has_stop())?;
+        let (travel, pushes) = self.pins.shifted(motor, direction, pulses, player.has_stop(), player.layout())?;
         if pulses > 0 {
             player.drive(motor, direction, pulses, pushes)?;
             self.pins.set_travel(motor, travel);
@@ -234,14 +235,17 @@ impl Motion {
         player: &mut Player,
         reporting: &mut Reporting,
     ) -> Result<(), Refusal> {
-        if !(self.pins.least_seek()..=MAX_SEEK).contains(&pulses) {
+        let layout = player.layout();
+        if !(self.pins.least_seek(layout)..=layout.max_seek()).contains(&pulses) {
             return Err(Refusal::Travel);
         }
         if !player.allows_pushes(pulses) {
             return Err(Refusal::Pushing);
         }
         self.pins.begin_seek();
-        self.drive_down(Kind::Seek, &[pulses; MOTORS], &[pulses; MOTORS], player, reporting);
+        let mut all = [0; CAPACITY];
+        all[..player.layout().motors()].fill(pulses);
+        self.drive_down(Kind::Seek, &all, &all, player, reporting);
         Ok(())
     }
 }

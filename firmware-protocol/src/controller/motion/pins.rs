@@ -3,29 +3,30 @@
 //! Invariant: a pin is above its first rest position by the pulses of its `travel`, and above that by its outstanding return pulses,
 //! which it keeps until they are driven or a seek begins. While pins seek the lower stop, their position is unknown.
 
+use crate::array::{CAPACITY, Layout};
 use crate::controller::player::Left;
-use crate::limits::{MAX_TRAVEL, Refusal, WHOLE_TRAVEL, least_seek};
-use crate::stroke::{Direction, MOTORS};
+use crate::limits::Refusal;
+use crate::stroke::Direction;
 
 #[derive(Clone, Debug, Hash)]
 pub(in crate::controller) struct Pins {
     position_known: bool,
     /// All pins are being driven down to the lower stop.
     seeks: bool,
-    outstanding: [u16; MOTORS],
+    outstanding: [u16; CAPACITY],
     /// How many of the outstanding return pulses push against the lower stop.
-    outstanding_pushes: [u16; MOTORS],
+    outstanding_pushes: [u16; CAPACITY],
     /// Net pulses of moves since the pins were last at rest.
-    travel: [i16; MOTORS],
+    travel: [i16; CAPACITY],
 }
 
 impl Pins {
     pub(super) const UNKNOWN: Self = Self {
         position_known: false,
         seeks: false,
-        outstanding: [0; MOTORS],
-        outstanding_pushes: [0; MOTORS],
-        travel: [0; MOTORS],
+        outstanding: [0; CAPACITY],
+        outstanding_pushes: [0; CAPACITY],
+        travel: [0; CAPACITY],
     };
 
     pub(in crate::controller) fn position_known(&self) -> bool {
@@ -65,13 +66,13 @@ impl Pins {
     }
 
     /// The fewest pulses by which all pins are sure to reach the lower stop.
-    pub(super) fn least_seek(&self) -> u16 {
+    pub(super) fn least_seek(&self, layout: &Layout) -> u16 {
         if !self.position_known {
-            return WHOLE_TRAVEL;
+            return layout.whole_travel();
         }
         let heights = self.outstanding.iter().zip(self.travel);
         let heights = heights.map(|(&outstanding, travel)| outstanding.saturating_add_signed(travel));
-        least_seek(heights.max().unwrap_or(0))
+        layout.least_seek(heights.max().unwrap_or(0))
     }
 
     /// `undone` up pulses of a move were cut, or are driven back by the cut.
@@ -90,8 +91,9 @@ impl Pins {
     }
 
     /// The outstanding return pulses, and how many of them push, once: they are driven now.
-    pub(super) fn take_outstanding(&mut self) -> [[u16; MOTORS]; 2] {
-        [&mut self.outstanding, &mut self.outstanding_pushes].map(core::mem::take)
+    pub(super) fn take_outstanding(&mut self) -> [[u16; CAPACITY]; 2] {
+        [&mut self.outstanding, &mut self.outstanding_pushes]
+            .map(|pulses| core::mem::replace(pulses, [0; CAPACITY]))
     }
 
     /// The travel of a pin after a move, and how many of its pulses push. A pin goes no further down than a lower stop.
@@ -101,13 +103,15 @@ impl Pins {
         direction: Direction,
         pulses: u16,
         has_stop: bool,
+        layout: &Layout,
     ) -> Result<(i16, u16), Refusal> {
-        let &travel = self.travel.get(usize::from(motor)).ok_or(Refusal::Motor)?;
+        let &travel =
+            self.travel[..layout.motors()].get(usize::from(motor)).ok_or(Refusal::Motor)?;
         let signed = if direction == Direction::Up { i32::from(pulses) } else { -i32::from(pulses) };
         // The pin can be below rest only if there was no stop before.
         let from = if has_stop { travel.max(0) } else { travel };
         let sum = i32::from(from) + signed;
-        if sum.unsigned_abs() > MAX_TRAVEL.into() {
+        if sum.unsigned_abs() > layout.max_travel().into() {
             return Err(Refusal::Travel);
         }
         // At most the pulses of the move.
@@ -123,6 +127,6 @@ impl Pins {
 }
 
 /// The sum over all motors.
-pub(super) fn total(pulses: &[u16; MOTORS]) -> u32 {
+pub(super) fn total(pulses: &[u16; CAPACITY]) -> u32 {
     pulses.iter().map(|&pulses| u32::from(pulses)).sum()
 }

@@ -3,6 +3,7 @@
 //! How many motors may have pulses in the same tick follows from the slots, and is checked beside them. Invariant: what was
 //! counted when it began is ended once, with what was played of it.
 
+use crate::array::Layout;
 use crate::controller::player::density::Density;
 use crate::limits::{OnTime, PowerLimits, Pushing, Refusal};
 use crate::tick::Tick;
@@ -15,14 +16,18 @@ pub(super) struct Allowance {
 }
 
 impl Allowance {
-    pub(super) const fn new(now: Tick) -> Self {
-        Self { density: Density::NOTHING, on_time: OnTime::new(now), pushing: Pushing::new(now) }
+    pub(super) const fn new(layout: &Layout, now: Tick) -> Self {
+        Self {
+            density: Density::new(layout),
+            on_time: OnTime::new(layout, now),
+            pushing: Pushing::new(layout, now),
+        }
     }
 
     /// Sets the limits of an arming. The pulses counted so far stay.
-    pub(super) fn set_limits(&mut self, limits: PowerLimits, pushes_per_s: u32) {
+    pub(super) fn set_limits(&mut self, limits: PowerLimits, pushes_per_s: u32, layout: &Layout) {
         self.pushing.set_limit(pushes_per_s);
-        self.on_time.set_limits(limits);
+        self.on_time.set_limits(limits, layout);
     }
 
     pub(super) fn limits(&self) -> PowerLimits {
@@ -50,14 +55,27 @@ impl Allowance {
     }
 
     /// Counts `pulses`, of which `pushes` are against the stop, or nothing if a limit refuses them.
-    pub(super) fn begin(&mut self, now: Tick, motor: usize, pulses: u32, pushes: u16) -> Result<(), Refusal> {
-        self.on_time.begin(now, motor, pulses)?;
+    pub(super) fn begin(
+        &mut self,
+        now: Tick,
+        motor: usize,
+        pulses: u32,
+        pushes: u16,
+        layout: &Layout,
+    ) -> Result<(), Refusal> {
+        self.on_time.begin(now, motor, pulses, layout)?;
         self.pushing.begin(now, motor, pushes.into()).inspect_err(|_| self.on_time.end(now, motor, pulses, 0))
     }
 
     /// Counts the pulses by which an amendment makes a stroke longer.
-    pub(super) fn lengthen(&mut self, now: Tick, motor: usize, pulses: u32) -> Result<(), Refusal> {
-        self.on_time.begin(now, motor, pulses)
+    pub(super) fn lengthen(
+        &mut self,
+        now: Tick,
+        motor: usize,
+        pulses: u32,
+        layout: &Layout,
+    ) -> Result<(), Refusal> {
+        self.on_time.begin(now, motor, pulses, layout)
     }
 
     /// Counts a burst that no limit refuses.

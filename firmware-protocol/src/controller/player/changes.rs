@@ -3,16 +3,16 @@
 //! Ticks are low halves, because the loop over all lines takes most of the chip's time. Invariant: a line whose slots change it
 //! at some tick waits for that tick or an earlier one.
 
+use crate::array::{CAPACITY, MotorSet};
 use crate::controller::BLOCK;
-use crate::stroke::MOTORS;
 use crate::tick::Tick;
 use core::hash::{Hash, Hasher};
 
 #[derive(Clone, Debug)]
 pub(super) struct Changes {
     /// Per motor, the tick at which its line changes next, if its bit in `waiting` is set.
-    at: [u32; MOTORS],
-    waiting: u32,
+    at: [u32; CAPACITY],
+    waiting: MotorSet,
     window: Window,
 }
 
@@ -27,13 +27,13 @@ impl Hash for Changes {
 impl Changes {
     /// No line changes. The window ends at `now`.
     pub(super) const fn none(now: Tick) -> Self {
-        Self { at: [0; MOTORS], waiting: 0, window: Window::before(now) }
+        Self { at: [0; CAPACITY], waiting: MotorSet::EMPTY, window: Window::before(now) }
     }
 
     /// Notes that the line of `motor` has to be looked at in tick `low` or before.
     pub(super) fn by(&mut self, motor: usize, low: u32) {
-        let bit = 1 << motor;
-        if self.waiting & bit == 0 || self.at[motor].wrapping_sub(low).cast_signed() > 0 {
+        let bit = MotorSet::of(motor);
+        if (self.waiting & bit).is_empty() || self.at[motor].wrapping_sub(low).cast_signed() > 0 {
             self.at[motor] = low;
         }
         self.waiting |= bit;
@@ -43,12 +43,12 @@ impl Changes {
     /// Sets the tick at which the line of `motor`, which waits, changes next.
     pub(super) fn next(&mut self, motor: usize, low: u32) {
         self.at[motor] = low;
-        self.window.add(1 << motor, low);
+        self.window.add(MotorSet::of(motor), low);
     }
 
     /// The line of `motor` changes no more.
     pub(super) fn forget(&mut self, motor: usize) {
-        self.waiting &= !(1 << motor);
+        self.waiting = self.waiting.without(MotorSet::of(motor));
     }
 
     /// Whether the window has to be opened before the tick `now` is rendered.
@@ -60,20 +60,22 @@ impl Changes {
     #[inline(never)]
     pub(super) fn open(&mut self, now: u32) {
         self.window = Window { begin: now, ..Window::CLOSED };
-        let (mut waiting, mut bit) = (self.waiting, 1);
-        for change in &self.at {
-            if waiting & 1 == 1 {
-                // A change that is overdue happens now.
-                let ahead = change.wrapping_sub(now).cast_signed().max(0).cast_unsigned();
-                self.window.add(bit, now.wrapping_add(ahead));
+        for (mut waiting, (changes, part)) in self.waiting.parts().into_iter().zip(self.at.chunks(32).zip(0..)) {
+            let mut bit = 1;
+            for change in changes {
+                if waiting & 1 == 1 {
+                    // A change that is overdue happens now.
+                    let ahead = change.wrapping_sub(now).cast_signed().max(0).cast_unsigned();
+                    self.window.add(MotorSet::of_part(part, bit), now.wrapping_add(ahead));
+                }
+                waiting >>= 1;
+                bit <<= 1;
             }
-            waiting >>= 1;
-            bit <<= 1;
         }
     }
 
     /// Removes the lines that may change in the tick `now`, within the window.
-    pub(super) fn take(&mut self, now: u32) -> u32 {
+    pub(super) fn take(&mut self, now: u32) -> MotorSet {
         self.window.take(now)
     }
 
@@ -88,7 +90,7 @@ impl Changes {
     }
 
     fn all_waiting(&self) -> impl Iterator<Item = (usize, &u32)> {
-        self.at.iter().enumerate().filter(|&(motor, _)| self.waiting >> motor & 1 == 1)
+        self.at.iter().enumerate().filter(|&(motor, _)| self.waiting.contains(motor as u8))
     }
 }
 
@@ -99,14 +101,14 @@ struct Window {
     /// The first tick.
     begin: u32,
     /// The lines that may change in each tick.
-    lines: [u32; BLOCK as usize],
+    lines: [MotorSet; BLOCK as usize],
     /// Bit i: lines may change in tick i.
     some: u32,
 }
 
 impl Window {
     /// A window that has to be opened before the next tick is rendered.
-    const CLOSED: Self = Self { begin: 0, lines: [0; BLOCK as usize], some: 0 };
+    const CLOSED: Self = Self { begin: 0, lines: [MotorSet::EMPTY; BLOCK as usize], some: 0 };
 
     /// A window that ends at `now`.
     const fn before(now: Tick) -> Self {
@@ -114,7 +116,7 @@ impl Window {
     }
 
     /// Notes that the line of `bit` changes at `tick`, if the window includes that tick.
-    fn add(&mut self, bit: u32, tick: u32) {
+    fn add(&mut self, bit: MotorSet, tick: u32) {
         let at = tick.wrapping_sub(self.begin);
         if let Some(lines) = self.lines.get_mut(at as usize) {
             *lines |= bit;
@@ -123,10 +125,10 @@ impl Window {
     }
 
     /// Removes the lines of the tick `now`.
-    fn take(&mut self, now: u32) -> u32 {
+    fn take(&mut self, now: u32) -> MotorSet {
         let at = now.wrapping_sub(self.begin);
         self.some &= !(1 << (at % BLOCK));
-        self.lines.get_mut(at as usize).map_or(0, core::mem::take)
+        self.lines.get_mut(at as usize).map_or(MotorSet::EMPTY, core::mem::take)
     }
 
     /// Ticks from `now` in which no line changes, at least 1, within the window.

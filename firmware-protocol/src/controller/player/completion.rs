@@ -2,13 +2,13 @@
 //!
 //! Invariant: every slot leaves the pool here or is withdrawn, and is counted once: as played, dropped, refused or replaced.
 
+use crate::array::MotorSet;
 use crate::controller::player::changes::Changes;
-use crate::controller::player::drivers::Drivers;
 use crate::controller::player::pool::Kind;
 use crate::controller::player::{NEVER, Player, at_once};
 use crate::controller::reporting::Reporting;
 use crate::message::Report;
-use crate::stroke::{Lines, MOTORS};
+use crate::stroke::Lines;
 use crate::tick::Tick;
 
 /// What a stroke that was turned off leaves of its pin's way.
@@ -31,13 +31,15 @@ impl Player {
         mut undo: impl FnMut(usize, u16),
     ) -> (u16, u32) {
         let (at, ready) = (self.rendered, self.ready());
-        let (mut flushed, mut outstanding, mut waiting) = (0, 0, 0);
-        for motor in 0..MOTORS {
+        let (mut flushed, mut outstanding, mut waiting) = (0, 0, MotorSet::EMPTY);
+        for motor in 0..self.layout.motors() {
             let Some(slot) = self.pool.current_mut(motor) else { continue };
             undo(motor, slot.shift_undone(at));
             let begun = slot.begun(at);
             if begun {
-                waiting |= u32::from(at < slot.stroke.down) << motor;
+                if at < slot.stroke.down {
+                    waiting.insert(motor as u8);
+                }
                 outstanding += u32::from(slot.cut_at(at, ready));
             }
             let strokes = self.pool.flush(motor, begun);
@@ -46,7 +48,7 @@ impl Player {
             self.change_by(motor, at);
         }
         let limits = self.limits();
-        at_once::take_turns(&mut self.pool, limits, waiting, ready);
+        at_once::take_turns(&mut self.pool, &self.layout, limits, waiting, ready);
         self.next_end = self.next_end.min(at);
         self.marks.keep_before(at);
         (flushed, outstanding)
@@ -54,7 +56,7 @@ impl Player {
 
     /// How many ticks after the rendered end the last return pulse is over, when nothing but returns is queued.
     pub(in crate::controller) fn return_ticks(&self) -> u32 {
-        let ends = (0..MOTORS).filter_map(|motor| self.pool.current(motor)).map(|slot| slot.stroke.end());
+        let ends = (0..self.layout.motors()).filter_map(|motor| self.pool.current(motor)).map(|slot| slot.stroke.end());
         ends.fold(self.rendered, Tick::max).since(self.rendered) as u32
     }
 
@@ -68,7 +70,7 @@ impl Player {
     ) -> u16 {
         self.settle_strokes(at, reporting);
         let mut flushed = 0;
-        for motor in 0..MOTORS {
+        for motor in 0..self.layout.motors() {
             // Most slots are not rendered yet; they are flushed together.
             let strokes = self.pool.flush(motor, true);
             flushed += strokes;
@@ -98,7 +100,8 @@ impl Player {
         self.changes = Changes::none(self.rendered);
         self.marks.turn_off();
         self.marks.keep_before(at);
-        (self.drivers, self.lines) = (Drivers::OFF, Lines::OFF);
+        self.drivers.turn_off();
+        self.lines = Lines::OFF;
         flushed
     }
 
@@ -119,7 +122,7 @@ impl Player {
         // A stroke that is still being rendered ends no sooner than the rendered end.
         let all = now >= self.rendered;
         self.next_end = if all { NEVER } else { self.rendered };
-        for motor in 0..MOTORS {
+        for motor in 0..self.layout.motors() {
             while all || !self.pool.is_rendering_head(motor) {
                 let Some(slot) = self.pool.head(motor) else { break };
                 let end = slot.stroke.end();

@@ -1,31 +1,34 @@
-//! Bounds the strokes that begin, of all motors, by what the chip has time for: [`MAX_DENSE`] within 10 ms.
+//! Bounds the strokes that begin, of all motors, by what the chip has time for: [`Layout::max_dense`] within 10 ms.
 //!
-//! Invariant: `room` and the strokes begun in the last 10 ms, those of the present block included, sum up to [`MAX_DENSE`].
+//! Invariant: `room` and the strokes begun in the last 10 ms, those of the present block included, sum up to [`Layout::max_dense`].
 
-use crate::controller::BLOCK;
-use crate::limits::{DENSE_TICKS, MAX_DENSE, Refusal};
+use crate::array::Layout;
+use crate::limits::Refusal;
 
-/// Blocks in which strokes count, with the present one.
-const BLOCKS: usize = DENSE_TICKS as usize / BLOCK as usize;
-const _: () = assert!(DENSE_TICKS.is_multiple_of(BLOCK as u64));
+/// Room for the blocks in which strokes count, with the present one.
+const BLOCKS: usize = Layout::MAX_DENSE_BLOCKS;
 
 #[derive(Clone, Debug, Hash)]
 pub(super) struct Density {
     /// Strokes that have begun in each block, in a ring.
     begun: [u8; BLOCKS],
+    /// Length of the ring.
+    blocks: u8,
     /// The place of the present block.
     present: u8,
     /// How many more may begin.
-    room: u8,
+    room: u16,
 }
 
 impl Density {
-    pub(super) const NOTHING: Self = Self { begun: [0; BLOCKS], present: 0, room: MAX_DENSE };
+    pub(super) const fn new(layout: &Layout) -> Self {
+        Self { begun: [0; BLOCKS], blocks: layout.dense_blocks(), present: 0, room: layout.max_dense() }
+    }
 
     /// The next block begins.
     pub(super) fn next_block(&mut self) {
-        self.present = if usize::from(self.present) + 1 < BLOCKS { self.present + 1 } else { 0 };
-        self.room += core::mem::take(&mut self.begun[usize::from(self.present)]);
+        self.present = if self.present + 1 < self.blocks { self.present + 1 } else { 0 };
+        self.room += u16::from(core::mem::take(&mut self.begun[usize::from(self.present)]));
     }
 
     /// A stroke begins in the present block.
@@ -51,7 +54,7 @@ mod tests {
         fn strokes_are_as_dense_as_they_may_be_and_no_denser(
             blocks in prop::collection::vec(prop_oneof![Just(0usize), 0usize..30, Just(200)], 1..300),
         ) {
-            let mut density = Density::NOTHING;
+            let mut density = Density::new(&Layout::PAPER);
             let mut begun = std::vec::Vec::new();
             for (block, strokes) in blocks.into_iter().enumerate() {
                 density.next_block();

@@ -3,10 +3,11 @@
 //! Invariant: they are counted when they are queued, and begin as soon as the drivers are ready. Bursts that the limits on motors at
 //! once keep apart follow each other without a pause.
 
+use crate::array::{CAPACITY, MotorSet};
 use crate::controller::player::pool::{Kind, Slot};
 use crate::controller::player::{Player, at_once};
 use crate::limits::Refusal;
-use crate::stroke::{Direction, MOTORS, Stroke};
+use crate::stroke::{Direction, Stroke};
 
 impl Player {
     /// Moves one pin by one burst, unless a limit refuses it; `pushes` of its pulses are against the lower stop. The queue is empty,
@@ -18,7 +19,7 @@ impl Player {
         pulses: u16,
         pushes: u16,
     ) -> Result<(), Refusal> {
-        self.allowance.begin(self.rendered, motor.into(), pulses.into(), pushes)?;
+        self.allowance.begin(self.rendered, motor.into(), pulses.into(), pushes, &self.layout)?;
         self.queue_burst(Kind::Internal, motor, direction, pulses, pushes);
         Ok(())
     }
@@ -33,19 +34,19 @@ impl Player {
     pub(in crate::controller) fn drive_down(
         &mut self,
         kind: Kind,
-        pulses: &[u16; MOTORS],
-        pushes: &[u16; MOTORS],
+        pulses: &[u16; CAPACITY],
+        pushes: &[u16; CAPACITY],
     ) {
-        let mut waiting = 0;
+        let mut waiting = MotorSet::EMPTY;
         for (motor, (&pulses, &pushes)) in pulses.iter().zip(pushes).enumerate() {
             if pulses > 0 {
-                waiting |= 1 << motor;
+                waiting.insert(motor as u8);
                 self.allowance.count(self.rendered, motor, pulses, pushes);
                 self.queue_burst(kind, motor as u8, Direction::Down, pulses, pushes);
             }
         }
         let (limits, ready) = (self.limits(), self.ready());
-        at_once::take_turns(&mut self.pool, limits, waiting, ready);
+        at_once::take_turns(&mut self.pool, &self.layout, limits, waiting, ready);
     }
 
     fn queue_burst(&mut self, kind: Kind, motor: u8, direction: Direction, pulses: u16, pushes: u16) {

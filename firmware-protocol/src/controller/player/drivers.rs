@@ -4,14 +4,12 @@
 //! no burst begins earlier than [`Player::ready`] says.
 //!
 //! Invariant: while the drivers are enabled, some line has a pulse, had its last one less than [`DRIVER_TAIL`] ticks ago, or
-//! has its next burst within [`DRIVER_LEAD`] ticks. A stroke that a limit refuses when it is to begin counts as a burst here.
+//! has its next burst within the lead ([`Layout::driver_lead`](crate::array::Layout::driver_lead)). A stroke that a limit refuses when it is to begin counts as a burst here.
 
+use crate::array::Layout;
 use crate::controller::player::Player;
 use crate::tick::Tick;
 
-/// Ticks from the drivers' enable to the first pulse: 0.5 ms. The 30 V supplies stay on, so only the bridges and their bias
-/// start up in this time. What they need has not been measured: see the firmware's page on wiring.
-pub const DRIVER_LEAD: u32 = 43;
 /// Ticks for which the drivers stay enabled after the tick of the last pulse, so that its falling edge is driven.
 pub const DRIVER_TAIL: u32 = 2;
 
@@ -22,18 +20,26 @@ pub(super) struct Drivers {
     pub(super) since: Option<Tick>,
     /// The end of the tail of the last pulses rendered.
     pub(super) tail_end: Tick,
+    /// Ticks from the enable to the first pulse.
+    pub(super) lead: u32,
 }
 
 impl Drivers {
-    pub(super) const OFF: Self = Self { since: None, tail_end: Tick(0) };
+    pub(super) const fn new(layout: &Layout) -> Self {
+        Self { since: None, tail_end: Tick(0), lead: layout.driver_lead() }
+    }
+
+    pub(super) fn turn_off(&mut self) {
+        (self.since, self.tail_end) = (None, Tick(0));
+    }
 }
 
 impl Player {
     /// Whether the drivers are enabled at the rendered end, and for how many of the next `ticks` this stays so. No line changes
     /// in these ticks.
     pub(super) fn enable_drivers(&mut self, ticks: u64) -> (bool, u64) {
-        let (now, lead) = (self.rendered, u64::from(DRIVER_LEAD));
-        let ticks = if self.lines.up | self.lines.down != 0 {
+        let (now, lead) = (self.rendered, u64::from(self.drivers.lead));
+        let ticks = if !self.lines.pulsing().is_empty() {
             self.drivers.tail_end = now + ticks + u64::from(DRIVER_TAIL);
             ticks
         } else {
@@ -56,6 +62,6 @@ impl Player {
     /// first.
     pub(in crate::controller) fn ready(&self) -> Tick {
         let enabled = self.drivers.since.unwrap_or(self.rendered);
-        self.rendered.max(enabled + u64::from(DRIVER_LEAD))
+        self.rendered.max(enabled + u64::from(self.drivers.lead))
     }
 }

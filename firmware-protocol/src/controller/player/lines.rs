@@ -2,6 +2,7 @@
 //!
 //! [`Player::render`] looks at a line only when it changes, and computes in 32 bits where it can: it takes most of the chip's time.
 
+use crate::array::MotorSet;
 use crate::controller::Run;
 use crate::controller::player::Player;
 use crate::controller::player::pool::{Kind, charge};
@@ -23,20 +24,20 @@ impl Player {
             self.changes.open(now);
             self.allowance.next_block();
         }
-        let mut due = self.changes.take(now);
-        let mut motor = 0;
-        while due != 0 {
-            // The chip's core has no instruction that finds the next bit.
-            if due & 0xff == 0 {
-                due >>= 8;
-                motor += 8;
-                continue;
+        for (mut due, mut motor) in self.changes.take(now).parts().into_iter().zip((0..).step_by(32)) {
+            while due != 0 {
+                // The chip's core has no instruction that finds the next bit.
+                if due & 0xff == 0 {
+                    due >>= 8;
+                    motor += 8;
+                    continue;
+                }
+                if due & 1 == 1 {
+                    self.step(motor, reporting);
+                }
+                due >>= 1;
+                motor += 1;
             }
-            if due & 1 == 1 {
-                self.step(motor, reporting);
-            }
-            due >>= 1;
-            motor += 1;
         }
         let ticks = self.changes.quiet(now).min(max);
         let ticks = (change - self.rendered).min(ticks.into());
@@ -64,15 +65,15 @@ impl Player {
                 self.end(motor);
             }
         };
-        let bit = 1 << motor;
-        self.lines.up &= !bit;
-        self.lines.down &= !bit;
+        let bit = MotorSet::of(motor);
+        self.lines.up = self.lines.up.without(bit);
+        self.lines.down = self.lines.down.without(bit);
         let Some((line, ticks)) = present else {
             self.changes.forget(motor);
             return;
         };
         if let Line::Pulse(direction) = line {
-            *self.lines.mask_mut(direction) |= bit;
+            *self.lines.set_mut(direction) |= bit;
         }
         self.changes.next(motor, (now.0 as u32).wrapping_add(ticks));
     }
@@ -83,7 +84,9 @@ impl Player {
         let Some(slot) = self.pool.current(motor) else { return };
         let (stroke, pushes) = (slot.stroke, slot.pushes);
         let begun = self.allowance.begin_stroke().and_then(|()| self.check_at_once(&stroke));
-        let begun = begun.and_then(|()| self.allowance.begin(self.rendered, motor, stroke.pulses(), pushes));
+        let begun = begun.and_then(|()| {
+            self.allowance.begin(self.rendered, motor, stroke.pulses(), pushes, &self.layout)
+        });
         let Some(slot) = self.pool.current_mut(motor) else { return };
         match begun {
             Ok(()) => slot.charged = Some(charge(&stroke)),

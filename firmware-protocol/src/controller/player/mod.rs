@@ -28,6 +28,7 @@ mod marks;
 mod pool;
 mod strokes;
 
+use crate::array::Layout;
 use crate::controller::reporting::Reporting;
 use crate::limits::PowerLimits;
 use crate::message::Trigger;
@@ -38,7 +39,7 @@ use changes::Changes;
 pub(super) use completion::Left;
 use core::hash::{Hash, Hasher};
 use drivers::Drivers;
-pub use drivers::{DRIVER_LEAD, DRIVER_TAIL};
+pub use drivers::DRIVER_TAIL;
 use marks::Marks;
 pub(super) use pool::Kind;
 pub use pool::POOL;
@@ -60,13 +61,14 @@ pub(super) struct Player {
     changes: Changes,
     marks: Marks,
     allowance: Allowance,
+    layout: Layout,
     pool: Pool,
 }
 
 impl Hash for Player {
     fn hash<H: Hasher>(&self, hasher: &mut H) {
-        let Self { rendered, next_end, lines, drivers, changes, marks, allowance, pool } = self;
-        let Drivers { since, tail_end } = drivers;
+        let Self { rendered, next_end, lines, drivers, changes, marks, allowance, layout: _, pool } = self;
+        let Drivers { since, tail_end, lead: _ } = drivers;
         (since, (*tail_end).max(*rendered), rendered, next_end, lines).hash(hasher);
         (changes, marks, allowance, pool).hash(hasher);
     }
@@ -74,16 +76,17 @@ impl Hash for Player {
 
 impl Player {
     /// Nothing is queued, and nothing rendered before `now`.
-    pub(super) const fn new(now: Tick) -> Self {
+    pub(super) const fn new(layout: Layout, now: Tick) -> Self {
         Self {
             rendered: now,
             next_end: NEVER,
             lines: Lines::OFF,
-            drivers: Drivers::OFF,
+            drivers: Drivers::new(&layout),
             changes: Changes::none(now),
             marks: Marks::NONE,
-            allowance: Allowance::new(now),
-            pool: Pool::new(),
+            allowance: Allowance::new(&layout, now),
+            pool: Pool::new(&layout),
+            layout,
         }
     }
 
@@ -106,9 +109,15 @@ impl Player {
         self.pool.free().saturating_sub(reporting.reports().refused())
     }
 
-    /// Sets the limits of an arming. The pulses counted so far stay.
+    /// The layout of the array.
+    pub(super) fn layout(&self) -> &Layout {
+        &self.layout
+    }
+
+    /// Sets the limits of an arming; the array's own apply, too. The pulses counted so far stay.
     pub(super) fn set_limits(&mut self, limits: PowerLimits, pushes_per_s: u32) {
-        self.allowance.set_limits(limits, pushes_per_s);
+        let limits = self.layout.no_limits().min(limits);
+        self.allowance.set_limits(limits, pushes_per_s, &self.layout);
     }
 
     pub(super) fn limits(&self) -> PowerLimits {

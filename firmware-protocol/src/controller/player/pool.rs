@@ -5,8 +5,8 @@
 //!
 //! Invariant: the state of a line at a tick follows from the slots alone ([`Slot::at`]). A cut rewrites the slot.
 
-use crate::limits::LEAST_APART;
-use crate::stroke::{Direction, Line, MOTORS, Stroke};
+use crate::array::{CAPACITY, Layout};
+use crate::stroke::{Direction, Line, Stroke};
 use crate::tick::Tick;
 use core::hash::{Hash, Hasher};
 
@@ -165,7 +165,9 @@ pub(super) struct Queue {
 pub(super) struct Pool {
     free: u16,
     used: u16,
-    pub(super) queues: [Queue; MOTORS],
+    /// Least ticks between the beginnings of a motor's strokes.
+    least_apart: u32,
+    pub(super) queues: [Queue; CAPACITY],
     slots: [Slot; POOL],
 }
 
@@ -186,7 +188,7 @@ impl Hash for Pool {
 }
 
 impl Pool {
-    pub(super) const fn new() -> Self {
+    pub(super) const fn new(layout: &Layout) -> Self {
         let nothing = Stroke { motor: 0, up: Tick(0), up_pulses: 0, down: Tick(0), down_pulses: 0 };
         let mut slots = [Slot::new(nothing, Kind::Void); POOL];
         let mut next = 1;
@@ -195,7 +197,7 @@ impl Pool {
             next += 1;
         }
         let queue = Queue { head: NONE, cursor: NONE, tail: NONE, len: 0, plays: 0, passed: Tick(0) };
-        Self { slots, free: 0, used: 0, queues: [queue; MOTORS] }
+        Self { free: 0, used: 0, least_apart: layout.least_apart(), queues: [queue; CAPACITY], slots }
     }
 
     pub(super) fn free(&self) -> u16 {
@@ -245,9 +247,14 @@ impl Pool {
     }
 
     /// When the last stroke of `motor` begins or began.
-    pub(super) fn last_up(&self, motor: usize) -> Tick {
+    fn last_up(&self, motor: usize) -> Tick {
         let Some(queue) = self.queues.get(motor) else { return Tick(0) };
         self.get(queue.tail).map_or(queue.passed, |slot| slot.stroke.up)
+    }
+
+    /// The earliest tick at which another stroke of `motor` may begin.
+    pub(super) fn earliest_up(&self, motor: usize) -> Tick {
+        self.last_up(motor) + u64::from(self.least_apart)
     }
 
     /// Appends a slot to the queue of its motor. Returns `false` if the pool is full.
@@ -339,7 +346,7 @@ impl Pool {
         // Those before the cursor began before `from`, too.
         let [last, first, stay] = self.first_from(head, from);
         let [ends, begins] = self.get(last).map_or([passed; 2], |last| [last.stroke.end(), last.stroke.up]);
-        if ends > next || next < begins + LEAST_APART {
+        if ends > next || next < begins + u64::from(self.least_apart) {
             return None;
         }
         let Some(slot) = self.get(first) else { return Some(0) };

@@ -16,7 +16,7 @@ use crate::tick::Tick;
 impl Player {
     /// Judges a stroke by itself. `Ok(false)` if it is late.
     pub(in crate::controller) fn judge(&self, stroke: &Stroke, now: Tick) -> Result<bool, Refusal> {
-        limits::check(stroke)?;
+        self.layout.check(stroke)?;
         if stroke.down_pulses > stroke.up_pulses && !self.has_stop() {
             return Err(Refusal::Pushing);
         }
@@ -36,7 +36,7 @@ impl Player {
         if self.pool.end(stroke.motor.into()).is_some_and(|end| stroke.up < end) {
             return Err(Refusal::Overlap);
         }
-        if stroke.up < self.pool.last_up(stroke.motor.into()) + limits::LEAST_APART {
+        if stroke.up < self.pool.earliest_up(stroke.motor.into()) {
             return Err(Refusal::Dense);
         }
         let room = self.credits(reporting) > 0;
@@ -48,7 +48,7 @@ impl Player {
     /// begun or one before them does not end by `next`.
     pub(in crate::controller) fn withdraw(&mut self, motor: u8, from: Tick, next: Tick) -> Option<u16> {
         let strokes = self.pool.withdraw(motor.into(), from, next, self.rendered)?;
-        let is_high = (self.lines.up | self.lines.down) >> motor & 1 == 1;
+        let is_high = self.lines.pulsing().contains(motor);
         if self.pool.current(motor.into()).is_none() && !is_high {
             // The line waits for the withdrawn stroke no longer, nor do the drivers.
             self.changes.forget(motor.into());
@@ -65,12 +65,13 @@ impl Player {
         let has_stop = self.allowance.has_stop();
         let slot = self.pool.get_mut(index)?;
         let half = usize::from(item.direction == Direction::Down);
+        let most = [self.layout.max_up_pulses(), self.layout.max_down_pulses()];
         let burst = slot.stroke.bursts()[half];
         let room = if half == 0 { slot.stroke.down } else { room_after };
         let newest = slot.generation[half].is_none_or(|old| newer(generation, old));
         let fits = limits::within_correction(slot.planned[half], item.pulses)
             && burst.start + u64::from(item.pulses) <= room
-            && (1..=[limits::MAX_UP_PULSES, limits::MAX_DOWN_PULSES][half]).contains(&item.pulses)
+            && (1..=most[half]).contains(&item.pulses)
             && (half == 0 || !has_stop || item.pulses <= slot.planned[1]);
         if slot.kind != Kind::Play || burst.start < rendered || !newest || !fits {
             return None;
@@ -89,7 +90,7 @@ impl Player {
             && stroke.pulses() > u32::from(*charged)
         {
             self.allowance
-                .lengthen(rendered, item.motor.into(), stroke.pulses() - u32::from(*charged))
+                .lengthen(rendered, item.motor.into(), stroke.pulses() - u32::from(*charged), &self.layout)
                 .ok()?;
             *charged = charge(&stroke);
         }

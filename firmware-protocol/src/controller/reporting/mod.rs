@@ -6,9 +6,9 @@
 
 mod reports;
 
+use crate::array::{CAPACITY, Layout};
 use crate::controller::board::BoardRequests;
-use crate::message::{Counters, Cut, DeviceMessage, Report};
-use crate::stroke::MOTORS;
+use crate::message::{Counters, Cut, DeviceMessage, MAX_SAMPLES, Report, Samples};
 use crate::tick::{Tick, WireTick};
 use core::hash::{Hash, Hasher};
 pub use reports::REPORTS;
@@ -29,7 +29,15 @@ struct Pending {
     hello: bool,
     no_session: bool,
     status: bool,
-    telemetry: Option<(WireTick, [i32; MOTORS])>,
+    telemetry: Option<Telemetry>,
+}
+
+/// A sample of all pins, of which those before `first` are sent.
+#[derive(Clone, Debug, Hash)]
+struct Telemetry {
+    tick: WireTick,
+    first: u8,
+    y: heapless::Vec<i32, CAPACITY>,
 }
 
 impl Pending {
@@ -52,8 +60,10 @@ impl Hash for Reporting {
 }
 
 impl Reporting {
-    pub(super) const NOTHING: Self =
-        Self { counters: Counters::NONE, pending: Pending::NONE, last_cut: None, reports: Reports::new() };
+    pub(super) const fn new(layout: &Layout) -> Self {
+        let reports = Reports::new(layout);
+        Self { counters: Counters::NONE, pending: Pending::NONE, last_cut: None, reports }
+    }
 
     pub(super) fn counters(&self) -> Counters {
         self.counters
@@ -102,9 +112,13 @@ impl Reporting {
         self.pending.status = true;
     }
 
-    /// Replaces a sample that is not sent yet.
-    pub(super) fn send_telemetry(&mut self, tick: Tick, y: [i32; MOTORS]) {
-        self.pending.telemetry = Some((tick.wire(), y));
+    /// Replaces a sample of which nothing is sent yet. Of one that is sent in parts, the parts left go first.
+    pub(super) fn send_telemetry(&mut self, tick: Tick, y: &[i32]) {
+        if self.pending.telemetry.as_ref().is_some_and(|sample| sample.first > 0) {
+            return;
+        }
+        let y = heapless::Vec::from_slice(y).unwrap_or_default();
+        self.pending.telemetry = Some(Telemetry { tick: tick.wire(), first: 0, y });
     }
 
     pub(super) fn is_status_due(&self) -> bool {
@@ -143,7 +157,21 @@ impl Reporting {
         if let Some(answer) = board.next_answer(now) {
             return Some(Due::Message(answer));
         }
-        let (tick, y) = self.pending.telemetry.take()?;
-        Some(Due::Message(DeviceMessage::Telemetry { tick, y }))
+        self.next_telemetry()
+    }
+
+    /// The next part of a sample.
+    #[inline(never)]
+    fn next_telemetry(&mut self) -> Option<Due> {
+        let sample = self.pending.telemetry.as_mut()?;
+        let (tick, first) = (sample.tick, sample.first);
+        let left = sample.y.get(first.into()..).unwrap_or_default();
+        let y = Samples::of(left);
+        if left.len() <= MAX_SAMPLES {
+            self.pending.telemetry = None;
+        } else {
+            sample.first += MAX_SAMPLES as u8;
+        }
+        Some(Due::Message(DeviceMessage::Telemetry { tick, first, y }))
     }
 }

@@ -8,19 +8,18 @@
 //! Invariant: each report after the last one seen is in exactly one of the two queues. A number that `ring` does not hold is
 //! that of a refused stroke.
 
+use crate::array::Layout;
 use crate::controller::POOL;
 use crate::controller::newer;
 use crate::limits::Refusal;
 use crate::message::Report;
-use crate::tick::{TICK_HZ, Tick, WireTick};
+use crate::tick::{Tick, WireTick};
 use core::hash::{Hash, Hasher};
 
 /// Most unseen reports besides refused strokes; also the most reports sent and not seen yet.
 pub const REPORTS: usize = 32;
 /// Places reserved for queued onsets and for cuts.
 pub(in crate::controller) const RESERVE: usize = 12;
-/// Ticks after which unseen reports are repeated, once the host is heard again.
-const REPEAT: u64 = TICK_HZ as u64 / 100;
 
 /// A queued stroke that was refused when it was to begin.
 #[derive(Clone, Copy, Debug, Hash)]
@@ -40,11 +39,13 @@ pub(in crate::controller) struct Reports {
     /// Number of reports, from the oldest, sent since the last repetition.
     sent: usize,
     repeated: Tick,
+    /// Ticks after which unseen reports are repeated, once the host is heard again.
+    repeat: u32,
 }
 
 impl Hash for Reports {
     fn hash<H: Hasher>(&self, hasher: &mut H) {
-        let Self { ring, refused, made, sent, repeated } = self;
+        let Self { ring, refused, made, sent, repeated, repeat: _ } = self;
         ring.iter().for_each(|report| report.hash(hasher));
         refused.iter().for_each(|stroke| stroke.hash(hasher));
         (ring.len(), refused.len(), made, sent, repeated).hash(hasher);
@@ -52,13 +53,14 @@ impl Hash for Reports {
 }
 
 impl Reports {
-    pub(super) const fn new() -> Self {
+    pub(super) const fn new(layout: &Layout) -> Self {
         Self {
             ring: heapless::Deque::new(),
             refused: heapless::Deque::new(),
             made: 0,
             sent: 0,
             repeated: Tick(0),
+            repeat: layout.report_repeat(),
         }
     }
 
@@ -119,7 +121,7 @@ impl Reports {
             }
             self.sent = self.sent.saturating_sub(1);
         }
-        if now - self.repeated >= REPEAT {
+        if now - self.repeated >= u64::from(self.repeat) {
             self.sent = 0;
             self.repeated = now;
         }

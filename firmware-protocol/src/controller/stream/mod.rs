@@ -8,6 +8,7 @@
 mod reorder;
 mod taking;
 
+use crate::array::MotorSet;
 use crate::batch::Malformed;
 use crate::controller::newer;
 use crate::controller::player::{NEVER, Player};
@@ -25,7 +26,7 @@ use taking::{Packed, Taking};
 pub(super) struct Stream {
     next_seq: u16,
     /// Motors whose strokes are late until a frame withdraws again from them, because it came too late the last time.
-    kept: u32,
+    kept: MotorSet,
     /// The newest amendment of this epoch that the device knows of.
     generation: Option<u16>,
     taking: Taking,
@@ -44,7 +45,7 @@ pub(super) struct Parts<'a> {
 impl Stream {
     pub(super) const NOTHING: Self = Self {
         next_seq: 0,
-        kept: 0,
+        kept: MotorSet::EMPTY,
         generation: None,
         taking: Taking::NOTHING,
         reorder: ReorderBuffer::new(),
@@ -54,7 +55,7 @@ impl Stream {
     pub(super) fn begin(&mut self) {
         self.next_seq = 0;
         self.reorder.clear();
-        (self.kept, self.generation) = (0, None);
+        (self.kept, self.generation) = (MotorSet::EMPTY, None);
     }
 
     /// The number of the next frame in order.
@@ -124,7 +125,7 @@ impl Stream {
 
     /// Queues a stroke. `Ok(false)` if it is late.
     fn accept(&self, stroke: &Stroke, parts: &mut Parts<'_>) -> Result<bool, Refusal> {
-        if !parts.judge(stroke)? || self.kept >> stroke.motor & 1 == 1 {
+        if !parts.judge(stroke)? || self.kept.contains(stroke.motor) {
             return Ok(false);
         }
         parts.player.append(stroke, self.generation, parts.reporting)?;
@@ -135,15 +136,14 @@ impl Stream {
     /// can be queued. Otherwise all of them stay, and the motor's new strokes are late until the next withdrawal. Returns whether
     /// it has withdrawn them.
     fn withdraw(&mut self, motor: u8, from: Tick, first: Option<&Stroke>, parts: &mut Parts<'_>) -> bool {
-        let bit = 1 << motor;
         let usable = first.map_or(parts.armed, |first| parts.judge(first) == Ok(true));
         let next = first.map_or(NEVER, |first| first.up);
         let withdrawn = if usable { parts.player.withdraw(motor, from, next) } else { None };
         let Some(strokes) = withdrawn else {
-            self.kept |= bit;
+            self.kept.insert(motor);
             return false;
         };
-        self.kept &= !bit;
+        self.kept.remove(motor);
         parts.reporting.count().replaced += 2 * u64::from(strokes);
         true
     }

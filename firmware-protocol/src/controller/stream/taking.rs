@@ -5,11 +5,12 @@
 //!
 //! Invariant: a play's first frame is judged and taken in one piece, so that it is taken whole or not at all.
 
+use crate::array::MotorSet;
 use crate::batch::{Amendments, BATCH_BYTES, Batch, MAX_BATCH, Malformed, Place, unpack};
 use crate::controller::stream::{Parts, Stream};
 use crate::limits::Refusal;
 use crate::message::{Mark, MarkKind, Report, Withdraw};
-use crate::stroke::{MOTORS, Stroke};
+use crate::stroke::Stroke;
 use crate::tick::Tick;
 use core::hash::{Hash, Hasher};
 
@@ -23,9 +24,6 @@ const REPLACING: usize = 4;
 const SEARCHED: u16 = 128;
 /// Most amendments taken at a time: each searches the queue of its motor.
 const AMENDMENTS: usize = 4;
-
-/// A bit for each motor.
-const ALL_MOTORS: u32 = (1 << MOTORS) - 1;
 
 /// The head of the next frame of the ordered stream.
 #[derive(Clone, Copy, Debug, Hash)]
@@ -69,9 +67,9 @@ pub(super) struct Taking {
     /// Why the first of those was refused.
     reason: Option<Refusal>,
     /// The motors still to be withdrawn from, from which tick on, and the motors of which nothing was withdrawn.
-    withdraw: u32,
+    withdraw: MotorSet,
     from: Tick,
-    kept: u32,
+    kept: MotorSet,
     /// The amendments that are being taken: their generation, the bytes of them that are taken, and the tick from which the next
     /// one counts.
     amending: Option<(u16, usize, Tick)>,
@@ -125,9 +123,9 @@ impl Taking {
         missed: None,
         refused: 0,
         reason: None,
-        withdraw: 0,
+        withdraw: MotorSet::EMPTY,
         from: Tick(0),
-        kept: 0,
+        kept: MotorSet::EMPTY,
         amending: None,
     };
 
@@ -190,7 +188,7 @@ impl Stream {
             return true;
         }
         if let Some(seq) = self.taking.seq {
-            let replaces = self.taking.withdraw != 0;
+            let replaces = !self.taking.withdraw.is_empty();
             self.take_strokes(seq, if replaces { REPLACING } else { STROKES }, parts);
             return true;
         }
@@ -216,23 +214,23 @@ impl Stream {
                 }
             }
             if mark.kind == MarkKind::Play {
-                self.kept = 0;
+                self.kept = MotorSet::EMPTY;
             }
         }
         let taking = &mut self.taking;
         (taking.seq, taking.taken) = (Some(seq), 0);
         (taking.late, taking.missed, taking.refused, taking.reason) = (0, None, 0, None);
-        (taking.withdraw, taking.from, taking.kept) = (0, base, 0);
+        (taking.withdraw, taking.from, taking.kept) = (MotorSet::EMPTY, base, MotorSet::EMPTY);
         // Between pieces lines are rendered, and a stroke that was in time may become late.
         let begins_play = mark.is_some_and(|mark| mark.kind == MarkKind::Play);
         if let Some(withdraw) = withdraw
             && !begins_play
         {
-            taking.withdraw = withdraw.motors & ALL_MOTORS;
+            taking.withdraw = withdraw.motors & parts.player.layout().all();
             self.note_generation(withdraw.generation);
         }
         let is_short = self.taking.strokes.len() <= STROKES || parts.player.is_empty();
-        if begins_play || (is_short && self.taking.withdraw == 0) {
+        if begins_play || (is_short && self.taking.withdraw.is_empty()) {
             self.take_strokes(seq, MAX_BATCH, parts);
         }
     }
@@ -248,19 +246,17 @@ impl Stream {
             let at = self.taking.taken;
             let Some(&stroke) = self.taking.strokes.get(at) else {
                 // What is left to withdraw is replaced by nothing.
-                if self.taking.withdraw == 0 {
-                    break;
-                }
-                searched += self.take_withdrawal(self.taking.withdraw.trailing_zeros() as u8, None, parts);
+                let Some(motor) = self.taking.withdraw.lowest() else { break };
+                searched += self.take_withdrawal(motor, None, parts);
                 continue;
             };
-            if self.taking.withdraw >> stroke.motor & 1 == 1 {
+            if self.taking.withdraw.contains(stroke.motor) {
                 searched += self.take_withdrawal(stroke.motor, Some(&stroke), parts);
             }
             match self.accept(&stroke, parts) {
                 Ok(true) => {}
                 Ok(false) => {
-                    let is_kept = self.kept >> stroke.motor & 1 == 1;
+                    let is_kept = self.kept.contains(stroke.motor);
                     // The old strokes are played in its place.
                     *(if is_kept {
                         &mut parts.reporting.count().replaced
@@ -279,12 +275,12 @@ impl Stream {
             }
             self.taking.taken += 1;
         }
-        if self.taking.taken < self.taking.strokes.len() || self.taking.withdraw != 0 {
+        if self.taking.taken < self.taking.strokes.len() || !self.taking.withdraw.is_empty() {
             return;
         }
         let &Taking { late, missed, refused, reason, kept, .. } = &self.taking;
         self.taking.seq = None;
-        if late | refused != 0 || kept != 0 {
+        if late | refused != 0 || !kept.is_empty() {
             let rendered = missed.unwrap_or(parts.player.rendered()).wire();
             parts.reporting.report(Report::Verdict { seq, late, refused, kept, reason, rendered });
         }
@@ -293,9 +289,9 @@ impl Stream {
     /// Withdraws from one motor what `first` replaces. Returns the length of its queue.
     fn take_withdrawal(&mut self, motor: u8, first: Option<&Stroke>, parts: &mut Parts<'_>) -> u16 {
         let len = parts.player.len(motor);
-        self.taking.withdraw &= !(1 << motor);
+        self.taking.withdraw.remove(motor);
         if !self.withdraw(motor, self.taking.from, first, parts) {
-            self.taking.kept |= 1 << motor;
+            self.taking.kept.insert(motor);
             let ready = parts.player.ready();
             self.taking.missed.get_or_insert(ready);
         }

@@ -7,6 +7,7 @@
 
 use crate::link::session::event::Verdict;
 use crate::time::HostInstant;
+use firmware_protocol::array::MotorSet;
 use firmware_protocol::batch::{BATCH_BYTES, Packer, Strokes};
 use firmware_protocol::controller::REORDER_WINDOW;
 use firmware_protocol::frame::{self, MAX_FRAME};
@@ -25,7 +26,7 @@ pub(super) struct Batch {
     seq: u16,
     mark: Option<Mark>,
     /// The motors from which it withdraws what begins at its base or later.
-    withdraws: Option<u32>,
+    withdraws: Option<MotorSet>,
     strokes: Packer<BATCH_BYTES>,
     /// Its bytes on the wire, once sent.
     len: usize,
@@ -57,7 +58,7 @@ pub(super) struct Written {
 
 impl Batch {
     /// An empty frame; `withdraws`: it replaces queued strokes, of these motors so far.
-    pub(super) fn new(seq: u16, base: Tick, mark: Option<Mark>, withdraws: Option<u32>) -> Self {
+    pub(super) fn new(seq: u16, base: Tick, mark: Option<Mark>, withdraws: Option<MotorSet>) -> Self {
         Self {
             seq,
             mark,
@@ -86,7 +87,7 @@ impl Batch {
         self.mark.map(|_| self.strokes.base())
     }
 
-    pub(super) const fn withdraws(&self) -> Option<u32> {
+    pub(super) const fn withdraws(&self) -> Option<MotorSet> {
         self.withdraws
     }
 
@@ -117,7 +118,7 @@ impl Batch {
     }
 
     /// Withdraws what these motors have queued too; `false` if it replaces nothing.
-    pub(super) fn withdraw(&mut self, motors: u32) -> bool {
+    pub(super) fn withdraw(&mut self, motors: MotorSet) -> bool {
         let Some(withdraws) = &mut self.withdraws else { return false };
         *withdraws |= motors;
         true
@@ -169,7 +170,7 @@ impl Batch {
     pub(super) fn verdicts(
         &self,
         report: Option<Report>,
-        kept: u32,
+        kept: MotorSet,
         tick: Tick,
         now: HostInstant,
     ) -> impl Iterator<Item = (Stroke, Verdict)> {
@@ -182,7 +183,7 @@ impl Batch {
         let sent = self.first_sent.unwrap_or(now);
         let strokes = Strokes::new(self.strokes.base(), self.strokes.bytes()).flatten();
         strokes.enumerate().map(move |(i, stroke)| {
-            let verdict = if late >> i & 1 == 1 && kept >> stroke.motor & 1 == 1 {
+            let verdict = if late >> i & 1 == 1 && kept.contains(stroke.motor) {
                 Verdict::Superseded
             } else if late >> i & 1 == 1 {
                 Verdict::Late { rendered: free, sent, retransmitted: self.retransmitted }
@@ -205,10 +206,10 @@ pub(super) const fn judged(report: &Report) -> Option<u16> {
 }
 
 /// The motors of which the device withdrew nothing, by its report if there is one.
-pub(super) const fn kept_motors(report: Option<Report>) -> u32 {
+pub(super) const fn kept_motors(report: Option<Report>) -> MotorSet {
     match report {
         Some(Report::Verdict { kept, .. }) => kept,
-        _ => 0,
+        _ => MotorSet::EMPTY,
     }
 }
 

@@ -12,9 +12,10 @@ use crate::link::clock::ClockEstimate;
 use crate::link::session::batch::Batch;
 use crate::link::session::contradiction::Contradiction;
 use crate::time::HostInstant;
-use firmware_protocol::board::{Board, OUTPUTS, SelfTestState};
+use firmware_protocol::array::{ArrayId, Layout};
+use firmware_protocol::board::{Board, Output, Outputs, SelfTestState};
 use firmware_protocol::controller::{REORDER_WINDOW, REPORTS};
-use firmware_protocol::limits::{Refusal, correction};
+use firmware_protocol::limits::{PowerLimits, Refusal};
 use firmware_protocol::message::{Cause, Counters, Cut, DeviceHello, Op, Report, State, Status};
 use firmware_protocol::tick::{Tick, WireTick};
 use meissner_array::spec::Array;
@@ -27,13 +28,27 @@ const LATEST_CLOCK: Tick = Tick(1 << 56);
 const CLOCK_SLACK_MS: u64 = 3;
 /// A status that another overtook is no older than this, ms; lines delay by milliseconds.
 const OVERTAKEN_MS: u64 = 1000;
-/// A return takes at most a burst of each motor of a rail, one after the other. The longest is a seek. Besides, there is so much
-/// room for the statuses around it, ms.
-const RETURN_ROOM_MS: u64 = 800;
 /// Between two statuses at most so much counts as spent in a return, ms: the host did not see the rest.
 const RETURN_SEEN_MS: u64 = 100;
 /// Marks whose reports may be on their way: as many as there are reports.
 const MARKS: usize = REPORTS;
+
+/// A return takes at most a burst of each motor of a rail, one after the other. The longest is a seek. A third more is room for the
+/// statuses around it, and no bound is below 2 s.
+fn longest_return(layout: &Layout) -> u64 {
+    let bursts = u64::from(layout.turns(&one_at_once(layout))) * u64::from(layout.max_seek());
+    (2 * u64::from(layout.tick_hz())).max(bursts * 4 / 3)
+}
+
+/// One motor of a rail has pulses at once.
+const fn one_at_once(layout: &Layout) -> PowerLimits {
+    PowerLimits { rail_at_once: 1, chip_at_once: 1, ..layout.no_limits() }
+}
+
+/// Most pulses of a stroke, which are counted when it ends.
+fn stroke_pulses(layout: &Layout) -> u64 {
+    u64::from(layout.max_up_pulses()) + u64::from(layout.max_down_pulses())
+}
 
 /// What the session knows of the device besides the stream.
 #[derive(Clone, Debug)]
@@ -124,6 +139,30 @@ impl DeviceKnowledge {
         }
     }
 
+    fn layout(&self) -> &'static Layout {
+        self.array.spec().layout()
+    }
+
+    /// The array that the device must have.
+    pub(super) fn array(&self) -> ArrayId {
+        *self.layout().id()
+    }
+
+    /// Its motors.
+    pub(super) fn motors(&self) -> usize {
+        self.array.motors()
+    }
+
+    /// Whether these outputs are all there.
+    fn has(&self, outputs: Outputs) -> bool {
+        outputs.lines.without(self.layout().all()).is_empty()
+    }
+
+    /// Most outstanding return pulses of all pins together.
+    fn most_outstanding(&self) -> u32 {
+        self.motors() as u32 * u32::from(u16::MAX)
+    }
+
     /// A command is about to be sent.
     pub(super) fn command(&mut self, op: &Op) {
         self.arms |= matches!(op, Op::Arm { .. });
@@ -177,7 +216,7 @@ impl DeviceKnowledge {
     /// Whether a board report may follow the last one of this session.
     pub(super) fn read_board(&self, board: &Board, before: Option<&Board>) -> Result<(), Contradiction> {
         let within = |slack: Option<u8>| slack.is_none_or(|slack| u32::from(slack) <= self.horizon);
-        let outputs_exist = board.high_at_boot.unwrap_or(0) >> OUTPUTS == 0;
+        let outputs_exist = self.has(board.high_at_boot.unwrap_or_default());
         // The least slack since the start is at most the slack of any window, and is measured if that slack is.
         let bounds_least = |slack: Option<u8>| {
             slack.is_none_or(|slack| board.slack_since_boot.is_some_and(|least| least <= slack))
@@ -193,23 +232,6 @@ impl DeviceKnowledge {
         });
         let slack = within(board.slack) && within(board.slack_since_boot) && bounds_least(board.slack);
         if slack && outputs_exist && follows { Ok(()) } else { Err(Contradiction::Board) }
-    }
-
-    /// Most outstanding return pulses, of all motors.
-    fn most_outstanding(&self) -> u32 {
-        self.array.motors() as u32 * u32::from(u16::MAX)
-    }
-
-    /// Most pulses of a stroke, which are counted when it ends.
-    fn stroke_pulses(&self) -> u64 {
-        let most = self.array.motor().most_pulses;
-        2 * u64::from(most) + u64::from(correction(most))
-    }
-
-    /// The longest return, ticks.
-    fn longest_return(&self) -> u64 {
-        let seek = u64::from(self.array.motor().seek_pulses);
-        self.array.rails().largest() as u64 * seek + self.array.rate().of_ms(RETURN_ROOM_MS)
     }
 
     /// Whether a status that says `now` may follow what is known.
@@ -296,7 +318,7 @@ impl DeviceKnowledge {
         if !self.may_become(status) || status.outstanding > self.most_outstanding() {
             return Err(Contradiction::State);
         }
-        if self.returning > self.longest_return() && status.state == State::Returning {
+        if self.returning > longest_return(self.layout()) && status.state == State::Returning {
             return Err(Contradiction::State);
         }
         if let Some((before, _)) = &self.status
@@ -359,7 +381,7 @@ impl DeviceKnowledge {
     fn check_pace(&self, now: &Counters, tick: Tick) -> Result<(), Contradiction> {
         let Some((before, at)) = &self.status else { return Ok(()) };
         // Each line plays at most a pulse per tick; a stroke counts at its end.
-        let most = self.array.motors() as u64 * ((tick - *at) + self.stroke_pulses());
+        let most = self.motors() as u64 * ((tick - *at) + stroke_pulses(self.layout()));
         let jumps = |count: fn(&Counters) -> u64| count(now).saturating_sub(count(&before.counters)) > most;
         let jumps = jumps(|counts| counts.pulses) || jumps(|counts| counts.played);
         if jumps { Err(Contradiction::Counters) } else { Ok(()) }
@@ -382,8 +404,8 @@ impl DeviceKnowledge {
                 let frame = frame.ok_or(Contradiction::Report)?;
                 let listed = late | refused;
                 let fits = late & refused == 0
-                    && (listed != 0 || kept != 0)
-                    && kept & !frame.withdraws().unwrap_or(0) == 0
+                    && (listed != 0 || !kept.is_empty())
+                    && kept.without(frame.withdraws().unwrap_or_default()).is_empty()
                     && listed.checked_shr(frame.items() as u32).unwrap_or(0) == 0
                     && reason.is_some() == (refused != 0);
                 if fits {
@@ -411,7 +433,7 @@ impl DeviceKnowledge {
             Report::Cut(Cut { at, flushed, outstanding, return_ticks, .. }) => {
                 let fits = flushed <= self.pool
                     && outstanding <= self.most_outstanding()
-                    && return_ticks.is_none_or(|ticks| u64::from(ticks) <= self.longest_return());
+                    && return_ticks.is_none_or(|ticks| u64::from(ticks) <= longest_return(self.layout()));
                 if fits { self.tick_within(clock, at, self.horizon) } else { Err(Contradiction::Report) }
             }
             Report::Refused { motor, up, reason } => {
@@ -431,19 +453,32 @@ impl DeviceKnowledge {
     }
 
     /// Whether the result of a self-test names only outputs that there are.
-    pub(super) fn read_self_test(state: SelfTestState) -> Result<(), Contradiction> {
+    pub(super) fn read_self_test(&self, state: SelfTestState) -> Result<(), Contradiction> {
         let SelfTestState::Done(result) = state else { return Ok(()) };
         let exist = result.lines.is_none_or(|lines| {
-            let outputs = lines.stuck_high | lines.stuck_low | lines.shorted;
-            let is_output = |at: u8| usize::from(at) < OUTPUTS;
-            outputs >> OUTPUTS == 0 && lines.pair.is_none_or(|(a, b)| is_output(a) && is_output(b))
+            let is_output = |output| match output {
+                Output::Line(line) => usize::from(line) < self.motors(),
+                Output::Trigger | Output::Enable => true,
+            };
+            self.has(lines.stuck_high | lines.stuck_low | lines.shorted)
+                && lines.pair.is_none_or(|(a, b)| is_output(a) && is_output(b))
         });
         if exist { Ok(()) } else { Err(Contradiction::Board) }
     }
 
-    /// The tick of a telemetry sample, widened. Its displacements are for the telemetry monitors, motor by motor.
-    pub(super) fn read_telemetry(&self, clock: ClockReading, tick: WireTick) -> Result<Tick, Contradiction> {
-        if self.telemetry { self.tick_within(clock, tick, 0) } else { Err(Contradiction::Telemetry) }
+    /// The tick of a part of a telemetry sample, from the motor `first` on, widened. Its displacements are for the telemetry
+    /// monitors, motor by motor.
+    pub(super) fn read_telemetry(
+        &self,
+        clock: ClockReading,
+        tick: WireTick,
+        first: u8,
+        y: &[i32],
+    ) -> Result<Tick, Contradiction> {
+        if !self.telemetry || usize::from(first) + y.len() > self.motors() {
+            return Err(Contradiction::Telemetry);
+        }
+        self.tick_within(clock, tick, 0)
     }
 }
 

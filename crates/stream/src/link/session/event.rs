@@ -2,12 +2,15 @@
 
 use crate::link::session::contradiction::Contradiction;
 use crate::time::HostInstant;
+use firmware_protocol::array::{ArrayId, MotorSet};
 use firmware_protocol::board::{Board, SelfTestState};
 use firmware_protocol::limits::Refusal;
 use firmware_protocol::message::{Counters, Cut, DeviceHello, Status};
 use firmware_protocol::stroke::Stroke;
 use firmware_protocol::tick::Tick;
 use meissner_array::per_motor::PerMotor;
+use std::borrow::Cow;
+use std::fmt::{Display, Formatter};
 
 /// What the device decided about a stroke.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -40,8 +43,8 @@ pub enum LostReason {
     Restarted,
     /// The device speaks another protocol version.
     Version,
-    /// The device reports other motors or another tick rate.
-    WrongArray,
+    /// The device is built for another array.
+    WrongArray(AnotherArray),
     /// The line damages too many of the device's frames.
     Noisy {
         /// The share damaged, percent.
@@ -49,6 +52,42 @@ pub enum LostReason {
     },
     /// The device contradicts itself, last in this.
     Contradicts(Contradiction),
+}
+
+/// The array that a device is built for, which is not that of the host.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct AnotherArray {
+    /// The device's.
+    pub device: ArrayId,
+    /// The host's.
+    pub array: ArrayId,
+}
+
+impl Display for AnotherArray {
+    /// Names the first key that differs, and both values.
+    fn fmt(&self, out: &mut Formatter<'_>) -> std::fmt::Result {
+        let Self { device, array } = self;
+        let share = |thousandths: u16| f64::from(thousandths) / 1e3;
+        let (key, found, own) = if device.name != array.name {
+            return write!(
+                out,
+                "the device is built for another array: its name is {}, this array is {}",
+                device.name, array.name
+            );
+        } else if device.motors != array.motors {
+            ("motors", device.motors.to_string(), array.motors.to_string())
+        } else if device.tick_hz != array.tick_hz {
+            ("tick_hz", device.tick_hz.to_string(), array.tick_hz.to_string())
+        } else if device.duty_up != array.duty_up {
+            ("duty.up", share(device.duty_up).to_string(), share(array.duty_up).to_string())
+        } else if device.duty_down != array.duty_down {
+            ("duty.down", share(device.duty_down).to_string(), share(array.duty_down).to_string())
+        } else {
+            ("the hash of its description", format!("{:016x}", device.hash), format!("{:016x}", array.hash))
+        };
+        let name = array.name;
+        write!(out, "the device is built for another array: {key} is {found}, this array ({name}) has {own}")
+    }
 }
 
 /// The whole text, what was found, and what to do.
@@ -91,14 +130,20 @@ macro_rules! contradicts {
 impl LostReason {
     /// What was found and what to do, on one line.
     #[must_use]
-    pub const fn text(self) -> &'static str {
-        self.texts().0
+    pub fn text(self) -> Cow<'static, str> {
+        match self {
+            Self::WrongArray(_) => format!("{}: {}", self.found(), self.advice()).into(),
+            _ => self.texts().0.into(),
+        }
     }
 
     /// What was found.
     #[must_use]
-    pub const fn found(self) -> &'static str {
-        self.texts().1
+    pub fn found(self) -> Cow<'static, str> {
+        match self {
+            Self::WrongArray(arrays) => arrays.to_string().into(),
+            _ => self.texts().1.into(),
+        }
     }
 
     /// What to do.
@@ -118,12 +163,10 @@ impl LostReason {
             Self::Version => {
                 text!("the device speaks another protocol version", "update its firmware or this program")
             }
-            Self::WrongArray => {
-                text!(
-                    "the device has other motors or another tick rate than this array",
-                    "check its firmware"
-                )
-            }
+            Self::WrongArray(_) => text!(
+                "the device is built for another array",
+                "build its firmware for this array, or choose the array that it has"
+            ),
             Self::Noisy { percent: 99.. } => noisy!("99 % or more"),
             Self::Noisy { percent: 95.. } => noisy!("95 % or more"),
             Self::Noisy { percent: 90.. } => noisy!("90 % or more"),
@@ -170,9 +213,9 @@ pub enum Event {
     /// The device has taken a frame that replaces strokes. Reported before the strokes of the frame.
     Replaced {
         /// The motors whose old strokes are withdrawn.
-        motors: u32,
+        motors: MotorSet,
         /// The motors whose old strokes stay, because the frame came too late for them.
-        kept: u32,
+        kept: MotorSet,
     },
     /// The device refused the first frame of a play, because a stroke in it would have been late. It took nothing.
     OnsetRefused {

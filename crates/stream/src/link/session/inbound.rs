@@ -7,7 +7,7 @@
 use crate::link::session::batch::judged;
 use crate::link::session::bounds::{ClockReading, DeviceKnowledge, Sent};
 use crate::link::session::contradiction::Contradiction;
-use crate::link::session::event::{Event, LostReason};
+use crate::link::session::event::{AnotherArray, Event, LostReason};
 use crate::link::session::pinger::RoundTrip;
 use crate::link::session::reports::Reported;
 use crate::link::session::{Phase, Session};
@@ -15,7 +15,6 @@ use crate::time::HostInstant;
 use firmware_protocol::board::{Board, SelfTestState};
 use firmware_protocol::message::{DeviceHello, DeviceMessage, Op, Report, Status};
 use firmware_protocol::tick::Tick;
-use meissner_array::per_motor::PerMotor;
 use std::time::Duration;
 
 /// The device learns within this time that its reports were read. Until then it sends [`REPORTS`] of them: 8 000 a second, more
@@ -76,10 +75,11 @@ impl Session {
             }
             DeviceMessage::Board(board) => self.board(board, emit)?,
             DeviceMessage::SelfTest { run, state } => self.self_test(run, state, emit)?,
-            DeviceMessage::Telemetry { tick, y } => {
-                let tick = self.known.read_telemetry(self.reading(now)?, tick)?;
-                let y = PerMotor::from_fn(self.array, |motor| y[usize::from(motor)]);
-                emit(Event::Telemetry { tick, y, known_to: self.known_to() });
+            DeviceMessage::Telemetry { tick, first, y } => {
+                let tick = self.known.read_telemetry(self.reading(now)?, tick, first, y.as_slice())?;
+                if let Some(y) = self.telemetry.take(tick, first, y.as_slice()) {
+                    emit(Event::Telemetry { tick, y, known_to: self.known_to() });
+                }
             }
         }
         Ok(())
@@ -99,8 +99,9 @@ impl Session {
         if hello.session != self.id {
             return Ok(());
         }
-        if usize::from(hello.motors) != self.array.motors() || hello.tick_hz != self.array.rate().hz() {
-            self.lose(LostReason::WrongArray, emit);
+        let array = self.known.array();
+        if hello.array != array {
+            self.lose(LostReason::WrongArray(AnotherArray { device: hello.array, array }), emit);
             return Ok(());
         }
         DeviceKnowledge::read_hello(&hello)?;
@@ -224,7 +225,7 @@ impl Session {
         emit: &mut dyn FnMut(Event),
     ) -> Result<(), Contradiction> {
         if self.asking.awaits_test(run) {
-            DeviceKnowledge::read_self_test(state)?;
+            self.known.read_self_test(state)?;
             if state != SelfTestState::Running {
                 self.asking.end_test();
                 emit(Event::SelfTest(state));

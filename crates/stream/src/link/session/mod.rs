@@ -10,6 +10,7 @@
 //! | `reports` | the order of the device's reports, and what is decided once they are read |
 //! | `bounds` | what is known of the device, and whether what it says can be true |
 //! | `contradiction` | whether the device is trusted |
+//! | `telemetry` | samples that came in parts |
 //! | `board` | requests for the board report and the self-test |
 //!
 //! The streamer pushes strokes, amendments and commands into a [`Session`]. `outbound` writes the frame that is due, `inbound`
@@ -35,10 +36,11 @@ mod rate;
 mod repetition;
 mod reports;
 mod retired;
+mod telemetry;
 mod wire;
 
 pub use contradiction::{Contradiction, Contradictions};
-pub use event::{Event, LostReason, Verdict};
+pub use event::{AnotherArray, Event, LostReason, Verdict};
 pub use pinger::RoundTrip;
 pub use probe::Budget;
 pub use rate::LineRate;
@@ -54,8 +56,10 @@ use crate::link::session::outbox::Outbox;
 use crate::link::session::pinger::Pinger;
 use crate::link::session::repetition::Repetition;
 use crate::link::session::reports::Reports;
+use crate::link::session::telemetry::Telemetry;
 use crate::link::session::wire::Wire;
 use crate::time::HostInstant;
+use firmware_protocol::array::MotorSet;
 use firmware_protocol::batch::Amendment;
 use firmware_protocol::message::{Mark, MarkKind, Op, Trigger};
 use firmware_protocol::stroke::Stroke;
@@ -78,7 +82,6 @@ enum Phase {
 /// The host's end of one session.
 #[derive(Clone, Debug)]
 pub struct Session {
-    array: Array,
     phase: Phase,
     id: u32,
     hellos: Repetition,
@@ -89,6 +92,7 @@ pub struct Session {
     outbox: Outbox,
     reports: Reports,
     known: DeviceKnowledge,
+    telemetry: Telemetry,
     trust: Trust,
     asking: BoardRequests,
 }
@@ -98,7 +102,6 @@ impl Session {
     #[must_use]
     pub fn new(array: Array, id: u32, rate: LineRate, now: HostInstant) -> Self {
         Self {
-            array,
             phase: Phase::Opening,
             id,
             hellos: Repetition::new(HELLO_EVERY),
@@ -109,6 +112,7 @@ impl Session {
             outbox: Outbox::new(),
             reports: Reports::new(),
             known: DeviceKnowledge::new(array),
+            telemetry: Telemetry::new(array),
             trust: Trust::default(),
             asking: BoardRequests::new(now),
         }
@@ -260,7 +264,7 @@ impl Session {
     /// Withdraws what these motors have queued from `from` on. The strokes pushed next take their place, each motor's from its
     /// first on; no stroke follows for the motors `silent`. They go into frames of their own. Call it again only after the answer
     /// to the last such frame.
-    pub fn replace(&mut self, from: Tick, motors: u32, silent: u32) {
+    pub fn replace(&mut self, from: Tick, motors: MotorSet, silent: MotorSet) {
         self.outbox.replace(from, motors, silent);
     }
 

@@ -10,6 +10,7 @@ use crate::link::session::batch::{Batch, Head, Written, judged, kept_motors};
 use crate::link::session::event::Event;
 use crate::link::session::retired::Retired;
 use crate::time::HostInstant;
+use firmware_protocol::array::MotorSet;
 use firmware_protocol::batch::{Amendment, BATCH_BYTES, Packer};
 use firmware_protocol::controller::{REORDER_WINDOW, REPORTS};
 use firmware_protocol::frame::MAX_FRAME;
@@ -28,9 +29,9 @@ pub(super) struct Outbox {
     window: VecDeque<Batch>,
     open: Option<Batch>,
     /// A replacement that is not in frames yet: from which tick on, and the motors.
-    replacing: Option<(Tick, u32)>,
+    replacing: Option<(Tick, MotorSet)>,
     /// The motors whose old strokes the device keeps: it takes no others until it is asked to withdraw again.
-    kept: u32,
+    kept: MotorSet,
     next_seq: u16,
     /// The device acknowledged all frames before this one.
     acked: u16,
@@ -49,7 +50,7 @@ impl Outbox {
             window: VecDeque::with_capacity(WINDOW + 1),
             open: None,
             replacing: None,
-            kept: 0,
+            kept: MotorSet::EMPTY,
             next_seq: 0,
             acked: 0,
             credits: 0,
@@ -67,7 +68,7 @@ impl Outbox {
         }
         self.drop_frames();
         self.verdicts.clear();
-        (self.kept, self.next_seq, self.acked, self.generation) = (0, 0, 0, 0);
+        (self.kept, self.next_seq, self.acked, self.generation) = (MotorSet::EMPTY, 0, 0, 0);
         self.amendments = Packer::new(Tick(0));
     }
 
@@ -89,10 +90,10 @@ impl Outbox {
     }
 
     /// Begins a replacement: see [`Session::replace`](super::Session::replace).
-    pub(super) fn replace(&mut self, from: Tick, motors: u32, silent: u32) {
+    pub(super) fn replace(&mut self, from: Tick, motors: MotorSet, silent: MotorSet) {
         self.seal();
         self.open = Some(Batch::new(self.next_seq, from, None, Some(motors & silent)));
-        self.replacing = Some((from, motors & !silent)).filter(|&(_, motors)| motors != 0);
+        self.replacing = Some((from, motors.without(silent))).filter(|(_, motors)| !motors.is_empty());
     }
 
     /// Strokes that the device's credits still allow.
@@ -111,14 +112,16 @@ impl Outbox {
         if !self.has_room() || self.credits() == 0 {
             return false;
         }
-        let bit = 1 << stroke.motor;
+        let mut bit = MotorSet::EMPTY;
+        bit.insert(stroke.motor);
         if let Some(batch) = &mut self.open {
             if batch.push(stroke, longest) {
                 // The first stroke of a motor takes the place of its old ones.
                 if let Some((from, motors)) = self.replacing
                     && batch.withdraw(bit & motors)
                 {
-                    self.replacing = Some((from, motors & !bit)).filter(|&(_, motors)| motors != 0);
+                    self.replacing =
+                        Some((from, motors.without(bit))).filter(|(_, motors)| !motors.is_empty());
                 }
                 return true;
             }
@@ -126,7 +129,7 @@ impl Outbox {
             return self.push(stroke, longest);
         }
         if let Some((from, _)) = self.replacing {
-            self.open = Some(Batch::new(self.next_seq, from, None, Some(0)));
+            self.open = Some(Batch::new(self.next_seq, from, None, Some(MotorSet::EMPTY)));
             return self.push(stroke, longest);
         }
         // A frame that waits takes more strokes: on a link with slow answers frames get longer, not more.
@@ -253,13 +256,13 @@ impl Outbox {
                 continue;
             }
             if batch.is_onset() {
-                self.kept = 0;
+                self.kept = MotorSet::EMPTY;
                 emit(Event::OnsetAccepted);
             }
             if let Some(motors) = batch.withdraws() {
                 let kept = kept_motors(report);
-                self.kept = (self.kept & !motors) | kept;
-                emit(Event::Replaced { motors: motors & !kept, kept });
+                self.kept = self.kept.without(motors) | kept;
+                emit(Event::Replaced { motors: motors.without(kept), kept });
             }
             batch
                 .verdicts(report, self.kept, tick, now)
@@ -328,7 +331,8 @@ mod tests {
         events
     }
 
-    fn verdict(seq: u16, late: u64, refused: u64, kept: u32) -> Report {
+    fn verdict(seq: u16, late: u64, refused: u64, kept: u64) -> Report {
+        let kept = MotorSet::from_bits(kept);
         let reason = (refused != 0).then_some(Refusal::PoolFull);
         Report::Verdict { seq, late, refused, kept, reason, rendered: Tick(1000).wire() }
     }
@@ -355,7 +359,7 @@ mod tests {
     #[test]
     fn each_stroke_has_the_verdict_of_its_own_frame() {
         let mut outbox = open();
-        outbox.replace(Tick(5), 0b11, 0b10);
+        outbox.replace(Tick(5), MotorSet::from_bits(0b11), MotorSet::from_bits(0b10));
         push(&mut outbox, 0, 5);
         outbox.seal();
         assert!(write(&mut outbox, 1, MAX_FRAME).is_some());
@@ -370,7 +374,10 @@ mod tests {
                 && conclude(&mut outbox, 0).is_empty()
         );
         let events = conclude(&mut outbox, 2);
-        assert_eq!(events[0], Event::Replaced { motors: 0b10, kept: 0b01 });
+        assert_eq!(
+            events[0],
+            Event::Replaced { motors: MotorSet::from_bits(0b10), kept: MotorSet::from_bits(0b01) }
+        );
         assert!(matches!(events[1], Event::Stroke(Stroke { motor: 0, .. }, Verdict::Superseded)));
         assert!(matches!(
             events[2],

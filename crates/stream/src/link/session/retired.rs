@@ -8,6 +8,7 @@
 use crate::link::session::batch::{Batch, kept_motors};
 use crate::link::session::event::{Event, Verdict};
 use crate::time::HostInstant;
+use firmware_protocol::array::MotorSet;
 use firmware_protocol::controller::REPORTS;
 use firmware_protocol::message::Report;
 use firmware_protocol::tick::Tick;
@@ -18,7 +19,7 @@ use std::collections::VecDeque;
 pub(super) struct Retired {
     frames: VecDeque<Batch>,
     /// The motors whose old strokes the device had kept before the first of them.
-    kept: u32,
+    kept: MotorSet,
     /// Their verdicts that are read and not emitted. There is at most one for a frame.
     verdicts: VecDeque<Report>,
     /// Reports up to this one are about earlier epochs.
@@ -30,7 +31,7 @@ impl Retired {
     pub(super) fn new(frames: usize) -> Self {
         Self {
             frames: VecDeque::with_capacity(frames),
-            kept: 0,
+            kept: MotorSet::EMPTY,
             verdicts: VecDeque::with_capacity(REPORTS),
             after: 0,
         }
@@ -42,7 +43,7 @@ impl Retired {
         &mut self,
         frames: &mut VecDeque<Batch>,
         verdicts: &mut VecDeque<Report>,
-        kept: u32,
+        kept: MotorSet,
         after: u16,
     ) {
         std::mem::swap(&mut self.frames, frames);
@@ -65,10 +66,10 @@ impl Retired {
             let Some(found) = self.frames.iter().position(|batch| batch.seq() == seq) else { continue };
             // Frames before it without a report were taken as sent.
             for before in self.frames.iter().take(found) {
-                self.kept &= !before.withdraws().unwrap_or(0);
+                self.kept = self.kept.without(before.withdraws().unwrap_or_default());
             }
             let Some(batch) = self.frames.remove(found) else { continue };
-            self.kept = (self.kept & !batch.withdraws().unwrap_or(0)) | kept_motors(Some(report));
+            self.kept = self.kept.without(batch.withdraws().unwrap_or_default()) | kept_motors(Some(report));
             batch
                 .verdicts(Some(report), self.kept, tick, now)
                 .filter(|(_, verdict)| *verdict != Verdict::Accepted)
