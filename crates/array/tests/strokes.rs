@@ -5,6 +5,7 @@ use firmware_protocol::stroke::Stroke;
 use firmware_protocol::tick::Tick;
 use meissner_array::motor::SquareWave;
 use meissner_array::pattern::{Drive, Pattern};
+use meissner_array::per_motor::PerMotor;
 use meissner_array::reflected_walk::Spread;
 use meissner_array::spec::Array;
 use meissner_array::strokes::{
@@ -309,7 +310,7 @@ fn a_scale_lowers_amplitudes_and_nothing_else() {
 
 #[test]
 fn an_automatic_surplus_suits_each_motor_and_amplitude() {
-    let mut spread = [Spread { scatter: 0.1, asymmetry: 0.0 }; 24];
+    let mut spread = PerMotor::all(Array::paper(), Spread { scatter: 0.1, asymmetry: 0.0 });
     spread[9].asymmetry = 0.06;
     let surplus = Surplus::Auto(Box::new(AutoSurplus { spread, rest_error_um: 4.0 }));
     let two = pattern(None, vec![drive(3, 60.0, 80.0), drive(9, 60.0, 80.0), drive(5, 60.0, 20.0)]);
@@ -373,7 +374,7 @@ fn an_option_out_of_range_is_refused() {
         assert!(matches!(refused(scale), StrokesError::Scale { .. }));
         let surplus = |surplus| StrokeOptions { surplus, ..StrokeOptions::default() };
         assert!(matches!(refused(surplus(Surplus::Fixed(number))), StrokesError::Surplus { .. }));
-        let spread = [Spread { scatter: 0.1, asymmetry: 0.0 }; 24];
+        let spread = PerMotor::all(Array::paper(), Spread { scatter: 0.1, asymmetry: 0.0 });
         let auto = Surplus::Auto(Box::new(AutoSurplus { spread, rest_error_um: number }));
         assert!(matches!(refused(surplus(auto)), StrokesError::RestError { .. }));
     }

@@ -324,7 +324,7 @@ most_pulses = 2000
         );
         let motor = array.motor();
         assert_eq!((motor.window_half_ticks, motor.window_ticks(), motor.settled_ticks()), (420, 210.0, 210));
-        assert_eq!((motor.least_pulses, motor.seek_pulses, motor.transient_gain), (1, 13_800, 1.0));
+        assert_eq!((motor.least_pulses, motor.seek_pulses, motor.transient_gain), (1, 9_200, 1.0));
         assert_eq!(array.nearest_to([1.0, 1.0]), (2, (0.8_f64 * 0.8 + 0.01).sqrt()));
         let places = GOOD.replace(
             "pins = { rows = 2, columns = 3, pitch_mm = 1.8 }",
@@ -419,7 +419,7 @@ most_pulses = 2000
             ("tick_hz = 70000\n", "", "`tick_hz` is missing: add the carrier"),
             ("window_ms = 3.0", "window_ms = nan", "`motor.window_ms` is NaN: must be 0.1 to 50 ms"),
             ("step_um = 0.2", "step_um = 0.1", "`motor.most_pulses` is 2000: 300 um are 3000 pulses"),
-            ("most_pulses = 2000", "most_pulses = 60000", "`motor.most_pulses` is 60000: must be 1 to 12000"),
+            ("most_pulses = 2000", "most_pulses = 60000", "`motor.most_pulses` is 60000: must be 1 to 10000"),
             (
                 "most_pulses = 2000",
                 "most_pulses = 2000\nseek_pulses = 2000",
