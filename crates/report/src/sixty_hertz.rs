@@ -1,4 +1,4 @@
-//! The standard scene: 24 motors at 60 Hz, 306 afferents, 1 s.
+//! The standard scene: all motors of the paper's array at 60 Hz, 306 afferents, 1 s.
 
 /// The scene, as a TOML text.
 pub const SIXTY_HERTZ: &str = include_str!("../../../scenes/sixty-hertz.toml");

@@ -2,6 +2,7 @@
 //!
 //! Each test plays a [`MotorRun`] and looks at its periods.
 
+use crate::arrays::other;
 use firmware_protocol::limits::within_correction;
 use firmware_protocol::tick::Tick;
 use meissner_api::SensorFault;
@@ -21,7 +22,7 @@ struct Result {
 
 impl Result {
     fn of(motor_run: &MotorRun, seconds: f64) -> Self {
-        let skipped = 2f64.max(motor_run.delay_ms() / 100.0) * 85_000.0;
+        let skipped = motor_run.array.rate().seconds_in_ticks(2f64.max(motor_run.delay_ms() / 100.0));
         let mut result = Self::default();
         let keep = |period: &Period| {
             if period.up as f64 >= skipped {
@@ -54,8 +55,9 @@ fn check(motor_run: &MotorRun, seconds: f64) {
     assert_eq!(result.fault, None, "{name}");
     let planned = result.periods[0].planned_um;
     let rms = Result::rest_rms(&result.periods);
+    let (array, um_per_pulse) = (motor_run.array, motor_run.array.motor().um_per_pulse);
     let bound = rest_bound_um(
-        Array::paper(),
+        array,
         motor_run.frequency_hz,
         planned,
         motor_run.scatter,
@@ -63,7 +65,7 @@ fn check(motor_run: &MotorRun, seconds: f64) {
         motor_run.telemetry_hz,
     );
     let most = match motor_run.scatter {
-        0.0 => UM_PER_PULSE,
+        0.0 => um_per_pulse,
         ..=0.1 => 1.2 * bound,
         _ => 1.5 * bound,
     };
@@ -73,30 +75,39 @@ fn check(motor_run: &MotorRun, seconds: f64) {
     assert!(rms <= most * chance, "{name}: {rms} um rms where the bound is {bound}");
     let (early, late) = result.periods.split_at(result.periods.len() / 2);
     let (early, late) = (Result::rest_rms(early), Result::rest_rms(late));
-    assert!(late <= early * chance * chance + UM_PER_PULSE, "{name}: it grows from {early} to {late}");
+    assert!(late <= early * chance * chance + um_per_pulse, "{name}: it grows from {early} to {late}");
     if motor_run.scatter == 0.0 {
         let most =
             late.max(result.periods.iter().rev().take(50).map(|p| p.rest_um.abs()).fold(0.0, f64::max));
-        assert!(most <= UM_PER_PULSE, "{name}: a cycle of {most} um");
+        assert!(most <= um_per_pulse, "{name}: a cycle of {most} um");
     }
-    let pulses = (planned / UM_PER_PULSE).round() as u16;
+    let pulses = (planned / um_per_pulse).round() as u16;
     for period in &result.periods {
-        let whole = (period.planned_um / UM_PER_PULSE).round() as u16;
+        let whole = (period.planned_um / um_per_pulse).round() as u16;
         assert!(period.pulses.iter().all(|&count| within_correction(whole, count)), "{name}: {period:?}");
     }
-    let room = 42_500.0 / motor_run.frequency_hz / f64::from(pulses);
+    let room = f64::from(array.rate().hz()) / 2.0 / motor_run.frequency_hz / f64::from(pulses);
     if room >= 1.3 {
         let (error, chance) = result.amplitude_error();
-        let most = (0.01 * planned).max(UM_PER_PULSE / 2.0) + 3.0 * chance;
+        let most = (0.01 * planned).max(um_per_pulse / 2.0) + 3.0 * chance;
         assert!(error.abs() <= most, "{name}: amplitude off by {error} um");
     }
 }
 
 #[test]
 fn forty_settings_rest_near_the_bound() {
+    settings_rest_near_the_bound(Array::paper(), 40);
+}
+
+#[test]
+fn motors_of_another_array_rest_near_the_bound() {
+    settings_rest_near_the_bound(other(), 20);
+}
+
+fn settings_rest_near_the_bound(array: Array, count: u64) {
     let mut random = Random::new(6);
     let mut pick = |from: &[f64]| from[(random.between(0.0, 1.0) * from.len() as f64) as usize % from.len()];
-    for number in 0..40 {
+    for number in 0..count {
         let motor_run = MotorRun {
             frequency_hz: pick(&[1.0, 10.0, 60.0, 150.0, 300.0]),
             amplitude_um: pick(&[2.0, 10.0, 80.0, 200.0]),
@@ -105,7 +116,7 @@ fn forty_settings_rest_near_the_bound() {
             scatter: pick(&[0.0, 0.1, 0.3]),
             asymmetry: pick(&[0.0, 0.02, 0.1]),
             seed: number,
-            ..MotorRun::of(Array::paper())
+            ..MotorRun::of(array)
         };
         check(&motor_run, (200.0 / motor_run.frequency_hz).clamp(8.0, 150.0));
     }

@@ -1,6 +1,8 @@
 //! The tests of this crate, one binary, a module per theme.
 #![expect(clippy::unwrap_used, reason = "a test that panics has failed")]
 
+/// Other arrays than the paper's.
+mod arrays;
 /// `calibrate`: plans, fitted gains of simulated motors, files and their mistakes.
 mod calibrate;
 mod capacity;

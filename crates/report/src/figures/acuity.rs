@@ -1,4 +1,4 @@
-//! Predicts the orientation and two-point thresholds of this display, beside published human ones.
+//! Predicts the orientation and two-point thresholds of an array, beside published human ones.
 //!
 //! A line is turned, or two dots are moved apart. All pins within a pitch of the shape vibrate at 60 Hz in phase, without a search.
 //! An ideal observer of the second model's spikes compares each step with the reference. A threshold is the smallest step from
@@ -10,8 +10,10 @@
 use crate::figures::error::FiguresError;
 use crate::figures::page::Section;
 use crate::figures::table::{number, table};
+use crate::figures::title;
 use crate::progress::Parts;
 use meissner_array::pattern::{Drive, Pattern};
+use meissner_array::spec::Array;
 use meissner_design::{Plan, Rule, Target, correct_of_two, discriminate};
 use meissner_skin::SkinModel;
 use rayon::prelude::*;
@@ -33,7 +35,7 @@ const FINGER: u64 = 0;
 /// A d′ of fewer standard errors than this counts as no difference.
 const CERTAIN: f64 = 2.0;
 
-/// Predicted thresholds of the display.
+/// Predicted thresholds of an array.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Acuity {
     /// A line that is turned; steps in degrees.
@@ -70,10 +72,13 @@ pub struct AcuityThreshold {
     pub two_point_mm: Option<f64>,
 }
 
-pub(super) fn section(progress: &(dyn Fn(f64) + Sync)) -> Result<(Section, Acuity), FiguresError> {
+pub(super) fn section(
+    array: Array,
+    progress: &(dyn Fn(f64) + Sync),
+) -> Result<(Section, Acuity), FiguresError> {
     let parts = Parts::new(TURNS_DEG.len() + PARTED_MM.len(), progress);
-    let orientation = steps(&TURNS_DEG, line, &parts)?;
-    let two_points = steps(&PARTED_MM, dots, &parts)?;
+    let orientation = steps(array, &TURNS_DEG, line, &parts)?;
+    let two_points = steps(array, &PARTED_MM, dots, &parts)?;
     let threshold = |(index, &efficiency): (usize, &f64)| AcuityThreshold {
         efficiency,
         orientation_deg: threshold(&orientation, index),
@@ -81,13 +86,13 @@ pub(super) fn section(progress: &(dyn Fn(f64) + Sync)) -> Result<(Section, Acuit
     };
     let thresholds = EFFICIENCIES.iter().enumerate().map(threshold).collect();
     let acuity = Acuity { orientation, two_points, thresholds };
-    let mut section = Section::new("acuity", "Predicted thresholds of this display");
+    let mut section = Section::new("acuity", &title(array, "Predicted thresholds of this display", ""));
     section.say(&format!(
         "Which turn of a line, and which distance of two dots, can be told on pins {} mm apart? All pins within a pitch of the shape vibrate \
          at 60 Hz in phase. An ideal observer of all spike counts (model afferents, {TRIALS} trials of each, {SECONDS} s, one finger) tells \
          each step from the reference in two intervals. A person is less efficient: the tables have the ideal observer, and two whose d′ is \
          √η of its. No efficiency of a person is published for this display. A step that moves the same pins cannot be told by anyone.",
-        number(meissner_array::geometry::PITCH_MM)
+        number(array.pitch_mm())
     ));
     section.table("Thresholds, 75 % correct of two intervals", &thresholds_table(&acuity));
     section.say(
@@ -125,13 +130,14 @@ fn thresholds_table(acuity: &Acuity) -> String {
 
 /// Compares every step with the reference, a step of 0.
 fn steps(
+    array: Array,
     steps: &[f64],
     shape: fn(f64) -> String,
     parts: &Parts<'_>,
 ) -> Result<Vec<AcuityStep>, FiguresError> {
-    let reference = pattern(&shape(0.0))?;
+    let reference = pattern(array, &shape(0.0))?;
     let one = |&step: &f64| {
-        let other = pattern(&shape(step))?;
+        let other = pattern(array, &shape(step))?;
         let [a, b] = [&reference, &other].map(pins);
         let plan = Plan {
             model: SkinModel::AFFERENTS,
@@ -180,16 +186,17 @@ fn dots(parted_mm: f64) -> String {
     format!("shape = \"dots\"\npoints = [{points}]")
 }
 
-/// The pattern of the naive rule for a shape.
-fn pattern(shape: &str) -> Result<Pattern, FiguresError> {
-    let target = Target::read(&format!("name = \"acuity\"\n{shape}\nreach_mm = 1.5"), "acuity")?;
+/// The pattern of the naive rule for a shape on an array.
+fn pattern(array: Array, shape: &str) -> Result<Pattern, FiguresError> {
+    let text = format!("name = \"acuity\"\narray = \"{}\"\n{shape}\nreach_mm = 1.5", array.name());
+    let target = Target::read(&text, "acuity")?;
     let drives = Rule::Pitch.drives(&target);
-    Ok(Pattern::new("acuity", None, drives, toml::Table::new())
+    Ok(Pattern::new(array, "acuity", None, drives, toml::Table::new())
         .expect("the name is one, and the rule makes good drives"))
 }
 
 /// The pins that a pattern moves, as bits.
-fn pins(pattern: &Pattern) -> u32 {
+fn pins(pattern: &Pattern) -> u64 {
     pattern.drives().iter().fold(0, |pins, Drive { motor, .. }| pins | 1 << motor)
 }
 
@@ -212,7 +219,7 @@ mod tests {
 
     #[test]
     fn steps_that_move_the_same_pins_are_not_told_and_large_ones_are() {
-        let (section, acuity) = section(&|_| ()).unwrap();
+        let (section, acuity) = section(Array::paper(), &|_| ()).unwrap();
         for of in acuity.orientation.iter().chain(&acuity.two_points) {
             if of.pins_changed == 0 {
                 assert!(of.correct_percent[0] < 90.0, "{of:?}");

@@ -5,9 +5,10 @@ use meissner_array::simulated::SimulatedMotorsError;
 use meissner_array::strokes::StrokesError;
 use meissner_design::TargetError;
 use meissner_skin::{FingerError, MethodError, SceneError};
-use meissner_stream::calibrate::FitProblem;
+use meissner_stream::calibrate::{FitProblem, PlanError};
 
-/// A figure could not be made: our bug, because patterns have been checked.
+/// A figure could not be made. It is our bug, because patterns have been checked, unless the array's bursts have no room in the plan of
+/// a calibration.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[expect(missing_docs, reason = "the messages say it")]
 pub enum FiguresError {
@@ -15,6 +16,8 @@ pub enum FiguresError {
     Motor(#[from] MotorError),
     #[error("internal error: {0}")]
     Strokes(#[from] StrokesError),
+    #[error("cannot calibrate this array: {0}")]
+    Plan(#[from] PlanError),
     #[error("internal error: {0}")]
     Fit(#[from] FitProblem),
     #[error("internal error: {0}")]

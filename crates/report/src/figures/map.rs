@@ -1,6 +1,6 @@
 //! Maps: the array with the vibration of each motor, the fingertip's pad with the rate of each afferent, and a small map of both.
 //!
-//! All show the array from above, with the fingertip up. All panels of a map share one colour scale. A pad may show the shape of a
+//! All show the array from above, with the fingertip up, each pin at its place. All panels of a map share one colour scale. A pad may show the shape of a
 //! target, with rings around the ON afferents. Pins are coloured by the amplitude that they reach: a fast motor may hardly move.
 //!
 //! Invariant: every panel shows every motor, on or off.
@@ -8,9 +8,8 @@
 use crate::figures::color::{color, ink};
 use crate::figures::table::number;
 use crate::svg::{Anchor, Drawing, Paint};
-use firmware_protocol::stroke::MOTORS;
-use meissner_array::geometry::{self, COLUMNS, ROWS};
 use meissner_array::pattern::Drive;
+use meissner_array::spec::ArraySpec;
 use meissner_skin::membrane::{PAD_LENGTH_MM, PAD_WIDTH_MM, Position};
 
 const INK: &str = "#222222";
@@ -23,7 +22,7 @@ const NONE: &str = "none";
 /// The label of the upward direction, and the title of a map that needs no other.
 pub(super) const FINGERTIP: &str = "fingertip";
 
-/// The distance of neighbouring motors, px.
+/// The distance of the two nearest motors, px.
 const PITCH: f64 = 78.0;
 /// The radius of a motor's circle, px.
 const RADIUS: f64 = 35.0;
@@ -33,8 +32,8 @@ const LARGE: u32 = 12;
 const SMALL: u32 = 11;
 /// The height of a panel's title, px.
 const HEAD: f64 = 48.0;
-/// The most panels in a row that the page can show without shrinking their text.
-const ACROSS: usize = 2;
+/// The width of a drawing that the page can show without shrinking its text, px.
+const PAGE: f64 = 960.0;
 /// Width with its text, and height, of a colour bar, px.
 const BAR: (f64, f64) = (110.0, 300.0);
 /// The vibrations of the motors in a segment of time.
@@ -58,21 +57,34 @@ fn top_um<'a>(pins: impl Iterator<Item = &'a Pin<'a>>) -> f64 {
     (pins.fold(0.0_f64, |highest, pin| highest.max(pin.reached_um)) / 20.0).ceil().max(1.0) * 20.0
 }
 
+/// The sides of the smallest rectangle around the pins' places: left and right, bottom and top, mm.
+fn sides_mm(array: &ArraySpec) -> [(f64, f64); 2] {
+    [0, 1].map(|axis| {
+        let places = || array.positions_mm().iter().map(|place| place[axis]);
+        (places().fold(f64::INFINITY, f64::min), places().fold(f64::NEG_INFINITY, f64::max))
+    })
+}
+
 /// Draws the array in each panel: a circle per motor, coloured by the amplitude reached, with its number, frequency, amplitude and
 /// phase; off is hollow.
-pub(super) fn motors(panels: &[Panel<'_>]) -> String {
+pub(super) fn motors(array: &ArraySpec, panels: &[Panel<'_>]) -> String {
     let top_um = top_um(panels.iter().flat_map(|panel| &panel.pins));
-    let (width, height) = (PITCH * f64::from(COLUMNS) + 24.0, PITCH * f64::from(ROWS) + HEAD + 12.0);
-    let across = panels.len().clamp(1, ACROSS);
+    let [(left_mm, right_mm), (bottom_mm, top_mm)] = sides_mm(array);
+    let px = |mm: f64| PITCH * (mm / array.pitch_mm() + 0.5);
+    let width = px(right_mm - left_mm) + PITCH / 2.0 + 24.0;
+    let height = px(top_mm - bottom_mm) + PITCH / 2.0 + HEAD + 12.0;
+    #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a few, or 0")]
+    let across = (((PAGE - BAR.0) / width) as usize).min(panels.len()).max(1);
     let down = panels.len().div_ceil(across);
     let size = (width * across as f64 + BAR.0, (height * down as f64).max(BAR.1 + 80.0));
     let mut drawing = Drawing::new(size.0, size.1);
     for (index, panel) in panels.iter().enumerate() {
         let corner = (width * (index % across) as f64, height * (index / across) as f64);
         drawing.words((corner.0 + width / 2.0, corner.1 + 28.0), TITLE, Anchor::Middle, INK, &panel.title);
-        for motor in 0..MOTORS as u8 {
-            let x = corner.0 + 12.0 + PITCH * (f64::from(geometry::column(motor)) + 0.5);
-            let y = corner.1 + HEAD + PITCH * (f64::from(geometry::row(motor)) + 0.5);
+        for motor in array.numbers() {
+            let [x_mm, y_mm] = array.position_mm(motor);
+            let x = corner.0 + 12.0 + px(x_mm - left_mm);
+            let y = corner.1 + HEAD + px(top_mm - y_mm);
             let Some(pin) = panel.pins.iter().find(|pin| pin.drive.motor == motor) else {
                 drawing.circle((x, y), RADIUS, Paint { fill: NONE, stroke: FAINT });
                 drawing.words((x, y + 4.0), SMALL, Anchor::Middle, FADED, &motor.to_string());
@@ -101,21 +113,31 @@ fn tenths(of: f64) -> String {
 
 /// Pixels per mm of a small map.
 const SMALL_PER_MM: f64 = 6.0;
+/// The largest radius of a pin there, mm, and its largest share of the pitch: so pins are easy to see and do not touch.
+const SMALL_PIN: (f64, f64) = (1.1, 0.45);
+
+/// Half the width and half the height of a map of the skin, mm: the pad, and all pins.
+fn half_mm(array: &ArraySpec) -> [f64; 2] {
+    let reach = |(low, high): (f64, f64)| high.max(-low) + array.pin_radius_mm();
+    let [across, along] = sides_mm(array).map(reach);
+    [across.max(PAD_WIDTH_MM / 2.0), along.max(PAD_LENGTH_MM / 2.0)]
+}
 
 /// Draws a pattern small, for an overview: the pad, its pins coloured by the amplitude they reach, and the target's outline.
-pub(super) fn small(pins: &[Pin<'_>], outline: &[Vec<[f64; 2]>]) -> String {
+pub(super) fn small(array: &ArraySpec, pins: &[Pin<'_>], outline: &[Vec<[f64; 2]>]) -> String {
     let (top_um, margin) = (top_um(pins.iter()), 4.0);
-    let size = [PAD_WIDTH_MM, PAD_LENGTH_MM].map(|mm| mm * SMALL_PER_MM + 2.0 * margin);
+    let size = half_mm(array).map(|mm| 2.0 * mm * SMALL_PER_MM + 2.0 * margin);
+    let radius = SMALL_PIN.0.min(SMALL_PIN.1 * array.pitch_mm()) * SMALL_PER_MM;
     let middle = (size[0] / 2.0, size[1] / 2.0);
     let place = |[x_mm, y_mm]: [f64; 2]| (middle.0 + x_mm * SMALL_PER_MM, middle.1 - y_mm * SMALL_PER_MM);
     let mut drawing = Drawing::new(size[0], size[1]);
-    let radii = (middle.0 - margin, middle.1 - margin);
+    let radii = (PAD_WIDTH_MM / 2.0 * SMALL_PER_MM, PAD_LENGTH_MM / 2.0 * SMALL_PER_MM);
     drawing.ellipse(middle, radii, Paint { fill: "#f4f4f4", stroke: FAINT });
-    for motor in 0..MOTORS as u8 {
+    for motor in array.numbers() {
         let pin = pins.iter().find(|pin| pin.drive.motor == motor);
         let fill = pin.map_or_else(|| "#dddddd".to_owned(), |pin| color(pin.reached_um / top_um));
-        let at = place(geometry::position_mm(motor));
-        drawing.circle(at, 1.1 * SMALL_PER_MM, Paint { fill: &fill, stroke: FADED });
+        let at = place(array.position_mm(motor));
+        drawing.circle(at, radius, Paint { fill: &fill, stroke: FADED });
     }
     draw_outline(&mut drawing, outline, place, (1.5, 0.35 * SMALL_PER_MM));
     drawing.finish()
@@ -162,8 +184,10 @@ fn bar(drawing: &mut Drawing, (x, y): (f64, f64), unit: &str, marks: &[(f64, Str
 const PER_MM: (f64, f64) = (20.0, 12.0);
 /// The margin around a pad, px.
 const MARGIN: f64 = 30.0;
-/// Radii of a pin, an afferent and the ring around an afferent, mm.
-const SIZES_MM: [f64; 3] = [0.45, 0.225, 0.34];
+/// The drawn share of a pin's radius: so pins that stand side by side do not touch.
+const PIN_SHARE: f64 = 0.9;
+/// Radii of an afferent and the ring around it, mm.
+const SIZES_MM: [f64; 2] = [0.225, 0.34];
 
 /// A fingertip's pad with the pins and its afferents.
 #[derive(Clone, Debug)]
@@ -186,9 +210,9 @@ pub(super) struct Aim<'a> {
 }
 
 /// Draws pads beside each other, with a colour bar if any has rates.
-pub(super) fn pads(pads: &[Pad<'_>]) -> String {
+pub(super) fn pads(array: &ArraySpec, pads: &[Pad<'_>]) -> String {
     let per_mm = if pads.len() > 2 { PER_MM.1 } else { PER_MM.0 };
-    let (width, height) = (PAD_WIDTH_MM * per_mm, PAD_LENGTH_MM * per_mm);
+    let [width, height] = half_mm(array).map(|mm| 2.0 * mm * per_mm);
     let rates = || pads.iter().filter_map(|pad| pad.rates_hz).flatten();
     let highest = rates().fold(0.0_f64, |highest, &rate| highest.max(rate));
     // A multiple of 50, so that the marks are round.
@@ -199,7 +223,7 @@ pub(super) fn pads(pads: &[Pad<'_>]) -> String {
     let mut drawing = Drawing::new(all, if bar_width > 0.0 { tall.max(BAR.1 + HEAD + 60.0) } else { tall });
     for (index, pad) in pads.iter().enumerate() {
         let middle = (MARGIN + step * index as f64 + width / 2.0, HEAD + height / 2.0);
-        pad.draw(&mut drawing, middle, per_mm, top_hz);
+        pad.draw(array, &mut drawing, middle, per_mm, top_hz);
     }
     if bar_width > 0.0 {
         let marks = [0.0, 0.2, 0.4, 0.6, 0.8, 1.0].map(|share| (share, number(share * top_hz)));
@@ -209,14 +233,15 @@ pub(super) fn pads(pads: &[Pad<'_>]) -> String {
 }
 
 impl Pad<'_> {
-    fn draw(&self, drawing: &mut Drawing, middle: (f64, f64), per_mm: f64, top_hz: f64) {
+    fn draw(&self, array: &ArraySpec, drawing: &mut Drawing, middle: (f64, f64), per_mm: f64, top_hz: f64) {
         let place = |[x_mm, y_mm]: [f64; 2]| (middle.0 + x_mm * per_mm, middle.1 - y_mm * per_mm);
-        let [pin, dot, ring] = SIZES_MM.map(|mm| mm * per_mm);
+        let pin = PIN_SHARE * array.pin_radius_mm() * per_mm;
+        let [dot, ring] = SIZES_MM.map(|mm| mm * per_mm);
         drawing.words((middle.0, 28.0), TITLE, Anchor::Middle, INK, &self.title);
         let [rx, ry] = [PAD_WIDTH_MM, PAD_LENGTH_MM].map(|mm| mm / 2.0 * per_mm);
         drawing.ellipse(middle, (rx, ry), Paint { fill: "#f4f4f4", stroke: INK });
-        for motor in 0..MOTORS as u8 {
-            drawing.circle(place(geometry::position_mm(motor)), pin, Paint { fill: NONE, stroke: FAINT });
+        for at in array.positions_mm() {
+            drawing.circle(place(*at), pin, Paint { fill: NONE, stroke: FAINT });
         }
         for (index, at) in self.afferents.iter().enumerate() {
             let fill =
@@ -236,6 +261,7 @@ impl Pad<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use meissner_array::spec::{self, Array};
 
     #[test]
     fn every_motor_is_on_the_map() {
@@ -245,13 +271,14 @@ mod tests {
             title: title.to_owned(),
             pins: vec![Pin { drive: &drive, reached_um }],
         };
-        let svg = motors(&[panel("before", 69.14), panel("<after>", 0.0)]);
+        let array = Array::paper();
+        let svg = motors(&array, &[panel("before", 69.14), panel("<after>", 0.0)]);
         assert_eq!((svg.matches("<ellipse").count(), svg.matches(">60 Hz<").count()), (48, 2));
         assert_eq!(svg.matches(r#"fill="none""#).count(), 46);
         assert!(svg.contains(">69.1 µm<") && svg.contains(">0 µm<"));
         assert!(svg.contains(&format!(r#"fill="{}""#, color(69.14 / 80.0))));
         assert!(svg.contains(">0.25<") && svg.contains(">before<") && svg.contains(">&lt;after&gt;<"));
-        let svg = small(&panel("", 80.0).pins, &[vec![[0.0, 0.0], [1.0, 0.0]], vec![[99.0, 0.0]]]);
+        let svg = small(&array, &panel("", 80.0).pins, &[vec![[0.0, 0.0], [1.0, 0.0]], vec![[99.0, 0.0]]]);
         assert_eq!((svg.matches("<ellipse").count(), svg.matches("<polyline").count()), (25, 1));
         assert_eq!(svg.matches(&*color(1.0)).count(), 1);
     }
@@ -268,7 +295,8 @@ mod tests {
     fn pads_show_every_afferent_on_one_scale_and_the_target() {
         let afferents = [0.0, 1.0, -2.0].map(|y_mm| Position { x_mm: 0.0, y_mm });
         let pad = |rates_hz, aim| Pad { title: "t".to_owned(), afferents: &afferents, rates_hz, aim };
-        let svg = pads(&[pad(Some(&[0.0, 10.0, 120.0]), None), pad(Some(&[0.0, 60.0, 0.0]), None)]);
+        let array = Array::paper();
+        let svg = pads(&array, &[pad(Some(&[0.0, 10.0, 120.0]), None), pad(Some(&[0.0, 60.0, 0.0]), None)]);
         let found = ellipses(&svg);
         assert_eq!(found.len(), 2 * (1 + 24 + 3));
         assert!(svg.contains(">150<"));
@@ -278,8 +306,59 @@ mod tests {
         assert_eq!((low.2, found[28 + 26].2), (&*color(0.8), &*color(0.4)));
 
         let outline = vec![vec![[0.0, 0.0]], vec![[-1.0, 0.0], [1.0, 0.0], [99.0, 0.0], [2.0, 0.0]]];
-        let svg = pads(&[pad(None, Some(Aim { outline, on: &[true, false, true] }))]);
+        let svg = pads(&array, &[pad(None, Some(Aim { outline, on: &[true, false, true] }))]);
         assert_eq!(ellipses(&svg).len(), 1 + 24 + 3 + 2 + 2, "two are ringed, two are dots");
         assert_eq!((svg.matches("<polyline").count(), svg.matches("impulses/s").count()), (1, 0));
+    }
+
+    #[test]
+    fn every_pin_of_every_array_is_drawn_apart_from_the_others() {
+        // Pins without rows and columns, and a pin beyond the pad.
+        let places = "[[-12.0, 0.0], [0.0, 13.5], [0.25, -3.0], [2.5, -3.0]]";
+        let odd = format!(
+            "name = \"map-test\"\npins = {{ positions_mm = {places} }}\ntick_hz = 70000\nduty = {{ up = 0.25, down = 0.75 }}\n\
+             rails = [[0, 1, 2, 3]]\nchips = [[0, 1], [2, 3]]\n[motor]\nstep_um = 0.2\nwindow_ms = 3.0\ntravel_um = 300.0\n\
+             most_pulses = 2000"
+        );
+        let odd = ArraySpec::parse(&odd, "map-test.toml").unwrap();
+        let shipped = spec::names().into_iter().map(|name| Array::named(name).unwrap().spec());
+        for array in shipped.chain([&odd]) {
+            let name = array.name();
+            let panel = Panel { title: "t".to_owned(), pins: Vec::new() };
+            let pad = Pad { title: "t".to_owned(), afferents: &[], rates_hz: None, aim: None };
+            for (svg, besides) in
+                [(motors(array, &[panel]), 0), (small(array, &[], &[]), 1), (pads(array, &[pad]), 1)]
+            {
+                let pins = &ellipses(&svg)[besides..];
+                assert_eq!(pins.len(), array.motors(), "{name}");
+                let side = |name: &str| -> f64 {
+                    svg.split_once(&format!("{name}=\""))
+                        .unwrap()
+                        .1
+                        .split('"')
+                        .next()
+                        .unwrap()
+                        .parse()
+                        .unwrap()
+                };
+                let radius: f64 =
+                    svg.rsplit_once("rx=\"").unwrap().1.split('"').next().unwrap().parse().unwrap();
+                for (number, &(x, y, _)) in pins.iter().enumerate() {
+                    let within = |at: f64, side: f64| at >= radius - 0.01 && at + radius <= side + 0.51;
+                    assert!(
+                        within(x, side("width")) && within(y, side("height")),
+                        "{name} {number}: {x} {y}"
+                    );
+                    let apart = |&(other_x, other_y, _): &(f64, f64, &str)| (x - other_x).hypot(y - other_y);
+                    let nearest = pins[..number].iter().map(apart).fold(f64::INFINITY, f64::min);
+                    assert!(nearest > 2.0 * radius, "{name} {number}: {nearest} {radius}");
+                    // Up is towards the fingertip, the right side is the right side.
+                    let [x_mm, y_mm] = array.position_mm(number as u8);
+                    let [first_x_mm, first_y_mm] = array.position_mm(0);
+                    let (right, down) = (x - pins[0].0, y - pins[0].1);
+                    assert!((x_mm - first_x_mm) * right >= 0.0 && (y_mm - first_y_mm) * down <= 0.0);
+                }
+            }
+        }
     }
 }

@@ -16,7 +16,8 @@ use crate::figures::table::{csv, number, provenance, robustness, table};
 use crate::figures::target::{self, FrameRates, TargetFigures};
 use meissner_array::motor::{MotorError, SteadyState};
 use meissner_array::pattern::{Drive, Pattern};
-use meissner_array::power::{CAPACITANCE_NF, current_ma, rail_pulses};
+use meissner_array::power::{CAPACITANCE_NF, RAIL_V, current_ma, rail_pulses};
+use meissner_array::spec::Array;
 use meissner_array::strokes::{DriveAmplitude, StrokeOptions, Strokes, amplitudes};
 use meissner_design::{Frame, Target, Verdict};
 use meissner_skin::membrane::{AfferentModel, POPULATION_NOISE_SD, Position, Rectify, population};
@@ -85,9 +86,10 @@ pub(super) fn section(
     let moving: Vec<Drive> =
         reached.iter().filter(|drive| has_stroke(drive)).map(|drive| drive.settings).collect();
     // A drive without a stroke does not move its motor.
-    let segments = segments(&moving, pattern.duration_s());
+    let array = pattern.array();
+    let segments = segments(array.rate(), &moving, pattern.duration_s());
     let (shown, more) = segments.split_at(segments.len().min(MAPS));
-    let steady = Steady::of(pattern.drives())?;
+    let steady = Steady::of(array, pattern.drives())?;
     let target = Target::made_for(pattern);
     let response = Response::of(pattern, &segments, target.as_ref(), progress)?;
     let frames = target.as_ref().map(|target| response.frames(target)).unwrap_or_default();
@@ -108,8 +110,8 @@ pub(super) fn section(
             .map(|segment| segment.drives.iter().map(|drive| steady.pulses_per_s(drive)).sum())
             .fold(0.0, f64::max),
         most_at_once,
-        most_ma: f64::from(most_at_once) * current_ma(CAPACITANCE_NF),
-        mean_ma: mean_at_once * current_ma(CAPACITANCE_NF),
+        most_ma: f64::from(most_at_once) * current_ma(array, CAPACITANCE_NF),
+        mean_ma: mean_at_once * current_ma(array, CAPACITANCE_NF),
         watched_s: response.duration_s,
         mean_rate_hz: response.rates_hz.iter().sum::<f64>() / response.rates_hz.len() as f64,
         highest_rate_hz: response.rates_hz.iter().copied().fold(0.0, f64::max),
@@ -134,7 +136,7 @@ pub(super) fn section(
     );
     section.figure(
         &format!("pattern-{name}-motors"),
-        motors(&panels(shown, &reached)),
+        motors(&array, &panels(shown, &reached)),
         None,
         &caption,
         &command,
@@ -163,9 +165,9 @@ pub(super) fn section(
     }
     let numbers = rates_csv(&response, still.map(FrameRates::aim).as_ref());
     let pad = response.pad(FINGERTIP, &response.rates_hz, still.map(FrameRates::aim));
-    section.figure(&format!("pattern-{name}-rates"), pads(&[pad]), Some(numbers), &caption, &command);
+    section.figure(&format!("pattern-{name}-rates"), pads(&array, &[pad]), Some(numbers), &caption, &command);
     if let (Some(target), None) = (&target, still) {
-        frame_figure(&mut section, &response, target, &frames, (name, &command));
+        frame_figure(&mut section, array, &response, target, &frames, (name, &command));
     }
     if !compared.is_empty() {
         section.table("Beside rules of thumb that need no search", &baselines::rows(&compared));
@@ -187,7 +189,7 @@ pub(super) fn section(
     let pins = segments.first().map(|segment| pins(segment, &reached)).unwrap_or_default();
     section.overview(
         &format!("pattern-{name}-overview"),
-        small(&pins, &outline),
+        small(&array, &pins, &outline),
         &format!("{name}{contrast}"),
     );
     Ok((section, figures))
@@ -205,8 +207,10 @@ fn summary(pattern: &Pattern, figures: &PatternFigures) -> String {
         0 => String::new(),
         silent => format!(" ({silent} without a stroke: their motors do not move)"),
     };
+    let array = pattern.array();
+    let on = if array == Array::paper() { String::new() } else { format!(" on the array {}", array.name()) };
     format!(
-        "{length}, {} {drives}{silent}{segments}; {} pulses/s in all{most}. Of a 30 V rail at most {} motors have pulses at once: \
+        "{length}{on}, {} {drives}{silent}{segments}; {} pulses/s in all{most}. Of a {RAIL_V} V rail at most {} motors have pulses at once: \
          {} mA for motors of 3 nF, {} mA in the mean.",
         figures.drives,
         number(figures.busiest_pulses_per_s),
@@ -260,7 +264,14 @@ impl Response {
             || AfferentModel::default_for(Rectify::Half, POPULATION_NOISE_SD),
             |target| *target.model(),
         );
-        let scene = Scene::new(duration_s, seed, pattern.drives_with_ends(), population(seed), model)?;
+        let scene = Scene::new(
+            pattern.array(),
+            duration_s,
+            seed,
+            pattern.drives_with_ends(),
+            population(seed),
+            model,
+        )?;
         let keep = if moves { Keep::Spikes } else { Keep::Rates };
         let answer = simulate(&scene, &Options { keep, ..Options::rates(Method::Exact) }, progress)?;
         let rates_hz = answer.rates_hz(&scene);
@@ -302,6 +313,7 @@ fn verdict(target: &Target, rates: &FrameRates<'_>) -> String {
 /// Draws some frames of a moving target, and lists the verdicts of all.
 fn frame_figure(
     section: &mut Section,
+    array: Array,
     response: &Response,
     target: &Target,
     frames: &[FrameRates<'_>],
@@ -333,7 +345,7 @@ fn frame_figure(
         })
     });
     let numbers = csv("start_s,stop_s,x_mm,y_mm,on,rate_hz", rows);
-    section.figure(&format!("pattern-{name}-frames"), pads(&shown), Some(numbers), &caption, command);
+    section.figure(&format!("pattern-{name}-frames"), pads(&array, &shown), Some(numbers), &caption, command);
     let head = ["from, s", "to, s", "ON, impulses/s", "OFF, impulses/s", "contrast, impulses/s", "AUC"];
     let row = |rates: &FrameRates<'_>| {
         let Verdict { on_hz, off_hz, cost_hz, auc } = rates.verdict;
@@ -357,11 +369,11 @@ fn rates_csv(response: &Response, aim: Option<&Aim<'_>>) -> String {
 struct Steady(HashMap<(u64, u64), SteadyState>);
 
 impl Steady {
-    fn of(drives: &[Drive]) -> Result<Self, MotorError> {
+    fn of(array: Array, drives: &[Drive]) -> Result<Self, MotorError> {
         let mut found = HashMap::new();
         for drive in drives {
             if let Entry::Vacant(place) = found.entry(Self::key(drive)) {
-                place.insert(SteadyState::of(drive.frequency_hz, drive.amplitude_um)?);
+                place.insert(SteadyState::of(array, drive.frequency_hz, drive.amplitude_um)?);
             }
         }
         Ok(Self(found))
@@ -416,4 +428,41 @@ fn drives(drives: &[DriveAmplitude], steady: &Steady) -> String {
         row
     };
     table(&head, drives.iter().map(row))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use meissner_array::spec;
+    use meissner_design::{Partition, Rule, YARDSTICK, shipped};
+
+    #[test]
+    fn a_pattern_of_every_array_is_drawn_with_all_its_pins() {
+        for array in spec::names().into_iter().map(|name| Array::named(name).unwrap()) {
+            let target = shipped(YARDSTICK).unwrap().with_array(array).unwrap();
+            let drives = Rule::Pitch.drives(&target);
+            let provenance = toml::Table::from_iter([("definition".to_owned(), target.definition().into())]);
+            let pattern = Pattern::new(array, "test", Some(0.2), drives.clone(), provenance).unwrap();
+            let subject = Subject { pattern, argument: "test".to_owned() };
+            let (section, figures) = section(&subject, &|_| ()).unwrap();
+            let ellipses = |name: &str| {
+                let file = section.files.iter().find(|file| file.name == name).unwrap();
+                file.text.matches("<ellipse").count()
+            };
+            let motors = array.motors();
+            assert!(!drives.is_empty() && figures.drives_moving == drives.len(), "{array:?}: {figures:?}");
+            assert_eq!(ellipses("pattern-test-motors.svg"), motors);
+            assert_eq!(ellipses("pattern-test-overview.svg"), 1 + motors);
+            let afferents = population(target.population_seed());
+            let on = Partition::of(&target.frames()[0].shape, target.reach_mm(), &afferents).on_count();
+            assert_eq!(ellipses("pattern-test-rates.svg"), 1 + motors + afferents.len() + on);
+            assert!(
+                figures.highest_rate_hz > 0.0 && usize::from(figures.most_at_once) <= array.rails().largest()
+            );
+            let named = section.html.contains(&format!("on the array {}", array.name()));
+            assert_eq!(named, array != Array::paper(), "{}", section.html);
+            let [frame] = figures.target.as_ref().unwrap().frames[..] else { panic!("{figures:?}") };
+            assert!(frame.verdict.cost_hz > 0.0, "{array:?}: {frame:?}");
+        }
+    }
 }

@@ -1,6 +1,6 @@
-//! The travel of a burst against its number of pulses: the paper's Fig. 2.
+//! The travel of a burst against its number of pulses; of the paper's array it is the paper's Fig. 2.
 //!
-//! Simulated motors play the default plan of a calibration. The travel of every burst is the displacement at rest before
+//! Simulated motors of an array play the default plan of its calibration. The travel of every burst is the displacement at rest before
 //! and after it, as the paper measured it with a laser. The bursts of one motor are drawn, as in the paper; those of all
 //! motors are fitted.
 //!
@@ -10,16 +10,16 @@ use crate::chart::{Axis, Chart, Dot, Point, Scale, Series, draw};
 use crate::figures::error::FiguresError;
 use crate::figures::page::Section;
 use crate::figures::table::{csv, number, table};
+use crate::figures::{command, middle, title};
 use crate::statistics::mean_and_sd;
-use firmware_protocol::stroke::{Direction, MOTORS};
+use firmware_protocol::stroke::Direction;
 use firmware_protocol::tick::Tick;
 use meissner_array::simulated::{SimulatedMotors, SimulatedMotorsConfig};
-use meissner_array::units::{UM_PER_PULSE, ticks_to_seconds};
+use meissner_array::spec::{Array, MotorSpec};
+use meissner_array::units::TickRate;
 use meissner_stream::calibrate::{BurstTravel, Fit, Plan, STROKES_PER_GROUP, travels_by_sensor};
 use serde::Serialize;
 
-/// The motor whose bursts are drawn, as in the other figures.
-const MOTOR: u8 = 9;
 const SEED: u64 = 0;
 /// The drawing shifts up bursts to the left by this number of pulses, and down bursts to the right.
 const ASIDE: f64 = 1.5;
@@ -29,7 +29,7 @@ const ASIDE: f64 = 1.5;
 pub struct Pulses {
     /// Seed of the simulated motors.
     pub seed: u64,
-    /// The motor that is drawn.
+    /// The motor that is drawn: the one nearest to the middle, as in the other figures.
     pub motor: u8,
     /// Travel of a pulse in the model, µm.
     pub model_um_per_pulse: f64,
@@ -44,61 +44,66 @@ pub struct Pulses {
 }
 
 /// Makes the section and the key figures.
-pub(super) fn section() -> Result<(Section, Pulses), FiguresError> {
-    let plan = Plan::default();
+pub(super) fn section(array: Array) -> Result<(Section, Pulses), FiguresError> {
+    let (plan, drawn_motor, motor) = (Plan::of(array)?, middle(array), array.motor());
     let config = SimulatedMotorsConfig { seed: SEED, telemetry_hz: 0, ..SimulatedMotorsConfig::default() };
-    let bursts = travels_by_sensor(&plan, &mut SimulatedMotors::new(config, Tick(0))?);
-    let drawn: Vec<BurstTravel> = bursts.iter().filter(|burst| burst.motor == MOTOR).copied().collect();
-    let fit = |direction| Fit::of(drawn.iter().filter(|burst| burst.direction == direction));
+    let bursts = travels_by_sensor(&plan, &mut SimulatedMotors::new(array, config, Tick(0))?);
+    let drawn: Vec<BurstTravel> = bursts.iter().filter(|burst| burst.motor == drawn_motor).copied().collect();
+    let fit = |direction| Fit::of(motor, drawn.iter().filter(|burst| burst.direction == direction));
     let firsts = bursts.iter().filter(|burst| burst.warm_up && burst.direction == Direction::Up);
-    let firsts: Vec<f64> = firsts.map(over_model).collect();
+    let firsts: Vec<f64> = firsts.map(|burst| over_model(motor, burst)).collect();
     let (transient_gain, _) = mean_and_sd(&firsts);
     let figures = Pulses {
         seed: SEED,
-        motor: MOTOR,
-        model_um_per_pulse: UM_PER_PULSE,
+        motor: drawn_motor,
+        model_um_per_pulse: motor.um_per_pulse,
         up: fit(Direction::Up)?,
         down: fit(Direction::Down)?,
-        all: Fit::of(&bursts)?,
+        all: Fit::of(motor, &bursts)?,
         transient_gain,
     };
 
-    let mut section = Section::new("pulses", "Displacement against pulses (the paper's Fig. 2)");
+    let mut section = Section::new("pulses", &title(array, "Displacement against pulses", "Fig. 2"));
+    let paper = array == Array::paper();
+    let step = number(motor.um_per_pulse);
+    let (model, its_step) =
+        if paper { (format!("0.95/7 = {step}"), "the model's 0.95/7") } else { (step, "the model's") };
     let all = figures.all;
     let caption = format!(
-        "Travel of a burst against its number of pulses. Line: the motor model, 0.95/7 = {} µm per pulse. Circles: bursts \
-         of the simulated motor {MOTOR} (seed {SEED}, gain of each burst scattered by 10 %), upwards to the left and \
+        "Travel of a burst against its number of pulses. Line: the motor model, {model} µm per pulse. Circles: bursts \
+         of the simulated motor {drawn_motor} (seed {SEED}, gain of each burst scattered by 10 %), upwards to the left and \
          downwards to the right of their number, from the displacement at rest before and after each. Discs: their mean \
          and standard deviation. They are played as by `meissner calibrate`: groups of {} strokes of one number, a group \
          every {} s, in mixed order, all motors at once. Squares: the first stroke of each group, which counts neither in \
-         the mean nor in a fit. Its up burst follows more than half a second of rest and travels {} of the model's on the \
-         mean, which is the paper's transient.",
-        number(UM_PER_PULSE),
+         the mean nor in a fit. Its up burst follows a rest and travels {} of the model's on the mean{}.",
         1 + STROKES_PER_GROUP,
         number(meissner_stream::calibrate::GROUP_S),
         number(transient_gain),
+        if paper { ", which is the paper's transient" } else { "" },
     );
-    section.figure("pulses", plot(&plan, &drawn), Some(numbers(&drawn)), &caption, "meissner report");
+    let drawing = plot(&plan, &drawn, paper);
+    section.figure("pulses", drawing, Some(numbers(array.rate(), &drawn)), &caption, &command(array));
     section.say(&format!(
-        "For the {} measured bursts of all {MOTORS} motors the fitted slope is {} µm per pulse (standard error {}), {} of \
-         the model's 0.95/7, with an offset of {} µm. Bursts scatter around it by {} % of their travel (the paper: \
-         about 10 %).",
+        "For the {} measured bursts of all {} motors the fitted slope is {} µm per pulse (standard error {}), {} of \
+         {its_step}, with an offset of {} µm. Bursts scatter around it by {} % of their travel{}.",
         all.bursts,
+        array.motors(),
         number(all.slope_um_per_pulse),
         number(all.slope_se_um_per_pulse),
-        number(all.gain()),
+        number(all.gain(motor)),
         number(all.offset_um),
         number(all.relative_sd * 100.0),
+        if paper { " (the paper: about 10 %)" } else { "" },
     ));
-    section.table("Lines through the bursts, weighted by 1/pulses²", &fits(&figures));
+    section.table("Lines through the bursts, weighted by 1/pulses²", &fits(motor, &figures));
     Ok((section, figures))
 }
 
-fn over_model(burst: &BurstTravel) -> f64 {
-    burst.travel_um / (f64::from(burst.pulses) * UM_PER_PULSE)
+fn over_model(motor: &MotorSpec, burst: &BurstTravel) -> f64 {
+    burst.travel_um / (f64::from(burst.pulses) * motor.um_per_pulse)
 }
 
-fn fits(figures: &Pulses) -> String {
+fn fits(motor: &MotorSpec, figures: &Pulses) -> String {
     let head = [
         "bursts",
         "count",
@@ -114,30 +119,33 @@ fn fits(figures: &Pulses) -> String {
             bursts as f64,
             slope_um_per_pulse,
             slope_se_um_per_pulse,
-            fit.gain(),
+            fit.gain(motor),
             offset_um,
             relative_sd * 100.0,
         ];
         [name].into_iter().chain(numbers.map(number)).collect()
     };
     let rows = [
-        row(format!("motor {MOTOR}, up"), &figures.up),
-        row(format!("motor {MOTOR}, down"), &figures.down),
+        row(format!("motor {}, up", figures.motor), &figures.up),
+        row(format!("motor {}, down", figures.motor), &figures.down),
         row("all motors, up and down".to_owned(), &figures.all),
     ];
     table(&head, rows)
 }
 
-fn numbers(bursts: &[BurstTravel]) -> String {
+fn numbers(rate: TickRate, bursts: &[BurstTravel]) -> String {
     let row = |burst: &BurstTravel| {
-        let start_s = ticks_to_seconds(burst.start.0);
+        let start_s = rate.ticks_to_seconds(burst.start.0);
         let (up, settling) = (u8::from(burst.direction == Direction::Up), u8::from(burst.warm_up));
         format!("{start_s:.6},{up},{settling},{},{:.4}", burst.pulses, burst.travel_um)
     };
     csv("start_s,up,settling,pulses,travel_um", bursts.iter().map(row))
 }
 
-fn plot(plan: &Plan, bursts: &[BurstTravel]) -> String {
+/// Draws the bursts and the model, with the step as a fraction if it is the paper's.
+fn plot(plan: &Plan, bursts: &[BurstTravel], paper: bool) -> String {
+    let um_per_pulse = plan.array().motor().um_per_pulse;
+    let step = if paper { "0.95/7".to_owned() } else { number(um_per_pulse) };
     let of = |warm_up: bool| bursts.iter().filter(move |travel| travel.warm_up == warm_up);
     let point = |burst: &BurstTravel| {
         let aside = if burst.direction == Direction::Up { -ASIDE } else { ASIDE };
@@ -157,7 +165,10 @@ fn plot(plan: &Plan, bursts: &[BurstTravel]) -> String {
         x: Axis { name: "pulses", scale: Scale::linear(0.0, most) },
         y: Axis { name: "travel, µm", scale: Scale::linear(0.0, (highest / 5.0).ceil() * 5.0) },
         series: vec![
-            Series::line("model: 0.95/7 µm per pulse", vec![(0.0, 0.0), (most, most * UM_PER_PULSE)]),
+            Series::line(
+                format!("model: {step} µm per pulse"),
+                vec![(0.0, 0.0), (most, most * um_per_pulse)],
+            ),
             series("bursts", of(false).map(point).collect(), Dot::Ring),
             series("first stroke of a group", of(true).map(point).collect(), Dot::Square),
             series("mean and standard deviation", plan.pulses().iter().map(mean).collect(), Dot::Filled),

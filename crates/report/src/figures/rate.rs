@@ -10,28 +10,25 @@ use crate::chart::{Axis, Chart, Scale, Series, draw};
 use crate::figures::error::FiguresError;
 use crate::figures::page::Section;
 use crate::figures::table::{csv, number, table};
+use crate::figures::{command, middle, title};
 use crate::progress::Parts;
 use crate::statistics::mean_and_sd;
-use firmware_protocol::tick::TICK_HZ;
-use meissner_array::geometry;
-use meissner_array::pattern::{AMPLITUDE_UM, Drive};
-use meissner_array::units::UM_PER_PULSE;
+use meissner_array::pattern::Drive;
+use meissner_array::spec::Array;
 use meissner_skin::membrane::{AfferentModel, POPULATION_NOISE_SD, Position, Rectify};
 use meissner_skin::{Method, Options, Scene, simulate};
 use rayon::prelude::*;
 use serde::Serialize;
 
-/// The motor of the pin above the afferents; all others are off.
-const MOTOR: u8 = 9;
 const AFFERENTS: usize = 8;
 const DURATION_S: f64 = 1.0;
 const SEED: u64 = 0;
 /// Frequencies whose rates are drawn against the amplitude, Hz.
 const FREQUENCIES_HZ: [f64; 6] = [10.0, 20.0, 30.0, 60.0, 100.0, 150.0];
-/// The step of amplitudes, µm, up to the largest of a pattern.
+/// The step of amplitudes, µm, up to the array's largest.
 const STEP_UM: f64 = 5.0;
 /// Amplitudes whose rates are drawn against the frequency, µm: the paper's, and one that does not saturate at the
-/// frequencies where afferents fire most.
+/// frequencies where afferents fire most. An array has those up to its largest amplitude.
 const AMPLITUDES_UM: [f64; 2] = [30.0, 80.0];
 /// Frequencies against which rates are drawn, Hz.
 const SWEPT_HZ: std::ops::RangeInclusive<u32> = 5..=300;
@@ -93,29 +90,35 @@ pub struct Peak {
 }
 
 /// Makes the section and the key figures.
-pub(super) fn section(progress: &(dyn Fn(f64) + Sync)) -> Result<(Section, Rate), FiguresError> {
-    let last_um = *AMPLITUDE_UM.end();
+pub(super) fn section(
+    array: Array,
+    progress: &(dyn Fn(f64) + Sync),
+) -> Result<(Section, Rate), FiguresError> {
+    let last_um = array.motor().travel_um;
+    let (motor, command) = (middle(array), command(array));
     let amplitudes: Vec<f64> =
         (1..).map(|n| f64::from(n) * STEP_UM).take_while(|um| *um <= last_um).collect();
     let by_amplitude = FREQUENCIES_HZ.iter().flat_map(|&hz| amplitudes.iter().map(move |&um| (hz, um)));
-    let by_frequency = AMPLITUDES_UM.iter().flat_map(|&um| SWEPT_HZ.map(move |hz| (f64::from(hz), um)));
+    let swept_um = AMPLITUDES_UM.iter().filter(|um| **um <= last_um);
+    let by_frequency = swept_um.flat_map(|&um| SWEPT_HZ.map(move |hz| (f64::from(hz), um)));
     let settings: Vec<(f64, f64)> = by_amplitude.chain(by_frequency).collect();
     let parts = Parts::new(settings.len(), progress);
     let rows = settings.into_par_iter().map(|(frequency_hz, amplitude_um)| {
-        let row = row(frequency_hz, amplitude_um);
+        let row = row(array, frequency_hz, amplitude_um);
         parts.done();
         row
     });
     let mut by_amplitude = rows.collect::<Result<Vec<_>, FiguresError>>()?;
     let by_frequency = by_amplitude.split_off(FREQUENCIES_HZ.len() * amplitudes.len());
+    let of_frequency = by_amplitude.chunk_by(|a, b| a.frequency_hz == b.frequency_hz);
     let figures = Rate {
-        by_amplitude: by_amplitude.chunks(amplitudes.len()).filter_map(plateau).collect(),
+        by_amplitude: of_frequency.filter_map(|rows| plateau(array, rows)).collect(),
         by_frequency: by_frequency.chunks(SWEPT_HZ.count()).filter_map(peak).collect(),
     };
 
-    let mut section = Section::new("rate", "Rate of an afferent under a pin");
+    let mut section = Section::new("rate", &title(array, "Rate of an afferent under a pin", ""));
     let what = format!(
-        "Mean of {AFFERENTS} afferents under the pin of motor {MOTOR}, simulated exactly for {} s (noise seed {SEED}, SD \
+        "Mean of {AFFERENTS} afferents under the pin of motor {motor}, simulated exactly for {} s (noise seed {SEED}, SD \
          {POPULATION_NOISE_SD} of the threshold, indentation only), all other motors off.",
         number(DURATION_S)
     );
@@ -131,9 +134,9 @@ pub(super) fn section(progress: &(dyn Fn(f64) + Sync)) -> Result<(Section, Rate)
         format!("{frequency_hz},{amplitude_um},{rate_hz:.4},{sd_hz:.4}")
     };
     let numbers = csv("frequency_hz,amplitude_um,rate_hz,rate_sd_hz", by_amplitude.iter().map(row));
-    section.figure("rate-amplitude", drawn, Some(numbers), &caption, "meissner report");
+    section.figure("rate-amplitude", drawn, Some(numbers), &caption, &command);
     for plateau in figures.by_amplitude.iter().filter(|plateau| plateau.frequency_hz == 60.0) {
-        section.say(&remark(plateau));
+        section.say(&remark(array, plateau));
     }
     section.table("Where the amplitude does not matter much", &plateaus(&figures.by_amplitude));
 
@@ -160,23 +163,26 @@ pub(super) fn section(progress: &(dyn Fn(f64) + Sync)) -> Result<(Section, Rate)
         format!("{amplitude_um},{frequency_hz},{rate_hz:.4},{sd_hz:.4}")
     };
     let numbers = csv("amplitude_um,frequency_hz,rate_hz,rate_sd_hz", by_frequency.iter().map(row));
-    section.figure("rate-frequency", drawn, Some(numbers), &caption, "meissner report");
+    section.figure("rate-frequency", drawn, Some(numbers), &caption, &command);
     Ok((section, figures))
 }
 
-fn row(frequency_hz: f64, amplitude_um: f64) -> Result<Row, FiguresError> {
-    let [x_mm, y_mm] = geometry::position_mm(MOTOR);
-    let drive = Drive { motor: MOTOR, frequency_hz, amplitude_um, phase: 0.0, start_s: None, stop_s: None };
+/// The rate of afferents under the pin of the middle motor; all others are off.
+fn row(array: Array, frequency_hz: f64, amplitude_um: f64) -> Result<Row, FiguresError> {
+    let motor = middle(array);
+    let [x_mm, y_mm] = array.position_mm(motor);
+    let drive = Drive { motor, frequency_hz, amplitude_um, phase: 0.0, start_s: None, stop_s: None };
     let afferents = vec![Position { x_mm, y_mm }; AFFERENTS];
     let model = AfferentModel::default_for(Rectify::Half, POPULATION_NOISE_SD);
-    let scene = Scene::new(DURATION_S, SEED, vec![drive], afferents, model)?;
+    let scene = Scene::new(array, DURATION_S, SEED, vec![drive], afferents, model)?;
     let answer = simulate(&scene, &Options::rates(Method::Exact), &|_| ())?;
     let (rate_hz, sd_hz) = mean_and_sd(&answer.rates_hz(&scene));
     Ok(Row { frequency_hz, amplitude_um, rate_hz, sd_hz })
 }
 
 /// The widest range of amplitudes with nearly one rate, at one frequency.
-fn plateau(rows: &[Row]) -> Option<Plateau> {
+fn plateau(array: Array, rows: &[Row]) -> Option<Plateau> {
+    let speed_um_s = array.motor().um_per_pulse * f64::from(array.rate().hz());
     let mut widest: Option<Plateau> = None;
     for (index, first) in rows.iter().enumerate() {
         let (mut lowest_hz, mut highest_hz) = (first.rate_hz, first.rate_hz);
@@ -190,7 +196,7 @@ fn plateau(rows: &[Row]) -> Option<Plateau> {
             {
                 widest = Some(Plateau {
                     frequency_hz: row.frequency_hz,
-                    saturated_from_um: UM_PER_PULSE * f64::from(TICK_HZ) / 2.0 / row.frequency_hz,
+                    saturated_from_um: speed_um_s / 2.0 / row.frequency_hz,
                     from_um: first.amplitude_um,
                     to_um: row.amplitude_um,
                     lowest_hz,
@@ -219,12 +225,17 @@ fn peak(rows: &[Row]) -> Option<Peak> {
     })
 }
 
-/// Says, in computed numbers, where the paper's remark is true.
-fn remark(plateau: &Plateau) -> String {
+/// Says in computed numbers where the amplitude does not matter much; of the paper's array it is a remark of the paper.
+fn remark(array: Array, plateau: &Plateau) -> String {
     let Plateau { frequency_hz, saturated_from_um, from_um, to_um, lowest_hz, highest_hz, first_hz } =
         *plateau;
+    let paper = if array == Array::paper() {
+        "The paper remarks that the amplitude does not affect much. "
+    } else {
+        ""
+    };
     format!(
-        "The paper remarks that the amplitude does not affect much. At {} Hz the rate changes by less than {} % between \
+        "{paper}At {} Hz the rate changes by less than {} % between \
          {} and {} µm ({} to {} impulses/s); the drive saturates from {} µm on, so larger amplitudes change nothing. \
          Below that range the amplitude matters: at {} µm the rate is {} impulses/s.",
         number(frequency_hz),
@@ -279,12 +290,13 @@ mod tests {
 
     #[test]
     fn a_plateau_is_the_widest_range_of_nearly_one_rate() {
-        let found = plateau(&rows(&[0.0, 0.0, 0.0, 0.0, 50.0, 91.0, 100.0, 99.0, 89.0])).unwrap();
+        let found =
+            plateau(Array::paper(), &rows(&[0.0, 0.0, 0.0, 0.0, 50.0, 91.0, 100.0, 99.0, 89.0])).unwrap();
         assert_eq!(
             (found.from_um, found.to_um, found.lowest_hz, found.highest_hz),
             (50.0, 70.0, 91.0, 100.0)
         );
-        assert_eq!(plateau(&rows(&[0.0, 0.0])), None);
+        assert_eq!(plateau(Array::paper(), &rows(&[0.0, 0.0])), None);
     }
 
     #[test]

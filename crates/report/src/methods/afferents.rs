@@ -8,8 +8,7 @@
 //! Invariant: only the times depend on the machine.
 
 use super::tradeoff::timed;
-use firmware_protocol::stroke::MOTORS;
-use meissner_array::geometry::position_mm;
+use meissner_array::spec::Array;
 use meissner_design::SEARCH_MIN_SHARES;
 use meissner_skin::afferents::{Afferent, Class, NearEvaluator, PREINDENT_MM, Scene, population, simulate};
 use meissner_skin::{AnyScene, Keep, MethodError, ModelName};
@@ -74,7 +73,7 @@ pub struct Extreme {
 /// # Errors
 /// If a scene has too many spikes.
 pub fn tradeoff(scene: &Scene, progress: &(dyn Fn(f64) + Sync)) -> Result<AfferentsTradeoff, MethodError> {
-    let extremes = extremes();
+    let extremes = extremes(scene.array());
     let parts = (extremes.len() + 1) as f64;
     let rows = rows(scene)?;
     let of = |(index, (name, scene)): (usize, (&'static str, Scene))| {
@@ -168,11 +167,12 @@ fn extreme(name: &'static str, scene: &Scene) -> Result<Extreme, MethodError> {
 }
 
 /// The scenes at the extremes: all pins of the array at 60 Hz, unless the name says otherwise.
-fn extremes() -> Vec<(&'static str, Scene)> {
+fn extremes(array: Array) -> Vec<(&'static str, Scene)> {
     let pins = |frequency_hz: f64, amplitude_um: f64| -> Vec<_> {
-        (0..MOTORS as u8)
+        array
+            .numbers()
             .map(|motor| {
-                let [x_mm, y_mm] = position_mm(motor);
+                let [x_mm, y_mm] = array.position_mm(motor);
                 // Each motor has its own phase; the golden ratio spreads them evenly.
                 let phase = (f64::from(motor) * 0.618_034).fract();
                 json!({"x_mm": x_mm, "y_mm": y_mm, "frequency_hz": frequency_hz, "amplitude_um": amplitude_um, "phase": phase})
@@ -184,7 +184,7 @@ fn extremes() -> Vec<(&'static str, Scene)> {
                  pins: Vec<serde_json::Value>,
                  afferents: Vec<Afferent>| {
         let text = json!({
-            "model": "afferents", "duration_s": duration_s, "preindent_mm": preindent_mm, "ramp_s": 0.0, "begin_s": 0.0,
+            "model": "afferents", "array": array.name(), "duration_s": duration_s, "preindent_mm": preindent_mm, "ramp_s": 0.0, "begin_s": 0.0,
             "noise": true, "pins": pins, "afferents": []
         });
         match AnyScene::read(&text.to_string(), "extreme.json", Some(ModelName::Afferents)) {
@@ -195,10 +195,10 @@ fn extremes() -> Vec<(&'static str, Scene)> {
         }
     };
     let finger = || population(0);
-    let [x_mm, y_mm] = position_mm(9);
+    let [x_mm, y_mm] = array.position_mm(array.nearest_to([0.0, 0.0]).0);
     // Afferents below the pin's rim, where the pressure under a flat punch has a pole.
     let edge = Class::ALL.map(|class| {
-        let at = meissner_skin::membrane::Position { x_mm: x_mm + 0.5, y_mm };
+        let at = meissner_skin::membrane::Position { x_mm: x_mm + array.pin_radius_mm(), y_mm };
         Afferent { class, row: 0, at }
     });
     let many = (0..).flat_map(population).take(MANY).collect();

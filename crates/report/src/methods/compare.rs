@@ -102,6 +102,7 @@ fn trains(answer: &Answer) -> &[Vec<f64>] {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use meissner_array::spec::Array;
     use meissner_skin::Skipped;
     use meissner_skin::membrane::{AfferentModel, Position, Rectify};
 
@@ -117,7 +118,7 @@ mod tests {
     fn errors_of_spikes_times_rates_and_contrast() {
         let afferents = vec![Position { x_mm: 0.0, y_mm: 0.0 }, Position { x_mm: 8.0, y_mm: 0.0 }];
         let model = AfferentModel::default_for(Rectify::Half, 0.0);
-        let scene = Scene::new(0.5, 0, vec![], afferents, model).unwrap();
+        let scene = Scene::new(Array::paper(), 0.5, 0, vec![], afferents, model).unwrap();
         let reference = Reference::new(&scene, answer(&[&[0.1, 0.2, 0.3], &[0.4]]));
         assert_eq!((reference.spikes(), reference.cost_hz()), (4, Some(4.0)));
         let same = reference.difference(reference.answer());
@@ -133,7 +134,7 @@ mod tests {
     #[test]
     fn an_empty_scene_has_no_figures() {
         let model = AfferentModel::default_for(Rectify::Half, 0.0);
-        let scene = Scene::new(0.0, 0, vec![], vec![], model).unwrap();
+        let scene = Scene::new(Array::paper(), 0.0, 0, vec![], vec![], model).unwrap();
         let reference = Reference::new(&scene, answer(&[]));
         let found = reference.difference(reference.answer());
         assert_eq!((found.spikes_matched_share, found.mean_error_us, found.rate_rms_hz), (None, None, None));

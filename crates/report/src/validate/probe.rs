@@ -1,15 +1,14 @@
 //! Moves a single pin under afferents of either model: as a sine, or by one press.
 //!
-//! The second model takes the pin's motion as a formula. The first model takes motor ramps, so the sine is made of short ramps. A
-//! motor smooths its ramps over 4.3 ms; to compensate, the ramps are stronger by the factor by which that weakens a sine of this
-//! frequency.
+//! The second model takes the pin's motion as a formula. The first model takes motor ramps, so the sine is made of short ramps of a
+//! motor of the paper's array. A motor smooths its ramps over a window; to compensate, the ramps are stronger by the factor by which
+//! that weakens a sine of this frequency.
 //!
 //! Invariant: both models get the same motion of the pin.
 
-use firmware_protocol::tick::{TICK_HZ, Tick};
-use meissner_array::geometry;
-use meissner_array::motor::{Ramp, WINDOW_HALF_TICKS};
-use meissner_array::units::UM_PER_PULSE;
+use firmware_protocol::tick::Tick;
+use meissner_array::motor::Ramp;
+use meissner_array::spec::Array;
 use meissner_skin::afferents::{Class, simulate};
 use meissner_skin::membrane::{AfferentModel, Position, Rectify};
 use meissner_skin::{AnyScene, Keep, ModelName, Ramps, Scene, simulate_ramps};
@@ -24,14 +23,18 @@ pub(super) const COUNTED_S: f64 = 0.8;
 const BEGIN_S: f64 = 0.4;
 /// How long a pressed-in pin stays, s.
 const HELD_S: f64 = 0.2;
-/// The speed at which a pin is pressed in, mm/s: that of the display's motors.
-const PRESS_MM_S: f64 = UM_PER_PULSE * TICK_HZ as f64 / 1000.0;
 /// Gain of the fastest ramps.
 const MOST_GAIN: f64 = 10.0;
 /// Ramps in a cycle, at least, where ticks allow.
 const RAMPS: f64 = 64.0;
-/// The motor whose pin moves.
+/// The motor of the paper's array whose pin moves.
 const MOTOR: u8 = 9;
+
+/// The speed at which a pin is pressed in, mm/s: that of the motors of the paper's array.
+fn press_mm_s() -> f64 {
+    let array = Array::paper();
+    array.motor().um_per_pulse * f64::from(array.rate().hz()) / 1000.0
+}
 
 /// An afferent at a distance from the pin.
 #[derive(Clone, Copy, Debug)]
@@ -66,15 +69,12 @@ pub(super) fn sine(
 
 /// Spikes of each afferent while a pin is pressed in by `depth_um`, and for [`HELD_S`] after.
 pub(super) fn press(model: ModelName, depth_um: f64, afferents: &[Placed]) -> Vec<usize> {
-    let ramp_s = depth_um / 1000.0 / PRESS_MM_S;
+    let ramp_s = depth_um / 1000.0 / press_mm_s();
     let spikes_s = match model {
         ModelName::Membrane => {
-            let ticks = (depth_um / UM_PER_PULSE).round() as u32;
-            membrane(
-                vec![Ramp { start: Tick(0), ticks, um_per_tick: UM_PER_PULSE }],
-                ramp_s + HELD_S,
-                afferents,
-            )
+            let um_per_tick = Array::paper().motor().um_per_pulse;
+            let ticks = (depth_um / um_per_tick).round() as u32;
+            membrane(vec![Ramp { start: Tick(0), ticks, um_per_tick }], ramp_s + HELD_S, afferents)
         }
         ModelName::Afferents => {
             let still = json!([{"x_mm": 0.0, "y_mm": 0.0, "frequency_hz": 0.0, "amplitude_um": 0.0}]);
@@ -105,11 +105,13 @@ pub(super) fn spikes_s(scene: &serde_json::Value) -> Vec<Vec<f64>> {
 
 /// Spikes of the first model without noise while a motor makes ramps, s.
 fn membrane(ramps: Vec<Ramp>, duration_s: f64, afferents: &[Placed]) -> Vec<Vec<f64>> {
-    let [x_mm, y_mm] = geometry::position_mm(MOTOR);
+    let array = Array::paper();
+    let [x_mm, y_mm] = array.position_mm(MOTOR);
     let places = afferents.iter().map(|of| Position { x_mm: x_mm + of.away_mm, y_mm }).collect();
     let model = AfferentModel::default_for(Rectify::default(), 0.0);
-    let scene = Scene::new(duration_s, 0, Vec::new(), places, model).expect("a scene of validate is valid");
-    let ramps = Ramps::new(ramps.into_iter().map(|ramp| (MOTOR, ramp)))
+    let scene =
+        Scene::new(array, duration_s, 0, Vec::new(), places, model).expect("a scene of validate is valid");
+    let ramps = Ramps::new(array, ramps.into_iter().map(|ramp| (MOTOR, ramp)))
         .expect("amplitudes of validate are within the gains");
     let mut spikes_s = vec![Vec::new(); afferents.len()];
     simulate_ramps(&scene, &ramps, &mut |number, train| spikes_s[number as usize] = train)
@@ -120,12 +122,13 @@ fn membrane(ramps: Vec<Ramp>, duration_s: f64, afferents: &[Placed]) -> Vec<Vec<
 /// Whether a probe can make this vibration: ramps are at most ten times as fast as a motor's.
 pub(super) fn can_give(model: ModelName, frequency_hz: f64, amplitude_um: f64) -> bool {
     let fastest_mm_s = PI * frequency_hz * stronger_um(frequency_hz, amplitude_um) / 1000.0;
-    model == ModelName::Afferents || fastest_mm_s <= MOST_GAIN * PRESS_MM_S
+    model == ModelName::Afferents || fastest_mm_s <= MOST_GAIN * press_mm_s()
 }
 
 /// The amplitude of the ramps whose smoothed motion has amplitude `amplitude_um`, µm.
 fn stronger_um(frequency_hz: f64, amplitude_um: f64) -> f64 {
-    let window_s = WINDOW_HALF_TICKS as f64 / 2.0 / f64::from(TICK_HZ);
+    let array = Array::paper();
+    let window_s = array.motor().window_ticks() / f64::from(array.rate().hz());
     let angle = PI * frequency_hz * window_s;
     amplitude_um * angle / angle.sin().abs()
 }
@@ -133,10 +136,10 @@ fn stronger_um(frequency_hz: f64, amplitude_um: f64) -> f64 {
 /// The ramps that move a pin as a sine for the whole time, from its lowest point on.
 fn sine_ramps(frequency_hz: f64, amplitude_um: f64) -> Vec<Ramp> {
     let stronger_um = stronger_um(frequency_hz, amplitude_um);
-    let ticks = (f64::from(TICK_HZ) / frequency_hz / RAMPS).floor().max(1.0);
-    let place_um =
-        |tick: f64| stronger_um / 2.0 * (1.0 - (TAU * frequency_hz * tick / f64::from(TICK_HZ)).cos());
-    let count = ((SETTLING_S + COUNTED_S) * f64::from(TICK_HZ) / ticks) as u64;
+    let tick_hz = f64::from(Array::paper().rate().hz());
+    let ticks = (tick_hz / frequency_hz / RAMPS).floor().max(1.0);
+    let place_um = |tick: f64| stronger_um / 2.0 * (1.0 - (TAU * frequency_hz * tick / tick_hz).cos());
+    let count = ((SETTLING_S + COUNTED_S) * tick_hz / ticks) as u64;
     let ramp = |number: u64| {
         let start = number as f64 * ticks;
         let um_per_tick = (place_um(start + ticks) - place_um(start)) / ticks;
@@ -154,7 +157,7 @@ mod tests {
     fn ramps_move_a_motor_as_a_sine_of_the_amplitude() {
         for (hz, um) in [(5.0, 200.0), (60.0, 80.0), (200.0, 10.0)] {
             let ramps = sine_ramps(hz, um);
-            let mut shaft = Shaft::default();
+            let mut shaft = Shaft::new(Array::paper().motor());
             let mut places = Vec::new();
             for pair in ramps.windows(2) {
                 shaft.push(pair[0]);

@@ -57,8 +57,8 @@ pub enum Problem {
         short_number(*.found), short_number(*.model)
     )]
     Model { found: f64, model: f64 },
-    #[error("names no known array: {0}")]
-    Array(#[source] UnknownArray),
+    #[error("is unknown: {0}")]
+    Array(UnknownArray),
     #[error("is not a valid plan: {0}")]
     Plan(#[source] PlanError),
     #[error("is {found}, but pulses and repetitions give {groups}")]

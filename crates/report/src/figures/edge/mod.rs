@@ -1,9 +1,10 @@
-//! The paper's Fig. 4: the motors before and after the search for an edge, and the afferents' rates.
+//! The motors of an array before and after the search for an edge, and the afferents' rates. Of the paper's array it is the paper's
+//! Fig. 4.
 //!
 //! The search scores points at several fidelities and begins several times. Here every point that was the best of its
 //! fidelity is simulated again, exactly, and the best of these is shown (`tuning`). The paper uses one amplitude and finds
-//! about 60 Hz along the edge; `amplitudes` repeats the search for others. The section depends on no pattern, so a program
-//! makes it once.
+//! about 60 Hz along the edge; `amplitudes` repeats the search for others. The section depends on the array alone, so a program
+//! makes it once for each.
 //!
 //! Invariant: every contrast in this section is that of [`Fidelity::FULL`].
 
@@ -18,15 +19,17 @@ use crate::figures::map::{FINGERTIP, Pad, Panel, Pin, motors, pads};
 use crate::figures::page::Section;
 use crate::figures::table::{csv, number};
 use crate::figures::target::FrameRates;
+use crate::figures::{command, title};
 use crate::progress::Parts;
 use meissner_array::motor::SteadyState;
-use meissner_design::{Fidelity, Limit, Point, Score, Target, Verdict, YARDSTICK, shipped};
+use meissner_array::spec::Array;
+use meissner_design::{Fidelity, Limit, Point, Score, Target, Verdict};
 use meissner_skin::membrane::{Position, population};
 use meissner_skin::{Method, Options, Scene, simulate};
 use rayon::prelude::*;
 use serde::Serialize;
-use std::sync::OnceLock;
-use tuning::{NEAR_PAPER_HZ, Record, SEED, found, in_unison, near, near_hz, records};
+use std::sync::{Arc, Mutex, OnceLock, PoisonError};
+use tuning::{NEAR_PAPER_HZ, Record, SEED, found, in_unison, near, near_hz, records, yardstick};
 
 /// The key figures.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -41,7 +44,7 @@ pub struct Edge {
     pub before: Verdict,
     /// The verdict on the best point.
     pub after: Verdict,
-    /// Motors whose pins are within the target's reach.
+    /// Motors whose pins are within the target's reach; if there are none, the nearest.
     pub near_motors: Vec<u8>,
     /// The median of their frequencies at the start, Hz.
     pub near_before_hz: f64,
@@ -69,15 +72,28 @@ pub struct Others {
 }
 
 /// Makes the section and the key figures.
-pub(super) fn section(progress: &(dyn Fn(f64) + Sync)) -> Result<(Section, Edge), FiguresError> {
-    // Cached, so that programs with several reports, such as tests, search only once.
-    static MADE: OnceLock<Result<(Section, Edge), FiguresError>> = OnceLock::new();
-    MADE.get_or_init(|| make(progress)).clone()
+pub(super) fn section(array: Array, progress: &(dyn Fn(f64) + Sync)) -> Made {
+    // Cached, so that programs with several reports, such as tests, search only once for each array.
+    static MADE: Mutex<Vec<(Array, Arc<OnceLock<Made>>)>> = Mutex::new(Vec::new());
+    let made = {
+        let mut all = MADE.lock().unwrap_or_else(PoisonError::into_inner);
+        let place = all.iter().position(|(of, _)| *of == array).unwrap_or_else(|| {
+            all.push((array, Arc::default()));
+            all.len() - 1
+        });
+        Arc::clone(&all[place].1)
+    };
+    made.get_or_init(|| make(array, progress)).clone()
 }
 
-fn make(progress: &(dyn Fn(f64) + Sync)) -> Result<(Section, Edge), FiguresError> {
-    let parts = Parts::new(amplitudes::AMPLITUDES_UM.len() + 1, progress);
-    let target = shipped(YARDSTICK).expect("the yardstick is shipped");
+/// The section with the key figures, or why it cannot be made.
+type Made = Result<(Section, Edge), FiguresError>;
+
+fn make(array: Array, progress: &(dyn Fn(f64) + Sync)) -> Made {
+    let amplitudes_um: Vec<f64> =
+        amplitudes::AMPLITUDES_UM.into_iter().filter(|um| *um <= array.motor().travel_um).collect();
+    let parts = Parts::new(amplitudes_um.len() + 1, progress);
+    let target = yardstick(array)?;
     let near = near(&target);
     let found = found(&target, Limit::Evaluations(u64::MAX))?;
     let records = records(&target, &found.trace, &near)?;
@@ -85,7 +101,7 @@ fn make(progress: &(dyn Fn(f64) + Sync)) -> Result<(Section, Edge), FiguresError
     let (Some(first), Some(last)) = (found.trace.first(), records.last()) else {
         unreachable!("a search without a limit goes somewhere")
     };
-    let by_amplitude = amplitudes::AMPLITUDES_UM.par_iter().map(|&amplitude_um| {
+    let by_amplitude = amplitudes_um.par_iter().map(|&amplitude_um| {
         let row = amplitudes::at(&target.with_amplitude_um(amplitude_um)?, &near)?;
         parts.done();
         Ok(row)
@@ -115,24 +131,26 @@ fn make(progress: &(dyn Fn(f64) + Sync)) -> Result<(Section, Edge), FiguresError
         by_amplitude,
     };
 
-    let mut section = Section::new("edge", "An edge, optimised (the paper's Fig. 4)");
+    let mut section = Section::new("edge", &title(array, "An edge, optimised", "Fig. 4"));
+    let command = command(array);
     let mut put = |name: &str, svg: String, csv: Option<String>, caption: String| {
-        section.figure(name, svg, csv, &caption, "meissner report");
+        section.figure(name, svg, csv, &caption, &command);
     };
     let pad =
         Pad { title: FINGERTIP.to_owned(), afferents: &afferents, rates_hz: None, aim: Some(after.aim()) };
-    put("edge-target", pads(&[pad]), None, about_target(&target, &after, &near));
+    put("edge-target", pads(&array, &[pad]), None, about_target(&target, &after, &near));
     let [drives_before, drives_after] =
         [&first.point, &last.point].map(|point| point.drives(target.amplitude_um(), None, None));
     let panels = [("before", &drives_before), ("after", &drives_after)].map(|(title, drives)| {
         let pins = drives.iter().map(|drive| {
-            let reached_um = SteadyState::of(drive.frequency_hz, drive.amplitude_um)?.played_peak_to_peak_um;
+            let reached_um =
+                SteadyState::of(array, drive.frequency_hz, drive.amplitude_um)?.played_peak_to_peak_um;
             Ok(Pin { drive, reached_um })
         });
         Ok(Panel { title: title.to_owned(), pins: pins.collect::<Result<_, FiguresError>>()? })
     });
     let panels = panels.into_iter().collect::<Result<Vec<_>, FiguresError>>()?;
-    put("edge-frequencies", motors(&panels), None, about_frequencies(&target, &figures));
+    put("edge-frequencies", motors(&array, &panels), None, about_frequencies(&target, &figures));
     let both = [("before", &before), ("after", &after)].map(|(title, rates)| Pad {
         title: title.to_owned(),
         afferents: &afferents,
@@ -140,12 +158,13 @@ fn make(progress: &(dyn Fn(f64) + Sync)) -> Result<(Section, Edge), FiguresError
         aim: Some(rates.aim()),
     });
     let numbers = rates_csv(&afferents, &before, &after);
-    put("edge-rates", pads(&both), Some(numbers), about_rates(&figures));
+    put("edge-rates", pads(&array, &both), Some(numbers), about_rates(&figures));
     let end = figures.evaluations;
-    put("edge-cost", cost_plot(&records, end), Some(cost_csv(&records, end)), about_cost(&figures));
+    let drawn = cost_plot(array, &records, end);
+    put("edge-cost", drawn, Some(cost_csv(&records, end)), about_cost(array, &figures));
     let numbers = amplitudes::numbers(&figures.by_amplitude);
-    let caption = amplitudes::about(&figures.by_amplitude);
-    put("edge-amplitudes", amplitudes::plot(&figures.by_amplitude), Some(numbers), caption);
+    let caption = amplitudes::about(array, &figures.by_amplitude);
+    put("edge-amplitudes", amplitudes::plot(array, &figures.by_amplitude), Some(numbers), caption);
     section.table("The search at other amplitudes", &amplitudes::in_rows(&figures.by_amplitude));
     Ok((section, figures))
 }
@@ -161,7 +180,7 @@ fn others(target: &Target, point: &Point, near: &[u8]) -> Result<Others, Figures
             others.slower += 1;
         } else {
             others.faster += 1;
-            let steady = SteadyState::of(vibration.frequency_hz(), target.amplitude_um())?;
+            let steady = SteadyState::of(target.array(), vibration.frequency_hz(), target.amplitude_um())?;
             others.faster_reach_um = others.faster_reach_um.max(steady.played_peak_to_peak_um);
         }
     }
@@ -170,18 +189,26 @@ fn others(target: &Target, point: &Point, near: &[u8]) -> Result<Others, Figures
 
 fn rates_hz(target: &Target, point: &Point, afferents: &[Position]) -> Result<Vec<f64>, FiguresError> {
     let drives = point.drives(target.amplitude_um(), None, None);
-    let scene = Scene::new(Fidelity::FULL.duration_s, SEED, drives, afferents.to_vec(), *target.model())?;
+    let duration_s = Fidelity::FULL.duration_s;
+    let scene = Scene::new(target.array(), duration_s, SEED, drives, afferents.to_vec(), *target.model())?;
     let answer = simulate(&scene, &Options::rates(Method::Exact), &|_| ())?;
     Ok(answer.rates_hz(&scene))
 }
 
 fn about_target(target: &Target, rates: &FrameRates<'_>, near: &[u8]) -> String {
-    let near = near.iter().map(u8::to_string).collect::<Vec<_>>().join(", ");
+    let numbers = near.iter().map(u8::to_string).collect::<Vec<_>>().join(", ");
+    let pins = match near {
+        [one] if tuning::distance_mm(target, *one) > target.reach_mm() => {
+            format!("No pin is as near: the nearest is that of motor {one}.")
+        }
+        [one] => format!("The pin of motor {one} is as near."),
+        _ => format!("The pins of motors {numbers} are as near."),
+    };
     format!(
-        "The target {} on the fingertip's pad (orange), the 24 pins (grey circles) and {} afferents (population seed {}). \
-         The {} ringed afferents lie within {} mm of it and should fire (ON), the others should not (OFF). The pins of \
-         motors {near} are as near.",
+        "The target {} on the fingertip's pad (orange), the {} pins (grey circles) and {} afferents (population seed {}). \
+         The {} ringed afferents lie within {} mm of it and should fire (ON), the others should not (OFF). {pins}",
         target.name(),
+        target.array().motors(),
         rates.rates_hz.len(),
         target.population_seed(),
         rates.partition.on_count(),
@@ -195,10 +222,15 @@ fn about_frequencies(target: &Target, figures: &Edge) -> String {
         || "which is not near the 60 Hz of the paper".to_owned(),
         |from| format!("near the 60 Hz of the paper and so from {from} evaluations on"),
     );
+    let paper = target.array() == Array::paper();
+    let (from, others) = if paper {
+        (format!(", {from}"), "The paper has the others at higher or lower frequencies: ")
+    } else {
+        (String::new(), "Of the others ")
+    };
     format!(
         "The motors, all of them driven at {} µm, coloured by the amplitude that they reach: at the random start of seed {SEED}, and after {} evaluations. The median \
-         frequency of the {} motors within reach of the edge went from {} to {} Hz, {from}. The paper has the others at \
-         higher or lower frequencies: {same} vibrate in unison with these, {slower} are slower and {faster} faster; the \
+         frequency of the {} motors within reach of the edge went from {} to {} Hz{from}. {others}{same} vibrate in unison with these, {slower} are slower and {faster} faster; the \
          faster ones move their pins by {} µm at most.",
         number(target.amplitude_um()),
         figures.evaluations,
@@ -223,17 +255,20 @@ fn about_rates(figures: &Edge) -> String {
     )
 }
 
-fn about_cost(figures: &Edge) -> String {
+fn about_cost(array: Array, figures: &Edge) -> String {
+    let marked = if array == Array::paper() {
+        let [from, to] = [NEAR_PAPER_HZ.start(), NEAR_PAPER_HZ.end()].map(|hz| number(*hz));
+        format!(" Blue: the median frequency of the motors within reach of the edge is {from} to {to} Hz.")
+    } else {
+        String::new()
+    };
     format!(
         "Contrast of the best point so far against evaluations: mean rate of ON minus mean rate of OFF. It goes from {} to \
-         {} impulses/s in {} evaluations, each simulated exactly for {} s. Blue: the median frequency of the motors \
-         within reach of the edge is {} to {} Hz.",
+         {} impulses/s in {} evaluations, each simulated exactly for {} s.{marked}",
         number(figures.before.cost_hz),
         number(figures.after.cost_hz),
         figures.evaluations,
         number(Fidelity::FULL.duration_s),
-        number(*NEAR_PAPER_HZ.start()),
-        number(*NEAR_PAPER_HZ.end()),
     )
 }
 
@@ -256,7 +291,7 @@ fn cost_csv(records: &[Record], end: u64) -> String {
     csv("evaluations,cost_hz,on_hz,off_hz,near_median_hz", records.iter().copied().chain(last).map(row))
 }
 
-fn cost_plot(records: &[Record], end: u64) -> String {
+fn cost_plot(array: Array, records: &[Record], end: u64) -> String {
     let mut line: Vec<(f64, f64)> = Vec::new();
     let last = records.last().map(|last| (end, last.score.cost_hz()));
     for (evaluations, cost_hz) in
@@ -271,14 +306,15 @@ fn cost_plot(records: &[Record], end: u64) -> String {
     let lowest = line.iter().fold(0.0_f64, |lowest, point| lowest.min(point.1));
     let highest = line.iter().fold(0.0_f64, |highest, point| highest.max(point.1));
     let marked = format!("motors near the edge at {} to {} Hz", NEAR_PAPER_HZ.start(), NEAR_PAPER_HZ.end());
+    let mut series = vec![Series::line("best so far", line)];
+    if array == Array::paper() {
+        series.push(Series { points: near_paper.map(mark).collect(), ..Series::line(marked, Vec::new()) });
+    }
     let chart = Chart {
         title: None,
         x: Axis { name: "evaluations", scale: Scale::logarithmic(1.0, (end as f64).max(2.0)) },
         y: Axis { name: "contrast, impulses/s", scale: Scale::fifties(lowest, highest) },
-        series: vec![
-            Series::line("best so far", line),
-            Series { points: near_paper.map(mark).collect(), ..Series::line(marked, Vec::new()) },
-        ],
+        series,
     };
     draw(&chart)
 }

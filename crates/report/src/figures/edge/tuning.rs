@@ -1,11 +1,10 @@
 //! The search for the edge's pattern, and the figures of its points.
 
 use crate::figures::error::FiguresError;
-use firmware_protocol::stroke::MOTORS;
-use meissner_array::geometry;
+use meissner_array::spec::Array;
 use meissner_design::{
     Brief, Fidelity, Found, Goal, Limit, Models, Objective, Point, Score, Setting, Step, Target, Vibration,
-    search,
+    YARDSTICK, search, shipped,
 };
 use meissner_skin::membrane::Position;
 use rayon::prelude::*;
@@ -29,14 +28,30 @@ pub(super) struct Record {
     pub(super) near_hz: f64,
 }
 
-/// The motors whose pins are within the target's reach.
+/// The target that all reports search: the yardstick on an array, with the largest amplitude that its motors can make if that is below
+/// the yardstick's.
+pub(super) fn yardstick(array: Array) -> Result<Target, FiguresError> {
+    let target = shipped(YARDSTICK).expect("the yardstick is shipped");
+    let amplitude_um = target.amplitude_um().min(array.motor().travel_um);
+    Ok(target.with_amplitude_um(amplitude_um)?.with_array(array)?)
+}
+
+/// The distance of a motor's pin from the target's shape, mm.
+pub(super) fn distance_mm(target: &Target, motor: u8) -> f64 {
+    let [x_mm, y_mm] = target.array().position_mm(motor);
+    target.frames()[0].shape.distance_mm(Position { x_mm, y_mm })
+}
+
+/// The motors whose pins are within the target's reach; if there are none, the one whose pin is nearest.
 pub(super) fn near(target: &Target) -> Vec<u8> {
-    let shape = &target.frames()[0].shape;
-    let within = |motor: &u8| {
-        let [x_mm, y_mm] = geometry::position_mm(*motor);
-        shape.distance_mm(Position { x_mm, y_mm }) <= target.reach_mm()
-    };
-    (0..MOTORS as u8).filter(within).collect()
+    let distance_mm = |motor: &u8| distance_mm(target, *motor);
+    let motors = || target.array().numbers();
+    let near: Vec<u8> = motors().filter(|motor| distance_mm(motor) <= target.reach_mm()).collect();
+    if near.is_empty() {
+        motors().min_by(|a, b| distance_mm(a).total_cmp(&distance_mm(b))).into_iter().collect()
+    } else {
+        near
+    }
 }
 
 /// The median frequency of some motors.
@@ -58,7 +73,7 @@ pub(super) fn found(target: &Target, limit: Limit) -> Result<Found, FiguresError
         frame: &target.frames()[0],
         populations: &[target.population_seed()],
         noise_seed: SEED,
-        space: SETTING.space(),
+        space: SETTING.space(target.array()),
         seed: SEED,
     };
     let start = brief.space.random(SEED);

@@ -1,0 +1,172 @@
+//! Other arrays than the paper's: what is for another array is refused, and control and calibration know other motors.
+
+use firmware_protocol::message::{DeviceHello, DeviceMessage};
+use firmware_protocol::tick::Tick;
+use meissner_array::motor::SquareWave;
+use meissner_array::pattern::Pattern;
+use meissner_array::per_motor::PerMotor;
+use meissner_array::random::normal;
+use meissner_array::simulated::{SimulatedMotors, SimulatedMotorsConfig};
+use meissner_array::spec::{Array, ArraySpec};
+use meissner_array::strokes::{LiveStrokes, StrokeOptions, Strokes};
+use meissner_stream::calibrate::{
+    Calibration, Fit, Plan, PlayedOn, PlayedPlan, Recording, Sensor, Units, fit, fit_recording, laser_plan,
+    simulated_recording, travels_by_sensor,
+};
+use meissner_stream::queues::{Command, CommandError, LiveResult, LiveUpdate, Play, StreamEvent};
+use meissner_stream::{Gains, Line, Settings, SimulationError, Source, simulate_play};
+use meissner_test_support::patterns::drive;
+use meissner_test_support::rig::{OFF, Rig, answer};
+use std::time::Duration;
+
+/// Four motors of another kind, on another carrier.
+pub(crate) fn other() -> Array {
+    let text = r#"
+        name = "other-2x2"
+        pins = { rows = 2, columns = 2, pitch_mm = 1.8 }
+        tick_hz = 60000
+        duty = { up = 0.25, down = 0.75 }
+        rails = [[0, 1, 2, 3]]
+        chips = [[0, 2], [1, 3]]
+        [motor]
+        step_um = 0.31
+        window_ms = 2.5
+        travel_um = 250.0
+        least_pulses = 5
+        most_pulses = 2000
+        transient = { rest_s = 0.6, gain = 0.65 }
+    "#;
+    Array::known(ArraySpec::parse(text, "other.toml").unwrap()).unwrap()
+}
+
+fn pattern(array: Array) -> Pattern {
+    let drives = vec![drive(1, 60.0, 40.0)];
+    Pattern::new(array, "one", Some(0.5), drives, toml::Table::new()).unwrap()
+}
+
+#[test]
+fn nothing_moves_for_a_play_that_is_for_another_array() {
+    let (array, found) = (Array::paper(), Array::named("tula35-2x3").unwrap());
+    let refused = Some(Err(CommandError::OtherArray { found, array }));
+    let mut rig = Rig::armed(Line::default(), 1);
+    let compiled = Strokes::new(&pattern(found), &StrokeOptions::default()).unwrap();
+    let wave = SquareWave::new(found, 60.0, 40.0, 0.0).unwrap();
+    let live = Source::Live(Box::new(LiveStrokes::new(PerMotor::all(found, wave))));
+    for strokes in [compiled.into(), live] {
+        let ticket = rig.send(Command::Play(Box::new(Play::new(1, strokes))));
+        rig.run_ms(200);
+        let events = rig.take_events();
+        assert_eq!(answer(&events, ticket), refused, "{events:?}");
+        assert!(events.iter().any(|event| matches!(event, StreamEvent::PlayRejected(play) if play.id == 1)));
+    }
+    assert!(rig.mock.take_trace().iter().all(|(_, run)| run.lines == OFF));
+    let ticket = rig.send(Command::Configure(Settings::of(found)));
+    assert_eq!(answer(&rig.take_events(), ticket), refused);
+    let line = CommandError::OtherArray { found, array }.to_string();
+    assert!(
+        line.starts_with("it is for the array tula35-2x3, but the array in use is tula35-6x4: "),
+        "{line}"
+    );
+    let simulated =
+        simulate_play(&pattern(found), None, &SimulatedMotorsConfig::default(), Settings::of(array), false);
+    assert!(matches!(simulated, Err(SimulationError::OtherArray { .. })), "{simulated:?}");
+}
+
+#[test]
+fn an_update_for_another_array_changes_nothing() {
+    let found = Array::named("tula35-2x3").unwrap();
+    let wave = |array| SquareWave::new(array, 60.0, 40.0, 0.0).unwrap();
+    let mut rig = Rig::armed(Line::default(), 2);
+    let id = rig.start_live(PerMotor::all(Array::paper(), wave(Array::paper())), Duration::from_secs(5));
+    rig.run_ms(100);
+    let of_few = PerMotor::all(found, Some(wave(found)));
+    let of_another = PerMotor::all(Array::paper(), Some(wave(found)));
+    for (waves, number) in [(of_few, 1), (of_another, 2)] {
+        let update = LiveUpdate { waves, ..LiveUpdate::new(Array::paper(), id, number, rig.now()) };
+        rig.send(Command::UpdateLive(Box::new(update)));
+        let over = |event: &StreamEvent| {
+            matches!(event, StreamEvent::LiveUpdated(update)
+                if update.number == number && update.result == LiveResult::Over)
+        };
+        assert!(rig.take_events().iter().any(over), "update {number}");
+    }
+}
+
+/// The array of a device is known from its first message.
+#[test]
+fn a_device_of_another_array_is_refused_at_the_handshake() {
+    let lies: [fn(&mut DeviceHello); 2] = [|hello| hello.motors = 9, |hello| hello.tick_hz = 70_000];
+    for lie in lies {
+        let mut rig = Rig::new(Line::default(), 3);
+        rig.unplug();
+        rig.lie(move |message| {
+            if let DeviceMessage::Hello(hello) = message {
+                lie(hello);
+            }
+        });
+        rig.connect();
+        rig.run_ms(100);
+        let reason = rig.streamer.take_disconnect_reason().map(|cause| cause.to_string());
+        assert!(reason.as_ref().is_some_and(|reason| reason.contains("other motors")), "{reason:?}");
+    }
+}
+
+fn true_gains(config: &SimulatedMotorsConfig, motor: u8) -> [f64; 2] {
+    let asymmetry = config.asymmetry_sd * normal([config.seed, motor.into(), 0, 2]);
+    [1.0 + asymmetry / 2.0, 1.0 - asymmetry / 2.0]
+}
+
+fn assert_near(found: [&Fit; 2], truth: [f64; 2], array: Array) {
+    for (fit, truth) in found.into_iter().zip(truth) {
+        let (gain, se) = (fit.gain(array.motor()), fit.slope_se_um_per_pulse / array.motor().um_per_pulse);
+        assert!((gain - truth).abs() < 4.0 * se && se < 0.02, "{fit:?}: {truth}");
+    }
+}
+
+#[test]
+fn a_calibration_finds_the_gains_of_other_motors_and_names_their_array() {
+    let (array, config) = (other(), SimulatedMotorsConfig::default());
+    let plan = Plan::of(array).unwrap();
+    assert_eq!((plan.pulses()[0], plan.motors().count()), (10, 4));
+    let mut motors = SimulatedMotors::new(array, config, Tick::BOOT).unwrap();
+    let fits = fit(array, &travels_by_sensor(&plan, &mut motors)).unwrap();
+    for found in &fits {
+        assert_near([&found.up, &found.down], true_gains(&config, found.motor), array);
+    }
+    let made = plan.provenance("mock", "0.1.0", "seed 0", "sensor");
+    let calibration = Calibration::new(array, fits, made).unwrap();
+    assert!(calibration.gains().iter().all(|gains| *gains != Gains::default()));
+    assert_eq!(calibration.gains().len(), 4);
+    let text = calibration.to_toml();
+    assert!(text.contains("array = \"other-2x2\"\n"), "{text}");
+    assert_eq!(Calibration::parse(&text, "c.toml").as_ref(), Ok(&calibration));
+    for (named, says) in [
+        ("array = \"another\"", "`array` is unknown: no array is called `another`: known are"),
+        ("array = \"tula35-2x3\"", "`motor[0].up.gain` is "),
+    ] {
+        let text = text.replace("array = \"other-2x2\"", named);
+        let line = Calibration::parse(&text, "c.toml").unwrap_err().to_string();
+        assert!(line.contains(says) && !line.contains('\n'), "{line}");
+    }
+}
+
+#[test]
+fn a_laser_finds_the_gains_of_another_motor() {
+    let (array, config) = (other(), SimulatedMotorsConfig::default());
+    let plan = laser_plan(array, 2, None, None).unwrap();
+    let on = PlayedOn {
+        device: "serial".into(),
+        firmware: "0.1.0".into(),
+        identity: "E6614C".into(),
+        boot: 7,
+        date: "2026-03-04T12:00:00Z".into(),
+    };
+    let played = PlayedPlan::new(&plan, 2, Tick::BOOT + 98_765, on);
+    assert_eq!(PlayedPlan::parse(&played.to_json()).as_ref(), Ok(&played));
+    let recording = simulated_recording(&played, &config, &Sensor::default());
+    let recording = Recording::read(recording.as_bytes(), Units::default()).unwrap();
+    let found = fit_recording(&played, &recording).unwrap();
+    assert_near([&found.fit.up, &found.fit.down], true_gains(&config, 2), array);
+    let calibration = found.calibration(&played).unwrap();
+    assert_eq!((calibration.array(), calibration.provenance().um_per_pulse), (array, 0.31));
+}
