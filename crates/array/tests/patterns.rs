@@ -68,7 +68,7 @@ motor = 9 => motor = 24 => 6: drive 1: `motor` is 24…0 to 23
 motor = 9 => motor = -1 => 6: drive 1: `motor` is -1…0 to 23
 motor = 9 => motor = 9.0 => 6: drive 1: `motor` is floating point `9.0`…a whole number
 motor = 9 => motor = 99999999999999999999 => 6: drive 1: `motor`…a whole number
-motor = 9 =>  => 5: drive 1: `motor` is missing…0 to 23
+motor = 9 =>  => 5: drive 1: `motor` is missing…from 0 on
 motor = 9 => motor = 3 => 12: drive 2: `motor` is 3, which drive 1 still drives…stop that one by 1 s
 motor = 3 => motr = 3 => 12: drive 2: unknown key `motr`…did you mean `motor`?
 frequency_hz = 60.0 => frequency = 60.0 => 7: drive 1: unknown key…`frequency_hz`?
