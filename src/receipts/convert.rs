@@ -1,9 +1,9 @@
 //! Converts the streamer's and the controller's types to the API's.
 
+use firmware_protocol::array::MAX_MOTORS;
 use firmware_protocol::board::{Board, Output, Outputs, Reset};
 use firmware_protocol::limits::Refusal;
 use firmware_protocol::message::{DeviceHello, State};
-use firmware_protocol::stroke::MOTORS;
 use meissner_api::{BoardRecord, BoardStatus, CalibrateRequest, Code, DeviceInfo, EndCause, Problem};
 use meissner_array::spec::Array;
 use meissner_array::strokes::Fit;
@@ -55,8 +55,8 @@ pub fn board_status(board: &Board) -> BoardStatus {
 pub fn outputs(outputs: Outputs) -> Vec<u8> {
     let number = |output| match output {
         Output::Line(motor) => motor,
-        Output::Trigger => MOTORS as u8,
-        Output::Enable => MOTORS as u8 + 1,
+        Output::Trigger => MAX_MOTORS as u8,
+        Output::Enable => MAX_MOTORS as u8 + 1,
     };
     outputs.iter().map(number).collect()
 }

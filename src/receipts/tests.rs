@@ -27,7 +27,7 @@ fn hello() -> DeviceHello {
         pool: 1024,
         horizon: 64,
         max_up_pulses: 3000,
-        limits: PowerLimits::NONE,
+        limits: Array::paper().layout().no_limits(),
         features: DeviceHello::SIMULATED,
         tick: Tick::BOOT.0,
         epoch: 0,

@@ -194,7 +194,7 @@ pub fn rail_pulses(strokes: &Strokes) -> (Vec<RailPulses>, u64) {
     strokes.begin(Tick(0));
     let most = SHOWN_S * strokes.array().rate().per_s();
     let ticks = strokes.end().unwrap_or(most).min(most);
-    let mut motors = PulsingMotors::new(strokes.array(), PowerLimits::NONE);
+    let mut motors = PulsingMotors::new(strokes.array(), strokes.array().layout().no_limits());
     for stroke in strokes.map_while(Result::ok).take_while(|stroke| stroke.up.0 < ticks) {
         motors.push(&stroke);
     }
@@ -227,7 +227,7 @@ mod tests {
             rail_at_once in 1u8..=6,
             chip_at_once in 1u8..=2,
         ) {
-            let limits = PowerLimits { rail_at_once, chip_at_once, ..PowerLimits::NONE };
+            let limits = PowerLimits { rail_at_once, chip_at_once, ..Array::paper().layout().no_limits() };
             let (mut up, mut free) = (0, [0; 24]);
             let mut strokes = Vec::new();
             for (motor, after, pulses, hold) in sent {

@@ -1,6 +1,5 @@
 //! From patterns to strokes: exact ticks, repeats and cuts, and invariants on random patterns.
 
-use firmware_protocol::limits;
 use firmware_protocol::stroke::Stroke;
 use firmware_protocol::tick::Tick;
 use meissner_array::motor::SquareWave;
@@ -143,7 +142,7 @@ proptest! {
         prop_assert_eq!(&strokes, &by_the_rule(&pattern, &options));
         let mut busy = [Tick(0); 24];
         for stroke in &strokes {
-            prop_assert!(limits::check(stroke).is_ok());
+            prop_assert!(Array::paper().layout().check(stroke).is_ok());
             let busy = &mut busy[usize::from(stroke.motor)];
             prop_assert!(stroke.up >= *busy);
             *busy = stroke.end();

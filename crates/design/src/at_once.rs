@@ -74,8 +74,11 @@ impl AtOnce {
             }
         }
         strokes.sort_unstable_by_key(|stroke| (stroke.up, stroke.motor));
-        let limits =
-            PowerLimits { rail_at_once: self.rail_motors, chip_at_once: u8::MAX, ..PowerLimits::NONE };
+        let limits = PowerLimits {
+            rail_at_once: self.rail_motors,
+            chip_at_once: u8::MAX,
+            ..self.array.layout().no_limits()
+        };
         let mut motors = PulsingMotors::new(self.array, limits);
         for stroke in &strokes {
             motors.push(stroke);

@@ -299,7 +299,7 @@ mod tests {
             .map(|i| {
                 let sent = 1_000_000_000 + i * 4_000_000;
                 let held = if i % 10 == 3 { 9_000_000 } else { i % 7 * 10_000 };
-                let ticks = (sent + 200_000) as f64 * (1.0 + 35e-6) * f64::from(TICK_HZ) * 1e-9;
+                let ticks = (sent + 200_000) as f64 * (1.0 + 35e-6) * 85_000.0 * 1e-9;
                 let received = HostInstant::from_ns(sent + 400_000 + held);
                 RoundTrip { sent: HostInstant::from_ns(sent), tick: Tick(ticks as u64), received }
             })
@@ -317,7 +317,7 @@ mod tests {
             .map(|i| {
                 let sent = 1_000_000_000 + i * 4_000_000;
                 let trip = trip_us(i) * 1000;
-                let ticks = (sent + trip - 100_000) as f64 * f64::from(TICK_HZ) * 1e-9;
+                let ticks = (sent + trip - 100_000) as f64 * 85_000.0 * 1e-9;
                 let received = HostInstant::from_ns(sent + trip);
                 RoundTrip { sent: HostInstant::from_ns(sent), tick: Tick(ticks as u64), received }
             })

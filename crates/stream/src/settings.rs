@@ -1,7 +1,7 @@
 //! The settings of the streamer, and the length of a batch that follows from them.
 
 use crate::control::Gains;
-use firmware_protocol::limits::{PowerLimits, correction};
+use firmware_protocol::limits::PowerLimits;
 use meissner_array::per_motor::PerMotor;
 use meissner_array::spec::Array;
 use meissner_array::strokes::{AutoSurplus, Surplus};
@@ -50,7 +50,11 @@ impl LowerStopSettings {
     /// controller allows.
     #[must_use]
     pub fn of(array: Array) -> Self {
-        Self { surplus_um: None, rest_error_um: REST_ERROR_UM, pulses_per_s: array.rate().hz() * 3 / 10 }
+        Self {
+            surplus_um: None,
+            rest_error_um: REST_ERROR_UM,
+            pulses_per_s: array.layout().max_pushes_per_s(),
+        }
     }
 
     fn surplus(&self, gains: &PerMotor<Gains>) -> Surplus {
@@ -71,19 +75,19 @@ const LEASE_OVER_LEAD_MS: f64 = 200.0;
 impl Settings {
     /// The settings of an array without further configuration: a lead of 100 ms, because stock kernels stall for 25 ms.
     #[must_use]
-    pub const fn of(array: Array) -> Self {
+    pub fn of(array: Array) -> Self {
         Self::for_lead(array, 100.0)
     }
 
     /// The settings that a lead of `lead_ms` has without further configuration.
     #[must_use]
-    pub const fn for_lead(array: Array, lead_ms: f64) -> Self {
+    pub fn for_lead(array: Array, lead_ms: f64) -> Self {
         let lease_ms = lead_ms + LEASE_OVER_LEAD_MS;
         Self {
             array,
             lead_ms,
             lease_ms,
-            limits: PowerLimits::NONE,
+            limits: array.layout().no_limits(),
             drift_warning_um: 100.0,
             drift_limit_um: 150.0,
             end_stop_um: END_STOP_UM,
@@ -103,7 +107,7 @@ impl Settings {
     pub fn seek_pulses(&self) -> u16 {
         let motor = self.array.motor();
         let pulses = SEEK_MARGIN * f64::from(self.end_stop_um) / motor.um_per_pulse;
-        let whole_travel = 2 * motor.most_pulses + correction(motor.most_pulses);
+        let whole_travel = self.array.layout().whole_travel();
         // The cast saturates.
         (pulses.ceil() as u16).clamp(whole_travel, motor.seek_pulses)
     }
@@ -113,7 +117,8 @@ impl Settings {
     pub fn seek_time(&self) -> Duration {
         let pulses = self.lower_stop.map_or(0, |_| self.seek_pulses());
         Duration::from_secs_f64(
-            self.array.rate().ticks_to_seconds(pulses.into()) * f64::from(self.limits.turns()),
+            self.array.rate().ticks_to_seconds(pulses.into())
+                * f64::from(self.array.layout().turns(&self.limits)),
         )
     }
 
@@ -148,14 +153,11 @@ pub(crate) fn batch_ticks(settings: &Settings) -> u64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use firmware_protocol::limits::{MAX_SEEK, WHOLE_TRAVEL};
     use meissner_array::spec::names;
 
     #[test]
     fn no_seek_is_too_short_for_the_controller() {
-        for (end_stop_um, pulses) in
-            [(0.0, WHOLE_TRAVEL), (90.0, WHOLE_TRAVEL), (500.0, 7_369), (5_000.0, MAX_SEEK)]
-        {
+        for (end_stop_um, pulses) in [(0.0, 6_900), (90.0, 6_900), (500.0, 7_369), (5_000.0, 17_000)] {
             assert_eq!(Settings { end_stop_um, ..Settings::of(Array::paper()) }.seek_pulses(), pulses);
         }
     }

@@ -348,7 +348,7 @@ fn a_bad_line_causes_no_sensor_fault() {
 fn corrections_make_the_device_refuse_nothing() {
     let six = pattern("six", Some(6.0), (0..6).map(|motor| drive(motor, 60.0, 80.0)));
     // 588 pulses up and down, 60 times a second, plus a margin for the sliding second.
-    let limits = PowerLimits { motor: 74_000, ..PowerLimits::NONE };
+    let limits = PowerLimits { motor: 74_000, ..Array::paper().layout().no_limits() };
     let settings = Settings { limits, ..Settings::of(Array::paper()) };
     let motors = SimulatedMotorsConfig::default();
     let outcome = meissner_stream::simulate_play(&six, None, &motors, settings, false).unwrap().outcome;

@@ -102,10 +102,10 @@ fn the_offset_of_a_stopped_play_includes_the_return() {
 /// Of a rail whose motors may not have pulses at once, and of a motor whose drivers are off in its pauses.
 fn slow_returns() -> [(Pattern, PowerLimits); 2] {
     let turns = [0, 1, 2].map(|motor| Drive { phase: 0.1 * f64::from(motor), ..drive(motor, 10.0, 80.0) });
-    let one = PowerLimits { rail_at_once: 1, chip_at_once: 1, ..PowerLimits::NONE };
+    let one = PowerLimits { rail_at_once: 1, chip_at_once: 1, ..Array::paper().layout().no_limits() };
     [
         (pattern("turns", Some(5.0), turns), one),
-        (pattern("pauses", Some(5.0), [drive(2, 10.0, 80.0)]), PowerLimits::NONE),
+        (pattern("pauses", Some(5.0), [drive(2, 10.0, 80.0)]), Array::paper().layout().no_limits()),
     ]
 }
 

@@ -21,7 +21,7 @@ fn all_motors(frequency_hz: f64, shift: f64) -> Pattern {
 }
 
 fn rig(motor: u32, line: Line, seed: u64) -> Rig {
-    let limits = PowerLimits { motor, ..PowerLimits::NONE };
+    let limits = PowerLimits { motor, ..Array::paper().layout().no_limits() };
     let mut rig = Rig::with(Settings { limits, ..Settings::of(Array::paper()) }, line, seed);
     rig.arm();
     rig

@@ -125,8 +125,10 @@ fn a_device_whose_clock_begins_anew_plays_as_the_one_before() {
 
 #[test]
 fn tens_of_thousands_of_reports_later_verdicts_still_count() {
-    let settings =
-        Settings { limits: PowerLimits { motor: 300, ..PowerLimits::NONE }, ..Settings::of(Array::paper()) };
+    let settings = Settings {
+        limits: PowerLimits { motor: 300, ..Array::paper().layout().no_limits() },
+        ..Settings::of(Array::paper())
+    };
     let mut rig = Rig::with(settings, Line { delay: 5 * MS, ..Line::default() }, 24);
     rig.arm();
     for round in 0..10 {
@@ -139,8 +141,10 @@ fn tens_of_thousands_of_reports_later_verdicts_still_count() {
 
 #[test]
 fn strokes_refused_as_they_begin_do_not_mislead_position_control() {
-    let settings =
-        Settings { limits: PowerLimits { motor: 1200, ..PowerLimits::NONE }, ..Settings::of(Array::paper()) };
+    let settings = Settings {
+        limits: PowerLimits { motor: 1200, ..Array::paper().layout().no_limits() },
+        ..Settings::of(Array::paper())
+    };
     let rest = |open_loop| {
         let mut rig = Rig::with(settings, Line::default(), 24);
         rig.arm();

@@ -195,7 +195,7 @@ fn the_account_of_a_sequence_that_was_cut_says_which_items_were_played() {
 fn a_play_waits_for_the_end_of_a_sequence_and_one_is_cut_in_a_pause() {
     let tap = tap(5);
     let mut rig = Rig::armed(Line::default(), 5);
-    let made = sequence((0..3).map(|_| (&tap, 0.05, 400.0, Some(Trigger::PULSE))));
+    let made = sequence((0..3).map(|_| (&tap, 0.05, 400.0, Some(Array::paper().layout().trigger_pulse()))));
     let end = made.strokes.end().unwrap();
     rig.send(Command::Play(Box::new(made)));
     let next = rig.play(&rig::pattern("pin-60"), Some(0.1));
@@ -205,7 +205,7 @@ fn a_play_waits_for_the_end_of_a_sequence_and_one_is_cut_in_a_pause() {
     let [first, second] = &outcomes[..] else { panic!("{outcomes:?}") };
     assert_eq!((first.end, second.end), (End::Done, End::Done));
     assert_eq!(second.onset.unwrap().actual, first.onset.unwrap().actual + end);
-    let made = sequence((0..3).map(|_| (&tap, 0.05, 400.0, Some(Trigger::PULSE))));
+    let made = sequence((0..3).map(|_| (&tap, 0.05, 400.0, Some(Array::paper().layout().trigger_pulse()))));
     rig.send(Command::Play(Box::new(Play { id: 3, ..made })));
     // The second pause.
     rig.run_ms(600);
@@ -286,7 +286,7 @@ fn late_strokes_are_neither_first_nor_last() {
 fn strokes_refused_as_they_begin_are_neither_first_nor_last() {
     // 59 pulses in a stroke, 1 180 in 100 ms: the second item waits until those of the first no longer count.
     let tap = tap(5);
-    let limits = PowerLimits { motor: 1_000, ..PowerLimits::NONE };
+    let limits = PowerLimits { motor: 1_000, ..Array::paper().layout().no_limits() };
     let mut rig = Rig::with(Settings { limits, ..Settings::of(Array::paper()) }, Line::default(), 8);
     rig.arm();
     rig.mock.take_trace();

@@ -187,7 +187,7 @@ fn run(ops: Vec<Op>) -> Result<(), TestCaseError> {
     let arm = Command::Arm {
         assume_rest: true,
         host_timeout: 850_000,
-        limits: PowerLimits::NONE,
+        limits: Array::paper().layout().no_limits(),
         lower_stop: None,
     };
     pair.session.command(arm);

@@ -155,7 +155,7 @@ fn an_arm_that_failed_has_no_effect_when_the_link_is_back() {
 #[test]
 fn a_site_limit_that_refuses_thousands_of_strokes_holds_no_play_up() {
     let settings = Settings {
-        limits: PowerLimits { motor: 2_000, ..PowerLimits::NONE },
+        limits: PowerLimits { motor: 2_000, ..Array::paper().layout().no_limits() },
         ..Settings::of(Array::paper())
     };
     let mut rig = Rig::with(settings, Line::default(), 24);

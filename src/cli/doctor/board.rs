@@ -103,7 +103,9 @@ fn examined(kind: &str, serial_number: Option<String>, checked: &LinkReport) -> 
         throughput_bytes_per_s: checked.throughput_bytes_per_s,
         drift: checked.drift,
         board: board_status(&checked.board),
-        self_test: checked.self_test.and_then(|test| self_test::Measured::of(test, checked.hello.array.tick_hz)),
+        self_test: checked
+            .self_test
+            .and_then(|test| self_test::Measured::of(test, checked.hello.array.tick_hz)),
     }
 }
 

@@ -432,9 +432,9 @@ impl Scene {
         Some(match say {
             Say::Arm => {
                 let assume_rest = self.host.status.is_none_or(|status| !status.position_known);
-                let rail_at_once = if self.shell.one_at_once { 1 } else { PowerLimits::NONE.rail_at_once };
+                let rail_at_once = if self.shell.one_at_once { 1 } else { meissner_array::spec::Array::paper().layout().no_limits().rail_at_once };
                 let (host_timeout, limits) =
-                    (HOST_TIMEOUT, PowerLimits { rail_at_once, ..PowerLimits::NONE });
+                    (HOST_TIMEOUT, PowerLimits { rail_at_once, ..meissner_array::spec::Array::paper().layout().no_limits() });
                 self.host.control(Op::Arm { assume_rest, host_timeout, limits, lower_stop: None })
             }
             Say::Disarm => self.host.control(Op::Disarm(Cause::Shutdown)),

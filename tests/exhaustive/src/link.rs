@@ -278,7 +278,7 @@ impl Pair {
             }
             Call::Arm => {
                 let assume_rest = self.newest.is_none_or(|status| !status.position_known);
-                let (host_timeout, limits) = (3 * 85_000, PowerLimits::NONE);
+                let (host_timeout, limits) = (3 * 85_000, Array::paper().layout().no_limits());
                 self.command(Op::Arm { assume_rest, host_timeout, limits, lower_stop: None })?;
                 // The device may have been disarmed, and return.
                 self.shell.off_since = None;

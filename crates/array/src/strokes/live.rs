@@ -9,7 +9,6 @@
 use super::error::StrokesError;
 use crate::motor::SquareWave;
 use crate::per_motor::PerMotor;
-use firmware_protocol::limits;
 use firmware_protocol::stroke::Stroke;
 use firmware_protocol::tick::Tick;
 
@@ -142,7 +141,7 @@ impl LiveStrokes {
         let oscillator = self.motors.get_mut(usize::from(motor)).filter(|own| own.wave.moves())?;
         let stroke = oscillator.wave.excursions().number(oscillator.next).stroke(motor, oscillator.zero);
         oscillator.next += 1;
-        Some(match limits::check(&stroke) {
+        Some(match oscillator.wave.array().layout().check(&stroke) {
             Ok(()) => Ok(stroke),
             Err(refusal) => Err(StrokesError::Limit { stroke, refusal }),
         })

@@ -191,7 +191,7 @@ impl Strokes {
 
     /// Checks a stroke of a drive with this surplus.
     fn check(&mut self, stroke: Stroke, surplus: u16) -> Result<Stroke, StrokesError> {
-        limits::check(&stroke).map_err(|refusal| StrokesError::Limit { stroke, refusal })?;
+        self.array.layout().check(&stroke).map_err(|refusal| StrokesError::Limit { stroke, refusal })?;
         if stroke.up_pulses.checked_add(surplus) != Some(stroke.down_pulses) {
             return Err(StrokesError::Unbalanced { stroke });
         }

@@ -49,8 +49,11 @@ mod tests {
 
     #[test]
     fn the_first_tick_with_too_many_motors_is_found() {
-        let at_once =
-            |rail_at_once, chip_at_once| PowerLimits { rail_at_once, chip_at_once, ..PowerLimits::NONE };
+        let at_once = |rail_at_once, chip_at_once| PowerLimits {
+            rail_at_once,
+            chip_at_once,
+            ..Array::paper().layout().no_limits()
+        };
         // A burst of 589 ticks in half a period of 2125: three fit one after the other.
         let apart = strokes([0.0, 0.15, 0.3], Some(2.0));
         assert_eq!(find_too_many(&apart, at_once(1, 1)), None);
@@ -59,6 +62,6 @@ mod tests {
         let rail = TooMany { group: Group::Rail(1), tick: 425, at_once: 2 };
         assert_eq!(find_too_many(&together, at_once(1, 2)), Some(rail));
         assert_eq!(find_too_many(&together, at_once(2, 1)), Some(TooMany { group: Group::Chip(3), ..rail }));
-        assert_eq!(find_too_many(&together, PowerLimits::NONE), None);
+        assert_eq!(find_too_many(&together, Array::paper().layout().no_limits()), None);
     }
 }

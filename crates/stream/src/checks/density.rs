@@ -4,8 +4,6 @@
 //! other within 10 ms. Only then are the strokes counted.
 
 use super::counted;
-use firmware_protocol::controller::BLOCK;
-use meissner_array::spec::Array;
 use meissner_array::strokes::Strokes;
 use std::collections::VecDeque;
 
@@ -18,21 +16,19 @@ pub struct Dense {
     pub most: usize,
 }
 
-/// The controller's limit: so many ticks, 10 ms in whole blocks, and the most strokes that begin in them.
-fn limit(array: Array) -> (u64, usize) {
-    let block = u64::from(BLOCK);
-    (array.rate().per_s() / 100 / block * block, 4 * array.motors())
-}
-
 /// The first stroke that begins after too many others within 10 ms; `None`: the play keeps the limit.
 #[must_use]
 pub fn find_dense(strokes: &Strokes) -> Option<Dense> {
-    if strokes.changes_are_apart(limit(strokes.array()).0) { None } else { count(strokes) }
+    if strokes.changes_are_apart(strokes.array().layout().dense_ticks().into()) {
+        None
+    } else {
+        count(strokes)
+    }
 }
 
 fn count(strokes: &Strokes) -> Option<Dense> {
     let array = strokes.array();
-    let (ticks, most) = limit(array);
+    let (ticks, most) = (u64::from(array.layout().dense_ticks()), usize::from(array.layout().max_dense()));
     let mut begun = VecDeque::with_capacity(most);
     for stroke in counted(strokes) {
         if begun.len() == most

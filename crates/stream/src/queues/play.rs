@@ -87,12 +87,6 @@ impl Item {
     }
 }
 
-impl Default for Item {
-    fn default() -> Self {
-        Self::new(Some(Trigger::PULSE))
-    }
-}
-
 /// A compiled pattern or sequence, ready to be played.
 #[derive(Debug)]
 pub struct Play {
@@ -121,10 +115,11 @@ impl Play {
     /// the play requires no bandwidth.
     #[must_use]
     pub fn new(id: u64, strokes: impl Into<Source>) -> Self {
+        let strokes = strokes.into();
         Self {
             id,
-            strokes: strokes.into(),
-            items: vec![Item::default()],
+            items: vec![Item::new(Some(strokes.array().layout().trigger_pulse()))],
+            strokes,
             at: At::Next,
             late: LatePolicy::Drop,
             replace: false,

@@ -15,7 +15,7 @@ use crate::streamer::Streamer;
 use crate::streamer::feed::unsent;
 use crate::time::HostInstant;
 use firmware_protocol::array::MotorSet;
-use firmware_protocol::controller::{BLOCK, DRIVER_LEAD, HORIZON};
+use firmware_protocol::controller::BLOCK;
 use firmware_protocol::message::{Op, State};
 use firmware_protocol::stroke::Stroke;
 use firmware_protocol::tick::Tick;
@@ -157,7 +157,7 @@ impl Streamer {
         let Some(session) = self.session.as_ref().filter(|session| session.has_room()) else { return };
         let (array, rate) = (self.array(), self.rate());
         // What the device has rendered when the frame arrives, and the start of its drivers.
-        let ahead = u64::from(HORIZON + BLOCK + DRIVER_LEAD) + wake_up(rate);
+        let ahead = u64::from(array.layout().horizon()) + u64::from(BLOCK) + wake_up(rate);
         let delivery = rate.duration_to_ticks(session.delivery());
         let from = tick + ahead + delivery + self.live.spare.max(wake_up(rate));
         // A stroke before the last update's tick may belong to the drive before that one: it stays. Beyond what is sent there is
