@@ -290,8 +290,10 @@ pub struct ArrayId {
 
 /// What a controller must know of its array.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(C)]
 pub struct Layout {
-    id: ArrayId,
+    /// That of `id`, near the other numbers that each stroke is checked with.
+    motors: u8,
     max_up_pulses: u16,
     max_down_pulses: u16,
     max_seek: u16,
@@ -303,6 +305,7 @@ pub struct Layout {
     next_on_chip: Ring,
     rails: [u8; CAPACITY],
     chips: [u8; CAPACITY],
+    id: ArrayId,
 }
 
 /// For each motor the next one of its group, round and round.
@@ -385,6 +388,7 @@ impl Layout {
             return Err(LayoutError::Groups);
         };
         let mut layout = Self {
+            motors: id.motors,
             id,
             max_up_pulses,
             max_down_pulses,
@@ -415,8 +419,14 @@ impl Layout {
     #[inline(always)]
     pub const fn motors(&self) -> usize {
         // Where the end of a loop is known to be within the capacity, it needs no checks.
-        let motors = self.id.motors as usize;
+        let motors = self.motors as usize;
         if motors < CAPACITY { motors } else { CAPACITY }
+    }
+
+    /// The end of loops over all motors that have nothing to do for others. On the chip it is a constant.
+    #[inline(always)]
+    pub(crate) const fn loop_end(&self) -> usize {
+        if cfg!(feature = "pico") { CAPACITY } else { self.motors() }
     }
 
     /// All motors.

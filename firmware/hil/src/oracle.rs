@@ -518,7 +518,14 @@ mod tests {
             Event::Batch(Batch { epoch: 0, seq, mark: None, withdraw, base, strokes: strokes.to_vec() })
         };
         let rendered = Tick::BOOT.wire();
-        let verdict = Report::Verdict { seq: 1, late: 1, refused: 0, kept: MotorSet::from_bits(1 << 3), reason: None, rendered };
+        let verdict = Report::Verdict {
+            seq: 1,
+            late: 1,
+            refused: 0,
+            kept: MotorSet::from_bits(1 << 3),
+            reason: None,
+            rendered,
+        };
         let old = [500, 600, 700, 800].map(|up| stroke(up, 20));
         let new = [stroke(650, 30), stroke(800, 40)];
         let mut tap = Tap::default();

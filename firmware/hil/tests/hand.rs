@@ -7,7 +7,6 @@ use firmware_protocol::array::MotorSet;
 use firmware_protocol::batch::{BATCH_BYTES, Packer};
 use firmware_protocol::controller::POOL;
 use firmware_protocol::frame::{MAX_FRAME, encode};
-use firmware_protocol::limits::PowerLimits;
 use firmware_protocol::message::{Counters, HostMessage, Op, State, Status, Withdraw};
 use firmware_protocol::stroke::Stroke;
 use firmware_protocol::tick::Tick;
@@ -88,8 +87,8 @@ impl Hand {
 
     /// Arms the device, and waits until it has returned its pins.
     pub(crate) fn arm(&mut self, assume_rest: bool) {
-        let host_timeout = self.host_timeout;
-        self.control(Op::Arm { assume_rest, host_timeout, limits: PowerLimits::NONE, lower_stop: None });
+        let (host_timeout, limits) = (self.host_timeout, self.tap.hello().unwrap().limits);
+        self.control(Op::Arm { assume_rest, host_timeout, limits, lower_stop: None });
         self.run(60 * MS);
         assert_eq!(self.status().state, State::Armed);
     }
@@ -175,7 +174,8 @@ impl Hand {
         let mut packer = Packer::<BATCH_BYTES>::new(base);
         let fits = strokes.iter().take_while(|stroke| packer.stroke(stroke).is_ok()).count();
         let (epoch, seq, seen) = (self.epoch, self.seq, self.tap.reports_read());
-        let withdraw = withdraw.map(|motors| Withdraw { motors: MotorSet::from_bits(motors.into()), generation: 0 });
+        let withdraw =
+            withdraw.map(|motors| Withdraw { motors: MotorSet::from_bits(motors.into()), generation: 0 });
         let (base, batch) = (base.wire(), packer.bytes());
         let frame =
             self.encoded(&HostMessage::Strokes { epoch, seq, seen, mark: None, withdraw, base, batch });

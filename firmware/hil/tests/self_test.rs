@@ -168,7 +168,8 @@ fn an_e_stop_and_an_arm_end_a_self_test() {
 #[test]
 fn an_output_that_is_high_at_the_start_is_reported() {
     let mut rig = disarmed();
-    for (high, reported) in [(1 << 26 | 1 << 28, Outputs { enable: true, ..of(1 << 23) }), (0, Outputs::NONE)] {
+    for (high, reported) in [(1 << 26 | 1 << 28, Outputs { enable: true, ..of(1 << 23) }), (0, Outputs::NONE)]
+    {
         rig.chip().unwrap().wiring(high, 0, &[]).unwrap();
         rig.chip().unwrap().cpu(CpuEvent::Run).unwrap();
         rig.run_to(rig.now() + 1500 * MS).unwrap();

@@ -32,7 +32,7 @@ impl Player {
     ) -> (u16, u32) {
         let (at, ready) = (self.rendered, self.ready());
         let (mut flushed, mut outstanding, mut waiting) = (0, 0, MotorSet::EMPTY);
-        for motor in 0..self.layout.motors() {
+        for motor in 0..self.layout.loop_end() {
             let Some(slot) = self.pool.current_mut(motor) else { continue };
             undo(motor, slot.shift_undone(at));
             let begun = slot.begun(at);
@@ -56,7 +56,7 @@ impl Player {
 
     /// How many ticks after the rendered end the last return pulse is over, when nothing but returns is queued.
     pub(in crate::controller) fn return_ticks(&self) -> u32 {
-        let ends = (0..self.layout.motors()).filter_map(|motor| self.pool.current(motor)).map(|slot| slot.stroke.end());
+        let ends = (0..self.layout.loop_end()).filter_map(|motor| self.pool.current(motor)).map(|slot| slot.stroke.end());
         ends.fold(self.rendered, Tick::max).since(self.rendered) as u32
     }
 
@@ -70,7 +70,7 @@ impl Player {
     ) -> u16 {
         self.settle_strokes(at, reporting);
         let mut flushed = 0;
-        for motor in 0..self.layout.motors() {
+        for motor in 0..self.layout.loop_end() {
             // Most slots are not rendered yet; they are flushed together.
             let strokes = self.pool.flush(motor, true);
             flushed += strokes;
@@ -122,7 +122,7 @@ impl Player {
         // A stroke that is still being rendered ends no sooner than the rendered end.
         let all = now >= self.rendered;
         self.next_end = if all { NEVER } else { self.rendered };
-        for motor in 0..self.layout.motors() {
+        for motor in 0..self.layout.loop_end() {
             while all || !self.pool.is_rendering_head(motor) {
                 let Some(slot) = self.pool.head(motor) else { break };
                 let end = slot.stroke.end();

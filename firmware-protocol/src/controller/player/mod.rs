@@ -60,8 +60,8 @@ pub(super) struct Player {
     drivers: Drivers,
     changes: Changes,
     marks: Marks,
-    allowance: Allowance,
     layout: Layout,
+    allowance: Allowance,
     pool: Pool,
 }
 

@@ -1,0 +1,109 @@
+//! Firmware for other arrays than the paper's (`arrays/*.toml`): the pulses at the pins, to the cycle, are those that were sent.
+
+use crate::hand::Hand;
+use firmware_protocol::array::ArrayId;
+use firmware_protocol::batch::{BATCH_BYTES, Packer};
+use firmware_protocol::controller::DRIVER_TAIL;
+use firmware_protocol::message::{HostMessage, Mark, MarkKind, Trigger};
+use firmware_protocol::stroke::{Direction, Stroke};
+use firmware_protocol::tick::Tick;
+use meissner_hil::bench::Which;
+use meissner_hil::bench::chip::ChipOptions;
+use meissner_hil::oracle;
+use meissner_hil::time::MS;
+use std::path::Path;
+
+/// Cycles of a tick: 133 MHz at 70 kHz. An up pulse is a quarter of it, a down pulse three quarters.
+const TICK: u64 = 1_900;
+const WIDTHS: [u64; 2] = [TICK / 4, TICK / 4 * 3];
+/// Ticks of 0.5 ms at 70 kHz.
+const LEAD: u64 = 35;
+const WIDTH: u16 = 70;
+
+fn plays(name: &str, motors: u8) {
+    let elf = Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("../target/arrays/{name}.elf"));
+    let mut hand = Hand::armed(&Which::Chip(ChipOptions { elf, ..ChipOptions::new(1) }), 700_000);
+    let hello = hand.tap.hello().unwrap();
+    let ArrayId { name: named, motors: has, tick_hz, duty_up, duty_down, .. } = hello.array;
+    assert_eq!((named.as_str(), has, tick_hz, duty_up, duty_down), (name, motors, 70_000, 250, 750));
+    assert_eq!((hello.limits.motor, hello.limits.chip_at_once), (70_000, 2));
+    assert_eq!(hello.horizon, 64 + LEAD as u8);
+
+    // Bursts of all lengths, of motors of one chip at once too, and lines that change direction without a pause.
+    let base = hand.tap.tick(hand.status().tick) + 5_000;
+    let stroke = |motor: u8, round: u64| {
+        let pulses = 7 + (u64::from(motor) * 13 + round * 29) % 120;
+        let up = base + round * 700 + u64::from(motor) * 17 % 61;
+        let down = up + pulses + u64::from(motor) * round % 3 * 20;
+        Stroke { motor, up, up_pulses: pulses as u16, down, down_pulses: pulses as u16 }
+    };
+    let mut strokes: Vec<_> = (0..4)
+        .flat_map(|round| (0..motors).map(move |motor| (motor, round)))
+        .map(|(motor, round)| stroke(motor, round))
+        .collect();
+    strokes.sort_by_key(|stroke| (stroke.up, stroke.motor));
+    let epoch = hand.tap.status().unwrap().epoch;
+    for (seq, part) in strokes.chunks(16).enumerate() {
+        let mut packer = Packer::<BATCH_BYTES>::new(if seq == 0 { base } else { part[0].up });
+        part.iter().for_each(|stroke| packer.stroke(stroke).unwrap());
+        let trigger = Some(Trigger { width: WIDTH, code: 0 });
+        let mark = (seq == 0).then_some(Mark { kind: MarkKind::Play, trigger });
+        let base = packer.base().wire();
+        let batch = packer.bytes();
+        hand.send(&HostMessage::Strokes {
+            epoch,
+            seq: seq as u16,
+            seen: 0,
+            mark,
+            withdraw: None,
+            base,
+            batch,
+        });
+        hand.run(MS);
+    }
+    // 8 000 ticks, and time for the answers.
+    hand.run(8_000 * TICK + 20 * MS);
+    let status = hand.status();
+    assert_eq!(status.counters.played, 2 * strokes.len() as u64, "{:?}", status.counters);
+    assert_eq!(status.counters.pulses, strokes.iter().map(|stroke| u64::from(stroke.pulses())).sum::<u64>());
+
+    let expected = oracle::expect(&hand.tap, None);
+    assert_eq!(expected.contradictions, Vec::<String>::new());
+    let pins = hand.chip().pins.clone();
+    assert_eq!(pins.strays, []);
+    // The grid of ticks on cycles, through the first pulse.
+    let first = expected.log.first().unwrap();
+    let begin = pins.first().unwrap();
+    let cycle = |tick: Tick| begin + (tick - first) * TICK;
+    for (line, (trains, pulses)) in expected.log.lines.iter().zip(&pins.lines).enumerate() {
+        let wanted = trains.iter().flat_map(|train| {
+            let width = WIDTHS[usize::from(train.direction == Direction::Down)];
+            (0..train.pulses).map(move |pulse| (cycle(train.start + pulse), width))
+        });
+        let found = pulses.iter().map(|pulse| {
+            assert_eq!(pulse.pulses, 1, "a pulse each 1 500 cycles on line {line}");
+            (pulse.cycle, pulse.width)
+        });
+        assert!(wanted.eq(found), "line {line}: {trains:?}, {pulses:?}");
+        assert_eq!(trains.is_empty(), line >= motors.into());
+    }
+    // The enable goes before the first pulse and ends after the last; the trigger begins at the onset.
+    let (enable, last) = (&pins.enable, expected.log.end().unwrap());
+    let wanted = (cycle(first) - LEAD * TICK, cycle(last) + u64::from(DRIVER_TAIL) * TICK);
+    assert_eq!((enable.first().unwrap().from, enable.last().unwrap().to), wanted);
+    let trigger = cycle(first) - (first - base) * TICK;
+    assert_eq!(
+        pins.trigger.iter().map(|high| (high.from, high.to)).collect::<Vec<_>>(),
+        [(trigger, trigger + u64::from(WIDTH) * TICK)]
+    );
+}
+
+#[test]
+fn nine_motors_at_70_khz() {
+    plays("test-3x3", 9);
+}
+
+#[test]
+fn twenty_four_motors_at_70_khz() {
+    plays("test-6x4", 24);
+}
