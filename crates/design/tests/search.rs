@@ -2,13 +2,16 @@
 //!
 //! Invariant: no test here depends on the number of threads or their speed.
 
-use meissner_array::geometry;
+use meissner_array::pattern::Pattern;
+use meissner_array::per_motor::PerMotor;
+use meissner_array::spec::{Array, names};
 use meissner_design::{
-    Brief, Ended, Fidelity, Found, Goal, Limit, Models, Objective, Partition, Point, Score, Setting, Shape,
-    Space, Spent, Step, Target, Vibration, YARDSTICK, resume, search, shipped,
+    Brief, Budget, Ended, Fidelity, Found, Goal, Limit, Models, Objective, Partition, Point, Request, Rule,
+    Score, Setting, Shape, Space, Spent, Step, Target, Vibration, YARDSTICK, make, resume, search, shipped,
 };
 use meissner_skin::membrane::{self, Position};
 use meissner_skin::{Method, Options, Scene, simulate};
+use meissner_test_support::paper::MOTORS;
 use proptest::prelude::*;
 use rayon::ThreadPoolBuilder;
 use std::ops::ControlFlow;
@@ -22,7 +25,6 @@ const FINE: Fidelity = Fidelity { duration_s: 1.0, step_us: Some(500), min_weigh
 const FIFTH: Limit = Limit::AfferentSeconds(14_000.0);
 /// Every search converges within this number of evaluations: four times those of the yardstick.
 const MOST: u64 = 20_000;
-const MOTORS: usize = 24;
 
 fn yardstick() -> Target {
     shipped(YARDSTICK).unwrap()
@@ -68,7 +70,7 @@ fn exact_hz(target: &Target, seed: u64, point: Point) -> f64 {
 
 /// The distance of a motor's pin from the shape.
 fn distance_mm(target: &Target, motor: usize) -> f64 {
-    let [x_mm, y_mm] = geometry::position_mm(motor as u8);
+    let [x_mm, y_mm] = target.array().position_mm(motor as u8);
     target.frames()[0].shape.distance_mm(Position { x_mm, y_mm })
 }
 
@@ -85,7 +87,7 @@ fn median_hz(target: &Target, point: &Point) -> f64 {
 /// about 100 Hz at 30 µm.
 #[test]
 fn motors_near_the_edge_come_to_the_afferents_best_frequency() {
-    let (strong, space) = (yardstick(), Setting::AlwaysOn.space());
+    let (strong, space) = (yardstick(), Setting::AlwaysOn.space(Array::paper()));
     let weak = strong.with_amplitude_um(30.0).unwrap();
     for seed in 0..10 {
         let of = |target| median_hz(target, &found(target, &space, seed, space.random(seed), FIFTH).point);
@@ -124,7 +126,7 @@ fn by_coordinates(target: &Target, seed: u64, start: Point, space: &Space) -> (P
 #[test]
 fn a_fifth_of_the_work_of_a_coordinate_search_finds_the_same_contrast() {
     let target = yardstick();
-    let space = Space { phases: false, ..Setting::AlwaysOn.space() };
+    let space = Space { phases: false, ..Setting::AlwaysOn.space(Array::paper()) };
     let ratios = [2, 6].map(|seed| {
         let start = space.random(seed);
         let (theirs, afferent_s) = by_coordinates(&target, seed, start, &space);
@@ -150,7 +152,7 @@ fn assert_same(one: &Found, other: &Found) {
 fn the_result_is_the_same_on_one_thread_and_on_two() {
     let target = shipped("disc").unwrap();
     for setting in [Setting::Default, Setting::AlwaysOn] {
-        let space = setting.space();
+        let space = setting.space(Array::paper());
         let on = |threads| {
             let pool = ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
             pool.install(|| found(&target, &space, 3, space.random(3), Limit::Evaluations(1500)))
@@ -161,7 +163,7 @@ fn the_result_is_the_same_on_one_thread_and_on_two() {
 
 #[test]
 fn a_shorter_search_is_the_beginning_of_a_longer_one() {
-    let (target, space) = (yardstick(), Setting::Default.space());
+    let (target, space) = (yardstick(), Setting::Default.space(Array::paper()));
     let limited = |most| found(&target, &space, 4, space.random(4), Limit::Evaluations(most));
     let longest = limited(1400);
     for most in [0, 1, 300, 1200] {
@@ -188,7 +190,7 @@ fn best(found: &Found) -> Point {
 
 #[test]
 fn a_limit_is_exceeded_by_less_than_a_batch() {
-    let (target, space) = (yardstick(), Setting::Default.space());
+    let (target, space) = (yardstick(), Setting::Default.space(Array::paper()));
     let start = space.random(5);
     // The largest batch: off, 6 frequencies, 2 phases, 8 neighbours with 4 phases each; all 306 afferents.
     let most = 41.0 * 306.0 * 0.25;
@@ -200,7 +202,7 @@ fn a_limit_is_exceeded_by_less_than_a_batch() {
 
 #[test]
 fn an_interrupted_search_returns_the_best_point_so_far() {
-    let (target, space) = (yardstick(), Setting::Default.space());
+    let (target, space) = (yardstick(), Setting::Default.space(Array::paper()));
     let start = space.random(6);
     for calls in [1, 2, 30, 60] {
         let (mut called, mut heard) = (0, (Spent::default(), Score::default()));
@@ -234,8 +236,8 @@ fn like_yardstick(keys: &str) -> Target {
     Target::read(&toml::to_string(&definition).unwrap(), "t.toml").unwrap()
 }
 
-const fn everywhere(decihertz: u16) -> Point {
-    Point([Some(Vibration { decihertz, percent: 0 }); MOTORS])
+fn everywhere(decihertz: u16) -> Point {
+    Point(PerMotor::all(Array::paper(), Some(Vibration { decihertz, percent: 0 })))
 }
 
 /// A search that ends by itself.
@@ -251,7 +253,7 @@ fn converged(target: &Target, space: &Space, start: Point) -> Found {
 fn a_search_without_amplitude_ends() {
     let still = yardstick().with_amplitude_um(0.0).unwrap();
     for setting in [Setting::Default, Setting::AlwaysOn] {
-        let space = setting.space();
+        let space = setting.space(Array::paper());
         let found = converged(&still, &space, space.random(0));
         // The trace holds only the starts of three stages from each of five starts, and the start of one polish.
         assert_eq!((found.point, found.trace.len()), (space.random(0), 16));
@@ -262,7 +264,7 @@ fn a_search_without_amplitude_ends() {
 #[test]
 fn a_search_in_which_no_afferent_fires_ends() {
     let weak = yardstick().with_amplitude_um(0.05).unwrap();
-    let space = Space { phases: false, ..Setting::AlwaysOn.space() };
+    let space = Space { phases: false, ..Setting::AlwaysOn.space(Array::paper()) };
     let found = converged(&weak, &space, everywhere(600));
     assert!(found.trace.iter().all(|step| step.score == Score::default()));
     assert_eq!(found.point, everywhere(600));
@@ -272,7 +274,7 @@ fn a_search_in_which_no_afferent_fires_ends() {
 #[test]
 fn a_search_leaves_the_null_and_a_ridge() {
     let target = yardstick();
-    let space = Space { phases: false, ..Setting::AlwaysOn.space() };
+    let space = Space { phases: false, ..Setting::AlwaysOn.space(Array::paper()) };
     let objective = Objective::new(Goal::Contrast, &target, &target.frames()[0], &[0], 0, COARSE);
     let size = |decihertz: &u16| objective.at(everywhere(*decihertz)).unwrap().score();
     let silent = (2300..2360).find(|decihertz| size(decihertz) == Score::default()).unwrap();
@@ -294,7 +296,7 @@ fn one_on_afferent_is_enough() {
     distances.sort_by(f64::total_cmp);
     let target = like_yardstick(&format!("reach_mm = {}", f64::midpoint(distances[0], distances[1])));
     assert_eq!(Partition::of(&shape, target.reach_mm(), &places).on_count(), 1);
-    let space = Setting::Default.space();
+    let space = Setting::Default.space(Array::paper());
     let found = converged(&target, &space, space.random(0));
     assert!(exact_hz(&target, 0, found.point) > 120.0);
 }
@@ -306,11 +308,11 @@ fn two_equal_dots_both_get_a_response() {
         "name = \"mirrored\"\nshape = \"dots\"\npoints = [[-4.35, 1.45], [4.35, 1.45]]\nreach_mm = 1.5",
         "t.toml",
     );
-    let (target, space) = (dots.unwrap(), Setting::Default.space());
+    let (target, space) = (dots.unwrap(), Setting::Default.space(Array::paper()));
     let found = converged(&target, &space, space.random(0));
     let places = membrane::population(0);
     let drives = found.point.drives(target.amplitude_um(), None, None);
-    let scene = Scene::new(1.0, 9, drives, places.clone(), *target.model()).unwrap();
+    let scene = Scene::new(Array::paper(), 1.0, 9, drives, places.clone(), *target.model()).unwrap();
     let rates_hz = simulate(&scene, &Options::rates(Method::Exact), &|_| ()).unwrap().rates_hz(&scene);
     for dot in [[-4.35, 1.45], [4.35, 1.45]] {
         let partition = Partition::of(&Shape::Dots(vec![dot]), 1.5, &places);
@@ -321,7 +323,7 @@ fn two_equal_dots_both_get_a_response() {
 #[test]
 fn the_best_of_all_passes_is_found_and_a_resumed_search_is_no_worse() {
     let target = shipped("dot").unwrap();
-    let space = Space { phases: false, ..Setting::Default.space() };
+    let space = Space { phases: false, ..Setting::Default.space(Array::paper()) };
     let found = converged(&target, &space, space.random(0));
     assert_eq!(found.trace.iter().map(|step| step.pass).max(), Some(4));
     assert_eq!(found.point, best(&found));
@@ -334,7 +336,14 @@ fn the_best_of_all_passes_is_found_and_a_resumed_search_is_no_worse() {
 
 fn spaces() -> impl Strategy<Value = Space> {
     (50_u16..1500, 1_u16..1500, any::<bool>(), any::<bool>()).prop_map(|(low, width, may_be_off, phases)| {
-        Space { decihertz: low..=low + width, may_be_off, phases, window: None, at_once: None }
+        Space {
+            array: Array::paper(),
+            decihertz: low..=low + width,
+            may_be_off,
+            phases,
+            window: None,
+            at_once: None,
+        }
     })
 }
 
@@ -347,8 +356,9 @@ fn point_of(space: Space) -> impl Strategy<Value = (Space, Point)> {
         (100.0 * off) as u32 => Just(None),
         (100.0 - 100.0 * off) as u32 => vibration.prop_map(Some)
     ];
-    prop::collection::vec(motor, MOTORS)
-        .prop_map(move |motors| (space.clone(), Point(motors.try_into().unwrap())))
+    prop::collection::vec(motor, MOTORS).prop_map(move |motors| {
+        (space.clone(), Point(PerMotor::from_fn(space.array, |motor| motors[usize::from(motor)])))
+    })
 }
 
 fn lies_in(space: &Space, point: &Point) -> bool {
@@ -408,7 +418,7 @@ proptest! {
         // All populations in one scene: each afferent has its own noise.
         let places: Vec<Vec<Position>> = populations.iter().map(|&seed| membrane::population(seed)).collect();
         let drives = point.drives(target.amplitude_um(), None, None);
-        let scene = Scene::new(0.2, noise_seed, drives, places.concat(), *target.model()).unwrap();
+        let scene = Scene::new(Array::paper(), 0.2, noise_seed, drives, places.concat(), *target.model()).unwrap();
         let rates_hz = simulate(&scene, &Options::rates(Method::Exact), &|_| ()).unwrap().rates_hz(&scene);
         let contrast_hz = |(rates_hz, places): (&[f64], &Vec<Position>)| {
             Partition::of(&frame.shape, target.reach_mm(), places).cost_hz(rates_hz).unwrap()
@@ -426,5 +436,46 @@ proptest! {
     fn the_drives_of_a_point_give_the_point((space, point) in spaces().prop_flat_map(point_of)) {
         prop_assert!(lies_in(&space, &point));
         prop_assert_eq!(space.of_drives(&point.drives(80.0, None, None)), point);
+    }
+}
+
+/// A short search for an edge through the middle of each shipped array: from where all motors are at random, and from the rule of
+/// thumb. Both find more than they began with, on the motors that the array has.
+#[test]
+fn on_every_shipped_array_a_search_finds_an_edge() {
+    // Other tests add arrays without rows.
+    let arrays = names().into_iter().map(|name| Array::named(name).unwrap());
+    for array in arrays.filter(|array| array.grid().is_some()) {
+        // As long as the array is wide.
+        let half_mm = array.positions_mm().iter().map(|[x, _]| x.abs()).fold(0.0, f64::max);
+        let text = format!(
+            "name = \"across\"\narray = \"{}\"\nshape = \"segment\"\npoints = [[{}, 0], [{half_mm}, 0]]",
+            array.name(),
+            -half_mm
+        );
+        let target = Target::read(&text, "across.toml").unwrap();
+        let space = Setting::Default.space(array);
+        let random = space.random(0);
+        let rule = space.of_drives(&Rule::Reach.drives(&target));
+        let value = |point| exact_hz(&target, 0, point);
+        let limit = Limit::Evaluations(600);
+        let ours = found(&target, &space, 0, random, limit);
+        assert!(value(ours.point) > value(random) + 20.0, "{array:?}: {ours:?}");
+        let on = resume(&brief(&target, &space, &0), rule, limit, &mut go_on).unwrap();
+        assert!(value(on.point) > value(rule), "{array:?}: {on:?}");
+        let drives = on.point.drives(target.amplitude_um(), None, None);
+        assert!(!drives.is_empty() && drives.iter().all(|drive| array.has(drive.motor)), "{array:?}");
+        // The controller's protocol has room for no more motors yet, so no strokes can be compiled.
+        if array.motors() > MOTORS {
+            continue;
+        }
+        // The whole of what `optimise` does, under both models.
+        let request = Request { budget: Budget::Evaluations(vec![40]), ..Request::default() };
+        let made = make(&target, "made", &request, &mut |_| ControlFlow::Continue(())).unwrap();
+        let best_rule = made.baselines.iter().map(|of| of.value).fold(f64::NEG_INFINITY, f64::max);
+        assert!(made.value >= best_rule, "{array:?}: {} and {best_rule}", made.value);
+        assert_eq!((made.pattern.array(), Target::made_for(&made.pattern)), (array, Some(target)));
+        let text = made.pattern.to_toml();
+        assert_eq!(Pattern::parse(&text, "made.toml").unwrap(), made.pattern);
     }
 }

@@ -1,9 +1,11 @@
 use meissner_array::pattern::Pattern;
-use meissner_design::{Problem, Shape, Target};
+use meissner_array::spec::{Array, ArraySpec};
+use meissner_design::{Budget, Problem, Request, Rule, Shape, Target, make};
 use meissner_input::document;
 use meissner_skin::membrane::{AfferentModel, Rectify};
 use proptest::prelude::*;
 use std::fs;
+use std::ops::ControlFlow::Continue;
 use std::path::Path;
 
 const TOML: &str = r#"name = "good"
@@ -302,11 +304,79 @@ fn the_moving_edge_shifts_and_the_rotating_edge_turns() {
 #[test]
 fn the_target_of_a_pattern_is_read_from_its_provenance() {
     let target = meissner_design::shipped("rotating-edge").unwrap();
-    let made = |provenance| Pattern::new("t", None, vec![], provenance).unwrap();
+    let made = |provenance| Pattern::new(Array::paper(), "t", None, vec![], provenance).unwrap();
     let kept = toml::Table::from_iter([("definition".to_owned(), target.definition().into())]);
     assert_eq!(Target::made_for(&made(kept)), Some(target));
     for bad in ["", "definition = 1", "definition = { name = \"a\" }"] {
         assert_eq!(Target::made_for(&made(bad.parse().unwrap())), None, "{bad}");
+    }
+}
+
+/// A target for another array says so in its definition; one for the paper's has the definition that it always had.
+#[test]
+fn a_target_is_for_an_array() {
+    let on =
+        |name: &str| named(&format!("array = \"{name}\"\nshape = \"braille\"\ncharacter = \"b\"")).unwrap();
+    // Another test adds arrays without rows.
+    let arrays = meissner_array::spec::names().into_iter().map(|name| Array::named(name).unwrap());
+    for array in arrays.filter(|array| array.grid().is_some()) {
+        let name = array.name();
+        let target = on(name);
+        assert_eq!(target.array(), array);
+        reads_back(&target);
+        assert_eq!(target.definition().contains_key("array"), array != Array::paper(), "{name}");
+        // Two dots one above the other, two pitches apart.
+        let [above, below] = &target.frames()[0].shape.outline()[..] else { panic!("{target:?}") };
+        assert!((above[0][1] - below[0][1] - 2.0 * array.pitch_mm()).abs() < 1e-12, "{name}");
+        let finer = target.warnings().into_iter().find(|line| line.contains("run together"));
+        assert_eq!(finer, None, "{name}");
+    }
+    let line = named("array = \"6x4\"\nshape = \"disc\"\nradius_mm = 1").unwrap_err();
+    assert!(line.starts_with("bad.toml:2: `array` is unknown: no array is called `6x4`"), "{line}");
+    // The shape stays where it is on the finger.
+    let edge = meissner_design::shipped("moving-edge").unwrap();
+    let small = edge.with_array(Array::named("tula35-2x3").unwrap()).unwrap();
+    assert_eq!((small.array().motors(), small.frames()), (6, edge.frames()));
+    assert!(
+        small.warnings()[0].ends_with("within 2.9 mm of the middle across the finger and 1.45 mm along it")
+    );
+}
+
+/// Pins that stand in no rows, with less travel than the default amplitude; and a single pin.
+#[test]
+fn an_array_may_have_pins_anywhere_or_one_pin() {
+    let known = |name: &str, positions: &str| {
+        let text = format!(
+            "name = \"{name}\"\npins = {{ positions_mm = {positions}, radius_mm = 0.4 }}\ntick_hz = 50000\n\
+             duty = {{ up = 0.3, down = 0.6 }}\n\
+             motor = {{ step_um = 0.2, window_ms = 6, travel_um = 60, most_pulses = 1000 }}\n"
+        );
+        Array::known(ArraySpec::parse(&text, "test.toml").unwrap()).unwrap()
+    };
+    let scattered = known("scattered", "[[0, 0], [2, 1], [-3, 0.5], [1, -4], [-1.5, 3]]");
+    let target =
+        named("array = \"scattered\"\nshape = \"segment\"\npoints = [[-3, 0], [3, 0]]\nreach_mm = 1.2")
+            .unwrap();
+    assert_eq!((target.array(), target.amplitude_um()), (scattered, 60.0));
+    let line = meissner_design::shipped("dot").unwrap().with_array(scattered).unwrap_err().to_string();
+    assert_eq!(line, "`amplitude_um` is 80: must be 0 to 60 um");
+    let (reach, pitch) = (Rule::Reach.drives(&target), Rule::Pitch.drives(&target));
+    assert_eq!(reach.iter().map(|drive| drive.motor).collect::<Vec<_>>(), [0, 1, 2]);
+    assert_eq!((scattered.pitch_mm(), pitch.len()), (5_f64.sqrt(), 3));
+    let single = known("single", "[[0, 0]]");
+    let dots = named("array = \"single\"\nshape = \"dots\"\npoints = [[0, 0], [9, 0]]").unwrap();
+    assert_eq!((dots.array(), Rule::Pitch.drives(&dots).len()), (single, 1));
+    assert!(
+        dots.warnings()[0].starts_with("dots run together: the array has one pin"),
+        "{:?}",
+        dots.warnings()
+    );
+    // A search turns it off or moves it; no move needs a neighbour.
+    for target in [target, dots] {
+        let request = Request { budget: Budget::Evaluations(vec![30]), ..Request::default() };
+        let made = make(&target, "made", &request, &mut |_| Continue(())).unwrap();
+        assert_eq!(made.pattern.array(), target.array());
+        assert!(!made.pattern.drives().is_empty());
     }
 }
 

@@ -17,18 +17,8 @@ pub fn both(scene: oracle::Scene, noise_sd: f64, seed: u64) -> (oracle::Scene, S
         start_s: Some(drive.start_s),
         stop_s: drive.stop_s,
     });
-    let oracle::Model {
-        alpha_per_um,
-        tau_s,
-        refractory_s,
-        hyperexcitability_s,
-        ..
-    } = scene.model;
-    let oracle::Model {
-        hyperexcitability_depth,
-        sigma_mm,
-        ..
-    } = scene.model;
+    let oracle::Model { alpha_per_um, tau_s, refractory_s, hyperexcitability_s, .. } = scene.model;
+    let oracle::Model { hyperexcitability_depth, sigma_mm, .. } = scene.model;
     let rectify = match scene.model.rectify {
         oracle::Rectify::Half => Rectify::Half,
         oracle::Rectify::Full => Rectify::Full,
@@ -44,21 +34,9 @@ pub fn both(scene: oracle::Scene, noise_sd: f64, seed: u64) -> (oracle::Scene, S
         sigma_mm,
         noise_sd,
     };
-    let afferents = scene
-        .afferents
-        .iter()
-        .map(|&(x_mm, y_mm)| Position { x_mm, y_mm })
-        .collect();
+    let afferents = scene.afferents.iter().map(|&(x_mm, y_mm)| Position { x_mm, y_mm }).collect();
     let array = Array::named(scene.array.name).unwrap();
-    let ours = Scene::new(
-        array,
-        scene.duration_s,
-        seed,
-        drives.collect(),
-        afferents,
-        model,
-    )
-    .unwrap();
+    let ours = Scene::new(array, scene.duration_s, seed, drives.collect(), afferents, model).unwrap();
     (for_oracle(&ours), ours)
 }
 
@@ -76,20 +54,14 @@ pub fn for_oracle(scene: &Scene) -> oracle::Scene {
     let most = 2 + (scene.duration_s() / model.refractory_s) as usize;
     let offsets = |afferent: usize| {
         let mut noise = Normals::new(scene.seed(), afferent as u64);
-        (0..most)
-            .map(|_| model.noise_sd * noise.next().clamp(-8.0, 8.0))
-            .collect()
+        (0..most).map(|_| model.noise_sd * noise.next().clamp(-8.0, 8.0)).collect()
     };
     let of_name = |array: &oracle::Array| array.name == scene.array().name();
     oracle::Scene {
         array: oracle::Array::shipped().into_iter().find(of_name).unwrap(),
         duration_s: scene.duration_s(),
         drives: scene.drives().iter().map(drive).collect(),
-        afferents: scene
-            .afferents()
-            .iter()
-            .map(|at| (at.x_mm, at.y_mm))
-            .collect(),
+        afferents: scene.afferents().iter().map(|at| (at.x_mm, at.y_mm)).collect(),
         offsets: (0..scene.afferents().len()).map(offsets).collect(),
         model: oracle::Model {
             rectify: match model.rectify {

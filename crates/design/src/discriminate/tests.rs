@@ -2,6 +2,7 @@
 
 use super::*;
 use meissner_array::pattern::Drive;
+use meissner_array::spec::Array;
 use meissner_skin::membrane::{AfferentModel, POPULATION_NOISE_SD, Rectify};
 
 fn pattern(name: &str, motors: &[u8], amplitude_um: f64) -> Pattern {

@@ -22,14 +22,9 @@ impl Array {
 
     /// All that the program ships.
     pub fn shipped() -> Vec<Self> {
-        let others = [
-            ("ubi-pen-3x3", (3, 3), 3.0),
-            ("tula35-2x3", (2, 3), 2.9),
-            ("simulated-8x8", (8, 8), 1.5),
-        ];
-        let others = others
-            .into_iter()
-            .map(|(name, size, pitch_mm)| Self::grid(name, size, pitch_mm));
+        let others =
+            [("ubi-pen-3x3", (3, 3), 3.0), ("tula35-2x3", (2, 3), 2.9), ("simulated-8x8", (8, 8), 1.5)];
+        let others = others.into_iter().map(|(name, size, pitch_mm)| Self::grid(name, size, pitch_mm));
         [Self::paper()].into_iter().chain(others).collect()
     }
 

@@ -1,8 +1,8 @@
 //! Checks the oracle against the reference spikes, against brute force, and against its own rules.
 
 use super::{
-    Array, Burst, Drive, FULL, Model, Rectify, Scene, Train, all_bursts, bursts, compare,
-    pin_weight, random_scene, spikes, spikes_of_bursts,
+    Array, Burst, Drive, FULL, Model, Rectify, Scene, Train, all_bursts, bursts, compare, pin_weight,
+    random_scene, spikes, spikes_of_bursts,
 };
 use serde::Deserialize;
 
@@ -50,27 +50,17 @@ fn usual_model(rectify: Rectify) -> Model {
 }
 
 fn times(trains: &[Train]) -> Vec<Vec<f64>> {
-    trains
-        .iter()
-        .map(|train| train.spikes.iter().map(|spike| spike.t_s).collect())
-        .collect()
+    trains.iter().map(|train| train.spikes.iter().map(|spike| spike.t_s).collect()).collect()
 }
 
 #[test]
 fn the_oracle_has_the_reference_spikes() {
-    let references: Vec<Reference> = serde_json::from_str(include_str!(
-        "../../../../crates/skin/tests/data/spikes.json"
-    ))
-    .unwrap();
+    let references: Vec<Reference> =
+        serde_json::from_str(include_str!("../../../../crates/skin/tests/data/spikes.json")).unwrap();
     assert_eq!(references.len(), 18);
     let mut compared = 0;
     for (number, reference) in references.iter().enumerate() {
-        let drive = |&ReferenceDrive {
-                         motor,
-                         frequency_hz,
-                         amplitude_um,
-                         phase,
-                     }: &ReferenceDrive| Drive {
+        let drive = |&ReferenceDrive { motor, frequency_hz, amplitude_um, phase }: &ReferenceDrive| Drive {
             motor,
             frequency_hz,
             amplitude_um,
@@ -82,11 +72,7 @@ fn the_oracle_has_the_reference_spikes() {
             array: Array::paper(),
             duration_s: reference.duration_s,
             drives: reference.drives.iter().map(drive).collect(),
-            afferents: reference
-                .receptors
-                .iter()
-                .map(|at| (at.x_mm, at.y_mm))
-                .collect(),
+            afferents: reference.receptors.iter().map(|at| (at.x_mm, at.y_mm)).collect(),
             model: Model {
                 alpha_per_um: reference.receptor.alpha_per_um,
                 hyperexcitability_depth: reference.receptor.hyperexcitability_depth,
@@ -96,39 +82,20 @@ fn the_oracle_has_the_reference_spikes() {
         };
         let trains = spikes(&scene);
         let promises = reference.spikes_s.iter().zip(&reference.promised_spikes);
-        for ((found, expected), (listed, &promised)) in
-            times(&trains).iter().zip(&trains).zip(promises)
-        {
+        for ((found, expected), (listed, &promised)) in times(&trains).iter().zip(&trains).zip(promises) {
             let count = usize::try_from(promised).unwrap_or(listed.len());
-            assert!(
-                found.len() >= count,
-                "scene {number}: {found:?} instead of {listed:?}"
-            );
+            assert!(found.len() >= count, "scene {number}: {found:?} instead of {listed:?}");
             if count == listed.len() && promised >= 0 {
-                assert_eq!(
-                    found.len(),
-                    count,
-                    "scene {number}: {expected:?} instead of {listed:?}"
-                );
+                assert_eq!(found.len(), count, "scene {number}: {expected:?} instead of {listed:?}");
             }
             for (found, listed) in found.iter().zip(&listed[..count]) {
-                assert!(
-                    (found - listed).abs() < 1e-9,
-                    "scene {number}: {found} instead of {listed}"
-                );
+                assert!((found - listed).abs() < 1e-9, "scene {number}: {found} instead of {listed}");
             }
         }
         // The oracle must have promised all of these.
         compared += compare(&trains, &reference.spikes_s, 1e-9).unwrap();
     }
-    assert_eq!(
-        compared,
-        references
-            .iter()
-            .flat_map(|r| &r.spikes_s)
-            .map(Vec::len)
-            .sum::<usize>()
-    );
+    assert_eq!(compared, references.iter().flat_map(|r| &r.spikes_s).map(Vec::len).sum::<usize>());
 }
 
 /// The motors that the brute-force simulation moves.
@@ -144,20 +111,13 @@ fn by_brute_force(scene: &Scene, bursts: &[(usize, Burst)]) -> Vec<Vec<f64>> {
             let speed = burst.speed as f64 / FULL as f64;
             speed * (until - burst.start as f64 / 170_000.0) * 85_000.0 * 0.95 / 7.0
         };
-        bursts
-            .iter()
-            .filter(|burst| burst.0 == motor)
-            .map(ramp)
-            .sum()
+        bursts.iter().filter(|burst| burst.0 == motor).map(ramp).sum()
     };
     let steps = (scene.duration_s / STEP_S) as usize;
     let velocities: Vec<Vec<f64>> = (0..steps)
         .map(|step| {
             let t = step as f64 * STEP_S;
-            BRUTE
-                .iter()
-                .map(|&m| (commanded_um(m, t) - commanded_um(m, t - 0.0043)) / 0.0043)
-                .collect()
+            BRUTE.iter().map(|&m| (commanded_um(m, t) - commanded_um(m, t - 0.0043)) / 0.0043).collect()
         })
         .collect();
     let of_afferent = |(index, &position): (usize, &(f64, f64))| {
@@ -169,24 +129,16 @@ fn by_brute_force(scene: &Scene, bursts: &[(usize, Burst)]) -> Vec<Vec<f64>> {
         for (step, velocities) in velocities.iter().enumerate() {
             let t = step as f64 * STEP_S;
             let since = spikes.last().map_or(f64::INFINITY, |last| t - last);
-            let mut threshold: f64 = 1.0
-                + scene
-                    .offsets
-                    .get(index)
-                    .map_or(0.0, |offsets| offsets[spikes.len()]);
+            let mut threshold: f64 =
+                1.0 + scene.offsets.get(index).map_or(0.0, |offsets| offsets[spikes.len()]);
             if since < model.hyperexcitability_s {
-                threshold -=
-                    model.hyperexcitability_depth * (1.0 - since / model.hyperexcitability_s);
+                threshold -= model.hyperexcitability_depth * (1.0 - since / model.hyperexcitability_s);
             }
             if since >= model.refractory_s - STEP_S / 2.0 && p >= threshold.max(0.05) {
                 spikes.push(t);
                 p = 0.0;
             }
-            let u: f64 = weights
-                .iter()
-                .zip(velocities)
-                .map(|(weight, velocity)| weight * velocity)
-                .sum();
+            let u: f64 = weights.iter().zip(velocities).map(|(weight, velocity)| weight * velocity).sum();
             let g = match model.rectify {
                 Rectify::Half => u.max(0.0),
                 Rectify::Full => u.abs(),
@@ -196,12 +148,7 @@ fn by_brute_force(scene: &Scene, bursts: &[(usize, Burst)]) -> Vec<Vec<f64>> {
         }
         spikes
     };
-    scene
-        .afferents
-        .iter()
-        .enumerate()
-        .map(of_afferent)
-        .collect()
+    scene.afferents.iter().enumerate().map(of_afferent).collect()
 }
 
 #[test]
@@ -220,11 +167,7 @@ fn the_oracle_has_the_spikes_of_brute_force() {
         (Rectify::Signed, 0.0007, 0.2),
         (Rectify::Half, 0.02, -0.5),
     ] {
-        let model = Model {
-            hyperexcitability_s,
-            hyperexcitability_depth: 0.6,
-            ..usual_model(rectify)
-        };
+        let model = Model { hyperexcitability_s, hyperexcitability_depth: 0.6, ..usual_model(rectify) };
         let scene = Scene {
             array: Array::paper(),
             duration_s: 0.12,
@@ -247,22 +190,9 @@ fn the_oracle_has_the_spikes_of_brute_force() {
             burst.speed = (burst.speed as f64 * gain) as i64;
         });
         let expected = [spikes(&scene), spikes_of_bursts(&scene, &uneven)].concat();
-        let found = [
-            by_brute_force(&scene, &even),
-            by_brute_force(&scene, &uneven),
-        ]
-        .concat();
-        for (
-            Train {
-                spikes: expected, ..
-            },
-            found,
-        ) in expected.iter().zip(found)
-        {
-            assert!(
-                expected.len() > 5 && expected.len() == found.len(),
-                "{expected:?}\n{found:?}"
-            );
+        let found = [by_brute_force(&scene, &even), by_brute_force(&scene, &uneven)].concat();
+        for (Train { spikes: expected, .. }, found) in expected.iter().zip(found) {
+            assert!(expected.len() > 5 && expected.len() == found.len(), "{expected:?}\n{found:?}");
             for (expected, found) in expected.iter().zip(found) {
                 // At most a step late, and the effect of a membrane that is wrong by 2e-4.
                 let allowed = 1e-6 + expected.error_s * 2e8;
@@ -283,21 +213,12 @@ fn random_scenes_keep_the_oracle_s_own_rules() {
         let trains = spikes(&scene);
         for train in &trains {
             for spike in &train.spikes {
-                assert!(
-                    (0.0..scene.duration_s).contains(&spike.t_s),
-                    "seed {seed}: {spike:?}"
-                );
-                assert!(
-                    spike.margin >= 0.0 && spike.error_s >= 0.0,
-                    "seed {seed}: {spike:?}"
-                );
+                assert!((0.0..scene.duration_s).contains(&spike.t_s), "seed {seed}: {spike:?}");
+                assert!(spike.margin >= 0.0 && spike.error_s >= 0.0, "seed {seed}: {spike:?}");
             }
             for pair in train.spikes.windows(2) {
                 let apart = pair[1].t_s - pair[0].t_s;
-                assert!(
-                    apart >= scene.model.refractory_s - 1e-15,
-                    "seed {seed}: {pair:?}"
-                );
+                assert!(apart >= scene.model.refractory_s - 1e-15, "seed {seed}: {pair:?}");
             }
             active += usize::from(!train.spikes.is_empty());
             doubtful += usize::from(train.doubtful_from_s.is_finite());
@@ -305,10 +226,7 @@ fn random_scenes_keep_the_oracle_s_own_rules() {
         }
         compared += compare(&trains, &times(&trains), 1e-9).unwrap();
     }
-    assert!(
-        active > 50 && count > 1_000,
-        "{active} active afferents, {count} spikes: too quiet a test"
-    );
+    assert!(active > 50 && count > 1_000, "{active} active afferents, {count} spikes: too quiet a test");
     assert!(
         compared * 10 > count * 9,
         "{compared} of {count} spikes promised, {doubtful} trains are doubtful"
@@ -345,15 +263,8 @@ fn a_graze_is_called_doubtful() {
     let (mut spiking, mut silent) = (0.0, 100.0);
     while silent - spiking > 1e-12 {
         let middle = (spiking + silent) / 2.0;
-        let early = first(middle, &mut scene)
-            .spikes
-            .first()
-            .is_some_and(|spike| spike.t_s < sure + 0.05);
-        (spiking, silent) = if early {
-            (middle, silent)
-        } else {
-            (spiking, middle)
-        };
+        let early = first(middle, &mut scene).spikes.first().is_some_and(|spike| spike.t_s < sure + 0.05);
+        (spiking, silent) = if early { (middle, silent) } else { (spiking, middle) };
     }
     for offset in [spiking, silent] {
         let train = first(offset, &mut scene);
@@ -388,8 +299,5 @@ fn a_drive_starts_after_its_start_and_ends_by_its_stop() {
     assert_eq!(half_ticks(drive(85.0, 2609.0)), first);
     assert_eq!(half_ticks(drive(85.0, 2610.0)), [first, second].concat());
     // 17 ticks a period: edges at ticks 4, 13 and 21 after the start; of 10 pulses 8 fit.
-    assert_eq!(
-        half_ticks(drive(5_000.0, 872.0)),
-        [(1708, 1724, 1), (1726, 1742, -1)]
-    );
+    assert_eq!(half_ticks(drive(5_000.0, 872.0)), [(1708, 1724, 1), (1726, 1742, -1)]);
 }

@@ -52,28 +52,20 @@ pub fn spikes(scene: &Scene) -> Vec<Train> {
 /// The same with each motor's travel multiplied by its gain.
 pub fn spikes_with_gains(scene: &Scene, gains: &[f64]) -> Vec<Train> {
     let bursts = all_bursts(scene);
-    (0..scene.afferents.len())
-        .map(|afferent| train(scene, &bursts, gains, afferent))
-        .collect()
+    (0..scene.afferents.len()).map(|afferent| train(scene, &bursts, gains, afferent)).collect()
 }
 
 /// The same with these bursts in place of the drives.
 pub fn spikes_of_bursts(scene: &Scene, bursts: &[(usize, Burst)]) -> Vec<Train> {
     let gains = vec![1.0; scene.array.pins.len()];
-    (0..scene.afferents.len())
-        .map(|afferent| train(scene, bursts, &gains, afferent))
-        .collect()
+    (0..scene.afferents.len()).map(|afferent| train(scene, bursts, &gains, afferent)).collect()
 }
 
 /// Compares all promised spikes and returns their number. A spike whose error in `expected` is above `tolerance_s` ends
 /// the comparison of its afferent.
 pub fn compare(expected: &[Train], found: &[Vec<f64>], tolerance_s: f64) -> Result<usize, String> {
     if expected.len() != found.len() {
-        return Err(format!(
-            "{} afferents instead of {}",
-            found.len(),
-            expected.len()
-        ));
+        return Err(format!("{} afferents instead of {}", found.len(), expected.len()));
     }
     let mut compared = 0;
     for (afferent, (train, found)) in expected.iter().zip(found).enumerate() {
@@ -89,19 +81,12 @@ pub fn compare(expected: &[Train], found: &[Vec<f64>], tolerance_s: f64) -> Resu
             match found.get(next) {
                 Some(t) if (t - spike.t_s).abs() <= tolerance_s => next += 1,
                 other => {
-                    return Err(format!(
-                        "afferent {afferent}, spike {next}: {other:?} instead of {spike:?}"
-                    ));
+                    return Err(format!("afferent {afferent}, spike {next}: {other:?} instead of {spike:?}"));
                 }
             }
         }
-        if let Some(t) = found
-            .get(next)
-            .filter(|&&t| t < promised_until - tolerance_s)
-        {
-            return Err(format!(
-                "afferent {afferent}, spike {next}: at {t} s there is none"
-            ));
+        if let Some(t) = found.get(next).filter(|&&t| t < promised_until - tolerance_s) {
+            return Err(format!("afferent {afferent}, spike {next}: at {t} s there is none"));
         }
         compared += next;
     }
@@ -127,27 +112,19 @@ fn seconds_to_ticks(array: &Array, seconds: f64) -> f64 {
 fn bursts(array: &Array, drive: &Drive, horizon_s: f64) -> Vec<Burst> {
     let start = seconds_to_ticks(array, drive.start_s);
     let edge = |h: u32| {
-        (((f64::from(h) / 2.0 + drive.phase) * array.ticks_per_s) / drive.frequency_hz + 0.5)
-            .floor()
-            + start
+        (((f64::from(h) / 2.0 + drive.phase) * array.ticks_per_s) / drive.frequency_hz + 0.5).floor() + start
     };
     let wanted = (drive.amplitude_um / array.um_per_pulse + 0.5).floor();
     let mut bursts = Vec::new();
     for h in (0..).step_by(2) {
         let (up, down, next_up) = (edge(h), edge(h + 1), edge(h + 2));
         let pulses = wanted.min(down - up).min(next_up - down);
-        let stopped = drive
-            .stop_s
-            .is_some_and(|stop| down + pulses > seconds_to_ticks(array, stop));
+        let stopped = drive.stop_s.is_some_and(|stop| down + pulses > seconds_to_ticks(array, stop));
         if stopped || up >= horizon_s * array.ticks_per_s {
             break;
         }
         for (tick, speed) in [(up, FULL), (down, -FULL)] {
-            bursts.push(Burst {
-                start: 2 * tick as i64,
-                end: 2 * (tick + pulses) as i64,
-                speed,
-            });
+            bursts.push(Burst { start: 2 * tick as i64, end: 2 * (tick + pulses) as i64, speed });
         }
     }
     bursts
@@ -158,16 +135,13 @@ pub fn all_bursts(scene: &Scene) -> Vec<(usize, Burst)> {
     let horizon_s = scene.duration_s + END_SLACK_S;
     let of_drive = |drive: &Drive| {
         let motor = drive.motor;
-        bursts(&scene.array, drive, horizon_s)
-            .into_iter()
-            .map(move |burst| (motor, burst))
+        bursts(&scene.array, drive, horizon_s).into_iter().map(move |burst| (motor, burst))
     };
     scene.drives.iter().flat_map(of_drive).collect()
 }
 
 fn pin_weight((x_mm, y_mm): (f64, f64), (pin_x, pin_y): (f64, f64), sigma_mm: f64) -> f64 {
-    let weight =
-        (-((x_mm - pin_x).powi(2) + (y_mm - pin_y).powi(2)) / (2.0 * sigma_mm.powi(2))).exp();
+    let weight = (-((x_mm - pin_x).powi(2) + (y_mm - pin_y).powi(2)) / (2.0 * sigma_mm.powi(2))).exp();
     if weight < MIN_WEIGHT { 0.0 } else { weight }
 }
 
@@ -191,30 +165,17 @@ fn pieces(
     // At a break: by how much the slope of which motor's `r(t) - r(t-W)` changes; full is half a pulse per half tick.
     let mut breakpoints: BTreeMap<i64, Vec<(usize, i64)>> = BTreeMap::from([(0, Vec::new())]);
     let array = &scene.array;
-    let weight =
-        |(pin, gain): (&(f64, f64), &f64)| gain * pin_weight(afferent, *pin, scene.model.sigma_mm);
+    let weight = |(pin, gain): (&(f64, f64), &f64)| gain * pin_weight(afferent, *pin, scene.model.sigma_mm);
     let weights: Vec<f64> = array.pins.iter().zip(gains).map(weight).collect();
-    for &(motor, Burst { start, end, speed }) in
-        moves.iter().filter(|(motor, _)| weights[*motor] > 0.0)
-    {
+    for &(motor, Burst { start, end, speed }) in moves.iter().filter(|(motor, _)| weights[*motor] > 0.0) {
         breakpoints.entry(start).or_default().push((motor, speed));
         breakpoints.entry(end).or_default().push((motor, -speed));
-        breakpoints
-            .entry(start + array.window_half_ticks)
-            .or_default()
-            .push((motor, -speed));
-        breakpoints
-            .entry(end + array.window_half_ticks)
-            .or_default()
-            .push((motor, speed));
+        breakpoints.entry(start + array.window_half_ticks).or_default().push((motor, -speed));
+        breakpoints.entry(end + array.window_half_ticks).or_default().push((motor, speed));
     }
     let scale = array.um_per_pulse / 2.0 / array.window_s / FULL as f64;
     let weighted = |pulses: &[i64]| -> f64 {
-        weights
-            .iter()
-            .zip(pulses)
-            .map(|(weight, &pulses)| weight * scale * pulses as f64)
-            .sum()
+        weights.iter().zip(pulses).map(|(weight, &pulses)| weight * scale * pulses as f64).sum()
     };
     let (mut content, mut slopes) = (vec![0_i64; array.pins.len()], vec![0_i64; array.pins.len()]);
     let half_ticks_per_s = array.half_ticks_per_s();
@@ -225,10 +186,8 @@ fn pieces(
             slopes[motor] += change;
         }
         let from_s = at as f64 / half_ticks_per_s;
-        let to_s = times
-            .get(index + 1)
-            .map_or(horizon_s, |&next| next as f64 / half_ticks_per_s)
-            .min(horizon_s);
+        let to_s =
+            times.get(index + 1).map_or(horizon_s, |&next| next as f64 / half_ticks_per_s).min(horizon_s);
         if from_s < to_s {
             pieces.push(Piece {
                 from_s,
@@ -356,33 +315,17 @@ fn threshold(model: &Model, offset: f64, last: Option<Last>, t_s: f64) -> (f64, 
 fn train(scene: &Scene, bursts: &[(usize, Burst)], gains: &[f64], afferent: usize) -> Train {
     let model = &scene.model;
     let offsets = scene.offsets.get(afferent).map_or(&[][..], Vec::as_slice);
-    let mut train = Train {
-        spikes: Vec::new(),
-        doubtful_from_s: f64::INFINITY,
-    };
+    let mut train = Train { spikes: Vec::new(), doubtful_from_s: f64::INFINITY };
     let (mut p, mut last) = (0.0, None::<Last>);
-    for piece in pieces(
-        scene,
-        bursts,
-        gains,
-        scene.afferents[afferent],
-        scene.duration_s + END_SLACK_S,
-    ) {
+    for piece in pieces(scene, bursts, gains, scene.afferents[afferent], scene.duration_s + END_SLACK_S) {
         let zero_s = piece.from_s - piece.u / piece.slope;
         let mut t = piece.from_s;
         while t < piece.to_s {
-            let offset = if offsets.is_empty() {
-                0.0
-            } else {
-                offsets[train.spikes.len()]
-            };
+            let offset = if offsets.is_empty() { 0.0 } else { offsets[train.spikes.len()] };
             let (threshold, threshold_slope, threshold_until) = threshold(model, offset, last, t);
             let ready_s = last.map_or(0.0, |last| last.t_s + model.refractory_s);
             let to = [zero_s, ready_s, threshold_until, piece.to_s];
-            let to = to
-                .into_iter()
-                .filter(|&to| to > t)
-                .fold(f64::INFINITY, f64::min);
+            let to = to.into_iter().filter(|&to| to > t).fold(f64::INFINITY, f64::min);
             let u = piece.u + piece.slope * (t - piece.from_s);
             let u_in_the_middle = piece.u + piece.slope * ((t + to) / 2.0 - piece.from_s);
             let sign = match model.rectify {
@@ -400,24 +343,17 @@ fn train(scene: &Scene, bursts: &[(usize, Burst)], gains: &[f64], afferent: usiz
                 threshold_slope,
             };
             let length = to - t;
-            let crossing = if t < ready_s {
-                None
-            } else {
-                segment.crossing(length)
-            };
+            let crossing = if t < ready_s { None } else { segment.crossing(length) };
             // The error of the excess because of the last spike's error.
             let inherited = last.map_or(0.0, |last| {
-                last.error_s
-                    * (last.drive.abs() + threshold_slope + segment.excess_slope(0.0).abs())
+                last.error_s * (last.drive.abs() + threshold_slope + segment.excess_slope(0.0).abs())
             });
             let near = |at: f64| segment.excess(at).abs() < NEAR_MISS + inherited;
             let points = [Some(0.0), segment.maximum(length), Some(length)];
             if t >= ready_s
                 && let Some(at) = points.into_iter().flatten().find(|&at| near(at))
             {
-                train.doubtful_from_s = train
-                    .doubtful_from_s
-                    .min(t + crossing.unwrap_or(at).min(at));
+                train.doubtful_from_s = train.doubtful_from_s.min(t + crossing.unwrap_or(at).min(at));
             }
             let Some(at) = crossing else {
                 p = segment.membrane(length);
@@ -427,38 +363,21 @@ fn train(scene: &Scene, bursts: &[(usize, Burst)], gains: &[f64], afferent: usiz
             t += at;
             p = 0.0;
             let held_back = at == 0.0 && last.is_some() && t <= ready_s;
-            let margin = if held_back {
-                f64::INFINITY
-            } else {
-                segment.excess_slope(at).max(0.0)
-            };
+            let margin = if held_back { f64::INFINITY } else { segment.excess_slope(at).max(0.0) };
             let error_s = last.map_or(MEMBRANE_ERROR / margin, |last| {
-                let inherited =
-                    last.drive * (-(t - last.t_s) / model.tau_s).exp() - threshold_slope;
+                let inherited = last.drive * (-(t - last.t_s) / model.tau_s).exp() - threshold_slope;
                 if held_back {
                     last.error_s
                 } else {
                     (MEMBRANE_ERROR + inherited.abs() * last.error_s) / margin
                 }
             });
-            train.spikes.push(Spike {
-                t_s: t,
-                margin,
-                error_s,
-            });
-            last = Some(Last {
-                t_s: t,
-                error_s,
-                drive: model.alpha_per_um * sign * (u + piece.slope * at),
-            });
+            train.spikes.push(Spike { t_s: t, margin, error_s });
+            last = Some(Last { t_s: t, error_s, drive: model.alpha_per_um * sign * (u + piece.slope * at) });
         }
     }
     let end = scene.duration_s - END_SLACK_S;
-    if train
-        .spikes
-        .iter()
-        .any(|spike| (spike.t_s - scene.duration_s).abs() <= END_SLACK_S)
-    {
+    if train.spikes.iter().any(|spike| (spike.t_s - scene.duration_s).abs() <= END_SLACK_S) {
         train.doubtful_from_s = train.doubtful_from_s.min(end);
     }
     train.spikes.retain(|spike| spike.t_s < scene.duration_s);

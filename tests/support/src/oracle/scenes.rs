@@ -120,33 +120,14 @@ pub fn random_scene_on(array: Array, seed: u64) -> Scene {
         hyperexcitability_depth: random.between(0.0, 1.0),
         sigma_mm: random.between(0.5, 3.0),
     };
-    let drives: Vec<Drive> = motors
-        .iter()
-        .flat_map(|&motor| random_drives(random, motor, duration_s))
-        .collect();
-    let afferents: Vec<_> = (0..=random.below(5))
-        .map(|_| random_afferent(random, &array, &motors))
-        .collect();
-    let noise_sd = if random.chance(0.4) {
-        random.between(0.01, 0.3)
-    } else {
-        0.0
-    };
+    let drives: Vec<Drive> =
+        motors.iter().flat_map(|&motor| random_drives(random, motor, duration_s)).collect();
+    let afferents: Vec<_> = (0..=random.below(5)).map(|_| random_afferent(random, &array, &motors)).collect();
+    let noise_sd = if random.chance(0.4) { random.between(0.01, 0.3) } else { 0.0 };
     let most_spikes = (duration_s / model.refractory_s) as usize + 3;
     let offsets = if noise_sd > 0.0 { afferents.len() } else { 0 };
-    let offsets = (0..offsets).map(|_| {
-        (0..most_spikes)
-            .map(|_| noise_sd * random.normal())
-            .collect()
-    });
-    Scene {
-        array,
-        duration_s,
-        drives,
-        model,
-        offsets: offsets.collect(),
-        afferents,
-    }
+    let offsets = (0..offsets).map(|_| (0..most_spikes).map(|_| noise_sd * random.normal()).collect());
+    Scene { array, duration_s, drives, model, offsets: offsets.collect(), afferents }
 }
 
 /// One drive, or two of which the second begins where the first stops.
@@ -155,27 +136,15 @@ fn random_drives(random: &mut Random, motor: usize, duration_s: f64) -> Vec<Driv
         motor,
         frequency_hz: random.log_between(1.0, 1000.0),
         amplitude_um: random.log_between(1.0, 200.0),
-        phase: if random.chance(0.2) {
-            0.0
-        } else {
-            random.between(0.0, 1.0)
-        },
+        phase: if random.chance(0.2) { 0.0 } else { random.between(0.0, 1.0) },
         start_s,
         stop_s,
     };
-    let start_s = if random.chance(0.2) {
-        random.between(0.0, 0.5 * duration_s)
-    } else {
-        0.0
-    };
-    let stop_s = random
-        .chance(0.3)
-        .then(|| random.between(start_s, 1.2 * duration_s));
+    let start_s = if random.chance(0.2) { random.between(0.0, 0.5 * duration_s) } else { 0.0 };
+    let stop_s = random.chance(0.3).then(|| random.between(start_s, 1.2 * duration_s));
     let mut drives = vec![drive(random, start_s, stop_s)];
     if let Some(first_stops) = stop_s.filter(|_| random.chance(0.6)) {
-        let stop_s = random
-            .chance(0.5)
-            .then(|| random.between(first_stops, 1.4 * duration_s));
+        let stop_s = random.chance(0.5).then(|| random.between(first_stops, 1.4 * duration_s));
         drives.push(drive(random, first_stops, stop_s));
     }
     drives
