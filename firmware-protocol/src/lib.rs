@@ -6,7 +6,7 @@
 //! | module | what it holds |
 //! |---|---|
 //! | [`tick`], [`stroke`] | the unit of time, and what motors play |
-//! | [`array`] | which array it is: motors, carrier, rails, driver chips, limits |
+//! | [`mod@array`] | which array it is: motors, carrier, rails, driver chips, limits |
 //! | [`batch`] | strokes and amendments, packed |
 //! | [`board`] | what a device says of itself: the board report, the self-test |
 //! | [`message`], [`frame`] | messages, and their bytes on the line |
@@ -38,8 +38,8 @@
 //! ```
 //!
 //! # Time
-//! The device counts ticks of 1/85 000 s, the period of one pulse ([`tick::Tick`]). All actions are scheduled in ticks. The
-//! count starts half a minute before the 32-bit wrap at every boot. The wire carries the low 32 bits of a tick; the reader
+//! The device counts ticks ([`tick::Tick`]). A tick is the period of one pulse: 1/85 000 s at the carrier of the paper's array. All
+//! actions are scheduled in ticks. The count starts 2 550 000 ticks before the 32-bit wrap at every boot. The wire carries the low 32 bits of a tick; the reader
 //! takes them as a signed distance from its own present tick.
 //!
 //! # Frames
@@ -52,16 +52,27 @@
 //! `bad_frames`, the host by kind) and otherwise ignores them. The device also counts a `Strokes` frame whose batch cannot
 //! be read.
 //!
+//! # The array
+//! The device is built for one array. The array has 1 to 64 motors ([`array::MAX_MOTORS`]), each with its rail (the motors that share a
+//! supply) and its driver chip, in any grouping. It has a carrier of 20 000 to 200 000 Hz, and limits of its pulses
+//! ([`array::Layout`]). Times and limits in this page that depend on the array are methods of the layout. The handshake names the array
+//! ([`array::ArrayId`]): name, motors, carrier, duties, and a hash of the description that both were made from. The host ends
+//! the session if one of them is not that of its own array, and names the key and both values.
+//!
+//! A set of motors is a varint of at most 64 bits: bit m is motor m ([`array::MotorSet`]). The device ignores bits of motors that it
+//! does not have. A set of outputs is the set of their lines, then a byte for the trigger and one for the driver enable, 0 or 1.
+//!
 //! # Versions
 //! The messages of a version never change. A new, removed or moved field or variant needs a new [`frame::PROTOCOL`]:
 //! postcard cannot skip what it does not know, and an older host that cannot read a `Status` or a report would wait for it
 //! for ever. Within a version only unused bits of `features` may get a meaning.
+//! Version 7 is not released yet: its messages may still change.
 //! The device answers a frame of another version with its own `Hello`, whose first byte is its version. The host ends the
 //! session when it reads a frame of another version, and tells the user to update the firmware or the program.
 //!
 //! # Handshake
 //! The host repeats `Hello { session }`, a random number, until the device answers with its own `Hello`: firmware, boot
-//! id, motors, tick rate, pool, horizon, limits, features, clock and epoch. A new session number begins a new epoch and
+//! id, array, pool, horizon, limits, features, clock and epoch. A new session number begins a new epoch and
 //! disarms the device (`NewHost`). The same number again changes nothing. Before a `Hello` the device answers every
 //! frame with `NoSession`: it has restarted, and the host begins again.
 //!
@@ -85,7 +96,8 @@
 //! code 0:      one pulse of `width` ticks
 //! code 1..255: ten cells of `width` ticks: high | bit 0 | bit 1 | … | bit 7 | low      (1 is high; idle is low)
 //! ```
-//! A code is a serial frame (one start bit, eight data bits, one stop bit) of 85 000 / `width` baud with inverted levels. A
+//! A code is a serial frame (one start bit, eight data bits, one stop bit) with inverted levels; its rate is the carrier divided by
+//! `width`, in baud. A
 //! later mark with a trigger ends the one before.
 //!
 //! # Replacing strokes
@@ -127,7 +139,9 @@
 //! if its burst is already rendered, unknown or cut, if the count is out of limits, or if the burst would run into the next one.
 //! Amendments are neither acknowledged nor repeated.
 //!
-//! `Telemetry` comes while the device is armed, if it has that feature. It is not repeated.
+//! `Telemetry` comes while the device is armed, if it has that feature. It is not repeated. A message has at most 32 displacements, from
+//! the motor `first` on. A sample of more motors takes several messages with the same tick, in order; the host uses a sample of which it has
+//! all. The device replaces a sample of which it has sent nothing by a newer one, and sends one that it has begun to its end.
 //!
 //! `Board` asks for the device's counters: why it started, its stalls, recoveries and faults, and the least time it had left to
 //! render. That time is taken over *windows*. A request with a new number ends a window and begins the next; the answer, also to
@@ -145,7 +159,7 @@
 //!
 //! | field | bound | beyond it |
 //! |---|---|---|
-//! | `Hello`: `motors`, `tick_hz` | 24, 85 000 | the link closes: another array |
+//! | `Hello`: `array` | that of the host | the link closes: another array |
 //! | `Hello`: `tick`; `pool`, `max_up_pulses` | at most 2^56; at least 1 | contradiction `hello` |
 //! | `Hello`: `session`; `epoch`, `reports` | the host's own; any | ignored; later statuses contradict a false number |
 //! | `Hello`: others | any: for people, or not used | |
@@ -156,19 +170,19 @@
 //! | `Status`: `next_seq`, `out_of_order` | not before the last one; frames that were sent | contradiction `stream` |
 //! | `Status`: `credits` | at most `pool` | contradiction `credits` |
 //! | `Status`: `reports` | does not shrink; at most `pool` + 32 beyond the last one read, not before it | contradiction `reports` |
-//! | `Status`: `state`, `cause`, `position_known` | arms and leaves faults only after a command; returns for at most 2 s; learns positions after `arm` or a seek, and forgets them in a seek or with the cause `Output` only; a seek may be under way at the handshake | contradiction `state` |
-//! | `Status`: `outstanding` | at most 24 · 65 535 | contradiction `state` |
+//! | `Status`: `state`, `cause`, `position_known` | arms and leaves faults only after a command; returns for at most 2 s, or longer where motors of a rail with long seeks take turns; learns positions after `arm` or a seek, and forgets them in a seek or with the cause `Output` only; a seek may be under way at the handshake | contradiction `state` |
+//! | `Status`: `outstanding` | at most 65 535 for each motor | contradiction `state` |
 //! | counters of statuses and onsets | do not shrink; at most 2^62; `played` and `pulses` grow by at most a pulse per tick and line, and a stroke | contradiction `counters` |
 //! | `Report`: `number` | the next one | ignored: the device repeats what is missing |
 //! | `Verdict`, `OnsetRefused` | a frame sent and not judged; strokes of that frame, each late or refused; motors it withdraws from; a frame with a mark whose base is before `rendered` | contradiction `report` |
 //! | `Onset`: `tick` | a mark sent and not reported | contradiction `report` |
-//! | `Cut`: `flushed`, `outstanding`, `return_ticks` | at most `pool`; as in `Status`; at most 2 s | contradiction `report` |
-//! | `Refused`: `motor`, `reason` | 0 to 23; a limit on on-time, on motors at once or on pushing | contradiction `report` |
+//! | `Cut`: `flushed`, `outstanding`, `return_ticks` | at most `pool`; as in `Status`; as long as a return may take | contradiction `report` |
+//! | `Refused`: `motor`, `reason` | one of the array; a limit on on-time, on motors at once or on pushing | contradiction `report` |
 //! | `Board`: `window` | the newest request | ignored: an answer to one before |
 //! | `Board`: `slack`, `slack_since_boot` | at most `horizon`; the second does not grow, and is not above the first | contradiction `board` |
 //! | `Board`: counters; `reset`, `high_at_boot` | do not shrink in a session; do not change in it; outputs there are | contradiction `board` |
 //! | `SelfTest`: `run`; masks and pairs of outputs | the one asked for; outputs there are | ignored; contradiction `board` |
-//! | `Telemetry` | only with that feature; any displacement: the monitor of each motor judges it | contradiction `telemetry` |
+//! | `Telemetry` | only with that feature, of motors of the array; any displacement: the monitor of each motor judges it | contradiction `telemetry` |
 //! | answer to a `Control`, a report announced, the report of an onset | within 3 s; 3 s; 5 s after the play's end | the link closes |
 //!
 //! The host ignores a *contradiction* as a whole, counts it by kind, and asks for another status at once. So a single false
@@ -184,7 +198,7 @@
 //! it begins before the rendered end, or before the drivers are ready.
 //!
 //! It enables the drivers around bursts only, because an enabled driver without pulses has DC on its piezo. They are on from
-//! [`controller::DRIVER_LEAD`] before the first pulse of any line to [`controller::DRIVER_TAIL`] after the last, and off in each
+//! [`array::Layout::driver_lead`] before the first pulse of any line to [`controller::DRIVER_TAIL`] after the last, and off in each
 //! pause of all lines that is longer than both. They are *ready* once they have been on for the lead. So while they are off, a
 //! stroke is late unless it begins a lead after the rendered end, and a return begins by as much later. `horizon` in the
 //! handshake is the sum of the render horizon and the lead.
@@ -230,14 +244,14 @@
 //!
 //! A seek must reach the stop, because the controller takes all pins to be there afterwards. A pin is above rest by the net
 //! pulses of its moves and its outstanding return pulses. The controller refuses (`Travel`) a seek shorter than
-//! [`limits::least_seek`] of the highest pin: half as many pulses again, at most [`limits::WHOLE_TRAVEL`]. Where the position is
-//! unknown, a seek takes at least `WHOLE_TRAVEL`. A seek is a return: a stop, a silent host or a lost link do not cut it short,
+//! [`array::Layout::least_seek`] of the highest pin: half as many pulses again, at most [`array::Layout::whole_travel`]. Where the
+//! position is unknown, a seek takes at least the whole travel. A seek is a return: a stop, a silent host or a lost link do not cut it short,
 //! and on-time limits do not refuse it, but it counts. An e-stop cuts it, and then the position is unknown.
 //!
 //! A move down takes a pin to the stop and no further: its travel ends at 0, and the pulses left push.
 //!
 //! To bound wear and heat, no motor may push more than `pulses_per_s` pulses in a sliding second against the stop, and never more
-//! than [`limits::MAX_PUSHES_PER_S`]: surplus, seeks and moves together. An up burst that an amendment makes shorter
+//! than [`array::Layout::max_pushes_per_s`]: surplus, seeks and moves together. An up burst that an amendment makes shorter
 //! leaves more pulses to push, and they count. A surplus that an e-stop leaves outstanding counts when it is returned.
 //!
 //! # Limits
@@ -249,17 +263,18 @@
 //! breaks a limit.
 //!
 //! # Motors at once
-//! Six motors share a rail, and motors 2c and 2c + 1 a driver chip. `arm` may limit how many motors of each have pulses in the
+//! Motors share rails and driver chips, as the layout says. `arm` may limit how many motors of each have pulses in the
 //! same tick ([`limits::PowerLimits`]). The controller refuses a stroke whole when it begins (`RailAtOnce`, `ChipAtOnce`) if, in
 //! some tick of its two bursts, the motors whose strokes have begun before it use up the limit. Among strokes that begin in the
 //! same tick, the stroke of the motor with the lower number begins first. So the limit holds in every tick, whatever is amended,
 //! replaced or cut.
 //!
 //! The controller never refuses a return or a seek. Its bursts take turns in each rail, without a pause between them, in this
-//! order: bursts that run at the cut; the lower motor of each chip without such a burst; the other motors of chips that have one;
-//! the rest; each group by the motors' numbers. A rail has as many places as motors may have pulses at once. A burst takes the
-//! place that becomes free first. If the motors of a chip may not have pulses together, it also waits for the burst before it in
-//! its chip. So a return takes at most [`limits::PowerLimits::turns`] times its longest burst.
+//! order: bursts that run at the cut; then those with no other motor of their chip before them, those with one, and so on; among
+//! these first those of chips with a burst that runs, then those of chips with more motors, then by the motors' numbers. Before a motor are
+//! the motors of its chip whose bursts run, and those that wait and have a lower number. A rail has as many places as motors may have
+//! pulses at once, and so has a chip. A burst takes the place of its rail that becomes free first, and waits until its chip has one.
+//! So a return takes at most [`array::Layout::turns`] times its longest burst.
 
 #![no_std]
 #![forbid(unsafe_code)]

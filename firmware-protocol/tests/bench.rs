@@ -4,7 +4,7 @@
 //! controller in the tick `now`, whose lines are already out (except in [`MOCK`]). In each tick it checks the driver enable, and counts
 //! the motors of each rail and chip that have pulses at once.
 
-use firmware_protocol::array::{Layout, MotorSet};
+use firmware_protocol::array::{ArrayId, Layout, MotorSet, Name};
 use firmware_protocol::batch::{Amendment, BATCH_BYTES, Packer};
 use firmware_protocol::controller::{BLOCK, Controller, DRIVER_TAIL, HORIZON, Identity, REORDER_WINDOW, Run};
 use firmware_protocol::frame::{Decoder, MAX_FRAME, encode};
@@ -15,6 +15,7 @@ use firmware_protocol::message::{
 };
 use firmware_protocol::stroke::{Burst, Direction, Line, Lines, Stroke};
 use firmware_protocol::tick::Tick;
+use proptest::prelude::*;
 use serde::Serialize;
 use std::collections::VecDeque;
 
@@ -23,15 +24,50 @@ pub(crate) const PAPER: Layout = Layout::PAPER;
 pub(crate) const MOTORS: usize = PAPER.motors();
 pub(crate) const TICK_HZ: u32 = PAPER.tick_hz();
 pub(crate) const NO_LIMITS: PowerLimits = PAPER.no_limits();
-pub(crate) const MOTORS_PER_RAIL: usize = PAPER.motors_per_rail() as usize;
-pub(crate) const MOTORS_PER_CHIP: usize = PAPER.motors_per_chip() as usize;
+
+
 pub(crate) const MAX_PUSHES_PER_S: u32 = PAPER.max_pushes_per_s();
-pub(crate) const MAX_DOWN_PULSES: u16 = PAPER.max_down_pulses();
-pub(crate) const MAX_TRAVEL: u16 = PAPER.max_travel();
+
+
 pub(crate) const WHOLE_TRAVEL: u16 = PAPER.whole_travel();
 pub(crate) const MAX_SEEK: u16 = PAPER.max_seek();
 pub(crate) const LEAST_APART: u64 = PAPER.least_apart() as u64;
 pub(crate) const PULSE: Trigger = PAPER.trigger_pulse();
+
+/// A layout with these groups.
+const fn layout(name: &str, tick_hz: u32, rails: &[u8], chips: &[u8], most_pulses: u16) -> Layout {
+    let Some(name) = Name::new(name) else { panic!("a name") };
+    let id = ArrayId { name, motors: rails.len() as u8, tick_hz, duty_up: 250, duty_down: 750, hash: 1 };
+    match Layout::new(id, rails, chips, most_pulses, 17_000) {
+        Ok(layout) => layout,
+        Err(_) => panic!("a layout"),
+    }
+}
+
+/// For each motor its number divided by `by`.
+const fn grouped<const N: usize>(by: usize) -> [u8; N] {
+    let (mut groups, mut motor) = ([0; N], 0);
+    while motor < N {
+        groups[motor] = (motor / by) as u8;
+        motor += 1;
+    }
+    groups
+}
+
+/// Arrays of several sizes and carriers: the paper's; one supply; groups of all sizes, with gaps in their numbers and motors in no order;
+/// a chip on two rails; as many motors as there may be.
+pub(crate) const LAYOUTS: [Layout; 6] = [
+    PAPER,
+    layout("two-by-three", 20_000, &[0; 6], &grouped::<6>(2), 3_000),
+    layout("three-by-three", 70_000, &[0, 7, 0, 7, 0, 7, 7, 0, 7], &[1, 9, 1, 9, 1, 63, 9, 4, 63], 500),
+    layout("across", 50_001, &[0, 1, 0, 1, 0], &[0, 0, 0, 1, 1], 3_000),
+    layout("six-by-four", 70_000, &grouped::<24>(6), &grouped::<24>(2), 3_000),
+    layout("eight-by-eight", 200_000, &grouped::<64>(8), &grouped::<64>(3), 3_000),
+];
+
+pub(crate) fn layouts() -> impl Strategy<Value = Layout> {
+    prop::sample::select(LAYOUTS.to_vec())
+}
 
 /// How a shell renders: blocks of `block` ticks, up to `ahead` ticks from now.
 #[derive(Clone, Copy, Debug)]

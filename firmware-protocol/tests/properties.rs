@@ -1,7 +1,7 @@
 //! Random requests, faults and noise in any order: every pulse belongs to a stroke, and every pulse is counted.
 
-use crate::bench::{FIRMWARE, HOST_TIMEOUT, MAX_DOWN_PULSES, MAX_TRAVEL, MOCK, MOTORS, NO_LIMITS, STOP, TIGHT, WHOLE_TRAVEL, Bench, Shell, arm, frame, pack, stroke};
-use firmware_protocol::array::MotorSet;
+use crate::bench::{Bench, FIRMWARE, HOST_TIMEOUT, MOCK, NO_LIMITS, STOP, Shell, TIGHT, WHOLE_TRAVEL, arm, frame, layouts, pack, stroke};
+use firmware_protocol::array::{Layout, MotorSet};
 use firmware_protocol::controller::POOL;
 use firmware_protocol::limits::PowerLimits;
 use firmware_protocol::message::{
@@ -91,7 +91,7 @@ enum Op {
 fn sent(surplus: bool) -> impl Strategy<Value = Sent> {
     let pulses = prop_oneof![8 => 1u16..60, 1 => 2_900u16..3_002];
     let correction = if surplus { 0..4i8 } else { 0..1i8 };
-    (0u8..26, 0u16..120, pulses, 0u16..100, correction)
+    (0u8..64, 0u16..120, pulses, 0u16..100, correction)
         .prop_map(|(motor, after, pulses, hold, correction)| Sent { motor, after, pulses, hold, correction })
 }
 
@@ -103,7 +103,7 @@ fn mark() -> impl Strategy<Value = Option<Mark>> {
 }
 
 fn withdraw() -> impl Strategy<Value = Option<Withdraw>> {
-    let motors = prop_oneof![any::<u64>(), Just(u64::MAX), (0..26).prop_map(|motor| 1_u64 << motor)];
+    let motors = prop_oneof![any::<u64>(), Just(u64::MAX), (0..64).prop_map(|motor| 1_u64 << motor)];
     prop::option::of((motors, 0u16..6).prop_map(|(motors, generation)| Withdraw { motors: MotorSet::from_bits(motors), generation }))
 }
 
@@ -176,8 +176,8 @@ struct World {
 }
 
 impl World {
-    fn new(shell: Shell, limits: PowerLimits) -> Self {
-        let mut bench = Bench::new(shell);
+    fn new(shell: Shell, layout: Layout, limits: PowerLimits) -> Self {
+        let mut bench = Bench::of(shell, layout, Tick::BOOT);
         bench.hello(1);
         bench.control(arm(true, HOST_TIMEOUT, limits));
         Self {
@@ -206,6 +206,8 @@ impl World {
     fn send(&mut self, bytes: Vec<u8>) {
         let (before, counted) = (self.credits(), self.bench.device.counters());
         self.bench.bytes(&bytes);
+        // A frame may be next in order now that was buffered before; its strokes count here, too.
+        self.bench.follow();
         if let (Some(before), Some(after)) = (before, self.credits()) {
             let counters = self.bench.device.counters();
             let replaced = (counters.replaced - counted.replaced) / 2;
@@ -261,20 +263,23 @@ impl World {
                 if idle && bench.device.state() == State::Returning {
                     bench.settle();
                     self.sought += 1;
-                    for motor in 0..MOTORS as u8 {
+                    for motor in 0..bench.layout().motors() as u8 {
                         assert_eq!(bench.above_stop(motor), 0, "motor {motor} after {pulses} pulses");
                     }
                 }
             }
             Op::Strokes { mark, withdraw, from, strokes } => {
                 let base = bench.device.rendered().0.wrapping_add_signed(from.into());
+                // Some have motors that the array does not have.
+                let motors = bench.layout().motors() as u8;
+                let motor = |number: u8| (number % (motors + 2)).min(63);
                 let mut up = base;
                 let strokes: Vec<Stroke> = strokes
                     .iter()
                     .map(|sent| {
                         up += u64::from(sent.after);
                         let down = sent.pulses.saturating_add_signed(sent.correction.into());
-                        stroke(sent.motor, up, sent.pulses, sent.hold.into(), down)
+                        stroke(motor(sent.motor), up, sent.pulses, sent.hold.into(), down)
                     })
                     .collect();
                 let batch = pack(base, &strokes);
@@ -380,8 +385,8 @@ fn config(cases: u32) -> ProptestConfig {
 #[test]
 fn every_seek_reaches_the_stop() {
     let sought = Cell::new(0);
-    proptest!(config(400), |(shell in shells(), limits in limits(), ops in prop::collection::vec(with_seeks(), 1..60))| {
-        let mut world = World::new(shell, limits);
+    proptest!(config(400), |(shell in shells(), layout in layouts(), limits in limits(), ops in prop::collection::vec(with_seeks(), 1..60))| {
+        let mut world = World::new(shell, layout, limits);
         for op in ops {
             world.apply(op);
         }
@@ -396,17 +401,17 @@ proptest! {
 
     /// With balanced strokes, without moves and `assume_rest`: a pin's outstanding pulses equal its height.
     #[test]
-    fn every_pin_returns(shell in shells(), limits in limits(), ops in prop::collection::vec(tame(false), 1..80)) {
-        let mut world = World::new(shell, limits);
+    fn every_pin_returns(shell in shells(), layout in layouts(), limits in limits(), ops in prop::collection::vec(tame(false), 1..80)) {
+        let mut world = World::new(shell, layout, limits);
         for op in ops {
             world.apply(op);
             let state = world.bench.device.state();
-            let out = (0..MOTORS as u8).filter(|&motor| world.bench.net(motor) != i64::from(world.bench.device.outstanding(motor)));
+            let out = (0..layout.motors() as u8).filter(|&motor| world.bench.net(motor) != i64::from(world.bench.device.outstanding(motor)));
             // Faulted or disarmed, nothing is played.
             prop_assert!(matches!(state, State::Armed | State::Returning) || out.count() == 0, "{state:?}");
         }
         world.end(false);
-        for motor in 0..MOTORS as u8 {
+        for motor in 0..layout.motors() as u8 {
             prop_assert_eq!(world.bench.net(motor), i64::from(world.bench.device.outstanding(motor)));
             for burst in world.bench.bursts(motor) {
                 prop_assert!(burst.pulses <= 3_000);
@@ -416,10 +421,10 @@ proptest! {
 
     /// All requests: corrected, amended, moved and malformed.
     #[test]
-    fn wild_requests_break_no_limit_and_no_account(shell in shells(), limits in limits(), ops in prop::collection::vec(wild(), 1..80)) {
-        let mut world = World::new(shell, limits);
+    fn wild_requests_break_no_limit_and_no_account(shell in shells(), layout in layouts(), limits in limits(), ops in prop::collection::vec(wild(), 1..80)) {
+        let mut world = World::new(shell, layout, limits);
         let moves = ops.iter().any(|op| matches!(op, Op::Move { .. } | Op::Arm { assume_rest: true, .. }));
-        let moved = if moves { 4 * MAX_TRAVEL } else { 0 };
+        let moved = if moves { 4 * layout.max_travel() } else { 0 };
         for op in ops {
             let (state, total) = (world.bench.device.state(), world.bench.total());
             let running = matches!(op, Op::Run(_) | Op::Pause);
@@ -430,9 +435,9 @@ proptest! {
             }
         }
         world.end(moves);
-        for motor in 0..MOTORS as u8 {
+        for motor in 0..layout.motors() as u8 {
             for burst in world.bench.bursts(motor) {
-                prop_assert!(burst.pulses <= MAX_DOWN_PULSES + moved);
+                prop_assert!(burst.pulses <= layout.max_down_pulses() + moved);
             }
         }
     }

@@ -54,6 +54,13 @@ pub(crate) fn exact(tick_hz: u32, duty: [u16; 2]) -> Result<Clock, String> {
         let [up, down] = [up, down].map(|share| f64::from(share) / 1e3);
         nearest.push(format!("the nearest duties at this carrier are {up} and {down}"));
     }
+    if nearest.is_empty() {
+        let other = duties_near(duty).into_iter().find_map(|duty| Some((nearest_carrier(tick_hz, duty)?, duty)));
+        if let Some((carrier, duty)) = other {
+            let [up, down] = duty.map(|share| f64::from(share) / 1e3);
+            nearest.push(format!("the nearest is {carrier} Hz with duties of {up} and {down}"));
+        }
+    }
     if !nearest.is_empty() {
         line += ": ";
         line += &nearest.join("; ");
@@ -161,6 +168,11 @@ fn nearest_carrier(tick_hz: u64, duty: [u16; 2]) -> Option<u64> {
 }
 
 fn nearest_duties(tick_hz: u64, duty: [u16; 2]) -> Option<[u16; 2]> {
+    duties_near(duty).into_iter().find(|&duty| find(tick_hz, duty).is_some())
+}
+
+/// All duties that some tick has, the nearest first.
+fn duties_near(duty: [u16; 2]) -> Vec<[u16; 2]> {
     let mut all = Vec::new();
     for length in 4..=4 * WORD {
         for up in 1..=WORD.min(length - 1) {
@@ -174,5 +186,5 @@ fn nearest_duties(tick_hz: u64, duty: [u16; 2]) -> Option<[u16; 2]> {
     }
     all.sort_by_key(|&[up, down]| (up.abs_diff(duty[0]) + down.abs_diff(duty[1]), up, down));
     all.dedup();
-    all.into_iter().find(|&duty| find(tick_hz, duty).is_some())
+    all
 }

@@ -26,7 +26,7 @@ fn unpack_strokes(base: Tick, bytes: &[u8]) {
     let mut read: [Option<Stroke>; MAX_BATCH] = [None; MAX_BATCH];
     for (count, item) in list.by_ref().enumerate() {
         let Ok(stroke) = item else { break };
-        assert!(stroke.motor < 32);
+        assert!(stroke.motor < 64);
         assert!(stroke.down >= stroke.up + u64::from(stroke.up_pulses), "bursts in order");
         if count < MAX_BATCH && packer.stroke(&stroke).is_ok() {
             read[count] = Some(stroke);
@@ -49,7 +49,7 @@ fn unpack_amendments(base: Tick, bytes: &[u8]) {
     let mut read: [Option<Amendment>; MAX_BATCH] = [None; MAX_BATCH];
     for (count, item) in list.by_ref().enumerate() {
         let Ok(amendment) = item else { break };
-        assert!(amendment.motor < 32);
+        assert!(amendment.motor < 64);
         if count < MAX_BATCH && packer.amendment(&amendment).is_ok() {
             read[count] = Some(amendment);
         }

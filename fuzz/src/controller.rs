@@ -179,7 +179,7 @@ impl World {
                 let now = Tick(self.shell.now);
                 match byte(input) % 2 {
                     0 => self.shell.device.open_session(now, (byte(input) % 3).into()),
-                    _ => self.shell.device.telemetry(now, [i32::MIN; MOTORS]),
+                    _ => self.shell.device.telemetry(now, &[i32::MIN; MOTORS]),
                 }
                 self.shell.after_event();
             }

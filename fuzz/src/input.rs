@@ -4,6 +4,7 @@
 //! end they give zeros.
 
 use arbitrary::Unstructured;
+use firmware_protocol::array::MotorSet;
 use firmware_protocol::limits::PowerLimits;
 use firmware_protocol::message::{Cause, LowerStop, Mark, MarkKind, Op, Trigger, Withdraw};
 use firmware_protocol::stroke::Direction;
@@ -69,9 +70,9 @@ pub fn mark(input: &mut Unstructured<'_>) -> Option<Mark> {
 /// What a frame withdraws, if it does.
 pub fn withdraw(input: &mut Unstructured<'_>) -> Option<Withdraw> {
     let motors = match byte(input) % 8 {
-        0 => long(input),
-        1 => u32::MAX,
-        2 | 3 => 1 << (byte(input) % 26),
+        0 => MotorSet::from_bits(long(input).into()),
+        1 => MotorSet::from_bits(u64::MAX),
+        2 | 3 => MotorSet::from_bits(1 << (byte(input) % 26)),
         _ => return None,
     };
     Some(Withdraw { motors, generation: (byte(input) % 6).into() })

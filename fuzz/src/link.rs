@@ -4,6 +4,7 @@
 
 use crate::input::{byte, cause, chunk, long, word};
 use arbitrary::Unstructured;
+use firmware_protocol::array::Layout;
 use firmware_protocol::controller::{Controller, Identity, newer};
 use firmware_protocol::frame::{Decoder, FrameError, MAX_FRAME};
 use firmware_protocol::limits::PowerLimits;
@@ -106,8 +107,8 @@ pub fn run(data: &[u8]) {
     let mut input = Unstructured::new(data);
     let how = byte(&mut input);
     let rate = [LineRate(100_000), LineRate(11_520), LineRate::USB_FULL_SPEED][usize::from(how & 3).min(2)];
-    let session = Session::new(7, rate, HostInstant::from_ns(0));
-    let device = Controller::new(Identity::default());
+    let session = Session::new(7, rate, Layout::PAPER, HostInstant::from_ns(0));
+    let device = Controller::new(Identity::default(), Layout::PAPER);
     let mut pair = Pair { session, device, ticks: 0, events: Vec::new() };
     // Some inputs begin after the link probe.
     for _ in 0..40 {

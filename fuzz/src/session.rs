@@ -5,15 +5,16 @@
 
 use crate::input::{Raw, arm, byte, cause, chunk, direction, flag, long, one_of, word};
 use arbitrary::Unstructured;
+use firmware_protocol::array::{Layout, MotorSet};
 use firmware_protocol::batch::Amendment;
-use firmware_protocol::board::{Board, Reset, SelfTest, SelfTestState};
+use firmware_protocol::board::{Outputs, Board, Reset, SelfTest, SelfTestState};
 use firmware_protocol::frame::{self, Decoder, MAX_FRAME};
 use firmware_protocol::limits::{PowerLimits, Refusal};
-use firmware_protocol::message::{
+use firmware_protocol::message::{Samples, 
     Cause, Counters, Cut, DeviceHello, DeviceMessage, HostMessage, Op, Report, State, Status, Trigger,
 };
 use firmware_protocol::stroke::{MOTORS, Stroke};
-use firmware_protocol::tick::{TICK_HZ, Tick};
+use firmware_protocol::tick::Tick;
 use meissner_stream::link::{Budget, Contradictions, Event, LineRate, LostReason, Session, Verdict};
 use meissner_stream::time::HostInstant;
 use serde::Serialize;
@@ -64,7 +65,7 @@ pub fn run(data: &[u8]) {
     };
     let device = Device { status, reports: 0, window: 0, run: 0, decoder: Decoder::new() };
     let mut world = World {
-        session: Session::new(SESSION, rate, HostInstant::from_ns(0)),
+        session: Session::new(SESSION, rate, Layout::PAPER, HostInstant::from_ns(0)),
         device,
         ns: 0,
         pushed: Vec::new(),
@@ -216,8 +217,7 @@ impl World {
             firmware: [0, 1, 0],
             build: [0; 4],
             boot: 9,
-            motors: MOTORS as u8,
-            tick_hz: TICK_HZ,
+            array: *Layout::PAPER.id(),
             pool: 512,
             horizon: 107,
             max_up_pulses: 3_000,
@@ -237,8 +237,8 @@ impl World {
             6 => hello.max_up_pulses = word(input),
             7 => hello.reports = word(input),
             8 => hello.epoch = word(input),
-            9 => hello.motors = byte(input),
-            10 => hello.tick_hz = long(input),
+            9 => hello.array.motors = byte(input),
+            10 => hello.array.tick_hz = long(input),
             _ => {}
         }
         self.say(&DeviceMessage::Hello(hello));
@@ -305,7 +305,7 @@ impl World {
                 seq,
                 late: u64::from(long(input)),
                 refused: u64::from(long(input)),
-                kept: long(input),
+                kept: MotorSet::from_bits(long(input).into()),
                 reason: one_of(input, [None, Some(Refusal::PoolFull), Some(Refusal::Malformed)]),
                 rendered,
             },
@@ -348,7 +348,7 @@ impl World {
             stalls: count(input),
             usb_recoveries: count(input),
             output_faults: long(input),
-            high_at_boot: count(input),
+            high_at_boot: count(input).map(|lines| Outputs { lines: MotorSet::from_bits(lines.into()), ..Outputs::NONE }),
         };
         self.say(&DeviceMessage::Board(board));
     }
@@ -365,7 +365,8 @@ impl World {
             10..=12 => self.report(input),
             13 => self.say(&DeviceMessage::Telemetry {
                 tick: Tick(self.tick().0.wrapping_sub(word(input).into())).wire(),
-                y: [long(input).cast_signed(); MOTORS],
+                first: byte(input) % 4 * 8,
+                y: Samples::of(&[long(input).cast_signed(); MOTORS][..usize::from(byte(input) % 4) * 8]),
             }),
             14 => self.board(input),
             15 => {
@@ -403,7 +404,8 @@ impl World {
             25 => {
                 self.session.seal();
                 if self.session.has_room() {
-                    self.session.replace(self.last, long(input), long(input));
+                    let motors = |input: &mut Unstructured<'_>| MotorSet::from_bits(long(input).into());
+                    self.session.replace(self.last, motors(input), motors(input));
                 }
             }
             26 => self.session.command(match byte(input) % 6 {

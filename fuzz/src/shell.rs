@@ -3,6 +3,7 @@
 //! It renders in blocks and holds the lines low while `forced_off`. Only [`Shell::run`] moves time. An event reaches the
 //! controller in the tick `now`, whose lines are already out. It plays runs of ticks, not single ones, to be fast.
 
+use firmware_protocol::array::Layout;
 use firmware_protocol::controller::{
     BLOCK, Controller, DRIVER_LEAD, DRIVER_TAIL, HORIZON, Identity, Run, newer,
 };
@@ -66,7 +67,7 @@ impl Shell {
     pub fn new(tight: bool, start: Tick) -> Self {
         let (ahead, block) = if tight { (1, 1) } else { (HORIZON.into(), BLOCK.into()) };
         let mut shell = Self {
-            device: Controller::starting_at(Identity { boot: 7, ..Identity::default() }, start),
+            device: Controller::starting_at(Identity { boot: 7, ..Identity::default() }, Layout::PAPER, start),
             now: start.0,
             start: start.0,
             ahead,
@@ -100,8 +101,9 @@ impl Shell {
             let taken_back = counters.refused + counters.replaced + counters.dropped;
             let refuses = taken_back > std::mem::replace(&mut self.taken_back, taken_back);
             assert!(run.ticks > 0, "rendering makes progress");
-            assert_eq!(run.lines.up & run.lines.down, 0, "a line in both masks");
-            assert_eq!((run.lines.up | run.lines.down) >> MOTORS, 0, "a line that does not exist");
+            assert!((run.lines.up & run.lines.down).is_empty(), "a line in both sets");
+            let all = self.device.layout().all();
+            assert!(run.lines.pulsing().without(all).is_empty(), "a line that does not exist");
             self.runs.push_back((run, refuses));
         }
         assert!(self.device.rendered() - Tick(self.now) <= u64::from(HORIZON));
@@ -135,7 +137,7 @@ impl Shell {
         let state = self.device.state();
         assert!(matches!(state, State::Armed | State::Returning), "a pulse while {state:?} at {at}");
         let PowerLimits { rail_at_once, chip_at_once, .. } = self.device.limits();
-        let mut left = lines.up | lines.down;
+        let mut left = lines.pulsing().bits();
         for (motors, limit) in [(MOTORS_PER_RAIL, rail_at_once), (MOTORS_PER_CHIP, chip_at_once)] {
             for first in (0..MOTORS).step_by(motors) {
                 let at_once = (left >> first & ((1 << motors) - 1)).count_ones();
@@ -146,7 +148,7 @@ impl Shell {
         while left != 0 {
             let motor = left.trailing_zeros() as usize;
             left &= left - 1;
-            let up = lines.up >> motor & 1 == 1;
+            let up = lines.up.contains(motor as u8);
             self.net[motor] += if up { ticks.cast_signed() } else { -ticks.cast_signed() };
             let burst = &mut self.bursts[motor];
             if burst.end != at || burst.up != up {
