@@ -191,6 +191,24 @@ fn the_doctor_warns_that_a_device_without_telemetry_drifts() {
 }
 
 #[test]
+fn a_board_for_another_array_is_refused_with_the_key_that_differs() {
+    for (name, says) in [
+        (
+            "ubi-pen-3x3",
+            "the device is built for another array: name is ubi-pen-3x3, this array (tula35-6x4) has tula35-6x4",
+        ),
+        ("simulated-8x8", "name is simulated-8x8"),
+    ] {
+        let array = Array::named(name).unwrap();
+        let mock = WallMock::new(array, &SimulatedMotorsConfig::default(), HostInstant::now()).unwrap();
+        let board = PtyMock::spawn(mock).unwrap();
+        let daemon = Daemon::without_device(&format!("serial:{}", board.path().display()));
+        let line = daemon.wait_for_log("another array");
+        assert!(line.contains(says), "{line}");
+    }
+}
+
+#[test]
 fn a_port_has_one_user() {
     let board = board();
     let name = format!("serial:{}", board.path().display());

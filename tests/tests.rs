@@ -5,6 +5,10 @@
 mod api;
 /// The architecture page against the tree; no circles of imports.
 mod architecture;
+/// The numbers of the paper's array are in its description only.
+mod array_literals;
+/// Other arrays: each shipped one, one of a site's own, and what is for another array.
+mod arrays;
 /// Mistakes in files, commands and requests: refused in one line with place and remedy; nothing moves.
 mod bad_input;
 /// Boards: found, missing, in use, or something else; the doctor's report about them.

@@ -32,7 +32,7 @@ fn every_key_is_read() {
     let limits = PowerLimits {
         motor: 40_000,
         rail: 90_000,
-        ..meissner_array::spec::Array::paper().layout().no_limits()
+        ..Array::paper().layout().no_limits()
     };
     assert_eq!(
         config.settings,
@@ -54,7 +54,7 @@ fn every_key_is_read() {
         PowerLimits {
             rail_at_once: 3,
             chip_at_once: 1,
-            ..meissner_array::spec::Array::paper().layout().no_limits()
+            ..Array::paper().layout().no_limits()
         }
     );
     let with_stop = parse(stop).unwrap();

@@ -1,7 +1,7 @@
 //! Receipts made from events: of plays, devices, and losses.
 
 use super::*;
-use firmware_protocol::limits::{PowerLimits, Refusal};
+use firmware_protocol::limits::Refusal;
 use firmware_protocol::message::Cause;
 use meissner_api::{EndCause, ErrorSource, LateCause};
 use meissner_array::pattern::Pattern;

@@ -1,0 +1,118 @@
+//! The numbers of the paper's array are in its description and in tests, and nowhere else.
+
+use std::collections::BTreeSet;
+use std::fs;
+use std::path::{Path, PathBuf};
+
+/// Motors, their highest number, pitch in mm, carrier, window in ms and in half ticks, speed in mm/s.
+const NUMBERS: [&str; 8] = ["24", "23", "2.9", "85000", "4.3", "731", "11.5", "170000"];
+
+/// The same digits with another meaning, by file and number.
+const OTHERS: &[(&str, &str, &str)] = &[
+    ("crates/api/src/array.rs", "2.9", "the example of an array in the API's document"),
+    ("crates/api/src/array.rs", "85000", "as above"),
+    ("crates/api/src/array.rs", "4.3", "as above"),
+    ("crates/api/src/array.rs", "11.5", "as above"),
+    ("crates/api/src/status.rs", "85000", "the example of a status"),
+    (
+        "crates/api/src/receipt.rs",
+        "85000",
+        "the example of a receipt, and receipts from before arrays had names",
+    ),
+    ("crates/api/src/receipt.rs", "11.5", "bytes per burst in the example"),
+    ("crates/api/src/receipt.rs", "24", "drives and strokes that a receipt lists"),
+    ("crates/design/src/render/climb.rs", "24", "rounds of a climb"),
+    ("crates/design/src/search.rs", "24", "candidates that are confirmed"),
+    ("crates/design/src/target/checked.rs", "24", "the length of the finger's pad, mm"),
+    ("crates/design/src/target/file.rs", "24", "as above"),
+    ("crates/report/src/figures/amplitude.rs", "23", "frequencies of the figure"),
+    ("crates/report/src/figures/table.rs", "24", "rows that a table shows"),
+    ("crates/report/src/sweep.rs", "24", "labels of an axis"),
+    ("crates/report/src/validate/measure.rs", "24", "a range of samples"),
+    ("crates/skin/src/afferents/noise.rs", "23", "bits of a number"),
+    ("crates/stream/src/bandwidth.rs", "24", "bytes around a frame"),
+    ("crates/stream/src/diagnostics.rs", "24", "points of a line fit"),
+    ("crates/sweep/src/estimate.rs", "24", "samples of an estimate"),
+    ("crates/sweep/src/merge/summary.rs", "24", "fronts that a summary lists"),
+    ("crates/sweep/src/plan/cells.rs", "24", "trials"),
+    ("firmware-protocol/src/array.rs", "24", "lines of a Pico"),
+    ("firmware/src/board.rs", "24", "lines of a Pico"),
+    ("firmware/src/cable.rs", "24", "a bit of a register"),
+    ("firmware/src/wave.rs", "24", "a bit of a register"),
+    ("src/cli/discriminate.rs", "24", "trials"),
+    ("src/daemon/engine/estop.rs", "24", "a bit of an address"),
+    ("src/daemon/page/assets/finger.js", "24", "the edge of the drawing"),
+    ("python/src/meissner/_live.py", "24", "messages without an answer"),
+];
+
+#[test]
+fn the_papers_numbers_are_in_its_description_only() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let mut found = BTreeSet::new();
+    let mut files = Vec::new();
+    for folder in ["src", "crates", "firmware-protocol/src", "firmware/src", "python/src"] {
+        list(&root.join(folder), &mut files);
+    }
+    assert!(files.len() > 400, "{}", files.len());
+    for file in files {
+        let name = file.strip_prefix(root).unwrap().to_string_lossy().into_owned();
+        if name.contains("/tests/") || name.ends_with("/tests.rs") || name.ends_with("test.js") {
+            continue;
+        }
+        let text = fs::read_to_string(&file).unwrap();
+        let comment = if name.ends_with(".py") { "#" } else { "//" };
+        for (line, number) in product(&text).lines().zip(1..) {
+            let code = line.split(comment).next().unwrap_or_default();
+            for literal in literals(code).filter(|literal| NUMBERS.contains(&literal.as_str())) {
+                found.insert((name.clone(), literal, number));
+            }
+        }
+    }
+    let allowed = |name: &str, literal: &str| {
+        OTHERS.iter().any(|(file, number, _)| (*file, *number) == (name, literal))
+    };
+    let wrong: Vec<_> = found.iter().filter(|(name, literal, _)| !allowed(name, literal)).collect();
+    assert!(wrong.is_empty(), "the array's description has these numbers: {wrong:#?}");
+    for (file, number, why) in OTHERS {
+        let is_used =
+            found.iter().any(|(name, literal, _)| (name.as_str(), literal.as_str()) == (*file, *number));
+        assert!(is_used, "{file} has no {number} any more ({why}): remove its row");
+    }
+}
+
+/// The source files of a folder.
+fn list(folder: &Path, files: &mut Vec<PathBuf>) {
+    for entry in fs::read_dir(folder).unwrap() {
+        let path = entry.unwrap().path();
+        if path.is_dir() {
+            list(&path, files);
+        } else if path
+            .extension()
+            .is_some_and(|extension| ["rs", "js", "py"].iter().any(|kind| extension == *kind))
+        {
+            files.push(path);
+        }
+    }
+}
+
+/// A text without its unit tests, which stand at the end of a file.
+fn product(text: &str) -> &str {
+    let tests = text.match_indices("#[cfg(test)]\n").map(|(at, _)| at);
+    let module = |at: &usize| {
+        text[*at..].lines().nth(1).is_some_and(|line| line.contains("mod ") && line.ends_with('{'))
+    };
+    &text[..tests.filter(module).next().unwrap_or(text.len())]
+}
+
+/// The numbers of a line of code, without underscores and types.
+fn literals(code: &str) -> impl Iterator<Item = String> {
+    let is_part = |c: char| c.is_ascii_alphanumeric() || c == '_' || c == '.';
+    code.split(move |c| !is_part(c)).filter(|word| word.starts_with(|c: char| c.is_ascii_digit())).map(
+        |word| {
+            let word = word.replace('_', "");
+            let end = word.find(|c: char| c.is_ascii_alphabetic()).unwrap_or(word.len());
+            let number = word[..end].trim_end_matches('.');
+            number.strip_suffix(".0").unwrap_or(number).to_owned()
+        },
+    )
+}

@@ -1,0 +1,171 @@
+//! Other arrays: each shipped one and one of a site's own plays; what is for another array is refused in one line.
+
+use crate::harness::{
+    Daemon, PATIENT, complaint, directory, document, ended, meissner, printed, problem, ran,
+};
+use meissner_api::{ArrayDetails, Receipt, Status};
+use meissner_array::spec::{Array, names};
+use serde_json::{Value, json};
+use std::fs;
+
+/// A daemon with the simulated array of this description.
+fn with_array(description: &str) -> Daemon {
+    Daemon::with("mock", &format!("{PATIENT}[array]\ndescription = \"{description}\"\n"))
+}
+
+#[test]
+fn each_shipped_array_plays_its_own_patterns_and_maps_those_of_others() {
+    for name in names().into_iter().filter(|name| name.contains('x')) {
+        let array = Array::named(name).unwrap();
+        let daemon = with_array(name);
+        let mut client = daemon.armed();
+        let details: ArrayDetails = client.get("/v1/array").unwrap();
+        assert_eq!((details.name.as_str(), details.positions_mm.len()), (name, array.motors()));
+        assert_eq!((details.tick_hz, details.hash), (array.rate().hz(), format!("{:016x}", array.hash())));
+        let status: Status = client.get("/v1/status").unwrap();
+        assert_eq!((status.array.as_str(), status.motors.len()), (name, array.motors()));
+        let mut events = client.events().unwrap();
+        let play = json!({"pattern": "all-in-phase", "seconds": 0.2});
+        let is_paper = array == Array::paper();
+        if !is_paper {
+            let refused = problem(client.post("/v1/play", &play));
+            assert_eq!(refused.code, "other-array");
+            let line = format!("`all-in-phase` is for the array tula35-6x4, and this one is {name}: ");
+            assert!(
+                refused.detail.starts_with(&line) && !refused.detail.contains('\n'),
+                "{}",
+                refused.detail
+            );
+        }
+        let play = json!({"pattern": "all-in-phase", "seconds": 0.2, "map": "nearest"});
+        let _: Value = client.post("/v1/play", &play).unwrap();
+        let receipt: Receipt = ended(&mut events);
+        assert_eq!(receipt.mapped_from.as_deref(), (!is_paper).then_some("tula35-6x4"));
+        assert_eq!(
+            (receipt.array.as_str(), receipt.tick_hz, receipt.state.name()),
+            (name, details.tick_hz, "done")
+        );
+        // 12 strokes of 60 Hz on every pin: the arrays are no larger than the paper's by a pitch, but for the corners.
+        let bursts = receipt.bursts.unwrap();
+        assert!(bursts.played == bursts.planned && bursts.planned >= 2 * 11 * 6, "{name}: {bursts:?}");
+
+        let last = array.motors() - 1;
+        let pattern = |motor| {
+            format!(
+                "format = 1\nname = \"own\"\narray = \"{name}\"\nduration_s = 0.2\n[[drive]]\nmotor = {motor}\nfrequency_hz = 60.0\n\
+                 amplitude_um = 80.0\n"
+            )
+        };
+        let refused = problem(client.put("/v1/patterns/own", pattern(last + 1)));
+        assert!(
+            refused.detail.contains(&format!("`motor` is {}: must be 0 to {last}", last + 1)),
+            "{refused:?}"
+        );
+        let _: Value = client.put("/v1/patterns/own", pattern(last)).unwrap();
+        let _: Value = client.post("/v1/play", &json!({"pattern": "own"})).unwrap();
+        let receipt = ended(&mut events);
+        assert_eq!((receipt.mapped_from, receipt.bursts.unwrap().played), (None, 22));
+        let live = json!({"drives": [{"motor": last + 1, "frequency_hz": 60.0, "amplitude_um": 10.0}]});
+        assert!(
+            problem(client.post("/v1/live", &live))
+                .detail
+                .contains(&format!("the array has motors 0 to {last}"))
+        );
+    }
+}
+
+#[test]
+fn an_array_of_ones_own_takes_a_file_and_no_code() {
+    let dir = directory();
+    let in_dir = |arguments: &[&str]| {
+        let mut command = meissner();
+        command.current_dir(dir.path()).args(arguments);
+        command
+    };
+    let new = [
+        "array",
+        "new",
+        "--rows",
+        "3",
+        "--columns",
+        "2",
+        "--pitch-mm",
+        "1.8",
+        "--name",
+        "lab-3x2",
+        "--tick-hz",
+        "70000",
+    ];
+    let text = printed(&mut in_dir(&new));
+    assert!(text.starts_with(" 0   1\n\n 2   3\n\n 4   5\n") && text.contains("70000 per second"), "{text}");
+    let line = complaint(&mut in_dir(&new));
+    assert!(line.starts_with("meissner: lab-3x2.toml exists: give another --file"), "{line}");
+    let shown = document(&mut in_dir(&["array", "show", "lab-3x2.toml", "--json"]));
+    assert_eq!((&shown["tick_hz"], &shown["grid"]["columns"]), (&json!(70_000), &json!(2)));
+
+    // Simulated, searched for, sampled and played, all by its file.
+    let file = dir.path().join("lab-3x2.toml").display().to_string();
+    ran(&mut in_dir(&["optimise", "dot", "--array", "lab-3x2.toml", "--budget", "60", "-o", "lab-dot.toml"]))
+        .success();
+    let pattern = fs::read_to_string(dir.path().join("lab-dot.toml")).unwrap();
+    assert!(pattern.contains("array = \"lab-3x2\""), "{pattern}");
+    let line = complaint(&mut in_dir(&["displacement", "lab-dot.toml"]));
+    assert!(
+        line.contains("`array` is unknown: no array is called `lab-3x2`: known are tula35-6x4"),
+        "{line}"
+    );
+    let table = printed(&mut in_dir(&[
+        "displacement",
+        "lab-dot.toml",
+        "--array",
+        "lab-3x2.toml",
+        "--seconds",
+        "0.1",
+    ]));
+    assert!(table.starts_with("time_s,motor_"), "{table}");
+
+    let daemon = with_array(&file);
+    let mut client = daemon.armed();
+    let mut events = client.events().unwrap();
+    let _: Value = client.put("/v1/patterns/lab-dot", pattern).unwrap();
+    let _: Value = client.post("/v1/play", &json!({"pattern": "lab-dot", "seconds": 0.2})).unwrap();
+    let receipt = ended(&mut events);
+    assert_eq!((receipt.array.as_str(), receipt.tick_hz, receipt.state.name()), ("lab-3x2", 70_000, "done"));
+    let text = printed(daemon.meissner().args(["show", "lab-dot"]));
+    assert!(text.contains("fingertip\n") && text.contains("um"), "{text}");
+}
+
+#[test]
+fn a_bad_description_ends_the_daemon_before_it_begins() {
+    let dir = directory();
+    let file = dir.path().join("bad.toml");
+    let good = printed(meissner().current_dir(dir.path()).args([
+        "array",
+        "new",
+        "--rows",
+        "1",
+        "--columns",
+        "2",
+        "--pitch-mm",
+        "3",
+    ]));
+    assert!(good.contains("2 pins"));
+    let text = fs::read_to_string(dir.path().join("array-1x2.toml")).unwrap();
+    for (from, to, says) in [
+        ("chips = [[0, 1]]", "chips = [[0, 1], [1]]", "`chips[1]` has motor 1, as chips[0] has"),
+        ("pitch_mm = 3.0", "pitch_mm = 0.5", "`pins` are too near: 0 and 1 overlap"),
+        ("duty = { up = 0.2", "duty = { up = 0.0", "`duty.up` is 0: must be"),
+        ("name = \"array-1x2\"", "name = \"tula35-6x4\"", "which the program ships with other values"),
+    ] {
+        assert!(text.contains(from), "{text}");
+        fs::write(&file, text.replace(from, to)).unwrap();
+        fs::write(dir.path().join("c.toml"), "[array]\ndescription = \"bad.toml\"\n").unwrap();
+        let config = dir.path().join("c.toml");
+        for line in [
+            complaint(meissner().current_dir(dir.path()).args(["array", "show", "./bad.toml"])),
+            complaint(meissner().args(["daemon", "--check-config", "--config"]).arg(&config)),
+        ] {
+            assert!(line.contains(says) && line.trim_end().lines().count() <= 3, "{line}\ninstead of {says}");
+        }
+    }
+}
