@@ -5,7 +5,8 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 /// Motors, their highest number, pitch in mm, carrier, window in ms and in half ticks, speed in mm/s.
-const NUMBERS: [&str; 8] = ["24", "23", "2.9", "85000", "4.3", "731", "11.5", "170000"];
+const NUMBERS: [&str; 10] =
+    ["24", "23", "2.9", "85000", "85000.0", "4.3", "731", "11.5", "170000", "170000.0"];
 
 /// The same digits with another meaning, by file and number.
 const OTHERS: &[(&str, &str, &str)] = &[

@@ -195,9 +195,9 @@ fn a_board_for_another_array_is_refused_with_the_key_that_differs() {
     for (name, says) in [
         (
             "ubi-pen-3x3",
-            "the device is built for another array: name is ubi-pen-3x3, this array (tula35-6x4) has tula35-6x4",
+            "the device is built for another array: its name is ubi-pen-3x3, this array is tula35-6x4",
         ),
-        ("simulated-8x8", "name is simulated-8x8"),
+        ("simulated-8x8", "its name is simulated-8x8"),
     ] {
         let array = Array::named(name).unwrap();
         let mock = WallMock::new(array, &SimulatedMotorsConfig::default(), HostInstant::now()).unwrap();

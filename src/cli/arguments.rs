@@ -1,7 +1,7 @@
 //! Arguments that several commands share, and the types of their values.
 
 use super::session_token;
-use crate::array::{FindError, find};
+use crate::array::find;
 use anyhow::Result;
 use clap::Args;
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
@@ -135,16 +135,23 @@ pub(super) fn positive(text: &str) -> Result<f64, &'static str> {
 }
 
 /// The array of a command that needs no daemon. Patterns and targets that name it can be read then.
-#[derive(Clone, Copy, Debug, Args)]
+#[derive(Debug, Args)]
 pub(super) struct ArrayOption {
     /// Use the array ARRAY: a name, or the file of a description [default: what the pattern or target names, else tula35-6x4]
-    #[arg(long, value_name = "ARRAY", value_parser = array)]
-    pub(super) array: Option<Array>,
+    #[arg(long, value_name = "ARRAY")]
+    array: Option<String>,
 }
 
-/// An array: the name of a known description, or a file.
-pub(super) fn array(text: &str) -> Result<Array, FindError> {
-    find(text, Path::new(""))
+impl ArrayOption {
+    /// The array, if the command line names one. From now on its name is known.
+    pub(super) fn find(&self) -> Result<Option<Array>> {
+        self.array.as_deref().map(array).transpose()
+    }
+}
+
+/// The array of this name, or of the description in this file.
+pub(super) fn array(text: &str) -> Result<Array> {
+    Ok(find(text, Path::new(""))?)
 }
 
 /// How long to measure, s.

@@ -17,8 +17,8 @@ pub(super) enum Array {
     /// Draw an array and list its motors with their supplies and driver chips
     Show {
         /// Show this array: a name, or the file of a description
-        #[arg(value_name = "ARRAY", default_value = "tula35-6x4", value_parser = array)]
-        array: spec::Array,
+        #[arg(value_name = "ARRAY", default_value = "tula35-6x4")]
+        array: String,
         #[command(flatten)]
         output: Output,
     },
@@ -50,7 +50,10 @@ pub(super) struct New {
 
 pub(super) fn run(asked: Array) -> Result<ExitCode> {
     match asked {
-        Array::Show { array, output } => give(output.json, &details(array), || shown(&array)),
+        Array::Show { array: named, output } => {
+            let array = array(&named)?;
+            give(output.json, &details(array), || shown(&array))
+        }
         Array::New(asked) => new(asked),
     }
 }

@@ -117,6 +117,7 @@ struct MatrixDocument<'a> {
 }
 
 pub(super) fn run(asked: &Discriminate) -> Result<ExitCode> {
+    asked.array.find()?;
     let membrane = AfferentModel::default_for(Rectify::default(), POPULATION_NOISE_SD);
     if !(1..=MOST_FINGERS).contains(&asked.fingers) {
         bail!("--fingers {}: must be 1 to {MOST_FINGERS}", asked.fingers);

@@ -43,6 +43,7 @@ pub(super) struct Displacement {
 }
 
 pub(super) fn run(asked: &Displacement) -> Result<ExitCode> {
+    asked.array.find()?;
     let pattern = read(&asked.pattern)?;
     let options = StrokeOptions {
         seconds: asked.seconds,

@@ -48,7 +48,7 @@ use crate::config::Source;
 use crate::daemon::{self, Daemon, DaemonError, Exit, Signals};
 use crate::{log, search};
 use anyhow::{Result, anyhow};
-use arguments::{ArrayOption, ClientOptions, Output, array, hours, measured, positive};
+use arguments::{ArrayOption, ClientOptions, Output, hours, measured, positive};
 use clap::{CommandFactory, Parser, Subcommand};
 use meissner_api::ArmRequest;
 use meissner_stream::device::Spec;
@@ -102,8 +102,8 @@ enum Command {
         #[arg(long, value_name = "DEVICE")]
         device: Option<Spec>,
         /// Drive the array ARRAY: a name, or the file of a description [default: the configuration's, else the paper's]
-        #[arg(long, value_name = "ARRAY", value_parser = array)]
-        array: Option<meissner_array::spec::Array>,
+        #[arg(long, value_name = "ARRAY")]
+        array: Option<String>,
         /// Listen for clients at PATH [default: the configuration's, else $MEISSNER_SOCKET, else
         /// $XDG_RUNTIME_DIR/meissner.sock, else /run/meissner/meissner.sock]
         #[arg(long, value_name = "PATH")]
@@ -300,9 +300,10 @@ pub fn main() -> ExitCode {
 fn run(command: Command) -> Result<ExitCode> {
     match command {
         Command::Demo { seconds, array, open_loop, sensorless, output } => {
-            demo::run(seconds, array.array.unwrap_or_default(), open_loop, sensorless, output.json)
+            demo::run(seconds, array.find()?.unwrap_or_default(), open_loop, sensorless, output.json)
         }
         Command::Daemon { config, check_config: check, device, array, socket, listen, no_record } => {
+            let array = array.as_deref().map(arguments::array).transpose()?;
             let source = Source { file: config, device, array, socket, listen, no_record };
             if check { check_config(&source) } else { serve(source) }
         }
@@ -328,7 +329,7 @@ fn run(command: Command) -> Result<ExitCode> {
         Command::Session(asked) => session::run(&asked),
         Command::Token(asked) => token::run(&asked),
         Command::Motor { array, frequency_hz, amplitude_um, hours, output } => {
-            library::motor(array.array.unwrap_or_default(), frequency_hz, amplitude_um, hours, output.json)
+            library::motor(array.find()?.unwrap_or_default(), frequency_hz, amplitude_um, hours, output.json)
         }
         Command::Array(asked) => array::run(asked),
         Command::Displacement(asked) => displacement::run(&asked),
@@ -342,7 +343,7 @@ fn run(command: Command) -> Result<ExitCode> {
         Command::Report(asked) => report::run(&asked),
         Command::Doctor { device, array, board, seconds, options } => doctor::run(
             device,
-            array.array.unwrap_or_default(),
+            array.find()?.unwrap_or_default(),
             board,
             Duration::from_secs_f64(seconds),
             &options,

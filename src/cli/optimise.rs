@@ -121,8 +121,9 @@ struct Document<'a> {
 
 pub(super) fn run(asked: &Optimise) -> Result<ExitCode> {
     let begun = Instant::now();
+    let array = asked.array.find()?;
     let target = target(&asked.target)?;
-    let target = asked.array.array.map_or_else(|| Ok(target.clone()), |array| target.with_array(array))?;
+    let target = array.map_or_else(|| Ok(target.clone()), |array| target.with_array(array))?;
     if let Some(file) = asked.file.as_deref().filter(|file| is_itself(&asked.target, file)) {
         bail!("{}: this is the target's file: write the pattern to another", files::shown(file));
     }

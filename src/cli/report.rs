@@ -45,7 +45,7 @@ struct Document<'a> {
 
 #[expect(clippy::result_large_err, reason = "an error ends the program")]
 pub(super) fn run(asked: &Report) -> Result<ExitCode> {
-    let array = asked.array.array.unwrap_or_default();
+    let array = asked.array.find()?.unwrap_or_default();
     let subjects = subjects(&asked.patterns)?;
     files::directory(&asked.out)?;
     let page = files::beside(&asked.out.join(INDEX))?;

@@ -32,6 +32,7 @@ pub(super) struct MethodTradeoff {
 }
 
 pub(super) fn run(asked: &MethodTradeoff) -> Result<ExitCode> {
+    asked.array.find()?;
     let scene = match &asked.scene {
         Some(file) => simulate::read(file, asked.model)?,
         None => AnyScene::read(meissner_report::SIXTY_HERTZ, "sixty-hertz.toml", asked.model)?,

@@ -29,11 +29,7 @@ fn every_key_is_read() {
     assert_eq!(kept.logbook, Some(Location { dir: "/l".into(), days: 30, make_parents: false }));
     let kept = parse("logbook_dir = \"/l\"").unwrap();
     assert_eq!(kept.logbook, Some(Location { dir: "/l".into(), days: LOGBOOK_DAYS, make_parents: false }));
-    let limits = PowerLimits {
-        motor: 40_000,
-        rail: 90_000,
-        ..Array::paper().layout().no_limits()
-    };
+    let limits = PowerLimits { motor: 40_000, rail: 90_000, ..Array::paper().layout().no_limits() };
     assert_eq!(
         config.settings,
         Settings {
@@ -49,14 +45,7 @@ fn every_key_is_read() {
     );
     let stop = "array = {lower_stop = \"at_rest\", surplus_um = 12.5, rest_error_um = 4}\nlimits.stop_pulses_per_s = 9000";
     let few = parse("array.rail_motors_at_once = 3\narray.chip_motors_at_once = 1").unwrap().settings.limits;
-    assert_eq!(
-        few,
-        PowerLimits {
-            rail_at_once: 3,
-            chip_at_once: 1,
-            ..Array::paper().layout().no_limits()
-        }
-    );
+    assert_eq!(few, PowerLimits { rail_at_once: 3, chip_at_once: 1, ..Array::paper().layout().no_limits() });
     let with_stop = parse(stop).unwrap();
     let lower_stop = LowerStopSettings { surplus_um: Some(12.5), rest_error_um: 4.0, pulses_per_s: 9000 };
     assert_eq!(with_stop.settings.lower_stop, Some(lower_stop));

@@ -102,6 +102,7 @@ struct Chosen {
 }
 
 pub(super) fn run(asked: &Simulate) -> Result<ExitCode> {
+    asked.array.find()?;
     let stepping = stepping(asked)?;
     let scene = match read(&asked.scene, asked.model)? {
         AnyScene::Membrane(scene) => scene,
