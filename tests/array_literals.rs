@@ -23,6 +23,8 @@ const OTHERS: &[(&str, &str, &str)] = &[
     ("crates/api/src/receipt.rs", "11.5", "bytes per burst in the example"),
     ("crates/api/src/receipt.rs", "24", "drives and strokes that a receipt lists"),
     ("crates/design/src/render/climb.rs", "24", "rounds of a climb"),
+    ("crates/api/src/live.rs", "24", "the length of the finger's pad, mm"),
+    ("crates/design/src/render/mod.rs", "24", "steps of a search"),
     ("crates/design/src/search.rs", "24", "candidates that are confirmed"),
     ("crates/design/src/target/checked.rs", "24", "the length of the finger's pad, mm"),
     ("crates/design/src/target/file.rs", "24", "as above"),
@@ -33,6 +35,7 @@ const OTHERS: &[(&str, &str, &str)] = &[
     ("crates/skin/src/afferents/noise.rs", "23", "bits of a number"),
     ("crates/stream/src/bandwidth.rs", "24", "bytes around a frame"),
     ("crates/stream/src/diagnostics.rs", "24", "points of a line fit"),
+    ("crates/sweep/src/axis.rs", "24", "trials"),
     ("crates/sweep/src/estimate.rs", "24", "samples of an estimate"),
     ("crates/sweep/src/merge/summary.rs", "24", "fronts that a summary lists"),
     ("crates/sweep/src/plan/cells.rs", "24", "trials"),
@@ -40,8 +43,10 @@ const OTHERS: &[(&str, &str, &str)] = &[
     ("firmware/src/board.rs", "24", "lines of a Pico"),
     ("firmware/src/cable.rs", "24", "a bit of a register"),
     ("firmware/src/wave.rs", "24", "a bit of a register"),
+    ("src/cli/arguments.rs", "24", "hours of a day"),
     ("src/cli/discriminate.rs", "24", "trials"),
     ("src/daemon/engine/estop.rs", "24", "a bit of an address"),
+    ("src/exposure/random.rs", "24", "hours of a day"),
     ("src/daemon/page/assets/finger.js", "24", "the edge of the drawing"),
     ("python/src/meissner/_live.py", "24", "messages without an answer"),
 ];
@@ -105,15 +110,13 @@ fn product(text: &str) -> &str {
     &text[..tests.filter(module).next().unwrap_or(text.len())]
 }
 
-/// The numbers of a line of code, without underscores and types.
+/// The numbers of a line of code, without underscores and types. Dates and times are none.
 fn literals(code: &str) -> impl Iterator<Item = String> {
-    let is_part = |c: char| c.is_ascii_alphanumeric() || c == '_' || c == '.';
-    code.split(move |c| !is_part(c)).filter(|word| word.starts_with(|c: char| c.is_ascii_digit())).map(
-        |word| {
-            let word = word.replace('_', "");
-            let end = word.find(|c: char| c.is_ascii_alphabetic()).unwrap_or(word.len());
-            let number = word[..end].trim_end_matches('.');
-            number.strip_suffix(".0").unwrap_or(number).to_owned()
-        },
-    )
+    let is_part = |c: char| c.is_ascii_alphanumeric() || "_.-:".contains(c);
+    let code = code.replace("..", " ");
+    let words: Vec<String> = code.split(move |c| !is_part(c)).map(|word| word.replace('_', "")).collect();
+    words.into_iter().filter(|word| word.starts_with(|c: char| c.is_ascii_digit())).map(|word| {
+        let end = word.find(|c: char| c.is_ascii_alphabetic()).unwrap_or(word.len());
+        word[..end].trim_end_matches(['.', ':']).to_owned()
+    })
 }
