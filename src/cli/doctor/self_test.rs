@@ -129,8 +129,7 @@ fn of_lines(lines: &LineTest) -> Finding {
         faults.push(format!("stuck low: {}", named(stuck_low)));
     }
     if !shorted.is_empty() {
-        let first = pair
-            .map_or_else(String::new, |(a, b)| format!(" (first {} with {})", name(a), name(b)));
+        let first = pair.map_or_else(String::new, |(a, b)| format!(" (first {} with {})", name(a), name(b)));
         faults.push(format!("connected with each other: {}{first}", named(shorted)));
     }
     if faults.is_empty() {
@@ -212,7 +211,12 @@ mod tests {
         assert_eq!(levels(SOUND), [Level::Ok; 4]);
         let of = |lines| Outputs { lines: MotorSet::from_bits(lines), ..Outputs::NONE };
         let lines = |high, low, shorted| SelfTest {
-            lines: Some(LineTest { stuck_high: of(high), stuck_low: of(low), shorted: of(shorted), pair: None }),
+            lines: Some(LineTest {
+                stuck_high: of(high),
+                stuck_low: of(low),
+                shorted: of(shorted),
+                pair: None,
+            }),
             ..SOUND
         };
         for test in [lines(1, 0, 0), lines(0, 1 << 23, 0), lines(0, 0, 3)] {

@@ -407,7 +407,9 @@ impl Scene {
             self.shell.ask(*stroke);
         }
         let mark = mark.map(|kind| Mark { kind, trigger: Some(Trigger { width: 3, code: 0 }) });
-        let withdraw = Some(Withdraw { motors: MotorSet::from_bits(motors.into()), generation: self.host.generation }).filter(|_| motors != 0);
+        let withdraw =
+            Some(Withdraw { motors: MotorSet::from_bits(motors.into()), generation: self.host.generation })
+                .filter(|_| motors != 0);
         let (epoch, seq, seen) = (self.host.epoch, self.host.seq, self.host.seen);
         self.host.seq = self.host.seq.wrapping_add(1);
         if let Some(stroke) = strokes.iter().rev().find(|stroke| stroke.motor == 0) {

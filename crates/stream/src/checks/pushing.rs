@@ -4,8 +4,8 @@
 //! before counts on the device too; the receipt tells when strokes were refused for both together.
 
 use super::counted;
-use firmware_protocol::limits::Pushing;
 use firmware_protocol::array::Layout;
+use firmware_protocol::limits::Pushing;
 use firmware_protocol::stroke::MOTORS;
 use firmware_protocol::tick::Tick;
 use meissner_array::strokes::Strokes;

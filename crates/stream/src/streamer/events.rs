@@ -11,8 +11,8 @@ use crate::streamer::{IDLE_PING, Streamer, answer, cuts_play, end_cause};
 use crate::time::HostInstant;
 use firmware_protocol::controller::HORIZON;
 use firmware_protocol::message::{Cause, Counters, Op, State, Status};
-use firmware_protocol::stroke::Stroke;
 use firmware_protocol::stroke::MOTORS;
+use firmware_protocol::stroke::Stroke;
 use firmware_protocol::tick::Tick;
 use meissner_api::{EndCause, LateCause, LatePolicy};
 use meissner_array::units::{duration_to_ticks, ms_to_duration, ticks_to_ms};
@@ -128,7 +128,8 @@ impl Streamer {
             // The streamer asks for none.
             Event::SelfTest(_) => {}
             Event::Telemetry { tick, y, known_to } => {
-                let known = self.control.telemetry(tick, &y[..MOTORS], known_to, |burst| emit.measured(burst));
+                let known =
+                    self.control.telemetry(tick, &y[..MOTORS], known_to, |burst| emit.measured(burst));
                 if let (false, Some(session)) = (known, &mut self.session) {
                     session.request_status();
                 }

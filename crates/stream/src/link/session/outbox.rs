@@ -120,7 +120,8 @@ impl Outbox {
                 if let Some((from, motors)) = self.replacing
                     && batch.withdraw(bit & motors)
                 {
-                    self.replacing = Some((from, motors.without(bit))).filter(|(_, motors)| !motors.is_empty());
+                    self.replacing =
+                        Some((from, motors.without(bit))).filter(|(_, motors)| !motors.is_empty());
                 }
                 return true;
             }
@@ -373,7 +374,10 @@ mod tests {
                 && conclude(&mut outbox, 0).is_empty()
         );
         let events = conclude(&mut outbox, 2);
-        assert_eq!(events[0], Event::Replaced { motors: MotorSet::from_bits(0b10), kept: MotorSet::from_bits(0b01) });
+        assert_eq!(
+            events[0],
+            Event::Replaced { motors: MotorSet::from_bits(0b10), kept: MotorSet::from_bits(0b01) }
+        );
         assert!(matches!(events[1], Event::Stroke(Stroke { motor: 0, .. }, Verdict::Superseded)));
         assert!(matches!(
             events[2],
