@@ -36,7 +36,9 @@ fn main() {
     }
 
     let mut files = Vec::new();
-    for place in ["memory.x", "Cargo.toml", "Cargo.lock", "build.rs", "describe", "src", "../firmware-protocol/src"] {
+    for place in
+        ["memory.x", "Cargo.toml", "Cargo.lock", "build.rs", "describe", "src", "../firmware-protocol/src"]
+    {
         println!("cargo:rerun-if-changed={place}");
         list(Path::new(place), &mut files);
     }

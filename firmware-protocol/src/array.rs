@@ -331,13 +331,22 @@ pub enum LayoutError {
 impl fmt::Display for LayoutError {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::Motors => write!(out, "an array has 1 to {MAX_MOTORS} motors; this build has room for {CAPACITY}"),
+            Self::Motors => {
+                write!(out, "an array has 1 to {MAX_MOTORS} motors; this build has room for {CAPACITY}")
+            }
             Self::TickHz => out.write_str("the carrier must be 20000 to 200000 Hz"),
-            Self::Duty => out.write_str("duties must be 1 to 999 thousandths, that of an up pulse the smaller one"),
-            Self::Groups => out.write_str("each motor must have one rail and one chip, with numbers from 0 to 63"),
+            Self::Duty => {
+                out.write_str("duties must be 1 to 999 thousandths, that of an up pulse the smaller one")
+            }
+            Self::Groups => {
+                out.write_str("each motor must have one rail and one chip, with numbers from 0 to 63")
+            }
             Self::UpPulses => write!(out, "a stroke must have 1 to {MOST_UP_PULSES} up pulses at most"),
             Self::Seek => {
-                write!(out, "the longest seek must cover the whole travel and have at most {MOST_SEEK} pulses")
+                write!(
+                    out,
+                    "the longest seek must cover the whole travel and have at most {MOST_SEEK} pulses"
+                )
             }
         }
     }
@@ -384,7 +393,8 @@ impl Layout {
         if max_seek < max_up_pulses + max_down_pulses || max_seek > MOST_SEEK {
             return Err(LayoutError::Seek);
         }
-        let (Some((next_on_rail, on_rail)), Some((next_on_chip, on_chip))) = (ring(rails), ring(chips)) else {
+        let (Some((next_on_rail, on_rail)), Some((next_on_chip, on_chip))) = (ring(rails), ring(chips))
+        else {
             return Err(LayoutError::Groups);
         };
         let mut layout = Self {
@@ -542,7 +552,8 @@ impl Layout {
     }
 
     /// The blocks of [`Self::dense_blocks`] at the fastest carrier.
-    pub(crate) const MAX_DENSE_BLOCKS: usize = *TICK_HZ.end() as usize / 100 / crate::controller::BLOCK as usize;
+    pub(crate) const MAX_DENSE_BLOCKS: usize =
+        *TICK_HZ.end() as usize / 100 / crate::controller::BLOCK as usize;
 
     /// Ticks from the drivers' enable to the first pulse: 0.5 ms. The 30 V supplies stay on, so only the bridges and their bias
     /// start up in this time. What they need has not been measured: see the firmware's page on wiring.
@@ -621,7 +632,8 @@ impl Layout {
                 motors += 1;
                 let (mut before, mut other) = (0, 0);
                 while other < motor {
-                    before += (self.rails[other] == self.rails[first] && self.chips[other] == self.chips[motor]) as usize;
+                    before += (self.rails[other] == self.rails[first]
+                        && self.chips[other] == self.chips[motor]) as usize;
                     other += 1;
                 }
                 chips[before] += 1;

@@ -7,8 +7,8 @@
 use crate::array::{CAPACITY, Layout, Ring};
 #[cfg(not(feature = "pico"))]
 pub use crate::paper::{
-    DENSE_TICKS, LEAST_APART, MAX_DENSE, MAX_DOWN_PULSES, MAX_PUSHES_PER_S, MAX_SEEK, MAX_TRAVEL, MAX_UP_PULSES,
-    MOTORS_PER_CHIP, MOTORS_PER_RAIL, RAILS, WHOLE_TRAVEL, check,
+    DENSE_TICKS, LEAST_APART, MAX_DENSE, MAX_DOWN_PULSES, MAX_PUSHES_PER_S, MAX_SEEK, MAX_TRAVEL,
+    MAX_UP_PULSES, MOTORS_PER_CHIP, MOTORS_PER_RAIL, RAILS, WHOLE_TRAVEL, check,
 };
 use crate::tick::Tick;
 use serde::{Deserialize, Serialize};
@@ -349,7 +349,10 @@ mod tests {
             let enough = u32::from(least) > u32::from(above) * 3 / 2;
             assert!(least == WHOLE_TRAVEL || (enough && least < WHOLE_TRAVEL), "{above}: {least}");
         }
-        assert_eq!((PAPER.least_seek(0), PAPER.least_seek(100), PAPER.least_seek(WHOLE_TRAVEL)), (1, 151, WHOLE_TRAVEL));
+        assert_eq!(
+            (PAPER.least_seek(0), PAPER.least_seek(100), PAPER.least_seek(WHOLE_TRAVEL)),
+            (1, 151, WHOLE_TRAVEL)
+        );
     }
 
     proptest! {

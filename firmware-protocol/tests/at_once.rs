@@ -1,6 +1,8 @@
 //! The limits on motors that have pulses at once. [`Bench`] counts them in every tick of every test here.
 
-use crate::bench::{Bench, FIRMWARE, HOST_TIMEOUT, MAX_SEEK, MOTORS, NO_LIMITS, PAPER, SHELLS, STOP, Shell, layouts, stroke};
+use crate::bench::{
+    Bench, FIRMWARE, HOST_TIMEOUT, MAX_SEEK, MOTORS, NO_LIMITS, PAPER, SHELLS, STOP, Shell, layouts, stroke,
+};
 use firmware_protocol::array::Layout;
 use firmware_protocol::limits::{PowerLimits, Refusal};
 use firmware_protocol::message::{LowerStop, Op, Report, State};

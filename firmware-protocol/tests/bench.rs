@@ -25,9 +25,7 @@ pub(crate) const MOTORS: usize = PAPER.motors();
 pub(crate) const TICK_HZ: u32 = PAPER.tick_hz();
 pub(crate) const NO_LIMITS: PowerLimits = PAPER.no_limits();
 
-
 pub(crate) const MAX_PUSHES_PER_S: u32 = PAPER.max_pushes_per_s();
-
 
 pub(crate) const WHOLE_TRAVEL: u16 = PAPER.whole_travel();
 pub(crate) const MAX_SEEK: u16 = PAPER.max_seek();
@@ -287,11 +285,7 @@ impl Bench {
         self.enabled += 1;
         self.enabled_ticks += 1;
         self.enabled_idle = if pulse || refuses { 0 } else { self.enabled_idle + 1 };
-        assert!(
-            !pulse || self.enabled > lead,
-            "a pulse {} ticks after the enable at {at}",
-            self.enabled - 1
-        );
+        assert!(!pulse || self.enabled > lead, "a pulse {} ticks after the enable at {at}", self.enabled - 1);
         assert!(self.enabled_idle <= lead + DRIVER_TAIL, "drivers enabled without a pulse at {at}");
     }
 
@@ -427,7 +421,12 @@ impl Bench {
 
     /// Sends a frame that withdraws from `base` on what these motors have queued, and queues these strokes.
     pub(crate) fn replace(&mut self, motors: u64, generation: u16, base: u64, strokes: &[Stroke]) {
-        let bytes = self.replacement(None, Withdraw { motors: MotorSet::from_bits(motors), generation }, base, strokes);
+        let bytes = self.replacement(
+            None,
+            Withdraw { motors: MotorSet::from_bits(motors), generation },
+            base,
+            strokes,
+        );
         self.bytes(&bytes);
         self.seq = self.status().next_seq;
     }

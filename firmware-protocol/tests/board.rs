@@ -1,4 +1,4 @@
-use crate::bench::{FIRMWARE, TICK_HZ, Bench, stroke};
+use crate::bench::{Bench, FIRMWARE, TICK_HZ, stroke};
 use firmware_protocol::array::{Layout, MotorSet};
 use firmware_protocol::batch::longest_frame;
 use firmware_protocol::batch::{MAX_BATCH, Strokes};

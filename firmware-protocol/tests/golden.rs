@@ -4,12 +4,14 @@
 use crate::bench::{MOTORS, NO_LIMITS, ONSET, PAPER, frame, pack, stroke};
 use firmware_protocol::array::{ArrayId, MotorSet, Name};
 use firmware_protocol::batch::{Amendment, BATCH_BYTES, Packer};
-use firmware_protocol::board::{Board, LineTest, Output, Outputs, RamTest, Reset, SelfTest, SelfTestState, WaveTest};
+use firmware_protocol::board::{
+    Board, LineTest, Output, Outputs, RamTest, Reset, SelfTest, SelfTestState, WaveTest,
+};
 use firmware_protocol::frame::{Decoder, FRAME_OVERHEAD, MAX_FRAME, PROTOCOL};
 use firmware_protocol::limits::{PowerLimits, Refusal};
 use firmware_protocol::message::{
-    Cause, Counters, Cut, DeviceHello, DeviceMessage, HostMessage, LowerStop, MAX_SAMPLES, Mark, MarkKind, Op,
-    Report, Samples, State, Status, Trigger, Withdraw,
+    Cause, Counters, Cut, DeviceHello, DeviceMessage, HostMessage, LowerStop, MAX_SAMPLES, Mark, MarkKind,
+    Op, Report, Samples, State, Status, Trigger, Withdraw,
 };
 use firmware_protocol::stroke::Direction;
 use firmware_protocol::tick::{Tick, WireTick};
@@ -179,7 +181,10 @@ fn from_the_host() {
                 seq: 2,
                 seen: 1,
                 mark: None,
-                withdraw: Some(Withdraw { motors: MotorSet::from_bits(1 << 63 | 0x0080_0001), generation: 300 }),
+                withdraw: Some(Withdraw {
+                    motors: MotorSet::from_bits(1 << 63 | 0x0080_0001),
+                    generation: 300,
+                }),
                 base,
                 batch: &[],
             },
@@ -298,7 +303,10 @@ fn from_the_device() {
             DeviceMessage::Telemetry { tick: rendered, first: 0, y: Samples::of(&y) },
             "0707044df0edfe04180201010101010101010101010101010101010101010c807dffffffff0f36b8460400",
         ),
-        (DeviceMessage::Telemetry { tick: rendered, first: 32, y: Samples::of(&[-5; MAX_SAMPLES]) }, "2d07044df0edfe20200909090909090909090909090909090909090909090909090909090909090909455dd3fd00"),
+        (
+            DeviceMessage::Telemetry { tick: rendered, first: 32, y: Samples::of(&[-5; MAX_SAMPLES]) },
+            "2d07044df0edfe20200909090909090909090909090909090909090909090909090909090909090909455dd3fd00",
+        ),
         (DeviceMessage::Board(BOARD), "170705ac020480a305011a0119010101020301808080040601c0e5255400"),
         (
             DeviceMessage::Board(Board {

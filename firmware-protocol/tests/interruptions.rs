@@ -2,7 +2,7 @@
 //!
 //! [`returned`] and [`off`] state the rules a second time; the tests compare them with the lines.
 
-use crate::bench::{FIRMWARE, MOTORS, NO_LIMITS, SHELLS, TICK_HZ, TIGHT, Bench, Shell, arm, burst, stroke};
+use crate::bench::{Bench, FIRMWARE, MOTORS, NO_LIMITS, SHELLS, Shell, TICK_HZ, TIGHT, arm, burst, stroke};
 use Direction::{Down, Up};
 use firmware_protocol::controller::POOL;
 use firmware_protocol::message::{Cause, Op, State};

@@ -2,7 +2,7 @@
 //!
 //! Sequence numbers, epochs, sessions, reports, and frames that cannot be read.
 
-use crate::bench::{FIRMWARE, HOST_TIMEOUT, NO_LIMITS, ONSET, SHELLS, TICK_HZ, Bench, frame, pack, stroke};
+use crate::bench::{Bench, FIRMWARE, HOST_TIMEOUT, NO_LIMITS, ONSET, SHELLS, TICK_HZ, frame, pack, stroke};
 use firmware_protocol::batch::MAX_BATCH;
 use firmware_protocol::controller::{POOL, REORDER_WINDOW, REPORTS};
 use firmware_protocol::frame::PROTOCOL;

@@ -1,6 +1,9 @@
 //! Strokes with a surplus, seeks of the lower stop, and the limit on pushing.
 
-use crate::bench::{FIRMWARE, MAX_PUSHES_PER_S, MAX_SEEK, MOTORS, NO_LIMITS, PAPER, SHELLS, TICK_HZ, WHOLE_TRAVEL, Bench, Shell, burst, stroke};
+use crate::bench::{
+    Bench, FIRMWARE, MAX_PUSHES_PER_S, MAX_SEEK, MOTORS, NO_LIMITS, PAPER, SHELLS, Shell, TICK_HZ,
+    WHOLE_TRAVEL, burst, stroke,
+};
 use crate::strokes::verdict;
 use firmware_protocol::limits::Refusal;
 use firmware_protocol::message::{Cause, LowerStop, Op, Report, State};

@@ -1,6 +1,6 @@
 //! Moves and their travel, and on-time limits of strokes, moves and amendments.
 
-use crate::bench::{HOST_TIMEOUT, NO_LIMITS, SHELLS, SOON, TICK_HZ, Bench, Shell, arm, stroke};
+use crate::bench::{Bench, HOST_TIMEOUT, NO_LIMITS, SHELLS, SOON, Shell, TICK_HZ, arm, stroke};
 use Direction::{Down, Up};
 use firmware_protocol::controller::POOL;
 use firmware_protocol::limits::{PowerLimits, Refusal};

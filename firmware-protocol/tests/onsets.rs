@@ -1,6 +1,6 @@
 //! The first frame of a play or of a later item: reported at its onset, with the trigger output.
 
-use crate::bench::{FIRMWARE, PULSE, SHELLS, Bench, pack, stroke};
+use crate::bench::{Bench, FIRMWARE, PULSE, SHELLS, pack, stroke};
 use crate::strokes::verdict;
 use firmware_protocol::array::MotorSet;
 use firmware_protocol::controller::POOL;
@@ -156,7 +156,14 @@ fn a_late_mark_of_an_item_is_refused_alone() {
             bench.reports(),
             [
                 Report::OnsetRefused { seq: 0, rendered },
-                Report::Verdict { seq: 0, late: 1, refused: 0, kept: MotorSet::EMPTY, reason: None, rendered }
+                Report::Verdict {
+                    seq: 0,
+                    late: 1,
+                    refused: 0,
+                    kept: MotorSet::EMPTY,
+                    reason: None,
+                    rendered
+                }
             ]
         );
         assert_eq!((bench.bursts(1), bench.bursts(2)), (vec![], strokes[1].bursts().into()));

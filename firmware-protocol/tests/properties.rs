@@ -1,6 +1,9 @@
 //! Random requests, faults and noise in any order: every pulse belongs to a stroke, and every pulse is counted.
 
-use crate::bench::{Bench, FIRMWARE, HOST_TIMEOUT, MOCK, NO_LIMITS, STOP, Shell, TIGHT, WHOLE_TRAVEL, arm, frame, layouts, pack, stroke};
+use crate::bench::{
+    Bench, FIRMWARE, HOST_TIMEOUT, MOCK, NO_LIMITS, STOP, Shell, TIGHT, WHOLE_TRAVEL, arm, frame, layouts,
+    pack, stroke,
+};
 use firmware_protocol::array::{Layout, MotorSet};
 use firmware_protocol::controller::POOL;
 use firmware_protocol::limits::PowerLimits;
@@ -104,7 +107,10 @@ fn mark() -> impl Strategy<Value = Option<Mark>> {
 
 fn withdraw() -> impl Strategy<Value = Option<Withdraw>> {
     let motors = prop_oneof![any::<u64>(), Just(u64::MAX), (0..64).prop_map(|motor| 1_u64 << motor)];
-    prop::option::of((motors, 0u16..6).prop_map(|(motors, generation)| Withdraw { motors: MotorSet::from_bits(motors), generation }))
+    prop::option::of(
+        (motors, 0u16..6)
+            .prop_map(|(motors, generation)| Withdraw { motors: MotorSet::from_bits(motors), generation }),
+    )
 }
 
 fn strokes(surplus: bool) -> impl Strategy<Value = Op> {
@@ -362,8 +368,7 @@ fn shells() -> impl Strategy<Value = Shell> {
 
 /// Limits of plays. The bench checks in every tick that the controller keeps the limits on motors at once.
 fn limits() -> impl Strategy<Value = PowerLimits> {
-    let at_once =
-        |rail_at_once, chip_at_once| PowerLimits { rail_at_once, chip_at_once, ..NO_LIMITS };
+    let at_once = |rail_at_once, chip_at_once| PowerLimits { rail_at_once, chip_at_once, ..NO_LIMITS };
     prop_oneof![
         4 => Just(NO_LIMITS),
         4 => Just(PowerLimits { motor: 300, rail: 700, ..NO_LIMITS }),

@@ -1,6 +1,6 @@
 //! Frames that replace queued strokes: each motor's as a whole or not at all, none of them in part, all of them counted.
 
-use crate::bench::{FIRMWARE, MOCK, MOTORS, ONSET, SHELLS, SOON, Bench, stroke};
+use crate::bench::{Bench, FIRMWARE, MOCK, MOTORS, ONSET, SHELLS, SOON, stroke};
 use firmware_protocol::array::MotorSet;
 use firmware_protocol::controller::{BLOCK, POOL};
 use firmware_protocol::message::{Counters, Op, Report, Withdraw};
@@ -214,7 +214,12 @@ fn an_e_stop_between_the_pieces_of_a_replacement_loses_no_count() {
         let base = bench.now + SOON + 200;
         let first = old[0].iter().find(|old| old.up.0 >= base).expect("one").up.0;
         let new: Vec<Stroke> = (0..MOTORS as u8).map(|motor| stroke(motor, first, 9, HOLD, 9)).collect();
-        let frame = bench.replacement(None, Withdraw { motors: MotorSet::from_bits(u64::MAX), generation: 0 }, base, &new);
+        let frame = bench.replacement(
+            None,
+            Withdraw { motors: MotorSet::from_bits(u64::MAX), generation: 0 },
+            base,
+            &new,
+        );
         bench.bytes(&frame);
         bench.run(blocks * u64::from(BLOCK));
         let epoch = bench.epoch.wrapping_add(1);
@@ -238,7 +243,12 @@ fn long_queues_are_searched_one_at_a_time() {
     }
     bench.in_pieces = true;
     let last = old[0][139].up.0;
-    bench.bytes(&bench.replacement(None, Withdraw { motors: MotorSet::from_bits(0b1110), generation: 0 }, last, &[]));
+    bench.bytes(&bench.replacement(
+        None,
+        Withdraw { motors: MotorSet::from_bits(0b1110), generation: 0 },
+        last,
+        &[],
+    ));
     let mut replaced: Vec<u64> = (0..8)
         .map(|_| {
             bench.run(BLOCK.into());
@@ -279,7 +289,12 @@ fn the_first_frame_of_a_play_withdraws_nothing() {
     bench.strokes(&old);
     let new = train(2, bench.soon(), 3, PULSES);
     let base = new[0].up.0;
-    let frame = bench.replacement(Some(ONSET), Withdraw { motors: MotorSet::from_bits(0b10), generation: 0 }, base, &new);
+    let frame = bench.replacement(
+        Some(ONSET),
+        Withdraw { motors: MotorSet::from_bits(0b10), generation: 0 },
+        base,
+        &new,
+    );
     bench.bytes(&frame);
     bench.run(1_000);
     assert_eq!((bench.bursts(1), bench.bursts(2)), (bursts(&old), bursts(&new)));

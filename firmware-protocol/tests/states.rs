@@ -1,6 +1,6 @@
 //! The effect of each event in each state of the controller, and the device's reports about itself.
 
-use crate::bench::{FIRMWARE, HOST_TIMEOUT, MOTORS, ONSET, SHELLS, Bench, Shell, frame, pack, stroke};
+use crate::bench::{Bench, FIRMWARE, HOST_TIMEOUT, MOTORS, ONSET, SHELLS, Shell, frame, pack, stroke};
 use firmware_protocol::controller::Identity;
 use firmware_protocol::limits::Refusal;
 use firmware_protocol::message::{Cause, DeviceMessage, HostMessage, Op, Report, Samples, State};
@@ -216,7 +216,11 @@ fn telemetry_is_sent_while_armed_or_returning_and_only_the_newest_sample() {
         bench.drain();
         let sent: Vec<_> =
             bench.inbox.iter().filter(|message| matches!(message, DeviceMessage::Telemetry { .. })).collect();
-        let sample = DeviceMessage::Telemetry { tick: Tick(bench.now + 1).wire(), first: 0, y: Samples::of(&[-2; MOTORS]) };
+        let sample = DeviceMessage::Telemetry {
+            tick: Tick(bench.now + 1).wire(),
+            first: 0,
+            y: Samples::of(&[-2; MOTORS]),
+        };
         let expected: &[&DeviceMessage] =
             if ["fresh", "known", "faulted"].contains(&name) { &[] } else { &[&sample] };
         assert_eq!(sent, expected, "{name}");

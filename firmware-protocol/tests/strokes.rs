@@ -1,6 +1,6 @@
 //! Which strokes the controller accepts, and that it plays them as sent.
 
-use crate::bench::{FIRMWARE, LEAST_APART, SHELLS, SOON, Bench, stroke};
+use crate::bench::{Bench, FIRMWARE, LEAST_APART, SHELLS, SOON, stroke};
 use firmware_protocol::array::MotorSet;
 use firmware_protocol::controller::POOL;
 use firmware_protocol::limits::Refusal;

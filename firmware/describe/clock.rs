@@ -45,7 +45,8 @@ pub(crate) fn exact(tick_hz: u32, duty: [u16; 2]) -> Result<Clock, String> {
         return Ok(clock);
     }
     let [up, down] = duty.map(|share| f64::from(share) / 1e3);
-    let mut line = format!("a Pico cannot make a carrier of {tick_hz} Hz with duties of {up} and {down} exactly");
+    let mut line =
+        format!("a Pico cannot make a carrier of {tick_hz} Hz with duties of {up} and {down} exactly");
     let mut nearest = Vec::new();
     if let Some(carrier) = nearest_carrier(tick_hz, duty) {
         nearest.push(format!("the nearest carrier with these duties is {carrier} Hz"));
@@ -55,7 +56,8 @@ pub(crate) fn exact(tick_hz: u32, duty: [u16; 2]) -> Result<Clock, String> {
         nearest.push(format!("the nearest duties at this carrier are {up} and {down}"));
     }
     if nearest.is_empty() {
-        let other = duties_near(duty).into_iter().find_map(|duty| Some((nearest_carrier(tick_hz, duty)?, duty)));
+        let other =
+            duties_near(duty).into_iter().find_map(|duty| Some((nearest_carrier(tick_hz, duty)?, duty)));
         if let Some((carrier, duty)) = other {
             let [up, down] = duty.map(|share| f64::from(share) / 1e3);
             nearest.push(format!("the nearest is {carrier} Hz with duties of {up} and {down}"));
@@ -157,7 +159,8 @@ fn nearest_carrier(tick_hz: u64, duty: [u16; 2]) -> Option<u64> {
             let divider = oscillator / (clock * tick_hz);
             for divider in divider.saturating_sub(2).max(1)..=divider + 2 {
                 let carrier = oscillator / (clock * divider);
-                let closer = nearest.is_none_or(|nearest| carrier.abs_diff(tick_hz) < nearest.abs_diff(tick_hz));
+                let closer =
+                    nearest.is_none_or(|nearest| carrier.abs_diff(tick_hz) < nearest.abs_diff(tick_hz));
                 if closer && CARRIERS.contains(&carrier) && find(carrier, duty).is_some() {
                     nearest = Some(carrier);
                 }
@@ -177,7 +180,8 @@ fn duties_near(duty: [u16; 2]) -> Vec<[u16; 2]> {
     for length in 4..=4 * WORD {
         for up in 1..=WORD.min(length - 1) {
             for down in up + 1..length {
-                let share = |cycles: u64| (cycles * 1_000).is_multiple_of(length).then_some(cycles * 1_000 / length);
+                let share =
+                    |cycles: u64| (cycles * 1_000).is_multiple_of(length).then_some(cycles * 1_000 / length);
                 if let (Some(up), Some(down)) = (share(up), share(down)) {
                     all.push([up as u16, down as u16]);
                 }

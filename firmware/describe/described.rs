@@ -94,7 +94,11 @@ fn parse(text: &str) -> Result<Described, String> {
     let thousandths = |key: &str, share: f64| {
         let whole = (share * 1e3).round();
         let exact = (whole - share * 1e3).abs() < 1e-6 && (1.0..1e3).contains(&whole);
-        if exact { Ok(whole as u16) } else { Err(format!("`duty.{key}` is {share}: must be whole thousandths")) }
+        if exact {
+            Ok(whole as u16)
+        } else {
+            Err(format!("`duty.{key}` is {share}: must be whole thousandths"))
+        }
     };
     let rails = rails.unwrap_or_else(|| vec![(0..motors as u8).collect()]);
     let chips = chips.unwrap_or_else(|| (0..motors as u8).map(|motor| vec![motor]).collect());
@@ -119,12 +123,15 @@ fn numbers(key: &str, groups: &[Vec<u8>], motors: usize) -> Result<Vec<u8>, Stri
     let mut of = vec![None; motors];
     for (group, members) in groups.iter().enumerate() {
         for &motor in members {
-            let place = of.get_mut(usize::from(motor)).ok_or(format!("`{key}` names motor {motor}: there are {motors}"))?;
+            let place = of
+                .get_mut(usize::from(motor))
+                .ok_or(format!("`{key}` names motor {motor}: there are {motors}"))?;
             if place.replace(group as u8).is_some() {
                 return Err(format!("`{key}` names motor {motor} twice"));
             }
         }
     }
-    let named = of.iter().position(Option::is_none).map(|motor| format!("`{key}` does not name motor {motor}"));
+    let named =
+        of.iter().position(Option::is_none).map(|motor| format!("`{key}` does not name motor {motor}"));
     named.map_or_else(|| Ok(of.into_iter().flatten().collect()), Err)
 }

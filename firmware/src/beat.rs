@@ -3,9 +3,9 @@
 //! A hung executor moves no packets. The shell, an interrupt above it, still plays; so it returns the pins in time before the
 //! watchdog restarts the chip.
 
+use crate::array::LAYOUT;
 use core::sync::atomic::{AtomicU32, Ordering::SeqCst};
 use embassy_time::Duration;
-use crate::array::LAYOUT;
 use firmware_protocol::tick::Tick;
 
 /// Most time between two beats of a task that does nothing else.

@@ -27,8 +27,12 @@ use firmware_protocol::tick::Tick;
 /// The Pico's crystal.
 pub(crate) const CRYSTAL_HZ: u32 = 12_000_000;
 /// Makes the system clock from the crystal: a whole number of its cycles is a tick (`build.rs`).
-pub(crate) const PLL: PllConfig =
-    PllConfig { refdiv: 1, fbdiv: array::PLL_FEEDBACK, post_div1: array::PLL_POST1, post_div2: array::PLL_POST2 };
+pub(crate) const PLL: PllConfig = PllConfig {
+    refdiv: 1,
+    fbdiv: array::PLL_FEEDBACK,
+    post_div1: array::PLL_POST1,
+    post_div2: array::PLL_POST2,
+};
 const CYCLES_PER_TICK: u32 = array::CYCLES_PER_TICK;
 const WORDS: usize = array::WORD_CYCLES.len();
 const RING_TICKS: usize = HORIZON as usize;

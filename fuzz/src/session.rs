@@ -7,11 +7,12 @@ use crate::input::{Raw, arm, byte, cause, chunk, direction, flag, long, one_of, 
 use arbitrary::Unstructured;
 use firmware_protocol::array::{Layout, MotorSet};
 use firmware_protocol::batch::Amendment;
-use firmware_protocol::board::{Outputs, Board, Reset, SelfTest, SelfTestState};
+use firmware_protocol::board::{Board, Outputs, Reset, SelfTest, SelfTestState};
 use firmware_protocol::frame::{self, Decoder, MAX_FRAME};
 use firmware_protocol::limits::{PowerLimits, Refusal};
-use firmware_protocol::message::{Samples, 
-    Cause, Counters, Cut, DeviceHello, DeviceMessage, HostMessage, Op, Report, State, Status, Trigger,
+use firmware_protocol::message::{
+    Cause, Counters, Cut, DeviceHello, DeviceMessage, HostMessage, Op, Report, Samples, State, Status,
+    Trigger,
 };
 use firmware_protocol::stroke::{MOTORS, Stroke};
 use firmware_protocol::tick::Tick;
@@ -348,7 +349,8 @@ impl World {
             stalls: count(input),
             usb_recoveries: count(input),
             output_faults: long(input),
-            high_at_boot: count(input).map(|lines| Outputs { lines: MotorSet::from_bits(lines.into()), ..Outputs::NONE }),
+            high_at_boot: count(input)
+                .map(|lines| Outputs { lines: MotorSet::from_bits(lines.into()), ..Outputs::NONE }),
         };
         self.say(&DeviceMessage::Board(board));
     }

@@ -67,7 +67,11 @@ impl Shell {
     pub fn new(tight: bool, start: Tick) -> Self {
         let (ahead, block) = if tight { (1, 1) } else { (HORIZON.into(), BLOCK.into()) };
         let mut shell = Self {
-            device: Controller::starting_at(Identity { boot: 7, ..Identity::default() }, Layout::PAPER, start),
+            device: Controller::starting_at(
+                Identity { boot: 7, ..Identity::default() },
+                Layout::PAPER,
+                start,
+            ),
             now: start.0,
             start: start.0,
             ahead,

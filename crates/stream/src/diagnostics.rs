@@ -291,7 +291,7 @@ fn drift(trips: &[RoundTrip], rate: TickRate) -> Drift {
 mod tests {
     use super::*;
     use firmware_protocol::tick::Tick;
-    use meissner_test_support::paper::{RATE, TICK_HZ};
+    use meissner_test_support::paper::RATE;
 
     #[test]
     fn delayed_round_trips_do_not_hide_a_fast_clock() {

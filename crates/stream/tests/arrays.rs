@@ -95,7 +95,8 @@ fn an_update_for_another_array_changes_nothing() {
 /// The array of a device is known from its first message.
 #[test]
 fn a_device_of_another_array_is_refused_at_the_handshake() {
-    let lies: [fn(&mut DeviceHello); 2] = [|hello| hello.motors = 9, |hello| hello.tick_hz = 70_000];
+    let lies: [fn(&mut DeviceHello); 2] =
+        [|hello| hello.array.motors = 9, |hello| hello.array.tick_hz = 70_000];
     for lie in lies {
         let mut rig = Rig::new(Line::default(), 3);
         rig.unplug();

@@ -1,9 +1,7 @@
 //! The session against the controller over a line that loses frames: every stroke gets one verdict.
 
-use firmware_protocol::array::Layout;
 use firmware_protocol::controller::{Controller, Identity, newer};
 use firmware_protocol::frame::{MAX_FRAME, encode};
-use firmware_protocol::limits::PowerLimits;
 use firmware_protocol::message::{Cause, DeviceMessage, Op as Command, State};
 use firmware_protocol::stroke::Stroke;
 use firmware_protocol::tick::Tick;

@@ -36,14 +36,14 @@ use crate::board::{Measures, SelfTest};
 use crate::frame::{self, FrameError, MAX_FRAME};
 use crate::limits::PowerLimits;
 use crate::message::{Cause, Counters, DeviceHello, DeviceMessage, Op, State, Status};
+#[cfg(not(feature = "pico"))]
+pub use crate::paper::DRIVER_LEAD;
 use crate::stroke::Lines;
 use crate::tick::Tick;
 use board::BoardRequests;
 use inbox::Inbox;
 use motion::Motion;
 use player::Player;
-#[cfg(not(feature = "pico"))]
-pub use crate::paper::DRIVER_LEAD;
 pub use player::{DRIVER_TAIL, POOL};
 pub use reporting::REPORTS;
 use reporting::{Due, Reporting};

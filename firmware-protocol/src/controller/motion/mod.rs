@@ -204,7 +204,8 @@ impl Motion {
         if !self.is_idle(player) {
             return Err(Refusal::State);
         }
-        let (travel, pushes) = self.pins.shifted(motor, direction, pulses, player.has_stop(), player.layout())?;
+        let (travel, pushes) =
+            self.pins.shifted(motor, direction, pulses, player.has_stop(), player.layout())?;
         if pulses > 0 {
             player.drive(motor, direction, pulses, pushes)?;
             self.pins.set_travel(motor, travel);

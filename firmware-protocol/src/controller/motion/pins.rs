@@ -105,8 +105,7 @@ impl Pins {
         has_stop: bool,
         layout: &Layout,
     ) -> Result<(i16, u16), Refusal> {
-        let &travel =
-            self.travel[..layout.motors()].get(usize::from(motor)).ok_or(Refusal::Motor)?;
+        let &travel = self.travel[..layout.motors()].get(usize::from(motor)).ok_or(Refusal::Motor)?;
         let signed = if direction == Direction::Up { i32::from(pulses) } else { -i32::from(pulses) };
         // The pin can be below rest only if there was no stop before.
         let from = if has_stop { travel.max(0) } else { travel };

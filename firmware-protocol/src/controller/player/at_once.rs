@@ -107,9 +107,9 @@ pub(super) fn take_turns(
     // The bursts that have their time: first those that run. The others wait, in their order.
     let mut booked = MotorSet::EMPTY;
     let mut places = [0; CAPACITY];
-    for motor in 0..motors {
+    for (motor, of_motor) in places.iter_mut().enumerate().take(motors) {
         if waiting.contains(motor as u8) {
-            places[motor] = place(pool, layout, waiting, motor);
+            *of_motor = place(pool, layout, waiting, motor);
         } else if pool.current(motor).is_some() {
             booked.insert(motor as u8);
         }

@@ -60,7 +60,9 @@ impl Changes {
     #[inline(never)]
     pub(super) fn open(&mut self, now: u32) {
         self.window = Window { begin: now, ..Window::CLOSED };
-        for (mut waiting, (changes, part)) in self.waiting.parts().into_iter().zip(self.at.chunks(32).zip(0..)) {
+        for (mut waiting, (changes, part)) in
+            self.waiting.parts().into_iter().zip(self.at.chunks(32).zip(0..))
+        {
             let mut bit = 1;
             for change in changes {
                 if waiting & 1 == 1 {

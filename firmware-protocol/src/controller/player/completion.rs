@@ -56,7 +56,9 @@ impl Player {
 
     /// How many ticks after the rendered end the last return pulse is over, when nothing but returns is queued.
     pub(in crate::controller) fn return_ticks(&self) -> u32 {
-        let ends = (0..self.layout.loop_end()).filter_map(|motor| self.pool.current(motor)).map(|slot| slot.stroke.end());
+        let ends = (0..self.layout.loop_end())
+            .filter_map(|motor| self.pool.current(motor))
+            .map(|slot| slot.stroke.end());
         ends.fold(self.rendered, Tick::max).since(self.rendered) as u32
     }
 

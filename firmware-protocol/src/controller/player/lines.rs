@@ -84,9 +84,8 @@ impl Player {
         let Some(slot) = self.pool.current(motor) else { return };
         let (stroke, pushes) = (slot.stroke, slot.pushes);
         let begun = self.allowance.begin_stroke().and_then(|()| self.check_at_once(&stroke));
-        let begun = begun.and_then(|()| {
-            self.allowance.begin(self.rendered, motor, stroke.pulses(), pushes, &self.layout)
-        });
+        let begun = begun
+            .and_then(|()| self.allowance.begin(self.rendered, motor, stroke.pulses(), pushes, &self.layout));
         let Some(slot) = self.pool.current_mut(motor) else { return };
         match begun {
             Ok(()) => slot.charged = Some(charge(&stroke)),
