@@ -48,6 +48,7 @@ mod tests {
     use crate::{Settings, simulate_play};
     use meissner_array::pattern::{Drive, Pattern};
     use meissner_array::simulated::SimulatedMotorsConfig;
+    use meissner_array::spec::Array;
     use meissner_array::spec::names;
     use meissner_array::strokes::{Sequence, Start, StrokeOptions};
     use proptest::prelude::*;
