@@ -108,7 +108,8 @@ impl LinkReportError {
     }
 }
 
-/// Measures the link of `device`, which should drive this array; blocks for some seconds. With `self_test`, the device then tests itself.
+/// Measures the link of `device`, which should drive this array; blocks for some seconds. With `self_test`, the device then tests
+/// itself.
 ///
 /// # Errors
 /// If it is no board, goes away or answers too slowly.

@@ -34,7 +34,8 @@
 //! phase = 0.0
 //! "#;
 //! let pattern = Pattern::parse(text, "one-pin.toml")?;
-//! let played = simulate_play(&pattern, None, &SimulatedMotorsConfig::default(), Settings::default(), false)?;
+//! let settings = Settings::of(pattern.array());
+//! let played = simulate_play(&pattern, None, &SimulatedMotorsConfig::default(), settings, false)?;
 //! assert_eq!(played.outcome.bursts.played, 60); // 30 periods, up and down
 //! assert!(played.rest.rms_um() < 20.0); // closed loop, 10 % scatter
 //! # Ok::<(), Box<dyn std::error::Error>>(())

@@ -437,13 +437,17 @@ impl PositionControl {
     }
 
     /// The same of one motor; `fresh`: telemetry is recent.
+    #[inline]
     fn error_um(&self, motor: &BurstController, fresh: bool) -> (f32, ErrorSource) {
-        let measured = fresh && motor.fault().is_none();
-        match (measured, motor.landing_rms_um(), motor.dead_reckoning_um()) {
-            (true, _, _) => (motor.rest_um() as f32, ErrorSource::Telemetry),
-            (false, Some(landing), _) => (landing as f32, ErrorSource::LowerStop),
-            (false, None, 0.0) => (motor.rest_um() as f32, ErrorSource::None),
-            (false, None, um) => ((um as f32).min(self.end_stop_um), ErrorSource::DeadReckoning),
+        if fresh && motor.fault().is_none() {
+            return (motor.rest_um() as f32, ErrorSource::Telemetry);
+        }
+        if let Some(landing) = motor.landing_rms_um() {
+            return (landing as f32, ErrorSource::LowerStop);
+        }
+        match motor.dead_reckoning_um() {
+            0.0 => (motor.rest_um() as f32, ErrorSource::None),
+            um => ((um as f32).min(self.end_stop_um), ErrorSource::DeadReckoning),
         }
     }
 }

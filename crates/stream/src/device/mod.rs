@@ -67,7 +67,8 @@ pub enum Device {
     Usb(UsbPort),
 }
 
-/// Opens a device; a simulated one has this array with these motors. It blocks as long as the system takes, so the streamer's thread must not call it.
+/// Opens a device; a simulated one has this array with these motors. It blocks as long as the system takes, so the streamer's thread
+/// must not call it.
 ///
 /// # Errors
 /// If the device cannot be opened; the error's one line says why and what to do.

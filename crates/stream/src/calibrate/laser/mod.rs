@@ -36,9 +36,9 @@ use firmware_protocol::stroke::Direction;
 use meissner_array::spec::Array;
 use serde::Serialize;
 
-/// Default numbers of pulses, as multiples of the fewest. The short burst makes the offset of the line certain, which makes its slope more certain: the
-/// error is 1.3 times that of a line through the origin. The others are near the paper's 70: longer ones move the pin
-/// further from rest and make nothing more certain, because scatter is a share of the travel.
+/// Default numbers of pulses, as multiples of the fewest. The short burst makes the offset of the line certain, which makes its slope
+/// more certain: the error is 1.3 times that of a line through the origin. The others are near the paper's 70: longer ones move the
+/// pin further from rest and make nothing more certain, because scatter is a share of the travel.
 const PULSES: [u16; 10] = [1, 5, 6, 7, 8, 9, 10, 11, 12, 13];
 /// Default rounds: two and a half minutes, which give gains to 0.6 %, one standard error, at 10 % scatter.
 pub const LASER_REPETITIONS: u16 = 5;
