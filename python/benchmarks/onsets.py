@@ -4,7 +4,7 @@
 
 Over TCP the client's clock is shifted, and 100 ppm fast: the truth is that function of the daemon's clock. Over the
 socket both read one clock, so the mapping cannot err, and the run tests only the daemon's own uncertainty.
-The simulated device counts exactly 85 000 ticks per second of the daemon's clock, from an unknown instant on. One such
+The simulated device counts exactly `tick_hz` ticks per second of the daemon's clock, from an unknown instant on. One such
 instant must fit all onsets within the uncertainties.
 """
 
@@ -17,8 +17,6 @@ from meissner._endpoint import endpoints
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 from network import Network
-
-HZ = 85_000
 
 
 def skewed(host_ns: int) -> int:
@@ -47,7 +45,7 @@ def measure(name: str, client: meissner.Client, plays: int, *, is_skewed: bool) 
             play = m.play("pin-60", 0.02)
             play.wait()
             onset = play.onset
-            start, width = onset.host_ns - onset.tick * 1e9 / HZ, onset.host_uncertainty * 1e9
+            start, width = onset.host_ns - onset.tick * 1e9 / onset.tick_hz, onset.host_uncertainty * 1e9
             low.append(start - width)
             high.append(start + width)
             truth_ns = skewed(onset.host_ns) if is_skewed else onset.host_ns

@@ -20,7 +20,7 @@ classdef Meissner < handle
 
   properties (SetAccess = private)
     url        % of the daemon
-    tick_hz = 85000
+    array      % that it drives: name, positions_mm, tick_hz and so on, as in GET /v1/array; [] of an older daemon
   end
 
   properties (Access = private)
@@ -52,6 +52,12 @@ classdef Meissner < handle
       self.client = self.client(max(1, end - 63):end);
       if isfield(asked, 'clock'), self.clock = asked.clock; end
       self.synchronise();
+      try
+        self.array = self.get('/v1/array', 10);
+      catch failure
+        % MATLAB hides the code of an error.
+        if ~any(strcmp(failure.identifier, {'meissner:not_found', 'meissner:http'})), rethrow(failure); end
+      end
     end
 
     function delete(self)
@@ -86,7 +92,6 @@ classdef Meissner < handle
         error('meissner:unexpected', '%s does not answer as a meissner daemon: check the address', self.url);
       end
       if ~isempty(state.clock)
-        self.tick_hz = state.clock.tick_hz;
         self.compare(sent, received, state.clock.monotonic_ns / 1e9);
       end
     end
@@ -154,9 +159,9 @@ classdef Meissner < handle
     end
 
     function play = play(self, pattern, varargin)
-      % Queue a play. Options: seconds, at, scale, trigger (a code, or false), trial, labels (a struct), late, fit, replace, endless,
-      % open_loop. 'at' is a time of now(), or an instant such as m.later(receipt.onset, 1.5), which is exact to the tick.
-      names = {'seconds', 'at', 'scale', 'trigger', 'trial', 'labels', 'late', 'fit', 'replace', 'endless', 'open_loop'};
+      % Queue a play. Options: seconds, at, scale, trigger (a code, or false), trial, labels (a struct), late, fit, map, replace,
+      % endless, open_loop. 'map', 'nearest' plays a pattern for another array by the pins' positions. 'at' is a time of now(), or an instant such as m.later(receipt.onset, 1.5), which is exact to the tick.
+      names = {'seconds', 'at', 'scale', 'trigger', 'trial', 'labels', 'late', 'fit', 'map', 'replace', 'endless', 'open_loop'};
       body = Meissner.options(names, varargin);
       body.pattern = pattern;
       play = self.order('/v1/play', body, pattern);
@@ -165,8 +170,8 @@ classdef Meissner < handle
     function play = sequence(self, items, varargin)
       % Queue patterns as one play with exact times. An item is a name, or a struct with pattern and any of seconds, scale, trigger,
       % gap and start (s). Options: isi (pause from an item's end) or soa (distance of onsets), seconds and scale of items that give
-      % none, at, name, trial, labels, late, replace, open_loop.
-      names = {'isi', 'soa', 'seconds', 'scale', 'at', 'name', 'trial', 'labels', 'late', 'replace', 'open_loop'};
+      % none, at, name, trial, labels, late, map, replace, open_loop.
+      names = {'isi', 'soa', 'seconds', 'scale', 'at', 'name', 'trial', 'labels', 'late', 'map', 'replace', 'open_loop'};
       body = Meissner.options(names, varargin);
       [made, body] = Meissner.items(items, body);
       body.items = made;
@@ -177,10 +182,10 @@ classdef Meissner < handle
 
     function instant = later(self, instant, seconds)
       % The instant some seconds later, at a whole tick. As 'at' of a play it makes the distance exact to the tick.
-      ticks = round(seconds * self.tick_hz);
+      ticks = round(seconds * instant.tick_hz);
       instant.tick = instant.tick + ticks;
-      instant.time = instant.time + ticks / self.tick_hz;
-      instant.uncertainty = instant.uncertainty + abs(ticks) / self.tick_hz * self.MAX_SKEW;
+      instant.time = instant.time + ticks / instant.tick_hz;
+      instant.uncertainty = instant.uncertainty + abs(ticks) / instant.tick_hz * self.MAX_SKEW;
     end
 
     function receipt = wait(self, play, timeout)
@@ -324,24 +329,28 @@ classdef Meissner < handle
     end
 
     function receipt = receipt_of(self, raw)
+      if ~isfield(raw, 'tick_hz')
+        % An older daemon drives the paper's array.
+        raw.array = 'tula35-6x4'; raw.tick_hz = 85000; raw.mapped_from = [];
+      end
       receipt = struct('id', raw.id, 'pattern', raw.pattern, 'state', raw.state, 'cause', raw.cause, 'onset', [], 'offset', [], ...
         'late', raw.lateness.host + raw.lateness.link + raw.lateness.device, 'items', {{}}, 'raw', raw);
-      receipt.onset = self.instant(raw.onset, raw.boot, 'actual_tick');
-      receipt.offset = self.instant(raw.offset, raw.boot, 'tick');
+      receipt.onset = self.instant(raw.onset, raw, 'actual_tick');
+      receipt.offset = self.instant(raw.offset, raw, 'tick');
       for number = 1:numel(raw.items)
         item = Meissner.element(raw.items, number);
         receipt.items{number} = struct('pattern', item.pattern, 'state', item.state, 'scale', item.scale, ...
-          'onset', self.instant(item.onset, raw.boot, 'tick'), 'offset', self.instant(item.offset, raw.boot, 'tick'));
+          'onset', self.instant(item.onset, raw, 'tick'), 'offset', self.instant(item.offset, raw, 'tick'));
       end
     end
 
-    function made = instant(self, record, boot, tick)
+    function made = instant(self, record, raw, tick)
       % A moment of a play: the device's tick, and the time on our clock.
       made = [];
       if isempty(record), return, end
       host = record.monotonic_ns / 1e9;
       [offset, uncertainty] = self.offset_at(host);
-      made = struct('tick', record.(tick), 'boot', boot, 'time', host + offset, ...
+      made = struct('tick', record.(tick), 'boot', raw.boot, 'tick_hz', raw.tick_hz, 'time', host + offset, ...
         'uncertainty', uncertainty + record.uncertainty_ns / 1e9, 'host', host);
     end
 

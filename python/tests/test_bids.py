@@ -181,7 +181,7 @@ TEXTS = {"0" * 64: PATTERN.format("pin", 40.0)}
 
 
 def moves(rows: list[dict[str, Any]], rate_hz: float = 1000.0) -> tuple[dict[int, float | None], list[str]]:
-    grid = traces.Grid(rows, TEXTS, zero_ns=0, rate_hz=rate_hz)
+    grid = traces.Grid(bids.stimulus_rows(rows), TEXTS, zero_ns=0, rate_hz=rate_hz)
     found = list(grid)
     assert [index for index, _ in found] == sorted({index for index, _ in found})
     return {index: None if pins is None else pins[9] for index, pins in found}, grid.problems

@@ -250,6 +250,109 @@ test("a shape that is dragged plays live, and a window out of sight ends it (smo
   assert.deepEqual(page.complaints.filter((line) => !line.includes("404")), []);
 });
 
+// Its pins stand in no rows, some of them outside of the finger.
+const SCATTERED = `name = "scattered"
+pins = { positions_mm = [[-1.4, 1.5], [1.2, 0.0], [-13.0, 2.0], [14.0, -16.0], [0.5, 19.0]], radius_mm = 0.4 }
+tick_hz = 60000
+duty = { up = 0.25, down = 0.75 }
+[motor]
+step_um = 0.1
+window_ms = 5.0
+travel_um = 100.0
+most_pulses = 1500
+`;
+
+for (const name of ["tula35-6x4", "tula35-2x3", "ubi-pen-3x3", "simulated-8x8", "scattered"]) {
+  test(`the page shows the array ${name}, and plays a pattern of another array only if a person wants that`, async () => {
+    const daemon = new Daemon(`[array]\ndescription = "${name}${name === "scattered" ? ".toml" : ""}"\n`);
+    writeFileSync(join(daemon.dir, "scattered.toml"), SCATTERED);
+    writeFileSync(join(daemon.dir, "calibration.toml"), CALIBRATION);
+    await daemon.start();
+    const { positions_mm: places, pitch_mm: pitch, grid, motor } = await get(daemon, "/v1/array");
+    const page = await open(daemon, 360, 640);
+    await shows(page, "facts", `Array${name}`);
+    await page.waitForSelector("#pattern-list li");
+    // The pins are drawn at their places, in units of which the pitch has 29, on the skin.
+    const pins = await page.$$eval(".finger > g", (groups) => groups.map((group) => {
+      const [x, y] = group.getAttribute("transform").match(/-?[\d.]+/g).map(Number);
+      return [x, y, document.querySelector(".finger .skin").isPointInFill(new DOMPoint(x, y))];
+    }));
+    assert.equal(pins.length, places.length);
+    pins.forEach(([x, y, isOnSkin], i) => {
+      const [right, down] = [places[i][0] - places[0][0], places[0][1] - places[i][1]].map((mm) => (29 * mm) / pitch);
+      assert.ok(Math.hypot(x - pins[0][0] - right, y - pins[0][1] - down) < 1e-6 && isOnSkin, `pin ${i} at ${x}, ${y}`);
+    });
+    // The pad shows all pins, also those outside of the finger.
+    const onPad = await page.$$eval("#pad .pin-place", (pins) => pins.map((pin) => {
+      const { x, y, width, height } = pin.ownerSVGElement.viewBox.baseVal;
+      const [cx, cy, r] = ["cx", "cy", "r"].map((name) => Number(pin.getAttribute(name)));
+      return [cx, -cy, cx - r > x && cx + r < x + width && cy - r > y && cy + r < y + height];
+    }));
+    onPad.forEach(([x, y, isSeen], i) => assert.ok(Math.hypot(x - places[i][0], y - places[i][1]) < 1e-6 && isSeen, `pin ${i} of the pad at ${x}, ${y}`));
+    assert.equal(onPad.length, places.length);
+    // The dots of a Braille letter stand above pins, if there are rows and columns enough.
+    await page.select("#shape", "braille");
+    const dots = await page.$$eval("#pad .shape-dot", (dots) => dots.map((dot) => [Number(dot.getAttribute("cx")), -dot.getAttribute("cy")]));
+    const isAbove = ([x, y]) => places.some((place) => Math.hypot(x - place[0], y - place[1]) < 1e-6);
+    assert.equal(dots.length, 3);
+    if (grid?.rows >= 5 && grid.columns >= 3) assert.ok(dots.every(isAbove), JSON.stringify(dots));
+    // Numbers and ranges are those of the array.
+    assert.equal(await page.$eval("#amplitude", (field) => Number(field.max)), motor.travel_um);
+    assert.equal(await page.$$eval("#calibrate-motor option", (options) => options.length), places.length + 1);
+    await shows(page, "calibration-note", `of ${places.length} motors`);
+    assert.equal(await page.$$eval("#fit-grid .fit", (buttons) => buttons.length), places.length);
+    const columns = await page.$eval("#fit-grid", (plots) => getComputedStyle(plots).gridTemplateColumns.split(" ").length);
+    assert.equal(columns, grid?.columns ?? 3);
+    assert.equal(await page.evaluate(() => document.documentElement.scrollWidth), 360);
+    // The shipped patterns are for the paper's array.
+    await arm(page);
+    await page.$eval("#seconds", (input) => (input.value = "0.2"));
+    await page.type("#search", "pin-60");
+    const isForeign = name !== "tula35-6x4";
+    const play = 'li[data-name="pin-60"]:not([hidden])';
+    await page.waitForSelector(play);
+    assert.equal(await page.$eval("#nearest-label", (label) => !label.hidden), isForeign);
+    assert.equal((await page.$eval(play, (item) => item.textContent)).includes("for the array tula35-6x4"), isForeign);
+    await press(page, `${play} button`);
+    if (isForeign) {
+      await shows(page, "alert", `pin-60 is for the array tula35-6x4, and this one is ${name}.`);
+      await press(page, "#nearest");
+      await press(page, `${play} button`);
+    }
+    await shows(page, "receipt-summary", "pin-60: done");
+    const receipt = await get(daemon, "/v1/plays/last");
+    assert.deepEqual([receipt.id, receipt.array, receipt.mapped_from], [1, name, isForeign ? "tula35-6x4" : null]);
+    assert.equal((await text(page, "receipt-facts")).includes("from the array tula35-6x4"), isForeign);
+    assert.deepEqual(page.complaints.filter((line) => !line.includes("404")), []);
+  });
+}
+
+test("what is found for a target is for the daemon's array", async () => {
+  const daemon = await new Daemon('[array]\ndescription = "ubi-pen-3x3"\n').start();
+  const page = await open(daemon);
+  await arm(page);
+  await shows(page, "load", "edge-45");
+  await page.select("#load", "edge-45");
+  await page.$eval("#budget", (input) => (input.value = "0.2"));
+  await page.waitForSelector("#find:not([disabled])");
+  await press(page, "#find");
+  await shows(page, "search-note", "Found a pattern for edge-45", SEARCHED);
+  await press(page, "#feel");
+  // The pins of the array are known here.
+  await page.waitForFunction(() => document.querySelector('.finger .hand[visibility="visible"]'), WAIT);
+  await shows(page, "receipt-summary", ": done");
+  await page.waitForSelector("#save:not([disabled])");
+  await press(page, "#save");
+  await shows(page, "search-note", "Saved pattern and target");
+  const { patterns } = await get(daemon, "/v1/patterns");
+  const saved = patterns.filter((pattern) => !pattern.library);
+  assert.deepEqual(saved.map((pattern) => pattern.array), ["ubi-pen-3x3"]);
+  await page.waitForSelector(`li[data-name="${saved[0].name}"]`);
+  await page.$eval(`li[data-name="${saved[0].name}"]`, (item) => item.scrollIntoView());
+  await page.waitForSelector(`li[data-name="${saved[0].name}"] .thumbnail`);
+  assert.equal(await page.$$eval(`li[data-name="${saved[0].name}"] .thumbnail circle`, (pins) => pins.length), 9);
+});
+
 test("the doctor's findings come with verdicts and remedies", async () => {
   const daemon = await new Daemon().start();
   const page = await open(daemon);

@@ -23,6 +23,7 @@ from ._bodies import SequenceItem
 from ._endpoint import Endpoint, endpoints
 from ._operations import Core, begin
 from ._sse import Event
+from .arrays import Array
 from .client import Client, Play, Session
 from .clocks import ClientClock, Instant
 from .errors import ApiError, MeissnerError, PlayStopped, Unreachable
@@ -36,6 +37,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "ApiError",
+    "Array",
     "Client",
     "Daemon",
     "Design",

@@ -61,6 +61,7 @@ class AsyncLive(LivePlay[AsyncUpdate]):
     async def _begin(self) -> AsyncLive:
         started = await self._client.run(self._start)
         self._accepted, self._updates.play_id = started.accepted, started.accepted.id
+        self._updates.array = started.array
         endpoint = self._client.core.endpoint
         try:
             reader, received = await _within(self._open(endpoint, started.path), _CONNECT_TIMEOUT)

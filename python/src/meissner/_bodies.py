@@ -15,6 +15,7 @@ Trigger = Union[Mapping[str, Any], bool, int, None]
 Labels = Union[Mapping[str, Any], None]
 Late = Literal["drop", "abort", None]
 Fit = Literal["whole", "cover", None]
+Map = Literal["nearest", None]
 SequenceItem = Union[str, Mapping[str, Any]]
 
 

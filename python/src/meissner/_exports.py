@@ -12,6 +12,7 @@ from ._http import Op
 from ._operations import Core, pattern, session_plays, status
 from .clocks import NS, Instant
 from .errors import BadPattern, IncompleteSession, NotFound
+from .traces import ArrayName
 
 
 def _complete(recorded: Mapping[str, Any]) -> None:
@@ -56,6 +57,7 @@ def export_bids(
     run: int | str | None = None,
     zero: float | Instant | None = None,
     displacement_hz: float | None = 1000.0,
+    array: ArrayName | None = None,
     incomplete: bool = False,
 ) -> Op[bids.Export]:
     """Write a recorded session into a BIDS dataset: events, the patterns as stimuli, the displacement of the pins.
@@ -67,6 +69,7 @@ def export_bids(
     `zero` is the instant from which onsets count, such as the
     start of an EEG recording: of this process's `time.monotonic()`, or an `Instant`. Without it the first onset counts.
     `displacement_hz`: samples of the pins' displacement a second, computed by the program `meissner` on this machine; None: none.
+    `array`: the file of the array's description, if that program does not ship it.
 
     Raises `IncompleteSession` if the record lacks something of the session, unless `incomplete`; `left_out` then says what.
     """
@@ -86,6 +89,7 @@ def export_bids(
         subject=subject,
         session=session,
         run=run,
+        array=array,
     )
 
 
@@ -97,13 +101,14 @@ def export_nwb(
     subject: Mapping[str, Any] | None = None,
     metadata: Mapping[str, Any] | None = None,
     displacement_hz: float | None = 1000.0,
+    array: ArrayName | None = None,
     incomplete: bool = False,
 ) -> Op[nwb.Export]:
     """Write a recorded session as an NWB file: a table of stimuli, the displacement of the pins, the device.
 
     It needs the package `pynwb`. `subject` has keys of `pynwb.file.Subject`, such as `age="P30Y"` and `sex="F"`, `metadata` those of
-    `pynwb.NWBFile`, such as `experimenter`, `institution` and `keywords`. `displacement_hz` and
-    `incomplete`: as in `export_bids`.
+    `pynwb.NWBFile`, such as `experimenter`, `institution` and `keywords`. `displacement_hz`,
+    `array` and `incomplete`: as in `export_bids`.
     """
     nwb.needs_pynwb()
     recorded, found = yield from _stimuli(core, session_id, incomplete)
@@ -115,4 +120,5 @@ def export_nwb(
         subject=subject,
         metadata=metadata,
         displacement_hz=displacement_hz,
+        array=array,
     )

@@ -21,6 +21,7 @@ from ._bodies import Labels, Late, Trigger, texts, trigger_of
 from ._http import Answer, Op
 from ._operations import Accepted, Core
 from ._plays import KnownPlay
+from .arrays import Array
 from .errors import ApiError, ConnectionLost, MeissnerError, PlayStopped, UnexpectedAnswer
 from .results import LiveResult, Receipt
 
@@ -40,6 +41,8 @@ class Started:
 
     accepted: Accepted
     path: str
+    array: Array | None = None
+    """The array whose motors it drives; None: not known, so no motor is checked."""
 
 
 def start(
@@ -72,9 +75,10 @@ def start(
     The play ends when the program sends nothing for `timeout` s (0.5; the first message may take 2 s), and the pins return.
     No thread keeps it alive: a program that hangs must not leave pins moving. A loop without a change calls `keep()`.
     """
+    array = yield from ops.array(core)
     body = {
         "target": target,
-        "drives": None if drives is None else plain_drives(drives),
+        "drives": None if drives is None else plain_drives(drives, array),
         "pose": None if pose is None else plain_pose(pose),
         "scale": scale,
         "timeout_ms": None if timeout is None else timeout * 1000,
@@ -94,14 +98,17 @@ def start(
     }
     answer = yield from ops.send(core, _http.post("/v1/live", body, timeout=20.0))
     raw = core.read(answer)
-    return Started(Accepted(raw["id"], "live", None, core.daemon), raw["path"])
+    return Started(Accepted(raw["id"], "live", None, core.daemon), raw["path"], array)
 
 
-def plain_drives(drives: Drives) -> list[dict[str, Any]]:
-    """Drives as JSON has them; NumPy's numbers become Python's."""
-    return [
+def plain_drives(drives: Drives, array: Array | None) -> list[dict[str, Any]]:
+    """Drives as JSON has them; NumPy's numbers become Python's. Raises `ValueError` for a motor that the array does not have."""
+    plain = [
         {key: value.tolist() if hasattr(value, "tolist") else value for key, value in drive.items()} for drive in drives
     ]
+    if array is not None:
+        array.check_motors(plain)
+    return plain
 
 
 def plain_pose(pose: Pose) -> dict[str, float]:
@@ -191,6 +198,8 @@ class Updates(Generic[U]):
 
     def __init__(self, play_id: int, make: Callable[[int], U]) -> None:
         self.play_id = play_id
+        self.array: Array | None = None
+        """As `Started.array`."""
         self.under_way: dict[int, U] = {}
         """The messages that were sent and have no answer, the oldest first."""
         self.cause: str | None = None
@@ -219,7 +228,7 @@ class Updates(Generic[U]):
         self.raise_problem()
         body: dict[str, Any] = {}
         if drives is not None:
-            body["drives"] = plain_drives(drives)
+            body["drives"] = plain_drives(drives, self.array)
         if pose is not None:
             body["pose"] = plain_pose(pose)
         if scale is not None:

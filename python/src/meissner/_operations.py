@@ -17,9 +17,10 @@ from typing import Any, ParamSpec, TypeVar
 from urllib.parse import quote
 
 from . import _http
-from ._bodies import At, Fit, Labels, Late, SequenceItem, Trigger, sequence_items, texts, trigger_of
+from ._bodies import At, Fit, Labels, Late, Map, SequenceItem, Trigger, sequence_items, texts, trigger_of
 from ._endpoint import Endpoint
 from ._http import Answer, Op, Pause, Request
+from .arrays import Array, of_record
 from .clocks import MAX_SKEW, NS, ClientClock, Instant
 from .errors import (
     ApiError,
@@ -70,9 +71,10 @@ class Core:
     """For how long to look for a daemon that was there before, s."""
     session: Owned | None = None
     """The session that this client owns. Every order names it, so that none counts for another one."""
-    tick_hz: int | None = None
     daemon: tuple[int, str] | None = None
     """Which daemon answered last: its process and version."""
+    array: Array | None = None
+    """What that daemon drives; None: it was not asked yet."""
     has_armed: bool = False
     """Whether this client has armed, so that it disarms at its end."""
     silence: float | None = None
@@ -112,8 +114,7 @@ class Core:
 
     def receipt(self, raw: dict[str, Any]) -> Receipt:
         """A receipt with instants on this client's clocks."""
-        # Without a device at the last status there is no play with an onset, so the rate is not used.
-        return Receipt.of(raw, self.clock, self.tick_hz or 1)
+        return Receipt.of(of_record(raw), self.clock)
 
 
 @dataclass(frozen=True)
@@ -161,10 +162,11 @@ def _take_status(core: Core, answer: Answer) -> Status:
     raw = core.read(answer)
     if not isinstance(raw, dict) or "state" not in raw:
         raise UnexpectedAnswer(f"{core.endpoint.name} does not answer as a meissner daemon: check the address")
-    core.daemon = (raw["pid"], raw["version"])
+    daemon = (raw["pid"], raw["version"])
+    if daemon != core.daemon:
+        core.daemon, core.array = daemon, None
     if raw["clock"] is not None:
         core.clock.add(answer.sent_ns, answer.received_ns, raw["clock"]["monotonic_ns"])
-        core.tick_hz = raw["clock"]["tick_hz"]
         core.device_clock = {**raw["clock"], "boot": raw["device"]["boot"] if raw["device"] else None}
         core.synced_ns = answer.received_ns
     return Status.of(raw)
@@ -180,6 +182,16 @@ def begin(core: Core) -> Op[Status]:
         state = yield from status(core)
     yield from synchronise(core)
     return state
+
+
+def array(core: Core) -> Op[Array]:
+    """The array that the daemon drives."""
+    if core.array is None:
+        try:
+            core.array = Array.of((yield from _document(core, _http.get("/v1/array"))))
+        except NotFound:
+            core.array = Array.paper()
+    return core.array
 
 
 def synchronise(core: Core) -> Op[float]:
@@ -308,6 +320,7 @@ def play(
     labels: Labels = None,
     late: Late = None,
     fit: Fit = None,
+    map: Map = None,
     replace: bool = False,
     endless: bool = False,
     open_loop: bool = False,
@@ -317,6 +330,9 @@ def play(
     `at` is the onset: an instant of this process's `time.monotonic()` such as `m.now() + 0.2`, or the `Instant` of an
     earlier play, such as `play.onset.later(1.5)`, which is exact to the tick. Without it the play begins as soon as
     it can. `scale` multiplies the amplitudes. `trigger`: a code from 1 to 255, or False for none.
+
+    `map="nearest"` plays a pattern for another array, which the daemon refuses otherwise (`OtherArray`): each pin follows the
+    nearest pin of the pattern's array, if that is at most one pitch of that array away.
     """
     body = {
         "pattern": pattern,
@@ -327,6 +343,7 @@ def play(
         "labels": texts(labels),
         "late": late,
         "fit": fit,
+        "map": map,
         "replace": replace or None,
         "endless": endless or None,
         "open_loop": open_loop or None,
@@ -349,6 +366,7 @@ def sequence(
     trial: int | None = None,
     labels: Labels = None,
     late: Late = None,
+    map: Map = None,
     replace: bool = False,
     open_loop: bool = False,
 ) -> Op[Accepted]:
@@ -356,7 +374,7 @@ def sequence(
 
     An item is a pattern's name, or a dict with `pattern` and any of `seconds`, `scale`, `trigger`, `gap` (pause after the
     item before, s) and `start` (from the sequence's onset, s). `isi` is the pause from one item's end to the next
-    onset, `soa` the distance of onsets, s. `seconds` and `scale` are for items that give none.
+    onset, `soa` the distance of onsets, s. `seconds` and `scale` are for items that give none. `map`: as in `play`.
     """
     body = {
         "items": sequence_items(items, isi, soa, {"seconds": seconds, "scale": scale}),
@@ -364,6 +382,7 @@ def sequence(
         "trial": trial,
         "labels": texts(labels),
         "late": late,
+        "map": map,
         "replace": replace or None,
         "open_loop": open_loop or None,
         "session": core.session and core.session.id,

@@ -21,6 +21,7 @@ from ._operations import Accepted, Core
 from ._plays import KnownPlay, quietly
 from ._sse import Event, EventParser
 from ._transport import AsyncTransport
+from .arrays import Array
 from .clocks import NS
 from .errors import ConnectionLost, MeissnerError, Unreachable
 from .results import Receipt
@@ -188,6 +189,11 @@ class AsyncClient:
         """This process's `time.monotonic()`, s: the clock of `at` and of `onset.monotonic`."""
         return self.core.clock.now_ns() / NS
 
+    @property
+    def array(self) -> Awaitable[Array]:
+        """The array that the daemon drives: `await m.array`. It is read once."""
+        return self.run(ops.array(self.core))
+
     status = _awaiting(ops.status)
     synchronise = _awaiting(ops.synchronise)
     arm = _arming(ops.arm)
@@ -233,8 +239,9 @@ class AsyncClient:
         return await asyncio.to_thread(program.simulate, scene, **options)
 
     async def design(self, target: str, **options: Any) -> program.Design:
-        """Find a pattern for a target shape, in a thread, and store it in the daemon. As `meissner.design`."""
-        found = await asyncio.to_thread(program.design, target, **options)
+        """Find a pattern of the daemon's array for a target shape, in a thread, and store it in the daemon. As `meissner.design`."""
+        array = await self.array
+        found = await asyncio.to_thread(program.design, target, **{"array": array.name, **options})
         await self.store_pattern(found.name, found.toml, replace=True)
         return found
 

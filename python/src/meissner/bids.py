@@ -21,9 +21,9 @@ from typing import Any
 from ._bids_names import SESSION_SOURCE, SOURCE, Names, add_participant
 from ._bids_names import label as label
 from ._labels import Labels
+from .arrays import of_record
 from .errors import ProgramError
-from .program import find_program
-from .traces import PINS, Grid
+from .traces import ArrayName, Grid
 
 VERSION = "1.10.0"
 _HED = "Sensory-event, Tactile-presentation, Experimental-stimulus"
@@ -50,10 +50,15 @@ _COLUMNS: dict[str, dict[str, Any]] = {
     },
     "late_strokes": {"Description": "Number of strokes that came late and were left out"},
     "trigger_code": {"Description": "Code of the trigger output; n/a: one pulse, or nothing"},
-    "onset_tick": {"Description": "Onset on the device's clock, ticks of 1/85000 s"},
+    "onset_tick": {"Description": "Onset on the device's clock, ticks"},
     "onset_uncertainty": {"Description": "Uncertainty of the onset against the recording PC's clock", "Units": "s"},
     "play": {"Description": "Number of the play in the session record"},
     "item": {"Description": "Number of the item in its sequence, from 0; n/a: a play of one pattern"},
+    "array": {"Description": "Name of the array of pins"},
+    "tick_hz": {"Description": "Ticks of the device's clock a second", "Units": "Hz"},
+    "mapped_from": {
+        "Description": "Name of the array that the pattern is for, if it was mapped by position; n/a: it was not"
+    },
 }
 
 
@@ -74,8 +79,8 @@ class Export:
 
 
 def stimulus_rows(plays: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """The rows that are stimuli: of a sequence its items, without those that never began; sorted by onset."""
-    rows = [play for play in plays if play["onset_tick"] is not None and play["items_planned"] is None]
+    """The rows that are stimuli: of a sequence its items, without those that never began; sorted by onset, each with its array."""
+    rows = [of_record(play) for play in plays if play["onset_tick"] is not None and play["items_planned"] is None]
     return sorted(rows, key=lambda row: int(row["onset_monotonic_ns"]))
 
 
@@ -91,6 +96,7 @@ def write(
     subject: str | None = None,
     session: str | None = None,
     run: int | str | None = None,
+    array: ArrayName | None = None,
 ) -> Export:
     """Writes a session. `recorded` is as of `session_plays`, `patterns` holds the patterns' keys by SHA-256.
 
@@ -123,9 +129,8 @@ def write(
     displacement = None
     if displacement_hz is not None and rows:
         texts = {sha256: pattern_toml(keys) for sha256, keys in patterns.items()}
-        grid = Grid(rows, texts, zero_ns=zero, rate_hz=displacement_hz)
         try:
-            find_program()
+            grid = Grid(rows, texts, zero_ns=zero, rate_hz=displacement_hz, array=array)
         except ProgramError as error:
             left_out.append(f"no displacement of the pins: {error}")
         else:
@@ -155,23 +160,22 @@ def _incomplete(recorded: Mapping[str, Any]) -> dict[str, Any]:
     return {"Incomplete": {"Missing": losses(recorded), "PlaysMissing": plays, "EntriesLost": recorded["lost"]}}
 
 
-_ZEROS = ("\t".join(["0"] * PINS) + "\n").encode()
-_UNKNOWN = ("\t".join(["n/a"] * PINS) + "\n").encode()
 _AT_ONCE = 10_000
 
 
 def _displacement(file: Path, grid: Grid, task: str) -> None:
     """The samples and their sidecar. The same samples make the same bytes: no name and no time in the file."""
+    zeros, unknown = (("\t".join([cell] * grid.pins) + "\n").encode() for cell in ("0", "n/a"))
     with file.open("wb") as opened, gzip.GzipFile("", "wb", 6, opened, mtime=0) as packed:
         due = grid.first
         for index, row in grid:
             while due < index:
                 rest = min(index - due, _AT_ONCE)
-                packed.write(_ZEROS * rest)
+                packed.write(zeros * rest)
                 due += rest
-            packed.write(_UNKNOWN if row is None else ("\t".join(map(_um, row)) + "\n").encode())
+            packed.write(unknown if row is None else ("\t".join(map(_um, row)) + "\n").encode())
             due += 1
-    names = [f"pin_{pin}" for pin in range(PINS)]
+    names = [f"pin_{pin}" for pin in range(grid.pins)]
     about = "displacement from rest towards the finger, by the motor model from what was ordered: not measured"
     columns = {name: {"Description": f"Pin {name[4:]}: {about}", "Units": "um"} for name in names}
     sampling = {"SamplingFrequency": grid.rate_hz, "StartTime": grid.first / grid.rate_hz, "Columns": names}
@@ -200,6 +204,9 @@ def _event(row: Mapping[str, Any], zero: int, stimuli: Mapping[str, str], labels
         "onset_uncertainty": None if uncertainty is None else f"{uncertainty / 1e9:.9f}",
         "play": row["play"],
         "item": row["item"],
+        "array": row["array"],
+        "tick_hz": row["tick_hz"],
+        "mapped_from": row["mapped_from"],
     }
 
 
@@ -271,6 +278,8 @@ def _cell(value: Any) -> str:
 def pattern_toml(keys: Mapping[str, Any]) -> str:
     """A pattern file of these keys, without its provenance."""
     lines = ["format = 1", f"name = {json.dumps(keys['name'])}"]
+    if keys.get("array") is not None:
+        lines.append(f"array = {json.dumps(keys['array'])}")
     if keys.get("duration_s") is not None:
         lines.append(f"duration_s = {float(keys['duration_s'])!r}")
     for drive in keys["drive"]:

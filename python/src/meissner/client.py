@@ -17,6 +17,7 @@ from ._operations import Accepted, Core
 from ._plays import KnownPlay, quietly
 from ._sse import Event, EventParser
 from ._transport import BlockingTransport
+from .arrays import Array
 from .clocks import NS
 from .errors import ConnectionLost, MeissnerError, Unreachable
 from .live import Live
@@ -166,6 +167,11 @@ class Client:
         """This process's `time.monotonic()`, s: the clock of `at` and of `onset.monotonic`."""
         return self.core.clock.now_ns() / NS
 
+    @property
+    def array(self) -> Array:
+        """The array that the daemon drives. It is read once."""
+        return self.run(ops.array(self.core))
+
     status = _blocking(ops.status)
     synchronise = _blocking(ops.synchronise)
     arm = _arming(ops.arm)
@@ -208,8 +214,8 @@ class Client:
     simulate = staticmethod(program.simulate)
 
     def design(self, target: str, **options: Any) -> program.Design:
-        """Find a pattern for a target shape, and store it in the daemon. `meissner.design` has the options."""
-        found = program.design(target, **options)
+        """Find a pattern of the daemon's array for a target shape, and store it in the daemon. `meissner.design` has the options."""
+        found = program.design(target, **{"array": self.array.name, **options})
         self.store_pattern(found.name, found.toml, replace=True)
         return found
 

@@ -249,6 +249,10 @@ class QueueFull(ApiError, code="queue-full", advice="`wait()` for a play before 
     """Sixteen plays wait already."""
 
 
+class OtherArray(ApiError, code="other-array", advice='pass `map="nearest"`, or find a pattern by `design()`'):
+    """The pattern is for another array than the daemon's."""
+
+
 class TooManyPlays(ApiError, code="too-many-plays", advice="put many short plays into one `sequence()`"):
     """The session record has no room for more plays at this rate."""
 

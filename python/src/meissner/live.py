@@ -58,6 +58,7 @@ class Live(LivePlay[Update]):
         self._client = client
         self._lock = threading.Lock()
         self._updates = Updates(self.id, lambda seq: Update(self, seq))
+        self._updates.array = started.array
         self._is_over = threading.Event()
         self._socket, received = _open(client.core, started.path)
         self._outgoing = self._updates.take(received)

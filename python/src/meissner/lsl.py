@@ -30,7 +30,6 @@ if TYPE_CHECKING:
     from .aio import AsyncClient
     from .client import Client
 
-PINS = 24
 _KEPT = 1000
 
 
@@ -100,11 +99,11 @@ class Bridge:
         self.failure: BaseException | None = None
         """What has ended the bridge."""
         # Which device it is, for the streams; and whether the daemon answers.
-        status = client.status()
+        status, self._array = client.status(), client.array
         self._markers = self._outlet("Markers", "markers", 0.0, "string", ["marker"], "", status)
         self._telemetry: Any = None
         if telemetry_hz > 0:
-            pins = [f"pin_{pin}" for pin in range(PINS)]
+            pins = [f"pin_{pin}" for pin in range(self._array.motors)]
             self._telemetry = self._outlet("Telemetry", "telemetry", 0.0, "float32", pins, "microns", status)
         self._listens = threading.Event()
         self._over = threading.Event()
@@ -122,6 +121,7 @@ class Bridge:
         about = info.desc()
         about.append_child_value("manufacturer", "meissner")
         about.append_child_value("device", device)
+        about.append_child_value("array", self._array.name)
         about.append_child_value("simulated", str(status.simulated).lower())
         about.append_child_value("daemon_version", status.raw["version"])
         channel_list = about.append_child("channels")
@@ -265,7 +265,7 @@ class Bridge:
             with contextlib.suppress(MeissnerError):
                 status = await m.status()
                 clock, motors = status.raw["clock"], status.raw["motors"]
-                if clock is not None and len(motors) == PINS:
+                if clock is not None and len(motors) == self._array.motors:
                     at_ns, uncertainty = m.core.clock.to_client(clock["monotonic_ns"])
                     time, _ = self.lsl_time(m.core, at_ns, uncertainty / NS)
                     self._telemetry.push_sample([motor["rest_error_um"] for motor in motors], time)

@@ -21,9 +21,8 @@ from ._labels import Labels
 from .bids import losses, pattern_toml, stimulus_rows
 from .clocks import NS
 from .errors import MeissnerError, ProgramError
-from .program import find_program
 from .results import Status
-from .traces import PINS, TICK_HZ, Grid
+from .traces import ArrayName, Grid
 
 _COLUMNS = {
     "pattern": "Name of the vibration pattern",
@@ -35,10 +34,13 @@ _COLUMNS = {
     "state": "What became of the stimulus, as the daemon reports it: done, played: played to its end",
     "late_strokes": "Number of strokes that came late and were left out",
     "trigger_code": "Code of the trigger output; NaN: one pulse, or nothing",
-    "onset_tick": "Onset on the device's clock, ticks of 1/85000 s",
+    "onset_tick": "Onset on the device's clock, ticks",
     "onset_uncertainty": "Uncertainty of the onset against the recording PC's clock, s",
     "play": "Number of the play in the session record",
     "item": "Number of the item in its sequence, from 0; NaN: a play of one pattern",
+    "array": "Name of the array of pins",
+    "tick_hz": "Ticks of the device's clock a second",
+    "mapped_from": "Name of the array that the pattern is for, if it was mapped by position; empty: it was not",
 }
 
 
@@ -71,6 +73,7 @@ def write(
     subject: Mapping[str, Any] | None = None,
     metadata: Mapping[str, Any] | None = None,
     displacement_hz: float | None = 1000.0,
+    array: ArrayName | None = None,
 ) -> Export:
     """Writes a session. `recorded` is as of `session_plays`, `patterns` holds the patterns' keys by SHA-256."""
     pynwb = needs_pynwb()
@@ -99,12 +102,17 @@ def write(
     nwb = pynwb.NWBFile(**about)
     person = {"subject_id": session["participant"], "species": "Homo sapiens", "sex": "U", **(subject or {})}
     nwb.subject = pynwb.file.Subject(**person)
-    nwb.add_device(_device(pynwb, status))
+    nwb.add_device(_device(pynwb, rows, status))
     nwb.add_events_table(_table(pynwb, rows, Labels(session, rows), zero_ns))
     if "age" not in person and "date_of_birth" not in person:
         left_out.append("the participant's age, which archives ask for: export with subject={'age': 'P30Y'}")
     if displacement_hz is not None:
-        left_out += _add_displacement(pynwb, nwb, Grid(rows, texts, zero_ns=zero_ns, rate_hz=displacement_hz))
+        try:
+            grid = Grid(rows, texts, zero_ns=zero_ns, rate_hz=displacement_hz, array=array)
+        except ProgramError as error:
+            left_out.append(f"no displacement of the pins: {error}")
+        else:
+            left_out += _add_displacement(pynwb, nwb, grid)
     beside = file.with_name(f".{file.stem}.{os.getpid()}.nwb")
     try:
         with pynwb.NWBHDF5IO(str(beside), "w") as io:
@@ -122,8 +130,9 @@ def _zero_ns(rows: list[dict[str, Any]], started: datetime) -> int:
     return onset_ns - round(after_s * NS)
 
 
-def _device(pynwb: Any, status: Status) -> Any:
-    raw, about = status.raw["device"], "Piezo pin array of 24 pins for a fingertip"
+def _device(pynwb: Any, rows: list[dict[str, Any]], status: Status) -> Any:
+    names = ", ".join(sorted({row["array"] for row in rows}))
+    raw, about = status.raw["device"], f"Piezo pin array {names} for a fingertip"
     if raw is not None:
         kind = "simulated motors" if raw["simulated"] else raw["kind"]
         about += f"; at the export {kind}, firmware {raw['firmware']}, build {raw['build']}"
@@ -146,6 +155,7 @@ def _table(pynwb: Any, rows: list[dict[str, Any]], labels: Labels, zero_ns: int)
             "timestamp": (row["onset_monotonic_ns"] - zero_ns) / NS,
             "duration": math.nan if row["played_ms"] is None else row["played_ms"] / 1000,
             "pattern_sha256": row["pattern_sha256"] or "",
+            "mapped_from": row["mapped_from"] or "",
             "labels": labels.joined(row),
             **{name: cell or "" for name, cell in labels.cells(row).items()},
             "amplitude_um": row["reached_um"],
@@ -154,19 +164,19 @@ def _table(pynwb: Any, rows: list[dict[str, Any]], labels: Labels, zero_ns: int)
         }
         for name, cell in cells.items():
             columns[name].append(_number(cell) if name in numbers else cell)
-    event = pynwb.event
+    event, tick_s = pynwb.event, 1 / min(row["tick_hz"] for row in rows)
     made = [
         event.TimestampVectorData(
             name="timestamp",
             description="Onset, by the recording PC's clock",
             data=columns["timestamp"],
-            resolution=1 / TICK_HZ,
+            resolution=tick_s,
         ),
         event.DurationVectorData(
             name="duration",
             description="From the onset to the end of the last pulse; NaN: not known",
             data=columns["duration"],
-            resolution=1 / TICK_HZ,
+            resolution=tick_s,
         ),
     ]
     made += [
@@ -185,18 +195,14 @@ def _add_displacement(pynwb: Any, nwb: Any, grid: Grid) -> list[str]:
     """Adds the samples of all stimuli. Returns what is missing."""
     import numpy
 
-    try:
-        find_program()
-    except ProgramError as error:
-        return [f"no displacement of the pins: {error}"]
     indices, values = array("q"), array("f")
-    unknown = [math.nan] * PINS
+    unknown = [math.nan] * grid.pins
     for index, row in grid:
         indices.append(index)
         values.extend(unknown if row is None else row)
     if not indices:
         return grid.problems
-    data = numpy.frombuffer(values, dtype=numpy.float32).reshape(-1, PINS)
+    data = numpy.frombuffer(values, dtype=numpy.float32).reshape(-1, grid.pins)
     is_even = indices[-1] - indices[0] == len(indices) - 1
     times: dict[str, Any] = {"timestamps": numpy.frombuffer(indices, dtype=numpy.int64) / grid.rate_hz}
     if is_even:
@@ -204,8 +210,8 @@ def _add_displacement(pynwb: Any, nwb: Any, grid: Grid) -> list[str]:
     nwb.add_stimulus(
         pynwb.TimeSeries(
             name="pin_displacement",
-            description="Displacement of pins 0 to 23 from rest towards the finger, by the motor model from what was ordered: not "
-            "measured. Between stimuli, where there are no samples, all pins rest. NaN: not known.",
+            description=f"Displacement of pins 0 to {grid.pins - 1} from rest towards the finger, by the motor model from what was "
+            "ordered: not measured. Between stimuli, where there are no samples, all pins rest. NaN: not known.",
             data=pynwb.H5DataIO(data, compression="gzip"),
             unit="meters",
             conversion=1e-6,

@@ -20,6 +20,7 @@ from typing import Any, Union
 
 from . import _ending
 from ._endpoint import has_unix_sockets
+from .arrays import Array
 from .errors import ProgramError
 
 Scene = Union[str, "os.PathLike[str]", Mapping[str, Any]]
@@ -47,6 +48,11 @@ def _run(arguments: Sequence[str], stdin: str | None = None) -> Any:
         lines = ended.stderr.strip().splitlines() or [f"exit code {ended.returncode}"]
         raise ProgramError(f"`meissner {arguments[0]}` failed: {lines[-1]}")
     return json.loads(ended.stdout)
+
+
+def find_array(array: str | os.PathLike[str]) -> Array:
+    """An array by its name, if the program ships it, or by the file of its description. Runs the installed program `meissner`."""
+    return Array.of(_run(["array", "show", os.fspath(array)]))
 
 
 def as_array(values: Any) -> Any:
@@ -120,16 +126,18 @@ def design(
     budget: int | str | None = None,
     robust: bool = False,
     name: str | None = None,
+    array: str | os.PathLike[str] | None = None,
 ) -> Design:
     """Find a pattern for a target shape: the name of a shipped target, or the path of a target file.
 
     It runs `meissner optimise` on this machine, because the daemon has no API for searches yet. `objective`, `setting` and
     `model` are as there. `budget` is a number of evaluations or seconds as in `"20s"`; without it the search goes on until
-    nothing improves. `name`: the pattern's; without it `TARGET-found`.
+    nothing improves. `name`: the pattern's; without it `TARGET-found`. `array`: the name of a shipped array, or the file of a
+    description; without it the target's.
     """
     name = name or f"{Path(target).stem}-found"
     options = {"objective": objective, "seed": seed, "setting": setting, "model": model, "budget": budget}
-    arguments = ["optimise", target]
+    arguments = ["optimise", target, *([] if array is None else ["--array", os.fspath(array)])]
     for key, value in options.items():
         if value is not None:
             arguments += [f"--{key}", str(value)]

@@ -84,6 +84,12 @@ class Receipt:
     """Number of strokes that came too late; the device left them out."""
     items: tuple[Item, ...]
     """The items of a sequence; empty for other plays and until it is over."""
+    array: str
+    """The name of the array that was driven."""
+    tick_hz: int
+    """Ticks of its device a second."""
+    mapped_from: str | None
+    """The name of the array that the pattern is for, if the play mapped it by position."""
     raw: dict[str, Any] = field(repr=False)
 
     @property
@@ -92,8 +98,8 @@ class Receipt:
         return self.state not in ("queued", "running")
 
     @staticmethod
-    def of(raw: dict[str, Any], clock: ClientClock, tick_hz: int) -> Receipt:
-        """The receipt in a document, with instants by this clock."""
+    def of(raw: dict[str, Any], clock: ClientClock) -> Receipt:
+        """The receipt in a document that names its array, with instants by this clock."""
 
         def instant(record: dict[str, Any] | None, tick: str = "tick") -> Instant | None:
             if record is None:
@@ -101,7 +107,7 @@ class Receipt:
             return clock.instant(
                 tick=record[tick],
                 boot=raw["boot"],
-                tick_hz=tick_hz,
+                tick_hz=raw["tick_hz"],
                 host_ns=record["monotonic_ns"],
                 host_uncertainty_ns=record["uncertainty_ns"],
             )
@@ -126,5 +132,8 @@ class Receipt:
                 )
                 for item in raw["items"] or ()
             ),
+            array=raw["array"],
+            tick_hz=raw["tick_hz"],
+            mapped_from=raw["mapped_from"],
             raw=raw,
         )

@@ -18,11 +18,10 @@ from typing import IO, Any, Literal
 
 from .clocks import NS
 from .errors import ProgramError
-from .program import as_array, find_program
+from .program import as_array, find_array, find_program
 
-PINS = 24
-TICK_HZ = 85_000
-"""Nominal rate of the ticks in a session's rows, Hz."""
+ArrayName = str | os.PathLike[str]
+"""The name of an array that the program ships, or the file of a description."""
 Row = list[float]
 
 
@@ -45,13 +44,14 @@ def displacement(
     scale: float = 1.0,
     fit: Literal["whole", "cover"] = "whole",
     rate_hz: float = 1000.0,
+    array: ArrayName | None = None,
 ) -> Displacement:
     """Compute how far a play moves each pin, from its onset until all pins rest again.
 
     `pattern` is the name of a shipped pattern, the path of a pattern file, or its text. It runs the installed program `meissner`;
-    no daemon is needed.
+    no daemon is needed. `array`: the file of the array's description, for a pattern of an array that the program does not ship.
     """
-    samples = _Samples(pattern, seconds, scale, fit, rate_hz, 0.0)
+    samples = _Samples(pattern, seconds, scale, fit, rate_hz, 0.0, array)
     rows = list(samples)
     return Displacement(rate_hz, samples.motors, as_array(rows))
 
@@ -67,6 +67,7 @@ class _Samples:
         fit: str,
         rate_hz: float,
         first_s: float,
+        array: ArrayName | None,
     ) -> None:
         is_text = isinstance(pattern, str) and "\n" in pattern
         self._text = str(pattern) if is_text else ""
@@ -74,6 +75,8 @@ class _Samples:
         self._arguments += [f"--rate-hz={rate_hz!r}", f"--first-s={first_s!r}", f"--scale={scale!r}", f"--fit={fit}"]
         if seconds is not None:
             self._arguments.append(f"--seconds={seconds!r}")
+        if array is not None:
+            self._arguments.append(f"--array={os.fspath(array)}")
         self.motors: tuple[int, ...] = ()
 
     def __iter__(self) -> Iterator[Row]:
@@ -113,9 +116,24 @@ class _Stimulus:
 class Grid:
     """The displacement of all pins in a session, at `index / rate_hz` seconds after `zero_ns` of the recording PC's clock."""
 
-    def __init__(self, rows: list[dict[str, Any]], texts: Mapping[str, str], *, zero_ns: int, rate_hz: float) -> None:
-        """`rows` are the stimuli of `bids.stimulus_rows`; `texts` holds the patterns by SHA-256."""
+    def __init__(
+        self,
+        rows: list[dict[str, Any]],
+        texts: Mapping[str, str],
+        *,
+        zero_ns: int,
+        rate_hz: float,
+        array: ArrayName | None = None,
+    ) -> None:
+        """`rows` are the stimuli of `bids.stimulus_rows`; `texts` holds the patterns by SHA-256. `array`: as of `displacement`.
+
+        Raises `ProgramError` if the program is missing, or does not know the array.
+        """
         self.rate_hz = rate_hz
+        self._array = array
+        names: set[ArrayName] = {row["array"] for row in rows} if array is None else {array}
+        self.pins = max((find_array(name).motors for name in names), default=0)
+        """How many pins the samples have."""
         self.problems: list[str] = []
         """What the samples do not show, one line each."""
         self._stimuli = [self._place(row, texts, zero_ns) for row in rows]
@@ -136,17 +154,19 @@ class Grid:
         device_s, end = 1.0, first + 1
         if row["offset_monotonic_ns"] is not None and row["offset_monotonic_ns"] > onset_ns:
             lasted_s = (row["offset_monotonic_ns"] - onset_ns) / NS
-            device_s = (row["offset_tick"] - row["onset_tick"]) / TICK_HZ / lasted_s
+            device_s = (row["offset_tick"] - row["onset_tick"]) / row["tick_hz"] / lasted_s
             end = max(end, math.ceil((after_s + lasted_s) * self.rate_hz))
         text, ordered = texts.get(row["pattern_sha256"] or ""), _as_played(row)
-        if text is None or ordered is None:
+        if text is None or ordered is None or row["mapped_from"] is not None:
             what = f"play {row['play']}" + ("" if row["item"] is None else f", item {row['item']}")
             why = "its pattern as played is not kept" if text is None else "its end is missing from the record"
+            if row["mapped_from"] is not None:
+                why = f"its pattern is for the array {row['mapped_from']} and was mapped by position"
             self.problems.append(f"{what}: {why}, so its displacement is n/a")
             return _Stimulus(first, end, None)
         first_s = max(0.0, first / self.rate_hz - after_s) * device_s
         scale = 1.0 if row["scale"] is None else row["scale"]
-        samples = _Samples(text, ordered[0], scale, ordered[1], self.rate_hz / device_s, first_s)
+        samples = _Samples(text, ordered[0], scale, ordered[1], self.rate_hz / device_s, first_s, self._array)
         return _Stimulus(first, end, samples)
 
     def __iter__(self) -> Iterator[tuple[int, Row | None]]:
@@ -155,7 +175,7 @@ class Grid:
         carried: dict[int, Row | None] = {}
         limits = [stimulus.first for stimulus in self._stimuli[1:]]
         for stimulus, limit in zip(self._stimuli, [*limits, None], strict=True):
-            for index, row in _samples(stimulus):
+            for index, row in _samples(stimulus, self.pins):
                 carried[index] = _sum(carried[index], row) if index in carried else row
                 if limit is None or index < limit:
                     yield index, carried.pop(index)
@@ -173,13 +193,13 @@ def _as_played(row: Mapping[str, Any]) -> tuple[float | None, str] | None:
     return None if lasted_ms is None else (lasted_ms / 1000, "whole")
 
 
-def _samples(stimulus: _Stimulus) -> Iterator[tuple[int, Row | None]]:
+def _samples(stimulus: _Stimulus, pins: int) -> Iterator[tuple[int, Row | None]]:
     if stimulus.samples is None:
         for index in range(stimulus.first, stimulus.end):
             yield index, None
         return
     for index, moved in enumerate(stimulus.samples, stimulus.first):
-        row = [0.0] * PINS
+        row = [0.0] * pins
         for motor, um in zip(stimulus.samples.motors, moved, strict=True):
             row[motor] = um
         yield index, row

@@ -17,11 +17,12 @@ const POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; i
 const SCRIPT: &str = "text/javascript; charset=utf-8";
 
 /// Address, media type and text of every file.
-const FILES: [(&str, &str, &str); 18] = [
+const FILES: [(&str, &str, &str); 19] = [
     ("/", "text/html; charset=utf-8", include_str!("assets/index.html")),
     ("/page/page.css", "text/css; charset=utf-8", include_str!("assets/page.css")),
     ("/page/icon.svg", "image/svg+xml", include_str!("assets/icon.svg")),
     ("/page/api.js", SCRIPT, include_str!("assets/api.js")),
+    ("/page/array.js", SCRIPT, include_str!("assets/array.js")),
     ("/page/estop.js", SCRIPT, include_str!("assets/estop.js")),
     ("/page/alive.js", SCRIPT, include_str!("assets/alive.js")),
     ("/page/app.js", SCRIPT, include_str!("assets/app.js")),

@@ -166,4 +166,5 @@ class TactilePlay:
             if instant is not None:
                 columns[name], columns[f"{name}_uncertainty"] = self.device.onExperimentClock(instant, self._clock)
                 columns[f"{name}_tick"] = instant.tick
+        columns |= {"array": receipt.array, "tick_hz": receipt.tick_hz}
         return columns

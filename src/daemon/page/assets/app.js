@@ -2,6 +2,7 @@
 // it.
 
 import { call, known, last, listen, poll } from "./api.js";
+import { array, loadArray } from "./array.js";
 import { bindCalibration, handleCalibrated, loadAfterGap, loadCalibration, showCalibrating } from "./calibration.js";
 import { bindControls, show as showControl } from "./control.js";
 import { Designer } from "./designer.js";
@@ -57,10 +58,11 @@ async function setPlay(running) {
   }
 }
 
-// A play's pins as the daemon compiled it: its receipt has the amplitudes, the pattern the times. Null: a sequence, a live play, or a pattern
-// that is gone or has changed.
+// A play's pins as the daemon compiled it: its receipt has the amplitudes, the pattern the times. Null: a sequence, a live play, a pattern of
+// another array that was mapped by position, or one that is gone or has changed.
 async function pinsOf({ id, pattern }) {
   const receipt = await call("GET", `/v1/plays/${id}`);
+  if (receipt.mapped_from !== null) return null;
   const details = designer.details(receipt.pattern_sha256) ?? (await call("GET", `/v1/patterns/${encodeURIComponent(pattern)}`));
   if (details.sha256 !== receipt.pattern_sha256 || receipt.items_planned !== null) return null;
   // A receipt lists only the first drives.
@@ -133,6 +135,8 @@ async function linked(is, problem) {
   if (!again) report(null);
   checkSoon();
   await poll();
+  const arrayKnown = await loadArray().then(() => true, report);
+  if (!arrayKnown) return;
   const loads = [patterns.load(), designer.start(), loadSessions(), loadAfterGap(), call("GET", "/v1/plays/last").then(showReceipt, () => {})];
   await Promise.all(loads).catch(report);
 }
@@ -151,7 +155,7 @@ function pinRows(pins, rest) {
 
 // The drives by pin, or null and why they are not known.
 function pinsNow(status, seconds) {
-  if (!status) return [null, "What the pins do is not known."];
+  if (!status || !array()) return [null, "What the pins do is not known."];
   if (status.play) return play.pins ? [drivesAt(play.pins, seconds), ""] : [null, "Pins vibrate. Which ones is not known here."];
   const isStill = status.tick !== null && ["disarmed", "armed", "faulted"].includes(status.state);
   return isStill ? [new Map(), ""] : [null, "Pins may move. Which ones is not known."];

@@ -1,13 +1,13 @@
 // The calibration: its origin, the measured points and fitted lines of each motor, and controls to measure again.
 //
-// The small plots are arranged like the motors in the array. They show the measured travel divided by the motor model's, so a motor
+// The small plots are arranged like the motors in the array, if these stand in rows and columns. They show the measured travel divided by the motor model's, so a motor
 // like the model's lies at 1. The distance of a point from the line is the residual. The large plots show the chosen motor, and
 // also its travel.
 
 import { call, known, last, order, poll } from "./api.js";
+import { array, loadArray } from "./array.js";
 import { CALIBRATION, closeWithEscape, element, facts, open } from "./control.js";
 import { worded } from "./doctor.js";
-import { MOTORS } from "./finger.js";
 import { plot } from "./plot.js";
 
 const $ = (id) => document.getElementById(id);
@@ -68,6 +68,7 @@ function ranges(motors) {
 }
 
 export async function loadCalibration() {
+  if (!array()) await loadArray();
   try {
     report = await call("GET", "/v1/calibration");
   } catch (error) {
@@ -82,7 +83,7 @@ export async function loadCalibration() {
     return;
   }
   const { provenance, motors, used, unused, file } = report;
-  worded($("calibration-note"), `${motors.length} of ${MOTORS} motors are calibrated. ${used ? "The daemon uses these gains." : `Not in use: ${unused}.`}`);
+  worded($("calibration-note"), `${motors.length} of ${array().positions_mm.length} motors are calibrated. ${used ? "The daemon uses these gains." : `Not in use: ${unused}.`}`);
   const date = provenance.date ? [provenance.date.replace("T", " ").replace("Z", " UTC"), age(provenance.date)].filter(Boolean).join(", ") : "without a date";
   facts($("calibration-facts"), [
     ["Measured (the last motor)", date],
@@ -110,7 +111,7 @@ function draw() {
   for (const [number, button] of [...$("fit-grid").children].entries()) fill(button, number, motors.find((motor) => motor.motor === number), range);
   const [low, high] = range.share;
   const points = motors.some((motor) => motor.up.points.length) ? "Markers: mean travel of the bursts of one length, with its standard error. " : "This file holds no measured points: calibrate again to see them. ";
-  $("fit-note").textContent = `${points}Lines: the fit. Filled triangles and full lines: up; open triangles and dashed lines: down. Small plots: measured / model travel, ${low.toFixed(2)} to ${high.toFixed(2)}, against 0 to ${range.longest} pulses, the thin line at 1; they stand as the motors in the array.`;
+  $("fit-note").textContent = `${points}Lines: the fit. Filled triangles and full lines: up; open triangles and dashed lines: down. Small plots: measured / model travel, ${low.toFixed(2)} to ${high.toFixed(2)}, against 0 to ${range.longest} pulses, the thin line at 1${array().grid ? "; they stand as the motors in the array" : ""}.`;
   show(motors.find((motor) => motor.motor === chosen), range);
 }
 
@@ -185,11 +186,17 @@ export async function loadAfterGap() {
   tell(report?.provenance.date === before ? "The calibration ended, and nothing was stored." : "The calibration ended, and was stored.");
 }
 
+// A choice and a button for each motor.
+function arrange() {
+  const { positions_mm: places, grid } = array();
+  $("calibrate-motor").replaceChildren($("calibrate-motor").options[0], ...places.map((_, motor) => element("option", `Motor ${motor}`, { value: String(motor) })));
+  $("fit-grid").replaceChildren(...places.map((_, motor) => element("button", "", { type: "button", className: "fit", value: String(motor) })));
+  $("fit-grid").style.setProperty("--columns", grid?.columns ?? Math.ceil(Math.sqrt(places.length)));
+  chosen = 0;
+}
+
 export function bindCalibration(complain) {
-  const numbers = Array.from({ length: MOTORS }, (_, motor) => element("option", `Motor ${motor}`, { value: String(motor) }));
-  $("calibrate-motor").append(...numbers);
-  const buttons = numbers.map((_, motor) => element("button", "", { type: "button", className: "fit", value: String(motor) }));
-  $("fit-grid").append(...buttons);
+  document.addEventListener("array", arrange);
   $("fit-grid").addEventListener("click", (event) => {
     const button = event.target.closest("button:enabled");
     if (!button) return;

@@ -34,6 +34,7 @@ function describe(status, late) {
   return [
     ...(by ? [["Armed by", `${by}; ${silence === null ? "the motors stay armed without it" : `${silence} s without a sign of it disarm`}`]] : []),
     ["Largest offset from rest", `${worst.toFixed(1)} µm, pin ${offsets.indexOf(worst)}, of at most ${status.drift_limit_um} µm`],
+    ["Array", status.array],
     ["Position", status.position],
     ["Clock", status.clock_uncertainty_us === null ? "not synchronised" : `synchronised to ±${status.clock_uncertainty_us.toFixed(1)} µs`],
     ["Real time", fifo && mlock ? "granted" : `missing: ${[fifo ? "" : "SCHED_FIFO", mlock ? "" : "locked memory"].filter(Boolean).join(" and ")}; strokes may come late`],

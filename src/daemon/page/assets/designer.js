@@ -2,6 +2,7 @@
 // pattern found.
 
 import { call, order, put } from "./api.js";
+import { array } from "./array.js";
 import { valid } from "./control.js";
 import { Live } from "./live.js";
 import { figures, maps } from "./maps.js";
@@ -9,14 +10,22 @@ import { Pad } from "./pad.js";
 
 const $ = (id) => document.getElementById(id);
 const BRAILLE = "⠁⠃⠉⠙⠑⠋⠛⠓⠊⠚⠅⠇⠍⠝⠕⠏⠟⠗⠎⠞⠥⠧⠺⠭⠽⠵";
-// Dots of a cell lie right above pins there.
-const CELL = { center: [1.45, 1.45], pitch: 5.8 };
+// The amplitude of a new target, if the motors go so far, µm.
+const AMPLITUDE_UM = 80;
 const DRAWN = ["segment", "polyline", "dots"];
 const SHAPE_KEYS = ["name", "shape", "points", "center_mm", "radius_mm", "character", "dot_pitch_mm", "period_mm", "angle_deg", "offset_mm", "reach_mm", "amplitude_um"];
 
+// The middle of a Braille cell near the array's middle, mm. Its dots are two pitches apart: in rows and columns they lie right above pins.
+function cellCenter() {
+  const { grid } = array();
+  return grid ? [grid.columns, grid.rows].map((count) => (count % 2 ? 0 : grid.pitch_mm / 2)) : [0, 0];
+}
+
 function dots(letter) {
+  if (!array()) return [];
   const bits = (BRAILLE.codePointAt(letter.charCodeAt(0) - 97) ?? 0x2800) - 0x2800;
-  const place = (dot) => [CELL.center[0] + (Math.floor(dot / 3) - 0.5) * CELL.pitch, CELL.center[1] + (1 - (dot % 3)) * CELL.pitch];
+  const [[x, y], pitch] = [cellCenter(), 2 * array().pitch_mm];
+  const place = (dot) => [x + (Math.floor(dot / 3) - 0.5) * pitch, y + (1 - (dot % 3)) * pitch];
   return [0, 1, 2, 3, 4, 5].filter((dot) => (bits >> dot) & 1).map((dot) => [place(dot)]);
 }
 
@@ -58,7 +67,15 @@ export class Designer {
     on("feel", "click", () => this.#feel());
     on("save-form", "submit", (event) => (event.preventDefault(), this.#save()));
     for (const event of ["pointerdown", "keydown"]) document.addEventListener(event, () => (this.#atOnce = false), { capture: true });
+    document.addEventListener("array", () => this.#arrange());
     this.#choose();
+  }
+
+  #arrange() {
+    const { travel_um: most } = array().motor;
+    $("amplitude").max = most;
+    $("amplitude").value = Math.min($("amplitude").value || AMPLITUDE_UM, most);
+    this.#drawn();
   }
 
   // The stored targets, and the search that the daemon knows.
@@ -157,11 +174,12 @@ export class Designer {
   #target() {
     const mode = $("shape").value;
     const { points } = this.#pad;
-    if (mode === "loaded" && !this.#loaded) return null;
+    if (!array() || (mode === "loaded" && !this.#loaded)) return null;
     if ((DRAWN.includes(mode) && points.length < (mode === "dots" ? 1 : 2)) || (mode === "braille" && !/^[a-z]$/.test($("letter").value))) return null;
     const rest = mode === "loaded" ? this.#loaded.target : Object.fromEntries(Object.entries(this.#loaded?.target ?? {}).filter(([key]) => !SHAPE_KEYS.includes(key) && key !== "motion"));
-    const shape = { loaded: {}, braille: { shape: mode, character: $("letter").value, center_mm: CELL.center } }[mode] ?? { shape: mode, points };
-    return { ...rest, name: $("target-name").value, ...shape, reach_mm: $("reach").valueAsNumber, amplitude_um: $("amplitude").valueAsNumber };
+    const shape = { loaded: {}, braille: { shape: mode, character: $("letter").value, center_mm: cellCenter() } }[mode] ?? { shape: mode, points };
+    // A shape is one for any array; what is found for it is for this one.
+    return { ...rest, name: $("target-name").value, array: array().name, ...shape, reach_mm: $("reach").valueAsNumber, amplitude_um: $("amplitude").valueAsNumber };
   }
 
   async #find(atOnce) {

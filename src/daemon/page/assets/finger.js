@@ -1,13 +1,14 @@
-// The fingertip with its 24 pins, as an SVG. Colour and size of a pin show the amplitude that it reaches, a hand its phase, a number its
+// The fingertip with its pins, as an SVG. Colour and size of a pin show the amplitude that it reaches, a hand its phase, a number its
 // frequency, a bar its offset from rest. Pins that move are drawn 20 times slower.
 
-const ROWS = 6;
-const COLUMNS = 4;
-export const MOTORS = ROWS * COLUMNS;
+import { layout } from "./array.js";
+
 const SLOWER = 20;
-// Drawing units: one is a tenth of a millimetre. The pitch is 2.9 mm.
+// Drawing units: from a pin to its nearest neighbour, and from the outermost pins to the edge of the skin. What stands at a pin fits.
 const PITCH = 29;
 const EDGE = 24;
+// The radius of the skin's corners, at most: pins in the corners stay on the skin.
+const CORNER = 66;
 const FULL_UM = 100;
 // Stops of a colour map that rises in lightness, so that it is readable without colours.
 const COLOURS = [[68, 1, 84], [59, 82, 139], [33, 145, 140], [94, 201, 98], [253, 231, 37]];
@@ -40,35 +41,44 @@ export function drivesAt({ pattern, reached: all }, seconds) {
   return now;
 }
 
-// A small map of the amplitudes that a pattern reaches, over its whole length.
+// A small map of the amplitudes that a pattern for the daemon's array reaches, over its whole length.
 export function thumbnail(details) {
-  const svg = make("svg", { viewBox: "0 0 40 60", class: "thumbnail", role: "img" });
-  const most = new Array(MOTORS).fill(0);
+  const { places, box: [left, top, width, height] } = layout(10);
+  const svg = make("svg", { viewBox: `${left - 5} ${top - 5} ${width + 10} ${height + 10}`, class: "thumbnail", role: "img" });
+  const most = places.map(() => 0);
   for (const of of details.drives) most[of.motor] = Math.max(most[of.motor], of.reached_um);
   const moving = most.map((um, motor) => [motor, um]).filter(([, um]) => um > 0);
   svg.setAttribute("aria-label", `Pins that move: ${moving.map(([motor]) => motor).join(", ") || "none"}`);
   most.forEach((um, motor) => {
-    const [x, y] = [5 + 10 * (motor % COLUMNS), 5 + 10 * Math.floor(motor / COLUMNS)];
-    svg.append(make("circle", { cx: x, cy: y, r: um > 0 ? 2 + (2.5 * um) / FULL_UM : 1.2, fill: um > 0 ? colour(um) : "currentColor", opacity: um > 0 ? 1 : 0.3 }));
+    const [cx, cy] = places[motor];
+    svg.append(make("circle", { cx, cy, r: um > 0 ? 2 + (2.5 * Math.min(um, FULL_UM)) / FULL_UM : 1.2, fill: um > 0 ? colour(um) : "currentColor", opacity: um > 0 ? 1 : 0.3 }));
   });
   return svg;
 }
 
 export class Finger {
   #pins = [];
+  #radius = 0;
   #still = matchMedia("(prefers-reduced-motion: reduce)");
 
+  // Without pins until the array is known.
   constructor(place) {
-    const [width, height] = [2 * EDGE + (COLUMNS - 1) * PITCH, 2 * EDGE + (ROWS - 1) * PITCH];
-    this.svg = make("svg", { viewBox: `0 0 ${width} ${height}`, role: "img", class: "finger" });
-    this.svg.append(make("path", { class: "skin", d: outline(width, height) }));
-    for (let motor = 0; motor < MOTORS; motor++) {
-      // Row 0 is at the top, as in all maps of the project.
-      const [x, y] = [EDGE + PITCH * (motor % COLUMNS), EDGE + PITCH * Math.floor(motor / COLUMNS)];
-      const group = make("g", { transform: `translate(${x} ${y})` });
+    this.svg = make("svg", { role: "img", class: "finger" });
+    place.append(this.svg);
+    document.addEventListener("array", () => this.#arrange());
+  }
+
+  #arrange() {
+    const { places, box: [left, top, wide, high], radius } = layout(PITCH);
+    const [width, height] = [2 * EDGE + wide, 2 * EDGE + high];
+    this.#radius = Math.min(radius, PITCH / 4);
+    set(this.svg, "viewBox", `0 0 ${width} ${height}`);
+    this.svg.replaceChildren(make("path", { class: "skin", d: outline(width, height) }));
+    this.#pins = places.map(([x, y]) => {
+      const group = make("g", { transform: `translate(${EDGE + x - left} ${EDGE + y - top})` });
       const pin = {
         group,
-        disc: make("circle", { r: 3, class: "pin" }),
+        disc: make("circle", { class: "pin" }),
         hand: make("line", { class: "hand", x1: 0, y1: 0, x2: 0, y2: -9 }),
         ring: make("circle", { r: 12, class: "doubt" }),
         offset: make("rect", { class: "offset", x: -13.5, y: 0, width: 2, height: 0 }),
@@ -77,9 +87,8 @@ export class Finger {
       };
       group.append(pin.title, pin.ring, pin.offset, pin.disc, pin.hand, pin.number);
       this.svg.append(group);
-      this.#pins.push(pin);
-    }
-    place.append(this.svg);
+      return pin;
+    });
   }
 
   // `drives`: by motor; null if the pins' motion is not known, for the reason `why`. `rest_um`: offsets. `doubted`: motors.
@@ -89,14 +98,14 @@ export class Finger {
     const most = Math.max(0, ...rest_um.map(Math.abs));
     this.svg.classList.toggle("unknown", !drives);
     set(this.svg, "aria-label", !drives ? why : moving.length
-      ? `${moving.length} of ${MOTORS} pins vibrate, up to ${Math.max(...moving.map((drive) => drive.reached_um)).toFixed(0)} µm`
+      ? `${moving.length} of ${this.#pins.length} pins vibrate, up to ${Math.max(...moving.map((drive) => drive.reached_um)).toFixed(0)} µm`
       : `No pin vibrates. Largest offset from rest ${most.toFixed(0)} µm`);
     this.#pins.forEach((pin, motor) => {
       const drive = drives?.get(motor);
       const rest = rest_um[motor] ?? 0;
       const turns = drive && !this.#still.matches ? ((seconds * drive.frequency_hz) / SLOWER + drive.phase) % 1 : (drive?.phase ?? 0);
       const up = drive ? 0.5 - 0.5 * Math.cos(2 * Math.PI * turns) : 0;
-      set(pin.disc, "r", drive ? (4 + (5 * drive.reached_um) / FULL_UM) * (this.#still.matches ? 1 : 0.75 + 0.25 * up) : 3);
+      set(pin.disc, "r", drive ? (this.#radius + (5 * Math.min(drive.reached_um / FULL_UM, 1.5))) * (this.#still.matches ? 1 : 0.75 + 0.25 * up) : 0.7 * this.#radius);
       set(pin.disc, "fill", drive ? colour(drive.reached_um) : "none");
       set(pin.hand, "visibility", drive ? "visible" : "hidden");
       set(pin.hand, "transform", `rotate(${(360 * turns).toFixed(0)})`);
@@ -118,6 +127,6 @@ function set(element, name, value) {
 }
 
 function outline(width, height) {
-  const r = width / 2 - 2;
-  return `M2 ${height - 2} V${r + 2} A${r} ${r} 0 0 1 ${width - 2} ${r + 2} V${height - 2} Z`;
+  const r = Math.min(width / 2 - 2, height - 4, CORNER);
+  return `M2 ${height - 2} V${r + 2} A${r} ${r} 0 0 1 ${r + 2} 2 H${width - r - 2} A${r} ${r} 0 0 1 ${width - 2} ${r + 2} V${height - 2} Z`;
 }

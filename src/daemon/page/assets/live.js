@@ -6,7 +6,7 @@
 import { order } from "./api.js";
 import { valid } from "./control.js";
 import { make } from "./finger.js";
-import { drawing, FINE_STEP, HALF_LENGTH, HALF_WIDTH, KEY_STEP, line, penAt } from "./pad.js";
+import { arrange, drawing, FINE_STEP, HALF_LENGTH, HALF_WIDTH, KEY_STEP, line, penAt } from "./pad.js";
 
 const $ = (id) => document.getElementById(id);
 // The daemon ends the play after such a silence.
@@ -53,6 +53,7 @@ export class Live {
     on(this.svg, "keydown", (event) => this.#key(event));
     on($("live-start"), "click", () => this.#start());
     on($("live-end"), "click", () => this.#end());
+    on(document, "array", () => arrange(this.svg));
     on(document, "visibilitychange", () => document.hidden && this.#end());
     $("live-pad").append(this.svg);
     this.buttons();

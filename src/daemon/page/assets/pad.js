@@ -1,8 +1,9 @@
 // The pad on which a target is drawn: with a pen, a mouse, or the keys. Places are in mm from the array's middle, y towards the fingertip.
 
+import { array, layout } from "./array.js";
 import { make } from "./finger.js";
 
-// The pad is an ellipse; the daemon refuses points outside of it.
+// The pad of the simulated finger is an ellipse; the daemon refuses points outside of it. Pins may stand outside.
 export const [HALF_WIDTH, HALF_LENGTH] = [9, 12];
 const MOST_POINTS = 64;
 // A line that is drawn freely gets a point at each of these steps; a click this near to a dot takes it away.
@@ -36,12 +37,20 @@ export function line(places) {
 
 // The pad with its pins, without a shape.
 export function drawing(label) {
-  const svg = make("svg", { viewBox: "-10 -13 20 26", role: "img", "aria-label": label, class: "pad" });
-  svg.append(make("ellipse", { rx: HALF_WIDTH, ry: HALF_LENGTH, class: "skin" }));
-  for (let motor = 0; motor < 24; motor++) {
-    svg.append(make("circle", { cx: -4.35 + 2.9 * (motor % 4), cy: -7.25 + 2.9 * Math.floor(motor / 4), r: 0.3, class: "pin-place" }));
-  }
+  const svg = make("svg", { role: "img", "aria-label": label, class: "pad" });
+  svg.append(make("ellipse", { rx: HALF_WIDTH, ry: HALF_LENGTH, class: "skin" }), make("g"));
+  arrange(svg);
   return svg;
+}
+
+// Draws the pins of the daemon's array on a drawing of the pad, which grows if pins stand outside of the pad.
+export function arrange(svg) {
+  if (!array()) return;
+  const { places, box: [left, top, width, height], radius } = layout(array().pitch_mm);
+  const [x, y] = [Math.min(left - radius, -HALF_WIDTH) - 1, Math.min(top - radius, -HALF_LENGTH) - 1];
+  const [right, bottom] = [Math.max(left + width + radius, HALF_WIDTH) + 1, Math.max(top + height + radius, HALF_LENGTH) + 1];
+  svg.setAttribute("viewBox", `${x} ${y} ${right - x} ${bottom - y}`);
+  svg.querySelector("g").replaceChildren(...places.map(([cx, cy]) => make("circle", { cx, cy, r: radius, class: "pin-place" })));
 }
 
 export class Pad {
@@ -68,6 +77,7 @@ export class Pad {
     this.svg.addEventListener("pointercancel", () => (this.#pressed = false));
     this.svg.addEventListener("keydown", (event) => this.#key(event));
     place.append(this.svg);
+    document.addEventListener("array", () => arrange(this.svg));
   }
 
   // Shows these lines, which cannot be drawn on, or the drawn points.

@@ -1,10 +1,14 @@
 // The patterns: list, search, maps, play, queue.
 
 import { call, known, order } from "./api.js";
+import { array } from "./array.js";
 import { valid } from "./control.js";
 import { thumbnail } from "./finger.js";
 
 const $ = (id) => document.getElementById(id);
+
+// Whether a pattern is for another array than the daemon's.
+const isForeign = (pattern) => pattern.array !== array().name;
 
 export class Patterns {
   #list = [];
@@ -16,6 +20,7 @@ export class Patterns {
   constructor(report) {
     this.#report = report;
     $("search").addEventListener("input", () => this.#filter());
+    document.addEventListener("array", () => ($("nearest").checked = false));
   }
 
   async load() {
@@ -23,6 +28,7 @@ export class Patterns {
     this.#list = patterns;
     this.#details.clear();
     $("pattern-errors").textContent = errors.join(" · ");
+    $("nearest-label").hidden = !patterns.some(isForeign);
     this.#view.disconnect();
     $("pattern-list").replaceChildren(...patterns.map((pattern) => this.#item(pattern)));
     this.#filter();
@@ -52,14 +58,15 @@ export class Patterns {
     const reached = pattern.reached_max_um === null ? "no pin moves" : `${pattern.drives_moving} drives, up to ${pattern.reached_max_um.toFixed(0)} µm`;
     text.append(
       Object.assign(document.createElement("strong"), { textContent: pattern.name }),
-      Object.assign(document.createElement("span"), { textContent: `${length}; ${reached}; ${pattern.library ? "library" : "site"}` }),
+      Object.assign(document.createElement("span"), { textContent: `${length}; ${reached}; ${pattern.library ? "library" : "site"}${isForeign(pattern) ? `; for the array ${pattern.array}` : ""}` }),
     );
     const map = Object.assign(document.createElement("div"), { className: "map" });
     const play = Object.assign(document.createElement("button"), { textContent: "Play" });
     play.setAttribute("aria-label", `Play ${pattern.name}`);
-    play.addEventListener("click", () => this.#play(pattern.name));
+    play.addEventListener("click", () => this.#play(pattern));
     item.append(map, text, play);
-    this.#view.observe(item);
+    // Where the pins of another array stand is not known here.
+    if (!isForeign(pattern)) this.#view.observe(item);
     return item;
   }
 
@@ -73,10 +80,12 @@ export class Patterns {
     for (const item of $("pattern-list").children) item.hidden = !words.every((word) => item.dataset.name.includes(word));
   }
 
-  async #play(name) {
+  async #play(pattern) {
     if (!valid("seconds", "scale")) return;
+    const map = isForeign(pattern) ? { map: "nearest" } : {};
     try {
-      await order("/v1/play", { pattern: name, seconds: $("seconds").valueAsNumber, scale: $("scale").valueAsNumber });
+      if (map.map && !$("nearest").checked) throw new Error(`${pattern.name} is for the array ${pattern.array}, and this one is ${array().name}. To play it all the same, tick “Play patterns for other arrays by position”.`);
+      await order("/v1/play", { pattern: pattern.name, seconds: $("seconds").valueAsNumber, scale: $("scale").valueAsNumber, ...map });
       this.#report(null);
     } catch (error) {
       this.#report(error);

@@ -1,0 +1,80 @@
+"""The array that a daemon drives: its pins, its carrier and its motors.
+
+`Client.array` reads it once. A record, a receipt or a daemon that does not name its array is from before arrays had names: it is
+about the paper's array (`of_record`, `Array.paper`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+_PAPER = {"array": "tula35-6x4", "tick_hz": 85_000, "mapped_from": None}
+_PAPER_GRID = (6, 4, 2.9)
+
+
+@dataclass(frozen=True)
+class Array:
+    """An array of pins."""
+
+    name: str
+    positions_mm: tuple[tuple[float, float], ...]
+    """The place of each motor's pin, mm: x across the finger, y towards its tip. The index is the motor's number."""
+    grid: tuple[int, int] | None
+    """Rows and columns, if the pins stand in such: a motor's number is columns times row plus column."""
+    pitch_mm: float
+    """The smallest distance of two pins, mm."""
+    tick_hz: int
+    """Ticks of the device's clock a second, and pulses a second."""
+    raw: dict[str, Any] = field(repr=False)
+    """The whole document, with the keys of the API reference."""
+
+    @staticmethod
+    def of(raw: dict[str, Any]) -> Array:
+        """The array in a document."""
+        grid = raw["grid"]
+        return Array(
+            name=raw["name"],
+            positions_mm=tuple((x, y) for x, y in raw["positions_mm"]),
+            grid=None if grid is None else (grid["rows"], grid["columns"]),
+            pitch_mm=raw["pitch_mm"],
+            tick_hz=raw["tick_hz"],
+            raw=raw,
+        )
+
+    @staticmethod
+    def paper() -> Array:
+        """The paper's array, which an older daemon drives. `raw` is empty."""
+        rows, columns, pitch = _PAPER_GRID
+        places = tuple(
+            ((column - (columns - 1) / 2) * pitch, ((rows - 1) / 2 - row) * pitch)
+            for row in range(rows)
+            for column in range(columns)
+        )
+        return Array(str(_PAPER["array"]), places, (rows, columns), pitch, of_record({})["tick_hz"], {})
+
+    @property
+    def motors(self) -> int:
+        """How many motors it has."""
+        return len(self.positions_mm)
+
+    def ticks(self, seconds: float) -> int:
+        """The nearest number of ticks to a time."""
+        return round(seconds * self.tick_hz)
+
+    def seconds(self, ticks: int) -> float:
+        """How long ticks last, s."""
+        return ticks / self.tick_hz
+
+    def check_motors(self, drives: Iterable[Mapping[str, Any]]) -> None:
+        """Raises `ValueError` for a drive whose motor the array does not have."""
+        for drive in drives:
+            motor = drive.get("motor")
+            if isinstance(motor, int) and not 0 <= motor < self.motors:
+                raise ValueError(f"`motor` is {motor}: the array {self.name} has motors 0 to {self.motors - 1}")
+
+
+def of_record(record: Mapping[str, Any]) -> dict[str, Any]:
+    """A receipt, or a row of a session, with `array`, `tick_hz` and `mapped_from`, whatever daemon wrote it."""
+    return {**_PAPER, **record}

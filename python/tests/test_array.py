@@ -1,0 +1,165 @@
+"""The array is the daemon's: its pins, its ticks, and patterns of other arrays, on each array that the program ships."""
+
+from __future__ import annotations
+
+import asyncio
+import gzip
+import json
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+import meissner
+from meissner import Array, arrays, bids, errors, program, traces
+from test_bids import TEXTS, read, row
+
+NAMES = ("tula35-6x4", "tula35-2x3", "ubi-pen-3x3", "simulated-8x8")
+PATIENT = 20.0
+OWN = """name = "own-3"
+pins = { positions_mm = [[-1.45, 1.45], [1.45, 1.45], [0.0, -2.0]], radius_mm = 0.4 }
+tick_hz = 60000
+duty = { up = 0.25, down = 0.75 }
+[motor]
+step_um = 0.1
+window_ms = 5.0
+travel_um = 100.0
+most_pulses = 1500
+"""
+# The last motor of an array of so many.
+PATTERN = 'format = 1\nname = "last"\narray = "{}"\nduration_s = 0.1\n[[drive]]\nmotor = {}\nfrequency_hz = 60.0\namplitude_um = 40.0\nphase = 0.0\n'
+
+
+def check_a_session(m: meissner.Client, folder: Path, description: Path | None = None) -> None:
+    """Plays a pattern of the daemon's array and one of the paper's, and exports both."""
+    array, is_paper = m.array, m.array.name == "tula35-6x4"
+    last = array.motors - 1
+    text = PATTERN.format(array.name, last)
+    m.store_pattern("last", text)
+    with m.session("P07") as session:
+        play = m.play("last", 0.1)
+        receipt = play.wait()
+        assert (receipt.array, receipt.tick_hz, receipt.mapped_from) == (array.name, array.tick_hz, None)
+        second = m.play("last", 0.1, at=play.onset.later(1.0))
+        second.wait()
+        assert second.onset.tick - play.onset.tick == array.ticks(1.0) == array.tick_hz
+        assert array.seconds(play.offset.tick - play.onset.tick) == pytest.approx(0.1, abs=0.02)
+        if is_paper:
+            mapped = m.play("pin-60", 0.1, map="nearest").wait()
+        else:
+            with pytest.raises(errors.OtherArray, match="tula35-6x4"):
+                m.play("pin-60", 0.1)
+            with pytest.raises(errors.OtherArray, match="tula35-6x4"):
+                m.sequence(["pin-60"], seconds=0.1)
+            mapped = m.play("pin-60", 0.1, map="nearest").wait()
+            several = m.sequence(["pin-60", "last"], seconds=0.1, map="nearest")
+            assert several.wait().mapped_from == "tula35-6x4"
+        assert mapped.mapped_from == (None if is_paper else "tula35-6x4")
+    export = m.export_bids(session.id, folder, array=description)
+    rows = read(export.events)
+    assert {(row["array"], row["tick_hz"]) for row in rows} == {(array.name, str(array.tick_hz))}
+    assert [row["mapped_from"] for row in rows[:3]] == ["n/a", "n/a", "n/a" if is_paper else "tula35-6x4"]
+    header = export.events.read_text().splitlines()[0].split("\t")
+    assert header[-3:] == ["array", "tick_hz", "mapped_from"]
+    # The file of a pattern names its array, so that it can be stored again.
+    m.store_pattern("again", (folder / "stimuli" / rows[0]["stim_file"]).read_text().replace('"last"', '"again"'))
+    assert export.displacement is not None
+    table = [line.split("\t") for line in gzip.decompress(export.displacement.read_bytes()).decode().splitlines()]
+    assert {len(line) for line in table} == {array.motors}
+    assert max(float(line[last]) for line in table[:100]) > 20.0
+    mapped_lines = [line for line in export.left_out if "was mapped by position" in line]
+    assert bool(mapped_lines) != is_paper
+    alone = meissner.displacement(text, 0.1, array=description)
+    assert alone.motors == (last,)
+
+
+@pytest.fixture(params=NAMES)
+def on(request: pytest.FixtureRequest) -> Iterator[meissner.Client]:
+    """A client of a daemon with each shipped array."""
+    with meissner.demo(config=f'[array]\ndescription = "{request.param}"\n') as client:
+        assert client.array.name == request.param
+        yield client
+
+
+def test_a_session_on_each_array(on: meissner.Client, tmp_path: Path) -> None:
+    check_a_session(on, tmp_path)
+    array = on.array
+    assert array == program.find_array(array.name)
+    assert len(on.status().raw["motors"]) == array.motors == len(array.positions_mm)
+    assert array.grid is not None
+    assert array.grid[0] * array.grid[1] == array.motors
+    with on.live(drives=[], timeout=PATIENT) as live:
+        with pytest.raises(ValueError, match=f"{array.name} has motors 0 to {array.motors - 1}"):
+            live.set(array.motors, frequency_hz=60.0, amplitude_um=20.0)
+        moved = live.set(array.motors - 1, frequency_hz=60.0, amplitude_um=20.0).wait(PATIENT)
+        assert len(moved.ticks) == array.motors
+        assert [motor for motor, tick in enumerate(moved.ticks) if tick] == [array.motors - 1]
+    with pytest.raises(ValueError, match="motors 0 to"):
+        on.live(drives=[{"motor": -1, "frequency_hz": 60.0, "amplitude_um": 20.0}])
+
+
+def test_a_pattern_that_is_found_is_for_the_array(tmp_path: Path) -> None:
+    with meissner.demo(config='[array]\ndescription = "tula35-2x3"\n') as m:
+        found = m.design("dot", objective="off-rms", budget=20)
+        assert found.toml.count('array = "tula35-2x3"') == 1
+        assert m.play(found.name, 0.1).wait().mapped_from is None
+
+
+def test_an_array_that_the_program_does_not_ship(tmp_path: Path) -> None:
+    description = tmp_path / "own.toml"
+    description.write_text(OWN)
+    with meissner.demo(config=f'[array]\ndescription = "{description}"\n') as m:
+        assert (m.array.name, m.array.motors, m.array.tick_hz, m.array.grid) == ("own-3", 3, 60_000, None)
+        check_a_session(m, tmp_path / "dataset", description)
+        session = m.sessions()[-1]["id"]
+        export = m.export_bids(session, tmp_path / "without")
+        assert export.displacement is None
+        assert "no displacement of the pins: `meissner array` failed: " in export.left_out[-1]
+
+
+def test_the_asynchronous_client_reads_it_once(daemon: meissner.Daemon) -> None:
+    async def work() -> None:
+        async with await meissner.connect_async(daemon.socket) as m:
+            array = await m.array
+            assert array.motors == 24
+            assert await m.array is array
+
+    asyncio.run(work())
+
+
+def test_another_daemon_at_the_same_place_is_asked_again(daemon: meissner.Daemon) -> None:
+    with meissner.connect(daemon.socket) as m:
+        array = m.array
+        assert m.array is array
+        m.core.daemon = (1, "another")
+        m.status()
+        assert m.array is not array
+
+
+def test_what_does_not_name_its_array_is_about_the_papers(daemon: meissner.Daemon, tmp_path: Path) -> None:
+    with meissner.connect(daemon.socket) as m:
+        shipped, paper = m.array, Array.paper()
+    assert (shipped.name, shipped.grid, shipped.tick_hz) == (paper.name, paper.grid, paper.tick_hz)
+    for one, other in zip(shipped.positions_mm, paper.positions_mm, strict=True):
+        assert one == pytest.approx(other)
+    old = row(1, 1.0)
+    assert not {"array", "tick_hz", "mapped_from"} & set(old)
+    (known,) = bids.stimulus_rows([old])
+    assert known == arrays.of_record(old)
+    grid = traces.Grid([known], TEXTS, zero_ns=0, rate_hz=1000.0)
+    assert grid.pins == 24
+
+
+def test_an_older_daemon_drives_the_papers_array(monkeypatch: pytest.MonkeyPatch) -> None:
+    from meissner import _http
+    from meissner import _operations as ops
+    from meissner._endpoint import Endpoint
+    from meissner.clocks import ClientClock
+
+    core = ops.Core(Endpoint("http://meissner"), ClientClock())
+    asked = ops.array(core)
+    assert next(asked) == _http.get("/v1/array")
+    unknown = json.dumps({"code": "not-found", "status": 404, "detail": "no such route"})
+    with pytest.raises(StopIteration) as ended:
+        asked.send(_http.Answer(404, unknown.encode()))
+    assert ended.value.value == Array.paper()
