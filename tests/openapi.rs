@@ -8,6 +8,7 @@ mod page;
 mod schema;
 
 use crate::harness::{Daemon, assert_up_to_date, next, problem};
+use meissner_api::ArrayDetails;
 use meissner_api::route::{Answer, Body};
 use meissner_api::{
     ArmRequest, CalibrateRequest, CalibrationReport, Code, DoctorReport, Event, ImportedPattern,
@@ -16,7 +17,7 @@ use meissner_api::{
     SearchState, SequenceRequest, Session, SessionList, SessionPlays, SessionRequest, SessionStarted, Status,
     StoredTarget, TargetDetails, TargetList, TokenCreated, TokenInfo, TokenList, TokenRequest, openapi,
 };
-use meissner_array::spec::{Array, MAX_MOTORS};
+use meissner_array::spec::{Array, ArraySpec, MAX_MOTORS};
 use schema::check;
 use serde::de::DeserializeOwned;
 use serde_json::{Value, json};
@@ -64,7 +65,7 @@ fn every_key_has_a_description_and_every_number_its_unit_and_range() {
         ("_ns", ", ns"),
         ("um", ", µm"),
         ("_hz", ", Hz"),
-        ("tick", "1/85000 s"),
+        ("tick", "tick"),
         ("seconds", ", s"),
         ("bytes_per_s", ", bytes/s"),
     ];
@@ -162,6 +163,10 @@ fn every_route_has_examples_that_parse() {
         "Status" => parses::<Status>(example),
         "Receipt" => parses::<Receipt>(example),
         "PatternList" => parses::<PatternList>(example),
+        "ArrayDetails" => {
+            let ArrayDetails { toml, .. } = serde_json::from_value(example.clone()).unwrap();
+            drop(ArraySpec::parse(&toml, "example").unwrap());
+        }
         "PatternDetails" => parses::<PatternDetails>(example),
         "ImportedPattern" => parses::<ImportedPattern>(example),
         "RemovedPattern" => parses::<RemovedPattern>(example),

@@ -6,7 +6,7 @@ use super::text;
 use crate::array::details;
 use anyhow::{Context, Result, bail};
 use clap::{Args, Subcommand};
-use meissner_array::spec::{self, ArraySpec, NewArray};
+use meissner_array::spec::{ArraySpec, NewArray};
 use std::fs::OpenOptions;
 use std::io::Write;
 use std::path::PathBuf;
@@ -151,7 +151,7 @@ mod tests {
 
     #[test]
     fn a_drawing_shows_each_pin_at_its_place() {
-        let array = |name| spec::Array::named(name).unwrap();
+        let array = |name| meissner_array::spec::Array::named(name).unwrap();
         assert_eq!(drawing(&array("tula35-2x3")), " 0   1   2\n\n 3   4   5");
         let places = "name = \"bent\"\npins = { positions_mm = [[0.0, 4.0], [2.0, 4.0], [4.0, 0.0]] }\ntick_hz = 85000\n\
                       duty = { up = 0.2, down = 0.8 }\n[motor]\nstep_um = 0.1\nwindow_ms = 4.0\ntravel_um = 50.0\nmost_pulses = 500\n";

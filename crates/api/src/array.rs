@@ -13,7 +13,7 @@ use utoipa::ToSchema;
     "rails": [[0, 1, 2, 3, 4, 5]], "chips": [[0, 1], [2, 3], [4, 5]],
     "motor": {"um_per_pulse": 0.1357142857142857, "window_ms": 4.3, "speed_mm_s": 11.5, "travel_um": 400.0, "least_pulses": 7,
               "most_pulses": 3000},
-    "toml": "name = \"tula35-2x3\"\npins = { rows = 2, columns = 3, pitch_mm = 2.9 }\n"
+    "toml": "name = \"tula35-2x3\"\npins = { rows = 2, columns = 3, pitch_mm = 2.9 }\ntick_hz = 85000\nduty = { up = 0.2, down = 0.8 }\n[motor]\nstep_um = 0.1357142857142857\nwindow_ms = 4.3\ntravel_um = 400.0\nleast_pulses = 7\nmost_pulses = 3000\n"
 })))]
 pub struct ArrayDetails {
     /// The description's name.
@@ -32,7 +32,7 @@ pub struct ArrayDetails {
     /// Radius of a pin's tip, mm.
     #[schema(minimum = 0.0)]
     pub pin_radius_mm: f64,
-    /// Pulses per second, and ticks per second of the device's clock.
+    /// Rate of the pulses and of the ticks of the device's clock, Hz.
     #[schema(minimum = 20000, maximum = 200_000)]
     pub tick_hz: u32,
     /// The pulses' duty.
@@ -89,10 +89,10 @@ pub struct ArrayMotor {
     /// The largest amplitude of a drive, µm peak to peak.
     #[schema(minimum = 1.0, maximum = 5000.0)]
     pub travel_um: f64,
-    /// The fewest pulses of a burst for which the travel per pulse is known.
+    /// The fewest pulses of a burst for which the travel per pulse is known, pulses.
     #[schema(minimum = 1)]
     pub least_pulses: u16,
-    /// The most pulses of a burst up.
+    /// The largest number of pulses of a burst up, pulses.
     #[schema(minimum = 1)]
     pub most_pulses: u16,
 }

@@ -354,7 +354,7 @@ pub struct Receipt {
     #[serde(default = "paper_array")]
     #[schema(required)]
     pub array: String,
-    /// Ticks per second of its device, in which the receipt's ticks count.
+    /// Rate of its device's ticks, Hz: the receipt's ticks count in them.
     #[serde(default = "paper_tick_hz")]
     #[schema(required, minimum = 20000, maximum = 200_000)]
     pub tick_hz: u32,

@@ -185,7 +185,7 @@ pub struct RecordedPlay {
     #[serde(default = "paper_array")]
     #[schema(required)]
     pub array: String,
-    /// Ticks per second of its device, in which the row's ticks count.
+    /// Rate of its device's ticks, Hz: the row's ticks count in them.
     #[serde(default = "paper_tick_hz")]
     #[schema(required, minimum = 20000, maximum = 200_000)]
     pub tick_hz: u32,
@@ -330,7 +330,8 @@ pub struct RecordedPlay {
     },
     "plays": [{
         "play": 7, "user": "ada", "trial": 12, "labels": {"condition": "a"}, "pattern": "edge-45",
-        "pattern_sha256": "9f86d081884c7d659a2feaa0c55ad015a3bf4f1b2b0b822cd15d6c15b0f00a08", "seconds": 2.0, "state": "done",
+        "pattern_sha256": "9f86d081884c7d659a2feaa0c55ad015a3bf4f1b2b0b822cd15d6c15b0f00a08", "array": "tula35-6x4", "tick_hz": 85000,
+        "mapped_from": null, "seconds": 2.0, "state": "done",
         "cause": null, "onset_tick": 6442460000_u64, "onset_monotonic_ns": 75793647058823_u64, "onset_uncertainty_ns": 9600,
         "onset_wall_ns": 1795336200123456000_u64, "reported_after_s": 2.01,
         "bursts": {"planned": 1240, "played": 1240, "late": 0, "dropped": 0, "refused": 0, "amended": 1221},

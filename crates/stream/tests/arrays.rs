@@ -108,7 +108,12 @@ fn a_device_of_another_array_is_refused_at_the_handshake() {
         rig.connect();
         rig.run_ms(100);
         let reason = rig.streamer.take_disconnect_reason().map(|cause| cause.to_string());
-        assert!(reason.as_ref().is_some_and(|reason| reason.starts_with("the device is built for another array: ")), "{reason:?}");
+        assert!(
+            reason
+                .as_ref()
+                .is_some_and(|reason| reason.starts_with("the device is built for another array: ")),
+            "{reason:?}"
+        );
     }
 }
 

@@ -25,8 +25,11 @@ impl Engine {
     pub(in crate::daemon) fn load_calibration(&self, identity: Option<&str>) {
         // Do not read while an import reads and then writes the file.
         let _one = self.calibration_file.lock().unwrap_or_else(PoisonError::into_inner);
-        let file = self.lock().calibration.file.clone();
-        let (found, bad) = match read(file.as_deref(), identity) {
+        let (array, file) = {
+            let state = self.lock();
+            (state.settings.array, state.calibration.file.clone())
+        };
+        let (found, bad) = match read(array, file.as_deref(), identity) {
             Ok(stored) => (Ok(stored), false),
             Err((why, bad)) => (Err(why), bad),
         };
@@ -88,6 +91,15 @@ impl Engine {
     ) -> Result<(), Problem> {
         let _one = self.calibration_file.lock().unwrap_or_else(PoisonError::into_inner);
         let same_device = |state: &State, new: &Calibration| {
+            let (its, array) = (new.array(), state.settings.array);
+            if its != array {
+                let detail = format!(
+                    "the calibration is for the array {}, and this one is {}",
+                    its.name(),
+                    array.name()
+                );
+                return Err(Problem::new(Code::OtherArray, detail));
+            }
             let (found, device) = (&new.provenance().identity, &state.calibration.identity);
             if found == device {
                 return Ok(());

@@ -98,8 +98,9 @@ pub(in crate::daemon) struct StoredCalibration {
     pub(in crate::daemon) unused: Option<String>,
 }
 
-/// Reads the file for the device of that identity. The error says why there is no calibration, and whether the file is at fault.
+/// Reads the file for the device of that identity, whose array this is. The error says why there is no calibration, and whether the file is at fault.
 pub(in crate::daemon) fn read(
+    array: Array,
     file: Option<&Path>,
     identity: Option<&str>,
 ) -> Result<StoredCalibration, (String, bool)> {
@@ -115,7 +116,13 @@ pub(in crate::daemon) fn read(
     let name = file.display().to_string();
     let text = String::from_utf8(bytes).map_err(|_| bad(format!("{name}: not UTF-8 text")))?;
     let calibration = Calibration::parse(&text, &name).map_err(|error| bad(error.to_string()))?;
+    let its = calibration.array();
     let unused = match identity {
+        _ if its != array => Some(format!(
+            "{name} is for the array {}, and this one is {}: not used; {ADVICE}",
+            its.name(),
+            array.name()
+        )),
         Some(identity) if identity == calibration.provenance().identity => None,
         Some(_) => Some(format!("{name} belongs to another device: not used; {ADVICE}")),
         None => Some("no device is connected".to_owned()),

@@ -155,8 +155,8 @@ impl SimulatedMotors {
     }
 
     /// Rest errors of each pin at the ends of its down bursts since the last call.
-    pub fn take_rest_stats(&mut self) -> PerMotor<RestStats> {
-        PerMotor::from_fn(self.array, |motor| std::mem::take(&mut self.pins[usize::from(motor)].rest))
+    pub fn take_rest_stats(&mut self) -> impl Iterator<Item = RestStats> {
+        self.pins.iter_mut().map(|pin| std::mem::take(&mut pin.rest))
     }
 
     /// Ends and begins bursts where the lines change.

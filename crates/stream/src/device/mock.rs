@@ -221,8 +221,8 @@ impl Mock {
             self.send();
         }
         if let Ok(mut rest) = self.positions.rest.try_lock() {
-            for (all, new) in rest.iter_mut().zip(&self.motors.take_rest_stats()) {
-                all.merge(new);
+            for (all, new) in rest.iter_mut().zip(self.motors.take_rest_stats()) {
+                all.merge(&new);
             }
         }
     }
