@@ -4,6 +4,7 @@
 //!
 //! Invariant: a [`Value`] of a plan is in the [`Domain`] of its axis.
 
+use meissner_array::spec::{self, Array};
 use meissner_design::{GOALS, Goal};
 use serde::{Deserialize, Serialize};
 use std::fmt;
@@ -231,7 +232,7 @@ impl Axis {
         match self {
             Self::Target => Domain::Document(Document::Target),
             Self::Pattern | Self::Other => Domain::Document(Document::Pattern),
-            Self::AmplitudeUm => Domain::Number(meissner_array::pattern::AMPLITUDE_UM),
+            Self::AmplitudeUm => Domain::Number(0.0..=largest_amplitude_um()),
             Self::Scale => Domain::Number(0.0..=1.0),
             Self::Model if matches!(command, Command::Optimise) => {
                 Domain::Choice(vec!["both", "membrane", "afferents"])
@@ -292,4 +293,10 @@ impl Axis {
             },
         }
     }
+}
+
+/// The largest amplitude of any known array, µm. A target's own array may have a smaller one.
+fn largest_amplitude_um() -> f64 {
+    let arrays = spec::names().into_iter().filter_map(|name| Array::named(name).ok());
+    arrays.map(|array| array.motor().travel_um).fold(0.0, f64::max)
 }

@@ -41,7 +41,8 @@ pub(super) fn compute(plan: &Plan, cell: &Cell) -> Result<Outcome, String> {
     let pattern = |axis: Axis| -> Result<Pattern, String> {
         let pattern = plan.documents().pattern(cell.text(axis));
         let drives = scaled(pattern.drives(), scale);
-        let scaled = Pattern::new(pattern.name(), pattern.duration_s(), drives, toml::Table::new());
+        let provenance = toml::Table::new();
+        let scaled = Pattern::new(pattern.array(), pattern.name(), pattern.duration_s(), drives, provenance);
         scaled.map_err(|error| error.to_string())
     };
     let (one, other) = (pattern(Axis::Pattern)?, pattern(Axis::Other)?);

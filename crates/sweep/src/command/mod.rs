@@ -128,3 +128,65 @@ fn model(cell: &Cell) -> ModelName {
 fn scaled(drives: &[Drive], scale: f64) -> Vec<Drive> {
     drives.iter().map(|&drive| Drive { amplitude_um: drive.amplitude_um * scale, ..drive }).collect()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::axis::Document;
+    use crate::plan::Sources;
+    use meissner_array::pattern::Pattern;
+    use meissner_array::spec::{self, Array};
+    use meissner_design::{Rule, YARDSTICK, shipped};
+    use toml::{Table, Value as Toml};
+
+    /// A plan has all documents in it.
+    struct Nothing;
+
+    impl Sources for Nothing {
+        fn names(&self, _: Document) -> Vec<String> {
+            Vec::new()
+        }
+
+        fn text(&self, _: Document, name: &str) -> Result<String, String> {
+            Err(format!("no {name}"))
+        }
+    }
+
+    /// The result of a plan's only cell.
+    fn outcome(command: &str, grid: &str, documents: [(&str, &str, String); 2]) -> Outcome {
+        let document = |(kind, name, text): (&str, &str, String)| {
+            let text = Toml::String(text);
+            (kind.to_owned(), Toml::Table(Table::from_iter([(name.to_owned(), text)])))
+        };
+        let documents = Table::from_iter(documents.map(document));
+        let plan = format!("command = \"{command}\"\n[grid]\n{grid}\n{documents}");
+        let plan = Plan::read(&plan, "plan.toml", &Nothing).unwrap();
+        assert_eq!(plan.cells(), 1);
+        compute(&plan, &plan.cell(0)).unwrap()
+    }
+
+    #[test]
+    fn a_cell_is_of_the_array_of_its_pattern_or_target() {
+        let of_paper = shipped(YARDSTICK).unwrap();
+        for array in spec::names().into_iter().map(|name| Array::named(name).unwrap()) {
+            let target = of_paper.with_array(array).unwrap();
+            let definition = target.definition();
+            let provenance =
+                [("definition".to_owned(), Toml::Table(definition.clone()))].into_iter().collect();
+            let pattern = Pattern::new(array, "p", None, Rule::Reach.drives(&target), provenance).unwrap();
+            let documents =
+                |target: &Table| [("patterns", "p", pattern.to_toml()), ("targets", "t", target.to_string())];
+            let own = outcome("simulate", "pattern = \"p\"", documents(&definition));
+            // The pattern is that of the rule.
+            assert!(own.row[0].is_some() && own.row[0] == own.row[1], "{array:?}: {own:?}");
+            let grid = "pattern = \"p\"\ntarget = \"t\"";
+            let moved = outcome("simulate", grid, documents(&of_paper.definition()));
+            assert_eq!(moved, own, "{array:?}");
+            if array.motors() < 10 {
+                let grid = "target = \"t\"\nmodel = \"membrane\"\nevaluations = 40";
+                let found = outcome("optimise", grid, documents(&definition)).pattern.unwrap();
+                assert_eq!(Pattern::parse(&found, "found.toml").unwrap().array(), array);
+            }
+        }
+    }
+}

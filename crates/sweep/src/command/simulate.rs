@@ -1,10 +1,13 @@
 //! A cell of `simulate`: a pattern on a finger, judged by its target, beside both rules of thumb in the same conditions.
+//!
+//! The array is the pattern's: a target that was made for another one keeps its shape.
 
 use super::{Column, Figure, Figures, Outcome, model, number, scaled, some};
 use crate::axis::Axis;
 use crate::plan::{Cell, Plan};
 use meissner_array::pattern::Drive;
 use meissner_design::{Conditions, Rule, Verdict, judge};
+use std::borrow::Cow;
 
 pub(super) const COLUMNS: &[Column] = &[
     number(
@@ -36,7 +39,10 @@ pub(super) const FIGURES: Figures = Figures {
 
 pub(super) fn compute(plan: &Plan, cell: &Cell) -> Result<Outcome, String> {
     let pattern = plan.documents().pattern(cell.text(Axis::Pattern));
-    let target = plan.target(cell);
+    let target = match plan.target(cell) {
+        same if same.array() == pattern.array() => Cow::Borrowed(same),
+        other => Cow::Owned(other.with_array(pattern.array()).map_err(|error| error.to_string())?),
+    };
     let conditions = Conditions {
         model: model(cell),
         gain: cell.number(Axis::Gain),
@@ -45,10 +51,10 @@ pub(super) fn compute(plan: &Plan, cell: &Cell) -> Result<Outcome, String> {
     };
     let judged = |drives: &[Drive]| {
         let drives = scaled(drives, cell.number(Axis::Scale));
-        judge(target, &drives, &conditions).map_err(|error| error.to_string())
+        judge(&target, &drives, &conditions).map_err(|error| error.to_string())
     };
     let own = judged(pattern.drives())?;
-    let [reach, pitch] = Rule::ALL.map(|rule| judged(&rule.drives(target)));
+    let [reach, pitch] = Rule::ALL.map(|rule| judged(&rule.drives(&target)));
     let (reach, pitch) = (reach?, pitch?);
     let of = |verdict: Option<Verdict>, figure: fn(&Verdict) -> f64| verdict.and_then(|of| some(figure(&of)));
     let row = vec![
