@@ -75,9 +75,10 @@ pub(super) fn section(array: Array) -> Result<(Section, Pulses), FiguresError> {
          downwards to the right of their number, from the displacement at rest before and after each. Discs: their mean \
          and standard deviation. They are played as by `meissner calibrate`: groups of {} strokes of one number, a group \
          every {} s, in mixed order, all motors at once. Squares: the first stroke of each group, which counts neither in \
-         the mean nor in a fit. Its up burst follows a rest and travels {} of the model's on the mean{}.",
+         the mean nor in a fit. Its up burst follows {} and travels {} of the model's on the mean{}.",
         1 + STROKES_PER_GROUP,
         number(meissner_stream::calibrate::GROUP_S),
+        if paper { "more than half a second of rest" } else { "a rest" },
         number(transient_gain),
         if paper { ", which is the paper's transient" } else { "" },
     );

@@ -154,11 +154,12 @@ mod tests {
 
     /// The result of a plan's only cell.
     fn outcome(command: &str, grid: &str, documents: [(&str, &str, String); 2]) -> Outcome {
-        let table =
-            |of: [(&str, Toml); 1]| Toml::Table(of.map(|(key, value)| (key.to_owned(), value)).into());
-        let documents =
-            documents.map(|(kind, name, text)| (kind.to_owned(), table([(name, Toml::String(text))])));
-        let plan = format!("command = \"{command}\"\n[grid]\n{grid}\n{}", Table::from_iter(documents));
+        let document = |(kind, name, text): (&str, &str, String)| {
+            let text = Toml::String(text);
+            (kind.to_owned(), Toml::Table(Table::from_iter([(name.to_owned(), text)])))
+        };
+        let documents = Table::from_iter(documents.map(document));
+        let plan = format!("command = \"{command}\"\n[grid]\n{grid}\n{documents}");
         let plan = Plan::read(&plan, "plan.toml", &Nothing).unwrap();
         assert_eq!(plan.cells(), 1);
         compute(&plan, &plan.cell(0)).unwrap()
