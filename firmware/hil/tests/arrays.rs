@@ -107,3 +107,17 @@ fn nine_motors_at_70_khz() {
 fn twenty_four_motors_at_70_khz() {
     plays("test-6x4", 24);
 }
+
+#[path = "../../describe/clock.rs"]
+mod clock;
+
+#[test]
+fn clocks_are_exact_or_the_nearest_is_named() {
+    let paper = clock::exact(85_000, [200, 800]).unwrap();
+    let found = (paper.feedback, paper.post, paper.cycles, paper.divider, paper.words);
+    assert_eq!(found, (85, [4, 2], 1_500, 60, [5, 15, 3, 2]));
+    let line = clock::exact(71_234, [250, 750]).unwrap_err();
+    assert!(line.contains("the nearest carrier with these duties is 71250 Hz"), "{line}");
+    let line = clock::exact(70_000, [251, 750]).unwrap_err();
+    assert!(line.contains("the nearest duties at this carrier are 0.25 and 0.75"), "{line}");
+}

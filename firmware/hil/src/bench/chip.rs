@@ -228,6 +228,15 @@ impl ChipBench {
         Ok(self.last.memory.iter().take(8).rev().fold(0, |sum, &byte| sum << 8 | u64::from(byte)))
     }
 
+    /// So many bytes from a symbol of the firmware on.
+    ///
+    /// # Errors
+    /// If the emulator is gone or knows no such symbol.
+    pub fn memory(&mut self, symbol: &str, bytes: usize) -> Result<Vec<u8>, BenchError> {
+        self.ask(&serde_json::json!({ "read": symbol, "bytes": bytes }))?;
+        Ok(std::mem::take(&mut self.last.memory))
+    }
+
     /// Begins to count the core's cycles, or ends it. Returns what was counted since the last call.
     ///
     /// # Errors

@@ -261,3 +261,23 @@ pub enum Event {
         known_to: Tick,
     },
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use firmware_protocol::array::Layout;
+
+    #[test]
+    fn another_array_is_named_by_the_key_that_differs() {
+        let array = *Layout::PAPER.id();
+        let advice = ": build its firmware for this array, or choose the array that it has";
+        for (device, line) in [
+            (ArrayId { tick_hz: 70_000, ..array }, "tick_hz is 70000, this array (tula35-6x4) has 85000"),
+            (ArrayId { motors: 9, ..array }, "motors is 9, this array (tula35-6x4) has 24"),
+            (ArrayId { duty_down: 750, ..array }, "duty.down is 0.75, this array (tula35-6x4) has 0.8"),
+        ] {
+            let text = LostReason::WrongArray(AnotherArray { device, array }).text();
+            assert_eq!(text, format!("the device is built for another array: {line}{advice}"));
+        }
+    }
+}
