@@ -3,12 +3,10 @@
 //! `MEISSNER_ARRAY` names the description of the array; without it, it is the paper's. The handshake reports the hash of the sources
 //! as the build. A description that the chip cannot follow exactly is refused in one line.
 
-#[path = "describe/clock.rs"]
 mod clock;
-#[path = "describe/described.rs"]
-mod described;
 
-use described::Described;
+use firmware_protocol::array::Layout;
+use meissner_array::spec::ArraySpec;
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 use std::{env, fs};
@@ -22,11 +20,8 @@ fn main() {
     }
 
     println!("cargo:rerun-if-env-changed=MEISSNER_ARRAY");
-    let path = env::var_os("MEISSNER_ARRAY").map(PathBuf::from);
-    if let Some(path) = &path {
-        println!("cargo:rerun-if-changed={}", path.display());
-    }
-    match described::read(path.as_deref()).and_then(|array| numbers(&array)) {
+    let description = env::var_os("MEISSNER_ARRAY").map_or_else(|| PathBuf::from(PAPER), PathBuf::from);
+    match read(&description).and_then(|array| numbers(&array)) {
         Ok(text) => fs::write(out.join("array.rs"), text).expect("the numbers can be written"),
         // Cargo prints the line and ends.
         Err(line) => {
@@ -36,13 +31,12 @@ fn main() {
     }
 
     let mut files = Vec::new();
-    for place in
-        ["memory.x", "Cargo.toml", "Cargo.lock", "build.rs", "describe", "src", "../firmware-protocol/src"]
-    {
-        println!("cargo:rerun-if-changed={place}");
-        list(Path::new(place), &mut files);
+    let sources =
+        ["memory.x", "Cargo.toml", "Cargo.lock", "build.rs", "clock.rs", "src", "../firmware-protocol/src"];
+    for place in sources.iter().map(Path::new).chain([&*description]) {
+        println!("cargo:rerun-if-changed={}", place.display());
+        list(place, &mut files);
     }
-    files.extend(path);
     files.sort();
     // FNV-1a: distinguishes builds; not for security.
     let mut hash = 0x811c_9dc5_u32;
@@ -54,27 +48,39 @@ fn main() {
     println!("cargo:rustc-env=BUILD_HASH={hash}");
 }
 
+/// Reads a description.
+fn read(path: &Path) -> Result<ArraySpec, String> {
+    let file = path.display().to_string();
+    let text = fs::read_to_string(path).map_err(|error| format!("{file}: {error}"))?;
+    ArraySpec::parse(&text, &file).map_err(|error| error.to_string())
+}
+
 /// The numbers as Rust constants.
-fn numbers(array: &Described) -> Result<String, String> {
-    let clock = clock::exact(array.tick_hz, array.duty)?;
-    let Described { name, tick_hz, duty, rails, chips, most_pulses, seek_pulses, hash } = array;
-    let motors = rails.len();
+fn numbers(array: &ArraySpec) -> Result<String, String> {
+    let layout = array.layout();
+    let id = layout.id();
+    let motors = layout.motors();
+    let clock = clock::exact(id.tick_hz, [id.duty_up, id.duty_down])?;
     if motors > BOARD_LINES {
-        return Err(format!("the array {name} has {motors} motors: a Pico has pins for {BOARD_LINES}"));
+        return Err(format!("the array {} has {motors} motors: a Pico has pins for {BOARD_LINES}", id.name));
     }
+    let of = |group: fn(&Layout, usize) -> u8| {
+        let groups: Vec<_> = (0..motors).map(|motor| group(layout, motor)).collect();
+        format!("{groups:?}")
+    };
     let mut text = String::new();
     let mut number = |name: &str, kind: &str, value: String| {
         let _ = writeln!(text, "pub(crate) const {name}: {kind} = {value};");
     };
-    number("NAME", "&str", format!("{name:?}"));
-    number("TICK_HZ", "u32", tick_hz.to_string());
-    number("DUTY_UP", "u16", duty[0].to_string());
-    number("DUTY_DOWN", "u16", duty[1].to_string());
-    number("RAILS", &format!("[u8; {motors}]"), format!("{rails:?}"));
-    number("CHIPS", &format!("[u8; {motors}]"), format!("{chips:?}"));
-    number("MOST_PULSES", "u16", most_pulses.to_string());
-    number("SEEK_PULSES", "u16", seek_pulses.to_string());
-    number("HASH", "u64", hash.to_string());
+    number("NAME", "&str", format!("{:?}", id.name.as_str()));
+    number("TICK_HZ", "u32", id.tick_hz.to_string());
+    number("DUTY_UP", "u16", id.duty_up.to_string());
+    number("DUTY_DOWN", "u16", id.duty_down.to_string());
+    number("RAILS", &format!("[u8; {motors}]"), of(Layout::rail));
+    number("CHIPS", &format!("[u8; {motors}]"), of(Layout::chip));
+    number("MOST_PULSES", "u16", layout.max_up_pulses().to_string());
+    number("SEEK_PULSES", "u16", layout.max_seek().to_string());
+    number("HASH", "u64", id.hash.to_string());
     number("PLL_FEEDBACK", "u16", clock.feedback.to_string());
     number("PLL_POST1", "u8", clock.post[0].to_string());
     number("PLL_POST2", "u8", clock.post[1].to_string());
@@ -86,6 +92,8 @@ fn numbers(array: &Described) -> Result<String, String> {
 
 /// Lines of the board (`src/board.rs`).
 const BOARD_LINES: usize = 24;
+/// The description without `MEISSNER_ARRAY`.
+const PAPER: &str = "../arrays/tula35-6x4.toml";
 
 fn list(place: &Path, files: &mut Vec<PathBuf>) {
     if place.is_dir() {

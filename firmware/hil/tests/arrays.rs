@@ -108,7 +108,7 @@ fn twenty_four_motors_at_70_khz() {
     plays("test-6x4", 24);
 }
 
-#[path = "../../describe/clock.rs"]
+#[path = "../../clock.rs"]
 mod clock;
 
 #[test]
