@@ -286,8 +286,6 @@ pub mod controller;
 pub mod frame;
 pub mod limits;
 pub mod message;
-#[cfg(not(feature = "pico"))]
-mod paper;
 pub mod stroke;
 pub mod tick;
 pub mod urgent;

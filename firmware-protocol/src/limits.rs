@@ -5,11 +5,6 @@
 //! have pulses at once is in [`PowerLimits`], too; the controller keeps it.
 
 use crate::array::{CAPACITY, Layout, Ring};
-#[cfg(not(feature = "pico"))]
-pub use crate::paper::{
-    DENSE_TICKS, LEAST_APART, MAX_DENSE, MAX_DOWN_PULSES, MAX_PUSHES_PER_S, MAX_SEEK, MAX_TRAVEL,
-    MAX_UP_PULSES, MOTORS_PER_CHIP, MOTORS_PER_RAIL, RAILS, WHOLE_TRAVEL, check,
-};
 use crate::tick::Tick;
 use serde::{Deserialize, Serialize};
 

@@ -4,8 +4,6 @@
 //! strokes, the controller plays them, and tests compare both with [`Stroke::ticks`]. There is no other definition.
 
 use crate::array::MotorSet;
-#[cfg(not(feature = "pico"))]
-pub use crate::paper::MOTORS;
 use crate::tick::Tick;
 use serde::{Deserialize, Serialize};
 

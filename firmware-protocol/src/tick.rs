@@ -6,9 +6,6 @@
 use core::ops::{Add, Sub};
 use serde::{Deserialize, Serialize};
 
-#[cfg(not(feature = "pico"))]
-pub use crate::paper::TICK_HZ;
-
 /// A count of pulse periods on the device's clock.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(transparent)]

@@ -20,7 +20,7 @@ use serde::Serialize;
 use std::collections::VecDeque;
 
 /// The paper's array, which the tests are about unless they name another.
-pub(crate) const PAPER: Layout = Layout::PAPER;
+pub(crate) const PAPER: Layout = layout("tula35-6x4", 85_000, &grouped::<24>(6), &grouped::<24>(2), 3_000);
 pub(crate) const MOTORS: usize = PAPER.motors();
 pub(crate) const TICK_HZ: u32 = PAPER.tick_hz();
 pub(crate) const NO_LIMITS: PowerLimits = PAPER.no_limits();

@@ -1,5 +1,5 @@
-use crate::bench::{Bench, FIRMWARE, TICK_HZ, stroke};
-use firmware_protocol::array::{Layout, MotorSet};
+use crate::bench::{Bench, FIRMWARE, PAPER, TICK_HZ, stroke};
+use firmware_protocol::array::MotorSet;
 use firmware_protocol::batch::longest_frame;
 use firmware_protocol::batch::{MAX_BATCH, Strokes};
 use firmware_protocol::board::{Board, Measures, Outputs, Reset, SelfTest, SelfTestState};
@@ -152,7 +152,7 @@ fn questions_feed_the_host_watchdog_and_need_a_session() {
 #[test]
 fn the_longest_frame_is_one() {
     let mut out = [0; MAX_FRAME];
-    let len = longest_frame(&Layout::PAPER, &mut out);
+    let len = longest_frame(&PAPER, &mut out);
     let mut decoder = Decoder::new();
     let body = decoder.next(&mut &out[..len]).expect("a whole frame");
     let Ok(HostMessage::Strokes { batch, base, .. }) = read(body) else { panic!("strokes") };

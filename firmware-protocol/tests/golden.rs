@@ -58,7 +58,7 @@ const HELLO: DeviceHello = DeviceHello {
     firmware: [1, 2, 3],
     build: [0xca, 0xfe, 0, 1],
     boot: 99,
-    array: ArrayId { hash: 0x0123_4567_89ab_cdef, ..*PAPER.id() },
+    array: ArrayId { duty_up: 200, duty_down: 800, hash: 0x0123_4567_89ab_cdef, ..*PAPER.id() },
     pool: 1024,
     horizon: 107,
     max_up_pulses: 3000,

@@ -36,8 +36,6 @@ use crate::board::{Measures, SelfTest};
 use crate::frame::{self, FrameError, MAX_FRAME};
 use crate::limits::PowerLimits;
 use crate::message::{Cause, Counters, DeviceHello, DeviceMessage, Op, State, Status};
-#[cfg(not(feature = "pico"))]
-pub use crate::paper::DRIVER_LEAD;
 use crate::stroke::Lines;
 use crate::tick::Tick;
 use board::BoardRequests;

@@ -4,8 +4,9 @@
 //! different directions. So equal logs are equal in every tick.
 
 use firmware_protocol::controller::Run;
-use firmware_protocol::stroke::{Direction, Line, MOTORS};
+use firmware_protocol::stroke::{Direction, Line};
 use firmware_protocol::tick::Tick;
+use meissner_test_support::paper::MOTORS;
 use std::fmt;
 
 /// Pulses of one direction on consecutive ticks.

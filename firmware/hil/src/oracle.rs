@@ -6,13 +6,15 @@
 
 use crate::log::{Log, Train};
 use crate::tap::{Batch, Event, Tap};
-use firmware_protocol::array::{Layout, MotorSet};
+use firmware_protocol::array::MotorSet;
 use firmware_protocol::batch::Amendment;
-use firmware_protocol::controller::{DRIVER_LEAD, DRIVER_TAIL};
-use firmware_protocol::limits::{PowerLimits, WHOLE_TRAVEL, within_correction};
+use firmware_protocol::controller::DRIVER_TAIL;
+use firmware_protocol::limits::{PowerLimits, within_correction};
 use firmware_protocol::message::{Cause, Cut, LowerStop, MarkKind, Op, Report, State, Trigger};
-use firmware_protocol::stroke::{Direction, MOTORS, Stroke};
+use firmware_protocol::stroke::{Direction, Stroke};
 use firmware_protocol::tick::Tick;
+use meissner_array::spec::Array;
+use meissner_test_support::paper::{DRIVER_LEAD, MOTORS, WHOLE_TRAVEL};
 
 /// Ticks before an e-stop's cut in which a planned pulse may be missing, and ticks after it in which one may still begin: the
 /// tick being played counts as played, whether it was cut off or not.
@@ -357,7 +359,8 @@ impl Oracle {
         let seek = std::mem::take(&mut self.seek);
         // The scenarios move no pins.
         let height = self.outstanding.iter().copied().max().unwrap_or(0);
-        let least = if self.position_known { Layout::PAPER.least_seek(height) } else { WHOLE_TRAVEL };
+        let least =
+            if self.position_known { Array::paper().layout().least_seek(height) } else { WHOLE_TRAVEL };
         if seek > 0 && seek < least {
             let text = format!(
                 "the device seeks with {seek} pulses, where {least} are needed to reach the lower stop"
@@ -494,8 +497,12 @@ mod tests {
         let stop = LowerStop { pulses_per_s: 25_500, seek: 0 };
         for (lower_stop, down_pulses) in [(Some(stop), 20), (None, 26)] {
             let mut oracle = Oracle::default();
-            let arm =
-                Op::Arm { assume_rest: true, host_timeout: 25_500, limits: PowerLimits::NONE, lower_stop };
+            let arm = Op::Arm {
+                assume_rest: true,
+                host_timeout: 25_500,
+                limits: Array::paper().layout().no_limits(),
+                lower_stop,
+            };
             oracle.take(&Tap::default(), 0, 0, &Event::Control(1, arm));
             let planned = [stroke.up_pulses, stroke.down_pulses];
             let (frame, withdrawn) = ((1, 0), Vec::new());
@@ -546,7 +553,7 @@ mod tests {
     /// With one motor of a rail at once, pins return one after the other: what runs, then the first of another chip.
     #[test]
     fn returns_take_turns() {
-        let limits = PowerLimits { rail_at_once: 1, ..PowerLimits::NONE };
+        let limits = PowerLimits { rail_at_once: 1, ..Array::paper().layout().no_limits() };
         let arm = Op::Arm { assume_rest: true, host_timeout: 25_500, limits, lower_stop: None };
         let stroke = |motor, up: u64, down: u64| {
             let (up, down) = (Tick::BOOT + up, Tick::BOOT + down);
@@ -579,8 +586,12 @@ mod tests {
     fn a_seek_that_is_too_short_contradicts_the_specification() {
         for (seek, wrong) in [(WHOLE_TRAVEL - 1, 1), (WHOLE_TRAVEL, 0)] {
             let lower_stop = Some(LowerStop { pulses_per_s: 25_500, seek });
-            let arm =
-                Op::Arm { assume_rest: false, host_timeout: 25_500, limits: PowerLimits::NONE, lower_stop };
+            let arm = Op::Arm {
+                assume_rest: false,
+                host_timeout: 25_500,
+                limits: Array::paper().layout().no_limits(),
+                lower_stop,
+            };
             let outstanding = MOTORS as u32 * u32::from(seek);
             let at = (Tick::BOOT + 1_000).wire();
             let cut = Cut {

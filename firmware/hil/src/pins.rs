@@ -4,7 +4,7 @@
 //! pulses is short, and each flaw is a train of its own.
 
 use crate::time::TICK;
-use firmware_protocol::stroke::MOTORS;
+use meissner_test_support::paper::MOTORS;
 
 /// Rises at a play's onset.
 pub const TRIGGER: usize = 27;

@@ -19,6 +19,7 @@ use firmware_protocol::frame::{MAX_FRAME, encode};
 use firmware_protocol::message::HostMessage;
 use firmware_protocol::tick::Tick;
 use meissner_api::EndCause;
+use meissner_array::spec::Array;
 use meissner_stream::link::LineRate;
 use meissner_stream::queues::{Command, Outcome, Request, StreamEvent};
 use meissner_stream::time::HostInstant;
@@ -58,7 +59,7 @@ pub struct RigOptions {
 
 impl Default for RigOptions {
     fn default() -> Self {
-        let settings = Settings { drift_limit_um: f32::INFINITY, ..Settings::default() };
+        let settings = Settings { drift_limit_um: f32::INFINITY, ..Settings::of(Array::paper()) };
         Self { settings, function: Function::default(), faults: Faults::default(), seed: 0 }
     }
 }

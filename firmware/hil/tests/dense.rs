@@ -3,13 +3,14 @@
 use crate::hand::Hand;
 use crate::margin::TIME;
 use firmware_protocol::controller::{BLOCK, HORIZON};
-use firmware_protocol::limits::LEAST_APART;
 use firmware_protocol::message::{Counters, State};
-use firmware_protocol::stroke::{MOTORS, Stroke};
+use firmware_protocol::stroke::Stroke;
 use firmware_protocol::tick::Tick;
+use meissner_array::spec::Array;
 use meissner_hil::bench::Which;
 use meissner_hil::bench::chip::ChipOptions;
 use meissner_hil::time::MS;
+use meissner_test_support::paper::MOTORS;
 
 /// Ticks of a millisecond.
 const TICKS: u64 = 85;
@@ -30,7 +31,8 @@ struct Dense {
 impl Dense {
     /// Strokes for 0.2 s in order of time, or as many as a host has credits for reports.
     fn strokes(self, first: Tick) -> Vec<Stroke> {
-        let each = (200 * TICKS / self.apart).min(if self.apart < LEAST_APART { 20 } else { 200 });
+        let each = (200 * TICKS / self.apart)
+            .min(if self.apart < u64::from(Array::paper().layout().least_apart()) { 20 } else { 200 });
         let (step, within) = self.spread;
         let stroke = |number: u64, motor: u8| {
             let up = first + number * self.apart + u64::from(motor) * step % within;

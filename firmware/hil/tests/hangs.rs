@@ -1,13 +1,14 @@
 //! Interrupts, the executor or the USB controller hang while the rest lives: the lines are low in time, and the rest goes on.
 
 use crate::play::{armed, job};
-use firmware_protocol::controller::{BLOCK, DRIVER_LEAD, HORIZON};
+use firmware_protocol::controller::{BLOCK, HORIZON};
 use firmware_protocol::message::State;
 use meissner_hil::bench::chip::ChipOptions;
 use meissner_hil::rig::Rig;
 use meissner_hil::scenario::pattern;
 use meissner_hil::time::{MS, TICK};
 use meissner_stream::queues::Command;
+use meissner_test_support::paper::DRIVER_LEAD;
 
 /// `b .`: an endless loop.
 const LOOP: [u8; 2] = [0xfe, 0xe7];

@@ -1,8 +1,9 @@
 //! A live play of the host's streamer on the chip: its updates replace strokes, also over a line that loses, repeats and damages frames.
 
 use crate::play::armed;
-use firmware_protocol::stroke::MOTORS;
 use meissner_array::motor::SquareWave;
+use meissner_array::per_motor::PerMotor;
+use meissner_array::spec::Array;
 use meissner_array::strokes::LiveStrokes;
 use meissner_hil::bench::chip::ChipOptions;
 use meissner_hil::rig::Faults;
@@ -21,7 +22,7 @@ const TIMEOUT: Duration = Duration::from_millis(500);
 fn wave(random: &mut ChaCha8Rng) -> SquareWave {
     let mut of = |count: u32| random.next_u32() % count;
     let frequency_hz = [23.0, 60.0, 100.0, 180.0][of(4) as usize];
-    SquareWave::new(frequency_hz, f64::from(of(5)) * 30.0, f64::from(of(4)) / 4.0).unwrap()
+    SquareWave::new(Array::paper(), frequency_hz, f64::from(of(5)) * 30.0, f64::from(of(4)) / 4.0).unwrap()
 }
 
 /// What became of a live play of [`UPDATES`] random updates.
@@ -34,12 +35,12 @@ fn play(seed: u64, faults: Faults) -> Played {
     let mut random = ChaCha8Rng::seed_from_u64(seed);
     let mut rig = armed(ChipOptions::new(seed));
     rig.set_faults(faults);
-    let waves = [SquareWave::new(60.0, 60.0, 0.0).unwrap(); MOTORS];
+    let waves = PerMotor::all(Array::paper(), SquareWave::new(Array::paper(), 60.0, 60.0, 0.0).unwrap());
     let live = Play::new(1, Source::Live(Box::new(LiveStrokes::new(waves))));
     rig.order(Command::Play(Box::new(Play { open_loop: true, live: Some(TIMEOUT), ..live })));
     for number in 1..=UPDATES {
         rig.run_to(rig.now() + EVERY).unwrap();
-        let mut update = LiveUpdate::new(1, number, host(rig.now()));
+        let mut update = LiveUpdate::new(Array::paper(), 1, number, host(rig.now()));
         for new in &mut update.waves {
             *new = random.next_u32().is_multiple_of(3).then(|| wave(&mut random));
         }

@@ -2,9 +2,11 @@
 
 use crate::play::job_of;
 use firmware_protocol::message::State;
-use firmware_protocol::stroke::{Burst, Direction, MOTORS};
+use firmware_protocol::stroke::{Burst, Direction};
 use meissner_array::pattern::{Drive, Pattern};
+use meissner_array::per_motor::PerMotor;
 use meissner_array::simulated::{LowerStop, Pin, SimulatedMotorsConfig};
+use meissner_array::spec::Array;
 use meissner_array::strokes::{StrokeOptions, Strokes};
 use meissner_hil::bench::Which;
 use meissner_hil::bench::chip::ChipOptions;
@@ -14,9 +16,10 @@ use meissner_hil::rig::{Rig, RigOptions};
 use meissner_hil::time::MS;
 use meissner_stream::queues::{Command, StreamEvent};
 use meissner_stream::{Gains, LowerStopSettings, Settings};
+use meissner_test_support::paper::MOTORS;
 
 fn settings() -> Settings {
-    Settings { lower_stop: Some(LowerStopSettings::default()), ..Settings::default() }
+    Settings { lower_stop: Some(LowerStopSettings::of(Array::paper())), ..Settings::of(Array::paper()) }
 }
 
 /// A chip that has just started: its position is unknown.
@@ -40,8 +43,8 @@ fn all_motors(seconds: f64) -> Strokes {
         stop_s: None,
     };
     let drives = (0..MOTORS as u8).map(drive).collect();
-    let pattern = Pattern::new("all", Some(seconds), drives, toml::Table::new()).unwrap();
-    let surplus = settings().surplus(&[Gains::default(); MOTORS]);
+    let pattern = Pattern::new(Array::paper(), "all", Some(seconds), drives, toml::Table::new()).unwrap();
+    let surplus = settings().surplus(&PerMotor::all(Array::paper(), Gains::default()));
     Strokes::new(&pattern, &StrokeOptions { surplus, ..StrokeOptions::default() }).unwrap()
 }
 
@@ -68,7 +71,7 @@ fn rest_um(log: &Log) -> f64 {
     let motors = SimulatedMotorsConfig { lower_stop: LowerStop::AtRest, ..SimulatedMotorsConfig::default() };
     let (mut squares, mut count) = (0.0, 0);
     for (motor, trains) in log.lines.iter().enumerate() {
-        let mut pin = Pin::new(&motors, motor as u64).at(300.0);
+        let mut pin = Pin::new(Array::paper(), &motors, motor as u64).at(300.0);
         for train in trains {
             let pulses = u16::try_from(train.pulses).unwrap();
             let burst = Burst { start: train.start, direction: train.direction, pulses };

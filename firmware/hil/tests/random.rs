@@ -1,6 +1,7 @@
 //! Random patterns: 24 motors, each with its own frequency, amplitude and phase.
 
 use meissner_array::pattern::{Drive, Pattern};
+use meissner_array::spec::Array;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 
@@ -28,7 +29,7 @@ pub(crate) fn pattern(number: u64) -> Pattern {
         }
     };
     let drives = (0..24).map(drive).collect();
-    Pattern::new(&format!("random-{number}"), None, drives, Default::default()).unwrap()
+    Pattern::new(Array::paper(), &format!("random-{number}"), None, drives, Default::default()).unwrap()
 }
 
 /// Three motors of each rail in phase, the others a quarter of a period later: each burst begins when those of the others have ended.
@@ -44,5 +45,5 @@ pub(crate) fn taking_turns(number: u64) -> Pattern {
         stop_s: None,
     };
     let drives = (0..24).map(drive).collect();
-    Pattern::new(&format!("turns-{number}"), None, drives, Default::default()).unwrap()
+    Pattern::new(Array::paper(), &format!("turns-{number}"), None, drives, Default::default()).unwrap()
 }

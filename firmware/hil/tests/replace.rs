@@ -4,13 +4,14 @@
 use crate::hand::{Hand, Verdicts};
 use crate::random::uniform;
 use firmware_protocol::controller::POOL;
-use firmware_protocol::limits::LEAST_APART;
 use firmware_protocol::message::{Cause, Counters, Op, State};
-use firmware_protocol::stroke::{MOTORS, Stroke};
+use firmware_protocol::stroke::Stroke;
 use firmware_protocol::tick::Tick;
+use meissner_array::spec::Array;
 use meissner_hil::bench::Which;
 use meissner_hil::bench::chip::ChipOptions;
 use meissner_hil::time::{MS, TICK};
+use meissner_test_support::paper::MOTORS;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 
@@ -47,7 +48,7 @@ fn train(random: &mut ChaCha8Rng, motor: u8, up: Tick, until: Tick, pause: u64) 
 
 /// When the next stroke of the motor may begin.
 fn free(stroke: &Stroke) -> Tick {
-    stroke.end().max(stroke.up + LEAST_APART)
+    stroke.end().max(stroke.up + u64::from(Array::paper().layout().least_apart()))
 }
 
 fn bits(mask: u32) -> impl Iterator<Item = u8> {

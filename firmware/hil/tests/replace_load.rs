@@ -4,11 +4,12 @@
 
 use crate::hand::Hand;
 use crate::margin::TIME;
-use firmware_protocol::stroke::{MOTORS, Stroke};
+use firmware_protocol::stroke::Stroke;
 use firmware_protocol::tick::Tick;
 use meissner_hil::bench::Which;
 use meissner_hil::bench::chip::ChipOptions;
 use meissner_hil::time::MS;
+use meissner_test_support::paper::MOTORS;
 
 /// Ticks of a period at 300 Hz, and pulses of a burst.
 const PERIOD: u64 = 283;

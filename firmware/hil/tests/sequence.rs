@@ -4,6 +4,7 @@ use crate::play::armed;
 use firmware_protocol::message::Trigger;
 use firmware_protocol::tick::Tick;
 use meissner_array::pattern::{Drive, Pattern};
+use meissner_array::spec::Array;
 use meissner_array::strokes::{Sequence, Start, StrokeOptions};
 use meissner_hil::bench::Played;
 use meissner_hil::bench::chip::ChipOptions;
@@ -25,9 +26,9 @@ fn taps() -> Play {
     let patterns = MOTORS.map(|motor| {
         let drive =
             Drive { motor, frequency_hz: 200.0, amplitude_um: 8.0, phase: 0.0, start_s: None, stop_s: None };
-        Pattern::new("tap", None, vec![drive], toml::Table::new()).unwrap()
+        Pattern::new(Array::paper(), "tap", None, vec![drive], toml::Table::new()).unwrap()
     });
-    let mut sequence = Sequence::default();
+    let mut sequence = Sequence::new(Array::paper());
     let compiled =
         patterns.each_ref().map(|pattern| sequence.compile(pattern, &StrokeOptions::default()).unwrap());
     for item in 0..ITEMS {

@@ -16,8 +16,9 @@ use firmware_protocol::message::{
     Cause, Counters, DeviceMessage, HostMessage, Mark, MarkKind, Op, Report, State as Armed, Status, Trigger,
     Withdraw,
 };
-use firmware_protocol::stroke::{Direction, MOTORS, Stroke};
+use firmware_protocol::stroke::{Direction, Stroke};
 use firmware_protocol::tick::Tick;
+use meissner_array::spec::Array;
 use stateright::{Model, Property};
 use std::hash::{Hash, Hasher};
 
@@ -432,9 +433,10 @@ impl Scene {
         Some(match say {
             Say::Arm => {
                 let assume_rest = self.host.status.is_none_or(|status| !status.position_known);
-                let rail_at_once = if self.shell.one_at_once { 1 } else { meissner_array::spec::Array::paper().layout().no_limits().rail_at_once };
+                let rail_at_once =
+                    if self.shell.one_at_once { 1 } else { Array::paper().layout().no_limits().rail_at_once };
                 let (host_timeout, limits) =
-                    (HOST_TIMEOUT, PowerLimits { rail_at_once, ..meissner_array::spec::Array::paper().layout().no_limits() });
+                    (HOST_TIMEOUT, PowerLimits { rail_at_once, ..Array::paper().layout().no_limits() });
                 self.host.control(Op::Arm { assume_rest, host_timeout, limits, lower_stop: None })
             }
             Say::Disarm => self.host.control(Op::Disarm(Cause::Shutdown)),
@@ -488,7 +490,7 @@ impl Scene {
                     Op::Arm { .. } if self.shell.device.state() == Armed::Disarmed => {
                         self.shell.off_since = None;
                         self.account.returned |=
-                            (0..MOTORS as u8).any(|motor| self.shell.device.outstanding(motor) > 0);
+                            Array::paper().numbers().any(|motor| self.shell.device.outstanding(motor) > 0);
                     }
                     _ => {}
                 }

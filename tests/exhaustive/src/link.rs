@@ -8,7 +8,6 @@ use crate::shell::{Broken, Shell, after, never};
 use firmware_protocol::array::MotorSet;
 use firmware_protocol::batch::Amendment;
 use firmware_protocol::frame::MAX_FRAME;
-use firmware_protocol::limits::PowerLimits;
 use firmware_protocol::message::{Cause, Counters, Op, State, Status};
 use firmware_protocol::stroke::{Direction, Stroke};
 use firmware_protocol::tick::Tick;

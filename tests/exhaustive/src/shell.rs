@@ -4,7 +4,7 @@
 //! controller in the tick `now`, whose lines are already out. [`Shell::tick`] is the only thing that moves time.
 
 use firmware_protocol::array::MotorSet;
-use firmware_protocol::controller::{BLOCK, Controller, DRIVER_LEAD, DRIVER_TAIL, HORIZON, Identity, Run};
+use firmware_protocol::controller::{BLOCK, Controller, DRIVER_TAIL, HORIZON, Identity, Run};
 use firmware_protocol::message::State;
 use firmware_protocol::stroke::{Direction, Lines, Stroke};
 use firmware_protocol::tick::Tick;
@@ -131,7 +131,7 @@ impl Hash for Shell {
             (run.lines, run.trigger, run.drivers, run.ticks, returns).hash(hasher);
         }
         (now, asked, moves, off_since, seen, begun, last).hash(hasher);
-        ((*enabled).min(DRIVER_LEAD + 1), idle, taken_back, broken).hash(hasher);
+        ((*enabled).min(Array::paper().layout().driver_lead() + 1), idle, taken_back, broken).hash(hasher);
     }
 }
 
@@ -291,7 +291,8 @@ impl Shell {
         }
         self.enabled += 1;
         self.idle = if pulse { 0 } else { self.idle + 1 };
-        if (pulse && self.enabled <= DRIVER_LEAD) || self.idle > DRIVER_LEAD + DRIVER_TAIL + HORIZON {
+        let lead = Array::paper().layout().driver_lead();
+        if (pulse && self.enabled <= lead) || self.idle > lead + DRIVER_TAIL + HORIZON {
             self.breaks(Broken::Drivers);
         }
     }

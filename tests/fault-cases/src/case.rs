@@ -5,9 +5,10 @@
 use crate::{ONSET, PHASE_AFTER};
 use firmware_protocol::message::{DeviceMessage, State};
 use firmware_protocol::stroke::Stroke;
-use firmware_protocol::tick::{TICK_HZ, Tick};
+use firmware_protocol::tick::Tick;
 use meissner_stream::Line;
 use meissner_stream::queues::Command;
+use meissner_test_support::paper::RATE;
 use serde::de::Error as _;
 use serde::{Deserialize, Deserializer};
 use std::collections::VecDeque;
@@ -160,7 +161,7 @@ impl Phase {
             Self::Down => stroke.down + u64::from(stroke.down_pulses / 2),
             Self::Between => stroke.end() + (next.up - stroke.end()) / 2,
         };
-        Duration::from_secs_f64((tick - ordered) as f64 / f64::from(TICK_HZ))
+        Duration::from_secs_f64(RATE.ticks_to_seconds(tick - ordered))
     }
 }
 
@@ -297,7 +298,7 @@ impl Telemetry {
                 Self::Swapped => y.reverse(),
                 Self::Dead => return false,
                 Self::LateMs(ms) => {
-                    let late = (ms.of(value) * f64::from(TICK_HZ) / 1e3) as i64;
+                    let late = RATE.ms_in_ticks(ms.of(value)) as i64;
                     before.push_back((tick, y.to_vec()));
                     while before.get(1).is_some_and(|(then, _)| tick.since(*then) >= late) {
                         before.pop_front();

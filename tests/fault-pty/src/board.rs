@@ -5,9 +5,9 @@
 //! Invariant: bytes reach the controller at the tick of the instant at which they were read, never at an earlier one: a thread that
 //! was late makes a fault look worse, not better.
 
-use meissner_array::spec::Array;
 use firmware_protocol::tick::Tick;
 use meissner_array::simulated::SimulatedMotorsConfig;
+use meissner_array::spec::Array;
 use meissner_stream::Line;
 use meissner_stream::device::mock::Mock;
 use meissner_stream::device::priority::{BELOW_STREAMER, fifo};

@@ -8,7 +8,6 @@ use crate::daemon::{Daemon, metric};
 use firmware_protocol::message::State;
 use firmware_protocol::stroke::Stroke;
 use firmware_protocol::tick::Tick;
-use meissner_test_support::paper::{MOTORS, TICK_HZ};
 use meissner_api::{ErrorSource, Event, PlayAccepted, PlayState, Receipt, Status};
 use meissner_array::strokes::{StrokeOptions, Strokes};
 use meissner_client::{Client, ClientError, Events, estop};
@@ -16,6 +15,7 @@ use meissner_fault_cases::{Kind, Lie, ONSET, Observed, Order, PLAY, Seen, What, 
 use meissner_stream::Line;
 use meissner_stream::faulty::Liar;
 use meissner_stream::time::HostInstant;
+use meissner_test_support::paper::{MOTORS, TICK_HZ};
 use meissner_test_support::rig::{self, bursts_on_the_lines};
 use rustix::process::Signal;
 use serde_json::{Value, json};

@@ -40,7 +40,8 @@ pub(crate) fn main() -> ExitCode {
 fn run(spec: &Spec, long: Duration) -> Result<String, String> {
     let (mut commands, events, _, streamer) =
         spawn(Settings::of(Array::paper())).map_err(|error| error.to_string())?;
-    let device = device::open(spec, Array::paper(), &Default::default()).map_err(|error| error.to_string())?;
+    let device =
+        device::open(spec, Array::paper(), &Default::default()).map_err(|error| error.to_string())?;
     let connect =
         Request { ticket: 0, issued_at: HostInstant::now(), command: Command::Connect(Box::new(device)) };
     commands.send(connect).map_err(|_| "there was no room")?;

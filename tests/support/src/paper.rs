@@ -8,6 +8,10 @@ pub const MOTORS: usize = 24;
 pub const MOTORS_PER_RAIL: usize = 6;
 /// Motors of a driver chip.
 pub const MOTORS_PER_CHIP: usize = 2;
+/// Ticks from the enable of the drivers to the first pulse.
+pub const DRIVER_LEAD: u32 = 43;
+/// Farthest that moves and a stroke take a pin from the lower stop, pulses.
+pub const WHOLE_TRAVEL: u16 = 6_900;
 /// Distance of neighbouring pins, mm.
 pub const PITCH_MM: f64 = 2.9;
 /// Travel of a shaft per pulse, µm.

@@ -10,6 +10,7 @@ use firmware_protocol::frame::{self, Decoder};
 use firmware_protocol::message::HostMessage;
 use firmware_protocol::tick::Tick;
 use meissner_array::simulated::SimulatedMotorsConfig;
+use meissner_array::spec::Array;
 use meissner_stream::device::mock::Mock;
 
 /// Time from a core's failure to the first tick of the next boot.
@@ -38,7 +39,7 @@ pub struct MockBench {
 }
 
 fn mock(boot: u64) -> Result<Mock, BenchError> {
-    let mut mock = Mock::new(SimulatedMotorsConfig::default(), boot as u32)?;
+    let mut mock = Mock::new(Array::paper(), SimulatedMotorsConfig::default(), boot as u32)?;
     mock.record();
     Ok(mock)
 }

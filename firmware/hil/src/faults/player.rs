@@ -12,10 +12,10 @@ use crate::time::{MS, TICK};
 use firmware_protocol::message::State;
 use firmware_protocol::stroke::Stroke;
 use meissner_array::strokes::{StrokeOptions, Strokes};
-use meissner_array::units::duration_to_ticks;
 use meissner_fault_cases::{Kind, ONSET, Observed, Order, PLAY, Seen, What, bytes};
 use meissner_stream::faulty::Line;
 use meissner_stream::queues::{At, Command, Outcome, Play, StreamEvent};
+use meissner_test_support::paper::RATE;
 use std::time::Duration;
 
 /// Most ms from the start of a board, or the end of a fault, until the host has greeted it.
@@ -61,7 +61,7 @@ fn text(error: RigError) -> String {
 }
 
 fn cycles(time: Duration) -> u64 {
-    duration_to_ticks(time) * TICK
+    RATE.duration_to_ticks(time) * TICK
 }
 
 fn strokes(name: &str, seconds: f64) -> Result<Strokes, String> {
@@ -197,7 +197,7 @@ impl Player {
             for (time, begins) in kind.begins(fault, ordered, &compiled).enumerate() {
                 // The grid of a board that has restarted since then is another one.
                 let at = if self.restarts == 0 {
-                    self.rig.grid().cycle(ordered + duration_to_ticks(begins))
+                    self.rig.grid().cycle(ordered + RATE.duration_to_ticks(begins))
                 } else {
                     ordered_at + cycles(begins)
                 };

@@ -3,9 +3,10 @@
 use crate::judge::{Boot, Judged, differences};
 use crate::scenario::compiled;
 use crate::time::MS;
-use firmware_protocol::stroke::{Direction, MOTORS};
+use firmware_protocol::stroke::Direction;
 use meissner_fault_cases::{Case, Observed, Seen};
 use meissner_stream::queues::{End, Outcome, StreamEvent};
+use meissner_test_support::paper::MOTORS;
 
 /// For so many cycles all lines have to be low before the next play.
 const RESTS: u64 = 200 * MS;

@@ -7,7 +7,8 @@ use crate::log::Log;
 use crate::oracle::Expected;
 use crate::pins::High;
 use crate::time::{Grid, MS, TICK};
-use firmware_protocol::controller::{DRIVER_LEAD, DRIVER_TAIL, HORIZON};
+use firmware_protocol::controller::{DRIVER_TAIL, HORIZON};
+use meissner_test_support::paper::DRIVER_LEAD;
 
 /// Cycles from the enable to the first pulse.
 const LEAD: u64 = DRIVER_LEAD as u64 * TICK;

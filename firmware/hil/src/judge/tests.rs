@@ -4,9 +4,9 @@ use super::*;
 use crate::pins::{ENABLE, LED, Pins, TRIGGER, pin_of};
 use crate::tap::Batch;
 use crate::time::{MS, TICK};
-use firmware_protocol::limits::PowerLimits;
-use firmware_protocol::message::{Counters, Mark, MarkKind, Report, Trigger};
+use firmware_protocol::message::{Counters, Mark, MarkKind, Report};
 use firmware_protocol::stroke::Stroke;
+use meissner_array::spec::Array;
 
 const ORIGIN: u64 = 7_777;
 
@@ -40,8 +40,13 @@ fn strokes() -> Vec<Stroke> {
 
 fn tap() -> Tap {
     let onset = Tick::BOOT + 20_000;
-    let op = Op::Arm { assume_rest: true, host_timeout: 25_500, limits: PowerLimits::NONE, lower_stop: None };
-    let mark = Mark { kind: MarkKind::Play, trigger: Some(Trigger::PULSE) };
+    let op = Op::Arm {
+        assume_rest: true,
+        host_timeout: 25_500,
+        limits: Array::paper().layout().no_limits(),
+        lower_stop: None,
+    };
+    let mark = Mark { kind: MarkKind::Play, trigger: Some(Array::paper().layout().trigger_pulse()) };
     let batch = Batch { epoch: 2, seq: 0, mark: Some(mark), withdraw: None, base: onset, strokes: strokes() };
     let mut tap = Tap::default();
     // Widens the report's tick.

@@ -14,7 +14,9 @@ use crate::bench::{CpuEvent, Function};
 use crate::rig::Faults;
 pub use compare::compare;
 use meissner_array::pattern::{Drive, Pattern, PatternError};
+use meissner_array::spec::Array;
 use meissner_stream::queues::End;
+use meissner_test_support::paper::MOTORS;
 pub use outcome::compiled;
 pub use play::{Ran, run};
 use serde::Deserialize;
@@ -269,7 +271,13 @@ pub fn pattern(name: &str) -> Result<Pattern, ScenarioError> {
             start_s: None,
             stop_s: None,
         };
-        return Ok(Pattern::new(name, None, (0..24).map(drive).collect(), toml::Table::new())?);
+        return Ok(Pattern::new(
+            Array::paper(),
+            name,
+            None,
+            (0..MOTORS as u8).map(drive).collect(),
+            toml::Table::new(),
+        )?);
     }
     let folder = if name.ends_with("-paper") { "patterns/paper" } else { "patterns" };
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("../../{folder}/{name}.toml"));

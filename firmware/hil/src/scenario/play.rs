@@ -14,6 +14,7 @@ use firmware_protocol::tick::Tick;
 use meissner_array::strokes::{StrokeOptions, Strokes};
 use meissner_stream::end_cause;
 use meissner_stream::queues::{At, Command, Play, StreamEvent};
+use meissner_test_support::paper::RATE;
 
 /// Most ms from a boot to the handshake.
 const GREETING_MS: u64 = 3_000;
@@ -71,7 +72,7 @@ pub fn run(scenario: &Scenario, which: &Which) -> Result<Ran, ScenarioError> {
 
 /// A time of the device's clock.
 fn tick(ms: f64) -> Tick {
-    Tick::BOOT + meissner_array::units::seconds_to_ticks(ms / 1000.0)
+    Tick::BOOT + RATE.seconds_to_ticks(ms / 1000.0)
 }
 
 impl Runner<'_> {

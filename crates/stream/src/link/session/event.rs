@@ -265,11 +265,11 @@ pub enum Event {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use firmware_protocol::array::Layout;
+    use meissner_array::spec::Array;
 
     #[test]
     fn another_array_is_named_by_the_key_that_differs() {
-        let array = *Layout::PAPER.id();
+        let array = *Array::paper().layout().id();
         let advice = ": build its firmware for this array, or choose the array that it has";
         for (device, line) in [
             (ArrayId { tick_hz: 70_000, ..array }, "tick_hz is 70000, this array (tula35-6x4) has 85000"),
