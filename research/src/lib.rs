@@ -6,6 +6,8 @@
 //! - `objectives`: [`objective_tradeoff`] compares the objectives of a search with each other and with the naive rules.
 //! - `sixty_hertz` has the drives that `lead` and `control` play.
 //!
+//! Every comparison is on the array of the shipped patterns and scenes that it plays.
+//!
 //! Simulation methods are compared by `meissner tradeoff`, which users need to choose one.
 //!
 //! Invariant: results depend on the request alone. Only the times of searches depend on the machine.

@@ -1,4 +1,4 @@
-//! The drives of the standard scene: 24 motors at 60 Hz.
+//! The drives of the standard scene: all motors at 60 Hz.
 
 use meissner_array::pattern::Pattern;
 use meissner_report::SIXTY_HERTZ;
@@ -7,6 +7,6 @@ use meissner_skin::Scene;
 /// The drives, as a pattern without end.
 pub(crate) fn pattern() -> Pattern {
     let scene = Scene::read(SIXTY_HERTZ, "sixty-hertz.toml").expect("a test reads the shipped scene");
-    Pattern::new("sixty-hertz", None, scene.drives().to_vec(), toml::Table::new())
+    Pattern::new(scene.array(), "sixty-hertz", None, scene.drives().to_vec(), toml::Table::new())
         .expect("a test plays the drives of the shipped scene")
 }

@@ -42,6 +42,7 @@ fn every_cell_is_complete_and_keeps_its_limit() {
         assert_eq!(
             row.bound_um,
             rest_bound_um(
+                row.run.array,
                 row.run.frequency_hz,
                 row.planned_um,
                 row.run.scatter,

@@ -1,5 +1,6 @@
 //! The grid of settings.
 
+use crate::sixty_hertz;
 use meissner_stream::MotorRun;
 
 /// The settings to measure: every combination.
@@ -17,7 +18,7 @@ pub struct ControlGrid {
     pub scatters: Vec<f64>,
     /// Gain up minus gain down.
     pub asymmetries: Vec<f64>,
-    /// Telemetry samples per second, each with all frequencies and otherwise [`MotorRun::default`].
+    /// Telemetry samples per second, each with all frequencies and otherwise [`MotorRun::of`].
     pub telemetry_hz: Vec<f64>,
     /// The shortest duration of a cell, s of device time.
     pub seconds: f64,
@@ -45,6 +46,7 @@ impl Default for ControlGrid {
 impl ControlGrid {
     /// The cells in order; the last setting changes first.
     pub(super) fn cells(&self) -> Vec<MotorRun> {
+        let array = sixty_hertz::pattern().array();
         let (mut cells, mut seed) = (Vec::new(), 0);
         for &frequency_hz in &self.frequencies_hz {
             for &amplitude_um in &self.amplitudes_um {
@@ -61,7 +63,7 @@ impl ControlGrid {
                                     scatter,
                                     asymmetry,
                                     seed: of_lead,
-                                    ..MotorRun::default()
+                                    ..MotorRun::of(array)
                                 });
                                 of_lead += 1;
                             }
@@ -76,12 +78,13 @@ impl ControlGrid {
 
     /// The cells that differ in frequency and telemetry rate only. All rates share their random numbers.
     pub(super) fn rates(&self) -> Vec<MotorRun> {
+        let array = sixty_hertz::pattern().array();
         let of = |(&frequency_hz, seed): (&f64, u64)| {
             let with = move |&telemetry_hz: &f64| MotorRun {
                 frequency_hz,
                 telemetry_hz,
                 seed,
-                ..MotorRun::default()
+                ..MotorRun::of(array)
             };
             self.telemetry_hz.iter().map(with)
         };

@@ -1,10 +1,8 @@
 //! Measures one cell of the grid.
 
 use crate::mean;
-use firmware_protocol::tick::TICK_HZ;
 use meissner_api::SensorFault;
 use meissner_array::motor::MotorError;
-use meissner_array::units::{UM_PER_PULSE, seconds_in_ticks};
 use meissner_stream::{MotorRun, Period, rest_bound_um};
 use serde::Serialize;
 
@@ -13,8 +11,6 @@ const RATIO: f64 = 1.2;
 const SCATTER: f64 = 0.1;
 /// The largest ratio for more scatter, because the controller must first learn an unexpected scatter.
 const LARGE_RATIO: f64 = 1.5;
-/// The largest rest error without scatter, µm: a pulse, because pulse counts are rounded.
-pub(super) const CALM_UM: f64 = UM_PER_PULSE;
 /// The largest relative error of the mean amplitude; half a pulse is allowed, too.
 const AMPLITUDE: f64 = 0.01;
 /// The amplitude has a limit only if half a period has at least this many burst lengths; otherwise longer bursts do not fit.
@@ -73,7 +69,8 @@ pub enum Verdict {
 impl ControlRow {
     pub(super) fn of(run: &MotorRun, seconds: f64) -> Result<Self, MotorError> {
         let delay_ms = run.delay_ms();
-        let skipped = seconds_in_ticks(2f64.max(10.0 * delay_ms / 1000.0));
+        let (rate, um_per_pulse) = (run.array.rate(), run.array.motor().um_per_pulse);
+        let skipped = rate.seconds_in_ticks(2f64.max(10.0 * delay_ms / 1000.0));
         let mut periods: Vec<Period> = Vec::new();
         let keep = |period: &Period| {
             if period.up as f64 >= skipped {
@@ -82,12 +79,13 @@ impl ControlRow {
         };
         let doubt = run.run(seconds, |_, y| Some(y), keep)?;
         let planned_um = mean(periods.iter().map(|period| period.planned_um));
-        let half_period_um = f64::from(TICK_HZ) / 2.0 / run.frequency_hz * UM_PER_PULSE;
+        let half_period_um = f64::from(rate.hz()) / 2.0 / run.frequency_hz * um_per_pulse;
         let room = half_period_um / planned_um;
         let rest_rms_um = mean(periods.iter().map(|period| period.rest_um.powi(2))).sqrt();
-        let bound_um = rest_bound_um(run.frequency_hz, planned_um, run.scatter, delay_ms, run.telemetry_hz);
+        let bound_um =
+            rest_bound_um(run.array, run.frequency_hz, planned_um, run.scatter, delay_ms, run.telemetry_hz);
         let limit_um = match run.scatter {
-            0.0 => CALM_UM,
+            0.0 => calm_um(run),
             ..=SCATTER => RATIO * bound_um,
             _ => LARGE_RATIO * bound_um,
         };
@@ -97,7 +95,7 @@ impl ControlRow {
             .map(|um| um / planned_um)
             .collect();
         let (amplitude_error, amplitude_se) = (mean(errors.iter().copied()), standard_error(&errors));
-        let amplitude_limit = (room >= ROOM).then(|| AMPLITUDE.max(UM_PER_PULSE / 2.0 / planned_um));
+        let amplitude_limit = (room >= ROOM).then(|| AMPLITUDE.max(um_per_pulse / 2.0 / planned_um));
         let beyond = amplitude_limit.map_or(0.0, |limit| amplitude_error.abs() - limit);
         let verdict = if doubt.is_some() || rest_rms_um > limit_um || beyond > CHANCE * amplitude_se {
             Verdict::Misses
@@ -107,9 +105,9 @@ impl ControlRow {
             Verdict::Holds
         };
         let corrected = periods.iter().flat_map(|period| {
-            period.pulses.map(|pulses| f64::from(pulses) * UM_PER_PULSE - period.planned_um)
+            period.pulses.map(|pulses| f64::from(pulses) * um_per_pulse - period.planned_um)
         });
-        let corrected_share = mean(corrected.map(|um| f64::from(um.abs() > UM_PER_PULSE / 2.0)));
+        let corrected_share = mean(corrected.map(|um| f64::from(um.abs() > um_per_pulse / 2.0)));
         Ok(Self {
             run: *run,
             delay_ms,
@@ -150,8 +148,13 @@ impl ControlRow {
     /// Rest error over bound; without scatter, in pulses.
     #[must_use]
     pub fn ratio(&self) -> f64 {
-        self.rest_rms_um / if self.run.scatter > 0.0 { self.bound_um } else { CALM_UM }
+        self.rest_rms_um / if self.run.scatter > 0.0 { self.bound_um } else { calm_um(&self.run) }
     }
+}
+
+/// The largest rest error of a run without scatter, µm: a pulse, because pulse counts are rounded.
+pub(super) fn calm_um(run: &MotorRun) -> f64 {
+    run.array.motor().um_per_pulse
 }
 
 /// The standard error of the mean of numbers whose neighbours are correlated.

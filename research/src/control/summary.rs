@@ -1,6 +1,6 @@
 //! Summary of the cells: how many are within their limits, the worst ones, and a recommendation for telemetry.
 
-use crate::control::row::{CALM_UM, ControlRow, Verdict};
+use crate::control::row::{ControlRow, Verdict, calm_um};
 use crate::control::wire::Wire;
 use serde::Serialize;
 
@@ -102,7 +102,7 @@ impl Worst {
             cells: 0,
             hold: 0,
             ratio: 0.0,
-            limit: row.limit_um / if row.run.scatter > 0.0 { row.bound_um } else { CALM_UM },
+            limit: row.limit_um / if row.run.scatter > 0.0 { row.bound_um } else { calm_um(&row.run) },
             amplitude_um: row.run.amplitude_um,
             age_ms: row.run.age_ms,
             asymmetry: row.run.asymmetry,

@@ -8,7 +8,7 @@ use serde::Serialize;
 /// Duration of a play, s.
 const WIRE_S: f64 = 10.0;
 
-/// Bytes to the device for 24 motors at 60 Hz and 80 µm, through link and controller in virtual time.
+/// Bytes to the device for all motors at 60 Hz and 80 µm, through link and controller in virtual time.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Wire {
     /// Duration of the plays, s.
@@ -45,7 +45,7 @@ impl Wire {
 impl WireRow {
     fn of(open_loop: bool) -> Self {
         let (pattern, motors) = (sixty_hertz::pattern(), SimulatedMotorsConfig::default());
-        let played = simulate_play(&pattern, Some(WIRE_S), &motors, Settings::default(), open_loop)
+        let played = simulate_play(&pattern, Some(WIRE_S), &motors, Settings::of(pattern.array()), open_loop)
             .expect("the play has an end, and the default configuration is valid");
         let (bursts, bytes) = (played.outcome.bursts, played.outcome.wire_bytes as f64);
         Self {

@@ -1,7 +1,7 @@
 //! The streamer's lead against late bursts, onsets and bytes, under the stalls of a real machine.
 //!
 //! For each lead, [`lead_tradeoff`] plays under a recorded [`Trace`] of stalls, in virtual time (`replay`): a long play with
-//! position control and one without, on all 24 motors at 60 Hz, and many short plays. A real line
+//! position control and one without, on all motors at 60 Hz, and many short plays. A real line
 //! adds losses and delays.
 
 mod replay;

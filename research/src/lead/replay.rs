@@ -48,7 +48,8 @@ pub(super) struct Replay<'t> {
 impl<'t> Replay<'t> {
     /// An armed device at the beginning of the trace.
     pub(super) fn new(trace: &'t Trace, lead_ms: f64) -> Self {
-        let settings = Settings::for_lead(lead_ms);
+        let pattern = sixty_hertz::pattern();
+        let settings = Settings::for_lead(pattern.array(), lead_ms);
         let motors = SimulatedMotorsConfig::default();
         let mut simulation = Simulation::new(&motors, settings, Line::default(), motors.seed)
             .expect("the default configuration is valid");
@@ -56,7 +57,7 @@ impl<'t> Replay<'t> {
         simulation.send(Command::Arm { assume_rest: true });
         simulation.run(Duration::from_millis(100));
         simulation.take_events();
-        let (pattern, begun) = (sixty_hertz::pattern(), simulation.now());
+        let begun = simulation.now();
         Self { simulation, settings, pattern, trace, stalls: trace.stalls.iter().peekable(), begun }
     }
 

@@ -4,6 +4,7 @@
 
 use crate::lead::replay::{Replay, Run};
 use crate::lead::trace::{Summary, Trace};
+use crate::sixty_hertz;
 use meissner_stream::Settings;
 use meissner_stream::queues::End;
 use rayon::prelude::*;
@@ -95,7 +96,8 @@ fn recommendation(trace: &Summary, rows: &[LeadRow]) -> String {
     let fails = |row: &LeadRow| row.late_bursts > 0 || row.end != End::Done;
     let longest_ms = trace.longest_us as f64 / 1000.0;
     let safe = &rows[rows.iter().rposition(fails).map_or(0, |last| last + 1)..];
-    let ample = safe.iter().find(|row| Settings::for_lead(row.lead_ms).stall_ms() >= longest_ms);
+    let array = sixty_hertz::pattern().array();
+    let ample = safe.iter().find(|row| Settings::for_lead(array, row.lead_ms).stall_ms() >= longest_ms);
     match (ample, safe) {
         (Some(row), [first, ..]) => format!(
             "Take a lead of {} ms: from {} ms on no burst was late, and the half of it that covers stalls is longer than the \

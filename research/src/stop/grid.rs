@@ -1,7 +1,9 @@
 //! The grid of settings.
 
+use super::response::array;
 use meissner_array::motor::MotorError;
 use meissner_array::pattern::Drive;
+use meissner_array::per_motor::PerMotor;
 use meissner_array::reflected_walk::Spread;
 use meissner_array::simulated::{LowerStop, SimulatedMotorsConfig};
 use meissner_array::strokes::{AutoSurplus, DriveStrokes, StrokeOptions, Surplus};
@@ -22,7 +24,7 @@ pub struct StopGrid {
     pub surpluses: Vec<StopSurplus>,
     /// The bound of the worst motor's rest error under the automatic surplus, RMS, µm.
     pub rest_error_um: f64,
-    /// Simulated arrays of 24 motors, with the seeds 0, 1, ….
+    /// Simulated arrays, with the seeds 0, 1, ….
     pub arrays: u64,
     /// Strokes of each motor.
     pub strokes: usize,
@@ -114,7 +116,7 @@ impl StopCell {
         let surplus = match self.surplus {
             StopSurplus::Um(um) => Surplus::Fixed(um),
             StopSurplus::Auto => {
-                let spread = [Spread::uncalibrated(self.scatter, self.asymmetry_sd); _];
+                let spread = PerMotor::all(array(), Spread::uncalibrated(self.scatter, self.asymmetry_sd));
                 Surplus::Auto(Box::new(AutoSurplus { spread, rest_error_um }))
             }
         };
@@ -125,7 +127,7 @@ impl StopCell {
     pub(super) fn strokes(&self, rest_error_um: f64) -> Result<DriveStrokes, MotorError> {
         let Self { frequency_hz, amplitude_um, .. } = *self;
         let drive = Drive { motor: 0, frequency_hz, amplitude_um, phase: 0.0, start_s: None, stop_s: None };
-        DriveStrokes::with(&drive, &self.options(rest_error_um))
+        DriveStrokes::with(array(), &drive, &self.options(rest_error_um))
     }
 
     /// The cell's simulated motors. They have no upper stop, because the theory has none.

@@ -10,13 +10,17 @@ use meissner_array::motor::MotorError;
 use meissner_array::motor::Ramp;
 use meissner_array::pattern::{Drive, Pattern};
 use meissner_array::simulated::{Pin, SimulatedMotorsConfig};
+use meissner_array::spec::Array;
 use meissner_array::strokes::{DriveStrokes, StrokeOptions};
-use meissner_array::units::seconds_to_ticks;
 use meissner_design::{Play, PredictionError, Rates, YARDSTICK, predict_response};
 use serde::Serialize;
+use std::sync::LazyLock;
 
 /// The shipped pattern for the target [`YARDSTICK`].
-const EDGE: &str = include_str!("../../../patterns/paper/edge-45-paper.toml");
+static EDGE: LazyLock<Pattern> = LazyLock::new(|| {
+    let text = include_str!("../../../patterns/paper/edge-45-paper.toml");
+    Pattern::parse(text, YARDSTICK).expect("a test reads the shipped pattern")
+});
 
 /// Mean rate of the afferents on the edge minus that of the others, impulses/s.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
@@ -46,13 +50,17 @@ pub enum StopError {
     Prediction(#[from] PredictionError),
 }
 
+/// The array of the shipped edge, and of all motors of the comparison.
+pub(super) fn array() -> Array {
+    EDGE.array()
+}
+
 /// The shipped edge with the frequency and amplitude of a cell.
 pub(super) fn edge(cell: &StopCell) -> Pattern {
-    let edge = Pattern::parse(EDGE, YARDSTICK).expect("a test reads the shipped pattern");
     let StopCell { frequency_hz, amplitude_um, .. } = *cell;
     let drive = |drive: &Drive| Drive { frequency_hz, amplitude_um, ..*drive };
-    let drives = edge.drives().iter().map(drive).collect();
-    Pattern::new(YARDSTICK, None, drives, edge.provenance().clone())
+    let drives = EDGE.drives().iter().map(drive).collect();
+    Pattern::new(array(), YARDSTICK, None, drives, EDGE.provenance().clone())
         .expect("cells are within a pattern's range")
 }
 
@@ -63,7 +71,7 @@ pub(super) fn contrasts(
     motors: &SimulatedMotorsConfig,
     seconds: f64,
 ) -> Result<[f64; 2], StopError> {
-    contrasts_of(pattern, options, |motor| Pin::new(motors, motor.into()), Tick(0), seconds)
+    contrasts_of(pattern, options, |motor| Pin::new(pattern.array(), motors, motor.into()), Tick(0), seconds)
 }
 
 /// The same for pins that may have played before; the pattern begins at `onset`.
@@ -74,11 +82,12 @@ pub(super) fn contrasts_of(
     onset: Tick,
     seconds: f64,
 ) -> Result<[f64; 2], StopError> {
-    let end = seconds_to_ticks(seconds);
+    let array = pattern.array();
+    let end = array.rate().seconds_to_ticks(seconds);
     let mut ramps = Vec::new();
     for drive in pattern.drives() {
         let mut pin = pin(drive.motor);
-        let strokes = DriveStrokes::with(drive, options)?.take_while(|stroke| stroke.up < end);
+        let strokes = DriveStrokes::with(array, drive, options)?.take_while(|stroke| stroke.up < end);
         for burst in strokes.flat_map(|stroke| stroke.stroke(drive.motor, onset).bursts()) {
             let before = (pin.position_um(burst.start), pin.pushed_pulses());
             pin.play(burst);

@@ -6,19 +6,15 @@
 
 use crate::mean;
 use crate::stop::grid::{StopCell, StopGrid};
-use crate::stop::response::{Contrasts, StopError};
-use firmware_protocol::stroke::MOTORS;
+use crate::stop::response::{Contrasts, StopError, array};
 use firmware_protocol::tick::Tick;
-use meissner_array::motor::{Excursion, TRANSIENT_GAIN, TRANSIENT_REST_TICKS};
+use meissner_array::motor::Excursion;
 use meissner_array::reflected_walk::{ReflectedWalk, Spread};
 use meissner_array::simulated::{LowerStop, Pin};
-use meissner_array::units::UM_PER_PULSE;
 use serde::Serialize;
 
 /// A larger relative difference needs a reason.
 const AGREES: f64 = 0.1;
-/// If the rest error is below a pulse, the pin leaves the stop in too few strokes to measure their number.
-const RARE_UM: f64 = UM_PER_PULSE;
 /// A difference of fewer standard errors may be chance: one cell in a hundred has it.
 const CHANCE: f64 = 2.5;
 /// A walk has settled after this multiple of [`ReflectedWalk::settling_strokes`]: less than a percent is left.
@@ -96,7 +92,7 @@ impl StopRow {
     ) -> Result<Self, StopError> {
         let strokes: Vec<Excursion> = cell.strokes(grid.rest_error_um)?.take(grid.strokes).collect();
         let first = strokes.first().ok_or(StopError::Still { amplitude_um: cell.amplitude_um })?;
-        let um = |pulses| f64::from(pulses) * UM_PER_PULSE;
+        let um = |pulses| f64::from(pulses) * array().motor().um_per_pulse;
         let (reached_um, surplus_um) = (um(first.pulses), um(first.surplus));
         let played = Played::of(cell, grid, &strokes);
         let walks = played.asymmetries.iter().map(|&asymmetry| {
@@ -157,7 +153,10 @@ impl StopRow {
             None if refined || chance(self.refined_theory_um) => Some(StopReason::Climbs),
             Some(_) if refined && after_rest => Some(StopReason::Transient),
             Some(_) if refined => Some(StopReason::Unsettled),
-            Some(theory) if theory.max(self.rest_rms_um) < RARE_UM => Some(StopReason::Rare),
+            // The pin leaves the stop in too few strokes to measure their number.
+            Some(theory) if theory.max(self.rest_rms_um) < array().motor().um_per_pulse => {
+                Some(StopReason::Rare)
+            }
             _ if chance(self.refined_theory_um) => Some(StopReason::Chance),
             _ => Some(StopReason::Unexplained),
         }
@@ -170,8 +169,8 @@ impl Played {
         let mut rest = Vec::with_capacity(strokes.len());
         for seed in 0..grid.arrays {
             let config = cell.motors(seed, LowerStop::AtRest);
-            for motor in 0..MOTORS as u8 {
-                let mut pin = Pin::new(&config, motor.into());
+            for motor in array().numbers() {
+                let mut pin = Pin::new(array(), &config, motor.into());
                 rest.clear();
                 for stroke in strokes {
                     let stroke = stroke.stroke(motor, Tick::BOOT);
@@ -197,7 +196,8 @@ impl Played {
 /// The mean gain of up and down bursts: after half a second of rest they fall short.
 fn mean_gains(strokes: &[Excursion]) -> [f64; 2] {
     let [first, second, ..] = strokes else { return [1.0; 2] };
-    let gain = |rest: u64| if rest >= TRANSIENT_REST_TICKS { TRANSIENT_GAIN } else { 1.0 };
+    let motor = array().spec().motor();
+    let gain = |rest: u64| if rest >= motor.transient_rest_ticks { motor.transient_gain } else { 1.0 };
     [gain(second.up - first.end()), gain(first.down - first.up - u64::from(first.pulses))]
 }
 

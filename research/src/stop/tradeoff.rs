@@ -3,7 +3,7 @@
 //! Invariant: the same grid gives the same figures, on every machine and any number of cores.
 
 use crate::stop::grid::{StopCell, StopGrid};
-use crate::stop::response::{Contrasts, StopError, contrasts, edge};
+use crate::stop::response::{Contrasts, StopError, array, contrasts, edge};
 use crate::stop::row::{StopReason, StopRow};
 use meissner_array::simulated::LowerStop;
 use meissner_array::strokes::StrokeOptions;
@@ -54,7 +54,7 @@ pub fn stop_tradeoff(grid: &StopGrid) -> Result<StopTradeoff, StopError> {
     }
     reasons.sort_by_key(|count| count.reason);
     let StopGrid { rest_error_um, strokes, settling, .. } = *grid;
-    let motors = rows.first().map_or(0, |_| grid.arrays as usize * firmware_protocol::stroke::MOTORS);
+    let motors = rows.first().map_or(0, |_| grid.arrays as usize * array().motors());
     Ok(StopTradeoff { rest_error_um, motors, strokes, settling, rows, reasons })
 }
 
@@ -66,9 +66,10 @@ fn group(cells: &[StopCell], grid: &StopGrid) -> Result<Vec<StopRow>, StopError>
     let respond =
         |options: &StrokeOptions, stop| contrasts(&pattern, options, &first.motors(0, stop), seconds);
     let [designed, without_stop] = respond(&StrokeOptions::default(), LowerStop::None)?;
-    let run = MotorRun::default();
+    let run = MotorRun::of(array());
     let bound_um = |travel_um| {
-        rest_bound_um(first.frequency_hz, travel_um, first.scatter, run.delay_ms(), run.telemetry_hz)
+        let (delay_ms, telemetry_hz) = (run.delay_ms(), run.telemetry_hz);
+        rest_bound_um(array(), first.frequency_hz, travel_um, first.scatter, delay_ms, telemetry_hz)
     };
     let row = |cell: &StopCell| {
         let [_, with_stop] = respond(&cell.options(grid.rest_error_um), LowerStop::AtRest)?;

@@ -5,10 +5,11 @@
 //! `meissner-stream` plays the first minute of it through streamer, link and controller.
 
 use crate::stop::grid::{StopCell, StopSurplus};
-use crate::stop::response::{contrasts, contrasts_of, edge};
-use firmware_protocol::stroke::{Direction, MOTORS};
-use firmware_protocol::tick::{TICK_HZ, Tick};
+use crate::stop::response::{array, contrasts, contrasts_of, edge};
+use firmware_protocol::stroke::Direction;
+use firmware_protocol::tick::Tick;
 use meissner_array::pattern::Drive;
+use meissner_array::per_motor::PerMotor;
 use meissner_array::simulated::{LowerStop, Pin, SimulatedMotorsConfig};
 use meissner_array::strokes::{DriveStrokes, StrokeOptions};
 use meissner_stream::{Gains, LowerStopSettings, Settings};
@@ -21,8 +22,12 @@ const AMPLITUDE_UM: f64 = 80.0;
 const ARRAYS: u64 = 4;
 
 fn options() -> StrokeOptions {
-    let settings = Settings { lower_stop: Some(LowerStopSettings::default()), ..Settings::default() };
-    StrokeOptions { surplus: settings.surplus(&[Gains::default(); MOTORS]), ..StrokeOptions::default() }
+    let lower_stop = Some(LowerStopSettings::of(array()));
+    let settings = Settings { lower_stop, ..Settings::of(array()) };
+    StrokeOptions {
+        surplus: settings.surplus(&PerMotor::all(array(), Gains::default())),
+        ..StrokeOptions::default()
+    }
 }
 
 fn rms(errors: &[f64]) -> f64 {
@@ -32,7 +37,7 @@ fn rms(errors: &[f64]) -> f64 {
 #[test]
 fn an_hour_of_two_interval_trials_ends_at_rest() {
     let intervals = (3_600.0 / EVERY_S) as u64;
-    let onset = |interval: u64| Tick(interval * (EVERY_S * f64::from(TICK_HZ)) as u64);
+    let onset = |interval: u64| Tick(interval * (EVERY_S * f64::from(array().rate().hz())) as u64);
     let last_minutes = intervals - (300.0 / EVERY_S) as u64;
     let cell = StopCell {
         frequency_hz: FREQUENCY_HZ,
@@ -52,12 +57,14 @@ fn an_hour_of_two_interval_trials_ends_at_rest() {
             lower_stop: LowerStop::AtRest,
             ..Default::default()
         };
-        let mut pins: Vec<Pin> = (0..MOTORS as u64).map(|motor| Pin::new(&motors, motor)).collect();
+        let numbers = array().numbers();
+        let mut pins: Vec<Pin> = numbers.map(|motor| Pin::new(array(), &motors, motor.into())).collect();
         for (pin, motor) in pins.iter_mut().zip(0u8..) {
-            let phase = f64::from(motor) / MOTORS as f64;
+            let phase = f64::from(motor) / array().motors() as f64;
             let (frequency_hz, amplitude_um) = (FREQUENCY_HZ, AMPLITUDE_UM);
             let drive = Drive { motor, frequency_hz, amplitude_um, phase, start_s: None, stop_s: None };
-            let strokes: Vec<_> = DriveStrokes::with(&drive, &options()).unwrap().take(STROKES).collect();
+            let strokes: Vec<_> =
+                DriveStrokes::with(array(), &drive, &options()).unwrap().take(STROKES).collect();
             for interval in 0..intervals {
                 for burst in strokes.iter().flat_map(|stroke| stroke.stroke(motor, onset(interval)).bursts())
                 {
@@ -90,7 +97,7 @@ fn an_hour_of_two_interval_trials_ends_at_rest() {
         "rest {whole_um:.2} um rms over an hour, {last_um:.2} in its last five minutes, {ends_um:.2} at its end; \
          contrast {played:.1} impulses/s, designed {designed:.1}, without stop and drift {alone:.1}"
     );
-    assert_eq!(whole.len() as u64, ARRAYS * MOTORS as u64 * STROKES as u64 * intervals);
+    assert_eq!(whole.len() as u64, ARRAYS * array().motors() as u64 * STROKES as u64 * intervals);
     assert!(whole_um <= 5.0 && last_um <= 5.0 && ends_um <= 5.0);
     // Half of the loss also occurs without a stop, because the first stroke after a pause falls short.
     assert!(played < designed && played > 0.96 * designed, "{played} of {designed}");

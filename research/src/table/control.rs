@@ -86,7 +86,7 @@ pub(crate) fn table(tradeoff: &ControlTradeoff) -> Vec<String> {
     };
     let wire = &tradeoff.wire;
     lines.push(format!(
-        "Bytes on the wire, 24 motors at 60 Hz for {} s through link and controller:",
+        "Bytes on the wire, all motors at 60 Hz for {} s through link and controller:",
         wire.seconds
     ));
     lines.push(columns(&head, [("closed loop", &wire.on), ("open loop", &wire.off)].map(row)));

@@ -24,7 +24,7 @@ pub(crate) fn table(tradeoff: &LeadTradeoff) -> Vec<String> {
     let orders = tradeoff.rows.first().map_or(0, |row| row.orders);
     let mut lines = vec![
         format!(
-            "24 motors at 60 Hz in virtual time under {} s of recorded stalls: {} wake-ups came late, {} by more than 5 ms, \
+            "All motors at 60 Hz in virtual time under {} s of recorded stalls: {} wake-ups came late, {} by more than 5 ms, \
              the latest by {:.1} ms. Onsets of {orders} short plays.",
             trace.seconds,
             trace.late_wake_ups,

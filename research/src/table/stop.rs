@@ -58,7 +58,7 @@ pub(crate) fn table(tradeoff: &StopTradeoff) -> Vec<String> {
         ),
         columns(&head, tradeoff.rows.iter().map(row)),
         format!(
-            "auto: the smallest surplus that keeps the worst of 24 uncalibrated motors within {} um RMS, with a probability of \
+            "auto: the smallest surplus that keeps the worst uncalibrated motor of an array within {} um RMS, with a probability of \
              95 %; at most 30 % of the amplitude.",
             tradeoff.rest_error_um
         ),
