@@ -718,19 +718,23 @@ const fn ring(groups: &[u8]) -> Option<(Ring, u8)> {
 }
 
 #[cfg(test)]
-impl Layout {
-    /// Numbers as those of the paper's array, for tests.
-    pub(crate) const PAPER: Self = {
-        let Some(name) = Name::new("paper") else { panic!("a name") };
-        let id = ArrayId { name, motors: 24, tick_hz: 85_000, duty_up: 200, duty_down: 800, hash: 0 };
-        let (mut rails, mut chips, mut motor) = ([0; 24], [0; 24], 0);
-        while motor < 24 {
-            (rails[motor], chips[motor]) = (motor as u8 / 6, motor as u8 / 2);
-            motor += 1;
-        }
-        match Self::new(id, &rails, &chips, 3_000, 17_000) {
-            Ok(layout) => layout,
-            Err(_) => panic!("a layout"),
-        }
-    };
+mod tests {
+    use super::*;
+
+    impl Layout {
+        /// Numbers as those of the paper's array, for tests.
+        pub(crate) const PAPER: Self = {
+            let Some(name) = Name::new("paper") else { panic!("a name") };
+            let id = ArrayId { name, motors: 24, tick_hz: 85_000, duty_up: 200, duty_down: 800, hash: 0 };
+            let (mut rails, mut chips, mut motor) = ([0; 24], [0; 24], 0);
+            while motor < 24 {
+                (rails[motor], chips[motor]) = (motor as u8 / 6, motor as u8 / 2);
+                motor += 1;
+            }
+            match Self::new(id, &rails, &chips, 3_000, 17_000) {
+                Ok(layout) => layout,
+                Err(_) => panic!("a layout"),
+            }
+        };
+    }
 }

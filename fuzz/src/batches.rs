@@ -78,7 +78,7 @@ fn pack_strokes(base: Tick, input: &mut Unstructured<'_>) {
     let mut packed: [Option<Stroke>; MAX_BATCH] = [None; MAX_BATCH];
     let mut at = base.0;
     while !input.is_empty() {
-        let motor = byte(input) & 31;
+        let motor = byte(input) & 63;
         let up_pulses = number(input) as u16;
         let up = Tick(at + number(input));
         let down = up + u64::from(up_pulses) + number(input);
@@ -106,12 +106,12 @@ fn pack_amendments(base: Tick, input: &mut Unstructured<'_>) {
         let head = byte(input);
         let direction = crate::input::direction(input);
         // Before and after the base.
-        let up = Tick(if head & 0x20 == 0 {
+        let up = Tick(if head & 0x40 == 0 {
             base.0 + number(input)
         } else {
             base.0.saturating_sub(number(input))
         });
-        let amendment = Amendment { motor: head & 31, up, direction, pulses: number(input) as u16 };
+        let amendment = Amendment { motor: head & 63, up, direction, pulses: number(input) as u16 };
         let items = packer.items();
         if packer.amendment(&amendment).is_ok() {
             packed[items] = Some(amendment);

@@ -1,27 +1,28 @@
 //! The controller: any requests, bytes, faults and ticks in any order break no limit and no account.
 //!
-//! The first byte chooses the shell and whether the host is tame: a tame host keeps strokes balanced and pins at rest, so that
+//! The first byte chooses the array, the shell and whether the host is tame: a tame host keeps strokes balanced and pins at rest, so that
 //! every pulse can be accounted for. The oracle is that of `firmware-protocol/tests/properties.rs`.
 
-use crate::input::{arm, byte, cause, chunk, direction, flag, long, mark, withdraw, word};
+use crate::input::{arm, array, byte, cause, chunk, direction, flag, long, mark, motor, withdraw, word};
 use crate::shell::Shell;
 use arbitrary::Unstructured;
+use firmware_protocol::array::MAX_MOTORS;
 use firmware_protocol::batch::{Amendment, BATCH_BYTES, Packer};
 use firmware_protocol::board::SelfTest;
 use firmware_protocol::controller::POOL;
 use firmware_protocol::frame::{self, MAX_FRAME};
-use firmware_protocol::limits::{
-    MAX_DOWN_PULSES, MAX_PUSHES_PER_S, MAX_SEEK, MAX_TRAVEL, MAX_UP_PULSES, PowerLimits,
-};
+use firmware_protocol::limits::PowerLimits;
 use firmware_protocol::message::{Cause, HostMessage, LowerStop, Op, State};
-use firmware_protocol::stroke::{Direction, MOTORS, Stroke};
+use firmware_protocol::stroke::{Direction, Stroke};
 use firmware_protocol::tick::{Tick, WireTick};
+use meissner_array::spec::Array;
 
 /// Ticks that an input may let pass: longer ones only repeat what is quiet.
 const MOST_TICKS: u64 = 12_000;
 const MOST_TICKS_TIGHT: u64 = 1_500;
 
 struct World {
+    array: Array,
     shell: Shell,
     tame: bool,
     last_frame: ([u8; MAX_FRAME], usize),
@@ -40,12 +41,14 @@ struct World {
 pub fn run(data: &[u8]) {
     let mut input = Unstructured::new(data);
     let how = byte(&mut input);
+    let array = array(how);
     let tight = how & 1 == 1;
     let tame = how & 2 == 0;
     // Also with a clock that comes near its end, or runs long.
     let start = if how & 4 == 0 { Tick::BOOT } else { Tick(1 << 40) };
     let mut world = World {
-        shell: Shell::new(tight, start),
+        array,
+        shell: Shell::new(array, tight, start),
         tame,
         last_frame: ([0; MAX_FRAME], 0),
         strokes: Vec::new(),
@@ -57,14 +60,17 @@ pub fn run(data: &[u8]) {
         ticks_left: if tight { MOST_TICKS_TIGHT } else { MOST_TICKS },
     };
     // Neighbouring bursts may join: the end of one is the begin of the next.
+    let layout = array.layout();
     world.shell.longest = if tame {
-        MAX_UP_PULSES.into()
+        layout.max_up_pulses().into()
     } else {
-        u64::from(MAX_DOWN_PULSES) + 4 * u64::from(MAX_TRAVEL) + u64::from(MAX_SEEK)
+        u64::from(layout.max_down_pulses())
+            + 4 * u64::from(layout.max_travel())
+            + u64::from(layout.max_seek())
     };
     if how & 8 == 0 {
         world.shell.send(&HostMessage::Hello { session: 1 });
-        world.shell.control(usual_arm(true));
+        world.shell.control(usual_arm(array, true));
         assert_eq!(world.shell.device.state(), State::Armed);
     }
     while !input.is_empty() {
@@ -73,9 +79,10 @@ pub fn run(data: &[u8]) {
     world.end();
 }
 
-fn usual_arm(assume_rest: bool) -> Op {
-    let lower_stop = Some(LowerStop { pulses_per_s: MAX_PUSHES_PER_S, seek: 0 });
-    Op::Arm { assume_rest, host_timeout: 170_000, limits: PowerLimits::NONE, lower_stop }
+fn usual_arm(array: Array, assume_rest: bool) -> Op {
+    let layout = array.layout();
+    let lower_stop = Some(LowerStop { pulses_per_s: layout.max_pushes_per_s(), seek: 0 });
+    Op::Arm { assume_rest, host_timeout: 2 * layout.tick_hz(), limits: layout.no_limits(), lower_stop }
 }
 
 impl World {
@@ -135,7 +142,8 @@ impl World {
         self.counted &= !matches!(op, 24 | 26 | 27 | 31);
         match op {
             20 => {
-                let (motor, direction, pulses) = (byte(input) % 26, direction(input), word(input) % 7_000);
+                let (motor, direction, pulses) =
+                    (motor(input, self.array), direction(input), word(input) % 7_000);
                 self.shell.control(Op::Move { motor, direction, pulses });
             }
             21 => self.shell.control(Op::Seek { pulses: word(input) % 20_000 }),
@@ -149,7 +157,7 @@ impl World {
             }
             26 => {
                 let (epoch, assume_rest) = (self.shell.epoch.wrapping_sub(word(input)), flag(input));
-                let op = arm(input, assume_rest);
+                let op = arm(input, self.array, assume_rest);
                 self.shell.send(&HostMessage::Control { epoch, seen: word(input), op });
             }
             27 => {
@@ -179,7 +187,7 @@ impl World {
                 let now = Tick(self.shell.now);
                 match byte(input) % 2 {
                     0 => self.shell.device.open_session(now, (byte(input) % 3).into()),
-                    _ => self.shell.device.telemetry(now, &[i32::MIN; MOTORS]),
+                    _ => self.shell.device.telemetry(now, &[i32::MIN; MAX_MOTORS]),
                 }
                 self.shell.after_event();
             }
@@ -188,7 +196,7 @@ impl World {
 
     fn arm(&mut self, input: &mut Unstructured<'_>) {
         let op = if self.tame {
-            let op = usual_arm(false);
+            let op = usual_arm(self.array, false);
             match (byte(input), op) {
                 (0..0x80, op) => op,
                 (tight, Op::Arm { assume_rest, lower_stop, .. }) => {
@@ -200,7 +208,7 @@ impl World {
             }
         } else {
             let assume_rest = flag(input);
-            arm(input, assume_rest)
+            arm(input, self.array, assume_rest)
         };
         let (state, outstanding) = (self.shell.device.state(), self.shell.outstanding());
         self.shell.control(op);
@@ -228,17 +236,17 @@ impl World {
     }
 
     fn strokes(&mut self, input: &mut Unstructured<'_>) {
-        let (mark, withdraw) = (mark(input), withdraw(input));
+        let (mark, withdraw) = (mark(input), withdraw(input, self.array));
         let from = i64::from(byte(input)) - 40;
         let base = self.shell.device.rendered().0.saturating_add_signed(from);
         let mut packer = Packer::<BATCH_BYTES>::new(Tick(base));
         let mut up = base;
         for _ in 0..byte(input) % 12 {
             up += u64::from(byte(input) / 2);
-            let motor = byte(input) % 26;
+            let motor = motor(input, self.array);
             let up_pulses = match byte(input) {
                 few @ 0..0xf0 => 1 + u16::from(few % 60),
-                _ => 2_900 + u16::from(byte(input) % 102),
+                _ => self.array.layout().max_up_pulses() - 100 + u16::from(byte(input) % 102),
             };
             let hold = u64::from(byte(input) % 100);
             let correction = if self.tame { 0 } else { i16::from(byte(input) % 5) - 1 };
@@ -259,7 +267,7 @@ impl World {
         let epoch = self.shell.epoch.wrapping_sub((byte(input) % 4).into());
         let seq = self.shell.seq.wrapping_add((byte(input) % 10).into());
         let (seen, mark, withdraw, base) =
-            (long(input) as u16, mark(input), withdraw(input), self.base(input));
+            (long(input) as u16, mark(input), withdraw(input, self.array), self.base(input));
         let batch = chunk(input);
         let batch = &batch[..batch.len().min(BATCH_BYTES)];
         self.stream(&HostMessage::Strokes { epoch, seq, seen, mark, withdraw, base, batch });

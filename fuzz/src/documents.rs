@@ -2,6 +2,7 @@
 //!
 //! The first byte chooses the kind of document, so that inputs of all kinds share what they find out about TOML and JSON.
 
+use crate::input::{text, told};
 use arbitrary::Unstructured;
 use meissner::config::Config;
 use meissner::exposure::{Account, Now, ParticipantLimits};
@@ -55,18 +56,6 @@ pub fn run(data: &[u8]) {
     let kind = usize::from(crate::input::byte(&mut input));
     let (_, read) = KINDS[kind % KINDS.len()];
     read(input.take_rest());
-}
-
-fn text(bytes: &[u8], read: impl FnOnce(&str)) {
-    if let Ok(text) = std::str::from_utf8(bytes) {
-        read(text);
-    }
-}
-
-/// A message is one line that can be shown.
-fn told<E: std::fmt::Display>(error: E) {
-    let text = error.to_string();
-    assert!(!text.is_empty() && !text.contains(['\n', '\r', '\u{1b}']), "{text:?}");
 }
 
 fn pattern(bytes: &[u8]) {

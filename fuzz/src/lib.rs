@@ -9,15 +9,17 @@
 //! | [`controller`] | the controller, under the [`shell`] |
 //! | [`session`] | the host's session, with a device that lies |
 //! | [`link`] | session and controller over a line that loses, repeats and damages frames |
+//! | [`array`] | descriptions of arrays |
 //! | [`documents`] | files that people write, records, bodies of requests |
 //! | [`http`] | requests to the daemon |
 //!
-//! [`input`] makes messages of the fuzzer's bytes.
+//! [`input`] makes arrays and messages of the fuzzer's bytes.
 //!
 //! [`documents`] and [`http`] need the feature `program`.
 //!
 //! Invariant: a target is a function of its bytes, except [`http`], whose daemon keeps its state between two inputs.
 
+pub mod array;
 pub mod batches;
 pub mod controller;
 #[cfg(feature = "program")]

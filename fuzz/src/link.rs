@@ -2,15 +2,14 @@
 //!
 //! The oracle is that of `crates/stream/tests/session.rs`. The device is true, so the session doubts nothing that it says.
 
-use crate::input::{byte, cause, chunk, long, word};
+use crate::input::{array, byte, cause, chunk, long, word};
 use arbitrary::Unstructured;
-use firmware_protocol::array::Layout;
 use firmware_protocol::controller::{Controller, Identity, newer};
 use firmware_protocol::frame::{Decoder, FrameError, MAX_FRAME};
-use firmware_protocol::limits::PowerLimits;
-use firmware_protocol::message::{Op, Trigger};
-use firmware_protocol::stroke::{MOTORS, Stroke};
+use firmware_protocol::message::Op;
+use firmware_protocol::stroke::Stroke;
 use firmware_protocol::tick::Tick;
+use meissner_array::spec::Array;
 use meissner_stream::link::{Event, LineRate, Session, Verdict};
 use meissner_stream::time::HostInstant;
 use std::collections::VecDeque;
@@ -19,6 +18,7 @@ use std::collections::VecDeque;
 const MOST_TICKS: u64 = 6_000_000;
 
 struct Pair {
+    array: Array,
     session: Session,
     device: Controller,
     ticks: u64,
@@ -51,7 +51,7 @@ impl Fate {
 
 impl Pair {
     fn now(&self) -> HostInstant {
-        HostInstant::from_ns(self.ticks * 1_000_000_000 / 85_000)
+        HostInstant::from_ns(self.ticks * 1_000_000_000 / u64::from(self.array.layout().tick_hz()))
     }
 
     fn wait(&mut self, ticks: u64) {
@@ -92,8 +92,10 @@ impl Pair {
     }
 }
 
-const ARM: Op =
-    Op::Arm { assume_rest: true, host_timeout: 850_000, limits: PowerLimits::NONE, lower_stop: None };
+fn arm(array: Array) -> Op {
+    let (host_timeout, limits) = (array.layout().max_host_timeout(), array.layout().no_limits());
+    Op::Arm { assume_rest: true, host_timeout, limits, lower_stop: None }
+}
 
 /// The host, as far as the verdicts on its strokes go.
 struct Host {
@@ -107,9 +109,10 @@ pub fn run(data: &[u8]) {
     let mut input = Unstructured::new(data);
     let how = byte(&mut input);
     let rate = [LineRate(100_000), LineRate(11_520), LineRate::USB_FULL_SPEED][usize::from(how & 3).min(2)];
-    let session = Session::new(7, rate, Layout::PAPER, HostInstant::from_ns(0));
-    let device = Controller::new(Identity::default(), Layout::PAPER);
-    let mut pair = Pair { session, device, ticks: 0, events: Vec::new() };
+    let array = array(how);
+    let session = Session::new(array, 7, rate, HostInstant::from_ns(0));
+    let device = Controller::new(Identity::default(), *array.layout());
+    let mut pair = Pair { array, session, device, ticks: 0, events: Vec::new() };
     // Some inputs begin after the link probe.
     for _ in 0..40 {
         if pair.session.is_open() && (how & 4 == 0 || pair.session.is_probed()) {
@@ -119,7 +122,7 @@ pub fn run(data: &[u8]) {
         pair.wait(170);
     }
     assert!(pair.session.is_open());
-    pair.session.command(ARM);
+    pair.session.command(arm(array));
     let mut host = Host { waiting: VecDeque::new(), forgotten: Vec::new(), last: Tick(0) };
     while !input.is_empty() {
         step(&mut input, &mut pair, &mut host);
@@ -144,7 +147,7 @@ fn step(input: &mut Unstructured<'_>, pair: &mut Pair, host: &mut Host) {
             let (count, ahead) = (byte(input) % 40, i64::from(word(input) % 5_200) - 200);
             for i in 0..u64::from(count) {
                 let up = host.last.max(Tick(tick.0.saturating_add_signed(ahead)) + 5 * i);
-                let motor = (i % MOTORS as u64) as u8;
+                let motor = (i % pair.array.motors() as u64) as u8;
                 let stroke = Stroke { motor, up, up_pulses: 9, down: up + 20, down_pulses: 9 };
                 if !pair.session.push(&stroke) {
                     break;
@@ -155,7 +158,7 @@ fn step(input: &mut Unstructured<'_>, pair: &mut Pair, host: &mut Host) {
         }
         4 => {
             let ahead = i64::from(word(input) % 5_200) - 200;
-            let trigger = (byte(input) & 1 == 1).then_some(Trigger::PULSE);
+            let trigger = (byte(input) & 1 == 1).then(|| pair.array.layout().trigger_pulse());
             if pair.session.has_room() {
                 host.last = host.last.max(Tick(tick.0.saturating_add_signed(ahead)));
                 pair.session.begin(host.last, trigger);
@@ -168,7 +171,7 @@ fn step(input: &mut Unstructured<'_>, pair: &mut Pair, host: &mut Host) {
                 2 => Op::Disarm(cause(input)),
                 3 => Op::EStop,
                 4 => Op::Reset,
-                _ => ARM,
+                _ => arm(pair.array),
             });
             host.forget();
         }
@@ -191,9 +194,8 @@ fn step(input: &mut Unstructured<'_>, pair: &mut Pair, host: &mut Host) {
             let _ = pair.session.ask_board();
         }
         11 => {
-            let session = &mut pair.session;
+            let (now, session) = (pair.now(), &pair.session);
             assert!(session.credits() <= 2_048 && session.traffic().contradictions.total() == 0);
-            let now = HostInstant::from_ns(pair.ticks * 1_000_000_000 / 85_000);
             let _ =
                 (session.wake_at(now), session.clock().tick_at(now), session.known_to(), session.capacity());
         }

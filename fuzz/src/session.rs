@@ -3,19 +3,20 @@
 //! The device says true things, true things with a change, and bytes, all with a right CRC. Its truth is small: a clock that
 //! follows the host's, and the epochs and frames that the session has sent.
 
-use crate::input::{Raw, arm, byte, cause, chunk, direction, flag, long, one_of, word};
+use crate::input::{Raw, arm, array, byte, cause, chunk, direction, flag, long, motor, motors, one_of, word};
 use arbitrary::Unstructured;
-use firmware_protocol::array::{Layout, MotorSet};
+use firmware_protocol::array::MAX_MOTORS;
 use firmware_protocol::batch::Amendment;
 use firmware_protocol::board::{Board, Outputs, Reset, SelfTest, SelfTestState};
 use firmware_protocol::frame::{self, Decoder, MAX_FRAME};
-use firmware_protocol::limits::{PowerLimits, Refusal};
+use firmware_protocol::limits::Refusal;
 use firmware_protocol::message::{
     Cause, Counters, Cut, DeviceHello, DeviceMessage, HostMessage, Op, Report, Samples, State, Status,
     Trigger,
 };
-use firmware_protocol::stroke::{MOTORS, Stroke};
+use firmware_protocol::stroke::Stroke;
 use firmware_protocol::tick::Tick;
+use meissner_array::spec::Array;
 use meissner_stream::link::{Budget, Contradictions, Event, LineRate, LostReason, Session, Verdict};
 use meissner_stream::time::HostInstant;
 use serde::Serialize;
@@ -31,6 +32,7 @@ struct Device {
 }
 
 struct World {
+    array: Array,
     session: Session,
     device: Device,
     ns: u64,
@@ -65,8 +67,10 @@ pub fn run(data: &[u8]) {
         counters: Counters::NONE,
     };
     let device = Device { status, reports: 0, window: 0, run: 0, decoder: Decoder::new() };
+    let array = array(how);
     let mut world = World {
-        session: Session::new(SESSION, rate, Layout::PAPER, HostInstant::from_ns(0)),
+        array,
+        session: Session::new(array, SESSION, rate, HostInstant::from_ns(0)),
         device,
         ns: 0,
         pushed: Vec::new(),
@@ -103,6 +107,7 @@ pub fn run(data: &[u8]) {
 }
 
 fn emit<'a>(
+    array: Array,
     pushed: &'a mut Vec<Stroke>,
     opened: &'a mut bool,
     lost: &'a mut Option<LostReason>,
@@ -131,7 +136,7 @@ fn emit<'a>(
                     }
                 }
                 if let Event::StrokeRefused { motor, .. } = event {
-                    assert!(usize::from(motor) < MOTORS);
+                    assert!(array.has(motor));
                 }
             }
         }
@@ -140,7 +145,7 @@ fn emit<'a>(
 
 macro_rules! emitter {
     ($world:ident) => {
-        &mut emit(&mut $world.pushed, &mut $world.opened, &mut $world.lost, &mut $world.doubts)
+        &mut emit($world.array, &mut $world.pushed, &mut $world.opened, &mut $world.lost, &mut $world.doubts)
     };
 }
 
@@ -150,7 +155,7 @@ impl World {
     }
 
     fn tick(&self) -> Tick {
-        Tick::BOOT + self.ns * 17 / 200_000
+        Tick::BOOT + self.ns * u64::from(self.array.layout().tick_hz()) / 1_000_000_000
     }
 
     /// The session sends; the device notes what it would know.
@@ -213,16 +218,17 @@ impl World {
     }
 
     fn hello(&mut self, input: &mut Unstructured<'_>) {
+        let layout = self.array.layout();
         let mut hello = DeviceHello {
             session: SESSION,
             firmware: [0, 1, 0],
             build: [0; 4],
             boot: 9,
-            array: *Layout::PAPER.id(),
+            array: *layout.id(),
             pool: 512,
-            horizon: 107,
-            max_up_pulses: 3_000,
-            limits: PowerLimits::NONE,
+            horizon: layout.horizon(),
+            max_up_pulses: layout.max_up_pulses(),
+            limits: layout.no_limits(),
             features: 3,
             tick: self.tick().0,
             epoch: self.device.status.epoch,
@@ -306,7 +312,7 @@ impl World {
                 seq,
                 late: u64::from(long(input)),
                 refused: u64::from(long(input)),
-                kept: MotorSet::from_bits(long(input).into()),
+                kept: motors(input),
                 reason: one_of(input, [None, Some(Refusal::PoolFull), Some(Refusal::Malformed)]),
                 rendered,
             },
@@ -320,7 +326,7 @@ impl World {
                 outstanding: word(input).into(),
             }),
             _ => Report::Refused {
-                motor: byte(input) % 26,
+                motor: motor(input, self.array),
                 up,
                 reason: one_of(input, [Refusal::RailOnTime, Refusal::Pushing, Refusal::State]),
             },
@@ -349,8 +355,7 @@ impl World {
             stalls: count(input),
             usb_recoveries: count(input),
             output_faults: long(input),
-            high_at_boot: count(input)
-                .map(|lines| Outputs { lines: MotorSet::from_bits(lines.into()), ..Outputs::NONE }),
+            high_at_boot: flag(input).then(|| motors(input)).map(|lines| Outputs { lines, ..Outputs::NONE }),
         };
         self.say(&DeviceMessage::Board(board));
     }
@@ -367,8 +372,8 @@ impl World {
             10..=12 => self.report(input),
             13 => self.say(&DeviceMessage::Telemetry {
                 tick: Tick(self.tick().0.wrapping_sub(word(input).into())).wire(),
-                first: byte(input) % 4 * 8,
-                y: Samples::of(&[long(input).cast_signed(); MOTORS][..usize::from(byte(input) % 4) * 8]),
+                first: byte(input) % (self.array.motors().div_ceil(8) as u8 + 1) * 8,
+                y: Samples::of(&[long(input).cast_signed(); MAX_MOTORS][..usize::from(byte(input) % 4) * 8]),
             }),
             14 => self.board(input),
             15 => {
@@ -406,7 +411,6 @@ impl World {
             25 => {
                 self.session.seal();
                 if self.session.has_room() {
-                    let motors = |input: &mut Unstructured<'_>| MotorSet::from_bits(long(input).into());
                     self.session.replace(self.last, motors(input), motors(input));
                 }
             }
@@ -418,12 +422,12 @@ impl World {
                 4 => Op::Seek { pulses: word(input) },
                 _ => {
                     let assume_rest = flag(input);
-                    arm(input, assume_rest)
+                    arm(input, self.array, assume_rest)
                 }
             }),
             27 => {
                 let amendment = Amendment {
-                    motor: byte(input) % MOTORS as u8,
+                    motor: byte(input) % self.array.motors() as u8,
                     up: Tick(self.last.0.saturating_sub(byte(input).into())),
                     direction: direction(input),
                     pulses: word(input),
@@ -451,7 +455,7 @@ impl World {
         let ahead = u64::from(word(input));
         for i in 0..byte(input) % 40 {
             let up = self.last.max(self.tick() + ahead) + 1;
-            let (motor, up_pulses) = (i % MOTORS as u8, 1 + u16::from(i));
+            let (motor, up_pulses) = (i % self.array.motors() as u8, 1 + u16::from(i));
             let stroke = Stroke { motor, up, up_pulses, down: up + 60, down_pulses: up_pulses };
             if !self.session.push(&stroke) {
                 break;

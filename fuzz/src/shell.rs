@@ -3,16 +3,14 @@
 //! It renders in blocks and holds the lines low while `forced_off`. Only [`Shell::run`] moves time. An event reaches the
 //! controller in the tick `now`, whose lines are already out. It plays runs of ticks, not single ones, to be fast.
 
-use firmware_protocol::array::Layout;
-use firmware_protocol::controller::{
-    BLOCK, Controller, DRIVER_LEAD, DRIVER_TAIL, HORIZON, Identity, Run, newer,
-};
+use firmware_protocol::controller::{BLOCK, Controller, DRIVER_TAIL, HORIZON, Identity, Run, newer};
 use firmware_protocol::frame::{self, Decoder, MAX_FRAME};
-use firmware_protocol::limits::{MOTORS_PER_CHIP, MOTORS_PER_RAIL, PowerLimits};
+use firmware_protocol::limits::PowerLimits;
 use firmware_protocol::message::{DeviceMessage, HostMessage, Op, State, Status};
-use firmware_protocol::stroke::{Lines, MOTORS};
+use firmware_protocol::stroke::Lines;
 use firmware_protocol::tick::Tick;
 use firmware_protocol::urgent::Watch;
+use meissner_array::spec::{Array, Groups};
 use std::collections::VecDeque;
 
 const OFF: Run = Run { lines: Lines::OFF, trigger: false, drivers: false, ticks: 0 };
@@ -30,6 +28,9 @@ struct Burst {
 pub struct Shell {
     /// The controller.
     pub device: Controller,
+    /// The motors of each rail, and of each chip, as sets of bits: from the description, not from what the controller made of it.
+    rails: Vec<u64>,
+    chips: Vec<u64>,
     /// The tick being played.
     pub now: u64,
     start: u64,
@@ -43,8 +44,8 @@ pub struct Shell {
     /// Pulses on all lines.
     pub total: u64,
     /// Per motor, up pulses minus down pulses.
-    pub net: [i64; MOTORS],
-    bursts: [Burst; MOTORS],
+    pub net: Vec<i64>,
+    bursts: Vec<Burst>,
     /// The longest burst that any line may have.
     pub longest: u64,
     decoder: Decoder,
@@ -61,17 +62,24 @@ pub struct Shell {
     pub reading: bool,
 }
 
+fn sets(groups: &Groups) -> Vec<u64> {
+    let set = |motors: &Vec<u8>| motors.iter().fold(0, |set, motor| set | 1 << motor);
+    groups.members().iter().map(set).collect()
+}
+
 impl Shell {
-    /// A controller that has just started. `tight` renders the tick being played alone.
+    /// A controller of `array` that has just started. `tight` renders the tick being played alone.
     #[must_use]
-    pub fn new(tight: bool, start: Tick) -> Self {
+    pub fn new(array: Array, tight: bool, start: Tick) -> Self {
         let (ahead, block) = if tight { (1, 1) } else { (HORIZON.into(), BLOCK.into()) };
         let mut shell = Self {
             device: Controller::starting_at(
                 Identity { boot: 7, ..Identity::default() },
-                Layout::PAPER,
+                *array.layout(),
                 start,
             ),
+            rails: sets(array.rails()),
+            chips: sets(array.chips()),
             now: start.0,
             start: start.0,
             ahead,
@@ -81,8 +89,8 @@ impl Shell {
             enabled: 0,
             enabled_idle: 0,
             total: 0,
-            net: [0; MOTORS],
-            bursts: [Burst::default(); MOTORS],
+            net: vec![0; array.motors()],
+            bursts: vec![Burst::default(); array.motors()],
             longest: u64::MAX,
             decoder: Decoder::new(),
             watch: Watch::new(),
@@ -142,10 +150,10 @@ impl Shell {
         assert!(matches!(state, State::Armed | State::Returning), "a pulse while {state:?} at {at}");
         let PowerLimits { rail_at_once, chip_at_once, .. } = self.device.limits();
         let mut left = lines.pulsing().bits();
-        for (motors, limit) in [(MOTORS_PER_RAIL, rail_at_once), (MOTORS_PER_CHIP, chip_at_once)] {
-            for first in (0..MOTORS).step_by(motors) {
-                let at_once = (left >> first & ((1 << motors) - 1)).count_ones();
-                assert!(at_once <= limit.into(), "{at_once} of the {motors} motors from {first} on at {at}");
+        for (groups, limit) in [(&self.rails, rail_at_once), (&self.chips, chip_at_once)] {
+            for motors in groups {
+                let at_once = (left & motors).count_ones();
+                assert!(at_once <= limit.into(), "{at_once} of the motors {motors:#b} at {at}");
             }
         }
         self.total += u64::from(left.count_ones()) * ticks;
@@ -171,10 +179,11 @@ impl Shell {
             (self.enabled, self.enabled_idle) = (0, 0);
             return;
         }
-        assert!(!pulse || self.enabled >= DRIVER_LEAD.into(), "a pulse before the drivers are ready at {at}");
+        let lead = self.device.layout().driver_lead();
+        assert!(!pulse || self.enabled >= lead.into(), "a pulse before the drivers are ready at {at}");
         self.enabled += ticks;
         self.enabled_idle = if pulse || refuses { 0 } else { self.enabled_idle + ticks };
-        let most = u64::from(DRIVER_LEAD + DRIVER_TAIL);
+        let most = u64::from(lead + DRIVER_TAIL);
         assert!(self.enabled_idle <= most, "drivers enabled without a pulse at {at}");
     }
 
@@ -283,7 +292,7 @@ impl Shell {
     /// Outstanding return pulses of all motors.
     #[must_use]
     pub fn outstanding(&self) -> u64 {
-        (0..MOTORS as u8).map(|motor| u64::from(self.device.outstanding(motor))).sum()
+        (0..self.net.len() as u8).map(|motor| u64::from(self.device.outstanding(motor))).sum()
     }
 
     /// Free slots, if there is a session.
