@@ -37,7 +37,7 @@ fn check_layout(array: &ArraySpec) {
     for (groups, largest) in
         [(array.rails(), layout.motors_per_rail()), (array.chips(), layout.motors_per_chip())]
     {
-        assert_eq!(groups.largest(), largest.into());
+        assert_eq!(groups.largest(), usize::from(largest));
         assert_eq!(groups.members().iter().map(Vec::len).sum::<usize>(), array.motors());
     }
     for motor in array.numbers() {
@@ -58,7 +58,8 @@ fn start(array: &ArraySpec) {
     device.receive(Tick::BOOT, &out[..len]);
     let _ = device.render(BLOCK);
     let len = device.transmit(Tick::BOOT, &mut out);
-    let body = Decoder::new().next(&mut &out[..len]).expect("a frame");
+    let mut decoder = Decoder::new();
+    let body = decoder.next(&mut &out[..len]).expect("a frame");
     let Ok(DeviceMessage::Hello(hello)) = frame::read(body) else { panic!("no hello") };
     assert_eq!(&hello.array, array.layout().id());
 }

@@ -123,7 +123,7 @@ pub fn mark(input: &mut Unstructured<'_>) -> Option<Mark> {
 /// What a frame withdraws, if it does.
 pub fn withdraw(input: &mut Unstructured<'_>, array: Array) -> Option<Withdraw> {
     let motors = match byte(input) % 8 {
-        0 => self::motors(input),
+        0 => motors(input),
         1 => MotorSet::from_bits(u64::MAX),
         2 | 3 => {
             let mut one = MotorSet::EMPTY;
