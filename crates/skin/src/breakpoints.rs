@@ -6,7 +6,8 @@
 //! D is counted in half pulses and time in half ticks. So for strokes every D is a whole number, and at rest it is exactly 0. If
 //! bursts differ in their travel, D is counted in [`Parts`] of a half pulse of the motor's fastest burst.
 //!
-//! This module and [`velocity_per_d`] alone know that a shaft follows its pulses as their mean over a window W.
+//! This module and [`velocity_per_d`] alone know that a shaft follows its pulses as their mean over a window W. One that follows them
+//! otherwise has no breakpoints: `lagging` samples its displacement, in the same units.
 //!
 //! Invariant: a motor's breakpoints are in order of time.
 
@@ -69,7 +70,7 @@ pub(crate) fn velocity_per_d(scale: f64, motor: &MotorSpec) -> f64 {
 }
 
 /// Ramps of one motor, in order of time and without overlap.
-type InOrder<'s> = Box<dyn Iterator<Item = Ramp> + Send + 's>;
+pub(crate) type InOrder<'s> = Box<dyn Iterator<Item = Ramp> + Send + 's>;
 
 /// The breakpoints of one motor: those of the window's leading edge merged with those of its trailing edge.
 pub(crate) struct Breakpoints<'s> {
@@ -87,32 +88,25 @@ pub(crate) struct Breakpoints<'s> {
 }
 
 impl<'s> Breakpoints<'s> {
-    /// The breakpoints of a motor's drives, which are in order of time. Only strokes that begin before `end`, half ticks, count.
-    pub(crate) fn new(array: Array, motor: u8, drives: &'s [Drive], end: f64) -> Self {
-        let um_per_pulse = array.motor().um_per_pulse;
-        let drives = drives.iter().filter_map(move |drive| DriveStrokes::of(array, drive).ok());
-        let before = move |stroke: &Excursion| half_ticks(Tick(stroke.up)) < end;
-        let strokes = drives.flat_map(move |strokes| strokes.take_while(before));
-        let ramps = strokes.flat_map(move |stroke| stroke.ramps(um_per_pulse));
-        Self::of(array, motor, Box::new(ramps), um_per_pulse)
-    }
-
-    /// The breakpoints of ramps. Only ramps that begin before `end`, half ticks, count.
-    pub(crate) fn of_ramps(
-        array: Array,
-        motor: u8,
-        ramps: &'s [Ramp],
-        full_um_per_tick: f64,
-        end: f64,
-    ) -> Self {
-        let before = ramps.iter().copied().take_while(move |ramp| half_ticks(ramp.start) < end);
-        Self::of(array, motor, Box::new(before), full_um_per_tick)
-    }
-
-    fn of(array: Array, motor: u8, ramps: InOrder<'s>, full_um_per_tick: f64) -> Self {
+    /// The breakpoints of a motor's ramps, of which one of full speed counts as half a pulse per half tick.
+    pub(crate) fn of(array: Array, motor: u8, ramps: InOrder<'s>, full_um_per_tick: f64) -> Self {
         let (window, parts) = (array.motor().window_half_ticks as f64, Parts::of(array.motor()));
         Self { motor, ramps, window, parts, full_um_per_tick, behind: VecDeque::new(), ahead: 0 }
     }
+}
+
+/// The ramps of a motor's drives, which are in order of time. Only strokes that begin before `end`, half ticks, count.
+pub(crate) fn ramps_of(array: Array, drives: &[Drive], end: f64) -> InOrder<'_> {
+    let um_per_pulse = array.motor().um_per_pulse;
+    let drives = drives.iter().filter_map(move |drive| DriveStrokes::of(array, drive).ok());
+    let before = move |stroke: &Excursion| half_ticks(Tick(stroke.up)) < end;
+    let strokes = drives.flat_map(move |strokes| strokes.take_while(before));
+    Box::new(strokes.flat_map(move |stroke| stroke.ramps(um_per_pulse)))
+}
+
+/// Those of these ramps that begin before `end`, half ticks.
+pub(crate) fn ramps_before(ramps: &[Ramp], end: f64) -> InOrder<'_> {
+    Box::new(ramps.iter().copied().take_while(move |ramp| half_ticks(ramp.start) < end))
 }
 
 impl Iterator for Breakpoints<'_> {
@@ -187,8 +181,10 @@ mod tests {
                 .map(|burst| Ramp::new(burst.start, burst.pulses.into(), burst.direction, um_per_pulse))
                 .collect();
             let end = time::end(2.0, array.rate());
-            let breakpoints: Vec<_> = Breakpoints::new(array, 3, &drives, end).collect();
-            assert!(Breakpoints::of_ramps(array, 3, &ramps, um_per_pulse, end).eq(breakpoints), "{drives:?}");
+            let breakpoints: Vec<_> =
+                Breakpoints::of(array, 3, ramps_of(array, &drives, end), um_per_pulse).collect();
+            let of_ramps = Breakpoints::of(array, 3, ramps_before(&ramps, end), um_per_pulse);
+            assert!(of_ramps.eq(breakpoints), "{drives:?}");
         }
     }
 }

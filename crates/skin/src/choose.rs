@@ -1,8 +1,8 @@
 //! Finds the cheapest method for an allowed error, by trials on the scene itself.
 //!
-//! [`choose`] simulates a sample of the afferents that may fire, exactly and by the propagator with smaller and smaller steps,
+//! [`choose`] simulates a sample of the afferents that may fire, by the finest method and by the propagator with smaller and smaller steps,
 //! until the error on the sample leaves room for the sample's own uncertainty. It estimates a method's cost on the whole scene from
-//! its breakpoints, steps and spikes. If the exact method costs less than the step found, it takes the exact method.
+//! its breakpoints, steps and spikes. If the finest method costs less than the step found, it takes that one.
 //!
 //! Invariant: the choice depends on the scene and the error alone, never on a clock.
 
@@ -18,7 +18,7 @@ use std::sync::Arc;
 pub struct Choice {
     /// The method.
     pub method: Method,
-    /// Its error on the scene: RMS over afferents, impulses/s. 0 for the exact method.
+    /// Its error on the scene: RMS over afferents, impulses/s. 0 for the finest method.
     pub estimated_rate_error_hz: f64,
     /// The number of afferents in the sample.
     pub sampled: usize,
@@ -62,20 +62,28 @@ pub fn choose(scene: &Scene, error_hz: f64) -> Result<Choice, MethodError> {
         firing.truncate(SAMPLE);
         (firing, share)
     };
-    let by_exact = Choice { method: Method::Exact, estimated_rate_error_hz: 0.0, sampled: sample.len() };
+    let finest = Method::finest(scene.array());
+    let by_finest = Choice { method: finest, estimated_rate_error_hz: 0.0, sampled: sample.len() };
     if sample.is_empty() {
-        return Ok(by_exact);
+        return Ok(by_finest);
     }
-    let exact = counts(scene, &sample, Method::Exact);
+    let expected = counts(scene, &sample, finest);
     let whole = sample.len() == scene.afferents().len();
     // Scale the error from the sample to all afferents that may fire.
     let scale = if whole { 1.0 } else { share * scene.afferents().len() as f64 / sample.len() as f64 };
-    let spikes = exact.iter().sum::<u64>() as f64 * scale;
-    let exact_ns = breakpoints(scene, &sample) * scale * NS_PER_BREAKPOINT + spikes * NS_PER_EXACT_SPIKE;
-    for step_us in STEPS_US {
+    let spikes = expected.iter().sum::<u64>() as f64 * scale;
+    let steps_ns = |step_us: u32| {
         let steps = scene.duration_s() * 1e6 / f64::from(step_us) * sample.len() as f64 * scale;
-        let stepped_ns = steps * NS_PER_STEP + spikes * NS_PER_STEPPED_SPIKE;
-        if stepped_ns > exact_ns.max(NOTHING_NS) {
+        steps * NS_PER_STEP + spikes * NS_PER_STEPPED_SPIKE
+    };
+    let finest_ns = match finest {
+        Method::Exact => {
+            breakpoints(scene, &sample) * scale * NS_PER_BREAKPOINT + spikes * NS_PER_EXACT_SPIKE
+        }
+        Method::Stepped(stepping) => steps_ns(stepping.step_us),
+    };
+    for step_us in STEPS_US {
+        if steps_ns(step_us) > finest_ns.max(NOTHING_NS) {
             break;
         }
         let method = stepped(step_us);
@@ -86,7 +94,7 @@ pub fn choose(scene: &Scene, error_hz: f64) -> Result<Choice, MethodError> {
         let found = counts(scene, &sample, method);
         let squares: f64 = sample
             .iter()
-            .map(|&number| (found[number as usize] as f64 - exact[number as usize] as f64).powi(2))
+            .map(|&number| (found[number as usize] as f64 - expected[number as usize] as f64).powi(2))
             .sum();
         // The other afferents may have one or two wrong spikes that the sample does not show.
         let missed = if whole { 0.0 } else { 2.0 };
@@ -96,7 +104,7 @@ pub fn choose(scene: &Scene, error_hz: f64) -> Result<Choice, MethodError> {
             return Ok(Choice { method, estimated_rate_error_hz: estimate, sampled: sample.len() });
         }
     }
-    Ok(by_exact)
+    Ok(by_finest)
 }
 
 /// Spike counts of some afferents, at their numbers.

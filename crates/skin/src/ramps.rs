@@ -129,7 +129,7 @@ fn gain(array: Array) -> impl Fn(f64) -> f64 {
     move |um_per_tick| parts.round(um_per_tick.abs() / um_per_pulse)
 }
 
-/// Simulates a scene exactly, moved by `ramps`; its drives and gains are ignored. `give` is called with each afferent's
+/// Simulates a scene by the finest method, moved by `ramps`; its drives and gains are ignored. `give` is called with each afferent's
 /// number and spikes, s, in no particular order.
 ///
 /// Besides the ramps it takes 16 MB for breakpoints, and the memory for the spikes of 32 afferents.
@@ -151,7 +151,7 @@ pub fn simulate_ramps(
     for some in by_place(&scene, &all).chunks(AT_A_TIME) {
         let mut give =
             |(number, _, half_ticks): Train| give(number, in_seconds(half_ticks, scene.array().rate()));
-        run(&scene, &tracks, some, &Options::spikes(Method::Exact), &|_| (), &mut give)?;
+        run(&scene, &tracks, some, &Options::spikes(Method::finest(scene.array())), &|_| (), &mut give)?;
     }
     Ok(())
 }

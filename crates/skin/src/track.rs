@@ -7,14 +7,15 @@
 //!
 //! Invariant: a track depends on its motor's drives or ramps, the scene's duration and membrane, and the method.
 
-use crate::breakpoints::{Breakpoint, Breakpoints};
+use crate::breakpoints::{Breakpoint, Breakpoints, InOrder, ramps_before, ramps_of};
+use crate::lagging::Lagging;
 use crate::membrane::silence::Bound;
-use crate::method::Method;
+use crate::method::{Method, Stepping};
 use crate::sampler::{Sampler, TILE};
 use crate::scene::Scene;
 use crate::simd::Number;
 use crate::time::end;
-use meissner_array::motor::Ramp;
+use meissner_array::motor::{Ramp, Response};
 use meissner_array::pattern::Drive;
 use meissner_array::spec::Array;
 use std::sync::{Arc, OnceLock};
@@ -93,7 +94,7 @@ impl Track {
             .then(|| Self::moved(array, motor, moved_by, breakpoints_per_s, scene.duration_s(), method))
     }
 
-    /// The track of a motor that made some ramps, for the exact method.
+    /// The track of a motor that made some ramps.
     pub(crate) fn of_ramps(
         array: Array,
         motor: u8,
@@ -105,7 +106,7 @@ impl Track {
         let breakpoints_per_s =
             4.0 * ramps.len() as f64 / duration_s.max(1.0 / array.rate().half_ticks_per_s());
         let moved_by = MovedBy::Ramps(Arc::clone(ramps), full_um_per_tick);
-        Self::moved(array, motor, moved_by, breakpoints_per_s, duration_s, Method::Exact)
+        Self::moved(array, motor, moved_by, breakpoints_per_s, duration_s, Method::finest(array))
     }
 
     fn moved(
@@ -131,12 +132,16 @@ impl Track {
 
     /// All breakpoints, made as they are read.
     pub(crate) fn breakpoints(&self) -> Breakpoints<'_> {
+        let (ramps, full_um_per_tick) = self.ramps();
+        Breakpoints::of(self.array, self.motor, ramps, full_um_per_tick)
+    }
+
+    /// All ramps, and the speed that counts as full, µm per tick.
+    fn ramps(&self) -> (InOrder<'_>, f64) {
         let end = end(self.duration_s, self.array.rate());
         match &self.moved_by {
-            MovedBy::Drives(drives) => Breakpoints::new(self.array, self.motor, drives, end),
-            MovedBy::Ramps(ramps, full_um_per_tick) => {
-                Breakpoints::of_ramps(self.array, self.motor, ramps, *full_um_per_tick, end)
-            }
+            MovedBy::Drives(drives) => (ramps_of(self.array, drives, end), self.array.motor().um_per_pulse),
+            MovedBy::Ramps(ramps, full_um_per_tick) => (ramps_before(ramps, end), *full_um_per_tick),
         }
     }
 
@@ -154,7 +159,20 @@ impl Track {
 
     /// None for a method without steps.
     pub(crate) fn sampler(&self) -> Option<Sampler<'_>> {
-        Sampler::new(self.breakpoints(), self.method, self.array.rate())
+        let Method::Stepped(stepping) = self.method else { return None };
+        Some(self.sampled(stepping))
+    }
+
+    /// The samples of these steps.
+    pub(crate) fn sampled(&self, stepping: Stepping) -> Sampler<'_> {
+        let rate = self.array.rate();
+        match self.array.motor().response {
+            Response::Average => Sampler::new(self.breakpoints(), stepping, rate),
+            Response::Lag { .. } => {
+                let (ramps, full_um_per_tick) = self.ramps();
+                Sampler::of_lag(Lagging::new(self.array, ramps, full_um_per_tick), stepping, rate)
+            }
+        }
     }
 
     /// The samples of all steps, in whole tiles, if they are few enough to keep.

@@ -175,7 +175,7 @@ fn row(array: Array, frequency_hz: f64, amplitude_um: f64) -> Result<Row, Figure
     let afferents = vec![Position { x_mm, y_mm }; AFFERENTS];
     let model = AfferentModel::default_for(Rectify::Half, POPULATION_NOISE_SD);
     let scene = Scene::new(array, DURATION_S, SEED, vec![drive], afferents, model)?;
-    let answer = simulate(&scene, &Options::rates(Method::Exact), &|_| ())?;
+    let answer = simulate(&scene, &Options::rates(Method::finest(scene.array())), &|_| ())?;
     let (rate_hz, sd_hz) = mean_and_sd(&answer.rates_hz(&scene));
     Ok(Row { frequency_hz, amplitude_um, rate_hz, sd_hz })
 }

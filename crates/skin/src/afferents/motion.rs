@@ -18,11 +18,9 @@ use std::f64::consts::TAU;
 use std::sync::Arc;
 
 /// The mean velocity over a sample.
-const MEANS: Method = Method::Stepped(Stepping {
-    step_us: SAMPLE_US,
-    integrator: Integrator::Propagator,
-    precision: Precision::F64,
-});
+const STEPS: Stepping =
+    Stepping { step_us: SAMPLE_US, integrator: Integrator::Propagator, precision: Precision::F64 };
+const MEANS: Method = Method::Stepped(STEPS);
 /// Converts the mean D over a sample, half pulses, to the path of a pin, mm.
 fn mm_per_mean(array: &ArraySpec) -> f64 {
     velocity_per_d(1e-3, array.motor()) * (array.rate().half_ticks_per_s() / SAMPLES_PER_S)
@@ -75,10 +73,9 @@ pub(super) fn displacements_mm(motors: &MembraneScene, motor: u8, samples: usize
 
 impl<'s> Motion<'s> {
     pub(super) fn new(scene: &'s Scene, tracks: &'s Tracks) -> Self {
-        let rate = scene.array().rate();
         let motors = |gains: &PerMotor<f64>| {
             let motor = |(track, &gain): (&'s Option<Arc<Track>>, &f64)| {
-                let sampler = track.as_ref().and_then(|track| Sampler::new(track.breakpoints(), MEANS, rate));
+                let sampler = track.as_ref().map(|track| track.sampled(STEPS));
                 Motor { sampler, gain, at_mm: 0.0, samples: Vec::new() }
             };
             let motors = tracks.iter().zip(gains).map(motor).collect();
