@@ -72,7 +72,7 @@ fn sixty_four(criterion: &mut Criterion) {
     let pool = threads(1);
     group.bench_function("exact/1_core", |bencher| {
         pool.install(|| {
-            bencher.iter(|| simulate(black_box(&scene), &Options::spikes(Method::Exact), &|_| ()))
+            bencher.iter(|| simulate(black_box(&scene), &Options::spikes(Method::Exact), &|_| ()));
         });
     });
     group.finish();
