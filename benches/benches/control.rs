@@ -5,12 +5,13 @@
 //! The loop is the difference.
 
 use criterion::{Criterion, criterion_group, criterion_main};
-use firmware_protocol::stroke::{Burst, Direction, MOTORS};
+use firmware_protocol::stroke::{Burst, Direction};
 use firmware_protocol::tick::Tick;
 use meissner_array::motor::SquareWave;
 use meissner_array::simulated::{Pin, SimulatedMotorsConfig};
-use meissner_array::units::TICKS_PER_MS;
+use meissner_array::spec::Array;
 use meissner_stream::MotorRun;
+use meissner_test_support::paper::{MOTORS, TICKS_PER_MS};
 use std::hint::black_box;
 use std::time::Instant;
 
@@ -20,7 +21,7 @@ const SAMPLE: u64 = TICKS_PER_MS;
 /// All motors with their loops, one after the other.
 fn loops(frequency_hz: f64) {
     for seed in 0..MOTORS as u64 {
-        let motor_run = MotorRun { frequency_hz, seed, ..MotorRun::default() };
+        let motor_run = MotorRun { frequency_hz, seed, ..MotorRun::of(Array::paper()) };
         let fault = motor_run.run(
             f64::from(MILLISECONDS) / 1000.0,
             |_, y| Some(y),
@@ -34,9 +35,11 @@ fn loops(frequency_hz: f64) {
 
 /// All motors, as planned.
 fn pins(frequency_hz: f64) {
-    let wave = SquareWave::new(frequency_hz, MotorRun::default().amplitude_um, 0.0).expect("in range");
+    let (array, config) = (Array::paper(), SimulatedMotorsConfig::default());
+    let amplitude_um = MotorRun::of(array).amplitude_um;
+    let wave = SquareWave::new(array, frequency_hz, amplitude_um, 0.0).expect("in range");
     for seed in 0..MOTORS as u64 {
-        let mut pin = Pin::new(&SimulatedMotorsConfig { seed, ..SimulatedMotorsConfig::default() }, 0);
+        let mut pin = Pin::new(array, &SimulatedMotorsConfig { seed, ..config }, 0);
         let mut bursts = wave.excursions().flat_map(|excursion| {
             let pulses = excursion.pulses as u16;
             let burst = |start, direction| Burst { start: Tick::BOOT + start, direction, pulses };

@@ -8,6 +8,7 @@
 //! the first wrong count.
 
 use meissner_array::simulated::SimulatedMotorsConfig;
+use meissner_array::spec::Array;
 use meissner_stream::queues::{Command, Outcome};
 use meissner_stream::{Line, Settings, Simulation};
 use meissner_test_support::random::Random;
@@ -34,7 +35,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     let seed = std::env::var("SEED").ok().map_or(Ok(1), |seed| seed.parse::<u64>())?;
     let (begun, mut random, mut sums) = (Instant::now(), Random::new(seed), Sums::default());
     let motors = SimulatedMotorsConfig::default();
-    let settings = Settings { drift_limit_um: f32::INFINITY, ..Settings::default() };
+    let settings = Settings { drift_limit_um: f32::INFINITY, ..Settings::of(Array::paper()) };
     let mut simulation = Simulation::new(&motors, settings, Line::default(), seed)?;
     let (started, patterns) = (simulation.now(), rig::shipped());
     let (mut id, mut memory, mut day) = (0, 0, 0);
@@ -87,7 +88,7 @@ fn main() -> Result<(), Box<dyn Error>> {
             println!("day {day}: {} plays, {} kB, {:.0} s", id, resident_kb(), begun.elapsed().as_secs_f64());
         }
     }
-    let wraps = (simulation.now().since(started).as_secs() * 85_000) >> 32;
+    let wraps = (simulation.now().since(started).as_secs() * Array::paper().rate().per_s()) >> 32;
     println!("{} days, {wraps} wraps of the 32-bit tick, in {:.0} s", days, begun.elapsed().as_secs_f64());
     for (fate, plays) in FATES.iter().zip(sums.plays) {
         println!("  {plays} plays: {fate}");

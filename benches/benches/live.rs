@@ -98,7 +98,7 @@ fn overhead() {
         }
         println!("  {:<10} {:>6.2}", models.name(), quantile(&times, 0.5));
     }
-    let rule = Setting::Default.space().of_drives(&Rule::Reach.drives(&target));
+    let rule = Setting::Default.space(target.array()).of_drives(&Rule::Reach.drives(&target));
     let frame = &target.frames()[0];
     let as_it_is = Fidelity { min_share: None, ..LIVE_FIDELITY };
     for (what, model, fidelity) in [

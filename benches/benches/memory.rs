@@ -8,6 +8,7 @@ use meissner::daemon::MEMORY_BOUND;
 use meissner_api::Status;
 use meissner_benches::daemon::Daemon;
 use meissner_client::Events;
+use meissner_test_support::paper::MOTORS;
 use serde_json::{Value, json};
 use std::env;
 use std::error::Error;
@@ -93,7 +94,7 @@ fn dotted(name: &str) -> String {
 fn largest(name: &str) -> String {
     let mut text = head(name);
     for number in 0..4096 {
-        let (motor, start_s) = (number % 24, f64::from(number / 24) * 5.5);
+        let (motor, start_s) = (number % MOTORS, (number / MOTORS) as f64 * 5.5);
         let _ = write!(
             text,
             "[[drive]] #\nmotor = {motor} #\nfrequency_hz = 60.125 #\namplitude_um = 10.125 #\nphase = 0.125 #\n\

@@ -96,7 +96,7 @@ fn least(of: &[f64]) -> f64 {
 /// Costs of a method on a target in a setting, by seed and budget.
 fn costs(method: Method, target: &Target, setting: Setting) -> Vec<Vec<f64>> {
     let of_seed = |seed| {
-        let job = Command::new(target, setting.space(), seed);
+        let job = Command::new(target, setting.space(target.array()), seed);
         let found = method.found(&job.brief(), job.start(), &BUDGETS);
         found.into_iter().map(|point| job.exact_hz(point)).collect()
     };
@@ -147,7 +147,7 @@ fn table() {
 /// budget.
 fn against_coordinates() {
     let target = target(YARDSTICK);
-    let free = Setting::AlwaysOn.space();
+    let free = Setting::AlwaysOn.space(target.array());
     let fixed = Space { phases: false, ..free.clone() };
     for logarithmic in [false, true] {
         let grid = if logarithmic { "a logarithmic" } else { "an even" };
@@ -187,7 +187,7 @@ fn soon() {
     println!("{YARDSTICK}, default, to convergence, and when it was first within 1 % of that:");
     let target = target(YARDSTICK);
     for seed in 0..5 {
-        let job = Command::new(&target, Setting::Default.space(), seed);
+        let job = Command::new(&target, Setting::Default.space(target.array()), seed);
         let (begun, mut times) = (Instant::now(), Vec::new());
         let found = job.search(NO_LIMIT, &mut |spent, _| times.push((spent.evaluations, begun.elapsed())));
         let took = begun.elapsed();
@@ -215,7 +215,7 @@ fn soon() {
 fn stuck() {
     println!("Subgradients on {YARDSTICK}, always on, phases fixed, 400 000 afferent-s:");
     let target = target(YARDSTICK);
-    let space = Space { phases: false, ..Setting::AlwaysOn.space() };
+    let space = Space { phases: false, ..Setting::AlwaysOn.space(target.array()) };
     for root in [false, true] {
         let of_seed = |seed| {
             let job = Command::new(&target, space.clone(), seed);
@@ -257,7 +257,7 @@ fn to_convergence(criterion: &mut Criterion) {
     stuck();
     println!("All that took {:.0?}.", begun.elapsed());
     let target = target(YARDSTICK);
-    let job = Command::new(&target, Setting::Default.space(), 0);
+    let job = Command::new(&target, Setting::Default.space(target.array()), 0);
     let mut group = criterion.benchmark_group("to_convergence");
     group.sample_size(10).measurement_time(Duration::from_secs(10));
     for threads in [1, 2] {

@@ -1,14 +1,14 @@
-//! The cost of simulating a second: 24 motors at 60 Hz and 80 um with random phases, 306 receptors, noise.
+//! The cost of simulating a second: 24 motors at 60 Hz and 80 um with random phases, 306 receptors, noise; and the same of 64 motors.
 //!
 //! It measures the exact and the stepped method, on one core and on two, and evaluations of the scene with one motor changed.
 //! Before criterion's figures it prints the number of spikes, and the effect of a search's coarser reach on the rates.
 
 use criterion::{Criterion, criterion_group, criterion_main};
 use firmware_protocol::tick::Tick;
-use meissner_array::geometry;
 use meissner_array::motor::Ramp;
 use meissner_array::pattern::{Drive, Pattern};
 use meissner_array::random::normal;
+use meissner_array::spec::Array;
 use meissner_array::strokes::{StrokeOptions, Strokes};
 use meissner_design::{Play, predict_response};
 use meissner_skin::afferents;
@@ -58,6 +58,26 @@ fn whole(criterion: &mut Criterion) {
     group.finish();
 }
 
+/// The exact method on the standard second, but with all pins of the array with 64.
+fn sixty_four(criterion: &mut Criterion) {
+    let array = Array::named("simulated-8x8").expect("it is shipped");
+    let standard = scene();
+    // The golden ratio spreads the phases evenly.
+    let phase = |motor: u8| (f64::from(motor) * 0.618_034).fract();
+    let drive = |motor| Drive { motor, phase: phase(motor), ..standard.drives()[0] };
+    let (drives, receptors) = (array.numbers().map(drive).collect(), standard.afferents().to_vec());
+    let scene = Scene::new(array, 1.0, 0, drives, receptors, *standard.model()).expect("it is one");
+    let mut group = criterion.benchmark_group("second_of_64_motors");
+    group.measurement_time(Duration::from_secs(5));
+    let pool = threads(1);
+    group.bench_function("exact/1_core", |bencher| {
+        pool.install(|| {
+            bencher.iter(|| simulate(black_box(&scene), &Options::spikes(Method::Exact), &|_| ()));
+        });
+    });
+    group.finish();
+}
+
 /// The second model on the standard second: 306 RA, 200 SA1 and 60 PC afferents with noise under 24 pins.
 fn afferents(criterion: &mut Criterion) {
     let scene =
@@ -94,16 +114,18 @@ fn afferents(criterion: &mut Criterion) {
 
 /// All afferents lie near a pin, so none can be skipped: the search for skippable ones should cost next to nothing.
 fn nothing_to_skip(criterion: &mut Criterion) {
+    let standard = scene();
     let place = |number: u32| {
-        let [x_mm, y_mm] = geometry::position_mm((number % 24) as u8);
+        let array = standard.array();
+        let [x_mm, y_mm] = array.position_mm((number as usize % array.motors()) as u8);
         // Up to 0.6 mm beside the pin, in all directions.
         let (turns, beside_mm) = (f64::from(number) * 0.618, 0.6 * f64::from(number) / 306.0);
         let (sin, cos) = (turns * std::f64::consts::TAU).sin_cos();
         Position { x_mm: x_mm + beside_mm * cos, y_mm: y_mm + beside_mm * sin }
     };
-    let (standard, receptors) = (scene(), (0..306).map(place).collect());
-    let scene =
-        Scene::new(1.0, 0, standard.drives().to_vec(), receptors, *standard.model()).expect("it is one");
+    let (array, receptors) = (standard.array(), (0..306).map(place).collect());
+    let scene = Scene::new(array, 1.0, 0, standard.drives().to_vec(), receptors, *standard.model())
+        .expect("it is one");
     let mut group = criterion.benchmark_group("nothing_to_skip");
     group.measurement_time(Duration::from_secs(8));
     let pool = threads(1);
@@ -125,7 +147,7 @@ fn faster(scene: &Scene, motor: u8) -> Vec<Drive> {
     scene.drives().iter().map(drive).collect()
 }
 
-/// Changes the frequency of one motor after the other: the mean time over the 24.
+/// Changes the frequency of one motor after the other: the mean time over all.
 fn changed(criterion: &mut Criterion) {
     let scene = scene();
     let coarsely = Method::Stepped(Stepping {
@@ -155,8 +177,8 @@ fn changed(criterion: &mut Criterion) {
             pool.install(|| bencher.iter(|| simulate(black_box(&scene), &options, &|_| ())));
         });
         let evaluator = Evaluator::new(scene.clone(), options).expect("the scene can be simulated");
-        let trials: Vec<Vec<Drive>> = (0..24).map(|motor| faster(&scene, motor)).collect();
-        let mut motors = (0..24).cycle();
+        let trials: Vec<Vec<Drive>> = scene.array().numbers().map(|motor| faster(&scene, motor)).collect();
+        let mut motors = (0..trials.len()).cycle();
         group.bench_function(format!("{name}/one_motor"), |bencher| {
             pool.install(|| {
                 bencher.iter(|| {
@@ -179,12 +201,14 @@ fn minute_played(criterion: &mut Criterion) {
         ("all-in-phase", include_str!("../../patterns/all-in-phase.toml")),
     ] {
         let pattern = Pattern::parse(text, name).expect("it is shipped");
+        let um_per_pulse = pattern.array().motor().um_per_pulse;
         let strokes = Strokes::new(&pattern, &StrokeOptions::lasting(60.0)).expect("a minute can be played");
         let bursts = strokes.flat_map(|stroke| {
             let stroke = stroke.expect("a shipped pattern can be played");
             stroke.bursts().map(|burst| {
                 let gain = 1.0 + 0.1 * normal([0, stroke.motor.into(), burst.start.0, 0]);
-                (stroke.motor, Ramp::new(burst.start, burst.pulses.into(), burst.direction, gain))
+                let step_um = um_per_pulse * gain;
+                (stroke.motor, Ramp::new(burst.start, burst.pulses.into(), burst.direction, step_um))
             })
         });
         let bursts: Vec<_> = bursts.collect();
@@ -199,5 +223,5 @@ fn minute_played(criterion: &mut Criterion) {
     group.finish();
 }
 
-criterion_group!(benches, whole, afferents, nothing_to_skip, changed, minute_played);
+criterion_group!(benches, whole, sixty_four, afferents, nothing_to_skip, changed, minute_played);
 criterion_main!(benches);

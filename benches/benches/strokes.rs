@@ -1,5 +1,5 @@
-//! The compiler, alone and with the link's encoding, on an ordinary heavy load: 24 motors × 60 Hz × 147 pulses.
-//! `cargo bench --bench strokes`. Elements are bursts, two to a stroke.
+//! The compiler, alone and with the link's encoding, on an ordinary heavy load: 24 motors × 60 Hz × 147 pulses; the compiler alone
+//! with 64 motors, too. `cargo bench --bench strokes`. Elements are bursts, two to a stroke.
 
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
 use firmware_protocol::batch::{BATCH_BYTES, Packer};
@@ -7,34 +7,43 @@ use firmware_protocol::frame::{MAX_FRAME, encode};
 use firmware_protocol::message::HostMessage;
 use firmware_protocol::tick::Tick;
 use meissner_array::pattern::{Drive, Pattern};
+use meissner_array::spec::Array;
 use meissner_array::strokes::{StrokeOptions, Strokes};
 use std::hint::black_box;
 
 /// About a minute of play.
 const STROKES: usize = 86_400;
 
-fn strokes(criterion: &mut Criterion) {
+/// All motors of an array, with phases spread evenly.
+fn all(array: Array) -> Strokes {
     let drive = |motor| Drive {
         motor,
         frequency_hz: 60.0,
         amplitude_um: 20.0,
-        phase: f64::from(motor) / 24.0,
+        phase: f64::from(motor) / array.motors() as f64,
         start_s: None,
         stop_s: None,
     };
-    let pattern =
-        Pattern::new("bench", None, (0..24).map(drive).collect(), toml::Table::new()).expect("in range");
-    let mut strokes = Strokes::new(&pattern, &StrokeOptions::default()).expect("endless");
+    let drives = array.numbers().map(drive).collect();
+    let pattern = Pattern::new(array, "bench", None, drives, toml::Table::new()).expect("in range");
+    Strokes::new(&pattern, &StrokeOptions::default()).expect("endless")
+}
+
+fn strokes(criterion: &mut Criterion) {
     let mut group = criterion.benchmark_group("strokes");
     group.throughput(Throughput::Elements(2 * STROKES as u64));
-    group.bench_function("compile", |bencher| {
-        bencher.iter(|| {
-            strokes.begin(Tick::BOOT);
-            for stroke in strokes.by_ref().take(STROKES) {
-                black_box(stroke.expect("within limits"));
-            }
+    for (name, array) in [("compile", "tula35-6x4"), ("compile, 64 motors", "simulated-8x8")] {
+        let mut strokes = all(Array::named(array).expect("it is shipped"));
+        group.bench_function(name, |bencher| {
+            bencher.iter(|| {
+                strokes.begin(Tick::BOOT);
+                for stroke in strokes.by_ref().take(STROKES) {
+                    black_box(stroke.expect("within limits"));
+                }
+            });
         });
-    });
+    }
+    let mut strokes = all(Array::paper());
     group.bench_function("compile and encode", |bencher| {
         bencher.iter(|| {
             strokes.begin(Tick::BOOT);

@@ -1,6 +1,6 @@
 //! How soon updates of a live play reach the pins: `cargo bench -p meissner-benches --bench updates`.
 //!
-//! A client on the socket of a daemon on the simulated array drives all 24 motors at 60 Hz. It sends `UPDATES` updates [10 000] at
+//! A client on the socket of a daemon on the simulated array drives all motors at 60 Hz. It sends `UPDATES` updates [10 000] at
 //! 100 per second, each with another amplitude for every motor: once on an idle machine, once beside four busy loops. Then it moves
 //! an edge at 30 mm/s and turns it at 90 degrees/s, 50 poses per second, under each model. It prints the times of the receipt, by
 //! the device's clock: from the message to the tick from which strokes are replaced, and to the first motor's first new stroke. It
@@ -8,6 +8,7 @@
 
 use meissner_api::{LiveAccepted, LiveAnswer, LiveRecord, Receipt, Status, UpdateTimes};
 use meissner_benches::daemon::Daemon;
+use meissner_test_support::paper::MOTORS;
 use serde_json::{Value, json};
 use std::error::Error;
 use std::hint::black_box;
@@ -43,7 +44,7 @@ fn main() -> Done {
             .collect();
         let drives = |number: u64| -> Vec<Value> {
             let um = |motor: u64| 40.0 + ((number * 7 + motor * 13) % 400) as f64 / 10.0;
-            (0..24)
+            (0..MOTORS as u64)
                 .map(|motor| json!({"motor": motor, "frequency_hz": 60, "amplitude_um": um(motor)}))
                 .collect()
         };

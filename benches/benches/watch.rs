@@ -10,6 +10,7 @@ use meissner_api::{Event, PlayAccepted, Receipt, Search, SearchState, Status};
 use meissner_benches::daemon::Daemon;
 use meissner_benches::loads::window;
 use meissner_client::{Client, ClientError, Events};
+use meissner_test_support::paper::MOTORS;
 use serde_json::{Value, json};
 use std::error::Error;
 use std::net::{SocketAddr, TcpListener};
@@ -48,10 +49,10 @@ fn put_all_pins(client: &mut Client) -> Done {
     let drive = |motor: u32| {
         format!(
             "[[drive]]\nmotor = {motor}\nfrequency_hz = 60.0\namplitude_um = 80.0\nphase = {:.3}\n",
-            f64::from(motor) / 24.0
+            f64::from(motor) / MOTORS as f64
         )
     };
-    let drives: String = (0..24).map(drive).collect();
+    let drives: String = (0..MOTORS as u32).map(drive).collect();
     client.put::<Value>("/v1/patterns/all-pins", format!("format = 1\nname = \"all-pins\"\n{drives}"))?;
     Ok(())
 }

@@ -1,4 +1,4 @@
-//! A board on a pseudo-terminal that notes when it receives an emergency stop.
+//! A board of the default array on a pseudo-terminal that notes when it receives an emergency stop.
 //!
 //! It is the mock in wall time, on a real-time thread where the system allows it, so that the load on the daemon does not delay
 //! the measurement.
@@ -6,6 +6,7 @@
 use firmware_protocol::tick::Tick;
 use firmware_protocol::urgent::{Urgent, Watch};
 use meissner_array::simulated::SimulatedMotorsConfig;
+use meissner_array::spec::Array;
 use meissner_stream::device::mock::Mock;
 use meissner_stream::device::priority;
 use meissner_stream::device::{Received, Terminal};
@@ -17,8 +18,6 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
-
-const TICKS_PER_S: f64 = 85_000.0;
 
 /// See the module. Dropping it ends its thread.
 #[derive(Debug)]
@@ -48,14 +47,14 @@ impl Board {
         let terminal = Terminal::open()?;
         let path = terminal.path().to_owned();
         let motors = SimulatedMotorsConfig { telemetry_hz: 0, ..SimulatedMotorsConfig::default() };
-        let mock = Mock::new(motors, 1).map_err(io::Error::other)?;
+        let mock = Mock::new(Array::paper(), motors, 1).map_err(io::Error::other)?;
         let (told, estops) = crossbeam_channel::unbounded();
         let stop = Arc::new(AtomicBool::new(false));
         let stopped = Arc::clone(&stop);
         let clock = BoardClock {
             booted: Instant::now(),
             booted_ns: monotonic_ns(),
-            hz: TICKS_PER_S * (1.0 + fast_ppm / 1e6),
+            hz: f64::from(Array::paper().rate().hz()) * (1.0 + fast_ppm / 1e6),
         };
         let thread = thread::Builder::new().name("board".into()).spawn(move || {
             let _ = priority::fifo(priority::FIFO_PRIORITY);

@@ -17,7 +17,7 @@ from test_bids import TEXTS, read, row
 NAMES = ("tula35-6x4", "tula35-2x3", "ubi-pen-3x3", "simulated-8x8")
 PATIENT = 20.0
 OWN = """name = "own-3"
-pins = { positions_mm = [[-1.45, 1.45], [1.45, 1.45], [0.0, -2.0]], radius_mm = 0.4 }
+pins = { positions_mm = [[-1.45, 1.45], [1.45, 1.45], [0.0, -0.5]], radius_mm = 0.4 }
 tick_hz = 60000
 duty = { up = 0.25, down = 0.75 }
 [motor]
@@ -100,8 +100,8 @@ def test_a_session_on_each_array(on: meissner.Client, tmp_path: Path) -> None:
 
 def test_a_pattern_that_is_found_is_for_the_array(tmp_path: Path) -> None:
     with meissner.demo(config='[array]\ndescription = "tula35-2x3"\n') as m:
-        found = m.design("dot", objective="off-rms", budget=20)
-        assert found.toml.count('array = "tula35-2x3"') == 1
+        found = m.design("edge-45", objective="off-rms", budget=20)
+        assert 'array = "tula35-2x3"' in found.toml
         assert m.play(found.name, 0.1).wait().mapped_from is None
 
 
@@ -111,6 +111,9 @@ def test_an_array_that_the_program_does_not_ship(tmp_path: Path) -> None:
     with meissner.demo(config=f'[array]\ndescription = "{description}"\n') as m:
         assert (m.array.name, m.array.motors, m.array.tick_hz, m.array.grid) == ("own-3", 3, 60_000, None)
         check_a_session(m, tmp_path / "dataset", description)
+        found = m.design("edge-45", objective="off-rms", budget=20, array=description)
+        assert 'array = "own-3"' in found.toml
+        assert m.play(found.name, 0.1).wait().array == "own-3"
         session = m.sessions()[-1]["id"]
         export = m.export_bids(session, tmp_path / "without")
         assert export.displacement is None

@@ -87,6 +87,7 @@ def test_markers_bear_the_true_times(m: meissner.Client) -> None:
         assert about.source_id() == f"{NAME}/{m.status().raw['device_identity']}/markers"
         description = about.desc()
         assert description.child_value("manufacturer") == "meissner"
+        assert description.child_value("array") == m.array.name
         assert description.child_value("simulated") == "true"
         channel = description.child("channels").child("channel")
         assert (channel.child_value("label"), channel.child_value("type")) == ("marker", "Markers")
@@ -140,7 +141,7 @@ def test_telemetry_has_the_offset_of_each_pin(m: meissner.Client) -> None:
         play.wait()
         samples = [inlet.pull_sample(timeout=20) for _ in range(5)]
         times = [at for _, at in samples]
-        assert all(len(sample) == 24 for sample, _ in samples)
+        assert all(len(sample) == m.array.motors for sample, _ in samples)
         assert times == sorted(times)
         assert abs(times[-1] - pylsl.local_clock()) < 20
         channel = inlet.info().desc().child("channels").child("channel")

@@ -7,6 +7,7 @@
 //! Invariant: a method's trail depends on the brief and the start alone, and the values along it rise.
 
 use cmaes::{CMAESOptions, DVector};
+use meissner_array::per_motor::PerMotor;
 use meissner_array::random;
 use meissner_design::{Brief, Fidelity, Limit, Objective, Point, Score, Space, Vibration, search};
 use std::ops::ControlFlow;
@@ -140,13 +141,13 @@ fn random(brief: &Brief<'_>, start: Point, most: f64) -> Trail {
         if trail.afferent_s >= most {
             break;
         }
-        let vibration = |motor: usize| {
-            let [part, phase] = random::uniform([brief.seed, motor as u64, number, WORD]);
-            let [off, _] = random::uniform([brief.seed, motor as u64, number, WORD + 1]);
+        let vibration = |motor: u8| {
+            let [part, phase] = random::uniform([brief.seed, motor.into(), number, WORD]);
+            let [off, _] = random::uniform([brief.seed, motor.into(), number, WORD + 1]);
             let phase = if space.phases { phase } else { 0.0 };
             (!space.may_be_off || off < 0.5).then(|| space.vibration(space.frequency_hz(part), phase))
         };
-        whole(&objective, Point(std::array::from_fn(vibration)), &mut trail);
+        whole(&objective, Point(PerMotor::from_fn(space.array, vibration)), &mut trail);
     }
     trail
 }
@@ -217,15 +218,15 @@ impl<'v> Variables<'v> {
 
     /// A variable beyond an end of the range is reflected back into it.
     fn point(&self, variables: &[f64]) -> Point {
-        let of_motor = |motor: usize| {
-            let of = &variables[motor * self.of_motor..][..self.of_motor];
+        let of_motor = |motor: u8| {
+            let of = &variables[usize::from(motor) * self.of_motor..][..self.of_motor];
             let folded = of[0].rem_euclid(2.0);
             let part = if folded > 1.0 { 2.0 - folded } else { folded };
             let phase = if self.space.phases { of[1] } else { 0.0 };
             let off = self.off && of[self.of_motor - 1] < 0.0;
             (!off).then(|| self.space.vibration(self.space.frequency_hz(part), phase))
         };
-        Point(std::array::from_fn(of_motor))
+        Point(PerMotor::from_fn(self.space.array, of_motor))
     }
 }
 

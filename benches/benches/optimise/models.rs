@@ -31,7 +31,7 @@ pub(crate) struct Climbed {
 
 impl<'c> Climb<'c> {
     pub(crate) fn new(target: &'c Target, models: Models) -> Self {
-        let point = |rule: Rule| Setting::Default.space().of_drives(&rule.drives(target));
+        let point = |rule: Rule| Setting::Default.space(target.array()).of_drives(&rule.drives(target));
         let value = |of: &Point| value(models.first(), target, *of);
         let [reach, pitch] = Rule::ALL.map(point);
         // For the two models together the value of this rule is 0 by definition, and the other rule lies below.
@@ -47,7 +47,7 @@ impl<'c> Climb<'c> {
             frame: &self.target.frames()[0],
             populations: &[self.target.population_seed()],
             noise_seed: self.target.population_seed(),
-            space: Setting::Default.space(),
+            space: Setting::Default.space(self.target.array()),
             seed: 0,
         };
         let go_on = &mut |_, _| ControlFlow::Continue(());

@@ -19,13 +19,14 @@
 mod drawing;
 mod loads;
 
-use firmware_protocol::tick::{TICK_HZ, Tick};
+use firmware_protocol::tick::Tick;
 use loads::{PHASES, Place, repeat};
 use meissner_api::{PlayAccepted, PlayState, Receipt, Status};
 use meissner_benches::board::Board;
 use meissner_benches::loads::exchange;
 use meissner_client::{Client, ClientError, STOPPED, estop_socket};
 use meissner_stream::device::priority;
+use meissner_test_support::paper::TICK_HZ;
 use serde_json::json;
 use std::error::Error;
 use std::net::TcpListener;

@@ -132,6 +132,7 @@ def test_a_play_that_is_ordered_ahead_begins_when_planned(
     assert saved["offset_tick"] - saved["onset_tick"] <= 0.2 * 85_000
     receipt = device.client.receipt(saved["play_id"])
     assert receipt.onset is not None
+    assert (saved["array"], saved["tick_hz"]) == ("tula35-6x4", 85_000)
     assert (receipt.onset.tick, receipt.raw["scale"]) == (saved["onset_tick"], 0.5)
 
 

@@ -8,7 +8,7 @@ const SLOWER = 20;
 const PITCH = 29;
 const EDGE = 24;
 // The radius of the skin's corners, at most: pins in the corners stay on the skin.
-const CORNER = 66;
+const CORNER = 58;
 const FULL_UM = 100;
 // Stops of a colour map that rises in lightness, so that it is readable without colours.
 const COLOURS = [[68, 1, 84], [59, 82, 139], [33, 145, 140], [94, 201, 98], [253, 231, 37]];
@@ -105,7 +105,7 @@ export class Finger {
       const rest = rest_um[motor] ?? 0;
       const turns = drive && !this.#still.matches ? ((seconds * drive.frequency_hz) / SLOWER + drive.phase) % 1 : (drive?.phase ?? 0);
       const up = drive ? 0.5 - 0.5 * Math.cos(2 * Math.PI * turns) : 0;
-      set(pin.disc, "r", drive ? (this.#radius + (5 * Math.min(drive.reached_um / FULL_UM, 1.5))) * (this.#still.matches ? 1 : 0.75 + 0.25 * up) : 0.7 * this.#radius);
+      set(pin.disc, "r", drive ? (this.#radius + (5 * Math.min(drive.reached_um, FULL_UM)) / FULL_UM) * (this.#still.matches ? 1 : 0.75 + 0.25 * up) : 0.7 * this.#radius);
       set(pin.disc, "fill", drive ? colour(drive.reached_um) : "none");
       set(pin.hand, "visibility", drive ? "visible" : "hidden");
       set(pin.hand, "transform", `rotate(${(360 * turns).toFixed(0)})`);
