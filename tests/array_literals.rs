@@ -106,11 +106,11 @@ fn list(folder: &Path, files: &mut Vec<PathBuf>) {
 
 /// A text without its unit tests, which stand at the end of a file.
 fn product(text: &str) -> &str {
-    let tests = text.match_indices("#[cfg(test)]\n").map(|(at, _)| at);
+    let mut tests = text.match_indices("#[cfg(test)]\n").map(|(at, _)| at);
     let module = |at: &usize| {
         text[*at..].lines().nth(1).is_some_and(|line| line.contains("mod ") && line.ends_with('{'))
     };
-    &text[..tests.filter(module).next().unwrap_or(text.len())]
+    &text[..tests.find(module).unwrap_or(text.len())]
 }
 
 /// The numbers of a line of code, without underscores and types. Dates and times are none.

@@ -2,6 +2,7 @@
 //!
 //! Invariant: each pin follows at most one pin of the pattern's array, so drives of a motor never meet those of another.
 
+use super::error::{KeyError, Problem};
 use super::{Drive, Pattern, PatternError};
 use crate::spec::Array;
 
@@ -23,7 +24,7 @@ impl Pattern {
     /// that array away; other pins rest.
     ///
     /// # Errors
-    /// If a drive is not one of the other array's motors: its amplitude is beyond their travel.
+    /// If no pin follows one that is driven, or a drive is not one of the other array's motors: its amplitude is beyond their travel.
     pub fn mapped_to(&self, array: Array) -> Result<Mapped, PatternError> {
         let from = self.array;
         let mut followed = vec![false; from.motors()];
@@ -38,6 +39,10 @@ impl Pattern {
             let before = drives.len();
             drives.extend(own.map(|drive| Drive { motor, ..*drive }));
             driven += usize::from(drives.len() > before);
+        }
+        if driven == 0 && !self.drives.is_empty() {
+            let problem = Problem::Elsewhere { array: array.spec().name() };
+            return Err(PatternError(KeyError::whole(None, problem).in_file(Some(&self.name))));
         }
         let is_lost = |motor: &u8| {
             !followed[usize::from(*motor)] && self.drives.iter().any(|drive| drive.motor == *motor)
@@ -91,6 +96,17 @@ mod tests {
                 .all(|motor| Array::paper().position_mm(*motor)[1] > 0.0 && mapped.driven == near.len())
         );
         assert!(!near.is_empty() && near.len() < 6, "{near:?}");
+    }
+
+    #[test]
+    fn a_pattern_that_would_move_nothing_is_refused() {
+        let corner =
+            Pattern::new(Array::paper(), "corner", None, vec![drive(0)], toml::Table::new()).unwrap();
+        let line = corner.mapped_to(array("tula35-2x3")).unwrap_err().to_string();
+        assert!(
+            line.starts_with("corner: ") && line.contains("drives no pin near a pin of tula35-2x3"),
+            "{line}"
+        );
     }
 
     #[test]

@@ -76,7 +76,6 @@ pub enum Command {
 }
 
 /// What happened.
-#[expect(clippy::large_enum_variant, reason = "the thread does not allocate")]
 #[derive(Debug)]
 pub enum StreamEvent {
     /// The answer to a request.

@@ -88,7 +88,6 @@ pub enum BenchError {
 
 /// A device on the bench.
 #[derive(Debug)]
-#[expect(clippy::large_enum_variant, reason = "there is one of it")]
 pub enum Bench {
     /// The library's mock.
     Mock(MockBench),
