@@ -3,9 +3,7 @@
 //! A [`Layout`] says it once; [`Controller::new`](crate::controller::Controller::new) and the host's link take one. All times and
 //! limits that depend on the array are its methods. [`MotorSet`] is the mask of motors in messages and in the controller.
 
-use crate::limits::{PowerLimits, Refusal, correction, within_correction};
-use crate::message::Trigger;
-use crate::stroke::Stroke;
+use crate::tick::{BLOCK, HORIZON};
 use core::fmt;
 use core::ops::{BitAnd, BitOr, BitOrAssign};
 use serde::de::Visitor;
@@ -544,16 +542,15 @@ impl Layout {
     /// 10 ms, in whole blocks of what is rendered.
     #[must_use]
     pub const fn dense_ticks(&self) -> u32 {
-        self.dense_blocks() as u32 * crate::controller::BLOCK
+        self.dense_blocks() as u32 * BLOCK
     }
 
     pub(crate) const fn dense_blocks(&self) -> u8 {
-        (self.tick_hz() / 100 / crate::controller::BLOCK) as u8
+        (self.tick_hz() / 100 / BLOCK) as u8
     }
 
     /// The blocks of [`Self::dense_blocks`] at the fastest carrier.
-    pub(crate) const MAX_DENSE_BLOCKS: usize =
-        *TICK_HZ.end() as usize / 100 / crate::controller::BLOCK as usize;
+    pub(crate) const MAX_DENSE_BLOCKS: usize = *TICK_HZ.end() as usize / 100 / BLOCK as usize;
 
     /// Ticks from the drivers' enable to the first pulse: 0.5 ms. The 30 V supplies stay on, so only the bridges and their bias
     /// start up in this time. What they need has not been measured: see the firmware's page on wiring.
@@ -565,7 +562,7 @@ impl Layout {
     /// Ticks from now to the first tick at which a stroke is never late: the render horizon and the drivers' lead.
     #[must_use]
     pub const fn horizon(&self) -> u8 {
-        (crate::controller::HORIZON + self.driver_lead()) as u8
+        (HORIZON + self.driver_lead()) as u8
     }
 
     /// The longest host watchdog timeout: 10 s.
@@ -578,118 +575,6 @@ impl Layout {
     pub(crate) const fn report_repeat(&self) -> u32 {
         self.tick_hz() / 100
     }
-
-    /// A trigger of one pulse of 10 ms: long enough for an amplifier that samples at 200 Hz.
-    #[must_use]
-    pub const fn trigger_pulse(&self) -> Trigger {
-        Trigger { width: (self.tick_hz() / 100) as u16, code: 0 }
-    }
-
-    /// No limit: every motor may begin a pulse in every tick.
-    #[must_use]
-    pub const fn no_limits(&self) -> PowerLimits {
-        PowerLimits {
-            motor: self.tick_hz(),
-            rail: self.on_rail as u32 * self.tick_hz(),
-            rail_at_once: self.on_rail,
-            chip_at_once: self.on_chip,
-        }
-    }
-
-    /// Whether bursts of all motors may not have pulses together.
-    pub(crate) const fn takes_turns(&self, limits: &PowerLimits) -> bool {
-        limits.rail_at_once < self.on_rail || limits.chip_at_once < self.on_chip
-    }
-
-    /// A return or a seek of all pins takes at most so many times its longest burst, because motors take turns. It is exact where
-    /// all chips of a rail are alike.
-    #[must_use]
-    pub const fn turns(&self, limits: &PowerLimits) -> u8 {
-        let (mut longest, mut sum, mut crosses) = (1, 0, false);
-        let mut first = 0;
-        while first < self.motors() {
-            if lowest(&self.rails, first) == first {
-                let turns = self.turns_of_rail(first, limits);
-                longest = if turns > longest { turns } else { longest };
-                sum += turns;
-            }
-            // A chip on two rails: at worst the rails take turns, too.
-            crosses |= self.rails[lowest(&self.chips, first)] != self.rails[first];
-            first += 1;
-        }
-        if crosses && limits.chip_at_once < self.on_chip { 1 + sum } else { longest }
-    }
-
-    /// [`Self::turns`] of one rail, of which `first` is a motor.
-    const fn turns_of_rail(&self, first: usize, limits: &PowerLimits) -> u8 {
-        let rail_at_once = if limits.rail_at_once == 0 { 1 } else { limits.rail_at_once };
-        let chip_at_once = if limits.chip_at_once == 0 { 1 } else { limits.chip_at_once };
-        // How many chips have at least so many motors on this rail.
-        let (mut chips, mut layers, mut motors) = ([0_u8; CAPACITY + 1], 0, 0_u8);
-        let mut motor = 0;
-        while motor < self.motors() {
-            if self.rails[motor] == self.rails[first] {
-                motors += 1;
-                let (mut before, mut other) = (0, 0);
-                while other < motor {
-                    before += (self.rails[other] == self.rails[first]
-                        && self.chips[other] == self.chips[motor]) as usize;
-                    other += 1;
-                }
-                chips[before] += 1;
-                layers = if before + 1 > layers { before + 1 } else { layers };
-            }
-            motor += 1;
-        }
-        if layers <= chip_at_once as usize {
-            return motors.div_ceil(rail_at_once);
-        }
-        let alike = chips[layers - 1] == chips[0];
-        if alike && chip_at_once == 1 {
-            let at_once = if rail_at_once < chips[0] { rail_at_once } else { chips[0] };
-            return motors.div_ceil(at_once);
-        }
-        // First the bursts that run, then the first motors of all chips, then the second ones, and so on.
-        let (mut turns, mut layer) = (1, 0);
-        while layer < layers {
-            turns += chips[layer].div_ceil(rail_at_once);
-            layer += 1;
-        }
-        turns
-    }
-
-    /// Checks a stroke by itself: motor, pulse counts, order of its bursts.
-    ///
-    /// # Errors
-    /// The first limit it breaks.
-    pub fn check(&self, stroke: &Stroke) -> Result<(), Refusal> {
-        if usize::from(stroke.motor) >= self.motors() {
-            return Err(Refusal::Motor);
-        }
-        if stroke.up_pulses == 0 || stroke.up_pulses > self.max_up_pulses {
-            return Err(Refusal::UpPulses);
-        }
-        if stroke.up + u64::from(stroke.up_pulses) > stroke.down {
-            return Err(Refusal::Bursts);
-        }
-        // A stroke may push its pin against a lower stop, but not leave it higher than it was.
-        if stroke.down_pulses == stroke.up_pulses {
-            return Ok(());
-        }
-        if stroke.down_pulses < stroke.up_pulses || !within_correction(stroke.up_pulses, stroke.down_pulses) {
-            return Err(Refusal::Unbalanced);
-        }
-        Ok(())
-    }
-}
-
-/// The first motor of the group of `motor`.
-const fn lowest(groups: &[u8; CAPACITY], motor: usize) -> usize {
-    let mut first = 0;
-    while groups[first] != groups[motor] {
-        first += 1;
-    }
-    first
 }
 
 /// The ring of each group, and the motors of the largest one; `None` if a number is too large.
@@ -715,6 +600,22 @@ const fn ring(groups: &[u8]) -> Option<(Ring, u8)> {
         motor += 1;
     }
     Some((ring, most))
+}
+
+/// Most pulses by which a correction may change a planned count: 30 %, at least 1.
+#[must_use]
+pub const fn correction(planned: u16) -> u16 {
+    // Divides by ten with a multiplication, exact for 16 bits: the chip's core has no division.
+    let planned = planned as u32;
+    let tens = (planned * 52_429) >> 19;
+    let part = tens * 3 + (((planned - tens * 10) * 3 * 52_429) >> 19);
+    if part > 1 { part as u16 } else { 1 }
+}
+
+/// Whether `count` is within [`correction`] of `planned`.
+#[must_use]
+pub const fn within_correction(planned: u16, count: u16) -> bool {
+    count.abs_diff(planned) <= correction(planned)
 }
 
 #[cfg(test)]

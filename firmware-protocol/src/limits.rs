@@ -5,24 +5,10 @@
 //! have pulses at once is in [`PowerLimits`], too; the controller keeps it.
 
 use crate::array::{CAPACITY, Layout, Ring};
+pub use crate::array::{correction, within_correction};
+use crate::stroke::Stroke;
 use crate::tick::Tick;
 use serde::{Deserialize, Serialize};
-
-/// Most pulses by which a correction may change a planned count: 30 %, at least 1.
-#[must_use]
-pub const fn correction(planned: u16) -> u16 {
-    // Divides by ten with a multiplication, exact for 16 bits: the chip's core has no division.
-    let planned = planned as u32;
-    let tens = (planned * 52_429) >> 19;
-    let part = tens * 3 + (((planned - tens * 10) * 3 * 52_429) >> 19);
-    if part > 1 { part as u16 } else { 1 }
-}
-
-/// Whether `count` is within [`correction`] of `planned`.
-#[must_use]
-pub const fn within_correction(planned: u16, count: u16) -> bool {
-    count.abs_diff(planned) <= correction(planned)
-}
 
 /// Why a stroke or a command was refused.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
@@ -302,11 +288,127 @@ impl Pushing {
     }
 }
 
+impl Layout {
+    /// No limit: every motor may begin a pulse in every tick.
+    #[must_use]
+    pub const fn no_limits(&self) -> PowerLimits {
+        PowerLimits {
+            motor: self.tick_hz(),
+            rail: self.motors_per_rail() as u32 * self.tick_hz(),
+            rail_at_once: self.motors_per_rail(),
+            chip_at_once: self.motors_per_chip(),
+        }
+    }
+
+    /// Whether bursts of all motors may not have pulses together.
+    pub(crate) const fn takes_turns(&self, limits: &PowerLimits) -> bool {
+        limits.rail_at_once < self.motors_per_rail() || limits.chip_at_once < self.motors_per_chip()
+    }
+
+    /// A return or a seek of all pins takes at most so many times its longest burst, because motors take turns. It is exact where
+    /// all chips of a rail are alike.
+    #[must_use]
+    pub const fn turns(&self, limits: &PowerLimits) -> u8 {
+        let (mut longest, mut sum, mut crosses) = (1, 0, false);
+        let mut first = 0;
+        while first < self.motors() {
+            if self.first_on_rail(first) == first {
+                let turns = self.turns_of_rail(first, limits);
+                longest = if turns > longest { turns } else { longest };
+                sum += turns;
+            }
+            // A chip on two rails: at worst the rails take turns, too.
+            crosses |= self.rail(self.first_on_chip(first)) != self.rail(first);
+            first += 1;
+        }
+        if crosses && limits.chip_at_once < self.motors_per_chip() { 1 + sum } else { longest }
+    }
+
+    /// [`Self::turns`] of one rail, of which `first` is a motor.
+    const fn turns_of_rail(&self, first: usize, limits: &PowerLimits) -> u8 {
+        let rail_at_once = if limits.rail_at_once == 0 { 1 } else { limits.rail_at_once };
+        let chip_at_once = if limits.chip_at_once == 0 { 1 } else { limits.chip_at_once };
+        // How many chips have at least so many motors on this rail.
+        let (mut chips, mut layers, mut motors) = ([0_u8; CAPACITY + 1], 0, 0_u8);
+        let mut motor = 0;
+        while motor < self.motors() {
+            if self.rail(motor) == self.rail(first) {
+                motors += 1;
+                let (mut before, mut other) = (0, 0);
+                while other < motor {
+                    before += (self.rail(other) == self.rail(first) && self.chip(other) == self.chip(motor))
+                        as usize;
+                    other += 1;
+                }
+                chips[before] += 1;
+                layers = if before + 1 > layers { before + 1 } else { layers };
+            }
+            motor += 1;
+        }
+        if layers <= chip_at_once as usize {
+            return motors.div_ceil(rail_at_once);
+        }
+        let alike = chips[layers - 1] == chips[0];
+        if alike && chip_at_once == 1 {
+            let at_once = if rail_at_once < chips[0] { rail_at_once } else { chips[0] };
+            return motors.div_ceil(at_once);
+        }
+        // First the bursts that run, then the first motors of all chips, then the second ones, and so on.
+        let (mut turns, mut layer) = (1, 0);
+        while layer < layers {
+            turns += chips[layer].div_ceil(rail_at_once);
+            layer += 1;
+        }
+        turns
+    }
+
+    /// Checks a stroke by itself: motor, pulse counts, order of its bursts.
+    ///
+    /// # Errors
+    /// The first limit it breaks.
+    pub fn check(&self, stroke: &Stroke) -> Result<(), Refusal> {
+        if usize::from(stroke.motor) >= self.motors() {
+            return Err(Refusal::Motor);
+        }
+        if stroke.up_pulses == 0 || stroke.up_pulses > self.max_up_pulses() {
+            return Err(Refusal::UpPulses);
+        }
+        if stroke.up + u64::from(stroke.up_pulses) > stroke.down {
+            return Err(Refusal::Bursts);
+        }
+        // A stroke may push its pin against a lower stop, but not leave it higher than it was.
+        if stroke.down_pulses == stroke.up_pulses {
+            return Ok(());
+        }
+        if stroke.down_pulses < stroke.up_pulses || !within_correction(stroke.up_pulses, stroke.down_pulses) {
+            return Err(Refusal::Unbalanced);
+        }
+        Ok(())
+    }
+
+    /// The first motor on the rail of `motor`.
+    const fn first_on_rail(&self, motor: usize) -> usize {
+        let mut first = 0;
+        while self.rail(first) != self.rail(motor) {
+            first += 1;
+        }
+        first
+    }
+
+    /// The first motor on the chip of `motor`.
+    const fn first_on_chip(&self, motor: usize) -> usize {
+        let mut first = 0;
+        while self.chip(first) != self.chip(motor) {
+            first += 1;
+        }
+        first
+    }
+}
+
 #[cfg(test)]
 mod tests {
     extern crate std;
     use super::*;
-    use crate::stroke::Stroke;
     use proptest::prelude::*;
 
     const PAPER: Layout = Layout::PAPER;

@@ -4,7 +4,7 @@
 //! [`WireTick`]; integers are varints (postcard). The order of fields and variants is the wire format: `tests/golden.rs`
 //! keeps the bytes of this version.
 
-use crate::array::{ArrayId, MotorSet};
+use crate::array::{ArrayId, Layout, MotorSet};
 use crate::board::{Board, SelfTestState};
 use crate::limits::{PowerLimits, Refusal};
 use crate::stroke::Direction;
@@ -112,6 +112,14 @@ pub struct Trigger {
     /// 0: one pulse. Otherwise a start cell (high), eight cells with the bits of the code, lowest first (high is 1), and a low
     /// cell: a serial frame with one start bit and one stop bit, idle low.
     pub code: u8,
+}
+
+impl Layout {
+    /// A trigger of one pulse of 10 ms: long enough for an amplifier that samples at 200 Hz.
+    #[must_use]
+    pub const fn trigger_pulse(&self) -> Trigger {
+        Trigger { width: (self.tick_hz() / 100) as u16, code: 0 }
+    }
 }
 
 /// What a `Control` asks for.

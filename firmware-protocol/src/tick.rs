@@ -6,6 +6,13 @@
 use core::ops::{Add, Sub};
 use serde::{Deserialize, Serialize};
 
+/// Most ticks rendered ahead. A stroke that begins before the rendered end is late. While the drivers are off, so is one that
+/// begins less than [`Layout::driver_lead`](crate::array::Layout::driver_lead) after it.
+pub const HORIZON: u32 = 64;
+/// Ticks of a block. Shells render a block, aligned to [`Tick::BOOT`], as soon as it fits the horizon, so that all shells
+/// cut at the same ticks.
+pub const BLOCK: u32 = HORIZON / 4;
+
 /// A count of pulse periods on the device's clock.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(transparent)]

@@ -49,12 +49,7 @@ use session::Session;
 pub use stream::REORDER_WINDOW;
 use stream::{Parts, Stream};
 
-/// Most ticks rendered ahead. A stroke that begins before the rendered end is late. While the drivers are off, so is one that
-/// begins less than [`Layout::driver_lead`] after it.
-pub const HORIZON: u32 = 64;
-/// Ticks of a block. Shells render a block, aligned to [`Tick::BOOT`], as soon as it fits the horizon, so that all shells
-/// cut at the same ticks.
-pub const BLOCK: u32 = HORIZON / 4;
+pub use crate::tick::{BLOCK, HORIZON};
 /// Most ticks from now to a stroke's down burst.
 const FARTHEST: i64 = 1 << 30;
 

@@ -1,6 +1,6 @@
 //! The grid of settings.
 
-use super::response::array;
+use super::edge::array;
 use meissner_array::motor::MotorError;
 use meissner_array::pattern::Drive;
 use meissner_array::per_motor::PerMotor;

@@ -4,8 +4,9 @@
 //! [`stop_tradeoff`] plays every cell of a [`StopGrid`] (`grid`) on simulated motors with a lower stop. Each cell gives a
 //! [`StopRow`] (`row`). It holds the rest error beside that of [`ReflectedWalk`](meissner_array::reflected_walk::ReflectedWalk),
 //! and the reason for a difference; the amplitude reached; and the predicted response to an edge, with and without the stop
-//! (`response`).
+//! (`response`). `edge` is the pattern for that.
 
+mod edge;
 mod grid;
 mod response;
 mod row;

@@ -4,23 +4,16 @@
 //!
 //! Invariant: the designed response is that of the drives without surplus, on ideal motors.
 
+use crate::stop::edge::{EDGE, array};
 use crate::stop::grid::StopCell;
 use firmware_protocol::tick::Tick;
 use meissner_array::motor::MotorError;
 use meissner_array::motor::Ramp;
 use meissner_array::pattern::{Drive, Pattern};
 use meissner_array::simulated::{Pin, SimulatedMotorsConfig};
-use meissner_array::spec::Array;
 use meissner_array::strokes::{DriveStrokes, StrokeOptions};
 use meissner_design::{Play, PredictionError, Rates, YARDSTICK, predict_response};
 use serde::Serialize;
-use std::sync::LazyLock;
-
-/// The shipped pattern for the target [`YARDSTICK`].
-static EDGE: LazyLock<Pattern> = LazyLock::new(|| {
-    let text = include_str!("../../../patterns/paper/edge-45-paper.toml");
-    Pattern::parse(text, YARDSTICK).expect("a test reads the shipped pattern")
-});
 
 /// Mean rate of the afferents on the edge minus that of the others, impulses/s.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
@@ -48,11 +41,6 @@ pub enum StopError {
     /// A response could not be predicted.
     #[error(transparent)]
     Prediction(#[from] PredictionError),
-}
-
-/// The array of the shipped edge, and of all motors of the comparison.
-pub(super) fn array() -> Array {
-    EDGE.array()
 }
 
 /// The shipped edge with the frequency and amplitude of a cell.

@@ -5,8 +5,9 @@
 //! a second of rest falls short.
 
 use crate::mean;
+use crate::stop::edge::array;
 use crate::stop::grid::{StopCell, StopGrid};
-use crate::stop::response::{Contrasts, StopError, array};
+use crate::stop::response::{Contrasts, StopError};
 use firmware_protocol::tick::Tick;
 use meissner_array::motor::Excursion;
 use meissner_array::reflected_walk::{ReflectedWalk, Spread};

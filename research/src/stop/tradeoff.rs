@@ -2,8 +2,9 @@
 //!
 //! Invariant: the same grid gives the same figures, on every machine and any number of cores.
 
+use crate::stop::edge::array;
 use crate::stop::grid::{StopCell, StopGrid};
-use crate::stop::response::{Contrasts, StopError, array, contrasts, edge};
+use crate::stop::response::{Contrasts, StopError, contrasts, edge};
 use crate::stop::row::{StopReason, StopRow};
 use meissner_array::simulated::LowerStop;
 use meissner_array::strokes::StrokeOptions;

@@ -4,8 +4,9 @@
 //! It plays the strokes that the daemon would send without telemetry, on the mock's simulated motors. `lower_stop` in the tests of
 //! `meissner-stream` plays the first minute of it through streamer, link and controller.
 
+use crate::stop::edge::array;
 use crate::stop::grid::{StopCell, StopSurplus};
-use crate::stop::response::{array, contrasts, contrasts_of, edge};
+use crate::stop::response::{contrasts, contrasts_of, edge};
 use firmware_protocol::stroke::Direction;
 use firmware_protocol::tick::Tick;
 use meissner_array::pattern::Drive;
