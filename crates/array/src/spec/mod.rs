@@ -359,6 +359,13 @@ most_pulses = 2000
         assert!((motor.um_per_pulse * 85.0 - 11.5).abs() < 0.05);
     }
 
+    /// A board has the hash of its description. If this fails, boards that have been flashed refuse this host.
+    #[test]
+    fn the_hash_of_a_description_does_not_change() {
+        // FNV-1a of the numbers as text, by a few lines of Python.
+        assert_eq!(Array::paper().hash(), 0xee37_5a9f_832b_c958);
+    }
+
     #[test]
     fn a_hash_is_of_values_and_not_of_the_text() {
         let hash = |text: &str| ArraySpec::parse(text, "mine.toml").unwrap().hash();

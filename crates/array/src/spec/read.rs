@@ -142,10 +142,13 @@ impl Raw {
         }
         let rate = TickRate::new(tick_hz);
         let motor = motor.checked(rate).map_err(|error| error.within("motor"))?;
+        // Boards keep the hash. So it is of numbers in this order, and not of how the program's structures are called.
         let values = format!(
-            "{name} {positions_mm:?} {pin_radius_mm:?} {tick_hz} {duty:?} {:?} {:?} {motor:?}",
+            "{name} {positions_mm:?} {pin_radius_mm:?} {tick_hz} {:?} {:?} {:?} {}",
+            [duty.up, duty.down],
             rails.members(),
-            chips.members()
+            chips.members(),
+            motor.numbers()
         );
         let of = |groups: &Groups| (0..motors as u8).map(|motor| groups.of(motor) as u8).collect::<Vec<_>>();
         let thousandths = |share: f64| (1000.0 * share + 0.5) as u16;
@@ -308,6 +311,22 @@ impl RawMotor {
             transient_rest_ticks,
             transient_gain,
         })
+    }
+}
+
+impl MotorSpec {
+    /// All its numbers, in an order that never changes.
+    fn numbers(&self) -> String {
+        let Self { um_per_pulse, response, window_half_ticks, travel_um, .. } = *self;
+        let Self { least_pulses, most_pulses, seek_pulses, transient_rest_ticks, transient_gain, .. } = *self;
+        let lag = match response {
+            Response::Average => None,
+            Response::Lag { omega, damping } => Some([omega, damping]),
+        };
+        let pulses = [least_pulses, most_pulses, seek_pulses];
+        format!(
+            "{um_per_pulse:?} {lag:?} {window_half_ticks} {travel_um:?} {pulses:?} {transient_rest_ticks} {transient_gain:?}"
+        )
     }
 }
 
