@@ -71,6 +71,8 @@ pub struct TargetDetails {
 pub struct TargetFile {
     /// The target's name: a-z, 0-9 and `-`, at most 64 characters.
     pub name: String,
+    /// The name of the array that it is for; without it the paper's.
+    pub array: Option<String>,
     /// `segment`, `polyline`, `disc`, `dots`, `braille` or `grating`.
     pub shape: String,
     /// Of a segment its 2 ends, of a polyline 2 to 64 points, of dots 1 to 64: places on the pad, mm.
