@@ -55,7 +55,8 @@ impl Parts {
     /// A share of a half pulse, rounded to whole parts.
     #[inline]
     pub(crate) fn round(self, share: f64) -> f64 {
-        (share * self.number).round() * self.one
+        // Drives are at full speed, and rounding is slow.
+        if share.abs() == 1.0 { share } else { (share * self.number).round() * self.one }
     }
 }
 
