@@ -6,8 +6,8 @@
 //! D is counted in half pulses and time in half ticks. So for strokes every D is a whole number, and at rest it is exactly 0. If
 //! bursts differ in their travel, D is counted in [`Parts`] of a half pulse of the motor's fastest burst.
 //!
-//! This module and [`velocity_per_d`] alone know that a shaft follows its pulses as their mean over a window W. One that follows them
-//! otherwise has no breakpoints: `lagging` samples its displacement, in the same units.
+//! That a shaft follows its pulses as their mean over a window is known here alone; `cycle`, `blocks` and `choose` know how long a
+//! pulse has an effect. A shaft that follows them otherwise has no breakpoints: `lagging` samples its displacement, in the same units.
 //!
 //! Invariant: a motor's breakpoints are in order of time.
 

@@ -72,8 +72,8 @@ pub enum RampsError {
 }
 
 impl Ramps {
-    /// Takes ramps with their motors of an array, each motor's in order of time. Ticks count from the beginning of the scene. A ramp may go up
-    /// or down, even against the direction of its pulses. Each takes 24 bytes.
+    /// Takes ramps with their motors of an array, each motor's in order of time. Ticks count from the beginning of the scene. A ramp
+    /// may go up or down, even against the direction of its pulses. Each takes 24 bytes.
     ///
     /// # Errors
     /// The first ramp that no motor can have made.

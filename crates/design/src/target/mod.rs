@@ -1,8 +1,9 @@
 //! Targets: a shape on the skin, its motion, and the population of afferents for which a pattern is made.
 //!
 //! [`Target::read`] reads and checks a TOML file. It gives a shape, the reach within which afferents should fire, the
-//! amplitude of all motors, a population and its afferent model, and perhaps a motion and an array. Without one it is for the paper's. A motion is cut into frames in
-//! which the shape stands still; the file gives the shape as it is in the middle of the motion.
+//! amplitude of all motors, a population and its afferent model, and perhaps a motion. A motion is cut into frames in
+//! which the shape stands still; the file gives the shape as it is in the middle of the motion. A target is for an array; a file that
+//! names none is for the paper's.
 //!
 //! The modules: `limits` and `error`; `motion` makes [`Frame`]s; `checked` is the [`Target`], `warnings` its doubtful
 //! details; `file` reads and writes it.

@@ -1,8 +1,8 @@
 //! Computes the loads of flat round pins from their indentations of the skin, an elastic half space (Sneddon 1946).
 //!
-//! The loads P of the pins give the profile D·P of the skin under them, with D from [`FlatPins::flexibility`]. A pin can only press: a pin
-//! whose load would pull the skin has lost contact. Its load is 0, and the other pins carry the rest. So the loads follow from the
-//! indentations alone, sample by sample. While all pins touch, one matrix gives them.
+//! The loads P of the pins give the profile D·P of the skin under them, with D from [`FlatPins::flexibility`]. A pin can only press:
+//! a pin whose load would pull the skin has lost contact. Its load is 0, and the other pins carry the rest. So the loads follow from
+//! the indentations alone, sample by sample. While all pins touch, one matrix gives them.
 //!
 //! Invariant: no load is negative.
 

@@ -5,10 +5,10 @@
 //! neighbours or on the number of lanes of the processor. A lane that might reach its threshold within a segment leaves the vector
 //! for [`Neuron`](crate::membrane::neuron::Neuron).
 //!
-//! Weights are rounded to whole numbers of 37 bits (fewer for many motors with a long window), and so are their products with the slope change of a breakpoint. (A slope
-//! change is 1 or -1, or a share of that if bursts differ in their travel.) So every slope and every sum of inputs is a whole
-//! number below 2⁵³: exact in `f64` in any order, and 0 at rest. The rounding error is smaller than the error of ignoring weights
-//! below 10⁻¹⁰.
+//! Weights are rounded to whole numbers of 37 bits, or fewer for many motors with a long window. So are their products with the
+//! slope change of a breakpoint. (A slope change is 1 or -1, or a share of that if bursts differ in their travel.) So every slope
+//! and every sum of inputs is a whole number of at most 2⁵³: exact in `f64` in any order, and 0 at rest. The rounding error of 37
+//! bits is smaller than the error of ignoring weights below 10⁻¹⁰.
 //!
 //! Invariant: the lanes' arithmetic is the same at every vector width.
 
