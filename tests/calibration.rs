@@ -184,9 +184,19 @@ fn a_laser_calibrates_a_device_without_telemetry() {
 }
 
 #[test]
-fn an_invalid_plan_is_refused_before_the_daemon_is_asked() {
-    let line = complaint(meissner().args(["calibrate", "--pulses", "14"]));
-    assert!(line.contains("name two numbers of pulses or more"), "{line}");
+fn an_invalid_plan_is_refused_before_anything_plays() {
+    let daemon = Daemon::start();
+    daemon.armed();
+    for (arguments, says) in [
+        ("calibrate --pulses 14", "name two numbers of pulses or more"),
+        ("calibrate --plan --motor 24", "motor 24: must be 0 to 23"),
+        ("calibrate --plan --motor 2 --repetitions 0", "0 repetitions: must be 1 to"),
+    ] {
+        let line = complaint(daemon.meissner().args(arguments.split(' ')));
+        assert!(line.contains(says), "{line}");
+    }
+    assert_eq!(problem(daemon.client().get("/v1/plays/last")).code, "not-found");
+    // No daemon answers here.
     let line = complaint(meissner().args(["calibrate", "-o", "/nonexistent/c.toml"]));
     assert!(line.contains("/nonexistent/c.toml"), "{line}");
 }

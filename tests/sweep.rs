@@ -269,7 +269,7 @@ fn plans_that_cannot_run_are_refused_in_one_line() {
         ),
         (
             "command = \"optimise\"\n[grid]\ntarget = []\n",
-            "`grid.target`: has no value, so the sweep has no cell",
+            "`grid.target` has no value, so the sweep has no cell",
         ),
         ("command = \"optimise\"\n[grid]\ntarget = [\"dot\", \"dot\"]\n", "`grid.target` is `dot` twice"),
         ("command = \"optimise\"\n[grid]\ntarget = \"dto\"\n", "no target is called so: did you mean `dot`?"),

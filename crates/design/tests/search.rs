@@ -465,10 +465,6 @@ fn on_every_shipped_array_a_search_finds_an_edge() {
         assert!(value(on.point) > value(rule), "{array:?}: {on:?}");
         let drives = on.point.drives(target.amplitude_um(), None, None);
         assert!(!drives.is_empty() && drives.iter().all(|drive| array.has(drive.motor)), "{array:?}");
-        // The controller's protocol has room for no more motors yet, so no strokes can be compiled.
-        if array.motors() > MOTORS {
-            continue;
-        }
         // The whole of what `optimise` does, under both models.
         let request = Request { budget: Budget::Evaluations(vec![40]), ..Request::default() };
         let made = make(&target, "made", &request, &mut |_| ControlFlow::Continue(())).unwrap();

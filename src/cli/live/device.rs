@@ -15,7 +15,10 @@ use std::path::{Path, PathBuf};
 /// Where the system has its input devices.
 const DEVICES: &str = "/dev/input";
 
-/// An open input device.
+/// An open device and its file.
+pub(super) type Opened = (PathBuf, Device);
+
+/// An input device that is followed.
 #[derive(Debug)]
 pub(super) struct Input {
     path: PathBuf,
@@ -24,8 +27,8 @@ pub(super) struct Input {
 }
 
 impl Input {
-    /// The first mouse.
-    pub(super) fn mouse(mm_per_count: f64, most_mm: [f64; 2]) -> Result<Self> {
+    /// Opens the first mouse.
+    pub(super) fn mouse() -> Result<Opened> {
         let is_mouse = |device: &Device| {
             device.supported_relative_axes().is_some_and(|axes| {
                 axes.contains(RelativeAxisCode::REL_X) && axes.contains(RelativeAxisCode::REL_Y)
@@ -34,12 +37,11 @@ impl Input {
         let mice = evdev::enumerate().filter(|(_, device)| is_mouse(device));
         // The system lists them in no order; sort so that `event10` comes after `event9`.
         let first = mice.min_by_key(|(path, _)| (path.as_os_str().len(), path.clone()));
-        let (path, device) = first.ok_or_else(|| no_mouse(Path::new(DEVICES)))?;
-        Self::of(path, device, mm_per_count, most_mm)
+        first.ok_or_else(|| no_mouse(Path::new(DEVICES)))
     }
 
-    /// The device at `path`.
-    pub(super) fn open(path: &Path, mm_per_count: f64, most_mm: [f64; 2]) -> Result<Self> {
+    /// Opens the device at `path`.
+    pub(super) fn open(path: &Path) -> Result<Opened> {
         let device = Device::open(path).map_err(|error| match error.kind() {
             io::ErrorKind::PermissionDenied => anyhow!("{}: you may not read it: {}", path.display(), join()),
             _ => anyhow!(
@@ -47,10 +49,11 @@ impl Input {
                 path.display()
             ),
         })?;
-        Self::of(path.to_owned(), device, mm_per_count, most_mm)
+        Ok((path.to_owned(), device))
     }
 
-    fn of(path: PathBuf, device: Device, mm_per_count: f64, most_mm: [f64; 2]) -> Result<Self> {
+    /// Follows an open device; poses stay within `most_mm` of the middle, along x and y.
+    pub(super) fn new((path, device): Opened, mm_per_count: f64, most_mm: [f64; 2]) -> Result<Self> {
         let has = |axis| device.supported_relative_axes().is_some_and(|axes| axes.contains(axis));
         let followed = [
             RelativeAxisCode::REL_X,
@@ -154,7 +157,7 @@ mod tests {
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("event0");
         fs::write(&path, "").unwrap();
-        let line = Input::open(&path, 0.02, [1.0; 2]).unwrap_err().to_string();
+        let line = Input::open(&path).unwrap_err().to_string();
         assert!(
             line.starts_with(&format!("{}: cannot be opened as an input device (", path.display())),
             "{line}"

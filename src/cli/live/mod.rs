@@ -20,7 +20,7 @@ use crate::receipts::end_text;
 use anyhow::{Result, anyhow};
 use clap::Args;
 use clap::error::ErrorKind;
-use device::Input;
+use device::{Input, Opened};
 use following::{End, Following, Source};
 use lines::Lines;
 use meissner_api::{
@@ -132,23 +132,25 @@ impl Live {
         Ok(LiveRequest::parse(&serde_json::to_vec(&request)?)?)
     }
 
-    fn source(&self, array: &ArrayDetails) -> Result<Source> {
+    /// Opens the input device, if it is to follow one.
+    fn device(&self) -> Result<Option<Opened>> {
         if self.target.is_none() && self.follow != Follow::Stdin {
             let message =
                 "name a TARGET: an input device moves a shape. Only the lines of stdin can give drives\n";
             return Err(clap::Error::raw(ErrorKind::MissingRequiredArgument, message).into());
         }
+        match &self.follow {
+            Follow::Stdin => Ok(None),
+            Follow::Mouse => Input::mouse().map(Some),
+            Follow::Device(path) => Input::open(path).map(Some),
+        }
+    }
+
+    fn source(&self, device: Option<Opened>, array: &ArrayDetails) -> Result<Source> {
+        let Some(device) = device else { return Ok(Source::Lines(Lines::stdin(self.target.is_some())?)) };
         // To the outermost pins.
-        let most_mm = || {
-            let most =
-                |axis: usize| array.positions_mm.iter().map(|place| place[axis].abs()).fold(0.0, f64::max);
-            [most(0), most(1)]
-        };
-        Ok(match &self.follow {
-            Follow::Stdin => Source::Lines(Lines::stdin(self.target.is_some())?),
-            Follow::Mouse => Source::Input(Input::mouse(self.mm_per_count, most_mm())?.into()),
-            Follow::Device(path) => Source::Input(Input::open(path, self.mm_per_count, most_mm())?.into()),
-        })
+        let most = |axis: usize| array.positions_mm.iter().map(|place| place[axis].abs()).fold(0.0, f64::max);
+        Ok(Source::Input(Input::new(device, self.mm_per_count, [most(0), most(1)])?.into()))
     }
 
     fn timeout_ms(&self) -> f64 {
@@ -169,11 +171,12 @@ fn target(argument: &str) -> Result<Value> {
 
 pub(super) fn run(asked: &Live) -> Result<ExitCode> {
     let mut request = asked.request()?;
+    let device = asked.device()?;
     let signals = Signals::listen()?;
     let mut client = asked.options.client()?;
     // Fail before waiting for the source's first line if there is no daemon.
     let array: ArrayDetails = client.get("/v1/array")?;
-    let mut source = asked.source(&array)?;
+    let mut source = asked.source(device, &array)?;
     let first = match source.first(&signals)? {
         Ok(first) => first,
         Err(signal) => return Ok(exit_code(signal)),
