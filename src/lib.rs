@@ -43,7 +43,7 @@
 //! # Modules
 //!
 //! `docs/explanation/architecture.md` says which file to open for which change.
-//! The modules of this crate: [`log`](mod@log), `file`, [`array`], [`exposure`], [`session_record`],
+//! The modules of this crate: [`log`](mod@log), `file`, [`mod@array`], [`exposure`], [`session_record`],
 //! [`receipts`], [`store`], [`search`], [`config`], `doctor`, [`daemon`], [`cli`]. Tests run streamer, link,
 //! controller and simulated motors in virtual time ([`meissner_stream::Simulation`]): the same code without a clock.
 //!
