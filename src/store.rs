@@ -92,7 +92,8 @@ pub enum StoreError {
     /// A pattern for another array.
     #[error(
         "{} is for the array {}, and this one is {}: `--map nearest`, or `\"map\": \"nearest\"`, plays it by the pins' positions; \
-         `meissner optimise --array {}` makes one for this array", quote(.name), .its, .this, .this
+         `meissner optimise --array ARRAY` makes one for this array: ARRAY is its name, or the file of its description if it is \
+         not shipped", quote(.name), .its, .this
     )]
     OtherArray {
         /// Its name.

@@ -1,12 +1,16 @@
-//! The numbers of the paper's array are in its description and in tests, and nowhere else.
+//! The numbers of the paper's array are in its description and in tests, and nowhere else. Doc comments with them name the paper.
 
 use std::collections::BTreeSet;
+use std::ffi::OsStr;
 use std::fs;
 use std::path::{Path, PathBuf};
 
 /// Motors, their highest number, pitch in mm, carrier, window in ms and in half ticks, speed in mm/s.
 const NUMBERS: [&str; 10] =
     ["24", "23", "2.9", "85000", "85000.0", "4.3", "731", "11.5", "170000", "170000.0"];
+
+/// Those with a unit, as a doc comment has them.
+const IN_WORDS: [&str; 4] = ["2.9 mm", "4.3 ms", "85 000", "11.5 mm/s"];
 
 /// The same digits with another meaning, by file and number.
 const OTHERS: &[(&str, &str, &str)] = &[
@@ -23,7 +27,7 @@ const OTHERS: &[(&str, &str, &str)] = &[
     ),
     ("crates/api/src/receipt.rs", "11.5", "bytes per burst in the example"),
     ("crates/api/src/receipt.rs", "24", "drives and strokes that a receipt lists"),
-    ("crates/design/src/render/climb.rs", "24", "rounds of a climb"),
+    ("crates/design/src/render/climb.rs", "24", "points of a batch"),
     ("crates/api/src/live.rs", "24", "the length of the finger's pad, mm"),
     ("crates/design/src/render/mod.rs", "24", "steps of a search"),
     ("crates/design/src/search.rs", "24", "candidates that are confirmed"),
@@ -48,28 +52,24 @@ const OTHERS: &[(&str, &str, &str)] = &[
     ("src/cli/discriminate.rs", "24", "trials"),
     ("src/daemon/engine/estop.rs", "24", "a bit of an address"),
     ("src/exposure/random.rs", "24", "hours of a day"),
+    ("src/daemon/page/assets/index.html", "24", "the length of the finger's pad, mm"),
     ("src/daemon/page/assets/finger.js", "24", "the edge of the drawing"),
     ("python/src/meissner/_live.py", "24", "messages without an answer"),
     ("python/src/meissner/arrays.py", "85000", "records and daemons from before arrays had names"),
     ("python/src/meissner/arrays.py", "2.9", "as above"),
+    ("python/matlab/Meissner.m", "85000", "receipts from before arrays had names"),
 ];
 
 #[test]
 fn the_papers_numbers_are_in_its_description_only() {
-    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
     let mut found = BTreeSet::new();
-    let mut files = Vec::new();
-    for folder in ["src", "crates", "firmware-protocol/src", "firmware/src", "python/src"] {
-        list(&root.join(folder), &mut files);
-    }
-    assert!(files.len() > 400, "{}", files.len());
-    for file in files {
-        let name = file.strip_prefix(root).unwrap().to_string_lossy().into_owned();
-        if name.contains("/tests/") || name.ends_with("/tests.rs") || name.ends_with("test.js") {
-            continue;
-        }
-        let text = fs::read_to_string(&file).unwrap();
-        let comment = if name.ends_with(".py") { "#" } else { "//" };
+    for (name, text) in sources() {
+        let comment = match Path::new(&name).extension().and_then(OsStr::to_str) {
+            Some("py") => "#",
+            Some("m") => "%",
+            Some("html") => "<!--",
+            _ => "//",
+        };
         for (line, number) in product(&text).lines().zip(1..) {
             let code = line.split(comment).next().unwrap_or_default();
             for literal in literals(code).filter(|literal| NUMBERS.contains(&literal.as_str())) {
@@ -89,6 +89,43 @@ fn the_papers_numbers_are_in_its_description_only() {
     }
 }
 
+#[test]
+fn a_doc_comment_with_a_number_of_the_papers_array_names_the_paper() {
+    for (name, text) in sources() {
+        let lines: Vec<&str> = product(&text).lines().collect();
+        for (at, line) in lines.iter().enumerate() {
+            let is_doc = ["///", "//!"].iter().any(|mark| line.trim_start().starts_with(mark));
+            let near = &lines[at.saturating_sub(1)..lines.len().min(at + 2)];
+            let has_number = IN_WORDS.iter().any(|number| line.contains(number));
+            assert!(
+                !is_doc || !has_number || near.iter().any(|line| line.contains("paper")),
+                "{name}:{}: say whose number this is: {line}",
+                at + 1
+            );
+        }
+    }
+}
+
+/// The names and texts of the source files, without tests.
+fn sources() -> Vec<(String, String)> {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let mut files = Vec::new();
+    for folder in ["src", "crates", "firmware-protocol/src", "firmware/src", "python/src", "python/matlab"] {
+        list(&root.join(folder), &mut files);
+    }
+    assert!(files.len() > 400, "{}", files.len());
+    let named = files.into_iter().map(|file| {
+        let name = file.strip_prefix(root).unwrap().to_string_lossy().into_owned();
+        (name, file)
+    });
+    let is_test =
+        |name: &str| name.contains("/tests/") || name.ends_with("/tests.rs") || name.ends_with("test.js");
+    named
+        .filter(|(name, _)| !is_test(name))
+        .map(|(name, file)| (name, fs::read_to_string(file).unwrap()))
+        .collect()
+}
+
 /// The source files of a folder.
 fn list(folder: &Path, files: &mut Vec<PathBuf>) {
     for entry in fs::read_dir(folder).unwrap() {
@@ -97,7 +134,7 @@ fn list(folder: &Path, files: &mut Vec<PathBuf>) {
             list(&path, files);
         } else if path
             .extension()
-            .is_some_and(|extension| ["rs", "js", "py"].iter().any(|kind| extension == *kind))
+            .is_some_and(|extension| ["rs", "js", "py", "html", "m"].iter().any(|kind| extension == *kind))
         {
             files.push(path);
         }

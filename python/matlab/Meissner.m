@@ -160,7 +160,8 @@ classdef Meissner < handle
 
     function play = play(self, pattern, varargin)
       % Queue a play. Options: seconds, at, scale, trigger (a code, or false), trial, labels (a struct), late, fit, map, replace,
-      % endless, open_loop. 'map', 'nearest' plays a pattern for another array by the pins' positions. 'at' is a time of now(), or an instant such as m.later(receipt.onset, 1.5), which is exact to the tick.
+      % endless, open_loop. 'map', 'nearest' plays a pattern for another array by the pins' positions. 'at' is a time of
+      % now(), or an instant such as m.later(receipt.onset, 1.5), which is exact to the tick.
       names = {'seconds', 'at', 'scale', 'trigger', 'trial', 'labels', 'late', 'fit', 'map', 'replace', 'endless', 'open_loop'};
       body = Meissner.options(names, varargin);
       body.pattern = pattern;

@@ -134,10 +134,10 @@ pub(super) fn positive(text: &str) -> Result<f64, &'static str> {
     number.ok_or("must be a number, 0 or more")
 }
 
-/// The array of a command that needs no daemon. Patterns and targets that name it can be read then.
+/// The array of a command whose pattern, scene or target can name it.
 #[derive(Debug, Args)]
 pub(super) struct ArrayOption {
-    /// Use the array ARRAY: a name, or the file of a description [default: what the pattern or target names, else tula35-6x4]
+    /// Use the array ARRAY: a name, or the file of a description [default: that of the pattern, scene or target, else tula35-6x4]
     #[arg(long, value_name = "ARRAY")]
     array: Option<String>,
 }
@@ -146,6 +146,21 @@ impl ArrayOption {
     /// The array, if the command line names one. From now on its name is known.
     pub(super) fn find(&self) -> Result<Option<Array>> {
         self.array.as_deref().map(array).transpose()
+    }
+}
+
+/// The array of a command that takes the paper's if the command line names none.
+#[derive(Debug, Args)]
+pub(super) struct PaperArrayOption {
+    /// Use the array ARRAY: a name, or the file of a description [default: tula35-6x4]
+    #[arg(long, value_name = "ARRAY")]
+    array: Option<String>,
+}
+
+impl PaperArrayOption {
+    /// The array. From now on its name is known.
+    pub(super) fn find(&self) -> Result<Array> {
+        Ok(self.array.as_deref().map(array).transpose()?.unwrap_or_default())
     }
 }
 

@@ -48,7 +48,7 @@ use crate::config::Source;
 use crate::daemon::{self, Daemon, DaemonError, Exit, Signals};
 use crate::{log, search};
 use anyhow::{Result, anyhow};
-use arguments::{ArrayOption, ClientOptions, Output, hours, measured, positive};
+use arguments::{ClientOptions, Output, PaperArrayOption, hours, measured, positive};
 use clap::{CommandFactory, Parser, Subcommand};
 use meissner_api::ArmRequest;
 use meissner_stream::device::Spec;
@@ -79,7 +79,7 @@ enum Command {
         #[arg(long, value_name = "S", default_value_t = 5.0, allow_negative_numbers = true, value_parser = positive)]
         seconds: f64,
         #[command(flatten)]
-        array: ArrayOption,
+        array: PaperArrayOption,
         /// Play without corrections from telemetry
         #[arg(long)]
         open_loop: bool,
@@ -209,7 +209,7 @@ enum Command {
     /// Compute the steady state of a drive by the motor model, and its daily exposure
     Motor {
         #[command(flatten)]
-        array: ArrayOption,
+        array: PaperArrayOption,
         /// Drive with F Hz
         #[arg(long, value_name = "F", allow_negative_numbers = true)]
         frequency_hz: f64,
@@ -254,7 +254,7 @@ enum Command {
         #[arg(long, value_name = "DEVICE")]
         device: Option<Spec>,
         #[command(flatten)]
-        array: ArrayOption,
+        array: PaperArrayOption,
         /// Have the board test itself: lines, waveform, memory, speed. The drivers stay off
         #[arg(long)]
         board: bool,
@@ -300,7 +300,7 @@ pub fn main() -> ExitCode {
 fn run(command: Command) -> Result<ExitCode> {
     match command {
         Command::Demo { seconds, array, open_loop, sensorless, output } => {
-            demo::run(seconds, array.find()?.unwrap_or_default(), open_loop, sensorless, output.json)
+            demo::run(seconds, array.find()?, open_loop, sensorless, output.json)
         }
         Command::Daemon { config, check_config: check, device, array, socket, listen, no_record } => {
             let array = array.as_deref().map(arguments::array).transpose()?;
@@ -329,7 +329,7 @@ fn run(command: Command) -> Result<ExitCode> {
         Command::Session(asked) => session::run(&asked),
         Command::Token(asked) => token::run(&asked),
         Command::Motor { array, frequency_hz, amplitude_um, hours, output } => {
-            library::motor(array.find()?.unwrap_or_default(), frequency_hz, amplitude_um, hours, output.json)
+            library::motor(array.find()?, frequency_hz, amplitude_um, hours, output.json)
         }
         Command::Array(asked) => array::run(asked),
         Command::Displacement(asked) => displacement::run(&asked),
@@ -341,13 +341,9 @@ fn run(command: Command) -> Result<ExitCode> {
         Command::Validate(asked) => validate::run(&asked),
         Command::Manual { folder } => manual::manual(&folder).map(|()| ExitCode::SUCCESS),
         Command::Report(asked) => report::run(&asked),
-        Command::Doctor { device, array, board, seconds, options } => doctor::run(
-            device,
-            array.find()?.unwrap_or_default(),
-            board,
-            Duration::from_secs_f64(seconds),
-            &options,
-        ),
+        Command::Doctor { device, array, board, seconds, options } => {
+            doctor::run(device, array.find()?, board, Duration::from_secs_f64(seconds), &options)
+        }
     }
 }
 

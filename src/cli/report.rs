@@ -5,7 +5,7 @@
 //!
 //! Invariant: no two patterns of a report have the same name.
 
-use super::arguments::{ArrayOption, Output};
+use super::arguments::{Output, PaperArrayOption};
 use super::output::give;
 use super::{files, library, progress, text};
 use crate::store::Store;
@@ -28,7 +28,7 @@ pub(super) struct Report {
     #[arg(long, value_name = "DIR", default_value = "report")]
     out: PathBuf,
     #[command(flatten)]
-    array: ArrayOption,
+    array: PaperArrayOption,
     #[command(flatten)]
     output: Output,
 }
@@ -45,7 +45,7 @@ struct Document<'a> {
 
 #[expect(clippy::result_large_err, reason = "an error ends the program")]
 pub(super) fn run(asked: &Report) -> Result<ExitCode> {
-    let array = asked.array.find()?.unwrap_or_default();
+    let array = asked.array.find()?;
     let subjects = subjects(&asked.patterns)?;
     files::directory(&asked.out)?;
     let page = files::beside(&asked.out.join(INDEX))?;

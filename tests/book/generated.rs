@@ -39,17 +39,26 @@ fn row(arg: &Arg) -> String {
     format!("| `{}` | {} |\n", name.replace('|', "\\|"), meaning.replace('|', "\\|"))
 }
 
-fn section(command: &mut Command, page: &mut String) {
+/// A command's section, with a heading of this level.
+fn section(command: &mut Command, level: usize, page: &mut String) {
     let usage = one_line(command.render_usage()).replacen("Usage: ", "", 1);
     let about = command.get_about().map(one_line).unwrap_or_default();
     let name = command.get_bin_name().unwrap_or(command.get_name());
-    let _ = writeln!(page, "\n## {name}\n\n{about}.\n\n```text\n{usage}\n```");
+    let _ = writeln!(page, "\n{} {name}\n\n{about}.\n\n```text\n{usage}\n```", "#".repeat(level));
     let is_shown = |arg: &&Arg| !arg.is_hide_set() && !["help", "version"].contains(&arg.get_id().as_str());
     let mut rows: Vec<&Arg> = command.get_positionals().filter(is_shown).collect();
     rows.extend(command.get_arguments().filter(|arg| !arg.is_positional()).filter(is_shown));
     if !rows.is_empty() {
         let _ = writeln!(page, "\n| argument | meaning |\n|---|---|");
         page.extend(rows.into_iter().map(row));
+    }
+}
+
+/// The sections of a command's subcommands, and of theirs.
+fn sections(command: &mut Command, level: usize, page: &mut String) {
+    for below in command.get_subcommands_mut().filter(|below| !below.is_hide_set()) {
+        section(below, level, page);
+        sections(below, level + 1, page);
     }
 }
 
@@ -62,9 +71,7 @@ fn commands() -> String {
         line that cannot be\nunderstood exits with 2; Ctrl-C ends a command that\nwaits for a play, `live`, `session \
         replay` and `optimise` with 130; but for `optimise`, SIGTERM ends them with 143 and SIGHUP with 129.\n"
         .to_owned();
-    for below in command.get_subcommands_mut().filter(|below| !below.is_hide_set()) {
-        section(below, &mut page);
-    }
+    sections(&mut command, 2, &mut page);
     page
 }
 

@@ -56,8 +56,8 @@ pub struct ReachedDrive {
     /// Amplitude as ordered, peak to peak, µm.
     #[schema(minimum = 0.0)]
     pub ordered_um: f64,
-    /// Amplitude that an ideal motor reaches in the steady state, peak to peak, µm: in whole pulses, as many as fit, smoothed by
-    /// the motor over 4.3 ms. 0: the drive gives no stroke.
+    /// Amplitude that an ideal motor reaches in the steady state, peak to peak, µm: in whole pulses, as many as fit, which
+    /// the motor follows as the array's description says. 0: the drive gives no stroke.
     #[schema(minimum = 0.0)]
     pub reached_um: f64,
     /// By how much its down bursts are longer than its up bursts, µm; a lower stop takes that.
@@ -72,7 +72,7 @@ pub struct ReachedDrive {
 /// capacitance.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct RailLoad {
-    /// The rail's number; motors 6 × rail to 6 × rail + 5.
+    /// The rail's number, from 0: its place in `rails` of the array.
     #[schema(minimum = 0, maximum = 3)]
     pub rail: u8,
     /// Most motors that have pulses at once.

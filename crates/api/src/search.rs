@@ -233,7 +233,7 @@ pub struct SearchResult {
     /// The value for all pins within the target's reach of the shape at 60 Hz, in phase.
     #[schema(minimum = -1e9)]
     pub value_naive_reach: f64,
-    /// The value for all pins within one pitch of the shape, 2.9 mm, at 60 Hz, in phase.
+    /// The value for all pins at most one pin pitch of the array from the shape, at 60 Hz, in phase.
     #[schema(minimum = -1e9)]
     pub value_naive_pitch: f64,
     /// Pulses per second that it asks of the drivers.
@@ -261,7 +261,7 @@ pub struct SearchVerdicts {
     pub found: SearchVerdict,
     /// All pins within the target's reach of the shape at 60 Hz, in phase.
     pub naive_reach: SearchVerdict,
-    /// All pins within one pitch of the shape, 2.9 mm, at 60 Hz, in phase.
+    /// All pins at most one pin pitch of the array from the shape, at 60 Hz, in phase.
     pub naive_pitch: SearchVerdict,
 }
 

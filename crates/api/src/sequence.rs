@@ -224,7 +224,7 @@ impl ItemState {
 /// A device tick, and when it came on the host's clock.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 pub struct InstantRecord {
-    /// The tick, ticks.
+    /// The tick of the device's clock.
     pub tick: u64,
     /// The same instant on the host's `CLOCK_MONOTONIC`, ns.
     pub monotonic_ns: u64,

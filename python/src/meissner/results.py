@@ -87,7 +87,7 @@ class Receipt:
     array: str
     """The name of the array that was driven."""
     tick_hz: int
-    """Ticks of its device a second."""
+    """Ticks per second of its device's clock."""
     mapped_from: str | None
     """The name of the array that the pattern is for, if the play mapped it by position."""
     raw: dict[str, Any] = field(repr=False)

@@ -34,7 +34,8 @@ static PAPER: LazyLock<Array> = LazyLock::new(|| KNOWN.read().unwrap_or_else(Poi
 /// No description has this name.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error(
-    "no array is called {name}: known are {known}; give the file of another one as `array` in the configuration or with --array"
+    "no array is called {name}: known are {known}; give the file of another one with --array, or as `description` in the table \
+     `[array]` of the configuration"
 )]
 pub struct UnknownArray {
     /// The name, quoted.

@@ -2,7 +2,7 @@
 //!
 //! The paper remarks that the amplitude does not matter much. The rate against the amplitude, for some frequencies, shows where
 //! that is true. The rate against the frequency, for two amplitudes, shows where afferents fire most. Rates are means over
-//! afferents that differ in their threshold noise, simulated exactly.
+//! afferents that differ in their threshold noise, simulated by the finest method for the motors: exactly, or in steps if they lag.
 //!
 //! Invariant: the numbers in the text follow from the numbers that are drawn.
 
@@ -118,8 +118,8 @@ pub(super) fn section(
 
     let mut section = Section::new("rate", &title(array, "Rate of an afferent under a pin", ""));
     let what = format!(
-        "Mean of {AFFERENTS} afferents under the pin of motor {motor}, simulated exactly for {} s (noise seed {SEED}, SD \
-         {POPULATION_NOISE_SD} of the threshold, indentation only), all other motors off.",
+        "Mean of {AFFERENTS} afferents under the pin of motor {motor}, simulated for {} s by the finest method for these \
+         motors (noise seed {SEED}, SD {POPULATION_NOISE_SD} of the threshold, indentation only), all other motors off.",
         number(DURATION_S)
     );
     let caption = format!("Impulse rate against amplitude, for {} frequencies. {what}", FREQUENCIES_HZ.len());

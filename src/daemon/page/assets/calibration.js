@@ -1,8 +1,8 @@
 // The calibration: its origin, the measured points and fitted lines of each motor, and controls to measure again.
 //
-// The small plots are arranged like the motors in the array, if these stand in rows and columns. They show the measured travel divided by the motor model's, so a motor
-// like the model's lies at 1. The distance of a point from the line is the residual. The large plots show the chosen motor, and
-// also its travel.
+// The small plots are arranged like the motors in the array, if these stand in rows and columns. They show the measured travel
+// divided by the motor model's, so a motor like the model's lies at 1. The distance of a point from the line is the residual. The
+// large plots show the chosen motor, and also its travel.
 
 import { call, known, last, order, poll } from "./api.js";
 import { array, loadArray } from "./array.js";

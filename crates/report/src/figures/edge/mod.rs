@@ -248,7 +248,8 @@ fn about_rates(figures: &Edge) -> String {
         format!("mean rate of ON {on} impulses/s, of OFF {off}, AUC {auc}")
     };
     format!(
-        "Rates before and after on one colour scale, simulated exactly for {} s. Before: {}. After: {}.",
+        "Rates before and after on one colour scale, simulated for {} s by the finest method for these motors. Before: {}. \
+         After: {}.",
         number(Fidelity::FULL.duration_s),
         words(&figures.before),
         words(&figures.after),
@@ -264,7 +265,7 @@ fn about_cost(array: Array, figures: &Edge) -> String {
     };
     format!(
         "Contrast of the best point so far against evaluations: mean rate of ON minus mean rate of OFF. It goes from {} to \
-         {} impulses/s in {} evaluations, each simulated exactly for {} s.{marked}",
+         {} impulses/s in {} evaluations, each simulated for {} s by the finest method.{marked}",
         number(figures.before.cost_hz),
         number(figures.after.cost_hz),
         figures.evaluations,
