@@ -105,15 +105,27 @@ def test_a_pattern_that_is_found_is_for_the_array(tmp_path: Path) -> None:
         assert m.play(found.name, 0.1).wait().mapped_from is None
 
 
+def check_designs(m: meissner.Client, description: Path) -> None:
+    """Both clients search for the daemon's array, or for the one that is given."""
+
+    async def search() -> program.Design:
+        async with await meissner.connect_async(m.core.endpoint.name) as client:
+            return await client.design("edge-45", objective="off-rms", budget=20, name="awaited")
+
+    designs = [m.design("edge-45", objective="off-rms", budget=20, name="found"), asyncio.run(search())]
+    designs.append(m.design("edge-45", objective="off-rms", budget=20, name="given", array=description))
+    for found in designs:
+        assert f'array = "{m.array.name}"' in found.toml
+        assert m.play(found.name, 0.1).wait().array == m.array.name
+
+
 def test_an_array_that_the_program_does_not_ship(tmp_path: Path) -> None:
     description = tmp_path / "own.toml"
     description.write_text(OWN)
     with meissner.demo(config=f'[array]\ndescription = "{description}"\n') as m:
         assert (m.array.name, m.array.motors, m.array.tick_hz, m.array.grid) == ("own-3", 3, 60_000, None)
         check_a_session(m, tmp_path / "dataset", description)
-        found = m.design("edge-45", objective="off-rms", budget=20, array=description)
-        assert 'array = "own-3"' in found.toml
-        assert m.play(found.name, 0.1).wait().array == "own-3"
+        check_designs(m, description)
         session = m.sessions()[-1]["id"]
         export = m.export_bids(session, tmp_path / "without")
         assert export.displacement is None
@@ -151,6 +163,32 @@ def test_what_does_not_name_its_array_is_about_the_papers(daemon: meissner.Daemo
     assert known == arrays.of_record(old)
     grid = traces.Grid([known], TEXTS, zero_ns=0, rate_hz=1000.0)
     assert grid.pins == 24
+
+
+def test_an_export_refuses_the_description_of_another_array(m: meissner.Client, tmp_path: Path) -> None:
+    description = tmp_path / "own-3.toml"
+    description.write_text(OWN)
+    (known,) = bids.stimulus_rows([row(1, 1.0)])
+    line = (
+        "`array` is own-3, but the session has plays on tula35-6x4: "
+        "pass the description of tula35-6x4, or no `array` if the program ships it"
+    )
+    with pytest.raises(errors.ProgramError) as refused:
+        traces.Grid([known], TEXTS, zero_ns=0, rate_hz=1000.0, array=description)
+    assert str(refused.value) == line
+    with m.session("P08") as session:
+        m.play("pin-60", 0.1).wait()
+    export = m.export_bids(session.id, tmp_path / "dataset", array=description)
+    assert export.displacement is None
+    assert f"no displacement of the pins: {line}" in export.left_out
+    assert m.export_bids(session.id, tmp_path / "dataset", array="tula35-6x4").displacement is not None
+
+
+def test_a_design_needs_no_description_from_an_older_daemon(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: dict[str, object] = {}
+    monkeypatch.setattr(program, "design", lambda target, **options: asked.update(options))
+    program.design_for(Array.paper(), "dot", {"budget": 1})
+    assert asked == {"array": "tula35-6x4", "budget": 1}
 
 
 def test_an_older_daemon_drives_the_papers_array(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -4,9 +4,10 @@ use super::arguments::{Output, array};
 use super::output::give;
 use super::text;
 use crate::array::details;
-use anyhow::{Context, Result, bail};
+use anyhow::{Context, Result, anyhow, bail};
 use clap::{Args, Subcommand};
-use meissner_array::spec::{ArraySpec, NewArray};
+use meissner_array::motor::Response;
+use meissner_array::spec::{Array as Known, ArraySpec, NewArray};
 use std::fs::OpenOptions;
 use std::io::Write;
 use std::path::PathBuf;
@@ -62,7 +63,8 @@ fn new(asked: New) -> Result<ExitCode> {
     let New { rows, columns, pitch_mm, tick_hz, name, file } = asked;
     let name = name.unwrap_or_else(|| format!("array-{rows}x{columns}"));
     let text = NewArray { name: name.clone(), rows, columns, pitch_mm, tick_hz }.to_toml();
-    let array = ArraySpec::parse(&text, &name)?;
+    let spec = ArraySpec::parse(&text, &name)?;
+    let array = Known::known(spec).map_err(|problem| anyhow!("--name {problem}"))?;
     let file = file.unwrap_or_else(|| PathBuf::from(format!("{name}.toml")));
     let shown_file = file.display();
     let mut to = match OpenOptions::new().write(true).create_new(true).open(&file) {
@@ -84,6 +86,10 @@ fn shown(array: &ArraySpec) -> String {
     let motor = array.motor();
     let speed_mm_s = motor.um_per_pulse * f64::from(array.rate().hz()) / 1000.0;
     let window_ms = array.rate().ticks_to_ms(1) * motor.window_ticks();
+    let follows = match motor.response {
+        Response::Average => "average over",
+        Response::Lag { .. } => "a lag that settles in",
+    };
     let facts = text::pairs(&[
         ("array", format!("{}, {} pins, {} mm apart", array.name(), array.motors(), array.pitch_mm())),
         (
@@ -98,7 +104,7 @@ fn shown(array: &ArraySpec) -> String {
         (
             "motors",
             format!(
-                "{:.4} um per pulse, {speed_mm_s:.1} mm/s, average over {window_ms:.1} ms, amplitudes up to {} um",
+                "{:.4} um per pulse, {speed_mm_s:.1} mm/s, {follows} {window_ms:.1} ms, amplitudes up to {} um",
                 motor.um_per_pulse, motor.travel_um
             ),
         ),
@@ -118,14 +124,24 @@ fn shown(array: &ArraySpec) -> String {
     format!("{}\n\n{facts}\n\n{table}", drawing(array))
 }
 
-/// The pins from above, the fingertip at the top: half a pitch is two characters wide and one line high.
+/// A drawing of listed positions has at most this many cells between its outermost pins: 12 pitches, as the page has.
+const MOST_CELLS: f64 = 24.0;
+
+/// The pins from above, the fingertip at the top: a cell of half a pitch is two characters wide and one line high.
+///
+/// The cells of listed positions are larger if two pins nearly touch and others stand far away.
 fn drawing(array: &ArraySpec) -> String {
-    let cell_mm = array.pitch_mm() / 2.0;
     let places: Vec<(usize, usize)> = {
-        let [left, top] = array
-            .positions_mm()
-            .iter()
-            .fold([f64::INFINITY, f64::NEG_INFINITY], |[left, top], [x, y]| [left.min(*x), top.max(*y)]);
+        let outermost = [f64::INFINITY, f64::NEG_INFINITY, f64::INFINITY, f64::NEG_INFINITY];
+        let [left, right, bottom, top] =
+            array.positions_mm().iter().fold(outermost, |[left, right, bottom, top], [x, y]| {
+                [left.min(*x), right.max(*x), bottom.min(*y), top.max(*y)]
+            });
+        let half_pitch_mm = array.pitch_mm() / 2.0;
+        let cell_mm = match array.grid() {
+            Some(_) => half_pitch_mm,
+            None => half_pitch_mm.max((right - left).max(top - bottom) / MOST_CELLS),
+        };
         let cells = |mm: f64| (mm / cell_mm).round() as usize;
         array.positions_mm().iter().map(|[x, y]| (2 * cells(x - left), cells(top - y))).collect()
     };
@@ -157,6 +173,13 @@ mod tests {
                       duty = { up = 0.2, down = 0.8 }\n[motor]\nstep_um = 0.1\nwindow_ms = 4.0\ntravel_um = 50.0\nmost_pulses = 500\n";
         let bent = ArraySpec::parse(places, "bent.toml").unwrap();
         assert_eq!(drawing(&bent), " 0   1\n\n\n\n         2");
+        // Two pins 0.2 mm apart, and one 56 mm away: the drawing stays small.
+        let far = places.replace(
+            "[[0.0, 4.0], [2.0, 4.0], [4.0, 0.0]] }",
+            "[[0.0, 0.0], [0.2, 0.0], [40.0, -40.0]], radius_mm = 0.08 }",
+        );
+        let far = ArraySpec::parse(&far, "far.toml").unwrap();
+        assert_eq!(drawing(&far), format!(" 0  1{}{:48} 2", "\n".repeat(24), ""));
         let text = shown(&array("simulated-8x8"));
         assert!(text.contains("64 pins, 1.5 mm apart") && text.contains("\n63     5.25"), "{text}");
     }

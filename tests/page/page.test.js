@@ -327,6 +327,40 @@ for (const name of ["tula35-6x4", "tula35-2x3", "ubi-pen-3x3", "simulated-8x8", 
   });
 }
 
+test("an array of two pins that nearly touch and of pins far away is drawn as small as another, with discs that are seen", async () => {
+  const daemon = new Daemon('[array]\ndescription = "far.toml"\n');
+  const places = [[0, 0], [0.2, 0], [40, -40], [-0.5, -30]];
+  writeFileSync(join(daemon.dir, "far.toml"), SCATTERED.replace('"scattered"', '"far"').replace(/\[\[.*\]\], radius_mm = 0.4/, `${JSON.stringify(places)}, radius_mm = 0.08`));
+  const drive = (motor) => `[[drive]]\nmotor = ${motor}\nfrequency_hz = 60.0\namplitude_um = 40.0\nphase = 0.0\n`;
+  writeFileSync(join(daemon.dir, "patterns", "ends.toml"), `format = 1\nname = "ends"\narray = "far"\n${drive(0)}${drive(2)}`);
+  await daemon.start();
+  const page = await open(daemon);
+  await page.type("#search", "ends");
+  await page.waitForSelector('li[data-name="ends"] .thumbnail');
+  // The drawing's size in its own units, and the discs' places and radii.
+  const drawn = (selector) => page.$eval(selector, (svg) => {
+    const { width, height } = svg.viewBox.baseVal;
+    const discs = [...svg.querySelectorAll("circle:not(.doubt)")].map((disc) => {
+      const [, x, y] = disc.parentNode.getAttribute("transform")?.match(/(-?[\d.e-]+) (-?[\d.e-]+)/) ?? [];
+      return [Number(x ?? disc.getAttribute("cx")), Number(y ?? disc.getAttribute("cy")), Number(disc.getAttribute("r"))];
+    });
+    return { size: [width, height], discs };
+  });
+  for (const [selector, most, least] of [[".finger", 12 * 29 + 48, 2], ['li[data-name="ends"] .thumbnail', 6 * 10 + 10, 1]]) {
+    const { size, discs } = await drawn(selector);
+    assert.equal(discs.length, places.length);
+    size.forEach((side) => assert.ok(side < most + 1e-3, `${selector}: ${size}`));
+    discs.forEach(([x, y, r], i) => {
+      const [right, down] = [places[i][0] - places[0][0], places[0][1] - places[i][1]];
+      const unit = (discs[2][0] - discs[0][0]) / 40;
+      assert.ok(Math.hypot(x - discs[0][0] - unit * right, y - discs[0][1] - unit * down) < 1e-6 && r >= least, `${selector}: pin ${i} at ${x}, ${y} has ${r}`);
+    });
+  }
+  const pad = await drawn("#pad svg");
+  assert.ok(pad.discs.every(([x, y], i) => Math.hypot(x - places[i][0], y + places[i][1]) < 1e-6), "the pad is in mm");
+  assert.deepEqual(page.complaints.filter((line) => !line.includes("404")), []);
+});
+
 test("what is found for a target is for the daemon's array", async () => {
   const daemon = await new Daemon('[array]\ndescription = "ubi-pen-3x3"\n').start();
   const page = await open(daemon);

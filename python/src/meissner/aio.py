@@ -240,8 +240,7 @@ class AsyncClient:
 
     async def design(self, target: str, **options: Any) -> program.Design:
         """Find a pattern of the daemon's array for a target shape, in a thread, and store it in the daemon. As `meissner.design`."""
-        array = await self.array
-        found = await asyncio.to_thread(program.design, target, **{"array": array.name, **options})
+        found = await asyncio.to_thread(program.design_for, await self.array, target, options)
         await self.store_pattern(found.name, found.toml, replace=True)
         return found
 

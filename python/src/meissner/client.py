@@ -215,7 +215,7 @@ class Client:
 
     def design(self, target: str, **options: Any) -> program.Design:
         """Find a pattern of the daemon's array for a target shape, and store it in the daemon. `meissner.design` has the options."""
-        found = program.design(target, **{"array": self.array.name, **options})
+        found = program.design_for(self.array, target, options)
         self.store_pattern(found.name, found.toml, replace=True)
         return found
 

@@ -149,6 +149,22 @@ def design(
         return Design(name, file.read_text(encoding="utf-8"), summary)
 
 
+def design_for(array: Array, target: str, options: Mapping[str, Any]) -> Design:
+    """`design` for a daemon's array, unless `options` name another.
+
+    This machine's program may not know the array by its name, so it reads the description that the daemon has sent.
+    """
+    if "array" in options:
+        return design(target, **options)
+    if "toml" not in array.raw:
+        # An older daemon drives the paper's array, which every program ships.
+        return design(target, array=array.name, **options)
+    with tempfile.TemporaryDirectory(prefix="meissner-") as folder:
+        file = Path(folder) / "array.toml"
+        file.write_text(array.raw["toml"], encoding="utf-8")
+        return design(target, array=file, **options)
+
+
 _PATIENT = {"lead_ms": 500, "lease_ms": 5000}
 """A long lead and host watchdog timeout: a simulated array on a busy machine should outlast its stalls.
 

@@ -127,12 +127,18 @@ class Grid:
     ) -> None:
         """`rows` are the stimuli of `bids.stimulus_rows`; `texts` holds the patterns by SHA-256. `array`: as of `displacement`.
 
-        Raises `ProgramError` if the program is missing, or does not know the array.
+        Raises `ProgramError` if the program is missing or does not know the array, or if `array` is not the array of all rows.
         """
         self.rate_hz = rate_hz
         self._array = array
-        names: set[ArrayName] = {row["array"] for row in rows} if array is None else {array}
-        self.pins = max((find_array(name).motors for name in names), default=0)
+        names: set[str] = {row["array"] for row in rows}
+        found = [find_array(name) for name in (sorted(names) if array is None else [array])]
+        if array is not None and (others := sorted(names - {found[0].name})):
+            raise ProgramError(
+                f"`array` is {found[0].name}, but the session has plays on {' and '.join(others)}: "
+                f"pass the description of {others[0]}, or no `array` if the program ships it"
+            )
+        self.pins = max((each.motors for each in found), default=0)
         """How many pins the samples have."""
         self.problems: list[str] = []
         """What the samples do not show, one line each."""

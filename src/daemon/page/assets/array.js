@@ -15,10 +15,21 @@ export async function loadArray() {
   document.dispatchEvent(new Event("array"));
 }
 
-// The pins as a drawing has them, y downwards, with this many units between neighbours: the pins' places, the smallest box around the
-// places (left, top, width, height), and the radius of a pin's tip.
-export function layout(pitch) {
-  const unit = pitch / known.pitch_mm;
+// Drawing units per mm, with `pitch` units between neighbours. Two pins that nearly touch would make the drawing of pins far apart so
+// large that its discs cannot be seen. So a drawing of listed positions is at most `most` times `pitch` wide and high.
+export function scale(pitch, most) {
+  const extent = (axis) => {
+    const places = known.positions_mm.map((place) => place[axis]);
+    return Math.max(...places) - Math.min(...places);
+  };
+  const pitches = Math.max(extent(0), extent(1)) / known.pitch_mm;
+  const shrink = known.grid ? 1 : Math.min(1, most / pitches);
+  return (shrink * pitch) / known.pitch_mm;
+}
+
+// The pins as a drawing has them, y downwards, with `unit` drawing units per mm: the pins' places, the smallest box around the places
+// (left, top, width, height), and the radius of a pin's tip.
+export function layout(unit) {
   const places = known.positions_mm.map(([x, y]) => [unit * x, -unit * y]);
   const [across, down] = [0, 1].map((axis) => places.map((place) => place[axis]));
   const [left, top] = [Math.min(...across), Math.min(...down)];

@@ -1,12 +1,16 @@
 // The fingertip with its pins, as an SVG. Colour and size of a pin show the amplitude that it reaches, a hand its phase, a number its
 // frequency, a bar its offset from rest. Pins that move are drawn 20 times slower.
 
-import { layout } from "./array.js";
+import { layout, scale } from "./array.js";
 
 const SLOWER = 20;
 // Drawing units: from a pin to its nearest neighbour, and from the outermost pins to the edge of the skin. What stands at a pin fits.
 const PITCH = 29;
+// A drawing of listed positions is at most this many times as wide and high.
+const MOST_PITCHES = 12;
 const EDGE = 24;
+// The radius of a pin's disc, at least: of pins that are small beside their distances.
+const LEAST_RADIUS = 3;
 // The radius of the skin's corners, at most: pins in the corners stay on the skin.
 const CORNER = 58;
 const FULL_UM = 100;
@@ -43,7 +47,7 @@ export function drivesAt({ pattern, reached: all }, seconds) {
 
 // A small map of the amplitudes that a pattern for the daemon's array reaches, over its whole length.
 export function thumbnail(details) {
-  const { places, box: [left, top, width, height] } = layout(10);
+  const { places, box: [left, top, width, height] } = layout(scale(10, 6));
   const svg = make("svg", { viewBox: `${left - 5} ${top - 5} ${width + 10} ${height + 10}`, class: "thumbnail", role: "img" });
   const most = places.map(() => 0);
   for (const of of details.drives) most[of.motor] = Math.max(most[of.motor], of.reached_um);
@@ -69,9 +73,9 @@ export class Finger {
   }
 
   #arrange() {
-    const { places, box: [left, top, wide, high], radius } = layout(PITCH);
+    const { places, box: [left, top, wide, high], radius } = layout(scale(PITCH, MOST_PITCHES));
     const [width, height] = [2 * EDGE + wide, 2 * EDGE + high];
-    this.#radius = Math.min(radius, PITCH / 4);
+    this.#radius = Math.min(Math.max(radius, LEAST_RADIUS), PITCH / 4);
     set(this.svg, "viewBox", `0 0 ${width} ${height}`);
     this.svg.replaceChildren(make("path", { class: "skin", d: outline(width, height) }));
     this.#pins = places.map(([x, y]) => {

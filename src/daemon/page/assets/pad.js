@@ -46,7 +46,7 @@ export function drawing(label) {
 // Draws the pins of the daemon's array on a drawing of the pad, which grows if pins stand outside of the pad.
 export function arrange(svg) {
   if (!array()) return;
-  const { places, box: [left, top, width, height], radius } = layout(array().pitch_mm);
+  const { places, box: [left, top, width, height], radius } = layout(1);
   const [x, y] = [Math.min(left - radius, -HALF_WIDTH) - 1, Math.min(top - radius, -HALF_LENGTH) - 1];
   const [right, bottom] = [Math.max(left + width + radius, HALF_WIDTH) + 1, Math.max(top + height + radius, HALF_LENGTH) + 1];
   svg.setAttribute("viewBox", `${x} ${y} ${right - x} ${bottom - y}`);
