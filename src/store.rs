@@ -20,7 +20,7 @@ use folder::{Folder, Make, check_name, check_new_name};
 use in_use::InUse;
 use include_dir::{Dir, include_dir};
 use meissner_api::{MAX_LISTED, Mapping, PatternList, PatternSummary, RailLoad, ReachedDrive};
-use meissner_array::pattern::{MAX_FILE_BYTES, Pattern, PatternError};
+use meissner_array::pattern::{MAX_FILE_BYTES, Mapped, Pattern, PatternError};
 use meissner_array::power::{CAPACITANCE_NF, RailPulses, current_ma, rail_pulses};
 use meissner_array::spec::Array;
 use meissner_array::strokes::{StrokeOptions, Strokes};
@@ -113,6 +113,15 @@ fn offer(nearest: &[String]) -> String {
         [] => ";".to_owned(),
         names => format!(": did you mean `{}`?", names.join("`, `")),
     }
+}
+
+/// A pattern that was mapped to another array by position.
+#[derive(Clone, Debug)]
+pub struct MappedFrom {
+    /// The array that it is for.
+    pub array: String,
+    /// What people should know.
+    pub warnings: Vec<String>,
 }
 
 /// A pattern and the hash of its file. Clones share the pattern and its JSON.
@@ -337,12 +346,12 @@ impl Stored {
         }
     }
 
-    /// The pattern on an array; and if it was mapped, the name of the array that it is for. The text stays that of the file.
+    /// The pattern on an array; and if it was mapped, what became of it. The text stays that of the file.
     ///
     /// # Errors
-    /// [`StoreError::OtherArray`] if it is for another array and is not to be mapped; [`StoreError::Pattern`] if that array's motors
-    /// do not go as far.
-    pub fn on(self, array: Array, map: Option<Mapping>) -> Result<(Self, Option<String>), StoreError> {
+    /// [`StoreError::OtherArray`] if it is for another array and is not to be mapped; [`StoreError::Pattern`] if no pin would follow
+    /// one that it drives.
+    pub fn on(self, array: Array, map: Option<Mapping>) -> Result<(Self, Option<MappedFrom>), StoreError> {
         let its = self.pattern.array();
         if its == array {
             return Ok((self, None));
@@ -351,8 +360,10 @@ impl Stored {
             let [its, this] = [its, array].map(|array| array.name().to_owned());
             return Err(StoreError::OtherArray { name: self.pattern.name().to_owned(), its, this });
         };
-        let pattern = Arc::new(self.pattern.mapped_to(array)?.pattern);
-        Ok((Self { pattern, json: Arc::default(), run: Arc::default(), ..self }, Some(its.name().to_owned())))
+        let Mapped { pattern, warnings } = self.pattern.mapped_to(array)?;
+        let mapped = MappedFrom { array: its.name().to_owned(), warnings };
+        let pattern = Arc::new(pattern);
+        Ok((Self { pattern, json: Arc::default(), run: Arc::default(), ..self }, Some(mapped)))
     }
 
     /// The order for one run of the pattern.

@@ -134,13 +134,35 @@ fn an_array_of_ones_own_takes_a_file_and_no_code() {
     ]));
     assert!(table.starts_with("time_s,motor_"), "{table}");
 
+    let line = complaint(&mut in_dir(&["displacement", "pin-60", "--array", "lab-3x2.toml"]));
+    assert!(line.contains("pin-60: is for the array tula35-6x4, and --array names lab-3x2"), "{line}");
+    let line = complaint(&mut in_dir(&["tradeoff", "--array", "lab-3x2.toml"]));
+    assert!(line.contains("sixty-hertz.toml: is for the array tula35-6x4"), "{line}");
+
+    // The directory of a sweep holds the description: to go on needs no file.
+    let plan = "command = \"simulate\"\n[grid]\npattern = \"./lab-edge.toml\"\ngain = [0.9, 1.0]\n";
+    fs::write(dir.path().join("plan.toml"), plan).unwrap();
+    printed(&mut in_dir(&["sweep", "plan.toml", "--array", "lab-3x2.toml", "--out", "d"]));
+    let merged = printed(&mut in_dir(&["sweep", "--merge", "d"]));
+    assert!(merged.contains('2'), "{merged}");
+    let text = fs::read_to_string(dir.path().join("d/results.csv")).unwrap();
+    assert_eq!(text.lines().count(), 3, "{text}");
+
     let daemon = with_array(&file);
     let mut client = daemon.armed();
     let mut events = client.events().unwrap();
-    let _: Value = client.put("/v1/patterns/lab-edge", pattern).unwrap();
+    let text = printed(daemon.meissner().current_dir(dir.path()).args(["import", "lab-edge.toml"]));
+    assert!(text.starts_with("imported lab-edge "), "{text}");
+    let text = printed(daemon.meissner().arg("list"));
+    assert!(text.lines().any(|line| line.starts_with("lab-edge ") && line.contains(" lab-3x2 ")), "{text}");
+    assert!(printed(daemon.meissner().arg("status")).contains("lab-3x2"));
     let _: Value = client.post("/v1/play", &json!({"pattern": "lab-edge", "seconds": 0.2})).unwrap();
     let receipt = ended(&mut events);
     assert_eq!((receipt.array.as_str(), receipt.tick_hz, receipt.state.name()), ("lab-3x2", 70_000, "done"));
+    let mapped = ["play", "edge-45", "--map", "nearest", "--seconds", "0.2", "--wait"];
+    let text = printed(daemon.meissner().args(mapped));
+    assert!(text.contains("by position, from tula35-6x4 to lab-3x2"), "{text}");
+    assert!(text.contains("no pin of lab-3x2 follows its motors"), "{text}");
     let text = printed(daemon.meissner().args(["show", "lab-edge"]));
     assert!(text.contains("fingertip\n") && text.contains("um"), "{text}");
 }
@@ -165,7 +187,7 @@ fn a_bad_description_ends_the_daemon_before_it_begins() {
         ("chips = [[0, 1]]", "chips = [[0, 1], [1]]", "`chips[1]` has motor 1, as chips[0] has"),
         ("pitch_mm = 3.0", "pitch_mm = 0.5", "`pins` are too near: 0 and 1 overlap"),
         ("duty = { up = 0.2", "duty = { up = 0.0", "`duty.up` is 0: must be"),
-        ("name = \"array-1x2\"", "name = \"tula35-6x4\"", "which the program ships with other values"),
+        ("name = \"array-1x2\"", "name = \"tula35-6x4\"", "which is known with other values"),
     ] {
         assert!(text.contains(from), "{text}");
         fs::write(&file, text.replace(from, to)).unwrap();

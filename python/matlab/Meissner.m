@@ -155,7 +155,7 @@ classdef Meissner < handle
 
     function state = home(self)
       % Move every pin to rest; takes up to 25 s.
-      state = self.post('/v1/home', struct(), 40);
+      state = self.post('/v1/home', struct(), 600);
     end
 
     function play = play(self, pattern, varargin)

@@ -1,11 +1,11 @@
 //! Arguments that several commands share, and the types of their values.
 
 use super::session_token;
-use crate::array::find;
-use anyhow::Result;
+use crate::array::{find, shown};
+use anyhow::{Result, bail};
 use clap::Args;
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
-use meissner_api::{LatePolicy, TriggerRequest, TriggerShape};
+use meissner_api::{ArrayDetails, LatePolicy, TriggerRequest, TriggerShape};
 use meissner_array::spec::Array;
 use meissner_client::{Client, Endpoint};
 use serde::de::DeserializeOwned;
@@ -37,6 +37,14 @@ impl ClientOptions {
         let mut client = Client::at(self.endpoint())?;
         client.set_token(session_token::find());
         Ok(client)
+    }
+
+    /// Makes the name of the daemon's array known here, if a daemon answers: then files that name it can be read.
+    pub(super) fn learn_array(&self) -> Result<()> {
+        if let Ok(details) = self.client()?.get::<ArrayDetails>("/v1/array") {
+            shown(&details)?;
+        }
+        Ok(())
     }
 
     pub(super) fn endpoint(&self) -> Endpoint {
@@ -146,6 +154,18 @@ impl ArrayOption {
     /// The array, if the command line names one. From now on its name is known.
     pub(super) fn find(&self) -> Result<Option<Array>> {
         self.array.as_deref().map(array).transpose()
+    }
+
+    /// Refuses a file of another array than the command line names.
+    pub(super) fn check(&self, file: &str, its: Array) -> Result<()> {
+        match self.find()? {
+            Some(asked) if asked != its => bail!(
+                "{file}: is for the array {}, and --array names {}: leave --array out, or name a file for that array",
+                its.name(),
+                asked.name()
+            ),
+            _ => Ok(()),
+        }
     }
 }
 

@@ -5,7 +5,7 @@
 //!
 //! Invariant: it exits with 0 only if the calibration of every requested motor was stored.
 
-use super::arguments::ClientOptions;
+use super::arguments::{ArrayOption, ClientOptions};
 use super::ending::Ending;
 use super::output::give;
 use super::progress::Progress;
@@ -55,12 +55,18 @@ pub(super) struct Calibrate {
     #[arg(long, value_name = "FILE", requires = "from")]
     plot: Option<PathBuf>,
     #[command(flatten)]
+    array: ArrayOption,
+    #[command(flatten)]
     options: ClientOptions,
 }
 
 pub(super) fn run(asked: &Calibrate) -> Result<ExitCode> {
     let plan = asked.plan.as_deref();
     if let Some(recording) = &asked.from {
+        // The plan names the array that it was played on.
+        if asked.array.find()?.is_none() {
+            asked.options.learn_array()?;
+        }
         let Calibrate { time_unit, displacement_unit, .. } = *asked;
         return laser::fit(&laser::Fit {
             recording,

@@ -145,6 +145,9 @@ pub(super) fn run(asked: &Discriminate) -> Result<ExitCode> {
         bail!("{} patterns: name {how_many}", asked.patterns.len());
     }
     let patterns = patterns(&asked.patterns)?;
+    for (name, pattern) in asked.patterns.iter().zip(&patterns) {
+        asked.array.check(name, pattern.array())?;
+    }
     let source = match &asked.efficiency_source {
         Some(source) => source.clone(),
         None if asked.efficiency == 1.0 => IDEAL.to_owned(),

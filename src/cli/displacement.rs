@@ -45,6 +45,7 @@ pub(super) struct Displacement {
 pub(super) fn run(asked: &Displacement) -> Result<ExitCode> {
     asked.array.find()?;
     let pattern = read(&asked.pattern)?;
+    asked.array.check(&asked.pattern, pattern.array())?;
     let options = StrokeOptions {
         seconds: asked.seconds,
         scale: asked.scale,

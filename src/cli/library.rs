@@ -29,6 +29,7 @@ pub(super) fn list(options: &ClientOptions) -> Result<ExitCode> {
         let from = if entry["library"] == true { "library" } else { "directory" };
         vec![
             entry["name"].as_str().unwrap_or_default().to_owned(),
+            entry["array"].as_str().unwrap_or_default().to_owned(),
             duration,
             text::number(entry["compiled_ms"].as_f64(), 1),
             drives(entry),
@@ -38,8 +39,10 @@ pub(super) fn list(options: &ClientOptions) -> Result<ExitCode> {
     };
     give(options.output.json, &list, || {
         let rows = list["patterns"].as_array().unwrap_or(&none).iter().map(row);
-        let mut text =
-            text::columns(&["name", "length", "whole_strokes_ms", "drives", "reached_um", "from"], rows);
+        let mut text = text::columns(
+            &["name", "array", "length", "whole_strokes_ms", "drives", "reached_um", "from"],
+            rows,
+        );
         for line in list["errors"].as_array().unwrap_or(&none) {
             text += &format!("\nnot listed: {}", line.as_str().unwrap_or_default());
         }
@@ -82,6 +85,7 @@ pub(super) fn read(file: &Path) -> Result<(Pattern, String)> {
 }
 
 pub(super) fn import(options: &ClientOptions, file: &Path, replace: bool) -> Result<ExitCode> {
+    options.learn_array()?;
     let (pattern, text) = read(file)?;
     let query = if replace { "?replace=true" } else { "" };
     let imported: ImportedPattern =

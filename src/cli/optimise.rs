@@ -119,11 +119,20 @@ struct Document<'a> {
     wall_s: f64,
 }
 
+/// What the array that was asked for has changed of the target.
+fn lowered(of_file: &Target, target: &Target) -> Option<String> {
+    let [before_um, um] = [of_file, target].map(Target::amplitude_um);
+    let array = target.array().spec().name();
+    (um < before_um).then(|| {
+        format!("the amplitude is lowered from {before_um} to {um} um, the travel of the motors of {array}")
+    })
+}
+
 pub(super) fn run(asked: &Optimise) -> Result<ExitCode> {
     let begun = Instant::now();
     let array = asked.array.find()?;
-    let target = target(&asked.target)?;
-    let target = array.map_or_else(|| Ok(target.clone()), |array| target.with_array(array))?;
+    let of_file = target(&asked.target)?;
+    let target = array.map_or_else(|| Ok(of_file.clone()), |array| of_file.with_array(array))?;
     if let Some(file) = asked.file.as_deref().filter(|file| is_itself(&asked.target, file)) {
         bail!("{}: this is the target's file: write the pattern to another", files::shown(file));
     }
@@ -198,7 +207,7 @@ pub(super) fn run(asked: &Optimise) -> Result<ExitCode> {
         models: &made.models,
         pulses_per_s: made.pulses_per_s,
         robustness: &made.robustness,
-        warnings: target.warnings(),
+        warnings: lowered(&of_file, &target).into_iter().chain(target.warnings()).collect(),
         pattern: text,
         wall_s: begun.elapsed().as_secs_f64(),
     };

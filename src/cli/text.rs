@@ -88,6 +88,7 @@ pub(super) fn status(status: &Status) -> String {
         ("state", state(status)),
         ("position", status.position.clone()),
         ("device", device),
+        ("array", status.array.clone()),
         ("playing", play),
     ];
     if let Some(ArmedStatus { by, left_s, .. }) = &status.armed {
@@ -319,12 +320,13 @@ pub(super) fn pattern(shown: &Value, array: &ArrayDetails) -> String {
     let duration = duration_s.map_or_else(|| "endless".to_owned(), |seconds| format!("{seconds} s"));
     let whole = shown["compiled_ms"].as_f64();
     let whole = whole.map_or_else(String::new, |ms| format!(" ({ms:.1} ms in whole strokes)"));
-    let _ = writeln!(text, ", {duration}{whole}, {} drives", drives.len());
+    let _ = writeln!(text, ", for {}, {duration}{whole}, {} drives", array.name, drives.len());
     // The maps show what moves: each drive with the amplitude that it reaches, none without a stroke.
     let moving: Vec<Drive> =
         drives.iter().zip(0..).filter_map(|(file, at)| drive(file, &shown["drives"][at])).collect();
     let segments = segments(rate, &moving, duration_s);
-    for (segment, grid) in segments.iter().take(MAPS).zip(grid.into_iter().cycle()) {
+    for segment in segments.iter().take(MAPS) {
+        let Some(grid) = grid else { break };
         let when = match (segments.len(), segment.stop_s) {
             (1, _) => String::new(),
             (_, Some(stop_s)) => format!(", {} to {stop_s} s", segment.start_s),

@@ -37,6 +37,8 @@ pub(super) fn run(asked: &MethodTradeoff) -> Result<ExitCode> {
         Some(file) => simulate::read(file, asked.model)?,
         None => AnyScene::read(meissner_report::SIXTY_HERTZ, "sixty-hertz.toml", asked.model)?,
     };
+    let name = asked.scene.as_deref().map_or_else(|| "sixty-hertz.toml".to_owned(), files::shown);
+    asked.array.check(&name, scene.array())?;
     let scene = match scene {
         AnyScene::Membrane(scene) => scene,
         AnyScene::Afferents(scene) => return afferents::compare(asked, &scene),

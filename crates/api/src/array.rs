@@ -74,14 +74,26 @@ pub struct ArrayDuty {
     pub down: f64,
 }
 
+/// How a shaft follows its pulses.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "lowercase")]
+pub enum ArrayResponse {
+    /// As a moving average.
+    Average,
+    /// As a mass on a damped spring: a second-order lag.
+    Lag,
+}
+
 /// What a motor does with its pulses.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct ArrayMotor {
     /// Travel of a shaft per pulse, µm.
     #[schema(minimum = 0.001, maximum = 10.0)]
     pub um_per_pulse: f64,
-    /// The window of the moving average with which a shaft follows its pulses, ms.
-    #[schema(minimum = 0.0, maximum = 50.0)]
+    /// How a shaft follows its pulses.
+    pub response: ArrayResponse,
+    /// The window of the moving average; of a lag, the time until it has settled, ms.
+    #[schema(minimum = 0.0, maximum = 500.0)]
     pub window_ms: f64,
     /// Speed of a shaft while its motor has pulses, mm/s.
     #[schema(minimum = 0.0)]

@@ -45,7 +45,8 @@ pub struct LiveDrive {
     pub phase: f64,
 }
 
-/// Where a live target's shape is: turned anticlockwise about the array's middle, then shifted.
+/// Where a live target's shape is: turned anticlockwise about the array's middle, then shifted. A shift reaches as far as the pad is
+/// long, 24 mm; pins of an array that is larger than the pad may stand beyond it.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct LivePose {

@@ -73,13 +73,13 @@ pub struct ReachedDrive {
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct RailLoad {
     /// The rail's number, from 0: its place in `rails` of the array.
-    #[schema(minimum = 0, maximum = 3)]
+    #[schema(minimum = 0, maximum = 63)]
     pub rail: u8,
     /// Most motors that have pulses at once.
-    #[schema(minimum = 0, maximum = 6)]
+    #[schema(minimum = 0, maximum = 64)]
     pub most_at_once: u8,
     /// Mean number of motors that have pulses.
-    #[schema(minimum = 0.0, maximum = 6.0)]
+    #[schema(minimum = 0.0, maximum = 64.0)]
     pub mean_at_once: f64,
     /// Highest current, mA.
     #[schema(minimum = 0.0)]

@@ -14,8 +14,8 @@ use std::path::Path;
 use std::time::Duration;
 use tokio::runtime::{Builder, Runtime};
 
-/// How long to wait for `POST /v1/home`. The daemon waits for the pins for 25 s.
-pub const HOME_TIMEOUT: Duration = Duration::from_secs(30);
+/// How long to wait for `POST /v1/home`. The daemon answers earlier: as soon as its array must have come home.
+pub const HOME_TIMEOUT: Duration = Duration::from_secs(600);
 /// How long to wait for `POST /v1/live`: the daemon finds the drives of a target's first pose.
 const LIVE_TIMEOUT: Duration = Duration::from_secs(30);
 

@@ -349,7 +349,7 @@ fn an_array_may_have_pins_anywhere_or_one_pin() {
         let text = format!(
             "name = \"{name}\"\npins = {{ positions_mm = {positions}, radius_mm = 0.4 }}\ntick_hz = 50000\n\
              duty = {{ up = 0.3, down = 0.6 }}\n\
-             motor = {{ step_um = 0.2, window_ms = 6, travel_um = 60, most_pulses = 1000 }}\n"
+             motor = {{ step_um = 0.2, window_ms = 6, travel_um = 60, most_pulses = 600 }}\n"
         );
         Array::known(ArraySpec::parse(&text, "test.toml").unwrap()).unwrap()
     };

@@ -74,5 +74,5 @@ pub use motor_run::{MotorRun, Period};
 pub use settings::{LowerStopSettings, Settings};
 pub use simulation::{SimulatedPlay, Simulation, SimulationError, simulate_play};
 pub use source::Source;
-pub use streamer::{Streamer, end_cause};
+pub use streamer::{Streamer, end_cause, longest_homing_s};
 pub use thread::{request_realtime, spawn};

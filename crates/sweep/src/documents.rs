@@ -4,6 +4,7 @@
 
 use crate::axis::Document;
 use meissner_array::pattern::Pattern;
+use meissner_array::spec::Array;
 use meissner_design::Target;
 use std::collections::BTreeMap;
 
@@ -36,6 +37,14 @@ impl Documents {
             }
         }
         Ok(all)
+    }
+
+    /// The arrays that they name and that are not shipped.
+    pub(crate) fn arrays(&self) -> impl Iterator<Item = Array> {
+        let patterns = self.patterns.values().flat_map(|(pattern, target)| {
+            [Some(pattern.array()), target.as_ref().map(Target::array)].into_iter().flatten()
+        });
+        self.targets.values().map(Target::array).chain(patterns).filter(|array| !array.is_shipped())
     }
 
     pub(crate) fn target(&self, name: &str) -> &Target {

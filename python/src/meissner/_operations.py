@@ -271,7 +271,7 @@ def reset(core: Core, *, force: bool = False) -> Op[Status]:
 
 def home(core: Core) -> Op[Status]:
     """Move every pin to rest; takes up to 25 s."""
-    return (yield from _command(core, "/v1/home", timeout=40.0))
+    return (yield from _command(core, "/v1/home", timeout=600.0))
 
 
 def _onset(core: Core, at: At) -> Op[dict[str, Any]]:

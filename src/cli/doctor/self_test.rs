@@ -21,8 +21,8 @@ const SAME_CLOCK_PPM: f64 = 300.0;
 const WORK_US: f64 = 128.0;
 /// Ticks in which the board can render a block before the DMA fetches its first word (`docs/explanation/board-timing.md`).
 const HORIZON_TICKS: f64 = 45.0;
-/// Ticks that the longest tasks take together in the emulated chip (the same page).
-const WORST_CASE_TICKS: f64 = 20.0;
+/// Time that the longest tasks take together in the emulated chip (the same page), µs.
+const WORST_CASE_US: f64 = 235.0;
 
 /// A self-test's figures, as the board sent them.
 #[derive(Debug, Serialize)]
@@ -98,7 +98,7 @@ pub(super) fn judged(state: SelfTestState, motors: u8, tick_hz: u32) -> Vec<Find
                 lines.map_or_else(|| missing("lines"), |lines| of_lines(&lines, motors)),
                 wave.map_or_else(|| missing("waveform"), |wave| of_wave(&wave, tick_hz)),
                 ram.map_or_else(|| missing("memory"), of_ram),
-                work_us.map_or_else(|| missing("speed"), of_work),
+                work_us.map_or_else(|| missing("speed"), |us| of_work(us, tick_hz)),
             ]
         }
         SelfTestState::Refused => {
@@ -166,8 +166,9 @@ fn of_ram(RamTest { bytes, bad }: RamTest) -> Finding {
     }
 }
 
-fn of_work(us: u32) -> Finding {
-    let left = HORIZON_TICKS - WORST_CASE_TICKS * f64::from(us) / WORK_US;
+fn of_work(us: u32, tick_hz: u32) -> Finding {
+    let worst_case_us = WORST_CASE_US * f64::from(us) / WORK_US;
+    let left = HORIZON_TICKS - worst_case_us * f64::from(tick_hz) / 1e6;
     let level = match left {
         left if left < HORIZON_TICKS / 4.0 => Level::Fail,
         left if left < HORIZON_TICKS / 2.0 => Level::Warn,

@@ -170,6 +170,7 @@ fn target(argument: &str) -> Result<Value> {
 }
 
 pub(super) fn run(asked: &Live) -> Result<ExitCode> {
+    asked.options.learn_array()?;
     let mut request = asked.request()?;
     let device = asked.device()?;
     let signals = Signals::listen()?;

@@ -104,7 +104,9 @@ struct Chosen {
 pub(super) fn run(asked: &Simulate) -> Result<ExitCode> {
     asked.array.find()?;
     let stepping = stepping(asked)?;
-    let scene = match read(&asked.scene, asked.model)? {
+    let scene = read(&asked.scene, asked.model)?;
+    asked.array.check(&files::shown(&asked.scene), scene.array())?;
+    let scene = match scene {
         AnyScene::Membrane(scene) => scene,
         AnyScene::Afferents(scene) => return afferents::run(asked, &scene),
     };

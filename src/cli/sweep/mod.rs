@@ -8,7 +8,7 @@
 mod cluster;
 mod sources;
 
-use super::arguments::Output;
+use super::arguments::{ArrayOption, Output};
 use super::ending::on_signals;
 use super::output::{give, say};
 use super::progress::{self, Cells};
@@ -64,6 +64,8 @@ pub(super) struct Sweep {
     #[arg(long, conflicts_with_all = ["plan", "out", "slurm", "shard"])]
     axes: bool,
     #[command(flatten)]
+    array: ArrayOption,
+    #[command(flatten)]
     output: Output,
     /// Pass these options to sbatch
     #[arg(last = true, value_name = "OPTION", requires = "slurm")]
@@ -101,6 +103,7 @@ pub(super) fn run(asked: &Sweep) -> Result<ExitCode> {
     if let (Some(cell), Some(dir)) = (asked.pattern, &asked.out) {
         return print_pattern(dir, cell, json);
     }
+    asked.array.find()?;
     let place = asked.plan.as_deref().expect("clap wants a plan");
     let text = files::text(place, MOST_BYTES, "plan")?;
     let plan = Plan::read(&text, &place.to_string_lossy(), &Files::beside(place)?)?;

@@ -23,10 +23,10 @@ use crate::receipts::refusal;
 use crate::session_record::{Peer, SessionRecord};
 use axum::body::Bytes;
 use meissner_api::{Code, Problem, Realtime};
-use meissner_stream::Settings;
 use meissner_stream::device::mock::TruePositions;
 use meissner_stream::queues::{Command, CommandError, CommandQueue};
 use meissner_stream::time::HostInstant;
+use meissner_stream::{Settings, longest_homing_s};
 use std::path::PathBuf;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
@@ -163,6 +163,11 @@ impl Engine {
     /// How long to wait for an answer that may come after a seek of the lower stop.
     pub(in crate::daemon) fn seek_timeout(&self) -> Duration {
         TIMEOUT + self.lock().settings.seek_time()
+    }
+
+    /// How long homing may take: what the array needs, and more, because commands travel and other work may delay them.
+    pub(in crate::daemon) fn home_timeout(&self) -> Duration {
+        12 * TIMEOUT + Duration::from_secs_f64(longest_homing_s(self.lock().settings.array))
     }
 
     /// Orders an emergency stop and waits for the device's answer.

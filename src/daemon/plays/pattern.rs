@@ -9,7 +9,7 @@ use crate::daemon::system::runtime::PLAYS;
 use crate::exposure::Vibration;
 use crate::receipts::{Order, counts, fit};
 use crate::session_record::Peer;
-use crate::store::Stored;
+use crate::store::{MappedFrom, Stored};
 use meissner_api::{Code, PlayAccepted, PlayRequest, Problem, Receipt};
 use meissner_array::strokes::{StrokeOptions, Strokes, Surplus};
 use meissner_stream::queues::Item;
@@ -25,7 +25,7 @@ impl Compiled {
         (settings, surplus): (Settings, Surplus),
         client: Peer,
     ) -> Result<Self, Problem> {
-        let (stored, mapped_from) = stored.on(settings.array, request.map)?;
+        let (stored, mapped) = stored.on(settings.array, request.map)?;
         let scale = request.scale.unwrap_or(1.0);
         let options = StrokeOptions {
             surplus,
@@ -42,7 +42,7 @@ impl Compiled {
             return Err(Problem::new(Code::Empty, format!("`{name}`: no stroke would be played: {why}")));
         }
         let receipt = terms.receipt(name, &stored.sha256, request.seconds);
-        let mut receipt = Receipt { scale: Some(scale), mapped_from, ..receipt };
+        let mut receipt = Receipt { scale: Some(scale), ..receipt };
         let amplitudes = stored.pattern.drives().iter().map(|drive| drive.amplitude_um * scale);
         let largest = (amplitudes.fold(0.0, f64::max), request.pattern.clone());
         // Count on another thread: a long pattern has a hundred thousand strokes, and other commands must not wait.
@@ -58,6 +58,10 @@ impl Compiled {
             .await?;
         fits?;
         order.enter(&mut receipt, request.fit, counts);
+        if let Some(MappedFrom { array, warnings }) = mapped {
+            receipt.mapped_from = Some(array);
+            receipt.warnings.splice(0..0, warnings);
+        }
         let Stored { pattern, sha256, text, .. } = stored;
         Ok(Self {
             strokes: strokes.into(),

@@ -14,7 +14,7 @@ use crate::daemon::system::runtime::PLAYS;
 use crate::exposure::Vibration;
 use crate::receipts::{NoPrediction, Order, PlannedItem};
 use crate::session_record::Peer;
-use crate::store::{Stored, hash};
+use crate::store::{MappedFrom, Stored, hash};
 use firmware_protocol::tick::Tick;
 use meissner_api::{Code, Fit, OrderedCounts, PlayAccepted, Problem, SequenceItem, SequenceRequest};
 use meissner_array::strokes::{
@@ -85,7 +85,12 @@ impl Compiled {
                 let (stored, _place) = found.map_err(at)?;
                 let (stored, mapped) =
                     stored.on(settings.array, request.map).map_err(|error| at(error.into()))?;
-                mapped_from = mapped_from.or(mapped);
+                if let Some(MappedFrom { array, warnings }) = mapped {
+                    let of_pattern =
+                        warnings.into_iter().map(|warning| format!("`{}`: {warning}", item.pattern));
+                    preparing.warnings.extend(of_pattern);
+                    mapped_from.get_or_insert(array);
+                }
                 let items = by_text.remove(&text).unwrap_or_default();
                 let (sha256, name) = (stored.sha256.as_str().into(), item.pattern.as_str().into());
                 if held + stored.text.len() <= MAX_TEXTS {

@@ -11,22 +11,19 @@ use crate::spec::Array;
 pub struct Mapped {
     /// The pattern for the other array, with the same name, times and provenance.
     pub pattern: Pattern,
-    /// The array that it was for.
-    pub from: Array,
-    /// Pins of the new array that follow a pin that the pattern drives.
-    pub driven: usize,
-    /// Motors that the pattern drives and that no pin follows.
-    pub lost: Vec<u8>,
+    /// What people should know: how many pins follow, which motors none follows, which amplitudes are lower.
+    pub warnings: Vec<String>,
 }
 
 impl Pattern {
     /// The pattern on another array: each pin follows the nearest pin of the pattern's own array, if that is at most one pitch of
-    /// that array away; other pins rest.
+    /// that array away; other pins rest. An amplitude beyond the travel of the other array's motors is lowered to it.
     ///
     /// # Errors
-    /// If no pin follows one that is driven, or a drive is not one of the other array's motors: its amplitude is beyond their travel.
+    /// If no pin follows one that is driven.
     pub fn mapped_to(&self, array: Array) -> Result<Mapped, PatternError> {
         let from = self.array;
+        let travel_um = array.motor().travel_um;
         let mut followed = vec![false; from.motors()];
         let (mut drives, mut driven) = (Vec::new(), 0);
         for motor in array.numbers() {
@@ -37,7 +34,10 @@ impl Pattern {
             followed[usize::from(nearest)] = true;
             let own = self.drives.iter().filter(|drive| drive.motor == nearest);
             let before = drives.len();
-            drives.extend(own.map(|drive| Drive { motor, ..*drive }));
+            drives.extend(own.map(|drive| {
+                let amplitude_um = drive.amplitude_um.min(travel_um);
+                Drive { motor, amplitude_um, ..*drive }
+            }));
             driven += usize::from(drives.len() > before);
         }
         if driven == 0 && !self.drives.is_empty() {
@@ -47,9 +47,20 @@ impl Pattern {
         let is_lost = |motor: &u8| {
             !followed[usize::from(*motor)] && self.drives.iter().any(|drive| drive.motor == *motor)
         };
-        let lost = from.numbers().filter(is_lost).collect();
+        let [its, this] = [from, array].map(|array| array.spec().name());
+        let mut warnings =
+            vec![format!("made for {its}: {driven} pins of {this} follow the nearest of its pins")];
+        let lost: Vec<String> = from.numbers().filter(is_lost).map(|motor| motor.to_string()).collect();
+        if !lost.is_empty() {
+            warnings.push(format!("no pin of {this} follows its motors {}", lost.join(", ")));
+        }
+        if self.drives.iter().any(|drive| drive.amplitude_um > travel_um) {
+            warnings.push(format!(
+                "amplitudes are lowered to {travel_um} um, the travel of the motors of {this}"
+            ));
+        }
         let pattern = Self::new(array, &self.name, self.duration_s, drives, self.provenance.clone())?;
-        Ok(Mapped { pattern, from, driven, lost })
+        Ok(Mapped { pattern, warnings })
     }
 }
 
@@ -74,14 +85,19 @@ mod tests {
         let all = (0..24).map(drive).collect();
         let all = Pattern::new(Array::paper(), "all", Some(1.0), all, toml::Table::new()).unwrap();
         let small = all.mapped_to(array("ubi-pen-3x3")).unwrap();
-        assert_eq!((motors(&small), small.driven, small.from), ((0..9).collect(), 9, Array::paper()));
+        assert_eq!(motors(&small), (0..9).collect::<Vec<_>>());
         // Nine pins at -3, 0 and 3 mm follow the columns 0, 1 and 3 and the rows 1, 2 and 4; 0 is between two, and takes the first.
         let followed = [1, 2, 4].map(|row| [0, 1, 3].map(|column| 4 * row + column)).concat();
-        let lost: Vec<u8> = (0..24).filter(|motor| !followed.contains(motor)).collect();
-        assert_eq!(small.lost, lost);
+        let lost: Vec<_> =
+            (0..24).filter(|motor| !followed.contains(motor)).map(|motor| motor.to_string()).collect();
+        let wanted = [
+            "made for tula35-6x4: 9 pins of ubi-pen-3x3 follow the nearest of its pins".to_owned(),
+            format!("no pin of ubi-pen-3x3 follows its motors {}", lost.join(", ")),
+        ];
+        assert_eq!(small.warnings, wanted);
         assert_eq!(small.pattern.array(), array("ubi-pen-3x3"));
         let same = all.mapped_to(Array::paper()).unwrap();
-        assert_eq!((same.pattern, same.driven, same.lost), (all, 24, vec![]));
+        assert_eq!((same.pattern, same.warnings.len()), (all, 1));
     }
 
     #[test]
@@ -91,10 +107,7 @@ mod tests {
         let mapped = middle.mapped_to(Array::paper()).unwrap();
         // Pin 1 is at (0, 1.45) mm; these two are equally near to it and to the pins beside it, and follow the first.
         let near: Vec<_> = motors(&mapped);
-        assert!(
-            near.iter()
-                .all(|motor| Array::paper().position_mm(*motor)[1] > 0.0 && mapped.driven == near.len())
-        );
+        assert!(near.iter().all(|motor| Array::paper().position_mm(*motor)[1] > 0.0), "{near:?}");
         assert!(!near.is_empty() && near.len() < 6, "{near:?}");
     }
 
@@ -110,12 +123,16 @@ mod tests {
     }
 
     #[test]
-    fn an_amplitude_beyond_the_other_motors_is_refused() {
+    fn an_amplitude_beyond_the_other_motors_is_lowered() {
         let text = "name = \"short\"\npins = { rows = 1, columns = 1, pitch_mm = 2.0 }\ntick_hz = 85000\nduty = { up = 0.2, down = 0.8 }\n\
                     [motor]\nstep_um = 0.1\nwindow_ms = 4.0\ntravel_um = 50.0\nmost_pulses = 500\n";
         let short = Array::known(crate::spec::ArraySpec::parse(text, "short.toml").unwrap()).unwrap();
         let high = Pattern::new(Array::paper(), "high", None, vec![drive(9)], toml::Table::new()).unwrap();
-        let line = high.mapped_to(short).unwrap_err().to_string();
-        assert!(line.contains("amplitude_um") && line.contains("0 to 50 um"), "{line}");
+        let mapped = high.mapped_to(short).unwrap();
+        assert_eq!(mapped.pattern.drives()[0].amplitude_um, 50.0);
+        assert_eq!(
+            mapped.warnings.last().unwrap(),
+            "amplitudes are lowered to 50 um, the travel of the motors of short"
+        );
     }
 }

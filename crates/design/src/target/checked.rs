@@ -41,12 +41,14 @@ impl Target {
         Self { population_seed, ..self.clone() }.checked().map_err(|fault| fault.in_file(None))
     }
 
-    /// The target for another array. Its shape, its amplitude and its frames stay.
+    /// The target for another array. Its shape and its frames stay. An amplitude beyond the travel of that array's motors is lowered
+    /// to it.
     ///
     /// # Errors
-    /// If the motors of that array cannot have its amplitude.
+    /// If that array cannot have such a target.
     pub fn with_array(&self, array: Array) -> Result<Self, TargetError> {
-        Self { array, ..self.clone() }.checked().map_err(|fault| fault.in_file(None))
+        let amplitude_um = self.amplitude_um.min(array.motor().travel_um);
+        Self { array, amplitude_um, ..self.clone() }.checked().map_err(|fault| fault.in_file(None))
     }
 
     /// The target with another amplitude, µm peak to peak.

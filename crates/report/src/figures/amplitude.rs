@@ -2,7 +2,8 @@
 //!
 //! Lines are the model in closed form. Points are measured by the telemetry of simulated motors, whose bursts scatter, in open
 //! loop: the motors share out the amplitudes, so four pins of the paper's array play each one. The amplitude of a cycle is its
-//! top minus the mean of the bottoms before and after it, at the model's instants, so that drift cancels.
+//! top minus the mean of the bottoms before and after it, at the model's instants, so that drift cancels. Of a motor that does not follow as a
+//! moving average the model has no such instants: there it is the range of the samples of a cycle.
 //!
 //! Invariant: a measurement uses only telemetry, with its resolution.
 
@@ -15,7 +16,7 @@ use crate::progress::Parts;
 use crate::statistics::mean_and_sd;
 use firmware_protocol::stroke::{Direction, Lines};
 use firmware_protocol::tick::Tick;
-use meissner_array::motor::{MotorError, SquareWave, SteadyState};
+use meissner_array::motor::{MotorError, Response, SquareWave, SteadyState};
 use meissner_array::simulated::{SimulatedMotors, SimulatedMotorsConfig};
 use meissner_array::spec::Array;
 use rayon::prelude::*;
@@ -89,20 +90,32 @@ pub(super) fn section(
     let (fewest, most) = (cycles().min().unwrap_or(0), cycles().max().unwrap_or(0));
     let cycles = if fewest == most { most.to_string() } else { format!("{fewest} to {most}") };
     let speed_mm_s = array.motor().um_per_pulse * f64::from(array.rate().hz()) / 1000.0;
+    let follows = if averages(array) {
+        format!("moving average over {:.1} ms", window_s(array) * 1000.0)
+    } else {
+        format!("a second-order lag that settles in {:.1} ms", window_s(array) * 1000.0)
+    };
+    let read = if averages(array) {
+        "the amplitude of a cycle is its top minus the mean of the bottoms beside it, at the model's instants"
+    } else {
+        "the amplitude of a cycle is the range of its samples"
+    };
+    let null = if averages(array) {
+        let hz = number(1.0 / window_s(array));
+        format!(" The model's null at {hz} Hz is that of a moving average, not of a motor.")
+    } else {
+        String::new()
+    };
     let caption = format!(
         "Steady amplitude of a pin, peak to peak, against the frequency of its drive, for amplitudes of {} µm. Lines: \
-         the motor model (slope limited to {speed_mm_s:.1} mm/s, moving average over {:.1} ms) in closed form. Points: mean and \
+         the motor model (slope limited to {speed_mm_s:.1} mm/s, {follows}) before rounding to pulses and ticks. Points: mean and \
          standard deviation of {cycles} cycles of simulated motors (seed {SEED}, gain of each burst scattered by 10 %, open \
-         loop, end stops out of reach), from telemetry at {SAMPLES_HZ} Hz in steps of 0.01 µm after the transient; the \
-         amplitude of a cycle is its top minus the mean of the bottoms beside it, at the model's instants. Where the \
-         model moves by {WORTH_UM} µm or more, the ratio of measured to model is {} in the mean, and off by {} % at \
-         worst. Amplitudes below {LEAST_UM} µm lie in the strip below the break. The model's null at {} Hz is that of a moving \
-         average, not of a motor.",
+         loop, end stops out of reach), from telemetry at {SAMPLES_HZ} Hz in steps of 0.01 µm after the transient; {read}. \
+         Where the model moves by {WORTH_UM} µm or more, the ratio of measured to model is {} in the mean, and off by {} % at \
+         worst. Amplitudes below {LEAST_UM} µm lie in the strip below the break.{null}",
         amplitudes_um.iter().map(|um| number(*um)).collect::<Vec<_>>().join(", "),
-        window_s(array) * 1000.0,
         number(figures.measured_over_model),
         number((figures.worst_deviation * 1000.0).round() / 10.0),
-        number(1.0 / window_s(array)),
     );
     let row = |row: &Row| {
         let Row { frequency_hz, amplitude_um, model_um, measured_um, sd_um, .. } = row;
@@ -122,7 +135,12 @@ fn amplitudes_um(array: Array) -> Vec<f64> {
     if within.is_empty() { vec![travel_um] } else { within }
 }
 
-/// The window of the moving average, s.
+/// Whether its motors follow as a moving average does, so that the model says when a cycle is at its top.
+fn averages(array: Array) -> bool {
+    array.motor().response == Response::Average
+}
+
+/// The window of the moving average, or the time until another response has settled, s.
 fn window_s(array: Array) -> f64 {
     array.motor().window_ticks() / f64::from(array.rate().hz())
 }
@@ -133,10 +151,11 @@ const LEAST_UM: f64 = 0.5;
 fn plot(array: Array, amplitudes_um: &[f64], rows: &[Row]) -> Result<String, MotorError> {
     let last = f64::from(LINE - 1);
     let mut line_hz: Vec<f64> = (0..LINE).map(|n| 300_f64.powf(f64::from(n) / last)).collect();
-    line_hz.extend(Some(1.0 / window_s(array)).filter(|null| *null <= 300.0));
+    let null_hz = Some(1.0 / window_s(array)).filter(|null| *null <= 300.0 && averages(array));
+    line_hz.extend(null_hz);
     line_hz.sort_by(f64::total_cmp);
     let series = amplitudes_um.par_iter().map(|&um| {
-        let line = line_hz.iter().map(|&hz| Ok((hz, SteadyState::of(array, hz, um)?.peak_to_peak_um)));
+        let line = line_hz.iter().map(|&hz| Ok((hz, SteadyState::ideal_um(array, hz, um)?)));
         let of_amplitude = rows.iter().filter(|row| row.amplitude_um == um);
         let point = |row: &Row| Point { x: row.frequency_hz, y: row.measured_um, sd: row.sd_um };
         let line = Series::line(format!("{um} µm"), line.collect::<Result<_, MotorError>>()?);
@@ -167,7 +186,7 @@ fn rows(
         let cycles = measured.collect::<Result<Vec<_>, FiguresError>>()?.concat();
         let rows = amplitudes_um.iter().zip(cycles).map(|(&amplitude_um, cycles)| {
             let (measured_um, sd_um) = mean_and_sd(&cycles);
-            let model_um = SteadyState::of(array, frequency_hz, amplitude_um)?.peak_to_peak_um;
+            let model_um = SteadyState::ideal_um(array, frequency_hz, amplitude_um)?;
             let cycles = cycles.len();
             Ok(Row { frequency_hz, amplitude_um, model_um, measured_um, sd_um, cycles })
         });
@@ -205,6 +224,12 @@ fn measure(array: Array, frequency_hz: f64, amplitudes_um: &[f64]) -> Result<Vec
                 toggles.extend([start, start + pulses].map(|tick| (Tick(tick), motor, direction)));
             }
         }
+        if !averages(array) {
+            // Where cycles begin: their tops and bottoms are somewhere between.
+            let begins = excursions[skipped..].iter().map(|excursion| sample(array, 2 * excursion.up));
+            wanted.push(begins.collect());
+            continue;
+        }
         let mut samples = Vec::new();
         for pair in excursions[skipped - 1..].windows(2) {
             let (this, next) = (pair[0], pair[1]);
@@ -218,14 +243,25 @@ fn measure(array: Array, frequency_hz: f64, amplitudes_um: &[f64]) -> Result<Vec
     toggles.sort_by_key(|toggle| toggle.0);
 
     let mut readings: Vec<Vec<f64>> = vec![Vec::new(); array.motors()];
+    // Of a response that is not an average: the lowest and the highest sample of each cycle.
+    let mut ranges = vec![[[f64::INFINITY, f64::NEG_INFINITY]; CYCLES]; array.motors()];
     let (mut taken, read_ticks) = (0, array.rate().per_s() / READS_PER_S);
     let mut advance = |motors: &mut SimulatedMotors, lines: Lines, until: Tick| {
         while motors.now() < until {
             motors.advance(lines, read_ticks.min(until - motors.now()));
             while let Some(sample) = motors.telemetry() {
                 taken += 1;
-                for ((readings, wanted), y) in readings.iter_mut().zip(&wanted).zip(&sample.y) {
-                    if wanted.get(readings.len()) == Some(&taken) {
+                let of_motors = readings.iter_mut().zip(&mut ranges).zip(&wanted).zip(&sample.y);
+                for (((readings, ranges), wanted), y) in of_motors {
+                    if !averages(array) {
+                        let um = f64::from(*y) / 100.0;
+                        let begun = wanted.partition_point(|begin| *begin <= taken);
+                        if let Some([low, high]) =
+                            begun.checked_sub(1).and_then(|cycle| ranges.get_mut(cycle))
+                        {
+                            (*low, *high) = (low.min(um), high.max(um));
+                        }
+                    } else if wanted.get(readings.len()) == Some(&taken) {
                         readings.push(f64::from(*y) / 100.0);
                     }
                 }
@@ -243,6 +279,12 @@ fn measure(array: Array, frequency_hz: f64, amplitudes_um: &[f64]) -> Result<Vec
     // With an odd number of whole periods in the window the wave is inverted.
     let sign = if periods.floor() % 2.0 == 0.0 { 1.0 } else { -1.0 };
     let mut cycles: Vec<Vec<f64>> = vec![Vec::new(); amplitudes_um.len()];
+    if !averages(array) {
+        for (motor, ranges) in (0..).zip(&ranges) {
+            cycles[plays(motor)].extend(ranges.iter().map(|[low, high]| high - low));
+        }
+        return Ok(cycles);
+    }
     for (motor, readings) in (0..).zip(&readings) {
         let of_motor = readings.windows(3).step_by(2);
         cycles[plays(motor)]

@@ -74,6 +74,17 @@ fn settled(array: Array) -> u64 {
     array.motor().settled_ticks() + array.rate().of_ms(2)
 }
 
+/// The longest that homing the pins of an array may take, s: all rounds with the longest moves, or a seek in which all motors take
+/// turns.
+#[must_use]
+pub fn longest_homing_s(array: Array) -> f64 {
+    let (motor, rate) = (array.motor(), array.rate());
+    let moves = array.motors() as u64 * (u64::from(motor.most_pulses) + settled(array));
+    let rounds = u64::from(ROUNDS) * (moves + rate.of_ms(SILENT_MS));
+    let seek = array.motors() as u64 * u64::from(motor.seek_pulses);
+    rate.ticks_to_seconds(rounds.max(seek))
+}
+
 /// Whether an operation seeks the lower stop.
 pub(super) fn seeks(op: &Op) -> bool {
     match op {

@@ -29,6 +29,7 @@ use firmware_protocol::frame::MAX_FRAME;
 use firmware_protocol::message::{Cause, Counters, Op, State};
 use firmware_protocol::tick::Tick;
 use homing::Homing;
+pub use homing::longest_homing_s;
 use known::Known;
 use latch::Latch;
 use live::Live;

@@ -6,6 +6,7 @@ use super::error::KeyError;
 use super::{MOST_CELLS, MOST_VALUES, Plan, PlanError, PlanProblem, Random, Spread};
 use crate::axis::{Axis, Command, Document, Domain, Value};
 use crate::documents::Documents;
+use meissner_array::spec::{Array, ArraySpec};
 use meissner_input::document::{Table, from_toml};
 use meissner_input::message::{cut, nearest, quote, short_number};
 use serde::{Deserialize, Serialize};
@@ -52,6 +53,8 @@ struct Raw {
     random: Option<RawRandom>,
     #[serde(default)]
     points: Vec<BTreeMap<String, Toml>>,
+    #[serde(default)]
+    arrays: BTreeMap<String, String>,
     #[serde(default)]
     targets: BTreeMap<String, String>,
     #[serde(default)]
@@ -104,6 +107,14 @@ fn read(text: &str, sources: &dyn Sources) -> Result<Plan, KeyError> {
         let Program { version, model } = made;
         let this = format!("{} (model {})", this.version, this.model);
         return Err(KeyError::key("program", PlanProblem::OtherProgram { made: version, model, this }));
+    }
+    // First, because targets and patterns name them.
+    for (name, text) in &raw.arrays {
+        let known = ArraySpec::parse(text, name).map_err(|error| error.to_string());
+        if let Err(why) = known.and_then(|spec| Array::known(spec).map_err(|error| error.to_string())) {
+            let problem = PlanProblem::Document { kind: "array", name: quote(name), why };
+            return Err(KeyError::key("arrays", problem));
+        }
     }
     let mut reader =
         Reader { command, sources, targets: raw.targets, patterns: raw.patterns, texts: BTreeMap::new() };

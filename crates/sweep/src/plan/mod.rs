@@ -114,6 +114,8 @@ impl Plan {
             #[serde(skip_serializing_if = "Vec::is_empty")]
             points: Vec<BTreeMap<&'a str, &'a Value>>,
             #[serde(skip_serializing_if = "BTreeMap::is_empty")]
+            arrays: BTreeMap<&'a str, &'a str>,
+            #[serde(skip_serializing_if = "BTreeMap::is_empty")]
             targets: BTreeMap<&'a str, &'a str>,
             #[serde(skip_serializing_if = "BTreeMap::is_empty")]
             patterns: BTreeMap<&'a str, &'a str>,
@@ -131,6 +133,7 @@ impl Plan {
             points: (self.points.iter().filter(|point| named(point)))
                 .map(|point| point.iter().map(|(axis, value)| (axis.name(), value)).collect())
                 .collect(),
+            arrays: self.documents.arrays().map(|array| (array.spec().name(), array.spec().text())).collect(),
             targets: of(Document::Target),
             patterns: of(Document::Pattern),
         };

@@ -16,8 +16,6 @@ use meissner_api::{ArmRequest, Code, Event, Problem, ResetRequest, Status, parse
 use meissner_stream::queues::Command;
 use std::time::Duration;
 
-/// How long homing may take: six rounds for the pins of the paper's array that start at one end of their travel.
-const HOME_TIMEOUT: Duration = Duration::from_secs(25);
 /// How long to wait for the body of an emergency stop that was carried out.
 const ESTOP_BODY: Duration = Duration::from_millis(100);
 
@@ -163,5 +161,6 @@ pub(in crate::daemon::http) async fn home(
     Extension(peer): Extension<Peer>,
     body: Body,
 ) -> Answer<Json<Status>> {
-    simple_command(&app, peer, body, "home", Command::Home, HOME_TIMEOUT).await
+    let timeout = app.engine.home_timeout();
+    simple_command(&app, peer, body, "home", Command::Home, timeout).await
 }
