@@ -11,7 +11,7 @@ use utoipa::ToSchema;
     "grid": {"rows": 2, "columns": 3, "pitch_mm": 2.9}, "pitch_mm": 2.9, "pin_radius_mm": 0.5,
     "tick_hz": 85000, "duty": {"up": 0.2, "down": 0.8},
     "rails": [[0, 1, 2, 3, 4, 5]], "chips": [[0, 1], [2, 3], [4, 5]],
-    "motor": {"um_per_pulse": 0.1357142857142857, "window_ms": 4.3, "speed_mm_s": 11.5, "travel_um": 400.0, "least_pulses": 7,
+    "motor": {"um_per_pulse": 0.1357142857142857, "response": "average", "window_ms": 4.3, "speed_mm_s": 11.5, "travel_um": 400.0, "least_pulses": 7,
               "most_pulses": 3000},
     "toml": "name = \"tula35-2x3\"\npins = { rows = 2, columns = 3, pitch_mm = 2.9 }\ntick_hz = 85000\nduty = { up = 0.2, down = 0.8 }\n[motor]\nstep_um = 0.1357142857142857\nwindow_ms = 4.3\ntravel_um = 400.0\nleast_pulses = 7\nmost_pulses = 3000\n"
 })))]
