@@ -9,8 +9,12 @@ const CRYSTAL_HZ: u64 = 12_000_000;
 /// What the PLL's oscillator may make, Hz, and its divider in the feedback.
 const OSCILLATOR_HZ: std::ops::RangeInclusive<u64> = 750_000_000..=1_600_000_000;
 const FEEDBACK: std::ops::RangeInclusive<u64> = 16..=320;
-/// The fastest system clock, Hz.
+/// The slowest system clock, Hz: USB needs at least its own 48 MHz. And the fastest.
+const SLOWEST_HZ: u64 = 48_000_000;
 const FASTEST_HZ: u64 = 133_000_000;
+/// The fewest system cycles per tick: what rendering, USB and the supervision of the waveform take was measured with so many, and
+/// with no fewer.
+pub(crate) const LEAST_CYCLES: u64 = 1_500;
 /// Most PIO cycles of a word.
 const WORD: u64 = 32;
 /// PIO cycles that an up pulse should have: where the firmware reads which word is on the pins, it is wrong by one cycle at most.
@@ -45,8 +49,12 @@ pub(crate) fn exact(tick_hz: u32, duty: [u16; 2]) -> Result<Clock, String> {
         return Ok(clock);
     }
     let [up, down] = duty.map(|share| f64::from(share) / 1e3);
-    let mut line =
-        format!("a Pico cannot make a carrier of {tick_hz} Hz with duties of {up} and {down} exactly");
+    let mut line = format!(
+        "a Pico cannot make a carrier of {tick_hz} Hz with duties of {up} and {down} exactly, with a system clock of {} to {} MHz and \
+         at least {LEAST_CYCLES} of its cycles per tick",
+        SLOWEST_HZ / 1_000_000,
+        FASTEST_HZ / 1_000_000
+    );
     let mut nearest = Vec::new();
     if let Some(carrier) = nearest_carrier(tick_hz, duty) {
         nearest.push(format!("the nearest carrier with these duties is {carrier} Hz"));
@@ -71,19 +79,25 @@ pub(crate) fn exact(tick_hz: u32, duty: [u16; 2]) -> Result<Clock, String> {
 }
 
 fn find(tick_hz: u64, duty: [u16; 2]) -> Option<Clock> {
-    settings().into_iter().find_map(|(oscillator, feedback, post)| {
-        let system_hz = oscillator / (post[0] * post[1]);
-        let whole = oscillator.is_multiple_of(post[0] * post[1]) && system_hz.is_multiple_of(tick_hz);
-        let cycles = if whole { system_hz / tick_hz } else { return None };
-        if !divides_exactly(cycles) {
-            return None;
-        }
-        let lengths = lengths(duty).into_iter().filter(|length| cycles.is_multiple_of(*length));
-        let length = best(lengths, duty)?;
-        let divider = cycles / length;
-        Some(Clock { feedback, post, cycles, divider, words: words(length, duty)? })
-            .filter(|_| divider <= u64::from(u16::MAX))
+    let lengths = lengths(duty);
+    clocks(tick_hz).find_map(|(feedback, post, cycles)| {
+        let length = best(lengths.iter().copied().filter(|&length| cycles.is_multiple_of(length)), duty)?;
+        Some(Clock { feedback, post, cycles, divider: cycles / length, words: words(length, duty)? })
     })
+}
+
+/// The settings of the PLL that make a carrier, and the system cycles of its tick.
+fn clocks(tick_hz: u64) -> impl Iterator<Item = (u64, [u64; 2], u64)> {
+    settings().into_iter().filter_map(move |(oscillator, feedback, post)| {
+        let parts = post[0] * post[1] * tick_hz;
+        let cycles = oscillator / parts;
+        (oscillator.is_multiple_of(parts) && is_possible(cycles)).then_some((feedback, post, cycles))
+    })
+}
+
+/// Whether the firmware is fast enough with so many cycles of a tick, and counts them exactly.
+fn is_possible(cycles: u64) -> bool {
+    cycles >= LEAST_CYCLES && divides_exactly(cycles)
 }
 
 /// All settings of the PLL: oscillator, feedback, dividers. Those with the fastest system clock first, and among these those with the
@@ -94,7 +108,9 @@ fn settings() -> Vec<(u64, u64, [u64; 2])> {
         let oscillator = CRYSTAL_HZ * feedback;
         for first in 1..=7 {
             for second in 1..=first {
-                if OSCILLATOR_HZ.contains(&oscillator) && oscillator <= FASTEST_HZ * first * second {
+                let product = first * second;
+                let in_range = (SLOWEST_HZ * product..=FASTEST_HZ * product).contains(&oscillator);
+                if OSCILLATOR_HZ.contains(&oscillator) && in_range {
                     settings.push((oscillator, feedback, [first, second]));
                 }
             }
@@ -151,19 +167,19 @@ fn divides_exactly(cycles: u64) -> bool {
 }
 
 fn nearest_carrier(tick_hz: u64, duty: [u16; 2]) -> Option<u64> {
+    let lengths = lengths(duty);
     let mut nearest: Option<u64> = None;
-    for length in lengths(duty) {
-        for (oscillator, _, [first, second]) in settings() {
-            let clock = first * second * length;
-            // Carriers around the wanted one, by the divider of the PIO.
-            let divider = oscillator / (clock * tick_hz);
-            for divider in divider.saturating_sub(2).max(1)..=divider + 2 {
-                let carrier = oscillator / (clock * divider);
-                let closer =
-                    nearest.is_none_or(|nearest| carrier.abs_diff(tick_hz) < nearest.abs_diff(tick_hz));
-                if closer && CARRIERS.contains(&carrier) && find(carrier, duty).is_some() {
-                    nearest = Some(carrier);
-                }
+    for (oscillator, _, [first, second]) in settings() {
+        let most = oscillator / (first * second * CARRIERS.start());
+        for cycles in LEAST_CYCLES..=most {
+            let parts = first * second * cycles;
+            let carrier = oscillator / parts;
+            if oscillator.is_multiple_of(parts)
+                && nearest.is_none_or(|nearest| carrier.abs_diff(tick_hz) < nearest.abs_diff(tick_hz))
+                && lengths.iter().any(|&length| cycles.is_multiple_of(length))
+                && is_possible(cycles)
+            {
+                nearest = Some(carrier);
             }
         }
     }
@@ -171,10 +187,17 @@ fn nearest_carrier(tick_hz: u64, duty: [u16; 2]) -> Option<u64> {
 }
 
 fn nearest_duties(tick_hz: u64, duty: [u16; 2]) -> Option<[u16; 2]> {
-    duties_near(duty).into_iter().find(|&duty| find(tick_hz, duty).is_some())
+    let mut cycles: Vec<_> = clocks(tick_hz).map(|(_, _, cycles)| cycles).collect();
+    cycles.dedup();
+    let exact = |length: u64| cycles.iter().any(|cycles| cycles.is_multiple_of(length));
+    if cycles.is_empty() {
+        None
+    } else {
+        duties_near(duty).into_iter().find(|&duty| lengths(duty).into_iter().any(exact))
+    }
 }
 
-/// All duties that some tick has, the nearest first.
+/// All duties that some tick has and a description may have, the nearest first.
 fn duties_near(duty: [u16; 2]) -> Vec<[u16; 2]> {
     let mut all = Vec::new();
     for length in 4..=4 * WORD {
@@ -182,7 +205,7 @@ fn duties_near(duty: [u16; 2]) -> Vec<[u16; 2]> {
             for down in up + 1..length {
                 let share =
                     |cycles: u64| (cycles * 1_000).is_multiple_of(length).then_some(cycles * 1_000 / length);
-                if let (Some(up), Some(down)) = (share(up), share(down)) {
+                if let (Some(up @ ..500), Some(down @ 501..)) = (share(up), share(down)) {
                     all.push([up as u16, down as u16]);
                 }
             }

@@ -316,7 +316,7 @@ pub enum LayoutError {
     Motors,
     /// The carrier is not 20 000 to 200 000 Hz.
     TickHz,
-    /// An up pulse is not shorter than a down pulse, or one of them has no edge in its tick.
+    /// An up pulse is not shorter than half a tick, a down pulse is not longer, or one of them has no edge in its tick.
     Duty,
     /// Not one rail and one chip for each motor, or a number above 63.
     Groups,
@@ -333,9 +333,9 @@ impl fmt::Display for LayoutError {
                 write!(out, "an array has 1 to {MAX_MOTORS} motors; this build has room for {CAPACITY}")
             }
             Self::TickHz => out.write_str("the carrier must be 20000 to 200000 Hz"),
-            Self::Duty => {
-                out.write_str("duties must be 1 to 999 thousandths, that of an up pulse the smaller one")
-            }
+            Self::Duty => out.write_str(
+                "duties must be 1 to 499 thousandths for an up pulse and 501 to 999 for a down pulse",
+            ),
             Self::Groups => {
                 out.write_str("each motor must have one rail and one chip, with numbers from 0 to 63")
             }
@@ -378,7 +378,8 @@ impl Layout {
         if id.tick_hz < *TICK_HZ.start() || id.tick_hz > *TICK_HZ.end() {
             return Err(LayoutError::TickHz);
         }
-        if id.duty_up == 0 || id.duty_up >= id.duty_down || id.duty_down > 999 {
+        // The motor's rule: short high pulses move a pin up, long ones down.
+        if id.duty_up == 0 || id.duty_up >= 500 || id.duty_down <= 500 || id.duty_down > 999 {
             return Err(LayoutError::Duty);
         }
         if rails.len() != motors || chips.len() != motors {
@@ -637,5 +638,20 @@ mod tests {
                 Err(_) => panic!("a layout"),
             }
         };
+    }
+
+    #[test]
+    fn an_up_pulse_is_shorter_than_half_a_tick_and_a_down_pulse_is_longer() {
+        let with = |duty_up, duty_down| {
+            let id = ArrayId { motors: 1, duty_up, duty_down, ..Layout::PAPER.id };
+            Layout::new(id, &[0], &[0], 3_000, 17_000).map(|layout| *layout.id())
+        };
+        for (up, down) in [(1, 501), (499, 999)] {
+            assert!(with(up, down).is_ok(), "{up} {down}");
+        }
+        for (up, down) in [(0, 800), (20, 200), (500, 800), (200, 500), (600, 800), (800, 200), (200, 1_000)]
+        {
+            assert_eq!(with(up, down), Err(LayoutError::Duty), "{up} {down}");
+        }
     }
 }

@@ -57,6 +57,8 @@ const _: () = {
     assert!(down * divider * 1_000 == LAYOUT.id().duty_down as u64 * tick);
 };
 const _: () = assert!(RING_TICKS * WORDS * 4 == 1 << RING_BITS);
+// `AHEAD_WORDS` and the times of interrupts were measured with so many cycles in a tick (`clock.rs`).
+const _: () = assert!(CYCLES_PER_TICK >= 1_500);
 const _: () = assert!(Tick::BOOT.0.is_multiple_of(BLOCK as u64));
 
 /// The DMA reads it while the CPU writes. The address must be a multiple of the size.
@@ -189,7 +191,7 @@ fn SysTick() {
 
 /// Words by which the DMA is ahead of the block that begins when [`SysTick`] looks: 8 in the FIFO, one in the shift register,
 /// one in transfer, and those of the ticks by which this interrupt may be delayed: less than 4 by that of USB, which may have to
-/// look into a packet of each pipe, and 2 to spare.
+/// look into a packet of each pipe, and 2 to spare. The ticks are of 1 500 cycles; longer ones are fewer.
 const AHEAD_WORDS: core::ops::RangeInclusive<u32> = 6..=34;
 /// State machine 0 has found its FIFO empty.
 const STALLED: u32 = 1 << 24;

@@ -85,15 +85,23 @@ impl RawArray {
         let rest_error_um = checked(key, self.rest_error_um, default_um, REST_ERROR_UM, "um")?;
         let found = pulses_per_s.unwrap_or(most_pushes);
         let has_stop = self.lower_stop == Some(LowerStop::AtRest);
+        if has_stop {
+            let whole_travel = settings.array.layout().whole_travel();
+            if u32::from(whole_travel) > most_pushes {
+                let problem = Problem::LowerStop { seek: whole_travel, most: most_pushes };
+                return Err(KeyError::key("array.lower_stop", problem));
+            }
+            // What the array allows of one seek, and of all pushes in a second.
+            let most = most_pushes.min(seek_pulses.into());
+            let most_um = (f64::from(most) / 2.0 * settings.array.motor().um_per_pulse).floor();
+            let range = format!("at most {most_um} um with a lower stop, which is sought from twice as far");
+            let good = settings.wanted_seek_pulses() <= most;
+            in_range("end_stop_um", settings.end_stop_um.into(), good, range)?;
+        }
         let least = if has_stop { settings.seek_pulses().into() } else { 1 };
         let good = (least..=most_pushes).contains(&found);
         let range = format!("{least} to {most_pushes} pulses/s: a seek of the lower stop takes {least}");
         in_range("limits.stop_pulses_per_s", found.into(), good, range)?;
-        if has_stop && settings.seek_pulses() == seek_pulses {
-            let most_um = (f64::from(seek_pulses) / 2.0 * settings.array.motor().um_per_pulse).floor();
-            let range = format!("at most {most_um} um with a lower stop, which is sought from twice as far");
-            in_range("end_stop_um", settings.end_stop_um.into(), false, range)?;
-        }
         let stop = LowerStopSettings { surplus_um, rest_error_um, pulses_per_s: found };
         Ok(has_stop.then_some(stop))
     }

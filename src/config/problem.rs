@@ -44,6 +44,10 @@ pub enum Problem {
     Array { found: String, error: String },
     #[error("is {found}: must be a number of um, or \"auto\"")]
     Surplus { found: String },
+    #[error(
+        "is at_rest: a seek of the stop takes {seek} pulses, and a motor of this array may push for {most} in a second; lower most_pulses in its description"
+    )]
+    LowerStop { seek: u16, most: u32 },
 }
 
 pub(super) type KeyError = document::KeyError<Problem>;

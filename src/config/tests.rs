@@ -1,6 +1,7 @@
 //! The configuration: its keys, their defaults and ranges, and how problems are worded.
 
 use super::*;
+use meissner_array::spec::ArraySpec;
 use meissner_stream::LowerStopSettings;
 
 fn parse(text: &str) -> Result<Config, String> {
@@ -58,6 +59,8 @@ fn every_key_is_read() {
         config.mock,
         SimulatedMotorsConfig { seed: 3, gain_sd: 0.0, ..SimulatedMotorsConfig::default() }
     );
+    let transient = |text: &str| parse(text).unwrap().mock.transient_gain;
+    assert_eq!((transient("mock.transient_gain = 0.6"), transient("")), (Some(0.6), None));
     let text = "[participant]\nmax_amplitude_um = 90\nmax_continuous_s = 60\npause_s = 5\nmax_session_s = 900\nmax_day_s = 1800\n";
     let limits = ParticipantLimits {
         max_amplitude_um: 90.0,
@@ -120,6 +123,7 @@ fn an_error_is_one_line_with_its_place() {
         ),
         ("end_stop_um = 2000\narray.lower_stop = \"at_rest\"", "`end_stop_um` is 2000: must be at most"),
         ("mock.gain_sd = -1.0", "m.toml:1: `mock.gain_sd` is -1: must be 0 to 1"),
+        ("mock.transient_gain = 3", "m.toml:1: `mock.transient_gain` is 3: must be 0 to 2"),
         ("device = \"uart\"", "m.toml:1: `device` is `uart`: not one of"),
         ("device = 3", "m.toml:1: `device` is integer `3`: must be a string"),
         ("lead_ms = ", "m.toml:1: not TOML: "),
@@ -136,4 +140,45 @@ fn an_error_is_one_line_with_its_place() {
         assert!(line.contains(says) && !line.contains('\n'), "{line}");
     }
     assert!(Config::read(Path::new("/nonexistent/m.toml")).unwrap_err().to_string().contains("/nonexistent"));
+}
+
+/// A seek of the lower stop fits into what the array allows of one seek, and of pushes in a second.
+#[test]
+fn a_lower_stop_is_within_reach_of_a_seek() {
+    let described = |name: &str, motor: &str| {
+        let text = format!(
+            "name = \"{name}\"\npins = {{ rows = 1, columns = 1, pitch_mm = 2.0 }}\ntick_hz = 20000\n\
+             duty = {{ up = 0.2, down = 0.8 }}\n[motor]\nstep_um = 0.125\nwindow_ms = 4.0\ntravel_um = 100.0\n{motor}\n"
+        );
+        Array::known(ArraySpec::parse(&text, name).unwrap()).unwrap();
+    };
+    described("seek-exact", "most_pulses = 1000\nseek_pulses = 2300");
+    described("seek-short", "most_pulses = 1600\nseek_pulses = 9000");
+    let parse = |name: &str, end_stop_um: u32, more: &str| {
+        parse(&format!(
+            "end_stop_um = {end_stop_um}\n{more}\n[array]\ndescription = \"{name}\"\nlower_stop = \"at_rest\"\n"
+        ))
+    };
+    let seek = |config: Config| config.settings.seek_pulses();
+    // As far as the seek's limit reaches, and no farther.
+    assert_eq!(parse("seek-exact", 100, "").map(seek), Ok(2_300));
+    assert_eq!(parse("seek-exact", 143, "").map(seek), Ok(2_300));
+    let line = parse("seek-exact", 144, "").unwrap_err();
+    assert!(line.contains("`end_stop_um` is 144: must be at most 143 um with a lower stop"), "{line}");
+    // As far as three tenths of the carrier.
+    assert_eq!(parse("seek-short", 375, "").map(seek), Ok(6_000));
+    let line = parse("seek-short", 376, "").unwrap_err();
+    assert!(line.contains("`end_stop_um` is 376: must be at most 375 um with a lower stop"), "{line}");
+    let line = parse("seek-short", 375, "limits.stop_pulses_per_s = 5999").unwrap_err();
+    assert!(line.contains("`limits.stop_pulses_per_s` is 5999: must be 6000 to 6000 pulses/s"), "{line}");
+
+    let text = "name = \"seek-never\"\npins = { rows = 1, columns = 1, pitch_mm = 2.0 }\ntick_hz = 20000\n\
+                duty = { up = 0.2, down = 0.8 }\n[motor]\nstep_um = 0.125\nwindow_ms = 4.0\ntravel_um = 350.0\nmost_pulses = 2800\n";
+    Array::known(ArraySpec::parse(text, "seek-never").unwrap()).unwrap();
+    let line = parse("seek-never", 100, "").unwrap_err();
+    assert!(
+        line.contains("`array.lower_stop` is at_rest: a seek of the stop takes 6440 pulses, and a motor of this array may push for 6000")
+            && !line.contains('\n'),
+        "{line}"
+    );
 }

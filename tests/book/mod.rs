@@ -49,6 +49,8 @@ fn the_example_configuration_is_the_default() {
     (config.patterns, config.socket) = (default.patterns.clone(), default.socket.clone());
     config.calibration.clone_from(&default.calibration);
     config.tokens.clone_from(&default.tokens);
+    // Without the key, that of the array's description: the same.
+    assert_eq!(config.mock.transient_gain.take(), Some(config.settings.array.motor().transient_gain));
     assert_eq!(config, default);
 }
 

@@ -7,7 +7,7 @@ use meissner_array::pattern::Drive;
 use meissner_array::simulated::{
     LowerStop, Pin, RestStats, SPARE_SAMPLES, SimulatedMotors, SimulatedMotorsConfig,
 };
-use meissner_array::spec::Array;
+use meissner_array::spec::{Array, ArraySpec};
 use meissner_array::strokes::{StrokeOptions, Strokes, StrokesError, Surplus};
 use meissner_test_support::paper::UM_PER_PULSE;
 use meissner_test_support::patterns;
@@ -332,4 +332,47 @@ fn a_setting_out_of_range_is_refused_in_one_line() {
         let line = SimulatedMotors::new(Array::paper(), config, Tick(0)).unwrap_err().to_string();
         assert!(line.starts_with("mock.") && line.contains("must be 0 to"), "{line}");
     }
+}
+
+/// The mean gain of a first burst is that of the array's description, unless the settings have another.
+#[test]
+fn a_first_burst_is_as_the_description_of_the_array_says() {
+    let array = |name: &str, transient: &str| {
+        let text = format!(
+            "name = \"{name}\"\npins = {{ rows = 1, columns = 1, pitch_mm = 2.0 }}\ntick_hz = 50000\n\
+             duty = {{ up = 0.2, down = 0.8 }}\n[motor]\nstep_um = 0.125\nwindow_ms = 4.0\ntravel_um = 100.0\n\
+             most_pulses = 1000\n{transient}\n"
+        );
+        Array::known(ArraySpec::parse(&text, name).unwrap()).unwrap()
+    };
+    let (weak, none) =
+        (array("weak-first", "transient = { rest_s = 0.1, gain = 0.875 }"), array("none-first", ""));
+    // Travels of bursts of 80 pulses (10 um), the second one a tick after the first, the third after the rest.
+    let travels = |array: Array, transient_gain: Option<f64>| {
+        let config = SimulatedMotorsConfig {
+            transient_gain,
+            gain_sd: 0.0,
+            asymmetry_sd: 0.0,
+            ..SimulatedMotorsConfig::default()
+        };
+        let mut pin = Pin::new(array, &config, 0);
+        let mut before = 0.0;
+        [0, 81, 161 + 5_000].map(|start| {
+            let burst = Burst { start: Tick(start), direction: Direction::Up, pulses: 80 };
+            pin.play(burst);
+            let at = pin.position_um(burst.end());
+            let travel = at - before;
+            before = at;
+            travel
+        })
+    };
+    assert_eq!(travels(weak, None), [8.75, 10.0, 8.75]);
+    assert_eq!(travels(weak, Some(0.5)), [5.0, 10.0, 5.0]);
+    assert_eq!(travels(none, None), [10.0; 3]);
+    // A motor without transients never rests.
+    assert_eq!(travels(none, Some(0.5)), [10.0; 3]);
+    let identity = |array: Array| {
+        SimulatedMotors::new(array, SimulatedMotorsConfig::default(), Tick::BOOT).unwrap().identity()
+    };
+    assert!(identity(weak).contains("transient_gain 0.875,") && identity(none).contains("transient_gain 1,"));
 }

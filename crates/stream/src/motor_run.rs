@@ -114,8 +114,12 @@ impl MotorRun {
         // The first stroke is late enough to be corrected.
         let strokes = DriveStrokes::of(array, &drive)?.shifted(2 * times.finalise_at, u64::MAX);
         let Self { seed, scatter: gain_sd, transient_gain, .. } = *self;
-        let config =
-            SimulatedMotorsConfig { seed, gain_sd, transient_gain, ..SimulatedMotorsConfig::default() };
+        let config = SimulatedMotorsConfig {
+            seed,
+            gain_sd,
+            transient_gain: Some(transient_gain),
+            ..SimulatedMotorsConfig::default()
+        };
         let pin = Pin::new(array, &config, 0).with_asymmetry(self.asymmetry).at(self.offset_um);
         let mut controller = BurstController::new(array, &self.gains);
         let start = Tick::BOOT;

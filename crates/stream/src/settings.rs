@@ -41,8 +41,8 @@ pub struct LowerStopSettings {
 
 /// Rest error that the surplus allows by default, µm: less than position control reaches with telemetry at 10 % scatter (8 µm).
 const REST_ERROR_UM: f64 = 5.0;
-/// A seek of the stop goes this many times as far as from end stop to rest: the first burst after rest reaches 80 %, and a
-/// weak motor less.
+/// A seek of the stop goes this many times as far as from end stop to rest: the first burst after rest reaches 80 % (in a
+/// description of an array at least 75 %), and a weak motor less.
 const SEEK_MARGIN: f64 = 2.0;
 
 impl LowerStopSettings {
@@ -105,11 +105,17 @@ impl Settings {
     /// goes as far as moves and a stroke can take a pin.
     #[must_use]
     pub fn seek_pulses(&self) -> u16 {
-        let motor = self.array.motor();
-        let pulses = SEEK_MARGIN * f64::from(self.end_stop_um) / motor.um_per_pulse;
         let whole_travel = self.array.layout().whole_travel();
+        let wanted = u16::try_from(self.wanted_seek_pulses()).unwrap_or(u16::MAX);
+        wanted.clamp(whole_travel, self.array.motor().seek_pulses)
+    }
+
+    /// Pulses of a seek from end stop to rest with the margin, whether or not the array allows so many.
+    #[must_use]
+    pub fn wanted_seek_pulses(&self) -> u32 {
+        let pulses = SEEK_MARGIN * f64::from(self.end_stop_um) / self.array.motor().um_per_pulse;
         // The cast saturates.
-        (pulses.ceil() as u16).clamp(whole_travel, motor.seek_pulses)
+        pulses.ceil() as u32
     }
 
     /// How long arming takes at most to seek the lower stop: the motors of a rail may have to take turns.

@@ -33,8 +33,8 @@ pub(crate) fn other() -> Array {
         window_ms = 2.5
         travel_um = 250.0
         least_pulses = 5
-        most_pulses = 2000
-        transient = { rest_s = 0.6, gain = 0.65 }
+        most_pulses = 1600
+        transient = { rest_s = 0.6, gain = 0.75 }
     "#;
     Array::known(ArraySpec::parse(text, "other.toml").unwrap()).unwrap()
 }

@@ -250,7 +250,7 @@ fn calibrated_gains_hold_pins_without_telemetry() {
     let motors = SimulatedMotorsConfig {
         telemetry_hz: 0,
         gain_sd: 0.0,
-        transient_gain: 0.8,
+        transient_gain: Some(0.8),
         asymmetry_sd: 0.05,
         end_stop_um: 10_000.0,
         ..SimulatedMotorsConfig::default()
@@ -261,7 +261,7 @@ fn calibrated_gains_hold_pins_without_telemetry() {
         let burst = |start: u64, direction| Burst { start: Tick(start), direction, pulses: 1000 };
         pin.play(burst(0, Direction::Up));
         pin.play(burst(2000, Direction::Down));
-        let top = pin.position_um(Tick(2000)) / (1000.0 * UM_PER_PULSE * motors.transient_gain);
+        let top = pin.position_um(Tick(2000)) / (1000.0 * UM_PER_PULSE * 0.8);
         Gains { mean: [top, 2.0 - top], sd: [0.005; 2], scatter: 0.1 }
     });
     let drift = |gains: Option<&PerMotor<Gains>>| {

@@ -81,7 +81,7 @@ fn plays(name: &str, motors: u8) {
             (0..train.pulses).map(move |pulse| (cycle(train.start + pulse), width))
         });
         let found = pulses.iter().map(|pulse| {
-            assert_eq!(pulse.pulses, 1, "a pulse each 1 500 cycles on line {line}");
+            assert_eq!(pulse.pulses, 1, "a pulse each {TICK} cycles on line {line}");
             (pulse.cycle, pulse.width)
         });
         assert!(wanted.eq(found), "line {line}: {trains:?}, {pulses:?}");
@@ -120,4 +120,30 @@ fn clocks_are_exact_or_the_nearest_is_named() {
     assert!(line.contains("the nearest carrier with these duties is 71250 Hz"), "{line}");
     let line = clock::exact(70_000, [251, 750]).unwrap_err();
     assert!(line.contains("the nearest duties at this carrier are 0.25 and 0.75"), "{line}");
+}
+
+#[test]
+fn clocks_are_fast_enough_for_usb_and_for_the_firmware() {
+    for (tick_hz, duty, cycles) in [(85_000, [200, 800], 1_500), (70_000, [250, 750], 1_900)] {
+        assert_eq!(clock::exact(tick_hz, duty).unwrap().cycles, cycles);
+    }
+    // Exact only with 32 MHz, too slow for USB, and only 625 cycles per tick.
+    let line = clock::exact(51_456, [200, 800]).unwrap_err();
+    assert!(
+        line.contains("a system clock of 48 to 133 MHz and at least 1500 of its cycles per tick"),
+        "{line}"
+    );
+    assert!(line.contains("the nearest carrier with these duties is 51500 Hz"), "{line}");
+    // As fast as 133 MHz allow.
+    for tick_hz in [88_667, 200_000] {
+        let line = clock::exact(tick_hz, [200, 800]).unwrap_err();
+        assert!(line.contains("the nearest carrier with these duties is 88000 Hz"), "{line}");
+    }
+    // Every carrier that is made keeps both bounds.
+    for tick_hz in (20_000..=90_000).step_by(2_500) {
+        if let Ok(clock) = clock::exact(tick_hz, [250, 750]) {
+            let system_hz = clock.cycles * u64::from(tick_hz);
+            assert!(clock.cycles >= clock::LEAST_CYCLES && (48_000_000..=133_000_000).contains(&system_hz));
+        }
+    }
 }

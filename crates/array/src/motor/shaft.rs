@@ -1,8 +1,8 @@
 //! The exact displacement of a shaft, from the ramps of its commanded position.
 //!
-//! For the paper's motor `y(t) = (1/W) ∫ r` over a window W, a whole number of half ticks. The share of a ramp in that integral is a polynomial in whole half ticks since
-//! the ramp's start, so it is an integer until it is multiplied by the ramp's speed. Its precision does not depend on how late it
-//! is. A ramp that ended W ago is added to a base and dropped.
+//! For the paper's motor `y(t) = (1/W) ∫ r` over a window W, a whole number of half ticks. The share of a ramp in that integral is
+//! a polynomial in whole half ticks since the ramp's start, so it is an integer until it is multiplied by the ramp's speed. Its
+//! precision does not depend on how late it is. A ramp that ended W ago is added to a base and dropped.
 //!
 //! Push ramps in order of time, and ask only about instants from the start of the newest ramp on. This bounds the memory: the
 //! shortest ramp is one pulse, so the window holds one ramp per tick, the one at its far edge and the newest.

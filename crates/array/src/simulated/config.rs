@@ -1,6 +1,6 @@
 //! The settings of the simulated array.
 
-use crate::spec::Array;
+use crate::spec::MotorSpec;
 use serde::{Deserialize, Serialize};
 
 /// The highest rate of telemetry, samples per second.
@@ -31,8 +31,9 @@ pub struct SimulatedMotorsConfig {
     pub gain_sd: f64,
     /// Standard deviation, over motors, of the relative difference of the travel of a pulse up and down. Our choice.
     pub asymmetry_sd: f64,
-    /// Mean gain of the first burst after half a second of rest: 0.8, the transient of the paper's Fig. 2.
-    pub transient_gain: f64,
+    /// Mean gain of the first burst after the rest that the array's description names; `None`: as it says there. It does nothing
+    /// for an array without `transient`.
+    pub transient_gain: Option<f64>,
     /// Distance of the end stops from rest, µm. Our choice: no data sheet was found.
     pub end_stop_um: f64,
     /// What holds the pins at rest from below. A stop clips the commanded position; the pin follows the clipped position through
@@ -50,7 +51,7 @@ impl Default for SimulatedMotorsConfig {
             seed: 0,
             gain_sd: 0.10,
             asymmetry_sd: 0.02,
-            transient_gain: Array::paper().motor().transient_gain,
+            transient_gain: None,
             end_stop_um: 500.0,
             lower_stop: LowerStop::None,
             telemetry_hz: 1000,
@@ -63,14 +64,21 @@ impl SimulatedMotorsConfig {
     /// The default settings without scatter, asymmetry and transient: every pulse follows the model.
     #[must_use]
     pub fn ideal() -> Self {
-        Self { gain_sd: 0.0, asymmetry_sd: 0.0, transient_gain: 1.0, ..Self::default() }
+        Self { gain_sd: 0.0, asymmetry_sd: 0.0, transient_gain: Some(1.0), ..Self::default() }
     }
 
-    /// The settings that identify the array; telemetry is left out. Arrays without a lower stop have the identity that they had
-    /// before there were stops, so that their calibrations stay valid.
+    /// Mean gain of the first burst of such a motor after a rest.
     #[must_use]
-    pub fn identity(&self) -> String {
-        let Self { seed, gain_sd, asymmetry_sd, transient_gain, end_stop_um, lower_stop, .. } = self;
+    pub fn transient_gain(&self, motor: &MotorSpec) -> f64 {
+        self.transient_gain.unwrap_or(motor.transient_gain)
+    }
+
+    /// The settings that identify the array, which has such motors; telemetry is left out. Arrays without a lower stop have the
+    /// identity that they had before there were stops, so that their calibrations stay valid.
+    #[must_use]
+    pub fn identity(&self, motor: &MotorSpec) -> String {
+        let Self { seed, gain_sd, asymmetry_sd, end_stop_um, lower_stop, .. } = self;
+        let transient_gain = self.transient_gain(motor);
         let stop = match lower_stop {
             LowerStop::None => "",
             LowerStop::AtRest => ", lower_stop at_rest",
@@ -89,7 +97,7 @@ impl SimulatedMotorsConfig {
         let checks = [
             ("gain_sd", self.gain_sd, 1.0),
             ("asymmetry_sd", self.asymmetry_sd, 1.0),
-            ("transient_gain", self.transient_gain, 2.0),
+            ("transient_gain", self.transient_gain.unwrap_or(1.0), 2.0),
             ("end_stop_um", self.end_stop_um, 10_000.0),
             ("telemetry_hz", self.telemetry_hz.into(), MAX_TELEMETRY_HZ.into()),
             ("telemetry_age_ms", self.telemetry_age_ms.into(), MAX_TELEMETRY_AGE_MS.into()),
@@ -116,15 +124,16 @@ pub struct SimulatedMotorsError {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::spec::Array;
 
     #[test]
     fn a_lower_stop_makes_another_array_and_none_the_same() {
         let stop =
             SimulatedMotorsConfig { lower_stop: LowerStop::AtRest, ..SimulatedMotorsConfig::default() };
-        let none = SimulatedMotorsConfig::default().identity();
-        assert!(
-            none.ends_with("end_stop_um 500") && stop.identity() == format!("{none}, lower_stop at_rest")
-        );
+        let motor = Array::paper().spec().motor();
+        let none = SimulatedMotorsConfig::default().identity(motor);
+        assert_eq!(none, "seed 0, gain_sd 0.1, asymmetry_sd 0.02, transient_gain 0.8, end_stop_um 500");
+        assert_eq!(stop.identity(motor), format!("{none}, lower_stop at_rest"));
         assert_eq!(serde_json::to_value(stop).unwrap()["lower_stop"], "at_rest");
     }
 }

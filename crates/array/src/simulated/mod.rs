@@ -88,6 +88,12 @@ impl SimulatedMotors {
         &self.config
     }
 
+    /// Which array it is: see [`SimulatedMotorsConfig::identity`].
+    #[must_use]
+    pub fn identity(&self) -> String {
+        self.config.identity(self.array.spec().motor())
+    }
+
     /// The tick up to which it has been simulated.
     #[must_use]
     pub const fn now(&self) -> Tick {

@@ -126,8 +126,8 @@ impl Pin {
     #[expect(clippy::cast_precision_loss, reason = "a number of pulses within the travel")]
     pub(super) fn begin(&mut self, now: Tick, direction: Direction) {
         let (config, motor) = (self.config, self.motor);
-        let rested = self.last_end.is_none_or(|end| now - end >= self.spec.transient_rest_ticks);
-        let mean = if rested { config.transient_gain } else { 1.0 };
+        let rested = self.spec.is_rested(self.last_end, now);
+        let mean = if rested { config.transient_gain(self.spec) } else { 1.0 };
         let scatter = match config.gain_sd {
             0.0 => 0.0,
             sd => sd * random::normal([config.seed, motor, now.0, direction_key(direction)]),

@@ -15,7 +15,7 @@ pub enum Problem {
     TooLarge { bytes: usize, most: usize },
     #[error("is {found}: must be 1 to 32 of a-z, 0-9 and -, and not begin with -")]
     Name { found: String },
-    #[error("is {name}, which the program ships with other values: give yours another name")]
+    #[error("is {name}, which is known with other values: give yours another name")]
     Shipped { name: String },
     #[error("needs either rows, columns and pitch_mm, or positions_mm")]
     Pins,
@@ -27,8 +27,12 @@ pub enum Problem {
     Overlap { first: usize, second: usize, distance_mm: f64, radius_mm: f64 },
     #[error("needs either window_ms, or lag = {{ natural_hz, damping }}: how a shaft follows its pulses")]
     Response,
-    #[error("up is {up} and down is {down}: up must be below down")]
+    #[error(
+        "up is {up} and down is {down}: make up less than 0.5 and down more, because a motor goes up where its line is high for less than half of a tick"
+    )]
     Duty { up: f64, down: f64 },
+    #[error("is {found}: boards take thousandths of a tick; give at most three decimals")]
+    Thousandths { found: f64 },
     #[error("has no motors: leave the group out")]
     EmptyGroup,
     #[error("has motor {motor}: the array has motors 0 to {last}")]
@@ -43,6 +47,14 @@ pub enum Problem {
         "is {found}: {travel_um} um are {pulses} pulses of step_um; lower travel_um, or raise most_pulses"
     )]
     Travel { found: u16, travel_um: f64, pulses: u32 },
+    #[error(
+        "is {found}: {travel_um} um are {pulses} pulses of step_um, and this limit may be at most twice that; lower it to {most} or less"
+    )]
+    FarTravel { found: u16, travel_um: f64, pulses: u32, most: u32 },
+    #[error(
+        "settles in {settles_s:.2} s: must be at most {most_s} s; raise natural_hz, or bring damping nearer to 1"
+    )]
+    SlowLag { settles_s: f64, most_s: f64 },
     #[error(
         "is {found}: from its highest place a pin needs {least} pulses; raise seek_pulses, or lower most_pulses"
     )]

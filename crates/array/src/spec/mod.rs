@@ -19,6 +19,7 @@ use crate::motor::Response;
 use crate::units::TickRate;
 use firmware_protocol::array::Layout;
 pub use firmware_protocol::array::MAX_MOTORS;
+use firmware_protocol::tick::Tick;
 use std::ops::Range;
 
 /// A checked description of an array.
@@ -232,7 +233,7 @@ impl ArraySpec {
 impl MotorSpec {
     /// The window in ticks, for equations.
     #[must_use]
-    #[expect(clippy::cast_precision_loss, reason = "at most 20 000")]
+    #[expect(clippy::cast_precision_loss, reason = "at most half a second: 200 000")]
     pub const fn window_ticks(&self) -> f64 {
         self.window_half_ticks as f64 / 2.0
     }
@@ -241,6 +242,14 @@ impl MotorSpec {
     #[must_use]
     pub const fn settled_ticks(&self) -> u64 {
         self.window_half_ticks.div_ceil(2)
+    }
+
+    /// Whether a burst that begins at `start` is a transient: the motor has rested since `last_end`, the end of its last burst
+    /// (none: there was none). A motor without transients never rests for long enough.
+    #[must_use]
+    pub fn is_rested(&self, last_end: Option<Tick>, start: Tick) -> bool {
+        let rest_ticks = self.transient_rest_ticks;
+        last_end.map_or(rest_ticks < u64::MAX, |end| start - end >= rest_ticks)
     }
 
     /// `um` in pulses, not rounded.
@@ -416,7 +425,19 @@ most_pulses = 2000
             ("[5]]\nchips", "[6]]\nchips", "`rails[1]` has motor 6: the array has motors 0 to 5"),
             ("[5]]\nchips", "[]]\nchips", "`rails[1]` has no motors"),
             ("up = 0.25", "up = 0.0", "`duty.up` is 0: must be 0.02 to 0.98"),
-            ("up = 0.25", "up = 0.75", "`duty`: up is 0.75 and down is 0.75: up must be below"),
+            ("up = 0.25", "up = 0.75", "`duty`: up is 0.75 and down is 0.75: make up less than 0.5"),
+            ("up = 0.25, down = 0.75", "up = 0.02, down = 0.20", "`duty`: up is 0.02 and down is 0.2: make"),
+            (
+                "up = 0.25",
+                "up = 0.5",
+                "`duty`: up is 0.5 and down is 0.75: make up less than 0.5 and down more",
+            ),
+            (
+                "up = 0.25",
+                "up = 0.2504",
+                "`duty.up` is 0.2504: boards take thousandths of a tick; give at most",
+            ),
+            ("down = 0.75", "down = 0.66667", "`duty.down` is 0.66667: boards take thousandths"),
             (
                 "tick_hz = 70000",
                 "tick_hz = 4294967295",
@@ -427,6 +448,27 @@ most_pulses = 2000
             ("window_ms = 3.0", "window_ms = nan", "`motor.window_ms` is NaN: must be 0.1 to 50 ms"),
             ("step_um = 0.2", "step_um = 0.1", "`motor.most_pulses` is 2000: 300 um are 3000 pulses"),
             ("most_pulses = 2000", "most_pulses = 60000", "`motor.most_pulses` is 60000: must be 1 to 10000"),
+            (
+                "most_pulses = 2000",
+                "most_pulses = 3001",
+                "`motor.most_pulses` is 3001: 300 um are 1500 pulses of step_um, and this limit may be at most twice that; lower it \
+                 to 3000 or less",
+            ),
+            (
+                "window_ms = 3.0",
+                "lag = { natural_hz = 7.0, damping = 20.0 }",
+                "`motor.lag`: settles in 18.84 s: must be at most 0.5 s; raise natural_hz, or bring damping nearer to 1",
+            ),
+            (
+                "window_ms = 3.0",
+                "lag = { natural_hz = 5.0, damping = 1.0 }",
+                "`motor.lag.natural_hz` is 5: must be 7 to 10000 Hz",
+            ),
+            (
+                "most_pulses = 2000",
+                "most_pulses = 2000\ntransient = { rest_s = 0.5, gain = 0.74 }",
+                "`motor.transient.gain` is 0.74: must be 0.75 to 2: with less, a seek of the lower stop",
+            ),
             (
                 "most_pulses = 2000",
                 "most_pulses = 2000\nseek_pulses = 2000",
@@ -444,6 +486,33 @@ most_pulses = 2000
     }
 
     #[test]
+    fn the_bounds_themselves_are_good() {
+        for (from, to) in [
+            ("up = 0.25, down = 0.75", "up = 0.499, down = 0.501"),
+            ("most_pulses = 2000", "most_pulses = 3000"),
+            ("most_pulses = 2000", "most_pulses = 2000\ntransient = { rest_s = 0.5, gain = 0.75 }"),
+            ("window_ms = 3.0", "lag = { natural_hz = 7.0, damping = 1.0 }"),
+        ] {
+            let spec = ArraySpec::parse(&GOOD.replace(from, to), "mine.toml");
+            assert!(spec.is_ok(), "{to}: {spec:?}");
+        }
+        // The least seek of a first burst that scatters downward by a standard deviation.
+        let layout = Array::paper().spec().layout();
+        for above in [10, 100, 1_000, 3_000] {
+            assert!(f64::from(layout.least_seek(above)) * 0.75 * 0.9 >= f64::from(above));
+        }
+    }
+
+    #[test]
+    fn a_motor_without_transients_never_rests() {
+        let (paper, other) = (Array::paper(), ArraySpec::parse(GOOD, "mine.toml").unwrap());
+        let (paper, other) = (paper.motor(), other.motor());
+        assert!(paper.is_rested(None, Tick(0)) && paper.is_rested(Some(Tick(5)), Tick(42_505)));
+        assert!(!paper.is_rested(Some(Tick(5)), Tick(42_504)));
+        assert!(!other.is_rested(None, Tick(0)) && !other.is_rested(Some(Tick(5)), Tick(u64::MAX)));
+    }
+
+    #[test]
     fn a_name_stands_for_one_description() {
         let spec = |text: &str| ArraySpec::parse(text, "mine.toml").unwrap();
         let mine = GOOD.replace("mine", "known-once");
@@ -451,7 +520,8 @@ most_pulses = 2000
         assert_eq!(Array::known(spec(&mine)), Ok(array));
         assert_eq!(Array::named("known-once"), Ok(array));
         let other = spec(&mine.replace("70000", "71000"));
-        assert!(Array::known(other).unwrap_err().to_string().contains("another name"));
+        let line = Array::known(other).unwrap_err().to_string();
+        assert_eq!(line, "is known-once, which is known with other values: give yours another name");
         let line = Array::named("nobodys").unwrap_err().to_string();
         assert!(
             line.starts_with("no array is called `nobodys`: known are tula35-6x4, ubi-pen-3x3, "),

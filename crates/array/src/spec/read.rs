@@ -15,10 +15,19 @@ use serde::Deserialize;
 /// Most bytes of a description: far more than 64 pins need.
 const MAX_BYTES: usize = 1 << 16;
 const MAX_SIZE: Size = Size { tokens: 1 << 14, tables: 64, values: 1 << 10 };
-/// Carriers, Hz. Below 20 kHz a motor is heard; above 200 kHz no controller of ours keeps up.
+/// Carriers, Hz. Below 20 kHz people hear a motor. The protocol's buffers are sized for at most 200 kHz; the firmware of a Pico
+/// takes less (`firmware/clock.rs`).
 const TICK_HZ: std::ops::RangeInclusive<u32> = 20_000..=200_000;
 /// Radius of a pin's tip without one given, mm.
 const PIN_RADIUS_MM: f64 = 0.5;
+/// `most_pulses` may be at most this many times the travel. It bounds how far a host can move a pin. A stroke of the whole travel
+/// with its largest correction takes 1.3 times the travel; the rest is for a motor that goes less far per pulse than described.
+const MOST_TRAVELS: u32 = 2;
+/// The least mean gain of a transient burst. A seek of the lower stop goes at least 1.5 times as far as the pin is above it
+/// ([`Layout::least_seek`]) and may be such a burst. Bursts scatter by 10 %, and 1.5 x 0.75 x 0.9 is just above 1.
+const LEAST_TRANSIENT_GAIN: f64 = 0.75;
+/// The longest time in which a lag settles, s. Our choice: a shaft keeps each ramp for so long.
+const MOST_SETTLING_S: f64 = 0.5;
 
 impl ArraySpec {
     /// Reads a description; `file` is its name in errors.
@@ -194,7 +203,16 @@ impl RawDuty {
         for (key, found) in [("duty.up", up), ("duty.down", down)] {
             in_range(key, found, (0.02..=0.98).contains(&found), "0.02 to 0.98 of a tick")?;
         }
-        if up < down { Ok(Duty { up, down }) } else { Err(KeyError::key("duty", Problem::Duty { up, down })) }
+        // The motor's rule: short high pulses move a pin up, long ones down.
+        if up >= 0.5 || down <= 0.5 {
+            return Err(KeyError::key("duty", Problem::Duty { up, down }));
+        }
+        for (key, found) in [("duty.up", up), ("duty.down", down)] {
+            if (1000.0 * found).round() / 1000.0 != found {
+                return Err(KeyError::key(key, Problem::Thousandths { found }));
+            }
+        }
+        Ok(Duty { up, down })
     }
 }
 
@@ -264,6 +282,11 @@ impl RawMotor {
             let problem = Problem::Travel { found: most_pulses, travel_um, pulses };
             return Err(KeyError::key("most_pulses", problem));
         }
+        let most = MOST_TRAVELS * pulses.max(1);
+        if u32::from(most_pulses) > most {
+            let problem = Problem::FarTravel { found: most_pulses, travel_um, pulses, most };
+            return Err(KeyError::key("most_pulses", problem));
+        }
         // From where moves and a stroke can take a pin at most.
         let least = 2 * most_pulses + correction(most_pulses);
         let most = i16::MAX.cast_unsigned();
@@ -276,7 +299,11 @@ impl RawMotor {
             None => (f64::INFINITY, 1.0),
             Some(Table(RawTransient { rest_s, gain })) => {
                 in_range("transient.rest_s", rest_s, (0.01..=1e4).contains(&rest_s), "0.01 to 10000 s")?;
-                in_range("transient.gain", gain, (0.01..=2.0).contains(&gain), "0.01 to 2")?;
+                let good = (LEAST_TRANSIENT_GAIN..=2.0).contains(&gain);
+                let range = format!(
+                    "{LEAST_TRANSIENT_GAIN} to 2: with less, a seek of the lower stop would end above it"
+                );
+                in_range("transient.gain", gain, good, range)?;
                 (rest_s, gain)
             }
         };
@@ -289,12 +316,18 @@ impl RawMotor {
                 in_range(
                     "lag.natural_hz",
                     natural_hz,
-                    (5.0..=10_000.0).contains(&natural_hz),
-                    "5 to 10000 Hz",
+                    (7.0..=10_000.0).contains(&natural_hz),
+                    "7 to 10000 Hz",
                 )?;
                 in_range("lag.damping", damping, (0.05..=20.0).contains(&damping), "0.05 to 20")?;
                 let lag = Response::lag(natural_hz, damping, rate.half_ticks_per_s());
-                (lag, lag.settled_half_ticks(0))
+                let settled = lag.settled_half_ticks(0);
+                let settles_s = settled as f64 / rate.half_ticks_per_s();
+                if settles_s > MOST_SETTLING_S {
+                    let problem = Problem::SlowLag { settles_s, most_s: MOST_SETTLING_S };
+                    return Err(KeyError::key("lag", problem));
+                }
+                (lag, settled)
             }
             _ => return Err(KeyError::whole(None, Problem::Response)),
         };

@@ -173,15 +173,9 @@ pub(super) const fn sign(direction: Direction) -> f64 {
     }
 }
 
-/// Whether a burst is a transient: the motor has rested since `last_end`. A motor without transients never rests for long enough.
-fn is_rested(motor: &MotorSpec, last_end: Option<Tick>, start: Tick) -> bool {
-    let rest_ticks = motor.transient_rest_ticks;
-    last_end.map_or(rest_ticks < u64::MAX, |end| start - end >= rest_ticks)
-}
-
 /// Mean gain of a burst, relative to the motor's: that of transients if the motor has rested since `last_end`.
 pub(super) fn after_rest(motor: &MotorSpec, last_end: Option<Tick>, start: Tick) -> f64 {
-    if is_rested(motor, last_end, start) { motor.transient_gain } else { 1.0 }
+    if motor.is_rested(last_end, start) { motor.transient_gain } else { 1.0 }
 }
 
 impl Estimator {
@@ -290,7 +284,7 @@ impl Estimator {
     /// Adds a burst, later than all others. Returns the oldest one if it had to make room.
     pub(super) fn begin(&mut self, burst: Burst) -> Option<Travel> {
         let over = if self.window.is_full() { Some(self.merge(0)) } else { None };
-        let rested = is_rested(&self.motor, self.last_end, burst.start);
+        let rested = self.motor.is_rested(self.last_end, burst.start);
         let rest = if rested { self.motor.transient_gain } else { 1.0 };
         self.last_end = Some(burst.end());
         let ideal = sign(burst.direction) * f64::from(burst.pulses) * self.motor.um_per_pulse;

@@ -155,10 +155,10 @@ impl Mock {
         self.now
     }
 
-    /// Which simulated array it is: see [`SimulatedMotorsConfig::identity`].
+    /// Which simulated array it is: see [`SimulatedMotors::identity`].
     #[must_use]
     pub fn identity(&self) -> String {
-        self.motors.config().identity()
+        self.motors.identity()
     }
 
     /// The true positions of its pins, for other threads to read.
