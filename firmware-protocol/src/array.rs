@@ -320,6 +320,8 @@ pub enum LayoutError {
     Duty,
     /// Not one rail and one chip for each motor, or a number above 63.
     Groups,
+    /// Motors of one chip are on two rails.
+    TwoRails,
     /// A stroke may have no up pulses, or more than 10 000.
     UpPulses,
     /// A seek may not have the pulses of the whole travel, or has more than 32 767.
@@ -339,6 +341,7 @@ impl fmt::Display for LayoutError {
             Self::Groups => {
                 out.write_str("each motor must have one rail and one chip, with numbers from 0 to 63")
             }
+            Self::TwoRails => out.write_str("the motors of a chip must be on one rail"),
             Self::UpPulses => write!(out, "a stroke must have 1 to {MOST_UP_PULSES} up pulses at most"),
             Self::Seek => {
                 write!(
@@ -412,6 +415,9 @@ impl Layout {
         let mut motor = 0;
         while motor < motors {
             (layout.rails[motor], layout.chips[motor]) = (rails[motor], chips[motor]);
+            if rails[next_on_chip[motor] as usize] != rails[motor] {
+                return Err(LayoutError::TwoRails);
+            }
             motor += 1;
         }
         Ok(layout)
@@ -622,6 +628,17 @@ pub const fn within_correction(planned: u16, count: u16) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_chip_is_on_one_rail() {
+        let of = |chips: &[u8]| {
+            Layout::new(ArrayId { motors: 4, ..Layout::PAPER.id }, &[0, 1, 0, 1], chips, 100, 300)
+        };
+        assert!(of(&[5, 7, 5, 7]).is_ok() && of(&[0, 1, 2, 3]).is_ok());
+        for chips in [[0, 0, 1, 2], [0, 1, 2, 0], [3, 3, 3, 3]] {
+            assert_eq!(of(&chips).err(), Some(LayoutError::TwoRails), "{chips:?}");
+        }
+    }
 
     impl Layout {
         /// Numbers as those of the paper's array, for tests.

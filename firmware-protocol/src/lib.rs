@@ -22,7 +22,7 @@
 //! use firmware_protocol::tick::Tick;
 //!
 //! let rails = [0, 0, 0, 1, 1, 1];
-//! let chips = [0, 0, 1, 1, 2, 2];
+//! let chips = [0, 0, 1, 2, 2, 3];
 //! let id = ArrayId { name: Name::new("two-by-three").expect("a name"), motors: 6, tick_hz: 70_000, duty_up: 250, duty_down: 750, hash: 7 };
 //! let layout = Layout::new(id, &rails, &chips, 3_000, 17_000)?;
 //! let mut device = Controller::new(Identity::NONE, layout);
@@ -54,7 +54,7 @@
 //!
 //! # The array
 //! The device is built for one array. The array has 1 to 64 motors ([`array::MAX_MOTORS`]), each with its rail (the motors that share a
-//! supply) and its driver chip, in any grouping. It has a carrier of 20 000 to 200 000 Hz, and limits of its pulses
+//! supply) and its driver chip, in any grouping; the motors of a chip are on one rail. It has a carrier of 20 000 to 200 000 Hz, and limits of its pulses
 //! ([`array::Layout`]). Times and limits in this page that depend on the array are methods of the layout. The handshake names the array
 //! ([`array::ArrayId`]): name, motors, carrier, duties, and a hash of the description that both were made from. The host ends
 //! the session if one of them is not that of its own array, and names the key and both values.

@@ -301,7 +301,8 @@ impl Layout {
     }
 
     /// Whether bursts of all motors may not have pulses together.
-    pub(crate) const fn takes_turns(&self, limits: &PowerLimits) -> bool {
+    #[must_use]
+    pub const fn takes_turns(&self, limits: &PowerLimits) -> bool {
         limits.rail_at_once < self.motors_per_rail() || limits.chip_at_once < self.motors_per_chip()
     }
 
@@ -309,19 +310,15 @@ impl Layout {
     /// all chips of a rail are alike.
     #[must_use]
     pub const fn turns(&self, limits: &PowerLimits) -> u8 {
-        let (mut longest, mut sum, mut crosses) = (1, 0, false);
-        let mut first = 0;
+        let (mut longest, mut first) = (1, 0);
         while first < self.motors() {
             if self.first_on_rail(first) == first {
                 let turns = self.turns_of_rail(first, limits);
                 longest = if turns > longest { turns } else { longest };
-                sum += turns;
             }
-            // A chip on two rails: at worst the rails take turns, too.
-            crosses |= self.rail(self.first_on_chip(first)) != self.rail(first);
             first += 1;
         }
-        if crosses && limits.chip_at_once < self.motors_per_chip() { 1 + sum } else { longest }
+        longest
     }
 
     /// [`Self::turns`] of one rail, of which `first` is a motor.
@@ -336,8 +333,7 @@ impl Layout {
                 motors += 1;
                 let (mut before, mut other) = (0, 0);
                 while other < motor {
-                    before += (self.rail(other) == self.rail(first) && self.chip(other) == self.chip(motor))
-                        as usize;
+                    before += (self.chip(other) == self.chip(motor)) as usize;
                     other += 1;
                 }
                 chips[before] += 1;
@@ -390,15 +386,6 @@ impl Layout {
     const fn first_on_rail(&self, motor: usize) -> usize {
         let mut first = 0;
         while self.rail(first) != self.rail(motor) {
-            first += 1;
-        }
-        first
-    }
-
-    /// The first motor on the chip of `motor`.
-    const fn first_on_chip(&self, motor: usize) -> usize {
-        let mut first = 0;
-        while self.chip(first) != self.chip(motor) {
             first += 1;
         }
         first

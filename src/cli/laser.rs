@@ -120,7 +120,7 @@ fn add_to(out: &Path, new: Calibration) -> Result<String> {
     let all = if out.exists() {
         let text = files::text(out, MAX_BYTES as u64, "calibration")?;
         let old = Calibration::parse(&text, &files::shown(out))?;
-        if old.provenance().identity != new.provenance().identity {
+        if !new.is_of_same_device(&old) {
             bail!("{}: belongs to another device: name another file", files::shown(out));
         }
         new.with_other_motors(&old)

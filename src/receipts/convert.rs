@@ -148,11 +148,7 @@ pub fn calibration_plan(array: Array, request: &CalibrateRequest) -> Result<Plan
             let detail = "`motor` is missing: name the one motor whose pin the laser measures";
             return Err(Problem::new(Code::BadRequest, detail));
         }
-        (false, motor) => {
-            let default = Plan::of(array).map_err(bad)?;
-            let repetitions = request.repetitions.unwrap_or(default.repetitions());
-            Plan::new(array, motor, pulses.unwrap_or(default.pulses()), repetitions)
-        }
+        (false, motor) => Plan::with_defaults(array, motor, pulses, request.repetitions),
     };
     plan.map_err(bad)
 }

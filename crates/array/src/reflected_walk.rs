@@ -34,7 +34,7 @@ const ZETA: [f64; 7] = [
 ];
 /// Standard deviations beyond which a term of a sum is 0.
 const FAR: f64 = 8.0;
-/// Steps of the bisection in [`surplus_um`]: 2⁻²⁰ of the amplitude.
+/// Steps of a bisection: in [`surplus_um`] 2⁻²⁰ of the amplitude.
 const BISECTIONS: usize = 20;
 
 /// How the bursts of a motor differ from ideal ones.
@@ -46,26 +46,35 @@ pub struct Spread {
     pub asymmetry: f64,
 }
 
-/// The limit, in standard deviations above the mean, that with a probability of 95 % none of 24 independent Gaussian values
-/// exceeds.
+/// The limit, in standard deviations above the mean, that with a probability of 95 % none of so many independent Gaussian values
+/// exceeds, to three decimals: 2.858 for the paper's 24 motors.
 ///
-/// `Φ(x)^24 = 0.95`. An array is as good as its worst pin, so a surplus that suits only an average motor fails on every array.
-pub const WORST_OF_24: f64 = 2.858;
+/// `Φ(x)^motors = 0.95`. An array is as good as its worst pin, so a surplus that suits only an average motor fails on every array.
+#[must_use]
+pub fn worst_of(motors: usize) -> f64 {
+    let one_exceeds = 1.0 - libm::pow(0.95, 1.0 / motors.max(1) as f64);
+    let (mut below, mut beyond) = (0.0, FAR);
+    for _ in 0..BISECTIONS {
+        let middle = f64::midpoint(below, beyond);
+        if above(middle) < one_exceeds { beyond = middle } else { below = middle }
+    }
+    (1000.0 * beyond).round() / 1000.0
+}
 
 impl Spread {
-    /// The spread of motors that are not calibrated: the asymmetry that none of the 24 exceeds ([`WORST_OF_24`]).
+    /// The spread of motors that are not calibrated: the asymmetry that none of so many exceeds ([`worst_of`]).
     #[must_use]
-    pub const fn uncalibrated(scatter: f64, asymmetry_sd: f64) -> Self {
-        Self { scatter, asymmetry: WORST_OF_24 * asymmetry_sd }
+    pub fn uncalibrated(scatter: f64, asymmetry_sd: f64, motors: usize) -> Self {
+        Self { scatter, asymmetry: worst_of(motors) * asymmetry_sd }
     }
 
-    /// The spread of a motor whose gains up and down were measured, each with a standard deviation. The asymmetry is the measured
-    /// one plus [`WORST_OF_24`] standard deviations of its measurement error.
+    /// The spread of one of so many motors whose gains up and down were measured, each with a standard deviation. The asymmetry is
+    /// the measured one plus [`worst_of`] standard deviations of its measurement error.
     #[must_use]
-    pub fn measured(scatter: f64, gains: [f64; 2], sds: [f64; 2]) -> Self {
+    pub fn measured(scatter: f64, gains: [f64; 2], sds: [f64; 2], motors: usize) -> Self {
         let mean = f64::midpoint(gains[0], gains[1]);
         let sd = libm::hypot(sds[0], sds[1]);
-        Self { scatter, asymmetry: (gains[0] - gains[1] + WORST_OF_24 * sd) / mean }
+        Self { scatter, asymmetry: (gains[0] - gains[1] + worst_of(motors) * sd) / mean }
     }
 }
 
@@ -377,14 +386,17 @@ mod tests {
     }
 
     #[test]
-    fn the_worst_of_24_motors_is_within_its_bound_on_19_arrays_of_20() {
-        assert!((libm::pow(1.0 - above(WORST_OF_24), 24.0) - 0.95).abs() < 1e-4);
-        let spread = Spread::uncalibrated(0.1, 0.02);
+    fn the_worst_motor_is_within_its_bound_on_19_arrays_of_20() {
+        for (motors, bound) in [(1, 1.645), (9, 2.531), (24, 2.858), (64, 3.155)] {
+            assert_eq!(worst_of(motors), bound);
+            assert!((libm::pow(1.0 - above(bound), motors as f64) - 0.95).abs() < 1e-4);
+        }
+        let spread = Spread::uncalibrated(0.1, 0.02, 24);
         assert_eq!(spread, Spread { scatter: 0.1, asymmetry: 0.05716 });
-        let known = Spread::measured(0.08, [1.02, 0.98], [0.0, 0.0]);
+        let known = Spread::measured(0.08, [1.02, 0.98], [0.0, 0.0], 24);
         assert!((known.asymmetry - 0.04).abs() < 1e-12);
-        let vague = Spread::measured(0.08, [1.02, 0.98], [0.003, 0.004]);
-        assert!((vague.asymmetry - 0.04 - 0.005 * WORST_OF_24).abs() < 1e-12);
+        let vague = Spread::measured(0.08, [1.02, 0.98], [0.003, 0.004], 24);
+        assert!((vague.asymmetry - 0.04 - 0.005 * 2.858).abs() < 1e-12);
     }
 
     /// Bisection finds the smallest surplus only if more surplus always lowers the rest error.

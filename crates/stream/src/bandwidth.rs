@@ -19,6 +19,7 @@ use firmware_protocol::batch::{BATCH_BYTES, Packer};
 use firmware_protocol::tick::Tick;
 use meissner_array::motor::{MotorError, SquareWave};
 use meissner_array::per_motor::PerMotor;
+use meissner_array::spec::MotorSpec;
 use meissner_array::strokes::{LiveStrokes, Strokes};
 use meissner_array::units::TickRate;
 use std::time::Duration;
@@ -88,10 +89,13 @@ impl Bandwidth {
         let array = settings.array;
         let silent = SquareWave::new(array, most_hz, 0.0, 0.0)?;
         let mut waves = PerMotor::all(array, silent);
-        // Neighbouring strokes differ, so that the packer cannot shorten them.
+        let MotorSpec { travel_um, um_per_pulse, .. } = *array.motor();
         for (motor, wave) in waves.iter_mut().enumerate() {
+            // Neighbouring strokes differ, also where the travel limits them, so that the packer cannot shorten them.
+            let most_um = (travel_um - (motor % 2) as f64 * um_per_pulse).max(um_per_pulse);
             let motor = motor as f64;
-            *wave = SquareWave::new(array, most_hz, LEAST_UM + motor, motor / array.motors() as f64)?;
+            let amplitude_um = (LEAST_UM + motor).min(most_um);
+            *wave = SquareWave::new(array, most_hz, amplitude_um, motor / array.motors() as f64)?;
         }
         let mut strokes = LiveStrokes::new(waves);
         let mut whole = Self::of_source(Source::Live(Box::new(strokes.clone())), settings);

@@ -61,7 +61,7 @@ impl LowerStopSettings {
         if let Some(um) = self.surplus_um {
             return Surplus::Fixed(um);
         }
-        let spread = gains.map(|gains| gains.spread());
+        let spread = gains.map(|of_motor| of_motor.spread(gains.len()));
         Surplus::Auto(Box::new(AutoSurplus { spread, rest_error_um: self.rest_error_um }))
     }
 }
@@ -130,9 +130,9 @@ impl Settings {
 
     /// Whether some limit is below what the array's motors can reach.
     pub(crate) fn is_limited(&self) -> bool {
-        let (PowerLimits { motor, rail, .. }, hz) = (self.limits, self.array.rate().per_s());
-        let whole_rail = self.array.rails().largest() as u64 * hz;
-        u64::from(motor) < hz || u64::from(rail) < whole_rail || limits_at_once(self.array, self.limits)
+        let (limits, layout) = (&self.limits, self.array.layout());
+        let off = layout.no_limits();
+        limits.motor < off.motor || limits.rail < off.rail || layout.takes_turns(limits)
     }
 
     /// The half of the lead that is for stalls of the PC, ms. The other half is for the line.
@@ -140,12 +140,6 @@ impl Settings {
     pub const fn stall_ms(&self) -> f64 {
         self.lead_ms / 2.0
     }
-}
-
-/// Whether more motors of a rail or a driver chip could have pulses at once than these limits allow.
-pub(crate) fn limits_at_once(array: Array, limits: PowerLimits) -> bool {
-    usize::from(limits.rail_at_once) < array.rails().largest()
-        || usize::from(limits.chip_at_once) < array.chips().largest()
 }
 
 /// Longest batch of strokes, ms: a frame carries many strokes.

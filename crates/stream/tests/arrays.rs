@@ -11,10 +11,12 @@ use meissner_array::spec::{Array, ArraySpec};
 use meissner_array::strokes::{LiveStrokes, StrokeOptions, Strokes};
 use meissner_stream::calibrate::{
     Calibration, Fit, Plan, PlayedOn, PlayedPlan, Recording, Sensor, Units, fit, fit_recording, laser_plan,
-    simulated_recording, travels_by_sensor,
+    pulses_range, simulated_recording, travels_by_sensor,
 };
 use meissner_stream::queues::{Command, CommandError, LiveResult, LiveUpdate, Play, StreamEvent};
-use meissner_stream::{Gains, Line, Settings, SimulationError, Source, simulate_play};
+use meissner_stream::{
+    Bandwidth, Gains, Line, MotorRun, Period, Settings, SimulationError, Source, simulate_play,
+};
 use meissner_test_support::patterns::drive;
 use meissner_test_support::rig::{OFF, Rig, answer};
 use std::time::Duration;
@@ -146,6 +148,16 @@ fn a_calibration_finds_the_gains_of_other_motors_and_names_their_array() {
     let text = calibration.to_toml();
     assert!(text.contains("array = \"other-2x2\"\n"), "{text}");
     assert_eq!(Calibration::parse(&text, "c.toml").as_ref(), Ok(&calibration));
+    // A changed description keeps the name. Older files do not have the hash.
+    let hash = format!("array_hash = \"{:016x}\"\n", array.hash());
+    let parsed = |hash_now: &str| Calibration::parse(&text.replace(&hash, hash_now), "c.toml").unwrap();
+    assert!(text.contains(&hash) && calibration.is_of_description() && parsed("") == calibration, "{text}");
+    let changed = parsed("array_hash = \"00000000000000ff\"\n");
+    assert!(!changed.is_of_description() && !calibration.is_of_same_device(&changed));
+    assert!(changed.to_toml().contains("array_hash = \"00000000000000ff\"\n"));
+    let line =
+        Calibration::parse(&text.replace(&hash, "array_hash = \"me\"\n"), "c.toml").unwrap_err().to_string();
+    assert!(line.contains("`array_hash` is `me`: must be"), "{line}");
     for (named, says) in [
         ("array = \"another\"", "`array` is unknown: no array is called `another`: known are"),
         ("array = \"tula35-2x3\"", "`motor[0].up.gain` is "),
@@ -175,4 +187,91 @@ fn a_laser_finds_the_gains_of_another_motor() {
     assert_near([&found.fit.up, &found.fit.down], true_gains(&config, 2), array);
     let calibration = found.calibration(&played).unwrap();
     assert_eq!((calibration.array(), calibration.provenance().um_per_pulse), (array, 0.31));
+}
+
+/// An array with these lines of its table of the motor.
+fn array(name: &str, motor: &str) -> Array {
+    let text = format!(
+        "name = \"{name}\"\npins = {{ rows = 8, columns = 8, pitch_mm = 1.5 }}\ntick_hz = 85000\nduty = {{ up = 0.2, down = 0.8 }}\n\
+         [motor]\n{motor}"
+    );
+    Array::known(ArraySpec::parse(&text, "a.toml").unwrap()).unwrap()
+}
+
+#[test]
+fn an_array_whose_bursts_a_plan_cannot_measure_has_none() {
+    let rests = array(
+        "rests",
+        "step_um = 0.1\nwindow_ms = 4.3\ntravel_um = 100.0\nmost_pulses = 1000\ntransient = { rest_s = 0.05, gain = 0.8 }",
+    );
+    let slow = array(
+        "slow",
+        "step_um = 0.1\nlag = { natural_hz = 20.0, damping = 0.7 }\ntravel_um = 100.0\nmost_pulses = 1000",
+    );
+    for (array, message) in [
+        (rests, "`motor.transient.rest_s` of the array rests must be above 1/8 s"),
+        (slow, "the motors of the array slow settle "),
+    ] {
+        let line = Plan::of(array).unwrap_err().to_string();
+        assert!(line.starts_with(message) && !line.contains('\n'), "{line}");
+    }
+}
+
+#[test]
+fn a_plan_fits_the_travel_and_uses_it() {
+    // 140 * 0.01 is above 1.4.
+    let short = array(
+        "short",
+        "step_um = 0.01\nwindow_ms = 4.3\ntravel_um = 1.4\nleast_pulses = 7\nmost_pulses = 140",
+    );
+    let longest = *pulses_range(short).end();
+    let plan = Plan::new(short, Some(0), &[longest, 7], 1).unwrap();
+    assert!(plan.pattern().drives().iter().all(|drive| drive.amplitude_um <= 1.4), "{longest}");
+    // Eight pulses are the whole travel.
+    let coarse = array("coarse", "step_um = 5.0\nwindow_ms = 4.3\ntravel_um = 40.0\nmost_pulses = 8");
+    assert_eq!(Plan::with_defaults(coarse, Some(0), Some(&[2, 8]), None).unwrap().pulses(), [2, 8]);
+    assert_eq!(Plan::of(coarse).unwrap().pulses(), [1, 2, 3, 4, 5, 6, 7, 8]);
+    // Fine pulses without `least_pulses`: the numbers follow from the travel.
+    let fine = array("fine", "step_um = 0.1\nwindow_ms = 4.3\ntravel_um = 100.0\nmost_pulses = 1000");
+    assert_eq!(*Plan::of(fine).unwrap().pulses().last().unwrap(), 160);
+    // One motor has the whole eighth of a second.
+    let one = Plan::with_defaults(fine, Some(63), None, None).unwrap();
+    assert_eq!(*one.pulses().last().unwrap(), 200);
+    assert_eq!(Plan::new(fine, Some(63), &[200, 1], 1).unwrap().motors().collect::<Vec<_>>(), [63]);
+}
+
+/// A motor that settles slowly has more bursts under way than the estimator holds if it is driven fast: then no sample is compared
+/// with them, so a good sensor is not taken for a bad one, and open loop is played as planned. With a slow drive the loop closes.
+#[test]
+fn a_slow_motor_is_played_open_loop_where_its_bursts_overlap() {
+    for (name, response) in [
+        ("slow-20", "window_ms = 20.0"),
+        ("slow-50", "window_ms = 50.0"),
+        ("slow-lag", "lag = { natural_hz = 40.0, damping = 0.7 }"),
+    ] {
+        let array =
+            array(name, &format!("step_um = 0.1357\n{response}\ntravel_um = 400.0\nmost_pulses = 3000"));
+        let played = |frequency_hz, amplitude_um| {
+            let run = MotorRun { frequency_hz, amplitude_um, ..MotorRun::of(array) };
+            let mut periods = Vec::new();
+            let fault = run.run(20.0, |_, y| Some(y), |period| periods.push(*period)).unwrap();
+            assert_eq!(fault, None, "{name}: {frequency_hz} Hz");
+            periods
+        };
+        // Here samples between two bursts show no more of them than the estimator holds, if at all.
+        played(150.0, 20.0);
+        let corrected = |period: &Period| period.pulses[0] != period.pulses[1];
+        assert!(!played(299.0, 20.0)[20..].iter().any(corrected), "{name}");
+        let rest_um = played(4.0, 80.0).iter().map(|period| period.rest_um.abs()).fold(0.0, f64::max);
+        assert!(rest_um < 60.0, "{name}: {rest_um} um");
+    }
+}
+
+/// Motors whose travel is less than the strokes that count for others: the first stroke is within their limits.
+#[test]
+fn a_live_play_of_short_strokes_needs_bandwidth_too() {
+    let array = array("short-strokes", "step_um = 0.1\nwindow_ms = 4.3\ntravel_um = 10.0\nmost_pulses = 100");
+    let needs = Bandwidth::of_live(100.0, 0.0, &Settings::of(array)).unwrap();
+    // At least three bytes for each of 6400 strokes a second.
+    assert!(needs.open.rate > 19_200 && needs.closed.rate > needs.open.rate, "{needs:?}");
 }

@@ -116,7 +116,8 @@ impl StopCell {
         let surplus = match self.surplus {
             StopSurplus::Um(um) => Surplus::Fixed(um),
             StopSurplus::Auto => {
-                let spread = PerMotor::all(array(), Spread::uncalibrated(self.scatter, self.asymmetry_sd));
+                let spread = Spread::uncalibrated(self.scatter, self.asymmetry_sd, array().motors());
+                let spread = PerMotor::all(array(), spread);
                 Surplus::Auto(Box::new(AutoSurplus { spread, rest_error_um }))
             }
         };

@@ -100,6 +100,13 @@ impl Engine {
                 );
                 return Err(Problem::new(Code::OtherArray, detail));
             }
+            if !new.is_of_description() {
+                let detail = format!(
+                    "the calibration is for another description of the array {}: calibrate again",
+                    array.name()
+                );
+                return Err(Problem::new(Code::OtherArray, detail));
+            }
             let (found, device) = (&new.provenance().identity, &state.calibration.identity);
             if found == device {
                 return Ok(());

@@ -123,7 +123,11 @@ pub(in crate::daemon) fn read(
             its.name(),
             array.name()
         )),
-        Some(identity) if identity == calibration.provenance().identity => None,
+        Some(identity)
+            if identity == calibration.provenance().identity && calibration.is_of_description() =>
+        {
+            None
+        }
         Some(_) => Some(format!("{name} belongs to another device: not used; {ADVICE}")),
         None => Some("no device is connected".to_owned()),
     };

@@ -9,6 +9,7 @@
 use super::error::StrokesError;
 use crate::motor::SquareWave;
 use crate::per_motor::PerMotor;
+use firmware_protocol::array::MotorSet;
 use firmware_protocol::stroke::Stroke;
 use firmware_protocol::tick::Tick;
 
@@ -71,8 +72,8 @@ pub struct LiveStrokes {
     motors: PerMotor<Oscillator>,
     /// The motors' drives before the last change, until it is confirmed.
     before: PerMotor<Oscillator>,
-    /// Motors that pause, bit by bit.
-    paused: u64,
+    /// Motors that pause.
+    paused: MotorSet,
 }
 
 impl LiveStrokes {
@@ -80,14 +81,14 @@ impl LiveStrokes {
     #[must_use]
     pub fn new(waves: PerMotor<SquareWave>) -> Self {
         let motors = waves.map(|wave| Oscillator { wave, zero: Tick(0), begin: Tick(0), next: 0 });
-        Self { onset: Tick(0), initial: waves, motors, before: motors, paused: 0 }
+        Self { onset: Tick(0), initial: waves, motors, before: motors, paused: MotorSet::EMPTY }
     }
 
     /// Begins at `onset` with the first drives.
     pub fn begin(&mut self, onset: Tick) {
         self.onset = onset;
         self.motors = self.initial.map(|wave| Oscillator { wave, zero: onset, begin: onset, next: 0 });
-        (self.before, self.paused) = (self.motors, 0);
+        (self.before, self.paused) = (self.motors, MotorSet::EMPTY);
     }
 
     /// The onset.
@@ -111,7 +112,7 @@ impl LiveStrokes {
     /// # Panics
     /// If there is no such motor.
     pub fn replace(&mut self, motor: u8, wave: SquareWave, from: Tick) -> Tick {
-        self.paused &= !(1 << motor);
+        self.paused.remove(motor);
         let motor = usize::from(motor);
         self.before[motor] = self.motors[motor];
         self.motors[motor] = self.before[motor].changed(wave, from);
@@ -126,7 +127,7 @@ impl LiveStrokes {
     /// If there is no such motor.
     pub fn revert(&mut self, motor: u8) {
         self.motors[usize::from(motor)] = self.before[usize::from(motor)];
-        self.paused |= 1 << motor;
+        self.paused.insert(motor);
     }
 
     /// Puts back the last returned stroke, which was not sent: it is the next one again.
@@ -158,7 +159,7 @@ impl Iterator for LiveStrokes {
     type Item = Result<Stroke, StrokesError>;
 
     fn next(&mut self) -> Option<Self::Item> {
-        let plays = |motor: &u8| self.paused >> motor & 1 == 0;
+        let plays = |motor: &u8| !self.paused.contains(*motor);
         let ups = (0..)
             .take(self.motors.len())
             .filter(plays)

@@ -57,6 +57,10 @@ pub enum Problem {
         short_number(*.found), short_number(*.model)
     )]
     Model { found: f64, model: f64 },
+    #[error(
+        "is {found}: must be the 16 hexadecimal digits that `meissner array show` prints; leave it out if you do not know it"
+    )]
+    Hash { found: String },
     #[error("is unknown: {0}")]
     Array(UnknownArray),
     #[error("is not a valid plan: {0}")]
@@ -80,6 +84,8 @@ pub(super) type KeyError = document::KeyError<Problem>;
 #[derive(Clone, Debug, PartialEq)]
 pub struct Calibration {
     array: Array,
+    /// The hash of the array's description when it was made. Descriptions change, also under the same name.
+    array_hash: u64,
     motors: Vec<MotorFit>,
     provenance: Provenance,
 }
@@ -113,16 +119,17 @@ impl Calibration {
         provenance: Provenance,
     ) -> Result<Self, CalibrationError> {
         motors.sort_by_key(|fit| fit.motor);
-        Self::checked(array, motors, provenance).map_err(|fault| fault.in_file(None))
+        Self::checked(array, array.hash(), motors, provenance).map_err(|fault| fault.in_file(None))
     }
 
-    /// Like [`Self::new`], but an error numbers the motors in the order given.
+    /// Like [`Self::new`], but an error numbers the motors in the order given, and the description may have had another hash.
     pub(super) fn checked(
         array: Array,
+        array_hash: u64,
         motors: Vec<MotorFit>,
         provenance: Provenance,
     ) -> Result<Self, KeyError> {
-        let mut calibration = Self { array, motors, provenance };
+        let mut calibration = Self { array, array_hash, motors, provenance };
         calibration.motors.iter_mut().for_each(shorten);
         calibration.check()?;
         calibration.motors.sort_by_key(|fit| fit.motor);
@@ -159,16 +166,35 @@ impl Calibration {
         &self.provenance
     }
 
+    /// The hash of the array's description when it was made.
+    pub(super) const fn array_hash(&self) -> u64 {
+        self.array_hash
+    }
+
+    /// Whether it was made with the array's description as it is now.
+    #[must_use]
+    pub fn is_of_description(&self) -> bool {
+        self.array_hash == self.array.hash()
+    }
+
+    /// Whether both are of the same device, with the same description of its array.
+    #[must_use]
+    pub fn is_of_same_device(&self, other: &Self) -> bool {
+        self.array == other.array
+            && self.array_hash == other.array_hash
+            && self.provenance.identity == other.provenance.identity
+    }
+
     /// This calibration with the other motors of an older one of the same device. Another device's is left out.
     #[must_use]
     pub fn with_other_motors(self, old: &Self) -> Self {
-        if old.array != self.array || old.provenance.identity != self.provenance.identity {
+        if !self.is_of_same_device(old) {
             return self;
         }
         let others = old.motors.iter().filter(|fit| self.motor(fit.motor).is_none());
         let mut motors: Vec<MotorFit> = self.motors.iter().chain(others).cloned().collect();
         motors.sort_by_key(|fit| fit.motor);
-        Self { array: self.array, motors, provenance: self.provenance }
+        Self { motors, ..self }
     }
 
     /// The gains for position control; an uncalibrated motor gets the default.
@@ -272,7 +298,8 @@ fn check_provenance(array: Array, provenance: &Provenance) -> Result<(), KeyErro
             return Err(KeyError::key(key, Problem::Words { count }));
         }
     }
-    let plan = Plan::new(array, None, pulses, *repetitions)
+    // A plan of one motor may have longer bursts and more groups than one of all motors.
+    let plan = Plan::new(array, Some(0), pulses, *repetitions)
         .map_err(|error| KeyError::key("pulses", Problem::Plan(error)))?;
     if *groups != plan.groups() as u64 {
         return Err(KeyError::key("groups", Problem::Groups { found: *groups, groups: plan.groups() }));

@@ -15,6 +15,7 @@ use crate::calibrate::fit::{Fit, FitPoint, MotorFit};
 use meissner_api::Provenance;
 use meissner_array::spec::{Array, MotorSpec};
 use meissner_input::document::{Table, from_toml, in_range, line_of};
+use meissner_input::message::quote;
 use serde::{Deserialize, Serialize};
 
 impl Calibration {
@@ -41,6 +42,7 @@ impl Calibration {
         let file = RawFile {
             format: if has_points { FORMAT.into() } else { 1 },
             array: (array != Array::default()).then(|| array.name().to_owned()),
+            array_hash: (array != Array::default()).then(|| format!("{:016x}", self.array_hash())),
             motor: motor.map(Table).collect(),
             provenance: Table(self.provenance().clone()),
         };
@@ -55,6 +57,9 @@ struct RawFile {
     /// Without it: the paper's.
     #[serde(skip_serializing_if = "Option::is_none")]
     array: Option<String>,
+    /// Without it: as the description is now. That of the paper's array does not change.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    array_hash: Option<String>,
     motor: Vec<Table<RawMotor>>,
     provenance: Table<Provenance>,
 }
@@ -90,6 +95,7 @@ struct Version {
 fn wanted(key: &str) -> &'static str {
     match key {
         "format" => "format = 2",
+        "array_hash" => "the hash of the array's description, 16 hexadecimal digits in quotes",
         "motor" => "a motor's number, from 0 on, below each [[motor]]",
         "up" | "down" => "[motor.up] and [motor.down], the fits of both directions",
         "provenance" => "[provenance], how it was made",
@@ -124,10 +130,15 @@ impl RawFile {
                 Array::named(&name).map_err(|unknown| KeyError::key("array", Problem::Array(unknown)))?
             }
         };
+        let array_hash = match &self.array_hash {
+            None => array.hash(),
+            Some(hash) => u64::from_str_radix(hash, 16)
+                .map_err(|_| KeyError::key("array_hash", Problem::Hash { found: quote(hash) }))?,
+        };
         let motors = self.motor.into_iter().enumerate().map(|(index, Table(raw))| {
             raw.fit(array).map_err(|fault| fault.within(&format!("motor[{index}]")))
         });
-        Calibration::checked(array, motors.collect::<Result<_, _>>()?, self.provenance.0)
+        Calibration::checked(array, array_hash, motors.collect::<Result<_, _>>()?, self.provenance.0)
     }
 }
 

@@ -8,7 +8,8 @@
 //! Neighbouring groups have distant numbers, and every other round runs backwards: a motor that slowly changes then changes
 //! for all numbers alike, and the slope does not absorb the change. Motors play side by side, but no two pulse at once.
 //!
-//! Invariant: before a measured burst its motor has rested for less than an eighth of a second.
+//! Invariant: before a measured burst its motor has settled, and has rested for less than an eighth of a second. An array whose motors
+//! settle later, or whose bursts are transients after such a rest, has no plan.
 
 use firmware_protocol::stroke::Burst;
 use firmware_protocol::tick::Tick;
@@ -22,6 +23,9 @@ use std::ops::RangeInclusive;
 const MOST_PULSES: u16 = 200;
 /// Default numbers of pulses.
 const DEFAULT_NUMBERS: u16 = 10;
+/// The longest default burst moves a pin by so much, µm, but by no more than a fifth of the travel: shorter ones drown in what a sensor
+/// cannot resolve. On the paper's array these are 140 pulses.
+const FARTHEST_UM: f64 = 20.0;
 /// Default rounds: they take a minute and give gains to about 1 %.
 pub const DEFAULT_REPETITIONS: u16 = 2;
 /// Groups of a plan at most: five minutes. A plan of many motors has fewer, so that it is still a pattern.
@@ -35,24 +39,39 @@ pub const GROUP_S: f64 = 3.0;
 const PLAYED_S: f64 = 2.5;
 /// Strokes per second: [`PLAYED_S`] holds a whole group, and between bursts the pin rests for 28 times the motor's window.
 const FREQUENCY_HZ: f64 = 4.0;
+/// The same of bursts.
+const BURSTS_PER_S: u64 = 2 * FREQUENCY_HZ as u64;
 
-/// Pulses that a burst of a plan may have on this array: at least those for which a motor's travel per pulse is known, at most so
-/// many that no two motors pulse at once, that the amplitude is allowed, and 200.
+/// Pulses that a burst of a plan of one motor may have on this array: at least those for which a motor's travel per pulse is known, at
+/// most so many that the amplitude is allowed, and 200.
 #[must_use]
 pub fn pulses_range(array: Array) -> RangeInclusive<u16> {
+    range_of(array, 1)
+}
+
+/// The same for a plan of so many motors, no two of which pulse at once.
+fn range_of(array: Array, motors: usize) -> RangeInclusive<u16> {
     let motor = array.motor();
     // From the up burst of one motor to that of the next: see `Plan::pattern`.
-    let apart = f64::from(array.rate().hz()) / FREQUENCY_HZ / (2.0 * array.motors() as f64);
+    let apart = f64::from(array.rate().hz()) / FREQUENCY_HZ / (2.0 * motors as f64);
     let most = apart.min(motor.pulses(motor.travel_um)).min(MOST_PULSES.into());
     motor.least_pulses..=most as u16
 }
 
-/// The default numbers of pulses: up to twenty times the fewest, if bursts may be so long. On the paper's array they are from a fifth
-/// of the paper's 70 to twice it. A wide range makes the slope more certain: with 30 to 110 its error would be 2.4 times that of a
-/// line through the origin, with these it is 1.5 times.
-fn default_pulses(array: Array) -> Vec<u16> {
-    let range = pulses_range(array);
-    let step = range.start().saturating_mul(2).min(range.end() / DEFAULT_NUMBERS);
+/// Pulses that move a pin of this array by [`FARTHEST_UM`] or a fifth of its travel.
+pub(super) fn farthest_pulses(array: Array) -> u16 {
+    let motor = array.motor();
+    // The cast saturates.
+    motor.pulses(FARTHEST_UM.min(motor.travel_um / 5.0)) as u16
+}
+
+/// The default numbers of pulses: up to [`FARTHEST_UM`], or twenty times the fewest, if bursts may be so long. On the paper's array they
+/// are from a fifth of the paper's 70 to twice it. A wide range makes the slope more certain: with 30 to 110 its error would be 2.4
+/// times that of a line through the origin, with these it is 1.5 times.
+fn default_pulses(array: Array, motors: usize) -> Vec<u16> {
+    let range = range_of(array, motors);
+    let step = range.start().saturating_mul(2).max(farthest_pulses(array) / DEFAULT_NUMBERS);
+    let step = step.min(range.end() / DEFAULT_NUMBERS).max(1);
     (1..=DEFAULT_NUMBERS).map(|number| number * step).filter(|pulses| range.contains(pulses)).collect()
 }
 
@@ -76,6 +95,30 @@ pub enum PlanError {
         least: u16,
         /// The most.
         most: u16,
+    },
+    /// Every burst of a plan would be a transient.
+    #[error(
+        "`motor.transient.rest_s` of the array {} must be above 1/{BURSTS_PER_S} s: the bursts of a calibration are so far \
+         apart, and each would be a transient", .array.name()
+    )]
+    Transients {
+        /// The plan's array.
+        array: Array,
+    },
+    /// A burst would begin while the last one still shows.
+    #[error(
+        "the motors of the array {} settle {settled_ticks} ticks after a burst: for a calibration with bursts of {pulses} pulses it \
+         must be fewer than {most}", .array.name()
+    )]
+    Settling {
+        /// The plan's array.
+        array: Array,
+        /// How long its motors settle.
+        settled_ticks: u64,
+        /// Pulses of the longest burst.
+        pulses: u16,
+        /// From the end of such a burst to the next one, ticks.
+        most: u64,
     },
     /// A slope needs two numbers of pulses.
     #[error("one number of pulses gives no slope: name two numbers of pulses or more")]
@@ -113,7 +156,21 @@ impl Plan {
     /// # Errors
     /// If its bursts have no room for two numbers of pulses.
     pub fn of(array: Array) -> Result<Self, PlanError> {
-        Self::new(array, None, &default_pulses(array), DEFAULT_REPETITIONS)
+        Self::with_defaults(array, None, None, None)
+    }
+
+    /// A plan for one motor of this array, or all, with these numbers of pulses and repetitions or the defaults.
+    ///
+    /// # Errors
+    /// As [`Self::new`].
+    pub fn with_defaults(
+        array: Array,
+        motor: Option<u8>,
+        pulses: Option<&[u16]>,
+        repetitions: Option<u16>,
+    ) -> Result<Self, PlanError> {
+        let default = default_pulses(array, motor.map_or(array.motors(), |_| 1));
+        Self::new(array, motor, pulses.unwrap_or(&default), repetitions.unwrap_or(DEFAULT_REPETITIONS))
     }
 
     /// A plan for one motor of this array, or all, with bursts of these numbers of pulses, each in `repetitions` groups.
@@ -124,7 +181,8 @@ impl Plan {
         if let Some(found) = motor.filter(|&motor| !array.has(motor)) {
             return Err(PlanError::Motor { found, array });
         }
-        let range = pulses_range(array);
+        let motors = motor.map_or(array.motors(), |_| 1);
+        let range = range_of(array, motors);
         if let Some(&found) = pulses.iter().find(|pulses| !range.contains(pulses)) {
             return Err(PlanError::Pulses { found, least: *range.start(), most: *range.end() });
         }
@@ -135,7 +193,18 @@ impl Plan {
         if let Some(n) = twice {
             return Err(PlanError::Twice { found: pulses[n] });
         }
-        let groups = MAX_GROUPS.min(MAX_DRIVES / motor.map_or(array.motors(), |_| 1));
+        let spec = array.motor();
+        let apart = array.rate().per_s() / BURSTS_PER_S;
+        if spec.transient_rest_ticks <= apart {
+            return Err(PlanError::Transients { array });
+        }
+        let longest = pulses.iter().copied().max().unwrap_or_default();
+        let most = apart.saturating_sub(longest.into());
+        let settled_ticks = spec.settled_ticks();
+        if settled_ticks >= most {
+            return Err(PlanError::Settling { array, settled_ticks, pulses: longest, most });
+        }
+        let groups = MAX_GROUPS.min(MAX_DRIVES / motors);
         let most = groups / pulses.len();
         if !(1..=most).contains(&repetitions.into()) {
             return Err(PlanError::Repetitions { found: repetitions, most, groups });
@@ -197,13 +266,14 @@ impl Plan {
     #[expect(clippy::missing_panics_doc, reason = "it does not happen")]
     pub fn pattern(&self) -> Pattern {
         let groups = self.order().enumerate();
-        let (um_per_pulse, motors) = (self.array.motor().um_per_pulse, self.array.motors() as f64);
+        let (spec, motors) = (self.array.motor(), self.array.motors() as f64);
         let drives = groups.flat_map(|(group, pulses)| {
             let start_s = group as f64 * GROUP_S;
             self.motors().map(move |motor| Drive {
                 motor,
                 frequency_hz: FREQUENCY_HZ,
-                amplitude_um: f64::from(pulses) * um_per_pulse,
+                // The product may be rounded to above the travel.
+                amplitude_um: (f64::from(pulses) * spec.um_per_pulse).min(spec.travel_um),
                 // All up bursts lie in one half of the cycle, all down bursts in the other.
                 phase: f64::from(motor) / (2.0 * motors),
                 start_s: Some(start_s),
@@ -254,7 +324,6 @@ impl PlannedBurst {
 mod tests {
     use super::*;
     use meissner_array::spec::names;
-    use meissner_test_support::paper::MOTORS;
 
     #[test]
     fn an_invalid_plan_is_refused_in_one_line() {
@@ -280,9 +349,8 @@ mod tests {
     #[test]
     fn plans_of_every_array_play_one_motor_at_a_time() {
         let arrays = names().into_iter().map(|name| Array::named(name).unwrap());
-        // The protocol does not have room for more motors yet.
-        for array in arrays.filter(|array| array.motors() <= MOTORS) {
-            let longest = *pulses_range(array).end();
+        for array in arrays {
+            let longest = *range_of(array, array.motors()).end();
             for plan in
                 [Plan::of(array).unwrap(), Plan::new(array, None, &[longest, longest - 1], 1).unwrap()]
             {

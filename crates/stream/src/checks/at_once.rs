@@ -3,7 +3,6 @@
 //! Corrections shorten bursts and never lengthen them while there is a limit, so a play that passes has no stroke refused for it.
 
 use super::counted;
-use crate::settings::limits_at_once;
 use firmware_protocol::limits::PowerLimits;
 use meissner_array::power::{PulsingMotors, TooMany};
 use meissner_array::strokes::Strokes;
@@ -11,7 +10,7 @@ use meissner_array::strokes::Strokes;
 /// The first tick in which more motors of a rail or a chip have pulses than `limits` allow; `None`: all ticks keep them.
 #[must_use]
 pub fn find_too_many(strokes: &Strokes, limits: PowerLimits) -> Option<TooMany> {
-    if !limits_at_once(strokes.array(), limits) {
+    if !strokes.array().layout().takes_turns(&limits) {
         return None;
     }
     let mut motors = PulsingMotors::new(strokes.array(), limits);

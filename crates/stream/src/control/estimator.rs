@@ -19,7 +19,8 @@ use meissner_array::motor::{HalfTick, Ramp};
 use meissner_array::reflected_walk::Spread;
 use meissner_array::spec::MotorSpec;
 
-/// Bursts in the window at once: those of 300 Hz in a window of up to 6.6 ms. With more, the oldest counts as over.
+/// Bursts in the window at once: those of 300 Hz in a window of up to 6.6 ms, of slower drives in longer ones. Of more, the oldest counts
+/// as over, and the motor is played without feedback until it is: see [`Estimator::is_blind`].
 const BURSTS: usize = 6;
 const STATES: usize = 3 + BURSTS;
 /// Indices into the state.
@@ -74,12 +75,12 @@ impl Gains {
         *self != Self::default()
     }
 
-    /// How much bursts of these gains differ.
-    pub(crate) fn spread(&self) -> Spread {
+    /// How much bursts of these gains differ, on an array of so many motors.
+    pub(crate) fn spread(&self, motors: usize) -> Spread {
         if self.are_calibrated() {
-            Spread::measured(self.scatter, self.mean, self.sd)
+            Spread::measured(self.scatter, self.mean, self.sd, motors)
         } else {
-            Spread::uncalibrated(self.scatter, ASYMMETRY)
+            Spread::uncalibrated(self.scatter, ASYMMETRY, motors)
         }
     }
 }
@@ -157,6 +158,8 @@ pub(super) struct Estimator {
     scatter: f64,
     evidence: f64,
     last_end: Option<Tick>,
+    /// Until then samples show a burst that had to make room.
+    blind_until: HalfTick,
 }
 
 pub(super) const fn gain_index(direction: Direction) -> usize {
@@ -189,6 +192,7 @@ impl Estimator {
             scatter: gains.scatter,
             evidence: SCATTER_WEIGHT,
             last_end: None,
+            blind_until: HalfTick(0),
         };
         new.relearn(gains);
         new
@@ -263,6 +267,7 @@ impl Estimator {
     /// Sets the rest position and its variance, µm and µm².
     pub(super) fn rest_at(&mut self, um: f64, variance: f64) {
         self.window.clear();
+        self.blind_until = HalfTick(0);
         self.mean[POSITION] = um;
         for state in 0..STATES {
             self.covariance[POSITION][state] = 0.0;
@@ -283,7 +288,12 @@ impl Estimator {
 
     /// Adds a burst, later than all others. Returns the oldest one if it had to make room.
     pub(super) fn begin(&mut self, burst: Burst) -> Option<Travel> {
-        let over = if self.window.is_full() { Some(self.merge(0)) } else { None };
+        let over = if self.window.is_full() {
+            self.blind_until = self.settles_at(&self.window[0].burst);
+            Some(self.merge(0))
+        } else {
+            None
+        };
         let rested = self.motor.is_rested(self.last_end, burst.start);
         let rest = if rested { self.motor.transient_gain } else { 1.0 };
         self.last_end = Some(burst.end());
@@ -341,8 +351,19 @@ impl Estimator {
     /// Whether a burst that the lower stop ends is under way at `tick`, or the moving average still shows its motion. No
     /// signal shows when the pin stops, so such samples fit no ramp.
     pub(super) fn is_stopping(&self, tick: Tick) -> bool {
-        let (at, window) = (HalfTick::from(tick), self.motor.window_half_ticks);
-        self.window.iter().any(|it| it.stopped && HalfTick::from(it.burst.end()).0 + window > at.0)
+        let at = HalfTick::from(tick);
+        self.window.iter().any(|it| it.stopped && self.settles_at(&it.burst) > at)
+    }
+
+    /// Whether a sample at `tick` shows a burst that had to make room for later ones: the motor settles so slowly, and is driven so
+    /// fast, that more than [`BURSTS`] are under way. The filter does not explain such a sample.
+    pub(super) fn is_blind(&self, tick: Tick) -> bool {
+        HalfTick::from(tick) < self.blind_until
+    }
+
+    /// From when on the moving average shows nothing of a burst's motion.
+    fn settles_at(&self, burst: &Burst) -> HalfTick {
+        HalfTick(HalfTick::from(burst.end()).0 + self.motor.window_half_ticks)
     }
 
     /// Compares a sample, µm, with the prediction.
@@ -393,7 +414,7 @@ impl Estimator {
     /// Merges bursts that have left the window at `at`, calling `over` with each.
     pub(super) fn forget(&mut self, at: HalfTick, mut over: impl FnMut(Travel)) {
         while let Some(first) = self.window.first()
-            && HalfTick::from(first.burst.end()).0 + self.motor.window_half_ticks <= at.0
+            && self.settles_at(&first.burst) <= at
         {
             over(self.merge(0));
         }

@@ -3,9 +3,10 @@
 //! The streamer reports strokes and telemetry to [`PositionControl`] and asks it for corrections. Per motor, `estimator` tracks
 //! the shaft from delayed, quantised, averaged telemetry with gaps; `telemetry_monitor` detects sensor faults; `burst_controller`
 //! decides the count of each burst as late as the link allows. `replacement` keeps the strokes that the device has been asked to
-//! withdraw, until it answers. A motor with a sensor fault plays on in open loop. Without telemetry the loop uses dead reckoning:
-//! it corrects what the gains of a calibrated motor predict, and the estimated error of the rest position grows, up to the end
-//! stops. `bound` gives the least error of any such loop.
+//! withdraw, until it answers. A motor with a sensor fault plays on in open loop. So does one that settles so slowly, and is driven so
+//! fast, that the estimator cannot hold all bursts under way: status shows `dead-reckoning` as the source of its error. Without
+//! telemetry the loop uses dead reckoning: it corrects what the gains of a calibrated motor predict, and the estimated error of the
+//! rest position grows, up to the end stops. `bound` gives the least error of any such loop.
 //!
 //! Invariant: it never allocates; counts stay within `limits::correction` of the plan and within the room between
 //! bursts; it changes planned bursts only, so a motor that is not driven does not move.
@@ -24,6 +25,7 @@ pub(super) use queued::Cutting;
 use crate::queues::RestErrors;
 use crate::settings::Settings;
 pub use bound::rest_bound_um;
+use firmware_protocol::array::MotorSet;
 use firmware_protocol::batch::Amendment;
 use firmware_protocol::stroke::{Direction, Stroke};
 use firmware_protocol::tick::Tick;
@@ -190,7 +192,7 @@ impl PositionControl {
     /// A pin's offset from rest, µm, and whether telemetry measured it; `None` without telemetry and calibration.
     pub(super) fn offset_um(&self, motor: u8, now: Tick) -> Option<(f64, bool)> {
         let motor = self.motors.get(usize::from(motor)).filter(|motor| motor.fault().is_none())?;
-        let measured = self.has_recent_telemetry(now) && motor.is_measured();
+        let measured = self.has_recent_telemetry(now) && motor.is_measured() && !motor.is_blind(now);
         let stop = if measured { f64::INFINITY } else { self.end_stop_um.into() };
         (measured || motor.is_calibrated()).then(|| (motor.rest_um().clamp(-stop, stop), measured))
     }
@@ -228,9 +230,8 @@ impl PositionControl {
         if self.seen {
             return 0.0;
         }
-        let fresh = self.has_recent_telemetry(now);
         let of = motors.filter_map(|motor| self.motors.get(usize::from(motor)));
-        let errors = of.map(|motor| self.error_um(motor, fresh));
+        let errors = of.map(|motor| self.error_um(motor, now));
         let reckoned = errors.filter(|(_, source)| *source == ErrorSource::DeadReckoning);
         reckoned.map(|(um, _)| um).fold(0.0, f32::max)
     }
@@ -278,18 +279,18 @@ impl PositionControl {
 
     /// The device has been asked to withdraw the strokes of these motors that begin at `from` or later. Until it answers,
     /// [`Self::replaced`], they count neither as queued nor as gone. Those that take their place are [`sent`](Self::sent) next.
-    pub(super) fn replace(&mut self, motors: u64, from: Tick) {
+    pub(super) fn replace(&mut self, motors: MotorSet, from: Tick) {
         self.replacement.begin(motors, from);
-        for motor in self.motors.iter_mut().zip(0..).filter(|(_, index)| motors >> index & 1 == 1) {
+        for motor in self.motors.iter_mut().zip(0..).filter(|(_, index)| motors.contains(*index)) {
             motor.0.take_from(from, |queued| self.replacement.hold(queued));
         }
     }
 
     /// The device has withdrawn the old strokes of `motors`, and none of the motors `kept`: the old strokes of these are queued
     /// again in place of those sent since.
-    pub(super) fn replaced(&mut self, motors: u64, kept: u64) {
+    pub(super) fn replaced(&mut self, motors: MotorSet, kept: MotorSet) {
         let from = self.replacement.from();
-        for (motor, index) in self.motors.iter_mut().zip(0..).filter(|(_, index)| kept >> index & 1 == 1) {
+        for (motor, index) in self.motors.iter_mut().zip(0..).filter(|(_, index)| kept.contains(*index)) {
             motor.take_from(from, |_| ());
             self.replacement.of(index).for_each(|queued| motor.put_back(queued));
         }
@@ -375,7 +376,8 @@ impl PositionControl {
                 known = false;
             }
         }
-        (self.seen, self.unseen_since) = (self.motors.iter().all(|motor| motor.fault().is_none()), None);
+        let shown = |motor: &BurstController| motor.fault().is_none() && !motor.is_blind(tick);
+        (self.seen, self.unseen_since) = (self.motors.iter().all(shown), None);
         known
     }
 
@@ -428,18 +430,17 @@ impl PositionControl {
     /// Estimated rest error of each shaft, µm, and its source. By the lower stop and by dead reckoning: root
     /// mean square to expect; by dead reckoning at most the distance of the end stops, because no shaft can be farther off.
     pub(super) fn rest_error_um(&self, now: Tick) -> RestErrors {
-        let fresh = self.has_recent_telemetry(now);
         let mut errors = RestErrors::none(self.array);
         for (motor, (um, source)) in self.motors.iter().zip(errors.um.iter_mut().zip(&mut errors.source)) {
-            (*um, *source) = self.error_um(motor, fresh);
+            (*um, *source) = self.error_um(motor, now);
         }
         errors
     }
 
-    /// The same of one motor; `fresh`: telemetry is recent.
+    /// The same of one motor.
     #[inline]
-    fn error_um(&self, motor: &BurstController, fresh: bool) -> (f32, ErrorSource) {
-        if fresh && motor.fault().is_none() {
+    fn error_um(&self, motor: &BurstController, now: Tick) -> (f32, ErrorSource) {
+        if self.has_recent_telemetry(now) && motor.fault().is_none() && !motor.is_blind(now) {
             return (motor.rest_um() as f32, ErrorSource::Telemetry);
         }
         if let Some(landing) = motor.landing_rms_um() {

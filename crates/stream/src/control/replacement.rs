@@ -6,6 +6,7 @@
 //! Invariant: frames are judged in order. So until the answer, verdicts of frames on strokes of such a motor concern old strokes.
 
 use super::queued::Queued;
+use firmware_protocol::array::MotorSet;
 use firmware_protocol::controller::POOL;
 use firmware_protocol::tick::Tick;
 use meissner_array::spec::Array;
@@ -15,7 +16,7 @@ use meissner_array::spec::Array;
 pub(super) struct Replacement {
     from: Tick,
     /// The motors without an answer.
-    motors: u64,
+    motors: MotorSet,
     /// Their strokes, each motor's from the last to the first. The device's pool bounds them.
     strokes: Vec<Queued>,
 }
@@ -25,11 +26,11 @@ impl Replacement {
         // Touch every page now, as the queues do.
         let mut strokes = vec![Queued::NOTHING; POOL + array.motors()];
         strokes.clear();
-        Self { from: Tick(0), motors: 0, strokes }
+        Self { from: Tick(0), motors: MotorSet::EMPTY, strokes }
     }
 
     /// Begins a replacement of these motors' strokes.
-    pub(super) fn begin(&mut self, motors: u64, from: Tick) {
+    pub(super) fn begin(&mut self, motors: MotorSet, from: Tick) {
         (self.motors, self.from) = (motors, from);
         self.strokes.clear();
     }
@@ -51,9 +52,8 @@ impl Replacement {
     }
 
     fn find(&self, motor: u8, up: Tick) -> Option<usize> {
-        let waits = self.motors >> motor & 1 == 1;
         let is_it = |queued: &Queued| queued.stroke.motor == motor && queued.stroke.up == up;
-        if waits { self.strokes.iter().position(is_it) } else { None }
+        if self.motors.contains(motor) { self.strokes.iter().position(is_it) } else { None }
     }
 
     /// The device has accepted a stroke, before it was asked to withdraw it. `false`: the stroke is not among these.
@@ -75,14 +75,14 @@ impl Replacement {
     }
 
     /// The device has answered for these motors.
-    pub(super) fn end(&mut self, motors: u64) {
-        self.motors &= !motors;
-        self.strokes.retain(|queued| motors >> queued.stroke.motor & 1 == 0);
+    pub(super) fn end(&mut self, motors: MotorSet) {
+        self.motors = self.motors.without(motors);
+        self.strokes.retain(|queued| !motors.contains(queued.stroke.motor));
     }
 
     /// The device has flushed its queue.
     pub(super) fn clear(&mut self) {
-        self.motors = 0;
+        self.motors = MotorSet::EMPTY;
         self.strokes.clear();
     }
 }

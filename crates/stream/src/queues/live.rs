@@ -4,6 +4,7 @@
 //! the event queue is full. The sender of updates bounds how many are under way.
 
 use crate::time::HostInstant;
+use firmware_protocol::array::MotorSet;
 use firmware_protocol::tick::Tick;
 use meissner_array::motor::SquareWave;
 use meissner_array::per_motor::PerMotor;
@@ -56,11 +57,11 @@ pub struct Applied {
 }
 
 impl Applied {
-    /// The same for all motors but those of this mask, which get their drives later.
+    /// The same for all motors but these, which get their drives later.
     #[must_use]
-    pub(crate) fn without(mut self, motors: u64) -> Self {
-        for (motor, from) in self.motors.iter_mut().enumerate() {
-            *from = from.filter(|_| motors >> motor & 1 == 0);
+    pub(crate) fn without(mut self, motors: MotorSet) -> Self {
+        for (from, motor) in self.motors.iter_mut().zip(0..) {
+            *from = from.filter(|_| !motors.contains(motor));
         }
         self
     }

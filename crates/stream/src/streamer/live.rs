@@ -43,8 +43,8 @@ pub(super) struct Live {
     waiting: Option<Box<LiveUpdate>>,
     sent: Option<Box<LiveUpdate>>,
     /// The motors for which the device has not answered, and those whose old strokes it kept.
-    unanswered: u64,
-    kept: u64,
+    unanswered: MotorSet,
+    kept: MotorSet,
     /// From which tick on the last update replaced strokes.
     replaced: Tick,
     /// Room for delays, ticks: grows when a frame came too late.
@@ -56,13 +56,8 @@ pub(super) struct Live {
 impl Live {
     /// Whether the device has not said yet if it has replaced the strokes of `motor`, or keeps the old ones.
     pub(super) const fn is_undecided(&self, motor: u8) -> bool {
-        self.unanswered >> motor & 1 == 1
+        self.unanswered.contains(motor)
     }
-}
-
-/// The motors in a mask.
-fn motors(mask: u64) -> impl Iterator<Item = u8> {
-    (0..MAX_MOTORS as u8).filter(move |motor| mask >> motor & 1 == 1)
 }
 
 fn is_live(active: &Active, id: u64) -> bool {
@@ -175,10 +170,8 @@ impl Streamer {
         // What the device does not hold must be sent, even if it is as before.
         let changes =
             |motor: u8| update.waves[usize::from(motor)].is_some_and(|wave| wave != strokes.wave(motor));
-        let changed = array
-            .numbers()
-            .filter(|&motor| changes(motor))
-            .fold(self.live.kept, |mask, motor| mask | 1 << motor);
+        let mut changed = self.live.kept;
+        array.numbers().filter(|&motor| changes(motor)).for_each(|motor| changed.insert(motor));
         let mut applied = match update.result {
             LiveResult::Applied(applied) => {
                 Applied { repeats: applied.repeats + 1, replaced: from, ..applied }
@@ -188,34 +181,34 @@ impl Streamer {
                 Applied { received, replaced: from, motors: PerMotor::all(array, None), repeats: 0 }
             }
         };
-        if changed == 0 {
+        if changed.is_empty() {
             give_back(update, LiveResult::Applied(applied), emit);
             return;
         }
         let horizon = tick + rate.ms_in_ticks(self.settings.lead_ms) as u64 + batch_ticks(&self.settings);
-        let mut silent = 0;
-        for motor in motors(changed) {
+        let mut silent = MotorSet::EMPTY;
+        for motor in changed.iter() {
             let wave = update.waves[usize::from(motor)].unwrap_or_else(|| strokes.wave(motor));
             applied.motors[usize::from(motor)] = Some(strokes.replace(motor, wave, from));
             if strokes.next_up(motor).is_none_or(|up| up >= horizon) {
-                silent |= 1 << motor;
+                silent.insert(motor);
             }
         }
-        session.replace(from, MotorSet::from_bits(changed), MotorSet::from_bits(silent));
+        session.replace(from, changed, silent);
         self.control.replace(changed, from);
-        self.push_firsts(at, changed & !silent);
+        self.push_firsts(at, changed.without(silent));
         self.fed_until = from;
         update.result = LiveResult::Applied(applied);
         self.live.sent = Some(update);
         self.live.replaced = from;
-        (self.live.unanswered, self.live.kept) = (changed, 0);
+        (self.live.unanswered, self.live.kept) = (changed, MotorSet::EMPTY);
     }
 
     /// Sends the first stroke of each of these motors, in one frame or two: with it the device withdraws the motor's old ones.
-    fn push_firsts(&mut self, at: usize, of: u64) {
+    fn push_firsts(&mut self, at: usize, of: MotorSet) {
         let (Some(session), active) = (&mut self.session, &mut self.plays[at]) else { return };
         let Some(strokes) = active.live_strokes() else { return };
-        let ups = motors(of).filter_map(|motor| Some((strokes.next_up(motor)?, motor)));
+        let ups = of.iter().filter_map(|motor| Some((strokes.next_up(motor)?, motor)));
         let mut firsts: heapless::Vec<(Tick, u8), MAX_MOTORS> = ups.collect();
         firsts.sort_unstable();
         let mut pushed = heapless::Vec::<Stroke, MAX_MOTORS>::new();
@@ -240,8 +233,8 @@ impl Streamer {
         let active = &mut self.plays[at];
         active.put_back_next();
         for motor in self.array().numbers() {
-            let is_kept = self.live.kept >> motor & 1 == 1;
-            let cause = if is_kept { LateCause::Link } else { unsent(self.short_of_credits) };
+            let cause =
+                if self.live.kept.contains(motor) { LateCause::Link } else { unsent(self.short_of_credits) };
             loop {
                 let active = &mut self.plays[at];
                 let Some(strokes) = active.live_strokes() else { return };
@@ -255,7 +248,6 @@ impl Streamer {
 
     /// The device has answered a frame of the update under way.
     pub(super) fn replaced(&mut self, motors_done: MotorSet, kept: MotorSet, emit: &mut dyn Emit) {
-        let (motors_done, kept) = (motors_done.bits(), kept.bits());
         self.control.replaced(motors_done, kept);
         let of = self.live.of;
         let Some(active) = self.plays.iter_mut().find(|active| of.is_some_and(|id| is_live(active, id)))
@@ -264,18 +256,18 @@ impl Streamer {
         };
         active.put_back_next();
         if let Some(strokes) = active.live_strokes() {
-            motors(kept).for_each(|motor| strokes.revert(motor));
+            kept.iter().for_each(|motor| strokes.revert(motor));
         }
         let rate = self.rate();
         let (least_spare, most_spare) = (wake_up(rate), rate.of_ms(MOST_SPARE_MS));
         let live = &mut self.live;
-        live.unanswered &= !(motors_done | kept);
+        live.unanswered = live.unanswered.without(motors_done | kept);
         live.kept |= kept;
-        if live.unanswered != 0 {
+        if !live.unanswered.is_empty() {
             return;
         }
         let Some(mut update) = live.sent.take() else { return };
-        if live.kept == 0 {
+        if live.kept.is_empty() {
             live.spare = (live.spare / 2).max(least_spare);
             let result = update.result;
             give_back(update, result, emit);
@@ -286,7 +278,7 @@ impl Streamer {
             // The newer one has the motors' drives, or takes over these.
             Some(newer) => {
                 let LiveResult::Applied(applied) = update.result else { return };
-                for motor in motors(live.kept).map(usize::from) {
+                for motor in live.kept.iter().map(usize::from) {
                     newer.waves[motor] = newer.waves[motor].or(update.waves[motor]);
                 }
                 give_back(update, LiveResult::Applied(applied.without(live.kept)), emit);
@@ -294,7 +286,7 @@ impl Streamer {
             None => {
                 // Of the others the result is known.
                 for (wave, motor) in update.waves.iter_mut().zip(0..) {
-                    if live.kept >> motor & 1 == 0 {
+                    if !live.kept.contains(motor) {
                         *wave = None;
                     }
                 }

@@ -31,12 +31,12 @@ use crate::calibrate::fit::{MotorFit, fit};
 use crate::calibrate::laser::align::Alignment;
 use crate::calibrate::laser::error::{MOST_SCATTER, SLOWEST_S};
 use crate::calibrate::laser::travels::Measured;
-use crate::calibrate::plan::{Plan, PlanError};
+use crate::calibrate::plan::{Plan, PlanError, farthest_pulses, pulses_range};
 use firmware_protocol::stroke::Direction;
 use meissner_array::spec::Array;
 use serde::Serialize;
 
-/// Default numbers of pulses, as multiples of the fewest. The short burst makes the offset of the line certain, which makes its slope
+/// Default numbers of pulses, as multiples of the fewest, or of more where those of [`Plan::of`] are more. The short burst makes the offset of the line certain, which makes its slope
 /// more certain: the error is 1.3 times that of a line through the origin. The others are near the paper's 70: longer ones move the
 /// pin further from rest and make nothing more certain, because scatter is a share of the travel.
 const PULSES: [u16; 10] = [1, 5, 6, 7, 8, 9, 10, 11, 12, 13];
@@ -56,8 +56,17 @@ pub fn laser_plan(
     pulses: Option<&[u16]>,
     repetitions: Option<u16>,
 ) -> Result<Plan, PlanError> {
-    let default = PULSES.map(|times| array.motor().least_pulses.saturating_mul(times));
+    let default = default_pulses(array);
     Plan::new(array, Some(motor), pulses.unwrap_or(&default), repetitions.unwrap_or(LASER_REPETITIONS))
+}
+
+fn default_pulses(array: Array) -> Vec<u16> {
+    let (range, most_times) = (pulses_range(array), PULSES[PULSES.len() - 1]);
+    let unit = (*range.start()).max(farthest_pulses(array) / 20).min(range.end() / most_times).max(1);
+    let mut pulses: Vec<u16> = PULSES.iter().map(|times| (times * unit).max(*range.start())).collect();
+    pulses.dedup();
+    pulses.retain(|pulses| range.contains(pulses));
+    pulses
 }
 
 /// What a recording says about a motor and about the sensor.

@@ -119,6 +119,7 @@ impl BurstController {
         mut amend: impl FnMut(Tick, Direction, u16) -> bool,
     ) {
         let Times { send_by, finalise_at, finalise_early, .. } = self.times;
+        let fresh = fresh && !self.is_blind(now);
         let mut within = finalise_early;
         while let Some(queued) = self.queue.get(self.finalised / 2).copied() {
             let half = self.finalised % 2;

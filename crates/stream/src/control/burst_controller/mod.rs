@@ -243,6 +243,11 @@ impl BurstController {
         self.anchored && self.monitor.fault().is_none()
     }
 
+    /// Whether telemetry of `tick` says nothing: see [`Estimator::is_blind`].
+    pub(crate) fn is_blind(&self, tick: Tick) -> bool {
+        self.estimator.is_blind(tick)
+    }
+
     /// The sensor fault, if there is one.
     pub(crate) fn fault(&self) -> Option<SensorFault> {
         self.monitor.fault()
@@ -325,7 +330,7 @@ impl BurstController {
 
     /// Takes a sample of the displacement, µm, after [`Self::advance`] to its tick. Calls `over` with each burst measured.
     pub(crate) fn telemetry(&mut self, tick: Tick, um: f64, mut over: impl FnMut(Travel)) {
-        if self.monitor.fault().is_some() || self.estimator.is_stopping(tick) {
+        if self.monitor.fault().is_some() || self.estimator.is_stopping(tick) || self.is_blind(tick) {
             return;
         }
         if !self.anchored {

@@ -136,7 +136,7 @@ impl BurstController {
         let [up, down] = planned.map(|pulses| f64::from(pulses) * self.um_per_pulse());
         let Gains { mean, scatter, .. } = self.gains;
         let spread = if self.is_calibrated() {
-            Spread::measured(scatter, mean, [0.0; 2])
+            Spread::measured(scatter, mean, [0.0; 2], 1)
         } else {
             Spread { scatter, asymmetry: ASYMMETRY }
         };
