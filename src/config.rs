@@ -20,7 +20,7 @@ use array::RawArray;
 use firmware_protocol::limits::PowerLimits;
 use meissner_api::request::SILENCE_S;
 use meissner_array::simulated::{LowerStop, SimulatedMotorsConfig, SimulatedMotorsError};
-use meissner_array::spec::Array;
+use meissner_array::spec::{Array, MAX_MOTORS, TICK_HZ};
 use meissner_client::default_socket;
 use meissner_input::document::{Table, from_toml, in_range};
 use meissner_input::message::quote;
@@ -52,6 +52,8 @@ const MAX_LOGBOOK_DAYS: f64 = 36_500.0;
 const DRIFT_UM: RangeInclusive<f64> = 1.0..=10_000.0;
 /// The range of the end stops' distance from rest, um.
 const END_STOP_UM: RangeInclusive<f64> = 0.0..=10_000.0;
+/// The largest amplitude that a participant's limit can have, µm: that of any array.
+const MAX_AMPLITUDE_UM: f64 = 5_000.0;
 /// The range of a participant's times, s: up to a day.
 const LIMIT_S: RangeInclusive<f64> = 0.1..=86_400.0;
 /// The range of a pause, s.
@@ -207,10 +209,11 @@ impl RawParticipant {
             max_amplitude_um: checked(
                 um,
                 self.max_amplitude_um,
-                default.max_amplitude_um.min(travel_um),
-                1.0..=travel_um,
+                default.max_amplitude_um,
+                1.0..=MAX_AMPLITUDE_UM,
                 "um",
-            )?,
+            )?
+            .min(travel_um),
             max_continuous_s: seconds("max_continuous_s", self.max_continuous_s, default.max_continuous_s)?,
             pause_s: checked(pause, self.pause_s, default.pause_s, PAUSE_S, "s")?,
             max_session_s: seconds("max_session_s", self.max_session_s, default.max_session_s)?,
@@ -282,12 +285,16 @@ impl RawConfig {
             rail_at_once: array.rails().largest() as u8,
             chip_at_once: array.chips().largest() as u8,
         };
-        let limit = |key, found: Option<u32>, most: u32| {
+        // A limit above what the array can reach limits nothing: the same file serves other arrays.
+        let limit = |key, found: Option<u32>, of_array: u32, most: u32| {
             let range = 1.0..=f64::from(most);
-            checked(key, found.map(f64::from), most.into(), range, "pulses/s").map(|found| found as u32)
+            let found = checked(key, found.map(f64::from), of_array.into(), range, "pulses/s");
+            found.map(|found| (found as u32).min(of_array))
         };
-        let motor = limit("limits.motor_pulses_per_s", limits.motor_pulses_per_s, most.motor)?;
-        let rail = limit("limits.rail_pulses_per_s", limits.rail_pulses_per_s, most.rail)?;
+        let most_hz = *TICK_HZ.end();
+        let motor = limit("limits.motor_pulses_per_s", limits.motor_pulses_per_s, most.motor, most_hz)?;
+        let (key, most_of_rail) = ("limits.rail_pulses_per_s", MAX_MOTORS as u32 * most_hz);
+        let rail = limit(key, limits.rail_pulses_per_s, most.rail, most_of_rail)?;
         let (silence, range) = (self.session_silence_s, 0.1..=3600.0);
         let session_silence_s = checked("session_silence_s", silence, SESSION_SILENCE_S, range, "s")?;
         let silence = self.armed_silence_s;

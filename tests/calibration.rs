@@ -92,6 +92,15 @@ fn a_calibration_is_played_fitted_stored_and_used() {
     assert_eq!((&report["used"], report["motors"].as_array().unwrap().len()), (&false.into(), 2));
     let status: Value = other.client().get("/v1/status").unwrap();
     assert!(status["calibrated"].is_null() && status["motors"][3]["calibrated"] == false, "{status}");
+    // A calibration of the other array does not destroy that of the first.
+    let mut client = other.armed();
+    let mut events = client.events().unwrap();
+    let _: Value = client.post("/v1/calibrate", &quick(7)).unwrap();
+    assert_eq!(outcome(&mut events), (vec![7], None));
+    assert_eq!(fs::read_to_string(daemon.path("calibration.1.toml")).unwrap(), stored);
+    let new = fs::read_to_string(daemon.path("calibration.toml")).unwrap();
+    let new = Calibration::parse(&new, "calibration.toml").unwrap();
+    assert_eq!(new.motors().iter().map(|fit| fit.motor).collect::<Vec<_>>(), [7]);
 }
 
 #[test]

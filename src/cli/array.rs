@@ -61,6 +61,9 @@ pub(super) fn run(asked: Array) -> Result<ExitCode> {
 
 fn new(asked: New) -> Result<ExitCode> {
     let New { rows, columns, pitch_mm, tick_hz, name, file } = asked;
+    if !(0.1..=25.0).contains(&pitch_mm) {
+        bail!("--pitch-mm is {pitch_mm}: must be 0.1 to 25 mm");
+    }
     let name = name.unwrap_or_else(|| format!("array-{rows}x{columns}"));
     let text = NewArray { name: name.clone(), rows, columns, pitch_mm, tick_hz }.to_toml();
     let spec = ArraySpec::parse(&text, &name)?;
@@ -71,14 +74,21 @@ fn new(asked: New) -> Result<ExitCode> {
         Err(error) if error.kind() == std::io::ErrorKind::AlreadyExists => {
             bail!("{shown_file} exists: give another --file, or remove it")
         }
-        opened => opened.with_context(|| format!("{shown_file} cannot be written"))?,
+        opened => opened.with_context(|| {
+            format!("{shown_file} cannot be written: give a place that can be, with --file")
+        })?,
     };
-    to.write_all(text.as_bytes()).with_context(|| format!("{shown_file} cannot be written"))?;
+    to.write_all(text.as_bytes())
+        .with_context(|| format!("{shown_file} cannot be written: give a place that can be, with --file"))?;
     super::output::say(&format!(
         "{}\n\nwritten to {shown_file}; change it to your wiring and motors",
         shown(&array)
     ))?;
     Ok(ExitCode::SUCCESS)
+}
+
+fn rounded_mm(mm: f64) -> f64 {
+    (mm * 1e3).round() / 1e3
 }
 
 /// The pins as a drawing, then what the description says.
@@ -91,7 +101,10 @@ fn shown(array: &ArraySpec) -> String {
         Response::Lag { .. } => "a lag that settles in",
     };
     let facts = text::pairs(&[
-        ("array", format!("{}, {} pins, {} mm apart", array.name(), array.motors(), array.pitch_mm())),
+        (
+            "array",
+            format!("{}, {} pins, {} mm apart", array.name(), array.motors(), rounded_mm(array.pitch_mm())),
+        ),
         (
             "pulses",
             format!(

@@ -47,6 +47,15 @@ struct Document<'a> {
 pub(super) fn run(asked: &Report) -> Result<ExitCode> {
     let array = asked.array.find()?;
     let subjects = subjects(&asked.patterns)?;
+    let other = subjects.iter().find(|subject| subject.pattern.array() != array);
+    if let Some(Subject { pattern, .. }) = other.filter(|_| !asked.patterns.is_empty()) {
+        let its = pattern.array().spec().name();
+        bail!(
+            "{}: is for the array {its}, and the report is of {}: give --array {its}, or its file",
+            pattern.name(),
+            array.name()
+        );
+    }
     files::directory(&asked.out)?;
     let page = files::beside(&asked.out.join(INDEX))?;
     let begun = Instant::now();

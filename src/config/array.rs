@@ -6,7 +6,7 @@ use super::problem::{KeyError, Problem, checked};
 use crate::array::find;
 use firmware_protocol::limits::PowerLimits;
 use meissner_array::simulated::LowerStop;
-use meissner_array::spec::Array;
+use meissner_array::spec::{Array, MAX_MOTORS};
 use meissner_input::document::in_range;
 use meissner_input::message::quote;
 use meissner_stream::{LowerStopSettings, Settings};
@@ -47,13 +47,13 @@ impl RawArray {
         })
     }
 
-    /// `limits` with those on motors at once, which are at most as in it.
+    /// `limits` with those on motors at once. One above it limits nothing.
     pub(super) fn limits(&self, limits: PowerLimits) -> Result<PowerLimits, KeyError> {
         let check = |key: &str, found: Option<u32>, none: u8| {
             let found = found.unwrap_or(none.into());
-            let good = (1..=none.into()).contains(&found);
-            in_range(&format!("array.{key}"), found.into(), good, format!("1 to {none} motors"))?;
-            Ok(found as u8)
+            let good = (1..=MAX_MOTORS as u32).contains(&found);
+            in_range(&format!("array.{key}"), found.into(), good, format!("1 to {MAX_MOTORS} motors"))?;
+            Ok(none.min(found as u8))
         };
         let rail_at_once = check("rail_motors_at_once", self.rail_motors_at_once, limits.rail_at_once)?;
         let chip_at_once = check("chip_motors_at_once", self.chip_motors_at_once, limits.chip_at_once)?;
@@ -83,7 +83,7 @@ impl RawArray {
         };
         let (key, default_um) = ("array.rest_error_um", default.rest_error_um);
         let rest_error_um = checked(key, self.rest_error_um, default_um, REST_ERROR_UM, "um")?;
-        let found = pulses_per_s.unwrap_or(most_pushes);
+        let found = pulses_per_s.unwrap_or(most_pushes).min(most_pushes);
         let has_stop = self.lower_stop == Some(LowerStop::AtRest);
         if has_stop {
             let whole_travel = settings.array.layout().whole_travel();
@@ -100,7 +100,7 @@ impl RawArray {
         }
         let least = if has_stop { settings.seek_pulses().into() } else { 1 };
         let good = (least..=most_pushes).contains(&found);
-        let range = format!("{least} to {most_pushes} pulses/s: a seek of the lower stop takes {least}");
+        let range = format!("at least {least} pulses/s, which a seek of the lower stop takes");
         in_range("limits.stop_pulses_per_s", found.into(), good, range)?;
         let stop = LowerStopSettings { surplus_um, rest_error_um, pulses_per_s: found };
         Ok(has_stop.then_some(stop))

@@ -164,6 +164,7 @@ fn single(play: &RecordedPlay, is_whole: bool, notes: &mut Vec<String>) -> Resul
         trial: play.trial,
         labels: play.labels.clone(),
         trigger: trigger(play),
+        map: map(play),
         ..PlayRequest::default()
     })
 }

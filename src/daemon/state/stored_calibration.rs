@@ -18,9 +18,9 @@ use meissner_stream::calibrate::{
     Calibration, Fit, FitPoint, MAX_BYTES, MotorFit, Plan, fit, travels_by_telemetry,
 };
 use meissner_stream::queues::MeasuredBurst;
-use std::io;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
+use std::{fs, io};
 
 /// Measured bursts kept of a plan, at most: the longest plan has 48 000, and other plays may follow.
 const MAX_BURSTS: usize = 1 << 17;
@@ -142,17 +142,43 @@ pub(in crate::daemon) fn with_other_motors(new: Calibration, old: Option<&Stored
     }
 }
 
-/// Replaces the file.
+/// Replaces the file. One of another device or array, or one that cannot be read, is kept beside it.
 pub(in crate::daemon) fn write(file: &Path, calibration: &Calibration) -> Result<(), String> {
     let written = file::make_dirs(file::dir_of(file), file::LISTED_BY_ALL);
-    let written =
-        written.and_then(|()| file::replace(file, calibration.to_toml().as_bytes(), file::READABLE_BY_ALL));
+    let written = written
+        .and_then(|()| keep_other(file, calibration))
+        .and_then(|()| file::replace(file, calibration.to_toml().as_bytes(), file::READABLE_BY_ALL));
     written.map_err(|error| {
         format!(
             "{}: cannot be written: {error}; set `calibration` in the daemon's configuration",
             file.display()
         )
     })
+}
+
+/// Renames a file that `new` does not continue to the first free name of `NAME.1.toml`, `NAME.2.toml` and so on.
+fn keep_other(file: &Path, new: &Calibration) -> io::Result<()> {
+    let old = match read_regular(file, MAX_BYTES as u64) {
+        Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(()),
+        bytes => bytes.ok().and_then(|bytes| String::from_utf8(bytes).ok()),
+    };
+    let old = old.and_then(|text| Calibration::parse(&text, "").ok());
+    let continues = old.is_some_and(|old| {
+        let same = old.array() == new.array() && old.provenance().identity == new.provenance().identity;
+        same && old.is_of_description()
+    });
+    if continues {
+        return Ok(());
+    }
+    let names = (1..).map(|number: u32| file.with_extension(format!("{number}.toml")));
+    let Some(kept) = names.into_iter().find(|kept| !kept.exists()) else { return Ok(()) };
+    fs::rename(file, &kept)?;
+    tracing::warn!(
+        "{}: was of another device or could not be read; kept as {}",
+        file.display(),
+        kept.display()
+    );
+    Ok(())
 }
 
 /// The calibration for clients.

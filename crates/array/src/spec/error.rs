@@ -19,6 +19,8 @@ pub enum Problem {
     Shipped { name: String },
     #[error("needs either rows, columns and pitch_mm, or positions_mm")]
     Pins,
+    #[error("has {numbers} numbers: must be [x, y]")]
+    Place { numbers: usize },
     #[error("are {pins} pins: must be 1 to {MAX_MOTORS}")]
     TooManyPins { pins: usize },
     #[error(

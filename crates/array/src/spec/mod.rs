@@ -13,6 +13,7 @@ mod write;
 
 pub use error::{ArrayError, Problem};
 pub use known::{Array, UnknownArray, names};
+pub use read::TICK_HZ;
 pub use write::NewArray;
 
 use crate::motor::Response;

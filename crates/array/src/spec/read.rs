@@ -17,7 +17,9 @@ const MAX_BYTES: usize = 1 << 16;
 const MAX_SIZE: Size = Size { tokens: 1 << 14, tables: 64, values: 1 << 10 };
 /// Carriers, Hz. Below 20 kHz people hear a motor. The protocol's buffers are sized for at most 200 kHz; the firmware of a Pico
 /// takes less (`firmware/clock.rs`).
-const TICK_HZ: std::ops::RangeInclusive<u32> = 20_000..=200_000;
+pub const TICK_HZ: std::ops::RangeInclusive<u32> = 20_000..=200_000;
+/// The most that `least_pulses` may be: a calibration plays bursts of up to twice as many.
+const MOST_LEAST_PULSES: u32 = 100;
 /// Radius of a pin's tip without one given, mm.
 const PIN_RADIUS_MM: f64 = 0.5;
 /// `most_pulses` may be at most this many times the travel. It bounds how far a host can move a pin. A stroke of the whole travel
@@ -84,7 +86,7 @@ struct RawPins {
     rows: Option<u8>,
     columns: Option<u8>,
     pitch_mm: Option<f64>,
-    positions_mm: Option<Vec<[f64; 2]>>,
+    positions_mm: Option<Vec<Vec<f64>>>,
     radius_mm: Option<f64>,
 }
 
@@ -231,7 +233,15 @@ impl RawPins {
                 count(usize::from(rows) * usize::from(columns))?;
                 (grid.positions_mm(), Some(grid))
             }
-            (None, None, None, Some(positions_mm)) => (positions_mm, None),
+            (None, None, None, Some(places)) => {
+                let place = |(pin, place): (usize, Vec<f64>)| {
+                    <[f64; 2]>::try_from(place).map_err(|place| {
+                        let problem = Problem::Place { numbers: place.len() };
+                        KeyError::key(&format!("positions_mm[{pin}]"), problem)
+                    })
+                };
+                (places.into_iter().enumerate().map(place).collect::<Result<_, _>>()?, None)
+            }
             _ => return Err(KeyError::whole(None, Problem::Pins)),
         };
         count(positions_mm.len())?;
@@ -271,13 +281,11 @@ impl RawMotor {
         in_range("step_um", step_um, (0.001..=10.0).contains(&step_um), "0.001 to 10 um")?;
         in_range("travel_um", travel_um, (1.0..=5_000.0).contains(&travel_um), "1 to 5000 um")?;
         in_range("most_pulses", most_pulses.into(), (1..=10_000).contains(&most_pulses), "1 to 10000")?;
-        in_range(
-            "least_pulses",
-            least_pulses.into(),
-            (1..=most_pulses).contains(&least_pulses),
-            "1 to most_pulses",
-        )?;
         let pulses = (travel_um / step_um + 0.5) as u32;
+        in_range("travel_um", travel_um, pulses >= 1, format!("at least step_um, {step_um} um"))?;
+        let good = (1..=pulses.min(MOST_LEAST_PULSES)).contains(&least_pulses.into());
+        let range = format!("1 to {}", pulses.min(MOST_LEAST_PULSES));
+        in_range("least_pulses", least_pulses.into(), good, range)?;
         if pulses > most_pulses.into() {
             let problem = Problem::Travel { found: most_pulses, travel_um, pulses };
             return Err(KeyError::key("most_pulses", problem));

@@ -33,11 +33,14 @@ impl NewArray {
         let (tick_hz, duty, motor) = (tick_hz.unwrap_or(like.rate().hz()), like.duty(), like.motor());
         let window_ms = like.rate().ticks_to_ms(1) * motor.window_ticks();
         let rest_s = like.rate().ticks_to_seconds(motor.transient_rest_ticks);
+        // Pins nearer than 1 mm need thinner tips than those without a radius.
+        let radius =
+            if *pitch_mm > 1.0 { String::new() } else { format!(", radius_mm = {:.3}", 0.4 * pitch_mm) };
         format!(
             "# {rows} x {columns} pins. A motor's number is {columns} * row + column; row 0 is the most distal.\n\
              name = \"{name}\"\n\
              # Or: positions_mm = [[x, y], ...], one for each motor; x runs across the finger, y towards its tip. radius_mm is that of a pin's tip.\n\
-             pins = {{ rows = {rows}, columns = {columns}, pitch_mm = {pitch_mm:?} }}\n\
+             pins = {{ rows = {rows}, columns = {columns}, pitch_mm = {pitch_mm:?}{radius} }}\n\
              # The carrier: pulses per second. Exact times are counted in its ticks.\n\
              tick_hz = {tick_hz}\n\
              # For how much of a tick a line is high in a pulse up and in a pulse down.\n\

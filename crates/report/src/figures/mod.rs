@@ -120,7 +120,8 @@ fn command(array: Array) -> String {
     if array == Array::paper() {
         "meissner report".to_owned()
     } else {
-        format!("meissner report --array {}", array.name())
+        let file = if array.is_shipped() { "" } else { ".toml" };
+        format!("meissner report --array {}{file}", array.name())
     }
 }
 

@@ -123,7 +123,7 @@ pub(super) fn section(
     };
 
     let name = pattern.name();
-    let command = format!("meissner report {}", subject.argument);
+    let command = format!("{} {}", super::command(subject.pattern.array()), subject.argument);
     let mut section = Section::new(&format!("pattern-{name}"), &format!("Pattern {name}"));
     section.say(&summary(pattern, &figures));
     let left_out = match more.len() {
