@@ -160,7 +160,9 @@ fn an_array_of_ones_own_takes_a_file_and_no_code() {
     let receipt = ended(&mut events);
     assert_eq!((receipt.array.as_str(), receipt.tick_hz, receipt.state.name()), ("lab-3x2", 70_000, "done"));
     // A replay maps as it was recorded.
-    let session = document(daemon.meissner().args(["session", "start", "--json"]))["id"].clone();
+    let session =
+        document(daemon.meissner().args(["session", "start", "--participant", "P01", "--json"]))["id"]
+            .clone();
     let mapped = ["play", "edge-45", "--map", "nearest", "--seconds", "0.2", "--wait"];
     let text = printed(daemon.meissner().args(mapped));
     assert!(text.contains("by position, from tula35-6x4 to lab-3x2"), "{text}");

@@ -320,7 +320,7 @@ pub(super) fn pattern(shown: &Value, array: &ArrayDetails) -> String {
     let duration = duration_s.map_or_else(|| "endless".to_owned(), |seconds| format!("{seconds} s"));
     let whole = shown["compiled_ms"].as_f64();
     let whole = whole.map_or_else(String::new, |ms| format!(" ({ms:.1} ms in whole strokes)"));
-    let _ = writeln!(text, ", for {}, {duration}{whole}, {} drives", array.name, drives.len());
+    let _ = writeln!(text, ", {duration}{whole}, {} drives, for {}", drives.len(), array.name);
     // The maps show what moves: each drive with the amplitude that it reaches, none without a stroke.
     let moving: Vec<Drive> =
         drives.iter().zip(0..).filter_map(|(file, at)| drive(file, &shown["drives"][at])).collect();
@@ -429,7 +429,7 @@ mod tests {
         let drive =
             |motor: u8| json!({"motor": motor, "frequency_hz": 60.0, "amplitude_um": 80.0, "phase": 0.25});
         let text = shown(&json!([drive(9), drive(10)]));
-        for part in ["a, 5", " s, 2 drives\nfingertip\n", "0.25", "warning: w"] {
+        for part in ["a, 5", " s, 2 drives, for tula35-6x4\nfingertip\n", "0.25", "warning: w"] {
             assert!(text.contains(part), "{part}: {text}");
         }
         let count = |what: &str| text.matches(what).count();
