@@ -5,7 +5,7 @@
 //!
 //! | module | what it holds |
 //! |---|---|
-//! | [`tick`], [`stroke`] | the unit of time, and what motors play |
+//! | [`tick`], [`stroke`], [`moves`] | the unit of time, and what motors play |
 //! | [`mod@array`] | which array it is: motors, carrier, rails, driver chips, limits |
 //! | [`batch`] | strokes and amendments, packed |
 //! | [`board`] | what a device says of itself: the board report, the self-test |
@@ -286,6 +286,7 @@ pub mod controller;
 pub mod frame;
 pub mod limits;
 pub mod message;
+pub mod moves;
 pub mod stroke;
 pub mod tick;
 pub mod urgent;
