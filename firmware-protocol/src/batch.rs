@@ -1,44 +1,62 @@
-//! Packed lists inside messages: the strokes of a batch and the items of an amendment.
+//! Packed lists inside messages: the moves of a batch and the items of an amendment.
 //!
-//! [`Packer`] writes a list; [`Strokes`] and [`Amendments`] read it, each item as an offset from the one before.
+//! [`Packer`] writes a list; [`Moves`] and [`Amendments`] read it, each item as an offset from the one before.
 //!
 //! ```text
-//! stroke     head | varint up | [varint up_pulses] | varint held | [varint correction]
-//! amendment  head | varint up (zigzag) | varint pulses
+//! move       head | varint dt | varint level << 1 | s     [varint surplus, if s is 1]
+//! stroke     head | varint dt | varint level << 1 | s     [varint surplus]  varint held
+//! again      head | varint dt | varint held
+//! row        head | varint dt | [varint motors]           varint level of each motor
+//! amendment  head | zigzag dt | varint pulses
 //! ```
-//! - `head`: bits 0–5 are the motor. In a stroke, bit 6 set means that `up_pulses` is as in the stroke before and left out;
-//!   bit 7 set means that both bursts have as many pulses and `correction` is left out. In an amendment, bit 6 is the
-//!   burst's direction (1 = down), and bit 7 is not used.
-//! - `up`: ticks from the up tick of the item before; in the first item from the base tick.
-//! - `held`: ticks from the end of the up burst to the down burst.
-//! - `correction`: down pulses minus up pulses, zigzag.
+//! - `head`: bits 0 to 5 are the motor, bits 6 and 7 the kind: 0 a move, 1 a stroke, 2 a stroke again, 3 a row. An amendment has the motor alone.
+//! - `dt`: ticks from the tick of the item before; in the first item from the base tick.
+//! - A *stroke* is two moves: to `level`, and `held` ticks after the pin got there to level 0 with the surplus. It is taken or left as a
+//!   whole. *Again* is a stroke with level and surplus of the stroke before in this list.
+//! - A *row* has a move of each of its motors at the same tick, without surplus. The motors are those of the row before in this list, or,
+//!   if bit 0 of the head is set, a set that follows.
 //!
-//! Varints are LEB128 of at most 5 bytes. A list that ends within an item, or with a number out of range, is [`Malformed`].
+//! Varints are LEB128 of at most 5 bytes, that of a set of at most 10. A list that ends within an item, or with a number out of range, is
+//! [`Malformed`].
 
-use crate::array::Layout;
+use crate::array::{Layout, MotorSet};
 use crate::frame::{self, MAX_BODY, MAX_FRAME};
 use crate::message::HostMessage;
-use crate::stroke::{Direction, Stroke};
+use crate::moves::Move;
 use crate::tick::Tick;
 
-/// Most strokes in a batch; a verdict's mask has 64 bits. The chip unpacks them between two blocks of lines.
-pub const MAX_BATCH: usize = 32;
-/// The strokes of a frame.
-pub(crate) type Batch = heapless::Vec<Stroke, MAX_BATCH>;
+/// Most moves in a batch: a verdict's mask has 64 bits.
+pub const MAX_BATCH: usize = 64;
+/// Most moves in the first frame of a play, which the chip takes in one piece.
+pub const MAX_FIRST_BATCH: usize = 32;
+/// The moves of a frame. The second move of a stroke is `joined` to the one before it.
+pub(crate) type Batch = heapless::Vec<Unpacked, MAX_BATCH>;
+/// A move of a list, and whether it is the second one of a stroke.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub struct Unpacked {
+    /// The move.
+    pub of: Move,
+    /// It is taken only with the one before it.
+    pub joined: bool,
+}
 /// Most bytes of packed items in a message: what its longest header leaves.
 pub const BATCH_BYTES: usize = MAX_BODY - LONGEST_HEADER;
-/// The longest header, of a `Strokes` frame: variant; `epoch`, `seq`, `seen`; `mark`; `withdraw`; `base`; length of the batch.
+/// The longest header, of a `Moves` frame: variant; `epoch`, `seq`, `seen`; `mark`; `withdraw`; `base`; length of the batch.
 const LONGEST_HEADER: usize = {
-    let (varint_u16, varint_u64) = (3, 10);
-    let mark = 1 + 1 + 1 + varint_u16 + 1;
+    let (varint_u16, varint_u32, varint_u64) = (3, 5, 10);
+    let mark = 1 + 1 + 1 + varint_u16 + 1 + varint_u32;
     let withdraw = 1 + varint_u64 + varint_u16;
     1 + 3 * varint_u16 + mark + withdraw + 4 + 2
 };
 
 const MOTOR: u8 = 0x3f;
-const SAME_PULSES: u8 = 0x40;
-const BALANCED: u8 = 0x80;
-const AMENDS_DOWN: u8 = 0x40;
+const KIND: u8 = 0xc0;
+const MOVE: u8 = 0x00;
+const STROKE: u8 = 0x40;
+const AGAIN: u8 = 0x80;
+const ROW: u8 = 0xc0;
+/// In the head of a row: a set of motors follows.
+const OTHER_SET: u8 = 0x01;
 
 /// A packed list ends within an item, or an item has a number out of range.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -48,22 +66,48 @@ pub struct Malformed;
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Full;
 
+/// One excursion of one pin: up to a level and back to rest.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub struct Stroke {
+    /// Its number in the array.
+    pub motor: u8,
+    /// The tick of its first pulse up.
+    pub up: Tick,
+    /// Pulses up.
+    pub level: u16,
+    /// The tick of its first pulse down, not before the last one up.
+    pub down: Tick,
+    /// Pulses after the pin is at rest, against a lower stop.
+    pub surplus: u16,
+}
+
+impl Stroke {
+    /// Its two moves.
+    #[must_use]
+    pub const fn moves(&self) -> [Move; 2] {
+        let Self { motor, up, level, down, surplus } = *self;
+        [Move { motor, tick: up, level, surplus: 0 }, Move { motor, tick: down, level: 0, surplus }]
+    }
+}
+
 /// Packs items into a buffer of `N` bytes. An item that does not fit changes nothing.
 #[derive(Clone, Debug)]
 pub struct Packer<const N: usize> {
     bytes: [u8; N],
     len: usize,
-    items: usize,
+    /// Moves, or amendments.
+    count: usize,
     base: Tick,
     at: Tick,
-    pulses: u16,
+    stroke: Option<(u16, u16)>,
+    row: MotorSet,
 }
 
 impl<const N: usize> Packer<N> {
     /// An empty list whose ticks count from `base`.
     #[must_use]
     pub fn new(base: Tick) -> Self {
-        Self { bytes: [0; N], len: 0, items: 0, base, at: base, pulses: 0 }
+        Self { bytes: [0; N], len: 0, count: 0, base, at: base, stroke: None, row: MotorSet::EMPTY }
     }
 
     /// The tick from which the first item counts.
@@ -78,35 +122,61 @@ impl<const N: usize> Packer<N> {
         &self.bytes[..self.len]
     }
 
-    /// Number of items.
+    /// Number of moves or amendments.
     #[must_use]
-    pub fn items(&self) -> usize {
-        self.items
+    pub fn count(&self) -> usize {
+        self.count
     }
 
-    /// Appends a stroke. Its up burst must begin no earlier than that of the stroke before, and end before its own down burst.
+    /// Appends a move. It must be no earlier than the item before.
+    ///
+    /// # Errors
+    /// [`Full`] if it does not fit; the list is unchanged.
+    pub fn moves(&mut self, to: &Move) -> Result<(), Full> {
+        let mut item = Item::new(MOVE | to.motor & MOTOR);
+        item.varint(self.delta(to.tick)?);
+        item.level(to.level, to.surplus);
+        self.append(&item, 1)?;
+        self.at = to.tick;
+        Ok(())
+    }
+
+    /// Appends a stroke. It must begin no earlier than the item before, and come down no earlier than it is up.
     ///
     /// # Errors
     /// [`Full`] if it does not fit; the list is unchanged.
     pub fn stroke(&mut self, stroke: &Stroke) -> Result<(), Full> {
-        let Ok(up) = u32::try_from(stroke.up.since(self.at)) else { return Err(Full) };
-        let held = stroke.down.since(stroke.up + u64::from(stroke.up_pulses));
-        let Ok(held) = u32::try_from(held) else { return Err(Full) };
-        let mut item = Item::new(stroke.motor & MOTOR);
-        item.varint(up);
-        if self.items > 0 && stroke.up_pulses == self.pulses {
-            item.bytes[0] |= SAME_PULSES;
-        } else {
-            item.varint(stroke.up_pulses.into());
+        let held = stroke.down.since(stroke.up + u64::from(stroke.level));
+        let held = u32::try_from(held).map_err(|_| Full)?;
+        let same = self.stroke == Some((stroke.level, stroke.surplus));
+        let mut item = Item::new(if same { AGAIN } else { STROKE } | stroke.motor & MOTOR);
+        item.varint(self.delta(stroke.up)?);
+        if !same {
+            item.level(stroke.level, stroke.surplus);
         }
         item.varint(held);
-        if stroke.down_pulses == stroke.up_pulses {
-            item.bytes[0] |= BALANCED;
-        } else {
-            item.varint(zigzag(i32::from(stroke.down_pulses) - i32::from(stroke.up_pulses)));
+        self.append(&item, 2)?;
+        (self.at, self.stroke) = (stroke.up, Some((stroke.level, stroke.surplus)));
+        Ok(())
+    }
+
+    /// Appends a row: at `tick` each motor of `motors` gets the level of its place in `levels`.
+    ///
+    /// # Errors
+    /// [`Full`] if it does not fit, or has not as many levels as motors; the list is unchanged.
+    pub fn row(&mut self, tick: Tick, motors: MotorSet, levels: &[u16]) -> Result<(), Full> {
+        if levels.is_empty() || levels.len() != motors.len() as usize {
+            return Err(Full);
         }
-        self.append(&item)?;
-        (self.at, self.pulses) = (stroke.up, stroke.up_pulses);
+        let same = self.row == motors;
+        let mut item = Item::new(if same { ROW } else { ROW | OTHER_SET });
+        item.varint(self.delta(tick)?);
+        if !same {
+            item.varint64(motors.bits());
+        }
+        levels.iter().for_each(|&level| item.varint(level.into()));
+        self.append(&item, levels.len())?;
+        (self.at, self.row) = (tick, motors);
         Ok(())
     }
 
@@ -115,42 +185,49 @@ impl<const N: usize> Packer<N> {
     /// # Errors
     /// [`Full`] if it does not fit; the list is unchanged.
     pub fn amendment(&mut self, amendment: &Amendment) -> Result<(), Full> {
-        let Ok(up) = i32::try_from(amendment.up.since(self.at)) else { return Err(Full) };
-        let down = if amendment.direction == Direction::Down { AMENDS_DOWN } else { 0 };
-        let mut item = Item::new((amendment.motor & MOTOR) | down);
-        item.varint(zigzag(up));
+        let Ok(dt) = i32::try_from(amendment.tick.since(self.at)) else { return Err(Full) };
+        let mut item = Item::new(amendment.motor & MOTOR);
+        item.varint(zigzag(dt));
         item.varint(amendment.pulses.into());
-        self.append(&item)?;
-        self.at = amendment.up;
+        self.append(&item, 1)?;
+        self.at = amendment.tick;
         Ok(())
     }
 
-    fn append(&mut self, item: &Item) -> Result<(), Full> {
+    fn delta(&self, tick: Tick) -> Result<u32, Full> {
+        u32::try_from(tick.since(self.at)).map_err(|_| Full)
+    }
+
+    fn append(&mut self, item: &Item, count: usize) -> Result<(), Full> {
         let end = self.len + item.len;
-        if self.items == MAX_BATCH || end > N {
+        if self.count + count > MAX_BATCH || end > N {
             return Err(Full);
         }
         self.bytes[self.len..end].copy_from_slice(&item.bytes[..item.len]);
         self.len = end;
-        self.items += 1;
+        self.count += count;
         Ok(())
     }
 }
 
-/// An item being packed: a head and at most four varints.
+/// An item being packed. The longest is a row of all motors.
 struct Item {
-    bytes: [u8; 21],
+    bytes: [u8; 1 + 5 + 10 + 3 * MAX_BATCH],
     len: usize,
 }
 
 impl Item {
     fn new(head: u8) -> Self {
-        let mut bytes = [0; 21];
+        let mut bytes = [0; _];
         bytes[0] = head;
         Self { bytes, len: 1 }
     }
 
-    fn varint(&mut self, mut value: u32) {
+    fn varint(&mut self, value: u32) {
+        self.varint64(value.into());
+    }
+
+    fn varint64(&mut self, mut value: u64) {
         while value >= 0x80 {
             self.bytes[self.len] = value as u8 | 0x80;
             self.len += 1;
@@ -158,6 +235,13 @@ impl Item {
         }
         self.bytes[self.len] = value as u8;
         self.len += 1;
+    }
+
+    fn level(&mut self, level: u16, surplus: u16) {
+        self.varint(u32::from(level) << 1 | u32::from(surplus > 0));
+        if surplus > 0 {
+            self.varint(surplus.into());
+        }
     }
 }
 
@@ -214,77 +298,128 @@ impl Unpacker<'_> {
         if last > 0x0f { Err(Malformed) } else { Ok(value | u32::from(last) << 28) }
     }
 
+    /// A set of motors. Rare: rows in a list have the same motors.
+    #[inline(never)]
+    fn set(&mut self) -> Result<MotorSet, Malformed> {
+        let mut value = 0;
+        for shift in (0..70).step_by(7) {
+            let byte = self.byte()?;
+            let bits = u64::from(byte & 0x7f);
+            if shift == 63 && bits > 1 {
+                return Err(Malformed);
+            }
+            value |= bits << shift;
+            if byte & 0x80 == 0 {
+                return Ok(MotorSet::from_bits(value));
+            }
+        }
+        Err(Malformed)
+    }
+
     fn pulses(&mut self) -> Result<u16, Malformed> {
         u16::try_from(self.varint()?).map_err(|_| Malformed)
     }
+
+    fn tick(&mut self) -> Result<Tick, Malformed> {
+        self.at = self.at + u64::from(self.varint()?);
+        Ok(self.at)
+    }
+
+    /// A level and a surplus.
+    fn level(&mut self) -> Result<(u16, u16), Malformed> {
+        let word = self.varint()?;
+        let level = u16::try_from(word >> 1).map_err(|_| Malformed)?;
+        Ok((level, if word & 1 == 1 { self.pulses()? } else { 0 }))
+    }
 }
 
-/// The strokes of a batch, in order. Ends after an error.
-#[derive(Clone, Debug)]
-pub struct Strokes<'a> {
-    rest: Unpacker<'a>,
-    pulses: u16,
-}
-
-/// How far a packed list of strokes has been unpacked.
+/// How far a packed list of moves has been unpacked.
 #[derive(Clone, Copy, Debug, Hash)]
 pub(crate) struct Place {
     /// Bytes read.
     read: usize,
     at: Tick,
-    pulses: u16,
+    last: Last,
+}
+
+/// What items of a list take over from those before.
+#[derive(Clone, Copy, Debug, Hash)]
+struct Last {
+    stroke: Option<(u16, u16)>,
+    row: MotorSet,
 }
 
 impl Place {
-    /// The beginning of a list whose first stroke counts from `base`.
+    /// The beginning of a list whose first item counts from `base`.
     pub(crate) const fn new(base: Tick) -> Self {
-        Self { read: 0, at: base, pulses: 0 }
+        Self { read: 0, at: base, last: Last { stroke: None, row: MotorSet::EMPTY } }
     }
 }
 
-impl<'a> Strokes<'a> {
-    /// Reads `bytes` as strokes that count from `base`.
-    #[must_use]
-    pub fn new(base: Tick, bytes: &'a [u8]) -> Self {
-        Self { rest: Unpacker { bytes, at: base }, pulses: 0 }
-    }
-
-    fn read(&mut self) -> Result<Stroke, Malformed> {
-        let head = self.rest.byte()?;
-        let up = self.rest.at + u64::from(self.rest.varint()?);
-        let up_pulses = if head & SAME_PULSES != 0 { self.pulses } else { self.rest.pulses()? };
-        let down = up + u64::from(up_pulses) + u64::from(self.rest.varint()?);
-        let correction = if head & BALANCED != 0 { 0 } else { unzigzag(self.rest.varint()?) };
-        let down_pulses = i64::from(up_pulses) + i64::from(correction);
-        let down_pulses = u16::try_from(down_pulses).map_err(|_| Malformed)?;
-        (self.rest.at, self.pulses) = (up, up_pulses);
-        Ok(Stroke { motor: head & MOTOR, up, up_pulses, down, down_pulses })
-    }
-}
-
-impl Iterator for Strokes<'_> {
-    type Item = Result<Stroke, Malformed>;
-    fn next(&mut self) -> Option<Self::Item> {
-        if self.rest.bytes.is_empty() {
-            return None;
+/// Reads the next item into `moves`.
+fn item(from: &mut Unpacker<'_>, last: &mut Last, moves: &mut Batch) -> Result<(), Malformed> {
+    let head = from.byte()?;
+    let (motor, tick) = (head & MOTOR, from.tick()?);
+    let mut push = |motor, tick, (level, surplus), joined| {
+        moves.push(Unpacked { of: Move { motor, tick, level, surplus }, joined }).map_err(|_| Malformed)
+    };
+    match head & KIND {
+        MOVE => push(motor, tick, from.level()?, false),
+        ROW => {
+            if head & OTHER_SET != 0 {
+                last.row = from.set()?;
+            }
+            if last.row.is_empty() {
+                return Err(Malformed);
+            }
+            for motor in last.row.iter() {
+                push(motor, tick, (from.pulses()?, 0), false)?;
+            }
+            Ok(())
         }
-        let stroke = self.read();
-        if stroke.is_err() {
-            self.rest.bytes = &[];
+        kind => {
+            if kind == STROKE {
+                last.stroke = Some(from.level()?);
+            }
+            let (level, surplus) = last.stroke.ok_or(Malformed)?;
+            let down = tick + u64::from(level) + u64::from(from.varint()?);
+            push(motor, tick, (level, 0), false)?;
+            push(motor, down, (0, surplus), true)
         }
-        Some(stroke)
     }
 }
 
-/// A new count of pulses for one burst of a queued stroke.
+/// Reads moves of `batch` from `place` on into `moves`: items until there are `most` moves or more. Returns whether all are read now.
+///
+/// # Errors
+/// If the batch cannot be read to its end.
+pub(crate) fn unpack(batch: &[u8], place: &mut Place, moves: &mut Batch, most: usize) -> Result<bool, Malformed> {
+    let mut from = Unpacker { bytes: batch.get(place.read..).unwrap_or_default(), at: place.at };
+    let enough = moves.len() + most;
+    while !from.bytes.is_empty() && moves.len() < enough {
+        item(&mut from, &mut place.last, moves)?;
+    }
+    (place.read, place.at) = (batch.len() - from.bytes.len(), from.at);
+    Ok(from.bytes.is_empty())
+}
+
+/// The moves of a batch that counts from `base`, in the order in which they are taken.
+///
+/// # Errors
+/// If the batch cannot be read to its end, or has more than [`MAX_BATCH`] moves.
+pub fn moves(base: Tick, batch: &[u8]) -> Result<heapless::Vec<Unpacked, MAX_BATCH>, Malformed> {
+    let (mut place, mut moves) = (Place::new(base), Batch::new());
+    unpack(batch, &mut place, &mut moves, usize::MAX / 2)?;
+    Ok(moves)
+}
+
+/// A new count of pulses for the burst of one queued move.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Amendment {
-    /// The stroke's motor.
+    /// The move's motor.
     pub motor: u8,
-    /// The stroke's up tick, which identifies it together with the motor.
-    pub up: Tick,
-    /// Which of its two bursts.
-    pub direction: Direction,
+    /// The move's tick, which identifies it together with the motor.
+    pub tick: Tick,
     /// The burst's new number of pulses, absolute.
     pub pulses: u16,
 }
@@ -312,10 +447,12 @@ impl<'a> Amendments<'a> {
 
     fn read(&mut self) -> Result<Amendment, Malformed> {
         let head = self.0.byte()?;
-        let up = Tick(self.0.at.0.wrapping_add_signed(unzigzag(self.0.varint()?).into()));
-        self.0.at = up;
-        let direction = if head & AMENDS_DOWN != 0 { Direction::Down } else { Direction::Up };
-        Ok(Amendment { motor: head & MOTOR, up, direction, pulses: self.0.pulses()? })
+        if head & KIND != 0 {
+            return Err(Malformed);
+        }
+        let tick = Tick(self.0.at.0.wrapping_add_signed(unzigzag(self.0.varint()?).into()));
+        self.0.at = tick;
+        Ok(Amendment { motor: head & MOTOR, tick, pulses: self.0.pulses()? })
     }
 }
 
@@ -333,49 +470,23 @@ impl Iterator for Amendments<'_> {
     }
 }
 
-/// Reads strokes of `batch` from `place` on into `strokes`, at most `most`. Returns whether all are read now.
-///
-/// # Errors
-/// If the batch cannot be read to its end.
-pub(crate) fn unpack(
-    batch: &[u8],
-    place: &mut Place,
-    strokes: &mut Batch,
-    most: usize,
-) -> Result<bool, Malformed> {
-    let bytes = batch.get(place.read..).unwrap_or_default();
-    let mut packed = Strokes { rest: Unpacker { bytes, at: place.at }, pulses: place.pulses };
-    for _ in 0..most {
-        if packed.rest.bytes.is_empty() {
-            break;
-        }
-        strokes.push(packed.read()?).map_err(|_| Malformed)?;
-    }
-    let left = packed.rest.bytes.len();
-    *place = Place { read: batch.len() - left, at: packed.rest.at, pulses: packed.pulses };
-    Ok(left == 0)
-}
-
-/// Writes a full frame of the longest strokes, for a self-test to read; returns its length.
+/// Writes a full frame of the longest items, for a self-test to read; returns its length.
 #[must_use]
 pub fn longest_frame(layout: &Layout, out: &mut [u8; MAX_FRAME]) -> usize {
-    let mut strokes = Packer::<BATCH_BYTES>::new(Tick(0));
+    let mut packer = Packer::<BATCH_BYTES>::new(Tick(0));
     let mut at = 0;
     loop {
-        // Numbers that change with each stroke, so that the packer cannot shorten them.
-        let (motor, up_pulses) = ((at * 7 % layout.motors() as u64) as u8, 147 + (at % 2) as u16);
+        // Levels that change with each stroke, so that the packer cannot shorten them.
+        let (motor, level) = ((at * 7 % layout.motors() as u64) as u8, 147 + (at % 2) as u16);
         let up = Tick(59 * at);
-        if strokes.stroke(&Stroke { motor, up, up_pulses, down: up + 708, down_pulses: up_pulses }).is_err() {
+        if packer.stroke(&Stroke { motor, up, level, down: up + 708, surplus: 0 }).is_err() {
             break;
         }
         at += 1;
     }
-    let (base, batch) = (strokes.base().wire(), strokes.bytes());
-    frame::encode(
-        &HostMessage::Strokes { epoch: 0, seq: 0, seen: 0, mark: None, withdraw: None, base, batch },
-        out,
-    )
-    .unwrap_or(0)
+    let (base, batch) = (packer.base().wire(), packer.bytes());
+    let message = HostMessage::Moves { epoch: 0, seq: 0, seen: 0, mark: None, withdraw: None, base, batch };
+    frame::encode(&message, out).unwrap_or(0)
 }
 
 #[cfg(test)]
@@ -385,33 +496,71 @@ mod tests {
     use proptest::prelude::*;
     use std::vec::Vec;
 
-    fn stroke() -> impl Strategy<Value = Stroke> {
-        (0u8..64, 0u64..1 << 31, any::<u16>(), 0u64..1 << 31, any::<u16>()).prop_map(
-            |(motor, up, up_pulses, held, down_pulses)| {
-                let up = Tick(up);
-                Stroke { motor, up, up_pulses, down: up + u64::from(up_pulses) + held, down_pulses }
-            },
-        )
+    #[derive(Clone, Debug)]
+    enum Any {
+        Move(Move),
+        Stroke(Stroke),
+        Row(u64, Vec<u16>),
+    }
+
+    fn any_item() -> impl Strategy<Value = (u64, Any)> {
+        let level = 0u16..=10_000;
+        let to = (0u8..32, level.clone(), 0u16..900).prop_map(|(motor, level, surplus)| {
+            Any::Move(Move { motor, tick: Tick(0), level, surplus })
+        });
+        let stroke = (0u8..32, level.clone(), 0u64..1 << 20, 0u16..2).prop_map(|(motor, level, held, surplus)| {
+            let down = Tick(u64::from(level) + held);
+            Any::Stroke(Stroke { motor, up: Tick(0), level, down, surplus })
+        });
+        let row = (1u64..1 << 12, prop::collection::vec(level, 12)).prop_map(|(set, mut levels)| {
+            levels.truncate(set.count_ones() as usize);
+            Any::Row(set, levels)
+        });
+        (0u64..1 << 20, prop_oneof![to, stroke, row])
     }
 
     proptest! {
         #[test]
-        fn strokes_come_back_as_packed(mut strokes in prop::collection::vec(stroke(), 0..20)) {
-            strokes.sort_by_key(|stroke| stroke.up);
-            let mut packer = Packer::<400>::new(Tick(0));
-            for stroke in &strokes {
-                packer.stroke(stroke).unwrap();
+        fn moves_come_back_as_packed(items in prop::collection::vec(any_item(), 0..14)) {
+            let (mut packer, mut wanted, mut at) = (Packer::<700>::new(Tick(50)), Vec::new(), Tick(50));
+            for (dt, item) in items {
+                let tick = at + dt;
+                let (packed, moves) = match item {
+                    Any::Move(to) => {
+                        let to = Move { tick, ..to };
+                        (packer.moves(&to), std::vec![(to, false)])
+                    }
+                    Any::Stroke(of) => {
+                        let of = Stroke { up: tick, down: tick + of.down.0, ..of };
+                        let [up, down] = of.moves();
+                        (packer.stroke(&of), std::vec![(up, false), (down, true)])
+                    }
+                    Any::Row(set, levels) => {
+                        let set = MotorSet::from_bits(set);
+                        let of = |(motor, &level)| (Move { motor, tick, level, surplus: 0 }, false);
+                        (packer.row(tick, set, &levels), set.iter().zip(&levels).map(of).collect())
+                    }
+                };
+                if packed.is_err() {
+                    prop_assert!(wanted.len() + moves.len() > MAX_BATCH || packer.bytes().len() > 650);
+                    break;
+                }
+                wanted.extend(moves.into_iter().map(|(of, joined)| Unpacked { of, joined }));
+                at = tick;
             }
-            let back: Result<Vec<_>, _> = Strokes::new(Tick(0), packer.bytes()).collect();
-            prop_assert_eq!(back.unwrap(), strokes);
+            prop_assert_eq!(packer.count(), wanted.len());
+            prop_assert_eq!(super::moves(Tick(50), packer.bytes()).unwrap().to_vec(), wanted.clone());
+            // In pieces.
+            let (mut place, mut read) = (Place::new(Tick(50)), Batch::new());
+            while !unpack(packer.bytes(), &mut place, &mut read, 5).unwrap() {}
+            prop_assert_eq!(read.to_vec(), wanted);
         }
 
         #[test]
-        fn amendments_come_back_as_packed(items in prop::collection::vec((0u8..64, 0u64..1 << 30, any::<bool>(), any::<u16>()), 0..20)) {
+        fn amendments_come_back_as_packed(items in prop::collection::vec((0u8..64, 0u64..1 << 30, any::<u16>()), 0..20)) {
             let mut packer = Packer::<400>::new(Tick(1 << 29));
-            let items: Vec<_> = items.into_iter().map(|(motor, up, down, pulses)| Amendment {
-                motor, up: Tick(up), pulses, direction: if down { Direction::Down } else { Direction::Up },
-            }).collect();
+            let items: Vec<_> =
+                items.into_iter().map(|(motor, tick, pulses)| Amendment { motor, tick: Tick(tick), pulses }).collect();
             for item in &items {
                 packer.amendment(item).unwrap();
             }
@@ -421,31 +570,39 @@ mod tests {
 
         #[test]
         fn reading_any_bytes_ends(bytes in prop::collection::vec(any::<u8>(), 0..250)) {
-            prop_assert!(Strokes::new(Tick(0), &bytes).count() <= bytes.len());
+            let _ = moves(Tick(0), &bytes);
             prop_assert!(Amendments::new(Tick(0), &bytes).count() <= bytes.len());
         }
     }
 
     #[test]
-    fn a_steady_stroke_takes_four_bytes() {
-        let mut packer = Packer::<64>::new(Tick(0));
+    fn a_steady_stroke_takes_four_bytes_and_a_row_two_a_move() {
+        let mut packer = Packer::<200>::new(Tick(0));
         for motor in 0..3 {
             let up = Tick(59 * u64::from(motor));
-            let stroke = Stroke { motor, up, up_pulses: 147, down: up + 708, down_pulses: 147 };
-            packer.stroke(&stroke).unwrap();
+            packer.stroke(&Stroke { motor, up, level: 147, down: up + 708, surplus: 0 }).unwrap();
         }
         assert_eq!(packer.bytes().len(), 6 + 4 + 4);
+        let levels: Vec<u16> = (0..24).map(|motor| 1_000 + 20 * motor).collect();
+        let all = MotorSet::from_bits((1 << 24) - 1);
+        packer.row(Tick(300), all, &levels).unwrap();
+        assert_eq!(packer.bytes().len(), 14 + 7 + 48);
+        packer.row(Tick(470), all, &levels).unwrap();
+        assert_eq!(packer.bytes().len(), 14 + 7 + 48 + 3 + 48);
     }
 
     #[test]
     fn an_item_that_does_not_fit_changes_nothing() {
         let mut packer = Packer::<8>::new(Tick(100));
-        let stroke = Stroke { motor: 1, up: Tick(100), up_pulses: 147, down: Tick(300), down_pulses: 147 };
+        let stroke = Stroke { motor: 1, up: Tick(100), level: 147, down: Tick(300), surplus: 0 };
         assert_eq!(packer.stroke(&stroke), Ok(()));
         let packed = packer.bytes().to_vec();
-        assert_eq!(packer.stroke(&Stroke { up_pulses: 7, ..stroke }), Err(Full));
+        assert_eq!(packer.stroke(&Stroke { level: 7, ..stroke }), Err(Full));
         assert_eq!(packer.stroke(&Stroke { up: Tick(99), ..stroke }), Err(Full));
         assert_eq!(packer.stroke(&Stroke { down: Tick(200), ..stroke }), Err(Full));
         assert_eq!(packer.bytes(), packed);
+        // Nothing to take over.
+        assert_eq!(moves(Tick(0), &[AGAIN, 0, 0]), Err(Malformed));
+        assert_eq!(moves(Tick(0), &[ROW, 0, 0]), Err(Malformed));
     }
 }

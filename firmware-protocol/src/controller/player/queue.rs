@@ -1,0 +1,192 @@
+//! The moves that have not begun: a pool of slots, and a queue of them for each motor in order of time.
+//!
+//! A slot is free again in the moment in which its move begins. Ticks are low halves, compared as distances from the present: all moves lie
+//! within 2^30 ticks.
+//!
+//! Invariant: the moves of a motor are at least `least_apart` ticks apart, also from the last one that has begun.
+
+use crate::array::CAPACITY;
+use crate::tick::Tick;
+
+/// Number of slots.
+pub(super) const POOL: usize = 2048;
+
+/// The index that stands for no slot.
+const NONE: u16 = u16::MAX;
+
+/// A move that waits.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Waiting {
+    /// The low half of its tick.
+    pub(super) tick: u32,
+    pub(super) level: u16,
+    pub(super) surplus: u16,
+    /// Pulses that an amendment adds; they count only for a move from `from`.
+    pub(super) correction: i16,
+    /// The level before it, when it was queued.
+    pub(super) from: u16,
+    /// The newest amendment that it has taken, or that was older than the move.
+    pub(super) generation: Option<u16>,
+    next: u16,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Queue {
+    head: u16,
+    tail: u16,
+    len: u16,
+    /// The tick of the motor's last move that has begun.
+    begun: Tick,
+}
+
+#[derive(Clone, Debug)]
+pub(super) struct Queues {
+    free: u16,
+    used: u16,
+    queues: [Queue; CAPACITY],
+    slots: [Waiting; POOL],
+}
+
+/// Ticks from `now` to the low half of a tick within 2^31.
+pub(super) const fn ahead(tick: u32, now: Tick) -> i32 {
+    tick.wrapping_sub(now.0 as u32).cast_signed()
+}
+
+impl Queues {
+    pub(super) const fn new() -> Self {
+        let nothing = Waiting { tick: 0, level: 0, surplus: 0, correction: 0, from: 0, generation: None, next: NONE };
+        let mut slots = [nothing; POOL];
+        let mut next = 1;
+        while next < POOL {
+            slots[next - 1].next = next as u16;
+            next += 1;
+        }
+        let queue = Queue { head: NONE, tail: NONE, len: 0, begun: Tick(0) };
+        Self { free: 0, used: 0, queues: [queue; CAPACITY], slots }
+    }
+
+    pub(super) const fn free(&self) -> u16 {
+        POOL as u16 - self.used
+    }
+
+    pub(super) fn len(&self, motor: usize) -> u16 {
+        self.queues[motor].len
+    }
+
+    pub(super) const fn is_empty(&self) -> bool {
+        self.used == 0
+    }
+
+    fn get(&self, index: u16) -> Option<&Waiting> {
+        self.slots.get(usize::from(index))
+    }
+
+    /// The next move of a motor.
+    pub(super) fn first(&self, motor: usize) -> Option<&Waiting> {
+        self.get(self.queues[motor].head)
+    }
+
+    /// The last move of a motor.
+    pub(super) fn last(&self, motor: usize) -> Option<&Waiting> {
+        self.get(self.queues[motor].tail)
+    }
+
+    /// The tick of the motor's last move, queued or begun.
+    pub(super) fn last_tick(&self, motor: usize, now: Tick) -> Tick {
+        match self.last(motor) {
+            Some(last) => Tick(now.0.wrapping_add_signed(ahead(last.tick, now).into())),
+            None => self.queues[motor].begun,
+        }
+    }
+
+    /// Queues a move behind the others of its motor. Returns `false` if no slot is free.
+    pub(super) fn push(&mut self, motor: usize, waiting: Waiting) -> bool {
+        let index = self.free;
+        let Some(slot) = self.slots.get_mut(usize::from(index)) else { return false };
+        self.free = slot.next;
+        *slot = Waiting { next: NONE, ..waiting };
+        self.used += 1;
+        let tail = core::mem::replace(&mut self.queues[motor].tail, index);
+        match self.slots.get_mut(usize::from(tail)) {
+            Some(last) => last.next = index,
+            None => self.queues[motor].head = index,
+        }
+        self.queues[motor].len += 1;
+        true
+    }
+
+    /// Takes the next move of a motor, which begins at `now`.
+    pub(super) fn begin(&mut self, motor: usize, now: Tick) -> Option<Waiting> {
+        let index = self.queues[motor].head;
+        let waiting = *self.get(index)?;
+        let queue = &mut self.queues[motor];
+        queue.begun = now;
+        queue.head = waiting.next;
+        queue.len -= 1;
+        if waiting.next == NONE {
+            queue.tail = NONE;
+        }
+        self.release(index, index, 1);
+        Some(waiting)
+    }
+
+    /// Frees all moves of a motor; returns their number.
+    pub(super) fn flush(&mut self, motor: usize) -> u16 {
+        let Queue { head, tail, len, .. } = self.queues[motor];
+        if len > 0 {
+            (self.queues[motor].head, self.queues[motor].tail, self.queues[motor].len) = (NONE, NONE, 0);
+            self.release(head, tail, len);
+        }
+        len
+    }
+
+    /// Frees the moves of a motor from the tick `from` on. Returns their number, or `None`, and leaves them, if one has begun or the
+    /// last one before them is less than `apart` before `next`.
+    pub(super) fn withdraw(&mut self, motor: usize, from: Tick, next: Option<Tick>, apart: u32, now: Tick) -> Option<u16> {
+        let Queue { head, tail, len, begun } = self.queues[motor];
+        if begun >= from {
+            return None;
+        }
+        // Before all that waits, or after it: a distance of 2^31 has no sign.
+        let limit = (from - now).min(1 << 30) as i32;
+        let (mut last, mut first, mut kept) = (NONE, head, 0);
+        while let Some(slot) = self.get(first).filter(|slot| ahead(slot.tick, now) < limit) {
+            (last, first) = (first, slot.next);
+            kept += 1;
+        }
+        let before = self.get(last).map_or(begun, |slot| Tick(now.0.wrapping_add_signed(ahead(slot.tick, now).into())));
+        if next.is_some_and(|next| next < before + u64::from(apart)) {
+            return None;
+        }
+        if kept == len {
+            return Some(0);
+        }
+        match self.slots.get_mut(usize::from(last)) {
+            Some(slot) => slot.next = NONE,
+            None => self.queues[motor].head = NONE,
+        }
+        (self.queues[motor].tail, self.queues[motor].len) = (last, kept);
+        self.release(first, tail, len - kept);
+        Some(len - kept)
+    }
+
+    /// The move of a motor at the low half `tick`, and the low half of the tick of the one after it.
+    pub(super) fn find(&mut self, motor: usize, tick: u32) -> Option<(&mut Waiting, Option<u32>)> {
+        let mut index = self.queues[motor].head;
+        while let Some(slot) = self.get(index) {
+            if slot.tick == tick {
+                let next = self.get(slot.next).map(|next| next.tick);
+                return self.slots.get_mut(usize::from(index)).map(|slot| (slot, next));
+            }
+            index = slot.next;
+        }
+        None
+    }
+
+    /// Returns the `count` linked slots from `first` to `last` to the pool.
+    fn release(&mut self, first: u16, last: u16, count: u16) {
+        self.slots[usize::from(last)].next = self.free;
+        self.free = first;
+        self.used -= count;
+    }
+}
