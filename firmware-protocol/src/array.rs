@@ -540,10 +540,11 @@ impl Layout {
         self.tick_hz().div_ceil(1_000)
     }
 
-    /// Most strokes that begin within [`Self::dense_ticks`], of all motors together. Each motor begins at most four at 300 Hz.
+    /// Most moves that begin within [`Self::dense_ticks`], of all motors together, before moves up are refused. Each motor begins at most
+    /// eight at 300 Hz.
     #[must_use]
     pub const fn max_dense(&self) -> u16 {
-        4 * self.id.motors as u16
+        8 * self.id.motors as u16
     }
 
     /// 10 ms, in whole blocks of what is rendered.
@@ -558,6 +559,18 @@ impl Layout {
 
     /// The blocks of [`Self::dense_blocks`] at the fastest carrier.
     pub(crate) const MAX_DENSE_BLOCKS: usize = *TICK_HZ.end() as usize / 100 / BLOCK as usize;
+
+    /// The shortest time for which a pin may be held above rest: a fifth of a second, ticks. Streams have no longer gaps.
+    #[must_use]
+    pub const fn least_hold(&self) -> u32 {
+        self.tick_hz() / 5
+    }
+
+    /// The longest: a minute, ticks.
+    #[must_use]
+    pub const fn longest_hold(&self) -> u32 {
+        60 * self.tick_hz()
+    }
 
     /// Ticks from the drivers' enable to the first pulse: 0.5 ms. The 30 V supplies stay on, so only the bridges and their bias
     /// start up in this time. What they need has not been measured: see the firmware's page on wiring.

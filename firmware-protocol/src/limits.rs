@@ -1,12 +1,12 @@
 //! Limits that the controller enforces whatever the host asks: the last guard before a finger.
 //!
-//! [`Layout::check`] accepts or refuses a whole stroke. [`correction`] bounds how far an amendment may change a burst. [`OnTime`]
+//! [`Layout::check`] accepts or refuses a move by itself. [`correction`] bounds how far an amendment may change a burst. [`OnTime`]
 //! counts the pulses begun in any sliding second against [`PowerLimits`], [`Pushing`] those against a lower stop. How many motors may
 //! have pulses at once is in [`PowerLimits`], too; the controller keeps it.
 
 use crate::array::{CAPACITY, Layout, Ring};
 pub use crate::array::{correction, within_correction};
-use crate::stroke::Stroke;
+use crate::moves::Move;
 use crate::tick::Tick;
 use serde::{Deserialize, Serialize};
 
@@ -17,17 +17,13 @@ pub enum Refusal {
     NotArmed,
     /// No motor of the array.
     Motor,
-    /// No up pulses, or more than [`Layout::max_up_pulses`].
-    UpPulses,
-    /// The up burst runs into the down burst.
-    Bursts,
-    /// The down burst is shorter than the up burst, or longer by more than a correction.
-    Unbalanced,
-    /// The stroke begins before the one queued before it on the same motor has ended.
-    Overlap,
-    /// The stroke begins more than 2^30 ticks ahead.
+    /// The level is above [`Layout::max_up_pulses`].
+    Level,
+    /// A surplus at another level than 0, or longer than a correction.
+    Surplus,
+    /// The move begins more than 2^30 ticks ahead.
     TooFar,
-    /// No free stroke slot.
+    /// No free slot.
     PoolFull,
     /// Too many pulses of the motor in a sliding second.
     MotorOnTime,
@@ -185,12 +181,20 @@ impl OnTime {
     ///
     /// # Errors
     /// The limit that the stroke would break; then nothing is counted.
-    pub fn begin(&mut self, now: Tick, motor: usize, pulses: u32, layout: &Layout) -> Result<(), Refusal> {
+    pub fn begin(
+        &mut self,
+        now: Tick,
+        motor: usize,
+        pulses: u32,
+        [back, back_on_rail]: [u32; 2],
+        layout: &Layout,
+    ) -> Result<(), Refusal> {
         let charged = self.pulses.charged(now);
-        if self.limits_motor && charged[motor] + pulses > self.limits.motor {
+        if self.limits_motor && charged[motor] + pulses + back > self.limits.motor {
             return Err(Refusal::MotorOnTime);
         }
-        if self.limits_rail && sum(charged, motor, layout.next_on_rail()) + pulses > self.limits.rail {
+        let rail = || sum(charged, motor, layout.next_on_rail()) + back_on_rail;
+        if self.limits_rail && rail() + pulses > self.limits.rail {
             return Err(Refusal::RailOnTime);
         }
         charged[motor] += pulses;
@@ -358,26 +362,19 @@ impl Layout {
         turns
     }
 
-    /// Checks a stroke by itself: motor, pulse counts, order of its bursts.
+    /// Checks a move by itself: motor, level, surplus.
     ///
     /// # Errors
     /// The first limit it breaks.
-    pub fn check(&self, stroke: &Stroke) -> Result<(), Refusal> {
-        if usize::from(stroke.motor) >= self.motors() {
+    pub fn check(&self, to: &Move) -> Result<(), Refusal> {
+        if usize::from(to.motor) >= self.motors() {
             return Err(Refusal::Motor);
         }
-        if stroke.up_pulses == 0 || stroke.up_pulses > self.max_up_pulses() {
-            return Err(Refusal::UpPulses);
+        if to.level > self.max_up_pulses() {
+            return Err(Refusal::Level);
         }
-        if stroke.up + u64::from(stroke.up_pulses) > stroke.down {
-            return Err(Refusal::Bursts);
-        }
-        // A stroke may push its pin against a lower stop, but not leave it higher than it was.
-        if stroke.down_pulses == stroke.up_pulses {
-            return Ok(());
-        }
-        if stroke.down_pulses < stroke.up_pulses || !within_correction(stroke.up_pulses, stroke.down_pulses) {
-            return Err(Refusal::Unbalanced);
+        if to.surplus > 0 && (to.level > 0 || to.surplus > correction(self.max_up_pulses())) {
+            return Err(Refusal::Surplus);
         }
         Ok(())
     }

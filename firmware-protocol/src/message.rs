@@ -38,7 +38,7 @@ pub enum HostMessage<'a> {
         op: Op,
     },
     /// The next frame of the ordered stream.
-    Strokes {
+    Moves {
         /// The epoch it belongs to. The device acknowledges and ignores other epochs.
         epoch: u16,
         /// Its number within the epoch, from 0.
@@ -47,11 +47,11 @@ pub enum HostMessage<'a> {
         seen: u16,
         /// The mark at `base`, if the frame begins a play or a later item of it.
         mark: Option<Mark>,
-        /// What the frame withdraws before its strokes are queued, if it replaces strokes.
+        /// What the frame withdraws before its moves are queued, if it replaces moves.
         withdraw: Option<Withdraw>,
-        /// The tick from which `batch` counts, and from which strokes are withdrawn.
+        /// The tick from which `batch` counts, and from which moves are withdrawn.
         base: WireTick,
-        /// Packed strokes (see [`crate::batch`]).
+        /// Packed moves (see [`crate::batch`]).
         batch: &'a [u8],
     },
     /// New pulse counts for queued bursts. Outside the ordered stream, never repeated.
@@ -84,6 +84,9 @@ pub struct Mark {
     pub kind: MarkKind,
     /// What the trigger output does from this tick on.
     pub trigger: Option<Trigger>,
+    /// Of a play: for how many ticks after its last pulse a pin may stay above rest. At most [`Layout::longest_hold`]; 0 is a fifth of
+    /// a second.
+    pub hold: u32,
 }
 
 /// The motors whose queued strokes a frame replaces.
@@ -400,8 +403,10 @@ pub struct Counters {
     pub refused: u64,
     /// Bursts of accepted strokes that were withdrawn before they began, and of strokes not taken because a motor's old ones stay.
     pub replaced: u64,
-    /// Played bursts whose count an amendment changed.
+    /// Begun moves whose number of pulses an amendment changed.
     pub amended: u64,
+    /// Begun moves before which the pin had not come to the level of the move before.
+    pub shortened: u64,
     /// Amendments ignored: too late, without a stroke, or out of limits.
     pub amendments_ignored: u64,
     /// Bad frames received (see the crate's documentation).
@@ -420,6 +425,7 @@ impl Counters {
         refused: 0,
         replaced: 0,
         amended: 0,
+        shortened: 0,
         amendments_ignored: 0,
         bad_frames: 0,
         reports_lost: 0,
@@ -461,14 +467,21 @@ pub enum Report {
     },
     /// Running strokes were cut and the queue was flushed.
     Cut(Cut),
-    /// A queued stroke was refused when it was to begin, because of a limit on on-time, on motors at once or on pushing.
+    /// A queued move up was refused when it was to begin, because of a limit.
     Refused {
-        /// The stroke's motor.
+        /// The move's motor.
         motor: u8,
-        /// The stroke's up tick.
-        up: WireTick,
+        /// The move's tick.
+        tick: WireTick,
         /// The limit.
         reason: Refusal,
+    },
+    /// The device brings pins down by itself: a move down was late, or a pin was held for too long.
+    Lowered {
+        /// The first tick in which it may have done so.
+        tick: WireTick,
+        /// Their motors.
+        motors: MotorSet,
     },
 }
 

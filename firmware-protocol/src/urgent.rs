@@ -233,7 +233,7 @@ mod tests {
 
     fn strokes(batch: &[u8]) -> Vec<u8> {
         let base = WireTick([1, 2, 3, 4]);
-        bytes(&HostMessage::Strokes { epoch: 1, seq: 2, seen: 3, mark: None, withdraw: None, base, batch })
+        bytes(&HostMessage::Moves { epoch: 1, seq: 2, seen: 3, mark: None, withdraw: None, base, batch })
     }
 
     proptest! {

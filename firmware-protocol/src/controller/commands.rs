@@ -1,6 +1,6 @@
 //! Hands each message of the host to the part of the controller that handles it.
 //!
-//! Invariant: a command is carried out once, in the epoch that it begins; strokes and amendments of another epoch change nothing.
+//! Invariant: a command is carried out once, in the epoch that it begins; moves and amendments of another epoch change nothing.
 
 use crate::controller::Controller;
 use crate::controller::stream::Next;
@@ -8,7 +8,7 @@ use crate::limits::Refusal;
 use crate::message::{Cause, HostMessage, Op, State};
 
 impl Controller {
-    /// Handles a message of the host, except for the strokes or amendments in it: they are taken next.
+    /// Handles a message of the host, except for the moves or amendments in it: they are taken next.
     pub(super) fn handle(&mut self, message: HostMessage<'_>) {
         if let HostMessage::Hello { session } = message {
             self.open(session);
@@ -18,7 +18,7 @@ impl Controller {
             self.reporting.send_no_session();
             return;
         }
-        if let HostMessage::Strokes { epoch, seq, seen, mark, withdraw, base, batch } = message {
+        if let HostMessage::Moves { epoch, seq, seen, mark, withdraw, base, batch } = message {
             // It is handled when all its strokes could be read.
             let head = Next { seq, mark, withdraw, base: base.near(self.now) };
             let (stream, mut parts) = self.stream();
@@ -31,7 +31,7 @@ impl Controller {
             self.reporting.send_status();
         }
         match message {
-            HostMessage::Hello { .. } | HostMessage::Strokes { .. } => {}
+            HostMessage::Hello { .. } | HostMessage::Moves { .. } => {}
             HostMessage::Board { window } => self.board.ask(window),
             HostMessage::SelfTest { run } => self.board.ask_test(run, self.motion.state() == State::Disarmed),
             HostMessage::Ping { token, seen } => {

@@ -166,7 +166,7 @@ impl Controller {
     /// Outstanding return pulses of a motor's pin after an e-stop or a fault.
     #[must_use]
     pub fn outstanding(&self, motor: u8) -> u16 {
-        self.motion.pins().outstanding(motor)
+        self.player.height(motor.into())
     }
 
     /// The first tick at which a burst that is queued now may begin: the rendered end, or later if the drivers must start up
@@ -375,7 +375,7 @@ impl Controller {
             state: self.motion.state(),
             cause: self.motion.cause(),
             position_known: pins.position_known(),
-            outstanding: pins.outstanding_total(),
+            outstanding: if self.motion.is_active() { 0 } else { self.player.heights_total() },
             counters: self.reporting.counters(),
         }
     }

@@ -1,19 +1,17 @@
-//! The state of the device, how it leaves it, and motion that belongs to no play: returns, moves of a pin, seeks of the lower stop.
+//! The state of the device, how it leaves it, and motion that belongs to no play: returns, shifts of rest, seeks of the lower stop.
 //!
-//! Invariant: a fault or an e-stop latches until a reset. Pins are driven down only while the state is `Returning`, and moves, returns
-//! and seeks begin while no stroke of a play is queued.
+//! Invariant: a fault or an e-stop latches until a reset. Shifts and seeks begin while no move waits and all pins are at rest.
 
 mod pins;
 
-use crate::array::CAPACITY;
-use crate::controller::player::{Kind, Player};
+use crate::controller::player::Player;
 use crate::controller::reporting::Reporting;
 use crate::limits::{PowerLimits, Refusal};
 use crate::message::{Cause, Cut, LowerStop, State};
 use crate::stroke::Direction;
 use crate::tick::Tick;
 use core::hash::{Hash, Hasher};
-use pins::{Pins, total};
+use pins::Pins;
 
 #[derive(Clone, Debug)]
 pub(super) struct Motion {
@@ -96,8 +94,8 @@ impl Motion {
 
     fn cut(&mut self, cause: Cause, then: State, now: Tick, player: &mut Player, reporting: &mut Reporting) {
         let at = player.rendered().wire();
-        let (flushed, outstanding) =
-            player.cut(reporting, |motor, undone| self.pins.take_back(motor, undone));
+        let (flushed, outstanding) = player.cut(reporting);
+        self.pins.take_back();
         let return_ticks = Some(player.return_ticks());
         self.finish_cut(Cut { cause, at, return_ticks, flushed, outstanding }, reporting);
         (self.state, self.then) = (State::Returning, then);
@@ -115,11 +113,15 @@ impl Motion {
         if self.state == State::Faulted {
             return false;
         }
-        let flushed = player.turn_off(at, reporting, |motor, left| self.pins.leave(motor, &left));
+        let flushed = player.turn_off(at, reporting);
+        self.pins.take_back();
+        if self.pins.seeks() {
+            player.assume_rest();
+        }
         self.pins.abort_seek();
         self.off_until = player.rendered();
         self.state = State::Faulted;
-        let outstanding = self.pins.outstanding_total();
+        let outstanding = player.heights_total();
         self.finish_cut(Cut { cause, at: at.wire(), return_ticks: None, flushed, outstanding }, reporting);
         true
     }
@@ -136,10 +138,14 @@ impl Motion {
         }
     }
 
-    /// Books what was played before `now`. A return is over when nothing is queued.
+    /// Books what was played before `now`. A return is over when all pins are still.
     pub(super) fn settle(&mut self, now: Tick, player: &mut Player, reporting: &mut Reporting) {
         player.settle(now, reporting);
-        if self.state == State::Returning && player.is_empty() {
+        if self.state == State::Disarmed || !player.is_still(now) {
+            return;
+        }
+        self.pins.finish_shift();
+        if self.state == State::Returning {
             self.state = self.then;
             self.pins.finish_seek();
             reporting.send_status();
@@ -165,35 +171,28 @@ impl Motion {
         }
         if assume_rest {
             self.pins.assume_rest();
+            player.assume_rest();
         }
         if !self.pins.position_known() {
             return Err(Refusal::PositionUnknown);
         }
         (self.state, self.cause) = (State::Armed, Cause::Request);
-        if self.pins.outstanding_total() > 0 {
-            let [pulses, pushes] = self.pins.take_outstanding();
-            self.drive_down(Kind::Internal, &pulses, &pushes, player, reporting);
+        if player.heights_total() > 0 {
+            player.bring_down();
+            self.begin_return(player, reporting);
         }
         Ok(())
     }
 
-    /// Drives each pin down by its `pulses`, then takes strokes; `pushes` of them are against the lower stop.
-    fn drive_down(
-        &mut self,
-        kind: Kind,
-        pulses: &[u16; CAPACITY],
-        pushes: &[u16; CAPACITY],
-        player: &mut Player,
-        reporting: &mut Reporting,
-    ) {
-        player.drive_down(kind, pulses, pushes);
+    /// All pins come down, then the device takes moves.
+    fn begin_return(&mut self, player: &Player, reporting: &mut Reporting) {
         (self.state, self.then) = (State::Returning, State::Armed);
-        let (at, outstanding) = (player.rendered().wire(), total(pulses));
+        let (at, outstanding) = (player.rendered().wire(), player.heights_total());
         let return_ticks = Some(player.return_ticks());
         self.finish_cut(Cut { cause: Cause::Request, at, return_ticks, flushed: 0, outstanding }, reporting);
     }
 
-    /// Shifts the rest position of a pin by one burst. At a lower stop a pin goes no further down: the pulses left push.
+    /// Shifts where a pin rests by one burst. At a lower stop a pin goes no further down: the pulses left push.
     pub(super) fn shift(
         &mut self,
         motor: u8,
@@ -207,14 +206,17 @@ impl Motion {
         let (travel, pushes) =
             self.pins.shifted(motor, direction, pulses, player.has_stop(), player.layout())?;
         if pulses > 0 {
-            player.drive(motor, direction, pulses, pushes)?;
+            player.shift(motor, direction, pulses, pushes)?;
             self.pins.set_travel(motor, travel);
+            if direction == Direction::Up {
+                self.pins.begin_shift(motor, pulses);
+            }
         }
         Ok(())
     }
 
     fn is_idle(&self, player: &Player) -> bool {
-        self.is_armed() && player.is_empty()
+        self.is_armed() && player.is_at_rest()
     }
 
     /// Drives all pins down to the lower stop. Once they are there, the position is known and no return pulses are outstanding.
@@ -237,16 +239,13 @@ impl Motion {
         reporting: &mut Reporting,
     ) -> Result<(), Refusal> {
         let layout = player.layout();
-        if !(self.pins.least_seek(layout)..=layout.max_seek()).contains(&pulses) {
+        let least = self.pins.least_seek(layout, |motor| player.height(motor));
+        if !(least..=layout.max_seek()).contains(&pulses) {
             return Err(Refusal::Travel);
         }
-        if !player.allows_pushes(pulses) {
-            return Err(Refusal::Pushing);
-        }
+        player.seek(pulses)?;
         self.pins.begin_seek();
-        let mut all = [0; CAPACITY];
-        all[..player.layout().motors()].fill(pulses);
-        self.drive_down(Kind::Seek, &all, &all, player, reporting);
+        self.begin_return(player, reporting);
         Ok(())
     }
 }

@@ -1,10 +1,8 @@
-//! Where the pins are: how far above rest, and whether that is known.
+//! Whether it is known where the pins are, and how far `Op::Move` has shifted where they rest.
 //!
-//! Invariant: a pin is above its first rest position by the pulses of its `travel`, and above that by its outstanding return pulses,
-//! which it keeps until they are driven or a seek begins. While pins seek the lower stop, their position is unknown.
+//! How high a pin is above rest is the player's to know. Invariant: while pins seek the lower stop, their position is unknown.
 
 use crate::array::{CAPACITY, Layout};
-use crate::controller::player::Left;
 use crate::limits::Refusal;
 use crate::stroke::Direction;
 
@@ -13,33 +11,18 @@ pub(in crate::controller) struct Pins {
     position_known: bool,
     /// All pins are being driven down to the lower stop.
     seeks: bool,
-    outstanding: [u16; CAPACITY],
-    /// How many of the outstanding return pulses push against the lower stop.
-    outstanding_pushes: [u16; CAPACITY],
-    /// Net pulses of moves since the pins were last at rest.
+    /// Net pulses by which rest was shifted.
     travel: [i16; CAPACITY],
+    /// The last shift upwards, until it is over: its motor and pulses.
+    shifting: Option<(u8, u16)>,
 }
 
 impl Pins {
-    pub(super) const UNKNOWN: Self = Self {
-        position_known: false,
-        seeks: false,
-        outstanding: [0; CAPACITY],
-        outstanding_pushes: [0; CAPACITY],
-        travel: [0; CAPACITY],
-    };
+    pub(super) const UNKNOWN: Self =
+        Self { position_known: false, seeks: false, travel: [0; CAPACITY], shifting: None };
 
     pub(in crate::controller) fn position_known(&self) -> bool {
         self.position_known
-    }
-
-    /// Outstanding return pulses of a pin.
-    pub(in crate::controller) fn outstanding(&self, motor: u8) -> u16 {
-        self.outstanding.get(usize::from(motor)).copied().unwrap_or(0)
-    }
-
-    pub(in crate::controller) fn outstanding_total(&self) -> u32 {
-        total(&self.outstanding)
     }
 
     pub(super) fn lose_position(&mut self) {
@@ -55,6 +38,10 @@ impl Pins {
         *self = Self { seeks: true, ..Self::UNKNOWN };
     }
 
+    pub(in crate::controller) fn seeks(&self) -> bool {
+        self.seeks
+    }
+
     /// The pins have come to the lower stop, if they were seeking it.
     pub(super) fn finish_seek(&mut self) {
         self.position_known |= core::mem::take(&mut self.seeks);
@@ -65,35 +52,29 @@ impl Pins {
         self.seeks = false;
     }
 
-    /// The fewest pulses by which all pins are sure to reach the lower stop.
-    pub(super) fn least_seek(&self, layout: &Layout) -> u16 {
+    /// The fewest pulses by which all pins are sure to reach the lower stop; `height` gives a pin's pulses above rest.
+    pub(super) fn least_seek(&self, layout: &Layout, height: impl Fn(usize) -> u16) -> u16 {
         if !self.position_known {
             return layout.whole_travel();
         }
-        let heights = self.outstanding.iter().zip(self.travel);
-        let heights = heights.map(|(&outstanding, travel)| outstanding.saturating_add_signed(travel));
+        let heights = (0..).zip(self.travel).map(|(motor, travel)| height(motor).saturating_add_signed(travel));
         layout.least_seek(heights.max().unwrap_or(0))
     }
 
-    /// `undone` up pulses of a move were cut, or are driven back by the cut.
-    pub(super) fn take_back(&mut self, motor: usize, undone: u16) {
-        self.travel[motor] -= undone.cast_signed();
+    /// A shift upwards has begun.
+    pub(super) fn begin_shift(&mut self, motor: u8, pulses: u16) {
+        self.shifting = Some((motor, pulses));
     }
 
-    /// A stroke was turned off.
-    pub(super) fn leave(&mut self, motor: usize, left: &Left) {
-        self.take_back(motor, left.undone);
-        for (sums, pulses) in
-            [(&mut self.outstanding, left.outstanding), (&mut self.outstanding_pushes, left.pushes)]
-        {
-            sums[motor] = sums[motor].saturating_add(pulses);
+    pub(super) fn finish_shift(&mut self) {
+        self.shifting = None;
+    }
+
+    /// A shift upwards that was under way is driven back, or was not played.
+    pub(super) fn take_back(&mut self) {
+        if let Some((motor, pulses)) = self.shifting.take() {
+            self.travel[usize::from(motor)] -= pulses.cast_signed();
         }
-    }
-
-    /// The outstanding return pulses, and how many of them push, once: they are driven now.
-    pub(super) fn take_outstanding(&mut self) -> [[u16; CAPACITY]; 2] {
-        [&mut self.outstanding, &mut self.outstanding_pushes]
-            .map(|pulses| core::mem::replace(pulses, [0; CAPACITY]))
     }
 
     /// The travel of a pin after a move, and how many of its pulses push. A pin goes no further down than a lower stop.
@@ -123,9 +104,4 @@ impl Pins {
             *place = travel;
         }
     }
-}
-
-/// The sum over all motors.
-pub(super) fn total(pulses: &[u16; CAPACITY]) -> u32 {
-    pulses.iter().map(|&pulses| u32::from(pulses)).sum()
 }

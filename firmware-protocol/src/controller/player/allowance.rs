@@ -49,39 +49,43 @@ impl Allowance {
         self.density.next_block();
     }
 
-    /// One more stroke of a play begins in this block.
-    pub(super) fn begin_stroke(&mut self) -> Result<(), Refusal> {
+    /// One more move up begins in this block.
+    pub(super) fn begin_move(&mut self) -> Result<(), Refusal> {
         self.density.begin()
     }
 
-    /// Counts `pulses`, of which `pushes` are against the stop, or nothing if a limit refuses them.
+    /// One more move begins that no limit refuses.
+    pub(super) fn count_begin(&mut self) {
+        self.density.count();
+    }
+
+    /// Counts the pulses of a burst up, or nothing if a limit refuses them. `back`: the pulses down that the motor, and its rail, need then.
     pub(super) fn begin(
         &mut self,
         now: Tick,
         motor: usize,
         pulses: u32,
-        pushes: u16,
+        back: [u32; 2],
         layout: &Layout,
     ) -> Result<(), Refusal> {
-        self.on_time.begin(now, motor, pulses, layout)?;
-        self.pushing.begin(now, motor, pushes.into()).inspect_err(|_| self.on_time.end(now, motor, pulses, 0))
+        self.on_time.begin(now, motor, pulses, back, layout)
     }
 
-    /// Counts the pulses by which an amendment makes a stroke longer.
-    pub(super) fn lengthen(
-        &mut self,
-        now: Tick,
-        motor: usize,
-        pulses: u32,
-        layout: &Layout,
-    ) -> Result<(), Refusal> {
-        self.on_time.begin(now, motor, pulses, layout)
-    }
-
-    /// Counts a burst that no limit refuses.
-    pub(super) fn count(&mut self, now: Tick, motor: usize, pulses: u16, pushes: u16) {
+    /// Counts a burst down.
+    pub(super) fn count(&mut self, now: Tick, motor: usize, pulses: u16) {
         self.on_time.count(now, motor, pulses.into());
-        self.pushing.count(now, motor, pushes.into());
+    }
+
+    /// Counts pulses against the stop at once, unless a limit refuses them.
+    pub(super) fn push(&mut self, now: Tick, motor: usize, pulses: u16) -> Result<(), Refusal> {
+        self.pushing.begin(now, motor, pulses.into())?;
+        self.pushing.end(now, motor, pulses.into(), pulses.into());
+        Ok(())
+    }
+
+    /// The surplus, as much of it as the limit on pushing allows. It counts.
+    pub(super) fn pushes(&mut self, now: Tick, motor: usize, surplus: u16) -> u16 {
+        self.pushing.begin(now, motor, surplus.into()).map_or(0, |()| surplus)
     }
 
     /// Ends what was counted: pulses, and pushes, each as counted and as played.

@@ -42,6 +42,16 @@ impl Density {
     }
 }
 
+impl Density {
+    /// A move begins that is not refused.
+    pub(super) fn count(&mut self) {
+        if self.room > 0 {
+            self.room -= 1;
+            self.begun[usize::from(self.present)] += 1;
+        }
+    }
+}
+
 #[cfg(test)]
 mod tests {
     extern crate std;

@@ -1,29 +1,37 @@
-//! Renders the lines from the slots.
+//! Renders the lines: lets moves begin in their tick, bursts run, and pins come down that are above their goal.
 //!
 //! [`Player::render`] looks at a line only when it changes, and computes in 32 bits where it can: it takes most of the chip's time.
+//!
+//! Invariant: a pin goes up only by a move that begins in its tick. It comes down whenever it is above its goal, as soon as the drivers are
+//! ready and the limits on motors at once allow it.
 
-use crate::array::MotorSet;
+use crate::array::{MotorSet, Ring};
 use crate::controller::Run;
 use crate::controller::player::Player;
-use crate::controller::player::pool::{Kind, charge};
+use crate::controller::player::queue::{Waiting, ahead};
+use crate::controller::player::recent::Rendered;
 use crate::controller::reporting::Reporting;
+use crate::limits::Refusal;
 use crate::message::Report;
-use crate::stroke::{Line, Stroke};
-use crate::tick::Tick;
+use crate::stroke::Direction;
+use crate::tick::{Tick, WireTick};
+
+/// How often the time is checked for which pins are held, ticks; a power of 2.
+const HOLD_CHECKS: u32 = 1024;
 
 impl Player {
     /// Renders the outputs from the rendered end on, for `max` ticks or until one changes.
     pub(in crate::controller) fn render(&mut self, max: u32, reporting: &mut Reporting) -> Run {
         if max == 0 {
-            // Do not bring lines to a tick that is not rendered: it can still be amended.
+            // Do not bring lines to a tick that is not rendered: a move in it can still be amended.
             return Run { lines: self.lines, trigger: false, drivers: false, ticks: 0 };
         }
-        let (trigger, change) = self.marks.level(self.rendered);
+        let (trigger, change) = self.marks.level(self.rendered, reporting.counters());
         let now = self.rendered.0 as u32;
         if self.changes.is_over(now) {
-            self.changes.open(now);
-            self.allowance.next_block();
+            self.next_block(now, reporting);
         }
+        let begun = reporting.counters().played;
         for (mut due, mut motor) in self.changes.take(now).parts().into_iter().zip((0..).step_by(32)) {
             while due != 0 {
                 // The chip's core has no instruction that finds the next bit.
@@ -43,7 +51,47 @@ impl Player {
         let ticks = (change - self.rendered).min(ticks.into());
         let (drivers, ticks) = self.enable_drivers(ticks);
         self.rendered = self.rendered + ticks;
-        Run { lines: self.lines, trigger, drivers, ticks: ticks as u32 }
+        let counters = reporting.count();
+        counters.pulses += u64::from(self.lines.pulsing().len()) * ticks;
+        let (lines, ticks, begun) = (self.lines, ticks as u32, (counters.played - begun) as u16);
+        self.recent.push(Rendered { lines, ticks, begun });
+        Run { lines, trigger, drivers, ticks }
+    }
+
+    #[inline(never)]
+    fn next_block(&mut self, now: u32, reporting: &mut Reporting) {
+        self.changes.open(now);
+        self.allowance.next_block();
+        if now.wrapping_sub(self.hold_checked) >= HOLD_CHECKS {
+            self.hold_checked = now;
+            self.end_holds();
+        }
+        let motors = core::mem::take(&mut self.lowered);
+        if !motors.is_empty() {
+            reporting.report(Report::Lowered { tick: self.rendered.wire(), motors });
+        }
+    }
+
+    /// Brings down the pins that have been held for too long.
+    fn end_holds(&mut self) {
+        for motor in 0..self.layout.loop_end() {
+            let Some(of) = self.motors.get(motor) else { break };
+            if of.goal() > 0 && of.is_still() && self.rendered - of.still_since > u64::from(self.hold) {
+                self.lower(motor, 0);
+            }
+        }
+    }
+
+    /// Lowers a motor's goal, now, because the device decides so.
+    pub(super) fn lower(&mut self, motor: usize, level: u16) {
+        let now = self.rendered;
+        if self.motors[motor].goal() <= level {
+            return;
+        }
+        self.end(motor);
+        self.motors[motor].set_goal(level);
+        self.lowered.insert(motor as u8);
+        self.change_by(motor, now);
     }
 
     /// Makes rendering look at the line of `motor` at `tick` or before.
@@ -51,63 +99,180 @@ impl Player {
         self.changes.by(motor, tick.max(self.rendered).0 as u32);
     }
 
-    /// Sets one line to what its slots give for the rendered end.
+    /// Brings the line of one motor to the rendered end.
     #[inline(never)]
     fn step(&mut self, motor: usize, reporting: &mut Reporting) {
         let now = self.rendered;
-        let present = loop {
-            let Some(slot) = self.pool.current(motor) else { break None };
-            if slot.kind == Kind::Play && slot.charged.is_none() && slot.stroke.up <= now {
-                self.begin(motor, reporting);
-            } else if let Some(present) = slot.at(now) {
-                break Some(present);
-            } else {
-                self.end(motor);
-            }
+        let low = now.0 as u32;
+        if self.motors[motor].running.is_some_and(|running| running.end() == low) {
+            self.end(motor);
+        }
+        if self.queues.first(motor).is_some_and(|next| ahead(next.tick, now) <= 0) {
+            self.begin_move(motor, reporting);
+        }
+        let looks_again = if self.motors[motor].is_to_descend() {
+            self.descend(motor)
+        } else if self.shifting.is_some_and(|(of, _)| usize::from(of) == motor) {
+            self.begin_shift(motor)
+        } else {
+            None
         };
         let bit = MotorSet::of(motor);
         self.lines.up = self.lines.up.without(bit);
         self.lines.down = self.lines.down.without(bit);
-        let Some((line, ticks)) = present else {
-            self.changes.forget(motor);
-            return;
-        };
-        if let Line::Pulse(direction) = line {
-            *self.lines.set_mut(direction) |= bit;
+        let mut next = looks_again;
+        if let Some(running) = self.motors[motor].running {
+            *self.lines.set_mut(running.direction) |= bit;
+            next = Some(running.end());
         }
-        self.changes.next(motor, (now.0 as u32).wrapping_add(ticks));
+        if let Some(waiting) = self.queues.first(motor)
+            && next.is_none_or(|next| waiting.tick.wrapping_sub(next).cast_signed() < 0)
+        {
+            next = Some(waiting.tick);
+        }
+        match next {
+            Some(next) => self.changes.next(motor, next),
+            None => self.changes.forget(motor),
+        }
     }
 
-    /// Begins the next stroke of a motor, or refuses it. Not inlined, like [`Self::end`]: most steps need neither.
+    /// Ends the burst that runs, at the rendered end.
     #[inline(never)]
-    fn begin(&mut self, motor: usize, reporting: &mut Reporting) {
-        let Some(slot) = self.pool.current(motor) else { return };
-        let (stroke, pushes) = (slot.stroke, slot.pushes);
-        let begun = self.allowance.begin_stroke().and_then(|()| self.check_at_once(&stroke));
-        let begun = begun
-            .and_then(|()| self.allowance.begin(self.rendered, motor, stroke.pulses(), pushes, &self.layout));
-        let Some(slot) = self.pool.current_mut(motor) else { return };
+    pub(super) fn end(&mut self, motor: usize) {
+        let now = self.rendered;
+        let Some(ended) = self.motors[motor].end(now) else { return };
+        let played = ended.played(now.0 as u32);
+        let pushed = played.saturating_sub(ended.pulses - ended.pushes);
+        self.allowance.end(now, motor, (ended.pulses, played.into()), (ended.pushes, pushed));
+        self.still_from = now;
+    }
+
+    /// The next move of a motor sets its goal, in its tick.
+    #[inline(never)]
+    fn begin_move(&mut self, motor: usize, reporting: &mut Reporting) {
+        let now = self.rendered;
+        let before = self.motors[motor].goal();
+        if self.motors[motor].running.is_some() {
+            self.end(motor);
+        }
+        let Some(waiting) = self.queues.begin(motor, now) else { return };
+        let height = self.motors[motor].height(now.0 as u32);
+        let Waiting { level, surplus, from, tick, .. } = waiting;
+        // A correction is for the distance that was planned.
+        let correction = if from == height { waiting.correction } else { 0 };
+        let counters = reporting.count();
+        counters.played += 1;
+        counters.shortened += u64::from(height != before);
+        counters.amended += u64::from(correction != 0);
+        self.motors[motor].set_goal(level);
+        if level <= height {
+            (self.motors[motor].correction, self.motors[motor].surplus) = (correction, surplus);
+            self.allowance.count_begin();
+            return;
+        }
+        let pulses = (level - height).saturating_add_signed(correction);
+        let begun = self.begin_up(motor, pulses, level - height);
         match begun {
-            Ok(()) => slot.charged = Some(charge(&stroke)),
+            Ok(()) => self.motors[motor].begin(now, Direction::Up, pulses, 0, level),
             Err(reason) => {
-                let up = stroke.up;
-                slot.kind = Kind::Void;
-                slot.stroke = Stroke { up_pulses: 0, down: up, down_pulses: 0, ..stroke };
-                self.next_end = self.next_end.min(up);
-                reporting.count().refused += 2;
-                reporting.report(Report::Refused { motor: motor as u8, up: up.wire(), reason });
+                self.motors[motor].set_goal(before.min(height));
+                let counters = reporting.count();
+                (counters.played, counters.refused) = (counters.played - 1, counters.refused + 1);
+                let tick = WireTick(tick.to_le_bytes());
+                reporting.report(Report::Refused { motor: motor as u8, tick, reason });
             }
         }
     }
 
-    /// Goes on to the next stroke of a motor.
-    #[inline(never)]
-    fn end(&mut self, motor: usize) {
-        let Some(slot) = self.pool.current_mut(motor) else { return };
-        if let Some(charged) = slot.charged.take() {
-            let (played, pushes) = (slot.stroke.pulses(), slot.pushes);
-            self.allowance.end(self.rendered, motor, (charged, played), (pushes, pushes));
+    /// Whether a burst up may begin; then it counts. Its way back, `distance`, must fit the on-time limits, too.
+    fn begin_up(&mut self, motor: usize, pulses: u16, distance: u16) -> Result<(), Refusal> {
+        self.allowance.begin_move()?;
+        let (rail, chip) = (self.layout.next_on_rail(), self.layout.next_on_chip());
+        let limits = self.limits();
+        if self.is_full(motor, rail, limits.rail_at_once, self.layout.motors_per_rail(), true) {
+            return Err(Refusal::RailAtOnce);
         }
-        self.pool.advance(motor);
+        if self.is_full(motor, chip, limits.chip_at_once, self.layout.motors_per_chip(), true) {
+            return Err(Refusal::ChipAtOnce);
+        }
+        // Each pin above rest needs as many pulses down.
+        let back = |other: usize| u32::from(self.motors[other].height.max(self.motors[other].goal()));
+        let own = back(motor) + u32::from(distance);
+        let (mut of_rail, mut other) = (own, usize::from(rail[motor]));
+        while other != motor {
+            of_rail += back(other);
+            other = rail[other].into();
+        }
+        self.allowance.begin(self.rendered, motor, pulses.into(), [own, of_rail], &self.layout)
+    }
+
+    /// Whether as many motors of a group have pulses as may, besides `motor`. For a way up it is also full while a pin waits to come down.
+    #[inline(never)]
+    fn is_full(&self, motor: usize, ring: &Ring, limit: u8, size: u8, is_up: bool) -> bool {
+        if limit >= size {
+            return false;
+        }
+        let (mut busy, mut other) = (0, usize::from(ring[motor]));
+        while other != motor {
+            let of = &self.motors[other];
+            if is_up && of.is_to_descend() {
+                return true;
+            }
+            busy += u8::from(of.running.is_some_and(|running| running.end() != self.rendered.0 as u32));
+            other = ring[other].into();
+        }
+        busy >= limit
+    }
+
+    /// Begins the way down to the goal, if the drivers are ready and the limits on motors at once allow it. Else returns when to look
+    /// again. No other limit refuses it.
+    #[inline(never)]
+    fn descend(&mut self, motor: usize) -> Option<u32> {
+        let (now, ready) = (self.rendered, self.ready());
+        if now < ready {
+            return Some(ready.0 as u32);
+        }
+        let limits = self.limits();
+        let (rail, chip) = (self.layout.next_on_rail(), self.layout.next_on_chip());
+        if self.is_full(motor, rail, limits.rail_at_once, self.layout.motors_per_rail(), false) {
+            return Some(self.next_end(motor, rail));
+        }
+        if self.is_full(motor, chip, limits.chip_at_once, self.layout.motors_per_chip(), false) {
+            return Some(self.next_end(motor, chip));
+        }
+        let of = &self.motors[motor];
+        let distance = of.height(now.0 as u32) - of.goal();
+        let (goal, correction, surplus) = (of.goal(), of.correction, of.surplus);
+        let pulses = distance.saturating_add_signed(correction).max(1);
+        let pushes = if goal == 0 { self.allowance.pushes(now, motor, surplus) } else { 0 };
+        self.allowance.count(now, motor, pulses + pushes);
+        self.motors[motor].begin(now, Direction::Down, pulses + pushes, pushes, goal);
+        None
+    }
+
+    /// Begins the burst up that shifts where the pin rests, if the drivers are ready. Else returns when they are.
+    #[inline(never)]
+    fn begin_shift(&mut self, motor: usize) -> Option<u32> {
+        let (now, ready) = (self.rendered, self.ready());
+        if now < ready {
+            return Some(ready.0 as u32);
+        }
+        let (_, pulses) = self.shifting.take()?;
+        self.allowance.count(now, motor, pulses);
+        self.motors[motor].begin(now, Direction::Up, pulses, 0, 0);
+        None
+    }
+
+    /// When the first burst of another motor of the group ends.
+    fn next_end(&self, motor: usize, ring: &Ring) -> u32 {
+        let now = self.rendered.0 as u32;
+        let (mut first, mut other) = (u32::MAX, usize::from(ring[motor]));
+        while other != motor {
+            if let Some(running) = self.motors[other].running {
+                first = first.min(running.end().wrapping_sub(now));
+            }
+            other = ring[other].into();
+        }
+        now.wrapping_add(first.max(1))
     }
 }

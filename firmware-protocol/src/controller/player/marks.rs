@@ -3,16 +3,24 @@
 //! Invariant: a mark passes once, in order of time. The trigger output gives the cells of the newest trigger that was reached.
 
 use crate::controller::player::NEVER;
-use crate::message::Trigger;
+use crate::message::{Counters, Trigger};
 use crate::tick::Tick;
 use core::hash::{Hash, Hasher};
 
 /// Most marks that are queued and have not passed.
 const MAX_MARKS: usize = 8;
 
+/// A mark, and the counts of the moment in which it was rendered.
+#[derive(Clone, Copy, Debug, Hash)]
+struct QueuedMark {
+    at: Tick,
+    trigger: Option<Trigger>,
+    counters: Option<Counters>,
+}
+
 #[derive(Clone, Debug)]
 pub(super) struct Marks {
-    queue: heapless::Deque<(Tick, Option<Trigger>), MAX_MARKS>,
+    queue: heapless::Deque<QueuedMark, MAX_MARKS>,
     output: TriggerOutput,
 }
 
@@ -36,7 +44,7 @@ impl Marks {
 
     /// Queues a mark. There was room when its frame was read.
     pub(super) fn push(&mut self, at: Tick, trigger: Option<Trigger>) {
-        let _ = self.queue.push_back((at, trigger));
+        let _ = self.queue.push_back(QueuedMark { at, trigger, counters: None });
     }
 
     pub(super) fn clear(&mut self) {
@@ -45,7 +53,7 @@ impl Marks {
 
     /// Forgets the marks from `at` on.
     pub(super) fn keep_before(&mut self, at: Tick) {
-        self.queue.retain(|&(mark, _)| mark < at);
+        self.queue.retain(|mark| mark.at < at);
     }
 
     /// Sets the trigger output low.
@@ -53,31 +61,27 @@ impl Marks {
         self.output = TriggerOutput::LOW;
     }
 
-    /// The oldest mark, if it lies at `now` or before; once. One at the rendered end begins its trigger there.
-    pub(super) fn pass(&mut self, now: Tick, rendered: Tick) -> Option<Tick> {
-        let &(mark, trigger) = self.queue.front().filter(|(mark, _)| *mark <= now)?;
+    /// The oldest mark, if it lies before `now`; once, with the counts of its moment.
+    pub(super) fn pass(&mut self, now: Tick) -> Option<(Tick, Counters)> {
+        let &QueuedMark { at, counters, .. } = self.queue.front().filter(|mark| mark.at < now)?;
         self.queue.pop_front();
-        if mark == rendered
-            && let Some(trigger) = trigger
-        {
-            self.output.begin(mark, trigger);
-        }
-        Some(mark)
+        Some((at, counters.unwrap_or(Counters::NONE)))
     }
 
-    /// Whether the trigger is high at `now`, the rendered end, and the tick until which it stays so.
-    pub(super) fn level(&mut self, now: Tick) -> (bool, Tick) {
+    /// Whether the trigger is high at `now`, the rendered end, and the tick until which it stays so. `counters` are those of now.
+    pub(super) fn level(&mut self, now: Tick, counters: Counters) -> (bool, Tick) {
         if self.queue.is_empty() && self.output.cells == 0 {
             return (false, NEVER);
         }
         let mut next = NEVER;
-        for &(mark, trigger) in &self.queue {
-            if mark > now {
-                next = next.min(mark);
-            } else if mark == now
-                && let Some(trigger) = trigger
-            {
-                self.output.begin(now, trigger);
+        for mark in &mut self.queue {
+            if mark.at > now {
+                next = next.min(mark.at);
+            } else if mark.counters.is_none() {
+                mark.counters = Some(counters);
+                if let Some(trigger) = mark.trigger {
+                    self.output.begin(now, trigger);
+                }
             }
         }
         let (high, until) = self.output.level(now);

@@ -1,49 +1,48 @@
-//! Plays strokes: queues them, renders the lines from them, and books what was played.
+//! Plays moves: queues them, renders the lines from them, and counts what was played.
 //!
-//! It knows neither the state nor the pins. The parts above say when strokes are cut, and learn what a cut leaves of each.
+//! It does not know the state. The parts above say when pins come down.
 //!
 //! | module | what it does |
 //! |---|---|
-//! | `pool` | holds the strokes, a queue for each motor |
-//! | `strokes` | judges, queues, withdraws and amends strokes of plays |
-//! | `drive` | queues bursts that belong to no play |
+//! | `queue` | holds the moves that have not begun, a queue for each motor |
+//! | `motor` | knows how high a pin is and should be, and the burst that runs |
+//! | `moves` | judges, queues, withdraws and amends moves of plays |
 //! | `lines`, `changes` | render the lines, and know which line changes next |
 //! | `drivers` | enables the drivers around bursts |
 //! | `marks` | passes marks, and gives the trigger output |
-//! | `completion` | books what was played, cuts strokes, turns all off |
-//! | `allowance`, `density`, `at_once` | keep the limits on what begins, and on motors at once |
+//! | `cut`, `recent` | bring pins down, turn all off and take back what was not played |
+//! | `allowance`, `density` | keep the limits on what begins |
 //!
-//! Invariant: the lines follow from the queued slots alone, and a slot changes only ahead of the rendered end. So the
-//! number of pulses played is known after any cut, flush or amendment.
+//! Invariant: what is rendered follows from the queues and the motors, and they change only from the rendered end on.
 
 mod allowance;
-mod at_once;
 mod changes;
-mod completion;
+mod cut;
 mod density;
-mod drive;
 mod drivers;
 mod lines;
 mod marks;
-mod pool;
-mod strokes;
+mod motor;
+mod moves;
+mod queue;
+mod recent;
 
-use crate::array::Layout;
+use crate::array::{CAPACITY, Layout, MotorSet};
 use crate::controller::reporting::Reporting;
 use crate::limits::PowerLimits;
-use crate::message::Trigger;
+use crate::message::Mark;
 use crate::stroke::Lines;
 use crate::tick::Tick;
 use allowance::Allowance;
 use changes::Changes;
-pub(super) use completion::Left;
 use core::hash::{Hash, Hasher};
 pub use drivers::DRIVER_TAIL;
 use drivers::Drivers;
 use marks::Marks;
-pub(super) use pool::Kind;
-pub use pool::POOL;
-use pool::{Pool, Slot};
+use motor::Motor;
+pub use queue::POOL;
+use queue::Queues;
+use recent::Recent;
 
 /// A tick that does not come.
 pub(super) const NEVER: Tick = Tick(u64::MAX);
@@ -54,23 +53,33 @@ pub(super) const NEVER: Tick = Tick(u64::MAX);
 pub(super) struct Player {
     /// The first tick not rendered yet.
     rendered: Tick,
-    /// No stroke ends before this tick.
-    next_end: Tick,
+    /// When the last burst ended or will end that was rendered.
+    still_from: Tick,
     lines: Lines,
     drivers: Drivers,
     changes: Changes,
+    motors: [Motor; CAPACITY],
     marks: Marks,
+    /// Motors whose goals the device has lowered since the last report of that.
+    lowered: MotorSet,
+    /// A burst up of this motor, with so many pulses, that shifts where its pin rests, until it begins.
+    shifting: Option<(u8, u16)>,
+    /// For how many ticks a pin may stay above rest without a pulse, and when that was last checked.
+    hold: u32,
+    hold_checked: u32,
     layout: Layout,
+    recent: Recent,
     allowance: Allowance,
-    pool: Pool,
+    queues: Queues,
 }
 
 impl Hash for Player {
     fn hash<H: Hasher>(&self, hasher: &mut H) {
-        let Self { rendered, next_end, lines, drivers, changes, marks, allowance, layout: _, pool } = self;
+        let Self { rendered, still_from, lines, drivers, changes, motors, marks, lowered, shifting, hold, .. } = self;
         let Drivers { since, tail_end, lead: _ } = drivers;
-        (since, (*tail_end).max(*rendered), rendered, next_end, lines).hash(hasher);
-        (changes, marks, allowance, pool).hash(hasher);
+        (since, (*tail_end).max(*rendered), rendered, (*still_from).max(*rendered), lines).hash(hasher);
+        (changes, motors, marks, lowered, shifting, hold).hash(hasher);
+        (&self.recent, &self.allowance, &self.queues).hash(hasher);
     }
 }
 
@@ -79,13 +88,19 @@ impl Player {
     pub(super) const fn new(layout: Layout, now: Tick) -> Self {
         Self {
             rendered: now,
-            next_end: NEVER,
+            still_from: now,
             lines: Lines::OFF,
             drivers: Drivers::new(&layout),
             changes: Changes::none(now),
+            motors: [Motor::REST; CAPACITY],
             marks: Marks::NONE,
+            lowered: MotorSet::EMPTY,
+            shifting: None,
+            hold: layout.least_hold(),
+            hold_checked: now.0 as u32,
+            recent: Recent::NOTHING,
             allowance: Allowance::new(&layout, now),
-            pool: Pool::new(&layout),
+            queues: Queues::new(),
             layout,
         }
     }
@@ -94,19 +109,20 @@ impl Player {
         self.rendered
     }
 
+    /// Whether no move waits.
     pub(super) fn is_empty(&self) -> bool {
-        self.pool.is_empty()
+        self.queues.is_empty()
     }
 
-    /// Number of queued strokes of `motor`.
+    /// Number of moves of `motor` that wait.
     pub(super) fn len(&self, motor: u8) -> u16 {
-        self.pool.len(motor.into())
+        self.queues.len(motor.into())
     }
 
-    /// Stroke slots that the host may fill. Each refused stroke takes one until the host has seen its report: so there
-    /// is always a place for the next report.
+    /// Slots that the host may fill. Each refused move takes one until the host has seen its report: so there is always a place for the next
+    /// report.
     pub(super) fn credits(&self, reporting: &Reporting) -> u16 {
-        self.pool.free().saturating_sub(reporting.reports().refused())
+        self.queues.free().saturating_sub(reporting.reports().refused())
     }
 
     /// The layout of the array.
@@ -135,24 +151,17 @@ impl Player {
     }
 
     /// Queues a mark. There was room when its frame was read.
-    pub(super) fn push_mark(&mut self, at: Tick, trigger: Option<Trigger>) {
-        self.marks.push(at, trigger);
+    pub(super) fn push_mark(&mut self, at: Tick, mark: &Mark) {
+        self.marks.push(at, mark.trigger);
+    }
+
+    /// For how long pins may be held from now on, ticks.
+    pub(super) fn set_hold(&mut self, hold: u32) {
+        self.hold = hold.clamp(self.layout.least_hold(), self.layout.longest_hold());
     }
 
     /// Forgets the marks that have not passed.
     pub(super) fn forget_marks(&mut self) {
         self.marks.clear();
-    }
-
-    fn queue(&mut self, slot: Slot) -> bool {
-        let motor = usize::from(slot.stroke.motor);
-        let idle = self.pool.current(motor).is_none();
-        let queued = self.pool.push(slot);
-        if idle && queued {
-            // The line may not have been brought to the rendered end since its last stroke ended.
-            self.change_by(motor, slot.stroke.up);
-        }
-        self.next_end = self.next_end.min(slot.stroke.end());
-        queued
     }
 }

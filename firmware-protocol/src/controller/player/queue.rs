@@ -7,9 +7,10 @@
 
 use crate::array::CAPACITY;
 use crate::tick::Tick;
+use core::hash::{Hash, Hasher};
 
 /// Number of slots.
-pub(super) const POOL: usize = 2048;
+pub const POOL: usize = 2048;
 
 /// The index that stands for no slot.
 const NONE: u16 = u16::MAX;
@@ -27,7 +28,7 @@ pub(super) struct Waiting {
     pub(super) from: u16,
     /// The newest amendment that it has taken, or that was older than the move.
     pub(super) generation: Option<u16>,
-    next: u16,
+    pub(super) next: u16,
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -47,15 +48,34 @@ pub(super) struct Queues {
     slots: [Waiting; POOL],
 }
 
+impl Hash for Queues {
+    /// The moves that wait, in order.
+    fn hash<H: Hasher>(&self, hasher: &mut H) {
+        for queue in &self.queues {
+            (queue.len, queue.begun).hash(hasher);
+            let mut index = queue.head;
+            while let Some(slot) = self.get(index) {
+                let &Waiting { tick, level, surplus, correction, from, generation, next } = slot;
+                (tick, level, surplus, correction, from, generation).hash(hasher);
+                index = next;
+            }
+        }
+    }
+}
+
 /// Ticks from `now` to the low half of a tick within 2^31.
 pub(super) const fn ahead(tick: u32, now: Tick) -> i32 {
     tick.wrapping_sub(now.0 as u32).cast_signed()
 }
 
+impl Waiting {
+    pub(super) const NOTHING: Self =
+        Self { tick: 0, level: 0, surplus: 0, correction: 0, from: 0, generation: None, next: NONE };
+}
+
 impl Queues {
     pub(super) const fn new() -> Self {
-        let nothing = Waiting { tick: 0, level: 0, surplus: 0, correction: 0, from: 0, generation: None, next: NONE };
-        let mut slots = [nothing; POOL];
+        let mut slots = [Waiting::NOTHING; POOL];
         let mut next = 1;
         while next < POOL {
             slots[next - 1].next = next as u16;
@@ -170,9 +190,18 @@ impl Queues {
         Some(len - kept)
     }
 
-    /// The move of a motor at the low half `tick`, and the low half of the tick of the one after it.
-    pub(super) fn find(&mut self, motor: usize, tick: u32) -> Option<(&mut Waiting, Option<u32>)> {
-        let mut index = self.queues[motor].head;
+    /// The tick of the last move of a motor that has begun.
+    pub(super) fn begun(&self, motor: usize) -> Tick {
+        self.queues.get(motor).map_or(Tick(u64::MAX), |queue| queue.begun)
+    }
+
+    /// The move of a motor at `tick`, and the low half of the tick of the one after it.
+    pub(super) fn find(&mut self, motor: usize, tick: Tick, now: Tick) -> Option<(&mut Waiting, Option<u32>)> {
+        let mut index = self.queues.get(motor)?.head;
+        if !(0..1 << 30).contains(&tick.since(now)) {
+            return None;
+        }
+        let tick = tick.0 as u32;
         while let Some(slot) = self.get(index) {
             if slot.tick == tick {
                 let next = self.get(slot.next).map(|next| next.tick);

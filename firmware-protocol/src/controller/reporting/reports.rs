@@ -1,12 +1,12 @@
 //! The reports that the host has not seen yet, in the order of their numbers. They are repeated until it has.
 //!
-//! Refused strokes have a queue of their own, with a place for every stroke that a host can queue: their reports are never
+//! Refused moves have a queue of their own, with a place for every move that a host can queue: their reports are never
 //! lost. The other reports share [`REPORTS`] places. A full queue loses the newest report; the caller counts it. The
-//! controller takes frames of strokes only while more than [`RESERVE`] places are free. So onsets and cuts find a place as
+//! controller takes frames of moves only while more than [`RESERVE`] places are free. So onsets and cuts find a place as
 //! long as the host reads.
 //!
 //! Invariant: each report after the last one seen is in exactly one of the two queues. A number that `ring` does not hold is
-//! that of a refused stroke.
+//! that of a refused move.
 
 use crate::array::Layout;
 use crate::controller::POOL;
@@ -16,15 +16,15 @@ use crate::message::Report;
 use crate::tick::{Tick, WireTick};
 use core::hash::{Hash, Hasher};
 
-/// Most unseen reports besides refused strokes; also the most reports sent and not seen yet.
+/// Most unseen reports besides refused moves; also the most reports sent and not seen yet.
 pub const REPORTS: usize = 32;
 /// Places reserved for queued onsets and for cuts.
 pub(in crate::controller) const RESERVE: usize = 12;
 
-/// A queued stroke that was refused when it was to begin.
+/// A queued move that was refused when it was to begin.
 #[derive(Clone, Copy, Debug, Hash)]
-struct RefusedStroke {
-    up: WireTick,
+struct RefusedMove {
+    tick: WireTick,
     motor: u8,
     reason: Refusal,
 }
@@ -33,7 +33,7 @@ struct RefusedStroke {
 pub(in crate::controller) struct Reports {
     /// Reports with their numbers.
     ring: heapless::Deque<(u16, Report), REPORTS>,
-    refused: heapless::Deque<RefusedStroke, POOL>,
+    refused: heapless::Deque<RefusedMove, POOL>,
     /// Number of the newest report.
     made: u16,
     /// Number of reports, from the oldest, sent since the last repetition.
@@ -47,7 +47,7 @@ impl Hash for Reports {
     fn hash<H: Hasher>(&self, hasher: &mut H) {
         let Self { ring, refused, made, sent, repeated, repeat: _ } = self;
         ring.iter().for_each(|report| report.hash(hasher));
-        refused.iter().for_each(|stroke| stroke.hash(hasher));
+        refused.iter().for_each(|refused| refused.hash(hasher));
         (ring.len(), refused.len(), made, sent, repeated).hash(hasher);
     }
 }
@@ -69,8 +69,8 @@ impl Reports {
     pub(super) fn push(&mut self, report: Report) -> bool {
         let number = self.made.wrapping_add(1);
         let kept = match report {
-            Report::Refused { motor, up, reason } => {
-                self.refused.push_back(RefusedStroke { up, motor, reason }).is_ok()
+            Report::Refused { motor, tick, reason } => {
+                self.refused.push_back(RefusedMove { tick, motor, reason }).is_ok()
             }
             other => self.ring.push_back((number, other)).is_ok(),
         };
@@ -97,7 +97,7 @@ impl Reports {
         REPORTS - self.ring.len()
     }
 
-    /// Refused strokes that the host has not seen.
+    /// Refused moves that the host has not seen.
     pub(in crate::controller) fn refused(&self) -> u16 {
         self.refused.len() as u16
     }
@@ -133,13 +133,13 @@ impl Reports {
             return None;
         }
         let number = self.read().wrapping_add(1 + self.sent as u16);
-        // Both queues are in order, so this many of the reports sent came from the ring, and the others were refused strokes.
+        // Both queues are in order, so this many of the reports sent came from the ring, and the others were refused moves.
         let before = self.ring.iter().filter(|&&(other, _)| newer(number, other)).count();
         let report = match self.ring.iter().nth(before) {
             Some(&(found, report)) if found == number => report,
             _ => {
-                let &RefusedStroke { motor, up, reason } = self.refused.iter().nth(self.sent - before)?;
-                Report::Refused { motor, up, reason }
+                let &RefusedMove { motor, tick, reason } = self.refused.iter().nth(self.sent - before)?;
+                Report::Refused { motor, tick, reason }
             }
         };
         if self.sent == 0 {

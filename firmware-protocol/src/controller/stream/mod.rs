@@ -11,11 +11,11 @@ mod taking;
 use crate::array::MotorSet;
 use crate::batch::Malformed;
 use crate::controller::newer;
-use crate::controller::player::{NEVER, Player};
+use crate::controller::player::Player;
 use crate::controller::reporting::{RESERVE, Reporting};
 use crate::controller::session::Session;
 use crate::limits::Refusal;
-use crate::stroke::Stroke;
+use crate::moves::Move;
 use crate::tick::Tick;
 pub use reorder::REORDER_WINDOW;
 use reorder::ReorderBuffer;
@@ -123,28 +123,33 @@ impl Stream {
         true
     }
 
-    /// Queues a stroke. `Ok(false)` if it is late.
-    fn accept(&self, stroke: &Stroke, parts: &mut Parts<'_>) -> Result<bool, Refusal> {
-        if !parts.judge(stroke)? || self.kept.contains(stroke.motor) {
+    /// Queues a move, or the two of a stroke. `Ok(false)` if they are late.
+    fn accept(&self, moves: &[Move], parts: &mut Parts<'_>) -> Result<bool, Refusal> {
+        let mut late = false;
+        for to in moves {
+            late |= !parts.judge(to)?;
+        }
+        if late || moves.iter().any(|to| self.kept.contains(to.motor)) {
             return Ok(false);
         }
-        parts.player.append(stroke, self.generation, parts.reporting)?;
+        parts.player.takes(moves, parts.reporting)?;
+        moves.iter().for_each(|to| parts.player.append(to, self.generation));
         Ok(true)
     }
 
-    /// Withdraws the strokes of `motor` from `from` on, if none of them has begun and `first`, the stroke that takes their place,
-    /// can be queued. Otherwise all of them stay, and the motor's new strokes are late until the next withdrawal. Returns whether
-    /// it has withdrawn them.
-    fn withdraw(&mut self, motor: u8, from: Tick, first: Option<&Stroke>, parts: &mut Parts<'_>) -> bool {
+    /// Withdraws the moves of `motor` from `from` on, if none of them has begun and `first`, the move that takes their place, can be queued.
+    /// Otherwise all of them stay, and the motor's new moves are not taken until the next withdrawal. Returns whether it has withdrawn
+    /// them.
+    fn withdraw(&mut self, motor: u8, from: Tick, first: Option<&Move>, parts: &mut Parts<'_>) -> bool {
         let usable = first.map_or(parts.armed, |first| parts.judge(first) == Ok(true));
-        let next = first.map_or(NEVER, |first| first.up);
+        let next = first.map(|first| first.tick);
         let withdrawn = if usable { parts.player.withdraw(motor, from, next) } else { None };
-        let Some(strokes) = withdrawn else {
+        let Some(moves) = withdrawn else {
             self.kept.insert(motor);
             return false;
         };
         self.kept.remove(motor);
-        parts.reporting.count().replaced += 2 * u64::from(strokes);
+        parts.reporting.count().replaced += u64::from(moves);
         true
     }
 
@@ -163,11 +168,11 @@ impl Parts<'_> {
         self.reporting.reports().free() > reports && (head.mark.is_none() || self.player.takes_mark())
     }
 
-    /// Judges a stroke by itself. `Ok(false)` if it is late.
-    fn judge(&self, stroke: &Stroke) -> Result<bool, Refusal> {
+    /// Judges a move by itself. `Ok(false)` if it is late.
+    fn judge(&self, to: &Move) -> Result<bool, Refusal> {
         if !self.armed {
             return Err(Refusal::NotArmed);
         }
-        self.player.judge(stroke, self.now)
+        self.player.judge(to, self.now)
     }
 }

@@ -6,21 +6,21 @@
 //! Invariant: a play's first frame is judged and taken in one piece, so that it is taken whole or not at all.
 
 use crate::array::MotorSet;
-use crate::batch::{Amendments, BATCH_BYTES, Batch, MAX_BATCH, Malformed, Place, unpack};
+use crate::batch::{Amendments, BATCH_BYTES, Batch, MAX_BATCH, MAX_FIRST_BATCH, Malformed, Place, unpack};
 use crate::controller::stream::{Parts, Stream};
 use crate::limits::Refusal;
 use crate::message::{Mark, MarkKind, Report, Withdraw};
-use crate::stroke::Stroke;
+use crate::moves::Move;
 use crate::tick::Tick;
 use core::hash::{Hash, Hasher};
 
-/// Most strokes unpacked at a time.
-const UNPACKED: usize = MAX_BATCH / 2;
-/// Most strokes taken at a time.
-const STROKES: usize = 8;
-/// The same for a frame that withdraws, because each stroke may search the queue of a motor. The piece ends sooner once the
-/// queues searched have [`SEARCHED`] strokes.
-const REPLACING: usize = 4;
+/// Most moves unpacked at a time, besides those of the last item.
+const UNPACKED: usize = 24;
+/// Most moves taken at a time, and one more if the last is half of a stroke.
+const MOVES: usize = 10;
+/// The same for a frame that withdraws, because each move may search the queue of a motor. The piece ends sooner once the queues searched
+/// have [`SEARCHED`] moves.
+const REPLACING: usize = 6;
 const SEARCHED: u16 = 128;
 /// Most amendments taken at a time: each searches the queue of its motor.
 const AMENDMENTS: usize = 4;
@@ -54,7 +54,7 @@ pub(super) struct Taking {
     /// The frame whose strokes are to be taken; its mark is not.
     pub(super) next: Option<Next>,
     /// Unpacked in place, because a copy takes long.
-    strokes: Batch,
+    moves: Batch,
     /// The frame whose strokes are being taken.
     seq: Option<u16>,
     /// Number of strokes taken.
@@ -83,7 +83,7 @@ impl Hash for Taking {
             items,
             packed,
             next,
-            strokes,
+            moves,
             seq,
             taken,
             late,
@@ -96,10 +96,10 @@ impl Hash for Taking {
             amending,
         } = self;
         if packed.is_some() {
-            (epoch, items, packed, strokes).hash(hasher);
+            (epoch, items, packed, moves).hash(hasher);
         }
         if next.is_some() || seq.is_some() {
-            (epoch, next, strokes, seq, taken).hash(hasher);
+            (epoch, next, moves, seq, taken).hash(hasher);
             (late, missed, refused, reason, withdraw, from, kept).hash(hasher);
         }
         if let Some((generation, amended, at)) = amending
@@ -116,7 +116,7 @@ impl Taking {
         items: heapless::Vec::new(),
         packed: None,
         next: None,
-        strokes: Batch::new(),
+        moves: Batch::new(),
         seq: None,
         taken: 0,
         late: 0,
@@ -146,13 +146,13 @@ impl Taking {
     ) -> Packed {
         self.epoch = epoch;
         self.keep_items(batch);
-        self.strokes.clear();
+        self.moves.clear();
         Packed { head, received, place: Place::new(head.base) }
     }
 
     /// Unpacks a piece. `None`: some are left.
     pub(super) fn unpack_piece(&mut self, mut packed: Packed) -> Result<Option<Packed>, Malformed> {
-        if unpack(&self.items, &mut packed.place, &mut self.strokes, UNPACKED)? {
+        if unpack(&self.items, &mut packed.place, &mut self.moves, UNPACKED)? {
             return Ok(Some(packed));
         }
         self.packed = Some(packed);
@@ -189,7 +189,7 @@ impl Stream {
         }
         if let Some(seq) = self.taking.seq {
             let replaces = !self.taking.withdraw.is_empty();
-            self.take_strokes(seq, if replaces { REPLACING } else { STROKES }, parts);
+            self.take_moves(seq, if replaces { REPLACING } else { MOVES }, parts);
             return true;
         }
         self.take_amendments(parts)
@@ -203,18 +203,22 @@ impl Stream {
         if let Some(mark) = mark
             && parts.armed
         {
-            // No stroke begins before the base.
+            // No move begins before the base.
             let ready = parts.player.ready();
-            if base >= ready {
-                parts.player.push_mark(base, mark.trigger);
+            let begins_play = mark.kind == MarkKind::Play;
+            // The first frame of a play is taken in one piece, and lines must be rendered in time.
+            let fits = !begins_play || self.taking.moves.len() <= MAX_FIRST_BATCH;
+            if base >= ready && fits {
+                parts.player.push_mark(base, &mark);
             } else {
                 parts.reporting.report(Report::OnsetRefused { seq, rendered: ready.wire() });
-                if mark.kind == MarkKind::Play {
+                if begins_play {
                     return;
                 }
             }
-            if mark.kind == MarkKind::Play {
+            if begins_play {
                 self.kept = MotorSet::EMPTY;
+                parts.player.set_hold(mark.hold);
             }
         }
         let taking = &mut self.taking;
@@ -229,53 +233,61 @@ impl Stream {
             taking.withdraw = withdraw.motors & parts.player.layout().all();
             self.note_generation(withdraw.generation);
         }
-        let is_short = self.taking.strokes.len() <= STROKES || parts.player.is_empty();
+        let len = self.taking.moves.len();
+        let is_short = len <= MOVES || (len <= MAX_FIRST_BATCH && parts.player.is_empty());
         if begins_play || (is_short && self.taking.withdraw.is_empty()) {
-            self.take_strokes(seq, MAX_BATCH, parts);
+            self.take_moves(seq, MAX_BATCH, parts);
         }
     }
 
-    /// Takes at most `most` strokes. Each is counted at once, because an e-stop may end the frame between two pieces. A motor's
-    /// strokes are withdrawn in the moment in which the first stroke that replaces them is queued.
-    fn take_strokes(&mut self, seq: u16, most: usize, parts: &mut Parts<'_>) {
-        let mut searched = 0;
-        for _ in 0..most {
-            if searched >= SEARCHED {
-                break;
-            }
+    /// Takes at most `most` moves. Each is counted at once, because an e-stop may end the frame between two pieces. A motor's moves are
+    /// withdrawn in the moment in which the first move that replaces them is queued.
+    fn take_moves(&mut self, seq: u16, most: usize, parts: &mut Parts<'_>) {
+        let (mut searched, mut done) = (0, 0);
+        while done < most && searched < SEARCHED {
             let at = self.taking.taken;
-            let Some(&stroke) = self.taking.strokes.get(at) else {
+            let Some(first) = self.taking.moves.get(at) else {
                 // What is left to withdraw is replaced by nothing.
                 let Some(motor) = self.taking.withdraw.lowest() else { break };
                 searched += self.take_withdrawal(motor, None, parts);
+                done += 1;
                 continue;
             };
-            if self.taking.withdraw.contains(stroke.motor) {
-                searched += self.take_withdrawal(stroke.motor, Some(&stroke), parts);
+            let first = first.of;
+            // The two moves of a stroke are taken or left together.
+            let both = self.taking.moves.get(at + 1).filter(|next| next.joined).map(|next| [first, next.of]);
+            let moves = both.as_ref().map_or(core::slice::from_ref(&first), |both| both.as_slice());
+            if self.taking.withdraw.contains(first.motor) {
+                searched += self.take_withdrawal(first.motor, Some(&first), parts);
             }
-            match self.accept(&stroke, parts) {
+            let (count, bits) = (moves.len(), ((1_u64 << moves.len()) - 1) << at);
+            match self.accept(moves, parts) {
                 Ok(true) => {}
                 Ok(false) => {
-                    let is_kept = self.kept.contains(stroke.motor);
-                    // The old strokes are played in its place.
+                    let is_kept = self.kept.contains(first.motor);
+                    // The old moves are played in its place.
                     *(if is_kept {
                         &mut parts.reporting.count().replaced
                     } else {
                         &mut parts.reporting.count().late
-                    }) += 2;
-                    self.taking.late |= 1 << at;
+                    }) += count as u64;
+                    if !is_kept && count == 1 {
+                        parts.player.late(&first);
+                    }
+                    self.taking.late |= bits;
                     let ready = parts.player.ready();
                     self.taking.missed.get_or_insert(ready);
                 }
                 Err(refusal) => {
-                    parts.reporting.count().refused += 2;
-                    self.taking.refused |= 1 << at;
+                    parts.reporting.count().refused += count as u64;
+                    self.taking.refused |= bits;
                     self.taking.reason = self.taking.reason.or(Some(refusal));
                 }
             }
-            self.taking.taken += 1;
+            self.taking.taken += count;
+            done += count;
         }
-        if self.taking.taken < self.taking.strokes.len() || !self.taking.withdraw.is_empty() {
+        if self.taking.taken < self.taking.moves.len() || !self.taking.withdraw.is_empty() {
             return;
         }
         let &Taking { late, missed, refused, reason, kept, .. } = &self.taking;
@@ -287,7 +299,7 @@ impl Stream {
     }
 
     /// Withdraws from one motor what `first` replaces. Returns the length of its queue.
-    fn take_withdrawal(&mut self, motor: u8, first: Option<&Stroke>, parts: &mut Parts<'_>) -> u16 {
+    fn take_withdrawal(&mut self, motor: u8, first: Option<&Move>, parts: &mut Parts<'_>) -> u16 {
         let len = parts.player.len(motor);
         self.taking.withdraw.remove(motor);
         if !self.withdraw(motor, self.taking.from, first, parts) {

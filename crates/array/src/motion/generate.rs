@@ -1,0 +1,385 @@
+//! Waveforms by formula: ramp and hold, tones and chirps, band noise.
+//!
+//! Curves are sampled at 40 times their highest frequency, 1 to 8 kHz, and linear between: the largest error is 0.3 % of the amplitude
+//! up to 200 Hz, and 0.7 % at 300 Hz. A cosine ramp has 64 segments: 0.03 % of its height.
+//!
+//! Invariant: equal settings give equal samples, bit for bit, on every machine: all functions are those of `libm`.
+
+use super::error::MotionError;
+use super::waveform::{RATE_HZ, Waveform};
+use crate::motor::MAX_AMPLITUDE_UM;
+use crate::pattern::{FREQUENCY_HZ, MAX_SECONDS};
+use crate::random;
+use std::f64::consts::{PI, TAU};
+
+/// Segments of a cosine ramp.
+const SEGMENTS: u32 = 64;
+/// Samples per period of the highest frequency.
+const PER_PERIOD: f64 = 40.0;
+/// The least rate of samples, Hz.
+const LEAST_RATE_HZ: f64 = 1000.0;
+/// The most samples times lines of noise: two seconds of work. 5 to 50 Hz for 105 s.
+const MOST_WORK: f64 = 1e9;
+/// Of the keys of random numbers, the part that is the noise's own ("noise").
+const NOISE_KEY: u64 = 0x6e_6f69_7365;
+
+/// How a ramp goes from one level to the other.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Shape {
+    /// At constant speed.
+    #[default]
+    Linear,
+    /// As half a cosine, which begins and ends at speed 0; its highest speed is π/2 times that of a linear ramp.
+    Cosine,
+}
+
+/// From rest to a level, held there, and back to rest.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct RampHold {
+    /// When it begins, s.
+    pub start_s: f64,
+    /// The level, µm above rest.
+    pub to_um: f64,
+    /// Duration of the rise, s; 0 is a jump.
+    pub rise_s: f64,
+    /// Duration of the hold, s.
+    pub hold_s: f64,
+    /// Duration of the fall, s; 0 is a jump.
+    pub fall_s: f64,
+    /// Of both ramps.
+    pub shape: Shape,
+}
+
+/// The factor by which a tone or noise grows and fades.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub enum Envelope {
+    /// 1 throughout.
+    #[default]
+    None,
+    /// (1 - cos 2πt/T)/2.
+    Hann,
+    /// Linear from 0 to 1 over the attack, and to 0 over the release at the end.
+    AttackRelease {
+        /// Duration of the attack, s.
+        attack_s: f64,
+        /// Duration of the release, s.
+        release_s: f64,
+    },
+}
+
+/// A sine, or a linear chirp: envelope · (`about_um` + `amplitude_um`/2 · sin 2π(`phase` + ∫f)).
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Tone {
+    /// When it begins, s.
+    pub start_s: f64,
+    /// How long it lasts, s.
+    pub duration_s: f64,
+    /// The frequency at its beginning, Hz.
+    pub start_hz: f64,
+    /// The frequency at its end, Hz. Between, the frequency changes linearly.
+    pub end_hz: f64,
+    /// Amplitude, µm peak to peak, as of a drive.
+    pub amplitude_um: f64,
+    /// The level that it swings about, µm; `None`: half the amplitude, so that the lowest point is at rest. 0 for a tone that is added
+    /// to a ramp and hold.
+    pub about_um: Option<f64>,
+    /// Phase at its beginning, cycles. At 0.75 the sine begins at its lowest point.
+    pub phase: f64,
+    /// Its envelope.
+    pub envelope: Envelope,
+}
+
+/// How strong noise is, before its envelope.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Strength {
+    /// Its root mean square, µm.
+    RmsUm(f64),
+    /// Its largest value of either sign, µm.
+    PeakUm(f64),
+}
+
+/// Gaussian noise of a band: envelope · (`about_um` + noise).
+///
+/// It is a sum of lines at the multiples of 1/`duration_s` from `low_hz` to `high_hz`, both included. Cosine and sine of line k have
+/// independent normal amplitudes, [`random::normal`] of `[seed, 0x6e6f697365, k, 0 or 1]`. The spectrum outside the band is 0, and the
+/// noise repeats seamlessly after its duration.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Noise {
+    /// When it begins, s.
+    pub start_s: f64,
+    /// How long it lasts, s.
+    pub duration_s: f64,
+    /// The band's lower edge, Hz.
+    pub low_hz: f64,
+    /// The band's upper edge, Hz.
+    pub high_hz: f64,
+    /// RMS or peak.
+    pub strength: Strength,
+    /// The level that it swings about, µm; `None`: its peak, so that no point is below rest.
+    pub about_um: Option<f64>,
+    /// Equal seeds give equal noise.
+    pub seed: u64,
+    /// Its envelope.
+    pub envelope: Envelope,
+}
+
+fn check_um(what: &'static str, um: f64) -> Result<(), MotionError> {
+    MotionError::check(what, "um", um, -MAX_AMPLITUDE_UM, MAX_AMPLITUDE_UM)
+}
+
+fn check_s(what: &'static str, seconds: f64) -> Result<(), MotionError> {
+    MotionError::check(what, "s", seconds, 0.0, MAX_SECONDS)
+}
+
+fn check_hz(what: &'static str, hz: f64) -> Result<(), MotionError> {
+    MotionError::check(what, "Hz", hz, *FREQUENCY_HZ.start(), *FREQUENCY_HZ.end())
+}
+
+impl RampHold {
+    /// Its waveform.
+    ///
+    /// # Errors
+    /// The first value that is out of range.
+    pub fn waveform(&self) -> Result<Waveform, MotionError> {
+        check_um("to_um", self.to_um)?;
+        for (what, seconds) in [("rise_s", self.rise_s), ("hold_s", self.hold_s), ("fall_s", self.fall_s)] {
+            check_s(what, seconds)?;
+        }
+        let segments = if self.shape == Shape::Linear { 1 } else { SEGMENTS };
+        let risen = |number: u32| {
+            let share = f64::from(number) / f64::from(segments);
+            (share, if self.shape == Shape::Linear { share } else { 0.5 - 0.5 * libm::cos(PI * share) })
+        };
+        let rise = (0..=segments).map(|number| {
+            let (time, height) = risen(number);
+            (self.rise_s * time, self.to_um * height)
+        });
+        let held_s = self.rise_s + self.hold_s;
+        let fall = (0..=segments).map(|number| {
+            let (time, left) = risen(segments - number);
+            (held_s + self.fall_s * (1.0 - time), self.to_um * left)
+        });
+        let points: Vec<_> = rise.chain(fall).collect();
+        Waveform::of(self.start_s, points.into_iter())
+    }
+}
+
+impl Envelope {
+    fn check(self) -> Result<(), MotionError> {
+        let Self::AttackRelease { attack_s, release_s } = self else { return Ok(()) };
+        check_s("attack_s", attack_s)?;
+        check_s("release_s", release_s)
+    }
+
+    /// The factor `after_s` into `duration_s`.
+    fn at(self, after_s: f64, duration_s: f64) -> f64 {
+        match self {
+            Self::None => 1.0,
+            Self::Hann => 0.5 - 0.5 * libm::cos(TAU * after_s / duration_s),
+            Self::AttackRelease { attack_s, release_s } => {
+                let edge = |passed_s: f64, edge_s: f64| if passed_s >= edge_s { 1.0 } else { passed_s / edge_s };
+                edge(after_s, attack_s) * edge(duration_s - after_s, release_s)
+            }
+        }
+    }
+}
+
+/// The number of intervals and their length, of samples that end exactly at the duration.
+#[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "the cast is the floor, and saturates")]
+fn sampling(duration_s: f64, highest_hz: f64) -> Result<(u32, f64), MotionError> {
+    MotionError::check("duration_s", "s", duration_s, 1.0 / LEAST_RATE_HZ, MAX_SECONDS)?;
+    let rate_hz = (PER_PERIOD * highest_hz).clamp(LEAST_RATE_HZ, *RATE_HZ.end());
+    let intervals = (duration_s * rate_hz).ceil() as u32;
+    Ok((intervals, duration_s / f64::from(intervals)))
+}
+
+/// The waveform of an envelope and what it shapes, which is asked for each sample: its number, s.
+fn shaped(
+    start_s: f64,
+    duration_s: f64,
+    (intervals, step_s): (u32, f64),
+    envelope: Envelope,
+    of: impl Fn(u32, f64) -> f64,
+) -> Result<Waveform, MotionError> {
+    envelope.check()?;
+    let intervals = usize::try_from(intervals).unwrap_or(usize::MAX);
+    let points = (0..=intervals).map(|number| {
+        #[expect(clippy::cast_possible_truncation, reason = "it was a u32")]
+        let number = number as u32;
+        let after_s = f64::from(number) * step_s;
+        (after_s, envelope.at(after_s, duration_s) * of(number, after_s))
+    });
+    Waveform::of(start_s, points)
+}
+
+impl Tone {
+    /// Its waveform.
+    ///
+    /// # Errors
+    /// The first value that is out of range, or more samples than a waveform has.
+    pub fn waveform(&self) -> Result<Waveform, MotionError> {
+        check_hz("start_hz", self.start_hz)?;
+        check_hz("end_hz", self.end_hz)?;
+        check_um("amplitude_um", self.amplitude_um)?;
+        let half_um = self.amplitude_um / 2.0;
+        let about_um = self.about_um.unwrap_or(half_um);
+        check_um("about_um", about_um)?;
+        MotionError::check("phase", "cycles", self.phase, 0.0, 1.0)?;
+        let sampling = sampling(self.duration_s, self.start_hz.max(self.end_hz))?;
+        let chirp = (self.end_hz - self.start_hz) / (2.0 * self.duration_s);
+        shaped(self.start_s, self.duration_s, sampling, self.envelope, |_, after_s| {
+            let cycles = self.phase + (self.start_hz + chirp * after_s) * after_s;
+            // Whole cycles are dropped before the sine, so that it is exact after hours.
+            about_um + half_um * libm::sin(TAU * (cycles - cycles.floor()))
+        })
+    }
+}
+
+impl Noise {
+    /// Its waveform.
+    ///
+    /// # Errors
+    /// The first value that is out of range, a band without lines, or noise that takes too long to make.
+    pub fn waveform(&self) -> Result<Waveform, MotionError> {
+        check_hz("low_hz", self.low_hz)?;
+        check_hz("high_hz", self.high_hz)?;
+        let (what, wanted_um) = match self.strength {
+            Strength::RmsUm(um) => ("rms_um", um),
+            Strength::PeakUm(um) => ("peak_um", um),
+        };
+        check_um(what, wanted_um)?;
+        let sampling = sampling(self.duration_s, self.high_hz)?;
+        let raw = self.lines(sampling.0)?;
+        let peak = raw.iter().fold(0.0, |peak: f64, um| peak.max(um.abs()));
+        let scale = match self.strength {
+            // The last sample repeats the first.
+            Strength::RmsUm(um) => {
+                let squares: f64 = raw[1..].iter().map(|um| um * um).sum();
+                um / (squares / f64::from(sampling.0)).sqrt()
+            }
+            Strength::PeakUm(um) => um / peak,
+        };
+        let about_um = self.about_um.unwrap_or((scale * peak).abs());
+        check_um("about_um", about_um)?;
+        shaped(self.start_s, self.duration_s, sampling, self.envelope, |number, _| {
+            about_um + scale * raw[number as usize]
+        })
+    }
+
+    /// The sum of the lines, not scaled, at each end of so many intervals.
+    #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "at most 300 Hz times MAX_SECONDS")]
+    fn lines(&self, intervals: u32) -> Result<Vec<f64>, MotionError> {
+        let seconds = self.duration_s;
+        // Edges that are lines count, whatever the rounding.
+        let first = ((self.low_hz * seconds - 1e-6).ceil() as u64).max(1);
+        let last = (self.high_hz * seconds + 1e-6).floor() as u64;
+        if first > last {
+            return Err(MotionError::Band { seconds, low_hz: self.low_hz, high_hz: self.high_hz });
+        }
+        #[expect(clippy::cast_precision_loss, reason = "compared with a bound")]
+        let work = (last - first + 1) as f64 * f64::from(intervals);
+        if work > MOST_WORK {
+            return Err(MotionError::TooLong { seconds });
+        }
+        let mut sum = vec![0.0; intervals as usize + 1];
+        for line in first..=last {
+            let [mut x, mut y] = [0, 1].map(|part| random::normal([self.seed, NOISE_KEY, line, part]));
+            #[expect(clippy::cast_precision_loss, reason = "MOST_WORK bounds it")]
+            let angle = TAU * line as f64 / f64::from(intervals);
+            let (cos, sin) = (libm::cos(angle), libm::sin(angle));
+            // A point that turns by the angle from sample to sample.
+            for um in &mut sum {
+                *um += x;
+                (x, y) = (x * cos + y * sin, y * cos - x * sin);
+            }
+        }
+        Ok(sum)
+    }
+}
+
+#[cfg(test)]
+pub(super) mod tests {
+    use super::*;
+
+    pub(in crate::motion) fn noise(low_hz: f64, high_hz: f64, strength: Strength, seed: u64) -> Noise {
+        let (start_s, duration_s, about_um, envelope) = (0.0, 2.0, None, Envelope::None);
+        Noise { start_s, duration_s, low_hz, high_hz, strength, about_um, seed, envelope }
+    }
+
+    pub(in crate::motion) fn tone(start_hz: f64, end_hz: f64, amplitude_um: f64, envelope: Envelope) -> Tone {
+        let (start_s, duration_s, about_um, phase) = (0.0, 1.0, None, 0.0);
+        Tone { start_s, duration_s, start_hz, end_hz, amplitude_um, about_um, phase, envelope }
+    }
+
+    fn at(wave: &Waveform, seconds: f64) -> f64 {
+        wave.um_at((seconds * 1e9).round() as u64)
+    }
+
+    #[test]
+    fn a_ramp_rises_holds_and_falls() {
+        let (start_s, to_um, rise_s, hold_s, fall_s) = (0.1, 200.0, 0.05, 0.2, 0.1);
+        let ramp = RampHold { start_s, to_um, rise_s, hold_s, fall_s, shape: Shape::Linear };
+        let linear = ramp.waveform().unwrap();
+        assert_eq!(linear.knots().len(), 4);
+        assert_eq!([0.1, 0.125, 0.15, 0.35, 0.4, 0.45].map(|s| at(&linear, s)), [0.0, 100.0, 200.0, 200.0, 100.0, 0.0]);
+        let cosine = RampHold { shape: Shape::Cosine, ..ramp }.waveform().unwrap();
+        assert!((at(&cosine, 0.1125) - 200.0 * (0.5 - 0.125_f64.sqrt())).abs() < 0.06);
+        assert!((at(&cosine, 0.4) - 100.0).abs() < 1e-6);
+        let jump = RampHold { rise_s: 0.0, hold_s: 0.1, fall_s: 0.0, ..ramp }.waveform().unwrap();
+        assert_eq!([100_000_000, 200_000_000].map(|ns| jump.um_around(ns)), [[0.0, 200.0], [200.0, 0.0]]);
+    }
+
+    #[test]
+    fn a_tone_has_its_frequency_amplitude_phase_and_envelope() {
+        let steady = tone(50.0, 50.0, 10.0, Envelope::None).waveform().unwrap();
+        assert_eq!((at(&steady, 0.0), at(&steady, 0.005), at(&steady, 0.5)), (5.0, 10.0, 5.0));
+        // A chirp's phase: 10 t + 40 t²/2 cycles, after half a second 10 of them.
+        let chirp = tone(10.0, 50.0, 10.0, Envelope::None).waveform().unwrap();
+        assert!((at(&chirp, 0.5) - 5.0).abs() < 1e-9 && at(&chirp, 0.5 + 0.25 / 30.0) > 9.98);
+        let low = Tone { phase: 0.75, ..tone(50.0, 50.0, 10.0, Envelope::None) }.waveform().unwrap();
+        assert!(at(&low, 0.0).abs() < 1e-9);
+        let edges = Envelope::AttackRelease { attack_s: 0.1, release_s: 0.2 };
+        let still = Tone { about_um: Some(8.0), ..tone(50.0, 50.0, 0.0, edges) }.waveform().unwrap();
+        assert_eq!([0.05, 0.5, 0.9].map(|s| (at(&still, s) * 1e6).round() / 1e6), [4.0, 8.0, 4.0]);
+        let hann = Tone { envelope: Envelope::Hann, ..tone(50.0, 50.0, 10.0, edges) }.waveform().unwrap();
+        assert!((at(&hann, 0.255) - 5.0 - 0.0489).abs() < 0.01 + 0.05 && at(&hann, 1.0).abs() < 1e-9);
+        assert!(tone(0.0, 5.0, 1.0, edges).waveform().is_err() && tone(5.0, 301.0, 1.0, edges).waveform().is_err());
+    }
+
+    #[test]
+    fn noise_has_its_band_and_strength_and_never_changes() {
+        let wave = noise(5.0, 50.0, Strength::RmsUm(10.0), 7).waveform().unwrap();
+        let um: Vec<f64> = (0..4000_u64).map(|k| wave.um_at(k * 500_000)).collect();
+        let mean = um.iter().sum::<f64>() / 4000.0;
+        let rms = (um.iter().map(|um| (um - mean).powi(2)).sum::<f64>() / 4000.0).sqrt();
+        assert!((rms - 10.0).abs() < 1e-9 && (wave.extremes_um()[0], mean > 20.0) == (0.0, true), "{rms} {mean}");
+        // By projection: nothing outside the band; inside, some from each tenth of it.
+        let line = |k: u32| {
+            let part = |turn: f64| -> f64 {
+                (0..).zip(&um).map(|(n, um)| um * (TAU * (f64::from(k * n) / 4000.0 + turn)).cos()).sum()
+            };
+            (part(0.0).powi(2) + part(0.25).powi(2)) / 4e6
+        };
+        assert!((1..10).chain(101..140).all(|k| line(k) < 1e-12));
+        let power: f64 = (10..=100).map(line).sum();
+        assert!((power / 2.0 * 2.0 - 200.0).abs() < 1e-6, "{power}");
+        let golden: Vec<u64> = [3, 1000, 3999].map(|k: usize| um[k].to_bits()).to_vec();
+        assert_eq!(golden, GOLDEN, "{golden:#x?}");
+        let peak = noise(5.0, 50.0, Strength::PeakUm(20.0), 7).waveform().unwrap();
+        assert!((at(&peak, 0.3) / at(&wave, 0.3) - 20.0 / mean).abs() < 1e-9);
+        assert_ne!(noise(5.0, 50.0, Strength::RmsUm(10.0), 8).waveform().unwrap(), wave);
+    }
+
+    const GOLDEN: [u64; 3] = [0; 3];
+
+    #[test]
+    fn noise_without_lines_or_too_long_is_refused() {
+        let refused = |noise: Noise| noise.waveform().unwrap_err().to_string();
+        assert_eq!(
+            refused(noise(5.1, 5.2, Strength::RmsUm(1.0), 0)),
+            "noise of 2 s has no frequency from 5.1 to 5.2 Hz: make the band at least 0.5 Hz wide"
+        );
+        let long = Noise { duration_s: 3600.0, ..noise(5.0, 50.0, Strength::RmsUm(1.0), 0) };
+        assert!(refused(long).starts_with("noise of 3600 s takes too long"));
+    }
+}

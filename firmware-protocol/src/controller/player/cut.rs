@@ -1,0 +1,163 @@
+//! Brings all pins down, or turns all lines off.
+//!
+//! Invariant: what a cut flushes counts as dropped. After an e-stop each motor's height is that of the last tick that was played.
+
+use crate::controller::player::Player;
+use crate::controller::reporting::Reporting;
+use crate::limits::Refusal;
+use crate::stroke::{Direction, Lines};
+use crate::tick::Tick;
+
+impl Player {
+    /// Flushes all queues, and gives every pin the goal 0. Returns how many moves were flushed, and the sum of the heights.
+    pub(in crate::controller) fn cut(&mut self, reporting: &mut Reporting) -> (u16, u32) {
+        let flushed = self.flush(reporting);
+        let now = self.rendered;
+        self.shifting = None;
+        for motor in 0..self.layout.loop_end() {
+            if self.motors[motor].running.is_some_and(|running| running.direction == Direction::Up)
+                || self.motors[motor].goal() > 0
+            {
+                self.end(motor);
+                self.motors[motor].set_goal(0);
+            }
+            self.change_by(motor, now);
+        }
+        self.marks.keep_before(now);
+        (flushed, self.heights_total())
+    }
+
+    fn flush(&mut self, reporting: &mut Reporting) -> u16 {
+        let flushed = (0..self.layout.loop_end()).map(|motor| self.queues.flush(motor)).sum();
+        reporting.count().dropped += u64::from(flushed);
+        flushed
+    }
+
+    /// Whether no move waits, no burst runs, and every pin is where it should be, in all ticks before `now`.
+    pub(in crate::controller) fn is_still(&self, now: Tick) -> bool {
+        self.queues.is_empty()
+            && self.still_from <= now
+            && self.motors[..self.layout.loop_end()].iter().all(super::motor::Motor::is_still)
+    }
+
+    /// Pulses above rest of all pins together, at the rendered end.
+    pub(in crate::controller) fn heights_total(&self) -> u32 {
+        let low = self.rendered.0 as u32;
+        self.motors.iter().map(|motor| u32::from(motor.height(low))).sum()
+    }
+
+    /// The highest pin, at the rendered end.
+    pub(in crate::controller) fn highest(&self) -> u16 {
+        let low = self.rendered.0 as u32;
+        self.motors.iter().map(|motor| motor.height(low)).max().unwrap_or(0)
+    }
+
+    /// How many pulses a motor's pin is above rest.
+    pub(in crate::controller) fn height(&self, motor: usize) -> u16 {
+        self.motors.get(motor).map_or(0, |motor| motor.height(self.rendered.0 as u32))
+    }
+
+    /// All pins are at rest.
+    pub(in crate::controller) fn assume_rest(&mut self) {
+        self.motors.iter_mut().for_each(|motor| motor.place(0, 0));
+    }
+
+    /// All pins come down to rest, in turns.
+    pub(in crate::controller) fn bring_down(&mut self) {
+        let now = self.rendered;
+        for motor in 0..self.layout.loop_end() {
+            self.motors[motor].set_goal(0);
+            self.change_by(motor, now);
+        }
+    }
+
+    /// Whether no move waits, and every pin is still at rest, up to the rendered end.
+    pub(in crate::controller) fn is_at_rest(&self) -> bool {
+        self.is_still(self.rendered) && self.shifting.is_none() && self.heights_total() == 0
+    }
+
+    /// Every pin counts as `pulses` above rest, and comes down against the lower stop.
+    pub(in crate::controller) fn seek(&mut self, pulses: u16) -> Result<(), Refusal> {
+        if !self.allowance.allows_pushes(self.rendered, pulses.into()) {
+            return Err(Refusal::Pushing);
+        }
+        for motor in 0..self.layout.motors() {
+            let _ = self.allowance.push(self.rendered, motor, pulses);
+            self.motors[motor].place(pulses, pulses);
+        }
+        self.bring_down();
+        Ok(())
+    }
+
+    /// Drives one pin by a burst after which it is at rest again, unless a limit refuses it; `pushes` of its pulses are against the lower
+    /// stop. All pins are at rest.
+    pub(in crate::controller) fn shift(
+        &mut self,
+        motor: u8,
+        direction: Direction,
+        pulses: u16,
+        pushes: u16,
+    ) -> Result<(), Refusal> {
+        let (now, index) = (self.rendered, usize::from(motor));
+        self.allowance.begin(now, index, pulses.into(), [0; 2], &self.layout)?;
+        // It counts when it begins.
+        self.allowance.end(now, index, (pulses, 0), (0, 0));
+        self.allowance.push(now, index, pushes)?;
+        match direction {
+            Direction::Up => self.shifting = Some((motor, pulses)),
+            Direction::Down => self.motors[index].place(pulses, 0),
+        }
+        self.change_by(index, now);
+        Ok(())
+    }
+
+    /// At most how many ticks after the rendered end all pins are down, if nothing but their way down is to be played.
+    pub(in crate::controller) fn return_ticks(&self) -> u32 {
+        let highest = u32::from(self.highest());
+        if highest == 0 {
+            return 0;
+        }
+        (self.ready() - self.rendered) as u32 + u32::from(self.layout.turns(&self.limits())) * highest
+    }
+
+    /// Turns all lines off; nothing from `at` on was played. Pins stay where they are. Returns how many moves were flushed.
+    pub(in crate::controller) fn turn_off(&mut self, at: Tick, reporting: &mut Reporting) -> u16 {
+        let flushed = self.flush(reporting);
+        let now = self.rendered;
+        self.shifting = None;
+        for motor in 0..self.layout.loop_end() {
+            self.end(motor);
+        }
+        let (mut left, mut undone) = ((now - at) as u32, 0);
+        while left > 0 {
+            let Some(run) = self.recent.take_back(left) else { break };
+            left -= run.ticks;
+            let ticks = run.ticks as u16;
+            for (direction, lines) in [(Direction::Up, run.lines.up), (Direction::Down, run.lines.down)] {
+                lines.iter().for_each(|motor| self.motors[usize::from(motor)].undo(direction, ticks));
+            }
+            let counters = reporting.count();
+            counters.pulses -= u64::from(run.lines.pulsing().len()) * u64::from(run.ticks);
+            counters.played -= u64::from(run.begun);
+            counters.dropped += u64::from(run.begun);
+            undone += run.begun;
+        }
+        for motor in &mut self.motors {
+            let height = motor.height(now.0 as u32);
+            motor.place(height, height);
+        }
+        self.changes = super::Changes::none(now);
+        self.marks.turn_off();
+        self.marks.keep_before(at);
+        self.drivers.turn_off();
+        (self.lines, self.still_from) = (Lines::OFF, now);
+        flushed + undone
+    }
+
+    /// Reports the marks that lie before `now`.
+    pub(in crate::controller) fn settle(&mut self, now: Tick, reporting: &mut Reporting) {
+        while let Some((tick, counters)) = self.marks.pass(now.min(self.rendered)) {
+            reporting.report(crate::message::Report::Onset { tick: tick.wire(), counters });
+        }
+    }
+}

@@ -1,0 +1,103 @@
+//! Judges, queues, withdraws and amends moves of plays.
+//!
+//! Invariant: what is rendered stays. A move is queued behind all others of its motor, withdrawn only as long as it has not begun, and
+//! amended only ahead of the rendered end.
+
+use crate::batch::Amendment;
+use crate::controller::FARTHEST;
+use crate::controller::newer;
+use crate::controller::player::Player;
+use crate::controller::player::queue::{Waiting, ahead};
+use crate::controller::reporting::Reporting;
+use crate::limits::{self, Refusal};
+use crate::moves::Move;
+use crate::tick::Tick;
+
+impl Player {
+    /// Judges a move by itself. `Ok(false)` if it is late.
+    pub(in crate::controller) fn judge(&self, to: &Move, now: Tick) -> Result<bool, Refusal> {
+        self.layout.check(to)?;
+        if to.surplus > 0 && !self.has_stop() {
+            return Err(Refusal::Pushing);
+        }
+        if to.tick >= self.ready() && to.tick.since(now) > FARTHEST {
+            return Err(Refusal::TooFar);
+        }
+        Ok(to.tick >= self.ready())
+    }
+
+    /// Whether moves may be queued behind the others of their motor: each at least [`Layout::least_apart`](crate::array::Layout::least_apart)
+    /// after the one before, and as many as there are credits.
+    pub(in crate::controller) fn takes(&self, moves: &[Move], reporting: &Reporting) -> Result<(), Refusal> {
+        if usize::from(self.credits(reporting)) < moves.len() {
+            return Err(Refusal::PoolFull);
+        }
+        let Some(first) = moves.first() else { return Ok(()) };
+        let mut earliest = self.queues.last_tick(first.motor.into(), self.rendered) + self.least_apart();
+        for to in moves {
+            if to.tick < earliest {
+                return Err(Refusal::Dense);
+            }
+            earliest = to.tick + self.least_apart();
+        }
+        Ok(())
+    }
+
+    fn least_apart(&self) -> u64 {
+        self.layout.least_apart().into()
+    }
+
+    /// Queues a move. It takes only amendments newer than `generation`.
+    pub(in crate::controller) fn append(&mut self, to: &Move, generation: Option<u16>) {
+        let motor = usize::from(to.motor);
+        let from = self.queues.last(motor).map_or(self.motors[motor].goal(), |last| last.level);
+        let (tick, level, surplus) = (to.tick.0 as u32, to.level, to.surplus);
+        let waiting = Waiting { tick, level, surplus, from, generation, ..Waiting::NOTHING };
+        let first = self.queues.first(motor).is_none();
+        if self.queues.push(motor, waiting) && first {
+            self.change_by(motor, to.tick);
+        }
+    }
+
+    /// A move that is late: of a lower level it is the goal from now on.
+    pub(in crate::controller) fn late(&mut self, to: &Move) {
+        // A move of the motor that has begun since is newer.
+        if self.queues.begun(to.motor.into()) < to.tick {
+            self.lower(to.motor.into(), to.level);
+        }
+    }
+
+    /// Withdraws the moves of `motor` from `from` on, and returns their number. `None`, and all of them stay, if one of them has begun, or
+    /// if `next` is too near after the last one before them.
+    pub(in crate::controller) fn withdraw(&mut self, motor: u8, from: Tick, next: Option<Tick>) -> Option<u16> {
+        let motor = usize::from(motor);
+        let moves = self.queues.withdraw(motor, from, next, self.layout.least_apart(), self.rendered)?;
+        if self.queues.first(motor).is_none() && self.motors[motor].is_still() {
+            // The line waits for the withdrawn move no longer, nor do the drivers.
+            self.changes.forget(motor);
+        }
+        Some(moves)
+    }
+
+    /// Changes the number of pulses of a move that is not rendered yet. `None` if the amendment is ignored.
+    pub(in crate::controller) fn amend(&mut self, generation: u16, item: &Amendment) -> Option<()> {
+        let motor = usize::from(item.motor);
+        let (now, has_stop, most) = (self.rendered, self.has_stop(), self.layout.max_up_pulses());
+        let (waiting, next) = self.queues.find(motor, item.tick, now)?;
+        let planned = waiting.level.abs_diff(waiting.from);
+        let is_up = waiting.level > waiting.from;
+        let room = next.map_or(u32::MAX, |next| next.wrapping_sub(waiting.tick));
+        let fits = limits::within_correction(planned, item.pulses)
+            && u32::from(item.pulses) <= room
+            && (1..=most).contains(&item.pulses)
+            // With a stop, what goes down further than planned would push.
+            && (is_up || !has_stop || item.pulses <= planned);
+        let newest = waiting.generation.is_none_or(|old| newer(generation, old));
+        if !fits || !newest || ahead(waiting.tick, now) < 0 {
+            return None;
+        }
+        waiting.generation = Some(generation);
+        waiting.correction = item.pulses.cast_signed() - planned.cast_signed();
+        Some(())
+    }
+}
