@@ -8,8 +8,9 @@
 //! 4. [`strokes`]: compiles a pattern to strokes at exact ticks. The streamer, the simulated motors and the skin model all use it.
 //! 5. [`motor`]: the model of an ideal motor: a square wave becomes bursts of pulses, bursts become displacement.
 //! 6. [`displacement`]: samples of the pins' displacement in a play, by ideal motors.
-//! 7. [`simulated`]: the simulated motors of an array, with scatter, asymmetry, end stops and telemetry.
-//! 8. [`power`]: how many motors have pulses at once, and the current of a rail.
+//! 7. [`motion`]: any waveform of displacement, compiled to moves, and what a motor reaches of it.
+//! 8. [`simulated`]: the simulated motors of an array, with scatter, asymmetry, end stops and telemetry.
+//! 9. [`power`]: how many motors have pulses at once, and the current of a rail.
 //!
 //! [`units`] converts seconds, ticks and micrometres. [`random`] makes random numbers that depend on a key alone.
 //!
@@ -46,6 +47,7 @@
 //! ```
 
 pub mod displacement;
+pub mod motion;
 pub mod motor;
 pub mod pattern;
 pub mod per_motor;

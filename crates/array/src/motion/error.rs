@@ -44,7 +44,9 @@ pub enum MotionError {
         high_hz: f64,
     },
     /// Noise that would take too long to make.
-    #[error("noise of {seconds} s takes too long to make: make it shorter or its band narrower, or give its samples")]
+    #[error(
+        "noise of {seconds} s takes too long to make: make it shorter or its band narrower, or give its samples"
+    )]
     TooLong {
         /// The duration.
         seconds: f64,
@@ -53,7 +55,17 @@ pub enum MotionError {
 
 impl MotionError {
     /// Checks that a value is a number in a range.
-    pub(super) fn check(what: &'static str, unit: &'static str, value: f64, least: f64, most: f64) -> Result<(), Self> {
-        if (least..=most).contains(&value) { Ok(()) } else { Err(Self::Range { what, unit, value, least, most }) }
+    pub(super) fn check(
+        what: &'static str,
+        unit: &'static str,
+        value: f64,
+        least: f64,
+        most: f64,
+    ) -> Result<(), Self> {
+        if (least..=most).contains(&value) {
+            Ok(())
+        } else {
+            Err(Self::Range { what, unit, value, least, most })
+        }
     }
 }

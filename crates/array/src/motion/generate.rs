@@ -177,7 +177,8 @@ impl Envelope {
             Self::None => 1.0,
             Self::Hann => 0.5 - 0.5 * libm::cos(TAU * after_s / duration_s),
             Self::AttackRelease { attack_s, release_s } => {
-                let edge = |passed_s: f64, edge_s: f64| if passed_s >= edge_s { 1.0 } else { passed_s / edge_s };
+                let edge =
+                    |passed_s: f64, edge_s: f64| if passed_s >= edge_s { 1.0 } else { passed_s / edge_s };
                 edge(after_s, attack_s) * edge(duration_s - after_s, release_s)
             }
         }
@@ -185,7 +186,11 @@ impl Envelope {
 }
 
 /// The number of intervals and their length, of samples that end exactly at the duration.
-#[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "the cast is the floor, and saturates")]
+#[expect(
+    clippy::cast_possible_truncation,
+    clippy::cast_sign_loss,
+    reason = "the cast is the floor, and saturates"
+)]
 fn sampling(duration_s: f64, highest_hz: f64) -> Result<(u32, f64), MotionError> {
     MotionError::check("duration_s", "s", duration_s, 1.0 / LEAST_RATE_HZ, MAX_SECONDS)?;
     let rate_hz = (PER_PERIOD * highest_hz).clamp(LEAST_RATE_HZ, *RATE_HZ.end());
@@ -267,7 +272,11 @@ impl Noise {
     }
 
     /// The sum of the lines, not scaled, at each end of so many intervals.
-    #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "at most 300 Hz times MAX_SECONDS")]
+    #[expect(
+        clippy::cast_possible_truncation,
+        clippy::cast_sign_loss,
+        reason = "at most 300 Hz times MAX_SECONDS"
+    )]
     fn lines(&self, intervals: u32) -> Result<Vec<f64>, MotionError> {
         let seconds = self.duration_s;
         // Edges that are lines count, whatever the rounding.
@@ -321,7 +330,10 @@ pub(super) mod tests {
         let ramp = RampHold { start_s, to_um, rise_s, hold_s, fall_s, shape: Shape::Linear };
         let linear = ramp.waveform().unwrap();
         assert_eq!(linear.knots().len(), 4);
-        assert_eq!([0.1, 0.125, 0.15, 0.35, 0.4, 0.45].map(|s| at(&linear, s)), [0.0, 100.0, 200.0, 200.0, 100.0, 0.0]);
+        assert_eq!(
+            [0.1, 0.125, 0.15, 0.35, 0.4, 0.45].map(|s| at(&linear, s)),
+            [0.0, 100.0, 200.0, 200.0, 100.0, 0.0]
+        );
         let cosine = RampHold { shape: Shape::Cosine, ..ramp }.waveform().unwrap();
         assert!((at(&cosine, 0.1125) - 200.0 * (0.5 - 0.125_f64.sqrt())).abs() < 0.06);
         assert!((at(&cosine, 0.4) - 100.0).abs() < 1e-6);
@@ -343,7 +355,10 @@ pub(super) mod tests {
         assert_eq!([0.05, 0.5, 0.9].map(|s| (at(&still, s) * 1e6).round() / 1e6), [4.0, 8.0, 4.0]);
         let hann = Tone { envelope: Envelope::Hann, ..tone(50.0, 50.0, 10.0, edges) }.waveform().unwrap();
         assert!((at(&hann, 0.255) - 5.0 - 0.0489).abs() < 0.01 + 0.05 && at(&hann, 1.0).abs() < 1e-9);
-        assert!(tone(0.0, 5.0, 1.0, edges).waveform().is_err() && tone(5.0, 301.0, 1.0, edges).waveform().is_err());
+        assert!(
+            tone(0.0, 5.0, 1.0, edges).waveform().is_err()
+                && tone(5.0, 301.0, 1.0, edges).waveform().is_err()
+        );
     }
 
     #[test]
@@ -352,7 +367,10 @@ pub(super) mod tests {
         let um: Vec<f64> = (0..4000_u64).map(|k| wave.um_at(k * 500_000)).collect();
         let mean = um.iter().sum::<f64>() / 4000.0;
         let rms = (um.iter().map(|um| (um - mean).powi(2)).sum::<f64>() / 4000.0).sqrt();
-        assert!((rms - 10.0).abs() < 1e-9 && (wave.extremes_um()[0], mean > 20.0) == (0.0, true), "{rms} {mean}");
+        assert!(
+            (rms - 10.0).abs() < 1e-9 && (wave.extremes_um()[0], mean > 20.0) == (0.0, true),
+            "{rms} {mean}"
+        );
         // By projection: nothing outside the band; inside, some from each tenth of it.
         let line = |k: u32| {
             let part = |turn: f64| -> f64 {

@@ -15,6 +15,6 @@ mod waveform;
 
 pub use error::MotionError;
 pub use generate::{Envelope, Noise, RampHold, Shape, Strength, Tone};
-pub use moves::{Grid, Moves};
+pub use moves::{Compiled, Grid, Moves, compile};
 pub use reached::{Deviation, Path, Reached};
 pub use waveform::{Knot, MAX_KNOTS, RATE_HZ, Waveform};

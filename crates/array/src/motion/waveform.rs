@@ -102,14 +102,16 @@ impl Waveform {
     /// # Errors
     /// More than [`MAX_KNOTS`] knots.
     pub fn sum(parts: &[Self]) -> Result<Self, MotionError> {
-        let mut instants: Vec<u64> = parts.iter().flat_map(|part| part.knots.iter().map(|knot| knot.ns)).collect();
+        let mut instants: Vec<u64> =
+            parts.iter().flat_map(|part| part.knots.iter().map(|knot| knot.ns)).collect();
         instants.sort_unstable();
         instants.dedup();
         let mut knots = Vec::with_capacity(instants.len() + 2);
         for ns in instants {
-            let [before, after] = parts.iter().map(|part| part.um_around(ns)).fold([0.0; 2], |sum, um| {
-                [sum[0] + um[0], sum[1] + um[1]]
-            });
+            let [before, after] = parts
+                .iter()
+                .map(|part| part.um_around(ns))
+                .fold([0.0; 2], |sum, um| [sum[0] + um[0], sum[1] + um[1]]);
             knots.push(Knot { ns, um: before });
             if before != after {
                 knots.push(Knot { ns, um: after });
@@ -196,7 +198,10 @@ mod tests {
         let wave = Waveform::samples(0.01, 1000.0, &[2.0, 4.0, 0.0]).unwrap();
         let at = |us: u64| wave.um_around(us * 1000);
         assert_eq!([at(9_999), at(10_000), at(10_500)], [[0.0; 2], [0.0, 2.0], [3.0; 2]]);
-        assert_eq!([at(11_000), at(11_250), at(12_000), at(13_000)], [[4.0; 2], [3.0; 2], [0.0; 2], [0.0; 2]]);
+        assert_eq!(
+            [at(11_000), at(11_250), at(12_000), at(13_000)],
+            [[4.0; 2], [3.0; 2], [0.0; 2], [0.0; 2]]
+        );
         assert_eq!((wave.span_ns(), wave.extremes_um()), (Some((10 * MS, 12 * MS)), [0.0, 4.0]));
         // A trapezium and a triangle, over 4 ms.
         assert!((wave.mean_um(9 * MS, 13 * MS) - (3.0 + 2.0) / 4.0).abs() < 1e-12);
@@ -216,9 +221,8 @@ mod tests {
 
     #[test]
     fn what_is_no_waveform_is_refused_with_its_name() {
-        let refused = |start_s, rate_hz, um: &[f64]| {
-            Waveform::samples(start_s, rate_hz, um).unwrap_err().to_string()
-        };
+        let refused =
+            |start_s, rate_hz, um: &[f64]| Waveform::samples(start_s, rate_hz, um).unwrap_err().to_string();
         assert_eq!(refused(0.0, 0.5, &[1.0; 3]), "rate_hz is 0.5 Hz: must be 1 to 8000 Hz");
         assert_eq!(refused(-1.0, 5.0, &[1.0; 3]), "start_s is -1 s: must be 0 to 100000000 s");
         assert_eq!(refused(0.0, 5.0, &[1.0]), "1 samples: must be 2 to 4194302");

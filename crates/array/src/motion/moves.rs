@@ -1,0 +1,306 @@
+//! Compiles a waveform to moves: at each tick of a grid, the level that the pin should go to.
+//!
+//! A motor pulses once a tick, so a move of d pulses is a ramp of d ticks at full speed, and the rest of the step of S ticks is still.
+//! A slow waveform becomes a staircase, a fast one hardly any: a level that is the waveform's value at either end of the step would lead
+//! or lag by a time that depends on the speed, which is distortion. So the level is chosen such that pin and waveform have the same mean
+//! over the step while the waveform's speed s, in pulses per tick, is steady:
+//!
+//!     level = mean of h over the step + S s|s| / 2
+//!
+//! At full speed that is h at the end of the step, for a slow waveform h in its middle. The mean is exact, and keeps what is faster than
+//! the grid from becoming slow motion. Levels are absolute, so whatever one move leaves, by rounding or because the step was too short,
+//! is in the difference that the next one makes. A motor's grid begins at tick 0, as every motor's.
+//!
+//! A move is made if the level is off by (`least_pulses` + 1)/2 or more, and is at least `least_pulses` long unless it goes to 0. One
+//! pulse of that is hysteresis: without it a waveform that stays half-way would make the pin go up and down.
+//!
+//! Invariant: levels are 0 to `most_pulses`, ticks are strictly in order, no two moves are further apart in level than in ticks, and the
+//! last level is 0. All ticks are multiples of the step.
+
+use super::error::MotionError;
+use super::reached::Reached;
+use super::waveform::Waveform;
+use crate::spec::{Array, MotorSpec};
+use crate::units::TickRate;
+use firmware_protocol::moves::Move;
+use firmware_protocol::tick::Tick;
+
+/// The steps that [`compile`] tries, ms. Shorter ones are more moves than the link takes from 24 motors, longer ones do not vanish in
+/// the motor's average of 4.3 ms.
+const STEPS_MS: [u64; 4] = [4, 3, 2, 1];
+
+/// Instants at which moves begin: the multiples of a step, for all motors of a play, so that many moves share a row on the wire.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Grid {
+    /// The step, at least 1.
+    pub step_ticks: u32,
+}
+
+/// The moves of a play's motors, and what each will reach.
+#[derive(Clone, Debug)]
+pub struct Compiled {
+    /// The grid of all moves.
+    pub grid: Grid,
+    /// For each motor that was given, in that order: its moves, from tick 0 on.
+    pub moves: Vec<Vec<Move>>,
+    /// For each motor, what it reaches.
+    pub reached: Vec<Reached>,
+}
+
+/// Compiles the waveforms of some motors on the coarsest grid, of 1 to 4 ms, on which each pin stays within `error_um` of what the
+/// motor can do at best ([`Reached::step_error_um`], measured from the moves); `None`: a burst of `least_pulses`. If none does, on the
+/// finest grid: compare `step_error_um` to know.
+///
+/// # Errors
+/// If `error_um` is not above 0.
+///
+/// # Panics
+/// If the array has no such motor.
+pub fn compile(
+    array: Array,
+    motors: &[(u8, &Waveform)],
+    error_um: Option<f64>,
+) -> Result<Compiled, MotionError> {
+    let error_um = error_um.unwrap_or(f64::from(array.motor().least_pulses) * array.motor().um_per_pulse);
+    MotionError::check("error_um", "um", error_um, array.motor().um_per_pulse / 2.0, f64::MAX)?;
+    for step_ms in STEPS_MS {
+        let grid = Grid::of_ms(array, step_ms);
+        let mut compiled = Compiled { grid, moves: Vec::new(), reached: Vec::new() };
+        for (motor, waveform) in motors {
+            let moves: Vec<_> = Moves::new(array, *motor, waveform, grid).collect();
+            let reached = Reached::of(array, waveform, &moves);
+            let is_within = reached.step_error_um <= error_um;
+            compiled.moves.push(moves);
+            compiled.reached.push(reached);
+            if !is_within && step_ms > 1 {
+                break;
+            }
+        }
+        if compiled.moves.len() == motors.len() && (step_ms == 1 || compiled.all_within(error_um)) {
+            return Ok(compiled);
+        }
+    }
+    unreachable!("the finest grid is taken whatever its error")
+}
+
+impl Compiled {
+    /// Whether each pin stays within so many µm of what its motor can do at best.
+    #[must_use]
+    pub fn all_within(&self, error_um: f64) -> bool {
+        self.reached.iter().all(|reached| reached.step_error_um <= error_um)
+    }
+}
+
+impl Grid {
+    /// The multiples of so many milliseconds, rounded up to ticks.
+    #[must_use]
+    #[expect(clippy::cast_possible_truncation, reason = "a few ms")]
+    pub fn of_ms(array: Array, ms: u64) -> Self {
+        Self { step_ticks: array.rate().of_ms(ms) as u32 }
+    }
+}
+
+/// A tick in nanoseconds, rounded.
+#[expect(clippy::cast_possible_truncation, reason = "584 years")]
+pub(super) fn ns_at(tick: u64, rate: TickRate) -> u64 {
+    let hz = u128::from(rate.hz());
+    ((u128::from(tick) * 1_000_000_000 + hz / 2) / hz) as u64
+}
+
+/// The first tick at or after so many nanoseconds.
+#[expect(clippy::cast_possible_truncation, reason = "584 years")]
+pub(super) fn tick_of(ns: u64, rate: TickRate) -> u64 {
+    (u128::from(ns) * u128::from(rate.hz())).div_ceil(1_000_000_000) as u64
+}
+
+/// The moves of one motor that follow a waveform, in order of time; see the module. Surplus is 0.
+#[derive(Clone, Debug)]
+pub struct Moves<'a> {
+    waveform: &'a Waveform,
+    rate: TickRate,
+    spec: &'static MotorSpec,
+    motor: u8,
+    step: u32,
+    /// The step's number, and the first one that begins after the waveform.
+    number: u64,
+    over: u64,
+    level: u16,
+}
+
+impl<'a> Moves<'a> {
+    /// The moves of this motor with the waveform's time 0 at tick 0.
+    ///
+    /// # Panics
+    /// If the grid's step is 0.
+    #[must_use]
+    pub fn new(array: Array, motor: u8, waveform: &'a Waveform, grid: Grid) -> Self {
+        let (rate, step) = (array.rate(), grid.step_ticks);
+        let (from, to) = waveform.span_ns().map_or((0, 0), |(from, to)| {
+            // Rounding to ns may put the beginning just after a tick of the grid.
+            (tick_of(from, rate).saturating_sub(1) / u64::from(step), tick_of(to, rate).div_ceil(step.into()))
+        });
+        Self { waveform, rate, spec: array.spec().motor(), motor, step, number: from, over: to, level: 0 }
+    }
+
+    /// The level that the module's rule gives for a step, pulses.
+    fn wanted(&self, start: u64) -> f64 {
+        let step = f64::from(self.step);
+        let [from, to] = [start, start + u64::from(self.step)].map(|tick| ns_at(tick, self.rate));
+        let rise = self.waveform.um_around(to)[0] - self.waveform.um_at(from);
+        let speed = (self.spec.pulses(rise) / step).clamp(-1.0, 1.0);
+        self.spec.pulses(self.waveform.mean_um(from, to)) + step * speed * speed.abs() / 2.0
+    }
+
+    /// The level to go to for a wanted one.
+    #[expect(clippy::cast_possible_truncation, reason = "0 to most_pulses")]
+    fn next_level(&self, wanted: f64) -> u16 {
+        let (least, most) = (i32::from(self.spec.least_pulses), i32::from(self.spec.most_pulses));
+        let level = i32::from(self.level);
+        let enough = (f64::from(least) + 1.0) / 2.0;
+        let wanted = wanted.clamp(0.0, f64::from(most));
+        let off = wanted - f64::from(level);
+        let goal = if wanted < enough {
+            0
+        } else if off.abs() < enough {
+            level
+        } else if off.abs() < f64::from(least) {
+            (level + if off > 0.0 { least } else { -least }).max(0)
+        } else {
+            wanted.round() as i32
+        };
+        // At the top there may be no room for the shortest burst.
+        let goal = if goal > most { level } else { goal };
+        let reach = i32::try_from(self.step).unwrap_or(i32::MAX);
+        u16::try_from(level + (goal - level).clamp(-reach, reach)).expect("between two levels")
+    }
+}
+
+impl Iterator for Moves<'_> {
+    type Item = Move;
+
+    fn next(&mut self) -> Option<Move> {
+        loop {
+            let tick = self.number * u64::from(self.step);
+            let level = if self.number < self.over {
+                self.next_level(self.wanted(tick))
+            } else if self.level > 0 {
+                self.next_level(0.0)
+            } else {
+                return None;
+            };
+            self.number += 1;
+            if level != self.level {
+                self.level = level;
+                return Some(Move { motor: self.motor, tick: Tick(tick), level, surplus: 0 });
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::motion::generate::tests::{noise, tone};
+    use crate::motion::{Envelope, RampHold, Shape, Strength};
+    use crate::spec::names;
+    use proptest::prelude::*;
+
+    fn paper(waveform: &Waveform, ms: u64) -> Vec<(u64, u16)> {
+        let grid = Grid::of_ms(Array::paper(), ms);
+        Moves::new(Array::paper(), 9, waveform, grid).map(|of| (of.tick.0, of.level)).collect()
+    }
+
+    fn ramp() -> RampHold {
+        let (start_s, to_um, rise_s, hold_s, fall_s) = (0.1, 200.0, 0.05, 0.2, 0.05);
+        RampHold { start_s, to_um, rise_s, hold_s, fall_s, shape: Shape::Linear }
+    }
+
+    #[test]
+    fn a_ramp_is_even_steps_and_its_hold_has_no_moves() {
+        let moves = paper(&ramp().waveform().unwrap(), 2);
+        // 1473.7 pulses in 25 steps: 58.9 each, but for the first, which begins in the middle, and the last.
+        assert_eq!((moves.len(), moves[0].0, moves[25]), (52, 8500, (12_750, 1474)));
+        assert!(moves[1..25].windows(2).all(|two| (58..=60).contains(&(two[1].1 - two[0].1))), "{moves:?}");
+        assert_eq!((moves[26].0, moves[51]), (29_750, (34_000, 0)));
+    }
+
+    #[test]
+    fn a_jump_on_the_grid_begins_at_its_tick_and_goes_at_full_speed() {
+        let jump = RampHold { rise_s: 0.0, fall_s: 0.0, to_um: 190.0 * 0.95 / 7.0, ..ramp() };
+        let expected = [(8500, 170), (8670, 190), (25_500, 20), (25_670, 0)];
+        assert_eq!(paper(&jump.waveform().unwrap(), 2), expected);
+    }
+
+    #[test]
+    fn ten_hours_on_the_moves_are_the_same() {
+        let um: Vec<f64> = (0..500).map(|k| 40.0 + 30.0 * f64::from(k * 37 % 100) / 100.0).collect();
+        let moves = |start_s| paper(&Waveform::samples(start_s, 437.0, &um).unwrap(), 3);
+        let later = moves(36_000.0);
+        assert_eq!(
+            moves(0.0).iter().map(|(tick, level)| (tick + 36_000 * 85_000, *level)).collect::<Vec<_>>(),
+            later
+        );
+    }
+
+    #[test]
+    fn what_stays_or_hardly_moves_makes_no_moves() {
+        let hover = |um: f64| {
+            let um: Vec<f64> = (0..1000).map(|k| um + 0.06 * f64::from(k % 2)).collect();
+            paper(&Waveform::samples(0.0, 1000.0, &um).unwrap(), 1).len()
+        };
+        // Up and down once, at whatever height: also where rounding would change from sample to sample.
+        assert!((0..200).map(|k| 3.0 + f64::from(k) * 0.01).all(|um| hover(um) <= 4));
+        assert_eq!((paper(&Waveform::default(), 1).len(), hover(0.3)), (0, 0));
+    }
+
+    #[test]
+    fn the_coarsest_grid_within_the_error_is_taken() {
+        let array = Array::paper();
+        let (slow, fast) =
+            (ramp().waveform().unwrap(), tone(40.0, 40.0, 80.0, Envelope::Hann).waveform().unwrap());
+        let step = |motors: &[(u8, &Waveform)], error_um| {
+            let compiled = compile(array, motors, error_um).unwrap();
+            assert!(compiled.all_within(error_um.unwrap_or(0.95)), "{:?}", compiled.reached);
+            assert_eq!(compiled.moves.len(), motors.len());
+            compiled.grid.step_ticks / 85
+        };
+        assert_eq!((step(&[(3, &slow)], None), step(&[(4, &fast)], None)), (2, 1));
+        assert_eq!(
+            (step(&[(3, &slow), (4, &fast)], None), step(&[(3, &slow), (4, &fast)], Some(8.0))),
+            (1, 4)
+        );
+        // Noise that is too fast at places: no grid is within so little, and the result says so.
+        let rough = noise(5.0, 150.0, Strength::RmsUm(15.0), 1).waveform().unwrap();
+        let compiled = compile(array, &[(0, &rough)], Some(0.1)).unwrap();
+        assert!(compiled.grid.step_ticks == 85 && !compiled.all_within(0.1));
+        assert!(compile(array, &[(0, &rough)], Some(0.0)).is_err() && compile(array, &[], None).is_ok());
+    }
+
+    proptest! {
+        #[test]
+        fn moves_are_in_range_in_order_not_too_fast_and_end_at_rest(
+            name in prop::sample::select(names()),
+            start_s in 0.0..5000.0,
+            rate_hz in 1.0..8000.0,
+            (scale, um) in (0.1..600.0, prop::collection::vec(-0.5..1.2, 2..200)),
+            ms in 1_u64..5,
+        ) {
+            let array = Array::named(name).unwrap();
+            let um: Vec<f64> = um.into_iter().map(|share: f64| share * scale).collect();
+            // At low rates so few samples that the test takes no longer.
+            let count = um.len().min(2 + (rate_hz / 2.0) as usize);
+            let waveform = Waveform::samples(start_s, rate_hz, &um[..count]).unwrap();
+            let grid = Grid::of_ms(array, ms);
+            let (mut level, mut next) = (0, 0);
+            for each in Moves::new(array, 2, &waveform, grid) {
+                prop_assert!(each.tick.0 >= next && each.tick.0.is_multiple_of(grid.step_ticks.into()));
+                prop_assert!(each.level <= array.motor().most_pulses);
+                let pulses = each.level.abs_diff(level);
+                prop_assert!(u32::from(pulses) <= grid.step_ticks);
+                prop_assert!(pulses >= array.motor().least_pulses || each.level == 0);
+                (level, next) = (each.level, each.tick.0 + u64::from(grid.step_ticks));
+            }
+            prop_assert_eq!(level, 0);
+        }
+    }
+}
