@@ -6,7 +6,7 @@
 //! Invariant: equal settings give equal samples, bit for bit, on every machine: all functions are those of `libm`.
 
 use super::error::MotionError;
-use super::waveform::{RATE_HZ, Waveform};
+use super::waveform::{MAX_SAMPLES, RATE_HZ, Waveform};
 use crate::motor::MAX_AMPLITUDE_UM;
 use crate::pattern::{FREQUENCY_HZ, MAX_SECONDS};
 use crate::random;
@@ -195,6 +195,10 @@ fn sampling(duration_s: f64, highest_hz: f64) -> Result<(u32, f64), MotionError>
     MotionError::check("duration_s", "s", duration_s, 1.0 / LEAST_RATE_HZ, MAX_SECONDS)?;
     let rate_hz = (PER_PERIOD * highest_hz).clamp(LEAST_RATE_HZ, *RATE_HZ.end());
     let intervals = (duration_s * rate_hz).ceil() as u32;
+    let samples = usize::try_from(intervals).unwrap_or(usize::MAX).saturating_add(1);
+    if samples > MAX_SAMPLES {
+        return Err(MotionError::Samples { samples, most: MAX_SAMPLES });
+    }
     Ok((intervals, duration_s / f64::from(intervals)))
 }
 
@@ -207,10 +211,7 @@ fn shaped(
     of: impl Fn(u32, f64) -> f64,
 ) -> Result<Waveform, MotionError> {
     envelope.check()?;
-    let intervals = usize::try_from(intervals).unwrap_or(usize::MAX);
-    let points = (0..=intervals).map(|number| {
-        #[expect(clippy::cast_possible_truncation, reason = "it was a u32")]
-        let number = number as u32;
+    let points = (0..intervals + 1).map(|number| {
         let after_s = f64::from(number) * step_s;
         (after_s, envelope.at(after_s, duration_s) * of(number, after_s))
     });

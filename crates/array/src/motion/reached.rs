@@ -213,3 +213,146 @@ fn busiest(moves: &[Move], ticks: u64) -> usize {
     };
     moves.iter().enumerate().map(count).max().unwrap_or(0)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::motion::generate::tests::{noise, tone};
+    use crate::motion::{Envelope, Grid, Moves, RampHold, Shape, Strength, compile};
+    use crate::spec::names;
+    use std::f64::consts::{PI, TAU};
+
+    /// The displacement at each tick of a second, by the paper's motor on this grid; of a play that begins at 0.
+    fn second_um(waveform: &Waveform, ms: u64) -> Vec<f64> {
+        let array = Array::paper();
+        let moves: Vec<_> = Moves::new(array, 9, waveform, Grid::of_ms(array, ms)).collect();
+        let mut path = Path::new(array, &moves);
+        (0..85_000).map(|tick| path.um_at(HalfTick(2 * tick))[1]).collect()
+    }
+
+    /// Amplitude of a whole number of cycles, by projection on sine and cosine.
+    fn amplitude(um: &[f64], cycles: f64) -> f64 {
+        let count = um.len() as f64;
+        let part = |shift: f64| -> f64 {
+            um.iter().enumerate().map(|(n, um)| um * (TAU * cycles * n as f64 / count + shift).cos()).sum()
+        };
+        2.0 / count * part(0.0).hypot(part(PI / 2.0))
+    }
+
+    fn ramp(to_um: f64, seconds: f64) -> Waveform {
+        let (start_s, hold_s, shape) = (0.1, 0.2, Shape::Linear);
+        RampHold { start_s, to_um, rise_s: seconds, hold_s, fall_s: seconds, shape }.waveform().unwrap()
+    }
+
+    fn reached(waveform: &Waveform, error_um: Option<f64>) -> Reached {
+        compile(Array::paper(), &[(9, waveform)], error_um).unwrap().reached.remove(0)
+    }
+
+    #[test]
+    fn a_ramp_of_200_um_in_50_ms_is_followed() {
+        let found = reached(&ramp(200.0, 0.05), None);
+        assert!(found.step_error_um < 0.95 && found.from_filtered.peak_um < 0.95, "{found:?}");
+        assert!(found.from_filtered.correlation.unwrap() > 0.9999 && found.too_slow_s.is_empty());
+        // In the ramp, a moving average over 4.3 ms is 2.15 ms late; after it, it has arrived.
+        let um = second_um(&ramp(200.0, 0.05), 2);
+        let at = |ms: f64| um[(ms * 85.0) as usize];
+        assert!((at(125.0) - 4.0 * (25.0 - 2.15)).abs() < 0.95, "{}", at(125.0));
+        assert!((at(155.0) - 200.0).abs() < 0.5 && at(404.5).abs() < 1e-9);
+        assert!((found.from_asked.peak_um - 4.0 * 2.15).abs() < 1.0);
+    }
+
+    #[test]
+    fn a_hann_burst_of_40_hz_has_no_third_harmonic() {
+        for (amplitude_um, ms) in [(80.0, 1), (40.0, 1), (20.0, 2)] {
+            let um = second_um(&tone(40.0, 40.0, amplitude_um, Envelope::Hann).waveform().unwrap(), ms);
+            let [first, third] = [40.0, 120.0].map(|cycles| amplitude(&um, cycles));
+            let db = 20.0 * (third / first).log10();
+            println!("Hann 40 Hz, {amplitude_um} um, {ms} ms: third harmonic {db:.1} dB");
+            assert!(db < -40.0, "{amplitude_um} um: {db}");
+            // Half the amplitude, half the envelope, and the mean over 4.3 ms of a sine of 40 Hz.
+            let expected = amplitude_um / 4.0 * (PI * 40.0 * 0.0043).sin() / (PI * 40.0 * 0.0043);
+            assert!((first / expected - 1.0).abs() < 0.01, "{first} instead of {expected}");
+        }
+    }
+
+    #[test]
+    fn chirps_and_noise_are_followed() {
+        let chirp = reached(&tone(10.0, 200.0, 15.0, Envelope::None).waveform().unwrap(), Some(0.5));
+        assert!(chirp.from_filtered.correlation.unwrap() > 0.998 && chirp.step_error_um < 1.5, "{chirp:?}");
+        for (rms_um, ms) in [(10.0, 1), (10.0, 4), (2.0, 1)] {
+            let wave = noise(5.0, 50.0, Strength::RmsUm(rms_um), 3).waveform().unwrap();
+            let array = Array::paper();
+            let moves: Vec<_> = Moves::new(array, 9, &wave, Grid::of_ms(array, ms)).collect();
+            let found = Reached::of(array, &wave, &moves);
+            assert!(found.from_filtered.correlation.unwrap() >= 0.98, "{rms_um} um, {ms} ms: {found:?}");
+        }
+    }
+
+    #[test]
+    fn a_finer_grid_costs_moves_and_saves_error() {
+        let array = Array::paper();
+        let waves = [
+            ("ramp 200 um in 50 ms", ramp(200.0, 0.05)),
+            ("Hann 40 Hz, 80 um", tone(40.0, 40.0, 80.0, Envelope::Hann).waveform().unwrap()),
+            ("Hann 40 Hz, 20 um", tone(40.0, 40.0, 20.0, Envelope::Hann).waveform().unwrap()),
+            ("chirp 10-200 Hz, 15 um", tone(10.0, 200.0, 15.0, Envelope::Hann).waveform().unwrap()),
+            ("noise 5-50 Hz, 10 um", noise(5.0, 50.0, Strength::RmsUm(10.0), 3).waveform().unwrap()),
+            ("noise 5-50 Hz, 3 um", noise(5.0, 50.0, Strength::RmsUm(3.0), 3).waveform().unwrap()),
+        ];
+        println!("waveform               | step ms | moves/s | busiest | RMS um |  RMS % | r      | step error um");
+        for (name, wave) in waves {
+            let mut last: Option<Reached> = None;
+            for ms in 1..=4 {
+                let moves: Vec<_> = Moves::new(array, 9, &wave, Grid::of_ms(array, ms)).collect();
+                let found = Reached::of(array, &wave, &moves);
+                let Deviation { rms_um, share, correlation, .. } = found.from_filtered;
+                println!(
+                    "{name:22} | {ms:7} | {:7.0} | {:7} | {rms_um:6.3} | {:6.2} | {:.4} | {:.2}",
+                    found.moves_per_s,
+                    found.busiest_second,
+                    100.0 * share,
+                    correlation.unwrap(),
+                    found.step_error_um
+                );
+                if let Some(finer) = last {
+                    assert!(found.moves_per_s < finer.moves_per_s, "{name}, {ms} ms");
+                    assert!(rms_um > 0.97 * finer.from_filtered.rms_um, "{name}, {ms} ms");
+                }
+                last = Some(found);
+            }
+        }
+    }
+
+    #[test]
+    fn what_a_motor_cannot_do_is_told() {
+        // 200 um at 11.536 mm/s take 17.34 ms; the last 0.95 um of the way count as there.
+        let jump = reached(&ramp(200.0, 0.0), None);
+        let [(from, until), (down, _)] = jump.too_slow_s[..] else { panic!("{jump:?}") };
+        assert!((from - 0.1).abs() < 3e-4 && (until - 0.1 - 0.01725).abs() < 3e-4 && (down - 0.3).abs() < 3e-4);
+        assert!(jump.from_asked.peak_um > 195.0 && jump.step_error_um < 0.95, "{jump:?}");
+        // 60 um peak to peak at 100 Hz would need 18.8 mm/s.
+        let fast = reached(&tone(100.0, 100.0, 60.0, Envelope::None).waveform().unwrap(), None);
+        assert!(fast.too_slow_s.len() > 100 && fast.from_filtered.share > 0.02);
+        let low = Waveform::samples(0.0, 10.0, &[0.0, -20.0, 500.0, 500.0, 0.0]).unwrap();
+        let low = reached(&low, None);
+        assert_eq!((low.lowest_um, low.highest_um, low.too_slow_s.len()), (-20.0, 500.0, 0));
+        assert!((low.from_filtered.peak_um - (500.0 - 3000.0 * 0.95 / 7.0)).abs() < 0.5, "{low:?}");
+        let rest = reached(&Waveform::default(), None);
+        assert_eq!((rest.from_asked, rest.moves, rest.moves_per_s), (Deviation::default(), 0, 0.0));
+    }
+
+    #[test]
+    fn figures_are_those_of_every_array_and_do_not_depend_on_the_time() {
+        for array in names().into_iter().map(|name| Array::named(name).unwrap()) {
+            let found = |start_s| {
+                let (to_um, rise_s, hold_s, fall_s, shape) = (100.0, 0.1, 0.1, 0.1, Shape::Cosine);
+                let wave = RampHold { start_s, to_um, rise_s, hold_s, fall_s, shape }.waveform().unwrap();
+                compile(array, &[(0, &wave)], Some(2.0)).unwrap().reached.remove(0)
+            };
+            let [now, later] = [0.0, 36_000.0].map(found);
+            assert!(now.step_error_um <= 2.0 && now.from_filtered.peak_um <= 2.2, "{array:?}: {now:?}");
+            assert_eq!((now.moves, now.busiest_second), (later.moves, later.moves));
+            assert!((now.from_asked.rms_um - later.from_asked.rms_um).abs() < 1e-3, "{now:?} {later:?}");
+        }
+    }
+}

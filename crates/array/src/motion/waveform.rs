@@ -15,6 +15,8 @@ use std::ops::RangeInclusive;
 pub const RATE_HZ: RangeInclusive<f64> = 1.0..=8000.0;
 /// The most knots of a waveform: an hour at 1 kHz, 64 MiB.
 pub const MAX_KNOTS: usize = 1 << 22;
+/// The most samples: there may be a jump at either end.
+pub(super) const MAX_SAMPLES: usize = MAX_KNOTS - 2;
 
 const NS_PER_S: f64 = 1e9;
 
@@ -68,8 +70,8 @@ impl Waveform {
     ) -> Result<Self, MotionError> {
         MotionError::check("start_s", "s", start_s, 0.0, MAX_SECONDS)?;
         let samples = points.len();
-        if !(2..=MAX_KNOTS - 2).contains(&samples) {
-            return Err(MotionError::Samples { samples, most: MAX_KNOTS - 2 });
+        if !(2..=MAX_SAMPLES).contains(&samples) {
+            return Err(MotionError::Samples { samples, most: MAX_SAMPLES });
         }
         let start = ns_of(start_s);
         let mut knots: Vec<Knot> = Vec::with_capacity(samples + 2);
