@@ -299,7 +299,9 @@ mod tests {
             ("noise 5-50 Hz, 10 um", noise(5.0, 50.0, Strength::RmsUm(10.0), 3).waveform().unwrap()),
             ("noise 5-50 Hz, 3 um", noise(5.0, 50.0, Strength::RmsUm(3.0), 3).waveform().unwrap()),
         ];
-        println!("waveform               | step ms | moves/s | busiest | RMS um |  RMS % | r      | step error um");
+        println!(
+            "waveform               | step ms | moves/s | busiest | RMS um |  RMS % | r      | step error um"
+        );
         for (name, wave) in waves {
             let mut last: Option<Reached> = None;
             for ms in 1..=4 {
@@ -328,7 +330,9 @@ mod tests {
         // 200 um at 11.536 mm/s take 17.34 ms; the last 0.95 um of the way count as there.
         let jump = reached(&ramp(200.0, 0.0), None);
         let [(from, until), (down, _)] = jump.too_slow_s[..] else { panic!("{jump:?}") };
-        assert!((from - 0.1).abs() < 3e-4 && (until - 0.1 - 0.01725).abs() < 3e-4 && (down - 0.3).abs() < 3e-4);
+        assert!(
+            (from - 0.1).abs() < 3e-4 && (until - 0.1 - 0.01725).abs() < 3e-4 && (down - 0.3).abs() < 3e-4
+        );
         assert!(jump.from_asked.peak_um > 195.0 && jump.step_error_um < 0.95, "{jump:?}");
         // 60 um peak to peak at 100 Hz would need 18.8 mm/s.
         let fast = reached(&tone(100.0, 100.0, 60.0, Envelope::None).waveform().unwrap(), None);

@@ -7,7 +7,7 @@ use crate::batch::Amendment;
 use crate::controller::FARTHEST;
 use crate::controller::newer;
 use crate::controller::player::Player;
-use crate::controller::player::queue::{Waiting, ahead};
+use crate::controller::player::queue::{Waiting, ahead, earliest};
 use crate::controller::reporting::Reporting;
 use crate::limits::{self, Refusal};
 use crate::moves::Move;
@@ -27,34 +27,40 @@ impl Player {
     }
 
     /// Whether moves may be queued behind the others of their motor: each at least [`Layout::least_apart`](crate::array::Layout::least_apart)
-    /// after the one before, and as many as there are credits.
+    /// after the last but one before it, and as many as there are credits.
     pub(in crate::controller) fn takes(&self, moves: &[Move], reporting: &Reporting) -> Result<(), Refusal> {
         if usize::from(self.credits(reporting)) < moves.len() {
             return Err(Refusal::PoolFull);
         }
         let Some(first) = moves.first() else { return Ok(()) };
-        let mut earliest = self.queues.last_tick(first.motor.into(), self.rendered) + self.least_apart();
+        let mut ticks = self.queues.last_ticks(first.motor.into());
         for to in moves {
-            if to.tick < earliest {
+            if to.tick < earliest(ticks, self.layout.least_apart()) {
                 return Err(Refusal::Dense);
             }
-            earliest = to.tick + self.least_apart();
+            ticks = [to.tick, ticks[0]];
         }
         Ok(())
     }
 
-    fn least_apart(&self) -> u64 {
-        self.layout.least_apart().into()
-    }
-
-    /// Queues a move. It takes only amendments newer than `generation`.
-    pub(in crate::controller) fn append(&mut self, to: &Move, generation: Option<u16>) {
+    /// Queues a move. It takes only amendments newer than `generation`. One that changes nothing has been played: it would enable the drivers
+    /// for no pulse.
+    pub(in crate::controller) fn append(
+        &mut self,
+        to: &Move,
+        generation: Option<u16>,
+        reporting: &mut Reporting,
+    ) {
         let motor = usize::from(to.motor);
         let from = self.queues.last(motor).map_or(self.motors[motor].goal(), |last| last.level);
+        if from == to.level && to.surplus == 0 {
+            reporting.count().played += 1;
+            return;
+        }
         let (tick, level, surplus) = (to.tick.0 as u32, to.level, to.surplus);
         let waiting = Waiting { tick, level, surplus, from, generation, ..Waiting::NOTHING };
         let first = self.queues.first(motor).is_none();
-        if self.queues.push(motor, waiting) && first {
+        if self.queues.push(motor, to.tick, waiting) && first {
             self.change_by(motor, to.tick);
         }
     }

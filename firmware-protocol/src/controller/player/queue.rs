@@ -3,7 +3,8 @@
 //! A slot is free again in the moment in which its move begins. Ticks are low halves, compared as distances from the present: all moves lie
 //! within 2^30 ticks.
 //!
-//! Invariant: the moves of a motor are at least `least_apart` ticks apart, also from the last one that has begun.
+//! Invariant: the moves of a motor are in order of time, and each is at least `least_apart` ticks after the last but one before it, also after
+//! those that have begun. So the chip has time to render them, and a stroke may be short.
 
 use crate::array::CAPACITY;
 use crate::tick::Tick;
@@ -36,8 +37,9 @@ struct Queue {
     head: u16,
     tail: u16,
     len: u16,
-    /// The tick of the motor's last move that has begun.
-    begun: Tick,
+    /// The ticks of the motor's last two moves that have begun, the last one first; and of all its moves.
+    begun: [Tick; 2],
+    last: [Tick; 2],
 }
 
 #[derive(Clone, Debug)]
@@ -52,7 +54,7 @@ impl Hash for Queues {
     /// The moves that wait, in order.
     fn hash<H: Hasher>(&self, hasher: &mut H) {
         for queue in &self.queues {
-            (queue.len, queue.begun).hash(hasher);
+            (queue.len, queue.begun, queue.last).hash(hasher);
             let mut index = queue.head;
             while let Some(slot) = self.get(index) {
                 let &Waiting { tick, level, surplus, correction, from, generation, next } = slot;
@@ -61,6 +63,11 @@ impl Hash for Queues {
             }
         }
     }
+}
+
+/// The earliest tick of a move after these two, the last one first.
+pub(super) fn earliest([last, before]: [Tick; 2], apart: u32) -> Tick {
+    (last + 1).max(before + u64::from(apart))
 }
 
 /// Ticks from `now` to the low half of a tick within 2^31.
@@ -81,7 +88,7 @@ impl Queues {
             slots[next - 1].next = next as u16;
             next += 1;
         }
-        let queue = Queue { head: NONE, tail: NONE, len: 0, begun: Tick(0) };
+        let queue = Queue { head: NONE, tail: NONE, len: 0, begun: [Tick(0); 2], last: [Tick(0); 2] };
         Self { free: 0, used: 0, queues: [queue; CAPACITY], slots }
     }
 
@@ -111,16 +118,13 @@ impl Queues {
         self.get(self.queues[motor].tail)
     }
 
-    /// The tick of the motor's last move, queued or begun.
-    pub(super) fn last_tick(&self, motor: usize, now: Tick) -> Tick {
-        match self.last(motor) {
-            Some(last) => Tick(now.0.wrapping_add_signed(ahead(last.tick, now).into())),
-            None => self.queues[motor].begun,
-        }
+    /// The ticks of the motor's last two moves, queued or begun, the last one first.
+    pub(super) fn last_ticks(&self, motor: usize) -> [Tick; 2] {
+        self.queues[motor].last
     }
 
-    /// Queues a move behind the others of its motor. Returns `false` if no slot is free.
-    pub(super) fn push(&mut self, motor: usize, waiting: Waiting) -> bool {
+    /// Queues a move that begins at `at` behind the others of its motor. Returns `false` if no slot is free.
+    pub(super) fn push(&mut self, motor: usize, at: Tick, waiting: Waiting) -> bool {
         let index = self.free;
         let Some(slot) = self.slots.get_mut(usize::from(index)) else { return false };
         self.free = slot.next;
@@ -131,7 +135,9 @@ impl Queues {
             Some(last) => last.next = index,
             None => self.queues[motor].head = index,
         }
-        self.queues[motor].len += 1;
+        let queue = &mut self.queues[motor];
+        queue.len += 1;
+        queue.last = [at, queue.last[0]];
         true
     }
 
@@ -140,7 +146,7 @@ impl Queues {
         let index = self.queues[motor].head;
         let waiting = *self.get(index)?;
         let queue = &mut self.queues[motor];
-        queue.begun = now;
+        queue.begun = [now, queue.begun[0]];
         queue.head = waiting.next;
         queue.len -= 1;
         if waiting.next == NONE {
@@ -154,7 +160,8 @@ impl Queues {
     pub(super) fn flush(&mut self, motor: usize) -> u16 {
         let Queue { head, tail, len, .. } = self.queues[motor];
         if len > 0 {
-            (self.queues[motor].head, self.queues[motor].tail, self.queues[motor].len) = (NONE, NONE, 0);
+            let queue = &mut self.queues[motor];
+            *queue = Queue { head: NONE, tail: NONE, len: 0, begun: queue.begun, last: queue.begun };
             self.release(head, tail, len);
         }
         len
@@ -163,19 +170,19 @@ impl Queues {
     /// Frees the moves of a motor from the tick `from` on. Returns their number, or `None`, and leaves them, if one has begun or the
     /// last one before them is less than `apart` before `next`.
     pub(super) fn withdraw(&mut self, motor: usize, from: Tick, next: Option<Tick>, apart: u32, now: Tick) -> Option<u16> {
-        let Queue { head, tail, len, begun } = self.queues[motor];
-        if begun >= from {
+        let Queue { head, tail, len, begun, .. } = self.queues[motor];
+        if begun[0] >= from {
             return None;
         }
         // Before all that waits, or after it: a distance of 2^31 has no sign.
         let limit = (from - now).min(1 << 30) as i32;
-        let (mut last, mut first, mut kept) = (NONE, head, 0);
+        let (mut last, mut first, mut kept, mut ticks) = (NONE, head, 0, begun);
         while let Some(slot) = self.get(first).filter(|slot| ahead(slot.tick, now) < limit) {
             (last, first) = (first, slot.next);
+            ticks = [Tick(now.0.wrapping_add_signed(ahead(slot.tick, now).into())), ticks[0]];
             kept += 1;
         }
-        let before = self.get(last).map_or(begun, |slot| Tick(now.0.wrapping_add_signed(ahead(slot.tick, now).into())));
-        if next.is_some_and(|next| next < before + u64::from(apart)) {
+        if next.is_some_and(|next| next < earliest(ticks, apart)) {
             return None;
         }
         if kept == len {
@@ -185,14 +192,15 @@ impl Queues {
             Some(slot) => slot.next = NONE,
             None => self.queues[motor].head = NONE,
         }
-        (self.queues[motor].tail, self.queues[motor].len) = (last, kept);
+        let queue = &mut self.queues[motor];
+        (queue.tail, queue.len, queue.last) = (last, kept, ticks);
         self.release(first, tail, len - kept);
         Some(len - kept)
     }
 
     /// The tick of the last move of a motor that has begun.
     pub(super) fn begun(&self, motor: usize) -> Tick {
-        self.queues.get(motor).map_or(Tick(u64::MAX), |queue| queue.begun)
+        self.queues.get(motor).map_or(Tick(u64::MAX), |queue| queue.begun[0])
     }
 
     /// The move of a motor at `tick`, and the low half of the tick of the one after it.

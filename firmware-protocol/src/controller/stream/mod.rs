@@ -133,7 +133,7 @@ impl Stream {
             return Ok(false);
         }
         parts.player.takes(moves, parts.reporting)?;
-        moves.iter().for_each(|to| parts.player.append(to, self.generation));
+        moves.iter().for_each(|to| parts.player.append(to, self.generation, parts.reporting));
         Ok(true)
     }
 
