@@ -1,9 +1,11 @@
 //! Moves to levels: a pin goes up by a move in time only, and comes down whenever it is above its goal.
 
-use crate::bench::{Bench, FIRMWARE, SHELLS, burst, stroke, to};
+use crate::bench::{Bench, FIRMWARE, NO_LIMITS, SHELLS, TICK_HZ, burst, stroke, to};
+use firmware_protocol::limits::PowerLimits;
 use firmware_protocol::message::{Cause, Op, State};
 use firmware_protocol::moves::Move;
 use firmware_protocol::stroke::Direction::{Down, Up};
+use firmware_protocol::tick::Tick;
 use proptest::prelude::*;
 
 #[test]
@@ -76,38 +78,161 @@ fn an_e_stop_keeps_the_heights_and_arm_brings_the_pins_down() {
     }
 }
 
-proptest! {
-    #![proptest_config(ProptestConfig::with_cases(200))]
+/// Ticks and directions of the pulses of one motor: in every tick its pin goes one pulse towards the level of the last move.
+fn plain(moves: &[Move], end: u64) -> Vec<(u64, firmware_protocol::stroke::Direction)> {
+    let (mut height, mut goal, mut pulses) = (0, 0, Vec::new());
+    let Some(first) = moves.first() else { return pulses };
+    for tick in first.tick.0..end {
+        goal = moves.iter().rev().find(|to| to.tick.0 == tick).map_or(goal, |to| to.level);
+        if height < goal {
+            height += 1;
+            pulses.push((tick, Up));
+        } else if height > goal {
+            height -= 1;
+            pulses.push((tick, Down));
+        }
+    }
+    pulses
+}
 
-    /// Whatever is asked in whatever order: pins are between rest and the highest level asked for, and at rest after a stop.
+/// What a host and the world may do.
+#[derive(Clone, Debug)]
+enum Event {
+    /// Moves of motor, after the motor's last one, to a level.
+    Moves(Vec<(u8, u64, u16)>),
+    Late(u8, u64, u16),
+    Withdraw(u8, u64),
+    Wait(u64),
+    Stop,
+    EStop,
+    LinkLost,
+}
+
+fn events() -> impl Strategy<Value = Vec<Event>> {
+    let event = prop_oneof![
+        4 => prop::collection::vec((0u8..24, 1u64..500, 0u16..400), 1..20).prop_map(Event::Moves),
+        1 => (0u8..24, 0u64..300, 0u16..400).prop_map(|(motor, before, level)| Event::Late(motor, before, level)),
+        1 => (0u8..24, 0u64..800).prop_map(|(motor, after)| Event::Withdraw(motor, after)),
+        4 => (0u64..700).prop_map(Event::Wait),
+        1 => Just(Event::Stop),
+        1 => Just(Event::EStop),
+        1 => Just(Event::LinkLost),
+    ];
+    prop::collection::vec(event, 1..40)
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(300))]
+
+    /// Moves in time, without limits: as a model says that knows nothing of bursts, queues and blocks.
     #[test]
-    fn pins_stay_between_rest_and_what_was_asked(
-        moves in prop::collection::vec((0u8..3, 0u64..400, 0u16..300), 1..60),
-        waits in prop::collection::vec(0u64..300, 1..20),
+    fn lines_are_as_the_plain_rule_says(
+        moves in prop::collection::vec((0u8..3, 1u64..300, 0u16..300), 1..90),
         shell in prop::sample::select(SHELLS.to_vec()),
     ) {
         let mut bench = Bench::armed(shell);
-        let mut sent = moves.iter();
-        let mut at = [bench.soon(); 3];
-        for wait in waits {
-            for &(motor, apart, level) in sent.by_ref().take(4) {
-                let tick = &mut at[usize::from(motor)];
-                *tick += apart;
-                bench.moves(&[Move { ..to(motor, *tick, level) }]);
-            }
-            bench.run(wait);
-            for motor in 0..3 {
-                prop_assert!((0..300).contains(&bench.net(motor)), "{}", bench.net(motor));
-            }
+        let apart = u64::from(bench.layout().least_apart());
+        let mut at = [[bench.soon(); 2]; 3];
+        let mut all: [Vec<Move>; 3] = Default::default();
+        for (motor, dt, level) in moves {
+            let [last, before] = at[usize::from(motor)];
+            let tick = (last + dt).max(before + apart);
+            at[usize::from(motor)] = [tick, last];
+            all[usize::from(motor)].push(to(motor, tick, level));
+        }
+        let mut sorted = all.concat();
+        sorted.sort_by_key(|to| to.tick);
+        for part in sorted.chunks(12) {
+            bench.moves(part);
+        }
+        let end = sorted.last().unwrap().tick.0 + 400;
+        bench.run_to(end);
+        for (motor, moves) in (0..).zip(&all) {
+            prop_assert_eq!(bench.pulses(motor).collect::<Vec<_>>(), plain(moves, end));
         }
         let counters = bench.device.counters();
+        prop_assert_eq!((counters.played, counters.pulses), (sorted.len() as u64, bench.total()));
+        prop_assert_eq!(counters.late + counters.refused + counters.dropped + counters.replaced, 0);
+    }
+
+    /// Whatever comes in whatever order, under any limits on motors at once (the bench checks those in every tick): pins stay between rest
+    /// and the highest level; a stop and a lost link bring all of them down; an e-stop leaves them where the device says, and the next `arm`
+    /// brings them down; every move is counted once.
+    #[test]
+    fn pins_come_down_and_moves_are_counted_whatever_happens(
+        events in events(),
+        shell in prop::sample::select(SHELLS.to_vec()),
+        (rail, chip) in (1u8..7, 1u8..3),
+    ) {
+        let limits = PowerLimits { rail_at_once: rail, chip_at_once: chip, ..NO_LIMITS };
+        let mut bench = Bench::without_stop(Bench::new(shell), 60 * TICK_HZ, limits);
+        let arm = Op::Arm { assume_rest: false, host_timeout: 60 * TICK_HZ, limits, lower_stop: None };
+        let mut at = [[0; 2]; 24];
+        let mut sent = 0;
+        for event in events {
+            match event {
+                Event::Moves(moves) => {
+                    let apart = u64::from(bench.layout().least_apart());
+                    let mut batch = Vec::new();
+                    for (motor, dt, level) in moves {
+                        let [last, before] = at[usize::from(motor)];
+                        let tick = (last.max(bench.soon()) + dt).max(before + apart);
+                        at[usize::from(motor)] = [tick, last];
+                        batch.push(to(motor, tick, level));
+                    }
+                    batch.sort_by_key(|to| to.tick);
+                    sent += batch.len() as u64;
+                    bench.moves(&batch);
+                }
+                Event::Late(motor, before, level) => {
+                    sent += 1;
+                    let tick = bench.now - before;
+                    bench.moves(&[to(motor, tick, level)]);
+                }
+                Event::Withdraw(motor, after) => {
+                    let base = bench.now + after;
+                    bench.replace(1 << motor, 0, base, &[]);
+                    at[usize::from(motor)] = [base.max(at[usize::from(motor)][0]); 2];
+                }
+                Event::Wait(ticks) => bench.run(ticks),
+                Event::Stop => {
+                    bench.control(Op::Stop);
+                    bench.settle();
+                    prop_assert!((0..24).all(|motor| bench.net(motor) == 0), "after a stop");
+                }
+                Event::EStop => {
+                    bench.control(Op::EStop);
+                    bench.run(200);
+                    for motor in 0..24 {
+                        prop_assert_eq!(bench.net(motor), i64::from(bench.device.outstanding(motor)));
+                    }
+                    bench.control(Op::Reset);
+                    bench.control(arm);
+                    bench.settle();
+                    bench.is(State::Armed, Cause::Request);
+                    prop_assert!((0..24).all(|motor| bench.net(motor) == 0), "after an arm");
+                }
+                Event::LinkLost => {
+                    bench.device.link_lost(Tick(bench.now));
+                    bench.settle();
+                    bench.is(State::Disarmed, Cause::LinkLost);
+                    prop_assert!((0..24).all(|motor| bench.net(motor) == 0), "after a lost link");
+                    bench.hello(bench.now as u32);
+                    bench.control(arm);
+                }
+            }
+            for motor in 0..24 {
+                prop_assert!((0..400).contains(&bench.net(motor)), "{}", bench.net(motor));
+            }
+        }
         bench.control(Op::Stop);
         bench.settle();
-        prop_assert!((0..3).all(|motor| bench.net(motor) == 0));
-        let after = bench.device.counters();
-        let sent = moves.len() - sent.len();
-        prop_assert_eq!(after.played + after.late + after.dropped + after.refused + after.replaced, sent as u64);
-        prop_assert_eq!(after.pulses, bench.total());
-        prop_assert!(after.late == counters.late);
+        let counters = bench.device.counters();
+        prop_assert_eq!(
+            counters.played + counters.late + counters.dropped + counters.refused + counters.replaced,
+            sent,
+            "{:?}", counters
+        );
+        prop_assert_eq!(counters.pulses, bench.total());
     }
 }
