@@ -5,9 +5,9 @@
 //!
 //! | module | what it holds |
 //! |---|---|
-//! | [`tick`], [`stroke`], [`moves`] | the unit of time, and what motors play |
+//! | [`tick`], [`moves`], [`stroke`] | the unit of time, what motors are asked to do, and what lines do in a tick |
 //! | [`mod@array`] | which array it is: motors, carrier, rails, driver chips, limits |
-//! | [`batch`] | strokes and amendments, packed |
+//! | [`batch`] | moves and amendments, packed |
 //! | [`board`] | what a device says of itself: the board report, the self-test |
 //! | [`message`], [`frame`] | messages, and their bytes on the line |
 //! | [`urgent`] | finds an e-stop in incoming bytes before they are read in order |
@@ -49,8 +49,19 @@
 //! ```
 //! A *bad frame* is too long, is not COBS, fails its CRC, or its body is not exactly one message of its version: it has an
 //! unknown variant, or bytes are missing or left over. Each side counts the bad frames that it receives (the device in
-//! `bad_frames`, the host by kind) and otherwise ignores them. The device also counts a `Strokes` frame whose batch cannot
-//! be read.
+//! `bad_frames`, the host by kind) and otherwise ignores them. The device also counts a `Moves` frame whose batch cannot be read.
+//!
+//! # Moves
+//! A *level* is a height of a pin above rest, in pulses. A move ([`moves::Move`]) gives a motor's pin a level from a tick on. One rule
+//! holds for all motion:
+//!
+//! Each motor has a *goal*: the level that its pin should have now. A move sets the goal in its tick. From then on the motor pulses once a
+//! tick towards the goal, until the pin is there or the motor's next move begins; a move before which the pin had not come to its goal
+//! is counted as *shortened*. **A pin goes up only by a move that begins in time and that no limit refuses. It comes down whenever it is
+//! above its goal**, as soon as the drivers are ready and the limits on motors at once allow it; nothing refuses the way down.
+//!
+//! A stroke is two moves, a ramp is many, a hold is none. Levels are absolute: a move that is lost changes nothing for those after it.
+//! The *height* of a pin counts pulses; at the end of a burst it is the goal, whatever correction the burst had.
 //!
 //! # The array
 //! The device is built for one array. The array has 1 to 64 motors ([`array::MAX_MOTORS`]), each with its rail (the motors that share a
@@ -77,18 +88,21 @@
 //! frame with `NoSession`: it has restarted, and the host begins again.
 //!
 //! # The ordered stream
-//! A `Strokes` frame carries at most [`batch::MAX_BATCH`] packed strokes. Frames are numbered from 0 in each epoch (`seq`).
+//! A `Moves` frame carries at most [`batch::MAX_BATCH`] packed moves. Frames are numbered from 0 in each epoch (`seq`).
 //! The device takes frames in order. It buffers the next 8 that arrive out of order and ignores repeated ones. It
 //! answers each valid frame with a `Status`, except `Board` and `SelfTest`, which have an answer of their own. In a `Status`
 //! `next_seq` acknowledges all frames before it, `out_of_order` names those that are buffered, and `credits` is the number of
-//! strokes that the device can still queue. The host sends no more strokes than it has credits and no frame beyond those 8. It
+//! moves that the device can still queue. The host sends no more moves than it has credits and no frame beyond those 8. It
 //! sends again what is neither acknowledged nor buffered (selective repeat).
-//! The device accepts, refuses or drops a stroke as a whole. A `Verdict` lists the strokes of a frame that were not
-//! accepted; a frame without a verdict was accepted as sent.
+//! The device accepts, refuses or drops a move as a whole, and the two moves of a stroke together. A `Verdict` lists the moves of a frame
+//! that were not accepted; a frame without a verdict was accepted as sent.
 //!
-//! The first frame of a play has a `mark`, and its `base` is the onset. It is all or nothing: if the onset is late, the
-//! device takes none of it and reports `OnsetRefused`. The first frame of a later item of a play has a mark, too. If that one
-//! is late, the device refuses the mark alone and judges the strokes one by one. When a mark has passed, the device reports
+//! A move is *late* if it begins before the rendered end, or before the drivers are ready. A late move up is dropped. A late move down, unless
+//! it belongs to a stroke, lowers the goal at once, and counts as late.
+//!
+//! The first frame of a play has a `mark`, and its `base` is the onset. It is all or nothing: if the onset is late, or it has more than
+//! [`batch::MAX_FIRST_BATCH`] moves, the device takes none of it and reports `OnsetRefused`. Its mark says for how long pins may be held. The first frame of a later item of a play has a mark, too. If that one
+//! is late, the device refuses the mark alone and judges the moves one by one. When a mark has passed, the device reports
 //! `Onset` with the counters of that moment. At most 8 marks wait.
 //!
 //! A mark may have a `trigger`, which the trigger output gives from the mark's tick on, exact to the tick:
@@ -100,44 +114,44 @@
 //! `width`, in baud. A
 //! later mark with a trigger ends the one before.
 //!
-//! # Replacing strokes
-//! A frame with a `withdraw` replaces queued strokes, each motor's as a whole or not at all. For each motor named there, the
-//! device returns to the pool all strokes that begin at `base` or later. It does so in the moment in which it queues the first
-//! stroke of that motor in the same frame; for a motor without a stroke in the frame, after the frame's strokes. These strokes
-//! count as *replaced*: every stroke sent is played, late, dropped, refused or replaced. The device never touches a stroke that
-//! has begun. So the host names a `base` far enough ahead, keeps the motor's last stroke that begins before it, and sends what
-//! follows that stroke.
+//! # Replacing moves
+//! A frame with a `withdraw` replaces queued moves, each motor's as a whole or not at all. For each motor named there, the device returns
+//! to the pool all moves that begin at `base` or later. It does so in the moment in which it queues the first move of that motor in the
+//! same frame; for a motor without a move in the frame, after the frame's moves. These moves count as *replaced*: every move sent is
+//! played, late, dropped, refused or replaced. The device never touches a move that has begun. So the host names a `base` far enough
+//! ahead, and sends what follows the last move before it. Without a new move the pin keeps the level of that one.
 //!
-//! The device *keeps* a motor's queue if a stroke from `base` on has begun, even one that has ended since. It also keeps the
-//! queue if the first stroke that would take its place is late, breaks a limit or overlaps one before. Then a `Verdict` names the
-//! motor, and the device takes no strokes of it, in this and later frames, until a frame withdraws again from it, a play begins,
-//! or a command begins an epoch. The device plays the old strokes instead; the strokes not taken count as replaced. The host
-//! needs credits for the new strokes before the old ones are withdrawn. The first frame of a play withdraws nothing.
+//! The device *keeps* a motor's queue if a move from `base` on has begun. It also keeps the queue if the first move that would take its
+//! place is late, breaks a limit or comes too shortly after one before. Then a `Verdict` names the motor, and the device takes no moves
+//! of it, in this and later frames, until a frame withdraws again from it, a play begins, or a command begins an epoch. The device
+//! plays the old moves instead; the moves not taken count as replaced. The host needs credits for the new moves before the old ones
+//! are withdrawn. The first frame of a play withdraws nothing.
 //!
-//! The frame that withdraws a stroke may overtake an amendment of that stroke, and the new stroke may begin at the same tick. So
-//! `withdraw` has the `generation` of the last amendment that concerns old strokes. A stroke takes only amendments newer than all
-//! that the device knew of when it queued the stroke.
+//! The frame that withdraws a move may overtake an amendment of that move, and the new move may begin at the same tick. So `withdraw` has
+//! the `generation` of the last amendment that concerns old moves. A move takes only amendments newer than all that the device knew of
+//! when it queued the move.
 //!
 //! # Reports
-//! `Verdict`, `OnsetRefused`, `Onset`, `Cut` and `Refused` must reach the host. The device numbers them and repeats them
+//! `Verdict`, `OnsetRefused`, `Onset`, `Cut`, `Refused` and `Lowered` must reach the host. The device numbers them and repeats them
 //! every 10 ms while it hears the host, until the host's `seen` includes their number. At most 32 are sent and not seen.
 //! `Status` gives the number of reports made, so the host knows whether one is missing. A host that has read all of them
-//! knows what became of every stroke that began before the tick of that status.
+//! knows what became of every move that began before the tick of that status.
 //!
-//! `Refused` is never lost: the device has a place for each stroke that can be queued, and a refused stroke takes a credit
+//! `Refused` is never lost: the device has a place for each move that can be queued, and a refused move takes a credit
 //! until the host has seen its report. The device stores 32 of the other reports. It keeps the last 12 of these places for
-//! `Onset` and `Cut`: when only they are free, it takes no `Strokes`. When no place is free, it loses the newest report and
+//! `Onset` and `Cut`: when only they are free, it takes no `Moves`. When no place is free, it loses the newest report and
 //! counts it.
 //!
 //! # Outside the stream
 //! `Control` (arm, disarm, stop, e-stop, reset, move) names the epoch that it begins. The host repeats it until a `Status`
 //! names that epoch. The device acknowledges and ignores a control whose epoch is not newer than the present one, and
-//! strokes and amendments of any other epoch. So nothing that was on the line when the host sent a stop is played after it.
+//! moves and amendments of any other epoch. So nothing that was on the line when the host sent a stop is played after it.
 //!
-//! `Amend` sets new absolute pulse counts for queued bursts, each named by motor and up tick. A count must lie within
-//! [`limits::correction`] of the planned one; the newest `generation` wins. The device counts and ignores an amendment
-//! if its burst is already rendered, unknown or cut, if the count is out of limits, or if the burst would run into the next one.
-//! Amendments are neither acknowledged nor repeated.
+//! `Amend` sets new absolute pulse counts for queued moves, each named by motor and tick. A count must lie within
+//! [`limits::correction`] of the planned one, which is the distance from the level of the move before; the newest `generation` wins. The
+//! device counts and ignores an amendment if its move has begun, is unknown or cut, if the count is out of limits, or if the burst would
+//! run into the next move. Amendments are neither acknowledged nor repeated. An amendment does nothing if the pin is not where the plan had
+//! it when the move begins.
 //!
 //! `Telemetry` comes while the device is armed, if it has that feature. It is not repeated. A message has at most 32 displacements, from
 //! the motor `first` on. A sample of more motors takes several messages with the same tick, in order; the host uses a sample of which it has
@@ -172,12 +186,13 @@
 //! | `Status`: `reports` | does not shrink; at most `pool` + 32 beyond the last one read, not before it | contradiction `reports` |
 //! | `Status`: `state`, `cause`, `position_known` | arms and leaves faults only after a command; returns for at most 2 s, or longer where motors of a rail with long seeks take turns; learns positions after `arm` or a seek, and forgets them in a seek or with the cause `Output` only; a seek may be under way at the handshake | contradiction `state` |
 //! | `Status`: `outstanding` | at most 65 535 for each motor | contradiction `state` |
-//! | counters of statuses and onsets | do not shrink; at most 2^62; `played` and `pulses` grow by at most a pulse per tick and line, and a stroke | contradiction `counters` |
+//! | counters of statuses and onsets | do not shrink; at most 2^62; `played` and `pulses` grow by at most a pulse per tick and line, and what is rendered ahead | contradiction `counters` |
 //! | `Report`: `number` | the next one | ignored: the device repeats what is missing |
-//! | `Verdict`, `OnsetRefused` | a frame sent and not judged; strokes of that frame, each late or refused; motors it withdraws from; a frame with a mark whose base is before `rendered` | contradiction `report` |
+//! | `Verdict`, `OnsetRefused` | a frame sent and not judged; moves of that frame, each late or refused; motors it withdraws from; a frame with a mark whose base is before `rendered` | contradiction `report` |
 //! | `Onset`: `tick` | a mark sent and not reported | contradiction `report` |
 //! | `Cut`: `flushed`, `outstanding`, `return_ticks` | at most `pool`; as in `Status`; as long as a return may take | contradiction `report` |
-//! | `Refused`: `motor`, `reason` | one of the array; a limit on on-time, on motors at once or on pushing | contradiction `report` |
+//! | `Refused`: `motor`, `reason` | one of the array; a limit on on-time, on motors at once or on density | contradiction `report` |
+//! | `Lowered`: `motors` | of the array | contradiction `report` |
 //! | `Board`: `window` | the newest request | ignored: an answer to one before |
 //! | `Board`: `slack`, `slack_since_boot` | at most `horizon`; the second does not grow, and is not above the first | contradiction `board` |
 //! | `Board`: counters; `reset`, `high_at_boot` | do not shrink in a session; do not change in it; outputs there are | contradiction `board` |
@@ -194,18 +209,16 @@
 //! The controller in turn takes any message of a host: [`limits`] bound what it does, and frames bound what it stores.
 //!
 //! # What the controller does
-//! It renders lines at most [`controller::HORIZON`] ticks ahead, in blocks of [`controller::BLOCK`]. A stroke is *late* if
-//! it begins before the rendered end, or before the drivers are ready.
+//! It renders lines at most [`controller::HORIZON`] ticks ahead, in blocks of [`controller::BLOCK`].
 //!
 //! It enables the drivers around bursts only, because an enabled driver without pulses has DC on its piezo. They are on from
 //! [`array::Layout::driver_lead`] before the first pulse of any line to [`controller::DRIVER_TAIL`] after the last, and off in each
 //! pause of all lines that is longer than both. They are *ready* once they have been on for the lead. So while they are off, a
-//! stroke is late unless it begins a lead after the rendered end, and a return begins by as much later. `horizon` in the
-//! handshake is the sum of the render horizon and the lead.
+//! move is late unless it begins a lead after the rendered end, and pins come down by as much later. `horizon` in the handshake is the sum of
+//! the render horizon and the lead.
 //!
-//! The drivers may be on without a pulse. This happens when a limit refuses a stroke at its beginning, after the lead, and lasts
-//! longer if more such strokes follow. It also happens when a stroke is withdrawn, or flushed by a cut, less than a lead before
-//! it begins; the drivers then stay on if another stroke follows within a lead.
+//! The drivers may be on without a pulse. This happens when a limit refuses a move at its beginning, or when the pin is already where the
+//! move takes it; and when a move is withdrawn, or flushed by a cut, less than a lead before it begins.
 //!
 //! A firmware looks for e-stops in the bytes as they arrive ([`urgent`]), before it reads the bytes that came earlier, and in
 //! SETUP packets of USB ([`urgent::e_stop_request`]). An e-stop that was new when it was found latches, even if the link is lost
@@ -213,68 +226,57 @@
 //! a request. Without a session a request needs no new epoch: it latches, too, and the next host resets it.
 //! Where hosts can connect over several lines, a `Hello` on another line takes over, and the first line counts as lost.
 //!
-//! *Outstanding return pulses* are the down pulses that a pin still needs to be back at rest. A stroke that is cut in its up
-//! burst leaves the up pulses played outstanding, and its surplus. A stroke that is cut later leaves the rest of its down burst
-//! outstanding.
-//! A *return* cuts the running strokes at the rendered end, flushes the queue and plays the outstanding return pulses as soon as
-//! the drivers are ready, which they are during a burst; then the lines are off. No limit on on-time or pushing refuses it, but it counts.
-//! Under a limit on motors at once the return's bursts take turns (below).
+//! *Outstanding return pulses* are the heights of pins that stay up after an e-stop or a fault. A *return* flushes the queues and sets all
+//! goals to 0; then the lines are off. A burst up that runs ends at the rendered end, a burst down goes on. `Cut` says after how many
+//! ticks the pins are down at the latest.
 //!
 //! | event | what the controller does |
 //! |---|---|
 //! | power-up, panic, watchdog reset, core fault | turns all lines off; disarmed with that cause, position unknown: it refuses `arm` without `assume_rest` |
-//! | `arm` | only from disarmed: plays the outstanding return pulses first and reports them (`Cut`), or seeks the lower stop. It refuses strokes unless armed |
+//! | `arm` | only from disarmed: brings pins down first and reports it (`Cut`), or seeks the lower stop. It refuses moves unless armed |
 //! | seek | with a lower stop, in `arm` or while armed and idle: drives all pins down by as many pulses as asked and reports them (`Cut`); then their position is known and no return pulses are outstanding. It refuses a seek that may not reach the stop |
 //! | stop | returns, stays armed |
 //! | disarm, shutdown, abort, host silent, link lost, another session | returns, then disarms |
-//! | e-stop, own fault | turns lines off after the tick being played; latches; keeps the outstanding return pulses per pin. `reset` leads to disarmed |
+//! | e-stop, own fault | turns lines off after the tick being played; latches; pins stay where they are. `reset` leads to disarmed |
 //! | outputs do not follow (PIO, DMA) | as its own fault, with the cause `Output`: counts nothing from the last block on that was seen to be played, and the position is unknown. Only a restart ends it |
-//! | late stroke | drops the whole stroke and reports it; it never plays late |
+//! | late move | drops it and reports it; one down lowers the goal at once |
+//! | a pin above rest without a pulse for longer than the play says (`Mark::hold`), at least [`array::Layout::least_hold`] and at most [`array::Layout::longest_hold`] | sets the goal to 0 and reports it (`Lowered`) |
 //! | no valid frame for `host_timeout` ticks while armed or returning | as if the host had asked for disarm, with the cause `HostTimeout`. `arm` sets the time; the maximum is 10 s |
-//!
-//! At the end of a stroke its pin is at rest by definition: pulses that a correction adds or removes are not outstanding.
 //!
 //! # Lower stop
 //! A *lower stop* is a plate below which no pin can go: a motor that pushes against it slips. `arm` says whether the array has
-//! one ([`message::LowerStop`]). With a stop, the down burst of a stroke may be longer than its up burst by a *surplus*, so that
-//! scatter and asymmetry cannot add up. Without one, the controller refuses such a stroke (`Pushing`), because it would take the
-//! pin lower each time. A down burst is never planned shorter than its up burst: a stroke leaves no pin higher than it was.
-//! Corrections count from the planned counts, with or without a stop; with a stop, no correction makes a down burst longer than
-//! planned.
+//! one ([`message::LowerStop`]). With a stop, a move to level 0 may have a *surplus*: pulses after the pin is at rest, so that
+//! scatter and asymmetry cannot add up. Without one, the controller refuses such a move (`Pushing`). With a stop, no correction makes a
+//! way down longer than planned.
 //!
 //! A seek must reach the stop, because the controller takes all pins to be there afterwards. A pin is above rest by the net
-//! pulses of its moves and its outstanding return pulses. The controller refuses (`Travel`) a seek shorter than
+//! pulses of its shifts (`Op::Move`) and its height. The controller refuses (`Travel`) a seek shorter than
 //! [`array::Layout::least_seek`] of the highest pin: half as many pulses again, at most [`array::Layout::whole_travel`]. Where the
-//! position is unknown, a seek takes at least the whole travel. A seek is a return: a stop, a silent host or a lost link do not cut it short,
-//! and on-time limits do not refuse it, but it counts. An e-stop cuts it, and then the position is unknown.
+//! position is unknown, a seek takes at least the whole travel. In a seek each pin counts as so many pulses above rest and comes down, in
+//! turns: a stop, a silent host or a lost link do not cut it short, and on-time limits do not refuse it, but it counts. An e-stop cuts it,
+//! and then the position is unknown.
 //!
-//! A move down takes a pin to the stop and no further: its travel ends at 0, and the pulses left push.
+//! A shift down takes a pin to the stop and no further: its travel ends at 0, and the pulses left push.
 //!
 //! To bound wear and heat, no motor may push more than `pulses_per_s` pulses in a sliding second against the stop, and never more
-//! than [`array::Layout::max_pushes_per_s`]: surplus, seeks and moves together. An up burst that an amendment makes shorter
-//! leaves more pulses to push, and they count. A surplus that an e-stop leaves outstanding counts when it is returned.
+//! than [`array::Layout::max_pushes_per_s`]: surplus, seeks and shifts together. A surplus that would break the limit is left out; the move
+//! is not.
 //!
 //! # Limits
-//! The controller enforces [`limits`] whatever the host asks. They bound the up pulses per stroke, the balance of its bursts, the
-//! size of corrections, the travel of moves, the on-time per motor and per rail, the motors at once per rail and per driver chip,
-//! pushing, and the sizes of pool and queues. Strokes of a motor begin at least 1 ms apart, so that the chip has time to render
-//! them. The controller refuses and reports a stroke that breaks a limit. It checks on-time, motors at once and pushing when a
-//! stroke begins, and for a move when it is asked for. An amendment of a stroke that has begun counts too, and is ignored if it
-//! breaks a limit.
+//! The controller enforces [`limits`] whatever the host asks. They bound levels, surplus, the size of corrections, the travel of shifts,
+//! the on-time per motor and per rail, the motors at once per rail and per driver chip, pushing, and the sizes of pool and queues. Of any
+//! three moves of a motor in a row, the last begins at least 1 ms after the first, so that the chip has time to render them. The
+//! controller refuses and reports a move that breaks a limit. It checks density, on-time and motors at once when a move up begins, and
+//! for a shift when it is asked for.
+//!
+//! On-time counts the pulses of a sliding second, and for each pin above rest the pulses of its way down: so a way down never breaks the
+//! limit.
 //!
 //! # Motors at once
 //! Motors share rails and driver chips, as the layout says. `arm` may limit how many motors of each have pulses in the
-//! same tick ([`limits::PowerLimits`]). The controller refuses a stroke whole when it begins (`RailAtOnce`, `ChipAtOnce`) if, in
-//! some tick of its two bursts, the motors whose strokes have begun before it use up the limit. Among strokes that begin in the
-//! same tick, the stroke of the motor with the lower number begins first. So the limit holds in every tick, whatever is amended,
-//! replaced or cut.
-//!
-//! The controller never refuses a return or a seek. Its bursts take turns in each rail, without a pause between them, in this
-//! order: bursts that run at the cut; then those with no other motor of their chip before them, those with one, and so on; among
-//! these first those of chips with a burst that runs, then those of chips with more motors, then by the motors' numbers. Before a motor are
-//! the motors of its chip whose bursts run, and those that wait and have a lower number. A rail has as many places as motors may have
-//! pulses at once, and so has a chip. A burst takes the place of its rail that becomes free first, and waits until its chip has one.
-//! So a return takes at most [`array::Layout::turns`] times its longest burst.
+//! same tick ([`limits::PowerLimits`]). A move up is refused as it begins (`RailAtOnce`, `ChipAtOnce`) if as many others of the group have
+//! pulses as may, or if a pin of the group waits to come down. A pin that is to come down waits until there is room. In one tick the motor
+//! with the lower number comes first. So a return takes at most [`array::Layout::turns`] times its longest burst.
 
 #![no_std]
 #![forbid(unsafe_code)]
