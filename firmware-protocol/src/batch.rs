@@ -393,7 +393,12 @@ fn item(from: &mut Unpacker<'_>, last: &mut Last, moves: &mut Batch) -> Result<(
 ///
 /// # Errors
 /// If the batch cannot be read to its end.
-pub(crate) fn unpack(batch: &[u8], place: &mut Place, moves: &mut Batch, most: usize) -> Result<bool, Malformed> {
+pub(crate) fn unpack(
+    batch: &[u8],
+    place: &mut Place,
+    moves: &mut Batch,
+    most: usize,
+) -> Result<bool, Malformed> {
     let mut from = Unpacker { bytes: batch.get(place.read..).unwrap_or_default(), at: place.at };
     let enough = moves.len() + most;
     while !from.bytes.is_empty() && moves.len() < enough {
@@ -505,13 +510,13 @@ mod tests {
 
     fn any_item() -> impl Strategy<Value = (u64, Any)> {
         let level = 0u16..=10_000;
-        let to = (0u8..32, level.clone(), 0u16..900).prop_map(|(motor, level, surplus)| {
-            Any::Move(Move { motor, tick: Tick(0), level, surplus })
-        });
-        let stroke = (0u8..32, level.clone(), 0u64..1 << 20, 0u16..2).prop_map(|(motor, level, held, surplus)| {
-            let down = Tick(u64::from(level) + held);
-            Any::Stroke(Stroke { motor, up: Tick(0), level, down, surplus })
-        });
+        let to = (0u8..32, level.clone(), 0u16..900)
+            .prop_map(|(motor, level, surplus)| Any::Move(Move { motor, tick: Tick(0), level, surplus }));
+        let stroke =
+            (0u8..32, level.clone(), 0u64..1 << 20, 0u16..2).prop_map(|(motor, level, held, surplus)| {
+                let down = Tick(u64::from(level) + held);
+                Any::Stroke(Stroke { motor, up: Tick(0), level, down, surplus })
+            });
         let row = (1u64..1 << 12, prop::collection::vec(level, 12)).prop_map(|(set, mut levels)| {
             levels.truncate(set.count_ones() as usize);
             Any::Row(set, levels)
@@ -549,7 +554,7 @@ mod tests {
                 at = tick;
             }
             prop_assert_eq!(packer.count(), wanted.len());
-            prop_assert_eq!(super::moves(Tick(50), packer.bytes()).unwrap().to_vec(), wanted.clone());
+            prop_assert_eq!(moves(Tick(50), packer.bytes()).unwrap().to_vec(), wanted.clone());
             // In pieces.
             let (mut place, mut read) = (Place::new(Tick(50)), Batch::new());
             while !unpack(packer.bytes(), &mut place, &mut read, 5).unwrap() {}

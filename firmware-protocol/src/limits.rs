@@ -318,8 +318,10 @@ impl Layout {
     pub const fn turns(&self, limits: &PowerLimits) -> u8 {
         let (of_rail, of_chip) = (self.motors_per_rail(), self.motors_per_chip());
         let (rail, chip) = (limits.rail_at_once, limits.chip_at_once);
-        let full_rail = if rail < of_rail { (of_rail - 1).div_ceil(if rail == 0 { 1 } else { rail }) } else { 0 };
-        let full_chip = if chip < of_chip { (of_chip - 1).div_ceil(if chip == 0 { 1 } else { chip }) } else { 0 };
+        let full_rail =
+            if rail < of_rail { (of_rail - 1).div_ceil(if rail == 0 { 1 } else { rail }) } else { 0 };
+        let full_chip =
+            if chip < of_chip { (of_chip - 1).div_ceil(if chip == 0 { 1 } else { chip }) } else { 0 };
         1 + full_rail + full_chip
     }
 
@@ -449,8 +451,8 @@ mod tests {
         assert_eq!(account.begin(Tick(84_000), 5, 1, [0; 2], &PAPER), Err(Refusal::MotorOnTime));
         assert_eq!(account.begin(Tick(100 + 85_000 + 1_250), 5, 50, [50; 2], &PAPER), Ok(()));
         assert_eq!(account.begin(Tick(1 << 40), 4, 100, [0; 2], &PAPER), Ok(()));
-        assert_eq!(account.begin(Tick(1 << 40), 3, 100, [0, 400], &PAPER), Ok(()));
-        assert_eq!(account.begin(Tick(1 << 40), 5, 1, [0, 400], &PAPER), Err(Refusal::RailOnTime));
+        assert_eq!(account.begin(Tick(1 << 40), 3, 100, [0, 350], &PAPER), Ok(()));
+        assert_eq!(account.begin(Tick(1 << 40), 5, 1, [0, 350], &PAPER), Err(Refusal::RailOnTime));
     }
 
     /// A burst that is ended early counts with what was played of it, and a surplus that is over the limit counts nothing.
@@ -463,7 +465,10 @@ mod tests {
         assert_eq!(account.begin(Tick(10), 1, 40, [51; 2], &PAPER), Err(Refusal::MotorOnTime));
         assert_eq!(account.begin(Tick(10), 1, 40, [50; 2], &PAPER), Ok(()));
         let mut pushing = Pushing::new(&PAPER, Tick(0));
-        assert_eq!((pushing.begin(Tick(0), 1, 0), pushing.begin(Tick(0), 1, 1)), (Ok(()), Err(Refusal::Pushing)));
+        assert_eq!(
+            (pushing.begin(Tick(0), 1, 0), pushing.begin(Tick(0), 1, 1)),
+            (Ok(()), Err(Refusal::Pushing))
+        );
         pushing.set_limit(100);
         assert_eq!(pushing.begin(Tick(0), 1, 101), Err(Refusal::Pushing));
         assert_eq!(pushing.begin(Tick(0), 1, 100), Ok(()));
