@@ -6,6 +6,24 @@
 //!
 //! Invariant: instants are whole nanoseconds or ticks, each computed from its number, so a waveform is as exact after hours as in the
 //! first second; and a motor's last move always ends at rest.
+//!
+//! ```
+//! use meissner_array::motion::{Envelope, RampHold, Shape, Tone, Waveform, compile};
+//! use meissner_array::spec::Array;
+//!
+//! let (start_s, to_um, rise_s, hold_s, fall_s, shape) = (0.0, 100.0, 0.1, 0.8, 0.1, Shape::Cosine);
+//! let press = RampHold { start_s, to_um, rise_s, hold_s, fall_s, shape }.waveform()?;
+//! let (start_s, duration_s, about_um, phase, envelope) = (0.1, 0.8, Some(0.0), 0.0, Envelope::Hann);
+//! let (start_hz, end_hz, amplitude_um) = (10.0, 80.0, 20.0);
+//! let chirp = Tone { start_s, duration_s, start_hz, end_hz, amplitude_um, about_um, phase, envelope }.waveform()?;
+//!
+//! let compiled = compile(Array::paper(), &[(9, &Waveform::sum(&[press, chirp])?)], None)?;
+//! assert_eq!(compiled.grid.step_ticks, 170);
+//! assert_eq!(compiled.moves[0].last().unwrap().level, 0);
+//! let reached = &compiled.reached[0];
+//! assert!(reached.step_error_um < 0.95 && reached.from_filtered.share < 0.01 && reached.too_slow_s.is_empty());
+//! # Ok::<(), meissner_array::motion::MotionError>(())
+//! ```
 
 mod error;
 mod generate;
@@ -15,6 +33,6 @@ mod waveform;
 
 pub use error::MotionError;
 pub use generate::{Envelope, Noise, RampHold, Shape, Strength, Tone};
-pub use moves::{Compiled, Grid, Moves, compile};
+pub use moves::{Compiled, Grid, LEAST_ERROR_UM, Moves, compile};
 pub use reached::{Deviation, Path, Reached};
-pub use waveform::{Knot, MAX_KNOTS, RATE_HZ, Waveform};
+pub use waveform::{Knot, MAX_KNOTS, RATE_HZ, Section, Waveform};

@@ -51,7 +51,7 @@ impl<'a> Path<'a> {
 pub struct Deviation {
     /// Root mean square of the difference, µm.
     pub rms_um: f64,
-    /// It as a share of the RMS of the reference; 0 if the reference is at rest.
+    /// It as a share of the RMS of the reference about its mean; 0 if the reference does not move.
     pub share: f64,
     /// The correlation r; `None` if one of both does not move.
     pub correlation: Option<f64>,
@@ -115,7 +115,7 @@ impl Comparison {
         let scale = (variance(0) * variance(1)).sqrt();
         let covariance = self.product - self.sum[0] * self.sum[1] / self.count;
         let rms = |square: f64| (square / self.count).sqrt();
-        let reference = rms(self.square[0]);
+        let reference = rms(variance(0).max(0.0));
         Deviation {
             rms_um: rms(self.error_square),
             share: if reference > 0.0 { rms(self.error_square) / reference } else { 0.0 },
@@ -125,7 +125,7 @@ impl Comparison {
     }
 }
 
-/// A function of time after a motor's response: pushed sample by sample, linear between.
+/// A function of time after a motor's response: pushed line by line.
 struct Filtered {
     shaft: Shaft,
     um: f64,
@@ -136,12 +136,14 @@ impl Filtered {
         Self { shaft: Shaft::new(motor), um: 0.0 }
     }
 
-    /// What the response makes of it at the end of a line to `um`, which begins at `from`.
+    /// What the response makes of it at the end of a line from one value to another. A jump before it takes the first tick.
     #[expect(clippy::cast_possible_truncation, reason = "a fifth of a millisecond")]
-    fn next(&mut self, from: u64, ticks: u64, um: f64) -> f64 {
-        self.shaft.push(Ramp::travelled(Tick(from), ticks as u32, um - self.um));
-        self.um = um;
-        self.shaft.displacement_um(HalfTick(2 * (from + ticks)))
+    fn next(&mut self, start: u64, ticks: u64, [from_um, to_um]: [f64; 2]) -> f64 {
+        let jump = u64::from(from_um != self.um);
+        self.shaft.push(Ramp::travelled(Tick(start), jump as u32, from_um - self.um));
+        self.shaft.push(Ramp::travelled(Tick(start + jump), (ticks - jump) as u32, to_um - from_um));
+        self.um = to_um;
+        self.shaft.displacement_um(HalfTick(2 * (start + ticks)))
     }
 }
 
@@ -167,14 +169,15 @@ impl Reached {
         let most_step_um = ticks_um(motor, every);
         for start in (from..until).step_by(usize::try_from(every).unwrap_or(usize::MAX)) {
             let end = start + every;
-            let asked = waveform.um_at(ns_at(end, rate));
+            let (begins, asked) =
+                (waveform.um_at(ns_at(start, rate)), waveform.um_around(ns_at(end, rate))[0]);
             let [_, um] = path.um_at(HalfTick(2 * end));
             from_asked.add(asked, um);
-            from_filtered.add(filtered.next(start, every, asked), um);
+            from_filtered.add(filtered.next(start, every, [begins, asked]), um);
             // The fastest motor that has this one's speed: it goes to what is asked as soon as it can.
             let possible = asked.clamp(0.0, most_um);
             let limited = best.um + (possible - best.um).clamp(-most_step_um, most_step_um);
-            step_error_um = step_error_um.max((best.next(start, every, limited) - um).abs());
+            step_error_um = step_error_um.max((best.next(start, every, [best.um, limited]) - um).abs());
             if (possible - limited).abs() > least_um {
                 match too_slow.last_mut().filter(|last| last.1 == start) {
                     Some(last) => last.1 = end,
@@ -218,7 +221,7 @@ fn busiest(moves: &[Move], ticks: u64) -> usize {
 mod tests {
     use super::*;
     use crate::motion::generate::tests::{noise, tone};
-    use crate::motion::{Envelope, Grid, Moves, RampHold, Shape, Strength, compile};
+    use crate::motion::{Envelope, Grid, Moves, Noise, RampHold, Shape, Strength, compile};
     use crate::spec::names;
     use std::f64::consts::{PI, TAU};
 
@@ -257,7 +260,8 @@ mod tests {
         let um = second_um(&ramp(200.0, 0.05), 2);
         let at = |ms: f64| um[(ms * 85.0) as usize];
         assert!((at(125.0) - 4.0 * (25.0 - 2.15)).abs() < 0.95, "{}", at(125.0));
-        assert!((at(155.0) - 200.0).abs() < 0.5 && at(404.5).abs() < 1e-9);
+        assert!((at(155.0) - 200.0).abs() < 0.1, "{}", at(155.0));
+        assert!(at(410.0).abs() < 1e-9);
         assert!((found.from_asked.peak_um - 4.0 * 2.15).abs() < 1.0);
     }
 
@@ -269,9 +273,9 @@ mod tests {
             let db = 20.0 * (third / first).log10();
             println!("Hann 40 Hz, {amplitude_um} um, {ms} ms: third harmonic {db:.1} dB");
             assert!(db < -40.0, "{amplitude_um} um: {db}");
-            // Half the amplitude, half the envelope, and the mean over 4.3 ms of a sine of 40 Hz.
+            // Half the amplitude, half the envelope, and the mean over 4.3 ms of a sine of 40 Hz. The steps are two means more.
             let expected = amplitude_um / 4.0 * (PI * 40.0 * 0.0043).sin() / (PI * 40.0 * 0.0043);
-            assert!((first / expected - 1.0).abs() < 0.01, "{first} instead of {expected}");
+            assert!((first / expected - 1.0).abs() < 0.02, "{first} instead of {expected}");
         }
     }
 
@@ -291,13 +295,17 @@ mod tests {
     #[test]
     fn a_finer_grid_costs_moves_and_saves_error() {
         let array = Array::paper();
+        let envelope = Envelope::AttackRelease { attack_s: 0.1, release_s: 0.1 };
+        let swelling = |rms_um: f64| {
+            Noise { envelope, ..noise(5.0, 50.0, Strength::RmsUm(rms_um), 3) }.waveform().unwrap()
+        };
         let waves = [
             ("ramp 200 um in 50 ms", ramp(200.0, 0.05)),
             ("Hann 40 Hz, 80 um", tone(40.0, 40.0, 80.0, Envelope::Hann).waveform().unwrap()),
             ("Hann 40 Hz, 20 um", tone(40.0, 40.0, 20.0, Envelope::Hann).waveform().unwrap()),
             ("chirp 10-200 Hz, 15 um", tone(10.0, 200.0, 15.0, Envelope::Hann).waveform().unwrap()),
-            ("noise 5-50 Hz, 10 um", noise(5.0, 50.0, Strength::RmsUm(10.0), 3).waveform().unwrap()),
-            ("noise 5-50 Hz, 3 um", noise(5.0, 50.0, Strength::RmsUm(3.0), 3).waveform().unwrap()),
+            ("noise 5-50 Hz, 10 um", swelling(10.0)),
+            ("noise 5-50 Hz, 3 um", swelling(3.0)),
         ];
         println!(
             "waveform               | step ms | moves/s | busiest | RMS um |  RMS % | r      | step error um"

@@ -29,6 +29,17 @@ pub struct Knot {
     pub um: f64,
 }
 
+/// What a waveform does within some time.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Section {
+    /// From the value at its beginning to that just before its end, µm.
+    pub rise_um: f64,
+    /// The mean displacement: the exact integral over the time, µm.
+    pub mean_um: f64,
+    /// The lowest and the highest displacement, µm.
+    pub extremes_um: [f64; 2],
+}
+
 /// See the module. The default is rest throughout.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Waveform {
@@ -172,19 +183,22 @@ impl Waveform {
         [next.um, after.um]
     }
 
-    /// The mean displacement from one instant to a later one, µm: the exact integral.
+    /// What it does from one instant to a later one.
     #[must_use]
     #[expect(clippy::cast_precision_loss, reason = "distances within a step")]
-    pub fn mean_um(&self, from_ns: u64, to_ns: u64) -> f64 {
-        let mut last = Knot { ns: from_ns, um: self.um_at(from_ns) };
+    pub fn section(&self, from_ns: u64, to_ns: u64) -> Section {
+        let first = Knot { ns: from_ns, um: self.um_at(from_ns) };
+        let end = Knot { ns: to_ns, um: self.um_around(to_ns)[0] };
         let inside = self.knots.partition_point(|knot| knot.ns <= from_ns);
         let inside = self.knots[inside..].iter().take_while(|knot| knot.ns < to_ns).copied();
-        let mut doubled = 0.0;
-        for knot in inside.chain([Knot { ns: to_ns, um: self.um_around(to_ns)[0] }]) {
+        let (mut last, mut doubled, mut extremes_um) = (first, 0.0, [first.um; 2]);
+        for knot in inside.chain([end]) {
             doubled += (last.um + knot.um) * (knot.ns - last.ns) as f64;
+            extremes_um = [knot.um.min(extremes_um[0]), knot.um.max(extremes_um[1])];
             last = knot;
         }
-        doubled / (2.0 * (to_ns - from_ns) as f64)
+        let mean_um = doubled / (2.0 * (to_ns - from_ns) as f64);
+        Section { rise_um: end.um - first.um, mean_um, extremes_um }
     }
 }
 
@@ -206,7 +220,9 @@ mod tests {
         );
         assert_eq!((wave.span_ns(), wave.extremes_um()), (Some((10 * MS, 12 * MS)), [0.0, 4.0]));
         // A trapezium and a triangle, over 4 ms.
-        assert!((wave.mean_um(9 * MS, 13 * MS) - (3.0 + 2.0) / 4.0).abs() < 1e-12);
+        let section = wave.section(9 * MS, 13 * MS);
+        assert!((section.mean_um - (3.0 + 2.0) / 4.0).abs() < 1e-12);
+        assert_eq!((section.rise_um, section.extremes_um), (0.0, [0.0, 4.0]));
         let cut = Waveform::samples(0.0, 1.0, &[0.0, -5.0]).unwrap().scaled(2.0);
         assert_eq!((cut.um_around(1000 * MS), cut.extremes_um()), ([-10.0, 0.0], [-10.0, 0.0]));
         assert_eq!(Waveform::default().um_around(0), [0.0; 2]);
