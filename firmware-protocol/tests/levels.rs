@@ -68,7 +68,10 @@ fn an_e_stop_keeps_the_heights_and_arm_brings_the_pins_down() {
             bench.run_to(at + offset);
             bench.control(Op::EStop);
             bench.run(300);
-            assert_eq!((bench.net(1), bench.net(2)), (bench.device.outstanding(1).into(), bench.device.outstanding(2).into()));
+            assert_eq!(
+                (bench.net(1), bench.net(2)),
+                (bench.device.outstanding(1).into(), bench.device.outstanding(2).into())
+            );
             assert_eq!(bench.device.counters().pulses, bench.total());
             bench.control(Op::Reset);
             bench.arm(false);
@@ -122,7 +125,7 @@ fn events() -> impl Strategy<Value = Vec<Event>> {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig::with_cases(300))]
+    #![proptest_config(ProptestConfig::default())]
 
     /// Moves in time, without limits: as a model says that knows nothing of bursts, queues and blocks.
     #[test]
@@ -168,7 +171,7 @@ proptest! {
         let mut bench = Bench::without_stop(Bench::new(shell), 60 * TICK_HZ, limits);
         let arm = Op::Arm { assume_rest: false, host_timeout: 60 * TICK_HZ, limits, lower_stop: None };
         let mut at = [[0; 2]; 24];
-        let mut sent = 0;
+        let (mut sent, mut lost) = (0, false);
         for event in events {
             match event {
                 Event::Moves(moves) => {
@@ -199,6 +202,10 @@ proptest! {
                     bench.control(Op::Stop);
                     bench.settle();
                     prop_assert!((0..24).all(|motor| bench.net(motor) == 0), "after a stop");
+                    if !lost {
+                        // It asserts that the return was over as soon as the report says.
+                        bench.last_cut();
+                    }
                 }
                 Event::EStop => {
                     bench.control(Op::EStop);
@@ -213,6 +220,8 @@ proptest! {
                     prop_assert!((0..24).all(|motor| bench.net(motor) == 0), "after an arm");
                 }
                 Event::LinkLost => {
+                    // A new session has its own reports.
+                    lost = true;
                     bench.device.link_lost(Tick(bench.now));
                     bench.settle();
                     bench.is(State::Disarmed, Cause::LinkLost);

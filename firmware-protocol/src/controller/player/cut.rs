@@ -2,6 +2,7 @@
 //!
 //! Invariant: what a cut flushes counts as dropped. After an e-stop each motor's height is that of the last tick that was played.
 
+use crate::array::MotorSet;
 use crate::controller::player::Player;
 use crate::controller::reporting::Reporting;
 use crate::limits::Refusal;
@@ -13,7 +14,7 @@ impl Player {
     pub(in crate::controller) fn cut(&mut self, reporting: &mut Reporting) -> (u16, u32) {
         let flushed = self.flush(reporting);
         let now = self.rendered;
-        self.shifting = None;
+        (self.shifting, self.lowered) = (None, MotorSet::EMPTY);
         for motor in 0..self.layout.loop_end() {
             if self.motors[motor].running.is_some_and(|running| running.direction == Direction::Up)
                 || self.motors[motor].goal() > 0
@@ -124,7 +125,7 @@ impl Player {
     pub(in crate::controller) fn turn_off(&mut self, at: Tick, reporting: &mut Reporting) -> u16 {
         let flushed = self.flush(reporting);
         let now = self.rendered;
-        self.shifting = None;
+        (self.shifting, self.lowered) = (None, MotorSet::EMPTY);
         for motor in 0..self.layout.loop_end() {
             self.end(motor);
         }
