@@ -5,7 +5,8 @@
 //! The loop is the difference.
 
 use criterion::{Criterion, criterion_group, criterion_main};
-use firmware_protocol::stroke::{Burst, Direction};
+use firmware_protocol::stroke::Direction;
+use meissner_array::strokes::Burst;
 use firmware_protocol::tick::Tick;
 use meissner_array::motor::SquareWave;
 use meissner_array::simulated::{Pin, SimulatedMotorsConfig};

@@ -3,7 +3,7 @@
 use crate::input::byte;
 use arbitrary::Unstructured;
 use firmware_protocol::batch::{Amendment, Amendments, BATCH_BYTES, MAX_BATCH, Packer, Strokes};
-use firmware_protocol::stroke::Stroke;
+use meissner_array::strokes::Stroke;
 use firmware_protocol::tick::Tick;
 
 /// The bytes are a list of either kind; or strokes and amendments are packed that the bytes give.

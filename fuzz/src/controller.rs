@@ -13,7 +13,8 @@ use firmware_protocol::controller::POOL;
 use firmware_protocol::frame::{self, MAX_FRAME};
 use firmware_protocol::limits::PowerLimits;
 use firmware_protocol::message::{Cause, HostMessage, LowerStop, Op, State};
-use firmware_protocol::stroke::{Direction, Stroke};
+use firmware_protocol::stroke::Direction;
+use meissner_array::strokes::Stroke;
 use firmware_protocol::tick::{Tick, WireTick};
 use meissner_array::spec::Array;
 

@@ -7,7 +7,7 @@ use arbitrary::Unstructured;
 use firmware_protocol::controller::{Controller, Identity, newer};
 use firmware_protocol::frame::{Decoder, FrameError, MAX_FRAME};
 use firmware_protocol::message::Op;
-use firmware_protocol::stroke::Stroke;
+use meissner_array::strokes::Stroke;
 use firmware_protocol::tick::Tick;
 use meissner_array::spec::Array;
 use meissner_stream::link::{Event, LineRate, Session, Verdict};

@@ -14,7 +14,7 @@ use firmware_protocol::message::{
     Cause, Counters, Cut, DeviceHello, DeviceMessage, HostMessage, Op, Report, Samples, State, Status,
     Trigger,
 };
-use firmware_protocol::stroke::Stroke;
+use meissner_array::strokes::Stroke;
 use firmware_protocol::tick::Tick;
 use meissner_array::spec::Array;
 use meissner_stream::link::{Budget, Contradictions, Event, LineRate, LostReason, Session, Verdict};

@@ -8,7 +8,7 @@
 use crate::spec::{Array, ArraySpec};
 use crate::strokes::Strokes;
 use firmware_protocol::limits::PowerLimits;
-use firmware_protocol::stroke::Stroke;
+use crate::strokes::Stroke;
 use firmware_protocol::tick::Tick;
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;

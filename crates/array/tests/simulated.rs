@@ -1,7 +1,8 @@
 //! The simulated motors: scatter, end stops, telemetry, and times a month away.
 
 use firmware_protocol::array::MotorSet;
-use firmware_protocol::stroke::{Burst, Direction, Lines, Stroke};
+use firmware_protocol::stroke::{Direction, Lines};
+use meissner_array::strokes::{Burst, Stroke};
 use firmware_protocol::tick::Tick;
 use meissner_array::pattern::Drive;
 use meissner_array::simulated::{

@@ -1,6 +1,6 @@
 //! From patterns to strokes: exact ticks, repeats and cuts, and invariants on random patterns.
 
-use firmware_protocol::stroke::Stroke;
+use meissner_array::strokes::Stroke;
 use firmware_protocol::tick::Tick;
 use meissner_array::motor::SquareWave;
 use meissner_array::pattern::{Drive, Pattern};

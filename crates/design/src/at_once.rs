@@ -7,7 +7,7 @@
 
 use crate::point::{Point, Vibration};
 use firmware_protocol::limits::PowerLimits;
-use firmware_protocol::stroke::Stroke;
+use meissner_array::strokes::Stroke;
 use firmware_protocol::tick::Tick;
 use meissner_array::motor::SquareWave;
 use meissner_array::power::PulsingMotors;

@@ -11,7 +11,7 @@
 
 use crate::partition::Partition;
 use crate::target::{Frame, Target};
-use firmware_protocol::stroke::Burst;
+use meissner_array::strokes::Burst;
 use firmware_protocol::tick::Tick;
 use meissner_array::motor::Ramp;
 use meissner_array::pattern::Pattern;

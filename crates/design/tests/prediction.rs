@@ -1,4 +1,5 @@
-use firmware_protocol::stroke::{Burst, Direction};
+use firmware_protocol::stroke::Direction;
+use meissner_array::strokes::Burst;
 use firmware_protocol::tick::Tick;
 use meissner_array::motor::Ramp;
 use meissner_array::pattern::Pattern;

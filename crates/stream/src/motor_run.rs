@@ -5,7 +5,8 @@
 //! deadline for corrections includes the delay of the link.
 
 use crate::control::{BurstController, Gains, Times};
-use firmware_protocol::stroke::{Burst, Direction, Stroke};
+use firmware_protocol::stroke::Direction;
+use meissner_array::strokes::{Burst, Stroke};
 use firmware_protocol::tick::Tick;
 use meissner_api::SensorFault;
 use meissner_array::motor::{Excursion, MotorError};

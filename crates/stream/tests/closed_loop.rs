@@ -4,7 +4,8 @@
 
 use firmware_protocol::limits::PowerLimits;
 use firmware_protocol::message::State;
-use firmware_protocol::stroke::{Burst, Direction, Line as Pulse};
+use firmware_protocol::stroke::{Direction, Line as Pulse};
+use meissner_array::strokes::Burst;
 use firmware_protocol::tick::Tick;
 use meissner_api::ErrorSource;
 use meissner_array::pattern::{Drive, Pattern};

@@ -4,7 +4,7 @@
 //! `MEISSNER_RENEW=1 cargo test -p meissner-stream --test tests -- faults`.
 
 use firmware_protocol::message::State;
-use firmware_protocol::stroke::Stroke;
+use meissner_array::strokes::Stroke;
 use firmware_protocol::tick::Tick;
 use meissner_array::simulated::SimulatedMotorsConfig;
 use meissner_fault_cases::{

@@ -1,6 +1,6 @@
 //! Live plays in virtual time: what the streamer acknowledges is what the lines carry, tick for tick.
 
-use firmware_protocol::stroke::Stroke;
+use meissner_array::strokes::Stroke;
 use firmware_protocol::tick::Tick;
 use meissner_api::EndCause;
 use meissner_array::motor::SquareWave;

@@ -3,7 +3,7 @@
 use firmware_protocol::controller::{Controller, Identity, newer};
 use firmware_protocol::frame::{MAX_FRAME, encode};
 use firmware_protocol::message::{Cause, DeviceMessage, Op as Command, State};
-use firmware_protocol::stroke::Stroke;
+use meissner_array::strokes::Stroke;
 use firmware_protocol::tick::Tick;
 use meissner_array::spec::Array;
 use meissner_stream::link::{BadFrames, Contradiction, Event, LineRate, Session, Verdict};

@@ -9,7 +9,7 @@ use firmware_protocol::frame::{self, Decoder};
 use firmware_protocol::message::{
     DeviceHello, DeviceMessage, HostMessage, Mark, Op, Report, Status, Trigger, Withdraw,
 };
-use firmware_protocol::stroke::Stroke;
+use meissner_array::strokes::Stroke;
 use firmware_protocol::tick::{Tick, WireTick};
 
 /// A frame of the ordered stream.

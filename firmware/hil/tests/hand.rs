@@ -8,7 +8,7 @@ use firmware_protocol::batch::{BATCH_BYTES, Packer};
 use firmware_protocol::controller::POOL;
 use firmware_protocol::frame::{MAX_FRAME, encode};
 use firmware_protocol::message::{Counters, HostMessage, Op, State, Status, Withdraw};
-use firmware_protocol::stroke::Stroke;
+use meissner_array::strokes::Stroke;
 use firmware_protocol::tick::Tick;
 use meissner_hil::bench::chip::ChipBench;
 use meissner_hil::bench::{Bench, Function, Which};

@@ -2,7 +2,8 @@
 
 use crate::play::job_of;
 use firmware_protocol::message::State;
-use firmware_protocol::stroke::{Burst, Direction};
+use firmware_protocol::stroke::Direction;
+use meissner_array::strokes::Burst;
 use meissner_array::pattern::{Drive, Pattern};
 use meissner_array::per_motor::PerMotor;
 use meissner_array::simulated::{LowerStop, Pin, SimulatedMotorsConfig};

@@ -5,7 +5,7 @@ use crate::hand::{Hand, Verdicts};
 use crate::random::uniform;
 use firmware_protocol::controller::POOL;
 use firmware_protocol::message::{Cause, Counters, Op, State};
-use firmware_protocol::stroke::Stroke;
+use meissner_array::strokes::Stroke;
 use firmware_protocol::tick::Tick;
 use meissner_array::spec::Array;
 use meissner_hil::bench::Which;

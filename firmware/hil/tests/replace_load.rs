@@ -4,7 +4,7 @@
 
 use crate::hand::Hand;
 use crate::margin::TIME;
-use firmware_protocol::stroke::Stroke;
+use meissner_array::strokes::Stroke;
 use firmware_protocol::tick::Tick;
 use meissner_hil::bench::Which;
 use meissner_hil::bench::chip::ChipOptions;

@@ -16,7 +16,8 @@ use firmware_protocol::message::{
     Cause, Counters, DeviceMessage, HostMessage, Mark, MarkKind, Op, Report, State as Armed, Status, Trigger,
     Withdraw,
 };
-use firmware_protocol::stroke::{Direction, Stroke};
+use firmware_protocol::stroke::Direction;
+use meissner_array::strokes::Stroke;
 use firmware_protocol::tick::Tick;
 use meissner_array::spec::Array;
 use stateright::{Model, Property};

@@ -6,7 +6,8 @@
 use firmware_protocol::array::MotorSet;
 use firmware_protocol::controller::{BLOCK, Controller, DRIVER_TAIL, HORIZON, Identity, Run};
 use firmware_protocol::message::State;
-use firmware_protocol::stroke::{Direction, Lines, Stroke};
+use firmware_protocol::stroke::{Direction, Lines};
+use meissner_array::strokes::Stroke;
 use firmware_protocol::tick::Tick;
 use meissner_array::spec::Array;
 use std::collections::VecDeque;

@@ -4,7 +4,7 @@
 
 use crate::{ONSET, PHASE_AFTER};
 use firmware_protocol::message::{DeviceMessage, State};
-use firmware_protocol::stroke::Stroke;
+use meissner_array::strokes::Stroke;
 use firmware_protocol::tick::Tick;
 use meissner_stream::Line;
 use meissner_stream::queues::Command;

@@ -6,7 +6,7 @@ use crate::ALLOWANCE_MS;
 use crate::board::Board;
 use crate::daemon::{Daemon, metric};
 use firmware_protocol::message::State;
-use firmware_protocol::stroke::Stroke;
+use meissner_array::strokes::Stroke;
 use firmware_protocol::tick::Tick;
 use meissner_api::{ErrorSource, Event, PlayAccepted, PlayState, Receipt, Status};
 use meissner_array::strokes::{StrokeOptions, Strokes};

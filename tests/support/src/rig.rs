@@ -5,7 +5,8 @@
 use crate::paper::MOTORS;
 use crate::statistics::rms;
 use firmware_protocol::controller::Run;
-use firmware_protocol::stroke::{Burst, Direction, Line as Pulse, Lines, Stroke};
+use firmware_protocol::stroke::{Direction, Line as Pulse, Lines};
+use meissner_array::strokes::{Burst, Stroke};
 use firmware_protocol::tick::Tick;
 use meissner_array::motor::SquareWave;
 use meissner_array::pattern::Pattern;

@@ -10,7 +10,7 @@ use super::rest::RestStats;
 use crate::motor::{Ramp, Shaft};
 use crate::random;
 use crate::spec::{Array, MotorSpec};
-use firmware_protocol::stroke::{self, Direction};
+use firmware_protocol::stroke::Direction;
 use firmware_protocol::tick::Tick;
 
 /// Telemetry's unit: 0.01 µm.
@@ -93,7 +93,7 @@ impl Pin {
     }
 
     /// Plays the next burst. From now on, ask about no instant before its start.
-    pub fn play(&mut self, burst: stroke::Burst) {
+    pub fn play(&mut self, burst: crate::strokes::Burst) {
         self.begin(burst.start, burst.direction);
         self.run(burst.start, burst.pulses.into());
         self.last_end = Some(burst.end());

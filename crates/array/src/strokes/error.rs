@@ -3,7 +3,7 @@
 use crate::motor::MotorError;
 use crate::pattern::MAX_SECONDS;
 use firmware_protocol::limits::Refusal;
-use firmware_protocol::stroke::Stroke;
+use crate::strokes::Stroke;
 
 /// Why a pattern cannot be played, or cannot be played to its end.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]

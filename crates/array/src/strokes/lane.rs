@@ -14,7 +14,7 @@ use crate::motor::Excursion;
 use crate::pattern::{Drive, Pattern};
 use crate::spec::Array;
 use crate::units::TickRate;
-use firmware_protocol::stroke::Stroke;
+use crate::strokes::Stroke;
 use firmware_protocol::tick::Tick;
 use std::sync::Arc;
 

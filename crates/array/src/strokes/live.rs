@@ -10,7 +10,7 @@ use super::error::StrokesError;
 use crate::motor::SquareWave;
 use crate::per_motor::PerMotor;
 use firmware_protocol::array::MotorSet;
-use firmware_protocol::stroke::Stroke;
+use crate::strokes::Stroke;
 use firmware_protocol::tick::Tick;
 
 /// The drive of one motor from a tick on.
@@ -142,7 +142,7 @@ impl LiveStrokes {
         let oscillator = self.motors.get_mut(usize::from(motor)).filter(|own| own.wave.moves())?;
         let stroke = oscillator.wave.excursions().number(oscillator.next).stroke(motor, oscillator.zero);
         oscillator.next += 1;
-        Some(match oscillator.wave.array().layout().check(&stroke) {
+        Some(match stroke.check(oscillator.wave.array().layout()) {
             Ok(()) => Ok(stroke),
             Err(refusal) => Err(StrokesError::Limit { stroke, refusal }),
         })

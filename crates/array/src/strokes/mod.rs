@@ -21,6 +21,7 @@ mod repeat;
 mod run;
 mod sequence;
 mod shortfall;
+mod stroke;
 
 pub use drive::DriveStrokes;
 pub use error::StrokesError;
@@ -30,13 +31,13 @@ pub use reached::{Ordered, Reached, ordered, reached};
 pub use sequence::{
     CompiledItem, MAX_ITEMS, MAX_SEQUENCE_DRIVES, MIN_ITEM_INTERVAL_MS, Sequence, SequenceError, Start,
 };
+pub use stroke::{Burst, Stroke};
 pub use shortfall::{DriveAmplitude, LEAST_SHARE, LEAST_UM, Shortfall, amplitudes};
 
 use crate::pattern::Pattern;
 use crate::per_motor::PerMotor;
 use crate::spec::Array;
 use firmware_protocol::limits;
-use firmware_protocol::stroke::Stroke;
 use firmware_protocol::tick::Tick;
 use run::Run;
 use std::sync::Arc;
@@ -191,7 +192,7 @@ impl Strokes {
 
     /// Checks a stroke of a drive with this surplus.
     fn check(&mut self, stroke: Stroke, surplus: u16) -> Result<Stroke, StrokesError> {
-        self.array.layout().check(&stroke).map_err(|refusal| StrokesError::Limit { stroke, refusal })?;
+        stroke.check(self.array.layout()).map_err(|refusal| StrokesError::Limit { stroke, refusal })?;
         if stroke.up_pulses.checked_add(surplus) != Some(stroke.down_pulses) {
             return Err(StrokesError::Unbalanced { stroke });
         }

@@ -7,7 +7,7 @@ use super::error::StrokesError;
 use super::lane::Lane;
 use super::options::StrokeOptions;
 use crate::pattern::Pattern;
-use firmware_protocol::stroke::Stroke;
+use crate::strokes::Stroke;
 use firmware_protocol::tick::Tick;
 
 /// See the module.

@@ -9,7 +9,7 @@
 use crate::board::BoardAccount;
 use crate::queues::{Onset, RestErrors};
 use firmware_protocol::message::Counters;
-use firmware_protocol::stroke::Stroke;
+use meissner_array::strokes::Stroke;
 use meissner_api::{BurstCounts, LateCause, LateCounts, PulseCounts};
 
 /// What is known once the onset has passed.

@@ -18,7 +18,7 @@ use crate::time::HostInstant;
 use account::{Account, Begun};
 use cut::Cut;
 use firmware_protocol::message::{Counters, Trigger};
-use firmware_protocol::stroke::Stroke;
+use meissner_array::strokes::Stroke;
 use firmware_protocol::tick::Tick;
 use meissner_api::{EndCause, LateCause, LateCounts};
 use meissner_array::strokes::{LiveStrokes, StrokesError};

@@ -6,7 +6,7 @@
 //! Invariant: a stroke taken from the source is the next one until it is counted or put back.
 
 use crate::source::Source;
-use firmware_protocol::stroke::Stroke;
+use meissner_array::strokes::Stroke;
 use firmware_protocol::tick::Tick;
 use meissner_array::strokes::StrokesError;
 

@@ -11,7 +11,7 @@
 //! Invariant: before a measured burst its motor has settled, and has rested for less than an eighth of a second. An array whose motors
 //! settle later, or whose bursts are transients after such a rest, has no plan.
 
-use firmware_protocol::stroke::Burst;
+use meissner_array::strokes::Burst;
 use firmware_protocol::tick::Tick;
 use meissner_array::pattern::{Drive, MAX_DRIVES, Pattern};
 use meissner_array::per_motor::PerMotor;

@@ -6,7 +6,8 @@
 
 use crate::calibrate::plan::{Plan, PlannedBurst};
 use crate::queues::MeasuredBurst;
-use firmware_protocol::stroke::{Burst, Direction, Lines};
+use firmware_protocol::stroke::{Direction, Lines};
+use meissner_array::strokes::Burst;
 use firmware_protocol::tick::Tick;
 use meissner_array::simulated::SimulatedMotors;
 use std::collections::HashMap;

@@ -14,7 +14,7 @@ pub use at_once::find_too_many;
 pub use density::{Dense, find_dense};
 pub use pushing::{Overpush, find_overpush};
 
-use firmware_protocol::stroke::Stroke;
+use meissner_array::strokes::Stroke;
 use firmware_protocol::tick::Tick;
 use meissner_array::strokes::Strokes;
 

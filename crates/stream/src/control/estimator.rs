@@ -13,7 +13,8 @@
 //! Invariant: numbers stay small. A burst merges into the position when the window has passed it, and each variance
 //! has a floor, so nothing becomes singular in an hour.
 
-use firmware_protocol::stroke::{Burst, Direction};
+use firmware_protocol::stroke::Direction;
+use meissner_array::strokes::Burst;
 use firmware_protocol::tick::Tick;
 use meissner_array::motor::{HalfTick, Ramp};
 use meissner_array::reflected_walk::Spread;

@@ -1,7 +1,7 @@
 //! A stroke that was sent to the device and is not over: what was planned, what position control made of it, and when it ends if
 //! the device cuts it.
 
-use firmware_protocol::stroke::{Burst, Stroke};
+use meissner_array::strokes::{Burst, Stroke};
 use firmware_protocol::tick::Tick;
 
 /// A stroke sent to the device and not over yet.

@@ -17,7 +17,7 @@ use crate::time::HostInstant;
 use firmware_protocol::array::MotorSet;
 use firmware_protocol::controller::BLOCK;
 use firmware_protocol::message::{Op, State};
-use firmware_protocol::stroke::Stroke;
+use meissner_array::strokes::Stroke;
 use firmware_protocol::tick::Tick;
 use meissner_api::{EndCause, LateCause};
 use meissner_array::per_motor::PerMotor;

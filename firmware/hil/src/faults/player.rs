@@ -10,7 +10,7 @@ use crate::rig::{Rig, RigError, RigOptions};
 use crate::scenario::pattern;
 use crate::time::{MS, TICK};
 use firmware_protocol::message::State;
-use firmware_protocol::stroke::Stroke;
+use meissner_array::strokes::Stroke;
 use meissner_array::strokes::{StrokeOptions, Strokes};
 use meissner_fault_cases::{Kind, ONSET, Observed, Order, PLAY, Seen, What, bytes};
 use meissner_stream::faulty::Line;

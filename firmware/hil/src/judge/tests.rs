@@ -5,7 +5,7 @@ use crate::pins::{ENABLE, LED, Pins, TRIGGER, pin_of};
 use crate::tap::Batch;
 use crate::time::{MS, TICK};
 use firmware_protocol::message::{Counters, Mark, MarkKind, Report};
-use firmware_protocol::stroke::Stroke;
+use meissner_array::strokes::Stroke;
 use meissner_array::spec::Array;
 
 const ORIGIN: u64 = 7_777;

@@ -4,7 +4,8 @@
 //! before each of them.
 
 use crate::calibrate::plan::{Plan, PlanError, PlannedBurst};
-use firmware_protocol::stroke::{Burst, Direction};
+use firmware_protocol::stroke::Direction;
+use meissner_array::strokes::Burst;
 use firmware_protocol::tick::Tick;
 use meissner_api::Provenance;
 use meissner_array::spec::Array;

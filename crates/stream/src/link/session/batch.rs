@@ -13,7 +13,7 @@ use firmware_protocol::controller::REORDER_WINDOW;
 use firmware_protocol::frame::{self, MAX_FRAME};
 use firmware_protocol::limits::Refusal;
 use firmware_protocol::message::{HostMessage, Mark, MarkKind, Report, Status, Withdraw};
-use firmware_protocol::stroke::Stroke;
+use meissner_array::strokes::Stroke;
 use firmware_protocol::tick::Tick;
 use std::time::Duration;
 

@@ -6,7 +6,7 @@ use firmware_protocol::array::{ArrayId, MotorSet};
 use firmware_protocol::board::{Board, SelfTestState};
 use firmware_protocol::limits::Refusal;
 use firmware_protocol::message::{Counters, Cut, DeviceHello, Status};
-use firmware_protocol::stroke::Stroke;
+use meissner_array::strokes::Stroke;
 use firmware_protocol::tick::Tick;
 use meissner_array::per_motor::PerMotor;
 use std::borrow::Cow;

@@ -62,7 +62,7 @@ use crate::time::HostInstant;
 use firmware_protocol::array::MotorSet;
 use firmware_protocol::batch::Amendment;
 use firmware_protocol::message::{Mark, MarkKind, Op, Trigger};
-use firmware_protocol::stroke::Stroke;
+use meissner_array::strokes::Stroke;
 use firmware_protocol::tick::Tick;
 use meissner_array::spec::Array;
 use std::time::Duration;

@@ -15,7 +15,7 @@ use firmware_protocol::batch::{Amendment, BATCH_BYTES, Packer};
 use firmware_protocol::controller::{REORDER_WINDOW, REPORTS};
 use firmware_protocol::frame::MAX_FRAME;
 use firmware_protocol::message::{Mark, Report, Status};
-use firmware_protocol::stroke::Stroke;
+use meissner_array::strokes::Stroke;
 use firmware_protocol::tick::Tick;
 use std::collections::VecDeque;
 use std::time::Duration;

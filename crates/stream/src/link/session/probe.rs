@@ -13,7 +13,7 @@ use crate::link::session::rate::{LineRate, MeasuredLine};
 use crate::time::HostInstant;
 use firmware_protocol::batch::{BATCH_BYTES, Packer};
 use firmware_protocol::frame::MAX_FRAME;
-use firmware_protocol::stroke::Stroke;
+use meissner_array::strokes::Stroke;
 use firmware_protocol::tick::Tick;
 use std::time::Duration;
 
