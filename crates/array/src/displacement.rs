@@ -8,9 +8,9 @@
 
 use crate::motor::{HalfTick, Ramp, Shaft};
 use crate::spec::MotorSpec;
+use crate::strokes::Stroke;
 use crate::strokes::{Strokes, StrokesError};
 use firmware_protocol::stroke::Direction;
-use crate::strokes::Stroke;
 use std::collections::VecDeque;
 use std::iter::Peekable;
 

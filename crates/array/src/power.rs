@@ -6,9 +6,9 @@
 //! Invariant: counts are exact in every tick; of two bursts that touch, the first has ended when the second begins.
 
 use crate::spec::{Array, ArraySpec};
+use crate::strokes::Stroke;
 use crate::strokes::Strokes;
 use firmware_protocol::limits::PowerLimits;
-use crate::strokes::Stroke;
 use firmware_protocol::tick::Tick;
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;

@@ -2,13 +2,13 @@
 
 use firmware_protocol::array::MotorSet;
 use firmware_protocol::stroke::{Direction, Lines};
-use meissner_array::strokes::{Burst, Stroke};
 use firmware_protocol::tick::Tick;
 use meissner_array::pattern::Drive;
 use meissner_array::simulated::{
     LowerStop, Pin, RestStats, SPARE_SAMPLES, SimulatedMotors, SimulatedMotorsConfig,
 };
 use meissner_array::spec::{Array, ArraySpec};
+use meissner_array::strokes::{Burst, Stroke};
 use meissner_array::strokes::{StrokeOptions, Strokes, StrokesError, Surplus};
 use meissner_test_support::paper::UM_PER_PULSE;
 use meissner_test_support::patterns;

@@ -1,12 +1,12 @@
 //! From patterns to strokes: exact ticks, repeats and cuts, and invariants on random patterns.
 
-use meissner_array::strokes::Stroke;
 use firmware_protocol::tick::Tick;
 use meissner_array::motor::SquareWave;
 use meissner_array::pattern::{Drive, Pattern};
 use meissner_array::per_motor::PerMotor;
 use meissner_array::reflected_walk::Spread;
 use meissner_array::spec::Array;
+use meissner_array::strokes::Stroke;
 use meissner_array::strokes::{
     AutoSurplus, Fit, Ordered, StrokeOptions, Strokes, StrokesError, Surplus, ordered, reached,
 };

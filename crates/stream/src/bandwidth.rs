@@ -105,10 +105,10 @@ impl Bandwidth {
         while let Some(Ok(stroke)) = strokes.next()
             && stroke.up < ahead
         {
-            if frames == 0 || frame.stroke(&stroke).is_err() {
+            if frames == 0 || stroke.pack(&mut frame).is_err() {
                 bytes += frame.bytes().len() + FRAME_BYTES + WITHDRAW_BYTES;
                 frame = Packer::new(stroke.up);
-                let _ = frame.stroke(&stroke);
+                let _ = stroke.pack(&mut frame);
                 frames += 1;
             }
         }
@@ -143,17 +143,17 @@ impl Bandwidth {
                 break;
             }
             let (at, before) = (stroke.up.0, frame.bytes().len());
-            if framed == at / batch && frame.stroke(&stroke).is_ok() {
+            if framed == at / batch && stroke.pack(&mut frame).is_ok() {
                 bytes.add(at, frame.bytes().len() - before);
             } else {
                 framed = at / batch;
                 frame = Packer::new(stroke.up);
-                let _ = frame.stroke(&stroke);
+                let _ = stroke.pack(&mut frame);
                 bytes.add(at, FRAME_BYTES + frame.bytes().len());
             }
-            if full.items() == 0 || full.stroke(&stroke).is_err() {
+            if full.count() == 0 || stroke.pack(&mut full).is_err() {
                 full = Packer::new(stroke.up);
-                let _ = full.stroke(&stroke);
+                let _ = stroke.pack(&mut full);
                 frames.add(at, 1);
             }
             for burst in stroke.bursts() {

@@ -6,7 +6,6 @@
 
 use crate::control::{BurstController, Gains, Times};
 use firmware_protocol::stroke::Direction;
-use meissner_array::strokes::{Burst, Stroke};
 use firmware_protocol::tick::Tick;
 use meissner_api::SensorFault;
 use meissner_array::motor::{Excursion, MotorError};
@@ -14,6 +13,7 @@ use meissner_array::pattern::Drive;
 use meissner_array::simulated::{Pin, SimulatedMotorsConfig};
 use meissner_array::spec::Array;
 use meissner_array::strokes::DriveStrokes;
+use meissner_array::strokes::{Burst, Stroke};
 use serde::Serialize;
 use std::collections::VecDeque;
 
@@ -170,7 +170,7 @@ impl MotorRun {
             if controller.next().is_some_and(|next| next <= now + times.finalise_at) {
                 let free = || next.map_or(end, |stroke| stroke.up);
                 let fresh = now - sampled <= times.longest_age;
-                let amend = |up, direction, pulses| motor.amend(up, direction, pulses);
+                let amend = |tick, pulses| motor.amend(tick, pulses);
                 controller.correct(now, free, fresh, true, amend);
             }
         }
@@ -213,15 +213,19 @@ impl Motor {
         })
     }
 
-    fn amend(&mut self, up: Tick, direction: Direction, pulses: u16) -> bool {
-        let Some((stroke, _)) = self.queue.iter_mut().find(|(stroke, _)| stroke.up == up) else {
-            return false;
-        };
-        match direction {
-            Direction::Up => stroke.up_pulses = pulses,
-            Direction::Down => stroke.down_pulses = pulses,
+    /// These strokes have no surplus: the pulses of a way down are all of its burst.
+    fn amend(&mut self, tick: Tick, pulses: u16) -> bool {
+        for (stroke, _) in &mut self.queue {
+            if stroke.up == tick {
+                stroke.up_pulses = pulses;
+                return true;
+            }
+            if stroke.down == tick {
+                stroke.down_pulses = pulses;
+                return true;
+            }
         }
-        true
+        false
     }
 }
 

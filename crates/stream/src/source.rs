@@ -1,8 +1,8 @@
 //! Where the strokes of a play come from: a compiled pattern or sequence, or drives that change while it runs.
 
-use meissner_array::strokes::Stroke;
 use firmware_protocol::tick::Tick;
 use meissner_array::spec::Array;
+use meissner_array::strokes::Stroke;
 use meissner_array::strokes::{LiveStrokes, Strokes, StrokesError};
 
 /// The strokes of a play.

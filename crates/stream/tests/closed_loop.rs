@@ -5,13 +5,13 @@
 use firmware_protocol::limits::PowerLimits;
 use firmware_protocol::message::State;
 use firmware_protocol::stroke::{Direction, Line as Pulse};
-use meissner_array::strokes::Burst;
 use firmware_protocol::tick::Tick;
 use meissner_api::ErrorSource;
 use meissner_array::pattern::{Drive, Pattern};
 use meissner_array::per_motor::PerMotor;
 use meissner_array::simulated::{Pin, Sample, SimulatedMotorsConfig};
 use meissner_array::spec::Array;
+use meissner_array::strokes::Burst;
 use meissner_stream::queues::{Command, CommandError, StreamEvent};
 use meissner_stream::{Gains, Line, Settings, rest_bound_um};
 use meissner_test_support::paper::{MOTORS, UM_PER_PULSE};

@@ -4,9 +4,9 @@
 //! `MEISSNER_RENEW=1 cargo test -p meissner-stream --test tests -- faults`.
 
 use firmware_protocol::message::State;
-use meissner_array::strokes::Stroke;
 use firmware_protocol::tick::Tick;
 use meissner_array::simulated::SimulatedMotorsConfig;
+use meissner_array::strokes::Stroke;
 use meissner_fault_cases::{
     Case, Evidence, Kind, ONSET, Observed, Order, PATTERNS, PLAY, Seen, Shown, What, bytes, cases,
     high_until, jobs, run,

@@ -1,12 +1,12 @@
 //! Live plays in virtual time: what the streamer acknowledges is what the lines carry, tick for tick.
 
-use meissner_array::strokes::Stroke;
 use firmware_protocol::tick::Tick;
 use meissner_api::EndCause;
 use meissner_array::motor::SquareWave;
 use meissner_array::per_motor::PerMotor;
 use meissner_array::spec::Array;
 use meissner_array::strokes::LiveStrokes;
+use meissner_array::strokes::Stroke;
 use meissner_stream::queues::{
     Applied, Command, CommandError, End, LiveResult, LiveUpdate, Outcome, Play, StreamEvent,
 };

@@ -3,9 +3,9 @@
 use firmware_protocol::controller::{Controller, Identity, newer};
 use firmware_protocol::frame::{MAX_FRAME, encode};
 use firmware_protocol::message::{Cause, DeviceMessage, Op as Command, State};
-use meissner_array::strokes::Stroke;
 use firmware_protocol::tick::Tick;
 use meissner_array::spec::Array;
+use meissner_array::strokes::Stroke;
 use meissner_stream::link::{BadFrames, Contradiction, Event, LineRate, Session, Verdict};
 use meissner_stream::time::HostInstant;
 use proptest::prelude::*;

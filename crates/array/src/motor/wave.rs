@@ -12,9 +12,9 @@
 use super::model::{MAX_AMPLITUDE_UM, MotorError};
 use super::shaft::Ramp;
 use crate::spec::Array;
+use crate::strokes::Stroke;
 use firmware_protocol::limits;
 use firmware_protocol::stroke::Direction;
-use crate::strokes::Stroke;
 use firmware_protocol::tick::Tick;
 
 /// A square-wave drive of one motor, in ticks of its own time.

@@ -2,8 +2,8 @@
 
 use crate::motor::MotorError;
 use crate::pattern::MAX_SECONDS;
-use firmware_protocol::limits::Refusal;
 use crate::strokes::Stroke;
+use firmware_protocol::limits::Refusal;
 
 /// Why a pattern cannot be played, or cannot be played to its end.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]

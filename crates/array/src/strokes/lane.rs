@@ -13,8 +13,8 @@ use super::repeat::Repeat;
 use crate::motor::Excursion;
 use crate::pattern::{Drive, Pattern};
 use crate::spec::Array;
-use crate::units::TickRate;
 use crate::strokes::Stroke;
+use crate::units::TickRate;
 use firmware_protocol::tick::Tick;
 use std::sync::Arc;
 

@@ -9,8 +9,8 @@
 use super::error::StrokesError;
 use crate::motor::SquareWave;
 use crate::per_motor::PerMotor;
-use firmware_protocol::array::MotorSet;
 use crate::strokes::Stroke;
+use firmware_protocol::array::MotorSet;
 use firmware_protocol::tick::Tick;
 
 /// The drive of one motor from a tick on.

@@ -31,8 +31,8 @@ pub use reached::{Ordered, Reached, ordered, reached};
 pub use sequence::{
     CompiledItem, MAX_ITEMS, MAX_SEQUENCE_DRIVES, MIN_ITEM_INTERVAL_MS, Sequence, SequenceError, Start,
 };
-pub use stroke::{Burst, Stroke};
 pub use shortfall::{DriveAmplitude, LEAST_SHARE, LEAST_UM, Shortfall, amplitudes};
+pub use stroke::{Burst, Stroke};
 
 use crate::pattern::Pattern;
 use crate::per_motor::PerMotor;

@@ -3,6 +3,7 @@
 //! Drives are compiled to strokes, and position control corrects their bursts. On the wire a stroke is two moves.
 
 use firmware_protocol::array::Layout;
+use firmware_protocol::batch::{self, Full, Packer};
 use firmware_protocol::limits::Refusal;
 use firmware_protocol::stroke::{Direction, Line};
 use firmware_protocol::tick::Tick;
@@ -53,17 +54,36 @@ impl Stroke {
 
     /// As it is sent; `None` if its bursts are not in order, or it has more pulses up than down.
     #[must_use]
-    pub fn packed(&self) -> Option<firmware_protocol::batch::Stroke> {
+    pub fn packed(&self) -> Option<batch::Stroke> {
         let Self { motor, up, up_pulses: level, down, down_pulses } = *self;
         let surplus = down_pulses.checked_sub(level)?;
-        let stroke = firmware_protocol::batch::Stroke { motor, up, level, down, surplus };
+        let stroke = batch::Stroke { motor, up, level, down, surplus };
         (up + u64::from(level) <= down && level > 0).then_some(stroke)
+    }
+
+    /// Appends it to a packed list.
+    ///
+    /// # Errors
+    /// [`Full`] if it does not fit, or is no stroke that can be sent.
+    pub fn pack<const N: usize>(&self, into: &mut Packer<N>) -> Result<(), Full> {
+        into.stroke(&self.packed().ok_or(Full)?)
+    }
+
+    /// The strokes of a packed list that counts from `base`, each with the number of its first move in the list. Moves that belong to no
+    /// stroke are left out.
+    pub fn of_batch(base: Tick, batch: &[u8]) -> impl Iterator<Item = (usize, Self)> + use<> {
+        let moves = batch::moves(base, batch).unwrap_or_default();
+        (0..moves.len()).filter_map(move |at| {
+            let [up, down] = [moves.get(at)?, moves.get(at + 1).filter(|down| down.joined)?].map(|of| of.of);
+            let (motor, level, surplus) = (up.motor, up.level, down.surplus);
+            Some((at, Self::unpacked(&batch::Stroke { motor, up: up.tick, level, down: down.tick, surplus })))
+        })
     }
 
     /// The stroke that was sent as this.
     #[must_use]
-    pub const fn unpacked(of: &firmware_protocol::batch::Stroke) -> Self {
-        let firmware_protocol::batch::Stroke { motor, up, level, down, surplus } = *of;
+    pub const fn unpacked(of: &batch::Stroke) -> Self {
+        let batch::Stroke { motor, up, level, down, surplus } = *of;
         Self { motor, up, up_pulses: level, down, down_pulses: level + surplus }
     }
 

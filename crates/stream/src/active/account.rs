@@ -9,8 +9,8 @@
 use crate::board::BoardAccount;
 use crate::queues::{Onset, RestErrors};
 use firmware_protocol::message::Counters;
-use meissner_array::strokes::Stroke;
 use meissner_api::{BurstCounts, LateCause, LateCounts, PulseCounts};
+use meissner_array::strokes::Stroke;
 
 /// What is known once the onset has passed.
 #[derive(Clone, Copy, Debug)]

@@ -6,8 +6,8 @@
 //! Invariant: a stroke taken from the source is the next one until it is counted or put back.
 
 use crate::source::Source;
-use meissner_array::strokes::Stroke;
 use firmware_protocol::tick::Tick;
+use meissner_array::strokes::Stroke;
 use meissner_array::strokes::StrokesError;
 
 /// See the module.

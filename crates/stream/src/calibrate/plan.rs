@@ -11,11 +11,11 @@
 //! Invariant: before a measured burst its motor has settled, and has rested for less than an eighth of a second. An array whose motors
 //! settle later, or whose bursts are transients after such a rest, has no plan.
 
-use meissner_array::strokes::Burst;
 use firmware_protocol::tick::Tick;
 use meissner_array::pattern::{Drive, MAX_DRIVES, Pattern};
 use meissner_array::per_motor::PerMotor;
 use meissner_array::spec::Array;
+use meissner_array::strokes::Burst;
 use meissner_array::strokes::{StrokeOptions, Strokes};
 use std::ops::RangeInclusive;
 

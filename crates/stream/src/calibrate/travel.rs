@@ -7,9 +7,9 @@
 use crate::calibrate::plan::{Plan, PlannedBurst};
 use crate::queues::MeasuredBurst;
 use firmware_protocol::stroke::{Direction, Lines};
-use meissner_array::strokes::Burst;
 use firmware_protocol::tick::Tick;
 use meissner_array::simulated::SimulatedMotors;
+use meissner_array::strokes::Burst;
 use std::collections::HashMap;
 
 /// The largest standard deviation of a measurement: a share of an ideal motor's travel, plus µm. It is a tenth of the bursts'

@@ -14,8 +14,8 @@ pub use at_once::find_too_many;
 pub use density::{Dense, find_dense};
 pub use pushing::{Overpush, find_overpush};
 
-use meissner_array::strokes::Stroke;
 use firmware_protocol::tick::Tick;
+use meissner_array::strokes::Stroke;
 use meissner_array::strokes::Strokes;
 
 /// Length of a play without end that counts, s: after a minute few plays do anything new. Drives whose frequencies differ by less than

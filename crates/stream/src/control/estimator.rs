@@ -14,11 +14,11 @@
 //! has a floor, so nothing becomes singular in an hour.
 
 use firmware_protocol::stroke::Direction;
-use meissner_array::strokes::Burst;
 use firmware_protocol::tick::Tick;
 use meissner_array::motor::{HalfTick, Ramp};
 use meissner_array::reflected_walk::Spread;
 use meissner_array::spec::MotorSpec;
+use meissner_array::strokes::Burst;
 
 /// Bursts in the window at once: those of 300 Hz in a window of up to 6.6 ms, of slower drives in longer ones. Of more, the oldest counts
 /// as over, and the motor is played without feedback until it is: see [`Estimator::is_blind`].

@@ -28,12 +28,12 @@ pub use bound::rest_bound_um;
 use firmware_protocol::array::MotorSet;
 use firmware_protocol::batch::Amendment;
 use firmware_protocol::stroke::Direction;
-use meissner_array::strokes::Stroke;
 use firmware_protocol::tick::Tick;
 use meissner_api::ErrorSource;
 use meissner_api::SensorFault;
 use meissner_array::per_motor::PerMotor;
 use meissner_array::spec::Array;
+use meissner_array::strokes::Stroke;
 use replacement::Replacement;
 
 /// Without telemetry a stroke counts as played so long after it begins, ms: the device's verdict has come by then.
@@ -407,7 +407,7 @@ impl PositionControl {
                 || free(index),
                 fresh,
                 may_lengthen,
-                |up, direction, pulses| amend(&Amendment { motor: index, up, direction, pulses }),
+                |tick, pulses| amend(&Amendment { motor: index, tick, pulses }),
             );
         }
     }

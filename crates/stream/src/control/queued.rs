@@ -1,8 +1,8 @@
 //! A stroke that was sent to the device and is not over: what was planned, what position control made of it, and when it ends if
 //! the device cuts it.
 
-use meissner_array::strokes::{Burst, Stroke};
 use firmware_protocol::tick::Tick;
+use meissner_array::strokes::{Burst, Stroke};
 
 /// A stroke sent to the device and not over yet.
 #[derive(Clone, Copy, Debug)]

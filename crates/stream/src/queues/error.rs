@@ -112,17 +112,15 @@ pub fn refusal_text(refusal: Refusal) -> &'static str {
     match refusal {
         Refusal::NotArmed => "it is not armed",
         Refusal::Motor => "there is no such motor",
-        Refusal::UpPulses => "a stroke without pulses, or with more than the controller allows",
-        Refusal::Bursts => "a stroke's bursts overlap",
-        Refusal::Unbalanced => "a stroke does not come back to rest",
-        Refusal::Overlap => "two strokes of one motor overlap",
+        Refusal::Level => "a pin would go higher than the controller allows",
+        Refusal::Surplus => "a stroke does not come back to rest",
         Refusal::TooFar => "it lies too far ahead",
         Refusal::PoolFull => "no free stroke slot",
         Refusal::MotorOnTime => "a motor's on-time limit",
         Refusal::RailOnTime => "a rail's on-time limit",
         Refusal::RailAtOnce => "more motors of a rail at once than `rail_motors_at_once` allows",
         Refusal::ChipAtOnce => "more motors of a driver chip at once than `chip_motors_at_once` allows",
-        Refusal::Dense => "more strokes within 10 ms than the device has time for",
+        Refusal::Dense => "more moves within 10 ms, or of a motor within 1 ms, than the device has time for",
         Refusal::PositionUnknown => {
             "it does not know where the pins are; see that all are at rest, then `meissner arm --assume-rest`"
         }

@@ -17,11 +17,11 @@ use crate::time::HostInstant;
 use firmware_protocol::array::MotorSet;
 use firmware_protocol::controller::BLOCK;
 use firmware_protocol::message::{Op, State};
-use meissner_array::strokes::Stroke;
 use firmware_protocol::tick::Tick;
 use meissner_api::{EndCause, LateCause};
 use meissner_array::per_motor::PerMotor;
 use meissner_array::spec::MAX_MOTORS;
+use meissner_array::strokes::Stroke;
 use meissner_array::units::TickRate;
 use std::time::Duration;
 

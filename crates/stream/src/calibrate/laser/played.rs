@@ -5,10 +5,10 @@
 
 use crate::calibrate::plan::{Plan, PlanError, PlannedBurst};
 use firmware_protocol::stroke::Direction;
-use meissner_array::strokes::Burst;
 use firmware_protocol::tick::Tick;
 use meissner_api::Provenance;
 use meissner_array::spec::Array;
+use meissner_array::strokes::Burst;
 use serde::{Deserialize, Serialize};
 
 /// What the provenance of a calibration calls a laser.

@@ -116,7 +116,7 @@ impl BurstController {
         free: impl Fn() -> Tick,
         fresh: bool,
         may_lengthen: bool,
-        mut amend: impl FnMut(Tick, Direction, u16) -> bool,
+        mut amend: impl FnMut(Tick, u16) -> bool,
     ) {
         let Times { send_by, finalise_at, finalise_early, .. } = self.times;
         let fresh = fresh && !self.is_blind(now);
@@ -137,7 +137,11 @@ impl BurstController {
                 let limited_um = limited_um.map(|um| um as f32);
                 let correction = Correction { limited_um, rest_um: self.rest_um() as f32 };
                 self.queue[self.finalised / 2].corrections[half] = Some(correction);
-                if pulses != burst.pulses && amend(queued.stroke.up, burst.direction, pulses) {
+                // The device adds the surplus itself.
+                let [up, down] = queued.planned;
+                let surplus = if half == 1 { down.saturating_sub(up) } else { 0 };
+                let sent = pulses.saturating_sub(surplus).max(1);
+                if pulses != burst.pulses && amend(burst.start, sent) {
                     let stroke = &mut self.queue[self.finalised / 2].stroke;
                     match burst.direction {
                         Direction::Up => stroke.up_pulses = pulses,

@@ -33,11 +33,11 @@ use super::estimator::{Estimator, Gains, Travel, gain_index};
 use super::queued::{Correction, Cutting, Forgotten, Queued};
 use super::telemetry_monitor::{Plausibility, TelemetryMonitor};
 use firmware_protocol::controller::POOL;
-use meissner_array::strokes::Stroke;
 use firmware_protocol::tick::Tick;
 use meissner_api::SensorFault;
 use meissner_array::motor::HalfTick;
 use meissner_array::spec::Array;
+use meissner_array::strokes::Stroke;
 use std::collections::VecDeque;
 
 /// Strokes of one motor that may begin in [`Times::longest_age`], at 300 Hz.

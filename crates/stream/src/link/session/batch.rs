@@ -8,13 +8,13 @@
 use crate::link::session::event::Verdict;
 use crate::time::HostInstant;
 use firmware_protocol::array::MotorSet;
-use firmware_protocol::batch::{BATCH_BYTES, Packer, Strokes};
+use firmware_protocol::batch::{BATCH_BYTES, Packer};
 use firmware_protocol::controller::REORDER_WINDOW;
 use firmware_protocol::frame::{self, MAX_FRAME};
 use firmware_protocol::limits::Refusal;
 use firmware_protocol::message::{HostMessage, Mark, MarkKind, Report, Status, Withdraw};
-use meissner_array::strokes::Stroke;
 use firmware_protocol::tick::Tick;
+use meissner_array::strokes::Stroke;
 use std::time::Duration;
 
 /// Bytes of a stroke in a frame, usually; at most 21.
@@ -92,7 +92,7 @@ impl Batch {
     }
 
     pub(super) fn items(&self) -> usize {
-        self.strokes.items()
+        self.strokes.count()
     }
 
     pub(super) const fn is_sent(&self) -> bool {
@@ -107,9 +107,9 @@ impl Batch {
     /// Adds a stroke; `false` if it does not fit a frame of at most `longest` bytes.
     pub(super) fn push(&mut self, stroke: &Stroke, longest: usize) -> bool {
         let has_space = longest == MAX_FRAME
-            || self.strokes.items() == 0
+            || self.strokes.count() == 0
             || MAX_FRAME - BATCH_BYTES + self.strokes.bytes().len() + STROKE_BYTES <= longest;
-        has_space && self.strokes.stroke(stroke).is_ok()
+        has_space && stroke.pack(&mut self.strokes).is_ok()
     }
 
     /// The same for a frame that is sealed: while it waits it takes more strokes, unless it has a mark.
@@ -158,7 +158,7 @@ impl Batch {
         let (seq, mark, base) = (self.seq, self.mark, self.strokes.base().wire());
         let withdraw = self.withdraws.map(|motors| Withdraw { motors, generation });
         let batch = self.strokes.bytes();
-        let message = HostMessage::Strokes { epoch, seq, seen, mark, withdraw, base, batch };
+        let message = HostMessage::Moves { epoch, seq, seen, mark, withdraw, base, batch };
         self.len = encoded(&message, out);
         let marks = self.marks().filter(|_| !self.is_sent());
         self.first_sent.get_or_insert(now);
@@ -181,8 +181,8 @@ impl Batch {
             _ => (0, 0, Refusal::Malformed, tick),
         };
         let sent = self.first_sent.unwrap_or(now);
-        let strokes = Strokes::new(self.strokes.base(), self.strokes.bytes()).flatten();
-        strokes.enumerate().map(move |(i, stroke)| {
+        let strokes = Stroke::of_batch(self.strokes.base(), self.strokes.bytes());
+        strokes.map(move |(i, stroke)| {
             let verdict = if late >> i & 1 == 1 && kept.contains(stroke.motor) {
                 Verdict::Superseded
             } else if late >> i & 1 == 1 {

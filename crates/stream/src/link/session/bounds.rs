@@ -436,7 +436,7 @@ impl DeviceKnowledge {
                     && return_ticks.is_none_or(|ticks| u64::from(ticks) <= longest_return(self.layout()));
                 if fits { self.tick_within(clock, at, self.horizon) } else { Err(Contradiction::Report) }
             }
-            Report::Refused { motor, up, reason } => {
+            Report::Refused { motor, tick, reason } => {
                 let limit = matches!(
                     reason,
                     Refusal::MotorOnTime
@@ -447,7 +447,14 @@ impl DeviceKnowledge {
                         | Refusal::Dense
                 );
                 let fits = self.array.has(motor) && limit;
-                if fits { self.tick_within(clock, up, self.horizon) } else { Err(Contradiction::Report) }
+                if fits { self.tick_within(clock, tick, self.horizon) } else { Err(Contradiction::Report) }
+            }
+            Report::Lowered { tick, motors } => {
+                if motors.without(self.layout().all()).is_empty() {
+                    self.tick_within(clock, tick, self.horizon)
+                } else {
+                    Err(Contradiction::Report)
+                }
             }
         }
     }
@@ -482,7 +489,7 @@ impl DeviceKnowledge {
     }
 }
 
-fn fields(counters: &Counters) -> [u64; 10] {
+fn fields(counters: &Counters) -> [u64; 11] {
     let Counters {
         played,
         pulses,
@@ -491,11 +498,14 @@ fn fields(counters: &Counters) -> [u64; 10] {
         refused,
         replaced,
         amended,
+        shortened,
         amendments_ignored,
         bad_frames,
         reports_lost,
     } = *counters;
-    [played, pulses, dropped, late, refused, replaced, amended, amendments_ignored, bad_frames, reports_lost]
+    let played = [played, pulses, dropped, late, refused, replaced, amended, shortened];
+    let [a, b, c, d, e, f, g, h] = played;
+    [a, b, c, d, e, f, g, h, amendments_ignored, bad_frames, reports_lost]
 }
 
 /// Whether no count of `later` is below that of `earlier`, or beyond all that a device can count.

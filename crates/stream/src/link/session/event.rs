@@ -6,9 +6,9 @@ use firmware_protocol::array::{ArrayId, MotorSet};
 use firmware_protocol::board::{Board, SelfTestState};
 use firmware_protocol::limits::Refusal;
 use firmware_protocol::message::{Counters, Cut, DeviceHello, Status};
-use meissner_array::strokes::Stroke;
 use firmware_protocol::tick::Tick;
 use meissner_array::per_motor::PerMotor;
+use meissner_array::strokes::Stroke;
 use std::borrow::Cow;
 use std::fmt::{Display, Formatter};
 

@@ -62,9 +62,9 @@ use crate::time::HostInstant;
 use firmware_protocol::array::MotorSet;
 use firmware_protocol::batch::Amendment;
 use firmware_protocol::message::{Mark, MarkKind, Op, Trigger};
-use meissner_array::strokes::Stroke;
 use firmware_protocol::tick::Tick;
 use meissner_array::spec::Array;
+use meissner_array::strokes::Stroke;
 use std::time::Duration;
 
 /// Interval of the hellos without an answer.
@@ -96,6 +96,9 @@ pub struct Session {
     trust: Trust,
     asking: BoardRequests,
 }
+
+/// A stroke may be held for as long as its drive's frequency says: the device's longest hold bounds it.
+const HOLD_ALWAYS: u32 = u32::MAX;
 
 impl Session {
     /// A session with a device of this array, over a line of this rate; `id` is a random number. It begins with the handshake.
@@ -252,13 +255,13 @@ impl Session {
     /// Begins a play: the next strokes go into a frame of their own, which the device takes whole or not at all.
     /// Once that frame is sealed, nothing can be pushed until the device answers it.
     pub fn begin(&mut self, onset: Tick, trigger: Option<Trigger>) {
-        self.outbox.begin(onset, Mark { kind: MarkKind::Play, trigger });
+        self.outbox.begin(onset, Mark { kind: MarkKind::Play, trigger, hold: HOLD_ALWAYS });
     }
 
     /// Marks the onset of a later item of a play: the next strokes go into a frame of their own. The device reports the mark
     /// when it has passed.
     pub fn mark(&mut self, onset: Tick, trigger: Option<Trigger>) {
-        self.outbox.begin(onset, Mark { kind: MarkKind::Item, trigger });
+        self.outbox.begin(onset, Mark { kind: MarkKind::Item, trigger, hold: HOLD_ALWAYS });
     }
 
     /// Withdraws what these motors have queued from `from` on. The strokes pushed next take their place, each motor's from its

@@ -133,7 +133,7 @@ impl Session {
     fn filler(&self, out: &mut [u8; MAX_FRAME]) -> usize {
         let (epoch, seen, strokes) = (self.commands.past_epoch(), self.reports.seen(), probe::filler());
         let (base, batch) = (Tick(0).wire(), strokes.bytes());
-        encoded(&HostMessage::Strokes { epoch, seq: 0, seen, mark: None, withdraw: None, base, batch }, out)
+        encoded(&HostMessage::Moves { epoch, seq: 0, seen, mark: None, withdraw: None, base, batch }, out)
     }
 
     /// Writes a ping; returns its token and its length.

@@ -15,8 +15,8 @@ use firmware_protocol::batch::{Amendment, BATCH_BYTES, Packer};
 use firmware_protocol::controller::{REORDER_WINDOW, REPORTS};
 use firmware_protocol::frame::MAX_FRAME;
 use firmware_protocol::message::{Mark, Report, Status};
-use meissner_array::strokes::Stroke;
 use firmware_protocol::tick::Tick;
+use meissner_array::strokes::Stroke;
 use std::collections::VecDeque;
 use std::time::Duration;
 
@@ -150,15 +150,15 @@ impl Outbox {
 
     /// Adds a corrected pulse count to the next amendments; `false` if they are full.
     pub(super) fn amend(&mut self, amendment: &Amendment) -> bool {
-        if self.amendments.items() == 0 {
-            self.amendments = Packer::new(amendment.up);
+        if self.amendments.count() == 0 {
+            self.amendments = Packer::new(amendment.tick);
         }
         self.amendments.amendment(amendment).is_ok()
     }
 
     /// The amendments that wait, and their generation. They count as sent.
     pub(super) fn next_amendments(&mut self) -> Option<(u16, Packer<BATCH_BYTES>)> {
-        if self.amendments.items() == 0 {
+        if self.amendments.count() == 0 {
             return None;
         }
         self.generation = self.generation.wrapping_add(1);

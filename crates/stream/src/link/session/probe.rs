@@ -13,8 +13,8 @@ use crate::link::session::rate::{LineRate, MeasuredLine};
 use crate::time::HostInstant;
 use firmware_protocol::batch::{BATCH_BYTES, Packer};
 use firmware_protocol::frame::MAX_FRAME;
-use meissner_array::strokes::Stroke;
 use firmware_protocol::tick::Tick;
+use meissner_array::strokes::Stroke;
 use std::time::Duration;
 
 /// Rounds at most.
@@ -96,8 +96,8 @@ pub(super) fn filler() -> Packer<BATCH_BYTES> {
     let mut strokes = Packer::new(Tick(0));
     let (mut up, mut pulses) = (Tick(0), 147);
     // Neighbouring counts differ, so that the packer cannot shorten them: the frame is full.
-    while strokes
-        .stroke(&Stroke { motor: 0, up, up_pulses: pulses, down: up + 708, down_pulses: pulses })
+    while (Stroke { motor: 0, up, up_pulses: pulses, down: up + 708, down_pulses: pulses })
+        .pack(&mut strokes)
         .is_ok()
     {
         (up, pulses) = (up + 1417, pulses ^ 1);
