@@ -1,18 +1,40 @@
-//! Which strokes the controller accepts, and that it plays them as sent.
+//! Which moves the controller takes, and that it plays them as sent.
 
-use crate::bench::{Bench, FIRMWARE, LEAST_APART, SHELLS, SOON, stroke};
+use crate::bench::{Bench, Burst, FIRMWARE, LEAST_APART, SHELLS, SOON, TIGHT, burst, stroke, to};
 use firmware_protocol::array::MotorSet;
+use firmware_protocol::batch::{BATCH_BYTES, Packer, Stroke};
 use firmware_protocol::controller::POOL;
 use firmware_protocol::limits::Refusal;
 use firmware_protocol::message::Report;
-use firmware_protocol::stroke::Stroke;
+use firmware_protocol::moves::Move;
+use firmware_protocol::stroke::Direction::{Down, Up};
 use firmware_protocol::tick::Tick;
 
-pub(crate) fn verdict(bench: &Bench) -> (u64, u64, Option<Refusal>) {
+/// The bursts of these strokes, of one motor.
+pub(crate) fn bursts<'a>(strokes: impl IntoIterator<Item = &'a Stroke>) -> Vec<Burst> {
+    let both = |stroke: &Stroke| {
+        let &Stroke { up, level, down, surplus, .. } = stroke;
+        [burst(up.0, Up, level.into()), burst(down.0, Down, (level + surplus).into())]
+    };
+    strokes.into_iter().flat_map(both).collect()
+}
+
+/// The first tick after the last pulse of a stroke.
+pub(crate) fn end(stroke: &Stroke) -> u64 {
+    stroke.down.0 + u64::from(stroke.level + stroke.surplus)
+}
+
+/// Late and refused moves of the last report, a verdict, and the reason.
+fn verdict(bench: &Bench) -> (u64, u64, Option<Refusal>) {
     match bench.last_report() {
         Report::Verdict { late, refused, reason, .. } => (late, refused, reason),
         report => panic!("{report:?}"),
     }
+}
+
+fn verdict_of(seq: u16, late: u64, rendered: Tick) -> Report {
+    let (kept, rendered) = (MotorSet::EMPTY, rendered.wire());
+    Report::Verdict { seq, late, refused: 0, kept, reason: None, rendered }
 }
 
 #[test]
@@ -22,23 +44,75 @@ fn a_stroke_is_late_one_tick_before_the_drivers_are_ready_and_then_dropped_whole
             let mut bench = Bench::armed(shell);
             bench.run(offset);
             let ready = bench.device.ready();
-            let (late, just) = (stroke(1, ready.0 - 1, 9, 500, 9), stroke(2, ready.0, 9, 500, 9));
-            bench.strokes(&[late, just]);
+            let (missed, just) = (stroke(1, ready.0 - 1, 9, 500, 9), stroke(2, ready.0, 9, 500, 9));
+            bench.strokes(&[missed, just]);
             bench.run(800);
-            assert_eq!((bench.bursts(1), bench.bursts(2)), (vec![], just.bursts().to_vec()));
-            assert_eq!(
-                bench.reports(),
-                [Report::Verdict {
-                    seq: 0,
-                    late: 1,
-                    refused: 0,
-                    kept: MotorSet::EMPTY,
-                    reason: None,
-                    rendered: ready.wire()
-                }]
-            );
+            assert_eq!((bench.bursts(1), bench.bursts(2)), (vec![], bursts(&[just])));
+            assert_eq!(bench.reports(), [verdict_of(0, 0b11, ready)]);
             assert_eq!((bench.device.counters().late, bench.device.counters().played), (2, 2));
         }
+    }
+}
+
+#[test]
+fn a_move_up_is_late_one_tick_before_the_drivers_are_ready_and_then_dropped() {
+    for shell in SHELLS {
+        for offset in 0..40 {
+            let mut bench = Bench::armed(shell);
+            bench.run(offset);
+            let ready = bench.device.ready();
+            bench.moves(&[to(1, ready.0 - 1, 9), to(2, ready.0, 9)]);
+            bench.run(800);
+            assert_eq!((bench.bursts(1), bench.bursts(2)), (vec![], vec![burst(ready.0, Up, 9)]));
+            assert_eq!(bench.reports(), [verdict_of(0, 0b01, ready)]);
+            assert_eq!((bench.device.counters().late, bench.device.counters().played), (1, 1));
+        }
+    }
+}
+
+/// While the pin goes up or is up, with the drivers on or off. Where the burst up has not come to the lower level, it ends.
+#[test]
+fn a_late_move_down_lowers_the_pin_in_the_first_tick_that_is_possible() {
+    for shell in SHELLS {
+        let mut cases = [0; 3];
+        for offset in 0..420 {
+            let mut bench = Bench::armed(shell);
+            let at = bench.soon();
+            bench.moves(&[to(1, at, 150)]);
+            bench.run_to(at - 110 + offset);
+            let (rendered, ready) = (bench.device.rendered().0, bench.device.ready().0);
+            let missed = ready - 1 - offset % 2 * 30;
+            let height = u64::from(bench.device.outstanding(1));
+            bench.moves(&[to(1, missed, 40)]);
+            bench.run(800);
+            let mut expected = vec![burst(at, Up, height)];
+            let mut lowered = true;
+            if missed <= at {
+                // The move that has begun since is newer.
+                (expected, lowered) = (vec![burst(at, Up, 150)], false);
+                cases[0] += 1;
+            } else if height > 40 {
+                expected.push(burst(ready, Down, height - 40));
+                cases[1] += 1;
+            } else {
+                cases[2] += 1;
+            }
+            assert_eq!(bench.bursts(1), expected, "{offset} {shell:?}");
+            let mut reports = bench.reports();
+            if lowered {
+                let Some(Report::Lowered { tick, motors }) = reports.pop() else { panic!("{offset}") };
+                assert_eq!((motors.bits(), tick.near(Tick(ready))), (1 << 1, Tick(rendered)));
+            }
+            assert_eq!(reports, [verdict_of(1, 1, Tick(ready))]);
+            let counters = bench.device.counters();
+            assert_eq!((counters.late, counters.played, counters.pulses), (1, 1, bench.total()));
+            if offset % 16 == 0 {
+                // No pin is held for longer than a play says.
+                bench.run(20_000);
+                assert_eq!(bench.net(1), 0, "{offset} {shell:?}");
+            }
+        }
+        assert!(cases.into_iter().all(|count| count > 10), "{cases:?}");
     }
 }
 
@@ -46,19 +120,23 @@ fn a_stroke_is_late_one_tick_before_the_drivers_are_ready_and_then_dropped_whole
 fn a_verdict_gives_the_reason_of_each_refusal() {
     let first = |bench: &Bench| stroke(1, bench.soon(), 10, 80, 10);
     type Case = (&'static str, fn(&Stroke) -> Stroke, Option<Refusal>);
-    let cases: [Case; 10] = [
-        ("after it", |s| Stroke { up: s.end(), down: s.end() + 10, ..*s }, None),
-        ("overlap", |s| Stroke { up: Tick(s.end().0 - 1), down: s.end() + 9, ..*s }, Some(Refusal::Overlap)),
-        ("same again", |s| *s, Some(Refusal::Overlap)),
+    let cases: [Case; 14] = [
+        ("after it", |s| Stroke { up: Tick(end(s)), down: Tick(end(s) + 90), ..*s }, None),
+        ("while it comes down", |s| Stroke { up: s.down + 1, down: s.down + 90, ..*s }, None),
+        ("as it comes down", |s| Stroke { up: s.down, down: s.down + 90, ..*s }, Some(Refusal::Dense)),
+        ("while it is up", |s| Stroke { up: s.up + 50, down: s.down + 90, ..*s }, Some(Refusal::Dense)),
+        ("same again", |s| *s, Some(Refusal::Dense)),
+        ("dense half", |s| Stroke { up: s.down + 1, down: s.down + 84, ..*s }, Some(Refusal::Dense)),
         ("motor", |s| Stroke { motor: 24, ..*s }, Some(Refusal::Motor)),
-        ("none up", |s| Stroke { motor: 2, up_pulses: 0, ..*s }, Some(Refusal::UpPulses)),
+        ("to rest", |s| Stroke { motor: 2, level: 0, ..*s }, None),
+        ("highest", |s| Stroke { motor: 2, level: 3_000, down: s.up + 3_000, surplus: 900, ..*s }, None),
+        ("too high", |s| Stroke { motor: 2, level: 3_001, down: s.up + 3_001, ..*s }, Some(Refusal::Level)),
         (
-            "many up",
-            |s| Stroke { motor: 2, up_pulses: 3_001, down: s.up + 3_001, down_pulses: 3_001, ..*s },
-            Some(Refusal::UpPulses),
+            "highest level of 16 bits",
+            |s| Stroke { motor: 2, level: u16::MAX, down: s.up + 65_535, ..*s },
+            Some(Refusal::Level),
         ),
-        ("unbalanced", |s| Stroke { motor: 2, down_pulses: 14, ..*s }, Some(Refusal::Unbalanced)),
-        ("no down", |s| Stroke { motor: 2, up_pulses: 1, down_pulses: 0, ..*s }, Some(Refusal::Unbalanced)),
+        ("pushes far", |s| Stroke { motor: 2, surplus: 901, ..*s }, Some(Refusal::Surplus)),
         ("far", |s| Stroke { motor: 2, down: Tick(s.up.0 - SOON + (1 << 30)), ..*s }, None),
         (
             "too far",
@@ -73,59 +151,141 @@ fn a_verdict_gives_the_reason_of_each_refusal() {
         let other = change(&first);
         bench.strokes(&[other, stroke(7, other.up.0, 10, 10, 10)]);
         match refusal {
-            Some(_) => assert_eq!(verdict(&bench), (0, 1, refusal), "{name}"),
+            Some(_) => assert_eq!(verdict(&bench), (0, 0b11, refusal), "{name}"),
             None => assert_eq!(bench.reports(), [], "{name}"),
         }
         bench.run(300);
         assert_eq!(bench.pulses(7).count(), 20, "{name}: the other stroke of the frame is accepted");
-        assert_eq!(bench.device.counters().refused, if refusal.is_some() { 2 } else { 0 });
+        assert_eq!(bench.device.counters().refused, if refusal.is_some() { 2 } else { 0 }, "{name}");
+        if refusal.is_some() {
+            assert_eq!(bench.bursts(1), bursts(&[first]), "{name}: the first one is played");
+            assert_eq!((bench.pulses(2).count(), bench.device.counters().shortened), (0, 0), "{name}");
+        }
     }
 }
 
 #[test]
-fn a_full_pool_refuses_until_a_stroke_is_over() {
+fn a_verdict_has_a_bit_for_each_move() {
     let mut bench = Bench::armed(FIRMWARE);
-    let start = bench.now + 1_000;
-    let mut strokes: Vec<Stroke> =
-        (0..POOL as u64 + 1).map(|k| stroke(1, start + LEAST_APART * k, 4, 4, 4)).collect();
-    let beyond = strokes.pop().unwrap();
-    for frame in strokes.chunks(32) {
-        bench.strokes(frame);
+    let at = bench.soon();
+    let pushes = |motor, level, surplus| Move { surplus, ..to(motor, at + 300, level) };
+    bench.moves(&[
+        to(1, at, 10),
+        to(1, at + 1, 20),
+        // The third move within a millisecond.
+        to(1, at + LEAST_APART - 1, 30),
+        to(1, at + LEAST_APART, 40),
+        to(2, at + 200, 3_001),
+        pushes(1, 0, 4),
+        // It would push above rest.
+        pushes(3, 1, 1),
+        to(3, at + 300, 1),
+    ]);
+    assert_eq!(verdict(&bench), (0, 0b0101_0100, Some(Refusal::Dense)));
+    bench.run(1_000);
+    let expected =
+        [burst(at, Up, 1), burst(at + 1, Up, 19), burst(at + LEAST_APART, Up, 20), burst(at + 300, Down, 44)];
+    let joined = [burst(at, Up, 20), expected[2], expected[3]];
+    assert_eq!(bench.bursts(1), joined);
+    assert_eq!((bench.net(2), bench.net(3)), (0, 1));
+    let counters = bench.device.counters();
+    assert_eq!((counters.played, counters.refused, counters.shortened), (5, 3, 1));
+}
+
+/// Rows, single moves and strokes in one frame, with levels of all motors.
+#[test]
+fn a_row_moves_all_its_motors_in_one_tick() {
+    for shell in SHELLS {
+        let mut bench = Bench::armed(shell);
+        let at = bench.soon();
+        let mut packer = Packer::<BATCH_BYTES>::new(Tick(at - 7));
+        let motors = MotorSet::from_bits(0x80_0007);
+        packer.row(Tick(at), motors, &[10, 0, 30, 3_000]).unwrap();
+        packer.moves(&to(1, at + 5, 50)).unwrap();
+        packer.stroke(&stroke(5, at + 5, 20, 30, 22)).unwrap();
+        packer.row(Tick(at + 200), motors, &[0, 20, 40, 100]).unwrap();
+        bench.frame(None, at - 7, packer.bytes());
+        assert_eq!(bench.status().credits, POOL as u16 - 10, "one of the moves changes nothing");
+        bench.run(600);
+        assert_eq!(bench.bursts(0), [burst(at, Up, 10), burst(at + 200, Down, 10)]);
+        assert_eq!(bench.bursts(1), [burst(at + 5, Up, 50), burst(at + 200, Down, 30)]);
+        assert_eq!(bench.bursts(2), [burst(at, Up, 30), burst(at + 200, Up, 10)]);
+        assert_eq!(bench.bursts(5), bursts(&[stroke(5, at + 5, 20, 30, 22)]));
+        assert_eq!(bench.bursts(23), [burst(at, Up, 200), burst(at + 200, Down, 100)]);
+        let counters = bench.device.counters();
+        assert_eq!((counters.played, counters.shortened, bench.reports()), (11, 1, vec![]));
     }
-    assert_eq!((bench.status().credits, bench.reports().len()), (0, 0));
-    bench.strokes(&[beyond]);
-    assert_eq!(verdict(&bench), (0, 1, Some(Refusal::PoolFull)));
-    bench.run_to(start + 2 * LEAST_APART + 64);
-    bench.ping(1);
-    assert_eq!(bench.status().credits, 3);
-    bench.strokes(&[beyond]);
-    bench.run(1_025 * LEAST_APART);
-    bench.ping(2);
-    assert_eq!(bench.device.counters().played, 2 * 1_025);
-    assert_eq!(bench.status().credits, POOL as u16);
-    let expected: Vec<_> = strokes.iter().chain([&beyond]).flat_map(Stroke::bursts).collect();
-    assert_eq!(bench.bursts(1), expected);
+}
+
+/// A slot is free as soon as its move has begun, and a stroke needs two.
+#[test]
+fn a_full_pool_refuses_until_moves_have_begun() {
+    for shell in [FIRMWARE, TIGHT] {
+        let mut bench = Bench::armed(shell);
+        let start = bench.now + 1_000;
+        let strokes: Vec<Stroke> =
+            (0..POOL as u64 / 2 + 1).map(|k| stroke(1, start + LEAST_APART * k, 4, 30, 4)).collect();
+        let (&beyond, queued) = strokes.split_last().unwrap();
+        for frame in queued.chunks(32) {
+            bench.strokes(frame);
+        }
+        assert_eq!((bench.status().credits, bench.reports().len()), (0, 0));
+        bench.strokes(&[beyond]);
+        assert_eq!(verdict(&bench), (0, 0b11, Some(Refusal::PoolFull)));
+        let begun = |bench: &Bench| {
+            let ticks = queued.iter().flat_map(Stroke::moves).map(|to| to.tick);
+            ticks.filter(|&tick| tick < bench.device.rendered()).count()
+        };
+        let mut credits = Vec::new();
+        while begun(&bench) < 5 {
+            bench.tick();
+            bench.ping(1);
+            assert_eq!(usize::from(bench.status().credits), begun(&bench));
+            credits.push(begun(&bench));
+            if begun(&bench) == 1 {
+                bench.strokes(&[beyond]);
+                assert_eq!(verdict(&bench), (0, 0b11, Some(Refusal::PoolFull)));
+                bench.ping(1);
+                assert_eq!(bench.status().credits, 1);
+            }
+        }
+        credits.dedup();
+        assert_eq!(credits, [0, 1, 2, 3, 4, 5]);
+        bench.strokes(&[beyond]);
+        bench.run((POOL as u64 / 2 + 1) * LEAST_APART);
+        bench.ping(2);
+        assert_eq!(bench.device.counters().played, POOL as u64 + 2);
+        assert_eq!(bench.status().credits, POOL as u16);
+        assert_eq!(bench.bursts(1), bursts(&strokes));
+    }
 }
 
 /// The stroke before may be queued, played or withdrawn.
 #[test]
 fn a_stroke_less_than_a_millisecond_after_the_one_before_is_refused() {
     for shell in SHELLS {
-        for wait in 0..120 {
+        for wait in 0..140 {
             let mut bench = Bench::armed(shell);
             let first = stroke(1, bench.soon(), 1, 1, 1);
             let [dense, apart] =
                 [LEAST_APART - 1, LEAST_APART].map(|ticks| stroke(1, first.up.0 + ticks, 1, 1, 1));
             bench.strokes(&[first]);
             bench.run(wait);
-            let late = apart.up < bench.device.ready();
+            let ready = bench.device.ready();
+            let is_late = apart.up < ready;
             bench.strokes(&[dense, apart]);
-            if !late {
-                assert_eq!(verdict(&bench), (0, 1, Some(Refusal::Dense)), "{wait}");
-            }
+            assert_eq!(
+                verdict(&bench),
+                match (dense.up < ready, is_late) {
+                    (true, true) => (0b1111, 0, None),
+                    (true, false) => (0b11, 0, None),
+                    _ => (0, 0b11, Some(Refusal::Dense)),
+                },
+                "{wait}"
+            );
             bench.run(300);
-            let played = if late { vec![first] } else { vec![first, apart] };
-            assert_eq!(bench.bursts(1), played.iter().flat_map(Stroke::bursts).collect::<Vec<_>>());
+            let played = if is_late { vec![first] } else { vec![first, apart] };
+            assert_eq!(bench.bursts(1), bursts(&played));
         }
     }
     let mut bench = Bench::armed(FIRMWARE);
@@ -133,7 +293,7 @@ fn a_stroke_less_than_a_millisecond_after_the_one_before_is_refused() {
     bench.strokes(&[first]);
     bench.replace(0b10, 0, first.up.0, &[second]);
     bench.run(300);
-    assert_eq!((bench.bursts(1), bench.device.counters().refused), (second.bursts().to_vec(), 0));
+    assert_eq!((bench.bursts(1), bench.device.counters().refused), (bursts(&[second]), 0));
 }
 
 #[test]
@@ -141,18 +301,41 @@ fn strokes_without_a_pause_between_them_are_played_as_sent() {
     for shell in SHELLS {
         let mut bench = Bench::armed(shell);
         let mut sent = Vec::new();
-        let mut end = 0;
+        let mut next = 0;
         // Each as soon as possible, sent just before, during or after the one before.
         for k in 0..60 {
-            let next = stroke(1, end.max(bench.device.ready().0), 3, LEAST_APART - 6 + k % 2, 3);
-            bench.strokes(&[next]);
-            sent.push(next);
-            end = next.end().0;
+            let stroke = stroke(1, next.max(bench.device.ready().0), 3, LEAST_APART - 6 + k % 2, 3);
+            bench.strokes(&[stroke]);
+            next = end(&stroke);
+            sent.push(stroke);
             bench.run(80 + k % 11);
         }
         bench.run(400);
-        assert_eq!(bench.bursts(1), sent.iter().flat_map(Stroke::bursts).collect::<Vec<_>>());
-        assert_eq!(bench.device.counters().late, 0);
+        assert_eq!(bench.bursts(1), bursts(&sent));
+        assert_eq!((bench.device.counters().late, bench.device.counters().shortened), (0, 0));
+    }
+}
+
+/// A stroke that begins before the pin is down goes up from where the pin is. The levels are reached, and nothing adds up.
+#[test]
+fn a_stroke_that_begins_before_the_pin_is_down_shortens_the_way_down() {
+    for shell in SHELLS {
+        for after in 1..60 {
+            let mut bench = Bench::armed(shell);
+            let first = stroke(1, bench.soon(), 40, 50, 40);
+            let second = stroke(1, first.down.0 + after, 40, 50, 40);
+            bench.strokes(&[first, second]);
+            bench.run(600);
+            let way = after.min(40);
+            let expected = [
+                burst(first.up.0, Up, 40),
+                burst(first.down.0, Down, way),
+                burst(second.up.0, Up, way),
+                burst(second.down.0, Down, 40),
+            ];
+            assert_eq!(bench.bursts(1), expected, "{after} {shell:?}");
+            assert_eq!(bench.device.counters().shortened, u64::from(after < 40));
+        }
     }
 }
 
@@ -163,11 +346,11 @@ fn a_line_is_low_between_two_strokes_wherever_the_second_arrives() {
             let mut bench = Bench::armed(shell);
             let first = stroke(1, bench.soon(), 3, 3, 3);
             bench.strokes(&[first]);
-            bench.run_to(first.end().0 - 66 + delay);
+            bench.run_to(end(&first) - 66 + delay);
             let second = stroke(1, bench.now + 1_000, 3, 3, 3);
             bench.strokes(&[second]);
             bench.run(1_200);
-            assert_eq!(bench.bursts(1), [first.bursts(), second.bursts()].concat(), "{delay} {shell:?}");
+            assert_eq!(bench.bursts(1), bursts(&[first, second]), "{delay} {shell:?}");
         }
     }
 }

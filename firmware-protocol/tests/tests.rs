@@ -4,3 +4,5 @@
 mod bench;
 /// Moves to levels: up in time only, down at once.
 mod levels;
+/// Which moves the controller takes, and that it plays them as sent.
+mod taking;

@@ -68,7 +68,7 @@ impl Player {
         }
         let motors = core::mem::take(&mut self.lowered);
         if !motors.is_empty() {
-            reporting.report(Report::Lowered { tick: self.rendered.wire(), motors });
+            reporting.report(Report::Lowered { tick: self.lowered_from.wire(), motors });
         }
     }
 
@@ -89,7 +89,12 @@ impl Player {
             return;
         }
         self.end(motor);
-        self.motors[motor].set_goal(level);
+        // A burst up that has not come so far ends here.
+        let height = self.motors[motor].height;
+        self.motors[motor].set_goal(level.min(height));
+        if self.lowered.is_empty() {
+            self.lowered_from = now;
+        }
         self.lowered.insert(motor as u8);
         self.change_by(motor, now);
     }

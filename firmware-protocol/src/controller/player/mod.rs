@@ -62,6 +62,8 @@ pub(super) struct Player {
     marks: Marks,
     /// Motors whose goals the device has lowered since the last report of that.
     lowered: MotorSet,
+    /// The first tick in which it may have done so.
+    lowered_from: Tick,
     /// A burst up of this motor, with so many pulses, that shifts where its pin rests, until it begins.
     shifting: Option<(u8, u16)>,
     /// For how many ticks a pin may stay above rest without a pulse, and when that was last checked.
@@ -75,10 +77,24 @@ pub(super) struct Player {
 
 impl Hash for Player {
     fn hash<H: Hasher>(&self, hasher: &mut H) {
-        let Self { rendered, still_from, lines, drivers, changes, motors, marks, lowered, shifting, hold, .. } = self;
+        let Self {
+            rendered,
+            still_from,
+            lines,
+            drivers,
+            changes,
+            motors,
+            marks,
+            lowered,
+            lowered_from,
+            shifting,
+            hold,
+            ..
+        } = self;
         let Drivers { since, tail_end, lead: _ } = drivers;
         (since, (*tail_end).max(*rendered), rendered, (*still_from).max(*rendered), lines).hash(hasher);
-        (changes, motors, marks, lowered, shifting, hold).hash(hasher);
+        let lowered_from = (!lowered.is_empty()).then_some(lowered_from);
+        (changes, motors, marks, lowered, lowered_from, shifting, hold).hash(hasher);
         (&self.recent, &self.allowance, &self.queues).hash(hasher);
     }
 }
@@ -95,6 +111,7 @@ impl Player {
             motors: [Motor::REST; CAPACITY],
             marks: Marks::NONE,
             lowered: MotorSet::EMPTY,
+            lowered_from: now,
             shifting: None,
             hold: layout.least_hold(),
             hold_checked: now.0 as u32,
