@@ -2,11 +2,15 @@
 //!
 //! [`returned`] and [`off`] state the rules a second time; the tests compare them with the lines.
 
-use crate::bench::{Bench, FIRMWARE, MOTORS, NO_LIMITS, SHELLS, Shell, TICK_HZ, TIGHT, arm, burst, stroke};
+use crate::bench::{
+    Bench, Burst, FIRMWARE, MOTORS, NO_LIMITS, ONSET, SHELLS, Shell, TICK_HZ, TIGHT, arm, burst, stroke, to,
+};
 use Direction::{Down, Up};
+use firmware_protocol::batch::{BATCH_BYTES, Packer, Stroke};
 use firmware_protocol::controller::POOL;
 use firmware_protocol::message::{Cause, Op, State};
-use firmware_protocol::stroke::{Burst, Direction, Stroke};
+use firmware_protocol::moves::Move;
+use firmware_protocol::stroke::Direction;
 use firmware_protocol::tick::Tick;
 
 /// Each cause of a return, and the state after it.
@@ -28,12 +32,23 @@ fn ask_return(bench: &mut Bench, cause: Cause) {
     }
 }
 
-/// Ticks at which a stroke is interrupted: from before it is rendered until after its end.
-fn phases(stroke: &Stroke) -> std::ops::Range<u64> {
-    stroke.up.0 - 68..stroke.end().0 + 3
+/// The bursts of a stroke that nothing interrupts.
+pub(crate) fn planned(stroke: &Stroke) -> [Burst; 2] {
+    let &Stroke { up, level, down, surplus, .. } = stroke;
+    [burst(up.0, Up, level.into()), burst(down.0, Down, u64::from(level) + u64::from(surplus))]
 }
 
-/// Queues a stroke of 7 up pulses, held for 6 ticks, and `down` down pulses, 100 ticks from now, and one much later.
+/// The first tick after the last pulse of a stroke that nothing interrupts.
+pub(crate) fn end(stroke: &Stroke) -> u64 {
+    planned(stroke)[1].end().0
+}
+
+/// Ticks at which a stroke is interrupted: from before it is rendered until after its end.
+fn phases(stroke: &Stroke) -> std::ops::Range<u64> {
+    stroke.up.0 - 68..end(stroke) + 3
+}
+
+/// Queues a stroke of 7 pulses up, held for 6 ticks, and `down` pulses down, 100 ticks from now, and one much later.
 fn queued(shell: Shell, down: u16) -> (Bench, Stroke) {
     let mut bench = Bench::armed(shell);
     let stroke = stroke(3, bench.soon(), 7, 6, down);
@@ -46,37 +61,26 @@ fn nonempty(bursts: [Burst; 2]) -> Vec<Burst> {
     bursts.into_iter().filter(|burst| burst.pulses > 0).collect()
 }
 
-/// Return pulses if a stroke is cut after `ups` up pulses, within its up burst: as many pulses, and the surplus.
-fn return_pulses(surplus: u16, ups: u64) -> u64 {
-    if ups > 0 { ups + u64::from(surplus) } else { 0 }
+/// How many of the two moves of a stroke begin before `at`.
+fn begun(stroke: &Stroke, at: u64) -> u64 {
+    u64::from(at > stroke.up.0) + u64::from(at > stroke.down.0)
 }
 
-fn surplus(stroke: &Stroke) -> u16 {
-    stroke.down_pulses - stroke.up_pulses
-}
-
-/// The bursts played of a stroke planned with this surplus, if a return begins at `at`.
-pub(crate) fn returned(stroke: &Stroke, surplus: u16, at: u64) -> Vec<Burst> {
+/// The bursts played of a stroke if a return begins at `at`: the pin comes down by as many pulses as it is high. The surplus belongs to
+/// the move down, and is played if that one has begun.
+pub(crate) fn returned(stroke: &Stroke, at: u64) -> Vec<Burst> {
     let (up, down) = (stroke.up.0, stroke.down.0);
-    let ups = at.saturating_sub(up).min(stroke.up_pulses.into());
-    let downs = if ups < u64::from(stroke.up_pulses) {
-        return_pulses(surplus, ups)
-    } else {
-        stroke.down_pulses.into()
-    };
-    nonempty([burst(up, Up, ups), burst(down.min(at), Down, downs)])
+    let ups = at.saturating_sub(up).min(stroke.level.into());
+    let surplus = if at > down { stroke.surplus } else { 0 };
+    nonempty([burst(up, Up, ups), burst(down.min(at), Down, ups + u64::from(surplus))])
 }
 
-/// The bursts played of a stroke if the lines go off at `at`, and the return pulses then outstanding.
+/// The bursts played of a stroke if the lines go off at `at`, and how high the pin is then.
 fn off(stroke: &Stroke, at: u64) -> (Vec<Burst>, u64) {
-    let ups = at.saturating_sub(stroke.up.0).min(stroke.up_pulses.into());
-    let downs = at.saturating_sub(stroke.down.0).min(stroke.down_pulses.into());
-    let whole = if ups < u64::from(stroke.up_pulses) {
-        return_pulses(surplus(stroke), ups)
-    } else {
-        stroke.down_pulses.into()
-    };
-    (nonempty([burst(stroke.up.0, Up, ups), burst(stroke.down.0, Down, downs)]), whole - downs)
+    let [up, down] = planned(stroke);
+    let played = |of: Burst| at.saturating_sub(of.start.0).min(of.pulses.into());
+    let (ups, downs) = (played(up), played(down));
+    (nonempty([burst(up.start.0, Up, ups), burst(down.start.0, Down, downs)]), ups.saturating_sub(downs))
 }
 
 #[test]
@@ -92,12 +96,12 @@ fn a_return_at_every_phase_undoes_what_was_played_and_no_more() {
                     bench.settle();
                     bench.is(then, cause);
                     bench.run(6_000);
-                    let expected = returned(&stroke, surplus(&stroke), at);
-                    assert_eq!(bench.bursts(3), expected, "{cause:?} at {event}, {shell:?}");
-                    assert!(down == 9 || bench.net(3) == 0);
+                    assert_eq!(bench.bursts(3), returned(&stroke, at), "{cause:?} at {event}, {shell:?}");
+                    let pushed = if at > stroke.down.0 { stroke.surplus } else { 0 };
+                    assert_eq!(bench.net(3), -i64::from(pushed));
                     let counters = bench.device.counters();
-                    let begun = u64::from(at > stroke.up.0);
-                    assert_eq!((counters.played, counters.dropped), (2 * begun, 4 - 2 * begun));
+                    let begun = begun(&stroke, at);
+                    assert_eq!((counters.played, counters.dropped), (begun, 4 - begun));
                     assert_eq!(counters.pulses, bench.total());
                     assert!(counters.pulses >= booked.pulses);
                     assert_eq!((counters.amended, bench.outstanding()), (0, 0));
@@ -106,10 +110,8 @@ fn a_return_at_every_phase_undoes_what_was_played_and_no_more() {
                         let cut = bench.last_cut();
                         assert_eq!((cut.cause, cut.at), (cause, Tick(at).wire()));
                         assert!(cut.return_ticks.is_some());
-                        assert_eq!(u64::from(cut.flushed), 2 - begun);
-                        // Outstanding from `at` on: the down pulses still to come.
-                        let (before, outstanding) = off(&stroke, at);
-                        assert!(before.len() < 3 && u64::from(cut.outstanding) == outstanding);
+                        assert_eq!(u64::from(cut.flushed), 4 - begun);
+                        assert_eq!(u64::from(cut.outstanding), off(&stroke, at).1);
                         assert_eq!(bench.status().credits, POOL as u16);
                     }
                 }
@@ -141,7 +143,7 @@ fn a_host_silent_at_every_phase_returns_and_disarms() {
             let at = at + u64::from(shell.ahead == 0);
             bench.settle();
             bench.is(State::Disarmed, Cause::HostTimeout);
-            assert_eq!(bench.bursts(3), returned(&stroke, surplus(&stroke), at), "{expires} {shell:?}");
+            assert_eq!(bench.bursts(3), returned(&stroke, at), "{expires} {shell:?}");
         }
     }
 }
@@ -199,7 +201,7 @@ fn an_e_stop_or_a_fault_at_every_phase_ends_with_its_tick_and_keeps_the_return_p
                     assert_eq!((cut.cause, cut.at, cut.return_ticks), (cause, Tick(at).wire(), None));
                     assert_eq!(
                         (u64::from(cut.outstanding), cut.flushed),
-                        (outstanding, 2 - u16::from(at > stroke.up.0))
+                        (outstanding, 4 - begun(&stroke, at) as u16)
                     );
 
                     // Reset moves nothing; arm plays exactly the outstanding pulses and reports it.
@@ -239,7 +241,7 @@ fn an_e_stop_or_a_fault_at_every_phase_ends_with_its_tick_and_keeps_the_return_p
 fn an_e_stop_at_every_phase_of_a_return_leaves_the_rest_outstanding() {
     for shell in SHELLS {
         let due = queued(shell, 7).1;
-        for stop in (due.up.0 - 66..due.end().0).step_by(3) {
+        for stop in (due.up.0 - 66..end(&due)).step_by(3) {
             for delay in 0..80 {
                 let (mut bench, _) = queued(shell, 7);
                 bench.run_to(stop);
@@ -294,7 +296,7 @@ fn an_e_stop_with_100_ms_of_24_motors_queued_turns_all_lines_off_after_its_tick(
             for frame in strokes.chunks(20) {
                 bench.strokes(frame);
             }
-            assert_eq!(bench.status().credits, POOL as u16 - 144);
+            assert_eq!(bench.status().credits, POOL as u16 - 288);
             bench.run_to(start + event);
             bench.control(Op::EStop);
             let at = bench.now;
@@ -334,7 +336,7 @@ fn a_stop_of_24_motors_takes_at_most_one_burst_and_stays_armed() {
     let next = stroke(0, bench.soon(), 5, 5, 5);
     bench.strokes(&[next]);
     bench.run(200);
-    assert_eq!(bench.bursts(0)[2..], next.bursts());
+    assert_eq!(bench.bursts(0)[2..], planned(&next));
 }
 
 #[test]
@@ -342,7 +344,8 @@ fn a_pin_held_for_more_than_16_bits_of_ticks_is_returned_or_outstanding() {
     for (event, down) in [(Op::Stop, true), (Op::EStop, false)] {
         let mut bench = Bench::armed(FIRMWARE);
         let held = stroke(3, bench.soon(), 50, 100_000, 50);
-        bench.strokes(&[held]);
+        // A play that allows it.
+        bench.onset(held.up.0, &[held]);
         bench.run(70_000);
         bench.control(event);
         bench.run(40_000);
@@ -470,4 +473,119 @@ fn drivers_that_are_on_for_a_flushed_stroke_stay_on_for_the_next() {
     bench.strokes(&[stroke(6, next, 9, 4, 9)]);
     bench.run_to(next + 200);
     assert_eq!(bench.bursts(6), [burst(next, Up, 9), burst(next + 13, Down, 9)]);
+}
+
+/// A device that a host believes has counts that never shrink.
+#[test]
+fn the_counts_of_statuses_do_not_shrink_when_an_e_stop_takes_back_what_was_rendered() {
+    for shell in SHELLS {
+        for event in phases(&queued(shell, 9).1) {
+            let (mut bench, stroke) = queued(shell, 9);
+            bench.run_to(event);
+            bench.ping(1);
+            let before = bench.status().counters;
+            let (at, (bursts, _)) = (bench.now, off(&stroke, bench.now));
+            let pulses = bursts.iter().map(|burst| u64::from(burst.pulses)).sum();
+            assert_eq!((before.played, before.pulses), (begun(&stroke, at), pulses), "{event}, {shell:?}");
+            bench.control(Op::EStop);
+            let after = bench.status().counters;
+            assert!(after.played >= before.played && after.pulses >= before.pulses, "{event}, {shell:?}");
+            bench.run(200);
+            bench.ping(2);
+            assert_eq!(bench.status().counters, bench.device.counters());
+            assert_eq!(bench.status().counters.pulses, bench.total());
+        }
+    }
+}
+
+/// Moves with corrections both ways, one of which does not fit, and a surplus: the height at each tick by the design's rule, from the
+/// pulses on the lines.
+#[test]
+fn an_e_stop_at_every_phase_of_corrected_moves_keeps_the_height_between_both_levels() {
+    let moves = |at| {
+        [to(3, at, 30), to(3, at + 40, 60), to(3, at + 100, 40), to(3, at + 190, 50), to(3, at + 200, 0)]
+    };
+    // With a lower stop nothing goes down by more pulses than planned.
+    let amended = [39, 21, 14, 11, 45];
+    let setup = |shell| {
+        let mut bench = Bench::armed(shell);
+        let at = bench.soon();
+        let mut packer = Packer::<BATCH_BYTES>::new(Tick(at));
+        for (k, of) in moves(at).into_iter().enumerate() {
+            packer.moves(&Move { surplus: if k == 4 { 8 } else { 0 }, ..of }).unwrap();
+        }
+        bench.frame(None, at, packer.bytes());
+        for (generation, (of, pulses)) in (1..).zip(moves(at).iter().zip(amended)) {
+            bench.amend(generation, 3, of.tick, pulses);
+        }
+        (bench, at)
+    };
+    for shell in SHELLS {
+        // 11 pulses do not fit before the last move, so the fourth one is not amended.
+        let (from, pulses) = ([0, 30, 60, 40, 50], [39, 21, 14, 10, 53]);
+        let (mut whole, at) = setup(shell);
+        whole.run(600);
+        assert_eq!((whole.device.counters().amended, whole.device.counters().amendments_ignored), (4, 1));
+        let played: Vec<Burst> = moves(at)
+            .iter()
+            .zip(pulses)
+            .zip([Up, Up, Down, Up, Down])
+            .map(|((of, pulses), way)| burst(of.tick.0, way, pulses))
+            .collect();
+        assert_eq!(whole.bursts(3), played);
+        let height = |tick: u64| {
+            let Some(k) = moves(at).iter().rposition(|of| of.tick.0 < tick) else { return 0 };
+            let (of, done) = (moves(at)[k], tick - moves(at)[k].tick.0);
+            let level = u64::from(of.level);
+            match () {
+                () if done >= pulses[k] => level,
+                () if level > from[k] => (from[k] + done).min(level),
+                () => from[k].saturating_sub(done).max(level),
+            }
+        };
+        for event in at - 68..at + 260 {
+            let (mut bench, _) = setup(shell);
+            bench.run_to(event);
+            let off = (event + 1).min(bench.device.rendered().0);
+            bench.control(Op::EStop);
+            bench.run(100);
+            assert_eq!(u64::from(bench.device.outstanding(3)), height(off), "{event}, {shell:?}");
+            assert_eq!(bench.device.counters().pulses, bench.total());
+        }
+        for event in at - 68..at + 260 {
+            let (mut bench, _) = setup(shell);
+            bench.run_to(event);
+            let at = bench.device.rendered().0;
+            bench.control(Op::Stop);
+            assert_eq!(u64::from(bench.last_cut().outstanding), height(at), "{event}, {shell:?}");
+            bench.settle();
+            bench.last_cut();
+            assert_eq!((bench.outstanding(), bench.device.counters().pulses), (0, bench.total()));
+        }
+    }
+}
+
+/// The ticks that the first e-stop took back are not taken back again.
+#[test]
+fn a_second_e_stop_within_the_horizon_of_the_first_takes_back_nothing_twice() {
+    for shell in SHELLS {
+        for between in 0..70 {
+            let mut bench = Bench::armed(shell);
+            let up = bench.soon();
+            bench.strokes(&[stroke(3, up, 200, 5, 200)]);
+            bench.run_to(up + 120);
+            bench.control(Op::EStop);
+            let height = bench.device.outstanding(3);
+            for _ in 0..3 {
+                bench.control(Op::Reset);
+                bench.arm(false);
+                bench.run(between);
+                bench.control(Op::EStop);
+            }
+            bench.run(200);
+            assert_eq!(bench.net(3), i64::from(bench.device.outstanding(3)), "{between}, {shell:?}");
+            assert!(bench.device.outstanding(3) <= height);
+            assert_eq!(bench.device.counters().pulses, bench.total());
+        }
+    }
 }

@@ -2,6 +2,8 @@
 
 /// A shell around the controller that plays it tick by tick and records the lines.
 mod bench;
+/// Stops, faults and silent hosts at every phase of a stroke.
+mod interruptions;
 /// Moves to levels: up in time only, down at once.
 mod levels;
 /// Which moves the controller takes, and that it plays them as sent.

@@ -139,7 +139,7 @@ impl Controller {
         self.motion.cause()
     }
 
-    /// Counts since boot.
+    /// Counts since boot, up to the rendered end. A status has those up to its tick.
     #[must_use]
     pub fn counters(&self) -> Counters {
         self.reporting.counters()
@@ -376,7 +376,7 @@ impl Controller {
             cause: self.motion.cause(),
             position_known: pins.position_known(),
             outstanding: if self.motion.is_active() { 0 } else { self.player.heights_total() },
-            counters: self.reporting.counters(),
+            counters: self.player.played(self.reporting.counters(), self.now),
         }
     }
 

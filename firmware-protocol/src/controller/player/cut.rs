@@ -4,8 +4,10 @@
 
 use crate::array::MotorSet;
 use crate::controller::player::Player;
+use crate::controller::player::recent::Rendered;
 use crate::controller::reporting::Reporting;
 use crate::limits::Refusal;
+use crate::message::Counters;
 use crate::stroke::{Direction, Lines};
 use crate::tick::Tick;
 
@@ -114,11 +116,13 @@ impl Player {
 
     /// At most how many ticks after the rendered end all pins are down, if nothing but their way down is to be played.
     pub(in crate::controller) fn return_ticks(&self) -> u32 {
-        let highest = u32::from(self.highest());
-        if highest == 0 {
+        let low = self.rendered.0 as u32;
+        // A burst that runs may have more pulses than the pin is high: a correction, or a surplus.
+        let longest = self.motors.iter().map(|motor| motor.left(low)).max().unwrap_or(0);
+        if longest == 0 {
             return 0;
         }
-        (self.ready() - self.rendered) as u32 + u32::from(self.layout.turns(&self.limits())) * highest
+        (self.ready() - self.rendered) as u32 + u32::from(self.layout.turns(&self.limits())) * longest
     }
 
     /// Turns all lines off; nothing from `at` on was played. Pins stay where they are. Returns how many moves were flushed.
@@ -133,9 +137,9 @@ impl Player {
         while left > 0 {
             let Some(run) = self.recent.take_back(left) else { break };
             left -= run.ticks;
-            let ticks = run.ticks as u16;
+            let (ticks, begin) = (run.ticks as u16, (at.0 as u32).wrapping_add(left));
             for (direction, lines) in [(Direction::Up, run.lines.up), (Direction::Down, run.lines.down)] {
-                lines.iter().for_each(|motor| self.motors[usize::from(motor)].undo(direction, ticks));
+                lines.iter().for_each(|motor| self.motors[usize::from(motor)].undo(direction, ticks, begin));
             }
             let counters = reporting.count();
             counters.pulses -= u64::from(run.lines.pulsing().len()) * u64::from(run.ticks);
@@ -143,9 +147,14 @@ impl Player {
             counters.dropped += u64::from(run.begun);
             undone += run.begun;
         }
+        // These ticks are not taken back again.
+        if at < now {
+            self.recent.push(Rendered { lines: Lines::OFF, ticks: (now - at) as u32, begun: 0 });
+        }
         for motor in &mut self.motors {
             let height = motor.height(now.0 as u32);
             motor.place(height, height);
+            motor.forget_bursts();
         }
         self.changes = super::Changes::none(now);
         self.marks.turn_off();
@@ -153,6 +162,12 @@ impl Player {
         self.drivers.turn_off();
         (self.lines, self.still_from) = (Lines::OFF, now);
         flushed + undone
+    }
+
+    /// Of these counts, those of the ticks before `now`: an e-stop takes back what is rendered and not played.
+    pub(in crate::controller) fn played(&self, counters: Counters, now: Tick) -> Counters {
+        let (pulses, begun) = self.recent.in_last((self.rendered - now) as u32);
+        Counters { played: counters.played - begun, pulses: counters.pulses - pulses, ..counters }
     }
 
     /// Reports the marks that lie before `now`.

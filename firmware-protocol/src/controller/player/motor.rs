@@ -6,7 +6,7 @@
 //! where the burst was to bring it, because a correction is no height.
 
 use crate::stroke::Direction;
-use crate::tick::Tick;
+use crate::tick::{HORIZON, Tick};
 use core::hash::{Hash, Hasher};
 
 /// A burst that runs. Ticks are low halves.
@@ -21,6 +21,17 @@ pub(super) struct Running {
     pub(super) pushes: u16,
 }
 
+/// A burst that moves the pin by another number of pulses than it has: a corrected one, one that pushes, a shift of rest.
+#[derive(Clone, Copy, Debug, Hash)]
+struct Uneven {
+    of: Running,
+    /// The height before it.
+    from: u16,
+}
+
+/// How many uneven bursts of a motor may have ticks within the horizon.
+const UNEVEN: usize = 4;
+
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Motor {
     /// Where the pin is, or where the running burst began.
@@ -33,12 +44,14 @@ pub(super) struct Motor {
     pub(super) surplus: u16,
     /// When the last burst ended.
     pub(super) still_since: Tick,
+    /// The last uneven bursts with ticks that may not have been played, in a ring.
+    uneven: [Option<Uneven>; UNEVEN],
 }
 
 impl Hash for Motor {
     fn hash<H: Hasher>(&self, hasher: &mut H) {
-        let Self { height, goal, running, correction, surplus, still_since } = self;
-        (height, goal, running, correction, surplus).hash(hasher);
+        let Self { height, goal, running, correction, surplus, still_since, uneven } = self;
+        (height, goal, running, correction, surplus, uneven).hash(hasher);
         if *height > 0 {
             still_since.hash(hasher);
         }
@@ -56,11 +69,30 @@ impl Running {
         let passed = now.wrapping_sub(self.start).cast_signed().max(0);
         u16::try_from(passed).map_or(self.pulses, |passed| passed.min(self.pulses))
     }
+
+    /// The height at the tick `now`, if it was `from` before. Only at its end does it not follow from the pulses.
+    fn height(&self, from: u16, now: u32) -> u16 {
+        let played = self.played(now);
+        match self.direction {
+            _ if played == self.pulses => self.to,
+            // A shift of rest goes up from level 0 to level 0.
+            Direction::Up if self.to <= from => from.saturating_add(played),
+            Direction::Up => from.saturating_add(played).min(self.to),
+            Direction::Down => from.saturating_sub(played).max(self.to),
+        }
+    }
 }
 
 impl Motor {
-    pub(super) const REST: Self =
-        Self { height: 0, goal: 0, running: None, correction: 0, surplus: 0, still_since: Tick(0) };
+    pub(super) const REST: Self = Self {
+        height: 0,
+        goal: 0,
+        running: None,
+        correction: 0,
+        surplus: 0,
+        still_since: Tick(0),
+        uneven: [None; UNEVEN],
+    };
 
     pub(super) const fn goal(&self) -> u16 {
         self.goal
@@ -68,13 +100,16 @@ impl Motor {
 
     /// Pulses above rest at the tick `now`.
     pub(super) fn height(&self, now: u32) -> u16 {
-        let Some(running) = self.running else { return self.height };
-        let played = running.played(now);
-        match running.direction {
-            _ if played == running.pulses => running.to,
-            Direction::Up => self.height.saturating_add(played),
-            Direction::Down => self.height.saturating_sub(played).max(running.to),
-        }
+        self.running.map_or(self.height, |running| running.height(self.height, now))
+    }
+
+    /// Pulses until it is where it should be, if no other move begins.
+    pub(super) fn left(&self, now: u32) -> u32 {
+        let then = self.running.map_or(self.height, |running| running.to);
+        let (left, way) = (self.running.map_or(0, |of| of.pulses - of.played(now)), then.abs_diff(self.goal));
+        let more =
+            if self.running.is_none() { i32::from(self.correction) + i32::from(self.surplus) } else { 0 };
+        u32::from(left) + if way > 0 { u32::from(way).saturating_add_signed(more).max(1) } else { 0 }
     }
 
     /// Whether its pin is above its goal and no burst runs.
@@ -91,13 +126,18 @@ impl Motor {
     pub(super) fn end(&mut self, now: Tick) -> Option<Running> {
         let ended = self.running?;
         self.height = self.height(now.0 as u32);
+        if let Some(Uneven { of, .. }) = &mut self.uneven[0]
+            && *of == ended
+        {
+            (of.pulses, of.to) = (ended.played(now.0 as u32), self.height);
+        }
         (self.running, self.still_since) = (None, now);
         Some(ended)
     }
 
     /// Where the pin is, and where it should be, without a burst.
     pub(super) fn place(&mut self, height: u16, goal: u16) {
-        *self = Self { height, goal, still_since: self.still_since, ..Self::REST };
+        *self = Self { height, goal, still_since: self.still_since, uneven: self.uneven, ..Self::REST };
     }
 
     /// The pin should have this level. A burst to another one has been ended.
@@ -107,14 +147,37 @@ impl Motor {
 
     /// Begins a burst at `now`, after which the pin has the height `to`.
     pub(super) fn begin(&mut self, now: Tick, direction: Direction, pulses: u16, pushes: u16, to: u16) {
-        self.running = Some(Running { direction, start: now.0 as u32, pulses, to, pushes });
+        let of = Running { direction, start: now.0 as u32, pulses, to, pushes };
+        self.running = Some(of);
+        self.forget_played(now);
+        if pulses != self.height.abs_diff(to) {
+            self.uneven.rotate_right(1);
+            self.uneven[0] = Some(Uneven { of, from: self.height });
+        }
     }
 
-    /// `pulses` of this direction were rendered last, and not played.
-    pub(super) fn undo(&mut self, direction: Direction, pulses: u16) {
-        self.height = match direction {
-            Direction::Up => self.height.saturating_sub(pulses),
-            Direction::Down => self.height.saturating_add(pulses),
+    /// Forgets the uneven bursts all of whose ticks were played.
+    fn forget_played(&mut self, now: Tick) {
+        let pauses = now - self.still_since > u64::from(HORIZON);
+        for place in &mut self.uneven {
+            let ago = |uneven: &Uneven| (now.0 as u32).wrapping_sub(uneven.of.end()).cast_signed();
+            *place = place.filter(|uneven| !pauses && ago(uneven) <= HORIZON.cast_signed());
+        }
+    }
+
+    /// `pulses` of this direction were rendered last, from the tick `begin` on, and not played.
+    pub(super) fn undo(&mut self, direction: Direction, pulses: u16, begin: u32) {
+        let mut uneven = self.uneven.iter().flatten();
+        let within = uneven.find(|uneven| begin.wrapping_sub(uneven.of.start) < uneven.of.pulses.into());
+        self.height = match (within, direction) {
+            (Some(uneven), _) => uneven.of.height(uneven.from, begin),
+            (None, Direction::Up) => self.height.saturating_sub(pulses),
+            (None, Direction::Down) => self.height.saturating_add(pulses),
         };
+    }
+
+    /// Forgets the bursts so far: none of their ticks is taken back any more.
+    pub(super) fn forget_bursts(&mut self) {
+        self.uneven = [None; UNEVEN];
     }
 }

@@ -36,6 +36,21 @@ impl Recent {
         let _ = self.runs.push_back(run);
     }
 
+    /// Pulses in the last `ticks`, and moves that began in them.
+    pub(super) fn in_last(&self, mut ticks: u32) -> (u64, u64) {
+        let (mut pulses, mut begun) = (0, 0);
+        for run in self.runs.iter().rev() {
+            let of = run.ticks.min(ticks);
+            pulses += u64::from(run.lines.pulsing().len()) * u64::from(of);
+            if of < run.ticks || of == 0 {
+                break;
+            }
+            begun += u64::from(run.begun);
+            ticks -= of;
+        }
+        (pulses, begun)
+    }
+
     /// Takes the newest run, and of it at most `ticks`, the last ones.
     pub(super) fn take_back(&mut self, ticks: u32) -> Option<Rendered> {
         let last = self.runs.back_mut()?;
