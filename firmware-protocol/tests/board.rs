@@ -1,7 +1,6 @@
 use crate::bench::{Bench, FIRMWARE, PAPER, TICK_HZ, stroke};
 use firmware_protocol::array::MotorSet;
-use firmware_protocol::batch::longest_frame;
-use firmware_protocol::batch::{MAX_BATCH, Strokes};
+use firmware_protocol::batch::{MAX_BATCH, longest_frame, moves};
 use firmware_protocol::board::{Board, Measures, Outputs, Reset, SelfTest, SelfTestState};
 use firmware_protocol::frame::{Decoder, MAX_FRAME, read};
 use firmware_protocol::message::{Cause, DeviceMessage, HostMessage, Op, State};
@@ -155,7 +154,7 @@ fn the_longest_frame_is_one() {
     let len = longest_frame(&PAPER, &mut out);
     let mut decoder = Decoder::new();
     let body = decoder.next(&mut &out[..len]).expect("a whole frame");
-    let Ok(HostMessage::Strokes { batch, base, .. }) = read(body) else { panic!("strokes") };
-    let strokes = Strokes::new(base.near(Tick(0)), batch).filter(Result::is_ok).count();
-    assert!(strokes == MAX_BATCH && len > 200, "{strokes} strokes in {len} bytes");
+    let Ok(HostMessage::Moves { batch, base, .. }) = read(body) else { panic!("moves") };
+    let moves = moves(base.near(Tick(0)), batch).expect("a batch").len();
+    assert!(moves == MAX_BATCH && len > 200, "{moves} moves in {len} bytes");
 }

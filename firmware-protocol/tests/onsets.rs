@@ -1,8 +1,9 @@
 //! The first frame of a play or of a later item: reported at its onset, with the trigger output.
 
-use crate::bench::{Bench, FIRMWARE, PULSE, SHELLS, pack, stroke};
-use crate::strokes::verdict;
+use crate::bench::{Bench, FIRMWARE, NO_LIMITS, ONSET, PULSE, SHELLS, TICK_HZ, pack, stroke, to};
+use crate::interruptions::{end, planned};
 use firmware_protocol::array::MotorSet;
+use firmware_protocol::batch::{BATCH_BYTES, MAX_FIRST_BATCH, Packer};
 use firmware_protocol::controller::POOL;
 use firmware_protocol::limits::Refusal;
 use firmware_protocol::message::{Mark, MarkKind, Op, Report, State, Trigger};
@@ -22,7 +23,11 @@ fn an_onset_is_all_or_nothing_and_reported_when_it_has_passed() {
         // When the drivers are ready it is in time. A stroke refused for another reason does not hold up the others.
         let bad = stroke(30, ready.0 + 12, 9, 5, 9);
         bench.onset(ready.0, &[strokes[0], bad, strokes[1]]);
-        assert_eq!(verdict(&bench), (0, 2, Some(Refusal::Motor)));
+        let Report::Verdict { late: 0, refused, reason, .. } = bench.last_report() else {
+            panic!("a verdict")
+        };
+        // Both moves of the second stroke.
+        assert_eq!((refused, reason), (0b1100, Some(Refusal::Motor)));
         let later = ready + 60;
         bench.onset(later.0, &[]);
         bench.run(300);
@@ -37,7 +42,7 @@ fn an_onset_is_all_or_nothing_and_reported_when_it_has_passed() {
         assert_eq!(onsets, [(ready.wire(), 0, 0), (later.wire(), 4, 36)]);
         assert_eq!(
             (bench.bursts(1), bench.bursts(2)),
-            (strokes[0].bursts().into(), strokes[1].bursts().into())
+            (planned(&strokes[0]).to_vec(), planned(&strokes[1]).to_vec())
         );
         assert_eq!((bench.device.counters().late, bench.device.counters().refused), (0, 2));
     }
@@ -80,11 +85,11 @@ fn the_trigger_rises_with_each_onset_and_stays_for_10_ms() {
 }
 
 #[test]
-fn an_onset_counts_bursts_that_ended_before_it_even_if_a_cut_is_booked_first() {
+fn an_onset_counts_what_was_played_before_it_even_if_a_cut_comes_first() {
     let mut bench = Bench::armed(FIRMWARE);
     let rendered = bench.device.rendered().0 + 200;
     let ends = stroke(1, rendered - 40, 10, 5, 10);
-    assert_eq!(ends.end().0, rendered - 15);
+    assert_eq!(end(&ends), rendered - 15);
     bench.strokes(&[ends]);
     bench.onset(rendered - 5, &[]);
     // Both are rendered already when the stop comes, and are played.
@@ -125,7 +130,7 @@ fn an_e_stop_in_the_tick_before_an_onset_leaves_it_unplayed_and_unreported() {
         bench.control(Op::EStop);
         bench.run(200);
         assert_eq!((bench.total(), bench.reports().len()), (0, 1));
-        assert!(matches!(bench.last_report(), Report::Cut(cut) if cut.flushed == 1));
+        assert!(matches!(bench.last_report(), Report::Cut(cut) if cut.flushed == 2));
     }
 }
 
@@ -148,7 +153,7 @@ fn a_late_mark_of_an_item_is_refused_alone() {
         bench.run(50);
         let ready = bench.device.ready();
         let strokes = [stroke(1, ready.0 - 1, 9, 5, 9), stroke(2, ready.0 + 20, 9, 5, 9)];
-        let item = Mark { kind: MarkKind::Item, trigger: Some(PULSE) };
+        let item = Mark { kind: MarkKind::Item, trigger: Some(PULSE), hold: 0 };
         bench.frame(Some(item), ready.0 - 1, pack(ready.0 - 1, &strokes).bytes());
         bench.run(2_000);
         let rendered = ready.wire();
@@ -158,7 +163,7 @@ fn a_late_mark_of_an_item_is_refused_alone() {
                 Report::OnsetRefused { seq: 0, rendered },
                 Report::Verdict {
                     seq: 0,
-                    late: 1,
+                    late: 0b11,
                     refused: 0,
                     kept: MotorSet::EMPTY,
                     reason: None,
@@ -166,7 +171,7 @@ fn a_late_mark_of_an_item_is_refused_alone() {
                 }
             ]
         );
-        assert_eq!((bench.bursts(1), bench.bursts(2)), (vec![], strokes[1].bursts().into()));
+        assert_eq!((bench.bursts(1), bench.bursts(2)), (vec![], planned(&strokes[1]).to_vec()));
         assert_eq!((bench.triggered.len(), bench.device.state()), (0, State::Armed));
     }
 }
@@ -179,7 +184,7 @@ fn the_trigger_gives_each_code_as_a_serial_frame() {
         for (width, code) in [(1, 1), (0, 85), (7, 0b1011_0010), (850, 255), (85, 128), (300, 0)] {
             let cell = u64::from(width).max(1);
             let kind = if code % 2 == 0 { MarkKind::Item } else { MarkKind::Play };
-            bench.frame(Some(Mark { kind, trigger: Some(Trigger { width, code }) }), onset, &[]);
+            bench.frame(Some(Mark { kind, trigger: Some(Trigger { width, code }), hold: 0 }), onset, &[]);
             bench.triggered.clear();
             bench.run_to(onset + 12 * cell + 40);
             let cells = (0..10u64).filter(|&k| k == 0 || (k <= 8 && code >> (k - 1) & 1 == 1));
@@ -189,9 +194,71 @@ fn the_trigger_gives_each_code_as_a_serial_frame() {
         }
         // A play without a trigger is reported, and the output stays low.
         bench.triggered.clear();
-        bench.frame(Some(Mark { kind: MarkKind::Play, trigger: None }), onset, &[]);
+        bench.frame(Some(Mark { kind: MarkKind::Play, trigger: None, hold: 0 }), onset, &[]);
         bench.run(1_000);
         assert!(matches!(bench.last_report(), Report::Onset { tick, .. } if tick == Tick(onset).wire()));
         assert_eq!(bench.triggered, []);
+    }
+}
+
+/// The chip takes the first frame of a play in one piece, so it is bounded. A frame with more moves is refused as if its mark were late.
+#[test]
+fn the_first_frame_of_a_play_has_at_most_32_moves() {
+    for (count, fits) in [(MAX_FIRST_BATCH, true), (MAX_FIRST_BATCH + 1, false)] {
+        let mut bench = Bench::armed(FIRMWARE);
+        let at = bench.soon();
+        let mut packer = Packer::<BATCH_BYTES>::new(Tick(at));
+        for k in 0..count as u64 {
+            packer.moves(&to((k % 24) as u8, at + 100 * (k / 24), 9 * (1 - k / 24) as u16)).unwrap();
+        }
+        bench.frame(Some(ONSET), at, packer.bytes());
+        bench.run(300);
+        let refused = bench.reports().iter().any(|report| matches!(report, Report::OnsetRefused { .. }));
+        assert_eq!((refused, bench.device.counters().played), (!fits, if fits { count as u64 } else { 0 }));
+        assert_eq!(bench.triggered.is_empty(), refused);
+        // A later item may have more: it is taken in pieces.
+        let at = bench.soon();
+        let mut packer = Packer::<BATCH_BYTES>::new(Tick(at));
+        for k in 0..count as u64 {
+            packer.moves(&to((k % 24) as u8, at + 100 * (k / 24), 10 * (1 - k / 24) as u16)).unwrap();
+        }
+        let before = bench.device.counters().played;
+        bench.frame(Some(Mark { kind: MarkKind::Item, ..ONSET }), at, packer.bytes());
+        bench.run(300);
+        assert_eq!(bench.device.counters().played - before, count as u64);
+    }
+}
+
+/// Only the mark of a play says for how long pins may be held, from its frame on.
+#[test]
+fn the_mark_of_a_play_says_for_how_long_pins_may_be_held() {
+    let fifth = u64::from(TICK_HZ) / 5;
+    let second = u64::from(TICK_HZ);
+    // Asked for, and given; `None`: without a mark.
+    for (kind, hold, given) in [
+        (Some(MarkKind::Play), 0, fifth),
+        (Some(MarkKind::Play), second, second),
+        (Some(MarkKind::Item), second, fifth),
+        (None, 0, fifth),
+    ] {
+        let mut bench = Bench::without_stop(Bench::new(FIRMWARE), 10 * TICK_HZ, NO_LIMITS);
+        let at = bench.soon();
+        let mut packer = Packer::<BATCH_BYTES>::new(Tick(at));
+        packer.moves(&to(3, at, 50)).unwrap();
+        let mark = kind.map(|kind| Mark { kind, hold: hold as u32, ..ONSET });
+        bench.frame(mark, at, packer.bytes());
+        let up = at + 50;
+        bench.run_to(up + given);
+        assert_eq!(bench.net(3), 50, "{kind:?}, {hold}");
+        // The device checks about every 12 ms.
+        bench.run(1_024 + 16 + 64 + 50);
+        assert_eq!(bench.net(3), 0, "{kind:?}, {hold}");
+        let lowered = bench.reports().into_iter().find_map(|report| match report {
+            Report::Lowered { tick, motors } => Some((tick.near(Tick(bench.now)).0, motors)),
+            _ => None,
+        });
+        let (tick, motors) = lowered.expect("a report");
+        assert_eq!(motors, MotorSet::from_bits(1 << 3));
+        assert!((up + given..=bench.bursts(3)[1].start.0).contains(&tick), "{tick}");
     }
 }

@@ -2,9 +2,15 @@
 
 /// A shell around the controller that plays it tick by tick and records the lines.
 mod bench;
+/// The board report and the self-test.
+mod board;
 /// Stops, faults and silent hosts at every phase of a stroke.
 mod interruptions;
 /// Moves to levels: up in time only, down at once.
 mod levels;
+/// Onsets and the trigger output.
+mod onsets;
+/// The effect of each event in each state.
+mod states;
 /// Which moves the controller takes, and that it plays them as sent.
 mod taking;
