@@ -1,10 +1,12 @@
-//! Frames that replace queued strokes: each motor's as a whole or not at all, none of them in part, all of them counted.
+//! Frames that replace queued moves: each motor's from one tick on or not at all, all of them counted.
 
-use crate::bench::{Bench, FIRMWARE, MOCK, MOTORS, ONSET, SHELLS, SOON, stroke};
+use crate::bench::{Bench, FIRMWARE, MOCK, MOTORS, ONSET, SHELLS, SOON, stroke, to};
+use crate::taking::{bursts, end, plain};
 use firmware_protocol::array::MotorSet;
+use firmware_protocol::batch::{BATCH_BYTES, Packer, Stroke};
 use firmware_protocol::controller::{BLOCK, POOL};
-use firmware_protocol::message::{Counters, Op, Report, Withdraw};
-use firmware_protocol::stroke::{Direction, Stroke};
+use firmware_protocol::message::{Counters, HostMessage, Op, Report, Withdraw};
+use firmware_protocol::moves::Move;
 use firmware_protocol::tick::Tick;
 use proptest::prelude::*;
 use proptest::test_runner::RngSeed;
@@ -19,9 +21,25 @@ fn train(motor: u8, first: u64, count: u64, pulses: u16) -> Vec<Stroke> {
     (0..count).map(|k| stroke(motor, first + k * PERIOD, pulses, HOLD, pulses)).collect()
 }
 
-/// The bursts of these strokes.
-fn bursts(strokes: &[Stroke]) -> Vec<firmware_protocol::stroke::Burst> {
-    strokes.iter().flat_map(Stroke::bursts).collect()
+/// The moves of these strokes.
+fn moves<'a>(strokes: impl IntoIterator<Item = &'a Stroke>) -> Vec<Move> {
+    strokes.into_iter().flat_map(Stroke::moves).collect()
+}
+
+/// The moves that begin before `base`.
+fn before(base: u64, moves: &[Move]) -> Vec<Move> {
+    moves.iter().copied().filter(|to| to.tick.0 < base).collect()
+}
+
+/// Sends a frame of single moves that withdraws from `base` on.
+fn replace(bench: &mut Bench, motors: u64, base: u64, moves: &[Move]) {
+    let mut packer = Packer::<BATCH_BYTES>::new(Tick(base));
+    moves.iter().for_each(|to| packer.moves(to).expect("room"));
+    let withdraw = Some(Withdraw { motors: MotorSet::from_bits(motors), generation: 0 });
+    let (epoch, seq, seen, base, batch) =
+        (bench.epoch, bench.seq, bench.seen(), Tick(base).wire(), packer.bytes());
+    bench.send(&HostMessage::Moves { epoch, seq, seen, mark: None, withdraw, base, batch });
+    bench.seq = bench.status().next_seq;
 }
 
 fn counted(counters: Counters) -> u64 {
@@ -37,12 +55,12 @@ fn kept(bench: &Bench) -> Vec<u64> {
     bench.reports().iter().filter_map(kept).collect()
 }
 
-/// A replacement sent at each phase of a running stroke, and for each distance of `base`: what has begun is played whole, then
-/// either the new strokes or, if they come too late, the old ones.
+/// A replacement sent at each phase of a running stroke, and for each distance of `base`: what begins before it is played as sent, then
+/// either the new strokes or, if they come too late, the old ones. A stroke that `base` divides stays up until the first new one.
 #[test]
 fn in_every_phase_a_replacement_is_whole_or_not_at_all() {
     for shell in SHELLS {
-        let (mut done, mut late) = (0, 0);
+        let (mut done, mut late, mut divided) = (0, 0, 0);
         for phase in 0..PERIOD {
             for ahead in [0, 1, 20, 63, 64, 65, 80, 100, 130, 250] {
                 let mut bench = Bench::armed(shell);
@@ -50,40 +68,49 @@ fn in_every_phase_a_replacement_is_whole_or_not_at_all() {
                 bench.strokes(&old);
                 bench.run_to(old[2].up.0 + phase);
                 let base = bench.now + ahead;
-                let (before, after) = old.split_at(old.partition_point(|old| old.up.0 < base));
-                let new = train(1, after[0].up.0, 9, PULSES + 9);
+                let first = old.iter().find(|old| old.up.0 >= base).expect("one");
+                let new = train(1, first.up.0, 9, PULSES + 9);
+                let (rendered, ready) = (bench.device.rendered(), bench.device.ready());
                 bench.replace(1 << 1, 0, base, &new);
-                let kept = !kept(&bench).is_empty();
+                let has_begun = moves(&old).iter().any(|to| to.tick.0 >= base && to.tick < rendered);
+                let is_kept = has_begun || first.up < ready;
+                assert_eq!(kept(&bench), vec![0b10; usize::from(is_kept)], "phase {phase}, {ahead} ahead");
                 bench.run(2_000);
-                let expected = if kept { &old } else { &[before, &new[..]].concat() };
-                assert_eq!(bench.bursts(1), bursts(expected), "phase {phase}, {ahead} ticks ahead");
+                let stay = before(base, &moves(&old));
+                let withdrawn = 2 * old.len() - stay.len();
+                let expected = if is_kept { moves(&old) } else { [stay, moves(&new)].concat() };
+                let (pulses, shortened) = plain(&expected, bench.now);
+                assert_eq!(bench.pulses(1).collect::<Vec<_>>(), pulses, "phase {phase}, {ahead} ticks ahead");
                 let counters = bench.device.counters();
-                assert_eq!((counters.dropped, counters.refused), (0, 0));
+                assert_eq!((counters.dropped, counters.refused, counters.late), (0, 0, 0));
                 assert_eq!(counted(counters), 2 * (old.len() + new.len()) as u64);
-                assert_eq!(counters.pulses, bench.total());
-                let replaced = 2 * if kept { new.len() } else { after.len() } as u64;
-                assert_eq!((counters.replaced, counters.late), (replaced, 0));
+                assert_eq!((counters.pulses, counters.shortened), (bench.total(), shortened));
+                let replaced = if is_kept { 2 * new.len() } else { withdrawn } as u64;
+                assert_eq!(counters.replaced, replaced);
                 bench.ping(0);
                 assert_eq!(bench.status().credits, POOL as u16);
-                if kept { late += 1 } else { done += 1 }
+                *(if is_kept { &mut late } else { &mut done }) += 1;
+                divided += usize::from(!is_kept && withdrawn % 2 == 1);
             }
         }
         assert!(done > 400 && (late > 100 || shell.ahead < 2), "{done} done, {late} late");
+        assert!(divided > 100, "{divided} divided");
     }
 }
 
-/// A base so long ago that strokes from it on were played whole is as late as one in a running stroke: the host counts those
-/// strokes as withdrawn unless the device says that it kept them.
+/// A base so long ago that moves from it on were played is as late as one in a running burst: the host counts those moves as withdrawn
+/// unless the device says that it kept them.
 #[test]
 fn what_was_played_since_the_base_keeps_the_rest() {
     for shell in SHELLS {
-        for (played, new) in [(0, false), (0, true), (1, false), (1, true), (3, true)] {
+        for (base, new) in [(0, false), (0, true), (1, false), (1, true), (2, false), (5, true)] {
             let mut bench = Bench::armed(shell);
             let old = train(1, bench.soon(), 6, PULSES);
             bench.strokes(&old);
-            // In a pause: of the strokes from the base on, `played` have ended.
-            bench.run_to(old[3].end().0 + 1);
-            let base = old[3 - played].end().0;
+            // In a pause: so many moves from the base on have begun.
+            bench.run_to(end(&old[3]) + 1);
+            let played = base;
+            let base = moves(&old)[7 - played].tick.0 + 1;
             let new = if new { train(1, old[5].up.0, 1, 9) } else { Vec::new() };
             bench.replace(0b10, 0, base, &new);
             let is_kept = played > 0 || bench.device.rendered() > old[4].up;
@@ -105,14 +132,14 @@ fn a_kept_motor_plays_its_old_strokes_until_it_is_replaced_again() {
     bench.run_to(old[2].up.0 + 5);
     let other = train(2, bench.soon(), 3, PULSES);
     bench.replace(0b10, 0, old[2].up.0, &[&train(1, bench.soon(), 1, 7)[..], &other[..1]].concat());
-    bench.strokes(&train(1, old[11].end().0 + 10, 2, 7));
+    bench.strokes(&train(1, end(&old[11]) + 10, 2, 7));
     bench.strokes(&other[1..]);
     assert_eq!(kept(&bench), [0b10]);
     assert_eq!((bench.device.counters().late, bench.device.counters().replaced), (0, 6));
     let new = train(1, old[7].up.0 + 11, 3, 9);
     bench.replace(0b10, 0, old[7].up.0 - 3, &new);
     bench.run(2_000);
-    assert_eq!(bench.bursts(1), bursts(&[&old[..7], &new].concat()));
+    assert_eq!(bench.bursts(1), bursts(old[..7].iter().chain(&new)));
     assert_eq!(bench.bursts(2), bursts(&other));
     assert_eq!(counted(bench.device.counters()), 2 * (12 + 1 + 1 + 2 + 2 + 3));
 }
@@ -138,7 +165,7 @@ fn a_play_or_a_command_ends_what_was_kept() {
             bench.onset(new[0].up.0, &new);
         }
         bench.run(1_000);
-        assert_eq!(bench.bursts(1), bursts(&[old, new].concat()));
+        assert_eq!(bench.bursts(1), bursts(old.iter().chain(&new)));
     }
 }
 
@@ -151,8 +178,11 @@ fn a_motor_without_new_strokes_falls_silent_and_the_drivers_go_off() {
         bench.strokes(strokes);
     }
     bench.run_to(old[0][3].up.0 + 1);
-    bench.replace(u64::MAX, 0, old[0][4].up.0 - 20, &[]);
-    assert_eq!(bench.status().credits, (POOL - MOTORS) as u16, "one running stroke per motor");
+    let base = Tick(old[0][4].up.0 - 20);
+    bench.replace(u64::MAX, 0, base.0, &[]);
+    let rendered = bench.device.rendered();
+    let waiting = moves(old.iter().flatten()).into_iter().filter(|to| to.tick >= rendered && to.tick < base);
+    assert_eq!(usize::from(bench.status().credits), POOL - waiting.count(), "at most a way down per motor");
     let (enabled, now) = (bench.enabled_ticks, bench.now);
     bench.run(2_000);
     assert!(bench.enabled_ticks - enabled < old[0][4].up.0 - now, "the drivers stay on");
@@ -162,26 +192,79 @@ fn a_motor_without_new_strokes_falls_silent_and_the_drivers_go_off() {
     assert_eq!(bench.device.counters().replaced, 2 * 6 * 24);
 }
 
-/// The first stroke of each motor decides: what overlaps the running stroke, or breaks a limit, leaves the old strokes in place.
+/// The first move or stroke of each motor decides: if it is late, breaks a limit or comes too soon, the old moves stay in place. So the pin
+/// comes down as planned.
 #[test]
 fn a_first_stroke_that_cannot_be_queued_keeps_the_old_ones() {
     let mut bench = Bench::armed(MOCK);
     let old = train(1, bench.soon(), 4, PULSES);
     bench.strokes(&old);
     bench.run_to(old[0].up.0 + 5);
+    // The way down of the stroke that runs is one of the moves to be withdrawn.
     let base = old[0].up.0 + 6;
+    let next = old[1].up.0;
     let harmful = [
-        stroke(1, old[0].end().0 - 1, PULSES, HOLD, PULSES),
-        stroke(1, old[1].up.0, 3_001, 1, 3_001),
-        stroke(1, old[1].up.0, PULSES, HOLD, PULSES - 1),
+        // The third move within a millisecond.
+        stroke(1, base, 9, 10, 9),
+        stroke(1, bench.device.ready().0 - 1, PULSES, HOLD, PULSES),
+        stroke(1, next, 3_001, 1, 3_001),
+        stroke(1, next, PULSES, HOLD, PULSES + 901),
+        stroke(1, next, PULSES, 1 << 30, PULSES),
     ];
     for harmful in harmful {
-        bench.replace(0b10, 0, base, &[harmful]);
+        bench.replace(0b10, 0, base.min(harmful.up.0), &[harmful]);
     }
-    assert_eq!(kept(&bench), [0b10; 3]);
+    assert_eq!(kept(&bench), [0b10; 5]);
     bench.run(1_000);
     assert_eq!(bench.bursts(1), bursts(&old));
-    assert_eq!((bench.device.counters().replaced, bench.device.counters().refused), (2, 4));
+    let counters = bench.device.counters();
+    assert_eq!((counters.replaced, counters.refused, counters.late), (4, 6, 0));
+}
+
+/// A late move down lowers its pin, but not if it was to replace moves that are kept.
+#[test]
+fn a_late_move_of_a_kept_motor_changes_nothing() {
+    for shell in SHELLS {
+        let mut bench = Bench::armed(shell);
+        let at = bench.soon();
+        bench.moves(&[to(1, at, 100), to(1, at + 300, 50), to(1, at + 600, 0)]);
+        bench.run_to(at + 200);
+        let now = bench.now;
+        replace(&mut bench, 0b10, now - 50, &[to(1, now - 10, 20)]);
+        bench.moves(&[to(1, now - 5, 10)]);
+        assert_eq!(kept(&bench), [0b10]);
+        bench.run(1_000);
+        let (pulses, _) = plain(&[to(1, at, 100), to(1, at + 300, 50), to(1, at + 600, 0)], bench.now);
+        assert_eq!(bench.pulses(1).collect::<Vec<_>>(), pulses);
+        assert_eq!((bench.device.counters().replaced, bench.device.counters().late), (2, 0));
+    }
+}
+
+/// Moves are replaced in the middle of a ramp: the pin goes on from where it is.
+#[test]
+fn a_ramp_is_replaced_in_the_middle() {
+    for shell in SHELLS {
+        for phase in 0..100 {
+            let mut bench = Bench::armed(shell);
+            let at = bench.soon();
+            let ramp = |from: u64, levels: &[u16]| -> Vec<Move> {
+                levels.iter().zip(0..).map(|(&level, k)| to(1, from + 100 * k, level)).collect()
+            };
+            let old = ramp(at, &[50, 120, 180, 180, 260, 200, 90, 0]);
+            bench.moves(&old);
+            bench.run_to(at + 150 + phase);
+            let base = bench.soon();
+            let new = ramp(base + 30, &[40, 10, 70, 0]);
+            replace(&mut bench, 0b10, base, &new);
+            assert_eq!(kept(&bench), []);
+            bench.run(1_500);
+            let expected = [before(base, &old), new].concat();
+            let (pulses, shortened) = plain(&expected, bench.now);
+            assert_eq!(bench.pulses(1).collect::<Vec<_>>(), pulses, "{phase} {shell:?}");
+            assert_eq!((bench.device.counters().shortened, bench.net(1)), (shortened, 0));
+            assert_eq!(counted(bench.device.counters()), 12);
+        }
+    }
 }
 
 #[test]
@@ -192,7 +275,7 @@ fn an_amendment_of_a_withdrawn_stroke_does_not_change_the_new_one() {
         bench.strokes(&old);
         bench.replace(0b10, 5, old[0].up.0, &old);
         // On its way since before the replacement, or sent after it.
-        bench.amend(generation, &old[0], Direction::Up, PULSES + 2);
+        bench.amend(generation, 1, old[0].up, PULSES + 2);
         bench.run(1_000);
         assert_eq!(bench.bursts(1)[0].pulses, pulses, "generation {generation}");
         assert_eq!(bench.device.counters().replaced, 6);
@@ -225,10 +308,10 @@ fn an_e_stop_between_the_pieces_of_a_replacement_loses_no_count() {
         let epoch = bench.epoch.wrapping_add(1);
         bench.device.e_stop(Tick(bench.now), epoch);
         let counters = bench.device.counters();
-        let taken = 4 * blocks.saturating_sub(3).min(6);
+        let taken = 3 * blocks.saturating_sub(3).min(8);
         assert_eq!(counted(counters), 2 * (8 * 24 + taken), "{blocks} blocks: {counters:?}");
-        let withdrawn = old[0].iter().filter(|old| old.up.0 >= base).count() as u64;
-        assert_eq!(counters.replaced, 2 * withdrawn * taken, "{blocks} blocks");
+        let withdrawn = moves(&old[0]).iter().filter(|to| to.tick.0 >= base).count() as u64;
+        assert_eq!(counters.replaced, withdrawn * taken, "{blocks} blocks");
         assert_eq!(counters.pulses, bench.total());
     }
 }
@@ -263,14 +346,14 @@ fn long_queues_are_searched_one_at_a_time() {
 fn a_full_device_takes_a_replacement_frame_by_frame() {
     let mut bench = Bench::armed(FIRMWARE);
     let first = bench.soon();
-    // 42 periods of 24 motors, and one stroke of each that is left.
+    // 42 periods of 24 motors, and room for 16 strokes.
     for period in 0..42 {
         let strokes: Vec<Stroke> = (0..MOTORS as u8)
             .map(|motor| stroke(motor, first + period * PERIOD + 4_000, PULSES, HOLD, PULSES))
             .collect();
         bench.strokes(&strokes);
     }
-    assert_eq!(usize::from(bench.status().credits), POOL - 42 * 24);
+    assert_eq!(usize::from(bench.status().credits), POOL - 2 * 42 * 24);
     for motor in 0..24 {
         // No denser than the device allows.
         let new: Vec<Stroke> =
@@ -303,17 +386,20 @@ fn the_first_frame_of_a_play_withdraws_nothing() {
 proptest! {
     #![proptest_config(ProptestConfig { cases: 300, failure_persistence: None, rng_seed: RngSeed::Fixed(22), ..ProptestConfig::default() })]
 
-    /// Random trains of three motors replace each other, many of them too late or on top of one another: what the pins do is a
-    /// sequence of strokes that were sent, each whole, and every one sent is counted once.
+    /// Random trains of three motors replace each other, many of them too late or on top of one another. The pins do what a plain model of the
+    /// moves does that the device says it took, less those withdrawn, and every move sent is counted once.
     #[test]
-    fn whatever_is_replaced_only_whole_strokes_are_played(
+    fn whatever_is_replaced_pins_follow_the_moves_taken(
         shell in prop::sample::select(SHELLS.to_vec()),
         in_pieces: bool,
         updates in prop::collection::vec((0u64..400, 0u64..8, -80i64..300, 0u64..200, 0u64..9, 1u16..40), 1..40),
     ) {
         let mut bench = Bench::armed(shell);
         bench.in_pieces = in_pieces && shell.ahead > 1;
-        let mut sent = Vec::new();
+        // Pins may stay up.
+        bench.frame(Some(ONSET), bench.soon(), &[]);
+        bench.run(20);
+        let mut frames = Vec::new();
         for (number, (wait, motors, ahead, offset, count, pulses)) in updates.into_iter().enumerate() {
             bench.run(wait);
             let base = bench.now.wrapping_add_signed(ahead);
@@ -322,21 +408,44 @@ proptest! {
                 drives.flat_map(|motor| train(motor, base + offset * u64::from(motor), count, pulses)).collect();
             strokes.sort_by_key(|stroke| stroke.up);
             strokes.truncate(32);
-            bench.seq = number as u16;
+            bench.seq = number as u16 + 1;
             bench.replace(motors << 1, 0, base, &strokes);
-            sent.extend(strokes);
+            frames.push((MotorSet::from_bits(motors << 1), base, moves(&strokes)));
         }
-        bench.run(3_000);
-        let counters = bench.device.counters();
-        prop_assert_eq!(counted(counters), 2 * sent.len() as u64);
-        prop_assert_eq!((counters.dropped, counters.pulses), (0, bench.total()));
-        let mut played = 0;
-        for motor in 1..4 {
-            for pair in bench.bursts(motor).chunks(2) {
-                prop_assert!(sent.iter().any(|stroke| stroke.motor == motor && stroke.bursts() == *pair), "{:?}", pair);
-                played += 2;
+        bench.run(4_000);
+        let mut planned: [Vec<Move>; 4] = Default::default();
+        let (mut sent, mut refusals) = (0, 0);
+        let reports = bench.reports();
+        for (number, (motors, base, moves)) in frames.iter().enumerate() {
+            let verdict = reports.iter().find_map(|report| match *report {
+                Report::Verdict { seq, late, refused, kept, .. } if usize::from(seq) == number + 1 => {
+                    Some((late, refused, kept))
+                }
+                _ => None,
+            });
+            let (late, refused, kept) = verdict.unwrap_or((0, 0, MotorSet::EMPTY));
+            for motor in motors.without(kept).iter() {
+                planned[usize::from(motor)].retain(|to| to.tick.0 < *base);
             }
+            for (place, to) in moves.iter().enumerate() {
+                let is_taken = (late | refused) >> place & 1 == 0;
+                prop_assert!(!is_taken || !kept.contains(to.motor), "of a kept motor");
+                if is_taken {
+                    planned[usize::from(to.motor)].push(*to);
+                }
+            }
+            sent += moves.len() as u64;
+            refusals += u64::from(refused.count_ones());
         }
-        prop_assert_eq!(counters.played, played);
+        let mut shortened = 0;
+        for (motor, moves) in (0..).zip(&planned) {
+            let (pulses, of_motor) = plain(moves, bench.now);
+            prop_assert_eq!(bench.pulses(motor).collect::<Vec<_>>(), pulses, "{:?}", moves);
+            shortened += of_motor;
+        }
+        let counters = bench.device.counters();
+        prop_assert_eq!(counted(counters), sent);
+        prop_assert_eq!((counters.dropped, counters.refused, counters.pulses), (0, refusals, bench.total()));
+        prop_assert_eq!(counters.shortened, shortened);
     }
 }

@@ -7,7 +7,7 @@ use firmware_protocol::controller::POOL;
 use firmware_protocol::limits::Refusal;
 use firmware_protocol::message::Report;
 use firmware_protocol::moves::Move;
-use firmware_protocol::stroke::Direction::{Down, Up};
+use firmware_protocol::stroke::Direction::{self, Down, Up};
 use firmware_protocol::tick::Tick;
 
 /// The bursts of these strokes, of one motor.
@@ -22,6 +22,34 @@ pub(crate) fn bursts<'a>(strokes: impl IntoIterator<Item = &'a Stroke>) -> Vec<B
 /// The first tick after the last pulse of a stroke.
 pub(crate) fn end(stroke: &Stroke) -> u64 {
     stroke.down.0 + u64::from(stroke.level + stroke.surplus)
+}
+
+/// Ticks and directions of the pulses of one motor that takes these moves in time, without a limit; and how many of them are shortened. In
+/// every tick the pin goes one pulse towards the level of the last move.
+pub(crate) fn plain(moves: &[Move], end: u64) -> (Vec<(u64, Direction)>, u64) {
+    let (mut height, mut goal, mut surplus, mut pulses, mut shortened) = (0, 0, 0, Vec::new(), 0);
+    let mut next = moves.iter().peekable();
+    for tick in moves.first().map_or(end, |first| first.tick.0)..end {
+        if let Some(to) = next.next_if(|to| to.tick.0 == tick) {
+            // A move that changes nothing is none.
+            if (to.level, to.surplus) != (goal, 0) {
+                shortened += u64::from(height != goal);
+                // What does not come down pushes nothing.
+                (goal, surplus) = (to.level, if height > 0 { to.surplus } else { 0 });
+            }
+        }
+        if height < goal {
+            height += 1;
+            pulses.push((tick, Up));
+        } else if height > goal {
+            height -= 1;
+            pulses.push((tick, Down));
+        } else if surplus > 0 {
+            surplus -= 1;
+            pulses.push((tick, Down));
+        }
+    }
+    (pulses, shortened)
 }
 
 /// Late and refused moves of the last report, a verdict, and the reason.

@@ -14,3 +14,5 @@ mod onsets;
 mod states;
 /// Which moves the controller takes, and that it plays them as sent.
 mod taking;
+/// Frames that replace queued moves.
+mod replacement;

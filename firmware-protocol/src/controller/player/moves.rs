@@ -7,7 +7,7 @@ use crate::batch::Amendment;
 use crate::controller::FARTHEST;
 use crate::controller::newer;
 use crate::controller::player::Player;
-use crate::controller::player::queue::{Waiting, ahead, earliest};
+use crate::controller::player::queue::{Waiting, ahead, follow};
 use crate::controller::reporting::Reporting;
 use crate::limits::{self, Refusal};
 use crate::moves::Move;
@@ -33,14 +33,8 @@ impl Player {
             return Err(Refusal::PoolFull);
         }
         let Some(first) = moves.first() else { return Ok(()) };
-        let mut ticks = self.queues.last_ticks(first.motor.into());
-        for to in moves {
-            if to.tick < earliest(ticks, self.layout.least_apart()) {
-                return Err(Refusal::Dense);
-            }
-            ticks = [to.tick, ticks[0]];
-        }
-        Ok(())
+        let ticks = self.queues.last_ticks(first.motor.into());
+        if follow(moves, ticks, self.layout.least_apart()) { Ok(()) } else { Err(Refusal::Dense) }
     }
 
     /// Queues a move. It takes only amendments newer than `generation`. One that changes nothing has been played: it would enable the drivers
@@ -74,8 +68,8 @@ impl Player {
     }
 
     /// Withdraws the moves of `motor` from `from` on, and returns their number. `None`, and all of them stay, if one of them has begun, or
-    /// if `next` is too near after the last one before them.
-    pub(in crate::controller) fn withdraw(&mut self, motor: u8, from: Tick, next: Option<Tick>) -> Option<u16> {
+    /// if the moves of `next` come too shortly after those before them.
+    pub(in crate::controller) fn withdraw(&mut self, motor: u8, from: Tick, next: &[Move]) -> Option<u16> {
         let motor = usize::from(motor);
         let moves = self.queues.withdraw(motor, from, next, self.layout.least_apart(), self.rendered)?;
         if self.queues.first(motor).is_none() && self.motors[motor].is_still() {

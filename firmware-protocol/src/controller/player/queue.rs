@@ -7,6 +7,7 @@
 //! those that have begun. So the chip has time to render them, and a stroke may be short.
 
 use crate::array::CAPACITY;
+use crate::moves::Move;
 use crate::tick::Tick;
 use core::hash::{Hash, Hasher};
 
@@ -65,9 +66,14 @@ impl Hash for Queues {
     }
 }
 
-/// The earliest tick of a move after these two, the last one first.
-pub(super) fn earliest([last, before]: [Tick; 2], apart: u32) -> Tick {
-    (last + 1).max(before + u64::from(apart))
+/// Whether `moves` may follow moves at these ticks, the last one first: each later than the one before it, and at least `apart` after the last
+/// but one.
+pub(super) fn follow(moves: &[Move], [mut last, mut before]: [Tick; 2], apart: u32) -> bool {
+    moves.iter().all(|to| {
+        let follows = to.tick > last && to.tick >= before + u64::from(apart);
+        (last, before) = (to.tick, last);
+        follows
+    })
 }
 
 /// Ticks from `now` to the low half of a tick within 2^31.
@@ -168,8 +174,15 @@ impl Queues {
     }
 
     /// Frees the moves of a motor from the tick `from` on. Returns their number, or `None`, and leaves them, if one has begun or the
-    /// last one before them is less than `apart` before `next`.
-    pub(super) fn withdraw(&mut self, motor: usize, from: Tick, next: Option<Tick>, apart: u32, now: Tick) -> Option<u16> {
+    /// moves of `next` come too shortly after those before them.
+    pub(super) fn withdraw(
+        &mut self,
+        motor: usize,
+        from: Tick,
+        next: &[Move],
+        apart: u32,
+        now: Tick,
+    ) -> Option<u16> {
         let Queue { head, tail, len, begun, .. } = self.queues[motor];
         if begun[0] >= from {
             return None;
@@ -182,7 +195,7 @@ impl Queues {
             ticks = [Tick(now.0.wrapping_add_signed(ahead(slot.tick, now).into())), ticks[0]];
             kept += 1;
         }
-        if next.is_some_and(|next| next < earliest(ticks, apart)) {
+        if !follow(next, ticks, apart) {
             return None;
         }
         if kept == len {
@@ -204,7 +217,12 @@ impl Queues {
     }
 
     /// The move of a motor at `tick`, and the low half of the tick of the one after it.
-    pub(super) fn find(&mut self, motor: usize, tick: Tick, now: Tick) -> Option<(&mut Waiting, Option<u32>)> {
+    pub(super) fn find(
+        &mut self,
+        motor: usize,
+        tick: Tick,
+        now: Tick,
+    ) -> Option<(&mut Waiting, Option<u32>)> {
         let mut index = self.queues.get(motor)?.head;
         if !(0..1 << 30).contains(&tick.since(now)) {
             return None;

@@ -137,12 +137,11 @@ impl Stream {
         Ok(true)
     }
 
-    /// Withdraws the moves of `motor` from `from` on, if none of them has begun and `first`, the move that takes their place, can be queued.
-    /// Otherwise all of them stay, and the motor's new moves are not taken until the next withdrawal. Returns whether it has withdrawn
-    /// them.
-    fn withdraw(&mut self, motor: u8, from: Tick, first: Option<&Move>, parts: &mut Parts<'_>) -> bool {
-        let usable = first.map_or(parts.armed, |first| parts.judge(first) == Ok(true));
-        let next = first.map(|first| first.tick);
+    /// Withdraws the moves of `motor` from `from` on, if none of them has begun and `next`, the move or stroke that takes their place, can be
+    /// queued. Otherwise all of them stay, and the motor's new moves are not taken until the next withdrawal. Returns whether it has
+    /// withdrawn them.
+    fn withdraw(&mut self, motor: u8, from: Tick, next: &[Move], parts: &mut Parts<'_>) -> bool {
+        let usable = parts.armed && next.iter().all(|to| parts.judge(to) == Ok(true));
         let withdrawn = if usable { parts.player.withdraw(motor, from, next) } else { None };
         let Some(moves) = withdrawn else {
             self.kept.insert(motor);

@@ -249,7 +249,7 @@ impl Stream {
             let Some(first) = self.taking.moves.get(at) else {
                 // What is left to withdraw is replaced by nothing.
                 let Some(motor) = self.taking.withdraw.lowest() else { break };
-                searched += self.take_withdrawal(motor, None, parts);
+                searched += self.take_withdrawal(motor, &[], parts);
                 done += 1;
                 continue;
             };
@@ -258,7 +258,7 @@ impl Stream {
             let both = self.taking.moves.get(at + 1).filter(|next| next.joined).map(|next| [first, next.of]);
             let moves = both.as_ref().map_or(core::slice::from_ref(&first), |both| both.as_slice());
             if self.taking.withdraw.contains(first.motor) {
-                searched += self.take_withdrawal(first.motor, Some(&first), parts);
+                searched += self.take_withdrawal(first.motor, moves, parts);
             }
             let (count, bits) = (moves.len(), ((1_u64 << moves.len()) - 1) << at);
             match self.accept(moves, parts) {
@@ -298,11 +298,11 @@ impl Stream {
         }
     }
 
-    /// Withdraws from one motor what `first` replaces. Returns the length of its queue.
-    fn take_withdrawal(&mut self, motor: u8, first: Option<&Move>, parts: &mut Parts<'_>) -> u16 {
+    /// Withdraws from one motor what `next`, a move or stroke, replaces. Returns the length of its queue.
+    fn take_withdrawal(&mut self, motor: u8, next: &[Move], parts: &mut Parts<'_>) -> u16 {
         let len = parts.player.len(motor);
         self.taking.withdraw.remove(motor);
-        if !self.withdraw(motor, self.taking.from, first, parts) {
+        if !self.withdraw(motor, self.taking.from, next, parts) {
             self.taking.kept.insert(motor);
             let ready = parts.player.ready();
             self.taking.missed.get_or_insert(ready);
