@@ -3,12 +3,13 @@
 //! Sequence numbers, epochs, sessions, reports, and frames that cannot be read.
 
 use crate::bench::{Bench, FIRMWARE, HOST_TIMEOUT, NO_LIMITS, ONSET, SHELLS, TICK_HZ, frame, pack, stroke};
-use firmware_protocol::batch::MAX_BATCH;
+use crate::interruptions::planned;
+use firmware_protocol::batch::{MAX_BATCH, Stroke};
 use firmware_protocol::controller::{POOL, REORDER_WINDOW, REPORTS};
 use firmware_protocol::frame::PROTOCOL;
 use firmware_protocol::limits::Refusal;
 use firmware_protocol::message::{Cause, DeviceMessage, HostMessage, Op, Report, State};
-use firmware_protocol::stroke::{Direction, Stroke};
+use firmware_protocol::stroke::Direction;
 use firmware_protocol::tick::Tick;
 
 /// A frame of the stream with this epoch and number.
@@ -16,7 +17,7 @@ fn strokes(bench: &Bench, epoch: u16, seq: u16, strokes: &[Stroke]) -> Vec<u8> {
     let base = strokes.first().map_or(bench.now, |stroke| stroke.up.0);
     let batch = pack(base, strokes);
     let (seen, base) = (bench.seen(), Tick(base).wire());
-    frame(&HostMessage::Strokes { epoch, seq, seen, mark: None, withdraw: None, base, batch: batch.bytes() })
+    frame(&HostMessage::Moves { epoch, seq, seen, mark: None, withdraw: None, base, batch: batch.bytes() })
 }
 
 fn control(epoch: u16, op: Op) -> Vec<u8> {
@@ -36,9 +37,9 @@ fn repeated_frames_are_taken_once() {
     for bytes in frames.iter().flat_map(|frame| [frame; 3]).chain(&frames) {
         bench.bytes(bytes);
     }
-    assert_eq!((bench.status().next_seq, bench.status().credits), (3, POOL as u16 - 3));
+    assert_eq!((bench.status().next_seq, bench.status().credits), (3, POOL as u16 - 6));
     bench.run(500);
-    assert_eq!(bench.bursts(1), sent.iter().flat_map(Stroke::bursts).collect::<Vec<_>>());
+    assert_eq!(bench.bursts(1), sent.iter().flat_map(planned).collect::<Vec<_>>());
     assert_eq!((bench.reports(), bench.device.counters().refused), (vec![], 0));
 }
 
@@ -56,7 +57,7 @@ fn frames_out_of_order_are_buffered_until_the_missing_one_arrives() {
         assert_eq!((bench.status().next_seq, bench.status().out_of_order), (next_seq, early));
     }
     bench.run(500);
-    assert_eq!(bench.bursts(1), sent.iter().flat_map(Stroke::bursts).collect::<Vec<_>>());
+    assert_eq!(bench.bursts(1), sent.iter().flat_map(planned).collect::<Vec<_>>());
 }
 
 #[test]
@@ -70,7 +71,7 @@ fn a_frame_buffered_and_repeated_is_taken_once() {
     bench.follow();
     assert_eq!((bench.status().next_seq, bench.reports()), (3, vec![]));
     bench.run(500);
-    assert_eq!(bench.bursts(1), sent.iter().flat_map(Stroke::bursts).collect::<Vec<_>>());
+    assert_eq!(bench.bursts(1), sent.iter().flat_map(planned).collect::<Vec<_>>());
 }
 
 #[test]
@@ -150,7 +151,7 @@ fn the_sequence_and_the_epoch_wrap() {
     bench.bytes(&strokes(&bench, bench.epoch, 13, &[next]));
     assert_eq!((bench.status().next_seq, bench.status().credits), (3, POOL as u16));
     bench.strokes(&[next]);
-    assert_eq!((bench.status().next_seq, bench.status().credits), (4, POOL as u16 - 1));
+    assert_eq!((bench.status().next_seq, bench.status().credits), (4, POOL as u16 - 2));
 
     let first = bench.epoch;
     for _ in 0..65_536u32 + 3 {
@@ -160,7 +161,7 @@ fn the_sequence_and_the_epoch_wrap() {
     }
     assert_eq!(bench.epoch, first.wrapping_add(3));
     bench.run(200);
-    assert_eq!(bench.bursts(1), next.bursts());
+    assert_eq!(bench.bursts(1), planned(&next));
 }
 
 /// The numbers of the reports sent since the last call.
@@ -233,7 +234,7 @@ fn a_full_ring_takes_no_strokes_and_loses_the_newest_report() {
     let next = stroke(1, bench.soon(), 7, 6, 7);
     bench.strokes(&[next]);
     bench.run(200);
-    assert_eq!(bench.bursts(1), next.bursts());
+    assert_eq!(bench.bursts(1), planned(&next));
 }
 
 #[test]
@@ -289,7 +290,7 @@ fn the_same_session_again_changes_nothing_and_skips_no_report() {
     assert_eq!((hello.session, hello.epoch, hello.reports, hello.boot), (1, epoch, 0, 7));
     bench.is(State::Armed, Cause::Request);
     bench.run(200);
-    assert_eq!(bench.bursts(1), next.bursts());
+    assert_eq!(bench.bursts(1), planned(&next));
 }
 
 #[test]
@@ -360,32 +361,38 @@ fn bad_frames_are_counted_and_change_nothing() {
     let cut_short = [&frames[0][..6], &[0]].concat();
     let too_long = [vec![1; 600], vec![0]].concat();
     let mut crowd = Vec::new();
-    for k in 0..MAX_BATCH as u64 + 1 {
-        // Motor 0: up 1 tick after the last, as many pulses, held 20, balanced.
-        crowd.extend_from_slice(if k == 0 { &[0x40, 1, 1, 20] } else { &[0x60, 1, 20] });
+    for k in 0..MAX_BATCH / 2 + 1 {
+        // Motor 0: a stroke 1 tick after the last, to level 1, held 20; then the same again.
+        crowd.extend_from_slice(if k == 0 { &[0x40, 1, 1 << 1, 20] } else { &[0x80, 1, 20] });
     }
+    // Motor 0: moves 1 tick after the last, to level 1. And a row of all motors three times.
+    let moves = [0x00, 1, 1 << 1].repeat(MAX_BATCH + 1);
+    let row = [&[0xc1, 1, 0xff, 0xff, 0xff, 0x07][..], &[1; 24]].concat();
+    let rows =
+        [&row[..], &[&[0xc0, 1][..], &[1; 24]].concat(), &[&[0xc0, 1][..], &[1; 24]].concat()].concat();
+    // A stroke again and a row again without one before; a row of no motor; a level above 16 bits; a set above 64 bits.
+    let broken: [&[u8]; 5] = [
+        &[0x80, 1, 20],
+        &[0xc0, 1, 1],
+        &[0xc1, 1, 0],
+        &[0x00, 1, 0x80, 0x80, 0x08],
+        &[0xc1, 1, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 0x02, 1],
+    ];
+    let (epoch, base) = (bench.epoch, Tick(bench.now).wire());
     let in_a_frame = |batch: &[u8]| {
-        let (epoch, base) = (bench.epoch, Tick(bench.now).wire());
-        frame(&HostMessage::Strokes {
-            epoch,
-            seq: 0,
-            seen: 0,
-            mark: Some(ONSET),
-            withdraw: None,
-            base,
-            batch,
-        })
+        frame(&HostMessage::Moves { epoch, seq: 0, seen: 0, mark: Some(ONSET), withdraw: None, base, batch })
     };
-    let (crowd, half) = (in_a_frame(&crowd), in_a_frame(&[0x40, 1]));
+    let batches = [&crowd[..], &moves, &rows, &[0x40, 1]].into_iter().chain(broken).map(in_a_frame);
+    let bad = [damaged, cut_short, too_long].into_iter().chain(batches);
     bench.inbox.clear();
-    for (i, bytes) in [damaged, cut_short, too_long, crowd, half].iter().enumerate() {
-        bench.bytes(bytes);
+    for (i, bytes) in bad.enumerate() {
+        bench.bytes(&bytes);
         assert_eq!(bench.device.counters().bad_frames, i as u64 + 1);
     }
     assert_eq!(bench.inbox, []);
     // The next frame is read.
     bench.bytes(&frames[0]);
-    assert_eq!((bench.status().next_seq, bench.status().credits), (1, POOL as u16 - 1));
+    assert_eq!((bench.status().next_seq, bench.status().credits), (1, POOL as u16 - 2));
 }
 
 #[test]
@@ -423,7 +430,7 @@ fn bytes_come_in_any_chunks_and_a_lost_link_forgets_the_half_frame() {
 }
 
 #[test]
-fn strokes_amendments_and_cuts_cross_the_wrap_of_the_wire_tick() {
+fn strokes_and_amendments_cross_the_wrap_of_the_wire_tick() {
     for shell in SHELLS {
         for before in (0..260).step_by(5) {
             let start = (1 << 32) - 400;
@@ -431,9 +438,9 @@ fn strokes_amendments_and_cuts_cross_the_wrap_of_the_wire_tick() {
             let mut bench = Bench::without_stop(bench, HOST_TIMEOUT, NO_LIMITS);
             let first = stroke(1, (1 << 32) - before, 100, 60, 100);
             bench.onset(first.up.0, &[first, stroke(2, first.up.0 + 10, 9, 50, 9)]);
-            bench.amend(1, &first, Direction::Down, 110);
+            bench.amend(1, 1, first.down, 110);
             bench.run(900);
-            let mut expected = first.bursts();
+            let mut expected = planned(&first);
             expected[1].pulses = 110;
             assert_eq!(bench.bursts(1), expected);
             assert_eq!((bench.net(2), bench.device.counters().amended), (0, 1));
@@ -441,6 +448,52 @@ fn strokes_amendments_and_cuts_cross_the_wrap_of_the_wire_tick() {
             // Now it is in the past, although its low bits may look newer.
             bench.strokes(&[first]);
             assert_eq!(bench.device.counters().late, 2);
+        }
+    }
+}
+
+/// Of a corrected move, too, whose height does not follow from its pulses.
+#[test]
+fn stops_and_e_stops_cross_the_wrap_of_the_wire_tick() {
+    for shell in SHELLS {
+        for (before, op) in (0..130).step_by(3).flat_map(|before| [(before, Op::Stop), (before, Op::EStop)]) {
+            let wrap = 1_u64 << 32;
+            let bench = Bench::starting_at(shell, Tick(wrap - 400));
+            let mut bench = Bench::without_stop(bench, HOST_TIMEOUT, NO_LIMITS);
+            let up = wrap - before;
+            let corrected = stroke(1, up, 60, 30, 60);
+            bench.strokes(&[corrected, stroke(2, up + 10, 9, 50, 9)]);
+            bench.amend(1, 1, corrected.up, 75);
+            bench.run_to(wrap + 3);
+            bench.control(op);
+            let at = if op == Op::EStop { wrap + 4 } else { bench.device.rendered().0 };
+            let at = at.min(bench.device.rendered().0);
+            let ups = |up: u64, level: u64, pulses: u64| match at.saturating_sub(up) {
+                done if done >= pulses => level,
+                done => done.min(level),
+            };
+            let height = ups(up, 60, 75) - at.saturating_sub(corrected.down.0).min(60);
+            let other = ups(up + 10, 9, 9) - at.saturating_sub(up + 69).min(9);
+            assert_eq!(
+                u64::from(bench.last_cut().outstanding),
+                height + other,
+                "{before}, {op:?}, {shell:?}"
+            );
+            assert_eq!(bench.last_cut().at, Tick(at).wire());
+            bench.run(500);
+            assert_eq!(bench.device.counters().pulses, bench.total());
+            if op == Op::EStop {
+                assert_eq!(bench.outstanding(), height + other);
+                bench.control(Op::Reset);
+                bench.control(Op::Arm {
+                    assume_rest: false,
+                    host_timeout: HOST_TIMEOUT,
+                    limits: NO_LIMITS,
+                    lower_stop: None,
+                });
+                bench.settle();
+            }
+            assert_eq!((bench.device.state(), bench.outstanding(), bench.net(2)), (State::Armed, 0, 0));
         }
     }
 }

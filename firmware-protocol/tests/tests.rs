@@ -8,11 +8,15 @@ mod board;
 mod interruptions;
 /// Moves to levels: up in time only, down at once.
 mod levels;
+/// The stream over a bad line.
+mod link;
 /// Onsets and the trigger output.
 mod onsets;
+/// Frames taken in pieces.
+mod pieces;
+/// Frames that replace queued moves.
+mod replacement;
 /// The effect of each event in each state.
 mod states;
 /// Which moves the controller takes, and that it plays them as sent.
 mod taking;
-/// Frames that replace queued moves.
-mod replacement;
