@@ -142,7 +142,7 @@ proptest! {
         prop_assert_eq!(&strokes, &by_the_rule(&pattern, &options));
         let mut busy = [Tick(0); 24];
         for stroke in &strokes {
-            prop_assert!(Array::paper().layout().check(stroke).is_ok());
+            prop_assert!(stroke.check(Array::paper().layout()).is_ok());
             let busy = &mut busy[usize::from(stroke.motor)];
             prop_assert!(stroke.up >= *busy);
             *busy = stroke.end();

@@ -18,7 +18,7 @@ const SEGMENTS: u32 = 64;
 const PER_PERIOD: f64 = 40.0;
 /// The least rate of samples, Hz.
 const LEAST_RATE_HZ: f64 = 1000.0;
-/// The most samples times lines of noise: two seconds of work. 5 to 50 Hz for 105 s.
+/// The most samples times lines of noise: some four seconds of work. 5 to 50 Hz for 105 s.
 const MOST_WORK: f64 = 1e9;
 /// Of the keys of random numbers, the part that is the noise's own ("noise").
 const NOISE_KEY: u64 = 0x6e_6f69_7365;

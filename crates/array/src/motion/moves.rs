@@ -5,7 +5,9 @@
 //! or lag by a time that depends on the speed, which is distortion. So the level is chosen such that pin and waveform have the same mean
 //! over the step while the waveform's speed s, in pulses per tick, is steady:
 //!
-//!     level = mean of h over the step + S s|s| / 2
+//! ```text
+//! level = mean of h over the step + S s|s| / 2
+//! ```
 //!
 //! At full speed that is h at the end of the step, for a slow waveform h in its middle. The mean is exact, and keeps what is faster than
 //! the grid from becoming slow motion. It costs amplitude: a sine of f is sinc²(fS) as large, 0.98 at 40 Hz and 2 ms. Levels are absolute, so whatever one move leaves, by rounding or because the step was too short,

@@ -148,7 +148,7 @@ impl Filtered {
 }
 
 impl Reached {
-    /// What an ideal motor reaches with these moves, which follow the waveform. Takes some 2 ms per second of the waveform.
+    /// What an ideal motor reaches with these moves, which follow the waveform. Takes 2 to 3 ms per second of the waveform.
     #[must_use]
     #[expect(clippy::cast_precision_loss, reason = "a count of moves")]
     pub fn of(array: Array, waveform: &Waveform, moves: &[Move]) -> Self {

@@ -258,7 +258,7 @@ mod tests {
             let parts: Vec<_> =
                 parts.iter().map(|(start, rate, um)| Waveform::samples(*start, *rate, um).unwrap()).collect();
             let sum = Waveform::sum(&parts).unwrap();
-            let knots = parts.iter().flat_map(|part| part.knots()).map(|knot| knot.ns);
+            let knots = parts.iter().flat_map(Waveform::knots).map(|knot| knot.ns);
             for ns in instants.into_iter().chain(knots) {
                 for side in 0..2 {
                     let expected: f64 = parts.iter().map(|part| part.um_around(ns)[side]).sum();

@@ -8,7 +8,7 @@
 use crate::link::session::event::Verdict;
 use crate::time::HostInstant;
 use firmware_protocol::array::MotorSet;
-use firmware_protocol::batch::{BATCH_BYTES, Packer};
+use firmware_protocol::batch::{BATCH_BYTES, MAX_FIRST_BATCH, Packer};
 use firmware_protocol::controller::REORDER_WINDOW;
 use firmware_protocol::frame::{self, MAX_FRAME};
 use firmware_protocol::limits::Refusal;
@@ -91,7 +91,8 @@ impl Batch {
         self.withdraws
     }
 
-    pub(super) fn items(&self) -> usize {
+    /// Number of its moves.
+    pub(super) fn moves(&self) -> usize {
         self.strokes.count()
     }
 
@@ -109,7 +110,9 @@ impl Batch {
         let has_space = longest == MAX_FRAME
             || self.strokes.count() == 0
             || MAX_FRAME - BATCH_BYTES + self.strokes.bytes().len() + STROKE_BYTES <= longest;
-        has_space && stroke.pack(&mut self.strokes).is_ok()
+        // The device takes the first frame of a play in one piece.
+        let is_first = self.is_onset() && self.strokes.count() + 2 > MAX_FIRST_BATCH;
+        has_space && !is_first && stroke.pack(&mut self.strokes).is_ok()
     }
 
     /// The same for a frame that is sealed: while it waits it takes more strokes, unless it has a mark.

@@ -406,7 +406,7 @@ impl DeviceKnowledge {
                 let fits = late & refused == 0
                     && (listed != 0 || !kept.is_empty())
                     && kept.without(frame.withdraws().unwrap_or_default()).is_empty()
-                    && listed.checked_shr(frame.items() as u32).unwrap_or(0) == 0
+                    && listed.checked_shr(frame.moves() as u32).unwrap_or(0) == 0
                     && reason.is_some() == (refused != 0);
                 if fits {
                     self.tick_within(clock, rendered, self.horizon)

@@ -96,10 +96,10 @@ impl Outbox {
         self.replacing = Some((from, motors.without(silent))).filter(|(_, motors)| !motors.is_empty());
     }
 
-    /// Strokes that the device's credits still allow.
+    /// Strokes that the device's credits still allow: a stroke is two moves.
     pub(super) fn credits(&self) -> usize {
-        let under_way: usize = self.window.iter().chain(&self.open).map(Batch::items).sum();
-        self.credits.saturating_sub(under_way)
+        let under_way: usize = self.window.iter().chain(&self.open).map(Batch::moves).sum();
+        self.credits.saturating_sub(under_way) / 2
     }
 
     /// Whether a frame may be begun: the window has room, and no onset waits for its verdict.
@@ -340,15 +340,15 @@ mod tests {
     #[test]
     fn a_lost_frame_is_sent_again_and_does_not_wait_for_the_window() {
         let mut outbox = open();
-        assert_eq!(outbox.credits(), 100);
-        outbox.begin(Tick(5), Mark { kind: firmware_protocol::message::MarkKind::Item, trigger: None });
+        assert_eq!(outbox.credits(), 50);
+        outbox.begin(Tick(5), Mark { kind: firmware_protocol::message::MarkKind::Item, trigger: None, hold: 0 });
         frame(&mut outbox, 0, 5);
-        outbox.begin(Tick(9), Mark { kind: firmware_protocol::message::MarkKind::Item, trigger: None });
+        outbox.begin(Tick(9), Mark { kind: firmware_protocol::message::MarkKind::Item, trigger: None, hold: 0 });
         frame(&mut outbox, 0, 900);
         assert_eq!(write(&mut outbox, 1, MAX_FRAME).and_then(|written| written.marks), Some(Tick(5)));
         assert!(write(&mut outbox, 1, MAX_FRAME).is_none(), "the window is full");
         assert!(write(&mut outbox, 1, 2 * MAX_FRAME).is_some_and(|written| !written.retransmitted));
-        assert_eq!((outbox.unacknowledged(), outbox.credits()), (2, 98));
+        assert_eq!((outbox.unacknowledged(), outbox.credits()), (2, 48));
         // The device keeps the second: only the first is missing.
         outbox.acknowledge(&status(0, 1));
         assert!(write(&mut outbox, 3, MAX_FRAME).is_none() && outbox.due(at(3), RETRY) == Some(at(4)));

@@ -164,7 +164,7 @@ mod tests {
     use firmware_protocol::limits::Refusal;
 
     fn report(motor: u8) -> Report {
-        Report::Refused { motor, up: Tick(0).wire(), reason: Refusal::RailOnTime }
+        Report::Refused { motor, tick: Tick(0).wire(), reason: Refusal::RailOnTime }
     }
 
     fn read_all(reports: &mut Reports) -> Vec<u16> {
