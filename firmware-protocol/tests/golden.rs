@@ -1,9 +1,9 @@
 //! The bytes of version 7 on the wire; `golden.py` makes them by hand. Once version 7 is released, never edit them: a changed byte is
 //! a new version.
 
-use crate::bench::{MOTORS, NO_LIMITS, ONSET, PAPER, frame, pack, stroke};
+use crate::bench::{MOTORS, NO_LIMITS, ONSET, PAPER, frame, pack, stroke, to};
 use firmware_protocol::array::{ArrayId, MotorSet, Name};
-use firmware_protocol::batch::{Amendment, BATCH_BYTES, Packer};
+use firmware_protocol::batch::{Amendment, BATCH_BYTES, MAX_BATCH, Packer};
 use firmware_protocol::board::{
     Board, LineTest, Output, Outputs, RamTest, Reset, SelfTest, SelfTestState, WaveTest,
 };
@@ -13,6 +13,7 @@ use firmware_protocol::message::{
     Cause, Counters, Cut, DeviceHello, DeviceMessage, HostMessage, LowerStop, MAX_SAMPLES, Mark, MarkKind,
     Op, Report, Samples, State, Status, Trigger, Withdraw,
 };
+use firmware_protocol::moves::Move;
 use firmware_protocol::stroke::Direction;
 use firmware_protocol::tick::{Tick, WireTick};
 use serde::{Deserialize, Serialize};
@@ -27,6 +28,7 @@ const COUNTERS: Counters = Counters {
     refused: 5,
     replaced: 10,
     amended: 6,
+    shortened: 11,
     amendments_ignored: 7,
     bad_frames: 8,
     reports_lost: 9,
@@ -118,23 +120,42 @@ fn from_the_host() {
         BASE,
         &[
             stroke(0, BASE, 147, 561, 147),
-            stroke(23, BASE + 59, 147, 561, 150),
-            stroke(63, BASE + 100_000, 3_000, 0, 2_999),
+            stroke(23, BASE + 59, 147, 561, 147),
+            stroke(23, BASE + 1_600, 147, 561, 150),
+            stroke(63, BASE + 100_000, 3_000, 0, 3_000),
         ],
     );
+    let mut single = Packer::<BATCH_BYTES>::new(Tick(BASE));
+    for to in [
+        to(0, BASE, 1),
+        to(23, BASE, 64),
+        to(0, BASE + 85, 3_000),
+        Move { surplus: 900, ..to(63, BASE + 200_000, 0) },
+    ] {
+        single.moves(&to).unwrap();
+    }
+    let mut rows = Packer::<BATCH_BYTES>::new(Tick(BASE));
+    let three = MotorSet::from_bits(1 << 63 | 0x0080_0001);
+    let levels: Vec<u16> = (0..24).collect();
+    rows.row(Tick(BASE + 170), three, &[0, 300, 3_000]).unwrap();
+    rows.row(Tick(BASE + 340), three, &[127, 128, 0]).unwrap();
+    rows.stroke(&stroke(1, BASE + 341, 147, 0, 147)).unwrap();
+    rows.row(Tick(BASE + 510), MotorSet::from_bits(1), &[1]).unwrap();
+    rows.moves(&Move { surplus: 1, ..to(0, BASE + 600, 0) }).unwrap();
+    rows.stroke(&stroke(2, BASE + 600, 147, 0, 147)).unwrap();
+    rows.row(Tick(BASE + 680), MotorSet::from_bits(1), &[2]).unwrap();
+    rows.row(Tick(BASE + 850), MotorSet::first(24), &levels).unwrap();
     let mut items = Packer::<BATCH_BYTES>::new(Tick(BASE));
-    for (motor, up, direction, pulses) in
-        [(9, BASE + 1_417, Direction::Up, 151), (63, BASE + 1_400, Direction::Down, 143)]
-    {
-        items.amendment(&Amendment { motor, up: Tick(up), direction, pulses }).unwrap();
+    for (motor, tick, pulses) in [(9, BASE + 1_417, 151), (63, BASE + 1_400, 143)] {
+        items.amendment(&Amendment { motor, tick: Tick(tick), pulses }).unwrap();
     }
     let base = Tick(BASE).wire();
     let limits = PowerLimits { motor: 20_000, rail: 90_000, rail_at_once: 3, chip_at_once: 1 };
     let arm = |lower_stop| Op::Arm { assume_rest: true, host_timeout: 25_500, limits, lower_stop };
     let control = |op| HostMessage::Control { epoch: 7, seen: 400, op };
-    let coded = Mark { kind: MarkKind::Item, trigger: Some(Trigger { width: 85, code: 200 }) };
-    let silent = Mark { kind: MarkKind::Play, trigger: None };
-    let marked = |mark| HostMessage::Strokes {
+    let coded = Mark { kind: MarkKind::Item, trigger: Some(Trigger { width: 85, code: 200 }), hold: 0 };
+    let silent = Mark { kind: MarkKind::Play, trigger: None, hold: 17_000 };
+    let marked = |mark| HostMessage::Moves {
         epoch: 7,
         seq: 1,
         seen: 1,
@@ -143,6 +164,10 @@ fn from_the_host() {
         base,
         batch: &[],
     };
+    fn packed(base: WireTick, batch: &Packer<BATCH_BYTES>) -> HostMessage<'_> {
+        let batch = batch.bytes();
+        HostMessage::Moves { epoch: 7, seq: 0, seen: 1, mark: None, withdraw: None, base, batch }
+    }
     let cases = [
         (HostMessage::Hello { session: 0xdead_beef }, "02070aeffdb6f50d6394ea5000"),
         (HostMessage::Ping { token: 513, seen: 0 }, "050701810405dbf8254800"),
@@ -162,7 +187,7 @@ fn from_the_host() {
             "0f0702079003050501e80730af06ba00",
         ),
         (
-            HostMessage::Strokes {
+            HostMessage::Moves {
                 epoch: 7,
                 seq: 0,
                 seen: 1,
@@ -171,12 +196,14 @@ fn from_the_host() {
                 base,
                 batch: strokes.bytes(),
             },
-            "040703070301010401d20601070df0edfe1380109301b104573bb104063fe58c06b8170601484d53c300",
+            "040703070301010401d20605e0a3b702070df0edfe194017a602b104973bb10457850ca70203b1047fe08006f02e05bdb1d94200",
         ),
-        (marked(coded), "0b070307010101010155c8050df0edfe05563731ad00"),
-        (marked(silent), "070703070101010101050df0edfe052dabe01100"),
+        (packed(base, &single), "04070307020101060df0edfe12010302170380010f55f02e3feb990c018407db490bdd00"),
+        (packed(base, &rows), "04070307020101130df0edfe4cc1aa01818080848080808080010bac02b817c0aa017f8001054101a60206c1a9010101055a010182010bc05002c1aa01ffffff071c0102030405060708090a0b0c0d0e0f10111213141516179a22332c00"),
+        (marked(coded), "0b070307010101010155c801050df0edfe0511f3b16a00"),
+        (marked(silent), "070703070101010104e88401050df0edfe0533bc932500"),
         (
-            HostMessage::Strokes {
+            HostMessage::Moves {
                 epoch: 7,
                 seq: 2,
                 seen: 1,
@@ -191,7 +218,7 @@ fn from_the_host() {
             "060703070201120181808084808080808001ac020df0edfe0592381d3900",
         ),
         (
-            HostMessage::Strokes {
+            HostMessage::Moves {
                 epoch: 7,
                 seq: 65_535,
                 seen: 1,
@@ -204,7 +231,7 @@ fn from_the_host() {
         ),
         (
             HostMessage::Amend { epoch: 7, generation: 1_000, base, items: items.bytes() },
-            "18070407e8070df0edfe0909921697017f218f0146de985300",
+            "18070407e8070df0edfe0909921697013f218f017b868cc800",
         ),
         (HostMessage::Board { window: 300 }, "090705ac0287b7e45600"),
         (HostMessage::SelfTest { run: 65_535 }, "0a0706ffff03f4ecdce500"),
@@ -218,7 +245,7 @@ fn from_the_host() {
 fn from_the_device() {
     let report = |report| DeviceMessage::Report { number: 200, report };
     let rendered = Tick(BASE + 64).wire();
-    let refused = |reason| report(Report::Refused { motor: 17, up: Tick(BASE).wire(), reason });
+    let refused = |reason| report(Report::Refused { motor: 17, tick: Tick(BASE).wire(), reason });
     let test = |state| DeviceMessage::SelfTest { run: 300, state };
     let status = |state, cause, refusal| DeviceMessage::Status(Status { state, cause, refusal, ..STATUS });
     let mut y = [0; MOTORS];
@@ -235,35 +262,35 @@ fn from_the_device() {
         (DeviceMessage::NoSession, "070701aeb49f7900"),
         (
             DeviceMessage::Status(STATUS),
-            "0607028104ff04fe7f020aac02058008050101011001a6020304050a060708098a2c487800",
+            "0607028104ff04fe7f020aac02058008050101011101a6020304050a060b070809ffbc5afe00",
         ),
         (
             status(State::Disarmed, Cause::Boot, Some(Refusal::PositionUnknown)),
-            "0607028104ff0cfe7f02010aac02058008050102011001a6020304050a06070809fe0443fb00",
+            "0607028104ff0cfe7f020108ac02058008050102011101a6020304050a060b0708091bd1274400",
         ),
         (
             status(State::Returning, Cause::LinkLost, Some(Refusal::State)),
-            "0607028104ff0ffe7f02010bac02058008050207011001a6020304050a060708096f7b202100",
+            "0607028104ff0ffe7f020109ac02058008050207011101a6020304050a060b070809b611f5c300",
         ),
         (
             status(State::Returning, Cause::NewHost, Some(Refusal::Travel)),
-            "0607028104ff0ffe7f02010cac02058008050208011001a6020304050a06070809d9f16d1200",
+            "0607028104ff0ffe7f02010aac02058008050208011101a6020304050a060b07080916eb98e100",
         ),
         (
             status(State::Faulted, Cause::EStop, None),
-            "0607028104ff04fe7f020aac02058008050305010c01a6020304050a06070809041262c900",
+            "0607028104ff04fe7f020aac02058008050305011101a6020304050a060b070809fffc86f300",
         ),
         (
             status(State::Faulted, Cause::Starved, None),
-            "0607028104ff04fe7f020aac02058008050309011001a6020304050a060708092d8397e300",
+            "0607028104ff04fe7f020aac02058008050309011101a6020304050a060b0708091b5573b600",
         ),
         (
             status(State::Faulted, Cause::Output, None),
-            "0607028104ff04fe7f020aac0205800805030c011001a6020304050a0607080940ed346700",
+            "0607028104ff04fe7f020aac0205800805030c011101a6020304050a060b07080990ebf48500",
         ),
         (
             status(State::Faulted, Cause::Panic, Some(Refusal::Malformed)),
-            "0607028104ff0ffe7f02010dac0205800805030a011001a6020304050a060708095c8ad05d00",
+            "0607028104ff0ffe7f02010bac0205800805030a011101a6020304050a060b070809c221057c00",
         ),
         (
             report(Report::Verdict {
@@ -279,26 +306,31 @@ fn from_the_device() {
         (report(Report::OnsetRefused { seq: 1, rendered }), "0f0703c80101014df0edfe6343bcac00"),
         (
             report(Report::Onset { tick: rendered, counters: COUNTERS }),
-            "190703c801024df0edfe01a6020304050a0607080956c634ef00",
+            "1a0703c801024df0edfe01a6020304050a060b070809ea5ea87100",
         ),
         (report(Report::Cut(CUT)), "150703c80103060102030401b009ac024d92114f4400"),
         (
             report(Report::Cut(Cut { cause: Cause::Stop, return_ticks: None, ..CUT })),
             "0b0703c80103020102030408ac024d1063439900",
         ),
+        (
+            report(Report::Lowered {
+                tick: rendered,
+                motors: MotorSet::from_bits(1 << 63 | 0x0080_0001),
+            }),
+            "180703c801054df0edfe81808084808080808001ec4999a800",
+        ),
         (refused(Refusal::Motor), "100703c80104110df0edfe01cf260f7800"),
-        (refused(Refusal::UpPulses), "100703c80104110df0edfe02757706e100"),
-        (refused(Refusal::Bursts), "100703c80104110df0edfe03e347019600"),
-        (refused(Refusal::Unbalanced), "100703c80104110df0edfe0440d2650800"),
-        (refused(Refusal::Overlap), "100703c80104110df0edfe05d6e2627f00"),
-        (refused(Refusal::TooFar), "100703c80104110df0edfe066cb36be600"),
-        (refused(Refusal::PoolFull), "100703c80104110df0edfe07fa836c9100"),
-        (refused(Refusal::MotorOnTime), "100703c80104110df0edfe086b9ed30100"),
-        (refused(Refusal::Pushing), "100703c80104110df0edfe0e5e3bb0e800"),
-        (refused(Refusal::RailAtOnce), "100703c80104110df0edfe0fc80bb79f00"),
-        (refused(Refusal::ChipAtOnce), "100703c80104110df0edfe103d06bf1200"),
-        (refused(Refusal::Dense), "100703c80104110df0edfe11ab36b86500"),
-        (refused(Refusal::RailOnTime), "100703c80104110df0edfe09fdaed47600"),
+        (refused(Refusal::Level), "100703c80104110df0edfe02757706e100"),
+        (refused(Refusal::Surplus), "100703c80104110df0edfe03e347019600"),
+        (refused(Refusal::TooFar), "100703c80104110df0edfe0440d2650800"),
+        (refused(Refusal::PoolFull), "100703c80104110df0edfe05d6e2627f00"),
+        (refused(Refusal::MotorOnTime), "100703c80104110df0edfe066cb36be600"),
+        (refused(Refusal::RailOnTime), "100703c80104110df0edfe07fa836c9100"),
+        (refused(Refusal::Pushing), "100703c80104110df0edfe0c725abe0600"),
+        (refused(Refusal::RailAtOnce), "100703c80104110df0edfe0de46ab97100"),
+        (refused(Refusal::ChipAtOnce), "100703c80104110df0edfe0e5e3bb0e800"),
+        (refused(Refusal::Dense), "100703c80104110df0edfe0fc80bb79f00"),
         (
             DeviceMessage::Telemetry { tick: rendered, first: 0, y: Samples::of(&y) },
             "0707044df0edfe04180201010101010101010101010101010101010101010c807dffffffff0f36b8460400",
@@ -346,6 +378,7 @@ fn messages_fit() {
         refused: ALL,
         replaced: ALL,
         amended: ALL,
+        shortened: ALL,
         amendments_ignored: ALL,
         bad_frames: ALL,
         reports_lost: ALL,
@@ -424,7 +457,8 @@ fn messages_fit() {
         report(Report::OnsetRefused { seq: u16::MAX, rendered: tick }),
         report(Report::Onset { tick, counters }),
         report(Report::Cut(cut)),
-        report(Report::Refused { motor: u8::MAX, up: tick, reason }),
+        report(Report::Refused { motor: u8::MAX, tick, reason }),
+        report(Report::Lowered { tick, motors: MotorSet::from_bits(ALL) }),
         DeviceMessage::Telemetry { tick, first: u8::MAX, y: Samples::of(&[i32::MIN; MAX_SAMPLES]) },
         DeviceMessage::Board(Board {
             window: u16::MAX,
@@ -441,11 +475,11 @@ fn messages_fit() {
     let (epoch, seq, seen, generation) = (u16::MAX, u16::MAX, u16::MAX, u16::MAX);
     let list = [0xff; BATCH_BYTES];
     let trigger = Some(Trigger { width: u16::MAX, code: u8::MAX });
-    let mark = Some(Mark { kind: MarkKind::Item, trigger });
+    let mark = Some(Mark { kind: MarkKind::Item, trigger, hold: u32::MAX });
     let withdraw = Some(Withdraw { motors: MotorSet::from_bits(ALL), generation });
-    let strokes = HostMessage::Strokes { epoch, seq, seen, mark, withdraw, base: tick, batch: &list };
+    let moves = HostMessage::Moves { epoch, seq, seen, mark, withdraw, base: tick, batch: &list };
     // The longest header and batch exactly fill a frame.
-    assert_eq!(frame(&strokes).len(), MAX_FRAME);
+    assert_eq!(frame(&moves).len(), MAX_FRAME);
     let amend = HostMessage::Amend { epoch, generation, base: tick, items: &list };
     assert!(frame(&amend).len() <= MAX_FRAME);
     let lower_stop = Some(LowerStop { pulses_per_s: u32::MAX, seek: u16::MAX });
@@ -453,24 +487,32 @@ fn messages_fit() {
     assert!(frame(&HostMessage::Control { epoch, seen, op }).len() <= MAX_FRAME);
 }
 
+/// Bytes of a frame with these items and the mark of a play.
+fn length(batch: &Packer<BATCH_BYTES>) -> usize {
+    let (epoch, seq, seen, base) = (u16::MAX, u16::MAX, u16::MAX, batch.base().wire());
+    let (mark, batch) = (Some(ONSET), batch.bytes());
+    frame(&HostMessage::Moves { epoch, seq, seen, mark, withdraw: None, base, batch }).len()
+}
+
 #[test]
-fn a_steady_play_takes_less_than_six_bytes_per_burst() {
+fn a_steady_play_takes_less_than_three_bytes_per_move() {
     // 24 motors at 60 Hz and 147 pulses, as many strokes in the frame as fit.
     let mut packer = Packer::<BATCH_BYTES>::new(Tick(BASE));
     let mut k = 0;
     while packer.stroke(&stroke((k % 24) as u8, BASE + 59 * k, 147, 561, 147)).is_ok() {
         k += 1;
     }
-    let base = packer.base().wire();
-    let frame = frame(&HostMessage::Strokes {
-        epoch: u16::MAX,
-        seq: u16::MAX,
-        seen: u16::MAX,
-        mark: Some(ONSET),
-        withdraw: None,
-        base,
-        batch: packer.bytes(),
-    });
-    assert!(frame.len() > FRAME_OVERHEAD && frame.len() as u64 <= 6 * 2 * k, "{} for {k}", frame.len());
+    assert_eq!((packer.count(), k), (MAX_BATCH, MAX_BATCH as u64 / 2));
+    let strokes = length(&packer);
+    assert!(strokes > FRAME_OVERHEAD && strokes <= 3 * MAX_BATCH, "{strokes}");
+    // Waveforms of 24 motors on a grid of 500 Hz.
+    let mut packer = Packer::<BATCH_BYTES>::new(Tick(BASE));
+    let mut k = 0;
+    let levels: Vec<u16> = (0..24).map(|motor| 1_000 + 80 * motor).collect();
+    while packer.row(Tick(BASE + 170 * k), MotorSet::first(24), &levels).is_ok() {
+        k += 1;
+    }
+    assert_eq!(packer.count(), 48);
+    assert!(length(&packer) <= 3 * 48, "{}", length(&packer));
     assert_eq!(PROTOCOL, 7);
 }

@@ -20,3 +20,5 @@ mod replacement;
 mod states;
 /// Which moves the controller takes, and that it plays them as sent.
 mod taking;
+/// The bytes of every message.
+mod golden;
