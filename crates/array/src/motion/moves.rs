@@ -10,8 +10,9 @@
 //! ```
 //!
 //! At full speed that is h at the end of the step, for a slow waveform h in its middle. The mean is exact, and keeps what is faster than
-//! the grid from becoming slow motion. It costs amplitude: a sine of f is sinc²(fS) as large, 0.98 at 40 Hz and 2 ms. Levels are absolute, so whatever one move leaves, by rounding or because the step was too short,
-//! is in the difference that the next one makes. A motor's grid begins at tick 0, as every motor's.
+//! the grid from becoming slow motion. It costs amplitude: a slow sine of f is sinc²(fS) as large, 0.98 at 40 Hz and 2 ms. Levels are
+//! absolute, so whatever one move leaves, by rounding or because the step was too short, is in the difference that the next one makes.
+//! The grid of every motor begins at tick 0.
 //!
 //! A move is made if the level is off by (`least_pulses` + 1)/2 or more, and is at least `least_pulses` long unless it goes to 0. One
 //! pulse of that is hysteresis: without it a waveform that stays half-way would make the pin go up and down.
