@@ -118,7 +118,7 @@
 //! A frame with a `withdraw` replaces queued moves, each motor's as a whole or not at all. For each motor named there, the device returns
 //! to the pool all moves that begin at `base` or later. It does so in the moment in which it queues the first move of that motor in the
 //! same frame; for a motor without a move in the frame, after the frame's moves. These moves count as *replaced*: every move sent is
-//! played, late, dropped, refused or replaced. The device never touches a move that has begun. So the host names a `base` far enough
+//! played, late, dropped, refused or replaced. The device never touches a move that has begun. The second move of a stroke stays if its first does. So the host names a `base` far enough
 //! ahead, and sends what follows the last move before it. Without a new move the pin keeps the level of that one.
 //!
 //! The device *keeps* a motor's queue if a move from `base` on has begun. It also keeps the queue if the first move that would take its
@@ -274,7 +274,7 @@
 //!
 //! # Motors at once
 //! Motors share rails and driver chips, as the layout says. `arm` may limit how many motors of each have pulses in the
-//! same tick ([`limits::PowerLimits`]). A move up is refused as it begins (`RailAtOnce`, `ChipAtOnce`) if as many others of the group have
+//! same tick ([`limits::PowerLimits`]). A move up is refused as it begins (`RailAtOnce`, `ChipAtOnce`), with the second move of its stroke, if as many others of the group have
 //! pulses as may, or if a pin of the group waits to come down. A pin that is to come down waits until there is room. In one tick the motor
 //! with the lower number comes first. So a return takes at most [`array::Layout::turns`] times its longest burst.
 

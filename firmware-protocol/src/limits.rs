@@ -201,6 +201,27 @@ impl OnTime {
         Ok(())
     }
 
+    /// The most pulses for which [`Self::begin`] would succeed.
+    #[must_use]
+    pub fn room(
+        &mut self,
+        now: Tick,
+        motor: usize,
+        [back, back_on_rail]: [u32; 2],
+        layout: &Layout,
+    ) -> u32 {
+        let charged = self.pulses.charged(now);
+        let (mut room, limits) = (u32::MAX, self.limits);
+        if self.limits_motor {
+            room = limits.motor.saturating_sub(charged[motor] + back);
+        }
+        if self.limits_rail {
+            let begun = sum(charged, motor, layout.next_on_rail());
+            room = room.min(limits.rail.saturating_sub(begun + back_on_rail));
+        }
+        room
+    }
+
     /// Counts a burst that no limit may refuse.
     pub fn count(&mut self, now: Tick, motor: usize, pulses: u32) {
         self.pulses.charged(now)[motor] += pulses;
@@ -277,6 +298,14 @@ impl Pushing {
         }
         *charged += pulses;
         Ok(())
+    }
+
+    /// Counts as many of `pulses` as do not break the limit, and returns their number.
+    pub fn begin_some(&mut self, now: Tick, motor: usize, pulses: u32) -> u32 {
+        let charged = &mut self.pulses.charged(now)[motor];
+        let some = pulses.min(self.limit.saturating_sub(*charged));
+        *charged += some;
+        some
     }
 
     /// Counts pulses that no limit may refuse.

@@ -94,8 +94,8 @@ impl Motion {
 
     fn cut(&mut self, cause: Cause, then: State, now: Tick, player: &mut Player, reporting: &mut Reporting) {
         let at = player.rendered().wire();
+        self.end_shift(player.rendered(), player);
         let (flushed, outstanding) = player.cut(reporting);
-        self.pins.take_back();
         let return_ticks = Some(player.return_ticks());
         self.finish_cut(Cut { cause, at, return_ticks, flushed, outstanding }, reporting);
         (self.state, self.then) = (State::Returning, then);
@@ -113,8 +113,8 @@ impl Motion {
         if self.state == State::Faulted {
             return false;
         }
+        self.end_shift(at, player);
         let flushed = player.turn_off(at, reporting);
-        self.pins.take_back();
         if self.pins.seeks() {
             player.assume_rest();
         }
@@ -124,6 +124,15 @@ impl Motion {
         let outstanding = player.heights_total();
         self.finish_cut(Cut { cause, at: at.wire(), return_ticks: None, flushed, outstanding }, reporting);
         true
+    }
+
+    /// Nothing from `at` on is played of a shift of rest upwards.
+    fn end_shift(&mut self, at: Tick, player: &Player) {
+        if player.shifts_at(at) {
+            self.pins.take_back();
+        } else {
+            self.pins.finish_shift();
+        }
     }
 
     fn finish_cut(&mut self, cut: Cut, reporting: &mut Reporting) {
@@ -141,10 +150,12 @@ impl Motion {
     /// Books what was played before `now`. A return is over when all pins are still.
     pub(super) fn settle(&mut self, now: Tick, player: &mut Player, reporting: &mut Reporting) {
         player.settle(now, reporting);
+        if !player.shifts_at(now) {
+            self.pins.finish_shift();
+        }
         if self.state == State::Disarmed || !player.is_still(now) {
             return;
         }
-        self.pins.finish_shift();
         if self.state == State::Returning {
             self.state = self.then;
             self.pins.finish_seek();

@@ -57,7 +57,8 @@ impl Pins {
         if !self.position_known {
             return layout.whole_travel();
         }
-        let heights = (0..).zip(self.travel).map(|(motor, travel)| height(motor).saturating_add_signed(travel));
+        let heights =
+            (0..).zip(self.travel).map(|(motor, travel)| height(motor).saturating_add_signed(travel));
         layout.least_seek(heights.max().unwrap_or(0))
     }
 

@@ -71,6 +71,11 @@ impl Allowance {
         self.on_time.begin(now, motor, pulses, back, layout)
     }
 
+    /// How many pulses the motor may begin, if it and its rail need the pulses `back` then.
+    pub(super) fn room(&mut self, now: Tick, motor: usize, back: [u32; 2], layout: &Layout) -> u32 {
+        self.on_time.room(now, motor, back, layout)
+    }
+
     /// Counts a burst down.
     pub(super) fn count(&mut self, now: Tick, motor: usize, pulses: u16) {
         self.on_time.count(now, motor, pulses.into());
@@ -85,7 +90,8 @@ impl Allowance {
 
     /// The surplus, as much of it as the limit on pushing allows. It counts.
     pub(super) fn pushes(&mut self, now: Tick, motor: usize, surplus: u16) -> u16 {
-        self.pushing.begin(now, motor, surplus.into()).map_or(0, |()| surplus)
+        // Not more than the surplus.
+        self.pushing.begin_some(now, motor, surplus.into()) as u16
     }
 
     /// Ends what was counted: pulses, and pushes, each as counted and as played.

@@ -3,7 +3,7 @@
 //! Invariant: what a cut flushes counts as dropped. After an e-stop each motor's height is that of the last tick that was played.
 
 use crate::array::MotorSet;
-use crate::controller::player::Player;
+use crate::controller::player::{Player, Shifting};
 use crate::controller::player::recent::Rendered;
 use crate::controller::reporting::Reporting;
 use crate::limits::Refusal;
@@ -40,6 +40,7 @@ impl Player {
     pub(in crate::controller) fn is_still(&self, now: Tick) -> bool {
         self.queues.is_empty()
             && self.still_from <= now
+            && !self.shifts_at(now)
             && self.motors[..self.layout.loop_end()].iter().all(super::motor::Motor::is_still)
     }
 
@@ -107,7 +108,7 @@ impl Player {
         self.allowance.end(now, index, (pulses, 0), (0, 0));
         self.allowance.push(now, index, pushes)?;
         match direction {
-            Direction::Up => self.shifting = Some((motor, pulses)),
+            Direction::Up => self.shifting = Some(Shifting { motor, pulses, end: None }),
             Direction::Down => self.motors[index].place(pulses, 0),
         }
         self.change_by(index, now);
@@ -170,8 +171,16 @@ impl Player {
         Counters { played: counters.played - begun, pulses: counters.pulses - pulses, ..counters }
     }
 
-    /// Reports the marks that lie before `now`.
+    /// Whether a shift of rest upwards is not over in the ticks before `now`.
+    pub(in crate::controller) fn shifts_at(&self, now: Tick) -> bool {
+        self.shifting.is_some_and(|of| of.end.is_none_or(|end| end > now))
+    }
+
+    /// Reports the marks that lie before `now`, and forgets a shift of rest that is over.
     pub(in crate::controller) fn settle(&mut self, now: Tick, reporting: &mut Reporting) {
+        if !self.shifts_at(now.min(self.rendered)) {
+            self.shifting = None;
+        }
         while let Some((tick, counters)) = self.marks.pass(now.min(self.rendered)) {
             reporting.report(crate::message::Report::Onset { tick: tick.wire(), counters });
         }

@@ -117,7 +117,7 @@ impl Player {
         }
         let looks_again = if self.motors[motor].is_to_descend() {
             self.descend(motor)
-        } else if self.shifting.is_some_and(|(of, _)| usize::from(of) == motor) {
+        } else if self.shifting.is_some_and(|of| of.end.is_none() && usize::from(of.motor) == motor) {
             self.begin_shift(motor)
         } else {
             None
@@ -176,21 +176,23 @@ impl Player {
             return;
         }
         let pulses = (level - height).saturating_add_signed(correction);
-        let begun = self.begin_up(motor, pulses, level - height);
+        let begun = self.begin_up(motor, pulses);
         match begun {
             Ok(()) => self.motors[motor].begin(now, Direction::Up, pulses, 0, level),
             Err(reason) => {
                 self.motors[motor].set_goal(before.min(height));
+                // A stroke is refused as a whole.
+                let second = u64::from(self.queues.drop_second(motor));
                 let counters = reporting.count();
-                (counters.played, counters.refused) = (counters.played - 1, counters.refused + 1);
+                (counters.played, counters.refused) = (counters.played - 1, counters.refused + 1 + second);
                 let tick = WireTick(tick.to_le_bytes());
                 reporting.report(Report::Refused { motor: motor as u8, tick, reason });
             }
         }
     }
 
-    /// Whether a burst up may begin; then it counts. Its way back, `distance`, must fit the on-time limits, too.
-    fn begin_up(&mut self, motor: usize, pulses: u16, distance: u16) -> Result<(), Refusal> {
+    /// Whether a burst up to the goal may begin; then it counts. Its way back must fit the on-time limits, too.
+    fn begin_up(&mut self, motor: usize, pulses: u16) -> Result<(), Refusal> {
         self.allowance.begin_move()?;
         let (rail, chip) = (self.layout.next_on_rail(), self.layout.next_on_chip());
         let limits = self.limits();
@@ -200,15 +202,20 @@ impl Player {
         if self.is_full(motor, chip, limits.chip_at_once, self.layout.motors_per_chip(), true) {
             return Err(Refusal::ChipAtOnce);
         }
-        // Each pin above rest needs as many pulses down.
-        let back = |other: usize| u32::from(self.motors[other].height.max(self.motors[other].goal()));
-        let own = back(motor) + u32::from(distance);
+        let back = self.back(motor);
+        self.allowance.begin(self.rendered, motor, pulses.into(), back, &self.layout)
+    }
+
+    /// The pulses down that a motor at its goal and its rail still have to begin until all pins are at rest.
+    fn back(&self, motor: usize) -> [u32; 2] {
+        let rail = self.layout.next_on_rail();
+        let own = u32::from(self.motors[motor].goal());
         let (mut of_rail, mut other) = (own, usize::from(rail[motor]));
         while other != motor {
-            of_rail += back(other);
+            of_rail += u32::from(self.motors[other].back());
             other = rail[other].into();
         }
-        self.allowance.begin(self.rendered, motor, pulses.into(), [own, of_rail], &self.layout)
+        [own, of_rail]
     }
 
     /// Whether as many motors of a group have pulses as may, besides `motor`. For a way up it is also full while a pin waits to come down.
@@ -229,10 +236,8 @@ impl Player {
         busy >= limit
     }
 
-    /// Begins the way down to the goal, if the drivers are ready and the limits on motors at once allow it. Else returns when to look
-    /// again. No other limit refuses it.
-    #[inline(never)]
-    fn descend(&mut self, motor: usize) -> Option<u32> {
+    /// When to look again whether a burst may begin, while the drivers are not ready or the limits on motors at once do not allow it.
+    fn waits_until(&self, motor: usize) -> Option<u32> {
         let (now, ready) = (self.rendered, self.ready());
         if now < ready {
             return Some(ready.0 as u32);
@@ -245,24 +250,48 @@ impl Player {
         if self.is_full(motor, chip, limits.chip_at_once, self.layout.motors_per_chip(), false) {
             return Some(self.next_end(motor, chip));
         }
+        None
+    }
+
+    /// Begins the way down to the goal, or returns when to look again. No limit on pulses refuses it: it leaves out what a correction and a
+    /// surplus would add beyond the limit.
+    #[inline(never)]
+    fn descend(&mut self, motor: usize) -> Option<u32> {
+        let later = self.waits_until(motor);
+        if later.is_some() {
+            return later;
+        }
+        let now = self.rendered;
         let of = &self.motors[motor];
         let distance = of.height(now.0 as u32) - of.goal();
-        let (goal, correction, surplus) = (of.goal(), of.correction, of.surplus);
-        let pulses = distance.saturating_add_signed(correction).max(1);
-        let pushes = if goal == 0 { self.allowance.pushes(now, motor, surplus) } else { 0 };
+        let (goal, correction) = (of.goal(), of.correction);
+        let surplus = if goal == 0 { of.surplus } else { 0 };
+        let mut pulses = distance.saturating_add_signed(correction.min(0)).max(1);
+        let mut pushes = 0;
+        if correction > 0 || surplus > 0 {
+            let back = self.back(motor);
+            let room = self.allowance.room(now, motor, back, &self.layout).saturating_sub(pulses.into());
+            let room = u16::try_from(room).unwrap_or(u16::MAX);
+            let more = correction.max(0).cast_unsigned().min(room);
+            pulses += more;
+            pushes = self.allowance.pushes(now, motor, surplus.min(room - more));
+        }
         self.allowance.count(now, motor, pulses + pushes);
         self.motors[motor].begin(now, Direction::Down, pulses + pushes, pushes, goal);
         None
     }
 
-    /// Begins the burst up that shifts where the pin rests, if the drivers are ready. Else returns when they are.
+    /// Begins the burst up that shifts where the pin rests, or returns when to look again.
     #[inline(never)]
     fn begin_shift(&mut self, motor: usize) -> Option<u32> {
-        let (now, ready) = (self.rendered, self.ready());
-        if now < ready {
-            return Some(ready.0 as u32);
+        let later = self.waits_until(motor);
+        if later.is_some() {
+            return later;
         }
-        let (_, pulses) = self.shifting.take()?;
+        let now = self.rendered;
+        let shifting = self.shifting.as_mut()?;
+        let pulses = shifting.pulses;
+        shifting.end = Some(now + u64::from(pulses));
         self.allowance.count(now, motor, pulses);
         self.motors[motor].begin(now, Direction::Up, pulses, 0, 0);
         None

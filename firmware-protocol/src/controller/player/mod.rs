@@ -47,6 +47,15 @@ use recent::Recent;
 /// A tick that does not come.
 pub(super) const NEVER: Tick = Tick(u64::MAX);
 
+/// A burst up that shifts where a pin rests.
+#[derive(Clone, Copy, Debug, Hash)]
+struct Shifting {
+    motor: u8,
+    pulses: u16,
+    /// The first tick after its last pulse, once it has begun.
+    end: Option<Tick>,
+}
+
 /// In this order, what rendering uses most lies where the chip's short loads reach it.
 #[derive(Clone, Debug)]
 #[repr(C)]
@@ -64,8 +73,8 @@ pub(super) struct Player {
     lowered: MotorSet,
     /// The first tick in which it may have done so.
     lowered_from: Tick,
-    /// A burst up of this motor, with so many pulses, that shifts where its pin rests, until it begins.
-    shifting: Option<(u8, u16)>,
+    /// The last shift of rest upwards, until it is over.
+    shifting: Option<Shifting>,
     /// For how many ticks a pin may stay above rest without a pulse, and when that was last checked.
     hold: u32,
     hold_checked: u32,

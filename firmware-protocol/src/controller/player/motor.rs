@@ -112,6 +112,16 @@ impl Motor {
         u32::from(left) + if way > 0 { u32::from(way).saturating_add_signed(more).max(1) } else { 0 }
     }
 
+    /// The pulses down that it still has to begin until its pin is at rest.
+    pub(super) fn back(&self) -> u16 {
+        match self.running {
+            // A shift of rest that is cut is driven back.
+            Some(Running { direction: Direction::Up, pulses, to: 0, .. }) => pulses,
+            Some(running) => running.to,
+            None => self.height,
+        }
+    }
+
     /// Whether its pin is above its goal and no burst runs.
     pub(super) const fn is_to_descend(&self) -> bool {
         self.running.is_none() && self.height > self.goal

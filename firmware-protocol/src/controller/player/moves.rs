@@ -17,6 +17,10 @@ impl Player {
     /// Judges a move by itself. `Ok(false)` if it is late.
     pub(in crate::controller) fn judge(&self, to: &Move, now: Tick) -> Result<bool, Refusal> {
         self.layout.check(to)?;
+        // Its level counts from where the pin rests when the shift is over.
+        if self.shifting.is_some_and(|of| of.motor == to.motor) {
+            return Err(Refusal::State);
+        }
         if to.surplus > 0 && !self.has_stop() {
             return Err(Refusal::Pushing);
         }
@@ -42,6 +46,7 @@ impl Player {
     pub(in crate::controller) fn append(
         &mut self,
         to: &Move,
+        joined: bool,
         generation: Option<u16>,
         reporting: &mut Reporting,
     ) {
@@ -52,7 +57,7 @@ impl Player {
             return;
         }
         let (tick, level, surplus) = (to.tick.0 as u32, to.level, to.surplus);
-        let waiting = Waiting { tick, level, surplus, from, generation, ..Waiting::NOTHING };
+        let waiting = Waiting { tick, level, surplus, from, generation, joined, ..Waiting::NOTHING };
         let first = self.queues.first(motor).is_none();
         if self.queues.push(motor, to.tick, waiting) && first {
             self.change_by(motor, to.tick);

@@ -30,6 +30,8 @@ pub(super) struct Waiting {
     pub(super) from: u16,
     /// The newest amendment that it has taken, or that was older than the move.
     pub(super) generation: Option<u16>,
+    /// It is the second move of a stroke, and stays as long as the first.
+    pub(super) joined: bool,
     pub(super) next: u16,
 }
 
@@ -38,6 +40,8 @@ struct Queue {
     head: u16,
     tail: u16,
     len: u16,
+    /// The tick of the last one that has begun and is not the second of a stroke.
+    begun_first: Tick,
     /// The ticks of the motor's last two moves that have begun, the last one first; and of all its moves.
     begun: [Tick; 2],
     last: [Tick; 2],
@@ -55,11 +59,11 @@ impl Hash for Queues {
     /// The moves that wait, in order.
     fn hash<H: Hasher>(&self, hasher: &mut H) {
         for queue in &self.queues {
-            (queue.len, queue.begun, queue.last).hash(hasher);
+            (queue.len, queue.begun_first, queue.begun, queue.last).hash(hasher);
             let mut index = queue.head;
             while let Some(slot) = self.get(index) {
-                let &Waiting { tick, level, surplus, correction, from, generation, next } = slot;
-                (tick, level, surplus, correction, from, generation).hash(hasher);
+                let &Waiting { tick, level, surplus, correction, from, generation, joined, next } = slot;
+                (tick, level, surplus, correction, from, generation, joined).hash(hasher);
                 index = next;
             }
         }
@@ -82,8 +86,16 @@ pub(super) const fn ahead(tick: u32, now: Tick) -> i32 {
 }
 
 impl Waiting {
-    pub(super) const NOTHING: Self =
-        Self { tick: 0, level: 0, surplus: 0, correction: 0, from: 0, generation: None, next: NONE };
+    pub(super) const NOTHING: Self = Self {
+        tick: 0,
+        level: 0,
+        surplus: 0,
+        correction: 0,
+        from: 0,
+        generation: None,
+        joined: false,
+        next: NONE,
+    };
 }
 
 impl Queues {
@@ -94,7 +106,14 @@ impl Queues {
             slots[next - 1].next = next as u16;
             next += 1;
         }
-        let queue = Queue { head: NONE, tail: NONE, len: 0, begun: [Tick(0); 2], last: [Tick(0); 2] };
+        let queue = Queue {
+            head: NONE,
+            tail: NONE,
+            len: 0,
+            begun_first: Tick(0),
+            begun: [Tick(0); 2],
+            last: [Tick(0); 2],
+        };
         Self { free: 0, used: 0, queues: [queue; CAPACITY], slots }
     }
 
@@ -153,13 +172,32 @@ impl Queues {
         let waiting = *self.get(index)?;
         let queue = &mut self.queues[motor];
         queue.begun = [now, queue.begun[0]];
-        queue.head = waiting.next;
+        if !waiting.joined {
+            queue.begun_first = now;
+        }
+        self.drop_first(motor);
+        Some(waiting)
+    }
+
+    /// Frees the next move of a motor if it is the second of a stroke. Returns whether it was.
+    pub(super) fn drop_second(&mut self, motor: usize) -> bool {
+        let joined = self.first(motor).is_some_and(|next| next.joined);
+        if joined {
+            self.drop_first(motor);
+        }
+        joined
+    }
+
+    fn drop_first(&mut self, motor: usize) {
+        let index = self.queues[motor].head;
+        let Some(&Waiting { next, .. }) = self.get(index) else { return };
+        let queue = &mut self.queues[motor];
+        queue.head = next;
         queue.len -= 1;
-        if waiting.next == NONE {
+        if next == NONE {
             queue.tail = NONE;
         }
         self.release(index, index, 1);
-        Some(waiting)
     }
 
     /// Frees all moves of a motor; returns their number.
@@ -167,13 +205,13 @@ impl Queues {
         let Queue { head, tail, len, .. } = self.queues[motor];
         if len > 0 {
             let queue = &mut self.queues[motor];
-            *queue = Queue { head: NONE, tail: NONE, len: 0, begun: queue.begun, last: queue.begun };
+            *queue = Queue { head: NONE, tail: NONE, len: 0, last: queue.begun, ..*queue };
             self.release(head, tail, len);
         }
         len
     }
 
-    /// Frees the moves of a motor from the tick `from` on. Returns their number, or `None`, and leaves them, if one has begun or the
+    /// Frees the moves of a motor from the tick `from` on; the second move of a stroke goes with its first. Returns their number, or `None`, and leaves them, if one has begun or the
     /// moves of `next` come too shortly after those before them.
     pub(super) fn withdraw(
         &mut self,
@@ -183,14 +221,14 @@ impl Queues {
         apart: u32,
         now: Tick,
     ) -> Option<u16> {
-        let Queue { head, tail, len, begun, .. } = self.queues[motor];
-        if begun[0] >= from {
+        let Queue { head, tail, len, begun, begun_first, .. } = self.queues[motor];
+        if begun_first >= from {
             return None;
         }
         // Before all that waits, or after it: a distance of 2^31 has no sign.
         let limit = (from - now).min(1 << 30) as i32;
         let (mut last, mut first, mut kept, mut ticks) = (NONE, head, 0, begun);
-        while let Some(slot) = self.get(first).filter(|slot| ahead(slot.tick, now) < limit) {
+        while let Some(slot) = self.get(first).filter(|slot| slot.joined || ahead(slot.tick, now) < limit) {
             (last, first) = (first, slot.next);
             ticks = [Tick(now.0.wrapping_add_signed(ahead(slot.tick, now).into())), ticks[0]];
             kept += 1;

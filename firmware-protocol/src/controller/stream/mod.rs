@@ -133,7 +133,9 @@ impl Stream {
             return Ok(false);
         }
         parts.player.takes(moves, parts.reporting)?;
-        moves.iter().for_each(|to| parts.player.append(to, self.generation, parts.reporting));
+        for (to, joined) in moves.iter().zip([false, true]) {
+            parts.player.append(to, joined, self.generation, parts.reporting);
+        }
         Ok(true)
     }
 
