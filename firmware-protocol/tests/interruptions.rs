@@ -589,3 +589,28 @@ fn a_second_e_stop_within_the_horizon_of_the_first_takes_back_nothing_twice() {
         }
     }
 }
+
+/// The correction of a burst says nothing of the ticks after its early end.
+#[test]
+fn an_e_stop_after_a_corrected_move_was_cut_by_the_next_keeps_the_height() {
+    for shell in SHELLS {
+        for event in 0..200 {
+            let mut bench = Bench::armed(shell);
+            let at = bench.soon();
+            bench.moves(&[to(3, at, 30)]);
+            bench.amend(1, 3, Tick(at), 39);
+            // Queued afterwards, so that the correction had room.
+            bench.moves(&[to(3, at + 20, 5), to(3, at + 110, 0)]);
+            bench.run_to(at - 68 + event);
+            bench.control(Op::EStop);
+            bench.run(100);
+            let message = format!("{event}, {shell:?}");
+            assert_eq!(bench.net(3), i64::from(bench.device.outstanding(3)), "{message}");
+            assert_eq!(
+                (bench.device.counters().pulses, bench.total() <= 40),
+                (bench.total(), true),
+                "{message}"
+            );
+        }
+    }
+}

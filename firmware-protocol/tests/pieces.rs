@@ -3,7 +3,8 @@
 //! [`half_taken`] is the beginning of each test: a frame of 64 moves, 32 strokes, of which the device takes one piece in each block.
 
 use crate::bench::{Bench, FIRMWARE, HOST_TIMEOUT, ONSET, frame, pack, stroke};
-use firmware_protocol::batch::{MAX_BATCH, MAX_FIRST_BATCH, Stroke};
+use firmware_protocol::array::MotorSet;
+use firmware_protocol::batch::{BATCH_BYTES, MAX_BATCH, MAX_FIRST_BATCH, Packer, Stroke};
 use firmware_protocol::controller::{BLOCK, HORIZON};
 use firmware_protocol::message::{Cause, Counters, HostMessage, Mark, Op, Report, State};
 use firmware_protocol::tick::Tick;
@@ -172,4 +173,29 @@ fn a_verdict_names_the_rendered_end_of_the_first_late_stroke() {
     // The first piece has five strokes, of two moves each; 22 strokes begin together.
     assert_eq!((late & 0xfff_ffff_ffff, rendered), (0xfff_ffff_fc00, second.wire()));
     check(&mut bench, 32, "late");
+}
+
+/// Rows have more moves than a piece; each of them is taken or left by itself.
+#[test]
+fn rows_are_taken_in_pieces_of_ten_moves_and_each_move_counts_once() {
+    for blocks in 0..BLOCKS {
+        let mut bench = busy();
+        let at = bench.now + 500;
+        let motors = MotorSet::from_bits((1 << 21) - 1);
+        let mut packer = Packer::<BATCH_BYTES>::new(Tick(at));
+        for (k, level) in [(0, 90), (100, 40), (300, 0)] {
+            packer.row(Tick(at + k), motors, &[level; 21]).unwrap();
+        }
+        let (epoch, seq, seen, base) = (bench.epoch, bench.seq, bench.seen(), Tick(at).wire());
+        let batch = packer.bytes();
+        let row = HostMessage::Moves { epoch, seq, seen, mark: None, withdraw: None, base, batch };
+        bench.bytes(&frame(&row));
+        bench.run(blocks * u64::from(BLOCK));
+        bench.device.e_stop(Tick(bench.now), epoch.wrapping_add(1));
+        // Items are unpacked whole: two blocks for three rows, and one for the head.
+        let taken = (10 * blocks.saturating_sub(3)).min(63);
+        assert_eq!(counted(bench.device.counters()), 2 + taken, "{blocks} blocks");
+        bench.run(1_000);
+        assert_eq!(bench.device.counters().pulses, bench.total());
+    }
 }
