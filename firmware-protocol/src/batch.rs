@@ -27,8 +27,8 @@ use crate::tick::Tick;
 
 /// Most moves in a batch: a verdict's mask has 64 bits.
 pub const MAX_BATCH: usize = 64;
-/// Most moves in the first frame of a play, which the chip takes in one piece.
-pub const MAX_FIRST_BATCH: usize = 32;
+/// Most moves in the first frame of a play, which the chip takes in one piece: a stroke of each of 24 motors.
+pub const MAX_FIRST_BATCH: usize = 48;
 /// The moves of a frame. The second move of a stroke is `joined` to the one before it.
 pub(crate) type Batch = heapless::Vec<Unpacked, MAX_BATCH>;
 /// A move of a list, and whether it is the second one of a stroke.

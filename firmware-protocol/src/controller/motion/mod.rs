@@ -94,7 +94,10 @@ impl Motion {
 
     fn cut(&mut self, cause: Cause, then: State, now: Tick, player: &mut Player, reporting: &mut Reporting) {
         let at = player.rendered().wire();
-        self.end_shift(player.rendered(), player);
+        // What is rendered is played, unless an e-stop follows.
+        if player.shifts_at(player.rendered()) {
+            self.pins.take_back();
+        }
         let (flushed, outstanding) = player.cut(reporting);
         let return_ticks = Some(player.return_ticks());
         self.finish_cut(Cut { cause, at, return_ticks, flushed, outstanding }, reporting);
@@ -113,7 +116,11 @@ impl Motion {
         if self.state == State::Faulted {
             return false;
         }
-        self.end_shift(at, player);
+        if player.shifts_at(at) {
+            self.pins.take_back();
+        } else {
+            self.pins.finish_shift();
+        }
         let flushed = player.turn_off(at, reporting);
         if self.pins.seeks() {
             player.assume_rest();
@@ -124,15 +131,6 @@ impl Motion {
         let outstanding = player.heights_total();
         self.finish_cut(Cut { cause, at: at.wire(), return_ticks: None, flushed, outstanding }, reporting);
         true
-    }
-
-    /// Nothing from `at` on is played of a shift of rest upwards.
-    fn end_shift(&mut self, at: Tick, player: &Player) {
-        if player.shifts_at(at) {
-            self.pins.take_back();
-        } else {
-            self.pins.finish_shift();
-        }
     }
 
     fn finish_cut(&mut self, cut: Cut, reporting: &mut Reporting) {
@@ -188,6 +186,7 @@ impl Motion {
             return Err(Refusal::PositionUnknown);
         }
         (self.state, self.cause) = (State::Armed, Cause::Request);
+        player.set_hold(0);
         if player.heights_total() > 0 {
             player.bring_down();
             self.begin_return(player, reporting);
@@ -255,6 +254,7 @@ impl Motion {
             return Err(Refusal::Travel);
         }
         player.seek(pulses)?;
+        player.set_hold(0);
         self.pins.begin_seek();
         self.begin_return(player, reporting);
         Ok(())

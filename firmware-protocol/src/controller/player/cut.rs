@@ -16,7 +16,10 @@ impl Player {
     pub(in crate::controller) fn cut(&mut self, reporting: &mut Reporting) -> (u16, u32) {
         let flushed = self.flush(reporting);
         let now = self.rendered;
-        (self.shifting, self.lowered) = (None, MotorSet::EMPTY);
+        self.lowered = MotorSet::EMPTY;
+        if self.shifts_at(now) {
+            self.shifting = None;
+        }
         for motor in 0..self.layout.loop_end() {
             if self.motors[motor].running.is_some_and(|running| running.direction == Direction::Up)
                 || self.motors[motor].goal() > 0
@@ -130,7 +133,7 @@ impl Player {
     pub(in crate::controller) fn turn_off(&mut self, at: Tick, reporting: &mut Reporting) -> u16 {
         let flushed = self.flush(reporting);
         let now = self.rendered;
-        (self.shifting, self.lowered) = (None, MotorSet::EMPTY);
+        (self.shifting, self.lowered, self.hold) = (None, MotorSet::EMPTY, None);
         for motor in 0..self.layout.loop_end() {
             self.end(motor);
         }

@@ -74,9 +74,10 @@ impl Player {
 
     /// Brings down the pins that have been held for too long.
     fn end_holds(&mut self) {
+        let Some(hold) = self.hold else { return };
         for motor in 0..self.layout.loop_end() {
             let Some(of) = self.motors.get(motor) else { break };
-            if of.goal() > 0 && of.is_still() && self.rendered - of.still_since > u64::from(self.hold) {
+            if of.goal() > 0 && of.is_still() && self.rendered - of.still_since > u64::from(hold) {
                 self.lower(motor, 0);
             }
         }

@@ -75,8 +75,8 @@ pub(super) struct Player {
     lowered_from: Tick,
     /// The last shift of rest upwards, until it is over.
     shifting: Option<Shifting>,
-    /// For how many ticks a pin may stay above rest without a pulse, and when that was last checked.
-    hold: u32,
+    /// For how many ticks a pin may stay above rest without a pulse, and when that was last checked. `None`: for as long as the lines are off.
+    hold: Option<u32>,
     hold_checked: u32,
     layout: Layout,
     recent: Recent,
@@ -122,7 +122,7 @@ impl Player {
             lowered: MotorSet::EMPTY,
             lowered_from: now,
             shifting: None,
-            hold: layout.least_hold(),
+            hold: None,
             hold_checked: now.0 as u32,
             recent: Recent::NOTHING,
             allowance: Allowance::new(&layout, now),
@@ -183,7 +183,7 @@ impl Player {
 
     /// For how long pins may be held from now on, ticks.
     pub(super) fn set_hold(&mut self, hold: u32) {
-        self.hold = hold.clamp(self.layout.least_hold(), self.layout.longest_hold());
+        self.hold = Some(hold.clamp(self.layout.least_hold(), self.layout.longest_hold()));
     }
 
     /// Forgets the marks that have not passed.
