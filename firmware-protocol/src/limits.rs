@@ -136,6 +136,19 @@ impl SlidingSecond {
         let ended = &mut self.ended[self.bucket][motor];
         *ended = ended.saturating_add(u16::try_from(played).unwrap_or(u16::MAX));
     }
+
+    /// Counts no longer the last `pulses` that have ended, at most a bucket's time ago.
+    fn take_back(&mut self, now: Tick, motor: usize, pulses: u16) {
+        let sum = &mut self.charged(now)[motor];
+        *sum = sum.saturating_sub(pulses.into());
+        let before = if self.bucket > 0 { self.bucket - 1 } else { BUCKETS - 1 };
+        let mut left = pulses;
+        for bucket in [self.bucket, before] {
+            let ended = &mut self.ended[bucket][motor];
+            let some = left.min(*ended);
+            (*ended, left) = (*ended - some, left - some);
+        }
+    }
 }
 
 /// Counts pulses per motor against [`PowerLimits`].
@@ -203,13 +216,7 @@ impl OnTime {
 
     /// The most pulses for which [`Self::begin`] would succeed.
     #[must_use]
-    pub fn room(
-        &mut self,
-        now: Tick,
-        motor: usize,
-        [back, back_on_rail]: [u32; 2],
-        layout: &Layout,
-    ) -> u32 {
+    pub fn room(&mut self, now: Tick, motor: usize, [back, back_on_rail]: [u32; 2], layout: &Layout) -> u32 {
         let charged = self.pulses.charged(now);
         let (mut room, limits) = (u32::MAX, self.limits);
         if self.limits_motor {
@@ -230,6 +237,11 @@ impl OnTime {
     /// Ends at `now` a stroke counted with `charged` pulses, of which `played` were played.
     pub fn end(&mut self, now: Tick, motor: usize, charged: u32, played: u32) {
         self.pulses.end(now, motor, charged, played);
+    }
+
+    /// Counts no longer the last pulses that have ended: they were not played.
+    pub fn take_back(&mut self, now: Tick, motor: usize, pulses: u16) {
+        self.pulses.take_back(now, motor, pulses);
     }
 }
 

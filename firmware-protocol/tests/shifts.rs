@@ -1,11 +1,15 @@
-//! Moves and their travel, and on-time limits of strokes, moves and amendments.
+//! Shifts of rest and their travel, and on-time limits of strokes, moves, shifts and amendments.
 
-use crate::bench::{Bench, HOST_TIMEOUT, NO_LIMITS, SHELLS, SOON, Shell, TICK_HZ, arm, stroke};
+use crate::bench::{
+    Bench, FIRMWARE, HOST_TIMEOUT, NO_LIMITS, SHELLS, SOON, Shell, TICK_HZ, arm, burst, stroke, to,
+};
 use Direction::{Down, Up};
+use firmware_protocol::array::MotorSet;
+use firmware_protocol::batch::Stroke;
 use firmware_protocol::controller::POOL;
 use firmware_protocol::limits::{PowerLimits, Refusal};
 use firmware_protocol::message::{Cause, Op, Report, State};
-use firmware_protocol::stroke::{Direction, Stroke};
+use firmware_protocol::stroke::Direction;
 
 fn shift(motor: u8, direction: Direction, pulses: u16) -> Op {
     Op::Move { motor, direction, pulses }
@@ -24,8 +28,13 @@ fn without_stop(shell: Shell) -> Bench {
     bench
 }
 
+/// The first tick after the last pulse of a stroke that is played as planned.
+fn end(stroke: &Stroke) -> u64 {
+    stroke.down.0 + u64::from(stroke.level + stroke.surplus)
+}
+
 #[test]
-fn moves_shift_a_pin_within_its_travel() {
+fn a_shift_moves_a_pin_within_its_travel() {
     for shell in SHELLS {
         let mut bench = without_stop(shell);
         let ask = |bench: &mut Bench, direction, pulses, refusal| {
@@ -46,23 +55,44 @@ fn moves_shift_a_pin_within_its_travel() {
         ask(&mut bench, Up, 0, None);
         bench.control(shift(24, Up, 1));
         assert_eq!(bench.status().refusal, Some(Refusal::Motor));
-        // Refused while anything is queued, moves included.
+        // Refused during a shift.
+        for direction in [Up, Down] {
+            bench.control(shift(4, direction, 10));
+            for other in [4, 5] {
+                bench.control(shift(other, Up, 10));
+                assert_eq!(bench.status().refusal, Some(Refusal::State));
+            }
+            bench.run(200);
+        }
+        // Refused while a move waits, and while a pin is above rest.
+        let at = bench.now + 5_000;
+        bench.moves(&[to(0, at, 5)]);
         bench.control(shift(4, Up, 10));
-        bench.control(shift(5, Up, 10));
         assert_eq!(bench.status().refusal, Some(Refusal::State));
-        bench.run(200);
-        bench.strokes(&[stroke(0, bench.now + 5_000, 5, 5, 5)]);
+        bench.run_to(at - 500);
+        // The epoch of a shift keeps the queue.
+        let mut bench = without_stop(shell);
+        let at = bench.soon();
+        bench.moves(&[to(0, at, 5)]);
+        bench.run_to(at + 100);
+        assert_eq!((bench.net(0), bench.device.counters().played), (5, 1));
         bench.control(shift(4, Up, 10));
         assert_eq!(bench.status().refusal, Some(Refusal::State));
-        // Moves do not count as played.
-        assert_eq!(bench.device.counters().played, 0);
+        bench.control(Op::Stop);
+        bench.settle();
+        // Shifts do not count as played, but their pulses count.
+        bench.control(shift(4, Up, 10));
+        bench.run(300);
+        let counters = bench.device.counters();
+        assert_eq!((counters.played, counters.pulses, bench.total()), (1, 20, 20));
     }
 }
 
+/// The travel of a shift that is cut counts as far as it went: the device drives a shift upwards back, and one downwards to its end.
 #[test]
-fn the_travel_of_a_cut_move_counts_as_far_as_it_went() {
+fn the_travel_of_a_cut_shift_counts_as_far_as_it_went() {
     for shell in SHELLS {
-        for (direction, limit) in [(Up, 3_000), (Down, -3_000)] {
+        for (direction, limit) in [(Up, 3_000_i64), (Down, -3_000)] {
             for stop in (0..160).step_by(7) {
                 for estop in (0..90).step_by(9).map(Some).chain([None]) {
                     let mut bench = without_stop(shell);
@@ -77,7 +107,10 @@ fn the_travel_of_a_cut_move_counts_as_far_as_it_went() {
                     }
                     bench.settle();
                     bench.is(State::Armed, if estop.is_some() { Cause::Request } else { Cause::Stop });
-                    let room = u16::try_from((limit - bench.net(2)).abs()).unwrap();
+                    let net = bench.net(2);
+                    // No pin is left somewhere between.
+                    assert!(net == 0 || net == limit.signum() * 40, "{net} {stop} {estop:?} {shell:?}");
+                    let room = u16::try_from((limit - net).abs()).unwrap();
                     bench.control(shift(2, direction, room + 1));
                     assert_eq!(bench.status().refusal, Some(Refusal::Travel), "{stop} {estop:?} {shell:?}");
                     bench.control(shift(2, direction, room));
@@ -88,8 +121,86 @@ fn the_travel_of_a_cut_move_counts_as_far_as_it_went() {
     }
 }
 
+/// An e-stop in each phase of a shift, without a stop before it.
 #[test]
-fn an_on_time_limit_refuses_strokes_when_they_begin_and_is_named() {
+fn the_travel_of_a_shift_that_an_e_stop_cuts_counts_as_far_as_it_went() {
+    for shell in SHELLS {
+        for (direction, limit) in [(Up, 3_000_i64), (Down, -3_000)] {
+            for estop in 0..220 {
+                let mut bench = without_stop(shell);
+                bench.control(shift(2, direction, 40));
+                bench.run(estop);
+                bench.control(Op::EStop);
+                bench.run(100);
+                bench.control(Op::Reset);
+                arm_without_stop(&mut bench, false);
+                bench.settle();
+                bench.is(State::Armed, Cause::Request);
+                let net = bench.net(2);
+                assert!(net == 0 || net == limit.signum() * 40, "{net} {direction:?} {estop} {shell:?}");
+                let room = u16::try_from((limit - net).abs()).unwrap();
+                bench.control(shift(2, direction, room + 1));
+                assert_eq!(bench.status().refusal, Some(Refusal::Travel), "{direction:?} {estop} {shell:?}");
+                bench.control(shift(2, direction, room));
+                assert_eq!(bench.status().refusal, None, "{direction:?} {estop} {shell:?}");
+            }
+        }
+    }
+}
+
+/// A level counts from where the pin rests. So until a shift upwards is over, the device refuses moves of its motor.
+#[test]
+fn a_shift_is_played_whole_whatever_moves_a_host_sends_meanwhile() {
+    for shell in SHELLS {
+        for direction in [Up, Down] {
+            let mut bench = without_stop(shell);
+            let ready = bench.device.ready().0;
+            bench.control(shift(2, direction, 400));
+            // A Control begins an epoch.
+            bench.run(3);
+            let soon = bench.soon();
+            bench.moves(&[to(2, soon, 30), to(3, soon, 25), to(2, soon + 100, 0), to(3, soon + 100, 0)]);
+            bench.run(1_500);
+            let last = bench.net(2);
+            assert_eq!(last, if direction == Up { 400 } else { -400 }, "{shell:?} {:?}", bench.bursts(2));
+            assert_eq!(bench.net(3), 0);
+            assert_eq!(bench.bursts(3).len(), 2);
+            if direction == Up {
+                assert_eq!(bench.bursts(2), [burst(ready, Up, 400)]);
+                assert_eq!(bench.device.counters().refused, 2);
+                let refused = Report::Verdict {
+                    seq: 0,
+                    late: 0,
+                    refused: 0b101,
+                    kept: MotorSet::EMPTY,
+                    reason: Some(Refusal::State),
+                    rendered: bench
+                        .reports()
+                        .iter()
+                        .find_map(|report| match report {
+                            Report::Verdict { rendered, .. } => Some(*rendered),
+                            _ => None,
+                        })
+                        .expect("a verdict"),
+                };
+                assert_eq!(bench.reports(), [refused]);
+            }
+            // After it the device takes moves.
+            let after = bench.soon();
+            bench.moves(&[to(2, after, 30), to(2, after + 200, 0)]);
+            bench.run(1_500);
+            let bursts = bench.bursts(2);
+            assert_eq!(
+                bursts[bursts.len() - 2..],
+                [burst(after, Up, 30), burst(after + 200, Down, 30)],
+                "{shell:?}"
+            );
+        }
+    }
+}
+
+#[test]
+fn an_on_time_limit_refuses_moves_up_when_they_begin_and_is_named() {
     for shell in SHELLS {
         for (motor, rail, reason) in [(30, 510_000, Refusal::MotorOnTime), (85_000, 30, Refusal::RailOnTime)]
         {
@@ -102,13 +213,55 @@ fn an_on_time_limit_refuses_strokes_when_they_begin_and_is_named() {
             let again = stroke(3, bench.now + 200 + u64::from(TICK_HZ) + 2_500, 7, 6, 7);
             bench.strokes(&[again]);
             bench.run(90_000);
-            let played: Vec<_> = [strokes[0], strokes[1], again].iter().flat_map(Stroke::bursts).collect();
+            let played: Vec<_> = [strokes[0], strokes[1], again]
+                .iter()
+                .flat_map(|one| [burst(one.up.0, Up, 7), burst(one.down.0, Down, 7)])
+                .collect();
             assert_eq!(bench.bursts(3), played, "{shell:?}");
             assert_eq!(bench.pulses(6).count(), 14);
-            assert_eq!(bench.reports(), [Report::Refused { motor: 3, up: strokes[2].up.wire(), reason }]);
+            assert_eq!(bench.reports(), [Report::Refused { motor: 3, tick: strokes[2].up.wire(), reason }]);
             let counters = bench.device.counters();
             assert_eq!((counters.played, counters.refused, counters.pulses), (8, 2, bench.total()));
         }
+    }
+}
+
+/// A way up needs its own pulses, those of its way back, and those of the way back of every pin of the rail that is up.
+#[test]
+fn the_on_time_of_the_ways_down_is_reserved() {
+    for shell in SHELLS {
+        for (limit, plays) in [(100, true), (99, false)] {
+            for (motor, rail, others) in [(limit, 510_000, [3, 3]), (85_000, limit, [3, 4])] {
+                let mut bench = Bench::limited(shell, motor, rail);
+                let at = bench.soon();
+                let [first, second] = others;
+                let level = if first == second { 50 } else { 20 };
+                bench.moves(&[to(first, at, 30), to(second, at + 200, level)]);
+                bench.run(500);
+                assert_eq!(
+                    bench.device.counters().refused,
+                    u64::from(!plays),
+                    "{limit} {others:?} {shell:?}"
+                );
+                bench.control(Op::Stop);
+                bench.settle();
+                assert_eq!((bench.net(3), bench.net(4)), (0, 0));
+                assert!(bench.total() <= u64::from(limit));
+            }
+        }
+    }
+}
+
+/// The pulses of a way down count once, as soon as it begins: they are not reserved as well.
+#[test]
+fn a_way_down_that_runs_counts_once() {
+    for shell in SHELLS {
+        let mut bench = Bench::limited(shell, 85_000, 200);
+        let at = bench.soon();
+        // At the last one 60 up and 60 down have begun, and none is left to come down.
+        bench.moves(&[to(3, at, 60), to(3, at + 200, 0), to(4, at + 210, 40), to(4, at + 400, 0)]);
+        bench.run(700);
+        assert_eq!((bench.device.counters().refused, bench.pulses(4).count()), (0, 80), "{shell:?}");
     }
 }
 
@@ -123,27 +276,29 @@ fn every_pulse_counts_once_against_on_time() {
         }
         assert_eq!((bench.device.counters().played, bench.device.counters().refused), (10, 0));
 
-        // A stroke rendered to its end and cut by an e-stop is removed from the count once.
-        let mut bench = Bench::limited(shell, 28, 600);
-        let first = stroke(3, bench.soon(), 7, 6, 7);
-        bench.strokes(&[first]);
-        bench.run_to(first.end().0 - 1);
-        bench.control(Op::EStop);
-        bench.control(Op::Reset);
-        bench.control(arm(false, 10 * TICK_HZ, PowerLimits { motor: 28, rail: 600, ..NO_LIMITS }));
-        // The second stroke still counts when the first no longer does; the fourth breaks the limit.
-        let second = u64::from(TICK_HZ);
-        for at in [80_000, second + 5_000, second + 10_000] {
-            bench.run_to(first.up.0 + at - SOON);
-            bench.strokes(&[stroke(3, first.up.0 + at, 7, 6, 7)]);
+        // A stroke that an e-stop cuts in any phase, and its return, count together as the whole stroke, or less.
+        for before in 0..20 {
+            let mut bench = Bench::limited(shell, 28, 600);
+            let first = stroke(3, bench.soon(), 7, 6, 7);
+            bench.strokes(&[first]);
+            bench.run_to(end(&first) - 1 - before);
+            bench.control(Op::EStop);
+            bench.control(Op::Reset);
+            bench.control(arm(false, 10 * TICK_HZ, PowerLimits { motor: 28, rail: 600, ..NO_LIMITS }));
+            // The second stroke still counts when the first no longer does; the fourth breaks the limit.
+            let second = u64::from(TICK_HZ);
+            for (at, refused) in [(80_000, 0), (second + 5_000, 0), (second + 10_000, 2)] {
+                bench.run_to(first.up.0 + at - SOON);
+                bench.strokes(&[stroke(3, first.up.0 + at, 7, 6, 7)]);
+                bench.run(SOON + 100);
+                assert_eq!(bench.device.counters().refused, refused, "{before} {shell:?}");
+            }
         }
-        bench.run(500);
-        assert_eq!((bench.device.counters().played, bench.device.counters().refused), (6, 2), "{shell:?}");
     }
 }
 
 #[test]
-fn moves_and_amendments_of_begun_strokes_count_against_on_time() {
+fn shifts_and_amendments_count_against_on_time() {
     for shell in SHELLS {
         let mut bench = Bench::limited(shell, 20, 600);
         bench.control(shift(2, Up, 21));
@@ -159,66 +314,99 @@ fn moves_and_amendments_of_begun_strokes_count_against_on_time() {
         bench.run(200);
         assert_eq!(bench.net(2), 0);
 
-        let begun = stroke(3, bench.soon(), 9, 200, 9);
-        bench.strokes(&[begun]);
-        bench.run(120);
-        bench.amend(1, &begun, Down, 11);
-        bench.amend(2, &begun, Down, 10);
-        bench.amend(3, &begun, Down, 11);
-        bench.amend(4, &begun, Down, 10);
-        bench.amend(5, &begun, Down, 11);
-        assert_eq!(bench.device.counters().amendments_ignored, 0);
-        bench.run(400);
-        assert_eq!(bench.bursts(3)[1].pulses, 11);
+        // The pulses that an amendment or a surplus adds to a way down are left out if they break the limit. The way down is not.
+        for (limit, down) in [(20, 11), (19, 10), (18, 9)] {
+            let mut bench = Bench::limited(shell, limit, 600);
+            let begun = stroke(3, bench.soon(), 9, 200, 9);
+            bench.strokes(&[begun]);
+            bench.run(120);
+            bench.amend(1, 3, begun.down, 11);
+            assert_eq!(bench.device.counters().amendments_ignored, 0);
+            bench.run(400);
+            assert_eq!(bench.bursts(3)[1].pulses, down, "{limit} {shell:?}");
 
-        let mut bench = Bench::limited(shell, 19, 600);
-        let begun = stroke(3, bench.soon(), 9, 200, 9);
-        bench.strokes(&[begun]);
-        bench.run(120);
-        bench.amend(1, &begun, Down, 10);
-        bench.amend(2, &begun, Down, 11);
-        bench.run(400);
-        assert_eq!((bench.device.counters().amendments_ignored, bench.device.counters().amended), (1, 1));
-        assert_eq!(bench.bursts(3)[1].pulses, 10);
+            let mut bench = Bench::new(shell);
+            bench.hello(1);
+            bench.control(arm(true, 10 * TICK_HZ, PowerLimits { motor: limit, rail: 600, ..NO_LIMITS }));
+            bench.strokes(&[stroke(3, bench.soon(), 9, 200, 11)]);
+            bench.run(500);
+            assert_eq!(bench.bursts(3)[1].pulses, down, "{limit} {shell:?}");
+        }
+        // The rail's ways down come first, too.
+        for (limit, down) in [(40, 11), (39, 10), (38, 9)] {
+            let mut bench = Bench::limited(shell, 85_000, limit);
+            let at = bench.soon();
+            let begun = stroke(3, at, 9, 200, 9);
+            bench.strokes(&[begun]);
+            bench.moves(&[to(4, at + 20, 10)]);
+            bench.amend(1, 3, begun.down, 11);
+            bench.run(500);
+            assert_eq!(bench.bursts(3)[1].pulses, down, "{limit} {shell:?}");
+            bench.control(Op::Stop);
+            bench.settle();
+            assert_eq!(bench.net(4), 0);
+            assert!(bench.total() <= u64::from(limit));
+        }
+    }
+    // What an amendment adds to a way up counts.
+    for (limit, refused) in [(20, 0), (19, 2)] {
+        let mut bench = Bench::limited(FIRMWARE, limit, 600);
+        let one = stroke(3, bench.soon() + 100, 9, 200, 9);
+        bench.strokes(&[one]);
+        bench.amend(1, 3, one.up, 11);
+        bench.run(700);
+        assert_eq!(bench.device.counters().refused, refused);
+        assert_eq!(bench.pulses(3).count(), if refused == 0 { 20 } else { 0 });
     }
 }
 
-/// A host that has read no report for a while still learns of each refused stroke. Until then each takes a credit, so the device
+/// A host that has read no report for a while still learns of each refused move. Until then each takes a credit, so the device
 /// never holds more of them than it has places.
 #[test]
-fn no_report_of_a_refused_stroke_is_lost() {
+fn no_report_of_a_refused_move_is_lost() {
     for shell in SHELLS {
         let mut bench = Bench::limited(shell, 20, 510_000);
         bench.reading = false;
-        let mut refused = Vec::new();
-        for round in 0..44 {
-            // The first stroke of each motor uses up its on-time. The last round finds 16 credits.
+        let (mut refused, mut full) = (Vec::new(), 0);
+        for round in 0.. {
+            // The first stroke of each motor uses up its on-time. A stroke takes two credits.
+            bench.ping(1);
+            let taken = usize::from(bench.status().credits / 2).min(24);
+            if taken == 0 {
+                break;
+            }
             let next: Vec<_> = (0..24).map(|motor| stroke(motor, bench.soon(), 7, 6, 7)).collect();
             bench.strokes(&next);
             bench.run(230);
-            let taken = if round < 43 { 24 } else { POOL - refused.len() };
             refused.extend(next[..taken].iter().filter(|_| round > 0).map(|one| (one.motor, one.up.wire())));
+            full += 2 * (24 - taken);
         }
+        // A single move takes the last credit.
+        assert_eq!(bench.status().credits, 1);
+        let last = to(23, bench.soon(), 7);
+        bench.moves(&[last]);
+        bench.run(230);
+        refused.push((23, last.tick.wire()));
         bench.ping(1);
         let (status, counters) = (bench.status(), bench.device.counters());
         assert_eq!((refused.len(), status.credits, counters.reports_lost), (POOL, 0, 0));
-        assert_eq!((usize::from(status.reports), counters.refused), (POOL + 1, 2 * (POOL as u64 + 8)));
+        assert_eq!(counters.refused, (2 * POOL - 1 + full) as u64);
         bench.reading = true;
-        for _ in 0..40 {
+        for _ in 0..80 {
             bench.run(850);
             bench.ping(2);
         }
-        let (mut reported, mut full) = (Vec::new(), 0);
+        let (mut reported, mut found) = (Vec::new(), 0);
         for report in bench.reports() {
             match report {
-                Report::Refused { motor, up, reason: Refusal::MotorOnTime } => reported.push((motor, up)),
+                Report::Refused { motor, tick, reason: Refusal::MotorOnTime } => reported.push((motor, tick)),
                 Report::Verdict { refused, reason: Some(Refusal::PoolFull), .. } => {
-                    full += refused.count_ones();
+                    found += refused.count_ones() as usize;
                 }
                 other => panic!("{other:?}"),
             }
         }
-        assert_eq!(full, 8);
+        assert_eq!(found, full);
         assert_eq!(reported, refused, "{shell:?}");
         assert_eq!(usize::from(bench.status().credits), POOL);
     }

@@ -16,6 +16,8 @@ mod onsets;
 mod pieces;
 /// Frames that replace queued moves.
 mod replacement;
+/// Shifts of rest, and on-time.
+mod shifts;
 /// The effect of each event in each state.
 mod states;
 /// Which moves the controller takes, and that it plays them as sent.

@@ -81,6 +81,11 @@ impl Allowance {
         self.on_time.count(now, motor, pulses.into());
     }
 
+    /// The last pulses of a motor were rendered, and not played.
+    pub(super) fn take_back(&mut self, now: Tick, motor: usize, pulses: u16) {
+        self.on_time.take_back(now, motor, pulses);
+    }
+
     /// Counts pulses against the stop at once, unless a limit refuses them.
     pub(super) fn push(&mut self, now: Tick, motor: usize, pulses: u16) -> Result<(), Refusal> {
         self.pushing.begin(now, motor, pulses.into())?;

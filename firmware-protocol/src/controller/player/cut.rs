@@ -3,8 +3,8 @@
 //! Invariant: what a cut flushes counts as dropped. After an e-stop each motor's height is that of the last tick that was played.
 
 use crate::array::MotorSet;
-use crate::controller::player::{Player, Shifting};
 use crate::controller::player::recent::Rendered;
+use crate::controller::player::{Player, Shifting};
 use crate::controller::reporting::Reporting;
 use crate::limits::Refusal;
 use crate::message::Counters;
@@ -143,7 +143,10 @@ impl Player {
             left -= run.ticks;
             let (ticks, begin) = (run.ticks as u16, (at.0 as u32).wrapping_add(left));
             for (direction, lines) in [(Direction::Up, run.lines.up), (Direction::Down, run.lines.down)] {
-                lines.iter().for_each(|motor| self.motors[usize::from(motor)].undo(direction, ticks, begin));
+                for motor in lines.iter().map(usize::from) {
+                    self.motors[motor].undo(direction, ticks, begin);
+                    self.allowance.take_back(now, motor, ticks);
+                }
             }
             let counters = reporting.count();
             counters.pulses -= u64::from(run.lines.pulsing().len()) * u64::from(run.ticks);
