@@ -3,7 +3,7 @@
 //! [`returned`] and [`off`] state the rules a second time; the tests compare them with the lines.
 
 use crate::bench::{
-    Bench, Burst, FIRMWARE, MOTORS, NO_LIMITS, ONSET, SHELLS, Shell, TICK_HZ, TIGHT, arm, burst, stroke, to,
+    Bench, Burst, FIRMWARE, MOTORS, NO_LIMITS, SHELLS, Shell, TICK_HZ, TIGHT, arm, burst, stroke, to,
 };
 use Direction::{Down, Up};
 use firmware_protocol::batch::{BATCH_BYTES, Packer, Stroke};

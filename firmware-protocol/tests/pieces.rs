@@ -90,7 +90,7 @@ fn the_onset_of_a_busy_device_decides_on_the_whole_frame() {
         let counters = bench.device.counters();
         assert_eq!((counters.late, counters.refused), (0, 0), "{ahead}");
         let refused = bench.reports().iter().any(|report| matches!(report, Report::OnsetRefused { .. }));
-        check(&mut bench, if refused { 0 } else { 16 }, "onset");
+        check(&mut bench, if refused { 0 } else { MAX_FIRST_BATCH as u64 / 2 }, "onset");
         outcomes.insert(refused);
     }
     assert_eq!(outcomes.len(), 2, "one in time and one that is not");

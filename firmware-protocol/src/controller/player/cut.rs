@@ -53,12 +53,6 @@ impl Player {
         self.motors.iter().map(|motor| u32::from(motor.height(low))).sum()
     }
 
-    /// The highest pin, at the rendered end.
-    pub(in crate::controller) fn highest(&self) -> u16 {
-        let low = self.rendered.0 as u32;
-        self.motors.iter().map(|motor| motor.height(low)).max().unwrap_or(0)
-    }
-
     /// How many pulses a motor's pin is above rest.
     pub(in crate::controller) fn height(&self, motor: usize) -> u16 {
         self.motors.get(motor).map_or(0, |motor| motor.height(self.rendered.0 as u32))
