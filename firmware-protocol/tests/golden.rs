@@ -199,7 +199,10 @@ fn from_the_host() {
             "040703070301010401d20605e0a3b702070df0edfe194017a602b104973bb10457850ca70203b1047fe08006f02e05bdb1d94200",
         ),
         (packed(base, &single), "04070307020101060df0edfe12010302170380010f55f02e3feb990c018407db490bdd00"),
-        (packed(base, &rows), "04070307020101130df0edfe4cc1aa01818080848080808080010bac02b817c0aa017f8001054101a60206c1a9010101055a010182010bc05002c1aa01ffffff071c0102030405060708090a0b0c0d0e0f10111213141516179a22332c00"),
+        (
+            packed(base, &rows),
+            "04070307020101130df0edfe4cc1aa01818080848080808080010bac02b817c0aa017f8001054101a60206c1a9010101055a010182010bc05002c1aa01ffffff071c0102030405060708090a0b0c0d0e0f10111213141516179a22332c00",
+        ),
         (marked(coded), "0b070307010101010155c801050df0edfe0511f3b16a00"),
         (marked(silent), "070703070101010104e88401050df0edfe0533bc932500"),
         (
@@ -314,10 +317,7 @@ fn from_the_device() {
             "0b0703c80103020102030408ac024d1063439900",
         ),
         (
-            report(Report::Lowered {
-                tick: rendered,
-                motors: MotorSet::from_bits(1 << 63 | 0x0080_0001),
-            }),
+            report(Report::Lowered { tick: rendered, motors: MotorSet::from_bits(1 << 63 | 0x0080_0001) }),
             "180703c801054df0edfe81808084808080808001ec4999a800",
         ),
         (refused(Refusal::Motor), "100703c80104110df0edfe01cf260f7800"),

@@ -24,3 +24,5 @@ mod states;
 mod taking;
 /// The bytes of every message.
 mod golden;
+/// Random requests, faults and noise.
+mod properties;
