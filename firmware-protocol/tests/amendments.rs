@@ -1,10 +1,11 @@
 //! Amendments: which of them change a burst, and until when.
 
-use crate::bench::{Bench, FIRMWARE, burst, stroke};
-use crate::interruptions::returned;
+use crate::bench::{Bench, FIRMWARE, SHELLS, burst, stroke, to};
 use Direction::{Down, Up};
+use firmware_protocol::batch::Stroke;
 use firmware_protocol::message::{HostMessage, Op};
-use firmware_protocol::stroke::{Direction, Stroke};
+use firmware_protocol::stroke::Direction;
+use firmware_protocol::tick::Tick;
 
 /// A queued stroke of 20 up and 20 down pulses, held for 50 ticks, with another one 8 ticks later.
 struct Amended {
@@ -16,8 +17,18 @@ impl Amended {
     fn new() -> Self {
         let mut bench = Bench::armed_without_stop(FIRMWARE);
         let first = stroke(1, bench.now + 200, 20, 50, 20);
-        bench.strokes(&[first, stroke(1, first.end().0 + 8, 20, 5, 20)]);
+        bench.strokes(&[first, stroke(1, first.down.0 + 28, 20, 40, 20)]);
         Self { bench, first }
+    }
+
+    /// The tick of the move of the first stroke in this direction.
+    fn tick(&self, direction: Direction) -> Tick {
+        if direction == Up { self.first.up } else { self.first.down }
+    }
+
+    fn amend(&mut self, generation: u16, direction: Direction, pulses: u16) {
+        let tick = self.tick(direction);
+        self.bench.amend(generation, 1, tick, pulses);
     }
 
     /// Up and down pulses played of the first stroke, and the counters `amended` and `amendments_ignored`.
@@ -26,7 +37,7 @@ impl Amended {
         let bursts = self.bench.bursts(1);
         assert_eq!((bursts[0].start, bursts[1].start, bursts.len()), (self.first.up, self.first.down, 4));
         let counters = self.bench.device.counters();
-        assert_eq!((counters.played, counters.pulses), (4, self.bench.total()));
+        assert_eq!((counters.played, counters.pulses, counters.shortened), (4, self.bench.total(), 0));
         (bursts[0].pulses, bursts[1].pulses, counters.amended, counters.amendments_ignored)
     }
 }
@@ -46,31 +57,31 @@ fn amendments_set_absolute_counts_within_their_limits() {
         (Down, 20, (20, 20, 0, 0)),
     ];
     for (direction, pulses, expected) in cases {
-        let Amended { mut bench, first } = Amended::new();
-        bench.amend(1, &first, direction, pulses);
-        assert_eq!(Amended { bench, first }.played(), expected, "{direction:?} {pulses}");
+        let mut amended = Amended::new();
+        amended.amend(1, direction, pulses);
+        assert_eq!(amended.played(), expected, "{direction:?} {pulses}");
     }
 }
 
 #[test]
-fn the_newest_generation_wins_per_burst_and_across_the_wrap() {
-    let Amended { mut bench, first } = Amended::new();
+fn the_newest_generation_wins_per_move_and_across_the_wrap() {
+    let mut amended = Amended::new();
     for (generation, pulses) in [(0xfffe, 21), (0xffff, 22), (0xffff, 23), (1, 24), (0, 25), (0x8001, 26)] {
-        bench.amend(generation, &first, Up, pulses);
+        amended.amend(generation, Up, pulses);
     }
-    bench.amend(0xfff0, &first, Down, 19);
-    assert_eq!(Amended { bench, first }.played(), (24, 19, 2, 3));
+    amended.amend(0xfff0, Down, 19);
+    assert_eq!(amended.played(), (24, 19, 2, 3));
 }
 
 #[test]
 fn an_amendment_is_taken_until_its_burst_is_rendered() {
-    for (direction, start) in [(Up, 200), (Down, 270)] {
+    for direction in [Up, Down] {
         for event in 100..280 {
-            let Amended { mut bench, first } = Amended::new();
-            bench.run(event);
-            let taken = u64::from(bench.device.rendered() <= first.up + (start - 200));
-            bench.amend(1, &first, direction, 18);
-            let (up, down, amended, ignored) = Amended { bench, first }.played();
+            let mut one = Amended::new();
+            one.bench.run(event);
+            let taken = u64::from(one.bench.device.rendered() <= one.tick(direction));
+            one.amend(1, direction, 18);
+            let (up, down, amended, ignored) = one.played();
             assert_eq!((amended, ignored), (taken, 1 - taken), "{direction:?} {event}");
             let other = u16::from(taken > 0) * 2;
             assert_eq!((up, down), if direction == Up { (20 - other, 20) } else { (20, 20 - other) });
@@ -82,82 +93,144 @@ fn an_amendment_is_taken_until_its_burst_is_rendered() {
 fn an_amendment_needs_room() {
     let mut bench = Bench::armed_without_stop(FIRMWARE);
     let first = stroke(1, bench.now + 200, 45, 2, 45);
-    bench.strokes(&[first, stroke(1, first.end().0 + 3, 45, 0, 45)]);
-    for (generation, direction, pulses) in [(1, Up, 48), (2, Up, 47), (3, Down, 49), (4, Down, 48)] {
-        bench.amend(generation, &first, direction, pulses);
+    bench.strokes(&[first, stroke(1, first.down.0 + 45 + 3, 45, 0, 45)]);
+    let (up, down) = (first.up, first.down);
+    for (generation, tick, pulses) in [(1, up, 48), (2, up, 47), (3, down, 49), (4, down, 48)] {
+        bench.amend(generation, 1, tick, pulses);
     }
     assert_eq!(bench.device.counters().amendments_ignored, 2);
     bench.run(500);
     let bursts = bench.bursts(1);
     assert_eq!((bursts[0].pulses, bursts[1].pulses, bursts[2].pulses), (47, 48, 45));
+    assert_eq!(bench.device.counters().shortened, 0);
 }
 
 #[test]
-fn an_amendment_without_its_stroke_is_counted_and_ignored() {
+fn an_amendment_without_its_move_is_counted_and_ignored() {
     let Amended { mut bench, first } = Amended::new();
-    bench.amend(1, &Stroke { up: first.up + 1, ..first }, Up, 18);
-    bench.amend(2, &Stroke { motor: 2, ..first }, Up, 18);
-    bench.amend(3, &Stroke { motor: 31, ..first }, Up, 18);
+    bench.amend(1, 1, first.up + 1, 18);
+    bench.amend(2, 2, first.up, 18);
+    bench.amend(3, 31, first.up, 18);
     let (epoch, base) = (bench.epoch, first.up.wire());
+    // One that ends within its item, and one with bits that no amendment has.
     bench.send(&HostMessage::Amend { epoch, generation: 4, base, items: &[1, 0] });
-    assert_eq!(bench.device.counters().amendments_ignored, 4);
+    bench.send(&HostMessage::Amend { epoch, generation: 4, base, items: &[0x41, 0, 18] });
+    assert_eq!(bench.device.counters().amendments_ignored, 5);
     // Amendments of another epoch are not even counted.
     for epoch in [epoch.wrapping_sub(1), epoch.wrapping_add(1)] {
         bench.send(&HostMessage::Amend { epoch, generation: 5, base, items: &[1, 0, 18] });
     }
-    assert_eq!(Amended { bench, first }.played(), (20, 20, 0, 4));
+    assert_eq!(Amended { bench, first }.played(), (20, 20, 0, 5));
 
     // Bursts of a return cannot be amended.
     let Amended { mut bench, first } = Amended::new();
     bench.run(220 - 64);
     bench.control(Op::Stop);
-    bench.amend(1, &first, Down, 18);
+    bench.amend(1, 1, first.down, 18);
     bench.settle();
     assert_eq!((bench.device.counters().amendments_ignored, bench.net(1)), (1, 0));
 }
 
+/// A burst up that a stop cuts is undone, up to the level of its move. A burst down to rest that runs ends as amended. What is between
+/// them is undone as planned: a correction is no height.
 #[test]
-fn an_amended_stroke_is_returned_as_amended() {
+fn an_amended_stroke_is_returned_from_its_level() {
     for event in 130..270 {
-        let Amended { mut bench, first } = Amended::new();
-        bench.amend(1, &first, Up, 26);
-        bench.amend(1, &first, Down, 24);
-        let amended = Stroke { up_pulses: 26, down_pulses: 24, ..first };
+        let mut amended = Amended::new();
+        amended.amend(1, Up, 26);
+        amended.amend(1, Down, 24);
+        let Amended { mut bench, first } = amended;
         bench.run(event);
-        let at = bench.device.rendered().0;
+        let (at, ready) = (bench.device.rendered(), bench.device.ready());
         bench.control(Op::Stop);
         bench.settle();
-        let expected = returned(&amended, 0, at);
-        assert_eq!(bench.bursts(1)[..expected.len()], expected);
+        let (up, down) = (first.up.0, first.down.0);
+        let played = at.since(first.up).clamp(0, 26).unsigned_abs();
+        let expected = if played == 0 {
+            vec![]
+        } else if at > first.down {
+            vec![burst(up, Up, 26), burst(down, Down, 24)]
+        } else {
+            vec![burst(up, Up, played), burst(ready.0, Down, played.min(20))]
+        };
+        assert_eq!(bench.bursts(1)[..expected.len()], expected, "{event}");
     }
 }
 
 #[test]
-fn no_amendment_exceeds_the_limits_of_a_stroke() {
+fn no_amendment_exceeds_the_limits_of_a_move() {
     let mut bench = Bench::armed(FIRMWARE);
     let longest = stroke(1, bench.now + 200, 3_000, 10, 3_900);
     bench.strokes(&[longest]);
-    bench.amend(1, &longest, Down, 3_901);
-    bench.amend(2, &longest, Down, 3_899);
-    bench.amend(3, &longest, Up, 3_001);
+    // With a stop nothing goes down further than planned. The surplus is no part of the count.
+    bench.amend(1, 1, longest.down, 3_001);
+    bench.amend(2, 1, longest.down, 2_999);
+    bench.amend(3, 1, longest.up, 3_001);
     assert_eq!(bench.device.counters().amendments_ignored, 2);
     let one = stroke(2, bench.now + 200, 1, 5, 1);
     bench.strokes(&[one]);
-    bench.amend(1, &one, Up, 0);
-    bench.amend(1, &one, Down, 0);
+    bench.amend(1, 2, one.up, 0);
+    bench.amend(1, 2, one.down, 0);
     assert_eq!(bench.device.counters().amendments_ignored, 4);
     bench.run(7_500);
     assert_eq!(bench.bursts(1).iter().map(|burst| burst.pulses).collect::<Vec<_>>(), [3_000, 3_899]);
-    assert_eq!(bench.bursts(2), one.bursts());
+    assert_eq!(bench.bursts(2), [burst(one.up.0, Up, 1), burst(one.down.0, Down, 1)]);
+
+    // Without a stop even the highest pin may need more pulses down than up.
+    let mut bench = Bench::armed_without_stop(FIRMWARE);
+    let longest = stroke(1, bench.now + 200, 3_000, 10, 3_000);
+    bench.strokes(&[longest]);
+    bench.amend(1, 1, longest.down, 3_901);
+    bench.amend(2, 1, longest.down, 3_900);
+    assert_eq!(bench.device.counters().amendments_ignored, 1);
+    bench.run(8_000);
+    assert_eq!(bench.bursts(1).iter().map(|burst| burst.pulses).collect::<Vec<_>>(), [3_000, 3_900]);
+}
+
+/// Moves between two levels count from the level before, not from rest.
+#[test]
+fn a_correction_is_a_share_of_the_distance() {
+    for (pulses, taken) in [(69, false), (70, true), (130, true), (131, false)] {
+        let mut bench = Bench::armed_without_stop(FIRMWARE);
+        let at = bench.soon() + 100;
+        bench.moves(&[
+            to(1, at, 1_000),
+            to(1, at + 1_200, 1_100),
+            to(1, at + 1_500, 1_000),
+            to(1, at + 1_800, 0),
+        ]);
+        bench.amend(1, 1, Tick(at + 1_200), pulses);
+        bench.run(3_500);
+        let found = bench.bursts(1)[1].pulses;
+        assert_eq!((found, bench.device.counters().amended), if taken { (pulses, 1) } else { (100, 0) });
+        // At the end of its burst the pin has its level. So the other moves are as planned.
+        assert_eq!((bench.bursts(1)[2].pulses, bench.bursts(1)[3].pulses), (100, 1_000));
+    }
+}
+
+/// A correction was made for the distance that was planned.
+#[test]
+fn a_move_from_another_height_than_planned_is_not_corrected() {
+    let mut bench = Bench::armed_without_stop(FIRMWARE);
+    let at = bench.soon() + 100;
+    bench.moves(&[to(1, at, 200), to(1, at + 100, 50), to(1, at + 400, 0)]);
+    bench.amend(1, 1, Tick(at + 100), 120);
+    bench.amend(1, 1, Tick(at + 400), 60);
+    bench.run(1_500);
+    assert_eq!(bench.bursts(1), [burst(at, Up, 100), burst(at + 100, Down, 50), burst(at + 400, Down, 60)]);
+    let counters = bench.device.counters();
+    assert_eq!((counters.shortened, counters.amended), (1, 1));
 }
 
 #[test]
 fn rendering_nothing_changes_nothing() {
-    let mut bench = Bench::armed(FIRMWARE);
-    let first = stroke(1, bench.device.ready().0, 20, 10, 20);
-    bench.strokes(&[first]);
-    assert_eq!(bench.device.render(0).ticks, 0);
-    bench.amend(1, &first, Up, 14);
-    bench.run(200);
-    assert_eq!(bench.bursts(1)[0], burst(first.up.0, Up, 14));
+    for shell in SHELLS {
+        let mut bench = Bench::armed(shell);
+        let first = stroke(1, bench.device.ready().0, 20, 10, 20);
+        bench.strokes(&[first]);
+        assert_eq!(bench.device.render(0).ticks, 0);
+        bench.amend(1, 1, first.up, 14);
+        bench.run(200);
+        assert_eq!(bench.bursts(1)[0], burst(first.up.0, Up, 14));
+    }
 }

@@ -26,3 +26,5 @@ mod taking;
 mod golden;
 /// Random requests, faults and noise.
 mod properties;
+/// Corrections of queued moves.
+mod amendments;

@@ -87,10 +87,11 @@ impl Player {
     /// Changes the number of pulses of a move that is not rendered yet. `None` if the amendment is ignored.
     pub(in crate::controller) fn amend(&mut self, generation: u16, item: &Amendment) -> Option<()> {
         let motor = usize::from(item.motor);
-        let (now, has_stop, most) = (self.rendered, self.has_stop(), self.layout.max_up_pulses());
+        let (now, has_stop) = (self.rendered, self.has_stop());
         let (waiting, next) = self.queues.find(motor, item.tick, now)?;
         let planned = waiting.level.abs_diff(waiting.from);
         let is_up = waiting.level > waiting.from;
+        let most = if is_up { self.layout.max_up_pulses() } else { self.layout.max_down_pulses() };
         let room = next.map_or(u32::MAX, |next| next.wrapping_sub(waiting.tick));
         let fits = limits::within_correction(planned, item.pulses)
             && u32::from(item.pulses) <= room
