@@ -164,13 +164,14 @@ impl Player {
         let Some(waiting) = self.queues.begin(motor, now) else { return };
         let height = self.motors[motor].height(now.0 as u32);
         let Waiting { level, surplus, from, tick, .. } = waiting;
+        self.motors[motor].set_goal(level);
         // A correction is for the distance that was planned.
         let correction = if from == height { waiting.correction } else { 0 };
+        let correction = if correction == 0 { 0 } else { self.motors[motor].bounded(correction) };
         let counters = reporting.count();
         counters.played += 1;
         counters.shortened += u64::from(height != before);
         counters.amended += u64::from(correction != 0);
-        self.motors[motor].set_goal(level);
         if level <= height {
             (self.motors[motor].correction, self.motors[motor].surplus) = (correction, surplus);
             self.allowance.count_begin();
