@@ -325,6 +325,11 @@ impl Pushing {
         self.pulses.charged(now)[motor] += pulses;
     }
 
+    /// Counts no longer the last pulses that have ended: they were not played.
+    pub fn take_back(&mut self, now: Tick, motor: usize, pulses: u16) {
+        self.pulses.take_back(now, motor, pulses);
+    }
+
     /// Ends at `now` a surplus of `pulses`, of which `played` keep counting.
     pub fn end(&mut self, now: Tick, motor: usize, pulses: u32, played: u32) {
         if pulses > 0 || played > 0 {

@@ -53,7 +53,7 @@ pub(crate) fn plain(moves: &[Move], end: u64) -> (Vec<(u64, Direction)>, u64) {
 }
 
 /// Late and refused moves of the last report, a verdict, and the reason.
-fn verdict(bench: &Bench) -> (u64, u64, Option<Refusal>) {
+pub(crate) fn verdict(bench: &Bench) -> (u64, u64, Option<Refusal>) {
     match bench.last_report() {
         Report::Verdict { late, refused, reason, .. } => (late, refused, reason),
         report => panic!("{report:?}"),

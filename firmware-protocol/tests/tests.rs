@@ -28,3 +28,5 @@ mod golden;
 mod properties;
 /// Corrections of queued moves.
 mod amendments;
+/// Pushes against a lower stop.
+mod lower_stop;

@@ -81,9 +81,19 @@ impl Allowance {
         self.on_time.count(now, motor, pulses.into());
     }
 
-    /// The last pulses of a motor were rendered, and not played.
-    pub(super) fn take_back(&mut self, now: Tick, motor: usize, pulses: u16) {
+    /// The last pulses of a motor were rendered, and not played; so many of them were to push.
+    pub(super) fn take_back(&mut self, now: Tick, motor: usize, pulses: u16, pushes: u16) {
         self.on_time.take_back(now, motor, pulses);
+        if self.has_stop() {
+            self.pushing.take_back(now, motor, pushes);
+        }
+    }
+
+    /// Whether a motor may push so many pulses; they count when it does.
+    pub(super) fn may_push(&mut self, now: Tick, motor: usize, pulses: u16) -> Result<(), Refusal> {
+        self.pushing.begin(now, motor, pulses.into())?;
+        self.pushing.end(now, motor, pulses.into(), 0);
+        Ok(())
     }
 
     /// Counts pulses against the stop at once, unless a limit refuses them.

@@ -103,10 +103,13 @@ impl Player {
         self.allowance.begin(now, index, pulses.into(), [0; 2], &self.layout)?;
         // It counts when it begins.
         self.allowance.end(now, index, (pulses, 0), (0, 0));
-        self.allowance.push(now, index, pushes)?;
+        self.allowance.may_push(now, index, pushes)?;
         match direction {
             Direction::Up => self.shifting = Some(Shifting { motor, pulses, end: None }),
-            Direction::Down => self.motors[index].place(pulses, 0),
+            Direction::Down => {
+                self.motors[index].place(pulses - pushes, 0);
+                self.motors[index].surplus = pushes;
+            }
         }
         self.change_by(index, now);
         Ok(())
@@ -138,8 +141,12 @@ impl Player {
             let (ticks, begin) = (run.ticks as u16, (at.0 as u32).wrapping_add(left));
             for (direction, lines) in [(Direction::Up, run.lines.up), (Direction::Down, run.lines.down)] {
                 for motor in lines.iter().map(usize::from) {
+                    let height = self.motors[motor].height;
                     self.motors[motor].undo(direction, ticks, begin);
-                    self.allowance.take_back(now, motor, ticks);
+                    // With a stop, what does not lower the pin pushes.
+                    let undone = self.motors[motor].height.abs_diff(height);
+                    let pushes = if direction == Direction::Down { ticks.saturating_sub(undone) } else { 0 };
+                    self.allowance.take_back(now, motor, ticks, pushes);
                 }
             }
             let counters = reporting.count();

@@ -267,8 +267,8 @@ impl Player {
         let of = &self.motors[motor];
         let distance = of.height(now.0 as u32) - of.goal();
         let (goal, correction) = (of.goal(), of.correction);
-        let surplus = if goal == 0 { of.surplus } else { 0 };
-        let mut pulses = distance.saturating_add_signed(correction.min(0)).max(1);
+        let surplus = core::mem::take(&mut self.motors[motor].surplus);
+        let mut pulses = distance.saturating_add_signed(correction.min(0)).max(distance.min(1));
         let mut pushes = 0;
         if correction > 0 || surplus > 0 {
             let back = self.back(motor);
@@ -277,6 +277,9 @@ impl Player {
             let more = correction.max(0).cast_unsigned().min(room);
             pulses += more;
             pushes = self.allowance.pushes(now, motor, surplus.min(room - more));
+        }
+        if pulses + pushes == 0 {
+            return None;
         }
         self.allowance.count(now, motor, pulses + pushes);
         self.motors[motor].begin(now, Direction::Down, pulses + pushes, pushes, goal);

@@ -128,14 +128,14 @@ impl Motor {
         }
     }
 
-    /// Whether its pin is above its goal and no burst runs.
+    /// Whether its pin is above its goal, or is to push, and no burst runs.
     pub(super) const fn is_to_descend(&self) -> bool {
-        self.running.is_none() && self.height > self.goal
+        self.running.is_none() && (self.height > self.goal || self.surplus > 0)
     }
 
     /// Whether no burst runs and the pin is where it should be.
     pub(super) const fn is_still(&self) -> bool {
-        self.running.is_none() && self.height == self.goal
+        self.running.is_none() && self.height == self.goal && self.surplus == 0
     }
 
     /// Ends the burst that runs, at `now`.
