@@ -26,6 +26,11 @@ fn moves<'a>(strokes: impl IntoIterator<Item = &'a Stroke>) -> Vec<Move> {
     strokes.into_iter().flat_map(Stroke::moves).collect()
 }
 
+/// The strokes that begin before `base`.
+fn strokes_before(base: u64, strokes: &[Stroke]) -> Vec<Stroke> {
+    strokes.iter().copied().filter(|stroke| stroke.up.0 < base).collect()
+}
+
 /// The moves that begin before `base`.
 fn before(base: u64, moves: &[Move]) -> Vec<Move> {
     moves.iter().copied().filter(|to| to.tick.0 < base).collect()
@@ -56,7 +61,7 @@ fn kept(bench: &Bench) -> Vec<u64> {
 }
 
 /// A replacement sent at each phase of a running stroke, and for each distance of `base`: what begins before it is played as sent, then
-/// either the new strokes or, if they come too late, the old ones. A stroke that `base` divides stays up until the first new one.
+/// either the new strokes or, if they come too late, the old ones. A stroke that `base` divides stays whole.
 #[test]
 fn in_every_phase_a_replacement_is_whole_or_not_at_all() {
     for shell in SHELLS {
@@ -72,25 +77,24 @@ fn in_every_phase_a_replacement_is_whole_or_not_at_all() {
                 let new = train(1, first.up.0, 9, PULSES + 9);
                 let (rendered, ready) = (bench.device.rendered(), bench.device.ready());
                 bench.replace(1 << 1, 0, base, &new);
-                let has_begun = moves(&old).iter().any(|to| to.tick.0 >= base && to.tick < rendered);
+                let has_begun = old.iter().any(|old| old.up.0 >= base && old.up < rendered);
                 let is_kept = has_begun || first.up < ready;
                 assert_eq!(kept(&bench), vec![0b10; usize::from(is_kept)], "phase {phase}, {ahead} ahead");
                 bench.run(2_000);
-                let stay = before(base, &moves(&old));
-                let withdrawn = 2 * old.len() - stay.len();
-                let expected = if is_kept { moves(&old) } else { [stay, moves(&new)].concat() };
-                let (pulses, shortened) = plain(&expected, bench.now);
-                assert_eq!(bench.pulses(1).collect::<Vec<_>>(), pulses, "phase {phase}, {ahead} ticks ahead");
+                let stay = strokes_before(base, &old);
+                let withdrawn = 2 * (old.len() - stay.len());
+                divided += usize::from(!is_kept && stay.last().is_some_and(|last| last.down.0 >= base));
+                let expected = if is_kept { old.clone() } else { [&stay[..], &new].concat() };
+                assert_eq!(bench.bursts(1), bursts(&expected), "phase {phase}, {ahead} ticks ahead");
                 let counters = bench.device.counters();
                 assert_eq!((counters.dropped, counters.refused, counters.late), (0, 0, 0));
                 assert_eq!(counted(counters), 2 * (old.len() + new.len()) as u64);
-                assert_eq!((counters.pulses, counters.shortened), (bench.total(), shortened));
+                assert_eq!((counters.pulses, counters.shortened), (bench.total(), 0));
                 let replaced = if is_kept { 2 * new.len() } else { withdrawn } as u64;
                 assert_eq!(counters.replaced, replaced);
                 bench.ping(0);
                 assert_eq!(bench.status().credits, POOL as u16);
                 *(if is_kept { &mut late } else { &mut done }) += 1;
-                divided += usize::from(!is_kept && withdrawn % 2 == 1);
             }
         }
         assert!(done > 400 && (late > 100 || shell.ahead < 2), "{done} done, {late} late");
@@ -107,13 +111,15 @@ fn what_was_played_since_the_base_keeps_the_rest() {
             let mut bench = Bench::armed(shell);
             let old = train(1, bench.soon(), 6, PULSES);
             bench.strokes(&old);
-            // In a pause: so many moves from the base on have begun.
+            // In a pause: so many moves have begun since the base. The second move of a stroke stays with the first.
             bench.run_to(end(&old[3]) + 1);
             let played = base;
             let base = moves(&old)[7 - played].tick.0 + 1;
             let new = if new { train(1, old[5].up.0, 1, 9) } else { Vec::new() };
             bench.replace(0b10, 0, base, &new);
-            let is_kept = played > 0 || bench.device.rendered() > old[4].up;
+            let rendered = bench.device.rendered();
+            let is_kept = old.iter().any(|old| old.up.0 >= base && old.up < rendered);
+            assert!(is_kept || played < 2);
             assert_eq!(kept(&bench), vec![0b10; usize::from(is_kept)], "{played} played, {shell:?}");
             bench.run(1_000);
             let expected = if is_kept { old.clone() } else { [&old[..4], &new].concat() };
@@ -181,7 +187,8 @@ fn a_motor_without_new_strokes_falls_silent_and_the_drivers_go_off() {
     let base = Tick(old[0][4].up.0 - 20);
     bench.replace(u64::MAX, 0, base.0, &[]);
     let rendered = bench.device.rendered();
-    let waiting = moves(old.iter().flatten()).into_iter().filter(|to| to.tick >= rendered && to.tick < base);
+    let stay = old.iter().flat_map(|old| moves(&strokes_before(base.0, old)));
+    let waiting = stay.filter(|to| to.tick >= rendered);
     assert_eq!(usize::from(bench.status().credits), POOL - waiting.count(), "at most a way down per motor");
     let (enabled, now) = (bench.enabled_ticks, bench.now);
     bench.run(2_000);
@@ -200,7 +207,6 @@ fn a_first_stroke_that_cannot_be_queued_keeps_the_old_ones() {
     let old = train(1, bench.soon(), 4, PULSES);
     bench.strokes(&old);
     bench.run_to(old[0].up.0 + 5);
-    // The way down of the stroke that runs is one of the moves to be withdrawn.
     let base = old[0].up.0 + 6;
     let next = old[1].up.0;
     let harmful = [
@@ -237,6 +243,25 @@ fn a_late_move_of_a_kept_motor_changes_nothing() {
         let (pulses, _) = plain(&[to(1, at, 100), to(1, at + 300, 50), to(1, at + 600, 0)], bench.now);
         assert_eq!(bench.pulses(1).collect::<Vec<_>>(), pulses);
         assert_eq!((bench.device.counters().replaced, bench.device.counters().late), (2, 0));
+    }
+}
+
+/// Also one whose way up changes nothing, because the pin is there.
+#[test]
+fn a_stroke_is_withdrawn_whole_or_stays_whole() {
+    for shell in SHELLS {
+        for base in [150, 200, 201, 300, 420, 421] {
+            let mut bench = Bench::armed(shell);
+            let at = bench.soon();
+            bench.moves(&[to(1, at, 20)]);
+            bench.strokes(&[stroke(1, at + 200, 20, 200, 20)]);
+            bench.replace(0b10, 0, at + base, &[]);
+            bench.run(1_000);
+            let stays = base > 200;
+            assert_eq!(bench.net(1), if stays { 0 } else { 20 }, "{base}");
+            let counters = bench.device.counters();
+            assert_eq!((counters.played, counters.replaced), if stays { (3, 0) } else { (1, 2) });
+        }
     }
 }
 
@@ -310,8 +335,8 @@ fn an_e_stop_between_the_pieces_of_a_replacement_loses_no_count() {
         let counters = bench.device.counters();
         let taken = 3 * blocks.saturating_sub(3).min(8);
         assert_eq!(counted(counters), 2 * (8 * 24 + taken), "{blocks} blocks: {counters:?}");
-        let withdrawn = moves(&old[0]).iter().filter(|to| to.tick.0 >= base).count() as u64;
-        assert_eq!(counters.replaced, withdrawn * taken, "{blocks} blocks");
+        let withdrawn = old[0].iter().filter(|old| old.up.0 >= base).count() as u64;
+        assert_eq!(counters.replaced, 2 * withdrawn * taken, "{blocks} blocks");
         assert_eq!(counters.pulses, bench.total());
     }
 }
@@ -413,7 +438,8 @@ proptest! {
             frames.push((MotorSet::from_bits(motors << 1), base, moves(&strokes)));
         }
         bench.run(4_000);
-        let mut planned: [Vec<Move>; 4] = Default::default();
+        // Each with the beginning of its stroke.
+        let mut planned: [Vec<(u64, Move)>; 4] = Default::default();
         let (mut sent, mut refusals) = (0, 0);
         let reports = bench.reports();
         for (number, (motors, base, moves)) in frames.iter().enumerate() {
@@ -425,13 +451,13 @@ proptest! {
             });
             let (late, refused, kept) = verdict.unwrap_or((0, 0, MotorSet::EMPTY));
             for motor in motors.without(kept).iter() {
-                planned[usize::from(motor)].retain(|to| to.tick.0 < *base);
+                planned[usize::from(motor)].retain(|&(up, _)| up < *base);
             }
             for (place, to) in moves.iter().enumerate() {
                 let is_taken = (late | refused) >> place & 1 == 0;
                 prop_assert!(!is_taken || !kept.contains(to.motor), "of a kept motor");
                 if is_taken {
-                    planned[usize::from(to.motor)].push(*to);
+                    planned[usize::from(to.motor)].push((moves[place & !1].tick.0, *to));
                 }
             }
             sent += moves.len() as u64;
@@ -439,7 +465,8 @@ proptest! {
         }
         let mut shortened = 0;
         for (motor, moves) in (0..).zip(&planned) {
-            let (pulses, of_motor) = plain(moves, bench.now);
+            let moves: Vec<Move> = moves.iter().map(|&(_, to)| to).collect();
+            let (pulses, of_motor) = plain(&moves, bench.now);
             prop_assert_eq!(bench.pulses(motor).collect::<Vec<_>>(), pulses, "{:?}", moves);
             shortened += of_motor;
         }

@@ -41,26 +41,30 @@ impl Player {
         if follow(moves, ticks, self.layout.least_apart()) { Ok(()) } else { Err(Refusal::Dense) }
     }
 
-    /// Queues a move. It takes only amendments newer than `generation`. One that changes nothing has been played: it would enable the drivers
-    /// for no pulse.
+    /// Queues a move, or the two of a stroke. They take only amendments newer than `generation`. What changes nothing has been played: it would
+    /// enable the drivers for no pulse.
     pub(in crate::controller) fn append(
         &mut self,
-        to: &Move,
-        joined: bool,
+        moves: &[Move],
         generation: Option<u16>,
         reporting: &mut Reporting,
     ) {
-        let motor = usize::from(to.motor);
-        let from = self.queues.last(motor).map_or(self.motors[motor].goal(), |last| last.level);
-        if from == to.level && to.surplus == 0 {
-            reporting.count().played += 1;
+        let Some(&Move { motor, tick: begin, .. }) = moves.first() else { return };
+        let motor = usize::from(motor);
+        let mut from = self.queues.last(motor).map_or(self.motors[motor].goal(), |last| last.level);
+        if moves.iter().all(|to| to.level == from && to.surplus == 0) {
+            reporting.count().played += moves.len() as u64;
             return;
         }
-        let (tick, level, surplus) = (to.tick.0 as u32, to.level, to.surplus);
-        let waiting = Waiting { tick, level, surplus, from, generation, joined, ..Waiting::NOTHING };
         let first = self.queues.first(motor).is_none();
-        if self.queues.push(motor, to.tick, waiting) && first {
-            self.change_by(motor, to.tick);
+        for (&Move { tick, level, surplus, .. }, joined) in moves.iter().zip([false, true]) {
+            let low = tick.0 as u32;
+            let waiting = Waiting { tick: low, level, surplus, from, generation, joined, ..Waiting::NOTHING };
+            let _ = self.queues.push(motor, tick, waiting);
+            from = level;
+        }
+        if first {
+            self.change_by(motor, begin);
         }
     }
 

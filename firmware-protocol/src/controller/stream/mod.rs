@@ -133,9 +133,7 @@ impl Stream {
             return Ok(false);
         }
         parts.player.takes(moves, parts.reporting)?;
-        for (to, joined) in moves.iter().zip([false, true]) {
-            parts.player.append(to, joined, self.generation, parts.reporting);
-        }
+        parts.player.append(moves, self.generation, parts.reporting);
         Ok(true)
     }
 
