@@ -112,7 +112,6 @@ impl Burst {
     }
 }
 
-
 /// The lower stop that [`arm`] names.
 pub(crate) const STOP: LowerStop = LowerStop { pulses_per_s: MAX_PUSHES_PER_S, seek: 0 };
 

@@ -4,6 +4,8 @@
 mod bench;
 /// The board report and the self-test.
 mod board;
+/// The bytes of every message.
+mod golden;
 /// Stops, faults and silent hosts at every phase of a stroke.
 mod interruptions;
 /// Moves to levels: up in time only, down at once.
@@ -22,8 +24,6 @@ mod shifts;
 mod states;
 /// Which moves the controller takes, and that it plays them as sent.
 mod taking;
-/// The bytes of every message.
-mod golden;
 /// Random requests, faults and noise.
 mod properties;
 /// Corrections of queued moves.
