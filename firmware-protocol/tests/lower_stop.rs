@@ -8,9 +8,10 @@ use crate::taking::verdict;
 use Direction::{Down, Up};
 use firmware_protocol::batch::Stroke;
 use firmware_protocol::limits::Refusal;
-use firmware_protocol::message::{Cause, LowerStop, Op, State};
+use firmware_protocol::message::{Cause, Cut, LowerStop, Op, Report, State};
 use firmware_protocol::moves::Move;
 use firmware_protocol::stroke::Direction;
+use firmware_protocol::tick::Tick;
 
 fn arm(assume_rest: bool, lower_stop: Option<LowerStop>) -> Op {
     Op::Arm { assume_rest, host_timeout: 10 * TICK_HZ, limits: NO_LIMITS, lower_stop }
@@ -362,6 +363,17 @@ fn a_pin_that_a_move_drives_against_the_stop_goes_no_further() {
             let before = bench.net(5);
             bench.control(shift(Down, 500 + raised));
             bench.run(cut);
+            // A stop drives it to its end, and says how long that takes.
+            if cut % 2 == 1 {
+                bench.control(Op::Stop);
+                let cut = bench.last_report();
+                bench.settle();
+                assert_eq!(before - bench.net(5), i64::from(500 + raised), "{raised} {shell:?}");
+                let Report::Cut(Cut { at, return_ticks: Some(ticks), .. }) = cut else { panic!("{cut:?}") };
+                let at = at.near(Tick(bench.now)).0;
+                assert!(bench.last_pulse().is_none_or(|last| last < at + u64::from(ticks)));
+                continue;
+            }
             bench.control(Op::EStop);
             bench.control(Op::Reset);
             let played = before - bench.net(5);

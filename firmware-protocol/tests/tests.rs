@@ -30,3 +30,5 @@ mod properties;
 mod amendments;
 /// Pushes against a lower stop.
 mod lower_stop;
+/// Motors that have pulses at once.
+mod at_once;

@@ -151,6 +151,22 @@ impl Player {
         let pushed = played.saturating_sub(ended.pulses - ended.pushes);
         self.allowance.end(now, motor, (ended.pulses, played.into()), (ended.pushes, pushed));
         self.still_from = now;
+        if ended.end() != now.0 as u32 {
+            self.make_room(motor);
+        }
+    }
+
+    /// A burst has ended early: pins of the rail that wait need wait no longer.
+    #[inline(never)]
+    fn make_room(&mut self, motor: usize) {
+        let mut other = usize::from(self.layout.next_on_rail()[motor]);
+        while other != motor {
+            if self.motors[other].is_to_descend() {
+                // The lines of this tick are being looked at already.
+                self.change_by(other, self.rendered + 1);
+            }
+            other = self.layout.next_on_rail()[other].into();
+        }
     }
 
     /// The next move of a motor sets its goal, in its tick.

@@ -115,7 +115,8 @@ impl Motor {
         let (left, way) = (self.running.map_or(0, |of| of.pulses - of.played(now)), then.abs_diff(self.goal));
         let more =
             if self.running.is_none() { i32::from(self.correction) + i32::from(self.surplus) } else { 0 };
-        u32::from(left) + if way > 0 { u32::from(way).saturating_add_signed(more).max(1) } else { 0 }
+        u32::from(left)
+            + if way > 0 || more > 0 { u32::from(way).saturating_add_signed(more).max(1) } else { 0 }
     }
 
     /// The pulses down that it still has to begin until its pin is at rest.
