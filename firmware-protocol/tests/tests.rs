@@ -1,5 +1,7 @@
 //! The tests of the protocol and the controller, one binary, a module per theme: bytes in, lines and bytes out.
 
+/// Corrections of queued moves.
+mod amendments;
 /// A shell around the controller that plays it tick by tick and records the lines.
 mod bench;
 /// The board report and the self-test.
@@ -12,10 +14,14 @@ mod interruptions;
 mod levels;
 /// The stream over a bad line.
 mod link;
+/// Pushes against a lower stop.
+mod lower_stop;
 /// Onsets and the trigger output.
 mod onsets;
 /// Frames taken in pieces.
 mod pieces;
+/// Random requests, faults and noise.
+mod properties;
 /// Frames that replace queued moves.
 mod replacement;
 /// Shifts of rest, and on-time.
@@ -24,11 +30,5 @@ mod shifts;
 mod states;
 /// Which moves the controller takes, and that it plays them as sent.
 mod taking;
-/// Random requests, faults and noise.
-mod properties;
-/// Corrections of queued moves.
-mod amendments;
-/// Pushes against a lower stop.
-mod lower_stop;
 /// Motors that have pulses at once.
 mod at_once;
