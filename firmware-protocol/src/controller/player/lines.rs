@@ -183,7 +183,6 @@ impl Player {
         self.motors[motor].set_goal(level);
         // A correction is for the distance that was planned.
         let correction = if from == height { waiting.correction } else { 0 };
-        let correction = if correction == 0 { 0 } else { self.motors[motor].bounded(correction) };
         let counters = reporting.count();
         counters.played += 1;
         counters.shortened += u64::from(height != before);

@@ -5,7 +5,6 @@
 //! Invariant: while no burst runs, `height` is where the pin is. Within a burst it counts the pulses that were played; at its end the pin is
 //! where the burst was to bring it, because a correction is no height.
 
-use crate::limits;
 use crate::stroke::Direction;
 use crate::tick::{HORIZON, Tick};
 use core::hash::{Hash, Hasher};
@@ -43,9 +42,6 @@ pub(super) struct Motor {
     /// For the way down to the goal: the pulses that an amendment adds, and the surplus.
     pub(super) correction: i16,
     pub(super) surplus: u16,
-    /// How many pulses the pin is above `height` because of corrections since it was at rest, and its highest level since.
-    beside: i16,
-    highest: u16,
     /// When the last burst ended.
     pub(super) still_since: Tick,
     /// The last uneven bursts with ticks that may not have been played, in a ring.
@@ -54,8 +50,8 @@ pub(super) struct Motor {
 
 impl Hash for Motor {
     fn hash<H: Hasher>(&self, hasher: &mut H) {
-        let Self { height, goal, running, correction, surplus, beside, highest, still_since, uneven } = self;
-        (height, goal, running, correction, surplus, beside, highest, uneven).hash(hasher);
+        let Self { height, goal, running, correction, surplus, still_since, uneven } = self;
+        (height, goal, running, correction, surplus, uneven).hash(hasher);
         if *height > 0 {
             still_since.hash(hasher);
         }
@@ -94,8 +90,6 @@ impl Motor {
         running: None,
         correction: 0,
         surplus: 0,
-        beside: 0,
-        highest: 0,
         still_since: Tick(0),
         uneven: [None; UNEVEN],
     };
@@ -142,16 +136,7 @@ impl Motor {
     /// Ends the burst that runs, at `now`.
     pub(super) fn end(&mut self, now: Tick) -> Option<Running> {
         let ended = self.running?;
-        let (before, played) = (self.height, ended.played(now.0 as u32));
         self.height = self.height(now.0 as u32);
-        let pulses = played.min(ended.pulses - ended.pushes).cast_signed();
-        self.beside += match ended.direction {
-            Direction::Up => pulses - (self.height - before).cast_signed(),
-            Direction::Down => (before - self.height).cast_signed() - pulses,
-        };
-        if self.height == 0 {
-            (self.beside, self.highest) = (0, 0);
-        }
         if let Some(Uneven { of, .. }) = &mut self.uneven[0]
             && *of == ended
         {
@@ -163,10 +148,8 @@ impl Motor {
 
     /// Where the pin is, and where it should be, without a burst.
     pub(super) fn place(&mut self, height: u16, goal: u16) {
-        // A seek, and pins at rest, are beside nothing.
         let Self { still_since, uneven, .. } = *self;
-        let (beside, highest) = if height == self.height { (self.beside, self.highest) } else { (0, 0) };
-        *self = Self { height, goal, still_since, uneven, beside, highest, ..Self::REST };
+        *self = Self { height, goal, still_since, uneven, ..Self::REST };
     }
 
     /// The pin should have this level. A burst to another one has been ended.
@@ -174,25 +157,10 @@ impl Motor {
         (self.goal, self.correction, self.surplus) = (level, 0, 0);
     }
 
-    /// What a correction of the way to the goal may be, so that the pin does not get further from its level than a correction of the highest
-    /// level since it was at rest.
-    pub(super) fn bounded(&mut self, correction: i16) -> i16 {
-        self.highest = self.highest.max(self.goal);
-        let bound = limits::correction(self.highest).cast_signed();
-        let bounded = |beside: i16| beside.clamp(-bound, bound);
-        let bounded = if self.goal > self.height {
-            bounded(self.beside + correction) - self.beside
-        } else {
-            self.beside - bounded(self.beside - correction)
-        };
-        bounded.clamp(correction.min(0), correction.max(0))
-    }
-
     /// Begins a burst at `now`, after which the pin has the height `to`.
     pub(super) fn begin(&mut self, now: Tick, direction: Direction, pulses: u16, pushes: u16, to: u16) {
         let of = Running { direction, start: now.0 as u32, pulses, to, pushes };
         self.running = Some(of);
-        self.highest = self.highest.max(to);
         self.forget_played(now);
         if pulses != self.height.abs_diff(to) {
             self.uneven.rotate_right(1);
