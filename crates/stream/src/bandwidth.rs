@@ -26,10 +26,10 @@ use std::time::Duration;
 
 /// Length of a play that counts, s: after a minute few plays do anything new.
 const COUNTED_S: u64 = 60;
-/// Most overhead of a frame of strokes.
-const FRAME_BYTES: usize = 24;
+/// Most overhead of a frame of moves that marks and withdraws nothing.
+pub(crate) const FRAME_BYTES: usize = 24;
 /// Most bytes that the mark of an item adds to its frame.
-const MARK_BYTES: usize = 6;
+const MARK_BYTES: usize = 11;
 /// Most bytes that a withdrawal adds to its frame.
 const WITHDRAW_BYTES: usize = 8;
 /// Least amplitude of the drives of a live play that count, µm: two bytes for the pulses of a stroke.

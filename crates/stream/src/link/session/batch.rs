@@ -5,6 +5,7 @@
 //!
 //! Invariant: a frame that was sent takes no more strokes, so what the device judges is what the host keeps.
 
+use crate::bandwidth::FRAME_BYTES;
 use crate::link::session::event::Verdict;
 use crate::time::HostInstant;
 use firmware_protocol::array::MotorSet;
@@ -109,7 +110,7 @@ impl Batch {
     pub(super) fn push(&mut self, stroke: &Stroke, longest: usize) -> bool {
         let has_space = longest == MAX_FRAME
             || self.strokes.count() == 0
-            || MAX_FRAME - BATCH_BYTES + self.strokes.bytes().len() + STROKE_BYTES <= longest;
+            || FRAME_BYTES + self.strokes.bytes().len() + STROKE_BYTES <= longest;
         // The device takes the first frame of a play in one piece.
         let is_first = self.is_onset() && self.strokes.count() + 2 > MAX_FIRST_BATCH;
         has_space && !is_first && stroke.pack(&mut self.strokes).is_ok()
