@@ -138,25 +138,25 @@ impl Bandwidth {
                 full = Packer::new(onset);
                 strokes.next_item();
             }
-            let Some(Ok(stroke)) = strokes.next() else { break };
-            if stroke.up.0 >= counted {
+            let Some(Ok(step)) = strokes.next() else { break };
+            if step.begin().0 >= counted {
                 break;
             }
-            let (at, before) = (stroke.up.0, frame.bytes().len());
-            if framed == at / batch && stroke.pack(&mut frame).is_ok() {
+            let (at, before) = (step.begin().0, frame.bytes().len());
+            if framed == at / batch && step.pack(&mut frame).is_ok() {
                 bytes.add(at, frame.bytes().len() - before);
             } else {
                 framed = at / batch;
-                frame = Packer::new(stroke.up);
-                let _ = stroke.pack(&mut frame);
+                frame = Packer::new(step.begin());
+                let _ = step.pack(&mut frame);
                 bytes.add(at, FRAME_BYTES + frame.bytes().len());
             }
-            if full.count() == 0 || stroke.pack(&mut full).is_err() {
-                full = Packer::new(stroke.up);
-                let _ = stroke.pack(&mut full);
+            if full.count() == 0 || step.pack(&mut full).is_err() {
+                full = Packer::new(step.begin());
+                let _ = step.pack(&mut full);
                 frames.add(at, 1);
             }
-            for burst in stroke.bursts() {
+            for burst in step.bursts() {
                 let slot = (burst.start.0 / amend_slot) as usize;
                 slots.resize(slots.len().max(slot + 1), false);
                 let shared = std::mem::replace(&mut slots[slot], true);

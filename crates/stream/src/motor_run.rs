@@ -143,7 +143,7 @@ impl MotorRun {
         while now < end {
             now = now + wake_up;
             while let Some(stroke) = next.filter(|stroke| stroke.up < now + lead.max(2 * times.finalise_at)) {
-                controller.sent(&stroke, self.closed, end, |_, _| ());
+                controller.sent(&stroke.into(), self.closed, end, |_, _| ());
                 controller.accepted(stroke.up);
                 motor.queue.push_back((stroke, stroke.up_pulses));
                 next = strokes.next();

@@ -21,6 +21,7 @@ mod repeat;
 mod run;
 mod sequence;
 mod shortfall;
+mod step;
 mod stroke;
 
 pub use drive::DriveStrokes;
@@ -32,6 +33,7 @@ pub use sequence::{
     CompiledItem, MAX_ITEMS, MAX_SEQUENCE_DRIVES, MIN_ITEM_INTERVAL_MS, Sequence, SequenceError, Start,
 };
 pub use shortfall::{DriveAmplitude, LEAST_SHARE, LEAST_UM, Shortfall, amplitudes};
+pub use step::Step;
 pub use stroke::{Burst, Stroke};
 
 use crate::pattern::Pattern;
