@@ -55,9 +55,9 @@ pub(super) struct Motor {
 impl Hash for Motor {
     fn hash<H: Hasher>(&self, hasher: &mut H) {
         let Self { height, goal, running, correction, surplus, beside, highest, still_since, uneven } = self;
-        (height, goal, running, correction, surplus, beside, highest, uneven).hash(hasher);
-        if *height > 0 {
-            still_since.hash(hasher);
+        (height, goal, running, correction, surplus, uneven).hash(hasher);
+        if *height > 0 || uneven.iter().any(Option::is_some) {
+            (beside, highest, still_since).hash(hasher);
         }
     }
 }
@@ -84,6 +84,20 @@ impl Running {
             Direction::Up => from.saturating_add(played).min(self.to),
             Direction::Down => from.saturating_sub(played).max(self.to),
         }
+    }
+
+    /// By how many pulses it leaves the pin above its height, if it ends at the tick `now` and the height was `from` before.
+    fn beside(&self, from: u16, now: u32) -> i16 {
+        let (height, pulses) = (self.height(from, now), self.played(now).min(self.pulses - self.pushes));
+        match self.direction {
+            Direction::Up => pulses.wrapping_sub(height.wrapping_sub(from)).cast_signed(),
+            Direction::Down => from.wrapping_sub(height).wrapping_sub(pulses).cast_signed(),
+        }
+    }
+
+    /// How many pulses before the tick `now` push against the lower stop.
+    pub(super) fn pushed(&self, now: u32) -> u16 {
+        self.played(now).saturating_sub(self.pulses - self.pushes)
     }
 }
 
@@ -142,20 +156,14 @@ impl Motor {
     /// Ends the burst that runs, at `now`.
     pub(super) fn end(&mut self, now: Tick) -> Option<Running> {
         let ended = self.running?;
-        let (before, played) = (self.height, ended.played(now.0 as u32));
+        let before = self.height;
         self.height = self.height(now.0 as u32);
-        let pulses = played.min(ended.pulses - ended.pushes).cast_signed();
-        self.beside += match ended.direction {
-            Direction::Up => pulses - (self.height - before).cast_signed(),
-            Direction::Down => (before - self.height).cast_signed() - pulses,
-        };
-        if self.height == 0 {
-            (self.beside, self.highest) = (0, 0);
-        }
+        self.beside += ended.beside(before, now.0 as u32);
         if let Some(Uneven { of, .. }) = &mut self.uneven[0]
             && *of == ended
         {
-            (of.pulses, of.to) = (ended.played(now.0 as u32), self.height);
+            let now = now.0 as u32;
+            (of.pulses, of.pushes, of.to) = (ended.played(now), ended.pushed(now), self.height);
         }
         (self.running, self.still_since) = (None, now);
         Some(ended)
@@ -177,6 +185,7 @@ impl Motor {
     /// What a correction of the way to the goal may be, so that the pin does not get further from its level than a correction of the highest
     /// level since it was at rest.
     pub(super) fn bounded(&mut self, correction: i16) -> i16 {
+        self.leave_rest();
         self.highest = self.highest.max(self.goal);
         let bound = limits::correction(self.highest).cast_signed();
         let bounded = |beside: i16| beside.clamp(-bound, bound);
@@ -188,13 +197,21 @@ impl Motor {
         bounded.clamp(correction.min(0), correction.max(0))
     }
 
+    /// A pin at rest is beside nothing. It is noted no earlier, because an e-stop may take back the end of the way to rest.
+    fn leave_rest(&mut self) {
+        if self.height == 0 {
+            (self.beside, self.highest) = (0, 0);
+        }
+    }
+
     /// Begins a burst at `now`, after which the pin has the height `to`.
     pub(super) fn begin(&mut self, now: Tick, direction: Direction, pulses: u16, pushes: u16, to: u16) {
         let of = Running { direction, start: now.0 as u32, pulses, to, pushes };
         self.running = Some(of);
+        self.leave_rest();
         self.highest = self.highest.max(to);
         self.forget_played(now);
-        if pulses != self.height.abs_diff(to) {
+        if pulses != self.height.abs_diff(to) || pushes > 0 {
             self.uneven.rotate_right(1);
             self.uneven[0] = Some(Uneven { of, from: self.height });
         }
@@ -209,15 +226,31 @@ impl Motor {
         }
     }
 
-    /// `pulses` of this direction were rendered last, from the tick `begin` on, and not played.
-    pub(super) fn undo(&mut self, direction: Direction, pulses: u16, begin: u32) {
+    /// `pulses` of this direction were rendered last, from the tick `begin` on, and not played. Returns how many of them push.
+    pub(super) fn undo(&mut self, direction: Direction, pulses: u16, begin: u32) -> u16 {
         let mut uneven = self.uneven.iter().flatten();
         let within = uneven.find(|uneven| begin.wrapping_sub(uneven.of.start) < uneven.of.pulses.into());
-        self.height = match (within, direction) {
-            (Some(uneven), _) => uneven.of.height(uneven.from, begin),
-            (None, Direction::Up) => self.height.saturating_sub(pulses),
-            (None, Direction::Down) => self.height.saturating_add(pulses),
-        };
+        match (within, direction) {
+            (Some(&Uneven { of, from }), _) => {
+                let end = begin.wrapping_add(pulses.into());
+                self.height = of.height(from, begin);
+                self.beside += of.beside(from, begin) - of.beside(from, end);
+                return of.pushed(end) - of.pushed(begin);
+            }
+            (None, Direction::Up) => self.height = self.height.saturating_sub(pulses),
+            (None, Direction::Down) => self.height = self.height.saturating_add(pulses),
+        }
+        0
+    }
+
+    /// How many of `pulses` down push against a lower stop, because corrections have left the pin lower than its height.
+    pub(super) fn below(&self, pulses: u16) -> u16 {
+        pulses.saturating_sub(self.height.saturating_add_signed(self.beside))
+    }
+
+    /// The pin is at the lower stop, and there is no pulse down that may push. So its height is its goal.
+    pub(super) fn stay(&mut self) {
+        (self.height, self.beside) = (self.goal, -self.goal.cast_signed());
     }
 
     /// Forgets the bursts so far: none of their ticks is taken back any more.
