@@ -314,10 +314,15 @@ impl Pushing {
 
     /// Counts as many of `pulses` as do not break the limit, and returns their number.
     pub fn begin_some(&mut self, now: Tick, motor: usize, pulses: u32) -> u32 {
-        let charged = &mut self.pulses.charged(now)[motor];
-        let some = pulses.min(self.limit.saturating_sub(*charged));
-        *charged += some;
+        let some = pulses.min(self.room(now, motor));
+        self.count(now, motor, some);
         some
+    }
+
+    /// How many pulses more a motor may push.
+    #[must_use]
+    pub fn room(&mut self, now: Tick, motor: usize) -> u32 {
+        self.limit.saturating_sub(self.pulses.charged(now)[motor])
     }
 
     /// Counts pulses that no limit may refuse.

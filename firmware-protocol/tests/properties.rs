@@ -7,7 +7,7 @@ use crate::bench::{
 use firmware_protocol::array::{Layout, MotorSet};
 use firmware_protocol::batch::{BATCH_BYTES, Packer};
 use firmware_protocol::controller::POOL;
-use firmware_protocol::limits::{PowerLimits, correction};
+use firmware_protocol::limits::PowerLimits;
 use firmware_protocol::message::{
     Cause, DeviceMessage, HostMessage, LowerStop, Mark, MarkKind, Op as Command, State, Trigger, Withdraw,
 };
@@ -471,38 +471,6 @@ proptest! {
                 prop_assert!(burst.pulses <= layout.max_down_pulses() + shifted);
             }
         }
-    }
-
-    /// However many moves an amendment corrects: until a pin is at rest again, it is no further from its level than one correction of the
-    /// highest level.
-    #[test]
-    fn corrections_add_up_to_one_correction_of_the_highest_level(
-        shell in shells(),
-        moves in prop::collection::vec((prop_oneof![Just(0u16), 1u16..20, 1u16..150], -45i16..46), 1..60),
-        climbs: bool,
-    ) {
-        let mut bench = Bench::armed_without_stop(shell);
-        bench.frame(Some(Mark { kind: MarkKind::Play, trigger: None, hold: 1 << 20 }), bench.soon(), &[]);
-        let (first, mut from, mut highest) = (bench.soon(), 0_u16, 0);
-        for (k, (level, change)) in (0..).zip(moves) {
-            let (tick, level) = (first + 400 * k, if climbs { from + level % 4 } else { level });
-            bench.run_to(tick - 200);
-            bench.moves(&[to(1, tick, level)]);
-            let most = correction(level.abs_diff(from)).cast_signed();
-            let pulses = level.abs_diff(from).saturating_add_signed(change.clamp(-most, most));
-            bench.amend(k as u16, 1, Tick(tick), pulses);
-            bench.run_to(tick + 200);
-            highest = level.max(highest);
-            let beside = bench.net(1) - i64::from(level);
-            prop_assert!(beside.unsigned_abs() <= correction(highest).into(), "{} beside {}", beside, level);
-            if level == 0 {
-                // The pin is at rest now, by definition.
-                break;
-            }
-            from = level;
-        }
-        let counters = bench.device.counters();
-        prop_assert_eq!(counters.late + counters.refused + counters.shortened, 0);
     }
 
     /// No second has more pulses of a motor or a rail than the limits say, with all ways down, their surplus and their corrections, returns

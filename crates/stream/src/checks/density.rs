@@ -1,22 +1,23 @@
-//! Whether a play begins no more strokes within 10 ms than the controller allows.
+//! Whether a play begins no more moves within 10 ms than the controller allows.
 //!
-//! A motor begins at most four in 10 ms while it plays one drive after another or repeats one, unless several such changes follow each
-//! other within 10 ms. Only then are the strokes counted.
+//! A motor begins at most four strokes, which are eight moves, in 10 ms while it plays one drive after another or repeats one, unless
+//! several such changes follow each other within 10 ms. Only then are the moves counted.
 
 use super::counted;
 use meissner_array::strokes::Strokes;
-use std::collections::VecDeque;
+use std::cmp::Reverse;
+use std::collections::{BinaryHeap, VecDeque};
 
-/// More strokes within 10 ms than may begin.
+/// More moves within 10 ms than may begin.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Dense {
-    /// When the first stroke too many begins, s from the onset.
+    /// When the first move too many begins, s from the onset.
     pub at_s: f64,
     /// How many may begin.
     pub most: usize,
 }
 
-/// The first stroke that begins after too many others within 10 ms; `None`: the play keeps the limit.
+/// The first way up that begins after too many moves within 10 ms; `None`: the play keeps the limit.
 #[must_use]
 pub fn find_dense(strokes: &Strokes) -> Option<Dense> {
     if strokes.changes_are_apart(strokes.array().layout().dense_ticks().into()) {
@@ -29,15 +30,21 @@ pub fn find_dense(strokes: &Strokes) -> Option<Dense> {
 fn count(strokes: &Strokes) -> Option<Dense> {
     let array = strokes.array();
     let (ticks, most) = (u64::from(array.layout().dense_ticks()), usize::from(array.layout().max_dense()));
-    let mut begun = VecDeque::with_capacity(most);
+    // The moves that have begun in order, and the ways down that have not.
+    let (mut begun, mut downs) = (VecDeque::with_capacity(most), BinaryHeap::new());
     for stroke in counted(strokes) {
-        if begun.len() == most
-            && let Some(first) = begun.pop_front()
-            && stroke.up - first < ticks
-        {
+        while let Some(&Reverse(down)) = downs.peek().filter(|Reverse(down)| *down <= stroke.up) {
+            begun.push_back(down);
+            downs.pop();
+        }
+        while begun.front().is_some_and(|first| stroke.up - *first >= ticks) {
+            begun.pop_front();
+        }
+        if begun.len() >= most {
             return Some(Dense { at_s: array.rate().ticks_to_seconds(stroke.up.0), most });
         }
         begun.push_back(stroke.up);
+        downs.push(Reverse(stroke.down));
     }
     None
 }

@@ -190,7 +190,11 @@ impl Player {
         self.motors[motor].set_goal(level);
         // A correction is for the distance that was planned.
         let correction = if from == height { waiting.correction } else { 0 };
-        let correction = if correction == 0 { 0 } else { self.motors[motor].bounded(correction) };
+        let correction = if correction < 0 && level > height && self.has_stop() {
+            self.without_pushes(motor, correction)
+        } else {
+            correction
+        };
         let counters = reporting.count();
         counters.played += 1;
         counters.shortened += u64::from(height != before);
@@ -214,6 +218,14 @@ impl Player {
                 reporting.report(Report::Refused { motor: motor as u8, tick, reason });
             }
         }
+    }
+
+    /// What a correction of a way up to fewer pulses may be: those that it leaves for the way down push, and are limited.
+    #[inline(never)]
+    fn without_pushes(&mut self, motor: usize, correction: i16) -> i16 {
+        let room = self.allowance.room_to_push(self.rendered, motor);
+        let room = room.saturating_sub(self.motors[motor].left_to_push().into());
+        -i16::try_from(room).map_or(-correction, |room| room.min(-correction))
     }
 
     /// Whether a burst up to the goal may begin; then it counts. Its way back must fit the on-time limits, too.
@@ -279,7 +291,7 @@ impl Player {
     }
 
     /// Begins the way down to the goal, or returns when to look again. No limit on pulses refuses it: it leaves out what a correction and a
-    /// surplus would add beyond the limit, and what corrections have left to push.
+    /// surplus would add beyond the limit.
     #[inline(never)]
     fn descend(&mut self, motor: usize) -> Option<u32> {
         let later = self.waits_until(motor);
@@ -292,11 +304,10 @@ impl Player {
         let (goal, correction) = (of.goal(), of.correction);
         let surplus = core::mem::take(&mut self.motors[motor].surplus);
         let mut pulses = distance.saturating_add_signed(correction.min(0)).max(distance.min(1));
-        let below = self.motors[motor].below(pulses);
-        let mut pushes = 0;
-        if below > 0 && self.has_stop() {
-            pushes = self.allowance.pushes(now, motor, below);
-            pulses -= below;
+        let mut pushes = if self.has_stop() { self.motors[motor].pushes(pulses) } else { 0 };
+        if pushes > 0 {
+            self.allowance.count_pushes(now, motor, pushes);
+            pulses -= pushes;
         }
         if correction > 0 || surplus > 0 {
             let back = self.back(motor);
@@ -307,7 +318,6 @@ impl Player {
             pushes += self.allowance.pushes(now, motor, surplus.min(room - more));
         }
         if pulses + pushes == 0 {
-            self.motors[motor].stay();
             return None;
         }
         self.allowance.count(now, motor, pulses + pushes);

@@ -5,7 +5,6 @@
 //! Invariant: while no burst runs, `height` is where the pin is. Within a burst it counts the pulses that were played; at its end the pin is
 //! where the burst was to bring it, because a correction is no height.
 
-use crate::limits;
 use crate::stroke::Direction;
 use crate::tick::{HORIZON, Tick};
 use core::hash::{Hash, Hasher};
@@ -43,9 +42,8 @@ pub(super) struct Motor {
     /// For the way down to the goal: the pulses that an amendment adds, and the surplus.
     pub(super) correction: i16,
     pub(super) surplus: u16,
-    /// How many pulses the pin is above `height` because of corrections since it was at rest, and its highest level since.
-    beside: i16,
-    highest: u16,
+    /// By how many pulses the pin may be below `height`, because ways up since it was at rest were corrected to fewer.
+    below: u16,
     /// When the last burst ended.
     pub(super) still_since: Tick,
     /// The last uneven bursts with ticks that may not have been played, in a ring.
@@ -54,10 +52,10 @@ pub(super) struct Motor {
 
 impl Hash for Motor {
     fn hash<H: Hasher>(&self, hasher: &mut H) {
-        let Self { height, goal, running, correction, surplus, beside, highest, still_since, uneven } = self;
+        let Self { height, goal, running, correction, surplus, below, still_since, uneven } = self;
         (height, goal, running, correction, surplus, uneven).hash(hasher);
         if *height > 0 || uneven.iter().any(Option::is_some) {
-            (beside, highest, still_since).hash(hasher);
+            (below, still_since).hash(hasher);
         }
     }
 }
@@ -86,12 +84,12 @@ impl Running {
         }
     }
 
-    /// By how many pulses it leaves the pin above its height, if it ends at the tick `now` and the height was `from` before.
-    fn beside(&self, from: u16, now: u32) -> i16 {
+    /// By how many pulses it brings the pin lower than its height, if it ends at the tick `now` and the height was `from` before.
+    fn below(&self, from: u16, now: u32) -> i16 {
         let (height, pulses) = (self.height(from, now), self.played(now).min(self.pulses - self.pushes));
         match self.direction {
-            Direction::Up => pulses.wrapping_sub(height.wrapping_sub(from)).cast_signed(),
-            Direction::Down => from.wrapping_sub(height).wrapping_sub(pulses).cast_signed(),
+            Direction::Up => height.wrapping_sub(from).wrapping_sub(pulses).cast_signed(),
+            Direction::Down => pulses.wrapping_sub(from.wrapping_sub(height)).cast_signed(),
         }
     }
 
@@ -108,8 +106,7 @@ impl Motor {
         running: None,
         correction: 0,
         surplus: 0,
-        beside: 0,
-        highest: 0,
+        below: 0,
         still_since: Tick(0),
         uneven: [None; UNEVEN],
     };
@@ -158,7 +155,7 @@ impl Motor {
         let ended = self.running?;
         let before = self.height;
         self.height = self.height(now.0 as u32);
-        self.beside += ended.beside(before, now.0 as u32);
+        self.go_below(ended.below(before, now.0 as u32));
         if let Some(Uneven { of, .. }) = &mut self.uneven[0]
             && *of == ended
         {
@@ -171,10 +168,9 @@ impl Motor {
 
     /// Where the pin is, and where it should be, without a burst.
     pub(super) fn place(&mut self, height: u16, goal: u16) {
-        // A seek, and pins at rest, are beside nothing.
         let Self { still_since, uneven, .. } = *self;
-        let (beside, highest) = if height == self.height { (self.beside, self.highest) } else { (0, 0) };
-        *self = Self { height, goal, still_since, uneven, beside, highest, ..Self::REST };
+        let below = if height == self.height { self.below } else { 0 };
+        *self = Self { height, goal, still_since, uneven, below, ..Self::REST };
     }
 
     /// The pin should have this level. A burst to another one has been ended.
@@ -182,34 +178,22 @@ impl Motor {
         (self.goal, self.correction, self.surplus) = (level, 0, 0);
     }
 
-    /// What a correction of the way to the goal may be, so that the pin does not get further from its level than a correction of the highest
-    /// level since it was at rest.
-    pub(super) fn bounded(&mut self, correction: i16) -> i16 {
-        self.leave_rest();
-        self.highest = self.highest.max(self.goal);
-        let bound = limits::correction(self.highest).cast_signed();
-        let bounded = |beside: i16| beside.clamp(-bound, bound);
-        let bounded = if self.goal > self.height {
-            bounded(self.beside + correction) - self.beside
-        } else {
-            self.beside - bounded(self.beside - correction)
-        };
-        bounded.clamp(correction.min(0), correction.max(0))
+    /// The pin is by so many pulses lower than by its height, than it was.
+    fn go_below(&mut self, pulses: i16) {
+        self.below = self.below.saturating_add_signed(pulses).min(self.height);
     }
 
-    /// A pin at rest is beside nothing. It is noted no earlier, because an e-stop may take back the end of the way to rest.
-    fn leave_rest(&mut self) {
-        if self.height == 0 {
-            (self.beside, self.highest) = (0, 0);
-        }
+    /// How many of the pulses down that bring it to rest push against a lower stop, if no way up is corrected from now on.
+    pub(super) fn left_to_push(&self) -> u16 {
+        if self.height == 0 { 0 } else { self.below }
     }
 
     /// Begins a burst at `now`, after which the pin has the height `to`.
     pub(super) fn begin(&mut self, now: Tick, direction: Direction, pulses: u16, pushes: u16, to: u16) {
         let of = Running { direction, start: now.0 as u32, pulses, to, pushes };
         self.running = Some(of);
-        self.leave_rest();
-        self.highest = self.highest.max(to);
+        // No earlier, because an e-stop may take back the end of the way to rest.
+        self.below = self.left_to_push();
         self.forget_played(now);
         if pulses != self.height.abs_diff(to) || pushes > 0 {
             self.uneven.rotate_right(1);
@@ -234,7 +218,7 @@ impl Motor {
             (Some(&Uneven { of, from }), _) => {
                 let end = begin.wrapping_add(pulses.into());
                 self.height = of.height(from, begin);
-                self.beside += of.beside(from, begin) - of.beside(from, end);
+                self.go_below(of.below(from, begin).saturating_sub(of.below(from, end)));
                 return of.pushed(end) - of.pushed(begin);
             }
             (None, Direction::Up) => self.height = self.height.saturating_sub(pulses),
@@ -243,14 +227,9 @@ impl Motor {
         0
     }
 
-    /// How many of `pulses` down push against a lower stop, because corrections have left the pin lower than its height.
-    pub(super) fn below(&self, pulses: u16) -> u16 {
-        pulses.saturating_sub(self.height.saturating_add_signed(self.beside))
-    }
-
-    /// The pin is at the lower stop, and there is no pulse down that may push. So its height is its goal.
-    pub(super) fn stay(&mut self) {
-        (self.height, self.beside) = (self.goal, -self.goal.cast_signed());
+    /// How many of `pulses` down push against a lower stop.
+    pub(super) fn pushes(&self, pulses: u16) -> u16 {
+        pulses.saturating_sub(self.height.saturating_sub(self.left_to_push()))
     }
 
     /// Forgets the bursts so far: none of their ticks is taken back any more.
