@@ -49,6 +49,16 @@ impl Player {
             && self.motors[..self.layout.loop_end()].iter().all(super::motor::Motor::is_still)
     }
 
+    /// Whether no motor has been forgotten: one that should do something does it, or rendering looks at it again.
+    pub(in crate::controller) fn is_consistent(&self) -> bool {
+        (0..self.layout.loop_end()).all(|motor| {
+            let of = &self.motors[motor];
+            let waits = of.is_to_descend() || of.running.is_some() || self.queues.first(motor).is_some();
+            let may_be_below = of.running.is_some_and(|running| running.direction == Direction::Up);
+            (!waits || self.changes.is_waiting(motor)) && (of.height >= of.goal() || may_be_below)
+        })
+    }
+
     /// Pulses above rest of all pins together, at the rendered end.
     pub(in crate::controller) fn heights_total(&self) -> u32 {
         let low = self.rendered.0 as u32;
