@@ -751,7 +751,7 @@ impl Scene {
         end.shell.broken.or_else(|| end.way_out())
     }
 
-    /// A new host resets, arms and plays one stroke.
+    /// A new host resets, arms and plays one stroke. Then it has both pins go up: one comes down by a move in time, the other by a late one.
     fn way_out(&mut self) -> Option<Broken> {
         let wrong = Some(Broken::NoWayOut);
         // The end of a frame that was cut off.
@@ -781,6 +781,32 @@ impl Scene {
         }
         let [up, down] = seen[0];
         if self.shell.device.counters().played != played + 2 || self.shell.seen[0] != [up + 2, down + 2] {
+            return wrong;
+        }
+        let (at, seen) = (self.ready(), self.shell.seen);
+        let moves = [to(0, at, ROW[0]), to(1, at + 5, ROW[1]), to(0, at + APART, 0)];
+        let words = self.frame(None, 0, at, &moves.map(Item::Move));
+        self.hear_words(&words);
+        self.take_all();
+        while self.shell.now < at + APART + 10 {
+            self.tick_once();
+        }
+        let went = |shell: &Shell, motor: usize| {
+            let [[up, down], [up_before, down_before]] = [shell.seen[motor], seen[motor]];
+            [up - up_before, down - down_before]
+        };
+        let levels = ROW.map(u32::from);
+        if [went(&self.shell, 0), went(&self.shell, 1)] != [[levels[0]; 2], [levels[1], 0]] {
+            return wrong;
+        }
+        let late = self.ready() - 1;
+        let words = self.frame(None, 0, late, &[Item::Row(late, [0; USED])]);
+        self.hear_words(&words);
+        self.take_all();
+        for _ in 0..130 {
+            self.tick_once();
+        }
+        if [went(&self.shell, 0), went(&self.shell, 1)] != levels.map(|level| [level; 2]) {
             return wrong;
         }
         self.shell.broken

@@ -7,7 +7,7 @@ use crate::batch::Amendment;
 use crate::controller::FARTHEST;
 use crate::controller::newer;
 use crate::controller::player::Player;
-use crate::controller::player::queue::{Waiting, ahead, follow};
+use crate::controller::player::queue::{Waiting, follow};
 use crate::controller::reporting::Reporting;
 use crate::limits::{self, Refusal};
 use crate::moves::Move;
@@ -107,7 +107,7 @@ impl Player {
             // With a stop, what goes down further than planned would push.
             && (is_up || !has_stop || item.pulses <= planned);
         let newest = waiting.generation.is_none_or(|old| newer(generation, old));
-        if !fits || !newest || ahead(waiting.tick, now) < 0 {
+        if !fits || !newest {
             return None;
         }
         waiting.generation = Some(generation);
