@@ -290,7 +290,7 @@ pub struct ArrayId {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(C)]
 pub struct Layout {
-    /// That of `id`, near the other numbers that each stroke is checked with.
+    /// That of `id`, near the other numbers that each move is checked with.
     motors: u8,
     max_up_pulses: u16,
     max_down_pulses: u16,
@@ -488,13 +488,13 @@ impl Layout {
         &self.next_on_chip
     }
 
-    /// Most up pulses of a stroke.
+    /// The highest level.
     #[must_use]
     pub const fn max_up_pulses(&self) -> u16 {
         self.max_up_pulses
     }
 
-    /// Most down pulses of a stroke, corrections included.
+    /// Most pulses of a way down, corrections included.
     #[must_use]
     pub const fn max_down_pulses(&self) -> u16 {
         self.max_down_pulses
@@ -506,7 +506,7 @@ impl Layout {
         self.max_up_pulses
     }
 
-    /// Farthest that moves and a stroke can take a pin from the lower stop, pulses. A seek of so many pulses is always enough.
+    /// Farthest that shifts and moves can take a pin from the lower stop, pulses. A seek of so many pulses is always enough.
     #[must_use]
     pub const fn whole_travel(&self) -> u16 {
         self.max_travel() + self.max_down_pulses
@@ -579,7 +579,7 @@ impl Layout {
         self.tick_hz().div_ceil(2_000)
     }
 
-    /// Ticks from now to the first tick at which a stroke is never late: the render horizon and the drivers' lead.
+    /// Ticks from now to the first tick at which a move is never late: the render horizon and the drivers' lead.
     #[must_use]
     pub const fn horizon(&self) -> u8 {
         (HORIZON + self.driver_lead()) as u8

@@ -60,7 +60,11 @@
 //! is counted as *shortened*. **A pin goes up only by a move that begins in time and that no limit refuses. It comes down whenever it is
 //! above its goal**, as soon as the drivers are ready and the limits on motors at once allow it; nothing refuses the way down.
 //!
-//! A stroke is two moves, a ramp is many, a hold is none. Levels are absolute: a move that is lost changes nothing for those after it.
+//! A stroke is two moves, a ramp is many, a hold is none. Levels are absolute: a move that is lost changes nothing for those after it. A move
+//! to the present goal, without a surplus, changes nothing: the pin is there or goes on. If the move before was refused, the goal is not its
+//! level, and a move to that level takes the pin there.
+//!
+//! A refused move leaves the goal of the move before it, or the height if the pin is lower: so the pin stays, or comes down.
 //! The *height* of a pin counts pulses; at the end of a burst it is the goal, whatever correction the burst had.
 //!
 //! # The array
@@ -92,7 +96,9 @@
 //! The device takes frames in order. It buffers the next 8 that arrive out of order and ignores repeated ones. It
 //! answers each valid frame with a `Status`, except `Board` and `SelfTest`, which have an answer of their own. In a `Status`
 //! `next_seq` acknowledges all frames before it, `out_of_order` names those that are buffered, and `credits` is the number of
-//! moves that the device can still queue. The host sends no more moves than it has credits and no frame beyond those 8. It
+//! moves that the device can still queue. A move to level 0 without a surplus takes no slot, and counts as played at once, if its pin is at
+//! rest by then whatever is refused before: if the goal is 0 and nothing of its motor waits, or the last that waits is a move to level 0 that
+//! belongs to no stroke. The host sends no more moves than it has credits and no frame beyond those 8. It
 //! sends again what is neither acknowledged nor buffered (selective repeat).
 //! The device accepts, refuses or drops a move as a whole, and the two moves of a stroke together. A `Verdict` lists the moves of a frame
 //! that were not accepted; a frame without a verdict was accepted as sent.
@@ -121,7 +127,7 @@
 //! played, late, dropped, refused or replaced. The device never touches a move that has begun. The second move of a stroke stays if its first does. So the host names a `base` far enough
 //! ahead, and sends what follows the last move before it. Without a new move the pin keeps the level of that one.
 //!
-//! The device *keeps* a motor's queue if a move from `base` on has begun. It also keeps the queue if the first move that would take its
+//! The device *keeps* a motor's queue if a move from `base` on has begun; of a stroke its first move counts. It also keeps the queue if the first move that would take its
 //! place is late, breaks a limit or comes too shortly after one before. Then a `Verdict` names the motor, and the device takes no moves
 //! of it, in this and later frames, until a frame withdraws again from it, a play begins, or a command begins an epoch. The device
 //! plays the old moves instead; the moves not taken count as replaced. The host needs credits for the new moves before the old ones
@@ -148,7 +154,7 @@
 //! moves and amendments of any other epoch. So nothing that was on the line when the host sent a stop is played after it.
 //!
 //! `Amend` sets new absolute pulse counts for queued moves, each named by motor and tick. A count must lie within
-//! [`limits::correction`] of the planned one, which is the distance from the level of the move before; the newest `generation` wins. The
+//! [`limits::correction`] of the planned one, which is the distance from the level of the move before and not 0; the newest `generation` wins. The
 //! device counts and ignores an amendment if its move has begun, is unknown or cut, if the count is out of limits, or if the burst would
 //! run into the next move. Amendments are neither acknowledged nor repeated. An amendment does nothing if the pin is not where the plan had
 //! it when the move begins.
@@ -235,7 +241,7 @@
 //! | power-up, panic, watchdog reset, core fault | turns all lines off; disarmed with that cause, position unknown: it refuses `arm` without `assume_rest` |
 //! | `arm` | only from disarmed: brings pins down first and reports it (`Cut`), or seeks the lower stop. It refuses moves unless armed |
 //! | seek | with a lower stop, in `arm` or while armed and idle: drives all pins down by as many pulses as asked and reports them (`Cut`); then their position is known and no return pulses are outstanding. It refuses a seek that may not reach the stop |
-//! | stop | returns, stays armed |
+//! | stop | returns, stays armed; what the play's mark said of holds counts no more |
 //! | disarm, shutdown, abort, host silent, link lost, another session | returns, then disarms |
 //! | e-stop, own fault | turns lines off after the tick being played; latches; pins stay where they are. `reset` leads to disarmed |
 //! | outputs do not follow (PIO, DMA) | as its own fault, with the cause `Output`: counts nothing from the last block on that was seen to be played, and the position is unknown. Only a restart ends it |
@@ -259,8 +265,9 @@
 //! A shift down takes a pin to the stop and no further: its travel ends at 0, and the pulses left push.
 //!
 //! To bound wear and heat, no motor may push more than `pulses_per_s` pulses in a sliding second against the stop, and never more
-//! than [`array::Layout::max_pushes_per_s`]: surplus, seeks and shifts together. A surplus that would break the limit is left out; the move
-//! is not.
+//! than [`array::Layout::max_pushes_per_s`]: surplus, seeks and shifts together, and corrections. A way up that an amendment makes shorter
+//! leaves pulses of the way down that push; a longer one makes no room for others. A surplus that would break the limit is left out, and a
+//! correction of a way up leaves no more to push than may be; the move is not left out.
 //!
 //! # Limits
 //! The controller enforces [`limits`] whatever the host asks. They bound levels, surplus, the size of corrections, the travel of shifts,

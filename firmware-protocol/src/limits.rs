@@ -10,7 +10,7 @@ use crate::moves::Move;
 use crate::tick::Tick;
 use serde::{Deserialize, Serialize};
 
-/// Why a stroke or a command was refused.
+/// Why a move or a command was refused.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub enum Refusal {
     /// The controller is not armed.
@@ -31,7 +31,7 @@ pub enum Refusal {
     RailOnTime,
     /// `arm` without `assume_rest` while the position is unknown.
     PositionUnknown,
-    /// The state does not allow the command (arm while armed or faulted, move while strokes are queued).
+    /// The state does not allow the command (arm while armed or faulted, shift while moves wait).
     State,
     /// The move goes beyond [`Layout::max_travel`]; the seek is longer than [`Layout::max_seek`], or too short to reach the lower
     /// stop.
@@ -44,7 +44,7 @@ pub enum Refusal {
     RailAtOnce,
     /// Too many motors of the driver chip would have pulses at once.
     ChipAtOnce,
-    /// The stroke begins less than [`Layout::least_apart`] after the one before it on the same motor, or after too many of all
+    /// The move begins less than [`Layout::least_apart`] after the last but one before it on the same motor, or after too many of all
     /// motors ([`Layout::max_dense`]).
     Dense,
 }
@@ -129,7 +129,7 @@ impl SlidingSecond {
         }
     }
 
-    /// Ends at `now` a stroke counted with `charged` pulses, of which `played` were played.
+    /// Ends at `now` a move counted with `charged` pulses, of which `played` were played.
     fn end(&mut self, now: Tick, motor: usize, charged: u32, played: u32) {
         let sum = &mut self.charged(now)[motor];
         *sum = (*sum + played).saturating_sub(charged);
@@ -153,8 +153,8 @@ impl SlidingSecond {
 
 /// Counts pulses per motor against [`PowerLimits`].
 ///
-/// A stroke counts from its first pulse until a second after its last one. So no sliding second ever holds more than the
-/// limit, but a stroke may be refused when the sum is one stroke or 15 ms below it. The array's own limits
+/// A move counts from its first pulse until a second after its last one. So no sliding second ever holds more than the
+/// limit, but a move may be refused when the sum is one move or 15 ms below it. The array's own limits
 /// ([`Layout::no_limits`]) turn a limit off: a line may then pulse without rest.
 #[derive(Clone, Debug, Hash)]
 pub struct OnTime {
@@ -190,10 +190,10 @@ impl OnTime {
         self.limits
     }
 
-    /// Counts a stroke of `pulses` that begins at `now`.
+    /// Counts a move of `pulses` that begins at `now`.
     ///
     /// # Errors
-    /// The limit that the stroke would break; then nothing is counted.
+    /// The limit that the move would break; then nothing is counted.
     pub fn begin(
         &mut self,
         now: Tick,
@@ -234,7 +234,7 @@ impl OnTime {
         self.pulses.charged(now)[motor] += pulses;
     }
 
-    /// Ends at `now` a stroke counted with `charged` pulses, of which `played` were played.
+    /// Ends at `now` a move counted with `charged` pulses, of which `played` were played.
     pub fn end(&mut self, now: Tick, motor: usize, charged: u32, played: u32) {
         self.pulses.end(now, motor, charged, played);
     }
@@ -255,10 +255,10 @@ fn sum(charged: &[u32; CAPACITY], motor: usize, ring: &Ring) -> u32 {
     sum
 }
 
-/// Counts the pulses that a motor pushes against a lower stop: the surplus of its strokes, and seeks.
+/// Counts the pulses that a motor pushes against a lower stop: the surplus of its moves, shifts, seeks, and pulses down that corrections of
+/// ways up have left to push.
 ///
-/// It counts the pulses by which the down burst is longer than the up burst, from the stroke's first pulse until a second after
-/// its last. An up burst amended to be longer counts as planned. If an e-stop cuts a stroke, the pulses played count; those left
+/// They count from the first pulse of their burst until a second after its last. If an e-stop cuts it, the pulses played count; those left
 /// count when they are returned.
 #[derive(Clone, Debug, Hash)]
 pub struct Pushing {
@@ -300,7 +300,7 @@ impl Pushing {
     /// # Errors
     /// [`Refusal::Pushing`] if it would break the limit; then nothing is counted.
     pub fn begin(&mut self, now: Tick, motor: usize, pulses: u32) -> Result<(), Refusal> {
-        // A stroke that pushes nothing breaks no limit, even one that was lowered.
+        // A move that pushes nothing breaks no limit, even one that was lowered.
         if pulses == 0 {
             return Ok(());
         }
@@ -314,10 +314,15 @@ impl Pushing {
 
     /// Counts as many of `pulses` as do not break the limit, and returns their number.
     pub fn begin_some(&mut self, now: Tick, motor: usize, pulses: u32) -> u32 {
-        let charged = &mut self.pulses.charged(now)[motor];
-        let some = pulses.min(self.limit.saturating_sub(*charged));
-        *charged += some;
+        let some = pulses.min(self.room(now, motor));
+        self.count(now, motor, some);
         some
+    }
+
+    /// How many pulses more a motor may push.
+    #[must_use]
+    pub fn room(&mut self, now: Tick, motor: usize) -> u32 {
+        self.limit.saturating_sub(self.pulses.charged(now)[motor])
     }
 
     /// Counts pulses that no limit may refuse.

@@ -54,9 +54,9 @@ pub enum HostMessage<'a> {
         /// Packed moves (see [`crate::batch`]).
         batch: &'a [u8],
     },
-    /// New pulse counts for queued bursts. Outside the ordered stream, never repeated.
+    /// New pulse counts for queued moves. Outside the ordered stream, never repeated.
     Amend {
-        /// The epoch of the strokes it amends.
+        /// The epoch of the moves it amends.
         epoch: u16,
         /// Grows by one with each amendment message; the newest wins.
         generation: u16,
@@ -89,12 +89,12 @@ pub struct Mark {
     pub hold: u32,
 }
 
-/// The motors whose queued strokes a frame replaces.
+/// The motors whose queued moves a frame replaces.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct Withdraw {
     /// Those motors.
     pub motors: MotorSet,
-    /// The generation of the host's last amendment. Amendments up to it do not concern strokes queued from now on.
+    /// The generation of the host's last amendment. Amendments up to it do not concern moves queued from now on.
     pub generation: u16,
 }
 
@@ -103,7 +103,7 @@ pub struct Withdraw {
 pub enum MarkKind {
     /// A play's: the device takes the frame as a whole or not at all.
     Play,
-    /// A later item's: if the mark is late, the device refuses it alone and judges each stroke by itself.
+    /// A later item's: if the mark is late, the device refuses it alone and judges each move by itself.
     Item,
 }
 
@@ -128,7 +128,7 @@ impl Layout {
 /// What a `Control` asks for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub enum Op {
-    /// Play the outstanding return pulses, then take strokes.
+    /// Play the outstanding return pulses, then take moves.
     Arm {
         /// Treat every pin as at rest: the position is known, and no return pulses are outstanding.
         assume_rest: bool,
@@ -167,7 +167,7 @@ pub enum Op {
 /// What the controller may do against a lower stop: a plate below which no pin can go.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct LowerStop {
-    /// Most pulses in a sliding second by which a motor's down bursts may exceed their up bursts.
+    /// Most pulses in a sliding second by which a motor may push against it.
     pub pulses_per_s: u32,
     /// Drive all pins down to the stop by so many pulses first, instead of the outstanding return pulses; 0: do not.
     pub seek: u16,
@@ -176,11 +176,11 @@ pub struct LowerStop {
 /// The state of the controller.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub enum State {
-    /// Lines off; refuses strokes.
+    /// Lines off; refuses moves.
     Disarmed,
-    /// Takes strokes.
+    /// Takes moves.
     Armed,
-    /// Plays outstanding return pulses, refuses strokes.
+    /// Plays outstanding return pulses, refuses moves.
     Returning,
     /// Lines off until a reset.
     Faulted,
@@ -197,7 +197,7 @@ pub enum Cause {
     Stop,
     /// The host's daemon ended.
     Shutdown,
-    /// The host aborted a play because of late strokes.
+    /// The host aborted a play because of late moves.
     Abort,
     /// The host's emergency stop.
     EStop,
@@ -330,11 +330,11 @@ pub struct DeviceHello {
     pub boot: u32,
     /// The array that it is built for.
     pub array: ArrayId,
-    /// Stroke slots.
+    /// Slots for moves.
     pub pool: u16,
-    /// A stroke that begins this many ticks from now, or later, is never late: the render horizon and the drivers' lead.
+    /// A move that begins this many ticks from now, or later, is never late: the render horizon and the drivers' lead.
     pub horizon: u8,
-    /// Most up pulses of a stroke.
+    /// The highest level.
     pub max_up_pulses: u16,
     /// The device's own limits.
     pub limits: PowerLimits,
@@ -372,7 +372,7 @@ pub struct Status {
     pub next_seq: u16,
     /// Bit i: frame `next_seq + 1 + i` arrived out of order and is buffered.
     pub out_of_order: u8,
-    /// Free stroke slots after all frames before `next_seq`, less the refused strokes whose report is not seen.
+    /// Free slots for moves after all frames before `next_seq`, less the refused moves whose report is not seen.
     pub credits: u16,
     /// Reports made so far.
     pub reports: u16,
@@ -388,26 +388,27 @@ pub struct Status {
     pub counters: Counters,
 }
 
-/// Counts of the controller since boot. A stroke has two bursts.
+/// Counts of the controller since boot. Each move taken is counted once: as played, dropped, late, refused or replaced. In a status they
+/// are those of the ticks before it.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct Counters {
-    /// Bursts played, whole or cut.
+    /// Moves that have begun, with those that take no slot because their pin is at rest.
     pub played: u64,
-    /// Pulses of those bursts.
+    /// Pulses of all lines.
     pub pulses: u64,
-    /// Bursts of accepted strokes that were flushed before they began.
+    /// Accepted moves that were flushed before they began, or were rendered and not played because of an e-stop or a fault.
     pub dropped: u64,
-    /// Bursts of late strokes.
+    /// Late moves.
     pub late: u64,
-    /// Bursts of refused strokes.
+    /// Moves refused in their frame or as they were to begin.
     pub refused: u64,
-    /// Bursts of accepted strokes that were withdrawn before they began, and of strokes not taken because a motor's old ones stay.
+    /// Accepted moves that were withdrawn before they began, and moves not taken because a motor's old ones stay.
     pub replaced: u64,
     /// Begun moves whose number of pulses an amendment changed.
     pub amended: u64,
-    /// Begun moves before which the pin had not come to the level of the move before.
+    /// Begun moves before which the pin had not come to its goal. A move to the goal, without a surplus, is none of them.
     pub shortened: u64,
-    /// Amendments ignored: too late, without a stroke, or out of limits.
+    /// Amendments ignored: too late, without a move, of a move that changes nothing, or out of limits.
     pub amendments_ignored: u64,
     /// Bad frames received (see the crate's documentation).
     pub bad_frames: u64,
@@ -435,20 +436,20 @@ impl Counters {
 /// An event that must reach the host.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub enum Report {
-    /// Some strokes of a frame were not accepted, or a motor's old strokes were not withdrawn.
+    /// Some moves of a frame were not accepted, or a motor's old moves were not withdrawn.
     Verdict {
         /// The frame's number.
         seq: u16,
-        /// Bit i: stroke i was late and dropped, or not taken because its motor is kept.
+        /// Bit i: move i was late and dropped, or not taken because its motor is kept.
         late: u64,
-        /// Bit i: stroke i was refused.
+        /// Bit i: move i was refused.
         refused: u64,
-        /// Motors of which nothing was withdrawn. Their queued strokes stay, and those of the frame are not taken (bits of `late`).
+        /// Motors of which nothing was withdrawn. Their queued moves stay, and those of the frame are not taken (bits of `late`).
         kept: MotorSet,
-        /// Why the first of the refused strokes was refused.
+        /// Why the first of the refused moves was refused.
         reason: Option<Refusal>,
-        /// The earliest possible start when the device judged the first late stroke or kept the first motor. The device judges
-        /// the strokes of a long frame one after the other, so a later one may begin after this tick and be late.
+        /// The earliest possible start when the device judged the first late move or kept the first motor. The device judges
+        /// the moves of a long frame one after the other, so a later one may begin after this tick and be late.
         rendered: WireTick,
     },
     /// A mark was late. If it was a play's, nothing of its frame was taken.
@@ -465,7 +466,7 @@ pub enum Report {
         /// Counts at the onset.
         counters: Counters,
     },
-    /// Running strokes were cut and the queue was flushed.
+    /// The queues were flushed, and pins come down or stay where they are.
     Cut(Cut),
     /// A queued move up was refused when it was to begin, because of a limit.
     Refused {
@@ -485,7 +486,7 @@ pub enum Report {
     },
 }
 
-/// When and why strokes were cut.
+/// When and why the queues were flushed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct Cut {
     /// The reason.
@@ -495,7 +496,7 @@ pub struct Cut {
     /// How many ticks after `at` the pins are back, with the last pulse of the return. `None`: they stay where they are, after an
     /// e-stop or a fault.
     pub return_ticks: Option<u32>,
-    /// Strokes flushed before they began.
+    /// Moves flushed before they began, and moves that were rendered and not played.
     pub flushed: u16,
     /// Outstanding return pulses at this tick.
     pub outstanding: u32,

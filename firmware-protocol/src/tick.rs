@@ -6,7 +6,7 @@
 use core::ops::{Add, Sub};
 use serde::{Deserialize, Serialize};
 
-/// Most ticks rendered ahead. A stroke that begins before the rendered end is late. While the drivers are off, so is one that
+/// Most ticks rendered ahead. A move that begins before the rendered end is late. While the drivers are off, so is one that
 /// begins less than [`Layout::driver_lead`](crate::array::Layout::driver_lead) after it.
 pub const HORIZON: u32 = 64;
 /// Ticks of a block. Shells render a block, aligned to [`Tick::BOOT`], as soon as it fits the horizon, so that all shells

@@ -134,8 +134,10 @@ pub(crate) struct Bench {
     pub(crate) in_pieces: bool,
     /// Runs of one tick, each with whether a stroke that was to begin then or soon was refused by a limit, withdrawn or flushed.
     ahead: VecDeque<(Run, bool)>,
-    /// Bursts refused as they began, withdrawn or flushed until the last tick was rendered.
+    /// Moves refused as they began, withdrawn or flushed until the last tick was rendered.
     taken_back: u64,
+    /// The tick by which a shift of rest has begun or was flushed.
+    shift_by: u64,
     log: Vec<(u64, Lines)>,
     /// Ticks in which the trigger was high.
     pub(crate) triggered: Vec<u64>,
@@ -204,6 +206,7 @@ impl Bench {
             in_pieces: false,
             ahead: VecDeque::new(),
             taken_back: 0,
+            shift_by: 0,
             log: Vec::new(),
             triggered: Vec::new(),
             enabled: 0,
@@ -255,11 +258,13 @@ impl Bench {
 
     fn fill(&mut self, to: u64) {
         while self.device.rendered().0 < to {
-            let run = self.device.render((to - self.device.rendered().0) as u32);
+            let run_begins = self.device.rendered().0;
+            let run = self.device.render((to - run_begins) as u32);
             let counters = self.device.counters();
             // A move that has begun may find its pin where it should be.
             let taken_back = counters.refused + counters.replaced + counters.dropped + counters.played;
-            let refuses = taken_back > std::mem::replace(&mut self.taken_back, taken_back);
+            let refuses = taken_back > std::mem::replace(&mut self.taken_back, taken_back)
+                || run_begins < self.shift_by;
             assert!(run.ticks > 0, "rendering makes progress");
             self.ahead.extend((0..run.ticks).map(|_| (Run { ticks: 1, ..run }, refuses)));
         }
@@ -430,6 +435,9 @@ impl Bench {
             && self.device.state() == State::Disarmed
         {
             self.limits = self.layout().no_limits().min(limits);
+        }
+        if let Op::Move { .. } = op {
+            self.shift_by = self.soon();
         }
         self.epoch = self.epoch.wrapping_add(1);
         self.seq = 0;

@@ -8,7 +8,7 @@ use crate::bench::{
 use Direction::{Down, Up};
 use firmware_protocol::batch::{BATCH_BYTES, Packer, Stroke};
 use firmware_protocol::controller::POOL;
-use firmware_protocol::message::{Cause, Op, State};
+use firmware_protocol::message::{Cause, Counters, Op, State};
 use firmware_protocol::moves::Move;
 use firmware_protocol::stroke::Direction;
 use firmware_protocol::tick::Tick;
@@ -611,6 +611,33 @@ fn an_e_stop_after_a_corrected_move_was_cut_by_the_next_keeps_the_height() {
                 (bench.total(), true),
                 "{message}"
             );
+        }
+    }
+}
+
+/// What is rendered and not played counts neither as shortened nor as amended, in a status and after an e-stop.
+#[test]
+fn moves_count_as_shortened_and_amended_when_they_are_played() {
+    for shell in SHELLS {
+        for offset in 0..140 {
+            let mut bench = Bench::armed(shell);
+            let at = bench.soon();
+            bench.moves(&[to(1, at, 200), to(2, at + 70, 20), to(1, at + 100, 50)]);
+            bench.amend(1, 2, Tick(at + 70), 23);
+            bench.run_to(at + offset);
+            let begun = |until: u64| [0, 70, 100].map(|begin| u64::from(begin < until));
+            let check = |counters: Counters, until| {
+                let begun = begun(until);
+                let wanted = (begun.iter().sum(), begun[1], begun[2]);
+                assert_eq!((counters.played, counters.amended, counters.shortened), wanted, "{shell:?} {offset}");
+            };
+            bench.ping(1);
+            check(bench.status().counters, offset);
+            bench.control(Op::EStop);
+            // The tick being played is out already, in a shell that renders ahead.
+            let until = offset + u64::from(shell.ahead > 0);
+            check(bench.device.counters(), until);
+            assert_eq!(bench.device.counters().dropped, 3 - begun(until).iter().sum::<u64>());
         }
     }
 }

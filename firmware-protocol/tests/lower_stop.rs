@@ -208,6 +208,56 @@ fn an_amendment_lengthens_no_down_burst_against_the_stop() {
     }
 }
 
+/// A way up that an amendment makes shorter leaves pulses down that push. They count, and the correction leaves no more than may be.
+#[test]
+fn pushes_that_a_correction_leaves_are_limited() {
+    let downs = |bench: &Bench| -> Vec<u16> {
+        bench.bursts(3).iter().filter(|burst| burst.direction == Down).map(|burst| burst.pulses).collect()
+    };
+    for shell in SHELLS {
+        for (asked, up, down) in
+            [(2_972, 2_972, 3_001), (2_971, 2_971, 3_001), (2_970, 2_970, 3_000), (2_100, 2_970, 3_000)]
+        {
+            let mut bench = bench(shell, stop(30, 0));
+            let one = stroke(3, bench.now + 300, 3_000, 100, 3_001);
+            bench.strokes(&[one]);
+            bench.amend(1, 3, one.up, asked);
+            bench.run(8_000);
+            assert_eq!((bench.bursts(3)[0].pulses, downs(&bench)), (up, vec![down]), "{shell:?}");
+            // What was pushed counts for a second, then none does.
+            let left = 30 - (down - up);
+            bench.strokes(&[stroke(3, bench.soon(), 20, 5, 20 + 30)]);
+            bench.run(300);
+            assert_eq!(downs(&bench)[1..], [20 + left], "{shell:?} {up}");
+            bench.run(u64::from(TICK_HZ) + 3_000);
+            bench.strokes(&[stroke(3, bench.soon(), 20, 5, 20 + 30)]);
+            bench.run(300);
+            assert_eq!(downs(&bench)[2..], [50], "{shell:?} {up}");
+        }
+    }
+}
+
+/// A pin that is lower than its level, because of a correction, is at the stop before it gets to a low level.
+#[test]
+fn a_way_down_that_pushes_before_it_is_at_rest_counts_once() {
+    for shell in SHELLS {
+        for (limit, pulses) in [(100, [70, 70, 10, 20]), (30, [70, 70, 10, 20]), (12, [88, 70, 10, 20])] {
+            let mut bench = bench(shell, stop(limit, 0));
+            let at = bench.soon();
+            bench.moves(&[to(3, at, 100), to(3, at + 200, 30), to(3, at + 400, 20), to(3, at + 600, 0)]);
+            bench.amend(1, 3, Tick(at), 70);
+            bench.run(1_000);
+            let found: Vec<u16> = bench.bursts(3).iter().map(|burst| burst.pulses).collect();
+            assert_eq!(found, pulses, "{shell:?} {limit}");
+            assert_eq!((bench.above_stop(3), bench.device.counters().shortened), (0, 0));
+            let left = limit as u16 - (100 - pulses[0]);
+            bench.strokes(&[stroke(3, bench.soon(), 100, 5, 200)]);
+            bench.run(600);
+            assert_eq!(bench.bursts(3).last().map(|down| down.pulses), Some(100 + left), "{shell:?} {limit}");
+        }
+    }
+}
+
 /// A longer way up does not make room for other pushes.
 #[test]
 fn a_correction_of_the_way_up_leaves_the_pushes_as_they_are() {
@@ -235,10 +285,13 @@ fn the_count_of_a_stroke_that_an_e_stop_cuts_is_right() {
             bench.control(Op::EStop);
             bench.control(Op::Reset);
             bench.run(u64::from(TICK_HZ) + 2_000);
+            let (above, before) = (bench.above_stop(3), bench.total());
             bench.control(arm(false, stop(40, 0)));
             bench.settle();
-            // A return pushes nothing, so there is room for all pushes of a second.
-            for surplus in [40, 0] {
+            // A return pushes by what the correction has left.
+            let pushed = (bench.total() - before - above) as u16;
+            assert!(pushed <= 20 && bench.above_stop(3) == 0, "{pushed}");
+            for surplus in [40 - pushed, 0] {
                 bench.strokes(&[stroke(3, bench.soon(), 140, 5, 180)]);
                 bench.run(600);
                 assert_eq!(

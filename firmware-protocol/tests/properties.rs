@@ -219,8 +219,11 @@ impl World {
         // Noise may have left half a frame.
         self.bench.bytes(&[0]);
         self.bench.ping(0);
-        // Another one, because the device may have repeated reports that the bench had read before the last `Hello`.
-        self.bench.ping(0);
+        // Others, because the device may have repeated reports that the bench had read before the last `Hello`, and sends 32 at a time.
+        let mut seen = None;
+        while seen.replace(self.bench.seen()) != Some(self.bench.seen()) {
+            self.bench.ping(0);
+        }
         match self.bench.inbox.iter().rev().find(|m| !matches!(m, DeviceMessage::Report { .. })) {
             Some(DeviceMessage::Status(status)) => Some(status.credits),
             _ => None,

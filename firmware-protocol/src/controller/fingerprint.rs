@@ -1,7 +1,7 @@
 //! What a controller will do from now on, for programs that explore all orders of events and stop at a state that they have met.
 //!
 //! Invariant: two controllers with the same fingerprint at the same tick behave alike from then on, and have counted the same.
-//! The fingerprint leaves out what no longer matters: free slots, bytes and strokes that are taken, ticks that have passed. The
+//! The fingerprint leaves out what no longer matters: free slots, bytes and moves that are taken, ticks that have passed. The
 //! code names every field of the controller, so a new field does not compile until somebody has decided about it.
 
 use crate::controller::Controller;
@@ -14,5 +14,11 @@ impl Controller {
         let Self { identity: _, inbox, session, stream, motion, player, reporting, board, now } = self;
         (inbox, session, stream, player, reporting, board, now).hash(hasher);
         motion.fingerprint(*now, hasher);
+    }
+
+    /// Whether each pin that is above its goal comes down or waits to, each pin below it goes up, and each move that waits will begin.
+    #[must_use]
+    pub fn is_consistent(&self) -> bool {
+        self.player.is_consistent()
     }
 }

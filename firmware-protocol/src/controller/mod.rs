@@ -12,9 +12,9 @@
 //! | `inbox` | decodes the bytes of the host into the next frame |
 //! | `commands` | hands each message to the part that handles it |
 //! | `session` | keeps the session, its epoch, and whether the host is heard |
-//! | `stream` | takes frames of strokes in order, and amendments |
+//! | `stream` | takes frames of moves in order, and amendments |
 //! | `motion` | has the state, and drives pins outside of plays: returns, moves, seeks |
-//! | `player` | queues strokes, renders the lines from them, books what was played |
+//! | `player` | queues moves, renders the lines from them, books what was played |
 //! | `reporting` | has the counts, the reports and the answers that are to be sent |
 //! | `board` | answers requests for the board report and for a self-test |
 //! | `fingerprint` | hashes what the controller will do, for programs that explore all orders |
@@ -50,7 +50,7 @@ pub use stream::REORDER_WINDOW;
 use stream::{Parts, Stream};
 
 pub use crate::tick::{BLOCK, HORIZON};
-/// Most ticks from now to a stroke's down burst.
+/// Most ticks from now to a move.
 const FARTHEST: i64 = 1 << 30;
 
 /// What the shell tells the controller about the device, for the handshake.
@@ -281,7 +281,7 @@ impl Controller {
     }
 
     /// Turns all lines off and latches, because they have stopped following what is rendered. `followed` is the first tick
-    /// that may not have been on the pins: from it on, strokes that have not ended count as not played. The position is
+    /// that may not have been on the pins: moves that begin from it on count as not played. The position is
     /// unknown then.
     pub fn output_failed(&mut self, followed: Tick) {
         self.off_from(Cause::Output, followed.min(self.now + 1).min(self.player.rendered()));
@@ -327,7 +327,7 @@ impl Controller {
     pub fn transmit(&mut self, now: Tick, out: &mut [u8; MAX_FRAME]) -> usize {
         self.now = self.now.max(now);
         if self.reporting.is_status_due() {
-            // Strokes may have ended since the last pass: the status has this tick, so it counts them.
+            // Moves may have ended since the last pass: the status has this tick, so it counts them.
             self.settle();
         }
         let message = match self.reporting.next(self.now, self.session.is_open(), &mut self.board) {

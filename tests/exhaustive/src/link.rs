@@ -9,10 +9,9 @@ use firmware_protocol::array::MotorSet;
 use firmware_protocol::batch::Amendment;
 use firmware_protocol::frame::MAX_FRAME;
 use firmware_protocol::message::{Cause, Counters, Op, State, Status};
-use firmware_protocol::stroke::Direction;
-use meissner_array::strokes::Stroke;
 use firmware_protocol::tick::Tick;
 use meissner_array::spec::Array;
+use meissner_array::strokes::Stroke;
 use meissner_stream::link::{Event, LineRate, Session, Verdict};
 use meissner_stream::time::HostInstant;
 use stateright::{Model, Property};
@@ -270,8 +269,9 @@ impl Pair {
             Call::Amend => {
                 let last = self.last?;
                 self.cut = true;
+                self.shell.ask_amendment();
                 let pulses = last.up_pulses + 1;
-                let amendment = Amendment { motor: 0, up: last.up, direction: Direction::Up, pulses };
+                let amendment = Amendment { motor: 0, tick: last.up, pulses };
                 if !self.session.amend(&amendment) {
                     return None;
                 }
@@ -311,7 +311,7 @@ impl Pair {
         if !self.session.push(&stroke) {
             return None;
         }
-        self.shell.ask(stroke);
+        self.shell.ask(&stroke.packed()?.moves());
         self.waiting.push_back(stroke);
         if stroke.motor == 0 {
             self.last = Some(stroke);
@@ -357,6 +357,7 @@ impl Pair {
             To::Device => {
                 let before = self.shell.device.state();
                 self.shell.device.receive(Tick(self.shell.now), bytes);
+                self.shell.watch_return();
                 if before != State::Faulted && self.shell.device.state() == State::Faulted {
                     self.shell.off_since = Some(self.shell.now);
                     self.shell.drivers_off();
@@ -585,6 +586,8 @@ impl Model for Link {
             never!(HighAfterStop, "after an e-stop or a fault no line is high later than one period"),
             never!(HighDisarmed, "a disarmed device has no line high"),
             never!(Unasked, "no pulse that nobody asked for"),
+            never!(Forgotten, "a pin that is not at its goal moves, or waits to come down"),
+            never!(Return, "a return is over in time, and then all pins are down"),
             never!(Drivers, "drivers are enabled for bursts, and before them"),
             never!(Verdict, "every stroke has one verdict, and the right one"),
             never!(Counts, "what was accepted is on the lines"),

@@ -6,8 +6,8 @@
 use firmware_protocol::array::MotorSet;
 use firmware_protocol::controller::{BLOCK, Controller, DRIVER_TAIL, HORIZON, Identity, Run};
 use firmware_protocol::message::State;
+use firmware_protocol::moves::Move;
 use firmware_protocol::stroke::{Direction, Lines};
-use meissner_array::strokes::Stroke;
 use firmware_protocol::tick::Tick;
 use meissner_array::spec::Array;
 use std::collections::VecDeque;
@@ -24,9 +24,13 @@ pub enum Broken {
     HighAfterStop,
     /// A line was high while the controller was disarmed.
     HighDisarmed,
-    /// A pulse that no stroke, move or return asks for.
+    /// A pulse that no move, shift or return asks for: up without a move that begins in its tick, or down to no level.
     Unasked,
-    /// A motor's strokes were replaced in part.
+    /// A pin is above its goal, or below it, and nothing moves it.
+    Forgotten,
+    /// A return takes too long, or is over while a pin is up.
+    Return,
+    /// A motor's moves were replaced in part.
     InPart,
     /// A pulse without the drivers' lead, or drivers enabled without a burst.
     Drivers,
@@ -40,7 +44,7 @@ pub enum Broken {
     NoWayOut,
     /// Host and device do not come to agree on a good line.
     Disagree,
-    /// A stroke without a verdict, with two, or with a wrong one.
+    /// A stroke without a verdict, with two verdicts, or with a wrong one.
     Verdict,
     /// Both motors, which share a rail, had pulses in a tick although the limit allows one.
     AtOnce,
@@ -76,6 +80,17 @@ pub(crate) fn after<S: Clone>(
     Some(next)
 }
 
+/// A move that may be played.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub struct Asked {
+    /// As the host sent it.
+    pub of: Move,
+    /// When it begins, or the first move of its stroke.
+    pub first: u64,
+    /// When the pin is there, if it follows the move before.
+    end: u64,
+}
+
 /// A controller with its outputs, and what was seen on them.
 #[derive(Clone, Debug)]
 pub struct Shell {
@@ -88,21 +103,29 @@ pub struct Shell {
     start: u64,
     /// Only one motor of a rail may have pulses at once.
     pub one_at_once: bool,
-    /// Strokes that may be played, as the host sent them.
-    asked: Vec<Stroke>,
-    /// Moves that may be played.
-    moves: Vec<(u8, Direction)>,
+    /// Moves that may be played, as the host sent them.
+    asked: Vec<Asked>,
+    /// Shifts of rest that may be played.
+    shifts: Vec<(u8, Direction)>,
+    /// Corrections and shifts by one pulse that the host has asked for: a pin may be so much higher than the controller counts.
+    beside: u16,
+    /// The highest level asked for.
+    highest: u16,
+    /// Up to which level each pin goes, while it goes up.
+    rising: [u16; USED],
+    /// Since when the controller returns.
+    returns_since: Option<u64>,
     /// Nothing may be high after this tick, until the controller is armed again.
     pub off_since: Option<u64>,
     /// Up and down pulses seen per motor.
     pub seen: [[u32; 2]; USED],
-    /// When strokes have begun, by motor.
+    /// When pins began to go up, by motor.
     begun: Vec<(u8, u64)>,
     last: Lines,
     /// Ticks for which the drivers have been enabled, and for how many of them without a pulse.
     enabled: u32,
     idle: u32,
-    /// Bursts that were withdrawn or refused: the drivers may be on for them.
+    /// Moves that were withdrawn or refused, or have begun where their pin was: the drivers may be on for them.
     taken_back: u64,
     /// The first thing that must not happen.
     pub broken: Option<Broken>,
@@ -117,7 +140,11 @@ impl Hash for Shell {
             start: _,
             one_at_once: _,
             asked,
-            moves,
+            shifts,
+            beside,
+            highest,
+            rising,
+            returns_since,
             off_since,
             seen,
             begun,
@@ -131,7 +158,8 @@ impl Hash for Shell {
         for (run, returns) in ahead {
             (run.lines, run.trigger, run.drivers, run.ticks, returns).hash(hasher);
         }
-        (now, asked, moves, off_since, seen, begun, last).hash(hasher);
+        (now, asked, shifts, beside, highest, rising, returns_since).hash(hasher);
+        (off_since, seen, begun, last).hash(hasher);
         ((*enabled).min(Array::paper().layout().driver_lead() + 1), idle, taken_back, broken).hash(hasher);
     }
 }
@@ -154,7 +182,11 @@ impl Shell {
             start,
             one_at_once: false,
             asked: Vec::new(),
-            moves: Vec::new(),
+            shifts: Vec::new(),
+            beside: 0,
+            highest: 0,
+            rising: [0; USED],
+            returns_since: None,
             off_since: None,
             seen: [[0; 2]; USED],
             begun: Vec::new(),
@@ -174,32 +206,45 @@ impl Shell {
         self.broken = self.broken.or(Some(how));
     }
 
-    /// A stroke that the host sends from now on.
-    pub fn ask(&mut self, stroke: Stroke) {
-        self.asked.push(stroke);
+    /// A move that the host sends from now on, or the two of a stroke.
+    pub fn ask(&mut self, moves: &[Move]) {
+        let Some(first) = moves.first().map(|to| to.tick.0) else { return };
+        for &of in moves {
+            let before = self.asked.iter().rev().find(|before| before.of.motor == of.motor);
+            let from = before.map_or(0, |before| before.of.level);
+            let end = of.tick.0 + u64::from(from.abs_diff(of.level) + of.surplus);
+            self.asked.push(Asked { of, first, end });
+            self.highest = self.highest.max(of.level);
+        }
     }
 
-    /// Strokes that may still be played, of these motors, from this tick on.
+    /// Moves that may still be played, of these motors, from this tick on. A stroke is played whole.
     #[must_use]
-    pub fn asked_from(&self, motors: u32, from: u64) -> Vec<Stroke> {
-        let of = |stroke: &&Stroke| motors >> stroke.motor & 1 == 1 && stroke.up.0 >= from;
+    pub fn asked_from(&self, motors: u32, from: u64) -> Vec<Asked> {
+        let of = |asked: &&Asked| motors >> asked.of.motor & 1 == 1 && asked.first >= from;
         self.asked.iter().filter(of).copied().collect()
     }
 
-    /// Strokes that the host has taken back: none of them may be played.
-    pub fn take_back(&mut self, strokes: &[Stroke]) {
-        self.asked.retain(|stroke| !strokes.contains(stroke));
+    /// Moves that the host has taken back: none of them may be played.
+    pub fn take_back(&mut self, moves: &[Asked]) {
+        self.asked.retain(|of| !moves.contains(of));
     }
 
-    /// Whether a stroke of this motor has begun from `from` on, before `until`.
+    /// Whether a pin has begun to go up from `from` on, before `until`.
     #[must_use]
     pub fn has_begun(&self, motor: u8, from: u64, until: u64) -> bool {
         self.begun.iter().any(|&(of, tick)| of == motor && (from..until).contains(&tick))
     }
 
-    /// A move that the host asks for.
-    pub fn ask_move(&mut self, motor: u8, direction: Direction) {
-        self.moves.push((motor, direction));
+    /// A shift by one pulse that the host asks for.
+    pub fn ask_shift(&mut self, motor: u8, direction: Direction) {
+        self.shifts.push((motor, direction));
+        self.beside += 1;
+    }
+
+    /// An amendment by one pulse that the host asks for.
+    pub fn ask_amendment(&mut self) {
+        self.beside += 1;
     }
 
     fn fill(&mut self) {
@@ -207,7 +252,7 @@ impl Shell {
         while self.device.rendered() < to {
             let run = self.device.render((to - self.device.rendered()) as u32);
             let counters = self.device.counters();
-            let taken_back = counters.refused + counters.replaced;
+            let taken_back = counters.refused + counters.replaced + counters.dropped + counters.played;
             if std::mem::replace(&mut self.taken_back, taken_back) != taken_back {
                 // The drivers were on for a burst that does not come.
                 self.idle = 0;
@@ -225,10 +270,45 @@ impl Shell {
             more = self.device.advance(Tick(self.now));
             self.fill();
             let now = self.now;
-            self.asked.retain(|stroke| stroke.end().0 + 1 >= now);
+            // A way down may wait for the drivers and for other motors.
+            let waits = |of: &Asked| if of.of.level < self.highest { self.return_ticks() } else { 1 };
+            let asked = self.asked.iter().filter(|of| of.end + waits(of) >= now).copied().collect();
+            self.asked = asked;
         }
         self.play();
+        self.watch_return();
+        if !self.device.is_consistent() {
+            self.breaks(Broken::Forgotten);
+        }
         more
+    }
+
+    /// The longest time in which the pins come down.
+    fn return_ticks(&self) -> u64 {
+        let lead = Array::paper().layout().driver_lead();
+        u64::from(HORIZON + lead + 2 * BLOCK + 2 * u32::from(self.highest + self.beside))
+    }
+
+    /// A return is over in time, and then all pins are down. To be called when the controller has heard something.
+    pub fn watch_return(&mut self) {
+        let state = self.device.state();
+        if state == State::Returning {
+            let since = *self.returns_since.get_or_insert(self.now);
+            if self.now > since + self.return_ticks() {
+                self.breaks(Broken::Return);
+            }
+        } else if self.returns_since.take().is_some()
+            && state != State::Faulted
+            && (0..USED).any(|motor| self.device.outstanding(motor as u8) > 0 || self.net(motor) > self.beside)
+        {
+            self.breaks(Broken::Return);
+        }
+    }
+
+    /// Pulses up less pulses down.
+    fn net(&self, motor: usize) -> u16 {
+        let [up, down] = self.seen[motor];
+        up.saturating_sub(down) as u16
     }
 
     /// Puts out the lines of the tick `now`.
@@ -245,8 +325,9 @@ impl Shell {
         let risen = lines.up.without(self.last.up);
         self.begun
             .extend((0..USED as u8).filter(|&motor| risen.contains(motor)).map(|motor| (motor, self.now)));
-        self.last = lines;
+        let last = std::mem::replace(&mut self.last, lines);
         if lines == Lines::OFF {
+            self.rising = [0; USED];
             return;
         }
         if self.off_since.is_some_and(|since| self.now > since) {
@@ -262,24 +343,38 @@ impl Shell {
             self.breaks(Broken::AtOnce);
         }
         for motor in 0..USED {
+            let number = motor as u8;
+            let goes_on = last.up.contains(number);
+            let asks = self.asked.iter().filter(|asked| asked.of.motor == number && asked.of.tick.0 == self.now);
+            let highest = asks.map(|asked| asked.of.level).chain([self.rising[motor]].into_iter().filter(|_| goes_on)).max();
+            self.rising[motor] = highest.filter(|_| lines.up.contains(number)).unwrap_or(0);
             for (direction, mask) in [(Direction::Up, lines.up), (Direction::Down, lines.down)] {
-                if mask.contains(motor as u8) {
-                    self.seen[motor][direction as usize] += 1;
-                    if !self.is_asked(motor as u8, direction, returns) {
+                if mask.contains(number) {
+                    if !self.is_asked(motor, direction, returns) {
                         self.breaks(Broken::Unasked);
                     }
+                    self.seen[motor][direction as usize] += 1;
                 }
+            }
+            let [up, down] = self.seen[motor];
+            if up < down {
+                self.breaks(Broken::Unasked);
             }
         }
     }
 
-    /// Whether the host asked for this pulse in this tick, perhaps with an amendment by one pulse.
-    fn is_asked(&self, motor: u8, direction: Direction, returns: bool) -> bool {
-        let of_stroke = self.asked.iter().filter(|stroke| stroke.motor == motor).any(|stroke| {
-            let burst = stroke.bursts()[direction as usize];
-            (burst.start.0..=burst.end().0).contains(&self.now)
-        });
-        of_stroke || (returns && direction == Direction::Down) || self.moves.contains(&(motor, direction))
+    /// Whether the host asked for this pulse in this tick.
+    fn is_asked(&self, motor: usize, direction: Direction, returns: bool) -> bool {
+        let (height, number) = (self.net(motor), motor as u8);
+        let of_move = match direction {
+            // A move that is not asked for adds nothing to what corrections do.
+            Direction::Up => self.rising[motor] > 0 && height < self.rising[motor] + self.beside,
+            Direction::Down => {
+                let mut begun = self.asked.iter().filter(|asked| asked.of.motor == number && asked.of.tick.0 <= self.now);
+                returns || begun.any(|asked| asked.of.level < height)
+            }
+        };
+        of_move || self.shifts.contains(&(number, direction))
     }
 
     fn watch_drivers(&mut self, pulse: bool, enabled: bool) {
@@ -316,9 +411,8 @@ impl Shell {
         let since = self.now - self.start;
         let blocks =
             [since / block, since / block + 1, since / block + 2].map(|blocks| self.start + blocks * block);
-        let bursts =
-            self.asked.iter().flat_map(|stroke| stroke.bursts().map(|burst| [burst.start.0, burst.end().0]));
-        let changes = blocks.into_iter().chain(bursts.flatten());
+        let bursts = self.asked.iter().flat_map(|asked| [asked.of.tick.0, asked.end]);
+        let changes = blocks.into_iter().chain(bursts);
         let times = changes.flat_map(|at| [at.saturating_sub(1), at, at + 1]).filter(|&at| at > self.now);
         times.min().unwrap_or(self.now + 1)
     }

@@ -161,7 +161,7 @@ impl Motion {
         }
     }
 
-    /// Plays the outstanding return pulses or seeks the lower stop, then takes strokes.
+    /// Plays the outstanding return pulses or seeks the lower stop, then takes moves.
     pub(super) fn arm(
         &mut self,
         assume_rest: bool,

@@ -103,6 +103,16 @@ impl Allowance {
         Ok(())
     }
 
+    /// How many pulses more a motor may push.
+    pub(super) fn room_to_push(&mut self, now: Tick, motor: usize) -> u32 {
+        self.pushing.room(now, motor)
+    }
+
+    /// Counts pulses of a way down that push.
+    pub(super) fn count_pushes(&mut self, now: Tick, motor: usize, pulses: u16) {
+        self.pushing.count(now, motor, pulses.into());
+    }
+
     /// The surplus, as much of it as the limit on pushing allows. It counts.
     pub(super) fn pushes(&mut self, now: Tick, motor: usize, surplus: u16) -> u16 {
         // Not more than the surplus.

@@ -51,6 +51,11 @@ impl Changes {
         self.waiting = self.waiting.without(MotorSet::of(motor));
     }
 
+    /// Whether the line of `motor` is looked at again.
+    pub(super) fn is_waiting(&self, motor: usize) -> bool {
+        self.waiting.contains(motor as u8)
+    }
+
     /// Whether the window has to be opened before the tick `now` is rendered.
     pub(super) fn is_over(&self, now: u32) -> bool {
         now.wrapping_sub(self.window.begin) >= BLOCK

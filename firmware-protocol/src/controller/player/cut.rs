@@ -3,7 +3,7 @@
 //! Invariant: what a cut flushes counts as dropped. After an e-stop each motor's height is that of the last tick that was played.
 
 use crate::array::{CAPACITY, MotorSet, Ring};
-use crate::controller::player::recent::Rendered;
+use crate::controller::player::recent::{Begun, Rendered};
 use crate::controller::player::{Player, Shifting};
 use crate::controller::reporting::Reporting;
 use crate::limits::Refusal;
@@ -43,6 +43,8 @@ impl Player {
         let flushed = self.flush(reporting);
         let now = self.rendered;
         self.lowered = MotorSet::EMPTY;
+        // The play is over, and so is what its mark says.
+        self.set_hold(0);
         if self.shifts_at(now) {
             self.shifting = None;
         }
@@ -71,6 +73,16 @@ impl Player {
             && self.still_from <= now
             && !self.shifts_at(now)
             && self.motors[..self.layout.loop_end()].iter().all(super::motor::Motor::is_still)
+    }
+
+    /// Whether no motor has been forgotten: one that should do something does it, or rendering looks at it again.
+    pub(in crate::controller) fn is_consistent(&self) -> bool {
+        (0..self.layout.loop_end()).all(|motor| {
+            let of = &self.motors[motor];
+            let waits = of.is_to_descend() || of.running.is_some() || self.queues.first(motor).is_some();
+            let may_be_below = of.running.is_some_and(|running| running.direction == Direction::Up);
+            (!waits || self.changes.is_waiting(motor)) && (of.height >= of.goal() || may_be_below)
+        })
     }
 
     /// Pulses above rest of all pins together, at the rendered end.
@@ -199,23 +211,19 @@ impl Player {
             let (ticks, begin) = (run.ticks as u16, (at.0 as u32).wrapping_add(left));
             for (direction, lines) in [(Direction::Up, run.lines.up), (Direction::Down, run.lines.down)] {
                 for motor in lines.iter().map(usize::from) {
-                    let height = self.motors[motor].height;
-                    self.motors[motor].undo(direction, ticks, begin);
-                    // With a stop, what does not lower the pin pushes.
-                    let undone = self.motors[motor].height.abs_diff(height);
-                    let pushes = if direction == Direction::Down { ticks.saturating_sub(undone) } else { 0 };
+                    let pushes = self.motors[motor].undo(direction, ticks, begin);
                     self.allowance.take_back(now, motor, ticks, pushes);
                 }
             }
             let counters = reporting.count();
             counters.pulses -= u64::from(run.lines.pulsing().len()) * u64::from(run.ticks);
-            counters.played -= u64::from(run.begun);
-            counters.dropped += u64::from(run.begun);
-            undone += run.begun;
+            let begun = run.begun.take_back(counters);
+            counters.dropped += u64::from(begun);
+            undone += begun;
         }
         // These ticks are not taken back again.
         if at < now {
-            self.recent.push(Rendered { lines: Lines::OFF, ticks: (now - at) as u32, begun: 0 });
+            self.recent.push(Rendered { lines: Lines::OFF, ticks: (now - at) as u32, begun: Begun::default() });
         }
         for motor in &mut self.motors {
             let height = motor.height(now.0 as u32);
@@ -232,8 +240,7 @@ impl Player {
 
     /// Of these counts, those of the ticks before `now`: an e-stop takes back what is rendered and not played.
     pub(in crate::controller) fn played(&self, counters: Counters, now: Tick) -> Counters {
-        let (pulses, begun) = self.recent.in_last((self.rendered - now) as u32);
-        Counters { played: counters.played - begun, pulses: counters.pulses - pulses, ..counters }
+        self.recent.without_last((self.rendered - now) as u32, counters)
     }
 
     /// Whether a shift of rest upwards is not over in the ticks before `now`.

@@ -1,16 +1,16 @@
-//! Bounds the strokes that begin, of all motors, by what the chip has time for: [`Layout::max_dense`] within 10 ms.
+//! Bounds the moves that begin, of all motors, by what the chip has time for: [`Layout::max_dense`] within 10 ms.
 //!
-//! Invariant: `room` and the strokes begun in the last 10 ms, those of the present block included, sum up to [`Layout::max_dense`].
+//! Invariant: `room` and the moves begun in the last 10 ms, those of the present block included, sum up to [`Layout::max_dense`].
 
 use crate::array::Layout;
 use crate::limits::Refusal;
 
-/// Room for the blocks in which strokes count, with the present one.
+/// Room for the blocks in which moves count, with the present one.
 const BLOCKS: usize = Layout::MAX_DENSE_BLOCKS;
 
 #[derive(Clone, Debug, Hash)]
 pub(super) struct Density {
-    /// Strokes that have begun in each block, in a ring.
+    /// Moves that have begun in each block, in a ring.
     begun: [u8; BLOCKS],
     /// Length of the ring.
     blocks: u8,
@@ -31,7 +31,7 @@ impl Density {
         self.room += u16::from(core::mem::take(&mut self.begun[usize::from(self.present)]));
     }
 
-    /// A stroke begins in the present block.
+    /// A move begins in the present block.
     ///
     /// # Errors
     /// [`Refusal::Dense`] if too many have begun; then it does not count.

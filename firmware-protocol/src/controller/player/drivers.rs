@@ -4,7 +4,7 @@
 //! no burst begins earlier than [`Player::ready`] says.
 //!
 //! Invariant: while the drivers are enabled, some line has a pulse, had its last one less than [`DRIVER_TAIL`] ticks ago, or has
-//! its next burst within the lead ([`Layout::driver_lead`](crate::array::Layout::driver_lead)). A stroke that a limit refuses when
+//! its next burst within the lead ([`Layout::driver_lead`](crate::array::Layout::driver_lead)). A move that a limit refuses when
 //! it is to begin counts as a burst here.
 
 use crate::array::Layout;

@@ -9,7 +9,7 @@ use crate::array::{MotorSet, Ring};
 use crate::controller::Run;
 use crate::controller::player::Player;
 use crate::controller::player::queue::{Waiting, ahead};
-use crate::controller::player::recent::Rendered;
+use crate::controller::player::recent::{Begun, Rendered};
 use crate::controller::reporting::Reporting;
 use crate::limits::Refusal;
 use crate::message::Report;
@@ -31,7 +31,7 @@ impl Player {
         if self.changes.is_over(now) {
             self.next_block(now, reporting);
         }
-        let begun = reporting.counters().played;
+        let before = Begun::of(reporting.count());
         for (mut due, mut motor) in self.changes.take(now).parts().into_iter().zip((0..).step_by(32)) {
             while due != 0 {
                 // The chip's core has no instruction that finds the next bit.
@@ -53,7 +53,8 @@ impl Player {
         self.rendered = self.rendered + ticks;
         let counters = reporting.count();
         counters.pulses += u64::from(self.lines.pulsing().len()) * ticks;
-        let (lines, ticks, begun) = (self.lines, ticks as u32, (counters.played - begun) as u16);
+        let begun = Begun::of(counters).since(before);
+        let (lines, ticks) = (self.lines, ticks as u32);
         self.recent.push(Rendered { lines, ticks, begun });
         Run { lines, trigger, drivers, ticks }
     }
@@ -148,8 +149,8 @@ impl Player {
         let now = self.rendered;
         let Some(ended) = self.motors[motor].end(now) else { return };
         let played = ended.played(now.0 as u32);
-        let pushed = played.saturating_sub(ended.pulses - ended.pushes);
-        self.allowance.end(now, motor, (ended.pulses, played.into()), (ended.pushes, pushed));
+        let pushes = (ended.pushes, ended.pushed(now.0 as u32));
+        self.allowance.end(now, motor, (ended.pulses, played.into()), pushes);
         self.still_from = now;
         if ended.end() != now.0 as u32 {
             self.make_room(motor);
@@ -174,15 +175,26 @@ impl Player {
     fn begin_move(&mut self, motor: usize, reporting: &mut Reporting) {
         let now = self.rendered;
         let before = self.motors[motor].goal();
+        let Some(waiting) = self.queues.begin(motor, now) else { return };
+        let Waiting { level, surplus, from, tick, .. } = waiting;
+        if level == before && surplus == 0 {
+            // The pin is there, or on its way.
+            reporting.count().played += 1;
+            self.allowance.count_begin();
+            return;
+        }
         if self.motors[motor].running.is_some() {
             self.end(motor);
         }
-        let Some(waiting) = self.queues.begin(motor, now) else { return };
         let height = self.motors[motor].height(now.0 as u32);
-        let Waiting { level, surplus, from, tick, .. } = waiting;
         self.motors[motor].set_goal(level);
         // A correction is for the distance that was planned.
         let correction = if from == height { waiting.correction } else { 0 };
+        let correction = if correction < 0 && level > height && self.has_stop() {
+            self.without_pushes(motor, correction)
+        } else {
+            correction
+        };
         let counters = reporting.count();
         counters.played += 1;
         counters.shortened += u64::from(height != before);
@@ -206,6 +218,14 @@ impl Player {
                 reporting.report(Report::Refused { motor: motor as u8, tick, reason });
             }
         }
+    }
+
+    /// What a correction of a way up to fewer pulses may be: those that it leaves for the way down push, and are limited.
+    #[inline(never)]
+    fn without_pushes(&mut self, motor: usize, correction: i16) -> i16 {
+        let room = self.allowance.room_to_push(self.rendered, motor);
+        let room = room.saturating_sub(self.motors[motor].left_to_push().into());
+        -i16::try_from(room).map_or(-correction, |room| room.min(-correction))
     }
 
     /// Whether a burst up to the goal may begin; then it counts. Its way back must fit the on-time limits, too.
@@ -284,14 +304,18 @@ impl Player {
         let (goal, correction) = (of.goal(), of.correction);
         let surplus = core::mem::take(&mut self.motors[motor].surplus);
         let mut pulses = distance.saturating_add_signed(correction.min(0)).max(distance.min(1));
-        let mut pushes = 0;
+        let mut pushes = if self.has_stop() { self.motors[motor].pushes(pulses) } else { 0 };
+        if pushes > 0 {
+            self.allowance.count_pushes(now, motor, pushes);
+            pulses -= pushes;
+        }
         if correction > 0 || surplus > 0 {
             let back = self.back(motor);
             let room = self.allowance.room(now, motor, back, &self.layout).saturating_sub(pulses.into());
             let room = u16::try_from(room).unwrap_or(u16::MAX);
             let more = correction.max(0).cast_unsigned().min(room);
             pulses += more;
-            pushes = self.allowance.pushes(now, motor, surplus.min(room - more));
+            pushes += self.allowance.pushes(now, motor, surplus.min(room - more));
         }
         if pulses + pushes == 0 {
             return None;

@@ -42,6 +42,8 @@ pub(super) struct Motor {
     /// For the way down to the goal: the pulses that an amendment adds, and the surplus.
     pub(super) correction: i16,
     pub(super) surplus: u16,
+    /// By how many pulses the pin may be below `height`, because ways up since it was at rest were corrected to fewer.
+    below: u16,
     /// When the last burst ended.
     pub(super) still_since: Tick,
     /// The last uneven bursts with ticks that may not have been played, in a ring.
@@ -50,10 +52,10 @@ pub(super) struct Motor {
 
 impl Hash for Motor {
     fn hash<H: Hasher>(&self, hasher: &mut H) {
-        let Self { height, goal, running, correction, surplus, still_since, uneven } = self;
+        let Self { height, goal, running, correction, surplus, below, still_since, uneven } = self;
         (height, goal, running, correction, surplus, uneven).hash(hasher);
-        if *height > 0 {
-            still_since.hash(hasher);
+        if *height > 0 || uneven.iter().any(Option::is_some) {
+            (below, still_since).hash(hasher);
         }
     }
 }
@@ -81,6 +83,20 @@ impl Running {
             Direction::Down => from.saturating_sub(played).max(self.to),
         }
     }
+
+    /// By how many pulses it brings the pin lower than its height, if it ends at the tick `now` and the height was `from` before.
+    fn below(&self, from: u16, now: u32) -> i16 {
+        let (height, pulses) = (self.height(from, now), self.played(now).min(self.pulses - self.pushes));
+        match self.direction {
+            Direction::Up => height.wrapping_sub(from).wrapping_sub(pulses).cast_signed(),
+            Direction::Down => pulses.wrapping_sub(from.wrapping_sub(height)).cast_signed(),
+        }
+    }
+
+    /// How many pulses before the tick `now` push against the lower stop.
+    pub(super) fn pushed(&self, now: u32) -> u16 {
+        self.played(now).saturating_sub(self.pulses - self.pushes)
+    }
 }
 
 impl Motor {
@@ -90,6 +106,7 @@ impl Motor {
         running: None,
         correction: 0,
         surplus: 0,
+        below: 0,
         still_since: Tick(0),
         uneven: [None; UNEVEN],
     };
@@ -136,11 +153,14 @@ impl Motor {
     /// Ends the burst that runs, at `now`.
     pub(super) fn end(&mut self, now: Tick) -> Option<Running> {
         let ended = self.running?;
+        let before = self.height;
         self.height = self.height(now.0 as u32);
+        self.go_below(ended.below(before, now.0 as u32));
         if let Some(Uneven { of, .. }) = &mut self.uneven[0]
             && *of == ended
         {
-            (of.pulses, of.to) = (ended.played(now.0 as u32), self.height);
+            let now = now.0 as u32;
+            (of.pulses, of.pushes, of.to) = (ended.played(now), ended.pushed(now), self.height);
         }
         (self.running, self.still_since) = (None, now);
         Some(ended)
@@ -149,7 +169,8 @@ impl Motor {
     /// Where the pin is, and where it should be, without a burst.
     pub(super) fn place(&mut self, height: u16, goal: u16) {
         let Self { still_since, uneven, .. } = *self;
-        *self = Self { height, goal, still_since, uneven, ..Self::REST };
+        let below = if height == self.height { self.below } else { 0 };
+        *self = Self { height, goal, still_since, uneven, below, ..Self::REST };
     }
 
     /// The pin should have this level. A burst to another one has been ended.
@@ -157,12 +178,24 @@ impl Motor {
         (self.goal, self.correction, self.surplus) = (level, 0, 0);
     }
 
+    /// The pin is by so many pulses lower than by its height, than it was.
+    fn go_below(&mut self, pulses: i16) {
+        self.below = self.below.saturating_add_signed(pulses).min(self.height);
+    }
+
+    /// How many of the pulses down that bring it to rest push against a lower stop, if no way up is corrected from now on.
+    pub(super) fn left_to_push(&self) -> u16 {
+        if self.height == 0 { 0 } else { self.below }
+    }
+
     /// Begins a burst at `now`, after which the pin has the height `to`.
     pub(super) fn begin(&mut self, now: Tick, direction: Direction, pulses: u16, pushes: u16, to: u16) {
         let of = Running { direction, start: now.0 as u32, pulses, to, pushes };
         self.running = Some(of);
+        // No earlier, because an e-stop may take back the end of the way to rest.
+        self.below = self.left_to_push();
         self.forget_played(now);
-        if pulses != self.height.abs_diff(to) {
+        if pulses != self.height.abs_diff(to) || pushes > 0 {
             self.uneven.rotate_right(1);
             self.uneven[0] = Some(Uneven { of, from: self.height });
         }
@@ -177,15 +210,26 @@ impl Motor {
         }
     }
 
-    /// `pulses` of this direction were rendered last, from the tick `begin` on, and not played.
-    pub(super) fn undo(&mut self, direction: Direction, pulses: u16, begin: u32) {
+    /// `pulses` of this direction were rendered last, from the tick `begin` on, and not played. Returns how many of them push.
+    pub(super) fn undo(&mut self, direction: Direction, pulses: u16, begin: u32) -> u16 {
         let mut uneven = self.uneven.iter().flatten();
         let within = uneven.find(|uneven| begin.wrapping_sub(uneven.of.start) < uneven.of.pulses.into());
-        self.height = match (within, direction) {
-            (Some(uneven), _) => uneven.of.height(uneven.from, begin),
-            (None, Direction::Up) => self.height.saturating_sub(pulses),
-            (None, Direction::Down) => self.height.saturating_add(pulses),
-        };
+        match (within, direction) {
+            (Some(&Uneven { of, from }), _) => {
+                let end = begin.wrapping_add(pulses.into());
+                self.height = of.height(from, begin);
+                self.go_below(of.below(from, begin).saturating_sub(of.below(from, end)));
+                return of.pushed(end) - of.pushed(begin);
+            }
+            (None, Direction::Up) => self.height = self.height.saturating_sub(pulses),
+            (None, Direction::Down) => self.height = self.height.saturating_add(pulses),
+        }
+        0
+    }
+
+    /// How many of `pulses` down push against a lower stop.
+    pub(super) fn pushes(&self, pulses: u16) -> u16 {
+        pulses.saturating_sub(self.height.saturating_sub(self.left_to_push()))
     }
 
     /// Forgets the bursts so far: none of their ticks is taken back any more.

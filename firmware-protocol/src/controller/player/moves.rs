@@ -7,7 +7,7 @@ use crate::batch::Amendment;
 use crate::controller::FARTHEST;
 use crate::controller::newer;
 use crate::controller::player::Player;
-use crate::controller::player::queue::{Waiting, ahead, follow};
+use crate::controller::player::queue::{Waiting, follow};
 use crate::controller::reporting::Reporting;
 use crate::limits::{self, Refusal};
 use crate::moves::Move;
@@ -41,8 +41,8 @@ impl Player {
         if follow(moves, ticks, self.layout.least_apart()) { Ok(()) } else { Err(Refusal::Dense) }
     }
 
-    /// Queues a move, or the two of a stroke. They take only amendments newer than `generation`. What changes nothing has been played: it would
-    /// enable the drivers for no pulse.
+    /// Queues a move, or the two of a stroke. They take only amendments newer than `generation`. A move to rest has been played if the pin is at
+    /// rest by then, whatever is refused before: it would enable the drivers for no pulse.
     pub(in crate::controller) fn append(
         &mut self,
         moves: &[Move],
@@ -51,8 +51,11 @@ impl Player {
     ) {
         let Some(&Move { motor, tick: begin, .. }) = moves.first() else { return };
         let motor = usize::from(motor);
-        let mut from = self.queues.last(motor).map_or(self.motors[motor].goal(), |last| last.level);
-        if moves.iter().all(|to| to.level == from && to.surplus == 0) {
+        let last = self.queues.last(motor);
+        let mut from = last.map_or(self.motors[motor].goal(), |last| last.level);
+        // A stroke that is refused leaves the goal of the move before it.
+        let rests = from == 0 && !last.is_some_and(|last| last.joined);
+        if rests && moves.iter().all(|to| to.level == 0 && to.surplus == 0) {
             reporting.count().played += moves.len() as u64;
             return;
         }
@@ -97,13 +100,14 @@ impl Player {
         let is_up = waiting.level > waiting.from;
         let most = if is_up { self.layout.max_up_pulses() } else { self.layout.max_down_pulses() };
         let room = next.map_or(u32::MAX, |next| next.wrapping_sub(waiting.tick));
-        let fits = limits::within_correction(planned, item.pulses)
+        let fits = planned > 0
+            && limits::within_correction(planned, item.pulses)
             && u32::from(item.pulses) <= room
             && (1..=most).contains(&item.pulses)
             // With a stop, what goes down further than planned would push.
             && (is_up || !has_stop || item.pulses <= planned);
         let newest = waiting.generation.is_none_or(|old| newer(generation, old));
-        if !fits || !newest || ahead(waiting.tick, now) < 0 {
+        if !fits || !newest {
             return None;
         }
         waiting.generation = Some(generation);

@@ -3,16 +3,49 @@
 //! Invariant: it reaches back from the rendered end by the horizon at least.
 
 use crate::controller::HORIZON;
+use crate::message::Counters;
 use crate::stroke::Lines;
 use core::hash::{Hash, Hasher};
+
+/// What was counted of the moves that began in a tick: at most one of each motor.
+#[derive(Clone, Copy, Debug, Default, Hash)]
+pub(super) struct Begun {
+    played: u8,
+    amended: u8,
+    shortened: u8,
+}
+
+impl Begun {
+    /// The low bytes of these counts.
+    pub(super) fn of(&Counters { played, amended, shortened, .. }: &Counters) -> Self {
+        Self { played: played as u8, amended: amended as u8, shortened: shortened as u8 }
+    }
+
+    /// What was counted since `before`.
+    pub(super) fn since(self, before: Self) -> Self {
+        Self {
+            played: self.played.wrapping_sub(before.played),
+            amended: self.amended.wrapping_sub(before.amended),
+            shortened: self.shortened.wrapping_sub(before.shortened),
+        }
+    }
+
+    /// Counts them no longer. Returns how many moves they were.
+    pub(super) fn take_back(self, counters: &mut Counters) -> u16 {
+        counters.played -= u64::from(self.played);
+        counters.amended -= u64::from(self.amended);
+        counters.shortened -= u64::from(self.shortened);
+        self.played.into()
+    }
+}
 
 /// Ticks in which no line changed.
 #[derive(Clone, Copy, Debug, Hash)]
 pub(super) struct Rendered {
     pub(super) lines: Lines,
     pub(super) ticks: u32,
-    /// Moves that began in the first of them.
-    pub(super) begun: u16,
+    /// What began in the first of them.
+    pub(super) begun: Begun,
 }
 
 #[derive(Clone, Debug)]
@@ -36,19 +69,18 @@ impl Recent {
         let _ = self.runs.push_back(run);
     }
 
-    /// Pulses in the last `ticks`, and moves that began in them.
-    pub(super) fn in_last(&self, mut ticks: u32) -> (u64, u64) {
-        let (mut pulses, mut begun) = (0, 0);
+    /// Takes the last `ticks` out of these counts.
+    pub(super) fn without_last(&self, mut ticks: u32, mut counters: Counters) -> Counters {
         for run in self.runs.iter().rev() {
             let of = run.ticks.min(ticks);
-            pulses += u64::from(run.lines.pulsing().len()) * u64::from(of);
+            counters.pulses -= u64::from(run.lines.pulsing().len()) * u64::from(of);
             if of < run.ticks || of == 0 {
                 break;
             }
-            begun += u64::from(run.begun);
+            run.begun.take_back(&mut counters);
             ticks -= of;
         }
-        (pulses, begun)
+        counters
     }
 
     /// Takes the newest run, and of it at most `ticks`, the last ones.
@@ -56,7 +88,7 @@ impl Recent {
         let last = self.runs.back_mut()?;
         if last.ticks > ticks {
             last.ticks -= ticks;
-            return Some(Rendered { ticks, begun: 0, ..*last });
+            return Some(Rendered { ticks, begun: Begun::default(), ..*last });
         }
         self.runs.pop_back()
     }

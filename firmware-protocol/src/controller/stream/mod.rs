@@ -1,9 +1,9 @@
-//! Takes the ordered stream: frames of strokes in the order of their numbers, and amendments.
+//! Takes the ordered stream: frames of moves in the order of their numbers, and amendments.
 //!
-//! A frame is unpacked, then its head is taken, then its strokes ([`Stream::take`]), a piece at a time. Frames that arrive out of order
+//! A frame is unpacked, then its head is taken, then its moves ([`Stream::take`]), a piece at a time. Frames that arrive out of order
 //! wait in `reorder`; `taking` holds the frame that is being taken.
 //!
-//! Invariant: each frame of an epoch is taken once, after all frames before it. No stroke of a motor in `kept` is queued.
+//! Invariant: each frame of an epoch is taken once, after all frames before it. No move of a motor in `kept` is queued.
 
 mod reorder;
 mod taking;
@@ -25,7 +25,7 @@ use taking::{Packed, Taking};
 #[derive(Clone, Debug, Hash)]
 pub(super) struct Stream {
     next_seq: u16,
-    /// Motors whose strokes are late until a frame withdraws again from them, because it came too late the last time.
+    /// Motors whose moves are late until a frame withdraws again from them, because it came too late the last time.
     kept: MotorSet,
     /// The newest amendment of this epoch that the device knows of.
     generation: Option<u16>,

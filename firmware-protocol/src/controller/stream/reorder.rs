@@ -8,7 +8,7 @@ use crate::controller::stream::taking::Next;
 /// Most frames buffered: those that follow the next in order.
 pub const REORDER_WINDOW: usize = 8;
 
-/// A frame of strokes as received.
+/// A frame of moves as received.
 #[derive(Clone, Debug, Hash)]
 pub(super) struct Frame {
     pub(super) head: Next,

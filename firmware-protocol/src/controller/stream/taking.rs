@@ -1,4 +1,4 @@
-//! The part of the newest frame that is read and not taken yet: its strokes or amendments.
+//! The part of the newest frame that is read and not taken yet: its moves or amendments.
 //!
 //! Taking a long frame whole would leave the chip little time to render lines. So the controller takes it in pieces
 //! ([`Stream::take`]).
@@ -34,7 +34,7 @@ pub(in crate::controller) struct Next {
     pub(in crate::controller) base: Tick,
 }
 
-/// A frame of the ordered stream whose strokes are being unpacked.
+/// A frame of the ordered stream whose moves are being unpacked.
 #[derive(Clone, Copy, Debug, Hash)]
 pub(super) struct Packed {
     pub(super) head: Next,
@@ -47,19 +47,19 @@ pub(super) struct Packed {
 pub(super) struct Taking {
     /// The epoch in which the frame was read. A command may begin another before all is taken.
     epoch: u16,
-    /// The packed strokes or amendments of the frame.
+    /// The packed moves or amendments of the frame.
     items: heapless::Vec<u8, BATCH_BYTES>,
-    /// The frame whose strokes are being unpacked.
+    /// The frame whose moves are being unpacked.
     packed: Option<Packed>,
-    /// The frame whose strokes are to be taken; its mark is not.
+    /// The frame whose moves are to be taken; its mark is not.
     pub(super) next: Option<Next>,
     /// Unpacked in place, because a copy takes long.
     moves: Batch,
-    /// The frame whose strokes are being taken.
+    /// The frame whose moves are being taken.
     seq: Option<u16>,
-    /// Number of strokes taken.
+    /// Number of moves taken.
     taken: usize,
-    /// Bits of the strokes that were late, and refused.
+    /// Bits of the moves that were late, and refused.
     late: u64,
     /// When the first late one could have begun at the earliest.
     missed: Option<Tick>,
@@ -76,7 +76,7 @@ pub(super) struct Taking {
 }
 
 impl Hash for Taking {
-    /// Leaves out what is taken: once nothing of a frame is left, its strokes are not read again.
+    /// Leaves out what is taken: once nothing of a frame is left, its moves are not read again.
     fn hash<H: Hasher>(&self, hasher: &mut H) {
         let Self {
             epoch,
@@ -136,7 +136,7 @@ impl Taking {
         self.amending = Some((generation, 0, base));
     }
 
-    /// Keeps the packed strokes of a frame.
+    /// Keeps the packed moves of a frame.
     pub(super) fn begin(
         &mut self,
         epoch: u16,
@@ -159,7 +159,7 @@ impl Taking {
         Ok(None)
     }
 
-    /// The packed strokes or amendments.
+    /// The packed moves or amendments.
     pub(super) fn items(&self) -> &[u8] {
         &self.items
     }
@@ -225,7 +225,7 @@ impl Stream {
         (taking.seq, taking.taken) = (Some(seq), 0);
         (taking.late, taking.missed, taking.refused, taking.reason) = (0, None, 0, None);
         (taking.withdraw, taking.from, taking.kept) = (MotorSet::EMPTY, base, MotorSet::EMPTY);
-        // Between pieces lines are rendered, and a stroke that was in time may become late.
+        // Between pieces lines are rendered, and a move that was in time may become late.
         let begins_play = mark.is_some_and(|mark| mark.kind == MarkKind::Play);
         if let Some(withdraw) = withdraw
             && !begins_play
