@@ -35,4 +35,4 @@ pub use error::MotionError;
 pub use generate::{Envelope, Noise, RampHold, Shape, Strength, Tone};
 pub use moves::{Compiled, Grid, LEAST_ERROR_UM, Moves, compile};
 pub use reached::{Deviation, Path, Reached};
-pub use waveform::{Knot, MAX_KNOTS, RATE_HZ, Section, Waveform};
+pub use waveform::{Knot, MAX_KNOTS, MAX_SAMPLES, RATE_HZ, Section, Waveform};
