@@ -18,8 +18,12 @@ const SEGMENTS: u32 = 64;
 const PER_PERIOD: f64 = 40.0;
 /// The least rate of samples, Hz.
 const LEAST_RATE_HZ: f64 = 1000.0;
-/// The most samples times lines of noise: some four seconds of work. 5 to 50 Hz for 105 s.
+/// The most samples times lines of noise: a second of work. 5 to 50 Hz for 105 s.
 const MOST_WORK: f64 = 1e9;
+/// The same of all noise of a pattern.
+pub(crate) const MOST_NOISE_WORK: f64 = 4.0 * MOST_WORK;
+/// Lines of noise that are added at once: the processor works on them side by side.
+const AT_ONCE: usize = 8;
 /// Of the keys of random numbers, the part that is the noise's own ("noise").
 const NOISE_KEY: u64 = 0x6e_6f69_7365;
 
@@ -136,6 +140,11 @@ fn check_hz(what: &'static str, hz: f64) -> Result<(), MotionError> {
 }
 
 impl RampHold {
+    /// The most knots that its waveform has.
+    pub(crate) const fn most_knots(&self) -> usize {
+        2 * (SEGMENTS as usize + 1)
+    }
+
     /// Its waveform.
     ///
     /// # Errors
@@ -300,13 +309,21 @@ impl Noise {
         })
     }
 
-    /// The sum of the lines, not scaled, at each end of so many intervals.
+    /// The number of samples times lines: what it takes to make them.
+    pub(crate) fn work(&self) -> Result<f64, MotionError> {
+        let (first, last) = self.band()?;
+        #[expect(clippy::cast_precision_loss, reason = "compared with a bound")]
+        let work = (last - first + 1) as f64 * f64::from(self.intervals()?);
+        if work > MOST_WORK { Err(MotionError::TooLong { seconds: self.duration_s }) } else { Ok(work) }
+    }
+
+    /// The first and the last line, as multiples of 1/`duration_s`.
     #[expect(
         clippy::cast_possible_truncation,
         clippy::cast_sign_loss,
         reason = "at most 300 Hz times MAX_SECONDS"
     )]
-    fn lines(&self, intervals: u32) -> Result<Vec<f64>, MotionError> {
+    fn band(&self) -> Result<(u64, u64), MotionError> {
         let seconds = self.duration_s;
         // Edges that are lines count, whatever the rounding.
         let first = ((self.low_hz * seconds - 1e-6).ceil() as u64).max(1);
@@ -314,21 +331,32 @@ impl Noise {
         if first > last {
             return Err(MotionError::Band { seconds, low_hz: self.low_hz, high_hz: self.high_hz });
         }
-        #[expect(clippy::cast_precision_loss, reason = "compared with a bound")]
-        let work = (last - first + 1) as f64 * f64::from(intervals);
-        if work > MOST_WORK {
-            return Err(MotionError::TooLong { seconds });
-        }
+        Ok((first, last))
+    }
+
+    /// The sum of the lines, not scaled, at each end of so many intervals.
+    fn lines(&self, intervals: u32) -> Result<Vec<f64>, MotionError> {
+        self.work()?;
+        let (first, last) = self.band()?;
         let mut sum = vec![0.0; intervals as usize + 1];
-        for line in first..=last {
-            let [mut x, mut y] = [0, 1].map(|part| random::normal([self.seed, NOISE_KEY, line, part]));
-            #[expect(clippy::cast_precision_loss, reason = "MOST_WORK bounds it")]
-            let angle = TAU * line as f64 / f64::from(intervals);
-            let (cos, sin) = (libm::cos(angle), libm::sin(angle));
-            // A point that turns by the angle from sample to sample.
+        for begin in (first..=last).step_by(AT_ONCE) {
+            // Points that turn by their angles from sample to sample. Those after the last line stay at 0.
+            let (mut x, mut y, mut cos, mut sin) =
+                ([0.0; AT_ONCE], [0.0; AT_ONCE], [1.0; AT_ONCE], [0.0; AT_ONCE]);
+            for (place, line) in (begin..=last).take(AT_ONCE).enumerate() {
+                [x[place], y[place]] = [0, 1].map(|part| random::normal([self.seed, NOISE_KEY, line, part]));
+                #[expect(clippy::cast_precision_loss, reason = "MOST_WORK bounds it")]
+                let angle = TAU * line as f64 / f64::from(intervals);
+                (cos[place], sin[place]) = (libm::cos(angle), libm::sin(angle));
+            }
             for um in &mut sum {
-                *um += x;
-                (x, y) = (x * cos + y * sin, y * cos - x * sin);
+                for place in 0..AT_ONCE {
+                    *um += x[place];
+                    (x[place], y[place]) = (
+                        x[place] * cos[place] + y[place] * sin[place],
+                        y[place] * cos[place] - x[place] * sin[place],
+                    );
+                }
             }
         }
         Ok(sum)

@@ -67,12 +67,12 @@ struct Samples {
 
 /// Seconds in nanoseconds, rounded.
 #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "checked: 0 to 10^17")]
-pub(super) fn ns_of(seconds: f64) -> u64 {
+pub(crate) fn ns_of(seconds: f64) -> u64 {
     (seconds * NS_PER_S).round() as u64
 }
 
 #[expect(clippy::cast_precision_loss, reason = "below 2^53 for three months; then off by some ns")]
-pub(super) fn s_of(ns: u64) -> f64 {
+pub(crate) fn s_of(ns: u64) -> f64 {
     ns as f64 / NS_PER_S
 }
 
