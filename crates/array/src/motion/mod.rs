@@ -32,7 +32,10 @@ mod reached;
 mod waveform;
 
 pub use error::MotionError;
+pub(crate) use generate::MOST_NOISE_WORK;
 pub use generate::{Envelope, Noise, RampHold, Shape, Strength, Tone};
+pub(crate) use moves::SLOWEST_STEP_MS;
 pub use moves::{Compiled, Grid, LEAST_ERROR_UM, Moves, compile};
 pub use reached::{Deviation, Path, Reached};
-pub use waveform::{Knot, MAX_KNOTS, RATE_HZ, Section, Waveform};
+pub use waveform::{Knot, MAX_KNOTS, MAX_SAMPLES, RATE_HZ, Section, Waveform};
+pub(crate) use waveform::{ns_of, s_of};

@@ -31,7 +31,10 @@ use firmware_protocol::tick::Tick;
 
 /// The steps that [`compile`] tries, ms. Shorter ones are more moves than the link takes from 24 motors, longer ones do not vanish in
 /// the motor's average of 4.3 ms.
-const STEPS_MS: [u64; 4] = [4, 3, 2, 1];
+const STEPS_MS: [u64; 4] = [SLOWEST_STEP_MS, 3, 2, 1];
+
+/// The longest of them: a move may begin so much before its waveform, and the last one so much after it.
+pub(crate) const SLOWEST_STEP_MS: u64 = 4;
 
 /// The least error that can be asked for, µm: a small part of a pulse.
 pub const LEAST_ERROR_UM: f64 = 0.01;
@@ -95,6 +98,12 @@ impl Compiled {
     #[must_use]
     pub fn all_within(&self, error_um: f64) -> bool {
         self.reached.iter().all(|reached| reached.step_error_um <= error_um)
+    }
+
+    /// The longest time for which a pin stays above rest between two of its moves, s: the hold that a play has to ask for.
+    #[must_use]
+    pub fn longest_hold_s(&self) -> f64 {
+        self.reached.iter().fold(0.0, |longest, reached| reached.longest_hold_s.max(longest))
     }
 }
 

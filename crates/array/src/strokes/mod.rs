@@ -238,7 +238,7 @@ impl Strokes {
     }
 }
 
-/// The requested end of a play, in ticks: its own duration, or else the pattern's, or else the end of the last drive. `None`:
+/// The requested end of a play, in ticks: its own duration, or else the pattern's, or else the end of the last drive or motion. `None`:
 /// without end.
 #[must_use]
 pub fn ordered_end(pattern: &Pattern, seconds: Option<f64>) -> Option<u64> {
@@ -248,7 +248,8 @@ pub fn ordered_end(pattern: &Pattern, seconds: Option<f64>) -> Option<u64> {
 /// How long a pattern lasts, s; `None`: without end.
 fn lasts_s(pattern: &Pattern) -> Option<f64> {
     let mut stops = pattern.drives().iter().map(|drive| drive.stop_s);
-    let last_stop = stops.try_fold(0.0, |last: f64, stop| stop.map(|stop| last.max(stop)));
+    let motions_end = pattern.motions_end_s().unwrap_or(0.0);
+    let last_stop = stops.try_fold(motions_end, |last: f64, stop| stop.map(|stop| last.max(stop)));
     pattern.duration_s().or(last_stop)
 }
 
