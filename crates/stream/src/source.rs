@@ -114,7 +114,7 @@ impl Iterator for Source {
 
     fn next(&mut self) -> Option<Self::Item> {
         match self {
-            Self::Compiled(strokes) => strokes.next().map(|stroke| stroke.map(Step::from)),
+            Self::Compiled(strokes) => strokes.next(),
             Self::Live(strokes) => strokes.next().map(|stroke| stroke.map(Step::from)),
         }
     }

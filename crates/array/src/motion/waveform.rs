@@ -22,6 +22,9 @@ pub const MAX_SAMPLES: usize = MAX_KNOTS - 2;
 
 const NS_PER_S: f64 = 1e9;
 
+/// How many knots [`Waveform::steady_until`] looks at.
+const LOOKED_AT: usize = 4096;
+
 /// A knot of a piecewise linear function.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Knot {
@@ -306,6 +309,37 @@ impl Waveform {
         // Two where one ends and the next begins.
         let here = self.pieces[first..].iter().take_while(|piece| piece.span_ns().0 <= ns);
         here.fold([0.0; 2], |sum, piece| add(sum, piece.um_around(ns)))
+    }
+
+    /// Its beginning: the first so many nanoseconds of its span, and rest from then on.
+    #[must_use]
+    pub fn first(&self, ns: u64) -> Self {
+        let Some((from, until)) = self.span_ns() else { return Self::default() };
+        let end = from + ns;
+        if end >= until {
+            return self.clone();
+        }
+        let mut knots: Vec<Knot> = self.knots().take_while(|knot| knot.ns < end).collect();
+        knots.extend([self.um_around(end)[0], 0.0].map(|um| Knot { ns: end, um }));
+        Self { pieces: vec![Piece::Knots(knots)] }
+    }
+
+    /// Until when it keeps the displacement that it has at an instant, ns; [`u64::MAX`]: for good. It looks at a bounded number of knots, so
+    /// it may say an earlier instant.
+    #[must_use]
+    pub fn steady_until(&self, ns: u64) -> u64 {
+        let um = self.um_at(ns);
+        let first = self.pieces.partition_point(|piece| piece.span_ns().1 <= ns);
+        let ahead = self.pieces[first..].iter().flat_map(|piece| piece.knots_from(piece.before(ns + 1)));
+        let mut last = ns;
+        for knot in ahead.take(LOOKED_AT) {
+            if knot.um != um {
+                return last;
+            }
+            last = knot.ns;
+        }
+        let is_over = self.pieces.last().is_none_or(|piece| piece.span_ns().1 <= last);
+        if is_over { u64::MAX } else { last }
     }
 
     /// What it does from one instant to a later one.

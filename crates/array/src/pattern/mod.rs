@@ -34,7 +34,7 @@ pub use map::Mapped;
 pub use motion::{Form, Motion, Wave};
 pub use tables::Files;
 
-use crate::motion::{Compiled, MotionError, Waveform, compile, s_of};
+use crate::motion::{Compiled, MotionError, SLOWEST_STEP_MS, Waveform, compile, s_of};
 use crate::spec::Array;
 use error::KeyError;
 use meissner_input::document::in_range;
@@ -141,6 +141,24 @@ impl Pattern {
     #[must_use]
     pub fn waveforms(&self) -> &[(u8, Waveform)] {
         &self.waveforms
+    }
+
+    /// [`Self::waveforms`], shared.
+    pub(crate) fn shared_waveforms(&self) -> Arc<[(u8, Waveform)]> {
+        self.waveforms.clone()
+    }
+
+    /// When all pins with motions are at rest again, at the latest, s: a motor comes down from where its last motion ends.
+    #[must_use]
+    pub fn motions_rest_s(&self) -> f64 {
+        let (motor, rate) = (self.array.motor(), self.array.rate());
+        let steps_s = 2.0 * SLOWEST_STEP_MS as f64 / 1000.0;
+        let rests = self.waveforms.iter().filter_map(|(_, waveform)| {
+            let (_, until) = waveform.span_ns()?;
+            let down = motor.pulses(waveform.um_around(until)[0]).ceil() / f64::from(rate.hz());
+            Some(s_of(until) + down + steps_s)
+        });
+        rests.fold(0.0, f64::max)
     }
 
     /// When the last motion ends, s; `None` without a motion.

@@ -1,6 +1,7 @@
 //! What a play does next: a stroke, or one move to a level.
 
 use super::stroke::{Burst, Stroke};
+use crate::motor::Ramp;
 use firmware_protocol::array::Layout;
 use firmware_protocol::batch::{Full, Packer};
 use firmware_protocol::limits::Refusal;
@@ -29,6 +30,15 @@ impl From<Stroke> for Step {
 }
 
 impl Step {
+    /// The stroke, unless it is a move.
+    #[must_use]
+    pub const fn stroke(&self) -> Option<Stroke> {
+        match self {
+            Self::Stroke(stroke) => Some(*stroke),
+            Self::Move { .. } => None,
+        }
+    }
+
     /// Its motor.
     #[must_use]
     pub const fn motor(&self) -> u8 {
@@ -59,7 +69,7 @@ impl Step {
         self.bursts().map(|burst| u32::from(burst.pulses)).sum()
     }
 
-    /// Its bursts in order of time: two of a stroke, one of a move.
+    /// Its bursts in order of time: two of a stroke, one of a move, none of a move to the level before.
     pub fn bursts(&self) -> impl Iterator<Item = Burst> + use<> {
         let (first, second) = match *self {
             Self::Stroke(stroke) => {
@@ -71,7 +81,25 @@ impl Step {
                 (Burst { start: tick, direction, pulses: level.abs_diff(from) + surplus }, None)
             }
         };
-        std::iter::once(first).chain(second)
+        std::iter::once(first).chain(second).filter(|burst| burst.pulses > 0)
+    }
+
+    /// What an ideal motor with this travel per pulse does. A lower stop absorbs a surplus, so the surplus moves nothing.
+    pub fn ramps(&self, um_per_pulse: f64) -> impl Iterator<Item = Ramp> + use<> {
+        let surplus = self.surplus();
+        self.bursts().map(move |Burst { start, direction, pulses }| {
+            let surplus = if direction == Direction::Down { surplus } else { 0 };
+            Ramp::new(start, (pulses - surplus).into(), direction, um_per_pulse)
+        })
+    }
+
+    /// Pulses after the pin is at rest, against a lower stop.
+    #[must_use]
+    pub const fn surplus(&self) -> u16 {
+        match self {
+            Self::Stroke(stroke) => stroke.down_pulses.saturating_sub(stroke.up_pulses),
+            Self::Move { of, .. } => of.surplus,
+        }
     }
 
     /// How many moves it is.

@@ -72,9 +72,8 @@ impl Queued {
         step.bursts().zip([false, true]).map(move |(burst, joined)| {
             let planned = burst.pulses;
             let (level, surplus) = match step {
-                Step::Stroke(stroke) if joined => (0, stroke.down_pulses.saturating_sub(stroke.up_pulses)),
-                Step::Stroke(stroke) => (stroke.up_pulses, 0),
-                Step::Move { of, .. } => (of.level, of.surplus),
+                Step::Stroke(stroke) if !joined => (stroke.up_pulses, 0),
+                _ => (step.level(), step.surplus()),
             };
             Self { motor, burst, planned, surplus, level, joined, closed_loop, until, ..Self::NOTHING }
         })
