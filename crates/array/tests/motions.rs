@@ -181,10 +181,10 @@ fn a_hold_is_bounded() {
         "p.toml:3: ramp 1: motor 2 stays at one height for 60.5 s from 0.5 s on: must be at most 59 s"
     );
     // Above rest all the time, but it moves.
-    parse(&with(&format!(
+    parse(&with(
         "[[ramp]]\nmotor = 2\nto_um = 50\nrise_s = 0.5\nhold_s = 80\n[[tone]]\nmotor = 2\nstart_s = 1\nduration_s = 75\n\
-         frequency_hz = 1\namplitude_um = 5\nabout_um = 0\n"
-    )));
+         frequency_hz = 1\namplitude_um = 5\nabout_um = 0\n",
+    ));
     // Samples that stay, and rest, which may last.
     let still = |um: f64| {
         with(&format!("[[wave]]\nmotor = 2\nrate_hz = 1\num = [0, {}0]\n", format!("{um}, ").repeat(70)))

@@ -6,7 +6,7 @@
 //! Invariant: equal settings give equal samples, bit for bit, on every machine: all functions are those of `libm`.
 
 use super::error::MotionError;
-use super::waveform::{RATE_HZ, Waveform};
+use super::waveform::{RATE_HZ, Waveform, check_count};
 use crate::motor::MAX_AMPLITUDE_UM;
 use crate::pattern::{FREQUENCY_HZ, MAX_SECONDS};
 use crate::random;
@@ -204,7 +204,7 @@ fn intervals(duration_s: f64, highest_hz: f64) -> Result<u32, MotionError> {
     MotionError::check("duration_s", "s", duration_s, 1.0 / LEAST_RATE_HZ, MAX_SECONDS)?;
     let rate_hz = (PER_PERIOD * highest_hz).clamp(LEAST_RATE_HZ, *RATE_HZ.end());
     let intervals = (duration_s * rate_hz).ceil() as u32;
-    MotionError::check_samples(samples(intervals))?;
+    check_count(samples(intervals))?;
     Ok(intervals)
 }
 

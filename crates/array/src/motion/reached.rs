@@ -5,8 +5,7 @@
 //!
 //! Invariant: nothing is clamped before it is compared, except in [`Reached::step_error_um`], which says so.
 
-use super::moves::{ns_at, tick_of};
-use super::waveform::{Waveform, s_of};
+use super::waveform::{Waveform, ns_at, s_of, tick_of};
 use crate::motor::{HalfTick, Ramp, Shaft};
 use crate::spec::{Array, MotorSpec};
 use firmware_protocol::moves::Move;
