@@ -1,7 +1,5 @@
 //! Errors of making a waveform and choosing a grid.
 
-use super::waveform::MAX_SAMPLES;
-
 /// Why a waveform cannot be made, or a grid cannot be chosen.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum MotionError {
@@ -56,12 +54,6 @@ pub enum MotionError {
 }
 
 impl MotionError {
-    /// Checks the number of samples of a waveform.
-    pub(super) fn check_samples(samples: usize) -> Result<(), Self> {
-        let most = MAX_SAMPLES;
-        if (2..=most).contains(&samples) { Ok(()) } else { Err(Self::Samples { samples, most }) }
-    }
-
     /// Checks that a value is a number in a range.
     pub(super) fn check(
         what: &'static str,

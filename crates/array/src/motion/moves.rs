@@ -22,7 +22,7 @@
 
 use super::error::MotionError;
 use super::reached::Reached;
-use super::waveform::{Section, Waveform};
+use super::waveform::{Section, Waveform, ns_at, tick_of};
 use crate::motor::MAX_AMPLITUDE_UM;
 use crate::spec::{Array, MotorSpec};
 use crate::units::TickRate;
@@ -135,19 +135,6 @@ impl Grid {
     pub fn of_ms(array: Array, ms: u64) -> Self {
         Self { step_ticks: array.rate().of_ms(ms) as u32 }
     }
-}
-
-/// A tick in nanoseconds, rounded.
-#[expect(clippy::cast_possible_truncation, reason = "584 years")]
-pub(crate) fn ns_at(tick: u64, rate: TickRate) -> u64 {
-    let hz = u128::from(rate.hz());
-    ((u128::from(tick) * 1_000_000_000 + hz / 2) / hz) as u64
-}
-
-/// The first tick at or after so many nanoseconds.
-#[expect(clippy::cast_possible_truncation, reason = "584 years")]
-pub(crate) fn tick_of(ns: u64, rate: TickRate) -> u64 {
-    (u128::from(ns) * u128::from(rate.hz())).div_ceil(1_000_000_000) as u64
 }
 
 /// The module's rule for the level of a step.

@@ -10,6 +10,7 @@
 use super::error::MotionError;
 use crate::motor::MAX_AMPLITUDE_UM;
 use crate::pattern::MAX_SECONDS;
+use crate::units::TickRate;
 use std::ops::RangeInclusive;
 use std::sync::Arc;
 
@@ -77,6 +78,19 @@ pub(crate) fn ns_of(seconds: f64) -> u64 {
 #[expect(clippy::cast_precision_loss, reason = "below 2^53 for three months; then off by some ns")]
 pub(crate) fn s_of(ns: u64) -> f64 {
     ns as f64 / NS_PER_S
+}
+
+/// A tick in nanoseconds, rounded.
+#[expect(clippy::cast_possible_truncation, reason = "584 years")]
+pub(crate) fn ns_at(tick: u64, rate: TickRate) -> u64 {
+    let hz = u128::from(rate.hz());
+    ((u128::from(tick) * 1_000_000_000 + hz / 2) / hz) as u64
+}
+
+/// The first tick at or after so many nanoseconds.
+#[expect(clippy::cast_possible_truncation, reason = "584 years")]
+pub(crate) fn tick_of(ns: u64, rate: TickRate) -> u64 {
+    (u128::from(ns) * u128::from(rate.hz())).div_ceil(1_000_000_000) as u64
 }
 
 #[expect(clippy::cast_precision_loss, reason = "a knot's distance from the next")]
@@ -205,7 +219,7 @@ impl Waveform {
     /// As [`Self::shared`], at any rate: the curves of formulas end exactly with their duration.
     pub(super) fn at_rate(start_s: f64, rate_hz: f64, um: Arc<[f32]>) -> Result<Self, MotionError> {
         let start_ns = start_ns(start_s)?;
-        MotionError::check_samples(um.len())?;
+        check_count(um.len())?;
         for (number, um) in um.iter().enumerate() {
             check_sample(number, (*um).into())?;
         }
@@ -219,7 +233,7 @@ impl Waveform {
     ) -> Result<Self, MotionError> {
         let start = start_ns(start_s)?;
         let samples = points.len();
-        MotionError::check_samples(samples)?;
+        check_count(samples)?;
         let mut knots: Vec<Knot> = Vec::with_capacity(samples + 2);
         for (number, (after_s, um)) in points.enumerate() {
             check_sample(number, um)?;
@@ -366,6 +380,12 @@ impl Waveform {
 fn start_ns(start_s: f64) -> Result<u64, MotionError> {
     MotionError::check("start_s", "s", start_s, 0.0, MAX_SECONDS)?;
     Ok(ns_of(start_s))
+}
+
+/// Checks the number of samples.
+pub(super) fn check_count(samples: usize) -> Result<(), MotionError> {
+    let most = MAX_SAMPLES;
+    if (2..=most).contains(&samples) { Ok(()) } else { Err(MotionError::Samples { samples, most }) }
 }
 
 fn check_sample(number: usize, um: f64) -> Result<(), MotionError> {

@@ -41,7 +41,7 @@ fn read(text: &str, mut reader: Reader<'_, '_>) -> Result<Pattern, KeyError> {
     if bytes > MAX_PACKED_BYTES {
         return Err(KeyError::whole(None, Problem::TooLargePacked { bytes }));
     }
-    check_size(text, MAX_SIZE_OF_MOTIONS)?;
+    check_size(text, if may_have_motions(text) { MAX_SIZE_OF_MOTIONS } else { MAX_SIZE })?;
     // Read the format first: another format may have other keys.
     let Table(RawFormat { format, wave, ramp, tone, noise }) = from_toml(text, wanted)?;
     if format == i64::from(FORMAT) {
@@ -81,6 +81,22 @@ fn read(text: &str, mut reader: Reader<'_, '_>) -> Result<Pattern, KeyError> {
     let motions = motions.collect::<Result<_, _>>()?;
     let format = if format == i64::from(FORMAT) { FORMAT } else { FORMAT_OF_MOTIONS };
     Pattern { format, name, array, duration_s, drives, motions, waveforms: [].into(), provenance }.checked()
+}
+
+/// Whether a line says so: it only decides how much is read before the format is known.
+fn may_have_motions(text: &str) -> bool {
+    let value = |line: &str| {
+        Some(
+            line.strip_prefix("format")?
+                .trim_start()
+                .strip_prefix('=')?
+                .trim_start()
+                .as_bytes()
+                .first()
+                .copied(),
+        )
+    };
+    text.lines().any(|line| value(line).flatten() == Some(b'2'))
 }
 
 fn wanted(key: &str) -> &'static str {

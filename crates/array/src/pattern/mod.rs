@@ -148,15 +148,16 @@ impl Pattern {
         self.waveforms.clone()
     }
 
-    /// When all pins with motions are at rest again, at the latest, s: a motor comes down from where its last motion ends.
+    /// When all pins with motions are at rest again, s: a motor comes down from where its last motion ends.
     #[must_use]
     pub fn motions_rest_s(&self) -> f64 {
         let (motor, rate) = (self.array.motor(), self.array.rate());
         let steps_s = 2.0 * SLOWEST_STEP_MS as f64 / 1000.0;
         let rests = self.waveforms.iter().filter_map(|(_, waveform)| {
             let (_, until) = waveform.span_ns()?;
-            let down = motor.pulses(waveform.um_around(until)[0]).ceil() / f64::from(rate.hz());
-            Some(s_of(until) + down + steps_s)
+            let pulses = motor.pulses(waveform.um_around(until)[0]).ceil();
+            let down_s = if pulses > 0.0 { pulses / f64::from(rate.hz()) + steps_s } else { 0.0 };
+            Some(s_of(until) + down_s)
         });
         rests.fold(0.0, f64::max)
     }

@@ -10,7 +10,7 @@ use super::drive::Drive;
 use super::error::{KeyError, Problem};
 use super::limits::{MAX_AT_ONCE, MAX_HOLD_S, MAX_MOTIONS, MAX_PATTERN_SAMPLES};
 use super::motion::{Form, Motion, Wave};
-use crate::motion::{MOST_NOISE_WORK, MotionError, SLOWEST_STEP_MS, Waveform, ns_of, s_of};
+use crate::motion::{Knot, MOST_NOISE_WORK, MotionError, SLOWEST_STEP_MS, Waveform, ns_of, s_of};
 use crate::spec::Array;
 use meissner_input::document::in_range;
 use std::collections::BTreeMap;
@@ -69,7 +69,8 @@ pub(super) fn waveforms(
             return Err(of(index, problem));
         }
         let (first, waves): (Vec<usize>, Vec<Waveform>) = parts.into_iter().unzip();
-        let sum = Waveform::sum(&waves).map_err(|error| of(first[0], Problem::Motion { motor, error }))?;
+        let sum = Waveform::sum(&waves)
+            .map_err(|error| of(first[0], Problem::Motion { motor, error: error.into() }))?;
         if let Some((ns, um)) = leaving(&sum, array.motor().travel_um) {
             let here =
                 |wave: &&Waveform| wave.span_ns().is_some_and(|(from, until)| (from..=until).contains(&ns));
@@ -128,7 +129,7 @@ fn refused(motor: u8, form: &Form, error: MotionError) -> Problem {
         (Form::Wave(Wave { start_s, rate_hz, .. }), MotionError::Sample { number, um }) => {
             Problem::Sample { motor, number, at_s: start_s + number as f64 / rate_hz, um }
         }
-        _ => Problem::Motion { motor, error },
+        _ => Problem::Motion { motor, error: error.into() },
     }
 }
 
@@ -192,16 +193,22 @@ fn leaves(array: Array, motions: &[Motion], active: &[usize], ns: u64, um: f64) 
             format!(", as the sum of {}", names.join(", "))
         }
     };
-    Problem::Leaves { motor, um, at_s, of, most_um }
+    Problem::Leaves { motor, um, at_s, of: of.into(), most_um }
 }
 
 /// From and until when a waveform stays at one height above rest for too long, ns.
 fn long_hold(waveform: &Waveform) -> Option<(u64, u64)> {
     let most = ns_of(MAX_HOLD_S);
-    let mut held: Option<(u64, f64)> = None;
-    waveform.knots().find_map(|knot| {
-        let (from, um) = held.filter(|(_, um)| *um == knot.um).unwrap_or((knot.ns, knot.um));
-        held = Some((from, um));
-        (um > ROUNDING_UM && knot.ns - from > most).then_some((from, knot.ns))
-    })
+    let (mut from, mut last) = (0, Knot { ns: 0, um: 0.0 });
+    // The last knot is at rest, so every hold ends with another height.
+    for knot in waveform.knots() {
+        if knot.um != last.um {
+            if last.um > ROUNDING_UM && last.ns - from > most {
+                return Some((from, last.ns));
+            }
+            from = knot.ns;
+        }
+        last = knot;
+    }
+    None
 }
