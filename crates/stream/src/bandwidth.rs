@@ -144,7 +144,8 @@ impl Bandwidth {
             }
             let (at, before) = (step.begin().0, frame.bytes().len());
             if framed == at / batch && step.pack(&mut frame).is_ok() {
-                bytes.add(at, frame.bytes().len() - before);
+                // A row may take fewer bytes than the moves in it.
+                bytes.add(at, frame.bytes().len().saturating_sub(before));
             } else {
                 framed = at / batch;
                 frame = Packer::new(step.begin());
