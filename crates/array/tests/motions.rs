@@ -450,3 +450,15 @@ proptest! {
         prop_assert_eq!(parse(&pattern.to_toml()), pattern);
     }
 }
+
+#[test]
+fn the_patterns_of_the_reference_are_read() {
+    let page = include_str!("../../../docs/reference/pattern.md");
+    let blocks = page.split("```toml\n").skip(1).filter_map(|rest| rest.split_once("```"));
+    let whole: Vec<_> = blocks.map(|(text, _)| text).filter(|text| text.contains("format = ")).collect();
+    let kinds = whole.iter().map(|text| {
+        let pattern = parse(text);
+        (pattern.drives().len(), pattern.motions().len())
+    });
+    assert_eq!(kinds.collect::<Vec<_>>(), [(2, 0), (0, 3)]);
+}

@@ -472,6 +472,24 @@ mod tests {
         assert_eq!(nan, "sample 1 is NaN um: must be a number, at most a metre from rest");
     }
 
+    #[test]
+    fn parts_that_do_not_overlap_stay_as_they_are() {
+        let wave = |start_s| Waveform::samples(start_s, 1000.0, &[2.0, 4.0, 1.0]).unwrap();
+        // The second begins when the first ends; the third overlaps the fourth.
+        let sum = Waveform::sum(&[wave(0.011), wave(0.002), wave(0.0), wave(0.010)]).unwrap();
+        let kept = sum.pieces.iter().map(|piece| matches!(piece, Piece::Samples(_)));
+        assert_eq!(kept.collect::<Vec<_>>(), [true, true, false]);
+        assert_eq!(
+            [1, 2, 3, 5, 11].map(|ms| sum.um_around(ms * MS)),
+            [[4.0; 2], [1.0, 2.0], [4.0; 2], [0.0; 2], [4.0, 6.0]]
+        );
+        // From 4 to 1 on the way to the touch, and from 2 to 4 after it.
+        let section = sum.section(MS, 3 * MS);
+        assert!((section.mean_um - (2.5 + 3.0) / 2.0).abs() < 1e-12 && section.rise_um == 0.0);
+        assert_eq!(sum.span_ns(), Some((0, 13 * MS)));
+        assert_eq!(sum.clone().scaled(2.0).um_at(11 * MS), 12.0);
+    }
+
     proptest! {
         #[test]
         fn a_sum_is_the_sum_of_its_parts_at_every_instant(
