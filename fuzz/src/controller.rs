@@ -1,20 +1,19 @@
 //! The controller: any requests, bytes, faults and ticks in any order break no limit and no account.
 //!
-//! The first byte chooses the array, the shell and whether the host is tame: a tame host keeps strokes balanced and pins at rest, so that
+//! The first byte chooses the array, the shell and whether the host is tame: a tame host corrects nothing and leaves rest where it is, so that
 //! every pulse can be accounted for. The oracle is that of `firmware-protocol/tests/properties.rs`.
 
 use crate::input::{arm, array, byte, cause, chunk, direction, flag, long, mark, motor, withdraw, word};
 use crate::shell::Shell;
 use arbitrary::Unstructured;
-use firmware_protocol::array::MAX_MOTORS;
-use firmware_protocol::batch::{Amendment, BATCH_BYTES, Packer};
+use firmware_protocol::array::{MAX_MOTORS, MotorSet};
+use firmware_protocol::batch::{Amendment, BATCH_BYTES, Packer, Stroke};
 use firmware_protocol::board::SelfTest;
 use firmware_protocol::controller::POOL;
 use firmware_protocol::frame::{self, MAX_FRAME};
 use firmware_protocol::limits::PowerLimits;
 use firmware_protocol::message::{Cause, HostMessage, LowerStop, Op, State};
-use firmware_protocol::stroke::Direction;
-use meissner_array::strokes::Stroke;
+use firmware_protocol::moves::Move;
 use firmware_protocol::tick::{Tick, WireTick};
 use meissner_array::spec::Array;
 
@@ -27,14 +26,11 @@ struct World {
     shell: Shell,
     tame: bool,
     last_frame: ([u8; MAX_FRAME], usize),
-    strokes: Vec<Stroke>,
-    /// Whether all strokes came in frames that were counted: raw bytes may be anything.
+    moves: Vec<Move>,
+    /// Whether all moves came in frames that were counted: raw bytes may be anything.
     counted: bool,
     accepted: u64,
     refused_in_frames: u64,
-    /// Pulses of returns after an e-stop, and whether one is being played.
-    own: u64,
-    arming: bool,
     ticks_left: u64,
 }
 
@@ -52,12 +48,10 @@ pub fn run(data: &[u8]) {
         shell: Shell::new(array, tight, start),
         tame,
         last_frame: ([0; MAX_FRAME], 0),
-        strokes: Vec::new(),
+        moves: Vec::new(),
         counted: true,
         accepted: 0,
         refused_in_frames: 0,
-        own: 0,
-        arming: false,
         ticks_left: if tight { MOST_TICKS_TIGHT } else { MOST_TICKS },
     };
     // Neighbouring bursts may join: the end of one is the begin of the next.
@@ -117,7 +111,7 @@ impl World {
                 self.off(|shell| shell.e_stop(epoch));
             }
             13 => self.shell.control(Op::Reset),
-            14..=16 => self.strokes(input),
+            14..=16 => self.moves(input),
             17 => {
                 let (bytes, len) = self.last_frame;
                 self.send(&bytes[..len], false);
@@ -131,7 +125,6 @@ impl World {
             }
             _ => self.wild(op, input),
         }
-        self.arming &= self.shell.device.state() == State::Returning;
         if self.tame && !matches!(self.shell.device.state(), State::Armed | State::Returning) {
             for (motor, &net) in self.shell.net.iter().enumerate() {
                 assert_eq!(net, i64::from(self.shell.device.outstanding(motor as u8)), "motor {motor}");
@@ -149,7 +142,7 @@ impl World {
             }
             21 => self.shell.control(Op::Seek { pulses: word(input) % 20_000 }),
             22 | 23 => self.amend(input),
-            24 => self.raw_strokes(input),
+            24 => self.raw_moves(input),
             25 => {
                 let (generation, base) = (byte(input).into(), self.base(input));
                 let (epoch, items) = (self.shell.epoch, chunk(input));
@@ -211,23 +204,11 @@ impl World {
             let assume_rest = flag(input);
             arm(input, self.array, assume_rest)
         };
-        let (state, outstanding) = (self.shell.device.state(), self.shell.outstanding());
         self.shell.control(op);
-        if state == State::Disarmed && self.shell.device.state() == State::Returning {
-            self.own += outstanding;
-            self.arming = true;
-        }
     }
 
     fn off(&mut self, off: impl FnOnce(&mut Shell)) {
-        let latched = self.shell.device.state() == State::Faulted;
-        // A return that ends with this tick is over.
-        self.shell.device.poll(Tick(self.shell.now));
-        let arming = self.arming && self.shell.device.state() == State::Returning;
         off(&mut self.shell);
-        if arming && !latched && self.shell.device.state() == State::Faulted {
-            self.own -= self.shell.outstanding();
-        }
         self.shell.run(1);
     }
 
@@ -236,42 +217,60 @@ impl World {
         Tick(self.shell.device.rendered().0.saturating_add_signed(from)).wire()
     }
 
-    fn strokes(&mut self, input: &mut Unstructured<'_>) {
+    fn moves(&mut self, input: &mut Unstructured<'_>) {
         let (mark, withdraw) = (mark(input), withdraw(input, self.array));
         let from = i64::from(byte(input)) - 40;
         let base = self.shell.device.rendered().0.saturating_add_signed(from);
         let mut packer = Packer::<BATCH_BYTES>::new(Tick(base));
-        let mut up = base;
+        let mut at = base;
         for _ in 0..byte(input) % 12 {
-            up += u64::from(byte(input) / 2);
-            let motor = motor(input, self.array);
-            let up_pulses = match byte(input) {
-                few @ 0..0xf0 => 1 + u16::from(few % 60),
+            at += u64::from(byte(input) / 2);
+            let (motor, tick) = (motor(input, self.array), Tick(at));
+            let level = match byte(input) {
+                few @ 0..0xf0 => u16::from(few % 60),
                 _ => self.array.layout().max_up_pulses() - 100 + u16::from(byte(input) % 102),
             };
-            let hold = u64::from(byte(input) % 100);
-            let correction = if self.tame { 0 } else { i16::from(byte(input) % 5) - 1 };
-            let down = Tick(up + u64::from(up_pulses) + hold);
-            let down_pulses = up_pulses.saturating_add_signed(correction);
-            let stroke = Stroke { motor, up: Tick(up), up_pulses, down, down_pulses };
-            if packer.stroke(&stroke).is_ok() {
-                self.strokes.push(stroke);
+            let (how, with) = (byte(input), byte(input));
+            let surplus = if self.tame || how & 0x1c != 0 { 0 } else { u16::from(how >> 5) };
+            match how & 3 {
+                0 | 1 => {
+                    let down = tick + u64::from(level) + u64::from(with % 100);
+                    let stroke = Stroke { motor, up: tick, level, down, surplus };
+                    if packer.stroke(&stroke).is_ok() {
+                        self.moves.extend(stroke.moves());
+                    }
+                }
+                2 => {
+                    let surplus = if level == 0 { surplus } else { 0 };
+                    let of = Move { motor, tick, level, surplus };
+                    if packer.moves(&of).is_ok() {
+                        self.moves.push(of);
+                    }
+                }
+                _ => {
+                    let motors = MotorSet::from_bits(u64::from(with) << (motor % 56));
+                    let levels: Vec<u16> = (0..motors.len() as u16).map(|k| level + k * u16::from(how >> 2)).collect();
+                    if packer.row(tick, motors, &levels).is_ok() {
+                        let of = motors.iter().zip(levels);
+                        self.moves.extend(of.map(|(motor, level)| Move { motor, tick, level, surplus: 0 }));
+                    }
+                }
             }
         }
         let shell = &self.shell;
         let (epoch, seq, seen) = (shell.epoch, shell.seq, shell.seen());
         let (base, batch) = (Tick(base).wire(), packer.bytes());
-        self.stream(&HostMessage::Strokes { epoch, seq, seen, mark, withdraw, base, batch });
+        self.stream(&HostMessage::Moves { epoch, seq, seen, mark, withdraw, base, batch });
     }
 
-    fn raw_strokes(&mut self, input: &mut Unstructured<'_>) {
+    fn raw_moves(&mut self, input: &mut Unstructured<'_>) {
         let epoch = self.shell.epoch.wrapping_sub((byte(input) % 4).into());
         let seq = self.shell.seq.wrapping_add((byte(input) % 10).into());
         let (seen, mark, withdraw, base) =
             (long(input) as u16, mark(input), withdraw(input, self.array), self.base(input));
         let batch = chunk(input);
         let batch = &batch[..batch.len().min(BATCH_BYTES)];
-        self.stream(&HostMessage::Strokes { epoch, seq, seen, mark, withdraw, base, batch });
+        self.stream(&HostMessage::Moves { epoch, seq, seen, mark, withdraw, base, batch });
     }
 
     fn stream(&mut self, message: &HostMessage<'_>) {
@@ -281,35 +280,35 @@ impl World {
         self.send(&out[..len], false);
     }
 
-    /// Sends bytes, and counts the strokes that they queue.
+    /// Sends bytes, and counts the moves that they queue.
     fn send(&mut self, bytes: &[u8], in_pieces: bool) {
         let (before, counted) = (self.shell.credits(), self.shell.device.counters());
         self.shell.bytes(bytes, in_pieces);
         if let (true, Some(before), Some(after)) = (self.counted, before, self.shell.credits()) {
             let counters = self.shell.device.counters();
-            let replaced = (counters.replaced - counted.replaced) / 2;
-            self.accepted += u64::from(before) + replaced - u64::from(after);
+            // Those to rest of pins at rest are played at once.
+            let (replaced, played) = (counters.replaced - counted.replaced, counters.played - counted.played);
+            self.accepted += u64::from(before) + replaced + played - u64::from(after);
             self.refused_in_frames += counters.refused - counted.refused;
         }
     }
 
     fn amend(&mut self, input: &mut Unstructured<'_>) {
-        let (generation, down, pick) = (byte(input) % 6, flag(input), usize::from(byte(input)));
+        let (generation, pick) = (byte(input) % 6, usize::from(byte(input)));
         let change = i16::from(byte(input) % 19) - 9;
-        let recent = &self.strokes[self.strokes.len().saturating_sub(12)..];
-        let Some(stroke) = recent.get(pick % recent.len().max(1)) else { return };
-        let (direction, pulses) = match down {
-            true => (Direction::Down, stroke.down_pulses),
-            false => (Direction::Up, stroke.up_pulses),
-        };
-        let mut packer = Packer::<BATCH_BYTES>::new(stroke.up);
-        let pulses = pulses.saturating_add_signed(change);
-        packer.amendment(&Amendment { motor: stroke.motor, up: stroke.up, direction, pulses }).expect("room");
-        let (epoch, base, items) = (self.shell.epoch, stroke.up.wire(), packer.bytes());
+        let recent = &self.moves[self.moves.len().saturating_sub(24)..];
+        let Some(&Move { motor, tick, level, .. }) = recent.get(pick % recent.len().max(1)) else { return };
+        // What it is planned to go, if it follows the move before.
+        let of_motor = recent.iter().filter(|of| of.motor == motor && of.tick < tick);
+        let from = of_motor.max_by_key(|of| of.tick).map_or(0, |of| of.level);
+        let mut packer = Packer::<BATCH_BYTES>::new(tick);
+        let pulses = level.abs_diff(from).saturating_add_signed(change);
+        packer.amendment(&Amendment { motor, tick, pulses }).expect("room");
+        let (epoch, base, items) = (self.shell.epoch, tick.wire(), packer.bytes());
         self.shell.send(&HostMessage::Amend { epoch, generation: generation.into(), base, items });
     }
 
-    /// Disarms and waits: all lines are off, all slots free, every burst and pulse is booked.
+    /// Disarms and waits: all lines are off, all slots free, every move and pulse is counted.
     fn end(&mut self) {
         let shell = &mut self.shell;
         shell.reading = true;
@@ -332,10 +331,10 @@ impl World {
         let counters = shell.device.counters();
         if self.counted {
             let refused = counters.refused - self.refused_in_frames;
-            assert_eq!(2 * self.accepted, counters.played + counters.dropped + refused + counters.replaced);
+            assert_eq!(self.accepted, counters.played + counters.dropped + refused + counters.replaced);
         }
         if self.tame {
-            assert_eq!(counters.pulses + self.own, total);
+            assert_eq!(counters.pulses, total);
             for (motor, &net) in shell.net.iter().enumerate() {
                 assert_eq!(net, i64::from(shell.device.outstanding(motor as u8)), "motor {motor}");
             }

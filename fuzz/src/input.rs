@@ -1,4 +1,4 @@
-//! Inputs as the targets read them: arrays, protocol messages, strokes, texts and bytes out of the fuzzer's bytes.
+//! Inputs as the targets read them: arrays, protocol messages, texts and bytes out of the fuzzer's bytes.
 //!
 //! The functions read from the front and stop at the end of the input, so that a longer input continues a shorter one. At the
 //! end they give zeros.
@@ -108,7 +108,7 @@ pub fn motors(input: &mut Unstructured<'_>) -> MotorSet {
     MotorSet::from_bits(input.arbitrary().unwrap_or_default())
 }
 
-/// A direction of a burst.
+/// A direction of a shift.
 pub fn direction(input: &mut Unstructured<'_>) -> Direction {
     one_of(input, [Direction::Up, Direction::Down])
 }
@@ -117,7 +117,8 @@ pub fn direction(input: &mut Unstructured<'_>) -> Direction {
 pub fn mark(input: &mut Unstructured<'_>) -> Option<Mark> {
     let kind = one_of(input, [None, None, Some(MarkKind::Play), Some(MarkKind::Item)])?;
     let trigger = flag(input).then(|| Trigger { width: word(input) % 300, code: byte(input) });
-    Some(Mark { kind, trigger })
+    let hold = one_of(input, [0, 1, 20_000, u32::MAX]);
+    Some(Mark { kind, trigger, hold })
 }
 
 /// What a frame withdraws, if it does.

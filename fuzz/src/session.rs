@@ -14,9 +14,9 @@ use firmware_protocol::message::{
     Cause, Counters, Cut, DeviceHello, DeviceMessage, HostMessage, Op, Report, Samples, State, Status,
     Trigger,
 };
-use meissner_array::strokes::Stroke;
 use firmware_protocol::tick::Tick;
 use meissner_array::spec::Array;
+use meissner_array::strokes::Stroke;
 use meissner_stream::link::{Budget, Contradictions, Event, LineRate, LostReason, Session, Verdict};
 use meissner_stream::time::HostInstant;
 use serde::Serialize;
@@ -181,7 +181,7 @@ impl World {
                         _ => status.state,
                     };
                 }
-                HostMessage::Strokes { epoch, seq, .. }
+                HostMessage::Moves { epoch, seq, .. }
                     if epoch == status.epoch && seq == status.next_seq =>
                 {
                     status.next_seq = seq.wrapping_add(1);
@@ -306,8 +306,8 @@ impl World {
         let how = byte(input);
         let rendered = Tick(self.tick().0 + 64).wire();
         let seq = self.device.status.next_seq.wrapping_sub((how >> 4).into());
-        let up = Tick(self.last.0.saturating_sub(word(input).into())).wire();
-        let report = match how % 5 {
+        let tick = Tick(self.last.0.saturating_sub(word(input).into())).wire();
+        let report = match how % 6 {
             0 => Report::Verdict {
                 seq,
                 late: u64::from(long(input)),
@@ -325,9 +325,10 @@ impl World {
                 flushed: word(input) % 600,
                 outstanding: word(input).into(),
             }),
+            4 => Report::Lowered { tick, motors: motors(input) },
             _ => Report::Refused {
                 motor: motor(input, self.array),
-                up,
+                tick,
                 reason: one_of(input, [Refusal::RailOnTime, Refusal::Pushing, Refusal::State]),
             },
         };
@@ -428,8 +429,7 @@ impl World {
             27 => {
                 let amendment = Amendment {
                     motor: byte(input) % self.array.motors() as u8,
-                    up: Tick(self.last.0.saturating_sub(byte(input).into())),
-                    direction: direction(input),
+                    tick: Tick(self.last.0.saturating_sub(byte(input).into())),
                     pulses: word(input),
                 };
                 let _ = self.session.amend(&amendment);

@@ -38,6 +38,8 @@ pub struct Shell {
     block: u64,
     runs: VecDeque<(Run, bool)>,
     taken_back: u64,
+    /// The tick by which a shift of rest has begun or was flushed.
+    shift_by: u64,
     /// Ticks for which the drivers have been enabled, and those without a pulse.
     enabled: u64,
     enabled_idle: u64,
@@ -86,6 +88,7 @@ impl Shell {
             block,
             runs: VecDeque::with_capacity(256),
             taken_back: 0,
+            shift_by: 0,
             enabled: 0,
             enabled_idle: 0,
             total: 0,
@@ -108,10 +111,12 @@ impl Shell {
     fn fill(&mut self) {
         let to = self.now + self.ahead;
         while self.device.rendered().0 < to {
-            let run = self.device.render((to - self.device.rendered().0) as u32);
+            let begin = self.device.rendered().0;
+            let run = self.device.render((to - begin) as u32);
             let counters = self.device.counters();
-            let taken_back = counters.refused + counters.replaced + counters.dropped;
-            let refuses = taken_back > std::mem::replace(&mut self.taken_back, taken_back);
+            // A move that has begun may find its pin where it should be.
+            let taken_back = counters.refused + counters.replaced + counters.dropped + counters.played;
+            let refuses = taken_back > std::mem::replace(&mut self.taken_back, taken_back) || begin < self.shift_by;
             assert!(run.ticks > 0, "rendering makes progress");
             assert!((run.lines.up & run.lines.down).is_empty(), "a line in both sets");
             let all = self.device.layout().all();
@@ -280,6 +285,9 @@ impl Shell {
     /// Sends a command in a new epoch.
     pub fn control(&mut self, op: Op) {
         let (epoch, seen) = (self.epoch.wrapping_add(1), self.seen());
+        if let Op::Move { .. } = op {
+            self.shift_by = self.now + u64::from(self.device.layout().horizon()) + 5;
+        }
         self.send(&HostMessage::Control { epoch, seen, op });
     }
 
@@ -299,10 +307,11 @@ impl Shell {
     pub fn credits(&mut self) -> Option<u16> {
         // Noise may have left half a frame.
         self.bytes(&[0], false);
-        // The first answer may bring reports. A refused stroke takes a slot until the device knows that its report is read.
-        for token in 1..3 {
+        // An answer may bring reports, 32 at a time. A refused move takes a slot until the device knows that its report is read.
+        let mut seen = None;
+        while seen.replace(self.seen()) != Some(self.seen()) {
             self.status = None;
-            self.send(&HostMessage::Ping { token, seen: self.seen() });
+            self.send(&HostMessage::Ping { token: 1, seen: self.seen() });
         }
         self.status.map(|status| status.credits)
     }
