@@ -102,13 +102,13 @@ impl Bandwidth {
         strokes.begin(Tick(0));
         let ahead = Tick(array.rate().ms_in_ticks(settings.lead_ms) as u64 + batch_ticks(settings));
         let (mut frame, mut bytes, mut frames) = (Packer::<BATCH_BYTES>::new(Tick(0)), 0, 0_u32);
-        while let Some(Ok(stroke)) = strokes.next()
-            && stroke.up < ahead
+        while let Some(Ok(step)) = strokes.next()
+            && step.begin() < ahead
         {
-            if frames == 0 || stroke.pack(&mut frame).is_err() {
+            if frames == 0 || step.pack(&mut frame).is_err() {
                 bytes += frame.bytes().len() + FRAME_BYTES + WITHDRAW_BYTES;
-                frame = Packer::new(stroke.up);
-                let _ = stroke.pack(&mut frame);
+                frame = Packer::new(step.begin());
+                let _ = step.pack(&mut frame);
                 frames += 1;
             }
         }

@@ -1,4 +1,4 @@
-//! Where the steps of a play come from: a compiled pattern or sequence, or drives that change while it runs.
+//! Where the steps of a play come from: a compiled pattern or sequence, or motions that change while it runs.
 
 use firmware_protocol::tick::Tick;
 use meissner_array::spec::Array;
@@ -25,7 +25,7 @@ impl Source {
     pub fn array(&self) -> Array {
         match self {
             Self::Compiled(strokes) => strokes.array(),
-            Self::Live(strokes) => strokes.wave(0).array(),
+            Self::Live(strokes) => strokes.array(),
         }
     }
 
@@ -115,7 +115,7 @@ impl Iterator for Source {
     fn next(&mut self) -> Option<Self::Item> {
         match self {
             Self::Compiled(strokes) => strokes.next(),
-            Self::Live(strokes) => strokes.next().map(|stroke| stroke.map(Step::from)),
+            Self::Live(strokes) => strokes.next(),
         }
     }
 }

@@ -84,7 +84,10 @@ fn an_update_for_another_array_changes_nothing() {
     let of_few = PerMotor::all(found, Some(wave(found)));
     let of_another = PerMotor::all(Array::paper(), Some(wave(found)));
     for (waves, number) in [(of_few, 1), (of_another, 2)] {
-        let update = LiveUpdate { waves, ..LiveUpdate::new(Array::paper(), id, number, rig.now()) };
+        let update = LiveUpdate {
+            motions: waves.map(|wave| wave.map(Into::into)),
+            ..LiveUpdate::new(Array::paper(), id, number, rig.now())
+        };
         rig.send(Command::UpdateLive(Box::new(update)));
         let over = |event: &StreamEvent| {
             matches!(event, StreamEvent::LiveUpdated(update)

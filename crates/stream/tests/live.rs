@@ -5,8 +5,8 @@ use meissner_api::EndCause;
 use meissner_array::motor::SquareWave;
 use meissner_array::per_motor::PerMotor;
 use meissner_array::spec::Array;
-use meissner_array::strokes::LiveStrokes;
 use meissner_array::strokes::Stroke;
+use meissner_array::strokes::{LiveMotion, LiveStrokes};
 use meissner_stream::queues::{
     Applied, Command, CommandError, End, LiveResult, LiveUpdate, Outcome, Play, StreamEvent,
 };
@@ -59,8 +59,10 @@ impl LivePlay {
     fn update(&mut self, waves: PerMotor<Option<SquareWave>>) {
         self.number += 1;
         self.sent.push(waves);
-        let update =
-            LiveUpdate { waves, ..LiveUpdate::new(Array::paper(), self.id, self.number, self.rig.now()) };
+        let update = LiveUpdate {
+            motions: waves.map(|wave| wave.map(Into::into)),
+            ..LiveUpdate::new(Array::paper(), self.id, self.number, self.rig.now())
+        };
         self.rig.send(Command::UpdateLive(Box::new(update)));
     }
 
@@ -138,9 +140,11 @@ impl LivePlay {
                     _ => panic!("update {number}, motor {motor}: {from:?} is on no grid"),
                 };
                 while live.next_up(motor).is_some_and(|up| up < begin) {
-                    strokes.extend(live.map(Result::unwrap).find(|stroke| stroke.motor == motor));
+                    strokes.extend(
+                        live.map(|step| step.unwrap().stroke().unwrap()).find(|stroke| stroke.motor == motor),
+                    );
                 }
-                live.replace(motor, wave, begin);
+                live.replace(motor, wave.into(), begin);
             }
         }
         strokes.retain(|stroke| !late.contains(&(stroke.motor, stroke.up)));
@@ -159,11 +163,11 @@ impl LivePlay {
 /// turn, and in the next one it begins at once: both give the same first stroke. Then the old drive's stroke of the first period
 /// is replaced, or played.
 fn boundaries(live: &LiveStrokes, motor: u8, wave: SquareWave, applied: &Applied, from: Tick) -> Vec<Tick> {
-    let period = |tick| live.clone().replace(motor, live.wave(motor), tick);
+    let period = |tick| live.clone().replace(motor, live.motion(motor), tick);
     let first = if applied.repeats == 0 { applied.replaced } else { applied.received };
     let periods = std::iter::successors(Some(period(first)), |begin| Some(period(*begin + 1)));
     let until = period(applied.replaced);
-    let brings = |begin: &Tick| live.clone().replace(motor, wave, *begin) == from;
+    let brings = |begin: &Tick| live.clone().replace(motor, wave.into(), *begin) == from;
     periods.take_while(|begin| *begin <= until).filter(brings).collect()
 }
 
@@ -380,7 +384,10 @@ fn a_short_lead_and_a_bad_line_do_not_end_the_updates() {
         let (mut random, mut last) = (Random::new(seed), 0);
         for number in 1..=500 {
             let waves = all(Some(wave(60.0, random.between(10.0, 100.0), 0.0)));
-            let update = LiveUpdate { waves, ..LiveUpdate::new(Array::paper(), id, number, rig.now()) };
+            let update = LiveUpdate {
+                motions: waves.map(|wave| wave.map(Into::into)),
+                ..LiveUpdate::new(Array::paper(), id, number, rig.now())
+            };
             rig.send(Command::UpdateLive(Box::new(update)));
             rig.run_ms(10);
             for event in rig.take_events() {
@@ -445,4 +452,53 @@ fn many_updates_lose_no_count_and_no_memory() {
     let counters = live.rig.mock.controller().counters();
     assert_eq!((counters.late, counters.refused, outcome.bursts.late), (0, 0, 0));
     assert_eq!((counters.played, counters.replaced), (outcome.bursts.played, outcome.bursts.replaced));
+}
+
+/// Levels that come 60 times a second, over good and bad lines: each pin is at the last one it was given, glides in between, and is at rest at
+/// the end. A client that falls silent has its pins brought down.
+#[test]
+fn pins_follow_levels_and_come_down() {
+    let array = Array::paper();
+    for (seed, line) in [(1, Line::default()), (2, Line::default()), (3, bad_line()), (4, bad_line())] {
+        for ends in [true, false] {
+            let mut live = LivePlay::start(line, seed, all(wave(60.0, 0.0, 0.0)));
+            let mut random = Random::new(seed);
+            let (mut net, mut wanted) = ([0_i64; MOTORS], [0_u16; MOTORS]);
+            let add = |live: &mut LivePlay, net: &mut [i64; MOTORS]| {
+                let more = bursts_on_the_lines(&live.rig.mock.take_trace()).net;
+                net.iter_mut().zip(more).for_each(|(net, more)| *net += more);
+            };
+            for round in 0..40 {
+                let mut motions = all(None);
+                for motor in 0..MOTORS {
+                    if random.chance(0.3) {
+                        let pulses = if random.chance(0.2) { 0 } else { random.between(0.0, 2_000.0) as u16 };
+                        wanted[motor] = pulses;
+                        let glide_ticks = if random.chance(0.3) { 0 } else { 1_417 };
+                        motions[motor] = Some(LiveMotion::Level { array, pulses, glide_ticks });
+                    }
+                }
+                live.number += 1;
+                let update =
+                    LiveUpdate { motions, ..LiveUpdate::new(array, live.id, live.number, live.rig.now()) };
+                live.rig.send(Command::UpdateLive(Box::new(update)));
+                live.run(Duration::from_micros(16_667));
+                if round % 10 == 9 {
+                    // Until the last glide is over.
+                    live.run(100 * MS);
+                    add(&mut live, &mut net);
+                    assert_eq!(net, wanted.map(i64::from), "seed {seed}, round {round}");
+                }
+            }
+            if ends {
+                live.rig.send(Command::EndLive(live.id));
+            }
+            live.run(TIMEOUT + 500 * MS);
+            add(&mut live, &mut net);
+            assert_eq!(net, [0; MOTORS], "seed {seed}");
+            let outcome = into_outcomes(live.events).pop().expect("it ended");
+            assert_closed(&outcome);
+            assert_eq!((outcome.end, outcome.bursts.refused, outcome.bursts.late), (End::Stopped, 0, 0));
+        }
+    }
 }

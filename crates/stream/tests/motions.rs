@@ -121,7 +121,9 @@ fn closed_loop_follows_a_sine_for_a_minute() {
     let travels: Vec<f64> = moves.iter().map(|step| f64::from(step.pulses()) * um_per_pulse).collect();
     let per_s = moves.len() as f64 / seconds;
     let bound = rest_bound_um(Array::paper(), per_s / 2.0, rms(travels), 0.1, 5.5, 1000.0);
-    println!("10 Hz, 100 um, {seconds} s: error {closed:.2} um rms with telemetry, {open:.1} without; bound {bound:.2}; {bursts:?}");
+    println!(
+        "10 Hz, 100 um, {seconds} s: error {closed:.2} um rms with telemetry, {open:.1} without; bound {bound:.2}; {bursts:?}"
+    );
     assert!(closed <= 1.2 * bound, "{closed} um where the bound is {bound}");
     assert!(open > 3.0 * closed, "{open}");
 }

@@ -394,7 +394,7 @@ impl State {
             self.check_amplitude("the live play", largest_um)?;
             let mut update = LiveUpdate::new(array, id, number, received_at);
             if changes {
-                update.waves = waves.map(Some);
+                update.motions = waves.map(|wave| Some(wave.into()));
             }
             let command = Command::UpdateLive(Box::new(update));
             if full { Err(busy()) } else { self.commands.send_unanswered(command).map_err(|_| busy()) }

@@ -1,17 +1,121 @@
-//! The strokes of a play whose drives change while it runs: one oscillator per motor.
+//! The steps of a play whose motions change while it runs: one oscillator per motor, or a level that its pin goes to.
 //!
-//! [`LiveStrokes::replace`] gives a motor another drive from its next period on. The oscillator of a motor runs on when the amplitude
-//! is 0, so that motors of one frequency stay in phase however often they fall silent.
+//! [`LiveStrokes::replace`] gives a motor another motion from its next period on. The oscillator of a motor runs on when the amplitude
+//! is 0, so that motors of one frequency stay in phase however often they fall silent. A pin glides to a level in even steps, and stays
+//! there until its next motion; before it vibrates again, it comes down.
 //!
-//! Invariant: the strokes of a motor do not overlap, and are on the grid of its drive: `replace` begins at a stroke's own beginning.
-//! Strokes come in order of time, except that `replace` goes back to the new beginning, and `next_of` takes one ahead of the others.
+//! Invariant: the steps of a motor do not overlap, and strokes are on the grid of its drive: `replace` begins at a stroke's own beginning.
+//! Steps come in order of time, except that `replace` goes back to the new beginning, and `next_of` takes one ahead of the others.
 
 use super::error::StrokesError;
 use crate::motor::SquareWave;
 use crate::per_motor::PerMotor;
-use crate::strokes::Stroke;
+use crate::spec::Array;
+use crate::strokes::Step;
 use firmware_protocol::array::MotorSet;
+use firmware_protocol::moves::Move;
 use firmware_protocol::tick::Tick;
+
+/// The steps of a glide, ms: the motor averages over twice as long.
+const GLIDE_STEP_MS: u64 = 2;
+
+/// What a motor of a live play does.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum LiveMotion {
+    /// It vibrates.
+    Wave(SquareWave),
+    /// Its pin goes to a level and stays there.
+    Level {
+        /// The array that it is for.
+        array: Array,
+        /// Pulses above rest.
+        pulses: u16,
+        /// How long it takes to get there; 0: at full speed.
+        glide_ticks: u32,
+    },
+}
+
+impl From<SquareWave> for LiveMotion {
+    fn from(wave: SquareWave) -> Self {
+        Self::Wave(wave)
+    }
+}
+
+impl LiveMotion {
+    /// The array that it is for.
+    #[must_use]
+    pub const fn array(&self) -> Array {
+        match self {
+            Self::Wave(wave) => wave.array(),
+            Self::Level { array, .. } => *array,
+        }
+    }
+}
+
+/// A way from one level to another.
+#[derive(Clone, Copy, Debug)]
+struct Glide {
+    begin: Tick,
+    from: u16,
+    to: u16,
+    /// Its moves, how far apart they begin, and the number of the next.
+    moves: u64,
+    apart: u64,
+    next: u64,
+}
+
+impl Glide {
+    /// At rest.
+    const REST: Self = Self { begin: Tick(0), from: 0, to: 0, moves: 0, apart: 1, next: 0 };
+
+    fn new(array: Array, begin: Tick, from: u16, to: u16, glide_ticks: u32) -> Self {
+        let apart = array.rate().of_ms(GLIDE_STEP_MS);
+        let way = u64::from(to.abs_diff(from));
+        // No step is longer than its pulses take.
+        let moves = match u64::from(glide_ticks) {
+            _ if way == 0 => 0,
+            0 => 1,
+            ticks => ticks.max(way).div_ceil(apart).min(way),
+        };
+        Self { begin, from, to, moves, apart, next: 0 }
+    }
+
+    /// The level after so many of its moves.
+    fn level(&self, moves: u64) -> u16 {
+        let (from, to) = (i64::from(self.from), i64::from(self.to));
+        let done = if self.moves == 0 { 0 } else { (to - from) * moves as i64 / self.moves as i64 };
+        (from + done) as u16
+    }
+
+    /// The level that the moves before `tick` lead to, and when the last of them is over, if that is later than `tick`. It does not end
+    /// before it begins.
+    fn at(&self, tick: Tick) -> (u16, Tick) {
+        let tick = tick.max(self.begin);
+        let begun = (tick - self.begin).div_ceil(self.apart).min(self.moves);
+        let level = self.level(begun);
+        let Some(last) = begun.checked_sub(1) else { return (level, tick) };
+        (level, tick.max(self.begin + (last * self.apart + u64::from(level.abs_diff(self.level(last))))))
+    }
+
+    /// When its next move begins.
+    fn next_begin(&self) -> Option<Tick> {
+        (self.next < self.moves).then(|| self.begin + self.next * self.apart)
+    }
+
+    fn step(&self, motor: u8, number: u64) -> Step {
+        let (from, level) = (self.level(number), self.level(number + 1));
+        let tick = self.begin + number * self.apart;
+        Step::Move { of: Move { motor, tick, level, surplus: 0 }, from }
+    }
+}
+
+/// What one motor does: it glides first, then it vibrates or stays.
+#[derive(Clone, Copy, Debug)]
+struct LiveMotor {
+    motion: LiveMotion,
+    glide: Glide,
+    oscillator: Oscillator,
+}
 
 /// The drive of one motor from a tick on.
 #[derive(Clone, Copy, Debug)]
@@ -64,14 +168,56 @@ impl Oscillator {
     }
 }
 
-/// The strokes of a live play, in order of time, without end.
+impl LiveMotor {
+    fn new(wave: SquareWave, onset: Tick) -> Self {
+        let oscillator = Oscillator { wave, zero: onset, begin: onset, next: 0 };
+        Self { motion: wave.into(), glide: Glide::REST, oscillator }
+    }
+
+    fn next_begin(&self) -> Option<Tick> {
+        let up = || matches!(self.motion, LiveMotion::Wave(_)).then(|| self.oscillator.next_up()).flatten();
+        self.glide.next_begin().or_else(up)
+    }
+
+    /// The same motor with another motion, from `from` or the beginning of its first period after that on; and that tick.
+    fn changed(&self, motion: LiveMotion, from: Tick) -> (Self, Tick) {
+        let array = motion.array();
+        let vibrates = matches!(self.motion, LiveMotion::Wave(_));
+        let (level, from) = self.glide.at(from);
+        match motion {
+            LiveMotion::Wave(wave) if level > 0 => {
+                let glide = Glide::new(array, from, level, 0, 0);
+                // The third of three moves begins a millisecond after the first.
+                let down = from + u64::from(level).max(array.rate().of_ms(1));
+                (Self { motion, glide, oscillator: self.oscillator.changed(wave, down) }, from)
+            }
+            LiveMotion::Wave(wave) => {
+                let oscillator = self.oscillator.changed(wave, from);
+                let begin = oscillator.up(oscillator.next);
+                (Self { motion, glide: Glide::REST, oscillator }, begin)
+            }
+            LiveMotion::Level { pulses, glide_ticks, .. } => {
+                // What goes up before that comes down again by itself.
+                let begin = if vibrates && self.oscillator.wave.moves() {
+                    self.oscillator.up(self.oscillator.first_from(from))
+                } else {
+                    from
+                };
+                let glide = Glide::new(array, begin, level, pulses, glide_ticks);
+                (Self { motion, glide, oscillator: self.oscillator }, begin)
+            }
+        }
+    }
+}
+
+/// The steps of a live play, in order of time, without end.
 #[derive(Clone, Debug)]
 pub struct LiveStrokes {
     onset: Tick,
     initial: PerMotor<SquareWave>,
-    motors: PerMotor<Oscillator>,
-    /// The motors' drives before the last change, until it is confirmed.
-    before: PerMotor<Oscillator>,
+    motors: PerMotor<LiveMotor>,
+    /// The motors before the last change, until it is confirmed.
+    before: PerMotor<LiveMotor>,
     /// Motors that pause.
     paused: MotorSet,
 }
@@ -80,15 +226,21 @@ impl LiveStrokes {
     /// The strokes of these drives.
     #[must_use]
     pub fn new(waves: PerMotor<SquareWave>) -> Self {
-        let motors = waves.map(|wave| Oscillator { wave, zero: Tick(0), begin: Tick(0), next: 0 });
+        let motors = waves.map(|wave| LiveMotor::new(wave, Tick(0)));
         Self { onset: Tick(0), initial: waves, motors, before: motors, paused: MotorSet::EMPTY }
     }
 
     /// Begins at `onset` with the first drives.
     pub fn begin(&mut self, onset: Tick) {
         self.onset = onset;
-        self.motors = self.initial.map(|wave| Oscillator { wave, zero: onset, begin: onset, next: 0 });
+        self.motors = self.initial.map(|wave| LiveMotor::new(wave, onset));
         (self.before, self.paused) = (self.motors, MotorSet::EMPTY);
+    }
+
+    /// The array that they are for.
+    #[must_use]
+    pub fn array(&self) -> Array {
+        self.motors[0].motion.array()
     }
 
     /// The onset.
@@ -97,31 +249,31 @@ impl LiveStrokes {
         self.onset
     }
 
-    /// The drive of a motor.
+    /// The motion of a motor.
     ///
     /// # Panics
     /// If there is no such motor.
     #[must_use]
-    pub fn wave(&self, motor: u8) -> SquareWave {
-        self.motors[usize::from(motor)].wave
+    pub fn motion(&self, motor: u8) -> LiveMotion {
+        self.motors[usize::from(motor)].motion
     }
 
-    /// Gives a motor another drive, from the beginning of its first period at `from` or later; returns that tick. Its next stroke is
-    /// then the first of the new drive.
+    /// Gives a motor another motion, from `from` on, or from the beginning of its first period after that if it vibrates; returns that
+    /// tick. Its next step is then the first of the new motion.
     ///
     /// # Panics
     /// If there is no such motor.
-    pub fn replace(&mut self, motor: u8, wave: SquareWave, from: Tick) -> Tick {
+    pub fn replace(&mut self, motor: u8, motion: LiveMotion, from: Tick) -> Tick {
         self.paused.remove(motor);
         let motor = usize::from(motor);
         self.before[motor] = self.motors[motor];
-        self.motors[motor] = self.before[motor].changed(wave, from);
-        let changed = &self.motors[motor];
-        changed.up(changed.next)
+        let (changed, begin) = self.before[motor].changed(motion, from);
+        self.motors[motor] = changed;
+        begin
     }
 
-    /// Undoes the last [`Self::replace`] of this motor, because the device has kept the earlier strokes: the motor has its earlier
-    /// drive and next stroke again. It pauses until its next `replace`: only [`Self::next_of`] returns its strokes.
+    /// Undoes the last [`Self::replace`] of this motor, because the device has kept the earlier steps: the motor has its earlier
+    /// motion and next step again. It pauses until its next `replace`: only [`Self::next_of`] returns its steps.
     ///
     /// # Panics
     /// If there is no such motor.
@@ -130,33 +282,44 @@ impl LiveStrokes {
         self.paused.insert(motor);
     }
 
-    /// Puts back the last returned stroke, which was not sent: it is the next one again.
-    pub fn put_back(&mut self, stroke: &Stroke) {
-        if let Some(motor) = self.motors.get_mut(usize::from(stroke.motor)) {
-            motor.next = motor.next.saturating_sub(1);
+    /// Puts back the last returned step, which was not sent: it is the next one again.
+    pub fn put_back(&mut self, step: &Step) {
+        if let Some(motor) = self.motors.get_mut(usize::from(step.motor())) {
+            match step {
+                Step::Stroke(_) => motor.oscillator.next = motor.oscillator.next.saturating_sub(1),
+                Step::Move { .. } => motor.glide.next = motor.glide.next.saturating_sub(1),
+            }
         }
     }
 
-    /// The next stroke of this motor, ahead of those of the others.
-    pub fn next_of(&mut self, motor: u8) -> Option<Result<Stroke, StrokesError>> {
-        let oscillator = self.motors.get_mut(usize::from(motor)).filter(|own| own.wave.moves())?;
-        let stroke = oscillator.wave.excursions().number(oscillator.next).stroke(motor, oscillator.zero);
-        oscillator.next += 1;
-        Some(match stroke.check(oscillator.wave.array().layout()) {
-            Ok(()) => Ok(stroke),
-            Err(refusal) => Err(StrokesError::Limit { step: stroke.into(), refusal }),
+    /// The next step of this motor, ahead of those of the others.
+    pub fn next_of(&mut self, motor: u8) -> Option<Result<Step, StrokesError>> {
+        let own = self.motors.get_mut(usize::from(motor))?;
+        own.next_begin()?;
+        let step = if own.glide.next < own.glide.moves {
+            own.glide.next += 1;
+            own.glide.step(motor, own.glide.next - 1)
+        } else {
+            let oscillator = &mut own.oscillator;
+            oscillator.next += 1;
+            let number = oscillator.next - 1;
+            oscillator.wave.excursions().number(number).stroke(motor, oscillator.zero).into()
+        };
+        Some(match step.check(own.motion.array().layout()) {
+            Ok(()) => Ok(step),
+            Err(refusal) => Err(StrokesError::Limit { step, refusal }),
         })
     }
 
-    /// When the next stroke of a motor goes up; `None` if its drive moves nothing.
+    /// When the next step of a motor begins; `None` if its motion moves nothing for now.
     #[must_use]
     pub fn next_up(&self, motor: u8) -> Option<Tick> {
-        self.motors.get(usize::from(motor)).and_then(Oscillator::next_up)
+        self.motors.get(usize::from(motor)).and_then(LiveMotor::next_begin)
     }
 }
 
 impl Iterator for LiveStrokes {
-    type Item = Result<Stroke, StrokesError>;
+    type Item = Result<Step, StrokesError>;
 
     fn next(&mut self) -> Option<Self::Item> {
         let plays = |motor: &u8| !self.paused.contains(*motor);
@@ -188,8 +351,8 @@ mod tests {
     }
 
     fn ups(strokes: &mut LiveStrokes, motor: u8, count: usize) -> Vec<u64> {
-        let own = strokes.map(Result::unwrap).filter(|stroke| stroke.motor == motor);
-        own.take(count).map(|stroke| stroke.up - ONSET).collect()
+        let own = strokes.map(Result::unwrap).filter(|step| step.motor() == motor);
+        own.take(count).map(|step| step.begin() - ONSET).collect()
     }
 
     #[test]
@@ -197,10 +360,10 @@ mod tests {
         let mut plain = live(wave(60.0, 80.0, 0.25));
         let grid = ups(&mut plain, 3, 40);
         let mut strokes = live(wave(60.0, 80.0, 0.25));
-        assert_eq!(strokes.replace(3, wave(60.0, 0.0, 0.25), ONSET + grid[2]), ONSET + grid[2]);
+        assert_eq!(strokes.replace(3, wave(60.0, 0.0, 0.25).into(), ONSET + grid[2]), ONSET + grid[2]);
         assert_eq!(strokes.next_up(3), None);
         let from = ONSET + (grid[7] + 1);
-        assert_eq!(strokes.replace(3, wave(60.0, 20.0, 0.25), from), ONSET + grid[8]);
+        assert_eq!(strokes.replace(3, wave(60.0, 20.0, 0.25).into(), from), ONSET + grid[8]);
         assert_eq!(ups(&mut strokes, 3, 30), grid[8..38]);
     }
 
@@ -208,42 +371,76 @@ mod tests {
     fn another_frequency_begins_where_the_next_period_would_have_begun() {
         let mut strokes = live(wave(60.0, 80.0, 0.25));
         let grid = ups(&mut live(wave(60.0, 80.0, 0.25)), 3, 5);
-        strokes.replace(3, wave(100.0, 80.0, 0.25), ONSET + (grid[3] - 700));
+        strokes.replace(3, wave(100.0, 80.0, 0.25).into(), ONSET + (grid[3] - 700));
         let changed = ups(&mut strokes, 3, 4);
         assert_eq!(changed, [0, 850, 1_700, 2_550].map(|ticks| grid[3] + ticks));
         // A phase of half a cycle more shifts the stroke by half a period.
-        strokes.replace(3, wave(100.0, 80.0, 0.75), ONSET + changed[2]);
+        strokes.replace(3, wave(100.0, 80.0, 0.75).into(), ONSET + changed[2]);
         assert_eq!(ups(&mut strokes, 3, 2), [2_125, 2_975].map(|ticks| grid[3] + ticks));
-        strokes.replace(3, wave(50.0, 80.0, 0.0), ONSET + (grid[3] + 3_000));
+        strokes.replace(3, wave(50.0, 80.0, 0.0).into(), ONSET + (grid[3] + 3_000));
         assert_eq!(ups(&mut strokes, 3, 1), [grid[3] + 3_825 + 425]);
     }
 
     #[test]
     fn a_reverted_motor_is_on_its_old_grid() {
         let mut strokes = live(wave(60.0, 80.0, 0.0));
-        strokes.replace(3, wave(90.0, 10.0, 0.0), ONSET + 5_000);
+        strokes.replace(3, wave(90.0, 10.0, 0.0).into(), ONSET + 5_000);
         strokes.revert(3);
-        assert_eq!(strokes.wave(3), wave(60.0, 80.0, 0.0));
-        assert_eq!(strokes.replace(3, wave(60.0, 70.0, 0.0), ONSET + 9_000), ONSET + 9_917);
+        assert_eq!(strokes.motion(3), wave(60.0, 80.0, 0.0).into());
+        assert_eq!(strokes.replace(3, wave(60.0, 70.0, 0.0).into(), ONSET + 9_000), ONSET + 9_917);
+    }
+
+    #[test]
+    fn a_pin_glides_to_its_level_stays_and_comes_down_before_it_vibrates() {
+        let array = Array::paper();
+        let level = |pulses, glide_ticks| LiveMotion::Level { array, pulses, glide_ticks };
+        let mut strokes = live(wave(60.0, 0.0, 0.0));
+        assert_eq!(strokes.replace(3, level(1_000, 1_700), ONSET + 100), ONSET + 100);
+        let moves: Vec<_> = std::iter::from_fn(|| strokes.next_of(3)).map(Result::unwrap).collect();
+        assert_eq!((moves.len(), moves[0].begin(), moves[0].level()), (10, ONSET + 100, 100));
+        assert_eq!((moves[9].begin(), moves[9].level()), (ONSET + (100 + 9 * 170), 1_000));
+        // In the middle of a glide it goes on from where it is then.
+        strokes.replace(3, level(0, 1_700), ONSET + 5_000);
+        strokes.replace(3, level(500, 0), ONSET + (5_000 + 3 * 170));
+        let back = strokes.next_of(3).unwrap().unwrap();
+        assert!(matches!(back, Step::Move { from: 700, of } if of.level == 500), "{back:?}");
+        assert_eq!(strokes.next_up(3), None);
+        strokes.replace(3, wave(60.0, 80.0, 0.0).into(), ONSET + 9_000);
+        let [down, up] = [(); 2].map(|()| strokes.next_of(3).unwrap().unwrap());
+        assert_eq!((down.begin(), down.level(), up.moves()), (ONSET + 9_000, 0, 2));
+        assert!(up.begin() >= ONSET + 9_500);
     }
 
     proptest! {
-        /// Changes at random times: the strokes sent before a change and those after it do not overlap.
+        /// Changes at random times: the steps sent before a change and those after it do not overlap, and each begins at the level at which
+        /// the one before it ended.
         #[test]
-        fn strokes_never_overlap(changes in prop::collection::vec((1u64..20_000, 0.2..300.0, 0.0..400.0, 0.0..1.0), 1..30)) {
+        fn steps_never_overlap_and_levels_follow(changes in prop::collection::vec((1u64..20_000, 0.2..300.0, 0.0..400.0, 0.0..1.0, 0u8..4), 1..30)) {
             let mut strokes = live(wave(60.0, 80.0, 0.0));
-            let (mut now, mut busy) = (ONSET, ONSET);
-            for (wait, hz, um, phase) in changes {
-                // Every second change keeps the frequency.
-                let hz = if wait % 2 == 0 { strokes.wave(3).frequency_hz() } else { hz };
+            let (mut now, mut busy, mut level) = (ONSET, ONSET, 0);
+            for (wait, hz, um, phase, kind) in changes {
                 let until = now + wait;
                 while let Some(next) = strokes.next_up(3).filter(|next| *next < until) {
                     prop_assert!(next >= busy);
-                    let own = strokes.find_map(|stroke| stroke.ok().filter(|stroke| stroke.motor == 3)).unwrap();
-                    busy = own.end();
+                    let own = strokes.find_map(|step| step.ok().filter(|step| step.motor() == 3)).unwrap();
+                    match own {
+                        Step::Move { from, .. } => prop_assert_eq!(from, level),
+                        Step::Stroke(_) => prop_assert_eq!(level, 0),
+                    }
+                    level = own.level();
+                    // A move may be cut short by the next one.
+                    busy = if own.moves() == 2 { own.end() } else { own.begin() };
                 }
                 now = until;
-                let from = strokes.replace(3, wave(hz, um, phase), now);
+                let array = Array::paper();
+                let motion = match (kind, strokes.motion(3)) {
+                    (0, _) => LiveMotion::Level { array, pulses: um as u16 * 7, glide_ticks: (phase * 5_000.0) as u32 },
+                    (1, _) => LiveMotion::Level { array, pulses: um as u16 * 7, glide_ticks: 0 },
+                    // Every second change keeps the frequency.
+                    (2, LiveMotion::Wave(before)) => wave(before.frequency_hz(), um, phase).into(),
+                    _ => wave(hz, um, phase).into(),
+                };
+                let from = strokes.replace(3, motion, now);
                 prop_assert!(from >= now && from >= busy);
             }
         }

@@ -27,7 +27,7 @@ mod stroke;
 
 pub use drive::DriveStrokes;
 pub use error::StrokesError;
-pub use live::LiveStrokes;
+pub use live::{LiveMotion, LiveStrokes};
 pub use options::{AutoSurplus, Fit, StrokeOptions, Surplus};
 pub use reached::{Ordered, Reached, ordered, reached};
 pub use sequence::{
@@ -255,7 +255,8 @@ pub fn ordered_end(pattern: &Pattern, seconds: Option<f64>) -> Option<u64> {
 /// How long a pattern lasts, s; `None`: without end.
 fn lasts_s(pattern: &Pattern) -> Option<f64> {
     let mut stops = pattern.drives().iter().map(|drive| drive.stop_s);
-    let last_stop = stops.try_fold(pattern.motions_rest_s(), |last: f64, stop| stop.map(|stop| last.max(stop)));
+    let last_stop =
+        stops.try_fold(pattern.motions_rest_s(), |last: f64, stop| stop.map(|stop| last.max(stop)));
     pattern.duration_s().or(last_stop)
 }
 

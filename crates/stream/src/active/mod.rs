@@ -332,7 +332,12 @@ impl Active {
 
     /// The device has refused, as it began, a stroke that it had accepted. `others` gives the first start and the last end of the
     /// other strokes of the item.
-    pub(super) fn refused_as_begun(&mut self, up: Tick, moves: u64, others: impl FnOnce(Span) -> [Option<Tick>; 2]) {
+    pub(super) fn refused_as_begun(
+        &mut self,
+        up: Tick,
+        moves: u64,
+        others: impl FnOnce(Span) -> [Option<Tick>; 2],
+    ) {
         self.refused(up, moves);
         let play = self.until();
         let after = self.play.items.partition_point(|item| item.onset <= up);

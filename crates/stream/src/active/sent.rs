@@ -39,7 +39,7 @@ impl Sent {
     /// Puts the next stroke of a live play back: its drive changes.
     pub(super) fn put_back(&mut self, source: &mut Source) {
         if let Some(strokes) = source.live()
-            && let Some(Step::Stroke(next)) = self.next.take()
+            && let Some(next) = self.next.take()
         {
             strokes.put_back(&next);
         }

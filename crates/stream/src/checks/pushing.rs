@@ -103,9 +103,7 @@ mod tests {
     fn the_first_stroke_above_the_limit_is_found() {
         let mut all = strokes();
         all.begin(Tick(0));
-        let surplus: Vec<u32> = all
-            .map(|step| u32::from(step.unwrap().surplus()))
-            .collect();
+        let surplus: Vec<u32> = all.map(|step| u32::from(step.unwrap().surplus())).collect();
         assert!(surplus.len() >= 299 && surplus.iter().all(|pulses| *pulses == surplus[0]), "{surplus:?}");
         // A stroke counts until a second after its end: one more than those of a second, and a bucket of the count.
         let per_second = 51 * surplus[0];

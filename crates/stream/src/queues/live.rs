@@ -6,11 +6,11 @@
 use crate::time::HostInstant;
 use firmware_protocol::array::MotorSet;
 use firmware_protocol::tick::Tick;
-use meissner_array::motor::SquareWave;
 use meissner_array::per_motor::PerMotor;
 use meissner_array::spec::Array;
+use meissner_array::strokes::LiveMotion;
 
-/// New drives for a live play.
+/// New motions for a live play.
 #[derive(Debug)]
 pub struct LiveUpdate {
     /// The play.
@@ -19,8 +19,8 @@ pub struct LiveUpdate {
     pub number: u64,
     /// When the client's message had come.
     pub received_at: HostInstant,
-    /// The new drive of each motor; `None`: as before. Without any the update only shows that the client is there.
-    pub waves: PerMotor<Option<SquareWave>>,
+    /// The new motion of each motor; `None`: as before. Without any the update only shows that the client is there.
+    pub motions: PerMotor<Option<LiveMotion>>,
     /// What became of it.
     pub result: LiveResult,
 }
@@ -71,6 +71,6 @@ impl LiveUpdate {
     /// An update for a play on this array that changes nothing.
     #[must_use]
     pub fn new(array: Array, id: u64, number: u64, received_at: HostInstant) -> Self {
-        Self { id, number, received_at, waves: PerMotor::all(array, None), result: LiveResult::Waiting }
+        Self { id, number, received_at, motions: PerMotor::all(array, None), result: LiveResult::Waiting }
     }
 }

@@ -21,7 +21,7 @@ use firmware_protocol::tick::Tick;
 use meissner_api::{EndCause, LateCause};
 use meissner_array::per_motor::PerMotor;
 use meissner_array::spec::MAX_MOTORS;
-use meissner_array::strokes::Stroke;
+use meissner_array::strokes::Step;
 use meissner_array::units::TickRate;
 use std::time::Duration;
 
@@ -68,15 +68,15 @@ impl Streamer {
     /// Takes an update of a live play.
     pub(super) fn update_live(&mut self, now: HostInstant, update: Box<LiveUpdate>, emit: &mut dyn Emit) {
         let array = self.array();
-        let fits = update.waves.len() == array.motors()
-            && update.waves.iter().flatten().all(|wave| wave.array() == array);
+        let fits = update.motions.len() == array.motors()
+            && update.motions.iter().flatten().all(|motion| motion.array() == array);
         if !self.keep_live(now, update.id, emit) || !fits {
             give_back(update, LiveResult::Over, emit);
             return;
         }
         let mut update = update;
         if let Some(old) = self.live.waiting.take() {
-            for (new, old) in update.waves.iter_mut().zip(&old.waves) {
+            for (new, old) in update.motions.iter_mut().zip(&old.motions) {
                 *new = new.or(*old);
             }
             let result = match old.result {
@@ -168,8 +168,9 @@ impl Streamer {
         let Some(strokes) = active.live_strokes() else { return };
         let from = from.max(strokes.onset());
         // What the device does not hold must be sent, even if it is as before.
-        let changes =
-            |motor: u8| update.waves[usize::from(motor)].is_some_and(|wave| wave != strokes.wave(motor));
+        let changes = |motor: u8| {
+            update.motions[usize::from(motor)].is_some_and(|motion| motion != strokes.motion(motor))
+        };
         let mut changed = self.live.kept;
         array.numbers().filter(|&motor| changes(motor)).for_each(|motor| changed.insert(motor));
         let mut applied = match update.result {
@@ -188,8 +189,8 @@ impl Streamer {
         let horizon = tick + rate.ms_in_ticks(self.settings.lead_ms) as u64 + batch_ticks(&self.settings);
         let mut silent = MotorSet::EMPTY;
         for motor in changed.iter() {
-            let wave = update.waves[usize::from(motor)].unwrap_or_else(|| strokes.wave(motor));
-            applied.motors[usize::from(motor)] = Some(strokes.replace(motor, wave, from));
+            let motion = update.motions[usize::from(motor)].unwrap_or_else(|| strokes.motion(motor));
+            applied.motors[usize::from(motor)] = Some(strokes.replace(motor, motion, from));
             if strokes.next_up(motor).is_none_or(|up| up >= horizon) {
                 silent.insert(motor);
             }
@@ -211,19 +212,19 @@ impl Streamer {
         let ups = of.iter().filter_map(|motor| Some((strokes.next_up(motor)?, motor)));
         let mut firsts: heapless::Vec<(Tick, u8), MAX_MOTORS> = ups.collect();
         firsts.sort_unstable();
-        let mut pushed = heapless::Vec::<Stroke, MAX_MOTORS>::new();
+        let mut pushed = heapless::Vec::<Step, MAX_MOTORS>::new();
         for (_, motor) in firsts {
             // A stroke that breaks a limit is found again by the feed, which ends the play.
-            let Some(Ok(stroke)) = strokes.next_of(motor) else { continue };
-            if !session.push(&stroke.into()) {
-                strokes.put_back(&stroke);
+            let Some(Ok(step)) = strokes.next_of(motor) else { continue };
+            if !session.push(&step) {
+                strokes.put_back(&step);
                 break;
             }
-            let _ = pushed.push(stroke);
+            let _ = pushed.push(step);
         }
-        for stroke in pushed {
-            self.control.sent(&stroke.into(), !active.play().open_loop, active.until());
-            active.plan(&stroke.into(), true);
+        for step in pushed {
+            self.control.sent(&step, !active.play().open_loop, active.until());
+            active.plan(&step, true);
         }
     }
 
@@ -239,9 +240,9 @@ impl Streamer {
                 let active = &mut self.plays[at];
                 let Some(strokes) = active.live_strokes() else { return };
                 let missed = strokes.next_up(motor).filter(|&up| up < from);
-                let Some(Ok(stroke)) = missed.and_then(|_| strokes.next_of(motor)) else { break };
-                active.plan(&stroke.into(), false);
-                self.late(now, &stroke.into(), from, cause, emit);
+                let Some(Ok(step)) = missed.and_then(|_| strokes.next_of(motor)) else { break };
+                active.plan(&step, false);
+                self.late(now, &step, from, cause, emit);
             }
         }
     }
@@ -279,15 +280,15 @@ impl Streamer {
             Some(newer) => {
                 let LiveResult::Applied(applied) = update.result else { return };
                 for motor in live.kept.iter().map(usize::from) {
-                    newer.waves[motor] = newer.waves[motor].or(update.waves[motor]);
+                    newer.motions[motor] = newer.motions[motor].or(update.motions[motor]);
                 }
                 give_back(update, LiveResult::Applied(applied.without(live.kept)), emit);
             }
             None => {
                 // Of the others the result is known.
-                for (wave, motor) in update.waves.iter_mut().zip(0..) {
+                for (motion, motor) in update.motions.iter_mut().zip(0..) {
                     if !live.kept.contains(motor) {
-                        *wave = None;
+                        *motion = None;
                     }
                 }
                 live.waiting = Some(update);

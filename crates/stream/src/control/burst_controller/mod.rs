@@ -30,9 +30,9 @@ pub(crate) use correct::Times;
 
 use super::estimator::{Estimator, Gains, Travel, gain_index};
 use super::queued::{Correction, Cutting, Forgotten, Queued};
-use firmware_protocol::stroke::Direction;
 use super::telemetry_monitor::{Plausibility, TelemetryMonitor};
 use firmware_protocol::controller::POOL;
+use firmware_protocol::stroke::Direction;
 use firmware_protocol::tick::Tick;
 use meissner_api::SensorFault;
 use meissner_array::motor::HalfTick;

@@ -132,8 +132,7 @@ impl BurstController {
 
     /// The rest error of excursions with so many pulses up and this surplus, from one to the next.
     pub(super) fn walk(&self, risen: u64, surplus: u16) -> ReflectedWalk {
-        let (up, surplus) =
-            (risen as f64 * self.um_per_pulse(), f64::from(surplus) * self.um_per_pulse());
+        let (up, surplus) = (risen as f64 * self.um_per_pulse(), f64::from(surplus) * self.um_per_pulse());
         let Gains { mean, scatter, .. } = self.gains;
         let spread = if self.is_calibrated() {
             Spread::measured(scatter, mean, [0.0; 2], 1)

@@ -342,9 +342,15 @@ mod tests {
     fn a_lost_frame_is_sent_again_and_does_not_wait_for_the_window() {
         let mut outbox = open();
         assert_eq!(outbox.credits(), 100);
-        outbox.begin(Tick(5), Mark { kind: firmware_protocol::message::MarkKind::Item, trigger: None, hold: 0 });
+        outbox.begin(
+            Tick(5),
+            Mark { kind: firmware_protocol::message::MarkKind::Item, trigger: None, hold: 0 },
+        );
         frame(&mut outbox, 0, 5);
-        outbox.begin(Tick(9), Mark { kind: firmware_protocol::message::MarkKind::Item, trigger: None, hold: 0 });
+        outbox.begin(
+            Tick(9),
+            Mark { kind: firmware_protocol::message::MarkKind::Item, trigger: None, hold: 0 },
+        );
         frame(&mut outbox, 0, 900);
         assert_eq!(write(&mut outbox, 1, MAX_FRAME).and_then(|written| written.marks), Some(Tick(5)));
         assert!(write(&mut outbox, 1, MAX_FRAME).is_none(), "the window is full");
@@ -401,7 +407,10 @@ mod tests {
         outbox.judge(8, verdict(1, 1, 0, 0), true);
         let events = conclude(&mut outbox, 0);
         assert!(
-            matches!(events[..], [Event::Step(Step::Stroke(Stroke { up: Tick(900), .. }), Verdict::Late { .. })]),
+            matches!(
+                events[..],
+                [Event::Step(Step::Stroke(Stroke { up: Tick(900), .. }), Verdict::Late { .. })]
+            ),
             "{events:?}"
         );
     }
