@@ -6,11 +6,11 @@
 
 use criterion::{Criterion, criterion_group, criterion_main};
 use firmware_protocol::stroke::Direction;
-use meissner_array::strokes::Burst;
 use firmware_protocol::tick::Tick;
 use meissner_array::motor::SquareWave;
 use meissner_array::simulated::{Pin, SimulatedMotorsConfig};
 use meissner_array::spec::Array;
+use meissner_array::strokes::Burst;
 use meissner_stream::MotorRun;
 use meissner_test_support::paper::{MOTORS, TICKS_PER_MS};
 use std::hint::black_box;

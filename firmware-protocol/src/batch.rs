@@ -121,7 +121,16 @@ impl<const N: usize> Packer<N> {
     /// An empty list whose ticks count from `base`.
     #[must_use]
     pub fn new(base: Tick) -> Self {
-        Self { bytes: [0; N], len: 0, count: 0, base, at: base, stroke: None, row: MotorSet::EMPTY, open: None }
+        Self {
+            bytes: [0; N],
+            len: 0,
+            count: 0,
+            base,
+            at: base,
+            stroke: None,
+            row: MotorSet::EMPTY,
+            open: None,
+        }
     }
 
     /// The tick from which the first item counts.
@@ -148,9 +157,7 @@ impl<const N: usize> Packer<N> {
     /// [`Full`] if it does not fit; the list is unchanged.
     pub fn to_level(&mut self, to: &Move) -> Result<(), Full> {
         if to.surplus == 0
-            && let Some(open) = self.open.take_if(|open| {
-                self.at == to.tick && open.last < to.motor
-            })
+            && let Some(open) = self.open.take_if(|open| self.at == to.tick && open.last < to.motor)
         {
             return self.join(open, to);
         }

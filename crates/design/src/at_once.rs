@@ -7,11 +7,11 @@
 
 use crate::point::{Point, Vibration};
 use firmware_protocol::limits::PowerLimits;
-use meissner_array::strokes::Stroke;
 use firmware_protocol::tick::Tick;
 use meissner_array::motor::SquareWave;
 use meissner_array::power::PulsingMotors;
 use meissner_array::spec::Array;
+use meissner_array::strokes::Stroke;
 
 /// Points repeat after this time, s.
 const PERIOD_S: f64 = 10.0;

@@ -11,10 +11,10 @@
 
 use crate::partition::Partition;
 use crate::target::{Frame, Target};
-use meissner_array::strokes::Burst;
 use firmware_protocol::tick::Tick;
 use meissner_array::motor::Ramp;
 use meissner_array::pattern::Pattern;
+use meissner_array::strokes::Burst;
 use meissner_array::strokes::{StrokeOptions, Strokes, StrokesError};
 use meissner_array::units::TickRate;
 use meissner_skin::afferents::Class;

@@ -1,11 +1,11 @@
 use firmware_protocol::stroke::Direction;
-use meissner_array::strokes::Burst;
 use firmware_protocol::tick::Tick;
 use meissner_array::motor::Ramp;
 use meissner_array::pattern::Pattern;
 use meissner_array::per_motor::PerMotor;
 use meissner_array::simulated::SimulatedMotorsConfig;
 use meissner_array::spec::Array;
+use meissner_array::strokes::Burst;
 use meissner_array::strokes::{StrokeOptions, Strokes};
 use meissner_design::{
     Conditions, Partition, Play, PredictedResponse, PredictionError, Target, judge, predict_response,

@@ -16,6 +16,7 @@ use meissner_test_support::paper::{MOTORS, RATE};
 use meissner_test_support::random::Random;
 use meissner_test_support::rig::{
     self, Rig, answer, assert_closed, assert_lines, bad_line, bursts_on_the_lines, into_outcomes, is_driven,
+    last_snapshot,
 };
 use std::collections::HashSet;
 use std::time::Duration;
@@ -501,4 +502,38 @@ fn pins_follow_levels_and_come_down() {
             assert_eq!((outcome.end, outcome.bursts.refused, outcome.bursts.late), (End::Stopped, 0, 0));
         }
     }
+}
+
+/// A level that is not changed for a minute: the pin comes down by itself, its client is still there, and the next level is reached.
+#[test]
+fn a_pin_that_is_held_for_too_long_comes_down_and_follows_the_next_level() {
+    let array = Array::paper();
+    let mut live = LivePlay::start(Line::default(), 6, all(wave(60.0, 0.0, 0.0)));
+    let level = |live: &mut LivePlay, pulses| {
+        let mut motions = all(None);
+        motions[4] = Some(LiveMotion::Level { array, pulses, glide_ticks: 1_700 });
+        live.number += 1;
+        let update = LiveUpdate { motions, ..LiveUpdate::new(array, live.id, live.number, live.rig.now()) };
+        live.rig.send(Command::UpdateLive(Box::new(update)));
+        live.run(100 * MS);
+    };
+    level(&mut live, 700);
+    let mut down_at = None;
+    for tenth in 0..620 {
+        live.update(all(None));
+        live.run(100 * MS);
+        if down_at.is_none() && live.rig.mock.controller().outstanding(4) == 0 {
+            down_at = Some(tenth);
+        }
+    }
+    assert!(down_at.is_some_and(|tenth| (595..=605).contains(&tenth)), "{down_at:?}");
+    level(&mut live, 300);
+    assert_eq!(bursts_on_the_lines(&live.rig.mock.take_trace()).net[4], 300);
+    live.rig.send(Command::EndLive(live.id));
+    // Until a status says that the pins are still.
+    live.run(2_000 * MS);
+    assert_eq!(bursts_on_the_lines(&live.rig.mock.take_trace()).net[4], -300);
+    let (known, is) = (f64::from(last_snapshot(&live.events).rest_error_um[4]), live.rig.mock.position_um(4));
+    assert_closed(&into_outcomes(live.events).pop().expect("it ended"));
+    assert!((known - is).abs() < 2.0, "{known} um where the pin is at {is} um");
 }

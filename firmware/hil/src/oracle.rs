@@ -12,9 +12,9 @@ use firmware_protocol::controller::DRIVER_TAIL;
 use firmware_protocol::limits::{PowerLimits, within_correction};
 use firmware_protocol::message::{Cause, Cut, LowerStop, MarkKind, Op, Report, State, Trigger};
 use firmware_protocol::stroke::Direction;
-use meissner_array::strokes::Stroke;
 use firmware_protocol::tick::Tick;
 use meissner_array::spec::Array;
+use meissner_array::strokes::Stroke;
 use meissner_test_support::paper::{DRIVER_LEAD, MOTORS, WHOLE_TRAVEL};
 
 /// Ticks before an e-stop's cut in which a planned pulse may be missing, and ticks after it in which one may still begin: the

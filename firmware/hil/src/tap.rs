@@ -9,8 +9,8 @@ use firmware_protocol::frame::{self, Decoder};
 use firmware_protocol::message::{
     DeviceHello, DeviceMessage, HostMessage, Mark, Op, Report, Status, Trigger, Withdraw,
 };
-use meissner_array::strokes::Stroke;
 use firmware_protocol::tick::{Tick, WireTick};
+use meissner_array::strokes::Stroke;
 
 /// A frame of the ordered stream.
 #[derive(Clone, Debug)]

@@ -4,8 +4,8 @@
 
 use crate::hand::Hand;
 use crate::margin::TIME;
-use meissner_array::strokes::Stroke;
 use firmware_protocol::tick::Tick;
+use meissner_array::strokes::Stroke;
 use meissner_hil::bench::Which;
 use meissner_hil::bench::chip::ChipOptions;
 use meissner_hil::time::MS;

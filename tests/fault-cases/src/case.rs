@@ -4,8 +4,8 @@
 
 use crate::{ONSET, PHASE_AFTER};
 use firmware_protocol::message::{DeviceMessage, State};
-use meissner_array::strokes::Stroke;
 use firmware_protocol::tick::Tick;
+use meissner_array::strokes::Stroke;
 use meissner_stream::Line;
 use meissner_stream::queues::Command;
 use meissner_test_support::paper::RATE;

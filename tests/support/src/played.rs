@@ -1,9 +1,9 @@
 //! The bursts that simulated motors make of a pattern, without control.
 
 use firmware_protocol::stroke::Lines;
-use meissner_array::strokes::Burst;
 use meissner_array::motor::Ramp;
 use meissner_array::simulated::{SimulatedMotors, SimulatedMotorsConfig};
+use meissner_array::strokes::Burst;
 use meissner_array::strokes::Strokes;
 use meissner_design::Play;
 

@@ -272,6 +272,19 @@ impl LiveStrokes {
         begin
     }
 
+    /// The device has brought this motor's pin down at `tick` by itself. If the pin had been at its level for `held` ticks, the motor's
+    /// motion is to be at rest now.
+    pub fn lowered(&mut self, motor: u8, tick: Tick, held: u64) {
+        let Some(own) = self.motors.get_mut(usize::from(motor)) else { return };
+        if let LiveMotion::Level { array, .. } = own.motion
+            && own.glide.next_begin().is_none()
+            && tick >= own.glide.at(own.glide.begin + own.glide.moves * own.glide.apart).1 + held
+        {
+            own.motion = LiveMotion::Level { array, pulses: 0, glide_ticks: 0 };
+            own.glide = Glide { begin: tick, ..Glide::REST };
+        }
+    }
+
     /// Undoes the last [`Self::replace`] of this motor, because the device has kept the earlier steps: the motor has its earlier
     /// motion and next step again. It pauses until its next `replace`: only [`Self::next_of`] returns its steps.
     ///

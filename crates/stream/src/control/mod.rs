@@ -319,6 +319,24 @@ impl PositionControl {
         }
     }
 
+    /// A step came too late: the device does not play it, but brings the pin down from `rendered` on if it was a move down.
+    pub(super) fn late(&mut self, motor: u8, begin: Tick, rendered: Tick) {
+        if self.replacement.withdrawn(motor, begin) {
+            return;
+        }
+        if let Some(motor) = self.motor(motor) {
+            motor.late(begin, rendered);
+        }
+    }
+
+    /// The device has brought pins down by itself.
+    pub(super) fn lowered(&mut self, motors: MotorSet, tick: Tick) {
+        let least_hold = u64::from(self.array.layout().least_hold());
+        for (motor, index) in self.motors.iter_mut().zip(0..).filter(|(_, index)| motors.contains(*index)) {
+            motor.lowered(index, tick, least_hold);
+        }
+    }
+
     /// The device has refused a step as it began. Returns how many moves it had.
     pub(super) fn refused_as_begun(&mut self, motor: u8, up: Tick) -> u64 {
         // The one that it replaced may have begun at the same tick: neither is played.

@@ -122,6 +122,13 @@ impl Streamer {
                     emit.event(StreamEvent::StrokeRefused { id, motor, up, reason });
                 }
             }
+            Event::Lowered { motors, tick } => {
+                self.control.lowered(motors, tick);
+                let held = u64::from(self.array().layout().least_hold());
+                if let Some(strokes) = self.plays.iter_mut().find_map(Active::live_strokes) {
+                    motors.iter().for_each(|motor| strokes.lowered(motor, tick, held));
+                }
+            }
             Event::Board(board) => {
                 self.known.board_heard(board);
                 self.plays.iter_mut().for_each(|active| active.board().heard(board));
@@ -200,7 +207,8 @@ impl Streamer {
         let (motor, up) = (step.motor(), step.begin());
         match verdict {
             Verdict::Accepted => self.control.accepted(motor, up),
-            Verdict::Refused(_) | Verdict::Late { .. } => self.control.withdrawn(motor, up),
+            Verdict::Refused(_) => self.control.withdrawn(motor, up),
+            Verdict::Late { rendered, .. } => self.control.late(motor, up, rendered),
             // Position control has forgotten it with the replacement that failed.
             Verdict::Superseded => {}
         }

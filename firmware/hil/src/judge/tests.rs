@@ -5,8 +5,8 @@ use crate::pins::{ENABLE, LED, Pins, TRIGGER, pin_of};
 use crate::tap::Batch;
 use crate::time::{MS, TICK};
 use firmware_protocol::message::{Counters, Mark, MarkKind, Report};
-use meissner_array::strokes::Stroke;
 use meissner_array::spec::Array;
+use meissner_array::strokes::Stroke;
 
 const ORIGIN: u64 = 7_777;
 

@@ -188,6 +188,41 @@ impl BurstController {
         self.replan(at);
     }
 
+    /// The step that begins at this tick is late: a move down is played from `rendered` on, anything else not at all.
+    pub(crate) fn late(&mut self, begin: Tick, rendered: Tick) {
+        if let Some((at, 1)) = self.find(begin)
+            && self.begun <= at
+            && self.queue[at].burst.direction == Direction::Down
+            && self.queue.get(at + 1).is_none_or(|next| next.burst.start > rendered)
+        {
+            self.open(at);
+            (self.queue[at].burst.start, self.queue[at].accepted) = (rendered, true);
+        } else {
+            self.withdrawn(begin);
+        }
+    }
+
+    /// The device has brought this motor's pin down at `tick` by itself. If it has been still for less than `least_hold`, a late move was the reason,
+    /// which [`Self::late`] knows; else it was held for too long.
+    pub(crate) fn lowered(&mut self, motor: u8, tick: Tick, least_hold: u64) {
+        let at = self.queue.partition_point(|queued| queued.burst.start < tick);
+        let (level, last) = (self.level_before(at), at.checked_sub(1).map(|last| self.queue[last]));
+        let still_since = last.map_or(self.estimator.last_end(), |last| Some(last.burst.end()));
+        if level == 0 || at < self.begun || still_since.is_some_and(|end| tick - end < least_hold) {
+            return;
+        }
+        self.open(at);
+        let burst = Burst { start: tick, direction: Direction::Down, pulses: level };
+        let until = last.or(self.queue.get(at).copied()).map_or(burst.end(), |near| near.until);
+        let down = Queued { motor, burst, planned: level, accepted: true, until, ..Queued::NOTHING };
+        if self.queue.len() < self.queue.capacity() {
+            self.queue.insert(at, down);
+            self.replan(at + 1);
+            // Samples may have shown the way down before the report of it.
+            self.estimator.lose_position();
+        }
+    }
+
     /// Removes bursts that the estimator does not know yet.
     fn remove(&mut self, at: usize, bursts: usize) {
         self.open(at);

@@ -238,6 +238,14 @@ pub enum Event {
         /// `cut.at`, widened.
         at: Tick,
     },
+    /// The device has brought these motors' pins down by itself, in this tick or shortly after: they were held for too long, or the move
+    /// that was to do so was late.
+    Lowered {
+        /// The motors.
+        motors: MotorSet,
+        /// The first tick in which it did so.
+        tick: Tick,
+    },
     /// The device refused a queued stroke when it should have begun.
     StrokeRefused {
         /// Its motor.
