@@ -629,7 +629,11 @@ fn moves_count_as_shortened_and_amended_when_they_are_played() {
             let check = |counters: Counters, until| {
                 let begun = begun(until);
                 let wanted = (begun.iter().sum(), begun[1], begun[2]);
-                assert_eq!((counters.played, counters.amended, counters.shortened), wanted, "{shell:?} {offset}");
+                assert_eq!(
+                    (counters.played, counters.amended, counters.shortened),
+                    wanted,
+                    "{shell:?} {offset}"
+                );
             };
             bench.ping(1);
             check(bench.status().counters, offset);

@@ -3,7 +3,7 @@
 //! The device says true things, true things with a change, and bytes, all with a right CRC. Its truth is small: a clock that
 //! follows the host's, and the epochs and frames that the session has sent.
 
-use crate::input::{Raw, arm, array, byte, cause, chunk, direction, flag, long, motor, motors, one_of, word};
+use crate::input::{Raw, arm, array, byte, cause, chunk, flag, long, motor, motors, one_of, word};
 use arbitrary::Unstructured;
 use firmware_protocol::array::MAX_MOTORS;
 use firmware_protocol::batch::Amendment;
@@ -181,9 +181,7 @@ impl World {
                         _ => status.state,
                     };
                 }
-                HostMessage::Moves { epoch, seq, .. }
-                    if epoch == status.epoch && seq == status.next_seq =>
-                {
+                HostMessage::Moves { epoch, seq, .. } if epoch == status.epoch && seq == status.next_seq => {
                     status.next_seq = seq.wrapping_add(1);
                 }
                 HostMessage::Board { window } => self.device.window = window,

@@ -157,7 +157,9 @@ impl Item {
         match *self {
             Self::Stroke(stroke) => stroke.moves().to_vec(),
             Self::Move(of) => vec![of],
-            Self::Row(tick, levels) => (0..).zip(levels).map(|(motor, level)| to(motor, tick, level)).collect(),
+            Self::Row(tick, levels) => {
+                (0..).zip(levels).map(|(motor, level)| to(motor, tick, level)).collect()
+            }
         }
     }
 }

@@ -299,7 +299,8 @@ impl Shell {
             }
         } else if self.returns_since.take().is_some()
             && state != State::Faulted
-            && (0..USED).any(|motor| self.device.outstanding(motor as u8) > 0 || self.net(motor) > self.beside)
+            && (0..USED)
+                .any(|motor| self.device.outstanding(motor as u8) > 0 || self.net(motor) > self.beside)
         {
             self.breaks(Broken::Return);
         }
@@ -345,8 +346,12 @@ impl Shell {
         for motor in 0..USED {
             let number = motor as u8;
             let goes_on = last.up.contains(number);
-            let asks = self.asked.iter().filter(|asked| asked.of.motor == number && asked.of.tick.0 == self.now);
-            let highest = asks.map(|asked| asked.of.level).chain([self.rising[motor]].into_iter().filter(|_| goes_on)).max();
+            let asks =
+                self.asked.iter().filter(|asked| asked.of.motor == number && asked.of.tick.0 == self.now);
+            let highest = asks
+                .map(|asked| asked.of.level)
+                .chain([self.rising[motor]].into_iter().filter(|_| goes_on))
+                .max();
             self.rising[motor] = highest.filter(|_| lines.up.contains(number)).unwrap_or(0);
             for (direction, mask) in [(Direction::Up, lines.up), (Direction::Down, lines.down)] {
                 if mask.contains(number) {
@@ -370,7 +375,8 @@ impl Shell {
             // A move that is not asked for adds nothing to what corrections do.
             Direction::Up => self.rising[motor] > 0 && height < self.rising[motor] + self.beside,
             Direction::Down => {
-                let mut begun = self.asked.iter().filter(|asked| asked.of.motor == number && asked.of.tick.0 <= self.now);
+                let mut begun =
+                    self.asked.iter().filter(|asked| asked.of.motor == number && asked.of.tick.0 <= self.now);
                 returns || begun.any(|asked| asked.of.level < height)
             }
         };

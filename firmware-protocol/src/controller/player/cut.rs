@@ -165,7 +165,11 @@ impl Player {
         }
         // These ticks are not taken back again.
         if at < now {
-            self.recent.push(Rendered { lines: Lines::OFF, ticks: (now - at) as u32, begun: Begun::default() });
+            self.recent.push(Rendered {
+                lines: Lines::OFF,
+                ticks: (now - at) as u32,
+                begun: Begun::default(),
+            });
         }
         for motor in &mut self.motors {
             let height = motor.height(now.0 as u32);
