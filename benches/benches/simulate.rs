@@ -203,12 +203,12 @@ fn minute_played(criterion: &mut Criterion) {
         let pattern = Pattern::parse(text, name).expect("it is shipped");
         let um_per_pulse = pattern.array().motor().um_per_pulse;
         let strokes = Strokes::new(&pattern, &StrokeOptions::lasting(60.0)).expect("a minute can be played");
-        let bursts = strokes.flat_map(|stroke| {
-            let stroke = stroke.expect("a shipped pattern can be played");
-            stroke.bursts().map(|burst| {
-                let gain = 1.0 + 0.1 * normal([0, stroke.motor.into(), burst.start.0, 0]);
+        let bursts = strokes.flat_map(|step| {
+            let step = step.expect("a shipped pattern can be played");
+            step.bursts().map(move |burst| {
+                let gain = 1.0 + 0.1 * normal([0, step.motor().into(), burst.start.0, 0]);
                 let step_um = um_per_pulse * gain;
-                (stroke.motor, Ramp::new(burst.start, burst.pulses.into(), burst.direction, step_um))
+                (step.motor(), Ramp::new(burst.start, burst.pulses.into(), burst.direction, step_um))
             })
         });
         let bursts: Vec<_> = bursts.collect();

@@ -49,11 +49,11 @@ fn strokes(criterion: &mut Criterion) {
             strokes.begin(Tick::BOOT);
             let (mut out, mut seq, mut bytes) = ([0; MAX_FRAME], 0u16, 0);
             let mut batch = Packer::<BATCH_BYTES>::new(Tick::BOOT);
-            for stroke in strokes.by_ref().take(STROKES) {
-                let stroke = stroke.expect("within limits");
-                if batch.stroke(&stroke).is_err() {
+            for step in strokes.by_ref().take(STROKES) {
+                let step = step.expect("within limits");
+                if step.pack(&mut batch).is_err() {
                     let (base, packed) = (batch.base().wire(), batch.bytes());
-                    let frame = HostMessage::Strokes {
+                    let frame = HostMessage::Moves {
                         epoch: 1,
                         seq,
                         seen: 0,
@@ -65,8 +65,8 @@ fn strokes(criterion: &mut Criterion) {
                     bytes += encode(&frame, &mut out).expect("it fits");
                     black_box(&out);
                     seq = seq.wrapping_add(1);
-                    batch = Packer::new(stroke.up);
-                    batch.stroke(&stroke).expect("it is empty");
+                    batch = Packer::new(step.begin());
+                    step.pack(&mut batch).expect("it is empty");
                 }
             }
             black_box(bytes)

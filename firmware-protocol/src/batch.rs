@@ -101,13 +101,27 @@ pub struct Packer<const N: usize> {
     at: Tick,
     stroke: Option<(u16, u16)>,
     row: MotorSet,
+    /// The last item, if moves of other motors may join it.
+    open: Option<Open>,
+}
+
+/// An item that moves of the same tick may join, and the state of the packer before it.
+#[derive(Clone, Debug)]
+struct Open {
+    len: usize,
+    at: Tick,
+    row: MotorSet,
+    /// The moves, of motors in order; the last one's.
+    last: u8,
+    motors: MotorSet,
+    levels: heapless::Vec<u16, MAX_BATCH>,
 }
 
 impl<const N: usize> Packer<N> {
     /// An empty list whose ticks count from `base`.
     #[must_use]
     pub fn new(base: Tick) -> Self {
-        Self { bytes: [0; N], len: 0, count: 0, base, at: base, stroke: None, row: MotorSet::EMPTY }
+        Self { bytes: [0; N], len: 0, count: 0, base, at: base, stroke: None, row: MotorSet::EMPTY, open: None }
     }
 
     /// The tick from which the first item counts.
@@ -128,7 +142,44 @@ impl<const N: usize> Packer<N> {
         self.count
     }
 
-    /// Appends a move. It must be no earlier than the item before.
+    /// Appends a move. It must be no earlier than the item before. Moves of one tick, in order of motor, become a row.
+    ///
+    /// # Errors
+    /// [`Full`] if it does not fit; the list is unchanged.
+    pub fn to_level(&mut self, to: &Move) -> Result<(), Full> {
+        if to.surplus == 0
+            && let Some(open) = self.open.take_if(|open| {
+                self.at == to.tick && open.last < to.motor
+            })
+        {
+            return self.join(open, to);
+        }
+        let (mut motors, mut levels) = (MotorSet::EMPTY, heapless::Vec::new());
+        motors.insert(to.motor);
+        let fits = levels.push(to.level).is_ok() && !motors.is_empty() && to.surplus == 0;
+        let open = Open { len: self.len, at: self.at, row: self.row, last: to.motor, motors, levels };
+        self.moves(to)?;
+        self.open = Some(open).filter(|_| fits);
+        Ok(())
+    }
+
+    /// Replaces the last item by a row that has this move, too.
+    fn join(&mut self, mut open: Open, to: &Move) -> Result<(), Full> {
+        let before = (self.len, self.count, self.at, self.row);
+        (self.len, self.count) = (open.len, self.count - open.levels.len());
+        (self.at, self.row) = (open.at, open.row);
+        open.motors.insert(to.motor);
+        open.last = to.motor;
+        let fits = open.levels.push(to.level).is_ok();
+        let joined = if fits { self.row(to.tick, open.motors, &open.levels) } else { Err(Full) };
+        match joined {
+            Ok(()) => self.open = Some(open),
+            Err(Full) => (self.len, self.count, self.at, self.row) = before,
+        }
+        joined
+    }
+
+    /// Appends a move as an item of its own. It must be no earlier than the item before.
     ///
     /// # Errors
     /// [`Full`] if it does not fit; the list is unchanged.
@@ -206,6 +257,7 @@ impl<const N: usize> Packer<N> {
         self.bytes[self.len..end].copy_from_slice(&item.bytes[..item.len]);
         self.len = end;
         self.count += count;
+        self.open = None;
         Ok(())
     }
 }

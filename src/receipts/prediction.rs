@@ -135,22 +135,23 @@ impl<'p> PlayedPattern<'p> {
                 .ok_or(NoPrediction::Cut)?;
         }
         let (mut planned, mut missing, mut ramps) = (0, 0, Vec::new());
-        for stroke in strokes {
-            let stroke = stroke?;
-            if stroke.up >= until {
+        for step in strokes {
+            let step = step?;
+            let motor = step.motor();
+            if step.begin() >= until {
                 break;
             }
-            if self.unplayed.contains(&(stroke.motor, stroke.up)) {
+            if self.unplayed.contains(&(motor, step.begin())) {
                 continue;
             }
-            for burst in stroke.bursts().into_iter().filter(|burst| burst.start < until) {
+            for burst in step.bursts().filter(|burst| burst.start < until) {
                 planned += 1;
-                match measured.get(&(stroke.motor, burst.start)) {
+                match measured.get(&(motor, burst.start)) {
                     Some(&&MeasuredBurst { start, pulses, travel_um, direction, .. }) => {
-                        let stops = direction == Direction::Down && stroke.down_pulses > stroke.up_pulses;
+                        let stops = direction == Direction::Down && step.surplus() > 0;
                         let most = if stops { pulses_to_stop(travel_um, um_per_pulse) } else { pulses };
                         let ticks = pulses.min(most).into();
-                        ramps.push((stroke.motor, Ramp::travelled(start, ticks, travel_um.into())));
+                        ramps.push((motor, Ramp::travelled(start, ticks, travel_um.into())));
                     }
                     None => missing += 1,
                 }

@@ -76,7 +76,7 @@ impl Sources for Shipped {
 fn read_toml(text: &str, place: &str) -> Result<&'static str, String> {
     let has = |key: &str| text.lines().any(|line| line.starts_with(key));
     let word = |error: &dyn std::fmt::Display| error.to_string();
-    if has("[[drive]]") {
+    if has("[[drive]]") || has("[[ramp]]") {
         Pattern::parse(text, place).map(|_| "pattern").map_err(|error| word(&error))
     } else if has("[[items]]") {
         SequenceRequest::parse_file(text).map(|_| "sequence").map_err(|error| word(&error))

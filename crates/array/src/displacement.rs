@@ -8,9 +8,7 @@
 
 use crate::motor::{HalfTick, Ramp, Shaft};
 use crate::spec::MotorSpec;
-use crate::strokes::Stroke;
-use crate::strokes::{Strokes, StrokesError};
-use firmware_protocol::stroke::Direction;
+use crate::strokes::{Step, Strokes, StrokesError};
 use std::collections::VecDeque;
 use std::iter::Peekable;
 
@@ -75,13 +73,10 @@ impl Displacement {
         HalfTick((seconds * self.half_ticks_per_s + 0.5) as u64)
     }
 
-    fn take(&mut self, stroke: &Stroke) {
-        self.rest_from = self.rest_from.max(HalfTick(2 * stroke.end().0 + self.motor.window_half_ticks));
-        let place = self.motors.binary_search(&stroke.motor).expect("only these motors have strokes");
-        // The stop absorbs the surplus, so both bursts count with the length of the up burst.
-        let (pulses, um_per_pulse) = (stroke.up_pulses.into(), self.motor.um_per_pulse);
-        let ramps = [(stroke.up, Direction::Up), (stroke.down, Direction::Down)];
-        self.pins[place].ahead.extend(ramps.map(|(start, way)| Ramp::new(start, pulses, way, um_per_pulse)));
+    fn take(&mut self, step: &Step) {
+        self.rest_from = self.rest_from.max(HalfTick(2 * step.end().0 + self.motor.window_half_ticks));
+        let place = self.motors.binary_search(&step.motor()).expect("only these motors have steps");
+        self.pins[place].ahead.extend(step.ramps(self.motor.um_per_pulse));
     }
 }
 
@@ -90,11 +85,11 @@ impl Iterator for Displacement {
 
     fn next(&mut self) -> Option<Self::Item> {
         let at = self.at();
-        while let Some(stroke) =
-            self.strokes.next_if(|stroke| stroke.as_ref().map_or(true, |of| HalfTick::from(of.up) <= at))
+        while let Some(step) =
+            self.strokes.next_if(|step| step.as_ref().map_or(true, |of| HalfTick::from(of.begin()) <= at))
         {
-            match stroke {
-                Ok(stroke) => self.take(&stroke),
+            match step {
+                Ok(step) => self.take(&step),
                 Err(error) => return Some(Err(error)),
             }
         }

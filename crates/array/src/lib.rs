@@ -5,7 +5,7 @@
 //! 1. [`spec`]: the description of an array: pins, carrier, wiring, motors; [`per_motor`]: a value for each motor.
 //! 2. [`pattern`]: reads and checks pattern files: which pins vibrate, at which frequency, amplitude and phase, and when.
 //! 3. [`reflected_walk`]: theory of the rest error of a pin above a lower stop, and the surplus that keeps it small.
-//! 4. [`strokes`]: compiles a pattern to strokes at exact ticks. The streamer, the simulated motors and the skin model all use it.
+//! 4. [`strokes`]: compiles a pattern to strokes and moves at exact ticks. The streamer, the simulated motors and the skin model all use it.
 //! 5. [`motor`]: the model of an ideal motor: a square wave becomes bursts of pulses, bursts become displacement.
 //! 6. [`displacement`]: samples of the pins' displacement in a play, by ideal motors.
 //! 7. [`motion`]: any waveform of displacement, compiled to moves, and what a motor reaches of it.
@@ -34,7 +34,7 @@
 //! let pattern = Pattern::parse(text, "pin-9.toml")?;
 //! let strokes = Strokes::new(&pattern, &StrokeOptions::lasting(1.0))?.collect::<Result<Vec<_>, _>>()?;
 //! assert_eq!(strokes.len(), 60);
-//! assert_eq!((strokes[0].up_pulses, strokes[1].up.0), (589, 1417));
+//! assert_eq!((strokes[0].pulses(), strokes[1].begin().0), (2 * 589, 1417));
 //!
 //! // The displacement of the pin's shaft when the first burst up is over, and 4.3 ms later.
 //! let array = Array::paper();

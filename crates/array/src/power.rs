@@ -6,8 +6,7 @@
 //! Invariant: counts are exact in every tick; of two bursts that touch, the first has ended when the second begins.
 
 use crate::spec::{Array, ArraySpec};
-use crate::strokes::Stroke;
-use crate::strokes::Strokes;
+use crate::strokes::{Step, Strokes};
 use firmware_protocol::limits::PowerLimits;
 use firmware_protocol::tick::Tick;
 use std::cmp::Reverse;
@@ -124,18 +123,18 @@ impl PulsingMotors {
         }
     }
 
-    /// Takes the next stroke.
+    /// Takes the next step.
     ///
     /// # Panics
     /// If the array has no such motor.
-    pub fn push(&mut self, stroke: &Stroke) {
-        // No later stroke begins before this one.
-        self.pass(stroke.up.0);
-        for burst in stroke.bursts().into_iter().filter(|burst| burst.pulses > 0) {
-            self.edges.push(Reverse((burst.start.0, true, stroke.motor)));
-            self.edges.push(Reverse((burst.end().0, false, stroke.motor)));
+    pub fn push(&mut self, step: &Step) {
+        // No later step begins before this one.
+        self.pass(step.begin().0);
+        for burst in step.bursts() {
+            self.edges.push(Reverse((burst.start.0, true, step.motor())));
+            self.edges.push(Reverse((burst.end().0, false, step.motor())));
         }
-        self.rails[self.array.rails().of(stroke.motor)].pulses += u64::from(stroke.pulses());
+        self.rails[self.array.rails().of(step.motor())].pulses += u64::from(step.pulses());
     }
 
     /// Counts what begins and ends before `tick`.
@@ -195,8 +194,8 @@ pub fn rail_pulses(strokes: &Strokes) -> (Vec<RailPulses>, u64) {
     let most = SHOWN_S * strokes.array().rate().per_s();
     let ticks = strokes.end().unwrap_or(most).min(most);
     let mut motors = PulsingMotors::new(strokes.array(), strokes.array().layout().no_limits());
-    for stroke in strokes.map_while(Result::ok).take_while(|stroke| stroke.up.0 < ticks) {
-        motors.push(&stroke);
+    for step in strokes.map_while(Result::ok).take_while(|step| step.begin().0 < ticks) {
+        motors.push(&step);
     }
     (motors.finish().0, ticks)
 }
@@ -204,6 +203,7 @@ pub fn rail_pulses(strokes: &Strokes) -> (Vec<RailPulses>, u64) {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::strokes::Stroke;
     use proptest::prelude::*;
 
     #[test]
@@ -240,7 +240,7 @@ mod tests {
             }
             strokes.sort_by_key(|stroke| (stroke.up, stroke.motor));
             let mut counted = PulsingMotors::new(Array::paper(), limits);
-            strokes.iter().for_each(|stroke| counted.push(stroke));
+            strokes.iter().for_each(|stroke| counted.push(&(*stroke).into()));
             let (rails, too_many) = counted.finish();
             let end = strokes.iter().map(|stroke| stroke.end().0).max().unwrap_or(0);
             let (mut most, mut first) = ([0; 4], None);

@@ -48,7 +48,8 @@ fn a_file_is_read_and_written_back_as_the_same_pattern() {
 }
 
 const MISTAKES: &str = r#"
-format = 1 => format = 2 => 1: `format` is 2…format = 1
+format = 1 => format = 3 => 1: `format` is 3…format = 1 or 2
+format = 1 => format = 1⏎[[ramp]] => 2: `ramp` needs format = 2
 format = 1 =>  => 1: `format` is missing…add format = 1
 format = 1 => format = "1" => 1: `format` is string "1"…a whole number
 name = "good" =>  => 1: `name` is missing…as the file is called

@@ -8,7 +8,7 @@ use meissner_array::simulated::{
     LowerStop, Pin, RestStats, SPARE_SAMPLES, SimulatedMotors, SimulatedMotorsConfig,
 };
 use meissner_array::spec::{Array, ArraySpec};
-use meissner_array::strokes::{Burst, Stroke};
+use meissner_array::strokes::{Burst, Step};
 use meissner_array::strokes::{StrokeOptions, Strokes, StrokesError, Surplus};
 use meissner_test_support::paper::UM_PER_PULSE;
 use meissner_test_support::patterns;
@@ -20,13 +20,13 @@ const SECOND: u64 = 85_000;
 /// Plays bursts on simulated motors for `ticks` ticks, as a controller would; calls `look` after every step.
 pub(crate) fn play(
     motors: &mut SimulatedMotors,
-    strokes: impl IntoIterator<Item = Result<Stroke, StrokesError>>,
+    steps: impl IntoIterator<Item = Result<Step, StrokesError>>,
     ticks: u64,
     look: impl FnMut(&mut SimulatedMotors),
 ) {
     let end = motors.now() + ticks;
-    let strokes = strokes.into_iter().map(Result::unwrap).take_while(|stroke| stroke.up < end);
-    let bursts = strokes.flat_map(|stroke| stroke.bursts().map(|burst| (stroke.motor, burst)));
+    let steps = steps.into_iter().map(Result::unwrap).take_while(|step| step.begin() < end);
+    let bursts = steps.flat_map(|step| step.bursts().map(move |burst| (step.motor(), burst)));
     play_bursts(motors, bursts, end, look);
 }
 

@@ -23,7 +23,7 @@ fn all(pattern: &Pattern, seconds: Option<f64>) -> Vec<Stroke> {
 }
 
 fn with(pattern: &Pattern, options: &StrokeOptions) -> Vec<Stroke> {
-    Strokes::new(pattern, options).unwrap().map(Result::unwrap).collect()
+    Strokes::new(pattern, options).unwrap().map(|step| step.unwrap().stroke().unwrap()).collect()
 }
 
 /// The strokes of a pattern by the rule of the model, drive by drive and sorted at the end: what `Strokes` must return.
@@ -122,6 +122,7 @@ fn any_options() -> impl Strategy<Value = StrokeOptions> {
             scale,
             fit,
             surplus: Surplus::Fixed(surplus),
+            error_um: None,
         },
     )
 }
@@ -138,7 +139,7 @@ proptest! {
     #[test]
     fn any_pattern_plays_by_the_rule_and_within_the_limits(pattern in any_pattern(), options in any_options()) {
         let mut compiled = Strokes::new(&pattern, &options).unwrap();
-        let strokes: Vec<Stroke> = compiled.by_ref().map(Result::unwrap).collect();
+        let strokes: Vec<Stroke> = compiled.by_ref().map(|step| step.unwrap().stroke().unwrap()).collect();
         prop_assert_eq!(&strokes, &by_the_rule(&pattern, &options));
         let mut busy = [Tick(0); 24];
         for stroke in &strokes {
@@ -196,14 +197,14 @@ fn a_stroke_that_a_repeat_is_too_short_for_is_left_out() {
 fn a_play_can_begin_anywhere_and_again() {
     let pattern = pattern(None, vec![drive(3, 60.0, 80.0), drive(9, 47.0, 30.0)]);
     let mut strokes = Strokes::new(&pattern, &StrokeOptions::lasting(1.0)).unwrap();
-    let first: Vec<_> = strokes.by_ref().map(Result::unwrap).collect();
+    let first: Vec<_> = strokes.by_ref().map(|step| step.unwrap().stroke().unwrap()).collect();
     assert_eq!((first.len(), strokes.end()), (60 + 47, Some(85_000)));
     strokes.begin(Tick::BOOT);
     strokes.nth(5);
     strokes.begin(Tick(1 << 40));
     for (a, b) in first.into_iter().zip(strokes) {
         let onset = 1 << 40;
-        assert_eq!(Stroke { up: a.up + onset, down: a.down + onset, ..a }, b.unwrap());
+        assert_eq!(Stroke { up: a.up + onset, down: a.down + onset, ..a }, b.unwrap().stroke().unwrap());
     }
 }
 
@@ -222,7 +223,7 @@ fn a_rare_repeat_that_is_long_enough_is_found_at_once() {
     let mut strokes =
         Strokes::new(&pattern(Some(duration_s), vec![drive(0, 200.0, 80.0)]), &StrokeOptions::lasting(1e8))
             .unwrap();
-    let ups: Vec<_> = strokes.by_ref().map(|stroke| stroke.unwrap().up.0).collect();
+    let ups: Vec<_> = strokes.by_ref().map(|step| step.unwrap().begin().0).collect();
     assert_eq!(ups.len(), 2);
     for up in ups {
         let repeat = up / 424;

@@ -2,8 +2,10 @@
 #![expect(clippy::unwrap_used, reason = "a test that panics has failed")]
 
 mod models;
+mod motions;
 mod patterns;
 mod simulated;
+mod steps;
 mod strokes;
 
 /// Lets `assert_no_alloc` see every allocation of the tests.

@@ -81,7 +81,7 @@ impl AtOnce {
         };
         let mut motors = PulsingMotors::new(self.array, limits);
         for stroke in &strokes {
-            motors.push(stroke);
+            motors.push(&(*stroke).into());
             if motors.too_many().is_some() {
                 return true;
             }

@@ -205,9 +205,8 @@ pub fn robustness(
 pub fn pulses_per_s(pattern: &Pattern) -> Result<f64, StrokesError> {
     let duration_s = pattern.duration_s().unwrap_or(STEADY_S).min(LONGEST_S);
     let mut pulses = 0;
-    for stroke in Strokes::new(pattern, &StrokeOptions::lasting(duration_s))? {
-        let stroke = stroke?;
-        pulses += u64::from(stroke.up_pulses) + u64::from(stroke.down_pulses);
+    for step in Strokes::new(pattern, &StrokeOptions::lasting(duration_s))? {
+        pulses += u64::from(step?.pulses());
     }
     Ok(pulses as f64 / duration_s)
 }

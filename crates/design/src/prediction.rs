@@ -126,12 +126,12 @@ pub fn predict_response(
     }
     let (end, um_per_pulse) = (rate.seconds_in_ticks(observed_s), array.motor().um_per_pulse);
     let mut failed = None;
-    let strokes = strokes
-        .map_while(|stroke| stroke.map_err(|error| failed = Some(error)).ok())
-        .take_while(|stroke| (stroke.up.0 as f64) < end);
-    let designed = strokes.flat_map(|stroke| {
+    let steps = strokes
+        .map_while(|step| step.map_err(|error| failed = Some(error)).ok())
+        .take_while(|step| (step.begin().0 as f64) < end);
+    let designed = steps.flat_map(|step| {
         let ramp = |burst: Burst| Ramp::new(burst.start, burst.pulses.into(), burst.direction, um_per_pulse);
-        stroke.bursts().map(|burst| (stroke.motor, ramp(burst)))
+        step.bursts().map(move |burst| (step.motor(), ramp(burst)))
     });
     let designed = Ramps::new(array, designed)?;
     if let Some(error) = failed {

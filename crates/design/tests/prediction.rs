@@ -151,7 +151,7 @@ fn designed(play: &Play<'_>) -> Vec<(u8, Ramp)> {
     let ramp = |Burst { start, direction, pulses }| {
         Ramp::new(play.onset + start.0, pulses.into(), direction, UM_PER_PULSE)
     };
-    strokes.flat_map(|stroke| stroke.bursts().map(|burst| (stroke.motor, ramp(burst)))).collect()
+    strokes.flat_map(|step| step.bursts().map(move |burst| (step.motor(), ramp(burst)))).collect()
 }
 
 /// The largest distance of a pin from its start.

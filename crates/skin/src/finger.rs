@@ -276,12 +276,12 @@ mod tests {
         let pattern =
             Pattern::new(Array::paper(), "test", None, drives.to_vec(), toml::Table::new()).unwrap();
         let strokes = Strokes::new(&pattern, &StrokeOptions::lasting(1.0)).unwrap().map(Result::unwrap);
-        let ramp = |burst: firmware_protocol::stroke::Burst| {
+        let ramp = |burst: meissner_array::strokes::Burst| {
             Ramp::new(burst.start, burst.pulses.into(), burst.direction, share * UM_PER_PULSE)
         };
         Ramps::new(
             Array::paper(),
-            strokes.flat_map(|stroke| stroke.bursts().map(|burst| (stroke.motor, ramp(burst)))),
+            strokes.flat_map(|step| step.bursts().map(move |burst| (step.motor(), ramp(burst)))),
         )
         .unwrap()
     }

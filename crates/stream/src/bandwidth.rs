@@ -26,10 +26,10 @@ use std::time::Duration;
 
 /// Length of a play that counts, s: after a minute few plays do anything new.
 const COUNTED_S: u64 = 60;
-/// Most overhead of a frame of strokes.
-const FRAME_BYTES: usize = 24;
+/// Most overhead of a frame of moves that marks and withdraws nothing.
+pub(crate) const FRAME_BYTES: usize = 24;
 /// Most bytes that the mark of an item adds to its frame.
-const MARK_BYTES: usize = 6;
+const MARK_BYTES: usize = 11;
 /// Most bytes that a withdrawal adds to its frame.
 const WITHDRAW_BYTES: usize = 8;
 /// Least amplitude of the drives of a live play that count, µm: two bytes for the pulses of a stroke.
@@ -138,25 +138,26 @@ impl Bandwidth {
                 full = Packer::new(onset);
                 strokes.next_item();
             }
-            let Some(Ok(stroke)) = strokes.next() else { break };
-            if stroke.up.0 >= counted {
+            let Some(Ok(step)) = strokes.next() else { break };
+            if step.begin().0 >= counted {
                 break;
             }
-            let (at, before) = (stroke.up.0, frame.bytes().len());
-            if framed == at / batch && stroke.pack(&mut frame).is_ok() {
-                bytes.add(at, frame.bytes().len() - before);
+            let (at, before) = (step.begin().0, frame.bytes().len());
+            if framed == at / batch && step.pack(&mut frame).is_ok() {
+                // A row may take fewer bytes than the moves in it.
+                bytes.add(at, frame.bytes().len().saturating_sub(before));
             } else {
                 framed = at / batch;
-                frame = Packer::new(stroke.up);
-                let _ = stroke.pack(&mut frame);
+                frame = Packer::new(step.begin());
+                let _ = step.pack(&mut frame);
                 bytes.add(at, FRAME_BYTES + frame.bytes().len());
             }
-            if full.count() == 0 || stroke.pack(&mut full).is_err() {
-                full = Packer::new(stroke.up);
-                let _ = stroke.pack(&mut full);
+            if full.count() == 0 || step.pack(&mut full).is_err() {
+                full = Packer::new(step.begin());
+                let _ = step.pack(&mut full);
                 frames.add(at, 1);
             }
-            for burst in stroke.bursts() {
+            for burst in step.bursts() {
                 let slot = (burst.start.0 / amend_slot) as usize;
                 slots.resize(slots.len().max(slot + 1), false);
                 let shared = std::mem::replace(&mut slots[slot], true);

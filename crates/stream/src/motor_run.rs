@@ -143,7 +143,7 @@ impl MotorRun {
         while now < end {
             now = now + wake_up;
             while let Some(stroke) = next.filter(|stroke| stroke.up < now + lead.max(2 * times.finalise_at)) {
-                controller.sent(&stroke, self.closed, end, |_, _| ());
+                controller.sent(&stroke.into(), self.closed, end, |_, _| ());
                 controller.accepted(stroke.up);
                 motor.queue.push_back((stroke, stroke.up_pulses));
                 next = strokes.next();
@@ -256,7 +256,8 @@ mod tests {
             .unwrap();
             let drives = vec![drive(0, frequency_hz, amplitude_um)];
             let pattern = Pattern::new(array, "test", None, drives, toml::Table::new()).unwrap();
-            let sent = Strokes::new(&pattern, &StrokeOptions::lasting(1.0)).unwrap().map(Result::unwrap);
+            let sent = Strokes::new(&pattern, &StrokeOptions::lasting(1.0)).unwrap();
+            let sent = sent.map(|step| step.unwrap().stroke().unwrap());
             let sent: Vec<_> =
                 sent.map(|stroke| (stroke.up.0, [stroke.up_pulses, stroke.down_pulses])).collect();
             assert!(!played.is_empty() && sent.starts_with(&played), "{frequency_hz} Hz: {played:?}");

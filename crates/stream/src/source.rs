@@ -1,11 +1,10 @@
-//! Where the strokes of a play come from: a compiled pattern or sequence, or drives that change while it runs.
+//! Where the steps of a play come from: a compiled pattern or sequence, or drives that change while it runs.
 
 use firmware_protocol::tick::Tick;
 use meissner_array::spec::Array;
-use meissner_array::strokes::Stroke;
-use meissner_array::strokes::{LiveStrokes, Strokes, StrokesError};
+use meissner_array::strokes::{LiveStrokes, Step, Strokes, StrokesError};
 
-/// The strokes of a play.
+/// The steps of a play.
 #[derive(Clone, Debug)]
 pub enum Source {
     /// Compiled from a pattern or a sequence.
@@ -56,7 +55,7 @@ impl Source {
         }
     }
 
-    /// A lower bound on the up tick of the next stroke of `motor`.
+    /// A lower bound on the first tick of the next step of `motor`.
     pub(crate) fn next_up(&self, motor: u8) -> Option<Tick> {
         match self {
             Self::Compiled(strokes) => strokes.next_up(motor),
@@ -111,12 +110,12 @@ impl Source {
 }
 
 impl Iterator for Source {
-    type Item = Result<Stroke, StrokesError>;
+    type Item = Result<Step, StrokesError>;
 
     fn next(&mut self) -> Option<Self::Item> {
         match self {
             Self::Compiled(strokes) => strokes.next(),
-            Self::Live(strokes) => strokes.next(),
+            Self::Live(strokes) => strokes.next().map(|stroke| stroke.map(Step::from)),
         }
     }
 }

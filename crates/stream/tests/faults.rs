@@ -6,7 +6,7 @@
 use firmware_protocol::message::State;
 use firmware_protocol::tick::Tick;
 use meissner_array::simulated::SimulatedMotorsConfig;
-use meissner_array::strokes::Stroke;
+use meissner_array::strokes::{Step, Stroke};
 use meissner_fault_cases::{
     Case, Evidence, Kind, ONSET, Observed, Order, PATTERNS, PLAY, Seen, Shown, What, bytes, cases,
     high_until, jobs, run,
@@ -169,7 +169,12 @@ fn play(kind: &Kind<'_>, pattern: &str, seed: u64) -> Result<(Seen, Observed), S
     let (id, mut compiled) = (play.id, play.strokes.clone());
     player.rig.send(Command::Play(Box::new(play)));
     compiled.begin(onset);
-    let strokes: Vec<Stroke> = compiled.map(Result::unwrap).collect();
+    let strokes: Vec<Stroke> = compiled
+        .map(|step| match step.unwrap() {
+            Step::Stroke(stroke) => stroke,
+            Step::Move { of, .. } => panic!("the patterns have drives only: {of:?}"),
+        })
+        .collect();
     for fault in &case.fault {
         for (time, begins) in kind.begins(fault, order_tick, &strokes).enumerate() {
             player.run_to(ordered + begins);

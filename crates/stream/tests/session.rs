@@ -5,7 +5,7 @@ use firmware_protocol::frame::{MAX_FRAME, encode};
 use firmware_protocol::message::{Cause, DeviceMessage, Op as Command, State};
 use firmware_protocol::tick::Tick;
 use meissner_array::spec::Array;
-use meissner_array::strokes::Stroke;
+use meissner_array::strokes::{Step, Stroke};
 use meissner_stream::link::{BadFrames, Contradiction, Event, LineRate, Session, Verdict};
 use meissner_stream::time::HostInstant;
 use proptest::prelude::*;
@@ -202,7 +202,7 @@ fn run(ops: Vec<Op>) -> Result<(), TestCaseError> {
                     let up = last.max(at(ahead) + 5 * i);
                     let motor = (i % 24) as u8;
                     let stroke = Stroke { motor, up, up_pulses: 9, down: up + 20, down_pulses: 9 };
-                    if !pair.session.push(&stroke) {
+                    if !pair.session.push(&stroke.into()) {
                         break;
                     }
                     last = up;
@@ -237,7 +237,7 @@ fn run(ops: Vec<Op>) -> Result<(), TestCaseError> {
         }
         for event in pair.events.drain(..) {
             match event {
-                Event::Stroke(stroke, verdict) => {
+                Event::Step(Step::Stroke(stroke), verdict) => {
                     if let Some(at) = forgotten.iter().position(|&before| before == stroke) {
                         forgotten.swap_remove(at);
                         prop_assert_ne!(verdict, Verdict::Accepted);

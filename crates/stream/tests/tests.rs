@@ -21,6 +21,7 @@ mod lies;
 mod live;
 mod lower_stop;
 /// A line that loses bytes.
+mod motions;
 mod noise;
 mod on_time;
 mod position_control;

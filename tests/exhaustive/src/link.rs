@@ -11,7 +11,7 @@ use firmware_protocol::frame::MAX_FRAME;
 use firmware_protocol::message::{Cause, Counters, Op, State, Status};
 use firmware_protocol::tick::Tick;
 use meissner_array::spec::Array;
-use meissner_array::strokes::Stroke;
+use meissner_array::strokes::{self, Stroke};
 use meissner_stream::link::{Event, LineRate, Session, Verdict};
 use meissner_stream::time::HostInstant;
 use stateright::{Model, Property};
@@ -308,7 +308,7 @@ impl Pair {
     }
 
     fn push(&mut self, stroke: Stroke) -> Option<()> {
-        if !self.session.push(&stroke) {
+        if !self.session.push(&stroke.into()) {
             return None;
         }
         self.shell.ask(&stroke.packed()?.moves());
@@ -376,7 +376,7 @@ impl Pair {
         for event in events {
             match event {
                 Event::Status { status, .. } => self.newest = Some(status),
-                Event::Stroke(stroke, verdict) => self.judge(stroke, verdict),
+                Event::Step(strokes::Step::Stroke(stroke), verdict) => self.judge(stroke, verdict),
                 Event::Replaced { .. } => self.replacing = false,
                 // The device refused all strokes of that frame, which is the first that waits.
                 Event::OnsetRefused { .. } => {

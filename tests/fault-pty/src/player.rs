@@ -436,5 +436,5 @@ fn strokes(pattern: &str, onset: Tick) -> Vec<Stroke> {
     let mut strokes =
         Strokes::new(&rig::pattern(pattern), &StrokeOptions::lasting(Some(PLAY.as_secs_f64()))).unwrap();
     strokes.begin(onset);
-    strokes.map(Result::unwrap).collect()
+    strokes.map(|step| step.unwrap().stroke().unwrap()).collect()
 }

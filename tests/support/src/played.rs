@@ -17,9 +17,9 @@ pub fn by_simulated_motors(
     let array = play.pattern.array();
     let mut strokes = Strokes::new(play.pattern, &play.options).unwrap();
     strokes.begin(play.onset);
-    let bursts = strokes.flat_map(|stroke| {
-        let stroke = stroke.unwrap();
-        stroke.bursts().map(|burst| (stroke.motor, burst))
+    let bursts = strokes.flat_map(|step| {
+        let step = step.unwrap();
+        step.bursts().map(move |burst| (step.motor(), burst))
     });
     let toggles = bursts.flat_map(|(motor, burst)| {
         (0..burst.pulses).step_by(most_ticks.into()).flat_map(move |done| {

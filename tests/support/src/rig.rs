@@ -6,7 +6,7 @@ use crate::paper::MOTORS;
 use crate::statistics::rms;
 use firmware_protocol::controller::Run;
 use firmware_protocol::stroke::{Direction, Line as Pulse, Lines};
-use meissner_array::strokes::{Burst, Stroke};
+use meissner_array::strokes::{Burst, Step};
 use firmware_protocol::tick::Tick;
 use meissner_array::motor::SquareWave;
 use meissner_array::pattern::Pattern;
@@ -279,13 +279,23 @@ fn play_of(id: u64, strokes: Strokes) -> Play {
     Play { open_loop: true, bandwidth, ..Play::new(id, strokes) }
 }
 
-/// Asserts that each line is as the strokes plan it in every tick, and off elsewhere.
+/// Asserts that each line is as the steps plan it in every tick, and off elsewhere.
 ///
 /// Compares the bursts (trains of equal ticks) of each line, in order: the same as tick by tick, and much faster.
-pub fn assert_lines(trace: &[(Tick, Run)], strokes: &[Stroke]) {
+pub fn assert_lines(trace: &[(Tick, Run)], steps: &[impl Into<Step> + Copy]) {
     let mut wanted: [Vec<Burst>; MOTORS] = Default::default();
-    for stroke in strokes {
-        wanted[usize::from(stroke.motor)].extend(stroke.bursts());
+    for &step in steps {
+        let step: Step = step.into();
+        let wanted = &mut wanted[usize::from(step.motor())];
+        for burst in step.bursts() {
+            // Bursts that follow each other without a pause are one train.
+            match wanted.last_mut() {
+                Some(last) if last.end() == burst.start && last.direction == burst.direction => {
+                    last.pulses += burst.pulses;
+                }
+                _ => wanted.push(burst),
+            }
+        }
     }
     for ((motor, wanted), played) in wanted.iter().enumerate().zip(bursts_by_line(trace)) {
         let first = wanted.iter().zip(&played).position(|(wanted, played)| wanted != played);

@@ -6,7 +6,7 @@
 //! Invariant: equal settings give equal samples, bit for bit, on every machine: all functions are those of `libm`.
 
 use super::error::MotionError;
-use super::waveform::{MAX_SAMPLES, RATE_HZ, Waveform};
+use super::waveform::{RATE_HZ, Waveform, check_count};
 use crate::motor::MAX_AMPLITUDE_UM;
 use crate::pattern::{FREQUENCY_HZ, MAX_SECONDS};
 use crate::random;
@@ -18,8 +18,12 @@ const SEGMENTS: u32 = 64;
 const PER_PERIOD: f64 = 40.0;
 /// The least rate of samples, Hz.
 const LEAST_RATE_HZ: f64 = 1000.0;
-/// The most samples times lines of noise: some four seconds of work. 5 to 50 Hz for 105 s.
+/// The most samples times lines of noise: a second of work. 5 to 50 Hz for 105 s.
 const MOST_WORK: f64 = 1e9;
+/// The same of all noise of a pattern.
+pub(crate) const MOST_NOISE_WORK: f64 = 4.0 * MOST_WORK;
+/// Lines of noise that are added at once: the processor works on them side by side.
+const AT_ONCE: usize = 8;
 /// Of the keys of random numbers, the part that is the noise's own ("noise").
 const NOISE_KEY: u64 = 0x6e_6f69_7365;
 
@@ -136,6 +140,11 @@ fn check_hz(what: &'static str, hz: f64) -> Result<(), MotionError> {
 }
 
 impl RampHold {
+    /// The most knots that its waveform has.
+    pub(crate) const fn most_knots(&self) -> usize {
+        2 * (SEGMENTS as usize + 1)
+    }
+
     /// Its waveform.
     ///
     /// # Errors
@@ -185,55 +194,71 @@ impl Envelope {
     }
 }
 
-/// The number of intervals and their length, of samples that end exactly at the duration.
+/// The number of intervals of samples that end exactly at the duration.
 #[expect(
     clippy::cast_possible_truncation,
     clippy::cast_sign_loss,
     reason = "the cast is the floor, and saturates"
 )]
-fn sampling(duration_s: f64, highest_hz: f64) -> Result<(u32, f64), MotionError> {
+fn intervals(duration_s: f64, highest_hz: f64) -> Result<u32, MotionError> {
     MotionError::check("duration_s", "s", duration_s, 1.0 / LEAST_RATE_HZ, MAX_SECONDS)?;
     let rate_hz = (PER_PERIOD * highest_hz).clamp(LEAST_RATE_HZ, *RATE_HZ.end());
     let intervals = (duration_s * rate_hz).ceil() as u32;
-    let samples = usize::try_from(intervals).unwrap_or(usize::MAX).saturating_add(1);
-    if samples > MAX_SAMPLES {
-        return Err(MotionError::Samples { samples, most: MAX_SAMPLES });
-    }
-    Ok((intervals, duration_s / f64::from(intervals)))
+    check_count(samples(intervals))?;
+    Ok(intervals)
+}
+
+/// The number of samples at the ends of so many intervals.
+fn samples(intervals: u32) -> usize {
+    usize::try_from(intervals).unwrap_or(usize::MAX).saturating_add(1)
 }
 
 /// The waveform of an envelope and what it shapes, which is asked for each sample: its number, s.
+#[expect(clippy::cast_possible_truncation, reason = "a waveform's samples are f32")]
 fn shaped(
     start_s: f64,
     duration_s: f64,
-    (intervals, step_s): (u32, f64),
+    intervals: u32,
     envelope: Envelope,
     of: impl Fn(u32, f64) -> f64,
 ) -> Result<Waveform, MotionError> {
     envelope.check()?;
-    let points = (0..intervals + 1).map(|number| {
+    let step_s = duration_s / f64::from(intervals);
+    let um = (0..intervals + 1).map(|number| {
         let after_s = f64::from(number) * step_s;
-        (after_s, envelope.at(after_s, duration_s) * of(number, after_s))
+        (envelope.at(after_s, duration_s) * of(number, after_s)) as f32
     });
-    Waveform::of(start_s, points)
+    Waveform::at_rate(start_s, f64::from(intervals) / duration_s, um.collect())
 }
 
 impl Tone {
+    fn intervals(&self) -> Result<u32, MotionError> {
+        check_hz("frequency_hz", self.start_hz)?;
+        check_hz("end_hz", self.end_hz)?;
+        intervals(self.duration_s, self.start_hz.max(self.end_hz))
+    }
+
+    /// How many samples its waveform has.
+    ///
+    /// # Errors
+    /// A frequency or a duration that is out of range, or more samples than a waveform has.
+    pub fn samples(&self) -> Result<usize, MotionError> {
+        self.intervals().map(samples)
+    }
+
     /// Its waveform.
     ///
     /// # Errors
     /// The first value that is out of range, or more samples than a waveform has.
     pub fn waveform(&self) -> Result<Waveform, MotionError> {
-        check_hz("start_hz", self.start_hz)?;
-        check_hz("end_hz", self.end_hz)?;
+        let intervals = self.intervals()?;
         check_um("amplitude_um", self.amplitude_um)?;
         let half_um = self.amplitude_um / 2.0;
         let about_um = self.about_um.unwrap_or(half_um);
         check_um("about_um", about_um)?;
         MotionError::check("phase", "cycles", self.phase, 0.0, 1.0)?;
-        let sampling = sampling(self.duration_s, self.start_hz.max(self.end_hz))?;
         let chirp = (self.end_hz - self.start_hz) / (2.0 * self.duration_s);
-        shaped(self.start_s, self.duration_s, sampling, self.envelope, |_, after_s| {
+        shaped(self.start_s, self.duration_s, intervals, self.envelope, |_, after_s| {
             let cycles = self.phase + (self.start_hz + chirp * after_s) * after_s;
             // Whole cycles are dropped before the sine, so that it is exact after hours.
             about_um + half_um * libm::sin(TAU * (cycles - cycles.floor()))
@@ -242,43 +267,63 @@ impl Tone {
 }
 
 impl Noise {
+    fn intervals(&self) -> Result<u32, MotionError> {
+        check_hz("low_hz", self.low_hz)?;
+        check_hz("high_hz", self.high_hz)?;
+        intervals(self.duration_s, self.high_hz)
+    }
+
+    /// How many samples its waveform has.
+    ///
+    /// # Errors
+    /// A frequency or a duration that is out of range, or more samples than a waveform has.
+    pub fn samples(&self) -> Result<usize, MotionError> {
+        self.intervals().map(samples)
+    }
+
     /// Its waveform.
     ///
     /// # Errors
     /// The first value that is out of range, a band without lines, or noise that takes too long to make.
     pub fn waveform(&self) -> Result<Waveform, MotionError> {
-        check_hz("low_hz", self.low_hz)?;
-        check_hz("high_hz", self.high_hz)?;
+        let intervals = self.intervals()?;
         let (what, wanted_um) = match self.strength {
             Strength::RmsUm(um) => ("rms_um", um),
             Strength::PeakUm(um) => ("peak_um", um),
         };
         check_um(what, wanted_um)?;
-        let sampling = sampling(self.duration_s, self.high_hz)?;
-        let raw = self.lines(sampling.0)?;
+        let raw = self.lines(intervals)?;
         let peak = raw.iter().fold(0.0, |peak: f64, um| peak.max(um.abs()));
         let scale = match self.strength {
             // The last sample repeats the first.
             Strength::RmsUm(um) => {
                 let squares: f64 = raw[1..].iter().map(|um| um * um).sum();
-                um / (squares / f64::from(sampling.0)).sqrt()
+                um / (squares / f64::from(intervals)).sqrt()
             }
             Strength::PeakUm(um) => um / peak,
         };
         let about_um = self.about_um.unwrap_or((scale * peak).abs());
         check_um("about_um", about_um)?;
-        shaped(self.start_s, self.duration_s, sampling, self.envelope, |number, _| {
+        shaped(self.start_s, self.duration_s, intervals, self.envelope, |number, _| {
             about_um + scale * raw[number as usize]
         })
     }
 
-    /// The sum of the lines, not scaled, at each end of so many intervals.
+    /// The number of samples times lines: what it takes to make them.
+    pub(crate) fn work(&self) -> Result<f64, MotionError> {
+        let (first, last) = self.band()?;
+        #[expect(clippy::cast_precision_loss, reason = "compared with a bound")]
+        let work = (last - first + 1) as f64 * f64::from(self.intervals()?);
+        if work > MOST_WORK { Err(MotionError::TooLong { seconds: self.duration_s }) } else { Ok(work) }
+    }
+
+    /// The first and the last line, as multiples of 1/`duration_s`.
     #[expect(
         clippy::cast_possible_truncation,
         clippy::cast_sign_loss,
         reason = "at most 300 Hz times MAX_SECONDS"
     )]
-    fn lines(&self, intervals: u32) -> Result<Vec<f64>, MotionError> {
+    fn band(&self) -> Result<(u64, u64), MotionError> {
         let seconds = self.duration_s;
         // Edges that are lines count, whatever the rounding.
         let first = ((self.low_hz * seconds - 1e-6).ceil() as u64).max(1);
@@ -286,21 +331,32 @@ impl Noise {
         if first > last {
             return Err(MotionError::Band { seconds, low_hz: self.low_hz, high_hz: self.high_hz });
         }
-        #[expect(clippy::cast_precision_loss, reason = "compared with a bound")]
-        let work = (last - first + 1) as f64 * f64::from(intervals);
-        if work > MOST_WORK {
-            return Err(MotionError::TooLong { seconds });
-        }
+        Ok((first, last))
+    }
+
+    /// The sum of the lines, not scaled, at each end of so many intervals.
+    fn lines(&self, intervals: u32) -> Result<Vec<f64>, MotionError> {
+        self.work()?;
+        let (first, last) = self.band()?;
         let mut sum = vec![0.0; intervals as usize + 1];
-        for line in first..=last {
-            let [mut x, mut y] = [0, 1].map(|part| random::normal([self.seed, NOISE_KEY, line, part]));
-            #[expect(clippy::cast_precision_loss, reason = "MOST_WORK bounds it")]
-            let angle = TAU * line as f64 / f64::from(intervals);
-            let (cos, sin) = (libm::cos(angle), libm::sin(angle));
-            // A point that turns by the angle from sample to sample.
+        for begin in (first..=last).step_by(AT_ONCE) {
+            // Points that turn by their angles from sample to sample. Those after the last line stay at 0.
+            let (mut x, mut y, mut cos, mut sin) =
+                ([0.0; AT_ONCE], [0.0; AT_ONCE], [1.0; AT_ONCE], [0.0; AT_ONCE]);
+            for (place, line) in (begin..=last).take(AT_ONCE).enumerate() {
+                [x[place], y[place]] = [0, 1].map(|part| random::normal([self.seed, NOISE_KEY, line, part]));
+                #[expect(clippy::cast_precision_loss, reason = "MOST_WORK bounds it")]
+                let angle = TAU * line as f64 / f64::from(intervals);
+                (cos[place], sin[place]) = (libm::cos(angle), libm::sin(angle));
+            }
             for um in &mut sum {
-                *um += x;
-                (x, y) = (x * cos + y * sin, y * cos - x * sin);
+                for place in 0..AT_ONCE {
+                    *um += x[place];
+                    (x[place], y[place]) = (
+                        x[place] * cos[place] + y[place] * sin[place],
+                        y[place] * cos[place] - x[place] * sin[place],
+                    );
+                }
             }
         }
         Ok(sum)
@@ -330,7 +386,7 @@ pub(super) mod tests {
         let (start_s, to_um, rise_s, hold_s, fall_s) = (0.1, 200.0, 0.05, 0.2, 0.1);
         let ramp = RampHold { start_s, to_um, rise_s, hold_s, fall_s, shape: Shape::Linear };
         let linear = ramp.waveform().unwrap();
-        assert_eq!(linear.knots().len(), 4);
+        assert_eq!(linear.knots().count(), 4);
         assert_eq!(
             [0.1, 0.125, 0.15, 0.35, 0.4, 0.45].map(|s| at(&linear, s)),
             [0.0, 100.0, 200.0, 200.0, 100.0, 0.0]
@@ -370,7 +426,7 @@ pub(super) mod tests {
         let mean = um.iter().sum::<f64>() / 4000.0;
         let rms = (um.iter().map(|um| (um - mean).powi(2)).sum::<f64>() / 4000.0).sqrt();
         assert!(
-            (rms - 10.0).abs() < 1e-9 && (wave.extremes_um()[0], mean > 20.0) == (0.0, true),
+            (rms - 10.0).abs() < 1e-6 && (wave.extremes_um()[0], mean > 20.0) == (0.0, true),
             "{rms} {mean}"
         );
         // By projection: nothing outside the band; inside, some from each tenth of it.
@@ -386,11 +442,11 @@ pub(super) mod tests {
         let golden: Vec<u64> = [3, 1000, 3999].map(|k: usize| um[k].to_bits()).to_vec();
         assert_eq!(golden, GOLDEN, "{golden:#x?}");
         let peak = noise(5.0, 50.0, Strength::PeakUm(20.0), 7).waveform().unwrap();
-        assert!((at(&peak, 0.3) / at(&wave, 0.3) - 20.0 / mean).abs() < 1e-9);
+        assert!((at(&peak, 0.3) / at(&wave, 0.3) - 20.0 / mean).abs() < 1e-6);
         assert_ne!(noise(5.0, 50.0, Strength::RmsUm(10.0), 8).waveform().unwrap(), wave);
     }
 
-    const GOLDEN: [u64; 3] = [0x403b_6531_d338_94d3, 0x4046_432b_2dc7_4ba7, 0x403e_ba0d_a1f6_6306];
+    const GOLDEN: [u64; 3] = [0x403b_6531_e000_0000, 0x4046_432b_2000_0000, 0x403e_ba0d_a000_0000];
 
     #[test]
     fn noise_without_lines_or_too_long_is_refused() {

@@ -22,7 +22,7 @@
 
 use super::error::MotionError;
 use super::reached::Reached;
-use super::waveform::{Section, Waveform};
+use super::waveform::{Section, Waveform, ns_at, tick_of};
 use crate::motor::MAX_AMPLITUDE_UM;
 use crate::spec::{Array, MotorSpec};
 use crate::units::TickRate;
@@ -31,7 +31,10 @@ use firmware_protocol::tick::Tick;
 
 /// The steps that [`compile`] tries, ms. Shorter ones are more moves than the link takes from 24 motors, longer ones do not vanish in
 /// the motor's average of 4.3 ms.
-const STEPS_MS: [u64; 4] = [4, 3, 2, 1];
+const STEPS_MS: [u64; 4] = [SLOWEST_STEP_MS, 3, 2, 1];
+
+/// The longest of them: a move may begin so much before its waveform, and the last one so much after it.
+pub(crate) const SLOWEST_STEP_MS: u64 = 4;
 
 /// The least error that can be asked for, µm: a small part of a pulse.
 pub const LEAST_ERROR_UM: f64 = 0.01;
@@ -54,12 +57,48 @@ pub struct Compiled {
     pub reached: Vec<Reached>,
 }
 
-/// Compiles the waveforms of some motors on the coarsest grid, of 1 to 4 ms, on which each pin stays within `error_um` of what the
-/// motor can do at best ([`Reached::step_error_um`], measured from the moves); `None`: a burst of `least_pulses`. If none does, on the
-/// finest grid: compare `step_error_um` to know.
+/// How long a stretch of each waveform [`choose`] tries, shared among the motors, s.
+const TRIED_S: u64 = 240;
+
+/// The coarsest grid, of 1 to 4 ms, on which each pin stays within `error_um` of what the motor can do at best
+/// ([`Reached::step_error_um`], measured from the moves); `None`: a burst of `least_pulses`. If none does, the finest grid of which the
+/// controller takes the moves of so many motors. Of long waveforms the beginning decides: four minutes, shared among the motors.
 ///
 /// # Errors
 /// If `error_um` is below [`LEAST_ERROR_UM`].
+pub fn choose<'a>(
+    array: Array,
+    motors: impl ExactSizeIterator<Item = (u8, &'a Waveform)> + Clone,
+    error_um: Option<f64>,
+) -> Result<Grid, MotionError> {
+    let error_um = error_um.unwrap_or(f64::from(array.motor().least_pulses) * array.motor().um_per_pulse);
+    MotionError::check("error_um", "um", error_um, LEAST_ERROR_UM, MAX_AMPLITUDE_UM)?;
+    let (ticks, most) = (array.layout().dense_ticks(), usize::from(array.layout().max_dense()));
+    let tried_ns = TRIED_S * 1_000_000_000 / motors.len().max(1) as u64;
+    let mut finest = Grid::of_ms(array, SLOWEST_STEP_MS);
+    for step_ms in STEPS_MS {
+        let grid = Grid::of_ms(array, step_ms);
+        if motors.len() * (ticks / grid.step_ticks + 1) as usize > most {
+            break;
+        }
+        finest = grid;
+        let is_within = |(motor, waveform): (u8, &Waveform)| {
+            let waveform = waveform.first(tried_ns);
+            let moves: Vec<_> = Moves::new(array, motor, &waveform, grid).collect();
+            Reached::of(array, &waveform, &moves).step_error_um <= error_um
+        };
+        if motors.clone().all(is_within) {
+            break;
+        }
+    }
+    Ok(finest)
+}
+
+/// Compiles the waveforms of some motors on the grid that [`choose`] finds. Compare `step_error_um` to know whether each pin stays within
+/// `error_um` throughout.
+///
+/// # Errors
+/// Those of [`choose`].
 ///
 /// # Panics
 /// If the array has no such motor.
@@ -68,26 +107,11 @@ pub fn compile(
     motors: &[(u8, &Waveform)],
     error_um: Option<f64>,
 ) -> Result<Compiled, MotionError> {
-    let error_um = error_um.unwrap_or(f64::from(array.motor().least_pulses) * array.motor().um_per_pulse);
-    MotionError::check("error_um", "um", error_um, LEAST_ERROR_UM, MAX_AMPLITUDE_UM)?;
-    for step_ms in STEPS_MS {
-        let grid = Grid::of_ms(array, step_ms);
-        let mut compiled = Compiled { grid, moves: Vec::new(), reached: Vec::new() };
-        for (motor, waveform) in motors {
-            let moves: Vec<_> = Moves::new(array, *motor, waveform, grid).collect();
-            let reached = Reached::of(array, waveform, &moves);
-            let is_within = reached.step_error_um <= error_um;
-            compiled.moves.push(moves);
-            compiled.reached.push(reached);
-            if !is_within && step_ms > 1 {
-                break;
-            }
-        }
-        if compiled.moves.len() == motors.len() && (step_ms == 1 || compiled.all_within(error_um)) {
-            return Ok(compiled);
-        }
-    }
-    unreachable!("the finest grid is taken whatever its error")
+    let grid = choose(array, motors.iter().copied(), error_um)?;
+    let moves = |(motor, waveform): &(u8, &Waveform)| Moves::new(array, *motor, waveform, grid).collect();
+    let moves: Vec<Vec<Move>> = motors.iter().map(moves).collect();
+    let reached = motors.iter().zip(&moves).map(|((_, waveform), moves)| Reached::of(array, waveform, moves));
+    Ok(Compiled { grid, reached: reached.collect(), moves })
 }
 
 impl Compiled {
@@ -95,6 +119,12 @@ impl Compiled {
     #[must_use]
     pub fn all_within(&self, error_um: f64) -> bool {
         self.reached.iter().all(|reached| reached.step_error_um <= error_um)
+    }
+
+    /// The longest time for which a pin stays above rest between two of its moves, s: the hold that a play has to ask for.
+    #[must_use]
+    pub fn longest_hold_s(&self) -> f64 {
+        self.reached.iter().fold(0.0, |longest, reached| reached.longest_hold_s.max(longest))
     }
 }
 
@@ -107,66 +137,37 @@ impl Grid {
     }
 }
 
-/// A tick in nanoseconds, rounded.
-#[expect(clippy::cast_possible_truncation, reason = "584 years")]
-pub(super) fn ns_at(tick: u64, rate: TickRate) -> u64 {
-    let hz = u128::from(rate.hz());
-    ((u128::from(tick) * 1_000_000_000 + hz / 2) / hz) as u64
-}
-
-/// The first tick at or after so many nanoseconds.
-#[expect(clippy::cast_possible_truncation, reason = "584 years")]
-pub(super) fn tick_of(ns: u64, rate: TickRate) -> u64 {
-    (u128::from(ns) * u128::from(rate.hz())).div_ceil(1_000_000_000) as u64
-}
-
-/// The moves of one motor that follow a waveform, in order of time; see the module. Surplus is 0.
-#[derive(Clone, Debug)]
-pub struct Moves<'a> {
-    waveform: &'a Waveform,
-    rate: TickRate,
+/// The module's rule for the level of a step.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Rule {
+    pub(crate) rate: TickRate,
     spec: &'static MotorSpec,
-    motor: u8,
-    step: u32,
-    /// The step's number, and the first one that begins after the waveform.
-    number: u64,
-    over: u64,
-    level: u16,
+    /// Ticks of a step.
+    pub(crate) step: u32,
 }
 
-impl<'a> Moves<'a> {
-    /// The moves of this motor with the waveform's time 0 at tick 0.
-    ///
-    /// # Panics
-    /// If the grid's step is 0, or the array has no such motor.
-    #[must_use]
-    pub fn new(array: Array, motor: u8, waveform: &'a Waveform, grid: Grid) -> Self {
-        assert!(array.has(motor), "motors {}", array.motor_range());
-        let (rate, step) = (array.rate(), grid.step_ticks);
-        let (from, to) = waveform.span_ns().map_or((0, 0), |(from, to)| {
-            // Rounding to ns may put the beginning just after a tick of the grid.
-            (tick_of(from, rate).saturating_sub(1) / u64::from(step), tick_of(to, rate).div_ceil(step.into()))
-        });
-        Self { waveform, rate, spec: array.spec().motor(), motor, step, number: from, over: to, level: 0 }
+impl Rule {
+    /// Of a grid for an array.
+    pub(crate) fn new(array: Array, grid: Grid) -> Self {
+        Self { rate: array.rate(), spec: array.spec().motor(), step: grid.step_ticks }
     }
 
-    /// The level that the module's rule gives for a step, pulses.
-    fn wanted(&self, start: u64) -> f64 {
+    /// The level to go to in a step, in which the waveform does this, from the present level.
+    pub(crate) fn next_level(&self, level: u16, section: &Section) -> u16 {
         let step = f64::from(self.step);
-        let [from, to] = [start, start + u64::from(self.step)].map(|tick| ns_at(tick, self.rate));
-        let Section { rise_um, mean_um, extremes_um } = self.waveform.section(from, to);
+        let Section { rise_um, mean_um, extremes_um } = *section;
         let speed = (self.spec.pulses(rise_um) / step).clamp(-1.0, 1.0);
-        let level = self.spec.pulses(mean_um) + step * speed * speed.abs() / 2.0;
+        let wanted = self.spec.pulses(mean_um) + step * speed * speed.abs() / 2.0;
         // At a jump within the step the speed is not steady, and the pin must not overshoot.
         let [lowest, highest] = extremes_um.map(|um| self.spec.pulses(um));
-        level.clamp(lowest, highest)
+        self.level_for(level, wanted.clamp(lowest, highest))
     }
 
     /// The level to go to for a wanted one.
     #[expect(clippy::cast_possible_truncation, reason = "0 to most_pulses")]
-    fn next_level(&self, wanted: f64) -> u16 {
+    fn level_for(&self, level: u16, wanted: f64) -> u16 {
         let (least, most) = (i32::from(self.spec.least_pulses), i32::from(self.spec.most_pulses));
-        let level = i32::from(self.level);
+        let level = i32::from(level);
         let enough = (f64::from(least) + 1.0) / 2.0;
         let wanted = wanted.clamp(0.0, f64::from(most));
         let off = wanted - f64::from(level);
@@ -186,25 +187,51 @@ impl<'a> Moves<'a> {
     }
 }
 
+/// The moves of one motor that follow a waveform, in order of time; see the module. Surplus is 0.
+#[derive(Clone, Debug)]
+pub struct Moves<'a> {
+    waveform: &'a Waveform,
+    rule: Rule,
+    motor: u8,
+    /// The step's number, and the first one that begins after the waveform.
+    number: u64,
+    over: u64,
+    level: u16,
+}
+
+impl<'a> Moves<'a> {
+    /// The moves of this motor with the waveform's time 0 at tick 0.
+    ///
+    /// # Panics
+    /// If the grid's step is 0, or the array has no such motor.
+    #[must_use]
+    pub fn new(array: Array, motor: u8, waveform: &'a Waveform, grid: Grid) -> Self {
+        assert!(array.has(motor), "motors {}", array.motor_range());
+        let (rate, step) = (array.rate(), grid.step_ticks);
+        let (from, to) = waveform.span_ns().map_or((0, 0), |(from, to)| {
+            // Rounding to ns may put the beginning just after a tick of the grid.
+            (tick_of(from, rate).saturating_sub(1) / u64::from(step), tick_of(to, rate).div_ceil(step.into()))
+        });
+        Self { waveform, rule: Rule::new(array, grid), motor, number: from, over: to, level: 0 }
+    }
+}
+
 impl Iterator for Moves<'_> {
     type Item = Move;
 
     fn next(&mut self) -> Option<Move> {
-        loop {
-            let tick = self.number * u64::from(self.step);
-            let level = if self.number < self.over {
-                self.next_level(self.wanted(tick))
-            } else if self.level > 0 {
-                self.next_level(0.0)
-            } else {
-                return None;
-            };
+        let step = u64::from(self.rule.step);
+        while self.number < self.over || self.level > 0 {
+            let tick = self.number * step;
+            let [from, to] = [tick, tick + step].map(|tick| ns_at(tick, self.rule.rate));
+            let level = self.rule.next_level(self.level, &self.waveform.section(from, to));
             self.number += 1;
             if level != self.level {
                 self.level = level;
                 return Some(Move { motor: self.motor, tick: Tick(tick), level, surplus: 0 });
             }
         }
+        None
     }
 }
 

@@ -5,8 +5,7 @@
 //!
 //! Invariant: nothing is clamped before it is compared, except in [`Reached::step_error_um`], which says so.
 
-use super::moves::{ns_at, tick_of};
-use super::waveform::{Waveform, s_of};
+use super::waveform::{Waveform, ns_at, s_of, tick_of};
 use crate::motor::{HalfTick, Ramp, Shaft};
 use crate::spec::{Array, MotorSpec};
 use firmware_protocol::moves::Move;
@@ -78,6 +77,8 @@ pub struct Reached {
     pub moves_per_s: f64,
     /// The most moves that begin within a second.
     pub busiest_second: usize,
+    /// The longest time above rest from the last pulse of a move to the next move, s.
+    pub longest_hold_s: f64,
     /// The lowest displacement asked, µm; below 0 the pin cannot follow.
     pub lowest_um: f64,
     /// The highest displacement asked, µm. The motor's travel and `most_pulses` may be less.
@@ -194,6 +195,7 @@ impl Reached {
             moves: moves.len(),
             moves_per_s: if until > from { moves.len() as f64 / seconds(until - from) } else { 0.0 },
             busiest_second: busiest(moves, rate.per_s()),
+            longest_hold_s: rate.ticks_to_seconds(longest_hold(moves)),
             lowest_um,
             highest_um,
         }
@@ -203,6 +205,17 @@ impl Reached {
 #[expect(clippy::cast_precision_loss, reason = "a fifth of a millisecond")]
 fn ticks_um(motor: &MotorSpec, ticks: u64) -> f64 {
     ticks as f64 * motor.um_per_pulse
+}
+
+/// The longest time above rest without a pulse, in ticks.
+fn longest_hold(moves: &[Move]) -> u64 {
+    let mut level = 0;
+    let held = |two: &[Move]| {
+        let pulses = two[0].level.abs_diff(level);
+        level = two[0].level;
+        if level > 0 { (two[1].tick - two[0].tick).saturating_sub(pulses.into()) } else { 0 }
+    };
+    moves.windows(2).map(held).max().unwrap_or(0)
 }
 
 /// The most moves that begin within so many ticks.
@@ -262,6 +275,8 @@ mod tests {
         assert!((at(125.0) - 4.0 * (25.0 - 2.15)).abs() < 0.95, "{}", at(125.0));
         assert!((at(155.0) - 200.0).abs() < 0.1, "{}", at(155.0));
         assert!(at(410.0).abs() < 1e-9);
+        // Held from 150 to 350 ms, on a grid of 2 ms.
+        assert!((0.199..0.204).contains(&found.longest_hold_s), "{}", found.longest_hold_s);
         assert!((found.from_asked.peak_um - 4.0 * 2.15).abs() < 1.0);
     }
 

@@ -1,24 +1,30 @@
 //! A waveform: the displacement that one pin should have, as a piecewise linear function of time.
 //!
-//! The function is kept as its knots. Between knots it is linear; before the first and after the last it is 0, rest. Two knots at one
-//! instant are a jump. Sums are exact: they have a knot wherever a summand has one, and nothing is resampled. Values are not clamped:
-//! what a pin cannot do is left in, so that [`Reached`](super::Reached) tells it.
+//! The function is linear between its knots; before the first and after the last it is 0, rest. Two knots at one instant are a jump.
+//! It is kept in pieces that do not overlap: samples at a rate, 4 bytes each and shared between copies, or a list of knots, 16 bytes
+//! each. Sums are exact: they have a knot wherever a summand has one, and nothing is resampled. Values are not clamped: what a pin
+//! cannot do is left in, so that [`Reached`](super::Reached) tells it.
 //!
-//! Invariant: knots are in order of time, at most two at one instant; the first and the last are 0.
+//! Invariant: knots are in order of time; the first and the last knot of a piece are 0; a piece ends before or when the next begins.
 
 use super::error::MotionError;
 use crate::motor::MAX_AMPLITUDE_UM;
 use crate::pattern::MAX_SECONDS;
+use crate::units::TickRate;
 use std::ops::RangeInclusive;
+use std::sync::Arc;
 
 /// Rates of samples, Hz. Motors vibrate up to 300 Hz.
 pub const RATE_HZ: RangeInclusive<f64> = 1.0..=8000.0;
-/// The most knots of a waveform: an hour at 1 kHz, 64 MiB.
+/// The most knots of a piece: an hour at 1 kHz, 16 MiB as samples, 64 MiB in a sum.
 pub const MAX_KNOTS: usize = 1 << 22;
-/// The most samples: there may be a jump at either end.
-pub(super) const MAX_SAMPLES: usize = MAX_KNOTS - 2;
+/// The most samples of a piece: there may be a jump at either end.
+pub const MAX_SAMPLES: usize = MAX_KNOTS - 2;
 
 const NS_PER_S: f64 = 1e9;
+
+/// How many knots [`Waveform::steady_until`] looks at.
+const LOOKED_AT: usize = 4096;
 
 /// A knot of a piecewise linear function.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -43,18 +49,48 @@ pub struct Section {
 /// See the module. The default is rest throughout.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Waveform {
-    knots: Vec<Knot>,
+    pieces: Vec<Piece>,
+}
+
+/// A part of a waveform, at rest before and after.
+#[derive(Clone, Debug, PartialEq)]
+enum Piece {
+    Knots(Vec<Knot>),
+    Samples(Samples),
+}
+
+/// Samples at a rate, with a jump from and to rest where the first or the last is not 0.
+#[derive(Clone, Debug, PartialEq)]
+struct Samples {
+    start_ns: u64,
+    rate_hz: f64,
+    um: Arc<[f32]>,
+    /// The factor of all samples.
+    scale: f64,
 }
 
 /// Seconds in nanoseconds, rounded.
 #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "checked: 0 to 10^17")]
-pub(super) fn ns_of(seconds: f64) -> u64 {
+pub(crate) fn ns_of(seconds: f64) -> u64 {
     (seconds * NS_PER_S).round() as u64
 }
 
 #[expect(clippy::cast_precision_loss, reason = "below 2^53 for three months; then off by some ns")]
-pub(super) fn s_of(ns: u64) -> f64 {
+pub(crate) fn s_of(ns: u64) -> f64 {
     ns as f64 / NS_PER_S
+}
+
+/// A tick in nanoseconds, rounded.
+#[expect(clippy::cast_possible_truncation, reason = "584 years")]
+pub(crate) fn ns_at(tick: u64, rate: TickRate) -> u64 {
+    let hz = u128::from(rate.hz());
+    ((u128::from(tick) * 1_000_000_000 + hz / 2) / hz) as u64
+}
+
+/// The first tick at or after so many nanoseconds.
+#[expect(clippy::cast_possible_truncation, reason = "584 years")]
+pub(crate) fn tick_of(ns: u64, rate: TickRate) -> u64 {
+    (u128::from(ns) * u128::from(rate.hz())).div_ceil(1_000_000_000) as u64
 }
 
 #[expect(clippy::cast_precision_loss, reason = "a knot's distance from the next")]
@@ -62,16 +98,132 @@ fn between(a: Knot, b: Knot, ns: u64) -> f64 {
     a.um + (b.um - a.um) * ((ns - a.ns) as f64 / (b.ns - a.ns) as f64)
 }
 
+impl Samples {
+    /// When sample `number` is, ns.
+    #[expect(clippy::cast_precision_loss, reason = "at most MAX_SAMPLES")]
+    fn ns(&self, number: usize) -> u64 {
+        self.start_ns + ns_of(number as f64 / self.rate_hz)
+    }
+
+    /// Whether there is a knot at rest before the first sample.
+    fn jumps(&self) -> bool {
+        self.um[0] != 0.0
+    }
+
+    fn len(&self) -> usize {
+        let samples = self.um.len();
+        samples + usize::from(self.jumps()) + usize::from(self.um[samples - 1] != 0.0)
+    }
+
+    fn knot(&self, index: usize) -> Knot {
+        let Some(number) = index.checked_sub(self.jumps().into()) else {
+            return Knot { ns: self.start_ns, um: 0.0 };
+        };
+        match self.um.get(number) {
+            Some(um) => Knot { ns: self.ns(number), um: f64::from(*um) * self.scale },
+            None => Knot { ns: self.ns(self.um.len() - 1), um: 0.0 },
+        }
+    }
+
+    /// How many knots are before an instant.
+    #[expect(
+        clippy::cast_possible_truncation,
+        clippy::cast_sign_loss,
+        reason = "positive, and the cast saturates"
+    )]
+    fn before(&self, ns: u64) -> usize {
+        if ns <= self.start_ns {
+            return 0;
+        }
+        // A guess, off by one at most.
+        let mut number = ((s_of(ns - self.start_ns) * self.rate_hz) as usize).min(self.um.len());
+        while number > 0 && self.ns(number - 1) >= ns {
+            number -= 1;
+        }
+        while number < self.um.len() && self.ns(number) < ns {
+            number += 1;
+        }
+        if number == self.um.len() { self.len() } else { number + usize::from(self.jumps()) }
+    }
+}
+
+impl Piece {
+    fn len(&self) -> usize {
+        match self {
+            Self::Knots(knots) => knots.len(),
+            Self::Samples(samples) => samples.len(),
+        }
+    }
+
+    fn get(&self, index: usize) -> Option<Knot> {
+        match self {
+            Self::Knots(knots) => knots.get(index).copied(),
+            Self::Samples(samples) => (index < samples.len()).then(|| samples.knot(index)),
+        }
+    }
+
+    /// How many knots are before an instant.
+    fn before(&self, ns: u64) -> usize {
+        match self {
+            Self::Knots(knots) => knots.partition_point(|knot| knot.ns < ns),
+            Self::Samples(samples) => samples.before(ns),
+        }
+    }
+
+    /// The knots from this one on.
+    fn knots_from(&self, first: usize) -> impl Iterator<Item = Knot> + '_ {
+        (first..self.len()).filter_map(|index| self.get(index))
+    }
+
+    /// The first and the last instant, ns.
+    fn span_ns(&self) -> (u64, u64) {
+        let ns = |index| self.get(index).map_or(0, |knot| knot.ns);
+        (ns(0), ns(self.len() - 1))
+    }
+
+    fn um_around(&self, ns: u64) -> [f64; 2] {
+        let first = self.before(ns);
+        let (Some(next), Some(before)) = (self.get(first), first.checked_sub(1)) else {
+            // Before the first knot or after the last. At the first there may be a jump.
+            let here = self.knots_from(0).take(2).filter(|knot| knot.ns == ns).last();
+            return [0.0, here.map_or(0.0, |knot| knot.um)];
+        };
+        if next.ns > ns {
+            return [self.get(before).map_or(0.0, |before| between(before, next, ns)); 2];
+        }
+        let after = self.get(first + 1).filter(|knot| knot.ns == ns).unwrap_or(next);
+        [next.um, after.um]
+    }
+}
+
 impl Waveform {
     /// Samples of displacement in µm at `rate_hz`, the first at `start_s`; linear between them, at rest before and after.
     ///
     /// # Errors
-    /// A start below 0 or after [`MAX_SECONDS`], a rate outside [`RATE_HZ`], fewer than 2 or more than [`MAX_KNOTS`] samples, or a
+    /// A start below 0 or after [`MAX_SECONDS`], a rate outside [`RATE_HZ`], fewer than 2 or more than [`MAX_SAMPLES`] samples, or a
     /// sample that is not a number.
-    #[expect(clippy::cast_precision_loss, reason = "at most MAX_KNOTS")]
+    #[expect(clippy::cast_possible_truncation, reason = "to a part in 16 million; beyond f32 it is refused")]
     pub fn samples(start_s: f64, rate_hz: f64, um: &[f64]) -> Result<Self, MotionError> {
+        Self::shared(start_s, rate_hz, um.iter().map(|um| *um as f32).collect())
+    }
+
+    /// As [`Self::samples`], of samples that are not copied.
+    ///
+    /// # Errors
+    /// Those of [`Self::samples`].
+    pub fn shared(start_s: f64, rate_hz: f64, um: Arc<[f32]>) -> Result<Self, MotionError> {
         MotionError::check("rate_hz", "Hz", rate_hz, *RATE_HZ.start(), *RATE_HZ.end())?;
-        Self::of(start_s, um.iter().enumerate().map(|(number, um)| (number as f64 / rate_hz, *um)))
+        Self::at_rate(start_s, rate_hz, um)
+    }
+
+    /// As [`Self::shared`], at any rate: the curves of formulas end exactly with their duration.
+    pub(super) fn at_rate(start_s: f64, rate_hz: f64, um: Arc<[f32]>) -> Result<Self, MotionError> {
+        let start_ns = start_ns(start_s)?;
+        check_count(um.len())?;
+        for (number, um) in um.iter().enumerate() {
+            check_sample(number, (*um).into())?;
+        }
+        Ok(Self { pieces: vec![Piece::Samples(Samples { start_ns, rate_hz, um, scale: 1.0 })] })
     }
 
     /// The function through these points: seconds after `start_s`, in order, and µm.
@@ -79,17 +231,12 @@ impl Waveform {
         start_s: f64,
         points: impl ExactSizeIterator<Item = (f64, f64)>,
     ) -> Result<Self, MotionError> {
-        MotionError::check("start_s", "s", start_s, 0.0, MAX_SECONDS)?;
+        let start = start_ns(start_s)?;
         let samples = points.len();
-        if !(2..=MAX_SAMPLES).contains(&samples) {
-            return Err(MotionError::Samples { samples, most: MAX_SAMPLES });
-        }
-        let start = ns_of(start_s);
+        check_count(samples)?;
         let mut knots: Vec<Knot> = Vec::with_capacity(samples + 2);
         for (number, (after_s, um)) in points.enumerate() {
-            if um.is_nan() || um.abs() > MAX_AMPLITUDE_UM {
-                return Err(MotionError::Sample { number, um });
-            }
+            check_sample(number, um)?;
             let ns = start + ns_of(after_s);
             if number == 0 && um != 0.0 {
                 knots.push(Knot { ns, um: 0.0 });
@@ -107,58 +254,60 @@ impl Waveform {
         if end.um != 0.0 {
             knots.push(Knot { ns: end.ns, um: 0.0 });
         }
-        Ok(Self { knots })
+        Ok(Self { pieces: vec![Piece::Knots(knots)] })
     }
 
-    /// The sum of waveforms, with a knot wherever one of them has one.
+    /// The sum of waveforms. Where they overlap it has a knot wherever one of them has one; the rest stays as it is. Takes time in
+    /// proportion to the knots and to the number of waveforms at once.
     ///
     /// # Errors
-    /// More than [`MAX_KNOTS`] knots.
+    /// More than [`MAX_KNOTS`] knots in a part that overlaps.
     pub fn sum(parts: &[Self]) -> Result<Self, MotionError> {
-        let mut instants: Vec<u64> =
-            parts.iter().flat_map(|part| part.knots.iter().map(|knot| knot.ns)).collect();
-        instants.sort_unstable();
-        instants.dedup();
-        let mut knots = Vec::with_capacity(instants.len() + 2);
-        for ns in instants {
-            let [before, after] = parts
-                .iter()
-                .map(|part| part.um_around(ns))
-                .fold([0.0; 2], |sum, um| [sum[0] + um[0], sum[1] + um[1]]);
-            knots.push(Knot { ns, um: before });
-            if before != after {
-                knots.push(Knot { ns, um: after });
+        let mut pieces: Vec<&Piece> = parts.iter().flat_map(|part| &part.pieces).collect();
+        pieces.sort_by_key(|piece| piece.span_ns());
+        let mut sum = Vec::new();
+        let (mut first, mut end) = (0, 0);
+        for next in 0..=pieces.len() {
+            let span = pieces.get(next).map(|piece| piece.span_ns());
+            if next > first && span.is_none_or(|(from, _)| from >= end) {
+                sum.push(match &pieces[first..next] {
+                    [one] => (*one).clone(),
+                    some => Piece::Knots(merged(some)?),
+                });
+                first = next;
             }
+            end = end.max(span.map_or(0, |(_, until)| until));
         }
-        if knots.len() > MAX_KNOTS {
-            return Err(MotionError::Samples { samples: knots.len(), most: MAX_KNOTS });
-        }
-        Ok(Self { knots })
+        Ok(Self { pieces: sum })
     }
 
     /// The same motion, so many times as large.
     #[must_use]
     pub fn scaled(mut self, factor: f64) -> Self {
-        self.knots.iter_mut().for_each(|knot| knot.um *= factor);
+        for piece in &mut self.pieces {
+            match piece {
+                Piece::Knots(knots) => knots.iter_mut().for_each(|knot| knot.um *= factor),
+                Piece::Samples(samples) => samples.scale *= factor,
+            }
+        }
         self
     }
 
     /// Its knots, in order of time.
-    #[must_use]
-    pub fn knots(&self) -> &[Knot] {
-        &self.knots
+    pub fn knots(&self) -> impl Iterator<Item = Knot> + '_ {
+        self.pieces.iter().flat_map(|piece| piece.knots_from(0))
     }
 
     /// The first and the last instant at which it may not be at rest, ns; `None` if it always is.
     #[must_use]
     pub fn span_ns(&self) -> Option<(u64, u64)> {
-        Some((self.knots.first()?.ns, self.knots.last()?.ns))
+        Some((self.pieces.first()?.span_ns().0, self.pieces.last()?.span_ns().1))
     }
 
     /// The lowest and the highest displacement, µm; rest counts.
     #[must_use]
     pub fn extremes_um(&self) -> [f64; 2] {
-        self.knots.iter().fold([0.0; 2], |[low, high], knot| [knot.um.min(low), knot.um.max(high)])
+        self.knots().fold([0.0; 2], |[low, high], knot| [knot.um.min(low), knot.um.max(high)])
     }
 
     /// The displacement at an instant, µm; at a jump, after it.
@@ -170,17 +319,41 @@ impl Waveform {
     /// The displacement just before an instant and from it on, µm. They differ at a jump.
     #[must_use]
     pub fn um_around(&self, ns: u64) -> [f64; 2] {
-        let first = self.knots.partition_point(|knot| knot.ns < ns);
-        let (Some(next), Some(before)) = (self.knots.get(first), first.checked_sub(1)) else {
-            // Before the first knot or after the last. At the first there may be a jump.
-            let here = self.knots.iter().take(2).rfind(|knot| knot.ns == ns);
-            return [0.0, here.map_or(0.0, |knot| knot.um)];
-        };
-        if next.ns > ns {
-            return [between(self.knots[before], *next, ns); 2];
+        let first = self.pieces.partition_point(|piece| piece.span_ns().1 < ns);
+        // Two where one ends and the next begins.
+        let here = self.pieces[first..].iter().take_while(|piece| piece.span_ns().0 <= ns);
+        here.fold([0.0; 2], |sum, piece| add(sum, piece.um_around(ns)))
+    }
+
+    /// Its beginning: the first so many nanoseconds of its span, and rest from then on.
+    #[must_use]
+    pub fn first(&self, ns: u64) -> Self {
+        let Some((from, until)) = self.span_ns() else { return Self::default() };
+        let end = from + ns;
+        if end >= until {
+            return self.clone();
         }
-        let after = self.knots.get(first + 1).filter(|knot| knot.ns == ns).unwrap_or(next);
-        [next.um, after.um]
+        let mut knots: Vec<Knot> = self.knots().take_while(|knot| knot.ns < end).collect();
+        knots.extend([self.um_around(end)[0], 0.0].map(|um| Knot { ns: end, um }));
+        Self { pieces: vec![Piece::Knots(knots)] }
+    }
+
+    /// Until when it keeps the displacement that it has at an instant, ns; [`u64::MAX`]: for good. It looks at a bounded number of knots, so
+    /// it may say an earlier instant.
+    #[must_use]
+    pub fn steady_until(&self, ns: u64) -> u64 {
+        let um = self.um_at(ns);
+        let first = self.pieces.partition_point(|piece| piece.span_ns().1 <= ns);
+        let ahead = self.pieces[first..].iter().flat_map(|piece| piece.knots_from(piece.before(ns + 1)));
+        let mut last = ns;
+        for knot in ahead.take(LOOKED_AT) {
+            if knot.um != um {
+                return last;
+            }
+            last = knot.ns;
+        }
+        let is_over = self.pieces.last().is_none_or(|piece| piece.span_ns().1 <= last);
+        if is_over { u64::MAX } else { last }
     }
 
     /// What it does from one instant to a later one.
@@ -189,8 +362,10 @@ impl Waveform {
     pub fn section(&self, from_ns: u64, to_ns: u64) -> Section {
         let first = Knot { ns: from_ns, um: self.um_at(from_ns) };
         let end = Knot { ns: to_ns, um: self.um_around(to_ns)[0] };
-        let inside = self.knots.partition_point(|knot| knot.ns <= from_ns);
-        let inside = self.knots[inside..].iter().take_while(|knot| knot.ns < to_ns).copied();
+        let piece = self.pieces.partition_point(|piece| piece.span_ns().1 <= from_ns);
+        let pieces = self.pieces[piece..].iter().take_while(|piece| piece.span_ns().0 < to_ns);
+        let inside = pieces.flat_map(|piece| piece.knots_from(piece.before(from_ns + 1)));
+        let inside = inside.take_while(|knot| knot.ns < to_ns);
         let (mut last, mut doubled, mut extremes_um) = (first, 0.0, [first.um; 2]);
         for knot in inside.chain([end]) {
             doubled += (last.um + knot.um) * (knot.ns - last.ns) as f64;
@@ -200,6 +375,55 @@ impl Waveform {
         let mean_um = doubled / (2.0 * (to_ns - from_ns) as f64);
         Section { rise_um: end.um - first.um, mean_um, extremes_um }
     }
+}
+
+fn start_ns(start_s: f64) -> Result<u64, MotionError> {
+    MotionError::check("start_s", "s", start_s, 0.0, MAX_SECONDS)?;
+    Ok(ns_of(start_s))
+}
+
+/// Checks the number of samples.
+pub(super) fn check_count(samples: usize) -> Result<(), MotionError> {
+    let most = MAX_SAMPLES;
+    if (2..=most).contains(&samples) { Ok(()) } else { Err(MotionError::Samples { samples, most }) }
+}
+
+fn check_sample(number: usize, um: f64) -> Result<(), MotionError> {
+    if um.is_nan() || um.abs() > MAX_AMPLITUDE_UM {
+        return Err(MotionError::Sample { number, um });
+    }
+    Ok(())
+}
+
+fn add(a: [f64; 2], b: [f64; 2]) -> [f64; 2] {
+    [a[0] + b[0], a[1] + b[1]]
+}
+
+/// The knots of the sum of pieces, which are in order of their beginnings.
+fn merged(pieces: &[&Piece]) -> Result<Vec<Knot>, MotionError> {
+    let most = pieces.iter().map(|piece| piece.len()).sum();
+    if most > MAX_KNOTS {
+        return Err(MotionError::Samples { samples: most, most: MAX_KNOTS });
+    }
+    let mut instants = Vec::with_capacity(most);
+    instants.extend(pieces.iter().flat_map(|piece| piece.knots_from(0)).map(|knot| knot.ns));
+    instants.sort_unstable();
+    instants.dedup();
+    let mut knots = Vec::with_capacity(instants.len() + 2);
+    let (mut ahead, mut here) = (pieces.iter(), Vec::new());
+    for ns in instants {
+        here.retain(|piece: &&Piece| piece.span_ns().1 >= ns);
+        while let Some(begins) = ahead.as_slice().first().filter(|piece| piece.span_ns().0 <= ns) {
+            here.push(*begins);
+            ahead.next();
+        }
+        let [before, after] = here.iter().fold([0.0; 2], |sum, piece| add(sum, piece.um_around(ns)));
+        knots.push(Knot { ns, um: before });
+        if before != after {
+            knots.push(Knot { ns, um: after });
+        }
+    }
+    Ok(knots)
 }
 
 #[cfg(test)]
@@ -248,6 +472,24 @@ mod tests {
         assert_eq!(nan, "sample 1 is NaN um: must be a number, at most a metre from rest");
     }
 
+    #[test]
+    fn parts_that_do_not_overlap_stay_as_they_are() {
+        let wave = |start_s| Waveform::samples(start_s, 1000.0, &[2.0, 4.0, 1.0]).unwrap();
+        // The second begins when the first ends; the third overlaps the fourth.
+        let sum = Waveform::sum(&[wave(0.011), wave(0.002), wave(0.0), wave(0.010)]).unwrap();
+        let kept = sum.pieces.iter().map(|piece| matches!(piece, Piece::Samples(_)));
+        assert_eq!(kept.collect::<Vec<_>>(), [true, true, false]);
+        assert_eq!(
+            [1, 2, 3, 5, 11].map(|ms| sum.um_around(ms * MS)),
+            [[4.0; 2], [1.0, 2.0], [4.0; 2], [0.0; 2], [4.0, 6.0]]
+        );
+        // From 4 to 1 on the way to the touch, and from 2 to 4 after it.
+        let section = sum.section(MS, 3 * MS);
+        assert!((section.mean_um - (2.5 + 3.0) / 2.0).abs() < 1e-12 && section.rise_um == 0.0);
+        assert_eq!(sum.span_ns(), Some((0, 13 * MS)));
+        assert_eq!(sum.clone().scaled(2.0).um_at(11 * MS), 12.0);
+    }
+
     proptest! {
         #[test]
         fn a_sum_is_the_sum_of_its_parts_at_every_instant(
@@ -258,7 +500,7 @@ mod tests {
             let parts: Vec<_> =
                 parts.iter().map(|(start, rate, um)| Waveform::samples(*start, *rate, um).unwrap()).collect();
             let sum = Waveform::sum(&parts).unwrap();
-            let knots = parts.iter().flat_map(Waveform::knots).map(|knot| knot.ns);
+            let knots: Vec<u64> = parts.iter().flat_map(Waveform::knots).map(|knot| knot.ns).collect();
             for ns in instants.into_iter().chain(knots) {
                 for side in 0..2 {
                     let expected: f64 = parts.iter().map(|part| part.um_around(ns)[side]).sum();

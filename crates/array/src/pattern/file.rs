@@ -8,48 +8,95 @@
 use super::Pattern;
 use super::drive::Drive;
 use super::error::{KeyError, PatternError, Problem};
-use super::limits::{FORMAT, MAX_FILE_BYTES, MAX_SIZE};
+use super::limits::{
+    FORMAT, FORMAT_OF_MOTIONS, MAX_FILE_BYTES, MAX_PACKED_BYTES, MAX_SIZE, MAX_SIZE_OF_MOTIONS,
+};
+use super::tables::{Files, RawNoise, RawRamp, RawTone, RawWave, Reader, motions, motor_of};
 use crate::spec::Array;
-use meissner_input::document::{Table, check_size, from_toml, in_range};
+use meissner_input::document::{Table, check_size, from_toml};
 use serde::Deserialize;
 use serde::de::IgnoredAny;
 
 impl Pattern {
-    /// Reads a pattern file; `file` is its name in errors.
+    /// Reads a pattern file; `file` is its name in errors. A pattern whose waves name files is refused: it is not complete.
     ///
     /// # Errors
     /// The first problem, in one line.
     pub fn parse(text: &str, file: &str) -> Result<Self, PatternError> {
-        read(text).map_err(|error| PatternError(error.in_text(text).in_file(Some(file))))
+        read(text, Reader::new(None)).map_err(|error| PatternError(error.in_text(text).in_file(Some(file))))
+    }
+
+    /// As [`Self::parse`], with the bytes of the files that waves name. [`Self::to_toml`] of the result is complete in itself.
+    ///
+    /// # Errors
+    /// The first problem, in one line.
+    pub fn parse_with_files(text: &str, file: &str, files: &mut Files<'_>) -> Result<Self, PatternError> {
+        let read = read(text, Reader::new(Some(files)));
+        read.map_err(|error| PatternError(error.in_text(text).in_file(Some(file))))
     }
 }
 
-fn read(text: &str) -> Result<Pattern, KeyError> {
-    if text.len() > MAX_FILE_BYTES {
-        return Err(KeyError::whole(None, Problem::TooLarge { bytes: text.len() }));
+fn read(text: &str, mut reader: Reader<'_, '_>) -> Result<Pattern, KeyError> {
+    let bytes = text.len();
+    if bytes > MAX_PACKED_BYTES {
+        return Err(KeyError::whole(None, Problem::TooLargePacked { bytes }));
     }
-    check_size(text, MAX_SIZE)?;
+    check_size(text, if may_have_motions(text) { MAX_SIZE_OF_MOTIONS } else { MAX_SIZE })?;
     // Read the format first: another format may have other keys.
-    let Table(RawFormat { format }) = from_toml(text, wanted)?;
-    if format != i64::from(FORMAT) {
+    let Table(RawFormat { format, wave, ramp, tone, noise }) = from_toml(text, wanted)?;
+    if format == i64::from(FORMAT) {
+        if bytes > MAX_FILE_BYTES {
+            return Err(KeyError::whole(None, Problem::TooLarge { bytes }));
+        }
+        check_size(text, MAX_SIZE)?;
+        for (table, given) in [("wave", wave), ("ramp", ramp), ("tone", tone), ("noise", noise)] {
+            if given.is_some() {
+                return Err(KeyError::key(table, Problem::OldFormat));
+            }
+        }
+    } else if format != i64::from(FORMAT_OF_MOTIONS) {
         return Err(KeyError::key("format", Problem::Format { found: format }));
     }
-    let Table(RawPattern { format: _, name, array, duration_s, drive, provenance }) =
-        from_toml(text, wanted)?;
+    let Table(raw) = from_toml(text, wanted)?;
+    let RawPattern { format: _, name, array, duration_s, drive, wave, ramp, tone, noise, provenance } = raw;
     let array = match array {
         None => Array::paper(),
         Some(name) => {
             Array::named(&name).map_err(|unknown| KeyError::key("array", Problem::Array(unknown)))?
         }
     };
+    let packed: usize = wave.iter().map(|Table(wave)| wave.packed_bytes()).sum();
+    if bytes - packed > MAX_FILE_BYTES {
+        return Err(KeyError::whole(None, Problem::TooLarge { bytes: bytes - packed }));
+    }
     let drives = drive.into_iter().enumerate();
     let drives = drives.map(|(index, Table(raw))| {
         raw.drive(array).map_err(|error| error.within(&format!("drive[{index}]")))
     });
     let drives = drives.collect::<Result<_, _>>()?;
-    let pattern = Pattern { format: FORMAT, name, array, duration_s, drives, provenance };
-    pattern.check()?;
-    Ok(pattern)
+    let motions = motions("wave", wave, |raw| raw.motion(array, &mut reader))
+        .chain(motions("ramp", ramp, |raw| raw.motion(array)))
+        .chain(motions("tone", tone, |raw| raw.motion(array)))
+        .chain(motions("noise", noise, |raw| raw.motion(array)));
+    let motions = motions.collect::<Result<_, _>>()?;
+    let format = if format == i64::from(FORMAT) { FORMAT } else { FORMAT_OF_MOTIONS };
+    Pattern { format, name, array, duration_s, drives, motions, waveforms: [].into(), provenance }.checked()
+}
+
+/// Whether a line says so: it only decides how much is read before the format is known.
+fn may_have_motions(text: &str) -> bool {
+    let value = |line: &str| {
+        Some(
+            line.strip_prefix("format")?
+                .trim_start()
+                .strip_prefix('=')?
+                .trim_start()
+                .as_bytes()
+                .first()
+                .copied(),
+        )
+    };
+    text.lines().any(|line| value(line).flatten() == Some(b'2'))
 }
 
 fn wanted(key: &str) -> &'static str {
@@ -58,6 +105,11 @@ fn wanted(key: &str) -> &'static str {
         "name" => "name = \"...\", as the file is called",
         "motor" => "the motor's number, from 0 on",
         "frequency_hz" => "a frequency, 0.1 to 300 Hz",
+        "duration_s" => "how long it lasts, s",
+        "rise_s" => "how long it rises, s; 0 is a jump",
+        "to_um" => "a height, um above rest",
+        "low_hz" | "high_hz" => "an edge of the band, 0.1 to 300 Hz",
+        "seed" => "a whole number; equal seeds give equal noise",
         _ => "an amplitude, um peak to peak",
     }
 }
@@ -65,6 +117,10 @@ fn wanted(key: &str) -> &'static str {
 #[derive(Deserialize)]
 struct RawFormat {
     format: i64,
+    wave: Option<IgnoredAny>,
+    ramp: Option<IgnoredAny>,
+    tone: Option<IgnoredAny>,
+    noise: Option<IgnoredAny>,
 }
 
 #[derive(Deserialize)]
@@ -77,6 +133,14 @@ struct RawPattern {
     duration_s: Option<f64>,
     #[serde(default)]
     drive: Vec<Table<RawDrive>>,
+    #[serde(default)]
+    wave: Vec<Table<RawWave>>,
+    #[serde(default)]
+    ramp: Vec<Table<RawRamp>>,
+    #[serde(default)]
+    tone: Vec<Table<RawTone>>,
+    #[serde(default)]
+    noise: Vec<Table<RawNoise>>,
     #[serde(default)]
     provenance: toml::Table,
 }
@@ -94,11 +158,9 @@ struct RawDrive {
 }
 
 impl RawDrive {
-    #[expect(clippy::cast_precision_loss, reason = "only shown")]
     fn drive(self, array: Array) -> Result<Drive, KeyError> {
         let Self { motor, frequency_hz, amplitude_um, phase, start_s, stop_s } = self;
-        let good = (0..array.motors() as i64).contains(&motor);
-        in_range("motor", motor as f64, good, array.motor_range())?;
-        Ok(Drive { motor: motor as u8, frequency_hz, amplitude_um, phase, start_s, stop_s })
+        let motor = motor_of(array, motor)?;
+        Ok(Drive { motor, frequency_hz, amplitude_um, phase, start_s, stop_s })
     }
 }

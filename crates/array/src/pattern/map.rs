@@ -3,7 +3,7 @@
 //! Invariant: each pin follows at most one pin of the pattern's array, so drives of a motor never meet those of another.
 
 use super::error::{KeyError, Problem};
-use super::{Drive, Pattern, PatternError};
+use super::{Drive, Motion, Pattern, PatternError};
 use crate::spec::Array;
 
 /// A pattern that was mapped by position, and what became of its pins.
@@ -17,7 +17,8 @@ pub struct Mapped {
 
 impl Pattern {
     /// The pattern on another array: each pin follows the nearest pin of the pattern's own array, if that is at most one pitch of
-    /// that array away; other pins rest. An amplitude beyond the travel of the other array's motors is lowered to it.
+    /// that array away; other pins rest. An amplitude beyond the travel of the other array's motors is lowered to it; motions that
+    /// reach higher are scaled, all of a motor by one factor.
     ///
     /// # Errors
     /// If no pin follows one that is driven.
@@ -25,7 +26,12 @@ impl Pattern {
         let from = self.array;
         let travel_um = array.motor().travel_um;
         let mut followed = vec![false; from.motors()];
-        let (mut drives, mut driven) = (Vec::new(), 0);
+        let (mut drives, mut motions, mut driven) = (Vec::new(), Vec::new(), 0);
+        let height_um = |motor: u8| {
+            let waveform = self.waveforms().iter().find(|(of, _)| *of == motor);
+            waveform.map_or(0.0, |(_, waveform)| waveform.extremes_um()[1])
+        };
+        let heights_um: Vec<f64> = from.numbers().map(height_um).collect();
         for motor in array.numbers() {
             let (nearest, distance_mm) = from.nearest_to(array.position_mm(motor));
             if distance_mm > from.pitch_mm() {
@@ -33,20 +39,32 @@ impl Pattern {
             }
             followed[usize::from(nearest)] = true;
             let own = self.drives.iter().filter(|drive| drive.motor == nearest);
-            let before = drives.len();
+            let before = drives.len() + motions.len();
             drives.extend(own.map(|drive| {
                 let amplitude_um = drive.amplitude_um.min(travel_um);
                 Drive { motor, amplitude_um, ..*drive }
             }));
-            driven += usize::from(drives.len() > before);
+            let own = self.motions.iter().filter(|motion| motion.motor == nearest);
+            let height_um = heights_um[usize::from(nearest)];
+            motions.extend(own.map(|motion| {
+                let form = if height_um > travel_um {
+                    motion.form.scaled(travel_um / height_um)
+                } else {
+                    motion.form.clone()
+                };
+                Motion { motor, form }
+            }));
+            driven += usize::from(drives.len() + motions.len() > before);
         }
-        if driven == 0 && !self.drives.is_empty() {
+        if driven == 0 && !(self.drives.is_empty() && self.motions.is_empty()) {
             let problem = Problem::Elsewhere { array: array.spec().name() };
             return Err(PatternError(KeyError::whole(None, problem).in_file(Some(&self.name))));
         }
-        let is_lost = |motor: &u8| {
-            !followed[usize::from(*motor)] && self.drives.iter().any(|drive| drive.motor == *motor)
+        let moves = |motor: u8| {
+            let driven = self.drives.iter().any(|drive| drive.motor == motor);
+            driven || self.motions.iter().any(|motion| motion.motor == motor)
         };
+        let is_lost = |motor: &u8| !followed[usize::from(*motor)] && moves(*motor);
         let [its, this] = [from, array].map(|array| array.spec().name());
         let mut warnings =
             vec![format!("made for {its}: {driven} pins of {this} follow the nearest of its pins")];
@@ -54,12 +72,14 @@ impl Pattern {
         if !lost.is_empty() {
             warnings.push(format!("no pin of {this} follows its motors {}", lost.join(", ")));
         }
-        if self.drives.iter().any(|drive| drive.amplitude_um > travel_um) {
+        let highest_um = heights_um.iter().fold(0.0, |highest: f64, um| highest.max(*um));
+        if highest_um > travel_um || self.drives.iter().any(|drive| drive.amplitude_um > travel_um) {
             warnings.push(format!(
                 "amplitudes are lowered to {travel_um} um, the travel of the motors of {this}"
             ));
         }
         let pattern = Self::new(array, &self.name, self.duration_s, drives, self.provenance.clone())?;
+        let pattern = Self { format: self.format, ..pattern }.with_motions(motions)?;
         Ok(Mapped { pattern, warnings })
     }
 }

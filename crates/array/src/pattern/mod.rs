@@ -1,8 +1,10 @@
 //! Patterns: the files that the library holds, `play` plays and `optimise` writes.
 //!
-//! A pattern has a name, perhaps a duration, square-wave drives of motors, and a free table that says what made it.
-//! [`Pattern::parse`] reads its TOML file and [`Pattern::to_toml`] writes it, without comments; the API shows the same keys as
-//! JSON. [`strokes`](crate::strokes) compiles a pattern to strokes.
+//! A pattern has a name, perhaps a duration, square-wave drives of motors, motions of motors (format 2), and a free table that says
+//! what made it. [`Pattern::parse`] reads its TOML file and [`Pattern::to_toml`] writes it, without comments; the API shows the same
+//! keys as JSON. [`strokes`](crate::strokes) compiles the drives to strokes, [`Pattern::compile`] the motions to moves.
+//!
+//! A pattern is complete in itself: samples are in its text. [`Pattern::parse_with_files`] reads one whose waves name files.
 //!
 //! A pattern is for an array, whose name it holds; without one it is for the paper's. [`Pattern::mapped_to`] puts it on another.
 //!
@@ -16,21 +18,29 @@ mod error;
 mod file;
 mod limits;
 mod map;
+mod motion;
+mod motions;
 mod provenance;
+mod tables;
 
 pub use drive::{Drive, Warning, overlap};
 pub use error::{PatternError, Problem};
 pub use limits::{
-    FORMAT, FREQUENCY_HZ, MAX_DRIVES, MAX_FILE_BYTES, MAX_PROVENANCE_DEPTH, MAX_PROVENANCE_TABLES,
-    MAX_PROVENANCE_TEXT, MAX_PROVENANCE_VALUES, MAX_SECONDS,
+    FORMAT, FORMAT_OF_MOTIONS, FREQUENCY_HZ, MAX_AT_ONCE, MAX_DRIVES, MAX_FILE_BYTES, MAX_HOLD_S,
+    MAX_MOTIONS, MAX_PACKED_BYTES, MAX_PATTERN_SAMPLES, MAX_PROVENANCE_DEPTH, MAX_PROVENANCE_TABLES,
+    MAX_PROVENANCE_TEXT, MAX_PROVENANCE_VALUES, MAX_SECONDS, MAX_SOURCE,
 };
 pub use map::Mapped;
+pub use motion::{Form, Motion, Wave};
+pub use tables::Files;
 
+use crate::motion::{Compiled, MotionError, SLOWEST_STEP_MS, Waveform, compile, s_of};
 use crate::spec::Array;
 use error::KeyError;
 use meissner_input::document::in_range;
 use meissner_input::message::quote;
 use serde::Serialize;
+use std::sync::Arc;
 
 /// A checked pattern.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -43,6 +53,12 @@ pub struct Pattern {
     duration_s: Option<f64>,
     #[serde(rename = "drive", skip_serializing_if = "Vec::is_empty")]
     drives: Vec<Drive>,
+    /// In the order of a file: waves, ramps, tones, noise.
+    #[serde(flatten, serialize_with = "tables::write")]
+    motions: Arc<[Motion]>,
+    /// The sum of each motor's motions, in order of motors.
+    #[serde(skip)]
+    waveforms: Arc<[(u8, Waveform)]>,
     #[serde(skip_serializing_if = "toml::Table::is_empty")]
     provenance: toml::Table,
 }
@@ -59,9 +75,22 @@ impl Pattern {
         drives: Vec<Drive>,
         provenance: toml::Table,
     ) -> Result<Self, PatternError> {
-        let pattern = Self { format: FORMAT, name: name.to_owned(), array, duration_s, drives, provenance };
-        pattern.check().map_err(|error| PatternError(error.in_file(Some(name))))?;
-        Ok(pattern)
+        let (format, motions, waveforms) = (FORMAT, [].into(), [].into());
+        let owned = name.to_owned();
+        let pattern = Self { format, name: owned, array, duration_s, drives, motions, waveforms, provenance };
+        pattern.checked().map_err(|error| PatternError(error.in_file(Some(name))))
+    }
+
+    /// The pattern with these motions in place of its own, in format 2.
+    ///
+    /// # Errors
+    /// The first problem, with the pattern's name in place of a file's.
+    pub fn with_motions(self, mut motions: Vec<Motion>) -> Result<Self, PatternError> {
+        motions.sort_by_key(|motion| motion.form.kind());
+        let format = if motions.is_empty() { self.format } else { FORMAT_OF_MOTIONS };
+        let name = self.name.clone();
+        let pattern = Self { format, motions: motions.into(), ..self };
+        pattern.checked().map_err(|error| PatternError(error.in_file(Some(&name))))
     }
 
     /// The pattern as a file, which [`Self::parse`] reads back as the same pattern.
@@ -102,6 +131,54 @@ impl Pattern {
         self.drives.iter().map(with_end).collect()
     }
 
+    /// Its motions, in the order of a file: waves, ramps, tones, noise.
+    #[must_use]
+    pub fn motions(&self) -> &[Motion] {
+        &self.motions
+    }
+
+    /// The waveform of each motor that has a motion: the sum of its motions, in order of motors. It is within the motor's travel.
+    #[must_use]
+    pub fn waveforms(&self) -> &[(u8, Waveform)] {
+        &self.waveforms
+    }
+
+    /// [`Self::waveforms`], shared.
+    pub(crate) fn shared_waveforms(&self) -> Arc<[(u8, Waveform)]> {
+        self.waveforms.clone()
+    }
+
+    /// When all pins with motions are at rest again, s: a motor comes down from where its last motion ends.
+    #[must_use]
+    pub fn motions_rest_s(&self) -> f64 {
+        let (motor, rate) = (self.array.motor(), self.array.rate());
+        let steps_s = 2.0 * SLOWEST_STEP_MS as f64 / 1000.0;
+        let rests = self.waveforms.iter().filter_map(|(_, waveform)| {
+            let (_, until) = waveform.span_ns()?;
+            let pulses = motor.pulses(waveform.um_around(until)[0]).ceil();
+            let down_s = if pulses > 0.0 { pulses / f64::from(rate.hz()) + steps_s } else { 0.0 };
+            Some(s_of(until) + down_s)
+        });
+        rests.fold(0.0, f64::max)
+    }
+
+    /// When the last motion ends, s; `None` without a motion.
+    #[must_use]
+    pub fn motions_end_s(&self) -> Option<f64> {
+        let ends = self.waveforms.iter().filter_map(|(_, waveform)| Some(s_of(waveform.span_ns()?.1)));
+        ends.reduce(f64::max)
+    }
+
+    /// Compiles the motions to moves, and tells what each motor reaches; see [`compile`]. The motors are those of
+    /// [`Self::waveforms`], in that order.
+    ///
+    /// # Errors
+    /// If `error_um` is below [`LEAST_ERROR_UM`](crate::motion::LEAST_ERROR_UM).
+    pub fn compile(&self, error_um: Option<f64>) -> Result<Compiled, MotionError> {
+        let motors: Vec<_> = self.waveforms.iter().map(|(motor, waveform)| (*motor, waveform)).collect();
+        compile(self.array, &motors, error_um)
+    }
+
     /// What made the pattern.
     #[must_use]
     pub const fn provenance(&self) -> &toml::Table {
@@ -123,6 +200,13 @@ impl Pattern {
             })
         };
         self.drives.iter().enumerate().filter_map(warning).collect()
+    }
+
+    /// The pattern with its waveforms, if it is sound.
+    fn checked(mut self) -> Result<Self, KeyError> {
+        self.check()?;
+        self.waveforms = motions::waveforms(self.array, self.duration_s, &self.drives, &self.motions)?.into();
+        Ok(self)
     }
 
     fn check(&self) -> Result<(), KeyError> {

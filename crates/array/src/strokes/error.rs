@@ -1,8 +1,9 @@
 //! Errors of compiling a pattern to strokes.
 
+use crate::motion::MotionError;
 use crate::motor::MotorError;
 use crate::pattern::MAX_SECONDS;
-use crate::strokes::Stroke;
+use crate::strokes::{Step, Stroke};
 use firmware_protocol::limits::Refusal;
 
 /// Why a pattern cannot be played, or cannot be played to its end.
@@ -34,6 +35,9 @@ pub enum StrokesError {
         /// The rest error that was refused.
         um: f64,
     },
+    /// Motions that cannot be compiled as asked.
+    #[error(transparent)]
+    Motion(#[from] MotionError),
     /// A drive that no motor can play.
     #[error("a drive of motor {motor}: {source}")]
     Drive {
@@ -42,11 +46,11 @@ pub enum StrokesError {
         /// What is wrong with the drive.
         source: MotorError,
     },
-    /// Our bug: a stroke outside the controller's limits.
-    #[error("internal error, nothing more is played: {stroke:?} breaks the limit {refusal:?}")]
+    /// Our bug: a step outside the controller's limits.
+    #[error("internal error, nothing more is played: {step:?} breaks the limit {refusal:?}")]
     Limit {
-        /// The stroke.
-        stroke: Stroke,
+        /// The step.
+        step: Step,
         /// The limit.
         refusal: Refusal,
     },
@@ -56,10 +60,10 @@ pub enum StrokesError {
         /// The stroke.
         stroke: Stroke,
     },
-    /// Our bug: a stroke that begins before its motor's last stroke has ended, or before the last returned stroke begins.
-    #[error("internal error, nothing more is played: {stroke:?} is out of order")]
+    /// Our bug: a step that begins before its motor's last step has ended, or before the last returned step begins.
+    #[error("internal error, nothing more is played: {step:?} is out of order")]
     Order {
-        /// The stroke.
-        stroke: Stroke,
+        /// The step.
+        step: Step,
     },
 }

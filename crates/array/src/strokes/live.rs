@@ -144,7 +144,7 @@ impl LiveStrokes {
         oscillator.next += 1;
         Some(match stroke.check(oscillator.wave.array().layout()) {
             Ok(()) => Ok(stroke),
-            Err(refusal) => Err(StrokesError::Limit { stroke, refusal }),
+            Err(refusal) => Err(StrokesError::Limit { step: stroke.into(), refusal }),
         })
     }
 

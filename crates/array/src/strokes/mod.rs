@@ -15,12 +15,14 @@ mod drive;
 mod error;
 mod lane;
 mod live;
+mod motion_lane;
 mod options;
 mod reached;
 mod repeat;
 mod run;
 mod sequence;
 mod shortfall;
+mod step;
 mod stroke;
 
 pub use drive::DriveStrokes;
@@ -32,6 +34,7 @@ pub use sequence::{
     CompiledItem, MAX_ITEMS, MAX_SEQUENCE_DRIVES, MIN_ITEM_INTERVAL_MS, Sequence, SequenceError, Start,
 };
 pub use shortfall::{DriveAmplitude, LEAST_SHARE, LEAST_UM, Shortfall, amplitudes};
+pub use step::Step;
 pub use stroke::{Burst, Stroke};
 
 use crate::pattern::Pattern;
@@ -190,27 +193,33 @@ impl Strokes {
         up.or_else(next_item).map(|up| self.onset + up)
     }
 
-    /// Checks a stroke of a drive with this surplus.
-    fn check(&mut self, stroke: Stroke, surplus: u16) -> Result<Stroke, StrokesError> {
-        stroke.check(self.array.layout()).map_err(|refusal| StrokesError::Limit { stroke, refusal })?;
-        if stroke.up_pulses.checked_add(surplus) != Some(stroke.down_pulses) {
+    /// Checks a step; a stroke of a drive with this surplus.
+    fn check(&mut self, step: Step, surplus: u16) -> Result<Step, StrokesError> {
+        step.check(self.array.layout()).map_err(|refusal| StrokesError::Limit { step, refusal })?;
+        if let Step::Stroke(stroke) = step
+            && stroke.up_pulses.checked_add(surplus) != Some(stroke.down_pulses)
+        {
             return Err(StrokesError::Unbalanced { stroke });
         }
         let refusal = limits::Refusal::Motor;
         let busy =
-            self.busy.get_mut(usize::from(stroke.motor)).ok_or(StrokesError::Limit { stroke, refusal })?;
-        let place = (stroke.up, stroke.motor);
-        if stroke.up < *busy || place < self.last {
-            return Err(StrokesError::Order { stroke });
+            self.busy.get_mut(usize::from(step.motor())).ok_or(StrokesError::Limit { step, refusal })?;
+        let place = (step.begin(), step.motor());
+        if step.begin() < *busy || place < self.last {
+            return Err(StrokesError::Order { step });
         }
-        *busy = stroke.end();
+        // A surplus is cut short by the next move.
+        *busy = match step {
+            Step::Stroke(stroke) => stroke.end(),
+            Step::Move { of, from } => of.tick + u64::from(of.level.abs_diff(from)),
+        };
         self.last = place;
-        Ok(stroke)
+        Ok(step)
     }
 }
 
 impl Iterator for Strokes {
-    type Item = Result<Stroke, StrokesError>;
+    type Item = Result<Step, StrokesError>;
 
     #[inline]
     fn next(&mut self) -> Option<Self::Item> {
@@ -218,8 +227,8 @@ impl Iterator for Strokes {
             self.next_item();
         }
         let Item { start, run, .. } = self.items[self.item];
-        let (stroke, surplus) = self.runs[run].next(self.onset + start)?;
-        let checked = self.check(stroke, surplus);
+        let (step, surplus) = self.runs[run].next(self.onset + start)?;
+        let checked = self.check(step, surplus);
         if checked.is_err() {
             self.end_here();
         }
@@ -236,7 +245,7 @@ impl Strokes {
     }
 }
 
-/// The requested end of a play, in ticks: its own duration, or else the pattern's, or else the end of the last drive. `None`:
+/// The requested end of a play, in ticks: its own duration, or else the pattern's, or else the end of the last drive or motion. `None`:
 /// without end.
 #[must_use]
 pub fn ordered_end(pattern: &Pattern, seconds: Option<f64>) -> Option<u64> {
@@ -246,7 +255,7 @@ pub fn ordered_end(pattern: &Pattern, seconds: Option<f64>) -> Option<u64> {
 /// How long a pattern lasts, s; `None`: without end.
 fn lasts_s(pattern: &Pattern) -> Option<f64> {
     let mut stops = pattern.drives().iter().map(|drive| drive.stop_s);
-    let last_stop = stops.try_fold(0.0, |last: f64, stop| stop.map(|stop| last.max(stop)));
+    let last_stop = stops.try_fold(pattern.motions_rest_s(), |last: f64, stop| stop.map(|stop| last.max(stop)));
     pattern.duration_s().or(last_stop)
 }
 
@@ -271,17 +280,17 @@ mod tests {
 
     #[test]
     fn a_harmful_stroke_is_an_error_and_the_last_item() {
-        let good = one_pin().next().unwrap().unwrap();
-        let refused = |stroke| one_pin().check(stroke, 0).unwrap_err();
+        let good = one_pin().next().unwrap().unwrap().stroke().unwrap();
+        let refused = |stroke: Stroke| one_pin().check(stroke.into(), 0).unwrap_err();
         assert!(matches!(refused(Stroke { motor: 24, ..good }), StrokesError::Limit { .. }));
         assert!(matches!(refused(Stroke { down_pulses: 590, ..good }), StrokesError::Unbalanced { .. }));
-        assert!(matches!(one_pin().check(good, 1), Err(StrokesError::Unbalanced { .. })));
+        assert!(matches!(one_pin().check(good.into(), 1), Err(StrokesError::Unbalanced { .. })));
         let mut strokes = one_pin();
-        strokes.check(good, 0).unwrap();
-        assert!(matches!(strokes.check(good, 0), Err(StrokesError::Order { .. })));
+        strokes.check(good.into(), 0).unwrap();
+        assert!(matches!(strokes.check(good.into(), 0), Err(StrokesError::Order { .. })));
         strokes.busy[5] = Tick(1 << 40);
         assert!(strokes.next().unwrap().is_err() && strokes.next().is_none());
         strokes.begin(Tick(9));
-        assert_eq!(strokes.next().unwrap().unwrap().up, Tick(9));
+        assert_eq!(strokes.next().unwrap().unwrap().begin(), Tick(9));
     }
 }

@@ -20,6 +20,9 @@ pub struct StrokeOptions {
     pub fit: Fit,
     /// How much longer a down burst is than its up burst.
     pub surplus: Surplus,
+    /// How far pins may be from what their motors can do at best, because motions are compiled to steps, µm; `None`: see
+    /// [`choose`](crate::motion::choose).
+    pub error_um: Option<f64>,
 }
 
 /// Which strokes are played at the end of the play.
@@ -56,7 +59,7 @@ pub struct AutoSurplus {
 
 impl Default for StrokeOptions {
     fn default() -> Self {
-        Self { seconds: None, scale: 1.0, fit: Fit::Whole, surplus: Surplus::None }
+        Self { seconds: None, scale: 1.0, fit: Fit::Whole, surplus: Surplus::None, error_um: None }
     }
 }
 

@@ -1,48 +1,90 @@
-//! A compiled pattern: one lane per motor, merged in order of time.
+//! A compiled pattern: a lane for each motor's drives and one for its motions, merged in order of time.
 //!
 //! Invariant: [`Run::begin`] goes back to the beginning without an allocation, so one run serves every item of its pattern.
 
 use super::drive::NEVER;
 use super::error::StrokesError;
 use super::lane::Lane;
+use super::motion_lane::MotionLane;
 use super::options::StrokeOptions;
+use crate::motion::choose;
 use crate::pattern::Pattern;
-use crate::strokes::Stroke;
+use crate::strokes::Step;
 use firmware_protocol::tick::Tick;
 
 /// See the module.
 #[derive(Clone, Debug)]
 pub(super) struct Run {
-    lanes: Vec<Lane>,
-    /// When the next stroke of each lane goes up, in pattern time; [`NEVER`] if there is none.
-    ups: Vec<u64>,
+    lanes: Vec<AnyLane>,
+    /// When the next step of each lane begins, in pattern time; [`NEVER`] if there is none.
+    begins: Vec<u64>,
+}
+
+/// A motor's drives, or its motions.
+#[derive(Clone, Debug)]
+enum AnyLane {
+    Drives(Lane),
+    Motions(MotionLane),
+}
+
+impl AnyLane {
+    fn motor(&self) -> u8 {
+        match self {
+            Self::Drives(lane) => lane.motor(),
+            Self::Motions(lane) => lane.motor(),
+        }
+    }
+
+    fn begin(&mut self, end: u64) -> u64 {
+        match self {
+            Self::Drives(lane) => lane.begin(end),
+            Self::Motions(lane) => lane.begin(end),
+        }
+    }
+
+    fn advance(&mut self) -> u64 {
+        match self {
+            Self::Drives(lane) => lane.advance(),
+            Self::Motions(lane) => lane.advance(),
+        }
+    }
 }
 
 impl Run {
-    /// Compiles a pattern; there is no stroke before [`Self::begin`].
+    /// Compiles a pattern; there is no step before [`Self::begin`].
     pub(super) fn of(pattern: &Pattern, options: &StrokeOptions) -> Result<Self, StrokesError> {
         let array = pattern.array();
         options.check(array)?;
-        let lanes =
+        let drives =
             array.numbers().map(|motor| Lane::of(motor, pattern, options)).filter_map(Result::transpose);
-        let lanes = lanes.collect::<Result<Vec<_>, _>>()?;
-        Ok(Self { ups: vec![NEVER; lanes.len()], lanes })
+        let mut lanes = drives.map(|lane| lane.map(AnyLane::Drives)).collect::<Result<Vec<_>, _>>()?;
+        if !pattern.waveforms().is_empty() {
+            let waveforms = pattern.waveforms().iter().map(|(motor, waveform)| (*motor, waveform));
+            let grid = choose(array, waveforms, options.error_um)?;
+            lanes.extend(MotionLane::of_pattern(pattern, grid, options).map(AnyLane::Motions));
+            lanes.sort_by_key(AnyLane::motor);
+        }
+        Ok(Self { begins: vec![NEVER; lanes.len()], lanes })
     }
 
     /// Begins, or begins again, a play that ends at `end`, in pattern time.
     pub(super) fn begin(&mut self, end: u64) {
-        for (lane, up) in self.lanes.iter_mut().zip(&mut self.ups) {
-            *up = lane.begin(end);
+        for (lane, begins) in self.lanes.iter_mut().zip(&mut self.begins) {
+            *begins = lane.begin(end);
         }
     }
 
-    /// When the last stroke of a play with `Fit::Cover` and this `end` has ended.
+    /// When the last stroke of a play with `Fit::Cover` and this `end` has ended. Motions have ended by the end.
     pub(super) fn covers_until(&self, end: u64) -> Option<u64> {
-        self.lanes.iter().filter_map(|lane| lane.covers_until(end)).max()
+        let covered = self.lanes.iter().filter_map(|lane| match lane {
+            AnyLane::Drives(lane) => lane.covers_until(end),
+            AnyLane::Motions(_) => None,
+        });
+        covered.max()
     }
 
     pub(super) fn is_over(&self) -> bool {
-        self.ups.iter().all(|&up| up == NEVER)
+        self.begins.iter().all(|&begins| begins == NEVER)
     }
 
     pub(super) fn drives(&self, motor: u8) -> bool {
@@ -50,36 +92,43 @@ impl Run {
     }
 
     pub(super) fn changes_are_apart(&self, ticks: u64) -> bool {
-        self.lanes.iter().all(|lane| lane.changes_are_apart(ticks))
+        self.lanes.iter().all(|lane| match lane {
+            AnyLane::Drives(lane) => lane.changes_are_apart(ticks),
+            AnyLane::Motions(_) => false,
+        })
     }
 
     pub(super) fn end_here(&mut self) {
-        self.ups.fill(NEVER);
+        self.begins.fill(NEVER);
     }
 
-    /// When the next stroke of `motor` goes up, in pattern time.
+    /// When the next step of `motor` begins, in pattern time.
     pub(super) fn next_up(&self, motor: u8) -> Option<u64> {
-        let lane = self.lanes.iter().position(|lane| lane.motor() == motor)?;
-        Some(self.ups[lane]).filter(|&up| up != NEVER)
+        let own = self.lanes.iter().zip(&self.begins).filter(|(lane, _)| lane.motor() == motor);
+        own.map(|(_, &begins)| begins).min().filter(|&begins| begins != NEVER)
     }
 
-    /// The next stroke of a play that began at `onset`, and the surplus of its down burst.
+    /// The next step of a play that began at `onset`, and of a stroke the surplus of its down burst.
     #[inline]
-    pub(super) fn next(&mut self, onset: Tick) -> Option<(Stroke, u16)> {
+    pub(super) fn next(&mut self, onset: Tick) -> Option<(Step, u16)> {
         // Lanes are in order of motor, so among equal ticks the first has the lowest motor number.
         let (mut first, mut earliest) = (0, NEVER);
-        for (index, &up) in self.ups.iter().enumerate() {
-            if up < earliest {
-                (first, earliest) = (index, up);
+        for (index, &begins) in self.begins.iter().enumerate() {
+            if begins < earliest {
+                (first, earliest) = (index, begins);
             }
         }
         if earliest == NEVER {
             return None;
         }
-        let lane = &mut self.lanes[first];
-        let stroke = lane.stroke(onset);
-        let surplus = lane.surplus(stroke.up_pulses);
-        self.ups[first] = lane.advance();
-        Some((stroke, surplus))
+        let next = match &self.lanes[first] {
+            AnyLane::Drives(lane) => {
+                let stroke = lane.stroke(onset);
+                (stroke.into(), lane.surplus(stroke.up_pulses))
+            }
+            AnyLane::Motions(lane) => (lane.step(onset), 0),
+        };
+        self.begins[first] = self.lanes[first].advance();
+        Some(next)
     }
 }

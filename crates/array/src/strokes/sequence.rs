@@ -330,7 +330,7 @@ mod tests {
             for (item, (_, _, wanted)) in placed.iter().enumerate() {
                 for stroke in wanted {
                     prop_assert_eq!(strokes.next_onset(), None);
-                    prop_assert!((0..8).all(|motor| strokes.next_up(motor).is_none_or(|up| up <= stroke.up || motor != stroke.motor)));
+                    prop_assert!((0..8).all(|motor| strokes.next_up(motor).is_none_or(|up| up <= stroke.begin() || motor != stroke.motor())));
                     prop_assert_eq!(strokes.next().unwrap().unwrap(), *stroke);
                 }
                 prop_assert_eq!(strokes.next_onset(), placed.get(item + 1).map(|at| at.0));

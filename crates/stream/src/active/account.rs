@@ -1,16 +1,16 @@
-//! The account of a play's strokes: planned, late and refused ones as the streamer counts them, the others as the device counts.
+//! The account of a play's moves: planned, late and refused ones as the streamer counts them, the others as the device counts.
 //!
-//! The streamer counts each stroke ([`Account::plan`], [`Account::late`], [`Account::refused`]) and notes the device's counters at
+//! The streamer counts each step ([`Account::plan`], [`Account::late`], [`Account::refused`]) and notes the device's counters at
 //! the onset ([`Account::begin`]). [`Account::bursts`] closes it with the counters after the play.
 //!
-//! Invariant: `planned = played + late + dropped + refused + replaced`. The device reports each late and each refused stroke, and
-//! counts the bursts played between the play's onset and its end. The rest was dropped.
+//! Invariant: `planned = played + late + dropped + refused + replaced`. The device reports each late and each refused move, and
+//! counts those played between the play's onset and its end. The rest was dropped.
 
 use crate::board::BoardAccount;
 use crate::queues::{Onset, RestErrors};
 use firmware_protocol::message::Counters;
 use meissner_api::{BurstCounts, LateCause, LateCounts, PulseCounts};
-use meissner_array::strokes::Stroke;
+use meissner_array::strokes::Step;
 
 /// What is known once the onset has passed.
 #[derive(Clone, Copy, Debug)]
@@ -26,19 +26,21 @@ pub(super) struct Begun {
 pub(super) struct Account {
     begun: Option<Begun>,
     board: BoardAccount,
-    planned_strokes: u64,
+    planned: u64,
     planned_pulses: u64,
-    late_strokes: u64,
-    refused_strokes: u64,
+    late: u64,
+    refused: u64,
+    /// Steps planned.
+    steps: u64,
     lateness: LateCounts,
     /// Bytes sent to the device before the play.
     wire_from: u64,
 }
 
 impl Account {
-    /// The play is offered, perhaps again: all its strokes will be planned.
+    /// The play is offered, perhaps again: all its steps will be planned.
     pub(super) const fn offer(&mut self, wire: u64) {
-        (self.planned_strokes, self.planned_pulses) = (0, 0);
+        (self.planned, self.steps, self.planned_pulses) = (0, 0, 0);
         self.wire_from = wire;
     }
 
@@ -55,14 +57,15 @@ impl Account {
         &mut self.board
     }
 
-    pub(super) fn plan(&mut self, stroke: &Stroke) {
-        self.planned_strokes += 1;
-        self.planned_pulses += u64::from(stroke.pulses());
+    pub(super) fn plan(&mut self, step: &Step) {
+        self.steps += 1;
+        self.planned += step.moves() as u64;
+        self.planned_pulses += u64::from(step.pulses());
     }
 
-    /// Counts a late stroke; returns the counts so far.
-    pub(super) const fn late(&mut self, late_ms: f64, cause: LateCause) -> LateCounts {
-        self.late_strokes += 1;
+    /// Counts a late step of so many moves; returns the counts so far.
+    pub(super) const fn late(&mut self, moves: u64, late_ms: f64, cause: LateCause) -> LateCounts {
+        self.late += moves;
         self.lateness.worst_ms = self.lateness.worst_ms.max(late_ms);
         match cause {
             LateCause::Host => self.lateness.host += 1,
@@ -72,15 +75,15 @@ impl Account {
         self.lateness
     }
 
-    /// Counts all strokes as late: the device refused the onset.
+    /// Counts all steps as late: the device refused the onset.
     pub(super) const fn all_late(&mut self, late_ms: f64) {
-        self.late_strokes = self.planned_strokes;
-        self.lateness.link = self.planned_strokes;
+        (self.late, self.lateness.link) = (self.planned, self.steps);
         self.lateness.worst_ms = late_ms;
     }
 
-    pub(super) const fn refused(&mut self) {
-        self.refused_strokes += 1;
+    /// Counts a refused step of so many moves.
+    pub(super) const fn refused(&mut self, moves: u64) {
+        self.refused += moves;
     }
 
     pub(super) const fn lateness(&self) -> LateCounts {
@@ -101,8 +104,7 @@ impl Account {
     /// The bursts, with the device's counters `after` the play.
     pub(super) fn bursts(&self, after: Option<&Counters>) -> BurstCounts {
         let since = |counter| self.since(after, counter);
-        let planned = 2 * self.planned_strokes;
-        let (late, refused) = (2 * self.late_strokes, 2 * self.refused_strokes);
+        let Self { planned, late, refused, .. } = *self;
         let replaced = since(|counters| counters.replaced).min(planned.saturating_sub(late + refused));
         let played = since(|counters| counters.played).min(planned.saturating_sub(late + refused + replaced));
         let dropped = planned.saturating_sub(late + refused + replaced + played);
@@ -122,9 +124,10 @@ mod tests {
     use crate::time::HostInstant;
     use firmware_protocol::tick::Tick;
     use meissner_array::spec::Array;
+    use meissner_array::strokes::Stroke;
     use proptest::prelude::*;
 
-    const STROKE: Stroke = Stroke { motor: 3, up: Tick(0), up_pulses: 40, down: Tick(90), down_pulses: 41 };
+    const STROKE: Step = Step::Stroke(Stroke { motor: 3, up: Tick(0), up_pulses: 40, down: Tick(90), down_pulses: 41 });
 
     fn begun(counters: Counters) -> Begun {
         let onset = Onset {
@@ -154,8 +157,8 @@ mod tests {
             let mut account = planned(strokes);
             let late = late.min(strokes);
             let refused = refused.min(strokes - late);
-            (0..late).for_each(|_| _ = account.late(1.0, LateCause::Link));
-            (0..refused).for_each(|_| account.refused());
+            (0..late).for_each(|_| _ = account.late(2, 1.0, LateCause::Link));
+            (0..refused).for_each(|_| account.refused(2));
             let [before, after] = [before, after].map(|[played, replaced, amended]| {
                 Counters { played, replaced, amended, ..Counters::NONE }
             });

@@ -20,8 +20,7 @@ use cut::Cut;
 use firmware_protocol::message::{Counters, Trigger};
 use firmware_protocol::tick::Tick;
 use meissner_api::{EndCause, LateCause, LateCounts};
-use meissner_array::strokes::Stroke;
-use meissner_array::strokes::{LiveStrokes, StrokesError};
+use meissner_array::strokes::{LiveStrokes, Step, StrokesError};
 use meissner_array::units::TickRate;
 use sent::Sent;
 use std::time::Duration;
@@ -195,7 +194,7 @@ impl Active {
     }
 
     /// The next stroke to send; `None`: there is none for now.
-    pub(super) fn next_stroke(&mut self) -> Result<Option<Stroke>, StrokesError> {
+    pub(super) fn next_step(&mut self) -> Result<Option<Step>, StrokesError> {
         self.sent.next(&mut self.play.strokes)
     }
 
@@ -309,32 +308,32 @@ impl Active {
         self.cut.at()
     }
 
-    /// Counts a stroke sent, or too late to be sent.
-    pub(super) fn plan(&mut self, stroke: &Stroke, sent: bool) {
-        self.sent.count(stroke, sent);
-        self.account.plan(stroke);
+    /// Counts a step sent, or too late to be sent.
+    pub(super) fn plan(&mut self, step: &Step, sent: bool) {
+        self.sent.count(step, sent);
+        self.account.plan(step);
         if let Some(item) = self.play.items.get_mut(self.sent.item()) {
             item.planned += 1;
             item.undecided += u32::from(sent);
         }
     }
 
-    /// The device has accepted or rejected a stroke sent.
-    pub(super) fn decided(&mut self, stroke: &Stroke, accepted: bool) {
+    /// The device has accepted or rejected a step sent.
+    pub(super) fn decided(&mut self, step: &Step, accepted: bool) {
         self.sent.decided();
-        let Some(item) = self.item_at(stroke.up) else { return };
+        let Some(item) = self.item_at(step.begin()) else { return };
         item.undecided = item.undecided.saturating_sub(1);
         if accepted {
-            // Verdicts come in the order of the strokes.
-            item.first_up.get_or_insert(stroke.up);
-            item.last_end = item.last_end.max(stroke.end());
+            // Verdicts come in the order of the steps.
+            item.first_up.get_or_insert(step.begin());
+            item.last_end = item.last_end.max(step.end());
         }
     }
 
     /// The device has refused, as it began, a stroke that it had accepted. `others` gives the first start and the last end of the
     /// other strokes of the item.
-    pub(super) fn refused_as_begun(&mut self, up: Tick, others: impl FnOnce(Span) -> [Option<Tick>; 2]) {
-        self.refused(up);
+    pub(super) fn refused_as_begun(&mut self, up: Tick, moves: u64, others: impl FnOnce(Span) -> [Option<Tick>; 2]) {
+        self.refused(up, moves);
         let play = self.until();
         let after = self.play.items.partition_point(|item| item.onset <= up);
         let until = self.play.items.get(after).map_or(play, |next| next.onset);
@@ -346,16 +345,17 @@ impl Active {
         item.last_end = last.unwrap_or(item.onset);
     }
 
-    /// Counts a late stroke; returns the counts so far.
-    pub(super) fn late(&mut self, up: Tick, late_ms: f64, cause: LateCause) -> LateCounts {
-        if let Some(item) = self.item_at(up) {
+    /// Counts a late step; returns the counts so far.
+    pub(super) fn late(&mut self, step: &Step, late_ms: f64, cause: LateCause) -> LateCounts {
+        if let Some(item) = self.item_at(step.begin()) {
             item.late += 1;
         }
-        self.account.late(late_ms, cause)
+        self.account.late(step.moves() as u64, late_ms, cause)
     }
 
-    pub(super) fn refused(&mut self, up: Tick) {
-        self.account.refused();
+    /// Counts a refused step of so many moves that begins at this tick.
+    pub(super) fn refused(&mut self, up: Tick, moves: u64) {
+        self.account.refused(moves);
         if let Some(item) = self.item_at(up) {
             item.refused += 1;
         }

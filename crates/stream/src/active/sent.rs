@@ -1,25 +1,24 @@
-//! How far the strokes of a play are sent.
+//! How far the steps of a play are sent.
 //!
-//! The streamer looks at the next stroke ([`Sent::next`]), counts it once it is sent or too late ([`Sent::count`]), and counts each
+//! The streamer looks at the next step ([`Sent::next`]), counts it once it is sent or too late ([`Sent::count`]), and counts each
 //! verdict ([`Sent::decided`]).
 //!
-//! Invariant: a stroke taken from the source is the next one until it is counted or put back.
+//! Invariant: a step taken from the source is the next one until it is counted or put back.
 
 use crate::source::Source;
 use firmware_protocol::tick::Tick;
-use meissner_array::strokes::Stroke;
-use meissner_array::strokes::StrokesError;
+use meissner_array::strokes::{Step, StrokesError};
 
 /// See the module.
 #[derive(Debug)]
 pub(super) struct Sent {
-    /// The next stroke, once it is taken from the source.
-    next: Option<Stroke>,
-    /// The item whose strokes are being sent.
+    /// The next step, once it is taken from the source.
+    next: Option<Step>,
+    /// The item whose steps are being sent.
     item: usize,
-    /// Strokes sent without a verdict.
+    /// Steps sent without a verdict.
     undecided: u64,
-    /// The end of the last stroke counted.
+    /// The end of the last step counted.
     last_end: Tick,
 }
 
@@ -29,8 +28,8 @@ impl Sent {
         Self { next: None, item: 0, undecided: 0, last_end: onset }
     }
 
-    /// The next stroke to send; `None`: the source has no more for now.
-    pub(super) fn next(&mut self, source: &mut Source) -> Result<Option<Stroke>, StrokesError> {
+    /// The next step to send; `None`: the source has no more for now.
+    pub(super) fn next(&mut self, source: &mut Source) -> Result<Option<Step>, StrokesError> {
         if self.next.is_none() {
             self.next = source.next().transpose()?;
         }
@@ -40,23 +39,23 @@ impl Sent {
     /// Puts the next stroke of a live play back: its drive changes.
     pub(super) fn put_back(&mut self, source: &mut Source) {
         if let Some(strokes) = source.live()
-            && let Some(next) = self.next.take()
+            && let Some(Step::Stroke(next)) = self.next.take()
         {
             strokes.put_back(&next);
         }
     }
 
-    /// The start of the next stroke, if it is taken from the source and of this motor.
+    /// The start of the next step, if it is taken from the source and of this motor.
     pub(super) fn next_up(&self, motor: u8) -> Option<Tick> {
-        self.next.filter(|next| next.motor == motor).map(|next| next.up)
+        self.next.filter(|next| next.motor() == motor).map(|next| next.begin())
     }
 
-    /// When the next item begins, if all strokes of the present one are counted.
+    /// When the next item begins, if all steps of the present one are counted.
     pub(super) fn next_onset(&self, source: &Source) -> Option<Tick> {
         if self.next.is_some() { None } else { source.next_onset() }
     }
 
-    /// The strokes of this item follow.
+    /// The steps of this item follow.
     pub(super) const fn begin_item(&mut self, item: usize) {
         self.item = item;
     }
@@ -65,19 +64,19 @@ impl Sent {
         self.item
     }
 
-    /// Counts a stroke that is sent, or too late to be `sent`.
-    pub(super) fn count(&mut self, stroke: &Stroke, sent: bool) {
+    /// Counts a step that is sent, or too late to be `sent`.
+    pub(super) fn count(&mut self, step: &Step, sent: bool) {
         self.next = None;
         self.undecided += u64::from(sent);
-        self.last_end = self.last_end.max(stroke.end());
+        self.last_end = self.last_end.max(step.end());
     }
 
-    /// The device has accepted or rejected a stroke.
+    /// The device has accepted or rejected a step.
     pub(super) const fn decided(&mut self) {
         self.undecided = self.undecided.saturating_sub(1);
     }
 
-    /// The device has rejected all strokes.
+    /// The device has rejected all steps.
     pub(super) const fn all_rejected(&mut self) {
         self.undecided = 0;
     }
@@ -107,9 +106,9 @@ mod tests {
         let mut sent = Sent::nothing(Tick(100));
         let first = sent.next(&mut source).expect("no limit is broken").expect("a stroke");
         assert_eq!(sent.next(&mut source), Ok(Some(first)));
-        assert_eq!(sent.next_up(first.motor), Some(first.up));
+        assert_eq!(sent.next_up(first.motor()), Some(first.begin()));
         sent.put_back(&mut source);
-        assert_eq!(sent.next_up(first.motor), None);
+        assert_eq!(sent.next_up(first.motor()), None);
         assert_eq!(sent.next(&mut source), Ok(Some(first)), "it was not lost");
         sent.count(&first, true);
         assert!(!sent.is_decided());

@@ -291,12 +291,13 @@ impl Plan {
             Strokes::new(&self.pattern(), &StrokeOptions::default()).expect("a plan's drives can be played");
         strokes.begin(onset);
         let mut played = PerMotor::all(self.array, 0_usize);
-        strokes.flat_map(move |stroke| {
-            let stroke = stroke.expect("a plan's strokes are within the limits");
-            let played = &mut played[usize::from(stroke.motor)];
+        strokes.flat_map(move |step| {
+            let step = step.expect("a plan's strokes are within the limits");
+            let motor = step.motor();
+            let played = &mut played[usize::from(motor)];
             let warm_up = played.is_multiple_of(1 + STROKES_PER_GROUP);
             *played += 1;
-            stroke.bursts().map(|burst| PlannedBurst { motor: stroke.motor, burst, warm_up })
+            step.bursts().map(move |burst| PlannedBurst { motor, burst, warm_up })
         })
     }
 }

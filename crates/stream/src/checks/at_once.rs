@@ -14,8 +14,8 @@ pub fn find_too_many(strokes: &Strokes, limits: PowerLimits) -> Option<TooMany> 
         return None;
     }
     let mut motors = PulsingMotors::new(strokes.array(), limits);
-    for stroke in counted(strokes) {
-        motors.push(&stroke);
+    for step in counted(strokes) {
+        motors.push(&step);
         if motors.too_many().is_some() {
             break;
         }

@@ -4,6 +4,7 @@
 //! several such changes follow each other within 10 ms. Only then are the moves counted.
 
 use super::counted;
+use firmware_protocol::stroke::Direction;
 use meissner_array::strokes::Strokes;
 use std::cmp::Reverse;
 use std::collections::{BinaryHeap, VecDeque};
@@ -32,19 +33,21 @@ fn count(strokes: &Strokes) -> Option<Dense> {
     let (ticks, most) = (u64::from(array.layout().dense_ticks()), usize::from(array.layout().max_dense()));
     // The moves that have begun in order, and the ways down that have not.
     let (mut begun, mut downs) = (VecDeque::with_capacity(most), BinaryHeap::new());
-    for stroke in counted(strokes) {
-        while let Some(&Reverse(down)) = downs.peek().filter(|Reverse(down)| *down <= stroke.up) {
+    for step in counted(strokes) {
+        let mut bursts = step.bursts();
+        let Some(first) = bursts.next() else { continue };
+        downs.extend(bursts.map(|second| Reverse(second.start)));
+        while let Some(&Reverse(down)) = downs.peek().filter(|Reverse(down)| *down <= first.start) {
             begun.push_back(down);
             downs.pop();
         }
-        while begun.front().is_some_and(|first| stroke.up - *first >= ticks) {
+        while begun.front().is_some_and(|before| first.start - *before >= ticks) {
             begun.pop_front();
         }
-        if begun.len() >= most {
-            return Some(Dense { at_s: array.rate().ticks_to_seconds(stroke.up.0), most });
+        if begun.len() >= most && first.direction == Direction::Up {
+            return Some(Dense { at_s: array.rate().ticks_to_seconds(first.start.0), most });
         }
-        begun.push_back(stroke.up);
-        downs.push(Reverse(stroke.down));
+        begun.push_back(first.start);
     }
     None
 }

@@ -9,7 +9,7 @@ use firmware_protocol::tick::Tick;
 use meissner_array::per_motor::PerMotor;
 use meissner_array::strokes::Strokes;
 
-/// A stroke that pushes too much.
+/// A step that pushes too much.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Overpush {
     /// Its motor.
@@ -18,19 +18,19 @@ pub struct Overpush {
     pub at_s: f64,
 }
 
-/// The first stroke that pushes more than `pulses_per_s` against a lower stop; `None`: all stay below.
+/// The first step that pushes more than `pulses_per_s` against a lower stop; `None`: all stay below.
 #[must_use]
 pub fn find_overpush(strokes: &Strokes, pulses_per_s: u32) -> Option<Overpush> {
     let mut pushing = Pushing::new(strokes.array().layout(), Tick(0));
     pushing.set_limit(pulses_per_s);
-    // The end and surplus of each motor's last stroke.
+    // The end and surplus of each motor's last step.
     let array = strokes.array();
     let mut running = PerMotor::all(array, None::<(Tick, u32)>);
     let mut ended: Vec<(Tick, usize, u32)> = Vec::with_capacity(array.motors());
-    for stroke in counted(strokes) {
-        let motor = usize::from(stroke.motor);
+    for step in counted(strokes) {
+        let motor = usize::from(step.motor());
         for (motor, stroke_of) in running.iter_mut().enumerate() {
-            if let Some((end, surplus)) = stroke_of.take_if(|(end, _)| *end <= stroke.up) {
+            if let Some((end, surplus)) = stroke_of.take_if(|(end, _)| *end <= step.begin()) {
                 ended.push((end, motor, surplus));
             }
         }
@@ -39,11 +39,12 @@ pub fn find_overpush(strokes: &Strokes, pulses_per_s: u32) -> Option<Overpush> {
         for (end, motor, surplus) in ended.drain(..) {
             pushing.end(end, motor, surplus, surplus);
         }
-        let surplus = u32::from(stroke.down_pulses.saturating_sub(stroke.up_pulses));
-        if surplus > 0 && pushing.begin(stroke.up, motor, surplus).is_err() {
-            return Some(Overpush { motor: stroke.motor, at_s: array.rate().ticks_to_seconds(stroke.up.0) });
+        let surplus = u32::from(step.surplus());
+        if surplus > 0 && pushing.begin(step.begin(), motor, surplus).is_err() {
+            let at_s = array.rate().ticks_to_seconds(step.begin().0);
+            return Some(Overpush { motor: step.motor(), at_s });
         }
-        running[motor] = Some((stroke.end(), surplus));
+        running[motor] = Some((step.end(), surplus));
     }
     None
 }
@@ -103,8 +104,7 @@ mod tests {
         let mut all = strokes();
         all.begin(Tick(0));
         let surplus: Vec<u32> = all
-            .map(|stroke| stroke.unwrap())
-            .map(|stroke| u32::from(stroke.down_pulses - stroke.up_pulses))
+            .map(|step| u32::from(step.unwrap().surplus()))
             .collect();
         assert!(surplus.len() >= 299 && surplus.iter().all(|pulses| *pulses == surplus[0]), "{surplus:?}");
         // A stroke counts until a second after its end: one more than those of a second, and a bucket of the count.

@@ -33,7 +33,7 @@ use meissner_api::ErrorSource;
 use meissner_api::SensorFault;
 use meissner_array::per_motor::PerMotor;
 use meissner_array::spec::Array;
-use meissner_array::strokes::Stroke;
+use meissner_array::strokes::{Burst, Step};
 use replacement::Replacement;
 
 /// Without telemetry a stroke counts as played so long after it begins, ms: the device's verdict has come by then.
@@ -165,7 +165,7 @@ impl PositionControl {
     fn advance_to(&mut self, tick: Tick) {
         let account = &mut self.account;
         for motor in &mut self.motors {
-            motor.advance(tick, None, |_| (), |stroke, until| account.gone(stroke, until));
+            motor.advance(tick, None, |_| (), |burst, until| account.gone(burst, until));
         }
         self.advanced_to = self.advanced_to.max(tick);
     }
@@ -241,11 +241,11 @@ impl PositionControl {
         self.motors.get_mut(usize::from(motor))
     }
 
-    /// A stroke was sent to the device; its play ends at `until`.
-    pub(super) fn sent(&mut self, stroke: &Stroke, closed_loop: bool, until: Tick) {
+    /// A step was sent to the device; its play ends at `until`.
+    pub(super) fn sent(&mut self, step: &Step, closed_loop: bool, until: Tick) {
         let Self { motors, account, .. } = self;
-        if let Some(motor) = motors.get_mut(usize::from(stroke.motor)) {
-            motor.sent(stroke, closed_loop, until, |stroke, until| account.gone(stroke, until));
+        if let Some(motor) = motors.get_mut(usize::from(step.motor())) {
+            motor.sent(step, closed_loop, until, |burst, until| account.gone(burst, until));
         }
     }
 
@@ -269,12 +269,13 @@ impl PositionControl {
     /// all.
     pub(super) fn span(&self, span: Span) -> [Option<Tick>; 2] {
         let Span { from, until, play } = span;
-        let queued = self.motors.iter().flat_map(BurstController::in_device);
-        let strokes = queued.filter(|stroke| stroke.up >= from && stroke.up < until);
+        let queued = self.motors.iter().flat_map(BurstController::in_device).map(|(burst, _)| burst);
+        let bursts = queued.filter(|burst| burst.start >= from && burst.start < until);
         let gone = self.account.over.iter().find(|(of, _)| *of == play).map(|(_, over)| *over);
         let gone = gone.filter(|&over| over > from && over <= until);
-        strokes.fold([None, gone], |[first, last], stroke| {
-            [Some(first.map_or(stroke.up, |first: Tick| first.min(stroke.up))), last.max(Some(stroke.end()))]
+        bursts.fold([None, gone], |[first, last], burst| {
+            let start = burst.start;
+            [Some(first.map_or(start, |first: Tick| first.min(start))), last.max(Some(burst.end()))]
         })
     }
 
@@ -318,13 +319,14 @@ impl PositionControl {
         }
     }
 
-    /// The device has refused a stroke as it began.
-    pub(super) fn refused_as_begun(&mut self, motor: u8, up: Tick) {
+    /// The device has refused a step as it began. Returns how many moves it had.
+    pub(super) fn refused_as_begun(&mut self, motor: u8, up: Tick) -> u64 {
         // The one that it replaced may have begun at the same tick: neither is played.
         self.replacement.withdrawn(motor, up);
-        if let Some(motor) = self.motor(motor) {
-            motor.withdrawn(up);
-        }
+        let Some(motor) = self.motor(motor) else { return 0 };
+        let moves = motor.moves_at(up);
+        motor.withdrawn(up);
+        moves as u64
     }
 
     /// The device took no stroke with an up tick from `onset` on.
@@ -337,17 +339,21 @@ impl PositionControl {
         (self.account.counters_at, self.account.uncounted) = (tick, (0, 0));
     }
 
-    /// Bursts and pulses played after the counters of tick `heard`, if the link was lost at `lost`: the device finishes
-    /// the strokes that had begun by then, or returns their pins. With `stopped` an e-stop left the host at that tick: nothing later was
-    /// played.
+    /// Bursts and pulses played after the counters of tick `heard`, if the link was lost at `lost`: the device brings all pins down then.
+    /// With `stopped` an e-stop left the host at that tick: nothing later was played.
     pub(super) fn played_since_counters(&self, heard: Tick, lost: Tick, stopped: bool) -> (u64, u64) {
-        let queued = self.motors.iter().flat_map(BurstController::in_device);
-        let played = queued.filter(|stroke| stroke.end() > heard && stroke.up < lost);
-        let bursts = played.flat_map(|stroke| stroke.bursts()).filter(|burst| !stopped || burst.start < lost);
-        bursts.fold(self.account.uncounted, |(bursts, pulses), burst| {
-            let until = if stopped { lost - burst.start } else { u64::MAX };
-            (bursts + 1, pulses + until.min(burst.pulses.into()))
-        })
+        let (mut bursts, mut pulses) = self.account.uncounted;
+        for motor in &self.motors {
+            let mut above = 0;
+            for (burst, level) in motor.in_device().filter(|(burst, _)| burst.start < lost) {
+                above = u64::from(level);
+                let until = if stopped { lost } else { Tick(u64::MAX) };
+                let (begun, played) = played_after(&burst, heard, until);
+                (bursts, pulses) = (bursts + begun, pulses + played);
+            }
+            pulses += if stopped { 0 } else { above };
+        }
+        (bursts, pulses)
     }
 
     /// Takes a sample of all displacements, 0.01 µm. Calls `over` with each burst measured.
@@ -371,7 +377,7 @@ impl PositionControl {
         let account = &mut self.account;
         for ((motor, &y), index) in self.motors.iter_mut().zip(y).zip(0..) {
             let mut over = |travel: estimator::Travel| over(travel.of(index));
-            if motor.advance(tick, known_to, &mut over, |stroke, until| account.gone(stroke, until)) {
+            if motor.advance(tick, known_to, &mut over, |burst, until| account.gone(burst, until)) {
                 motor.telemetry(tick, f64::from(y) * 0.01, &mut over);
             } else {
                 known = false;
@@ -454,7 +460,12 @@ impl PositionControl {
     }
 }
 
-/// Plays whose strokes may leave the queue before the play is closed: more than the streamer holds.
+/// Of a burst: whether it began at `from` or later, and its pulses from then on and before `until`.
+fn played_after(burst: &Burst, from: Tick, until: Tick) -> (u64, u64) {
+    (u64::from(burst.start >= from), burst.end().min(until) - burst.start.max(from))
+}
+
+/// Plays whose bursts may leave the queue before the play is closed: more than the streamer holds.
 const PLAYS: usize = 64;
 
 /// The account of strokes that were played and have left the queue.
@@ -469,20 +480,20 @@ struct Account {
 }
 
 impl Account {
-    /// Adds a stroke of the play that ends at `until`.
-    fn gone(&mut self, stroke: &Stroke, until: Tick) {
-        if stroke.end() > self.counters_at {
-            self.uncounted.0 += 2;
-            self.uncounted.1 += u64::from(stroke.pulses());
-        }
+    /// Adds a burst of the play that ends at `until`.
+    fn gone(&mut self, burst: &Burst, until: Tick) {
+        let end = burst.end();
+        let (begun, pulses) = played_after(burst, self.counters_at, end);
+        self.uncounted.0 += begun;
+        self.uncounted.1 += pulses;
         match self.over.iter_mut().find(|(of, _)| *of == until) {
-            Some((_, over)) => *over = stroke.end().max(*over),
+            Some((_, over)) => *over = end.max(*over),
             None => {
                 if self.over.is_full() {
                     self.over.pop_front();
                 }
                 // Cannot fail: there is room now.
-                let _ = self.over.push_back((until, stroke.end()));
+                let _ = self.over.push_back((until, end));
             }
         }
     }

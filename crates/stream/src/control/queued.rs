@@ -1,26 +1,34 @@
-//! A stroke that was sent to the device and is not over: what was planned, what position control made of it, and when it ends if
-//! the device cuts it.
+//! A burst that was sent to the device and is not over: what was planned, and what position control made of it.
 
+use firmware_protocol::stroke::Direction;
 use firmware_protocol::tick::Tick;
-use meissner_array::strokes::{Burst, Stroke};
+use meissner_array::strokes::{Burst, Step};
 
-/// A stroke sent to the device and not over yet.
+/// A burst sent to the device and not over yet. Small: many thousands may be queued.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Queued {
-    pub(super) stroke: Stroke,
-    /// Pulses planned, up and down.
-    pub(super) planned: [u16; 2],
-    /// Tenths of pulses that it adds to `pending`, once finalised.
-    pub(super) counted: [i64; 2],
+    pub(super) motor: u8,
+    /// As corrected.
+    pub(super) burst: Burst,
+    /// Pulses planned, with the surplus.
+    pub(super) planned: u16,
+    /// Planned pulses after the pin is at rest, against the lower stop.
+    pub(super) surplus: u16,
+    /// Pulses above rest after it.
+    pub(super) level: u16,
+    /// The second burst of a stroke: the device takes and withdraws it with the one before.
+    pub(super) joined: bool,
     pub(super) accepted: bool,
     pub(super) closed_loop: bool,
-    /// For the telemetry monitor: the corrections of its bursts, which count once the device has played them.
-    pub(super) corrections: [Option<Correction>; 2],
+    /// Tenths of pulses that it adds to `pending`, once finalised.
+    pub(super) counted: i64,
+    /// For the telemetry monitor: the correction, which counts once the device has played it.
+    pub(super) correction: Option<Correction>,
     /// The end of its play: no correction may cross it.
     pub(super) until: Tick,
 }
 
-/// A correction as the telemetry monitor judges it. Small: there is one for each of many thousands of queued bursts.
+/// A correction as the telemetry monitor judges it.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Correction {
     /// By how much, if a limit cut it, µm.
@@ -38,38 +46,48 @@ pub(crate) struct Cutting {
     pub(crate) returned: Option<Tick>,
 }
 
-/// Too many strokes began between the cut and the report of it.
+/// Too many bursts began between the cut and the report of it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Forgotten;
 
 impl Queued {
-    /// Fills memory before there are strokes.
+    /// Fills memory before there are bursts.
     pub(super) const NOTHING: Self = Self {
-        stroke: Stroke { motor: 0, up: Tick(0), up_pulses: 0, down: Tick(0), down_pulses: 0 },
-        planned: [0; 2],
-        counted: [0; 2],
+        motor: 0,
+        burst: Burst { start: Tick(0), direction: Direction::Up, pulses: 0 },
+        planned: 0,
+        surplus: 0,
+        level: 0,
+        joined: false,
         accepted: false,
         closed_loop: false,
-        corrections: [None; 2],
+        counted: 0,
+        correction: None,
         until: Tick(0),
     };
 
-    /// When its last pulse is over, if the device cut it after it had begun. A return is over with the last one's.
-    pub(super) fn over_at(&self, cut: Cutting) -> Tick {
-        let Cutting { at, returned } = cut;
-        let [up, down] = self.stroke.bursts();
-        if down.end() <= at {
-            down.end()
-        } else if let Some(returned) = returned {
-            returned
-        } else if at < down.start {
-            up.end().min(at)
-        } else {
-            at
-        }
+    /// The bursts of a step that was sent; its play ends at `until`.
+    pub(super) fn of(step: &Step, closed_loop: bool, until: Tick) -> impl Iterator<Item = Self> + use<> {
+        let (motor, step) = (step.motor(), *step);
+        step.bursts().zip([false, true]).map(move |(burst, joined)| {
+            let planned = burst.pulses;
+            let (level, surplus) = match step {
+                Step::Stroke(stroke) if !joined => (stroke.up_pulses, 0),
+                _ => (step.level(), step.surplus()),
+            };
+            Self { motor, burst, planned, surplus, level, joined, closed_loop, until, ..Self::NOTHING }
+        })
     }
 
-    pub(super) fn burst(&self, half: usize) -> Burst {
-        self.stroke.bursts()[half]
+    /// Whether its pin is at rest after it.
+    pub(super) const fn lands(&self) -> bool {
+        self.level == 0
+    }
+
+    /// It begins at another level than planned: it goes to its own all the same.
+    pub(super) fn begin_at(&mut self, level: u16) {
+        self.burst.direction = if self.level > level { Direction::Up } else { Direction::Down };
+        self.planned = self.level.abs_diff(level) + self.surplus;
+        self.burst.pulses = self.planned;
     }
 }

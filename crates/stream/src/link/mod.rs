@@ -5,7 +5,7 @@
 //! the line's bandwidth once (the link probe) and keeps the [`Clock`] model. It knows no plays and no patterns, reads no
 //! clock and touches no port. `firmware_protocol` specifies the device's side.
 //!
-//! Invariant: [`Session::push`] accepts a stroke, then exactly one [`Event::Stroke`] answers it, unless a command began a
+//! Invariant: [`Session::push`] accepts a step, then exactly one [`Event::Step`] answers it, unless a command began a
 //! new epoch or the session ended before.
 
 mod clock;

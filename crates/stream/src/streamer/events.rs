@@ -13,7 +13,7 @@ use firmware_protocol::controller::HORIZON;
 use firmware_protocol::message::{Cause, Counters, Op, State, Status};
 use firmware_protocol::tick::Tick;
 use meissner_api::{EndCause, LateCause, LatePolicy};
-use meissner_array::strokes::Stroke;
+use meissner_array::strokes::Step;
 use meissner_array::units::ms_to_duration;
 use std::collections::VecDeque;
 use std::time::Duration;
@@ -86,7 +86,7 @@ impl Streamer {
                 }
             }
             Event::Status { status, tick } => self.status(now, status, tick, emit),
-            Event::Stroke(stroke, verdict) => self.verdict(now, &stroke, verdict, emit),
+            Event::Step(step, verdict) => self.verdict(now, &step, verdict, emit),
             Event::Replaced { motors, kept } => {
                 self.replaced(motors, kept, emit);
             }
@@ -114,10 +114,10 @@ impl Streamer {
                 self.reports.hasten(now);
             }
             Event::StrokeRefused { motor, up, reason } => {
-                self.control.refused_as_begun(motor, up);
+                let moves = self.control.refused_as_begun(motor, up);
                 let Self { plays, control, .. } = self;
                 if let Some(active) = owner(plays, up) {
-                    active.refused_as_begun(up, |span| control.span(span));
+                    active.refused_as_begun(up, moves, |span| control.span(span));
                     let id = active.play().id;
                     emit.event(StreamEvent::StrokeRefused { id, motor, up, reason });
                 }
@@ -189,15 +189,15 @@ impl Streamer {
         }
     }
 
-    fn verdict(&mut self, now: HostInstant, stroke: &Stroke, verdict: Verdict, emit: &mut dyn Emit) {
+    fn verdict(&mut self, now: HostInstant, step: &Step, verdict: Verdict, emit: &mut dyn Emit) {
         let in_time = self.rate().duration_to_ticks(IN_TIME);
         let sent_tick = |sent| self.tick_at(sent).unwrap_or_default();
         let cause = match verdict {
             Verdict::Late { retransmitted: true, .. } => LateCause::Link,
-            Verdict::Late { sent, .. } if sent_tick(sent) + in_time > stroke.up => LateCause::Host,
+            Verdict::Late { sent, .. } if sent_tick(sent) + in_time > step.begin() => LateCause::Host,
             _ => LateCause::Link,
         };
-        let (motor, up) = (stroke.motor, stroke.up);
+        let (motor, up) = (step.motor(), step.begin());
         match verdict {
             Verdict::Accepted => self.control.accepted(motor, up),
             Verdict::Refused(_) | Verdict::Late { .. } => self.control.withdrawn(motor, up),
@@ -205,32 +205,32 @@ impl Streamer {
             Verdict::Superseded => {}
         }
         let Some(active) = owner(&mut self.plays, up) else { return };
-        active.decided(stroke, verdict == Verdict::Accepted);
+        active.decided(step, verdict == Verdict::Accepted);
         let id = active.play().id;
         match verdict {
             Verdict::Accepted | Verdict::Superseded => {}
             Verdict::Refused(reason) => {
-                active.refused(up);
+                active.refused(up, step.moves() as u64);
                 emit.event(StreamEvent::StrokeRefused { id, motor, up, reason });
             }
-            Verdict::Late { rendered, .. } => self.late(now, stroke, rendered, cause, emit),
+            Verdict::Late { rendered, .. } => self.late(now, step, rendered, cause, emit),
         }
     }
 
-    /// Counts and reports a late stroke; `free` was the first tick that could be played.
+    /// Counts and reports a late step; `free` was the first tick that could be played.
     pub(super) fn late(
         &mut self,
         now: HostInstant,
-        stroke: &Stroke,
+        step: &Step,
         free: Tick,
         cause: LateCause,
         emit: &mut dyn Emit,
     ) {
-        let late_ms = self.rate().ticks_to_ms(free - stroke.up);
-        let Some(active) = owner(&mut self.plays, stroke.up) else { return };
-        let counts = active.late(stroke.up, late_ms, cause);
+        let late_ms = self.rate().ticks_to_ms(free - step.begin());
+        let Some(active) = owner(&mut self.plays, step.begin()) else { return };
+        let counts = active.late(step, late_ms, cause);
         let (id, policy, cut) = (active.play().id, active.play().late, active.is_cut());
-        let (motor, up) = (stroke.motor, stroke.up);
+        let (motor, up) = (step.motor(), step.begin());
         emit.event(StreamEvent::StrokeLate { id, motor, up, late_ms, cause, counts });
         if policy == LatePolicy::Abort && !cut {
             self.cut_all(EndCause::LateStrokes);
@@ -264,7 +264,7 @@ impl Streamer {
     }
 }
 
-/// The play that a stroke with this up tick belongs to.
+/// The play that a step with this first tick belongs to.
 fn owner(plays: &mut VecDeque<Active>, up: Tick) -> Option<&mut Active> {
     plays
         .iter_mut()

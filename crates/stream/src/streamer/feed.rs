@@ -76,7 +76,7 @@ impl Streamer {
                     }
                 },
             }
-            match self.send_strokes(now, index, tick, horizon, emit) {
+            match self.send_steps(now, index, tick, horizon, emit) {
                 Fed::Exhausted => match self.plays[index].phase() {
                     Phase::Streaming => self.plays[index].all_sent(),
                     // The onset frame still waits for its verdict.
@@ -126,7 +126,7 @@ impl Streamer {
     }
 
     /// Sends strokes of one play up to the horizon, to its end, or until the session takes no more.
-    fn send_strokes(
+    fn send_steps(
         &mut self,
         now: HostInstant,
         index: usize,
@@ -152,7 +152,7 @@ impl Streamer {
                 session.mark(onset, active.send_next_item());
                 continue;
             }
-            let stroke = match active.next_stroke() {
+            let step = match active.next_step() {
                 // All motors of a live play are silent.
                 Ok(None) if active.play().live.is_some() => {
                     (self.fed_until, self.short_of_credits) = (horizon, false);
@@ -163,35 +163,35 @@ impl Streamer {
                     return Fed::Exhausted;
                 }
                 Err(_) => return Fed::Broken,
-                Ok(Some(stroke)) => stroke,
+                Ok(Some(step)) => step,
             };
-            if stroke.up >= horizon {
+            if step.begin() >= horizon {
                 self.fed_until = horizon;
                 self.short_of_credits = false;
                 return Fed::Horizon;
             }
-            let is_late = stroke.up < tick && active.phase() == Phase::Streaming;
-            if is_late && !self.live.is_undecided(stroke.motor) {
+            let is_late = step.begin() < tick && active.phase() == Phase::Streaming;
+            if is_late && !self.live.is_undecided(step.motor()) {
                 // Too late: the device would only reject it. While it may keep the motor's old strokes, it decides whether this one
                 // is missing, or an old one is played in its place.
                 let cause = unsent(self.short_of_credits);
-                active.plan(&stroke, false);
-                self.late(now, &stroke, tick, cause, emit);
+                active.plan(&step, false);
+                self.late(now, &step, tick, cause, emit);
                 if self.plays[index].is_cut() {
                     return Fed::Blocked;
                 }
                 continue;
             }
-            if !session.push(&stroke) {
-                self.short_of_credits = session.credits() == 0;
+            if !session.push(&step) {
+                self.short_of_credits = session.credits() < step.moves();
                 if self.short_of_credits {
                     session.request_status_within(CREDITS_EVERY);
                 }
-                self.fed_until = stroke.up;
+                self.fed_until = step.begin();
                 return Fed::Blocked;
             }
-            self.control.sent(&stroke, !active.play().open_loop, active.until());
-            active.plan(&stroke, true);
+            self.control.sent(&step, !active.play().open_loop, active.until());
+            active.plan(&step, true);
         }
     }
 }

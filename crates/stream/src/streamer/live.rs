@@ -215,15 +215,15 @@ impl Streamer {
         for (_, motor) in firsts {
             // A stroke that breaks a limit is found again by the feed, which ends the play.
             let Some(Ok(stroke)) = strokes.next_of(motor) else { continue };
-            if !session.push(&stroke) {
+            if !session.push(&stroke.into()) {
                 strokes.put_back(&stroke);
                 break;
             }
             let _ = pushed.push(stroke);
         }
         for stroke in pushed {
-            self.control.sent(&stroke, !active.play().open_loop, active.until());
-            active.plan(&stroke, true);
+            self.control.sent(&stroke.into(), !active.play().open_loop, active.until());
+            active.plan(&stroke.into(), true);
         }
     }
 
@@ -240,8 +240,8 @@ impl Streamer {
                 let Some(strokes) = active.live_strokes() else { return };
                 let missed = strokes.next_up(motor).filter(|&up| up < from);
                 let Some(Ok(stroke)) = missed.and_then(|_| strokes.next_of(motor)) else { break };
-                active.plan(&stroke, false);
-                self.late(now, &stroke, from, cause, emit);
+                active.plan(&stroke.into(), false);
+                self.late(now, &stroke.into(), from, cause, emit);
             }
         }
     }

@@ -2,7 +2,7 @@
 //!
 //! Invariant: what a cut flushes counts as dropped. After an e-stop each motor's height is that of the last tick that was played.
 
-use crate::array::MotorSet;
+use crate::array::{CAPACITY, MotorSet, Ring};
 use crate::controller::player::recent::{Begun, Rendered};
 use crate::controller::player::{Player, Shifting};
 use crate::controller::reporting::Reporting;
@@ -10,6 +10,32 @@ use crate::limits::Refusal;
 use crate::message::Counters;
 use crate::stroke::{Direction, Lines};
 use crate::tick::Tick;
+
+/// How many motors of each rail, or of each chip, have pulses, and how many may.
+struct Group {
+    /// For each motor the first one of its rail or chip, whose place has the count.
+    first: [u8; CAPACITY],
+    busy: [u8; CAPACITY],
+    most: u8,
+}
+
+impl Group {
+    fn new(ring: &Ring, motors: usize, most: u8) -> Self {
+        let mut first = [u8::MAX; CAPACITY];
+        for motor in 0..motors {
+            let mut other = motor;
+            while first[other] == u8::MAX {
+                first[other] = motor as u8;
+                other = ring[other].into();
+            }
+        }
+        Self { first, busy: [0; CAPACITY], most }
+    }
+
+    fn busy(&mut self, motor: u8) -> &mut u8 {
+        &mut self.busy[usize::from(self.first[usize::from(motor)])]
+    }
+}
 
 impl Player {
     /// Flushes all queues, and gives every pin the goal 0. Returns how many moves were flushed, and the sum of the heights.
@@ -127,15 +153,47 @@ impl Player {
         Ok(())
     }
 
-    /// At most how many ticks after the rendered end all pins are down, if nothing but their way down is to be played.
+    /// How many ticks after the rendered end all pins are down, if nothing but their way down is to be played: pins wait for the drivers, and
+    /// in order of motor for each other where the limits on motors at once say so.
+    #[inline(never)]
     pub(in crate::controller) fn return_ticks(&self) -> u32 {
-        let low = self.rendered.0 as u32;
-        // A burst that runs may have more pulses than the pin is high: a correction, or a surplus.
-        let longest = self.motors.iter().map(|motor| motor.left(low)).max().unwrap_or(0);
-        if longest == 0 {
-            return 0;
+        let (low, layout, limits) = (self.rendered.0 as u32, &self.layout, self.limits());
+        let (mut ends, mut running, mut waiting) = ([0; CAPACITY], MotorSet::EMPTY, MotorSet::EMPTY);
+        for (motor, of) in self.motors[..layout.motors()].iter().enumerate() {
+            // A burst may have more pulses than the pin is high: a correction, or a surplus.
+            ends[motor] = of.left(low);
+            if ends[motor] > 0 {
+                (if of.running.is_some() { &mut running } else { &mut waiting }).insert(motor as u8);
+            }
         }
-        (self.ready() - self.rendered) as u32 + u32::from(self.layout.turns(&self.limits())) * longest
+        let mut now = if waiting.is_empty() { 0 } else { (self.ready() - self.rendered) as u32 };
+        let unless = |limit: u8, size: u8| if limit < size { limit } else { u8::MAX };
+        let on_rail = unless(limits.rail_at_once, layout.motors_per_rail());
+        let on_chip = unless(limits.chip_at_once, layout.motors_per_chip());
+        let mut groups = [
+            Group::new(layout.next_on_rail(), layout.motors(), on_rail),
+            Group::new(layout.next_on_chip(), layout.motors(), on_chip),
+        ];
+        running.iter().for_each(|motor| groups.iter_mut().for_each(|group| *group.busy(motor) += 1));
+        loop {
+            for motor in running.iter().filter(|&motor| ends[usize::from(motor)] <= now) {
+                running.remove(motor);
+                groups.iter_mut().for_each(|group| *group.busy(motor) -= 1);
+            }
+            for motor in waiting.iter() {
+                if groups.iter_mut().all(|group| *group.busy(motor) < group.most) {
+                    waiting.remove(motor);
+                    running.insert(motor);
+                    ends[usize::from(motor)] += now;
+                    groups.iter_mut().for_each(|group| *group.busy(motor) += 1);
+                }
+            }
+            let next = running.iter().map(|motor| ends[usize::from(motor)]);
+            match if waiting.is_empty() { None } else { next.min() } {
+                Some(next) => now = next,
+                None => return ends.into_iter().max().unwrap_or(0),
+            }
+        }
     }
 
     /// Turns all lines off; nothing from `at` on was played. Pins stay where they are. Returns how many moves were flushed.

@@ -192,7 +192,8 @@ impl Player {
         self.rig.order(Command::Play(Box::new(play)));
         let mut compiled = strokes;
         compiled.begin(onset);
-        let compiled: Vec<Stroke> = compiled.collect::<Result<_, _>>().map_err(|error| error.to_string())?;
+        let compiled: Vec<Step> = compiled.collect::<Result<_, _>>().map_err(|error| error.to_string())?;
+        let compiled: Vec<Stroke> = compiled.iter().filter_map(Step::stroke).collect();
         for fault in &kind.case.fault {
             for (time, begins) in kind.begins(fault, ordered, &compiled).enumerate() {
                 // The grid of a board that has restarted since then is another one.

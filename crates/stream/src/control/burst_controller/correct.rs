@@ -3,7 +3,7 @@
 //! Invariant: a count stays within [`correction`] of the plan and within the room to the next burst and the play's end.
 
 use super::BurstController;
-use crate::control::estimator::{after_rest, sign};
+use crate::control::estimator::{after_rest, gain_index, sign};
 use crate::control::queued::{Correction, Queued};
 use firmware_protocol::limits::correction;
 use firmware_protocol::stroke::Direction;
@@ -39,9 +39,8 @@ const HEADROOM: f64 = 0.5;
 impl BurstController {
     /// Marks the next burst's count as final.
     pub(super) fn finalise(&mut self) {
-        let (at, half) = (self.finalised / 2, self.finalised % 2);
-        let burst = self.queue[at].burst(half);
-        let counted = if half == 1 && self.lower_stop {
+        let Queued { burst, level, .. } = self.queue[self.finalised];
+        let counted = if level == 0 && self.lower_stop {
             // The burst takes the pin down to the stop from wherever it is, and no further.
             let um_per_pulse = self.um_per_pulse();
             let pulses = self.position_um() / (um_per_pulse * self.estimator.gain(Direction::Down));
@@ -50,8 +49,8 @@ impl BurstController {
             let gain = after_rest(self.estimator.motor(), self.finalised_end(), burst.start);
             (10.0 * f64::from(burst.pulses) * gain).round() as i64
         };
-        self.queue[at].counted[half] = counted;
-        self.pending[half] += counted;
+        self.queue[self.finalised].counted = counted;
+        self.pending[gain_index(burst.direction)] += counted;
         self.finalised += 1;
     }
 
@@ -60,55 +59,59 @@ impl BurstController {
         if self.finalised == self.begun {
             return self.estimator.last_end();
         }
-        let last = self.finalised - 1;
-        Some(self.queue[last / 2].burst(last % 2).end())
+        Some(self.queue[self.finalised - 1].burst.end())
     }
 
-    /// The count that takes the next burst to its planned end point; if a limit cuts it, also the correction made, µm.
+    /// The count that takes the next burst to its level; if a limit cuts it, also the correction made, µm.
     ///
-    /// No stroke yet to be queued begins before `free`. `may_lengthen` allows more pulses than planned.
+    /// No step yet to be queued begins before `free`. `may_lengthen` allows more pulses than planned.
     fn target_pulses(&self, free: impl Fn() -> Tick, may_lengthen: bool) -> (u16, Option<f64>) {
-        let (at, half) = (self.finalised / 2, self.finalised % 2);
-        let Queued { stroke, planned, until, .. } = self.queue[at];
-        let next = self.queue.get(at + 1).map_or_else(free, |next| next.stroke.up).min(until);
-        let most = |half: usize, room: u64, limit: u16| {
-            let more = if may_lengthen { correction(planned[half]) } else { 0 };
-            let most = planned[half].saturating_add(more).min(limit);
-            most.min(u16::try_from(room).unwrap_or(u16::MAX))
-        };
+        let at = self.finalised;
         let motor = self.estimator.motor();
-        let most_down = motor.most_pulses + correction(motor.most_pulses);
-        let up_most = most(0, stroke.down - stroke.up, motor.most_pulses);
-        let down_most = most(1, next - stroke.down, most_down).max(planned[1]);
-        let burst = stroke.bursts()[half];
+        let most = |at: usize| {
+            let Queued { burst, planned, until, .. } = self.queue[at];
+            let next = self.queue.get(at + 1).map_or_else(&free, |next| next.burst.start).min(until);
+            let more = if may_lengthen { correction(planned) } else { 0 };
+            let limit = match burst.direction {
+                Direction::Up => motor.most_pulses,
+                Direction::Down => motor.most_pulses + correction(motor.most_pulses),
+            };
+            let room = u16::try_from(next - burst.start).unwrap_or(u16::MAX);
+            let most = planned.saturating_add(more).min(limit).min(room);
+            if burst.direction == Direction::Up { most } else { most.max(planned) }
+        };
+        let Queued { burst, planned, level, .. } = self.queue[at];
         let gain =
             self.estimator.gain(burst.direction) * after_rest(motor, self.finalised_end(), burst.start);
         let position = self.position_um() / motor.um_per_pulse;
-        let (way, most) = match burst.direction {
-            Direction::Up if self.lower_stop => (f64::from(planned[0]) - position, up_most),
+        let way = match burst.direction {
+            Direction::Down => position - f64::from(level),
             Direction::Up => {
-                let down = f64::from(down_most) * self.estimator.gain(Direction::Down);
-                let top = down / (1.0 + HEADROOM * self.estimator.scatter());
-                (top.min(planned[0].into()) - position, up_most)
+                let is_down = |next: &&Queued| next.burst.direction == Direction::Down && !self.lower_stop;
+                // What the next burst can undo at most.
+                let top = self.queue.get(at + 1).filter(is_down).map_or(f64::INFINITY, |next| {
+                    let down = f64::from(most(at + 1)) * self.estimator.gain(Direction::Down);
+                    f64::from(next.level) + down / (1.0 + HEADROOM * self.estimator.scatter())
+                });
+                top.min(level.into()) - position
             }
-            Direction::Down => (position, down_most),
         };
-        let least = planned[half].saturating_sub(correction(planned[half])).max(1);
+        let least = planned.saturating_sub(correction(planned)).max(1);
         let ideal = (way / gain).round().clamp(0.0, 65_535.0) as u16;
-        let count = ideal.min(most).max(least);
-        let more = f64::from(count) - f64::from(planned[half]);
+        let count = ideal.min(most(at)).max(least);
+        let more = f64::from(count) - f64::from(planned);
         (count, (count != ideal).then_some(sign(burst.direction) * more * gain * motor.um_per_pulse))
     }
 
     /// When the next burst begins whose count is not final.
     pub(crate) fn next(&self) -> Option<Tick> {
-        self.queue.get(self.finalised / 2).map(|queued| queued.burst(self.finalised % 2).start)
+        self.queue.get(self.finalised).map(|queued| queued.burst.start)
     }
 
     /// Finalises the counts of bursts that are due, and of one that begins within [`Times::finalise_early`].
     ///
-    /// Calls `amend` with each change (the stroke's up tick, direction, count); it returns whether the change was sent. No
-    /// stroke yet to be queued begins before `free`. `fresh`: telemetry is recent. `may_lengthen` allows more pulses than
+    /// Calls `amend` with each change (the tick of the burst, its count); it returns whether the change was sent. No step yet to be queued
+    /// begins before `free`. `fresh`: telemetry is recent. `may_lengthen` allows more pulses than
     /// planned.
     pub(crate) fn correct(
         &mut self,
@@ -121,9 +124,8 @@ impl BurstController {
         let Times { send_by, finalise_at, finalise_early, .. } = self.times;
         let fresh = fresh && !self.is_blind(now);
         let mut within = finalise_early;
-        while let Some(queued) = self.queue.get(self.finalised / 2).copied() {
-            let half = self.finalised % 2;
-            let burst = queued.burst(half);
+        while let Some(queued) = self.queue.get(self.finalised).copied() {
+            let Queued { burst, surplus, .. } = queued;
             if burst.start > now + within {
                 break;
             }
@@ -131,22 +133,16 @@ impl BurstController {
             let measured = fresh && self.anchored && self.monitor.allows_correction(now);
             // Calibrated gains correct without telemetry too, all but the scatter.
             let reckoned = !fresh && self.is_calibrated() && self.monitor.fault().is_none();
-            let corrects = queued.closed_loop && !(half == 1 && self.lower_stop);
+            let corrects = queued.closed_loop && !(queued.lands() && self.lower_stop);
             if (measured || reckoned) && corrects && queued.accepted && burst.start >= now + send_by {
                 let (pulses, limited_um) = self.target_pulses(&free, may_lengthen);
                 let limited_um = limited_um.map(|um| um as f32);
                 let correction = Correction { limited_um, rest_um: self.rest_um() as f32 };
-                self.queue[self.finalised / 2].corrections[half] = Some(correction);
+                self.queue[self.finalised].correction = Some(correction);
                 // The device adds the surplus itself.
-                let [up, down] = queued.planned;
-                let surplus = if half == 1 { down.saturating_sub(up) } else { 0 };
                 let sent = pulses.saturating_sub(surplus).max(1);
                 if pulses != burst.pulses && amend(burst.start, sent) {
-                    let stroke = &mut self.queue[self.finalised / 2].stroke;
-                    match burst.direction {
-                        Direction::Up => stroke.up_pulses = pulses,
-                        Direction::Down => stroke.down_pulses = pulses,
-                    }
+                    self.queue[self.finalised].burst.pulses = pulses;
                 }
             }
             self.finalise();

@@ -3,10 +3,9 @@
 //! `correct` decides the counts, `rest` says where the pin rests between plays and without telemetry.
 //!
 //! [`BurstController::correct`] finalises the count of a burst shortly before it begins. The [`Estimator`] predicts where the
-//! shaft will be then; the new count leads from there to the target: the top of the stroke after the up burst, 0 after
-//! the down burst. The control is dead-beat: it corrects the whole known error at once. Where strokes fill their
-//! periods, a down burst can be shortened but not lengthened; then the controller lowers the top so far that the down
-//! burst can still undo the expected scatter.
+//! shaft will be then; the new count leads from there to the burst's level. The control is dead-beat: it corrects the whole known error
+//! at once. Where strokes fill their periods, a down burst can be shortened but not lengthened; then the controller lowers the top so
+//! far that the down burst can still undo the expected scatter.
 //!
 //! # Stability
 //! Burst k adds the error e_k, which is known when burst k + N is finalised. The estimator knows its own corrections,
@@ -31,25 +30,31 @@ pub(crate) use correct::Times;
 
 use super::estimator::{Estimator, Gains, Travel, gain_index};
 use super::queued::{Correction, Cutting, Forgotten, Queued};
+use firmware_protocol::stroke::Direction;
 use super::telemetry_monitor::{Plausibility, TelemetryMonitor};
 use firmware_protocol::controller::POOL;
 use firmware_protocol::tick::Tick;
 use meissner_api::SensorFault;
 use meissner_array::motor::HalfTick;
 use meissner_array::spec::Array;
-use meissner_array::strokes::Stroke;
+use meissner_array::strokes::{Burst, Step};
 use std::collections::VecDeque;
 
-/// Strokes of one motor that may begin in [`Times::longest_age`], at 300 Hz.
-const PAST: usize = 400;
-/// Strokes that a motor remembers after a cut: those that began until the device said when it cut. It says so within milliseconds.
-const CUT: usize = 8;
+/// Bursts of one motor that may begin in [`Times::longest_age`]: strokes at 300 Hz, moves every 1.6 ms.
+const PAST: usize = 800;
+/// Bursts that a motor remembers after a cut: those that began until the device said when it cut. It says so within milliseconds.
+const CUT: usize = 32;
+
 /// The controller of one motor.
 #[derive(Debug)]
 pub(crate) struct BurstController {
     times: Times,
     queue: VecDeque<Queued>,
-    /// The last strokes that had begun when the queue was last cut.
+    /// The level after the last burst that has left the queue, pulses above rest.
+    level: u16,
+    /// Pulses up since the pin was last at rest, of bursts that have begun.
+    risen: u64,
+    /// The last bursts that had begun when the queue was last cut.
     cut: heapless::Deque<Queued, CUT>,
     /// How many bursts at the front of `queue` the estimator knows as begun.
     begun: usize,
@@ -71,7 +76,7 @@ pub(crate) struct BurstController {
     /// Dead reckoning since the last sample: variance by scatter, µm², and summed amplitudes, which asymmetry multiplies, µm.
     scattered: f64,
     reckoned_travel_um: f64,
-    /// Travel up and down since the last sample, of whole strokes and moves at a gain of 1, µm: new gains apply to it, too.
+    /// Travel up and down since the last sample, of bursts and shifts at a gain of 1, µm: new gains apply to it, too.
     reckoned_um: [f64; 2],
 }
 
@@ -85,6 +90,8 @@ impl BurstController {
         Self {
             times: Times::of(array),
             queue,
+            level: 0,
+            risen: 0,
             cut: heapless::Deque::new(),
             begun: 0,
             finalised: 0,
@@ -107,106 +114,162 @@ impl BurstController {
         self.lower_stop = lower_stop;
     }
 
-    /// Tracks a stroke sent; its play ends at `until`. Strokes come in order. Calls `gone` as [`Self::advance`] does.
+    /// Tracks a step sent; its play ends at `until`. Steps come in order. Calls `gone` as [`Self::advance`] does.
     pub(crate) fn sent(
         &mut self,
-        stroke: &Stroke,
+        step: &Step,
         closed_loop: bool,
         until: Tick,
-        gone: impl FnMut(&Stroke, Tick),
+        mut gone: impl FnMut(&Burst, Tick),
     ) {
-        // Without telemetry past strokes leave the queue here: it is as bounded as the device's pool.
-        if self.queue.len() == self.queue.capacity()
+        // Without telemetry past bursts leave the queue here: it is as bounded as the device's pool.
+        while self.queue.len() + 2 > self.queue.capacity()
             && let Some(first) = self.queue.front()
         {
-            self.advance(first.stroke.end() + 1, None, |_| (), gone);
+            let len = self.queue.len();
+            let end = self.queue.get(1).filter(|next| next.joined).unwrap_or(first).burst.end();
+            self.advance(end + 1, None, |_| (), &mut gone);
+            if self.queue.len() == len {
+                break;
+            }
         }
-        let planned = [stroke.up_pulses, stroke.down_pulses];
-        let (counted, accepted, corrections) = ([0; 2], false, [None; 2]);
-        let stroke = *stroke;
-        self.queue.push_back(Queued { stroke, planned, counted, accepted, closed_loop, corrections, until });
+        self.queue.extend(Queued::of(step, closed_loop, until));
     }
 
-    fn find(&self, up: Tick) -> Option<usize> {
-        self.queue.binary_search_by_key(&up, |queued| queued.stroke.up).ok()
+    /// The place of the step that begins at `begin`, and the number of its bursts.
+    fn find(&self, begin: Tick) -> Option<(usize, usize)> {
+        let at = self.queue.binary_search_by_key(&begin, |queued| queued.burst.start).ok()?;
+        Some((at, self.step_at(at)))
     }
 
-    /// The device has accepted the stroke.
-    pub(crate) fn accepted(&mut self, up: Tick) {
-        if let Some(at) = self.find(up) {
-            self.queue[at].accepted = true;
+    /// How many bursts the step has that begins at this place.
+    fn step_at(&self, at: usize) -> usize {
+        1 + usize::from(self.queue.get(at + 1).is_some_and(|next| next.joined))
+    }
+
+    /// How many moves the step has that begins at this tick, also after a cut; of an unknown one, as many as a stroke.
+    pub(crate) fn moves_at(&self, begin: Tick) -> usize {
+        let cut = || {
+            let at = self.cut.iter().position(|queued| queued.burst.start == begin)?;
+            Some(1 + usize::from(self.cut.iter().nth(at + 1).is_some_and(|next| next.joined)))
+        };
+        self.find(begin).map(|(_, bursts)| bursts).or_else(cut).unwrap_or(2)
+    }
+
+    /// The level before the burst at this place, pulses above rest.
+    fn level_before(&self, at: usize) -> u16 {
+        at.checked_sub(1).map_or(self.level, |before| self.queue[before].level)
+    }
+
+    /// The device has accepted the step that begins at this tick.
+    pub(crate) fn accepted(&mut self, begin: Tick) {
+        if let Some((at, bursts)) = self.find(begin) {
+            self.queue.range_mut(at..at + bursts).for_each(|queued| queued.accepted = true);
         }
     }
 
-    /// The device will not play the stroke.
-    pub(crate) fn withdrawn(&mut self, up: Tick) {
-        self.cut.retain(|queued| queued.stroke.up != up);
-        let Some(at) = self.find(up) else { return };
-        if self.begun > 2 * at {
+    /// The device will not play the step that begins at this tick.
+    pub(crate) fn withdrawn(&mut self, begin: Tick) {
+        let mut is_first = false;
+        self.cut.retain(|queued| {
+            let is_second = std::mem::replace(&mut is_first, queued.burst.start == begin) && queued.joined;
+            !is_first && !is_second
+        });
+        let Some((at, bursts)) = self.find(begin) else { return };
+        if self.begun > at {
             // The estimator took it as played: the position is unknown until the next sample.
-            (self.queue[at].closed_loop, self.queue[at].accepted) = (false, false);
+            for queued in self.queue.range_mut(at..at + bursts) {
+                (queued.closed_loop, queued.accepted) = (false, false);
+            }
             self.estimator.lose_position();
             return;
         }
-        self.remove(at);
+        self.remove(at, bursts);
+        self.replan(at);
     }
 
-    /// Removes a stroke that the estimator does not know yet.
-    fn remove(&mut self, at: usize) {
-        let finalised = self.finalised.saturating_sub(2 * at).min(2);
-        for half in 0..finalised {
-            self.pending[half] -= self.queue[at].counted[half];
+    /// Removes bursts that the estimator does not know yet.
+    fn remove(&mut self, at: usize, bursts: usize) {
+        self.open(at);
+        self.queue.drain(at..at + bursts);
+    }
+
+    /// The bursts from this place on are not final any more.
+    fn open(&mut self, at: usize) {
+        while self.finalised > at.max(self.begun) {
+            self.finalised -= 1;
+            let Queued { burst, counted, .. } = self.queue[self.finalised];
+            self.pending[gain_index(burst.direction)] -= counted;
         }
-        self.finalised -= finalised;
-        self.queue.remove(at);
     }
 
-    /// The device took no stroke with an up tick from `onset` on.
+    /// The burst at this place goes to its level from that of the burst now before it; none is needed if that is the same.
+    fn replan(&mut self, at: usize) {
+        let level = self.level_before(at);
+        if let Some(queued) = self.queue.get_mut(at) {
+            queued.begin_at(level);
+            if queued.planned == 0 {
+                self.queue.remove(at);
+            }
+        }
+    }
+
+    /// The device took no step that begins at `onset` or later.
     pub(crate) fn withdraw_from(&mut self, onset: Tick) {
-        while let Some(up) = self.queue.back().map(|last| last.stroke.up).filter(|&up| up >= onset) {
-            let before = self.queue.len();
-            self.withdrawn(up);
-            if self.queue.len() == before {
-                break;
-            }
+        self.take_from(onset, |_| ());
+        // The estimator took what is left as played.
+        while let Some(at) = self.last_step().filter(|&at| self.queue[at].burst.start >= onset) {
+            self.open(at);
+            self.queue.truncate(at);
+            (self.begun, self.finalised) = (self.begun.min(at), self.finalised.min(at));
+            self.estimator.lose_position();
         }
     }
 
-    /// Takes the strokes with an up tick from `from` on that the estimator does not know as begun, and passes each to `taken`, the last
-    /// first.
+    /// The place of the last step.
+    fn last_step(&self) -> Option<usize> {
+        let last = self.queue.len().checked_sub(1)?;
+        Some(if self.queue[last].joined { last.saturating_sub(1) } else { last })
+    }
+
+    /// Takes the steps that begin at `from` or later and that the estimator does not know as begun, and passes each burst to `taken`, the
+    /// last first.
     pub(in crate::control) fn take_from(&mut self, from: Tick, mut taken: impl FnMut(Queued)) {
-        while let Some(last) = self.queue.back().copied().filter(|last| last.stroke.up >= from) {
-            let at = self.queue.len() - 1;
-            if self.begun > 2 * at {
+        while let Some(at) = self.last_step().filter(|&at| self.queue[at].burst.start >= from) {
+            if self.begun > at {
                 break;
             }
-            self.remove(at);
-            taken(Queued { counted: [0; 2], corrections: [None; 2], ..last });
+            self.open(at);
+            while self.queue.len() > at
+                && let Some(last) = self.queue.pop_back()
+            {
+                taken(Queued { counted: 0, correction: None, ..last });
+            }
         }
     }
 
-    /// Queues a stroke again that [`Self::take_from`] has taken.
+    /// Queues a burst again that [`Self::take_from`] has taken.
     pub(in crate::control) fn put_back(&mut self, queued: Queued) {
         // There is room: as many were taken, and the newer ones are gone.
         self.queue.push_back(queued);
     }
 
-    /// Remembers the last strokes that have begun by `tick`, when the device has cut them or shortly after.
+    /// Remembers the last bursts that have begun by `tick`, when the device has cut them or shortly after.
     pub(crate) fn remember(&mut self, tick: Tick) {
         if self.queue.is_empty() {
             return;
         }
         self.cut.clear();
-        let begun = self.queue.iter().filter(|queued| queued.stroke.up < tick);
+        let begun = self.queue.iter().filter(|queued| queued.burst.start < tick);
         for queued in begun.rev().take(CUT) {
             // Cannot fail: there is room for as many.
             let _ = self.cut.push_front(*queued);
         }
     }
 
-    /// When the last pulse is over of the strokes that began at `from` or later and before `until`. If the device cut
-    /// them at `cut`, nothing of them comes after it but, if the pins return, their outstanding return pulses. [Strokes that have
-    /// left the queue](Self::advance) are not among them. `Err`: too many strokes began after that cut.
+    /// When the last pulse is over of the bursts that began at `from` or later and before `until`. If the device cut
+    /// them at `cut`, nothing of them comes after it but, if the pins return, their way down. [Bursts that have
+    /// left the queue](Self::advance) are not among them. `Err`: too many bursts began after that cut.
     pub(crate) fn over_at(
         &self,
         from: Tick,
@@ -214,15 +277,18 @@ impl BurstController {
         cut: Option<Cutting>,
     ) -> Result<Option<Tick>, Forgotten> {
         let at = cut.map_or(Tick(u64::MAX), |cut| cut.at);
-        if self.cut.is_full() && self.cut.front().is_some_and(|first| first.stroke.up >= at.max(from)) {
+        if self.cut.is_full() && self.cut.front().is_some_and(|first| first.burst.start >= at.max(from)) {
             return Err(Forgotten);
         }
         let queued = self.queue.iter().filter(|queued| queued.accepted || cut.is_some());
-        let played = self.cut.iter().chain(queued).filter(|queued| {
-            let up = queued.stroke.up;
-            up >= from && up < until.min(at)
+        let mut played = self.cut.iter().chain(queued).filter(|queued| {
+            let start = queued.burst.start;
+            start >= from && start < until.min(at)
         });
-        Ok(played.map(|queued| cut.map_or(queued.stroke.end(), |cut| queued.over_at(cut))).max())
+        let Some(last) = played.next_back() else { return Ok(None) };
+        let returns = !last.lands() || last.burst.end() > at;
+        let returned = cut.and_then(|cut| cut.returned).filter(|_| returns);
+        Ok(Some(returned.unwrap_or(last.burst.end().min(at))))
     }
 
     /// Clears a sensor fault, and forgets what the faulty telemetry taught.
@@ -253,79 +319,91 @@ impl BurstController {
         self.monitor.fault()
     }
 
-    /// Strokes that the device has accepted.
-    pub(crate) fn in_device(&self) -> impl Iterator<Item = Stroke> {
-        self.queue.iter().filter(|queued| queued.accepted).map(|queued| queued.stroke)
+    /// Bursts that the device has accepted, each with the level after it, pulses above rest.
+    pub(crate) fn in_device(&self) -> impl Iterator<Item = (Burst, u16)> {
+        self.queue.iter().filter(|queued| queued.accepted).map(|queued| (queued.burst, queued.level))
     }
 
-    /// Advances to `tick`: takes bursts that have begun as played, and removes strokes that are over.
+    /// Advances to `tick`: takes bursts that have begun as played, and removes those that are over.
     ///
-    /// The device has reported which strokes before `known_to` it refused. At a stroke without a verdict, or that begins
-    /// later, it stops and returns false. With `None` it waits for no report: it removes a stroke without a verdict, and
+    /// The device has reported which steps before `known_to` it refused. At a step without a verdict, or that begins
+    /// later, it stops and returns false. With `None` it waits for no report: it removes a step without a verdict, and
     /// takes the others as played. Calls `over` with each burst that has left the moving average, and `gone` with each
-    /// stroke removed as played and the end of its play.
+    /// burst removed as played and the end of its play.
     pub(crate) fn advance(
         &mut self,
         tick: Tick,
         known_to: Option<Tick>,
         mut over: impl FnMut(Travel),
-        mut gone: impl FnMut(&Stroke, Tick),
+        mut gone: impl FnMut(&Burst, Tick),
     ) -> bool {
         let mut known = true;
-        while let Some(next) = self.queue.get(self.begun / 2).copied() {
-            let half = self.begun % 2;
-            let burst = next.burst(half);
-            if burst.start >= tick {
-                break;
-            }
-            if half == 0 {
-                if known_to.is_some_and(|known_to| !next.accepted || burst.start >= known_to) {
+        while let Some(next) = self.queue.get(self.begun).copied().filter(|next| next.burst.start < tick) {
+            if !next.joined {
+                if known_to.is_some_and(|known_to| !next.accepted || next.burst.start >= known_to) {
                     known = false;
                     break;
                 }
                 if !next.accepted {
-                    self.remove(self.begun / 2);
+                    self.remove(self.begun, self.step_at(self.begun));
+                    self.replan(self.begun);
                     continue;
                 }
             }
             if self.finalised == self.begun {
                 self.finalise();
             }
-            let Queued { counted, corrections, .. } = self.queue[self.begun / 2];
-            self.pending[half] -= counted[half];
-            if let Some(Correction { limited_um, rest_um }) = corrections[half] {
-                self.monitor.corrected(limited_um.map(f64::from), rest_um.into());
-            }
-            self.estimator.forget(HalfTick::from(burst.start), &mut over);
-            let merged = if half == 1 && self.lower_stop {
-                self.landing = self.walk(&next.planned).after(self.landing);
-                self.estimator.begin_stopped(burst, self.landing)
-            } else {
-                self.estimator.begin(burst)
-            };
-            if let Some(travel) = merged {
-                over(travel);
-            }
-            self.begun += 1;
-            if half == 1 && !self.lower_stop {
-                let um_per_pulse = self.um_per_pulse();
-                let um = f64::from(next.planned[0]) * um_per_pulse;
-                self.scattered += 2.0 * (self.estimator.scatter() * um).powi(2);
-                self.reckoned_travel_um += um;
-                for (reckoned_um, counted) in self.reckoned_um.iter_mut().zip(counted) {
-                    *reckoned_um += counted as f64 / 10.0 * um_per_pulse;
-                }
-            }
+            self.begin(&mut over);
         }
-        while self.begun >= 2
-            && let Some(first) = self.queue.front().filter(|first| first.stroke.end() <= tick)
+        while let bursts = self.step_at(0)
+            && self.begun >= bursts
+            && self.queue[bursts - 1].burst.end() <= tick
         {
-            gone(&first.stroke, first.until);
-            self.queue.pop_front();
-            self.begun -= 2;
-            self.finalised -= 2;
+            for queued in self.queue.drain(..bursts) {
+                gone(&queued.burst, queued.until);
+                self.level = queued.level;
+            }
+            self.begun -= bursts;
+            self.finalised -= bursts;
         }
         known
+    }
+
+    /// The estimator gets the next burst, whose count is final.
+    fn begin(&mut self, over: &mut impl FnMut(Travel)) {
+        let next = self.queue[self.begun];
+        let Queued { burst, counted, .. } = next;
+        self.pending[gain_index(burst.direction)] -= counted;
+        if let Some(Correction { limited_um, rest_um }) = next.correction {
+            self.monitor.corrected(limited_um.map(f64::from), rest_um.into());
+        }
+        self.estimator.forget(HalfTick::from(burst.start), &mut *over);
+        let planned = next.planned - next.surplus;
+        if burst.direction == Direction::Up {
+            self.risen += u64::from(planned);
+        }
+        let merged = if next.lands() && self.lower_stop {
+            self.landing = self.walk(self.risen, next.surplus).after(self.landing);
+            self.estimator.begin_stopped(burst, self.landing)
+        } else {
+            self.estimator.begin(burst)
+        };
+        if next.lands() {
+            self.risen = 0;
+        }
+        if let Some(travel) = merged {
+            over(travel);
+        }
+        self.begun += 1;
+        if !self.lower_stop {
+            let um_per_pulse = self.um_per_pulse();
+            let um = f64::from(planned) * um_per_pulse;
+            self.scattered += (self.estimator.scatter() * um).powi(2);
+            if burst.direction == Direction::Down {
+                self.reckoned_travel_um += um;
+            }
+            self.reckoned_um[gain_index(burst.direction)] += counted as f64 / 10.0 * um_per_pulse;
+        }
     }
 
     /// Takes a sample of the displacement, µm, after [`Self::advance`] to its tick. Calls `over` with each burst measured.

@@ -12,14 +12,12 @@ impl BurstController {
     /// The device has flushed the queue and returns the pin.
     pub(crate) fn cut(&mut self) {
         let rest_um = self.rest_um();
-        // A cut stroke scatters like any other.
+        // What is cut scatters like any other excursion.
         let um_per_pulse = self.um_per_pulse();
-        let unsure = self
-            .queue
-            .front()
-            .map_or(0.0, |first| self.estimator.scatter() * f64::from(first.planned[0]) * um_per_pulse);
+        let highest = self.queue.front().map_or(self.level, |first| self.level.max(first.level));
+        let unsure = self.estimator.scatter() * f64::from(highest) * um_per_pulse;
         self.queue.clear();
-        (self.begun, self.finalised, self.pending) = (0, 0, [0; 2]);
+        (self.begun, self.finalised, self.pending, self.level, self.risen) = (0, 0, [0; 2], 0, 0);
         if self.lower_stop {
             // The return ends at the stop, too.
             let [mean, variance] = self.landing;
@@ -105,15 +103,16 @@ impl BurstController {
         self.estimator.position_um() + pending(Direction::Up) + pending(Direction::Down)
     }
 
-    /// Expected rest position, µm: leaves out an up burst whose down burst is not finalised.
+    /// Expected rest position, µm: without the height that the last finalised burst has given the pin. Of an up burst of a stroke that is
+    /// what it has moved, corrected or not, because its down burst is to undo that; of a move it is the level.
     pub(crate) fn rest_um(&self) -> f64 {
-        let half = if self.finalised % 2 == 1 {
-            let up = self.queue[self.finalised / 2].counted[0] as f64 / 10.0;
-            up * self.um_per_pulse() * self.estimator.gain(Direction::Up)
-        } else {
-            0.0
+        let last = self.finalised.checked_sub(1).map(|last| self.queue[last]);
+        let is_up = self.queue.get(self.finalised).is_some_and(|next| next.joined);
+        let height = match last {
+            Some(up) if is_up => up.counted as f64 / 10.0 * self.estimator.gain(Direction::Up),
+            last => f64::from(last.map_or(self.level, |last| last.level)),
         };
-        self.position_um() - half
+        self.position_um() - height * self.um_per_pulse()
     }
 
     /// Distance from rest to expect by dead reckoning, root mean square, µm: the expected offset and what is uncertain. 0 if
@@ -131,16 +130,17 @@ impl BurstController {
         (self.scattered + drift * drift).sqrt()
     }
 
-    /// The rest error of strokes with these planned counts, from one to the next.
-    pub(super) fn walk(&self, planned: &[u16; 2]) -> ReflectedWalk {
-        let [up, down] = planned.map(|pulses| f64::from(pulses) * self.um_per_pulse());
+    /// The rest error of excursions with so many pulses up and this surplus, from one to the next.
+    pub(super) fn walk(&self, risen: u64, surplus: u16) -> ReflectedWalk {
+        let (up, surplus) =
+            (risen as f64 * self.um_per_pulse(), f64::from(surplus) * self.um_per_pulse());
         let Gains { mean, scatter, .. } = self.gains;
         let spread = if self.is_calibrated() {
             Spread::measured(scatter, mean, [0.0; 2], 1)
         } else {
             Spread { scatter, asymmetry: ASYMMETRY }
         };
-        ReflectedWalk::new(up, down - up, spread)
+        ReflectedWalk::new(up, surplus, spread)
     }
 
     /// With a lower stop: root mean square of the rest error to expect, µm.

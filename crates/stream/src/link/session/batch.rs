@@ -1,33 +1,36 @@
-//! A frame of strokes, from its first stroke to its verdicts.
+//! A frame of moves, from its first step to its verdicts.
 //!
-//! It packs strokes, knows when it is to be sent, and reads the device's report about it. It does not know its neighbours: the
+//! It packs steps, knows when it is to be sent, and reads the device's report about it. It does not know its neighbours: the
 //! [`Outbox`](super::outbox::Outbox) says which frame is next.
 //!
-//! Invariant: a frame that was sent takes no more strokes, so what the device judges is what the host keeps.
+//! Invariant: a frame that was sent takes no more steps, so what the device judges is what the host keeps.
 
+use crate::bandwidth::FRAME_BYTES;
 use crate::link::session::event::Verdict;
 use crate::time::HostInstant;
 use firmware_protocol::array::MotorSet;
-use firmware_protocol::batch::{BATCH_BYTES, MAX_FIRST_BATCH, Packer};
+use firmware_protocol::batch::{BATCH_BYTES, MAX_BATCH, MAX_FIRST_BATCH, Packer};
 use firmware_protocol::controller::REORDER_WINDOW;
 use firmware_protocol::frame::{self, MAX_FRAME};
 use firmware_protocol::limits::Refusal;
 use firmware_protocol::message::{HostMessage, Mark, MarkKind, Report, Status, Withdraw};
 use firmware_protocol::tick::Tick;
-use meissner_array::strokes::Stroke;
+use meissner_array::strokes::Step;
 use std::time::Duration;
 
-/// Bytes of a stroke in a frame, usually; at most 21.
+/// Bytes of a step in a frame, usually; at most 21.
 const STROKE_BYTES: usize = 8;
 
-/// A frame of strokes.
+/// A frame of moves.
 #[derive(Clone, Debug)]
 pub(super) struct Batch {
     seq: u16,
     mark: Option<Mark>,
     /// The motors from which it withdraws what begins at its base or later.
     withdraws: Option<MotorSet>,
-    strokes: Packer<BATCH_BYTES>,
+    packed: Packer<BATCH_BYTES>,
+    /// What is packed, in order.
+    steps: heapless::Vec<Step, MAX_BATCH>,
     /// Its bytes on the wire, once sent.
     len: usize,
     first_sent: Option<HostInstant>,
@@ -39,7 +42,7 @@ pub(super) struct Batch {
     retransmitted: bool,
 }
 
-/// What a frame says of its session, besides its strokes.
+/// What a frame says of its session, besides its moves.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Head {
     pub(super) epoch: u16,
@@ -57,13 +60,14 @@ pub(super) struct Written {
 }
 
 impl Batch {
-    /// An empty frame; `withdraws`: it replaces queued strokes, of these motors so far.
+    /// An empty frame; `withdraws`: it replaces queued moves, of these motors so far.
     pub(super) fn new(seq: u16, base: Tick, mark: Option<Mark>, withdraws: Option<MotorSet>) -> Self {
         Self {
             seq,
             mark,
             withdraws,
-            strokes: Packer::new(base),
+            packed: Packer::new(base),
+            steps: heapless::Vec::new(),
             len: 0,
             first_sent: None,
             last_sent: HostInstant::default(),
@@ -84,7 +88,7 @@ impl Batch {
 
     /// The onset that it marks.
     pub(super) fn marks(&self) -> Option<Tick> {
-        self.mark.map(|_| self.strokes.base())
+        self.mark.map(|_| self.packed.base())
     }
 
     pub(super) const fn withdraws(&self) -> Option<MotorSet> {
@@ -93,7 +97,7 @@ impl Batch {
 
     /// Number of its moves.
     pub(super) fn moves(&self) -> usize {
-        self.strokes.count()
+        self.packed.count()
     }
 
     pub(super) const fn is_sent(&self) -> bool {
@@ -105,19 +109,20 @@ impl Batch {
         if self.kept { 0 } else { self.len }
     }
 
-    /// Adds a stroke; `false` if it does not fit a frame of at most `longest` bytes.
-    pub(super) fn push(&mut self, stroke: &Stroke, longest: usize) -> bool {
+    /// Adds a step; `false` if it does not fit a frame of at most `longest` bytes.
+    pub(super) fn push(&mut self, step: &Step, longest: usize) -> bool {
         let has_space = longest == MAX_FRAME
-            || self.strokes.count() == 0
-            || MAX_FRAME - BATCH_BYTES + self.strokes.bytes().len() + STROKE_BYTES <= longest;
+            || self.packed.count() == 0
+            || FRAME_BYTES + self.packed.bytes().len() + STROKE_BYTES <= longest;
         // The device takes the first frame of a play in one piece.
-        let is_first = self.is_onset() && self.strokes.count() + 2 > MAX_FIRST_BATCH;
-        has_space && !is_first && stroke.pack(&mut self.strokes).is_ok()
+        let is_first = self.is_onset() && self.packed.count() + step.moves() > MAX_FIRST_BATCH;
+        // There is room: a step is a move or more.
+        has_space && !is_first && step.pack(&mut self.packed).is_ok() && self.steps.push(*step).is_ok()
     }
 
-    /// The same for a frame that is sealed: while it waits it takes more strokes, unless it has a mark.
-    pub(super) fn extend(&mut self, stroke: &Stroke, longest: usize) -> bool {
-        !self.is_sent() && self.mark.is_none() && self.push(stroke, longest)
+    /// The same for a frame that is sealed: while it waits it takes more steps, unless it has a mark.
+    pub(super) fn extend(&mut self, step: &Step, longest: usize) -> bool {
+        !self.is_sent() && self.mark.is_none() && self.push(step, longest)
     }
 
     /// Withdraws what these motors have queued too; `false` if it replaces nothing.
@@ -158,9 +163,9 @@ impl Batch {
     /// Writes it into `out` and takes it for sent. The device has the amendments up to `generation` once it takes the frame.
     pub(super) fn write(&mut self, now: HostInstant, head: Head, generation: u16, out: &mut [u8]) -> Written {
         let Head { epoch, seen } = head;
-        let (seq, mark, base) = (self.seq, self.mark, self.strokes.base().wire());
+        let (seq, mark, base) = (self.seq, self.mark, self.packed.base().wire());
         let withdraw = self.withdraws.map(|motors| Withdraw { motors, generation });
-        let batch = self.strokes.bytes();
+        let batch = self.packed.bytes();
         let message = HostMessage::Moves { epoch, seq, seen, mark, withdraw, base, batch };
         self.len = encoded(&message, out);
         let marks = self.marks().filter(|_| !self.is_sent());
@@ -169,14 +174,14 @@ impl Batch {
         Written { len: self.len, retransmitted: self.retransmitted, marks }
     }
 
-    /// Its strokes with their verdicts, by the device's report if there is one. The device took no stroke of the motors `kept`.
+    /// Its steps with their verdicts, by the device's report if there is one. The device took no step of the motors `kept`.
     pub(super) fn verdicts(
         &self,
         report: Option<Report>,
         kept: MotorSet,
         tick: Tick,
         now: HostInstant,
-    ) -> impl Iterator<Item = (Stroke, Verdict)> {
+    ) -> impl Iterator<Item = (Step, Verdict)> {
         let (late, refused, why, free) = match report {
             Some(Report::Verdict { late, refused, reason, rendered, .. }) => {
                 (late, refused, reason.unwrap_or(Refusal::Malformed), rendered.near(tick))
@@ -184,9 +189,12 @@ impl Batch {
             _ => (0, 0, Refusal::Malformed, tick),
         };
         let sent = self.first_sent.unwrap_or(now);
-        let strokes = Stroke::of_batch(self.strokes.base(), self.strokes.bytes());
-        strokes.map(move |(i, stroke)| {
-            let verdict = if late >> i & 1 == 1 && kept.contains(stroke.motor) {
+        let mut place = 0;
+        self.steps.iter().map(move |step| {
+            // Both moves of a stroke have one verdict.
+            let i = place;
+            place += step.moves();
+            let verdict = if late >> i & 1 == 1 && kept.contains(step.motor()) {
                 Verdict::Superseded
             } else if late >> i & 1 == 1 {
                 Verdict::Late { rendered: free, sent, retransmitted: self.retransmitted }
@@ -195,7 +203,7 @@ impl Batch {
             } else {
                 Verdict::Accepted
             };
-            (stroke, verdict)
+            (*step, verdict)
         })
     }
 }

@@ -8,11 +8,11 @@ use firmware_protocol::limits::Refusal;
 use firmware_protocol::message::{Counters, Cut, DeviceHello, Status};
 use firmware_protocol::tick::Tick;
 use meissner_array::per_motor::PerMotor;
-use meissner_array::strokes::Stroke;
+use meissner_array::strokes::Step;
 use std::borrow::Cow;
 use std::fmt::{Display, Formatter};
 
-/// What the device decided about a stroke.
+/// What the device decided about a step.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Verdict {
     /// Queued in the device.
@@ -209,7 +209,7 @@ pub enum Event {
         tick: Tick,
     },
     /// The device decided about a stroke.
-    Stroke(Stroke, Verdict),
+    Step(Step, Verdict),
     /// The device has taken a frame that replaces strokes. Reported before the strokes of the frame.
     Replaced {
         /// The motors whose old strokes are withdrawn.

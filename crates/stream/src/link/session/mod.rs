@@ -64,7 +64,7 @@ use firmware_protocol::batch::Amendment;
 use firmware_protocol::message::{Mark, MarkKind, Op, Trigger};
 use firmware_protocol::tick::Tick;
 use meissner_array::spec::Array;
-use meissner_array::strokes::Stroke;
+use meissner_array::strokes::Step;
 use std::time::Duration;
 
 /// Interval of the hellos without an answer.
@@ -271,7 +271,7 @@ impl Session {
         self.outbox.replace(from, motors, silent);
     }
 
-    /// Strokes that the device's credits still allow.
+    /// Moves that the device's credits still allow.
     #[must_use]
     pub fn credits(&self) -> usize {
         self.outbox.credits()
@@ -283,10 +283,10 @@ impl Session {
         self.phase == Phase::Open && !self.commands.is_waiting() && self.outbox.has_room()
     }
 
-    /// Takes a stroke that does not begin before the last one; `false` if it must wait for credits, the window or an
+    /// Takes a step that does not begin before the last one; `false` if it must wait for credits, the window or an
     /// onset's verdict.
-    pub fn push(&mut self, stroke: &Stroke) -> bool {
-        self.has_room() && self.outbox.push(stroke, self.line.frame_bytes())
+    pub fn push(&mut self, step: &Step) -> bool {
+        self.has_room() && self.outbox.push(step, self.line.frame_bytes())
     }
 
     /// Ends the open frame, so that it can be sent. While it waits, it takes more strokes, unless it has a mark.

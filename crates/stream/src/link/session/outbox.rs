@@ -16,7 +16,7 @@ use firmware_protocol::controller::{REORDER_WINDOW, REPORTS};
 use firmware_protocol::frame::MAX_FRAME;
 use firmware_protocol::message::{Mark, Report, Status};
 use firmware_protocol::tick::Tick;
-use meissner_array::strokes::Stroke;
+use meissner_array::strokes::Step;
 use std::collections::VecDeque;
 use std::time::Duration;
 
@@ -96,10 +96,10 @@ impl Outbox {
         self.replacing = Some((from, motors.without(silent))).filter(|(_, motors)| !motors.is_empty());
     }
 
-    /// Strokes that the device's credits still allow: a stroke is two moves.
+    /// Moves that the device's credits still allow.
     pub(super) fn credits(&self) -> usize {
         let under_way: usize = self.window.iter().chain(&self.open).map(Batch::moves).sum();
-        self.credits.saturating_sub(under_way) / 2
+        self.credits.saturating_sub(under_way)
     }
 
     /// Whether a frame may be begun: the window has room, and no onset waits for its verdict.
@@ -107,16 +107,16 @@ impl Outbox {
         self.window.len() < WINDOW && !self.window.back().is_some_and(Batch::is_onset)
     }
 
-    /// Takes a stroke, in frames of at most `longest` bytes; `false` if it must wait for credits, the window or an onset's verdict.
-    pub(super) fn push(&mut self, stroke: &Stroke, longest: usize) -> bool {
-        if !self.has_room() || self.credits() == 0 {
+    /// Takes a step, in frames of at most `longest` bytes; `false` if it must wait for credits, the window or an onset's verdict.
+    pub(super) fn push(&mut self, step: &Step, longest: usize) -> bool {
+        if !self.has_room() || self.credits() < step.moves() {
             return false;
         }
         let mut bit = MotorSet::EMPTY;
-        bit.insert(stroke.motor);
+        bit.insert(step.motor());
         if let Some(batch) = &mut self.open {
-            if batch.push(stroke, longest) {
-                // The first stroke of a motor takes the place of its old ones.
+            if batch.push(step, longest) {
+                // The first step of a motor takes the place of its old ones.
                 if let Some((from, motors)) = self.replacing
                     && batch.withdraw(bit & motors)
                 {
@@ -126,18 +126,18 @@ impl Outbox {
                 return true;
             }
             self.seal();
-            return self.push(stroke, longest);
+            return self.push(step, longest);
         }
         if let Some((from, _)) = self.replacing {
             self.open = Some(Batch::new(self.next_seq, from, None, Some(MotorSet::EMPTY)));
-            return self.push(stroke, longest);
+            return self.push(step, longest);
         }
-        // A frame that waits takes more strokes: on a link with slow answers frames get longer, not more.
-        if self.window.back_mut().is_some_and(|last| last.extend(stroke, longest)) {
+        // A frame that waits takes more steps: on a link with slow answers frames get longer, not more.
+        if self.window.back_mut().is_some_and(|last| last.extend(step, longest)) {
             return true;
         }
-        let batch = self.open.insert(Batch::new(self.next_seq, stroke.up, None, None));
-        batch.push(stroke, longest)
+        let batch = self.open.insert(Batch::new(self.next_seq, step.begin(), None, None));
+        batch.push(step, longest)
     }
 
     /// Ends the open frame, so that it can be sent.
@@ -231,14 +231,14 @@ impl Outbox {
     pub(super) fn judge(&mut self, number: u16, report: Report, stale: bool) {
         match report {
             _ if stale => self.retired.judge(number, report),
-            // The strokes of an item's frame are judged one by one, and the streamer learns of a mark when it has passed.
+            // The steps of an item's frame are judged one by one, and the streamer learns of a mark when it has passed.
             Report::OnsetRefused { seq, .. } if self.unjudged(seq).is_some_and(|frame| !frame.is_onset()) => {
             }
             _ => self.verdicts.push_back(report),
         }
     }
 
-    /// Emits the verdicts of the frames before `next_seq`. All their reports are read: the device accepted every stroke that no
+    /// Emits the verdicts of the frames before `next_seq`. All their reports are read: the device accepted every step that no
     /// report names. `tick` is the device's clock.
     pub(super) fn conclude(
         &mut self,
@@ -266,7 +266,7 @@ impl Outbox {
             }
             batch
                 .verdicts(report, self.kept, tick, now)
-                .for_each(|(stroke, verdict)| emit(Event::Stroke(stroke, verdict)));
+                .for_each(|(step, verdict)| emit(Event::Step(step, verdict)));
         }
     }
 }
@@ -276,6 +276,7 @@ mod tests {
     use super::*;
     use crate::link::session::event::Verdict;
     use firmware_protocol::limits::Refusal;
+    use meissner_array::strokes::Stroke;
 
     const HEAD: Head = Head { epoch: 1, seen: 0 };
     const RETRY: Duration = Duration::from_millis(3);
@@ -312,7 +313,7 @@ mod tests {
 
     fn push(outbox: &mut Outbox, motor: u8, up: u64) {
         let stroke = Stroke { motor, up: Tick(up), up_pulses: 10, down: Tick(up + 50), down_pulses: 10 };
-        assert!(outbox.push(&stroke, MAX_FRAME));
+        assert!(outbox.push(&stroke.into(), MAX_FRAME));
     }
 
     /// A frame of one stroke.
@@ -340,7 +341,7 @@ mod tests {
     #[test]
     fn a_lost_frame_is_sent_again_and_does_not_wait_for_the_window() {
         let mut outbox = open();
-        assert_eq!(outbox.credits(), 50);
+        assert_eq!(outbox.credits(), 100);
         outbox.begin(Tick(5), Mark { kind: firmware_protocol::message::MarkKind::Item, trigger: None, hold: 0 });
         frame(&mut outbox, 0, 5);
         outbox.begin(Tick(9), Mark { kind: firmware_protocol::message::MarkKind::Item, trigger: None, hold: 0 });
@@ -348,7 +349,7 @@ mod tests {
         assert_eq!(write(&mut outbox, 1, MAX_FRAME).and_then(|written| written.marks), Some(Tick(5)));
         assert!(write(&mut outbox, 1, MAX_FRAME).is_none(), "the window is full");
         assert!(write(&mut outbox, 1, 2 * MAX_FRAME).is_some_and(|written| !written.retransmitted));
-        assert_eq!((outbox.unacknowledged(), outbox.credits()), (2, 48));
+        assert_eq!((outbox.unacknowledged(), outbox.credits()), (2, 96));
         // The device keeps the second: only the first is missing.
         outbox.acknowledge(&status(0, 1));
         assert!(write(&mut outbox, 3, MAX_FRAME).is_none() && outbox.due(at(3), RETRY) == Some(at(4)));
@@ -378,10 +379,10 @@ mod tests {
             events[0],
             Event::Replaced { motors: MotorSet::from_bits(0b10), kept: MotorSet::from_bits(0b01) }
         );
-        assert!(matches!(events[1], Event::Stroke(Stroke { motor: 0, .. }, Verdict::Superseded)));
+        assert!(matches!(events[1], Event::Step(Step::Stroke(Stroke { motor: 0, .. }), Verdict::Superseded)));
         assert!(matches!(
             events[2],
-            Event::Stroke(Stroke { motor: 2, .. }, Verdict::Refused(Refusal::PoolFull))
+            Event::Step(Step::Stroke(Stroke { motor: 2, .. }), Verdict::Refused(Refusal::PoolFull))
         ));
         assert!(events.len() == 3 && outbox.is_empty());
     }
@@ -400,7 +401,7 @@ mod tests {
         outbox.judge(8, verdict(1, 1, 0, 0), true);
         let events = conclude(&mut outbox, 0);
         assert!(
-            matches!(events[..], [Event::Stroke(Stroke { up: Tick(900), .. }, Verdict::Late { .. })]),
+            matches!(events[..], [Event::Step(Step::Stroke(Stroke { up: Tick(900), .. }), Verdict::Late { .. })]),
             "{events:?}"
         );
     }

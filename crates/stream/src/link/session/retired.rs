@@ -73,7 +73,7 @@ impl Retired {
             batch
                 .verdicts(Some(report), self.kept, tick, now)
                 .filter(|(_, verdict)| *verdict != Verdict::Accepted)
-                .for_each(|(stroke, verdict)| emit(Event::Stroke(stroke, verdict)));
+                .for_each(|(step, verdict)| emit(Event::Step(step, verdict)));
         }
     }
 }

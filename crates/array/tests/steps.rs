@@ -1,0 +1,147 @@
+//! Motions as steps of a play: repeats, cuts, sequences, scale, and what drives and motions of one motor do together.
+
+use firmware_protocol::moves::Move;
+use meissner_array::motion::{Moves, choose};
+use meissner_array::pattern::Pattern;
+use meissner_array::spec::Array;
+use meissner_array::strokes::{Fit, Sequence, Start, Step, StrokeOptions, Strokes, Surplus};
+use proptest::prelude::*;
+
+fn pattern(rest: &str) -> Pattern {
+    Pattern::parse(&format!("format = 2\nname = \"test\"\n{rest}"), "test.toml").unwrap()
+}
+
+fn steps(pattern: &Pattern, options: &StrokeOptions) -> Vec<Step> {
+    Strokes::new(pattern, options).unwrap().map(Result::unwrap).collect()
+}
+
+fn moves(steps: &[Step], motor: u8) -> Vec<(u64, u16)> {
+    let own = steps.iter().filter(|step| step.motor() == motor);
+    own.map(|step| match step {
+        Step::Move { of: Move { tick, level, .. }, .. } => (tick.0, *level),
+        Step::Stroke(stroke) => panic!("{stroke:?}"),
+    })
+    .collect()
+}
+
+const RAMP: &str = "[[ramp]]\nmotor = 9\nto_um = 100.0\nrise_s = 0.1\nhold_s = 0.2\nfall_s = 0.1\n";
+
+#[test]
+fn a_pattern_without_repeats_has_the_moves_of_its_waveforms() {
+    let text = format!("{RAMP}[[noise]]\nmotor = 3\nlow_hz = 5.0\nhigh_hz = 50.0\nrms_um = 10.0\nduration_s = 1.0\nseed = 4\n");
+    let pattern = pattern(&text);
+    let waveforms = pattern.waveforms().iter().map(|(motor, waveform)| (*motor, waveform));
+    let grid = choose(pattern.array(), waveforms, None).unwrap();
+    let found = steps(&pattern, &StrokeOptions::default());
+    for (motor, waveform) in pattern.waveforms() {
+        let wanted: Vec<_> = Moves::new(pattern.array(), *motor, waveform, grid)
+            .map(|of| (of.tick.0, of.level))
+            .collect();
+        let found = moves(&found, *motor);
+        // At the end of the play the pin is down: the last steps may be lower.
+        let same = found.iter().zip(&wanted).take_while(|(a, b)| a == b).count();
+        assert!(same + 3 >= wanted.len() && wanted.len() > 20, "motor {motor}: {same} of {}", wanted.len());
+        assert_eq!(found.last().unwrap().1, 0);
+    }
+}
+
+#[test]
+fn a_waveform_whose_ends_meet_is_repeated_without_a_seam() {
+    // A whole number of periods about 60 um: the pin does not come down between the repeats.
+    let text = "duration_s = 0.5\n[[tone]]\nmotor = 2\nfrequency_hz = 10.0\namplitude_um = 40.0\nabout_um = 60.0\nduration_s = 0.5\n";
+    let found = moves(&steps(&pattern(text), &StrokeOptions::lasting(5.0)), 2);
+    let within = found.iter().filter(|(tick, _)| (8_500..410_000).contains(tick));
+    let (low, high) = within.fold((u16::MAX, 0), |(low, high), (_, level)| (low.min(*level), high.max(*level)));
+    assert!((290..310).contains(&low) && (575..600).contains(&high), "{low} to {high}");
+    assert_eq!(found.last().unwrap().1, 0);
+}
+
+#[test]
+fn a_long_hold_and_a_long_rest_have_few_moves() {
+    let text = "[[ramp]]\nmotor = 9\nto_um = 100.0\nrise_s = 0.05\nhold_s = 50.0\nfall_s = 0.05\n\
+                [[ramp]]\nmotor = 9\nstart_s = 4000.0\nto_um = 100.0\nrise_s = 0.05\nhold_s = 0.0\nfall_s = 0.05\n";
+    let found = moves(&steps(&pattern(text), &StrokeOptions::default()), 9);
+    assert!(found.len() < 250, "{}", found.len());
+    assert!(found.iter().any(|(tick, level)| *tick >= 4000 * 85_000 && *level > 600));
+}
+
+#[test]
+fn a_sequence_places_motions_and_scales_them() {
+    let pattern = pattern(RAMP);
+    let mut sequence = Sequence::new(Array::paper());
+    let whole = sequence.compile(&pattern, &StrokeOptions::default()).unwrap();
+    let half = sequence.compile(&pattern, &StrokeOptions { scale: 0.5, ..StrokeOptions::default() }).unwrap();
+    sequence.add(whole, None, Start::Gap(0.0)).unwrap();
+    sequence.add(half, None, Start::Gap(0.1)).unwrap();
+    let found: Vec<Step> = sequence.strokes().unwrap().map(Result::unwrap).collect();
+    let found = moves(&found, 9);
+    let highest = |from: u64, to: u64| {
+        found.iter().filter(|(tick, _)| (from..to).contains(tick)).map(|(_, level)| *level).max().unwrap()
+    };
+    assert_eq!((highest(0, 34_000), highest(42_500, 76_500)), (737, 368));
+}
+
+#[test]
+fn with_a_lower_stop_moves_to_rest_push_by_their_surplus() {
+    let options = StrokeOptions { surplus: Surplus::Fixed(5.0), ..StrokeOptions::default() };
+    let found = steps(&pattern(RAMP), &options);
+    let surplus: Vec<u16> = found.iter().map(Step::surplus).collect();
+    let (last, before) = surplus.split_last().unwrap();
+    assert!(*last == 37 && before.iter().all(|surplus| *surplus == 0), "{surplus:?}");
+}
+
+fn table() -> impl Strategy<Value = (u8, String)> {
+    let ramp = (0.0..0.3f64, 1.0..300.0f64, 0.0..0.1f64, 0.0..0.3f64).prop_map(|(start, um, rise, hold)| {
+        format!("[[ramp]]\nto_um = {um:?}\nstart_s = {start:?}\nrise_s = {rise:?}\nhold_s = {hold:?}\nfall_s = {rise:?}\n")
+    });
+    let tone = (0.0..0.3f64, 1.0..100.0f64, 1.0..200.0f64, 0.05..0.6f64).prop_map(|(start, um, hz, lasts)| {
+        format!("[[tone]]\namplitude_um = {um:?}\nabout_um = {um:?}\nstart_s = {start:?}\nfrequency_hz = {hz:?}\nduration_s = {lasts:?}\n")
+    });
+    let drive = (0.0..0.3f64, 1.0..100.0f64, 10.0..200.0f64, 0.05..0.6f64).prop_map(|(start, um, hz, lasts)| {
+        format!("[[drive]]\namplitude_um = {um:?}\nstart_s = {start:?}\nfrequency_hz = {hz:?}\nphase = 0.0\nstop_s = {:?}\n", start + lasts)
+    });
+    (0u8..4, prop_oneof![ramp, tone, drive])
+}
+
+proptest! {
+    /// Whatever a pattern has, is cut to and repeated: levels are in range, steps in order and not too fast, and the pins end at rest in time.
+    #[test]
+    fn steps_are_in_order_in_range_and_end_at_rest(
+        tables in prop::collection::vec(table(), 1..5),
+        duration_s in prop::option::of(1.0..1.5f64),
+        seconds in prop::option::of(0.0..4.0f64),
+        scale in 0.0..1.0f64,
+        fit in prop_oneof![Just(Fit::Whole), Just(Fit::Cover)],
+        surplus in prop_oneof![Just(Surplus::None), (0.0..20.0f64).prop_map(Surplus::Fixed)],
+    ) {
+        let mut text = duration_s.map_or(String::new(), |seconds| format!("duration_s = {seconds:?}\n"));
+        for (motor, table) in tables {
+            let (head, rest) = table.split_once('\n').unwrap();
+            text += &format!("{head}\nmotor = {motor}\n{rest}");
+        }
+        let text = format!("format = 2\nname = \"test\"\n{text}");
+        // Drives and motions of one motor may overlap.
+        let Ok(pattern) = Pattern::parse(&text, "test.toml") else { return Ok(()) };
+        let options = StrokeOptions { seconds, scale, fit, surplus, ..StrokeOptions::default() };
+        let mut strokes = Strokes::new(&pattern, &options).unwrap();
+        let (mut levels, mut busy, mut last) = ([0u16; 24], [0u64; 24], 0);
+        let mut steps = strokes.by_ref();
+        for step in steps.by_ref() {
+            let step = step.unwrap();
+            let motor = usize::from(step.motor());
+            prop_assert!(step.begin().0 >= busy[motor] && step.begin().0 >= last);
+            if let Step::Move { of, from } = step {
+                prop_assert_eq!(from, levels[motor]);
+                prop_assert!(of.level <= 3_000);
+            } else {
+                prop_assert_eq!(levels[motor], 0);
+            }
+            (levels[motor], last) = (step.level(), step.begin().0);
+            busy[motor] = step.end().0 - u64::from(step.surplus());
+        }
+        prop_assert_eq!(levels, [0; 24]);
+        if let Some(end) = strokes.end() {
+            prop_assert!(busy.iter().all(|busy| *busy <= end), "{:?} after {}", busy, end);
+        }
+    }
+}

@@ -1,0 +1,51 @@
+//! Why a file's samples cannot be used.
+
+use crate::{MAX_FILE_BYTES, MAX_SAMPLES, MOST_FILE_HZ, MOST_HZ};
+
+/// What is wrong with a file, or with the choice of what to take from it. The message is one line.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[expect(missing_docs, reason = "the messages say it")]
+pub enum SamplesError {
+    #[error("{bytes} bytes are too many: a sample file has at most {MAX_FILE_BYTES}")]
+    TooLarge { bytes: usize },
+    #[error("the name must end in .npy, .csv or .wav")]
+    Kind,
+    #[error("`{key}` is for other files: use `{other}`")]
+    OtherKey { key: &'static str, other: &'static str },
+    #[error("{count} {what}s: add {what} = 0 to {}", count - 1)]
+    Several { what: &'static str, count: usize },
+    #[error("no {what} {asked}: {count} {what}(s), counted from 0")]
+    NoSuch { what: &'static str, asked: String, count: usize },
+    #[error("no column named {name}: the first row has {names}")]
+    NoName { name: String, names: String },
+    #[error("columns of an NPY file have no names: give the number, from 0")]
+    Unnamed,
+    #[error("add rate_hz: the file does not say the rate of its samples")]
+    NoRate,
+    #[error("rate_hz is {given}, but the file says {own} Hz: leave rate_hz out")]
+    OtherRate { own: u32, given: f64 },
+    #[error(
+        "rate_hz is {rate_hz}: must be 1 to {MOST_FILE_HZ} Hz, and a whole number above {MOST_HZ} (it is resampled to {MOST_HZ} Hz)"
+    )]
+    Rate { rate_hz: f64 },
+    #[error("add scale_um: the displacement of full scale, um")]
+    NoScale,
+    #[error("scale_um is {scale_um}: must be a number")]
+    Scale { scale_um: f64 },
+    #[error("sample {number} at {at_s} s is {value}: must be a number")]
+    Sample { number: usize, at_s: f64, value: f64 },
+    #[error("line {line}: {found} is not a number")]
+    NotANumber { line: u64, found: String },
+    #[error("line {line} has no column {column}")]
+    Short { line: u64, column: usize },
+    #[error("{samples} samples: must be 2 to {MAX_SAMPLES}")]
+    Count { samples: usize },
+    #[error("not {kind} file: {message}")]
+    Format { kind: &'static str, message: String },
+    #[error("truncated: it ends after {found} of {wanted} {what}")]
+    Truncated { found: usize, wanted: usize, what: &'static str },
+    #[error("the array holds {found}: save it as float32, float64, int16 or int32 with numpy.save")]
+    Type { found: String },
+    #[error("the array has the shape {shape}: must be (samples,) or (samples, columns)")]
+    Shape { shape: String },
+}

@@ -1,0 +1,290 @@
+//! The readers: what NumPy, a spreadsheet and a recorder write, every mistake in one line, and any bytes without a panic.
+#![expect(clippy::unwrap_used, reason = "a test that panics has failed")]
+
+use hound::{SampleFormat, WavSpec, WavWriter};
+use meissner_samples::{Choice, Column, MAX_FILE_BYTES, MAX_SAMPLES, Samples, read};
+use proptest::prelude::*;
+use std::io::Cursor;
+
+fn npy(descr: &str, fortran: &str, shape: &str, data: &[u8]) -> Vec<u8> {
+    let mut header = format!("{{'descr': {descr}, 'fortran_order': {fortran}, 'shape': {shape}, }}");
+    while !(10 + header.len() + 1).is_multiple_of(64) {
+        header.push(' ');
+    }
+    header.push('\n');
+    let length = u16::try_from(header.len()).unwrap().to_le_bytes();
+    [b"\x93NUMPY\x01\x00", &length[..], header.as_bytes(), data].concat()
+}
+
+fn f4(values: &[f32]) -> Vec<u8> {
+    values.iter().flat_map(|value| value.to_le_bytes()).collect()
+}
+
+fn wav(spec: WavSpec, samples: &[i32]) -> Vec<u8> {
+    let mut file = Cursor::new(Vec::new());
+    let mut writer = WavWriter::new(&mut file, spec).unwrap();
+    for sample in samples {
+        match spec.sample_format {
+            SampleFormat::Int => writer.write_sample(*sample).unwrap(),
+            SampleFormat::Float => writer.write_sample(*sample as f32 / 100.0).unwrap(),
+        }
+    }
+    writer.finalize().unwrap();
+    file.into_inner()
+}
+
+const STEREO: WavSpec =
+    WavSpec { channels: 2, sample_rate: 4000, bits_per_sample: 16, sample_format: SampleFormat::Int };
+
+fn at(rate_hz: f64) -> Choice {
+    Choice { rate_hz: Some(rate_hz), ..Choice::default() }
+}
+
+fn column(number: usize) -> Choice {
+    Choice { column: Some(Column::Number(number)), ..at(1000.0) }
+}
+
+fn named(name: &str) -> Choice {
+    Choice { column: Some(Column::Name(name.to_owned())), ..at(1000.0) }
+}
+
+fn channel(channel: usize) -> Choice {
+    Choice { channel: Some(channel), scale_um: Some(100.0), ..Choice::default() }
+}
+
+fn good(name: &str, bytes: &[u8], choice: &Choice) -> Samples {
+    read(name, bytes, choice).unwrap()
+}
+
+fn refused(name: &str, bytes: &[u8], choice: &Choice) -> String {
+    let line = read(name, bytes, choice).unwrap_err().to_string();
+    assert!(!line.contains('\n'), "{line}");
+    line
+}
+
+#[test]
+fn npy_of_each_type_and_order_is_read() {
+    let wanted = [1.0, -2.0, 3.0];
+    let bytes = |each: &dyn Fn(f64) -> Vec<u8>| wanted.iter().flat_map(|um| each(*um)).collect::<Vec<u8>>();
+    for (descr, data) in [
+        ("'<f4'", bytes(&|um| (um as f32).to_le_bytes().into())),
+        ("'>f4'", bytes(&|um| (um as f32).to_be_bytes().into())),
+        ("'<f8'", bytes(&|um| um.to_le_bytes().into())),
+        ("'>f8'", bytes(&|um| um.to_be_bytes().into())),
+        ("'<i2'", bytes(&|um| (um as i16).to_le_bytes().into())),
+        ("'>i4'", bytes(&|um| (um as i32).to_be_bytes().into())),
+    ] {
+        let found = good("a.NPY", &npy(descr, "False", "(3,)", &data), &at(500.0));
+        assert_eq!((found.rate_hz, found.um), (500.0, wanted.map(|um| um as f32).to_vec()), "{descr}");
+    }
+    let data = f4(&[0.0, 10.0, 1.0, 11.0, 2.0, 12.0]);
+    let c_order = good("a.npy", &npy("'<f4'", "False", "(3, 2)", &data), &column(1));
+    assert_eq!((c_order.um, &*c_order.note), (vec![10.0, 11.0, 12.0], "NPY <f4, column 1 of 2, 1000 Hz"));
+    let fortran = good("a.npy", &npy("'<f4'", "True", "(3, 2)", &data), &column(1));
+    assert_eq!(fortran.um, [11.0, 2.0, 12.0]);
+    let single = npy("'<f4'", "False", "(6, 1)", &data);
+    let scaled = Choice { scale_um: Some(2.0), offset_um: -1.0, ..at(1000.0) };
+    let scaled = good("a.npy", &single, &scaled);
+    assert_eq!((scaled.um[1], &*scaled.note), (19.0, "NPY <f4, 1000 Hz, times 2 um, plus -1 um"));
+    // As NumPy 2.1 wrote it: numpy.save(f, numpy.arange(4, dtype="<i2").reshape(2, 2, order="F")).
+    let mut real =
+        b"\x93NUMPY\x01\x00v\x00{'descr': '<i2', 'fortran_order': True, 'shape': (2, 2), }".to_vec();
+    real.resize(127, b' ');
+    real.extend(b"\n\x00\x00\x01\x00\x02\x00\x03\x00");
+    assert_eq!(good("real.npy", &real, &column(1)).um, [2.0, 3.0]);
+}
+
+#[test]
+fn csv_is_read_with_and_without_names() {
+    let commas = b"\xef\xbb\xbftime_s,pin 9\n0.0, 1.5\n0.001 ,2e0\n\n0.002,-3\n";
+    let found = good("a.csv", commas, &named("pin 9"));
+    assert_eq!((found.um, &*found.note), (vec![1.5, 2.0, -3.0], "CSV column 1 (pin 9) of 2, 1000 Hz"));
+    assert_eq!(good("a.csv", commas, &column(1)).um.len(), 3);
+    for text in ["1\n2\n3", "# a line of NumPy\r\n1\r\n2\r\n3\r\n", "\"height\"\n1\n2\n3\n"] {
+        assert_eq!(good("a.csv", text.as_bytes(), &at(1.0)).um, [1.0, 2.0, 3.0], "{text}");
+    }
+    for text in ["1;2\n3;4\n", "1\t2\n3\t4\n"] {
+        assert_eq!(good("a.csv", text.as_bytes(), &column(1)).um, [2.0, 4.0], "{text}");
+    }
+}
+
+#[test]
+fn wav_of_integers_has_full_scale_and_its_own_rate() {
+    let found = good("a.wav", &wav(STEREO, &[0, 16384, 0, -32768, 1, 0]), &channel(1));
+    assert_eq!((found.rate_hz, found.um), (4000.0, vec![50.0, -100.0, 0.0]));
+    assert_eq!(found.note, "WAV 16 bit, channel 1 of 2, 4000 Hz, full scale 100 um");
+    for bits_per_sample in [8, 16, 24, 32] {
+        let one = WavSpec { channels: 1, bits_per_sample, ..STEREO };
+        let least = i32::MIN >> (32 - bits_per_sample);
+        let found = good("a.wav", &wav(one, &[least, least / 2]), &Choice { offset_um: 100.0, ..channel(0) });
+        assert_eq!(found.um, [0.0, 50.0], "{bits_per_sample} bits");
+    }
+    let float = WavSpec { bits_per_sample: 32, sample_format: SampleFormat::Float, channels: 1, ..STEREO };
+    assert_eq!(good("a.wav", &wav(float, &[50, 25]), &channel(0)).um, [50.0, 25.0]);
+}
+
+#[test]
+fn a_recording_is_resampled_and_says_so() {
+    let spec = WavSpec { channels: 1, sample_rate: 44_100, ..STEREO };
+    let sine: Vec<i32> = (0..44_100)
+        .map(|k| (16_384.0 * (f64::from(k) * 60.0 / 44_100.0 * std::f64::consts::TAU).sin()) as i32)
+        .collect();
+    let choice = Choice { offset_um: 60.0, ..channel(0) };
+    let found = good("a.wav", &wav(spec, &sine), &choice);
+    assert_eq!((found.rate_hz, found.um.len()), (8000.0, 8000));
+    assert_eq!(found.note, "WAV 16 bit, 44100 Hz, full scale 100 um, plus 60 um, resampled to 8000 Hz");
+    for (k, um) in found.um.iter().enumerate().take(7900).skip(100) {
+        let wanted = 60.0 + 50.0 * (k as f64 * 60.0 / 8000.0 * std::f64::consts::TAU).sin();
+        assert!((f64::from(*um) - wanted).abs() < 0.02, "sample {k}: {um} instead of {wanted}");
+    }
+    let array = npy("'<f4'", "False", "(9,)", &f4(&[3.0; 9]));
+    assert_eq!(good("a.npy", &array, &at(20_000.0)).um.len(), 4);
+}
+
+#[test]
+fn every_mistake_is_one_line() {
+    let array = |descr: &str, shape: &str, values: usize| npy(descr, "False", shape, &f4(&vec![1.0; values]));
+    let two = array("'<f4'", "(2, 2)", 4);
+    let text = |text: &str, choice: &Choice| refused("a.csv", text.as_bytes(), choice);
+    let stereo = wav(STEREO, &[1; 20]);
+    for (line, says) in [
+        (refused("a.npy", &two, &at(1.0)), "2 columns: add column = 0 to 1"),
+        (refused("a.npy", &two, &column(2)), "no column 2: 2 column(s), counted from 0"),
+        (refused("a.npy", &two, &named("x")), "columns of an NPY file have no names"),
+        (refused("a.npy", &two, &Choice::default()), "2 columns"),
+        (refused("a.npy", &two, &channel(0)), "`channel` is for other files: use `column`"),
+        (
+            refused("a.npy", &two[..two.len() - 1], &column(0)),
+            "truncated: it ends after 15 of 16 bytes of data",
+        ),
+        (refused("a.npy", &two[..40], &column(0)), "not an NPY file: it ends within its header"),
+        (refused("a.npy", b"", &column(0)), "not an NPY file: it does not begin as one"),
+        (refused("a.npy", b"\x93NUMPY\x07\x00\x00\x00", &column(0)), "its version 7 is unknown"),
+        (refused("a.npy", b"\x93NUMPY\x02\x00\xff\xff\xff\xff{", &column(0)), "a header of 4294967295 bytes"),
+        (
+            refused("a.npy", &array("'|O'", "(3,)", 3), &at(1.0)),
+            "the array holds Python objects: save it as float32",
+        ),
+        (refused("a.npy", &array("'<c8'", "(1,)", 3), &at(1.0)), "the array holds `<c8`: save it"),
+        (
+            refused("a.npy", &array("[('a', '<f4')]", "(3,)", 3), &at(1.0)),
+            "the array holds `a structured type`",
+        ),
+        (
+            refused("a.npy", &array("'<f4'", "(1, 1, 3)", 3), &at(1.0)),
+            "the shape (1, 1, 3): must be (samples,) or",
+        ),
+        (refused("a.npy", &array("'<f4'", "()", 1), &at(1.0)), "the shape (): must"),
+        (refused("a.npy", &array("'<f4'", "(-3,)", 3), &at(1.0)), "the shape `-3,`"),
+        (
+            refused("a.npy", &array("'<f4'", "(4294967296, 4294967296)", 3), &column(0)),
+            "the shape (4294967296, 4294967296)",
+        ),
+        (refused("a.npy", &array("'<f4'", "(99999999, 9)", 3), &column(0)), "truncated"),
+        (refused("a.npy", &array("'<f4'", "(1,)", 1), &at(1.0)), "1 samples: must be 2 to 4194302"),
+        (refused("a.npy", &array("'<f4'", "(2,)", 2), &Choice::default()), "add rate_hz"),
+        (refused("a.npy", &array("'<f4'", "(2,)", 2), &at(0.5)), "rate_hz is 0.5: must be 1 to 192000 Hz"),
+        (refused("a.npy", &array("'<f4'", "(2,)", 2), &at(f64::NAN)), "rate_hz is NaN"),
+        (refused("a.npy", &array("'<f4'", "(2,)", 2), &at(8000.5)), "rate_hz is 8000.5"),
+        (
+            refused("a.npy", &npy("'<f4'", "False", "(3,)", &f4(&[0.0, 1.0, f32::NAN])), &at(500.0)),
+            "sample 2 at 0.004 s is NaN: must be a number",
+        ),
+        (
+            refused(
+                "a.npy",
+                &npy("'<f8'", "False", "(2,)", &[1.0, 1e300].map(f64::to_le_bytes).concat()),
+                &at(500.0),
+            ),
+            "sample 1 at 0.002 s is 1000",
+        ),
+        (
+            refused(
+                "a.npy",
+                &array("'<f4'", "(2,)", 2),
+                &Choice { scale_um: Some(f64::INFINITY), ..at(1.0) },
+            ),
+            "scale_um is inf: must be a number",
+        ),
+        (text("", &at(1.0)), "0 samples: must be 2"),
+        (text("time\n", &at(1.0)), "0 samples"),
+        (text("a,b\n1,2\n", &at(1.0)), "2 columns: add column"),
+        (text("a,b\n1,2\n", &named("c")), "no column named `c`: the first row has `a`, `b`"),
+        (text("1\n2\nthree\n", &at(1.0)), "line 3: `three` is not a number"),
+        (text("1,2\n3\n", &column(1)), "line 2 has no column 1"),
+        (text("0,5;1\n0,5;2\n", &column(0)), "line 2: `0,5` is not a number"),
+        (text("1\ninf\n", &at(1.0)), "sample 1 at 1 s is inf"),
+        (refused("a.csv", b"1\n\xff\n", &at(1.0)), "line 2: `\u{fffd}` is not a number"),
+        (
+            refused("a.wav", &stereo, &Choice { channel: None, ..channel(0) }),
+            "2 channels: add channel = 0 to 1",
+        ),
+        (refused("a.wav", &stereo, &channel(2)), "no channel 2: 2 channel(s), counted from 0"),
+        (
+            refused("a.wav", &stereo, &Choice { scale_um: None, ..channel(0) }),
+            "add scale_um: the displacement of full",
+        ),
+        (refused("a.wav", &stereo, &column(0)), "`column` is for other files: use `channel`"),
+        (refused("a.wav", &stereo, &Choice { rate_hz: Some(1000.0), ..channel(0) }), "the file says 4000 Hz"),
+        (
+            refused("a.wav", &stereo[..stereo.len() - 5], &channel(1)),
+            "truncated: it ends after 8 of 10 samples",
+        ),
+        (refused("a.wav", &stereo[..30], &channel(1)), "not a WAV file"),
+        (refused("a.wav", b"RIFFxxxxWAVE", &channel(1)), "not a WAV file"),
+        (refused("a.mat", &stereo, &at(1.0)), "must end in .npy, .csv or .wav"),
+        (refused("npy", &stereo, &at(1.0)), "must end in .npy, .csv or .wav"),
+    ] {
+        assert!(line.contains(says), "{line}\n  does not say {says}");
+    }
+}
+
+#[test]
+fn sizes_are_bounded() {
+    assert!(
+        refused("a.npy", &vec![0; MAX_FILE_BYTES + 1], &at(1.0)).starts_with("67108865 bytes are too many")
+    );
+    let many = MAX_SAMPLES + 1;
+    let large = npy("'<i2'", "False", &format!("({many},)"), &vec![0; 2 * many]);
+    assert_eq!(refused("a.npy", &large, &at(8000.0)), format!("{many} samples: must be 2 to {MAX_SAMPLES}"));
+}
+
+proptest! {
+    /// Also bytes that begin as a file does, and files with some bytes changed.
+    #[test]
+    fn no_bytes_make_a_reader_panic(
+        kind in 0..3_usize,
+        whole in any::<bool>(),
+        bytes in prop::collection::vec(any::<u8>(), 0..300),
+        changes in prop::collection::vec((0..200_usize, any::<u8>()), 0..6),
+        cut in 0..400_usize,
+        number in 0..3_usize,
+    ) {
+        let names = ["a.npy", "a.csv", "a.wav"];
+        let mut file = match kind {
+            _ if !whole => bytes,
+            0 => npy("'<f4'", "False", "(6, 2)", &f4(&[1.0; 12])),
+            1 => b"x,y\n1,2\n3,4\n5,6\n".to_vec(),
+            _ => wav(STEREO, &[7; 40]),
+        };
+        for (place, byte) in changes {
+            if let Some(old) = file.get_mut(place) {
+                *old = byte;
+            }
+        }
+        file.truncate(cut.max(4));
+        let choices = [column(number), named("y"), channel(number), at(44_100.0), Choice::default()];
+        for choice in choices {
+            match read(names[kind], &file, &choice) {
+                Ok(samples) => prop_assert!(samples.um.iter().all(|um| um.is_finite()) && samples.um.len() >= 2),
+                Err(error) => prop_assert!(!error.to_string().contains('\n')),
+            }
+        }
+    }
+
+    #[test]
+    fn npy_round_trip(values in prop::collection::vec(-1e6_f32..1e6, 2..200)) {
+        let file = npy("'<f4'", "False", &format!("({},)", values.len()), &f4(&values));
+        prop_assert_eq!(good("a.npy", &file, &at(1000.0)).um, values);
+    }
+}
