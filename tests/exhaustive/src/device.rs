@@ -467,11 +467,11 @@ impl Scene {
                 .filter(|_| motors != 0);
         let (epoch, seq, seen) = (self.host.epoch, self.host.seq, self.host.seen);
         self.host.seq = self.host.seq.wrapping_add(1);
-        let strokes = items.iter().filter_map(|item| match item {
+        let mut strokes = items.iter().filter_map(|item| match item {
             Item::Stroke(stroke) if stroke.motor == 0 => Some(*stroke),
             _ => None,
         });
-        self.host.last = strokes.last().or(self.host.last);
+        self.host.last = strokes.next_back().or(self.host.last);
         encoded(&HostMessage::Moves {
             epoch,
             seq,
