@@ -3,7 +3,9 @@
 use crate::input::byte;
 use arbitrary::Unstructured;
 use firmware_protocol::array::MotorSet;
-use firmware_protocol::batch::{Amendment, Amendments, BATCH_BYTES, Full, MAX_BATCH, Packer, Stroke, Unpacked, moves};
+use firmware_protocol::batch::{
+    Amendment, Amendments, BATCH_BYTES, Full, MAX_BATCH, Packer, Stroke, Unpacked, moves,
+};
 use firmware_protocol::moves::Move;
 use firmware_protocol::tick::Tick;
 
@@ -113,7 +115,8 @@ fn pack_moves(base: Tick, input: &mut Unstructured<'_>) {
             }
             _ => {
                 let motors = MotorSet::from_bits(number(input) << (motor % 8));
-                let levels: Vec<u16> = (0..motors.len() as u16).map(|k| level.wrapping_add(k << (motor / 8))).collect();
+                let levels: Vec<u16> =
+                    (0..motors.len() as u16).map(|k| level.wrapping_add(k << (motor / 8))).collect();
                 let of = motors.iter().zip(&levels);
                 let of = of.map(|(motor, &level)| Move { motor, tick, level, surplus: 0 });
                 items.extend(of.map(|of| Unpacked { of, joined: false }));

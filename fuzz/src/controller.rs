@@ -249,7 +249,8 @@ impl World {
                 }
                 _ => {
                     let motors = MotorSet::from_bits(u64::from(with) << (motor % 56));
-                    let levels: Vec<u16> = (0..motors.len() as u16).map(|k| level + k * u16::from(how >> 2)).collect();
+                    let levels: Vec<u16> =
+                        (0..motors.len() as u16).map(|k| level + k * u16::from(how >> 2)).collect();
                     if packer.row(tick, motors, &levels).is_ok() {
                         let of = motors.iter().zip(levels);
                         self.moves.extend(of.map(|(motor, level)| Move { motor, tick, level, surplus: 0 }));

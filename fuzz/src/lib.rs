@@ -5,7 +5,7 @@
 //! | module | what it tries |
 //! |---|---|
 //! | [`frames`] | bytes to frames, and back |
-//! | [`batches`] | packed strokes and amendments |
+//! | [`batches`] | packed moves, strokes, rows and amendments |
 //! | [`controller`] | the controller, under the [`shell`] |
 //! | [`session`] | the host's session, with a device that lies |
 //! | [`link`] | session and controller over a line that loses, repeats and damages frames |

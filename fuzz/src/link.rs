@@ -9,7 +9,7 @@ use firmware_protocol::frame::{Decoder, FrameError, MAX_FRAME};
 use firmware_protocol::message::Op;
 use firmware_protocol::tick::Tick;
 use meissner_array::spec::Array;
-use meissner_array::strokes::Stroke;
+use meissner_array::strokes::{Step, Stroke};
 use meissner_stream::link::{Event, LineRate, Session, Verdict};
 use meissner_stream::time::HostInstant;
 use std::collections::VecDeque;
@@ -149,7 +149,7 @@ fn step(input: &mut Unstructured<'_>, pair: &mut Pair, host: &mut Host) {
                 let up = host.last.max(Tick(tick.0.saturating_add_signed(ahead)) + 5 * i);
                 let motor = (i % pair.array.motors() as u64) as u8;
                 let stroke = Stroke { motor, up, up_pulses: 9, down: up + 20, down_pulses: 9 };
-                if !pair.session.push(&stroke) {
+                if !pair.session.push(&stroke.into()) {
                     break;
                 }
                 host.last = up;
@@ -218,7 +218,7 @@ impl Host {
 fn see(pair: &mut Pair, host: &mut Host) {
     for event in std::mem::take(&mut pair.events) {
         match event {
-            Event::Stroke(stroke, verdict) => {
+            Event::Step(Step::Stroke(stroke), verdict) => {
                 if let Some(at) = host.forgotten.iter().position(|&before| before == stroke) {
                     host.forgotten.swap_remove(at);
                     assert_ne!(verdict, Verdict::Accepted);

@@ -3,7 +3,7 @@
 //! The device says true things, true things with a change, and bytes, all with a right CRC. Its truth is small: a clock that
 //! follows the host's, and the epochs and frames that the session has sent.
 
-use crate::input::{Raw, arm, array, byte, cause, chunk, direction, flag, long, motor, motors, one_of, word};
+use crate::input::{Raw, arm, array, byte, cause, chunk, flag, long, motor, motors, one_of, word};
 use arbitrary::Unstructured;
 use firmware_protocol::array::MAX_MOTORS;
 use firmware_protocol::batch::Amendment;
@@ -16,7 +16,7 @@ use firmware_protocol::message::{
 };
 use firmware_protocol::tick::Tick;
 use meissner_array::spec::Array;
-use meissner_array::strokes::Stroke;
+use meissner_array::strokes::{Step, Stroke};
 use meissner_stream::link::{Budget, Contradictions, Event, LineRate, LostReason, Session, Verdict};
 use meissner_stream::time::HostInstant;
 use serde::Serialize;
@@ -127,7 +127,7 @@ fn emit<'a>(
             Event::Contradiction(_) => *doubts += 1,
             event => {
                 assert!(*opened, "{event:?} before the handshake");
-                if let Event::Stroke(stroke, verdict) = event {
+                if let Event::Step(Step::Stroke(stroke), verdict) = event {
                     let at = pushed.iter().position(|&before| before == stroke);
                     let at = at.expect("a verdict on a stroke that was pushed and has none");
                     pushed.remove(at);
@@ -181,9 +181,7 @@ impl World {
                         _ => status.state,
                     };
                 }
-                HostMessage::Moves { epoch, seq, .. }
-                    if epoch == status.epoch && seq == status.next_seq =>
-                {
+                HostMessage::Moves { epoch, seq, .. } if epoch == status.epoch && seq == status.next_seq => {
                     status.next_seq = seq.wrapping_add(1);
                 }
                 HostMessage::Board { window } => self.device.window = window,
@@ -457,7 +455,7 @@ impl World {
             let up = self.last.max(self.tick() + ahead) + 1;
             let (motor, up_pulses) = (i % self.array.motors() as u8, 1 + u16::from(i));
             let stroke = Stroke { motor, up, up_pulses, down: up + 60, down_pulses: up_pulses };
-            if !self.session.push(&stroke) {
+            if !self.session.push(&stroke.into()) {
                 break;
             }
             self.last = up;

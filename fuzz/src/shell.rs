@@ -116,7 +116,8 @@ impl Shell {
             let counters = self.device.counters();
             // A move that has begun may find its pin where it should be.
             let taken_back = counters.refused + counters.replaced + counters.dropped + counters.played;
-            let refuses = taken_back > std::mem::replace(&mut self.taken_back, taken_back) || begin < self.shift_by;
+            let refuses =
+                taken_back > std::mem::replace(&mut self.taken_back, taken_back) || begin < self.shift_by;
             assert!(run.ticks > 0, "rendering makes progress");
             assert!((run.lines.up & run.lines.down).is_empty(), "a line in both sets");
             let all = self.device.layout().all();

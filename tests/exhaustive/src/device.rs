@@ -467,11 +467,11 @@ impl Scene {
                 .filter(|_| motors != 0);
         let (epoch, seq, seen) = (self.host.epoch, self.host.seq, self.host.seen);
         self.host.seq = self.host.seq.wrapping_add(1);
-        let strokes = items.iter().filter_map(|item| match item {
+        let mut strokes = items.iter().filter_map(|item| match item {
             Item::Stroke(stroke) if stroke.motor == 0 => Some(*stroke),
             _ => None,
         });
-        self.host.last = strokes.last().or(self.host.last);
+        self.host.last = strokes.next_back().or(self.host.last);
         encoded(&HostMessage::Moves {
             epoch,
             seq,
@@ -730,6 +730,10 @@ impl Scene {
         while end.shell.now < silent_until {
             end.shell.tick();
         }
+        // What was seen on the way says more than how it ended.
+        if end.shell.broken.is_some() {
+            return end.shell.broken;
+        }
         let device = &end.shell.device;
         if !matches!(device.state(), Armed::Disarmed | Armed::Faulted) || !end.shell.is_quiet() {
             return Some(Broken::Watchdog);
@@ -750,7 +754,7 @@ impl Scene {
                 return Some(Broken::Position);
             }
         }
-        end.shell.broken.or_else(|| end.way_out())
+        end.way_out()
     }
 
     /// A new host resets, arms and plays one stroke. Then it has both pins go up: one comes down by a move in time, the other by a late one.

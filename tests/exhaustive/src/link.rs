@@ -304,7 +304,7 @@ impl Pair {
     }
 
     fn has_room(&self) -> Option<()> {
-        (self.session.has_room() && self.session.credits() >= 2).then_some(())
+        (self.session.has_room() && self.session.credits() >= 4).then_some(())
     }
 
     fn push(&mut self, stroke: Stroke) -> Option<()> {
