@@ -1,6 +1,6 @@
 //! Packed lists inside messages: the moves of a batch and the items of an amendment.
 //!
-//! [`Packer`] writes a list; [`Moves`] and [`Amendments`] read it, each item as an offset from the one before.
+//! [`Packer`] writes a list; [`moves`] and [`Amendments`] read it, each item as an offset from the one before.
 //!
 //! ```text
 //! move       head | varint dt | varint level << 1 | s     [varint surplus, if s is 1]
