@@ -55,7 +55,7 @@
 //!
 //! let edge = Store::new(None, false)?.get("edge-45")?;
 //! let first = Strokes::new(&edge.pattern, &StrokeOptions::lasting(1.0))?.next().expect("an edge moves pins")?;
-//! assert_eq!(first.up_pulses, first.down_pulses);
+//! assert_eq!((first.moves(), first.level()), (2, 0));
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 

@@ -93,7 +93,7 @@ fn on_a_link_that_jitters_a_play_is_in_time_or_refused_with_numbers() {
     let mut refusals = Vec::new();
     let mut played = Vec::new();
     let patterns = [rig::pattern("edge-45-paper"), rig::pattern("all-in-phase")];
-    let links = [(1, 2), (1, 6), (2, 10), (2, 16), (5, 20), (10, 40), (30, 30)];
+    let links = [(1, 2), (1, 6), (2, 10), (2, 14), (5, 20), (10, 40), (30, 30)];
     for ((delay, jitter), lead_ms) in links.into_iter().flat_map(|link| [(link, 100.0), (link, 1000.0)]) {
         for (pattern, seed) in patterns.iter().flat_map(|pattern| [(pattern, 1), (pattern, 2)]) {
             let line =

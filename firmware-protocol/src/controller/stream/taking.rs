@@ -15,7 +15,7 @@ use crate::tick::Tick;
 use core::hash::{Hash, Hasher};
 
 /// Most moves unpacked at a time, besides those of the last item.
-const UNPACKED: usize = 24;
+const UNPACKED: usize = MAX_FIRST_BATCH / 2;
 /// Most moves taken at a time, and one more if the last is half of a stroke.
 const MOVES: usize = 10;
 /// The same for a frame that withdraws, because each move may search the queue of a motor. The piece ends sooner once the queues searched

@@ -126,8 +126,7 @@ impl Line {
     /// See [`Session::rate_left`](super::Session::rate_left).
     pub(super) fn rate_left(&self, frames_per_s: u32) -> Option<u32> {
         let share = self.quality.share();
-        // Answers that vary have runs of slow ones.
-        let waiting = 1.25 * f64::from(frames_per_s) * self.ack_wait()?.as_secs_f64() / share;
+        let waiting = f64::from(frames_per_s) * self.ack_wait()?.as_secs_f64() / share;
         Some((f64::from(self.measured?.rate.0) * share * (1.0 - waiting)) as u32)
     }
 
