@@ -3,11 +3,11 @@
 use crate::play::job_of;
 use firmware_protocol::message::State;
 use firmware_protocol::stroke::Direction;
-use meissner_array::strokes::Burst;
 use meissner_array::pattern::{Drive, Pattern};
 use meissner_array::per_motor::PerMotor;
 use meissner_array::simulated::{LowerStop, Pin, SimulatedMotorsConfig};
 use meissner_array::spec::Array;
+use meissner_array::strokes::Burst;
 use meissner_array::strokes::{StrokeOptions, Strokes};
 use meissner_hil::bench::Which;
 use meissner_hil::bench::chip::ChipOptions;
