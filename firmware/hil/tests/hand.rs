@@ -71,20 +71,49 @@ impl Hand {
             sent: 0,
             host_timeout,
         };
-        while !hand.bench.configured() {
-            hand.run(MS);
-            assert!(hand.now < 3_000 * MS, "no device");
-        }
-        hand.bench.dtr(true).unwrap();
-        while hand.tap.hello().is_none() {
-            hand.send(&HostMessage::Hello { session: 77 });
-            hand.run(5 * MS);
-            assert!(hand.now < 3_000 * MS, "no answer to a hello");
-        }
-        hand.epoch = hand.tap.epoch();
-        hand.speaks = true;
+        hand.greet(77);
         hand.arm(true);
         hand
+    }
+
+    /// Opens a session.
+    fn greet(&mut self, session: u32) {
+        let limit = self.now + 3_000 * MS;
+        while !self.bench.configured() {
+            self.run(MS);
+            assert!(self.now < limit, "no device");
+        }
+        self.bench.dtr(true).unwrap();
+        while self.tap.hello().is_none_or(|hello| hello.session != session) {
+            self.send(&HostMessage::Hello { session });
+            self.run(5 * MS);
+            assert!(self.now < limit, "no answer to a hello");
+        }
+        (self.epoch, self.seq, self.speaks) = (self.tap.epoch(), 0, true);
+    }
+
+    /// Unplugs the cable.
+    pub(crate) fn unplug(&mut self) {
+        self.speaks = false;
+        self.bench.usb(false).unwrap();
+        self.tap.broken();
+    }
+
+    /// Plugs the cable in again, and opens the next session.
+    pub(crate) fn plug(&mut self) {
+        self.bench.usb(true).unwrap();
+        let session = self.tap.hello().unwrap().session + 1;
+        self.greet(session);
+        self.run(5 * MS);
+    }
+
+    /// The cycle at which the last pulse so far has fallen.
+    pub(crate) fn low_since(&mut self) -> u64 {
+        let low = match &self.bench {
+            Bench::Mock(mock) => mock.log.end().map(|tick| mock.grid().cycle(tick)),
+            Bench::Chip(chip) => chip.pins.low_since(u64::MAX),
+        };
+        low.unwrap_or(0)
     }
 
     /// Arms the device, and waits until it has returned its pins.

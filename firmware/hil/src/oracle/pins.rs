@@ -17,8 +17,8 @@ use meissner_test_support::paper::{DRIVER_LEAD, MOTORS, MOTORS_PER_CHIP, MOTORS_
 /// tick being played counts as played, whether it was cut off or not.
 const FORCE: (u64, u64) = (1, 1);
 const LEAD: u64 = DRIVER_LEAD as u64;
-/// Most ticks by which a pin may be held for longer than a play says: so often the device looks.
-const HOLD_SLACK: u64 = 1_024 + BLOCK as u64;
+/// Most ticks by which a pin may be held for longer than a play says: so often the device looks, and the drivers start up.
+const HOLD_SLACK: u64 = 1_024 + BLOCK as u64 + LEAD;
 
 #[derive(Clone, Copy, Debug)]
 struct Burst {
