@@ -39,6 +39,11 @@ impl Allowance {
         self.pushing.is_allowed()
     }
 
+    /// Whether the pulses of a second are limited.
+    pub(super) fn limits_on_time(&self) -> bool {
+        self.on_time.is_limited()
+    }
+
     /// Whether every motor may push `pulses` more.
     pub(super) fn allows_pushes(&mut self, now: Tick, pulses: u32) -> bool {
         self.pushing.allows_all(now, pulses)

@@ -26,12 +26,12 @@ impl Player {
             // Do not bring lines to a tick that is not rendered: a move in it can still be amended.
             return Run { lines: self.lines, trigger: false, drivers: false, ticks: 0 };
         }
-        let (trigger, change) = self.marks.level(self.rendered, reporting.counters());
+        let (trigger, change) = self.marks.level(self.rendered, reporting.count());
         let now = self.rendered.0 as u32;
         if self.changes.is_over(now) {
             self.next_block(now, reporting);
         }
-        let begun = reporting.counters().played;
+        let begun = reporting.count().played as u32;
         for (mut due, mut motor) in self.changes.take(now).parts().into_iter().zip((0..).step_by(32)) {
             while due != 0 {
                 // The chip's core has no instruction that finds the next bit.
@@ -52,8 +52,10 @@ impl Player {
         let (drivers, ticks) = self.enable_drivers(ticks);
         self.rendered = self.rendered + ticks;
         let counters = reporting.count();
-        counters.pulses += u64::from(self.lines.pulsing().len()) * ticks;
-        let (lines, ticks, begun) = (self.lines, ticks as u32, (counters.played - begun) as u16);
+        // At most a block.
+        let ticks = ticks as u32;
+        counters.pulses += u64::from(self.lines.pulsing().len() * ticks);
+        let (lines, begun) = (self.lines, (counters.played as u32).wrapping_sub(begun) as u16);
         self.recent.push(Rendered { lines, ticks, begun });
         Run { lines, trigger, drivers, ticks }
     }
@@ -212,15 +214,17 @@ impl Player {
     /// Whether a burst up to the goal may begin; then it counts. Its way back must fit the on-time limits, too.
     fn begin_up(&mut self, motor: usize, pulses: u16) -> Result<(), Refusal> {
         self.allowance.begin_move()?;
-        let (rail, chip) = (self.layout.next_on_rail(), self.layout.next_on_chip());
-        let limits = self.limits();
-        if self.is_full(motor, rail, limits.rail_at_once, self.layout.motors_per_rail(), true) {
-            return Err(Refusal::RailAtOnce);
+        if self.takes_turns {
+            let (rail, chip) = (self.layout.next_on_rail(), self.layout.next_on_chip());
+            let limits = self.limits();
+            if self.is_full(motor, rail, limits.rail_at_once, self.layout.motors_per_rail(), true) {
+                return Err(Refusal::RailAtOnce);
+            }
+            if self.is_full(motor, chip, limits.chip_at_once, self.layout.motors_per_chip(), true) {
+                return Err(Refusal::ChipAtOnce);
+            }
         }
-        if self.is_full(motor, chip, limits.chip_at_once, self.layout.motors_per_chip(), true) {
-            return Err(Refusal::ChipAtOnce);
-        }
-        let back = self.back(motor);
+        let back = if self.allowance.limits_on_time() { self.back(motor) } else { [0; 2] };
         self.allowance.begin(self.rendered, motor, pulses.into(), back, &self.layout)
     }
 
@@ -260,6 +264,11 @@ impl Player {
         if now < ready {
             return Some(ready.0 as u32);
         }
+        if self.takes_turns { self.waits_for_turn(motor) } else { None }
+    }
+
+    #[inline(never)]
+    fn waits_for_turn(&self, motor: usize) -> Option<u32> {
         let limits = self.limits();
         let (rail, chip) = (self.layout.next_on_rail(), self.layout.next_on_chip());
         if self.is_full(motor, rail, limits.rail_at_once, self.layout.motors_per_rail(), false) {

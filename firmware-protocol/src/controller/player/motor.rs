@@ -202,6 +202,10 @@ impl Motor {
 
     /// Forgets the uneven bursts all of whose ticks were played.
     fn forget_played(&mut self, now: Tick) {
+        // The first one is the newest.
+        if self.uneven[0].is_none() {
+            return;
+        }
         let pauses = now - self.still_since > u64::from(HORIZON);
         for place in &mut self.uneven {
             let ago = |uneven: &Uneven| (now.0 as u32).wrapping_sub(uneven.of.end()).cast_signed();

@@ -15,33 +15,43 @@ pub(super) struct Rendered {
     pub(super) begun: u16,
 }
 
+const RUNS: usize = HORIZON as usize;
+
+/// A ring of as many runs as the horizon has ticks.
 #[derive(Clone, Debug)]
 pub(super) struct Recent {
-    runs: heapless::Deque<Rendered, { HORIZON as usize }>,
+    runs: [Rendered; RUNS],
+    /// The place of the next run.
+    next: usize,
 }
 
 impl Hash for Recent {
     fn hash<H: Hasher>(&self, hasher: &mut H) {
-        self.runs.iter().for_each(|run| run.hash(hasher));
+        self.newest_first().for_each(|run| run.hash(hasher));
     }
 }
 
 impl Recent {
-    pub(super) const NOTHING: Self = Self { runs: heapless::Deque::new() };
+    pub(super) const NOTHING: Self =
+        Self { runs: [Rendered { lines: Lines::OFF, ticks: 0, begun: 0 }; RUNS], next: 0 };
 
+    #[inline(always)]
     pub(super) fn push(&mut self, run: Rendered) {
-        if self.runs.is_full() {
-            self.runs.pop_front();
-        }
-        let _ = self.runs.push_back(run);
+        self.runs[self.next % RUNS] = run;
+        self.next = (self.next + 1) % RUNS;
+    }
+
+    fn newest_first(&self) -> impl Iterator<Item = &Rendered> {
+        let runs = (1..=RUNS).map(|ago| &self.runs[(self.next + RUNS - ago) % RUNS]);
+        runs.take_while(|run| run.ticks > 0)
     }
 
     /// Pulses in the last `ticks`, and moves that began in them.
     pub(super) fn in_last(&self, mut ticks: u32) -> (u64, u64) {
         let (mut pulses, mut begun) = (0, 0);
-        for run in self.runs.iter().rev() {
+        for run in self.newest_first() {
             let of = run.ticks.min(ticks);
-            pulses += u64::from(run.lines.pulsing().len()) * u64::from(of);
+            pulses += u64::from(run.lines.pulsing().len() * of);
             if of < run.ticks || of == 0 {
                 break;
             }
@@ -53,11 +63,16 @@ impl Recent {
 
     /// Takes the newest run, and of it at most `ticks`, the last ones.
     pub(super) fn take_back(&mut self, ticks: u32) -> Option<Rendered> {
-        let last = self.runs.back_mut()?;
+        let before = (self.next + RUNS - 1) % RUNS;
+        let last = &mut self.runs[before];
+        if last.ticks == 0 {
+            return None;
+        }
         if last.ticks > ticks {
             last.ticks -= ticks;
             return Some(Rendered { ticks, begun: 0, ..*last });
         }
-        self.runs.pop_back()
+        self.next = before;
+        Some(core::mem::replace(last, Rendered { ticks: 0, ..*last }))
     }
 }
