@@ -2,6 +2,8 @@
 
 /// Corrections of queued moves.
 mod amendments;
+/// Motors that have pulses at once.
+mod at_once;
 /// A shell around the controller that plays it tick by tick and records the lines.
 mod bench;
 /// The board report and the self-test.
@@ -30,5 +32,3 @@ mod shifts;
 mod states;
 /// Which moves the controller takes, and that it plays them as sent.
 mod taking;
-/// Motors that have pulses at once.
-mod at_once;

@@ -7,9 +7,9 @@
 
 use crate::array::{MotorSet, Ring};
 use crate::controller::Run;
-use crate::controller::player::Player;
 use crate::controller::player::queue::{Waiting, ahead};
 use crate::controller::player::recent::Rendered;
+use crate::controller::player::{NEVER, Player};
 use crate::controller::reporting::Reporting;
 use crate::limits::Refusal;
 use crate::message::Report;
@@ -48,12 +48,11 @@ impl Player {
             }
         }
         let ticks = self.changes.quiet(now).min(max);
-        let ticks = (change - self.rendered).min(ticks.into());
+        let ticks = if change == NEVER { ticks } else { (change - self.rendered).min(ticks.into()) as u32 };
         let (drivers, ticks) = self.enable_drivers(ticks);
-        self.rendered = self.rendered + ticks;
+        self.rendered = self.rendered + u64::from(ticks);
         let counters = reporting.count();
         // At most a block.
-        let ticks = ticks as u32;
         counters.pulses += u64::from(self.lines.pulsing().len() * ticks);
         let (lines, begun) = (self.lines, (counters.played as u32).wrapping_sub(begun) as u16);
         self.recent.push(Rendered { lines, ticks, begun });
@@ -148,10 +147,16 @@ impl Player {
     #[inline(never)]
     pub(super) fn end(&mut self, motor: usize) {
         let now = self.rendered;
-        let Some(ended) = self.motors[motor].end(now) else { return };
-        let played = ended.played(now.0 as u32);
-        let pushed = played.saturating_sub(ended.pulses - ended.pushes);
-        self.allowance.end(now, motor, (ended.pulses, played.into()), (ended.pushes, pushed));
+        let Some((ended, played)) = self.motors[motor].end(now) else { return };
+        self.allowance.end(now, motor, ended.pulses, played);
+        if ended.pushes > 0 {
+            self.allowance.end_pushes(
+                now,
+                motor,
+                ended.pushes,
+                played.saturating_sub(ended.pulses - ended.pushes),
+            );
+        }
         self.still_from = now;
         if ended.end() != now.0 as u32 {
             self.make_room(motor);
@@ -175,57 +180,71 @@ impl Player {
     #[inline(never)]
     fn begin_move(&mut self, motor: usize, reporting: &mut Reporting) {
         let now = self.rendered;
-        let before = self.motors[motor].goal();
         if self.motors[motor].running.is_some() {
             self.end(motor);
         }
         let Some(waiting) = self.queues.begin(motor, now) else { return };
-        let height = self.motors[motor].height(now.0 as u32);
-        let Waiting { level, surplus, from, tick, .. } = waiting;
-        self.motors[motor].set_goal(level);
-        // A correction is for the distance that was planned.
-        let correction = if from == height { waiting.correction } else { 0 };
-        let correction = if correction == 0 { 0 } else { self.motors[motor].bounded(correction) };
+        let Waiting { level, surplus, from, tick, correction, .. } = waiting;
+        let of = &mut self.motors[motor];
+        let (before, height) = (of.goal(), of.height);
+        of.set_goal(level);
         let counters = reporting.count();
         counters.played += 1;
-        counters.shortened += u64::from(height != before);
-        counters.amended += u64::from(correction != 0);
+        if height != before {
+            counters.shortened += 1;
+        }
+        // A correction is for the distance that was planned.
+        let correction = if correction != 0 && from == height { of.bounded(correction) } else { 0 };
+        if correction != 0 {
+            counters.amended += 1;
+        }
         if level <= height {
-            (self.motors[motor].correction, self.motors[motor].surplus) = (correction, surplus);
+            (of.correction, of.surplus) = (correction, surplus);
             self.allowance.count_begin();
             return;
         }
         let pulses = (level - height).saturating_add_signed(correction);
-        let begun = self.begin_up(motor, pulses);
-        match begun {
+        match self.begin_up(motor, pulses) {
             Ok(()) => self.motors[motor].begin(now, Direction::Up, pulses, 0, level),
-            Err(reason) => {
-                self.motors[motor].set_goal(before.min(height));
-                // A stroke is refused as a whole.
-                let second = u64::from(self.queues.drop_second(motor));
-                let counters = reporting.count();
-                (counters.played, counters.refused) = (counters.played - 1, counters.refused + 1 + second);
-                let tick = WireTick(tick.to_le_bytes());
-                reporting.report(Report::Refused { motor: motor as u8, tick, reason });
-            }
+            Err(reason) => self.refuse(motor, before.min(height), tick, reason, reporting),
         }
     }
 
+    /// A limit refuses the move that has just begun: the goal is what it was, or lower.
+    #[inline(never)]
+    fn refuse(&mut self, motor: usize, goal: u16, tick: u32, reason: Refusal, reporting: &mut Reporting) {
+        self.motors[motor].set_goal(goal);
+        // A stroke is refused as a whole.
+        let second = u64::from(self.queues.drop_second(motor));
+        let counters = reporting.count();
+        (counters.played, counters.refused) = (counters.played - 1, counters.refused + 1 + second);
+        let tick = WireTick(tick.to_le_bytes());
+        reporting.report(Report::Refused { motor: motor as u8, tick, reason });
+    }
+
     /// Whether a burst up to the goal may begin; then it counts. Its way back must fit the on-time limits, too.
+    #[inline(never)]
     fn begin_up(&mut self, motor: usize, pulses: u16) -> Result<(), Refusal> {
         self.allowance.begin_move()?;
         if self.takes_turns {
-            let (rail, chip) = (self.layout.next_on_rail(), self.layout.next_on_chip());
-            let limits = self.limits();
-            if self.is_full(motor, rail, limits.rail_at_once, self.layout.motors_per_rail(), true) {
-                return Err(Refusal::RailAtOnce);
-            }
-            if self.is_full(motor, chip, limits.chip_at_once, self.layout.motors_per_chip(), true) {
-                return Err(Refusal::ChipAtOnce);
-            }
+            self.has_turn(motor)?;
         }
         let back = if self.allowance.limits_on_time() { self.back(motor) } else { [0; 2] };
         self.allowance.begin(self.rendered, motor, pulses.into(), back, &self.layout)
+    }
+
+    /// Whether the limits on motors at once allow a way up.
+    #[inline(never)]
+    fn has_turn(&self, motor: usize) -> Result<(), Refusal> {
+        let (rail, chip) = (self.layout.next_on_rail(), self.layout.next_on_chip());
+        let limits = self.limits();
+        if self.is_full(motor, rail, limits.rail_at_once, self.layout.motors_per_rail(), true) {
+            return Err(Refusal::RailAtOnce);
+        }
+        if self.is_full(motor, chip, limits.chip_at_once, self.layout.motors_per_chip(), true) {
+            return Err(Refusal::ChipAtOnce);
+        }
+        Ok(())
     }
 
     /// The pulses down that a motor at its goal and its rail still have to begin until all pins are at rest.
@@ -289,10 +308,23 @@ impl Player {
             return later;
         }
         let now = self.rendered;
-        let of = &self.motors[motor];
-        let distance = of.height(now.0 as u32) - of.goal();
+        let of = &mut self.motors[motor];
         let (goal, correction) = (of.goal(), of.correction);
-        let surplus = core::mem::take(&mut self.motors[motor].surplus);
+        // No burst runs.
+        let distance = of.height - goal;
+        let surplus = core::mem::take(&mut of.surplus);
+        if correction == 0 && surplus == 0 {
+            of.begin(now, Direction::Down, distance, 0, goal);
+            self.allowance.count(now, motor, distance);
+            return None;
+        }
+        self.descend_uneven(motor, distance, correction, surplus);
+        None
+    }
+
+    #[inline(never)]
+    fn descend_uneven(&mut self, motor: usize, distance: u16, correction: i16, surplus: u16) {
+        let (now, goal) = (self.rendered, self.motors[motor].goal());
         let mut pulses = distance.saturating_add_signed(correction.min(0)).max(distance.min(1));
         let mut pushes = 0;
         if correction > 0 || surplus > 0 {
@@ -303,12 +335,10 @@ impl Player {
             pulses += more;
             pushes = self.allowance.pushes(now, motor, surplus.min(room - more));
         }
-        if pulses + pushes == 0 {
-            return None;
+        if pulses + pushes > 0 {
+            self.allowance.count(now, motor, pulses + pushes);
+            self.motors[motor].begin(now, Direction::Down, pulses + pushes, pushes, goal);
         }
-        self.allowance.count(now, motor, pulses + pushes);
-        self.motors[motor].begin(now, Direction::Down, pulses + pushes, pushes, goal);
-        None
     }
 
     /// Begins the burst up that shifts where the pin rests, or returns when to look again.

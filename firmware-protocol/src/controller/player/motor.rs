@@ -139,26 +139,41 @@ impl Motor {
         self.running.is_none() && self.height == self.goal && self.surplus == 0
     }
 
-    /// Ends the burst that runs, at `now`.
-    pub(super) fn end(&mut self, now: Tick) -> Option<Running> {
+    /// Ends the burst that runs, at `now`. Returns it and how many of its pulses were played.
+    #[inline(always)]
+    pub(super) fn end(&mut self, now: Tick) -> Option<(Running, u16)> {
         let ended = self.running?;
-        let (before, played) = (self.height, ended.played(now.0 as u32));
-        self.height = self.height(now.0 as u32);
+        let low = now.0 as u32;
+        let before = self.height;
+        let played = if ended.end() == low {
+            self.height = ended.to;
+            ended.pulses
+        } else {
+            self.height = self.height(low);
+            ended.played(low)
+        };
+        if self.uneven[0].is_some() {
+            self.end_uneven(ended, before, played);
+        }
+        if self.height == 0 {
+            (self.beside, self.highest) = (0, 0);
+        }
+        (self.running, self.still_since) = (None, now);
+        Some((ended, played))
+    }
+
+    /// Only an uneven burst takes the pin to another place than its height says.
+    #[inline(never)]
+    fn end_uneven(&mut self, ended: Running, before: u16, played: u16) {
+        let Some(Uneven { of, .. }) = self.uneven[0].as_mut().filter(|uneven| uneven.of == ended) else {
+            return;
+        };
+        (of.pulses, of.to) = (played, self.height);
         let pulses = played.min(ended.pulses - ended.pushes).cast_signed();
         self.beside += match ended.direction {
             Direction::Up => pulses - (self.height - before).cast_signed(),
             Direction::Down => (before - self.height).cast_signed() - pulses,
         };
-        if self.height == 0 {
-            (self.beside, self.highest) = (0, 0);
-        }
-        if let Some(Uneven { of, .. }) = &mut self.uneven[0]
-            && *of == ended
-        {
-            (of.pulses, of.to) = (ended.played(now.0 as u32), self.height);
-        }
-        (self.running, self.still_since) = (None, now);
-        Some(ended)
     }
 
     /// Where the pin is, and where it should be, without a burst.
@@ -193,19 +208,24 @@ impl Motor {
         let of = Running { direction, start: now.0 as u32, pulses, to, pushes };
         self.running = Some(of);
         self.highest = self.highest.max(to);
-        self.forget_played(now);
+        // The first one is the newest.
+        if self.uneven[0].is_some() {
+            self.forget_played(now);
+        }
         if pulses != self.height.abs_diff(to) {
-            self.uneven.rotate_right(1);
-            self.uneven[0] = Some(Uneven { of, from: self.height });
+            self.note_uneven(Uneven { of, from: self.height });
         }
     }
 
+    #[inline(never)]
+    fn note_uneven(&mut self, uneven: Uneven) {
+        self.uneven.rotate_right(1);
+        self.uneven[0] = Some(uneven);
+    }
+
     /// Forgets the uneven bursts all of whose ticks were played.
+    #[inline(never)]
     fn forget_played(&mut self, now: Tick) {
-        // The first one is the newest.
-        if self.uneven[0].is_none() {
-            return;
-        }
         let pauses = now - self.still_since > u64::from(HORIZON);
         for place in &mut self.uneven {
             let ago = |uneven: &Uneven| (now.0 as u32).wrapping_sub(uneven.of.end()).cast_signed();

@@ -227,12 +227,19 @@ impl Queues {
         }
         // Before all that waits, or after it: a distance of 2^31 has no sign.
         let limit = (from - now).min(1 << 30) as i32;
-        let (mut last, mut first, mut kept, mut ticks) = (NONE, head, 0, begun);
-        while let Some(slot) = self.get(first).filter(|slot| slot.joined || ahead(slot.tick, now) < limit) {
-            (last, first) = (first, slot.next);
-            ticks = [Tick(now.0.wrapping_add_signed(ahead(slot.tick, now).into())), ticks[0]];
+        let (mut last, mut first, mut kept, mut before) = (NONE, head, 0, [0; 2]);
+        while let Some(slot) = self.get(first)
+            && (slot.joined || ahead(slot.tick, now) < limit)
+        {
+            (last, first, before) = (first, slot.next, [slot.tick, before[0]]);
             kept += 1;
         }
+        let at = |tick| Tick(now.0.wrapping_add_signed(ahead(tick, now).into()));
+        let ticks = match kept {
+            0 => begun,
+            1 => [at(before[0]), begun[0]],
+            _ => before.map(at),
+        };
         if !follow(next, ticks, apart) {
             return None;
         }
