@@ -1,6 +1,7 @@
 //! Moves to levels on the chip: ramps, holds, rows of all motors, and what interrupts them in each of their phases.
 
 use crate::hand::Hand;
+use crate::margin::TIME;
 use crate::random::uniform;
 use firmware_protocol::array::MotorSet;
 use firmware_protocol::batch::{BATCH_BYTES, Packer};
@@ -219,6 +220,56 @@ fn a_hold_ends() {
         assert!(motors.contains(3) && (longest..longest + 1_100).contains(&held), "{held}");
     }
     at_rest(&hand.finish(false).0);
+}
+
+/// Ticks of the grid of 500 moves a second.
+const GRID: u64 = 170;
+
+/// Rows of all motors, 500 a second, with levels that change with each row: 12 000 moves a second. Prints the load and the least time left
+/// to render, and returns the latter.
+fn rows(slow: f64, most: u64) -> u64 {
+    let mut hand = Hand::armed(&Which::Chip(ChipOptions { slow, ..ChipOptions::new(1) }), 25_500);
+    let base = hand.tick() + 3_000;
+    let mut random = ChaCha8Rng::seed_from_u64(most);
+    let (mut from, mut busy) = (0, 0);
+    hand.slack();
+    for pair in 0..150 {
+        let tick = base + 2 * pair * GRID;
+        let mut packer = Packer::<BATCH_BYTES>::new(tick);
+        for row in 0..2 {
+            let levels: Vec<_> = (0..MOTORS).map(|_| pick(&mut random, 0..most) as u16).collect();
+            packer.row(tick + row * GRID, all(), &levels).unwrap();
+        }
+        // The first frame of the play has as many moves as it may.
+        hand.moves(&packer, (pair == 0).then_some(0));
+        if pair == 10 {
+            (from, busy) = (hand.now(), hand.chip().busy_cycles());
+        }
+        hand.run(2 * GRID * TICK);
+    }
+    let load = (hand.chip().busy_cycles() - busy) as f64 / (hand.now() - from) as f64;
+    let left = u64::from(hand.slack().unwrap());
+    hand.run(250 * MS);
+    let (_, counters) = hand.finish(false);
+    println!(
+        "core at {:.0} %, 24 motors x 500 moves/s in rows, levels below {most}: {:.1} % busy, of {TIME} ticks {left} are left at least; {} played, {} \
+         shortened",
+        100.0 / slow,
+        100.0 * load,
+        counters.played,
+        counters.shortened
+    );
+    left
+}
+
+#[test]
+fn half_of_the_time_is_left_while_all_motors_follow_rows() {
+    // Bursts that end before the next row, and bursts that each row cuts.
+    for most in [150, 700] {
+        for slow in [1.0, 1.1] {
+            assert!(2 * rows(slow, most) >= TIME);
+        }
+    }
 }
 
 fn pick(random: &mut ChaCha8Rng, range: std::ops::Range<u64>) -> u64 {

@@ -218,8 +218,7 @@ impl Player {
         let second = u64::from(self.queues.drop_second(motor));
         let counters = reporting.count();
         (counters.played, counters.refused) = (counters.played - 1, counters.refused + 1 + second);
-        let tick = WireTick(tick.to_le_bytes());
-        reporting.report(Report::Refused { motor: motor as u8, tick, reason });
+        reporting.report_refused(motor as u8, WireTick(tick.to_le_bytes()), reason);
     }
 
     /// Whether a burst up to the goal may begin; then it counts. Its way back must fit the on-time limits, too.
