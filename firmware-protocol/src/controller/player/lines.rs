@@ -32,19 +32,11 @@ impl Player {
             self.next_block(now, reporting);
         }
         let begun = reporting.count().played as u32;
-        for (mut due, mut motor) in self.changes.take(now).parts().into_iter().zip((0..).step_by(32)) {
+        for (mut due, first) in self.changes.take(now).parts().into_iter().zip((0..).step_by(32)) {
             while due != 0 {
-                // The chip's core has no instruction that finds the next bit.
-                if due & 0xff == 0 {
-                    due >>= 8;
-                    motor += 8;
-                    continue;
-                }
-                if due & 1 == 1 {
-                    self.step(motor, reporting);
-                }
-                due >>= 1;
-                motor += 1;
+                // A multiplication and a table on the chip.
+                self.step(first + due.trailing_zeros() as usize, reporting);
+                due &= due - 1;
             }
         }
         let ticks = self.changes.quiet(now).min(max);
@@ -278,9 +270,9 @@ impl Player {
 
     /// When to look again whether a burst may begin, while the drivers are not ready or the limits on motors at once do not allow it.
     fn waits_until(&self, motor: usize) -> Option<u32> {
-        let (now, ready) = (self.rendered, self.ready());
-        if now < ready {
-            return Some(ready.0 as u32);
+        let is_ready = |since: Tick| self.rendered - since >= u64::from(self.drivers.lead);
+        if !self.drivers.since.is_some_and(is_ready) {
+            return Some(self.ready().0 as u32);
         }
         if self.takes_turns { self.waits_for_turn(motor) } else { None }
     }
