@@ -382,7 +382,7 @@ impl Random {
 #[test]
 fn moves_at_random_on_the_mock() {
     Random::play(&Which::Mock(1), 200, no_limits());
-    Random::play(&Which::Mock(1), 200, PowerLimits { rail_at_once: 4, chip_at_once: 1, ..no_limits() });
+    Random::play(&Which::Mock(1), 60, PowerLimits { rail_at_once: 4, chip_at_once: 1, ..no_limits() });
 }
 
 #[test]

@@ -61,6 +61,9 @@ struct Pin {
     highest: u16,
     still_since: Tick,
     begun: Tick,
+    /// When its last burst was cut short, and when its goal was set.
+    cut: Tick,
+    told: Tick,
 }
 
 impl Pin {
@@ -81,6 +84,9 @@ impl Pin {
 
     fn end(&mut self, now: Tick) {
         let Some(burst) = self.burst else { return };
+        if now < burst.end() {
+            self.cut = now;
+        }
         let height = burst.height(now);
         let moving = i64::from(burst.pulses - burst.pushes).min((now - burst.start) as i64) as i32;
         let moved = i32::from(height) - i32::from(burst.from);
@@ -93,6 +99,11 @@ impl Pin {
 
     fn set_goal(&mut self, level: u16) {
         (self.goal, self.correction, self.surplus) = (level, 0, 0);
+    }
+
+    /// Whether it has pulses in this tick, or had a burst that was cut short in it.
+    fn is_busy(&self, now: Tick, with_cut: bool) -> bool {
+        self.burst.is_some_and(|burst| burst.end() > now) || with_cut && self.cut == now
     }
 
     /// As much of a correction as leaves the pin within a correction of its highest level.
@@ -209,6 +220,7 @@ impl<'a> Pins<'a> {
         }
         let pin = &mut self.pins[motor];
         pin.end(now);
+        pin.told = now;
         pin.set_goal(level.unwrap_or(0).min(pin.height));
     }
 
@@ -238,7 +250,7 @@ impl<'a> Pins<'a> {
                 self.check_held(motor, now);
             }
             let pin = &mut self.pins[motor];
-            pin.still_since = now;
+            (pin.still_since, pin.told) = (now, now);
             if pin.goal > 0 || pin.burst.is_some_and(|burst| burst.direction == Direction::Up) {
                 pin.end(now);
                 pin.set_goal(0);
@@ -290,10 +302,7 @@ impl<'a> Pins<'a> {
             if let Some(live) = self.due(motor, now) {
                 self.begin(motor, now, live);
             }
-            if self.pins[motor].is_to_descend()
-                && self.ready(now) <= now
-                && self.full(motor, now, false).is_none()
-            {
+            if self.pins[motor].is_to_descend() && self.ready(now) <= now && self.has_turn(motor, now) {
                 self.descend(motor, now);
             }
             if let Some(Burst { direction, .. }) = self.pins[motor].burst {
@@ -365,12 +374,12 @@ impl<'a> Pins<'a> {
         if live.to.level > self.pins[motor].height(now) {
             self.check_held(motor, now);
         }
-        let full = self.full(motor, now, true);
+        let full = self.full(motor, now, true, false);
         let pin = &mut self.pins[motor];
         pin.end(now);
         let (before, height, level) = (pin.goal, pin.height, live.to.level);
         pin.set_goal(level);
-        pin.begun = now;
+        (pin.begun, pin.told) = (now, now);
         // A correction is for the distance that was planned.
         let amended = live.amended.filter(|_| height == live.from);
         let wanted = amended.map_or(0, |pulses| i32::from(pulses) - i32::from(level.abs_diff(height)));
@@ -410,8 +419,17 @@ impl<'a> Pins<'a> {
         pin.begin(now, Direction::Down, pulses + surplus, surplus);
     }
 
+    /// Whether a pin may come down. If there is room only because a burst has just been cut short, it may do so a tick later.
+    fn has_turn(&self, motor: usize, now: Tick) -> bool {
+        let first = motor / MOTORS_PER_RAIL * MOTORS_PER_RAIL;
+        let mut rail = self.pins[first..first + MOTORS_PER_RAIL].iter();
+        let looks = self.pins[motor].told == now
+            || rail.any(|pin| pin.still_since == now && pin.cut != now || pin.cut + 1 == now);
+        self.full(motor, now, false, !looks).is_none()
+    }
+
     /// Which group of the motor has as many others with pulses as may. For a way up it is also full while one waits to come down.
-    fn full(&self, motor: usize, now: Tick, is_up: bool) -> Option<Refusal> {
+    fn full(&self, motor: usize, now: Tick, is_up: bool, with_cut: bool) -> Option<Refusal> {
         let PowerLimits { rail_at_once, chip_at_once, .. } = self.limits;
         let groups = [
             (MOTORS_PER_RAIL, rail_at_once, Refusal::RailAtOnce),
@@ -421,7 +439,7 @@ impl<'a> Pins<'a> {
             let first = motor / size * size;
             let others =
                 || (first..first + size).filter(|&other| other != motor).map(|other| &self.pins[other]);
-            let busy = others().filter(|pin| pin.burst.is_some_and(|burst| burst.end() > now)).count();
+            let busy = others().filter(|pin| pin.is_busy(now, with_cut)).count();
             usize::from(most) < size && (busy >= most.into() || is_up && others().any(Pin::is_to_descend))
         });
         full.map(|(.., reason)| reason)
@@ -429,10 +447,12 @@ impl<'a> Pins<'a> {
 
     /// Whether a pin was held for longer than any play has said.
     fn check_held(&mut self, motor: usize, now: Tick) {
-        let Pin { height, burst, still_since, .. } = self.pins[motor];
+        let Pin { height, goal, burst, still_since, told, .. } = self.pins[motor];
         let holds = self.holds.iter().map(|&(_, hold)| u64::from(hold));
         let longest = holds.max().unwrap_or(0).max(self.hold(0)) + HOLD_SLACK;
-        if height > 0 && burst.is_none() && now - still_since > longest {
+        // One that waits for its turn is held no longer.
+        let until = if goal < height { told } else { now };
+        if height > 0 && burst.is_none() && until - still_since > longest {
             self.wrong(
                 now,
                 &format!("motor {motor} was held since {still_since:?}, for more than {longest} ticks"),
