@@ -83,7 +83,7 @@ fn a_way_down_waits_until_there_is_room_and_keeps_moves_up_away() {
         bench.moves(&moves);
         bench.run(500);
         let down = |motor, start, pulses| {
-            assert_eq!(bench.bursts(motor)[1..], [burst(start, Down, pulses)], "{shell:?}")
+            assert_eq!(bench.bursts(motor)[1..], [burst(start, Down, pulses)], "{shell:?}");
         };
         down(3, at + 200, 40);
         down(4, at + 240, 10);

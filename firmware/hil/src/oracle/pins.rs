@@ -201,7 +201,7 @@ impl<'a> Pins<'a> {
                 }
             }
             Step::Lower(motors, order) => {
-                motors.iter().for_each(|motor| self.lower(now, motor.into(), order))
+                motors.iter().for_each(|motor| self.lower(now, motor.into(), order));
             }
             Step::Cut(cut @ CutAt { return_ticks: Some(_), .. }, seek) => self.bring_down(now, cut, seek),
             Step::Cut(cut, _) => self.turn_off(now, cut),
