@@ -104,7 +104,7 @@
 //! that were not accepted; a frame without a verdict was accepted as sent.
 //!
 //! A move is *late* if it begins before the rendered end, or before the drivers are ready. A late move up is dropped. A late move down, unless
-//! it belongs to a stroke, lowers the goal at once, and counts as late.
+//! it belongs to a stroke, lowers the goal at once, to the height of the pin at most, and counts as late.
 //!
 //! The first frame of a play has a `mark`, and its `base` is the onset. It is all or nothing: if the onset is late, or it has more than
 //! [`batch::MAX_FIRST_BATCH`] moves, the device takes none of it and reports `OnsetRefused`. Its mark says for how long pins may be held. The first frame of a later item of a play has a mark, too. If that one

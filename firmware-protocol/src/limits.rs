@@ -190,6 +190,12 @@ impl OnTime {
         self.limits
     }
 
+    /// Whether there are limits on pulses.
+    #[must_use]
+    pub fn is_limited(&self) -> bool {
+        self.limits_motor || self.limits_rail
+    }
+
     /// Counts a move of `pulses` that begins at `now`.
     ///
     /// # Errors

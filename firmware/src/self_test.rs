@@ -11,7 +11,7 @@ use crate::board::{self, ENABLE, MOTORS};
 use crate::wave;
 use core::ptr;
 use embassy_rp::pac;
-use firmware_protocol::batch::{self, Strokes};
+use firmware_protocol::batch;
 use firmware_protocol::board::{LineTest, RamTest, SelfTest, WaveTest};
 use firmware_protocol::frame::{self, Decoder, MAX_FRAME};
 use firmware_protocol::message::HostMessage;
@@ -179,13 +179,12 @@ impl Run {
     fn work(&mut self, tries: u32) -> Next {
         let begun = now_us();
         let mut decoder = Decoder::new();
-        let mut pulses = 0;
+        let mut pulses = 0_u32;
         if let Some(body) = decoder.next(&mut &self.frame[..self.len])
-            && let Ok(HostMessage::Strokes { base, batch, .. }) = frame::read(body)
+            && let Ok(HostMessage::Moves { base, batch, .. }) = frame::read(body)
+            && let Ok(moves) = batch::moves(base.near(Tick(0)), batch)
         {
-            for stroke in Strokes::new(base.near(Tick(0)), batch).flatten() {
-                pulses += u32::from(stroke.up_pulses);
-            }
+            pulses = moves.iter().map(|to| u32::from(to.of.level)).sum();
         }
         core::hint::black_box(pulses);
         let took = now_us().wrapping_sub(begun);

@@ -1,7 +1,7 @@
 //! `profile [ELF]`: where the firmware's cycles go while it plays 24 motors at 280 to 300 Hz, out of phase and in phase.
 //!
-//! Prints the share of each function, inlined ones by themselves, and of each function with what it calls inline; then the
-//! longest call of each function. Needs `llvm-addr2line` (Debian: llvm) on the path.
+//! Prints the share of each function, inlined ones by themselves, of each function with what it calls inline, and of each function that is
+//! left after inlining; then the longest call of each function. Needs `llvm-addr2line` (Debian: llvm) on the path.
 
 #![expect(clippy::unwrap_used, reason = "what cannot go on has failed")]
 
@@ -68,16 +68,19 @@ fn main() {
     std::fs::remove_file(&path).unwrap();
     let text = String::from_utf8_lossy(&symbols.stdout).into_owned();
     let (mut own, mut whole) = (BTreeMap::<&str, u64>::new(), BTreeMap::<&str, u64>::new());
+    // By the functions that are left after inlining.
+    let mut left = BTreeMap::<&str, u64>::new();
     let mut blocks = text.split("0x").skip(1);
     for cycles in counts.values() {
         // The address, then pairs of function and line from the innermost function outwards.
         let functions: Vec<_> = blocks.next().unwrap_or_default().lines().skip(1).step_by(2).collect();
         *own.entry(functions.first().copied().unwrap_or("?")).or_default() += cycles;
+        *left.entry(functions.last().copied().unwrap_or("?")).or_default() += cycles;
         for function in functions.into_iter().collect::<BTreeSet<_>>() {
             *whole.entry(function).or_default() += cycles;
         }
     }
-    for (title, list) in [("itself", own), ("with what is inlined", whole)] {
+    for (title, list) in [("itself", own), ("with what is inlined", whole), ("calls apart", left)] {
         let mut list: Vec<_> = list.into_iter().collect();
         list.sort_by_key(|&(_, cycles)| std::cmp::Reverse(cycles));
         println!("{title}:");

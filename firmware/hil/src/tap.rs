@@ -3,14 +3,13 @@
 //! It shares only the frames with host and device. It counts repetitions once and widens ticks. It reads at the device's end of the
 //! line: what the line loses is not in it until the host has repeated it.
 
-use firmware_protocol::batch::{Amendment, Amendments, Strokes};
+use firmware_protocol::batch::{self, Amendment, Amendments, Unpacked};
 use firmware_protocol::board::{Board, SelfTestState};
 use firmware_protocol::frame::{self, Decoder};
 use firmware_protocol::message::{
     DeviceHello, DeviceMessage, HostMessage, Mark, Op, Report, Status, Trigger, Withdraw,
 };
 use firmware_protocol::tick::{Tick, WireTick};
-use meissner_array::strokes::Stroke;
 
 /// A frame of the ordered stream.
 #[derive(Clone, Debug)]
@@ -21,12 +20,12 @@ pub struct Batch {
     pub seq: u16,
     /// Whether it begins a play at `base`.
     pub mark: Option<Mark>,
-    /// Whose queued strokes it replaces, from `base` on.
+    /// Whose queued moves it replaces, from `base` on.
     pub withdraw: Option<Withdraw>,
-    /// The tick from which its strokes count.
+    /// The tick from which its moves count.
     pub base: Tick,
-    /// Its strokes.
-    pub strokes: Vec<Stroke>,
+    /// Its moves; none if the list cannot be read.
+    pub moves: Vec<Unpacked>,
 }
 
 /// What went over the link.
@@ -36,7 +35,7 @@ pub enum Event {
     Opened(u32),
     /// The host gave a command, which begins this epoch.
     Control(u16, Op),
-    /// The host sent strokes.
+    /// The host sent moves.
     Batch(Batch),
     /// The host sent amendments.
     Amend(Vec<Amendment>),
@@ -57,7 +56,7 @@ pub enum Event {
 /// Everything that went over the link in one boot of the device.
 #[derive(Debug, Default)]
 pub struct Tap {
-    /// Events, with the cycle at which they came to the device or from it. Strokes are in the order of their frames' numbers, which is
+    /// Events, with the cycle at which they came to the device or from it. Moves are in the order of their frames' numbers, which is
     /// that in which the device takes them.
     pub events: Vec<(u64, Event)>,
     host: Decoder,
@@ -170,12 +169,12 @@ impl Tap {
                 self.epoch = Some(epoch);
                 Event::Control(epoch, op)
             }
-            HostMessage::Strokes { epoch, seq, .. } if self.seen.contains(&(epoch, seq)) => return,
+            HostMessage::Moves { epoch, seq, .. } if self.seen.contains(&(epoch, seq)) => return,
             // Frames of another epoch, which a session sends to measure the line, are ignored.
-            HostMessage::Strokes { epoch, .. } if self.epoch.is_some_and(|present| present != epoch) => {
+            HostMessage::Moves { epoch, .. } if self.epoch.is_some_and(|present| present != epoch) => {
                 return;
             }
-            HostMessage::Strokes { epoch, seq, mark, withdraw, base, batch, .. } => {
+            HostMessage::Moves { epoch, seq, mark, withdraw, base, batch, .. } => {
                 // Numbers repeat after 65 536 frames.
                 if self.seen.len() > 64 {
                     self.seen.remove(0);
@@ -189,7 +188,7 @@ impl Tap {
                     mark,
                     withdraw,
                     base,
-                    strokes: Strokes::new(base, batch).flatten().collect(),
+                    moves: batch::moves(base, batch).map(|moves| moves.to_vec()).unwrap_or_default(),
                 })
             }
             HostMessage::Amend { base, items, .. } => {
@@ -200,7 +199,7 @@ impl Tap {
         self.events.insert(at, (cycle, event));
     }
 
-    /// Where an event from the host belongs: strokes belong before those of later frames that have overtaken theirs.
+    /// Where an event from the host belongs: moves belong before those of later frames that have overtaken theirs.
     fn place_of(&self, event: &Event) -> usize {
         let mut at = self.events.len();
         let Event::Batch(batch) = event else { return at };
@@ -260,7 +259,7 @@ mod tests {
             let len = encode(message, &mut frame).unwrap();
             tap.from_host(0, &frame[..len]);
         };
-        let strokes = |seq| HostMessage::Strokes {
+        let moves = |seq| HostMessage::Moves {
             epoch: 7,
             seq,
             seen: 0,
@@ -270,7 +269,7 @@ mod tests {
             batch: &[],
         };
         send(&HostMessage::Control { epoch: 7, seen: 0, op: Op::Stop });
-        [1, 3, 4, 2, 3, 0].into_iter().for_each(|seq| send(&strokes(seq)));
+        [1, 3, 4, 2, 3, 0].into_iter().for_each(|seq| send(&moves(seq)));
         // Older than the newest command.
         send(&HostMessage::Control { epoch: 6, seen: 0, op: Op::EStop });
         let numbers: Vec<_> = tap

@@ -46,20 +46,12 @@ fn plays(name: &str, motors: u8) {
     let epoch = hand.tap.status().unwrap().epoch;
     for (seq, part) in strokes.chunks(16).enumerate() {
         let mut packer = Packer::<BATCH_BYTES>::new(if seq == 0 { base } else { part[0].up });
-        part.iter().for_each(|stroke| packer.stroke(stroke).unwrap());
+        part.iter().for_each(|stroke| stroke.pack(&mut packer).unwrap());
         let trigger = Some(Trigger { width: WIDTH, code: 0 });
-        let mark = (seq == 0).then_some(Mark { kind: MarkKind::Play, trigger });
+        let mark = (seq == 0).then_some(Mark { kind: MarkKind::Play, trigger, hold: 0 });
         let base = packer.base().wire();
         let batch = packer.bytes();
-        hand.send(&HostMessage::Strokes {
-            epoch,
-            seq: seq as u16,
-            seen: 0,
-            mark,
-            withdraw: None,
-            base,
-            batch,
-        });
+        hand.send(&HostMessage::Moves { epoch, seq: seq as u16, seen: 0, mark, withdraw: None, base, batch });
         hand.run(MS);
     }
     // 8 000 ticks, and time for the answers.

@@ -7,7 +7,9 @@ use firmware_protocol::array::MotorSet;
 use firmware_protocol::batch::{BATCH_BYTES, Packer};
 use firmware_protocol::controller::POOL;
 use firmware_protocol::frame::{MAX_FRAME, encode};
-use firmware_protocol::message::{Counters, HostMessage, Op, State, Status, Withdraw};
+use firmware_protocol::limits::PowerLimits;
+use firmware_protocol::message::{Counters, HostMessage, Mark, MarkKind, Op, State, Status, Withdraw};
+use firmware_protocol::moves::Move;
 use firmware_protocol::tick::Tick;
 use meissner_array::strokes::Stroke;
 use meissner_hil::bench::chip::ChipBench;
@@ -39,7 +41,7 @@ pub(crate) struct Hand {
     /// Frames of strokes that are not on the line yet.
     outgoing: Vec<Vec<u8>>,
     grid: Option<Grid>,
-    /// Strokes sent.
+    /// Moves sent.
     pub(crate) sent: u64,
     host_timeout: u32,
 }
@@ -69,25 +71,58 @@ impl Hand {
             sent: 0,
             host_timeout,
         };
-        while !hand.bench.configured() {
-            hand.run(MS);
-            assert!(hand.now < 3_000 * MS, "no device");
-        }
-        hand.bench.dtr(true).unwrap();
-        while hand.tap.hello().is_none() {
-            hand.send(&HostMessage::Hello { session: 77 });
-            hand.run(5 * MS);
-            assert!(hand.now < 3_000 * MS, "no answer to a hello");
-        }
-        hand.epoch = hand.tap.epoch();
-        hand.speaks = true;
+        hand.greet(77);
         hand.arm(true);
         hand
     }
 
+    /// Opens a session.
+    fn greet(&mut self, session: u32) {
+        let limit = self.now + 3_000 * MS;
+        while !self.bench.configured() {
+            self.run(MS);
+            assert!(self.now < limit, "no device");
+        }
+        self.bench.dtr(true).unwrap();
+        while self.tap.hello().is_none_or(|hello| hello.session != session) {
+            self.send(&HostMessage::Hello { session });
+            self.run(5 * MS);
+            assert!(self.now < limit, "no answer to a hello");
+        }
+        (self.epoch, self.seq, self.speaks) = (self.tap.epoch(), 0, true);
+    }
+
+    /// Unplugs the cable.
+    pub(crate) fn unplug(&mut self) {
+        self.speaks = false;
+        self.bench.usb(false).unwrap();
+        self.tap.broken();
+    }
+
+    /// Plugs the cable in again, and opens the next session.
+    pub(crate) fn plug(&mut self) {
+        self.bench.usb(true).unwrap();
+        let session = self.tap.hello().unwrap().session + 1;
+        self.greet(session);
+        self.run(5 * MS);
+    }
+
+    /// The cycle at which the last pulse so far has fallen.
+    pub(crate) fn low_since(&mut self) -> u64 {
+        let low = match &self.bench {
+            Bench::Mock(mock) => mock.log.end().map(|tick| mock.grid().cycle(tick)),
+            Bench::Chip(chip) => chip.pins.low_since(u64::MAX),
+        };
+        low.unwrap_or(0)
+    }
+
     /// Arms the device, and waits until it has returned its pins.
     pub(crate) fn arm(&mut self, assume_rest: bool) {
-        let (host_timeout, limits) = (self.host_timeout, self.tap.hello().unwrap().limits);
+        self.arm_with(assume_rest, self.tap.hello().unwrap().limits);
+    }
+
+    pub(crate) fn arm_with(&mut self, assume_rest: bool, limits: PowerLimits) {
+        let host_timeout = self.host_timeout;
         self.control(Op::Arm { assume_rest, host_timeout, limits, lower_stop: None });
         self.run(60 * MS);
         assert_eq!(self.status().state, State::Armed);
@@ -172,17 +207,26 @@ impl Hand {
     /// Sends one frame with as many of these strokes as fit, and returns their number.
     fn frame(&mut self, withdraw: Option<u32>, base: Tick, strokes: &[Stroke]) -> usize {
         let mut packer = Packer::<BATCH_BYTES>::new(base);
-        let fits = strokes.iter().take_while(|stroke| packer.stroke(stroke).is_ok()).count();
+        let fits = strokes.iter().take_while(|stroke| stroke.pack(&mut packer).is_ok()).count();
         let (epoch, seq, seen) = (self.epoch, self.seq, self.tap.reports_read());
         let withdraw =
             withdraw.map(|motors| Withdraw { motors: MotorSet::from_bits(motors.into()), generation: 0 });
         let (base, batch) = (base.wire(), packer.bytes());
-        let frame =
-            self.encoded(&HostMessage::Strokes { epoch, seq, seen, mark: None, withdraw, base, batch });
+        let frame = self.encoded(&HostMessage::Moves { epoch, seq, seen, mark: None, withdraw, base, batch });
         self.outgoing.push(frame);
         self.seq = self.seq.wrapping_add(1);
-        self.sent += fits as u64;
+        self.sent += 2 * fits as u64;
         fits
+    }
+
+    /// Sends the next frame of the stream: what is packed, with a mark that begins a play if it says for how long pins may be held.
+    pub(crate) fn moves(&mut self, packer: &Packer<BATCH_BYTES>, hold: Option<u32>) {
+        let (epoch, seq, seen) = (self.epoch, self.seq, self.tap.reports_read());
+        let mark = hold.map(|hold| Mark { kind: MarkKind::Play, trigger: None, hold });
+        let (base, batch) = (packer.base().wire(), packer.bytes());
+        self.send(&HostMessage::Moves { epoch, seq, seen, mark, withdraw: None, base, batch });
+        self.seq = self.seq.wrapping_add(1);
+        self.sent += packer.count() as u64;
     }
 
     /// Appends strokes.
@@ -205,7 +249,7 @@ impl Hand {
         let mut rest = &strokes[..];
         while left != 0 || !rest.is_empty() {
             let mut packer = Packer::<BATCH_BYTES>::new(base);
-            let fits = rest.iter().take_while(|stroke| packer.stroke(stroke).is_ok());
+            let fits = rest.iter().take_while(|stroke| stroke.pack(&mut packer).is_ok());
             due |= left & fits.fold(0, |mask, stroke| mask | 1 << stroke.motor);
             let withdraw = (due != 0).then_some(due);
             rest = &rest[self.frame(withdraw, base, rest)..];
@@ -268,7 +312,13 @@ impl Hand {
         let from = self.tap.events.partition_point(|&(cycle, _)| cycle < since);
         let mut tap = Tap::default();
         tap.events = self.tap.events[from..].to_vec();
-        oracle::expect(&tap, None).strokes
+        let moves = oracle::accepted(&tap);
+        let pairs = moves.windows(2).filter(|pair| pair[1].1).map(|pair| (pair[0].0, pair[1].0));
+        let stroke = |(up, down): (Move, Move)| {
+            let (motor, down_pulses) = (up.motor, up.level + down.surplus);
+            Stroke { motor, up: up.tick, up_pulses: up.level, down: down.tick, down_pulses }
+        };
+        pairs.map(stroke).collect()
     }
 
     /// What the verdicts since event `from` say together.
@@ -320,12 +370,12 @@ impl Hand {
         assert!(findings.is_empty(), "{}", findings.join("\n"));
         let Counters { played, late, dropped, refused, replaced, .. } = counters;
         if !stopped {
-            assert_eq!(played + late + dropped + refused + replaced, 2 * self.sent, "{counters:?}");
+            assert_eq!(played + late + dropped + refused + replaced, self.sent, "{counters:?}");
             assert_eq!((dropped, refused), (0, 0), "{counters:?}");
             assert_eq!(counters.pulses, judged.log.pulses());
             // Strokes that were not taken, because the old ones stay, count as replaced, too.
-            assert_eq!(late + replaced, 2 * (u64::from(not_taken) + judged.expected.replaced.len() as u64));
-            assert_eq!(played, 2 * judged.expected.strokes.len() as u64);
+            assert_eq!(late + replaced, u64::from(not_taken) + judged.expected.replaced.len() as u64);
+            assert_eq!(played, judged.expected.moves.len() as u64);
         }
         (judged, counters)
     }

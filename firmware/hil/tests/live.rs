@@ -41,8 +41,8 @@ fn play(seed: u64, faults: Faults) -> Played {
     for number in 1..=UPDATES {
         rig.run_to(rig.now() + EVERY).unwrap();
         let mut update = LiveUpdate::new(Array::paper(), 1, number, host(rig.now()));
-        for new in &mut update.waves {
-            *new = random.next_u32().is_multiple_of(3).then(|| wave(&mut random));
+        for new in &mut update.motions {
+            *new = random.next_u32().is_multiple_of(3).then(|| wave(&mut random).into());
         }
         rig.order(Command::UpdateLive(Box::new(update)));
     }

@@ -178,7 +178,7 @@ pub(crate) fn load((slow, replaced, in_phase): Condition) -> bool {
     let sent = load.hand.sent - sent;
     let longest = load.hand.chip().profile(false).unwrap().longest.into_iter();
     let longest =
-        longest.filter(|(function, _)| function.contains("take_strokes")).map(|(_, cycles)| cycles).max();
+        longest.filter(|(function, _)| function.contains("take_moves")).map(|(_, cycles)| cycles).max();
     let share = (load.busy() - busy) as f64 / elapsed as f64;
     load.hand.settle();
     let slack = u64::from(load.hand.slack().unwrap());
@@ -187,8 +187,8 @@ pub(crate) fn load((slow, replaced, in_phase): Condition) -> bool {
     let (_, counters) = load.hand.finish(false);
     let per_s = |count: u64| (count * 1_000 * MS) as f64 / elapsed as f64;
     println!(
-        "core at {:.0} %, {} motors at 300 Hz{}, {replaced:?} replaced at {:.0} Hz: of {TIME} ticks, {slack} are left at least; {:.0} strokes/s \
-         sent, {:.0} % busy, at most {} cycles to take a piece of a frame; {} of {} bursts replaced",
+        "core at {:.0} %, {} motors at 300 Hz{}, {replaced:?} replaced at {:.0} Hz: of {TIME} ticks, {slack} are left at least; {:.0} moves/s \
+         sent, {:.0} % busy, at most {} cycles to take a piece of a frame; {} of {} moves replaced",
         100.0 / slow,
         replaced.motors(),
         if in_phase { " in phase" } else { "" },

@@ -14,6 +14,7 @@ mod live;
 mod load;
 mod lower_stop;
 mod margin;
+mod moves;
 mod patterns;
 mod play;
 mod random;

@@ -18,7 +18,7 @@ const READ_APART: f64 = 70.0;
 /// ticks that are counted is 118 ppm.
 const SAME_CLOCK_PPM: f64 = 300.0;
 /// Time to read the longest frame in the emulated chip, µs (`cargo test self_test -- --nocapture` in `firmware/hil`).
-const WORK_US: f64 = 128.0;
+const WORK_US: f64 = 167.0;
 /// Ticks in which the board can render a block before the DMA fetches its first word (`docs/explanation/board-timing.md`).
 const HORIZON_TICKS: f64 = 45.0;
 /// Time that the longest tasks take together in the emulated chip (the same page), µs.
@@ -199,7 +199,7 @@ mod tests {
         }),
         wave: Some(WaveTest { timer_us: 100_000, ticks: 8_500, words: 34_010 }),
         ram: Some(RamTest { bytes: 62_000, bad: None }),
-        work_us: Some(128),
+        work_us: Some(167),
     };
 
     fn levels(test: SelfTest) -> Vec<Level> {
@@ -231,7 +231,7 @@ mod tests {
             levels(SelfTest { ram: Some(RamTest { bytes: 1, bad: Some(4) }), ..SOUND })[2],
             Level::Fail
         );
-        for (us, level) in [(140, Level::Ok), (170, Level::Warn), (250, Level::Fail)] {
+        for (us, level) in [(183, Level::Ok), (222, Level::Warn), (327, Level::Fail)] {
             assert_eq!(levels(SelfTest { work_us: Some(us), ..SOUND })[3], level);
         }
     }

@@ -151,10 +151,7 @@ impl Motion {
         if !player.shifts_at(now) {
             self.pins.finish_shift();
         }
-        if self.state == State::Disarmed || !player.is_still(now) {
-            return;
-        }
-        if self.state == State::Returning {
+        if self.state == State::Returning && player.is_still(now) {
             self.state = self.then;
             self.pins.finish_seek();
             reporting.send_status();

@@ -39,6 +39,11 @@ impl Allowance {
         self.pushing.is_allowed()
     }
 
+    /// Whether the pulses of a second are limited.
+    pub(super) fn limits_on_time(&self) -> bool {
+        self.on_time.is_limited()
+    }
+
     /// Whether every motor may push `pulses` more.
     pub(super) fn allows_pushes(&mut self, now: Tick, pulses: u32) -> bool {
         self.pushing.allows_all(now, pulses)
@@ -119,9 +124,14 @@ impl Allowance {
         self.pushing.begin_some(now, motor, surplus.into()) as u16
     }
 
-    /// Ends what was counted: pulses, and pushes, each as counted and as played.
-    pub(super) fn end(&mut self, now: Tick, motor: usize, pulses: (u16, u32), pushes: (u16, u16)) {
-        self.on_time.end(now, motor, pulses.0.into(), pulses.1);
-        self.pushing.end(now, motor, pushes.0.into(), pushes.1.into());
+    /// Ends pulses that were counted, and of which so many were played.
+    pub(super) fn end(&mut self, now: Tick, motor: usize, pulses: u16, played: u16) {
+        self.on_time.end(now, motor, pulses.into(), played.into());
+    }
+
+    /// Ends pushes that were counted, and of which so many were played.
+    #[inline(never)]
+    pub(super) fn end_pushes(&mut self, now: Tick, motor: usize, pushes: u16, played: u16) {
+        self.pushing.end(now, motor, pushes.into(), played.into());
     }
 }

@@ -140,7 +140,7 @@ impl Player {
         let (now, index) = (self.rendered, usize::from(motor));
         self.allowance.begin(now, index, pulses.into(), [0; 2], &self.layout)?;
         // It counts when it begins.
-        self.allowance.end(now, index, (pulses, 0), (0, 0));
+        self.allowance.end(now, index, pulses, 0);
         self.allowance.may_push(now, index, pushes)?;
         match direction {
             Direction::Up => self.shifting = Some(Shifting { motor, pulses, end: None }),

@@ -38,22 +38,30 @@ impl Drivers {
 impl Player {
     /// Whether the drivers are enabled at the rendered end, and for how many of the next `ticks` this stays so. No line changes
     /// in these ticks.
-    pub(super) fn enable_drivers(&mut self, ticks: u64) -> (bool, u64) {
+    pub(super) fn enable_drivers(&mut self, ticks: u32) -> (bool, u32) {
+        let now = self.rendered;
+        if self.lines.pulsing().is_empty() {
+            return self.enable_for_the_next(ticks);
+        }
+        self.drivers.tail_end = now + u64::from(ticks + DRIVER_TAIL);
+        if self.drivers.since.is_none() {
+            self.drivers.since = Some(now);
+        }
+        (true, ticks)
+    }
+
+    /// All lines are quiet, so the next change is a burst.
+    #[inline(never)]
+    fn enable_for_the_next(&mut self, ticks: u32) -> (bool, u32) {
         let (now, lead) = (self.rendered, u64::from(self.drivers.lead));
-        let ticks = if !self.lines.pulsing().is_empty() {
-            self.drivers.tail_end = now + ticks + u64::from(DRIVER_TAIL);
+        let next = self.changes.first(now.0 as u32);
+        let ticks = if next <= lead {
             ticks
+        } else if now < self.drivers.tail_end {
+            u64::from(ticks).min(self.drivers.tail_end - now) as u32
         } else {
-            // All lines are quiet, so the next change is a burst.
-            let next = self.changes.first(now.0 as u32);
-            if next <= lead {
-                ticks
-            } else if now < self.drivers.tail_end {
-                ticks.min(self.drivers.tail_end - now)
-            } else {
-                self.drivers.since = None;
-                return (false, ticks.min(next - lead));
-            }
+            self.drivers.since = None;
+            return (false, u64::from(ticks).min(next - lead) as u32);
         };
         self.drivers.since = self.drivers.since.or(Some(now));
         (true, ticks)

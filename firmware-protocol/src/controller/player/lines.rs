@@ -7,9 +7,9 @@
 
 use crate::array::{MotorSet, Ring};
 use crate::controller::Run;
-use crate::controller::player::Player;
 use crate::controller::player::queue::{Waiting, ahead};
 use crate::controller::player::recent::{Begun, Rendered};
+use crate::controller::player::{NEVER, Player};
 use crate::controller::reporting::Reporting;
 use crate::limits::Refusal;
 use crate::message::Report;
@@ -26,35 +26,27 @@ impl Player {
             // Do not bring lines to a tick that is not rendered: a move in it can still be amended.
             return Run { lines: self.lines, trigger: false, drivers: false, ticks: 0 };
         }
-        let (trigger, change) = self.marks.level(self.rendered, reporting.counters());
+        let (trigger, change) = self.marks.level(self.rendered, reporting.count());
         let now = self.rendered.0 as u32;
         if self.changes.is_over(now) {
             self.next_block(now, reporting);
         }
         let before = Begun::of(reporting.count());
-        for (mut due, mut motor) in self.changes.take(now).parts().into_iter().zip((0..).step_by(32)) {
+        for (mut due, first) in self.changes.take(now).parts().into_iter().zip((0..).step_by(32)) {
             while due != 0 {
-                // The chip's core has no instruction that finds the next bit.
-                if due & 0xff == 0 {
-                    due >>= 8;
-                    motor += 8;
-                    continue;
-                }
-                if due & 1 == 1 {
-                    self.step(motor, reporting);
-                }
-                due >>= 1;
-                motor += 1;
+                // A multiplication and a table on the chip.
+                self.step(first + due.trailing_zeros() as usize, reporting);
+                due &= due - 1;
             }
         }
         let ticks = self.changes.quiet(now).min(max);
-        let ticks = (change - self.rendered).min(ticks.into());
+        let ticks = if change == NEVER { ticks } else { (change - self.rendered).min(ticks.into()) as u32 };
         let (drivers, ticks) = self.enable_drivers(ticks);
-        self.rendered = self.rendered + ticks;
+        self.rendered = self.rendered + u64::from(ticks);
         let counters = reporting.count();
-        counters.pulses += u64::from(self.lines.pulsing().len()) * ticks;
-        let begun = Begun::of(counters).since(before);
-        let (lines, ticks) = (self.lines, ticks as u32);
+        // At most a block.
+        counters.pulses += u64::from(self.lines.pulsing().len() * ticks);
+        let (lines, begun) = (self.lines, Begun::of(counters).since(before));
         self.recent.push(Rendered { lines, ticks, begun });
         Run { lines, trigger, drivers, ticks }
     }
@@ -147,10 +139,11 @@ impl Player {
     #[inline(never)]
     pub(super) fn end(&mut self, motor: usize) {
         let now = self.rendered;
-        let Some(ended) = self.motors[motor].end(now) else { return };
-        let played = ended.played(now.0 as u32);
-        let pushes = (ended.pushes, ended.pushed(now.0 as u32));
-        self.allowance.end(now, motor, (ended.pulses, played.into()), pushes);
+        let Some((ended, played)) = self.motors[motor].end(now) else { return };
+        self.allowance.end(now, motor, ended.pulses, played);
+        if ended.pushes > 0 {
+            self.allowance.end_pushes(now, motor, ended.pushes, ended.pushed(now.0 as u32));
+        }
         self.still_from = now;
         if ended.end() != now.0 as u32 {
             self.make_room(motor);
@@ -176,7 +169,7 @@ impl Player {
         let now = self.rendered;
         let before = self.motors[motor].goal();
         let Some(waiting) = self.queues.begin(motor, now) else { return };
-        let Waiting { level, surplus, from, tick, .. } = waiting;
+        let Waiting { level, surplus, from, tick, correction, .. } = waiting;
         if level == before && surplus == 0 {
             // The pin is there, or on its way.
             reporting.count().played += 1;
@@ -186,37 +179,34 @@ impl Player {
         if self.motors[motor].running.is_some() {
             self.end(motor);
         }
-        let height = self.motors[motor].height(now.0 as u32);
-        self.motors[motor].set_goal(level);
+        let of = &mut self.motors[motor];
+        let height = of.height;
+        of.set_goal(level);
         // A correction is for the distance that was planned.
-        let correction = if from == height { waiting.correction } else { 0 };
+        let correction = if from == height { correction } else { 0 };
         let correction = if correction < 0 && level > height && self.has_stop() {
             self.without_pushes(motor, correction)
         } else {
             correction
         };
+        let of = &mut self.motors[motor];
         let counters = reporting.count();
         counters.played += 1;
-        counters.shortened += u64::from(height != before);
-        counters.amended += u64::from(correction != 0);
+        if height != before {
+            counters.shortened += 1;
+        }
+        if correction != 0 {
+            counters.amended += 1;
+        }
         if level <= height {
-            (self.motors[motor].correction, self.motors[motor].surplus) = (correction, surplus);
+            (of.correction, of.surplus) = (correction, surplus);
             self.allowance.count_begin();
             return;
         }
         let pulses = (level - height).saturating_add_signed(correction);
-        let begun = self.begin_up(motor, pulses);
-        match begun {
+        match self.begin_up(motor, pulses) {
             Ok(()) => self.motors[motor].begin(now, Direction::Up, pulses, 0, level),
-            Err(reason) => {
-                self.motors[motor].set_goal(before.min(height));
-                // A stroke is refused as a whole.
-                let second = u64::from(self.queues.drop_second(motor));
-                let counters = reporting.count();
-                (counters.played, counters.refused) = (counters.played - 1, counters.refused + 1 + second);
-                let tick = WireTick(tick.to_le_bytes());
-                reporting.report(Report::Refused { motor: motor as u8, tick, reason });
-            }
+            Err(reason) => self.refuse(motor, before.min(height), tick, reason, reporting),
         }
     }
 
@@ -228,9 +218,31 @@ impl Player {
         -i16::try_from(room).map_or(-correction, |room| room.min(-correction))
     }
 
+    /// A limit refuses the move that has just begun: the goal is what it was, or lower.
+    #[inline(never)]
+    fn refuse(&mut self, motor: usize, goal: u16, tick: u32, reason: Refusal, reporting: &mut Reporting) {
+        self.motors[motor].set_goal(goal);
+        // A stroke is refused as a whole.
+        let second = u64::from(self.queues.drop_second(motor));
+        let counters = reporting.count();
+        (counters.played, counters.refused) = (counters.played - 1, counters.refused + 1 + second);
+        reporting.report_refused(motor as u8, WireTick(tick.to_le_bytes()), reason);
+    }
+
     /// Whether a burst up to the goal may begin; then it counts. Its way back must fit the on-time limits, too.
+    #[inline(never)]
     fn begin_up(&mut self, motor: usize, pulses: u16) -> Result<(), Refusal> {
         self.allowance.begin_move()?;
+        if self.takes_turns {
+            self.has_turn(motor)?;
+        }
+        let back = if self.allowance.limits_on_time() { self.back(motor) } else { [0; 2] };
+        self.allowance.begin(self.rendered, motor, pulses.into(), back, &self.layout)
+    }
+
+    /// Whether the limits on motors at once allow a way up.
+    #[inline(never)]
+    fn has_turn(&self, motor: usize) -> Result<(), Refusal> {
         let (rail, chip) = (self.layout.next_on_rail(), self.layout.next_on_chip());
         let limits = self.limits();
         if self.is_full(motor, rail, limits.rail_at_once, self.layout.motors_per_rail(), true) {
@@ -239,8 +251,7 @@ impl Player {
         if self.is_full(motor, chip, limits.chip_at_once, self.layout.motors_per_chip(), true) {
             return Err(Refusal::ChipAtOnce);
         }
-        let back = self.back(motor);
-        self.allowance.begin(self.rendered, motor, pulses.into(), back, &self.layout)
+        Ok(())
     }
 
     /// The pulses down that a motor at its goal and its rail still have to begin until all pins are at rest.
@@ -275,10 +286,15 @@ impl Player {
 
     /// When to look again whether a burst may begin, while the drivers are not ready or the limits on motors at once do not allow it.
     fn waits_until(&self, motor: usize) -> Option<u32> {
-        let (now, ready) = (self.rendered, self.ready());
-        if now < ready {
-            return Some(ready.0 as u32);
+        let is_ready = |since: Tick| self.rendered - since >= u64::from(self.drivers.lead);
+        if !self.drivers.since.is_some_and(is_ready) {
+            return Some(self.ready().0 as u32);
         }
+        if self.takes_turns { self.waits_for_turn(motor) } else { None }
+    }
+
+    #[inline(never)]
+    fn waits_for_turn(&self, motor: usize) -> Option<u32> {
         let limits = self.limits();
         let (rail, chip) = (self.layout.next_on_rail(), self.layout.next_on_chip());
         if self.is_full(motor, rail, limits.rail_at_once, self.layout.motors_per_rail(), false) {
@@ -299,10 +315,23 @@ impl Player {
             return later;
         }
         let now = self.rendered;
-        let of = &self.motors[motor];
-        let distance = of.height(now.0 as u32) - of.goal();
+        let of = &mut self.motors[motor];
         let (goal, correction) = (of.goal(), of.correction);
-        let surplus = core::mem::take(&mut self.motors[motor].surplus);
+        // No burst runs.
+        let distance = of.height - goal;
+        let surplus = core::mem::take(&mut of.surplus);
+        if correction == 0 && surplus == 0 && of.left_to_push() == 0 {
+            of.begin(now, Direction::Down, distance, 0, goal);
+            self.allowance.count(now, motor, distance);
+            return None;
+        }
+        self.descend_uneven(motor, distance, correction, surplus);
+        None
+    }
+
+    #[inline(never)]
+    fn descend_uneven(&mut self, motor: usize, distance: u16, correction: i16, surplus: u16) {
+        let (now, goal) = (self.rendered, self.motors[motor].goal());
         let mut pulses = distance.saturating_add_signed(correction.min(0)).max(distance.min(1));
         let mut pushes = if self.has_stop() { self.motors[motor].pushes(pulses) } else { 0 };
         if pushes > 0 {
@@ -317,12 +346,10 @@ impl Player {
             pulses += more;
             pushes += self.allowance.pushes(now, motor, surplus.min(room - more));
         }
-        if pulses + pushes == 0 {
-            return None;
+        if pulses + pushes > 0 {
+            self.allowance.count(now, motor, pulses + pushes);
+            self.motors[motor].begin(now, Direction::Down, pulses + pushes, pushes, goal);
         }
-        self.allowance.count(now, motor, pulses + pushes);
-        self.motors[motor].begin(now, Direction::Down, pulses + pushes, pushes, goal);
-        None
     }
 
     /// Begins the burst up that shifts where the pin rests, or returns when to look again.

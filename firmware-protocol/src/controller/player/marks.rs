@@ -69,16 +69,22 @@ impl Marks {
     }
 
     /// Whether the trigger is high at `now`, the rendered end, and the tick until which it stays so. `counters` are those of now.
-    pub(super) fn level(&mut self, now: Tick, counters: Counters) -> (bool, Tick) {
+    #[inline]
+    pub(super) fn level(&mut self, now: Tick, counters: &Counters) -> (bool, Tick) {
         if self.queue.is_empty() && self.output.cells == 0 {
             return (false, NEVER);
         }
+        self.pass_marks(now, counters)
+    }
+
+    #[inline(never)]
+    fn pass_marks(&mut self, now: Tick, counters: &Counters) -> (bool, Tick) {
         let mut next = NEVER;
         for mark in &mut self.queue {
             if mark.at > now {
                 next = next.min(mark.at);
             } else if mark.counters.is_none() {
-                mark.counters = Some(counters);
+                mark.counters = Some(*counters);
                 if let Some(trigger) = mark.trigger {
                     self.output.begin(now, trigger);
                 }

@@ -65,6 +65,10 @@ pub(super) struct Player {
     /// When the last burst ended or will end that was rendered.
     still_from: Tick,
     lines: Lines,
+    /// Whether the limits on motors at once make some wait for others.
+    takes_turns: bool,
+    /// [`Layout::least_apart`], which costs a division.
+    least_apart: u32,
     drivers: Drivers,
     changes: Changes,
     motors: [Motor; CAPACITY],
@@ -115,6 +119,8 @@ impl Player {
             rendered: now,
             still_from: now,
             lines: Lines::OFF,
+            takes_turns: false,
+            least_apart: layout.least_apart(),
             drivers: Drivers::new(&layout),
             changes: Changes::none(now),
             motors: [Motor::REST; CAPACITY],
@@ -159,6 +165,7 @@ impl Player {
     /// Sets the limits of an arming; the array's own apply, too. The pulses counted so far stay.
     pub(super) fn set_limits(&mut self, limits: PowerLimits, pushes_per_s: u32) {
         let limits = self.layout.no_limits().min(limits);
+        self.takes_turns = self.layout.takes_turns(&limits);
         self.allowance.set_limits(limits, pushes_per_s, &self.layout);
     }
 

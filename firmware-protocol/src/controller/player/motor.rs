@@ -150,20 +150,33 @@ impl Motor {
         self.running.is_none() && self.height == self.goal && self.surplus == 0
     }
 
-    /// Ends the burst that runs, at `now`.
-    pub(super) fn end(&mut self, now: Tick) -> Option<Running> {
+    /// Ends the burst that runs, at `now`. Returns it and how many of its pulses were played.
+    #[inline(always)]
+    pub(super) fn end(&mut self, now: Tick) -> Option<(Running, u16)> {
         let ended = self.running?;
+        let low = now.0 as u32;
         let before = self.height;
-        self.height = self.height(now.0 as u32);
-        self.go_below(ended.below(before, now.0 as u32));
-        if let Some(Uneven { of, .. }) = &mut self.uneven[0]
-            && *of == ended
-        {
-            let now = now.0 as u32;
-            (of.pulses, of.pushes, of.to) = (ended.played(now), ended.pushed(now), self.height);
+        let played = if ended.end() == low {
+            self.height = ended.to;
+            ended.pulses
+        } else {
+            self.height = self.height(low);
+            ended.played(low)
+        };
+        if self.below > 0 || self.uneven[0].is_some() {
+            self.end_uneven(ended, before, low);
         }
         (self.running, self.still_since) = (None, now);
-        Some(ended)
+        Some((ended, played))
+    }
+
+    /// Only an uneven burst takes the pin to another place than its height says.
+    #[inline(never)]
+    fn end_uneven(&mut self, ended: Running, before: u16, now: u32) {
+        self.go_below(ended.below(before, now));
+        if let Some(Uneven { of, .. }) = self.uneven[0].as_mut().filter(|uneven| uneven.of == ended) {
+            (of.pulses, of.pushes, of.to) = (ended.played(now), ended.pushed(now), self.height);
+        }
     }
 
     /// Where the pin is, and where it should be, without a burst.
@@ -194,14 +207,23 @@ impl Motor {
         self.running = Some(of);
         // No earlier, because an e-stop may take back the end of the way to rest.
         self.below = self.left_to_push();
-        self.forget_played(now);
+        // The first one is the newest.
+        if self.uneven[0].is_some() {
+            self.forget_played(now);
+        }
         if pulses != self.height.abs_diff(to) || pushes > 0 {
-            self.uneven.rotate_right(1);
-            self.uneven[0] = Some(Uneven { of, from: self.height });
+            self.note_uneven(Uneven { of, from: self.height });
         }
     }
 
+    #[inline(never)]
+    fn note_uneven(&mut self, uneven: Uneven) {
+        self.uneven.rotate_right(1);
+        self.uneven[0] = Some(uneven);
+    }
+
     /// Forgets the uneven bursts all of whose ticks were played.
+    #[inline(never)]
     fn forget_played(&mut self, now: Tick) {
         let pauses = now - self.still_since > u64::from(HORIZON);
         for place in &mut self.uneven {

@@ -38,7 +38,7 @@ impl Player {
         }
         let Some(first) = moves.first() else { return Ok(()) };
         let ticks = self.queues.last_ticks(first.motor.into());
-        if follow(moves, ticks, self.layout.least_apart()) { Ok(()) } else { Err(Refusal::Dense) }
+        if follow(moves, ticks, self.least_apart) { Ok(()) } else { Err(Refusal::Dense) }
     }
 
     /// Queues a move, or the two of a stroke. They take only amendments newer than `generation`. A move to rest has been played if the pin is at
@@ -83,7 +83,7 @@ impl Player {
     /// if the moves of `next` come too shortly after those before them.
     pub(in crate::controller) fn withdraw(&mut self, motor: u8, from: Tick, next: &[Move]) -> Option<u16> {
         let motor = usize::from(motor);
-        let moves = self.queues.withdraw(motor, from, next, self.layout.least_apart(), self.rendered)?;
+        let moves = self.queues.withdraw(motor, from, next, self.least_apart, self.rendered)?;
         if self.queues.first(motor).is_none() && self.motors[motor].is_still() {
             // The line waits for the withdrawn move no longer, nor do the drivers.
             self.changes.forget(motor);

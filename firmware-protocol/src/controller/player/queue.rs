@@ -80,6 +80,33 @@ pub(super) fn follow(moves: &[Move], [mut last, mut before]: [Tick; 2], apart: u
     })
 }
 
+/// The moves of a queue before a tick.
+struct Before {
+    kept: u16,
+    /// The last one of them, and the first one after them.
+    last: u16,
+    first: u16,
+    /// The low halves of the ticks of the last two, the last one first.
+    ticks: [u32; 2],
+}
+
+/// Looks for the moves of a queue before a tick, with the second moves of their strokes. The longest loop of the controller: by itself, so
+/// that all it needs is in registers.
+#[inline(never)]
+fn before(slots: &[Waiting; POOL], head: u16, low: u32) -> Before {
+    let mut found = Before { kept: 0, last: NONE, first: head, ticks: [0; 2] };
+    let mut before = NONE;
+    while let Some(slot) = slots.get(usize::from(found.first))
+        && (slot.tick.wrapping_sub(low).cast_signed() < 0 || slot.joined)
+    {
+        before = core::mem::replace(&mut found.last, found.first);
+        found.first = slot.next;
+        found.kept += 1;
+    }
+    found.ticks = [found.last, before].map(|at| slots.get(usize::from(at)).map_or(0, |slot| slot.tick));
+    found
+}
+
 /// Ticks from `now` to the low half of a tick within 2^31.
 pub(super) const fn ahead(tick: u32, now: Tick) -> i32 {
     tick.wrapping_sub(now.0 as u32).cast_signed()
@@ -226,13 +253,15 @@ impl Queues {
             return None;
         }
         // Before all that waits, or after it: a distance of 2^31 has no sign.
-        let limit = (from - now).min(1 << 30) as i32;
-        let (mut last, mut first, mut kept, mut ticks) = (NONE, head, 0, begun);
-        while let Some(slot) = self.get(first).filter(|slot| slot.joined || ahead(slot.tick, now) < limit) {
-            (last, first) = (first, slot.next);
-            ticks = [Tick(now.0.wrapping_add_signed(ahead(slot.tick, now).into())), ticks[0]];
-            kept += 1;
-        }
+        let limit = (from - now).min(1 << 30) as u32;
+        let Before { kept, last, first, ticks: before } =
+            before(&self.slots, head, (now.0 as u32).wrapping_add(limit));
+        let at = |tick| Tick(now.0.wrapping_add_signed(ahead(tick, now).into()));
+        let ticks = match kept {
+            0 => begun,
+            1 => [at(before[0]), begun[0]],
+            _ => before.map(at),
+        };
         if !follow(next, ticks, apart) {
             return None;
         }

@@ -48,32 +48,44 @@ pub(super) struct Rendered {
     pub(super) begun: Begun,
 }
 
+const RUNS: usize = HORIZON as usize;
+
+/// A ring of as many runs as the horizon has ticks.
 #[derive(Clone, Debug)]
 pub(super) struct Recent {
-    runs: heapless::Deque<Rendered, { HORIZON as usize }>,
+    runs: [Rendered; RUNS],
+    /// The place of the next run.
+    next: usize,
 }
 
 impl Hash for Recent {
     fn hash<H: Hasher>(&self, hasher: &mut H) {
-        self.runs.iter().for_each(|run| run.hash(hasher));
+        self.newest_first().for_each(|run| run.hash(hasher));
     }
 }
 
 impl Recent {
-    pub(super) const NOTHING: Self = Self { runs: heapless::Deque::new() };
+    pub(super) const NOTHING: Self = {
+        let begun = Begun { played: 0, amended: 0, shortened: 0 };
+        Self { runs: [Rendered { lines: Lines::OFF, ticks: 0, begun }; RUNS], next: 0 }
+    };
 
+    #[inline(always)]
     pub(super) fn push(&mut self, run: Rendered) {
-        if self.runs.is_full() {
-            self.runs.pop_front();
-        }
-        let _ = self.runs.push_back(run);
+        self.runs[self.next % RUNS] = run;
+        self.next = (self.next + 1) % RUNS;
+    }
+
+    fn newest_first(&self) -> impl Iterator<Item = &Rendered> {
+        let runs = (1..=RUNS).map(|ago| &self.runs[(self.next + RUNS - ago) % RUNS]);
+        runs.take_while(|run| run.ticks > 0)
     }
 
     /// Takes the last `ticks` out of these counts.
     pub(super) fn without_last(&self, mut ticks: u32, mut counters: Counters) -> Counters {
-        for run in self.runs.iter().rev() {
+        for run in self.newest_first() {
             let of = run.ticks.min(ticks);
-            counters.pulses -= u64::from(run.lines.pulsing().len()) * u64::from(of);
+            counters.pulses -= u64::from(run.lines.pulsing().len() * of);
             if of < run.ticks || of == 0 {
                 break;
             }
@@ -85,11 +97,16 @@ impl Recent {
 
     /// Takes the newest run, and of it at most `ticks`, the last ones.
     pub(super) fn take_back(&mut self, ticks: u32) -> Option<Rendered> {
-        let last = self.runs.back_mut()?;
+        let before = (self.next + RUNS - 1) % RUNS;
+        let last = &mut self.runs[before];
+        if last.ticks == 0 {
+            return None;
+        }
         if last.ticks > ticks {
             last.ticks -= ticks;
             return Some(Rendered { ticks, begun: Begun::default(), ..*last });
         }
-        self.runs.pop_back()
+        self.next = before;
+        Some(core::mem::replace(last, Rendered { ticks: 0, ..*last }))
     }
 }

@@ -8,6 +8,7 @@ mod reports;
 
 use crate::array::{CAPACITY, Layout};
 use crate::controller::board::BoardRequests;
+use crate::limits::Refusal;
 use crate::message::{Counters, Cut, DeviceMessage, MAX_SAMPLES, Report, Samples};
 use crate::tick::{Tick, WireTick};
 use core::hash::{Hash, Hasher};
@@ -76,6 +77,13 @@ impl Reporting {
 
     pub(super) fn report(&mut self, report: Report) {
         if !self.reports.push(report) {
+            self.counters.reports_lost += 1;
+        }
+    }
+
+    /// Reports a refused move: without a copy of the largest report, because many may be refused in a tick.
+    pub(super) fn report_refused(&mut self, motor: u8, tick: WireTick, reason: Refusal) {
+        if !self.reports.push_refused(motor, tick, reason) {
             self.counters.reports_lost += 1;
         }
     }

@@ -67,15 +67,22 @@ impl Reports {
     /// Adds a report. Returns `false` if it is lost.
     #[must_use]
     pub(super) fn push(&mut self, report: Report) -> bool {
+        if let Report::Refused { motor, tick, reason } = report {
+            return self.push_refused(motor, tick, reason);
+        }
         let number = self.made.wrapping_add(1);
-        let kept = match report {
-            Report::Refused { motor, tick, reason } => {
-                self.refused.push_back(RefusedMove { tick, motor, reason }).is_ok()
-            }
-            other => self.ring.push_back((number, other)).is_ok(),
-        };
+        let kept = self.ring.push_back((number, report)).is_ok();
         if kept {
             self.made = number;
+        }
+        kept
+    }
+
+    #[must_use]
+    pub(super) fn push_refused(&mut self, motor: u8, tick: WireTick, reason: Refusal) -> bool {
+        let kept = self.refused.push_back(RefusedMove { tick, motor, reason }).is_ok();
+        if kept {
+            self.made = self.made.wrapping_add(1);
         }
         kept
     }

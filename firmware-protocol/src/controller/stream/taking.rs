@@ -260,7 +260,9 @@ impl Stream {
             if self.taking.withdraw.contains(first.motor) {
                 searched += self.take_withdrawal(first.motor, moves, parts);
             }
-            let (count, bits) = (moves.len(), ((1_u64 << moves.len()) - 1) << at);
+            let count = moves.len();
+            // A shift of 64 bits is a function call on the chip.
+            let bits = || ((1_u64 << count) - 1) << at;
             match self.accept(moves, parts) {
                 Ok(true) => {}
                 Ok(false) => {
@@ -274,13 +276,13 @@ impl Stream {
                     if !is_kept && count == 1 {
                         parts.player.late(&first);
                     }
-                    self.taking.late |= bits;
+                    self.taking.late |= bits();
                     let ready = parts.player.ready();
                     self.taking.missed.get_or_insert(ready);
                 }
                 Err(refusal) => {
                     parts.reporting.count().refused += count as u64;
-                    self.taking.refused |= bits;
+                    self.taking.refused |= bits();
                     self.taking.reason = self.taking.reason.or(Some(refusal));
                 }
             }

@@ -14,7 +14,7 @@ use meissner_test_support::paper::DRIVER_LEAD;
 const LEAD: u64 = DRIVER_LEAD as u64 * TICK;
 /// Most cycles for which the drivers may be enabled without a pulse.
 const IDLE: u64 = LEAD + DRIVER_TAIL as u64 * TICK;
-/// Most cycles from the sending of a frame to the first tick that is rendered without the strokes which it withdraws.
+/// Most cycles from the sending of a frame to the first tick that is rendered without the moves which it withdraws.
 const WITHDRAWN: u64 = 5 * MS + HORIZON as u64 * TICK;
 
 impl Boot {
@@ -46,12 +46,14 @@ impl Boot {
                     .collect(),
             ),
         };
-        // A stroke may be withdrawn when the drivers are already on for it.
+        // A move may be withdrawn, flushed or refused when the drivers are already on for it.
         let leads = expected.replaced.iter().map(|&(up, sent)| {
             let up = grid.cycle(up);
             High { from: up.saturating_sub(LEAD), to: up.min(sent + WITHDRAWN) }
         });
-        findings.extend(differences(enabled, pulses, joined(leads.collect()), self.to));
+        let silent =
+            expected.silent.iter().map(|&(from, to)| High { from: grid.cycle(from), to: grid.cycle(to) });
+        findings.extend(differences(enabled, pulses, joined(leads.chain(silent).collect()), self.to));
     }
 }
 
@@ -69,7 +71,7 @@ fn joined(mut intervals: Vec<High>) -> Vec<High> {
 }
 
 /// What is wrong with the intervals in which the drivers were enabled, given those with pulses on any line and the leads of
-/// strokes that were withdrawn. A recording ends at `end`.
+/// moves without a pulse. A recording ends at `end`.
 fn differences(enabled: Vec<High>, mut pulses: Vec<High>, leads: Vec<High>, end: u64) -> Vec<Finding> {
     pulses.sort_unstable_by_key(|train| train.from);
     let (mut findings, mut pulses) = (Vec::new(), pulses.into_iter().peekable());

@@ -4,6 +4,7 @@ use super::*;
 use crate::pins::{ENABLE, LED, Pins, TRIGGER, pin_of};
 use crate::tap::Batch;
 use crate::time::{MS, TICK};
+use firmware_protocol::batch::Unpacked;
 use firmware_protocol::message::{Counters, Mark, MarkKind, Report};
 use meissner_array::spec::Array;
 use meissner_array::strokes::Stroke;
@@ -46,8 +47,13 @@ fn tap() -> Tap {
         limits: Array::paper().layout().no_limits(),
         lower_stop: None,
     };
-    let mark = Mark { kind: MarkKind::Play, trigger: Some(Array::paper().layout().trigger_pulse()) };
-    let batch = Batch { epoch: 2, seq: 0, mark: Some(mark), withdraw: None, base: onset, strokes: strokes() };
+    let mark = Mark { kind: MarkKind::Play, trigger: Some(Array::paper().layout().trigger_pulse()), hold: 0 };
+    let strokes = strokes();
+    let moves = strokes.iter().filter_map(Stroke::packed).flat_map(|stroke| {
+        stroke.moves().into_iter().zip([false, true]).map(|(of, joined)| Unpacked { of, joined })
+    });
+    let moves = moves.collect();
+    let batch = Batch { epoch: 2, seq: 0, mark: Some(mark), withdraw: None, base: onset, moves };
     let mut tap = Tap::default();
     // Widens the report's tick.
     tap.events.push((1, Event::Opened(1)));

@@ -8,15 +8,15 @@ use meissner_stream::Source;
 use meissner_stream::end_cause;
 use meissner_stream::queues::{End, Outcome, StreamEvent};
 
-/// What the lines have to do if all strokes are played from `onset` on.
+/// What the lines have to do if all steps are played from `onset` on.
 #[must_use]
 pub fn compiled(strokes: &Source, onset: Tick) -> Log {
     let mut strokes = strokes.clone();
     strokes.begin(onset);
-    let trains = strokes.flatten().flat_map(|stroke| {
-        stroke.bursts().map(|burst| {
+    let trains = strokes.flatten().flat_map(|step| {
+        step.bursts().map(move |burst| {
             let train = Train { start: burst.start, direction: burst.direction, pulses: burst.pulses.into() };
-            (usize::from(stroke.motor), train)
+            (usize::from(step.motor()), train)
         })
     });
     Log::of(trains.collect())

@@ -9,9 +9,7 @@ use crate::tap::Event;
 use firmware_protocol::batch::{Amendment, BATCH_BYTES, Packer};
 use firmware_protocol::frame::{MAX_FRAME, encode};
 use firmware_protocol::message::HostMessage;
-use firmware_protocol::stroke::Direction;
 use firmware_protocol::tick::Tick;
-use meissner_array::strokes::Stroke;
 use meissner_array::strokes::{StrokeOptions, Strokes};
 use meissner_stream::end_cause;
 use meissner_stream::queues::{At, Command, Play, StreamEvent};
@@ -154,16 +152,18 @@ impl Runner<'_> {
         down: Option<u16>,
     ) -> Result<(), ScenarioError> {
         let sent = self.rig.tap().events.iter().filter_map(|(_, event)| match event {
-            Event::Batch(batch) => Some(&batch.strokes),
+            Event::Batch(batch) => Some(&batch.moves),
             _ => None,
         });
-        let stroke: Option<Stroke> = sent.flatten().filter(|stroke| stroke.motor == motor).nth(n).copied();
-        let stroke = stroke.ok_or(ScenarioError::NoStroke(motor, n))?;
-        let mut packer = Packer::<BATCH_BYTES>::new(stroke.up);
-        for (direction, pulses) in [(Direction::Up, up), (Direction::Down, down)] {
+        let of_motor = sent.flatten().filter(|one| one.of.motor == motor);
+        let ups = of_motor.clone().filter(|one| !one.joined).map(|one| one.of.tick);
+        let downs = of_motor.filter(|one| one.joined).map(|one| one.of.tick);
+        let (at_up, at_down) = ups.zip(downs).nth(n).ok_or(ScenarioError::NoStroke(motor, n))?;
+        let mut packer = Packer::<BATCH_BYTES>::new(at_up);
+        for (tick, pulses) in [(at_up, up), (at_down, down)] {
             if let Some(pulses) = pulses {
                 // Two items always fit.
-                let _ = packer.amendment(&Amendment { motor, up: stroke.up, direction, pulses });
+                let _ = packer.amendment(&Amendment { motor, tick, pulses });
             }
         }
         self.generation += 1;
