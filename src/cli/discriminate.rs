@@ -5,8 +5,7 @@
 
 use super::arguments::{ArrayOption, Output, choice};
 use super::output::give;
-use super::{files, library, progress, text};
-use crate::store::Store;
+use super::{files, pattern_file, progress, text};
 use anyhow::{Result, anyhow, bail};
 use clap::Args;
 use meissner_array::pattern::Pattern;
@@ -15,9 +14,8 @@ use meissner_report::figures::{confusion_csv, plot_confusion};
 use meissner_skin::membrane::{AfferentModel, POPULATION_NOISE_SD, Rectify};
 use meissner_skin::{ModelName, SkinModel};
 use serde::Serialize;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::process::ExitCode;
-use std::sync::Arc;
 
 /// The most patterns of a matrix.
 const MOST: usize = 32;
@@ -175,19 +173,12 @@ pub(super) fn run(asked: &Discriminate) -> Result<ExitCode> {
 /// Whether a pattern changes or ends after this time.
 fn is_cut(pattern: &Pattern, seconds: f64) -> bool {
     let ends = pattern.drives().iter().flat_map(|drive| [drive.start_s, drive.stop_s]).flatten();
-    ends.chain(pattern.duration_s()).any(|at_s| at_s > seconds)
+    ends.chain(pattern.duration_s()).chain(pattern.motions_end_s()).any(|at_s| at_s > seconds)
 }
 
 /// The patterns of these names or files.
 fn patterns(asked: &[String]) -> Result<Vec<Pattern>> {
-    let store = Store::new(None, false)?;
-    let read = |argument: &String| {
-        if files::is_file(argument) {
-            return Ok(library::read(Path::new(argument))?.0);
-        }
-        Ok(Arc::unwrap_or_clone(store.get(argument)?.pattern))
-    };
-    asked.iter().map(read).collect()
+    asked.iter().map(|argument| Ok(pattern_file::of_argument(argument)?.pattern)).collect()
 }
 
 fn pair(asked: &Discriminate, plan: &Plan, how: &How, patterns: &[Pattern]) -> Result<ExitCode> {

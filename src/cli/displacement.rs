@@ -3,19 +3,15 @@
 //! Rows are printed as they are computed, so the memory does not grow with the play.
 
 use super::arguments::{ArrayOption, Output, choice, positive};
-use super::{files, library};
+use super::pattern_file;
 use crate::receipts::fit;
-use crate::store::Store;
-use anyhow::{Result, anyhow, bail};
+use anyhow::{Result, bail};
 use clap::Args;
 use meissner_api::Fit;
 use meissner_array::displacement::Displacement as Samples;
-use meissner_array::pattern::{MAX_FILE_BYTES, Pattern};
 use meissner_array::strokes::{StrokeOptions, Strokes};
-use std::io::{self, BufWriter, Read, Write};
-use std::path::Path;
+use std::io::{self, BufWriter, Write};
 use std::process::ExitCode;
-use std::sync::Arc;
 
 #[derive(Debug, Args)]
 pub(super) struct Displacement {
@@ -27,9 +23,12 @@ pub(super) struct Displacement {
     /// Choose which strokes are played at the end
     #[arg(long, default_value = "whole", value_parser = choice::<Fit>(&[("whole", "Those that have ended by then: a little shorter than asked for"), ("cover", "Those that begin before: a little longer")]))]
     fit: Fit,
-    /// Multiply the amplitude of every drive by X, 0 to 1
+    /// Multiply the amplitude of every drive and motion by X, 0 to 1
     #[arg(long, value_name = "X", default_value_t = 1.0, allow_negative_numbers = true, value_parser = positive)]
     scale: f64,
+    /// Let steps move pins at most UM um away from what the motors can do of a motion [default: the array's shortest burst]
+    #[arg(long, value_name = "UM", allow_negative_numbers = true, value_parser = positive)]
+    error_um: Option<f64>,
     /// Take F samples a second, 1 to the array's tick rate
     #[arg(long, value_name = "F", default_value_t = 1000.0, allow_negative_numbers = true, value_parser = positive)]
     rate_hz: f64,
@@ -44,12 +43,13 @@ pub(super) struct Displacement {
 
 pub(super) fn run(asked: &Displacement) -> Result<ExitCode> {
     asked.array.find()?;
-    let pattern = read(&asked.pattern)?;
+    let pattern = pattern_file::of_argument(&asked.pattern)?.pattern;
     asked.array.check(&asked.pattern, pattern.array())?;
     let options = StrokeOptions {
         seconds: asked.seconds,
         scale: asked.scale,
         fit: fit(asked.fit),
+        error_um: asked.error_um,
         ..StrokeOptions::default()
     };
     let most_hz = pattern.array().rate().hz();
@@ -69,19 +69,6 @@ pub(super) fn run(asked: &Displacement) -> Result<ExitCode> {
     }
     out.flush()?;
     Ok(ExitCode::SUCCESS)
-}
-
-fn read(argument: &str) -> Result<Pattern> {
-    if argument == "-" {
-        let mut text = String::new();
-        let read = io::stdin().lock().take(MAX_FILE_BYTES as u64 + 1).read_to_string(&mut text);
-        read.map_err(|error| anyhow!("stdin: cannot be read; pipe a pattern in UTF-8 ({error})"))?;
-        return Ok(Pattern::parse(&text, "stdin")?);
-    }
-    if files::is_file(argument) {
-        return Ok(library::read(Path::new(argument))?.0);
-    }
-    Ok(Arc::unwrap_or_clone(Store::new(None, false)?.get(argument)?.pattern))
 }
 
 /// A row per sample, a column per pin that moves.

@@ -5,20 +5,21 @@
 
 use super::arguments::ClientOptions;
 use super::output::give;
-use super::{files, text};
+use super::pattern_file::{self, Found};
+use super::text;
 use crate::array::details;
-use anyhow::{Result, bail};
+use anyhow::Result;
 use meissner_api::{ImportedPattern, RemovedPattern};
 use meissner_array::motor::SteadyState;
 use meissner_array::motor::hand_vibration::{daily_exposure_m_s2, weighted_acceleration_m_s2};
-use meissner_array::pattern::{MAX_FILE_BYTES, Pattern};
+use meissner_array::pattern::Pattern;
 use meissner_array::spec::Array;
 use meissner_client::escape;
+use meissner_report::{MotionOptions, Motions};
 use serde::Serialize;
 use serde_json::Value;
 use std::path::Path;
 use std::process::ExitCode;
-use toml::Table;
 
 pub(super) fn list(options: &ClientOptions) -> Result<ExitCode> {
     let list: Value = options.client()?.get("/v1/patterns")?;
@@ -63,6 +64,7 @@ fn reached(entry: &Value) -> String {
 }
 
 pub(super) fn show(options: &ClientOptions, name: &str) -> Result<ExitCode> {
+    options.learn_array()?;
     let mut client = options.client()?;
     let shown: Value = client.get(&format!("/v1/patterns/{}", escape(name)))?;
     let its = shown["pattern"]["array"].as_str().map_or_else(|| Ok(Array::default()), Array::named);
@@ -71,27 +73,33 @@ pub(super) fn show(options: &ClientOptions, name: &str) -> Result<ExitCode> {
         Ok(array) => details(array),
         Err(_) => client.get("/v1/array")?,
     };
-    give(options.output.json, &shown, || text::pattern(&shown, &array))
+    let motions = motions(&shown["pattern"])?;
+    give(options.output.json, &shown, || {
+        let shown = text::pattern(&shown, &array);
+        motions.map_or_else(|| shown.clone(), |motions| format!("{shown}\n\n{}", text::motions(&motions)))
+    })
 }
 
-/// Reads a pattern file: the pattern, and its text.
-pub(super) fn read(file: &Path) -> Result<(Pattern, String)> {
-    let text = files::text(file, MAX_FILE_BYTES as u64, "pattern")?;
-    // A target file has no key `format`, so the parser's error would mislead.
-    if text.parse::<Table>().is_ok_and(|table| table.contains_key("shape") && !table.contains_key("format")) {
-        bail!("{}: this is a target: make a pattern of it with `meissner optimise`", files::shown(file));
+/// What the motors do with the motions of a pattern from the daemon; none without motions. Its array must be known.
+fn motions(pattern: &Value) -> Result<Option<Motions>> {
+    if !["wave", "ramp", "tone", "noise"].iter().any(|table| pattern.get(table).is_some()) {
+        return Ok(None);
     }
-    Ok((Pattern::parse(&text, &file.to_string_lossy())?, text))
+    // The keys are those of a file.
+    let text = toml::to_string(pattern)?;
+    let pattern = Pattern::parse(&text, pattern["name"].as_str().unwrap_or_default())?;
+    Ok(Motions::of(&pattern, &MotionOptions::default())?)
 }
 
 pub(super) fn import(options: &ClientOptions, file: &Path, replace: bool) -> Result<ExitCode> {
     options.learn_array()?;
-    let (pattern, text) = read(file)?;
+    let Found { pattern, text, was_packed } = pattern_file::of_file(file)?;
     let query = if replace { "?replace=true" } else { "" };
     let imported: ImportedPattern =
         options.client()?.put(&format!("/v1/patterns/{}{query}", escape(pattern.name())), text)?;
     give(options.output.json, &imported, || {
-        let mut text = format!("imported {} (sha256 {})", imported.name, imported.sha256);
+        let packed = if was_packed { ", packed with its sample files" } else { "" };
+        let mut text = format!("imported {}{packed} (sha256 {})", imported.name, imported.sha256);
         if let Some(replaced) = &imported.replaced_sha256 {
             text += &format!("\nreplaced the one with sha256 {replaced}");
         }

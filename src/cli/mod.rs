@@ -26,6 +26,8 @@ mod live;
 mod manual;
 mod optimise;
 mod output;
+mod pattern;
+mod pattern_file;
 mod progress;
 mod replay;
 mod report;
@@ -222,6 +224,9 @@ enum Command {
         #[command(flatten)]
         output: Output,
     },
+    /// Pack a pattern with its sample files; compute what motors will do with its motions
+    #[command(subcommand)]
+    Pattern(pattern::Pattern),
     /// Sample how far a pattern moves each pin, by the motor model, as CSV
     Displacement(displacement::Displacement),
     /// Simulate afferent spikes for a scene
@@ -332,6 +337,7 @@ fn run(command: Command) -> Result<ExitCode> {
             library::motor(array.find()?, frequency_hz, amplitude_um, hours, output.json)
         }
         Command::Array(asked) => array::run(asked),
+        Command::Pattern(asked) => pattern::run(&asked),
         Command::Displacement(asked) => displacement::run(&asked),
         Command::Simulate(asked) => simulate::run(&asked),
         Command::Optimise(asked) => optimise::run(&asked),

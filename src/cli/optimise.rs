@@ -10,7 +10,7 @@ use super::arguments::{ArrayOption, MODELS, OBJECTIVES, Output, SETTINGS, choice
 use super::ending::on_interrupt;
 use super::output::{is_broken_pipe, say, say_file, say_json, tell};
 use super::progress::Search;
-use super::{files, library, text};
+use super::{files, pattern_file, text};
 use anyhow::{Result, anyhow, bail};
 use clap::Args;
 use meissner_array::pattern;
@@ -136,8 +136,14 @@ pub(super) fn run(asked: &Optimise) -> Result<ExitCode> {
     if let Some(file) = asked.file.as_deref().filter(|file| is_itself(&asked.target, file)) {
         bail!("{}: this is the target's file: write the pattern to another", files::shown(file));
     }
-    let start = asked.resume.as_deref().map(library::read).transpose()?;
-    if let Some((pattern, _)) = start.as_ref().filter(|(pattern, _)| pattern.array() != target.array()) {
+    let start = asked.resume.as_deref().map(pattern_file::of_file).transpose()?.map(|found| found.pattern);
+    if let Some(pattern) = start.as_ref().filter(|pattern| !pattern.motions().is_empty()) {
+        bail!(
+            "--resume: `{}` has motions, and a search changes drives only: name one without",
+            pattern.name()
+        );
+    }
+    if let Some(pattern) = start.as_ref().filter(|pattern| pattern.array() != target.array()) {
         bail!(
             "--resume: `{}` is for another array than the target: name one that is for {}",
             pattern.name(),
@@ -155,7 +161,7 @@ pub(super) fn run(asked: &Optimise) -> Result<ExitCode> {
         seed: asked.seed,
         robust: asked.robust,
         budget: asked.budget.clone().map_or(Budget::Enough, |limit| limit.0),
-        start: start.map(|(pattern, _)| pattern.drives().to_vec()),
+        start: start.map(|pattern| pattern.drives().to_vec()),
         rail_motors_at_once: asked.rail_motors_at_once,
     };
     let name = match &asked.file {

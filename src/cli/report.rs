@@ -7,7 +7,7 @@
 
 use super::arguments::{Output, PaperArrayOption};
 use super::output::give;
-use super::{files, library, progress, text};
+use super::{files, pattern_file, progress, text};
 use crate::store::Store;
 use anyhow::{Result, bail};
 use clap::Args;
@@ -83,7 +83,7 @@ fn subjects(asked: &[String]) -> Result<Vec<Subject>> {
     for argument in asked {
         let file = Path::new(&argument);
         let subject = if files::is_file(&argument) {
-            let (pattern, _) = library::read(file)?;
+            let pattern = pattern_file::of_file(file)?.pattern;
             let name = file.file_name().unwrap_or_default().to_string_lossy().into_owned();
             Subject { pattern, argument: name }
         } else {

@@ -2,8 +2,10 @@
 //!
 //! Every number is also in the JSON. Invariant: no line depends on the terminal; units are ASCII (`um`, `us`).
 
+mod motions;
 mod receipt;
 
+pub(super) use motions::motions;
 pub(super) use receipt::{
     LARGEST_OFFSET, PREDICTED, accepted, burst_counts, duration, pulse_counts, receipt,
 };

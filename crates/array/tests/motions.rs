@@ -322,14 +322,17 @@ fn a_pattern_that_names_files_becomes_complete() {
     };
     let one = with(&wave(1, "t.npy", "rate_hz = 500\ncolumn = 1"));
     for (line, says) in [
-        (refuse(&one, Err("no such\nfile".into())), "p.toml:5: wave 1: `file`: `t.npy`: no such\\nfile"),
+        (
+            refuse(&one, Err("no such\nfile".into())),
+            "p.toml:5: wave 1: `file`: motor 1: `t.npy`: no such\\nfile",
+        ),
         (
             refuse(&one, Ok(npy(&[0.0; 4])[..50].to_vec())),
-            "p.toml:5: wave 1: `file`: `t.npy`: not an NPY file: it ends",
+            "p.toml:5: wave 1: `file`: motor 1: `t.npy`: not an NPY file: it ends",
         ),
         (
             refuse(&one, Ok(npy(&[0.0, 1.0, 2.0, f32::NAN]))),
-            "`t.npy`: sample 1 at 0.002 s is NaN: must be a number",
+            "motor 1: `t.npy`: sample 1 at 0.002 s is NaN: must be a number",
         ),
         (
             refuse(&one, Ok(npy(&[0.0, 1.0, 2.0, -3.0]))),

@@ -226,5 +226,6 @@ pub(crate) fn played<T>(answer: Result<T, FingerError>) -> Result<T, MethodError
         FingerError::Scene(error) => {
             unreachable!("a target's afferents and a pattern's drives make a scene: {error}")
         }
+        FingerError::Ramps(error) => unreachable!("drives are not simulated burst by burst: {error}"),
     })
 }

@@ -5,6 +5,8 @@
 //! - [`figures`]: [`report`](figures::report) makes an HTML page with the paper's figures and a section per pattern.
 //! - `methods`: [`tradeoff`] compares the simulation methods on a scene, time against error; [`plot`] draws it, and [`reasons`]
 //!   explains why skipped work does not change the result. [`afferents_tradeoff`] does the same for the second model.
+//! - `motions`: [`Motions`] says what motors do with the motions of a pattern before it is played; [`motion_tradeoff`] compares grids of
+//!   moves, error against moves per second.
 //! - `laser`: [`plot_laser`] draws a recording of a pin beside the motor's fit.
 //! - `sweep`: [`sweep_page`] shows the marginals and the Pareto front of a sweep.
 //! - `validate`: [`validate()`] compares both models of the skin with published figures.
@@ -17,6 +19,7 @@ pub mod chart;
 pub mod figures;
 mod laser;
 mod methods;
+mod motions;
 mod progress;
 mod sixty_hertz;
 mod statistics;
@@ -28,6 +31,10 @@ pub use laser::plot_laser;
 pub use methods::{
     AfferentsRow, AfferentsTradeoff, Count, Difference, Extreme, LeftOut, MATCH_S, MOST_STEPS, MethodLabel,
     MethodTradeoff, Reason, Row, STEPS_US, afferents_tradeoff, matching, plot, reasons, tradeoff,
+};
+pub use motions::{
+    FollowedMotor, FollowingError, GridRow, MotionOptions, MotionTradeoff, Motions, MotionsError,
+    motion_tradeoff, steps_of,
 };
 pub use sixty_hertz::SIXTY_HERTZ;
 pub use sweep::{Choice, Front, Marginal, Ordinate, Spread, SweepPage, sweep_page};

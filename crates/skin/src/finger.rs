@@ -9,7 +9,7 @@
 use crate::afferents::{self, Afferent, Class};
 use crate::membrane::{self, AfferentModel, Position};
 use crate::method::{Keep, Method, MethodError, Options};
-use crate::ramps::{Ramps, simulate_ramps};
+use crate::ramps::{Ramps, RampsError, simulate_ramps};
 use crate::scene::{ModelName, Scene, SceneError};
 use crate::simulation::simulate;
 use meissner_array::pattern::Drive;
@@ -71,6 +71,9 @@ pub enum FingerError {
     /// It cannot be simulated.
     #[error(transparent)]
     Method(#[from] MethodError),
+    /// No motor can make such bursts.
+    #[error(transparent)]
+    Ramps(#[from] RampsError),
 }
 
 impl SkinModel {

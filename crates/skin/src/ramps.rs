@@ -22,7 +22,11 @@ use firmware_protocol::tick::Tick;
 use meissner_array::motor::Ramp;
 use meissner_array::per_motor::PerMotor;
 use meissner_array::spec::Array;
+use meissner_array::strokes::{Strokes, StrokesError};
 use std::sync::Arc;
+
+/// The most ramps of strokes and moves that are taken at once: 200 MB, ten minutes of 12 000 moves a second.
+pub const MAX_RAMPS: usize = 1 << 23;
 
 /// Afferents whose spikes are in memory at a time. A minute at 1 000 impulses/s takes 46 MB; at 200, 9 MB.
 const AT_A_TIME: usize = 32;
@@ -69,6 +73,12 @@ pub enum RampsError {
         /// The travel of the model's motors.
         um_per_pulse: f64,
     },
+    /// The strokes cannot be compiled to their end.
+    #[error(transparent)]
+    Strokes(#[from] StrokesError),
+    /// A long play of many motors.
+    #[error("more than {MAX_RAMPS} bursts to simulate: take a shorter time")]
+    TooMany,
 }
 
 impl Ramps {
@@ -96,6 +106,27 @@ impl Ramps {
             }
         }
         Ok(Self { array, motors: motors.into_iter().map(Arc::new).collect() })
+    }
+
+    /// What ideal motors do with strokes and moves that begin in their first `duration_s`. A lower stop absorbs a surplus.
+    ///
+    /// # Errors
+    /// If they cannot be compiled, or are more than [`MAX_RAMPS`].
+    pub fn of_strokes(strokes: Strokes, duration_s: f64) -> Result<Self, RampsError> {
+        let array = strokes.array();
+        let (end, um_per_pulse) = (array.rate().seconds_to_ticks(duration_s), array.motor().um_per_pulse);
+        let mut ramps = Vec::new();
+        for step in strokes {
+            let step = step?;
+            if step.begin().0 >= end {
+                break;
+            }
+            ramps.extend(step.ramps(um_per_pulse).map(|ramp| (step.motor(), ramp)));
+            if ramps.len() > MAX_RAMPS {
+                return Err(RampsError::TooMany);
+            }
+        }
+        Self::new(array, ramps)
     }
 
     /// The array of the motors.

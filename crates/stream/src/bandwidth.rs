@@ -20,7 +20,7 @@ use firmware_protocol::tick::Tick;
 use meissner_array::motor::{MotorError, SquareWave};
 use meissner_array::per_motor::PerMotor;
 use meissner_array::spec::MotorSpec;
-use meissner_array::strokes::{LiveStrokes, Strokes};
+use meissner_array::strokes::{LiveStrokes, Step, Strokes};
 use meissner_array::units::TickRate;
 use std::time::Duration;
 
@@ -120,56 +120,111 @@ impl Bandwidth {
         Ok(whole)
     }
 
+    /// The bandwidth of steps in order of time, from tick 0, as of one pattern.
+    #[must_use]
+    pub fn of_steps(steps: impl IntoIterator<Item = Step>, settings: &Settings) -> Self {
+        let mut counter = Counter::new(settings);
+        for step in steps {
+            if step.begin().0 >= counter.counted {
+                break;
+            }
+            counter.step(&step);
+        }
+        counter.bandwidth(settings)
+    }
+
     fn of_source(mut strokes: Source, settings: &Settings) -> Self {
-        let batch = batch_ticks(settings).max(1);
-        let rate = strokes.array().rate();
-        let (counted, amend_slot) = (COUNTED_S * rate.per_s(), rate.of_ms(1) / AMEND_SLOTS_PER_MS);
+        let mut counter = Counter::new(settings);
         strokes.begin(Tick(0));
-        let [mut bytes, mut amendments, mut frames] = [(); 3].map(|()| Sums::new(batch, rate));
-        let mut full = Packer::<BATCH_BYTES>::new(Tick(0));
-        let mut slots = Vec::new();
-        let mut frame = Packer::<BATCH_BYTES>::new(Tick(0));
-        let mut framed = u64::MAX;
         loop {
-            if let Some(onset) = strokes.next_onset().filter(|onset| onset.0 < counted) {
-                // Each item begins with a frame of its own.
-                bytes.add(onset.0, FRAME_BYTES + MARK_BYTES);
-                (frame, framed) = (Packer::new(onset), onset.0 / batch);
-                full = Packer::new(onset);
+            if let Some(onset) = strokes.next_onset().filter(|onset| onset.0 < counter.counted) {
+                counter.item(onset);
                 strokes.next_item();
             }
             let Some(Ok(step)) = strokes.next() else { break };
-            if step.begin().0 >= counted {
+            if step.begin().0 >= counter.counted {
                 break;
             }
-            let (at, before) = (step.begin().0, frame.bytes().len());
-            if framed == at / batch && step.pack(&mut frame).is_ok() {
-                // A row may take fewer bytes than the moves in it.
-                bytes.add(at, frame.bytes().len().saturating_sub(before));
-            } else {
-                framed = at / batch;
-                frame = Packer::new(step.begin());
-                let _ = step.pack(&mut frame);
-                bytes.add(at, FRAME_BYTES + frame.bytes().len());
-            }
-            if full.count() == 0 || step.pack(&mut full).is_err() {
-                full = Packer::new(step.begin());
-                let _ = step.pack(&mut full);
-                frames.add(at, 1);
-            }
-            for burst in step.bursts() {
-                let slot = (burst.start.0 / amend_slot) as usize;
-                slots.resize(slots.len().max(slot + 1), false);
-                let shared = std::mem::replace(&mut slots[slot], true);
-                amendments.add(burst.start.0, AMEND_BYTES + if shared { 0 } else { AMEND_FRAME_BYTES });
-            }
+            counter.step(&step);
         }
+        counter.bandwidth(settings)
+    }
+}
+
+/// Counts the bytes of a play, step by step.
+struct Counter {
+    /// The ticks that count.
+    counted: u64,
+    batch: u64,
+    amend_slot: u64,
+    bytes: Sums,
+    amendments: Sums,
+    frames: Sums,
+    full: Packer<BATCH_BYTES>,
+    slots: Vec<bool>,
+    frame: Packer<BATCH_BYTES>,
+    /// The batch of the frame.
+    framed: u64,
+}
+
+impl Counter {
+    fn new(settings: &Settings) -> Self {
+        let batch = batch_ticks(settings).max(1);
+        let rate = settings.array.rate();
+        let [bytes, amendments, frames] = [(); 3].map(|()| Sums::new(batch, rate));
+        Self {
+            counted: COUNTED_S * rate.per_s(),
+            batch,
+            amend_slot: rate.of_ms(1) / AMEND_SLOTS_PER_MS,
+            bytes,
+            amendments,
+            frames,
+            full: Packer::new(Tick(0)),
+            slots: Vec::new(),
+            frame: Packer::new(Tick(0)),
+            framed: u64::MAX,
+        }
+    }
+
+    /// An item begins, with a frame of its own.
+    fn item(&mut self, onset: Tick) {
+        self.bytes.add(onset.0, FRAME_BYTES + MARK_BYTES);
+        (self.frame, self.framed) = (Packer::new(onset), onset.0 / self.batch);
+        self.full = Packer::new(onset);
+    }
+
+    fn step(&mut self, step: &Step) {
+        let (at, before) = (step.begin().0, self.frame.bytes().len());
+        if self.framed == at / self.batch && step.pack(&mut self.frame).is_ok() {
+            // A row may take fewer bytes than the moves in it.
+            self.bytes.add(at, self.frame.bytes().len().saturating_sub(before));
+        } else {
+            self.framed = at / self.batch;
+            self.frame = Packer::new(step.begin());
+            let _ = step.pack(&mut self.frame);
+            self.bytes.add(at, FRAME_BYTES + self.frame.bytes().len());
+        }
+        if self.full.count() == 0 || step.pack(&mut self.full).is_err() {
+            self.full = Packer::new(step.begin());
+            let _ = step.pack(&mut self.full);
+            self.frames.add(at, 1);
+        }
+        for burst in step.bursts() {
+            let slot = (burst.start.0 / self.amend_slot) as usize;
+            self.slots.resize(self.slots.len().max(slot + 1), false);
+            let shared = std::mem::replace(&mut self.slots[slot], true);
+            self.amendments.add(burst.start.0, AMEND_BYTES + if shared { 0 } else { AMEND_FRAME_BYTES });
+        }
+    }
+
+    fn bandwidth(self, settings: &Settings) -> Bandwidth {
+        let Self { batch, mut bytes, amendments, frames, .. } = self;
         let frames = frames.least(settings, 1.0);
         let open = bytes.requirement(frames, settings);
         for (at, more) in amendments.sums.into_iter().enumerate() {
             bytes.add(at as u64 * batch, more);
         }
-        Self { open, closed: bytes.requirement(frames, settings) }
+        Bandwidth { open, closed: bytes.requirement(frames, settings) }
     }
 }
 

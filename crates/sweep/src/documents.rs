@@ -31,6 +31,13 @@ impl Documents {
                 }
                 Document::Pattern => {
                     let pattern = Pattern::parse(text, name).map_err(|error| wrong(&error))?;
+                    if !pattern.motions().is_empty() {
+                        let why = format!(
+                            "`{}` has motions, and a sweep scales drives only: name a pattern without",
+                            pattern.name()
+                        );
+                        return Err(wrong(&why));
+                    }
                     let target = Target::made_for(&pattern);
                     all.patterns.insert(name.clone(), (pattern, target));
                 }

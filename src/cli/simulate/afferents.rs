@@ -31,22 +31,28 @@ struct Document<'a> {
 
 /// An afferent.
 #[derive(Debug, Serialize)]
-struct Placed {
+pub(super) struct Placed {
     class: Class,
     row: u8,
     x_mm: f64,
     y_mm: f64,
 }
 
+impl Placed {
+    pub(super) fn of(&Afferent { class, row, at }: &Afferent) -> Self {
+        Self { class, row, x_mm: at.x_mm, y_mm: at.y_mm }
+    }
+}
+
 /// The afferents of a class.
 #[derive(Debug, Serialize)]
-struct OfClass {
-    class: Class,
-    afferents: usize,
-    mean_hz: f64,
+pub(super) struct OfClass {
+    pub(super) class: Class,
+    pub(super) afferents: usize,
+    pub(super) mean_hz: f64,
     /// Of a population: afferents per cm² of the pad's upper and lower half.
     #[serde(skip_serializing_if = "Option::is_none")]
-    per_cm2: Option<[f64; 2]>,
+    pub(super) per_cm2: Option<[f64; 2]>,
 }
 
 pub(super) fn run(asked: &Simulate, scene: &Scene) -> Result<ExitCode> {
@@ -68,8 +74,6 @@ pub(super) fn run(asked: &Simulate, scene: &Scene) -> Result<ExitCode> {
         let afferents = scene.afferents().iter().map(|of| (of.class.name(), Some(of.row), of.at));
         return print_csv(afferents, &answer.counts, &rates_hz);
     }
-    let placed =
-        |&Afferent { class, row, at }: &Afferent| Placed { class, row, x_mm: at.x_mm, y_mm: at.y_mm };
     let of_class = |class: Class| {
         let mean_hz = answer.mean_hz(scene, class)?;
         let afferents = scene.afferents().iter().filter(|afferent| afferent.class == class).count();
@@ -84,7 +88,7 @@ pub(super) fn run(asked: &Simulate, scene: &Scene) -> Result<ExitCode> {
         precision: Precision::F64,
         spikes_s: answer.spikes_s.as_deref(),
         rates_hz,
-        afferents: scene.afferents().iter().map(placed).collect(),
+        afferents: scene.afferents().iter().map(Placed::of).collect(),
         classes: Class::ALL.into_iter().filter_map(of_class).collect(),
         lost_contact_s: &answer.lost_contact_s,
         wall_s: begun.elapsed().as_secs_f64(),

@@ -1,12 +1,13 @@
-//! `simulate`: simulates the afferents of a scene, by the model it names. It needs no daemon.
+//! `simulate`: simulates the afferents of a scene, by the model it names, or those of a fingertip on a pattern. It needs no daemon.
 //!
-//! The first model is here, the second in `afferents`.
+//! Scenes of the first model are here, of the second in `afferents`; `pattern` has patterns.
 //!
 //! Invariant: a scene that is too large is not read into memory.
 
 mod afferents;
+mod pattern;
 
-use crate::cli::arguments::{ArrayOption, Output, choice};
+use crate::cli::arguments::{ArrayOption, Output, choice, positive};
 use crate::cli::output::give;
 use crate::cli::{files, progress, text};
 use anyhow::{Result, anyhow};
@@ -34,7 +35,7 @@ const STEP_US: u32 = 200;
 
 #[derive(Debug, Args)]
 pub(super) struct Simulate {
-    /// Simulate this scene: a TOML or JSON file, or - for stdin
+    /// Simulate this scene: a TOML or JSON file, or - for stdin; or this pattern: a name of the library, or a file
     scene: PathBuf,
     /// Choose the model of skin and afferents [default: the scene's key `model`, else membrane]
     #[arg(long, value_parser = choice::<ModelName>(MODELS))]
@@ -59,6 +60,15 @@ pub(super) struct Simulate {
         conflicts_with_all = ["method", "step_us", "integrator", "precision"]
     )]
     max_rate_error: Option<f64>,
+    /// Simulate a pattern for S seconds: truncate or loop it
+    #[arg(long, value_name = "S", allow_negative_numbers = true, value_parser = positive)]
+    seconds: Option<f64>,
+    /// Simulate a pattern on the fingertip N, with its noise
+    #[arg(long, value_name = "N", default_value_t = 0, value_parser = clap::value_parser!(u64).range(..=i64::MAX as u64))]
+    seed: u64,
+    /// Let steps move pins at most UM um away from what the motors can do of a motion [default: the array's shortest burst]
+    #[arg(long, value_name = "UM", allow_negative_numbers = true, value_parser = positive)]
+    error_um: Option<f64>,
     /// Count spikes without keeping their times
     #[arg(long)]
     rates_only: bool,
@@ -103,7 +113,15 @@ struct Chosen {
 
 pub(super) fn run(asked: &Simulate) -> Result<ExitCode> {
     asked.array.find()?;
+    if let Some(found) = pattern::find(&asked.scene)? {
+        return pattern::run(asked, &found.pattern);
+    }
     let stepping = stepping(asked)?;
+    if asked.seconds.is_some() || asked.error_um.is_some() || asked.seed != 0 {
+        let message =
+            "--seconds, --seed and --error-um are for patterns: a scene says its duration and its seed";
+        return Err(clap::Error::raw(ErrorKind::ArgumentConflict, message).into());
+    }
     let scene = read(&asked.scene, asked.model)?;
     asked.array.check(&files::shown(&asked.scene), scene.array())?;
     let scene = match scene {

@@ -84,8 +84,8 @@ pub enum Problem {
     Strength,
     #[error("is {file}: pack it first: `meissner pattern pack FILE`")]
     NotPacked { file: String },
-    #[error("{file}: {message}")]
-    File { file: String, message: String },
+    #[error("motor {motor}: {file}: {message}")]
+    File { motor: u8, file: String, message: String },
     #[error("motor {motor}: {error}")]
     Motion { motor: u8, error: Box<MotionError> },
     #[error("motor {motor}: sample {number} at {at_s} s is {um}: must be a number")]

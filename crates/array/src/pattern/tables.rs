@@ -52,12 +52,12 @@ impl<'a, 'f> Reader<'a, 'f> {
         Self { files, last: None, samples: 0 }
     }
 
-    fn read(&mut self, name: &str, choice: &Choice) -> Result<Samples, KeyError> {
+    fn read(&mut self, motor: u8, name: &str, choice: &Choice) -> Result<Samples, KeyError> {
         let Some(files) = &mut self.files else {
             return Err(KeyError::key("file", Problem::NotPacked { file: quote(name) }));
         };
         let failed = |message: String| {
-            KeyError::key("file", Problem::File { file: quote(name), message: cut(&message, 400) })
+            KeyError::key("file", Problem::File { motor, file: quote(name), message: cut(&message, 400) })
         };
         if self.last.as_ref().is_none_or(|(last, _)| last != name) {
             // The old one goes before the new one comes.
@@ -105,7 +105,7 @@ impl RawWave {
         let motor = motor_of(array, *motor)?;
         let (um, rate_hz, source) = match (um, samples, file) {
             (None, None, Some(file)) => {
-                let Samples { rate_hz, um, note } = reader.read(file, &self.choice()?)?;
+                let Samples { rate_hz, um, note } = reader.read(motor, file, &self.choice()?)?;
                 let name = cut(file, 200);
                 (um.into(), rate_hz, source.clone().or_else(|| Some(format!("{name}: {note}"))))
             }

@@ -28,8 +28,9 @@ use observer::{independent, linear};
 
 use meissner_array::pattern::Pattern;
 use meissner_array::random;
+use meissner_array::strokes::{StrokeOptions, Strokes};
 use meissner_skin::afferents::Class;
-use meissner_skin::{Finger, FingerError, SkinModel, Stimulus};
+use meissner_skin::{Finger, FingerError, Ramps, RampsError, SkinModel, Stimulus};
 use observer::Trials;
 use rayon::prelude::*;
 use serde::Serialize;
@@ -132,12 +133,18 @@ impl Responses {
         with_times: bool,
     ) -> Result<Self, FingerError> {
         let (array, drives) = (pattern.array(), pattern.drives_with_ends());
+        // Motions are no drives: they are simulated burst by burst, with the drives beside them.
+        let ramps = if pattern.motions().is_empty() { None } else { Some(ramps(pattern, plan.seconds)?) };
+        let stimulus = |noise| match &ramps {
+            Some(ramps) => Stimulus::of_ramps(ramps, plan.seconds, noise),
+            None => Stimulus::of_drives(array, &drives, plan.seconds, noise),
+        };
         let bins = plan.bins();
         let trial = |trial: usize| {
             let number = (number as u64) << 32 | trial as u64;
             let [noise, ..] = random::words([plan.seed, number, seed, NOISE_WORD]);
             // Files hold seeds of 63 bits.
-            let spikes_s = finger.spikes_s(&Stimulus::of_drives(array, &drives, plan.seconds, noise >> 1))?;
+            let spikes_s = finger.spikes_s(&stimulus(noise >> 1))?;
             let counts = spikes_s.iter().map(|train| train.len() as u32).collect();
             let mut times = vec![0_u16; if with_times { spikes_s.len() * bins } else { 0 }];
             for (train, bins_of) in spikes_s.iter().zip(times.chunks_mut(bins)) {
@@ -228,6 +235,14 @@ pub fn discriminate(
         ClassReadings { class, afferents, counts, times, total }
     };
     Ok(found.into_iter().map(of_class).collect())
+}
+
+/// The bursts of an interval: the pattern once, and rest after it.
+fn ramps(pattern: &Pattern, seconds: f64) -> Result<Ramps, RampsError> {
+    let endless =
+        pattern.duration_s().is_none() && pattern.drives().iter().any(|drive| drive.stop_s.is_none());
+    let options = StrokeOptions::lasting(endless.then_some(seconds));
+    Ramps::of_strokes(Strokes::new(pattern, &options)?, seconds)
 }
 
 /// The afferents of each class, and all if there are several.

@@ -1,0 +1,232 @@
+//! `pattern`: packs a pattern with its sample files, and says what motors will do with its motions. It needs no daemon.
+
+use super::arguments::{ArrayOption, Output, positive};
+use super::output::{give, say_file, tell};
+use super::{files, pattern_file, progress, text};
+use crate::receipts::Order;
+use crate::store::hash;
+use anyhow::{Result, bail};
+use clap::{Args, Subcommand};
+use meissner_array::pattern::{Form, Motion, Pattern as Played};
+use meissner_array::strokes::StrokeOptions;
+use meissner_report::{GridRow, MotionOptions, MotionTradeoff, Motions, motion_tradeoff};
+use serde::Serialize;
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+
+#[derive(Debug, Subcommand)]
+pub(super) enum Pattern {
+    /// Put the sample files that a pattern's waves name into the pattern
+    Pack {
+        /// Read the pattern from this file (TOML); its sample files lie in the same directory, or where their names lead
+        file: PathBuf,
+        /// Write the packed pattern to FILE [default: stdout]
+        #[arg(short = 'o', long = "out", value_name = "FILE")]
+        to: Option<PathBuf>,
+        /// Print one JSON document on stdout and nothing else
+        #[arg(long, requires = "to")]
+        json: bool,
+    },
+    /// Compute what the motors will do with a pattern's motions: errors, moves and bytes per second
+    Check {
+        #[command(flatten)]
+        which: Which,
+        /// Exit with 1 if a motor is too slow for its motion, or saturated
+        #[arg(long)]
+        strict: bool,
+    },
+    /// Compare grids of moves on a pattern: error against moves per second
+    Tradeoff(Which),
+}
+
+#[derive(Debug, Args)]
+pub(super) struct Which {
+    /// Compute for this pattern: a name of the library, a file (TOML), or - for stdin
+    pattern: String,
+    /// Multiply all motions by X, 0 to 1
+    #[arg(long, value_name = "X", default_value_t = 1.0, allow_negative_numbers = true, value_parser = positive)]
+    scale: f64,
+    /// Let steps move pins at most UM um away from what the motors can do at best [default: the array's shortest burst]
+    #[arg(long, value_name = "UM", allow_negative_numbers = true, value_parser = positive)]
+    error_um: Option<f64>,
+    #[command(flatten)]
+    array: ArrayOption,
+    #[command(flatten)]
+    output: Output,
+}
+
+impl Which {
+    fn read(&self) -> Result<Played> {
+        self.array.find()?;
+        let pattern = pattern_file::of_argument(&self.pattern)?.pattern;
+        self.array.check(&self.pattern, pattern.array())?;
+        Ok(pattern)
+    }
+
+    const fn options(&self) -> MotionOptions {
+        MotionOptions { scale: self.scale, error_um: self.error_um }
+    }
+}
+
+/// The document of `pattern pack --json`.
+#[derive(Serialize)]
+struct Packed<'a> {
+    name: &'a str,
+    sha256: String,
+    bytes: usize,
+    waves: Vec<PackedWave<'a>>,
+}
+
+#[derive(Serialize)]
+struct PackedWave<'a> {
+    motor: u8,
+    start_s: f64,
+    rate_hz: f64,
+    samples: usize,
+    /// What the samples were made from.
+    source: Option<&'a str>,
+}
+
+/// The document of `pattern check --json`.
+#[derive(Serialize)]
+struct Checked<'a> {
+    name: &'a str,
+    array: &'a str,
+    duration_s: Option<f64>,
+    drives: usize,
+    motions: usize,
+    /// Null without motions.
+    followed: Option<Motions>,
+    /// Lines for drives and motions that do not do what the pattern says.
+    warnings: Vec<String>,
+}
+
+pub(super) fn run(asked: &Pattern) -> Result<ExitCode> {
+    match asked {
+        Pattern::Pack { file, to, json } => pack(file, to.as_deref(), *json),
+        Pattern::Check { which, strict } => check(which, *strict),
+        Pattern::Tradeoff(which) => tradeoff(which),
+    }
+}
+
+fn pack(file: &Path, to: Option<&Path>, json: bool) -> Result<ExitCode> {
+    let is_itself =
+        |to: &Path| fs::canonicalize(to).is_ok_and(|to| fs::canonicalize(file).is_ok_and(|of| of == to));
+    if let Some(to) = to.filter(|to| is_itself(to)) {
+        bail!("{}: this is the pattern's own file: write to another", files::shown(to));
+    }
+    let place = to.map(files::beside).transpose()?;
+    let found = pattern_file::of_file(file)?;
+    let waves: Vec<_> = found.pattern.motions().iter().filter_map(wave).collect();
+    let lines = || {
+        let line = |of: &PackedWave<'_>| {
+            let PackedWave { motor, rate_hz, samples, source, .. } = of;
+            let from = source.map_or_else(String::new, |source| format!(": {source}"));
+            format!("motor {motor}: {samples} samples at {rate_hz} Hz{from}")
+        };
+        let mut lines: Vec<_> = waves.iter().map(line).collect();
+        if !found.was_packed {
+            lines.push("no wave names a file: the pattern is complete as it is".to_owned());
+        }
+        lines.join("\n")
+    };
+    let Some(place) = place else {
+        tell(&lines());
+        say_file(found.text.trim_end())?;
+        return Ok(ExitCode::SUCCESS);
+    };
+    place.write(&found.text)?;
+    let text =
+        || format!("{}\n{} bytes, {}", lines(), found.text.len(), to.map(files::shown).unwrap_or_default());
+    let document = Packed {
+        name: found.pattern.name(),
+        sha256: hash(found.text.as_bytes()),
+        bytes: found.text.len(),
+        waves: found.pattern.motions().iter().filter_map(wave).collect(),
+    };
+    give(json, &document, text)
+}
+
+fn wave(Motion { motor, form }: &Motion) -> Option<PackedWave<'_>> {
+    let Form::Wave(wave) = form else { return None };
+    Some(PackedWave {
+        motor: *motor,
+        start_s: wave.start_s,
+        rate_hz: wave.rate_hz,
+        samples: wave.um.len(),
+        source: wave.source.as_deref(),
+    })
+}
+
+fn check(which: &Which, strict: bool) -> Result<ExitCode> {
+    let pattern = which.read()?;
+    let followed = Motions::of(&pattern, &which.options())?;
+    let problems = followed.as_ref().map(|of| of.problems(pattern.array())).unwrap_or_default();
+    let order = Order::of(&pattern, &StrokeOptions { scale: which.scale, ..StrokeOptions::default() })?;
+    let saturated = pattern.warnings().into_iter().map(|warning| warning.to_string());
+    if strict
+        && let Some((first, more)) =
+            problems.iter().cloned().chain(saturated).collect::<Vec<_>>().split_first()
+    {
+        let more = if more.is_empty() { String::new() } else { format!("; and {} more", more.len()) };
+        bail!("{}: {first}{more}", pattern.name());
+    }
+    let document = Checked {
+        name: pattern.name(),
+        array: pattern.array().spec().name(),
+        duration_s: pattern.duration_s(),
+        drives: pattern.drives().len(),
+        motions: pattern.motions().len(),
+        followed,
+        warnings: problems.into_iter().chain(order.warnings).collect(),
+    };
+    give(which.output.json, &document, || summary(&document))
+}
+
+fn summary(found: &Checked<'_>) -> String {
+    let duration = found.duration_s.map_or_else(String::new, |seconds| format!(", {seconds} s"));
+    let Checked { name, array, drives, motions, .. } = found;
+    let mut lines = vec![format!("{name}{duration}, {drives} drives, {motions} motions, for {array}")];
+    match &found.followed {
+        Some(followed) => lines.push(text::motions(followed)),
+        None => lines.push(
+            "it has drives only: `meissner show NAME` and `meissner displacement` say what they reach"
+                .to_owned(),
+        ),
+    }
+    lines.extend(found.warnings.iter().map(|warning| format!("warning: {warning}")));
+    lines.join("\n")
+}
+
+fn tradeoff(which: &Which) -> Result<ExitCode> {
+    let pattern = which.read()?;
+    let found = progress::metered(|at| motion_tradeoff(&pattern, &which.options(), at))?;
+    let Some(found) = found else {
+        bail!("{}: it has no motions, so there is no grid to choose", pattern.name());
+    };
+    give(which.output.json, &found, || tradeoff_table(&found))
+}
+
+fn tradeoff_table(found: &MotionTradeoff) -> String {
+    let head =
+        ["step_ms", "moves/s", "busiest_second", "link_kB/s", "error_um", "%", "r", "step_error_um", ""];
+    let row = |row: &GridRow| {
+        vec![
+            format!("{:.0}", row.step_ms),
+            format!("{:.0}", row.moves_per_s),
+            row.busiest_second.to_string(),
+            format!("{:.1}", f64::from(row.link_bytes_per_s) / 1000.0),
+            format!("{:.3}", row.rms_um),
+            format!("{:.2}", 100.0 * row.share),
+            text::number(row.r, 4),
+            format!("{:.2}", row.step_error_um),
+            if row.chosen { "taken".to_owned() } else { String::new() },
+        ]
+    };
+    format!(
+        "{}\nerror: RMS from the motion after the motor's lag and smoothing, of the worst motor; step error: the largest difference from \
+         the same motor without steps. `--error-um` bounds the step error: the coarsest grid within it is taken.",
+        text::columns(&head, found.rows.iter().map(row))
+    )
+}

@@ -1,0 +1,156 @@
+//! `simulate` of a pattern: its drives and motions move the pins, and a fingertip of either model responds.
+//!
+//! The pattern is simulated burst by burst, as ideal motors play it. Afferents are a fingertip's population.
+
+use super::afferents::{OfClass, Placed};
+use super::{Simulate, print_csv};
+use crate::cli::output::give;
+use crate::cli::pattern_file::{self, Found};
+use crate::cli::{files, progress, text};
+use crate::store::Store;
+use anyhow::{Result, anyhow, bail};
+use clap::error::ErrorKind;
+use meissner_array::pattern::Pattern;
+use meissner_array::strokes::{StrokeOptions, Strokes};
+use meissner_skin::afferents::Class;
+use meissner_skin::membrane::{AfferentModel, POPULATION_NOISE_SD, Rectify};
+use meissner_skin::{Finger, ModelName, Ramps, SkinModel, Stimulus};
+use serde::Serialize;
+use std::fs::File;
+use std::io::Read;
+use std::path::Path;
+use std::process::ExitCode;
+use std::time::Instant;
+
+/// The document of `simulate --json` of a pattern.
+#[derive(Debug, Serialize)]
+struct Document<'a> {
+    model: ModelName,
+    pattern: &'a str,
+    seconds: f64,
+    /// The seed of the fingertip and of the noise.
+    seed: u64,
+    drives: usize,
+    motions: usize,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    spikes_s: Option<&'a [Vec<f64>]>,
+    rates_hz: Vec<f64>,
+    afferents: Vec<Placed>,
+    classes: Vec<OfClass>,
+    wall_s: f64,
+}
+
+/// The pattern that the argument names, unless it is a scene's file.
+pub(super) fn find(argument: &Path) -> Result<Option<Found>> {
+    let shown = argument.to_string_lossy();
+    if shown == "-" {
+        return Ok(None);
+    }
+    if !files::is_file(&shown) && !argument.exists() {
+        let is_known = Store::new(None, false)?.library(&shown).is_some();
+        return if is_known { pattern_file::of_argument(&shown).map(Some) } else { Ok(None) };
+    }
+    // Only the beginning is read: it says the format of a pattern.
+    let mut beginning = Vec::new();
+    let opened = crate::file::open_regular(argument);
+    let read = opened.and_then(|file: File| file.take(1 << 16).read_to_end(&mut beginning));
+    let is_pattern = read.is_ok() && has_format(&String::from_utf8_lossy(&beginning));
+    if is_pattern { pattern_file::of_file(argument).map(Some) } else { Ok(None) }
+}
+
+/// Whether a text is that of a pattern: scenes have no key `format`.
+pub(super) fn has_format(text: &str) -> bool {
+    let is_format = |line: &str| {
+        line.trim_start().strip_prefix("format").is_some_and(|rest| rest.trim_start().starts_with('='))
+    };
+    text.lines().take_while(|line| !line.trim_start().starts_with('[')).any(is_format)
+}
+
+pub(super) fn run(asked: &Simulate, pattern: &Pattern) -> Result<ExitCode> {
+    let of_a_scene = asked.method.is_some()
+        || asked.step_us.is_some()
+        || asked.integrator.is_some()
+        || asked.precision.is_some()
+        || asked.max_rate_error.is_some();
+    if of_a_scene {
+        let message = "a pattern is simulated burst by burst: leave out --method, --step-us, --integrator, --precision and \
+                       --max-rate-error, or name a scene";
+        return Err(clap::Error::raw(ErrorKind::ArgumentConflict, message).into());
+    }
+    asked.array.check(&asked.scene.to_string_lossy(), pattern.array())?;
+    let begun = Instant::now();
+    let options = StrokeOptions { error_um: asked.error_um, ..StrokeOptions::lasting(asked.seconds) };
+    let strokes = Strokes::new(pattern, &options)?;
+    let Some(end) = strokes.end() else {
+        bail!("`{}` has no end: say for how long with --seconds", pattern.name());
+    };
+    let seconds = pattern.array().rate().ticks_to_seconds(end);
+    let model = asked.model.unwrap_or(ModelName::Membrane);
+    let membrane = AfferentModel::default_for(Rectify::default(), POPULATION_NOISE_SD);
+    let finger = Finger::new(SkinModel::of(model, membrane), asked.seed);
+    let spikes_s = progress::waiting("simulating", || -> Result<_> {
+        let ramps = Ramps::of_strokes(strokes, seconds)?;
+        finger.spikes_s(&Stimulus::of_ramps(&ramps, seconds, asked.seed)).map_err(|error| anyhow!("{error}"))
+    })?;
+    let counts: Vec<u64> = spikes_s.iter().map(|train| train.len() as u64).collect();
+    let rates_hz: Vec<f64> =
+        counts.iter().map(|&count| count as f64 / seconds.max(f64::MIN_POSITIVE)).collect();
+    if asked.csv {
+        let afferents = finger.afferents().iter().map(|of| (of.class.name(), Some(of.row), of.at));
+        return print_csv(afferents, &counts, &rates_hz);
+    }
+    let of_class = |&class: &Class| {
+        let rates: Vec<f64> = finger.of_class(class).map(|number| rates_hz[number]).collect();
+        let mean_hz = rates.iter().sum::<f64>() / rates.len().max(1) as f64;
+        OfClass { class, afferents: rates.len(), mean_hz, per_cm2: None }
+    };
+    let classes = finger.model().classes().iter().map(of_class).collect();
+    let document = Document {
+        model,
+        pattern: pattern.name(),
+        seconds,
+        seed: asked.seed,
+        drives: pattern.drives().len(),
+        motions: pattern.motions().len(),
+        spikes_s: (!asked.rates_only).then_some(&spikes_s[..]),
+        rates_hz,
+        afferents: finger.afferents().iter().map(Placed::of).collect(),
+        classes,
+        wall_s: begun.elapsed().as_secs_f64(),
+    };
+    give(asked.output.json, &document, || summary(&document, counts.iter().sum()))
+}
+
+fn summary(document: &Document<'_>, spikes: u64) -> String {
+    let Document { drives, motions, rates_hz, seconds, .. } = document;
+    let pairs = text::pairs(&[
+        ("model", document.model.name().to_owned()),
+        ("pattern", format!("{}, {drives} drives, {motions} motions", document.pattern)),
+        ("afferents", format!("{}, for {seconds} s", rates_hz.len())),
+        ("spikes", spikes.to_string()),
+        ("wall time", format!("{:.3} s", document.wall_s)),
+    ]);
+    let row = |of: &OfClass| {
+        vec![of.class.name().to_owned(), of.afferents.to_string(), format!("{:.1}", of.mean_hz)]
+    };
+    let classes = text::columns(&["class", "afferents", "mean impulses/s"], document.classes.iter().map(row));
+    format!("{pairs}\n\n{classes}")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_pattern_is_told_from_a_scene_by_its_format() {
+        for (text, is) in [
+            ("# a\nformat = 2\n", true),
+            ("name = \"a\"\n  format=1\n", true),
+            ("duration_s = 1.0\n[[drives]]\nformat = 1\n", false),
+            ("{\"duration_s\": 1.0}", false),
+            ("formats = 1", false),
+        ] {
+            assert_eq!(has_format(text), is, "{text}");
+        }
+    }
+}
