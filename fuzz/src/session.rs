@@ -401,9 +401,9 @@ impl World {
                     let trigger = flag(input).then_some(Trigger { width: 9, code: 7 });
                     self.last = self.last.max(self.tick() + u64::from(word(input)));
                     if flag(input) {
-                        self.session.begin(self.last, trigger);
+                        self.session.begin(self.last, trigger, u32::MAX);
                     } else {
-                        self.session.mark(self.last, trigger);
+                        self.session.mark(self.last, trigger, u32::MAX);
                     }
                 }
             }

@@ -207,7 +207,7 @@ pub(super) fn play(play: &Play) -> Result<ExitCode> {
     let mut client = play.options.client()?;
     let (at_tick, at_ms, at_monotonic_ns) = Onset::keys(play.at);
     let request = PlayRequest {
-        pattern: play.name.clone(),
+        pattern: play.name.as_str().into(),
         pattern_sha256: None,
         seconds: play.seconds,
         map: play.map,
@@ -225,6 +225,7 @@ pub(super) fn play(play: &Play) -> Result<ExitCode> {
         labels: play.play.labels(),
         scale: play.play.scale,
         trigger: play.play.trigger.request(),
+        ..PlayRequest::default()
     };
     let json = play.options.output.json;
     if !play.wait {
@@ -246,7 +247,7 @@ fn length(client: &mut Client, request: &PlayRequest) -> Result<Option<f64>> {
     if request.seconds.is_some() {
         return Ok(request.seconds);
     }
-    let shown: Value = client.get(&format!("/v1/patterns/{}", escape(&request.pattern)))?;
+    let shown: Value = client.get(&format!("/v1/patterns/{}", escape(request.pattern.name())))?;
     Ok(shown["pattern"]["duration_s"].as_f64())
 }
 

@@ -1,4 +1,5 @@
-//! When a play vibrates: the spans of its pattern in which at least one drive moves a pin. What has vibrated since the last pause
+//! When a play vibrates: the spans of its pattern in which at least one drive or motion moves a pin. A motion counts from its beginning to
+//! its end, with what it holds. What has vibrated since the last pause
 //! is a [`Stretch`].
 //!
 //! Invariant: spans are in order, do not touch, and lie within one repeat of the pattern.
@@ -61,13 +62,10 @@ impl Vibration {
     /// The vibration of a play of `pattern` that ends after `end_s`.
     #[must_use]
     pub fn of(pattern: &Pattern, end_s: Option<f64>) -> Self {
-        let array = pattern.array();
-        let moving = pattern.drives().iter().filter(|drive| drive.wave(array).is_ok_and(|wave| wave.moves()));
-        let end = pattern.duration_s().unwrap_or(f64::INFINITY);
-        let mut drives: Vec<(f64, f64)> =
-            moving.map(|drive| (drive.start_s.unwrap_or(0.0), drive.stop_s.unwrap_or(end))).collect();
-        drives.sort_by(|a, b| a.0.total_cmp(&b.0));
-        Self { repeat_s: pattern.duration_s(), end_s, ..Self::of_spans(drives) }
+        let mut moving: Vec<(f64, f64)> =
+            pattern.moving_s().map(|(from, until)| (from, until.unwrap_or(f64::INFINITY))).collect();
+        moving.sort_by(|a, b| a.0.total_cmp(&b.0));
+        Self { repeat_s: pattern.duration_s(), end_s, ..Self::of_spans(moving) }
     }
 
     /// Vibration from the onset on, without end.

@@ -68,6 +68,35 @@ pub struct ReachedDrive {
     pub strokes: Option<u64>,
 }
 
+/// How an ideal motor follows its motions in one run of a pattern, computed before anything is played.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct FollowedMotion {
+    /// The motor's number.
+    #[schema(minimum = 0, maximum = 63)]
+    pub motor: u8,
+    /// The highest displacement asked, µm above rest.
+    #[schema(minimum = 0.0)]
+    pub highest_um: f64,
+    /// Root mean square of what the pin does less what was asked, µm: the motor's speed, its lag and smoothing, and the steps count.
+    #[schema(minimum = 0.0)]
+    pub error_um: f64,
+    /// It as a share of the RMS of what was asked about its mean; 0 if that does not move.
+    #[schema(minimum = 0.0)]
+    pub error_share: f64,
+    /// The largest difference from what a motor of this speed would do without steps, µm.
+    #[schema(minimum = 0.0)]
+    pub step_error_um: f64,
+    /// From when on the motor is too slow for it first, s; null: it is fast enough throughout.
+    #[schema(required, minimum = 0.0)]
+    pub too_slow_from_s: Option<f64>,
+    /// Moves per second.
+    #[schema(minimum = 0.0)]
+    pub moves_per_s: f64,
+    /// How much of it the errors and the moves are of, from its beginning, s: the motors of a pattern share four minutes.
+    #[schema(minimum = 0.0)]
+    pub measured_s: f64,
+}
+
 /// What the motors of a 30 V rail draw in a pattern's first ten seconds, for motors of 3 nF; the current is proportional to the
 /// capacitance.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, ToSchema)]

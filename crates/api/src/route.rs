@@ -175,6 +175,7 @@ const PLAY: &[Code] = &[
     Code::TooSoon,
     Code::Overlaps,
     Code::TooDense,
+    Code::TooSlow,
 ];
 /// Plays and calibrations are queued by the same rules.
 const QUEUE: &[Code] = &[

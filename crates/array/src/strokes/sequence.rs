@@ -1,22 +1,23 @@
-//! Many patterns one after the other, at exact ticks: the strokes of a sequence.
+//! Many patterns at exact ticks: the strokes of a sequence.
 //!
-//! [`Sequence::compile`] compiles a pattern once for all items that play it; [`Sequence::add`] places an item; [`Sequence::strokes`]
-//! makes one [`Strokes`] of all. Times are whole nanoseconds from the sequence's onset. Each sum of durations and pauses becomes a
-//! tick once, [`ticks`], so that no rounding error adds up.
+//! [`Sequence::compile`] compiles a pattern once for all items that play it; [`Sequence::add`] places an item, [`Sequence::add_blank`]
+//! one in which nothing is played; [`Sequence::strokes`] makes one [`Strokes`] of all. Times are whole nanoseconds from the sequence's
+//! onset. Each sum of durations and pauses becomes a tick once, [`ticks`], so that no rounding error adds up.
 //!
-//! Invariant: items are in order of time, do not overlap, and each has a stroke.
+//! Invariant: items begin in order of time; items that overlap drive different motors; and each item but a blank one has a stroke.
 
 use super::error::StrokesError;
 use super::options::StrokeOptions;
 use super::run::Run;
 use super::{Item, Strokes, lasts_s};
 use crate::pattern::{MAX_DRIVES, MAX_SECONDS, Pattern};
+use crate::per_motor::PerMotor;
 use crate::spec::Array;
 use crate::units::TickRate;
 
 /// Items of a sequence, at most: an hour of trials of less than a second.
 pub const MAX_ITEMS: usize = 4096;
-/// Drives of the patterns that a sequence compiles, at most: as many as one pattern may have. A pattern counts once for each scale
+/// Drives and motors with motions of the patterns that a sequence compiles, at most: as many as one pattern may have drives. A pattern counts once for each scale
 /// and fit that it is played with.
 pub const MAX_SEQUENCE_DRIVES: usize = MAX_DRIVES;
 /// From the onset of an item to the next, at least, ms. A device keeps at most 8 future onsets.
@@ -28,7 +29,7 @@ const NS_PER_S: u64 = 1_000_000_000;
 /// When an item begins.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Start {
-    /// This long after the end of the item before it, or after the sequence's onset, ms.
+    /// This long after the end of all items before it, or after the sequence's onset, ms.
     Gap(f64),
     /// This long after the sequence's onset, ms.
     At(f64),
@@ -49,7 +50,7 @@ pub enum SequenceError {
     TooManyItems,
     /// More than [`MAX_SEQUENCE_DRIVES`].
     #[error(
-        "the patterns of a sequence have at most {MAX_SEQUENCE_DRIVES} drives together, counted once for each scale and fit: \
+        "the patterns of a sequence have at most {MAX_SEQUENCE_DRIVES} drives and motors with motions together, counted once for each scale and fit: \
          divide the sequence"
     )]
     TooManyDrives,
@@ -65,12 +66,21 @@ pub enum SequenceError {
     /// No stroke fits.
     #[error("no stroke fits: give it more `seconds`, or another `scale`")]
     Empty,
-    /// It begins before the end of the one before.
-    #[error("it begins {:.3} ms before the item before it has ended: begin it later", *.ms)]
+    /// It begins before the end of an earlier item that drives one of its motors.
+    #[error(
+        "it begins {ms:.3} ms before `items[{item}]` has ended, which drives motor {motor}, too: begin it later, or drive other motors"
+    )]
     Overlaps {
         /// How much earlier, ms.
         ms: f64,
+        /// The earlier item, from 0.
+        item: usize,
+        /// A motor that both drive.
+        motor: u8,
     },
+    /// It begins before the onset of the item before it.
+    #[error("it begins before the item before it: put items in order of their beginnings")]
+    Order,
     /// It begins too soon after the onset of the one before.
     #[error("it begins less than 5 ms after the onset of the item before it: begin it later")]
     TooClose,
@@ -85,7 +95,9 @@ pub struct Sequence {
     lasting: Vec<Option<f64>>,
     items: Vec<Item>,
     drives: usize,
-    /// The end of the last item, ns and ticks from the onset.
+    /// Of each motor: when the last item that drives it has ended, ticks from the onset, and the number of that item.
+    busy: PerMotor<(u64, usize)>,
+    /// The latest end of an item, ns and ticks from the onset.
     end_ns: u64,
     end: u64,
 }
@@ -95,7 +107,8 @@ impl Sequence {
     #[must_use]
     pub fn new(array: Array) -> Self {
         let (runs, lasting, items) = (Vec::new(), Vec::new(), Vec::new());
-        Self { array, runs, lasting, items, drives: 0, end_ns: 0, end: 0 }
+        let busy = PerMotor::all(array, (0, 0));
+        Self { array, runs, lasting, items, drives: 0, busy, end_ns: 0, end: 0 }
     }
 
     /// Compiles a pattern with a scale, a fit and a surplus. Its items have their own durations.
@@ -107,7 +120,7 @@ impl Sequence {
         pattern: &Pattern,
         options: &StrokeOptions,
     ) -> Result<CompiledItem, SequenceError> {
-        self.drives += pattern.drives().len();
+        self.drives += pattern.drives().len() + pattern.waveforms().len();
         if self.drives > MAX_SEQUENCE_DRIVES {
             return Err(SequenceError::TooManyDrives);
         }
@@ -126,28 +139,18 @@ impl Sequence {
         seconds: Option<f64>,
         start: Start,
     ) -> Result<(), SequenceError> {
-        if self.items.len() == MAX_ITEMS {
-            return Err(SequenceError::TooManyItems);
-        }
-        let (Start::Gap(ms) | Start::At(ms)) = start;
-        let after = if matches!(start, Start::Gap(_)) { self.end_ns } else { 0 };
-        let start_ns = after.checked_add(ns(ms)?).filter(|&ns| ns <= LONGEST_NS);
-        let start_ns = start_ns.ok_or(SequenceError::Time { ms })?;
+        let (start_ns, start) = self.start(start)?;
         let rate = self.array.rate();
-        let start = ticks(rate, start_ns);
-        if let Some(before) = self.items.last() {
-            if start < self.end {
-                return Err(SequenceError::Overlaps { ms: rate.ticks_to_seconds(self.end - start) * 1e3 });
-            }
-            if start - before.start < rate.of_ms(MIN_ITEM_INTERVAL_MS) {
-                return Err(SequenceError::TooClose);
+        let CompiledItem(run) = compiled;
+        for motor in self.array.numbers().filter(|motor| self.runs[run].drives(*motor)) {
+            let (end, item) = self.busy[usize::from(motor)];
+            if start < end {
+                let ms = rate.ticks_to_seconds(end - start) * 1e3;
+                return Err(SequenceError::Overlaps { ms, item, motor });
             }
         }
-        let CompiledItem(run) = compiled;
         let seconds = seconds.or(self.lasting[run]).ok_or(SequenceError::Endless)?;
-        let ms = seconds * 1e3;
-        let mut end_ns = start_ns.checked_add(ns(ms)?).filter(|&ns| ns <= LONGEST_NS);
-        let end = ticks(rate, end_ns.ok_or(SequenceError::Time { ms })?);
+        let (mut end_ns, end) = self.ends(start_ns, seconds)?;
         let strokes = &mut self.runs[run];
         strokes.begin(end - start);
         if strokes.is_over() {
@@ -155,11 +158,54 @@ impl Sequence {
         }
         let covered = strokes.covers_until(end - start).map_or(0, |covered| start + covered);
         if covered > end {
-            end_ns = Some(first_ns(rate, covered));
+            end_ns = first_ns(rate, covered);
         }
-        self.items.push(Item { start, end, run });
-        (self.end_ns, self.end) = (end_ns.unwrap_or(LONGEST_NS), end.max(covered));
+        let over = (end.max(covered), self.items.len());
+        for motor in self.array.numbers().filter(|motor| self.runs[run].drives(*motor)) {
+            self.busy[usize::from(motor)] = over;
+        }
+        self.items.push(Item { start, end, run: u32::try_from(run).ok() });
+        (self.end_ns, self.end) = (self.end_ns.max(end_ns), self.end.max(over.0));
         Ok(())
+    }
+
+    /// Adds an item in which nothing is played, for example of a catch trial.
+    ///
+    /// # Errors
+    /// What is wrong with the item. The sequence stays unchanged.
+    pub fn add_blank(&mut self, seconds: f64, start: Start) -> Result<(), SequenceError> {
+        let (start_ns, start) = self.start(start)?;
+        let (end_ns, end) = self.ends(start_ns, seconds)?;
+        self.items.push(Item { start, end, run: None });
+        (self.end_ns, self.end) = (self.end_ns.max(end_ns), self.end.max(end));
+        Ok(())
+    }
+
+    /// When the next item begins, ns and ticks from the onset.
+    fn start(&self, start: Start) -> Result<(u64, u64), SequenceError> {
+        if self.items.len() == MAX_ITEMS {
+            return Err(SequenceError::TooManyItems);
+        }
+        let (Start::Gap(ms) | Start::At(ms)) = start;
+        let after = if matches!(start, Start::Gap(_)) { self.end_ns } else { 0 };
+        let start_ns = after.checked_add(ns(ms)?).filter(|&ns| ns <= LONGEST_NS);
+        let start_ns = start_ns.ok_or(SequenceError::Time { ms })?;
+        let (rate, start) = (self.array.rate(), ticks(self.array.rate(), start_ns));
+        if let Some(before) = self.items.last() {
+            let apart = start.checked_sub(before.start).ok_or(SequenceError::Order)?;
+            if apart < rate.of_ms(MIN_ITEM_INTERVAL_MS) {
+                return Err(SequenceError::TooClose);
+            }
+        }
+        Ok((start_ns, start))
+    }
+
+    /// When an item ends that begins then, ns and ticks from the onset.
+    fn ends(&self, start_ns: u64, seconds: f64) -> Result<(u64, u64), SequenceError> {
+        let ms = seconds * 1e3;
+        let end_ns = start_ns.checked_add(ns(ms)?).filter(|&ns| ns <= LONGEST_NS);
+        let end_ns = end_ns.ok_or(SequenceError::Time { ms })?;
+        Ok((end_ns, ticks(self.array.rate(), end_ns)))
     }
 
     /// When each item begins and ends, ticks from the onset.
@@ -240,7 +286,7 @@ mod tests {
         assert_eq!(refused(endless, None, Start::Gap(0.0)), SequenceError::Endless);
         assert_eq!(refused(slow, None, Start::Gap(0.0)), SequenceError::Empty);
         assert_eq!(refused(tap, Some(0.0), Start::Gap(0.0)), SequenceError::Empty);
-        assert_eq!(refused(tap, None, Start::At(99.9)), SequenceError::Overlaps { ms: 8.0 / 85_000.0 * 1e3 });
+        assert_eq!(refused(tap, None, Start::At(99.9)), SequenceError::Overlaps { ms: 8.0 / 85_000.0 * 1e3, item: 0, motor: 5 });
         assert_eq!(refused(tap, None, Start::Gap(-1.0)), SequenceError::Time { ms: -1.0 });
         assert!(matches!(refused(tap, None, Start::Gap(f64::NAN)), SequenceError::Time { .. }));
         assert!(matches!(refused(tap, Some(2e8), Start::Gap(0.0)), SequenceError::Time { .. }));
