@@ -1,5 +1,5 @@
 //! The pattern store: the built-in library, and a directory of the site's own patterns. The library has the patterns of `patterns`,
-//! and those of the paper's setting in `patterns/paper`. `targets` keeps the site's targets in a folder of the directory.
+//! those of motions in `patterns/motions`, and those of the paper's setting in `patterns/paper`. `targets` keeps the site's targets in a folder of the directory.
 //!
 //! The store reads the directory at every request, so it finds manually added files at once. [`Store::get`] reads one file,
 //! [`Store::list`] at most [`MAX_FILES`]. Callers that hold the same file share one pattern. Patterns of the library cannot be
@@ -182,8 +182,8 @@ impl Store {
         let targets = Folder::new(dir.as_ref().map(|dir| dir.join(FOLDER)), make(Make::Folder), "targets");
         let folder = Folder::new(dir, make(Make::Nothing), "patterns");
         let mut library = BTreeMap::new();
-        let paper = LIBRARY.dirs().flat_map(Dir::files);
-        for file in LIBRARY.files().chain(paper) {
+        let inner = LIBRARY.dirs().flat_map(Dir::files);
+        for file in LIBRARY.files().chain(inner) {
             let path = file.path();
             if path.extension().is_some_and(|extension| extension == "toml") {
                 let contents = file.contents();
@@ -428,6 +428,7 @@ impl Stored {
             library: self.library,
             duration_s: self.pattern.duration_s(),
             drives: self.pattern.drives().len(),
+            motions: self.pattern.motions().len(),
             drives_moving: drives.iter().filter(|drive| drive.strokes != Some(0)).count(),
             sha256: self.sha256.clone(),
             compiled_ms: *compiled_ms,

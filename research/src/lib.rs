@@ -3,6 +3,8 @@
 //! - `lead`: [`lead_tradeoff`] compares leads of the streamer under recorded stalls.
 //! - `control`: [`control_tradeoff`] measures rest errors under position control against the least possible.
 //! - `stop`: [`stop_tradeoff`] measures rest errors above a lower stop against the theory.
+//! - `motions`: [`motion_figures`] says what motors reach of ramps, bursts, chirps, noise and a texture; [`drift_figures`] compares drift
+//!   without telemetry with its theory.
 //! - `objectives`: [`objective_tradeoff`] compares the objectives of a search with each other and with the naive rules.
 //! - `sixty_hertz` has the drives that `lead` and `control` play.
 //!
@@ -23,6 +25,7 @@
 
 mod control;
 mod lead;
+mod motions;
 mod objectives;
 mod sixty_hertz;
 mod stop;
@@ -32,6 +35,9 @@ pub use control::{
 };
 pub use lead::{
     LEADS_MS, LeadRow, LeadTradeoff, MAX_TRACE_BYTES, STALLS, Summary, Trace, TraceError, lead_tradeoff,
+};
+pub use motions::{
+    DriftFigures, DriftRow, HarmonicRow, Held, MotionFigures, StimulusRow, drift_figures, motion_figures,
 };
 pub use objectives::{
     BelowNaive, CellOfClass, ClassRow, ObjectiveCell, ObjectiveMeans, ObjectiveRow, ObjectiveTradeoff,

@@ -6,9 +6,10 @@ use anyhow::Result;
 use clap::{Parser, Subcommand};
 use meissner::cli::{give, text_of_file};
 use meissner::store::Store;
+use meissner_array::spec::Array;
 use meissner_research::{
-    ControlGrid, LEADS_MS, MAX_TRACE_BYTES, STALLS, StopGrid, Trace, control_tradeoff, lead_tradeoff,
-    objective_tradeoff, stop_tradeoff,
+    ControlGrid, LEADS_MS, MAX_TRACE_BYTES, STALLS, StopGrid, Trace, control_tradeoff, drift_figures,
+    lead_tradeoff, motion_figures, objective_tradeoff, stop_tradeoff,
 };
 use meissner_skin::ModelName;
 use serde::Serialize;
@@ -37,6 +38,10 @@ enum What {
     Loop,
     /// Compare surpluses of down bursts above a lower stop: rest errors with their theory (half a minute)
     Stop,
+    /// Compare motions with what the motors reach: errors, moves and bytes per second
+    Motions,
+    /// Compare the drift of noise without telemetry with its theory, with and without a lower stop
+    Drift,
     /// Compare what a search maximises: patterns by each objective and by naive rules (minutes)
     Objectives {
         /// Search under the second model, not the first
@@ -45,6 +50,8 @@ enum What {
     },
 }
 
+/// Seconds of noise.
+const DRIFT_S: u32 = 60;
 /// Evaluations of each search; more would hardly improve the result.
 const EVALUATIONS: u64 = 1000;
 
@@ -62,6 +69,8 @@ fn main() -> Result<ExitCode> {
         }
         What::Loop => print(json, &control_tradeoff(&ControlGrid::default())?, table::control::table),
         What::Stop => print(json, &stop_tradeoff(&StopGrid::default())?, table::stop::table),
+        What::Motions => print(json, &motion_figures(Array::paper())?, table::motions::table),
+        What::Drift => print(json, &drift_figures(Array::paper(), DRIFT_S)?, table::motions::drift),
         What::Objectives { afferents } => {
             let store = Store::new(None, false)?;
             let library = |name: &str| store.library(name).map(|stored| stored.pattern.drives().to_vec());

@@ -51,10 +51,15 @@ pub(super) fn list(options: &ClientOptions) -> Result<ExitCode> {
     })
 }
 
-/// The number of drives of a listed pattern, and how many of them give a stroke unless all do.
+/// The number of drives of a listed pattern, and how many of them give a stroke unless all do; and its motions, if it has any.
 fn drives(entry: &Value) -> String {
     let [all, moving] = ["drives", "drives_moving"].map(|key| &entry[key]);
-    if moving.is_null() || moving == all { all.to_string() } else { format!("{moving} of {all} move") }
+    let drives =
+        if moving.is_null() || moving == all { all.to_string() } else { format!("{moving} of {all} move") };
+    match entry["motions"].as_u64() {
+        None | Some(0) => drives,
+        Some(motions) => format!("{drives} + {motions} motions"),
+    }
 }
 
 /// The amplitudes that the drives of a listed pattern reach, from the smallest to the largest.

@@ -28,6 +28,10 @@ pub struct PatternSummary {
     #[serde(default)]
     #[schema(required, maximum = 4096)]
     pub drives_moving: usize,
+    /// Number of motions.
+    #[serde(default)]
+    #[schema(required, maximum = 4096)]
+    pub motions: usize,
     /// SHA-256 of the pattern's file, in hexadecimal.
     pub sha256: String,
     /// When the last whole stroke of one run ends, ms; null: the pattern has no end, or no stroke.
@@ -122,7 +126,7 @@ pub struct RailLoad {
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, ToSchema)]
 #[schema(examples(json!({
     "patterns": [{
-        "name": "edge-45", "array": "tula35-6x4", "library": true, "duration_s": null, "drives": 12, "drives_moving": 12,
+        "name": "edge-45", "array": "tula35-6x4", "library": true, "duration_s": null, "drives": 12, "drives_moving": 12, "motions": 0,
         "sha256": "9f86d081884c7d659a2feaa0c55ad015a3bf4f1b2b0b822cd15d6c15b0f00a08",
         "compiled_ms": null, "reached_min_um": 69.2, "reached_max_um": 69.2
     }],

@@ -182,8 +182,8 @@ fn no_text_makes_the_reader_panic() {
 fn every_shipped_pattern_is_sound_and_moves() {
     let library = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../patterns");
     let mut names = Vec::new();
-    let papers = fs::read_dir(library.join("paper")).unwrap();
-    for entry in fs::read_dir(library).unwrap().chain(papers) {
+    let inner = ["paper", "motions"].map(|folder| fs::read_dir(library.join(folder)).unwrap());
+    for entry in fs::read_dir(library).unwrap().chain(inner.into_iter().flatten()) {
         let path = entry.unwrap().path();
         if path.is_dir() {
             continue;
@@ -199,7 +199,7 @@ fn every_shipped_pattern_is_sound_and_moves() {
     }
     names.sort();
     // Made by hand; the design crate makes the others for targets.
-    for name in ["all-in-phase", "pin-60", "sweep", "wave"] {
+    for name in ["all-in-phase", "pin-60", "press-hold", "rough-noise", "sweep", "wave"] {
         assert!(names.contains(&name.to_owned()), "{name}");
     }
 }

@@ -128,7 +128,7 @@ impl FollowedMotor {
             step_error_um: reached.step_error_um,
             too_slow_s: spans.iter().take(LISTED).map(|&(from, until)| [from, until]).collect(),
             too_slow_times: spans.len(),
-            too_slow_in_all_s: spans.iter().map(|(from, until)| until - from).sum(),
+            too_slow_in_all_s: spans.iter().fold(0.0, |sum, (from, until)| sum + until - from),
             moves: reached.moves,
             moves_per_s: reached.moves_per_s,
             busiest_second: reached.busiest_second,
@@ -351,14 +351,14 @@ mod tests {
     #[test]
     fn each_motor_has_its_error_and_a_pattern_its_moves_and_bytes() {
         let found = of(&format!(
-            "{RAMP}[[tone]]\nmotor = 3\nduration_s = 1.0\nfrequency_hz = 40.0\namplitude_um = 40.0\n"
+            "{RAMP}[[tone]]\nmotor = 3\nduration_s = 1.0\nfrequency_hz = 40.0\namplitude_um = 40.0\nphase = 0.75\nenvelope = \"hann\"\n"
         ));
         let [tone, ramp] = &found.motors[..] else { panic!("{found:?}") };
         assert_eq!((tone.motor, ramp.motor), (3, 9));
         // The lag of 2.15 ms in a ramp of 4 mm/s is 8.6 um; without it there are only steps.
         assert!(ramp.from_asked.peak_um > 7.5 && ramp.from_filtered.peak_um < 0.95, "{ramp:?}");
         assert!((0.49..0.51).contains(&ramp.longest_hold_s) && found.longest_hold_s == ramp.longest_hold_s);
-        assert!((tone.lowest_um, tone.highest_um) == (0.0, 40.0) || tone.highest_um > 39.9, "{tone:?}");
+        assert!(tone.lowest_um >= 0.0 && (38.0..40.1).contains(&tone.highest_um), "{tone:?}");
         assert!(found.problems(Array::paper()).is_empty(), "{found:?}");
         let moves = tone.moves + ramp.moves;
         assert!(found.busiest_second >= tone.busiest_second && moves >= found.busiest_second);
@@ -392,7 +392,7 @@ mod tests {
     #[test]
     fn a_coarser_grid_has_fewer_moves_and_bytes_and_one_is_chosen() {
         let noise =
-            "[[noise]]\nmotor = 9\nduration_s = 2.0\nlow_hz = 5.0\nhigh_hz = 50.0\nrms_um = 10.0\nseed = 3\n";
+            "[[noise]]\nmotor = 9\nduration_s = 2.0\nlow_hz = 5.0\nhigh_hz = 50.0\nrms_um = 10.0\nseed = 3\nenvelope = { attack_s = 0.1, release_s = 0.1 }\n";
         let options = MotionOptions { error_um: Some(2.0), ..MotionOptions::default() };
         let found = motion_tradeoff(&pattern(noise), &options, &|_| ()).unwrap().unwrap();
         assert_eq!(found.rows.len(), 4);

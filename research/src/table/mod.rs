@@ -2,5 +2,6 @@
 
 pub(crate) mod control;
 pub(crate) mod lead;
+pub(crate) mod motions;
 pub(crate) mod objectives;
 pub(crate) mod stop;

@@ -1,10 +1,11 @@
 //! The error of a report.
 
+use crate::motions::MotionsError;
 use meissner_array::motor::MotorError;
 use meissner_array::simulated::SimulatedMotorsError;
 use meissner_array::strokes::StrokesError;
 use meissner_design::TargetError;
-use meissner_skin::{FingerError, MethodError, SceneError};
+use meissner_skin::{FingerError, MethodError, RampsError, SceneError};
 use meissner_stream::calibrate::{FitProblem, PlanError};
 
 /// A figure could not be made. It is our bug, because patterns have been checked, unless the array's bursts have no room in the plan of
@@ -30,4 +31,8 @@ pub enum FiguresError {
     Finger(#[from] FingerError),
     #[error("internal error: {0}")]
     Target(#[from] TargetError),
+    #[error("internal error: {0}")]
+    Motions(#[from] MotionsError),
+    #[error("cannot simulate the pattern: {0}")]
+    Ramps(#[from] RampsError),
 }

@@ -2,7 +2,7 @@
 //!
 //! [`report`] makes it. Each part makes a section and its key figures: `pulses`, `amplitude`, `rate`, `acuity` and `edge` are of an
 //! array, and of the paper's array they repeat the figures and remarks of the paper. `pattern` shows a pattern on the array that it
-//! is for. A section has drawings (`chart`, `map`), their numbers as CSV, tables (`table`) and text; `page` joins the sections. The
+//! is for; `motions` shows its motions. A section has drawings (`chart`, `map`), their numbers as CSV, tables (`table`) and text; `page` joins the sections. The
 //! caller writes the files. `confusion` draws a confusion matrix.
 //!
 //! Invariant: the same patterns give the same bytes. No time, machine or directory is in them.
@@ -15,6 +15,7 @@ mod confusion;
 mod edge;
 mod error;
 mod map;
+mod motions;
 pub(crate) mod page;
 mod pattern;
 mod pulses;

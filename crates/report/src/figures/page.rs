@@ -56,6 +56,12 @@ impl Section {
         self.html += &format!("<h3>{}</h3>\n{table}", escape(heading));
     }
 
+    /// Adds what another section has.
+    pub(super) fn append(&mut self, other: Self) {
+        self.html += &other.html;
+        self.files.extend(other.files);
+    }
+
     /// Adds a table that is folded under its heading.
     pub(super) fn folded(&mut self, heading: &str, table: &str) {
         self.html += &format!("<details>\n<summary>{}</summary>\n{table}</details>\n", escape(heading));

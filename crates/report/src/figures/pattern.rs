@@ -10,18 +10,20 @@
 use crate::figures::baselines;
 use crate::figures::error::FiguresError;
 use crate::figures::map::{Aim, FINGERTIP, Pad, Panel, Pin, motors, pads, small};
+use crate::figures::motions;
 use crate::figures::page::Section;
 use crate::figures::segments::{Segment, segments};
 use crate::figures::table::{csv, number, provenance, robustness, table};
 use crate::figures::target::{self, FrameRates, TargetFigures};
+use crate::motions::Motions;
 use meissner_array::motor::{MotorError, SteadyState};
 use meissner_array::pattern::{Drive, Pattern};
 use meissner_array::power::{CAPACITANCE_NF, RAIL_V, current_ma, rail_pulses};
 use meissner_array::spec::Array;
-use meissner_array::strokes::{DriveAmplitude, StrokeOptions, Strokes, amplitudes};
+use meissner_array::strokes::{DriveAmplitude, StrokeOptions, Strokes, amplitudes, ordered_end};
 use meissner_design::{Frame, Target, Verdict};
 use meissner_skin::membrane::{AfferentModel, POPULATION_NOISE_SD, Position, Rectify, population};
-use meissner_skin::{Keep, Method, Options, Scene, simulate};
+use meissner_skin::{Keep, Method, Options, Ramps, Scene, simulate, simulate_ramps};
 use serde::Serialize;
 use std::collections::HashMap;
 use std::collections::hash_map::Entry;
@@ -56,6 +58,10 @@ pub struct PatternFigures {
     pub drives: usize,
     /// The number of drives that give a stroke; the others never move their motor.
     pub drives_moving: usize,
+    /// The number of its motions.
+    pub motions: usize,
+    /// What the motors do with them; none without motions.
+    pub followed: Option<Motions>,
     /// The number of its segments.
     pub segments: usize,
     /// Pulses per second of all motors, in the segment with the most.
@@ -94,16 +100,24 @@ pub(super) fn section(
     let response = Response::of(pattern, &segments, target.as_ref(), progress)?;
     let frames = target.as_ref().map(|target| response.frames(target)).unwrap_or_default();
     let compared = match &target {
-        Some(target) => baselines::compare(target, pattern.drives())?,
-        None => Vec::new(),
+        // The rules have drives alone.
+        Some(target) if pattern.motions().is_empty() => baselines::compare(target, pattern.drives())?,
+        _ => Vec::new(),
     };
     let (rails, ticks) = rail_pulses(&Strokes::new(pattern, &StrokeOptions::default())?);
     let most_at_once = rails.iter().map(|rail| rail.most_at_once).max().unwrap_or(0);
     let mean_at_once = rails.iter().map(|rail| rail.mean_at_once(ticks)).fold(0.0, f64::max);
+    let name = pattern.name();
+    let command = format!("{} {}", super::command(array), subject.argument);
+    let mut section = Section::new(&format!("pattern-{name}"), &format!("Pattern {name}"));
+    let mut of_motions = Section::new("", "");
+    let followed = motions::add(&mut of_motions, pattern, &command)?;
     let figures = PatternFigures {
         name: pattern.name().to_owned(),
         drives: pattern.drives().len(),
         drives_moving: moving.len(),
+        motions: pattern.motions().len(),
+        followed,
         segments: segments.len(),
         busiest_pulses_per_s: segments
             .iter()
@@ -122,9 +136,6 @@ pub(super) fn section(
         }),
     };
 
-    let name = pattern.name();
-    let command = format!("{} {}", super::command(subject.pattern.array()), subject.argument);
-    let mut section = Section::new(&format!("pattern-{name}"), &format!("Pattern {name}"));
     section.say(&summary(pattern, &figures));
     let left_out = match more.len() {
         0 => String::new(),
@@ -155,7 +166,7 @@ pub(super) fn section(
         "Predicted rates of {} afferents ({of}) on the fingertip's pad, simulated exactly over {}{} s of {name}: {} \
          impulses/s in the mean, {} at most. Grey circles: the pins.",
         response.afferents.len(),
-        if response.duration_s < run_s(&segments) { "the first " } else { "the whole " },
+        if response.duration_s < run_s(pattern, &segments) { "the first " } else { "the whole " },
         number(response.duration_s),
         number(figures.mean_rate_hz),
         number(figures.highest_rate_hz)
@@ -173,6 +184,7 @@ pub(super) fn section(
         section.table("Beside rules of thumb that need no search", &baselines::rows(&compared));
     }
 
+    section.append(of_motions);
     if !pattern.drives().is_empty() {
         section.table("Motors", &drives(&reached, &steady));
     }
@@ -196,7 +208,8 @@ pub(super) fn section(
 }
 
 fn summary(pattern: &Pattern, figures: &PatternFigures) -> String {
-    let length = pattern.duration_s().map_or("endless".to_owned(), |s| format!("{} s", number(s)));
+    let end = ordered_end(pattern, None).map(|end| pattern.array().rate().ticks_to_seconds(end));
+    let length = pattern.duration_s().or(end.filter(|_| figures.followed.is_some())).map_or("endless".to_owned(), |s| format!("{} s", number(s)));
     let segments = match figures.segments {
         1 => String::new(),
         many => format!(", {many} segments"),
@@ -207,10 +220,19 @@ fn summary(pattern: &Pattern, figures: &PatternFigures) -> String {
         0 => String::new(),
         silent => format!(" ({silent} without a stroke: their motors do not move)"),
     };
+    let motions = figures.followed.as_ref().map_or_else(String::new, |followed| {
+        format!(
+            ", {} motions of {} motors with {} moves/s",
+            figures.motions,
+            followed.motors.len(),
+            number(followed.moves_per_s)
+        )
+    });
+    let of_drives = if figures.followed.is_some() { " of drives" } else { "" };
     let array = pattern.array();
     let on = if array == Array::paper() { String::new() } else { format!(" on the array {}", array.name()) };
     format!(
-        "{length}{on}, {} {drives}{silent}{segments}; {} pulses/s in all{most}. Of a {RAIL_V} V rail at most {} motors have pulses at once: \
+        "{length}{on}, {} {drives}{silent}{segments}{motions}; {} pulses/s{of_drives} in all{most}. Of a {RAIL_V} V rail at most {} motors have pulses at once: \
          {} mA for motors of 3 nF, {} mA in the mean.",
         figures.drives,
         number(figures.busiest_pulses_per_s),
@@ -221,7 +243,12 @@ fn summary(pattern: &Pattern, figures: &PatternFigures) -> String {
 }
 
 /// The duration of a run, s.
-fn run_s(segments: &[Segment]) -> f64 {
+fn run_s(pattern: &Pattern, segments: &[Segment]) -> f64 {
+    if !pattern.motions().is_empty()
+        && let Some(end) = ordered_end(pattern, None)
+    {
+        return pattern.array().rate().ticks_to_seconds(end);
+    }
     segments.last().and_then(|last| last.stop_s).unwrap_or(f64::INFINITY)
 }
 
@@ -256,8 +283,8 @@ impl Response {
         progress: &(dyn Fn(f64) + Sync),
     ) -> Result<Self, FiguresError> {
         let moves = target.is_some_and(Target::moves);
-        let most = if segments.len() == 1 && !moves { STEADY_S } else { LONGEST_S };
-        let duration_s = run_s(segments).min(most);
+        let is_steady = segments.len() == 1 && !moves && pattern.motions().is_empty();
+        let duration_s = run_s(pattern, segments).min(if is_steady { STEADY_S } else { LONGEST_S });
         // As in the search, the seed of a target's population is also that of the noise.
         let seed = target.map_or(SEED, Target::population_seed);
         let model = target.map_or_else(
@@ -272,6 +299,16 @@ impl Response {
             population(seed),
             model,
         )?;
+        if !pattern.motions().is_empty() {
+            // Motions are no drives: they are simulated burst by burst, with the drives beside them.
+            let ramps = Ramps::of_strokes(Strokes::new(pattern, &StrokeOptions::lasting(duration_s))?, duration_s)?;
+            let mut spikes_s = vec![Vec::new(); scene.afferents().len()];
+            simulate_ramps(&scene, &ramps, &mut |number, train| spikes_s[number as usize] = train)?;
+            let rate = |train: &Vec<f64>| train.len() as f64 / duration_s.max(f64::MIN_POSITIVE);
+            let rates_hz = spikes_s.iter().map(rate).collect();
+            let spikes_s = moves.then_some(spikes_s);
+            return Ok(Self { afferents: scene.afferents().to_vec(), duration_s, rates_hz, spikes_s });
+        }
         let keep = if moves { Keep::Spikes } else { Keep::Rates };
         let answer =
             simulate(&scene, &Options { keep, ..Options::rates(Method::finest(scene.array())) }, progress)?;
