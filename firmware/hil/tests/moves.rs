@@ -21,11 +21,14 @@ use meissner_test_support::paper::{DRIVER_LEAD, MOTORS};
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 
-/// Ticks of a ramp's step: the longest has a pause behind it.
-const STEP: u64 = 200;
+/// Ticks of a ramp's step, and of its burst at most: a third of the motors begins after the other, and a pause follows the last one.
+const STEP: u64 = 300;
+const THIRD: u64 = 95;
 const STEPS: u64 = 8;
 /// Ticks from the last step up to the first step down: the drivers go off meanwhile.
 const HELD: u64 = 2_000;
+/// Ticks for which the host watchdog waits.
+const SILENT: u64 = 1_700;
 /// Most ticks from a command on the line to the first tick that is rendered with it.
 const TAKEN: u64 = 2 * 85 + (HORIZON + BLOCK) as u64;
 
@@ -46,16 +49,20 @@ fn level(motor: usize, steps: u64) -> u16 {
     (20 + 3 * motor as u16) * steps as u16
 }
 
-/// Rows of all motors: each goes up in steps to a level of its own, is held there, and comes down in steps.
+/// Rows of a third of the motors, two of each rail: each goes up in steps to a level of its own, is held there, and comes down in steps.
 fn send_ramps(hand: &mut Hand, base: Tick) {
     let ups = (0..STEPS).map(|step| (step * STEP, step + 1));
     let downs = (0..STEPS).map(|step| (STEPS * STEP + HELD + step * STEP, STEPS - 1 - step));
-    let rows: Vec<_> = ups.chain(downs).collect();
-    for (number, pair) in rows.chunks(2).enumerate() {
-        let mut packer = Packer::new(base + pair[0].0);
-        for &(after, steps) in pair {
-            let levels: Vec<_> = (0..MOTORS).map(|motor| level(motor, steps)).collect();
-            packer.row(base + after, all(), &levels).unwrap();
+    let thirds =
+        |(after, steps): (u64, u64)| (0..3).map(move |third| (third, after + third as u64 * THIRD, steps));
+    let rows: Vec<_> = ups.chain(downs).flat_map(thirds).collect();
+    for (number, some) in rows.chunks(6).enumerate() {
+        let mut packer = Packer::new(base + some[0].1);
+        for &(third, after, steps) in some {
+            let motors = || (third..MOTORS).step_by(3);
+            let set = MotorSet::from_bits(motors().map(|motor| 1 << motor).sum());
+            let levels: Vec<_> = motors().map(|motor| level(motor, steps)).collect();
+            packer.row(base + after, set, &levels).unwrap();
         }
         hand.moves(&packer, (number == 0).then_some(0));
         hand.run(MS / 4);
@@ -97,7 +104,9 @@ fn end(hand: &mut Hand, ending: Ending, limits: PowerLimits) -> [u64; 2] {
         }
         Ending::Unplug => {
             hand.plug();
-            assert_eq!((hand.status().state, hand.status().cause), (State::Disarmed, Cause::LinkLost));
+            // A return that takes longer than the host watchdog waits ends with the watchdog's cause.
+            let cause = if low > SILENT * TICK { Cause::HostTimeout } else { Cause::LinkLost };
+            assert_eq!((hand.status().state, hand.status().cause), (State::Disarmed, cause));
         }
     }
     let arms = hand.now();
@@ -112,7 +121,7 @@ fn end(hand: &mut Hand, ending: Ending, limits: PowerLimits) -> [u64; 2] {
 /// Ends ramps in each of their phases.
 fn ends(which: &Which, ending: Ending, rail_at_once: u8) {
     let limits = PowerLimits { rail_at_once, ..no_limits() };
-    let mut hand = Hand::armed(which, 1_700);
+    let mut hand = Hand::armed(which, SILENT as u32);
     hand.control(Op::Disarm(Cause::Request));
     hand.run(MS);
     hand.arm_with(false, limits);
@@ -141,7 +150,7 @@ fn ends(which: &Which, ending: Ending, rail_at_once: u8) {
         let begins = match ending {
             Ending::Stop => TAKEN,
             Ending::EStop => 3,
-            Ending::Silence => 1_700 + TAKEN,
+            Ending::Silence => SILENT + TAKEN,
             // The firmware sees that the cable has no 5 V.
             Ending::Unplug => 900 + TAKEN,
         };
