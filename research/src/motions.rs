@@ -366,8 +366,9 @@ mod tests {
         let found = drift_figures(Array::paper(), 20).unwrap();
         for row in &found.rows {
             println!("{row:?}");
-            let off = row.rms_um / row.theory_um - 1.0;
-            assert!(off.abs() < 0.15, "{row:?}");
+            // Where the surplus takes everything, rare rests above the stop are left.
+            let off = (row.rms_um - row.theory_um).abs();
+            assert!(off < 0.15 * row.theory_um + 0.5, "{row:?}");
             assert!((row.held == Held::StopAndSurplus) == (row.surplus_um > 0.0), "{row:?}");
         }
         // The stop alone takes half of a drift without a mean; the surplus keeps it small.
