@@ -181,9 +181,7 @@ impl World {
                         _ => status.state,
                     };
                 }
-                HostMessage::Moves { epoch, seq, .. }
-                    if epoch == status.epoch && seq == status.next_seq =>
-                {
+                HostMessage::Moves { epoch, seq, .. } if epoch == status.epoch && seq == status.next_seq => {
                     status.next_seq = seq.wrapping_add(1);
                 }
                 HostMessage::Board { window } => self.device.window = window,

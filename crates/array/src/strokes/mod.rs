@@ -183,9 +183,8 @@ impl Strokes {
     #[must_use]
     pub fn item_is_over(&self, item: usize) -> bool {
         let Some(&Item { start, run, .. }) = self.items.get(item) else { return false };
-        let plays = |&(of, from): &(u32, u64)| {
-            Some(of) == run && from == start && !self.runs[of as usize].is_over()
-        };
+        let plays =
+            |&(of, from): &(u32, u64)| Some(of) == run && from == start && !self.runs[of as usize].is_over();
         item < self.begun && !self.playing[..self.count].iter().any(plays)
     }
 
@@ -312,7 +311,8 @@ pub fn ordered_end(pattern: &Pattern, seconds: Option<f64>) -> Option<u64> {
 /// How long a pattern lasts, s; `None`: without end.
 fn lasts_s(pattern: &Pattern) -> Option<f64> {
     let mut stops = pattern.drives().iter().map(|drive| drive.stop_s);
-    let last_stop = stops.try_fold(pattern.motions_rest_s(), |last: f64, stop| stop.map(|stop| last.max(stop)));
+    let last_stop =
+        stops.try_fold(pattern.motions_rest_s(), |last: f64, stop| stop.map(|stop| last.max(stop)));
     pattern.duration_s().or(last_stop)
 }
 

@@ -128,7 +128,8 @@ mod tests {
     use meissner_array::strokes::Stroke;
     use proptest::prelude::*;
 
-    const STROKE: Step = Step::Stroke(Stroke { motor: 3, up: Tick(0), up_pulses: 40, down: Tick(90), down_pulses: 41 });
+    const STROKE: Step =
+        Step::Stroke(Stroke { motor: 3, up: Tick(0), up_pulses: 40, down: Tick(90), down_pulses: 41 });
 
     fn begun(counters: Counters) -> Begun {
         let onset = Onset {
