@@ -19,13 +19,17 @@ use crate::receipts::Order;
 use folder::{Folder, Make, check_name, check_new_name};
 use in_use::InUse;
 use include_dir::{Dir, include_dir};
-use meissner_api::{MAX_LISTED, Mapping, PatternList, PatternSummary, RailLoad, ReachedDrive};
-use meissner_array::pattern::{MAX_FILE_BYTES, Mapped, Pattern, PatternError};
+use meissner_api::pattern_choice::INLINE;
+use meissner_api::{
+    MAX_LISTED, MAX_PACKED_BODY, Mapping, PatternList, PatternSummary, RailLoad, ReachedDrive,
+};
+use meissner_array::pattern::{FORMAT_OF_MOTIONS, Mapped, Pattern, PatternError};
 use meissner_array::power::{CAPACITANCE_NF, RailPulses, current_ma, rail_pulses};
 use meissner_array::spec::Array;
 use meissner_array::strokes::{StrokeOptions, Strokes};
-use meissner_input::message::quote;
+use meissner_input::message::{cut, quote};
 use serde::Serialize;
+use serde_json::{Map, Value};
 use std::collections::BTreeMap;
 use std::io;
 use std::path::{Path, PathBuf};
@@ -215,7 +219,7 @@ impl Store {
         if let Some(stored) = self.library(name) {
             return Ok(stored.clone());
         }
-        let Some((path, bytes)) = self.folder.read(name, MAX_FILE_BYTES)? else {
+        let Some((path, bytes)) = self.folder.read(name, MAX_PACKED_BODY)? else {
             return Err(self.unknown(name));
         };
         named(name, self.parse(&bytes, &path)?)
@@ -240,10 +244,29 @@ impl Store {
         if stored.sha256 == sha256 { named(name, stored).map_err(|_| other()) } else { Err(other()) }
     }
 
+    /// The pattern that a request holds: its keys as in a file, for this array unless they say another. Its text is the file that it would
+    /// be.
+    ///
+    /// # Errors
+    /// If the keys are no pattern.
+    pub fn inline(&self, mut keys: Map<String, Value>, array: Array) -> Result<Stored, StoreError> {
+        let name = keys.get("name").and_then(Value::as_str).unwrap_or(INLINE).to_owned();
+        keys.entry("name").or_insert_with(|| INLINE.into());
+        let format = keys.entry("format").or_insert_with(|| FORMAT_OF_MOTIONS.into()).as_i64();
+        keys.entry("array").or_insert_with(|| array.name().into());
+        // A format that is no whole number is unknown, too.
+        let pattern = Pattern::from_keys(format.unwrap_or(0), Value::Object(keys), &cut(&name, 64))?;
+        let stored = Stored::made(pattern);
+        let pattern = self.in_use.get(&stored.sha256, || Ok::<_, StoreError>(Arc::clone(&stored.pattern)))?;
+        Ok(Stored { pattern, ..stored })
+    }
+
     /// The pattern in a file of the directory.
     fn parse(&self, bytes: &[u8], path: &Path) -> Result<Stored, StoreError> {
         let sha256 = hash(bytes);
-        let pattern = self.in_use.get(&sha256, || parse(self.folder.text(bytes, path)?, path))?;
+        let pattern = self
+            .in_use
+            .get(&sha256, || Ok::<_, StoreError>(Arc::new(parse(self.folder.text(bytes, path)?, path)?)))?;
         Ok(Stored::new(pattern, bytes, false))
     }
 

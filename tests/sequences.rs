@@ -67,7 +67,7 @@ fn a_sequence_is_accepted_as_a_whole_or_refused() {
         (
             json!({"pattern": "pin-60", "seconds": 0.1, "start_ms": 100}),
             "bad-request",
-            "before the item before it has ended",
+            "before `items[0]` has ended, which drives motor",
         ),
         (
             json!({"pattern": "pin-60", "seconds": 0.1, "start_ms": 151, "trigger": {"code": 1}, "gap_ms": 1}),

@@ -161,7 +161,7 @@ fn step(input: &mut Unstructured<'_>, pair: &mut Pair, host: &mut Host) {
             let trigger = (byte(input) & 1 == 1).then(|| pair.array.layout().trigger_pulse());
             if pair.session.has_room() {
                 host.last = host.last.max(Tick(tick.0.saturating_add_signed(ahead)));
-                pair.session.begin(host.last, trigger);
+                pair.session.begin(host.last, trigger, u32::MAX);
             }
         }
         5 | 6 => pair.session.seal(),

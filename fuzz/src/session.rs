@@ -181,9 +181,7 @@ impl World {
                         _ => status.state,
                     };
                 }
-                HostMessage::Moves { epoch, seq, .. }
-                    if epoch == status.epoch && seq == status.next_seq =>
-                {
+                HostMessage::Moves { epoch, seq, .. } if epoch == status.epoch && seq == status.next_seq => {
                     status.next_seq = seq.wrapping_add(1);
                 }
                 HostMessage::Board { window } => self.device.window = window,
@@ -403,9 +401,9 @@ impl World {
                     let trigger = flag(input).then_some(Trigger { width: 9, code: 7 });
                     self.last = self.last.max(self.tick() + u64::from(word(input)));
                     if flag(input) {
-                        self.session.begin(self.last, trigger);
+                        self.session.begin(self.last, trigger, u32::MAX);
                     } else {
-                        self.session.mark(self.last, trigger);
+                        self.session.mark(self.last, trigger, u32::MAX);
                     }
                 }
             }

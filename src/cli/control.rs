@@ -49,6 +49,12 @@ pub(super) struct Play {
     /// Play a pattern for another array: each pin follows the nearest of the pattern's pins
     #[arg(long, value_parser = choice::<Mapping>(&[("nearest", "By position: a pin with none within a pitch rests")]))]
     map: Option<Mapping>,
+    /// Refuse the play if a motor is too slow for a motion
+    #[arg(long)]
+    strict: bool,
+    /// Let a pin stay above rest without a pulse for MS milliseconds at most; then the device lowers it [default: as long as the pattern needs]
+    #[arg(long, value_name = "MS", allow_negative_numbers = true, value_parser = positive)]
+    hold_ms: Option<f64>,
     #[command(flatten)]
     play: PlayOptions,
     /// Wait for the end and print the receipt; exit 1 if not all was played. Ctrl-C, SIGTERM and SIGHUP stop the play (exit 130, 143, 129)
@@ -207,7 +213,7 @@ pub(super) fn play(play: &Play) -> Result<ExitCode> {
     let mut client = play.options.client()?;
     let (at_tick, at_ms, at_monotonic_ns) = Onset::keys(play.at);
     let request = PlayRequest {
-        pattern: play.name.clone(),
+        pattern: play.name.as_str().into(),
         pattern_sha256: None,
         seconds: play.seconds,
         map: play.map,
@@ -225,6 +231,9 @@ pub(super) fn play(play: &Play) -> Result<ExitCode> {
         labels: play.play.labels(),
         scale: play.play.scale,
         trigger: play.play.trigger.request(),
+        strict: play.strict,
+        hold_ms: play.hold_ms,
+        ..PlayRequest::default()
     };
     let json = play.options.output.json;
     if !play.wait {
@@ -246,7 +255,7 @@ fn length(client: &mut Client, request: &PlayRequest) -> Result<Option<f64>> {
     if request.seconds.is_some() {
         return Ok(request.seconds);
     }
-    let shown: Value = client.get(&format!("/v1/patterns/{}", escape(&request.pattern)))?;
+    let shown: Value = client.get(&format!("/v1/patterns/{}", escape(request.pattern.name())))?;
     Ok(shown["pattern"]["duration_s"].as_f64())
 }
 

@@ -129,7 +129,7 @@ pub(super) fn run(
     let mut client = Client::new(&config.socket)?;
     connected(&mut client)?;
     let request = PlayRequest {
-        pattern: PATTERN.to_owned(),
+        pattern: PATTERN.into(),
         seconds: Some(seconds),
         open_loop,
         map: Some(Mapping::Nearest),

@@ -1,4 +1,5 @@
-//! When a play vibrates: the spans of its pattern in which at least one drive moves a pin. What has vibrated since the last pause
+//! When a play vibrates: the spans of its pattern in which at least one drive or motion moves a pin. A motion counts from its beginning to
+//! its end, with what it holds. What has vibrated since the last pause
 //! is a [`Stretch`].
 //!
 //! Invariant: spans are in order, do not touch, and lie within one repeat of the pattern.
@@ -61,13 +62,10 @@ impl Vibration {
     /// The vibration of a play of `pattern` that ends after `end_s`.
     #[must_use]
     pub fn of(pattern: &Pattern, end_s: Option<f64>) -> Self {
-        let array = pattern.array();
-        let moving = pattern.drives().iter().filter(|drive| drive.wave(array).is_ok_and(|wave| wave.moves()));
-        let end = pattern.duration_s().unwrap_or(f64::INFINITY);
-        let mut drives: Vec<(f64, f64)> =
-            moving.map(|drive| (drive.start_s.unwrap_or(0.0), drive.stop_s.unwrap_or(end))).collect();
-        drives.sort_by(|a, b| a.0.total_cmp(&b.0));
-        Self { repeat_s: pattern.duration_s(), end_s, ..Self::of_spans(drives) }
+        let mut moving: Vec<(f64, f64)> =
+            pattern.moving_s().map(|(from, until)| (from, until.unwrap_or(f64::INFINITY))).collect();
+        moving.sort_by(|a, b| a.0.total_cmp(&b.0));
+        Self { repeat_s: pattern.duration_s(), end_s, ..Self::of_spans(moving) }
     }
 
     /// Vibration from the onset on, without end.
@@ -236,5 +234,15 @@ mod tests {
         assert_eq!(Vibration::of(&pattern(Some(2.0), &[]), Some(60.0)).total(), Some(0.0), "silent");
         let twice = Vibration::of(&pattern(None, &[(None, Some(1.0)), (Some(20.0), Some(22.0))]), Some(22.0));
         assert_eq!((twice.total(), twice.longest(10.0)), (Some(3.0), 2.0));
+    }
+
+    #[test]
+    fn motions_vibrate_from_their_beginning_to_their_end() {
+        let text = "format = 2\nname = \"test\"\nduration_s = 4\n[[ramp]]\nmotor = 3\nto_um = 50.0\nrise_s = 0.1\nhold_s = 0.8\n\
+                    [[tone]]\nmotor = 9\nstart_s = 0.5\nduration_s = 1.5\nfrequency_hz = 20.0\namplitude_um = 30.0\n\
+                    [[wave]]\nmotor = 5\nstart_s = 3.0\nrate_hz = 10.0\num = [0.0, 0.0, 0.0]\n";
+        let pattern = Pattern::parse(text, "test").unwrap();
+        let twice = Vibration::of(&pattern, Some(8.0));
+        assert_eq!((twice.total(), twice.until(3.9), twice.longest(1.0)), (Some(4.0), 2.0, 2.0));
     }
 }

@@ -8,12 +8,15 @@ use meissner_array::units::TickRate;
 use meissner_stream::queues::{Item, Stamp};
 use std::sync::Arc;
 
+/// What a record calls an item in which nothing is played.
+pub const BLANK: &str = "blank";
+
 /// The plan of an item.
 #[derive(Clone, Debug)]
 pub struct PlannedItem {
-    /// The pattern's name.
+    /// The pattern's name; [`BLANK`] if nothing is played.
     pub pattern: Arc<str>,
-    /// SHA-256 of its file.
+    /// SHA-256 of its file; empty if nothing is played.
     pub sha256: Arc<str>,
     /// The factor of its amplitudes.
     pub scale: f64,

@@ -19,9 +19,9 @@ mod prediction;
 pub use convert::{
     board_status, calibration_plan, device_info, end_text, fit, outputs, refusal, reset_name, state_name,
 };
-pub use items::PlannedItem;
+pub use items::{BLANK, PlannedItem};
 pub use measured_bursts::{KEPT_S, MeasuredBursts};
-pub use order::{Order, counts, counts_until, largest_um};
+pub use order::{Order, counts, counts_until, largest_um, motions, too_slow, walk};
 pub use prediction::{NoPrediction, PlayedPattern};
 
 use firmware_protocol::message::{DeviceHello, State};
@@ -29,8 +29,8 @@ use firmware_protocol::tick::Tick;
 use live::LiveAccount;
 use meissner_api::{
     BurstCounts, DeviceInfo, Event, LateCounts, LateStroke, LinkTraffic, LiveContrast, MAX_LISTED,
-    MotorRestError, NO_DEVICE, OrderedCounts, PlayState, PredictedResponse, Prediction, PulseCounts, Receipt,
-    RefusedStroke, RunningPlay,
+    MotorRestError, MovedPin, NO_DEVICE, OrderedCounts, PlayState, PredictedResponse, Prediction,
+    PulseCounts, Receipt, RefusedStroke, RunningPlay,
 };
 use meissner_array::spec::Array;
 use meissner_array::units::{TickRate, ns_to_ms};
@@ -392,6 +392,12 @@ fn complete(receipt: &mut Receipt, outcome: &Outcome, rate: TickRate) {
     receipt.cut_after_ms = outcome.cut_after.map(|ticks| rate.ticks_to_ms(ticks));
     receipt.duration_ms.played =
         outcome.offset.zip(outcome.onset).map(|(offset, onset)| rate.ticks_to_ms(offset.tick - onset.actual));
+    let pins = (0..).zip(outcome.play.pins);
+    let pins = pins.filter_map(|(motor, moved)| {
+        let [first, offset] = moved?;
+        Some(MovedPin { motor, first_pulse_tick: first.0, offset_tick: offset.0 })
+    });
+    receipt.pins = outcome.onset.is_some().then(|| pins.collect());
     let (onset, end) = (&outcome.rest_at_onset, &outcome.rest_at_end);
     receipt.rest_error_um = Some(end.um.to_vec());
     let driven = (0..).zip(end.um).zip(end.source);
@@ -417,6 +423,7 @@ impl Totals {
         sum.refused += bursts.refused;
         sum.replaced += bursts.replaced;
         sum.amended += bursts.amended;
+        sum.shortened += bursts.shortened;
         self.pulses.planned += outcome.pulses.planned;
         self.pulses.played += outcome.pulses.played;
         let (sum, lateness) = (&mut self.lateness, &outcome.lateness);

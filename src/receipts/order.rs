@@ -4,12 +4,16 @@
 //!
 //! Invariant: it describes exactly the strokes that are played, without iterating over them.
 
+use firmware_protocol::tick::Tick;
 use meissner_api::{
-    DurationRecord, Fit, MAX_DRIVES_LISTED, MAX_LISTED, MAX_WARNINGS_LISTED, OrderedCounts, ReachedDrive,
-    Receipt,
+    DurationRecord, Fit, FollowedMotion, MAX_DRIVES_LISTED, MAX_LISTED, MAX_WARNINGS_LISTED, OrderedCounts,
+    ReachedDrive, Receipt,
 };
 use meissner_array::pattern::Pattern;
-use meissner_array::strokes::{self, DriveAmplitude, StrokeOptions, StrokesError, amplitudes};
+use meissner_array::spec::Array;
+use meissner_array::strokes::{
+    self, DriveAmplitude, Followed, StrokeOptions, Strokes, StrokesError, amplitudes,
+};
 use std::collections::BTreeMap;
 
 /// See the module.
@@ -21,6 +25,8 @@ pub struct Order {
     pub compiled_ms: Option<f64>,
     /// The amplitudes that the drives reach.
     pub drives: Vec<ReachedDrive>,
+    /// The highest level that motions ask for, µm; 0 without motions that move a pin.
+    pub motions_um: f64,
     /// One line for each drive that may not do what the pattern's author intended.
     pub warnings: Vec<String>,
 }
@@ -33,27 +39,33 @@ impl Order {
     pub fn of(pattern: &Pattern, options: &StrokeOptions) -> Result<Self, StrokesError> {
         let (found, rate) = (amplitudes(pattern, options)?, pattern.array().rate());
         let ends = found.iter().all(|drive| drive.reached.strokes.is_some());
-        let over = found.iter().filter_map(|drive| drive.reached.over).max();
+        let over = found.iter().filter_map(|drive| drive.reached.over);
+        let over = over.chain(strokes::motions_over(pattern, options)).max();
         Ok(Self {
             ordered_ms: strokes::ordered_end(pattern, options.seconds).map(|end| rate.ticks_to_ms(end)),
             compiled_ms: ends.then(|| rate.ticks_to_ms(over.unwrap_or(0))),
             drives: found.iter().map(reached).collect(),
+            motions_um: motions_um(pattern) * options.scale,
             warnings: warnings(pattern, &found),
         })
     }
 
-    /// Why nothing would be played; `None` if there is a stroke.
+    /// Why nothing would be played; `None` if there is a stroke or a motion.
     #[must_use]
     pub fn empty(&self) -> Option<&str> {
-        let moves = self.drives.iter().any(|drive| drive.strokes != Some(0));
-        let why = self.warnings.first().map_or("every drive is off: give one an amplitude", String::as_str);
+        let moves = self.motions_um > 0.0 || self.drives.iter().any(|drive| drive.strokes != Some(0));
+        let why = self
+            .warnings
+            .first()
+            .map_or("every drive is off and no motion goes up: give one an amplitude", String::as_str);
         (!moves).then_some(why)
     }
 
-    /// The largest amplitude of the drives, as ordered and as reached, µm.
+    /// The largest amplitude of the drives or level of the motions as ordered, and the largest amplitude that drives reach, µm.
     #[must_use]
     pub fn largest_um(&self) -> [f64; 2] {
-        largest_um(&self.drives)
+        let [ordered_um, reached_um] = largest_um(&self.drives);
+        [ordered_um.max(self.motions_um), reached_um]
     }
 
     /// The first [`MAX_LISTED`] warnings, and how many more there are.
@@ -64,7 +76,7 @@ impl Order {
 
     /// Puts the order into the receipt of its play.
     pub fn enter(&self, receipt: &mut Receipt, fit: Fit, counts: Option<OrderedCounts>) {
-        let Self { ordered_ms, compiled_ms, drives, warnings } = self;
+        let Self { ordered_ms, compiled_ms, drives, warnings, .. } = self;
         receipt.fit = fit;
         receipt.duration_ms = DurationRecord { ordered: *ordered_ms, compiled: *compiled_ms, played: None };
         receipt.ordered = counts;
@@ -86,10 +98,26 @@ const WALKED: u64 = 1 << 20;
 /// The same when an endless play ends, where other clients wait for the event loop.
 const WALKED_AT_END: u64 = 1 << 14;
 
-/// The bursts and pulses of a play; `None` if it has no end. May take 30 ms.
+/// The bursts and pulses of a play of a pattern; `None` if it has no end. May take 30 ms; with motions half a second.
 #[must_use]
-pub fn counts(pattern: &Pattern, options: &StrokeOptions) -> Option<OrderedCounts> {
-    counted(pattern, options, WALKED)
+pub fn counts(pattern: &Pattern, options: &StrokeOptions, strokes: &Strokes) -> Option<OrderedCounts> {
+    if pattern.motions().is_empty() { counted(pattern, options, WALKED) } else { walk(strokes) }
+}
+
+/// The bursts and pulses of a play, counted one by one; `None` if it has no end, or would take too long to count.
+#[must_use]
+pub fn walk(strokes: &Strokes) -> Option<OrderedCounts> {
+    strokes.end()?;
+    let mut strokes = strokes.clone();
+    strokes.begin(Tick(0));
+    let (mut bursts, mut pulses) = (0, 0);
+    for step in strokes.map_while(Result::ok) {
+        (bursts, pulses) = (bursts + step.moves() as u64, pulses + u64::from(step.pulses()));
+        if bursts > 2 * WALKED {
+            return None;
+        }
+    }
+    Some(OrderedCounts { bursts, pulses: Some(pulses) })
 }
 
 /// The bursts and pulses of the strokes of an endless play that begin in its first `ticks`.
@@ -101,8 +129,51 @@ pub fn counts_until(pattern: &Pattern, options: &StrokeOptions, ticks: u64) -> O
 }
 
 fn counted(pattern: &Pattern, options: &StrokeOptions, walked: u64) -> Option<OrderedCounts> {
+    // The moves of motions have no numbers by which they could be counted.
+    if !pattern.motions().is_empty() {
+        return None;
+    }
     let ordered = strokes::ordered(pattern, options, walked).ok()??;
     Some(OrderedCounts { bursts: 2 * ordered.strokes, pulses: ordered.pulses })
+}
+
+/// The highest level of the motions that move their pin, µm.
+fn motions_um(pattern: &Pattern) -> f64 {
+    let array = pattern.array();
+    let motor = array.motor();
+    let least_um = motor.um_per_pulse * (f64::from(motor.least_pulses) + 1.0) / 2.0;
+    let heights = pattern.waveforms().iter().map(|(_, waveform)| waveform.extremes_um()[1]);
+    heights.filter(|um| *um >= least_um).fold(0.0, f64::max)
+}
+
+/// How the motors of a play follow their motions.
+#[must_use]
+pub fn motions(strokes: &Strokes) -> Vec<FollowedMotion> {
+    let rounded = |number: f64| (number * 1000.0).round() / 1000.0;
+    let motion = |found: Followed| FollowedMotion {
+        motor: found.motor,
+        highest_um: rounded(found.highest_um),
+        error_um: rounded(found.error.rms_um),
+        error_share: rounded(found.error.share),
+        step_error_um: rounded(found.step_error_um),
+        too_slow_from_s: found.too_slow_from_s.map(rounded),
+        moves_per_s: rounded(found.moves_per_s),
+        measured_s: rounded(found.measured_s),
+    };
+    strokes.followed().into_iter().map(motion).collect()
+}
+
+/// The line for a motor that is too slow for its motions.
+#[must_use]
+pub fn too_slow(motion: &FollowedMotion, array: Array) -> Option<String> {
+    let FollowedMotion { motor, error_um, error_share, .. } = motion;
+    let (from_s, spec) = (motion.too_slow_from_s?, array.motor());
+    let mm_per_s = spec.um_per_pulse * f64::from(array.rate().hz()) / 1000.0;
+    Some(format!(
+        "motor {motor} is too slow for its motion, first after {from_s} s: it moves {mm_per_s:.1} mm/s at most (error {error_um:.1} um \
+         RMS, {:.0} %); make the motion slower or smaller",
+        100.0 * error_share
+    ))
 }
 
 fn reached(found: &DriveAmplitude) -> ReachedDrive {

@@ -87,6 +87,7 @@ fn ended(id: u64, end: End) -> StreamEvent {
             refused: 0,
             replaced: 0,
             amended: 1,
+            shortened: 0,
         },
         pulses: PulseCounts { planned: 100, played: 60 },
         estimated: false,

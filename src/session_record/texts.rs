@@ -3,13 +3,13 @@
 //! The daemon keeps the text of each play that it accepts. A play does not wait for the disk: texts wait in the record's queue. A
 //! text that does not fit, or that the disk does not take, is kept with a later play of the pattern.
 //!
-//! Bounds: at most [`MAX_WAITING`] bytes wait, and texts count like entries about plays. The daemon never removes texts.
+//! Bounds: at most [`MAX_WAITING`] bytes wait, or one text, and texts count like entries about plays. The daemon never removes texts.
 //!
 //! Invariant: a file holds exactly the text whose hash is its name.
 
 use super::removal::replace;
 use crate::file::open_regular;
-use meissner_array::pattern::MAX_FILE_BYTES;
+use meissner_api::MAX_PACKED_BODY;
 use std::collections::HashSet;
 use std::fs::{self, DirBuilder};
 use std::io::{self, Read};
@@ -21,6 +21,8 @@ use std::sync::{Mutex, PoisonError};
 const DIR: &str = "patterns";
 /// Bytes of texts that wait for the disk, at most.
 const MAX_WAITING: usize = 8 << 20;
+/// A longer text waits alone: with no other.
+const _: () = assert!(MAX_PACKED_BODY > MAX_WAITING);
 /// The most texts that are remembered as kept; for others the disk is checked.
 const MAX_KNOWN: usize = 4096;
 
@@ -42,7 +44,8 @@ impl Texts {
     /// Whether to queue a text: it is not kept, and there is room.
     pub(super) fn take(&self, sha256: &str, bytes: usize) -> bool {
         self.change(|state| {
-            let takes = !state.kept.contains(sha256) && state.waiting + bytes <= MAX_WAITING;
+            let fits = state.waiting == 0 || state.waiting + bytes <= MAX_WAITING;
+            let takes = !state.kept.contains(sha256) && fits;
             state.waiting += if takes { bytes } else { 0 };
             takes
         })
@@ -100,7 +103,7 @@ pub fn keeps_text(record: &Path, sha256: &str) -> bool {
 /// If it is not kept or cannot be read.
 pub fn read_text(record: &Path, sha256: &str) -> io::Result<Vec<u8>> {
     let mut text = Vec::new();
-    open_regular(&file(record, sha256))?.take(MAX_FILE_BYTES as u64 + 1).read_to_end(&mut text)?;
+    open_regular(&file(record, sha256))?.take(MAX_PACKED_BODY as u64 + 1).read_to_end(&mut text)?;
     Ok(text)
 }
 

@@ -18,14 +18,14 @@ impl InUse {
     pub(super) fn get<E>(
         &self,
         sha256: &str,
-        parse: impl FnOnce() -> Result<Pattern, E>,
+        parse: impl FnOnce() -> Result<Arc<Pattern>, E>,
     ) -> Result<Arc<Pattern>, E> {
         // Keep the lock while parsing, because a parser takes far more memory than a pattern.
         let mut held = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some(pattern) = held.get(sha256).and_then(Weak::upgrade) {
             return Ok(pattern);
         }
-        let pattern = Arc::new(parse()?);
+        let pattern = parse()?;
         held.retain(|_, pattern| pattern.strong_count() > 0);
         held.insert(sha256.to_owned(), Arc::downgrade(&pattern));
         Ok(pattern)

@@ -135,7 +135,7 @@ fn what_is_no_pattern_of_that_name_is_not_stored() {
     assert!(matches!(store.put("edge", TEXT, false), Err(StoreError::File(FileError::Name { .. }))));
     let error = store.put("edge", "name = 3", false).unwrap_err();
     assert!(error.to_string().starts_with("edge.toml:"), "{error}");
-    let large = "#".repeat(MAX_FILE_BYTES + 1);
+    let large = "#".repeat(meissner_array::pattern::MAX_FILE_BYTES + 1);
     assert!(store.put("edge", &large, false).unwrap_err().to_string().contains("too many"));
     fs::write(dir.path().join("edge.toml"), &large).unwrap();
     assert!(store.get("edge").unwrap_err().to_string().contains("too many"));

@@ -49,6 +49,7 @@ pub mod live;
 pub mod live_record;
 pub mod openapi;
 pub mod pattern;
+pub mod pattern_choice;
 pub mod prediction;
 pub mod problem;
 pub mod receipt;
@@ -75,13 +76,15 @@ pub use live::{
 };
 pub use live_record::{LiveContrast, LiveRecord, ReachedContrast, UpdateTimes};
 pub use pattern::{
-    ImportedPattern, PatternDetails, PatternList, PatternSummary, RailLoad, ReachedDrive, RemovedPattern,
+    FollowedMotion, ImportedPattern, PatternDetails, PatternList, PatternSummary, RailLoad, ReachedDrive,
+    RemovedPattern,
 };
+pub use pattern_choice::{MAX_PACKED_BODY, PatternChoice};
 pub use prediction::{AfferentClass, ClassResponse, PredictedResponse, Prediction, Rates};
 pub use problem::{Code, MAX_DETAIL, Problem, REFERENCE};
 pub use receipt::{
     BurstCounts, DurationRecord, ErrorSource, LateCause, LateCounts, LateStroke, LatenessRecord, LinkTraffic,
-    MAX_DRIVES_LISTED, MAX_LISTED, MAX_WARNINGS_LISTED, MotorRestError, OffsetRecord, OnsetRecord,
+    MAX_DRIVES_LISTED, MAX_LISTED, MAX_WARNINGS_LISTED, MotorRestError, MovedPin, OffsetRecord, OnsetRecord,
     OrderedCounts, PlayState, PulseCounts, Receipt, RefusedStroke,
 };
 pub use request::{

@@ -100,6 +100,8 @@ pub enum Code {
     PushLimit,
     /// More strokes of all motors would begin within 10 ms than the controller allows.
     TooDense,
+    /// A motor is too slow for a motion of a `strict` play.
+    TooSlow,
     /// More motors of a rail or a driver chip would have pulses at once than `array.rail_motors_at_once` or
     /// `array.chip_motors_at_once` allows.
     PowerLimit,
@@ -144,6 +146,7 @@ impl Code {
         Self::LowerStop,
         Self::PushLimit,
         Self::TooDense,
+        Self::TooSlow,
         Self::PowerLimit,
         Self::NoTelemetry,
         Self::DriftLimit,
@@ -206,6 +209,7 @@ impl Code {
             Self::LowerStop => ("lower-stop", 409, "The array has a lower stop"),
             Self::PushLimit => ("push-limit", 409, "A play would push the lower stop too much"),
             Self::TooDense => ("too-dense", 409, "Too many strokes would begin within 10 ms"),
+            Self::TooSlow => ("too-slow", 409, "A motor is too slow for its motion"),
             Self::PowerLimit => ("power-limit", 409, "Too many motors would have pulses at once"),
             Self::DriftLimit => ("drift-limit", 409, "Pins may be too far from rest"),
             Self::LevelNotChecked => ("level-not-checked", 409, "The level of the pins was not checked"),

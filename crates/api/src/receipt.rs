@@ -8,7 +8,7 @@
 use crate::board::BoardRecord;
 use crate::end_cause::EndCause;
 use crate::live_record::LiveRecord;
-use crate::pattern::ReachedDrive;
+use crate::pattern::{FollowedMotion, ReachedDrive};
 use crate::prediction::{Prediction, PredictionKeys};
 use crate::request::{Fit, LatePolicy};
 use crate::sequence::ItemRecord;
@@ -159,6 +159,18 @@ pub struct MotorRestError {
     pub offset_source: ErrorSource,
 }
 
+/// When a pin moved, as far as the device accepted its moves. A play's onset is not yet motion.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+pub struct MovedPin {
+    /// The motor's number.
+    #[schema(minimum = 0, maximum = 63)]
+    pub motor: u8,
+    /// Its first pulse, ticks.
+    pub first_pulse_tick: u64,
+    /// The first tick after its last pulse, as planned, or when the play was cut, ticks. The return of a pin after a cut comes later.
+    pub offset_tick: u64,
+}
+
 /// A stroke that came too late.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct LateStroke {
@@ -205,6 +217,9 @@ pub struct BurstCounts {
     pub replaced: u64,
     /// Number of bursts played with a pulse count that feedback corrected.
     pub amended: u64,
+    /// Number of bursts played, but cut short by the motor's next move: the pin went on from where it was.
+    #[serde(default)]
+    pub shortened: u64,
 }
 
 /// The pulses of a play.
@@ -294,8 +309,9 @@ impl LinkTraffic {
     "drives": [
         {"drive": 1, "motor": 9, "ordered_um": 80.0, "reached_um": 69.2, "surplus_um": 0.0, "strokes": 119}
     ],
+    "motions": [],
     "warnings": [],
-    "bursts": {"planned": 1240, "played": 1238, "late": 2, "dropped": 0, "refused": 0, "replaced": 0, "amended": 1221},
+    "bursts": {"planned": 1240, "played": 1238, "late": 2, "dropped": 0, "refused": 0, "replaced": 0, "amended": 1221, "shortened": 0},
     "pulses": {"planned": 86800, "played": 86660},
     "estimated": false,
     "lateness": {
@@ -311,6 +327,7 @@ impl LinkTraffic {
     "rest_errors": [{
         "motor": 9, "onset_um": 0.1, "onset_source": "telemetry", "offset_um": 0.4, "offset_source": "telemetry"
     }],
+    "pins": [{"motor": 9, "first_pulse_tick": 6442460000_u64, "offset_tick": 6442629900_u64}],
     "predicted_response": {
         "seconds": 2.0, "target": "edge-45", "population_seed": 0,
         "designed_hz": {"all": 40.1, "on": 200.0, "off": 9.5, "contrast": 190.5},
@@ -426,6 +443,10 @@ pub struct Receipt {
     #[serde(default)]
     #[schema(required, max_items = 24)]
     pub drives: Vec<ReachedDrive>,
+    /// How the motors follow their motions, by motor; empty without motions, and for a sequence.
+    #[serde(default)]
+    #[schema(required, max_items = 64)]
+    pub motions: Vec<FollowedMotion>,
     /// One line for each thing that may not be meant, for example a drive that does not reach its amplitude: the first 8, and how
     /// many more.
     #[serde(default)]
@@ -481,6 +502,10 @@ pub struct Receipt {
     #[serde(default)]
     #[schema(required, max_items = 24)]
     pub rest_errors: Option<Vec<MotorRestError>>,
+    /// When each pin that moved did so, by motor; null until the play is over.
+    #[serde(default)]
+    #[schema(required, max_items = 64)]
+    pub pins: Option<Vec<MovedPin>>,
     /// The predicted afferent response to the play's first minute; unknown until some time after the play's end.
     #[serde(flatten)]
     #[schema(value_type = PredictionKeys)]
@@ -525,6 +550,7 @@ impl Receipt {
             duration_ms: DurationRecord::default(),
             ordered: None,
             drives: Vec::new(),
+            motions: Vec::new(),
             warnings: Vec::new(),
             bursts: None,
             pulses: None,
@@ -540,6 +566,7 @@ impl Receipt {
             board: None,
             rest_error_um: None,
             rest_errors: None,
+            pins: None,
             prediction: Prediction::default(),
         }
     }

@@ -7,6 +7,7 @@ use crate::body::{
     MAX_NAME, bad, check_labels, check_onset, check_scale, check_sha256, check_trigger, null_as_default,
     problem, read, read_or_default,
 };
+use crate::pattern_choice::{self, PatternChoice, check_packed};
 use crate::problem::Problem;
 use crate::trigger::{self, TriggerRequest};
 use meissner_input::document::{self, given};
@@ -24,8 +25,9 @@ pub const MAX_BODY: usize = 1 << 20;
 #[serde(deny_unknown_fields)]
 #[schema(examples(json!({"pattern": "edge-45", "seconds": 2.0, "at_ms": 500.0, "late": "abort"})))]
 pub struct PlayRequest {
-    /// The pattern's name; `search:ID` for the pattern that a search has found.
-    pub pattern: String,
+    /// The pattern's name; `search:ID` for the pattern that a search has found; or the pattern itself.
+    #[schema(schema_with = pattern_choice::schema)]
+    pub pattern: PatternChoice,
     /// Play the text with this SHA-256 (hexadecimal): the stored pattern, or else the text that the session record keeps. Without
     /// either the daemon refuses. Without the key: the stored pattern.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -85,6 +87,14 @@ pub struct PlayRequest {
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schema(schema_with = trigger::schema)]
     pub trigger: Option<TriggerRequest>,
+    /// Whether to refuse motions that a motor is too slow for.
+    #[serde(default, deserialize_with = "null_as_default", skip_serializing_if = "std::ops::Not::not")]
+    pub strict: bool,
+    /// How long a pin may stay above rest without a pulse, ms: then the device lowers it by itself. Without it as long as the play
+    /// needs. Less than the play needs is refused.
+    #[serde(default, deserialize_with = "given", skip_serializing_if = "Option::is_none")]
+    #[schema(minimum = 1.0, maximum = 60_000.0)]
+    pub hold_ms: Option<f64>,
 }
 
 /// How a pattern for another array is played: `nearest`, each pin follows the nearest pin of the pattern's array that is at most one
@@ -119,6 +129,19 @@ pub enum LatePolicy {
     Abort,
 }
 
+/// The range of `hold_ms`, ms: what the device allows at most.
+pub const HOLD_MS: RangeInclusive<f64> = 1.0..=60_000.0;
+
+/// Refuses the SHA-256 of a text beside the text itself.
+pub(crate) fn check_text_of(pattern: &PatternChoice, sha256: Option<&str>) -> Result<(), &'static str> {
+    match (pattern, sha256) {
+        (PatternChoice::Inline(_), Some(_)) => {
+            Err("`pattern_sha256` goes with the name of a pattern: leave it out")
+        }
+        _ => Ok(()),
+    }
+}
+
 /// How long `GET /v1/plays/{id}` may wait for the end of the play, s.
 pub const MAX_WAIT_S: f64 = 60.0;
 
@@ -128,10 +151,16 @@ impl PlayRequest {
     /// # Errors
     /// A `bad-request` that names the key.
     pub fn parse(body: &[u8]) -> Result<Self, Problem> {
+        check_packed(body)?;
         let request: Self = read(body)?;
         check_onset(request.at_tick, request.at_ms, request.at_monotonic_ns)?;
         check_labels(&request.labels)?;
         check_sha256(request.pattern_sha256.as_deref()).map_err(bad)?;
+        check_text_of(&request.pattern, request.pattern_sha256.as_deref()).map_err(bad)?;
+        if let Some(hold_ms) = request.hold_ms {
+            let good = HOLD_MS.contains(&hold_ms);
+            document::in_range("hold_ms", hold_ms, good, "1 to 60000 ms").map_err(problem)?;
+        }
         check_scale(request.scale).and_then(|()| check_trigger(request.trigger)).map_err(bad)?;
         Ok(request)
     }
@@ -279,7 +308,7 @@ mod tests {
             read(r#"{"pattern":"edge-45","seconds":2,"late":"abort","session":null,"replace":null}"#)
                 .unwrap();
         assert_eq!(
-            (request.pattern.as_str(), request.seconds, request.late, request.replace),
+            (request.pattern.name(), request.seconds, request.late, request.replace),
             ("edge-45", Some(2.0), LatePolicy::Abort, false)
         );
         let json = serde_json::to_vec(&request).unwrap();

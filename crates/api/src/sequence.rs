@@ -8,8 +8,9 @@
 use crate::body::{
     bad, check_labels, check_onset, check_scale, check_sha256, check_trigger, null_as_default, read,
 };
+use crate::pattern_choice::{self, PatternChoice, check_packed};
 use crate::problem::Problem;
-use crate::request::{LatePolicy, Mapping};
+use crate::request::{LatePolicy, Mapping, check_text_of};
 use crate::trigger::{self, TriggerRecord, TriggerRequest};
 use meissner_input::document::{self, given};
 use serde::de::{Error, SeqAccess, Visitor};
@@ -23,7 +24,7 @@ use utoipa::ToSchema;
 /// Items of a sequence, at most.
 pub const MAX_SEQUENCE_ITEMS: usize = 4096;
 
-/// Patterns to play one after the other with exact times, as one play.
+/// Patterns to play with exact times, as one play: one after the other, or at the same time on other motors.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 #[schema(examples(json!({
@@ -35,7 +36,7 @@ pub const MAX_SEQUENCE_ITEMS: usize = 4096;
     ]
 })))]
 pub struct SequenceRequest {
-    /// The items, in order of time.
+    /// The items, in order of their beginnings.
     #[serde(deserialize_with = "bounded")]
     #[schema(max_items = 4096)]
     pub items: Vec<SequenceItem>,
@@ -84,8 +85,10 @@ pub struct SequenceRequest {
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct SequenceItem {
-    /// The pattern's name.
-    pub pattern: String,
+    /// The pattern's name, or the pattern itself; null: nothing is played for `seconds`, for example in a catch trial.
+    #[schema(required, schema_with = pattern_choice::schema_or_null)]
+    #[serde(deserialize_with = "Option::deserialize")]
+    pub pattern: Option<PatternChoice>,
     /// Play the text with this SHA-256 (hexadecimal): the stored pattern, or else the text that the session record keeps. Without
     /// either the daemon refuses. Without the key: the stored pattern.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -99,7 +102,7 @@ pub struct SequenceItem {
     #[serde(default, deserialize_with = "given", skip_serializing_if = "Option::is_none")]
     #[schema(minimum = 0.0, maximum = 1.0)]
     pub scale: Option<f64>,
-    /// Pause from the end of the item before it, or from the sequence's onset, ms; without it 0. Excludes `start_ms`.
+    /// Pause from the end of all items before it, or from the sequence's onset, ms; without it 0. Excludes `start_ms`.
     #[serde(default, deserialize_with = "given", skip_serializing_if = "Option::is_none")]
     #[schema(minimum = 0.0, maximum = 1e11)]
     pub gap_ms: Option<f64>,
@@ -119,6 +122,7 @@ impl SequenceRequest {
     /// # Errors
     /// A `bad-request` that names the item and the key.
     pub fn parse(body: &[u8]) -> Result<Self, Problem> {
+        check_packed(body)?;
         read::<Self>(body)?.checked()
     }
 
@@ -162,6 +166,16 @@ impl SequenceItem {
             return Err("`gap_ms` and `start_ms` exclude each other: leave one out".to_owned());
         }
         check_sha256(self.pattern_sha256.as_deref()).map_err(str::to_owned)?;
+        match &self.pattern {
+            Some(pattern) => check_text_of(pattern, self.pattern_sha256.as_deref())?,
+            None if self.seconds.is_none() => return Err("a blank item needs `seconds`".to_owned()),
+            None if self.pattern_sha256.is_some() || self.scale.is_some() => {
+                return Err(
+                    "a blank item has neither `pattern_sha256` nor `scale`: leave them out".to_owned()
+                );
+            }
+            None => {}
+        }
         check_scale(self.scale)?;
         check_trigger(self.trigger)
     }
@@ -235,16 +249,16 @@ pub struct InstantRecord {
 /// What became of an item of a sequence.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct ItemRecord {
-    /// The pattern's name.
+    /// The pattern's name; `blank` for an item in which nothing was played.
     #[schema(value_type = String)]
     pub pattern: Arc<str>,
-    /// SHA-256 of the pattern's file, in hexadecimal.
+    /// SHA-256 of the pattern's file, in hexadecimal; empty for a blank item.
     #[schema(value_type = String)]
     pub pattern_sha256: Arc<str>,
     /// The factor of the amplitudes.
     #[schema(minimum = 0.0, maximum = 1.0)]
     pub scale: f64,
-    /// The largest amplitude of its drives as ordered, µm.
+    /// The largest amplitude of its drives or level of its motions as ordered, µm.
     #[serde(default)]
     #[schema(required, minimum = 0.0)]
     pub ordered_um: f64,

@@ -3,6 +3,7 @@
 //! `GET /v1/status` and every command but `play` and `calibrate` answer with a [`Status`].
 
 use crate::board::BoardStatus;
+use crate::pattern::FollowedMotion;
 use crate::receipt::ErrorSource;
 use crate::session::Session;
 use crate::token::NetworkStatus;
@@ -50,8 +51,8 @@ pub struct RunningPlay {
 }
 
 /// A play or calibration that the daemon has queued.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
-#[schema(examples(json!({"id": 7, "ordered_ms": 300.0, "compiled_ms": 298.6})))]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
+#[schema(examples(json!({"id": 7, "ordered_ms": 300.0, "compiled_ms": 298.6, "motions": []})))]
 pub struct PlayAccepted {
     /// The play's id; its receipt is at `/v1/plays/ID`.
     #[schema(minimum = 1)]
@@ -64,6 +65,10 @@ pub struct PlayAccepted {
     #[serde(default)]
     #[schema(required, minimum = 0.0)]
     pub compiled_ms: Option<f64>,
+    /// How the motors follow their motions, by motor; empty without motions.
+    #[serde(default)]
+    #[schema(required, max_items = 64)]
+    pub motions: Vec<FollowedMotion>,
 }
 
 /// A play that waits in the queue.

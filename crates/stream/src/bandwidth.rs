@@ -74,6 +74,12 @@ impl Bandwidth {
         Self { open: self.open.max(other.open), closed: self.closed.max(other.closed) }
     }
 
+    /// The sum of both: for parts of a play that come together.
+    #[must_use]
+    pub fn plus(self, other: Self) -> Self {
+        Self { open: self.open.plus(other.open), closed: self.closed.plus(other.closed) }
+    }
+
     /// The bandwidth of `strokes` with these settings. Takes milliseconds: do not call it in the streamer's thread.
     #[must_use]
     pub fn of(strokes: &Strokes, settings: &Settings) -> Self {
@@ -294,6 +300,12 @@ impl Requirement {
     /// The higher peak of both, with this one's beginning.
     fn max(self, other: Self) -> Self {
         Self { rate: self.rate.max(other.rate), frames: self.frames.max(other.frames), ..self }
+    }
+
+    /// Both peaks together, with this one's beginning.
+    const fn plus(self, other: Self) -> Self {
+        let (rate, frames) = (self.rate.saturating_add(other.rate), self.frames.saturating_add(other.frames));
+        Self { rate, frames, ..self }
     }
 
     /// How long before its onset a play must be sent over a line of `rate` bytes per second.

@@ -86,6 +86,30 @@ impl Source {
         }
     }
 
+    /// Whether this item drives a motor.
+    pub(crate) fn item_drives(&self, item: usize, motor: u8) -> bool {
+        match self {
+            Self::Compiled(strokes) => strokes.item_drives(item, motor),
+            Self::Live(_) => true,
+        }
+    }
+
+    /// Whether all steps of this item were returned.
+    pub(crate) fn item_is_over(&self, item: usize) -> bool {
+        match self {
+            Self::Compiled(strokes) => strokes.item_is_over(item),
+            Self::Live(_) => false,
+        }
+    }
+
+    /// When this item ends, if it plays nothing.
+    pub(crate) fn blank_until(&self, item: usize) -> Option<Tick> {
+        match self {
+            Self::Compiled(strokes) => strokes.blank_until(item),
+            Self::Live(_) => None,
+        }
+    }
+
     /// Whether this motor may be driven. A live play may drive any motor.
     #[must_use]
     pub fn drives(&self, motor: u8) -> bool {

@@ -211,7 +211,7 @@ fn run(ops: Vec<Op>) -> Result<(), TestCaseError> {
             }
             Op::Begin(ahead) if pair.session.has_room() => {
                 last = last.max(at(ahead));
-                pair.session.begin(last, None);
+                pair.session.begin(last, None, u32::MAX);
             }
             Op::Begin(_) => {}
             Op::Seal => pair.session.seal(),

@@ -28,6 +28,7 @@ from .client import Client, Play, Session
 from .clocks import ClientClock, Instant
 from .errors import ApiError, MeissnerError, PlayStopped, Unreachable
 from .live import Live, Update
+from .motions import Trace, import_csv, import_wav
 from .program import Daemon, Design, Simulation, design, simulate
 from .results import Item, LiveResult, Receipt, Status
 from .traces import Displacement, displacement
@@ -55,6 +56,7 @@ __all__ = [
     "Session",
     "Simulation",
     "Status",
+    "Trace",
     "Unreachable",
     "Update",
     "connect",
@@ -62,6 +64,8 @@ __all__ = [
     "demo",
     "design",
     "displacement",
+    "import_csv",
+    "import_wav",
     "simulate",
 ]
 __version__ = "0.1.0"

@@ -5,7 +5,7 @@ Times are seconds in Python and milliseconds in the API.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any, Literal, Union
 
 from .clocks import Instant
@@ -16,7 +16,7 @@ Labels = Union[Mapping[str, Any], None]
 Late = Literal["drop", "abort", None]
 Fit = Literal["whole", "cover", None]
 Map = Literal["nearest", None]
-SequenceItem = Union[str, Mapping[str, Any]]
+SequenceItem = Union[str, Mapping[str, Any], None]
 
 
 def trigger_of(trigger: Trigger) -> Any:
@@ -31,14 +31,25 @@ def texts(labels: Labels) -> dict[str, str] | None:
 
 
 def sequence_items(
-    items: Iterable[SequenceItem], isi: float | None, soa: float | None, defaults: dict[str, Any]
+    items: Iterable[SequenceItem],
+    isi: float | None,
+    soa: float | None,
+    defaults: dict[str, Any],
+    inline: Callable[[dict[str, Any]], dict[str, Any]],
 ) -> list[dict[str, Any]]:
-    """The items as the daemon takes them: times in ms, from the item before or from the sequence's onset."""
+    """The items as the daemon takes them: times in ms, from the item before or from the sequence's onset.
+
+    `inline` makes a pattern of an item's samples.
+    """
     if isi is not None and soa is not None:
         raise ValueError("give `isi` (pause from an item's end) or `soa` (distance of onsets), not both")
     made = []
     for number, item in enumerate(items):
-        entry = {**defaults, **({"pattern": item} if isinstance(item, str) else item)}
+        own = {"pattern": item} if item is None or isinstance(item, str) else dict(item)
+        entry = {**defaults, **inline(own)}
+        if entry.get("pattern", "") is None:
+            # A blank item has no amplitudes.
+            entry.pop("scale", None)
         for key in ("gap", "start"):
             if key in entry:
                 entry[f"{key}_ms"] = entry.pop(key) * 1000
@@ -49,5 +60,5 @@ def sequence_items(
                 entry["start_ms"] = number * soa * 1000
             elif isi is not None and number > 0:
                 entry["gap_ms"] = isi * 1000
-        made.append({key: value for key, value in entry.items() if value is not None})
+        made.append({key: value for key, value in entry.items() if value is not None or key == "pattern"})
     return made

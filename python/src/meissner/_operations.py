@@ -11,12 +11,12 @@ from __future__ import annotations
 import contextlib
 import functools
 import os
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, ParamSpec, TypeVar
 from urllib.parse import quote
 
-from . import _http
+from . import _http, motions
 from ._bodies import At, Fit, Labels, Late, Map, SequenceItem, Trigger, sequence_items, texts, trigger_of
 from ._endpoint import Endpoint
 from ._http import Answer, Op, Pause, Request
@@ -40,11 +40,14 @@ from .errors import (
     UnexpectedAnswer,
     Unreachable,
 )
+from .motions import Samples
 from .results import Receipt, Status
 
 P = ParamSpec("P")
 T = TypeVar("T")
 _LONGEST_WAIT = 50.0
+_COMPILING = 60.0
+"""How long the daemon may take to compile a play of long motions, s."""
 _SYNC_SAMPLES = 8
 _SYNC_AGE_NS = NS
 """How old the comparison of two PCs' clocks may be for an onset, ns."""
@@ -126,6 +129,8 @@ class Accepted:
     ordered_s: float | None
     """Duration as ordered, s; None: without end."""
     daemon: tuple[int, str] | None
+    motions: tuple[dict[str, Any], ...] = ()
+    """How each motor follows its motions, with the keys of the API reference."""
 
 
 def named_after(operation: Callable[..., Any], method: Callable[P, T]) -> Callable[P, T]:
@@ -305,14 +310,20 @@ def instant(core: Core, tick: int) -> Op[Instant]:
 def _accepted(core: Core, request: Request, pattern: str) -> Op[Accepted]:
     raw = yield from _document(core, request)
     ordered = raw["ordered_ms"]
-    return Accepted(raw["id"], pattern, None if ordered is None else ordered / 1000, core.daemon)
+    followed = tuple(raw.get("motions", ()))
+    return Accepted(raw["id"], pattern, None if ordered is None else ordered / 1000, core.daemon, followed)
 
 
 def play(
     core: Core,
-    pattern: str,
+    pattern: str | Mapping[str, Any] | None = None,
     seconds: float | None = None,
     *,
+    samples: Samples | None = None,
+    rate: float | None = None,
+    drives: Iterable[Mapping[str, Any]] | None = None,
+    strict: bool = False,
+    hold: float | None = None,
     at: At = None,
     scale: float | None = None,
     trigger: Trigger = None,
@@ -325,7 +336,11 @@ def play(
     endless: bool = False,
     open_loop: bool = False,
 ) -> Op[Accepted]:
-    """Queue a play of a pattern.
+    """Queue a play of a pattern: of its name, or of a dict with the keys of a pattern file.
+
+    In its place `samples` are displacements above rest, µm: a dict by motor, or an array of shape (time, motors), at `rate` Hz;
+    `drives` are dicts with the keys of a drive. A sample that no pin can follow raises `ValueError` before anything moves.
+    `strict` refuses motions that a motor is too slow for (`TooSlow`); `hold`: how long a pin may stay above rest without a pulse, s.
 
     `at` is the onset: an instant of this process's `time.monotonic()` such as `m.now() + 0.2`, or the `Instant` of an
     earlier play, such as `play.onset.later(1.5)`, which is exact to the tick. Without it the play begins as soon as
@@ -334,9 +349,19 @@ def play(
     `map="nearest"` plays a pattern for another array, which the daemon refuses otherwise (`OtherArray`): each pin follows the
     nearest pin of the pattern's array, if that is at most one pitch of that array away.
     """
+    given = pattern
+    if samples is not None or drives is not None:
+        if pattern is not None:
+            raise ValueError("give `pattern`, or `samples` and `drives`, not both")
+        given = yield from _inline(core, {"samples": samples, "rate": rate, "drives": drives})
+    if given is None:
+        raise ValueError("give `pattern`, or `samples` with `rate`, or `drives`")
+    name = given if isinstance(given, str) else str(given.get("name", "inline"))
     body = {
-        "pattern": pattern,
+        "pattern": given,
         "seconds": seconds,
+        "strict": strict or None,
+        "hold_ms": None if hold is None else hold * 1000,
         "scale": scale,
         "trigger": trigger_of(trigger),
         "trial": trial,
@@ -350,7 +375,14 @@ def play(
         "session": core.session and core.session.id,
         **(yield from _onset(core, at)),
     }
-    return (yield from _accepted(core, _http.post("/v1/play", body), pattern))
+    return (yield from _accepted(core, _http.post("/v1/play", body, timeout=_COMPILING), name))
+
+
+def _inline(core: Core, given: Mapping[str, Any]) -> Op[dict[str, Any]]:
+    """The inline pattern of samples and drives, for the daemon's array."""
+    driven = yield from array(core)
+    most_um = float(driven.raw.get("motor", {}).get("travel_um", 400.0))
+    return motions.pattern(**given, motors=driven.motors, most_um=most_um)
 
 
 def sequence(
@@ -372,12 +404,20 @@ def sequence(
 ) -> Op[Accepted]:
     """Queue patterns as one play with exact times.
 
-    An item is a pattern's name, or a dict with `pattern` and any of `seconds`, `scale`, `trigger`, `gap` (pause after the
-    item before, s) and `start` (from the sequence's onset, s). `isi` is the pause from one item's end to the next
+    An item is a pattern's name, or a dict with `pattern` (or `samples` and `rate`, or `drives`, as in `play`) and any of `seconds`,
+    `scale`, `trigger`, `gap` (pause after the items before, s) and `start` (from the sequence's onset, s). None, or a dict whose
+    `pattern` is None, is a blank item: nothing is played for its `seconds`. Items may overlap if they drive different motors. `isi` is the pause from one item's end to the next
     onset, `soa` the distance of onsets, s. `seconds` and `scale` are for items that give none. `map`: as in `play`.
     """
+    driven = yield from array(core)
+    most_um = float(driven.raw.get("motor", {}).get("travel_um", 400.0))
+
+    def inline(item: dict[str, Any]) -> dict[str, Any]:
+        own = {key: item.pop(key) for key in ("samples", "rate", "drives") if key in item}
+        return {**item, "pattern": motions.pattern(**own, motors=driven.motors, most_um=most_um)} if own else item
+
     body = {
-        "items": sequence_items(items, isi, soa, {"seconds": seconds, "scale": scale}),
+        "items": sequence_items(items, isi, soa, {"seconds": seconds, "scale": scale}, inline),
         "name": name,
         "trial": trial,
         "labels": texts(labels),
@@ -388,7 +428,7 @@ def sequence(
         "session": core.session and core.session.id,
         **(yield from _onset(core, at)),
     }
-    return (yield from _accepted(core, _http.post("/v1/sequence", body), name or "sequence"))
+    return (yield from _accepted(core, _http.post("/v1/sequence", body, timeout=_COMPILING), name or "sequence"))
 
 
 def receipt(core: Core, play_id: int | str = "last") -> Op[Receipt]:

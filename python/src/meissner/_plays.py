@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import warnings
 from collections.abc import Generator
+from typing import Any
 
 from ._operations import Accepted
 from .clocks import Instant
@@ -33,6 +34,11 @@ class KnownPlay:
     def ordered_s(self) -> float | None:
         """Duration as ordered, s; None: without end."""
         return self._accepted.ordered_s
+
+    @property
+    def motions(self) -> tuple[dict[str, Any], ...]:
+        """How each motor follows its motions, computed before they are played: `error_um`, `error_share`, `too_slow_from_s` and more."""
+        return self._accepted.motions
 
     @property
     def receipt(self) -> Receipt:

@@ -211,6 +211,10 @@ class TooDense(ApiError, code="too-dense", advice="make drives, repeats or items
     """More strokes of all motors would begin within 10 ms than the controller allows."""
 
 
+class TooSlow(ApiError, code="too-slow", advice="make the motion slower or smaller, or play it without `strict`"):
+    """A motor is too slow for its motion."""
+
+
 class PowerLimit(ApiError, code="power-limit", advice="play with smaller amplitudes or fewer motors of a rail"):
     """More motors of a rail or a driver chip would have pulses at once than the configuration allows."""
 

@@ -5,6 +5,7 @@
 //!
 //! Invariant: a step orders the recorded play, at the recorded distance from the step before.
 
+use crate::receipts::BLANK;
 use meissner_api::{
     Fit, Mapping, PlayRequest, RecordedPlay, SequenceItem, SequenceRequest, TriggerRequest, TriggerShape,
 };
@@ -153,7 +154,7 @@ fn single(play: &RecordedPlay, is_whole: bool, notes: &mut Vec<String>) -> Resul
         Some(ms / 1e3)
     };
     Ok(PlayRequest {
-        pattern: play.pattern.clone(),
+        pattern: play.pattern.as_str().into(),
         pattern_sha256: text(play)?,
         seconds,
         scale: play.scale,
@@ -192,11 +193,12 @@ fn sequence(recorded: &Recorded, notes: &mut Vec<String>) -> Result<Vec<(u64, Or
             if first == 0 { 0 } else { items.first().and_then(|item| item.planned_onset_ticks).unwrap_or(0) };
         let items = items.iter().map(|item| {
             let onset = item.planned_onset_ticks.unwrap_or(0).saturating_sub(start);
+            let is_blank = item.pattern == BLANK && item.pattern_sha256.as_deref() == Some("");
             Ok(SequenceItem {
-                pattern: item.pattern.clone(),
-                pattern_sha256: text(item)?,
+                pattern: (!is_blank).then(|| item.pattern.as_str().into()),
+                pattern_sha256: if is_blank { None } else { text(item)? },
                 seconds: item.seconds,
-                scale: item.scale,
+                scale: item.scale.filter(|_| !is_blank),
                 gap_ms: None,
                 start_ms: Some(rate(play).ticks_to_ms(onset)),
                 trigger: trigger(item),

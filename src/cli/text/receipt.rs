@@ -169,12 +169,14 @@ pub(in crate::cli) const PREDICTED: &str = "predicted RA response";
 pub(in crate::cli) const LARGEST_OFFSET: &str = "largest offset from rest, driven pins:";
 
 pub(in crate::cli) fn burst_counts(ordered: Option<&OrderedCounts>, bursts: &BurstCounts) -> String {
-    let BurstCounts { planned, played, late, dropped, refused, replaced, amended } = bursts;
+    let BurstCounts { planned, played, late, dropped, refused, replaced, amended, shortened } = bursts;
     let replaced = if *replaced > 0 { format!(", {replaced} replaced") } else { String::new() };
+    let shortened =
+        if *shortened > 0 { format!(", {shortened} cut short by the next move") } else { String::new() };
     let ordered = ordered.map_or_else(String::new, |ordered| format!("{} ordered, ", ordered.bursts));
     format!(
         "{ordered}{planned} planned: {played} played, {late} late, {dropped} dropped, {refused} refused{replaced}; {amended} \
-         corrected by feedback"
+         corrected by feedback{shortened}"
     )
 }
 
@@ -268,6 +270,7 @@ mod tests {
             refused: 3,
             replaced: 9,
             amended: 688,
+            shortened: 0,
         });
         receipt.pulses = Some(PulseCounts { planned: 50_410, played: 49_800 });
         let counts = LateCounts { host: 4, link: 5, device: 6, worst_ms: 1.84 };

@@ -2,7 +2,7 @@
 
 use axum::body::Body;
 use http_body_util::BodyExt;
-use meissner_api::{Code, Problem};
+use meissner_api::{Code, MAX_BODY, Problem};
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Duration;
 use tokio::sync::{Semaphore, SemaphorePermit};
@@ -18,6 +18,8 @@ const RATE: u32 = 128 << 10;
 const DISCARDED: Duration = Duration::from_millis(100);
 /// How often the daemon checks whether a body is late.
 const LOOK_EVERY: Duration = Duration::from_millis(100);
+/// The place for a body that is larger than any without packed samples: one at a time.
+static PACKED: Semaphore = Semaphore::const_new(1);
 /// Places for large bodies that arrive or are processed: each holds a file, and further ones wait.
 static FILES: Semaphore = Semaphore::const_new(4);
 /// Bodies that wait for a place among them.
@@ -29,9 +31,9 @@ const HELD: Duration = Duration::from_millis(1500);
 /// A body up to this size needs no place, bytes.
 const SMALL: usize = 64 << 10;
 /// Most bytes of a command's body. Commands are parsed on the runtime's only thread: they must be small.
-const MAX_COMMAND: usize = 16 << 10;
+pub(in crate::daemon) const MAX_COMMAND: usize = 16 << 10;
 /// Most bytes read of a body that is too large, so that its sender gets to reading the answer.
-const MAX_SKIPPED: usize = 32 << 20;
+const MAX_SKIPPED: usize = 96 << 20;
 
 /// Reads a command's body.
 pub(in crate::daemon) async fn read_command(body: Body) -> Result<Vec<u8>, Problem> {
@@ -51,22 +53,26 @@ fn allowed(length: usize) -> Duration {
 
 /// Reads a body of at most `max` bytes.
 pub(in crate::daemon) async fn read(body: Body, max: usize) -> Result<Vec<u8>, Problem> {
-    let mut unused = None;
-    collect(body, max, usize::MAX, &mut unused).await
+    collect(body, max, usize::MAX, &mut Places::default()).await
 }
 
-/// Reads a body as large as a file. A large one takes a place among [`FILES`], until the returned place is dropped.
-pub(in crate::daemon) async fn read_file(
-    body: Body,
-    max: usize,
-) -> Result<(Vec<u8>, Option<Place>), Problem> {
-    let mut place = None;
-    let bytes = collect(body, max, SMALL, &mut place).await?;
-    Ok((bytes, place))
+/// Reads a body as large as a file. A large one takes a place among [`FILES`], and one with packed samples that of [`PACKED`], until the
+/// returned places are dropped.
+pub(in crate::daemon) async fn read_file(body: Body, max: usize) -> Result<(Vec<u8>, Places), Problem> {
+    let mut places = Places::default();
+    let bytes = collect(body, max, SMALL, &mut places).await?;
+    Ok((bytes, places))
 }
 
 /// A place among [`FILES`].
 pub(in crate::daemon) type Place = SemaphorePermit<'static>;
+
+/// The places of a body.
+#[derive(Debug, Default)]
+pub(in crate::daemon) struct Places {
+    file: Option<Place>,
+    packed: Option<Place>,
+}
 
 /// Counts a body in [`WAITING`], until it is dropped, for example when the client hangs up.
 struct Waits;
@@ -86,19 +92,18 @@ impl Drop for Waits {
 
 /// Waits for a place among [`FILES`].
 pub(in crate::daemon) async fn file_place() -> Result<Place, Problem> {
+    place_among(&FILES).await
+}
+
+async fn place_among(places: &'static Semaphore) -> Result<Place, Problem> {
     let busy = || Problem::new(Code::Busy, "too many files are in work: try again in a moment");
     let _waits = Waits::new();
-    let place = timeout(FILES_TIMEOUT, FILES.acquire()).await;
+    let place = timeout(FILES_TIMEOUT, places.acquire()).await;
     place.ok().and_then(Result::ok).ok_or_else(busy)
 }
 
 /// Reads a body; takes a place when it has more than `small` bytes.
-async fn collect(
-    mut body: Body,
-    max: usize,
-    small: usize,
-    place: &mut Option<Place>,
-) -> Result<Vec<u8>, Problem> {
+async fn collect(mut body: Body, max: usize, small: usize, places: &mut Places) -> Result<Vec<u8>, Problem> {
     let (mut begun, mut held) = (Instant::now(), None);
     let (mut bytes, mut length) = (Vec::new(), 0);
     loop {
@@ -125,9 +130,13 @@ async fn collect(
         if begun.elapsed() >= allowed(length) {
             return Err(slow());
         }
-        if length > small && place.is_none() {
+        let needs = [
+            (length > small && places.file.is_none(), &FILES, &mut places.file),
+            (length > MAX_BODY.max(small) && places.packed.is_none(), &PACKED, &mut places.packed),
+        ];
+        for (_, among, place) in needs.into_iter().filter(|(needed, ..)| *needed) {
             let asked = Instant::now();
-            *place = Some(file_place().await?);
+            *place = Some(place_among(among).await?);
             // The client does not count as slow while the daemon was busy.
             begun += asked.elapsed();
             held = Some(Instant::now());

@@ -31,6 +31,8 @@ pub(super) struct Compiled {
     /// How long the client of a live play may be silent; none for other plays.
     pub(super) live: Option<Duration>,
     pub(super) bandwidth: Bandwidth,
+    /// How long a pin may stay above rest without a pulse, ticks.
+    pub(super) hold: u32,
     /// The settings that it was compiled for.
     pub(super) settings: Settings,
     pub(super) vibration: Vibration,
@@ -38,6 +40,8 @@ pub(super) struct Compiled {
     pub(super) endless: bool,
     /// The largest amplitude, µm, and what asks for it.
     pub(super) largest: (f64, String),
+    /// The SHA-256 of each pattern with motions, and what their samples take in memory, bytes.
+    pub(super) memory: Vec<(String, usize)>,
     pub(super) new: NewPlay,
     /// Texts of its patterns by their SHA-256, for the session record.
     pub(super) texts: Vec<(String, Arc<[u8]>)>,
@@ -101,15 +105,17 @@ impl Engine {
         sent: impl FnOnce(&mut State, u64) + Send,
     ) -> Result<PlayAccepted, Problem> {
         let held = self.hold(terms, &compiled, &check).await?;
-        let Compiled { strokes, items, live, bandwidth, settings, new, texts, .. } = compiled;
+        let Compiled { strokes, items, live, bandwidth, hold, settings, memory, new, texts, .. } = compiled;
         let &Terms { at, late, replace, open_loop, .. } = terms;
-        let play = Play { id: 0, strokes, items, at, late, replace, open_loop, live, bandwidth };
-        let duration = new.receipt.duration_ms;
+        let play =
+            Play { items, at, late, replace, open_loop, live, bandwidth, hold, ..Play::new(0, strokes) };
+        let (duration, motions) = (new.receipt.duration_ms, new.receipt.motions.clone());
         let (id, reply) = {
             let mut state = self.lock();
             held.check(&state)?;
             check(&mut state)?;
             let (id, reply) = state.send_play(play, &settings, new)?;
+            state.plays.hold_memory(id, memory);
             held.begin(&mut state, id);
             sent(&mut state, id);
             (id, reply)
@@ -122,7 +128,7 @@ impl Engine {
         let answered = answer(reply, TIMEOUT).await;
         drop(held);
         answered?;
-        Ok(PlayAccepted { id, ordered_ms: duration.ordered, compiled_ms: duration.compiled })
+        Ok(PlayAccepted { id, ordered_ms: duration.ordered, compiled_ms: duration.compiled, motions })
     }
 
     /// Reserves the time of a play that `check` accepts, and waits until it is in the sums on the disk.
@@ -140,6 +146,7 @@ impl Engine {
             let (largest_um, what) = &compiled.largest;
             state.check_amplitude(what, *largest_um)?;
             state.check_end(what, compiled.vibration.is_endless() && !compiled.endless)?;
+            state.plays.check_memory(&compiled.memory)?;
             let number = state.hold_vibration(&compiled.vibration, terms.replace, terms.at)?;
             let saved = state.save_exposure(Now::read());
             let waits = !state.exposure.is_disk_silent();
@@ -212,7 +219,7 @@ mod tests {
     /// A play without end.
     fn pin(session: Option<String>) -> (PlayRequest, Stored) {
         let stored = Store::new(None, false).unwrap().library("pin-60").unwrap().clone();
-        let pattern = "pin-60".to_owned();
+        let pattern = "pin-60".into();
         (PlayRequest { pattern, endless: true, session, ..PlayRequest::default() }, stored)
     }
 

@@ -26,7 +26,7 @@ impl Engine {
             return Err(no_file());
         }
         let stored = Stored::made(plan.pattern());
-        let pattern = stored.pattern.name().to_owned();
+        let pattern = stored.pattern.name().into();
         let request = PlayRequest { pattern, open_loop: true, ..PlayRequest::default() };
         let settings = self.lock().settings;
         if settings.lower_stop.is_some() {

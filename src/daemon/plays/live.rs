@@ -24,7 +24,7 @@ use meissner_api::{
 use meissner_array::pattern::Drive;
 use meissner_array::strokes::{LiveStrokes, StrokeOptions};
 use meissner_design::Target;
-use meissner_stream::queues::{Command, Item};
+use meissner_stream::queues::{Command, HOLD_ALWAYS, Item};
 use meissner_stream::time::HostInstant;
 use meissner_stream::{Bandwidth, Source};
 use std::convert::Infallible;
@@ -81,9 +81,11 @@ impl Engine {
             items: vec![Item::new(trigger(request.trigger, settings.array.rate()))],
             live: Some(timeout),
             bandwidth,
+            hold: HOLD_ALWAYS,
             settings,
             vibration: Vibration::without_end(),
             endless: true,
+            memory: Vec::new(),
             largest: (live.largest_um(), "the live play".to_owned()),
             new: NewPlay { receipt, items: None, predicted: None, client },
             texts: Vec::new(),

@@ -7,75 +7,132 @@ use crate::daemon::state::NewPlay;
 use crate::daemon::state::limits::check_limits;
 use crate::daemon::system::runtime::PLAYS;
 use crate::exposure::Vibration;
-use crate::receipts::{Order, counts, fit};
+use crate::receipts::{Order, counts, fit, motions, too_slow};
 use crate::session_record::Peer;
 use crate::store::{MappedFrom, Stored};
-use meissner_api::{Code, PlayAccepted, PlayRequest, Problem, Receipt};
+use meissner_api::{Code, Fit, Mapping, PlayAccepted, PlayRequest, Problem, Receipt, TriggerRequest};
 use meissner_array::strokes::{StrokeOptions, Strokes, Surplus};
-use meissner_stream::queues::Item;
-use meissner_stream::{Bandwidth, Settings};
-use std::sync::Arc;
+use meissner_stream::queues::{HOLD_ALWAYS, Item};
+use meissner_stream::{Bandwidth, Settings, find_longest_hold};
 
 impl Compiled {
-    /// Compiles the pattern of a request.
+    /// Compiles the pattern of a request, on another thread: a pattern may have millions of moves, and other commands must not wait.
     pub(super) async fn of_pattern(
         request: &PlayRequest,
         terms: &Terms,
         stored: Stored,
-        (settings, surplus): (Settings, Surplus),
+        basis: (Settings, Surplus),
         client: Peer,
     ) -> Result<Self, Problem> {
-        let (stored, mapped) = stored.on(settings.array, request.map)?;
-        let scale = request.scale.unwrap_or(1.0);
-        let options = StrokeOptions {
-            surplus,
-            fit: fit(request.fit),
-            scale,
-            ..StrokeOptions::lasting(request.seconds)
-        };
-        let bad = |error| Problem::new(Code::BadRequest, format!("`seconds`: {error}"));
-        let strokes = Strokes::new(&stored.pattern, &options).map_err(bad)?;
-        let order = Order::of(&stored.pattern, &options).map_err(bad)?;
-        let name = stored.pattern.name();
-        // Refuse an empty play: it would begin at the same tick as the next one, and their results could not be told apart.
-        if let Some(why) = order.empty() {
-            return Err(Problem::new(Code::Empty, format!("`{name}`: no stroke would be played: {why}")));
-        }
-        let receipt = terms.receipt(name, &stored.sha256, request.seconds);
-        let mut receipt = Receipt { scale: Some(scale), ..receipt };
-        let amplitudes = stored.pattern.drives().iter().map(|drive| drive.amplitude_um * scale);
-        let largest = (amplitudes.fold(0.0, f64::max), request.pattern.clone());
-        // Count on another thread: a long pattern has a hundred thousand strokes, and other commands must not wait.
-        let (pattern, counted) = (Arc::clone(&stored.pattern), options.clone());
-        let (fits, bandwidth, vibration, counts, strokes) = PLAYS
-            .computing(move || {
-                let end_s = strokes.end().map(|end| strokes.array().rate().ticks_to_seconds(end));
-                let vibration = Vibration::of(&pattern, end_s);
-                let bandwidth = Bandwidth::of(&strokes, &settings);
-                let fits = check_limits(&strokes, &settings);
-                (fits, bandwidth, vibration, counts(&pattern, &counted), strokes)
-            })
-            .await?;
-        fits?;
-        order.enter(&mut receipt, request.fit, counts);
-        if let Some(MappedFrom { array, warnings }) = mapped {
-            receipt.mapped_from = Some(array);
-            receipt.warnings.splice(0..0, warnings);
-        }
-        let Stored { pattern, sha256, text, .. } = stored;
-        Ok(Self {
-            strokes: strokes.into(),
-            items: vec![Item::new(trigger(request.trigger, settings.array.rate()))],
-            live: None,
-            bandwidth,
-            settings,
-            vibration,
-            endless: request.endless,
-            largest,
-            new: NewPlay { receipt, items: None, predicted: Some((pattern, options)), client },
-            texts: vec![(sha256, text)],
-        })
+        let asked = Asked::of(request);
+        let receipt = terms.receipt(stored.pattern.name(), &stored.sha256, request.seconds);
+        PLAYS.computing(move || compile(&asked, receipt, stored, basis, client)).await?
     }
+}
+
+/// What a request says of the pattern.
+struct Asked {
+    seconds: Option<f64>,
+    scale: f64,
+    map: Option<Mapping>,
+    fit: Fit,
+    trigger: Option<TriggerRequest>,
+    endless: bool,
+    strict: bool,
+    hold_ms: Option<f64>,
+}
+
+impl Asked {
+    fn of(request: &PlayRequest) -> Self {
+        let &PlayRequest { seconds, map, fit, trigger, endless, strict, hold_ms, .. } = request;
+        Self { seconds, scale: request.scale.unwrap_or(1.0), map, fit, trigger, endless, strict, hold_ms }
+    }
+}
+
+fn compile(
+    asked: &Asked,
+    receipt: Receipt,
+    stored: Stored,
+    (settings, surplus): (Settings, Surplus),
+    client: Peer,
+) -> Result<Compiled, Problem> {
+    let (stored, mapped) = stored.on(settings.array, asked.map)?;
+    let options = StrokeOptions {
+        surplus,
+        fit: fit(asked.fit),
+        scale: asked.scale,
+        ..StrokeOptions::lasting(asked.seconds)
+    };
+    let bad = |error| Problem::new(Code::BadRequest, format!("`seconds`: {error}"));
+    let (pattern, name) = (&*stored.pattern, stored.pattern.name());
+    let order = Order::of(pattern, &options).map_err(bad)?;
+    // Refuse an empty play: it would begin at the same tick as the next one, and their results could not be told apart.
+    let empty = |why| Problem::new(Code::Empty, format!("`{name}`: no stroke would be played: {why}"));
+    if let Some(why) = order.empty() {
+        return Err(empty(why));
+    }
+    let strokes = Strokes::new(pattern, &options).map_err(bad)?;
+    if strokes.is_over() {
+        return Err(empty("its motions are too low, or begin after its end"));
+    }
+    let array = settings.array;
+    let mut receipt = Receipt { scale: Some(asked.scale), motions: motions(&strokes), ..receipt };
+    let slow: Vec<String> = receipt.motions.iter().filter_map(|motion| too_slow(motion, array)).collect();
+    if let Some(line) = slow.first().filter(|_| asked.strict) {
+        return Err(Problem::new(Code::TooSlow, format!("`{name}`: {line}, or play it without `strict`")));
+    }
+    check_limits(&strokes, &settings)?;
+    let hold = hold(asked.hold_ms, &strokes)?;
+    let end_s = strokes.end().map(|end| array.rate().ticks_to_seconds(end));
+    order.enter(&mut receipt, asked.fit, counts(pattern, &options, &strokes));
+    let mapped_lines = mapped.map(|MappedFrom { array, warnings }| {
+        receipt.mapped_from = Some(array);
+        warnings
+    });
+    receipt.warnings.splice(0..0, mapped_lines.into_iter().flatten().chain(slow.into_iter().take(MAX_LINES)));
+    let largest = (pattern.largest_um() * asked.scale, name.to_owned());
+    let vibration = Vibration::of(pattern, end_s);
+    let bandwidth = Bandwidth::of(&strokes, &settings);
+    let Stored { pattern, sha256, text, .. } = stored;
+    Ok(Compiled {
+        strokes: strokes.into(),
+        items: vec![Item::new(trigger(asked.trigger, array.rate()))],
+        live: None,
+        bandwidth,
+        hold,
+        settings,
+        vibration,
+        endless: asked.endless,
+        largest,
+        memory: vec![(sha256.clone(), pattern.motion_bytes())],
+        new: NewPlay { receipt, items: None, predicted: Some((pattern, options)), client },
+        texts: vec![(sha256, text)],
+    })
+}
+
+/// Motors that are too slow have so many lines among the warnings, at most; `motions` has all.
+const MAX_LINES: usize = 4;
+
+/// A pin may stay above rest without a pulse for so much longer than planned, ms: moves may be corrected or lost.
+const SPARE_MS: u64 = 500;
+
+/// How long the device may let a pin stay above rest without a pulse, ticks: as asked, or as long as the plan needs.
+pub(super) fn hold(asked_ms: Option<f64>, strokes: &Strokes) -> Result<u32, Problem> {
+    let rate = strokes.array().rate();
+    let Some(needed) = find_longest_hold(strokes) else {
+        return Ok(asked_ms.map_or(HOLD_ALWAYS, |ms| rate.ms_in_ticks(ms) as u32));
+    };
+    let Some(ms) = asked_ms else {
+        return Ok(u32::try_from(needed + rate.of_ms(SPARE_MS)).unwrap_or(HOLD_ALWAYS));
+    };
+    let asked = rate.ms_in_ticks(ms) as u32;
+    if u64::from(asked) < needed {
+        let needed_ms = rate.ticks_to_ms(needed).ceil();
+        let detail =
+            format!("`hold_ms` is {ms}: the play keeps a pin above rest for {needed_ms} ms without a pulse");
+        return Err(Problem::new(Code::BadRequest, detail));
+    }
+    Ok(asked)
 }
 
 impl Engine {

@@ -7,16 +7,17 @@
 
 use crate::daemon::engine::Engine;
 use crate::daemon::plays::begin::Compiled;
+use crate::daemon::plays::pattern::hold;
 use crate::daemon::plays::terms::{Terms, trigger};
 use crate::daemon::state::NewPlay;
 use crate::daemon::state::limits::check_limits;
 use crate::daemon::system::runtime::PLAYS;
 use crate::exposure::Vibration;
-use crate::receipts::{NoPrediction, Order, PlannedItem};
+use crate::receipts::{BLANK, NoPrediction, Order, PlannedItem, motions, too_slow, walk};
 use crate::session_record::Peer;
 use crate::store::{MappedFrom, Stored, hash};
 use firmware_protocol::tick::Tick;
-use meissner_api::{Code, Fit, OrderedCounts, PlayAccepted, Problem, SequenceItem, SequenceRequest};
+use meissner_api::{Code, Fit, PlayAccepted, Problem, SequenceItem, SequenceRequest};
 use meissner_array::strokes::{
     CompiledItem, Sequence, SequenceError, Start, StrokeOptions, Strokes, Surplus,
 };
@@ -32,8 +33,6 @@ use std::sync::Arc;
 const NAME: &str = "sequence";
 /// The part of an item that is used to compute its bandwidth, s.
 const COUNTED_S: f64 = 60.0;
-/// The most strokes that are counted for the receipt; for a longer sequence it has no counts.
-const COUNTED: usize = 1 << 20;
 /// Bytes of texts that a sequence holds for the session record, at most. Further ones are kept with a later play.
 const MAX_TEXTS: usize = 4 << 20;
 
@@ -43,12 +42,13 @@ struct Used {
     name: Arc<str>,
     /// Its strokes and its largest amplitude, as ordered and as reached, µm, by scale.
     compiled: HashMap<u64, (CompiledItem, [f64; 2])>,
+    /// What its longest item requires at the largest amplitude.
+    bandwidth: Bandwidth,
 }
 
 /// The state of a request while it is prepared.
 struct Preparing {
     sequence: Sequence,
-    bandwidth: Bandwidth,
     warnings: Vec<String>,
     largest: (f64, String),
     surplus: Surplus,
@@ -65,34 +65,55 @@ impl Compiled {
     ) -> Result<Self, Problem> {
         let mut preparing = Preparing {
             sequence: Sequence::new(settings.array),
-            bandwidth: Bandwidth::default(),
             warnings: Vec::new(),
             largest: (0.0, String::new()),
             surplus,
         };
         let mut by_text: HashMap<_, Vec<SequenceItem>> = HashMap::new();
         for item in &request.items {
-            by_text.entry(text(item)).or_default().push(item.clone());
+            if let Some(text) = text(item) {
+                by_text.entry(text).or_default().push(item.clone());
+            }
         }
         let mut used: HashMap<(&str, Option<&str>), Used> = HashMap::new();
+        let (blank, no_sha256): (Arc<str>, Arc<str>) = (BLANK.into(), "".into());
+        let (mut memory, mut required) = (Vec::new(), Vec::new());
         let (mut planned, mut placed) = (Vec::new(), Vec::new());
         let (mut texts, mut held, mut mapped_from) = (Vec::new(), 0, None);
         for (number, item) in request.items.iter().enumerate() {
             let at = |problem| at_item(number, problem);
-            let text = text(item);
+            let start = match (item.gap_ms, item.start_ms) {
+                (_, Some(ms)) => Start::At(ms),
+                (gap_ms, None) => Start::Gap(gap_ms.unwrap_or(0.0)),
+            };
+            let Some(text) = text(item) else {
+                placed.push((None, item.seconds, start));
+                required.push(Bandwidth::default());
+                let (pattern, sha256) = (Arc::clone(&blank), Arc::clone(&no_sha256));
+                planned.push(PlannedItem {
+                    pattern,
+                    sha256,
+                    scale: 1.0,
+                    amplitude_um: [0.0; 2],
+                    span: (0, 0),
+                });
+                continue;
+            };
+            let name = text.0;
             if let Entry::Vacant(new) = used.entry(text) {
-                let found = find(item.pattern.clone(), item.pattern_sha256.clone()).await;
+                let found = find(name.to_owned(), item.pattern_sha256.clone()).await;
                 let (stored, _place) = found.map_err(at)?;
-                let (stored, mapped) =
-                    stored.on(settings.array, request.map).map_err(|error| at(error.into()))?;
+                let map = request.map;
+                let on = PLAYS.computing(move || stored.on(settings.array, map)).await?;
+                let (stored, mapped) = on.map_err(|error| at(error.into()))?;
+                memory.push((stored.sha256.clone(), stored.pattern.motion_bytes()));
                 if let Some(MappedFrom { array, warnings }) = mapped {
-                    let of_pattern =
-                        warnings.into_iter().map(|warning| format!("`{}`: {warning}", item.pattern));
+                    let of_pattern = warnings.into_iter().map(|warning| format!("`{name}`: {warning}"));
                     preparing.warnings.extend(of_pattern);
                     mapped_from.get_or_insert(array);
                 }
                 let items = by_text.remove(&text).unwrap_or_default();
-                let (sha256, name) = (stored.sha256.as_str().into(), item.pattern.as_str().into());
+                let (sha256, name) = (stored.sha256.as_str().into(), name.into());
                 if held + stored.text.len() <= MAX_TEXTS {
                     held += stored.text.len();
                     texts.push((stored.sha256.clone(), Arc::clone(&stored.text)));
@@ -104,18 +125,16 @@ impl Compiled {
                     })
                     .await?;
                 preparing = back;
-                let compiled = compiled.map_err(|error| at(refused(&error)))?;
-                new.insert(Used { sha256, name, compiled });
+                let (compiled, bandwidth) = compiled.map_err(|error| at(refused(&error)))?;
+                new.insert(Used { sha256, name, compiled, bandwidth });
             }
-            let (Some(Used { sha256, name, compiled }), scale) = (used.get(&text), scale(item)) else {
+            let (Some(Used { sha256, name, compiled, bandwidth }), scale) = (used.get(&text), scale(item))
+            else {
                 continue;
             };
-            let start = match (item.gap_ms, item.start_ms) {
-                (_, Some(ms)) => Start::At(ms),
-                (gap_ms, None) => Start::Gap(gap_ms.unwrap_or(0.0)),
-            };
             let Some(&(compiled, amplitude_um)) = compiled.get(&scale.to_bits()) else { continue };
-            placed.push((compiled, item.seconds, start));
+            placed.push((Some(compiled), item.seconds, start));
+            required.push(*bandwidth);
             let (pattern, sha256) = (Arc::clone(name), Arc::clone(sha256));
             planned.push(PlannedItem { pattern, sha256, scale, amplitude_um, span: (0, 0) });
         }
@@ -124,14 +143,18 @@ impl Compiled {
             .computing(move || {
                 let mut items = placed.into_iter().enumerate();
                 let added = items.try_for_each(|(number, (compiled, seconds, start))| {
-                    let added = preparing.sequence.add(compiled, seconds, start);
+                    let added = match compiled {
+                        Some(compiled) => preparing.sequence.add(compiled, seconds, start),
+                        None => preparing.sequence.add_blank(seconds.unwrap_or(0.0), start),
+                    };
                     added.map_err(|error| at_item(number, refused(&error)))
                 });
                 (preparing, added)
             })
             .await?;
         added?;
-        let Preparing { sequence, bandwidth, warnings, largest, .. } = preparing;
+        let Preparing { sequence, warnings, largest, .. } = preparing;
+        let bandwidth = peak(sequence.spans().zip(required));
         let rate = settings.array.rate();
         let items: Vec<Item> =
             request.items.iter().map(|item| Item::new(trigger(item.trigger, rate))).collect();
@@ -140,23 +163,25 @@ impl Compiled {
         }
         let spans: Vec<(f64, f64)> = sequence
             .spans()
-            .map(|(start, end)| (rate.ticks_to_seconds(start), rate.ticks_to_seconds(end)))
+            .zip(&planned)
+            .filter(|(_, planned)| !planned.sha256.is_empty())
+            .map(|((start, end), _)| (rate.ticks_to_seconds(start), rate.ticks_to_seconds(end)))
             .collect();
         // A checked request has at least one item.
         let strokes = sequence
             .strokes()
             .ok_or_else(|| Problem::new(Code::BadRequest, "`items` is empty: add an item"))?;
         check_triggers(&strokes, &items, rate)?;
-        let (fits, bandwidth, counts, strokes) = PLAYS
+        let (fits, bandwidth, hold, counts, strokes) = PLAYS
             .computing(move || {
                 let bandwidth = Bandwidth::of(&strokes, &settings).max(bandwidth);
                 let fits = check_limits(&strokes, &settings);
-                (fits, bandwidth, counts(&strokes), strokes)
+                (fits, bandwidth, hold(None, &strokes), walk(&strokes), strokes)
             })
             .await?;
         fits?;
         let length_ms = strokes.end().map(|end| rate.ticks_to_ms(end));
-        let order = Order { ordered_ms: length_ms, compiled_ms: length_ms, drives: Vec::new(), warnings };
+        let order = Order { ordered_ms: length_ms, compiled_ms: length_ms, warnings, ..Order::default() };
         let name = request.name.as_deref().unwrap_or(NAME);
         let mut receipt = terms.receipt(name, &sha256(&request.items), length_ms.map(|ms| ms / 1e3));
         receipt.mapped_from = mapped_from;
@@ -167,10 +192,12 @@ impl Compiled {
             items,
             live: None,
             bandwidth,
+            hold: hold?,
             settings,
             vibration: Vibration::of_spans(spans),
             endless: false,
             largest,
+            memory,
             new: NewPlay { receipt, items: Some(planned.into()), predicted: None, client },
             texts,
         })
@@ -188,7 +215,7 @@ impl Preparing {
         stored: &Stored,
         items: &[SequenceItem],
         settings: &Settings,
-    ) -> Result<HashMap<u64, (CompiledItem, [f64; 2])>, SequenceError> {
+    ) -> Result<(HashMap<u64, (CompiledItem, [f64; 2])>, Bandwidth), SequenceError> {
         let (name, pattern) = (stored.pattern.name(), &*stored.pattern);
         let mut compiled = HashMap::new();
         for scale in items.iter().map(scale) {
@@ -199,20 +226,33 @@ impl Preparing {
             }
         }
         let most = items.iter().map(scale).fold(0.0, f64::max);
-        let amplitudes = pattern.drives().iter().map(|drive| drive.amplitude_um * most);
-        let largest_um = amplitudes.fold(0.0, f64::max);
+        let largest_um = pattern.largest_um() * most;
         if largest_um > self.largest.0 {
             self.largest = (largest_um, name.to_owned());
         }
-        // The bandwidth of the longest item at the largest amplitude suffices, because no items of other patterns play meanwhile.
+        // The bandwidth of the longest item at the largest amplitude suffices for each of them.
         let lasting = |item: &SequenceItem| item.seconds.or(pattern.duration_s()).unwrap_or(COUNTED_S);
         let longest_s = items.iter().map(lasting).fold(0.0, f64::max).min(COUNTED_S);
         let options = self.options(most, Some(longest_s));
-        self.bandwidth = Bandwidth::of(&Strokes::new(pattern, &options)?, settings).max(self.bandwidth);
-        let order = Order::of(pattern, &options)?;
-        self.warnings.extend(order.listed_warnings().iter().map(|warning| format!("`{name}`: {warning}")));
-        Ok(compiled)
+        let strokes = Strokes::new(pattern, &options)?;
+        let slow = motions(&strokes);
+        let slow = slow.iter().filter_map(|motion| too_slow(motion, settings.array));
+        let lines = Order::of(pattern, &options)?.listed_warnings().into_iter().chain(slow);
+        self.warnings.extend(lines.map(|warning| format!("`{name}`: {warning}")));
+        Ok((compiled, Bandwidth::of(&strokes, settings)))
     }
+}
+
+/// The most that items at once require: they begin in order of time.
+fn peak(items: impl Iterator<Item = ((u64, u64), Bandwidth)>) -> Bandwidth {
+    let (mut at_once, mut peak): (Vec<(u64, Bandwidth)>, _) = (Vec::new(), Bandwidth::default());
+    for ((start, end), required) in items {
+        at_once.retain(|(until, _)| *until > start);
+        at_once.push((end, required));
+        let sum = at_once.iter().map(|(_, required)| *required).reduce(Bandwidth::plus);
+        peak = sum.unwrap_or_default().max(peak);
+    }
+    peak
 }
 
 /// The problem of an item.
@@ -220,9 +260,9 @@ fn at_item(number: usize, problem: Problem) -> Problem {
     Problem { detail: format!("`items[{number}]`: {}", problem.detail), ..problem }
 }
 
-/// The key by which the texts of items differ.
-fn text(item: &SequenceItem) -> (&str, Option<&str>) {
-    (&item.pattern, item.pattern_sha256.as_deref())
+/// The key by which the texts of items differ; `None` for a blank item.
+fn text(item: &SequenceItem) -> Option<(&str, Option<&str>)> {
+    Some((item.pattern.as_ref()?.name(), item.pattern_sha256.as_deref()))
 }
 
 fn scale(item: &SequenceItem) -> f64 {
@@ -255,18 +295,6 @@ fn check_triggers(strokes: &Strokes, items: &[Item], rate: TickRate) -> Result<(
         before = Some((number, onset.0 + cells * u64::from(trigger.width)));
     }
     Ok(())
-}
-
-/// Bursts and pulses; `None` if counting them would take too long.
-fn counts(strokes: &Strokes) -> Option<OrderedCounts> {
-    let (mut bursts, mut pulses) = (0, 0);
-    for stroke in strokes.clone().map_while(Result::ok) {
-        (bursts, pulses) = (bursts + 2, pulses + u64::from(stroke.pulses()));
-        if bursts > 2 * COUNTED as u64 {
-            return None;
-        }
-    }
-    Some(OrderedCounts { bursts, pulses: Some(pulses) })
 }
 
 /// Identifies sequences of the same name: the SHA-256 of the items as JSON.

@@ -5,7 +5,7 @@
 
 use crate::receipts::{MeasuredBursts, PlannedItem, PlayedPattern, Receipts};
 use crate::session_record::Peer;
-use meissner_api::{Event, Receipt};
+use meissner_api::{Code, Event, Problem, Receipt};
 use meissner_array::pattern::Pattern;
 use meissner_array::spec::Array;
 use meissner_array::strokes::StrokeOptions;
@@ -55,8 +55,13 @@ pub(in crate::daemon) struct Plays {
     unpredicted: HashMap<u64, Unpredicted>,
     /// The clients of the plays that are not over.
     clients: HashMap<u64, Peer>,
+    /// What the samples of plays that are not over take: the SHA-256 of their patterns, and bytes.
+    memory: HashMap<u64, Vec<(String, usize)>>,
     last_id: u64,
 }
+
+/// Bytes that the samples of all plays that are not over may take, at most. Plays of one pattern share them.
+const MAX_MEMORY: usize = 128 << 20;
 
 impl Plays {
     /// None yet, on this array.
@@ -66,6 +71,7 @@ impl Plays {
             measured: MeasuredBursts::new(array),
             unpredicted: HashMap::new(),
             clients: HashMap::new(),
+            memory: HashMap::new(),
             last_id: 0,
         }
     }
@@ -99,8 +105,34 @@ impl Plays {
         None
     }
 
+    /// Refuses a play whose samples have no room beside those of the plays that are not over.
+    pub(in crate::daemon) fn check_memory(&self, new: &[(String, usize)]) -> Result<(), Problem> {
+        let all: HashMap<&str, usize> =
+            self.memory.values().flatten().chain(new).map(|(sha256, bytes)| (&**sha256, *bytes)).collect();
+        let bytes: usize = all.values().sum();
+        if bytes <= MAX_MEMORY || new.iter().all(|(_, bytes)| *bytes == 0) {
+            return Ok(());
+        }
+        let detail = format!(
+            "the motions of this play and of those that wait and run would take {} MiB, and the daemon has {} MiB for them: wait for the \
+             end of a play, or play shorter motions, at lower rates",
+            bytes.div_ceil(1 << 20),
+            MAX_MEMORY >> 20
+        );
+        Err(Problem::new(Code::TooLarge, detail))
+    }
+
+    /// Notes what the samples of an accepted play take.
+    pub(in crate::daemon) fn hold_memory(&mut self, id: u64, memory: Vec<(String, usize)>) {
+        let memory: Vec<_> = memory.into_iter().filter(|(_, bytes)| *bytes > 0).collect();
+        if !memory.is_empty() {
+            self.memory.insert(id, memory);
+        }
+    }
+
     /// Drops a play that was never accepted.
     pub(super) fn forget(&mut self, id: u64) {
+        self.memory.remove(&id);
         self.receipts.settle(id, false);
         self.unpredicted.remove(&id);
         self.clients.remove(&id);
@@ -113,6 +145,7 @@ impl Plays {
 
     /// Takes the client of a play, at its end.
     pub(in crate::daemon) fn take_client(&mut self, id: u64) -> Option<Peer> {
+        self.memory.remove(&id);
         self.clients.remove(&id)
     }
 

@@ -61,10 +61,10 @@ impl Publisher {
 mod tests {
     use super::*;
     use meissner_api::{
-        AfferentClass, BurstCounts, ClassResponse, DurationRecord, ErrorSource, LateCause, LateCounts,
-        LateStroke, LatenessRecord, LinkTraffic, LiveContrast, LiveRecord, MAX_DRIVES_LISTED, MAX_LISTED,
-        MAX_WARNINGS_LISTED, MotorRestError, OffsetRecord, OnsetRecord, OrderedCounts, PlayState,
-        PredictedResponse, Prediction, PulseCounts, Rates, ReachedContrast, ReachedDrive, Receipt,
+        AfferentClass, BurstCounts, ClassResponse, DurationRecord, ErrorSource, FollowedMotion, LateCause,
+        LateCounts, LateStroke, LatenessRecord, LinkTraffic, LiveContrast, LiveRecord, MAX_DRIVES_LISTED,
+        MAX_LISTED, MAX_WARNINGS_LISTED, MotorRestError, MovedPin, OffsetRecord, OnsetRecord, OrderedCounts,
+        PlayState, PredictedResponse, Prediction, PulseCounts, Rates, ReachedContrast, ReachedDrive, Receipt,
         RefusedStroke, UpdateTimes,
     };
 
@@ -117,6 +117,7 @@ mod tests {
                 refused: most,
                 replaced: u64::MAX,
                 amended: most,
+                shortened: most,
             }),
             pulses: Some(PulseCounts { planned: most, played: most }),
             live: Some(LiveRecord {
@@ -170,11 +171,25 @@ mod tests {
                 };
                 MAX_DRIVES_LISTED
             ],
+            motions: vec![
+                FollowedMotion {
+                    motor: 23,
+                    highest_um: 399.999,
+                    error_um: 399.999,
+                    error_share: 10.123,
+                    step_error_um: 399.999,
+                    too_slow_from_s: Some(99_999_999.999),
+                    moves_per_s: 999.999,
+                    measured_s: 239.999,
+                };
+                24
+            ],
+            pins: Some(vec![MovedPin { motor: 23, first_pulse_tick: most, offset_tick: most }; 24]),
             warnings: vec!["x".repeat(160); MAX_WARNINGS_LISTED + 1],
             prediction: Prediction { response: Some(response), unknown: None },
             ..Receipt::new(most, &"x".repeat(64), &"0".repeat(64), Some(number))
         };
         let frame = frame(&Event::Ended { receipt: Box::new(receipt) });
-        assert!((28 << 10..32 << 10).contains(&frame.len()), "{} bytes", frame.len());
+        assert!((34 << 10..40 << 10).contains(&frame.len()), "{} bytes", frame.len());
     }
 }

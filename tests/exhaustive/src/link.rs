@@ -241,7 +241,7 @@ impl Pair {
             Call::Begin => {
                 let at = self.soon();
                 self.has_room()?;
-                self.session.begin(Tick(at), None);
+                self.session.begin(Tick(at), None, u32::MAX);
                 self.push(stroke(0, at))?;
                 self.push(stroke(1, at + 3))?;
                 self.session.seal();

@@ -35,7 +35,7 @@ pub use error::MotionError;
 pub(crate) use generate::MOST_NOISE_WORK;
 pub use generate::{Envelope, Noise, RampHold, Shape, Strength, Tone};
 pub use moves::{Compiled, Grid, LEAST_ERROR_UM, Moves, choose, compile};
-pub(crate) use moves::{Rule, SLOWEST_STEP_MS};
+pub(crate) use moves::{Rule, SLOWEST_STEP_MS, TRIED_S};
 pub use reached::{Deviation, Path, Reached};
 pub use waveform::{Knot, MAX_KNOTS, MAX_SAMPLES, RATE_HZ, Section, Waveform};
 pub(crate) use waveform::{ns_at, ns_of, s_of, tick_of};

@@ -58,7 +58,7 @@ pub struct Compiled {
 }
 
 /// How long a stretch of each waveform [`choose`] tries, shared among the motors, s.
-const TRIED_S: u64 = 240;
+pub(crate) const TRIED_S: u64 = 240;
 
 /// The coarsest grid, of 1 to 4 ms, on which each pin stays within `error_um` of what the motor can do at best
 /// ([`Reached::step_error_um`], measured from the moves); `None`: a burst of `least_pulses`. If none does, the finest grid of which the
@@ -150,6 +150,11 @@ impl Rule {
     /// Of a grid for an array.
     pub(crate) fn new(array: Array, grid: Grid) -> Self {
         Self { rate: array.rate(), spec: array.spec().motor(), step: grid.step_ticks }
+    }
+
+    /// The grid that it was made for.
+    pub(crate) const fn grid(&self) -> Grid {
+        Grid { step_ticks: self.step }
     }
 
     /// The level to go to in a step, in which the waveform does this, from the present level.

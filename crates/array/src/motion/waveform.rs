@@ -10,6 +10,7 @@
 use super::error::MotionError;
 use crate::motor::MAX_AMPLITUDE_UM;
 use crate::pattern::MAX_SECONDS;
+use crate::spec::Array;
 use crate::units::TickRate;
 use std::ops::RangeInclusive;
 use std::sync::Arc;
@@ -291,6 +292,32 @@ impl Waveform {
             }
         }
         self
+    }
+
+    /// Bytes of its knots, and of samples that formulas have made; samples of a wave may be shared with it.
+    pub(crate) fn own_bytes(&self) -> usize {
+        let bytes = self.pieces.iter().map(|piece| match piece {
+            Piece::Knots(knots) => size_of_val(&**knots),
+            Piece::Samples(samples) if Arc::strong_count(&samples.um) == 1 => size_of_val(&*samples.um),
+            Piece::Samples(_) => 0,
+        });
+        bytes.sum()
+    }
+
+    /// The first instant, s, at which it is ahead of this motor's highest speed by more than a burst of `least_pulses`; `None`: the
+    /// motor follows it throughout. Jumps are too fast for any motor.
+    #[must_use]
+    pub fn too_slow_from_s(&self, array: Array) -> Option<f64> {
+        let motor = array.motor();
+        let um_per_ns = motor.um_per_pulse * f64::from(array.rate().hz()) / NS_PER_S;
+        let least_um = f64::from(motor.least_pulses) * motor.um_per_pulse;
+        let (mut um, mut ns) = (0.0, 0);
+        self.knots().find_map(|knot| {
+            let reach_um = (knot.ns - ns) as f64 * um_per_ns;
+            um += (knot.um - um).clamp(-reach_um, reach_um);
+            ns = knot.ns;
+            ((knot.um - um).abs() > least_um).then(|| s_of(knot.ns))
+        })
     }
 
     /// Its knots, in order of time.

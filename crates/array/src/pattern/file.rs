@@ -13,9 +13,9 @@ use super::limits::{
 };
 use super::tables::{Files, RawNoise, RawRamp, RawTone, RawWave, Reader, motions, motor_of};
 use crate::spec::Array;
-use meissner_input::document::{Table, check_size, from_toml};
-use serde::Deserialize;
+use meissner_input::document::{Table, check_size, from_source, from_toml};
 use serde::de::IgnoredAny;
+use serde::{Deserialize, Deserializer};
 
 impl Pattern {
     /// Reads a pattern file; `file` is its name in errors. A pattern whose waves name files is refused: it is not complete.
@@ -36,6 +36,43 @@ impl Pattern {
     }
 }
 
+impl Pattern {
+    /// Reads the keys of a pattern file of this format from another source, such as JSON. A pattern whose waves name files is refused.
+    ///
+    /// # Errors
+    /// The first problem, in one line that begins with `name`.
+    pub fn from_keys<'k, S: Deserializer<'k>>(
+        format: i64,
+        keys: S,
+        name: &str,
+    ) -> Result<Self, PatternError> {
+        let read = || {
+            let Table(raw) = from_source::<RawPattern, _, _>(keys, wanted)?;
+            let motions = [
+                ("wave", !raw.wave.is_empty()),
+                ("ramp", !raw.ramp.is_empty()),
+                ("tone", !raw.tone.is_empty()),
+                ("noise", !raw.noise.is_empty()),
+            ];
+            check_format(format, motions)?;
+            raw.pattern(format, &mut Reader::new(None))
+        };
+        read().map_err(|error| PatternError(error.in_file(Some(name))))
+    }
+}
+
+/// Refuses an unknown format, and motions in one that has none.
+fn check_format(format: i64, motions: [(&str, bool); 4]) -> Result<(), KeyError> {
+    if format == i64::from(FORMAT) {
+        let given = motions.into_iter().find(|(_, given)| *given);
+        return given.map_or(Ok(()), |(table, _)| Err(KeyError::key(table, Problem::OldFormat)));
+    }
+    if format == i64::from(FORMAT_OF_MOTIONS) {
+        return Ok(());
+    }
+    Err(KeyError::key("format", Problem::Format { found: format }))
+}
+
 fn read(text: &str, mut reader: Reader<'_, '_>) -> Result<Pattern, KeyError> {
     let bytes = text.len();
     if bytes > MAX_PACKED_BYTES {
@@ -49,38 +86,40 @@ fn read(text: &str, mut reader: Reader<'_, '_>) -> Result<Pattern, KeyError> {
             return Err(KeyError::whole(None, Problem::TooLarge { bytes }));
         }
         check_size(text, MAX_SIZE)?;
-        for (table, given) in [("wave", wave), ("ramp", ramp), ("tone", tone), ("noise", noise)] {
-            if given.is_some() {
-                return Err(KeyError::key(table, Problem::OldFormat));
-            }
-        }
-    } else if format != i64::from(FORMAT_OF_MOTIONS) {
-        return Err(KeyError::key("format", Problem::Format { found: format }));
     }
-    let Table(raw) = from_toml(text, wanted)?;
-    let RawPattern { format: _, name, array, duration_s, drive, wave, ramp, tone, noise, provenance } = raw;
-    let array = match array {
-        None => Array::paper(),
-        Some(name) => {
-            Array::named(&name).map_err(|unknown| KeyError::key("array", Problem::Array(unknown)))?
-        }
-    };
-    let packed: usize = wave.iter().map(|Table(wave)| wave.packed_bytes()).sum();
+    let motions = [("wave", wave), ("ramp", ramp), ("tone", tone), ("noise", noise)];
+    check_format(format, motions.map(|(table, given)| (table, given.is_some())))?;
+    let Table(raw) = from_toml::<RawPattern, _>(text, wanted)?;
+    let packed: usize = raw.wave.iter().map(|Table(wave)| wave.packed_bytes()).sum();
     if bytes - packed > MAX_FILE_BYTES {
         return Err(KeyError::whole(None, Problem::TooLarge { bytes: bytes - packed }));
     }
-    let drives = drive.into_iter().enumerate();
-    let drives = drives.map(|(index, Table(raw))| {
-        raw.drive(array).map_err(|error| error.within(&format!("drive[{index}]")))
-    });
-    let drives = drives.collect::<Result<_, _>>()?;
-    let motions = motions("wave", wave, |raw| raw.motion(array, &mut reader))
-        .chain(motions("ramp", ramp, |raw| raw.motion(array)))
-        .chain(motions("tone", tone, |raw| raw.motion(array)))
-        .chain(motions("noise", noise, |raw| raw.motion(array)));
-    let motions = motions.collect::<Result<_, _>>()?;
-    let format = if format == i64::from(FORMAT) { FORMAT } else { FORMAT_OF_MOTIONS };
-    Pattern { format, name, array, duration_s, drives, motions, waveforms: [].into(), provenance }.checked()
+    raw.pattern(format, &mut reader)
+}
+
+impl RawPattern {
+    fn pattern(self, format: i64, reader: &mut Reader<'_, '_>) -> Result<Pattern, KeyError> {
+        let Self { format: _, name, array, duration_s, drive, wave, ramp, tone, noise, provenance } = self;
+        let array = match array {
+            None => Array::paper(),
+            Some(name) => {
+                Array::named(&name).map_err(|unknown| KeyError::key("array", Problem::Array(unknown)))?
+            }
+        };
+        let drives = drive.into_iter().enumerate();
+        let drives = drives.map(|(index, Table(raw))| {
+            raw.drive(array).map_err(|error| error.within(&format!("drive[{index}]")))
+        });
+        let drives = drives.collect::<Result<_, _>>()?;
+        let motions = motions("wave", wave, |raw| raw.motion(array, reader))
+            .chain(motions("ramp", ramp, |raw| raw.motion(array)))
+            .chain(motions("tone", tone, |raw| raw.motion(array)))
+            .chain(motions("noise", noise, |raw| raw.motion(array)));
+        let motions = motions.collect::<Result<_, _>>()?;
+        let format = if format == i64::from(FORMAT) { FORMAT } else { FORMAT_OF_MOTIONS };
+        Pattern { format, name, array, duration_s, drives, motions, waveforms: [].into(), provenance }
+            .checked()
+    }
 }
 
 /// Whether a line says so: it only decides how much is read before the format is known.

@@ -143,6 +143,40 @@ impl Pattern {
         &self.waveforms
     }
 
+    /// The largest amplitude that a drive asks for, or the largest height that a motion asks for, µm.
+    #[must_use]
+    pub fn largest_um(&self) -> f64 {
+        let heights = self.waveforms.iter().map(|(_, waveform)| waveform.extremes_um()[1]);
+        self.drives.iter().map(|drive| drive.amplitude_um).chain(heights).fold(0.0, f64::max)
+    }
+
+    /// When a pin moves by a drive or a motion: from and until, s, in no order; `None`: until the end of the play.
+    pub fn moving_s(&self) -> impl Iterator<Item = (f64, Option<f64>)> {
+        let moves = |drive: &&Drive| drive.wave(self.array).is_ok_and(|wave| wave.moves());
+        let drives = self.drives.iter().filter(moves);
+        let drives = drives.map(|drive| (drive.start(), drive.stop_s.or(self.duration_s)));
+        let is_high = |motor: u8| {
+            self.waveforms.iter().any(|(of, waveform)| *of == motor && waveform.extremes_um()[1] > 0.0)
+        };
+        let high: Vec<bool> = self.array.numbers().map(is_high).collect();
+        let motions = self.motions.iter().filter(move |motion| high[usize::from(motion.motor)]);
+        drives.chain(motions.map(|motion| {
+            let (from_s, until_s) = motion.form.span_s();
+            (from_s, Some(until_s))
+        }))
+    }
+
+    /// Bytes of the samples and knots of its motions, in memory.
+    #[must_use]
+    pub fn motion_bytes(&self) -> usize {
+        let samples = self.motions.iter().map(|motion| match &motion.form {
+            Form::Wave(wave) => size_of_val(&*wave.um),
+            Form::Ramp(_) | Form::Tone(_) | Form::Noise(_) => 0,
+        });
+        samples.sum::<usize>()
+            + self.waveforms.iter().map(|(_, waveform)| waveform.own_bytes()).sum::<usize>()
+    }
+
     /// [`Self::waveforms`], shared.
     pub(crate) fn shared_waveforms(&self) -> Arc<[(u8, Waveform)]> {
         self.waveforms.clone()

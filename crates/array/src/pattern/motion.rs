@@ -73,6 +73,19 @@ impl Form {
         }
     }
 
+    /// When it begins and ends, s.
+    #[must_use]
+    #[expect(clippy::cast_precision_loss, reason = "a number of samples")]
+    pub fn span_s(&self) -> (f64, f64) {
+        let (start_s, lasts_s) = match self {
+            Self::Wave(wave) => (wave.start_s, wave.um.len().saturating_sub(1) as f64 / wave.rate_hz),
+            Self::Ramp(ramp) => (ramp.start_s, ramp.rise_s + ramp.hold_s + ramp.fall_s),
+            Self::Tone(tone) => (tone.start_s, tone.duration_s),
+            Self::Noise(noise) => (noise.start_s, noise.duration_s),
+        };
+        (start_s, start_s + lasts_s)
+    }
+
     /// Its waveform.
     ///
     /// # Errors

@@ -5,7 +5,7 @@
 //! computed from their number in pattern time, so a stroke is as exact after a month as in the first second. Nothing is allocated
 //! after [`Strokes::new`]. A stroke exists only if its down burst has ended by the `stop_s` of its drive, by the end of the repeat,
 //! and by the end of the play ([`Fit`] says what a play may do at its end). A [`Sequence`] makes strokes of many items, each a
-//! pattern at an exact tick after the onset, with pauses between them. [`LiveStrokes`] makes the strokes of a play whose drives
+//! pattern at an exact tick after the onset, with pauses between them, or at the same time on other motors. [`LiveStrokes`] makes the strokes of a play whose drives
 //! change while it runs. [`reached`] computes what each drive of a pattern reaches, without iterating over its strokes.
 //!
 //! Invariant: strokes of a motor do not overlap, and each is within the controller's limits. Each returns its pin to rest, or by
@@ -13,6 +13,7 @@
 
 mod drive;
 mod error;
+mod followed;
 mod lane;
 mod live;
 mod motion_lane;
@@ -27,9 +28,10 @@ mod stroke;
 
 pub use drive::DriveStrokes;
 pub use error::StrokesError;
+pub use followed::Followed;
 pub use live::LiveStrokes;
 pub use options::{AutoSurplus, Fit, StrokeOptions, Surplus};
-pub use reached::{Ordered, Reached, ordered, reached};
+pub use reached::{Ordered, Reached, motions_over, ordered, reached};
 pub use sequence::{
     CompiledItem, MAX_ITEMS, MAX_SEQUENCE_DRIVES, MIN_ITEM_INTERVAL_MS, Sequence, SequenceError, Start,
 };
@@ -51,12 +53,14 @@ pub struct Strokes {
     array: Array,
     /// The compiled patterns, all for this array.
     runs: Vec<Run>,
-    /// The items, in order of time; at least one.
+    /// The items, in order of their beginnings; at least one.
     items: Arc<[Item]>,
-    /// The current item; before the start, the first one.
-    item: usize,
-    /// Whether the first item has not begun, because a pause comes before it.
-    pausing: bool,
+    /// How many of them have begun.
+    begun: usize,
+    /// The runs that play, and the starts of their items. Items that overlap drive different motors, so there are at most as many.
+    playing: PerMotor<(u32, u64)>,
+    /// How many of these there are.
+    count: usize,
     end: Option<u64>,
     onset: Tick,
     /// Up tick and motor of the last stroke that was returned.
@@ -73,8 +77,8 @@ struct Item {
     start: u64,
     /// The requested end; [`drive::NEVER`] without end.
     end: u64,
-    /// Its compiled pattern.
-    run: usize,
+    /// Its compiled pattern; `None`: it plays nothing.
+    run: Option<u32>,
 }
 
 impl Strokes {
@@ -86,14 +90,15 @@ impl Strokes {
         let run = Run::of(pattern, options)?;
         let end = ordered_end(pattern, options.seconds);
         let covered = end.and_then(|end| run.covers_until(end));
-        let item = Item { start: 0, end: end.unwrap_or(drive::NEVER), run: 0 };
+        let item = Item { start: 0, end: end.unwrap_or(drive::NEVER), run: Some(0) };
         Ok(Self::of(pattern.array(), vec![run], [item].into(), end.max(covered)))
     }
 
     fn of(array: Array, runs: Vec<Run>, items: Arc<[Item]>, end: Option<u64>) -> Self {
-        let (item, onset, last, busy) = (0, Tick(0), (Tick(0), 0), PerMotor::all(array, Tick(0)));
+        let (onset, last, busy) = (Tick(0), (Tick(0), 0), PerMotor::all(array, Tick(0)));
         let driven = PerMotor::from_fn(array, |motor| runs.iter().any(|run| run.drives(motor)));
-        let mut strokes = Self { array, runs, items, item, pausing: false, end, onset, last, busy, driven };
+        let (begun, playing, count) = (0, PerMotor::all(array, (0, 0)), 0);
+        let mut strokes = Self { array, runs, items, begun, playing, count, end, onset, last, busy, driven };
         strokes.begin(Tick(0));
         strokes
     }
@@ -103,14 +108,45 @@ impl Strokes {
         self.onset = onset;
         self.last = (onset, 0);
         self.busy.fill(onset);
-        self.begin_item(0);
-        self.pausing = self.items[0].start > 0;
+        (self.begun, self.count) = (0, 0);
+        if self.items[0].start == 0 {
+            self.begin_item();
+        }
     }
 
-    fn begin_item(&mut self, item: usize) {
-        (self.item, self.pausing) = (item, false);
-        let Item { start, end, run } = self.items[item];
-        self.runs[run].begin(end - start);
+    fn begin_item(&mut self) {
+        let Item { start, end, run } = self.items[self.begun];
+        self.begun += 1;
+        let mut kept = 0;
+        for at in 0..self.count {
+            let (of, start) = self.playing[at];
+            if !self.runs[of as usize].is_over() && Some(of) != run {
+                self.playing[kept] = (of, start);
+                kept += 1;
+            }
+        }
+        self.count = kept;
+        if let Some(run) = run {
+            self.runs[run as usize].begin(end - start);
+            self.playing[self.count] = (run, start);
+            self.count += 1;
+        }
+    }
+
+    /// The runs that play, each with the start of its item.
+    fn playing(&self) -> impl Iterator<Item = (&Run, u64)> {
+        self.playing[..self.count].iter().map(|&(run, start)| (&self.runs[run as usize], start))
+    }
+
+    /// When the next step of an item that has begun begins, ticks from the onset.
+    fn first(&self) -> Option<u64> {
+        self.playing().filter_map(|(run, start)| run.first().map(|(begins, ..)| start + begins)).min()
+    }
+
+    /// Whether no step follows.
+    #[must_use]
+    pub fn is_over(&self) -> bool {
+        self.begun == self.items.len() && self.first().is_none()
     }
 
     /// The array that they are for.
@@ -130,32 +166,46 @@ impl Strokes {
         self.items.iter().map(|item| self.onset + item.start)
     }
 
-    /// The number of the current item.
+    /// The number of the last item that has begun; before, that of the first one.
     #[must_use]
     pub const fn item(&self) -> usize {
-        self.item
+        self.begun.saturating_sub(1)
     }
 
-    /// When the next item begins, if every stroke of the current one was returned and another item follows.
+    /// Whether this item drives a motor.
+    #[must_use]
+    pub fn item_drives(&self, item: usize, motor: u8) -> bool {
+        let run = self.items.get(item).and_then(|item| item.run);
+        run.is_some_and(|run| self.runs[run as usize].drives(motor))
+    }
+
+    /// Whether this item has begun, and all its steps were returned.
+    #[must_use]
+    pub fn item_is_over(&self, item: usize) -> bool {
+        let Some(&Item { start, run, .. }) = self.items.get(item) else { return false };
+        let plays =
+            |&(of, from): &(u32, u64)| Some(of) == run && from == start && !self.runs[of as usize].is_over();
+        item < self.begun && !self.playing[..self.count].iter().any(plays)
+    }
+
+    /// When this item ends, if it plays nothing.
+    #[must_use]
+    pub fn blank_until(&self, item: usize) -> Option<Tick> {
+        self.items.get(item).filter(|item| item.run.is_none()).map(|item| self.onset + item.end)
+    }
+
+    /// When the next item begins, if no step before that follows.
     #[must_use]
     pub fn next_onset(&self) -> Option<Tick> {
-        let next = self.items.get(self.next_number())?;
-        (self.pausing || self.present().is_over()).then(|| self.onset + next.start)
+        let next = self.items.get(self.begun)?;
+        self.first().is_none_or(|first| first >= next.start).then(|| self.onset + next.start)
     }
 
     /// Moves to the next item, if [`Self::next_onset`] has one. The iterator does so by itself, too.
     pub fn next_item(&mut self) {
         if self.next_onset().is_some() {
-            self.begin_item(self.next_number());
+            self.begin_item();
         }
-    }
-
-    fn next_number(&self) -> usize {
-        self.item + usize::from(!self.pausing)
-    }
-
-    fn present(&self) -> &Run {
-        &self.runs[self.items[self.item].run]
     }
 
     /// The end of the play, in ticks from the onset; `None`: without end. With [`Fit::Cover`] this is the later of the requested
@@ -187,10 +237,9 @@ impl Strokes {
     /// there is neither.
     #[must_use]
     pub fn next_up(&self, motor: u8) -> Option<Tick> {
-        let start = self.items[self.item].start;
-        let up = self.present().next_up(motor).filter(|_| !self.pausing).map(|up| start + up);
-        let next_item = || self.items.get(self.next_number()).map(|next| next.start);
-        up.or_else(next_item).map(|up| self.onset + up)
+        let own = self.playing().filter_map(|(run, start)| run.next_up(motor).map(|up| start + up)).min();
+        let next_item = || self.items.get(self.begun).map(|next| next.start);
+        own.or_else(next_item).map(|up| self.onset + up)
     }
 
     /// Checks a step; a stroke of a drive with this surplus.
@@ -226,8 +275,17 @@ impl Iterator for Strokes {
         while self.next_onset().is_some() {
             self.next_item();
         }
-        let Item { start, run, .. } = self.items[self.item];
-        let (step, surplus) = self.runs[run].next(self.onset + start)?;
+        let mut first: Option<(u64, u8, usize, usize)> = None;
+        for (at, (run, start)) in self.playing().enumerate() {
+            if let Some((begins, motor, lane)) = run.first()
+                && first.is_none_or(|first| (start + begins, motor) < (first.0, first.1))
+            {
+                first = Some((start + begins, motor, at, lane));
+            }
+        }
+        let (_, _, at, lane) = first?;
+        let (run, start) = self.playing[at];
+        let (step, surplus) = self.runs[run as usize].take(lane, self.onset + start);
         let checked = self.check(step, surplus);
         if checked.is_err() {
             self.end_here();
@@ -239,9 +297,7 @@ impl Iterator for Strokes {
 impl Strokes {
     /// No stroke follows.
     fn end_here(&mut self) {
-        self.item = self.items.len() - 1;
-        let run = self.items[self.item].run;
-        self.runs[run].end_here();
+        (self.begun, self.count) = (self.items.len(), 0);
     }
 }
 
@@ -255,7 +311,8 @@ pub fn ordered_end(pattern: &Pattern, seconds: Option<f64>) -> Option<u64> {
 /// How long a pattern lasts, s; `None`: without end.
 fn lasts_s(pattern: &Pattern) -> Option<f64> {
     let mut stops = pattern.drives().iter().map(|drive| drive.stop_s);
-    let last_stop = stops.try_fold(pattern.motions_rest_s(), |last: f64, stop| stop.map(|stop| last.max(stop)));
+    let last_stop =
+        stops.try_fold(pattern.motions_rest_s(), |last: f64, stop| stop.map(|stop| last.max(stop)));
     pattern.duration_s().or(last_stop)
 }
 

@@ -97,6 +97,24 @@ fn played(pattern: &Pattern, options: &StrokeOptions) -> Result<Vec<Played>, Str
     drives.collect()
 }
 
+/// When the motions of a play are over, ticks from the onset, to a step of their grid; `None` without motions, or without end.
+#[must_use]
+pub fn motions_over(pattern: &Pattern, options: &StrokeOptions) -> Option<u64> {
+    let rate = pattern.array().rate();
+    let begin = pattern.motions().iter().map(|motion| motion.form.span_s().0).reduce(f64::min)?;
+    let [begin, rest] = [begin, pattern.motions_rest_s()].map(|s| rate.seconds_to_ticks(s));
+    let Some(end) = super::ordered_end(pattern, options.seconds) else {
+        return pattern.duration_s().is_none().then_some(rest);
+    };
+    let last = Repeat::last(pattern.duration_s(), rate, end);
+    let start = if last.start + begin < end || last.number == 0 {
+        last.start
+    } else {
+        Repeat::of(last.number - 1, pattern.duration_s(), rate).start
+    };
+    Some((start + rest).min(end))
+}
+
 /// What each drive of a pattern reaches, in the order of the pattern.
 ///
 /// # Errors

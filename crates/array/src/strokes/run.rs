@@ -16,6 +16,8 @@ use firmware_protocol::tick::Tick;
 #[derive(Clone, Debug)]
 pub(super) struct Run {
     lanes: Vec<AnyLane>,
+    /// The motors of the lanes, a bit each.
+    motors: u64,
     /// When the next step of each lane begins, in pattern time; [`NEVER`] if there is none.
     begins: Vec<u64>,
 }
@@ -64,7 +66,8 @@ impl Run {
             lanes.extend(MotionLane::of_pattern(pattern, grid, options).map(AnyLane::Motions));
             lanes.sort_by_key(AnyLane::motor);
         }
-        Ok(Self { begins: vec![NEVER; lanes.len()], lanes })
+        let motors = lanes.iter().fold(0, |motors, lane| motors | 1 << lane.motor());
+        Ok(Self { begins: vec![NEVER; lanes.len()], lanes, motors })
     }
 
     /// Begins, or begins again, a play that ends at `end`, in pattern time.
@@ -83,12 +86,20 @@ impl Run {
         covered.max()
     }
 
+    /// Its lanes of motions.
+    pub(super) fn motions(&self) -> impl Iterator<Item = &MotionLane> {
+        self.lanes.iter().filter_map(|lane| match lane {
+            AnyLane::Drives(_) => None,
+            AnyLane::Motions(lane) => Some(lane),
+        })
+    }
+
     pub(super) fn is_over(&self) -> bool {
         self.begins.iter().all(|&begins| begins == NEVER)
     }
 
-    pub(super) fn drives(&self, motor: u8) -> bool {
-        self.lanes.iter().any(|lane| lane.motor() == motor)
+    pub(super) const fn drives(&self, motor: u8) -> bool {
+        motor < 64 && (self.motors >> motor) & 1 == 1
     }
 
     pub(super) fn changes_are_apart(&self, ticks: u64) -> bool {
@@ -98,19 +109,15 @@ impl Run {
         })
     }
 
-    pub(super) fn end_here(&mut self) {
-        self.begins.fill(NEVER);
-    }
-
     /// When the next step of `motor` begins, in pattern time.
     pub(super) fn next_up(&self, motor: u8) -> Option<u64> {
         let own = self.lanes.iter().zip(&self.begins).filter(|(lane, _)| lane.motor() == motor);
         own.map(|(_, &begins)| begins).min().filter(|&begins| begins != NEVER)
     }
 
-    /// The next step of a play that began at `onset`, and of a stroke the surplus of its down burst.
+    /// Its next step: when it begins, in pattern time, its motor, and its lane for [`Self::take`].
     #[inline]
-    pub(super) fn next(&mut self, onset: Tick) -> Option<(Step, u16)> {
+    pub(super) fn first(&self) -> Option<(u64, u8, usize)> {
         // Lanes are in order of motor, so among equal ticks the first has the lowest motor number.
         let (mut first, mut earliest) = (0, NEVER);
         for (index, &begins) in self.begins.iter().enumerate() {
@@ -118,17 +125,20 @@ impl Run {
                 (first, earliest) = (index, begins);
             }
         }
-        if earliest == NEVER {
-            return None;
-        }
-        let next = match &self.lanes[first] {
+        (earliest != NEVER).then(|| (earliest, self.lanes[first].motor(), first))
+    }
+
+    /// Takes the next step of a lane, of a play that began at `onset`; and of a stroke the surplus of its down burst.
+    #[inline]
+    pub(super) fn take(&mut self, lane: usize, onset: Tick) -> (Step, u16) {
+        let next = match &self.lanes[lane] {
             AnyLane::Drives(lane) => {
                 let stroke = lane.stroke(onset);
                 (stroke.into(), lane.surplus(stroke.up_pulses))
             }
             AnyLane::Motions(lane) => (lane.step(onset), 0),
         };
-        self.begins[first] = self.lanes[first].advance();
-        Some(next)
+        self.begins[lane] = self.lanes[lane].advance();
+        next
     }
 }

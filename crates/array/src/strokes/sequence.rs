@@ -1,22 +1,23 @@
-//! Many patterns one after the other, at exact ticks: the strokes of a sequence.
+//! Many patterns at exact ticks: the strokes of a sequence.
 //!
-//! [`Sequence::compile`] compiles a pattern once for all items that play it; [`Sequence::add`] places an item; [`Sequence::strokes`]
-//! makes one [`Strokes`] of all. Times are whole nanoseconds from the sequence's onset. Each sum of durations and pauses becomes a
-//! tick once, [`ticks`], so that no rounding error adds up.
+//! [`Sequence::compile`] compiles a pattern once for all items that play it; [`Sequence::add`] places an item, [`Sequence::add_blank`]
+//! one in which nothing is played; [`Sequence::strokes`] makes one [`Strokes`] of all. Times are whole nanoseconds from the sequence's
+//! onset. Each sum of durations and pauses becomes a tick once, [`ticks`], so that no rounding error adds up.
 //!
-//! Invariant: items are in order of time, do not overlap, and each has a stroke.
+//! Invariant: items begin in order of time; items that overlap drive different motors; and each item but a blank one has a stroke.
 
 use super::error::StrokesError;
 use super::options::StrokeOptions;
 use super::run::Run;
 use super::{Item, Strokes, lasts_s};
 use crate::pattern::{MAX_DRIVES, MAX_SECONDS, Pattern};
+use crate::per_motor::PerMotor;
 use crate::spec::Array;
 use crate::units::TickRate;
 
 /// Items of a sequence, at most: an hour of trials of less than a second.
 pub const MAX_ITEMS: usize = 4096;
-/// Drives of the patterns that a sequence compiles, at most: as many as one pattern may have. A pattern counts once for each scale
+/// Drives and motors with motions of the patterns that a sequence compiles, at most: as many as one pattern may have drives. A pattern counts once for each scale
 /// and fit that it is played with.
 pub const MAX_SEQUENCE_DRIVES: usize = MAX_DRIVES;
 /// From the onset of an item to the next, at least, ms. A device keeps at most 8 future onsets.
@@ -28,7 +29,7 @@ const NS_PER_S: u64 = 1_000_000_000;
 /// When an item begins.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Start {
-    /// This long after the end of the item before it, or after the sequence's onset, ms.
+    /// This long after the end of all items before it, or after the sequence's onset, ms.
     Gap(f64),
     /// This long after the sequence's onset, ms.
     At(f64),
@@ -49,7 +50,7 @@ pub enum SequenceError {
     TooManyItems,
     /// More than [`MAX_SEQUENCE_DRIVES`].
     #[error(
-        "the patterns of a sequence have at most {MAX_SEQUENCE_DRIVES} drives together, counted once for each scale and fit: \
+        "the patterns of a sequence have at most {MAX_SEQUENCE_DRIVES} drives and motors with motions together, counted once for each scale and fit: \
          divide the sequence"
     )]
     TooManyDrives,
@@ -65,12 +66,21 @@ pub enum SequenceError {
     /// No stroke fits.
     #[error("no stroke fits: give it more `seconds`, or another `scale`")]
     Empty,
-    /// It begins before the end of the one before.
-    #[error("it begins {:.3} ms before the item before it has ended: begin it later", *.ms)]
+    /// It begins before the end of an earlier item that drives one of its motors.
+    #[error(
+        "it begins {ms:.3} ms before `items[{item}]` has ended, which drives motor {motor}, too: begin it later, or drive other motors"
+    )]
     Overlaps {
         /// How much earlier, ms.
         ms: f64,
+        /// The earlier item, from 0.
+        item: usize,
+        /// A motor that both drive.
+        motor: u8,
     },
+    /// It begins before the onset of the item before it.
+    #[error("it begins before the item before it: put items in order of their beginnings")]
+    Order,
     /// It begins too soon after the onset of the one before.
     #[error("it begins less than 5 ms after the onset of the item before it: begin it later")]
     TooClose,
@@ -85,7 +95,9 @@ pub struct Sequence {
     lasting: Vec<Option<f64>>,
     items: Vec<Item>,
     drives: usize,
-    /// The end of the last item, ns and ticks from the onset.
+    /// Of each motor: when the last item that drives it has ended, ticks from the onset, and the number of that item.
+    busy: PerMotor<(u64, usize)>,
+    /// The latest end of an item, ns and ticks from the onset.
     end_ns: u64,
     end: u64,
 }
@@ -95,7 +107,8 @@ impl Sequence {
     #[must_use]
     pub fn new(array: Array) -> Self {
         let (runs, lasting, items) = (Vec::new(), Vec::new(), Vec::new());
-        Self { array, runs, lasting, items, drives: 0, end_ns: 0, end: 0 }
+        let busy = PerMotor::all(array, (0, 0));
+        Self { array, runs, lasting, items, drives: 0, busy, end_ns: 0, end: 0 }
     }
 
     /// Compiles a pattern with a scale, a fit and a surplus. Its items have their own durations.
@@ -107,7 +120,7 @@ impl Sequence {
         pattern: &Pattern,
         options: &StrokeOptions,
     ) -> Result<CompiledItem, SequenceError> {
-        self.drives += pattern.drives().len();
+        self.drives += pattern.drives().len() + pattern.waveforms().len();
         if self.drives > MAX_SEQUENCE_DRIVES {
             return Err(SequenceError::TooManyDrives);
         }
@@ -126,28 +139,18 @@ impl Sequence {
         seconds: Option<f64>,
         start: Start,
     ) -> Result<(), SequenceError> {
-        if self.items.len() == MAX_ITEMS {
-            return Err(SequenceError::TooManyItems);
-        }
-        let (Start::Gap(ms) | Start::At(ms)) = start;
-        let after = if matches!(start, Start::Gap(_)) { self.end_ns } else { 0 };
-        let start_ns = after.checked_add(ns(ms)?).filter(|&ns| ns <= LONGEST_NS);
-        let start_ns = start_ns.ok_or(SequenceError::Time { ms })?;
+        let (start_ns, start) = self.start(start)?;
         let rate = self.array.rate();
-        let start = ticks(rate, start_ns);
-        if let Some(before) = self.items.last() {
-            if start < self.end {
-                return Err(SequenceError::Overlaps { ms: rate.ticks_to_seconds(self.end - start) * 1e3 });
-            }
-            if start - before.start < rate.of_ms(MIN_ITEM_INTERVAL_MS) {
-                return Err(SequenceError::TooClose);
+        let CompiledItem(run) = compiled;
+        for motor in self.array.numbers().filter(|motor| self.runs[run].drives(*motor)) {
+            let (end, item) = self.busy[usize::from(motor)];
+            if start < end {
+                let ms = rate.ticks_to_seconds(end - start) * 1e3;
+                return Err(SequenceError::Overlaps { ms, item, motor });
             }
         }
-        let CompiledItem(run) = compiled;
         let seconds = seconds.or(self.lasting[run]).ok_or(SequenceError::Endless)?;
-        let ms = seconds * 1e3;
-        let mut end_ns = start_ns.checked_add(ns(ms)?).filter(|&ns| ns <= LONGEST_NS);
-        let end = ticks(rate, end_ns.ok_or(SequenceError::Time { ms })?);
+        let (mut end_ns, end) = self.ends(start_ns, seconds)?;
         let strokes = &mut self.runs[run];
         strokes.begin(end - start);
         if strokes.is_over() {
@@ -155,11 +158,54 @@ impl Sequence {
         }
         let covered = strokes.covers_until(end - start).map_or(0, |covered| start + covered);
         if covered > end {
-            end_ns = Some(first_ns(rate, covered));
+            end_ns = first_ns(rate, covered);
         }
-        self.items.push(Item { start, end, run });
-        (self.end_ns, self.end) = (end_ns.unwrap_or(LONGEST_NS), end.max(covered));
+        let over = (end.max(covered), self.items.len());
+        for motor in self.array.numbers().filter(|motor| self.runs[run].drives(*motor)) {
+            self.busy[usize::from(motor)] = over;
+        }
+        self.items.push(Item { start, end, run: u32::try_from(run).ok() });
+        (self.end_ns, self.end) = (self.end_ns.max(end_ns), self.end.max(over.0));
         Ok(())
+    }
+
+    /// Adds an item in which nothing is played, for example of a catch trial.
+    ///
+    /// # Errors
+    /// What is wrong with the item. The sequence stays unchanged.
+    pub fn add_blank(&mut self, seconds: f64, start: Start) -> Result<(), SequenceError> {
+        let (start_ns, start) = self.start(start)?;
+        let (end_ns, end) = self.ends(start_ns, seconds)?;
+        self.items.push(Item { start, end, run: None });
+        (self.end_ns, self.end) = (self.end_ns.max(end_ns), self.end.max(end));
+        Ok(())
+    }
+
+    /// When the next item begins, ns and ticks from the onset.
+    fn start(&self, start: Start) -> Result<(u64, u64), SequenceError> {
+        if self.items.len() == MAX_ITEMS {
+            return Err(SequenceError::TooManyItems);
+        }
+        let (Start::Gap(ms) | Start::At(ms)) = start;
+        let after = if matches!(start, Start::Gap(_)) { self.end_ns } else { 0 };
+        let start_ns = after.checked_add(ns(ms)?).filter(|&ns| ns <= LONGEST_NS);
+        let start_ns = start_ns.ok_or(SequenceError::Time { ms })?;
+        let (rate, start) = (self.array.rate(), ticks(self.array.rate(), start_ns));
+        if let Some(before) = self.items.last() {
+            let apart = start.checked_sub(before.start).ok_or(SequenceError::Order)?;
+            if apart < rate.of_ms(MIN_ITEM_INTERVAL_MS) {
+                return Err(SequenceError::TooClose);
+            }
+        }
+        Ok((start_ns, start))
+    }
+
+    /// When an item ends that begins then, ns and ticks from the onset.
+    fn ends(&self, start_ns: u64, seconds: f64) -> Result<(u64, u64), SequenceError> {
+        let ms = seconds * 1e3;
+        let end_ns = start_ns.checked_add(ns(ms)?).filter(|&ns| ns <= LONGEST_NS);
+        let end_ns = end_ns.ok_or(SequenceError::Time { ms })?;
+        Ok((end_ns, ticks(self.array.rate(), end_ns)))
     }
 
     /// When each item begins and ends, ticks from the onset.
@@ -240,7 +286,10 @@ mod tests {
         assert_eq!(refused(endless, None, Start::Gap(0.0)), SequenceError::Endless);
         assert_eq!(refused(slow, None, Start::Gap(0.0)), SequenceError::Empty);
         assert_eq!(refused(tap, Some(0.0), Start::Gap(0.0)), SequenceError::Empty);
-        assert_eq!(refused(tap, None, Start::At(99.9)), SequenceError::Overlaps { ms: 8.0 / 85_000.0 * 1e3 });
+        assert_eq!(
+            refused(tap, None, Start::At(99.9)),
+            SequenceError::Overlaps { ms: 8.0 / 85_000.0 * 1e3, item: 0, motor: 5 }
+        );
         assert_eq!(refused(tap, None, Start::Gap(-1.0)), SequenceError::Time { ms: -1.0 });
         assert!(matches!(refused(tap, None, Start::Gap(f64::NAN)), SequenceError::Time { .. }));
         assert!(matches!(refused(tap, Some(2e8), Start::Gap(0.0)), SequenceError::Time { .. }));
@@ -281,8 +330,83 @@ mod tests {
         assert_eq!(size_of::<Item>() * MAX_ITEMS, 96 << 10);
     }
 
+    #[test]
+    fn a_blank_item_has_an_onset_and_an_end_and_no_step() {
+        let mut sequence = Sequence::new(Array::paper());
+        let tap = sequence.compile(&pattern("tap", 5, 100.0, Some(0.1)), &StrokeOptions::default()).unwrap();
+        sequence.add_blank(0.2, Start::Gap(0.0)).unwrap();
+        sequence.add(tap, None, Start::At(50.0)).unwrap();
+        sequence.add_blank(0.1, Start::Gap(0.0)).unwrap();
+        assert!(matches!(sequence.add_blank(-1.0, Start::Gap(0.0)), Err(SequenceError::Time { .. })));
+        assert_eq!(sequence.add_blank(1.0, Start::At(10.0)), Err(SequenceError::Order));
+        let mut strokes = sequence.strokes().unwrap();
+        assert_eq!((strokes.end(), strokes.items(), strokes.item()), (Some(85 * 300), 3, 0));
+        assert_eq!(strokes.onsets().collect::<Vec<_>>(), [0, 85 * 50, 85 * 200].map(Tick));
+        assert_eq!(
+            [0, 1, 2].map(|item| strokes.blank_until(item)),
+            [Some(Tick(85 * 200)), None, Some(Tick(85 * 300))]
+        );
+        assert_eq!([0, 1].map(|item| strokes.item_is_over(item)), [true, false]);
+        let steps: Vec<_> = strokes.by_ref().map(Result::unwrap).collect();
+        assert!(steps.len() == 10 && steps.iter().all(|step| step.motor() == 5));
+        assert!(strokes.item() == 2 && strokes.item_is_over(1) && strokes.is_over());
+    }
+
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(64))]
+
+        /// Items of other motors may overlap: the steps are those of each pattern alone, in order of time and motor. Those of one motor
+        /// may not.
+        #[test]
+        fn overlapping_items_are_merged_in_order_of_time_and_motor(
+            items in prop::collection::vec((0u8..4, 0.02f64..0.5, 5.0f64..120.0), 1..20),
+            onset in 0u64..1 << 40,
+        ) {
+            let of = |motor: u8| pattern("p", 3 * motor, 40.0 + 17.0 * f64::from(motor), None);
+            let mut sequence = Sequence::new(Array::paper());
+            let compiled: Vec<_> =
+                (0..4).map(|motor| sequence.compile(&of(motor), &StrokeOptions::default()).unwrap()).collect();
+            let (mut at_ms, mut busy, mut wanted, mut placed) = (0.0, [0.0; 4], Vec::new(), Vec::new());
+            for (motor, seconds, later_ms) in items {
+                at_ms += later_ms;
+                let added = sequence.add(compiled[usize::from(motor)], Some(seconds), Start::At(at_ms));
+                if at_ms < busy[usize::from(motor)] - 0.02 {
+                    let refused = matches!(added, Err(SequenceError::Overlaps { motor: of, .. }) if of == 3 * motor);
+                    prop_assert!(refused, "{:?}", added);
+                } else if added.is_ok() {
+                    busy[usize::from(motor)] = at_ms + seconds * 1e3;
+                    let Item { start, end, .. } = sequence.items[sequence.items.len() - 1];
+                    let seconds = Array::paper().rate().ticks_to_seconds(end - start);
+                    let mut alone = Strokes::new(&of(motor), &StrokeOptions::lasting(seconds)).unwrap();
+                    alone.begin(Tick(onset + start));
+                    wanted.extend(alone.map(Result::unwrap));
+                    placed.push((Tick(onset + start), 3 * motor));
+                }
+            }
+            prop_assume!(!placed.is_empty());
+            wanted.sort_by_key(|step| (step.begin(), step.motor()));
+            let mut strokes = sequence.strokes().unwrap();
+            strokes.begin(Tick(onset));
+            prop_assert_eq!(strokes.clone().map(Result::unwrap).collect::<Vec<_>>(), wanted.clone());
+            // As the streamer steps: an item is begun before any step that does not come before it.
+            let (mut steps, mut begun) = (Vec::new(), Vec::new());
+            begun.extend(placed.first().filter(|first| first.0 == Tick(onset)).map(|first| first.0));
+            loop {
+                if let Some(next) = strokes.next_onset() {
+                    begun.push(next);
+                    strokes.next_item();
+                    continue;
+                }
+                let Some(Ok(step)) = strokes.next() else { break };
+                prop_assert!(begun.last().is_some_and(|last| step.begin() >= *last));
+                let own = placed.iter().rposition(|item| item.0 <= step.begin() && item.1 == step.motor()).unwrap();
+                prop_assert!(strokes.item_drives(own, step.motor()));
+                steps.push(step);
+            }
+            prop_assert_eq!(steps, wanted);
+            prop_assert_eq!(begun, placed.iter().map(|item| item.0).collect::<Vec<_>>());
+            prop_assert!((0..placed.len()).all(|item| strokes.item_is_over(item)));
+        }
 
         /// Each item plays as its pattern alone would at its onset. Stepping from item to item, as the streamer does, gives the
         /// same strokes.

@@ -73,6 +73,18 @@ pub fn from_toml<'t, T: Deserialize<'t>, P>(text: &'t str, wanted: Wanted) -> Re
         .map_err(|error| data(error.path(), line(error.inner()), error.inner().message(), wanted))
 }
 
+/// Reads keys and values from another source, whose errors tell no place.
+///
+/// # Errors
+/// The first problem, with its key.
+pub fn from_source<'t, T: Deserialize<'t>, S: Deserializer<'t>, P>(
+    source: S,
+    wanted: Wanted,
+) -> Result<Table<T>, KeyError<P>> {
+    serde_path_to_error::deserialize(source)
+        .map_err(|error| data(error.path(), None, &one_line(&error.inner().to_string()), wanted))
+}
+
 /// An error of serde, in the words of [`CommonProblem`].
 fn data<P>(path: &Path, line: Option<usize>, message: &str, wanted: Wanted) -> KeyError<P> {
     let mut keys: Vec<String> = path

@@ -109,7 +109,8 @@ impl Account {
         let played = since(|counters| counters.played).min(planned.saturating_sub(late + refused + replaced));
         let dropped = planned.saturating_sub(late + refused + replaced + played);
         let amended = since(|counters| counters.amended).min(played);
-        BurstCounts { planned, played, late, dropped, refused, replaced, amended }
+        let shortened = since(|counters| counters.shortened).min(played);
+        BurstCounts { planned, played, late, dropped, refused, replaced, amended, shortened }
     }
 
     /// The pulses, with the device's counters `after` the play.
@@ -127,7 +128,8 @@ mod tests {
     use meissner_array::strokes::Stroke;
     use proptest::prelude::*;
 
-    const STROKE: Step = Step::Stroke(Stroke { motor: 3, up: Tick(0), up_pulses: 40, down: Tick(90), down_pulses: 41 });
+    const STROKE: Step =
+        Step::Stroke(Stroke { motor: 3, up: Tick(0), up_pulses: 40, down: Tick(90), down_pulses: 41 });
 
     fn begun(counters: Counters) -> Begun {
         let onset = Onset {
@@ -152,22 +154,22 @@ mod tests {
         #[test]
         fn each_planned_burst_has_one_fate(
             strokes in 0u64..40, late in 0u64..20, refused in 0u64..20,
-            before in prop::array::uniform3(0u64..100), after in prop::array::uniform3(0u64..200),
+            before in prop::array::uniform4(0u64..100), after in prop::array::uniform4(0u64..200),
         ) {
             let mut account = planned(strokes);
             let late = late.min(strokes);
             let refused = refused.min(strokes - late);
             (0..late).for_each(|_| _ = account.late(2, 1.0, LateCause::Link));
             (0..refused).for_each(|_| account.refused(2));
-            let [before, after] = [before, after].map(|[played, replaced, amended]| {
-                Counters { played, replaced, amended, ..Counters::NONE }
+            let [before, after] = [before, after].map(|[played, replaced, amended, shortened]| {
+                Counters { played, replaced, amended, shortened, ..Counters::NONE }
             });
             account.begin(begun(before));
             for after in [Some(&after), None] {
                 let bursts = account.bursts(after);
                 let fates = bursts.played + bursts.late + bursts.dropped + bursts.refused + bursts.replaced;
                 prop_assert_eq!((bursts.planned, fates), (2 * strokes, 2 * strokes));
-                prop_assert!(bursts.amended <= bursts.played);
+                prop_assert!(bursts.amended <= bursts.played && bursts.shortened <= bursts.played);
             }
         }
     }

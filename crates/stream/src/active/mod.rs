@@ -4,7 +4,7 @@
 //! they count: `sent` how far the strokes are sent, `account` what became of them, `cut` why the play was cut.
 //!
 //! Invariant: an item has ended only once the device has accepted or rejected all its strokes and is known to have come to the end
-//! of the last. A play that waits has an onset only if its client asked for one.
+//! of the last, or of a blank item. A play that waits has an onset only if its client asked for one.
 
 mod account;
 mod cut;
@@ -17,6 +17,7 @@ use crate::queues::{At, End, Item, Offset, Onset, Outcome, Play, RestErrors, Sta
 use crate::time::HostInstant;
 use account::{Account, Begun};
 use cut::Cut;
+use firmware_protocol::array::MotorSet;
 use firmware_protocol::message::{Counters, Trigger};
 use firmware_protocol::tick::Tick;
 use meissner_api::{EndCause, LateCause, LateCounts};
@@ -136,8 +137,11 @@ impl Active {
         self.requested = self.requested.or(Some(onset));
         self.play.strokes.begin(onset);
         (self.sent, self.ending) = (Sent::nothing(onset), 0);
-        for (item, onset) in self.play.items.iter_mut().zip(self.play.strokes.onsets()) {
-            *item = Item { onset, last_end: onset, ..Item::new(item.trigger) };
+        self.play.pins.fill(None);
+        let strokes = &self.play.strokes;
+        for ((number, item), onset) in self.play.items.iter_mut().enumerate().zip(strokes.onsets()) {
+            let last_end = strokes.blank_until(number).unwrap_or(onset);
+            *item = Item { onset, last_end, ..Item::new(item.trigger) };
         }
         self.account.offer(wire);
     }
@@ -228,10 +232,16 @@ impl Active {
         sent.take_while(|item| item.onset >= tick).count()
     }
 
-    /// The item that a stroke with this up tick belongs to.
-    fn item_at(&mut self, up: Tick) -> Option<&mut Item> {
-        let after = self.play.items.partition_point(|item| item.onset <= up);
-        self.play.items.get_mut(after.saturating_sub(1))
+    /// The number of the item that a step of this motor belongs to: the last one before it that drives the motor.
+    fn item_of(&self, motor: u8, begin: Tick) -> Option<usize> {
+        let after = self.play.items.partition_point(|item| item.onset <= begin);
+        (0..after).rev().find(|&item| self.play.strokes.item_drives(item, motor))
+    }
+
+    /// The item that a step of this motor belongs to.
+    fn item_at(&mut self, motor: u8, begin: Tick) -> Option<&mut Item> {
+        let item = self.item_of(motor, begin)?;
+        self.play.items.get_mut(item)
     }
 
     /// The device has reported an onset, perhaps that of an item of this play.
@@ -256,25 +266,27 @@ impl Active {
         let concerned = self.onset.is_some_and(|onset| onset < tick);
         if concerned && self.cut.report() {
             self.note_ends_until(tick, clock);
-            let ended = self.play.items.iter_mut().take(self.ending);
-            for item in ended.rev().take_while(|item| item.last_end > tick) {
+            for item in self.play.items.iter_mut().filter(|item| item.last_end > tick) {
                 item.ended = None;
             }
         }
     }
 
     fn note_ends_until(&mut self, tick: Tick, clock: &ClockEstimate) {
-        let sending = self.sent.item();
-        let begun = self.play.items.get(sending).is_some_and(|item| item.planned > 0);
-        let all = begun && self.next_onset().is_some();
         let sent = match self.phase {
             Phase::Streamed => self.play.items.len(),
-            _ => sending + usize::from(all),
+            _ => self.sent.item() + 1,
         };
-        let items = self.play.items.iter_mut().take(sent).skip(self.ending);
-        for item in items.take_while(|item| item.undecided == 0 && item.last_end <= tick) {
-            item.ended = Some(Stamp::new(item.last_end, clock));
-            self.ending += 1;
+        let pending = self.sent.pending().and_then(|step| self.item_of(step.motor(), step.begin()));
+        // Items that overlap need not end in their order.
+        for number in self.ending..sent.min(self.play.items.len()) {
+            let is_sent = self.phase == Phase::Streamed
+                || (pending != Some(number) && self.play.strokes.item_is_over(number));
+            let item = &mut self.play.items[number];
+            if item.ended.is_none() && is_sent && item.undecided == 0 && item.last_end <= tick {
+                item.ended = Some(Stamp::new(item.last_end, clock));
+            }
+            self.ending += usize::from(number == self.ending && item.ended.is_some());
         }
     }
 
@@ -312,7 +324,7 @@ impl Active {
     pub(super) fn plan(&mut self, step: &Step, sent: bool) {
         self.sent.count(step, sent);
         self.account.plan(step);
-        if let Some(item) = self.play.items.get_mut(self.sent.item()) {
+        if let Some(item) = self.item_at(step.motor(), step.begin()) {
             item.planned += 1;
             item.undecided += u32::from(sent);
         }
@@ -321,7 +333,15 @@ impl Active {
     /// The device has accepted or rejected a step sent.
     pub(super) fn decided(&mut self, step: &Step, accepted: bool) {
         self.sent.decided();
-        let Some(item) = self.item_at(step.begin()) else { return };
+        if accepted
+            && step.bursts().next().is_some()
+            && let Some(pin) = self.play.pins.get_mut(usize::from(step.motor()))
+        {
+            // Verdicts come in the order of the steps.
+            let first = pin.map_or(step.begin(), |[first, _]| first);
+            *pin = Some([first, pin.map_or(step.end(), |[_, end]| end.max(step.end()))]);
+        }
+        let Some(item) = self.item_at(step.motor(), step.begin()) else { return };
         item.undecided = item.undecided.saturating_sub(1);
         if accepted {
             // Verdicts come in the order of the steps.
@@ -330,15 +350,28 @@ impl Active {
         }
     }
 
-    /// The device has refused, as it began, a stroke that it had accepted. `others` gives the first start and the last end of the
-    /// other strokes of the item.
-    pub(super) fn refused_as_begun(&mut self, up: Tick, moves: u64, others: impl FnOnce(Span) -> [Option<Tick>; 2]) {
-        self.refused(up, moves);
-        let play = self.until();
-        let after = self.play.items.partition_point(|item| item.onset <= up);
-        let until = self.play.items.get(after).map_or(play, |next| next.onset);
-        let Some(item) = self.play.items.get_mut(after.saturating_sub(1)) else { return };
-        let [first, last] = others(Span { from: item.onset, until: until.min(item.last_end), play });
+    /// The device has refused, as it began, a stroke that it had accepted. `queued` is the first start and the last end of what its motor
+    /// still has, and `others` gives those of the other strokes of the item.
+    pub(super) fn refused_as_begun(
+        &mut self,
+        (motor, up): (u8, Tick),
+        moves: u64,
+        queued: [Option<Tick>; 2],
+        others: impl FnOnce(Span) -> [Option<Tick>; 2],
+    ) {
+        self.refused(motor, up, moves);
+        if let Some(pin) = self.play.pins.get_mut(usize::from(motor))
+            && let Some([first, _]) = *pin
+        {
+            let first = if first == up { queued[0] } else { Some(first) };
+            *pin = first.map(|first| [first, queued[1].unwrap_or(up)]);
+        }
+        let (play, Some(number)) = (self.until(), self.item_of(motor, up)) else { return };
+        let strokes = &self.play.strokes;
+        let own = strokes.motors().filter(|motor| strokes.item_drives(number, *motor));
+        let motors = MotorSet::from_bits(own.fold(0, |motors, motor| motors | 1 << motor));
+        let Some(item) = self.play.items.get_mut(number) else { return };
+        let [first, last] = others(Span { from: item.onset, until: item.last_end, motors, play });
         if item.first_up == Some(up) {
             item.first_up = first;
         }
@@ -347,16 +380,16 @@ impl Active {
 
     /// Counts a late step; returns the counts so far.
     pub(super) fn late(&mut self, step: &Step, late_ms: f64, cause: LateCause) -> LateCounts {
-        if let Some(item) = self.item_at(step.begin()) {
+        if let Some(item) = self.item_at(step.motor(), step.begin()) {
             item.late += 1;
         }
         self.account.late(step.moves() as u64, late_ms, cause)
     }
 
     /// Counts a refused step of so many moves that begins at this tick.
-    pub(super) fn refused(&mut self, up: Tick, moves: u64) {
+    pub(super) fn refused(&mut self, motor: u8, up: Tick, moves: u64) {
         self.account.refused(moves);
-        if let Some(item) = self.item_at(up) {
+        if let Some(item) = self.item_at(motor, up) {
             item.refused += 1;
         }
     }
@@ -384,7 +417,12 @@ impl Active {
     /// Closes the account with what is known at its end.
     pub(super) fn close(self, ending: Ending) -> (u64, Outcome) {
         let Ending { after, wire, offset, cut, rest, estimated } = ending;
-        let Self { play, phase, onset, mut account, cut: why, .. } = self;
+        let Self { mut play, phase, onset, mut account, cut: why, .. } = self;
+        if let Some(cut) = cut {
+            for pin in play.pins.iter_mut() {
+                *pin = pin.filter(|[first, _]| *first < cut).map(|[first, end]| [first, end.min(cut)]);
+            }
+        }
         let (cause, board) = (why.into_cause(), account.board().close());
         let begun = account.begun();
         let started = begun.map(|begun| begun.onset);

@@ -14,7 +14,7 @@ use meissner_array::strokes::{Step, StrokesError};
 pub(super) struct Sent {
     /// The next step, once it is taken from the source.
     next: Option<Step>,
-    /// The item whose steps are being sent.
+    /// The last item that has begun.
     item: usize,
     /// Steps sent without a verdict.
     undecided: u64,
@@ -50,12 +50,17 @@ impl Sent {
         self.next.filter(|next| next.motor() == motor).map(|next| next.begin())
     }
 
-    /// When the next item begins, if all steps of the present one are counted.
+    /// The next step, if it is taken from the source.
+    pub(super) const fn pending(&self) -> Option<&Step> {
+        self.next.as_ref()
+    }
+
+    /// When the next item begins, if no step before that follows.
     pub(super) fn next_onset(&self, source: &Source) -> Option<Tick> {
         if self.next.is_some() { None } else { source.next_onset() }
     }
 
-    /// The steps of this item follow.
+    /// This item has begun.
     pub(super) const fn begin_item(&mut self, item: usize) {
         self.item = item;
     }

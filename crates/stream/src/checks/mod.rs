@@ -8,10 +8,12 @@
 
 mod at_once;
 mod density;
+mod hold;
 mod pushing;
 
 pub use at_once::find_too_many;
 pub use density::{Dense, find_dense};
+pub use hold::find_longest_hold;
 pub use pushing::{Overpush, find_overpush};
 
 use firmware_protocol::tick::Tick;

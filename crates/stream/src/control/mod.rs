@@ -44,6 +44,8 @@ const REPORTED_MS: u64 = 50;
 pub(super) struct Span {
     pub(super) from: Tick,
     pub(super) until: Tick,
+    /// Those of these motors.
+    pub(super) motors: MotorSet,
     /// The end of the play.
     pub(super) play: Tick,
 }
@@ -268,14 +270,27 @@ impl PositionControl {
     /// Of the strokes of `span` that the device has accepted: the first start of those not known to be over, and the last end of
     /// all.
     pub(super) fn span(&self, span: Span) -> [Option<Tick>; 2] {
-        let Span { from, until, play } = span;
-        let queued = self.motors.iter().flat_map(BurstController::in_device).map(|(burst, _)| burst);
+        let Span { from, until, motors, play } = span;
+        let of_item = self.motors.iter().zip(0..).filter(|(_, motor)| motors.contains(*motor));
+        let queued = of_item.flat_map(|(motor, _)| motor.in_device()).map(|(burst, _)| burst);
         let bursts = queued.filter(|burst| burst.start >= from && burst.start < until);
         let gone = self.account.over.iter().find(|(of, _)| *of == play).map(|(_, over)| *over);
         let gone = gone.filter(|&over| over > from && over <= until);
         bursts.fold([None, gone], |[first, last], burst| {
             let start = burst.start;
             [Some(first.map_or(start, |first: Tick| first.min(start))), last.max(Some(burst.end()))]
+        })
+    }
+
+    /// Of what a motor has after a tick in the device: the first start and the last end.
+    pub(super) fn queued(&self, motor: u8, after: Tick) -> [Option<Tick>; 2] {
+        let of_motor = self.motors.get(usize::from(motor)).into_iter().flat_map(BurstController::in_device);
+        let bursts = of_motor.map(|(burst, _)| burst).filter(|burst| burst.start > after);
+        bursts.fold([None, None], |[first, last], burst| {
+            [
+                Some(first.map_or(burst.start, |first: Tick| first.min(burst.start))),
+                last.max(Some(burst.end())),
+            ]
         })
     }
 

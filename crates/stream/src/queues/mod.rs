@@ -30,7 +30,7 @@ pub use estop::{ESTOP_TICKETS, EStopSwitch};
 pub use live::{Applied, LiveResult, LiveUpdate};
 pub use message::{Command, Emit, Request, StreamEvent};
 pub use outcome::{End, Offset, Onset, Outcome, RestErrors, Snapshot};
-pub use play::{At, Item, Play, Stamp};
+pub use play::{At, HOLD_ALWAYS, Item, Play, Stamp};
 
 /// Most requests that wait. The model checker has small queues, so that they become full.
 const COMMANDS: usize = if cfg!(loom) { 2 } else { 64 };

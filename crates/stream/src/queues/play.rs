@@ -9,6 +9,7 @@ use crate::time::HostInstant;
 use firmware_protocol::message::Trigger;
 use firmware_protocol::tick::Tick;
 use meissner_api::LatePolicy;
+use meissner_array::per_motor::PerMotor;
 use std::time::Duration;
 
 /// When a play begins.
@@ -108,7 +109,14 @@ pub struct Play {
     pub live: Option<Duration>,
     /// The bandwidth it requires; [`Bandwidth::default`] requires none.
     pub bandwidth: Bandwidth,
+    /// How long a pin may stay above rest without a pulse, ticks: the device then lowers it. [`HOLD_ALWAYS`]: as long as the device allows.
+    pub hold: u32,
+    /// The pulses of each motor that the device accepted: the first, and the first tick after the last; `None`: it did not move.
+    pub pins: PerMotor<Option<[Tick; 2]>>,
 }
+
+/// A pin may stay above rest without a pulse for as long as the device allows.
+pub const HOLD_ALWAYS: u32 = u32::MAX;
 
 impl Play {
     /// A play of one item as soon as possible, with corrections: late strokes are dropped, the trigger output gives a pulse, and
@@ -117,6 +125,8 @@ impl Play {
     pub fn new(id: u64, strokes: impl Into<Source>) -> Self {
         let strokes = strokes.into();
         Self {
+            pins: PerMotor::all(strokes.array(), None),
+            hold: HOLD_ALWAYS,
             id,
             items: vec![Item::new(Some(strokes.array().layout().trigger_pulse()))],
             strokes,

@@ -117,7 +117,8 @@ impl Streamer {
                 let moves = self.control.refused_as_begun(motor, up);
                 let Self { plays, control, .. } = self;
                 if let Some(active) = owner(plays, up) {
-                    active.refused_as_begun(up, moves, |span| control.span(span));
+                    let queued = control.queued(motor, up);
+                    active.refused_as_begun((motor, up), moves, queued, |span| control.span(span));
                     let id = active.play().id;
                     emit.event(StreamEvent::StrokeRefused { id, motor, up, reason });
                 }
@@ -210,7 +211,7 @@ impl Streamer {
         match verdict {
             Verdict::Accepted | Verdict::Superseded => {}
             Verdict::Refused(reason) => {
-                active.refused(up, step.moves() as u64);
+                active.refused(motor, up, step.moves() as u64);
                 emit.event(StreamEvent::StrokeRefused { id, motor, up, reason });
             }
             Verdict::Late { rendered, .. } => self.late(now, step, rendered, cause, emit),

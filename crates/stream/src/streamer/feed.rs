@@ -121,7 +121,7 @@ impl Streamer {
         active.offer(onset, wire);
         if let Some(session) = &mut self.session {
             active.board().begins(session.ask_board(), self.known.board());
-            session.begin(onset, active.trigger());
+            session.begin(onset, active.trigger(), active.play().hold);
         }
     }
 
@@ -149,7 +149,7 @@ impl Streamer {
                     self.fed_until = onset;
                     return Fed::Blocked;
                 }
-                session.mark(onset, active.send_next_item());
+                session.mark(onset, active.send_next_item(), active.play().hold);
                 continue;
             }
             let step = match active.next_step() {

@@ -16,7 +16,7 @@ use axum::extract::rejection::PathRejection;
 use axum::extract::{Extension, Path, State};
 use axum::http::{StatusCode, Uri};
 use axum::response::Response;
-use meissner_api::{Code, ImportedPattern, MAX_BODY, Problem, RemovedPattern, is_sha256};
+use meissner_api::{Code, ImportedPattern, MAX_PACKED_BODY, Problem, RemovedPattern, is_sha256};
 use serde_json::json;
 
 pub(in crate::daemon::http) async fn list(State(app): State<App>) -> Answer<Response> {
@@ -53,7 +53,7 @@ pub(in crate::daemon::http) async fn import(
         logged.set_title(format!("import of {shown:?}"));
         let replace = replaces(&uri)?;
         logged.set_arguments(&json!({"name": shown, "replace": replace}));
-        let (text, _place) = body::read_file(body, MAX_BODY).await?;
+        let (text, _places) = body::read_file(body, MAX_PACKED_BODY).await?;
         let text = String::from_utf8(text)
             .map_err(|_| Problem::new(Code::BadPattern, "not UTF-8 text: write patterns as TOML in UTF-8"))?;
         app.engine.lock().check_asker()?;

@@ -10,15 +10,18 @@ use crate::daemon::sockets::activity::Activity;
 use crate::daemon::system::runtime::PLAYS;
 use crate::receipts::KEPT;
 use crate::session_record::Peer;
+use crate::store::Stored;
 use axum::Json;
 use axum::body::Body;
 use axum::extract::rejection::PathRejection;
 use axum::extract::{Extension, Path, State};
 use axum::http::{StatusCode, Uri};
 use meissner_api::{
-    Code, MAX_BODY, MAX_WAIT_S, PlayAccepted, PlayRequest, Problem, Receipt, SequenceRequest,
+    Code, MAX_PACKED_BODY, MAX_WAIT_S, PatternChoice, PlayAccepted, PlayRequest, Problem, Receipt,
+    SequenceRequest,
 };
-use serde_json::json;
+use serde_json::{Map, Value, json};
+use std::collections::HashMap;
 use std::pin::pin;
 use std::sync::Arc;
 use std::time::Duration;
@@ -30,13 +33,35 @@ pub(in crate::daemon::http) async fn play(
 ) -> Answer<(StatusCode, Json<PlayAccepted>)> {
     let mut logged = LoggedRequest::new(&app.engine, "play", peer);
     let result = async {
-        let mut request = PlayRequest::parse(&body::read_command(body).await?)?;
+        let (body, _places) = body::read_file(body, MAX_PACKED_BODY).await?;
+        let mut request = if body.len() <= body::MAX_COMMAND {
+            PlayRequest::parse(&body)?
+        } else {
+            PLAYS.computing(move || PlayRequest::parse(&body)).await??
+        };
+        let inline = match std::mem::take(&mut request.pattern) {
+            PatternChoice::Inline(keys) => {
+                let stored = inline(&app, keys).await?;
+                // The record has the hash, and keeps the text.
+                request.pattern = stored.pattern.name().into();
+                request.pattern_sha256 = Some(stored.sha256.clone());
+                Some(stored)
+            }
+            named => {
+                request.pattern = named;
+                None
+            }
+        };
         logged.set_arguments(&request);
         request.session = app.engine.lock().session_of_play(request.session.as_deref())?;
         logged.set_arguments(&request);
-        let (stored, _place) =
-            find(app.store.get(), &app.engine, &PLAYS, &request.pattern, request.pattern_sha256.as_deref())
-                .await?;
+        let (stored, _place) = match inline {
+            Some(stored) => (stored, None),
+            None => {
+                let (name, sha256) = (request.pattern.name(), request.pattern_sha256.as_deref());
+                find(app.store.get(), &app.engine, &PLAYS, name, sha256).await?
+            }
+        };
         let accepted = app.engine.play(&request, stored, peer).await?;
         logged.set_play(accepted.id);
         Ok((StatusCode::ACCEPTED, Json(accepted)))
@@ -45,8 +70,14 @@ pub(in crate::daemon::http) async fn play(
     logged.result(result)
 }
 
+/// The pattern that a request holds.
+async fn inline(app: &App, keys: Box<Map<String, Value>>) -> Result<Stored, Problem> {
+    let (store, array) = (app.store.get(), app.engine.lock().settings.array);
+    Ok(PLAYS.computing(move || store.inline(*keys, array)).await??)
+}
+
 /// The request as the session record keeps it: only the number of its items, because their ends record the rest.
-fn asked_of_sequence(request: &SequenceRequest) -> serde_json::Value {
+fn asked_of_sequence(request: &SequenceRequest) -> Value {
     let SequenceRequest { items, name, at_tick, at_ms, at_monotonic_ns, session, trial, labels, .. } =
         request;
     json!({
@@ -63,11 +94,30 @@ pub(in crate::daemon::http) async fn sequence(
 ) -> Answer<(StatusCode, Json<PlayAccepted>)> {
     let mut logged = LoggedRequest::new(&app.engine, "sequence", peer);
     let result = async {
-        let (body, _place) = body::read_file(body, MAX_BODY).await?;
+        let (body, _places) = body::read_file(body, MAX_PACKED_BODY).await?;
         let mut request = PLAYS.computing(move || SequenceRequest::parse(&body)).await??;
+        let mut inlines: HashMap<String, Stored> = HashMap::new();
+        for (number, item) in request.items.iter_mut().enumerate() {
+            let Some(PatternChoice::Inline(keys)) =
+                item.pattern.take_if(|pattern| pattern.inline().is_some())
+            else {
+                continue;
+            };
+            let stored = inline(&app, keys).await;
+            let stored = stored.map_err(|problem| Problem {
+                detail: format!("`items[{number}]`: {}", problem.detail),
+                ..problem
+            })?;
+            item.pattern = Some(stored.pattern.name().into());
+            item.pattern_sha256 = Some(stored.sha256.clone());
+            inlines.insert(stored.sha256.clone(), stored);
+        }
         request.session = app.engine.lock().session_of_play(request.session.as_deref())?;
         logged.set_arguments(&asked_of_sequence(&request));
         let find = async |name: String, sha256: Option<String>| {
+            if let Some(stored) = sha256.as_ref().and_then(|sha256| inlines.get(sha256)) {
+                return Ok((stored.clone(), None));
+            }
             find(app.store.get(), &app.engine, &PLAYS, &name, sha256.as_deref()).await
         };
         let accepted = app.engine.sequence(&request, peer, find).await?;

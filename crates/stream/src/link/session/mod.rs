@@ -97,9 +97,6 @@ pub struct Session {
     asking: BoardRequests,
 }
 
-/// A stroke may be held for as long as its drive's frequency says: the device's longest hold bounds it.
-const HOLD_ALWAYS: u32 = u32::MAX;
-
 impl Session {
     /// A session with a device of this array, over a line of this rate; `id` is a random number. It begins with the handshake.
     #[must_use]
@@ -253,15 +250,16 @@ impl Session {
     }
 
     /// Begins a play: the next strokes go into a frame of their own, which the device takes whole or not at all.
-    /// Once that frame is sealed, nothing can be pushed until the device answers it.
-    pub fn begin(&mut self, onset: Tick, trigger: Option<Trigger>) {
-        self.outbox.begin(onset, Mark { kind: MarkKind::Play, trigger, hold: HOLD_ALWAYS });
+    /// Once that frame is sealed, nothing can be pushed until the device answers it. After `hold` ticks above rest without a pulse, the
+    /// device lowers a pin; its own bound may be lower.
+    pub fn begin(&mut self, onset: Tick, trigger: Option<Trigger>, hold: u32) {
+        self.outbox.begin(onset, Mark { kind: MarkKind::Play, trigger, hold });
     }
 
     /// Marks the onset of a later item of a play: the next strokes go into a frame of their own. The device reports the mark
     /// when it has passed.
-    pub fn mark(&mut self, onset: Tick, trigger: Option<Trigger>) {
-        self.outbox.begin(onset, Mark { kind: MarkKind::Item, trigger, hold: HOLD_ALWAYS });
+    pub fn mark(&mut self, onset: Tick, trigger: Option<Trigger>, hold: u32) {
+        self.outbox.begin(onset, Mark { kind: MarkKind::Item, trigger, hold });
     }
 
     /// Withdraws what these motors have queued from `from` on. The strokes pushed next take their place, each motor's from its
