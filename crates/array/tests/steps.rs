@@ -28,16 +28,15 @@ const RAMP: &str = "[[ramp]]\nmotor = 9\nto_um = 100.0\nrise_s = 0.1\nhold_s = 0
 
 #[test]
 fn a_pattern_without_repeats_has_the_moves_of_its_waveforms() {
-    let text = format!(
-        "{RAMP}[[noise]]\nmotor = 3\nlow_hz = 5.0\nhigh_hz = 50.0\nrms_um = 10.0\nduration_s = 1.0\nseed = 4\n"
-    );
+    let text = format!("{RAMP}[[noise]]\nmotor = 3\nlow_hz = 5.0\nhigh_hz = 50.0\nrms_um = 10.0\nduration_s = 1.0\nseed = 4\n");
     let pattern = pattern(&text);
     let waveforms = pattern.waveforms().iter().map(|(motor, waveform)| (*motor, waveform));
     let grid = choose(pattern.array(), waveforms, None).unwrap();
     let found = steps(&pattern, &StrokeOptions::default());
     for (motor, waveform) in pattern.waveforms() {
-        let wanted: Vec<_> =
-            Moves::new(pattern.array(), *motor, waveform, grid).map(|of| (of.tick.0, of.level)).collect();
+        let wanted: Vec<_> = Moves::new(pattern.array(), *motor, waveform, grid)
+            .map(|of| (of.tick.0, of.level))
+            .collect();
         let found = moves(&found, *motor);
         // At the end of the play the pin is down: the last steps may be lower.
         let same = found.iter().zip(&wanted).take_while(|(a, b)| a == b).count();
@@ -52,8 +51,7 @@ fn a_waveform_whose_ends_meet_is_repeated_without_a_seam() {
     let text = "duration_s = 0.5\n[[tone]]\nmotor = 2\nfrequency_hz = 10.0\namplitude_um = 40.0\nabout_um = 60.0\nduration_s = 0.5\n";
     let found = moves(&steps(&pattern(text), &StrokeOptions::lasting(5.0)), 2);
     let within = found.iter().filter(|(tick, _)| (8_500..410_000).contains(tick));
-    let (low, high) =
-        within.fold((u16::MAX, 0), |(low, high), (_, level)| (low.min(*level), high.max(*level)));
+    let (low, high) = within.fold((u16::MAX, 0), |(low, high), (_, level)| (low.min(*level), high.max(*level)));
     assert!((290..310).contains(&low) && (575..600).contains(&high), "{low} to {high}");
     assert_eq!(found.last().unwrap().1, 0);
 }
