@@ -20,7 +20,9 @@ use folder::{Folder, Make, check_name, check_new_name};
 use in_use::InUse;
 use include_dir::{Dir, include_dir};
 use meissner_api::pattern_choice::INLINE;
-use meissner_api::{MAX_LISTED, MAX_PACKED_BODY, Mapping, PatternList, PatternSummary, RailLoad, ReachedDrive};
+use meissner_api::{
+    MAX_LISTED, MAX_PACKED_BODY, Mapping, PatternList, PatternSummary, RailLoad, ReachedDrive,
+};
 use meissner_array::pattern::{FORMAT_OF_MOTIONS, Mapped, Pattern, PatternError};
 use meissner_array::power::{CAPACITANCE_NF, RailPulses, current_ma, rail_pulses};
 use meissner_array::spec::Array;
@@ -262,7 +264,9 @@ impl Store {
     /// The pattern in a file of the directory.
     fn parse(&self, bytes: &[u8], path: &Path) -> Result<Stored, StoreError> {
         let sha256 = hash(bytes);
-        let pattern = self.in_use.get(&sha256, || Ok::<_, StoreError>(Arc::new(parse(self.folder.text(bytes, path)?, path)?)))?;
+        let pattern = self
+            .in_use
+            .get(&sha256, || Ok::<_, StoreError>(Arc::new(parse(self.folder.text(bytes, path)?, path)?)))?;
         Ok(Stored::new(pattern, bytes, false))
     }
 

@@ -133,7 +133,11 @@ fn the_page_is_well_formed_and_has_a_section_for_every_pattern() {
         let moves = |target: &TargetFigures| target.frames.iter().any(|frame| frame.start_s.is_some());
         let moves = pattern.target.as_ref().is_some_and(moves);
         let motions = pattern.followed.is_some();
-        assert_eq!(page.matches(&command).count(), 2 + usize::from(moves) + usize::from(motions), "{command}");
+        assert_eq!(
+            page.matches(&command).count(),
+            2 + usize::from(moves) + usize::from(motions),
+            "{command}"
+        );
         let link =
             format!("<li><a href=\"#pattern-{0}\"><img src=\"pattern-{0}-overview.svg\"", pattern.name);
         assert!(

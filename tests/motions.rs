@@ -37,7 +37,10 @@ fn an_inline_pattern_is_played_told_and_kept_like_a_stored_one() {
     // Told after: one pin moved, a little after the onset, and came to rest within the play.
     let [pin] = receipt.pins.clone().unwrap()[..] else { panic!("{:?}", receipt.pins) };
     let onset = receipt.onset.unwrap().actual_tick;
-    assert!(pin.motor == 9 && pin.first_pulse_tick > onset && pin.first_pulse_tick < onset + 85 * 20, "{pin:?}");
+    assert!(
+        pin.motor == 9 && pin.first_pulse_tick > onset && pin.first_pulse_tick < onset + 85 * 20,
+        "{pin:?}"
+    );
     assert_eq!(Some(pin.offset_tick), receipt.offset.map(|offset| offset.tick));
     assert!((25_000..27_000).contains(&(pin.offset_tick - onset)), "{pin:?} after {onset}");
     // The hash is that of the text that the session record keeps, and it is the same for the same content.
@@ -65,12 +68,24 @@ fn what_no_pin_can_do_is_refused_in_one_line_and_nothing_moves() {
     });
     let many = json!({"ramp": (0..5000).map(|at| json!({"motor": 9, "to_um": 1.0, "rise_s": 0.1, "start_s": at})).collect::<Vec<_>>()});
     for (pattern, code, says) in [
-        (wave(json!([0.0, -1.0, 0.0])), "bad-pattern", "inline: wave 1: motor 9 goes to -1.000 um at 1.01 s, sample 1"),
-        (wave(json!([0.0, 401.0])), "bad-pattern", "motor 9 goes to 401.000 um at 1.01 s, sample 1: must be 0 to 400 um"),
+        (
+            wave(json!([0.0, -1.0, 0.0])),
+            "bad-pattern",
+            "inline: wave 1: motor 9 goes to -1.000 um at 1.01 s, sample 1",
+        ),
+        (
+            wave(json!([0.0, 401.0])),
+            "bad-pattern",
+            "motor 9 goes to 401.000 um at 1.01 s, sample 1: must be 0 to 400 um",
+        ),
         (wave(json!([0.0, null])), "bad-pattern", "wave 1: `um[1]` is null: must be a number"),
         (packed("AAAAAAAAwH8="), "bad-pattern", "motor 9: sample 1 at 0.01 s is NaN: must be a number"),
         (packed("AAAAAAAAgH8="), "bad-pattern", "motor 9: sample 1 at 0.01 s is inf"),
-        (json!({"ramp": [ramp(0.0), ramp(0.05)]}), "bad-pattern", "as the sum of ramp 1, ramp 2: must be 0 to 400 um"),
+        (
+            json!({"ramp": [ramp(0.0), ramp(0.05)]}),
+            "bad-pattern",
+            "as the sum of ramp 1, ramp 2: must be 0 to 400 um",
+        ),
         (crossing, "bad-pattern", "drive 1 plays then"),
         (many, "bad-pattern", "5000 motions are too many"),
         (json!({"ramp": [{"motor": 24, "to_um": 1.0, "rise_s": 0.1}]}), "bad-pattern", "`motor` is 24"),
@@ -83,7 +98,8 @@ fn what_no_pin_can_do_is_refused_in_one_line_and_nothing_moves() {
         let refused = problem(client.post("/v1/play", &json!({"pattern": pattern})));
         assert!(refused.code == code && refused.detail.contains(says), "{says}: {refused:?}");
         assert!(!refused.detail.contains('\n'));
-        let item = json!({"items": [{"pattern": "pin-60", "seconds": 0.1}, {"pattern": pattern, "gap_ms": 10}]});
+        let item =
+            json!({"items": [{"pattern": "pin-60", "seconds": 0.1}, {"pattern": pattern, "gap_ms": 10}]});
         let refused = problem(client.post("/v1/sequence", &item));
         assert!(refused.detail.starts_with("`items[1]`"), "{refused:?}");
     }
@@ -138,7 +154,8 @@ fn a_hold_is_bounded_and_the_device_ends_it() {
     let mut client = daemon.armed();
     let refused = problem(client.post("/v1/play", &json!({"pattern": press(), "hold_ms": 100})));
     assert!(
-        refused.code == "bad-request" && refused.detail.starts_with("`hold_ms` is 100: the play keeps a pin above"),
+        refused.code == "bad-request"
+            && refused.detail.starts_with("`hold_ms` is 100: the play keeps a pin above"),
         "{refused:?}"
     );
     let (_, receipt) = played(&mut client, "/v1/play", &json!({"pattern": press(), "hold_ms": 300}));
@@ -177,14 +194,16 @@ fn items_of_other_motors_overlap_and_blank_items_play_nothing() {
     let moved: Vec<_> = receipt.pins.unwrap().iter().map(|pin| pin.motor).collect();
     assert_eq!(moved, [3, 7, 9]);
     // The same motor twice at once.
-    let twice = json!([{"pattern": tap(3), "seconds": 0.1}, {"pattern": tap(3), "seconds": 0.1, "start_ms": 50}]);
+    let twice =
+        json!([{"pattern": tap(3), "seconds": 0.1}, {"pattern": tap(3), "seconds": 0.1, "start_ms": 50}]);
     let refused = problem(client.post("/v1/sequence", &json!({"items": twice})));
     let says = "`items[1]`: it begins 50.000 ms before `items[0]` has ended, which drives motor 3, too";
     assert!(refused.code == "bad-request" && refused.detail.starts_with(says), "{refused:?}");
     let refused = problem(client.post("/v1/sequence", &json!({"items": [{"pattern": null}]})));
     assert!(refused.detail.contains("`items[0]`: a blank item needs `seconds`"), "{refused:?}");
     // A catch trial alone.
-    let (_, catch) = played(&mut client, "/v1/sequence", &json!({"items": [{"pattern": null, "seconds": 0.1}]}));
+    let (_, catch) =
+        played(&mut client, "/v1/sequence", &json!({"items": [{"pattern": null, "seconds": 0.1}]}));
     assert_eq!((catch.state, catch.items.unwrap()[0].state), (PlayState::Done, ItemState::Played));
 }
 
@@ -196,7 +215,8 @@ fn a_stored_pattern_of_motions_repeats_and_its_plays_are_in_the_record() {
     client.put::<Value>("/v1/patterns/hum", tone.to_owned()).unwrap();
     let session: Value = client.post("/v1/sessions", &json!({"participant": "P07"})).unwrap();
     let id = session["id"].as_str().unwrap().to_owned();
-    let (_, receipt) = played(&mut client, "/v1/play", &json!({"pattern": "hum", "seconds": 0.5, "session": id}));
+    let (_, receipt) =
+        played(&mut client, "/v1/play", &json!({"pattern": "hum", "seconds": 0.5, "session": id}));
     assert!(receipt.all_played() && receipt.motions.len() == 1, "{receipt:?}");
     assert_eq!(receipt.duration_ms.ordered, Some(500.0));
     let compiled = receipt.duration_ms.compiled.unwrap();

@@ -45,17 +45,18 @@ fn write(dir: &Path, name: &str, bytes: impl AsRef<[u8]>) {
 fn a_pattern_is_packed_with_its_files_and_then_needs_them_no_longer() {
     let dir = tempdir().unwrap();
     write(dir.path(), "a.csv", "0\n10\n20\n10\n0\n");
-    let sound: Vec<i16> =
-        (0..4410_i32).map(|k| (8000.0 * (f64::from(k) * 0.01).sin()) as i16).collect();
+    let sound: Vec<i16> = (0..4410_i32).map(|k| (8000.0 * (f64::from(k) * 0.01).sin()) as i16).collect();
     write(dir.path(), "b.wav", wav(44_100, &sound));
     fs::create_dir(dir.path().join("in")).unwrap();
     write(dir.path(), "in/c.npy", npy(&[0.0, 5.0, 5.0, 0.0]));
-    let text = pattern(&[
-        wave(1, "a.csv", "rate_hz = 100\nscale_um = 2.0"),
-        wave(2, "b.wav", "scale_um = 40.0\noffset_um = 20.0"),
-        wave(3, "in/c.npy", "rate_hz = 50"),
-    ]
-    .concat());
+    let text = pattern(
+        &[
+            wave(1, "a.csv", "rate_hz = 100\nscale_um = 2.0"),
+            wave(2, "b.wav", "scale_um = 40.0\noffset_um = 20.0"),
+            wave(3, "in/c.npy", "rate_hz = 50"),
+        ]
+        .concat(),
+    );
     write(dir.path(), "touch.toml", &text);
     let (from, to) = (dir.path().join("touch.toml"), dir.path().join("packed.toml"));
     let said = printed(meissner().args(["pattern", "pack"]).arg(&from).arg("-o").arg(&to));
@@ -79,8 +80,12 @@ fn a_pattern_is_packed_with_its_files_and_then_needs_them_no_longer() {
     assert_eq!(samples(&to), before);
     assert_eq!(before.lines().next(), Some("time_s,motor_1_um,motor_2_um,motor_3_um"));
     let lost = complaint(meissner().args(["pattern", "check"]).arg(&from));
-    assert!(lost.contains("wave 1: `file`: motor 1: `a.csv`: cannot be read; name an NPY, CSV or WAV file"), "{lost}");
-    let again = printed(meissner().args(["pattern", "pack"]).arg(&to).arg("-o").arg(dir.path().join("again.toml")));
+    assert!(
+        lost.contains("wave 1: `file`: motor 1: `a.csv`: cannot be read; name an NPY, CSV or WAV file"),
+        "{lost}"
+    );
+    let again =
+        printed(meissner().args(["pattern", "pack"]).arg(&to).arg("-o").arg(dir.path().join("again.toml")));
     assert!(again.contains("no wave names a file: the pattern is complete as it is"), "{again}");
     let itself = complaint(meissner().args(["pattern", "pack"]).arg(&to).arg("-o").arg(&to));
     assert!(itself.contains("this is the pattern's own file: write to another"), "{itself}");
@@ -93,7 +98,10 @@ fn a_mistake_in_a_sample_file_is_one_line_with_motor_sample_and_time() {
     let text = pattern(&wave(7, "a.csv", "rate_hz = 200"));
     write(dir.path(), "touch.toml", &text);
     for (samples, says) in [
-        ("0\n1\nnan\n", "touch.toml:5: wave 1: `file`: motor 7: `a.csv`: sample 2 at 0.01 s is NaN: must be a number"),
+        (
+            "0\n1\nnan\n",
+            "touch.toml:5: wave 1: `file`: motor 7: `a.csv`: sample 2 at 0.01 s is NaN: must be a number",
+        ),
         ("0\n1\nx\n", "motor 7: `a.csv`: line 3: "),
         ("1\n", "motor 7: `a.csv`: 1 samples: must be 2 to 4194302"),
         ("1,2\n3,4\n", "motor 7: `a.csv`: 2 columns: add column = 0 to 1"),
@@ -108,7 +116,9 @@ fn a_mistake_in_a_sample_file_is_one_line_with_motor_sample_and_time() {
 
 #[test]
 fn a_pattern_is_checked_before_it_is_played() {
-    let ramp = |rise_s: f64| pattern(&format!("[[ramp]]\nmotor = 9\nto_um = 200.0\nrise_s = {rise_s}\nhold_s = 0.5\n"));
+    let ramp = |rise_s: f64| {
+        pattern(&format!("[[ramp]]\nmotor = 9\nto_um = 200.0\nrise_s = {rise_s}\nhold_s = 0.5\n"))
+    };
     let check = |text: &str, more: &[&str]| {
         let mut command = meissner();
         command.args(["pattern", "check", "-"]).args(more).write_stdin(text.to_owned());
@@ -118,8 +128,13 @@ fn a_pattern_is_checked_before_it_is_played() {
     let motor = &found["followed"]["motors"][0];
     assert_eq!((&motor["motor"], &found["motions"], &found["drives"]), (&9.into(), &1.into(), &0.into()));
     let number = |value: &Value| value.as_f64().unwrap();
-    assert!(number(&motor["from_filtered"]["peak_um"]) < 0.95 && number(&motor["from_asked"]["peak_um"]) > 7.0);
-    assert!(motor["too_slow_s"].as_array().unwrap().is_empty() && found["warnings"].as_array().unwrap().is_empty());
+    assert!(
+        number(&motor["from_filtered"]["peak_um"]) < 0.95 && number(&motor["from_asked"]["peak_um"]) > 7.0
+    );
+    assert!(
+        motor["too_slow_s"].as_array().unwrap().is_empty()
+            && found["warnings"].as_array().unwrap().is_empty()
+    );
     assert!((0.49..0.51).contains(&number(&found["followed"]["longest_hold_s"])));
     printed(&mut check(&ramp(0.05), &["--strict"]));
     let told = printed(&mut check(&ramp(0.0), &[]));
@@ -127,7 +142,8 @@ fn a_pattern_is_checked_before_it_is_played() {
     let refused = complaint(&mut check(&ramp(0.0), &["--strict"]));
     assert!(refused.contains("touch: motor 9 is too slow for its motion from 0.0000 to 0.01"), "{refused}");
     // A saturated drive is refused, too.
-    let fast = "format = 1\nname = \"fast\"\n[[drive]]\nmotor = 3\nfrequency_hz = 300.0\namplitude_um = 80.0\n";
+    let fast =
+        "format = 1\nname = \"fast\"\n[[drive]]\nmotor = 3\nfrequency_hz = 300.0\namplitude_um = 80.0\n";
     let saturated = complaint(&mut check(fast, &["--strict"]));
     assert!(saturated.contains("drive 1 (motor 3) is saturated"), "{saturated}");
     let error = complaint(&mut check(&ramp(0.05), &["--error-um", "0"]));
@@ -149,10 +165,18 @@ fn the_shipped_motions_do_what_motors_can_do() {
         }
     }
     let table = printed(meissner().args(["displacement", "press-hold", "--rate-hz", "1000"]));
-    let row = |number: usize| table.lines().nth(1 + number).unwrap().split(',').nth(1).unwrap().parse::<f64>().unwrap();
-    assert!((row(300) - 200.0).abs() < 0.1 && row(700).abs() < 1e-3 && row(25) < 100.0, "{} {}", row(300), row(700));
+    let row = |number: usize| {
+        table.lines().nth(1 + number).unwrap().split(',').nth(1).unwrap().parse::<f64>().unwrap()
+    };
+    assert!(
+        (row(300) - 200.0).abs() < 0.1 && row(700).abs() < 1e-3 && row(25) < 100.0,
+        "{} {}",
+        row(300),
+        row(700)
+    );
     // Half the scale, half the height.
-    let half = printed(meissner().args(["displacement", "press-hold", "--rate-hz", "1000", "--scale", "0.5"]));
+    let half =
+        printed(meissner().args(["displacement", "press-hold", "--rate-hz", "1000", "--scale", "0.5"]));
     let held: f64 = half.lines().nth(301).unwrap().split(',').nth(1).unwrap().parse().unwrap();
     assert!((held - 100.0).abs() < 0.1, "{held}");
 }

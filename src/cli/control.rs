@@ -49,6 +49,12 @@ pub(super) struct Play {
     /// Play a pattern for another array: each pin follows the nearest of the pattern's pins
     #[arg(long, value_parser = choice::<Mapping>(&[("nearest", "By position: a pin with none within a pitch rests")]))]
     map: Option<Mapping>,
+    /// Refuse the play if a motor is too slow for a motion
+    #[arg(long)]
+    strict: bool,
+    /// Let a pin stay above rest without a pulse for MS milliseconds at most; then the device lowers it [default: as long as the pattern needs]
+    #[arg(long, value_name = "MS", allow_negative_numbers = true, value_parser = positive)]
+    hold_ms: Option<f64>,
     #[command(flatten)]
     play: PlayOptions,
     /// Wait for the end and print the receipt; exit 1 if not all was played. Ctrl-C, SIGTERM and SIGHUP stop the play (exit 130, 143, 129)
@@ -225,6 +231,8 @@ pub(super) fn play(play: &Play) -> Result<ExitCode> {
         labels: play.play.labels(),
         scale: play.play.scale,
         trigger: play.play.trigger.request(),
+        strict: play.strict,
+        hold_ms: play.hold_ms,
         ..PlayRequest::default()
     };
     let json = play.options.output.json;

@@ -90,9 +90,8 @@ fn motions(pattern: &Value) -> Result<Option<Motions>> {
     if !["wave", "ramp", "tone", "noise"].iter().any(|table| pattern.get(table).is_some()) {
         return Ok(None);
     }
-    // The keys are those of a file.
-    let text = toml::to_string(pattern)?;
-    let pattern = Pattern::parse(&text, pattern["name"].as_str().unwrap_or_default())?;
+    let name = pattern["name"].as_str().unwrap_or_default();
+    let pattern = Pattern::from_keys(pattern["format"].as_i64().unwrap_or_default(), pattern.clone(), name)?;
     Ok(Motions::of(&pattern, &MotionOptions::default())?)
 }
 

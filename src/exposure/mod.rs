@@ -6,7 +6,7 @@
 //! still use as used, and is written before they begin, so a kill never makes a sum smaller. The session record's thread writes it.
 //! Only [`Now::read`] reads a clock.
 //!
-//! Vibration time is the time in which at least one drive of the running play moves a pin ([`Vibration`]). A pause is
+//! Vibration time is the time in which at least one drive or motion of the running play moves a pin ([`Vibration`]). A pause is
 //! [`ParticipantLimits::pause_s`] without vibration.
 //!
 //! Bounds: `DATES` dates, and `PEOPLE` sums for each. Invariant: time that has been counted is never taken back within its day.

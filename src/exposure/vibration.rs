@@ -235,4 +235,14 @@ mod tests {
         let twice = Vibration::of(&pattern(None, &[(None, Some(1.0)), (Some(20.0), Some(22.0))]), Some(22.0));
         assert_eq!((twice.total(), twice.longest(10.0)), (Some(3.0), 2.0));
     }
+
+    #[test]
+    fn motions_vibrate_from_their_beginning_to_their_end() {
+        let text = "format = 2\nname = \"test\"\nduration_s = 4\n[[ramp]]\nmotor = 3\nto_um = 50.0\nrise_s = 0.1\nhold_s = 0.8\n\
+                    [[tone]]\nmotor = 9\nstart_s = 0.5\nduration_s = 1.5\nfrequency_hz = 20.0\namplitude_um = 30.0\n\
+                    [[wave]]\nmotor = 5\nstart_s = 3.0\nrate_hz = 10.0\num = [0.0, 0.0, 0.0]\n";
+        let pattern = Pattern::parse(text, "test").unwrap();
+        let twice = Vibration::of(&pattern, Some(8.0));
+        assert_eq!((twice.total(), twice.until(3.9), twice.longest(1.0)), (Some(4.0), 2.0, 2.0));
+    }
 }

@@ -29,8 +29,8 @@ use firmware_protocol::tick::Tick;
 use live::LiveAccount;
 use meissner_api::{
     BurstCounts, DeviceInfo, Event, LateCounts, LateStroke, LinkTraffic, LiveContrast, MAX_LISTED,
-    MotorRestError, MovedPin, NO_DEVICE, OrderedCounts, PlayState, PredictedResponse, Prediction, PulseCounts, Receipt,
-    RefusedStroke, RunningPlay,
+    MotorRestError, MovedPin, NO_DEVICE, OrderedCounts, PlayState, PredictedResponse, Prediction,
+    PulseCounts, Receipt, RefusedStroke, RunningPlay,
 };
 use meissner_array::spec::Array;
 use meissner_array::units::{TickRate, ns_to_ms};

@@ -6,8 +6,8 @@
 
 use firmware_protocol::tick::Tick;
 use meissner_api::{
-    DurationRecord, Fit, FollowedMotion, MAX_DRIVES_LISTED, MAX_LISTED, MAX_WARNINGS_LISTED, OrderedCounts, ReachedDrive,
-    Receipt,
+    DurationRecord, Fit, FollowedMotion, MAX_DRIVES_LISTED, MAX_LISTED, MAX_WARNINGS_LISTED, OrderedCounts,
+    ReachedDrive, Receipt,
 };
 use meissner_array::pattern::Pattern;
 use meissner_array::spec::Array;
@@ -54,7 +54,10 @@ impl Order {
     #[must_use]
     pub fn empty(&self) -> Option<&str> {
         let moves = self.motions_um > 0.0 || self.drives.iter().any(|drive| drive.strokes != Some(0));
-        let why = self.warnings.first().map_or("every drive is off and no motion goes up: give one an amplitude", String::as_str);
+        let why = self
+            .warnings
+            .first()
+            .map_or("every drive is off and no motion goes up: give one an amplitude", String::as_str);
         (!moves).then_some(why)
     }
 

@@ -488,7 +488,8 @@ fn played(entry: &Value, receipt: Receipt) -> RecordedPlay {
     let errors = receipt.rest_error_um.iter().flatten();
     let [ordered_um, reached_um] =
         largest_um(&receipt.drives).map(|um| (!receipt.drives.is_empty()).then_some(um));
-    let ordered_um = receipt.motions.iter().map(|motion| motion.highest_um).chain(ordered_um).reduce(f64::max);
+    let ordered_um =
+        receipt.motions.iter().map(|motion| motion.highest_um).chain(ordered_um).reduce(f64::max);
     let late = receipt.lateness.counts;
     RecordedPlay {
         play: receipt.id,

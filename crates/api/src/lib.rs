@@ -76,7 +76,8 @@ pub use live::{
 };
 pub use live_record::{LiveContrast, LiveRecord, ReachedContrast, UpdateTimes};
 pub use pattern::{
-    FollowedMotion, ImportedPattern, PatternDetails, PatternList, PatternSummary, RailLoad, ReachedDrive, RemovedPattern,
+    FollowedMotion, ImportedPattern, PatternDetails, PatternList, PatternSummary, RailLoad, ReachedDrive,
+    RemovedPattern,
 };
 pub use pattern_choice::{MAX_PACKED_BODY, PatternChoice};
 pub use prediction::{AfferentClass, ClassResponse, PredictedResponse, Prediction, Rates};

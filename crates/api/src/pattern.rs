@@ -189,7 +189,7 @@ pub struct PatternDetails {
 #[serde(deny_unknown_fields)]
 pub struct PatternFile {
     /// Version of the file format.
-    #[schema(minimum = 1, maximum = 1)]
+    #[schema(minimum = 1, maximum = 2)]
     pub format: u8,
     /// The pattern's name: a-z, 0-9 and `-`, at most 64 characters.
     pub name: String,
@@ -203,6 +203,22 @@ pub struct PatternFile {
     #[serde(default)]
     #[schema(max_items = 4096)]
     pub drive: Vec<PatternDrive>,
+    /// The samples of displacement, each on one motor; format 2.
+    #[serde(default)]
+    #[schema(max_items = 4096)]
+    pub wave: Vec<PatternWave>,
+    /// The ramps; format 2.
+    #[serde(default)]
+    #[schema(max_items = 4096)]
+    pub ramp: Vec<PatternRamp>,
+    /// The tones and chirps; format 2.
+    #[serde(default)]
+    #[schema(max_items = 4096)]
+    pub tone: Vec<PatternTone>,
+    /// The noises; format 2.
+    #[serde(default)]
+    #[schema(max_items = 4096)]
+    pub noise: Vec<PatternNoise>,
     /// What made the pattern: target, seed, settings, method. Any keys, at most 16384 with the items of lists.
     #[serde(default)]
     pub provenance: Map<String, Value>,
@@ -230,6 +246,116 @@ pub struct PatternDrive {
     /// End of the drive in pattern time, s: its last stroke has ended by then. Without it the drive ends with the pattern.
     #[schema(minimum = 0.0, maximum = 1e8)]
     pub stop_s: Option<f64>,
+}
+
+/// Samples of displacement on one motor, packed.
+#[derive(Clone, Debug, PartialEq, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct PatternWave {
+    /// The motor's number.
+    #[schema(minimum = 0, maximum = 63)]
+    pub motor: u8,
+    /// When the first sample is, in pattern time, s.
+    #[schema(minimum = 0.0, maximum = 1e8)]
+    pub start_s: f64,
+    /// Rate of the samples, Hz.
+    #[schema(minimum = 1.0, maximum = 8000.0)]
+    pub rate_hz: f64,
+    /// What the samples were made from.
+    pub source: Option<String>,
+    /// The samples, µm above rest: base64 of 32-bit floating-point numbers, least significant byte first.
+    pub samples: String,
+}
+
+/// From rest to a level, held, and back, on one motor.
+#[derive(Clone, Debug, PartialEq, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct PatternRamp {
+    /// The motor's number.
+    #[schema(minimum = 0, maximum = 63)]
+    pub motor: u8,
+    /// When it begins, in pattern time, s.
+    #[schema(minimum = 0.0, maximum = 1e8)]
+    pub start_s: f64,
+    /// The level, µm above rest.
+    #[schema(minimum = 0.0)]
+    pub to_um: f64,
+    /// How long the way up lasts, s.
+    #[schema(minimum = 0.0)]
+    pub rise_s: f64,
+    /// How long the level is held, s.
+    #[schema(minimum = 0.0)]
+    pub hold_s: f64,
+    /// How long the way down lasts, s; without it as long as the way up.
+    #[schema(minimum = 0.0)]
+    pub fall_s: Option<f64>,
+    /// `linear` or `cosine`.
+    pub shape: String,
+}
+
+/// A sine or a linear chirp on one motor.
+#[derive(Clone, Debug, PartialEq, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct PatternTone {
+    /// The motor's number.
+    #[schema(minimum = 0, maximum = 63)]
+    pub motor: u8,
+    /// When it begins, in pattern time, s.
+    #[schema(minimum = 0.0, maximum = 1e8)]
+    pub start_s: f64,
+    /// How long it lasts, s.
+    #[schema(minimum = 0.001)]
+    pub duration_s: f64,
+    /// Frequency at its beginning, Hz.
+    #[schema(minimum = 0.1, maximum = 300.0)]
+    pub frequency_hz: f64,
+    /// Frequency at its end, Hz; without it that at its beginning.
+    #[schema(minimum = 0.1, maximum = 300.0)]
+    pub end_hz: Option<f64>,
+    /// Amplitude peak to peak, µm.
+    #[schema(minimum = 0.0)]
+    pub amplitude_um: f64,
+    /// The level that it swings about, µm; without it half the amplitude.
+    pub about_um: Option<f64>,
+    /// Phase at its beginning, cycles.
+    #[schema(minimum = 0.0, maximum = 1.0)]
+    pub phase: f64,
+    /// `hann`, or `attack_s` and `release_s`.
+    pub envelope: Option<Value>,
+}
+
+/// Gaussian noise of a band on one motor.
+#[derive(Clone, Debug, PartialEq, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct PatternNoise {
+    /// The motor's number.
+    #[schema(minimum = 0, maximum = 63)]
+    pub motor: u8,
+    /// When it begins, in pattern time, s.
+    #[schema(minimum = 0.0, maximum = 1e8)]
+    pub start_s: f64,
+    /// How long it lasts, s.
+    #[schema(minimum = 0.001)]
+    pub duration_s: f64,
+    /// Lower edge of the band, Hz.
+    #[schema(minimum = 0.1, maximum = 300.0)]
+    pub low_hz: f64,
+    /// Upper edge of the band, Hz.
+    #[schema(minimum = 0.1, maximum = 300.0)]
+    pub high_hz: f64,
+    /// Its root mean square, µm.
+    #[schema(minimum = 0.0)]
+    pub rms_um: Option<f64>,
+    /// Its largest value, µm.
+    #[schema(minimum = 0.0)]
+    pub peak_um: Option<f64>,
+    /// The level that it swings about, µm; without it its largest value.
+    pub about_um: Option<f64>,
+    /// Equal seeds give equal noise.
+    #[schema(minimum = 0)]
+    pub seed: i64,
+    /// `hann`, or `attack_s` and `release_s`.
+    pub envelope: Option<Value>,
 }
 
 /// A pattern that was stored.

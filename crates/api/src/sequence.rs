@@ -24,7 +24,7 @@ use utoipa::ToSchema;
 /// Items of a sequence, at most.
 pub const MAX_SEQUENCE_ITEMS: usize = 4096;
 
-/// Patterns to play one after the other with exact times, as one play.
+/// Patterns to play with exact times, as one play: one after the other, or at the same time on other motors.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 #[schema(examples(json!({
@@ -36,7 +36,7 @@ pub const MAX_SEQUENCE_ITEMS: usize = 4096;
     ]
 })))]
 pub struct SequenceRequest {
-    /// The items, in order of time.
+    /// The items, in order of their beginnings.
     #[serde(deserialize_with = "bounded")]
     #[schema(max_items = 4096)]
     pub items: Vec<SequenceItem>,
@@ -102,7 +102,7 @@ pub struct SequenceItem {
     #[serde(default, deserialize_with = "given", skip_serializing_if = "Option::is_none")]
     #[schema(minimum = 0.0, maximum = 1.0)]
     pub scale: Option<f64>,
-    /// Pause from the end of the item before it, or from the sequence's onset, ms; without it 0. Excludes `start_ms`.
+    /// Pause from the end of all items before it, or from the sequence's onset, ms; without it 0. Excludes `start_ms`.
     #[serde(default, deserialize_with = "given", skip_serializing_if = "Option::is_none")]
     #[schema(minimum = 0.0, maximum = 1e11)]
     pub gap_ms: Option<f64>,
@@ -170,7 +170,9 @@ impl SequenceItem {
             Some(pattern) => check_text_of(pattern, self.pattern_sha256.as_deref())?,
             None if self.seconds.is_none() => return Err("a blank item needs `seconds`".to_owned()),
             None if self.pattern_sha256.is_some() || self.scale.is_some() => {
-                return Err("a blank item has neither `pattern_sha256` nor `scale`: leave them out".to_owned());
+                return Err(
+                    "a blank item has neither `pattern_sha256` nor `scale`: leave them out".to_owned()
+                );
             }
             None => {}
         }

@@ -8,7 +8,8 @@ use meissner_array::reflected_walk::Spread;
 use meissner_array::spec::Array;
 use meissner_array::strokes::Stroke;
 use meissner_array::strokes::{
-    AutoSurplus, Fit, Ordered, StrokeOptions, Strokes, StrokesError, Surplus, ordered, reached,
+    AutoSurplus, Fit, Ordered, Sequence, Start, StrokeOptions, Strokes, StrokesError, Surplus, ordered,
+    reached,
 };
 use meissner_test_support::paper::UM_PER_PULSE;
 use meissner_test_support::patterns::{self, drive};
@@ -391,4 +392,22 @@ fn nothing_is_allocated_while_it_plays() {
         strokes.by_ref().filter(Result::is_ok).count()
     });
     assert!(count > 24 * 60 * 60);
+}
+
+/// Also while items of a sequence begin and end beside one another, in a copy.
+#[test]
+fn nothing_is_allocated_while_overlapping_items_play() {
+    let mut sequence = Sequence::new(Array::paper());
+    let of = |motor: u8| pattern(None, vec![drive(motor, 60.0, 20.0)]);
+    let compiled: Vec<_> =
+        (0..24).map(|motor| sequence.compile(&of(motor), &StrokeOptions::default()).unwrap()).collect();
+    for item in 0..240 {
+        sequence.add(compiled[item % 24], Some(0.11), Start::At(5.0 * item as f64)).unwrap();
+    }
+    let mut strokes = sequence.strokes().unwrap().clone();
+    let count = assert_no_alloc::assert_no_alloc(|| {
+        strokes.begin(Tick::BOOT);
+        strokes.by_ref().filter(Result::is_ok).count()
+    });
+    assert_eq!(count, 240 * 6);
 }

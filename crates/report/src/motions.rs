@@ -391,8 +391,7 @@ mod tests {
 
     #[test]
     fn a_coarser_grid_has_fewer_moves_and_bytes_and_one_is_chosen() {
-        let noise =
-            "[[noise]]\nmotor = 9\nduration_s = 2.0\nlow_hz = 5.0\nhigh_hz = 50.0\nrms_um = 10.0\nseed = 3\nenvelope = { attack_s = 0.1, release_s = 0.1 }\n";
+        let noise = "[[noise]]\nmotor = 9\nduration_s = 2.0\nlow_hz = 5.0\nhigh_hz = 50.0\nrms_um = 10.0\nseed = 3\nenvelope = { attack_s = 0.1, release_s = 0.1 }\n";
         let options = MotionOptions { error_um: Some(2.0), ..MotionOptions::default() };
         let found = motion_tradeoff(&pattern(noise), &options, &|_| ()).unwrap().unwrap();
         assert_eq!(found.rows.len(), 4);

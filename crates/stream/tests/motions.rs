@@ -178,3 +178,49 @@ fn whatever_cuts_a_ramp_or_a_hold_brings_the_pin_down() {
         }
     }
 }
+
+/// How long the parts of a play of 24 pins for ten minutes at 1 kHz take before it begins: `--ignored --nocapture`.
+#[test]
+#[ignore = "measures"]
+fn compiling_ten_minutes_of_all_pins() {
+    use meissner_array::pattern::{Form, Motion, Wave};
+    use meissner_stream::{Bandwidth, Settings, find_dense, find_longest_hold};
+    use std::time::Instant;
+    let array = Array::paper();
+    let um: Vec<f32> = (0..600_000_u32)
+        .map(|k| 60.0 + 40.0 * (f64::from(k) * 0.09).sin() as f32 + 20.0 * (f64::from(k) * 0.31).sin() as f32)
+        .collect();
+    let wave = |motor| Motion {
+        motor,
+        form: Form::Wave(Wave { start_s: 0.0, rate_hz: 1000.0, um: um.clone().into(), source: None }),
+    };
+    let begun = Instant::now();
+    let timed = |what: &str, begun: Instant| println!("{what}: {:.2} s", begun.elapsed().as_secs_f64());
+    let empty = Pattern::new(array, "test", None, vec![], toml::Table::new()).unwrap();
+    let pattern = empty.with_motions(array.numbers().map(wave).collect()).unwrap();
+    timed("check and waveforms", begun);
+    println!("{} MiB of samples and knots", pattern.motion_bytes() >> 20);
+    let begun = Instant::now();
+    let text = pattern.to_toml();
+    timed("text", begun);
+    let begun = Instant::now();
+    Pattern::parse(&text, "test").unwrap();
+    timed("text read", begun);
+    let begun = Instant::now();
+    let strokes = Strokes::new(&pattern, &StrokeOptions::default()).unwrap();
+    timed("strokes: the grid is chosen", begun);
+    let begun = Instant::now();
+    let followed = strokes.followed();
+    timed("followed", begun);
+    println!("{:?}", followed[0]);
+    let begun = Instant::now();
+    let bandwidth = Bandwidth::of(&strokes, &Settings::of(array));
+    timed("bandwidth", begun);
+    println!("{} B/s", bandwidth.closed.rate);
+    let begun = Instant::now();
+    println!("dense: {:?}", find_dense(&strokes));
+    timed("density", begun);
+    let begun = Instant::now();
+    println!("hold: {:?}", find_longest_hold(&strokes));
+    timed("hold", begun);
+}

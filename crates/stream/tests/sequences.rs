@@ -297,3 +297,69 @@ fn strokes_refused_as_they_begin_are_neither_first_nor_last() {
     assert!(items.iter().all(|item| item.refused > 0 && item.late == 0), "{items:?}");
     assert_on_the_lines(&mut rig, items, 85 * 30);
 }
+
+/// Two pins 5 ms apart, a long item below short ones, and blank ones: each item has its own account, over a good and a bad line.
+#[test]
+fn items_that_overlap_have_their_own_accounts() {
+    let pin = |motor: u8| patterns::pattern("pin", None, [drive(motor, 60.0, 40.0)]);
+    for (seed, line) in [(1, Line::default()), (2, bad_line())] {
+        let mut sequence = Sequence::new(Array::paper());
+        let [long, a, b] =
+            [2, 7, 11].map(|motor| sequence.compile(&pin(motor), &StrokeOptions::default()).unwrap());
+        sequence.add(long, Some(1.0), Start::Gap(100.0)).unwrap();
+        sequence.add(a, Some(0.1), Start::At(105.0)).unwrap();
+        sequence.add(b, Some(0.1), Start::At(110.0)).unwrap();
+        sequence.add_blank(0.2, Start::At(300.0)).unwrap();
+        sequence.add(a, Some(0.1), Start::At(600.0)).unwrap();
+        sequence.add_blank(0.3, Start::Gap(50.0)).unwrap();
+        let strokes = sequence.strokes().unwrap();
+        let items = vec![Item::new(None); strokes.items()];
+        let ordered = Play { items, open_loop: true, ..Play::new(1, strokes) };
+        let mut rig = Rig::armed(line, seed);
+        let outcome = play(&mut rig, ordered, Duration::from_secs(10));
+        assert_eq!((outcome.end, outcome.bursts.played), (End::Done, outcome.bursts.planned));
+        let onset = outcome.onset.unwrap().actual;
+        let at = |ms: u64| onset + 85 * ms;
+        let records = &outcome.play.items;
+        let begun: Vec<_> = records.iter().map(|item| item.began.unwrap().tick).collect();
+        assert_eq!(begun, [at(100), at(105), at(110), at(300), at(600), at(1150)]);
+        let first: Vec<_> = records.iter().map(|item| item.first_up).collect();
+        assert_eq!(first, [Some(at(100)), Some(at(105)), Some(at(110)), None, Some(at(600)), None]);
+        let ended: Vec<_> = records.iter().map(|item| item.ended.unwrap().tick).collect();
+        assert_eq!([ended[3], ended[5]], [at(500), at(1450)]);
+        for (item, [from, until]) in [(0, [1080, 1100]), (1, [185, 205]), (2, [190, 210]), (4, [680, 700])] {
+            assert!(ended[item] > at(from) && ended[item] <= at(until), "{item}: {ended:?} after {onset:?}");
+        }
+        let moved: Vec<_> = (0..24).filter(|motor| outcome.play.pins[*motor].is_some()).collect();
+        assert_eq!(moved, [2, 7, 11]);
+        assert_eq!(outcome.play.pins[7], Some([at(105), ended[4]]));
+    }
+}
+
+/// A cut within the long item leaves the ends of those that are over.
+#[test]
+fn a_cut_leaves_the_ends_of_overlapping_items_that_are_over() {
+    let pin = |motor: u8| patterns::pattern("pin", None, [drive(motor, 60.0, 40.0)]);
+    let mut sequence = Sequence::new(Array::paper());
+    let [long, short] = [2, 7].map(|motor| sequence.compile(&pin(motor), &StrokeOptions::default()).unwrap());
+    sequence.add(long, Some(5.0), Start::Gap(0.0)).unwrap();
+    sequence.add(short, Some(0.1), Start::At(50.0)).unwrap();
+    sequence.add_blank(0.1, Start::At(200.0)).unwrap();
+    sequence.add(short, Some(2.0), Start::At(400.0)).unwrap();
+    let strokes = sequence.strokes().unwrap();
+    let items = vec![Item::new(None); strokes.items()];
+    let ordered = Play { items, open_loop: true, ..Play::new(1, strokes) };
+    let mut rig = Rig::armed(Line::default(), 3);
+    rig.send(Command::Play(Box::new(ordered)));
+    rig.run_ms(1000);
+    rig.send(Command::Stop);
+    rig.run_ms(500);
+    let outcome = rig.outcomes().remove(0);
+    let ended: Vec<_> = outcome.play.items.iter().map(|item| item.ended.is_some()).collect();
+    assert_eq!((outcome.end, ended), (End::Stopped, vec![false, true, true, false]));
+    let cut = outcome.onset.unwrap().actual + outcome.cut_after.unwrap();
+    for motor in [2, 7] {
+        let [first, end] = outcome.play.pins[motor].unwrap();
+        assert!(first < end && end <= cut, "{first:?} {end:?} {cut:?}");
+    }
+}

@@ -50,7 +50,8 @@ pub(crate) fn table(found: &MotionFigures) -> Vec<String> {
 }
 
 pub(crate) fn drift(found: &DriftFigures) -> Vec<String> {
-    let head = ["scatter", "asym. SD", "held by", "surplus um", "rest um", "theory", "last rest um", "theory"];
+    let head =
+        ["scatter", "asym. SD", "held by", "surplus um", "rest um", "theory", "last rest um", "theory"];
     let row = |row: &DriftRow| {
         let held = match row.held {
             Held::Free => "nothing",

@@ -5,10 +5,10 @@
 //!
 //! Invariant: a step orders the recorded play, at the recorded distance from the step before.
 
+use crate::receipts::BLANK;
 use meissner_api::{
     Fit, Mapping, PlayRequest, RecordedPlay, SequenceItem, SequenceRequest, TriggerRequest, TriggerShape,
 };
-use crate::receipts::BLANK;
 use meissner_array::units::{TickRate, ns_to_ms};
 
 /// Items in one order: with the SHA-256 of each they fit into a request.

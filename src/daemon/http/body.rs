@@ -103,12 +103,7 @@ async fn place_among(places: &'static Semaphore) -> Result<Place, Problem> {
 }
 
 /// Reads a body; takes a place when it has more than `small` bytes.
-async fn collect(
-    mut body: Body,
-    max: usize,
-    small: usize,
-    places: &mut Places,
-) -> Result<Vec<u8>, Problem> {
+async fn collect(mut body: Body, max: usize, small: usize, places: &mut Places) -> Result<Vec<u8>, Problem> {
     let (mut begun, mut held) = (Instant::now(), None);
     let (mut bytes, mut length) = (Vec::new(), 0);
     loop {

@@ -128,7 +128,8 @@ pub(super) fn hold(asked_ms: Option<f64>, strokes: &Strokes) -> Result<u32, Prob
     let asked = rate.ms_in_ticks(ms) as u32;
     if u64::from(asked) < needed {
         let needed_ms = rate.ticks_to_ms(needed).ceil();
-        let detail = format!("`hold_ms` is {ms}: the play keeps a pin above rest for {needed_ms} ms without a pulse");
+        let detail =
+            format!("`hold_ms` is {ms}: the play keeps a pin above rest for {needed_ms} ms without a pulse");
         return Err(Problem::new(Code::BadRequest, detail));
     }
     Ok(asked)

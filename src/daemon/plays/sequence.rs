@@ -90,7 +90,13 @@ impl Compiled {
                 placed.push((None, item.seconds, start));
                 required.push(Bandwidth::default());
                 let (pattern, sha256) = (Arc::clone(&blank), Arc::clone(&no_sha256));
-                planned.push(PlannedItem { pattern, sha256, scale: 1.0, amplitude_um: [0.0; 2], span: (0, 0) });
+                planned.push(PlannedItem {
+                    pattern,
+                    sha256,
+                    scale: 1.0,
+                    amplitude_um: [0.0; 2],
+                    span: (0, 0),
+                });
                 continue;
             };
             let name = text.0;
@@ -102,8 +108,7 @@ impl Compiled {
                 let (stored, mapped) = on.map_err(|error| at(error.into()))?;
                 memory.push((stored.sha256.clone(), stored.pattern.motion_bytes()));
                 if let Some(MappedFrom { array, warnings }) = mapped {
-                    let of_pattern =
-                        warnings.into_iter().map(|warning| format!("`{name}`: {warning}"));
+                    let of_pattern = warnings.into_iter().map(|warning| format!("`{name}`: {warning}"));
                     preparing.warnings.extend(of_pattern);
                     mapped_from.get_or_insert(array);
                 }
@@ -123,7 +128,8 @@ impl Compiled {
                 let (compiled, bandwidth) = compiled.map_err(|error| at(refused(&error)))?;
                 new.insert(Used { sha256, name, compiled, bandwidth });
             }
-            let (Some(Used { sha256, name, compiled, bandwidth }), scale) = (used.get(&text), scale(item)) else {
+            let (Some(Used { sha256, name, compiled, bandwidth }), scale) = (used.get(&text), scale(item))
+            else {
                 continue;
             };
             let Some(&(compiled, amplitude_um)) = compiled.get(&scale.to_bits()) else { continue };

@@ -61,10 +61,10 @@ impl Publisher {
 mod tests {
     use super::*;
     use meissner_api::{
-        AfferentClass, BurstCounts, ClassResponse, DurationRecord, ErrorSource, LateCause, LateCounts,
-        FollowedMotion, LateStroke, LatenessRecord, LinkTraffic, MovedPin, LiveContrast, LiveRecord, MAX_DRIVES_LISTED, MAX_LISTED,
-        MAX_WARNINGS_LISTED, MotorRestError, OffsetRecord, OnsetRecord, OrderedCounts, PlayState,
-        PredictedResponse, Prediction, PulseCounts, Rates, ReachedContrast, ReachedDrive, Receipt,
+        AfferentClass, BurstCounts, ClassResponse, DurationRecord, ErrorSource, FollowedMotion, LateCause,
+        LateCounts, LateStroke, LatenessRecord, LinkTraffic, LiveContrast, LiveRecord, MAX_DRIVES_LISTED,
+        MAX_LISTED, MAX_WARNINGS_LISTED, MotorRestError, MovedPin, OffsetRecord, OnsetRecord, OrderedCounts,
+        PlayState, PredictedResponse, Prediction, PulseCounts, Rates, ReachedContrast, ReachedDrive, Receipt,
         RefusedStroke, UpdateTimes,
     };
 

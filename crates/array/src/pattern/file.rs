@@ -14,8 +14,8 @@ use super::limits::{
 use super::tables::{Files, RawNoise, RawRamp, RawTone, RawWave, Reader, motions, motor_of};
 use crate::spec::Array;
 use meissner_input::document::{Table, check_size, from_source, from_toml};
-use serde::{Deserialize, Deserializer};
 use serde::de::IgnoredAny;
+use serde::{Deserialize, Deserializer};
 
 impl Pattern {
     /// Reads a pattern file; `file` is its name in errors. A pattern whose waves name files is refused: it is not complete.

@@ -173,7 +173,8 @@ impl Pattern {
             Form::Wave(wave) => size_of_val(&*wave.um),
             Form::Ramp(_) | Form::Tone(_) | Form::Noise(_) => 0,
         });
-        samples.sum::<usize>() + self.waveforms.iter().map(|(_, waveform)| waveform.own_bytes()).sum::<usize>()
+        samples.sum::<usize>()
+            + self.waveforms.iter().map(|(_, waveform)| waveform.own_bytes()).sum::<usize>()
     }
 
     /// [`Self::waveforms`], shared.

@@ -50,3 +50,34 @@ impl Strokes {
         followed.collect()
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::pattern::Pattern;
+    use crate::strokes::StrokeOptions;
+
+    #[test]
+    fn a_scaled_play_is_measured_as_it_is_played_and_the_whole_is_asked_for_its_speed() {
+        // Slow for 300 s, then 10 mm/s at full height and 20 mm/s at the very end.
+        let text = "format = 2\nname = \"test\"\n[[ramp]]\nmotor = 9\nto_um = 100.0\nrise_s = 1.0\n\
+                    [[ramp]]\nmotor = 9\nto_um = 100.0\nrise_s = 0.01\nstart_s = 300.0\n\
+                    [[ramp]]\nmotor = 9\nto_um = 100.0\nrise_s = 0.005\nstart_s = 310.0\n";
+        let pattern = Pattern::parse(text, "test").unwrap();
+        let followed = |scale| {
+            let strokes = Strokes::new(&pattern, &StrokeOptions { scale, ..StrokeOptions::default() });
+            let [followed] = strokes.unwrap().followed()[..] else { panic!("one motor") };
+            followed
+        };
+        let (whole, half) = (followed(1.0), followed(0.5));
+        assert_eq!((whole.motor, whole.highest_um, half.highest_um), (9, 100.0, 50.0));
+        assert!((half.error.rms_um / whole.error.rms_um - 0.5).abs() < 0.1, "{whole:?} {half:?}");
+        assert_eq!((whole.measured_s, half.too_slow_from_s), (240.0, None));
+        let from_s = whole.too_slow_from_s.unwrap();
+        assert!((310.0..310.006).contains(&from_s), "{from_s}");
+        assert_eq!(pattern.largest_um(), 100.0);
+        let mut moving: Vec<_> = pattern.moving_s().collect();
+        moving.sort_by(|a, b| a.0.total_cmp(&b.0));
+        assert_eq!(moving[..2], [(0.0, Some(2.0)), (300.0, Some(300.02))]);
+    }
+}

@@ -183,9 +183,8 @@ impl Strokes {
     #[must_use]
     pub fn item_is_over(&self, item: usize) -> bool {
         let Some(&Item { start, run, .. }) = self.items.get(item) else { return false };
-        let plays = |&(of, from): &(u32, u64)| {
-            Some(of) == run && from == start && !self.runs[of as usize].is_over()
-        };
+        let plays =
+            |&(of, from): &(u32, u64)| Some(of) == run && from == start && !self.runs[of as usize].is_over();
         item < self.begun && !self.playing[..self.count].iter().any(plays)
     }
 

@@ -286,7 +286,10 @@ mod tests {
         assert_eq!(refused(endless, None, Start::Gap(0.0)), SequenceError::Endless);
         assert_eq!(refused(slow, None, Start::Gap(0.0)), SequenceError::Empty);
         assert_eq!(refused(tap, Some(0.0), Start::Gap(0.0)), SequenceError::Empty);
-        assert_eq!(refused(tap, None, Start::At(99.9)), SequenceError::Overlaps { ms: 8.0 / 85_000.0 * 1e3, item: 0, motor: 5 });
+        assert_eq!(
+            refused(tap, None, Start::At(99.9)),
+            SequenceError::Overlaps { ms: 8.0 / 85_000.0 * 1e3, item: 0, motor: 5 }
+        );
         assert_eq!(refused(tap, None, Start::Gap(-1.0)), SequenceError::Time { ms: -1.0 });
         assert!(matches!(refused(tap, None, Start::Gap(f64::NAN)), SequenceError::Time { .. }));
         assert!(matches!(refused(tap, Some(2e8), Start::Gap(0.0)), SequenceError::Time { .. }));
@@ -327,8 +330,83 @@ mod tests {
         assert_eq!(size_of::<Item>() * MAX_ITEMS, 96 << 10);
     }
 
+    #[test]
+    fn a_blank_item_has_an_onset_and_an_end_and_no_step() {
+        let mut sequence = Sequence::new(Array::paper());
+        let tap = sequence.compile(&pattern("tap", 5, 100.0, Some(0.1)), &StrokeOptions::default()).unwrap();
+        sequence.add_blank(0.2, Start::Gap(0.0)).unwrap();
+        sequence.add(tap, None, Start::At(50.0)).unwrap();
+        sequence.add_blank(0.1, Start::Gap(0.0)).unwrap();
+        assert!(matches!(sequence.add_blank(-1.0, Start::Gap(0.0)), Err(SequenceError::Time { .. })));
+        assert_eq!(sequence.add_blank(1.0, Start::At(10.0)), Err(SequenceError::Order));
+        let mut strokes = sequence.strokes().unwrap();
+        assert_eq!((strokes.end(), strokes.items(), strokes.item()), (Some(85 * 300), 3, 0));
+        assert_eq!(strokes.onsets().collect::<Vec<_>>(), [0, 85 * 50, 85 * 200].map(Tick));
+        assert_eq!(
+            [0, 1, 2].map(|item| strokes.blank_until(item)),
+            [Some(Tick(85 * 200)), None, Some(Tick(85 * 300))]
+        );
+        assert_eq!([0, 1].map(|item| strokes.item_is_over(item)), [true, false]);
+        let steps: Vec<_> = strokes.by_ref().map(Result::unwrap).collect();
+        assert!(steps.len() == 10 && steps.iter().all(|step| step.motor() == 5));
+        assert!(strokes.item() == 2 && strokes.item_is_over(1) && strokes.is_over());
+    }
+
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(64))]
+
+        /// Items of other motors may overlap: the steps are those of each pattern alone, in order of time and motor. Those of one motor
+        /// may not.
+        #[test]
+        fn overlapping_items_are_merged_in_order_of_time_and_motor(
+            items in prop::collection::vec((0u8..4, 0.02f64..0.5, 5.0f64..120.0), 1..20),
+            onset in 0u64..1 << 40,
+        ) {
+            let of = |motor: u8| pattern("p", 3 * motor, 40.0 + 17.0 * f64::from(motor), None);
+            let mut sequence = Sequence::new(Array::paper());
+            let compiled: Vec<_> =
+                (0..4).map(|motor| sequence.compile(&of(motor), &StrokeOptions::default()).unwrap()).collect();
+            let (mut at_ms, mut busy, mut wanted, mut placed) = (0.0, [0.0; 4], Vec::new(), Vec::new());
+            for (motor, seconds, later_ms) in items {
+                at_ms += later_ms;
+                let added = sequence.add(compiled[usize::from(motor)], Some(seconds), Start::At(at_ms));
+                if at_ms < busy[usize::from(motor)] - 0.02 {
+                    let refused = matches!(added, Err(SequenceError::Overlaps { motor: of, .. }) if of == 3 * motor);
+                    prop_assert!(refused, "{:?}", added);
+                } else if added.is_ok() {
+                    busy[usize::from(motor)] = at_ms + seconds * 1e3;
+                    let Item { start, end, .. } = sequence.items[sequence.items.len() - 1];
+                    let seconds = Array::paper().rate().ticks_to_seconds(end - start);
+                    let mut alone = Strokes::new(&of(motor), &StrokeOptions::lasting(seconds)).unwrap();
+                    alone.begin(Tick(onset + start));
+                    wanted.extend(alone.map(Result::unwrap));
+                    placed.push((Tick(onset + start), 3 * motor));
+                }
+            }
+            prop_assume!(!placed.is_empty());
+            wanted.sort_by_key(|step| (step.begin(), step.motor()));
+            let mut strokes = sequence.strokes().unwrap();
+            strokes.begin(Tick(onset));
+            prop_assert_eq!(strokes.clone().map(Result::unwrap).collect::<Vec<_>>(), wanted.clone());
+            // As the streamer steps: an item is begun before any step that does not come before it.
+            let (mut steps, mut begun) = (Vec::new(), Vec::new());
+            begun.extend(placed.first().filter(|first| first.0 == Tick(onset)).map(|first| first.0));
+            loop {
+                if let Some(next) = strokes.next_onset() {
+                    begun.push(next);
+                    strokes.next_item();
+                    continue;
+                }
+                let Some(Ok(step)) = strokes.next() else { break };
+                prop_assert!(begun.last().is_some_and(|last| step.begin() >= *last));
+                let own = placed.iter().rposition(|item| item.0 <= step.begin() && item.1 == step.motor()).unwrap();
+                prop_assert!(strokes.item_drives(own, step.motor()));
+                steps.push(step);
+            }
+            prop_assert_eq!(steps, wanted);
+            prop_assert_eq!(begun, placed.iter().map(|item| item.0).collect::<Vec<_>>());
+            prop_assert!((0..placed.len()).all(|item| strokes.item_is_over(item)));
+        }
 
         /// Each item plays as its pattern alone would at its onset. Stepping from item to item, as the streamer does, gives the
         /// same strokes.

@@ -39,7 +39,10 @@ pub(super) fn add(
     let chart = Chart {
         title: None,
         x: Axis { name: "time, s", scale: Scale::linear(0.0, seconds) },
-        y: Axis { name: "displacement, µm", scale: Scale::linear(0.0, (highest / 5.0).ceil().max(1.0) * 5.0) },
+        y: Axis {
+            name: "displacement, µm",
+            scale: Scale::linear(0.0, (highest / 5.0).ceil().max(1.0) * 5.0),
+        },
         series: series.collect(),
     };
     let head: Vec<String> =

@@ -209,7 +209,10 @@ pub(super) fn section(
 
 fn summary(pattern: &Pattern, figures: &PatternFigures) -> String {
     let end = ordered_end(pattern, None).map(|end| pattern.array().rate().ticks_to_seconds(end));
-    let length = pattern.duration_s().or(end.filter(|_| figures.followed.is_some())).map_or("endless".to_owned(), |s| format!("{} s", number(s)));
+    let length = pattern
+        .duration_s()
+        .or(end.filter(|_| figures.followed.is_some()))
+        .map_or("endless".to_owned(), |s| format!("{} s", number(s)));
     let segments = match figures.segments {
         1 => String::new(),
         many => format!(", {many} segments"),
@@ -301,7 +304,8 @@ impl Response {
         )?;
         if !pattern.motions().is_empty() {
             // Motions are no drives: they are simulated burst by burst, with the drives beside them.
-            let ramps = Ramps::of_strokes(Strokes::new(pattern, &StrokeOptions::lasting(duration_s))?, duration_s)?;
+            let ramps =
+                Ramps::of_strokes(Strokes::new(pattern, &StrokeOptions::lasting(duration_s))?, duration_s)?;
             let mut spikes_s = vec![Vec::new(); scene.afferents().len()];
             simulate_ramps(&scene, &ramps, &mut |number, train| spikes_s[number as usize] = train)?;
             let rate = |train: &Vec<f64>| train.len() as f64 / duration_s.max(f64::MIN_POSITIVE);

@@ -287,7 +287,10 @@ impl PositionControl {
         let of_motor = self.motors.get(usize::from(motor)).into_iter().flat_map(BurstController::in_device);
         let bursts = of_motor.map(|(burst, _)| burst).filter(|burst| burst.start > after);
         bursts.fold([None, None], |[first, last], burst| {
-            [Some(first.map_or(burst.start, |first: Tick| first.min(burst.start))), last.max(Some(burst.end()))]
+            [
+                Some(first.map_or(burst.start, |first: Tick| first.min(burst.start))),
+                last.max(Some(burst.end())),
+            ]
         })
     }
 

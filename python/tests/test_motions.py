@@ -1,0 +1,141 @@
+"""Motions: samples, files, and what is told before and after a play."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+import struct
+import wave
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import meissner
+from meissner import errors, motions
+
+PRESS = [50 - 50 * math.cos(2 * math.pi * t / 500) for t in range(501)]
+"""Half a second at 1 kHz, up to 100 um."""
+
+
+def test_samples_and_drives_are_played_and_told(m: meissner.Client) -> None:
+    play = m.play(samples={9: PRESS}, rate=1000, strict=True, hold=1.0, labels={"what": "press"})
+    (motion,) = play.motions
+    assert (motion["motor"], motion["highest_um"], motion["too_slow_from_s"]) == (9, 100.0, None)
+    receipt = play.wait()
+    assert (receipt.pattern, receipt.late, receipt.raw["motions"]) == ("inline", 0, [motion])
+    (pin,) = receipt.raw["pins"]
+    assert pin["motor"] == 9
+    assert play.onset.tick < pin["first_pulse_tick"] < pin["offset_tick"] <= play.offset.tick
+    drives = [{"motor": 14, "frequency_hz": 60.0, "amplitude_um": 40.0}]
+    both = m.play(samples={9: PRESS}, rate=1000, drives=drives, seconds=0.3)
+    assert [pin["motor"] for pin in both.wait().raw["pins"]] == [9, 14]
+    assert m.play(drives=drives, seconds=0.1).wait().raw["motions"] == []
+
+
+def test_an_array_of_all_motors_is_played(m: meissner.Client) -> None:
+    numpy = pytest.importorskip("numpy")
+    um = numpy.zeros((501, m.array.motors))
+    um[:, 3] = PRESS
+    um[:, 20] = numpy.asarray(PRESS, dtype=numpy.float32) / 2
+    play = m.play(samples=um, rate=1000)
+    assert [(motion["motor"], motion["highest_um"]) for motion in play.motions] == [(3, 100.0), (20, 50.0)]
+    play.wait()
+    rows = [list(row) for row in um]
+    assert motions.pattern(rows, 1000) == motions.pattern(um, 1000)
+
+
+@pytest.mark.parametrize(
+    ("given", "says"),
+    [
+        ({"samples": {9: [0.0, math.nan]}, "rate": 100}, "motor 9: sample 1 at 0.01 s is nan: must be a number"),
+        ({"samples": {9: [0.0, math.inf]}, "rate": 100}, "motor 9: sample 1 at 0.01 s is inf"),
+        ({"samples": {9: [0.0, -1.0]}, "rate": 100}, "sample 1 at 0.01 s is -1: must be 0 to 400 um"),
+        ({"samples": {9: [0.0, 401.0]}, "rate": 100}, "sample 1 at 0.01 s is 401"),
+        ({"samples": {24: [0.0, 1.0]}, "rate": 100}, "motor 24: the array has motors 0 to 23"),
+        ({"samples": {9: [1.0]}, "rate": 100}, "motor 9 has 1 samples"),
+        ({"samples": {9: [0.0, 1.0]}}, "`rate` is None Hz: must be 1 to 8000"),
+        ({"samples": {9: [0.0, 1.0]}, "rate": 44100}, "`rate` is 44100"),
+        ({"samples": [[0.0, 1.0]], "rate": 100}, "samples at 0 are of 2 motors"),
+        ({"samples": {}, "rate": 100}, "nothing would move"),
+        ({}, "give `pattern`"),
+        ({"pattern": "pin-60", "drives": []}, "not both"),
+    ],
+)
+def test_what_no_pin_can_do_raises_before_anything_moves(m: meissner.Client, given: dict[str, Any], says: str) -> None:
+    with pytest.raises(ValueError, match=r".") as raised:
+        m.play(**given)
+    assert says in str(raised.value)
+    assert m.status().playing is None
+
+
+def test_what_a_motor_is_too_slow_for_is_refused(m: meissner.Client) -> None:
+    jump = {9: [0.0, 0.0, 300.0, 0.0]}
+    with pytest.raises(errors.TooSlow, match="motor 9 is too slow"):
+        m.play(samples=jump, rate=100, strict=True)
+    play = m.play(samples=jump, rate=100)
+    assert play.motions[0]["too_slow_from_s"] > 0
+    assert "too slow" in play.wait().raw["warnings"][0]
+
+
+def test_items_overlap_and_may_be_blank(m: meissner.Client) -> None:
+    items = [{"samples": {9: PRESS}, "rate": 1000}, {"pattern": "pin-60", "start": 0.005}, None]
+    with pytest.raises(errors.BadRequest, match=r"`items\[1\]`"):
+        m.sequence([items[0], {"samples": {9: PRESS}, "rate": 1000, "start": 0.1}])
+    two = [{"samples": {3: PRESS}, "rate": 1000, "start": 0.0}, {"pattern": "pin-60", "start": 0.005}, None]
+    play = m.sequence(two, seconds=0.5, scale=0.5)
+    play.wait()
+    assert [(item.pattern, item.state) for item in play.items] == [("inline", "played"), ("pin-60", "played"), ("blank", "played")]
+    assert play.items[1].onset is not None
+    assert play.items[0].onset is not None
+    assert play.items[1].onset.tick - play.items[0].onset.tick == 425
+
+
+def test_the_client_for_asyncio_takes_samples(daemon: meissner.Daemon) -> None:
+    async def plays() -> str:
+        async with meissner.connect_async(daemon.socket) as m:
+            await m.arm(assume_rest=True, checked="a test", silence=60.0)
+            play = await m.play(samples={9: PRESS}, rate=1000)
+            return (await play.wait()).state
+
+    assert asyncio.run(plays()) == "done"
+
+
+@pytest.mark.parametrize("width", [1, 2, 3, 4])
+def test_wav_files_are_read(tmp_path: Path, width: int) -> None:
+    path = tmp_path / "trace.wav"
+    full = 1 << (8 * width - 1)
+    levels = [(0, 0), (full // 2, 1), (-full, 2), (full - 1, 3)]
+    with wave.open(str(path), "wb") as file:
+        file.setparams((2, width, 1000, 0, "NONE", ""))
+        for left, right in levels:
+            for value in (left, right):
+                raw = bytes([value + 128]) if width == 1 else value.to_bytes(width, "little", signed=True)
+                file.writeframes(raw)
+    trace = meissner.import_wav(path, scale_um=100, offset_um=100, channel=0)
+    assert trace.rate == 1000
+    assert list(trace.um) == pytest.approx([100, 150, 0, 100 + 100 * (full - 1) / full])
+    with pytest.raises(ValueError, match="2 channels: choose one"):
+        meissner.import_wav(path, scale_um=1)
+    with pytest.raises(ValueError, match="`channel` is 2"):
+        meissner.import_wav(path, scale_um=1, channel=2)
+    path.write_bytes(struct.pack("<I", 7) * 9)
+    with pytest.raises(ValueError, match="not a WAV file"):
+        meissner.import_wav(path, scale_um=1)
+
+
+def test_csv_files_are_read(tmp_path: Path) -> None:
+    path = tmp_path / "trace.csv"
+    path.write_text("# made by hand\ntime; um\n\n0.0;1.5\n0.1;2\n", encoding="utf-8")
+    trace = meissner.import_csv(path, rate=10, column="um", scale_um=2.0)
+    assert (list(trace.um), trace.rate) == ([3.0, 4.0], 10.0)
+    assert list(meissner.import_csv(path, rate=10, column=1).um) == [1.5, 2.0]
+    for column, says in [(None, "2 columns"), ("mm", "no column 'mm'"), (5, "must be a number")]:
+        with pytest.raises(ValueError, match=says):
+            meissner.import_csv(path, rate=10, column=column)
+    path.write_text("1\nnan\n", encoding="utf-8")
+    with pytest.raises(ValueError, match="sample 1 of column 0 is 'nan'"):
+        meissner.import_csv(path, rate=10)
+    path.write_text("", encoding="utf-8")
+    with pytest.raises(ValueError, match="has no rows"):
+        meissner.import_csv(path, rate=10)
