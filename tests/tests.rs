@@ -51,10 +51,10 @@ mod lower_stop;
 mod manual;
 /// The daemon's memory: files that would fill it, a full queue of the longest pattern, the stated bound.
 mod memory;
-/// Patterns with motions, without a daemon: packed with their sample files, checked, simulated, refused where only drives are changed.
-mod motions_offline;
 /// Motions: inline patterns, what is told before and after, refusals, overlapping and blank items.
 mod motions;
+/// Patterns with motions, without a daemon: packed with their sample files, checked, simulated, refused where only drives are changed.
+mod motions_offline;
 /// The netlist of the board against the firmware.
 mod netlist;
 /// The API over TCP: hosts, origins, tokens and roles, floods; without `listen` the daemon does not listen.

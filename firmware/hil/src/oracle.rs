@@ -1,7 +1,7 @@
 //! Computes what the lines have to do from what went over the link.
 //!
-//! It implements the specification a second time. The [`plan`] has the moves that the device has accepted, as far as its reports say, and
-//! what interrupted them. [`pins`] follows the one rule tick by tick: a pin goes up only by a move in time, and comes down whenever it is
+//! It implements the specification a second time. The `plan` has the moves that the device has accepted, as far as its reports say, and
+//! what interrupted them. `pins` follows the one rule tick by tick: a pin goes up only by a move in time, and comes down whenever it is
 //! above its goal. At the edge of an e-stop or a failure a pulse cannot be predicted: there a [`Soft`] interval allows it to be missing.
 
 mod pins;

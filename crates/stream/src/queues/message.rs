@@ -76,6 +76,7 @@ pub enum Command {
 }
 
 /// What happened.
+#[expect(clippy::large_enum_variant, reason = "the thread that makes them must not allocate")]
 #[derive(Debug)]
 pub enum StreamEvent {
     /// The answer to a request.
