@@ -79,7 +79,7 @@ pub use pattern::{
     FollowedMotion, ImportedPattern, PatternDetails, PatternList, PatternSummary, RailLoad, ReachedDrive,
     RemovedPattern,
 };
-pub use pattern_choice::{MAX_PACKED_BODY, PatternChoice};
+pub use pattern_choice::{MAX_BODY, MAX_PACKED_BODY, PatternChoice};
 pub use prediction::{AfferentClass, ClassResponse, PredictedResponse, Prediction, Rates};
 pub use problem::{Code, MAX_DETAIL, Problem, REFERENCE};
 pub use receipt::{
@@ -88,7 +88,7 @@ pub use receipt::{
     OrderedCounts, PlayState, PulseCounts, Receipt, RefusedStroke,
 };
 pub use request::{
-    ArmRequest, CalibrateRequest, Fit, LatePolicy, MAX_BODY, MAX_WAIT_S, Mapping, PlayRequest, ResetRequest,
+    ArmRequest, CalibrateRequest, Fit, LatePolicy, MAX_WAIT_S, Mapping, PlayRequest, ResetRequest,
     parse_empty,
 };
 pub use route::{Method, Route};

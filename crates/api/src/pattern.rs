@@ -321,7 +321,29 @@ pub struct PatternTone {
     #[schema(minimum = 0.0, maximum = 1.0)]
     pub phase: f64,
     /// `hann`, or `attack_s` and `release_s`.
-    pub envelope: Option<Value>,
+    pub envelope: Option<PatternEnvelope>,
+}
+
+/// How a tone or noise begins and ends.
+#[derive(Clone, Debug, PartialEq, Deserialize, ToSchema)]
+#[serde(untagged)]
+pub enum PatternEnvelope {
+    /// `hann`.
+    Named(String),
+    /// It rises at the beginning and falls at the end.
+    Edges(PatternEdges),
+}
+
+/// The edges of an envelope.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct PatternEdges {
+    /// How long it rises, s.
+    #[schema(minimum = 0.0)]
+    pub attack_s: f64,
+    /// How long it falls, s.
+    #[schema(minimum = 0.0)]
+    pub release_s: f64,
 }
 
 /// Gaussian noise of a band on one motor.
@@ -355,7 +377,7 @@ pub struct PatternNoise {
     #[schema(minimum = 0)]
     pub seed: i64,
     /// `hann`, or `attack_s` and `release_s`.
-    pub envelope: Option<Value>,
+    pub envelope: Option<PatternEnvelope>,
 }
 
 /// A pattern that was stored.

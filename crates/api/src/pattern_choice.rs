@@ -6,7 +6,6 @@
 //! Invariant: a body that was checked has at most [`MAX_BODY`] bytes beside long strings.
 
 use crate::problem::{Code, Problem};
-use crate::request::MAX_BODY;
 use serde::de::value::MapAccessDeserializer;
 use serde::de::{Error, MapAccess, Visitor};
 use serde::{Deserialize, Deserializer, Serialize};
@@ -14,6 +13,8 @@ use serde_json::{Map, Value};
 use std::fmt;
 use utoipa::openapi::schema::{AdditionalProperties, ObjectBuilder, OneOfBuilder, Schema, Type};
 
+/// Size of the body of a request, at most, bytes.
+pub const MAX_BODY: usize = 1 << 20;
 /// Size of the body of a request that may hold packed samples, at most, bytes.
 pub const MAX_PACKED_BODY: usize = 64 << 20;
 /// A string of more bytes counts as packed samples.

@@ -26,7 +26,7 @@ use meissner_array::strokes::{Strokes, StrokesError};
 use std::sync::Arc;
 
 /// The most ramps of strokes and moves that are taken at once: 200 MB, ten minutes of 12 000 moves a second.
-pub const MAX_RAMPS: usize = 1 << 23;
+pub const MAX_RAMPS: usize = 8 << 20;
 
 /// Afferents whose spikes are in memory at a time. A minute at 1 000 impulses/s takes 46 MB; at 200, 9 MB.
 const AT_A_TIME: usize = 32;

@@ -41,7 +41,7 @@ struct Used {
     sha256: Arc<str>,
     name: Arc<str>,
     /// Its strokes and its largest amplitude, as ordered and as reached, µm, by scale.
-    compiled: HashMap<u64, (CompiledItem, [f64; 2])>,
+    compiled: HashMap<u64, OfScale>,
     /// What its longest item requires at the largest amplitude.
     bandwidth: Bandwidth,
 }
@@ -204,6 +204,9 @@ impl Compiled {
     }
 }
 
+/// A pattern compiled for a scale, and its largest amplitudes as [`Order::largest_um`] has them.
+type OfScale = (CompiledItem, [f64; 2]);
+
 impl Preparing {
     fn options(&self, scale: f64, seconds: Option<f64>) -> StrokeOptions {
         StrokeOptions { scale, surplus: self.surplus.clone(), ..StrokeOptions::lasting(seconds) }
@@ -215,7 +218,7 @@ impl Preparing {
         stored: &Stored,
         items: &[SequenceItem],
         settings: &Settings,
-    ) -> Result<(HashMap<u64, (CompiledItem, [f64; 2])>, Bandwidth), SequenceError> {
+    ) -> Result<(HashMap<u64, OfScale>, Bandwidth), SequenceError> {
         let (name, pattern) = (stored.pattern.name(), &*stored.pattern);
         let mut compiled = HashMap::new();
         for scale in items.iter().map(scale) {

@@ -38,6 +38,15 @@ impl fmt::Display for PatternError {
 
 impl std::error::Error for PatternError {}
 
+impl PatternError {
+    /// Whether the text has too many bytes.
+    #[must_use]
+    pub const fn is_too_large(&self) -> bool {
+        let problem = &self.0.problem;
+        matches!(problem, document::Problem::Own(Problem::TooLarge { .. } | Problem::TooLargePacked { .. }))
+    }
+}
+
 /// What can be wrong with a pattern only.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[expect(missing_docs, reason = "the messages say it")]
