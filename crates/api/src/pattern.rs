@@ -316,6 +316,7 @@ pub struct PatternTone {
     #[schema(minimum = 0.0)]
     pub amplitude_um: f64,
     /// The level that it swings about, µm; without it half the amplitude.
+    #[schema(minimum = -1e6)]
     pub about_um: Option<f64>,
     /// Phase at its beginning, cycles.
     #[schema(minimum = 0.0, maximum = 1.0)]
@@ -372,6 +373,7 @@ pub struct PatternNoise {
     #[schema(minimum = 0.0)]
     pub peak_um: Option<f64>,
     /// The level that it swings about, µm; without it its largest value.
+    #[schema(minimum = -1e6)]
     pub about_um: Option<f64>,
     /// Equal seeds give equal noise.
     #[schema(minimum = 0)]

@@ -33,6 +33,16 @@ class Trace(NamedTuple):
     """Hz."""
 
 
+def _columns(samples: Samples) -> int:
+    """How many motors the samples are of."""
+    if isinstance(samples, Mapping):
+        return 1 + max((int(motor) for motor in samples), default=0)
+    shape = getattr(samples, "shape", None)
+    if shape is not None:
+        return int(shape[-1])
+    return len(list(next(iter(samples), [])))
+
+
 def _by_motor(samples: Samples, motors: int) -> dict[int, Any]:
     """The samples of each motor: of a mapping, or of an array of shape (time, motors), whose pins that stay at rest are left out."""
     if isinstance(samples, Mapping):
@@ -79,7 +89,7 @@ def pattern(
     *,
     start: float = 0.0,
     name: str | None = None,
-    motors: int = 24,
+    motors: int | None = None,
     most_um: float = 400.0,
 ) -> dict[str, Any]:
     """An inline pattern: samples of displacement, and drives beside them.
@@ -93,8 +103,9 @@ def pattern(
             raise ValueError(f"`rate` is {rate} Hz: must be {RATE[0]:g} to {RATE[1]:g}")
         if not 0.0 <= start <= 1e8:
             raise ValueError(f"`start` is {start} s: must be 0 or more")
-        of = _by_motor(samples, motors)
-        keys["wave"] = [_wave(motor, of[motor], float(rate), start, most_um, motors) for motor in sorted(of)]
+        count = _columns(samples) if motors is None else motors
+        of = _by_motor(samples, count)
+        keys["wave"] = [_wave(motor, of[motor], float(rate), start, most_um, count) for motor in sorted(of)]
     if drives is not None:
         keys["drive"] = [dict(drive) for drive in drives]
     if not keys.get("wave") and not keys.get("drive"):
