@@ -102,6 +102,42 @@ fn updates_over_the_socket_are_applied_and_counted() {
 }
 
 #[test]
+fn pins_follow_levels_and_are_at_rest_when_the_client_ends() {
+    let daemon = Daemon::start();
+    daemon.armed();
+    let mut events = daemon.client().events().unwrap();
+    let accepted = start(&daemon, json!({"levels": true, "open_loop": true}));
+    let mut lines = Lines::open(&daemon, &accepted.path);
+    lines.send(&json!({"seq": 1, "um": {"9": 100.0, "10": 50.0}}));
+    assert_eq!(lines.applied(1).ticks.iter().flatten().count(), 2);
+    // Another pin's level leaves these as they are; a drive takes the place of a level.
+    lines.send(&json!({"seq": 2, "um": {"11": 20.0}, "glide_ms": 0}));
+    assert_eq!(lines.applied(2).ticks.iter().flatten().count(), 1);
+    lines.send(&json!({"seq": 3, "drives": [drive(10, 40.0)], "um": {"9": 0.0}}));
+    assert_eq!(lines.applied(3).ticks.iter().flatten().count(), 2);
+    let mut refused = |message: Value, says: &str| {
+        lines.send(&message);
+        let problem = lines.answer().problem.unwrap();
+        assert!(problem.code == "bad-request" && problem.detail.contains(says), "{problem:?}");
+    };
+    refused(json!({"seq": 4, "um": {"24": 1.0}}), "the array has motors 0 to 23");
+    refused(json!({"seq": 4, "um": {"9": 500.0}}), "motor 9 at 500 um: must be 0 to");
+    refused(json!({"seq": 4, "um": {"9": -1.0}}), "`um.9` is -1");
+    refused(json!({"seq": 4, "um": {"9": 1.0}, "glide_ms": 2000}), "`glide_ms` is 2000");
+    refused(json!({"seq": 4, "um": {"9": 1.0}, "drives": [drive(9, 1.0)]}), "both have motor 9");
+    lines.send(&json!({"seq": 5, "end": true}));
+    assert_eq!(lines.answer().ended.as_ref().map(EndCause::text), Some("stop"));
+    let receipt = ended(&mut events);
+    let pins: Vec<u8> = receipt.pins.unwrap().iter().map(|pin| pin.motor).collect();
+    assert_eq!((pins, receipt.bursts.unwrap().late), (vec![9, 10, 11], 0));
+    // A play that was not started for levels takes none.
+    let accepted = start(&daemon, json!({"drives": [drive(9, 80.0)]}));
+    let mut lines = Lines::open(&daemon, &accepted.path);
+    lines.send(&json!({"seq": 1, "um": {"9": 100.0}}));
+    assert!(lines.answer().problem.unwrap().detail.contains("start it with `levels`"));
+}
+
+#[test]
 fn a_client_that_vanishes_ends_the_play() {
     let daemon = Daemon::start();
     daemon.armed();

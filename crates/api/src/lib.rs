@@ -71,8 +71,8 @@ pub use doctor::{DoctorReport, Finding, Level};
 pub use end_cause::EndCause;
 pub use event::{Event, MAX_ITEMS_LISTED, SensorFault};
 pub use live::{
-    LIVE_TARGET_LEAST_HZ, LIVE_TIMEOUT_MS, LIVE_UPDATES_HZ, LIVE_UPGRADE, LiveAccepted, LiveAnswer,
-    LiveApplied, LiveDrive, LiveMessage, LivePose, LiveRequest, MAX_LIVE_MESSAGE,
+    LIVE_GLIDE_MS, LIVE_TARGET_LEAST_HZ, LIVE_TIMEOUT_MS, LIVE_UPDATES_HZ, LIVE_UPGRADE, LiveAccepted,
+    LiveAnswer, LiveApplied, LiveDrive, LiveMessage, LivePose, LiveRequest, MAX_LIVE_MESSAGE,
 };
 pub use live_record::{LiveContrast, LiveRecord, ReachedContrast, UpdateTimes};
 pub use pattern::{

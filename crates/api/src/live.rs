@@ -23,6 +23,8 @@ pub const LIVE_TIMEOUT_MS: f64 = 500.0;
 pub const LIVE_UPDATES_HZ: f64 = 50.0;
 /// The lowest frequency of a live target's drives, Hz: a motor changes where its next period begins.
 pub const LIVE_TARGET_LEAST_HZ: f64 = 40.0;
+/// How long pins take to get to a level, without `glide_ms`, ms.
+pub const LIVE_GLIDE_MS: f64 = 20.0;
 /// Bytes of a message, at most.
 pub const MAX_LIVE_MESSAGE: usize = 1 << 16;
 
@@ -109,6 +111,9 @@ pub struct LiveRequest {
     #[serde(default, deserialize_with = "given", skip_serializing_if = "Option::is_none")]
     #[schema(minimum = 1.0, maximum = 1000.0)]
     pub updates_hz: Option<f64>,
+    /// Whether messages may have `um`: pins follow levels. The line must carry it.
+    #[serde(default, deserialize_with = "null_as_default", skip_serializing_if = "std::ops::Not::not")]
+    pub levels: bool,
     /// What to do when strokes come late: `drop` them (the default) or `abort` the play.
     #[serde(default, deserialize_with = "null_as_default")]
     pub late: LatePolicy,
@@ -145,7 +150,7 @@ pub struct LiveAccepted {
     pub path: String,
 }
 
-/// A message from the client of a live play. Without `drives`, `scale` and `end` it only shows that the client is there.
+/// A message from the client of a live play. Without `drives`, `um`, `scale` and `end` it only shows that the client is there.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 #[schema(examples(json!({"seq": 7, "drives": [{"motor": 9, "frequency_hz": 60.0, "amplitude_um": 40.0}]})))]
@@ -158,6 +163,14 @@ pub struct LiveMessage {
     /// Where the target's shape is now.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub pose: Option<LivePose>,
+    /// Levels for pins by their motors' numbers, above rest, µm, if the play was started with `levels`. A pin goes to its level and stays
+    /// there, for 60 s at most; a drive for its motor takes its place.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub um: BTreeMap<u8, f64>,
+    /// How long pins take to get to these levels, ms; without it 20. With 0 they go at full speed.
+    #[serde(default, deserialize_with = "given", skip_serializing_if = "Option::is_none")]
+    #[schema(minimum = 0.0, maximum = 1000.0)]
+    pub glide_ms: Option<f64>,
     /// A new scale of all amplitudes.
     #[serde(default, deserialize_with = "given", skip_serializing_if = "Option::is_none")]
     #[schema(minimum = 0.0, maximum = 1.0)]
@@ -301,6 +314,17 @@ impl LiveMessage {
         check_drives(message.drives.as_deref().unwrap_or_default())?;
         check_pose(message.pose)?;
         check_scale(message.scale).map_err(bad)?;
+        for (motor, um) in &message.um {
+            // The daemon knows the array's motors, and how far they go.
+            document::in_range(&format!("um.{motor}"), *um, *um >= 0.0, "0 um or more").map_err(problem)?;
+            if message.drives.iter().flatten().any(|drive| drive.motor == *motor) {
+                return Err(bad(format!("`drives` and `um` both have motor {motor}: leave one out")));
+            }
+        }
+        if let Some(ms) = message.glide_ms {
+            document::in_range("glide_ms", ms, (0.0..=1000.0).contains(&ms), "0 to 1000 ms")
+                .map_err(problem)?;
+        }
         Ok(message)
     }
 

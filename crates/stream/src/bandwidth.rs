@@ -15,11 +15,11 @@
 
 use crate::settings::{Settings, batch_ticks};
 use crate::source::Source;
-use firmware_protocol::batch::{BATCH_BYTES, Packer};
+use firmware_protocol::batch::{BATCH_BYTES, MAX_BATCH, Packer};
 use firmware_protocol::tick::Tick;
 use meissner_array::motor::{MotorError, SquareWave};
 use meissner_array::per_motor::PerMotor;
-use meissner_array::spec::MotorSpec;
+use meissner_array::spec::{Array, MotorSpec};
 use meissner_array::strokes::{LiveStrokes, Step, Strokes};
 use meissner_array::units::TickRate;
 use std::time::Duration;
@@ -137,6 +137,18 @@ impl Bandwidth {
             counter.step(&step);
         }
         counter.bandwidth(settings)
+    }
+
+    /// The same with pins that follow levels besides: all of them glide all the time.
+    #[must_use]
+    pub fn with_levels(mut self, array: Array) -> Self {
+        // A move each 2 ms takes two bytes in a row, or three with its share of the frame.
+        let moves_per_s = array.motors() as u32 * 500;
+        for required in [&mut self.open, &mut self.closed] {
+            required.rate += 3 * moves_per_s;
+            required.frames += moves_per_s.div_ceil(MAX_BATCH as u32);
+        }
+        self
     }
 
     fn of_source(mut strokes: Source, settings: &Settings) -> Self {

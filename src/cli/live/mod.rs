@@ -120,6 +120,7 @@ impl Live {
             timeout_ms: self.timeout_ms,
             max_frequency_hz: self.max_frequency_hz,
             updates_hz: self.updates_hz,
+            levels: false,
             late: self.play.late,
             replace: self.play.replace,
             open_loop: self.play.open_loop,

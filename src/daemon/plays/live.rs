@@ -21,6 +21,7 @@ use meissner_api::{
     Code, LIVE_TIMEOUT_MS, LIVE_UPDATES_HZ, LiveAccepted, LiveAnswer, LiveMessage, LiveRecord, LiveRequest,
     Problem, Receipt,
 };
+use meissner_array::motor::MotorError;
 use meissner_array::pattern::Drive;
 use meissner_array::strokes::{LiveStrokes, StrokeOptions};
 use meissner_design::Target;
@@ -48,7 +49,8 @@ impl Engine {
         let options =
             StrokeOptions { scale: request.scale.unwrap_or(1.0), surplus, ..StrokeOptions::default() };
         let most_hz = request.most_hz();
-        let mut live = LivePlay::new(settings.array, &request.drives, options, most_hz)?;
+        let mut live =
+            LivePlay::new(settings.array, &request.drives, options, most_hz)?.with_levels(request.levels);
         let prepared = match target {
             Some(target) => {
                 let (prepared, drives) = prepare(request, target).await?;
@@ -65,8 +67,12 @@ impl Engine {
         let waves = live.waves()?;
         let updates_hz = request.updates_hz.unwrap_or(LIVE_UPDATES_HZ);
         // This iterates over a minute of strokes.
+        let levels = request.levels;
         let bandwidth = PLAYS
-            .computing(move || Bandwidth::of_live(most_hz, updates_hz, &settings))
+            .computing(move || {
+                let drives = Bandwidth::of_live(most_hz, updates_hz, &settings)?;
+                Ok::<_, MotorError>(if levels { drives.with_levels(settings.array) } else { drives })
+            })
             .await?
             .map_err(|error| Problem::new(Code::BadRequest, error.to_string()))?;
         let timeout = Duration::from_secs_f64(request.timeout_ms.unwrap_or(LIVE_TIMEOUT_MS) / 1000.0);

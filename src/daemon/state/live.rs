@@ -8,13 +8,15 @@ use crate::daemon::state::limits::too_many;
 use crate::daemon::state::poses::Poses;
 use crate::daemon::state::render_job::{Job, pose};
 use crate::daemon::state::session::random_hex;
-use meissner_api::{Code, EndCause, LiveAnswer, LiveApplied, LiveContrast, LiveDrive, LiveMessage, Problem};
+use meissner_api::{
+    Code, EndCause, LIVE_GLIDE_MS, LiveAnswer, LiveApplied, LiveContrast, LiveDrive, LiveMessage, Problem,
+};
 use meissner_array::motor::SquareWave;
 use meissner_array::pattern::Drive;
 use meissner_array::per_motor::PerMotor;
 use meissner_array::power::Group;
 use meissner_array::spec::Array;
-use meissner_array::strokes::{DriveStrokes, StrokeOptions};
+use meissner_array::strokes::{DriveStrokes, LiveMotion, StrokeOptions};
 use meissner_design::RenderError;
 use meissner_stream::Settings;
 use meissner_stream::queues::{Applied, Command, LiveResult, LiveUpdate, StreamEvent};
@@ -35,6 +37,10 @@ pub(in crate::daemon) struct LivePlay {
     key: String,
     array: Array,
     drives: PerMotor<LiveDrive>,
+    /// The motors whose pins follow levels, µm, in place of their drives.
+    levels: PerMotor<Option<f64>>,
+    /// Whether messages may have levels.
+    takes_levels: bool,
     /// Scale and surplus of its strokes.
     options: StrokeOptions,
     most_hz: f64,
@@ -76,6 +82,8 @@ impl LivePlay {
             key,
             array,
             drives: silent,
+            levels: PerMotor::all(array, None),
+            takes_levels: false,
             options,
             most_hz,
             seq: None,
@@ -91,6 +99,11 @@ impl LivePlay {
     /// The same play with a target, whose waiting poses are in `poses`.
     pub(in crate::daemon) fn with_poses(self, poses: Arc<Poses>) -> Self {
         Self { poses: Some(poses), ..self }
+    }
+
+    /// The same play, whose messages may have levels.
+    pub(in crate::daemon) fn with_levels(self, takes_levels: bool) -> Self {
+        Self { takes_levels, ..self }
     }
 
     pub(in crate::daemon) fn key(&self) -> &str {
@@ -117,9 +130,48 @@ impl LivePlay {
             return Err(Problem::new(Code::BadRequest, detail));
         }
         for drive in drives {
-            self.drives[usize::from(drive.motor)] = *drive;
+            let motor = usize::from(drive.motor);
+            (self.drives[motor], self.levels[motor]) = (*drive, None);
         }
         Ok(())
+    }
+
+    /// Takes over the levels of a message.
+    fn set_levels(&mut self, message: &LiveMessage) -> Result<(), Problem> {
+        let travel_um = self.array.motor().travel_um;
+        for (&motor, &um) in &message.um {
+            let detail = if !self.takes_levels {
+                "the play was started without `levels`: start it with `levels`, so that the line is checked for them"
+                    .to_owned()
+            } else if !self.array.has(motor) {
+                format!("motor {motor}: the array has motors {}", self.array.motor_range())
+            } else if um > travel_um {
+                format!("motor {motor} at {um} um: must be 0 to {travel_um} um")
+            } else {
+                let motor = usize::from(motor);
+                (self.levels[motor], self.drives[motor].amplitude_um) = (Some(um), 0.0);
+                continue;
+            };
+            return Err(Problem::new(Code::BadRequest, detail));
+        }
+        Ok(())
+    }
+
+    /// What an update tells the streamer: the levels of the message, and all drives.
+    fn motions(&self, message: Option<&LiveMessage>) -> Result<PerMotor<Option<LiveMotion>>, Problem> {
+        let (array, rate) = (self.array, self.array.rate());
+        let glide_ms = message.and_then(|message| message.glide_ms).unwrap_or(LIVE_GLIDE_MS);
+        let mut motions = self.waves()?.map(|wave| Some(LiveMotion::Wave(wave)));
+        for (motor, (motion, level)) in (0..).zip(motions.iter_mut().zip(&*self.levels)) {
+            let Some(um) = level else { continue };
+            let pulses = array.motor().pulses(um * self.options.scale).round();
+            let pulses = (pulses as u16).min(array.motor().most_pulses);
+            let glide_ticks = rate.ms_in_ticks(glide_ms) as u32;
+            let is_new = message.is_some_and(|message| message.um.contains_key(&motor));
+            // A pin that the device has brought down stays there until a message names it again.
+            *motion = is_new.then_some(LiveMotion::Level { array, pulses, glide_ticks });
+        }
+        Ok(motions)
     }
 
     /// Sets the scale, unless a later message has set it.
@@ -150,14 +202,17 @@ impl LivePlay {
 
     /// The largest amplitude, µm.
     pub(in crate::daemon) fn largest_um(&self) -> f64 {
-        let largest = self.drives.iter().map(|drive| drive.amplitude_um).fold(0.0, f64::max);
-        largest * self.options.scale
+        let drives = self.drives.iter().map(|drive| drive.amplitude_um);
+        drives.chain(self.levels.iter().flatten().copied()).fold(0.0, f64::max) * self.options.scale
     }
 
     /// Refuses drives that move more motors than may have pulses at once. Phases are ignored, because they shift with each change.
     pub(in crate::daemon) fn check_at_once(&self, settings: &Settings) -> Result<(), Problem> {
         let limits = settings.limits;
-        let moves = |motor: &&u8| self.drives[usize::from(**motor)].amplitude_um * self.options.scale > 0.0;
+        let moves = |motor: &&u8| {
+            let motor = usize::from(**motor);
+            self.levels[motor].is_some() || self.drives[motor].amplitude_um * self.options.scale > 0.0
+        };
         let rails = (0..).take(self.array.rails().count()).map(Group::Rail);
         let chips = (0..).take(self.array.chips().count()).map(Group::Chip);
         for group in rails.chain(chips) {
@@ -344,11 +399,12 @@ impl State {
             }
             (None, _) => {}
         }
-        let changes = message.drives.is_some() || message.scale.is_some();
-        self.change_live(id, message.seq, received_at, changes, |play| {
+        let changes = message.drives.is_some() || message.scale.is_some() || !message.um.is_empty();
+        self.change_live(id, message.seq, received_at, changes, Some(message), |play| {
             play.scale(message.scale.map(|scale| (message.seq, scale)));
             play.seq = Some(message.seq);
-            play.set(message.drives.as_deref().unwrap_or_default())
+            play.set(message.drives.as_deref().unwrap_or_default())?;
+            play.set_levels(message)
         })
     }
 
@@ -362,7 +418,7 @@ impl State {
         let &Job { seq, received_at, scale, .. } = job;
         let drives = rendered.map_err(|error| Problem::new(Code::BadRequest, error.to_string()));
         let sent = drives.and_then(|drives| {
-            self.change_live(id, seq, received_at, true, |play| {
+            self.change_live(id, seq, received_at, true, None, |play| {
                 play.scale(scale);
                 play.set_pattern(drives)
             })
@@ -381,20 +437,22 @@ impl State {
         number: u64,
         received_at: HostInstant,
         changes: bool,
+        message: Option<&LiveMessage>,
         change: impl FnOnce(&mut LivePlay) -> Result<(), Problem>,
     ) -> Result<(), Problem> {
         let array = self.settings.array;
         let play = self.live.plays.get_mut(&id).ok_or_else(over)?;
-        let before = (play.drives, play.options.scale, play.scaled_by, play.seq);
+        let before = (play.drives, play.levels, play.options.scale, play.scaled_by, play.seq);
         let settings = self.settings;
-        let changed = change(play).and_then(|()| play.check_at_once(&settings)).and_then(|()| play.waves());
+        let changed =
+            change(play).and_then(|()| play.check_at_once(&settings)).and_then(|()| play.motions(message));
         let (largest_um, full) = (play.largest_um(), play.under_way >= UNDER_WAY);
         let busy = || Problem::new(Code::Busy, "too many updates are under way: wait for their answers");
-        let sent = changed.and_then(|waves| {
+        let sent = changed.and_then(|motions| {
             self.check_amplitude("the live play", largest_um)?;
             let mut update = LiveUpdate::new(array, id, number, received_at);
             if changes {
-                update.motions = waves.map(|wave| Some(wave.into()));
+                update.motions = motions;
             }
             let command = Command::UpdateLive(Box::new(update));
             if full { Err(busy()) } else { self.commands.send_unanswered(command).map_err(|_| busy()) }
@@ -402,7 +460,7 @@ impl State {
         if let Some(play) = self.live.plays.get_mut(&id) {
             match &sent {
                 Ok(()) => play.under_way += 1,
-                Err(_) => (play.drives, play.options.scale, play.scaled_by, play.seq) = before,
+                Err(_) => (play.drives, play.levels, play.options.scale, play.scaled_by, play.seq) = before,
             }
         }
         sent
