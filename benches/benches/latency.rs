@@ -90,7 +90,7 @@ fn round_trips(socket: &Path) -> Result<Vec<f64>, Box<dyn Error>> {
 
 fn plays(client: &mut Client) -> Result<Vec<f64>, Box<dyn Error>> {
     let mut events = client.events()?;
-    let request = PlayRequest { pattern: "pin-60".to_owned(), seconds: Some(0.05), ..PlayRequest::default() };
+    let request = PlayRequest { pattern: "pin-60".into(), seconds: Some(0.05), ..PlayRequest::default() };
     let mut us = Vec::new();
     while us.len() < PLAYS {
         // Armed and idle for a while, as between two trials. The pauses differ, so that no rhythm helps.
@@ -108,7 +108,7 @@ fn stops(client: &mut Client) -> Result<Vec<f64>, Box<dyn Error>> {
     while us.len() < STOPS {
         let _: Value = client.post(
             "/v1/play",
-            &PlayRequest { pattern: "wave".to_owned(), endless: true, ..PlayRequest::default() },
+            &PlayRequest { pattern: "wave".into(), endless: true, ..PlayRequest::default() },
         )?;
         thread::sleep(Duration::from_millis(20));
         let begun = Instant::now();

@@ -125,7 +125,7 @@ proptest! {
         let options = StrokeOptions { seconds, scale, fit, surplus, ..StrokeOptions::default() };
         let mut strokes = Strokes::new(&pattern, &options).unwrap();
         let (mut levels, mut busy, mut last) = ([0u16; 24], [0u64; 24], 0);
-        let mut steps = strokes.by_ref();
+        let steps = strokes.by_ref();
         for step in steps.by_ref() {
             let step = step.unwrap();
             let motor = usize::from(step.motor());
