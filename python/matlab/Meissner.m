@@ -160,12 +160,17 @@ classdef Meissner < handle
 
     function play = play(self, pattern, varargin)
       % Queue a play. Options: seconds, at, scale, trigger (a code, or false), trial, labels (a struct), late, fit, map, replace,
-      % endless, open_loop. 'map', 'nearest' plays a pattern for another array by the pins' positions. 'at' is a time of
+      % endless, open_loop, strict. 'pattern' is a name, or a struct with the keys of a pattern file; tables of it are cells of
+      % structs: struct('wave', {{struct('motor', 9, 'rate_hz', 1000, 'um', samples)}}). 'map', 'nearest' plays a pattern for another
+      % array by the pins' positions. 'at' is a time of
       % now(), or an instant such as m.later(receipt.onset, 1.5), which is exact to the tick.
-      names = {'seconds', 'at', 'scale', 'trigger', 'trial', 'labels', 'late', 'fit', 'map', 'replace', 'endless', 'open_loop'};
+      names = {'seconds', 'at', 'scale', 'trigger', 'trial', 'labels', 'late', 'fit', 'map', 'replace', 'endless', 'open_loop', 'strict'};
       body = Meissner.options(names, varargin);
       body.pattern = pattern;
-      play = self.order('/v1/play', body, pattern);
+      name = pattern;
+      if isstruct(pattern), name = 'inline'; end
+      if isstruct(pattern) && isfield(pattern, 'name'), name = pattern.name; end
+      play = self.order('/v1/play', body, name);
     end
 
     function play = sequence(self, items, varargin)

@@ -57,6 +57,9 @@ pub enum NoPrediction {
     /// A live play has no pattern.
     #[error("a live play has no pattern")]
     Live,
+    /// Plays that wait for their prediction keep their patterns in memory.
+    #[error("its motions have more samples than are kept for a prediction")]
+    Long,
     /// Too many plays ended at once.
     #[error("too many plays waited for their prediction")]
     Busy,

@@ -17,7 +17,7 @@
 //! let mut client = Client::at(Endpoint::find())?;
 //! let mut events = client.events()?;
 //! let _: Status = client.post("/v1/arm", &ArmRequest { assume_rest: true, ..ArmRequest::default() })?;
-//! let request = PlayRequest { pattern: "edge-45".to_owned(), seconds: Some(2.0), ..PlayRequest::default() };
+//! let request = PlayRequest { pattern: "edge-45".into(), seconds: Some(2.0), ..PlayRequest::default() };
 //! let PlayAccepted { id, .. } = client.post("/v1/play", &request)?;
 //! while let Some(event) = events.next(None)? {
 //!     if let Event::Ended { receipt } = event

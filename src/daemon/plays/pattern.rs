@@ -7,13 +7,14 @@ use crate::daemon::state::NewPlay;
 use crate::daemon::state::limits::check_limits;
 use crate::daemon::system::runtime::PLAYS;
 use crate::exposure::Vibration;
-use crate::receipts::{Order, counts, fit, motions, too_slow};
+use crate::receipts::{NoPrediction, Order, counts, fit, motions, too_slow};
 use crate::session_record::Peer;
 use crate::store::{MappedFrom, Stored};
 use meissner_api::{Code, Fit, Mapping, PlayAccepted, PlayRequest, Problem, Receipt, TriggerRequest};
 use meissner_array::strokes::{StrokeOptions, Strokes, Surplus};
 use meissner_stream::queues::{HOLD_ALWAYS, Item};
 use meissner_stream::{Bandwidth, Settings, find_longest_hold};
+use std::sync::Arc;
 
 impl Compiled {
     /// Compiles the pattern of a request, on another thread: a pattern may have millions of moves, and other commands must not wait.
@@ -94,6 +95,11 @@ fn compile(
     let vibration = Vibration::of(pattern, end_s);
     let bandwidth = Bandwidth::of(&strokes, &settings);
     let Stored { pattern, sha256, text, .. } = stored;
+    let bytes = pattern.motion_bytes();
+    let predicted = (bytes <= MAX_PREDICTED).then(|| (Arc::clone(&pattern), options));
+    if predicted.is_none() {
+        receipt.prediction.unknown = Some(NoPrediction::Long.to_string());
+    }
     Ok(Compiled {
         strokes: strokes.into(),
         items: vec![Item::new(trigger(asked.trigger, array.rate()))],
@@ -104,11 +110,15 @@ fn compile(
         vibration,
         endless: asked.endless,
         largest,
-        memory: vec![(sha256.clone(), pattern.motion_bytes())],
-        new: NewPlay { receipt, items: None, predicted: Some((pattern, options)), client },
+        memory: vec![(sha256.clone(), bytes)],
+        new: NewPlay { receipt, items: None, predicted, client },
         texts: vec![(sha256, text)],
     })
 }
+
+/// Bytes of the samples of a play whose response is predicted, at most: 24 motors for 40 s at 1 kHz. Patterns wait for their prediction
+/// after their plays, sixteen at most.
+const MAX_PREDICTED: usize = 4 << 20;
 
 /// Motors that are too slow have so many lines among the warnings, at most; `motions` has all.
 const MAX_LINES: usize = 4;

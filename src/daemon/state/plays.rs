@@ -166,3 +166,28 @@ impl Plays {
         Some(MeasuredPlay { pattern, options, receipt, telemetry, bursts })
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_samples_of_plays_that_are_not_over_are_bounded_and_shared() {
+        let mut plays = Plays::new(Array::paper());
+        let of = |sha256: &str, mib: usize| vec![(sha256.to_owned(), mib << 20)];
+        plays.check_memory(&of("a", 48)).unwrap();
+        plays.hold_memory(1, of("a", 48));
+        plays.hold_memory(2, of("a", 48));
+        plays.hold_memory(3, of("b", 48));
+        assert!(plays.check_memory(&of("a", 48)).is_ok() && plays.check_memory(&of("c", 32)).is_ok());
+        let refused = plays.check_memory(&of("c", 33)).unwrap_err();
+        assert!(refused.code == "too-large" && refused.detail.contains("would take 129 MiB"), "{refused:?}");
+        assert!(plays.check_memory(&of("drives", 0)).is_ok());
+        plays.take_client(3);
+        plays.check_memory(&of("c", 33)).unwrap();
+        plays.forget(1);
+        assert!(plays.check_memory(&of("c", 81)).is_err(), "play 2 has the same pattern");
+        plays.take_client(2);
+        plays.check_memory(&of("c", 128)).unwrap();
+    }
+}
