@@ -165,15 +165,11 @@ fn the_shipped_motions_do_what_motors_can_do() {
         }
     }
     let table = printed(meissner().args(["displacement", "press-hold", "--rate-hz", "1000"]));
-    let row = |number: usize| {
-        table.lines().nth(1 + number).unwrap().split(',').nth(1).unwrap().parse::<f64>().unwrap()
-    };
-    assert!(
-        (row(300) - 200.0).abs() < 0.1 && row(604).abs() < 0.3 && row(25) < 100.0,
-        "{} {}",
-        row(300),
-        row(604)
-    );
+    let rows: Vec<f64> =
+        table.lines().skip(1).map(|row| row.split(',').nth(1).unwrap().parse().unwrap()).collect();
+    assert!((rows[300] - 200.0).abs() < 0.1 && rows[25] < 100.0, "{} {}", rows[25], rows[300]);
+    // Down again within 50 ms, and the motor's 4.3 ms.
+    assert!((600..612).contains(&rows.len()) && rows.last().unwrap().abs() < 1.0, "{rows:?}");
     // Half the scale, half the height.
     let half =
         printed(meissner().args(["displacement", "press-hold", "--rate-hz", "1000", "--scale", "0.5"]));
@@ -194,7 +190,7 @@ fn motions_are_simulated_by_both_models() {
             trains.iter().map(|train| train.as_array().unwrap().len()).sum::<usize>()
         };
         let [rough, press] = ["rough-noise", "press-hold"].map(|name| spikes(name, "1"));
-        assert!(rough > 400 && press > 0, "{model}: {rough} {press}");
+        assert!(rough > 300 && press > 0, "{model}: {rough} {press}");
         assert!(spikes("rough-noise", "0.5") < rough);
     }
     // A pattern of drives gives the spikes of the scene with these drives and a fingertip.
