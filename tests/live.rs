@@ -125,6 +125,8 @@ fn pins_follow_levels_and_are_at_rest_when_the_client_ends() {
     refused(json!({"seq": 4, "um": {"9": -1.0}}), "`um.9` is -1");
     refused(json!({"seq": 4, "um": {"9": 1.0}, "glide_ms": 2000}), "`glide_ms` is 2000");
     refused(json!({"seq": 4, "um": {"9": 1.0}, "drives": [drive(9, 1.0)]}), "both have motor 9");
+    // Updates begin some milliseconds after they are applied.
+    thread::sleep(Duration::from_millis(100));
     lines.send(&json!({"seq": 5, "end": true}));
     assert_eq!(lines.answer().ended.as_ref().map(EndCause::text), Some("stop"));
     let receipt = ended(&mut events);

@@ -38,6 +38,9 @@ fn a_session_over_a_terminal_plays_and_accounts() {
     assert!(daemon.end().success() && !daemon.socket().exists());
 }
 
+/// A host watchdog timeout that a busy machine does not reach by itself.
+const LEASE_MS: u32 = 2000;
+
 /// A daemon with this host watchdog timeout on such a board in mid-play, its pins half way up.
 fn in_mid_play(lease_ms: u32) -> (PtyMock, Daemon) {
     let board = board();
@@ -47,6 +50,8 @@ fn in_mid_play(lease_ms: u32) -> (PtyMock, Daemon) {
     // Without corrections each pin goes down by as many pulses as it went up.
     let request = json!({"pattern": "all-in-phase", "seconds": 60, "open_loop": true});
     let _: serde_json::Value = client.post("/v1/play", &request).unwrap();
+    // A machine that stands still delays the onset.
+    wait_until(|| client.get::<Receipt>("/v1/plays/last").unwrap().onset.is_some());
     sleep(Duration::from_millis(500));
     (board, daemon)
 }
@@ -74,18 +79,18 @@ fn a_daemon_that_ends_in_mid_play_returns_the_pins() {
 
 #[test]
 fn a_daemon_killed_in_mid_play_leaves_a_board_that_returns_the_pins() {
-    let (board, mut daemon) = in_mid_play(600);
+    let (board, mut daemon) = in_mid_play(LEASE_MS);
     daemon.signal(Signal::KILL);
     daemon.wait();
-    sleep(Duration::from_millis(600));
+    sleep(Duration::from_millis(LEASE_MS.into()));
     assert_returned(board, &[Cause::LinkLost, Cause::HostTimeout]);
 }
 
 #[test]
 fn a_daemon_that_hangs_in_mid_play_leaves_a_board_that_returns_the_pins() {
-    let (board, daemon) = in_mid_play(600);
+    let (board, daemon) = in_mid_play(LEASE_MS);
     daemon.signal(Signal::STOP);
-    sleep(Duration::from_millis(1500));
+    sleep(Duration::from_millis(2 * u64::from(LEASE_MS)));
     daemon.signal(Signal::KILL);
     assert_returned(board, &[Cause::HostTimeout]);
 }
