@@ -164,7 +164,7 @@ pub struct LiveMessage {
     #[serde(skip_serializing_if = "Option::is_none")]
     pub pose: Option<LivePose>,
     /// Levels for pins by their motors' numbers, above rest, µm, if the play was started with `levels`. A pin goes to its level and stays
-    /// there, for 60 s at most; a drive for its motor takes its place.
+    /// there, for 60 s at most; a drive for its motor takes its place. The scale of the time counts; a scale of 0 brings all pins down.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub um: BTreeMap<u8, f64>,
     /// How long pins take to get to these levels, ms; without it 20. With 0 they go at full speed.

@@ -12,7 +12,7 @@ pub enum SamplesError {
     Kind,
     #[error("`{key}` is for other files: use `{other}`")]
     OtherKey { key: &'static str, other: &'static str },
-    #[error("{count} {what}s: add {what} = 0 to {}", count - 1)]
+    #[error("{count} {what}s: add {what} = 0 to {}", count.saturating_sub(1))]
     Several { what: &'static str, count: usize },
     #[error("no {what} {asked}: {count} {what}(s), counted from 0")]
     NoSuch { what: &'static str, asked: String, count: usize },

@@ -132,6 +132,14 @@ pub(super) fn hold(asked_ms: Option<f64>, strokes: &Strokes) -> Result<u32, Prob
     let Some(needed) = find_longest_hold(strokes) else {
         return Ok(asked_ms.map_or(HOLD_ALWAYS, |ms| rate.ms_in_ticks(ms) as u32));
     };
+    let most = u64::from(strokes.array().layout().longest_hold());
+    if needed > most {
+        let (needed_s, most_s) = (rate.ticks_to_seconds(needed), rate.ticks_to_seconds(most));
+        let detail = format!(
+            "a pin would stay at one height above rest for {needed_s:.1} s, and the device lets it for {most_s:.0} s: let it move or rest in between"
+        );
+        return Err(Problem::new(Code::BadPattern, detail));
+    }
     let Some(ms) = asked_ms else {
         return Ok(u32::try_from(needed + rate.of_ms(SPARE_MS)).unwrap_or(HOLD_ALWAYS));
     };

@@ -9,8 +9,8 @@ use crate::daemon::engine::Engine;
 use crate::daemon::plays::begin::Compiled;
 use crate::daemon::plays::pattern::hold;
 use crate::daemon::plays::terms::{Terms, trigger};
-use crate::daemon::state::NewPlay;
 use crate::daemon::state::limits::check_limits;
+use crate::daemon::state::{NewPlay, check_samples};
 use crate::daemon::system::runtime::PLAYS;
 use crate::exposure::Vibration;
 use crate::receipts::{BLANK, NoPrediction, Order, PlannedItem, motions, too_slow, walk};
@@ -107,6 +107,7 @@ impl Compiled {
                 let on = PLAYS.computing(move || stored.on(settings.array, map)).await?;
                 let (stored, mapped) = on.map_err(|error| at(error.into()))?;
                 memory.push((stored.sha256.clone(), stored.pattern.motion_bytes()));
+                check_samples(memory.iter().map(|(_, bytes)| bytes).sum())?;
                 if let Some(MappedFrom { array, warnings }) = mapped {
                     let of_pattern = warnings.into_iter().map(|warning| format!("`{name}`: {warning}"));
                     preparing.warnings.extend(of_pattern);

@@ -167,8 +167,9 @@ impl LivePlay {
             let pulses = array.motor().pulses(um * self.options.scale).round();
             let pulses = (pulses as u16).min(array.motor().most_pulses);
             let glide_ticks = rate.ms_in_ticks(glide_ms) as u32;
-            let is_new = message.is_some_and(|message| message.um.contains_key(&motor));
             // A pin that the device has brought down stays there until a message names it again.
+            let is_new =
+                message.is_some_and(|message| message.um.contains_key(&motor)) || self.options.scale == 0.0;
             *motion = is_new.then_some(LiveMotion::Level { array, pulses, glide_ticks });
         }
         Ok(motions)

@@ -42,7 +42,7 @@ pub(super) use commands::{Commands, Reply};
 pub(super) use connection::{Connection, ConnectorMessage};
 pub(super) use exposure::Exposure;
 pub(super) use live::{LivePlay, LivePlays};
-pub(super) use plays::{MeasuredPlay, NewPlay, Plays};
+pub(super) use plays::{MeasuredPlay, NewPlay, Plays, check_samples};
 pub(super) use publisher::{Publisher, frame};
 pub(super) use rights::{NoRight, Rights, going_on};
 pub(super) use searches::{Found, Searches};

@@ -63,6 +63,16 @@ pub(in crate::daemon) struct Plays {
 /// Bytes that the samples of all plays that are not over may take, at most. Plays of one pattern share them.
 const MAX_MEMORY: usize = 128 << 20;
 
+/// Refuses a sequence whose patterns so far have samples of more bytes than one play may take.
+pub(in crate::daemon) fn check_samples(bytes: usize) -> Result<(), Problem> {
+    if bytes <= MAX_MEMORY {
+        return Ok(());
+    }
+    let detail =
+        format!("the samples of its patterns take more than {} MiB: play fewer at once", MAX_MEMORY >> 20);
+    Err(Problem::new(Code::TooLarge, detail))
+}
+
 impl Plays {
     /// None yet, on this array.
     pub(in crate::daemon) fn new(array: Array) -> Self {

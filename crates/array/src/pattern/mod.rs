@@ -248,8 +248,16 @@ impl Pattern {
             return Err(KeyError::key("name", Problem::Name { found: quote(&self.name) }));
         }
         if let Some(found) = self.duration_s {
-            let good = found <= MAX_SECONDS && self.array.rate().seconds_to_ticks(found) > 0;
-            let range = format!("at least one tick (1/{} s) and at most 100000000 s", self.array.rate().hz());
+            // A step of the coarsest grid has no more than one seam.
+            let least_s = if self.motions.is_empty() { 0.0 } else { SLOWEST_STEP_MS as f64 / 1000.0 };
+            let good =
+                (least_s..=MAX_SECONDS).contains(&found) && self.array.rate().seconds_to_ticks(found) > 0;
+            let least = if self.motions.is_empty() {
+                format!("one tick (1/{} s)", self.array.rate().hz())
+            } else {
+                format!("{least_s} s with motions")
+            };
+            let range = format!("at least {least} and at most 100000000 s");
             in_range("duration_s", found, good, range)?;
         }
         if self.drives.len() > MAX_DRIVES {

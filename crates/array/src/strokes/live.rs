@@ -69,14 +69,18 @@ impl Glide {
     const REST: Self = Self { begin: Tick(0), from: 0, to: 0, moves: 0, apart: 1, next: 0 };
 
     fn new(array: Array, begin: Tick, from: u16, to: u16, glide_ticks: u32) -> Self {
-        let apart = array.rate().of_ms(GLIDE_STEP_MS);
+        let step = array.rate().of_ms(GLIDE_STEP_MS);
         let way = u64::from(to.abs_diff(from));
         // No step is longer than its pulses take.
-        let moves = match u64::from(glide_ticks) {
-            _ if way == 0 => 0,
+        let ticks = u64::from(glide_ticks).max(way);
+        let moves = match glide_ticks {
+            // A move to the present level helps if the one before it was lost.
+            _ if way == 0 => 1,
             0 => 1,
-            ticks => ticks.max(way).div_ceil(apart).min(way),
+            _ => ticks.div_ceil(step).min(way),
         };
+        // Few pulses take as long in fewer steps.
+        let apart = if moves > 1 { (ticks / moves).max(step) } else { step };
         Self { begin, from, to, moves, apart, next: 0 }
     }
 

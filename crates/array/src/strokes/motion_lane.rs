@@ -146,11 +146,13 @@ impl MotionLane {
 
     /// The next move is to this level.
     fn go(&mut self, start: u64, goal: u16) {
-        self.risen += u32::from(goal.saturating_sub(self.level));
+        self.risen = self.risen.saturating_add(goal.saturating_sub(self.level).into());
         let mut surplus = 0;
         if goal == 0 && self.level > 0 {
             let pulses = self.surplus.pulses(self.array, self.motor(), self.risen, 1.0);
-            surplus = (pulses as u16).min(correction(self.array.layout().max_up_pulses()));
+            surplus = u16::try_from(pulses)
+                .unwrap_or(u16::MAX)
+                .min(correction(self.array.layout().max_up_pulses()));
             self.risen = 0;
         }
         let of = Move { motor: self.motor(), tick: Tick(start), level: goal, surplus };

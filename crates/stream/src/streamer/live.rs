@@ -21,7 +21,7 @@ use firmware_protocol::tick::Tick;
 use meissner_api::{EndCause, LateCause};
 use meissner_array::per_motor::PerMotor;
 use meissner_array::spec::MAX_MOTORS;
-use meissner_array::strokes::Step;
+use meissner_array::strokes::{LiveMotion, Step};
 use meissner_array::units::TickRate;
 use std::time::Duration;
 
@@ -169,7 +169,9 @@ impl Streamer {
         let from = from.max(strokes.onset());
         // What the device does not hold must be sent, even if it is as before.
         let changes = |motor: u8| {
-            update.motions[usize::from(motor)].is_some_and(|motion| motion != strokes.motion(motor))
+            let is_level = |motion: &LiveMotion| matches!(motion, LiveMotion::Level { .. });
+            update.motions[usize::from(motor)]
+                .is_some_and(|new| is_level(&new) || new != strokes.motion(motor))
         };
         let mut changed = self.live.kept;
         array.numbers().filter(|&motor| changes(motor)).for_each(|motor| changed.insert(motor));

@@ -316,7 +316,7 @@ impl Player {
         }
         let now = self.rendered;
         let of = &mut self.motors[motor];
-        let (goal, correction) = (of.goal(), of.correction);
+        let (goal, correction) = (of.goal(), core::mem::take(&mut of.correction));
         // No burst runs.
         let distance = of.height - goal;
         let surplus = core::mem::take(&mut of.surplus);

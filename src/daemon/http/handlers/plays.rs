@@ -7,6 +7,7 @@ use crate::daemon::http::app::App;
 use crate::daemon::http::body;
 use crate::daemon::http::request_log::LoggedRequest;
 use crate::daemon::sockets::activity::Activity;
+use crate::daemon::state::check_samples;
 use crate::daemon::system::runtime::PLAYS;
 use crate::receipts::KEPT;
 use crate::session_record::Peer;
@@ -111,6 +112,7 @@ pub(in crate::daemon::http) async fn sequence(
             item.pattern = Some(stored.pattern.name().into());
             item.pattern_sha256 = Some(stored.sha256.clone());
             inlines.insert(stored.sha256.clone(), stored);
+            check_samples(inlines.values().map(|stored| stored.pattern.motion_bytes()).sum())?;
         }
         request.session = app.engine.lock().session_of_play(request.session.as_deref())?;
         logged.set_arguments(&asked_of_sequence(&request));

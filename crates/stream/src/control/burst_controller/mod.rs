@@ -133,7 +133,16 @@ impl BurstController {
                 break;
             }
         }
-        self.queue.extend(Queued::of(step, closed_loop, until));
+        for mut queued in Queued::of(step, closed_loop, until) {
+            // The step before may not have been sent, or not been taken: the device goes to this level from where it is.
+            let level = self.level_before(self.queue.len());
+            if !queued.joined {
+                queued.begin_at(level);
+            }
+            if queued.planned > 0 || queued.joined {
+                self.queue.push_back(queued);
+            }
+        }
     }
 
     /// The place of the step that begins at `begin`, and the number of its bursts.
@@ -243,7 +252,8 @@ impl BurstController {
         let level = self.level_before(at);
         if let Some(queued) = self.queue.get_mut(at) {
             queued.begin_at(level);
-            if queued.planned == 0 {
+            let is_step = self.step_at(at) == 1;
+            if is_step && self.queue[at].planned == 0 {
                 self.queue.remove(at);
             }
         }
