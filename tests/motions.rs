@@ -22,6 +22,18 @@ fn press() -> Value {
 }
 
 #[test]
+fn a_hold_that_the_device_would_end_is_refused() {
+    let daemon = Daemon::with("mock", PATIENT);
+    let mut client = daemon.armed();
+    // Its ends meet, so that it is one hold of ten minutes.
+    let held = json!({"duration_s": 30.0, "wave": [{"motor": 9, "rate_hz": 1.0, "um": vec![50.0; 31]}]});
+    let refused = problem(client.post("/v1/play", &json!({"pattern": held, "seconds": 600.0})));
+    assert!(refused.code == "bad-pattern" && refused.detail.contains("at one height"), "{refused:?}");
+    let accepted: PlayAccepted = client.post("/v1/play", &json!({"pattern": held, "seconds": 1.0})).unwrap();
+    assert_eq!(receipt(&mut client, accepted.id).state, PlayState::Done);
+}
+
+#[test]
 fn an_inline_pattern_is_played_told_and_kept_like_a_stored_one() {
     let daemon = Daemon::with("mock", PATIENT);
     let mut client = daemon.armed();

@@ -245,6 +245,48 @@ fn without_telemetry_the_estimated_error_stays_within_the_end_stops() {
     assert_eq!(estimates[1..], [blind.end_stop_um; 2]);
 }
 
+/// What a calibration of these motors finds. Each motor's asymmetry is random: one stroke of known length shows it.
+fn calibrated(motors: &SimulatedMotorsConfig) -> PerMotor<Gains> {
+    PerMotor::from_fn(Array::paper(), |motor| {
+        let mut pin = Pin::new(Array::paper(), motors, motor.into());
+        let burst = |start: u64, direction| Burst { start: Tick(start), direction, pulses: 1000 };
+        pin.play(burst(0, Direction::Up));
+        pin.play(burst(2000, Direction::Down));
+        let top = pin.position_um(Tick(2000)) / (1000.0 * UM_PER_PULSE * 0.8);
+        Gains { mean: [top, 2.0 - top], sd: [0.005; 2], scatter: 0.1 }
+    })
+}
+
+/// A host that stands still leaves out moves of a ramp: the next one goes to its own level from wherever the pin is, and position control
+/// knows how far that is. Without telemetry nothing else would tell it.
+#[test]
+fn moves_that_were_not_sent_leave_the_estimate_where_the_pin_is() {
+    let motors = SimulatedMotorsConfig {
+        telemetry_hz: 0,
+        gain_sd: 0.0,
+        transient_gain: Some(0.8),
+        asymmetry_sd: 0.05,
+        end_stop_um: 10_000.0,
+        ..SimulatedMotorsConfig::default()
+    };
+    let ramp =
+        "format = 2\nname = \"ramp\"\n[[ramp]]\nmotor = 9\nto_um = 300.0\nrise_s = 1.0\nhold_s = 0.3\n";
+    let ramp = Pattern::parse(ramp, "ramp.toml").unwrap();
+    for stall_ms in [0, 300, 600] {
+        let mut rig = Rig::of(&motors, 3);
+        rig.arm();
+        rig.send(Command::SetGains(Box::new(calibrated(&motors))));
+        rig.start_closed(&ramp, None);
+        rig.run_ms(400);
+        rig.stall(Duration::from_millis(stall_ms));
+        rig.run_ms(3000);
+        let outcome = rig.outcomes().remove(0);
+        assert_eq!(outcome.bursts.late > 0, stall_ms > 0, "{:?}", outcome.bursts);
+        let um = rig.mock.position_um(9);
+        assert!(um.abs() < 5.0, "{um} um after {stall_ms} ms");
+    }
+}
+
 /// Asymmetric motors drift fast; calibrated gains remove the drift, the scatter stays.
 #[test]
 fn calibrated_gains_hold_pins_without_telemetry() {
@@ -256,15 +298,7 @@ fn calibrated_gains_hold_pins_without_telemetry() {
         end_stop_um: 10_000.0,
         ..SimulatedMotorsConfig::default()
     };
-    // Each motor's asymmetry is random: one stroke of known length shows it.
-    let gains = PerMotor::from_fn(Array::paper(), |motor| {
-        let mut pin = Pin::new(Array::paper(), &motors, motor.into());
-        let burst = |start: u64, direction| Burst { start: Tick(start), direction, pulses: 1000 };
-        pin.play(burst(0, Direction::Up));
-        pin.play(burst(2000, Direction::Down));
-        let top = pin.position_um(Tick(2000)) / (1000.0 * UM_PER_PULSE * 0.8);
-        Gains { mean: [top, 2.0 - top], sd: [0.005; 2], scatter: 0.1 }
-    });
+    let gains = calibrated(&motors);
     let drift = |gains: Option<&PerMotor<Gains>>| {
         let mut rig = Rig::of(&motors, 3);
         rig.arm();

@@ -416,6 +416,14 @@ mod tests {
         let moves: Vec<_> = std::iter::from_fn(|| strokes.next_of(3)).map(Result::unwrap).collect();
         assert_eq!((moves.len(), moves[0].begin(), moves[0].level()), (10, ONSET + 100, 100));
         assert_eq!((moves[9].begin(), moves[9].level()), (ONSET + (100 + 9 * 170), 1_000));
+        // A short way takes as long.
+        let mut short = live(wave(60.0, 0.0, 0.0));
+        short.replace(3, level(100, 85_000), ONSET);
+        let moves: Vec<_> = std::iter::from_fn(|| short.next_of(3)).map(Result::unwrap).collect();
+        assert!(moves.len() == 100 && (83_000..85_000).contains(&(moves[99].begin() - ONSET)), "{moves:?}");
+        // The same level again is a move, in case the last one was lost.
+        short.replace(3, level(100, 0), ONSET + 100_000);
+        assert_eq!(short.next_of(3).unwrap().unwrap().level(), 100);
         // In the middle of a glide it goes on from where it is then.
         strokes.replace(3, level(0, 1_700), ONSET + 5_000);
         strokes.replace(3, level(500, 0), ONSET + (5_000 + 3 * 170));
