@@ -44,13 +44,13 @@ fn every_key_is_read() {
             lower_stop: None
         }
     );
-    let stop = "array = {lower_stop = \"at_rest\", surplus_um = 12.5, rest_error_um = 4}\nlimits.stop_pulses_per_s = 9000";
-    // The shipped file serves arrays that reach less: what is above an array's own limits nothing.
+    // One shipped file serves every array: a limit above the array's own changes nothing.
     let above = "array = {rail_motors_at_once = 64, chip_motors_at_once = 64}\nparticipant.max_amplitude_um = 5000\n\
                  limits = {motor_pulses_per_s = 200000, rail_pulses_per_s = 12800000}";
     let above = parse(above).unwrap();
     assert_eq!(above.settings.limits, Array::paper().layout().no_limits());
     assert_eq!(above.participant.max_amplitude_um, 400.0);
+    let stop = "array = {lower_stop = \"at_rest\", surplus_um = 12.5, rest_error_um = 4}\nlimits.stop_pulses_per_s = 9000";
     let few = parse("array.rail_motors_at_once = 3\narray.chip_motors_at_once = 1").unwrap().settings.limits;
     assert_eq!(few, PowerLimits { rail_at_once: 3, chip_at_once: 1, ..Array::paper().layout().no_limits() });
     let with_stop = parse(stop).unwrap();

@@ -3,7 +3,7 @@
 //! Lines are the model in closed form. Points are measured by the telemetry of simulated motors, whose bursts scatter, in open
 //! loop: the motors share out the amplitudes, so four pins of the paper's array play each one. The amplitude of a cycle is its
 //! top minus the mean of the bottoms before and after it, at the model's instants, so that drift cancels. The model has no such
-//! instants for a motor that does not follow as a moving average: there it is the range of the samples of a cycle.
+//! instants for a motor that does not follow as a moving average: its amplitude is the range of the samples of a cycle.
 //!
 //! Invariant: a measurement uses only telemetry, with its resolution.
 
