@@ -30,7 +30,7 @@ use firmware_protocol::moves::Move;
 use firmware_protocol::tick::Tick;
 
 /// The steps that [`compile`] tries, ms. Shorter ones are more moves than the link takes from 24 motors, longer ones do not vanish in
-/// the motor's average of 4.3 ms.
+/// the average of the paper's motors, over 4.3 ms.
 const STEPS_MS: [u64; 4] = [SLOWEST_STEP_MS, 3, 2, 1];
 
 /// The longest of them: a move may begin so much before its waveform, and the last one so much after it.

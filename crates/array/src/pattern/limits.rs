@@ -13,8 +13,8 @@ pub const MAX_DRIVES: usize = 4096;
 pub const MAX_MOTIONS: usize = 4096;
 /// The most motions of one motor at once.
 pub const MAX_AT_ONCE: usize = 16;
-/// The most samples of one pattern, those that tones and noise are made of included: 24 motors for 11 minutes at 1 kHz, 64 MiB.
-pub const MAX_PATTERN_SAMPLES: usize = 1 << 24;
+/// The most samples of one pattern, those that tones and noise are made of included: the paper's 24 motors for 11 minutes at 1 kHz, 64 MiB.
+pub const MAX_PATTERN_SAMPLES: usize = 16 << 20;
 /// The most bytes that tell what a wave was made from.
 pub const MAX_SOURCE: usize = 512;
 /// The longest time for which a pin may stay at one height, s. The device allows 60; moves begin on a grid.
