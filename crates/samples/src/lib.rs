@@ -14,7 +14,7 @@ mod wav;
 
 pub use error::SamplesError;
 
-/// The most bytes of a file: 24 motors for 10 minutes at 1 kHz take 55 MiB as `f4`.
+/// The most bytes of a file: the paper's 24 motors for 10 minutes at 1 kHz take 55 MiB as `f4`.
 pub const MAX_FILE_BYTES: usize = 64 << 20;
 /// The most samples that are read from a file: an hour at 1 kHz.
 pub const MAX_SAMPLES: usize = (1 << 22) - 2;
