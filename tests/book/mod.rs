@@ -77,7 +77,9 @@ fn read_toml(text: &str, place: &str) -> Result<&'static str, String> {
     let has = |key: &str| text.lines().any(|line| line.starts_with(key));
     let word = |error: &dyn std::fmt::Display| error.to_string();
     if has("[[drive]]") || has("[[ramp]]") {
-        Pattern::parse(text, place).map(|_| "pattern").map_err(|error| word(&error))
+        // The commands of a page make the sample files that its patterns name.
+        let files = &mut |_: &str| Ok(b"0\n1\n".to_vec());
+        Pattern::parse_with_files(text, place, files).map(|_| "pattern").map_err(|error| word(&error))
     } else if has("[[items]]") {
         SequenceRequest::parse_file(text).map(|_| "sequence").map_err(|error| word(&error))
     } else if has("shape =") {
