@@ -233,7 +233,6 @@ pub(super) fn play(play: &Play) -> Result<ExitCode> {
         trigger: play.play.trigger.request(),
         strict: play.strict,
         hold_ms: play.hold_ms,
-        ..PlayRequest::default()
     };
     let json = play.options.output.json;
     if !play.wait {

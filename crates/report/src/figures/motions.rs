@@ -25,7 +25,7 @@ pub(super) fn add(
 ) -> Result<Option<Motions>, FiguresError> {
     let Some(motions) = Motions::of(pattern, &MotionOptions::default())? else { return Ok(None) };
     let name = pattern.name();
-    let seconds = pattern.motions_rest_s().min(LONGEST_S).max(1e-3);
+    let seconds = pattern.motions_rest_s().clamp(1e-3, LONGEST_S);
     let drawn: Vec<u8> = motions.motors.iter().take(DRAWN).map(|of| of.motor).collect();
     let rows = sampled(pattern, seconds, &drawn)?;
     let series = drawn.iter().enumerate().flat_map(|(index, motor)| {
