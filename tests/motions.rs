@@ -25,7 +25,7 @@ fn press() -> Value {
 fn an_inline_pattern_is_played_told_and_kept_like_a_stored_one() {
     let daemon = Daemon::with("mock", PATIENT);
     let mut client = daemon.armed();
-    let request = json!({"pattern": press(), "seconds": null, "labels": {"what": "press"}});
+    let request = json!({"pattern": press(), "labels": {"what": "press"}});
     let (accepted, receipt) = played(&mut client, "/v1/play", &request);
     assert_eq!((receipt.pattern.as_str(), receipt.state), ("inline", PlayState::Done), "{receipt:?}");
     assert!(receipt.all_played() && receipt.ordered.unwrap().bursts == receipt.bursts.unwrap().planned);
@@ -193,6 +193,11 @@ fn items_of_other_motors_overlap_and_blank_items_play_nothing() {
     assert!(blank.offset.is_none());
     let moved: Vec<_> = receipt.pins.unwrap().iter().map(|pin| pin.motor).collect();
     assert_eq!(moved, [3, 7, 9]);
+    // Pulses that nobody has asked for give way to the next item.
+    let soa = json!([{"pattern": tap(3), "seconds": 0.1}, {"pattern": tap(7), "seconds": 0.1, "start_ms": 5}]);
+    let (_, pair) = played(&mut client, "/v1/sequence", &json!({"items": soa}));
+    let widths: Vec<_> = pair.items.unwrap().iter().map(|item| item.trigger.unwrap().width_ms).collect();
+    assert!((widths[0] - 2.5).abs() < 0.02 && (widths[1] - 10.0).abs() < 0.01, "{widths:?}");
     // The same motor twice at once.
     let twice =
         json!([{"pattern": tap(3), "seconds": 0.1}, {"pattern": tap(3), "seconds": 0.1, "start_ms": 50}]);

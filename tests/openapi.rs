@@ -88,7 +88,8 @@ fn every_key_has_a_description_and_every_number_its_unit_and_range() {
             }
             numbers += 1;
             assert!(SIGNED.contains(&key.as_str()) || below["minimum"].is_number(), "{place} has no minimum");
-            let rate = ["um_per_pulse", "pulses_per_s", "speed_mm_s", "turn_deg_s"].contains(&key.as_str());
+            let rate = ["um_per_pulse", "pulses_per_s", "moves_per_s", "speed_mm_s", "turn_deg_s"]
+                .contains(&key.as_str());
             let unit = UNITS.iter().rev().find(|(end, _)| key.ends_with(end) && !rate);
             if let Some((_, unit)) = unit {
                 assert!(text.contains(unit), "{place} has no unit `{unit}`: {text}");

@@ -42,7 +42,7 @@ def test_an_array_of_all_motors_is_played(m: meissner.Client) -> None:
     assert [(motion["motor"], motion["highest_um"]) for motion in play.motions] == [(3, 100.0), (20, 50.0)]
     play.wait()
     rows = [list(row) for row in um]
-    assert motions.pattern(rows, 1000) == motions.pattern(um, 1000)
+    assert motions.pattern(rows, 1000, motors=24) == motions.pattern(um, 1000, motors=24)
 
 
 @pytest.mark.parametrize(
@@ -70,7 +70,7 @@ def test_what_no_pin_can_do_raises_before_anything_moves(m: meissner.Client, giv
 
 
 def test_what_a_motor_is_too_slow_for_is_refused(m: meissner.Client) -> None:
-    jump = {9: [0.0, 0.0, 300.0, 0.0]}
+    jump = {9: [0.0, 0.0, 150.0, 0.0]}
     with pytest.raises(errors.TooSlow, match="motor 9 is too slow"):
         m.play(samples=jump, rate=100, strict=True)
     play = m.play(samples=jump, rate=100)
@@ -85,7 +85,11 @@ def test_items_overlap_and_may_be_blank(m: meissner.Client) -> None:
     two = [{"samples": {3: PRESS}, "rate": 1000, "start": 0.0}, {"pattern": "pin-60", "start": 0.005}, None]
     play = m.sequence(two, seconds=0.5, scale=0.5)
     play.wait()
-    assert [(item.pattern, item.state) for item in play.items] == [("inline", "played"), ("pin-60", "played"), ("blank", "played")]
+    assert [(item.pattern, item.state) for item in play.items] == [
+        ("inline", "played"),
+        ("pin-60", "played"),
+        ("blank", "played"),
+    ]
     assert play.items[1].onset is not None
     assert play.items[0].onset is not None
     assert play.items[1].onset.tick - play.items[0].onset.tick == 425
@@ -93,7 +97,7 @@ def test_items_overlap_and_may_be_blank(m: meissner.Client) -> None:
 
 def test_the_client_for_asyncio_takes_samples(daemon: meissner.Daemon) -> None:
     async def plays() -> str:
-        async with meissner.connect_async(daemon.socket) as m:
+        async with await meissner.connect_async(daemon.socket) as m:
             await m.arm(assume_rest=True, checked="a test", silence=60.0)
             play = await m.play(samples={9: PRESS}, rate=1000)
             return (await play.wait()).state

@@ -65,7 +65,7 @@ pub mod trigger;
 
 pub use array::{ArrayDetails, ArrayDuty, ArrayGrid, ArrayMotor, ArrayResponse};
 pub use board::{BoardRecord, BoardStatus};
-pub use body::{Labels, MAX_AT_MS, is_sha256};
+pub use body::{Labels, MAX_AT_MS, MAX_BODY, is_sha256};
 pub use calibration::{CalibratedMotor, CalibrationReport, FittedLine, MeasuredPoint, Provenance};
 pub use doctor::{DoctorReport, Finding, Level};
 pub use end_cause::EndCause;
@@ -88,7 +88,7 @@ pub use receipt::{
     OrderedCounts, PlayState, PulseCounts, Receipt, RefusedStroke,
 };
 pub use request::{
-    ArmRequest, CalibrateRequest, Fit, LatePolicy, MAX_BODY, MAX_WAIT_S, Mapping, PlayRequest, ResetRequest,
+    ArmRequest, CalibrateRequest, Fit, LatePolicy, MAX_WAIT_S, Mapping, PlayRequest, ResetRequest,
     parse_empty,
 };
 pub use route::{Method, Route};

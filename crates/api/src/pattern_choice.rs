@@ -5,8 +5,8 @@
 //!
 //! Invariant: a body that was checked has at most [`MAX_BODY`] bytes beside long strings.
 
+use crate::body::MAX_BODY;
 use crate::problem::{Code, Problem};
-use crate::request::MAX_BODY;
 use serde::de::value::MapAccessDeserializer;
 use serde::de::{Error, MapAccess, Visitor};
 use serde::{Deserialize, Deserializer, Serialize};

@@ -17,9 +17,6 @@ use std::ops::RangeInclusive;
 use utoipa::ToSchema;
 use utoipa::openapi::schema::{ArrayBuilder, ObjectBuilder, Schema, Type};
 
-/// Size of a request's body, at most, bytes.
-pub const MAX_BODY: usize = 1 << 20;
-
 /// A pattern to play, when, and how.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]

@@ -79,13 +79,13 @@ def pattern(
     *,
     start: float = 0.0,
     name: str | None = None,
-    motors: int = 24,
-    most_um: float = 400.0,
+    motors: int,
+    most_um: float = math.inf,
 ) -> dict[str, Any]:
     """An inline pattern: samples of displacement, and drives beside them.
 
     `samples` maps motors to samples in µm, or is an array of shape (time, motors); `rate` is theirs, Hz, and `start` the time of the
-    first one, s. A drive is a dict with the keys of a pattern file.
+    first one, s. A drive is a dict with the keys of a pattern file. `motors` and `most_um` are the array's, and its motors' travel.
     """
     keys: dict[str, Any] = {} if name is None else {"name": name}
     if samples is not None:

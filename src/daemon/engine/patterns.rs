@@ -34,6 +34,7 @@ impl From<StoreError> for Problem {
         let code = match &error {
             StoreError::Unknown { .. } | StoreError::OtherText { .. } => Code::NotFound,
             StoreError::File(error) if error.is_of_disk() => Code::Store,
+            StoreError::Pattern(error) if error.is_too_large() => Code::TooLarge,
             StoreError::Pattern(_) | StoreError::File(_) => Code::BadPattern,
             StoreError::Empty { .. } => Code::Empty,
             StoreError::OtherArray { .. } => Code::OtherArray,

@@ -78,6 +78,9 @@ fn read(text: &str, mut reader: Reader<'_, '_>) -> Result<Pattern, KeyError> {
     if bytes > MAX_PACKED_BYTES {
         return Err(KeyError::whole(None, Problem::TooLargePacked { bytes }));
     }
+    if bytes > MAX_FILE_BYTES && !may_have_motions(text) {
+        return Err(KeyError::whole(None, Problem::TooLarge { bytes }));
+    }
     check_size(text, if may_have_motions(text) { MAX_SIZE_OF_MOTIONS } else { MAX_SIZE })?;
     // Read the format first: another format may have other keys.
     let Table(RawFormat { format, wave, ramp, tone, noise }) = from_toml(text, wanted)?;
