@@ -276,8 +276,8 @@ fn every_error_is_a_problem() {
     daemon.armed();
     let nothing = problem(client.post("/v1/play", &json!({"pattern": "edge-45", "seconds": 0.000_001})));
     assert!(nothing.code == "empty" && nothing.status == 422, "{nothing:?}");
-    let long = json!({"pattern": "x".repeat(20_000)});
-    assert_eq!(problem(client.post("/v1/play", &long)).code, "too-large", "a command is small");
+    let long = json!({"pattern": "edge-45", "labels": vec![0; MAX_BODY]});
+    assert_eq!(problem(client.post("/v1/play", &long)).code, "too-large", "only packed samples are long");
     let refused = problem(client.post("/v1/play", &json!({"patern": "edge-45"})));
     assert!(refused.code == "bad-request" && refused.detail.contains("did you mean `pattern`?"));
     let refused = problem(client.post("/v1/play", &json!({"pattern": "edge-45", "seconds": -1})));
