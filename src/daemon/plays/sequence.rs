@@ -36,12 +36,14 @@ const COUNTED_S: f64 = 60.0;
 /// Bytes of texts that a sequence holds for the session record, at most. Further ones are kept with a later play.
 const MAX_TEXTS: usize = 4 << 20;
 
+/// A pattern's strokes and its largest amplitude, as ordered and as reached, µm, by scale.
+type ByScale = HashMap<u64, (CompiledItem, [f64; 2])>;
+
 /// A pattern of a sequence while it is prepared.
 struct Used {
     sha256: Arc<str>,
     name: Arc<str>,
-    /// Its strokes and its largest amplitude, as ordered and as reached, µm, by scale.
-    compiled: HashMap<u64, (CompiledItem, [f64; 2])>,
+    compiled: ByScale,
     /// What its longest item requires at the largest amplitude.
     bandwidth: Bandwidth,
 }
@@ -225,7 +227,7 @@ impl Preparing {
         stored: &Stored,
         items: &[SequenceItem],
         settings: &Settings,
-    ) -> Result<(HashMap<u64, (CompiledItem, [f64; 2])>, Bandwidth), SequenceError> {
+    ) -> Result<(ByScale, Bandwidth), SequenceError> {
         let (name, pattern) = (stored.pattern.name(), &*stored.pattern);
         let mut compiled = HashMap::new();
         for scale in items.iter().map(scale) {

@@ -419,7 +419,7 @@ impl Active {
         let Ending { after, wire, offset, cut, rest, estimated } = ending;
         let Self { mut play, phase, onset, mut account, cut: why, .. } = self;
         if let Some(cut) = cut {
-            for pin in play.pins.iter_mut() {
+            for pin in &mut *play.pins {
                 *pin = pin.filter(|[first, _]| *first < cut).map(|[first, end]| [first, end.min(cut)]);
             }
         }

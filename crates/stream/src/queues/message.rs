@@ -77,6 +77,7 @@ pub enum Command {
 
 /// What happened.
 #[derive(Debug)]
+#[expect(clippy::large_enum_variant, reason = "a box would be allocated in the streamer's thread")]
 pub enum StreamEvent {
     /// The answer to a request.
     Answer {
