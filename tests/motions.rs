@@ -25,7 +25,7 @@ fn press() -> Value {
 fn an_inline_pattern_is_played_told_and_kept_like_a_stored_one() {
     let daemon = Daemon::with("mock", PATIENT);
     let mut client = daemon.armed();
-    let request = json!({"pattern": press(), "labels": {"what": "press"}});
+    let request = json!({"pattern": press(), "labels": {"what": "press"}, "open_loop": true});
     let (accepted, receipt) = played(&mut client, "/v1/play", &request);
     assert_eq!((receipt.pattern.as_str(), receipt.state), ("inline", PlayState::Done), "{receipt:?}");
     assert!(receipt.all_played() && receipt.ordered.unwrap().bursts == receipt.bursts.unwrap().planned);
