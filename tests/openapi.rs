@@ -45,7 +45,7 @@ fn walk(schema: &Value, way: &str, see: &mut dyn FnMut(&Value, &str)) {
 #[test]
 fn every_key_has_a_description_and_every_number_its_unit_and_range() {
     // Offsets and differences may be negative, and so may a reached lead.
-    const SIGNED: [&str; 11] = [
+    const SIGNED: [&str; 12] = [
         "rest_error_um",
         "onset_um",
         "offset_um",
@@ -57,6 +57,7 @@ fn every_key_has_a_description_and_every_number_its_unit_and_range() {
         "items",
         "value",
         "travel_um",
+        "about_um",
     ];
     const UNITS: [(&str, &str); 9] = [
         ("_s", ", s"),

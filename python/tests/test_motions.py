@@ -26,7 +26,9 @@ def test_samples_and_drives_are_played_and_told(m: meissner.Client) -> None:
     assert (receipt.pattern, receipt.late, receipt.raw["motions"]) == ("inline", 0, [motion])
     (pin,) = receipt.raw["pins"]
     assert pin["motor"] == 9
-    assert play.onset.tick < pin["first_pulse_tick"] < pin["offset_tick"] <= play.offset.tick
+    assert play.onset.tick <= pin["first_pulse_tick"] < pin["offset_tick"]
+    # Corrections shift the end by some ticks.
+    assert abs(pin["offset_tick"] - play.offset.tick) < 850
     drives = [{"motor": 14, "frequency_hz": 60.0, "amplitude_um": 40.0}]
     both = m.play(samples={9: PRESS}, rate=1000, drives=drives, seconds=0.3)
     assert [pin["motor"] for pin in both.wait().raw["pins"]] == [9, 14]
@@ -42,7 +44,7 @@ def test_an_array_of_all_motors_is_played(m: meissner.Client) -> None:
     assert [(motion["motor"], motion["highest_um"]) for motion in play.motions] == [(3, 100.0), (20, 50.0)]
     play.wait()
     rows = [list(row) for row in um]
-    assert motions.pattern(rows, 1000) == motions.pattern(um, 1000)
+    assert motions.pattern(rows, 1000, motors=24) == motions.pattern(um, 1000, motors=24)
 
 
 @pytest.mark.parametrize(
@@ -85,7 +87,11 @@ def test_items_overlap_and_may_be_blank(m: meissner.Client) -> None:
     two = [{"samples": {3: PRESS}, "rate": 1000, "start": 0.0}, {"pattern": "pin-60", "start": 0.02}, None]
     play = m.sequence(two, seconds=0.5, scale=0.5)
     play.wait()
-    assert [(item.pattern, item.state) for item in play.items] == [("inline", "played"), ("pin-60", "played"), ("blank", "played")]
+    assert [(item.pattern, item.state) for item in play.items] == [
+        ("inline", "played"),
+        ("pin-60", "played"),
+        ("blank", "played"),
+    ]
     assert play.items[1].onset is not None
     assert play.items[0].onset is not None
     assert play.items[1].onset.tick - play.items[0].onset.tick == 1700

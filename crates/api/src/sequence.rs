@@ -110,7 +110,8 @@ pub struct SequenceItem {
     #[serde(default, deserialize_with = "given", skip_serializing_if = "Option::is_none")]
     #[schema(minimum = 0.0, maximum = 1e11)]
     pub start_ms: Option<f64>,
-    /// What the trigger output gives at the item's onset; without it one pulse of 10 ms.
+    /// What the trigger output gives at the item's onset; without it one pulse of 10 ms, or of half the time to the next onset if that
+    /// is shorter.
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schema(schema_with = trigger::schema)]
     pub trigger: Option<TriggerRequest>,

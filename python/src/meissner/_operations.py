@@ -381,8 +381,12 @@ def play(
 def _inline(core: Core, given: Mapping[str, Any]) -> Op[dict[str, Any]]:
     """The inline pattern of samples and drives, for the daemon's array."""
     driven = yield from array(core)
-    most_um = float(driven.raw.get("motor", {}).get("travel_um", 400.0))
-    return motions.pattern(**given, motors=driven.motors, most_um=most_um)
+    return motions.pattern(**given, **_limits(driven))
+
+
+def _limits(driven: Array) -> dict[str, Any]:
+    """What the samples of an inline pattern are checked against. An older daemon does not tell the travel."""
+    return {"motors": driven.motors, "most_um": float(driven.raw.get("motor", {}).get("travel_um", "inf"))}
 
 
 def sequence(
@@ -410,11 +414,10 @@ def sequence(
     onset, `soa` the distance of onsets, s. `seconds` and `scale` are for items that give none. `map`: as in `play`.
     """
     driven = yield from array(core)
-    most_um = float(driven.raw.get("motor", {}).get("travel_um", 400.0))
 
     def inline(item: dict[str, Any]) -> dict[str, Any]:
         own = {key: item.pop(key) for key in ("samples", "rate", "drives") if key in item}
-        return {**item, "pattern": motions.pattern(**own, motors=driven.motors, most_um=most_um)} if own else item
+        return {**item, "pattern": motions.pattern(**own, **_limits(driven))} if own else item
 
     body = {
         "items": sequence_items(items, isi, soa, {"seconds": seconds, "scale": scale}, inline),

@@ -95,7 +95,7 @@ def pattern(
     """An inline pattern: samples of displacement, and drives beside them.
 
     `samples` maps motors to samples in µm, or is an array of shape (time, motors); `rate` is theirs, Hz, and `start` the time of the
-    first one, s. A drive is a dict with the keys of a pattern file.
+    first one, s. A drive is a dict with the keys of a pattern file. `motors` and `most_um` are the array's, and its motors' travel.
     """
     keys: dict[str, Any] = {} if name is None else {"name": name}
     if samples is not None:

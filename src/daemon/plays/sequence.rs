@@ -36,6 +36,9 @@ const COUNTED_S: f64 = 60.0;
 /// Bytes of texts that a sequence holds for the session record, at most. Further ones are kept with a later play.
 const MAX_TEXTS: usize = 4 << 20;
 
+/// A pattern's strokes and its largest amplitude, as ordered and as reached, µm, by scale.
+type ByScale = HashMap<u64, (CompiledItem, [f64; 2])>;
+
 /// A pattern of a sequence while it is prepared.
 struct Used {
     sha256: Arc<str>,
@@ -157,8 +160,18 @@ impl Compiled {
         let Preparing { sequence, warnings, largest, .. } = preparing;
         let bandwidth = peak(sequence.spans().zip(required));
         let rate = settings.array.rate();
-        let items: Vec<Item> =
-            request.items.iter().map(|item| Item::new(trigger(item.trigger, rate))).collect();
+        let onsets: Vec<u64> = sequence.spans().map(|(start, _)| start).collect();
+        let item = |(number, item): (usize, &SequenceItem)| {
+            let mut pulse = trigger(item.trigger, rate);
+            // The pulse that nobody has asked for gives way to the next item.
+            if item.trigger.is_none()
+                && let (Some(pulse), [onset, next, ..]) = (&mut pulse, &onsets[number..])
+            {
+                pulse.width = pulse.width.min(u16::try_from((next - onset) / 2).unwrap_or(u16::MAX));
+            }
+            Item::new(pulse)
+        };
+        let items: Vec<Item> = request.items.iter().enumerate().map(item).collect();
         for (item, span) in planned.iter_mut().zip(sequence.spans()) {
             item.span = span;
         }
