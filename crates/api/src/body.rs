@@ -12,9 +12,6 @@ use serde::{Deserialize, Deserializer};
 use std::collections::BTreeMap;
 use std::convert::Infallible;
 
-/// Size of a request's body without packed samples, at most, bytes.
-pub const MAX_BODY: usize = 1 << 20;
-
 /// `at_ms` at most, ms: an hour.
 pub const MAX_AT_MS: f64 = 3_600_000.0;
 

@@ -65,7 +65,7 @@ pub mod trigger;
 
 pub use array::{ArrayDetails, ArrayDuty, ArrayGrid, ArrayMotor, ArrayResponse};
 pub use board::{BoardRecord, BoardStatus};
-pub use body::{Labels, MAX_AT_MS, MAX_BODY, is_sha256};
+pub use body::{Labels, MAX_AT_MS, is_sha256};
 pub use calibration::{CalibratedMotor, CalibrationReport, FittedLine, MeasuredPoint, Provenance};
 pub use doctor::{DoctorReport, Finding, Level};
 pub use end_cause::EndCause;

@@ -6,7 +6,6 @@
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value};
 use utoipa::ToSchema;
-use utoipa::openapi::schema::{ObjectBuilder, Schema, SchemaType, Type};
 
 /// One pattern in a list.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
@@ -346,19 +345,6 @@ pub struct PatternEdges {
     /// How long it falls, s.
     #[schema(minimum = 0.0)]
     pub release_s: f64,
-}
-
-/// The schema of an envelope.
-fn envelope() -> Schema {
-    let edge = |text| {
-        ObjectBuilder::new().schema_type(Type::Number).description(Some(text)).minimum(Some(0.0)).maximum(Some(1e8))
-    };
-    ObjectBuilder::new()
-        .schema_type(SchemaType::from_iter([Type::Object, Type::String]))
-        .property("attack_s", edge("How long it rises at its beginning, s."))
-        .property("release_s", edge("How long it falls at its end, s."))
-        .description(Some("`\"hann\"`, or an object with `attack_s` and `release_s` for linear edges. Without it none."))
-        .into()
 }
 
 /// Gaussian noise of a band on one motor.

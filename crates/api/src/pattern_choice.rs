@@ -5,7 +5,6 @@
 //!
 //! Invariant: a body that was checked has at most [`MAX_BODY`] bytes beside long strings.
 
-use crate::body::MAX_BODY;
 use crate::problem::{Code, Problem};
 use serde::de::value::MapAccessDeserializer;
 use serde::de::{Error, MapAccess, Visitor};

@@ -36,9 +36,6 @@ const COUNTED_S: f64 = 60.0;
 /// Bytes of texts that a sequence holds for the session record, at most. Further ones are kept with a later play.
 const MAX_TEXTS: usize = 4 << 20;
 
-/// A pattern's strokes and its largest amplitude, as ordered and as reached, µm, by scale.
-type ByScale = HashMap<u64, (CompiledItem, [f64; 2])>;
-
 /// A pattern of a sequence while it is prepared.
 struct Used {
     sha256: Arc<str>,

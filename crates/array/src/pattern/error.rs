@@ -36,15 +36,6 @@ impl fmt::Display for PatternError {
     }
 }
 
-impl PatternError {
-    /// Whether the file has too many bytes.
-    #[must_use]
-    pub const fn is_too_large(&self) -> bool {
-        use document::Problem::Own;
-        matches!(self.0.problem, Own(Problem::TooLarge { .. } | Problem::TooLargePacked { .. }))
-    }
-}
-
 impl std::error::Error for PatternError {}
 
 impl PatternError {

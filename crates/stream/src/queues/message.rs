@@ -78,7 +78,6 @@ pub enum Command {
 /// What happened.
 #[expect(clippy::large_enum_variant, reason = "the thread that makes them must not allocate")]
 #[derive(Debug)]
-#[expect(clippy::large_enum_variant, reason = "a box would be allocated in the streamer's thread")]
 pub enum StreamEvent {
     /// The answer to a request.
     Answer {
