@@ -12,7 +12,7 @@ use meissner_array::per_motor::PerMotor;
 use meissner_array::simulated::{Pin, Sample, SimulatedMotorsConfig};
 use meissner_array::spec::Array;
 use meissner_array::strokes::Burst;
-use meissner_stream::queues::{Command, CommandError, StreamEvent};
+use meissner_stream::queues::{Command, CommandError, End, StreamEvent};
 use meissner_stream::{Gains, Line, Settings, rest_bound_um};
 use meissner_test_support::paper::{MOTORS, UM_PER_PULSE};
 use meissner_test_support::patterns::{drive, pattern};
@@ -272,7 +272,7 @@ fn moves_that_were_not_sent_leave_the_estimate_where_the_pin_is() {
     let ramp =
         "format = 2\nname = \"ramp\"\n[[ramp]]\nmotor = 9\nto_um = 300.0\nrise_s = 1.0\nhold_s = 0.3\n";
     let ramp = Pattern::parse(ramp, "ramp.toml").unwrap();
-    for stall_ms in [0, 300, 600] {
+    for stall_ms in [0, 160, 190] {
         let mut rig = Rig::of(&motors, 3);
         rig.arm();
         rig.send(Command::SetGains(Box::new(calibrated(&motors))));
@@ -281,7 +281,7 @@ fn moves_that_were_not_sent_leave_the_estimate_where_the_pin_is() {
         rig.stall(Duration::from_millis(stall_ms));
         rig.run_ms(3000);
         let outcome = rig.outcomes().remove(0);
-        assert_eq!(outcome.bursts.late > 0, stall_ms > 0, "{:?}", outcome.bursts);
+        assert_eq!((outcome.end, outcome.bursts.late > 0), (End::Done, stall_ms > 0), "{:?}", outcome.bursts);
         let um = rig.mock.position_um(9);
         assert!(um.abs() < 5.0, "{um} um after {stall_ms} ms");
     }
