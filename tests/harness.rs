@@ -147,10 +147,14 @@ impl Daemon {
         Client::new(&self.socket()).unwrap()
     }
 
-    /// A client of an armed daemon.
+    /// A client of an armed daemon. A board on a machine that stands still does not answer in time: it is asked again.
     pub(crate) fn armed(&self) -> Client {
         let mut client = self.client();
-        let _: Status = client.post("/v1/arm", &json!({"assume_rest": true})).unwrap();
+        wait_until(|| match client.post::<Status>("/v1/arm", &json!({"assume_rest": true})) {
+            Ok(_) => true,
+            Err(ClientError::Problem(problem)) if problem.code == "timeout" => false,
+            Err(error) => panic!("{error}"),
+        });
         client
     }
 
