@@ -18,6 +18,8 @@ use tokio::runtime::{Builder, Runtime};
 pub const HOME_TIMEOUT: Duration = Duration::from_secs(600);
 /// How long to wait for `POST /v1/live`: the daemon finds the drives of a target's first pose.
 const LIVE_TIMEOUT: Duration = Duration::from_secs(30);
+/// Timeout of [`Client::put`] and [`Client::delete`]: the daemon answers once the store is on its disk, which may be slow.
+const STORE_TIMEOUT: Duration = Duration::from_secs(60);
 
 /// A client of one daemon.
 #[derive(Debug)]
@@ -98,7 +100,7 @@ impl Client {
     /// # Errors
     /// See [`ClientError`].
     pub fn put<T: DeserializeOwned>(&mut self, path: &str, text: String) -> Result<T, ClientError> {
-        self.call(Method::PUT, path, text.into(), ANSWER_TIMEOUT)
+        self.call(Method::PUT, path, text.into(), STORE_TIMEOUT)
     }
 
     /// Sends a `DELETE` and reads the JSON answer.
@@ -106,7 +108,7 @@ impl Client {
     /// # Errors
     /// See [`ClientError`].
     pub fn delete<T: DeserializeOwned>(&mut self, path: &str) -> Result<T, ClientError> {
-        self.call(Method::DELETE, path, Bytes::new(), ANSWER_TIMEOUT)
+        self.call(Method::DELETE, path, Bytes::new(), STORE_TIMEOUT)
     }
 
     fn call<T: DeserializeOwned>(
