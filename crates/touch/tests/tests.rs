@@ -1,0 +1,4 @@
+//! Tests of objects on a finger.
+
+mod contact;
+mod response;
