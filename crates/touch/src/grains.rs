@@ -1,7 +1,7 @@
 //! Cuts an object into grains: flat round discs on a regular grid.
 //!
-//! A cell of the grid becomes a grain if at least half of it has material. Its height is the mean over that half. So the size of a
-//! shape converges as the pitch falls.
+//! A cell of the grid becomes a grain if more than half of it has material; of cells that are half full, those of every second column
+//! do. Its height is the mean over the material. So the size of a shape converges as the pitch falls.
 //!
 //! Invariant: grains lie on cells of one grid, no two on the same one, and no height is above 0.
 
@@ -54,18 +54,20 @@ impl Grains {
         }
     }
 
-    /// Cuts a surface into grains of a pitch within a box of lowest and highest x and y. `height_mm` is none where there is no
-    /// material. Only cells that are `kept` count, by their centres.
+    /// Cuts a surface into grains of a pitch within a box of lowest and highest x and y. Four cells meet at `middle`, so that a shape
+    /// about it is cut alike on both sides. `height_mm` is none where there is no material. Only cells that are `kept` count, by their
+    /// centres.
     pub(crate) fn cut(
         pitch_mm: f64,
         [low, high]: [[f64; 2]; 2],
+        middle: [f64; 2],
         kept: impl Fn([f64; 2]) -> bool,
         height_mm: impl Fn([f64; 2]) -> Option<f64>,
     ) -> Self {
-        // Cells meet at the frame's origin, so that shapes about it are cut alike on both sides.
-        let first = [0, 1].map(|axis| (low[axis] / pitch_mm).floor());
-        let count = [0, 1].map(|axis| ((high[axis] / pitch_mm).ceil() - first[axis]).max(0.0) as usize);
-        let origin_mm = first.map(|first| (first + 0.5) * pitch_mm);
+        let cell = |place: f64, axis: usize| (place - middle[axis]) / pitch_mm;
+        let first = [0, 1].map(|axis| cell(low[axis], axis).floor());
+        let count = [0, 1].map(|axis| (cell(high[axis], axis).ceil() - first[axis]).max(0.0) as usize);
+        let origin_mm = [0, 1].map(|axis| middle[axis] + (first[axis] + 0.5) * pitch_mm);
         let (mut cells, mut heights_mm) = (Vec::new(), Vec::new());
         let step = pitch_mm / POINTS as f64;
         for row in 0..count[1] {
@@ -83,7 +85,8 @@ impl Grains {
                         there += 1;
                     }
                 }
-                if 2 * there >= POINTS * POINTS {
+                let twice = 2 * there;
+                if twice > POINTS * POINTS || twice == POINTS * POINTS && column % 2 == 0 {
                     cells.push([column, row]);
                     heights_mm.push(sum / there as f64);
                 }

@@ -3,7 +3,7 @@
 //! The response of the same finger to the real object is what a pattern of pins should come near to. The data path:
 //!
 //! 1. `touch`: a [`Touch`] is the pose and the depth of an object over time: a press, a scan or a path.
-//! 2. `object`: an [`Object`] has a surface and a touch.
+//! 2. `object`: an [`Object`] has a surface and a touch. It is made in memory, or read from a file.
 //! 3. `grains`: the part of the object under the finger becomes [`Grains`], flat round discs on a regular grid.
 //! 4. `contact`: [`Contact::new`] solves the loads of the grains on the skin, an elastic half space, at all depths of the touch. `fft`
 //!    convolves loads with the skin's flexibility.
@@ -45,7 +45,10 @@ mod touch;
 
 pub use contact::{Contact, ContactError, DEPTHS, MAX_BYTES, bytes, solve};
 pub use grains::Grains;
-pub use object::{HeightMap, MARGIN_MM, Object, PITCHES_MM, Surface, surface_of};
+pub use object::{
+    HeightMap, MARGIN_MM, MAX_FILE_BYTES, MAX_PIXELS, MAX_POINTS, MAX_SIDE_MM, Object, ObjectError, Open,
+    PITCHES_MM, Problem, Surface, surface_of,
+};
 pub use response::respond;
 pub use skin::displacements_mm;
 pub use touch::{

@@ -3,10 +3,16 @@
 //! An [`Object`] is cut into [`Grains`] for its contact. Only what lies under the finger at some time of its touch is cut: the pad, an
 //! ellipse of 18 × 24 mm, and a margin.
 //!
-//! The modules: `surface` is the height over a place.
+//! The modules: `surface` is the height over a place, `file` reads object files, `image` height maps, `error` has what can be wrong.
 
+mod error;
+mod file;
+mod image;
 mod surface;
 
+pub use error::{MAX_FILE_BYTES, MAX_POINTS, MAX_SIDE_MM, ObjectError, Problem};
+pub use file::Open;
+pub use image::MAX_PIXELS;
 pub use surface::{HeightMap, Surface};
 
 use crate::grains::Grains;
@@ -66,7 +72,8 @@ impl Object {
         Self { touch, ..self }
     }
 
-    /// The pitch of grains that suits the object, mm: a quarter of the finest width, at most 0.4, and coarser for large objects.
+    /// The pitch of grains that suits the object, mm: a quarter of the finest width or an eighth of a
+    /// dot, at most 0.4, and coarser for large objects.
     #[must_use]
     pub fn pitch_mm(&self) -> f64 {
         let pitch_mm = self.surface.fitting_pitch_mm(&(*PITCHES_MM.start()..=COARSEST_MM));
@@ -88,7 +95,11 @@ impl Object {
             })
         };
         let height_mm = |at| self.surface.height_mm(at).filter(|height_mm| height_mm + most_mm > 0.0);
-        Grains::cut(pitch_mm, self.box_mm(&frames), is_under, height_mm)
+        let [low, high] = self.surface.bounds();
+        let middle = [0, 1].map(|axis| (low[axis] + high[axis]) / 2.0);
+        // A grating has no middle.
+        let middle = middle.map(|middle| if middle.is_finite() { middle } else { 0.0 });
+        Grains::cut(pitch_mm, self.box_mm(&frames), middle, is_under, height_mm)
     }
 
     /// The object's frame whenever it touches the finger.

@@ -33,12 +33,17 @@ impl HeightMap {
     /// A map of `[columns, rows]` pixels, row by row, each so many mm wide and long. The highest pixel becomes height 0. None if there
     /// are other than `columns × rows` heights, or one is no finite number.
     #[must_use]
-    pub fn new(size: [usize; 2], pixel_mm: [f64; 2], heights_mm: &[f64]) -> Option<Self> {
-        let highest = heights_mm.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+    pub fn new(size: [usize; 2], pixel_mm: [f64; 2], mut heights_mm: Vec<f32>) -> Option<Self> {
+        let highest = heights_mm.iter().copied().fold(f32::NEG_INFINITY, f32::max);
+        heights_mm.iter_mut().for_each(|height_mm| *height_mm -= highest);
         let is_good = size[0].checked_mul(size[1]) == Some(heights_mm.len())
             && heights_mm.iter().all(|height_mm| height_mm.is_finite());
-        let below = |height_mm: &f64| (height_mm - highest) as f32;
-        is_good.then(|| Self { size, pixel_mm, heights_mm: heights_mm.iter().map(below).collect() })
+        is_good.then_some(Self { size, pixel_mm, heights_mm })
+    }
+
+    /// Its width and length, mm.
+    pub(super) fn sides_mm(&self) -> [f64; 2] {
+        [0, 1].map(|axis| self.size[axis] as f64 * self.pixel_mm[axis])
     }
 
     fn height_mm(&self, [x, y]: [f64; 2]) -> Option<f64> {
@@ -84,7 +89,7 @@ impl Surface {
             }
             Self::Polygons(polygons) => polygons.iter().flatten().for_each(|&at| add(at, 0.0)),
             Self::Map(map) => {
-                let half = [0, 1].map(|axis| map.size[axis] as f64 * map.pixel_mm[axis] / 2.0);
+                let half = map.sides_mm().map(|side| side / 2.0);
                 add(half, 0.0);
                 add(half.map(|half| -half), 0.0);
             }
@@ -95,7 +100,7 @@ impl Surface {
     /// The pitch of grains that keeps the finest feature within a few per cent of its size, if it lies in the range.
     pub(super) fn fitting_pitch_mm(&self, range: &RangeInclusive<f64>) -> f64 {
         let finest_mm = match self {
-            // A quarter of the width.
+            Self::Near { shape: Shape::Dots(_) | Shape::Disc { .. }, reach_mm } => reach_mm / 4.0,
             Self::Near { reach_mm, .. } => reach_mm / 2.0,
             Self::Polygons(polygons) => {
                 polygons.iter().map(|corners| thickness(corners) / 4.0).fold(1e3, f64::min)
@@ -115,10 +120,13 @@ fn is_in(corners: &[[f64; 2]], [x, y]: [f64; 2]) -> bool {
     sides.filter(crossed).count() % 2 == 1
 }
 
-/// Twice the area over half the perimeter: the width of a long rectangle, the side of a square.
+/// The shortest side of a shape of four corners; of others, the diameter of a circle with this ratio of area to circumference.
 fn thickness(corners: &[[f64; 2]]) -> f64 {
     let sides = || corners.iter().zip(corners.iter().cycle().skip(1));
+    let lengths = || sides().map(|(a, b)| libm::hypot(a[0] - b[0], a[1] - b[1]));
+    if corners.len() == 4 {
+        return lengths().fold(f64::INFINITY, f64::min);
+    }
     let area: f64 = sides().map(|(a, b)| (a[0] * b[1] - a[1] * b[0]) / 2.0).sum();
-    let length: f64 = sides().map(|(a, b)| libm::hypot(a[0] - b[0], a[1] - b[1])).sum();
-    4.0 * area.abs() / length
+    4.0 * area.abs() / lengths().sum::<f64>()
 }
