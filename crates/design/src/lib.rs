@@ -68,6 +68,7 @@ mod target;
 
 pub use aim::Models;
 pub use at_once::AtOnce;
+pub use braille::dots as braille_dots;
 pub use discriminate::{
     ClassReadings, Confusion, LEAST_TRIALS, MOST_TRIALS, Plan, Reading, Sensitivity, confusion,
     correct_of_two, discriminate, efficiency,

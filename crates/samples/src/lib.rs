@@ -3,7 +3,7 @@
 //! [`read`] takes one column or channel, turns it into µm, and resamples it to [`MOST_HZ`] if its rate is above that. The result says
 //! what was done, for the pattern that keeps the samples. The crate opens no file.
 //!
-//! Invariant: every sample is finite, there are 2 to [`MAX_SAMPLES`], and no bytes make the reader panic or take more memory than 16
+//! Invariant: every sample of [`read`] is finite, there are 2 to [`MAX_SAMPLES`], and no bytes make the reader panic or take more memory than 16
 //! times their number. Each error is one line.
 
 mod csv_file;
@@ -136,6 +136,32 @@ pub fn read(name: &str, bytes: &[u8], choice: &Choice) -> Result<Samples, Sample
     }
     note += &format!(", resampled to {MOST_HZ} Hz");
     Ok(Samples { rate_hz: MOST_HZ, um: resample::resampled(&um, rate_hz), note })
+}
+
+/// Reads all values of an NPY file, row by row, with the numbers of rows and columns. They may be no finite numbers.
+///
+/// # Errors
+/// The first thing that is wrong, in one line without the file's name.
+pub fn read_table(bytes: &[u8]) -> Result<([usize; 2], Vec<f64>), SamplesError> {
+    if bytes.len() > MAX_FILE_BYTES {
+        return Err(SamplesError::TooLarge { bytes: bytes.len() });
+    }
+    npy::read_table(bytes)
+}
+
+/// Reads columns of a CSV file by their names in the first row. They may hold no finite numbers.
+///
+/// # Errors
+/// The first thing that is wrong, in one line without the file's name.
+pub fn read_columns<const N: usize>(bytes: &[u8], names: [&str; N]) -> Result<[Vec<f64>; N], SamplesError> {
+    if bytes.len() > MAX_FILE_BYTES {
+        return Err(SamplesError::TooLarge { bytes: bytes.len() });
+    }
+    let mut columns = names.map(|_| Vec::new());
+    for (values, name) in columns.iter_mut().zip(names) {
+        *values = csv_file::read(bytes, Some(&Column::Name(name.to_owned())))?.values;
+    }
+    Ok(columns)
 }
 
 /// The column or channel to take of so many: the one that was asked for, or the only one.

@@ -1,4 +1,4 @@
-//! Reads a column of an NPY file, as `numpy.save` writes it: float32, float64, int16 or int32, in C or Fortran order.
+//! Reads a column or all of an NPY file, as `numpy.save` writes it: float32, float64, int16 or int32, in C or Fortran order.
 //!
 //! The format is that of NumPy Enhancement Proposal 1: magic, version, length of the header, a Python dictionary of three keys, data.
 //! `npyz` would read it, too, but multiplies the dimensions of a hostile header without a check and brings a parser of Python
@@ -19,26 +19,61 @@ pub(crate) fn read(bytes: &[u8], column: Option<&Column>) -> Result<Found, Sampl
         Some(Column::Number(number)) => Some(*number),
         None => None,
     };
-    let (header, data) = split(bytes)?;
-    let Header { descr, is_fortran, shape } = Header::parse(header)?;
-    let item = Item::named(&descr).ok_or_else(|| SamplesError::Type { found: type_name(&descr) })?;
-    let (rows, columns) = match shape[..] {
-        [rows] => (rows, 1),
-        [rows, columns] => (rows, columns),
-        _ => return Err(SamplesError::Shape { shape: shown(&shape) }),
-    };
-    let size = item.bytes();
-    let wanted = rows.checked_mul(columns).and_then(|items| items.checked_mul(size));
-    let wanted = wanted.ok_or_else(|| SamplesError::Shape { shape: shown(&shape) })?;
-    if data.len() < wanted {
-        return Err(SamplesError::Truncated { found: data.len(), wanted, what: "bytes of data" });
-    }
+    let array = Array::parse(bytes)?;
+    let [rows, columns] = array.size;
     let column = only(column, columns, "column")?;
-    let (first, step) = if is_fortran { (column * rows, 1) } else { (column, columns) };
-    let items = data[..wanted].chunks_exact(size).skip(first).step_by(step).take(rows);
-    let values = items.map(|bytes| item.value(bytes)).collect();
+    let (first, step) = if array.is_fortran { (column * rows, 1) } else { (column, columns) };
+    let values = array.items().skip(first).step_by(step).take(rows).collect();
     let place = if columns == 1 { String::new() } else { format!(", column {column} of {columns}") };
-    Ok(Found { values, rate_hz: None, note: format!("NPY {descr}{place}") })
+    Ok(Found { values, rate_hz: None, note: format!("NPY {}{place}", array.descr) })
+}
+
+/// All values, row by row, with the numbers of rows and columns.
+pub(crate) fn read_table(bytes: &[u8]) -> Result<([usize; 2], Vec<f64>), SamplesError> {
+    let array = Array::parse(bytes)?;
+    let [rows, columns] = array.size;
+    let values: Vec<f64> = array.items().collect();
+    if !array.is_fortran {
+        return Ok((array.size, values));
+    }
+    let at = |index: usize| values[index % columns * rows + index / columns];
+    Ok((array.size, (0..rows * columns).map(at).collect()))
+}
+
+/// An array of numbers whose data are all there.
+struct Array<'b> {
+    descr: String,
+    is_fortran: bool,
+    /// Rows and columns.
+    size: [usize; 2],
+    item: Item,
+    data: &'b [u8],
+}
+
+impl<'b> Array<'b> {
+    fn parse(bytes: &'b [u8]) -> Result<Self, SamplesError> {
+        let (header, data) = split(bytes)?;
+        let Header { descr, is_fortran, shape } = Header::parse(header)?;
+        let item = Item::named(&descr).ok_or_else(|| SamplesError::Type { found: type_name(&descr) })?;
+        let size = match shape[..] {
+            [rows] => [rows, 1],
+            [rows, columns] => [rows, columns],
+            _ => return Err(SamplesError::Shape { shape: shown(&shape) }),
+        };
+        let wanted = size[0].checked_mul(size[1]).and_then(|items| items.checked_mul(item.bytes()));
+        let wanted = wanted.ok_or_else(|| SamplesError::Shape { shape: shown(&shape) })?;
+        let data = data.get(..wanted).ok_or(SamplesError::Truncated {
+            found: data.len(),
+            wanted,
+            what: "bytes of data",
+        })?;
+        Ok(Self { descr, is_fortran, size, item, data })
+    }
+
+    /// The values in the order of the file.
+    fn items(&self) -> impl Iterator<Item = f64> {
+        self.data.chunks_exact(self.item.bytes()).map(|bytes| self.item.value(bytes))
+    }
 }
 
 fn format(message: impl Into<String>) -> SamplesError {

@@ -1,12 +1,12 @@
 //! Computes the loads of flat round pins from their indentations of the skin, an elastic half space (Sneddon 1946).
 //!
-//! The loads P of the pins give the profile D·P of the skin under them, with D from [`FlatPins::flexibility`]. A pin can only press:
+//! The loads P of the pins give the profile D·P of the skin under them, with D from [`Punch::flexibility`]. A pin can only press:
 //! a pin whose load would pull the skin has lost contact. Its load is 0, and the other pins carry the rest. So the loads follow from
 //! the indentations alone, sample by sample. While all pins touch, one matrix gives them.
 //!
 //! Invariant: no load is negative.
 
-use super::{ELASTICITY, POISSON};
+use super::punch::Punch;
 use crate::membrane::Position;
 use std::collections::HashMap;
 
@@ -35,27 +35,11 @@ impl From<Position> for Place {
     }
 }
 
-/// Flat round pins of the same radius.
+/// Flat round pins, all alike.
 #[derive(Clone, Debug)]
 pub(super) struct FlatPins {
     pub(super) places: Vec<Place>,
-    pub(super) radius_mm: f64,
-}
-
-impl FlatPins {
-    /// The displacement of the skin at a distance from a pin, per load, mm per N/mm².
-    fn flexibility(&self, distance_mm: f64) -> f64 {
-        (1.0 - POISSON * POISSON) / ELASTICITY * self.spread(distance_mm)
-    }
-
-    /// The share of a pin's load that reaches a distance r: asin(a/r)/(πa) with the pin's radius a, and 1/(2a) under the pin.
-    pub(super) fn spread(&self, distance_mm: f64) -> f64 {
-        if distance_mm <= self.radius_mm {
-            1.0 / (2.0 * self.radius_mm)
-        } else {
-            libm::asin(self.radius_mm / distance_mm) / (std::f64::consts::PI * self.radius_mm)
-        }
-    }
+    pub(super) punch: Punch,
 }
 
 /// The inverse of D for some of the pins, row by row.
@@ -151,14 +135,14 @@ impl Contact {
 /// The inverse of D for some pins, by Gauss–Jordan elimination with pivots. None if D is singular.
 fn stiffness(of: &FlatPins, pins: &[u16]) -> Option<Stiffness> {
     let count = pins.len();
-    let own = of.flexibility(0.0);
+    let own = of.punch.flexibility(0.0);
     let place = |pin: u16| of.places[usize::from(pin)];
     // D beside the unit matrix.
     let mut rows: Vec<Vec<f64>> = pins
         .iter()
         .enumerate()
         .map(|(index, &pin)| {
-            let row = pins.iter().map(|&other| of.flexibility(place(pin).distance_mm(place(other))));
+            let row = pins.iter().map(|&other| of.punch.flexibility(place(pin).distance_mm(place(other))));
             row.chain((0..count).map(|column| f64::from(u8::from(column == index)))).collect()
         })
         .collect();
@@ -190,7 +174,7 @@ mod tests {
     }
 
     fn pins(places: &[Place]) -> FlatPins {
-        FlatPins { places: places.to_vec(), radius_mm: 0.5 }
+        FlatPins { places: places.to_vec(), punch: Punch { radius_mm: 0.5 } }
     }
 
     fn loads(places: &[Place], indentations_mm: &[f64]) -> Vec<f64> {
@@ -205,7 +189,7 @@ mod tests {
             places
                 .iter()
                 .zip(loads)
-                .map(|(pin, load)| load * pins(places).flexibility(at.distance_mm(*pin)))
+                .map(|(pin, load)| load * pins(places).punch.flexibility(at.distance_mm(*pin)))
                 .sum()
         };
         places.iter().map(under).collect()

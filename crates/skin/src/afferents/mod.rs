@@ -6,7 +6,8 @@
 //! 1. `scene` and `file`: a [`Scene`] says how the pins move, and lists the afferents with their places. [`population`] places the
 //!    afferents of a fingertip.
 //! 2. `motion`: the indentation of every pin, 5 000 samples a second.
-//! 3. `contact`: indentations become the pins' loads. A pin that would pull the skin has lost contact.
+//! 3. `contact`: indentations become the pins' loads. A pin that would pull the skin has lost contact. A [`Punch`] (`punch`) says what
+//!    one load does to the skin.
 //! 4. `stimulus`: loads and their rates become the static and the dynamic stimulus of each afferent.
 //! 5. `neuron`: stimuli are filtered, become a current, and the current makes spikes. `noise` adds to the current,
 //!    `rows` holds the parameters of recorded afferents.
@@ -15,6 +16,8 @@
 //! A search needs thousands of answers that differ in a few drives. A [`NearEvaluator`] (`near`) approximates them, for RA
 //! afferents, in a small part of the time: `influence` gives the effect of each motor on each afferent while all pins touch,
 //! `waveform` keeps the filtered stimulus of each motion, and `near_group` turns both into spikes.
+//!
+//! [`respond`] gives the spikes for stimuli that the caller computes, as for an object on the finger in place of pins.
 //!
 //! The step of 0.2 ms is part of the model: its noise and its differences are per sample. So there is no exact method, and
 //! a finer step would be another model.
@@ -43,6 +46,8 @@ mod near_row;
 mod neuron;
 mod noise;
 mod population;
+mod punch;
+mod respond;
 mod rows;
 mod scene;
 mod simulation;
@@ -54,6 +59,8 @@ mod waveform;
 pub use afferent::{Afferent, Class};
 pub use near::{NearCandidate, NearEvaluator};
 pub use population::{LOWER_PER_CM2, UPPER_PER_CM2, population};
+pub use punch::Punch;
+pub use respond::{Stimuli, respond};
 pub use scene::{MAX_PINS, PREINDENT_MM, Scene, SinePin};
 pub use simulation::{Answer, simulate};
 
@@ -62,10 +69,10 @@ pub(crate) use file::read;
 /// The step, µs.
 pub const SAMPLE_US: u32 = 200;
 /// Samples per second.
-const SAMPLES_PER_S: f64 = 5000.0;
+pub const SAMPLES_PER_S: f64 = 5000.0;
 /// Afferents in a group: the widest vector of `f64`.
 const LANES: usize = 8;
 /// Young's modulus of the skin, N/mm² (Saal et al. 2017).
-const ELASTICITY: f64 = 0.05;
+pub const ELASTICITY: f64 = 0.05;
 /// Poisson's ratio of the skin (Saal et al. 2017).
-const POISSON: f64 = 0.4;
+pub const POISSON: f64 = 0.4;

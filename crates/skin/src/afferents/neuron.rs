@@ -11,11 +11,11 @@
 //!
 //! Invariant: no operation mixes lanes, and the start of a tile does not depend on how a scene is cut into blocks.
 
+use super::LANES;
 use super::afferent::{Afferent, Class, Parameters};
 use super::filter::{LowPass, Sections};
 use super::noise::Noise;
 use super::stimulus::{Field, TILE, mix, mix_together};
-use super::{LANES, contact::FlatPins};
 use crate::simd::{Aligned, bits};
 use pulp::{Arch, Simd, WithSimd};
 use std::sync::OnceLock;
@@ -126,11 +126,11 @@ pub(super) struct Block<'b> {
 }
 
 impl Group {
-    /// Afferents of one class, with their numbers in the scene. `loads` are those of pins pressed in long before the scene, if they
-    /// were.
+    /// Afferents of one class, with their numbers in the scene and their fields. `loads` are those of pins pressed in long before the
+    /// scene, if they were.
     pub(super) fn new(
         members: &[(u32, Afferent)],
-        pins: &FlatPins,
+        fields: Vec<Field>,
         seed: Option<u64>,
         loads: Option<&[f64]>,
     ) -> Self {
@@ -154,7 +154,6 @@ impl Group {
             noise_sd: row(&|p| p.noise_sd),
             kept: row(&|p| 1.0 - 1.0 / p.leak_samples),
         };
-        let fields: Vec<_> = members.iter().map(|(_, afferent)| Field::new(afferent, pins)).collect();
         let mut held =
             (members[0].1.class == Class::Sa1).then_some(Filtered { state: [ZERO; 3], last: ZERO });
         if let Some((held, loads)) = held.as_mut().zip(loads) {

@@ -6,6 +6,7 @@
 use super::SAMPLES_PER_S;
 use super::afferent::Afferent;
 use super::contact::{Contact, FlatPins, Place};
+use super::punch::Punch;
 use crate::ramps::Ramps;
 use crate::scene::{Problem, Scene as MembraneScene};
 use meissner_array::pattern::Drive;
@@ -225,7 +226,7 @@ impl Scene {
                 self.array.positions_mm().iter().map(|&[x_mm, y_mm]| Place { x_mm, y_mm }).collect()
             }
         };
-        FlatPins { places, radius_mm: self.array.pin_radius_mm() }
+        FlatPins { places, punch: Punch { radius_mm: self.array.pin_radius_mm() } }
     }
 
     /// The number of samples: those with a time below the duration.
@@ -292,7 +293,7 @@ fn check_place(x_mm: f64, y_mm: f64) -> Result<(), KeyError> {
 
 /// Refuses pins whose loads cannot be told apart.
 fn check_apart(pins: &FlatPins) -> Result<(), KeyError> {
-    let FlatPins { places, radius_mm } = pins;
+    let FlatPins { places, punch: Punch { radius_mm } } = pins;
     for (second, at) in places.iter().enumerate() {
         let near = |other: &Place| other.distance_mm(*at) <= *radius_mm;
         if let Some(first) = places[..second].iter().position(near) {

@@ -123,7 +123,11 @@ fn groups(scene: &Scene, pins: &FlatPins, loads: &Loads<'_>, numbers: &[u32]) ->
     }
     let seed = scene.noise.then_some(scene.seed);
     let settled = loads.settled.as_deref();
-    cuts.par_iter().map(|members| Group::new(members, pins, seed, settled)).collect()
+    let group = |members: &&[(u32, Afferent)]| {
+        let fields = members.iter().map(|(_, afferent)| Field::new(afferent, pins)).collect();
+        Group::new(members, fields, seed, settled)
+    };
+    cuts.par_iter().map(group).collect()
 }
 
 /// The loads of the pins, block by block.

@@ -1,0 +1,244 @@
+//! What the loads of an object do to the skin, as tables in the object's frame.
+//!
+//! The half space is the same everywhere and the object is rigid. So everything that the loads do at a place follows from the depth
+//! and from the place in the object's frame. A [`Field`] tabulates it for each solved depth: the spread loads, their mean delay, and
+//! the pressure at the depth of SA1 afferents. A moving object then takes one look-up per place and time, however many grains it has.
+//!
+//! There are two tables: a fine one about the grains, by convolution, and a coarse one around it, by direct sums. Both are
+//! interpolated by bicubics with continuous slopes (Catmull & Rom).
+//!
+//! Invariant: a look-up depends on the grains and the depth alone, and on the box of places only by its rounding.
+
+use crate::contact::{Contact, MAX_BYTES, Weights, distance};
+use crate::fft::{Convolution, Plan};
+use crate::grains::Grains;
+use meissner_skin::afferents::{Class, Punch};
+use rayon::prelude::*;
+
+/// The fine table goes so far beyond the grains, mm.
+const MARGIN_MM: f64 = 4.0;
+/// The step of the coarse table, mm.
+const COARSE_MM: f64 = 0.25;
+/// Steps of the fine table per diameter of a grain: the most and fewer, if memory is short.
+const FINE: [usize; 3] = [4, 2, 1];
+/// Numbers of a point for each solved depth.
+const CHANNELS: usize = 3;
+
+/// Sums over all loads at a place.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(crate) struct Effect {
+    /// The spread loads, N/mm.
+    pub(crate) spread: f64,
+    /// The same, each times its delay in samples.
+    pub(crate) delayed: f64,
+    /// The pressure at the depth of SA1 afferents, N/mm².
+    pub(crate) pressure: f64,
+}
+
+/// Tables of effects.
+#[derive(Clone, Debug)]
+pub(crate) struct Field {
+    depths: usize,
+    fine: Table,
+    coarse: Table,
+}
+
+#[derive(Clone, Debug)]
+struct Table {
+    low: [f64; 2],
+    step_mm: f64,
+    size: [usize; 2],
+    /// By row, column, solved depth and channel.
+    values: Vec<f64>,
+}
+
+/// The three numbers of a load of 1 N at a distance.
+fn effect(punch: Punch, distance_mm: f64) -> [f64; CHANNELS] {
+    let spread = punch.spread(distance_mm);
+    [spread, spread * punch.lag(distance_mm), punch.pressure(distance_mm, Class::Sa1.depth_mm())]
+}
+
+impl Field {
+    /// The field of a contact for places within a box of the object's frame, given by its lowest and highest x and y.
+    pub(crate) fn new(contact: &Contact, [low, high]: [[f64; 2]; 2]) -> Self {
+        let depths = contact.depths();
+        // The coarse table has two points more at each side for the interpolation.
+        let low = low.map(|low| low - 2.0 * COARSE_MM);
+        let size = [0, 1].map(|axis| ((high[axis] - low[axis]) / COARSE_MM).ceil() as usize + 3);
+        let mut coarse = Table { low, step_mm: COARSE_MM, size, values: Vec::new() };
+        let fine = fine(contact);
+        let grains = contact.grains();
+        coarse.values = vec![0.0; size[0] * size[1] * depths * CHANNELS];
+        let rows = coarse.values.par_chunks_mut(size[0] * depths * CHANNELS).enumerate();
+        rows.for_each(|(row, values)| {
+            for (column, values) in values.chunks_exact_mut(depths * CHANNELS).enumerate() {
+                let at = [low[0] + column as f64 * COARSE_MM, low[1] + row as f64 * COARSE_MM];
+                if !fine.has_near(at) {
+                    add(grains, contact, at, values);
+                }
+            }
+        });
+        Self { depths, fine, coarse }
+    }
+
+    /// The effect at a place in the object's frame. The place must lie in the box.
+    pub(crate) fn at(&self, at: [f64; 2], weights: &Weights) -> Effect {
+        let table = if self.fine.has(at) { &self.fine } else { &self.coarse };
+        let [spread, delayed, pressure] = table.at(at, self.depths, weights);
+        Effect { spread, delayed, pressure }
+    }
+}
+
+/// Adds the effects of all loads at a place, by solved depth and channel.
+fn add(grains: &Grains, contact: &Contact, at: [f64; 2], values: &mut [f64]) {
+    for (grain, place) in grains.places_mm.iter().enumerate() {
+        let effect = effect(grains.punch(), distance(at, *place));
+        for (depth, values) in values.chunks_exact_mut(CHANNELS).enumerate() {
+            let load = contact.solved(depth)[grain];
+            values.iter_mut().zip(effect).for_each(|(value, effect)| *value += load * effect);
+        }
+    }
+}
+
+/// The table about the grains.
+fn fine(contact: &Contact) -> Table {
+    let (grains, depths) = (contact.grains(), contact.depths());
+    let pitch_mm = grains.pitch_mm;
+    let margin = (MARGIN_MM / pitch_mm).ceil() as usize;
+    let cells = grains.size.map(|size| size + 2 * margin);
+    // Pins lie further apart than their diameter.
+    let parts_of_pitch =
+        |fine: usize| (fine as f64 * pitch_mm / (2.0 * grains.radius_mm)).round().max(1.0) as usize;
+    let bytes = |parts: usize| 8 * CHANNELS * depths * cells[0] * cells[1] * parts * parts;
+    let fits = |fine: &usize| bytes(parts_of_pitch(*fine)) <= MAX_BYTES / 2;
+    let fine = FINE.into_iter().find(fits).unwrap_or(1);
+    let parts = parts_of_pitch(fine);
+    let (size, step_mm) = (cells.map(|cells| cells * parts), pitch_mm / parts as f64);
+    let low = grains.origin_mm.map(|origin| origin - margin as f64 * pitch_mm);
+    let mut values = vec![0.0; size[0] * size[1] * depths * CHANNELS];
+    let plan = Plan::new(grains.size, cells);
+    // Two depths at a time.
+    let loads: Vec<_> = (0..depths)
+        .step_by(2)
+        .map(|depth| {
+            let second =
+                |grain: usize| if depth + 1 < depths { contact.solved(depth + 1)[grain] } else { 0.0 };
+            let of = |(grain, &cell): (usize, _)| (cell, [contact.solved(depth)[grain], second(grain)]);
+            plan.spectrum(grains.cells.iter().enumerate().map(of))
+        })
+        .collect();
+    let parts_of = |part: usize| [part % parts, part / parts];
+    let planes: Vec<usize> = (0..parts * parts * CHANNELS).collect();
+    // A few planes at a time, so that memory does not depend on the number of threads.
+    for planes in planes.chunks(2) {
+        let computed: Vec<Vec<_>> = planes
+            .par_iter()
+            .map(|plane| {
+                let (part, channel) = (parts_of(plane / CHANNELS), plane % CHANNELS);
+                let kernel = |[x, y]: [f64; 2]| {
+                    let x_mm = x * pitch_mm + part[0] as f64 * step_mm;
+                    let y_mm = y * pitch_mm + part[1] as f64 * step_mm;
+                    effect(grains.punch(), (x_mm * x_mm + y_mm * y_mm).sqrt())[channel]
+                };
+                let convolution =
+                    Convolution::new(plan.clone(), grains.size, cells, [margin, margin], kernel);
+                loads.iter().map(|loads| convolution.apply(loads)).collect()
+            })
+            .collect();
+        for (plane, computed) in planes.iter().zip(computed) {
+            let (part, channel) = (parts_of(plane / CHANNELS), plane % CHANNELS);
+            for row in 0..cells[1] {
+                for column in 0..cells[0] {
+                    let point = (row * parts + part[1]) * size[0] + column * parts + part[0];
+                    let values = &mut values[point * depths * CHANNELS..][..depths * CHANNELS];
+                    for (pair, outputs) in values.chunks_mut(2 * CHANNELS).zip(&computed) {
+                        let found = outputs([column, row]);
+                        for (values, found) in pair.chunks_exact_mut(CHANNELS).zip(found) {
+                            values[channel] = found;
+                        }
+                    }
+                }
+            }
+        }
+    }
+    let mut table = Table { low, step_mm, size, values };
+    table.smooth(fine, depths * CHANNELS);
+    table
+}
+
+impl Table {
+    /// Takes the mean over a square of this many steps, by the trapezoidal rule: first along rows, then along columns.
+    fn smooth(&mut self, steps: usize, stride: usize) {
+        let half = steps / 2;
+        if half == 0 {
+            return;
+        }
+        for axis in 0..2 {
+            let apart = stride * [1, self.size[0]][axis];
+            let from = self.values.clone();
+            for point in 0..self.size[0] * self.size[1] {
+                let place = [point % self.size[0], point / self.size[0]][axis];
+                if place < half || place + half >= self.size[axis] {
+                    continue;
+                }
+                let start = point * stride;
+                for (index, value) in self.values[start..start + stride].iter_mut().enumerate() {
+                    let of = |step: usize| from[start + index + step * apart - half * apart];
+                    let inner: f64 = (1..steps).map(of).sum();
+                    *value = (inner + (of(0) + of(steps)) / 2.0) / steps as f64;
+                }
+            }
+        }
+    }
+
+    /// The point below a place, and how far it lies beyond, in steps.
+    fn point(&self, at: [f64; 2]) -> [(f64, f64); 2] {
+        [0, 1].map(|axis| {
+            let place = (at[axis] - self.low[axis]) / self.step_mm;
+            (place.floor(), place - place.floor())
+        })
+    }
+
+    /// Whether a place can be interpolated.
+    fn has(&self, at: [f64; 2]) -> bool {
+        let point = self.point(at);
+        (0..2).all(|axis| point[axis].0 >= 1.0 && point[axis].0 + 2.0 < self.size[axis] as f64)
+    }
+
+    /// Whether a place and all within two steps of the coarse table can be.
+    fn has_near(&self, at: [f64; 2]) -> bool {
+        let by = 2.5 * COARSE_MM;
+        self.has([at[0] - by, at[1] - by]) && self.has([at[0] + by, at[1] + by])
+    }
+
+    fn at(&self, at: [f64; 2], depths: usize, weights: &Weights) -> [f64; CHANNELS] {
+        let [(column, x), (row, y)] = self.point(at);
+        let (across, along) = (cubic(x), cubic(y));
+        // A place on the edge of the box may be rounded beyond it.
+        let first = |place: f64, size: usize| (place.max(1.0) as usize - 1).min(size.saturating_sub(4));
+        let (column, row) = (first(column, self.size[0]), first(row, self.size[1]));
+        let stride = depths * CHANNELS;
+        let mut sum = [0.0; CHANNELS];
+        for &(number, weight) in weights.iter().flatten() {
+            for (line, along) in along.iter().enumerate() {
+                let start = ((row + line) * self.size[0] + column) * stride + number * CHANNELS;
+                for (point, across) in across.iter().enumerate() {
+                    let values = &self.values[start + point * stride..][..CHANNELS];
+                    let weight = weight * along * across;
+                    sum.iter_mut().zip(values).for_each(|(sum, value)| *sum += weight * value);
+                }
+            }
+        }
+        sum
+    }
+}
+
+/// The weights of four points for a place between the two in the middle.
+fn cubic(t: f64) -> [f64; 4] {
+    [
+        0.5 * t * (t * (2.0 - t) - 1.0),
+        0.5 * (t * t * (3.0 * t - 5.0) + 2.0),
+        0.5 * t * (t * (4.0 - 3.0 * t) + 1.0),
+        0.5 * t * t * (t - 1.0),
+    ]
+}

@@ -1,0 +1,142 @@
+//! Objects: a surface, and how it touches the finger.
+//!
+//! An [`Object`] is cut into [`Grains`] for its contact. Only what lies under the finger at some time of its touch is cut: the pad, an
+//! ellipse of 18 × 24 mm, and a margin.
+//!
+//! The modules: `surface` is the height over a place, `file` reads object files, `image` height maps, `error` has what can be wrong.
+
+mod error;
+mod file;
+mod image;
+mod surface;
+
+pub use error::{MAX_FILE_BYTES, MAX_POINTS, MAX_SIDE_MM, ObjectError, Problem};
+pub use file::Open;
+pub use image::MAX_PIXELS;
+pub use surface::{HeightMap, Surface};
+
+use crate::grains::Grains;
+use crate::touch::{Frame, Pose, Touch};
+use meissner_design::Shape;
+use meissner_skin::membrane::{PAD_LENGTH_MM, PAD_WIDTH_MM};
+
+/// How far beyond the pad an object counts, mm.
+pub const MARGIN_MM: f64 = 1.0;
+/// The finest and the coarsest pitch of grains, mm.
+pub const PITCHES_MM: std::ops::RangeInclusive<f64> = 0.05..=1.0;
+
+/// The coarsest pitch that is chosen, mm. Afferents of a class lie about 1 mm apart.
+const COARSEST_MM: f64 = 0.4;
+/// Grains are chosen so coarse that there are at most this many.
+const ENOUGH: f64 = 12_000.0;
+/// Width of the lines of a target that is made an object, and diameter of its dots, mm.
+const LINE_MM: f64 = 0.8;
+const DOT_MM: f64 = 2.0;
+
+/// An object that touches a finger.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Object {
+    name: String,
+    surface: Surface,
+    touch: Touch,
+}
+
+impl Object {
+    /// An object with this surface.
+    #[must_use]
+    pub fn new(name: &str, surface: Surface, touch: Touch) -> Self {
+        Self { name: name.to_owned(), surface, touch }
+    }
+
+    /// The name.
+    #[must_use]
+    pub fn name(&self) -> &str {
+        &self.name
+    }
+
+    /// The surface.
+    #[must_use]
+    pub const fn surface(&self) -> &Surface {
+        &self.surface
+    }
+
+    /// How it touches.
+    #[must_use]
+    pub const fn touch(&self) -> &Touch {
+        &self.touch
+    }
+
+    /// The object with another touch.
+    #[must_use]
+    pub fn with_touch(self, touch: Touch) -> Self {
+        Self { touch, ..self }
+    }
+
+    /// The pitch of grains that suits the object, mm: a quarter of the finest width or an eighth of a
+    /// dot, at most 0.4, and coarser for large objects.
+    #[must_use]
+    pub fn pitch_mm(&self) -> f64 {
+        let pitch_mm = self.surface.fitting_pitch_mm(&(*PITCHES_MM.start()..=COARSEST_MM));
+        let [low, high] = self.box_mm(&self.under_finger());
+        let area = (high[0] - low[0]).max(0.0) * (high[1] - low[1]).max(0.0);
+        pitch_mm.max((area / ENOUGH).sqrt()).min(*PITCHES_MM.end())
+    }
+
+    /// The grains of a pitch, within [`PITCHES_MM`], that touch the skin at some time. There may be none.
+    #[must_use]
+    pub fn grains(&self, pitch_mm: f64) -> Grains {
+        let frames = self.under_finger();
+        let most_mm = self.touch.most_depth_mm();
+        let (a, b) = (PAD_WIDTH_MM / 2.0 + MARGIN_MM, PAD_LENGTH_MM / 2.0 + MARGIN_MM);
+        let is_under = |at: [f64; 2]| {
+            frames.iter().any(|frame| {
+                let [x, y] = frame.outward(at);
+                x * x / (a * a) + y * y / (b * b) <= 1.0
+            })
+        };
+        let height_mm = |at| self.surface.height_mm(at).filter(|height_mm| height_mm + most_mm > 0.0);
+        let [low, high] = self.surface.bounds();
+        let middle = [0, 1].map(|axis| (low[axis] + high[axis]) / 2.0);
+        // A grating has no middle.
+        let middle = middle.map(|middle| if middle.is_finite() { middle } else { 0.0 });
+        Grains::cut(pitch_mm, self.box_mm(&frames), middle, is_under, height_mm)
+    }
+
+    /// The object's frame whenever it touches the finger.
+    fn under_finger(&self) -> Vec<Frame> {
+        self.touch.in_contact(1.0).iter().map(Frame::of).collect()
+    }
+
+    /// The lowest and the highest x and y of what lies under the finger.
+    fn box_mm(&self, frames: &[Frame]) -> [[f64; 2]; 2] {
+        let [mut low, mut high] = self.surface.bounds();
+        let reach = PAD_LENGTH_MM / 2.0 + MARGIN_MM;
+        let middles = || frames.iter().map(|frame| frame.inward([0.0; 2]));
+        for axis in 0..2 {
+            let places = || middles().map(|middle| middle[axis]);
+            low[axis] = low[axis].max(places().fold(f64::INFINITY, f64::min) - reach);
+            high[axis] = high[axis].min(places().fold(f64::NEG_INFINITY, f64::max) + reach);
+        }
+        [low, high]
+    }
+}
+
+/// The surface of a target's shape: lines are 0.8 mm wide, dots have a diameter of 2 mm.
+#[must_use]
+pub fn surface_of(shape: &Shape) -> Surface {
+    let (shape, reach_mm) = match shape {
+        Shape::Polyline(_) | Shape::Grating { .. } => (shape.clone(), LINE_MM / 2.0),
+        Shape::Dots(_) => (shape.clone(), DOT_MM / 2.0),
+        // A disc without radius is a dot.
+        &Shape::Disc { center_mm, radius_mm } => (Shape::Dots(vec![center_mm]), radius_mm.max(DOT_MM / 2.0)),
+    };
+    Surface::Near { shape, reach_mm }
+}
+
+/// A press in the array's middle.
+impl Default for Touch {
+    fn default() -> Self {
+        let press = crate::touch::Press { depth_mm: 0.5, rise_s: 0.05, hold_s: 0.2, fall_s: 0.05 };
+        Self::press(Pose::default(), press).expect("its numbers are within their limits")
+    }
+}
