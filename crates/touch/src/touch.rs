@@ -235,6 +235,14 @@ impl Touch {
     }
 }
 
+/// A press by 0.5 mm in the array's middle.
+impl Default for Touch {
+    fn default() -> Self {
+        let press = Press { depth_mm: 0.5, rise_s: 0.05, hold_s: 0.2, fall_s: 0.05 };
+        Self::press(Pose::default(), press).expect("its numbers are within their limits")
+    }
+}
+
 fn within(
     what: &'static str,
     found: f64,

@@ -1,7 +1,7 @@
 //! Contact against closed solutions, and how it converges as grains become finer.
 
 use meissner_skin::afferents::{ELASTICITY, POISSON};
-use meissner_touch::{Grains, solve};
+use meissner_touch::{Contact, Grains, solve};
 
 const MODULUS: f64 = ELASTICITY / (1.0 - POISSON * POISSON);
 
@@ -48,5 +48,26 @@ fn the_load_of_a_sphere_converges_to_hertzs_with_the_pitch() {
         let error = loads.iter().sum::<f64>() / exact - 1.0;
         assert!(error > 0.0 && last.is_none_or(|last| error < 0.55 * last), "{pitch_mm}: {error}");
         last = Some(error);
+    }
+}
+
+/// Between two of the solved depths, loads are interpolated. The sum is close; a grain at the rim, where contact begins, has the largest
+/// error.
+#[test]
+fn interpolated_loads_are_close_to_solved_ones() {
+    let (most_mm, radius_mm) = (1.0, 8.0);
+    let grains = round(0.2, 3.5, |from_middle| -from_middle * from_middle / (2.0 * radius_mm));
+    let contact = Contact::new(grains.clone(), most_mm).unwrap();
+    let (total, largest) = contact
+        .loads_n(most_mm)
+        .into_iter()
+        .fold((0.0, 0.0_f64), |(sum, most), load| (sum + load, most.max(load)));
+    for depth_mm in [0.02, 0.06, 0.13, 0.29, 0.47, 0.63, 0.81, 0.95, 1.0] {
+        let exact = solve(&grains, depth_mm, None).unwrap();
+        let found = contact.loads_n(depth_mm);
+        let sums = [&exact, &found].map(|loads| loads.iter().sum::<f64>());
+        let worst = exact.iter().zip(&found).map(|(exact, found)| (exact - found).abs()).fold(0.0, f64::max);
+        let errors = [(sums[1] - sums[0]).abs() / total, worst / largest];
+        assert!(errors[0] < 0.002 && errors[1] < 0.1, "{depth_mm}: {errors:?}");
     }
 }

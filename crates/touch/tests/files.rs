@@ -1,6 +1,7 @@
 //! Object files: what they say, and what is refused, in one line.
 
 use meissner_touch::{MAX_BYTES, Object, ObjectError, Touch, bytes, surface_of};
+use proptest::prelude::{ProptestConfig, any, prop_assert, proptest};
 use std::io;
 
 fn read(text: &str) -> Result<Object, ObjectError> {
@@ -145,6 +146,10 @@ fn what_is_wrong_is_said_in_one_line() {
         ),
         (object(bar).replace("\"object\"", "\"target\""), "o.toml:1: `kind` is `target`: must be \"object\""),
         (object(bar).replace("\"o\"", "\"O\""), "o.toml:2: `name` is `O`: must be 1 to 64 of a-z, 0-9 and -"),
+        (
+            object("shape = \"ball\""),
+            "o.toml:3: `shape`: unknown variant `ball`, expected one of `bar`, `edge`, `dots`, `gap`, `grating`, `braille`, `polygon`, `heightmap`, `texture`",
+        ),
         (
             object("shape = \"dots\"\npoints = []\ndiameter_mm = 1"),
             "o.toml:4: `points` is a list of 0: must be 1 to 4096 dots",
@@ -310,4 +315,41 @@ fn bad_images_and_profiles_are_refused_in_one_line() {
         found,
         "o.toml:5: `mm_per_pixel` is too large: the map has 100.1 × 0.9 mm, and may have 100 mm each"
     );
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 64, failure_persistence: None, ..ProptestConfig::default() })]
+
+    /// No bytes make a reader panic, and each error is one line.
+    #[test]
+    fn broken_files_are_refused_in_one_line(
+        bytes in proptest::collection::vec(any::<u8>(), 0..200),
+        at in 0_usize..100,
+        kind in 0_usize..3,
+    ) {
+        let grey = png(png::ColorType::Grayscale, png::BitDepth::Eight, [9, 9], &[7; 81]);
+        let array = npy("<f4", "(2, 2)", &floats(&[0.0; 4]));
+        let (name, mut file) =
+            [("m.png", grey), ("m.npy", array), ("p.csv", b"t_s,x_mm\n0,0\n1,1\n".to_vec())][kind].clone();
+        let end = (at + bytes.len()).min(file.len());
+        file.splice(at.min(end)..end, bytes);
+        let text = match kind {
+            2 => touching("path.file = \"p.csv\""),
+            _ => object(&format!("shape = \"heightmap\"\nfile = \"{name}\"\nmm_per_pixel = 0.1\num_per_level = 2")),
+        };
+        if let Err(error) = read_with(&text, &[(name, file)]) {
+            prop_assert!(!error.to_string().contains('\n'), "{error}");
+        }
+    }
+
+    /// The same of the object's own text.
+    #[test]
+    fn broken_texts_are_refused_in_one_line(at in 0_usize..90, length in 0_usize..30, with in "\\PC{0,12}") {
+        let mut text: Vec<char> = touching("press = { depth_um = 500 }").chars().collect();
+        let end = (at + length).min(text.len());
+        text.splice(at.min(end)..end, with.chars());
+        if let Err(error) = read(&text.into_iter().collect::<String>()) {
+            prop_assert!(!error.to_string().contains('\n'), "{error}");
+        }
+    }
 }

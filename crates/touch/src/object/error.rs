@@ -1,8 +1,7 @@
-//! Errors of object files: one line that says what is wrong, where, and what to do.
+//! Limits of object files, and their errors: one line that says what is wrong, where, and what to do.
 //!
 //! Invariant: the text of an [`ObjectError`] has no line break.
 
-use super::image::MAX_PIXELS;
 use crate::touch::TouchError;
 use meissner_input::document;
 use meissner_samples::SamplesError;
@@ -11,6 +10,8 @@ use meissner_samples::SamplesError;
 pub const MAX_FILE_BYTES: usize = 256 << 10;
 /// The most points of a polygon, dots, or dots of a Braille text.
 pub const MAX_POINTS: usize = 4096;
+/// The most columns and rows of a height map.
+pub const MAX_PIXELS: usize = 4096;
 /// The largest length and width of a height map, mm.
 pub const MAX_SIDE_MM: f64 = 100.0;
 

@@ -4,14 +4,11 @@
 //!
 //! Invariant: nothing is allocated before the size is known to be within its limit.
 
-use super::error::Problem;
+use super::error::{MAX_PIXELS, Problem};
 use super::surface::HeightMap;
 use meissner_input::message::cut;
 use png::{BitDepth, ColorType, Decoder, DecodingError, Limits};
 use std::io::Cursor;
-
-/// The most columns and rows of a height map.
-pub const MAX_PIXELS: usize = 4096;
 
 /// The levels of an image: columns and rows, and the values row by row.
 type Levels = ([usize; 2], Vec<f32>);

@@ -3,20 +3,19 @@
 //! An [`Object`] is cut into [`Grains`] for its contact. Only what lies under the finger at some time of its touch is cut: the pad, an
 //! ellipse of 18 × 24 mm, and a margin.
 //!
-//! The modules: `surface` is the height over a place, `file` reads object files, `image` height maps, `error` has what can be wrong.
+//! The modules: `surface` is the height over a place, `file` reads object files, `image` height maps, `error` has limits and what can be wrong.
 
 mod error;
 mod file;
 mod image;
 mod surface;
 
-pub use error::{MAX_FILE_BYTES, MAX_POINTS, MAX_SIDE_MM, ObjectError, Problem};
+pub use error::{MAX_FILE_BYTES, MAX_PIXELS, MAX_POINTS, MAX_SIDE_MM, ObjectError, Problem};
 pub use file::Open;
-pub use image::MAX_PIXELS;
 pub use surface::{HeightMap, Surface};
 
 use crate::grains::Grains;
-use crate::touch::{Frame, Pose, Touch};
+use crate::touch::{Frame, Touch};
 use meissner_design::Shape;
 use meissner_skin::membrane::{PAD_LENGTH_MM, PAD_WIDTH_MM};
 
@@ -131,12 +130,4 @@ pub fn surface_of(shape: &Shape) -> Surface {
         &Shape::Disc { center_mm, radius_mm } => (Shape::Dots(vec![center_mm]), radius_mm.max(DOT_MM / 2.0)),
     };
     Surface::Near { shape, reach_mm }
-}
-
-/// A press in the array's middle.
-impl Default for Touch {
-    fn default() -> Self {
-        let press = crate::touch::Press { depth_mm: 0.5, rise_s: 0.05, hold_s: 0.2, fall_s: 0.05 };
-        Self::press(Pose::default(), press).expect("its numbers are within their limits")
-    }
 }
