@@ -8,6 +8,7 @@
 
 use crate::file::{dir_of, read_regular};
 use anyhow::{Result, anyhow, bail};
+use meissner_array::pattern;
 use std::fs::{self, Permissions};
 use std::io::{self, Write};
 use std::os::unix::fs::PermissionsExt;
@@ -82,4 +83,13 @@ fn cannot_write(place: &Path, error: &io::Error) -> anyhow::Error {
         "{}: cannot be written; check that the directory exists and that you may write there ({cause})",
         shown(place)
     )
+}
+
+/// The name of a pattern that is written to a file: the store requires that both have the same name.
+pub(super) fn pattern_name(file: &Path) -> Result<String> {
+    let stem = file.file_stem().and_then(|stem| stem.to_str()).filter(|stem| pattern::is_name(stem));
+    stem.map(str::to_owned).ok_or_else(|| {
+        let place = file.to_string_lossy();
+        anyhow!("{}: not a pattern's name: write 1 to 64 of a-z, 0-9 and -, then .toml", place.escape_debug())
+    })
 }

@@ -20,15 +20,18 @@ mod ending;
 mod export;
 mod files;
 mod gate;
+mod judge;
 mod laser;
 mod library;
 mod live;
 mod manual;
+mod object;
 mod optimise;
 mod output;
 mod pattern;
 mod pattern_file;
 mod progress;
+mod render;
 mod replay;
 mod report;
 mod sequence;
@@ -233,6 +236,10 @@ enum Command {
     Simulate(simulate::Simulate),
     /// Find a pattern for a target shape
     Optimise(optimise::Optimise),
+    /// Make a pattern that gives a finger the response that a real object gives
+    Render(render::Render),
+    /// Compare what fingers feel of a pattern with what they feel of the real object
+    Judge(judge::Judge),
     /// Compare simulation methods on this machine: time against error
     #[command(name = "tradeoff")]
     MethodTradeoff(tradeoff::MethodTradeoff),
@@ -342,6 +349,8 @@ fn run(command: Command) -> Result<ExitCode> {
         Command::Simulate(asked) => simulate::run(&asked),
         Command::Optimise(asked) => optimise::run(&asked),
         Command::MethodTradeoff(asked) => tradeoff::run(&asked),
+        Command::Render(asked) => render::run(&asked),
+        Command::Judge(asked) => judge::run(&asked),
         Command::Discriminate(asked) => discriminate::run(&asked),
         Command::Sweep(asked) => sweep::run(&asked),
         Command::Validate(asked) => validate::run(&asked),

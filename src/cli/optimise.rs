@@ -13,7 +13,6 @@ use super::progress::Search;
 use super::{files, pattern_file, text};
 use anyhow::{Result, anyhow, bail};
 use clap::Args;
-use meissner_array::pattern;
 use meissner_design::{
     Baseline, Budget, ByModel, Ended, Goal, MAX_BYTES, Made, Models, Request, Robustness, Setting, Target,
     Verdict, make, populations, shipped, shipped_names,
@@ -168,7 +167,7 @@ pub(super) fn run(asked: &Optimise) -> Result<ExitCode> {
         Some(file) => {
             // Check that the file can be made, and remove it, so that an interrupted search leaves no partial file.
             drop(files::beside(file)?);
-            name(file)?
+            files::pattern_name(file)?
         }
         None => target.name().to_owned(),
     };
@@ -251,15 +250,6 @@ fn target(argument: &str) -> Result<Target> {
 fn is_itself(target: &str, file: &Path) -> bool {
     let found = |file: &Path| fs::canonicalize(file).ok();
     files::is_file(target) && found(file).is_some_and(|file| Some(file) == found(Path::new(target)))
-}
-
-/// The name of a pattern that is written to a file: the store requires that both have the same name.
-fn name(file: &Path) -> Result<String> {
-    let stem = file.file_stem().and_then(|stem| stem.to_str()).filter(|stem| pattern::is_name(stem));
-    stem.map(str::to_owned).ok_or_else(|| {
-        let place = file.to_string_lossy();
-        anyhow!("{}: not a pattern's name: write 1 to 64 of a-z, 0-9 and -, then .toml", place.escape_debug())
-    })
 }
 
 /// The figures of the naive rules.

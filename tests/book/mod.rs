@@ -17,6 +17,7 @@ use meissner_skin::{AnyScene, Scene};
 use meissner_stream::calibrate::Calibration;
 use meissner_stream::device::Spec;
 use meissner_sweep::{Document, Plan, Sources};
+use meissner_touch::Object;
 use pages::{Page, book, documents, read, root};
 use serde_json::Value;
 use std::collections::BTreeSet;
@@ -82,6 +83,9 @@ fn read_toml(text: &str, place: &str) -> Result<&'static str, String> {
         Pattern::parse_with_files(text, place, &mut file).map(|_| "pattern").map_err(|error| word(&error))
     } else if has("[[items]]") {
         SequenceRequest::parse_file(text).map(|_| "sequence").map_err(|error| word(&error))
+    } else if has("kind = \"object\"") {
+        let mut file = |_: &str| Ok(b"0,1\n".to_vec());
+        Object::read(text, place, &mut file).map(|_| "object").map_err(|error| word(&error))
     } else if has("shape =") {
         Target::read(text, place).map(|_| "target").map_err(|error| word(&error))
     } else if has("[[motor]]") {
@@ -116,8 +120,16 @@ fn every_toml_and_json_snippet_is_good() {
             }
         }
     }
-    let all =
-        BTreeSet::from(["pattern", "target", "calibration", "scene", "sequence", "plan", "configuration"]);
+    let all = BTreeSet::from([
+        "pattern",
+        "target",
+        "object",
+        "calibration",
+        "scene",
+        "sequence",
+        "plan",
+        "configuration",
+    ]);
     assert_eq!(kinds, all, "the book has an example of each kind of file");
 }
 

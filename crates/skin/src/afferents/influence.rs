@@ -9,10 +9,12 @@
 //! largest counts as 0.
 
 use super::afferent::Afferent;
-use super::contact::{Contact, FlatPins};
+use super::contact::{Contact, FlatPins, Place};
+use super::punch::Punch;
 use super::stimulus::Field;
 use super::{ELASTICITY, POISSON};
 use meissner_array::per_motor::PerMotor;
+use meissner_array::spec::Array;
 
 /// A motor may move its pin further than ordered by this factor, because strokes are whole pulses.
 const ROUNDING: f64 = 1.02;
@@ -71,4 +73,25 @@ pub(super) fn all_touch(
             .sum();
         rest + relief > 0.0
     })
+}
+
+/// How far the skin moves per distance that one pin of an array moves while the others stay, by place and then by motor. Places are
+/// `[x, y]` in mm. All pins touch.
+#[must_use]
+#[expect(clippy::missing_panics_doc, reason = "it does not happen")]
+pub fn pin_shapes(array: Array, places_mm: &[[f64; 2]]) -> Vec<Vec<f64>> {
+    let places = array.positions_mm().iter().map(|&[x_mm, y_mm]| Place { x_mm, y_mm }).collect();
+    let pins = FlatPins { places, punch: Punch { radius_mm: array.pin_radius_mm() } };
+    let contact = Contact::new(&pins).expect("the pins of an array are told apart");
+    let shape = |&[x_mm, y_mm]: &[f64; 2]| {
+        let at = Place { x_mm, y_mm };
+        let flexibility: Vec<f64> =
+            pins.places.iter().map(|pin| pins.punch.flexibility(at.distance_mm(*pin))).collect();
+        let of = |motor| {
+            let terms = flexibility.iter().enumerate();
+            terms.map(|(pin, flexibility)| flexibility * contact.stiffness(pin, motor)).sum()
+        };
+        (0..contact.pins()).map(of).collect()
+    };
+    places_mm.iter().map(shape).collect()
 }

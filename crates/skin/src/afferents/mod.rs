@@ -57,6 +57,7 @@ mod tests;
 mod waveform;
 
 pub use afferent::{Afferent, Class};
+pub use influence::pin_shapes;
 pub use near::{NearCandidate, NearEvaluator};
 pub use population::{LOWER_PER_CM2, UPPER_PER_CM2, population};
 pub use punch::Punch;

@@ -1,0 +1,324 @@
+//! Changes heights until the rates of afferents, and the skin, are near those under the object.
+//!
+//! The loss is a weighted sum of three squared errors, each as a share of what is wanted: the rates of RA afferents and those of PC
+//! afferents, blurred over the skin as between the afferents of different fingers and summed over 12 ms; and the displacement of the skin.
+//! Projected gradients lower it; a step that does not is halved, so the result is never worse than the start.
+
+use crate::STEP_S;
+use crate::levels::{Levels, Limits};
+use crate::rates::{Table, of_pc};
+use crate::skin::Skin;
+use crate::wanted::Wanted;
+
+/// Steps whose rates are summed.
+const BIN: usize = 3;
+/// Blur over the skin, mm (SD).
+const BLUR_MM: f64 = 1.5;
+/// The most steps of the descent.
+const STEPS: usize = 60;
+
+/// The weights of the errors.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Weights {
+    pub(crate) ra: f64,
+    pub(crate) pc: f64,
+    pub(crate) skin: f64,
+}
+
+impl Weights {
+    /// For an object that stays in place.
+    pub(crate) const IN_PLACE: Self = Self { ra: 1.0, pc: 0.2, skin: 1.0 };
+    /// For an object that moves.
+    pub(crate) const MOVING: Self = Self { ra: 1.0, pc: 0.05, skin: 0.3 };
+}
+
+/// Numbers by moment and then by place.
+type Rows = Vec<Vec<f64>>;
+
+/// The places near each other, and the weights of their blur.
+struct Blur(Vec<Vec<(usize, f64)>>);
+
+impl Blur {
+    fn new(skin: &Skin) -> Self {
+        let places = &skin.places_mm;
+        let row = |&[x, y]: &[f64; 2]| {
+            let squared = |&[a, b]: &[f64; 2]| (a - x) * (a - x) + (b - y) * (b - y);
+            let near = places.iter().enumerate().map(|(place, at)| (place, squared(at)));
+            let near = near.filter(|(_, squared)| *squared <= 9.0 * BLUR_MM * BLUR_MM);
+            let mut row: Vec<_> = near
+                .map(|(place, squared)| (place, libm::exp(-squared / (2.0 * BLUR_MM * BLUR_MM))))
+                .collect();
+            let sum: f64 = row.iter().map(|(_, weight)| weight).sum();
+            row.iter_mut().for_each(|(_, weight)| *weight /= sum);
+            row
+        };
+        Self(places.iter().map(row).collect())
+    }
+
+    fn apply(&self, values: &[f64]) -> Vec<f64> {
+        self.0.iter().map(|row| row.iter().map(|&(place, weight)| weight * values[place]).sum()).collect()
+    }
+
+    fn transposed(&self, values: &[f64]) -> Vec<f64> {
+        let mut sums = vec![0.0; values.len()];
+        for (row, value) in self.0.iter().zip(values) {
+            row.iter().for_each(|&(place, weight)| sums[place] += weight * value);
+        }
+        sums
+    }
+}
+
+/// Spikes by place, step by step, and their slopes by the speeds of the skin.
+struct Spikes {
+    ra: Rows,
+    pc: Rows,
+    /// The slope of RA spikes by the step's own speed.
+    ra_slopes: Rows,
+    /// The slopes of PC spikes by the speed of the step before, and by the step's own.
+    pc_slopes: Vec<Vec<[f64; 2]>>,
+}
+
+impl Spikes {
+    /// The spikes of these velocities, mm/s.
+    fn of(table: &Table, velocities: &Rows) -> Self {
+        let places = velocities.first().map_or(0, Vec::len);
+        let still = vec![0.0; places];
+        let mut spikes =
+            Self { ra: Rows::new(), pc: Rows::new(), ra_slopes: Rows::new(), pc_slopes: Vec::new() };
+        for (step, now) in velocities.iter().enumerate() {
+            let before = if step == 0 { &still } else { &velocities[step - 1] };
+            let (ra, slopes) = now.iter().map(|speed| table.at(speed.abs())).unzip();
+            spikes.ra.push(ra);
+            spikes.ra_slopes.push(slopes);
+            let (pc, slopes) = before.iter().zip(now).map(|(before, now)| of_pc(*before, *now)).unzip();
+            spikes.pc.push(pc);
+            spikes.pc_slopes.push(slopes);
+        }
+        spikes
+    }
+}
+
+/// Blurred spikes in bins.
+fn binned(blur: &Blur, spikes: &Rows) -> Rows {
+    let sum = |bin: &[Vec<f64>]| {
+        let mut sum = bin[0].clone();
+        for row in &bin[1..] {
+            sum.iter_mut().zip(row).for_each(|(sum, value)| *sum += value);
+        }
+        blur.apply(&sum)
+    };
+    spikes.chunks(BIN).map(sum).collect()
+}
+
+fn squares(rows: &Rows) -> f64 {
+    rows.iter().flatten().map(|value| value * value).sum()
+}
+
+fn difference(a: &Rows, b: &Rows) -> Rows {
+    let row = |(a, b): (&Vec<f64>, &Vec<f64>)| a.iter().zip(b).map(|(a, b)| a - b).collect();
+    a.iter().zip(b).map(row).collect()
+}
+
+/// What is wanted, and how much each error counts.
+struct Goal<'g> {
+    skin: &'g Skin,
+    wanted: &'g Wanted,
+    table: Table,
+    blur: Blur,
+    ra: Rows,
+    pc: Rows,
+    /// The weights over the squares of what is wanted.
+    weights: Weights,
+}
+
+impl<'g> Goal<'g> {
+    fn new(skin: &'g Skin, wanted: &'g Wanted, weights: Weights) -> Self {
+        let (table, blur) = (Table::of_ra(), Blur::new(skin));
+        let velocities = velocities(&wanted.skin_mm);
+        let spikes = Spikes::of(&table, &velocities);
+        let (ra, pc) = (binned(&blur, &spikes.ra), binned(&blur, &spikes.pc));
+        let share = |weight: f64, rows: &Rows| weight / squares(rows).max(f64::MIN_POSITIVE);
+        let weights = Weights {
+            ra: share(weights.ra, &ra),
+            pc: share(weights.pc, &pc),
+            skin: share(weights.skin, &wanted.skin_mm),
+        };
+        Self { skin, wanted, table, blur, ra, pc, weights }
+    }
+
+    /// The loss of some heights, and what its slopes need.
+    fn loss(&self, levels: &Levels) -> (f64, State) {
+        let moved = |heights: &Vec<f64>| {
+            let mut at = vec![0.0; self.skin.places()];
+            self.skin.under(heights, &mut at);
+            at
+        };
+        let skin_mm: Rows = levels.heights_mm.iter().map(moved).collect();
+        let raw = velocities(&skin_mm);
+        let averaged = averaged(&raw);
+        let spikes = Spikes::of(&self.table, &averaged);
+        let ra = difference(&binned(&self.blur, &spikes.ra), &self.ra);
+        let pc = difference(&binned(&self.blur, &spikes.pc), &self.pc);
+        let skin = difference(&skin_mm, &self.wanted.skin_mm);
+        let Weights { ra: of_ra, pc: of_pc, skin: of_skin } = self.weights;
+        let loss = of_ra * squares(&ra) + of_pc * squares(&pc) + of_skin * squares(&skin);
+        (loss, State { averaged, spikes, ra, pc, skin })
+    }
+
+    /// The slopes of the loss by each height.
+    fn slopes(&self, state: &State) -> Rows {
+        let moments = state.skin.len();
+        let places = self.skin.places();
+        let mut by_velocity = vec![vec![0.0; places]; moments];
+        for (bin, (ra, pc)) in state.ra.iter().zip(&state.pc).enumerate() {
+            let (ra, pc) = (self.blur.transposed(ra), self.blur.transposed(pc));
+            for step in bin * BIN..((bin + 1) * BIN).min(moments) {
+                for place in 0..places {
+                    let [before, now] = state.spikes.pc_slopes[step][place];
+                    let of_pc = 2.0 * self.weights.pc * pc[place];
+                    let of_ra = 2.0 * self.weights.ra * ra[place] * state.spikes.ra_slopes[step][place];
+                    by_velocity[step][place] += of_ra * state.averaged[step][place].signum() + of_pc * now;
+                    if step > 0 {
+                        by_velocity[step - 1][place] += of_pc * before;
+                    }
+                }
+            }
+        }
+        // From their means to velocities, and from those to displacements.
+        let mut found = Vec::with_capacity(moments);
+        let half = |step: usize, place: usize| -> f64 {
+            let next = by_velocity.get(step + 1).map_or(0.0, |row| row[place]);
+            f64::midpoint(by_velocity[step][place], next)
+        };
+        for moment in 0..moments {
+            let at: Vec<f64> = (0..places)
+                .map(|place| {
+                    let next = if moment + 1 < moments { half(moment + 1, place) } else { 0.0 };
+                    (half(moment, place) - next) / STEP_S
+                        + 2.0 * self.weights.skin * state.skin[moment][place]
+                })
+                .collect();
+            let mut pins = vec![0.0; self.skin.motors];
+            self.skin.onto(&at, &mut pins);
+            found.push(pins);
+        }
+        found
+    }
+}
+
+/// A loss's parts.
+struct State {
+    averaged: Rows,
+    spikes: Spikes,
+    ra: Rows,
+    pc: Rows,
+    skin: Rows,
+}
+
+/// The velocity in each step, mm/s, from displacements at its end, mm. Before the first, the skin rests.
+fn velocities(skin_mm: &Rows) -> Rows {
+    let mut before = vec![0.0; skin_mm.first().map_or(0, Vec::len)];
+    let mut found = Vec::with_capacity(skin_mm.len());
+    for now in skin_mm {
+        found.push(now.iter().zip(&before).map(|(now, before)| (now - before) / STEP_S).collect());
+        before.clone_from(now);
+    }
+    found
+}
+
+/// The mean of each step and the one before: motors average over about a step.
+fn averaged(velocities: &Rows) -> Rows {
+    let mut before = vec![0.0; velocities.first().map_or(0, Vec::len)];
+    let mut found = Vec::with_capacity(velocities.len());
+    for now in velocities {
+        found.push(now.iter().zip(&before).map(|(now, before)| f64::midpoint(*now, *before)).collect());
+        before.clone_from(now);
+    }
+    found
+}
+
+/// Heights near a start, with a lower loss.
+pub(crate) fn descend(
+    skin: &Skin,
+    wanted: &Wanted,
+    limits: Limits,
+    start: Levels,
+    weights: Weights,
+) -> Levels {
+    let goal = Goal::new(skin, wanted, weights);
+    let mut best = start;
+    best.limit(limits);
+    let (mut loss, mut state) = goal.loss(&best);
+    // The first step moves the pins that gain most by a tenth of what they may go in a moment.
+    let mut slopes = goal.slopes(&state);
+    let steepest = slopes.iter().flatten().fold(0.0_f64, |most, slope| most.max(slope.abs()));
+    let mut pace = if steepest > 0.0 { 0.1 * limits.step_mm / steepest } else { return best };
+    for _ in 0..STEPS {
+        let mut next = best.clone();
+        for (heights, slopes) in next.heights_mm.iter_mut().zip(&slopes) {
+            heights.iter_mut().zip(slopes).for_each(|(height, slope)| *height -= pace * slope);
+        }
+        next.limit(limits);
+        let (next_loss, next_state) = goal.loss(&next);
+        if next_loss < loss {
+            (best, loss, state) = (next, next_loss, next_state);
+            slopes = goal.slopes(&state);
+            pace *= 1.5;
+        } else {
+            pace *= 0.5;
+        }
+    }
+    best
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::skin::SPACING_MM;
+    use meissner_array::spec::Array;
+
+    /// The slopes are those of the loss, by differences.
+    #[test]
+    fn slopes_are_those_of_the_loss() {
+        let skin = Skin::new(Array::paper(), SPACING_MM);
+        let motors = skin.motors;
+        let wave = |scale: f64| {
+            let height = |moment: usize, motor: usize| {
+                let phase = 0.37 * moment as f64 + 1.3 * motor as f64;
+                scale * (0.1 + 0.05 * libm::sin(phase) + 0.03 * libm::sin(2.3 * phase))
+            };
+            let row = |moment| (0..motors).map(|motor| height(moment, motor)).collect();
+            Levels { heights_mm: (0..20).map(row).collect() }
+        };
+        let moved = |heights: &Vec<f64>| {
+            let mut at = vec![0.0; skin.places()];
+            skin.under(heights, &mut at);
+            at
+        };
+        let wanted = Wanted { skin_mm: wave(1.4).heights_mm.iter().map(moved).collect() };
+        for weights in [
+            Weights { ra: 1.0, pc: 0.0, skin: 0.0 },
+            Weights { ra: 0.0, pc: 1.0, skin: 0.0 },
+            Weights { ra: 0.0, pc: 0.0, skin: 1.0 },
+        ] {
+            let goal = Goal::new(&skin, &wanted, weights);
+            let levels = wave(1.0);
+            let (_, state) = goal.loss(&levels);
+            let slopes = goal.slopes(&state);
+            for (moment, motor) in [(1, 3), (7, 9), (12, 14), (19, 20)] {
+                let at = |by: f64| {
+                    let mut levels = levels.clone();
+                    levels.heights_mm[moment][motor] += by;
+                    goal.loss(&levels).0
+                };
+                let by = 1e-7;
+                let found = (at(by) - at(-by)) / (2.0 * by);
+                let slope = slopes[moment][motor];
+                assert!(
+                    (found - slope).abs() < 0.02 * (found.abs() + 1e-3),
+                    "{weights:?} {moment} {motor}: {found} {slope}"
+                );
+            }
+        }
+    }
+}

@@ -1,0 +1,78 @@
+//! Renders a touch: motions of pins that give a finger the response that a real object gives.
+//!
+//! [`render`] takes the contact of an object, its touch, and an array, and returns the heights of all pins over time. The data path:
+//!
+//! 1. `skin`: how far the skin moves, at places on a grid, for each pin that moves.
+//! 2. `wanted`: how far the skin moves under the object, at the same places, moment by moment.
+//! 3. `field`: heights whose skin is nearest to that of the object: one bounded least squares per moment.
+//! 4. `strokes`: strokes of the pins that an object passes, as a start for objects that move.
+//! 5. `rates`: the rates of RA and PC afferents that a motion of the skin gives, and how far those of some heights are from the
+//!    object's. `descent` changes heights until both rates and skin are near the object's.
+//! 6. `rule`: the plain answer, one press graded by the distance from the object. `rivals`: pins that vibrate near the object.
+//! 7. `levels`: heights over time become a pattern.
+//! 8. `judge`: [`judge`](judge()) compares the response of fingers to a pattern with their response to the object.
+//!
+//! Invariant: heights are within the travel of the array's motors, and no pin is asked to move faster than they do. Results depend on
+//! the request alone, not on threads.
+
+mod descent;
+mod field;
+mod judge;
+mod levels;
+mod rates;
+mod rivals;
+mod rule;
+mod skin;
+mod strokes;
+mod wanted;
+
+pub use judge::{Judged, judge, response_of};
+pub use levels::Levels;
+pub use rivals::Rival;
+
+use meissner_array::spec::Array;
+use meissner_touch::{Contact, Touch};
+use serde::{Deserialize, Serialize};
+
+/// The time between two heights, s: about the time over which the paper's motors average.
+pub const STEP_S: f64 = 0.004;
+
+/// How heights are found.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Method {
+    /// One press graded by the distance of each pin from the object.
+    Rule,
+    /// The skin's shape.
+    Field,
+    /// The rates of afferents, beginning with strokes of the pins that the object passes.
+    Rate,
+    /// The rates of afferents, beginning with the skin's shape for an object that stays in place, and with strokes for one that moves.
+    #[default]
+    Auto,
+}
+
+/// Finds heights of an array's pins for an object's touch.
+#[must_use]
+pub fn render(array: Array, contact: &Contact, touch: &Touch, method: Method) -> Levels {
+    let skin = skin::Skin::new(array, skin::SPACING_MM);
+    let wanted = wanted::Wanted::new(&skin, contact, touch);
+    let limits = levels::Limits::of(array);
+    match method {
+        Method::Rule => rule::press(array, contact, touch, wanted.moments()),
+        Method::Field if touch.stays_in_place() => field::in_place(&skin, &wanted, limits),
+        Method::Field => field::nearest(&skin, &wanted, limits),
+        Method::Rate => {
+            let start = strokes::graded(&skin, &wanted, limits);
+            descent::descend(&skin, &wanted, limits, start, descent::Weights::MOVING)
+        }
+        Method::Auto if touch.stays_in_place() => {
+            let start = field::in_place(&skin, &wanted, limits);
+            descent::descend(&skin, &wanted, limits, start, descent::Weights::IN_PLACE)
+        }
+        Method::Auto => {
+            let start = strokes::graded(&skin, &wanted, limits);
+            descent::descend(&skin, &wanted, limits, start, descent::Weights::MOVING)
+        }
+    }
+}

@@ -1,0 +1,26 @@
+//! How far the skin moves under an object, at the places of a [`Skin`], moment by moment.
+
+use crate::STEP_S;
+use crate::skin::Skin;
+use meissner_touch::{Contact, Touch, displacements_mm};
+
+/// The displacement of the skin under an object.
+#[derive(Clone, Debug)]
+pub(crate) struct Wanted {
+    /// By moment and then by place, mm.
+    pub(crate) skin_mm: Vec<Vec<f64>>,
+}
+
+impl Wanted {
+    pub(crate) fn new(skin: &Skin, contact: &Contact, touch: &Touch) -> Self {
+        let moments = (touch.duration_s() / STEP_S).ceil() as usize + 1;
+        let times_s: Vec<f64> = (0..moments).map(|moment| moment as f64 * STEP_S).collect();
+        let by_place = displacements_mm(contact, touch, &skin.places_mm, &times_s);
+        let at = |moment: usize| by_place.iter().map(|place| place[moment]).collect();
+        Self { skin_mm: (0..moments).map(at).collect() }
+    }
+
+    pub(crate) const fn moments(&self) -> usize {
+        self.skin_mm.len()
+    }
+}

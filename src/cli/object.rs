@@ -1,0 +1,49 @@
+//! Reads objects: a file, or the thing that a shipped target stands for.
+
+use super::files;
+use crate::file::{dir_of, open_regular};
+use anyhow::{Result, anyhow, bail};
+use meissner_design::{shipped, shipped_names};
+use meissner_input::message::nearest;
+use meissner_touch::{Contact, Object, Touch, surface_of};
+use std::io::Read;
+use std::path::Path;
+
+/// The most bytes of a file that an object names: a height map of the largest size as 64-bit numbers.
+const MAX_NAMED_BYTES: u64 = 160 << 20;
+
+/// The object of an argument, and its contact with the finger.
+pub(super) fn of_argument(argument: &str) -> Result<(Object, Contact)> {
+    let object = read(argument)?;
+    let grains = object.grains(object.pitch_mm());
+    if grains.is_empty() {
+        bail!("{argument}: the object never lies under the finger: move it onto the fingertip");
+    }
+    let contact = Contact::new(grains, object.touch().most_depth_mm())
+        .map_err(|error| anyhow!("{argument}: {error}"))?;
+    Ok((object, contact))
+}
+
+fn read(argument: &str) -> Result<Object> {
+    if files::is_file(argument) {
+        let file = Path::new(argument);
+        let text = files::text(file, meissner_touch::MAX_FILE_BYTES as u64, "object")?;
+        let mut open = |name: &str| {
+            let mut bytes = Vec::new();
+            open_regular(&dir_of(file).join(name))?.take(MAX_NAMED_BYTES).read_to_end(&mut bytes)?;
+            Ok(bytes)
+        };
+        return Ok(Object::read(&text, argument, &mut open)?);
+    }
+    let target = shipped(argument).ok_or_else(|| {
+        let nearest = nearest(&shipped_names(), argument);
+        anyhow!(
+            "no object is called `{}`: did you mean `{nearest}`? The name of a file has a slash or ends in .toml",
+            argument.escape_debug()
+        )
+    })?;
+    if target.frames().len() > 1 {
+        bail!("`{argument}` moves: name its object file, objects/{argument}.toml");
+    }
+    Ok(Object::new(argument, surface_of(target.shape()), Touch::default()))
+}

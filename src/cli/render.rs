@@ -1,0 +1,131 @@
+//! `render`: makes a pattern that gives a finger the response that a real object gives. It needs no daemon.
+//!
+//! Invariant: an existing file is replaced only by a whole pattern.
+
+use super::arguments::{Output, PaperArrayOption, choice};
+use super::output::{is_broken_pipe, say, say_file, say_json, tell};
+use super::{files, object, text};
+use anyhow::{Result, bail};
+use clap::Args;
+use meissner_input::message::escape;
+use meissner_render::{Method, render};
+use serde::Serialize;
+use std::path::PathBuf;
+use std::process::ExitCode;
+use std::time::Instant;
+use toml::{Table, Value};
+
+/// The methods, for the help.
+pub(super) const METHODS: &[(&str, &str)] = &[
+    (
+        "auto",
+        "Skin and afferents of the finger: from the skin's shape for a press, from strokes for a motion",
+    ),
+    ("rate", "The same, from strokes"),
+    ("field", "The skin's shape"),
+    ("rule", "One press, graded by the distance from the object"),
+];
+
+#[derive(Debug, Args)]
+pub(super) struct Render {
+    /// Render this object: a file (TOML with kind = "object"), or the name of a shipped target at rest
+    object: String,
+    /// Write the pattern to PATTERN and name it after the file [default: stdout]
+    #[arg(short = 'o', long = "out", value_name = "PATTERN")]
+    file: Option<PathBuf>,
+    /// Choose how heights are found
+    #[arg(long, default_value = "auto", value_parser = choice::<Method>(METHODS))]
+    method: Method,
+    #[command(flatten)]
+    array: PaperArrayOption,
+    #[command(flatten)]
+    output: Output,
+}
+
+#[derive(Debug, Serialize)]
+struct Document<'a> {
+    object: &'a str,
+    file: Option<String>,
+    method: Method,
+    grains: usize,
+    pitch_mm: f64,
+    duration_s: f64,
+    motors: usize,
+    highest_um: f64,
+    contact_s: f64,
+    wall_s: f64,
+    pattern: String,
+}
+
+pub(super) fn run(asked: &Render) -> Result<ExitCode> {
+    let begun = Instant::now();
+    let array = asked.array.find()?;
+    let (object, contact) = object::of_argument(&asked.object)?;
+    let contact_s = begun.elapsed().as_secs_f64();
+    let name = match &asked.file {
+        Some(file) => {
+            drop(files::beside(file)?);
+            files::pattern_name(file)?
+        }
+        None => object.name().to_owned(),
+    };
+    let levels = render(array, &contact, object.touch(), asked.method);
+    let provenance = provenance(asked, object.name(), contact.grains().pitch_mm)?;
+    let pattern = levels.pattern(array, &name, provenance)?;
+    if pattern.motions().is_empty() {
+        bail!("{}: no pin moves for this object: press deeper, or bring it nearer to the pins", asked.object);
+    }
+    let text = pattern.to_toml();
+    if let Some(file) = &asked.file {
+        files::beside(file)?.write(&text)?;
+    }
+    let document = Document {
+        object: object.name(),
+        file: asked.file.as_ref().map(|file| file.to_string_lossy().into_owned()),
+        method: asked.method,
+        grains: contact.grains().len(),
+        pitch_mm: contact.grains().pitch_mm,
+        duration_s: pattern.duration_s().unwrap_or(0.0),
+        motors: pattern.motions().len(),
+        highest_um: pattern.largest_um(),
+        contact_s,
+        wall_s: begun.elapsed().as_secs_f64(),
+        pattern: text,
+    };
+    let said = match (asked.output.json, &asked.file) {
+        (true, _) => say_json(&document),
+        (false, Some(_)) => say(&summary(&document)),
+        (false, None) => {
+            let said = say_file(document.pattern.trim_end());
+            // Ignore a closed stderr: the pattern matters more.
+            tell(&summary(&document));
+            said
+        }
+    };
+    said.or_else(|error| if is_broken_pipe(&error) { Ok(()) } else { Err(error) })?;
+    Ok(ExitCode::SUCCESS)
+}
+
+fn provenance(asked: &Render, object: &str, pitch_mm: f64) -> Result<Table> {
+    let mut table = Table::new();
+    let mut put = |key: &str, value: Value| table.insert(key.to_owned(), value);
+    put("object", object.into());
+    put("method", Value::try_from(asked.method)?);
+    put("pitch_mm", pitch_mm.into());
+    put("program", format!("meissner {}", env!("CARGO_PKG_VERSION")).into());
+    Ok(table)
+}
+
+fn summary(document: &Document<'_>) -> String {
+    let Document { object, grains, pitch_mm, duration_s, motors, highest_um, contact_s, wall_s, .. } =
+        document;
+    let mut pairs = vec![
+        ("object", format!("{}, {grains} grains of {pitch_mm} mm", escape(object))),
+        ("pattern", format!("{duration_s:.3} s, {motors} pins, up to {highest_um:.0} um")),
+        ("time", format!("{wall_s:.3} s, of which the contact took {contact_s:.3}")),
+    ];
+    if let Some(file) = &document.file {
+        pairs.push(("written", escape(file)));
+    }
+    text::pairs(&pairs)
+}
