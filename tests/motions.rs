@@ -34,6 +34,25 @@ fn a_hold_that_the_device_would_end_is_refused() {
 }
 
 #[test]
+fn a_play_of_a_day_is_checked_as_far_as_moves_are_counted_and_says_so() {
+    let limits = "[participant]\nmax_continuous_s = 86400\nmax_day_s = 86400\n";
+    let daemon = Daemon::with("mock", &format!("{PATIENT}{limits}"));
+    let mut client = daemon.armed();
+    let tone =
+        json!({"motor": 2, "frequency_hz": 10.0, "amplitude_um": 0.5, "duration_s": 4000.0, "start_s": 1.0});
+    let touch = json!({"motor": 2, "to_um": 100.0, "rise_s": 0.1});
+    let pattern = json!({"duration_s": 4100.0, "tone": [tone], "ramp": [touch]});
+    let request = json!({"pattern": pattern, "seconds": 80_000});
+    let accepted: PlayAccepted = client.post_within(TIMEOUT, "/v1/play", &request).unwrap();
+    client.post::<Value>("/v1/stop", &json!({})).unwrap();
+    let [line] = &receipt(&mut client, accepted.id).warnings[..] else { panic!("one warning") };
+    assert!(line.starts_with("the limits on pulses, moves and holds are checked for the first "), "{line}");
+    // What never moves a pin is not played.
+    let silent = json!({"pattern": {"duration_s": 4100.0, "tone": [tone]}, "seconds": 80_000});
+    assert_eq!(problem(client.post("/v1/play", &silent)).code, "empty");
+}
+
+#[test]
 fn an_inline_pattern_is_played_told_and_kept_like_a_stored_one() {
     let daemon = Daemon::with("mock", PATIENT);
     let mut client = daemon.armed();

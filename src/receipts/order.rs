@@ -12,7 +12,7 @@ use meissner_api::{
 use meissner_array::pattern::Pattern;
 use meissner_array::spec::Array;
 use meissner_array::strokes::{
-    self, DriveAmplitude, Followed, StrokeOptions, Strokes, StrokesError, amplitudes,
+    self, DriveAmplitude, Followed, MAX_WORK, StrokeOptions, Strokes, StrokesError, amplitudes,
 };
 use std::collections::BTreeMap;
 
@@ -111,9 +111,9 @@ pub fn walk(strokes: &Strokes) -> Option<OrderedCounts> {
     let mut strokes = strokes.clone();
     strokes.begin(Tick(0));
     let (mut bursts, mut pulses) = (0, 0);
-    for step in strokes.map_while(Result::ok) {
+    while let Some(Ok(step)) = strokes.next() {
         (bursts, pulses) = (bursts + step.moves() as u64, pulses + u64::from(step.pulses()));
-        if bursts > 2 * WALKED {
+        if bursts > 2 * WALKED || strokes.work() > MAX_WORK {
             return None;
         }
     }

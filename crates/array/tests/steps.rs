@@ -68,6 +68,56 @@ fn a_long_hold_and_a_long_rest_have_few_moves() {
 }
 
 #[test]
+fn what_stays_below_a_burst_is_over_at_once_however_long_it_lasts() {
+    let text = "duration_s = 4000.0\n[[tone]]\nmotor = 2\nfrequency_hz = 10.0\namplitude_um = 0.5\nduration_s = 4000.0\n\
+                [[ramp]]\nmotor = 3\nto_um = 0.5\nrise_s = 1000.0\n";
+    let strokes = Strokes::new(&pattern(text), &StrokeOptions::lasting(1e8)).unwrap();
+    assert!(strokes.is_over() && strokes.work() == 0);
+}
+
+#[test]
+fn slow_ramps_take_work_in_proportion_to_their_moves() {
+    // Up and down in three years: a move a day, between which are ten million steps.
+    let text = "[[ramp]]\nmotor = 9\nto_um = 100.0\nrise_s = 4.9e7\n";
+    let mut strokes = Strokes::new(&pattern(text), &StrokeOptions::default()).unwrap();
+    let moves = strokes.by_ref().filter(|step| step.as_ref().unwrap().bursts().count() > 0).count();
+    // 737 pulses up, seven or more at once, and down again.
+    assert!((200..=210).contains(&moves), "{moves}");
+    assert!(strokes.work() < 20_000, "{} steps and knots for {moves} moves", strokes.work());
+}
+
+#[test]
+fn a_move_is_found_with_bounded_work() {
+    // A tone below a burst for more than an hour, after one touch; it repeats for three years.
+    let text = "duration_s = 4100.0\n[[tone]]\nmotor = 2\nfrequency_hz = 10.0\namplitude_um = 0.5\nduration_s = 4000.0\nstart_s = 1.0\n\
+                [[ramp]]\nmotor = 2\nto_um = 100.0\nrise_s = 0.1\n";
+    let mut strokes = Strokes::new(&pattern(text), &StrokeOptions::lasting(1e8)).unwrap();
+    for _ in 0..5_000 {
+        let before = strokes.work();
+        strokes.next().unwrap().unwrap();
+        assert!(strokes.work() - before < 10_000, "{before} to {}", strokes.work());
+    }
+}
+
+#[test]
+fn a_pattern_is_tried_once_for_all_its_scales() {
+    let text =
+        "[[noise]]\nmotor = 3\nlow_hz = 5.0\nhigh_hz = 50.0\nrms_um = 10.0\nduration_s = 2.0\nseed = 4\n";
+    let pattern = pattern(text);
+    let mut sequence = Sequence::new(Array::paper());
+    for scale in [1.0, 0.5] {
+        let run = sequence.compile(&pattern, &StrokeOptions { scale, ..StrokeOptions::default() }).unwrap();
+        sequence.add(run, None, Start::Gap(10.0)).unwrap();
+    }
+    let strokes = sequence.strokes().unwrap();
+    let onset = strokes.onsets().nth(1).unwrap().0;
+    let found: Vec<Step> = strokes.map(Result::unwrap).collect();
+    let half = steps(&pattern, &StrokeOptions { scale: 0.5, ..StrokeOptions::default() });
+    let second = moves(&found, 3).into_iter().filter(|(tick, _)| *tick >= onset);
+    assert_eq!(second.map(|(tick, level)| (tick - onset, level)).collect::<Vec<_>>(), moves(&half, 3));
+}
+
+#[test]
 fn a_sequence_places_motions_and_scales_them() {
     let pattern = pattern(RAMP);
     let mut sequence = Sequence::new(Array::paper());
@@ -106,6 +156,29 @@ fn table() -> impl Strategy<Value = (u8, String)> {
 }
 
 proptest! {
+    /// Steps are passed over only where there is no move.
+    #[test]
+    fn slow_and_small_motions_have_the_moves_of_their_waveforms(
+        um in prop::collection::vec(0.0..4.0f64, 2..40),
+        (high, rate_hz) in (0.0..90.0f64, 1.0..40.0f64),
+        scale in 0.1..1.0f64,
+    ) {
+        let um: Vec<f64> = um.into_iter().map(|um| um + high).collect();
+        let pattern = pattern(&format!("[[wave]]\nmotor = 3\nrate_hz = {rate_hz:?}\num = {um:?}\n"));
+        let mut found = moves(&steps(&pattern, &StrokeOptions { scale, ..StrokeOptions::default() }), 3);
+        // After much work for a move there is one to the same level.
+        let mut level = 0;
+        found.retain(|next| std::mem::replace(&mut level, next.1) != next.1);
+        let waveform = pattern.waveforms()[0].1.clone();
+        let grid = choose(pattern.array(), [(3, &waveform)].into_iter(), None).unwrap();
+        let waveform = waveform.scaled(scale);
+        let wanted = Moves::new(pattern.array(), 3, &waveform, grid).map(|of| (of.tick.0, of.level));
+        // At the end of the play the pin is down: the last steps may be lower.
+        let end = pattern.array().rate().seconds_to_ticks(pattern.motions_end_s().unwrap()).saturating_sub(4_000);
+        let before = |moves: Vec<(u64, u16)>| moves.into_iter().filter(|(tick, _)| *tick < end).collect::<Vec<_>>();
+        prop_assert_eq!(before(found), before(wanted.collect()));
+    }
+
     /// Whatever a pattern has, is cut to and repeated: levels are in range, steps in order and not too fast, and the pins end at rest in time.
     #[test]
     fn steps_are_in_order_in_range_and_end_at_rest(

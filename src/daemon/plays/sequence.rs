@@ -18,6 +18,7 @@ use crate::session_record::Peer;
 use crate::store::{MappedFrom, Stored, hash};
 use firmware_protocol::tick::Tick;
 use meissner_api::{Code, Fit, PlayAccepted, Problem, SequenceItem, SequenceRequest};
+use meissner_array::motion::TRIED_S;
 use meissner_array::strokes::{
     CompiledItem, Sequence, SequenceError, Start, StrokeOptions, Strokes, Surplus,
 };
@@ -33,6 +34,8 @@ use std::sync::Arc;
 const NAME: &str = "sequence";
 /// The part of an item that is used to compute its bandwidth, s.
 const COUNTED_S: f64 = 60.0;
+/// So many patterns are tried as far as that of a single play; more of them share the time.
+const MOST_TRIED: f64 = 16.0;
 /// Bytes of texts that a sequence holds for the session record, at most. Further ones are kept with a later play.
 const MAX_TEXTS: usize = 4 << 20;
 
@@ -52,6 +55,8 @@ struct Preparing {
     warnings: Vec<String>,
     largest: (f64, String),
     surplus: Surplus,
+    /// How much of the motions of a pattern is tried, s.
+    tried_s: f64,
 }
 
 impl Compiled {
@@ -68,6 +73,7 @@ impl Compiled {
             warnings: Vec::new(),
             largest: (0.0, String::new()),
             surplus,
+            tried_s: TRIED_S,
         };
         let mut by_text: HashMap<_, Vec<SequenceItem>> = HashMap::new();
         for item in &request.items {
@@ -75,6 +81,7 @@ impl Compiled {
                 by_text.entry(text).or_default().push(item.clone());
             }
         }
+        preparing.tried_s *= (MOST_TRIED / by_text.len().max(1) as f64).min(1.0);
         let mut used: HashMap<(&str, Option<&str>), Used> = HashMap::new();
         let (blank, no_sha256): (Arc<str>, Arc<str>) = (BLANK.into(), "".into());
         let (mut memory, mut required) = (Vec::new(), Vec::new());
@@ -197,13 +204,15 @@ impl Compiled {
         let mut receipt = terms.receipt(name, &sha256(&request.items), length_ms.map(|ms| ms / 1e3));
         receipt.mapped_from = mapped_from;
         order.enter(&mut receipt, Fit::Whole, counts);
+        let (hold, unchecked) = hold?;
+        receipt.warnings.splice(0..0, unchecked);
         receipt.prediction.unknown = Some(NoPrediction::Sequence.to_string());
         Ok(Self {
             strokes: strokes.into(),
             items,
             live: None,
             bandwidth,
-            hold: hold?,
+            hold,
             settings,
             vibration: Vibration::of_spans(spans),
             endless: false,
@@ -220,7 +229,8 @@ type OfScale = (CompiledItem, [f64; 2]);
 
 impl Preparing {
     fn options(&self, scale: f64, seconds: Option<f64>) -> StrokeOptions {
-        StrokeOptions { scale, surplus: self.surplus.clone(), ..StrokeOptions::lasting(seconds) }
+        let (surplus, tried_s) = (self.surplus.clone(), self.tried_s);
+        StrokeOptions { scale, surplus, tried_s, ..StrokeOptions::lasting(seconds) }
     }
 
     /// Compiles a pattern for each scale of the items that play it.

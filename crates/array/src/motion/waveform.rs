@@ -24,7 +24,7 @@ pub const MAX_SAMPLES: usize = MAX_KNOTS - 2;
 
 const NS_PER_S: f64 = 1e9;
 
-/// How many knots [`Waveform::steady_until`] looks at.
+/// How many knots [`Waveform::stays_until`] looks at.
 const LOOKED_AT: usize = 4096;
 
 /// A knot of a piecewise linear function.
@@ -37,7 +37,7 @@ pub struct Knot {
 }
 
 /// What a waveform does within some time.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Section {
     /// From the value at its beginning to that just before its end, µm.
     pub rise_um: f64,
@@ -45,12 +45,16 @@ pub struct Section {
     pub mean_um: f64,
     /// The lowest and the highest displacement, µm.
     pub extremes_um: [f64; 2],
+    /// Its knots: what it took to find this.
+    pub knots: usize,
 }
 
 /// See the module. The default is rest throughout.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Waveform {
     pieces: Vec<Piece>,
+    /// The lowest and the highest displacement, µm.
+    extremes_um: [f64; 2],
 }
 
 /// A part of a waveform, at rest before and after.
@@ -198,6 +202,13 @@ impl Piece {
 }
 
 impl Waveform {
+    fn new(pieces: Vec<Piece>) -> Self {
+        let knots = pieces.iter().flat_map(|piece| piece.knots_from(0));
+        let extremes_um =
+            knots.fold([0.0; 2], |[low, high]: [f64; 2], knot| [low.min(knot.um), high.max(knot.um)]);
+        Self { pieces, extremes_um }
+    }
+
     /// Samples of displacement in µm at `rate_hz`, the first at `start_s`; linear between them, at rest before and after.
     ///
     /// # Errors
@@ -224,7 +235,7 @@ impl Waveform {
         for (number, um) in um.iter().enumerate() {
             check_sample(number, (*um).into())?;
         }
-        Ok(Self { pieces: vec![Piece::Samples(Samples { start_ns, rate_hz, um, scale: 1.0 })] })
+        Ok(Self::new(vec![Piece::Samples(Samples { start_ns, rate_hz, um, scale: 1.0 })]))
     }
 
     /// The function through these points: seconds after `start_s`, in order, and µm.
@@ -255,7 +266,7 @@ impl Waveform {
         if end.um != 0.0 {
             knots.push(Knot { ns: end.ns, um: 0.0 });
         }
-        Ok(Self { pieces: vec![Piece::Knots(knots)] })
+        Ok(Self::new(vec![Piece::Knots(knots)]))
     }
 
     /// The sum of waveforms. Where they overlap it has a knot wherever one of them has one; the rest stays as it is. Takes time in
@@ -279,7 +290,7 @@ impl Waveform {
             }
             end = end.max(span.map_or(0, |(_, until)| until));
         }
-        Ok(Self { pieces: sum })
+        Ok(Self::new(sum))
     }
 
     /// The same motion, so many times as large.
@@ -291,6 +302,8 @@ impl Waveform {
                 Piece::Samples(samples) => samples.scale *= factor,
             }
         }
+        let [a, b] = self.extremes_um.map(|um| um * factor);
+        self.extremes_um = [a.min(b), a.max(b)];
         self
     }
 
@@ -333,8 +346,8 @@ impl Waveform {
 
     /// The lowest and the highest displacement, µm; rest counts.
     #[must_use]
-    pub fn extremes_um(&self) -> [f64; 2] {
-        self.knots().fold([0.0; 2], |[low, high], knot| [knot.um.min(low), knot.um.max(high)])
+    pub const fn extremes_um(&self) -> [f64; 2] {
+        self.extremes_um
     }
 
     /// The displacement at an instant, µm; at a jump, after it.
@@ -362,25 +375,39 @@ impl Waveform {
         }
         let mut knots: Vec<Knot> = self.knots().take_while(|knot| knot.ns < end).collect();
         knots.extend([self.um_around(end)[0], 0.0].map(|um| Knot { ns: end, um }));
-        Self { pieces: vec![Piece::Knots(knots)] }
+        Self::new(vec![Piece::Knots(knots)])
     }
 
-    /// Until when it keeps the displacement that it has at an instant, ns; [`u64::MAX`]: for good. It looks at a bounded number of knots, so
-    /// it may say an earlier instant.
+    /// Until when it stays from `low` to `high` µm, from an instant on, ns; [`u64::MAX`]: for good. And the number of knots that it looked at,
+    /// which is bounded, so the waveform may stay there for longer.
     #[must_use]
-    pub fn steady_until(&self, ns: u64) -> u64 {
-        let um = self.um_at(ns);
+    #[expect(
+        clippy::cast_possible_truncation,
+        clippy::cast_sign_loss,
+        clippy::cast_precision_loss,
+        reason = "a part of the way from a knot to the next"
+    )]
+    pub fn stays_until(&self, ns: u64, [low, high]: [f64; 2]) -> (u64, usize) {
+        let is_within = |um: f64| (low..=high).contains(&um);
+        let mut last = Knot { ns, um: self.um_at(ns) };
+        if !is_within(last.um) {
+            return (ns, 0);
+        }
         let first = self.pieces.partition_point(|piece| piece.span_ns().1 <= ns);
         let ahead = self.pieces[first..].iter().flat_map(|piece| piece.knots_from(piece.before(ns + 1)));
-        let mut last = ns;
+        let mut looked_at = 0;
         for knot in ahead.take(LOOKED_AT) {
-            if knot.um != um {
-                return last;
+            looked_at += 1;
+            if !is_within(knot.um) {
+                let edge = if knot.um > high { high } else { low };
+                let share = (edge - last.um) / (knot.um - last.um);
+                return (last.ns + (share * (knot.ns - last.ns) as f64) as u64, looked_at);
             }
-            last = knot.ns;
+            last = knot;
         }
-        let is_over = self.pieces.last().is_none_or(|piece| piece.span_ns().1 <= last);
-        if is_over { u64::MAX } else { last }
+        let is_over = self.pieces.last().is_none_or(|piece| piece.span_ns().1 <= last.ns);
+        // After its end it is at rest.
+        (if is_over && is_within(0.0) { u64::MAX } else { last.ns }, looked_at)
     }
 
     /// What it does from one instant to a later one.
@@ -393,14 +420,15 @@ impl Waveform {
         let pieces = self.pieces[piece..].iter().take_while(|piece| piece.span_ns().0 < to_ns);
         let inside = pieces.flat_map(|piece| piece.knots_from(piece.before(from_ns + 1)));
         let inside = inside.take_while(|knot| knot.ns < to_ns);
-        let (mut last, mut doubled, mut extremes_um) = (first, 0.0, [first.um; 2]);
+        let (mut last, mut doubled, mut extremes_um, mut knots) = (first, 0.0, [first.um; 2], 0);
         for knot in inside.chain([end]) {
             doubled += (last.um + knot.um) * (knot.ns - last.ns) as f64;
             extremes_um = [knot.um.min(extremes_um[0]), knot.um.max(extremes_um[1])];
             last = knot;
+            knots += 1;
         }
         let mean_um = doubled / (2.0 * (to_ns - from_ns) as f64);
-        Section { rise_um: end.um - first.um, mean_um, extremes_um }
+        Section { rise_um: end.um - first.um, mean_um, extremes_um, knots }
     }
 }
 

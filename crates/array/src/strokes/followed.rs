@@ -3,7 +3,7 @@
 //! [`Strokes::followed`] measures the moves that the play has: as they are scaled, on the grid that they are compiled on.
 
 use super::Strokes;
-use crate::motion::{Deviation, Reached, TRIED_S};
+use crate::motion::{Deviation, Reached};
 
 /// How a motor follows its motions in a play.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -26,14 +26,14 @@ pub struct Followed {
 
 impl Strokes {
     /// How each motor with motions follows them in one run, in order of motors. Of long motions the errors are those of the beginning:
-    /// of so many seconds at most, shared among the motors. Takes 2 to 3 ms for each second of a motor.
+    /// of [`StrokeOptions::tried_s`](super::StrokeOptions) at most, shared among the motors. Takes 2 to 3 ms for each second of a motor.
     #[must_use]
     pub fn followed(&self) -> Vec<Followed> {
         let lanes: Vec<_> = self.runs.iter().flat_map(super::run::Run::motions).collect();
         #[expect(clippy::cast_precision_loss, reason = "some motors")]
-        let most_s = TRIED_S as f64 / lanes.len().max(1) as f64;
+        let sharing = lanes.len() as f64;
         let followed = lanes.into_iter().map(|lane| {
-            let (waveform, moves) = lane.beginning(most_s);
+            let (waveform, moves) = lane.beginning(lane.tried_s() / sharing);
             let Reached { from_asked, step_error_um, moves_per_s, highest_um, .. } =
                 Reached::of(self.array, &waveform, &moves);
             let whole = lane.scaled();

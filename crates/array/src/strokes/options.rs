@@ -3,6 +3,7 @@
 //! Invariant: the default options change nothing; every number is checked by [`StrokeOptions::check`].
 
 use super::error::StrokesError;
+use crate::motion::TRIED_S;
 use crate::pattern::MAX_SECONDS;
 use crate::per_motor::PerMotor;
 use crate::reflected_walk::{Spread, surplus_um};
@@ -23,6 +24,8 @@ pub struct StrokeOptions {
     /// How far pins may be from what their motors can do at best, because motions are compiled to steps, µm; `None`: see
     /// [`choose`](crate::motion::choose).
     pub error_um: Option<f64>,
+    /// How long a stretch of motions is tried and measured before a play, shared among its motors, s: 0 to [`TRIED_S`].
+    pub tried_s: f64,
 }
 
 /// Which strokes are played at the end of the play.
@@ -59,7 +62,14 @@ pub struct AutoSurplus {
 
 impl Default for StrokeOptions {
     fn default() -> Self {
-        Self { seconds: None, scale: 1.0, fit: Fit::Whole, surplus: Surplus::None, error_um: None }
+        Self {
+            seconds: None,
+            scale: 1.0,
+            fit: Fit::Whole,
+            surplus: Surplus::None,
+            error_um: None,
+            tried_s: TRIED_S,
+        }
     }
 }
 
