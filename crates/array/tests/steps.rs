@@ -100,6 +100,28 @@ fn a_move_is_found_with_bounded_work() {
 }
 
 #[test]
+fn a_step_has_few_knots_whatever_the_pattern() {
+    // All that fits into 4 ms, the shortest pattern, 16 at once: long ramps, and in the rest of the time short ones.
+    let mut text = String::from("duration_s = 0.004\n");
+    let mut ramp = |start_s: f64, rise_s: f64| {
+        text += &format!(
+            "[[ramp]]\nmotor = 9\nto_um = 5.0\nstart_s = {start_s:?}\nrise_s = {rise_s:?}\nshape = \"cosine\"\n"
+        );
+    };
+    for number in 0..4096 {
+        ramp(f64::from(number / 16) * 15e-6, 7e-6);
+    }
+    let pattern = pattern(&text);
+    let knots = pattern.waveforms()[0].1.knots().count();
+    assert!(knots <= 3 * 4096, "{knots}");
+    // The work is that of the knots of each step, over and over.
+    let mut strokes = Strokes::new(&pattern, &StrokeOptions::lasting(10.0)).unwrap();
+    while let Some(Ok(_)) = strokes.next() {}
+    let repeats = 10.0 / 0.004;
+    assert!((strokes.work() as f64) < 1.1 * repeats * knots as f64 + 4.0 * 10_000.0, "{}", strokes.work());
+}
+
+#[test]
 fn a_pattern_is_tried_once_for_all_its_scales() {
     let text =
         "[[noise]]\nmotor = 3\nlow_hz = 5.0\nhigh_hz = 50.0\nrms_um = 10.0\nduration_s = 2.0\nseed = 4\n";
