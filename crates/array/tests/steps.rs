@@ -3,8 +3,10 @@
 use firmware_protocol::moves::Move;
 use meissner_array::motion::{Moves, choose};
 use meissner_array::pattern::Pattern;
+use meissner_array::per_motor::PerMotor;
+use meissner_array::reflected_walk::{Bursts, ReflectedWalk, Spread};
 use meissner_array::spec::Array;
-use meissner_array::strokes::{Fit, Sequence, Start, Step, StrokeOptions, Strokes, Surplus};
+use meissner_array::strokes::{AutoSurplus, Fit, Sequence, Start, Step, StrokeOptions, Strokes, Surplus};
 use proptest::prelude::*;
 
 fn pattern(rest: &str) -> Pattern {
@@ -162,6 +164,38 @@ fn with_a_lower_stop_moves_to_rest_push_by_their_surplus() {
     let surplus: Vec<u16> = found.iter().map(Step::surplus).collect();
     let (last, before) = surplus.split_last().unwrap();
     assert!(*last == 37 && before.iter().all(|surplus| *surplus == 0), "{surplus:?}");
+}
+
+/// Each burst of an excursion scatters on its own, so the surplus of noise is far from that of one burst as long as all its ways up.
+#[test]
+fn the_surplus_after_noise_is_that_of_its_bursts() {
+    let array = Array::paper();
+    let text = "[[noise]]\nmotor = 3\nlow_hz = 5.0\nhigh_hz = 50.0\nrms_um = 10.0\nabout_um = 60.0\nduration_s = 0.8\nseed = 4\n\
+                envelope = { attack_s = 0.1, release_s = 0.1 }\n";
+    let surplus = |asymmetry: f64| {
+        let spread = PerMotor::all(array, Spread { scatter: 0.1, asymmetry });
+        let surplus = Surplus::Auto(Box::new(AutoSurplus { spread, rest_error_um: 5.0 }));
+        let found = steps(&pattern(text), &StrokeOptions { surplus, ..StrokeOptions::default() });
+        let mut bursts = Bursts::default();
+        let mut up_um = 0.0;
+        for step in &found {
+            let Step::Move { of, from } = step else { panic!("{step:?}") };
+            let um = (f64::from(of.level) - f64::from(*from)) * array.motor().um_per_pulse;
+            bursts.add(um);
+            up_um += um.max(0.0);
+        }
+        let surplus_um = f64::from(found.last().unwrap().surplus()) * array.motor().um_per_pulse;
+        let rms = |surplus_um| {
+            ReflectedWalk::of_bursts(&bursts, surplus_um, Spread { scatter: 0.1, asymmetry }).rms_um()
+        };
+        assert!(rms(surplus_um) <= 5.0 && rms(surplus_um - 0.2) > 5.0, "{surplus_um}: {}", rms(surplus_um));
+        (surplus_um, up_um)
+    };
+    let ((even, up_um), (uneven, _)) = (surplus(0.0), surplus(0.05));
+    println!("{up_um:.0} um up: surplus {even:.1} um, with an asymmetry of 5 % {uneven:.1} um");
+    // Some hundred bursts of some um; the asymmetry is that of all of them.
+    assert!(up_um > 300.0 && even < 0.05 * up_um, "{even} of {up_um}");
+    assert!((uneven - even - 0.05 * up_um).abs() < 0.02 * up_um, "{even} {uneven} of {up_um}");
 }
 
 fn table() -> impl Strategy<Value = (u8, String)> {

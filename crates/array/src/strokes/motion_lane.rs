@@ -15,6 +15,7 @@ use super::options::{StrokeOptions, Surplus};
 use super::repeat::Repeat;
 use crate::motion::{Grid, Moves, Rule, Section, Waveform, ns_at, ns_of, tick_of};
 use crate::pattern::Pattern;
+use crate::reflected_walk::Bursts;
 use crate::spec::Array;
 use crate::strokes::Step;
 use firmware_protocol::limits::correction;
@@ -48,8 +49,8 @@ pub(super) struct MotionLane {
     /// The next step.
     number: u64,
     level: u16,
-    /// Pulses up since the pin was at rest.
-    risen: u32,
+    /// Since the pin was at rest.
+    bursts: Bursts,
     /// The next move, in pattern time, and the level before it.
     next: (Move, u16),
     /// Steps and knots that were looked at for it.
@@ -84,7 +85,7 @@ impl MotionLane {
                 repeat: Repeat::of(0, duration_s, array.rate()),
                 number: 0,
                 level: 0,
-                risen: 0,
+                bursts: Bursts::default(),
                 next: (Move { motor, tick: Tick(0), level: 0, surplus: 0 }, 0),
                 work: 0,
             }
@@ -122,7 +123,7 @@ impl MotionLane {
     pub(super) fn begin(&mut self, end: u64) -> u64 {
         self.end = end;
         self.repeat = Repeat::of(0, self.duration_s, self.rule.rate);
-        (self.number, self.level, self.risen) = (0, 0, 0);
+        (self.number, self.level, self.bursts) = (0, 0, Bursts::default());
         self.advance()
     }
 
@@ -173,14 +174,15 @@ impl MotionLane {
 
     /// The next move is to this level.
     fn go(&mut self, start: u64, goal: u16) {
-        self.risen = self.risen.saturating_add(goal.saturating_sub(self.level).into());
+        let travel = f64::from(goal) - f64::from(self.level);
+        if travel != 0.0 {
+            self.bursts.add(travel * self.array.motor().um_per_pulse);
+        }
         let mut surplus = 0;
         if goal == 0 && self.level > 0 {
-            let pulses = self.surplus.pulses(self.array, self.motor(), self.risen, 1.0);
-            surplus = u16::try_from(pulses)
-                .unwrap_or(u16::MAX)
-                .min(correction(self.array.layout().max_up_pulses()));
-            self.risen = 0;
+            let most = correction(self.array.layout().max_up_pulses());
+            surplus = self.surplus.pulses_after(self.array, self.motor(), &self.bursts, most);
+            self.bursts = Bursts::default();
         }
         let of = Move { motor: self.motor(), tick: Tick(start), level: goal, surplus };
         self.next = (of, std::mem::replace(&mut self.level, goal));
