@@ -162,6 +162,30 @@ fn a_strict_play_refuses_what_a_motor_is_too_slow_for() {
 }
 
 #[test]
+fn a_sequence_tells_its_motions_refuses_slow_ones_and_bounds_its_holds_like_a_play() {
+    let daemon = Daemon::with("mock", PATIENT);
+    let mut client = daemon.armed();
+    let jump = json!({"ramp": [{"motor": 9, "to_um": 200.0, "rise_s": 0.0, "hold_s": 0.1, "start_s": 0.05}]});
+    let items = json!([{"pattern": press()}, {"pattern": jump, "gap_ms": 100}]);
+    let refused = problem(client.post("/v1/sequence", &json!({"items": items, "strict": true})));
+    let says = "`items[1]`: `inline`: motor 9 is too slow for its motion, first after 0.05 s";
+    assert!(refused.code == "too-slow" && refused.detail.starts_with(says), "{refused:?}");
+    let short = problem(client.post("/v1/sequence", &json!({"items": items, "hold_ms": 50})));
+    assert!(short.code == "bad-request" && short.detail.contains("above rest for"), "{short:?}");
+    let (accepted, receipt) = played(&mut client, "/v1/sequence", &json!({"items": items, "hold_ms": 400}));
+    // The press of 0.3 s, 0.1 s, and 0.05 s of the second item.
+    let [motion] = receipt.motions[..] else { panic!("{:?}", receipt.motions) };
+    assert_eq!((accepted.motions, motion.motor, motion.highest_um), (vec![motion], 9, 200.0));
+    assert!(
+        motion.too_slow_from_s.is_some_and(|s| (0.44..0.48).contains(&s)) && receipt.all_played(),
+        "{receipt:?}"
+    );
+    let (_, slow) =
+        played(&mut client, "/v1/sequence", &json!({"items": [{"pattern": press()}], "strict": true}));
+    assert!(slow.all_played() && slow.motions.len() == 1, "{slow:?}");
+}
+
+#[test]
 fn motions_count_for_the_limits_of_participants() {
     let limits = "[participant]\nmax_amplitude_um = 80\nmax_continuous_s = 1\npause_s = 0.3\nmax_day_s = 1\n";
     let daemon = Daemon::with("mock", &format!("{PATIENT}{limits}"));

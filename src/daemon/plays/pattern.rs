@@ -77,7 +77,7 @@ fn compile(
         return Err(empty("its motions are too low, or begin after its end"));
     }
     let array = settings.array;
-    let mut receipt = Receipt { scale: Some(asked.scale), motions: motions(&strokes), ..receipt };
+    let mut receipt = Receipt { scale: Some(asked.scale), motions: motions(&strokes.followed()), ..receipt };
     let slow: Vec<String> = receipt.motions.iter().filter_map(|motion| too_slow(motion, array)).collect();
     if let Some(line) = slow.first().filter(|_| asked.strict) {
         return Err(Problem::new(Code::TooSlow, format!("`{name}`: {line}, or play it without `strict`")));

@@ -13,11 +13,11 @@ use crate::daemon::state::limits::check_limits;
 use crate::daemon::state::{NewPlay, check_samples};
 use crate::daemon::system::runtime::PLAYS;
 use crate::exposure::Vibration;
-use crate::receipts::{BLANK, NoPrediction, Order, PlannedItem, motions, too_slow, walk};
+use crate::receipts::{BLANK, NoPrediction, Order, PlannedItem, motions, motions_of_items, too_slow, walk};
 use crate::session_record::Peer;
 use crate::store::{MappedFrom, Stored, hash};
 use firmware_protocol::tick::Tick;
-use meissner_api::{Code, Fit, PlayAccepted, Problem, SequenceItem, SequenceRequest};
+use meissner_api::{Code, Fit, FollowedMotion, PlayAccepted, Problem, SequenceItem, SequenceRequest};
 use meissner_array::motion::TRIED_S;
 use meissner_array::strokes::{
     CompiledItem, Sequence, SequenceError, Start, StrokeOptions, Strokes, Surplus,
@@ -25,8 +25,8 @@ use meissner_array::strokes::{
 use meissner_array::units::TickRate;
 use meissner_stream::queues::Item;
 use meissner_stream::{Bandwidth, Settings};
-use std::collections::HashMap;
 use std::collections::hash_map::Entry;
+use std::collections::{HashMap, HashSet};
 use std::future::Future;
 use std::sync::Arc;
 
@@ -34,7 +34,7 @@ use std::sync::Arc;
 const NAME: &str = "sequence";
 /// The part of an item that is used to compute its bandwidth, s.
 const COUNTED_S: f64 = 60.0;
-/// So many patterns are tried as far as that of a single play; more of them share the time.
+/// So many patterns, each with a scale, are tried and measured as far as that of a single play; more of them share the time.
 const MOST_TRIED: f64 = 16.0;
 /// Bytes of texts that a sequence holds for the session record, at most. Further ones are kept with a later play.
 const MAX_TEXTS: usize = 4 << 20;
@@ -43,7 +43,7 @@ const MAX_TEXTS: usize = 4 << 20;
 struct Used {
     sha256: Arc<str>,
     name: Arc<str>,
-    /// Its strokes and its largest amplitude, as ordered and as reached, µm, by scale.
+    /// What the sequence plays of it, by scale.
     compiled: HashMap<u64, OfScale>,
     /// What its longest item requires at the largest amplitude.
     bandwidth: Bandwidth,
@@ -81,11 +81,13 @@ impl Compiled {
                 by_text.entry(text).or_default().push(item.clone());
             }
         }
-        preparing.tried_s *= (MOST_TRIED / by_text.len().max(1) as f64).min(1.0);
+        let scales: HashSet<_> =
+            request.items.iter().map(|item| (text(item), scale(item).to_bits())).collect();
+        preparing.tried_s *= (MOST_TRIED / scales.len().max(1) as f64).min(1.0);
         let mut used: HashMap<(&str, Option<&str>), Used> = HashMap::new();
         let (blank, no_sha256): (Arc<str>, Arc<str>) = (BLANK.into(), "".into());
         let (mut memory, mut required) = (Vec::new(), Vec::new());
-        let (mut planned, mut placed) = (Vec::new(), Vec::new());
+        let (mut planned, mut placed, mut followed) = (Vec::new(), Vec::new(), Vec::new());
         let (mut texts, mut held, mut mapped_from) = (Vec::new(), 0, None);
         for (number, item) in request.items.iter().enumerate() {
             let at = |problem| at_item(number, problem);
@@ -140,8 +142,18 @@ impl Compiled {
             else {
                 continue;
             };
-            let Some(&(compiled, amplitude_um)) = compiled.get(&scale.to_bits()) else { continue };
+            let Some(OfScale { compiled, amplitude_um, motions }) = compiled.get(&scale.to_bits()) else {
+                continue;
+            };
+            let (compiled, amplitude_um) = (*compiled, *amplitude_um);
+            if request.strict
+                && let Some(line) = motions.iter().find_map(|motion| too_slow(motion, settings.array))
+            {
+                let detail = format!("`{name}`: {line}, or play the sequence without `strict`");
+                return Err(at(Problem::new(Code::TooSlow, detail)));
+            }
             placed.push((Some(compiled), item.seconds, start));
+            followed.push((number, Arc::clone(motions)));
             required.push(*bandwidth);
             let (pattern, sha256) = (Arc::clone(name), Arc::clone(sha256));
             planned.push(PlannedItem { pattern, sha256, scale, amplitude_um, span: (0, 0) });
@@ -190,11 +202,12 @@ impl Compiled {
             .strokes()
             .ok_or_else(|| Problem::new(Code::BadRequest, "`items` is empty: add an item"))?;
         check_triggers(&strokes, &items, rate)?;
+        let hold_ms = request.hold_ms;
         let (fits, bandwidth, hold, counts, strokes) = PLAYS
             .computing(move || {
                 let bandwidth = Bandwidth::of(&strokes, &settings).max(bandwidth);
                 let fits = check_limits(&strokes, &settings);
-                (fits, bandwidth, hold(None, &strokes), walk(&strokes), strokes)
+                (fits, bandwidth, hold(hold_ms, &strokes), walk(&strokes), strokes)
             })
             .await?;
         fits?;
@@ -203,6 +216,10 @@ impl Compiled {
         let name = request.name.as_deref().unwrap_or(NAME);
         let mut receipt = terms.receipt(name, &sha256(&request.items), length_ms.map(|ms| ms / 1e3));
         receipt.mapped_from = mapped_from;
+        let of_items = followed.iter().map(|(number, motions)| {
+            (rate.ticks_to_seconds(planned.get(*number).map_or(0, |item| item.span.0)), &**motions)
+        });
+        receipt.motions = motions_of_items(of_items);
         order.enter(&mut receipt, Fit::Whole, counts);
         let (hold, unchecked) = hold?;
         receipt.warnings.splice(0..0, unchecked);
@@ -224,8 +241,14 @@ impl Compiled {
     }
 }
 
-/// A pattern compiled for a scale, and its largest amplitudes as [`Order::largest_um`] has them.
-type OfScale = (CompiledItem, [f64; 2]);
+/// A pattern compiled for a scale.
+struct OfScale {
+    compiled: CompiledItem,
+    /// Its largest amplitudes, as [`Order::largest_um`] has them.
+    amplitude_um: [f64; 2],
+    /// How its motors follow their motions.
+    motions: Arc<[FollowedMotion]>,
+}
 
 impl Preparing {
     fn options(&self, scale: f64, seconds: Option<f64>) -> StrokeOptions {
@@ -241,12 +264,14 @@ impl Preparing {
         settings: &Settings,
     ) -> Result<(HashMap<u64, OfScale>, Bandwidth), SequenceError> {
         let (name, pattern) = (stored.pattern.name(), &*stored.pattern);
-        let mut compiled = HashMap::new();
+        let mut compiled: HashMap<u64, OfScale> = HashMap::new();
         for scale in items.iter().map(scale) {
             let options = self.options(scale, None);
             if let Entry::Vacant(new) = compiled.entry(scale.to_bits()) {
                 let amplitude_um = Order::of(pattern, &options)?.largest_um();
-                new.insert((self.sequence.compile(pattern, &options)?, amplitude_um));
+                let compiled = self.sequence.compile(pattern, &options)?;
+                let motions = motions(&self.sequence.followed(compiled)).into();
+                new.insert(OfScale { compiled, amplitude_um, motions });
             }
         }
         let most = items.iter().map(scale).fold(0.0, f64::max);
@@ -259,8 +284,8 @@ impl Preparing {
         let longest_s = items.iter().map(lasting).fold(0.0, f64::max).min(COUNTED_S);
         let options = self.options(most, Some(longest_s));
         let strokes = Strokes::new(pattern, &options)?;
-        let slow = motions(&strokes);
-        let slow = slow.iter().filter_map(|motion| too_slow(motion, settings.array));
+        let largest = compiled.get(&most.to_bits()).map_or(&[][..], |of| &of.motions);
+        let slow = largest.iter().filter_map(|motion| too_slow(motion, settings.array));
         let lines = Order::of(pattern, &options)?.listed_warnings().into_iter().chain(slow);
         self.warnings.extend(lines.map(|warning| format!("`{name}`: {warning}")));
         Ok((compiled, Bandwidth::of(&strokes, settings)))

@@ -92,6 +92,10 @@ impl MotionLane {
         })
     }
 
+    pub(super) const fn array(&self) -> Array {
+        self.array
+    }
+
     pub(super) fn motor(&self) -> u8 {
         self.waveforms[self.of].0
     }

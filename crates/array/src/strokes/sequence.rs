@@ -147,6 +147,10 @@ impl Sequence {
         Ok(CompiledItem(self.runs.len() - 1))
     }
 
+    pub(super) fn run(&self, CompiledItem(run): CompiledItem) -> &Run {
+        &self.runs[run]
+    }
+
     /// Adds an item, which lasts for `seconds`, or as long as its pattern.
     ///
     /// # Errors
