@@ -21,7 +21,7 @@ pub use convert::{
 };
 pub use items::{BLANK, PlannedItem};
 pub use measured_bursts::{KEPT_S, MeasuredBursts};
-pub use order::{Order, counts, counts_until, largest_um, motions, too_slow, walk};
+pub use order::{Order, counts, counts_until, largest_um, motions, motions_of_items, too_slow, walk};
 pub use prediction::{NoPrediction, PlayedPattern};
 
 use firmware_protocol::message::{DeviceHello, State};

@@ -443,7 +443,8 @@ pub struct Receipt {
     #[serde(default)]
     #[schema(required, max_items = 24)]
     pub drives: Vec<ReachedDrive>,
-    /// How the motors follow their motions, by motor; empty without motions, and for a sequence.
+    /// How the motors follow their motions, by motor; empty without motions. Of a sequence those of the item in which the motor is off the
+    /// most, with the first instant, from the sequence's onset, at which it is too slow.
     #[serde(default)]
     #[schema(required, max_items = 64)]
     pub motions: Vec<FollowedMotion>,
