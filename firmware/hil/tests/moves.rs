@@ -220,13 +220,13 @@ fn a_hold_ends() {
         let until = hand.grid().cycle(base + longest + 2_500);
         hand.run_to(until);
         let report = hand.tap.events.iter().rev().find_map(|(_, event)| match event {
-            Event::Report(Report::Lowered { tick, motors }) => Some((hand.tap.tick(*tick), *motors)),
+            Event::Report(Report::Lowered { tick, held, .. }) => Some((hand.tap.tick(*tick), *held)),
             _ => None,
         });
-        let (tick, motors) = report.unwrap();
+        let (tick, held_pins) = report.unwrap();
         let held = tick - (base + 400);
         println!("held for {held} ticks, {hold} asked");
-        assert!(motors.contains(3) && (longest..longest + 1_100).contains(&held), "{held}");
+        assert!(held_pins.contains(3) && (longest..longest + 1_100).contains(&held), "{held}");
     }
     at_rest(&hand.finish(false).0);
 }
@@ -401,5 +401,9 @@ fn moves_at_random() {
 
 #[test]
 fn moves_at_random_under_limits_on_motors_at_once() {
-    Random::play(&chip(), 60, PowerLimits { rail_at_once: 4, chip_at_once: 1, ..no_limits() });
+    Random::play(
+        &chip(),
+        60,
+        PowerLimits { rail_at_once: 4, chip_at_once: 1, ..no_limits() },
+    );
 }

@@ -123,11 +123,11 @@ impl Streamer {
                     emit.event(StreamEvent::StrokeRefused { id, motor, up, reason });
                 }
             }
-            Event::Lowered { motors, tick } => {
-                self.control.lowered(motors, tick);
-                let held = u64::from(self.array().layout().least_hold());
+            // What a late move has lowered follows from its verdict.
+            Event::Lowered { late: _, held, tick } => {
+                self.control.hold_ended(held, tick);
                 if let Some(strokes) = self.plays.iter_mut().find_map(Active::live_strokes) {
-                    motors.iter().for_each(|motor| strokes.lowered(motor, tick, held));
+                    held.iter().for_each(|motor| strokes.hold_ended(motor, tick));
                 }
             }
             Event::Board(board) => {

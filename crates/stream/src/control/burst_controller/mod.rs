@@ -212,13 +212,11 @@ impl BurstController {
         }
     }
 
-    /// The device has brought this motor's pin down at `tick` by itself. If it has been still for less than `least_hold`, a late move was the reason,
-    /// which [`Self::late`] knows; else it was held for too long.
-    pub(crate) fn lowered(&mut self, motor: u8, tick: Tick, least_hold: u64) {
+    /// The device has brought this motor's pin down at `tick`, because it was held for too long.
+    pub(crate) fn hold_ended(&mut self, motor: u8, tick: Tick) {
         let at = self.queue.partition_point(|queued| queued.burst.start < tick);
         let (level, last) = (self.level_before(at), at.checked_sub(1).map(|last| self.queue[last]));
-        let still_since = last.map_or(self.estimator.last_end(), |last| Some(last.burst.end()));
-        if level == 0 || at < self.begun || still_since.is_some_and(|end| tick - end < least_hold) {
+        if level == 0 || at < self.begun {
             return;
         }
         self.open(at);
