@@ -145,7 +145,8 @@
 //!
 //! `Refused` is never lost: the device has a place for each move that can be queued, and a refused move takes a credit
 //! until the host has seen its report. The device stores 32 of the other reports. It keeps the last 12 of these places for
-//! `Onset` and `Cut`: when only they are free, it takes no `Moves`. When no place is free, it loses the newest report and
+//! `Onset` and `Cut`: when only they are free, it takes no `Moves`. `Lowered` waits while no more than 14 are free, and names all that was lowered
+//! meanwhile, from the first tick on. When no place is free, it loses the newest report and
 //! counts it.
 //!
 //! # Outside the stream

@@ -429,9 +429,5 @@ fn moves_at_random() {
 
 #[test]
 fn moves_at_random_under_limits_on_motors_at_once() {
-    Random::play(
-        &chip(),
-        60,
-        PowerLimits { rail_at_once: 4, chip_at_once: 1, ..no_limits() },
-    );
+    Random::play(&chip(), 60, PowerLimits { rail_at_once: 4, chip_at_once: 1, ..no_limits() });
 }

@@ -59,7 +59,8 @@ impl Player {
             self.hold_checked = now;
             self.end_holds();
         }
-        if !self.lowered.is_empty() {
+        // If there is no place, the next ones join it.
+        if !self.lowered.is_empty() && reporting.reports().has_room() {
             let Lowered { late, held, from } = core::mem::replace(&mut self.lowered, Lowered::NOTHING);
             reporting.report(Report::Lowered { tick: from.wire(), late, held });
         }
