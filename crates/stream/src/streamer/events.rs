@@ -123,9 +123,12 @@ impl Streamer {
                     emit.event(StreamEvent::StrokeRefused { id, motor, up, reason });
                 }
             }
-            // What a late move has lowered follows from its verdict.
-            Event::Lowered { late: _, held, tick } => {
+            Event::Lowered { late, held, tick } => {
+                // What a late move has lowered follows from its verdict.
                 self.control.hold_ended(held, tick);
+                if let Some(active) = owner(&mut self.plays, tick) {
+                    emit.event(StreamEvent::PinsLowered { id: active.play().id, tick, late, held });
+                }
                 if let Some(strokes) = self.plays.iter_mut().find_map(Active::live_strokes) {
                     held.iter().for_each(|motor| strokes.hold_ended(motor, tick));
                 }
