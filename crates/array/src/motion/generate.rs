@@ -2,7 +2,7 @@
 //!
 //! Curves are sampled at 40 times their highest frequency, 1 to 8 kHz, and linear between: the largest error is 0.3 % of the amplitude
 //! up to 200 Hz, and 0.7 % at 300 Hz. A cosine ramp has 64 segments: 0.03 % of its height; one shorter than 8 ms has a segment each 0.125 ms,
-//! as samples at 8 kHz. So in a step of 4 ms there are at most 33 knots of each summand that is longer than the step, and 8 of each shorter one.
+//! as samples at 8 kHz. So a motion has at most 8 knots a millisecond, and 4 more for its ends.
 //!
 //! Invariant: equal settings give equal samples, bit for bit, on every machine: all functions are those of `libm`.
 
