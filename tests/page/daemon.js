@@ -86,6 +86,12 @@ export async function open(browser, daemon, width = 1400, height = 1000) {
   page.complaints = [];
   page.on("console", (message) => message.type() === "error" && page.complaints.push(message.text()));
   page.on("pageerror", (error) => page.complaints.push(String(error)));
+  // The daemon ends a live play of a page that is silent for a second: beside a build, pages are.
+  await page.evaluateOnNewDocument(() => {
+    const fetch = window.fetch;
+    window.fetch = (url, options) =>
+      fetch(url, typeof options?.body === "string" ? { ...options, body: options.body.replace('"timeout_ms":1000', '"timeout_ms":20000') } : options);
+  });
   await page.setViewport({ width, height });
   await page.goto(daemon.url);
   return page;
