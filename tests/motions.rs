@@ -34,6 +34,25 @@ fn a_hold_that_the_device_would_end_is_refused() {
 }
 
 #[test]
+fn a_play_of_a_day_is_checked_as_far_as_moves_are_counted_and_says_so() {
+    let limits = "[participant]\nmax_continuous_s = 86400\nmax_day_s = 86400\n";
+    let daemon = Daemon::with("mock", &format!("{PATIENT}{limits}"));
+    let mut client = daemon.armed();
+    let tone =
+        json!({"motor": 2, "frequency_hz": 10.0, "amplitude_um": 0.5, "duration_s": 4000.0, "start_s": 1.0});
+    let touch = json!({"motor": 2, "to_um": 100.0, "rise_s": 0.1});
+    let pattern = json!({"duration_s": 4100.0, "tone": [tone], "ramp": [touch]});
+    let request = json!({"pattern": pattern, "seconds": 80_000});
+    let accepted: PlayAccepted = client.post_within(TIMEOUT, "/v1/play", &request).unwrap();
+    client.post::<Value>("/v1/stop", &json!({})).unwrap();
+    let [line] = &receipt(&mut client, accepted.id).warnings[..] else { panic!("one warning") };
+    assert!(line.starts_with("the limits on pulses, moves and holds are checked for the first "), "{line}");
+    // What never moves a pin is not played.
+    let silent = json!({"pattern": {"duration_s": 4100.0, "tone": [tone]}, "seconds": 80_000});
+    assert_eq!(problem(client.post("/v1/play", &silent)).code, "empty");
+}
+
+#[test]
 fn an_inline_pattern_is_played_told_and_kept_like_a_stored_one() {
     let daemon = Daemon::with("mock", PATIENT);
     let mut client = daemon.armed();
@@ -140,6 +159,30 @@ fn a_strict_play_refuses_what_a_motor_is_too_slow_for() {
     assert!(receipt.warnings[0].starts_with("motor 4 is too slow") && receipt.all_played(), "{receipt:?}");
     let (_, slow) = played(&mut client, "/v1/play", &json!({"pattern": press(), "strict": true}));
     assert!(slow.all_played() && slow.warnings.is_empty(), "{slow:?}");
+}
+
+#[test]
+fn a_sequence_tells_its_motions_refuses_slow_ones_and_bounds_its_holds_like_a_play() {
+    let daemon = Daemon::with("mock", PATIENT);
+    let mut client = daemon.armed();
+    let jump = json!({"ramp": [{"motor": 9, "to_um": 200.0, "rise_s": 0.0, "hold_s": 0.1, "start_s": 0.05}]});
+    let items = json!([{"pattern": press()}, {"pattern": jump, "gap_ms": 100}]);
+    let refused = problem(client.post("/v1/sequence", &json!({"items": items, "strict": true})));
+    let says = "`items[1]`: `inline`: motor 9 is too slow for its motion, first after 0.05 s";
+    assert!(refused.code == "too-slow" && refused.detail.starts_with(says), "{refused:?}");
+    let short = problem(client.post("/v1/sequence", &json!({"items": items, "hold_ms": 50})));
+    assert!(short.code == "bad-request" && short.detail.contains("above rest for"), "{short:?}");
+    let (accepted, receipt) = played(&mut client, "/v1/sequence", &json!({"items": items, "hold_ms": 400}));
+    // The press of 0.3 s, 0.1 s, and 0.05 s of the second item.
+    let [motion] = receipt.motions[..] else { panic!("{:?}", receipt.motions) };
+    assert_eq!((accepted.motions, motion.motor, motion.highest_um), (vec![motion], 9, 200.0));
+    assert!(
+        motion.too_slow_from_s.is_some_and(|s| (0.44..0.48).contains(&s)) && receipt.all_played(),
+        "{receipt:?}"
+    );
+    let (_, slow) =
+        played(&mut client, "/v1/sequence", &json!({"items": [{"pattern": press()}], "strict": true}));
+    assert!(slow.all_played() && slow.motions.len() == 1, "{slow:?}");
 }
 
 #[test]

@@ -145,7 +145,8 @@
 //!
 //! `Refused` is never lost: the device has a place for each move that can be queued, and a refused move takes a credit
 //! until the host has seen its report. The device stores 32 of the other reports. It keeps the last 12 of these places for
-//! `Onset` and `Cut`: when only they are free, it takes no `Moves`. When no place is free, it loses the newest report and
+//! `Onset` and `Cut`: when only they are free, it takes no `Moves`. `Lowered` waits while no more than 14 are free, and names all that was lowered
+//! meanwhile, from the first tick on. When no place is free, it loses the newest report and
 //! counts it.
 //!
 //! # Outside the stream
@@ -198,7 +199,7 @@
 //! | `Onset`: `tick` | a mark sent and not reported | contradiction `report` |
 //! | `Cut`: `flushed`, `outstanding`, `return_ticks` | at most `pool`; as in `Status`; as long as a return may take | contradiction `report` |
 //! | `Refused`: `motor`, `reason` | one of the array; a limit on on-time, on motors at once or on density | contradiction `report` |
-//! | `Lowered`: `motors` | of the array | contradiction `report` |
+//! | `Lowered`: `late`, `held` | of the array; not both empty | contradiction `report` |
 //! | `Board`: `window` | the newest request | ignored: an answer to one before |
 //! | `Board`: `slack`, `slack_since_boot` | at most `horizon`; the second does not grow, and is not above the first | contradiction `board` |
 //! | `Board`: counters; `reset`, `high_at_boot` | do not shrink in a session; do not change in it; outputs there are | contradiction `board` |
@@ -245,8 +246,8 @@
 //! | disarm, shutdown, abort, host silent, link lost, another session | returns, then disarms |
 //! | e-stop, own fault | turns lines off after the tick being played; latches; pins stay where they are. `reset` leads to disarmed |
 //! | outputs do not follow (PIO, DMA) | as its own fault, with the cause `Output`: counts nothing from the last block on that was seen to be played, and the position is unknown. Only a restart ends it |
-//! | late move | drops it and reports it; one down lowers the goal at once |
-//! | a pin above rest without a pulse for longer than the play says (`Mark::hold`), at least [`array::Layout::least_hold`] and at most [`array::Layout::longest_hold`] | sets the goal to 0 and reports it (`Lowered`) |
+//! | late move | drops it and reports it; one down lowers the goal at once, and the device reports that, too (`Lowered`, `late`) |
+//! | a pin above rest without a pulse for longer than the play says (`Mark::hold`), at least [`array::Layout::least_hold`] and at most [`array::Layout::longest_hold`] | sets the goal to 0 and reports it (`Lowered`, `held`) |
 //! | no valid frame for `host_timeout` ticks while armed or returning | as if the host had asked for disarm, with the cause `HostTimeout`. `arm` sets the time; the maximum is 10 s |
 //!
 //! # Lower stop

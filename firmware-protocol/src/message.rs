@@ -477,12 +477,14 @@ pub enum Report {
         /// The limit.
         reason: Refusal,
     },
-    /// The device brings pins down by itself: a move down was late, or a pin was held for too long.
+    /// The device brings pins down by itself. A motor may be in both sets.
     Lowered {
         /// The first tick in which it may have done so.
         tick: WireTick,
-        /// Their motors.
-        motors: MotorSet,
+        /// Motors of which a move down was late.
+        late: MotorSet,
+        /// Motors whose pins were held for too long.
+        held: MotorSet,
     },
 }
 

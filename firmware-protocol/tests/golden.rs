@@ -317,8 +317,12 @@ fn from_the_device() {
             "0b0703c80103020102030408ac024d1063439900",
         ),
         (
-            report(Report::Lowered { tick: rendered, motors: MotorSet::from_bits(1 << 63 | 0x0080_0001) }),
-            "180703c801054df0edfe81808084808080808001ec4999a800",
+            report(Report::Lowered {
+                tick: rendered,
+                late: MotorSet::from_bits(1 << 63 | 0x0080_0001),
+                held: MotorSet::from_bits(6),
+            }),
+            "190703c801054df0edfe8180808480808080800106a27d759200",
         ),
         (refused(Refusal::Motor), "100703c80104110df0edfe01cf260f7800"),
         (refused(Refusal::Level), "100703c80104110df0edfe02757706e100"),
@@ -458,7 +462,7 @@ fn messages_fit() {
         report(Report::Onset { tick, counters }),
         report(Report::Cut(cut)),
         report(Report::Refused { motor: u8::MAX, tick, reason }),
-        report(Report::Lowered { tick, motors: MotorSet::from_bits(ALL) }),
+        report(Report::Lowered { tick, late: MotorSet::from_bits(ALL), held: MotorSet::from_bits(ALL) }),
         DeviceMessage::Telemetry { tick, first: u8::MAX, y: Samples::of(&[i32::MIN; MAX_SAMPLES]) },
         DeviceMessage::Board(Board {
             window: u16::MAX,

@@ -2,13 +2,16 @@
 //!
 //! Sequence numbers, epochs, sessions, reports, and frames that cannot be read.
 
-use crate::bench::{Bench, FIRMWARE, HOST_TIMEOUT, NO_LIMITS, ONSET, SHELLS, TICK_HZ, frame, pack, stroke};
+use crate::bench::{
+    Bench, FIRMWARE, HOST_TIMEOUT, NO_LIMITS, ONSET, SHELLS, TICK_HZ, frame, pack, stroke, to,
+};
 use crate::interruptions::planned;
-use firmware_protocol::batch::{MAX_BATCH, Stroke};
+use firmware_protocol::array::MotorSet;
+use firmware_protocol::batch::{BATCH_BYTES, MAX_BATCH, Packer, Stroke};
 use firmware_protocol::controller::{POOL, REORDER_WINDOW, REPORTS};
 use firmware_protocol::frame::PROTOCOL;
 use firmware_protocol::limits::Refusal;
-use firmware_protocol::message::{Cause, DeviceMessage, HostMessage, Op, Report, State};
+use firmware_protocol::message::{Cause, DeviceMessage, HostMessage, Mark, MarkKind, Op, Report, State};
 use firmware_protocol::stroke::Direction;
 use firmware_protocol::tick::Tick;
 
@@ -235,6 +238,45 @@ fn a_full_ring_takes_no_strokes_and_loses_the_newest_report() {
     bench.strokes(&[next]);
     bench.run(200);
     assert_eq!(bench.bursts(1), planned(&next));
+}
+
+/// Pins whose holds end one after the other, while the host reads nothing: onsets and cuts find their places, and each pin is named unless a cut
+/// brings all down.
+#[test]
+fn reports_of_lowered_pins_take_no_place_of_onsets_and_cuts() {
+    for stops in [0, 4] {
+        let mut bench = Bench::without_stop(Bench::new(FIRMWARE), 10 * TICK_HZ, NO_LIMITS);
+        bench.reading = false;
+        let at = bench.soon();
+        let mut packer = Packer::<BATCH_BYTES>::new(Tick(at));
+        // The device looks every 1 024 ticks.
+        (0..24).for_each(|motor| packer.moves(&to(motor, at + 1_100 * u64::from(motor), 9)).unwrap());
+        bench.frame(Some(Mark { hold: 0, ..ONSET }), at, packer.bytes());
+        let last = at + 24 * 1_100 + 20_000;
+        for item in 0..7 {
+            bench.frame(Some(Mark { kind: MarkKind::Item, ..ONSET }), last + 100 * item, &[]);
+        }
+        bench.run_to(last + 1_000);
+        (0..stops).for_each(|_| bench.control(Op::Stop));
+        assert_eq!(bench.device.counters().reports_lost, 0);
+        bench.reading = true;
+        bench.run(850);
+        for token in 0..3 {
+            bench.ping(token);
+            bench.run(850);
+        }
+        let (mut onsets, mut cuts, mut pins) = (0, 0, MotorSet::EMPTY);
+        for report in bench.reports() {
+            match report {
+                Report::Onset { .. } => onsets += 1,
+                Report::Cut(_) => cuts += 1,
+                Report::Lowered { held, .. } => pins |= held,
+                other => panic!("{other:?}"),
+            }
+        }
+        assert_eq!((onsets, cuts), (8, stops));
+        assert!(stops > 0 || pins == MotorSet::from_bits((1 << 24) - 1), "{pins:?}");
+    }
 }
 
 #[test]

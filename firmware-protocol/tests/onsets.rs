@@ -254,11 +254,11 @@ fn the_mark_of_a_play_says_for_how_long_pins_may_be_held() {
         bench.run(1_024 + 16 + 64 + 50);
         assert_eq!(bench.net(3), 0, "{kind:?}, {hold}");
         let lowered = bench.reports().into_iter().find_map(|report| match report {
-            Report::Lowered { tick, motors } => Some((tick.near(Tick(bench.now)).0, motors)),
+            Report::Lowered { tick, late, held } => Some((tick.near(Tick(bench.now)).0, late, held)),
             _ => None,
         });
-        let (tick, motors) = lowered.expect("a report");
-        assert_eq!(motors, MotorSet::from_bits(1 << 3));
+        let (tick, late, held) = lowered.expect("a report");
+        assert_eq!((late, held), (MotorSet::EMPTY, MotorSet::from_bits(1 << 3)));
         assert!((up + given..=bench.bursts(3)[1].start.0).contains(&tick), "{tick}");
     }
 }

@@ -128,8 +128,8 @@ fn a_late_move_down_lowers_the_pin_in_the_first_tick_that_is_possible() {
             assert_eq!(bench.bursts(1), expected, "{offset} {shell:?}");
             let mut reports = bench.reports();
             if lowered {
-                let Some(Report::Lowered { tick, motors }) = reports.pop() else { panic!("{offset}") };
-                assert_eq!((motors.bits(), tick.near(Tick(ready))), (1 << 1, Tick(rendered)));
+                let Some(Report::Lowered { tick, late, held }) = reports.pop() else { panic!("{offset}") };
+                assert_eq!((late.bits(), held.bits(), tick.near(Tick(ready))), (1 << 1, 0, Tick(rendered)));
             }
             assert_eq!(reports, [verdict_of(1, 1, Tick(ready))]);
             let counters = bench.device.counters();

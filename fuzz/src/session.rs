@@ -323,7 +323,7 @@ impl World {
                 flushed: word(input) % 600,
                 outstanding: word(input).into(),
             }),
-            4 => Report::Lowered { tick, motors: motors(input) },
+            4 => Report::Lowered { tick, late: motors(input), held: motors(input) },
             _ => Report::Refused {
                 motor: motor(input, self.array),
                 tick,

@@ -78,6 +78,12 @@ def test_what_a_motor_is_too_slow_for_is_refused(m: meissner.Client) -> None:
     play = m.play(samples=jump, rate=100)
     assert play.motions[0]["too_slow_from_s"] > 0
     assert "too slow" in play.wait().raw["warnings"][0]
+    item = {"samples": jump, "rate": 100}
+    with pytest.raises(errors.TooSlow, match=r"`items\[1\]`"):
+        m.sequence([{"samples": {9: PRESS}, "rate": 1000}, item], isi=0.1, strict=True)
+    with pytest.raises(errors.BadRequest, match="hold_ms"):
+        m.sequence([item], hold=100.0)
+    assert m.sequence([item], hold=0.5).motions[0]["too_slow_from_s"] > 0
 
 
 def test_items_overlap_and_may_be_blank(m: meissner.Client) -> None:

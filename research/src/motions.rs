@@ -383,5 +383,9 @@ mod tests {
         // The stop alone takes half of a drift without a mean; the surplus keeps it small.
         let [free, stop, surplus] = &found.rows[3..6] else { panic!() };
         assert!(stop.rms_um < free.rms_um && surplus.rms_um < 0.3 * stop.rms_um, "{found:?}");
+        // It is what keeps the rest error within 5 um, and no more: it grows with the scatter, and is below the most of the controller.
+        let [even, uneven, wide] = [2, 5, 8].map(|at| found.rows[at]);
+        assert!(even.rms_um < 6.0 && uneven.rms_um < 6.0 && even.surplus_um < 60.0, "{found:?}");
+        assert!(uneven.surplus_um < 100.0 && uneven.surplus_um < wide.surplus_um, "{found:?}");
     }
 }

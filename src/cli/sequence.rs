@@ -2,7 +2,7 @@
 //!
 //! Invariant: the request is sent once.
 
-use super::arguments::{ClientOptions, Onset};
+use super::arguments::{ClientOptions, Onset, positive};
 use super::control::follow;
 use super::ending::Ending;
 use super::output::give;
@@ -30,6 +30,12 @@ pub(super) struct Sequence {
     /// Stop the running play and clear the queue first
     #[arg(long)]
     replace: bool,
+    /// Refuse the sequence if a motor is too slow for a motion
+    #[arg(long)]
+    strict: bool,
+    /// Let a pin stay above rest without a pulse for MS milliseconds at most; then the device lowers it [default: as long as the items need]
+    #[arg(long, value_name = "MS", allow_negative_numbers = true, value_parser = positive)]
+    hold_ms: Option<f64>,
     /// Wait for the end and print the receipt; exit 1 if not all was played. Ctrl-C, SIGTERM and SIGHUP stop the sequence (exit 130,
     /// 143, 129)
     #[arg(long)]
@@ -44,6 +50,8 @@ pub(super) fn run(asked: &Sequence) -> Result<ExitCode> {
         (request.at_tick, request.at_ms, request.at_monotonic_ns) = Onset::keys(asked.at);
     }
     request.replace |= asked.replace;
+    request.strict |= asked.strict;
+    request.hold_ms = asked.hold_ms.or(request.hold_ms);
     request.session = request.session.or_else(session_token::session);
     let json = asked.options.output.json;
     let mut client = asked.options.client()?;

@@ -21,16 +21,16 @@ pub use convert::{
 };
 pub use items::{BLANK, PlannedItem};
 pub use measured_bursts::{KEPT_S, MeasuredBursts};
-pub use order::{Order, counts, counts_until, largest_um, motions, too_slow, walk};
+pub use order::{Order, counts, counts_until, largest_um, motions, motions_of_items, too_slow, walk};
 pub use prediction::{NoPrediction, PlayedPattern};
 
 use firmware_protocol::message::{DeviceHello, State};
 use firmware_protocol::tick::Tick;
 use live::LiveAccount;
 use meissner_api::{
-    BurstCounts, DeviceInfo, Event, LateCounts, LateStroke, LinkTraffic, LiveContrast, MAX_LISTED,
-    MotorRestError, MovedPin, NO_DEVICE, OrderedCounts, PlayState, PredictedResponse, Prediction,
-    PulseCounts, Receipt, RefusedStroke, RunningPlay,
+    BurstCounts, DeviceInfo, Event, LateCounts, LateStroke, LinkTraffic, LiveContrast, LoweredPin,
+    LoweredReason, MAX_LISTED, MotorRestError, MovedPin, NO_DEVICE, OrderedCounts, PlayState,
+    PredictedResponse, Prediction, PulseCounts, Receipt, RefusedStroke, RunningPlay,
 };
 use meissner_array::spec::Array;
 use meissner_array::units::{TickRate, ns_to_ms};
@@ -200,6 +200,16 @@ impl Receipts {
                     list(&mut receipt.refusals, stroke.clone());
                 }
                 Some(Event::Refused { id: *id, stroke })
+            }
+            StreamEvent::PinsLowered { id, tick, late, held } => {
+                let pins = [(late, LoweredReason::Late), (held, LoweredReason::Held)].into_iter();
+                let pins = pins.flat_map(|(of, reason)| of.iter().map(move |motor| (motor, reason)));
+                if let Some(receipt) = self.live_mut(*id) {
+                    for (motor, reason) in pins {
+                        receipt.lowered.add(LoweredPin { motor, tick: tick.0, reason });
+                    }
+                }
+                None
             }
             StreamEvent::LiveUpdated(update) => {
                 if let Some(account) = self.updates.get_mut(&update.id) {

@@ -12,7 +12,7 @@ use meissner_api::{
 use meissner_array::pattern::Pattern;
 use meissner_array::spec::Array;
 use meissner_array::strokes::{
-    self, DriveAmplitude, Followed, StrokeOptions, Strokes, StrokesError, amplitudes,
+    self, DriveAmplitude, Followed, MAX_WORK, StrokeOptions, Strokes, StrokesError, amplitudes,
 };
 use std::collections::BTreeMap;
 
@@ -111,9 +111,9 @@ pub fn walk(strokes: &Strokes) -> Option<OrderedCounts> {
     let mut strokes = strokes.clone();
     strokes.begin(Tick(0));
     let (mut bursts, mut pulses) = (0, 0);
-    for step in strokes.map_while(Result::ok) {
+    while let Some(Ok(step)) = strokes.next() {
         (bursts, pulses) = (bursts + step.moves() as u64, pulses + u64::from(step.pulses()));
-        if bursts > 2 * WALKED {
+        if bursts > 2 * WALKED || strokes.work() > MAX_WORK {
             return None;
         }
     }
@@ -148,9 +148,9 @@ fn motions_um(pattern: &Pattern) -> f64 {
 
 /// How the motors of a play follow their motions.
 #[must_use]
-pub fn motions(strokes: &Strokes) -> Vec<FollowedMotion> {
+pub fn motions(followed: &[Followed]) -> Vec<FollowedMotion> {
     let rounded = |number: f64| (number * 1000.0).round() / 1000.0;
-    let motion = |found: Followed| FollowedMotion {
+    let motion = |found: &Followed| FollowedMotion {
         motor: found.motor,
         highest_um: rounded(found.highest_um),
         error_um: rounded(found.error.rms_um),
@@ -160,7 +160,26 @@ pub fn motions(strokes: &Strokes) -> Vec<FollowedMotion> {
         moves_per_s: rounded(found.moves_per_s),
         measured_s: rounded(found.measured_s),
     };
-    strokes.followed().into_iter().map(motion).collect()
+    followed.iter().map(motion).collect()
+}
+
+/// How the motors of a sequence follow their motions: of each motor the figures of the item in which it is off the most, and the first
+/// instant at which it is too slow. The items come with their onsets, s.
+#[must_use]
+pub fn motions_of_items<'a>(items: impl Iterator<Item = (f64, &'a [FollowedMotion])>) -> Vec<FollowedMotion> {
+    let mut of_motor: BTreeMap<u8, FollowedMotion> = BTreeMap::new();
+    for (onset_s, motions) in items {
+        for motion in motions {
+            let too_slow_from_s = motion.too_slow_from_s.map(|from_s| onset_s + from_s);
+            let most = of_motor.entry(motion.motor).or_insert(FollowedMotion { too_slow_from_s, ..*motion });
+            let from_s = most.too_slow_from_s.into_iter().chain(too_slow_from_s).reduce(f64::min);
+            if motion.error_um > most.error_um {
+                *most = *motion;
+            }
+            most.too_slow_from_s = from_s;
+        }
+    }
+    of_motor.into_values().collect()
 }
 
 /// The line for a motor that is too slow for its motions.

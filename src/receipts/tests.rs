@@ -1,9 +1,10 @@
 //! Receipts made from events: of plays, devices, and losses.
 
 use super::*;
+use firmware_protocol::array::MotorSet;
 use firmware_protocol::limits::Refusal;
 use firmware_protocol::message::Cause;
-use meissner_api::{EndCause, ErrorSource, LateCause};
+use meissner_api::{EndCause, ErrorSource, LateCause, LoweredReason};
 use meissner_array::pattern::Pattern;
 use meissner_array::per_motor::PerMotor;
 use meissner_array::spec::Array;
@@ -130,7 +131,15 @@ fn a_play_goes_from_queued_to_its_receipt() {
     receipts.apply(&StreamEvent::StrokeLate { id: 1, motor: 3, up, late_ms, cause, counts });
     let up = Tick(8);
     receipts.apply(&StreamEvent::StrokeRefused { id: 1, motor: 3, up, reason: Refusal::MotorOnTime });
+    let [late, held] = [1 << 3, 1 << 4 | 1 << 5].map(MotorSet::from_bits);
+    for _ in 0..10 {
+        receipts.apply(&StreamEvent::PinsLowered { id: 1, tick: Tick(9), late, held });
+    }
     let Some(Event::Ended { receipt }) = receipts.apply(&ended(1, End::Stopped)) else { panic!() };
+    let pins: Vec<_> =
+        receipt.lowered.pins[..3].iter().map(|pin| (pin.motor, pin.tick, pin.reason)).collect();
+    assert_eq!(pins, [(3, 9, LoweredReason::Late), (4, 9, LoweredReason::Held), (5, 9, LoweredReason::Held)]);
+    assert_eq!((receipt.lowered.count, receipt.lowered.pins.len()), (30, 24));
     assert_eq!(Some(&*receipt), receipts.receipt(1));
     assert_eq!((receipt.state, receipt.cause.as_ref()), (PlayState::Stopped, Some(&EndCause::Stop)));
     assert_eq!((receipt.lateness.strokes.len(), receipt.refusals.len()), (1, 1));

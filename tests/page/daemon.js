@@ -10,7 +10,7 @@ import { join } from "node:path";
 import puppeteer from "puppeteer-core";
 
 const PROGRAM = process.env.MEISSNER_PROGRAM;
-export const WAIT = { timeout: 20000, polling: 50 };
+export const WAIT = { timeout: 60000, polling: 50 };
 // A search has a low priority, so beside a build it may take a minute.
 export const SEARCHED = { ...WAIT, timeout: 200000 };
 
@@ -81,9 +81,17 @@ export class Daemon {
 export async function open(browser, daemon, width = 1400, height = 1000) {
   const context = await browser.createBrowserContext();
   const page = await context.newPage();
+  // What a selector waits for may follow a search, as the first pose of a live play does.
+  page.setDefaultTimeout(SEARCHED.timeout);
   page.complaints = [];
   page.on("console", (message) => message.type() === "error" && page.complaints.push(message.text()));
   page.on("pageerror", (error) => page.complaints.push(String(error)));
+  // The daemon ends a live play of a page that is silent for a second: beside a build, pages are.
+  await page.evaluateOnNewDocument(() => {
+    const fetch = window.fetch;
+    window.fetch = (url, options) =>
+      fetch(url, typeof options?.body === "string" ? { ...options, body: options.body.replace('"timeout_ms":1000', '"timeout_ms":20000') } : options);
+  });
   await page.setViewport({ width, height });
   await page.goto(daemon.url);
   return page;

@@ -84,8 +84,9 @@ pub use prediction::{AfferentClass, ClassResponse, PredictedResponse, Prediction
 pub use problem::{Code, MAX_DETAIL, Problem, REFERENCE};
 pub use receipt::{
     BurstCounts, DurationRecord, ErrorSource, LateCause, LateCounts, LateStroke, LatenessRecord, LinkTraffic,
-    MAX_DRIVES_LISTED, MAX_LISTED, MAX_WARNINGS_LISTED, MotorRestError, MovedPin, OffsetRecord, OnsetRecord,
-    OrderedCounts, PlayState, PulseCounts, Receipt, RefusedStroke,
+    LoweredPin, LoweredReason, LoweredRecord, MAX_DRIVES_LISTED, MAX_LISTED, MAX_WARNINGS_LISTED,
+    MotorRestError, MovedPin, OffsetRecord, OnsetRecord, OrderedCounts, PlayState, PulseCounts, Receipt,
+    RefusedStroke,
 };
 pub use request::{
     ArmRequest, CalibrateRequest, Fit, LatePolicy, MAX_WAIT_S, Mapping, PlayRequest, ResetRequest,

@@ -7,7 +7,7 @@
 
 use crate::problem::{Code, Problem};
 use serde::de::value::MapAccessDeserializer;
-use serde::de::{Error, MapAccess, Visitor};
+use serde::de::{Error, MapAccess, Unexpected, Visitor};
 use serde::{Deserialize, Deserializer, Serialize};
 use serde_json::{Map, Value};
 use std::fmt;
@@ -67,21 +67,57 @@ pub const INLINE: &str = "inline";
 
 impl<'de> Deserialize<'de> for PatternChoice {
     fn deserialize<D: Deserializer<'de>>(source: D) -> Result<Self, D::Error> {
-        struct Choice;
-        impl<'de> Visitor<'de> for Choice {
-            type Value = PatternChoice;
-            fn expecting(&self, text: &mut fmt::Formatter<'_>) -> fmt::Result {
-                text.write_str("the name of a pattern, or a pattern")
-            }
-            fn visit_str<E: Error>(self, name: &str) -> Result<PatternChoice, E> {
-                Ok(name.into())
-            }
-            fn visit_map<A: MapAccess<'de>>(self, map: A) -> Result<PatternChoice, A::Error> {
-                let keys = Map::deserialize(MapAccessDeserializer::new(map))?;
-                Ok(PatternChoice::Inline(Box::new(keys)))
-            }
-        }
         source.deserialize_any(Choice)
+    }
+}
+
+/// Reads a pattern, or false or null for none.
+pub(crate) fn or_blank<'de, D: Deserializer<'de>>(source: D) -> Result<Option<PatternChoice>, D::Error> {
+    source.deserialize_any(OrBlank)
+}
+
+struct Choice;
+
+impl<'de> Visitor<'de> for Choice {
+    type Value = PatternChoice;
+
+    fn expecting(&self, text: &mut fmt::Formatter<'_>) -> fmt::Result {
+        text.write_str("the name of a pattern, or a pattern")
+    }
+
+    fn visit_str<E: Error>(self, name: &str) -> Result<PatternChoice, E> {
+        Ok(name.into())
+    }
+
+    fn visit_map<A: MapAccess<'de>>(self, map: A) -> Result<PatternChoice, A::Error> {
+        let keys = Map::deserialize(MapAccessDeserializer::new(map))?;
+        Ok(PatternChoice::Inline(Box::new(keys)))
+    }
+}
+
+struct OrBlank;
+
+impl<'de> Visitor<'de> for OrBlank {
+    type Value = Option<PatternChoice>;
+
+    fn expecting(&self, text: &mut fmt::Formatter<'_>) -> fmt::Result {
+        text.write_str("the name of a pattern, a pattern, or false for a blank item")
+    }
+
+    fn visit_bool<E: Error>(self, plays: bool) -> Result<Self::Value, E> {
+        if plays { Err(E::invalid_type(Unexpected::Bool(true), &self)) } else { Ok(None) }
+    }
+
+    fn visit_unit<E>(self) -> Result<Self::Value, E> {
+        Ok(None)
+    }
+
+    fn visit_str<E: Error>(self, name: &str) -> Result<Self::Value, E> {
+        Choice.visit_str(name).map(Some)
+    }
+
+    fn visit_map<A: MapAccess<'de>>(self, map: A) -> Result<Self::Value, A::Error> {
+        Choice.visit_map(map).map(Some)
     }
 }
 
@@ -97,12 +133,13 @@ pub(crate) fn schema() -> Schema {
     OneOfBuilder::new().item(name).item(inline).description(Some(text)).into()
 }
 
-/// [`schema`], or null.
-pub(crate) fn schema_or_null() -> Schema {
+/// [`schema`], or false, or null.
+pub(crate) fn schema_or_blank() -> Schema {
+    let no = ObjectBuilder::new().schema_type(Type::Boolean).enum_values(Some([false]));
     let null = ObjectBuilder::new().schema_type(Type::Null);
-    let text = "The pattern's name, or the pattern itself as in `play`; null: nothing is played for `seconds`, for example in a catch \
-                trial.";
-    OneOfBuilder::new().item(schema()).item(null).description(Some(text)).into()
+    let text = "The pattern's name, or the pattern itself as in `play`; false or null: nothing is played for `seconds`, for example in \
+                a catch trial.";
+    OneOfBuilder::new().item(schema()).item(no).item(null).description(Some(text)).into()
 }
 
 /// Refuses a body that is larger than [`MAX_BODY`] beside packed samples.

@@ -186,6 +186,51 @@ pub struct LateStroke {
     pub cause: LateCause,
 }
 
+/// Why the device brought a pin down by itself: a move down came `late`, or the pin was `held` for too long.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "lowercase")]
+pub enum LoweredReason {
+    /// A move down came too late.
+    Late,
+    /// The pin stayed above rest without a pulse for longer than the play said.
+    Held,
+}
+
+/// A pin that the device brought down by itself.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+pub struct LoweredPin {
+    /// The motor's number.
+    #[schema(minimum = 0, maximum = 63)]
+    pub motor: u8,
+    /// The first tick in which it may have done so.
+    pub tick: u64,
+    /// Why.
+    pub reason: LoweredReason,
+}
+
+/// How often the device brought a pin of a play down by itself, and the first 24 times.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+pub struct LoweredRecord {
+    /// How often.
+    pub count: u64,
+    /// The first 24 times.
+    #[schema(max_items = 24)]
+    pub pins: Vec<LoweredPin>,
+}
+
+impl LoweredRecord {
+    /// Most times that are listed.
+    pub const MAX_PINS: usize = 24;
+
+    /// Adds a pin to the count, and to the list while there is room.
+    pub fn add(&mut self, pin: LoweredPin) {
+        self.count += 1;
+        if self.pins.len() < Self::MAX_PINS {
+            self.pins.push(pin);
+        }
+    }
+}
+
 /// A stroke that the device refused.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 pub struct RefusedStroke {
@@ -319,6 +364,7 @@ impl LinkTraffic {
         "strokes": [{"motor": 3, "tick": 6442470000_u64, "late_ms": 1.8, "cause": "host"}]
     },
     "refusals": [],
+    "lowered": {"count": 0, "pins": []},
     "trigger": {"tick": 6442460000_u64, "width_ms": 10.0, "code": null},
     "boot": 305419896, "items_planned": null, "items": null,
     "wire": {"bytes_to_device": 14260, "bytes_per_burst": 11.5},
@@ -443,7 +489,8 @@ pub struct Receipt {
     #[serde(default)]
     #[schema(required, max_items = 24)]
     pub drives: Vec<ReachedDrive>,
-    /// How the motors follow their motions, by motor; empty without motions, and for a sequence.
+    /// How the motors follow their motions, by motor; empty without motions. Of a sequence those of the item in which the motor is off the
+    /// most, with the first instant, from the sequence's onset, at which it is too slow.
     #[serde(default)]
     #[schema(required, max_items = 64)]
     pub motions: Vec<FollowedMotion>,
@@ -472,6 +519,10 @@ pub struct Receipt {
     /// The refused strokes so far: the first 100.
     #[schema(max_items = 100)]
     pub refusals: Vec<RefusedStroke>,
+    /// The pins that the device has brought down by itself.
+    #[serde(default)]
+    #[schema(required)]
+    pub lowered: LoweredRecord,
     /// What the trigger output gave at the onset; null: nothing, or not yet.
     #[serde(default)]
     #[schema(required)]
@@ -558,6 +609,7 @@ impl Receipt {
             live: None,
             lateness: LatenessRecord::default(),
             refusals: Vec::new(),
+            lowered: LoweredRecord::default(),
             trigger: None,
             boot: None,
             items_planned: None,

@@ -129,6 +129,12 @@ pub enum LatePolicy {
 /// The range of `hold_ms`, ms: what the device allows at most.
 pub const HOLD_MS: RangeInclusive<f64> = 1.0..=60_000.0;
 
+/// Refuses a `hold_ms` that is out of range.
+pub(crate) fn check_hold(hold_ms: Option<f64>) -> Result<(), Problem> {
+    let Some(hold_ms) = hold_ms else { return Ok(()) };
+    document::in_range("hold_ms", hold_ms, HOLD_MS.contains(&hold_ms), "1 to 60000 ms").map_err(problem)
+}
+
 /// Refuses the SHA-256 of a text beside the text itself.
 pub(crate) fn check_text_of(pattern: &PatternChoice, sha256: Option<&str>) -> Result<(), &'static str> {
     match (pattern, sha256) {
@@ -154,10 +160,7 @@ impl PlayRequest {
         check_labels(&request.labels)?;
         check_sha256(request.pattern_sha256.as_deref()).map_err(bad)?;
         check_text_of(&request.pattern, request.pattern_sha256.as_deref()).map_err(bad)?;
-        if let Some(hold_ms) = request.hold_ms {
-            let good = HOLD_MS.contains(&hold_ms);
-            document::in_range("hold_ms", hold_ms, good, "1 to 60000 ms").map_err(problem)?;
-        }
+        check_hold(request.hold_ms)?;
         check_scale(request.scale).and_then(|()| check_trigger(request.trigger)).map_err(bad)?;
         Ok(request)
     }

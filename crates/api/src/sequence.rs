@@ -10,7 +10,7 @@ use crate::body::{
 };
 use crate::pattern_choice::{self, PatternChoice, check_packed};
 use crate::problem::Problem;
-use crate::request::{LatePolicy, Mapping, check_text_of};
+use crate::request::{LatePolicy, Mapping, check_hold, check_text_of};
 use crate::trigger::{self, TriggerRecord, TriggerRequest};
 use meissner_input::document::{self, given};
 use serde::de::{Error, SeqAccess, Visitor};
@@ -78,6 +78,14 @@ pub struct SequenceRequest {
     /// Up to 16 labels of the trial, of 1 to 100 characters.
     #[serde(default, deserialize_with = "null_as_default", skip_serializing_if = "BTreeMap::is_empty")]
     pub labels: BTreeMap<String, String>,
+    /// Whether to refuse motions that a motor is too slow for.
+    #[serde(default, deserialize_with = "null_as_default", skip_serializing_if = "std::ops::Not::not")]
+    pub strict: bool,
+    /// How long a pin may stay above rest without a pulse, ms, in any item: then the device lowers it by itself. Without it as long as the
+    /// sequence needs. Less than that is refused.
+    #[serde(default, deserialize_with = "given", skip_serializing_if = "Option::is_none")]
+    #[schema(minimum = 1.0, maximum = 60_000.0)]
+    pub hold_ms: Option<f64>,
 }
 
 /// A pattern in a sequence. Times are summed in whole nanoseconds from the sequence's onset, and each sum becomes the nearest tick
@@ -85,9 +93,9 @@ pub struct SequenceRequest {
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct SequenceItem {
-    /// The pattern's name, or the pattern itself; null: nothing is played for `seconds`, for example in a catch trial.
-    #[schema(required, schema_with = pattern_choice::schema_or_null)]
-    #[serde(deserialize_with = "Option::deserialize")]
+    /// The pattern's name, or the pattern itself; false or null: nothing is played for `seconds`, for example in a catch trial.
+    #[schema(required, schema_with = pattern_choice::schema_or_blank)]
+    #[serde(deserialize_with = "pattern_choice::or_blank")]
     pub pattern: Option<PatternChoice>,
     /// Play the text with this SHA-256 (hexadecimal): the stored pattern, or else the text that the session record keeps. Without
     /// either the daemon refuses. Without the key: the stored pattern.
@@ -135,7 +143,7 @@ impl SequenceRequest {
         if text.trim_start().starts_with('{') {
             return Self::parse(text.as_bytes());
         }
-        let wanted = |key: &str| if key == "pattern" { "the name of a pattern" } else { "it" };
+        let wanted = |key: &str| if key == "pattern" { "the name of a pattern, or false" } else { "it" };
         let read = document::from_toml(text, wanted).map(|document::Table(request)| request);
         read.map_err(|fault: document::KeyError<Infallible>| bad(fault.in_file(None).to_string()))
             .and_then(Self::checked)
@@ -145,6 +153,7 @@ impl SequenceRequest {
         let request = self;
         check_onset(request.at_tick, request.at_ms, request.at_monotonic_ns)?;
         check_labels(&request.labels)?;
+        check_hold(request.hold_ms)?;
         if request.items.is_empty() {
             return Err(bad("`items` is empty: add an item"));
         }
@@ -324,6 +333,8 @@ mod tests {
             ),
             (r#"{"items":[{"pattern":"a"}],"at_ms":1,"at_tick":1}"#, "exclude each other"),
             (r#"{"items":[{"pattern":"a"}],"name":"A b"}"#, "`name` must be"),
+            (r#"{"items":[{"pattern":"a"}],"hold_ms":0}"#, "`hold_ms` is 0: must be 1 to 60000 ms"),
+            (r#"{"items":[{"pattern":true,"seconds":1}]}"#, "`items[0].pattern` is boolean `true`"),
             (r#"{"items":7}"#, "`items` is integer `7`: must be a list of items"),
         ] {
             let problem = read(text).unwrap_err();
@@ -334,6 +345,11 @@ mod tests {
                     scale = 0.5\ngap_ms = 2.5\ntrigger.code = 3\n[[items]]\npattern = \"a\"\nstart_ms = 1e3\ntrigger = false\n";
         assert_eq!(SequenceRequest::parse_file(file).unwrap(), request);
         assert_eq!(SequenceRequest::parse_file(text).unwrap(), request);
+        // TOML has no null.
+        let blank = "strict = true\nhold_ms = 500\n[[items]]\npattern = false\nseconds = 0.5\n";
+        let blank = SequenceRequest::parse_file(blank).unwrap();
+        assert_eq!((blank.items[0].pattern.as_ref(), blank.strict, blank.hold_ms), (None, true, Some(500.0)));
+        assert_eq!(read(&serde_json::to_string(&blank).unwrap()).unwrap(), blank);
         let wrong = SequenceRequest::parse_file("[[items]]\npatern = \"a\"\n").unwrap_err();
         assert!(wrong.detail.contains("did you mean `pattern`?"), "{wrong}");
         let many = |count| format!("{{\"items\":[{}]}}", vec![r#"{"pattern":"a"}"#; count].join(","));

@@ -65,7 +65,8 @@ pub struct PlayAccepted {
     #[serde(default)]
     #[schema(required, minimum = 0.0)]
     pub compiled_ms: Option<f64>,
-    /// How the motors follow their motions, by motor; empty without motions.
+    /// How the motors follow their motions, by motor; empty without motions. Of a sequence those of the item in which the motor is off the
+    /// most.
     #[serde(default)]
     #[schema(required, max_items = 64)]
     pub motions: Vec<FollowedMotion>,

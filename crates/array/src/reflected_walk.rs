@@ -9,6 +9,9 @@
 //! var(X)  = s² [A² (1 + a/2)² + (A + S)² (1 - a/2)²]
 //! ```
 //!
+//! In a motion there are many bursts from one rest to the next ([`Bursts`]). A is then the travel up of all of them, because the asymmetry is
+//! that of each; and A² and (A + S)² are the sums of their squares, because each scatters on its own.
+//!
 //! For Gaussian X with a negative mean, Spitzer's identity gives the stationary distribution: its k-th cumulant is the sum
 //! over n of `mean(max(0, X(1) + … + X(n))^k) / n`. Only δ = -mean(X) / sd(X) matters, in units of sd(X). For δ below
 //! `SERIES_BELOW` the sums are the power series of Janssen & van Leeuwaarden, "On Lerch's transcendent and the Gaussian
@@ -78,6 +81,36 @@ impl Spread {
     }
 }
 
+/// The bursts of a motor from one rest to the next, without a surplus. The last one goes down to rest.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Bursts {
+    /// Travel up in all, µm.
+    up_um: f64,
+    /// Sums of squares of the ways up, and of those down but the last, µm².
+    squares_um2: [f64; 2],
+    /// The last way down, µm.
+    last_um: f64,
+}
+
+impl Bursts {
+    /// Adds a burst: its travel, µm, above 0 if it goes up.
+    pub fn add(&mut self, travel_um: f64) {
+        if travel_um > 0.0 {
+            self.up_um += travel_um;
+            self.squares_um2[0] += travel_um * travel_um;
+        } else {
+            self.squares_um2[1] += self.last_um * self.last_um;
+            self.last_um = -travel_um;
+        }
+    }
+
+    /// Travel up in all, µm.
+    #[must_use]
+    pub const fn up_um(&self) -> f64 {
+        self.up_um
+    }
+}
+
 /// The rest error of one motor from stroke to stroke.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ReflectedWalk {
@@ -94,6 +127,17 @@ impl ReflectedWalk {
         let up = amplitude_um * (1.0 + spread.asymmetry / 2.0);
         let down = (amplitude_um + surplus_um) * (1.0 - spread.asymmetry / 2.0);
         Self { mean_um: up - down, sd_um: spread.scatter * libm::hypot(up, down) }
+    }
+
+    /// The walk of excursions of these bursts, with a surplus of the last one.
+    #[must_use]
+    pub fn of_bursts(bursts: &Bursts, surplus_um: f64, spread: Spread) -> Self {
+        let [up, down] = [1.0 + spread.asymmetry / 2.0, 1.0 - spread.asymmetry / 2.0];
+        let last_um = bursts.last_um + surplus_um;
+        let [up_squares, down_squares] = bursts.squares_um2;
+        let squares = up * up * up_squares + down * down * (down_squares + last_um * last_um);
+        let mean_um = bursts.up_um * up - (bursts.up_um + surplus_um) * down;
+        Self { mean_um, sd_um: spread.scatter * squares.sqrt() }
     }
 
     /// The walk of steps with this mean and this standard deviation, µm.
@@ -216,8 +260,22 @@ impl ReflectedWalk {
 /// amplitude does.
 #[must_use]
 pub fn surplus_um(amplitude_um: f64, spread: Spread, rest_error_um: f64) -> Option<f64> {
-    let enough =
-        |share: f64| ReflectedWalk::new(amplitude_um, share * amplitude_um, spread).rms_um() <= rest_error_um;
+    least(amplitude_um, |surplus_um| {
+        ReflectedWalk::new(amplitude_um, surplus_um, spread).rms_um() <= rest_error_um
+    })
+}
+
+/// As [`surplus_um`], of the last of these bursts. None: no surplus up to `most_um` does.
+#[must_use]
+pub fn surplus_after_um(bursts: &Bursts, most_um: f64, spread: Spread, rest_error_um: f64) -> Option<f64> {
+    least(most_um, |surplus_um| {
+        ReflectedWalk::of_bursts(bursts, surplus_um, spread).rms_um() <= rest_error_um
+    })
+}
+
+/// The least value up to `most` that is enough, to 2⁻²⁰ of that.
+fn least(most: f64, enough: impl Fn(f64) -> bool) -> Option<f64> {
+    let enough = |share: f64| enough(share * most);
     if enough(0.0) {
         return Some(0.0);
     }
@@ -229,7 +287,7 @@ pub fn surplus_um(amplitude_um: f64, spread: Spread, rest_error_um: f64) -> Opti
         let middle = f64::midpoint(below, above);
         if enough(middle) { above = middle } else { below = middle }
     }
-    Some(above * amplitude_um)
+    Some(above * most)
 }
 
 /// Stationary mean and variance of the walk with steps of mean -δ and variance 1.

@@ -3,8 +3,10 @@
 use firmware_protocol::moves::Move;
 use meissner_array::motion::{Moves, choose};
 use meissner_array::pattern::Pattern;
+use meissner_array::per_motor::PerMotor;
+use meissner_array::reflected_walk::{Bursts, ReflectedWalk, Spread};
 use meissner_array::spec::Array;
-use meissner_array::strokes::{Fit, Sequence, Start, Step, StrokeOptions, Strokes, Surplus};
+use meissner_array::strokes::{AutoSurplus, Fit, Sequence, Start, Step, StrokeOptions, Strokes, Surplus};
 use proptest::prelude::*;
 
 fn pattern(rest: &str) -> Pattern {
@@ -68,6 +70,78 @@ fn a_long_hold_and_a_long_rest_have_few_moves() {
 }
 
 #[test]
+fn what_stays_below_a_burst_is_over_at_once_however_long_it_lasts() {
+    let text = "duration_s = 4000.0\n[[tone]]\nmotor = 2\nfrequency_hz = 10.0\namplitude_um = 0.5\nduration_s = 4000.0\n\
+                [[ramp]]\nmotor = 3\nto_um = 0.5\nrise_s = 1000.0\n";
+    let strokes = Strokes::new(&pattern(text), &StrokeOptions::lasting(1e8)).unwrap();
+    assert!(strokes.is_over() && strokes.work() == 0);
+}
+
+#[test]
+fn slow_ramps_take_work_in_proportion_to_their_moves() {
+    // Up and down in three years: a move a day, between which are ten million steps.
+    let text = "[[ramp]]\nmotor = 9\nto_um = 100.0\nrise_s = 4.9e7\n";
+    let mut strokes = Strokes::new(&pattern(text), &StrokeOptions::default()).unwrap();
+    let moves = strokes.by_ref().filter(|step| step.as_ref().unwrap().bursts().count() > 0).count();
+    // 737 pulses up, seven or more at once, and down again.
+    assert!((200..=210).contains(&moves), "{moves}");
+    assert!(strokes.work() < 20_000, "{} steps and knots for {moves} moves", strokes.work());
+}
+
+#[test]
+fn a_move_is_found_with_bounded_work() {
+    // A tone below a burst for more than an hour, after one touch; it repeats for three years.
+    let text = "duration_s = 4100.0\n[[tone]]\nmotor = 2\nfrequency_hz = 10.0\namplitude_um = 0.5\nduration_s = 4000.0\nstart_s = 1.0\n\
+                [[ramp]]\nmotor = 2\nto_um = 100.0\nrise_s = 0.1\n";
+    let mut strokes = Strokes::new(&pattern(text), &StrokeOptions::lasting(1e8)).unwrap();
+    for _ in 0..5_000 {
+        let before = strokes.work();
+        strokes.next().unwrap().unwrap();
+        assert!(strokes.work() - before < 10_000, "{before} to {}", strokes.work());
+    }
+}
+
+#[test]
+fn a_step_has_few_knots_whatever_the_pattern() {
+    // All that fits into 4 ms, the shortest pattern, 16 at once: long ramps, and in the rest of the time short ones.
+    let mut text = String::from("duration_s = 0.004\n");
+    let mut ramp = |start_s: f64, rise_s: f64| {
+        text += &format!(
+            "[[ramp]]\nmotor = 9\nto_um = 5.0\nstart_s = {start_s:?}\nrise_s = {rise_s:?}\nshape = \"cosine\"\n"
+        );
+    };
+    for number in 0..4096 {
+        ramp(f64::from(number / 16) * 15e-6, 7e-6);
+    }
+    let pattern = pattern(&text);
+    let knots = pattern.waveforms()[0].1.knots().count();
+    assert!(knots <= 3 * 4096, "{knots}");
+    // The work is that of the knots of each step, over and over.
+    let mut strokes = Strokes::new(&pattern, &StrokeOptions::lasting(10.0)).unwrap();
+    while let Some(Ok(_)) = strokes.next() {}
+    let repeats = 10.0 / 0.004;
+    assert!((strokes.work() as f64) < 1.1 * repeats * knots as f64 + 4.0 * 10_000.0, "{}", strokes.work());
+}
+
+#[test]
+fn a_pattern_is_tried_once_for_all_its_scales() {
+    let text =
+        "[[noise]]\nmotor = 3\nlow_hz = 5.0\nhigh_hz = 50.0\nrms_um = 10.0\nduration_s = 2.0\nseed = 4\n";
+    let pattern = pattern(text);
+    let mut sequence = Sequence::new(Array::paper());
+    for scale in [1.0, 0.5] {
+        let run = sequence.compile(&pattern, &StrokeOptions { scale, ..StrokeOptions::default() }).unwrap();
+        sequence.add(run, None, Start::Gap(10.0)).unwrap();
+    }
+    let strokes = sequence.strokes().unwrap();
+    let onset = strokes.onsets().nth(1).unwrap().0;
+    let found: Vec<Step> = strokes.map(Result::unwrap).collect();
+    let half = steps(&pattern, &StrokeOptions { scale: 0.5, ..StrokeOptions::default() });
+    let second = moves(&found, 3).into_iter().filter(|(tick, _)| *tick >= onset);
+    assert_eq!(second.map(|(tick, level)| (tick - onset, level)).collect::<Vec<_>>(), moves(&half, 3));
+}
+
+#[test]
 fn a_sequence_places_motions_and_scales_them() {
     let pattern = pattern(RAMP);
     let mut sequence = Sequence::new(Array::paper());
@@ -92,6 +166,38 @@ fn with_a_lower_stop_moves_to_rest_push_by_their_surplus() {
     assert!(*last == 37 && before.iter().all(|surplus| *surplus == 0), "{surplus:?}");
 }
 
+/// Each burst of an excursion scatters on its own, so the surplus of noise is far from that of one burst as long as all its ways up.
+#[test]
+fn the_surplus_after_noise_is_that_of_its_bursts() {
+    let array = Array::paper();
+    let text = "[[noise]]\nmotor = 3\nlow_hz = 5.0\nhigh_hz = 50.0\nrms_um = 10.0\nabout_um = 60.0\nduration_s = 0.8\nseed = 4\n\
+                envelope = { attack_s = 0.1, release_s = 0.1 }\n";
+    let surplus = |asymmetry: f64| {
+        let spread = PerMotor::all(array, Spread { scatter: 0.1, asymmetry });
+        let surplus = Surplus::Auto(Box::new(AutoSurplus { spread, rest_error_um: 5.0 }));
+        let found = steps(&pattern(text), &StrokeOptions { surplus, ..StrokeOptions::default() });
+        let mut bursts = Bursts::default();
+        let mut up_um = 0.0;
+        for step in &found {
+            let Step::Move { of, from } = step else { panic!("{step:?}") };
+            let um = (f64::from(of.level) - f64::from(*from)) * array.motor().um_per_pulse;
+            bursts.add(um);
+            up_um += um.max(0.0);
+        }
+        let surplus_um = f64::from(found.last().unwrap().surplus()) * array.motor().um_per_pulse;
+        let rms = |surplus_um| {
+            ReflectedWalk::of_bursts(&bursts, surplus_um, Spread { scatter: 0.1, asymmetry }).rms_um()
+        };
+        assert!(rms(surplus_um) <= 5.0 && rms(surplus_um - 0.2) > 5.0, "{surplus_um}: {}", rms(surplus_um));
+        (surplus_um, up_um)
+    };
+    let ((even, up_um), (uneven, _)) = (surplus(0.0), surplus(0.05));
+    println!("{up_um:.0} um up: surplus {even:.1} um, with an asymmetry of 5 % {uneven:.1} um");
+    // Some hundred bursts of some um; the asymmetry is that of all of them.
+    assert!(up_um > 300.0 && even < 0.05 * up_um, "{even} of {up_um}");
+    assert!((uneven - even - 0.05 * up_um).abs() < 0.02 * up_um, "{even} {uneven} of {up_um}");
+}
+
 fn table() -> impl Strategy<Value = (u8, String)> {
     let ramp = (0.0..0.3f64, 1.0..300.0f64, 0.0..0.1f64, 0.0..0.3f64).prop_map(|(start, um, rise, hold)| {
         format!("[[ramp]]\nto_um = {um:?}\nstart_s = {start:?}\nrise_s = {rise:?}\nhold_s = {hold:?}\nfall_s = {rise:?}\n")
@@ -106,6 +212,29 @@ fn table() -> impl Strategy<Value = (u8, String)> {
 }
 
 proptest! {
+    /// Steps are passed over only where there is no move.
+    #[test]
+    fn slow_and_small_motions_have_the_moves_of_their_waveforms(
+        um in prop::collection::vec(0.0..4.0f64, 2..40),
+        (high, rate_hz) in (0.0..90.0f64, 1.0..40.0f64),
+        scale in 0.1..1.0f64,
+    ) {
+        let um: Vec<f64> = um.into_iter().map(|um| um + high).collect();
+        let pattern = pattern(&format!("[[wave]]\nmotor = 3\nrate_hz = {rate_hz:?}\num = {um:?}\n"));
+        let mut found = moves(&steps(&pattern, &StrokeOptions { scale, ..StrokeOptions::default() }), 3);
+        // After much work for a move there is one to the same level.
+        let mut level = 0;
+        found.retain(|next| std::mem::replace(&mut level, next.1) != next.1);
+        let waveform = pattern.waveforms()[0].1.clone();
+        let grid = choose(pattern.array(), [(3, &waveform)].into_iter(), None).unwrap();
+        let waveform = waveform.scaled(scale);
+        let wanted = Moves::new(pattern.array(), 3, &waveform, grid).map(|of| (of.tick.0, of.level));
+        // At the end of the play the pin is down: the last steps may be lower.
+        let end = pattern.array().rate().seconds_to_ticks(pattern.motions_end_s().unwrap()).saturating_sub(4_000);
+        let before = |moves: Vec<(u64, u16)>| moves.into_iter().filter(|(tick, _)| *tick < end).collect::<Vec<_>>();
+        prop_assert_eq!(before(found), before(wanted.collect()));
+    }
+
     /// Whatever a pattern has, is cut to and repeated: levels are in range, steps in order and not too fast, and the pins end at rest in time.
     #[test]
     fn steps_are_in_order_in_range_and_end_at_rest(

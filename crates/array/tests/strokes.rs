@@ -1,6 +1,7 @@
 //! From patterns to strokes: exact ticks, repeats and cuts, and invariants on random patterns.
 
 use firmware_protocol::tick::Tick;
+use meissner_array::motion::TRIED_S;
 use meissner_array::motor::SquareWave;
 use meissner_array::pattern::{Drive, Pattern};
 use meissner_array::per_motor::PerMotor;
@@ -124,6 +125,7 @@ fn any_options() -> impl Strategy<Value = StrokeOptions> {
             fit,
             surplus: Surplus::Fixed(surplus),
             error_um: None,
+            tried_s: TRIED_S,
         },
     )
 }

@@ -4,7 +4,7 @@ use crate::hand::Hand;
 use crate::margin::TIME;
 use crate::random::uniform;
 use firmware_protocol::array::MotorSet;
-use firmware_protocol::batch::{BATCH_BYTES, Packer};
+use firmware_protocol::batch::{BATCH_BYTES, MAX_FIRST_BATCH, Packer};
 use firmware_protocol::controller::{BLOCK, HORIZON};
 use firmware_protocol::limits::PowerLimits;
 use firmware_protocol::message::{Cause, Op, Report, State};
@@ -220,15 +220,43 @@ fn a_hold_ends() {
         let until = hand.grid().cycle(base + longest + 2_500);
         hand.run_to(until);
         let report = hand.tap.events.iter().rev().find_map(|(_, event)| match event {
-            Event::Report(Report::Lowered { tick, motors }) => Some((hand.tap.tick(*tick), *motors)),
+            Event::Report(Report::Lowered { tick, held, .. }) => Some((hand.tap.tick(*tick), *held)),
             _ => None,
         });
-        let (tick, motors) = report.unwrap();
+        let (tick, held_pins) = report.unwrap();
         let held = tick - (base + 400);
         println!("held for {held} ticks, {hold} asked");
-        assert!(motors.contains(3) && (longest..longest + 1_100).contains(&held), "{held}");
+        assert!(held_pins.contains(3) && (longest..longest + 1_100).contains(&held), "{held}");
     }
     at_rest(&hand.finish(false).0);
+}
+
+/// A play of one frame, with as many moves as a first frame may have: each motor goes up and comes down.
+fn one_frame(which: &Which) {
+    let mut hand = Hand::armed(which, 85_000);
+    let base = hand.tick() + 1_000;
+    let mut packer = Packer::new(base);
+    for number in 0..MAX_FIRST_BATCH as u64 {
+        let (round, motor) = (number / MOTORS as u64, (number % MOTORS as u64) as u8);
+        let level = if round == 0 { 9 + u16::from(motor) } else { 0 };
+        packer.moves(&Move { motor, tick: base + round * GRID, level, surplus: 0 }).unwrap();
+    }
+    hand.moves(&packer, Some(0));
+    hand.run(50 * MS);
+    let (judged, counters) = hand.finish(false);
+    assert_eq!((counters.played, counters.late, counters.refused), (MAX_FIRST_BATCH as u64, 0, 0));
+    assert_eq!(judged.expected.onsets, [base]);
+    at_rest(&judged);
+}
+
+#[test]
+fn a_play_of_one_full_frame() {
+    one_frame(&chip());
+}
+
+#[test]
+fn a_play_of_one_full_frame_on_the_mock() {
+    one_frame(&Which::Mock(1));
 }
 
 /// Ticks of the grid of 500 moves a second.

@@ -58,7 +58,13 @@ def device(daemon: meissner.Daemon) -> Iterator[MeissnerDevice]:
 
 
 def routine(
-    play: TactilePlay, start: str, end: float, sync: bool = True, stop: float | None = None, seconds: float = 0.2
+    play: TactilePlay,
+    start: str,
+    end: float,
+    sync: bool = True,
+    stop: float | None = None,
+    seconds: float = 0.2,
+    pattern: Any = "edge-45",
 ) -> dict[str, Any]:
     """Runs the component's lines as a script does, and returns what they add to the data.
 
@@ -82,7 +88,7 @@ def routine(
         exec(lines % parameters, names)
 
     run(script.ROUTINE_START)
-    play.setPattern("edge-45")
+    play.setPattern(pattern)
     play.setSeconds(seconds)
     play.setScale(0.5)
     play.status = NOT_STARTED
@@ -134,6 +140,21 @@ def test_a_play_that_is_ordered_ahead_begins_when_planned(
     assert receipt.onset is not None
     assert (saved["array"], saved["tick_hz"]) == ("tula35-6x4", 85_000)
     assert (receipt.onset.tick, receipt.raw["scale"]) == (saved["onset_tick"], 0.5)
+
+
+@pytest.mark.parametrize(
+    "pattern",
+    [
+        {"samples": {9: [0.0, 20.0, 40.0, 20.0, 0.0]}, "rate": 100},
+        {"drives": [{"motor": 9, "frequency_hz": 60.0, "amplitude_um": 40.0}]},
+        {"ramp": [{"motor": 9, "to_um": 40.0, "rise_s": 0.05}]},
+    ],
+)
+def test_a_stimulus_may_be_given_in_place_of_a_name(device: MeissnerDevice, pattern: dict[str, Any]) -> None:
+    saved = routine(TactilePlay(device), "0.1", 2.0, pattern=pattern)
+    assert (saved["state"], saved["pattern"]) == ("done", "inline")
+    pins = device.client.receipt(saved["play_id"]).raw["pins"]
+    assert [pin["motor"] for pin in pins] == [9]
 
 
 def until(is_so: Callable[[], bool]) -> None:

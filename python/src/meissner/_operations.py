@@ -399,6 +399,8 @@ def sequence(
     scale: float | None = None,
     at: At = None,
     name: str | None = None,
+    strict: bool = False,
+    hold: float | None = None,
     trial: int | None = None,
     labels: Labels = None,
     late: Late = None,
@@ -411,7 +413,7 @@ def sequence(
     An item is a pattern's name, or a dict with `pattern` (or `samples` and `rate`, or `drives`, as in `play`) and any of `seconds`,
     `scale`, `trigger`, `gap` (pause after the items before, s) and `start` (from the sequence's onset, s). None, or a dict whose
     `pattern` is None, is a blank item: nothing is played for its `seconds`. Items may overlap if they drive different motors. `isi` is the pause from one item's end to the next
-    onset, `soa` the distance of onsets, s. `seconds` and `scale` are for items that give none. `map`: as in `play`.
+    onset, `soa` the distance of onsets, s. `seconds` and `scale` are for items that give none. `strict`, `hold` and `map`: as in `play`.
     """
     driven = yield from array(core)
 
@@ -422,6 +424,8 @@ def sequence(
     body = {
         "items": sequence_items(items, isi, soa, {"seconds": seconds, "scale": scale}, inline),
         "name": name,
+        "strict": strict or None,
+        "hold_ms": None if hold is None else hold * 1000,
         "trial": trial,
         "labels": texts(labels),
         "late": late,

@@ -13,7 +13,7 @@ use crate::store::{MappedFrom, Stored};
 use meissner_api::{Code, Fit, Mapping, PlayAccepted, PlayRequest, Problem, Receipt, TriggerRequest};
 use meissner_array::strokes::{StrokeOptions, Strokes, Surplus};
 use meissner_stream::queues::{HOLD_ALWAYS, Item};
-use meissner_stream::{Bandwidth, Settings, find_longest_hold};
+use meissner_stream::{Bandwidth, Hold, Settings, find_longest_hold};
 use std::sync::Arc;
 
 impl Compiled {
@@ -77,20 +77,21 @@ fn compile(
         return Err(empty("its motions are too low, or begin after its end"));
     }
     let array = settings.array;
-    let mut receipt = Receipt { scale: Some(asked.scale), motions: motions(&strokes), ..receipt };
+    let mut receipt = Receipt { scale: Some(asked.scale), motions: motions(&strokes.followed()), ..receipt };
     let slow: Vec<String> = receipt.motions.iter().filter_map(|motion| too_slow(motion, array)).collect();
     if let Some(line) = slow.first().filter(|_| asked.strict) {
         return Err(Problem::new(Code::TooSlow, format!("`{name}`: {line}, or play it without `strict`")));
     }
     check_limits(&strokes, &settings)?;
-    let hold = hold(asked.hold_ms, &strokes)?;
+    let (hold, unchecked) = hold(asked.hold_ms, &strokes)?;
     let end_s = strokes.end().map(|end| array.rate().ticks_to_seconds(end));
     order.enter(&mut receipt, asked.fit, counts(pattern, &options, &strokes));
     let mapped_lines = mapped.map(|MappedFrom { array, warnings }| {
         receipt.mapped_from = Some(array);
         warnings
     });
-    receipt.warnings.splice(0..0, mapped_lines.into_iter().flatten().chain(slow.into_iter().take(MAX_LINES)));
+    let lines = mapped_lines.into_iter().flatten().chain(unchecked).chain(slow.into_iter().take(MAX_LINES));
+    receipt.warnings.splice(0..0, lines);
     let largest = (pattern.largest_um() * asked.scale, name.to_owned());
     let vibration = Vibration::of(pattern, end_s);
     let bandwidth = Bandwidth::of(&strokes, &settings);
@@ -126,12 +127,18 @@ const MAX_LINES: usize = 4;
 /// A pin may stay above rest without a pulse for so much longer than planned, ms: moves may be corrected or lost.
 const SPARE_MS: u64 = 500;
 
-/// How long the device may let a pin stay above rest without a pulse, ticks: as asked, or as long as the plan needs.
-pub(super) fn hold(asked_ms: Option<f64>, strokes: &Strokes) -> Result<u32, Problem> {
+/// How long the device may let a pin stay above rest without a pulse, ticks: as asked, or as long as the plan needs. And a line if the play is
+/// too long for the checks before it begins.
+pub(super) fn hold(asked_ms: Option<f64>, strokes: &Strokes) -> Result<(u32, Option<String>), Problem> {
     let rate = strokes.array().rate();
-    let Some(needed) = find_longest_hold(strokes) else {
-        return Ok(asked_ms.map_or(HOLD_ALWAYS, |ms| rate.ms_in_ticks(ms) as u32));
-    };
+    let Hold { longest: needed, counted_until } = find_longest_hold(strokes);
+    let unchecked = counted_until.map(|until| {
+        format!(
+            "the limits on pulses, moves and holds are checked for the first {:.1} s, as far as the daemon counts moves before a play; \
+             the device refuses what breaks them later",
+            rate.ticks_to_seconds(until.0)
+        )
+    });
     let most = u64::from(strokes.array().layout().longest_hold());
     if needed > most {
         let (needed_s, most_s) = (rate.ticks_to_seconds(needed), rate.ticks_to_seconds(most));
@@ -141,7 +148,8 @@ pub(super) fn hold(asked_ms: Option<f64>, strokes: &Strokes) -> Result<u32, Prob
         return Err(Problem::new(Code::BadPattern, detail));
     }
     let Some(ms) = asked_ms else {
-        return Ok(u32::try_from(needed + rate.of_ms(SPARE_MS)).unwrap_or(HOLD_ALWAYS));
+        let enough = u32::try_from(needed + rate.of_ms(SPARE_MS)).unwrap_or(HOLD_ALWAYS);
+        return Ok((if unchecked.is_some() { HOLD_ALWAYS } else { enough }, unchecked));
     };
     let asked = rate.ms_in_ticks(ms) as u32;
     if u64::from(asked) < needed {
@@ -150,7 +158,7 @@ pub(super) fn hold(asked_ms: Option<f64>, strokes: &Strokes) -> Result<u32, Prob
             format!("`hold_ms` is {ms}: the play keeps a pin above rest for {needed_ms} ms without a pulse");
         return Err(Problem::new(Code::BadRequest, detail));
     }
-    Ok(asked)
+    Ok((asked, unchecked))
 }
 
 impl Engine {

@@ -13,19 +13,20 @@ use crate::daemon::state::limits::check_limits;
 use crate::daemon::state::{NewPlay, check_samples};
 use crate::daemon::system::runtime::PLAYS;
 use crate::exposure::Vibration;
-use crate::receipts::{BLANK, NoPrediction, Order, PlannedItem, motions, too_slow, walk};
+use crate::receipts::{BLANK, NoPrediction, Order, PlannedItem, motions, motions_of_items, too_slow, walk};
 use crate::session_record::Peer;
 use crate::store::{MappedFrom, Stored, hash};
 use firmware_protocol::tick::Tick;
-use meissner_api::{Code, Fit, PlayAccepted, Problem, SequenceItem, SequenceRequest};
+use meissner_api::{Code, Fit, FollowedMotion, PlayAccepted, Problem, SequenceItem, SequenceRequest};
+use meissner_array::motion::TRIED_S;
 use meissner_array::strokes::{
     CompiledItem, Sequence, SequenceError, Start, StrokeOptions, Strokes, Surplus,
 };
 use meissner_array::units::TickRate;
 use meissner_stream::queues::Item;
 use meissner_stream::{Bandwidth, Settings};
-use std::collections::HashMap;
 use std::collections::hash_map::Entry;
+use std::collections::{HashMap, HashSet};
 use std::future::Future;
 use std::sync::Arc;
 
@@ -33,6 +34,8 @@ use std::sync::Arc;
 const NAME: &str = "sequence";
 /// The part of an item that is used to compute its bandwidth, s.
 const COUNTED_S: f64 = 60.0;
+/// So many patterns, each with a scale, are tried and measured as far as that of a single play; more of them share the time.
+const MOST_TRIED: f64 = 16.0;
 /// Bytes of texts that a sequence holds for the session record, at most. Further ones are kept with a later play.
 const MAX_TEXTS: usize = 4 << 20;
 
@@ -40,7 +43,7 @@ const MAX_TEXTS: usize = 4 << 20;
 struct Used {
     sha256: Arc<str>,
     name: Arc<str>,
-    /// Its strokes and its largest amplitude, as ordered and as reached, µm, by scale.
+    /// What the sequence plays of it, by scale.
     compiled: HashMap<u64, OfScale>,
     /// What its longest item requires at the largest amplitude.
     bandwidth: Bandwidth,
@@ -52,6 +55,8 @@ struct Preparing {
     warnings: Vec<String>,
     largest: (f64, String),
     surplus: Surplus,
+    /// How much of the motions of a pattern is tried, s.
+    tried_s: f64,
 }
 
 impl Compiled {
@@ -68,6 +73,7 @@ impl Compiled {
             warnings: Vec::new(),
             largest: (0.0, String::new()),
             surplus,
+            tried_s: TRIED_S,
         };
         let mut by_text: HashMap<_, Vec<SequenceItem>> = HashMap::new();
         for item in &request.items {
@@ -75,10 +81,13 @@ impl Compiled {
                 by_text.entry(text).or_default().push(item.clone());
             }
         }
+        let scales: HashSet<_> =
+            request.items.iter().map(|item| (text(item), scale(item).to_bits())).collect();
+        preparing.tried_s *= (MOST_TRIED / scales.len().max(1) as f64).min(1.0);
         let mut used: HashMap<(&str, Option<&str>), Used> = HashMap::new();
         let (blank, no_sha256): (Arc<str>, Arc<str>) = (BLANK.into(), "".into());
         let (mut memory, mut required) = (Vec::new(), Vec::new());
-        let (mut planned, mut placed) = (Vec::new(), Vec::new());
+        let (mut planned, mut placed, mut followed) = (Vec::new(), Vec::new(), Vec::new());
         let (mut texts, mut held, mut mapped_from) = (Vec::new(), 0, None);
         for (number, item) in request.items.iter().enumerate() {
             let at = |problem| at_item(number, problem);
@@ -133,8 +142,18 @@ impl Compiled {
             else {
                 continue;
             };
-            let Some(&(compiled, amplitude_um)) = compiled.get(&scale.to_bits()) else { continue };
+            let Some(OfScale { compiled, amplitude_um, motions }) = compiled.get(&scale.to_bits()) else {
+                continue;
+            };
+            let (compiled, amplitude_um) = (*compiled, *amplitude_um);
+            if request.strict
+                && let Some(line) = motions.iter().find_map(|motion| too_slow(motion, settings.array))
+            {
+                let detail = format!("`{name}`: {line}, or play the sequence without `strict`");
+                return Err(at(Problem::new(Code::TooSlow, detail)));
+            }
             placed.push((Some(compiled), item.seconds, start));
+            followed.push((number, Arc::clone(motions)));
             required.push(*bandwidth);
             let (pattern, sha256) = (Arc::clone(name), Arc::clone(sha256));
             planned.push(PlannedItem { pattern, sha256, scale, amplitude_um, span: (0, 0) });
@@ -183,11 +202,12 @@ impl Compiled {
             .strokes()
             .ok_or_else(|| Problem::new(Code::BadRequest, "`items` is empty: add an item"))?;
         check_triggers(&strokes, &items, rate)?;
+        let hold_ms = request.hold_ms;
         let (fits, bandwidth, hold, counts, strokes) = PLAYS
             .computing(move || {
                 let bandwidth = Bandwidth::of(&strokes, &settings).max(bandwidth);
                 let fits = check_limits(&strokes, &settings);
-                (fits, bandwidth, hold(None, &strokes), walk(&strokes), strokes)
+                (fits, bandwidth, hold(hold_ms, &strokes), walk(&strokes), strokes)
             })
             .await?;
         fits?;
@@ -196,14 +216,20 @@ impl Compiled {
         let name = request.name.as_deref().unwrap_or(NAME);
         let mut receipt = terms.receipt(name, &sha256(&request.items), length_ms.map(|ms| ms / 1e3));
         receipt.mapped_from = mapped_from;
+        let of_items = followed.iter().map(|(number, motions)| {
+            (rate.ticks_to_seconds(planned.get(*number).map_or(0, |item| item.span.0)), &**motions)
+        });
+        receipt.motions = motions_of_items(of_items);
         order.enter(&mut receipt, Fit::Whole, counts);
+        let (hold, unchecked) = hold?;
+        receipt.warnings.splice(0..0, unchecked);
         receipt.prediction.unknown = Some(NoPrediction::Sequence.to_string());
         Ok(Self {
             strokes: strokes.into(),
             items,
             live: None,
             bandwidth,
-            hold: hold?,
+            hold,
             settings,
             vibration: Vibration::of_spans(spans),
             endless: false,
@@ -215,12 +241,19 @@ impl Compiled {
     }
 }
 
-/// A pattern compiled for a scale, and its largest amplitudes as [`Order::largest_um`] has them.
-type OfScale = (CompiledItem, [f64; 2]);
+/// A pattern compiled for a scale.
+struct OfScale {
+    compiled: CompiledItem,
+    /// Its largest amplitudes, as [`Order::largest_um`] has them.
+    amplitude_um: [f64; 2],
+    /// How its motors follow their motions.
+    motions: Arc<[FollowedMotion]>,
+}
 
 impl Preparing {
     fn options(&self, scale: f64, seconds: Option<f64>) -> StrokeOptions {
-        StrokeOptions { scale, surplus: self.surplus.clone(), ..StrokeOptions::lasting(seconds) }
+        let (surplus, tried_s) = (self.surplus.clone(), self.tried_s);
+        StrokeOptions { scale, surplus, tried_s, ..StrokeOptions::lasting(seconds) }
     }
 
     /// Compiles a pattern for each scale of the items that play it.
@@ -231,12 +264,14 @@ impl Preparing {
         settings: &Settings,
     ) -> Result<(HashMap<u64, OfScale>, Bandwidth), SequenceError> {
         let (name, pattern) = (stored.pattern.name(), &*stored.pattern);
-        let mut compiled = HashMap::new();
+        let mut compiled: HashMap<u64, OfScale> = HashMap::new();
         for scale in items.iter().map(scale) {
             let options = self.options(scale, None);
             if let Entry::Vacant(new) = compiled.entry(scale.to_bits()) {
                 let amplitude_um = Order::of(pattern, &options)?.largest_um();
-                new.insert((self.sequence.compile(pattern, &options)?, amplitude_um));
+                let compiled = self.sequence.compile(pattern, &options)?;
+                let motions = motions(&self.sequence.followed(compiled)).into();
+                new.insert(OfScale { compiled, amplitude_um, motions });
             }
         }
         let most = items.iter().map(scale).fold(0.0, f64::max);
@@ -249,8 +284,8 @@ impl Preparing {
         let longest_s = items.iter().map(lasting).fold(0.0, f64::max).min(COUNTED_S);
         let options = self.options(most, Some(longest_s));
         let strokes = Strokes::new(pattern, &options)?;
-        let slow = motions(&strokes);
-        let slow = slow.iter().filter_map(|motion| too_slow(motion, settings.array));
+        let largest = compiled.get(&most.to_bits()).map_or(&[][..], |of| &of.motions);
+        let slow = largest.iter().filter_map(|motion| too_slow(motion, settings.array));
         let lines = Order::of(pattern, &options)?.listed_warnings().into_iter().chain(slow);
         self.warnings.extend(lines.map(|warning| format!("`{name}`: {warning}")));
         Ok((compiled, Bandwidth::of(&strokes, settings)))

@@ -62,10 +62,10 @@ mod tests {
     use super::*;
     use meissner_api::{
         AfferentClass, BurstCounts, ClassResponse, DurationRecord, ErrorSource, FollowedMotion, LateCause,
-        LateCounts, LateStroke, LatenessRecord, LinkTraffic, LiveContrast, LiveRecord, MAX_DRIVES_LISTED,
-        MAX_LISTED, MAX_WARNINGS_LISTED, MotorRestError, MovedPin, OffsetRecord, OnsetRecord, OrderedCounts,
-        PlayState, PredictedResponse, Prediction, PulseCounts, Rates, ReachedContrast, ReachedDrive, Receipt,
-        RefusedStroke, UpdateTimes,
+        LateCounts, LateStroke, LatenessRecord, LinkTraffic, LiveContrast, LiveRecord, LoweredPin,
+        LoweredReason, LoweredRecord, MAX_DRIVES_LISTED, MAX_LISTED, MAX_WARNINGS_LISTED, MotorRestError,
+        MovedPin, OffsetRecord, OnsetRecord, OrderedCounts, PlayState, PredictedResponse, Prediction,
+        PulseCounts, Rates, ReachedContrast, ReachedDrive, Receipt, RefusedStroke, UpdateTimes,
     };
 
     #[test]
@@ -99,6 +99,7 @@ mod tests {
         let late = LateStroke { motor: 23, tick: most, late_ms: number, cause: LateCause::Device };
         let reason = "the motor's on-time limit: fewer pulses per second, please".to_owned();
         let refused = RefusedStroke { motor: 23, tick: most, reason };
+        let lowered = LoweredPin { motor: 23, tick: most, reason: LoweredReason::Late };
         let receipt = Receipt {
             state: PlayState::Stopped,
             cause: Some("x".repeat(64).into()),
@@ -140,6 +141,7 @@ mod tests {
                 strokes: vec![late; MAX_LISTED],
             },
             refusals: vec![refused; MAX_LISTED],
+            lowered: LoweredRecord { count: most, pins: vec![lowered; LoweredRecord::MAX_PINS] },
             wire: Some(LinkTraffic { bytes_to_device: most, bytes_per_burst: Some(number) }),
             rest_error_um: Some(vec![number as f32; 24]),
             offset: Some(OffsetRecord { tick: most, monotonic_ns: most, uncertainty_ns: most }),

@@ -1,7 +1,8 @@
 //! Waveforms by formula: ramp and hold, tones and chirps, band noise.
 //!
 //! Curves are sampled at 40 times their highest frequency, 1 to 8 kHz, and linear between: the largest error is 0.3 % of the amplitude
-//! up to 200 Hz, and 0.7 % at 300 Hz. A cosine ramp has 64 segments: 0.03 % of its height.
+//! up to 200 Hz, and 0.7 % at 300 Hz. A cosine ramp has 64 segments: 0.03 % of its height; one shorter than 8 ms has a segment each 0.125 ms,
+//! as samples at 8 kHz. So a motion has at most 8 knots a millisecond, and 4 more for its ends.
 //!
 //! Invariant: equal settings give equal samples, bit for bit, on every machine: all functions are those of `libm`.
 
@@ -12,7 +13,7 @@ use crate::pattern::{FREQUENCY_HZ, MAX_SECONDS};
 use crate::random;
 use std::f64::consts::{PI, TAU};
 
-/// Segments of a cosine ramp.
+/// The most segments of a cosine ramp.
 const SEGMENTS: u32 = 64;
 /// Samples per period of the highest frequency.
 const PER_PERIOD: f64 = 40.0;
@@ -140,6 +141,13 @@ fn check_hz(what: &'static str, hz: f64) -> Result<(), MotionError> {
 }
 
 impl RampHold {
+    /// The segments of a ramp of so many seconds.
+    #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "the cast saturates")]
+    fn segments(&self, seconds: f64) -> u32 {
+        let shortest = (seconds * RATE_HZ.end()).ceil() as u32;
+        if self.shape == Shape::Linear { 1 } else { shortest.clamp(1, SEGMENTS) }
+    }
+
     /// The most knots that its waveform has.
     pub(crate) const fn most_knots(&self) -> usize {
         2 * (SEGMENTS as usize + 1)
@@ -154,18 +162,18 @@ impl RampHold {
         for (what, seconds) in [("rise_s", self.rise_s), ("hold_s", self.hold_s), ("fall_s", self.fall_s)] {
             check_s(what, seconds)?;
         }
-        let segments = if self.shape == Shape::Linear { 1 } else { SEGMENTS };
-        let risen = |number: u32| {
+        let risen = |number: u32, segments: u32| {
             let share = f64::from(number) / f64::from(segments);
             (share, if self.shape == Shape::Linear { share } else { 0.5 - 0.5 * libm::cos(PI * share) })
         };
-        let rise = (0..=segments).map(|number| {
-            let (time, height) = risen(number);
+        let [rise, fall] = [self.rise_s, self.fall_s].map(|seconds| self.segments(seconds));
+        let rise = (0..=rise).map(|number| {
+            let (time, height) = risen(number, rise);
             (self.rise_s * time, self.to_um * height)
         });
         let held_s = self.rise_s + self.hold_s;
-        let fall = (0..=segments).map(|number| {
-            let (time, left) = risen(segments - number);
+        let fall = (0..=fall).map(|number| {
+            let (time, left) = risen(fall - number, fall);
             (held_s + self.fall_s * (1.0 - time), self.to_um * left)
         });
         let points: Vec<_> = rise.chain(fall).collect();

@@ -22,7 +22,7 @@
 
 use super::error::MotionError;
 use super::reached::Reached;
-use super::waveform::{Section, Waveform, ns_at, tick_of};
+use super::waveform::{Section, Waveform, ns_at, ns_of, tick_of};
 use crate::motor::MAX_AMPLITUDE_UM;
 use crate::spec::{Array, MotorSpec};
 use crate::units::TickRate;
@@ -35,6 +35,9 @@ const STEPS_MS: [u64; 4] = [SLOWEST_STEP_MS, 3, 2, 1];
 
 /// The longest of them: a move may begin so much before its waveform, and the last one so much after it.
 pub(crate) const SLOWEST_STEP_MS: u64 = 4;
+
+/// Far more than what rounding changes of a level, pulses.
+const ROUNDING: f64 = 1e-9;
 
 /// The least error that can be asked for, µm: a small part of a pulse.
 pub const LEAST_ERROR_UM: f64 = 0.01;
@@ -58,7 +61,7 @@ pub struct Compiled {
 }
 
 /// How long a stretch of each waveform [`choose`] tries, shared among the motors, s.
-pub(crate) const TRIED_S: u64 = 240;
+pub const TRIED_S: f64 = 240.0;
 
 /// The coarsest grid, of 1 to 4 ms, on which each pin stays within `error_um` of what the motor can do at best
 /// ([`Reached::step_error_um`], measured from the moves); `None`: a burst of `least_pulses`. If none does, the finest grid of which the
@@ -71,10 +74,20 @@ pub fn choose<'a>(
     motors: impl ExactSizeIterator<Item = (u8, &'a Waveform)> + Clone,
     error_um: Option<f64>,
 ) -> Result<Grid, MotionError> {
+    choose_within(array, motors, error_um, TRIED_S)
+}
+
+/// As [`choose`], of a stretch of so many seconds in place of [`TRIED_S`].
+pub(crate) fn choose_within<'a>(
+    array: Array,
+    motors: impl ExactSizeIterator<Item = (u8, &'a Waveform)> + Clone,
+    error_um: Option<f64>,
+    tried_s: f64,
+) -> Result<Grid, MotionError> {
     let error_um = error_um.unwrap_or(f64::from(array.motor().least_pulses) * array.motor().um_per_pulse);
     MotionError::check("error_um", "um", error_um, LEAST_ERROR_UM, MAX_AMPLITUDE_UM)?;
     let (ticks, most) = (array.layout().dense_ticks(), usize::from(array.layout().max_dense()));
-    let tried_ns = TRIED_S * 1_000_000_000 / motors.len().max(1) as u64;
+    let tried_ns = ns_of(tried_s) / motors.len().max(1) as u64;
     let mut finest = Grid::of_ms(array, SLOWEST_STEP_MS);
     for step_ms in STEPS_MS {
         let grid = Grid::of_ms(array, step_ms);
@@ -160,12 +173,23 @@ impl Rule {
     /// The level to go to in a step, in which the waveform does this, from the present level.
     pub(crate) fn next_level(&self, level: u16, section: &Section) -> u16 {
         let step = f64::from(self.step);
-        let Section { rise_um, mean_um, extremes_um } = *section;
+        let Section { rise_um, mean_um, extremes_um, .. } = *section;
         let speed = (self.spec.pulses(rise_um) / step).clamp(-1.0, 1.0);
         let wanted = self.spec.pulses(mean_um) + step * speed * speed.abs() / 2.0;
         // At a jump within the step the speed is not steady, and the pin must not overshoot.
         let [lowest, highest] = extremes_um.map(|um| self.spec.pulses(um));
         self.level_for(level, wanted.clamp(lowest, highest))
+    }
+
+    /// The displacements, µm, at which the pin keeps a level: while the waveform is from the first to the second, [`Self::next_level`] is
+    /// this level. The first is above the second if there are none.
+    pub(crate) fn kept_um(&self, level: u16) -> [f64; 2] {
+        let [least, most, at] = [self.spec.least_pulses, self.spec.most_pulses, level].map(f64::from);
+        let enough = (least + 1.0) / 2.0;
+        let low = if level == 0 { f64::NEG_INFINITY } else { enough.max(at - enough) };
+        // At the top there may be no room for a move up.
+        let high = if at + least > most { f64::INFINITY } else { at + enough };
+        [low + ROUNDING, high - ROUNDING].map(|pulses| pulses * self.spec.um_per_pulse)
     }
 
     /// The level to go to for a wanted one.

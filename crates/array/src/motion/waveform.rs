@@ -1,8 +1,10 @@
 //! A waveform: the displacement that one pin should have, as a piecewise linear function of time.
 //!
 //! The function is linear between its knots; before the first and after the last it is 0, rest. Two knots at one instant are a jump.
-//! It is kept in pieces that do not overlap: samples at a rate, 4 bytes each and shared between copies, or a list of knots, 16 bytes
-//! each. Sums are exact: they have a knot wherever a summand has one, and nothing is resampled. Values are not clamped: what a pin
+//! It is kept in pieces that do not overlap: samples at a rate, 4 bytes each, or a list of knots, 16 bytes each; copies share both. A part in
+//! which summands overlap becomes one list, however many they are: it has at most one knot for each of theirs, so the waveforms of a pattern
+//! take at most 16 bytes a sample ([`MAX_PATTERN_SAMPLES`](crate::pattern)), 256 MiB. While a part is made, it and 8 bytes a knot are
+//! there besides. Sums are exact: they have a knot wherever a summand has one, and nothing is resampled. Values are not clamped: what a pin
 //! cannot do is left in, so that [`Reached`](super::Reached) tells it.
 //!
 //! Invariant: knots are in order of time; the first and the last knot of a piece are 0; a piece ends before or when the next begins.
@@ -24,7 +26,7 @@ pub const MAX_SAMPLES: usize = MAX_KNOTS - 2;
 
 const NS_PER_S: f64 = 1e9;
 
-/// How many knots [`Waveform::steady_until`] looks at.
+/// How many knots [`Waveform::stays_until`] looks at.
 const LOOKED_AT: usize = 4096;
 
 /// A knot of a piecewise linear function.
@@ -37,7 +39,7 @@ pub struct Knot {
 }
 
 /// What a waveform does within some time.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Section {
     /// From the value at its beginning to that just before its end, µm.
     pub rise_um: f64,
@@ -45,19 +47,31 @@ pub struct Section {
     pub mean_um: f64,
     /// The lowest and the highest displacement, µm.
     pub extremes_um: [f64; 2],
+    /// Its knots: what it took to find this.
+    pub knots: usize,
 }
 
 /// See the module. The default is rest throughout.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Waveform {
     pieces: Vec<Piece>,
+    /// The lowest and the highest displacement, µm.
+    extremes_um: [f64; 2],
 }
 
 /// A part of a waveform, at rest before and after.
 #[derive(Clone, Debug, PartialEq)]
 enum Piece {
-    Knots(Vec<Knot>),
+    Knots(Knots),
     Samples(Samples),
+}
+
+/// A list of knots; the first and the last are at rest.
+#[derive(Clone, Debug, PartialEq)]
+struct Knots {
+    knots: Arc<[Knot]>,
+    /// The factor of all heights.
+    scale: f64,
 }
 
 /// Samples at a rate, with a jump from and to rest where the first or the last is not 0.
@@ -149,16 +163,22 @@ impl Samples {
 }
 
 impl Piece {
+    fn of_knots(knots: Vec<Knot>) -> Self {
+        Self::Knots(Knots { knots: knots.into(), scale: 1.0 })
+    }
+
     fn len(&self) -> usize {
         match self {
-            Self::Knots(knots) => knots.len(),
+            Self::Knots(of) => of.knots.len(),
             Self::Samples(samples) => samples.len(),
         }
     }
 
     fn get(&self, index: usize) -> Option<Knot> {
         match self {
-            Self::Knots(knots) => knots.get(index).copied(),
+            Self::Knots(Knots { knots, scale }) => {
+                knots.get(index).map(|knot| Knot { um: knot.um * scale, ..*knot })
+            }
             Self::Samples(samples) => (index < samples.len()).then(|| samples.knot(index)),
         }
     }
@@ -166,7 +186,7 @@ impl Piece {
     /// How many knots are before an instant.
     fn before(&self, ns: u64) -> usize {
         match self {
-            Self::Knots(knots) => knots.partition_point(|knot| knot.ns < ns),
+            Self::Knots(of) => of.knots.partition_point(|knot| knot.ns < ns),
             Self::Samples(samples) => samples.before(ns),
         }
     }
@@ -198,6 +218,13 @@ impl Piece {
 }
 
 impl Waveform {
+    fn new(pieces: Vec<Piece>) -> Self {
+        let knots = pieces.iter().flat_map(|piece| piece.knots_from(0));
+        let extremes_um =
+            knots.fold([0.0; 2], |[low, high]: [f64; 2], knot| [low.min(knot.um), high.max(knot.um)]);
+        Self { pieces, extremes_um }
+    }
+
     /// Samples of displacement in µm at `rate_hz`, the first at `start_s`; linear between them, at rest before and after.
     ///
     /// # Errors
@@ -224,7 +251,7 @@ impl Waveform {
         for (number, um) in um.iter().enumerate() {
             check_sample(number, (*um).into())?;
         }
-        Ok(Self { pieces: vec![Piece::Samples(Samples { start_ns, rate_hz, um, scale: 1.0 })] })
+        Ok(Self::new(vec![Piece::Samples(Samples { start_ns, rate_hz, um, scale: 1.0 })]))
     }
 
     /// The function through these points: seconds after `start_s`, in order, and µm.
@@ -255,7 +282,7 @@ impl Waveform {
         if end.um != 0.0 {
             knots.push(Knot { ns: end.ns, um: 0.0 });
         }
-        Ok(Self { pieces: vec![Piece::Knots(knots)] })
+        Ok(Self::new(vec![Piece::of_knots(knots)]))
     }
 
     /// The sum of waveforms. Where they overlap it has a knot wherever one of them has one; the rest stays as it is. Takes time in
@@ -273,13 +300,13 @@ impl Waveform {
             if next > first && span.is_none_or(|(from, _)| from >= end) {
                 sum.push(match &pieces[first..next] {
                     [one] => (*one).clone(),
-                    some => Piece::Knots(merged(some)?),
+                    some => Piece::of_knots(merged(some)?),
                 });
                 first = next;
             }
             end = end.max(span.map_or(0, |(_, until)| until));
         }
-        Ok(Self { pieces: sum })
+        Ok(Self::new(sum))
     }
 
     /// The same motion, so many times as large.
@@ -287,17 +314,19 @@ impl Waveform {
     pub fn scaled(mut self, factor: f64) -> Self {
         for piece in &mut self.pieces {
             match piece {
-                Piece::Knots(knots) => knots.iter_mut().for_each(|knot| knot.um *= factor),
+                Piece::Knots(knots) => knots.scale *= factor,
                 Piece::Samples(samples) => samples.scale *= factor,
             }
         }
+        let [a, b] = self.extremes_um.map(|um| um * factor);
+        self.extremes_um = [a.min(b), a.max(b)];
         self
     }
 
     /// Bytes of its knots, and of samples that formulas have made; samples of a wave may be shared with it.
     pub(crate) fn own_bytes(&self) -> usize {
         let bytes = self.pieces.iter().map(|piece| match piece {
-            Piece::Knots(knots) => size_of_val(&**knots),
+            Piece::Knots(of) => size_of_val(&*of.knots),
             Piece::Samples(samples) if Arc::strong_count(&samples.um) == 1 => size_of_val(&*samples.um),
             Piece::Samples(_) => 0,
         });
@@ -333,8 +362,8 @@ impl Waveform {
 
     /// The lowest and the highest displacement, µm; rest counts.
     #[must_use]
-    pub fn extremes_um(&self) -> [f64; 2] {
-        self.knots().fold([0.0; 2], |[low, high], knot| [knot.um.min(low), knot.um.max(high)])
+    pub const fn extremes_um(&self) -> [f64; 2] {
+        self.extremes_um
     }
 
     /// The displacement at an instant, µm; at a jump, after it.
@@ -360,27 +389,53 @@ impl Waveform {
         if end >= until {
             return self.clone();
         }
-        let mut knots: Vec<Knot> = self.knots().take_while(|knot| knot.ns < end).collect();
-        knots.extend([self.um_around(end)[0], 0.0].map(|um| Knot { ns: end, um }));
-        Self { pieces: vec![Piece::Knots(knots)] }
+        let mut pieces = Vec::new();
+        for piece in self.pieces.iter().take_while(|piece| piece.span_ns().0 < end) {
+            if piece.span_ns().1 <= end {
+                pieces.push(piece.clone());
+                continue;
+            }
+            let mut knots: Vec<Knot> = piece.knots_from(0).take_while(|knot| knot.ns < end).collect();
+            knots.extend([piece.um_around(end)[0], 0.0].map(|um| Knot { ns: end, um }));
+            pieces.push(Piece::of_knots(knots));
+        }
+        if pieces.last().is_none_or(|last| last.span_ns().1 < end) {
+            // The rest until then is part of it.
+            pieces.push(Piece::of_knots(vec![Knot { ns: end, um: 0.0 }; 2]));
+        }
+        Self::new(pieces)
     }
 
-    /// Until when it keeps the displacement that it has at an instant, ns; [`u64::MAX`]: for good. It looks at a bounded number of knots, so
-    /// it may say an earlier instant.
+    /// Until when it stays from `low` to `high` µm, from an instant on, ns; [`u64::MAX`]: for good. And the number of knots that it looked at,
+    /// which is bounded, so the waveform may stay there for longer.
     #[must_use]
-    pub fn steady_until(&self, ns: u64) -> u64 {
-        let um = self.um_at(ns);
+    #[expect(
+        clippy::cast_possible_truncation,
+        clippy::cast_sign_loss,
+        clippy::cast_precision_loss,
+        reason = "a part of the way from a knot to the next"
+    )]
+    pub fn stays_until(&self, ns: u64, [low, high]: [f64; 2]) -> (u64, usize) {
+        let is_within = |um: f64| (low..=high).contains(&um);
+        let mut last = Knot { ns, um: self.um_at(ns) };
+        if !is_within(last.um) {
+            return (ns, 0);
+        }
         let first = self.pieces.partition_point(|piece| piece.span_ns().1 <= ns);
         let ahead = self.pieces[first..].iter().flat_map(|piece| piece.knots_from(piece.before(ns + 1)));
-        let mut last = ns;
+        let mut looked_at = 0;
         for knot in ahead.take(LOOKED_AT) {
-            if knot.um != um {
-                return last;
+            looked_at += 1;
+            if !is_within(knot.um) {
+                let edge = if knot.um > high { high } else { low };
+                let share = (edge - last.um) / (knot.um - last.um);
+                return (last.ns + (share * (knot.ns - last.ns) as f64) as u64, looked_at);
             }
-            last = knot.ns;
+            last = knot;
         }
-        let is_over = self.pieces.last().is_none_or(|piece| piece.span_ns().1 <= last);
-        if is_over { u64::MAX } else { last }
+        let is_over = self.pieces.last().is_none_or(|piece| piece.span_ns().1 <= last.ns);
+        // After its end it is at rest.
+        (if is_over && is_within(0.0) { u64::MAX } else { last.ns }, looked_at)
     }
 
     /// What it does from one instant to a later one.
@@ -393,14 +448,15 @@ impl Waveform {
         let pieces = self.pieces[piece..].iter().take_while(|piece| piece.span_ns().0 < to_ns);
         let inside = pieces.flat_map(|piece| piece.knots_from(piece.before(from_ns + 1)));
         let inside = inside.take_while(|knot| knot.ns < to_ns);
-        let (mut last, mut doubled, mut extremes_um) = (first, 0.0, [first.um; 2]);
+        let (mut last, mut doubled, mut extremes_um, mut knots) = (first, 0.0, [first.um; 2], 0);
         for knot in inside.chain([end]) {
             doubled += (last.um + knot.um) * (knot.ns - last.ns) as f64;
             extremes_um = [knot.um.min(extremes_um[0]), knot.um.max(extremes_um[1])];
             last = knot;
+            knots += 1;
         }
         let mean_um = doubled / (2.0 * (to_ns - from_ns) as f64);
-        Section { rise_um: end.um - first.um, mean_um, extremes_um }
+        Section { rise_um: end.um - first.um, mean_um, extremes_um, knots }
     }
 }
 
@@ -436,7 +492,8 @@ fn merged(pieces: &[&Piece]) -> Result<Vec<Knot>, MotionError> {
     instants.extend(pieces.iter().flat_map(|piece| piece.knots_from(0)).map(|knot| knot.ns));
     instants.sort_unstable();
     instants.dedup();
-    let mut knots = Vec::with_capacity(instants.len() + 2);
+    // A jump has two knots of a summand, too.
+    let mut knots = Vec::with_capacity(most.min(2 * instants.len()));
     let (mut ahead, mut here) = (pieces.iter(), Vec::new());
     for ns in instants {
         here.retain(|piece: &&Piece| piece.span_ns().1 >= ns);
@@ -515,6 +572,34 @@ mod tests {
         assert!((section.mean_um - (2.5 + 3.0) / 2.0).abs() < 1e-12 && section.rise_um == 0.0);
         assert_eq!(sum.span_ns(), Some((0, 13 * MS)));
         assert_eq!(sum.clone().scaled(2.0).um_at(11 * MS), 12.0);
+    }
+
+    #[test]
+    fn a_sum_takes_a_knot_for_each_sample_and_copies_share_it() {
+        // Each overlaps the one before and the one after: one part, of 4096 summands.
+        let um: Vec<f64> = (0..64).map(|k| f64::from(k % 7)).collect();
+        let parts: Vec<_> = (0..4096)
+            .map(|number| Waveform::samples(f64::from(number) * 0.0501, 1000.0, &um).unwrap())
+            .collect();
+        let sum = Waveform::sum(&parts).unwrap();
+        assert_eq!(sum.pieces.len(), 1);
+        assert!(sum.own_bytes() <= 16 * 4096 * (64 + 2), "{}", sum.own_bytes());
+        let knots = |waveform: &Waveform| match &waveform.pieces[0] {
+            Piece::Knots(of) => Arc::as_ptr(&of.knots).cast::<Knot>(),
+            Piece::Samples(_) => panic!("a sum"),
+        };
+        for copy in [sum.clone().scaled(0.5), sum.first(u64::MAX / 4)] {
+            assert_eq!(knots(&copy), knots(&sum));
+        }
+        assert_eq!(sum.clone().scaled(0.5).um_at(70 * MS), sum.um_at(70 * MS) / 2.0);
+        // A beginning that ends within the second of two parts keeps the first as it is.
+        let two = Waveform::sum(&[parts[0].clone(), parts[4000].clone()]).unwrap();
+        let first = two.first(4000 * 50_100_000 + 10 * MS);
+        assert!(matches!(first.pieces[..], [Piece::Samples(_), Piece::Knots(_)]), "{first:?}");
+        assert_eq!(
+            first.um_around(4000 * 50_100_000 + 10 * MS),
+            [two.um_at(4000 * 50_100_000 + 10 * MS), 0.0]
+        );
     }
 
     proptest! {

@@ -2,8 +2,10 @@
 //!
 //! [`Strokes::followed`] measures the moves that the play has: as they are scaled, on the grid that they are compiled on.
 
-use super::Strokes;
-use crate::motion::{Deviation, Reached, TRIED_S};
+use super::motion_lane::MotionLane;
+use super::run::Run;
+use super::{CompiledItem, Sequence, Strokes};
+use crate::motion::{Deviation, Reached};
 
 /// How a motor follows its motions in a play.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -26,28 +28,43 @@ pub struct Followed {
 
 impl Strokes {
     /// How each motor with motions follows them in one run, in order of motors. Of long motions the errors are those of the beginning:
-    /// of so many seconds at most, shared among the motors. Takes 2 to 3 ms for each second of a motor.
+    /// of [`StrokeOptions::tried_s`](super::StrokeOptions) at most, shared among the motors. Takes 2 to 3 ms for each second of a motor.
     #[must_use]
     pub fn followed(&self) -> Vec<Followed> {
-        let lanes: Vec<_> = self.runs.iter().flat_map(super::run::Run::motions).collect();
+        self.runs.iter().flat_map(Run::followed).collect()
+    }
+}
+
+impl Sequence {
+    /// How each motor of a compiled pattern follows its motions; see [`Strokes::followed`].
+    #[must_use]
+    pub fn followed(&self, compiled: CompiledItem) -> Vec<Followed> {
+        self.run(compiled).followed()
+    }
+}
+
+impl Run {
+    fn followed(&self) -> Vec<Followed> {
         #[expect(clippy::cast_precision_loss, reason = "some motors")]
-        let most_s = TRIED_S as f64 / lanes.len().max(1) as f64;
-        let followed = lanes.into_iter().map(|lane| {
-            let (waveform, moves) = lane.beginning(most_s);
-            let Reached { from_asked, step_error_um, moves_per_s, highest_um, .. } =
-                Reached::of(self.array, &waveform, &moves);
-            let whole = lane.scaled();
-            Followed {
-                motor: lane.motor(),
-                highest_um: highest_um.max(whole.extremes_um()[1]),
-                error: from_asked,
-                step_error_um,
-                too_slow_from_s: whole.too_slow_from_s(self.array),
-                moves_per_s,
-                measured_s: waveform.span_ns().map_or(0.0, |(from, until)| (until - from) as f64 / 1e9),
-            }
-        });
-        followed.collect()
+        let sharing = self.motions().count() as f64;
+        self.motions().map(|lane| of_lane(lane, lane.tried_s() / sharing)).collect()
+    }
+}
+
+/// How a motor follows its motions, of which so many seconds are measured.
+fn of_lane(lane: &MotionLane, measured_s: f64) -> Followed {
+    let (waveform, moves) = lane.beginning(measured_s);
+    let Reached { from_asked, step_error_um, moves_per_s, highest_um, .. } =
+        Reached::of(lane.array(), &waveform, &moves);
+    let whole = lane.scaled();
+    Followed {
+        motor: lane.motor(),
+        highest_um: highest_um.max(whole.extremes_um()[1]),
+        error: from_asked,
+        step_error_um,
+        too_slow_from_s: whole.too_slow_from_s(lane.array()),
+        moves_per_s,
+        measured_s: waveform.span_ns().map_or(0.0, |(from, until)| (until - from) as f64 / 1e9),
     }
 }
 

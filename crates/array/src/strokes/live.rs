@@ -276,13 +276,13 @@ impl LiveStrokes {
         begin
     }
 
-    /// The device has brought this motor's pin down at `tick` by itself. If the pin had been at its level for `held` ticks, the motor's
-    /// motion is to be at rest now.
-    pub fn lowered(&mut self, motor: u8, tick: Tick, held: u64) {
+    /// The device has brought this motor's pin down at `tick`, because it was held for too long: the motor's motion is to be at rest now, unless it has
+    /// changed meanwhile.
+    pub fn hold_ended(&mut self, motor: u8, tick: Tick) {
         let Some(own) = self.motors.get_mut(usize::from(motor)) else { return };
         if let LiveMotion::Level { array, .. } = own.motion
             && own.glide.next_begin().is_none()
-            && tick >= own.glide.at(own.glide.begin + own.glide.moves * own.glide.apart).1 + held
+            && tick >= own.glide.at(own.glide.begin + own.glide.moves * own.glide.apart).1
         {
             own.motion = LiveMotion::Level { array, pulses: 0, glide_ticks: 0 };
             own.glide = Glide { begin: tick, ..Glide::REST };

@@ -47,6 +47,9 @@ use firmware_protocol::tick::Tick;
 use run::Run;
 use std::sync::Arc;
 
+/// The most work of a walk through a play ([`Strokes::work`]) before the play begins: about a second.
+pub const MAX_WORK: u64 = 20_000_000;
+
 /// The strokes of a pattern or a sequence, in order of (up tick, motor). After an error the iterator ends.
 #[derive(Clone, Debug)]
 pub struct Strokes {
@@ -67,6 +70,8 @@ pub struct Strokes {
     last: (Tick, u8),
     /// Until when each motor is busy.
     busy: PerMotor<Tick>,
+    /// What [`Self::work`] returns.
+    work: u64,
     /// The motors that any pattern drives, kept because the streamer asks at every step.
     driven: PerMotor<bool>,
 }
@@ -98,7 +103,9 @@ impl Strokes {
         let (onset, last, busy) = (Tick(0), (Tick(0), 0), PerMotor::all(array, Tick(0)));
         let driven = PerMotor::from_fn(array, |motor| runs.iter().any(|run| run.drives(motor)));
         let (begun, playing, count) = (0, PerMotor::all(array, (0, 0)), 0);
-        let mut strokes = Self { array, runs, items, begun, playing, count, end, onset, last, busy, driven };
+        let work = 0;
+        let mut strokes =
+            Self { array, runs, items, begun, playing, count, end, onset, last, busy, work, driven };
         strokes.begin(Tick(0));
         strokes
     }
@@ -108,7 +115,7 @@ impl Strokes {
         self.onset = onset;
         self.last = (onset, 0);
         self.busy.fill(onset);
-        (self.begun, self.count) = (0, 0);
+        (self.begun, self.count, self.work) = (0, 0, 0);
         if self.items[0].start == 0 {
             self.begin_item();
         }
@@ -128,6 +135,7 @@ impl Strokes {
         self.count = kept;
         if let Some(run) = run {
             self.runs[run as usize].begin(end - start);
+            self.work += self.runs[run as usize].work();
             self.playing[self.count] = (run, start);
             self.count += 1;
         }
@@ -208,6 +216,13 @@ impl Strokes {
         }
     }
 
+    /// The steps of the grid and the knots of waveforms that were looked at since [`Self::begin`]: what the steps up to here took to find. Who
+    /// walks a play before it is played stops at [`MAX_WORK`]: a waveform may have few moves in years.
+    #[must_use]
+    pub const fn work(&self) -> u64 {
+        self.work
+    }
+
     /// The end of the play, in ticks from the onset; `None`: without end. With [`Fit::Cover`] this is the later of the requested
     /// end and the end of the last stroke.
     #[must_use]
@@ -286,6 +301,7 @@ impl Iterator for Strokes {
         let (_, _, at, lane) = first?;
         let (run, start) = self.playing[at];
         let (step, surplus) = self.runs[run as usize].take(lane, self.onset + start);
+        self.work += self.runs[run as usize].work();
         let checked = self.check(step, surplus);
         if checked.is_err() {
             self.end_here();

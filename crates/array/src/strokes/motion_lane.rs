@@ -7,13 +7,15 @@
 //! at rest at the end of the play, and of each repeat if the motor has drives too: if the waveform is too high for that, it comes down
 //! before.
 //!
-//! Invariant: a pin that has no move to make for long gets one to the level that it has, so the next move is always found in bounded time.
+//! Invariant: the next move is found with bounded work. Steps in which the waveform stays about the level that the pin has are passed over,
+//! and if [`MOST_WORK`] finds no move, there is one to the level that the pin has.
 
 use super::drive::NEVER;
 use super::options::{StrokeOptions, Surplus};
 use super::repeat::Repeat;
 use crate::motion::{Grid, Moves, Rule, Section, Waveform, ns_at, ns_of, tick_of};
 use crate::pattern::Pattern;
+use crate::reflected_walk::Bursts;
 use crate::spec::Array;
 use crate::strokes::Step;
 use firmware_protocol::limits::correction;
@@ -21,8 +23,8 @@ use firmware_protocol::moves::Move;
 use firmware_protocol::tick::Tick;
 use std::sync::Arc;
 
-/// Steps without a move after which there is one all the same.
-const QUIET: u64 = 2_000;
+/// Steps and knots that are looked at for a move, at most; some thousand knots more if the last step has so many. Some 50 µs of work.
+const MOST_WORK: u64 = 4_096;
 
 #[derive(Clone, Debug)]
 pub(super) struct MotionLane {
@@ -32,10 +34,13 @@ pub(super) struct MotionLane {
     waveforms: Arc<[(u8, Waveform)]>,
     of: usize,
     scale: f64,
+    tried_s: f64,
     surplus: Surplus,
     duration_s: Option<f64>,
     /// From here on the waveform is at rest, if it is not repeated.
     over: u64,
+    /// The displacements at which it never leaves rest, µm, include those of the whole waveform.
+    is_silent: bool,
     /// The motor has drives too: each repeat begins and ends at rest.
     has_drives: bool,
     /// The end of the play.
@@ -44,10 +49,12 @@ pub(super) struct MotionLane {
     /// The next step.
     number: u64,
     level: u16,
-    /// Pulses up since the pin was at rest.
-    risen: u32,
+    /// Since the pin was at rest.
+    bursts: Bursts,
     /// The next move, in pattern time, and the level before it.
     next: (Move, u16),
+    /// Steps and knots that were looked at for it.
+    work: u64,
 }
 
 impl MotionLane {
@@ -58,16 +65,19 @@ impl MotionLane {
         options: &StrokeOptions,
     ) -> impl Iterator<Item = Self> {
         let (array, waveforms) = (pattern.array(), pattern.shared_waveforms());
-        let (duration_s, scale) = (pattern.duration_s(), options.scale);
+        let (duration_s, scale, tried_s) = (pattern.duration_s(), options.scale, options.tried_s);
         (0..waveforms.len()).map(move |of| {
-            let motor = waveforms[of].0;
+            let (motor, waveform) = &waveforms[of];
+            let (motor, rule) = (*motor, Rule::new(array, grid));
             Self {
                 array,
-                rule: Rule::new(array, grid),
+                rule,
+                is_silent: scale * waveform.extremes_um()[1] < rule.kept_um(0)[1],
                 over: waveforms[of].1.span_ns().map_or(0, |(_, until)| tick_of(until, array.rate())),
                 waveforms: waveforms.clone(),
                 of,
                 scale,
+                tried_s,
                 surplus: options.surplus.clone(),
                 duration_s,
                 has_drives: pattern.drives().iter().any(|drive| drive.motor == motor),
@@ -75,14 +85,29 @@ impl MotionLane {
                 repeat: Repeat::of(0, duration_s, array.rate()),
                 number: 0,
                 level: 0,
-                risen: 0,
+                bursts: Bursts::default(),
                 next: (Move { motor, tick: Tick(0), level: 0, surplus: 0 }, 0),
+                work: 0,
             }
         })
     }
 
+    pub(super) const fn array(&self) -> Array {
+        self.array
+    }
+
     pub(super) fn motor(&self) -> u8 {
         self.waveforms[self.of].0
+    }
+
+    /// The grid of its moves.
+    pub(super) const fn grid(&self) -> Grid {
+        self.rule.grid()
+    }
+
+    /// How much of the motions is measured before the play, s; all motors share it.
+    pub(super) const fn tried_s(&self) -> f64 {
+        self.tried_s
     }
 
     /// The motor's waveform in one run, as high as it is played.
@@ -102,7 +127,7 @@ impl MotionLane {
     pub(super) fn begin(&mut self, end: u64) -> u64 {
         self.end = end;
         self.repeat = Repeat::of(0, self.duration_s, self.rule.rate);
-        (self.number, self.level, self.risen) = (0, 0, 0);
+        (self.number, self.level, self.bursts) = (0, 0, Bursts::default());
         self.advance()
     }
 
@@ -112,31 +137,38 @@ impl MotionLane {
         Step::Move { of: Move { tick: onset + of.tick.0, ..of }, from }
     }
 
+    /// The steps of the grid and the knots of the waveform that were looked at for the next move.
+    pub(super) const fn work(&self) -> u64 {
+        self.work
+    }
+
     /// Takes the next move and computes the one after it; returns when that begins.
     pub(super) fn advance(&mut self) -> u64 {
         let step = u64::from(self.rule.step);
-        for quiet in 0.. {
+        self.work = 0;
+        loop {
             let start = self.number * step;
             let is_over = start >= self.end || (self.duration_s.is_none() && start >= self.over);
-            if is_over && self.level == 0 {
-                break;
+            if (is_over || self.is_silent) && self.level == 0 {
+                return NEVER;
             }
             while self.repeat.end <= start {
                 self.repeat = Repeat::of(self.repeat.number + 1, self.duration_s, self.rule.rate);
             }
             // From the next step on there must be time to come down.
             let highest = self.rests_at().saturating_sub(start + step);
-            let goal = self.rule.next_level(self.level, &self.section(start, start + step));
+            let section = self.section(start, start + step);
+            self.work += 1 + section.knots as u64;
+            let goal = self.rule.next_level(self.level, &section);
             let lowest = u64::from(self.level).saturating_sub(step);
             let goal = u64::from(goal).min(highest.max(lowest)) as u16;
             self.number += 1;
-            if goal != self.level || quiet == QUIET {
+            if goal != self.level || self.work >= MOST_WORK {
                 self.go(start, goal);
                 return start;
             }
             self.skip(start);
         }
-        NEVER
     }
 
     /// When the pin has to be at rest.
@@ -146,14 +178,15 @@ impl MotionLane {
 
     /// The next move is to this level.
     fn go(&mut self, start: u64, goal: u16) {
-        self.risen = self.risen.saturating_add(goal.saturating_sub(self.level).into());
+        let travel = f64::from(goal) - f64::from(self.level);
+        if travel != 0.0 {
+            self.bursts.add(travel * self.array.motor().um_per_pulse);
+        }
         let mut surplus = 0;
         if goal == 0 && self.level > 0 {
-            let pulses = self.surplus.pulses(self.array, self.motor(), self.risen, 1.0);
-            surplus = u16::try_from(pulses)
-                .unwrap_or(u16::MAX)
-                .min(correction(self.array.layout().max_up_pulses()));
-            self.risen = 0;
+            let most = correction(self.array.layout().max_up_pulses());
+            surplus = self.surplus.pulses_after(self.array, self.motor(), &self.bursts, most);
+            self.bursts = Bursts::default();
         }
         let of = Move { motor: self.motor(), tick: Tick(start), level: goal, surplus };
         self.next = (of, std::mem::replace(&mut self.level, goal));
@@ -162,7 +195,11 @@ impl MotionLane {
     /// Passes over the steps after that at `start` in which the pin stays where it is.
     fn skip(&mut self, start: u64) {
         let (step, rate) = (u64::from(self.rule.step), self.rule.rate);
-        let steady = self.waveforms[self.of].1.steady_until(ns_at(start - self.repeat.start, rate));
+        // A scale of 0 is silent, and never comes here.
+        let kept_um = self.rule.kept_um(self.level).map(|um| um / self.scale);
+        let (steady, knots) =
+            self.waveforms[self.of].1.stays_until(ns_at(start - self.repeat.start, rate), kept_um);
+        self.work += knots as u64;
         let steady = if steady == u64::MAX { NEVER } else { tick_of(steady, rate).saturating_sub(1) };
         let until = steady.saturating_add(self.repeat.start).min(self.repeat.end);
         let until = if self.duration_s.is_none() { until.min(self.over.max(start)) } else { until };
@@ -178,19 +215,21 @@ impl MotionLane {
         while at < to {
             let until = to.min(repeat.end);
             let [begin, end] = [at, until].map(|tick| ns_at(tick - repeat.start, rate));
-            let Section { rise_um, mean_um, extremes_um: [low, high] } =
+            let Section { rise_um, mean_um, extremes_um: [low, high], knots } =
                 self.waveforms[self.of].1.section(begin, end);
             let share = (until - at) as f64 / (to - from) as f64;
-            let before = whole.unwrap_or(Section { rise_um: 0.0, mean_um: 0.0, extremes_um: [low, high] });
+            let before = whole.unwrap_or(Section { extremes_um: [low, high], ..Section::default() });
             whole = Some(Section {
+                knots: before.knots + 1 + knots,
                 rise_um: before.rise_um + rise_um,
                 mean_um: before.mean_um + share * mean_um,
                 extremes_um: [low.min(before.extremes_um[0]), high.max(before.extremes_um[1])],
             });
             (at, repeat) = (until, Repeat::of(repeat.number + 1, self.duration_s, rate));
         }
-        let whole = whole.unwrap_or(Section { rise_um: 0.0, mean_um: 0.0, extremes_um: [0.0; 2] });
+        let whole = whole.unwrap_or_default();
         Section {
+            knots: whole.knots,
             rise_um: self.scale * whole.rise_um,
             mean_um: self.scale * whole.mean_um,
             extremes_um: whole.extremes_um.map(|um| self.scale * um),

@@ -3,9 +3,10 @@
 //! Invariant: the default options change nothing; every number is checked by [`StrokeOptions::check`].
 
 use super::error::StrokesError;
+use crate::motion::TRIED_S;
 use crate::pattern::MAX_SECONDS;
 use crate::per_motor::PerMotor;
-use crate::reflected_walk::{Spread, surplus_um};
+use crate::reflected_walk::{Bursts, Spread, surplus_after_um, surplus_um};
 use crate::spec::Array;
 
 /// How a play differs from its pattern.
@@ -23,6 +24,8 @@ pub struct StrokeOptions {
     /// How far pins may be from what their motors can do at best, because motions are compiled to steps, µm; `None`: see
     /// [`choose`](crate::motion::choose).
     pub error_um: Option<f64>,
+    /// How long a stretch of motions is tried and measured before a play, shared among its motors, s: 0 to [`TRIED_S`].
+    pub tried_s: f64,
 }
 
 /// Which strokes are played at the end of the play.
@@ -59,7 +62,14 @@ pub struct AutoSurplus {
 
 impl Default for StrokeOptions {
     fn default() -> Self {
-        Self { seconds: None, scale: 1.0, fit: Fit::Whole, surplus: Surplus::None, error_um: None }
+        Self {
+            seconds: None,
+            scale: 1.0,
+            fit: Fit::Whole,
+            surplus: Surplus::None,
+            error_um: None,
+            tried_s: TRIED_S,
+        }
     }
 }
 
@@ -114,6 +124,24 @@ impl Surplus {
                     .map_or(amplitude_um, |played_um| played_um / gain)
             }
         }
+    }
+
+    /// The surplus of the last of these bursts, in whole pulses, rounded up, and at most `most`.
+    #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "0 to most")]
+    pub(super) fn pulses_after(&self, array: Array, motor: u8, bursts: &Bursts, most: u16) -> u16 {
+        let um_per_pulse = array.motor().um_per_pulse;
+        let most_um = f64::from(most) * um_per_pulse;
+        let um = match self {
+            Self::None => 0.0,
+            Self::Fixed(um) => *um,
+            Self::Auto(auto) => {
+                let most_um = most_um.min(bursts.up_um());
+                let spread = auto.spread[usize::from(motor)];
+                surplus_after_um(bursts, most_um, spread, auto.rest_error_um).unwrap_or(most_um)
+            }
+        };
+        // As below.
+        (um.min(most_um) / um_per_pulse - 1e-9).ceil() as u16
     }
 
     /// [`Self::um`] in whole pulses, rounded up, for bursts of so many pulses with this mean gain.

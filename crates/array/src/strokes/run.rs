@@ -7,7 +7,7 @@ use super::error::StrokesError;
 use super::lane::Lane;
 use super::motion_lane::MotionLane;
 use super::options::StrokeOptions;
-use crate::motion::choose;
+use crate::motion::{Grid, choose_within};
 use crate::pattern::Pattern;
 use crate::strokes::Step;
 use firmware_protocol::tick::Tick;
@@ -20,6 +20,8 @@ pub(super) struct Run {
     motors: u64,
     /// When the next step of each lane begins, in pattern time; [`NEVER`] if there is none.
     begins: Vec<u64>,
+    /// What [`Self::work`] returns.
+    work: u64,
 }
 
 /// A motor's drives, or its motions.
@@ -50,11 +52,27 @@ impl AnyLane {
             Self::Motions(lane) => lane.advance(),
         }
     }
+
+    const fn work(&self) -> u64 {
+        match self {
+            Self::Drives(_) => 0,
+            Self::Motions(lane) => lane.work(),
+        }
+    }
 }
 
 impl Run {
     /// Compiles a pattern; there is no step before [`Self::begin`].
     pub(super) fn of(pattern: &Pattern, options: &StrokeOptions) -> Result<Self, StrokesError> {
+        Self::on(pattern, options, None)
+    }
+
+    /// As [`Self::of`], on a grid that was chosen for this pattern and these options before.
+    pub(super) fn on(
+        pattern: &Pattern,
+        options: &StrokeOptions,
+        grid: Option<Grid>,
+    ) -> Result<Self, StrokesError> {
         let array = pattern.array();
         options.check(array)?;
         let drives =
@@ -62,12 +80,13 @@ impl Run {
         let mut lanes = drives.map(|lane| lane.map(AnyLane::Drives)).collect::<Result<Vec<_>, _>>()?;
         if !pattern.waveforms().is_empty() {
             let waveforms = pattern.waveforms().iter().map(|(motor, waveform)| (*motor, waveform));
-            let grid = choose(array, waveforms, options.error_um)?;
+            let chosen = || choose_within(array, waveforms, options.error_um, options.tried_s);
+            let grid = grid.map_or_else(chosen, Ok)?;
             lanes.extend(MotionLane::of_pattern(pattern, grid, options).map(AnyLane::Motions));
             lanes.sort_by_key(AnyLane::motor);
         }
         let motors = lanes.iter().fold(0, |motors, lane| motors | 1 << lane.motor());
-        Ok(Self { begins: vec![NEVER; lanes.len()], lanes, motors })
+        Ok(Self { begins: vec![NEVER; lanes.len()], lanes, motors, work: 0 })
     }
 
     /// Begins, or begins again, a play that ends at `end`, in pattern time.
@@ -75,6 +94,12 @@ impl Run {
         for (lane, begins) in self.lanes.iter_mut().zip(&mut self.begins) {
             *begins = lane.begin(end);
         }
+        self.work = self.lanes.iter().map(AnyLane::work).sum();
+    }
+
+    /// The steps of the grid and the knots of waveforms that the last [`Self::begin`] or [`Self::take`] looked at.
+    pub(super) const fn work(&self) -> u64 {
+        self.work
     }
 
     /// When the last stroke of a play with `Fit::Cover` and this `end` has ended. Motions have ended by the end.
@@ -84,6 +109,11 @@ impl Run {
             AnyLane::Motions(_) => None,
         });
         covered.max()
+    }
+
+    /// The grid of its motions; `None` without motions.
+    pub(super) fn grid(&self) -> Option<Grid> {
+        self.motions().next().map(MotionLane::grid)
     }
 
     /// Its lanes of motions.
@@ -139,6 +169,7 @@ impl Run {
             AnyLane::Motions(lane) => (lane.step(onset), 0),
         };
         self.begins[lane] = self.lanes[lane].advance();
+        self.work = self.lanes[lane].work();
         next
     }
 }

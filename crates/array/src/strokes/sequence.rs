@@ -10,10 +10,12 @@ use super::error::StrokesError;
 use super::options::StrokeOptions;
 use super::run::Run;
 use super::{Item, Strokes, lasts_s};
+use crate::motion::{Grid, Waveform};
 use crate::pattern::{MAX_DRIVES, MAX_SECONDS, Pattern};
 use crate::per_motor::PerMotor;
 use crate::spec::Array;
 use crate::units::TickRate;
+use std::sync::Arc;
 
 /// Items of a sequence, at most: an hour of trials of less than a second.
 pub const MAX_ITEMS: usize = 4096;
@@ -95,11 +97,22 @@ pub struct Sequence {
     lasting: Vec<Option<f64>>,
     items: Vec<Item>,
     drives: usize,
+    /// The last grid that was chosen: a pattern is tried once, whatever scales it has.
+    chosen: Option<Chosen>,
     /// Of each motor: when the last item that drives it has ended, ticks from the onset, and the number of that item.
     busy: PerMotor<(u64, usize)>,
     /// The latest end of an item, ns and ticks from the onset.
     end_ns: u64,
     end: u64,
+}
+
+/// The grid of a pattern's motions.
+#[derive(Debug)]
+struct Chosen {
+    waveforms: Arc<[(u8, Waveform)]>,
+    /// `error_um` and `tried_s`.
+    options: (Option<f64>, f64),
+    grid: Grid,
 }
 
 impl Sequence {
@@ -108,7 +121,7 @@ impl Sequence {
     pub fn new(array: Array) -> Self {
         let (runs, lasting, items) = (Vec::new(), Vec::new(), Vec::new());
         let busy = PerMotor::all(array, (0, 0));
-        Self { array, runs, lasting, items, drives: 0, busy, end_ns: 0, end: 0 }
+        Self { array, runs, lasting, items, drives: 0, chosen: None, busy, end_ns: 0, end: 0 }
     }
 
     /// Compiles a pattern with a scale, a fit and a surplus. Its items have their own durations.
@@ -124,9 +137,18 @@ impl Sequence {
         if self.drives > MAX_SEQUENCE_DRIVES {
             return Err(SequenceError::TooManyDrives);
         }
-        self.runs.push(Run::of(pattern, options)?);
+        let (waveforms, chosen_for) = (pattern.shared_waveforms(), (options.error_um, options.tried_s));
+        let last = self.chosen.as_ref();
+        let same = |last: &&Chosen| Arc::ptr_eq(&last.waveforms, &waveforms) && last.options == chosen_for;
+        let run = Run::on(pattern, options, last.filter(same).map(|last| last.grid))?;
+        self.chosen = run.grid().map(|grid| Chosen { waveforms, options: chosen_for, grid });
+        self.runs.push(run);
         self.lasting.push(lasts_s(pattern));
         Ok(CompiledItem(self.runs.len() - 1))
+    }
+
+    pub(super) fn run(&self, CompiledItem(run): CompiledItem) -> &Run {
+        &self.runs[run]
     }
 
     /// Adds an item, which lasts for `seconds`, or as long as its pattern.

@@ -1,15 +1,25 @@
 //! How long pins stay above rest without a pulse.
 
-use super::{MAX_STEPS, counted};
+use super::counted;
+use firmware_protocol::tick::Tick;
 use meissner_array::strokes::Strokes;
 
-/// The longest time that a play keeps a pin above rest without a pulse, ticks; `None` if it has more steps than count.
+/// The longest time that a play keeps a pin above rest without a pulse.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Hold {
+    /// That time, of the steps that count, ticks.
+    pub longest: u64,
+    /// The beginning of the last step that counts; `None`: all count.
+    pub counted_until: Option<Tick>,
+}
+
+/// The longest time that a play keeps a pin above rest without a pulse.
 #[must_use]
-pub fn find_longest_hold(strokes: &Strokes) -> Option<u64> {
+pub fn find_longest_hold(strokes: &Strokes) -> Hold {
     // Of each motor, since when it has no pulse, while it is above rest.
     let mut still = vec![None; strokes.array().motors()];
-    let (mut longest, mut steps) = (0, 0);
-    for step in counted(strokes) {
+    let (mut longest, mut steps) = (0, counted(strokes));
+    for step in steps.by_ref() {
         let since = &mut still[usize::from(step.motor())];
         for burst in step.bursts() {
             longest = longest.max(since.map_or(0, |since| burst.start.0.saturating_sub(since)));
@@ -18,9 +28,8 @@ pub fn find_longest_hold(strokes: &Strokes) -> Option<u64> {
         if step.level() == 0 {
             *since = None;
         }
-        steps += 1;
     }
-    (steps < MAX_STEPS).then_some(longest)
+    Hold { longest, counted_until: steps.stopped }
 }
 
 #[cfg(test)]
@@ -34,7 +43,7 @@ mod tests {
         let hold = |rest: &str| {
             let text = format!("format = 2\nname = \"test\"\nduration_s = 30\n{rest}");
             let pattern = Pattern::parse(&text, "test").unwrap();
-            find_longest_hold(&Strokes::new(&pattern, &StrokeOptions::default()).unwrap()).unwrap()
+            find_longest_hold(&Strokes::new(&pattern, &StrokeOptions::default()).unwrap()).longest
         };
         // 589 pulses up, and down half a period later.
         let drive = "[[drive]]\nmotor = 3\nfrequency_hz = 1.0\namplitude_um = 80.0\n";
@@ -43,5 +52,21 @@ mod tests {
         let held = hold(&format!("{drive}{ramp}"));
         // To a step of the grid at either end.
         assert!((170_000 - 1000..=170_000 + 1000).contains(&held), "{held}");
+    }
+
+    #[test]
+    fn a_play_with_hardly_a_move_is_counted_as_far_as_the_work_allows() {
+        // For an hour after each touch the pin stays at rest under a tone that is too small for a burst.
+        let text = "format = 2\nname = \"test\"\nduration_s = 4100\n\
+                    [[ramp]]\nmotor = 2\nto_um = 100.0\nrise_s = 0.1\nhold_s = 1.0\n\
+                    [[tone]]\nmotor = 2\nfrequency_hz = 10.0\namplitude_um = 0.5\nduration_s = 4000.0\nstart_s = 2.0\n";
+        let pattern = Pattern::parse(text, "test").unwrap();
+        let found = |seconds| {
+            find_longest_hold(&Strokes::new(&pattern, &StrokeOptions::lasting(Some(seconds))).unwrap())
+        };
+        let (once, years) = (found(4100.0), found(1e8));
+        assert!(once.counted_until.is_none() && once.longest == years.longest, "{once:?} {years:?}");
+        let until = years.counted_until.unwrap();
+        assert!((4_100 * 85_000..100_000 * 85_000).contains(&until.0), "{until:?}");
     }
 }

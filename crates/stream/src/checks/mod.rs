@@ -4,7 +4,8 @@
 //! A play that passes has no move refused for its plan. The time of each check grows with the moves: do not call one in the streamer's
 //! thread.
 //!
-//! Invariant: of a play with an end, the first [`MAX_STEPS`] steps count; of a play without end, those of its first minute.
+//! Invariant: of a play with an end, the first [`MAX_STEPS`] steps count, but no more than are found with [`MAX_WORK`]; of a play without end,
+//! those of its first minute. [`Hold::counted_until`] says how far that is.
 
 mod at_once;
 mod density;
@@ -13,11 +14,11 @@ mod pushing;
 
 pub use at_once::find_too_many;
 pub use density::{Dense, find_dense};
-pub use hold::find_longest_hold;
+pub use hold::{Hold, find_longest_hold};
 pub use pushing::{Overpush, find_overpush};
 
 use firmware_protocol::tick::Tick;
-use meissner_array::strokes::{Step, Strokes};
+use meissner_array::strokes::{MAX_WORK, Step, Strokes};
 
 /// Length of a play without end that counts, s: after a minute few plays do anything new. Drives whose frequencies differ by less than
 /// 1/60 Hz meet later; then the controller refuses strokes.
@@ -26,9 +27,34 @@ const COUNTED_S: u64 = 60;
 const MAX_STEPS: usize = 2_000_000;
 
 /// The steps that count, in ticks from the onset.
-fn counted(strokes: &Strokes) -> impl Iterator<Item = Step> {
+fn counted(strokes: &Strokes) -> Counted {
     let mut strokes = strokes.clone();
     strokes.begin(Tick(0));
     let until = strokes.end().unwrap_or(COUNTED_S * strokes.array().rate().per_s());
-    strokes.map_while(Result::ok).take(MAX_STEPS).take_while(move |step| step.begin().0 < until)
+    Counted { strokes, until, steps: 0, stopped: None }
+}
+
+/// See [`counted`].
+struct Counted {
+    strokes: Strokes,
+    /// Steps from this tick on do not count.
+    until: u64,
+    steps: usize,
+    /// The beginning of the last step that counts, if more would follow.
+    stopped: Option<Tick>,
+}
+
+impl Iterator for Counted {
+    type Item = Step;
+
+    fn next(&mut self) -> Option<Step> {
+        if self.stopped.is_some() {
+            return None;
+        }
+        let step = self.strokes.next()?.ok().filter(|step| step.begin().0 < self.until)?;
+        self.steps += 1;
+        let is_enough = self.steps == MAX_STEPS || self.strokes.work() >= MAX_WORK;
+        self.stopped = (is_enough && !self.strokes.is_over()).then(|| step.begin());
+        Some(step)
+    }
 }

@@ -344,11 +344,10 @@ impl PositionControl {
         }
     }
 
-    /// The device has brought pins down by itself.
-    pub(super) fn lowered(&mut self, motors: MotorSet, tick: Tick) {
-        let least_hold = u64::from(self.array.layout().least_hold());
+    /// The device has brought pins down that were held for too long.
+    pub(super) fn hold_ended(&mut self, motors: MotorSet, tick: Tick) {
         for (motor, index) in self.motors.iter_mut().zip(0..).filter(|(_, index)| motors.contains(*index)) {
-            motor.lowered(index, tick, least_hold);
+            motor.hold_ended(index, tick);
         }
     }
 

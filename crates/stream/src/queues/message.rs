@@ -9,6 +9,7 @@ use crate::queues::outcome::{Onset, Outcome, Snapshot};
 use crate::queues::play::Play;
 use crate::settings::Settings;
 use crate::time::HostInstant;
+use firmware_protocol::array::MotorSet;
 use firmware_protocol::limits::Refusal;
 use firmware_protocol::message::DeviceHello;
 use firmware_protocol::tick::Tick;
@@ -131,6 +132,17 @@ pub enum StreamEvent {
         up: Tick,
         /// Why.
         reason: Refusal,
+    },
+    /// The device has brought pins down by itself.
+    PinsLowered {
+        /// The play.
+        id: u64,
+        /// The first tick in which it may have done so.
+        tick: Tick,
+        /// Motors of which a move down was late.
+        late: MotorSet,
+        /// Motors whose pins were held for too long.
+        held: MotorSet,
     },
     /// The streamer did not take this play: to be dropped outside the thread.
     PlayRejected(Box<Play>),

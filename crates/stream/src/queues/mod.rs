@@ -249,7 +249,10 @@ impl Emit for ThreadQueues {
         // Frequent events must not displace those that come once.
         let frequent = matches!(
             event,
-            StreamEvent::StrokeLate { .. } | StreamEvent::StrokeRefused { .. } | StreamEvent::Snapshot(_)
+            StreamEvent::StrokeLate { .. }
+                | StreamEvent::StrokeRefused { .. }
+                | StreamEvent::PinsLowered { .. }
+                | StreamEvent::Snapshot(_)
         );
         let room = self.events.slots() > if frequent { RESERVED } else { 1 };
         if room && self.lost > 0 && self.events.push(StreamEvent::EventsLost(self.lost)).is_ok() {

@@ -123,11 +123,14 @@ impl Streamer {
                     emit.event(StreamEvent::StrokeRefused { id, motor, up, reason });
                 }
             }
-            Event::Lowered { motors, tick } => {
-                self.control.lowered(motors, tick);
-                let held = u64::from(self.array().layout().least_hold());
+            Event::Lowered { late, held, tick } => {
+                // What a late move has lowered follows from its verdict.
+                self.control.hold_ended(held, tick);
+                if let Some(active) = owner(&mut self.plays, tick) {
+                    emit.event(StreamEvent::PinsLowered { id: active.play().id, tick, late, held });
+                }
                 if let Some(strokes) = self.plays.iter_mut().find_map(Active::live_strokes) {
-                    motors.iter().for_each(|motor| strokes.lowered(motor, tick, held));
+                    held.iter().for_each(|motor| strokes.hold_ended(motor, tick));
                 }
             }
             Event::Board(board) => {

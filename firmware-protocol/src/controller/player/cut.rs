@@ -4,7 +4,7 @@
 
 use crate::array::{CAPACITY, MotorSet, Ring};
 use crate::controller::player::recent::{Begun, Rendered};
-use crate::controller::player::{Player, Shifting};
+use crate::controller::player::{Lowered, Player, Shifting};
 use crate::controller::reporting::Reporting;
 use crate::limits::Refusal;
 use crate::message::Counters;
@@ -42,7 +42,7 @@ impl Player {
     pub(in crate::controller) fn cut(&mut self, reporting: &mut Reporting) -> (u16, u32) {
         let flushed = self.flush(reporting);
         let now = self.rendered;
-        self.lowered = MotorSet::EMPTY;
+        self.lowered = Lowered::NOTHING;
         // The play is over, and so is what its mark says.
         self.set_hold(0);
         if self.shifts_at(now) {
@@ -200,7 +200,7 @@ impl Player {
     pub(in crate::controller) fn turn_off(&mut self, at: Tick, reporting: &mut Reporting) -> u16 {
         let flushed = self.flush(reporting);
         let now = self.rendered;
-        (self.shifting, self.lowered, self.hold) = (None, MotorSet::EMPTY, None);
+        (self.shifting, self.lowered, self.hold) = (None, Lowered::NOTHING, None);
         for motor in 0..self.layout.loop_end() {
             self.end(motor);
         }

@@ -9,7 +9,7 @@ use crate::array::{MotorSet, Ring};
 use crate::controller::Run;
 use crate::controller::player::queue::{Waiting, ahead};
 use crate::controller::player::recent::{Begun, Rendered};
-use crate::controller::player::{NEVER, Player};
+use crate::controller::player::{Lowered, NEVER, Player};
 use crate::controller::reporting::Reporting;
 use crate::limits::Refusal;
 use crate::message::Report;
@@ -59,9 +59,10 @@ impl Player {
             self.hold_checked = now;
             self.end_holds();
         }
-        let motors = core::mem::take(&mut self.lowered);
-        if !motors.is_empty() {
-            reporting.report(Report::Lowered { tick: self.lowered_from.wire(), motors });
+        // If there is no place, the next ones join it.
+        if !self.lowered.is_empty() && reporting.reports().has_room() {
+            let Lowered { late, held, from } = core::mem::replace(&mut self.lowered, Lowered::NOTHING);
+            reporting.report(Report::Lowered { tick: from.wire(), late, held });
         }
     }
 
@@ -72,24 +73,29 @@ impl Player {
             let Some(of) = self.motors.get(motor) else { break };
             if of.goal() > 0 && of.is_still() && self.rendered - of.still_since > u64::from(hold) {
                 self.lower(motor, 0);
+                self.lowered.held.insert(motor as u8);
             }
         }
     }
 
+    /// A late move lowers a motor's goal, now.
+    pub(super) fn lower_by_late(&mut self, motor: usize, level: u16) {
+        if self.motors[motor].goal() > level {
+            self.lower(motor, level);
+            self.lowered.late.insert(motor as u8);
+        }
+    }
+
     /// Lowers a motor's goal, now, because the device decides so.
-    pub(super) fn lower(&mut self, motor: usize, level: u16) {
+    fn lower(&mut self, motor: usize, level: u16) {
         let now = self.rendered;
-        if self.motors[motor].goal() <= level {
-            return;
+        if self.lowered.is_empty() {
+            self.lowered.from = now;
         }
         self.end(motor);
         // A burst up that has not come so far ends here.
         let height = self.motors[motor].height;
         self.motors[motor].set_goal(level.min(height));
-        if self.lowered.is_empty() {
-            self.lowered_from = now;
-        }
-        self.lowered.insert(motor as u8);
         self.change_by(motor, now);
     }
 

@@ -56,6 +56,31 @@ struct Shifting {
     end: Option<Tick>,
 }
 
+/// Motors whose goals the device has lowered by itself.
+#[derive(Clone, Copy, Debug)]
+struct Lowered {
+    /// By a late move, and because the pin was held for too long.
+    late: MotorSet,
+    held: MotorSet,
+    /// The first tick in which it may have done so.
+    from: Tick,
+}
+
+impl Lowered {
+    const NOTHING: Self = Self { late: MotorSet::EMPTY, held: MotorSet::EMPTY, from: Tick(0) };
+
+    fn is_empty(&self) -> bool {
+        (self.late | self.held).is_empty()
+    }
+}
+
+impl Hash for Lowered {
+    fn hash<H: Hasher>(&self, hasher: &mut H) {
+        let from = (!self.is_empty()).then_some(self.from);
+        (self.late, self.held, from).hash(hasher);
+    }
+}
+
 /// In this order, what rendering uses most lies where the chip's short loads reach it.
 #[derive(Clone, Debug)]
 #[repr(C)]
@@ -73,10 +98,8 @@ pub(super) struct Player {
     changes: Changes,
     motors: [Motor; CAPACITY],
     marks: Marks,
-    /// Motors whose goals the device has lowered since the last report of that.
-    lowered: MotorSet,
-    /// The first tick in which it may have done so.
-    lowered_from: Tick,
+    /// What the device has lowered since the last report of that.
+    lowered: Lowered,
     /// The last shift of rest upwards, until it is over.
     shifting: Option<Shifting>,
     /// For how many ticks a pin may stay above rest without a pulse, and when that was last checked. `None`: for as long as the lines are off.
@@ -99,15 +122,13 @@ impl Hash for Player {
             motors,
             marks,
             lowered,
-            lowered_from,
             shifting,
             hold,
             ..
         } = self;
         let Drivers { since, tail_end, lead: _ } = drivers;
         (since, (*tail_end).max(*rendered), rendered, (*still_from).max(*rendered), lines).hash(hasher);
-        let lowered_from = (!lowered.is_empty()).then_some(lowered_from);
-        (changes, motors, marks, lowered, lowered_from, shifting, hold).hash(hasher);
+        (changes, motors, marks, lowered, shifting, hold).hash(hasher);
         (&self.recent, &self.allowance, &self.queues).hash(hasher);
     }
 }
@@ -125,8 +146,7 @@ impl Player {
             changes: Changes::none(now),
             motors: [Motor::REST; CAPACITY],
             marks: Marks::NONE,
-            lowered: MotorSet::EMPTY,
-            lowered_from: now,
+            lowered: Lowered::NOTHING,
             shifting: None,
             hold: None,
             hold_checked: now.0 as u32,

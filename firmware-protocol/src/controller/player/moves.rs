@@ -75,7 +75,7 @@ impl Player {
     pub(in crate::controller) fn late(&mut self, to: &Move) {
         // A move of the motor that has begun since is newer.
         if self.queues.begun(to.motor.into()) < to.tick {
-            self.lower(to.motor.into(), to.level);
+            self.lower_by_late(to.motor.into(), to.level);
         }
     }
 

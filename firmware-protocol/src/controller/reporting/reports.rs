@@ -2,8 +2,8 @@
 //!
 //! Refused moves have a queue of their own, with a place for every move that a host can queue: their reports are never
 //! lost. The other reports share [`REPORTS`] places. A full queue loses the newest report; the caller counts it. The
-//! controller takes frames of moves only while more than [`RESERVE`] places are free. So onsets and cuts find a place as
-//! long as the host reads.
+//! controller takes frames of moves only while more than [`RESERVE`] places are free, and reports lowered pins only while [`Reports::has_room`].
+//! So onsets and cuts find a place as long as the host reads.
 //!
 //! Invariant: each report after the last one seen is in exactly one of the two queues. A number that `ring` does not hold is
 //! that of a refused move.
@@ -20,6 +20,8 @@ use core::hash::{Hash, Hasher};
 pub const REPORTS: usize = 32;
 /// Places reserved for queued onsets and for cuts.
 pub(in crate::controller) const RESERVE: usize = 12;
+/// Reports of the frame that is being taken: its mark was late, and its verdict.
+const OF_FRAME: usize = 2;
 
 /// A queued move that was refused when it was to begin.
 #[derive(Clone, Copy, Debug, Hash)]
@@ -102,6 +104,11 @@ impl Reports {
 
     pub(in crate::controller) fn free(&self) -> usize {
         REPORTS - self.ring.len()
+    }
+
+    /// Whether there is a place that neither the reserve nor the frame that is being taken may need.
+    pub(in crate::controller) fn has_room(&self) -> bool {
+        self.free() > RESERVE + OF_FRAME
     }
 
     /// Refused moves that the host has not seen.

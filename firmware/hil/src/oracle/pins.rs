@@ -200,8 +200,9 @@ impl<'a> Pins<'a> {
                     self.pins = self.pins.map(|pin| Pin { still_since: pin.still_since, ..Pin::default() });
                 }
             }
-            Step::Lower(motors, order) => {
-                motors.iter().for_each(|motor| self.lower(now, motor.into(), order));
+            Step::Lower { late, held, order } => {
+                late.iter().for_each(|motor| self.lower(now, motor.into(), order, true));
+                held.iter().for_each(|motor| self.lower(now, motor.into(), order, false));
             }
             Step::Cut(cut @ CutAt { return_ticks: Some(_), .. }, seek) => self.bring_down(now, cut, seek),
             Step::Cut(cut, _) => self.turn_off(now, cut),
@@ -209,13 +210,13 @@ impl<'a> Pins<'a> {
     }
 
     /// The device has lowered a goal: by a late move to a lower level, or because the pin was held for too long.
-    fn lower(&mut self, now: Tick, motor: usize, order: usize) {
+    fn lower(&mut self, now: Tick, motor: usize, order: usize, by_late: bool) {
         let Pin { goal, begun, still_since, .. } = self.pins[motor];
         let late = self.moves.iter().filter(|live| live.late && !live.of_stroke && live.order < order);
         let late = late
             .filter(|live| usize::from(live.to.motor) == motor && live.to.tick > begun && live.to.tick < now);
-        let level = late.map(|live| live.to.level).filter(|&level| level < goal).min();
-        if level.is_none() && now - still_since <= self.hold(order) {
+        let level = late.map(|live| live.to.level).filter(|&level| level < goal).min().filter(|_| by_late);
+        if level.is_none() && (by_late || now - still_since <= self.hold(order)) {
             self.wrong(now, &format!("motor {motor} is lowered without a reason"));
         }
         let pin = &mut self.pins[motor];

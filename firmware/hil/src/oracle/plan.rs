@@ -57,8 +57,9 @@ impl Live {
 pub(super) enum Step {
     /// An arming: the limits, and whether all pins count as at rest.
     Arm(PowerLimits, bool),
-    /// The device has lowered goals by itself; its report is the event of this number.
-    Lower(MotorSet, usize),
+    /// The device has lowered goals by itself: by late moves, and because pins were held for too long. Its report is the event of this
+    /// number.
+    Lower { late: MotorSet, held: MotorSet, order: usize },
     /// A return, an arming that brings pins down, a seek by so many pulses (and whether positions were known before), or the end of all.
     Cut(CutAt, Option<(u16, bool)>),
 }
@@ -266,7 +267,9 @@ impl Plan {
                     self.out.contradictions.push(format!("motor {motor} has no move at {tick:?} to refuse"));
                 }
             }
-            Report::Lowered { tick, motors } => self.steps.push((tap.tick(tick), Step::Lower(motors, order))),
+            Report::Lowered { tick, late, held } => {
+                self.steps.push((tap.tick(tick), Step::Lower { late, held, order }));
+            }
             Report::Cut(cut) => {
                 let by = |wanted: fn(&Op) -> bool| {
                     self.controls.iter().rev().find(|(_, op)| wanted(op)).map_or(order, |&(order, _)| order)

@@ -38,8 +38,13 @@ fn replacing(seq: u16, base: u64, moves: Vec<Unpacked>) -> Event {
     Event::Batch(Batch { epoch: 0, seq, mark: None, withdraw, base: at(base), moves })
 }
 
-fn lowered(tick: u64) -> Event {
-    Event::Report(Report::Lowered { tick: at(tick).wire(), motors: MotorSet::from_bits(1 << 3) })
+fn lowered(tick: u64, by_move: bool) -> Event {
+    let (late, held) = if by_move {
+        (MotorSet::from_bits(1 << 3), MotorSet::EMPTY)
+    } else {
+        (MotorSet::EMPTY, MotorSet::from_bits(1 << 3))
+    };
+    Event::Report(Report::Lowered { tick: at(tick).wire(), late, held })
 }
 
 fn verdict(seq: u16, late: u64, kept: u64) -> Event {
@@ -78,7 +83,7 @@ fn a_pin_follows_its_goal() {
 #[test]
 fn goals_are_lowered_for_a_reason() {
     let begin = || vec![arm(no_limits(), None, true), frame(0, Some(0), vec![to(3, 500, 60)])];
-    let late = [frame(1, None, vec![to(3, 590, 20)]), verdict(1, 1, 0), lowered(640)];
+    let late = [frame(1, None, vec![to(3, 590, 20)]), verdict(1, 1, 0), lowered(640, true)];
     let expected_of = |more: &[Event]| expected([&begin(), more].concat());
     let by_move = expected_of(&late);
     // The drivers start up first.
@@ -86,7 +91,7 @@ fn goals_are_lowered_for_a_reason() {
     assert_eq!(by_move.contradictions, Vec::<String>::new());
     let hold = u64::from(Array::paper().layout().least_hold());
     for (tick, wrong) in [(560 + hold, 1), (561 + hold, 0)] {
-        let by_hold = expected_of(&[lowered(tick)]);
+        let by_hold = expected_of(&[lowered(tick, false)]);
         assert_eq!(by_hold.log.lines[3], [train(500, Up, 60), train(tick + 43, Down, 60)]);
         assert_eq!(by_hold.contradictions.len(), wrong, "{:?}", by_hold.contradictions);
     }

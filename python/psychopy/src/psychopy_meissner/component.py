@@ -65,7 +65,12 @@ class MeissnerComponent(BaseComponent):
         stimulus, device = {"categ": "Basic", "allowedTypes": []}, {"categ": "Device", "allowedTypes": []}
         repeats = {"updates": "set every repeat", "allowedUpdates": REPEATS}
         self.params["pattern"] = Param(
-            "edge-45", valType="str", label="Pattern", hint="Name of a pattern of the daemon", **stimulus, **repeats
+            "edge-45",
+            valType="str",
+            label="Pattern",
+            hint="Name of a pattern of the daemon; or a $variable: a dict of `samples` and `rate`, `drives`, or a whole pattern",
+            **stimulus,
+            **repeats,
         )
         # `code`, not `num`: it takes `$duration` as well as `duration`, and a blank one means no argument.
         self.params["seconds"] = Param(

@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 import threading
 import time
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import meissner
@@ -32,7 +33,8 @@ class TactilePlay:
         """`ahead`: how long before its start the play is ordered, s; None: 0.2."""
         self.device, self.ahead = device, 0.2 if ahead is None else ahead
         self.status: Any = None
-        self.pattern, self.scale = "", 1.0
+        self.pattern: str | Mapping[str, Any] = ""
+        self.scale = 1.0
         self.seconds: float | None = None
         self.reset()
 
@@ -48,9 +50,16 @@ class TactilePlay:
         self._end = math.inf
         self._error: BaseException | None = None
 
-    def setPattern(self, pattern: str) -> None:
-        """The pattern's name."""
+    def setPattern(self, pattern: str | Mapping[str, Any]) -> None:
+        """The pattern's name; or a dict with the keys of a pattern file, or with `samples` and `rate`, or `drives`, as `play` takes them."""
         self.pattern = pattern
+
+    def _what(self) -> dict[str, Any]:
+        """What is played, as arguments of `play`."""
+        given = self.pattern
+        if isinstance(given, str) or not given.keys() & {"samples", "drives"}:
+            return {"pattern": given}
+        return dict(given)
 
     def setSeconds(self, seconds: float | None = None) -> None:
         """Duration, s; None: the pattern's."""
@@ -92,12 +101,12 @@ class TactilePlay:
         client = self.device.client
         try:
             try:
-                play = client.play(self.pattern, self.seconds, at=at, scale=self.scale)
+                play = client.play(**self._what(), seconds=self.seconds, at=at, scale=self.scale)
             except TooSoon:
                 if self._is_stopping:
                     return
                 at = None
-                play = client.play(self.pattern, self.seconds, scale=self.scale)
+                play = client.play(**self._what(), seconds=self.seconds, scale=self.scale)
             duration = math.inf if play.ordered_s is None else play.ordered_s
             if at is not None:
                 self._end = at + duration
@@ -146,7 +155,7 @@ class TactilePlay:
         if not self._over.wait(PATIENCE):
             self.device.estop()
             raise MeissnerError(
-                f"the play of `{self.pattern}` has no end after {PATIENCE:.0f} s, so all lines were switched off: "
+                f"the play of `{self.pattern if isinstance(self.pattern, str) else 'inline'}` has no end after {PATIENCE:.0f} s, so all lines were switched off: "
                 "see `meissner receipt`"
             )
         self.check()

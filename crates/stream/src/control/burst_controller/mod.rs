@@ -28,7 +28,7 @@ mod rest;
 
 pub(crate) use correct::Times;
 
-use super::estimator::{Estimator, Gains, Travel, gain_index};
+use super::estimator::{Estimator, Gains, Travel, gain_index, sign};
 use super::queued::{Correction, Cutting, Forgotten, Queued};
 use super::telemetry_monitor::{Plausibility, TelemetryMonitor};
 use firmware_protocol::controller::POOL;
@@ -36,6 +36,7 @@ use firmware_protocol::stroke::Direction;
 use firmware_protocol::tick::Tick;
 use meissner_api::SensorFault;
 use meissner_array::motor::HalfTick;
+use meissner_array::reflected_walk::Bursts;
 use meissner_array::spec::Array;
 use meissner_array::strokes::{Burst, Step};
 use std::collections::VecDeque;
@@ -52,8 +53,8 @@ pub(crate) struct BurstController {
     queue: VecDeque<Queued>,
     /// The level after the last burst that has left the queue, pulses above rest.
     level: u16,
-    /// Pulses up since the pin was last at rest, of bursts that have begun.
-    risen: u64,
+    /// The bursts that have begun since the pin was last at rest.
+    bursts: Bursts,
     /// The last bursts that had begun when the queue was last cut.
     cut: heapless::Deque<Queued, CUT>,
     /// How many bursts at the front of `queue` the estimator knows as begun.
@@ -91,7 +92,7 @@ impl BurstController {
             times: Times::of(array),
             queue,
             level: 0,
-            risen: 0,
+            bursts: Bursts::default(),
             cut: heapless::Deque::new(),
             begun: 0,
             finalised: 0,
@@ -211,13 +212,11 @@ impl BurstController {
         }
     }
 
-    /// The device has brought this motor's pin down at `tick` by itself. If it has been still for less than `least_hold`, a late move was the reason,
-    /// which [`Self::late`] knows; else it was held for too long.
-    pub(crate) fn lowered(&mut self, motor: u8, tick: Tick, least_hold: u64) {
+    /// The device has brought this motor's pin down at `tick`, because it was held for too long.
+    pub(crate) fn hold_ended(&mut self, motor: u8, tick: Tick) {
         let at = self.queue.partition_point(|queued| queued.burst.start < tick);
         let (level, last) = (self.level_before(at), at.checked_sub(1).map(|last| self.queue[last]));
-        let still_since = last.map_or(self.estimator.last_end(), |last| Some(last.burst.end()));
-        if level == 0 || at < self.begun || still_since.is_some_and(|end| tick - end < least_hold) {
+        if level == 0 || at < self.begun {
             return;
         }
         self.open(at);
@@ -424,17 +423,15 @@ impl BurstController {
         }
         self.estimator.forget(HalfTick::from(burst.start), &mut *over);
         let planned = next.planned - next.surplus;
-        if burst.direction == Direction::Up {
-            self.risen += u64::from(planned);
-        }
+        self.bursts.add(sign(burst.direction) * f64::from(planned) * self.um_per_pulse());
         let merged = if next.lands() && self.lower_stop {
-            self.landing = self.walk(self.risen, next.surplus).after(self.landing);
+            self.landing = self.walk(next.surplus).after(self.landing);
             self.estimator.begin_stopped(burst, self.landing)
         } else {
             self.estimator.begin(burst)
         };
         if next.lands() {
-            self.risen = 0;
+            self.bursts = Bursts::default();
         }
         if let Some(travel) = merged {
             over(travel);

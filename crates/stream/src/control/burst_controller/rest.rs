@@ -6,7 +6,7 @@ use super::BurstController;
 use crate::control::estimator::{ASYMMETRY, Gains, after_rest, gain_index, sign};
 use firmware_protocol::stroke::Direction;
 use firmware_protocol::tick::Tick;
-use meissner_array::reflected_walk::{ReflectedWalk, Spread};
+use meissner_array::reflected_walk::{Bursts, ReflectedWalk, Spread};
 
 impl BurstController {
     /// The device has flushed the queue and returns the pin.
@@ -17,7 +17,8 @@ impl BurstController {
         let highest = self.queue.front().map_or(self.level, |first| self.level.max(first.level));
         let unsure = self.estimator.scatter() * f64::from(highest) * um_per_pulse;
         self.queue.clear();
-        (self.begun, self.finalised, self.pending, self.level, self.risen) = (0, 0, [0; 2], 0, 0);
+        (self.begun, self.finalised, self.pending, self.level) = (0, 0, [0; 2], 0);
+        self.bursts = Bursts::default();
         if self.lower_stop {
             // The return ends at the stop, too.
             let [mean, variance] = self.landing;
@@ -130,16 +131,16 @@ impl BurstController {
         (self.scattered + drift * drift).sqrt()
     }
 
-    /// The rest error of excursions with so many pulses up and this surplus, from one to the next.
-    pub(super) fn walk(&self, risen: u64, surplus: u16) -> ReflectedWalk {
-        let (up, surplus) = (risen as f64 * self.um_per_pulse(), f64::from(surplus) * self.um_per_pulse());
+    /// The rest error of excursions of the bursts since the last rest, with this surplus, from one to the next.
+    pub(super) fn walk(&self, surplus: u16) -> ReflectedWalk {
+        let surplus = f64::from(surplus) * self.um_per_pulse();
         let Gains { mean, scatter, .. } = self.gains;
         let spread = if self.is_calibrated() {
             Spread::measured(scatter, mean, [0.0; 2], 1)
         } else {
             Spread { scatter, asymmetry: ASYMMETRY }
         };
-        ReflectedWalk::new(up, surplus, spread)
+        ReflectedWalk::of_bursts(&self.bursts, surplus, spread)
     }
 
     /// With a lower stop: root mean square of the rest error to expect, µm.

@@ -449,8 +449,9 @@ impl DeviceKnowledge {
                 let fits = self.array.has(motor) && limit;
                 if fits { self.tick_within(clock, tick, self.horizon) } else { Err(Contradiction::Report) }
             }
-            Report::Lowered { tick, motors } => {
-                if motors.without(self.layout().all()).is_empty() {
+            Report::Lowered { tick, late, held } => {
+                let motors = late | held;
+                if !motors.is_empty() && motors.without(self.layout().all()).is_empty() {
                     self.tick_within(clock, tick, self.horizon)
                 } else {
                     Err(Contradiction::Report)

@@ -238,11 +238,12 @@ pub enum Event {
         /// `cut.at`, widened.
         at: Tick,
     },
-    /// The device has brought these motors' pins down by itself, in this tick or shortly after: they were held for too long, or the move
-    /// that was to do so was late.
+    /// The device has brought pins down by itself, in this tick or shortly after.
     Lowered {
-        /// The motors.
-        motors: MotorSet,
+        /// Motors of which a move down was late. The verdict on that move follows.
+        late: MotorSet,
+        /// Motors whose pins were held for too long.
+        held: MotorSet,
         /// The first tick in which it did so.
         tick: Tick,
     },

@@ -197,7 +197,7 @@ impl Session {
             Report::Onset { counters, .. } => emit(Event::Onset { tick, counters }),
             Report::Cut(cut) => emit(Event::Cut { cut, at: tick }),
             Report::Refused { motor, reason, .. } => emit(Event::StrokeRefused { motor, up: tick, reason }),
-            Report::Lowered { motors, .. } => emit(Event::Lowered { motors, tick }),
+            Report::Lowered { late, held, .. } => emit(Event::Lowered { late, held, tick }),
         }
         Ok(())
     }
