@@ -137,7 +137,11 @@ impl<'g> Goal<'g> {
         let velocities = velocities(&wanted.skin_mm);
         let spikes = Spikes::of(&table, &velocities);
         let (ra, pc) = (binned(&blur, &spikes.ra), binned(&blur, &spikes.pc));
-        let share = |weight: f64, rows: &Rows| weight / squares(rows).max(f64::MIN_POSITIVE);
+        // An object that moves no skin, or too slowly for a class, asks nothing of it.
+        let share = |weight: f64, rows: &Rows| match squares(rows) {
+            0.0 => 0.0,
+            wanted => weight / wanted,
+        };
         let weights = Weights {
             ra: share(weights.ra, &ra),
             pc: share(weights.pc, &pc),
