@@ -2,15 +2,18 @@
 //!
 //! Always beside it: the object felt again (the most that can be reached), the plain rules, and the methods of `render`.
 
+mod named;
+
 use super::arguments::{ArrayOption, Output};
 use super::output::give;
 use super::{object, pattern_file, progress};
 use anyhow::{Result, bail};
 use clap::Args;
 use meissner_array::pattern::Pattern;
-use meissner_render::{Judged, Method, Rival, judge, render, response_of};
+use meissner_array::spec::Array;
+use meissner_render::{Judge as Comparison, Judged, Method, Rival, render, response_of};
 use meissner_skin::{Finger, SkinModel};
-use meissner_touch::respond;
+use meissner_touch::{Contact, Touch, respond};
 use serde::Serialize;
 use std::fmt::Write;
 use std::process::ExitCode;
@@ -25,10 +28,17 @@ const AFTER_S: f64 = 0.1;
 #[derive(Debug, Args)]
 pub(super) struct Judge {
     /// Judge this pattern: a name of the library or a file [default: only the methods and rules]
+    #[arg(conflicts_with = "set")]
     pattern: Option<String>,
     /// Compare with this object: a file (TOML with kind = "object"), or the name of a shipped target at rest
-    #[arg(long, value_name = "OBJECT")]
-    object: String,
+    #[arg(long, value_name = "OBJECT", required_unless_present = "set")]
+    object: Option<String>,
+    /// Count how often observers name each of these objects, rendered by each method, and how far the places and angles are off
+    #[arg(long, value_name = "OBJECT", num_args = 2.., conflicts_with = "object")]
+    set: Vec<String>,
+    /// Move the set by up to MM mm either way along x and y, differently for each finger
+    #[arg(long, value_name = "MM", default_value_t = 0.0, requires = "set", allow_negative_numbers = true)]
+    spread_mm: f64,
     /// Take the mean over N fingers, 1 to 100
     #[arg(long, value_name = "N", default_value_t = 5)]
     fingers: u64,
@@ -63,6 +73,7 @@ pub(super) fn run(asked: &Judge) -> Result<ExitCode> {
     if !(1..=MOST_FINGERS).contains(&asked.fingers) {
         bail!("--fingers {}: must be 1 to {MOST_FINGERS}", asked.fingers);
     }
+    let Some(object) = &asked.object else { return named::run(asked) };
     let given =
         asked.pattern.as_deref().map(pattern_file::of_argument).transpose()?.map(|found| found.pattern);
     if let (Some(name), Some(pattern)) = (&asked.pattern, &given) {
@@ -70,21 +81,11 @@ pub(super) fn run(asked: &Judge) -> Result<ExitCode> {
     }
     let of_pattern = given.as_ref().map(Pattern::array);
     let array = asked.array.find()?.or(of_pattern).unwrap_or_default();
-    let (object, contact) = object::of_argument(&asked.object)?;
+    let (object, contact) = object::of_argument(object)?;
     let touch = object.touch();
     let mut patterns: Vec<(String, Pattern)> =
         given.map(|pattern| (pattern.name().to_owned(), pattern)).into_iter().collect();
-    for (name, method) in
-        [("auto", Method::Auto), ("rate", Method::Rate), ("field", Method::Field), ("rule", Method::Rule)]
-    {
-        let levels = render(array, &contact, touch, method);
-        patterns.push((format!("render {name}"), levels.pattern(array, "rendered", toml::Table::new())?));
-    }
-    for (name, rival) in
-        [("nearest pins at 60 Hz", Rival::Nearest), ("within reach at 60 Hz", Rival::WithinReach)]
-    {
-        patterns.push((name.to_owned(), rival.pattern(array, &contact, touch)?));
-    }
+    patterns.extend(rendered(array, &contact, touch)?);
     let longest_s =
         patterns.iter().filter_map(|(_, pattern)| pattern.duration_s()).fold(touch.duration_s(), f64::max);
     let seconds = longest_s.min(2.0 * touch.duration_s()) + AFTER_S;
@@ -95,10 +96,11 @@ pub(super) fn run(asked: &Judge) -> Result<ExitCode> {
             let finger = Finger::new(SkinModel::AFFERENTS, seed);
             let feel = |noise| respond(&contact, touch, finger.afferents(), Some(noise), &|_| ());
             let real = feel(asked.seed);
-            by_line[0].push(judge(&finger, &feel(asked.seed + 1), &real, seconds));
+            let comparison = Comparison::new(&finger, &real, seconds);
+            by_line[0].push(comparison.compare(&feel(asked.seed + 1)));
             for (line, (_, pattern)) in by_line[1..].iter_mut().zip(&patterns) {
                 let felt = response_of(&finger, pattern, seconds, asked.seed + 2)?;
-                line.push(judge(&finger, &felt, &real, seconds));
+                line.push(comparison.compare(&felt));
             }
             progress((index + 1) as f64 / fingers.len() as f64);
         }
@@ -109,6 +111,23 @@ pub(super) fn run(asked: &Judge) -> Result<ExitCode> {
     let lines = names.zip(&judged).map(|(name, of_fingers)| line(name, of_fingers)).collect();
     let document = Document { object: object.name().to_owned(), fingers, seconds, lines };
     give(asked.output.json, &document, || table(&document))
+}
+
+/// The patterns of all methods and rules, by their names.
+fn rendered(array: Array, contact: &Contact, touch: &Touch) -> Result<Vec<(String, Pattern)>> {
+    let mut patterns = Vec::new();
+    for (name, method) in
+        [("auto", Method::Auto), ("rate", Method::Rate), ("field", Method::Field), ("rule", Method::Rule)]
+    {
+        let levels = render(array, contact, touch, method);
+        patterns.push((format!("render {name}"), levels.pattern(array, "rendered", toml::Table::new())?));
+    }
+    for (name, rival) in
+        [("nearest pins at 60 Hz", Rival::Nearest), ("within reach at 60 Hz", Rival::WithinReach)]
+    {
+        patterns.push((name.to_owned(), rival.pattern(array, contact, touch)?));
+    }
+    Ok(patterns)
 }
 
 fn line(name: String, of_fingers: &[Judged]) -> Line {

@@ -5,6 +5,7 @@
 //! Projected gradients lower it; a step that does not is halved, so the result is never worse than the start.
 
 use crate::STEP_S;
+use crate::blurred::weight;
 use crate::levels::{Levels, Limits};
 use crate::rates::{Table, of_pc};
 use crate::skin::Skin;
@@ -12,8 +13,8 @@ use crate::wanted::Wanted;
 
 /// Steps whose rates are summed.
 const BIN: usize = 3;
-/// Blur over the skin, mm (SD).
-const BLUR_MM: f64 = 1.5;
+/// A smaller weight of the blur counts as 0: three SD.
+const LEAST_WEIGHT: f64 = 0.011;
 /// The most steps of the descent.
 const STEPS: usize = 60;
 
@@ -41,13 +42,9 @@ struct Blur(Vec<Vec<(usize, f64)>>);
 impl Blur {
     fn new(skin: &Skin) -> Self {
         let places = &skin.places_mm;
-        let row = |&[x, y]: &[f64; 2]| {
-            let squared = |&[a, b]: &[f64; 2]| (a - x) * (a - x) + (b - y) * (b - y);
-            let near = places.iter().enumerate().map(|(place, at)| (place, squared(at)));
-            let near = near.filter(|(_, squared)| *squared <= 9.0 * BLUR_MM * BLUR_MM);
-            let mut row: Vec<_> = near
-                .map(|(place, squared)| (place, libm::exp(-squared / (2.0 * BLUR_MM * BLUR_MM))))
-                .collect();
+        let row = |&place: &[f64; 2]| {
+            let near = places.iter().enumerate().map(|(number, &at)| (number, weight(place, at)));
+            let mut row: Vec<_> = near.filter(|(_, weight)| *weight > LEAST_WEIGHT).collect();
             let sum: f64 = row.iter().map(|(_, weight)| weight).sum();
             row.iter_mut().for_each(|(_, weight)| *weight /= sum);
             row

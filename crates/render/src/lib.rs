@@ -10,15 +10,18 @@
 //!    object's. `descent` changes heights until both rates and skin are near the object's.
 //! 6. `rule`: the plain answer, one press graded by the distance from the object. `rivals`: pins that vibrate near the object.
 //! 7. `levels`: heights over time become a pattern.
-//! 8. `judge`: [`judge`](judge()) compares the response of fingers to a pattern with their response to the object.
+//! 8. `judge`: a [`Judge`] compares the response of a finger to a pattern with its response to the object, `blurred` over the skin. `observer`: an
+//!    [`Observer`] names what a finger feels.
 //!
 //! Invariant: heights are within the travel of the array's motors, and no pin is asked to move faster than they do. Results depend on
 //! the request alone, not on threads.
 
+mod blurred;
 mod descent;
 mod field;
 mod judge;
 mod levels;
+mod observer;
 mod rates;
 mod rivals;
 mod rule;
@@ -26,8 +29,9 @@ mod skin;
 mod strokes;
 mod wanted;
 
-pub use judge::{Judged, judge, response_of};
+pub use judge::{Judge, Judged, response_of};
 pub use levels::Levels;
+pub use observer::{Observer, Reads};
 pub use rivals::Rival;
 
 use meissner_array::spec::Array;

@@ -11,6 +11,15 @@ use meissner_skin::membrane::{PAD_LENGTH_MM, PAD_WIDTH_MM};
 /// as much.
 pub(crate) const SPACING_MM: f64 = 1.45;
 
+/// Places on the pad this far apart.
+pub(crate) fn grid(spacing_mm: f64) -> Vec<[f64; 2]> {
+    let (a, b) = (PAD_WIDTH_MM / 2.0, PAD_LENGTH_MM / 2.0);
+    let (columns, rows) = ((a / spacing_mm) as i32, (b / spacing_mm) as i32);
+    let place = |row: i32, column: i32| [f64::from(column) * spacing_mm, f64::from(row) * spacing_mm];
+    let all = (-rows..=rows).flat_map(|row| (-columns..=columns).map(move |column| place(row, column)));
+    all.filter(|[x, y]| x * x / (a * a) + y * y / (b * b) <= 1.0).collect()
+}
+
 /// Places on the skin, and what each pin does there.
 #[derive(Clone, Debug)]
 pub(crate) struct Skin {
@@ -23,11 +32,7 @@ pub(crate) struct Skin {
 impl Skin {
     /// Places this far apart.
     pub(crate) fn new(array: Array, spacing_mm: f64) -> Self {
-        let (a, b) = (PAD_WIDTH_MM / 2.0, PAD_LENGTH_MM / 2.0);
-        let (columns, rows) = ((a / spacing_mm) as i32, (b / spacing_mm) as i32);
-        let place = |row: i32, column: i32| [f64::from(column) * spacing_mm, f64::from(row) * spacing_mm];
-        let all = (-rows..=rows).flat_map(|row| (-columns..=columns).map(move |column| place(row, column)));
-        let places_mm: Vec<_> = all.filter(|[x, y]| x * x / (a * a) + y * y / (b * b) <= 1.0).collect();
+        let places_mm = grid(spacing_mm);
         let by_place = pin_shapes(array, &places_mm);
         let motors = array.motors();
         let shapes = (0..motors).flat_map(|motor| by_place.iter().map(move |shape| shape[motor])).collect();

@@ -4,7 +4,7 @@
 
 use meissner_array::spec::Array;
 use meissner_design::Shape;
-use meissner_render::{Judged, Method, Rival, judge, render, response_of};
+use meissner_render::{Judge, Judged, Method, Rival, render, response_of};
 use meissner_skin::{Finger, SkinModel};
 use meissner_touch::{Contact, Object, Pose, Press, Scan, Touch, respond, surface_of};
 use toml::Table;
@@ -58,7 +58,7 @@ fn means<const N: usize>(object: &Object, value: impl Fn(&Judged) -> [f64; N]) -
             let finger = Finger::new(SkinModel::AFFERENTS, seed);
             let real = respond(&contact, object.touch(), finger.afferents(), Some(1), &|_| ());
             let felt = response_of(&finger, &pattern, seconds, 2).unwrap();
-            let judged = value(&judge(&finger, &felt, &real, seconds));
+            let judged = value(&Judge::new(&finger, &real, seconds).compare(&felt));
             sum.iter_mut().zip(judged).for_each(|(sum, value)| *sum += value / 2.0);
         }
         sum
