@@ -275,8 +275,13 @@ pub(crate) fn descend(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::blurred::{Blurred, counts};
+    use crate::judge::compared;
     use crate::skin::SPACING_MM;
     use meissner_array::spec::Array;
+    use meissner_design::Shape;
+    use meissner_skin::afferents::{Class, population};
+    use meissner_touch::{Contact, Object, Pose, Scan, Touch, respond, surface_of};
 
     /// The slopes are those of the loss, by differences.
     #[test]
@@ -320,6 +325,39 @@ mod tests {
                     "{weights:?} {moment} {motor}: {found} {slope}"
                 );
             }
+        }
+    }
+
+    /// The function of velocities against simulated fingers, under a bar that moves over them: correlation in 12 ms, and the sum.
+    #[test]
+    fn rates_under_a_moving_bar_are_those_of_fingers() {
+        let skin = Skin::new(Array::paper(), SPACING_MM);
+        for (speed_mm_s, least_r) in [(20.0, 0.65), (40.0, 0.7), (80.0, 0.8)] {
+            let bar = surface_of(&Shape::Polyline(vec![[-5.6, 0.0], [5.6, 0.0]]));
+            let (depth_mm, rise_s, direction_deg) = (0.5, 0.03, 90.0);
+            let scan = Scan { depth_mm, rise_s, speed_mm_s, direction_deg, duration_s: 20.0 / speed_mm_s };
+            let object = Object::new("bar", bar, Touch::scan(Pose::default(), scan).unwrap());
+            let contact = Contact::new(object.grains(object.pitch_mm()), depth_mm).unwrap();
+            let wanted = Wanted::new(&skin, &contact, object.touch());
+            let spikes = Spikes::of(&Table::of_ra(), &velocities(&wanted.skin_mm));
+            let found = binned(&Blur::new(&skin), &spikes.ra);
+            let mut real = vec![vec![0.0; skin.places()]; found.len()];
+            let fingers = 3;
+            for seed in 0..fingers {
+                let afferents = population(9100 + seed);
+                let spikes_s = respond(&contact, object.touch(), &afferents, Some(seed), &|_| ());
+                let blurred = Blurred::new(&afferents);
+                let counts = counts(&spikes_s, BIN as f64 * STEP_S, found.len());
+                for (bin, real) in real.iter_mut().enumerate() {
+                    let of_class = blurred.of_class(Class::Ra, |number| counts[number][bin]);
+                    real.iter_mut().zip(of_class).for_each(|(real, count)| *real += count / fingers as f64);
+                }
+            }
+            let (found, real) = (found.concat(), real.concat());
+            let (r, _) = compared(&found, &real);
+            let sum = found.iter().sum::<f64>() / real.iter().sum::<f64>();
+            println!("{speed_mm_s} mm/s: r {r:.2}, sum {sum:.2}");
+            assert!(r > least_r && (0.75..1.5).contains(&sum), "{speed_mm_s} mm/s: {r} {sum}");
         }
     }
 }

@@ -52,7 +52,7 @@ pub fn response_of(
 }
 
 /// The correlation of two responses, and the size of their difference over that of the second.
-fn compared(found: &[f64], real: &[f64]) -> (f64, f64) {
+pub(crate) fn compared(found: &[f64], real: &[f64]) -> (f64, f64) {
     let count = found.len().max(1) as f64;
     let mean = |values: &[f64]| values.iter().sum::<f64>() / count;
     let (a, b) = (mean(found), mean(real));
