@@ -85,6 +85,12 @@ fn cannot_write(place: &Path, error: &io::Error) -> anyhow::Error {
     )
 }
 
+/// Whether an argument was read from this file, also through links.
+pub(super) fn is_itself(argument: &str, file: &Path) -> bool {
+    let found = |file: &Path| fs::canonicalize(file).ok();
+    is_file(argument) && found(file).is_some_and(|file| Some(file) == found(Path::new(argument)))
+}
+
 /// The name of a pattern that is written to a file: the store requires that both have the same name.
 pub(super) fn pattern_name(file: &Path) -> Result<String> {
     let stem = file.file_stem().and_then(|stem| stem.to_str()).filter(|stem| pattern::is_name(stem));

@@ -97,9 +97,9 @@ pub(super) fn run(asked: &Judge) -> Result<ExitCode> {
             let feel = |noise| respond(&contact, touch, finger.afferents(), Some(noise), &|_| ());
             let real = feel(asked.seed);
             let comparison = Comparison::new(&finger, &real, seconds);
-            by_line[0].push(comparison.compare(&feel(asked.seed + 1)));
+            by_line[0].push(comparison.compare(&feel(asked.seed.wrapping_add(1))));
             for (line, (_, pattern)) in by_line[1..].iter_mut().zip(&patterns) {
-                let felt = response_of(&finger, pattern, seconds, asked.seed + 2)?;
+                let felt = response_of(&finger, pattern, seconds, asked.seed.wrapping_add(2))?;
                 line.push(comparison.compare(&felt));
             }
             progress((index + 1) as f64 / fingers.len() as f64);

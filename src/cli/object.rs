@@ -28,6 +28,9 @@ fn read(argument: &str) -> Result<Object> {
     if files::is_file(argument) {
         let file = Path::new(argument);
         let text = files::text(file, meissner_touch::MAX_FILE_BYTES as u64, "object")?;
+        if text.parse::<toml::Table>().is_ok_and(|table| !table.contains_key("kind")) {
+            bail!("{argument}: this is no object: an object file has the key `kind = \"object\"`");
+        }
         let mut open = |name: &str| {
             let mut bytes = Vec::new();
             open_regular(&dir_of(file).join(name))?.take(MAX_NAMED_BYTES).read_to_end(&mut bytes)?;

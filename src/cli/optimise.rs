@@ -20,7 +20,6 @@ use meissner_design::{
 use meissner_input::message::nearest;
 use meissner_skin::ModelName;
 use serde::Serialize;
-use std::fs;
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 use std::process::{self, ExitCode};
@@ -132,7 +131,7 @@ pub(super) fn run(asked: &Optimise) -> Result<ExitCode> {
     let array = asked.array.find()?;
     let of_file = target(&asked.target)?;
     let target = array.map_or_else(|| Ok(of_file.clone()), |array| of_file.with_array(array))?;
-    if let Some(file) = asked.file.as_deref().filter(|file| is_itself(&asked.target, file)) {
+    if let Some(file) = asked.file.as_deref().filter(|file| files::is_itself(&asked.target, file)) {
         bail!("{}: this is the target's file: write the pattern to another", files::shown(file));
     }
     let start = asked.resume.as_deref().map(pattern_file::of_file).transpose()?.map(|found| found.pattern);
@@ -235,6 +234,9 @@ pub(super) fn run(asked: &Optimise) -> Result<ExitCode> {
 fn target(argument: &str) -> Result<Target> {
     if files::is_file(argument) {
         let text = files::text(Path::new(argument), MAX_BYTES as u64, "target")?;
+        if text.parse::<toml::Table>().is_ok_and(|table| table.contains_key("kind")) {
+            bail!("{argument}: this is an object: make a pattern of it with `meissner render`");
+        }
         return Ok(Target::read(&text, argument)?);
     }
     shipped(argument).ok_or_else(|| {
@@ -244,12 +246,6 @@ fn target(argument: &str) -> Result<Target> {
             argument.escape_debug()
         )
     })
-}
-
-/// Whether the target was read from this file, also through links.
-fn is_itself(target: &str, file: &Path) -> bool {
-    let found = |file: &Path| fs::canonicalize(file).ok();
-    files::is_file(target) && found(file).is_some_and(|file| Some(file) == found(Path::new(target)))
 }
 
 /// The figures of the naive rules.

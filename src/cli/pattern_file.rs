@@ -54,7 +54,9 @@ pub(super) fn of_file(file: &Path) -> Result<Found> {
             .parse::<Table>()
             .is_ok_and(|table| table.contains_key("shape") && !table.contains_key("format"))
     {
-        bail!("{}: this is a target: make a pattern of it with `meissner optimise`", files::shown(file));
+        let (what, command) =
+            if text.contains("\"object\"") { ("an object", "render") } else { ("a target", "optimise") };
+        bail!("{}: this is {what}: make a pattern of it with `meissner {command}`", files::shown(file));
     }
     of_text(text, &file.to_string_lossy(), dir_of(file))
 }

@@ -4,7 +4,7 @@
 
 use super::arguments::{Output, PaperArrayOption, choice};
 use super::output::{is_broken_pipe, say, say_file, say_json, tell};
-use super::{files, object, text};
+use super::{files, object, progress, text};
 use anyhow::{Result, bail};
 use clap::Args;
 use meissner_input::message::escape;
@@ -25,6 +25,9 @@ pub(super) const METHODS: &[(&str, &str)] = &[
     ("field", "The skin's shape"),
     ("rule", "One press, graded by the distance from the object"),
 ];
+
+/// The longest touch, s. A pin may not stay at one height for much longer.
+const LONGEST_S: f64 = 30.0;
 
 #[derive(Debug, Args)]
 pub(super) struct Render {
@@ -60,7 +63,17 @@ struct Document<'a> {
 pub(super) fn run(asked: &Render) -> Result<ExitCode> {
     let begun = Instant::now();
     let array = asked.array.find()?;
+    if let Some(file) = asked.file.as_deref().filter(|file| files::is_itself(&asked.object, file)) {
+        bail!("{}: this is the object's file: write the pattern to another", files::shown(file));
+    }
     let (object, contact) = object::of_argument(&asked.object)?;
+    let lasts_s = object.touch().duration_s();
+    if lasts_s > LONGEST_S {
+        bail!(
+            "{}: the touch lasts {lasts_s} s: at most {LONGEST_S} s are rendered, shorten it",
+            asked.object
+        );
+    }
     let contact_s = begun.elapsed().as_secs_f64();
     let name = match &asked.file {
         Some(file) => {
@@ -69,11 +82,14 @@ pub(super) fn run(asked: &Render) -> Result<ExitCode> {
         }
         None => object.name().to_owned(),
     };
-    let levels = render(array, &contact, object.touch(), asked.method);
+    let levels = progress::waiting("rendering", || render(array, &contact, object.touch(), asked.method));
     let provenance = provenance(asked, object.name(), contact.grains().pitch_mm)?;
     let pattern = levels.pattern(array, &name, provenance)?;
     if pattern.motions().is_empty() {
-        bail!("{}: no pin moves for this object: press deeper, or bring it nearer to the pins", asked.object);
+        bail!(
+            "{}: no pin moves for this object: press deeper or longer than 0.01 s, or bring it nearer to the pins",
+            asked.object
+        );
     }
     let text = pattern.to_toml();
     if let Some(file) = &asked.file {

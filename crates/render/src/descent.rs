@@ -96,7 +96,7 @@ impl Spikes {
 }
 
 /// Blurred spikes in bins.
-fn binned(blur: &Blur, spikes: &Rows) -> Rows {
+fn binned(blur: &Blur, spikes: &[Vec<f64>]) -> Rows {
     let sum = |bin: &[Vec<f64>]| {
         let mut sum = bin[0].clone();
         for row in &bin[1..] {
@@ -133,7 +133,8 @@ impl<'g> Goal<'g> {
         let (table, blur) = (Table::of_ra(), Blur::new(skin));
         let velocities = velocities(&wanted.skin_mm);
         let spikes = Spikes::of(&table, &velocities);
-        let (ra, pc) = (binned(&blur, &spikes.ra), binned(&blur, &spikes.pc));
+        let touched = wanted.touched;
+        let (ra, pc) = (binned(&blur, &spikes.ra[..touched]), binned(&blur, &spikes.pc[..touched]));
         // An object that moves no skin, or too slowly for a class, asks nothing of it.
         let share = |weight: f64, rows: &Rows| match squares(rows) {
             0.0 => 0.0,
@@ -158,12 +159,18 @@ impl<'g> Goal<'g> {
         let raw = velocities(&skin_mm);
         let averaged = averaged(&raw);
         let spikes = Spikes::of(&self.table, &averaged);
-        let ra = difference(&binned(&self.blur, &spikes.ra), &self.ra);
-        let pc = difference(&binned(&self.blur, &spikes.pc), &self.pc);
+        let touched = self.wanted.touched;
+        let ra = difference(&binned(&self.blur, &spikes.ra[..touched]), &self.ra);
+        let pc = difference(&binned(&self.blur, &spikes.pc[..touched]), &self.pc);
         let skin = difference(&skin_mm, &self.wanted.skin_mm);
         let Weights { ra: of_ra, pc: of_pc, skin: of_skin } = self.weights;
         let loss = of_ra * squares(&ra) + of_pc * squares(&pc) + of_skin * squares(&skin);
         (loss, State { averaged, spikes, ra, pc, skin })
+    }
+
+    /// The part of the loss without the error of PC afferents.
+    fn without_pc(&self, state: &State) -> f64 {
+        self.weights.ra * squares(&state.ra) + self.weights.skin * squares(&state.skin)
     }
 
     /// The slopes of the loss by each height.
@@ -173,7 +180,7 @@ impl<'g> Goal<'g> {
         let mut by_velocity = vec![vec![0.0; places]; moments];
         for (bin, (ra, pc)) in state.ra.iter().zip(&state.pc).enumerate() {
             let (ra, pc) = (self.blur.transposed(ra), self.blur.transposed(pc));
-            for step in bin * BIN..((bin + 1) * BIN).min(moments) {
+            for step in bin * BIN..((bin + 1) * BIN).min(self.wanted.touched) {
                 for place in 0..places {
                     let [before, now] = state.spikes.pc_slopes[step][place];
                     let of_pc = 2.0 * self.weights.pc * pc[place];
@@ -238,6 +245,14 @@ fn averaged(velocities: &Rows) -> Rows {
     found
 }
 
+/// Heights, and how far they are from what is wanted of the skin and of RA afferents. Strokes always wake PC afferents, and would never be
+/// chosen if those counted.
+#[derive(Debug)]
+pub(crate) struct Descended {
+    pub(crate) levels: Levels,
+    pub(crate) far: f64,
+}
+
 /// Heights near a start, with a lower loss.
 pub(crate) fn descend(
     skin: &Skin,
@@ -245,7 +260,7 @@ pub(crate) fn descend(
     limits: Limits,
     start: Levels,
     weights: Weights,
-) -> Levels {
+) -> Descended {
     let goal = Goal::new(skin, wanted, weights);
     let mut best = start;
     best.limit(limits);
@@ -253,7 +268,11 @@ pub(crate) fn descend(
     // The first step moves the pins that gain most by a tenth of what they may go in a moment.
     let mut slopes = goal.slopes(&state);
     let steepest = slopes.iter().flatten().fold(0.0_f64, |most, slope| most.max(slope.abs()));
-    let mut pace = if steepest > 0.0 { 0.1 * limits.step_mm / steepest } else { return best };
+    let mut pace = if steepest > 0.0 {
+        0.1 * limits.step_mm / steepest
+    } else {
+        return Descended { far: goal.without_pc(&state), levels: best };
+    };
     for _ in 0..STEPS {
         let mut next = best.clone();
         for (heights, slopes) in next.heights_mm.iter_mut().zip(&slopes) {
@@ -269,7 +288,7 @@ pub(crate) fn descend(
             pace *= 0.5;
         }
     }
-    best
+    Descended { far: goal.without_pc(&state), levels: best }
 }
 
 #[cfg(test)]
@@ -301,7 +320,8 @@ mod tests {
             skin.under(heights, &mut at);
             at
         };
-        let wanted = Wanted { skin_mm: wave(1.4).heights_mm.iter().map(moved).collect() };
+        let skin_mm = wave(1.4).heights_mm.iter().map(moved).collect();
+        let wanted = Wanted { skin_mm, touched: 16 };
         for weights in [
             Weights { ra: 1.0, pc: 0.0, skin: 0.0 },
             Weights { ra: 0.0, pc: 1.0, skin: 0.0 },
@@ -338,9 +358,9 @@ mod tests {
             let scan = Scan { depth_mm, rise_s, speed_mm_s, direction_deg, duration_s: 20.0 / speed_mm_s };
             let object = Object::new("bar", bar, Touch::scan(Pose::default(), scan).unwrap());
             let contact = Contact::new(object.grains(object.pitch_mm()), depth_mm).unwrap();
-            let wanted = Wanted::new(&skin, &contact, object.touch());
+            let wanted = Wanted::new(&skin, &contact, object.touch(), Limits::of(Array::paper()));
             let spikes = Spikes::of(&Table::of_ra(), &velocities(&wanted.skin_mm));
-            let found = binned(&Blur::new(&skin), &spikes.ra);
+            let found = binned(&Blur::new(&skin), &spikes.ra[..wanted.touched]);
             let mut real = vec![vec![0.0; skin.places()]; found.len()];
             let fingers = 3;
             for seed in 0..fingers {

@@ -8,7 +8,7 @@ use meissner_array::spec::Array;
 const LEAST_MM: f64 = 0.002;
 
 /// The height of every pin, every 4 ms, mm.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct Levels {
     /// By moment and then by motor.
     pub heights_mm: Vec<Vec<f64>>,
@@ -55,8 +55,9 @@ impl Levels {
                 below[to] = below[to].max(below[from] - limits.step_mm);
             }
             for (moment, (above, below)) in above.into_iter().zip(below).enumerate() {
-                // Before the first moment, all pins are at rest.
-                let highest_mm = limits.highest_mm.min((moment + 1) as f64 * limits.step_mm);
+                // At the first and the last moment, all pins are at rest.
+                let steps = moment.min(moments - 1 - moment) as f64;
+                let highest_mm = limits.highest_mm.min(steps * limits.step_mm);
                 self.heights_mm[moment][motor] = f64::midpoint(above, below).clamp(0.0, highest_mm);
             }
         }
@@ -82,7 +83,7 @@ impl Levels {
             |motor: &u8| self.heights_mm.iter().any(|heights| heights[usize::from(*motor)] >= LEAST_MM);
         let motions = array.numbers().filter(moves).map(wave).collect();
         // The last wave ends with the pattern.
-        let duration_s = (self.duration_s() + 2.0 * STEP_S).max(STEP_S);
+        let duration_s = ((self.duration_s() + 2.0 * STEP_S) * 1e3).round() / 1e3;
         Pattern::new(array, name, Some(duration_s), Vec::new(), provenance)?.with_motions(motions)
     }
 }
@@ -99,11 +100,13 @@ mod tests {
             let jumps = |moment| vec![0.6 * random(seed, moment) - 0.1];
             let mut levels = Levels { heights_mm: (0..100).map(jumps).collect() };
             levels.limit(limits);
-            let mut before = 0.0;
+            let ends = [&levels.heights_mm[0], &levels.heights_mm[99]];
+            assert_eq!(ends, [&vec![0.0], &vec![0.0]]);
             for heights in &levels.heights_mm {
                 assert!((0.0..=limits.highest_mm).contains(&heights[0]));
-                assert!((heights[0] - before).abs() <= limits.step_mm + 1e-12, "{before} to {}", heights[0]);
-                before = heights[0];
+            }
+            for pair in levels.heights_mm.windows(2) {
+                assert!((pair[1][0] - pair[0][0]).abs() <= limits.step_mm + 1e-12, "{pair:?}");
             }
             let same = levels.clone();
             levels.limit(limits);

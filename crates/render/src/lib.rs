@@ -34,6 +34,7 @@ pub use levels::Levels;
 pub use observer::{Observer, Reads};
 pub use rivals::Rival;
 
+use descent::Weights;
 use meissner_array::spec::Array;
 use meissner_touch::{Contact, Touch};
 use serde::{Deserialize, Serialize};
@@ -51,7 +52,7 @@ pub enum Method {
     Field,
     /// The rates of afferents, beginning with strokes of the pins that the object passes.
     Rate,
-    /// The rates of afferents, beginning with the skin's shape for an object that stays in place, and with strokes for one that moves.
+    /// The rates of afferents, beginning with the skin's shape; for an object that moves, also with strokes, whichever ends nearer.
     #[default]
     Auto,
 }
@@ -60,23 +61,23 @@ pub enum Method {
 #[must_use]
 pub fn render(array: Array, contact: &Contact, touch: &Touch, method: Method) -> Levels {
     let skin = skin::Skin::new(array, skin::SPACING_MM);
-    let wanted = wanted::Wanted::new(&skin, contact, touch);
     let limits = levels::Limits::of(array);
+    let wanted = wanted::Wanted::new(&skin, contact, touch, limits);
+    let best = |weights, starts: Vec<Levels>| {
+        let descended =
+            starts.into_iter().map(|start| descent::descend(&skin, &wanted, limits, start, weights));
+        descended.min_by(|a, b| a.far.total_cmp(&b.far)).map_or_else(Levels::default, |best| best.levels)
+    };
+    let strokes = || strokes::graded(&skin, &wanted, limits);
     match method {
         Method::Rule => rule::press(array, contact, touch, wanted.moments()),
         Method::Field if touch.stays_in_place() => field::in_place(&skin, &wanted, limits),
         Method::Field => field::nearest(&skin, &wanted, limits),
-        Method::Rate => {
-            let start = strokes::graded(&skin, &wanted, limits);
-            descent::descend(&skin, &wanted, limits, start, descent::Weights::MOVING)
-        }
+        Method::Rate => best(Weights::MOVING, vec![strokes()]),
         Method::Auto if touch.stays_in_place() => {
-            let start = field::in_place(&skin, &wanted, limits);
-            descent::descend(&skin, &wanted, limits, start, descent::Weights::IN_PLACE)
+            best(Weights::IN_PLACE, vec![field::in_place(&skin, &wanted, limits)])
         }
-        Method::Auto => {
-            let start = strokes::graded(&skin, &wanted, limits);
-            descent::descend(&skin, &wanted, limits, start, descent::Weights::MOVING)
-        }
+        // What moves slowly is followed, what moves fast is not.
+        Method::Auto => best(Weights::MOVING, vec![strokes(), field::nearest(&skin, &wanted, limits)]),
     }
 }

@@ -15,7 +15,11 @@ pub(crate) fn press(array: Array, contact: &Contact, touch: &Touch, moments: usi
     let mut before = None;
     let mut pressed = vec![0.0; array.motors()];
     for (moment, heights) in levels.heights_mm.iter_mut().enumerate() {
-        let pose = touch.pose(moment as f64 * STEP_S);
+        let t_s = moment as f64 * STEP_S;
+        if t_s > touch.duration_s() {
+            break;
+        }
+        let pose = touch.pose(t_s);
         if before != Some(pose) {
             let height = |pin: &[f64; 2]| {
                 let beyond_mm = beyond_mm(contact, &pose, *pin);

@@ -26,8 +26,8 @@ pub(crate) fn graded(skin: &Skin, wanted: &Wanted, limits: Limits) -> Levels {
     let highest_mm = limits.highest_mm.min(limits.step_mm * (SLOT as f64 - 1.0) / 2.0);
     let mm_per_spike = highest_mm / spikes_of_stroke(&table, limits, highest_mm);
     let boxed = Boxed::new(skin, DAMPING);
-    for first in (0..wanted.moments()).step_by(SLOT) {
-        let moments = first..(first + SLOT).min(wanted.moments());
+    for first in (0..wanted.touched).step_by(SLOT) {
+        let moments = first..(first + SLOT).min(wanted.touched);
         let mut need_mm = vec![0.0; skin.places()];
         for moment in moments.clone().filter(|&moment| moment > 0) {
             let pairs = wanted.skin_mm[moment].iter().zip(&wanted.skin_mm[moment - 1]);

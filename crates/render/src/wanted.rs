@@ -1,6 +1,7 @@
 //! How far the skin moves under an object, at the places of a [`Skin`], moment by moment.
 
 use crate::STEP_S;
+use crate::levels::Limits;
 use crate::skin::Skin;
 use meissner_touch::{Contact, Touch, displacements_mm};
 
@@ -9,15 +10,20 @@ use meissner_touch::{Contact, Touch, displacements_mm};
 pub(crate) struct Wanted {
     /// By moment and then by place, mm.
     pub(crate) skin_mm: Vec<Vec<f64>>,
+    /// Moments of the touch itself: at the later ones pins come down, and nothing is asked of afferents.
+    pub(crate) touched: usize,
 }
 
 impl Wanted {
-    pub(crate) fn new(skin: &Skin, contact: &Contact, touch: &Touch) -> Self {
+    /// After the touch, the skin is at rest until pins that are at their travel have come down.
+    pub(crate) fn new(skin: &Skin, contact: &Contact, touch: &Touch, limits: Limits) -> Self {
         let moments = (touch.duration_s() / STEP_S).ceil() as usize + 1;
         let times_s: Vec<f64> = (0..moments).map(|moment| moment as f64 * STEP_S).collect();
         let by_place = displacements_mm(contact, touch, &skin.places_mm, &times_s);
         let at = |moment: usize| by_place.iter().map(|place| place[moment]).collect();
-        Self { skin_mm: (0..moments).map(at).collect() }
+        let after = (limits.highest_mm / limits.step_mm).ceil() as usize;
+        let rest = vec![vec![0.0; skin.places()]; after];
+        Self { skin_mm: (0..moments).map(at).chain(rest).collect(), touched: moments }
     }
 
     pub(crate) const fn moments(&self) -> usize {

@@ -97,6 +97,20 @@ fn a_rendered_motion_gives_ra_afferents_their_spikes() {
     }
 }
 
+/// What hardly moves is pressed, not stroked, and pins come down when the touch ends.
+#[test]
+fn slow_objects_are_followed() {
+    for speed_mm_s in [0.001, 2.0] {
+        let scan = Scan { depth_mm: 0.5, rise_s: 0.05, speed_mm_s, direction_deg: 90.0, duration_s: 0.5 };
+        let object = Object::new("slow", surface_of(&bar(0.0)), Touch::scan(Pose::default(), scan).unwrap());
+        let levels = render(Array::paper(), &contact(&object), object.touch(), Method::Auto);
+        let highest = |heights: &Vec<f64>| heights.iter().copied().fold(0.0, f64::max);
+        let held: Vec<f64> = levels.heights_mm[25..125].iter().map(highest).collect();
+        assert!(held.iter().all(|&mm| mm > 0.3), "{speed_mm_s} mm/s: {held:?}");
+        assert!(levels.heights_mm.last().is_some_and(|heights| highest(heights) == 0.0));
+    }
+}
+
 #[test]
 fn heights_do_not_depend_on_threads() {
     let object = pressed(&bar(0.8));

@@ -17,6 +17,8 @@ pub const MAX_SPEED_MM_S: f64 = 500.0;
 pub const MAX_PRESS_MM_S: f64 = 500.0;
 /// The fastest turn, degrees/s.
 pub const MAX_TURN_DEG_S: f64 = 3600.0;
+/// The shortest rise and fall of a press, s.
+const LEAST_RAMP_S: f64 = 0.001;
 /// The longest touch, s.
 pub const MAX_TOUCH_S: f64 = 60.0;
 /// The furthest place of an object's middle, mm from the array's.
@@ -95,8 +97,9 @@ impl Touch {
     /// If a number is beyond its limit.
     pub fn press(at: Pose, press: Press) -> Result<Self, TouchError> {
         let Press { depth_mm, rise_s, hold_s, fall_s } = press;
-        for (what, seconds) in [("rise_s", rise_s), ("hold_s", hold_s), ("fall_s", fall_s)] {
-            within(what, seconds, 0.0..=MAX_TOUCH_S, "s")?;
+        within("hold_s", hold_s, 0.0..=MAX_TOUCH_S, "s")?;
+        for (what, seconds) in [("rise_s", rise_s), ("fall_s", fall_s)] {
+            within(what, seconds, LEAST_RAMP_S..=MAX_TOUCH_S, "s")?;
         }
         depth(depth_mm)?;
         let (up, down) = (Pose { depth_mm: 0.0, ..at }, Pose { depth_mm, ..at });
@@ -109,7 +112,7 @@ impl Touch {
     /// If a number is beyond its limit.
     pub fn scan(middle: Pose, scan: Scan) -> Result<Self, TouchError> {
         let Scan { depth_mm, rise_s, speed_mm_s, direction_deg, duration_s } = scan;
-        within("rise_s", rise_s, 0.0..=MAX_TOUCH_S, "s")?;
+        within("rise_s", rise_s, LEAST_RAMP_S..=MAX_TOUCH_S, "s")?;
         within("speed_mm_s", speed_mm_s, 0.0..=MAX_SPEED_MM_S, "mm/s")?;
         within("direction_deg", direction_deg, -360.0..=360.0, "degrees")?;
         within("duration_s", duration_s, 0.001..=MAX_TOUCH_S, "s")?;
@@ -151,7 +154,7 @@ impl Touch {
         Self::of(poses)
     }
 
-    /// Checks places, times and speeds. A ramp without duration becomes the fastest one.
+    /// Checks places, times and speeds.
     fn of(mut poses: Vec<(f64, Pose)>) -> Result<Self, TouchError> {
         for &(t_s, pose) in &poses {
             within("the duration", t_s, 0.0..=MAX_TOUCH_S, "s")?;

@@ -181,8 +181,8 @@ fn what_is_wrong_is_said_in_one_line() {
             "o.toml:7: `touch.press.depth_um` is -5: must be above 0, at most 2000 um",
         ),
         (
-            touching("press = { depth_um = 500, rise_s = 0.0001 }"),
-            "o.toml:7: `touch.press`: the path jumps: its depth goes at 5000 mm/s from pose 0 to 1, at 0.0001 s; at most 500 mm/s",
+            touching("press = { depth_um = 2000, rise_s = 0.001 }"),
+            "o.toml:7: `touch.press`: the path jumps: its depth goes at 2000 mm/s from pose 0 to 1, at 0.001 s; at most 500 mm/s",
         ),
         (
             touching("press = { depth_um = 500, hold_s = 61 }"),

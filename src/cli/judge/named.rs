@@ -102,12 +102,12 @@ pub(super) fn run(asked: &Judge) -> Result<ExitCode> {
                 let contact = Contact::new(moved.grains(moved.pitch_mm()), moved.touch().most_depth_mm())?;
                 let feel = |noise| respond(&contact, moved.touch(), finger.afferents(), Some(noise), &|_| ());
                 for lesson in 0..LESSONS {
-                    let felt = feel(asked.seed + lesson);
+                    let felt = feel(asked.seed.wrapping_add(lesson));
                     learned.iter_mut().for_each(|observer| observer.learn(thing, &felt));
                 }
                 let mut all = rendered(array, &contact, moved.touch())?;
                 all.sort_by(|a, b| a.0.cmp(&b.0));
-                patterns.push((feel(asked.seed + LESSONS), all));
+                patterns.push((feel(asked.seed.wrapping_add(LESSONS)), all));
                 progress(
                     (index as f64 + (thing + 1) as f64 / objects.len() as f64 / 2.0) / fingers.len() as f64,
                 );
@@ -134,10 +134,10 @@ pub(super) fn run(asked: &Judge) -> Result<ExitCode> {
                 for (thing, (_, all)) in patterns.iter().enumerate() {
                     let feel = |noise| response_of(&finger, &all[method].1, seconds, noise);
                     for lesson in 0..LESSONS {
-                        let felt = feel(asked.seed + 100 + lesson)?;
+                        let felt = feel(asked.seed.wrapping_add(100 + lesson))?;
                         own.iter_mut().for_each(|observer| observer.learn(thing, &felt));
                     }
-                    tests.push(feel(asked.seed + 100 + LESSONS)?);
+                    tests.push(feel(asked.seed.wrapping_add(100 + LESSONS))?);
                 }
                 for (thing, felt) in tests.iter().enumerate() {
                     let of_method = &mut sums[method + 1].1;
