@@ -250,7 +250,7 @@ fn items_of_other_motors_overlap_and_blank_items_play_nothing() {
     assert!(blank.offset.is_none());
     let moved: Vec<_> = receipt.pins.unwrap().iter().map(|pin| pin.motor).collect();
     assert_eq!(moved, [3, 7, 9]);
-    // Pulses that nobody has asked for give way to the next item.
+    // A pulse by default ends before the next item.
     let soa =
         json!([{"pattern": tap(3), "seconds": 0.1}, {"pattern": tap(7), "seconds": 0.1, "start_ms": 5}]);
     let (_, pair) = played(&mut client, "/v1/sequence", &json!({"items": soa}));

@@ -4,7 +4,7 @@ use crate::STEP_S;
 use meissner_array::pattern::{Form, Motion, Pattern, PatternError, Wave};
 use meissner_array::spec::Array;
 
-/// A pin whose highest height is below this stays at rest, mm: a pulse of the paper's motors moves 0.14 µm, a finger feels some µm.
+/// A pin whose highest height is below this stays at rest, mm: some pulses of a motor.
 const LEAST_MM: f64 = 0.002;
 
 /// The height of every pin, every 4 ms, mm.

@@ -6,6 +6,8 @@
 //!   rows to ramps of random speeds and lengths, averaged as the paper's motors do.
 //! - PC afferents fire when the skin begins to move or stops ([`of_pc`]).
 //!
+//! The tests of `descent` compare the rates of RA afferents with those of simulated fingers.
+//!
 //! Both are spikes of one afferent in a step. Real afferents fire in bursts and tire; a mean over places and steps does not see that.
 
 /// Speeds, mm/s, and spikes of an RA afferent in a step of 4 ms.

@@ -245,6 +245,18 @@ fn without_telemetry_the_estimated_error_stays_within_the_end_stops() {
     assert_eq!(estimates[1..], [blind.end_stop_um; 2]);
 }
 
+/// Motors that drift because they go further one way than the other, without telemetry and far from any stop.
+fn asymmetric() -> SimulatedMotorsConfig {
+    SimulatedMotorsConfig {
+        telemetry_hz: 0,
+        gain_sd: 0.0,
+        transient_gain: Some(0.8),
+        asymmetry_sd: 0.05,
+        end_stop_um: 10_000.0,
+        ..SimulatedMotorsConfig::default()
+    }
+}
+
 /// What a calibration of these motors finds. Each motor's asymmetry is random: one stroke of known length shows it.
 fn calibrated(motors: &SimulatedMotorsConfig) -> PerMotor<Gains> {
     PerMotor::from_fn(Array::paper(), |motor| {
@@ -261,14 +273,7 @@ fn calibrated(motors: &SimulatedMotorsConfig) -> PerMotor<Gains> {
 /// knows how far that is. Without telemetry nothing else would tell it.
 #[test]
 fn moves_that_were_not_sent_leave_the_estimate_where_the_pin_is() {
-    let motors = SimulatedMotorsConfig {
-        telemetry_hz: 0,
-        gain_sd: 0.0,
-        transient_gain: Some(0.8),
-        asymmetry_sd: 0.05,
-        end_stop_um: 10_000.0,
-        ..SimulatedMotorsConfig::default()
-    };
+    let motors = asymmetric();
     let ramp =
         "format = 2\nname = \"ramp\"\n[[ramp]]\nmotor = 9\nto_um = 300.0\nrise_s = 1.0\nhold_s = 0.3\n";
     let ramp = Pattern::parse(ramp, "ramp.toml").unwrap();
@@ -290,14 +295,7 @@ fn moves_that_were_not_sent_leave_the_estimate_where_the_pin_is() {
 /// Asymmetric motors drift fast; calibrated gains remove the drift, the scatter stays.
 #[test]
 fn calibrated_gains_hold_pins_without_telemetry() {
-    let motors = SimulatedMotorsConfig {
-        telemetry_hz: 0,
-        gain_sd: 0.0,
-        transient_gain: Some(0.8),
-        asymmetry_sd: 0.05,
-        end_stop_um: 10_000.0,
-        ..SimulatedMotorsConfig::default()
-    };
+    let motors = asymmetric();
     let gains = calibrated(&motors);
     let drift = |gains: Option<&PerMotor<Gains>>| {
         let mut rig = Rig::of(&motors, 3);

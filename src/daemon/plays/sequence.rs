@@ -179,7 +179,7 @@ impl Compiled {
         let onsets: Vec<u64> = sequence.spans().map(|(start, _)| start).collect();
         let item = |(number, item): (usize, &SequenceItem)| {
             let mut pulse = trigger(item.trigger, rate);
-            // The pulse that nobody has asked for gives way to the next item.
+            // A pulse by default ends before the next item.
             if item.trigger.is_none()
                 && let (Some(pulse), [onset, next, ..]) = (&mut pulse, &onsets[number..])
             {
