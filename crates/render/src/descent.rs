@@ -11,11 +11,11 @@ use crate::rates::{Table, of_pc};
 use crate::skin::Skin;
 use crate::wanted::Wanted;
 
-/// Steps whose rates are summed.
+/// Steps of a bin, in which rates are summed.
 const BIN: usize = 3;
 /// A smaller weight of the blur counts as 0: three SD.
 const LEAST_WEIGHT: f64 = 0.011;
-/// The most steps of the descent.
+/// The steps of the descent.
 const STEPS: usize = 60;
 
 /// The weights of the errors.
@@ -30,7 +30,7 @@ impl Weights {
     /// For an object that stays in place.
     pub(crate) const IN_PLACE: Self = Self { ra: 1.0, pc: 0.2, skin: 1.0 };
     /// For an object that moves.
-    pub(crate) const MOVING: Self = Self { ra: 1.0, pc: 0.05, skin: 0.3 };
+    pub(crate) const MOVING: Self = Self { ra: 1.0, pc: 0.02, skin: 0.3 };
 }
 
 /// Numbers by moment and then by place.
@@ -95,16 +95,24 @@ impl Spikes {
     }
 }
 
-/// Blurred spikes in bins.
+/// Blurred spikes in windows of three bins, one from each bin.
 fn binned(blur: &Blur, spikes: &[Vec<f64>]) -> Rows {
-    let sum = |bin: &[Vec<f64>]| {
-        let mut sum = bin[0].clone();
-        for row in &bin[1..] {
-            sum.iter_mut().zip(row).for_each(|(sum, value)| *sum += value);
-        }
-        blur.apply(&sum)
-    };
-    spikes.chunks(BIN).map(sum).collect()
+    let bins: Rows = spikes.chunks(BIN).map(|bin| blur.apply(&sum(bin))).collect();
+    in_windows(&bins)
+}
+
+/// Each bin together with the bin before and the bin after. This is its own transpose.
+fn in_windows(bins: &Rows) -> Rows {
+    let window = |at: usize| sum(&bins[at.saturating_sub(1)..(at + 2).min(bins.len())]);
+    (0..bins.len()).map(window).collect()
+}
+
+fn sum(rows: &[Vec<f64>]) -> Vec<f64> {
+    let mut sum = rows[0].clone();
+    for row in &rows[1..] {
+        sum.iter_mut().zip(row).for_each(|(sum, value)| *sum += value);
+    }
+    sum
 }
 
 fn squares(rows: &Rows) -> f64 {
@@ -117,7 +125,7 @@ fn difference(a: &Rows, b: &Rows) -> Rows {
 }
 
 /// What is wanted, and how much each error counts.
-struct Goal<'g> {
+pub(crate) struct Goal<'g> {
     skin: &'g Skin,
     wanted: &'g Wanted,
     table: Table,
@@ -129,7 +137,7 @@ struct Goal<'g> {
 }
 
 impl<'g> Goal<'g> {
-    fn new(skin: &'g Skin, wanted: &'g Wanted, weights: Weights) -> Self {
+    pub(crate) fn new(skin: &'g Skin, wanted: &'g Wanted, weights: Weights) -> Self {
         let (table, blur) = (Table::of_ra(), Blur::new(skin));
         let velocities = velocities(&wanted.skin_mm);
         let spikes = Spikes::of(&table, &velocities);
@@ -168,9 +176,37 @@ impl<'g> Goal<'g> {
         (loss, State { averaged, spikes, ra, pc, skin })
     }
 
-    /// The part of the loss without the error of PC afferents.
-    fn without_pc(&self, state: &State) -> f64 {
-        self.weights.ra * squares(&state.ra) + self.weights.skin * squares(&state.skin)
+    /// The start with the lowest loss.
+    pub(crate) fn nearest(&self, starts: Vec<Levels>) -> Levels {
+        let with_loss = starts.into_iter().map(|start| (self.loss(&start).0, start));
+        with_loss.min_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, start)| start).unwrap_or_default()
+    }
+
+    /// Heights near a start, with a lower loss.
+    pub(crate) fn descend(&self, limits: Limits, start: Levels) -> Descended {
+        let mut best = start;
+        best.limit(limits);
+        let (mut loss, mut state) = self.loss(&best);
+        // The first step moves the pins that gain most by a tenth of what they may go in a moment.
+        let mut slopes = self.slopes(&state);
+        let steepest = slopes.iter().flatten().fold(0.0_f64, |most, slope| most.max(slope.abs()));
+        let mut pace = 0.1 * limits.step_mm / steepest.max(f64::MIN_POSITIVE);
+        for _ in 0..STEPS {
+            let mut next = best.clone();
+            for (heights, slopes) in next.heights_mm.iter_mut().zip(&slopes) {
+                heights.iter_mut().zip(slopes).for_each(|(height, slope)| *height -= pace * slope);
+            }
+            next.limit(limits);
+            let (next_loss, next_state) = self.loss(&next);
+            if next_loss < loss {
+                (best, loss, state) = (next, next_loss, next_state);
+                slopes = self.slopes(&state);
+                pace *= 1.5;
+            } else {
+                pace *= 0.5;
+            }
+        }
+        Descended { levels: best, loss }
     }
 
     /// The slopes of the loss by each height.
@@ -178,7 +214,8 @@ impl<'g> Goal<'g> {
         let moments = state.skin.len();
         let places = self.skin.places();
         let mut by_velocity = vec![vec![0.0; places]; moments];
-        for (bin, (ra, pc)) in state.ra.iter().zip(&state.pc).enumerate() {
+        let (ra, pc) = (in_windows(&state.ra), in_windows(&state.pc));
+        for (bin, (ra, pc)) in ra.iter().zip(&pc).enumerate() {
             let (ra, pc) = (self.blur.transposed(ra), self.blur.transposed(pc));
             for step in bin * BIN..((bin + 1) * BIN).min(self.wanted.touched) {
                 for place in 0..places {
@@ -245,50 +282,11 @@ fn averaged(velocities: &Rows) -> Rows {
     found
 }
 
-/// Heights, and how far they are from what is wanted of the skin and of RA afferents. Strokes always wake PC afferents, and would never be
-/// chosen if those counted.
+/// Heights, and their loss.
 #[derive(Debug)]
 pub(crate) struct Descended {
     pub(crate) levels: Levels,
-    pub(crate) far: f64,
-}
-
-/// Heights near a start, with a lower loss.
-pub(crate) fn descend(
-    skin: &Skin,
-    wanted: &Wanted,
-    limits: Limits,
-    start: Levels,
-    weights: Weights,
-) -> Descended {
-    let goal = Goal::new(skin, wanted, weights);
-    let mut best = start;
-    best.limit(limits);
-    let (mut loss, mut state) = goal.loss(&best);
-    // The first step moves the pins that gain most by a tenth of what they may go in a moment.
-    let mut slopes = goal.slopes(&state);
-    let steepest = slopes.iter().flatten().fold(0.0_f64, |most, slope| most.max(slope.abs()));
-    let mut pace = if steepest > 0.0 {
-        0.1 * limits.step_mm / steepest
-    } else {
-        return Descended { far: goal.without_pc(&state), levels: best };
-    };
-    for _ in 0..STEPS {
-        let mut next = best.clone();
-        for (heights, slopes) in next.heights_mm.iter_mut().zip(&slopes) {
-            heights.iter_mut().zip(slopes).for_each(|(height, slope)| *height -= pace * slope);
-        }
-        next.limit(limits);
-        let (next_loss, next_state) = goal.loss(&next);
-        if next_loss < loss {
-            (best, loss, state) = (next, next_loss, next_state);
-            slopes = goal.slopes(&state);
-            pace *= 1.5;
-        } else {
-            pace *= 0.5;
-        }
-    }
-    Descended { far: goal.without_pc(&state), levels: best }
+    pub(crate) loss: f64,
 }
 
 #[cfg(test)]
@@ -348,7 +346,7 @@ mod tests {
         }
     }
 
-    /// The function of velocities against simulated fingers, under a bar that moves over them: correlation in 12 ms, and the sum.
+    /// The function of velocities against simulated fingers, under a bar that moves over them: correlation in windows of 36 ms, and the sum.
     #[test]
     fn rates_under_a_moving_bar_are_those_of_fingers() {
         let skin = Skin::new(Array::paper(), SPACING_MM);
@@ -373,7 +371,7 @@ mod tests {
                     real.iter_mut().zip(of_class).for_each(|(real, count)| *real += count / fingers as f64);
                 }
             }
-            let (found, real) = (found.concat(), real.concat());
+            let (found, real) = (found.concat(), in_windows(&real).concat());
             let (r, _) = compared(&found, &real);
             let sum = found.iter().sum::<f64>() / real.iter().sum::<f64>();
             println!("{speed_mm_s} mm/s: r {r:.2}, sum {sum:.2}");

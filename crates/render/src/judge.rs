@@ -11,8 +11,10 @@ use serde::Serialize;
 
 /// Bins of all classes together, s.
 const FINE_S: f64 = 0.01;
-/// Bins of each class, s: a stroke of the paper's motors.
+/// Windows of each class, s: half a stroke of the paper's motors. They begin every quarter of a window, so that no pattern gains by
+/// beginning its strokes with them.
 const COARSE_S: f64 = 0.036;
+const QUARTERS: usize = 4;
 
 /// How near a response is to the real one.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -87,14 +89,16 @@ impl<'j> Judge<'j> {
     /// Compares the same finger's spikes under a pattern.
     #[must_use]
     pub fn compare(&self, found_s: &[Vec<f64>]) -> Judged {
-        let both = |bin_s: f64| [found_s, self.real_s].map(|spikes_s| self.maps(spikes_s, bin_s));
+        let both = |bin_s: f64, window: usize| {
+            [found_s, self.real_s].map(|spikes_s| self.maps(spikes_s, bin_s, window))
+        };
         let whole = |bin_s: f64| {
-            let [found, real] = both(bin_s);
+            let [found, real] = both(bin_s, 1);
             compared(&found.concat(), &real.concat())
         };
         let (r, error) = whole(FINE_S);
         let (r_in_space, error_in_space) = whole(self.seconds);
-        let [found, real] = both(COARSE_S);
+        let [found, real] = both(COARSE_S / QUARTERS as f64, QUARTERS);
         let by_class = [0, 1, 2].map(|class| compared(&found[class], &real[class]));
         let count = |spikes_s: &[Vec<f64>], class: Class| {
             self.finger.of_class(class).map(|number| spikes_s[number].len()).sum::<usize>() as f64
@@ -110,12 +114,15 @@ impl<'j> Judge<'j> {
         }
     }
 
-    /// Blurred counts by class, and then by bin and place.
-    fn maps(&self, spikes_s: &[Vec<f64>], bin_s: f64) -> [Vec<f64>; 3] {
-        let bins = (self.seconds / bin_s).floor().max(1.0) as usize;
+    /// Blurred counts in windows of so many bins, by class, and then by window and place.
+    fn maps(&self, spikes_s: &[Vec<f64>], bin_s: f64, window: usize) -> [Vec<f64>; 3] {
+        let bins = ((self.seconds / bin_s).floor() as usize).max(window);
         let counts = counts(spikes_s, bin_s, bins);
+        let in_window = |number: usize, first: usize| counts[number][first..first + window].iter().sum();
         Class::ALL.map(|class| {
-            (0..bins).flat_map(|bin| self.blurred.of_class(class, |number| counts[number][bin])).collect()
+            (0..=bins - window)
+                .flat_map(|first| self.blurred.of_class(class, |number| in_window(number, first)))
+                .collect()
         })
     }
 }

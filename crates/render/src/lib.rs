@@ -34,7 +34,7 @@ pub use levels::Levels;
 pub use observer::{Observer, Reads};
 pub use rivals::Rival;
 
-use descent::Weights;
+use descent::{Goal, Weights};
 use meissner_array::spec::Array;
 use meissner_touch::{Contact, Touch};
 use serde::{Deserialize, Serialize};
@@ -63,21 +63,23 @@ pub fn render(array: Array, contact: &Contact, touch: &Touch, method: Method) ->
     let skin = skin::Skin::new(array, skin::SPACING_MM);
     let limits = levels::Limits::of(array);
     let wanted = wanted::Wanted::new(&skin, contact, touch, limits);
-    let best = |weights, starts: Vec<Levels>| {
-        let descended =
-            starts.into_iter().map(|start| descent::descend(&skin, &wanted, limits, start, weights));
-        descended.min_by(|a, b| a.far.total_cmp(&b.far)).map_or_else(Levels::default, |best| best.levels)
-    };
-    let strokes = || strokes::graded(&skin, &wanted, limits);
+    let goal = |weights| Goal::new(&skin, &wanted, weights);
+    let strokes =
+        |goal: &Goal<'_>| goal.descend(limits, goal.nearest(strokes::starts(&skin, &wanted, limits)));
     match method {
         Method::Rule => rule::press(array, contact, touch, wanted.moments()),
         Method::Field if touch.stays_in_place() => field::in_place(&skin, &wanted, limits),
         Method::Field => field::nearest(&skin, &wanted, limits),
-        Method::Rate => best(Weights::MOVING, vec![strokes()]),
+        Method::Rate => strokes(&goal(Weights::MOVING)).levels,
         Method::Auto if touch.stays_in_place() => {
-            best(Weights::IN_PLACE, vec![field::in_place(&skin, &wanted, limits)])
+            goal(Weights::IN_PLACE).descend(limits, field::in_place(&skin, &wanted, limits)).levels
         }
         // What moves slowly is followed, what moves fast is not.
-        Method::Auto => best(Weights::MOVING, vec![strokes(), field::nearest(&skin, &wanted, limits)]),
+        Method::Auto => {
+            let goal = goal(Weights::MOVING);
+            let (strokes, followed) =
+                (strokes(&goal), goal.descend(limits, field::nearest(&skin, &wanted, limits)));
+            if strokes.loss < followed.loss { strokes.levels } else { followed.levels }
+        }
     }
 }
