@@ -6,7 +6,8 @@
 //!   rows to ramps of random speeds and lengths, averaged as the paper's motors do.
 //! - PC afferents fire when the skin begins to move or stops ([`of_pc`]).
 //!
-//! The tests of `descent` compare the rates of RA afferents with those of simulated fingers.
+//! The test here prints both beside the means of the second model's rows; the tests of `descent` compare the rates of RA afferents with those of
+//! simulated fingers.
 //!
 //! Both are spikes of one afferent in a step. Real afferents fire in bursts and tire; a mean over places and steps does not see that.
 
@@ -92,4 +93,102 @@ fn change(speed: f64) -> (f64, f64) {
     };
     let ((low, low_slope), (high, high_slope)) = (part(0.25, 0.4), part(0.5, 8.0));
     (low + high, low_slope + high_slope)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::STEP_S;
+    use meissner_array::random::uniform;
+    use meissner_skin::afferents::{
+        Afferent, Class, ELASTICITY, POISSON, SAMPLES_PER_S, Stimuli, population, respond,
+    };
+
+    const STEPS: usize = 15_000;
+    const SAMPLES_PER_STEP: usize = (STEP_S * SAMPLES_PER_S) as usize;
+    /// How long the paper's motors average, samples: 4.3 ms.
+    const AVERAGED: usize = 21;
+
+    /// The velocity of each step, mm/s: random speeds, either way, for up to eleven steps, or rest.
+    fn random_velocities(seed: u64) -> Vec<f64> {
+        let mut velocities = Vec::with_capacity(STEPS);
+        let mut drawn = 0;
+        while velocities.len() < STEPS {
+            let [kind, sign] = uniform([seed, drawn, 0, 41]);
+            let [speed, length] = uniform([seed, drawn, 1, 41]);
+            drawn += 1;
+            let speed_mm_s = -10.0 * libm::log(1.0 - speed);
+            let velocity = if kind < 0.45 { 0.0 } else { speed_mm_s.copysign(sign - 0.5) };
+            velocities.extend(std::iter::repeat_n(velocity, 1 + (11.0 * length) as usize));
+        }
+        velocities.truncate(STEPS);
+        velocities
+    }
+
+    /// The mean spikes of a class's rows in each step.
+    fn simulated(class: Class, velocities: &[f64], seed: u64) -> Vec<f64> {
+        let at = population(1)[0].at;
+        let copies = 0..8;
+        let rows: Vec<Afferent> = copies
+            .flat_map(|_| (0..class.rows()).map(|row| Afferent { class, row: row as u8, at }))
+            .collect();
+        // The skin's velocity as a rate of spread loads.
+        let per_mm_s = ELASTICITY / (1.0 - POISSON * POISSON) / (class.depth_mm() * class.depth_mm());
+        let sample = |sample: usize| velocities[sample / SAMPLES_PER_STEP];
+        let samples = velocities.len() * SAMPLES_PER_STEP;
+        let mean = |last: usize| {
+            (0..AVERAGED).filter_map(|back| last.checked_sub(back)).map(sample).sum::<f64>() / AVERAGED as f64
+        };
+        let moving: Vec<f64> = (0..samples).map(|last| per_mm_s * mean(last)).collect();
+        let stimuli = |_: &Afferent| Stimuli { moving: moving.clone(), held: Vec::new() };
+        let trains = respond(&rows, samples as u32, Some(seed), &stimuli, &|_| ());
+        let mut spikes = vec![0.0; velocities.len()];
+        for at_s in trains.iter().flatten() {
+            spikes[(at_s / STEP_S) as usize] += 1.0 / rows.len() as f64;
+        }
+        spikes
+    }
+
+    /// The means of what was simulated and of what the function gives, in classes of steps, where there are enough.
+    fn means(classes: &[usize], simulated: &[f64], given: &[f64]) -> Vec<Option<[f64; 2]>> {
+        let most = classes.iter().copied().max().unwrap_or(0);
+        let mut sums = vec![[0.0; 3]; most + 1];
+        for (&class, (simulated, given)) in classes.iter().zip(simulated.iter().zip(given)) {
+            let [count, of_simulated, of_given] = &mut sums[class];
+            *count += 1.0;
+            *of_simulated += simulated;
+            *of_given += given;
+        }
+        sums.iter().map(|[count, a, b]| (*count >= 100.0).then_some([a / count, b / count])).collect()
+    }
+
+    #[test]
+    fn rates_are_those_of_the_second_models_rows() {
+        for (class, worst) in [(Class::Ra, 0.05), (Class::Pc, 0.09)] {
+            let velocities = random_velocities(1);
+            let averaged: Vec<f64> = (0..STEPS)
+                .map(|step| f64::midpoint(velocities[step], velocities[step.saturating_sub(1)]))
+                .collect();
+            let simulated = simulated(class, &velocities, 5);
+            let table = Table::of_ra();
+            let before = |step: usize| if step == 0 { 0.0 } else { averaged[step - 1] };
+            let (given, stimulus): (Vec<f64>, Vec<f64>) = (0..STEPS)
+                .map(|step| match class {
+                    Class::Ra => (table.at(averaged[step].abs()).0, averaged[step].abs()),
+                    _ => (of_pc(before(step), averaged[step]).0, (averaged[step] - before(step)).abs()),
+                })
+                .unzip();
+            let classes: Vec<usize> =
+                stimulus.iter().map(|mm_s| (2.0 * libm::log2(1.0 + mm_s)) as usize).collect();
+            println!("{}: mm/s, simulated spikes, given spikes", class.name());
+            for (number, means) in means(&classes, &simulated, &given).into_iter().enumerate() {
+                let Some([simulated, given]) = means else { continue };
+                println!("{:6.1} {simulated:.3} {given:.3}", libm::exp2(number as f64 / 2.0) - 1.0);
+                assert!((simulated - given).abs() < worst, "{} {number}: {simulated} {given}", class.name());
+            }
+            let (r, _) = crate::judge::compared(&given, &simulated);
+            println!("r {r:.2} step by step");
+            assert!(r > 0.5, "{r}");
+        }
+    }
 }
