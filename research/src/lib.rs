@@ -6,13 +6,15 @@
 //! - `motions`: [`motion_figures`] says what motors reach of ramps, bursts, chirps, noise and a texture; [`drift_figures`] compares drift
 //!   without telemetry with its theory.
 //! - `objectives`: [`objective_tradeoff`] compares the objectives of a search with each other and with the naive rules.
+//! - `rendering`: [`rendering_figures`] compares the work of a rendering with its error.
+//! - `textures`: [`texture_figures`] compares textures with what the motors can carry of them.
 //! - `sixty_hertz` has the drives that `lead` and `control` play.
 //!
 //! Every comparison is on the array of the shipped patterns and scenes that it plays.
 //!
 //! Simulation methods are compared by `meissner tradeoff`, which users need to choose one.
 //!
-//! Invariant: results depend on the request alone. Only the times of searches depend on the machine.
+//! Invariant: results depend on the request alone. Only the times of searches and renderings depend on the machine.
 //!
 //! ```
 //! use meissner_research::{Trace, lead_tradeoff};
@@ -27,8 +29,10 @@ mod control;
 mod lead;
 mod motions;
 mod objectives;
+mod rendering;
 mod sixty_hertz;
 mod stop;
+mod textures;
 
 pub use control::{
     ControlGrid, ControlRow, ControlSummary, ControlTradeoff, Verdict, Wire, WireRow, Worst, control_tradeoff,
@@ -43,10 +47,12 @@ pub use objectives::{
     BelowNaive, CellOfClass, ClassRow, ObjectiveCell, ObjectiveMeans, ObjectiveRow, ObjectiveTradeoff,
     objective_tradeoff,
 };
+pub use rendering::{RenderingFigures, RenderingRow, rendering_figures};
 pub use stop::{
     Contrasts, StopCell, StopCount, StopError, StopGrid, StopReason, StopRow, StopSurplus, StopTradeoff,
     stop_tradeoff,
 };
+pub use textures::{TextureFigures, TextureRow, texture_figures};
 
 /// The mean; 0 of no numbers.
 fn mean(numbers: impl Iterator<Item = f64>) -> f64 {

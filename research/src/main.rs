@@ -9,7 +9,7 @@ use meissner::store::Store;
 use meissner_array::spec::Array;
 use meissner_research::{
     ControlGrid, LEADS_MS, MAX_TRACE_BYTES, STALLS, StopGrid, Trace, control_tradeoff, drift_figures,
-    lead_tradeoff, motion_figures, objective_tradeoff, stop_tradeoff,
+    lead_tradeoff, motion_figures, objective_tradeoff, rendering_figures, stop_tradeoff, texture_figures,
 };
 use meissner_skin::ModelName;
 use serde::Serialize;
@@ -48,8 +48,14 @@ enum What {
         #[arg(long)]
         afferents: bool,
     },
+    /// Compare the work of rendering an object with the error of what fingers feel (a minute)
+    Rendering,
+    /// Compare textures with what the motors can carry of them (a minute)
+    Textures,
 }
 
+/// Fingers that feel what is rendered.
+const FINGERS: u64 = 5;
 /// Seconds of noise.
 const DRIFT_S: u32 = 60;
 /// Evaluations of each search; more would hardly improve the result.
@@ -71,6 +77,8 @@ fn main() -> Result<ExitCode> {
         What::Stop => print(json, &stop_tradeoff(&StopGrid::default())?, table::stop::table),
         What::Motions => print(json, &motion_figures(Array::paper())?, table::motions::table),
         What::Drift => print(json, &drift_figures(Array::paper(), DRIFT_S)?, table::motions::drift),
+        What::Rendering => print(json, &rendering_figures(FINGERS)?, table::rendering::table),
+        What::Textures => print(json, &texture_figures(FINGERS)?, table::rendering::textures),
         What::Objectives { afferents } => {
             let store = Store::new(None, false)?;
             let library = |name: &str| store.library(name).map(|stored| stored.pattern.drives().to_vec());

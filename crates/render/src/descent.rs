@@ -15,8 +15,6 @@ use crate::wanted::Wanted;
 const BIN: usize = 3;
 /// A smaller weight of the blur counts as 0: three SD.
 const LEAST_WEIGHT: f64 = 0.011;
-/// The steps of the descent.
-const STEPS: usize = 60;
 
 /// The weights of the errors.
 #[derive(Clone, Copy, Debug)]
@@ -182,8 +180,8 @@ impl<'g> Goal<'g> {
         with_loss.min_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, start)| start).unwrap_or_default()
     }
 
-    /// Heights near a start, with a lower loss.
-    pub(crate) fn descend(&self, limits: Limits, start: Levels) -> Descended {
+    /// Heights near a start, with a lower loss, after so many steps.
+    pub(crate) fn descend(&self, limits: Limits, start: Levels, steps: usize) -> Descended {
         let mut best = start;
         best.limit(limits);
         let (mut loss, mut state) = self.loss(&best);
@@ -191,7 +189,7 @@ impl<'g> Goal<'g> {
         let mut slopes = self.slopes(&state);
         let steepest = slopes.iter().flatten().fold(0.0_f64, |most, slope| most.max(slope.abs()));
         let mut pace = 0.1 * limits.step_mm / steepest.max(f64::MIN_POSITIVE);
-        for _ in 0..STEPS {
+        for _ in 0..steps {
             let mut next = best.clone();
             for (heights, slopes) in next.heights_mm.iter_mut().zip(&slopes) {
                 heights.iter_mut().zip(slopes).for_each(|(height, slope)| *height -= pace * slope);

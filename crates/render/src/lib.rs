@@ -57,29 +57,63 @@ pub enum Method {
     Auto,
 }
 
+/// How much work [`render_with`] does.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Effort {
+    /// The distance of the places on the skin whose motion is compared, mm.
+    pub spacing_mm: f64,
+    /// The steps of each descent; 0 takes the start.
+    pub steps: usize,
+}
+
+impl Effort {
+    /// What the figures of the book say is enough: 20 steps for an object that stays in place, which begins near its end, and 60 for one that
+    /// moves.
+    #[must_use]
+    pub fn of(touch: &Touch) -> Self {
+        Self { spacing_mm: skin::SPACING_MM, steps: if touch.stays_in_place() { 20 } else { 60 } }
+    }
+}
+
 /// Finds heights of an array's pins for an object's touch.
 #[must_use]
 pub fn render(array: Array, contact: &Contact, touch: &Touch, method: Method) -> Levels {
-    let skin = skin::Skin::new(array, skin::SPACING_MM);
+    render_with(array, contact, touch, method, Effort::of(touch))
+}
+
+/// The same with less work, or more.
+#[must_use]
+pub fn render_with(
+    array: Array,
+    contact: &Contact,
+    touch: &Touch,
+    method: Method,
+    Effort { spacing_mm, steps }: Effort,
+) -> Levels {
+    let skin = skin::Skin::new(array, spacing_mm);
     let limits = levels::Limits::of(array);
     let wanted = wanted::Wanted::new(&skin, contact, touch, limits);
     let goal = |weights| Goal::new(&skin, &wanted, weights);
-    let strokes =
-        |goal: &Goal<'_>| goal.descend(limits, goal.nearest(strokes::starts(&skin, &wanted, limits)));
+    let strokes = |goal: &Goal<'_>| goal.nearest(strokes::starts(&skin, &wanted, limits));
     match method {
         Method::Rule => rule::press(array, contact, touch, wanted.moments()),
         Method::Field if touch.stays_in_place() => field::in_place(&skin, &wanted, limits),
         Method::Field => field::nearest(&skin, &wanted, limits),
-        Method::Rate => strokes(&goal(Weights::MOVING)).levels,
-        Method::Auto if touch.stays_in_place() => {
-            goal(Weights::IN_PLACE).descend(limits, field::in_place(&skin, &wanted, limits)).levels
+        Method::Rate => {
+            let goal = goal(Weights::MOVING);
+            goal.descend(limits, strokes(&goal), steps).levels
         }
-        // What moves slowly is followed, what moves fast is not.
+        Method::Auto if touch.stays_in_place() => {
+            goal(Weights::IN_PLACE).descend(limits, field::in_place(&skin, &wanted, limits), steps).levels
+        }
+        // What moves slowly is followed, what moves fast is not: a third of the steps tells which.
         Method::Auto => {
             let goal = goal(Weights::MOVING);
+            let try_out = |start| goal.descend(limits, start, steps / 3);
             let (strokes, followed) =
-                (strokes(&goal), goal.descend(limits, field::nearest(&skin, &wanted, limits)));
-            if strokes.loss < followed.loss { strokes.levels } else { followed.levels }
+                (try_out(strokes(&goal)), try_out(field::nearest(&skin, &wanted, limits)));
+            let nearer = if strokes.loss < followed.loss { strokes } else { followed };
+            goal.descend(limits, nearer.levels, steps - steps / 3).levels
         }
     }
 }
