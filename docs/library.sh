@@ -1,9 +1,18 @@
 #!/usr/bin/env bash
 # Makes the patterns of the library again from targets/, and prints the time of each. The bytes are the same unless models,
-# search or targets have changed. Usage: docs/library.sh [--paper] [DIR]; without DIR it writes into patterns/. With --paper it makes
-# those of the paper's objective, TARGET-paper.toml, without DIR into patterns/paper/
+# search or targets have changed. Usage: docs/library.sh [--paper|--rendered] [DIR]; without DIR it writes into patterns/. With --paper
+# it makes those of the paper's objective, TARGET-paper.toml, without DIR into patterns/paper/; with --rendered those of objects/,
+# OBJECT-rendered.toml, without DIR into patterns/rendered/
 set -euo pipefail
 cd "$(dirname "$0")/.."
+if [ "${1:-}" = --rendered ]; then
+    out=${2:-patterns/rendered}
+    cargo build --release --quiet
+    for object in objects/*.toml; do
+        target/release/meissner render "$object" -o "$out/$(basename "$object" .toml)-rendered.toml"
+    done
+    exit
+fi
 paper=""
 if [ "${1:-}" = --paper ]; then
     paper=-paper

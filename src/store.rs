@@ -1,5 +1,6 @@
 //! The pattern store: the built-in library, and a directory of the site's own patterns. The library has the patterns of `patterns`,
-//! those of motions in `patterns/motions`, and those of the paper's setting in `patterns/paper`. `targets` keeps the site's targets in a folder of the directory.
+//! those of motions in `patterns/motions`, those rendered from `objects` in `patterns/rendered`, and those of the paper's setting in
+//! `patterns/paper`. `targets` keeps the site's targets in a folder of the directory.
 //!
 //! The store reads the directory at every request, so it finds manually added files at once. [`Store::get`] reads one file,
 //! [`Store::list`] at most [`MAX_FILES`]. Callers that hold the same file share one pattern. Patterns of the library cannot be

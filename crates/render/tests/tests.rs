@@ -2,11 +2,14 @@
 
 #![expect(clippy::unwrap_used, reason = "a test fails where it unwraps")]
 
+use meissner_array::pattern::Pattern;
 use meissner_array::spec::Array;
 use meissner_design::Shape;
 use meissner_render::{Judge, Judged, Method, Rival, render, response_of};
 use meissner_skin::{Finger, SkinModel};
 use meissner_touch::{Contact, Object, Pose, Press, Scan, Touch, respond, surface_of};
+use std::fs;
+use std::path::Path;
 use toml::Table;
 
 /// Counted after the object has left, s.
@@ -147,4 +150,24 @@ fn extremes_give_heights_within_the_travel() {
             }
         }
     }
+}
+
+/// The rendered patterns of the library are made from the objects of today, with the method of today.
+#[test]
+fn the_library_is_what_objects_give() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
+    let mut made = 0;
+    for entry in fs::read_dir(root.join("objects")).unwrap() {
+        let file = entry.unwrap().path();
+        let text = fs::read_to_string(&file).unwrap();
+        let object = Object::read(&text, "object", &mut |name| Ok(fs::read(root.join(name))?)).unwrap();
+        let name = format!("{}-rendered", file.file_stem().unwrap().to_str().unwrap());
+        let stored = fs::read_to_string(root.join(format!("patterns/rendered/{name}.toml"))).unwrap();
+        let stored = Pattern::parse(&stored, &name).unwrap();
+        let levels = render(Array::paper(), &contact(&object), object.touch(), Method::Auto);
+        let again = levels.pattern(Array::paper(), &name, stored.provenance().clone()).unwrap();
+        assert!(again.to_toml() == stored.to_toml(), "{name}: run docs/library.sh --rendered");
+        made += 1;
+    }
+    assert_eq!(made, fs::read_dir(root.join("patterns/rendered")).unwrap().count());
 }
