@@ -1,7 +1,8 @@
 //! `demo`: runs a daemon with simulated motors in this process and plays a shipped edge as a client of its socket.
 //!
 //! The play takes the whole data path: socket, store, streamer, link, controller, motors. The true pin positions come from the
-//! simulation. For comparison, the same array plays in virtual time without position control. With `--sensorless` the array has a
+//! simulation. It vibrates, so that position control has something to do. Then the same edge as a press is played, rendered from the real thing,
+//! and a simulated finger tells which of the two is more like the thing. For comparison, the same array plays in virtual time without position control. With `--sensorless` the array has a
 //! lower stop but no telemetry, as a real board may; then the comparison is the same array without the stop.
 //!
 //! Invariant: it exits with 0 only if every planned burst was played.
@@ -24,8 +25,12 @@ use meissner_array::per_motor::PerMotor;
 use meissner_array::simulated::{LowerStop, SimulatedMotorsConfig};
 use meissner_array::spec::Array;
 use meissner_client::{Client, Events};
+use meissner_design::shipped;
+use meissner_render::{Judge, response_of};
+use meissner_skin::{Finger, SkinModel};
 use meissner_stream::device::Spec;
 use meissner_stream::{Gains, LowerStopSettings, Settings, SimulatedPlay, simulate_play};
+use meissner_touch::{Contact, Object, Touch, respond, surface_of};
 use serde::Serialize;
 use std::collections::HashSet;
 use std::process::ExitCode;
@@ -33,6 +38,12 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 const PATTERN: &str = "edge-45";
+/// The same edge, rendered.
+const RENDERED: &str = "edge-45-rendered";
+/// The finger that compares both: one that nothing was made for.
+const FINGER: u64 = 5000;
+/// After the press, its spikes are counted for so long, s.
+const AFTER_S: f64 = 0.1;
 /// How long the mock may take to answer the handshake.
 const TIMEOUT: Duration = Duration::from_secs(5);
 /// How long to wait for the predicted response.
@@ -62,8 +73,20 @@ struct Report {
     rest_error_um: RestReport,
     #[serde(rename = "felt")]
     response: ResponseReport,
+    rendered: RenderedReport,
     realtime: Realtime,
     duration_s: f64,
+}
+
+/// The error of what a finger feels, of SA1 and of RA afferents: the size of the difference from its response to the real edge, blurred over the
+/// skin and in windows of 36 ms, over the size of that response.
+#[derive(Debug, Serialize)]
+struct RenderedReport {
+    pattern: &'static str,
+    state: &'static str,
+    errors: [f64; 2],
+    /// Of the pattern that vibrates.
+    vibrating_errors: [f64; 2],
 }
 
 #[derive(Debug, Serialize)]
@@ -141,10 +164,35 @@ pub(super) fn run(
         client.post("/v1/arm", &ArmRequest { assume_rest: !sensorless, ..ArmRequest::default() })?;
     let receipt = play(&mut client, &mut events, &request, json)?;
     let receipt = control::with_prediction(&mut client, &mut events, receipt, PREDICTION_TIMEOUT);
-    let report = report(&config, &hosted, &mut client, &request, &receipt, begun)?;
+    let mut report = report(&config, &hosted, &mut client, &request, &receipt, begun)?;
+    let pressed = PlayRequest { pattern: RENDERED.into(), seconds: None, ..request };
+    let pressed = play(&mut client, &mut events, &pressed, json)?;
     hosted.stop()?;
+    report.rendered.state = pressed.state.name();
+    report.duration_s = begun.elapsed().as_secs_f64();
     give(json, &report, || summary(&report))?;
-    Ok(if receipt.all_played() { ExitCode::SUCCESS } else { ExitCode::FAILURE })
+    let all_played = receipt.all_played() && pressed.all_played();
+    Ok(if all_played { ExitCode::SUCCESS } else { ExitCode::FAILURE })
+}
+
+/// What a finger feels of both patterns, against the real edge.
+fn rendered(array: Array) -> Result<RenderedReport> {
+    let target = shipped(PATTERN).context("internal error: the target is not shipped")?;
+    let object = Object::new(PATTERN, surface_of(target.shape()), Touch::default());
+    let touch = object.touch();
+    let contact = Contact::new(object.grains(object.pitch_mm()), touch.most_depth_mm())?;
+    let finger = Finger::new(SkinModel::AFFERENTS, FINGER);
+    let real_s = respond(&contact, touch, finger.afferents(), Some(0), &|_| ());
+    let seconds = touch.duration_s() + AFTER_S;
+    let judge = Judge::new(&finger, &real_s, seconds);
+    let store = Store::new(None, false)?;
+    let errors = |name| -> Result<[f64; 2]> {
+        let pattern = store.get(name)?.on(array, Some(Mapping::Nearest))?.0.pattern;
+        let [sa1, ra, _] = judge.compare(&response_of(&finger, &pattern, seconds, 1)?).error_by_class;
+        Ok([sa1, ra])
+    };
+    let (errors, vibrating_errors) = (errors(RENDERED)?, errors(PATTERN)?);
+    Ok(RenderedReport { pattern: RENDERED, state: "", errors, vibrating_errors })
 }
 
 /// Waits until the mock has answered.
@@ -264,13 +312,14 @@ fn report(
             max: truth.max_abs_um,
         },
         response: response_report(request, receipt, open.response, stopped.and_then(|it| it.response)),
+        rendered: rendered(array)?,
         realtime: hosted.realtime(),
         duration_s: begun.elapsed().as_secs_f64(),
     })
 }
 
 fn summary(report: &Report) -> String {
-    let Report { bursts, pulses, wire, rest_error_um, response, realtime, .. } = report;
+    let Report { bursts, pulses, wire, rest_error_um, response, rendered, realtime, .. } = report;
     let contrast = |rates: Option<Rates>| text::number(rates.and_then(|rates| rates.contrast), 1);
     let yes = |granted| if granted { "yes" } else { "no" };
     text::pairs(&[
@@ -332,6 +381,18 @@ fn summary(report: &Report) -> String {
                 contrast(response.designed_hz),
                 contrast(response.open_loop_hz),
                 if report.sensorless { "the stop" } else { "feedback" }
+            ),
+        ),
+        (
+            "rendered",
+            format!(
+                "{}: {}; a finger's error from the real edge is {:.2} (SA1) and {:.2} (RA), {:.2} and {:.2} with vibration",
+                rendered.pattern,
+                rendered.state,
+                rendered.errors[0],
+                rendered.errors[1],
+                rendered.vibrating_errors[0],
+                rendered.vibrating_errors[1]
             ),
         ),
         ("real time", format!("SCHED_FIFO {}, memory locked {}", yes(realtime.fifo), yes(realtime.mlock))),

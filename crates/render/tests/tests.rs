@@ -160,7 +160,7 @@ fn the_library_is_what_objects_give() {
     for entry in fs::read_dir(root.join("objects")).unwrap() {
         let file = entry.unwrap().path();
         let text = fs::read_to_string(&file).unwrap();
-        let object = Object::read(&text, "object", &mut |name| Ok(fs::read(root.join(name))?)).unwrap();
+        let object = Object::read(&text, "object", &mut |name| fs::read(root.join(name))).unwrap();
         let name = format!("{}-rendered", file.file_stem().unwrap().to_str().unwrap());
         let stored = fs::read_to_string(root.join(format!("patterns/rendered/{name}.toml"))).unwrap();
         let stored = Pattern::parse(&stored, &name).unwrap();
