@@ -7,6 +7,7 @@ use meissner_array::strokes::StrokesError;
 use meissner_design::TargetError;
 use meissner_skin::{FingerError, MethodError, RampsError, SceneError};
 use meissner_stream::calibrate::{FitProblem, PlanError};
+use meissner_touch::ContactError;
 
 /// A figure could not be made. It is our bug, because patterns have been checked, unless the array's bursts have no room in the plan of
 /// a calibration.
@@ -33,6 +34,8 @@ pub enum FiguresError {
     Target(#[from] TargetError),
     #[error("internal error: {0}")]
     Motions(#[from] MotionsError),
+    #[error("cannot touch the object in the provenance: {0}")]
+    Contact(#[from] ContactError),
     #[error("cannot simulate the pattern: {0}")]
     Ramps(#[from] RampsError),
 }

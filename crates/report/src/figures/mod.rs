@@ -2,7 +2,7 @@
 //!
 //! [`report`] makes it. Each part makes a section and its key figures: `pulses`, `amplitude`, `rate`, `acuity` and `edge` are of an
 //! array, and of the paper's array they repeat the figures and remarks of the paper. `pattern` shows a pattern on the array that it
-//! is for; `motions` shows its motions. A section has drawings (`chart`, `map`), their numbers as CSV, tables (`table`) and text; `page` joins the sections. The
+//! is for; `motions` shows its motions, `felt` what a finger feels of them and of the object that they were rendered from. A section has drawings (`chart`, `map`), their numbers as CSV, tables (`table`) and text; `page` joins the sections. The
 //! caller writes the files. `confusion` draws a confusion matrix.
 //!
 //! Invariant: the same patterns give the same bytes. No time, machine or directory is in them.
@@ -14,6 +14,7 @@ mod color;
 mod confusion;
 mod edge;
 mod error;
+mod felt;
 mod map;
 mod motions;
 pub(crate) mod page;
@@ -30,6 +31,7 @@ pub use baselines::Compared;
 pub use confusion::{confusion_csv, plot_confusion};
 pub use edge::{ByAmplitude, Edge, Others};
 pub use error::FiguresError;
+pub use felt::FeltFigures;
 pub use page::{File, INDEX};
 pub use pattern::{PatternFigures, Subject};
 pub use pulses::Pulses;

@@ -9,6 +9,7 @@
 
 use crate::figures::baselines;
 use crate::figures::error::FiguresError;
+use crate::figures::felt::{self, FeltFigures};
 use crate::figures::map::{Aim, FINGERTIP, Pad, Panel, Pin, motors, pads, small};
 use crate::figures::motions;
 use crate::figures::page::Section;
@@ -62,6 +63,8 @@ pub struct PatternFigures {
     pub motions: usize,
     /// What the motors do with them; none without motions.
     pub followed: Option<Motions>,
+    /// How near a finger comes to the object that it was rendered from; none if the provenance has no object.
+    pub felt: Option<FeltFigures>,
     /// The number of its segments.
     pub segments: usize,
     /// Pulses per second of all motors, in the segment with the most.
@@ -111,6 +114,7 @@ pub(super) fn section(
     let command = format!("{} {}", super::command(array), subject.argument);
     let mut section = Section::new(&format!("pattern-{name}"), &format!("Pattern {name}"));
     let mut of_motions = Section::new("", "");
+    let felt = felt::add(&mut of_motions, pattern, &command)?;
     let followed = motions::add(&mut of_motions, pattern, &command)?;
     let figures = PatternFigures {
         name: pattern.name().to_owned(),
@@ -118,6 +122,7 @@ pub(super) fn section(
         drives_moving: moving.len(),
         motions: pattern.motions().len(),
         followed,
+        felt,
         segments: segments.len(),
         busiest_pulses_per_s: segments
             .iter()
