@@ -82,6 +82,14 @@ impl Contact {
     /// # Errors
     /// If it takes too much memory, or too many steps.
     pub fn new(grains: Grains, most_mm: f64) -> Result<Self, ContactError> {
+        Self::with_progress(grains, most_mm, &|_| ())
+    }
+
+    /// The same; `progress` is called after each depth with the completed share.
+    ///
+    /// # Errors
+    /// As [`Self::new`].
+    pub fn with_progress(grains: Grains, most_mm: f64, progress: &dyn Fn(f64)) -> Result<Self, ContactError> {
         let solver = Solver::new(&grains)?;
         let mut loads_n: Vec<Vec<f64>> = Vec::new();
         let first = if grains.are_flat() { DEPTHS } else { 1 };
@@ -89,6 +97,7 @@ impl Contact {
             let share = number as f64 / DEPTHS as f64;
             let next = solver.solve(most_mm * share * share, loads_n.last().map(Vec::as_slice))?;
             loads_n.push(next);
+            progress(share);
         }
         Ok(Self { grains, most_mm, loads_n })
     }

@@ -1,8 +1,9 @@
 //! What the loads of an object do to the skin, as tables in the object's frame.
 //!
 //! The half space is the same everywhere and the object is rigid. So everything that the loads do at a place follows from the depth
-//! and from the place in the object's frame. A [`Field`] tabulates it for each solved depth: the spread loads, their mean delay, and
-//! the pressure at the depth of SA1 afferents. A moving object then takes one look-up per place and time, however many grains it has.
+//! and from the place in the object's frame. A [`Field`] tabulates it for each solved depth: the spread loads alone, for which a [`Field`] of one
+//! channel is enough, or also the spread loads each times its delay in samples, and the pressure at the depth of SA1 afferents. A moving object then
+//! takes one look-up per place and time, however many grains it has.
 //!
 //! There are two tables: a fine one about the grains, by convolution, and a coarse one around it, by direct sums. Both are
 //! interpolated by bicubics with continuous slopes (Catmull & Rom).
@@ -14,6 +15,7 @@ use crate::fft::{Convolution, Plan};
 use crate::grains::Grains;
 use meissner_skin::afferents::{Class, Punch};
 use rayon::prelude::*;
+use std::array::from_fn;
 
 /// The fine table goes so far beyond the grains, mm.
 const MARGIN_MM: f64 = 4.0;
@@ -21,23 +23,13 @@ const MARGIN_MM: f64 = 4.0;
 const COARSE_MM: f64 = 0.25;
 /// Steps of the fine table per diameter of a grain: the most and fewer, if memory is short.
 const FINE: [usize; 3] = [4, 2, 1];
-/// Numbers of a point for each solved depth.
-const CHANNELS: usize = 3;
+/// Sums over all loads at a place: the first `N` of the spread loads, N/mm, the same each times its delay in samples, and the pressure at
+/// the depth of SA1 afferents, N/mm².
+pub(crate) type Effect<const N: usize> = [f64; N];
 
-/// Sums over all loads at a place.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub(crate) struct Effect {
-    /// The spread loads, N/mm.
-    pub(crate) spread: f64,
-    /// The same, each times its delay in samples.
-    pub(crate) delayed: f64,
-    /// The pressure at the depth of SA1 afferents, N/mm².
-    pub(crate) pressure: f64,
-}
-
-/// Tables of effects.
+/// Tables of effects, with `N` numbers of a point for each solved depth.
 #[derive(Clone, Debug)]
-pub(crate) struct Field {
+pub(crate) struct Field<const N: usize> {
     depths: usize,
     fine: Table,
     coarse: Table,
@@ -52,13 +44,16 @@ struct Table {
     values: Vec<f64>,
 }
 
-/// The three numbers of a load of 1 N at a distance.
-fn effect(punch: Punch, distance_mm: f64) -> [f64; CHANNELS] {
-    let spread = punch.spread(distance_mm);
-    [spread, spread * punch.lag(distance_mm), punch.pressure(distance_mm, Class::Sa1.depth_mm())]
+/// The effect of a load of 1 N at a distance, by channel.
+fn effect(punch: Punch, channel: usize, distance_mm: f64) -> f64 {
+    match channel {
+        0 => punch.spread(distance_mm),
+        1 => punch.spread(distance_mm) * punch.lag(distance_mm),
+        _ => punch.pressure(distance_mm, Class::Sa1.depth_mm()),
+    }
 }
 
-impl Field {
+impl<const N: usize> Field<N> {
     /// The field of a contact for places within a box of the object's frame, given by its lowest and highest x and y.
     pub(crate) fn new(contact: &Contact, [low, high]: [[f64; 2]; 2]) -> Self {
         let depths = contact.depths();
@@ -66,15 +61,15 @@ impl Field {
         let low = low.map(|low| low - 2.0 * COARSE_MM);
         let size = [0, 1].map(|axis| ((high[axis] - low[axis]) / COARSE_MM).ceil() as usize + 3);
         let mut coarse = Table { low, step_mm: COARSE_MM, size, values: Vec::new() };
-        let fine = fine(contact);
+        let fine = fine::<N>(contact);
         let grains = contact.grains();
-        coarse.values = vec![0.0; size[0] * size[1] * depths * CHANNELS];
-        let rows = coarse.values.par_chunks_mut(size[0] * depths * CHANNELS).enumerate();
+        coarse.values = vec![0.0; size[0] * size[1] * depths * N];
+        let rows = coarse.values.par_chunks_mut(size[0] * depths * N).enumerate();
         rows.for_each(|(row, values)| {
-            for (column, values) in values.chunks_exact_mut(depths * CHANNELS).enumerate() {
+            for (column, values) in values.chunks_exact_mut(depths * N).enumerate() {
                 let at = [low[0] + column as f64 * COARSE_MM, low[1] + row as f64 * COARSE_MM];
                 if !fine.has_near(at) {
-                    add(grains, contact, at, values);
+                    add::<N>(grains, contact, at, values);
                 }
             }
         });
@@ -82,18 +77,18 @@ impl Field {
     }
 
     /// The effect at a place in the object's frame. The place must lie in the box.
-    pub(crate) fn at(&self, at: [f64; 2], weights: &Weights) -> Effect {
+    pub(crate) fn at(&self, at: [f64; 2], weights: &Weights) -> Effect<N> {
         let table = if self.fine.has(at) { &self.fine } else { &self.coarse };
-        let [spread, delayed, pressure] = table.at(at, self.depths, weights);
-        Effect { spread, delayed, pressure }
+        table.at(at, self.depths, weights)
     }
 }
 
 /// Adds the effects of all loads at a place, by solved depth and channel.
-fn add(grains: &Grains, contact: &Contact, at: [f64; 2], values: &mut [f64]) {
+fn add<const N: usize>(grains: &Grains, contact: &Contact, at: [f64; 2], values: &mut [f64]) {
     for (grain, place) in grains.places_mm.iter().enumerate() {
-        let effect = effect(grains.punch(), distance(at, *place));
-        for (depth, values) in values.chunks_exact_mut(CHANNELS).enumerate() {
+        let distance_mm = distance(at, *place);
+        let effect: Effect<N> = from_fn(|channel| effect(grains.punch(), channel, distance_mm));
+        for (depth, values) in values.chunks_exact_mut(N).enumerate() {
             let load = contact.solved(depth)[grain];
             values.iter_mut().zip(effect).for_each(|(value, effect)| *value += load * effect);
         }
@@ -101,7 +96,7 @@ fn add(grains: &Grains, contact: &Contact, at: [f64; 2], values: &mut [f64]) {
 }
 
 /// The table about the grains.
-fn fine(contact: &Contact) -> Table {
+fn fine<const N: usize>(contact: &Contact) -> Table {
     let (grains, depths) = (contact.grains(), contact.depths());
     let pitch_mm = grains.pitch_mm;
     let margin = (MARGIN_MM / pitch_mm).ceil() as usize;
@@ -109,13 +104,13 @@ fn fine(contact: &Contact) -> Table {
     // Pins lie further apart than their diameter.
     let parts_of_pitch =
         |fine: usize| (fine as f64 * pitch_mm / (2.0 * grains.radius_mm)).round().max(1.0) as usize;
-    let bytes = |parts: usize| 8 * CHANNELS * depths * cells[0] * cells[1] * parts * parts;
+    let bytes = |parts: usize| 8 * N * depths * cells[0] * cells[1] * parts * parts;
     let fits = |fine: &usize| bytes(parts_of_pitch(*fine)) <= MAX_BYTES / 2;
     let fine = FINE.into_iter().find(fits).unwrap_or(1);
     let parts = parts_of_pitch(fine);
     let (size, step_mm) = (cells.map(|cells| cells * parts), pitch_mm / parts as f64);
     let low = grains.origin_mm.map(|origin| origin - margin as f64 * pitch_mm);
-    let mut values = vec![0.0; size[0] * size[1] * depths * CHANNELS];
+    let mut values = vec![0.0; size[0] * size[1] * depths * N];
     let plan = Plan::new(grains.size, cells);
     // Two depths at a time.
     let loads: Vec<_> = (0..depths)
@@ -128,17 +123,17 @@ fn fine(contact: &Contact) -> Table {
         })
         .collect();
     let parts_of = |part: usize| [part % parts, part / parts];
-    let planes: Vec<usize> = (0..parts * parts * CHANNELS).collect();
+    let planes: Vec<usize> = (0..parts * parts * N).collect();
     // A few planes at a time, so that memory does not depend on the number of threads.
     for planes in planes.chunks(2) {
         let computed: Vec<Vec<_>> = planes
             .par_iter()
             .map(|plane| {
-                let (part, channel) = (parts_of(plane / CHANNELS), plane % CHANNELS);
+                let (part, channel) = (parts_of(plane / N), plane % N);
                 let kernel = |[x, y]: [f64; 2]| {
                     let x_mm = x * pitch_mm + part[0] as f64 * step_mm;
                     let y_mm = y * pitch_mm + part[1] as f64 * step_mm;
-                    effect(grains.punch(), (x_mm * x_mm + y_mm * y_mm).sqrt())[channel]
+                    effect(grains.punch(), channel, (x_mm * x_mm + y_mm * y_mm).sqrt())
                 };
                 let convolution =
                     Convolution::new(plan.clone(), grains.size, cells, [margin, margin], kernel);
@@ -146,14 +141,14 @@ fn fine(contact: &Contact) -> Table {
             })
             .collect();
         for (plane, computed) in planes.iter().zip(computed) {
-            let (part, channel) = (parts_of(plane / CHANNELS), plane % CHANNELS);
+            let (part, channel) = (parts_of(plane / N), plane % N);
             for row in 0..cells[1] {
                 for column in 0..cells[0] {
                     let point = (row * parts + part[1]) * size[0] + column * parts + part[0];
-                    let values = &mut values[point * depths * CHANNELS..][..depths * CHANNELS];
-                    for (pair, outputs) in values.chunks_mut(2 * CHANNELS).zip(&computed) {
+                    let values = &mut values[point * depths * N..][..depths * N];
+                    for (pair, outputs) in values.chunks_mut(2 * N).zip(&computed) {
                         let found = outputs([column, row]);
-                        for (values, found) in pair.chunks_exact_mut(CHANNELS).zip(found) {
+                        for (values, found) in pair.chunks_exact_mut(N).zip(found) {
                             values[channel] = found;
                         }
                     }
@@ -162,7 +157,7 @@ fn fine(contact: &Contact) -> Table {
         }
     }
     let mut table = Table { low, step_mm, size, values };
-    table.smooth(fine, depths * CHANNELS);
+    table.smooth(fine, depths * N);
     table
 }
 
@@ -211,19 +206,19 @@ impl Table {
         self.has([at[0] - by, at[1] - by]) && self.has([at[0] + by, at[1] + by])
     }
 
-    fn at(&self, at: [f64; 2], depths: usize, weights: &Weights) -> [f64; CHANNELS] {
+    fn at<const N: usize>(&self, at: [f64; 2], depths: usize, weights: &Weights) -> Effect<N> {
         let [(column, x), (row, y)] = self.point(at);
         let (across, along) = (cubic(x), cubic(y));
         // A place on the edge of the box may be rounded beyond it.
         let first = |place: f64, size: usize| (place.max(1.0) as usize - 1).min(size.saturating_sub(4));
         let (column, row) = (first(column, self.size[0]), first(row, self.size[1]));
-        let stride = depths * CHANNELS;
-        let mut sum = [0.0; CHANNELS];
+        let stride = depths * N;
+        let mut sum = [0.0; N];
         for &(number, weight) in weights.iter().flatten() {
             for (line, along) in along.iter().enumerate() {
-                let start = ((row + line) * self.size[0] + column) * stride + number * CHANNELS;
+                let start = ((row + line) * self.size[0] + column) * stride + number * N;
                 for (point, across) in across.iter().enumerate() {
-                    let values = &self.values[start + point * stride..][..CHANNELS];
+                    let values = &self.values[start + point * stride..][..N];
                     let weight = weight * along * across;
                     sum.iter_mut().zip(values).for_each(|(sum, value)| *sum += weight * value);
                 }

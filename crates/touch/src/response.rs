@@ -36,7 +36,7 @@ pub fn respond(
         spikes(afferents, samples, noise_seed, &stimuli, progress)
     } else {
         let places = afferents.iter().map(|afferent| [afferent.at.x_mm, afferent.at.y_mm]);
-        let field = Field::new(contact, reach(&timeline, places));
+        let field = Field::<3>::new(contact, reach(&timeline, places));
         let stimuli = |afferent: &Afferent| moving(&field, &timeline, afferent);
         spikes(afferents, samples, noise_seed, &stimuli, progress)
     }
@@ -110,17 +110,17 @@ fn in_place(
 }
 
 /// The stimuli under an object that moves.
-fn moving(field: &Field, timeline: &Timeline, afferent: &Afferent) -> Stimuli {
+fn moving(field: &Field<3>, timeline: &Timeline, afferent: &Afferent) -> Stimuli {
     let at = [afferent.at.x_mm, afferent.at.y_mm];
     let samples = timeline.len();
     let (mut spread, mut lags, mut held) =
         (Vec::with_capacity(samples), Vec::with_capacity(samples), Vec::new());
     for (frame, weights) in timeline.frames.iter().zip(&timeline.weights) {
-        let effect = field.at(frame.inward(at), weights);
-        spread.push(effect.spread);
-        lags.push(if effect.spread > 0.0 { (effect.delayed / effect.spread).max(0.0) } else { 0.0 });
+        let [spread_here, delayed, pressure] = field.at(frame.inward(at), weights);
+        spread.push(spread_here);
+        lags.push(if spread_here > 0.0 { (delayed / spread_here).max(0.0) } else { 0.0 });
         if afferent.class == Class::Sa1 {
-            held.push(effect.pressure);
+            held.push(pressure);
         }
     }
     let arrived: Vec<f64> = lags

@@ -34,10 +34,10 @@ pub fn displacements_mm(
         };
         return places_mm.par_iter().map(of).collect();
     }
-    let field = Field::new(contact, reach(&timeline, places_mm.iter().copied()));
+    let field = Field::<1>::new(contact, reach(&timeline, places_mm.iter().copied()));
     let of = |at: &[f64; 2]| {
         let moments = timeline.frames.iter().zip(&timeline.weights);
-        moments.map(|(frame, weights)| per_spread * field.at(frame.inward(*at), weights).spread).collect()
+        moments.map(|(frame, weights)| per_spread * field.at(frame.inward(*at), weights)[0]).collect()
     };
     places_mm.par_iter().map(of).collect()
 }
