@@ -3,7 +3,7 @@
 //! An observer knows the mean response of a finger to each thing of a set, and names the thing whose mean is nearest to the response that it
 //! gets. One reads each afferent (fine), one the responses blurred over the skin (blurred): what is common to different fingers. Both
 //! read counts in three windows of the touch. Distances are between roots of counts, whose scatter hardly depends on their size
-//! (Anscombe 1948).
+//! (Anscombe 1948). The roots of each class are scaled to the same size: what is felt stronger or weaker as a whole is the same thing.
 //!
 //! # Source
 //!
@@ -71,16 +71,21 @@ impl<'f> Observer<'f> {
             .map(|(thing, _)| thing)
     }
 
-    /// The roots of counts, by window and then by afferent or place.
+    /// The roots of counts, by class, window, and afferent or place; those of each class scaled to the same size.
     fn read(&self, spikes_s: &[Vec<f64>]) -> Vec<f64> {
         let counts = counts(spikes_s, self.seconds / WINDOWS as f64, WINDOWS);
-        let of_window = |window: usize| {
-            let count = |number: usize| counts[number][window];
-            match &self.blurred {
-                Some(blurred) => Class::ALL.map(|class| blurred.of_class(class, count)).concat(),
-                None => (0..self.finger.afferents().len()).map(count).collect(),
-            }
+        let of_class = |class: Class| {
+            let of_window = |window: usize| -> Vec<f64> {
+                let count = |number: usize| counts[number][window];
+                match &self.blurred {
+                    Some(blurred) => blurred.of_class(class, count),
+                    None => self.finger.of_class(class).map(count).collect(),
+                }
+            };
+            let roots: Vec<f64> = (0..WINDOWS).flat_map(of_window).map(f64::sqrt).collect();
+            let size = roots.iter().map(|root| root * root).sum::<f64>().sqrt().max(f64::MIN_POSITIVE);
+            roots.into_iter().map(move |root| root / size).collect::<Vec<f64>>()
         };
-        (0..WINDOWS).flat_map(of_window).map(f64::sqrt).collect()
+        Class::ALL.map(of_class).concat()
     }
 }
