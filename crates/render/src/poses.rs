@@ -110,6 +110,12 @@ impl Poses {
         Ok(Self { skin, matrix, highest_mm: Limits::of(array).highest_mm, imprint, place, far_mm })
     }
 
+    /// The same with no pin above this, mm.
+    #[must_use]
+    pub fn at_most(self, mm: f64) -> Self {
+        Self { highest_mm: self.highest_mm.min(mm.max(0.0)), ..self }
+    }
+
     /// The depth of the object's own press, mm.
     #[must_use]
     pub const fn depth_mm(&self) -> f64 {
