@@ -155,26 +155,23 @@ fn pins_follow_an_object() {
     let mut events = daemon.client().events().unwrap();
     let accepted = start(&daemon, json!({"object": bar(), "open_loop": true}));
     let mut lines = Lines::open(&daemon, &accepted.path);
-    // Which motors get new levels, all of which go to their pins' heights.
-    let mut moved = |seq: u64, pose: Value| {
+    let poses = [
+        json!({"y_mm": -4.35}),
+        json!({"y_mm": 4.35, "angle_deg": 20}),
+        json!({"y_mm": 4.35, "depth_um": 500}),
+        json!({"y_mm": 4.35, "depth_um": 2000}),
+        json!({"y_mm": 4.35, "depth_um": 0}),
+    ];
+    // A pose names every pin, so that none comes down by itself.
+    for (seq, pose) in (1..).zip(poses) {
         lines.send(&json!({"seq": seq, "pose": pose}));
-        let ticks = lines.applied(seq).ticks;
-        (0..24).filter(|motor| ticks[*motor].is_some()).collect::<Vec<usize>>()
-    };
-    let below = moved(1, json!({"y_mm": -4.35}));
-    let above = moved(2, json!({"y_mm": 4.35}));
-    assert!(!below.is_empty() && above.len() > below.len(), "{below:?} {above:?}");
-    // Where it was it has the same heights.
-    assert_eq!(moved(3, json!({"y_mm": 4.35, "depth_um": 500})), Vec::<usize>::new());
-    let deeper = moved(4, json!({"y_mm": 4.35, "depth_um": 600}));
-    let up = moved(5, json!({"y_mm": 4.35, "depth_um": 0}));
-    assert!(!deeper.is_empty() && deeper.iter().all(|motor| up.contains(motor)), "{deeper:?} {up:?}");
+        assert_eq!(lines.applied(seq).ticks.iter().flatten().count(), 24, "{pose}");
+    }
     lines.send(&json!({"seq": 6, "end": true}));
     assert_eq!(lines.answer().ended.as_ref().map(EndCause::text), Some("stop"));
     let receipt = ended(&mut events);
     assert_eq!((receipt.bursts.unwrap().late, receipt.live.unwrap().updates), (0, 5));
-    let pins: Vec<usize> = receipt.pins.unwrap().iter().map(|pin| pin.motor.into()).collect();
-    assert!(below.iter().chain(&above).all(|motor| pins.contains(motor)), "{pins:?}");
+    assert!(receipt.pins.unwrap().len() > 3);
 }
 
 #[test]

@@ -53,14 +53,13 @@ def test_pins_follow_an_object(m: meissner.Client) -> None:
     bar = {"kind": "object", "name": "bar", "shape": "bar", "length_mm": 12, "width_mm": 0.8}
     with m.live(object={**bar, "touch": {"press": {"depth_um": 500}}}, timeout=PATIENT, open_loop=True) as play:
         pressed = play.pose(y_mm=0.8).wait(PATIENT)
-        assert sum(tick is not None for tick in pressed.ticks) > 3
-        assert play.pose(y_mm=0.8, depth_um=500).wait(PATIENT).ticks == (None,) * 24
+        assert None not in pressed.ticks
         with pytest.raises(errors.BadRequest, match=r"28\.3 mm from the array's middle"):
             play.pose(20.0, 20.0).wait(PATIENT)
-        lifted = play.pose(y_mm=0.8, depth_um=0).wait(PATIENT)
-        assert lifted.ticks.count(None) == pressed.ticks.count(None)
+        assert play.pose(y_mm=0.8, depth_um=0).wait(PATIENT).state == "applied"
     assert play.receipt is not None
-    assert play.receipt.raw["live"]["applied"] == 3
+    assert play.receipt.raw["live"]["applied"] == 2
+    assert len(play.receipt.raw["pins"]) > 3
 
 
 def test_drives_follow_and_say_when(m: meissner.Client) -> None:
