@@ -139,6 +139,105 @@ fn pins_follow_levels_and_are_at_rest_when_the_client_ends() {
     assert!(lines.answer().problem.unwrap().detail.contains("start it with `levels`"));
 }
 
+/// A bar across the finger, whose press is 500 um deep.
+fn bar() -> Value {
+    json!({
+        "kind": "object", "name": "bar", "shape": "bar", "length_mm": 12, "width_mm": 0.8,
+        "touch": {"press": {"depth_um": 500}}
+    })
+}
+
+/// A bar goes from the lower row of pins to the upper one; its poses are the only messages.
+#[test]
+fn pins_follow_an_object() {
+    let daemon = Daemon::start();
+    daemon.armed();
+    let mut events = daemon.client().events().unwrap();
+    let accepted = start(&daemon, json!({"object": bar(), "open_loop": true}));
+    let mut lines = Lines::open(&daemon, &accepted.path);
+    let poses = [
+        json!({"y_mm": -4.35}),
+        json!({"y_mm": 4.35, "angle_deg": 20}),
+        json!({"y_mm": 4.35, "depth_um": 500}),
+        json!({"y_mm": 4.35, "depth_um": 2000}),
+        json!({"y_mm": 4.35, "depth_um": 0}),
+    ];
+    // A pose names every pin, so that none comes down by itself.
+    for (seq, pose) in (1..).zip(poses) {
+        lines.send(&json!({"seq": seq, "pose": pose}));
+        assert_eq!(lines.applied(seq).ticks.iter().flatten().count(), 24, "{pose}");
+    }
+    lines.send(&json!({"seq": 6, "end": true}));
+    assert_eq!(lines.answer().ended.as_ref().map(EndCause::text), Some("stop"));
+    let receipt = ended(&mut events);
+    assert_eq!((receipt.bursts.unwrap().late, receipt.live.unwrap().updates), (0, 5));
+    assert!(receipt.pins.unwrap().len() > 3);
+}
+
+#[test]
+fn a_bad_object_or_pose_is_refused_in_a_line() {
+    let daemon = Daemon::start();
+    let mut client = daemon.armed();
+    let with = |key: &str, value: Value| {
+        let mut object = bar();
+        object[key] = value;
+        json!({"object": object})
+    };
+    let scan = json!({"scan": {"depth_um": 500, "speed_mm_s": 40, "duration_s": 1}});
+    for (request, says) in [
+        (with("lenght_mm", json!(3)), "lenght_mm"),
+        (with("length_mm", json!(null)), "length_mm"),
+        (with("touch", json!({"press": {"depth_um": 2500}})), "above 0, at most 2000 um"),
+        (with("touch", scan), "poses move a live object"),
+        (with("shape", json!("heightmap")), "length_mm"),
+        (
+            json!({"object": {"kind": "object", "name": "map", "shape": "heightmap", "file": "/etc/passwd.png",
+                "mm_per_pixel": 0.1, "touch": {"press": {"depth_um": 500}}}}),
+            "names no file, take another shape",
+        ),
+        (
+            json!({"object": {"kind": "object", "name": "far", "shape": "dots", "points": [[60, 0]],
+                "diameter_mm": 2, "touch": {"press": {"depth_um": 500}}}}),
+            "nothing within 25 mm of its origin",
+        ),
+        (json!({"object": "nothing"}), "nothing"),
+        (json!({"object": bar(), "drives": [drive(9, 80.0)]}), "`object` excludes `target` and `drives`"),
+    ] {
+        let refused = problem(client.post("/v1/live", &request));
+        assert!(refused.detail.contains(says) && !refused.detail.contains('\n'), "{request}: {refused:?}");
+    }
+    let accepted = start(&daemon, json!({"object": "edge-45", "open_loop": true}));
+    let mut lines = Lines::open(&daemon, &accepted.path);
+    let mut refused = |message: String, says: &str| {
+        lines.0.get_mut().write_all(format!("{message}\n").as_bytes()).unwrap();
+        let problem = lines.answer().problem.unwrap();
+        assert!(problem.detail.contains(says) && !problem.detail.contains('\n'), "{message}: {problem:?}");
+    };
+    refused(r#"{"seq":1,"pose":{"x_mm":NaN}}"#.into(), "JSON");
+    refused(r#"{"seq":1,"pose":{"x_mm":null}}"#.into(), "`pose.x_mm` is null");
+    refused(r#"{"seq":1,"pose":{"depth_um":2001}}"#.into(), "`pose.depth_um` is 2001: must be 0 to 2000 um");
+    refused(r#"{"seq":1,"pose":{"x_mm":20,"y_mm":20}}"#.into(), "28.3 mm from the array's middle");
+    refused(r#"{"seq":1,"um":{"9":100}}"#.into(), "this live play has an object, whose poses decide");
+    refused(r#"{"seq":1,"drives":[]}"#.into(), "this live play has an object, whose poses decide");
+}
+
+/// A client whose poses stop coming is silent: the play ends, and the pins come down.
+#[test]
+fn an_object_whose_poses_stop_coming_leaves_the_finger() {
+    let daemon = Daemon::start();
+    daemon.armed();
+    let mut events = daemon.client().events().unwrap();
+    let accepted = start(&daemon, json!({"object": bar(), "timeout_ms": 2000}));
+    let mut lines = Lines::open(&daemon, &accepted.path);
+    lines.send(&json!({"seq": 1, "pose": {}}));
+    assert!(lines.applied(1).ticks.iter().flatten().count() > 3);
+    assert_eq!(lines.answer().ended, Some(EndCause::ClientSilent));
+    let receipt = ended(&mut events);
+    assert_eq!(receipt.cause, Some(EndCause::ClientSilent));
+    assert!(receipt.pins.unwrap().len() > 3);
+    assert_eq!(daemon.client().get::<Status>("/v1/status").unwrap().state, "armed");
+}
+
 #[test]
 fn a_client_that_vanishes_ends_the_play() {
     let daemon = Daemon::start();

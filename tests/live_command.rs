@@ -146,6 +146,35 @@ fn a_target_of_a_file_is_moved_as_one_of_a_name() {
 }
 
 #[test]
+fn a_file_of_poses_presses_an_object() {
+    let daemon = Daemon::start();
+    daemon.armed();
+    let text = "kind = \"object\"\nname = \"bar\"\nshape = \"bar\"\nlength_mm = 12\nwidth_mm = 0.8\n\
+                [touch]\npress = { depth_um = 500 }\n";
+    fs::write(daemon.path("bar.toml"), text).unwrap();
+    let lines = ["0 0", "0 2.9 10", "0 2.9 10 300", "0 2.9 10 0"].map(str::to_owned);
+    let (code, out, err) = follow_file(&daemon, &["--object", "bar.toml"], &lines);
+    assert_eq!((code, err.as_str()), (0, ""), "{out}");
+    assert!(out.starts_with("play 1: bar.toml follows stdin; Ctrl-C ends it\nplay "), "{out}");
+    let live = receipt(&daemon, 1).live.unwrap();
+    // The first line is a message, too.
+    assert_eq!((live.updates, live.applied, live.merged), (4, 4, 0));
+    let target = complaint(daemon.meissner().args(["live", "./bar.toml", "--follow", "stdin"]));
+    assert!(target.contains("name it by --object"), "{target}");
+    fs::write(daemon.path("bad.toml"), text.replace("length_mm", "lenght_mm")).unwrap();
+    for (object, says) in [
+        ("./bad.toml", "lenght_mm"),
+        ("nothing", "nothing"),
+        ("moving-edge", "an object at rest is moved by poses"),
+    ] {
+        let mut command = daemon.meissner();
+        let bad =
+            complaint(command.args(["live", "--object", object, "--follow", "stdin"]).write_stdin("0 0\n"));
+        assert!(bad.contains(says) && bad.lines().count() == 1, "{bad}");
+    }
+}
+
+#[test]
 fn lines_of_drives_play_without_a_target_and_refused_ones_are_counted() {
     let daemon = Daemon::start();
     daemon.armed();

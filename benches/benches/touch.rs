@@ -1,7 +1,9 @@
-//! The cost of a real touch on one core: the contact of a bar, a sphere and a plate, and the response of a finger's 566 afferents to a
-//! second of a bar that is pressed and of one that moves.
+//! The cost of a real touch on one core: the contact of a bar, a sphere and a plate, the response of a finger's 566 afferents to a
+//! second of a bar that is pressed and of one that moves, the rendering of both, and heights for one pose of a live play.
 
 use criterion::{Criterion, criterion_group, criterion_main};
+use meissner_array::spec::Array;
+use meissner_render::{Method, Poses, render};
 use meissner_skin::afferents::population;
 use meissner_touch::{
     Contact, HeightMap, Object, Pose, Press, Scan, Surface, Touch, displacements_mm, respond,
@@ -72,5 +74,35 @@ fn touch(criterion: &mut Criterion) {
     }
 }
 
-criterion_group!(name = benches; config = Criterion::default().sample_size(10); targets = touch);
+/// A second of a pressed bar, 0.55 s of one that moves by 20 mm, and one pose of live objects.
+fn rendering(criterion: &mut Criterion) {
+    let pool = ThreadPoolBuilder::new().num_threads(1).build().expect("threads can be started");
+    let array = Array::paper();
+    let scan = Scan { depth_mm: 0.5, rise_s: 0.05, speed_mm_s: 40.0, direction_deg: 90.0, duration_s: 0.5 };
+    let scan = Touch::scan(Pose::default(), scan).expect("a scan");
+    let bar = || rectangle(12.0, 0.8);
+    for (name, object) in [("pressed", pressed(bar())), ("moving", Object::new("moving", bar(), scan))] {
+        let contact = contact(&object, 0.2);
+        criterion.bench_function(&format!("render_{name}_bar"), |bencher| {
+            bencher
+                .iter(|| pool.install(|| render(array, black_box(&contact), object.touch(), Method::Auto)));
+        });
+    }
+    for (name, surface) in [("bar", bar()), ("sphere", sphere()), ("plate", rectangle(60.0, 60.0))] {
+        let object = Object::new(name, surface, Touch::default());
+        criterion.bench_function(&format!("poses_new_{name}"), |bencher| {
+            bencher.iter(|| pool.install(|| Poses::new(array, black_box(&object))));
+        });
+        let poses = Poses::new(array, &object).expect("a small object");
+        let mut angle_deg = 0.0;
+        criterion.bench_function(&format!("pose_{name}"), |bencher| {
+            bencher.iter(|| {
+                angle_deg += 1.0;
+                poses.heights_mm(black_box(&Pose { x_mm: 0.7, y_mm: 0.4, angle_deg, depth_mm: 0.5 }))
+            });
+        });
+    }
+}
+
+criterion_group!(name = benches; config = Criterion::default().sample_size(10); targets = touch, rendering);
 criterion_main!(benches);

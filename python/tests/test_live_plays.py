@@ -49,6 +49,19 @@ def until_refused(call: Callable[[], object]) -> None:
         time.sleep(0.005)
 
 
+def test_pins_follow_an_object(m: meissner.Client) -> None:
+    bar = {"kind": "object", "name": "bar", "shape": "bar", "length_mm": 12, "width_mm": 0.8}
+    with m.live(object={**bar, "touch": {"press": {"depth_um": 500}}}, timeout=PATIENT, open_loop=True) as play:
+        pressed = play.pose(y_mm=0.8).wait(PATIENT)
+        assert None not in pressed.ticks
+        with pytest.raises(errors.BadRequest, match=r"28\.3 mm from the array's middle"):
+            play.pose(20.0, 20.0).wait(PATIENT)
+        assert play.pose(y_mm=0.8, depth_um=0).wait(PATIENT).state == "applied"
+    assert play.receipt is not None
+    assert play.receipt.raw["live"]["applied"] == 2
+    assert len(play.receipt.raw["pins"]) > 3
+
+
 def test_drives_follow_and_say_when(m: meissner.Client) -> None:
     with m.live(drives=DRIVES, timeout=PATIENT, trial=4, labels={"what": "knob"}) as play:
         assert (play.pattern, play.ordered_s) == ("live", None)

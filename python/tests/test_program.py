@@ -74,6 +74,49 @@ def test_a_search_finds_a_pattern_that_can_be_played(m: meissner.Client) -> None
     m.remove_pattern("dot-found")
 
 
+BAR: dict[str, Any] = {"name": "bar", "shape": "bar", "length_mm": 12, "width_mm": numpy.float64(0.8)}
+PRESS = {"press": {"depth_um": 150, "rise_s": 0.02, "hold_s": 0.03, "fall_s": 0.02}}
+
+
+def test_an_object_is_rendered_and_played(m: meissner.Client) -> None:
+    rendered = m.render({**BAR, "center_mm": [0, 0.8]}, touch=PRESS, method="field")
+    assert (rendered.name, rendered.summary["method"], rendered.summary["object"]) == ("bar-rendered", "field", "bar")
+    assert m.pattern("bar-rendered")["pattern"]["provenance"]["object"] == "bar"
+    receipt = m.play("bar-rendered").wait()
+    moved = [pin["motor"] for pin in receipt.raw["pins"]]
+    assert len(moved) == rendered.summary["motors"] > 3
+    m.remove_pattern("bar-rendered")
+
+
+def test_an_object_may_be_a_name_or_a_file_and_may_name_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    named = meissner.render("edge-45", method="rule", name="edge")
+    assert (named.name, named.summary["object"]) == ("edge", "edge-45")
+    file = tmp_path / "dots.toml"
+    file.write_text(
+        'kind = "object"\nname = "dots"\nshape = "dots"\npoints = [[0, 0]]\ndiameter_mm = 2\n'
+        "[touch]\npress = { depth_um = 300, hold_s = 0.02 }\n"
+    )
+    assert meissner.render(file, method="rule").name == "dots-rendered"
+    with pytest.raises(ValueError, match="`touch` goes with an object that is a dict"):
+        meissner.render(file, touch=PRESS)
+    monkeypatch.chdir(tmp_path)
+    numpy.save("hill.npy", numpy.zeros((20, 20)))
+    hill = {"shape": "heightmap", "file": "hill.npy", "mm_per_pixel": 0.2}
+    assert meissner.render(hill, touch=PRESS, method="field").summary["object"] == "object"
+
+
+def test_a_bad_object_is_refused_in_a_line() -> None:
+    for wrong, says in [
+        ({**BAR, "lenght_mm": 3}, "lenght_mm"),
+        ({**BAR, "width_mm": float("nan")}, "width_mm"),
+        ({**BAR, "name": 'a "b"'}, "name"),
+    ]:
+        with pytest.raises(errors.ProgramError, match=f"`meissner render` failed.*{says}"):
+            meissner.render(wrong, touch=PRESS)
+    with pytest.raises(TypeError, match="cannot hold a set"):
+        meissner.render({**BAR, "points": {1}}, touch=PRESS)
+
+
 def test_the_end_of_python_ends_the_daemon_and_disarms(daemon: meissner.Daemon) -> None:
     """A script without `with`: its clients disarm, and its daemon ends."""
     script = (

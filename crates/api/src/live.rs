@@ -7,7 +7,7 @@ use crate::body::{bad, check_labels, check_scale, check_trigger, null_as_default
 use crate::end_cause::EndCause;
 use crate::problem::Problem;
 use crate::request::LatePolicy;
-use crate::search::{SearchModel, SearchObjective, SearchSetting, target_schema};
+use crate::search::{SearchModel, SearchObjective, SearchSetting, object_schema, target_schema};
 use crate::trigger::{self, TriggerRequest};
 use meissner_input::document::{self, given};
 use serde::{Deserialize, Serialize};
@@ -47,8 +47,8 @@ pub struct LiveDrive {
     pub phase: f64,
 }
 
-/// Where a live target's shape is: turned anticlockwise about the array's middle, then shifted. A shift reaches as far as the pad is
-/// long, 24 mm; pins of an array that is larger than the pad may stand beyond it.
+/// Where a live target's shape or a live object is: turned anticlockwise about the array's middle, then shifted. A shift reaches as far as
+/// the pad is long, 24 mm; pins of an array that is larger than the pad may stand beyond it.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct LivePose {
@@ -64,6 +64,10 @@ pub struct LivePose {
     #[serde(default)]
     #[schema(minimum = -1e6, maximum = 1e6)]
     pub angle_deg: f64,
+    /// How far an object's highest point is below the surface of the skin at rest, µm; without it the depth of the object's press.
+    #[serde(default, deserialize_with = "given", skip_serializing_if = "Option::is_none")]
+    #[schema(minimum = 0.0, maximum = 2000.0)]
+    pub depth_um: Option<f64>,
 }
 
 /// A live play: its drives at the onset, and what its client may change.
@@ -78,6 +82,12 @@ pub struct LiveRequest {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schema(schema_with = target_schema)]
     pub target: Option<Value>,
+    /// An object that the client presses and moves, instead of `drives` and `target`: the keys of an object file without files, whose touch is a
+    /// press, or the name of a target at rest, which is pressed by 500 µm. Pins go to the heights whose skin is nearest to the object's, and
+    /// are at rest until the first pose. The line must carry `levels`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schema(schema_with = object_schema)]
+    pub object: Option<Value>,
     /// Where the target's shape is at the onset; without it where the target has it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub pose: Option<LivePose>,
@@ -160,7 +170,7 @@ pub struct LiveMessage {
     /// New drives, one for each motor at most; the other motors' stay.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub drives: Option<Vec<LiveDrive>>,
-    /// Where the target's shape is now.
+    /// Where the target's shape or the object is now.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub pose: Option<LivePose>,
     /// Levels for pins by their motors' numbers, above rest, µm, if the play was started with `levels`. A pin goes to its level and stays
@@ -234,7 +244,7 @@ fn check_drives(drives: &[LiveDrive]) -> Result<(), Problem> {
 }
 
 fn check_pose(pose: Option<LivePose>) -> Result<(), Problem> {
-    let Some(LivePose { x_mm, y_mm, angle_deg }) = pose else { return Ok(()) };
+    let Some(LivePose { x_mm, y_mm, angle_deg, depth_um }) = pose else { return Ok(()) };
     for (key, value, most, wanted) in [
         ("pose.x_mm", x_mm, 24.0, "-24 to 24 mm"),
         ("pose.y_mm", y_mm, 24.0, "-24 to 24 mm"),
@@ -242,7 +252,9 @@ fn check_pose(pose: Option<LivePose>) -> Result<(), Problem> {
     ] {
         document::in_range(key, value, (-most..=most).contains(&value), wanted).map_err(problem)?;
     }
-    Ok(())
+    let depth_um = depth_um.unwrap_or(0.0);
+    document::in_range("pose.depth_um", depth_um, (0.0..=2000.0).contains(&depth_um), "0 to 2000 um")
+        .map_err(problem)
 }
 
 impl LiveRequest {
@@ -254,9 +266,13 @@ impl LiveRequest {
         let request: Self = read(body)?;
         check_drives(&request.drives)?;
         check_pose(request.pose)?;
+        request.check_object()?;
         match &request.target {
             None if request.pose.is_some() => {
                 return Err(bad("`pose` is that of a `target`: add one, or leave it out"));
+            }
+            Some(_) if request.pose.is_some_and(|pose| pose.depth_um.is_some()) => {
+                return Err(bad("`pose.depth_um` is that of an `object`: leave it out"));
             }
             Some(_) if !request.drives.is_empty() => {
                 return Err(bad("`target` and `drives` exclude each other: leave one out"));
@@ -287,6 +303,24 @@ impl LiveRequest {
             )));
         }
         Ok(request)
+    }
+
+    fn check_object(&self) -> Result<(), Problem> {
+        let Some(object) = &self.object else { return Ok(()) };
+        if self.target.is_some() || !self.drives.is_empty() {
+            return Err(bad("`object` excludes `target` and `drives`: leave them out"));
+        }
+        if self.pose.is_some() {
+            return Err(bad(
+                "`pose`: an object touches from the first message on: send its pose as a message",
+            ));
+        }
+        if !object.is_string() && !object.is_object() {
+            return Err(bad(
+                "`object` must be the name of a target, or an object with the keys of an object file",
+            ));
+        }
+        Ok(())
     }
 
     /// The highest frequency of any update, Hz.
@@ -362,6 +396,11 @@ mod tests {
             (r#"{"drives":[]}"#.to_owned(), "`seq` is missing"),
             (r#"{"seq":-1}"#.to_owned(), "`seq` is integer `-1`"),
             (r#"{"seq":1,"scale":1.5}"#.to_owned(), "`scale`"),
+            (
+                r#"{"seq":1,"pose":{"depth_um":2001}}"#.to_owned(),
+                "`pose.depth_um` is 2001: must be 0 to 2000 um",
+            ),
+            (r#"{"seq":1,"pose":{"depth_um":NaN}}"#.to_owned(), "JSON"),
             (r#"{"seq":1,"drvies":[]}"#.to_owned(), "did you mean `drives`?"),
             (drive(r#","phase":1.0"#), "`drives[0].phase` is 1: must be at least 0 and below 1"),
             (drive(r#","start_s":1.0"#), "unknown key `start_s`"),
@@ -377,6 +416,10 @@ mod tests {
         for (text, says) in [
             (r#"{"timeout_ms":10}"#, "`timeout_ms` is 10: must be 50 to 60000 ms"),
             (r#"{"target":"dot","max_frequency_hz":30}"#, "of a target have at least 40 Hz"),
+            (r#"{"object":"dot","target":"dot"}"#, "`object` excludes `target`"),
+            (r#"{"object":"dot","pose":{}}"#, "send its pose as a message"),
+            (r#"{"object":3}"#, "`object` must be the name of a target"),
+            (r#"{"target":"dot","pose":{"depth_um":100}}"#, "`pose.depth_um` is that of an `object`"),
             (r#"{"updates_hz":0}"#, "`updates_hz` is 0: must be 1 to 1000 Hz"),
             (r#"{"max_frequency_hz":301}"#, "`max_frequency_hz` is 301"),
         ] {

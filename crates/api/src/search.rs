@@ -14,7 +14,7 @@ use meissner_input::document::{given, in_range};
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use utoipa::ToSchema;
-use utoipa::openapi::schema::{ObjectBuilder, OneOfBuilder, Ref, Schema, Type};
+use utoipa::openapi::schema::{AdditionalProperties, ObjectBuilder, OneOfBuilder, Ref, Schema, Type};
 
 /// How the name of a found pattern begins; the search's id follows.
 pub const FOUND_PREFIX: &str = "search:";
@@ -103,6 +103,17 @@ pub struct SearchRequest {
 pub(crate) fn target_schema() -> Schema {
     let name = ObjectBuilder::new().schema_type(Type::String).description(Some("The name of a target."));
     OneOfBuilder::new().item(name).item(Ref::from_schema_name("TargetFile")).into()
+}
+
+/// The keys of an object file are in `docs/reference/object.md`.
+pub(crate) fn object_schema() -> Schema {
+    let name =
+        ObjectBuilder::new().schema_type(Type::String).description(Some("The name of a target at rest."));
+    let keys = ObjectBuilder::new()
+        .schema_type(Type::Object)
+        .description(Some("The keys of an object file without files."))
+        .additional_properties(Some(AdditionalProperties::FreeForm(true)));
+    OneOfBuilder::new().item(name).item(keys).into()
 }
 
 impl SearchRequest {

@@ -10,7 +10,8 @@
 //!    object's. `descent` changes heights until both rates and skin are near the object's.
 //! 6. `rule`: the plain answer, one press graded by the distance from the object. `rivals`: pins that vibrate near the object.
 //! 7. `levels`: heights over time become a pattern.
-//! 8. `judge`: a [`Judge`] compares the response of a finger to a pattern with its response to the object, `blurred` over the skin. `observer`: an
+//! 8. `poses`: [`Poses`] gives heights for one pose at a time, for poses that are not known before.
+//! 9. `judge`: a [`Judge`] compares the response of a finger to a pattern with its response to the object, `blurred` over the skin. `observer`: an
 //!    [`Observer`] names what a finger feels.
 //!
 //! Invariant: heights are within the travel of the array's motors, and no pin is asked to move faster than they do. Results depend on
@@ -22,6 +23,7 @@ mod field;
 mod judge;
 mod levels;
 mod observer;
+mod poses;
 mod rates;
 mod rivals;
 mod rule;
@@ -32,6 +34,7 @@ mod wanted;
 pub use judge::{Judge, Judged, response_of};
 pub use levels::Levels;
 pub use observer::{Observer, Reads};
+pub use poses::{PART_MM, Poses, PosesError};
 pub use rivals::Rival;
 
 use descent::{Goal, Weights};

@@ -2,6 +2,9 @@
 
 #![expect(clippy::unwrap_used, reason = "a test fails where it unwraps")]
 
+/// Heights of one pose at a time.
+mod poses;
+
 use meissner_array::pattern::Pattern;
 use meissner_array::spec::Array;
 use meissner_design::Shape;

@@ -229,7 +229,7 @@ impl Table {
 }
 
 /// The weights of four points for a place between the two in the middle.
-fn cubic(t: f64) -> [f64; 4] {
+pub(crate) fn cubic(t: f64) -> [f64; 4] {
     [
         0.5 * t * (t * (2.0 - t) - 1.0),
         0.5 * (t * t * (3.0 * t - 5.0) + 2.0),

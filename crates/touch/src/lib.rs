@@ -10,7 +10,8 @@
 //! 5. `timeline`: where the object is at each sample, and how loads at that depth follow from the solved ones.
 //! 6. `field`: what the loads do to the skin, as tables in the object's frame, for objects that move.
 //! 7. `skin`: [`displacements_mm`] gives the displacement of the skin at any places and times.
-//! 8. `response`: [`respond`] gives the spikes of afferents of the second model of [`meissner_skin`].
+//! 8. `imprint`: an [`Imprint`] is the skin about an object at any pose, for poses that are not known before.
+//! 9. `response`: [`respond`] gives the spikes of afferents of the second model of [`meissner_skin`].
 //!
 //! The half space has no edge and the object is rigid, so loads depend on the depth alone. The pose only moves them over the skin.
 //! There is no friction, and the skin follows at once. `docs/explanation/touch.md` shows the limits of this.
@@ -37,6 +38,7 @@ mod contact;
 mod fft;
 mod field;
 mod grains;
+mod imprint;
 mod object;
 mod response;
 mod skin;
@@ -45,9 +47,10 @@ mod touch;
 
 pub use contact::{Contact, ContactError, DEPTHS, MAX_BYTES, bytes, solve};
 pub use grains::Grains;
+pub use imprint::Imprint;
 pub use object::{
     HeightMap, MARGIN_MM, MAX_FILE_BYTES, MAX_PIXELS, MAX_POINTS, MAX_SIDE_MM, Object, ObjectError, Open,
-    PITCHES_MM, Problem, Surface, surface_of,
+    PITCHES_MM, Problem, Surface, no_files, surface_of,
 };
 pub use response::respond;
 pub use skin::displacements_mm;

@@ -9,7 +9,8 @@
 
 - `connect`, `connect_async`: a client of a daemon, on this machine or over the network.
 - `demo`: a daemon with the simulated array, and a client of it. `Daemon` is the daemon alone.
-- `simulate`, `design`, `displacement`: predicted spikes, a search for patterns, and how far pins move, by the installed program.
+- `simulate`, `design`, `render`, `displacement`: predicted spikes, a search for patterns, a pattern that feels like an object, and
+  how far pins move, by the installed program.
 - `experiment`: trial lists, staircases, QUEST+, and a log that survives a crash.
 - `errors`: one class for each code of the API.
 """
@@ -29,7 +30,7 @@ from .clocks import ClientClock, Instant
 from .errors import ApiError, MeissnerError, PlayStopped, Unreachable
 from .live import Live, Update
 from .motions import Trace, import_csv, import_wav
-from .program import Daemon, Design, Simulation, design, simulate
+from .program import Daemon, Design, Rendering, Simulation, design, render, simulate
 from .results import Item, LiveResult, Receipt, Status
 from .traces import Displacement, displacement
 
@@ -52,6 +53,7 @@ __all__ = [
     "Play",
     "PlayStopped",
     "Receipt",
+    "Rendering",
     "SequenceItem",
     "Session",
     "Simulation",
@@ -66,6 +68,7 @@ __all__ = [
     "displacement",
     "import_csv",
     "import_wav",
+    "render",
     "simulate",
 ]
 __version__ = "0.1.0"

@@ -49,6 +49,7 @@ def start(
     core: Core,
     target: str | Mapping[str, Any] | None = None,
     *,
+    object: str | Mapping[str, Any] | None = None,
     drives: Drives | None = None,
     pose: Pose | None = None,
     scale: float | None = None,
@@ -70,7 +71,8 @@ def start(
 
     `target` is the name of a shape that your poses move, or a dict with the keys of a target file; `pose` is where it
     begins, with any of `x_mm`, `y_mm` and `angle_deg`. Without a target, `drives` are those at the onset: dicts with `motor`,
-    `frequency_hz`, `amplitude_um` and perhaps `phase`. `budget`: how long the search for a pose's drives may take, s.
+    `frequency_hz`, `amplitude_um` and perhaps `phase`. `object` is a thing that your poses press and move: a dict with the keys of an
+    object file, or the name of a target at rest; its pins are at rest until the first pose. `budget`: how long the search for a pose's drives may take, s.
 
     The play ends when the program sends nothing for `timeout` s (0.5; the first message may take 2 s), and the pins return.
     No thread keeps it alive: a program that hangs must not leave pins moving. A loop without a change calls `keep()`.
@@ -78,6 +80,7 @@ def start(
     array = yield from ops.array(core)
     body = {
         "target": target,
+        "object": object,
         "drives": None if drives is None else plain_drives(drives, array),
         "pose": None if pose is None else plain_pose(pose),
         "scale": scale,
@@ -419,9 +422,13 @@ class LivePlay(KnownPlay, Generic[U]):
     def _send(self, drives: Drives | None, pose: Pose | None, scale: float | None) -> U:
         raise NotImplementedError
 
-    def pose(self, x_mm: float = 0.0, y_mm: float = 0.0, angle_deg: float = 0.0) -> U:
-        """Move the target: it turns anticlockwise about the array's middle, then shifts. As `send`."""
-        return self.send(pose={"x_mm": x_mm, "y_mm": y_mm, "angle_deg": angle_deg})
+    def pose(self, x_mm: float = 0.0, y_mm: float = 0.0, angle_deg: float = 0.0, depth_um: float | None = None) -> U:
+        """Move the target or the object: it turns anticlockwise about the array's middle, then shifts. As `send`.
+
+        `depth_um`: how far the object's highest point is below the skin at rest, 0 to 2000; without it the depth of the object's press.
+        """
+        depth = {} if depth_um is None else {"depth_um": depth_um}
+        return self.send(pose={"x_mm": x_mm, "y_mm": y_mm, "angle_deg": angle_deg, **depth})
 
     def drives(self, drives: Drives) -> U:
         """Change these motors; the others stay as they are. As `send`."""

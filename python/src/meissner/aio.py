@@ -244,6 +244,12 @@ class AsyncClient:
         await self.store_pattern(found.name, found.toml, replace=True)
         return found
 
+    async def render(self, object: program.Object, **options: Any) -> program.Rendering:
+        """Render an object's touch for the daemon's array, in a thread, and store it in the daemon. As `meissner.render`."""
+        found = await asyncio.to_thread(program.render_for, await self.array, object, options)
+        await self.store_pattern(found.name, found.toml, replace=True)
+        return found
+
     async def close(self) -> None:
         """Disarm, if this client has armed, and close all connections."""
         if self._is_closed:

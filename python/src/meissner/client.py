@@ -219,6 +219,12 @@ class Client:
         self.store_pattern(found.name, found.toml, replace=True)
         return found
 
+    def render(self, object: program.Object, **options: Any) -> program.Rendering:
+        """Render an object's touch for the daemon's array, and store it in the daemon. `meissner.render` has the options."""
+        found = program.render_for(self.array, object, options)
+        self.store_pattern(found.name, found.toml, replace=True)
+        return found
+
     def close(self) -> None:
         """Disarm, if this client has armed, and close all connections."""
         if self._is_closed:

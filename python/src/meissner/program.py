@@ -1,11 +1,12 @@
 """The program `meissner` on this machine: a daemon with the simulated array, simulation of afferents, search for patterns.
 
-The daemon has no API for simulation and search yet, so `simulate` and `design` run the installed program. It is found by
+The daemon has no API for simulation, search and rendering yet, so `simulate`, `design` and `render` run the installed program. It is found by
 `$MEISSNER_PROGRAM`, else on the `PATH`. NumPy is used where it is installed.
 """
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import shutil
@@ -13,7 +14,7 @@ import socket
 import subprocess
 import tempfile
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Union
@@ -24,6 +25,7 @@ from .arrays import Array
 from .errors import ProgramError
 
 Scene = Union[str, "os.PathLike[str]", Mapping[str, Any]]
+Object = Union[str, "os.PathLike[str]", Mapping[str, Any]]
 
 
 def find_program() -> str:
@@ -102,7 +104,7 @@ def _plain(value: Any) -> Any:
     """A NumPy number or array as JSON has it."""
     if hasattr(value, "tolist"):
         return value.tolist()
-    raise TypeError(f"a scene cannot hold a {type(value).__name__}: use numbers, texts, lists and dicts")
+    raise TypeError(f"a scene or an object cannot hold a {type(value).__name__}: use numbers, texts, lists and dicts")
 
 
 @dataclass(frozen=True)
@@ -154,15 +156,99 @@ def design_for(array: Array, target: str, options: Mapping[str, Any]) -> Design:
 
     This machine's program may not know the array by its name, so it reads the description that the daemon has sent.
     """
+    with _described(array, options) as named:
+        return design(target, **named)
+
+
+@contextlib.contextmanager
+def _described(array: Array, options: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
+    """Options with an `array` that the program can read."""
     if "array" in options:
-        return design(target, **options)
-    if "toml" not in array.raw:
+        yield dict(options)
+    elif "toml" not in array.raw:
         # An older daemon drives the paper's array, which every program ships.
-        return design(target, array=array.name, **options)
+        yield {**options, "array": array.name}
+    else:
+        with tempfile.TemporaryDirectory(prefix="meissner-") as folder:
+            file = Path(folder) / "array.toml"
+            file.write_text(array.raw["toml"], encoding="utf-8")
+            yield {**options, "array": file}
+
+
+@dataclass(frozen=True)
+class Rendering:
+    """A pattern that gives a finger the response that an object gives."""
+
+    name: str
+    toml: str
+    """The pattern file."""
+    summary: dict[str, Any] = field(repr=False)
+    """What the program says: `duration_s`, `motors`, `highest_um`, `method`, and the times that it took."""
+
+
+def render(
+    object: Object,
+    *,
+    touch: Mapping[str, Any] | None = None,
+    method: str | None = None,
+    name: str | None = None,
+    array: str | os.PathLike[str] | None = None,
+) -> Rendering:
+    """Render an object's touch: a dict with the keys of an object file, the path of one, or the name of a shipped target at rest.
+
+    It runs `meissner render` on this machine. `touch` is the object's `[touch]`, such as `{"press": {"depth_um": 500}}`, for a dict
+    that has none. A dict may hold NumPy values; the files that it names are found from the working directory. `method` is `auto`,
+    `field`, `rate` or `rule`. `name`: the pattern's; without it `NAME-rendered`. `array` as for `design`.
+    """
     with tempfile.TemporaryDirectory(prefix="meissner-") as folder:
-        file = Path(folder) / "array.toml"
-        file.write_text(array.raw["toml"], encoding="utf-8")
-        return design(target, array=file, **options)
+        if isinstance(object, Mapping):
+            keys = {"kind": "object", "name": "object", **object, **({} if touch is None else {"touch": touch})}
+            stem, source = str(keys["name"]), str(Path(folder) / "object.toml")
+            Path(source).write_text(_toml(_with_paths(keys)), encoding="utf-8")
+        elif touch is not None:
+            raise ValueError("`touch` goes with an object that is a dict: a file has its own")
+        else:
+            stem, source = Path(object).stem, os.fspath(object)
+        name = name or f"{stem}-rendered"
+        arguments = ["render", source, *([] if array is None else ["--array", os.fspath(array)])]
+        if method is not None:
+            arguments += ["--method", method]
+        file = Path(folder) / f"{name}.toml"
+        summary = _run([*arguments, "-o", str(file)])
+        return Rendering(name, file.read_text(encoding="utf-8"), summary)
+
+
+def render_for(array: Array, object: Object, options: Mapping[str, Any]) -> Rendering:
+    """`render` for a daemon's array, unless `options` name another."""
+    with _described(array, options) as named:
+        return render(object, **named)
+
+
+def _with_paths(keys: Mapping[str, Any]) -> dict[str, Any]:
+    """The keys of an object, in which every `file` is an absolute path."""
+    return {
+        key: os.path.abspath(value) if key == "file" else _with_paths(value) if isinstance(value, Mapping) else value
+        for key, value in keys.items()
+    }
+
+
+def _toml(keys: Mapping[str, Any]) -> str:
+    """Keys as a TOML document, with inline tables."""
+    return "".join(f"{json.dumps(key)} = {_toml_value(value)}\n" for key, value in keys.items())
+
+
+def _toml_value(value: Any) -> str:
+    if isinstance(value, Mapping):
+        pairs = (f"{json.dumps(key)} = {_toml_value(of)}" for key, of in value.items())
+        return f"{{ {', '.join(pairs)} }}"
+    if isinstance(value, (list, tuple)):
+        return f"[{', '.join(map(_toml_value, value))}]"
+    if isinstance(value, (str, bool, int)):
+        return json.dumps(value, ensure_ascii=False)
+    if isinstance(value, float):
+        # TOML has `inf` and `nan`, as Python; the program refuses them by their keys.
+        return repr(float(value))
+    return _toml_value(_plain(value))
 
 
 _PATIENT = {"lead_ms": 500, "lease_ms": 5000}

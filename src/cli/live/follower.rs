@@ -96,7 +96,7 @@ mod tests {
 
     fn after(mut follower: Follower, events: &[InputEvent]) -> [f64; 3] {
         events.iter().for_each(|&event| follower.hear(event));
-        let LivePose { x_mm, y_mm, angle_deg } = follower.pose();
+        let LivePose { x_mm, y_mm, angle_deg, .. } = follower.pose();
         [x_mm, y_mm, angle_deg].map(|value| (value * 1e9).round() / 1e9)
     }
 

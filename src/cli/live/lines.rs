@@ -1,4 +1,4 @@
-//! Lines of stdin, each a message: `X_MM Y_MM [DEGREES]`, or a JSON object with the keys of a live play's message.
+//! Lines of stdin, each a message: `X_MM Y_MM [DEGREES [DEPTH_UM]]`, or a JSON object with the keys of a live play's message.
 //!
 //! Lines of a regular file are taken one by one, when they are due. Lines of any other input are taken as they come.
 //!
@@ -16,12 +16,22 @@ const PIECE: usize = 1 << 14;
 /// Characters of a bad line that its message quotes.
 const QUOTED: usize = 60;
 
+/// What lines give.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Gives {
+    Drives,
+    /// Poses of a target.
+    Poses,
+    /// Poses of an object, with depths.
+    Touches,
+}
+
 /// The lines of an open file.
 #[derive(Debug)]
 pub(super) struct Lines {
     input: File,
     is_file: bool,
-    has_target: bool,
+    gives: Gives,
     bytes: Vec<u8>,
     /// How much of `bytes` was taken.
     taken: usize,
@@ -30,14 +40,14 @@ pub(super) struct Lines {
 }
 
 impl Lines {
-    pub(super) fn stdin(has_target: bool) -> Result<Self> {
+    pub(super) fn stdin(gives: Gives) -> Result<Self> {
         let input = io::stdin().as_fd().try_clone_to_owned().context("stdin cannot be read")?;
-        Self::of(input.into(), has_target)
+        Self::of(input.into(), gives)
     }
 
-    fn of(input: File, has_target: bool) -> Result<Self> {
+    fn of(input: File, gives: Gives) -> Result<Self> {
         let is_file = input.metadata().context("stdin cannot be read")?.is_file();
-        Ok(Self { input, is_file, has_target, bytes: Vec::new(), taken: 0, count: 0, at_end: false })
+        Ok(Self { input, is_file, gives, bytes: Vec::new(), taken: 0, count: 0, at_end: false })
     }
 
     /// Whether it is a regular file, which is never late.
@@ -70,7 +80,7 @@ impl Lines {
         };
         self.count += 1;
         let message =
-            message(line, self.has_target).map_err(|what| anyhow!("stdin: line {}: {what}", self.count))?;
+            message(line, self.gives).map_err(|what| anyhow!("stdin: line {}: {what}", self.count))?;
         self.taken = (self.taken + line.len() + 1).min(self.bytes.len());
         Ok(Some(message))
     }
@@ -88,12 +98,15 @@ impl AsFd for Lines {
 }
 
 /// Reads a line; an empty line gives a message that changes nothing. An error says what is wrong and what to do.
-fn message(line: &[u8], has_target: bool) -> Result<LiveMessage, String> {
-    const WANTED: &str = "write X_MM Y_MM [DEGREES], or a JSON object";
+fn message(line: &[u8], gives: Gives) -> Result<LiveMessage, String> {
+    let wanted = match gives {
+        Gives::Touches => "write X_MM Y_MM [DEGREES [DEPTH_UM]], or a JSON object",
+        _ => "write X_MM Y_MM [DEGREES], or a JSON object",
+    };
     if line.len() > MAX_LIVE_MESSAGE {
         return Err("a line has more than 65536 bytes: write less".to_owned());
     }
-    let text = std::str::from_utf8(line).map_err(|_| format!("not UTF-8 text: {WANTED}"))?;
+    let text = std::str::from_utf8(line).map_err(|_| format!("not UTF-8 text: {wanted}"))?;
     // Some programs put a byte order mark before the first line.
     let text = text.trim_start_matches('\u{feff}').trim();
     if text.is_empty() {
@@ -102,14 +115,15 @@ fn message(line: &[u8], has_target: bool) -> Result<LiveMessage, String> {
     let quoted = || text.chars().take(QUOTED).collect::<String>().escape_debug().to_string();
     let keys = if text.starts_with('{') {
         let keys: Map<String, Value> = serde_json::from_str(text)
-            .map_err(|error| format!("`{}` is not JSON ({error}): {WANTED}", quoted()))?;
+            .map_err(|error| format!("`{}` is not JSON ({error}): {wanted}", quoted()))?;
         if keys.contains_key("seq") {
             return Err("leave `seq` out: the command numbers its messages".to_owned());
         }
         keys
     } else {
-        let numbers = numbers(text).ok_or_else(|| format!("`{}` is not a pose: {WANTED}", quoted()))?;
-        let pose = ["x_mm", "y_mm", "angle_deg"].into_iter().zip(numbers);
+        let most = if gives == Gives::Touches { 4 } else { 3 };
+        let numbers = numbers(text, most).ok_or_else(|| format!("`{}` is not a pose: {wanted}", quoted()))?;
+        let pose = ["x_mm", "y_mm", "angle_deg", "depth_um"].into_iter().zip(numbers);
         let pose: Map<String, Value> = pose.map(|(key, value)| (key.to_owned(), json!(value))).collect();
         Map::from_iter([("pose".to_owned(), pose.into())])
     };
@@ -117,19 +131,23 @@ fn message(line: &[u8], has_target: bool) -> Result<LiveMessage, String> {
     numbered.insert("seq".to_owned(), json!(0));
     let message =
         LiveMessage::parse(Value::from(numbered).to_string().as_bytes()).map_err(|problem| problem.detail)?;
-    match (&message, has_target) {
-        (LiveMessage { pose: Some(_), .. }, false) => {
-            Err("a pose moves the shape of a target: name a TARGET, or send `drives`".to_owned())
+    match (&message, gives) {
+        (LiveMessage { pose: Some(_), .. }, Gives::Drives) => {
+            Err("a pose moves the shape of a target: name a TARGET or an --object, or send `drives`"
+                .to_owned())
         }
-        (LiveMessage { drives: Some(_), .. }, true) => {
+        (LiveMessage { drives: Some(_), .. }, Gives::Poses) => {
             Err("the poses of TARGET decide its drives: send a pose, or leave TARGET out".to_owned())
+        }
+        (LiveMessage { drives: Some(_), .. }, Gives::Touches) => {
+            Err("the poses of the object decide: send a pose, or leave --object out".to_owned())
         }
         _ => Ok(message),
     }
 }
 
-/// Two or three finite numbers, all separated by blanks or all by commas, so that a missing column does not shift the others.
-fn numbers(text: &str) -> Option<Vec<f64>> {
+/// Two to `most` finite numbers, all separated by blanks or all by commas, so that a missing column does not shift the others.
+fn numbers(text: &str, most: usize) -> Option<Vec<f64>> {
     let parts: Vec<&str> = if text.contains(',') {
         text.split(',').map(str::trim).collect()
     } else {
@@ -137,7 +155,7 @@ fn numbers(text: &str) -> Option<Vec<f64>> {
     };
     let number = |part: &str| part.parse().ok().filter(|number: &f64| number.is_finite());
     let numbers: Option<Vec<f64>> = parts.into_iter().map(number).collect();
-    numbers.filter(|numbers| matches!(numbers.len(), 2 | 3))
+    numbers.filter(|numbers| (2..=most).contains(&numbers.len()))
 }
 
 #[cfg(test)]
@@ -148,9 +166,9 @@ mod tests {
 
     #[test]
     fn a_line_is_numbers_or_json() {
-        let read = |line: &str| message(line.as_bytes(), true).unwrap();
+        let read = |line: &str| message(line.as_bytes(), Gives::Poses).unwrap();
         let pose = |x_mm, y_mm, angle_deg| {
-            let pose = Some(LivePose { x_mm, y_mm, angle_deg });
+            let pose = Some(LivePose { x_mm, y_mm, angle_deg, depth_um: None });
             LiveMessage { pose, ..LiveMessage::default() }
         };
         for line in [
@@ -185,12 +203,22 @@ mod tests {
             ("{\"scale\":2}", "`scale`"),
             ("{\"drives\":[]}", "leave TARGET out"),
         ] {
-            let error = message(line.as_bytes(), true).unwrap_err();
+            let error = message(line.as_bytes(), Gives::Poses).unwrap_err();
             assert!(error.contains(says) && !error.contains('\n'), "{line}: {error}");
         }
-        assert!(message(b"1 2", false).unwrap_err().contains("name a TARGET"));
-        assert!(message(b"\xff", true).unwrap_err().contains("UTF-8"));
-        assert!(message(&[b'1'; MAX_LIVE_MESSAGE + 1], true).unwrap_err().contains("write less"));
+        let touch = |line: &str| message(line.as_bytes(), Gives::Touches);
+        assert_eq!(touch("1 2 3 400").unwrap().pose.unwrap().depth_um, Some(400.0));
+        for (line, says) in [
+            ("1 2 3 400 5", "write X_MM Y_MM [DEGREES [DEPTH_UM]], or a JSON object"),
+            ("0 0 0 nan", "is not a pose"),
+            ("0 0 0 2500", "`pose.depth_um` is 2500: must be 0 to 2000 um"),
+            ("{\"drives\":[]}", "leave --object out"),
+        ] {
+            assert!(touch(line).unwrap_err().contains(says), "{line}");
+        }
+        assert!(message(b"1 2", Gives::Drives).unwrap_err().contains("name a TARGET"));
+        assert!(message(b"\xff", Gives::Poses).unwrap_err().contains("UTF-8"));
+        assert!(message(&[b'1'; MAX_LIVE_MESSAGE + 1], Gives::Poses).unwrap_err().contains("write less"));
     }
 
     #[test]
@@ -198,7 +226,7 @@ mod tests {
         let mut file = tempfile::tempfile().unwrap();
         write!(file, "1 1\n\n2 2\nx\n3 3").unwrap();
         file.rewind().unwrap();
-        let mut lines = Lines::of(file, true).unwrap();
+        let mut lines = Lines::of(file, Gives::Poses).unwrap();
         assert!(lines.is_file() && lines.next().unwrap().is_none());
         lines.read().unwrap();
         let x_mm = |lines: &mut Lines| lines.next().unwrap().unwrap().pose.map(|pose| pose.x_mm);
@@ -216,7 +244,7 @@ mod tests {
         let mut file = tempfile::tempfile().unwrap();
         file.write_all(&[b' '; MAX_LIVE_MESSAGE + PIECE]).unwrap();
         file.rewind().unwrap();
-        let mut lines = Lines::of(file, true).unwrap();
+        let mut lines = Lines::of(file, Gives::Poses).unwrap();
         let error = loop {
             lines.read().unwrap();
             if let Err(error) = lines.next() {

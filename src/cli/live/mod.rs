@@ -17,12 +17,12 @@ use super::arguments::{ClientOptions, MODELS, OBJECTIVES, PlayOptions, choice, p
 use super::output::{give, is_broken_pipe, say};
 use super::{files, text};
 use crate::receipts::end_text;
-use anyhow::{Result, anyhow};
+use anyhow::{Result, anyhow, bail};
 use clap::Args;
 use clap::error::ErrorKind;
 use device::{Input, Opened};
 use following::{End, Following, Source};
-use lines::Lines;
+use lines::{Gives, Lines};
 use meissner_api::{
     ArrayDetails, EndCause, LIVE_TIMEOUT_MS, LIVE_UPDATES_HZ, LiveMessage, LiveRequest, PlayState, Receipt,
     SearchModel, SearchObjective, SearchSetting,
@@ -30,6 +30,7 @@ use meissner_api::{
 use meissner_array::units::TickRate;
 use meissner_client::Client;
 use meissner_design::{MAX_BYTES, Target};
+use meissner_touch::{Object, no_files};
 use pace::Pace;
 use serde_json::Value;
 use signals::Signals;
@@ -45,7 +46,10 @@ const RECEIPT_S: u8 = 2;
 pub(super) struct Live {
     /// Move the shape of this target: its name, or a file (TOML). Without it the lines of stdin give drives
     target: Option<String>,
-    /// Follow this source: stdin (a line: X_MM Y_MM [DEGREES], or a JSON object), mouse (the first one), or an input device
+    /// Press and move this object: a file (TOML with kind = "object") without files of its own, or the name of a target at rest
+    #[arg(long, conflicts_with = "target")]
+    object: Option<String>,
+    /// Follow this source: stdin (a line: X_MM Y_MM [DEGREES [DEPTH_UM]], or a JSON object), mouse (the first one), or an input device
     #[arg(long, value_name = "stdin|mouse|evdev:PATH")]
     follow: Follow,
     /// Shift the shape by X mm for each count of a mouse
@@ -111,6 +115,7 @@ impl Live {
         let request = LiveRequest {
             drives: Vec::new(),
             target: self.target.as_deref().map(target).transpose()?,
+            object: self.object.as_deref().map(object).transpose()?,
             pose: None,
             objective: self.objective,
             model: self.model,
@@ -135,9 +140,8 @@ impl Live {
 
     /// Opens the input device, if it is to follow one.
     fn device(&self) -> Result<Option<Opened>> {
-        if self.target.is_none() && self.follow != Follow::Stdin {
-            let message =
-                "name a TARGET: an input device moves a shape. Only the lines of stdin can give drives\n";
+        if self.gives() == Gives::Drives && self.follow != Follow::Stdin {
+            let message = "name a TARGET, or an --object: an input device moves it. Only the lines of stdin can give drives\n";
             return Err(clap::Error::raw(ErrorKind::MissingRequiredArgument, message).into());
         }
         match &self.follow {
@@ -148,10 +152,18 @@ impl Live {
     }
 
     fn source(&self, device: Option<Opened>, array: &ArrayDetails) -> Result<Source> {
-        let Some(device) = device else { return Ok(Source::Lines(Lines::stdin(self.target.is_some())?)) };
+        let Some(device) = device else { return Ok(Source::Lines(Lines::stdin(self.gives())?)) };
         // To the outermost pins.
         let most = |axis: usize| array.positions_mm.iter().map(|place| place[axis].abs()).fold(0.0, f64::max);
         Ok(Source::Input(Input::new(device, self.mm_per_count, [most(0), most(1)])?.into()))
+    }
+
+    const fn gives(&self) -> Gives {
+        match (&self.target, &self.object) {
+            (_, Some(_)) => Gives::Touches,
+            (Some(_), None) => Gives::Poses,
+            (None, None) => Gives::Drives,
+        }
     }
 
     fn timeout_ms(&self) -> f64 {
@@ -165,8 +177,22 @@ fn target(argument: &str) -> Result<Value> {
         return Ok(argument.into());
     }
     let text = files::text(Path::new(argument), MAX_BYTES as u64, "target")?;
+    if text.parse::<toml::Table>().is_ok_and(|keys| keys.contains_key("kind")) {
+        bail!("{argument}: this is an object, not a target: name it by --object");
+    }
     // Check it here, because this reader's errors name the line of the file.
     Target::read(&text, argument)?;
+    Ok(toml::from_str(&text)?)
+}
+
+/// A target's name, or the document in an object file.
+fn object(argument: &str) -> Result<Value> {
+    if !files::is_file(argument) {
+        return Ok(argument.into());
+    }
+    let text = files::text(Path::new(argument), meissner_touch::MAX_FILE_BYTES as u64, "object")?;
+    // As for a target.
+    Object::read(&text, argument, &mut no_files)?;
     Ok(toml::from_str(&text)?)
 }
 
@@ -183,19 +209,20 @@ pub(super) fn run(asked: &Live) -> Result<ExitCode> {
         Ok(first) => first,
         Err(signal) => return Ok(exit_code(signal)),
     };
-    begin_with(&mut request, first);
+    let first = begin_with(&mut request, first);
     let mut play = client.live(&request)?;
     let id = play.id();
     let json = asked.options.output.json;
     if !json {
-        let what = asked.target.as_deref().unwrap_or("the array");
+        let what = asked.target.as_ref().or(asked.object.as_ref()).map_or("the array", String::as_str);
         let said = say(&format!("play {id}: {what} follows {}; Ctrl-C ends it", source.shown()));
         // The reader of stdout has closed it; the play goes on, and its result counts.
         said.or_else(|error| if is_broken_pipe(&error) { Ok(()) } else { Err(error) })?;
     }
     let timeout = Duration::from_secs_f64(asked.timeout_ms() / 1e3);
     let keep_alive = asked.keep_alive || !source.must_speak();
-    let pace = Pace::new(request.updates_hz.unwrap_or(LIVE_UPDATES_HZ), timeout, keep_alive);
+    let mut pace = Pace::new(request.updates_hz.unwrap_or(LIVE_UPDATES_HZ), timeout, keep_alive);
+    pace.hear(first);
     let mut following = Following::new(&mut play, source, pace, &signals, TickRate::new(array.tick_hz));
     let end = following.run();
     let refused = following.summary();
@@ -226,12 +253,16 @@ fn exit_code(signal: u8) -> ExitCode {
     ExitCode::from(128 + signal)
 }
 
-/// Lets the play begin with the source's first state.
-fn begin_with(request: &mut LiveRequest, first: LiveMessage) {
+/// Lets the play begin with the source's first state; returns what of it is a message. An object begins with its first message.
+fn begin_with(request: &mut LiveRequest, first: LiveMessage) -> LiveMessage {
+    if request.object.is_some() {
+        return first;
+    }
     let LiveMessage { drives, pose, scale, .. } = first;
     request.drives = drives.unwrap_or_default();
     request.pose = pose;
     request.scale = scale.or(request.scale);
+    LiveMessage::default()
 }
 
 fn receipt(client: &mut Client, id: u64) -> Result<Receipt> {

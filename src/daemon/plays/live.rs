@@ -12,22 +12,25 @@ use crate::daemon::plays::terms::{Terms, trigger};
 use crate::daemon::state::poses::Poses;
 use crate::daemon::state::render_job::pose;
 use crate::daemon::state::{LivePlay, NewPlay, State};
-use crate::daemon::system::runtime::PLAYS;
+use crate::daemon::system::runtime::{PLAYS, computing};
 use crate::exposure::Vibration;
 use crate::receipts::NoPrediction;
 use crate::session_record::Peer;
 use crate::store::hash;
 use meissner_api::{
-    Code, LIVE_TIMEOUT_MS, LIVE_UPDATES_HZ, LiveAccepted, LiveAnswer, LiveMessage, LiveRecord, LiveRequest,
-    Problem, Receipt,
+    Code, LIVE_TIMEOUT_MS, LIVE_UPDATES_HZ, LiveAccepted, LiveAnswer, LiveMessage, LivePose, LiveRecord,
+    LiveRequest, Problem, Receipt,
 };
 use meissner_array::motor::MotorError;
 use meissner_array::pattern::Drive;
+use meissner_array::spec::Array;
 use meissner_array::strokes::{LiveStrokes, StrokeOptions};
 use meissner_design::Target;
+use meissner_render::Poses as Heights;
 use meissner_stream::queues::{Command, HOLD_ALWAYS, Item};
 use meissner_stream::time::HostInstant;
 use meissner_stream::{Bandwidth, Source};
+use meissner_touch::{Object, Pose as TouchPose};
 use std::convert::Infallible;
 use std::sync::Arc;
 use std::time::Duration;
@@ -43,6 +46,7 @@ impl Engine {
         self: &Arc<Self>,
         request: &LiveRequest,
         target: Option<Target>,
+        object: Option<Object>,
         client: Peer,
     ) -> Result<LiveAccepted, Problem> {
         let (settings, surplus) = self.compiles_for(None)?;
@@ -51,6 +55,8 @@ impl Engine {
         let most_hz = request.most_hz();
         let mut live =
             LivePlay::new(settings.array, &request.drives, options, most_hz)?.with_levels(request.levels);
+        let levels = request.levels || object.is_some();
+        live = live.with_heights(self.heights(settings.array, object).await?);
         let prepared = match target {
             Some(target) => {
                 let (prepared, drives) = prepare(request, target).await?;
@@ -67,7 +73,6 @@ impl Engine {
         let waves = live.waves()?;
         let updates_hz = request.updates_hz.unwrap_or(LIVE_UPDATES_HZ);
         // This iterates over a minute of strokes.
-        let levels = request.levels;
         let bandwidth = PLAYS
             .computing(move || {
                 let drives = Bandwidth::of_live(most_hz, updates_hz, &settings)?;
@@ -110,6 +115,15 @@ impl Engine {
         Ok(LiveAccepted { id, path })
     }
 
+    /// Solves the contact of an object. Plays do not wait for it. No pin goes above what participants may get.
+    async fn heights(&self, array: Array, object: Option<Object>) -> Result<Option<Arc<Heights>>, Problem> {
+        let Some(object) = object else { return Ok(None) };
+        let most_mm = self.lock().most_amplitude_um() / 1000.0;
+        let made = computing(move || Heights::new(array, &object)).await?;
+        made.map(|heights| Some(Arc::new(heights.at_most(most_mm))))
+            .map_err(|error| Problem::new(Code::BadRequest, error.to_string()))
+    }
+
     /// Carries out a message, if its client still may send it; returns the answer if it is known at once.
     pub(in crate::daemon) fn live_message(
         &self,
@@ -121,6 +135,13 @@ impl Engine {
         let message = match LiveMessage::parse(text) {
             Ok(message) => message,
             Err(problem) => return Some(LiveAnswer::refused(LiveMessage::seq(text), problem)),
+        };
+        // Without the lock: a pose takes some tens of microseconds.
+        let heights = self.lock().live.heights(id);
+        let seq = message.seq;
+        let message = match heights.map_or(Ok(message.clone()), |heights| touched(message, &heights)) {
+            Ok(message) => message,
+            Err(problem) => return Some(LiveAnswer::refused(Some(seq), problem)),
         };
         if message.end {
             self.end_live(id);
@@ -149,6 +170,24 @@ impl Engine {
     pub(in crate::daemon) fn end_live(&self, id: u64) {
         let _ = self.lock().commands.send_unanswered(Command::EndLive(id));
     }
+}
+
+/// A message to a live object: its pose becomes levels of all pins.
+fn touched(message: LiveMessage, heights: &Heights) -> Result<LiveMessage, Problem> {
+    let bad = |detail: String| Problem::new(Code::BadRequest, detail);
+    if message.drives.is_some() || !message.um.is_empty() {
+        return Err(bad(
+            "`drives` and `um`: this live play has an object, whose poses decide: send `pose`".into()
+        ));
+    }
+    let Some(LivePose { x_mm, y_mm, angle_deg, depth_um }) = message.pose else { return Ok(message) };
+    let depth_mm = depth_um.map_or(heights.depth_mm(), |um| um / 1000.0);
+    let heights_mm = heights
+        .heights_mm(&TouchPose { x_mm, y_mm, angle_deg, depth_mm })
+        .map_err(|error| bad(error.to_string()))?;
+    // Whole hundredths, rounded down: none is above the travel by a last bit.
+    let um = heights_mm.into_iter().map(|mm| (mm * 1e5).floor() / 100.0);
+    Ok(LiveMessage { pose: None, um: (0..).zip(um).collect(), ..message })
 }
 
 /// Makes the renderer of a target, and the drives of its first pose.

@@ -112,6 +112,11 @@ impl State {
         Ok(())
     }
 
+    /// The largest amplitude that participants may get, µm.
+    pub(in crate::daemon) fn most_amplitude_um(&self) -> f64 {
+        self.exposure.account.limits().max_amplitude_um
+    }
+
     /// Refuses a pattern that plays without end although its client has not said that it may.
     pub(in crate::daemon) fn check_end(&self, pattern: &str, unexpected: bool) -> Result<(), Problem> {
         if unexpected {

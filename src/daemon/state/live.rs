@@ -18,6 +18,7 @@ use meissner_array::power::Group;
 use meissner_array::spec::Array;
 use meissner_array::strokes::{DriveStrokes, LiveMotion, StrokeOptions};
 use meissner_design::RenderError;
+use meissner_render::Poses as Heights;
 use meissner_stream::Settings;
 use meissner_stream::queues::{Applied, Command, LiveResult, LiveUpdate, StreamEvent};
 use meissner_stream::time::HostInstant;
@@ -48,8 +49,10 @@ pub(in crate::daemon) struct LivePlay {
     /// The number of the message that set the scale.
     scaled_by: u64,
     under_way: usize,
-    /// The poses of its target that wait to be rendered; none for a play of drives.
+    /// The poses of its target that wait to be rendered; none for a play without a target.
     poses: Option<Arc<Poses>>,
+    /// The heights of pins for poses of its object.
+    heights: Option<Arc<Heights>>,
     answers: Option<mpsc::Sender<LiveAnswer>>,
 }
 
@@ -90,6 +93,7 @@ impl LivePlay {
             scaled_by: 0,
             under_way: 0,
             poses: None,
+            heights: None,
             answers: None,
         };
         new.set(drives)?;
@@ -99,6 +103,11 @@ impl LivePlay {
     /// The same play with a target, whose waiting poses are in `poses`.
     pub(in crate::daemon) fn with_poses(self, poses: Arc<Poses>) -> Self {
         Self { poses: Some(poses), ..self }
+    }
+
+    /// The same play with an object, whose poses become levels.
+    pub(in crate::daemon) fn with_heights(self, heights: Option<Arc<Heights>>) -> Self {
+        Self { takes_levels: self.takes_levels || heights.is_some(), heights, ..self }
     }
 
     /// The same play, whose messages may have levels.
@@ -265,6 +274,11 @@ impl LivePlays {
         }
     }
 
+    /// The heights of pins for poses of a play's object.
+    pub(in crate::daemon) fn heights(&self, id: u64) -> Option<Arc<Heights>> {
+        self.plays.get(&id)?.heights.clone()
+    }
+
     pub(super) fn forget(&mut self, id: u64) {
         if let Some(poses) = self.plays.remove(&id).and_then(|play| play.poses) {
             poses.close();
@@ -374,11 +388,16 @@ impl State {
         }
         match (&message.pose, &play.poses) {
             (Some(_), None) => {
-                let detail = "`pose` is that of a target: this live play was started with drives";
+                let detail =
+                    "`pose` is that of a target or an object: this live play was started with drives";
                 return Err(Problem::new(Code::BadRequest, detail));
             }
             (_, Some(_)) if message.drives.is_some() => {
                 let detail = "`drives`: this live play has a target, whose poses decide: send `pose`";
+                return Err(Problem::new(Code::BadRequest, detail));
+            }
+            (Some(at), Some(_)) if at.depth_um.is_some() => {
+                let detail = "`pose.depth_um` is that of an object: this live play has a target";
                 return Err(Problem::new(Code::BadRequest, detail));
             }
             (Some(at), Some(poses)) => {

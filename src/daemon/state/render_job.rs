@@ -17,6 +17,6 @@ pub(in crate::daemon) struct Job {
 
 /// Converts a pose to the search's type.
 pub(in crate::daemon) const fn pose(of: LivePose) -> Pose {
-    let LivePose { x_mm, y_mm, angle_deg } = of;
+    let LivePose { x_mm, y_mm, angle_deg, .. } = of;
     Pose { x_mm, y_mm, angle_deg }
 }

@@ -9,7 +9,7 @@ use super::surface::{HeightMap, Surface};
 use super::{Object, image};
 use crate::touch::{MAX_DEPTH_MM, MAX_PLACE_MM, Pose, Press, Scan, Touch};
 use meissner_design::{Shape, braille_dots};
-use meissner_input::document::{CommonProblem, Table, from_toml, given, in_range};
+use meissner_input::document::{CommonProblem, Table, from_json, from_toml, given, in_range};
 use meissner_input::message::{cut, quote};
 use meissner_samples::{Choice, Column};
 use serde::Deserialize;
@@ -36,13 +36,36 @@ impl Object {
     pub fn read(text: &str, file: &str, open: Open<'_>) -> Result<Self, ObjectError> {
         read(text, open).map_err(|fault: KeyError| fault.in_text(text).in_file(Some(file)))
     }
+
+    /// Reads the same keys as JSON, without files.
+    ///
+    /// # Errors
+    /// The first thing that is wrong with it, in one line.
+    pub fn read_json(text: &str) -> Result<Self, ObjectError> {
+        let read = || {
+            check_length(text)?;
+            let Table(raw): Table<RawObject> = from_json(text, wanted)?;
+            raw.object(&mut no_files)
+        };
+        read().map_err(|fault: KeyError| fault.in_file(None))
+    }
+}
+
+/// Gives no files: for objects that are sent whole.
+///
+/// # Errors
+/// Always: what to do instead.
+pub fn no_files(_: &str) -> io::Result<Vec<u8>> {
+    Err(io::Error::other("an object of a live play names no file, take another shape"))
+}
+
+fn check_length(text: &str) -> Result<(), KeyError> {
+    let bytes = text.len();
+    if bytes > MAX_FILE_BYTES { Err(KeyError::whole(None, Problem::TooLarge { bytes })) } else { Ok(()) }
 }
 
 fn read(text: &str, open: Open<'_>) -> Result<Object, KeyError> {
-    let bytes = text.len();
-    if bytes > MAX_FILE_BYTES {
-        return Err(KeyError::whole(None, Problem::TooLarge { bytes }));
-    }
+    check_length(text)?;
     let text = text.strip_prefix('\u{feff}').unwrap_or(text);
     let Table(raw): Table<RawObject> = from_toml(text, wanted)?;
     raw.object(open)

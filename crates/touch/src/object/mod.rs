@@ -11,7 +11,7 @@ mod image;
 mod surface;
 
 pub use error::{MAX_FILE_BYTES, MAX_PIXELS, MAX_POINTS, MAX_SIDE_MM, ObjectError, Problem};
-pub use file::Open;
+pub use file::{Open, no_files};
 pub use surface::{HeightMap, Surface};
 
 use crate::grains::Grains;
@@ -26,6 +26,8 @@ pub const PITCHES_MM: std::ops::RangeInclusive<f64> = 0.05..=1.0;
 
 /// The coarsest pitch that is chosen, mm. Afferents of a class lie about 1 mm apart.
 const COARSEST_MM: f64 = 0.4;
+/// The finest pitch of an object whose poses are not known before, mm: its imprint reaches far, and pins are 3 mm apart.
+const LIVE_MM: f64 = 0.1;
 /// Grains are chosen so coarse that there are at most this many.
 const ENOUGH: f64 = 12_000.0;
 /// Width of the lines of a target that is made an object, and diameter of its dots, mm.
@@ -76,9 +78,24 @@ impl Object {
     #[must_use]
     pub fn pitch_mm(&self) -> f64 {
         let pitch_mm = self.surface.fitting_pitch_mm(&(*PITCHES_MM.start()..=COARSEST_MM));
-        let [low, high] = self.box_mm(&self.under_finger());
-        let area = (high[0] - low[0]).max(0.0) * (high[1] - low[1]).max(0.0);
-        pitch_mm.max((area / ENOUGH).sqrt()).min(*PITCHES_MM.end())
+        enough(pitch_mm, self.box_mm(&self.under_finger()))
+    }
+
+    /// The grains of the part within `reach_mm` of the frame's origin, along each axis, that touch the skin at a depth of `most_mm`.
+    /// Their pitch is that of [`Self::pitch_mm`], but at least 0.1 mm. There may be none.
+    #[must_use]
+    pub fn grains_within(&self, reach_mm: f64, most_mm: f64) -> Grains {
+        let [low, high] = self.surface.bounds();
+        let part = [low.map(|low| low.max(-reach_mm)), high.map(|high| high.min(reach_mm))];
+        let pitch_mm = enough(self.surface.fitting_pitch_mm(&(LIVE_MM..=COARSEST_MM)), part);
+        let height_mm = |at| self.surface.height_mm(at).filter(|height_mm| height_mm + most_mm > 0.0);
+        Grains::cut(pitch_mm, part, self.middle(), |_| true, height_mm)
+    }
+
+    /// Whether the object lies within this distance of its frame's origin along each axis.
+    #[must_use]
+    pub fn is_within(&self, reach_mm: f64) -> bool {
+        self.surface.bounds().iter().flatten().all(|mm| mm.abs() <= reach_mm)
     }
 
     /// The grains of a pitch, within [`PITCHES_MM`], that touch the skin at some time. There may be none.
@@ -94,11 +111,15 @@ impl Object {
             })
         };
         let height_mm = |at| self.surface.height_mm(at).filter(|height_mm| height_mm + most_mm > 0.0);
+        Grains::cut(pitch_mm, self.box_mm(&frames), self.middle(), is_under, height_mm)
+    }
+
+    /// Where four cells meet.
+    fn middle(&self) -> [f64; 2] {
         let [low, high] = self.surface.bounds();
         let middle = [0, 1].map(|axis| (low[axis] + high[axis]) / 2.0);
         // A grating has no middle.
-        let middle = middle.map(|middle| if middle.is_finite() { middle } else { 0.0 });
-        Grains::cut(pitch_mm, self.box_mm(&frames), middle, is_under, height_mm)
+        middle.map(|middle| if middle.is_finite() { middle } else { 0.0 })
     }
 
     /// The object's frame whenever it touches the finger.
@@ -118,6 +139,12 @@ impl Object {
         }
         [low, high]
     }
+}
+
+/// A pitch that cuts a box into few enough cells.
+fn enough(pitch_mm: f64, [low, high]: [[f64; 2]; 2]) -> f64 {
+    let area = (high[0] - low[0]).max(0.0) * (high[1] - low[1]).max(0.0);
+    pitch_mm.max((area / ENOUGH).sqrt()).min(*PITCHES_MM.end())
 }
 
 /// The surface of a target's shape: lines are 0.8 mm wide, dots have a diameter of 2 mm.

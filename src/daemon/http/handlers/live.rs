@@ -51,7 +51,11 @@ pub(in crate::daemon::http) async fn start(
             Some(target) => Some(targets::find(&app, target).await?),
             None => None,
         };
-        let accepted = app.engine.start_live(&request, target, peer).await?;
+        let object = match &request.object {
+            Some(object) => Some(targets::find_object(&app, object).await?),
+            None => None,
+        };
+        let accepted = app.engine.start_live(&request, target, object, peer).await?;
         logged.set_play(accepted.id);
         Ok((StatusCode::ACCEPTED, Json(accepted)))
     }

@@ -16,6 +16,7 @@ use axum::http::{StatusCode, Uri};
 use axum::response::Response;
 use meissner_api::{Code, Problem, RemovedTarget, StoredTarget, TargetDetails};
 use meissner_design::{MAX_BYTES, Target};
+use meissner_touch::{Object, Touch, surface_of};
 use serde_json::{Value, json};
 
 impl From<TargetStoreError> for Problem {
@@ -42,6 +43,21 @@ pub(super) async fn find(app: &App, target: &Value) -> Answer<Target> {
     let text = target.to_string();
     let read = move || Target::read_json(&text).and_then(|target| target.with_array(array));
     Ok(computing(read).await?.map_err(bad)?)
+}
+
+/// The object of a request, which holds it, or names a target at rest.
+pub(super) async fn find_object(app: &App, object: &Value) -> Answer<Object> {
+    let bad = |detail: String| Problem::new(Code::BadRequest, detail);
+    if let Some(name) = object.as_str() {
+        let target = find(app, object).await?;
+        if target.moves() {
+            return Err(bad(format!("the target {name} moves: an object at rest is moved by poses")).into());
+        }
+        return Ok(Object::new(name, surface_of(target.shape()), Touch::default()));
+    }
+    let text = object.to_string();
+    let read = computing(move || Object::read_json(&text)).await?;
+    Ok(read.map_err(|error| bad(format!("the object is refused: {error}")))?)
 }
 
 pub(in crate::daemon::http) async fn list(State(app): State<App>) -> Answer<Response> {
