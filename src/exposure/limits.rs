@@ -20,7 +20,7 @@ pub struct ParticipantLimits {
 impl Default for ParticipantLimits {
     fn default() -> Self {
         Self {
-            max_amplitude_um: 200.0,
+            max_amplitude_um: 400.0,
             max_continuous_s: 600.0,
             pause_s: 10.0,
             max_session_s: 3600.0,

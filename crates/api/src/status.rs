@@ -206,7 +206,7 @@ pub struct ArmedStatus {
     "calibrated": null,
     "session": null,
     "participant": {
-        "participant": null, "max_amplitude_um": 200.0, "max_continuous_s": 600.0, "pause_s": 10.0,
+        "participant": null, "max_amplitude_um": 400.0, "max_continuous_s": 600.0, "pause_s": 10.0,
         "continuous_used_s": 12.5, "continuous_left_s": 587.5, "max_session_s": 3600.0,
         "session_used_s": null, "session_left_s": null, "max_day_s": 7200.0, "day_used_s": 900.0, "day_left_s": 6300.0
     },
