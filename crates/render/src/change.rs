@@ -15,7 +15,7 @@ const MOTORS_OFF: f64 = 0.1;
 const FINGER_OFF_MM: f64 = 1.0;
 /// Separate the gains of motors and the directions of fingers from other random numbers.
 const MOTOR_WORD: u64 = 22;
-const FINGER_WORD: u64 = 23;
+const FINGER_WORD: u64 = MOTOR_WORD + 1;
 
 /// What is not as it was told.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
