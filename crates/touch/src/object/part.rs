@@ -91,6 +91,14 @@ impl<'s> Part<'s> {
     }
 }
 
+impl Surface {
+    /// The height at a place, at most 0; none without material.
+    #[must_use]
+    pub fn height_mm(&self, at: [f64; 2]) -> Option<f64> {
+        Part::of(self).height_mm(at)
+    }
+}
+
 /// Whether a place lies in a polygon: a ray from it crosses an odd number of sides.
 fn is_in(sides: &[Piece], [x, y]: [f64; 2]) -> bool {
     let crossed = |Piece { ends: [[x0, y0], [x1, y1]], .. }: &&Piece| {

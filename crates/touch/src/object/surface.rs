@@ -2,7 +2,6 @@
 //!
 //! Invariant: no height is above 0, and the highest point of an object is at 0.
 
-use super::part::Part;
 use meissner_design::Shape;
 use std::ops::RangeInclusive;
 
@@ -65,12 +64,6 @@ impl HeightMap {
 }
 
 impl Surface {
-    /// The height at a place, at most 0; none without material.
-    #[must_use]
-    pub fn height_mm(&self, at: [f64; 2]) -> Option<f64> {
-        Part::of(self).height_mm(at)
-    }
-
     /// The lowest and the highest x and y; infinite without end.
     pub(super) fn bounds(&self) -> [[f64; 2]; 2] {
         let mut bounds = [[f64::INFINITY; 2], [f64::NEG_INFINITY; 2]];
