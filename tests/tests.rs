@@ -41,6 +41,8 @@ mod faults;
 mod figures;
 /// A real daemon in its own directory, and helpers for the other tests.
 mod harness;
+/// `render` and `judge`: traces, what observers read, and what is left if something is not as told.
+mod judge;
 /// Live plays: updates over both sockets, vanishing clients, mistakes.
 mod live;
 /// The command `live`: lines of files and pipes, signals, and plays that the daemon ends.

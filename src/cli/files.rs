@@ -93,6 +93,9 @@ pub(super) fn is_itself(argument: &str, file: &Path) -> bool {
 
 /// The name of a pattern that is written to a file: the store requires that both have the same name.
 pub(super) fn pattern_name(file: &Path) -> Result<String> {
+    if file == Path::new("-") {
+        bail!("-o -: not a file: leave -o out to write to stdout");
+    }
     let stem = file.file_stem().and_then(|stem| stem.to_str()).filter(|stem| pattern::is_name(stem));
     stem.map(str::to_owned).ok_or_else(|| {
         let place = file.to_string_lossy();

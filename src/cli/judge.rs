@@ -1,8 +1,10 @@
 //! `judge`: compares what fingers feel of a pattern with what they feel of the real object. It needs no daemon.
 //!
-//! Always beside it: the object felt again (the most that can be reached), the plain rules, and the methods of `render`.
+//! Always beside it: the object felt again (the most that can be reached), the plain rules, and the methods of `render`; a trace where the
+//! object has lines.
 
 mod named;
+mod robustness;
 
 use super::arguments::{ArrayOption, Output};
 use super::output::give;
@@ -11,9 +13,12 @@ use anyhow::{Result, bail};
 use clap::Args;
 use meissner_array::pattern::Pattern;
 use meissner_array::spec::Array;
-use meissner_render::{Judge as Comparison, Judged, Method, Rival, render, response_of};
+use meissner_render::{
+    BLUR_MM, Change, Judge as Comparison, Judged, Method, Rival, TRACE_MM_S, render, response_of, trace,
+};
 use meissner_skin::{Finger, SkinModel};
-use meissner_touch::{Contact, Touch, respond};
+use meissner_touch::{Contact, Object, respond};
+use robustness::Changed;
 use serde::Serialize;
 use std::fmt::Write;
 use std::process::ExitCode;
@@ -33,12 +38,18 @@ pub(super) struct Judge {
     /// Compare with this object: a file (TOML with kind = "object"), or the name of a shipped target at rest
     #[arg(long, value_name = "OBJECT", required_unless_present = "set")]
     object: Option<String>,
-    /// Count how often observers name each of these objects, rendered by each method, and how far the places and angles are off
+    /// Count how often observers name each of these objects, rendered by each method, and how far places, angles and gaps are off
     #[arg(long, value_name = "OBJECT", num_args = 2.., conflicts_with = "object")]
     set: Vec<String>,
     /// Move the set by up to MM mm either way along x and y, differently for each finger
     #[arg(long, value_name = "MM", default_value_t = 0.0, requires = "set", allow_negative_numbers = true)]
     spread_mm: f64,
+    /// Blur the skin of observers by a Gaussian of MM mm (SD), 0.5 to 5
+    #[arg(long, value_name = "MM", default_value_t = BLUR_MM, requires = "set", allow_negative_numbers = true)]
+    blur_mm: f64,
+    /// Show also what is left if motors are up to 10 % off, the finger lies 1 mm off, or presses by 0.3 or 1 mm instead of 0.5
+    #[arg(long, conflicts_with = "set")]
+    robustness: bool,
     /// Take the mean over N fingers, 1 to 100
     #[arg(long, value_name = "N", default_value_t = 5)]
     fingers: u64,
@@ -59,6 +70,18 @@ struct Line {
     mean: Judged,
     /// The standard deviation of `error` over fingers.
     error_sd: f64,
+    /// With `--robustness`.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    robustness: Vec<Changed>,
+}
+
+/// A pattern, and for how long fingers feel it.
+#[derive(Debug)]
+struct Presented {
+    name: String,
+    pattern: Pattern,
+    /// Whether it has its own time, and not that of the touch.
+    is_traced: bool,
 }
 
 #[derive(Debug, Serialize)]
@@ -83,54 +106,99 @@ pub(super) fn run(asked: &Judge) -> Result<ExitCode> {
     let array = asked.array.find()?.or(of_pattern).unwrap_or_default();
     let (object, contact) = object::of_argument(object)?;
     let touch = object.touch();
-    let mut patterns: Vec<(String, Pattern)> =
-        given.map(|pattern| (pattern.name().to_owned(), pattern)).into_iter().collect();
-    patterns.extend(rendered(array, &contact, touch)?);
-    let longest_s =
-        patterns.iter().filter_map(|(_, pattern)| pattern.duration_s()).fold(touch.duration_s(), f64::max);
+    let mut patterns: Vec<Presented> = given
+        .map(|pattern| Presented { name: pattern.name().to_owned(), pattern, is_traced: false })
+        .into_iter()
+        .collect();
+    patterns.extend(presented(array, &object, &contact)?);
+    let with_touch = patterns.iter().filter(|of| !of.is_traced);
+    let longest_s = with_touch.filter_map(|of| of.pattern.duration_s()).fold(touch.duration_s(), f64::max);
     let seconds = longest_s.min(2.0 * touch.duration_s()) + AFTER_S;
+    let seconds_of = |of: &Presented| match of.pattern.duration_s() {
+        Some(duration_s) if of.is_traced => duration_s.max(touch.duration_s()) + AFTER_S,
+        _ => seconds,
+    };
+    let changes: &[Change] = if asked.robustness { &Change::ALL } else { &[] };
     let fingers: Vec<u64> = (FIRST_FINGER..FIRST_FINGER + asked.fingers).collect();
-    let judged = progress::metered(|progress| -> Result<Vec<Vec<Judged>>> {
-        let mut by_line = vec![Vec::new(); patterns.len() + 1];
+    // By line, by change after what is told, by finger.
+    let judged = progress::metered(|progress| -> Result<Vec<Vec<Vec<Judged>>>> {
+        let mut by_line = vec![vec![Vec::new(); changes.len() + 1]; patterns.len() + 1];
         for (index, &seed) in fingers.iter().enumerate() {
             let finger = Finger::new(SkinModel::AFFERENTS, seed);
-            let feel = |noise| respond(&contact, touch, finger.afferents(), Some(noise), &|_| ());
-            let real = feel(asked.seed);
-            let comparison = Comparison::new(&finger, &real, seconds);
-            by_line[0].push(comparison.compare(&feel(asked.seed.wrapping_add(1))));
-            for (line, (_, pattern)) in by_line[1..].iter_mut().zip(&patterns) {
-                let felt = response_of(&finger, pattern, seconds, asked.seed.wrapping_add(2))?;
-                line.push(comparison.compare(&felt));
+            let feel = |finger: &Finger, noise| {
+                respond(&contact, touch, finger.afferents(), Some(asked.seed.wrapping_add(noise)), &|_| ())
+            };
+            let real = feel(&finger, 0);
+            let compared =
+                |felt: &[Vec<f64>], seconds| Comparison::new(&finger, &real, seconds).compare(felt);
+            by_line[0][0].push(compared(&feel(&finger, 1), seconds));
+            for (column, change) in changes.iter().enumerate() {
+                // The object needs no motor, and brings its own pressure.
+                if let Some(finger) = change.of_object(asked.seed, seed) {
+                    by_line[0][column + 1].push(compared(&feel(&finger, 1), seconds));
+                }
+            }
+            for (line, of) in by_line[1..].iter_mut().zip(&patterns) {
+                let (seconds, noise) = (seconds_of(of), asked.seed.wrapping_add(2));
+                let felt = response_of(&finger, &of.pattern, seconds, noise)?;
+                line[0].push(compared(&felt, seconds));
+                for (column, change) in changes.iter().enumerate() {
+                    let felt = change.response(asked.seed, seed, &of.pattern, seconds, noise)?;
+                    line[column + 1].push(compared(&felt, seconds));
+                }
             }
             progress((index + 1) as f64 / fingers.len() as f64);
         }
         Ok(by_line)
     })?;
-    let names =
-        std::iter::once("the object again".to_owned()).chain(patterns.into_iter().map(|(name, _)| name));
-    let lines = names.zip(&judged).map(|(name, of_fingers)| line(name, of_fingers)).collect();
+    let names = std::iter::once("the object again".to_owned()).chain(patterns.into_iter().map(|of| of.name));
+    let lines = names.zip(&judged).map(|(name, of_fingers)| line(name, of_fingers, changes)).collect();
     let document = Document { object: object.name().to_owned(), fingers, seconds, lines };
-    give(asked.output.json, &document, || table(&document))
+    give(asked.output.json, &document, || table(&document) + &robustness::table(&document.lines, changes))
 }
 
-/// The patterns of all methods and rules, by their names.
-fn rendered(array: Array, contact: &Contact, touch: &Touch) -> Result<Vec<(String, Pattern)>> {
+/// The patterns of all methods and rules.
+fn presented(array: Array, object: &Object, contact: &Contact) -> Result<Vec<Presented>> {
+    let touch = object.touch();
     let mut patterns = Vec::new();
-    for (name, method) in
-        [("auto", Method::Auto), ("rate", Method::Rate), ("field", Method::Field), ("rule", Method::Rule)]
-    {
+    let mut add = |name: &str, pattern, is_traced| {
+        patterns.push(Presented { name: name.to_owned(), pattern, is_traced });
+    };
+    for (name, method) in [
+        ("render auto", Method::Auto),
+        ("render rate", Method::Rate),
+        ("render field", Method::Field),
+        ("render rule", Method::Rule),
+    ] {
         let levels = render(array, contact, touch, method);
-        patterns.push((format!("render {name}"), levels.pattern(array, "rendered", toml::Table::new())?));
+        add(name, levels.pattern(array, "rendered", toml::Table::new())?, false);
+    }
+    if touch.stays_in_place()
+        && let Some(lines) = object.lines_mm()
+        && let Ok(levels) = trace(array, &lines, TRACE_MM_S)
+    {
+        add("render trace", levels.pattern(array, "rendered", toml::Table::new())?, true);
     }
     for (name, rival) in
         [("nearest pins at 60 Hz", Rival::Nearest), ("within reach at 60 Hz", Rival::WithinReach)]
     {
-        patterns.push((name.to_owned(), rival.pattern(array, contact, touch)?));
+        add(name, rival.pattern(array, contact, touch)?, false);
     }
     Ok(patterns)
 }
 
-fn line(name: String, of_fingers: &[Judged]) -> Line {
+/// The line of a pattern: what was told, and then each change, by finger.
+fn line(name: String, of_changes: &[Vec<Judged>], changes: &[Change]) -> Line {
+    let (of_fingers, of_changes) = of_changes.split_first().expect("what is told is always judged");
+    let (mean, error_sd) = mean_of(of_fingers);
+    let changed = changes.iter().zip(of_changes).filter(|(_, of_fingers)| !of_fingers.is_empty());
+    let robustness =
+        changed.map(|(&change, of_fingers)| Changed { change, mean: mean_of(of_fingers).0 }).collect();
+    Line { name, mean, error_sd, robustness }
+}
+
+/// The mean over fingers, and the standard deviation of `error`.
+fn mean_of(of_fingers: &[Judged]) -> (Judged, f64) {
     let count = of_fingers.len() as f64;
     let mean = |value: &dyn Fn(&Judged) -> f64| of_fingers.iter().map(value).sum::<f64>() / count;
     let by_class =
@@ -138,27 +206,29 @@ fn line(name: String, of_fingers: &[Judged]) -> Line {
     let error = mean(&|judged| judged.error);
     let variance =
         mean(&|judged| (judged.error - error) * (judged.error - error)) * count / (count - 1.0).max(1.0);
-    Line {
-        name,
-        mean: Judged {
-            r: mean(&|judged| judged.r),
-            error,
-            r_in_space: mean(&|judged| judged.r_in_space),
-            error_in_space: mean(&|judged| judged.error_in_space),
-            r_by_class: by_class(&|judged| judged.r_by_class),
-            error_by_class: by_class(&|judged| judged.error_by_class),
-            spikes: by_class(&|judged| judged.spikes),
-        },
-        error_sd: variance.sqrt(),
-    }
+    let judged = Judged {
+        r: mean(&|judged| judged.r),
+        error,
+        r_in_space: mean(&|judged| judged.r_in_space),
+        error_in_space: mean(&|judged| judged.error_in_space),
+        r_by_class: by_class(&|judged| judged.r_by_class),
+        error_by_class: by_class(&|judged| judged.error_by_class),
+        spikes: by_class(&|judged| judged.spikes),
+    };
+    (judged, variance.sqrt())
+}
+
+/// A number of fingers.
+fn fingers_shown(count: usize) -> String {
+    if count == 1 { "1 finger".to_owned() } else { format!("{count} fingers") }
 }
 
 fn table(document: &Document) -> String {
     let mut table = format!(
-        "{}, {} fingers. r and error of the blurred response: 10 ms, over the whole time; by class in 36 ms; spikes over the real ones\n\
+        "{}, {}. r and error of the blurred response: 10 ms, over the whole time; by class in 36 ms; spikes over the real ones\n\
          {:24} {:>5} {:>5} {:>6} {:>6} | {:>5} {:>5} {:>5} | {:>5} {:>5} {:>5} | {:>5} {:>5} {:>5}",
         document.object,
-        document.fingers.len(),
+        fingers_shown(document.fingers.len()),
         "",
         "r",
         "error",

@@ -15,16 +15,31 @@ const MAX_NAMED_BYTES: u64 = 160 << 20;
 /// The object of an argument, and its contact with the finger.
 pub(super) fn of_argument(argument: &str) -> Result<(Object, Contact)> {
     let object = read(argument)?;
+    let contact = contact(argument, &object)?;
+    Ok((object, contact))
+}
+
+/// The contact of an object with the finger; errors call it `argument`.
+pub(super) fn contact(argument: &str, object: &Object) -> Result<Contact> {
     let grains = object.grains(object.pitch_mm());
     if grains.is_empty() {
         bail!("{argument}: the object never lies under the finger: move it onto the fingertip");
     }
-    let contact = Contact::new(grains, object.touch().most_depth_mm())
-        .map_err(|error| anyhow!("{argument}: {error}"))?;
-    Ok((object, contact))
+    Contact::new(grains, object.touch().most_depth_mm()).map_err(|error| anyhow!("{argument}: {error}"))
 }
 
-fn read(argument: &str) -> Result<Object> {
+/// The lines that a trace follows.
+pub(super) fn lines(argument: &str, object: &Object) -> Result<Vec<Vec<[f64; 2]>>> {
+    if !object.touch().stays_in_place() {
+        bail!("{argument}: the object moves, and a trace moves by itself: press it, or take another method");
+    }
+    object.lines_mm().ok_or_else(|| {
+        anyhow!("{argument}: heights have no lines to trace: draw it with shape = \"lines\", or take another method")
+    })
+}
+
+/// The object of an argument.
+pub(super) fn read(argument: &str) -> Result<Object> {
     if files::is_file(argument) {
         let file = Path::new(argument);
         let text = files::text(file, meissner_touch::MAX_FILE_BYTES as u64, "object")?;
@@ -46,7 +61,9 @@ fn read(argument: &str) -> Result<Object> {
         )
     })?;
     if target.frames().len() > 1 {
-        bail!("`{argument}` moves: name its object file, objects/{argument}.toml");
+        bail!(
+            "`{argument}` moves, and only targets at rest are objects by name: write an object file with a scan"
+        );
     }
     Ok(Object::new(argument, surface_of(target.shape()), Touch::default()))
 }

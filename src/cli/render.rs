@@ -5,11 +5,13 @@
 use super::arguments::{Output, PaperArrayOption, choice};
 use super::output::{is_broken_pipe, say, say_file, say_json, tell};
 use super::{files, object, progress, text};
-use anyhow::{Result, bail};
+use anyhow::{Result, anyhow, bail};
 use clap::Args;
+use meissner_array::spec::Array;
 use meissner_input::message::escape;
-use meissner_render::{Method, render};
-use serde::Serialize;
+use meissner_render::{LONGEST_S, Levels, Method, STEP_S, TRACE_MM_S, render, trace};
+use meissner_touch::{Contact, Object};
+use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
 use std::process::ExitCode;
 use std::time::Instant;
@@ -24,10 +26,20 @@ pub(super) const METHODS: &[(&str, &str)] = &[
     ("rate", "The same, from strokes"),
     ("field", "The skin's shape"),
     ("rule", "One press, graded by the distance from the object"),
+    ("trace", "A press that moves along the lines of the object, one after another, in its own time"),
 ];
 
-/// The longest touch, s. A pin may not stay at one height for much longer.
-const LONGEST_S: f64 = 30.0;
+/// The speeds of a trace, mm/s.
+const TRACES_MM_S: std::ops::RangeInclusive<f64> = 1.0..=200.0;
+
+/// What `--method` names.
+#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+enum Way {
+    Trace,
+    #[serde(untagged)]
+    Touch(Method),
+}
 
 #[derive(Debug, Args)]
 pub(super) struct Render {
@@ -37,8 +49,11 @@ pub(super) struct Render {
     #[arg(short = 'o', long = "out", value_name = "PATTERN")]
     file: Option<PathBuf>,
     /// Choose how heights are found
-    #[arg(long, default_value = "auto", value_parser = choice::<Method>(METHODS))]
-    method: Method,
+    #[arg(long, default_value = "auto", value_parser = choice::<Way>(METHODS))]
+    method: Way,
+    /// Trace at MM_S mm/s, 1 to 200, with `--method trace` [default: 40]
+    #[arg(long, value_name = "MM_S", allow_negative_numbers = true)]
+    trace_mm_s: Option<f64>,
     #[command(flatten)]
     array: PaperArrayOption,
     #[command(flatten)]
@@ -49,7 +64,7 @@ pub(super) struct Render {
 struct Document<'a> {
     object: &'a str,
     file: Option<String>,
-    method: Method,
+    method: Way,
     grains: usize,
     pitch_mm: f64,
     duration_s: f64,
@@ -67,13 +82,6 @@ pub(super) fn run(asked: &Render) -> Result<ExitCode> {
         bail!("{}: this is the object's file: write the pattern to another", files::shown(file));
     }
     let (object, contact) = object::of_argument(&asked.object)?;
-    let lasts_s = object.touch().duration_s();
-    if lasts_s > LONGEST_S {
-        bail!(
-            "{}: the touch lasts {lasts_s} s: at most {LONGEST_S} s are rendered, shorten it",
-            asked.object
-        );
-    }
     let contact_s = begun.elapsed().as_secs_f64();
     let name = match &asked.file {
         Some(file) => {
@@ -82,7 +90,7 @@ pub(super) fn run(asked: &Render) -> Result<ExitCode> {
         }
         None => object.name().to_owned(),
     };
-    let levels = progress::waiting("rendering", || render(array, &contact, object.touch(), asked.method));
+    let levels = progress::waiting("rendering", || heights(asked, array, &object, &contact))?;
     let provenance = provenance(asked, object.name(), contact.grains().pitch_mm)?;
     let pattern = levels.pattern(array, &name, provenance)?;
     if pattern.motions().is_empty() {
@@ -122,12 +130,39 @@ pub(super) fn run(asked: &Render) -> Result<ExitCode> {
     Ok(ExitCode::SUCCESS)
 }
 
+/// The heights of the method that was asked for.
+fn heights(asked: &Render, array: Array, object: &Object, contact: &Contact) -> Result<Levels> {
+    let name = &asked.object;
+    let Way::Touch(method) = asked.method else {
+        let speed_mm_s = asked.trace_mm_s.unwrap_or(TRACE_MM_S);
+        if !TRACES_MM_S.contains(&speed_mm_s) {
+            bail!("--trace-mm-s {speed_mm_s}: must be 1 to 200 mm/s");
+        }
+        return trace(array, &object::lines(name, object)?, speed_mm_s)
+            .map_err(|error| anyhow!("{name}: {error}"));
+    };
+    if asked.trace_mm_s.is_some() {
+        bail!("--trace-mm-s: only a trace has a speed: leave it out, or add --method trace");
+    }
+    let lasts_s = object.touch().duration_s();
+    if lasts_s > LONGEST_S {
+        bail!("{name}: the touch lasts {lasts_s} s: at most {LONGEST_S} s are rendered, shorten it");
+    }
+    if lasts_s <= STEP_S {
+        bail!("{name}: the touch lasts {lasts_s} s, and pins move every {STEP_S} s: let it last longer");
+    }
+    Ok(render(array, contact, object.touch(), method))
+}
+
 fn provenance(asked: &Render, object: &str, pitch_mm: f64) -> Result<Table> {
     let mut table = Table::new();
     let mut put = |key: &str, value: Value| table.insert(key.to_owned(), value);
     put("object", object.into());
     put("method", Value::try_from(asked.method)?);
     put("pitch_mm", pitch_mm.into());
+    if let (Way::Trace, speed) = (asked.method, asked.trace_mm_s) {
+        put("trace_mm_s", speed.unwrap_or(TRACE_MM_S).into());
+    }
     put("program", format!("meissner {}", env!("CARGO_PKG_VERSION")).into());
     Ok(table)
 }
@@ -136,7 +171,7 @@ fn summary(document: &Document<'_>) -> String {
     let Document { object, grains, pitch_mm, duration_s, motors, highest_um, contact_s, wall_s, .. } =
         document;
     let mut pairs = vec![
-        ("object", format!("{}, {grains} grains of {pitch_mm} mm", escape(object))),
+        ("object", format!("{}, {grains} grains of {pitch_mm:.3} mm", escape(object))),
         ("pattern", format!("{duration_s:.3} s, {motors} pins, up to {highest_um:.0} um")),
         ("time", format!("{wall_s:.3} s, of which the contact took {contact_s:.3}")),
     ];

@@ -93,7 +93,7 @@ pub use render::{
 };
 pub use response::{Response, response};
 pub use search::{Brief, Ended, Found, Limit, SEARCH_MIN_SHARES, Spent, Step, resume, search};
-pub use shape::Shape;
+pub use shape::{Shape, to_segment};
 pub use shipped::{YARDSTICK, shipped, shipped_names};
 pub use space::{Setting, Space, Window};
 pub use target::{Frame, MAX_BYTES, MAX_FRAMES, MAX_POINTS, Problem, Target, TargetError};

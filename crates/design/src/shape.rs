@@ -154,11 +154,12 @@ pub(crate) fn distance(a: [f64; 2], b: [f64; 2]) -> f64 {
     libm::hypot(a[0] - b[0], a[1] - b[1])
 }
 
-fn to_segment(at: [f64; 2], start: [f64; 2], end: [f64; 2]) -> f64 {
+/// The distance from a place to a straight line from `start` to `end`, which may coincide.
+#[must_use]
+pub fn to_segment(at: [f64; 2], start: [f64; 2], end: [f64; 2]) -> f64 {
     let (dx, dy) = (end[0] - start[0], end[1] - start[1]);
     let (x, y) = (at[0] - start[0], at[1] - start[1]);
     let squared = dx * dx + dy * dy;
-    // The ends may coincide.
     let along = if squared > 0.0 { ((x * dx + y * dy) / squared).clamp(0.0, 1.0) } else { 0.0 };
     libm::hypot(x - along * dx, y - along * dy)
 }

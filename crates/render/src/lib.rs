@@ -9,15 +9,18 @@
 //! 5. `rates`: the rates of RA and PC afferents that a motion of the skin gives, and how far those of some heights are from the
 //!    object's. `descent` changes heights until both rates and skin are near the object's.
 //! 6. `rule`: the plain answer, one press graded by the distance from the object. `rivals`: pins that vibrate near the object.
+//!    `trace`: [`trace()`] moves a press along an object's lines, one after another, in place of the touch.
 //! 7. `levels`: heights over time become a pattern.
 //! 8. `poses`: [`Poses`] gives heights for one pose at a time, for poses that are not known before.
-//! 9. `judge`: a [`Judge`] compares the response of a finger to a pattern with its response to the object, `blurred` over the skin. `observer`: an
+//! 9. `judge`: a [`Judge`] compares the response of a finger to a pattern with its response to the object, `blurred` over the skin. `change`: motors,
+//!    finger or pressure are not as told. `observer`: an
 //!    [`Observer`] names what a finger feels.
 //!
 //! Invariant: heights are within the travel of the array's motors, and no pin is asked to move faster than they do. Results depend on
 //! the request alone, not on threads.
 
 mod blurred;
+mod change;
 mod descent;
 mod field;
 mod judge;
@@ -29,13 +32,17 @@ mod rivals;
 mod rule;
 mod skin;
 mod strokes;
+mod trace;
 mod wanted;
 
-pub use judge::{Judge, Judged, response_of};
+pub use blurred::BLUR_MM;
+pub use change::Change;
+pub use judge::{Judge, Judged, response_of, response_on};
 pub use levels::Levels;
 pub use observer::{Observer, Reads};
 pub use poses::{PART_MM, Poses, PosesError};
 pub use rivals::Rival;
+pub use trace::{LONGEST_S, TRACE_MM_S, TraceError, trace};
 
 use descent::{Goal, Weights};
 use meissner_array::spec::Array;

@@ -12,19 +12,17 @@
 use crate::blurred::{Blurred, counts};
 use meissner_skin::Finger;
 use meissner_skin::afferents::Class;
-use serde::Serialize;
 
 /// Windows of a touch: its beginning, middle and end.
 const WINDOWS: usize = 3;
 
 /// What an observer reads in a response.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "kebab-case")]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Reads {
     /// Each afferent.
     Fine,
-    /// The mean of the afferents near each place.
-    Blurred,
+    /// The mean of the afferents near each place, with a Gaussian weight of this SD in mm.
+    Blurred(f64),
 }
 
 /// An observer of one finger's responses.
@@ -41,7 +39,10 @@ impl<'f> Observer<'f> {
     /// An observer of touches of so many seconds, who has to tell `things` apart and has felt none.
     #[must_use]
     pub fn new(finger: &'f Finger, reads: Reads, seconds: f64, things: usize) -> Self {
-        let blurred = (reads == Reads::Blurred).then(|| Blurred::new(finger.afferents()));
+        let blurred = match reads {
+            Reads::Fine => None,
+            Reads::Blurred(blur_mm) => Some(Blurred::over(finger.afferents(), blur_mm)),
+        };
         Self { finger, blurred, seconds, seen: vec![(Vec::new(), 0.0); things] }
     }
 

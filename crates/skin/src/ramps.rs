@@ -129,6 +129,18 @@ impl Ramps {
         Self::new(array, ramps)
     }
 
+    /// The ramps of motors that go so many times as far as they were told.
+    ///
+    /// # Errors
+    /// If a ramp is then faster than any motor.
+    pub fn scaled(&self, gains: &PerMotor<f64>) -> Result<Self, RampsError> {
+        let of_motor = |((motor, ramps), gain): ((u8, &Arc<Vec<Ramp>>), &f64)| -> Vec<(u8, Ramp)> {
+            let scaled = |ramp: &Ramp| Ramp { um_per_tick: gain * ramp.um_per_tick, ..*ramp };
+            ramps.iter().map(|ramp| (motor, scaled(ramp))).collect()
+        };
+        Self::new(self.array, self.array.numbers().zip(&self.motors).zip(gains).flat_map(of_motor))
+    }
+
     /// The array of the motors.
     #[must_use]
     pub const fn array(&self) -> Array {

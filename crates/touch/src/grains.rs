@@ -55,14 +55,14 @@ impl Grains {
     }
 
     /// Cuts a surface into grains of a pitch within a box of lowest and highest x and y. Four cells meet at `middle`, so that a shape
-    /// about it is cut alike on both sides. `height_mm` is none where there is no material. Only cells that are `kept` count, by their
-    /// centres.
-    pub(crate) fn cut(
+    /// about it is cut alike on both sides. `surface_in` gives the heights in a cell's box, none where there is no material; cells come row by
+    /// row. Only cells that are `kept` count, by their centres.
+    pub(crate) fn cut<H: Fn([f64; 2]) -> Option<f64>>(
         pitch_mm: f64,
         [low, high]: [[f64; 2]; 2],
         middle: [f64; 2],
         kept: impl Fn([f64; 2]) -> bool,
-        height_mm: impl Fn([f64; 2]) -> Option<f64>,
+        mut surface_in: impl FnMut([[f64; 2]; 2]) -> H,
     ) -> Self {
         let cell = |place: f64, axis: usize| (place - middle[axis]) / pitch_mm;
         let first = [0, 1].map(|axis| cell(low[axis], axis).floor());
@@ -76,6 +76,8 @@ impl Grains {
                 if !kept(centre) {
                     continue;
                 }
+                let height_mm =
+                    surface_in([-1.0, 1.0].map(|side| centre.map(|at| at + side * pitch_mm / 2.0)));
                 let (mut sum, mut there) = (0.0, 0);
                 for point in 0..POINTS * POINTS {
                     let offset = |index: usize| (index as f64 + 0.5) * step - pitch_mm / 2.0;

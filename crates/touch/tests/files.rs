@@ -66,6 +66,10 @@ fn every_shape_makes_grains_of_its_size() {
         ("shape = \"grating\"\nperiod_mm = 4\nridge_mm = 1\nangle_deg = 90", pad / 4.0),
         ("shape = \"braille\"\ntext = \"b ⠿\"\ndiameter_mm = 1", 8.0 * std::f64::consts::PI / 4.0),
         ("shape = \"polygon\"\npoints = [[0, 0], [6, 0], [0, 6]]", 18.0),
+        (
+            "shape = \"lines\"\nlines = [[[-4, 0], [4, 0]], [[0, 5], [0, -5]], [[6, 6]]]\nwidth_mm = 1",
+            17.0 + 0.75 * std::f64::consts::PI,
+        ),
         ("shape = \"heightmap\"\nfile = \"m.png\"\nmm_per_pixel = 0.2\num_per_level = 2", 32.0),
         ("shape = \"heightmap\"\nfile = \"d.png\"\nmm_per_pixel = 0.2\num_per_level = 0.01", 32.0),
         ("shape = \"heightmap\"\nfile = \"m.npy\"\nmm_per_pixel = 0.2", 32.0),
@@ -79,6 +83,45 @@ fn every_shape_makes_grains_of_its_size() {
         assert!(grains.are_flat() && bytes(&grains) < MAX_BYTES, "{shape}");
         assert!(grains.heights_mm.iter().all(|&height_mm| height_mm <= 0.0), "{shape}");
     }
+}
+
+/// What a trace follows, on the skin, and the gaps that observers read.
+#[test]
+fn an_object_has_lines_and_a_gap() {
+    let at = "center_mm = [1, 0]\nangle_deg = 90";
+    let read = |shape: &str| read_with(&object(shape), &[("p.csv", b"um\n0\n1\n".to_vec())]).unwrap();
+    let lines = |shape: &str| -> Vec<Vec<[f64; 2]>> {
+        let rounded = |at: [f64; 2]| at.map(|place| (place * 1e6).round() / 1e6 + 0.0);
+        let lines = read(&format!("{shape}\n{at}")).lines_mm().unwrap().into_iter();
+        lines.map(|line| line.into_iter().map(rounded).collect()).collect()
+    };
+    let bar = "length_mm = 12\nwidth_mm = 1";
+    assert_eq!(lines(&format!("shape = \"bar\"\n{bar}")), [[[1.0, -6.0], [1.0, 6.0]]]);
+    assert_eq!(
+        lines("shape = \"bar\"\nlength_mm = 1\nwidth_mm = 12").concat(),
+        [[7.0, 0.0], [-5.0, 0.0]],
+        "a bar that is wider than long"
+    );
+    assert_eq!(
+        lines(&format!("shape = \"gap\"\ngap_mm = 3\n{bar}")),
+        [[[3.0, -6.0], [3.0, 6.0]], [[-1.0, -6.0], [-1.0, 6.0]]]
+    );
+    assert_eq!(
+        lines("shape = \"polygon\"\npoints = [[0, 0], [2, 0], [0, 2]]"),
+        [[[1.0, 0.0], [1.0, 2.0], [-1.0, 0.0], [1.0, 0.0]]]
+    );
+    assert_eq!(
+        lines("shape = \"dots\"\npoints = [[0, 1], [3, 0]]\ndiameter_mm = 1"),
+        [[[0.0, 0.0]], [[1.0, 3.0]]]
+    );
+    assert_eq!(
+        lines("shape = \"lines\"\nlines = [[[0, 0], [1, 0], [1, 2]], [[4, 4]]]\nwidth_mm = 1"),
+        [vec![[1.0, 0.0], [1.0, 1.0], [-1.0, 1.0]], vec![[-3.0, 4.0]]]
+    );
+    let texture = read("shape = \"texture\"\nfile = \"p.csv\"\nmm_per_pixel = 0.5");
+    assert_eq!((texture.lines_mm(), texture.gap_mm()), (None, None));
+    assert_eq!(read(&format!("shape = \"gap\"\ngap_mm = 3\n{bar}")).gap_mm(), Some(3.0));
+    assert_eq!(read("shape = \"grating\"\nperiod_mm = 4\nridge_mm = 1").gap_mm(), Some(3.0));
 }
 
 #[test]
@@ -148,11 +191,23 @@ fn what_is_wrong_is_said_in_one_line() {
         (object(bar).replace("\"o\"", "\"O\""), "o.toml:2: `name` is `O`: must be 1 to 64 of a-z, 0-9 and -"),
         (
             object("shape = \"ball\""),
-            "o.toml:3: `shape`: unknown variant `ball`, expected one of `bar`, `edge`, `dots`, `gap`, `grating`, `braille`, `polygon`, `heightmap`, `texture`",
+            "o.toml:3: `shape`: unknown variant `ball`, expected one of `bar`, `edge`, `dots`, `gap`, `grating`, `braille`, `lines`, `polygon`, `heightmap`, `texture`",
         ),
         (
             object("shape = \"dots\"\npoints = []\ndiameter_mm = 1"),
             "o.toml:4: `points` is a list of 0: must be 1 to 4096 dots",
+        ),
+        (
+            object("shape = \"lines\"\nlines = [[[0, 0]], []]\nwidth_mm = 1"),
+            "o.toml:4: `lines` has 1 points in all: must be 1 to 4096, and one or more in each line",
+        ),
+        (
+            object("shape = \"lines\"\nlines = [[[0, 200]]]\nwidth_mm = 1"),
+            "o.toml:4: `lines` is 200: must be -100 to 100 mm each",
+        ),
+        (
+            object("shape = \"lines\"\nwidth_mm = 1"),
+            "o.toml: `lines` is missing: add lines = [[[x, y], [x, y], ...], ...], in mm",
         ),
         (
             object("shape = \"grating\"\nperiod_mm = 2\nridge_mm = 2"),
@@ -297,6 +352,12 @@ fn bad_images_and_profiles_are_refused_in_one_line() {
             "m.npy",
             npy("<f4", "(2, 2, 1)", &floats(&[0.0; 4])),
             ": the array has the shape (2, 2, 1): must be (samples,) or (samples, columns)".to_owned(),
+        ),
+        (
+            "m.npy",
+            npy("<f4", "(4,)", &floats(&[0.0; 4])),
+            "is a profile, an array of one column: take shape = \"texture\", or save rows and columns"
+                .to_owned(),
         ),
         ("m.npy", npy("<f4", "(0, 2)", &[]), "has 2 × 0 pixels: must be 1 to 4096 each".to_owned()),
     ] {

@@ -1,14 +1,17 @@
 //! `judge --set`: how often observers name the object that was rendered, and how far off they place it.
 //!
 //! One observer has felt the real objects, another the rendered ones; each reads every afferent, or the blurred response. All know the finger.
+//! A trace has another time than the touch, so only an observer that has felt traces reads it.
 
-use super::{AFTER_S, FIRST_FINGER, Judge, rendered};
+use super::{AFTER_S, FIRST_FINGER, Judge, Presented, fingers_shown, presented};
 use crate::cli::output::give;
 use crate::cli::{object, progress};
 use anyhow::{Result, bail};
+use meissner_array::pattern::Pattern;
 use meissner_array::random;
+use meissner_array::spec::Array;
 use meissner_render::{Observer, Reads, response_of};
-use meissner_skin::{Finger, SkinModel};
+use meissner_skin::{Finger, FingerError, SkinModel};
 use meissner_touch::{Contact, Object, respond};
 use serde::Serialize;
 use std::fmt::Write;
@@ -20,6 +23,8 @@ const LESSONS: u64 = 4;
 const MOST_MM: f64 = 10.0;
 /// Separates the places of a set from other random numbers.
 const PLACE_WORD: u64 = 21;
+/// Noise of rendered objects begins here.
+const RENDERED: u64 = 100;
 
 /// What an observer answered.
 #[derive(Clone, Copy, Debug, Default, Serialize)]
@@ -30,13 +35,16 @@ struct Answers {
     place_mm: f64,
     /// The difference of their angles, RMS, degrees.
     angle_deg: f64,
+    /// The difference of their gaps, RMS, mm; 0 for objects without gap.
+    gap_mm: f64,
 }
 
 /// A method's line: by the observer of real touch and by that of the display, fine and blurred.
 #[derive(Debug, Serialize)]
 struct Line {
     name: String,
-    real: [Answers; 2],
+    /// None for a trace.
+    real: Option<[Answers; 2]>,
     own: [Answers; 2],
 }
 
@@ -45,7 +53,10 @@ struct Document {
     objects: Vec<String>,
     fingers: Vec<u64>,
     spread_mm: f64,
+    blur_mm: f64,
     lines: Vec<Line>,
+    #[serde(skip)]
+    columns: Vec<Column>,
 }
 
 /// The sums of answers.
@@ -55,6 +66,7 @@ struct Sum {
     right: f64,
     squared_mm: f64,
     squared_deg: f64,
+    squared_gap_mm: f64,
 }
 
 impl Sum {
@@ -66,6 +78,9 @@ impl Sum {
         // Turned by 180 degrees, a line is the same.
         let turned = (is.angle_deg - taken.angle_deg + 90.0).rem_euclid(180.0) - 90.0;
         self.squared_deg += turned * turned;
+        if let [Some(is), Some(taken)] = [thing, named].map(|number| objects[number].gap_mm()) {
+            self.squared_gap_mm += (is - taken) * (is - taken);
+        }
     }
 
     fn answers(self) -> Answers {
@@ -74,7 +89,180 @@ impl Sum {
             named: mean(self.right),
             place_mm: mean(self.squared_mm).sqrt(),
             angle_deg: mean(self.squared_deg).sqrt(),
+            gap_mm: mean(self.squared_gap_mm).sqrt(),
         }
+    }
+}
+
+/// What the table shows of an observer's answers: names, and in what else the objects differ.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Column {
+    Named,
+    Place,
+    Angle,
+    Gap,
+}
+
+impl Column {
+    fn of(objects: &[Object]) -> Vec<Self> {
+        let differs = |differ: &dyn Fn(&Object, &Object) -> bool| {
+            objects.windows(2).any(|pair| differ(&pair[0], &pair[1]))
+        };
+        let pose = |object: &Object| object.touch().pose(0.0);
+        let gaps = objects.iter().all(|object| object.gap_mm().is_some());
+        let place = differs(&|a, b| [pose(a).x_mm, pose(a).y_mm] != [pose(b).x_mm, pose(b).y_mm]);
+        let columns = [
+            (Self::Named, true),
+            (Self::Place, place),
+            (Self::Angle, differs(&|a, b| pose(a).angle_deg != pose(b).angle_deg)),
+            (Self::Gap, gaps && differs(&|a, b| a.gap_mm() != b.gap_mm())),
+        ];
+        columns.into_iter().filter(|(_, shown)| *shown).map(|(column, _)| column).collect()
+    }
+
+    const fn title(self) -> &'static str {
+        match self {
+            Self::Named => "share named",
+            Self::Place => "place RMS mm",
+            Self::Angle => "angle RMS degrees",
+            Self::Gap => "gap RMS mm",
+        }
+    }
+
+    fn shown(self, answers: &Answers) -> String {
+        match self {
+            Self::Named => format!("{:5.2}", answers.named),
+            Self::Place => format!("{:5.2}", answers.place_mm),
+            Self::Angle => format!("{:5.1}", answers.angle_deg),
+            Self::Gap => format!("{:5.2}", answers.gap_mm),
+        }
+    }
+}
+
+/// A method, and its pattern of each object.
+struct Way {
+    name: String,
+    patterns: Vec<Pattern>,
+    /// For how long the observer of the display feels each.
+    seconds: f64,
+    is_traced: bool,
+}
+
+/// The objects at one place on the pins, and what all methods make of them.
+struct Placed {
+    things: Vec<(Object, Contact)>,
+    ways: Vec<Way>,
+}
+
+impl Placed {
+    fn new(asked: &Judge, array: Array, objects: &[Object], by_mm: [f64; 2]) -> Result<Self> {
+        let (mut things, mut made) = (Vec::new(), Vec::new());
+        for (argument, object) in asked.set.iter().zip(objects) {
+            let moved = object.clone().with_touch(object.touch().moved(by_mm)?);
+            let contact = object::contact(argument, &moved)?;
+            made.push(presented(array, &moved, &contact)?);
+            things.push((moved, contact));
+        }
+        let touch_s = seconds(objects);
+        let mut ways: Vec<Way> = Vec::new();
+        for Presented { name, pattern, is_traced } in made.into_iter().flatten() {
+            let lasts_s = pattern.duration_s().filter(|_| is_traced).unwrap_or(0.0) + AFTER_S;
+            match ways.iter_mut().find(|way| way.name == name) {
+                Some(way) => {
+                    way.patterns.push(pattern);
+                    way.seconds = way.seconds.max(lasts_s);
+                }
+                None => {
+                    ways.push(Way {
+                        name,
+                        patterns: vec![pattern],
+                        seconds: touch_s.max(lasts_s),
+                        is_traced,
+                    });
+                }
+            }
+        }
+        // Traces count if all objects have lines.
+        ways.retain(|way| way.patterns.len() == objects.len());
+        Ok(Self { things, ways })
+    }
+}
+
+/// For how long touches are felt.
+fn seconds(objects: &[Object]) -> f64 {
+    objects.iter().map(|object| object.touch().duration_s()).fold(0.0, f64::max) + AFTER_S
+}
+
+/// The sums of a finger's answers, fine and blurred.
+type Sums = [Sum; 2];
+
+/// One finger, and how it is asked.
+struct Asked<'a> {
+    finger: Finger,
+    objects: &'a [Object],
+    blur_mm: f64,
+    seed: u64,
+}
+
+impl Asked<'_> {
+    fn observers(&self, seconds: f64) -> [Observer<'_>; 2] {
+        [Reads::Fine, Reads::Blurred(self.blur_mm)]
+            .map(|reads| Observer::new(&self.finger, reads, seconds, self.objects.len()))
+    }
+
+    fn add(&self, sums: &mut Sums, observers: &[Observer<'_>], thing: usize, felt: &[Vec<f64>]) {
+        for (sum, observer) in sums.iter_mut().zip(observers) {
+            if let Some(named) = observer.name(felt) {
+                sum.add(self.objects, thing, named);
+            }
+        }
+    }
+
+    /// What an observer learns under each object, and what it is asked then: `feel` gives the response to an object by noise.
+    fn taught<E>(
+        &self,
+        seconds: f64,
+        feel: impl Fn(usize, u64) -> Result<Vec<Vec<f64>>, E>,
+    ) -> Result<([Observer<'_>; 2], Vec<Vec<Vec<f64>>>), E> {
+        let mut observers = self.observers(seconds);
+        let mut tests = Vec::new();
+        for thing in 0..self.objects.len() {
+            for lesson in 0..LESSONS {
+                let felt = feel(thing, self.seed.wrapping_add(lesson))?;
+                observers.iter_mut().for_each(|observer| observer.learn(thing, &felt));
+            }
+            tests.push(feel(thing, self.seed.wrapping_add(LESSONS))?);
+        }
+        Ok((observers, tests))
+    }
+
+    /// Adds the answers to the object felt again, and then to each method.
+    fn answer(&self, placed: &Placed, sums: &mut [[Sums; 2]], progress: &dyn Fn(f64)) -> Result<()> {
+        let real = |thing: usize, noise| -> Result<_, FingerError> {
+            let (object, contact) = &placed.things[thing];
+            Ok(respond(contact, object.touch(), self.finger.afferents(), Some(noise), &|_| ()))
+        };
+        let (learned, tests) = self.taught(seconds(self.objects), real)?;
+        for (thing, felt) in tests.iter().enumerate() {
+            // The observer of the display has felt the same.
+            sums[0].iter_mut().for_each(|sums| self.add(sums, &learned, thing, felt));
+        }
+        let share = 1.0 / (placed.ways.len() + 1) as f64;
+        progress(share);
+        for (number, (way, [of_real, of_own])) in placed.ways.iter().zip(&mut sums[1..]).enumerate() {
+            let rendered = |thing: usize, noise: u64| {
+                response_of(&self.finger, &way.patterns[thing], way.seconds, noise.wrapping_add(RENDERED))
+            };
+            let (own, tests) = self.taught(way.seconds, rendered)?;
+            for (thing, felt) in tests.iter().enumerate() {
+                self.add(of_own, &own, thing, felt);
+                if !way.is_traced {
+                    self.add(of_real, &learned, thing, felt);
+                }
+            }
+            progress((number + 2) as f64 * share);
+        }
+        Ok(())
     }
 }
 
@@ -82,105 +270,70 @@ pub(super) fn run(asked: &Judge) -> Result<ExitCode> {
     if !(0.0..=MOST_MM).contains(&asked.spread_mm) {
         bail!("--spread-mm {}: must be 0 to {MOST_MM} mm", asked.spread_mm);
     }
+    if !(0.5..=5.0).contains(&asked.blur_mm) {
+        bail!("--blur-mm {}: must be 0.5 to 5 mm", asked.blur_mm);
+    }
     let array = asked.array.find()?.unwrap_or_default();
     let objects: Vec<Object> =
-        asked.set.iter().map(|argument| Ok(object::of_argument(argument)?.0)).collect::<Result<_>>()?;
+        asked.set.iter().map(|argument| object::read(argument)).collect::<Result<_>>()?;
     let fingers: Vec<u64> = (FIRST_FINGER..FIRST_FINGER + asked.fingers).collect();
-    let seconds = objects.iter().map(|object| object.touch().duration_s()).fold(0.0, f64::max) + AFTER_S;
     let lines = progress::metered(|progress| {
-        let mut sums: Vec<(String, [[Sum; 2]; 2])> = Vec::new();
-        for (index, &seed) in fingers.iter().enumerate() {
-            let finger = Finger::new(SkinModel::AFFERENTS, seed);
-            let shares = random::uniform([asked.seed, seed, 0, PLACE_WORD]);
+        let place = |finger: u64| {
+            let shares = random::uniform([asked.seed, finger, 0, PLACE_WORD]);
             let by_mm = shares.map(|share| asked.spread_mm * (2.0 * share - 1.0));
-            let mut learned = [Reads::Fine, Reads::Blurred]
-                .map(|reads| Observer::new(&finger, reads, seconds, objects.len()));
-            let mut patterns = Vec::new();
-            for (thing, object) in objects.iter().enumerate() {
-                let touch = object.touch().moved(by_mm)?;
-                let moved = object.clone().with_touch(touch);
-                let contact = Contact::new(moved.grains(moved.pitch_mm()), moved.touch().most_depth_mm())?;
-                let feel = |noise| respond(&contact, moved.touch(), finger.afferents(), Some(noise), &|_| ());
-                for lesson in 0..LESSONS {
-                    let felt = feel(asked.seed.wrapping_add(lesson));
-                    learned.iter_mut().for_each(|observer| observer.learn(thing, &felt));
-                }
-                let mut all = rendered(array, &contact, moved.touch())?;
-                all.sort_by(|a, b| a.0.cmp(&b.0));
-                patterns.push((feel(asked.seed.wrapping_add(LESSONS)), all));
-                progress(
-                    (index as f64 + (thing + 1) as f64 / objects.len() as f64 / 2.0) / fingers.len() as f64,
-                );
+            Placed::new(asked, array, &objects, by_mm)
+        };
+        let mut placed = place(FIRST_FINGER)?;
+        let mut sums = vec![[Sums::default(); 2]; placed.ways.len() + 1];
+        for (index, &seed) in fingers.iter().enumerate() {
+            // Without a spread, all fingers have the set at one place.
+            if asked.spread_mm > 0.0 && index > 0 {
+                placed = place(seed)?;
             }
-            let names = patterns
-                .first()
-                .map_or(Vec::new(), |(_, all)| all.iter().map(|(name, _)| name.clone()).collect());
-            if sums.is_empty() {
-                let names = std::iter::once("the object again".to_owned()).chain(names.iter().cloned());
-                sums = names.map(|name| (name, Default::default())).collect();
-            }
-            for (thing, (felt, _)) in patterns.iter().enumerate() {
-                for (reads, observer) in learned.iter().enumerate() {
-                    if let Some(named) = observer.name(felt) {
-                        // The observer of the display has felt the same.
-                        sums[0].1.iter_mut().for_each(|sums| sums[reads].add(&objects, thing, named));
-                    }
-                }
-            }
-            for method in 0..names.len() {
-                let mut own = [Reads::Fine, Reads::Blurred]
-                    .map(|reads| Observer::new(&finger, reads, seconds, objects.len()));
-                let mut tests = Vec::new();
-                for (thing, (_, all)) in patterns.iter().enumerate() {
-                    let feel = |noise| response_of(&finger, &all[method].1, seconds, noise);
-                    for lesson in 0..LESSONS {
-                        let felt = feel(asked.seed.wrapping_add(100 + lesson))?;
-                        own.iter_mut().for_each(|observer| observer.learn(thing, &felt));
-                    }
-                    tests.push(feel(asked.seed.wrapping_add(100 + LESSONS))?);
-                }
-                for (thing, felt) in tests.iter().enumerate() {
-                    let of_method = &mut sums[method + 1].1;
-                    for (sums, observers) in of_method.iter_mut().zip([&learned, &own]) {
-                        for (sum, observer) in sums.iter_mut().zip(observers) {
-                            if let Some(named) = observer.name(felt) {
-                                sum.add(&objects, thing, named);
-                            }
-                        }
-                    }
-                }
-            }
-            progress((index + 1) as f64 / fingers.len() as f64);
+            let finger = Finger::new(SkinModel::AFFERENTS, seed);
+            let one = Asked { finger, objects: &objects, blur_mm: asked.blur_mm, seed: asked.seed };
+            let progress = |share: f64| progress((index as f64 + share) / fingers.len() as f64);
+            one.answer(&placed, &mut sums, &progress)?;
         }
-        let line = |(name, [real, own]): (String, [[Sum; 2]; 2])| Line {
+        let mut lines = vec![("the object again".to_owned(), false)];
+        lines.extend(placed.ways.into_iter().map(|way| (way.name, way.is_traced)));
+        let line = |((name, is_traced), [real, own]): ((String, bool), [Sums; 2])| Line {
             name,
-            real: real.map(Sum::answers),
+            real: (!is_traced).then(|| real.map(Sum::answers)),
             own: own.map(Sum::answers),
         };
-        anyhow::Ok(sums.into_iter().map(line).collect())
+        anyhow::Ok(lines.into_iter().zip(sums).map(line).collect())
     })?;
+    let columns = Column::of(&objects);
     let names = objects.iter().map(|object| object.name().to_owned()).collect();
-    let document = Document { objects: names, fingers, spread_mm: asked.spread_mm, lines };
+    let (spread_mm, blur_mm) = (asked.spread_mm, asked.blur_mm);
+    let document = Document { objects: names, fingers, spread_mm, blur_mm, lines, columns };
     give(asked.output.json, &document, || table(&document))
 }
 
 fn table(document: &Document) -> String {
+    let Document { columns, blur_mm, .. } = document;
+    let titles: Vec<&str> = columns.iter().map(|column| column.title()).collect();
+    let width = (6 * columns.len()).max("display, blurred".len());
     let mut table = format!(
-        "{} objects, {} fingers, by observers of real touch and of the display: share named, place RMS mm, angle RMS degrees\n\
-         {:24} | {:>18} | {:>18} | {:>18} | {:>18}",
+        "{} objects, {}, by observers of real touch and of the display (blurred: {blur_mm} mm): {}\n{:24}",
         document.objects.len(),
-        document.fingers.len(),
-        "",
-        "real, fine",
-        "real, blurred",
-        "display, fine",
-        "display, blurred"
+        fingers_shown(document.fingers.len()),
+        titles.join(", "),
+        ""
     );
+    // Writing to a string does not fail.
+    for title in ["real, fine", "real, blurred", "display, fine", "display, blurred"] {
+        let _ = write!(table, " | {title:>width$}");
+    }
     for Line { name, real, own } in &document.lines {
-        // Writing to a string does not fail.
         let _ = write!(table, "\n{name:24}");
-        for Answers { named, place_mm, angle_deg } in real.iter().chain(own) {
-            let _ = write!(table, " | {named:5.2} {place_mm:5.2} {angle_deg:6.1}");
+        let real = real.map_or([None; 2], |real| real.map(Some));
+        for answers in real.into_iter().chain(own.map(Some)) {
+            let shown: Option<Vec<String>> =
+                answers.map(|answers| columns.iter().map(|column| column.shown(&answers)).collect());
+            let shown = shown.map_or_else(|| "-".to_owned(), |shown| shown.join(" "));
+            let _ = write!(table, " | {shown:>width$}");
         }
     }
     table

@@ -32,6 +32,10 @@ pub enum Problem {
     Foreign { of: &'static str, shape: &'static str },
     #[error("is a list of {count}: must be {wanted}")]
     Count { count: usize, wanted: &'static str },
+    #[error("has {count} points in all: must be {wanted}")]
+    Points { count: usize, wanted: &'static str },
+    #[error("is a profile, an array of one column: take shape = \"texture\", or save rows and columns")]
+    Profile,
     #[error(
         "holds {found}: must be letters a to z, six-dot Braille characters, U+2800 to U+283F, and spaces"
     )]

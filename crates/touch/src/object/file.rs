@@ -76,10 +76,11 @@ fn wanted(key: &str) -> &'static str {
         "kind" => "kind = \"object\"",
         "name" => "name = \"...\", the name of the file",
         "shape" => {
-            "shape = \"bar\", \"edge\", \"dots\", \"gap\", \"grating\", \"braille\", \"polygon\", \"heightmap\" or \"texture\""
+            "shape = \"bar\", \"edge\", \"dots\", \"gap\", \"grating\", \"braille\", \"lines\", \"polygon\", \"heightmap\" or \"texture\""
         }
         "touch" => "[touch] with press = { depth_um = 500 }, a scan or a path",
         "points" => "points = [[x, y], ...], in mm",
+        "lines" => "lines = [[[x, y], [x, y], ...], ...], in mm",
         "text" => "text = \"...\", letters or six-dot Braille characters",
         "file" => "file = \"...\", the file's name",
         "depth_um" => "the depth, um",
@@ -97,6 +98,7 @@ enum Kind {
     Gap,
     Grating,
     Braille,
+    Lines,
     Polygon,
     Heightmap,
     Texture,
@@ -111,6 +113,7 @@ impl Kind {
             Self::Gap => "gap",
             Self::Grating => "grating",
             Self::Braille => "braille",
+            Self::Lines => "lines",
             Self::Polygon => "polygon",
             Self::Heightmap => "heightmap",
             Self::Texture => "texture",
@@ -135,6 +138,7 @@ struct RawObject {
     #[serde(default, deserialize_with = "given")]
     gap_mm: Option<f64>,
     points: Option<Vec<[f64; 2]>>,
+    lines: Option<Vec<Vec<[f64; 2]>>>,
     #[serde(default, deserialize_with = "given")]
     diameter_mm: Option<f64>,
     #[serde(default, deserialize_with = "given")]
@@ -219,6 +223,13 @@ fn bytes_of(name: &str, open: Open<'_>) -> Result<Vec<u8>, KeyError> {
     open(name).map_err(|error| KeyError::key("file", Problem::File { message: cut(&error.to_string(), 200) }))
 }
 
+fn check_places<'p>(key: &str, places: impl Iterator<Item = &'p [f64; 2]>) -> Result<(), KeyError> {
+    for &place in places.flatten() {
+        in_range(key, place, place.abs() <= MAX_PLACE_MM, "-100 to 100 mm each")?;
+    }
+    Ok(())
+}
+
 /// A rectangle along x, with its middle at this y.
 fn bar(length_mm: f64, width_mm: f64, y_mm: f64) -> Vec<[f64; 2]> {
     let (x, y) = (length_mm / 2.0, width_mm / 2.0);
@@ -244,7 +255,12 @@ impl RawObject {
         let at = Pose { x_mm, y_mm, angle_deg: self.angle_deg, depth_mm: 0.0 };
         let Table(touch) = self.touch;
         let touch = touch.touch(at, open).map_err(|fault| fault.within("touch"))?;
-        Ok(Object { name: self.name, surface, touch })
+        let gap_mm = match self.shape {
+            Kind::Gap => self.gap_mm,
+            Kind::Grating => self.period_mm.zip(self.ridge_mm).map(|(period, ridge)| period - ridge),
+            _ => None,
+        };
+        Ok(Object { name: self.name, surface, touch, gap_mm })
     }
 
     fn surface(&self, open: Open<'_>) -> Result<Surface, KeyError> {
@@ -264,6 +280,16 @@ impl RawObject {
             Kind::Polygon => {
                 let corners = self.points(3, "3 to 4096 corners")?;
                 Surface::Polygons(vec![corners])
+            }
+            Kind::Lines => {
+                let lines = self.lines.clone().ok_or_else(|| missing("lines"))?;
+                let count = lines.iter().map(Vec::len).sum::<usize>();
+                if !(1..=MAX_POINTS).contains(&count) || lines.iter().any(Vec::is_empty) {
+                    let wanted = "1 to 4096, and one or more in each line";
+                    return Err(KeyError::key("lines", Problem::Points { count, wanted }));
+                }
+                check_places("lines", lines.iter().flatten())?;
+                Surface::Lines { lines, reach_mm: wide("width_mm", self.width_mm)? / 2.0 }
             }
             Kind::Dots => {
                 let points = self.points(1, "1 to 4096 dots")?;
@@ -319,9 +345,7 @@ impl RawObject {
         if !(least..=MAX_POINTS).contains(&count) {
             return Err(KeyError::key("points", Problem::Count { count, wanted }));
         }
-        for &place in points.iter().flatten() {
-            in_range("points", place, place.abs() <= MAX_PLACE_MM, "-100 to 100 mm each")?;
-        }
+        check_places("points", points.iter())?;
         Ok(points)
     }
 
@@ -374,12 +398,13 @@ impl RawObject {
 
     /// Refuses keys of other shapes.
     fn check_keys(&self) -> Result<(), KeyError> {
-        use Kind::{Bar, Braille, Dots, Gap, Grating, Heightmap, Polygon, Texture};
+        use Kind::{Bar, Braille, Dots, Gap, Grating, Heightmap, Lines, Polygon, Texture};
         let keys = [
             ("length_mm", self.length_mm.is_some(), &[Bar, Gap][..], "bar or gap"),
-            ("width_mm", self.width_mm.is_some(), &[Bar, Gap], "bar or gap"),
+            ("width_mm", self.width_mm.is_some(), &[Bar, Gap, Lines], "bar, gap or lines"),
             ("gap_mm", self.gap_mm.is_some(), &[Gap], "gap"),
             ("points", self.points.is_some(), &[Dots, Polygon], "dots or polygon"),
+            ("lines", self.lines.is_some(), &[Lines], "lines"),
             ("diameter_mm", self.diameter_mm.is_some(), &[Dots, Braille], "dots or braille"),
             ("period_mm", self.period_mm.is_some(), &[Grating], "grating"),
             ("ridge_mm", self.ridge_mm.is_some(), &[Grating], "grating"),

@@ -71,5 +71,8 @@ fn broken(error: DecodingError) -> Problem {
 
 fn npy(bytes: &[u8]) -> Result<Levels, Problem> {
     let ([rows, columns], values) = meissner_samples::read_table(bytes)?;
+    if columns == 1 && rows > 1 {
+        return Err(Problem::Profile);
+    }
     Ok((check([columns, rows])?, values.into_iter().map(|value| value as f32).collect()))
 }

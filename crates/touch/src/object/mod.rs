@@ -3,11 +3,12 @@
 //! An [`Object`] is cut into [`Grains`] for its contact. Only what lies under the finger at some time of its touch is cut: the pad, an
 //! ellipse of 18 × 24 mm, and a margin.
 //!
-//! The modules: `surface` is the height over a place, `file` reads object files, `image` height maps, `error` has limits and what can be wrong.
+//! The modules: `surface` is the height over a place, `part` the piece of it that counts in a box, `file` reads object files, `image` height maps, `error` has limits and what can be wrong.
 
 mod error;
 mod file;
 mod image;
+mod part;
 mod surface;
 
 pub use error::{MAX_FILE_BYTES, MAX_PIXELS, MAX_POINTS, MAX_SIDE_MM, ObjectError, Problem};
@@ -18,6 +19,7 @@ use crate::grains::Grains;
 use crate::touch::{Frame, Touch};
 use meissner_design::Shape;
 use meissner_skin::membrane::{PAD_LENGTH_MM, PAD_WIDTH_MM};
+use part::Part;
 
 /// How far beyond the pad an object counts, mm.
 pub const MARGIN_MM: f64 = 1.0;
@@ -40,13 +42,14 @@ pub struct Object {
     name: String,
     surface: Surface,
     touch: Touch,
+    gap_mm: Option<f64>,
 }
 
 impl Object {
     /// An object with this surface.
     #[must_use]
     pub fn new(name: &str, surface: Surface, touch: Touch) -> Self {
-        Self { name: name.to_owned(), surface, touch }
+        Self { name: name.to_owned(), surface, touch, gap_mm: None }
     }
 
     /// The name.
@@ -59,6 +62,34 @@ impl Object {
     #[must_use]
     pub const fn surface(&self) -> &Surface {
         &self.surface
+    }
+
+    /// The width of the gap between its two bars or its ridges, mm; none for other objects, and for those that no file describes.
+    #[must_use]
+    pub const fn gap_mm(&self) -> Option<f64> {
+        self.gap_mm
+    }
+
+    /// The lines that draw it, by their points on the skin in mm, where the touch begins, in the order of the file: a line itself, the
+    /// middle line of a bar, the outline of a polygon, a line of one point for a dot. None for height maps and textures.
+    #[must_use]
+    pub fn lines_mm(&self) -> Option<Vec<Vec<[f64; 2]>>> {
+        let pose = self.touch.pose(0.0);
+        let frame = Frame::of(&pose);
+        let on_skin = |lines: Vec<Vec<[f64; 2]>>| -> Vec<Vec<[f64; 2]>> {
+            lines.into_iter().map(|line| line.into_iter().map(|at| frame.outward(at)).collect()).collect()
+        };
+        match &self.surface {
+            // A grating has lines where the pad is.
+            Surface::Near { shape, .. } => {
+                Some(shape.moved([pose.x_mm, pose.y_mm], pose.angle_deg).outline())
+            }
+            Surface::Lines { lines, .. } => Some(on_skin(lines.clone())),
+            Surface::Polygons(polygons) => {
+                Some(on_skin(polygons.iter().map(|corners| surface::drawn(corners)).collect()))
+            }
+            Surface::Map(_) => None,
+        }
     }
 
     /// How it touches.
@@ -88,8 +119,7 @@ impl Object {
         let [low, high] = self.surface.bounds();
         let part = [low.map(|low| low.max(-reach_mm)), high.map(|high| high.min(reach_mm))];
         let pitch_mm = enough(self.surface.fitting_pitch_mm(&(LIVE_MM..=COARSEST_MM)), part);
-        let height_mm = |at| self.surface.height_mm(at).filter(|height_mm| height_mm + most_mm > 0.0);
-        Grains::cut(pitch_mm, part, self.middle(), |_| true, height_mm)
+        self.cut(pitch_mm, part, most_mm, |_| true)
     }
 
     /// Whether the object lies within this distance of its frame's origin along each axis.
@@ -110,16 +140,31 @@ impl Object {
                 x * x / (a * a) + y * y / (b * b) <= 1.0
             })
         };
-        let height_mm = |at| self.surface.height_mm(at).filter(|height_mm| height_mm + most_mm > 0.0);
-        Grains::cut(pitch_mm, self.box_mm(&frames), self.middle(), is_under, height_mm)
+        self.cut(pitch_mm, self.box_mm(&frames), most_mm, is_under)
     }
 
-    /// Where four cells meet.
-    fn middle(&self) -> [f64; 2] {
+    /// Grains of what lies in a box and touches the skin at a depth of `most_mm`.
+    fn cut(
+        &self,
+        pitch_mm: f64,
+        part: [[f64; 2]; 2],
+        most_mm: f64,
+        kept: impl Fn([f64; 2]) -> bool,
+    ) -> Grains {
+        let whole = Part::of(&self.surface);
+        let mut row = (f64::NAN, whole.clone());
+        let surface_in = |[low, high]: [[f64; 2]; 2]| {
+            if row.0.to_bits() != low[1].to_bits() {
+                row = (low[1], whole.within([[f64::NEG_INFINITY, low[1]], [f64::INFINITY, high[1]]]));
+            }
+            let cell = row.1.within([low, high]);
+            move |at| cell.height_mm(at).filter(|height_mm| height_mm + most_mm > 0.0)
+        };
         let [low, high] = self.surface.bounds();
         let middle = [0, 1].map(|axis| (low[axis] + high[axis]) / 2.0);
         // A grating has no middle.
-        middle.map(|middle| if middle.is_finite() { middle } else { 0.0 })
+        let middle = middle.map(|middle| if middle.is_finite() { middle } else { 0.0 });
+        Grains::cut(pitch_mm, part, middle, kept, surface_in)
     }
 
     /// The object's frame whenever it touches the finger.

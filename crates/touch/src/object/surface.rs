@@ -15,6 +15,13 @@ pub enum Surface {
         /// The distance, above 0.
         reach_mm: f64,
     },
+    /// All places within a distance of lines from point to point, flat. A line of one point is a dot.
+    Lines {
+        /// The points of each line.
+        lines: Vec<Vec<[f64; 2]>>,
+        /// The distance, above 0.
+        reach_mm: f64,
+    },
     /// Filled polygons by their corners, flat.
     Polygons(Vec<Vec<[f64; 2]>>),
     /// Heights of pixels.
@@ -46,7 +53,7 @@ impl HeightMap {
         [0, 1].map(|axis| self.size[axis] as f64 * self.pixel_mm[axis])
     }
 
-    fn height_mm(&self, [x, y]: [f64; 2]) -> Option<f64> {
+    pub(super) fn height_mm(&self, [x, y]: [f64; 2]) -> Option<f64> {
         let index = |place: f64, axis: usize| {
             let pixel = (place / self.pixel_mm[axis] + self.size[axis] as f64 / 2.0).floor();
             (pixel >= 0.0 && pixel < self.size[axis] as f64).then_some(pixel as usize)
@@ -57,19 +64,6 @@ impl HeightMap {
 }
 
 impl Surface {
-    /// The height at a place, at most 0; none without material.
-    #[must_use]
-    pub fn height_mm(&self, at: [f64; 2]) -> Option<f64> {
-        match self {
-            Self::Near { shape, reach_mm } => {
-                let at = meissner_skin::membrane::Position { x_mm: at[0], y_mm: at[1] };
-                (shape.distance_mm(at) <= *reach_mm).then_some(0.0)
-            }
-            Self::Polygons(polygons) => polygons.iter().any(|corners| is_in(corners, at)).then_some(0.0),
-            Self::Map(map) => map.height_mm(at),
-        }
-    }
-
     /// The lowest and the highest x and y; infinite without end.
     pub(super) fn bounds(&self) -> [[f64; 2]; 2] {
         let mut bounds = [[f64::INFINITY; 2], [f64::NEG_INFINITY; 2]];
@@ -87,6 +81,9 @@ impl Surface {
             Self::Near { shape: Shape::Polyline(points) | Shape::Dots(points), reach_mm } => {
                 points.iter().for_each(|&at| add(at, *reach_mm));
             }
+            Self::Lines { lines, reach_mm } => {
+                lines.iter().flatten().for_each(|&at| add(at, *reach_mm));
+            }
             Self::Polygons(polygons) => polygons.iter().flatten().for_each(|&at| add(at, 0.0)),
             Self::Map(map) => {
                 let half = map.sides_mm().map(|side| side / 2.0);
@@ -101,7 +98,7 @@ impl Surface {
     pub(super) fn fitting_pitch_mm(&self, range: &RangeInclusive<f64>) -> f64 {
         let finest_mm = match self {
             Self::Near { shape: Shape::Dots(_) | Shape::Disc { .. }, reach_mm } => reach_mm / 4.0,
-            Self::Near { reach_mm, .. } => reach_mm / 2.0,
+            Self::Near { reach_mm, .. } | Self::Lines { reach_mm, .. } => reach_mm / 2.0,
             Self::Polygons(polygons) => {
                 polygons.iter().map(|corners| thickness(corners) / 4.0).fold(1e3, f64::min)
             }
@@ -111,13 +108,27 @@ impl Surface {
     }
 }
 
-/// Whether a place lies in a polygon: a ray from it crosses an odd number of sides.
-fn is_in(corners: &[[f64; 2]], [x, y]: [f64; 2]) -> bool {
-    let sides = corners.iter().zip(corners.iter().cycle().skip(1));
-    let crossed = |&(&[x0, y0], &[x1, y1]): &(&[f64; 2], &[f64; 2])| {
-        (y0 > y) != (y1 > y) && x < x0 + (y - y0) / (y1 - y0) * (x1 - x0)
+/// A bar is drawn by its middle line if it is this many times as long as wide.
+const SLENDER: f64 = 3.0;
+
+/// The line that draws a polygon: the middle line of a slender bar, the outline of others.
+pub(super) fn drawn(corners: &[[f64; 2]]) -> Vec<[f64; 2]> {
+    let middle = |from: usize, to: usize| {
+        let (from, to) = (corners[from % corners.len()], corners[to % corners.len()]);
+        [f64::midpoint(from[0], to[0]), f64::midpoint(from[1], to[1])]
     };
-    sides.filter(crossed).count() % 2 == 1
+    let length = |[a, b]: [[f64; 2]; 2]| libm::hypot(a[0] - b[0], a[1] - b[1]);
+    if corners.len() == 4 {
+        let lines = [[middle(3, 4), middle(1, 2)], [middle(0, 1), middle(2, 3)]];
+        let [along, across] = lines.map(length);
+        if along >= SLENDER * across {
+            return lines[0].to_vec();
+        }
+        if across >= SLENDER * along {
+            return lines[1].to_vec();
+        }
+    }
+    corners.iter().chain(corners.first()).copied().collect()
 }
 
 /// The shortest side of a shape of four corners; of others, the diameter of a circle with this ratio of area to circumference.
