@@ -126,7 +126,7 @@ mod tests {
         assert!(late - early + 2 * HOLD > moments && late > early, "{early} {late}");
         let travel_mm = array.motor().travel_um / 1e3;
         assert!(bottom_mm > 0.9 * travel_mm && top_mm > 0.4 * travel_mm, "{bottom_mm} {top_mm}");
-        assert!(levels.heights_mm[dot - PAUSE / 2 + 2].iter().all(|&mm| mm < 0.01));
+        assert!(levels.heights_mm[dot - PAUSE / 2].iter().all(|&mm| mm < 0.01));
         assert!(levels.heights_mm[dot + DOT / 2][high] < 0.01);
         assert!(levels.heights_mm[dot + DOT / 2][low] > 0.9 * travel_mm);
     }

@@ -196,6 +196,9 @@ fn seconds(objects: &[Object]) -> f64 {
 /// The sums of a finger's answers, fine and blurred.
 type Sums = [Sum; 2];
 
+/// The spikes of a finger, s, by afferent.
+type Felt = Vec<Vec<f64>>;
+
 /// One finger, and how it is asked.
 struct Asked<'a> {
     finger: Finger,
@@ -222,8 +225,8 @@ impl Asked<'_> {
     fn taught<E>(
         &self,
         seconds: f64,
-        feel: impl Fn(usize, u64) -> Result<Vec<Vec<f64>>, E>,
-    ) -> Result<([Observer<'_>; 2], Vec<Vec<Vec<f64>>>), E> {
+        feel: impl Fn(usize, u64) -> Result<Felt, E>,
+    ) -> Result<([Observer<'_>; 2], Vec<Felt>), E> {
         let mut observers = self.observers(seconds);
         let mut tests = Vec::new();
         for thing in 0..self.objects.len() {
