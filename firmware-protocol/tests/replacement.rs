@@ -1,12 +1,13 @@
 //! Frames that replace queued moves: each motor's from one tick on or not at all, all of them counted.
 
-use crate::bench::{Bench, FIRMWARE, MOCK, MOTORS, ONSET, SHELLS, SOON, stroke, to};
+use crate::bench::{Bench, FIRMWARE, MOCK, MOTORS, ONSET, SHELLS, SOON, burst, stroke, to};
 use crate::taking::{bursts, end, plain};
 use firmware_protocol::array::MotorSet;
 use firmware_protocol::batch::{BATCH_BYTES, Packer, Stroke};
 use firmware_protocol::controller::{BLOCK, POOL};
 use firmware_protocol::message::{Counters, HostMessage, Op, Report, Withdraw};
 use firmware_protocol::moves::Move;
+use firmware_protocol::stroke::Direction;
 use firmware_protocol::tick::Tick;
 use proptest::prelude::*;
 use proptest::test_runner::RngSeed;
@@ -243,6 +244,26 @@ fn a_late_move_of_a_kept_motor_changes_nothing() {
         let (pulses, _) = plain(&[to(1, at, 100), to(1, at + 300, 50), to(1, at + 600, 0)], bench.now);
         assert_eq!(bench.pulses(1).collect::<Vec<_>>(), pulses);
         assert_eq!((bench.device.counters().replaced, bench.device.counters().late), (2, 0));
+    }
+}
+
+/// A late move ends a burst up in the tick that is rendered next; a frame that withdraws in the same tick leaves that to be done.
+#[test]
+fn a_burst_that_a_late_move_has_ended_ends_whatever_is_withdrawn() {
+    for shell in SHELLS {
+        for withdrawn in [0b10, 0b110] {
+            let mut bench = Bench::armed(shell);
+            let at = bench.soon();
+            bench.moves(&[to(1, at, 100)]);
+            bench.run_to(at + 30);
+            let height = u64::from(bench.device.outstanding(1));
+            let (now, missed) = (bench.now, bench.device.ready().0 - 1);
+            bench.moves(&[to(1, missed, 90)]);
+            replace(&mut bench, withdrawn, now, &[]);
+            bench.run(5_000);
+            assert_eq!(bench.bursts(1), [burst(at, Direction::Up, height)], "{shell:?}");
+            assert_eq!(u64::from(bench.device.outstanding(1)), height);
+        }
     }
 }
 

@@ -79,7 +79,10 @@ impl Player {
     pub(in crate::controller) fn is_consistent(&self) -> bool {
         (0..self.layout.loop_end()).all(|motor| {
             let of = &self.motors[motor];
-            let waits = of.is_to_descend() || of.running.is_some() || self.queues.first(motor).is_some();
+            let waits = of.is_to_descend()
+                || of.running.is_some()
+                || self.queues.first(motor).is_some()
+                || self.lines.pulsing().contains(motor as u8);
             let may_be_below = of.running.is_some_and(|running| running.direction == Direction::Up);
             (!waits || self.changes.is_waiting(motor)) && (of.height >= of.goal() || may_be_below)
         })

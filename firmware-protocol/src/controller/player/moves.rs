@@ -84,8 +84,9 @@ impl Player {
     pub(in crate::controller) fn withdraw(&mut self, motor: u8, from: Tick, next: &[Move]) -> Option<u16> {
         let motor = usize::from(motor);
         let moves = self.queues.withdraw(motor, from, next, self.least_apart, self.rendered)?;
-        if self.queues.first(motor).is_none() && self.motors[motor].is_still() {
-            // The line waits for the withdrawn move no longer, nor do the drivers.
+        let is_low = !self.lines.pulsing().contains(motor as u8);
+        if self.queues.first(motor).is_none() && self.motors[motor].is_still() && is_low {
+            // The line waits for the withdrawn move no longer, nor do the drivers. One whose burst has just been ended is still to fall.
             self.changes.forget(motor);
         }
         Some(moves)
