@@ -17,12 +17,12 @@ use super::arguments::{ClientOptions, MODELS, OBJECTIVES, PlayOptions, choice, p
 use super::output::{give, is_broken_pipe, say};
 use super::{files, text};
 use crate::receipts::end_text;
-use anyhow::{Result, anyhow};
+use anyhow::{Result, anyhow, bail};
 use clap::Args;
 use clap::error::ErrorKind;
 use device::{Input, Opened};
 use following::{End, Following, Source};
-use lines::Lines;
+use lines::{Give, Lines};
 use meissner_api::{
     ArrayDetails, EndCause, LIVE_TIMEOUT_MS, LIVE_UPDATES_HZ, LiveMessage, LiveRequest, PlayState, Receipt,
     SearchModel, SearchObjective, SearchSetting,
@@ -45,9 +45,15 @@ const RECEIPT_S: u8 = 2;
 pub(super) struct Live {
     /// Move the shape of this target: its name, or a file (TOML). Without it the lines of stdin give drives
     target: Option<String>,
-    /// Follow this source: stdin (a line: X_MM Y_MM [DEGREES], or a JSON object), mouse (the first one), or an input device
+    /// Follow this source: stdin (a line: X_MM Y_MM [DEGREES], levels, or a JSON object), mouse (the first one), or an input device
     #[arg(long, value_name = "stdin|mouse|evdev:PATH")]
     follow: Follow,
+    /// Have the pins of these motors follow levels: each line of stdin has one for each, in this order, um above rest
+    #[arg(long, value_name = "N,N,...", value_delimiter = ',', conflicts_with = "target")]
+    levels: Vec<u8>,
+    /// Let pins take MS milliseconds to get to a level; 0: at full speed [default: 20]
+    #[arg(long, value_name = "MS", requires = "levels", allow_negative_numbers = true, value_parser = glide)]
+    glide_ms: Option<f64>,
     /// Shift the shape by X mm for each count of a mouse
     #[arg(long, value_name = "X", default_value_t = 0.02, allow_negative_numbers = true, value_parser = positive)]
     mm_per_count: f64,
@@ -120,7 +126,7 @@ impl Live {
             timeout_ms: self.timeout_ms,
             max_frequency_hz: self.max_frequency_hz,
             updates_hz: self.updates_hz,
-            levels: false,
+            levels: !self.levels.is_empty(),
             late: self.play.late,
             replace: self.play.replace,
             open_loop: self.play.open_loop,
@@ -148,15 +154,42 @@ impl Live {
     }
 
     fn source(&self, device: Option<Opened>, array: &ArrayDetails) -> Result<Source> {
-        let Some(device) = device else { return Ok(Source::Lines(Lines::stdin(self.target.is_some())?)) };
+        let Some(device) = device else { return Ok(Source::Lines(Lines::stdin(self.give(array)?)?)) };
         // To the outermost pins.
         let most = |axis: usize| array.positions_mm.iter().map(|place| place[axis].abs()).fold(0.0, f64::max);
         Ok(Source::Input(Input::new(device, self.mm_per_count, [most(0), most(1)])?.into()))
     }
 
+    /// What lines give.
+    fn give(&self, array: &ArrayDetails) -> Result<Give> {
+        let motors = self.levels.clone();
+        for (at, motor) in motors.iter().enumerate() {
+            if motors[..at].contains(motor) {
+                bail!("--levels has motor {motor} twice: leave one out");
+            }
+            if usize::from(*motor) >= array.positions_mm.len() {
+                bail!(
+                    "--levels has motor {motor}: the array has motors 0 to {}",
+                    array.positions_mm.len() - 1
+                );
+            }
+        }
+        Ok(match self.target {
+            Some(_) => Give::Poses,
+            None if motors.is_empty() => Give::Drives,
+            None => Give::Levels { motors, glide_ms: self.glide_ms },
+        })
+    }
+
     fn timeout_ms(&self) -> f64 {
         self.timeout_ms.unwrap_or(LIVE_TIMEOUT_MS)
     }
+}
+
+/// The value of `--glide-ms`.
+fn glide(text: &str) -> Result<f64, &'static str> {
+    let ms = text.parse().ok().filter(|ms| (0.0..=1000.0).contains(ms));
+    ms.ok_or("must be 0 to 1000 ms")
 }
 
 /// A target's name, or the document in a target file.
@@ -183,7 +216,7 @@ pub(super) fn run(asked: &Live) -> Result<ExitCode> {
         Ok(first) => first,
         Err(signal) => return Ok(exit_code(signal)),
     };
-    begin_with(&mut request, first);
+    let rest = begin_with(&mut request, first);
     let mut play = client.live(&request)?;
     let id = play.id();
     let json = asked.options.output.json;
@@ -195,7 +228,8 @@ pub(super) fn run(asked: &Live) -> Result<ExitCode> {
     }
     let timeout = Duration::from_secs_f64(asked.timeout_ms() / 1e3);
     let keep_alive = asked.keep_alive || !source.must_speak();
-    let pace = Pace::new(request.updates_hz.unwrap_or(LIVE_UPDATES_HZ), timeout, keep_alive);
+    let mut pace = Pace::new(request.updates_hz.unwrap_or(LIVE_UPDATES_HZ), timeout, keep_alive);
+    pace.hear(rest);
     let mut following = Following::new(&mut play, source, pace, &signals, TickRate::new(array.tick_hz));
     let end = following.run();
     let refused = following.summary();
@@ -226,12 +260,13 @@ fn exit_code(signal: u8) -> ExitCode {
     ExitCode::from(128 + signal)
 }
 
-/// Lets the play begin with the source's first state.
-fn begin_with(request: &mut LiveRequest, first: LiveMessage) {
-    let LiveMessage { drives, pose, scale, .. } = first;
+/// Lets the play begin with the source's first state. Returns its levels, which are sent when the play has begun.
+fn begin_with(request: &mut LiveRequest, first: LiveMessage) -> LiveMessage {
+    let LiveMessage { drives, pose, um, glide_ms, scale, .. } = first;
     request.drives = drives.unwrap_or_default();
     request.pose = pose;
     request.scale = scale.or(request.scale);
+    LiveMessage { um, glide_ms, ..LiveMessage::default() }
 }
 
 fn receipt(client: &mut Client, id: u64) -> Result<Receipt> {
