@@ -196,6 +196,51 @@ fn lines_of_drives_play_without_a_target_and_refused_ones_are_counted() {
 }
 
 #[test]
+fn pins_follow_levels_line_by_line() {
+    let daemon = Daemon::start();
+    daemon.armed();
+    let lines = ["0 100", "50.5,100", "", "{\"um\": {\"9\": 40}, \"glide_ms\": 0}", "0 0"].map(str::to_owned);
+    // Slow enough that no line gives way to the next.
+    let args = ["--levels", "9,10", "--glide-ms", "5", "--updates-hz", "5", "--open-loop", "--json"];
+    let (code, out, err) = follow_file(&daemon, &args, &lines);
+    assert_eq!((code, err.as_str()), (0, ""), "{out}");
+    let shown: Receipt = serde_json::from_str(&out).unwrap();
+    let (updates, bursts) = (shown.live.unwrap(), shown.bursts.unwrap());
+    assert_eq!((updates.updates, updates.applied, bursts.late + bursts.dropped), (4, 4, 0), "{updates:?}");
+    // Every line of levels is an update; the empty one is none.
+    let motors: Vec<u8> = shown.pins.unwrap().iter().map(|pin| pin.motor).collect();
+    assert_eq!((motors, shown.cause.as_ref()), (vec![9, 10], Some(&EndCause::Stop)));
+    assert!(bursts.played >= 6, "{bursts:?}");
+    // What the lines cannot be.
+    let (code, _, err) = follow_file(&daemon, &["--levels", "9,10"], &["0 1 2".to_owned()]);
+    assert!(
+        code == 1 && err.contains("line 1: `0 1 2` is not levels") && err.contains("motors 9,10"),
+        "{err}"
+    );
+    let (code, _, err) = follow_file(&daemon, &["--levels", "9,9"], &[]);
+    assert!(code == 1 && err.contains("--levels has motor 9 twice"), "{err}");
+    let (code, _, err) = follow_file(&daemon, &["--levels", "9,24"], &[]);
+    assert!(code == 1 && err.contains("motor 24: the array has motors 0 to 23"), "{err}");
+}
+
+#[test]
+fn levels_that_stop_coming_end_the_play() {
+    let daemon = Daemon::start();
+    daemon.armed();
+    let args = ["--levels", "9", "--timeout-ms", "300", "--open-loop"];
+    let piped = Piped::start(&daemon, &args, "120");
+    let id = piped.id;
+    let (code, _, err) = piped.wait();
+    assert!(code == 1 && err.contains("stdin was silent for longer than 300 ms"), "{err}");
+    let receipt = receipt(&daemon, id);
+    assert_eq!(receipt.cause.as_ref(), Some(&EndCause::ClientSilent));
+    // The pin went up, and has come down.
+    let [pin] = &receipt.pins.unwrap()[..] else { panic!("one pin") };
+    assert_eq!(pin.motor, 9);
+    assert_eq!(daemon.client().get::<Status>("/v1/status").unwrap().state, "armed");
+}
+
+#[test]
 fn a_pipe_gives_its_newest_line() {
     let daemon = Daemon::start();
     daemon.armed();

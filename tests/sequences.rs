@@ -1,6 +1,6 @@
 //! Sequences through the API and the command line of a real daemon: all or nothing, one receipt, scale, triggers.
 
-use crate::harness::{Daemon, TIMEOUT, document, printed, problem};
+use crate::harness::{Daemon, PATIENT, TIMEOUT, complaint, document, printed, problem};
 use assert_cmd::Command;
 use meissner_api::{ItemState, Receipt};
 use meissner_client::Client;
@@ -101,6 +101,28 @@ fn a_sequence_is_accepted_as_a_whole_or_refused() {
 }
 
 #[test]
+fn the_command_refuses_slow_motions_and_holds_that_are_too_short() {
+    let daemon = Daemon::with("mock", PATIENT);
+    daemon.armed();
+    let run = |rise_s: f64, arguments: &[&str]| {
+        let ramp = json!({"motor": 9, "to_um": 100.0, "rise_s": rise_s, "hold_s": 0.2});
+        fs::write(daemon.path("press.json"), json!({"items": [{"pattern": {"ramp": [ramp]}}]}).to_string())
+            .unwrap();
+        let mut command: Command = daemon.meissner();
+        command.args(["sequence", "press.json"]).args(arguments);
+        command
+    };
+    let slow = complaint(&mut run(0.0, &["--strict"]));
+    assert!(slow.contains("motor 9 is too slow for its motion"), "{slow}");
+    let short = complaint(&mut run(0.05, &["--strict", "--hold-ms", "100"]));
+    assert!(short.contains("`hold_ms` is 100"), "{short}");
+    let receipt = document(&mut run(0.05, &["--strict", "--hold-ms", "300", "--wait", "--json"]));
+    assert_eq!((&receipt["items"][0]["state"], &receipt["lowered"]["count"]), (&json!("played"), &json!(0)));
+    // Without it the daemon only warns.
+    printed(&mut run(0.0, &["--wait"]));
+}
+
+#[test]
 fn the_command_plays_a_file_and_prints_the_receipt() {
     let daemon = Daemon::start();
     daemon.armed();
@@ -118,7 +140,7 @@ fn the_command_plays_a_file_and_prints_the_receipt() {
     let text = printed(run(&["-", "--wait", "--at", "+50"]).write_stdin(fs::read_to_string(&file).unwrap()));
     assert!(text.contains("items") && text.contains("2: 2 played, 0 incomplete"), "{text}");
     fs::write(&file, "[[items]]\npattern = \"pin-60\"\nsecods = 1\n").unwrap();
-    let refused = crate::harness::complaint(&mut run(&["block.toml"]));
+    let refused = complaint(&mut run(&["block.toml"]));
     assert!(refused.contains("block.toml") && refused.contains("did you mean `seconds`?"), "{refused}");
     let text = printed(daemon.meissner().args([
         "play",

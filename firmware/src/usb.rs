@@ -18,6 +18,7 @@ use embassy_rp::usb::{Driver, Endpoint, In, InterruptHandler, Out};
 use embassy_rp::{Peri, bind_interrupts, pac};
 use embassy_sync::blocking_mutex::raw::CriticalSectionRawMutex;
 use embassy_sync::signal::Signal;
+use embassy_time::Instant;
 use embassy_usb::class::cdc_acm::{CdcAcmClass, ControlChanged, Receiver, Sender, State};
 use embassy_usb::control::{OutResponse, Recipient, Request, RequestType};
 use embassy_usb::driver::{Endpoint as _, EndpointError, EndpointIn, EndpointOut};
@@ -403,6 +404,7 @@ async fn inbound(pipe: usize, mut source: impl Source, mut shell: Producer<'stat
     loop {
         source.open().await;
         let mut bytes = [0; PACKET];
+        let mut yielded = Instant::now();
         while let Ok(len) = source.read(&mut bytes).await {
             let mut packet = Packet { bytes, len };
             while let Err(unsent) = shell.enqueue(packet) {
@@ -410,8 +412,12 @@ async fn inbound(pipe: usize, mut source: impl Source, mut shell: Producer<'stat
                 yield_now().await;
             }
             wake::shell();
-            // Packets that follow each other closely keep the task of the heartbeat waiting.
+            // Packets that follow each other closely keep the task of the heartbeat waiting, which feeds the watchdog too.
             beat::executor_beats();
+            if yielded.elapsed() >= beat::EVERY {
+                yield_now().await;
+                yielded = Instant::now();
+            }
         }
         lose(pipe);
     }

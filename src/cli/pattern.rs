@@ -225,8 +225,9 @@ fn tradeoff_table(found: &MotionTradeoff) -> String {
         ]
     };
     format!(
-        "{}\nerror: RMS from the motion after the motor's lag and smoothing, of the worst motor; step error: the largest difference from \
+        "{}\n{}error: RMS from the motion after the motor's lag and smoothing, of the worst motor; step error: the largest difference from \
          the same motor without steps. `--error-um` bounds the step error: the coarsest grid within it is taken.",
-        text::columns(&head, found.rows.iter().map(row))
+        text::columns(&head, found.rows.iter().map(row)),
+        text::measured(found.measured_s)
     )
 }

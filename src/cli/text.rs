@@ -5,7 +5,7 @@
 mod motions;
 mod receipt;
 
-pub(super) use motions::motions;
+pub(super) use motions::{measured, motions};
 pub(super) use receipt::{
     LARGEST_OFFSET, PREDICTED, accepted, burst_counts, duration, pulse_counts, receipt,
 };

@@ -4,10 +4,12 @@
 //! from the waveform after the motor's response, and the times at which the motor is too slow. For all of them it has the moves per
 //! second and the bandwidth that the link needs. [`motion_tradeoff`] measures the same on each grid that the compiler knows.
 //!
+//! Of long motions the figures are those of the beginning ([`Motions::measured_s`]), as in a receipt: a pattern may last for years.
+//!
 //! Invariant: every figure is measured from the moves, none is promised.
 
 use firmware_protocol::moves::Move;
-use meissner_array::motion::{Deviation, Grid, MotionError, Moves, Reached, Waveform, choose};
+use meissner_array::motion::{Deviation, Grid, MotionError, Reached, TRIED_S, Waveform, beginning, choose};
 use meissner_array::pattern::Pattern;
 use meissner_array::spec::Array;
 use meissner_array::strokes::{Step, StrokeOptions, Strokes, StrokesError};
@@ -61,6 +63,8 @@ pub struct Motions {
     pub link_bytes_per_s: u32,
     /// The same with every burst corrected.
     pub link_bytes_per_s_corrected: u32,
+    /// How much of each motion the figures are of, from its beginning, s; null: all of it.
+    pub measured_s: Option<f64>,
     /// The motors that have motions, in order.
     pub motors: Vec<FollowedMotor>,
 }
@@ -80,7 +84,8 @@ pub struct FollowedMotor {
     pub from_filtered: FollowingError,
     /// The largest difference from what a motor of this speed does without steps, µm.
     pub step_error_um: f64,
-    /// When the motor is too slow: from and until, s; the first hundred times.
+    /// When the motor is too slow: from and until, s; the first hundred times. If it first is so after what is measured, only that instant,
+    /// twice.
     pub too_slow_s: Vec<[f64; 2]>,
     /// How often it is too slow.
     pub too_slow_times: usize,
@@ -117,12 +122,18 @@ impl From<Deviation> for FollowingError {
 }
 
 impl FollowedMotor {
-    fn new(motor: u8, reached: &Reached) -> Self {
-        let spans = &reached.too_slow_s;
+    fn new(array: Array, (motor, whole): &(u8, Waveform), reached: &Reached, measured_s: f64) -> Self {
+        let end_s = whole.span_ns().map_or(0.0, |(from, _)| from as f64 / 1e9) + measured_s;
+        let later = || whole.too_slow_from_s(array).filter(|from_s| *from_s >= end_s);
+        let mut spans = reached.too_slow_s.clone();
+        if spans.is_empty() {
+            spans.extend(later().map(|from_s| (from_s, from_s)));
+        }
+        let [lowest_um, highest_um] = whole.extremes_um();
         Self {
-            motor,
-            lowest_um: reached.lowest_um,
-            highest_um: reached.highest_um,
+            motor: *motor,
+            lowest_um,
+            highest_um,
             from_asked: reached.from_asked.into(),
             from_filtered: reached.from_filtered.into(),
             step_error_um: reached.step_error_um,
@@ -148,8 +159,9 @@ impl FollowedMotor {
                 1 => String::new(),
                 times => format!(" ({times} times, {:.3} s in all)", self.too_slow_in_all_s),
             };
+            let until = if until_s > from_s { format!("to {until_s:.4} s{more}") } else { "s on".to_owned() };
             return Some(format!(
-                "motor {motor} is too slow for its motion from {from_s:.4} to {until_s:.4} s{more}: it moves {mm_per_s:.1} mm/s at most; \
+                "motor {motor} is too slow for its motion from {from_s:.4} {until}: it moves {mm_per_s:.1} mm/s at most; \
                  make the motion slower or smaller"
             ));
         }
@@ -181,8 +193,10 @@ impl Motions {
         let grid =
             choose(array, motors.iter().map(|(motor, waveform)| (*motor, waveform)), options.error_um)?;
         let Compiled { moves, reached } = Compiled::new(array, &motors, grid);
-        let followed: Vec<_> =
-            reached.iter().zip(&motors).map(|(of, (motor, _))| FollowedMotor::new(*motor, of)).collect();
+        let measured_s = measured_s(&motors);
+        let end_s = measured_s.unwrap_or(f64::INFINITY);
+        let follow = |(of, motor)| FollowedMotor::new(array, motor, of, end_s);
+        let followed: Vec<_> = reached.iter().zip(&motors).map(follow).collect();
         let Bandwidth { open, closed } = Bandwidth::of(&strokes, &Settings::of(array));
         let (moves_per_s, busiest_second) = together(array, &motors, &moves);
         Ok(Some(Self {
@@ -192,6 +206,7 @@ impl Motions {
             longest_hold_s: followed.iter().map(|of| of.longest_hold_s).fold(0.0, f64::max),
             link_bytes_per_s: open.rate,
             link_bytes_per_s_corrected: closed.rate,
+            measured_s,
             motors: followed,
         }))
     }
@@ -206,6 +221,8 @@ impl Motions {
 /// Grids of moves compared on the motions of a pattern.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct MotionTradeoff {
+    /// How much of each motion the rows are of, from its beginning, s; null: all of it.
+    pub measured_s: Option<f64>,
     /// Each grid of the compiler, the finest first.
     pub rows: Vec<GridRow>,
 }
@@ -268,7 +285,7 @@ pub fn motion_tradeoff(
         });
         progress(rows.len() as f64 / STEPS_MS.len() as f64);
     }
-    Ok(Some(MotionTradeoff { rows }))
+    Ok(Some(MotionTradeoff { measured_s: measured_s(&motors), rows }))
 }
 
 /// The waveforms of a pattern, so many times as high.
@@ -286,11 +303,8 @@ struct Compiled {
 
 impl Compiled {
     fn new(array: Array, motors: &[(u8, Waveform)], grid: Grid) -> Self {
-        let of = |(motor, waveform): &(u8, Waveform)| {
-            let moves: Vec<_> = Moves::new(array, *motor, waveform, grid).collect();
-            let reached = Reached::of(array, waveform, &moves);
-            (moves, reached)
-        };
+        let ns = most_ns(motors);
+        let of = |(motor, waveform): &(u8, Waveform)| beginning(array, *motor, waveform, grid, ns);
         let (moves, reached) = motors.par_iter().map(of).unzip();
         Self { moves, reached }
     }
@@ -309,16 +323,36 @@ pub fn steps_of(moves: &[Vec<Move>]) -> Vec<Step> {
     steps
 }
 
-/// Moves per second of all motors, from the first beginning of a waveform until the last pin rests, and the most within a second.
+/// How much of each motion is measured at most, ns: the motors share [`TRIED_S`].
+fn most_ns(motors: &[(u8, Waveform)]) -> u64 {
+    (TRIED_S * 1e9) as u64 / motors.len().max(1) as u64
+}
+
+/// How much of each motion is measured, s; `None`: all of it.
+fn measured_s(motors: &[(u8, Waveform)]) -> Option<f64> {
+    let most = most_ns(motors);
+    let is_longer =
+        |(_, waveform): &(u8, Waveform)| waveform.span_ns().is_some_and(|(from, until)| until - from > most);
+    motors.iter().any(is_longer).then_some(most as f64 / 1e9)
+}
+
+/// Moves per second of all motors, and the most within a second: from the first beginning of a waveform until the last pin rests, or for
+/// as long as is measured.
 fn together(array: Array, motors: &[(u8, Waveform)], moves: &[Vec<Move>]) -> (f64, usize) {
     let rate = array.rate();
-    let mut ticks: Vec<u64> = moves.iter().flatten().map(|of| of.tick.0).collect();
-    ticks.sort_unstable();
     let spans = || motors.iter().filter_map(|(_, waveform)| waveform.span_ns());
     let from_s = spans().map(|(from, _)| from).min().unwrap_or(0) as f64 / 1e9;
     let until_s = spans().map(|(_, until)| until).max().unwrap_or(0) as f64 / 1e9;
-    let settled_s = rate.ticks_to_seconds(ticks.last().copied().unwrap_or(0)).max(until_s)
-        + rate.ticks_to_seconds(array.motor().settled_ticks());
+    let mut ticks: Vec<u64> = moves.iter().flatten().map(|of| of.tick.0).collect();
+    ticks.sort_unstable();
+    let settled_s = if let Some(measured_s) = measured_s(motors) {
+        let end = rate.seconds_to_ticks(from_s + measured_s);
+        ticks.truncate(ticks.partition_point(|&tick| tick < end));
+        from_s + measured_s
+    } else {
+        rate.ticks_to_seconds(ticks.last().copied().unwrap_or(0)).max(until_s)
+            + rate.ticks_to_seconds(array.motor().settled_ticks())
+    };
     let mut first = 0;
     let busiest = ticks.iter().enumerate().map(|(last, tick)| {
         while tick - ticks[first] >= rate.per_s() {
@@ -378,6 +412,31 @@ mod tests {
                 && line.contains("(2 times, 0.03"),
             "{line}"
         );
+    }
+
+    /// A year at rest but for its ends, and a tone of an hour: as much is measured of both as of a tone of two minutes.
+    #[test]
+    fn of_motions_of_years_the_beginning_is_measured() {
+        let tone = |seconds: f64| {
+            format!("[[tone]]\nmotor = 3\nduration_s = {seconds}\nfrequency_hz = 10.0\namplitude_um = 40.0\n")
+        };
+        let years = "[[ramp]]\nmotor = 9\nto_um = 200.0\nrise_s = 5e7\nfall_s = 0.0\n";
+        // Both have two motors, and the same grid.
+        let slow = "[[ramp]]\nmotor = 9\nto_um = 10.0\nrise_s = 50.0\n";
+        let (long, short) = (of(&format!("{}{years}", tone(3600.0))), of(&format!("{}{slow}", tone(120.0))));
+        let [sine, ramp] = &long.motors[..] else { panic!("{long:?}") };
+        assert_eq!((long.measured_s, short.measured_s, ramp.moves), (Some(120.0), None, 0));
+        // The pin does not come down where the measuring ends.
+        let whole = &short.motors[0];
+        assert!((1..3).contains(&(whole.moves - sine.moves)), "{} and {}", whole.moves, sine.moves);
+        assert!((sine.from_asked.rms_um / whole.from_asked.rms_um - 1.0).abs() < 0.01, "{sine:?} {whole:?}");
+        assert!((long.moves_per_s / sine.moves_per_s - 1.0).abs() < 1e-3, "{long:?}");
+        // The fall after years is still told.
+        assert_eq!((ramp.highest_um, &ramp.too_slow_s[..]), (200.0, &[[5e7; 2]][..]));
+        let line = &long.problems(Array::paper())[1];
+        assert!(line.starts_with("motor 9 is too slow for its motion from 50000000.0000 s on: it"), "{line}");
+        let rows = motion_tradeoff(&pattern(years), &MotionOptions::default(), &|_| ()).unwrap().unwrap();
+        assert_eq!((rows.measured_s, rows.rows.len()), (Some(240.0), 4));
     }
 
     #[test]

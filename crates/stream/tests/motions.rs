@@ -1,11 +1,12 @@
 //! Plays with motions: moves to levels, in open loop and in closed loop, over good and bad lines, cut in each phase.
 
+use firmware_protocol::array::MotorSet;
 use firmware_protocol::stroke::Direction;
 use firmware_protocol::tick::Tick;
 use meissner_array::pattern::Pattern;
 use meissner_array::spec::Array;
 use meissner_array::strokes::{Step, StrokeOptions, Strokes};
-use meissner_stream::queues::{At, Command, End, StreamEvent};
+use meissner_stream::queues::{At, Command, End, Play, StreamEvent};
 use meissner_stream::{Line, rest_bound_um};
 use meissner_test_support::rig::{Rig, assert_closed, bad_line, bursts_on_the_lines};
 use meissner_test_support::statistics::rms;
@@ -177,4 +178,29 @@ fn whatever_cuts_a_ramp_or_a_hold_brings_the_pin_down() {
             assert_eq!(outcome.end, End::Stopped, "{what}");
         }
     }
+}
+
+/// The device brings down a pin that is held for longer than its play allows, and the play's receipt is told which, when and why.
+#[test]
+fn a_pin_that_the_device_has_lowered_is_booked_to_its_play() {
+    let (rate, mut rig) = (Array::paper().rate(), Rig::armed(Line::default(), 6));
+    // A play before it has no part in it.
+    rig.play_exactly(&pattern(MIXED), 1.0);
+    let (hold, onset) = (Array::paper().layout().least_hold(), rig.mock.now() + 8_500);
+    let change = |play: &mut Play| (play.at, play.hold) = (At::Tick(onset), hold);
+    rig.start_with(&pattern(RAMP), None, change);
+    rig.run_ms(1_500);
+    let lowered: Vec<_> = rig
+        .take_events()
+        .into_iter()
+        .filter_map(|event| match event {
+            StreamEvent::PinsLowered { id, tick, late, held } => Some((id, tick, late, held)),
+            _ => None,
+        })
+        .collect();
+    let [(id, tick, late, held)] = lowered[..] else { panic!("{lowered:?}") };
+    assert_eq!((id, late, held), (2, MotorSet::EMPTY, MotorSet::from_bits(1 << 9)));
+    // The pin is up 0.05 s after the onset. Holds are looked at every 12 ms.
+    let held_s = rate.ticks_to_seconds(tick - onset) - 0.05;
+    assert!((0.2..0.22).contains(&held_s), "{held_s}");
 }

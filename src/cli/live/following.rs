@@ -71,7 +71,7 @@ impl Source {
                 }
             }
             if lines.is_over() {
-                bail!("stdin: ends before its first line: write X_MM Y_MM [DEGREES], or a JSON object");
+                bail!("stdin: ends before its first line: {}", lines.wanted());
             }
             let [can_read, _] = wait(&mut [lines.as_fd(), signals.as_fd()], None)?;
             if let Some(signal) = signals.taken() {

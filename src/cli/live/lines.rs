@@ -1,4 +1,5 @@
-//! Lines of stdin, each a message: `X_MM Y_MM [DEGREES [DEPTH_UM]]`, or a JSON object with the keys of a live play's message.
+//! Lines of stdin, each a message: `X_MM Y_MM [DEGREES [DEPTH_UM]]`, a level for each of some motors, or a JSON object with the keys of a live
+//! play's message.
 //!
 //! Lines of a regular file are taken one by one, when they are due. Lines of any other input are taken as they come.
 //!
@@ -7,6 +8,7 @@
 use anyhow::{Context, Result, anyhow, bail};
 use meissner_api::{LiveMessage, MAX_LIVE_MESSAGE};
 use serde_json::{Map, Value, json};
+use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::{self, Read};
 use std::os::fd::{AsFd, BorrowedFd};
@@ -17,13 +19,16 @@ const PIECE: usize = 1 << 14;
 const QUOTED: usize = 60;
 
 /// What lines give.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Gives {
-    Drives,
-    /// Poses of a target.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) enum Give {
+    /// Poses of a target's shape.
     Poses,
     /// Poses of an object, with depths.
     Touches,
+    /// Drives.
+    Drives,
+    /// Levels of the pins of these motors, in this order. Pins take so many ms to get there, unless a line says otherwise.
+    Levels { motors: Vec<u8>, glide_ms: Option<f64> },
 }
 
 /// The lines of an open file.
@@ -31,7 +36,7 @@ pub(super) enum Gives {
 pub(super) struct Lines {
     input: File,
     is_file: bool,
-    gives: Gives,
+    give: Give,
     bytes: Vec<u8>,
     /// How much of `bytes` was taken.
     taken: usize,
@@ -40,19 +45,24 @@ pub(super) struct Lines {
 }
 
 impl Lines {
-    pub(super) fn stdin(gives: Gives) -> Result<Self> {
+    pub(super) fn stdin(give: Give) -> Result<Self> {
         let input = io::stdin().as_fd().try_clone_to_owned().context("stdin cannot be read")?;
-        Self::of(input.into(), gives)
+        Self::of(input.into(), give)
     }
 
-    fn of(input: File, gives: Gives) -> Result<Self> {
+    fn of(input: File, give: Give) -> Result<Self> {
         let is_file = input.metadata().context("stdin cannot be read")?.is_file();
-        Ok(Self { input, is_file, gives, bytes: Vec::new(), taken: 0, count: 0, at_end: false })
+        Ok(Self { input, is_file, give, bytes: Vec::new(), taken: 0, count: 0, at_end: false })
     }
 
     /// Whether it is a regular file, which is never late.
     pub(super) const fn is_file(&self) -> bool {
         self.is_file
+    }
+
+    /// What a line may be.
+    pub(super) fn wanted(&self) -> String {
+        self.give.wanted()
     }
 
     /// Reads a piece; waits if there is none.
@@ -80,7 +90,7 @@ impl Lines {
         };
         self.count += 1;
         let message =
-            message(line, self.gives).map_err(|what| anyhow!("stdin: line {}: {what}", self.count))?;
+            message(line, &self.give).map_err(|what| anyhow!("stdin: line {}: {what}", self.count))?;
         self.taken = (self.taken + line.len() + 1).min(self.bytes.len());
         Ok(Some(message))
     }
@@ -97,16 +107,68 @@ impl AsFd for Lines {
     }
 }
 
+impl Give {
+    fn wanted(&self) -> String {
+        match self {
+            Self::Poses | Self::Drives => "write X_MM Y_MM [DEGREES], or a JSON object".to_owned(),
+            Self::Touches => "write X_MM Y_MM [DEGREES [DEPTH_UM]], or a JSON object".to_owned(),
+            Self::Levels { motors, .. } => {
+                let numbers: Vec<String> = motors.iter().map(u8::to_string).collect();
+                format!("write a level in um for each of the motors {}, or a JSON object", numbers.join(","))
+            }
+        }
+    }
+
+    /// The keys of a line of numbers.
+    fn keys_of(&self, text: &str) -> Option<Map<String, Value>> {
+        let numbers = numbers(text)?;
+        match self {
+            Self::Poses | Self::Touches | Self::Drives => {
+                let pose = ["x_mm", "y_mm", "angle_deg", "depth_um"].into_iter().zip(&numbers);
+                let pose: Map<String, Value> =
+                    pose.map(|(key, value)| (key.to_owned(), json!(value))).collect();
+                let most = if *self == Self::Touches { 4 } else { 3 };
+                (2..=most)
+                    .contains(&numbers.len())
+                    .then(|| Map::from_iter([("pose".to_owned(), pose.into())]))
+            }
+            Self::Levels { motors, .. } => {
+                let um: BTreeMap<u8, f64> = motors.iter().copied().zip(numbers.iter().copied()).collect();
+                (numbers.len() == motors.len()).then(|| Map::from_iter([("um".to_owned(), json!(um))]))
+            }
+        }
+    }
+
+    /// Refuses what the play does not take, and adds the glide.
+    fn fitted(&self, message: LiveMessage) -> Result<LiveMessage, String> {
+        let refused = match self {
+            Self::Poses if message.drives.is_some() => {
+                "the poses of TARGET decide its drives: send a pose, or leave TARGET out"
+            }
+            Self::Touches if message.drives.is_some() => {
+                "the poses of the object decide: send a pose, or leave --object out"
+            }
+            Self::Drives | Self::Levels { .. } if message.pose.is_some() => {
+                "a pose moves the shape of a target: name a TARGET or an --object, or send `drives`"
+            }
+            Self::Poses | Self::Touches | Self::Drives if !message.um.is_empty() => {
+                "`um` gives levels: name the motors with --levels, or send `drives`"
+            }
+            Self::Levels { glide_ms, .. } if !message.um.is_empty() => {
+                return Ok(LiveMessage { glide_ms: message.glide_ms.or(*glide_ms), ..message });
+            }
+            _ => return Ok(message),
+        };
+        Err(refused.to_owned())
+    }
+}
+
 /// Reads a line; an empty line gives a message that changes nothing. An error says what is wrong and what to do.
-fn message(line: &[u8], gives: Gives) -> Result<LiveMessage, String> {
-    let wanted = match gives {
-        Gives::Touches => "write X_MM Y_MM [DEGREES [DEPTH_UM]], or a JSON object",
-        _ => "write X_MM Y_MM [DEGREES], or a JSON object",
-    };
+fn message(line: &[u8], give: &Give) -> Result<LiveMessage, String> {
     if line.len() > MAX_LIVE_MESSAGE {
         return Err("a line has more than 65536 bytes: write less".to_owned());
     }
-    let text = std::str::from_utf8(line).map_err(|_| format!("not UTF-8 text: {wanted}"))?;
+    let text = std::str::from_utf8(line).map_err(|_| format!("not UTF-8 text: {}", give.wanted()))?;
     // Some programs put a byte order mark before the first line.
     let text = text.trim_start_matches('\u{feff}').trim();
     if text.is_empty() {
@@ -115,47 +177,31 @@ fn message(line: &[u8], gives: Gives) -> Result<LiveMessage, String> {
     let quoted = || text.chars().take(QUOTED).collect::<String>().escape_debug().to_string();
     let keys = if text.starts_with('{') {
         let keys: Map<String, Value> = serde_json::from_str(text)
-            .map_err(|error| format!("`{}` is not JSON ({error}): {wanted}", quoted()))?;
+            .map_err(|error| format!("`{}` is not JSON ({error}): {}", quoted(), give.wanted()))?;
         if keys.contains_key("seq") {
             return Err("leave `seq` out: the command numbers its messages".to_owned());
         }
         keys
     } else {
-        let most = if gives == Gives::Touches { 4 } else { 3 };
-        let numbers = numbers(text, most).ok_or_else(|| format!("`{}` is not a pose: {wanted}", quoted()))?;
-        let pose = ["x_mm", "y_mm", "angle_deg", "depth_um"].into_iter().zip(numbers);
-        let pose: Map<String, Value> = pose.map(|(key, value)| (key.to_owned(), json!(value))).collect();
-        Map::from_iter([("pose".to_owned(), pose.into())])
+        let what = if matches!(give, Give::Levels { .. }) { "levels" } else { "a pose" };
+        give.keys_of(text).ok_or_else(|| format!("`{}` is not {what}: {}", quoted(), give.wanted()))?
     };
     let mut numbered = keys;
     numbered.insert("seq".to_owned(), json!(0));
     let message =
         LiveMessage::parse(Value::from(numbered).to_string().as_bytes()).map_err(|problem| problem.detail)?;
-    match (&message, gives) {
-        (LiveMessage { pose: Some(_), .. }, Gives::Drives) => {
-            Err("a pose moves the shape of a target: name a TARGET or an --object, or send `drives`"
-                .to_owned())
-        }
-        (LiveMessage { drives: Some(_), .. }, Gives::Poses) => {
-            Err("the poses of TARGET decide its drives: send a pose, or leave TARGET out".to_owned())
-        }
-        (LiveMessage { drives: Some(_), .. }, Gives::Touches) => {
-            Err("the poses of the object decide: send a pose, or leave --object out".to_owned())
-        }
-        _ => Ok(message),
-    }
+    give.fitted(message)
 }
 
-/// Two to `most` finite numbers, all separated by blanks or all by commas, so that a missing column does not shift the others.
-fn numbers(text: &str, most: usize) -> Option<Vec<f64>> {
+/// Finite numbers, all separated by blanks or all by commas, so that a missing column does not shift the others.
+fn numbers(text: &str) -> Option<Vec<f64>> {
     let parts: Vec<&str> = if text.contains(',') {
         text.split(',').map(str::trim).collect()
     } else {
         text.split_whitespace().collect()
     };
     let number = |part: &str| part.parse().ok().filter(|number: &f64| number.is_finite());
-    let numbers: Option<Vec<f64>> = parts.into_iter().map(number).collect();
-    numbers.filter(|numbers| (2..=most).contains(&numbers.len()))
+    parts.into_iter().map(number).collect()
 }
 
 #[cfg(test)]
@@ -166,7 +212,7 @@ mod tests {
 
     #[test]
     fn a_line_is_numbers_or_json() {
-        let read = |line: &str| message(line.as_bytes(), Gives::Poses).unwrap();
+        let read = |line: &str| message(line.as_bytes(), &Give::Poses).unwrap();
         let pose = |x_mm, y_mm, angle_deg| {
             let pose = Some(LivePose { x_mm, y_mm, angle_deg, depth_um: None });
             LiveMessage { pose, ..LiveMessage::default() }
@@ -203,10 +249,10 @@ mod tests {
             ("{\"scale\":2}", "`scale`"),
             ("{\"drives\":[]}", "leave TARGET out"),
         ] {
-            let error = message(line.as_bytes(), Gives::Poses).unwrap_err();
+            let error = message(line.as_bytes(), &Give::Poses).unwrap_err();
             assert!(error.contains(says) && !error.contains('\n'), "{line}: {error}");
         }
-        let touch = |line: &str| message(line.as_bytes(), Gives::Touches);
+        let touch = |line: &str| message(line.as_bytes(), &Give::Touches);
         assert_eq!(touch("1 2 3 400").unwrap().pose.unwrap().depth_um, Some(400.0));
         for (line, says) in [
             ("1 2 3 400 5", "write X_MM Y_MM [DEGREES [DEPTH_UM]], or a JSON object"),
@@ -216,9 +262,38 @@ mod tests {
         ] {
             assert!(touch(line).unwrap_err().contains(says), "{line}");
         }
-        assert!(message(b"1 2", Gives::Drives).unwrap_err().contains("name a TARGET"));
-        assert!(message(b"\xff", Gives::Poses).unwrap_err().contains("UTF-8"));
-        assert!(message(&[b'1'; MAX_LIVE_MESSAGE + 1], Gives::Poses).unwrap_err().contains("write less"));
+        assert!(message(b"1 2", &Give::Drives).unwrap_err().contains("name a TARGET"));
+        assert!(message(b"\xff", &Give::Poses).unwrap_err().contains("UTF-8"));
+        assert!(message(&[b'1'; MAX_LIVE_MESSAGE + 1], &Give::Poses).unwrap_err().contains("write less"));
+    }
+
+    #[test]
+    fn a_line_of_levels_has_one_for_each_motor() {
+        let give = Give::Levels { motors: vec![10, 9], glide_ms: Some(5.0) };
+        let read = |line: &str| message(line.as_bytes(), &give);
+        let levels = |um: [(u8, f64); 2], glide_ms| LiveMessage {
+            um: um.into(),
+            glide_ms: Some(glide_ms),
+            ..LiveMessage::default()
+        };
+        for line in ["120 0.5", "120,0.5", "{\"um\":{\"9\":0.5,\"10\":120}}"] {
+            assert_eq!(read(line), Ok(levels([(10, 120.0), (9, 0.5)], 5.0)), "{line}");
+        }
+        let own = "{\"um\":{\"9\":0.5,\"10\":120},\"glide_ms\":40}";
+        assert_eq!(read(own), Ok(levels([(10, 120.0), (9, 0.5)], 40.0)));
+        // What has no levels has no glide.
+        assert_eq!((read(""), read("{\"scale\":0.5}").unwrap().glide_ms), (Ok(LiveMessage::default()), None));
+        for (line, says) in [
+            ("120", "`120` is not levels: write a level in um for each of the motors 10,9, or a JSON object"),
+            ("1 2 3", "`1 2 3` is not levels"),
+            ("1,", "is not levels"),
+            ("1 -2", "`um.9` is -2: must be 0 um or more"),
+            ("{\"pose\":{}}", "name a TARGET"),
+        ] {
+            let error = read(line).unwrap_err();
+            assert!(error.contains(says), "{line}: {error}");
+        }
+        assert!(message(b"{\"um\":{\"9\":1}}", &Give::Drives).unwrap_err().contains("--levels"));
     }
 
     #[test]
@@ -226,7 +301,7 @@ mod tests {
         let mut file = tempfile::tempfile().unwrap();
         write!(file, "1 1\n\n2 2\nx\n3 3").unwrap();
         file.rewind().unwrap();
-        let mut lines = Lines::of(file, Gives::Poses).unwrap();
+        let mut lines = Lines::of(file, Give::Poses).unwrap();
         assert!(lines.is_file() && lines.next().unwrap().is_none());
         lines.read().unwrap();
         let x_mm = |lines: &mut Lines| lines.next().unwrap().unwrap().pose.map(|pose| pose.x_mm);
@@ -244,7 +319,7 @@ mod tests {
         let mut file = tempfile::tempfile().unwrap();
         file.write_all(&[b' '; MAX_LIVE_MESSAGE + PIECE]).unwrap();
         file.rewind().unwrap();
-        let mut lines = Lines::of(file, Gives::Poses).unwrap();
+        let mut lines = Lines::of(file, Give::Poses).unwrap();
         let error = loop {
             lines.read().unwrap();
             if let Err(error) = lines.next() {

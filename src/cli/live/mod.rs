@@ -22,7 +22,7 @@ use clap::Args;
 use clap::error::ErrorKind;
 use device::{Input, Opened};
 use following::{End, Following, Source};
-use lines::{Gives, Lines};
+use lines::{Give, Lines};
 use meissner_api::{
     ArrayDetails, EndCause, LIVE_TIMEOUT_MS, LIVE_UPDATES_HZ, LiveMessage, LiveRequest, PlayState, Receipt,
     SearchModel, SearchObjective, SearchSetting,
@@ -49,9 +49,15 @@ pub(super) struct Live {
     /// Press and move this object: a file (TOML with kind = "object") without files of its own, or the name of a target at rest
     #[arg(long, conflicts_with = "target")]
     object: Option<String>,
-    /// Follow this source: stdin (a line: X_MM Y_MM [DEGREES [DEPTH_UM]], or a JSON object), mouse (the first one), or an input device
+    /// Follow this source: stdin (a line: X_MM Y_MM [DEGREES [DEPTH_UM]], levels, or a JSON object), mouse (the first one), or an input device
     #[arg(long, value_name = "stdin|mouse|evdev:PATH")]
     follow: Follow,
+    /// Have the pins of these motors follow levels: each line of stdin has one for each, in this order, um above rest
+    #[arg(long, value_name = "N,N,...", value_delimiter = ',', conflicts_with_all = ["target", "object"])]
+    levels: Vec<u8>,
+    /// Let pins take MS milliseconds to get to a level; 0: at full speed [default: 20]
+    #[arg(long, value_name = "MS", requires = "levels", allow_negative_numbers = true, value_parser = glide)]
+    glide_ms: Option<f64>,
     /// Shift the shape by X mm for each count of a mouse
     #[arg(long, value_name = "X", default_value_t = 0.02, allow_negative_numbers = true, value_parser = positive)]
     mm_per_count: f64,
@@ -125,7 +131,7 @@ impl Live {
             timeout_ms: self.timeout_ms,
             max_frequency_hz: self.max_frequency_hz,
             updates_hz: self.updates_hz,
-            levels: false,
+            levels: !self.levels.is_empty(),
             late: self.play.late,
             replace: self.play.replace,
             open_loop: self.play.open_loop,
@@ -140,8 +146,8 @@ impl Live {
 
     /// Opens the input device, if it is to follow one.
     fn device(&self) -> Result<Option<Opened>> {
-        if self.gives() == Gives::Drives && self.follow != Follow::Stdin {
-            let message = "name a TARGET, or an --object: an input device moves it. Only the lines of stdin can give drives\n";
+        if self.target.is_none() && self.object.is_none() && self.follow != Follow::Stdin {
+            let message = "name a TARGET, or an --object: an input device moves it. Only the lines of stdin can give drives or levels\n";
             return Err(clap::Error::raw(ErrorKind::MissingRequiredArgument, message).into());
         }
         match &self.follow {
@@ -152,23 +158,43 @@ impl Live {
     }
 
     fn source(&self, device: Option<Opened>, array: &ArrayDetails) -> Result<Source> {
-        let Some(device) = device else { return Ok(Source::Lines(Lines::stdin(self.gives())?)) };
+        let Some(device) = device else { return Ok(Source::Lines(Lines::stdin(self.give(array)?)?)) };
         // To the outermost pins.
         let most = |axis: usize| array.positions_mm.iter().map(|place| place[axis].abs()).fold(0.0, f64::max);
         Ok(Source::Input(Input::new(device, self.mm_per_count, [most(0), most(1)])?.into()))
     }
 
-    const fn gives(&self) -> Gives {
-        match (&self.target, &self.object) {
-            (_, Some(_)) => Gives::Touches,
-            (Some(_), None) => Gives::Poses,
-            (None, None) => Gives::Drives,
+    /// What lines give.
+    fn give(&self, array: &ArrayDetails) -> Result<Give> {
+        let motors = self.levels.clone();
+        for (at, motor) in motors.iter().enumerate() {
+            if motors[..at].contains(motor) {
+                bail!("--levels has motor {motor} twice: leave one out");
+            }
+            if usize::from(*motor) >= array.positions_mm.len() {
+                bail!(
+                    "--levels has motor {motor}: the array has motors 0 to {}",
+                    array.positions_mm.len() - 1
+                );
+            }
         }
+        Ok(match self.target {
+            _ if self.object.is_some() => Give::Touches,
+            Some(_) => Give::Poses,
+            None if motors.is_empty() => Give::Drives,
+            None => Give::Levels { motors, glide_ms: self.glide_ms },
+        })
     }
 
     fn timeout_ms(&self) -> f64 {
         self.timeout_ms.unwrap_or(LIVE_TIMEOUT_MS)
     }
+}
+
+/// The value of `--glide-ms`.
+fn glide(text: &str) -> Result<f64, &'static str> {
+    let ms = text.parse().ok().filter(|ms| (0.0..=1000.0).contains(ms));
+    ms.ok_or("must be 0 to 1000 ms")
 }
 
 /// A target's name, or the document in a target file.
@@ -209,7 +235,7 @@ pub(super) fn run(asked: &Live) -> Result<ExitCode> {
         Ok(first) => first,
         Err(signal) => return Ok(exit_code(signal)),
     };
-    let first = begin_with(&mut request, first);
+    let rest = begin_with(&mut request, first);
     let mut play = client.live(&request)?;
     let id = play.id();
     let json = asked.options.output.json;
@@ -222,7 +248,7 @@ pub(super) fn run(asked: &Live) -> Result<ExitCode> {
     let timeout = Duration::from_secs_f64(asked.timeout_ms() / 1e3);
     let keep_alive = asked.keep_alive || !source.must_speak();
     let mut pace = Pace::new(request.updates_hz.unwrap_or(LIVE_UPDATES_HZ), timeout, keep_alive);
-    pace.hear(first);
+    pace.hear(rest);
     let mut following = Following::new(&mut play, source, pace, &signals, TickRate::new(array.tick_hz));
     let end = following.run();
     let refused = following.summary();
@@ -253,16 +279,16 @@ fn exit_code(signal: u8) -> ExitCode {
     ExitCode::from(128 + signal)
 }
 
-/// Lets the play begin with the source's first state; returns what of it is a message. An object begins with its first message.
+/// Lets the play begin with the source's first state; returns what of it is sent when the play has begun: levels, and all of an object.
 fn begin_with(request: &mut LiveRequest, first: LiveMessage) -> LiveMessage {
     if request.object.is_some() {
         return first;
     }
-    let LiveMessage { drives, pose, scale, .. } = first;
+    let LiveMessage { drives, pose, um, glide_ms, scale, .. } = first;
     request.drives = drives.unwrap_or_default();
     request.pose = pose;
     request.scale = scale.or(request.scale);
-    LiveMessage::default()
+    LiveMessage { um, glide_ms, ..LiveMessage::default() }
 }
 
 fn receipt(client: &mut Client, id: u64) -> Result<Receipt> {

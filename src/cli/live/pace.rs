@@ -43,12 +43,19 @@ fn is_empty(message: &LiveMessage) -> bool {
 
 /// Merges a newer message: for keys of both, the newer one wins.
 fn merge(older: &mut LiveMessage, newer: LiveMessage) {
-    let LiveMessage { drives, pose, scale, .. } = newer;
+    let LiveMessage { drives, pose, um, glide_ms, scale, .. } = newer;
+    // A motor has a drive or a level, whichever came last.
+    if let Some(changed) = &mut older.drives {
+        changed.retain(|old| !um.contains_key(&old.motor));
+    }
     if let Some(drives) = drives {
         let changed = older.drives.get_or_insert_default();
         changed.retain(|old| drives.iter().all(|drive| drive.motor != old.motor));
+        older.um.retain(|motor, _| drives.iter().all(|drive| drive.motor != *motor));
         changed.extend(drives);
     }
+    older.um.extend(um);
+    older.glide_ms = glide_ms.or(older.glide_ms);
     older.pose = pose.or(older.pose);
     older.scale = scale.or(older.scale);
 }
@@ -270,6 +277,24 @@ mod tests {
         let sent = pace.due(now).unwrap();
         assert_eq!(sent.drives.unwrap(), [drive(2, 20.0), drive(1, 11.0), drive(3, 30.0)]);
         assert_eq!(sent.scale, Some(0.5));
+    }
+
+    #[test]
+    fn merged_levels_are_the_newest_of_each_motor_and_take_the_place_of_drives() {
+        let levels = |um: &[(u8, f64)], glide_ms| LiveMessage {
+            um: um.iter().copied().collect(),
+            glide_ms,
+            ..LiveMessage::default()
+        };
+        let drives = |drive| LiveMessage { drives: Some(vec![drive]), ..LiveMessage::default() };
+        let (mut pace, now) = (Pace::new(50.0, ms(400), false), Instant::now());
+        pace.hear(levels(&[(1, 10.0), (2, 20.0)], Some(5.0)));
+        pace.hear(drives(drive(2, 40.0)));
+        pace.hear(drives(drive(3, 40.0)));
+        pace.hear(levels(&[(1, 11.0), (3, 30.0)], None));
+        let sent = pace.due(now).unwrap();
+        assert_eq!(sent.drives.unwrap(), [drive(2, 40.0)]);
+        assert_eq!((sent.um, sent.glide_ms), ([(1, 11.0), (3, 30.0)].into(), Some(5.0)));
     }
 
     #[derive(Clone, Debug)]

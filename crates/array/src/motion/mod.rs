@@ -34,7 +34,7 @@ mod waveform;
 pub use error::MotionError;
 pub(crate) use generate::MOST_NOISE_WORK;
 pub use generate::{Envelope, Noise, RampHold, Shape, Strength, Tone};
-pub use moves::{Compiled, Grid, LEAST_ERROR_UM, Moves, TRIED_S, choose, compile};
+pub use moves::{Compiled, Grid, LEAST_ERROR_UM, Moves, TRIED_S, beginning, choose, compile};
 pub(crate) use moves::{Rule, SLOWEST_STEP_MS, choose_within};
 pub use reached::{Deviation, Path, Reached};
 pub use waveform::{Knot, MAX_KNOTS, MAX_SAMPLES, RATE_HZ, Section, Waveform};

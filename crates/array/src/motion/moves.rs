@@ -127,6 +127,24 @@ pub fn compile(
     Ok(Compiled { grid, reached: reached.collect(), moves })
 }
 
+/// The moves of a motor in the first so many nanoseconds of its waveform's span, and what it reaches by then: work that does not grow with
+/// a waveform of years. Of a shorter waveform all.
+///
+/// # Panics
+/// If the array has no such motor.
+#[must_use]
+pub fn beginning(array: Array, motor: u8, whole: &Waveform, grid: Grid, ns: u64) -> (Vec<Move>, Reached) {
+    let waveform = whole.first(ns);
+    let mut moves: Vec<_> = Moves::new(array, motor, &waveform, grid).collect();
+    let cut_ns = waveform.span_ns().zip(whole.span_ns()).and_then(|(of, whole)| (of < whole).then_some(of.1));
+    // Where it is cut the pin would come down.
+    let end =
+        cut_ns.map(|ns| tick_of(ns, array.rate()) / u64::from(grid.step_ticks) * u64::from(grid.step_ticks));
+    moves.retain(|of| end.is_none_or(|end| of.tick.0 < end));
+    let reached = Reached::before(array, &waveform, &moves, end);
+    (moves, reached)
+}
+
 impl Compiled {
     /// Whether each pin stays within so many µm of what its motor can do at best.
     #[must_use]

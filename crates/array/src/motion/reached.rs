@@ -151,15 +151,20 @@ impl Filtered {
 impl Reached {
     /// What an ideal motor reaches with these moves, which follow the waveform. Takes 2 to 3 ms per second of the waveform.
     #[must_use]
-    #[expect(clippy::cast_precision_loss, reason = "a count of moves")]
     pub fn of(array: Array, waveform: &Waveform, moves: &[Move]) -> Self {
+        Self::before(array, waveform, moves, None)
+    }
+
+    /// The same up to a tick, if one is given.
+    #[expect(clippy::cast_precision_loss, reason = "a count of moves")]
+    pub(super) fn before(array: Array, waveform: &Waveform, moves: &[Move], end: Option<u64>) -> Self {
         let (motor, rate) = (array.spec().motor(), array.rate());
         let [lowest_um, highest_um] = waveform.extremes_um();
         let every = rate.of_ms(1) / PER_MS;
         let (from, until) = waveform.span_ns().map_or((0, 0), |(from, until)| {
             let last = moves.last().map_or(0, |last| last.tick.0 + rate.of_ms(1));
             let from = tick_of(from, rate).saturating_sub(every) / every * every;
-            (from, last.max(tick_of(until, rate)) + motor.settled_ticks())
+            (from, end.unwrap_or_else(|| last.max(tick_of(until, rate)) + motor.settled_ticks()))
         });
         let mut path = Path::new(array, moves);
         let (mut filtered, mut best) = (Filtered::new(motor), Filtered::new(motor));

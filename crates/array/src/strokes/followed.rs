@@ -5,7 +5,7 @@
 use super::motion_lane::MotionLane;
 use super::run::Run;
 use super::{CompiledItem, Sequence, Strokes};
-use crate::motion::{Deviation, Reached};
+use crate::motion::{Deviation, Reached, beginning, ns_of, s_of};
 
 /// How a motor follows its motions in a play.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -53,10 +53,10 @@ impl Run {
 
 /// How a motor follows its motions, of which so many seconds are measured.
 fn of_lane(lane: &MotionLane, measured_s: f64) -> Followed {
-    let (waveform, moves) = lane.beginning(measured_s);
-    let Reached { from_asked, step_error_um, moves_per_s, highest_um, .. } =
-        Reached::of(lane.array(), &waveform, &moves);
     let whole = lane.scaled();
+    let (_, reached) = beginning(lane.array(), lane.motor(), &whole, lane.grid(), ns_of(measured_s));
+    let Reached { from_asked, step_error_um, moves_per_s, highest_um, .. } = reached;
+    let whole_s = whole.span_ns().map_or(0.0, |(from, until)| s_of(until - from));
     Followed {
         motor: lane.motor(),
         highest_um: highest_um.max(whole.extremes_um()[1]),
@@ -64,7 +64,7 @@ fn of_lane(lane: &MotionLane, measured_s: f64) -> Followed {
         step_error_um,
         too_slow_from_s: whole.too_slow_from_s(lane.array()),
         moves_per_s,
-        measured_s: waveform.span_ns().map_or(0.0, |(from, until)| (until - from) as f64 / 1e9),
+        measured_s: whole_s.min(measured_s),
     }
 }
 

@@ -13,7 +13,7 @@
 use super::drive::NEVER;
 use super::options::{StrokeOptions, Surplus};
 use super::repeat::Repeat;
-use crate::motion::{Grid, Moves, Rule, Section, Waveform, ns_at, ns_of, tick_of};
+use crate::motion::{Grid, Rule, Section, Waveform, ns_at, tick_of};
 use crate::pattern::Pattern;
 use crate::reflected_walk::Bursts;
 use crate::spec::Array;
@@ -114,13 +114,6 @@ impl MotionLane {
     pub(super) fn scaled(&self) -> Waveform {
         let whole = self.waveforms[self.of].1.clone();
         if self.scale == 1.0 { whole } else { whole.scaled(self.scale) }
-    }
-
-    /// So many seconds of the beginning of that waveform, and its moves.
-    pub(super) fn beginning(&self, seconds: f64) -> (Waveform, Vec<Move>) {
-        let beginning = self.waveforms[self.of].1.first(ns_of(seconds)).scaled(self.scale);
-        let moves = Moves::new(self.array, self.motor(), &beginning, self.rule.grid()).collect();
-        (beginning, moves)
     }
 
     /// Goes back to the beginning of a play that ends at `end`; returns when the first move begins.

@@ -125,16 +125,20 @@ impl Reports {
 
     /// The host has read all reports up to `seen` and is alive: repeat the others if it is time.
     pub(super) fn seen(&mut self, seen: u16, now: Tick) {
-        let unseen = usize::from(self.made.wrapping_sub(seen));
-        while self.unseen() > unseen {
-            let oldest = self.read().wrapping_add(1);
-            if self.ring.front().is_some_and(|&(number, _)| number == oldest) {
+        let mut number = self.read();
+        let gone = self.unseen().saturating_sub(self.made.wrapping_sub(seen).into());
+        // Up to 32 of them, between two blocks of lines.
+        let mut next = self.ring.front().map(|&(number, _)| number);
+        for _ in 0..gone {
+            number = number.wrapping_add(1);
+            if next == Some(number) {
                 self.ring.pop_front();
+                next = self.ring.front().map(|&(number, _)| number);
             } else {
                 self.refused.pop_front();
             }
-            self.sent = self.sent.saturating_sub(1);
         }
+        self.sent = self.sent.saturating_sub(gone);
         if now - self.repeated >= u64::from(self.repeat) {
             self.sent = 0;
             self.repeated = now;
