@@ -35,7 +35,7 @@ pub(super) struct Judge {
     /// Judge this pattern: a name of the library or a file [default: only the methods and rules]
     #[arg(conflicts_with = "set")]
     pattern: Option<String>,
-    /// Compare with this object: a file (TOML with kind = "object"), or the name of a shipped target at rest
+    /// Compare with this object: a file (TOML with kind = "object"), or the name of a shipped one
     #[arg(long, value_name = "OBJECT", required_unless_present = "set")]
     object: Option<String>,
     /// Count how often observers name each of these objects, rendered by each method, and how far places, angles and gaps are off

@@ -43,7 +43,7 @@ enum Way {
 
 #[derive(Debug, Args)]
 pub(super) struct Render {
-    /// Render this object: a file (TOML with kind = "object"), or the name of a shipped target at rest
+    /// Render this object: a file (TOML with kind = "object"), or the name of a shipped one
     object: String,
     /// Write the pattern to PATTERN and name it after the file [default: stdout]
     #[arg(short = 'o', long = "out", value_name = "PATTERN")]
@@ -157,7 +157,8 @@ fn heights(asked: &Render, array: Array, object: &Object, contact: &Contact) -> 
 fn provenance(asked: &Render, object: &str, pitch_mm: f64) -> Result<Table> {
     let mut table = Table::new();
     let mut put = |key: &str, value: Value| table.insert(key.to_owned(), value);
-    put("object", object.into());
+    // Whoever has the pattern can compare it with its object, unless that needs files.
+    put("object", object::keys(&asked.object)?.map_or_else(|| object.into(), Value::from));
     put("method", Value::try_from(asked.method)?);
     put("pitch_mm", pitch_mm.into());
     if let (Way::Trace, speed) = (asked.method, asked.trace_mm_s) {
