@@ -144,10 +144,7 @@ fn what_renders_nothing_is_said_in_one_line() {
             &["optimise", "dot", "--budget", "1", "-o", "-"],
             "-o -: not a file: leave -o out to write to stdout",
         ),
-        (
-            &["render", "moving-edge"],
-            "`moving-edge` moves, and only targets at rest are objects by name: write an object file with a scan",
-        ),
+        (&["render", "moving-edg"], "no object is called `moving-edg`: did you mean `moving-edge`?"),
     ] {
         let found = complaint(meissner().current_dir(dir.path()).args(asked));
         assert!(found.contains(line), "{found}");

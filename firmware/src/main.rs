@@ -9,9 +9,9 @@
 //!  hangs: the shell finds one of the tasks (beat), a task finds one of the USB controller (revive)
 //! ```
 //! Priorities: clock and USB interrupts above the shell, the shell above the tasks. Modules use only those below them:
-//! `fault`, `shell`, `self_test`, `usb`, `control` (ends given-up control transfers), `cable` (whether 5 V are there), `estop`,
-//! `revive`, `wave`, `wake`, `beat`, `counters`, `board` and `array`. The documentation of `firmware_protocol` is the specification; nothing
-//! here decides what a line does.
+//! `fault`, `shell`, `self_test`, `usb`, `setup` (takes each request), `control` (ends given-up control transfers), `cable` (whether 5 V
+//! are there), `estop`, `revive`, `wave`, `wake`, `beat`, `counters`, `board` and `array`. The documentation of `firmware_protocol` is the
+//! specification; nothing here decides what a line does.
 
 #![no_std]
 #![no_main]
@@ -26,6 +26,7 @@ mod estop;
 mod fault;
 mod revive;
 mod self_test;
+mod setup;
 mod shell;
 mod usb;
 mod wake;

@@ -6,7 +6,8 @@
 //! Bounds: [`PACKETS`] from the host, then the host waits; [`BYTES`] to the host, then the controller keeps its frames.
 
 use crate::board::{INTERFACE_GUIDS, NAME, PRODUCT, VENDOR};
-use crate::{beat, control, estop, revive, wake};
+use crate::setup::Driver;
+use crate::{beat, control, estop, revive, setup, wake};
 use core::cell::UnsafeCell;
 use core::slice;
 use core::sync::atomic::{AtomicU32, Ordering::SeqCst};
@@ -14,7 +15,7 @@ use embassy_futures::join::{join3, join4};
 use embassy_futures::yield_now;
 use embassy_rp::interrupt::typelevel::{Handler as OnInterrupt, USBCTRL_IRQ};
 use embassy_rp::peripherals::USB;
-use embassy_rp::usb::{Driver, Endpoint, In, InterruptHandler, Out};
+use embassy_rp::usb::{Endpoint, In, InterruptHandler, Out};
 use embassy_rp::{Peri, bind_interrupts, pac};
 use embassy_sync::blocking_mutex::raw::CriticalSectionRawMutex;
 use embassy_sync::signal::Signal;
@@ -130,20 +131,10 @@ static WATCHES: Watches = Watches(UnsafeCell::new([const { Watch::new() }; PIPES
 /// Number of each pipe's OUT endpoint.
 static ENDPOINTS: [AtomicU32; PIPES] = [const { AtomicU32::new(0) }; PIPES];
 
-/// The last SETUP packet: the first bytes of the USB memory.
-fn setup() -> [u8; 8] {
-    let words = pac::USB_DPRAM.as_ptr().cast::<u32>();
-    // SAFETY: this memory is always there, and the packet stays until a task below this interrupt has handled the request.
-    let [low, high] = [0, 1].map(|at| unsafe { words.wrapping_add(at).read_volatile() }.to_le_bytes());
-    let [a, b, c, d] = low;
-    let [e, f, g, h] = high;
-    [a, b, c, d, e, f, g, h]
-}
-
 /// Looks for an e-stop in the last SETUP packet.
 #[inline(always)]
 fn take_setup() {
-    if let Some(epoch) = e_stop_requested(setup()) {
+    if let Some(epoch) = e_stop_requested(setup::packet()) {
         estop::found(epoch, true);
     }
 }
@@ -277,12 +268,8 @@ impl Handler for Bus {
 
 /// The USB device, ready to run.
 pub(crate) struct Usb {
-    device: embassy_usb::UsbDevice<'static, Driver<'static, USB>>,
-    serial: (
-        Sender<'static, Driver<'static, USB>>,
-        Receiver<'static, Driver<'static, USB>>,
-        ControlChanged<'static>,
-    ),
+    device: embassy_usb::UsbDevice<'static, Driver>,
+    serial: (Sender<'static, Driver>, Receiver<'static, Driver>, ControlChanged<'static>),
     bulk: (Endpoint<'static, USB, In>, Endpoint<'static, USB, Out>),
     to_shell: [Producer<'static, Packet>; PIPES],
     from_shell: [Consumer<'static, u8>; PIPES],
@@ -302,7 +289,7 @@ pub(crate) fn new(usb: Peri<'static, USB>, serial_number: &'static str) -> (Usb,
     config.product = Some(NAME);
     config.serial_number = Some(serial_number);
     let [configuration, bos, windows] = DESCRIPTORS.init([[0; 256]; 3]);
-    let driver = Driver::new(usb, Irqs);
+    let driver = Driver(embassy_rp::usb::Driver::new(usb, Irqs));
     let mut builder = Builder::new(driver, config, configuration, bos, windows, CONTROL.init([0; 64]));
     builder.handler(BUS.init(Bus));
     builder.msos_descriptor(windows_version::WIN8_1, WINDOWS_REQUEST);
@@ -363,7 +350,7 @@ trait Sink {
     async fn write(&mut self, packet: &[u8]) -> Result<(), EndpointError>;
 }
 
-impl Source for Receiver<'static, Driver<'static, USB>> {
+impl Source for Receiver<'static, Driver> {
     async fn open(&mut self) {
         self.wait_connection().await;
     }
@@ -372,7 +359,7 @@ impl Source for Receiver<'static, Driver<'static, USB>> {
     }
 }
 
-impl Sink for Sender<'static, Driver<'static, USB>> {
+impl Sink for Sender<'static, Driver> {
     async fn open(&mut self) {
         self.wait_connection().await;
     }

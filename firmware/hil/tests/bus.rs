@@ -25,6 +25,10 @@ const LATER: [u64; 3] = [0, 400, 2_000];
 const CONFIGURED: u64 = 100 * MS;
 /// Most time of a control transfer.
 const ANSWERED: u64 = 20 * MS;
+/// How much slower a core is that takes a request only after another can have come, 2 300 cycles later.
+const SLOW: f64 = 2.5;
+/// Most cycles from then on until this core has taken the request.
+const TAKEN: u64 = 2_000;
 /// More transactions than any enumeration or transfer has.
 const MANY: usize = 100;
 
@@ -187,6 +191,20 @@ fn a_control_transfer_that_is_cut_anywhere_leaves_a_device_that_answers() {
         }
     }
     tally.judge("control transfers");
+}
+
+#[test]
+fn a_request_that_comes_while_the_firmware_takes_another_is_answered() {
+    let options = ChipOptions { slow: SLOW, ..ChipOptions::new(1) };
+    let mut chip = ChipBench::start(&options).unwrap();
+    assert!(comes(&mut chip, 500 * MS));
+    let (name, setup, data) = TRANSFERS[4];
+    for later in 0..TAKEN {
+        chip.transfer(setup, data).unwrap();
+        assert!(reach(&mut chip, 1, later));
+        chip.bus("abandon").unwrap();
+        assert!(answers(&mut chip), "a request is lost, {later} cycles after that of {name}");
+    }
 }
 
 #[test]
