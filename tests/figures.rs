@@ -129,13 +129,13 @@ fn the_page_is_well_formed_and_has_a_section_for_every_pattern() {
         }
         assert!(page.contains(&format!("<h2>Pattern {}</h2>", pattern.name)));
         let command = format!("<code>meissner report {}</code>", pattern.name);
-        // Motors and rates, and the frames of a moving target.
+        // Motors and rates, the frames of a moving target, the motions, and each class and the spikes over time under an object.
         let moves = |target: &TargetFigures| target.frames.iter().any(|frame| frame.start_s.is_some());
         let moves = pattern.target.as_ref().is_some_and(moves);
         let motions = pattern.followed.is_some();
         assert_eq!(
             page.matches(&command).count(),
-            2 + usize::from(moves) + usize::from(motions),
+            2 + usize::from(moves) + usize::from(motions) + if pattern.felt.is_some() { 4 } else { 0 },
             "{command}"
         );
         let link =

@@ -197,13 +197,16 @@ fn line(name: String, of_changes: &[Vec<Judged>], changes: &[Change]) -> Line {
     Line { name, mean, error_sd, robustness }
 }
 
-/// The mean over fingers, and the standard deviation of `error`.
+/// The mean over the fingers that have spikes to compare, and the standard deviation of `error`.
 fn mean_of(of_fingers: &[Judged]) -> (Judged, f64) {
-    let count = of_fingers.len() as f64;
-    let mean = |value: &dyn Fn(&Judged) -> f64| of_fingers.iter().map(value).sum::<f64>() / count;
+    let mean = |value: &dyn Fn(&Judged) -> f64| {
+        let known: Vec<f64> = of_fingers.iter().map(value).filter(|value| !value.is_nan()).collect();
+        // Not a number if no finger has spikes under the object.
+        known.iter().sum::<f64>() / known.len() as f64
+    };
     let by_class =
         |value: &dyn Fn(&Judged) -> [f64; 3]| [0, 1, 2].map(|class| mean(&|judged| value(judged)[class]));
-    let error = mean(&|judged| judged.error);
+    let (error, count) = (mean(&|judged| judged.error), of_fingers.len() as f64);
     let variance =
         mean(&|judged| (judged.error - error) * (judged.error - error)) * count / (count - 1.0).max(1.0);
     let judged = Judged {
@@ -221,6 +224,11 @@ fn mean_of(of_fingers: &[Judged]) -> (Judged, f64) {
 /// A number of fingers.
 fn fingers_shown(count: usize) -> String {
     if count == 1 { "1 finger".to_owned() } else { format!("{count} fingers") }
+}
+
+/// A number of a table; a dash if there is none.
+fn shown(number: &f64) -> String {
+    if number.is_nan() { format!("{:>5}", "-") } else { format!("{number:5.2}") }
 }
 
 fn table(document: &Document) -> String {
@@ -247,10 +255,11 @@ fn table(document: &Document) -> String {
     for Line { name, mean, .. } in &document.lines {
         let Judged { r, error, r_in_space, error_in_space, r_by_class, error_by_class, spikes } = mean;
         // Writing to a string does not fail.
-        let _ = write!(table, "\n{name:24} {r:5.2} {error:5.2} {r_in_space:6.2} {error_in_space:6.2}");
+        let [r, error, r_in_space, error_in_space] = [r, error, r_in_space, error_in_space].map(shown);
+        let _ = write!(table, "\n{name:24} {r} {error}  {r_in_space}  {error_in_space}");
         for group in [r_by_class, error_by_class, spikes] {
-            let [sa1, ra, pc] = group;
-            let _ = write!(table, " | {sa1:5.2} {ra:5.2} {pc:5.2}");
+            let [sa1, ra, pc] = group.each_ref().map(shown);
+            let _ = write!(table, " | {sa1} {ra} {pc}");
         }
     }
     table

@@ -17,7 +17,7 @@ const FINE_S: f64 = 0.01;
 const COARSE_S: f64 = 0.036;
 const QUARTERS: usize = 4;
 
-/// How near a response is to the real one.
+/// How near a response is to the real one. A number is NaN if the object gives no spikes that it could be compared with.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Judged {
     /// The correlation of the blurred responses in space and time, bins of 10 ms.
@@ -69,7 +69,7 @@ pub fn response_on(
     finger.spikes_s(&Stimulus::of_ramps(&ramps, seconds, noise_seed))
 }
 
-/// The correlation of two responses, and the size of their difference over that of the second.
+/// The correlation of two responses, and the size of their difference over that of the second; NaN if the second is nothing.
 pub(crate) fn compared(found: &[f64], real: &[f64]) -> (f64, f64) {
     let count = found.len().max(1) as f64;
     let mean = |values: &[f64]| values.iter().sum::<f64>() / count;
@@ -82,8 +82,11 @@ pub(crate) fn compared(found: &[f64], real: &[f64]) -> (f64, f64) {
         difference += (found - real) * (found - real);
         size += real * real;
     }
+    if size == 0.0 {
+        return (f64::NAN, f64::NAN);
+    }
     let r = if aa > 0.0 && bb > 0.0 { ab / (aa * bb).sqrt() } else { 0.0 };
-    (r, (difference / size.max(f64::MIN_POSITIVE)).sqrt())
+    (r, (difference / size).sqrt())
 }
 
 /// A finger that has felt an object.
@@ -126,7 +129,10 @@ impl<'j> Judge<'j> {
             error_in_space,
             r_by_class: by_class.map(|(r, _)| r),
             error_by_class: by_class.map(|(_, error)| error),
-            spikes: Class::ALL.map(|class| count(found_s, class) / count(self.real_s, class).max(1.0)),
+            spikes: Class::ALL.map(|class| {
+                let of_object = count(self.real_s, class);
+                if of_object == 0.0 { f64::NAN } else { count(found_s, class) / of_object }
+            }),
         }
     }
 
@@ -140,5 +146,18 @@ impl<'j> Judge<'j> {
                 .flat_map(|first| self.blurred.of_class(class, |number| in_window(number, first)))
                 .collect()
         })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_the_object_does_not_give_is_compared_with_nothing() {
+        let (r, error) = compared(&[1.0, 2.0], &[0.0, 0.0]);
+        assert!(r.is_nan() && error.is_nan(), "{r} {error}");
+        assert_eq!(compared(&[0.0, 0.0], &[1.0, 2.0]), (0.0, 1.0));
+        assert_eq!(compared(&[1.0, 2.0], &[1.0, 2.0]), (1.0, 0.0));
     }
 }

@@ -1,6 +1,6 @@
 //! `judge --robustness`: what is left of a pattern if something is not as it was told.
 
-use super::Line;
+use super::{Line, shown};
 use meissner_render::{Change, Judged};
 use serde::Serialize;
 use std::fmt::Write;
@@ -34,12 +34,13 @@ pub(super) fn table(lines: &[Line], changes: &[Change]) -> String {
         let _ = write!(table, " | {:>15}", title(*change));
     }
     for Line { name, mean, robustness, .. } in lines {
-        let [sa1, ra, _] = mean.error_by_class;
-        let _ = write!(table, "\n{name:24} {sa1:5.2} {ra:5.2}");
+        let [sa1, ra, _] = mean.error_by_class.each_ref().map(shown);
+        let _ = write!(table, "\n{name:24} {sa1} {ra}");
         for change in changes {
             let _ = match robustness.iter().find(|changed| changed.change == *change) {
                 Some(Changed { mean: Judged { error_by_class: [sa1, ra, _], .. }, .. }) => {
-                    write!(table, " | {sa1:9.2} {ra:5.2}")
+                    let (sa1, ra) = (shown(sa1), shown(ra));
+                    write!(table, " | {sa1:>9} {ra}")
                 }
                 None => write!(table, " | {:>15}", "-"),
             };

@@ -66,9 +66,9 @@ pub(super) fn add(
             object.name(),
             pattern.name(),
             number(seconds),
-            number(r[of]),
-            number(error[of]),
-            number(spikes[of])
+            shown(r[of]),
+            shown(error[of]),
+            shown(spikes[of])
         );
         let name = format!("pattern-{}-felt-{}", pattern.name(), class.name().to_lowercase());
         let (svg, numbers) = maps(pattern, &finger, class, both, seconds);
@@ -83,6 +83,11 @@ pub(super) fn add(
     let name = format!("pattern-{}-felt-over-time", pattern.name());
     section.figure(&name, stacked(&charts, HEIGHT), None, &caption, command);
     Ok(Some(FeltFigures { object: object.name().to_owned(), r, error, spikes }))
+}
+
+/// A number; a dash if the object gives no spikes to compare with.
+fn shown(of: f64) -> String {
+    if of.is_nan() { "-".to_owned() } else { number(of) }
 }
 
 /// The object that the pattern was rendered from.

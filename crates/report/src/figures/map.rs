@@ -215,8 +215,9 @@ pub(super) fn pads(array: &ArraySpec, pads: &[Pad<'_>]) -> String {
     let [width, height] = half_mm(array).map(|mm| 2.0 * mm * per_mm);
     let rates = || pads.iter().filter_map(|pad| pad.rates_hz).flatten();
     let highest = rates().fold(0.0_f64, |highest, &rate| highest.max(rate));
-    // A multiple of 50, so that the marks are round.
-    let top_hz = (highest / 50.0).ceil().max(1.0) * 50.0;
+    // A multiple of 50, or of 10, so that the marks are round.
+    let step = if highest > 50.0 { 50.0 } else { 10.0 };
+    let top_hz = (highest / step).ceil().max(1.0) * step;
     let bar_width = if rates().next().is_some() { BAR.0 + 6.0 } else { 0.0 };
     let step = width + MARGIN;
     let (all, tall) = (MARGIN + step * pads.len() as f64 + bar_width, height + HEAD + MARGIN);
