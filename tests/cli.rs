@@ -6,11 +6,13 @@ use rustix::process::Signal;
 use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
 use serde_json::{Value, json};
 use std::fs::{File, Permissions};
-use std::io::{BufRead, BufReader, Write};
+use std::io::{BufRead, BufReader, Read, Write};
+use std::net::TcpStream;
 use std::os::unix::fs::PermissionsExt;
 use std::os::unix::net::UnixListener;
 use std::os::unix::process::CommandExt;
 use std::path::Path;
+use std::process::Stdio;
 
 #[test]
 fn play_wait_prints_a_summary() {
@@ -116,8 +118,8 @@ fn waiting(daemon: &Daemon) -> (std::process::Child, BufReader<std::process::Chi
     let mut child = std::process::Command::new(PROGRAM)
         .args(["play", "pin-60", "--endless", "--wait"])
         .env("MEISSNER_SOCKET", daemon.socket())
-        .stdout(std::process::Stdio::piped())
-        .stderr(std::process::Stdio::piped())
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
         .spawn()
         .unwrap();
     let mut lines = BufReader::new(child.stdout.take().unwrap());
@@ -402,7 +404,12 @@ fn the_demo_plays_an_edge_and_accounts_for_it() {
     let report: Value = serde_json::from_slice(&output.stdout).unwrap();
     assert_accounts(&report);
     let all_played = report["bursts"]["played"] == report["bursts"]["planned"];
-    assert_eq!(output.status.success(), all_played, "{report}");
+    let rendered = &report["rendered"];
+    assert_eq!(output.status.success(), all_played && rendered["all_played"] == true, "{report}");
+    for class in 0..2 {
+        let error = |of: &str| rendered[of][class].as_f64().unwrap();
+        assert!(error("errors") < 0.7 * error("vibrating_errors"), "{report}");
+    }
     assert_eq!((&report["pattern"], &report["device"]), (&"edge-45".into(), &"mock".into()));
     assert_eq!((&report["seconds"], &report["lead_ms"]), (&1.0.into(), &100.0.into()));
     for (group, figure) in [
@@ -439,4 +446,22 @@ fn the_sensorless_demo_rests_without_telemetry() {
     let contrast = |key: &str| figure(&format!("/felt/{key}/contrast")).unwrap();
     assert!(contrast("lower_stop_hz") > 0.95 * contrast("designed_hz"), "{report}");
     assert!(figure("/surplus_um").unwrap() > 5.0, "{report}");
+}
+
+#[test]
+fn the_demo_serves_the_page_until_a_signal() {
+    let mut command = std::process::Command::new(PROGRAM);
+    command.args(["demo", "--seconds", "0.2", "--page"]).env("XDG_STATE_HOME", "/nonexistent");
+    let mut demo = command.stdout(Stdio::piped()).spawn().unwrap();
+    let mut lines = BufReader::new(demo.stdout.take().unwrap()).lines().map(Result::unwrap);
+    let address = lines.find_map(|line| line.strip_prefix("page http://").map(str::to_owned)).unwrap();
+    let address = address.trim_end_matches('/');
+    assert!(lines.any(|line| line == "the page goes on until Ctrl-C"));
+    let mut page = TcpStream::connect(address).unwrap();
+    write!(page, "GET / HTTP/1.1\r\nHost: {address}\r\nConnection: close\r\n\r\n").unwrap();
+    let answer: Vec<u8> = page.bytes().collect::<Result<_, _>>().unwrap();
+    assert!(answer.starts_with(b"HTTP/1.1 200"), "{}", String::from_utf8_lossy(&answer));
+    rustix::process::kill_process(rustix::process::Pid::from_child(&demo), Signal::INT).unwrap();
+    // On a busy machine strokes may come late.
+    assert!(demo.wait().unwrap().code().is_some());
 }

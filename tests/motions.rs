@@ -140,7 +140,7 @@ fn what_no_pin_can_do_is_refused_in_one_line_and_nothing_moves() {
     let ramps = json!({"pattern": {"ramp": vec![json!({"motor": 9}); 1_000_000]}});
     let refused = problem(client.post_within::<Value>(TIMEOUT, "/v1/play", &ramps));
     assert!(refused.code == "too-large" && refused.detail.contains("beside packed samples"), "{refused:?}");
-    let long = json!({"pattern": {"wave": [{"motor": 9, "rate_hz": 8000, "samples": "A".repeat(65 << 20)}]}});
+    let long = json!({"pattern": {"wave": [{"motor": 9, "rate_hz": 8000, "samples": "A".repeat(81 << 20)}]}});
     assert_eq!(problem(client.post_within::<Value>(TIMEOUT, "/v1/play", &long)).code, "too-large");
     assert_eq!(problem(client.get("/v1/plays/last")).code, "not-found", "nothing was played");
 }

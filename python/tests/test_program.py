@@ -81,7 +81,7 @@ PRESS = {"press": {"depth_um": 150, "rise_s": 0.02, "hold_s": 0.03, "fall_s": 0.
 def test_an_object_is_rendered_and_played(m: meissner.Client) -> None:
     rendered = m.render({**BAR, "center_mm": [0, 0.8]}, touch=PRESS, method="field")
     assert (rendered.name, rendered.summary["method"], rendered.summary["object"]) == ("bar-rendered", "field", "bar")
-    assert m.pattern("bar-rendered")["pattern"]["provenance"]["object"] == "bar"
+    assert m.pattern("bar-rendered")["pattern"]["provenance"]["object"]["name"] == "bar"
     receipt = m.play("bar-rendered").wait()
     moved = [pin["motor"] for pin in receipt.raw["pins"]]
     assert len(moved) == rendered.summary["motors"] > 3

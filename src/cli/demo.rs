@@ -5,12 +5,15 @@
 //! and a simulated finger tells which of the two is more like the thing. For comparison, the same array plays in virtual time without position control. With `--sensorless` the array has a
 //! lower stop but no telemetry, as a real board may; then the comparison is the same array without the stop.
 //!
+//! With `--page` its daemon serves the page, too, and goes on until a signal.
+//!
 //! Invariant: it exits with 0 only if every planned burst was played.
 
-use super::output::give;
+use super::ending::on_signals;
+use super::output::{give, say};
 use super::progress::Progress;
 use super::{control, text};
-use crate::config::{Config, PatternsDir};
+use crate::config::{Config, Listen, PatternsDir};
 use crate::daemon::{Daemon, Hosted};
 use crate::exposure::ParticipantLimits;
 use crate::receipts::{PlayedPattern, end_text};
@@ -33,7 +36,9 @@ use meissner_stream::{Gains, LowerStopSettings, Settings, SimulatedPlay, simulat
 use meissner_touch::{Contact, Object, Touch, respond, surface_of};
 use serde::Serialize;
 use std::collections::HashSet;
+use std::net::Ipv4Addr;
 use std::process::ExitCode;
+use std::sync::mpsc::{self, Receiver};
 use std::thread;
 use std::time::{Duration, Instant};
 
@@ -84,6 +89,7 @@ struct Report {
 struct RenderedReport {
     pattern: &'static str,
     state: &'static str,
+    all_played: bool,
     errors: [f64; 2],
     /// Of the pattern that vibrates.
     vibrating_errors: [f64; 2],
@@ -123,13 +129,19 @@ struct ResponseReport {
     unknown: Option<String>,
 }
 
-pub(super) fn run(
-    seconds: f64,
-    array: Array,
-    open_loop: bool,
-    sensorless: bool,
-    json: bool,
-) -> Result<ExitCode> {
+/// What is asked of the demo.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Asked {
+    pub(super) seconds: f64,
+    pub(super) array: Array,
+    pub(super) open_loop: bool,
+    pub(super) sensorless: bool,
+    pub(super) page: bool,
+    pub(super) json: bool,
+}
+
+pub(super) fn run(asked: &Asked) -> Result<ExitCode> {
+    let &Asked { seconds, array, open_loop, sensorless, page, json } = asked;
     let begun = Instant::now();
     let dir =
         tempfile::tempdir().context("no temporary directory: set TMPDIR to one that can be written to")?;
@@ -144,6 +156,12 @@ pub(super) fn run(
         settings: Settings::of(array),
         ..Config::default()
     };
+    // Any free port.
+    config.listen = page.then(|| Listen {
+        address: (Ipv4Addr::LOCALHOST, 0).into(),
+        hosts: Vec::new(),
+        always_token: false,
+    });
     if sensorless {
         config.settings.lower_stop = Some(LowerStopSettings::of(array));
         (config.mock.lower_stop, config.mock.telemetry_hz) = (LowerStop::AtRest, 0);
@@ -151,6 +169,7 @@ pub(super) fn run(
     let hosted = Daemon::start(&config)?.host()?;
     let mut client = Client::new(&config.socket)?;
     connected(&mut client)?;
+    let signal = page.then(|| serve_page(&mut client)).transpose()?;
     let request = PlayRequest {
         pattern: PATTERN.into(),
         seconds: Some(seconds),
@@ -167,12 +186,33 @@ pub(super) fn run(
     let mut report = report(&config, &hosted, &mut client, &request, &receipt, begun)?;
     let pressed = PlayRequest { pattern: RENDERED.into(), seconds: None, ..request };
     let pressed = play(&mut client, &mut events, &pressed, json)?;
-    hosted.stop()?;
-    report.rendered.state = pressed.state.name();
+    (report.rendered.state, report.rendered.all_played) = (pressed.state.name(), pressed.all_played());
     report.duration_s = begun.elapsed().as_secs_f64();
     give(json, &report, || summary(&report))?;
-    let all_played = receipt.all_played() && pressed.all_played();
+    if let Some(signal) = signal {
+        say("the page goes on until Ctrl-C")?;
+        // It cannot be closed: the thread that sends lasts as long as the process.
+        let _ = signal.recv();
+    }
+    hosted.stop()?;
+    let all_played = receipt.all_played() && report.rendered.all_played;
     Ok(if all_played { ExitCode::SUCCESS } else { ExitCode::FAILURE })
+}
+
+/// Says where the page is. A signal then ends the demo, and is received here.
+fn serve_page(client: &mut Client) -> Result<Receiver<i32>> {
+    let (sender, receiver) = mpsc::channel();
+    on_signals(move |number| {
+        // The demo may have ended already.
+        let _ = sender.send(number);
+    })?;
+    let status: Status = client.get("/v1/status")?;
+    let network = status.network.context("internal error: the daemon does not listen")?;
+    if let Some(problem) = network.problem {
+        bail!("{problem}");
+    }
+    say(&format!("page http://{}/", network.address))?;
+    Ok(receiver)
 }
 
 /// What a finger feels of both patterns, against the real edge.
@@ -192,7 +232,7 @@ fn rendered(array: Array) -> Result<RenderedReport> {
         Ok([sa1, ra])
     };
     let (errors, vibrating_errors) = (errors(RENDERED)?, errors(PATTERN)?);
-    Ok(RenderedReport { pattern: RENDERED, state: "", errors, vibrating_errors })
+    Ok(RenderedReport { pattern: RENDERED, state: "", all_played: false, errors, vibrating_errors })
 }
 
 /// Waits until the mock has answered.

@@ -91,6 +91,9 @@ enum Command {
         /// Simulate an array without telemetry that has a lower stop, as a board may
         #[arg(long, conflicts_with = "open_loop")]
         sensorless: bool,
+        /// Serve the page on this machine, and go on after the plays until Ctrl-C
+        #[arg(long, conflicts_with = "json")]
+        page: bool,
         #[command(flatten)]
         output: Output,
     },
@@ -311,8 +314,9 @@ pub fn main() -> ExitCode {
 
 fn run(command: Command) -> Result<ExitCode> {
     match command {
-        Command::Demo { seconds, array, open_loop, sensorless, output } => {
-            demo::run(seconds, array.find()?, open_loop, sensorless, output.json)
+        Command::Demo { seconds, array, open_loop, sensorless, page, output } => {
+            let array = array.find()?;
+            demo::run(&demo::Asked { seconds, array, open_loop, sensorless, page, json: output.json })
         }
         Command::Daemon { config, check_config: check, device, array, socket, listen, no_record } => {
             let array = array.as_deref().map(arguments::array).transpose()?;

@@ -1,6 +1,6 @@
 //! Reads objects: a file, or the name of a shipped one.
 
-use super::files;
+use super::{files, progress};
 use crate::file::{dir_of, open_regular};
 use anyhow::{Result, anyhow, bail};
 use include_dir::{Dir, File, include_dir};
@@ -18,17 +18,23 @@ const MAX_NAMED_BYTES: u64 = 160 << 20;
 /// The object of an argument, and its contact with the finger.
 pub(super) fn of_argument(argument: &str) -> Result<(Object, Contact)> {
     let object = read(argument)?;
-    let contact = contact(argument, &object)?;
+    // Of rough objects it takes some seconds.
+    let contact = progress::metered(|progress| solved(argument, &object, progress))?;
     Ok((object, contact))
 }
 
 /// The contact of an object with the finger; errors call it `argument`.
 pub(super) fn contact(argument: &str, object: &Object) -> Result<Contact> {
+    solved(argument, object, &|_| ())
+}
+
+fn solved(argument: &str, object: &Object, progress: &dyn Fn(f64)) -> Result<Contact> {
     let grains = object.grains(object.pitch_mm());
     if grains.is_empty() {
         bail!("{argument}: the object never lies under the finger: move it onto the fingertip");
     }
-    Contact::new(grains, object.touch().most_depth_mm()).map_err(|error| anyhow!("{argument}: {error}"))
+    Contact::with_progress(grains, object.touch().most_depth_mm(), progress)
+        .map_err(|error| anyhow!("{argument}: {error}"))
 }
 
 /// The lines that a trace follows.

@@ -16,7 +16,7 @@ use utoipa::openapi::schema::{AdditionalProperties, ObjectBuilder, OneOfBuilder,
 /// Size of the body of a request, at most, bytes.
 pub const MAX_BODY: usize = 1 << 20;
 /// Size of the body of a request that may hold packed samples, at most, bytes.
-pub const MAX_PACKED_BODY: usize = 64 << 20;
+pub const MAX_PACKED_BODY: usize = 80 << 20;
 /// A string of more bytes counts as packed samples.
 const LONG: usize = 4096;
 

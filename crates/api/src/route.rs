@@ -288,7 +288,7 @@ impl Route {
                 summary: "Queue a play of a pattern",
                 description: "The daemon answers when the streamer has taken the play. The receipt and the events `queued`, \
                               `began`, `late`, `refused`, `ended` and `felt` report what happens to it. At most 16 plays wait. The \
-                              body has at most 1 MiB, or 64 MiB with packed samples; one such body is in work at a time. The samples \
+                              body has at most 1 MiB, or 80 MiB with packed samples; one such body is in work at a time. The samples \
                               of all plays that are not over take at most 128 MiB of memory.",
                 body: Body::Json("PlayRequest"),
                 statuses: ACCEPTED,
@@ -300,7 +300,7 @@ impl Route {
                 summary: "Queue a sequence of patterns as one play",
                 description: "All of it is accepted or refused: every pattern exists, every item has an end and all but blank ones a stroke or \
                               a motion, items begin at least 5 ms apart, those that overlap drive different motors, and no trigger \
-                              ends another. The body has at most 4096 items and 1 MiB, or 64 MiB with packed samples; the patterns \
+                              ends another. The body has at most 4096 items and 1 MiB, or 80 MiB with packed samples; the patterns \
                               that it names have at most 4096 drives and motors with motions together, counted once for each scale. One receipt has the onset and offset of every \
                               item. A stop or `replace` ends the whole sequence.",
                 body: Body::Json("SequenceRequest"),
@@ -484,7 +484,7 @@ impl Route {
                 summary: "Store a pattern",
                 description: "The daemon checks the file and writes it to its pattern directory. With `?replace=true` it replaces an \
                               older one of that name, and tells its SHA-256; without, it refuses (`exists`). The file must bear the \
-                              name of the address, have a stroke or a motion, and at most 1 MiB, or 64 MiB with packed samples. Four imports are in work at a time; further \
+                              name of the address, have a stroke or a motion, and at most 1 MiB, or 80 MiB with packed samples. Four imports are in work at a time; further \
                               ones wait, for 10 s at most.",
                 parameter: Some("The pattern's name"),
                 query: Some(Query::Flag {
