@@ -28,15 +28,21 @@ fn a_session_over_a_terminal_plays_and_accounts() {
     let mut daemon = Daemon::on("pty");
     let status = printed(daemon.meissner().args(["status", "--json"]));
     assert!(status.contains("\"kind\":\"pty:/dev/pts/"), "{status}");
-    printed(daemon.meissner().args(["arm", "--assume-rest"]));
-    // A machine that stands still makes strokes late, and then the command fails: they are in the account.
-    let play = daemon.meissner().args(["play", "all-in-phase", "--seconds", "1", "--wait"]).output().unwrap();
-    let summary = String::from_utf8(play.stdout).unwrap();
-    assert!(summary.contains("2880 planned") && play.stderr.is_empty(), "{summary}");
+    // A machine that stands still makes strokes late, and then the command fails: they are in the account. If it stands still for
+    // longer, the board does not answer: then again.
+    let plays = |asked: &[&str]| {
+        let _ = daemon.meissner().args(["arm", "--assume-rest"]).output().unwrap();
+        let play = daemon.meissner().arg("play").args(asked).output().unwrap();
+        play.stderr.is_empty().then(|| String::from_utf8(play.stdout).unwrap())
+    };
+    let whole = || {
+        plays(&["all-in-phase", "--seconds", "1", "--wait"]).is_some_and(|says| says.contains("2880 planned"))
+    };
+    wait_until(whole);
     let receipt = document(daemon.meissner().args(["receipt", "--json"]));
     assert_eq!(receipt["state"], "done", "{receipt}");
     assert_accounts(&receipt);
-    printed(daemon.meissner().args(["play", "wave", "--endless"]));
+    wait_until(|| plays(&["wave", "--endless"]).is_some());
     assert!(daemon.end().success() && !daemon.socket().exists());
 }
 
