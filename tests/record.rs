@@ -140,6 +140,10 @@ fn a_read_only_directory_and_a_killed_daemon_are_told() {
     let (mut client, started) = owner(&daemon, "P07", false);
     let mut events = client.events().unwrap();
     play(&mut client, &mut events, 1);
+    // A disk may take a while.
+    let is_recorded =
+        |day: &PathBuf| fs::read_to_string(day).is_ok_and(|text| text.contains("\"event\":\"ended\""));
+    wait_until(|| days(&daemon).iter().any(is_recorded));
     daemon.signal(Signal::KILL);
     daemon.wait();
     let daemon = daemon.again();
