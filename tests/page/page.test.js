@@ -40,7 +40,7 @@ test("a person arms, plays, stops in an emergency, and resets (smoke)", async ()
   await page.type("#search", "edge-45");
   await page.waitForSelector('li[data-name="edge-45"]:not([hidden]) .thumbnail');
   const found = await page.$$eval("#pattern-list li:not([hidden])", (items) => items.map((item) => item.dataset.name));
-  assert.deepEqual(found, ["edge-45", "edge-45-paper"]);
+  assert.deepEqual(found, ["edge-45", "edge-45-paper", "edge-45-rendered"]);
   await page.click('li[data-name="edge-45"] button');
   await shows(page, "state-text", "Playing edge-45");
   const moving = (await (await fetch(`${daemon.url}/v1/patterns/edge-45`)).json()).drives.map((drive) => drive.motor);
