@@ -28,7 +28,7 @@ const DEPTH_MM: f64 = 0.4;
 const SCAN_S: f64 = 0.4;
 /// The first finger of `judge`.
 const FIRST_FINGER: u64 = 5000;
-/// Sums of this many random numbers make a cosine.
+/// The number of cosines in the profile.
 const WAVES: u64 = 24;
 
 /// What fingers feel of a texture.

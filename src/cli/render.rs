@@ -157,7 +157,7 @@ fn heights(asked: &Render, array: Array, object: &Object, contact: &Contact) -> 
 fn provenance(asked: &Render, object: &str, pitch_mm: f64) -> Result<Table> {
     let mut table = Table::new();
     let mut put = |key: &str, value: Value| table.insert(key.to_owned(), value);
-    // Whoever has the pattern can compare it with its object, unless that needs files.
+    // The pattern holds its object, so that a report can draw both. An object that needs other files is only named.
     put("object", object::keys(&asked.object)?.map_or_else(|| object.into(), Value::from));
     put("method", Value::try_from(asked.method)?);
     put("pitch_mm", pitch_mm.into());

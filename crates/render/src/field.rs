@@ -13,7 +13,7 @@ use crate::skin::{Skin, dot};
 use crate::wanted::Wanted;
 
 /// Added to the sum of squares per square of a height. It keeps heights small where places hardly tell pins apart.
-const DAMPING: f64 = 1e-3;
+pub(crate) const DAMPING: f64 = 1e-3;
 /// Steps per moment.
 const STEPS: usize = 60;
 
@@ -28,11 +28,7 @@ pub(crate) struct Boxed<'s> {
 
 impl<'s> Boxed<'s> {
     pub(crate) fn new(skin: &'s Skin, damping: f64) -> Self {
-        let entry = |row, column| {
-            dot(skin.shape(row), skin.shape(column)) + if row == column { damping } else { 0.0 }
-        };
-        let row = |row| (0..skin.motors).map(|column| entry(row, column)).collect();
-        let matrix: Vec<Vec<f64>> = (0..skin.motors).map(row).collect();
+        let matrix = skin.products(damping);
         let sum = |row: &Vec<f64>| row.iter().map(|value| value.abs()).sum::<f64>();
         let largest = matrix.iter().map(sum).fold(0.0, f64::max);
         Self { skin, matrix, largest }

@@ -14,6 +14,7 @@
 //! Z.-Q. Luo and P. Tseng, "On the convergence of the coordinate descent method for convex differentiable minimization", *Journal of
 //! Optimization Theory and Applications* 72, 7-35, 1992.
 
+use crate::field::DAMPING;
 use crate::levels::Limits;
 use crate::skin::{SPACING_MM, Skin, dot};
 use meissner_array::spec::Array;
@@ -28,8 +29,6 @@ const FAR_MM: f64 = PAD_LENGTH_MM;
 const NEAR_MM: f64 = PART_MM - PAD_LENGTH_MM / 2.0 - MARGIN_MM;
 /// The largest turn, degrees.
 const MOST_DEG: f64 = 1e6;
-/// As in `field`: added to the sum of squares per square of a height.
-const DAMPING: f64 = 1e-3;
 /// Heights are found when none changes by more than this, mm.
 const TOLERANCE_MM: f64 = 1e-5;
 /// More sweeps over the pins than any pose needs.
@@ -101,11 +100,7 @@ impl Poses {
             .and_then(|contact| Imprint::new(contact, far_mm + PAD_LENGTH_MM / 2.0))
             .map_err(|error| PosesError::Contact { name: name(), error })?;
         let skin = Skin::new(array, SPACING_MM);
-        let entry = |row, column| {
-            dot(skin.shape(row), skin.shape(column)) + if row == column { DAMPING } else { 0.0 }
-        };
-        let row = |row| (0..skin.motors).map(|column| entry(row, column)).collect();
-        let matrix = (0..skin.motors).map(row).collect();
+        let matrix = skin.products(DAMPING);
         let place = Pose { depth_mm: object.touch().most_depth_mm(), ..object.touch().pose(0.0) };
         Ok(Self { skin, matrix, highest_mm: Limits::of(array).highest_mm, imprint, place, far_mm })
     }

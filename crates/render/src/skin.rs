@@ -48,6 +48,14 @@ impl Skin {
         &self.shapes[motor * self.places()..][..self.places()]
     }
 
+    /// By motor: the products of its pin's shape with those of all pins; `damping` is added where a pin meets itself.
+    pub(crate) fn products(&self, damping: f64) -> Vec<Vec<f64>> {
+        let entry = |row, column| {
+            dot(self.shape(row), self.shape(column)) + if row == column { damping } else { 0.0 }
+        };
+        (0..self.motors).map(|row| (0..self.motors).map(|column| entry(row, column)).collect()).collect()
+    }
+
     /// Adds to each place what pins of these heights move it.
     pub(crate) fn under(&self, heights: &[f64], at: &mut [f64]) {
         for (motor, &height) in heights.iter().enumerate().filter(|(_, height)| **height != 0.0) {
