@@ -12,11 +12,9 @@ use super::progress::Progress;
 use super::text;
 use anyhow::{Result, bail};
 use clap::Args;
-use meissner_api::{
-    ArmRequest, Code, Event, Fit, Mapping, PlayAccepted, PlayRequest, Receipt, ResetRequest, Status,
-};
-use meissner_client::{Client, ClientError, Events, HOME_TIMEOUT, escape};
-use serde_json::{Value, json};
+use meissner_api::{ArmRequest, Code, Event, Fit, Mapping, PlayRequest, Receipt, ResetRequest, Status};
+use meissner_client::{Client, ClientError, Events, HOME_TIMEOUT};
+use serde_json::json;
 use std::io::{self, BufRead, IsTerminal, Read, Write};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -236,26 +234,18 @@ pub(super) fn play(play: &Play) -> Result<ExitCode> {
     };
     let json = play.options.output.json;
     if !play.wait {
-        let played: PlayAccepted = client.post("/v1/play", &request)?;
+        let played = client.play(&request)?;
         return give(json, &played, || text::accepted(&played, &play.name));
     }
     let mut events = client.events()?;
     let ending = Ending::listen(&play.options)?;
-    let PlayAccepted { id, .. } = ending.order(|| client.post("/v1/play", &request))?;
-    let mut progress = Progress::new(length(&mut client, &request)?, json);
-    let receipt = follow(&mut client, &mut events, id, &mut progress)?;
+    let played = ending.order(|| client.play(&request))?;
+    let mut progress = Progress::new(played.ordered_ms.map(|ms| ms / 1e3), json);
+    let receipt = follow(&mut client, &mut events, played.id, &mut progress)?;
     ending.set_over();
     let receipt = with_prediction(&mut client, &mut events, receipt, PREDICTION_TIMEOUT);
     give(json, &receipt, || text::receipt(&receipt))?;
     Ok(if receipt.all_played() { ExitCode::SUCCESS } else { ExitCode::FAILURE })
-}
-
-fn length(client: &mut Client, request: &PlayRequest) -> Result<Option<f64>> {
-    if request.seconds.is_some() {
-        return Ok(request.seconds);
-    }
-    let shown: Value = client.get(&format!("/v1/patterns/{}", escape(request.pattern.name())))?;
-    Ok(shown["pattern"]["duration_s"].as_f64())
 }
 
 /// Waits for the end of a play.

@@ -251,7 +251,7 @@ fn connected(client: &mut Client) -> Result<()> {
 }
 
 fn play(client: &mut Client, events: &mut Events, request: &PlayRequest, json: bool) -> Result<Receipt> {
-    let PlayAccepted { id, .. } = client.post("/v1/play", request)?;
+    let PlayAccepted { id, .. } = client.play(request)?;
     let mut progress = Progress::new(request.seconds, json);
     control::follow(client, events, id, &mut progress)
 }

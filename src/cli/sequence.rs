@@ -11,14 +11,10 @@ use super::session_token;
 use super::{files, text};
 use anyhow::{Context, Result, anyhow, bail};
 use clap::Args;
-use meissner_api::{MAX_BODY, PlayAccepted, Receipt, SequenceRequest};
+use meissner_api::{MAX_BODY, Receipt, SequenceRequest};
 use std::io::{self, Read};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
-use std::time::Duration;
-
-/// How long to wait while the daemon reads the patterns of a sequence.
-pub(super) const TIMEOUT: Duration = Duration::from_secs(30);
 
 #[derive(Debug, Args)]
 pub(super) struct Sequence {
@@ -55,7 +51,7 @@ pub(super) fn run(asked: &Sequence) -> Result<ExitCode> {
     request.session = request.session.or_else(session_token::session);
     let json = asked.options.output.json;
     let mut client = asked.options.client()?;
-    let mut order = || client.post_within::<PlayAccepted>(TIMEOUT, "/v1/sequence", &request);
+    let mut order = || client.sequence(&request);
     if !asked.wait {
         let played = order()?;
         return give(json, &played, || format!("play {}: {} items", played.id, request.items.len()));

@@ -7,7 +7,7 @@ use crate::events::Events;
 use crate::live::LivePlay;
 use hyper::Method;
 use hyper::body::Bytes;
-use meissner_api::{LiveRequest, Problem};
+use meissner_api::{LiveRequest, PlayAccepted, PlayRequest, Problem, SequenceRequest};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 use std::path::Path;
@@ -18,6 +18,8 @@ use tokio::runtime::{Builder, Runtime};
 pub const HOME_TIMEOUT: Duration = Duration::from_secs(600);
 /// How long to wait for `POST /v1/live`: the daemon finds the drives of a target's first pose.
 const LIVE_TIMEOUT: Duration = Duration::from_secs(30);
+/// Timeout of [`Client::play`] and [`Client::sequence`]: the daemon compiles the whole play before it answers.
+const COMPILE_TIMEOUT: Duration = Duration::from_secs(60);
 /// Timeout of [`Client::put`] and [`Client::delete`]: the daemon answers once the store is on its disk, which may be slow.
 const STORE_TIMEOUT: Duration = Duration::from_secs(60);
 
@@ -174,6 +176,22 @@ impl Client {
 
     fn bad_answer(&self, error: &serde_json::Error) -> ClientError {
         ClientError::BadAnswer { socket: self.endpoint.socket.clone(), what: error.to_string() }
+    }
+
+    /// Orders a play. The answer comes once the daemon has compiled and accepted it; a client that ends before takes the order back.
+    ///
+    /// # Errors
+    /// See [`ClientError`].
+    pub fn play(&mut self, request: &PlayRequest) -> Result<PlayAccepted, ClientError> {
+        self.post_within(COMPILE_TIMEOUT, "/v1/play", request)
+    }
+
+    /// Orders a sequence, as [`Self::play`] does a play.
+    ///
+    /// # Errors
+    /// See [`ClientError`].
+    pub fn sequence(&mut self, request: &SequenceRequest) -> Result<PlayAccepted, ClientError> {
+        self.post_within(COMPILE_TIMEOUT, "/v1/sequence", request)
     }
 
     /// Starts a live play and opens its connection. The play waits 2 s for its first message.

@@ -18,7 +18,7 @@
 //! let mut events = client.events()?;
 //! let _: Status = client.post("/v1/arm", &ArmRequest { assume_rest: true, ..ArmRequest::default() })?;
 //! let request = PlayRequest { pattern: "edge-45".into(), seconds: Some(2.0), ..PlayRequest::default() };
-//! let PlayAccepted { id, .. } = client.post("/v1/play", &request)?;
+//! let PlayAccepted { id, .. } = client.play(&request)?;
 //! while let Some(event) = events.next(None)? {
 //!     if let Event::Ended { receipt } = event
 //!         && receipt.id == id

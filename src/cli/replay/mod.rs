@@ -317,12 +317,12 @@ impl Player {
                 Order::Play(request) => {
                     let mut request = request.clone();
                     (request.at_tick, request.boot) = (at_tick, boot);
-                    client.post("/v1/play", &request)
+                    client.play(&request)
                 }
                 Order::Sequence(request) => {
                     let mut request = request.clone();
                     (request.at_tick, request.boot) = (at_tick, boot);
-                    client.post_within(super::sequence::TIMEOUT, "/v1/sequence", &request)
+                    client.sequence(&request)
                 }
             }
         });

@@ -1,6 +1,8 @@
 // Requests to the daemon, and its events. The state and the access token are those of `estop.js`.
 
 const ANSWER_MS = 6000;
+// A play is compiled as a whole before its answer.
+const COMPILE_MS = 60000;
 
 // `known`: the status, or null if none is fresh. `last`: the last one, of any age. `poll`: requests it.
 export const { headers, known, last, poll } = globalThis.meissner;
@@ -63,7 +65,7 @@ export async function order(path, body) {
   if (!known()) await poll();
   const status = known();
   if (!status) throw new Problem("not-known", "Nothing was ordered: the state is not known.");
-  return call("POST", path, status.session ? { ...body, session: status.session.id } : body);
+  return call("POST", path, status.session ? { ...body, session: status.session.id } : body, COMPILE_MS);
 }
 
 // Stores a TOML file.
