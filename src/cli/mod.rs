@@ -116,8 +116,9 @@ enum Command {
         /// $XDG_RUNTIME_DIR/meissner.sock, else /run/meissner/meissner.sock]
         #[arg(long, value_name = "PATH")]
         socket: Option<PathBuf>,
-        /// Serve the API over TCP, too, at ADDRESS, as 127.0.0.1:8765 [default: the configuration's, else not]
-        #[arg(long, value_name = "ADDRESS")]
+        /// Serve the page and the API over TCP, too, at ADDRESS, or without ADDRESS at 127.0.0.1:8765 [default: the configuration's, else
+        /// not]
+        #[arg(long, value_name = "ADDRESS", num_args = 0..=1, default_missing_value = "127.0.0.1:8765")]
         listen: Option<SocketAddr>,
         /// Keep no session record
         #[arg(long)]

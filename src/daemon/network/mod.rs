@@ -45,7 +45,7 @@ pub(super) fn listen(listen: Option<&Listen>) -> Bound {
     };
     match bind() {
         Ok((listener, listen)) => {
-            info!("listening on http://{}", listen.address);
+            info!("listening on http://{}/ for the page and network clients", listen.address);
             Bound { listener: Some(listener), listen: Some(listen), problem: None }
         }
         Err(error) => {
