@@ -1,7 +1,7 @@
 //! The local API of a real daemon: commands, receipts, events, errors, and the end.
 
 use crate::harness::{Daemon, TIMEOUT, assert_accounts, began, ended, next, problem, refusal};
-use meissner_api::{Event, MAX_BODY, PlayState, Prediction, Status};
+use meissner_api::{EndCause, Event, MAX_BODY, PlayState, Prediction, Receipt, Status};
 use meissner_client::{Client, Events};
 use rustix::process::Signal;
 use serde_json::{Value, json};
@@ -109,6 +109,32 @@ fn plays_queue_and_the_queue_is_bounded() {
     assert_ne!(status["state"], "disarmed");
     wait_for(&mut events, |event| matches!(event, Event::Ended { receipt } if receipt.id == instead));
     assert_accounts(&client.get(&format!("/v1/plays/{running}")).unwrap());
+}
+
+#[test]
+fn a_play_that_waits_can_be_withdrawn_and_the_others_stay() {
+    let daemon = Daemon::start();
+    let mut client = daemon.armed();
+    let mut events = client.events().unwrap();
+    let [running, first, second] =
+        [60.0, 0.1, 0.1].map(|seconds| play(&mut client, &json!({"pattern": "edge-45", "seconds": seconds})));
+    wait_for(&mut events, |event| matches!(event, Event::Began { id, .. } if *id == running));
+    let withdrawn: Receipt = client.delete(&format!("/v1/plays/{first}")).unwrap();
+    assert_eq!(
+        (withdrawn.id, withdrawn.state, withdrawn.cause),
+        (first, PlayState::Stopped, Some(EndCause::Withdrawn))
+    );
+    let refused = problem(client.delete::<Value>(&format!("/v1/plays/{running}")));
+    assert_eq!(refused.code, "playing", "{refused}");
+    assert_eq!(refusal(client.delete::<Value>("/v1/plays/999")), ("not-found".into(), 404));
+    // Once more changes nothing.
+    assert_eq!(
+        client.delete::<Receipt>(&format!("/v1/plays/{first}")).unwrap().cause,
+        Some(EndCause::Withdrawn)
+    );
+    let status: Status = client.get("/v1/status").unwrap();
+    assert_eq!(status.play.map(|play| play.id), Some(running));
+    assert_eq!(status.queued.iter().map(|play| play.id).collect::<Vec<_>>(), [second]);
 }
 
 #[test]

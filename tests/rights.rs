@@ -110,6 +110,7 @@ fn row(route: Route) -> Row {
         | Route::Sequence
         | Route::Live
         | Route::LiveConnection
+        | Route::Withdraw
         | Route::Reset
         | Route::Arm
         | Route::Home

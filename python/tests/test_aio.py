@@ -42,6 +42,7 @@ def test_plays_and_sequences(daemon: meissner.Daemon) -> None:
         assert ticks[1] - ticks[0] == HZ // 10
         endless = await m.play("pin-60", endless=True)
         await m.stop()
+        assert (await pair.withdraw()).state == "done"
         with pytest.raises(meissner.PlayStopped):
             await endless.wait()
         assert (await endless.wait(check=False)).state == "stopped"

@@ -96,6 +96,15 @@ def test_waiting_ends(m: meissner.Client) -> None:
     assert play.wait(check=False).state == "stopped"
 
 
+def test_a_waiting_play_is_withdrawn(m: meissner.Client) -> None:
+    running = m.play("pin-60", seconds=30.0)
+    waiting = [m.play("edge-45", seconds=0.1) for _ in range(2)]
+    assert (waiting[0].withdraw().state, waiting[0].receipt.cause) == ("stopped", "withdrawn")
+    assert waiting[1].refresh().state == "queued"
+    m.stop()
+    assert running.wait(check=False).cause == "stop"
+
+
 def test_refusals_have_classes(m: meissner.Client) -> None:
     with pytest.raises(errors.NotFound, match=r"no-such.*patterns\(\)"):
         m.play("no-such")

@@ -67,6 +67,11 @@ pub(super) fn command(options: &ClientOptions, name: &str) -> Result<ExitCode> {
     print_state(options, &status)
 }
 
+pub(super) fn withdraw(options: &ClientOptions, id: u64) -> Result<ExitCode> {
+    let receipt: Receipt = options.client()?.delete(&format!("/v1/plays/{id}"))?;
+    give(options.output.json, &receipt, || text::receipt(&receipt))
+}
+
 /// Sends an e-stop to this socket, then reads the status.
 fn stop_at(socket: &Path) -> Result<Status, ClientError> {
     match meissner_client::estop(socket) {

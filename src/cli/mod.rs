@@ -131,7 +131,13 @@ enum Command {
     /// Play a stimulus that follows a mouse, a knob, a touchpad or the lines of stdin, until its source ends or Ctrl-C
     Live(live::Live),
     /// End the running play and clear the queue; the motors stay armed
-    Stop(ClientOptions),
+    Stop {
+        /// Only take the waiting play ID out of the queue
+        #[arg(long, value_name = "ID")]
+        play: Option<u64>,
+        #[command(flatten)]
+        options: ClientOptions,
+    },
     /// Turn all lines off at once; they stay off until `reset`
     Estop(ClientOptions),
     /// Leave an emergency stop or a fault; the motors are disarmed
@@ -327,7 +333,8 @@ fn run(command: Command) -> Result<ExitCode> {
         Command::Play(play) => control::play(&play),
         Command::Sequence(asked) => sequence::run(&asked),
         Command::Live(asked) => live::run(&asked),
-        Command::Stop(options) => control::command(&options, "stop"),
+        Command::Stop { play: Some(id), options } => control::withdraw(&options, id),
+        Command::Stop { play: None, options } => control::command(&options, "stop"),
         Command::Estop(options) => control::estop(&options),
         Command::Reset { force, options } => control::reset(&options, force),
         Command::Arm { assume_rest, checked, silence: silence_s, unattended, options } => {

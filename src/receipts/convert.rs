@@ -119,7 +119,7 @@ pub fn refusal(refused: CommandError) -> Problem {
         CommandError::Disarmed => Code::Disarmed,
         CommandError::Faulted => Code::Faulted,
         CommandError::Returning => Code::Returning,
-        CommandError::Playing => Code::Playing,
+        CommandError::Playing | CommandError::Begun => Code::Playing,
         CommandError::NotHome => Code::NotHome,
         CommandError::NoPositionEstimate => Code::NoPositionEstimate,
         CommandError::QueueFull => Code::QueueFull,

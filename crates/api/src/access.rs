@@ -55,6 +55,7 @@ impl Route {
             | Self::Sequence
             | Self::Live
             | Self::LiveConnection
+            | Self::Withdraw
             | Self::Reset
             | Self::Arm
             | Self::Home

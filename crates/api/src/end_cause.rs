@@ -74,6 +74,8 @@ causes! {
     Output = "output",
     /// A disarm.
     Disarm = "disarm",
+    /// A client has taken it out of the queue.
+    Withdrawn = "withdrawn",
     /// Another play took its place.
     Replaced = "replaced",
     /// The client of a live play was silent.

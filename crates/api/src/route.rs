@@ -24,6 +24,7 @@ pub enum Route {
     Array,
     Doctor,
     Receipt,
+    Withdraw,
     Events,
     Patterns,
     Pattern,
@@ -198,7 +199,7 @@ const STATUS: Answer = Answer::Json("Status");
 
 impl Route {
     /// Every route.
-    pub const ALL: [Self; 39] = [
+    pub const ALL: [Self; 40] = [
         Self::Play,
         Self::Sequence,
         Self::Live,
@@ -213,6 +214,7 @@ impl Route {
         Self::Array,
         Self::Doctor,
         Self::Receipt,
+        Self::Withdraw,
         Self::Events,
         Self::Patterns,
         Self::Pattern,
@@ -269,6 +271,7 @@ impl Route {
             Self::StoreTarget => "store-target",
             Self::RemoveTarget => "remove-target",
             Self::SearchStart => "search",
+            Self::Withdraw => "withdraw",
             Self::SearchCancel => "search-cancel",
             Self::Calibrate => "calibrate",
             Self::StoreCalibration => "store-calibration",
@@ -448,6 +451,16 @@ impl Route {
                 }),
                 answer: Answer::Json("Receipt"),
                 errors: &[&[Code::BadRequest, Code::NotFound], ANY],
+                ..Operation::get("/v1/plays/{id}")
+            },
+            Self::Withdraw => Operation {
+                method: Method::Delete,
+                summary: "Take a waiting play out of the queue",
+                description: "The other plays stay. A play that runs is refused: `POST /v1/stop` ends it, and all that wait. One that is over \
+                              stays as it is.",
+                parameter: Some("The play's id"),
+                answer: Answer::Json("Receipt"),
+                errors: &[CHANGE, &[Code::NotFound, Code::Playing], COMMAND, ANY],
                 ..Operation::get("/v1/plays/{id}")
             },
             Self::Events => Operation {

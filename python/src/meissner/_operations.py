@@ -444,6 +444,12 @@ def receipt(core: Core, play_id: int | str = "last") -> Op[Receipt]:
     return core.receipt(raw)
 
 
+def withdraw(core: Core, play_id: int) -> Op[Receipt]:
+    """Take a waiting play out of the queue, and return its receipt."""
+    raw = yield from _document(core, Request("DELETE", f"/v1/plays/{play_id}"))
+    return core.receipt(raw)
+
+
 def checked(result: Receipt) -> Receipt:
     """Refuses a play that did not come to its end."""
     if result.state != "done":

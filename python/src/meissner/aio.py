@@ -105,6 +105,11 @@ class AsyncPlay(KnownPlay):
         self._receipt = await self._client.run(ops.receipt(self._client.core, self.id))
         return self._receipt
 
+    async def withdraw(self) -> Receipt:
+        """Take the play out of the queue. As `Play.withdraw`."""
+        self._receipt = await self._client.run(ops.withdraw(self._client.core, self.id))
+        return self._receipt
+
 
 class AsyncSession:
     """A session that this client owns: it starts with `async with` or `await`, and ends with its block or `end()`."""

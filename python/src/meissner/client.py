@@ -101,6 +101,11 @@ class Play(KnownPlay):
         self._receipt = self._client.run(ops.receipt(self._client.core, self.id))
         return self._receipt
 
+    def withdraw(self) -> Receipt:
+        """Take the play out of the queue, and return its receipt. Raises `Playing` once it runs."""
+        self._receipt = self._client.run(ops.withdraw(self._client.core, self.id))
+        return self._receipt
+
 
 class Session:
     """A running session that this client owns. As a context manager it ends with its block."""

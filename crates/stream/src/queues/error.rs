@@ -54,6 +54,11 @@ pub enum CommandError {
     /// Homing and calibration need an idle streamer.
     #[error("a play is running or queued: wait for its end, or `meissner stop`")]
     Playing,
+    /// The play to withdraw does not wait any more.
+    #[error(
+        "the play has begun, and only one that waits can be withdrawn: wait for its end, or `meissner stop`"
+    )]
+    Begun,
     /// Neither telemetry nor a calibration shows where the pins are.
     #[error(
         "no telemetry and no calibration say where the pins are: level them by hand, then `meissner disarm` and \

@@ -47,6 +47,8 @@ pub enum Command {
         /// Its cause in the receipt.
         cause: EndCause,
     },
+    /// Take this play out of the queue; the others stay. Refused once it runs.
+    Withdraw(u64),
     /// End the running play and clear the queue; stay armed.
     Stop,
     /// Switch all lines off and latch; works without a device too.

@@ -74,6 +74,7 @@ impl Streamer {
                 return;
             }
             Command::Cancel { id, cause } => self.cancel(id, cause),
+            Command::Withdraw(id) => self.withdraw(id, emit).map(|()| None),
             Command::Stop => self.stop(),
             Command::EStop => {
                 self.emergency_stop(now, ticket, emit);

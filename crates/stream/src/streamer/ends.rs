@@ -4,7 +4,7 @@
 
 use crate::active::{Active, Ending, Phase};
 use crate::link::{Clock, Contradiction, Session};
-use crate::queues::{Emit, Offset, StreamEvent};
+use crate::queues::{CommandError, Emit, Offset, StreamEvent};
 use crate::streamer::Streamer;
 use firmware_protocol::message::{Counters, State};
 use firmware_protocol::tick::Tick;
@@ -19,6 +19,24 @@ impl Streamer {
         for active in self.plays.iter_mut().filter(|active| !active.is_cut()) {
             active.cut(cause.clone());
         }
+    }
+
+    /// Ends a play of which nothing was sent, if it is there.
+    pub(super) fn withdraw(&mut self, id: u64, emit: &mut dyn Emit) -> Result<(), CommandError> {
+        let found = self.plays.iter().position(|active| active.play().id == id && !active.is_cut());
+        let Some(index) = found else { return Ok(()) };
+        let waits = |active: &Active| active.phase() == Phase::Waiting && active.play().live.is_none();
+        if !waits(&self.plays[index]) {
+            return Err(CommandError::Begun);
+        }
+        let Some(mut active) = self.plays.remove(index) else { return Ok(()) };
+        active.cut_unsent(EndCause::Withdrawn);
+        let after = self.known.status().map(|(status, _)| status.counters);
+        let rest = self.control.rest_error_um(self.known.status().map_or(Tick(0), |(_, at)| at));
+        let (id, outcome) =
+            active.close(Ending { after, wire: 0, offset: None, cut: None, rest, estimated: false });
+        emit.event(StreamEvent::PlayEnded { id, outcome });
+        Ok(())
     }
 
     /// Ends all plays with the counters known. Without a report of a cut, they count as cut when the link was `lost`.

@@ -1,7 +1,7 @@
 //! Plays: begins a play or a sequence, and shows receipts.
 
-use crate::daemon::engine::Engine;
 use crate::daemon::engine::patterns::find;
+use crate::daemon::engine::{Engine, TIMEOUT};
 use crate::daemon::http::answer::{Answer, path};
 use crate::daemon::http::app::App;
 use crate::daemon::http::body;
@@ -21,6 +21,7 @@ use meissner_api::{
     Code, MAX_PACKED_BODY, MAX_WAIT_S, PatternChoice, PlayAccepted, PlayRequest, Problem, Receipt,
     SequenceRequest,
 };
+use meissner_stream::queues::Command;
 use serde_json::{Map, Value, json};
 use std::collections::HashMap;
 use std::pin::pin;
@@ -142,23 +143,43 @@ pub(in crate::daemon::http) async fn receipt(
     let Some(wait) = wait.filter(|_| !receipt.state.is_over()) else { return Ok(Json(receipt)) };
     let _place = app.waiting_place(peer)?;
     let id = receipt.id.to_string();
-    let ended = async {
-        loop {
-            let mut notified = pin!(app.engine.play_ended.notified());
-            // From here on no end of a play is missed.
-            notified.as_mut().enable();
-            let receipt = find_receipt(&app.engine, &id)?;
-            if receipt.state.is_over() {
-                return Ok(Json(receipt));
-            }
-            notified.await;
-        }
-    };
     tokio::select! {
-        receipt = ended => receipt,
+        receipt = ended(&app.engine, &id) => receipt,
         () = tokio::time::sleep(wait) => Ok(Json(find_receipt(&app.engine, &id)?)),
         () = activity.hung_up() => Ok(Json(receipt)),
     }
+}
+
+/// The receipt of a play once it is over.
+async fn ended(engine: &Engine, id: &str) -> Answer<Json<Receipt>> {
+    loop {
+        let mut notified = pin!(engine.play_ended.notified());
+        // From here on no end of a play is missed.
+        notified.as_mut().enable();
+        let receipt = find_receipt(engine, id)?;
+        if receipt.state.is_over() {
+            return Ok(Json(receipt));
+        }
+        notified.await;
+    }
+}
+
+pub(in crate::daemon::http) async fn withdraw(
+    State(app): State<App>,
+    Extension(peer): Extension<Peer>,
+    id: Result<Path<String>, PathRejection>,
+) -> Answer<Json<Receipt>> {
+    let mut logged = LoggedRequest::new(&app.engine, "withdraw", peer);
+    let result = async {
+        let Receipt { id, state, .. } = find_receipt(&app.engine, &path(id)?)?;
+        logged.set_play(id);
+        if !state.is_over() {
+            app.engine.carry_out(Command::Withdraw(id), TIMEOUT).await?;
+        }
+        ended(&app.engine, &id.to_string()).await
+    }
+    .await;
+    logged.result(result)
 }
 
 /// The wait that a request's query asks for.
