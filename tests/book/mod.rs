@@ -207,7 +207,7 @@ fn every_test_that_the_safety_case_names_is_there() {
     }
     let page = read("docs/explanation/safety-case.md");
     // Names of the browser tests are sentences; a mark says which of them `.ci/run` plays.
-    let browser = ["tests/page/page.test.js", "tests/page/states.test.js"]
+    let browser = ["tests/page/page.test.js", "tests/page/states.test.js", "tests/page/views.test.js"]
         .map(|file| read(file).text.replace(" (smoke)", ""))
         .concat();
     for name in page.text.split('“').skip(1).filter_map(|rest| rest.split_once('”')) {

@@ -78,7 +78,7 @@ export class Daemon {
 }
 
 // A window of the page, and the errors in its console.
-export async function open(browser, daemon, width = 1400, height = 1000) {
+export async function open(browser, daemon, width = 1400, height = 1000, view = "play") {
   const context = await browser.createBrowserContext();
   const page = await context.newPage();
   // What a selector waits for may follow a search, as the first pose of a live play does.
@@ -93,7 +93,7 @@ export async function open(browser, daemon, width = 1400, height = 1000) {
       fetch(url, typeof options?.body === "string" ? { ...options, body: options.body.replace('"timeout_ms":1000', '"timeout_ms":20000') } : options);
   });
   await page.setViewport({ width, height });
-  await page.goto(daemon.url);
+  await page.goto(`${daemon.url}/#${view}`);
   return page;
 }
 
@@ -113,7 +113,20 @@ export async function arm(page) {
   await shows(page, "state-text", "Armed");
 }
 
-// Clicks where the bar of the emergency stop does not cover it.
+// Shows a view, as a person does.
+export async function view(page, name) {
+  await page.click(`#views a[href="#${name}"]`);
+  await page.waitForSelector(`[data-view="${name}"]:not([hidden])`);
+}
+
+// Waits until a control's answer, in the line beside it, includes a text.
+export const answers = (page, control, part) => page.waitForFunction((control, part) => {
+  const place = document.querySelector(control);
+  const line = [...document.querySelectorAll(".say")].find((line) => line.previousElementSibling?.contains(place) || line.parentElement.matches("li, td") && line.parentElement.contains(place));
+  return line && !line.hidden && line.textContent.includes(part);
+}, WAIT, control, part);
+
+// Clicks where the header does not cover it.
 export async function press(page, selector) {
   await page.$eval(selector, (element) => element.scrollIntoView({ block: "center" }));
   await page.click(selector);

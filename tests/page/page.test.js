@@ -7,12 +7,13 @@ import { readFileSync, writeFileSync } from "node:fs";
 import { createRequire } from "node:module";
 import { join } from "node:path";
 import { after, before, test } from "node:test";
-import { arm, Daemon, endAll, launch, open as openIn, press, proxied, SEARCHED, shows, text, WAIT } from "./daemon.js";
+import { answers, arm, Daemon, endAll, launch, open as openIn, press, proxied, SEARCHED, shows, text, view, WAIT } from "./daemon.js";
 
 const AXE = readFileSync(createRequire(import.meta.url).resolve("axe-core/axe.min.js"), "utf8");
 
 let browser;
-const open = (daemon, width, height) => openIn(browser, daemon, width, height);
+const open = (daemon, width, height, shown) => openIn(browser, daemon, width, height, shown);
+const openView = (daemon, shown) => open(daemon, 1400, 1000, shown);
 
 // A calibration of another array: 23 motors, each with its points.
 const UM = 0.95 / 7;
@@ -58,7 +59,8 @@ test("a person arms, plays, stops in an emergency, and resets (smoke)", async ()
   await page.click("#estop");
   await shows(page, "estop-note", "All lines are off.");
   await page.click('#reset-dialog button[value="reset"]');
-  await shows(page, "alert", "an emergency stop came after those that this reset knows of");
+  await answers(page, "#reset", "An emergency stop came after those that this reset knows of");
+  await view(page, "device");
   await shows(page, "facts", "Emergency stops since the start2");
   await page.click("#reset");
   await page.click('#reset-dialog button[value="reset"]');
@@ -111,7 +113,7 @@ const get = async (daemon, path) => (await fetch(`${daemon.url}${path}`)).json()
 
 test("a person draws an edge, finds its pattern, feels it and saves it", async () => {
   const daemon = await new Daemon().start();
-  const page = await open(daemon);
+  const page = await openView(daemon, "design");
   await arm(page);
   await draw(page, [-3, -3], [3, 3]);
   await page.$eval("#budget", (input) => (input.value = "0.3"));
@@ -129,38 +131,44 @@ test("a person draws an edge, finds its pattern, feels it and saves it", async (
   assert.equal(await page.$$eval("#figures tbody tr", (rows) => rows.length), 6);
   assert.ok((await text(page, "figures")).includes(result.models[0].naive_reach.contrast.toFixed(1)));
   await press(page, "#feel");
+  await view(page, "play");
   await shows(page, "receipt-summary", "drawn: done");
+  await view(page, "design");
   assert.equal((await get(daemon, "/v1/plays/last")).pattern_sha256, result.sha256);
   await page.$eval("#save-name", (input) => (input.value = "my-edge"));
   await press(page, "#save");
-  await shows(page, "search-note", "Saved pattern and target my-edge.");
+  await answers(page, "#save", "Saved pattern and target my-edge.");
   const pattern = (await get(daemon, "/v1/patterns/my-edge")).pattern;
   assert.deepEqual([pattern.name, pattern.provenance.target, pattern.provenance.definition.name], ["my-edge", "my-edge", "my-edge"]);
   assert.deepEqual((await get(daemon, "/v1/targets/my-edge")).target, { ...result.definition, name: "my-edge" });
-  await page.waitForSelector('li[data-name="my-edge"]');
   // Saving a second time is refused until the person confirms it.
   await press(page, "#save");
-  await shows(page, "alert", "is stored already");
+  await answers(page, "#save", "is stored already");
   await press(page, "#replace");
   await press(page, "#save");
-  await page.waitForFunction(() => document.getElementById("alert").hidden, WAIT);
+  await answers(page, "#save", "Saved pattern and target my-edge.");
+  await view(page, "play");
+  await page.waitForSelector('li[data-name="my-edge"]');
   assert.deepEqual(page.complaints.filter((line) => !line.includes("409") && !line.includes("404")), []);
 });
 
 test("a pattern plays as soon as the pen lifts, if a person wants that", async () => {
   const daemon = await new Daemon().start();
-  const page = await open(daemon);
+  const page = await openView(daemon, "design");
   await arm(page);
   await page.$eval("#budget", (input) => (input.value = "0.2"));
   await press(page, "#at-once");
   await draw(page, [0, -4], [0, 4]);
-  await shows(page, "receipt-summary", "drawn: done", SEARCHED);
+  // A key or a click before the play is ordered would withdraw the person's wish.
+  await shows(page, "search-note", "Found a pattern for drawn", SEARCHED);
+  await view(page, "play");
+  await shows(page, "receipt-summary", "drawn: done");
   assert.equal((await get(daemon, "/v1/searches/last")).id, 1);
 });
 
 test("an emergency stop works while a play and a search run, and the search can be cancelled", async () => {
   const daemon = await new Daemon().start();
-  const page = await open(daemon);
+  const page = await openView(daemon, "design");
   await arm(page);
   await shows(page, "load", "rotating-edge");
   await page.select("#load", "rotating-edge");
@@ -168,6 +176,7 @@ test("an emergency stop works while a play and a search run, and the search can 
   await page.$eval("#budget", (input) => (input.value = "600"));
   await press(page, "#find");
   await shows(page, "search-progress", "evaluations", SEARCHED);
+  await view(page, "play");
   await page.$eval("#seconds", (input) => (input.value = "600"));
   await page.type("#search", "edge-45");
   await page.click('li[data-name="edge-45"] button');
@@ -177,6 +186,7 @@ test("an emergency stop works while a play and a search run, and the search can 
   const status = await daemon.status();
   assert.deepEqual([status.state, status.estops, status.play], ["faulted", 1, null]);
   assert.equal((await get(daemon, "/v1/searches/last")).state, "running");
+  await view(page, "design");
   await press(page, "#cancel");
   await shows(page, "search-note", "Cancelled.");
   assert.equal((await get(daemon, "/v1/searches/last")).state, "cancelled");
@@ -185,7 +195,7 @@ test("an emergency stop works while a play and a search run, and the search can 
 
 test("the keyboard alone designs a target", async () => {
   const daemon = await new Daemon().start();
-  const page = await open(daemon);
+  const page = await openView(daemon, "design");
   await shows(page, "state-text", "Disarmed");
   await page.focus("#shape");
   const pressed = async (...keys) => {
@@ -196,7 +206,7 @@ test("the keyboard alone designs a target", async () => {
   assert.equal(await page.evaluate(() => document.activeElement.getAttribute("role")), "application");
   await pressed("ArrowLeft", "ArrowLeft", "Enter", "ArrowRight", "ArrowRight", "ArrowRight", "ArrowRight", "ArrowUp", "Enter", "Backspace", "Enter");
   assert.equal(await page.$eval("#points", (input) => input.value), "-1 0; 1 0.5");
-  await shows(page, "pad-say", "2 points, the last at 1, 0.5 mm.");
+  await shows(page, "speak", "2 points, the last at 1, 0.5 mm.");
   await page.focus("#find");
   await pressed("Enter");
   await shows(page, "search-note", "Found a pattern for drawn", SEARCHED);
@@ -206,15 +216,15 @@ test("the keyboard alone designs a target", async () => {
   await page.$eval("#points", (input) => ((input.value = "0 0; 20 0"), input.dispatchEvent(new Event("change"))));
   await page.select("#shape", "dots");
   assert.equal(await page.$eval("#points", (input) => input.value), "0 0; 9 0");
-  // A refusal of the daemon is shown in its own words.
+  // A refusal of the daemon is shown beside the button, in the page's words.
   await page.$eval("#reach", (input) => (input.value = "24"));
   await press(page, "#find");
-  await shows(page, "alert", "`reach_mm` is 24: all 306 afferents are within reach");
+  await answers(page, "#find", "Reach is 24: all 306 afferents are within reach");
 });
 
 test("a shape that is dragged plays live, and a window out of sight ends it (smoke)", async () => {
   const daemon = await new Daemon("lead_ms = 100\n").start();
-  const page = await open(daemon);
+  const page = await openView(daemon, "design");
   await arm(page);
   await page.select("#shape", "dots");
   assert.equal(await page.$eval("#live-start", (button) => button.disabled), true);
@@ -269,9 +279,8 @@ for (const name of ["tula35-6x4", "tula35-2x3", "ubi-pen-3x3", "simulated-8x8", 
     writeFileSync(join(daemon.dir, "calibration.toml"), CALIBRATION);
     await daemon.start();
     const { positions_mm: places, pitch_mm: pitch, grid, motor } = await get(daemon, "/v1/array");
-    const page = await open(daemon, 360, 640);
-    await shows(page, "facts", `Array${name}`);
-    await page.waitForSelector("#pattern-list li");
+    const page = await open(daemon, 360, 640, "device");
+    await shows(page, "array-facts", `Array${name}`);
     // The pins are drawn at their places, in units of which the pitch has 29, on the skin.
     const pins = await page.$$eval(".finger > g", (groups) => groups.map((group) => {
       const [x, y] = group.getAttribute("transform").match(/-?[\d.]+/g).map(Number);
@@ -290,6 +299,13 @@ for (const name of ["tula35-6x4", "tula35-2x3", "ubi-pen-3x3", "simulated-8x8", 
     }));
     onPad.forEach(([x, y, isSeen], i) => assert.ok(Math.hypot(x - places[i][0], y - places[i][1]) < 1e-6 && isSeen, `pin ${i} of the pad at ${x}, ${y}`));
     assert.equal(onPad.length, places.length);
+    assert.equal(await page.$$eval("#calibrate-motor option", (options) => options.length), places.length + 1);
+    await shows(page, "calibration-note", `of ${places.length} motors`);
+    assert.equal(await page.$$eval("#fit-grid .fit", (buttons) => buttons.length), places.length);
+    const columns = await page.$eval("#fit-grid", (plots) => getComputedStyle(plots).gridTemplateColumns.split(" ").length);
+    assert.equal(columns, grid?.columns ?? 3);
+    assert.equal(await page.evaluate(() => document.documentElement.scrollWidth), 360);
+    await view(page, "design");
     // The dots of a Braille letter stand above pins, if there are rows and columns enough.
     await page.select("#shape", "braille");
     const dots = await page.$$eval("#pad .shape-dot", (dots) => dots.map((dot) => [Number(dot.getAttribute("cx")), -dot.getAttribute("cy")]));
@@ -298,13 +314,10 @@ for (const name of ["tula35-6x4", "tula35-2x3", "ubi-pen-3x3", "simulated-8x8", 
     if (grid?.rows >= 5 && grid.columns >= 3) assert.ok(dots.every(isAbove), JSON.stringify(dots));
     // Numbers and ranges are those of the array.
     assert.equal(await page.$eval("#amplitude", (field) => Number(field.max)), motor.travel_um);
-    assert.equal(await page.$$eval("#calibrate-motor option", (options) => options.length), places.length + 1);
-    await shows(page, "calibration-note", `of ${places.length} motors`);
-    assert.equal(await page.$$eval("#fit-grid .fit", (buttons) => buttons.length), places.length);
-    const columns = await page.$eval("#fit-grid", (plots) => getComputedStyle(plots).gridTemplateColumns.split(" ").length);
-    assert.equal(columns, grid?.columns ?? 3);
     assert.equal(await page.evaluate(() => document.documentElement.scrollWidth), 360);
     // The shipped patterns are for the paper's array.
+    await view(page, "play");
+    await page.waitForSelector("#pattern-list li");
     await arm(page);
     await page.$eval("#seconds", (input) => (input.value = "0.2"));
     await page.type("#search", "pin-60");
@@ -315,7 +328,7 @@ for (const name of ["tula35-6x4", "tula35-2x3", "ubi-pen-3x3", "simulated-8x8", 
     assert.equal((await page.$eval(play, (item) => item.textContent)).includes("for the array tula35-6x4"), isForeign);
     await press(page, `${play} button`);
     if (isForeign) {
-      await shows(page, "alert", `pin-60 is for the array tula35-6x4, and this one is ${name}.`);
+      await answers(page, `${play} button`, `pin-60 is for the array tula35-6x4, and this one is ${name}.`);
       await press(page, "#nearest");
       await press(page, `${play} button`);
     }
@@ -363,7 +376,7 @@ test("an array of two pins that nearly touch and of pins far away is drawn as sm
 
 test("what is found for a target is for the daemon's array", async () => {
   const daemon = await new Daemon('[array]\ndescription = "ubi-pen-3x3"\n').start();
-  const page = await open(daemon);
+  const page = await openView(daemon, "design");
   await arm(page);
   await shows(page, "load", "edge-45");
   await page.select("#load", "edge-45");
@@ -374,13 +387,16 @@ test("what is found for a target is for the daemon's array", async () => {
   await press(page, "#feel");
   // The pins of the array are known here.
   await page.waitForFunction(() => document.querySelector('.finger .hand[visibility="visible"]'), WAIT);
+  await view(page, "play");
   await shows(page, "receipt-summary", ": done");
+  await view(page, "design");
   await page.waitForSelector("#save:not([disabled])");
   await press(page, "#save");
-  await shows(page, "search-note", "Saved pattern and target");
+  await answers(page, "#save", "Saved pattern and target");
   const { patterns } = await get(daemon, "/v1/patterns");
   const saved = patterns.filter((pattern) => !pattern.library);
   assert.deepEqual(saved.map((pattern) => pattern.array), ["ubi-pen-3x3"]);
+  await view(page, "play");
   await page.waitForSelector(`li[data-name="${saved[0].name}"]`);
   await page.$eval(`li[data-name="${saved[0].name}"]`, (item) => item.scrollIntoView());
   await page.waitForSelector(`li[data-name="${saved[0].name}"] .thumbnail`);
@@ -389,7 +405,7 @@ test("what is found for a target is for the daemon's array", async () => {
 
 test("the doctor's findings come with verdicts and remedies", async () => {
   const daemon = await new Daemon().start();
-  const page = await open(daemon);
+  const page = await openView(daemon, "device");
   await shows(page, "doctor-note", "passed, at");
   const listed = () => page.$$eval("#findings li", (items) => items.map((item) => [item.dataset.level, item.querySelector(".verdict").textContent, item.textContent]));
   const { findings } = await get(daemon, "/v1/doctor");
@@ -417,7 +433,7 @@ test("the doctor's findings come with verdicts and remedies", async () => {
 
 test("calibration plots show what the API says, and a person can calibrate", async () => {
   const daemon = await new Daemon("[mock]\ngain_sd = 0.01\nasymmetry_sd = 0.05\n").start();
-  const page = await open(daemon);
+  const page = await openView(daemon, "device");
   await shows(page, "calibration-note", "Nothing was calibrated yet");
   await shows(page, "calibrate-note", "Arm first");
   await arm(page);
@@ -485,7 +501,7 @@ test("a calibration that is damaged, refused or cut says so beside its button", 
   const daemon = new Daemon();
   writeFileSync(join(daemon.dir, "calibration.toml"), "format = 7\n");
   await daemon.start();
-  const page = await open(daemon);
+  const page = await openView(daemon, "device");
   await shows(page, "calibration-note", "No calibration is in use: ");
   await arm(page);
   const start = async (before) => {
@@ -496,8 +512,7 @@ test("a calibration that is damaged, refused or cut says so beside its button", 
     await page.click("#calibrate-yes");
   };
   await start(() => daemon.run("disarm"));
-  await page.waitForFunction(() => document.getElementById("calibrate-result").textContent, WAIT);
-  assert.equal(await text(page, "calibrate-result"), await text(page, "alert"));
+  await answers(page, "#calibrate", "The motors are disarmed: press Arm first.");
   await shows(page, "calibrate-note", "Arm first");
   await arm(page);
   const asks = () => page.evaluate(() => {
@@ -534,15 +549,15 @@ test("late strokes are counted while a play runs", async () => {
     const page = await open({ url });
     await arm(page);
     await daemon.run("play", "pin-60", "--seconds", "600");
-    await shows(page, "facts", "Late strokes of this playnone");
+    await shows(page, "play-facts", "Late strokes of this playnone");
     const { id } = (await daemon.status()).play;
     for (const play of [id, id + 1, id]) {
       const data = { event: "late", id: play, motor: 9, tick: 1, late_ms: 1.8, cause: "host" };
       streams.at(-1).write(`event: late\ndata: ${JSON.stringify(data)}\n\n`);
     }
-    await shows(page, "facts", "Late strokes of this play2");
+    await shows(page, "play-facts", "Late strokes of this play2");
     await page.click("#stop");
-    await page.waitForFunction(() => !document.getElementById("facts").textContent.includes("Late"), WAIT);
+    await page.waitForFunction(() => !document.getElementById("play-facts").textContent, WAIT);
     assert.deepEqual(page.complaints.filter((line) => !line.includes("404")), []);
   });
 });
@@ -562,13 +577,13 @@ test("an emergency stop waits for no other request of the browser's windows", as
     if (group !== held) forward();
   };
   await proxied(daemon, through, async (url) => {
-    const first = await open({ url });
+    const first = await openView({ url }, "device");
     const pages = [first];
     const session = await first.createCDPSession();
     const { targetInfo } = await session.send("Target.getTargetInfo");
     for (const _ of [1, 2]) {
       // A separate window is not hidden; it shares the connections of the first.
-      const { targetId } = await session.send("Target.createTarget", { url, newWindow: true, browserContextId: targetInfo.browserContextId });
+      const { targetId } = await session.send("Target.createTarget", { url: `${url}/#device`, newWindow: true, browserContextId: targetInfo.browserContextId });
       const target = await first.browserContext().waitForTarget((target) => target._targetId === targetId);
       pages.push(await target.page());
     }
@@ -646,25 +661,32 @@ for (const scheme of ["light", "dark"]) {
     await daemon.start();
     const page = await open(daemon, 360, 640);
     await page.emulateMediaFeatures([{ name: "prefers-color-scheme", value: scheme }, { name: "prefers-reduced-motion", value: "reduce" }]);
-    await shows(page, "state-text", "Disarmed");
-    await page.waitForSelector("#pattern-list li");
-    await page.$eval("#pattern-list li", (item) => item.scrollIntoView());
-    await page.waitForSelector(".thumbnail");
-    await page.waitForSelector("#fit-grid .plot");
-    await page.waitForSelector("#findings li");
-    await page.$eval("#fit-values details", (details) => (details.open = true));
+    await arm(page);
+    await page.$eval("#seconds", (input) => (input.value = "0.1"));
+    await page.waitForSelector("#pattern-list .thumbnail");
+    await press(page, "#pattern-list li button");
+    await shows(page, "receipt-summary", ": done");
+    await page.$eval("#receipt-more", (details) => (details.open = true));
+    await view(page, "design");
     await page.select("#shape", "braille");
     await press(page, "#find");
     await page.waitForSelector("#maps figure", SEARCHED);
-    for (const width of [360, 768, 1400, 3840]) {
-      await page.setViewport({ width, height: 800 });
-      const [scroll, client] = await page.evaluate(() => [document.documentElement.scrollWidth, document.documentElement.clientWidth]);
-      assert.ok(scroll <= client, `${width} px: the page is ${scroll} px wide`);
-      const box = await page.$eval("#estop", (button) => button.getBoundingClientRect().toJSON());
-      assert.ok(box.top >= 0 && box.bottom <= 800 && box.height >= 44, `${width} px: the emergency stop is in sight`);
-      await page.evaluate(AXE);
-      const { violations } = await page.evaluate(() => axe.run(document, { runOnly: ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa"] }));
-      assert.deepEqual(violations.map((of) => `${of.id}: ${of.nodes.map((node) => node.html).join(" | ")}`), []);
+    await view(page, "device");
+    await page.waitForSelector("#fit-grid .plot");
+    await page.waitForSelector("#findings li");
+    await page.$eval("#fit-values details", (details) => (details.open = true));
+    await page.evaluate(AXE);
+    for (const name of ["play", "design", "record", "device"]) {
+      await view(page, name);
+      for (const width of [360, 768, 1400, 3840]) {
+        await page.setViewport({ width, height: 800 });
+        const [scroll, client] = await page.evaluate(() => [document.documentElement.scrollWidth, document.documentElement.clientWidth]);
+        assert.ok(scroll <= client, `${name}, ${width} px: the page is ${scroll} px wide`);
+        const box = await page.$eval("#estop", (button) => button.getBoundingClientRect().toJSON());
+        assert.ok(box.top >= 0 && box.bottom <= 800 && box.height >= 44, `${name}, ${width} px: the emergency stop is in sight`);
+        const { violations } = await page.evaluate(() => axe.run(document, { runOnly: ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa"] }));
+        assert.deepEqual(violations.map((of) => `${name}, ${width} px, ${of.id}: ${of.nodes.map((node) => node.html).join(" | ")}`), []);
+      }
     }
   });
 }

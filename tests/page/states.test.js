@@ -5,7 +5,7 @@
 
 import assert from "node:assert/strict";
 import { after, before, test } from "node:test";
-import { arm, Daemon, endAll, launch, networked, open as openIn, press, proxied, shows, text, WAIT } from "./daemon.js";
+import { answers, arm, Daemon, endAll, launch, networked, open as openIn, press, proxied, shows, text, view, WAIT } from "./daemon.js";
 
 let browser;
 const open = (daemon) => openIn(browser, daemon);
@@ -71,6 +71,7 @@ test("a state that is older than a second is not known, and an answer that was h
     await other(daemon, "/v1/arm", { assume_rest: true });
     await other(daemon, "/v1/disarm");
     await shows(page, "touch", "Safe to touch");
+    await view(page, "device");
     await listen(page);
     network.hold();
     await other(daemon, "/v1/arm");
@@ -151,12 +152,14 @@ test("an empty field orders nothing, and says so beside itself", async () => {
     await page.type(`#${id}`, before);
     assert.equal(await line(id), "");
   }
+  await view(page, "design");
   await page.$eval("#points", (input) => ((input.value = "-3 0; 3 0"), input.dispatchEvent(new Event("change"))));
   await page.$eval("#amplitude", (field) => ((field.closest("details").open = true), (field.value = "")));
   for (const button of ["#live-start", "#find"]) {
     await press(page, button);
     assert.equal(await line("amplitude"), "Enter a number, 0 to 400.");
   }
+  await view(page, "play");
   // Nothing was ordered: this is the first play.
   await press(page, play);
   await shows(page, "state-text", "Playing pin-60");
@@ -262,7 +265,7 @@ test("a play of the page belongs to the session that the page shows, or is refus
     const start = async (participant) => (await other(daemon, "/v1/sessions", { participant })).id;
     const end = (id) => other(daemon, `/v1/sessions/${id}/end`);
     const first = await start("P07");
-    await shows(page, "facts", "SessionP07, 0 plays");
+    await shows(page, "owner", "Session of P07");
     await page.type("#search", "pin-60");
     const play = 'li[data-name="pin-60"]:not([hidden]) button';
     await page.waitForSelector(play);
@@ -273,8 +276,7 @@ test("a play of the page belongs to the session that the page shows, or is refus
     await end(first);
     const second = await start("P08");
     await press(page, play);
-    await page.waitForFunction(() => !document.getElementById("alert").hidden, WAIT);
-    assert.ok((await text(page, "alert")).includes(second) || (await text(page, "alert")).includes(first), await text(page, "alert"));
+    await answers(page, play, `does not run any more, but ${second} does`);
     assert.equal((await daemon.status()).session.plays, 0);
     assert.equal((await (await fetch(`${daemon.url}/v1/plays/last`)).json()).id, 1);
   });
@@ -300,6 +302,7 @@ test("motors that a window has armed stay armed while it is open, also hidden, a
   await proxied(daemon, through, async (url) => {
     const page = await open({ url });
     await arm(page);
+    await view(page, "device");
     await shows(page, "facts", "15 s without a sign of it disarm");
     // A hidden window whose timers stand still.
     await page.evaluate(() => {

@@ -4,6 +4,9 @@
 //! document covers everything that it does. `assets/estop.js` holds the parts that must work alone: the emergency stop, and the
 //! state with its age. The modules read the state there, and only that script shows it.
 //!
+//! The page has four views, each with modules and a style sheet of its own. `assets/views.js` says how a module adds a part to a view,
+//! and `assets/control.js` how it says beside a control what came of it.
+//!
 //! Invariant: the page loads nothing from other sites, and its policy forbids that.
 
 use axum::Router;
@@ -14,18 +17,25 @@ use axum::routing::get;
 /// The policy: scripts, styles and requests of this daemon alone; no frame around it.
 const POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self'; connect-src 'self'; base-uri 'none'; \
                       form-action 'none'; frame-ancestors 'none'";
+const STYLE: &str = "text/css; charset=utf-8";
 const SCRIPT: &str = "text/javascript; charset=utf-8";
 
 /// Address, media type and text of every file.
-const FILES: [(&str, &str, &str); 19] = [
+const FILES: [(&str, &str, &str); 28] = [
     ("/", "text/html; charset=utf-8", include_str!("assets/index.html")),
-    ("/page/page.css", "text/css; charset=utf-8", include_str!("assets/page.css")),
+    ("/page/page.css", STYLE, include_str!("assets/page.css")),
+    ("/page/play.css", STYLE, include_str!("assets/play.css")),
+    ("/page/design.css", STYLE, include_str!("assets/design.css")),
+    ("/page/record.css", STYLE, include_str!("assets/record.css")),
+    ("/page/device.css", STYLE, include_str!("assets/device.css")),
     ("/page/icon.svg", "image/svg+xml", include_str!("assets/icon.svg")),
     ("/page/api.js", SCRIPT, include_str!("assets/api.js")),
     ("/page/array.js", SCRIPT, include_str!("assets/array.js")),
     ("/page/estop.js", SCRIPT, include_str!("assets/estop.js")),
     ("/page/alive.js", SCRIPT, include_str!("assets/alive.js")),
     ("/page/app.js", SCRIPT, include_str!("assets/app.js")),
+    ("/page/words.js", SCRIPT, include_str!("assets/words.js")),
+    ("/page/views.js", SCRIPT, include_str!("assets/views.js")),
     ("/page/control.js", SCRIPT, include_str!("assets/control.js")),
     ("/page/finger.js", SCRIPT, include_str!("assets/finger.js")),
     ("/page/designer.js", SCRIPT, include_str!("assets/designer.js")),
@@ -33,6 +43,9 @@ const FILES: [(&str, &str, &str); 19] = [
     ("/page/maps.js", SCRIPT, include_str!("assets/maps.js")),
     ("/page/pad.js", SCRIPT, include_str!("assets/pad.js")),
     ("/page/patterns.js", SCRIPT, include_str!("assets/patterns.js")),
+    ("/page/queue.js", SCRIPT, include_str!("assets/queue.js")),
+    ("/page/receipt.js", SCRIPT, include_str!("assets/receipt.js")),
+    ("/page/device.js", SCRIPT, include_str!("assets/device.js")),
     ("/page/doctor.js", SCRIPT, include_str!("assets/doctor.js")),
     ("/page/calibration.js", SCRIPT, include_str!("assets/calibration.js")),
     ("/page/plot.js", SCRIPT, include_str!("assets/plot.js")),

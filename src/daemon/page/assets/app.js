@@ -3,41 +3,40 @@
 
 import { call, known, last, listen, poll } from "./api.js";
 import { array, loadArray } from "./array.js";
-import { bindCalibration, handleCalibrated, loadAfterGap, loadCalibration, showCalibrating } from "./calibration.js";
-import { bindControls, show as showControl } from "./control.js";
+import { bindCalibration } from "./calibration.js";
+import { bindControls, say, showControls, write } from "./control.js";
 import { Designer } from "./designer.js";
-import { bindDoctor, checkSoon } from "./doctor.js";
+import { bindDevice } from "./device.js";
+import { bindDoctor } from "./doctor.js";
 import { Finger, drivesAt } from "./finger.js";
 import { Patterns } from "./patterns.js";
-import { loadSessions, showReceipt } from "./record.js";
+import { bindQueue } from "./queue.js";
+import { bindReceipt } from "./receipt.js";
+import { bindRecord } from "./record.js";
+import { connected, disconnected, handleEvent, showStatus, startViews } from "./views.js";
+import { plain } from "./words.js";
 
 const $ = (id) => document.getElementById(id);
 const FRAME_MS = 1000 / 30;
 
 // The running play: its onset on this window's clock, and its pins once they are known.
 let play = { id: null, onset: 0, pins: null };
-// Late strokes, by play.
-const late = new Map();
 const doubted = new Set();
 const finger = new Finger($("finger"));
-const patterns = new Patterns(report);
-const designer = new Designer(report, () => patterns.load());
+const patterns = new Patterns();
+const designer = new Designer(() => patterns.refresh());
 
-// Shows an error in one line; none clears it.
-function report(error) {
-  $("alert").hidden = !error;
-  $("alert").textContent = error ? error.message : "";
+// Says what is wrong with the connection; nothing else stands there.
+function alertConnection(text) {
+  $("alert").hidden = !text;
+  write($("alert"), text);
 }
 
-let checked = null;
 function showState() {
   const status = known();
-  if (status && status.state !== checked) checkSoon();
-  if (status) checked = status.state;
   if (status) setPlay(status.play);
-  showControl(late.get(status?.play?.id) ?? 0);
-  showCalibrating();
-  patterns.showQueue();
+  showControls();
+  showStatus();
 }
 
 async function setPlay(running) {
@@ -78,67 +77,47 @@ function handle(event) {
       if (event.state !== state || event.position !== position || event.play?.id !== running?.id) poll();
       break;
     }
-    case "ended":
-      late.delete(event.receipt.id);
-      showReceipt(event.receipt);
-      poll();
-      break;
-    case "felt":
-      call("GET", `/v1/plays/${event.id}`).then(showReceipt, () => {});
-      break;
-    case "late":
-      late.set(event.id, (late.get(event.id) ?? 0) + 1);
-      break;
     case "doubted":
       doubted.add(event.motor);
       break;
     case "connected":
       doubted.clear();
-      loadCalibration().catch(report);
-      checkSoon();
-      poll();
-      break;
-    case "session-started":
-    case "session-ended":
-      loadSessions().catch(report);
       poll();
       break;
     case "owner-silent":
-      report(new Error(`The daemon disarmed: it had no sign of ${event.by} for ${event.silence_s} s.`));
+      say($("arm"), `The daemon disarmed: it had no sign of ${event.by} for ${event.silence_s} s.`, "bad");
       poll();
       break;
-    case "search":
-      designer.handle(event);
-      break;
-    case "calibrated":
-      handleCalibrated(event).catch(report);
-      break;
+    case "ended":
+    case "session-started":
+    case "session-ended":
     case "disconnected":
-      checkSoon();
-      poll();
-      break;
     case "queued":
       poll();
       break;
   }
+  handleEvent(event);
 }
 
 let isLinked = false;
 async function linked(is, problem) {
-  const again = isLinked;
   isLinked = is;
   if (!is) {
-    report(problem);
+    disconnected();
+    alertConnection(plain(problem.message));
     return;
   }
-  // After an emergency stop the stream begins again; keep the errors that the daemon has sent since.
-  if (!again) report(null);
-  checkSoon();
   await poll();
-  const arrayKnown = await loadArray().then(() => true, report);
-  if (!arrayKnown) return;
-  const loads = [patterns.load(), designer.start(), loadSessions(), loadAfterGap(), call("GET", "/v1/plays/last").then(showReceipt, () => {})];
-  await Promise.all(loads).catch(report);
+  try {
+    await loadArray();
+  } catch (error) {
+    alertConnection(plain(error.message));
+    return;
+  }
+  // The connection may be lost again by now.
+  if (!isLinked) return;
+  alertConnection("");
+  await connected();
 }
 
 function pinRows(pins, rest) {
@@ -177,12 +156,17 @@ function frame(at) {
     pinRows(pins, rest);
   }
   const note = pins ? "Size and colour: amplitude reached. Hand: phase, drawn 20 times slower. Bar on the left of a pin: offset from rest. Dashed ring: sensor in doubt." : why;
-  if ($("finger-note").textContent !== note) $("finger-note").textContent = note;
+  write($("finger-note"), note);
 }
 
-bindControls(report);
-bindCalibration(report);
+bindControls();
+bindQueue();
+bindReceipt();
+bindRecord();
+bindDevice();
 bindDoctor();
+bindCalibration();
+startViews();
 document.addEventListener("state", showState);
 document.addEventListener("token", listen(handle, linked));
 showState();

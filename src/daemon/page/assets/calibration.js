@@ -6,9 +6,11 @@
 
 import { call, known, last, order, poll } from "./api.js";
 import { array, loadArray } from "./array.js";
-import { CALIBRATION, closeWithEscape, element, facts, open } from "./control.js";
+import { CALIBRATION, element, facts, open, refuse, say } from "./control.js";
 import { worded } from "./doctor.js";
 import { plot } from "./plot.js";
+import { part } from "./views.js";
+import { plain } from "./words.js";
 
 const $ = (id) => document.getElementById(id);
 const SOURCES = { plant: "the simulated motors themselves", device: "the device's telemetry", laser: "a laser" };
@@ -67,7 +69,7 @@ function ranges(motors) {
   };
 }
 
-export async function loadCalibration() {
+async function loadCalibration() {
   if (!array()) await loadArray();
   try {
     report = await call("GET", "/v1/calibration");
@@ -148,7 +150,7 @@ function show(motor, range) {
 const STATES = { disarmed: "Arm first: the pins move.", faulted: "Reset first.", returning: "Pins move to rest: wait.", "no-device": "No device is connected." };
 
 // Whether motors can be calibrated now, and if not, why.
-export function showCalibrating() {
+function showCalibrating() {
   const status = known();
   const { play, device, session } = status ?? {};
   const runs = play?.pattern === CALIBRATION;
@@ -156,7 +158,7 @@ export function showCalibrating() {
   const why = !status ? "The state is not known."
     : runs ? `Calibrating for ${play.played_s.toFixed(0)} s. Keep the finger off.`
     : !device ? STATES["no-device"]
-    : !device.telemetry ? "This device has no telemetry. A laser measures one motor after the other: `meissner calibrate --plan --motor N` on the daemon's machine."
+    : !device.telemetry ? "This device has no telemetry. A laser measures one motor after the other: `meissner calibrate` on the daemon's machine."
     : session?.exclusive && !session.released ? `The exclusive session with ${session.participant} runs: only its owner may calibrate.`
     : status.state !== "armed" ? STATES[status.state] ?? `The state is ${status.state}.`
     : play || status.queued.length ? "A play runs or waits."
@@ -172,13 +174,12 @@ function tell(text) {
 }
 
 // The event `calibrated`.
-export function handleCalibrated({ motors, problem }) {
-  tell(problem ? `Calibration failed: ${problem}.` : `Stored: ${motors.length} ${motors.length === 1 ? "motor" : "motors"}. Home brings the pins back to rest.`);
-  return loadCalibration();
+function handleCalibrated({ motors, problem }) {
+  tell(problem ? plain(`Calibration failed: ${problem}`) : `Stored: ${motors.length} ${motors.length === 1 ? "motor" : "motors"}. Home brings the pins back to rest.`);
 }
 
 // Loads the calibration when events may have been missed, and reports the end of a calibration that ran before.
-export async function loadAfterGap() {
+async function loadAfterGap() {
   const before = report?.provenance.date;
   await loadCalibration();
   const status = last();
@@ -195,7 +196,15 @@ function arrange() {
   chosen = 0;
 }
 
-export function bindCalibration(complain) {
+export function bindCalibration() {
+  const refresh = part({
+    view: "device",
+    at: "calibration-title",
+    load: loadAfterGap,
+    state: showCalibrating,
+    on: { connected: loadCalibration },
+    always: { calibrated: (event) => (handleCalibrated(event), refresh()) },
+  });
   document.addEventListener("array", arrange);
   $("fit-grid").addEventListener("click", (event) => {
     const button = event.target.closest("button:enabled");
@@ -207,11 +216,9 @@ export function bindCalibration(complain) {
   addEventListener("beforeunload", (event) => mine && event.preventDefault());
   const dialog = $("calibrate-dialog");
   let motor = "";
-  closeWithEscape(dialog);
   $("calibrate").addEventListener("click", () => {
     motor = $("calibrate-motor").value;
     $("calibrate-what").textContent = motor ? `Motor ${motor} is measured.` : "All motors are measured.";
-    dialog.returnValue = "";
     $("calibrate-clear").checked = false;
     open(dialog);
   });
@@ -220,13 +227,14 @@ export function bindCalibration(complain) {
     $("calibrate-result").textContent = "";
     try {
       mine = true;
-      await order("/v1/calibrate", motor ? { motor: Number(motor) } : {});
-      complain(null);
+      const { id } = await order("/v1/calibrate", motor ? { motor: Number(motor) } : {});
+      // A short one may have ended by now.
+      if (id !== ended && mine) awaited = id;
+      say($("calibrate"), "");
       poll();
     } catch (error) {
       mine = false;
-      $("calibrate-result").textContent = error.message;
-      complain(error);
+      refuse($("calibrate"), error);
     }
   });
 }

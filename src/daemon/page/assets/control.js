@@ -1,6 +1,8 @@
-// Facts about the device, and the buttons that change its state.
+// The header's buttons, which change the device's state, and what all views use: elements, facts, dialogs, checks of fields, and
+// answers beside a control.
 
 import { call, headers, known, last, poll } from "./api.js";
+import { plain } from "./words.js";
 
 const $ = (id) => document.getElementById(id);
 const HOME_MS = 30000;
@@ -10,8 +12,11 @@ const SILENCE_S = 10;
 // The name of the play that calibrates.
 export const CALIBRATION = "calibration";
 
-// `late`: strokes of the running play.
-export function show(late) {
+// The shortest time between two sentences for screen readers.
+const SPEAK_MS = 1000;
+
+// Shows the status in the header.
+export function showControls() {
   const status = known();
   $("arm").disabled = status?.state !== "disarmed";
   $("home").disabled = status?.state !== "armed" || status.play !== null;
@@ -19,32 +24,13 @@ export function show(late) {
   // The buttons that stop the pins work even while the state is not known.
   $("disarm").disabled = status !== null && status.state !== "armed";
   $("stop").disabled = status !== null && !status.play && !status.queued.length;
-  // Keep the rows in place.
-  const rows = last() ? describe(last(), late) : [];
-  facts($("facts"), status ? rows : rows.map(([name]) => [name, "not known"]));
-  write($("about"), status ? `meissner ${status.version}, pid ${status.pid}` : "");
+  write($("owner"), status ? owner(status) : "");
 }
 
-function describe(status, late) {
-  const offsets = status.motors.map((motor) => Math.abs(motor.rest_error_um));
-  const worst = Math.max(0, ...offsets);
-  const { fifo, mlock } = status.realtime ?? {};
-  const limit = status.participant;
-  const { by, silence_s: silence } = status.armed ?? {};
-  return [
-    ...(by ? [["Armed by", `${by}; ${silence === null ? "the motors stay armed without it" : `${silence} s without a sign of it disarm`}`]] : []),
-    ["Largest offset from rest", `${worst.toFixed(1)} µm, pin ${offsets.indexOf(worst)}, of at most ${status.drift_limit_um} µm`],
-    ["Array", status.array],
-    ["Position", status.position],
-    ["Clock", status.clock_uncertainty_us === null ? "not synchronised" : `synchronised to ±${status.clock_uncertainty_us.toFixed(1)} µs`],
-    ["Real time", fifo && mlock ? "granted" : `missing: ${[fifo ? "" : "SCHED_FIFO", mlock ? "" : "locked memory"].filter(Boolean).join(" and ")}; strokes may come late`],
-    ...(status.play ? [["Late strokes of this play", late || "none"]] : []),
-    ["Emergency stops since the start", status.estops],
-    ["Session", status.session ? `${status.session.participant}, ${status.session.plays} plays` : "none"],
-    ["Vibration left", limit ? `${limit.continuous_left_s.toFixed(0)} s without a pause, ${limit.day_left_s.toFixed(0)} s today` : "not counted"],
-    ...(status.missing ? [["Device", status.missing]] : []),
-    ...(status.logbook_problem ? [["Session record", status.logbook_problem]] : []),
-  ];
+// Whose session runs, and for whom the motors are armed.
+function owner({ session, armed }) {
+  const runs = session ? `Session of ${session.participant}${session.owner ? `, by ${session.owner}` : ""}${session.exclusive && !session.released ? ", exclusive" : ""}` : "No session";
+  return armed ? `${runs} · armed by ${armed.by}` : runs;
 }
 
 // An element of HTML.
@@ -52,7 +38,7 @@ export function element(name, text = "", more = {}) {
   return Object.assign(document.createElement(name), { textContent: text, ...more });
 }
 
-function write(element, text) {
+export function write(element, text) {
   if (element.textContent !== text) element.textContent = text;
 }
 
@@ -66,16 +52,69 @@ export function facts(list, rows) {
   });
 }
 
-// Opens a dialog that leaves the emergency stop within reach: a modal one would not.
+// Opens a dialog that leaves the emergency stop within reach: a modal one would not. It takes all other clicks and keys until it is
+// closed; then the focus is where it was.
 export function open(dialog) {
+  const before = document.activeElement;
+  const rest = document.querySelectorAll("[data-rest]");
+  const escape = ({ key }) => key === "Escape" && dialog.close("cancel");
+  for (const part of rest) part.inert = true;
+  document.addEventListener("keydown", escape);
+  dialog.addEventListener("close", () => {
+    for (const part of rest) part.inert = false;
+    document.removeEventListener("keydown", escape);
+    before?.focus();
+  }, { once: true });
+  dialog.returnValue = "";
   dialog.show();
-  dialog.querySelector("input:not([hidden]), button").focus();
+  [...dialog.querySelectorAll("input, button")].find((field) => field.checkVisibility()).focus();
   // The focus may have scrolled past the warning.
   dialog.scrollTop = 0;
 }
 
-export function closeWithEscape(dialog) {
-  dialog.addEventListener("keydown", (event) => event.key === "Escape" && dialog.close("cancel"));
+// Reads a text to screen readers. Within a second only the last text of each `topic` is read.
+const unspoken = new Map();
+let spoken = -Infinity;
+export function speak(text, topic = "") {
+  unspoken.set(topic, text);
+  if (unspoken.size === 1) setTimeout(readOut, Math.max(0, spoken + SPEAK_MS - performance.now()));
+}
+
+function readOut() {
+  spoken = performance.now();
+  const text = [...unspoken.values()].join(" ");
+  unspoken.clear();
+  // A text that comes twice is read twice.
+  $("speak").textContent = $("speak").textContent === text ? `${text}\u00a0` : text;
+}
+
+// Says beside a control what came of it, and reads it to screen readers: `good`, `bad` or `wait` (it goes on). The line stands below the
+// control's group (`.buttons` or `.row`), or at the end of its list item or table cell, and replaces the one before. An empty text
+// takes it away.
+export function say(control, text, kind = "good") {
+  const line = answerLine(control, text);
+  if (!line) return;
+  line.hidden = !text;
+  line.dataset.kind = kind;
+  write(line, text);
+  if (text) speak(text, "answer");
+}
+
+// Says beside a control that something was refused, or failed, in the page's words.
+export function refuse(control, error) {
+  say(control, plain(error.message), "bad");
+}
+
+function answerLine(control, isNeeded) {
+  const item = control.closest("li, td");
+  const group = control.closest(".buttons, .row") ?? control;
+  const found = item ? item.querySelector(":scope > .say") : group.nextElementSibling;
+  if (found?.matches(".say")) return found;
+  if (!isNeeded) return null;
+  const line = element("p", "", { className: "say", hidden: true });
+  if (item) item.append(line);
+  else group.after(line);
+  return line;
 }
 
 // Whether these fields are valid. If not, a line at the first invalid one says what is wrong, until it is changed.
@@ -92,19 +131,15 @@ export function valid(...ids) {
   });
 }
 
-export function bindControls(report) {
+export function bindControls() {
   const alive = new Worker("page/alive.js");
   document.addEventListener("visibilitychange", () => alive.postMessage(document.hidden ? headers() : null));
-  const command = (path, body, ms) => call("POST", path, body, ms).then(
-    () => (report(null), poll()),
-    (error) => (report(error), poll()),
-  );
-  closeWithEscape($("arm-dialog"));
-  closeWithEscape($("reset-dialog"));
+  // The header shows a success as the new state.
+  const command = (id, body, ms) => call("POST", `/v1/${id}`, body, ms).then(() => say($(id), ""), (error) => refuse($(id), error)).finally(poll);
   const button = (id, run) => $(id).addEventListener("click", run);
-  button("disarm", () => command("/v1/disarm"));
-  button("stop", () => command("/v1/stop"));
-  button("home", () => command("/v1/home", undefined, HOME_MS));
+  button("disarm", () => command("disarm"));
+  button("stop", () => command("stop"));
+  button("home", () => command("home", undefined, HOME_MS));
   button("arm", () => {
     const isKnown = last().position === "known";
     $("arm-text").textContent = isKnown
@@ -112,25 +147,23 @@ export function bindControls(report) {
       : "The device does not know where its pins are. Look at them: all must be at rest.";
     $("arm-rest").hidden = $("arm-who").hidden = isKnown;
     $("arm-checked").required = $("arm-name").required = !isKnown;
-    $("arm-dialog").returnValue = "";
     open($("arm-dialog"));
   });
   $("arm-dialog").addEventListener("close", () => {
     if ($("arm-dialog").returnValue !== "arm") return;
     // Send what the person has read: if the position is no longer known, the daemon refuses.
     const checked = $("arm-rest").hidden ? {} : { assume_rest: true, checked: $("arm-name").value };
-    command("/v1/arm", { ...checked, silence_s: SILENCE_S }, HOME_MS);
+    command("arm", { ...checked, silence_s: SILENCE_S }, HOME_MS);
     $("arm-checked").checked = false;
   });
   button("reset", () => {
     $("reset-why").textContent = `Cause: ${last().cause}.`;
-    $("reset-dialog").returnValue = "";
     // A stop that comes while a person reads this dialog must not be cleared with the one that it shows.
     $("reset-dialog").dataset.seen = last().estops;
     open($("reset-dialog"));
   });
   $("reset-dialog").addEventListener("close", () => {
     if ($("reset-dialog").returnValue !== "reset") return;
-    command("/v1/reset", { force: true, estops_seen: Number($("reset-dialog").dataset.seen) });
+    command("reset", { force: true, estops_seen: Number($("reset-dialog").dataset.seen) });
   });
 }

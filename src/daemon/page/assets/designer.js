@@ -3,10 +3,11 @@
 
 import { call, order, put } from "./api.js";
 import { array } from "./array.js";
-import { valid } from "./control.js";
+import { refuse, say, speak, valid } from "./control.js";
 import { Live } from "./live.js";
 import { figures, maps } from "./maps.js";
 import { Pad } from "./pad.js";
+import { part } from "./views.js";
 
 const $ = (id) => document.getElementById(id);
 const BRAILLE = "⠁⠃⠉⠙⠑⠋⠛⠓⠊⠚⠅⠇⠍⠝⠕⠏⠟⠗⠎⠞⠥⠧⠺⠭⠽⠵";
@@ -39,7 +40,6 @@ function toml(value) {
 const file = (target) => Object.entries(target).map(([key, value]) => `${key} = ${toml(value)}\n`).join("");
 
 export class Designer {
-  #report;
   #saved;
   #pad;
   #live;
@@ -51,15 +51,16 @@ export class Designer {
   // Whether the pattern found plays automatically: only if the person has touched nothing since the pen was lifted.
   #atOnce = false;
 
-  constructor(report, saved) {
-    [this.#report, this.#saved] = [report, saved];
-    this.#pad = new Pad($("pad"), () => this.#drawn(), () => this.#lifted(), (text) => ($("pad-say").textContent = text));
-    this.#live = new Live(report, () => this.#liveRequest(), () => this.#outline());
+  // `saved`: called when a pattern has been stored.
+  constructor(saved) {
+    this.#saved = saved;
+    this.#pad = new Pad($("pad"), () => this.#drawn(), () => this.#lifted(), (text) => speak(text, "pad"));
+    this.#live = new Live(() => this.#liveRequest(), () => this.#outline());
     const on = (id, event, run) => $(id).addEventListener(event, run);
     on("shape", "change", () => this.#choose());
     on("letter", "input", () => this.#drawn());
     on("points", "change", () => this.#typed());
-    on("load", "change", () => this.#load($("load").value).catch(report));
+    on("load", "change", () => this.#load($("load").value).then(() => say($("load"), ""), (error) => refuse($("load"), error)));
     on("undo", "click", () => this.#pad.undo());
     on("clear", "click", () => this.#pad.set([]));
     on("find", "click", () => this.#find(false));
@@ -69,6 +70,13 @@ export class Designer {
     for (const event of ["pointerdown", "keydown"]) document.addEventListener(event, () => (this.#atOnce = false), { capture: true });
     document.addEventListener("array", () => this.#arrange());
     this.#choose();
+    part({
+      view: "design",
+      at: "designer-title",
+      load: () => this.#start(),
+      on: { search: (event) => this.#handle(event) },
+      hide: () => this.#live.end(),
+    });
   }
 
   #arrange() {
@@ -79,7 +87,7 @@ export class Designer {
   }
 
   // The stored targets, and the search that the daemon knows.
-  async start() {
+  async #start() {
     await this.#list();
     const last = await call("GET", "/v1/searches/last").catch(() => null);
     // A restarted daemon counts from 1; an event may have come before the answer.
@@ -93,25 +101,21 @@ export class Designer {
     return this.#details.get(sha256);
   }
 
-  async handle(event) {
+  async #handle(event) {
     if (this.#search && event.id < this.#search.id) return;
     this.#show({ ...(this.#search?.id === event.id ? this.#search : {}), ...event });
     if (event.state !== "done") return;
     const atOnce = this.#atOnce && !document.hidden;
     this.#atOnce = false;
-    try {
-      if (atOnce) await this.#feel();
-      this.#show(await call("GET", `/v1/searches/${event.id}`));
-    } catch (error) {
-      this.#report(error);
-    }
+    if (atOnce) await this.#feel();
+    this.#show(await call("GET", `/v1/searches/${event.id}`));
   }
 
   async #list() {
     const { targets } = await call("GET", "/v1/targets");
     const option = (text, value) => Object.assign(document.createElement("option"), { textContent: text, value });
     const kind = (target) => `${target.name} (${target.shape}${target.moves ? ", moves" : ""}${target.library ? "" : ", site"})`;
-    $("load").replaceChildren(option("Choose a target", ""), ...targets.map((target) => option(kind(target), target.name)));
+    $("load").replaceChildren(option(targets.length ? "Choose a target" : "No target is stored", ""), ...targets.map((target) => option(kind(target), target.name)));
     $("load").value = this.#loaded?.target.name ?? "";
     if (!$("load").value) $("load").value = "";
   }
@@ -190,15 +194,15 @@ export class Designer {
       const search = await call("POST", "/v1/searches", { target: this.#target(), ...settings });
       // Events that came before the answer may be newer.
       if (!this.#search || search.id > this.#search.id) this.#show(search);
-      this.#report(null);
+      say($("find"), "");
     } catch (error) {
       this.#atOnce = false;
-      this.#report(error);
+      refuse($("find"), error);
     }
   }
 
   async #cancel() {
-    await call("DELETE", `/v1/searches/${this.#search.id}`).catch(this.#report);
+    await call("DELETE", `/v1/searches/${this.#search.id}`).catch((error) => refuse($("cancel"), error));
   }
 
   async #feel() {
@@ -209,9 +213,9 @@ export class Designer {
       const known = call("GET", `/v1/patterns/search:${id}`).then((details) => this.#details.set(details.sha256, details), () => {});
       await order("/v1/play", { pattern: `search:${id}`, seconds: $("feel-seconds").valueAsNumber, replace: true });
       await known;
-      this.#report(null);
+      say($("feel"), "");
     } catch (error) {
-      this.#report(error);
+      refuse($("feel"), error);
     }
   }
 
@@ -224,11 +228,11 @@ export class Designer {
     try {
       await put(`/v1/patterns/${name}${query}`, pattern);
       await put(`/v1/targets/${name}${query}`, file({ ...result.definition, name }));
-      this.#report(null);
-      $("search-note").textContent = `Saved pattern and target ${name}.`;
-      await Promise.all([this.#list(), this.#saved()]);
+      say($("save"), `Saved pattern and target ${name}.`);
+      this.#saved();
+      await this.#list();
     } catch (error) {
-      this.#report(error);
+      refuse($("save"), error);
     }
   }
 

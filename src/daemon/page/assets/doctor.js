@@ -1,7 +1,8 @@
 // The doctor's findings: each with its verdict as shape, word and colour, what was found, and what to do.
 
-import { call } from "./api.js";
+import { call, known } from "./api.js";
 import { element } from "./control.js";
+import { part } from "./views.js";
 
 const $ = (id) => document.getElementById(id);
 // A check holds one of the browser's connections to the daemon.
@@ -69,7 +70,7 @@ async function check() {
 }
 
 // Schedules a check, because the daemon's state has changed.
-export function checkSoon() {
+function checkSoon() {
   due ??= setTimeout(() => {
     due = null;
     if (checking) checkSoon();
@@ -77,7 +78,16 @@ export function checkSoon() {
   }, Math.max(0, begun + PAUSE_MS - performance.now()));
 }
 
+let state = null;
+function showState() {
+  const status = known();
+  if (!status || status.state === state) return;
+  state = status.state;
+  checkSoon();
+}
+
 export function bindDoctor() {
+  part({ view: "device", at: "doctor-title", load: checkSoon, state: showState, on: { connected: checkSoon, disconnected: checkSoon } });
   $("doctor-again").addEventListener("click", () => {
     asked = true;
     $("doctor-say").textContent = "";

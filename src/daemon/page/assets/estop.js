@@ -20,6 +20,10 @@
   // The time to the next attempt, if an emergency stop was not answered, or its answer does not say that the lines are off.
   const AGAIN_MS = 250;
   const ANSWERED_AGAIN_MS = 2000;
+  // Two presses of Escape within this time stop.
+  const TWICE_MS = 1000;
+  // The shortest time between two sentences for screen readers.
+  const SAY_MS = 1000;
 
   // The access token, for as long as the window is open. A link never holds it.
   const TOKEN = "meissner-token";
@@ -104,15 +108,27 @@
     if (element && element.textContent !== text) element.textContent = text;
   }
 
+  // Reads the state to screen readers, without the time played, which changes all the time.
+  let said = -Infinity;
+  function say(status, text) {
+    if (!$("state-say") || performance.now() - said < SAY_MS) return;
+    const line = `${status?.play ? `Playing ${status.play.pattern}` : text}. ${$("touch").textContent}`;
+    if ($("state-say").textContent === line) return;
+    said = performance.now();
+    $("state-say").textContent = line;
+  }
+
   let wasKnown = false;
   function show(isNew = false) {
     const status = known();
     const name = status && status.state in WORDS ? status.state : "unknown";
     // The rest of the document may not have loaded yet.
     if ($("state")) $("state").dataset.state = status?.play ? "playing" : name;
-    write($("state-text"), status?.play ? `Playing ${status.play.pattern}, ${status.play.played_s.toFixed(1)} s`
-      : name === "unknown" ? "Not connected: state not known" : name === "faulted" ? `Stopped: ${status.cause}` : WORDS[name]);
+    const text = status?.play ? `Playing ${status.play.pattern}, ${status.play.played_s.toFixed(1)} s`
+      : name === "unknown" ? "Not connected: state not known" : name === "faulted" ? `Stopped: ${status.cause}` : WORDS[name];
+    write($("state-text"), text);
     write($("touch"), touch(status));
+    say(status, text);
     const device = status?.device;
     write($("link"), device ? `${device.kind}${device.simulated ? ", simulated" : ""}` : last && !status ? `last known ${Math.floor(since(sent) / 1000)} s ago` : "");
     if ($("sign-in")) $("sign-in").hidden = !refused && !order?.refused;
@@ -185,7 +201,11 @@
       order = failure && { failed: true, refused: failure.refused, text: `NOT CONFIRMED: ${failure.why}. Use the switch of the supply. ${advice}` };
       show();
       if (!failure) return;
-      if (isNew) $("sign-in")?.scrollIntoView({ block: "center" });
+      if (isNew) {
+        // A dialog would keep the person from the field.
+        for (const dialog of document.querySelectorAll("dialog[open]")) dialog.close("cancel");
+        $("sign-in")?.scrollIntoView({ block: "center" });
+      }
       do await pause(failure.answered ? ANSWERED_AGAIN_MS : AGAIN_MS);
       while (press === presses && failure.refused && token.get() === value);
     }
@@ -196,6 +216,14 @@
   button.addEventListener("keydown", (event) => {
     if (event.key === "Enter" || event.key === " ") stop();
   });
+  // Escape twice stops, wherever the focus is: no other thing takes the key from here. It types nothing, so no text contains it.
+  let escaped = -Infinity;
+  addEventListener("keydown", (event) => {
+    if (event.repeat || event.isComposing) return;
+    const isTwice = event.key === "Escape" && event.timeStamp - escaped < TWICE_MS;
+    escaped = event.key === "Escape" && !isTwice ? event.timeStamp : -Infinity;
+    if (isTwice) stop();
+  }, { capture: true });
   button.disabled = false;
 
   document.addEventListener("submit", (event) => {

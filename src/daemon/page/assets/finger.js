@@ -55,7 +55,7 @@ export function thumbnail(details) {
   svg.setAttribute("aria-label", `Pins that move: ${moving.map(([motor]) => motor).join(", ") || "none"}`);
   most.forEach((um, motor) => {
     const [cx, cy] = places[motor];
-    svg.append(make("circle", { cx, cy, r: um > 0 ? 2 + (2.5 * Math.min(um, FULL_UM)) / FULL_UM : 1.2, fill: um > 0 ? colour(um) : "currentColor", opacity: um > 0 ? 1 : 0.3 }));
+    svg.append(make("circle", { cx, cy, r: um > 0 ? 2 + (2.5 * Math.min(um, FULL_UM)) / FULL_UM : 1.2, ...(um > 0 ? { fill: colour(um), class: "dot" } : { class: "dot still" }) }));
   });
   return svg;
 }

@@ -4,7 +4,7 @@
 // play.
 
 import { order } from "./api.js";
-import { valid } from "./control.js";
+import { refuse, say, speak, valid } from "./control.js";
 import { make } from "./finger.js";
 import { arrange, drawing, FINE_STEP, HALF_LENGTH, HALF_WIDTH, KEY_STEP, line, penAt } from "./pad.js";
 
@@ -19,10 +19,15 @@ const STEP_DEG = 5;
 const KEYS = { ArrowLeft: [-1, 0, 0], ArrowRight: [1, 0, 0], ArrowUp: [0, 1, 0], ArrowDown: [0, -1, 0], q: [0, 0, 1], e: [0, 0, -1] };
 const CAUSES = { stop: "Ended.", estop: "Ended: an emergency stop.", "client-silent": "Ended: the daemon heard nothing from this page for a second." };
 
+// The changing line of the live play.
+function note(text) {
+  $("live-note").textContent = text;
+  if (text) speak(text, "live");
+}
+
 const within = (value, most) => Math.min(most, Math.max(-most, value));
 
 export class Live {
-  #report;
   #request;
   #outline;
   #socket = null;
@@ -40,8 +45,8 @@ export class Live {
   #shape = make("g", { class: "live-shape" });
 
   // `request`: the live play's target and settings; null if there is none. `outline`: the lines of its shape.
-  constructor(report, request, outline) {
-    [this.#report, this.#request, this.#outline] = [report, request, outline];
+  constructor(request, outline) {
+    [this.#request, this.#outline] = [request, outline];
     this.svg = drawing("");
     this.svg.append(this.#shape);
     for (const [name, value] of [["role", "application"], ["tabindex", "0"], ["aria-label", "Move the shape"], ["aria-describedby", "live-help"]]) this.svg.setAttribute(name, value);
@@ -52,9 +57,9 @@ export class Live {
     on(this.svg, "wheel", (event) => (event.preventDefault(), this.#move([0, 0, -Math.sign(event.deltaY) * STEP_DEG])));
     on(this.svg, "keydown", (event) => this.#key(event));
     on($("live-start"), "click", () => this.#start());
-    on($("live-end"), "click", () => this.#end());
+    on($("live-end"), "click", () => this.end());
     on(document, "array", () => arrange(this.svg));
-    on(document, "visibilitychange", () => document.hidden && this.#end());
+    on(document, "visibilitychange", () => document.hidden && this.end());
     $("live-pad").append(this.svg);
     this.buttons();
   }
@@ -70,7 +75,7 @@ export class Live {
     if (!valid("target-name", "reach", "amplitude")) return;
     this.#socket = "asked";
     this.buttons();
-    $("live-note").textContent = "Starting …";
+    note("Starting …");
     try {
       const lines = this.#outline();
       const { path } = await order("/v1/live", { ...this.#request(), timeout_ms: TIMEOUT_MS, replace: true });
@@ -78,11 +83,11 @@ export class Live {
       Object.assign(this.#pose, { x_mm: 0, y_mm: 0, angle_deg: 0 });
       [this.#seq, this.#unanswered, this.#applied, this.#changed, this.#sentAt, this.#ended] = [0, 0, 0, false, 0, null];
       this.#open(new WebSocket(new URL(path, location.href.replace(/^http/, "ws"))));
-      this.#report(null);
+      say($("live-start"), "");
     } catch (error) {
       this.#socket = null;
-      $("live-note").textContent = "";
-      this.#report(error);
+      note("");
+      refuse($("live-start"), error);
     }
     this.buttons();
   }
@@ -91,7 +96,7 @@ export class Live {
     this.#socket = socket;
     socket.addEventListener("open", () => {
       this.#answeredAt = performance.now();
-      if (document.hidden) this.#end();
+      if (document.hidden) this.end();
       this.#show();
       this.svg.focus({ focusVisible: false });
       this.#timer = setInterval(() => this.#turn(), TURN_MS);
@@ -100,7 +105,7 @@ export class Live {
     socket.addEventListener("close", () => {
       clearInterval(this.#timer);
       this.#socket = this.#grip = null;
-      $("live-note").textContent = this.#ended === null ? "The connection is lost: the daemon ends the play." : (CAUSES[this.#ended] ?? `Ended: ${this.#ended}.`);
+      note(this.#ended === null ? "The connection is lost: the daemon ends the play." : (CAUSES[this.#ended] ?? `Ended: ${this.#ended}.`));
       this.buttons();
     });
   }
@@ -108,7 +113,7 @@ export class Live {
   // Sends the newest place, or a sign of life.
   #turn() {
     const now = performance.now();
-    if (now - this.#answeredAt > TIMEOUT_MS) $("live-note").textContent = "No answer for a second: whether the play goes on is not known.";
+    if (now - this.#answeredAt > TIMEOUT_MS) note("No answer for a second: whether the play goes on is not known.");
     const isUpdate = this.#changed && this.#unanswered < MOST_UNANSWERED;
     if (!isUpdate && now - this.#sentAt < SIGN_MS) return;
     if (isUpdate) this.#changed = false;
@@ -123,7 +128,7 @@ export class Live {
     this.#socket.send(JSON.stringify({ seq: this.#seq, ...message }));
   }
 
-  #end() {
+  end() {
     this.#send({ end: true });
   }
 
@@ -131,7 +136,7 @@ export class Live {
     this.#unanswered -= 1;
     this.#answeredAt = performance.now();
     if (applied?.ticks.some((tick) => tick !== null)) this.#applied += 1;
-    if (problem) this.#report(new Error(problem.detail));
+    if (problem) refuse($("live-start"), new Error(problem.detail));
     if (ended !== undefined) this.#ended = ended;
     else this.#show();
   }
@@ -139,7 +144,7 @@ export class Live {
   #show() {
     const { x_mm: x, y_mm: y, angle_deg: angle } = this.#pose;
     this.#shape.setAttribute("transform", `translate(${x} ${-y}) rotate(${-angle})`);
-    $("live-note").textContent = `At ${x.toFixed(1)}, ${y.toFixed(1)} mm, turned by ${angle.toFixed(0)}°; ${this.#applied} changes on the pins.`;
+    note(`At ${x.toFixed(1)}, ${y.toFixed(1)} mm, turned by ${angle.toFixed(0)}°; ${this.#applied} changes on the pins.`);
   }
 
   #move([x, y, angle]) {
@@ -168,7 +173,7 @@ export class Live {
   #key(event) {
     if (event.ctrlKey || event.metaKey || event.altKey) return;
     const step = KEYS[event.key.length > 1 ? event.key : event.key.toLowerCase()];
-    if (event.key === "Escape") this.#end();
+    if (event.key === "Escape") this.end();
     else if (!step) return;
     else {
       const mm = event.shiftKey ? FINE_STEP : KEY_STEP;

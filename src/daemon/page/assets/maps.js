@@ -14,7 +14,7 @@ function map(title, text, places, rates, most, outline) {
   const svg = drawing(`${title}: ${text}`);
   places.forEach(([x, y], i) => {
     const share = rates[i] / most;
-    svg.append(make("circle", { cx: x, cy: -y, r: (0.14 + 0.24 * share).toFixed(2), fill: share > 0 ? colour(100 * share) : "currentColor", opacity: share > 0 ? 1 : 0.35 }));
+    svg.append(make("circle", { cx: x, cy: -y, r: (0.14 + 0.24 * share).toFixed(2), ...(share > 0 ? { fill: colour(100 * share), class: "dot" } : { class: "dot still" }) }));
   });
   const lines = make("g", { class: "over" });
   lines.append(...outline.map(line));
@@ -35,7 +35,7 @@ export function maps({ response, models, outline }) {
   const on = response.on.filter((share) => share > 0).length;
   return {
     figures: [map("Target", `${on} of ${response.on.length} afferents should fire`, response.places_mm, response.on, 1, outline), ...figures],
-    legend: `Each dot is an RA afferent of the model “${response.model}”. Small and dark: silent; large and bright: ${most.toFixed(0)} impulses/s.`,
+    legend: `Each dot is an RA afferent of the model “${response.model}”. Small and grey: silent; large and bright: ${most.toFixed(0)} impulses/s.`,
   };
 }
 

@@ -1,9 +1,10 @@
-// The patterns: list, search, maps, play, queue.
+// The patterns: list, search, maps, play.
 
-import { call, known, order } from "./api.js";
+import { call, order } from "./api.js";
 import { array } from "./array.js";
-import { valid } from "./control.js";
+import { refuse, say, valid } from "./control.js";
 import { thumbnail } from "./finger.js";
+import { part } from "./views.js";
 
 const $ = (id) => document.getElementById(id);
 
@@ -13,17 +14,18 @@ const isForeign = (pattern) => pattern.array !== array().name;
 export class Patterns {
   #list = [];
   #details = new Map();
-  #report;
+  // Fetches the list again.
+  refresh;
   // Maps are fetched when they come into view, so that a long list costs little.
   #view = new IntersectionObserver((entries) => entries.forEach((entry) => entry.isIntersecting && this.#draw(entry.target)));
 
-  constructor(report) {
-    this.#report = report;
+  constructor() {
+    this.refresh = part({ view: "play", at: "patterns-title", load: () => this.#load() });
     $("search").addEventListener("input", () => this.#filter());
     document.addEventListener("array", () => ($("nearest").checked = false));
   }
 
-  async load() {
+  async #load() {
     const { patterns, errors } = await call("GET", "/v1/patterns");
     this.#list = patterns;
     this.#details.clear();
@@ -44,12 +46,6 @@ export class Patterns {
     return this.#details.get(name);
   }
 
-  showQueue() {
-    const names = known()?.queued.map((play) => `${play.pattern} (play ${play.id})`) ?? ["Not known."];
-    const items = (names.length ? names : ["No play waits."]).map((text) => Object.assign(document.createElement("li"), { textContent: text }));
-    $("queue").replaceChildren(...items);
-  }
-
   #item(pattern) {
     const item = document.createElement("li");
     item.dataset.name = pattern.name;
@@ -63,7 +59,7 @@ export class Patterns {
     const map = Object.assign(document.createElement("div"), { className: "map" });
     const play = Object.assign(document.createElement("button"), { textContent: "Play" });
     play.setAttribute("aria-label", `Play ${pattern.name}`);
-    play.addEventListener("click", () => this.#play(pattern));
+    play.addEventListener("click", () => this.#play(pattern, play));
     item.append(map, text, play);
     // Where the pins of another array stand is not known here.
     if (!isForeign(pattern)) this.#view.observe(item);
@@ -77,18 +73,21 @@ export class Patterns {
 
   #filter() {
     const words = $("search").value.toLowerCase().split(/\s+/);
-    for (const item of $("pattern-list").children) item.hidden = !words.every((word) => item.dataset.name.includes(word));
+    const items = [...$("pattern-list").children];
+    for (const item of items) item.hidden = !words.every((word) => item.dataset.name.includes(word));
+    $("pattern-none").hidden = items.some((item) => !item.hidden);
+    $("pattern-none").textContent = items.length ? "No pattern has this in its name." : "No pattern is stored.";
   }
 
-  async #play(pattern) {
+  async #play(pattern, button) {
     if (!valid("seconds", "scale")) return;
     const map = isForeign(pattern) ? { map: "nearest" } : {};
     try {
       if (map.map && !$("nearest").checked) throw new Error(`${pattern.name} is for the array ${pattern.array}, and this one is ${array().name}. To play it all the same, tick “Play patterns for other arrays by position”.`);
       await order("/v1/play", { pattern: pattern.name, seconds: $("seconds").valueAsNumber, scale: $("scale").valueAsNumber, ...map });
-      this.#report(null);
+      say(button, "");
     } catch (error) {
-      this.#report(error);
+      refuse(button, error);
     }
   }
 }

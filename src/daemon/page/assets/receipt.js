@@ -1,0 +1,55 @@
+// The last play: its receipt.
+
+import { call } from "./api.js";
+import { facts } from "./control.js";
+import { part } from "./views.js";
+
+const $ = (id) => document.getElementById(id);
+
+function show(receipt) {
+  // A running play has no counts yet.
+  if (!receipt.bursts) return;
+  const { bursts, lateness, duration_ms: ms, predicted_response: response } = receipt;
+  const lost = bursts.late + bursts.dropped + bursts.refused;
+  $("receipt-summary").textContent = `Play ${receipt.id}, ${receipt.pattern}: ${receipt.state}${receipt.cause ? ` (${receipt.cause})` : ""}. `
+    + (lost ? `${lost} of ${bursts.planned} bursts were not played.` : `All ${bursts.planned} bursts were played.`);
+  const rest = receipt.rest_error_um?.length ? Math.max(...receipt.rest_error_um.map(Math.abs)) : null;
+  const worst = lateness.worst_ms ?? 0;
+  const hz = ({ contrast, all }) => `${(contrast ?? all).toFixed(1)} impulses/s`;
+  const classes = response?.afferents ?? [];
+  const what = response?.played_hz?.contrast === null ? "mean rate" : "on-target minus off-target";
+  facts($("receipt-facts"), [
+    ...(receipt.mapped_from === null ? [] : [["Mapped by position", `from the array ${receipt.mapped_from} to ${receipt.array}`]]),
+    ["Bursts played, late, dropped, refused", `${bursts.played}, ${bursts.late}, ${bursts.dropped}, ${bursts.refused}`],
+    ["Corrected by feedback", bursts.amended],
+    ["Largest lateness", `${worst.toFixed(2)} ms`],
+    ["Duration played, ordered", `${ms.played?.toFixed(1) ?? "-"} ms, ${ms.ordered?.toFixed(1) ?? "without end"} ms`],
+    ["Largest offset from rest at the end", rest === null ? "not known" : `${rest.toFixed(1)} µm`],
+    [`Predicted RA response, ${what}`, response
+      ? `${hz(response.played_hz)} (designed: ${hz(response.designed_hz)})`
+      : receipt.predicted_response_unknown ?? "not ready"],
+    ...classes.map((of) => [
+      `Second model, ${of.class}, ${what}`, `${hz(of.played_hz)} (designed: ${hz(of.designed_hz)})`,
+    ]),
+  ]);
+  $("receipt-more").hidden = false;
+  $("receipt-json").textContent = JSON.stringify(receipt, null, 1);
+}
+
+async function load() {
+  try {
+    show(await call("GET", "/v1/plays/last"));
+  } catch (error) {
+    // Nothing was played yet.
+    if (error.code !== "not-found") throw error;
+  }
+}
+
+export function bindReceipt() {
+  part({
+    view: "play",
+    at: "receipt-title",
+    load,
+    on: { ended: ({ receipt }) => show(receipt), felt: async ({ id }) => show(await call("GET", `/v1/plays/${id}`)) },
+  });
+}

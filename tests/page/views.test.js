@@ -1,0 +1,256 @@
+// The page's shell: the header, the views, dialogs, the shortcut of E-STOP, and answers beside their controls. The tests use a real
+// browser and a real daemon with the simulated array.
+
+import assert from "node:assert/strict";
+import { readFileSync } from "node:fs";
+import { after, before, test } from "node:test";
+import { plain } from "../../src/daemon/page/assets/words.js";
+import { answers, arm, Daemon, endAll, launch, open as openIn, press, proxied, shows, text, view, WAIT } from "./daemon.js";
+
+let browser;
+const open = (daemon, width, height, shown) => openIn(browser, daemon, width, height, shown);
+
+before(async () => {
+  browser = await launch();
+});
+after(async () => {
+  await browser?.close();
+  await endAll();
+});
+
+const shownViews = (page) => page.$$eval("[data-view]", (views) => views.filter((view) => !view.hidden).map((view) => view.dataset.view));
+const current = (page) => page.$$eval("#views [aria-current]", (links) => links.map((link) => [link.hash, link.ariaCurrent]));
+
+test("each view has an address, the browser goes back and forward, and only the shown view asks for what it shows (smoke)", async () => {
+  const daemon = await new Daemon().start();
+  const asked = [];
+  const through = (request, response, forward) => {
+    asked.push(request.url);
+    forward();
+  };
+  await proxied(daemon, through, async (url) => {
+    const asks = { play: "/v1/patterns", design: "/v1/targets", record: "/v1/sessions", device: "/v1/doctor" };
+    const loaded = async (name) => {
+      const until = Date.now() + WAIT.timeout;
+      while (!asked.includes(asks[name])) {
+        assert.ok(Date.now() < until, `${name}: ${asked}`);
+        await new Promise((done) => setTimeout(done, 20));
+      }
+    };
+    for (const [name, path] of Object.entries(asks)) {
+      asked.length = 0;
+      const page = await open({ url }, 1400, 1000, name);
+      await loaded(name);
+      const others = Object.values(asks).filter((other) => other !== path);
+      assert.deepEqual(others.filter((other) => asked.includes(other)), [], name);
+      assert.deepEqual([await shownViews(page), await current(page)], [[name], [[`#${name}`, "page"]]]);
+      const title = name[0].toUpperCase() + name.slice(1);
+      assert.deepEqual([await page.title(), await page.$$eval("h1", (all) => all.map((one) => one.textContent))], [`${title} · meissner`, [title]]);
+      assert.ok(await page.$eval(".finger", (finger) => finger.getBoundingClientRect().height > 100), "no view hides the finger");
+      await page.close();
+    }
+    const page = await open({ url }, 1400, 1000, "record");
+    await view(page, "device");
+    await view(page, "play");
+    await page.goBack();
+    await page.waitForSelector('[data-view="device"]:not([hidden])');
+    await page.goForward();
+    await page.waitForSelector('[data-view="play"]:not([hidden])');
+    await page.goBack();
+    await page.reload();
+    await page.waitForSelector('[data-view="device"]:not([hidden])');
+    assert.deepEqual(await shownViews(page), ["device"]);
+    // What is no view is the first one.
+    await page.goto(`${url}/#nothing`);
+    await page.reload();
+    await page.waitForSelector('[data-view="play"]:not([hidden])');
+    assert.deepEqual(page.complaints.filter((line) => !line.includes("404")), []);
+  });
+});
+
+// Sizes of windows, and the last ones as with a zoom of 400 %. The third: what the header may take, px.
+for (const [width, height, most] of [[1400, 1000, 250], [390, 844, 422], [360, 640, 320], [640, 360, 180], [320, 256, 128]]) {
+  test(`the header does not scroll at ${width} x ${height} px, and leaves half of the screen`, async () => {
+    const daemon = await new Daemon().start();
+    const page = await open(daemon, width, height, "device");
+    await arm(page);
+    await daemon.run("play", "edge-45-rendered", "--seconds", "600");
+    await shows(page, "state-text", "Playing edge-45-rendered");
+    await shows(page, "doctor-note", "passed, at");
+    await page.evaluate(() => scrollTo(0, document.documentElement.scrollHeight));
+    // What stays is at its place, and nothing lies over it.
+    const parts = height >= 640 ? ["#estop", "#state-text", "#disarm", '#views a[href="#play"]'] : ["#estop", "#state-text"];
+    for (const part of parts) {
+      assert.ok(await page.$eval(part, (element) => {
+        const { x, y, width, height } = element.getBoundingClientRect();
+        return y >= 0 && element.contains(document.elementFromPoint(x + width / 2, y + height / 2));
+      }), part);
+    }
+    const covered = await page.evaluate(() => parseFloat(getComputedStyle(document.documentElement).getPropertyValue("--header")));
+    const bottom = await page.$eval(height >= 640 ? "#header" : "#bar", (part) => part.getBoundingClientRect().bottom);
+    assert.ok(Math.abs(covered - bottom) <= 1 && bottom <= most, `${bottom} px, measured as ${covered} px`);
+    // What has the focus is not behind it.
+    await page.evaluate(() => document.getElementById("doctor-again").focus());
+    await page.keyboard.down("Shift");
+    for (let i = 0; i < 4; i++) await page.keyboard.press("Tab");
+    await page.keyboard.up("Shift");
+    const [top, isInHeader] = await page.evaluate(() => [document.activeElement.getBoundingClientRect().top, Boolean(document.activeElement.closest("header"))]);
+    assert.ok(isInHeader || top >= bottom - 1, `${top} px`);
+    assert.equal(await page.evaluate(() => document.documentElement.scrollWidth), width);
+  });
+}
+
+test("a dialog takes clicks and keys, but not those of E-STOP, and gives the focus back", async () => {
+  const daemon = await new Daemon().start();
+  const page = await open(daemon);
+  await arm(page);
+  await page.click("#estop");
+  await page.waitForSelector("#reset:not([disabled])");
+  await page.focus("#reset");
+  await page.keyboard.press("Enter");
+  assert.equal(await page.$eval("#reset-dialog", (dialog) => dialog.open), true);
+  // Clicks on what lies below do nothing.
+  const box = await (await page.$('#views a[href="#device"]')).boundingBox();
+  await page.mouse.click(box.x + box.width / 2, box.y + box.height / 2);
+  assert.deepEqual(await shownViews(page), ["play"]);
+  // The Tab key reaches the dialog and E-STOP, and nothing else of the page.
+  const reached = new Set();
+  for (let i = 0; i < 8; i++) {
+    await page.keyboard.press("Tab");
+    reached.add(await page.evaluate(() => document.activeElement.closest("dialog")?.id ?? document.activeElement.id));
+  }
+  reached.delete("");
+  assert.deepEqual([...reached].sort(), ["estop", "reset-dialog"]);
+  const { estops } = await daemon.status();
+  await page.click("#estop");
+  await shows(page, "estop-note", "All lines are off.");
+  assert.equal((await daemon.status()).estops, estops + 1);
+  assert.equal(await page.$eval("#reset-dialog", (dialog) => dialog.open), true);
+  // Escape closes it, wherever the focus is.
+  await page.keyboard.press("Escape");
+  assert.equal(await page.$eval("#reset-dialog", (dialog) => dialog.open), false);
+  assert.equal(await page.evaluate(() => document.activeElement.id), "reset");
+  await view(page, "device");
+});
+
+test("Escape twice stops from wherever the focus is, and nothing that a person types does (smoke)", async () => {
+  const daemon = await new Daemon().start();
+  const page = await open(daemon);
+  await arm(page);
+  assert.ok((await text(page, "estop")).includes("Escape twice"));
+  // A key between the two, a key that is held, and text.
+  await page.focus("#search");
+  await page.keyboard.press("Escape");
+  await page.keyboard.type("e.E>");
+  await page.keyboard.press("Escape");
+  await page.keyboard.press("a");
+  await page.keyboard.down("Escape");
+  await page.keyboard.down("Escape");
+  await page.keyboard.up("Escape");
+  await page.keyboard.press("b");
+  assert.equal((await daemon.status()).estops, 0);
+  for (const [i, field] of ["#search", "#views a", "#seconds"].entries()) {
+    await page.focus(field);
+    await page.keyboard.press("Escape");
+    await page.keyboard.press("Escape");
+    await shows(page, "estop-note", "All lines are off.");
+    const until = Date.now() + WAIT.timeout;
+    while ((await daemon.status()).estops !== i + 1) assert.ok(Date.now() < until, field);
+  }
+  // In a dialog the first press closes it.
+  await page.click("#reset");
+  await page.keyboard.press("Escape");
+  assert.equal(await page.$eval("#reset-dialog", (dialog) => dialog.open), false);
+  await page.keyboard.press("Escape");
+  const until = Date.now() + WAIT.timeout;
+  while ((await daemon.status()).estops !== 4) assert.ok(Date.now() < until);
+});
+
+test("an answer stands beside its control, in the page's words, and is read to screen readers", async () => {
+  const daemon = await new Daemon().start();
+  const page = await open(daemon);
+  await page.waitForSelector("#pattern-list li");
+  const play = 'li[data-name="pin-60"] button';
+  await press(page, play);
+  await answers(page, play, "The motors are disarmed: press Arm first.");
+  await shows(page, "speak", "The motors are disarmed: press Arm first.");
+  const [line, button] = await page.$eval(play, (button) => [button.closest("li").querySelector(".say"), button].map((part) => part.getBoundingClientRect().toJSON()));
+  assert.ok(Math.abs(line.top - button.bottom) < 60, `${line.top} and ${button.bottom}`);
+  assert.equal(await page.$eval("#alert", (alert) => alert.hidden), true, "that is for the connection");
+  // A success takes the line away.
+  await arm(page);
+  await press(page, play);
+  await shows(page, "state-text", "Playing pin-60");
+  await page.waitForFunction((play) => document.querySelector(play).closest("li").querySelector(".say").hidden, WAIT, play);
+});
+
+test("live regions speak at most once a second", async () => {
+  const daemon = await new Daemon().start();
+  const page = await open(daemon, 1400, 1000, "design");
+  await shows(page, "state-text", "Disarmed");
+  // The page's clock stands still, so all of this happens in an instant.
+  await page.evaluate(() => {
+    globalThis.said = [];
+    performance.now = () => 1e9;
+    globalThis.setTimeout = () => 0;
+    for (const region of document.querySelectorAll('[role="status"]')) new MutationObserver(() => said.push(region.id)).observe(region, { childList: true, characterData: true, subtree: true });
+  });
+  await page.focus("#pad svg");
+  for (let i = 0; i < 10; i++) await page.keyboard.press("ArrowLeft");
+  await page.select("#shape", "polyline");
+  const counts = await page.evaluate(() => Object.values(Object.groupBy(said, (id) => id)).map((of) => of.length));
+  assert.ok(counts.every((count) => count <= 1), JSON.stringify(counts));
+});
+
+test("every dot and mark is seen on light and on dark", async () => {
+  const daemon = await new Daemon().start();
+  const page = await open(daemon);
+  await page.waitForSelector('li[data-name="all-in-phase"] .dot');
+  for (const scheme of ["light", "dark"]) {
+    await page.emulateMediaFeatures([{ name: "prefers-color-scheme", value: scheme }]);
+    const contrasts = await page.evaluate(() => {
+      const canvas = Object.assign(document.createElement("canvas"), { width: 1, height: 1 }).getContext("2d", { willReadFrequently: true });
+      const light = (colour) => {
+        canvas.fillStyle = colour;
+        canvas.fillRect(0, 0, 1, 1);
+        const [r, g, b] = [...canvas.getImageData(0, 0, 1, 1).data].map((value) => value / 255).map((c) => (c <= 0.04045 ? c / 12.92 : ((c + 0.055) / 1.055) ** 2.4));
+        return 0.2126 * r + 0.7152 * g + 0.0722 * b;
+      };
+      const contrast = (a, b) => (Math.max(light(a), light(b)) + 0.05) / (Math.min(light(a), light(b)) + 0.05);
+      const style = getComputedStyle(document.documentElement);
+      const [paper, panel] = ["--paper", "--panel"].map((name) => style.getPropertyValue(name));
+      // A dot is seen by its outline, or by itself.
+      const dots = [...document.querySelectorAll(".dot, .finger .pin")].map((dot) => getComputedStyle(dot)).map(({ stroke, fill }) => (stroke === "none" ? fill : stroke));
+      const marks = ["--good", "--accent", "--stop", "--warn", "--fail", "--soft"].map((name) => style.getPropertyValue(name));
+      return [...new Set([...dots, ...marks])].flatMap((colour) => [paper, panel].map((back) => [colour, back, contrast(colour, back)]));
+    });
+    assert.ok(contrasts.length >= 12);
+    assert.deepEqual(contrasts.filter(([, , ratio]) => ratio < 3), [], scheme);
+  }
+});
+
+// The daemon's refusals, from its source.
+const REFUSALS = readFileSync(new URL("../../crates/stream/src/queues/error.rs", import.meta.url), "utf8");
+const OTHERS = [
+  "`pin-60` has no end: add `seconds` (--seconds S), or allow a play without end with `endless` (--endless)",
+  "`a` is stored already (sha256 12ab): `--replace`, or `?replace=true`, stores the new one in its place",
+  "this daemon keeps no session record: start it without --no-record, and see `logbook_days`",
+  "session 1 with participant `P07` runs since 10:00: end it first with `meissner session end`",
+  "`session` is not the running one, abc: name that, or leave the key out",
+  "unknown: use --some-thing X",
+];
+
+test("the page's words have no backticks, no options and no commands", () => {
+  const texts = [...REFUSALS.matchAll(/#\[error\(\s*"((?:[^"\\]|\\[^])*)"/g)].map(([, text]) => text.replace(/\\\n\s*/g, "").replaceAll('\\"', '"'));
+  assert.ok(texts.length >= 15);
+  for (const text of [...texts, ...OTHERS]) {
+    const words = plain(text);
+    assert.ok(!/`|(^|[^\w])--\w|meissner /.test(words) && /[.!?]$/.test(words), `${text}\n${words}`);
+  }
+  assert.equal(plain("the motors are disarmed: run `meissner arm` first"), "The motors are disarmed: press Arm first.");
+  assert.equal(plain("`pin-60` has no end: add `seconds` (--seconds S), or allow a play without end with `endless` (--endless)"), "pin-60 has no end: enter its seconds.");
+  assert.equal(plain("an emergency stop or fault is latched: find out why, then `meissner reset` and `meissner arm`"), "An emergency stop or fault is latched: find out why, then press Reset and press Arm.");
+  assert.equal(plain("`reach_mm` is 30: must be 0 to 24 mm"), "Reach is 30: must be 0 to 24 mm.");
+  // What only a command can do is named.
+  assert.equal(plain("calibrate with a laser, `meissner calibrate --plan`"), "Calibrate with a laser, “meissner calibrate” on the daemon's machine.");
+});
