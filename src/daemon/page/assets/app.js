@@ -8,11 +8,14 @@ import { bindControls, element, say, showControls, write } from "./control.js";
 import { Designer } from "./designer.js";
 import { bindDevice } from "./device.js";
 import { bindDoctor } from "./doctor.js";
+import { bindFiles } from "./files.js";
 import { Finger, drivesAt, movement } from "./finger.js";
 import { Patterns } from "./patterns.js";
+import { bindPinTest } from "./pin-test.js";
 import { bindQueue } from "./queue.js";
 import { bindReceipt } from "./receipt.js";
 import { bindRecord } from "./record.js";
+import { bindRole } from "./role.js";
 import { connected, disconnected, handleEvent, showStatus, startViews } from "./views.js";
 import { plain } from "./words.js";
 
@@ -148,6 +151,9 @@ function frame(at) {
 }
 
 bindControls();
+bindRole();
+bindFiles(() => patterns.refresh());
+bindPinTest((motor) => finger.choose(motor));
 bindQueue();
 bindReceipt();
 bindRecord();

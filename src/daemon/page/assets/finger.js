@@ -106,7 +106,6 @@ export class Finger {
   // their phases. `rest_um`: offsets. `doubted`: motors. `seconds`: since the onset.
   draw(now, drives, rest_um, doubted, seconds) {
     const known = this.#pins.map((_, motor) => now[motor] ?? null);
-    this.svg.classList.toggle("unknown", !known.some(Boolean));
     set(this.svg, "aria-label", summary(known, rest_um));
     this.#pins.forEach((pin, motor) => {
       const does = known[motor];
