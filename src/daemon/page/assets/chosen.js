@@ -42,7 +42,7 @@ export class Chosen {
     on("chosen-duration", "input", () => this.#buttons());
     on("chosen-keep", "click", () => this.#run($("chosen-keep"), () => this.#keep()));
     on("chosen-save-form", "submit", (event) => (event.preventDefault(), this.#run($("chosen-save"), () => this.#save())));
-    on("preview-from", "change", () => this.#draw());
+    for (const id of ["preview-from", "preview-seconds"]) on(id, "change", () => this.#draw());
     on("preview-motor", "change", () => this.#choosePin($("preview-motor").valueAsNumber));
     on("compare-end", "click", () => this.compare(null));
     for (const id of ["chosen-play", "chosen-save"]) operates($(id));
@@ -100,14 +100,13 @@ export class Chosen {
 
   #show() {
     const { duration_s: duration, library, array: of } = this.#first;
-    const { pattern, sha256, warnings } = this.#full;
+    const { pattern, warnings } = this.#full;
     const motions = MOTIONS.reduce((sum, key) => sum + (pattern[key]?.length ?? 0), 0);
     facts($("chosen-facts"), [
       ["Duration of one run", duration === null ? "without end" : `${duration} s`],
       ["Drives, motions", `${pattern.drive?.length ?? 0}, ${motions}`],
       ["Array", of],
       ["Stored", library ? "in the library" : "at this site"],
-      ["SHA-256", sha256],
     ]);
     $("chosen-warnings").textContent = warnings.join(" · ");
     $("motions-note").hidden = !motions;
@@ -206,11 +205,11 @@ export class Chosen {
     this.#draw();
   }
 
-  // A second of a pattern, fetched once.
-  #preview({ name }, from) {
-    const key = `${name} ${from}`;
+  // A piece of a pattern, fetched once.
+  #preview({ name }, from, seconds) {
+    const key = `${name} ${from} ${seconds}`;
     if (!this.#previews.has(key)) {
-      const fetched = preview(name, from);
+      const fetched = preview(name, from, seconds);
       this.#previews.set(key, fetched);
       fetched.catch(() => this.#previews.delete(key));
     }
@@ -222,10 +221,10 @@ export class Chosen {
     const asked = ++this.#asked;
     const shown = [this.#first, this.#second].filter(Boolean);
     $("compare-end").hidden = !this.#second;
-    const from = $("preview-from").valueAsNumber;
+    const piece = [$("preview-from").valueAsNumber, $("preview-seconds").value];
     const wait = setTimeout(() => say($("preview-from"), "The daemon computes the figures …", "wait"), 300);
     try {
-      const found = await Promise.all(shown.map((pattern) => this.#preview(pattern, from)));
+      const found = await Promise.all(shown.map((pattern) => this.#preview(pattern, ...piece)));
       if (asked !== this.#asked) return;
       // Both have the same scale.
       const high = Math.max(...found.map(highest));

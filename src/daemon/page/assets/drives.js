@@ -75,7 +75,7 @@ export class Drives {
       row.append(document.createElement("td"));
       row.lastChild.append(input);
     }
-    const remove = element("button", "Remove", { type: "button", ariaLabel: `Remove drive ${i + 1}` });
+    const remove = element("button", "✕", { type: "button", title: "Remove", ariaLabel: `Remove drive ${i + 1}` });
     remove.addEventListener("click", () => {
       this.#drives.splice(this.#drives.indexOf(drive), 1);
       this.#show();

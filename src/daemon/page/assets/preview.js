@@ -6,8 +6,6 @@ import { layout, scale } from "./array.js";
 import { element } from "./control.js";
 import { make } from "./finger.js";
 
-// How much is shown, s.
-const SECONDS = 1;
 // The second model takes its time.
 const ANSWER_MS = 60000;
 const TRACE = { width: 36, height: 22 };
@@ -17,8 +15,8 @@ const CLASSES = ["SA1", "RA", "PC"];
 // Points of a path: the highest and the lowest value of each part of the time, so that no movement is lost.
 const PARTS = 320;
 
-// The first second from `from` of a pattern, s.
-export const preview = (name, from) => call("GET", `/v1/patterns/${encodeURIComponent(name)}/preview?from_s=${from}&seconds=${SECONDS}`, undefined, ANSWER_MS);
+// A piece of a pattern: from when, and how long, s.
+export const preview = (name, from, seconds) => call("GET", `/v1/patterns/${encodeURIComponent(name)}/preview?from_s=${from}&seconds=${seconds}`, undefined, ANSWER_MS);
 
 // The highest point of all pins, µm, at least 1.
 export const highest = ({ heights_um: heights }) => heights.flat().reduce((high, um) => Math.max(high, um), 1);
