@@ -61,6 +61,8 @@ mod motions_offline;
 mod netlist;
 /// The API over TCP: hosts, origins, tokens and roles, floods; without `listen` the daemon does not listen.
 mod network;
+/// What the status says of the present: what the pins do, and who asks.
+mod now;
 /// The API reference: routes, answers and the book's copies agree with the OpenAPI document.
 mod openapi;
 /// `optimise`: files and documents, budgets, interruptions, mistakes.
@@ -77,6 +79,8 @@ mod pty;
 mod rails;
 /// The session record under faults: full disks, kills, clock jumps, and the messages of commands.
 mod record;
+/// Objects that are rendered over the API, and previews of patterns.
+mod renderings;
 /// `session replay`: the same orders at the same gaps, the recorded texts, what differs, what is refused.
 mod replay;
 /// `simulate` and `tradeoff`: documents, mistakes, the comparison of methods and its plot; the shipped scenes.

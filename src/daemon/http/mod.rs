@@ -1,7 +1,7 @@
 //! HTTP: the server, and the routes from a request to a handler.
 //!
 //! A request passes [`admission`] (the network's gate), then [`guard`] (sessions and rights), then its handler in [`handlers`]. A handler
-//! reads the [`body`], makes the request a command to the engine, and the result an [`answer`]. Work that touches the disk runs on a
+//! reads the [`body`], makes the request a command to the engine, and the result an [`answer`], which [`compress`] shortens. Work that touches the disk runs on a
 //! blocking thread, so that an emergency stop never waits for a disk. Every error, even for an unknown route, is
 //! `application/problem+json`.
 //!
@@ -12,6 +12,7 @@ mod admission;
 mod answer;
 pub(in crate::daemon) mod app;
 mod body;
+mod compress;
 mod doctor;
 mod guard;
 mod handlers;
@@ -21,13 +22,14 @@ pub(in crate::daemon) mod server;
 use crate::daemon::http::answer::ErrorResponse;
 use crate::daemon::http::app::App;
 use crate::daemon::http::handlers::{
-    calibration, events, live, metrics, motors, patterns, plays, searches, sessions, status, targets, tokens,
+    calibration, events, live, metrics, motors, patterns, plays, previews, searches, sessions, status,
+    targets, tokens,
 };
 use crate::daemon::page;
 use axum::Router;
 use axum::body::Body;
 use axum::http::{Method, Uri};
-use axum::middleware::from_fn_with_state;
+use axum::middleware::{from_fn, from_fn_with_state};
 use axum::routing::{MethodFilter, MethodRouter, on};
 use meissner_api::{Code, Problem, REFERENCE, Route};
 use std::sync::Arc;
@@ -36,7 +38,10 @@ use std::sync::Arc;
 pub(in crate::daemon) fn router(app: App) -> Router {
     let routes = Route::ALL.into_iter().fold(Router::new(), |router, route| {
         let guard = from_fn_with_state((app.clone(), route), guard::guard);
-        router.route(route.path(), handler(route).route_layer(guard))
+        let handler = handler(route).route_layer(guard);
+        let handler =
+            if compress::is_open_to(route) { handler.layer(from_fn(compress::layer)) } else { handler };
+        router.route(route.path(), handler)
     });
     let gate = from_fn_with_state(Arc::clone(&app.engine.gate), admission::layer);
     routes
@@ -73,6 +78,7 @@ fn handler(route: Route) -> MethodRouter<App> {
         Route::Events => on(method, events::events),
         Route::Patterns => on(method, patterns::list),
         Route::Pattern => on(method, patterns::show),
+        Route::Preview => on(method, previews::show),
         Route::Import => on(method, patterns::import),
         Route::Remove => on(method, patterns::remove),
         Route::Targets => on(method, targets::list),

@@ -2,25 +2,28 @@
 // it.
 
 import { call, known, last, listen, poll } from "./api.js";
-import { array, loadArray } from "./array.js";
+import { loadArray } from "./array.js";
 import { bindCalibration } from "./calibration.js";
-import { bindControls, say, showControls, write } from "./control.js";
+import { bindControls, element, say, showControls, write } from "./control.js";
 import { Designer } from "./designer.js";
 import { bindDevice } from "./device.js";
 import { bindDoctor } from "./doctor.js";
-import { Finger, drivesAt } from "./finger.js";
+import { bindFiles } from "./files.js";
+import { Finger, drivesAt, movement } from "./finger.js";
 import { Patterns } from "./patterns.js";
+import { bindPinTest } from "./pin-test.js";
 import { bindQueue } from "./queue.js";
 import { bindReceipt } from "./receipt.js";
 import { bindRecord } from "./record.js";
+import { bindRole } from "./role.js";
 import { connected, disconnected, handleEvent, showStatus, startViews } from "./views.js";
 import { plain } from "./words.js";
 
 const $ = (id) => document.getElementById(id);
 const FRAME_MS = 1000 / 30;
 
-// The running play: its onset on this window's clock, and its pins once they are known.
-let play = { id: null, onset: 0, pins: null };
+// The running play: its onset on this window's clock, and its pattern once that is known.
+let play = { id: null, onset: 0, pattern: null };
 const doubted = new Set();
 const finger = new Finger($("finger"));
 const patterns = new Patterns();
@@ -47,27 +50,22 @@ async function setPlay(running) {
     play.onset = Math.min(play.onset, onset);
     return;
   }
-  const mine = (play = { id, onset, pins: null });
+  const mine = (play = { id, onset, pattern: null });
   if (id === null) return;
   try {
-    mine.pins = await pinsOf(running);
+    mine.pattern = await patternOf(running);
   } catch ({ code }) {
     // The connection failed: the next state requests it again.
     if (["unreachable", "slow", "stopped"].includes(code)) mine.id = undefined;
   }
 }
 
-// A play's pins as the daemon compiled it: its receipt has the amplitudes, the pattern the times. Null: a sequence, a live play, a pattern of
-// another array that was mapped by position, or one that is gone or has changed.
-async function pinsOf({ id, pattern }) {
-  const receipt = await call("GET", `/v1/plays/${id}`);
-  if (receipt.mapped_from !== null) return null;
-  const details = designer.details(receipt.pattern_sha256) ?? (await call("GET", `/v1/patterns/${encodeURIComponent(pattern)}`));
-  if (details.sha256 !== receipt.pattern_sha256 || receipt.items_planned !== null) return null;
-  // A receipt lists only the first drives.
-  const listed = receipt.drives;
-  const scaled = details.drives.slice(listed.length).map((drive) => ({ ...drive, reached_um: drive.reached_um * (receipt.scale ?? 1) }));
-  return { pattern: details.pattern, reached: [...listed, ...scaled] };
+// The pattern of a play. Null: a sequence, a live play, or a pattern of another array that was mapped by position. It has the phases: what
+// the pins do is in the status.
+async function patternOf({ id, pattern: name }) {
+  const { pattern_sha256: sha256, mapped_from: from, items_planned: items, live } = await call("GET", `/v1/plays/${id}`);
+  if (from !== null || items !== null || live !== null) return null;
+  return (await call("GET", `/v1/patterns/${encodeURIComponent(name)}?sha256=${sha256}`)).pattern;
 }
 
 function handle(event) {
@@ -120,26 +118,19 @@ async function linked(is, problem) {
   await connected();
 }
 
-function pinRows(pins, rest) {
+function pinRows(now, drives) {
   const motors = last()?.motors ?? [];
   $("pins").tBodies[0].replaceChildren(...motors.map((motor, i) => {
-    const drive = pins?.get(i);
+    const does = now[i];
+    const phase = does?.swing_um ? drives?.get(i)?.phase : "";
+    const cells = [movement(does), does?.height_um.toFixed(1) ?? "", phase ?? "", motor.rest_error_um?.toFixed(1) ?? "not known", motor.source];
     const row = document.createElement("tr");
-    const cells = [drive?.reached_um.toFixed(1) ?? (pins ? "still" : "not known"), drive?.frequency_hz ?? "", drive?.phase ?? "", rest[i]?.toFixed(1) ?? "not known", motor.source];
-    const head = Object.assign(document.createElement("th"), { scope: "row", textContent: String(i) });
-    row.append(head, ...cells.map((text) => Object.assign(document.createElement("td"), { textContent: String(text) })));
+    row.append(element("th", String(i), { scope: "row" }), ...cells.map((text) => element("td", String(text))));
     return row;
   }));
 }
 
-// The drives by pin, or null and why they are not known.
-function pinsNow(status, seconds) {
-  if (!status || !array()) return [null, "What the pins do is not known."];
-  if (status.play) return play.pins ? [drivesAt(play.pins, seconds), ""] : [null, "Pins vibrate. Which ones is not known here."];
-  const isStill = status.tick !== null && ["disarmed", "armed", "faulted"].includes(status.state);
-  return isStill ? [new Map(), ""] : [null, "Pins may move. Which ones is not known."];
-}
-
+const NOTE = "Size and colour: how far a pin moves, as the daemon orders it. Hand: phase, drawn 20 times slower, where it is known. Bar on the left of a pin: offset from rest. Dashed ring: sensor in doubt.";
 let drawn = 0;
 let tabled = 0;
 function frame(at) {
@@ -147,19 +138,22 @@ function frame(at) {
   if (at - drawn < FRAME_MS - 2) return;
   drawn = at;
   const status = known();
+  const motors = status?.motors ?? [];
+  const now = motors.map((motor) => motor.now);
   const seconds = Math.max(0, (performance.now() - play.onset) / 1000);
-  const [pins, why] = pinsNow(status, seconds);
-  const rest = (status?.motors ?? []).map((motor) => motor.rest_error_um);
-  finger.draw(pins, why, rest, doubted, seconds);
+  const drives = status?.play && play.pattern ? drivesAt(play.pattern, seconds) : null;
+  finger.draw(now, drives, motors.map((motor) => motor.rest_error_um), doubted, seconds);
   if (at - tabled > 1000 && $("pins").closest("details").open) {
     tabled = at;
-    pinRows(pins, rest);
+    pinRows(now, drives);
   }
-  const note = pins ? "Size and colour: amplitude reached. Hand: phase, drawn 20 times slower. Bar on the left of a pin: offset from rest. Dashed ring: sensor in doubt." : why;
-  write($("finger-note"), note);
+  write($("finger-note"), now.some(Boolean) ? NOTE : "What the pins do is not known.");
 }
 
 bindControls();
+bindRole();
+bindFiles(() => patterns.refresh());
+bindPinTest((motor) => finger.choose(motor));
 bindQueue();
 bindReceipt();
 bindRecord();

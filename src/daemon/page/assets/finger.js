@@ -1,5 +1,5 @@
-// The fingertip with its pins, as an SVG. Colour and size of a pin show the amplitude that it reaches, a hand its phase, a number its
-// frequency, a bar its offset from rest. Pins that move are drawn 20 times slower.
+// The fingertip with its pins, as an SVG. Colour and size of a pin show how far the daemon moves it, a number its frequency, a bar its
+// offset from rest, and a hand its phase, where that is known. Hands turn 20 times slower.
 
 import { layout, scale } from "./array.js";
 
@@ -14,6 +14,8 @@ const LEAST_RADIUS = 3;
 // The radius of the skin's corners, at most: pins in the corners stay on the skin.
 const CORNER = 58;
 const FULL_UM = 100;
+// A pin that moves by less is drawn as still, and one that stands lower as at rest, µm.
+const LEAST_UM = 0.5;
 // Stops of a colour map that rises in lightness, so that it is readable without colours.
 const COLOURS = [[68, 1, 84], [59, 82, 139], [33, 145, 140], [94, 201, 98], [253, 231, 37]];
 
@@ -31,26 +33,25 @@ export function colour(um) {
   return `rgb(${mix.join(" ")})`;
 }
 
-// The drives of a play that are on at `seconds` after its onset; the last one of a motor counts. `pattern`: in full. `reached`: what its
-// drives reach in this play.
-export function drivesAt({ pattern, reached: all }, seconds) {
-  const now = new Map();
-  const { drive: drives, duration_s: duration } = pattern;
-  const t = duration ? seconds % duration : seconds;
-  drives.forEach((drive, i) => {
-    const on = t >= (drive.start_s ?? 0) && t < (drive.stop_s ?? Infinity);
-    const reached = all.find((of) => of.drive === i + 1);
-    if (on && reached?.reached_um > 0) now.set(drive.motor, { ...drive, reached_um: reached.reached_um });
-  });
-  return now;
+// A pin's movement, as the status has it, and null if it is not known, in words.
+export function movement(now) {
+  if (!now) return "not known";
+  if (now.swing_um >= LEAST_UM) return `${now.swing_um.toFixed(0)} µm at ${+now.hz.toFixed(1)} Hz`;
+  return Math.abs(now.height_um) >= LEAST_UM ? `${now.height_um.toFixed(0)} µm above rest` : "still";
 }
 
-// A small map of the amplitudes that a pattern for the daemon's array reaches, over its whole length.
+// The drives of a pattern that are on at `seconds` after its onset, by motor; the last one of a motor counts.
+export function drivesAt({ drive: drives = [], duration_s: duration }, seconds) {
+  const t = duration ? seconds % duration : seconds;
+  return new Map(drives.filter(({ start_s: from, stop_s: to }) => t >= (from ?? 0) && t < (to ?? Infinity)).map((drive) => [drive.motor, drive]));
+}
+
+// A small map of the amplitudes that a pattern for the daemon's array reaches, over its whole length. `drives`: `motor` and `reached_um`.
 export function thumbnail(details) {
   const { places, box: [left, top, width, height] } = layout(scale(10, 6));
   const svg = make("svg", { viewBox: `${left - 5} ${top - 5} ${width + 10} ${height + 10}`, class: "thumbnail", role: "img" });
   const most = places.map(() => 0);
-  for (const of of details.drives) most[of.motor] = Math.max(most[of.motor], of.reached_um);
+  for (const { motor, reached_um: um } of details.drives) if (motor in most) most[motor] = Math.max(most[motor], um);
   const moving = most.map((um, motor) => [motor, um]).filter(([, um]) => um > 0);
   svg.setAttribute("aria-label", `Pins that move: ${moving.map(([motor]) => motor).join(", ") || "none"}`);
   most.forEach((um, motor) => {
@@ -65,7 +66,7 @@ export class Finger {
   #radius = 0;
   #still = matchMedia("(prefers-reduced-motion: reduce)");
 
-  // Without pins until the array is known.
+  // Without pins until the array is known. The document gets the event `pin` when a person clicks on a pin, with its number.
   constructor(place) {
     this.svg = make("svg", { role: "img", class: "finger" });
     place.append(this.svg);
@@ -78,7 +79,7 @@ export class Finger {
     this.#radius = Math.min(Math.max(radius, LEAST_RADIUS), PITCH / 4);
     set(this.svg, "viewBox", `0 0 ${width} ${height}`);
     this.svg.replaceChildren(make("path", { class: "skin", d: outline(width, height) }));
-    this.#pins = places.map(([x, y]) => {
+    this.#pins = places.map(([x, y], motor) => {
       const group = make("g", { transform: `translate(${EDGE + x - left} ${EDGE + y - top})` });
       const pin = {
         group,
@@ -89,40 +90,63 @@ export class Finger {
         number: make("text", { class: "hertz", y: 19 }),
         title: make("title"),
       };
+      group.addEventListener("click", () => document.dispatchEvent(new CustomEvent("pin", { detail: motor })));
       group.append(pin.title, pin.ring, pin.offset, pin.disc, pin.hand, pin.number);
       this.svg.append(group);
       return pin;
     });
   }
 
-  // `drives`: by motor; null if the pins' motion is not known, for the reason `why`. `rest_um`: offsets. `doubted`: motors.
-  // `seconds`: since the onset.
-  draw(drives, why, rest_um, doubted, seconds) {
-    const moving = [...(drives?.values() ?? [])];
-    const most = Math.max(0, ...rest_um.map(Math.abs));
-    this.svg.classList.toggle("unknown", !drives);
-    set(this.svg, "aria-label", !drives ? why : moving.length
-      ? `${moving.length} of ${this.#pins.length} pins vibrate, up to ${Math.max(...moving.map((drive) => drive.reached_um)).toFixed(0)} µm`
-      : `No pin vibrates. Largest offset from rest ${most.toFixed(0)} µm`);
+  // Marks a pin.
+  choose(motor) {
+    this.#pins.forEach(({ group }, i) => group.classList.toggle("chosen", i === motor));
+  }
+
+  // `now`: what each pin does, as the status has it, null for a pin of which that is not known. `drives`: those that are on, by motor, for
+  // their phases. `rest_um`: offsets. `doubted`: motors. `seconds`: since the onset.
+  draw(now, drives, rest_um, doubted, seconds) {
+    const known = this.#pins.map((_, motor) => now[motor] ?? null);
+    set(this.svg, "aria-label", summary(known, rest_um));
     this.#pins.forEach((pin, motor) => {
-      const drive = drives?.get(motor);
+      const does = known[motor];
+      const swing = does && does.swing_um >= LEAST_UM ? does.swing_um : 0;
+      const drive = swing ? drives?.get(motor) : null;
       const rest = rest_um[motor] ?? 0;
-      const turns = drive && !this.#still.matches ? ((seconds * drive.frequency_hz) / SLOWER + drive.phase) % 1 : (drive?.phase ?? 0);
-      const up = drive ? 0.5 - 0.5 * Math.cos(2 * Math.PI * turns) : 0;
-      set(pin.disc, "r", drive ? (this.#radius + (5 * Math.min(drive.reached_um, FULL_UM)) / FULL_UM) * (this.#still.matches ? 1 : 0.75 + 0.25 * up) : 0.7 * this.#radius);
-      set(pin.disc, "fill", drive ? colour(drive.reached_um) : "none");
+      const turns = drive && !this.#still.matches ? ((seconds * drive.frequency_hz) / SLOWER + (drive.phase ?? 0)) % 1 : (drive?.phase ?? 0);
+      const pulse = drive && !this.#still.matches ? 0.75 + 0.25 * (0.5 - 0.5 * Math.cos(2 * Math.PI * turns)) : 1;
+      const words = movement(does);
+      const isRaised = does && !swing && words !== "still";
+      pin.group.classList.toggle("pin-unknown", !does);
+      pin.group.classList.toggle("raised", Boolean(isRaised));
+      set(pin.disc, "r", swing ? (this.#radius + (5 * Math.min(swing, FULL_UM)) / FULL_UM) * pulse : 0.7 * this.#radius);
+      set(pin.disc, "fill", swing ? colour(swing) : "none");
       set(pin.hand, "visibility", drive ? "visible" : "hidden");
       set(pin.hand, "transform", `rotate(${(360 * turns).toFixed(0)})`);
       set(pin.ring, "visibility", doubted.has(motor) ? "visible" : "hidden");
       const bar = Math.min(Math.abs(rest) / 5, 12);
       set(pin.offset, "height", bar.toFixed(1));
       set(pin.offset, "y", (rest > 0 ? -bar : 0).toFixed(1));
-      const hertz = !drives ? "?" : drive ? `${+drive.frequency_hz.toFixed(0)} Hz` : "";
-      if (pin.number.textContent !== hertz) pin.number.textContent = hertz;
-      const text = !drives ? `Pin ${motor}: not known` : `Pin ${motor}: ${drive ? `${drive.reached_um.toFixed(0)} µm at ${drive.frequency_hz} Hz` : "still"}, ${rest.toFixed(1)} µm from rest${doubted.has(motor) ? ", its sensor is in doubt" : ""}`;
+      const mark = !does ? "?" : swing ? `${+does.hz.toFixed(0)} Hz` : isRaised ? `${does.height_um.toFixed(0)} µm` : "";
+      if (pin.number.textContent !== mark) pin.number.textContent = mark;
+      const text = `Pin ${motor}: ${words}${does ? `, ${rest.toFixed(1)} µm from rest` : ""}${doubted.has(motor) ? ", its sensor is in doubt" : ""}`;
       if (pin.title.textContent !== text) pin.title.textContent = text;
     });
   }
+}
+
+// What all pins do, in words. `known`: as `draw` takes it.
+function summary(known, rest_um) {
+  const unknown = known.filter((does) => !does).length;
+  if (unknown === known.length) return "What the pins do is not known.";
+  const moving = known.filter((does) => does?.swing_um >= LEAST_UM);
+  const raised = known.filter((does) => does && does.swing_um < LEAST_UM && Math.abs(does.height_um) >= LEAST_UM);
+  const largest = (all) => Math.max(...all).toFixed(0);
+  return [
+    moving.length ? `${moving.length} of ${known.length} pins vibrate, up to ${largest(moving.map((does) => does.swing_um))} µm.` : "No pin vibrates.",
+    raised.length ? `${raised.length} stand above rest, up to ${largest(raised.map((does) => does.height_um))} µm.` : "",
+    unknown ? `What ${unknown} do is not known.` : "",
+    moving.length || unknown ? "" : `Largest offset from rest ${largest([0, ...rest_um.map(Math.abs)])} µm.`,
+  ].filter(Boolean).join(" ");
 }
 
 function set(element, name, value) {

@@ -1,23 +1,25 @@
-// The patterns: list, search, maps, play.
+// The patterns: list, search, maps, play. A person chooses one for its details, and a second one to compare.
 
 import { call, order } from "./api.js";
-import { array } from "./array.js";
-import { refuse, say, valid } from "./control.js";
+import { Chosen } from "./chosen.js";
+import { element, refuse, say, valid } from "./control.js";
 import { thumbnail } from "./finger.js";
+import { isForeign, mapping } from "./foreign.js";
+import { operates } from "./role.js";
 import { part } from "./views.js";
 
 const $ = (id) => document.getElementById(id);
-
-// Whether a pattern is for another array than the daemon's.
-const isForeign = (pattern) => pattern.array !== array().name;
+// Items that are built at once. The others are empty until they come into view, so that a list of thousands costs little.
+const AT_ONCE = 100;
 
 export class Patterns {
-  #list = [];
   #details = new Map();
+  #byName = new Map();
+  #chosen = new Chosen((name) => this.details(name), () => this.refresh(), () => this.#mark());
   // Fetches the list again.
   refresh;
-  // Maps are fetched when they come into view, so that a long list costs little.
-  #view = new IntersectionObserver((entries) => entries.forEach((entry) => entry.isIntersecting && this.#draw(entry.target)));
+  // Maps are fetched when they come into view.
+  #view = new IntersectionObserver((entries) => entries.forEach((entry) => entry.isIntersecting && this.#draw(entry.target)), { rootMargin: "300px" });
 
   constructor() {
     this.refresh = part({ view: "play", at: "patterns-title", load: () => this.#load() });
@@ -27,13 +29,21 @@ export class Patterns {
 
   async #load() {
     const { patterns, errors } = await call("GET", "/v1/patterns");
-    this.#list = patterns;
+    this.#byName = new Map(patterns.map((pattern) => [pattern.name, pattern]));
     this.#details.clear();
     $("pattern-errors").textContent = errors.join(" · ");
     $("nearest-label").hidden = !patterns.some(isForeign);
     this.#view.disconnect();
-    $("pattern-list").replaceChildren(...patterns.map((pattern) => this.#item(pattern)));
+    $("pattern-list").replaceChildren(...patterns.map(({ name }, i) => {
+      const item = document.createElement("li");
+      item.dataset.name = name;
+      if (i < AT_ONCE) this.#build(item);
+      this.#view.observe(item);
+      return item;
+    }));
     this.#filter();
+    this.#chosen.renew(this.#byName);
+    this.#mark();
   }
 
   // A pattern in full, fetched once.
@@ -46,28 +56,30 @@ export class Patterns {
     return this.#details.get(name);
   }
 
-  #item(pattern) {
-    const item = document.createElement("li");
-    item.dataset.name = pattern.name;
-    const text = document.createElement("div");
+  #build(item) {
+    const pattern = this.#byName.get(item.dataset.name);
     const length = pattern.duration_s === null ? "without end" : `${pattern.duration_s} s`;
-    const reached = pattern.reached_max_um === null ? "no pin moves" : `${pattern.drives_moving} drives, up to ${pattern.reached_max_um.toFixed(0)} µm`;
-    text.append(
-      Object.assign(document.createElement("strong"), { textContent: pattern.name }),
-      Object.assign(document.createElement("span"), { textContent: `${length}; ${reached}; ${pattern.library ? "library" : "site"}${isForeign(pattern) ? `; for the array ${pattern.array}` : ""}` }),
-    );
-    const map = Object.assign(document.createElement("div"), { className: "map" });
-    const play = Object.assign(document.createElement("button"), { textContent: "Play" });
-    play.setAttribute("aria-label", `Play ${pattern.name}`);
+    const drives = pattern.drives_moving ? `${pattern.drives_moving} drives, up to ${pattern.reached_max_um.toFixed(0)} µm` : "";
+    const moves = [drives, pattern.motions ? `${pattern.motions} motions` : ""].filter(Boolean).join(", ") || "no pin moves";
+    const play = operates(element("button", "Play", { type: "button", ariaLabel: `Play ${pattern.name}` }));
     play.addEventListener("click", () => this.#play(pattern, play));
-    item.append(map, text, play);
-    // Where the pins of another array stand is not known here.
-    if (!isForeign(pattern)) this.#view.observe(item);
-    return item;
+    const choose = element("button", "", { type: "button", className: "choose" });
+    choose.append(
+      element("strong", pattern.name),
+      element("span", `${length}; ${moves}; ${pattern.library ? "library" : "site"}${isForeign(pattern) ? `; for the array ${pattern.array}` : ""}`),
+    );
+    choose.addEventListener("click", () => this.#chosen.choose(pattern));
+    const compare = element("button", "Compare", { type: "button", className: "compare", ariaLabel: `Compare with ${pattern.name}` });
+    compare.addEventListener("click", () => this.#chosen.compare(pattern));
+    item.append(play, element("div", "", { className: "map" }), choose, compare);
+    this.#markItem(item);
   }
 
   #draw(item) {
     this.#view.unobserve(item);
+    if (!item.firstChild) this.#build(item);
+    // Where the pins of another array stand is not known here.
+    if (isForeign(this.#byName.get(item.dataset.name))) return;
     this.details(item.dataset.name).then((details) => item.querySelector(".map").replaceChildren(thumbnail(details)), () => {});
   }
 
@@ -79,12 +91,23 @@ export class Patterns {
     $("pattern-none").textContent = items.length ? "No pattern has this in its name." : "No pattern is stored.";
   }
 
+  // Marks the chosen pattern, and the one beside it.
+  #mark() {
+    $("pattern-list").classList.toggle("has-chosen", this.#chosen.names[0] !== null);
+    for (const item of $("pattern-list").children) this.#markItem(item);
+  }
+
+  #markItem(item) {
+    const [chosen, beside] = this.#chosen.names.map((name) => name === item.dataset.name);
+    item.classList.toggle("chosen", chosen);
+    item.querySelector(".choose")?.setAttribute("aria-pressed", chosen);
+    item.querySelector(".compare")?.setAttribute("aria-pressed", beside);
+  }
+
   async #play(pattern, button) {
     if (!valid("seconds", "scale")) return;
-    const map = isForeign(pattern) ? { map: "nearest" } : {};
     try {
-      if (map.map && !$("nearest").checked) throw new Error(`${pattern.name} is for the array ${pattern.array}, and this one is ${array().name}. To play it all the same, tick “Play patterns for other arrays by position”.`);
-      await order("/v1/play", { pattern: pattern.name, seconds: $("seconds").valueAsNumber, scale: $("scale").valueAsNumber, ...map });
+      await order("/v1/play", { pattern: pattern.name, seconds: $("seconds").valueAsNumber, scale: $("scale").valueAsNumber, ...mapping(pattern) });
       say(button, "");
     } catch (error) {
       refuse(button, error);

@@ -1,14 +1,19 @@
 // The last play: its receipt.
 
 import { call } from "./api.js";
-import { facts } from "./control.js";
+import { facts, refuse, say } from "./control.js";
+import { keep } from "./toml.js";
 import { part } from "./views.js";
 
 const $ = (id) => document.getElementById(id);
 
+// The play that is shown.
+let shown = null;
+
 function show(receipt) {
   // A running play has no counts yet.
   if (!receipt.bursts) return;
+  shown = receipt.id;
   const { bursts, lateness, duration_ms: ms, predicted_response: response } = receipt;
   const lost = bursts.late + bursts.dropped + bursts.refused;
   $("receipt-summary").textContent = `Play ${receipt.id}, ${receipt.pattern}: ${receipt.state}${receipt.cause ? ` (${receipt.cause})` : ""}. `
@@ -21,6 +26,7 @@ function show(receipt) {
   facts($("receipt-facts"), [
     ...(receipt.mapped_from === null ? [] : [["Mapped by position", `from the array ${receipt.mapped_from} to ${receipt.array}`]]),
     ["Bursts played, late, dropped, refused", `${bursts.played}, ${bursts.late}, ${bursts.dropped}, ${bursts.refused}`],
+    ...(receipt.items ? [["Items", states(receipt.items)]] : []),
     ["Corrected by feedback", bursts.amended],
     ["Largest lateness", `${worst.toFixed(2)} ms`],
     ["Duration played, ordered", `${ms.played?.toFixed(1) ?? "-"} ms, ${ms.ordered?.toFixed(1) ?? "without end"} ms`],
@@ -32,9 +38,17 @@ function show(receipt) {
       `Second model, ${of.class}, ${what}`, `${hz(of.played_hz)} (designed: ${hz(of.designed_hz)})`,
     ]),
   ]);
-  $("receipt-more").hidden = false;
+  $("receipt-more").hidden = $("receipt-keep").hidden = false;
   $("receipt-json").textContent = JSON.stringify(receipt, null, 1);
 }
+
+// How many items of a sequence ended in which state.
+function states(items) {
+  return Object.entries(Object.groupBy(items, (item) => item.state)).map(([state, of]) => `${of.length} ${state}`).join(", ");
+}
+
+// The whole receipt: an event has no items.
+const whole = (id) => call("GET", `/v1/plays/${id}`);
 
 async function load() {
   try {
@@ -46,10 +60,22 @@ async function load() {
 }
 
 export function bindReceipt() {
+  $("receipt-keep").addEventListener("click", async () => {
+    try {
+      const receipt = await whole(shown);
+      keep(JSON.stringify(receipt, null, 1), "application/json", `play-${receipt.id}.json`);
+      say($("receipt-keep"), "");
+    } catch (error) {
+      refuse($("receipt-keep"), error);
+    }
+  });
   part({
     view: "play",
     at: "receipt-title",
     load,
-    on: { ended: ({ receipt }) => show(receipt), felt: async ({ id }) => show(await call("GET", `/v1/plays/${id}`)) },
+    on: {
+      ended: async ({ receipt }) => show(receipt.items_planned === null ? receipt : await whole(receipt.id)),
+      felt: async ({ id }) => show(await whole(id)),
+    },
   });
 }

@@ -1,0 +1,90 @@
+// The drives of a pattern as a table that can be edited, and the map of the pins that they move.
+
+import { array } from "./array.js";
+import { element } from "./control.js";
+import { thumbnail } from "./finger.js";
+
+const $ = (id) => document.getElementById(id);
+// Rows that are shown, at most: a pattern has up to 4096 drives.
+export const ROWS = 200;
+const NEW = { motor: 0, frequency_hz: 60, amplitude_um: 80, phase: 0 };
+// Key, name, and the range that the daemon allows; whether it may be empty.
+const COLUMNS = [
+  ["motor", "Motor", 0, null, 1], ["frequency_hz", "Frequency, Hz", 0.1, 300], ["amplitude_um", "Amplitude, µm", 0, null], ["phase", "Phase, periods", 0, 0.999999],
+  ["start_s", "From, s", 0, 1e8, null, true], ["stop_s", "To, s", 0, 1e8, null, true],
+];
+
+export class Drives {
+  #drives = [];
+  #changed;
+  #number = 0;
+
+  // `changed`: called when a person has changed a drive, has added or has removed one.
+  constructor(changed) {
+    this.#changed = changed;
+    $("drives-add").addEventListener("click", () => {
+      const last = this.#drives.at(-1) ?? NEW;
+      const { motor, ...rest } = last;
+      this.#drives.push({ ...rest, motor: (motor + 1) % array().positions_mm.length });
+      this.#show();
+      $("drives").tBodies[0].lastChild.querySelector("input")?.focus();
+      changed();
+    });
+  }
+
+  // The drives as they stand in the table; a number that is missing or wrong is NaN.
+  get value() {
+    return this.#drives;
+  }
+
+  set value(drives) {
+    this.#drives = drives.map((drive) => ({ ...drive }));
+    this.#show();
+  }
+
+  // The ids of all fields.
+  get fields() {
+    return [...$("drives").querySelectorAll("input")].map((input) => input.id);
+  }
+
+  #show() {
+    const shown = this.#drives.slice(0, ROWS);
+    $("drives").tBodies[0].replaceChildren(...shown.map((drive, i) => this.#row(drive, i)));
+    const hidden = this.#drives.length - shown.length;
+    $("drives-note").textContent = hidden ? `${hidden} more drives are not shown: they are played and saved as they are.` : this.#drives.length ? "" : "No drives.";
+    this.#map();
+  }
+
+  #map() {
+    const drives = this.#drives.map(({ motor, amplitude_um: um }) => ({ motor, reached_um: um || 0 }));
+    $("drives-map").replaceChildren(thumbnail({ drives }));
+  }
+
+  #row(drive, i) {
+    const row = document.createElement("tr");
+    for (const [key, title, min, max, step, isOptional] of COLUMNS) {
+      const most = max ?? (key === "motor" ? array().positions_mm.length - 1 : array().motor.travel_um);
+      const input = element("input", "", { type: "number", id: `drive-${this.#number++}`, min, max: most, step: step ?? "any", required: !isOptional, ariaLabel: `Drive ${i + 1}: ${title}` });
+      input.value = drive[key] ?? (key === "phase" ? 0 : "");
+      input.addEventListener("input", () => {
+        if (input.value === "" && isOptional && !input.validity.badInput) delete drive[key];
+        else drive[key] = input.valueAsNumber;
+        this.#map();
+        this.#changed();
+      });
+      row.append(document.createElement("td"));
+      row.lastChild.append(input);
+    }
+    const remove = element("button", "✕", { type: "button", title: "Remove", ariaLabel: `Remove drive ${i + 1}` });
+    remove.addEventListener("click", () => {
+      this.#drives.splice(this.#drives.indexOf(drive), 1);
+      this.#show();
+      const rows = $("drives").tBodies[0].rows;
+      (rows[Math.min(i, rows.length - 1)]?.querySelector("button") ?? $("drives-add")).focus();
+      this.#changed();
+    });
+    row.append(document.createElement("td"));
+    row.lastChild.append(remove);
+    return row;
+  }
+}
