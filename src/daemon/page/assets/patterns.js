@@ -83,7 +83,7 @@ export class Patterns {
     if (!valid("seconds", "scale")) return;
     const map = isForeign(pattern) ? { map: "nearest" } : {};
     try {
-      if (map.map && !$("nearest").checked) throw new Error(`${pattern.name} is for the array ${pattern.array}, and this one is ${array().name}. To play it all the same, tick “Play patterns for other arrays by position”.`);
+      if (map.map && !$("nearest").checked) throw new Error(`\`${pattern.name}\` is for the array ${pattern.array}, and this one is ${array().name}. To play it all the same, tick “Play patterns for other arrays by position”.`);
       await order("/v1/play", { pattern: pattern.name, seconds: $("seconds").valueAsNumber, scale: $("scale").valueAsNumber, ...map });
       say(button, "");
     } catch (error) {
