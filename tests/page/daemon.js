@@ -103,8 +103,11 @@ export const shows = (page, id, part, wait = WAIT) =>
 
 export async function arm(page) {
   await shows(page, "state-text", "Disarmed");
-  await page.waitForSelector("#arm:not([disabled])");
-  await page.click("#arm");
+  // On a busy machine the state grows old at times; then the button is off.
+  while (!(await page.$eval("#arm-dialog", (dialog) => dialog.open))) {
+    await page.waitForSelector("#arm:not([disabled])");
+    await page.click("#arm");
+  }
   if (await page.$eval("#arm-rest", (label) => !label.hidden)) {
     await page.click("#arm-checked");
     await page.type("#arm-name", "a test");

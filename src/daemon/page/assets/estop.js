@@ -216,8 +216,10 @@
   button.addEventListener("keydown", (event) => {
     if (event.key === "Enter" || event.key === " ") stop();
   });
-  // Escape twice stops, wherever the focus is: no other thing takes the key from here. It types nothing, so no text contains it.
+  // Escape twice stops, wherever the focus is: no other thing takes the key from here. It types nothing, so no text contains it. Another
+  // key or a click between them means that a person does something else.
   let escaped = -Infinity;
+  addEventListener("pointerdown", () => (escaped = -Infinity), { capture: true });
   addEventListener("keydown", (event) => {
     if (event.repeat || event.isComposing) return;
     const isTwice = event.key === "Escape" && event.timeStamp - escaped < TWICE_MS;
