@@ -21,7 +21,7 @@ const STYLE: &str = "text/css; charset=utf-8";
 const SCRIPT: &str = "text/javascript; charset=utf-8";
 
 /// Address, media type and text of every file.
-const FILES: [(&str, &str, &str); 28] = [
+const FILES: [(&str, &str, &str); 32] = [
     ("/", "text/html; charset=utf-8", include_str!("assets/index.html")),
     ("/page/page.css", STYLE, include_str!("assets/page.css")),
     ("/page/play.css", STYLE, include_str!("assets/play.css")),
@@ -50,6 +50,10 @@ const FILES: [(&str, &str, &str); 28] = [
     ("/page/calibration.js", SCRIPT, include_str!("assets/calibration.js")),
     ("/page/plot.js", SCRIPT, include_str!("assets/plot.js")),
     ("/page/record.js", SCRIPT, include_str!("assets/record.js")),
+    ("/page/session.js", SCRIPT, include_str!("assets/session.js")),
+    ("/page/experiment.js", SCRIPT, include_str!("assets/experiment.js")),
+    ("/page/choice.js", SCRIPT, include_str!("assets/choice.js")),
+    ("/page/export.js", SCRIPT, include_str!("assets/export.js")),
 ];
 
 /// Whether a request is for a file of the page. They contain no secrets, so a client needs no token for them.

@@ -59,6 +59,7 @@ export class Patterns {
     const map = Object.assign(document.createElement("div"), { className: "map" });
     const play = Object.assign(document.createElement("button"), { textContent: "Play" });
     play.setAttribute("aria-label", `Play ${pattern.name}`);
+    play.dataset.needs = "operate";
     play.addEventListener("click", () => this.#play(pattern, play));
     item.append(map, text, play);
     // Where the pins of another array stand is not known here.
